@@ -1,0 +1,7 @@
+//! Integer coding that the resamplers share. All of it is exact, and bounded on hostile bytes.
+
+pub(crate) mod bitpack;
+pub(crate) mod bytes;
+pub(crate) mod columns;
+pub(crate) mod range;
+pub(crate) mod zigzag;

@@ -1,0 +1,59 @@
+//! The decoding half.
+
+use super::{BinaryCoder, TOP, split_range};
+use crate::CodecError;
+
+/// Reads a slice, and zeros after it.
+#[derive(Debug)]
+pub(crate) struct RangeDecoder<'a> {
+    rest: &'a [u8],
+    code: u32,
+    range: u32,
+}
+
+impl<'a> RangeDecoder<'a> {
+    pub(crate) fn new(bytes: &'a [u8]) -> Self {
+        let mut decoder = Self { rest: bytes, code: 0, range: u32::MAX };
+        for _ in 0..4 {
+            decoder.shift();
+        }
+        decoder
+    }
+
+    fn shift(&mut self) {
+        let byte = match self.rest.split_first() {
+            Some((&first, rest)) => {
+                self.rest = rest;
+                first
+            }
+            None => 0,
+        };
+        self.code = self.code << 8 | u32::from(byte);
+    }
+
+    /// All bytes must have been needed.
+    pub(crate) fn finish(self) -> Result<(), CodecError> {
+        if self.rest.is_empty() {
+            return Ok(());
+        }
+        Err(CodecError::Corrupt("bytes after the payload"))
+    }
+}
+
+impl BinaryCoder for RangeDecoder<'_> {
+    fn split(&mut self, probability: u32, _bit: bool) -> bool {
+        let bound = split_range(self.range, probability);
+        let bit = self.code >= bound;
+        if bit {
+            self.code -= bound;
+            self.range -= bound;
+        } else {
+            self.range = bound;
+        }
+        while self.range < TOP {
+            self.range <<= 8;
+            self.shift();
+        }
+        bit
+    }
+}

@@ -1,0 +1,152 @@
+//! Adaptive binary range coding, after (Martin 1979) with the carry handling of LZMA.
+//!
+//! 32 bits of range, probabilities of 16 bits. The encoder drops trailing zero bytes; the decoder
+//! reads zeros past the end, so a block of nothing but expected bits takes no byte at all.
+
+mod decoder;
+mod encoder;
+
+pub(crate) use self::{decoder::RangeDecoder, encoder::RangeEncoder};
+
+/// The range is refilled below this.
+const TOP: u32 = 1 << 24;
+
+/// One adaptive bit: two estimates of the probability of `false`, a nimble one and a steady one.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Bit {
+    nimble: u16,
+    steady: u16,
+    /// Bits seen, saturating: young estimates move faster.
+    seen: u8,
+}
+
+impl Bit {
+    /// Shifts of the exponential averages once they are grown up.
+    const NIMBLE_SHIFT: u32 = 5;
+    const STEADY_SHIFT: u32 = 7;
+    /// At this count `ilog2(seen + 2)` has reached the larger shift.
+    const GROWN_UP: u8 = 126;
+
+    /// How many bits a first guess weighs.
+    const PRIOR_SEEN: u8 = 14;
+
+    pub(crate) const NEW: Self = Self { nimble: 1 << 15, steady: 1 << 15, seen: 0 };
+
+    /// Starts from the odds of `true` in 1/256, as if a few bits had been seen.
+    pub(crate) fn expecting(odds: u8) -> Self {
+        let estimate = u16::MAX - (u16::from(odds) << 8 | 0x80);
+        Self { nimble: estimate, steady: estimate, seen: Self::PRIOR_SEEN }
+    }
+
+    /// Probability of `false` in 2^-16: the mean of both estimates, never 0 or 1.
+    fn probability(self) -> u32 {
+        ((u32::from(self.nimble) + u32::from(self.steady)) >> 1).clamp(32, (1 << 16) - 32)
+    }
+
+    fn learn(&mut self, bit: bool) {
+        let age = (u32::from(self.seen) + 2).ilog2();
+        for (estimate, shift) in [
+            (&mut self.nimble, age.min(Self::NIMBLE_SHIFT)),
+            (&mut self.steady, age.min(Self::STEADY_SHIFT)),
+        ] {
+            if bit {
+                *estimate -= *estimate >> shift;
+            } else {
+                *estimate += (u16::MAX - *estimate) >> shift;
+            }
+        }
+        self.seen = (self.seen + 1).min(Self::GROWN_UP);
+    }
+}
+
+/// Encoder and decoder behind one face, so that a syntax is written once for both.
+pub(crate) trait BinaryCoder {
+    /// Encodes `bit` and gives it back, or ignores it and gives the decoded one.
+    fn split(&mut self, probability: u32, bit: bool) -> bool;
+
+    /// An adaptive bit.
+    fn bit(&mut self, model: &mut Bit, bit: bool) -> bool {
+        let bit = self.split(model.probability(), bit);
+        model.learn(bit);
+        bit
+    }
+
+    /// `n` bits of equal odds, highest first.
+    fn plain(&mut self, value: u64, n: u32) -> u64 {
+        (0..n)
+            .rev()
+            .fold(0, |read, i| read << 1 | u64::from(self.split(1 << 15, value >> i & 1 == 1)))
+    }
+}
+
+/// The part of the range that stands for `false`: at least 1, and less than the whole.
+fn split_range(range: u32, probability: u32) -> u32 {
+    ((u64::from(range) * u64::from(probability)) >> 16) as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::CodecError;
+
+    /// Skews from even odds to near certainty, so that carries and runs of 0xff occur.
+    fn bits(seed: u64, n: usize) -> Vec<bool> {
+        let mut state = seed;
+        (0..n)
+            .map(|i| {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(seed | 1);
+                (state >> 40) % 1000 < (i as u64 * 7 / n as u64) * 166
+            })
+            .collect()
+    }
+
+    #[test]
+    fn bits_round_trip_and_every_byte_is_needed() {
+        for seed in 0..200 {
+            let bits = bits(seed, 3000);
+            let mut out = vec![9];
+            let mut encoder = RangeEncoder::new(&mut out, usize::MAX);
+            let mut models = [Bit::NEW; 5];
+            for (i, &bit) in bits.iter().enumerate() {
+                encoder.bit(&mut models[i % 5], bit);
+                if i % 100 == 0 {
+                    encoder.plain(i as u64, 12);
+                }
+            }
+            assert!(encoder.finish());
+            assert_ne!(out.last(), Some(&0));
+            let mut decoder = RangeDecoder::new(&out[1..]);
+            let mut models = [Bit::NEW; 5];
+            for (i, &bit) in bits.iter().enumerate() {
+                assert_eq!(decoder.bit(&mut models[i % 5], false), bit);
+                if i % 100 == 0 {
+                    assert_eq!(decoder.plain(0, 12), i as u64);
+                }
+            }
+            assert_eq!(decoder.finish(), Ok(()));
+        }
+    }
+
+    #[test]
+    fn expected_bits_cost_nothing_and_the_limit_holds() {
+        let mut out = Vec::new();
+        let mut encoder = RangeEncoder::new(&mut out, usize::MAX);
+        let mut model = Bit::NEW;
+        (0..30).for_each(|_| assert!(!encoder.bit(&mut model, false)));
+        assert!(encoder.finish());
+        assert!(out.is_empty());
+
+        let mut encoder = RangeEncoder::new(&mut out, 10);
+        encoder.plain(0x0123_4567_89ab_cdef, 64);
+        encoder.plain(0x0123_4567_89ab_cdef, 64);
+        assert!(!encoder.finish());
+        assert!(out.len() <= 10);
+    }
+
+    #[test]
+    fn bytes_too_many_are_corrupt() {
+        let mut decoder = RangeDecoder::new(&[1, 2, 3, 4, 5, 6]);
+        decoder.plain(0, 8);
+        assert!(matches!(decoder.finish(), Err(CodecError::Corrupt(_))));
+    }
+}

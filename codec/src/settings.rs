@@ -1,0 +1,214 @@
+//! Which resampler, and how far a reconstruction may lie from its sample.
+
+use std::{fmt, str::FromStr};
+
+use crate::{
+    BlockDecoder, BlockEncoder, CodecError, Rows,
+    dense::{DenseDecoder, DenseEncoder},
+    fast::Fast,
+    frame::{self, FramedDecoder, FramedEncoder, PayloadEncoder},
+    lossless::Lossless,
+    spline::Spline,
+    sync::{self, Sync},
+};
+
+/// Largest Euclidean distance in 3D, in millimetres, between a sample and its reconstruction.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+pub struct Tolerance(f64);
+
+impl Tolerance {
+    /// The smallest tolerance: below it a float32 position has no digits left to save at room scale.
+    pub const MIN_MM: f64 = 1e-4;
+    /// The largest: beyond a kilometre it is a typing error.
+    pub const MAX_MM: f64 = 1e6;
+
+    /// # Errors
+    /// `InvalidArgument` when `mm` is not finite or outside `MIN_MM..=MAX_MM`.
+    pub fn from_mm(mm: f64) -> Result<Self, CodecError> {
+        if mm.is_finite() && (Self::MIN_MM..=Self::MAX_MM).contains(&mm) {
+            return Ok(Self(mm));
+        }
+        Err(CodecError::InvalidArgument(format!(
+            "a tolerance of {mm} mm is outside {} mm to {} m; for exact samples use --lossless",
+            Self::MIN_MM,
+            Self::MAX_MM / 1000.0
+        )))
+    }
+
+    /// In millimetres.
+    #[must_use]
+    pub fn mm(self) -> f64 {
+        self.0
+    }
+}
+
+/// How `spline` picks the next knot: the two readings of step 2 of (Shi et al. 2012, 2.3).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub enum SplineVariant {
+    /// Insert the sample whose current error is largest.
+    #[default]
+    WorstSample,
+    /// Try every sample; insert the one that leaves the smallest sum of squared errors.
+    Exhaustive,
+}
+
+impl SplineVariant {
+    /// Longest run that [`Exhaustive`](Self::Exhaustive) takes, in samples: its work grows with the
+    /// third power of the run, to some seconds a channel at this length. Longer runs are refused.
+    pub const EXHAUSTIVE_MAX_RUN_ROWS: usize = 1024;
+}
+
+/// The resamplers by name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub enum ResamplerKind {
+    /// Smallest files: adaptive, quantised inside the tolerance, context-coded.
+    #[default]
+    Dense,
+    /// The same contract at bus speed.
+    Fast,
+    /// Bit-exact float32.
+    Lossless,
+    /// The published method: asynchronous greedy cubic-spline knots. Offline only.
+    Spline(SplineVariant),
+    /// The published rival: one set of key times for all channels. Offline only.
+    Sync(SplineVariant),
+}
+
+impl ResamplerKind {
+    /// Whether it can run while the samples arrive, stretch by stretch.
+    #[must_use]
+    pub fn is_live(self) -> bool {
+        !matches!(self, Self::Spline(_) | Self::Sync(_))
+    }
+
+    /// Whether it keeps every bit, so that a tolerance has no meaning.
+    #[must_use]
+    pub fn is_lossless(self) -> bool {
+        self == Self::Lossless
+    }
+}
+
+impl fmt::Display for ResamplerKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Dense => "dense",
+            Self::Fast => "fast",
+            Self::Lossless => "lossless",
+            Self::Spline(SplineVariant::WorstSample) => "spline:worst-sample",
+            Self::Spline(SplineVariant::Exhaustive) => "spline:exhaustive",
+            Self::Sync(SplineVariant::WorstSample) => "sync:worst-sample",
+            Self::Sync(SplineVariant::Exhaustive) => "sync:exhaustive",
+        })
+    }
+}
+
+impl FromStr for ResamplerKind {
+    type Err = CodecError;
+
+    fn from_str(name: &str) -> Result<Self, CodecError> {
+        Ok(match name {
+            "dense" => Self::Dense,
+            "fast" => Self::Fast,
+            "lossless" => Self::Lossless,
+            "spline" | "spline:worst-sample" => Self::Spline(SplineVariant::WorstSample),
+            "spline:exhaustive" => Self::Spline(SplineVariant::Exhaustive),
+            "sync" | "sync:worst-sample" => Self::Sync(SplineVariant::WorstSample),
+            "sync:exhaustive" => Self::Sync(SplineVariant::Exhaustive),
+            _ => {
+                return Err(CodecError::InvalidArgument(format!(
+                    "no resampler is called '{name}': use dense, fast, lossless, \
+                     spline[:worst-sample|:exhaustive] or sync[:worst-sample|:exhaustive]"
+                )));
+            }
+        })
+    }
+}
+
+/// What encoder and decoder of a take must agree on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settings {
+    /// Which resampler.
+    pub kind: ResamplerKind,
+    /// Ignored by `lossless`.
+    pub tolerance: Tolerance,
+}
+
+impl Settings {
+    /// A new encoder for one channel; allocate one a channel, at start.
+    #[must_use]
+    pub fn encoder(&self) -> Box<dyn BlockEncoder> {
+        let tolerance = self.tolerance;
+        match self.kind {
+            ResamplerKind::Dense => framed(DenseEncoder::new(tolerance), self.dense(), tolerance),
+            ResamplerKind::Fast => framed(self.fast(), self.fast(), tolerance),
+            ResamplerKind::Lossless => framed(Lossless::default(), Lossless::default(), tolerance),
+            ResamplerKind::Spline(variant) => {
+                framed(self.spline(variant), self.spline(variant), tolerance)
+            }
+            ResamplerKind::Sync(_) => framed(self.sync(), self.sync(), tolerance),
+        }
+    }
+
+    /// A new decoder for one channel.
+    #[must_use]
+    pub fn decoder(&self) -> Box<dyn BlockDecoder> {
+        let tolerance = self.tolerance;
+        match self.kind {
+            ResamplerKind::Dense => Box::new(FramedDecoder::new(self.dense(), tolerance)),
+            ResamplerKind::Fast => Box::new(FramedDecoder::new(self.fast(), tolerance)),
+            ResamplerKind::Lossless => Box::new(FramedDecoder::new(Lossless::default(), tolerance)),
+            ResamplerKind::Spline(variant) => {
+                Box::new(FramedDecoder::new(self.spline(variant), tolerance))
+            }
+            ResamplerKind::Sync(_) => Box::new(FramedDecoder::new(self.sync(), tolerance)),
+        }
+    }
+
+    fn dense(&self) -> DenseDecoder {
+        DenseDecoder::new(self.tolerance)
+    }
+
+    fn fast(&self) -> Fast {
+        Fast::new(self.tolerance)
+    }
+
+    fn spline(&self, variant: SplineVariant) -> Spline {
+        Spline::new(self.tolerance, variant)
+    }
+
+    fn sync(&self) -> Sync {
+        Sync::new(self.tolerance)
+    }
+
+    /// What all channels of a stretch share, coded: `sync`'s key times; empty for every other kind.
+    ///
+    /// # Errors
+    /// `InvalidArgument` when a present sample is not finite, when the channels differ in rows, or
+    /// when a run is too long for the exhaustive variant.
+    pub fn plan(&self, channels: &[Rows<'_>]) -> Result<Vec<u8>, CodecError> {
+        match self.kind {
+            ResamplerKind::Sync(variant) => sync::plan(channels, self.tolerance, variant),
+            _ => Ok(Vec::new()),
+        }
+    }
+
+    /// Most bytes that `encode` can append for a block of `n_rows` rows.
+    #[must_use]
+    pub fn max_block_bytes(&self, n_rows: usize) -> usize {
+        match self.kind {
+            ResamplerKind::Spline(_) => frame::max_block_bytes::<Spline>(n_rows),
+            ResamplerKind::Sync(_) => frame::max_block_bytes::<Sync>(n_rows),
+            ResamplerKind::Dense => frame::max_block_bytes::<DenseEncoder>(n_rows),
+            ResamplerKind::Fast => frame::max_block_bytes::<Fast>(n_rows),
+            ResamplerKind::Lossless => frame::max_block_bytes::<Lossless>(n_rows),
+        }
+    }
+}
+
+fn framed<E: PayloadEncoder + 'static>(
+    encoder: E,
+    decoder: E::Decoder,
+    tolerance: Tolerance,
+) -> Box<dyn BlockEncoder> {
+    Box::new(FramedEncoder::new(encoder, decoder, tolerance))
+}

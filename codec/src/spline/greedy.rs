@@ -1,0 +1,245 @@
+//! The greedy choice of knots for one run (Shi et al. 2012, section 2.3, equations 14 to 17).
+//!
+//! An insertion changes the moments of far knots by less than a half per knot in between: the system is
+//! diagonally dominant by a factor of two. So only the moments within [`REACH`] knots are solved again,
+//! and the rest is the same to the last bit that an f64 can tell.
+
+use super::natural::{Knot, Moments, Vector, widen};
+use crate::{Position, SplineVariant};
+
+/// 2^-64 of a change is left at this distance.
+const REACH: usize = 64;
+
+/// What an interval between two knots leaves to be desired.
+#[derive(Debug, Clone, Copy, Default)]
+struct Misfit {
+    /// Largest squared distance of a sample between the knots.
+    worst: f64,
+    /// The first sample that has it.
+    row: usize,
+    /// Sum of squared distances.
+    sum: f64,
+}
+
+/// One run while its knots are chosen.
+#[derive(Debug)]
+pub(super) struct Greedy<'a> {
+    samples: &'a [Position],
+    knots: Vec<Knot>,
+    moments: Moments,
+    /// One per interval.
+    misfits: Vec<Misfit>,
+    trial: (Vec<Knot>, Moments),
+}
+
+impl<'a> Greedy<'a> {
+    /// Starts with the first and the last sample; a run has at least three.
+    fn new(samples: &'a [Position]) -> Self {
+        let last = samples.len() - 1;
+        let knots = vec![(0, widen(samples[0])), (last, widen(samples[last]))];
+        let mut moments = Moments::default();
+        moments.solve(&knots);
+        let misfits = vec![misfit(samples, &knots, &moments, 0)];
+        Self { samples, knots, moments, misfits, trial: Default::default() }
+    }
+
+    /// The interval with the worst sample; the first of equals.
+    fn worst(&self) -> Misfit {
+        self.misfits.iter().fold(
+            Misfit::default(),
+            |worst, m| {
+                if m.worst > worst.worst { *m } else { worst }
+            },
+        )
+    }
+
+    /// Index of the interval that contains `row`, which is no knot.
+    fn interval_of(&self, row: usize) -> usize {
+        self.knots.partition_point(|&(knot, _)| knot < row) - 1
+    }
+
+    fn insert(&mut self, row: usize) {
+        let interval = self.interval_of(row);
+        let index = interval + 1;
+        self.knots.insert(index, (row, widen(self.samples[row])));
+        self.moments.insert(index);
+        self.misfits.insert(interval, Misfit::default());
+        let (low, high) = (index.saturating_sub(REACH), (index + REACH).min(self.knots.len() - 1));
+        self.moments.solve_between(&self.knots, low, high);
+        for i in low..high {
+            self.misfits[i] = misfit(self.samples, &self.knots, &self.moments, i);
+        }
+    }
+
+    /// Sum of squares that inserting `row` would take away (negative: would add).
+    fn gain(&mut self, row: usize) -> f64 {
+        let interval = self.interval_of(row);
+        let low = (interval + 1).saturating_sub(REACH);
+        let high = (interval + REACH).min(self.knots.len() - 1);
+        let (knots, moments) = &mut self.trial;
+        knots.clear();
+        knots.extend_from_slice(&self.knots[low..=high]);
+        moments.copy_from(&self.moments, low..=high);
+        knots.insert(interval + 1 - low, (row, widen(self.samples[row])));
+        moments.insert(interval + 1 - low);
+        moments.solve_between(knots, 0, knots.len() - 1);
+        let before: f64 = self.misfits[low..high].iter().map(|m| m.sum).sum();
+        let after: f64 =
+            (0..knots.len() - 1).map(|i| misfit(self.samples, knots, moments, i).sum).sum();
+        before - after
+    }
+
+    /// The sample whose insertion leaves the smallest sum of squares; the first of equals.
+    fn best_candidate(&mut self) -> Option<usize> {
+        let mut best: Option<(f64, usize)> = None;
+        let mut next_knot = 0;
+        for row in 0..self.samples.len() {
+            if self.knots[next_knot].0 == row {
+                next_knot += 1;
+                continue;
+            }
+            let gain = self.gain(row);
+            if best.is_none_or(|(most, _)| gain > most) {
+                best = Some((gain, row));
+            }
+        }
+        best.map(|(_, row)| row)
+    }
+}
+
+fn misfit(samples: &[Position], knots: &[Knot], moments: &Moments, interval: usize) -> Misfit {
+    let (from, to) = (knots[interval].0 + 1, knots[interval + 1].0);
+    let mut misfit = Misfit::default();
+    for (row, &sample) in samples.iter().enumerate().take(to).skip(from) {
+        let squared = squared_distance(moments.at(knots, interval, row), widen(sample));
+        misfit.sum += squared;
+        if squared > misfit.worst {
+            (misfit.worst, misfit.row) = (squared, row);
+        }
+    }
+    misfit
+}
+
+fn squared_distance(a: Vector, b: Vector) -> f64 {
+    let [x, y, z] = std::array::from_fn(|axis| a[axis] - b[axis]);
+    x * x + y * y + z * z
+}
+
+/// The rows of a run to keep, in order, so that the f64 spline through them is within `tolerance_mm`.
+pub(super) fn knots(samples: &[Position], tolerance_mm: f64, variant: SplineVariant) -> Vec<usize> {
+    if samples.len() <= 2 {
+        return (0..samples.len()).collect();
+    }
+    let mut greedy = Greedy::new(samples);
+    loop {
+        let worst = greedy.worst();
+        if worst.worst.sqrt() <= tolerance_mm {
+            return greedy.knots.iter().map(|&(row, _)| row).collect();
+        }
+        let next = match variant {
+            SplineVariant::WorstSample => Some(worst.row),
+            SplineVariant::Exhaustive => greedy.best_candidate(),
+        };
+        greedy.insert(next.unwrap_or(worst.row));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::spline::natural::rebuild;
+
+    /// The algorithm as the text has it: the whole spline again for every insertion.
+    fn brute_force(samples: &[Position], tolerance_mm: f64, variant: SplineVariant) -> Vec<usize> {
+        let fit = |rows: &[usize]| -> Vec<f64> {
+            let knots: Vec<Knot> = rows.iter().map(|&row| (row, widen(samples[row]))).collect();
+            let mut moments = Moments::default();
+            moments.solve(&knots);
+            (0..samples.len())
+                .map(|row| {
+                    let interval = rows.partition_point(|&k| k <= row).min(rows.len() - 1) - 1;
+                    squared_distance(moments.at(&knots, interval, row), widen(samples[row]))
+                })
+                .collect()
+        };
+        let with = |rows: &[usize], row: usize| {
+            let mut more = rows.to_vec();
+            more.push(row);
+            more.sort_unstable();
+            more
+        };
+        let mut rows = vec![0, samples.len() - 1];
+        loop {
+            let errors = fit(&rows);
+            let first_of = |values: &[(usize, f64)]| {
+                values.iter().fold((0, f64::NEG_INFINITY), |a, &b| if b.1 > a.1 { b } else { a })
+            };
+            let all: Vec<(usize, f64)> = errors.into_iter().enumerate().collect();
+            let (worst_row, worst) = first_of(&all);
+            if worst.sqrt() <= tolerance_mm {
+                return rows;
+            }
+            let row = match variant {
+                SplineVariant::WorstSample => worst_row,
+                SplineVariant::Exhaustive => {
+                    let candidates: Vec<(usize, f64)> = (0..samples.len())
+                        .filter(|row| !rows.contains(row))
+                        .map(|row| (row, -fit(&with(&rows, row)).iter().sum::<f64>()))
+                        .collect();
+                    first_of(&candidates).0
+                }
+            };
+            rows = with(&rows, row);
+        }
+    }
+
+    fn wobble(seed: u64, n: usize) -> Vec<Position> {
+        let mut state = seed;
+        let mut noise = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_041);
+            (state >> 40) as f32 / (1 << 24) as f32
+        };
+        (0..n)
+            .map(|i| {
+                let t = i as f32 * 0.1;
+                [100.0 * t.sin() + noise(), 50.0 * (2.3 * t).cos() + noise(), 3.0 * t + noise()]
+            })
+            .collect()
+    }
+
+    #[test]
+    fn equal_to_brute_force() {
+        for seed in 0..6 {
+            for (n, tolerance) in [(3, 0.1), (40, 0.3), (120, 0.4), (300, 0.25)] {
+                let samples = wobble(seed, n);
+                let expected = brute_force(&samples, tolerance, SplineVariant::WorstSample);
+                assert_eq!(knots(&samples, tolerance, SplineVariant::WorstSample), expected);
+                if n <= 120 {
+                    let expected = brute_force(&samples, tolerance, SplineVariant::Exhaustive);
+                    assert_eq!(knots(&samples, tolerance, SplineVariant::Exhaustive), expected);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_lowest_of_equals_is_inserted_first() {
+        // Off a straight line by the same amount at rows 2 and 6: the first insertion decides.
+        let mut samples = vec![[0.0_f32; 3]; 9];
+        samples[2][0] = 4.0;
+        samples[6][0] = 4.0;
+        assert_eq!(Greedy::new(&samples).worst().row, 2);
+        // Nothing to gain anywhere: every candidate is as good as the first.
+        assert_eq!(Greedy::new(&[[0.0; 3]; 9]).best_candidate(), Some(1));
+    }
+
+    #[test]
+    fn a_straight_line_needs_two_knots() {
+        let line: Vec<Position> = (0..500).map(|i| [i as f32, 2.0 * i as f32, 0.0]).collect();
+        assert_eq!(knots(&line, 1e-4, SplineVariant::WorstSample), [0, 499]);
+        let mut run = vec![[0.0; 3]; 500];
+        let ends = [(0, widen(line[0])), (499, widen(line[499]))];
+        rebuild(&ends, &mut Moments::default(), &mut run);
+        assert!(run.iter().zip(&line).all(|(a, b)| crate::bound::distance_mm(*a, *b) < 1e-4));
+    }
+}

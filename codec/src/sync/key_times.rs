@@ -1,0 +1,122 @@
+//! The key times K that all channels of a stretch share.
+
+use crate::{
+    CodecError, Rows, SplineVariant, Tolerance,
+    coding::bytes::{Bytes, write_varint},
+    frame, spline,
+};
+
+/// The union of all channels' knots (Shi et al. 2012, section 2.1), and more until every channel's
+/// spline through K keeps the tolerance; coded.
+///
+/// The ends of a channel's runs are kept anyway and are in K only where another channel needs them.
+pub(crate) fn plan(
+    channels: &[Rows<'_>],
+    tolerance: Tolerance,
+    variant: SplineVariant,
+) -> Result<Vec<u8>, CodecError> {
+    let n_rows = channels.first().map_or(0, Rows::len);
+    let mut keys = vec![false; n_rows];
+    let mut fit = spline::RunFit::default();
+    for rows in channels {
+        if rows.len() != n_rows {
+            return Err(CodecError::InvalidArgument(format!(
+                "a channel of {} rows beside one of {n_rows}: give the same stretch of each",
+                rows.len()
+            )));
+        }
+        frame::count_finite(*rows)?;
+        for run in rows.runs() {
+            let samples = &rows.positions()[run.clone()];
+            spline::resample_run(samples, tolerance, variant, &mut fit)?;
+            let last = samples.len() - 1;
+            fit.rows().filter(|&row| row != 0 && row != last).for_each(|row| {
+                keys[run.start + row] = true;
+            });
+        }
+    }
+    // A key for one channel moves the splines of all others: until a whole pass adds none.
+    let mut added = true;
+    while std::mem::take(&mut added) {
+        for rows in channels {
+            for run in rows.runs() {
+                added |= add_missing(*rows, run, tolerance, &mut keys, &mut fit);
+            }
+        }
+    }
+    Ok(write(&keys))
+}
+
+/// Adds the worst sample's row until the run's spline through K holds; tells whether it had to.
+fn add_missing(
+    rows: Rows<'_>,
+    run: std::ops::Range<usize>,
+    tolerance: Tolerance,
+    keys: &mut [bool],
+    fit: &mut spline::RunFit,
+) -> bool {
+    let keys = &mut keys[run.clone()];
+    fit.start(kept_rows(keys));
+    fit.prove(&rows.positions()[run], tolerance.mm());
+    let last = keys.len() - 1;
+    let mut added = false;
+    for row in fit.rows().filter(|&row| row != 0 && row != last) {
+        added |= !std::mem::replace(&mut keys[row], true);
+    }
+    added
+}
+
+/// The kept rows of a run: its keys and both its ends.
+pub(crate) fn kept_rows(run_keys: &[bool]) -> impl Iterator<Item = usize> {
+    let last = run_keys.len().wrapping_sub(1);
+    run_keys
+        .iter()
+        .enumerate()
+        .filter(move |&(row, &key)| key || row == 0 || row == last)
+        .map(|(row, _)| row)
+}
+
+fn write(keys: &[bool]) -> Vec<u8> {
+    let mut out = Vec::new();
+    let mut next = 0;
+    for (row, _) in keys.iter().enumerate().filter(|(_, key)| **key) {
+        write_varint((row - next) as u64, &mut out);
+        next = row + 1;
+    }
+    out
+}
+
+/// Fills `keys`, one flag a row.
+pub(crate) fn read(shared: &[u8], n_rows: usize, keys: &mut Vec<bool>) -> Result<(), CodecError> {
+    keys.clear();
+    keys.resize(n_rows, false);
+    let mut input = Bytes::new(shared);
+    let mut next = 0;
+    while !input.is_empty() {
+        let delta = usize::try_from(input.varint("a key time")?).unwrap_or(usize::MAX);
+        let row = delta
+            .checked_add(next)
+            .filter(|&row| row < n_rows)
+            .ok_or(CodecError::Corrupt("a key time beyond the block's rows"))?;
+        keys[row] = true;
+        next = row + 1;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn key_times_round_trip() {
+        for pattern in 0..1 << 9_u32 {
+            let keys: Vec<bool> = (0..9).map(|i| pattern >> i & 1 == 1).collect();
+            let mut back = Vec::new();
+            read(&write(&keys), 9, &mut back).unwrap();
+            assert_eq!(back, keys);
+        }
+        assert!(matches!(read(&[9], 9, &mut Vec::new()), Err(CodecError::Corrupt(_))));
+        assert!(matches!(read(&[0x80], 9, &mut Vec::new()), Err(CodecError::Truncated(_))));
+    }
+}
