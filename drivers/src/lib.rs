@@ -1,0 +1,36 @@
+//! Device families, the link protocol and the transports they run over.
+//!
+//! A frame from a device to a host, with nothing between them but bytes:
+//!
+//! ```
+//! use mocapd_drivers::{
+//!     device::{DeviceEvent, Frame, MarkerSample, Protocol},
+//!     link::{DeviceLink, FrameForm, HostLink},
+//! };
+//!
+//! let markers = [
+//!     MarkerSample { id: 0, position_mm: [812.5, -40.25, 1604.0], ..Default::default() },
+//!     MarkerSample { id: 1, occluded: true, ..Default::default() },
+//! ];
+//! let frame = Frame { seq: 7, device_ticks: 70_000, timecode: None, markers: &markers };
+//!
+//! let mut wire = Vec::new();
+//! DeviceLink::new().frame(FrameForm::Float, &frame, &mut wire)?;
+//!
+//! let mut host = HostLink::new();
+//! let mut n_frames = 0;
+//! host.push(&wire, &mut |event| {
+//!     assert_eq!(event, DeviceEvent::Frame(frame));
+//!     n_frames += 1;
+//! });
+//! assert_eq!(n_frames, 1);
+//! assert_eq!(host.counters().bytes_skipped, 0);
+//! # Ok::<(), mocapd_drivers::link::EncodeError>(())
+//! ```
+
+pub mod device;
+mod dvmc;
+pub mod link;
+pub mod registry;
+pub mod transport;
+pub mod uri;

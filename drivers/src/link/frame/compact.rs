@@ -1,0 +1,150 @@
+//! The compact form: runs of consecutive ids, a presence bit each, and i24 deltas.
+//!
+//! A delta is to the marker before it *in the same frame*, so that a lost frame costs itself alone.
+
+use super::{
+    encode::has_position,
+    position::{micrometres, millimetres},
+};
+use crate::{
+    device::MarkerSample,
+    link::{
+        cursor::Cursor,
+        limits::{DELTA_UM_MAX, RUN_MARKERS_MAX},
+    },
+};
+
+/// Stands where a x delta would, and says that three i32 follow: the one i24 that no delta uses.
+const ESCAPE: [u8; 3] = [0x00, 0x00, 0x80];
+
+/// The runs that `markers` (ids ascending) fall into.
+fn runs(markers: &[MarkerSample]) -> impl Iterator<Item = &[MarkerSample]> {
+    markers
+        .chunk_by(|a, b| b.id - a.id == 1)
+        .flat_map(|consecutive| consecutive.chunks(RUN_MARKERS_MAX))
+}
+
+/// Where the deltas start from, and the delta to a position when every axis fits.
+fn delta(from_um: &mut [i32; 3], to_um: [i32; 3]) -> Option<[i32; 3]> {
+    let [fx, fy, fz] = std::mem::replace(from_um, to_um);
+    let [x, y, z] = to_um;
+    let delta = [x.checked_sub(fx)?, y.checked_sub(fy)?, z.checked_sub(fz)?];
+    delta.iter().all(|axis| axis.unsigned_abs() <= DELTA_UM_MAX.unsigned_abs()).then_some(delta)
+}
+
+/// Bytes that [`put`] appends.
+pub(super) fn markers_bytes(markers: &[MarkerSample], residuals: bool) -> usize {
+    let mut last_um = [0; 3];
+    let mut bytes = 0;
+    for run in runs(markers) {
+        bytes += 3 + run.len().div_ceil(8);
+        for marker in run.iter().filter(|marker| has_position(marker)) {
+            let position_um = micrometres(marker.position_mm).unwrap_or_default();
+            let position = if delta(&mut last_um, position_um).is_some() { 9 } else { 3 + 12 };
+            bytes += position + usize::from(residuals);
+        }
+    }
+    bytes
+}
+
+/// Every position must fit into i32 micrometres.
+pub(super) fn put(markers: &[MarkerSample], residuals: bool, message: &mut Vec<u8>) {
+    let mut last_um = [0; 3];
+    for run in runs(markers) {
+        let first_id = run.first().map_or(0, |marker| marker.id);
+        message.extend_from_slice(&first_id.to_le_bytes());
+        message.push(run.len() as u8);
+        for eight in run.chunks(8) {
+            let bits = eight
+                .iter()
+                .rev()
+                .fold(0, |bits, marker| bits << 1 | u8::from(has_position(marker)));
+            message.push(bits);
+        }
+        for marker in run.iter().filter(|marker| has_position(marker)) {
+            if residuals {
+                message.push(marker.residual_10um);
+            }
+            let position_um = micrometres(marker.position_mm).unwrap_or_default();
+            if let Some(axes) = delta(&mut last_um, position_um) {
+                for axis in axes {
+                    let [a, b, c, _] = axis.to_le_bytes();
+                    message.extend_from_slice(&[a, b, c]);
+                }
+            } else {
+                message.extend_from_slice(&ESCAPE);
+                message.extend_from_slice(position_um.map(i32::to_le_bytes).as_flattened());
+            }
+        }
+    }
+}
+
+/// Appends `n` markers to `markers`.
+pub(super) fn get(
+    cursor: &mut Cursor<'_>,
+    n: usize,
+    residuals: bool,
+    markers: &mut Vec<MarkerSample>,
+) -> Option<()> {
+    let mut last_um = [0; 3];
+    let mut left = n;
+    // The lowest id that the next run may start at; 65536 when there is none.
+    let mut id_min = 0;
+    while left > 0 {
+        let first_id = u32::from(cursor.u16()?);
+        let len = usize::from(cursor.u8()?);
+        let id_end = first_id + len as u32;
+        if len == 0 || len > left || first_id < id_min || id_end > 1 << 16 {
+            return None;
+        }
+        (left, id_min) = (left - len, id_end);
+        get_run(cursor, first_id as u16, len, residuals, &mut last_um, markers)?;
+    }
+    Some(())
+}
+
+fn get_run(
+    cursor: &mut Cursor<'_>,
+    first_id: u16,
+    len: usize,
+    residuals: bool,
+    last_um: &mut [i32; 3],
+    markers: &mut Vec<MarkerSample>,
+) -> Option<()> {
+    let bitmap = cursor.bytes(len.div_ceil(8))?;
+    let spare_bits = bitmap.len() * 8 - len;
+    if bitmap.last()?.leading_zeros() < spare_bits as u32 {
+        return None;
+    }
+    let present = bitmap.iter().flat_map(|&bits| (0..8).map(move |bit| bits >> bit & 1 == 1));
+    for (index, present) in present.take(len).enumerate() {
+        let mut marker = MarkerSample {
+            id: first_id + index as u16,
+            occluded: !present,
+            ..MarkerSample::default()
+        };
+        if present {
+            if residuals {
+                marker.residual_10um = cursor.u8()?;
+            }
+            *last_um = get_position(cursor, *last_um)?;
+            marker.position_mm = millimetres(*last_um);
+        }
+        markers.push(marker);
+    }
+    Some(())
+}
+
+#[inline]
+fn get_position(cursor: &mut Cursor<'_>, [fx, fy, fz]: [i32; 3]) -> Option<[i32; 3]> {
+    let x = cursor.array::<3>()?;
+    if x == ESCAPE {
+        let [x, y, z] = [cursor.array()?, cursor.array()?, cursor.array()?];
+        return Some([x, y, z].map(i32::from_le_bytes));
+    }
+    let [x, y, z] = [x, cursor.array::<3>()?, cursor.array::<3>()?].map(|[a, b, c]| {
+        // Into the upper three bytes, and down again with the sign.
+        i32::from_le_bytes([0, a, b, c]) >> 8
+    });
+    Some([fx.checked_add(x)?, fy.checked_add(y)?, fz.checked_add(z)?])
+}

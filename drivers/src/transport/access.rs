@@ -1,0 +1,151 @@
+//! Whether a device file may be opened, found out without opening it: opening a port raises DTR,
+//! and that resets some devices.
+
+use std::{fs, os::unix::fs::MetadataExt, path::Path};
+
+use rustix::fs::{Access as Want, major, minor};
+
+use super::TransportError;
+
+/// What opening would meet.
+#[derive(Debug)]
+pub enum Access {
+    /// Nothing in the way, as far as can be seen from outside.
+    Accessible,
+    /// The error that opening would give.
+    Refused(TransportError),
+}
+
+/// Looks at a device file.
+#[must_use]
+pub fn access(path: &Path) -> Access {
+    let device = path.display().to_string();
+    if !path.exists() {
+        return Access::Refused(TransportError::NotFound { device });
+    }
+    if rustix::fs::access(path, Want::READ_OK | Want::WRITE_OK).is_err() {
+        let remedy = permission_remedy(path);
+        return Access::Refused(TransportError::PermissionDenied { device, remedy });
+    }
+    match holder(path) {
+        Some(holder) => Access::Refused(TransportError::Busy { device, holder: Some(holder) }),
+        None => Access::Accessible,
+    }
+}
+
+/// What to type so that the user may open `path`.
+pub(super) fn permission_remedy(path: &Path) -> String {
+    const GROUP_READ_WRITE: u32 = 0o060;
+    let by_rule = "install mocapd's udev rules, or ask who administers this machine".to_owned();
+    let Ok(metadata) = fs::metadata(path) else {
+        return by_rule;
+    };
+    if metadata.gid() == 0 || metadata.mode() & GROUP_READ_WRITE != GROUP_READ_WRITE {
+        return by_rule;
+    }
+    let groups = fs::read_to_string("/etc/group").unwrap_or_default();
+    match group_name(&groups, metadata.gid()) {
+        Some(group) => format!("`sudo usermod -aG {group} $USER`, then log in again"),
+        None => by_rule,
+    }
+}
+
+/// The name of a group in the text of /etc/group (`name:password:gid:members`).
+fn group_name(groups: &str, gid: u32) -> Option<&str> {
+    groups.lines().find_map(|line| {
+        let mut fields = line.split(':');
+        let name = fields.next()?;
+        (fields.nth(1)?.parse() == Ok(gid)).then_some(name)
+    })
+}
+
+/// Who holds a file lock on `path`, as every program that opens serial ports through the serialport
+/// crate, picocom or tio does.
+pub(super) fn holder(path: &Path) -> Option<String> {
+    let metadata = fs::metadata(path).ok()?;
+    let locks = fs::read_to_string("/proc/locks").ok()?;
+    let file =
+        format!("{:02x}:{:02x}:{}", major(metadata.dev()), minor(metadata.dev()), metadata.ino());
+    let process = lock_owner(&locks, &file)?;
+    let name = fs::read_to_string(format!("/proc/{process}/comm")).unwrap_or_default();
+    Some(match name.trim() {
+        "" => format!("process {process}"),
+        name => format!("{name} (process {process})"),
+    })
+}
+
+/// The process of a lock in the text of /proc/locks
+/// (`1: FLOCK  ADVISORY  WRITE 1234 00:05:678 0 EOF`, `proc_locks(5)`).
+fn lock_owner(locks: &str, file: &str) -> Option<u32> {
+    locks.lines().find_map(|line| {
+        let mut fields = line.split_ascii_whitespace().skip(1);
+        if fields.next() != Some("FLOCK") {
+            return None;
+        }
+        let process = fields.nth(2)?.parse().ok()?;
+        (fields.next() == Some(file)).then_some(process)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn finds_the_group_by_its_number() {
+        let groups = "root:x:0:\ndialout:x:20:anna\nbroken\n:x:\nplugdev:x:46:\n";
+        assert_eq!(group_name(groups, 20), Some("dialout"));
+        assert_eq!(group_name(groups, 46), Some("plugdev"));
+        assert_eq!(group_name(groups, 5), None);
+    }
+
+    #[test]
+    fn finds_the_owner_of_a_lock() {
+        let locks = "1: POSIX  ADVISORY  WRITE 11 00:05:678 0 EOF\n\
+                     2: FLOCK  ADVISORY  WRITE 1234 00:05:678 0 EOF\n\
+                     3: -> FLOCK  ADVISORY  WRITE 9 00:05:679 0 EOF\ngarbage\n";
+        assert_eq!(lock_owner(locks, "00:05:678"), Some(1234));
+        assert_eq!(lock_owner(locks, "00:05:679"), None, "a waiter holds nothing");
+        assert_eq!(lock_owner(locks, "00:05:1"), None);
+    }
+
+    #[test]
+    fn a_locked_file_names_its_holder() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        assert!(matches!(access(file.path()), Access::Accessible));
+        file.as_file().lock().unwrap();
+        let Access::Refused(TransportError::Busy { holder: Some(holder), .. }) =
+            access(file.path())
+        else {
+            panic!("{:?}", access(file.path()));
+        };
+        assert!(holder.contains(&format!("process {}", std::process::id())), "{holder}");
+    }
+
+    #[test]
+    fn names_the_group_to_join_when_it_would_help() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        assert!(permission_remedy(file.path()).contains("udev rules"), "0600 helps no group");
+        let groups = fs::read_to_string("/etc/group").unwrap();
+        let Some((gid, name)) =
+            [20, 5, 46].iter().find_map(|&gid| Some((gid, group_name(&groups, gid)?)))
+        else {
+            eprintln!("skipped: none of the usual groups here");
+            return;
+        };
+        if std::os::unix::fs::chown(file.path(), None, Some(gid)).is_err() {
+            eprintln!("skipped: only root may give a file away");
+            return;
+        }
+        let mode = std::os::unix::fs::PermissionsExt::from_mode(0o660);
+        fs::set_permissions(file.path(), mode).unwrap();
+        let remedy = permission_remedy(file.path());
+        assert!(remedy.contains(&format!("sudo usermod -aG {name} $USER")), "{remedy}");
+    }
+
+    #[test]
+    fn a_missing_file_is_not_found() {
+        let missing = Path::new("/dev/mocapd-no-such-port");
+        assert!(matches!(access(missing), Access::Refused(TransportError::NotFound { .. })));
+    }
+}

@@ -1,0 +1,188 @@
+//! Which device: `serial:PATH[@BAUD]` or `usb:VID:PID[:SERIAL]`, and `?driver=NAME` after either.
+
+use std::{fmt, path::PathBuf, str::FromStr};
+
+/// Where a device is.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub enum Location {
+    /// A serial port.
+    Serial {
+        /// The device file, or a link to it.
+        path: PathBuf,
+        /// The line's speed; `None` for [`BAUD_DEFAULT`](crate::transport::serial::BAUD_DEFAULT).
+        baud: Option<u32>,
+    },
+    /// A USB device.
+    Usb {
+        /// Vendor.
+        vid: u16,
+        /// Product.
+        pid: u16,
+        /// Serial number, where two of the kind are attached.
+        serial: Option<String>,
+    },
+}
+
+/// Where a device is, and which family's protocol it speaks.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct DeviceUri {
+    /// Where.
+    pub location: Location,
+    /// The family's name; `None` to take the family that claims the device.
+    pub driver: Option<String>,
+}
+
+/// Why a text is no device.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "'{text}' is no device: {reason}; write serial:PATH[@BAUD] or usb:VID:PID[:SERIAL], with ?driver=NAME where needed"
+)]
+pub struct UriError {
+    text: String,
+    reason: String,
+}
+
+impl FromStr for DeviceUri {
+    type Err = UriError;
+
+    fn from_str(text: &str) -> Result<Self, UriError> {
+        parse(text).map_err(|reason| UriError { text: text.to_owned(), reason })
+    }
+}
+
+fn parse(text: &str) -> Result<DeviceUri, String> {
+    let (place, query) = text.split_once('?').map_or((text, None), |(place, q)| (place, Some(q)));
+    let driver = query.map(parse_query).transpose()?;
+    let location = match place.split_once(':') {
+        Some(("serial", rest)) => parse_serial(rest)?,
+        Some(("usb", rest)) => parse_usb(rest)?,
+        _ if place.starts_with('/') => {
+            return Err(format!("a path needs its scheme, serial:{place}"));
+        }
+        Some((scheme, _)) => {
+            return Err(format!("the scheme '{scheme}' is neither serial nor usb"));
+        }
+        None => return Err("it has no scheme".to_owned()),
+    };
+    Ok(DeviceUri { location, driver })
+}
+
+fn parse_query(query: &str) -> Result<String, String> {
+    match query.split_once('=') {
+        Some(("driver", name)) if !name.is_empty() => Ok(name.to_owned()),
+        _ => Err(format!("after '?' stands '{query}' and not driver=NAME")),
+    }
+}
+
+fn parse_serial(rest: &str) -> Result<Location, String> {
+    // The last '@' with digits behind it: udev's by-path links hold '@' too.
+    let (path, baud) = match rest.rsplit_once('@') {
+        Some((path, baud)) if !baud.contains('/') => (path, Some(parse_baud(baud)?)),
+        _ => (rest, None),
+    };
+    if path.is_empty() {
+        return Err("the path is missing".to_owned());
+    }
+    Ok(Location::Serial { path: path.into(), baud })
+}
+
+fn parse_baud(baud: &str) -> Result<u32, String> {
+    match baud.parse() {
+        Ok(0) | Err(_) => Err(format!("the speed '{baud}' is no baud rate")),
+        Ok(baud) => Ok(baud),
+    }
+}
+
+fn parse_usb(rest: &str) -> Result<Location, String> {
+    let mut parts = rest.splitn(3, ':');
+    let mut hex = |what| {
+        let part = parts.next().unwrap_or_default();
+        if part.len() == 4 && part.bytes().all(|byte| byte.is_ascii_hexdigit()) {
+            return u16::from_str_radix(part, 16).map_err(|error| error.to_string());
+        }
+        Err(format!("the {what} id '{part}' is not four hexadecimal digits"))
+    };
+    let (vid, pid) = (hex("vendor")?, hex("product")?);
+    match parts.next() {
+        Some("") => Err("the serial number after the last ':' is missing".to_owned()),
+        serial => Ok(Location::Usb { vid, pid, serial: serial.map(str::to_owned) }),
+    }
+}
+
+impl fmt::Display for Location {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Serial { path, baud } => {
+                write!(f, "serial:{}", path.display())?;
+                baud.map_or(Ok(()), |baud| write!(f, "@{baud}"))
+            }
+            Self::Usb { vid, pid, serial } => {
+                write!(f, "usb:{vid:04x}:{pid:04x}")?;
+                serial.as_ref().map_or(Ok(()), |serial| write!(f, ":{serial}"))
+            }
+        }
+    }
+}
+
+impl fmt::Display for DeviceUri {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.location)?;
+        self.driver.as_ref().map_or(Ok(()), |driver| write!(f, "?driver={driver}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn serial(path: &str, baud: Option<u32>) -> Location {
+        Location::Serial { path: path.into(), baud }
+    }
+
+    #[test]
+    fn reads_every_form_and_writes_it_back() {
+        let usb = |serial: Option<&str>| Location::Usb {
+            vid: 0x0403,
+            pid: 0x6abc,
+            serial: serial.map(str::to_owned),
+        };
+        for (text, location, driver) in [
+            ("serial:/dev/ttyUSB0", serial("/dev/ttyUSB0", None), None),
+            ("serial:/dev/ttyUSB0@921600", serial("/dev/ttyUSB0", Some(921_600)), None),
+            ("serial:/dev/by-path/a@b/port", serial("/dev/by-path/a@b/port", None), None),
+            ("serial:rel/pty@9600?driver=dvmc", serial("rel/pty", Some(9600)), Some("dvmc")),
+            ("usb:0403:6abc", usb(None), None),
+            ("usb:0403:6abc:A:1?driver=dvmc", usb(Some("A:1")), Some("dvmc")),
+        ] {
+            let uri: DeviceUri = text.parse().unwrap();
+            assert_eq!(uri.location, location, "{text}");
+            assert_eq!(uri.driver.as_deref(), driver, "{text}");
+            assert_eq!(uri.to_string(), text);
+        }
+    }
+
+    #[test]
+    fn says_what_is_wrong() {
+        for (text, reason) in [
+            ("/dev/ttyUSB0", "serial:/dev/ttyUSB0"),
+            ("", "no scheme"),
+            ("ttyUSB0", "no scheme"),
+            ("tcp:host:1", "'tcp'"),
+            ("serial:", "path is missing"),
+            ("serial:@9600", "path is missing"),
+            ("serial:/dev/ttyUSB0@fast", "'fast'"),
+            ("serial:/dev/ttyUSB0@0", "'0'"),
+            ("serial:/dev/ttyUSB0@4294967296", "'4294967296'"),
+            ("usb:403:6abc", "vendor id '403'"),
+            ("usb:0403", "product id ''"),
+            ("usb:0403:+abc", "product id '+abc'"),
+            ("usb:0403:6abc:", "serial number"),
+            ("serial:/dev/ttyUSB0?baud=1", "driver=NAME"),
+            ("serial:/dev/ttyUSB0?driver=", "driver=NAME"),
+        ] {
+            let message = text.parse::<DeviceUri>().unwrap_err().to_string();
+            assert!(message.contains(reason), "{text}: {message}");
+            assert!(message.contains("write serial:PATH[@BAUD]"), "{message}");
+        }
+    }
+}

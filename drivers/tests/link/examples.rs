@@ -1,0 +1,114 @@
+//! One message of every kind: those of docs/link-protocol.md, and the stream for the sweeps.
+
+use mocapd_drivers::{
+    device::{
+        Command, DeviceEvent, Frame, Hello, MarkerInfo, MarkerSample, Pong, Protocol, Status,
+        Trigger,
+    },
+    link::{DeviceLink, FrameForm, HostLink, frame_bytes_in_volume, link_budget},
+};
+
+/// A message by its name in the document.
+#[derive(Debug)]
+pub(crate) struct Example {
+    pub(crate) name: &'static str,
+    pub(crate) wire: Vec<u8>,
+    /// The debug text of what the other side hears.
+    pub(crate) heard: String,
+    pub(crate) is_command: bool,
+}
+
+fn seen(id: u16, residual_10um: u8, position_mm: [f32; 3]) -> MarkerSample {
+    MarkerSample { id, occluded: false, residual_10um, position_mm }
+}
+
+fn occluded(id: u16) -> MarkerSample {
+    MarkerSample { id, occluded: true, ..MarkerSample::default() }
+}
+
+fn from_device(
+    name: &'static str,
+    event: DeviceEvent<'_>,
+    encode: impl FnOnce(&mut DeviceLink, &mut Vec<u8>),
+) -> Example {
+    let mut wire = Vec::new();
+    encode(&mut DeviceLink::new(), &mut wire);
+    Example { name, wire, heard: format!("{event:?}"), is_command: false }
+}
+
+fn from_host(name: &'static str, command: Command) -> Example {
+    let mut wire = Vec::new();
+    HostLink::new().command(command, &mut wire);
+    Example { name, wire, heard: format!("{command:?}"), is_command: true }
+}
+
+fn frame(
+    name: &'static str,
+    form: FrameForm,
+    timecode: Option<[u8; 4]>,
+    markers: &[MarkerSample],
+) -> Example {
+    let frame = Frame { seq: 7, device_ticks: 70_000, timecode, markers };
+    from_device(name, DeviceEvent::Frame(frame), |link, out| link.frame(form, &frame, out).unwrap())
+}
+
+pub(crate) fn all() -> Vec<Example> {
+    let hello = Hello {
+        model: "DVMC-8820".to_owned(),
+        serial: "SIM0001".to_owned(),
+        firmware: "1.0".to_owned(),
+        rate_mhz: 120_000,
+        rate_min_mhz: 60_000,
+        rate_max_mhz: 1_000_000,
+        tick_hz: 1_000_000,
+        up_axis: 3,
+        markers_max: 64,
+        n_frames: 0,
+    };
+    let table = [
+        MarkerInfo { id: 0, label: "HEAD".to_owned(), labelled: true },
+        MarkerInfo { id: 1000, label: String::new(), labelled: false },
+    ];
+    let near =
+        [seen(0, 12, [812.5, -40.25, 1604.0]), occluded(1), seen(2, 0, [800.0, -40.0, 1600.0])];
+    let far = [
+        seen(4, 0, [1.0, 0.0, -1.0]),
+        seen(5, 0, [9000.0, 0.0, 0.0]),
+        seen(9, 0, [9000.001, 0.0, 0.0]),
+    ];
+    let status = Status { frames_produced: 1200, frames_dropped: 3, temperature_c_100: 4125 };
+    let trigger = Trigger { device_ticks: 70_500, input: 1, kind: 0 };
+    let pong = Pong { host_ns: 1_000_000_000, device_ticks: 71_000 };
+    // 40 markers at 120 Hz, on a line of 3 Mbaud and on one of 115200 baud.
+    let frame_bytes = frame_bytes_in_volume(FrameForm::Compact, 40);
+    let started = link_budget(frame_bytes, 120_000, 1_000_000, 300_000);
+    let refused = link_budget(frame_bytes, 120_000, 1_000_000, 11_520);
+    assert!(started.fits() && !refused.fits());
+    vec![
+        from_device("hello", DeviceEvent::Hello(&hello), |l, o| l.hello(&hello, o).unwrap()),
+        from_device("markers", DeviceEvent::Markers(&table), |l, o| l.markers(&table, o).unwrap()),
+        frame("frame-float", FrameForm::Float, None, &near),
+        frame("frame-micrometres", FrameForm::Micrometres, Some([10, 59, 30, 11]), &near),
+        frame("frame-compact", FrameForm::Compact, None, &near),
+        frame("frame-compact-escape", FrameForm::Compact, None, &far),
+        from_device("trigger", DeviceEvent::Trigger(trigger), |l, o| l.trigger(trigger, o)),
+        from_device("status", DeviceEvent::Status(status), |l, o| l.status(status, o)),
+        from_device("pong", DeviceEvent::Pong(pong), |l, o| l.pong(pong, o)),
+        from_device("started", DeviceEvent::Started(started), |l, o| l.started(started, o)),
+        from_device("refused", DeviceEvent::Refused(refused), |l, o| l.refused(refused, o)),
+        from_device("rate-set", DeviceEvent::RateSet(250_000), |l, o| l.rate_set(250_000, o)),
+        from_device("end-of-stream", DeviceEvent::EndOfStream(status), |l, o| {
+            l.end_of_stream(status, o);
+        }),
+        from_host("identify", Command::Identify),
+        from_host("start", Command::Start { line_bytes_per_s: 300_000 }),
+        from_host("stop", Command::Stop),
+        from_host("set-rate", Command::SetRate(250_000)),
+        from_host("ping", Command::Ping { host_ns: 1_000_000_000 }),
+    ]
+}
+
+/// Those that devices send.
+pub(crate) fn of_devices() -> Vec<Example> {
+    all().into_iter().filter(|example| !example.is_command).collect()
+}
