@@ -1,0 +1,248 @@
+//! What a C3D file holds beside marker trajectories, kept for the way back (`docs/foreign.md`).
+//!
+//! | kind | what |
+//! |---|---|
+//! | `c3d/parameters` | header fields and events, all groups and parameters |
+//! | `c3d/analog` | analog samples |
+//! | `c3d/residuals` | the fourth word of the markers' samples, when one of them is not zero |
+//! | `c3d/model-outputs` | points that are not positions |
+
+use super::bytes::ByteOrder;
+use super::columns::{Columns, ordered, push_narrow, push_wide};
+use super::header::{Header, HeaderEvent, MAX_EVENTS};
+use super::labels::Points;
+use super::parameters::Parameters;
+use super::read::Frames;
+use super::section::encode_records;
+use crate::motion::{Foreign, Position, is_gap};
+
+/// Version of every layout here.
+const VERSION: u8 = 1;
+/// Kind of the parameters.
+const PARAMETERS: &str = "c3d/parameters";
+/// Kind of the analog samples.
+const ANALOG: &str = "c3d/analog";
+/// Kind of the fourth words.
+const RESIDUALS: &str = "c3d/residuals";
+/// Kind of the model outputs.
+const MODEL_OUTPUTS: &str = "c3d/model-outputs";
+
+/// Everything to keep.
+pub(super) fn keep(
+    header: &Header,
+    parameters: &Parameters,
+    frames: &Frames<'_>,
+    points: &Points,
+    positions: &[Position],
+) -> Vec<Foreign> {
+    let mut kept = Vec::new();
+    let mut push = |kind: &str, data: Vec<u8>| kept.push(Foreign { kind: kind.to_owned(), data });
+    push(PARAMETERS, parameters_data(header, parameters));
+    if frames.layout.analog_per_frame > 0 {
+        push(ANALOG, analog_data(frames));
+    }
+    if let Some(data) = residual_data(frames, points, positions) {
+        push(RESIDUALS, data);
+    }
+    if !points.outputs.is_empty() {
+        push(MODEL_OUTPUTS, output_data(frames, points));
+    }
+    kept
+}
+
+/// The head that every block of samples has: version, width, number of columns or of what they make up, samples a
+/// frame and column, number of the first frame, number of frames.
+fn sample_head(frames: &Frames<'_>, width: u8, n_signals: usize, ratio: usize) -> Vec<u8> {
+    let mut data = vec![VERSION, width];
+    data.extend((n_signals as u32).to_le_bytes());
+    data.extend((ratio as u32).to_le_bytes());
+    data.extend(frames.layout.first_frame.to_le_bytes());
+    data.extend((frames.layout.n_frames as u64).to_le_bytes());
+    data
+}
+
+fn parameters_data(header: &Header, parameters: &Parameters) -> Vec<u8> {
+    let mut data = vec![VERSION];
+    data.extend(header.max_gap.to_le_bytes());
+    data.push(header.events.len().min(MAX_EVENTS) as u8);
+    for event in header.events.iter().take(MAX_EVENTS) {
+        data.extend(event.time_s.to_le_bytes());
+        data.push(event.flag);
+        data.extend(event.label);
+    }
+    encode_records(parameters, &mut data);
+    data
+}
+
+fn analog_data(frames: &Frames<'_>) -> Vec<u8> {
+    let layout = frames.layout;
+    let (n_channels, ratio) = (layout.n_channels(), layout.analog_ratio);
+    let mut data = sample_head(frames, layout.word_bytes() as u8, n_channels, ratio);
+    for channel in 0..n_channels {
+        let places = (0..layout.n_frames * ratio).map(|sample| {
+            (sample / ratio, 4 * layout.n_points + sample % ratio * n_channels + channel)
+        });
+        if layout.float {
+            push_wide(
+                &mut data,
+                places.map(|(frame, word)| ordered(frames.word(frame, word).to_bits())),
+            );
+        } else {
+            push_narrow(&mut data, places.map(|(frame, word)| frames.integer(frame, word)));
+        }
+    }
+    data
+}
+
+/// Where a sample is missing the word before it is repeated: what an exporter writes there is not taken from here.
+fn residual_data(frames: &Frames<'_>, points: &Points, positions: &[Position]) -> Option<Vec<u8>> {
+    let layout = frames.layout;
+    let n_markers = points.markers.len();
+    let present = |frame: usize, marker: usize| {
+        positions.get(frame * n_markers + marker).is_some_and(|&p| !is_gap(p))
+    };
+    let is_zero = points.markers.iter().enumerate().all(|(marker, &(point, _))| {
+        (0..layout.n_frames).all(|frame| {
+            !present(frame, marker) || frames.word(frame, 4 * point + 3).to_bits() == 0
+        })
+    });
+    if is_zero {
+        return None;
+    }
+    let mut data = sample_head(frames, layout.word_bytes() as u8, n_markers, 1);
+    for (marker, &(point, _)) in points.markers.iter().enumerate() {
+        let mut before = 0u32;
+        let words = (0..layout.n_frames).map(|frame| {
+            if present(frame, marker) {
+                before = if layout.float {
+                    frames.word(frame, 4 * point + 3).to_bits()
+                } else {
+                    u32::from(frames.integer(frame, 4 * point + 3))
+                };
+            }
+            before
+        });
+        if layout.float {
+            push_wide(&mut data, words.map(ordered));
+        } else {
+            push_narrow(&mut data, words.map(|word| word as u16));
+        }
+    }
+    Some(data)
+}
+
+fn output_data(frames: &Frames<'_>, points: &Points) -> Vec<u8> {
+    let mut data = sample_head(frames, 4, points.outputs.len(), 1);
+    for &point in &points.outputs {
+        data.extend((point as u32).to_le_bytes());
+    }
+    let scale = frames.scale();
+    for &point in &points.outputs {
+        for word in 4 * point..4 * point + 4 {
+            // The fourth word is not a coordinate: an integer there becomes the float of the same value.
+            let scale = if word % 4 == 3 { 1.0 } else { scale };
+            let samples = (0..frames.layout.n_frames).map(|frame| {
+                let stored = frames.word(frame, word);
+                if scale == 1.0 { stored } else { (f64::from(stored) * scale) as f32 }
+            });
+            push_wide(&mut data, samples.map(|value| ordered(value.to_bits())));
+        }
+    }
+    data
+}
+
+/// Samples that were kept, read frame after frame.
+#[derive(Debug)]
+pub(super) struct KeptSamples<'a> {
+    /// Bytes of a sample: 2 or 4.
+    pub(super) width: usize,
+    /// Channels, markers or points.
+    pub(super) n_signals: usize,
+    /// Samples a frame and signal.
+    pub(super) ratio: usize,
+    /// Indices of the points, for model outputs.
+    pub(super) points: Vec<usize>,
+    columns: Columns<'a>,
+    /// Frames to come before the kept ones begin.
+    wait: u64,
+}
+
+impl<'a> KeptSamples<'a> {
+    /// The block of a kind, with its columns for each signal and indices in front of them or not; positioned at
+    /// frame number `first_frame`.
+    fn parse(
+        foreign: &'a [Foreign],
+        kind: &str,
+        columns: usize,
+        indexed: bool,
+        first_frame: u64,
+    ) -> Option<Self> {
+        let data = &foreign.iter().find(|f| f.kind == kind)?.data;
+        let (head, rest) = data.split_first_chunk::<26>()?;
+        let &[VERSION, width @ (2 | 4), ..] = head else { return None };
+        let dword =
+            |at: usize| Some(u32::from_le_bytes(head.get(at..at + 4)?.try_into().ok()?) as usize);
+        let qword = |at: usize| Some(u64::from_le_bytes(head.get(at..at + 8)?.try_into().ok()?));
+        let (n_signals, ratio) = (dword(2)?, dword(6)?);
+        let (kept_first, n_frames) = (qword(10)?, usize::try_from(qword(18)?).ok()?);
+        let n_indices = if indexed { n_signals } else { 0 };
+        let (indices, rest) = rest.split_at_checked(n_indices.checked_mul(4)?)?;
+        let points =
+            indices.as_chunks().0.iter().map(|&b| u32::from_le_bytes(b) as usize).collect();
+        let n_columns = n_signals.checked_mul(columns)?;
+        let mut columns =
+            Columns::new(rest, usize::from(width), n_columns, n_frames.checked_mul(ratio)?)?;
+        let skip = first_frame.saturating_sub(kept_first).min(n_frames as u64) as usize;
+        columns.skip(skip.saturating_mul(ratio));
+        let wait = kept_first.saturating_sub(first_frame);
+        Some(Self { width: usize::from(width), n_signals, ratio, points, columns, wait })
+    }
+
+    /// The analog samples from a frame on.
+    pub(super) fn analog(foreign: &'a [Foreign], first_frame: u64) -> Option<Self> {
+        Self::parse(foreign, ANALOG, 1, false, first_frame).filter(|kept| kept.ratio > 0)
+    }
+
+    /// The fourth words from a frame on.
+    pub(super) fn residuals(foreign: &'a [Foreign], first_frame: u64) -> Option<Self> {
+        Self::parse(foreign, RESIDUALS, 1, false, first_frame).filter(|kept| kept.ratio == 1)
+    }
+
+    /// The model outputs from a frame on.
+    pub(super) fn model_outputs(foreign: &'a [Foreign], first_frame: u64) -> Option<Self> {
+        Self::parse(foreign, MODEL_OUTPUTS, 4, true, first_frame)
+            .filter(|kept| kept.ratio == 1 && kept.width == 4)
+    }
+
+    /// Goes on to the next frame; whether one is kept for it.
+    pub(super) fn begin_frame(&mut self) -> bool {
+        if self.wait > 0 {
+            self.wait -= 1;
+            return false;
+        }
+        true
+    }
+
+    /// The next sample of every column, as stored in columns.
+    pub(super) fn next(&mut self) -> Option<&[u32]> {
+        self.columns.next()
+    }
+}
+
+/// The header fields and parameters that were kept.
+pub(super) fn kept_parameters(foreign: &[Foreign]) -> Option<(Header, Parameters)> {
+    let data = &foreign.iter().find(|f| f.kind == PARAMETERS)?.data;
+    let (&[VERSION, gap_low, gap_high, n_events], mut rest) = data.split_first_chunk::<4>()? else {
+        return None;
+    };
+    let mut header =
+        Header { max_gap: u16::from_le_bytes([gap_low, gap_high]), ..Header::default() };
+    for _ in 0..n_events {
+        let (event, after) = rest.split_first_chunk::<9>()?;
+        let &[t0, t1, t2, t3, flag, l0, l1, l2, l3] = event;
+        let time_s = f32::from_le_bytes([t0, t1, t2, t3]);
+        header.events.push(HeaderEvent { time_s, flag, label: [l0, l1, l2, l3] });
+        rest = after;
+    }
+    Some((header, Parameters::parse(rest, ByteOrder::Intel, &mut Vec::new())))
+}

@@ -1,0 +1,135 @@
+//! The 512-byte header.
+
+use super::bytes::ByteOrder;
+
+/// Bytes of a block: the unit that C3D counts in.
+pub(super) const BLOCK: usize = 512;
+/// Word that says the labels of header events have four characters.
+const FOUR_CHARACTER_LABELS: u16 = 12345;
+/// Most events a header holds.
+pub(super) const MAX_EVENTS: usize = 18;
+
+/// An event of the header.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct HeaderEvent {
+    /// Seconds from the start of the trial.
+    pub(super) time_s: f32,
+    /// The display flag as stored.
+    pub(super) flag: u8,
+    /// Four characters.
+    pub(super) label: [u8; 4],
+}
+
+/// What the header says.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(super) struct Header {
+    /// First block of the parameter section, counted from 1.
+    pub(super) parameter_block: u8,
+    /// Points a frame.
+    pub(super) n_points: u16,
+    /// Analog samples a frame, all channels together.
+    pub(super) analog_per_frame: u16,
+    /// Number of the first frame.
+    pub(super) first_frame: u16,
+    /// Number of the last frame.
+    pub(super) last_frame: u16,
+    /// Longest gap that was interpolated, frames.
+    pub(super) max_gap: u16,
+    /// Factor of integer coordinates; negative when coordinates are floats.
+    pub(super) scale: f32,
+    /// First block of the data, counted from 1.
+    pub(super) data_block: u16,
+    /// Analog samples a frame and channel.
+    pub(super) analog_ratio: u16,
+    /// Frames a second.
+    pub(super) rate_hz: f32,
+    /// Events.
+    pub(super) events: Vec<HeaderEvent>,
+}
+
+impl Header {
+    /// Reads a header; `None` when the bytes are fewer than its fixed part.
+    pub(super) fn parse(bytes: &[u8], order: ByteOrder) -> Option<Self> {
+        Some(Self {
+            parameter_block: *bytes.first()?,
+            n_points: order.word_at(bytes, 2)?,
+            analog_per_frame: order.word_at(bytes, 4)?,
+            first_frame: order.word_at(bytes, 6)?,
+            last_frame: order.word_at(bytes, 8)?,
+            max_gap: order.word_at(bytes, 10)?,
+            scale: order.float_at(bytes, 12)?,
+            data_block: order.word_at(bytes, 16)?,
+            analog_ratio: order.word_at(bytes, 18)?,
+            rate_hz: order.float_at(bytes, 20)?,
+            events: events(bytes, order).unwrap_or_default(),
+        })
+    }
+
+    /// The header as written: Intel order, 512 bytes.
+    pub(super) fn to_bytes(&self) -> [u8; BLOCK] {
+        let mut bytes = [0; BLOCK];
+        let mut put = |offset: usize, field: &[u8]| {
+            if let Some(place) = bytes.get_mut(offset..offset + field.len()) {
+                place.copy_from_slice(field);
+            }
+        };
+        put(0, &[self.parameter_block, 0x50]);
+        put(2, &self.n_points.to_le_bytes());
+        put(4, &self.analog_per_frame.to_le_bytes());
+        put(6, &self.first_frame.to_le_bytes());
+        put(8, &self.last_frame.to_le_bytes());
+        put(10, &self.max_gap.to_le_bytes());
+        put(12, &self.scale.to_le_bytes());
+        put(16, &self.data_block.to_le_bytes());
+        put(18, &self.analog_ratio.to_le_bytes());
+        put(20, &self.rate_hz.to_le_bytes());
+        put(298, &FOUR_CHARACTER_LABELS.to_le_bytes());
+        put(300, &(self.events.len().min(MAX_EVENTS) as u16).to_le_bytes());
+        for (index, event) in self.events.iter().take(MAX_EVENTS).enumerate() {
+            put(304 + 4 * index, &event.time_s.to_le_bytes());
+            put(376 + index, &[event.flag]);
+            put(396 + 4 * index, &event.label);
+        }
+        bytes
+    }
+}
+
+/// The events of a header with four-character labels.
+fn events(bytes: &[u8], order: ByteOrder) -> Option<Vec<HeaderEvent>> {
+    if order.word_at(bytes, 298)? != FOUR_CHARACTER_LABELS {
+        return None;
+    }
+    let n_events = usize::from(order.word_at(bytes, 300)?).min(MAX_EVENTS);
+    (0..n_events)
+        .map(|index| {
+            Some(HeaderEvent {
+                time_s: order.float_at(bytes, 304 + 4 * index)?,
+                flag: *bytes.get(376 + index)?,
+                label: bytes.get(396 + 4 * index..400 + 4 * index)?.try_into().ok()?,
+            })
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_written_header_reads_back() {
+        let header = Header {
+            parameter_block: 2,
+            n_points: 300,
+            analog_per_frame: 40,
+            first_frame: 7,
+            last_frame: 65535,
+            max_gap: 10,
+            scale: -0.1,
+            data_block: 99,
+            analog_ratio: 5,
+            rate_hz: 119.88,
+            events: vec![HeaderEvent { time_s: 0.25, flag: 1, label: *b"RHS " }],
+        };
+        assert_eq!(Header::parse(&header.to_bytes(), ByteOrder::Intel), Some(header));
+    }
+}

@@ -1,0 +1,11 @@
+//! Comma separated values: what `export` writes, and the `time,head_x,head_y,head_z,...` dialect.
+
+mod cells;
+mod read;
+mod write;
+
+pub(super) use read::read;
+pub(super) use write::write;
+
+/// Kind of the lines above the column names that are kept, each followed by LF.
+const HEADER: &str = "csv/header";

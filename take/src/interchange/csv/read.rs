@@ -1,0 +1,243 @@
+//! Bytes of a CSV file -> trajectories.
+
+use super::HEADER;
+use super::cells::LineCells;
+use crate::interchange::InterchangeError;
+use crate::interchange::text::{self, Cells, Rows};
+use crate::interchange::units::{factor_or_warn, to_millimetres};
+use crate::motion::{Foreign, GAP, Motion, MotionInfo, Source, UpAxis};
+
+/// Share of the median interval by which another one may differ before the rate is called uneven.
+const EVEN: f64 = 0.01;
+
+/// Reads a whole file.
+pub(crate) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
+    let mut warnings = Vec::new();
+    let head = Head::parse(bytes)?;
+    let unit = head.value("units").unwrap_or_else(|| "mm".to_owned());
+    let factor = factor_or_warn(&unit, &mut warnings);
+    let data = read_rows(bytes, &head, factor, &mut warnings);
+    let rate_hz = match head.value("rate").and_then(|rate| text::number(rate.as_bytes())) {
+        Some(rate) if rate.is_finite() && rate > 0.0 => rate,
+        _ => rate_from_times(&data.times, &data.frames, &mut warnings).ok_or_else(|| {
+            malformed(
+                head.n_lines,
+                "the rate is not known: add a line `# rate=120` above the column names, or a column of rising times",
+            )
+        })?,
+    };
+    let n_frames = data.rows.len() as u64;
+    let announced = head.value("frames").and_then(|n| text::whole_number(n.as_bytes()));
+    if let Some(announced) = announced.filter(|&n| n != n_frames) {
+        warnings.push(format!("{announced} frames announced, {n_frames} present."));
+    }
+    let mut foreign = Vec::new();
+    if !head.lines.is_empty() {
+        foreign.push(Foreign { kind: HEADER.to_owned(), data: head.lines.clone() });
+    }
+    Ok(Motion {
+        positions_mm: data.rows.into_rectangle(head.labels.len(), bytes.len(), "csv")?,
+        info: MotionInfo {
+            rate_hz,
+            n_frames,
+            markers: head
+                .labels
+                .iter()
+                .enumerate()
+                .map(|(column, label)| text::marker(label, column))
+                .collect(),
+            up: match head.value("up").as_deref() {
+                Some("X" | "x") => UpAxis::X,
+                Some("Y" | "y") => UpAxis::Y,
+                Some("Z" | "z") => UpAxis::Z,
+                _ => UpAxis::Unknown,
+            },
+            source: Source {
+                format: "csv".to_owned(),
+                unit,
+                factor,
+                first_frame: data.frames.first().copied().unwrap_or(1),
+                frames_missing: 0,
+                warnings,
+            },
+            foreign,
+        },
+    })
+}
+
+/// What stands above the data.
+struct Head {
+    /// `key=value` of the lines that begin with `#`.
+    values: Vec<(String, String)>,
+    labels: Vec<String>,
+    frame_column: Option<usize>,
+    time_column: Option<usize>,
+    /// Columns before the first coordinate.
+    lead: usize,
+    n_lines: usize,
+    lines: Vec<u8>,
+}
+
+impl Head {
+    fn parse(bytes: &[u8]) -> Result<Self, InterchangeError> {
+        let mut values = Vec::new();
+        let mut kept = Vec::new();
+        for (number, line) in text::lines(bytes) {
+            if let Some(comment) = line.trim_ascii_start().strip_prefix(b"#") {
+                let comment = text::decode(comment);
+                let pairs = comment.split_whitespace().filter_map(|word| word.split_once('='));
+                values
+                    .extend(pairs.map(|(key, value)| (key.to_ascii_lowercase(), value.to_owned())));
+                kept.extend_from_slice(line);
+                kept.push(b'\n');
+            } else if !line.trim_ascii().is_empty() {
+                return Self::columns(line, number, values, kept);
+            }
+        }
+        Err(malformed(
+            1,
+            "expected a line with the names of columns, found none: not a CSV file of trajectories",
+        ))
+    }
+
+    fn columns(
+        line: &[u8],
+        number: usize,
+        values: Vec<(String, String)>,
+        lines: Vec<u8>,
+    ) -> Result<Self, InterchangeError> {
+        let names: Vec<String> =
+            LineCells::new(line).map(|cell| text::decode(cell.trim_ascii())).collect();
+        let named = |known: &[&str]| {
+            names.iter().position(|name| known.iter().any(|k| name.eq_ignore_ascii_case(k)))
+        };
+        let frame_column = named(&["frame", "frame#"]).filter(|&column| column < 2);
+        let time_column = named(&["time_s", "time"]).filter(|&column| column < 2);
+        let lead = usize::from(frame_column.is_some()) + usize::from(time_column.is_some());
+        let mut labels = Vec::new();
+        for axes in names.get(lead..).unwrap_or(&[]).chunks(3) {
+            let label = label_of(axes).ok_or_else(|| {
+                malformed(
+                    number,
+                    &format!(
+                        "expected three columns NAME.x, NAME.y, NAME.z (or NAME_x...) for each marker, found `{}`",
+                        axes.join("`, `")
+                    ),
+                )
+            })?;
+            labels.push(label.to_owned());
+        }
+        if lead == 0 && labels.is_empty() {
+            return Err(malformed(
+                number,
+                "expected the columns frame, time_s or time and markers, found none of them",
+            ));
+        }
+        Ok(Self { values, labels, frame_column, time_column, lead, n_lines: number, lines })
+    }
+
+    /// The last value of a key.
+    fn value(&self, key: &str) -> Option<String> {
+        self.values.iter().rev().find(|(k, _)| k == key).map(|(_, value)| value.clone())
+    }
+}
+
+/// The name that three columns share before `.x`, `.y`, `.z` or `_x`, `_y`, `_z`.
+fn label_of(columns: &[String]) -> Option<&str> {
+    let [x, y, z] = columns else { return None };
+    let without = |name: &'_ str, axis: char| -> Option<usize> {
+        let start = name.strip_suffix([axis, axis.to_ascii_uppercase()])?;
+        let start = start.strip_suffix(['.', '_', ' '])?;
+        Some(start.len())
+    };
+    let label = x.get(..without(x, 'x')?)?;
+    let same = y.get(..without(y, 'y')?)? == label && z.get(..without(z, 'z')?)? == label;
+    same.then_some(label)
+}
+
+/// The data as read.
+#[derive(Default)]
+struct Data {
+    rows: Rows,
+    times: Vec<f64>,
+    frames: Vec<u64>,
+}
+
+fn read_rows(bytes: &[u8], head: &Head, factor: f64, warnings: &mut Vec<String>) -> Data {
+    let mut data = Data::default();
+    let mut damaged = 0usize;
+    let mut extra = 0usize;
+    for (_, line) in text::lines(bytes).skip(head.n_lines) {
+        if line.trim_ascii().is_empty() || line.starts_with(b"#") {
+            continue;
+        }
+        let mut cells = line.split(|&b| b == b',');
+        for column in 0..head.lead {
+            let cell = cells.next().unwrap_or(&[]);
+            if Some(column) == head.frame_column {
+                data.frames.extend(text::whole_number(cell));
+            } else if Some(column) == head.time_column {
+                data.times.extend(text::number(cell));
+            }
+        }
+        for _ in &head.labels {
+            data.rows.push(match text::three_cells(&mut cells) {
+                Cells::Position(position) => to_millimetres(position, factor),
+                Cells::Empty => GAP,
+                Cells::Damaged => {
+                    damaged += 1;
+                    GAP
+                }
+            });
+        }
+        extra += usize::from(cells.any(|cell| !cell.trim_ascii().is_empty()));
+        data.rows.end_row();
+    }
+    if damaged > 0 {
+        warnings.push(format!("{damaged} samples have cells that are not numbers; they are gaps."));
+    }
+    if extra > 0 {
+        warnings.push(format!(
+            "{extra} lines have more cells than there are columns; they were left out."
+        ));
+    }
+    data
+}
+
+/// Frames a second by the times of the rows: the median interval tells whether they are even, first and last time
+/// give the rate. Times are often rounded, so a whole number of millionths of a hertz is preferred where it fits.
+fn rate_from_times(times: &[f64], frames: &[u64], warnings: &mut Vec<String>) -> Option<f64> {
+    let mut intervals: Vec<f64> =
+        times.windows(2).filter_map(|w| Some(w.get(1)? - w.first()?)).collect();
+    intervals.sort_by(f64::total_cmp);
+    let median = *intervals.get(intervals.len() / 2)?;
+    if !(median.is_finite() && median > 0.0) {
+        return None;
+    }
+    let uneven = intervals.iter().filter(|&&i| (i - median).abs() > EVEN * median + 2e-6).count();
+    if uneven > 0 {
+        warnings.push(format!(
+            "{uneven} of {} intervals differ from the median of {median} s; frames were taken as even.",
+            intervals.len()
+        ));
+        return Some(1.0 / median);
+    }
+    let steps = match (frames.first(), frames.last()) {
+        (Some(first), Some(last)) if last > first && frames.len() == times.len() => {
+            (last - first) as f64
+        }
+        _ => intervals.len() as f64,
+    };
+    let rate = steps / (times.last()? - times.first()?);
+    let rounded = (rate * 1e6).round() / 1e6;
+    let usable = if (rounded - rate).abs() <= 1e-9 * rate { rounded } else { rate };
+    (usable.is_finite() && usable > 0.0).then_some(usable)
+}
+
+fn malformed(line: usize, message: &str) -> InterchangeError {
+    InterchangeError::Malformed {
+        format: "csv",
+        place: format!("line {line}"),
+        message: message.to_owned(),
+    }
+}

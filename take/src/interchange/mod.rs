@@ -1,0 +1,112 @@
+//! The field's formats: C3D, TRC, QTM TSV, CSV in; C3D, TRC, CSV out.
+//!
+//! Every importer turns the bytes of a whole file into a [`Motion`] in millimetres: each coordinate is the number
+//! as stored or printed, multiplied in f64 by one factor and rounded once to f32. What was found wrong and could
+//! be read all the same stands in [`crate::motion::Source::warnings`]. What a file holds beside marker
+//! trajectories is kept in [`crate::motion::Foreign`] (`docs/foreign.md`).
+//! Every exporter writes frames as they come.
+
+use std::io::Write;
+
+use crate::motion::{FrameSource, Motion};
+
+mod c3d;
+mod csv;
+mod text;
+mod trc;
+mod tsv;
+mod units;
+
+/// A format by name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    /// C3D, binary.
+    C3d,
+    /// Track Row Column, text.
+    Trc,
+    /// Qualisys Track Manager's text export.
+    Tsv,
+    /// Ours, and the `time,head_x,...` dialect.
+    Csv,
+}
+
+/// Why bytes could not be read as a format, or trajectories not written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum InterchangeError {
+    /// Not that format, or nothing usable in it.
+    #[error("{format} {place}: {message}")]
+    Malformed {
+        /// `c3d`, `trc`, `tsv` or `csv`.
+        format: &'static str,
+        /// Where: `line 4`, `byte 512`...
+        place: String,
+        /// What was expected, what was found, and what to do.
+        message: String,
+    },
+    /// The trajectories cannot be said in that format.
+    #[error("{0}")]
+    Unsupported(String),
+    /// Reading the source or writing the output failed.
+    #[error(transparent)]
+    Io(#[from] std::io::Error),
+}
+
+impl Format {
+    /// By a file name's ending, case-insensitive.
+    #[must_use]
+    pub fn from_extension(path: &std::path::Path) -> Option<Self> {
+        let extension = path.extension()?.to_str()?.to_ascii_lowercase();
+        Some(match extension.as_str() {
+            "c3d" => Self::C3d,
+            "trc" => Self::Trc,
+            "tsv" => Self::Tsv,
+            "csv" => Self::Csv,
+            _ => return None,
+        })
+    }
+
+    /// Reads a whole file's bytes.
+    ///
+    /// # Errors
+    /// `Malformed` when there is nothing usable.
+    pub fn read(self, bytes: &[u8]) -> Result<Motion, InterchangeError> {
+        match self {
+            Self::C3d => c3d::read(bytes),
+            Self::Trc => trc::read(bytes),
+            Self::Tsv => tsv::read(bytes),
+            Self::Csv => csv::read(bytes),
+        }
+    }
+
+    /// Writes frames as they come, in bounded memory. The number of the first frame is
+    /// `frames.info().source.first_frame`; a source over a part of a take states the part's own, so that what
+    /// an importer kept frame by frame (analog samples, residuals) is given back for the right frames.
+    ///
+    /// # Errors
+    /// `Unsupported` for TSV (read only) and what the format cannot hold; `Io`.
+    pub fn write(
+        self,
+        frames: &mut dyn FrameSource,
+        out: &mut dyn Write,
+    ) -> Result<(), InterchangeError> {
+        match self {
+            Self::C3d => c3d::write(frames, out),
+            Self::Trc => trc::write(frames, out),
+            Self::Csv => csv::write(frames, out),
+            Self::Tsv => Err(InterchangeError::Unsupported(
+                "tsv is read only: export to c3d, trc or csv".to_owned(),
+            )),
+        }
+    }
+}
+
+/// Fails when not as many frames came as were announced: a file that states their number would not be true.
+fn expect_frames(announced: u64, came: u64) -> std::io::Result<()> {
+    if came == announced {
+        return Ok(());
+    }
+    Err(std::io::Error::other(format!(
+        "{announced} frames were announced, {came} or more came: the file is not usable, export again"
+    )))
+}

@@ -1,0 +1,210 @@
+//! Qualisys Track Manager's text export of 3D data.
+//!
+//! Lines of a name, a tab and a value, the last of them `MARKER_NAMES` (QTM manual, "Motion data (.tsv)",
+//! docs.qualisys.com); perhaps a line with trajectory types and a line with column names (`Frame`, `Time`,
+//! `Head_FL X` or `Head_FL_X`); then one line a frame, in millimetres.
+//! The export has no mark for a missing sample: it writes zeros. Three zeros, empty cells and cells that are no
+//! finite numbers are therefore gaps.
+
+use super::InterchangeError;
+use super::text::{self, Rows};
+use super::units::to_millimetres;
+use crate::motion::{Foreign, GAP, Marker, Motion, MotionInfo, Position, Source};
+
+/// Kind of the header lines that are kept: all lines above the data, each followed by LF.
+const HEADER: &str = "tsv/header";
+
+/// Reads a whole file.
+pub(super) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
+    let mut warnings = Vec::new();
+    let head = Head::parse(bytes)?;
+    let mut rows = Rows::default();
+    let mut width = head.labels.len();
+    let mut damaged = 0usize;
+    let mut first_frame = None;
+    for (_, line) in text::lines(bytes).skip(head.n_lines) {
+        if line.trim_ascii().is_empty() {
+            continue;
+        }
+        let mut cells = line.split(|&b| b == b'\t');
+        for column in 0..head.lead {
+            let cell = cells.next().unwrap_or(&[]);
+            if Some(column) == head.frame_column {
+                first_frame = first_frame.or_else(|| text::whole_number(cell));
+            }
+        }
+        width = width.max(rows.read_row(&mut cells, &mut damaged, position));
+    }
+    if damaged > 0 {
+        warnings.push(format!("{damaged} samples have cells that are not numbers; they are gaps."));
+    }
+    let n_frames = rows.len() as u64;
+    if let Some(announced) = head.n_frames.filter(|&n| n != n_frames) {
+        warnings.push(format!("{announced} frames announced, {n_frames} present."));
+    }
+    if let Some(announced) = head.n_markers.filter(|&n| n != width as u64) {
+        warnings.push(format!(
+            "NO_OF_MARKERS is {announced}, the file has columns for {width} markers."
+        ));
+    }
+    let markers: Vec<Marker> = (0..width)
+        .map(|column| text::marker(head.labels.get(column).map_or("", String::as_str), column))
+        .collect();
+    Ok(Motion {
+        positions_mm: rows.into_rectangle(width, bytes.len(), "tsv")?,
+        info: MotionInfo {
+            rate_hz: head.rate_hz,
+            n_frames,
+            markers,
+            source: Source {
+                format: "tsv".to_owned(),
+                unit: "mm".to_owned(),
+                factor: 1.0,
+                first_frame: first_frame.unwrap_or(1),
+                frames_missing: head.n_frames.unwrap_or(0).saturating_sub(n_frames),
+                warnings,
+            },
+            foreign: vec![Foreign { kind: HEADER.to_owned(), data: head.lines }],
+            ..MotionInfo::default()
+        },
+    })
+}
+
+/// A position as exported: zeros where it is missing.
+fn position(stored: [f64; 3]) -> Position {
+    if stored == [0.0; 3] { GAP } else { to_millimetres(stored, 1.0) }
+}
+
+/// What stands above the data.
+struct Head {
+    rate_hz: f64,
+    n_frames: Option<u64>,
+    n_markers: Option<u64>,
+    labels: Vec<String>,
+    /// Columns before the first coordinate.
+    lead: usize,
+    /// The column with frame numbers.
+    frame_column: Option<usize>,
+    n_lines: usize,
+    lines: Vec<u8>,
+}
+
+impl Head {
+    fn parse(bytes: &[u8]) -> Result<Self, InterchangeError> {
+        let mut head = Self {
+            rate_hz: 0.0,
+            n_frames: None,
+            n_markers: None,
+            labels: Vec::new(),
+            lead: 0,
+            frame_column: None,
+            n_lines: 0,
+            lines: Vec::new(),
+        };
+        let mut is_qtm = false;
+        for (number, line) in text::lines(bytes) {
+            let mut cells = line.split(|&b| b == b'\t');
+            let first = cells.next().unwrap_or(&[]).trim_ascii();
+            if !line.trim_ascii().is_empty()
+                && (first.is_empty() || text::number(first).is_some())
+                && is_qtm
+            {
+                break;
+            }
+            let value = cells.next().unwrap_or(&[]);
+            match first {
+                b"NO_OF_FRAMES" => head.n_frames = text::whole_number(value),
+                b"NO_OF_MARKERS" => head.n_markers = text::whole_number(value),
+                b"FREQUENCY" => head.rate_hz = text::number(value).unwrap_or(0.0),
+                b"MARKER_NAMES" => head.read_labels(line),
+                b"DATA_INCLUDED" if !value.trim_ascii().eq_ignore_ascii_case(b"3D") => {
+                    return Err(malformed(
+                        number,
+                        "expected DATA_INCLUDED 3D, found other data: export 3D data",
+                    ));
+                }
+                _ if is_column_line(line) => head.read_columns(line),
+                _ => {}
+            }
+            is_qtm |= matches!(
+                first,
+                b"NO_OF_FRAMES" | b"NO_OF_MARKERS" | b"FREQUENCY" | b"MARKER_NAMES"
+            );
+            if !is_qtm && number >= 16 {
+                break;
+            }
+            head.lines.extend_from_slice(line);
+            head.lines.push(b'\n');
+            head.n_lines = number;
+        }
+        if !is_qtm {
+            return Err(malformed(
+                1,
+                "expected lines like NO_OF_FRAMES and MARKER_NAMES: not a QTM export with header",
+            ));
+        }
+        if !(head.rate_hz.is_finite() && head.rate_hz > 0.0) {
+            return Err(malformed(
+                1,
+                "expected a FREQUENCY above 0, found none: add the line and try again",
+            ));
+        }
+        Ok(head)
+    }
+
+    fn read_labels(&mut self, line: &[u8]) {
+        let mut labels: Vec<String> = line
+            .split(|&b| b == b'\t')
+            .skip(1)
+            .map(|cell| text::decode(cell.trim_ascii()))
+            .collect();
+        while labels.last().is_some_and(String::is_empty) {
+            labels.pop();
+        }
+        self.labels = labels;
+    }
+
+    /// The columns before the first coordinate, and the labels where no `MARKER_NAMES` gave them.
+    fn read_columns(&mut self, line: &[u8]) {
+        let names: Vec<&[u8]> = line.split(|&b| b == b'\t').map(<[u8]>::trim_ascii).collect();
+        self.lead = names.iter().take_while(|name| is_lead(name)).count();
+        self.frame_column = names.iter().position(|name| name.eq_ignore_ascii_case(b"Frame"));
+        if self.labels.is_empty() {
+            let coordinates = names.iter().skip(self.lead).step_by(3);
+            self.labels =
+                coordinates.filter_map(|name| Some(text::decode(without_axis(name)?))).collect();
+        }
+    }
+}
+
+/// Columns that QTM puts before the coordinates.
+fn is_lead(name: &[u8]) -> bool {
+    name.eq_ignore_ascii_case(b"Frame") || name.eq_ignore_ascii_case(b"Time")
+}
+
+/// A line with the names of columns: it begins with `Frame` or `Time`, or with a name that ends in X.
+fn is_column_line(line: &[u8]) -> bool {
+    let mut cells = line.split(|&b| b == b'\t').map(<[u8]>::trim_ascii);
+    let first = cells.next().unwrap_or(&[]);
+    is_lead(first)
+        || (without_axis(first).is_some()
+            && cells.next().is_some_and(|next| without_axis(next).is_some()))
+}
+
+/// A column's name without ` X`, `_X`, ` Y`...
+fn without_axis(name: &[u8]) -> Option<&[u8]> {
+    let (start, [b' ' | b'_', b'X' | b'Y' | b'Z' | b'x' | b'y' | b'z']) =
+        name.split_last_chunk::<2>()?
+    else {
+        return None;
+    };
+    Some(start.trim_ascii())
+}
+
+fn malformed(line: usize, message: &str) -> InterchangeError {
+    InterchangeError::Malformed {
+        format: "tsv",
+        place: format!("line {line}"),
+        message: message.to_owned(),
+    }
+}

@@ -1,0 +1,148 @@
+//! Marker trajectories in memory: what importers produce, exporters consume and the simulator replays.
+
+/// A position in millimetres; a gap is [`GAP`].
+pub type Position = [f32; 3];
+
+/// What stands where a marker has no sample. Compare with [`is_gap`]: NaN is not equal to itself.
+pub const GAP: Position = [f32::NAN; 3];
+
+/// Whether a position stands for a missing sample.
+#[must_use]
+pub fn is_gap(position: Position) -> bool {
+    position.iter().any(|v| !v.is_finite())
+}
+
+/// One marker.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Marker {
+    /// Its name; for an unlabelled slot `u001`... by column.
+    pub label: String,
+    /// Whether the name came from the source (false: an unlabelled slot).
+    pub labelled: bool,
+}
+
+/// Which way is up, where the source says so.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum UpAxis {
+    /// The source does not say.
+    #[default]
+    Unknown,
+    /// +x
+    X,
+    /// +y
+    Y,
+    /// +z
+    Z,
+}
+
+/// Where trajectories came from and what was done to them.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Source {
+    /// `c3d`, `trc`, `tsv`, `csv`, `generated`, or a driver's name.
+    pub format: String,
+    /// The unit found there, as written (`mm`, `cm`, `m`); empty when none was stated.
+    pub unit: String,
+    /// What every coordinate was multiplied by, in f64, to become millimetres.
+    pub factor: f64,
+    /// Number of the source's first frame (C3D files often do not start at 1).
+    pub first_frame: u64,
+    /// Frames that the source announces and does not hold: a file that was cut short.
+    pub frames_missing: u64,
+    /// What was found wrong and how it was read all the same, one sentence each.
+    pub warnings: Vec<String>,
+}
+
+/// What an importer found and we do not model, kept so that an exporter of the same format can give it back.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Foreign {
+    /// Which format and part: `c3d/parameters`, `c3d/analog`, `c3d/residuals`, `c3d/model-outputs`, `trc/header`...
+    pub kind: String,
+    /// The bytes, in the layout that docs/take-format.md gives for that kind.
+    pub data: Vec<u8>,
+}
+
+/// Everything about trajectories but the samples.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct MotionInfo {
+    /// Frames a second.
+    pub rate_hz: f64,
+    /// Frames in all.
+    pub n_frames: u64,
+    /// The markers, in column order.
+    pub markers: Vec<Marker>,
+    /// Which way is up.
+    pub up: UpAxis,
+    /// Where they came from.
+    pub source: Source,
+    /// What else was there.
+    pub foreign: Vec<Foreign>,
+}
+
+/// Trajectories in memory, frame-major: `positions_mm[frame * n_markers + marker]`.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Motion {
+    /// All but the samples.
+    pub info: MotionInfo,
+    /// `n_frames * markers.len()` positions, [`GAP`] where missing.
+    pub positions_mm: Vec<Position>,
+}
+
+impl Motion {
+    /// One frame: a position a marker.
+    #[must_use]
+    pub fn frame(&self, index: usize) -> &[Position] {
+        let n = self.info.markers.len();
+        self.positions_mm.get(index * n..(index + 1) * n).unwrap_or(&[])
+    }
+
+    /// Number of frames in memory.
+    #[must_use]
+    pub fn n_frames(&self) -> usize {
+        if self.info.markers.is_empty() {
+            return usize::try_from(self.info.n_frames).unwrap_or(usize::MAX);
+        }
+        self.positions_mm.len() / self.info.markers.len()
+    }
+}
+
+/// Frames one after another: what exporters read, so that a take of any length is exported in bounded memory.
+pub trait FrameSource {
+    /// All but the samples; `n_frames` is the number of frames that will come.
+    fn info(&self) -> &MotionInfo;
+
+    /// Fills `row`, one position a marker ([`GAP`] where missing; a lost frame is all gaps). `false` at the end.
+    ///
+    /// # Errors
+    /// Whatever reading the source meets.
+    fn next_frame(&mut self, row: &mut [Position]) -> std::io::Result<bool>;
+}
+
+/// A [`FrameSource`] over trajectories in memory.
+#[derive(Debug)]
+pub struct MotionFrames<'a> {
+    motion: &'a Motion,
+    next: usize,
+}
+
+impl<'a> MotionFrames<'a> {
+    /// From the first frame.
+    #[must_use]
+    pub fn new(motion: &'a Motion) -> Self {
+        Self { motion, next: 0 }
+    }
+}
+
+impl FrameSource for MotionFrames<'_> {
+    fn info(&self) -> &MotionInfo {
+        &self.motion.info
+    }
+
+    fn next_frame(&mut self, row: &mut [Position]) -> std::io::Result<bool> {
+        if self.next >= self.motion.n_frames() {
+            return Ok(false);
+        }
+        row.copy_from_slice(self.motion.frame(self.next));
+        self.next += 1;
+        Ok(true)
+    }
+}

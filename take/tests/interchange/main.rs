@@ -1,0 +1,29 @@
+//! Importers and exporters together: generated files of every dialect, round trips, hostile bytes, real takes.
+
+#![expect(clippy::expect_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+
+mod c3d;
+mod c3d_file;
+mod given_back;
+mod hostile;
+mod round_trip;
+mod takes;
+mod text;
+
+use mocapd_take::motion::{Motion, is_gap};
+
+/// Panics unless both hold the same samples, bit by bit; a gap equals a gap.
+fn assert_same_samples(found: &Motion, expected: &Motion) {
+    assert_eq!(found.positions_mm.len(), expected.positions_mm.len());
+    for (index, (&a, &b)) in found.positions_mm.iter().zip(&expected.positions_mm).enumerate() {
+        assert_eq!(is_gap(a), is_gap(b), "sample {index}: {a:?} for {b:?}");
+        if !is_gap(b) {
+            assert_eq!(a.map(f32::to_bits), b.map(f32::to_bits), "sample {index}: {a:?} for {b:?}");
+        }
+    }
+}
+
+/// The labels of a motion.
+fn labels(motion: &Motion) -> Vec<&str> {
+    motion.info.markers.iter().map(|marker| marker.label.as_str()).collect()
+}
