@@ -1,0 +1,181 @@
+//! A take as frames: what exporters, `verify` and the simulator read.
+
+use std::io::{Read, Seek, SeekFrom};
+
+use crate::{
+    TakeError, TakeEvent, TakeReader,
+    motion::{FrameSource, GAP, Motion, MotionInfo, Position, Source, UpAxis},
+    reader::{pull, read_events},
+    record::Header,
+    stretch::{Span, StretchDecoder},
+};
+
+/// Frames of a take in order, decoded stretch by stretch: bounded memory for a take of any length.
+///
+/// A lost or damaged frame is a row of gaps; [`problems`](Self::problems) says which and why.
+#[derive(Debug)]
+pub struct TakeFrames<R> {
+    input: R,
+    info: MotionInfo,
+    reader: TakeReader,
+    decoder: StretchDecoder,
+    /// The stretch that `decoder` holds.
+    current: Option<Span>,
+    next_row: u64,
+    problems: Vec<String>,
+    ended: bool,
+}
+
+impl<R: Read + Seek> TakeFrames<R> {
+    /// Reads the take once without decoding it, for its channel table and its number of rows.
+    ///
+    /// # Errors
+    /// `NotATake`, `Unsupported`, `Io`.
+    pub fn open(mut input: R) -> Result<Self, TakeError> {
+        let mut info = MotionInfo::default();
+        let mut header = None;
+        let mut problems = Vec::new();
+        read_events(&mut input, |event| {
+            match event {
+                TakeEvent::Header(found) => {
+                    describe(&found, &mut info);
+                    header = Some(found);
+                }
+                TakeEvent::Channels(more) => info.markers.extend(more.iter().map(Into::into)),
+                TakeEvent::Stretch(stretch) => {
+                    let end = stretch.span.first_row + u64::from(stretch.span.n_rows);
+                    info.n_frames = info.n_frames.max(end);
+                }
+                TakeEvent::Timeline(timeline) => {
+                    let end = timeline.first_row + timeline.n_rows();
+                    info.n_frames = info.n_frames.max(end);
+                }
+                TakeEvent::Foreign(part) => info.foreign.push(part),
+                TakeEvent::Damaged { offset, len, message } => {
+                    problems.push(format!("{len} bytes at byte {offset}: {message}"));
+                }
+                TakeEvent::End { finished: false } => {
+                    problems.push("the take was cut off: its end is missing".into());
+                }
+                _ => {}
+            }
+            Ok(())
+        })?;
+        let header = header.ok_or(TakeError::NotATake("no intact header was found"))?;
+        input.seek(SeekFrom::Start(0))?;
+        Ok(Self {
+            input,
+            info,
+            reader: TakeReader::new(),
+            decoder: StretchDecoder::new(header.codec()?),
+            current: None,
+            next_row: 0,
+            problems,
+            ended: false,
+        })
+    }
+
+    /// What is missing or damaged, one sentence each. Complete after the last frame.
+    #[must_use]
+    pub fn problems(&self) -> &[String] {
+        &self.problems
+    }
+
+    /// Decodes the next stretch that can be; `false` at the end.
+    fn advance(&mut self) -> Result<bool, TakeError> {
+        while !self.ended {
+            match self.reader.next_event()? {
+                Some(TakeEvent::Stretch(stretch)) => {
+                    let span = stretch.span;
+                    let problem = if self.decoder.must_skip(span) {
+                        "depends on a damaged stretch".to_owned()
+                    } else if span.first_row < self.next_row {
+                        "comes twice".to_owned()
+                    } else {
+                        match self.decoder.decode(&stretch) {
+                            Ok(_) => {
+                                self.current = Some(span);
+                                return Ok(true);
+                            }
+                            Err(error) => error.to_string(),
+                        }
+                    };
+                    self.problems.push(format!(
+                        "the stretch of {} frames from frame {} on {problem}",
+                        span.n_rows, span.first_row
+                    ));
+                }
+                Some(TakeEvent::Damaged { .. }) => self.decoder.lost(),
+                Some(TakeEvent::End { .. }) => self.ended = true,
+                Some(_) => {}
+                None => pull(&mut self.input, &mut self.reader)?,
+            }
+        }
+        Ok(false)
+    }
+}
+
+impl<R: Read + Seek> FrameSource for TakeFrames<R> {
+    fn info(&self) -> &MotionInfo {
+        &self.info
+    }
+
+    fn next_frame(&mut self, row: &mut [Position]) -> std::io::Result<bool> {
+        let at = self.next_row;
+        if at >= self.info.n_frames {
+            return Ok(false);
+        }
+        let end = |span: Span| span.first_row + u64::from(span.n_rows);
+        while !self.ended && self.current.is_none_or(|span| end(span) <= at) {
+            self.current = None;
+            self.advance().map_err(std::io::Error::other)?;
+        }
+        row.fill(GAP);
+        if let Some(span) = self.current.filter(|span| (span.first_row..end(*span)).contains(&at)) {
+            let i = (at - span.first_row) as usize;
+            for (position, rows) in row.iter_mut().zip(self.decoder.rows()) {
+                if let Some(rows) = rows.as_ref().filter(|rows| rows.present[i]) {
+                    *position = rows.positions[i];
+                }
+            }
+        }
+        self.next_row += 1;
+        Ok(true)
+    }
+}
+
+fn describe(header: &Header, info: &mut MotionInfo) {
+    info.rate_hz = header.rate_hz;
+    info.up = UpAxis::from_code(header.up_axis);
+    info.markers = header.channels.iter().map(Into::into).collect();
+    info.source = match (&header.source, &header.device) {
+        (Some(source), _) => Source {
+            format: source.format.clone(),
+            unit: source.unit.clone(),
+            factor: source.factor,
+            first_frame: source.first_frame,
+            frames_missing: 0,
+            warnings: source.warnings.clone(),
+        },
+        (None, device) => Source {
+            format: device.as_ref().map(|d| d.driver.clone()).unwrap_or_default(),
+            factor: 1.0,
+            first_frame: 1,
+            ..Source::default()
+        },
+    };
+}
+
+/// A whole take in memory, for replay, and what is missing from it.
+///
+/// # Errors
+/// `NotATake`, `Unsupported`, `Io`.
+pub fn read_motion(input: impl Read + Seek) -> Result<(Motion, Vec<String>), TakeError> {
+    let mut frames = TakeFrames::open(input)?;
+    let mut row = vec![GAP; frames.info.markers.len()];
+    let mut motion = Motion { info: frames.info.clone(), positions_mm: Vec::new() };
+    while frames.next_frame(&mut row)? {
+        motion.positions_mm.extend_from_slice(&row);
+    }
+    Ok((motion, frames.problems))
+}

@@ -1,0 +1,59 @@
+//! The take file: writer, sans-io reader, and the field's interchange formats.
+//!
+//! `docs/take-format.md` gives the format byte by byte. Nothing here opens a file, reads a clock or starts a
+//! thread: bytes go to a [`std::io::Write`] and come from the caller.
+
+pub mod chunk;
+pub mod foreign;
+pub mod frames;
+pub mod index;
+pub mod interchange;
+pub mod motion;
+pub mod reader;
+pub mod record;
+pub mod stretch;
+pub mod timeline;
+mod varint;
+pub mod writer;
+
+pub use frames::{TakeFrames, read_motion};
+pub use reader::{TakeEvent, TakeReader};
+pub use writer::TakeWriter;
+
+/// What can go wrong with a take, by what the caller can do about it.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum TakeError {
+    /// Not a take at all.
+    #[error("not a take: {0}")]
+    NotATake(&'static str),
+    /// A take from a newer version.
+    #[error("{what} has version {found}, this build reads up to {supported}: use a newer mocapd")]
+    Unsupported {
+        /// Which record.
+        what: &'static str,
+        /// The version found.
+        found: u16,
+        /// The newest version known.
+        supported: u16,
+    },
+    /// Bytes that cannot be right.
+    #[error("{what} at byte {offset}: {message}")]
+    Corrupt {
+        /// Which chunk or record.
+        what: &'static str,
+        /// File offset of its chunk.
+        offset: u64,
+        /// What is wrong.
+        message: String,
+    },
+    /// The caller asked for something a take cannot hold.
+    #[error("{0}")]
+    InvalidArgument(String),
+    /// The codec refused.
+    #[error(transparent)]
+    Codec(#[from] mocapd_codec::CodecError),
+    /// Reading or writing failed.
+    #[error(transparent)]
+    Io(#[from] std::io::Error),
+}

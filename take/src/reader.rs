@@ -1,0 +1,275 @@
+//! Reads a take, sans-io: bytes are pushed in, events come out; damage is an event, not the end.
+
+use std::io::Read;
+
+use crate::{
+    TakeError, chunk,
+    chunk::{Front, MAY_SKIP, types},
+    foreign,
+    index::{Footer, IndexEntry, parse_index},
+    motion::Foreign,
+    record::{Channel, Event, Header, Ledger, MoreChannels, Record},
+    stretch::Stretch,
+    timeline::Timeline,
+};
+
+/// One thing found in a take.
+#[derive(Debug)]
+pub enum TakeEvent<'a> {
+    /// The first chunk.
+    Header(Box<Header>),
+    /// More entries of the channel table.
+    Channels(Vec<Channel>),
+    /// A stretch, its blocks still coded.
+    Stretch(Stretch<'a>),
+    /// The time line up to the end of the next stretch.
+    Timeline(Timeline),
+    /// An event.
+    Event(Event),
+    /// The ledger so far; the last one counts.
+    Ledger(Box<Ledger>),
+    /// What an importer kept.
+    Foreign(Foreign),
+    /// The key stretches.
+    Index(Vec<IndexEntry>),
+    /// The take was finished.
+    Footer(Footer),
+    /// A chunk of a type this build does not know, which it may skip.
+    Skipped {
+        /// Its type.
+        kind: u8,
+    },
+    /// Bytes that are no chunk, or a chunk whose content is wrong: what it held is lost.
+    Damaged {
+        /// File offset.
+        offset: u64,
+        /// How many bytes.
+        len: u64,
+        /// What is wrong.
+        message: String,
+    },
+    /// The end of the bytes, said once after [`TakeReader::finish`].
+    End {
+        /// Whether the footer was there: a take without one was cut off.
+        finished: bool,
+    },
+}
+
+/// Turns bytes into [`TakeEvent`]s. Holds one chunk at a time (after damage, up to the rest of the file).
+#[derive(Debug, Default)]
+pub struct TakeReader {
+    buffer: Vec<u8>,
+    /// Bytes at the front of `buffer` that are done with.
+    used: usize,
+    /// File offset of the front of `buffer`.
+    base: u64,
+    /// Bytes that must be there before another look is worth it.
+    wanted: u64,
+    tick_hz: u64,
+    seen_magic: bool,
+    seen_header: bool,
+    seen_footer: bool,
+    complete: bool,
+    ended: bool,
+}
+
+impl TakeReader {
+    /// At the start of a take.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds bytes of the file, in order, in pieces of any size.
+    pub fn push(&mut self, bytes: &[u8]) {
+        self.buffer.drain(..self.used);
+        self.base += self.used as u64;
+        self.used = 0;
+        self.buffer.extend_from_slice(bytes);
+    }
+
+    /// No more bytes will come.
+    pub fn finish(&mut self) {
+        self.complete = true;
+    }
+
+    /// File offset of the next byte that will be looked at.
+    #[must_use]
+    pub fn offset(&self) -> u64 {
+        self.base + self.used as u64
+    }
+
+    /// The next event; `None` when more bytes are needed.
+    ///
+    /// # Errors
+    /// `NotATake`, and `Unsupported` or `Corrupt` when the header cannot be used: nothing can be read then.
+    pub fn next_event(&mut self) -> Result<Option<TakeEvent<'_>>, TakeError> {
+        if !self.seen_magic && !self.check_magic()? {
+            return Ok(None);
+        }
+        if self.ended {
+            return Ok(None);
+        }
+        let waiting = &self.buffer[self.used..];
+        if waiting.is_empty() && self.complete {
+            return self.end().map(Some);
+        }
+        if (waiting.len() as u64) < self.wanted && !self.complete {
+            return Ok(None);
+        }
+        match chunk::front(waiting) {
+            Front::Whole { kind, len, .. } => {
+                let start = self.used;
+                self.used += len;
+                self.wanted = 1;
+                self.interpret(kind, start, len).map(Some)
+            }
+            Front::Short(wanted) if !self.complete => {
+                self.wanted = wanted;
+                Ok(None)
+            }
+            Front::Short(_) => Ok(Some(self.skip_damage("the file ends inside a chunk"))),
+            Front::Damaged if !self.complete => {
+                // The next whole chunk may be long and cut by the end of the buffer, and only its
+                // CRC tells it from noise: look again when all is there.
+                self.wanted = u64::MAX;
+                Ok(None)
+            }
+            Front::Damaged => Ok(Some(self.skip_damage("checksum does not match"))),
+        }
+    }
+
+    fn check_magic(&mut self) -> Result<bool, TakeError> {
+        let have = self.buffer.len().min(chunk::MAGIC.len());
+        if self.buffer[..have] != chunk::MAGIC[..have] {
+            return Err(TakeError::NotATake(if self.buffer.starts_with(b"\x89TAK\n\x1a\n") {
+                "its line ends were changed by a transfer in text mode; copy it again in binary mode"
+            } else {
+                "the file does not begin with a take's eight bytes"
+            }));
+        }
+        if have < chunk::MAGIC.len() {
+            return if self.complete {
+                Err(TakeError::NotATake("the file is shorter than a take's eight bytes"))
+            } else {
+                Ok(false)
+            };
+        }
+        self.used = have;
+        self.seen_magic = true;
+        Ok(true)
+    }
+
+    fn end(&mut self) -> Result<TakeEvent<'static>, TakeError> {
+        self.ended = true;
+        if !self.seen_header {
+            return Err(TakeError::NotATake("no intact header was found"));
+        }
+        Ok(TakeEvent::End { finished: self.seen_footer })
+    }
+
+    /// Steps over what is damaged, to the next whole chunk or the end.
+    fn skip_damage(&mut self, message: &str) -> TakeEvent<'static> {
+        let offset = self.offset();
+        self.used = chunk::resync(&self.buffer, self.used + 1).unwrap_or(self.buffer.len());
+        self.wanted = 1;
+        TakeEvent::Damaged { offset, len: self.offset() - offset, message: message.to_owned() }
+    }
+
+    fn interpret(&mut self, kind: u8, start: usize, len: usize) -> Result<TakeEvent<'_>, TakeError> {
+        let offset = self.base + start as u64;
+        let Front::Whole { payload, .. } = chunk::split(&self.buffer[start..start + len])
+        else {
+            return Err(TakeError::NotATake("a chunk vanished while it was read"));
+        };
+        if !self.seen_header && kind != types::HEADER {
+            let message = format!("a chunk of type {kind:02x} before the header");
+            return Ok(TakeEvent::Damaged { offset, len: len as u64, message });
+        }
+        let event = match kind {
+            types::HEADER if self.seen_header => {
+                let message = "a second header".to_owned();
+                return Ok(TakeEvent::Damaged { offset, len: len as u64, message });
+            }
+            types::HEADER => {
+                let header = Header::from_payload(payload, offset)?;
+                header.check()?;
+                self.seen_header = true;
+                self.tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz);
+                return Ok(TakeEvent::Header(Box::new(header)));
+            }
+            types::CHANNELS => {
+                MoreChannels::from_payload(payload, offset).map(|more| TakeEvent::Channels(more.0))
+            }
+            types::STRETCH => Stretch::parse(payload, offset).map(TakeEvent::Stretch),
+            types::TIMELINE => {
+                Timeline::decode(payload, self.tick_hz, offset).map(TakeEvent::Timeline)
+            }
+            types::EVENT => Event::from_payload(payload, offset).map(TakeEvent::Event),
+            types::LEDGER => {
+                Ledger::from_payload(payload, offset).map(|l| TakeEvent::Ledger(Box::new(l)))
+            }
+            types::FOREIGN => foreign::from_payload(payload, offset).map(TakeEvent::Foreign),
+            types::INDEX => parse_index(payload, offset).map(TakeEvent::Index),
+            types::FOOTER => {
+                self.seen_footer = true;
+                Footer::from_payload(payload, offset).map(TakeEvent::Footer)
+            }
+            _ if kind & MAY_SKIP != 0 => Ok(TakeEvent::Skipped { kind }),
+            _ => {
+                let message = format!("chunk type {kind:02x} is unknown: use a newer mocapd");
+                return Ok(TakeEvent::Damaged { offset, len: len as u64, message });
+            }
+        };
+        event.or_else(|error| {
+            let message = error.to_string();
+            Ok(TakeEvent::Damaged { offset, len: len as u64, message })
+        })
+    }
+}
+
+/// How much is read at once.
+const READ_BYTES: usize = 1 << 16;
+
+/// Pushes the next bytes of `input` into `reader`, or tells it that there are no more.
+///
+/// # Errors
+/// As [`TakeReader::next_event`], and `Io`.
+pub fn pull(input: &mut impl Read, reader: &mut TakeReader) -> Result<(), TakeError> {
+    let mut buffer = [0; READ_BYTES];
+    let n = loop {
+        match input.read(&mut buffer) {
+            Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+            other => break other?,
+        }
+    };
+    if n == 0 {
+        reader.finish();
+    } else {
+        reader.push(&buffer[..n]);
+    }
+    Ok(())
+}
+
+/// Gives every event of a take to `on_event`, the end included.
+///
+/// # Errors
+/// As [`TakeReader::next_event`], `Io`, and whatever `on_event` returns.
+pub fn read_events(
+    mut input: impl Read,
+    mut on_event: impl FnMut(TakeEvent<'_>) -> Result<(), TakeError>,
+) -> Result<(), TakeError> {
+    let mut reader = TakeReader::new();
+    loop {
+        match reader.next_event()? {
+            Some(event) => {
+                let end = matches!(event, TakeEvent::End { .. });
+                on_event(event)?;
+                if end {
+                    return Ok(());
+                }
+            }
+            None => pull(&mut input, &mut reader)?,
+        }
+    }
+}
