@@ -1,0 +1,45 @@
+//! A simulated device in a process of its own, so that its processor time is its own, too.
+
+use std::{sync::atomic::Ordering, time::Duration};
+
+use mocapd::{outcome::Outcome, units};
+use mocapd_simulator::{
+    device::{Device, DeviceSettings},
+    generator::JumpSpec,
+    pty::{ServeOptions, serve_pty},
+};
+use mocapd_take::motion::Motion;
+
+use crate::cli::{output::print, record::stop_on_signal};
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[arg(long)]
+    markers: usize,
+    #[arg(long, value_parser = units::rate_hz)]
+    rate: f64,
+    #[arg(long, value_parser = units::duration)]
+    seconds: Duration,
+}
+
+/// The motion of every benchmark.
+pub(super) fn motion(markers: usize, rate_hz: f64, seconds: f64) -> anyhow::Result<Motion> {
+    let spec = JumpSpec {
+        seconds: Some(seconds),
+        n_markers: markers,
+        ..JumpSpec::new(1, rate_hz)
+    };
+    Ok(spec.generate()?.motion)
+}
+
+pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
+    let stop = stop_on_signal()?;
+    let motion = motion(args.markers, args.rate, args.seconds.as_secs_f64())?;
+    let mut device = Device::new(motion, DeviceSettings::default())?;
+    let log = serve_pty(&mut device, None, ServeOptions::default(), &stop, |path| {
+        print(&format!("{}\n", path.display())).ok();
+    })?;
+    stop.store(true, Ordering::Relaxed);
+    print(&format!("{}\n", log.total.frames_produced))?;
+    Ok(Outcome::Done)
+}

@@ -1,0 +1,199 @@
+//! `demo`: a simulated device through the whole of mocapd, with nothing plugged in.
+
+use std::{
+    fs,
+    io::{BufReader, BufWriter, Write},
+    path::{Path, PathBuf},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread::JoinHandle,
+    time::Duration,
+};
+
+use anyhow::{Context, anyhow, ensure};
+use mocapd::{
+    compare::compare,
+    files::{self, NewFile},
+    inspect::Summary,
+    outcome::Outcome,
+    record::Recorded,
+    rig::{Ending, Rig},
+    threads, units,
+};
+use mocapd_codec::{ResamplerKind, Settings, Tolerance};
+use mocapd_drivers::uri::{DeviceUri, Location};
+use mocapd_simulator::{
+    device::{Device, DeviceSettings, SentLog},
+    generator::JumpSpec,
+    pty::{PtyError, ServeOptions, serve_pty},
+};
+use mocapd_take::{
+    TakeFrames,
+    interchange::Format,
+    motion::{Motion, MotionFrames},
+};
+
+use super::{
+    output::{bytes, print, thousands},
+    record::{Report, record_and_watch, stop_on_signal},
+    verify::AgainstReport,
+};
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Length of the motion
+    #[arg(long, value_name = "TIME", default_value = "10", value_parser = units::duration)]
+    seconds: Duration,
+    /// Folder for the take and its exports; created if need be
+    #[arg(long, value_name = "DIR", default_value = "mocapd-demo")]
+    out: PathBuf,
+    /// Largest distance between a sample and its reconstruction
+    #[arg(long, value_name = "LENGTH", default_value = "0.5mm", value_parser = units::tolerance,
+          allow_hyphen_values = true)]
+    tolerance: Tolerance,
+    /// Frame rate of the simulated device
+    #[arg(long, value_name = "HZ", default_value = "120", value_parser = units::rate_hz)]
+    rate: f64,
+}
+
+/// The motion is the same for everyone, so that figures can be compared.
+const SEED: u64 = 1;
+
+/// A simulated device on a pty, on a thread of its own.
+pub(crate) struct SimulatedDevice {
+    stop: Arc<AtomicBool>,
+    thread: JoinHandle<Result<SentLog, PtyError>>,
+    /// What a host opens.
+    pub(crate) path: PathBuf,
+}
+
+impl SimulatedDevice {
+    pub(crate) fn start(mut device: Device) -> anyhow::Result<Self> {
+        let stop = Arc::new(AtomicBool::new(false));
+        let (path_in, path) = crossbeam_channel::bounded(1);
+        let stopped = Arc::clone(&stop);
+        let thread = threads::spawn("mocapd-sim", move || {
+            serve_pty(&mut device, None, ServeOptions::default(), &stopped, |path| {
+                path_in.send(path.to_owned()).ok();
+            })
+        })?;
+        match path.recv() {
+            Ok(path) => Ok(Self { stop, thread, path }),
+            Err(_) => Err(match threads::join(thread)? {
+                Err(error) => anyhow!(error).context("cannot simulate a device"),
+                Ok(_) => anyhow!("the simulated device ended at once"),
+            }),
+        }
+    }
+
+    /// What it says it sent.
+    pub(crate) fn stop(self) -> anyhow::Result<SentLog> {
+        self.stop.store(true, Ordering::Relaxed);
+        threads::join(self.thread)?.context("the simulated device failed")
+    }
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
+    let seconds = args.seconds.as_secs_f64();
+    let spec = JumpSpec { seconds: Some(seconds), ..JumpSpec::new(SEED, args.rate) };
+    let motion = Arc::new(spec.generate()?.motion);
+    fs::create_dir_all(&args.out)
+        .with_context(|| format!("cannot create the folder {}", args.out.display()))?;
+    let take = free_name(&args.out);
+    let codec = Settings { kind: ResamplerKind::Dense, tolerance: args.tolerance };
+    let stop = stop_on_signal()?;
+
+    let device = Device::new(Arc::clone(&motion), DeviceSettings::default())?;
+    let simulated = SimulatedDevice::start(device)?;
+    print(&format!(
+        "1. a simulated device of {} markers at {} Hz: a standing long jump, {seconds} s, on {}\n\
+         2. recording it over that line, each marker resampled within {} mm ...\n",
+        motion.info.markers.len(),
+        args.rate,
+        simulated.path.display(),
+        args.tolerance.mm(),
+    ))?;
+    let location = Location::Serial { path: simulated.path.clone(), baud: None };
+    let rig = Rig::open(&DeviceUri { location, driver: None })?;
+    let recorded = record_and_watch(rig, &take, codec, None, &stop)?;
+    let sent = simulated.stop()?;
+    print(&Report::new(take.clone(), &recorded, args.tolerance.mm()).words())?;
+
+    show_take(&take)?;
+    verify(&take, &motion, &recorded, &sent, args.tolerance.mm())?;
+    let exports = export(&take)?;
+    print(&format!(
+        "\nThe take lies at {}\nSee what is in it:   mocapd info {}\nOpen it elsewhere:   {}\n",
+        take.display(),
+        take.display(),
+        exports
+    ))?;
+    Ok(Outcome::of(recorded.written.ledger.lost_anything()))
+}
+
+/// `jump-001.take` or the next number that is free.
+fn free_name(folder: &Path) -> PathBuf {
+    let name = |n: u32| folder.join(format!("jump-{n:03}.take"));
+    (1..).map(name).find(|path| path.symlink_metadata().is_err()).unwrap_or_else(|| name(0))
+}
+
+fn show_take(take: &Path) -> anyhow::Result<()> {
+    let summary = Summary::read(BufReader::new(files::open(take)?))?;
+    let gaps: u64 = summary.per_channel.iter().map(|channel| channel.gaps).sum();
+    print(&format!(
+        "3. in the take: {} stretches, {} of {} samples kept, {} gaps in the markers' trajectories\n",
+        summary.stretches,
+        thousands(summary.knots()),
+        thousands(summary.samples()),
+        thousands(gaps)
+    ))
+}
+
+/// The take against what the device really sent.
+fn verify(
+    take: &Path,
+    motion: &Motion,
+    recorded: &Recorded,
+    sent: &SentLog,
+    tolerance_mm: f64,
+) -> anyhow::Result<()> {
+    let frames = TakeFrames::open(BufReader::new(files::open(take)?))?;
+    let difference = compare(frames, MotionFrames::new(motion))?;
+    let report = AgainstReport::new(difference, tolerance_mm);
+    print(&format!("4. {}", report.words(tolerance_mm)))?;
+    let ledger = &recorded.written.ledger;
+    ensure!(ledger.closes(), "the ledger does not close: this is a bug in mocapd");
+    ensure!(
+        sent.run.frames_produced == ledger.frames_sent,
+        "the device says it sent {} frames, the ledger says {}: this is a bug in mocapd",
+        sent.run.frames_produced,
+        ledger.frames_sent
+    );
+    // Ctrl-C leaves a take that is whole as far as it goes.
+    let cut_short = recorded.recording.ending == Ending::Stopped;
+    ensure!(
+        report.is_within() || ledger.lost_anything() || cut_short,
+        "the take is not within its tolerance: this is a bug in mocapd"
+    );
+    Ok(())
+}
+
+/// Beside the take, in the three formats.
+fn export(take: &Path) -> anyhow::Result<String> {
+    let mut names = Vec::new();
+    for (format, extension) in [(Format::C3d, "c3d"), (Format::Trc, "trc"), (Format::Csv, "csv")] {
+        let path = take.with_extension(extension);
+        let mut frames = TakeFrames::open(BufReader::new(files::open(take)?))?;
+        let mut output = NewFile::create(&path)?;
+        let mut out = BufWriter::new(&mut output);
+        format.write(&mut frames, &mut out)?;
+        out.flush()?;
+        drop(out);
+        output.keep()?;
+        let size = fs::metadata(&path).map_or(0, |meta| meta.len());
+        names.push(format!("{} ({})", path.display(), bytes(size)));
+    }
+    Ok(names.join(", "))
+}

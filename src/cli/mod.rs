@@ -1,0 +1,86 @@
+//! The command line: one file a subcommand. stdout is data, stderr is words.
+
+mod bench;
+mod codec_args;
+mod demo;
+mod devices;
+mod export;
+mod import;
+mod info;
+mod output;
+mod progress;
+mod record;
+mod verify;
+
+use clap::{Parser, Subcommand, error::ErrorKind};
+use mocapd::outcome::{Outcome, UsageError};
+
+pub(crate) use output::say;
+
+/// Records optical motion capture: error-bounded takes, and a ledger that closes to zero.
+#[derive(Debug, Parser)]
+#[command(
+    version,
+    propagate_version = true,
+    after_help = "Exit codes: 0 done, 1 failed, 2 usage or refused input value, 3 done but data was lost"
+)]
+pub(crate) struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Record a simulated device and look at the take: no hardware needed
+    Demo(demo::Args),
+    /// List what is attached, which driver claims it, or why it cannot be opened
+    Devices(devices::Args),
+    /// Record a device into a take
+    Record(record::Args),
+    /// Make a take of a C3D, TRC, QTM TSV or CSV file
+    Import(import::Args),
+    /// Write a take as C3D, TRC or CSV
+    Export(export::Args),
+    /// Tell what is in a take: header, ledger, and per marker samples, gaps, knots, error, bytes
+    Info(info::Args),
+    /// Check a take: checksums, every block, the ledger, and every sample against an original
+    Verify(verify::Args),
+    /// Measure this machine
+    #[command(subcommand)]
+    Bench(bench::Bench),
+}
+
+/// Reads the arguments. Help and version are printed here.
+pub(crate) fn parse() -> anyhow::Result<Cli> {
+    Cli::try_parse().map_err(|error| match error.kind() {
+        ErrorKind::DisplayHelp
+        | ErrorKind::DisplayVersion
+        | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => error.exit(),
+        _ => UsageError(one_line(&error.render().to_string())).into(),
+    })
+}
+
+/// clap explains in paragraphs; an error here is one line.
+fn one_line(message: &str) -> String {
+    let parts: Vec<_> = message
+        .lines()
+        .map(str::trim)
+        .take_while(|line| !line.starts_with("Usage:"))
+        .filter(|line| !line.is_empty() && !line.starts_with("For more information"))
+        .collect();
+    parts.join(" ").trim_start_matches("error: ").to_owned()
+}
+
+/// Runs one command.
+pub(crate) fn run(cli: Cli) -> anyhow::Result<Outcome> {
+    match cli.command {
+        Command::Demo(args) => demo::run(&args),
+        Command::Devices(args) => devices::run(&args),
+        Command::Record(args) => record::run(&args),
+        Command::Import(args) => import::run(&args),
+        Command::Export(args) => export::run(&args),
+        Command::Info(args) => info::run(&args),
+        Command::Verify(args) => verify::run(&args),
+        Command::Bench(bench) => bench::run(&bench),
+    }
+}

@@ -1,0 +1,97 @@
+//! Every sample of one source of frames against another.
+
+use std::io;
+
+use mocapd_take::motion::{FrameSource, GAP, Position, is_gap};
+
+/// What differs.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Difference {
+    /// Frames compared.
+    pub frames: u64,
+    /// Frames that only one of the two has.
+    pub frames_missing: u64,
+    /// Markers whose label or place differs, or that only one of the two has.
+    pub labels_differing: Vec<String>,
+    /// Samples that both have.
+    pub samples: u64,
+    /// Samples that only one of the two has.
+    pub gaps_differing: u64,
+    /// Samples that are not the same to the bit.
+    pub bits_differing: u64,
+    /// The largest Euclidean distance, in millimetres.
+    pub max_error_mm: f64,
+    /// Root mean square distance, in millimetres.
+    pub rms_error_mm: f64,
+    /// Where the largest distance is: frame, marker.
+    pub worst: Option<(u64, usize)>,
+    /// The largest distance by marker, in millimetres.
+    pub max_error_by_marker_mm: Vec<f64>,
+}
+
+/// Reads both to their ends.
+///
+/// # Errors
+/// Whatever reading meets.
+pub fn compare(
+    mut take: impl FrameSource,
+    mut original: impl FrameSource,
+) -> io::Result<Difference> {
+    let (ours, theirs) = (take.info().clone(), original.info().clone());
+    let n_markers = ours.markers.len().max(theirs.markers.len());
+    let label = |info: &mocapd_take::motion::MotionInfo, i: usize| {
+        info.markers.get(i).map(|marker| marker.label.clone())
+    };
+    let mut difference = Difference {
+        frames_missing: ours.n_frames.abs_diff(theirs.n_frames),
+        labels_differing: (0..n_markers)
+            .filter(|&i| label(&ours, i) != label(&theirs, i))
+            .map(|i| label(&theirs, i).or_else(|| label(&ours, i)).unwrap_or_default())
+            .collect(),
+        max_error_by_marker_mm: vec![0.0; n_markers],
+        ..Difference::default()
+    };
+    let mut row = vec![GAP; ours.markers.len()];
+    let mut original_row = vec![GAP; theirs.markers.len()];
+    let mut sum_of_squares = 0.0;
+    while take.next_frame(&mut row)? && original.next_frame(&mut original_row)? {
+        for marker in 0..n_markers {
+            let a = row.get(marker).copied().unwrap_or(GAP);
+            let b = original_row.get(marker).copied().unwrap_or(GAP);
+            match (is_gap(a), is_gap(b)) {
+                (true, true) => {}
+                (false, false) => {
+                    let error_mm = distance_mm(a, b);
+                    difference.samples += 1;
+                    difference.bits_differing += u64::from(a.map(f32::to_bits) != b.map(f32::to_bits));
+                    sum_of_squares += error_mm * error_mm;
+                    let worst = &mut difference.max_error_by_marker_mm[marker];
+                    *worst = worst.max(error_mm);
+                    if error_mm > difference.max_error_mm {
+                        difference.max_error_mm = error_mm;
+                        difference.worst = Some((difference.frames, marker));
+                    }
+                }
+                _ => difference.gaps_differing += 1,
+            }
+        }
+        difference.frames += 1;
+    }
+    difference.rms_error_mm = (sum_of_squares / difference.samples.max(1) as f64).sqrt();
+    Ok(difference)
+}
+
+fn distance_mm(a: Position, b: Position) -> f64 {
+    let squares = a.iter().zip(b).map(|(&a, b)| (f64::from(a) - f64::from(b)).powi(2));
+    squares.sum::<f64>().sqrt()
+}
+
+impl Difference {
+    /// Whether everything is the same but for distances within `tolerance_mm` (0: to the bit).
+    #[must_use]
+    pub fn is_within(&self, tolerance_mm: f64) -> bool {
+        let close =
+            if tolerance_mm > 0.0 { self.max_error_mm <= tolerance_mm } else { self.bits_differing == 0 };
+        close && self.frames_missing == 0 && self.gaps_differing == 0 && self.labels_differing.is_empty()
+    }
+}

@@ -1,0 +1,49 @@
+//! The header of a new take.
+
+use std::time::SystemTime;
+
+use anyhow::Context;
+use mocapd_codec::Settings;
+use mocapd_take::{
+    motion::Marker,
+    record::{CODEC_VERSION, Channel, Header},
+};
+use rustix::rand::{GetRandomFlags, getrandom};
+
+/// A header with everything but channels, device and source.
+///
+/// # Errors
+/// When the system gives no random bytes.
+pub fn new(codec: &Settings, rate_hz: f64) -> anyhow::Result<Header> {
+    let mut take_id = [0; 16];
+    getrandom(&mut take_id, GetRandomFlags::empty()).context("cannot get random bytes")?;
+    let since_1970 = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    let mut header = Header {
+        software: concat!("mocapd ", env!("CARGO_PKG_VERSION")).to_owned(),
+        take_id,
+        created_unix_ms: i64::try_from(since_1970.as_millis()).unwrap_or(i64::MAX),
+        resampler: String::new(),
+        codec_version: CODEC_VERSION,
+        tolerance_mm: 0.0,
+        rate_hz,
+        up_axis: 0,
+        device: None,
+        source: None,
+        channels: Vec::new(),
+        stretch_rows: 0,
+        settings: Vec::new(),
+    };
+    header.set_codec(codec);
+    Ok(header)
+}
+
+/// The channel table of an import: ids by column.
+#[must_use]
+pub fn channels(markers: &[Marker]) -> Vec<Channel> {
+    let channel = |(column, marker): (usize, &Marker)| Channel {
+        marker_id: column as u16,
+        label: marker.label.clone(),
+        labelled: marker.labelled,
+    };
+    markers.iter().enumerate().map(channel).collect()
+}

@@ -1,0 +1,231 @@
+//! Reads a whole take and tells what is in it: the numbers behind `info` and `verify`.
+
+use std::io::Read;
+
+use mocapd_take::{
+    TakeError, TakeEvent,
+    reader::read_events,
+    record::{Channel, Event, Header, Ledger},
+    stretch::{Stretch, StretchDecoder},
+};
+
+/// One channel, over the whole take.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ChannelSummary {
+    /// Samples present.
+    pub samples: u64,
+    /// Runs of rows without a sample, at the ends too.
+    pub gaps: u64,
+    /// Samples kept.
+    pub knots: u64,
+    /// The largest error that its blocks state, in millimetres.
+    pub max_error_mm: f64,
+    /// Bytes of its blocks.
+    pub payload_bytes: u64,
+    in_gap: bool,
+}
+
+/// A whole take.
+#[derive(Debug, Default)]
+pub struct Summary {
+    /// Its header.
+    pub header: Option<Header>,
+    /// The whole channel table.
+    pub channels: Vec<Channel>,
+    /// By channel.
+    pub per_channel: Vec<ChannelSummary>,
+    /// Rows, lost ones included.
+    pub rows: u64,
+    /// The last ledger.
+    pub ledger: Option<Ledger>,
+    /// The events.
+    pub events: Vec<Event>,
+    /// What an importer kept: kind, and bytes as they were.
+    pub foreign: Vec<(String, u64)>,
+    /// Stretches that were decoded.
+    pub stretches: u64,
+    end_of_stretches: u64,
+    /// Whether the take was closed in order.
+    pub finished: bool,
+    /// What is missing or damaged.
+    pub problems: Vec<String>,
+    /// Rows with at least one sample: T of (Shi et al. 2012).
+    pub rows_with_samples: u64,
+    /// Rows with at least one kept sample: K.
+    pub key_rows: u64,
+    /// Samples present in those rows: the sum of |K in `P_i`|.
+    pub samples_in_key_rows: u64,
+}
+
+impl Summary {
+    /// Reads and decodes everything.
+    ///
+    /// # Errors
+    /// `NotATake`, `Unsupported`, `Io`. Damage is a problem, not an error.
+    pub fn read(input: impl Read) -> Result<Self, TakeError> {
+        let mut summary = Self::default();
+        let mut decoder = None;
+        read_events(input, |event| {
+            match event {
+                TakeEvent::Header(header) => {
+                    decoder = Some(StretchDecoder::new(header.codec()?));
+                    summary.add_channels(&header.channels);
+                    summary.header = Some(*header);
+                }
+                TakeEvent::Channels(more) => summary.add_channels(&more),
+                TakeEvent::Stretch(stretch) => {
+                    if let Some(decoder) = &mut decoder {
+                        summary.add_stretch(&stretch, decoder);
+                    }
+                }
+                TakeEvent::Timeline(timeline) => {
+                    summary.rows = summary.rows.max(timeline.first_row + timeline.n_rows());
+                }
+                TakeEvent::Event(event) => summary.events.push(event),
+                TakeEvent::Ledger(ledger) => summary.ledger = Some(*ledger),
+                TakeEvent::Foreign(part) => {
+                    summary.foreign.push((part.kind, part.data.len() as u64));
+                }
+                TakeEvent::Footer(footer) => summary.check_rows(footer.n_rows),
+                TakeEvent::Damaged { offset, len, message } => {
+                    summary.problems.push(format!("{len} bytes at byte {offset}: {message}"));
+                    if let Some(decoder) = &mut decoder {
+                        decoder.lost();
+                    }
+                }
+                TakeEvent::End { finished } => summary.finished = finished,
+                TakeEvent::Index(_) | TakeEvent::Skipped { .. } => {}
+            }
+            Ok(())
+        })?;
+        summary.skip_rows_to(summary.rows);
+        if !summary.finished {
+            summary.problems.push("the take was cut off: its end is missing".to_owned());
+        }
+        Ok(summary)
+    }
+
+    /// Samples present.
+    #[must_use]
+    pub fn samples(&self) -> u64 {
+        self.per_channel.iter().map(|channel| channel.samples).sum()
+    }
+
+    /// Samples kept.
+    #[must_use]
+    pub fn knots(&self) -> u64 {
+        self.per_channel.iter().map(|channel| channel.knots).sum()
+    }
+
+    /// The largest error that any block states, in millimetres.
+    #[must_use]
+    pub fn max_error_mm(&self) -> f64 {
+        self.per_channel.iter().map(|channel| channel.max_error_mm).fold(0.0, f64::max)
+    }
+
+    /// Float32 bytes of the samples: 12 each.
+    #[must_use]
+    pub fn raw_bytes(&self) -> u64 {
+        12 * self.samples()
+    }
+
+    /// SR1 of (Shi et al. 2012, eq. 7), counted over samples present; without gaps |T| / |K|.
+    #[must_use]
+    pub fn sr1(&self) -> Option<f64> {
+        ratio(self.samples() + self.rows_with_samples, self.samples_in_key_rows + self.key_rows)
+    }
+
+    /// SR2 of (Shi et al. 2012, eq. 8), counted over samples present.
+    #[must_use]
+    pub fn sr2(&self) -> Option<f64> {
+        ratio(self.samples() + self.rows_with_samples, 2 * self.knots())
+    }
+
+    fn add_channels(&mut self, more: &[Channel]) {
+        self.channels.extend_from_slice(more);
+        // A marker that appears later has had a gap until then.
+        let late = ChannelSummary { in_gap: self.rows > 0, gaps: u64::from(self.rows > 0), ..Default::default() };
+        self.per_channel.resize(self.channels.len(), late);
+    }
+
+    fn check_rows(&mut self, n_rows: u64) {
+        if n_rows != self.rows {
+            self.problems.push(format!(
+                "the footer tells of {n_rows} frames, {} were found",
+                self.rows
+            ));
+        }
+    }
+
+    /// Rows up to `row` that no stretch holds: gaps in every channel.
+    fn skip_rows_to(&mut self, row: u64) {
+        if row > self.end_of_stretches {
+            for channel in &mut self.per_channel {
+                channel.gaps += u64::from(!std::mem::replace(&mut channel.in_gap, true));
+            }
+            self.end_of_stretches = row;
+        }
+    }
+
+    fn add_stretch(&mut self, stretch: &Stretch<'_>, decoder: &mut StretchDecoder) {
+        let span = stretch.span;
+        let end = span.first_row + u64::from(span.n_rows);
+        let refused = if stretch.blocks.len() > self.per_channel.len() {
+            Some("it has more channels than the take".to_owned())
+        } else if span.first_row < self.end_of_stretches {
+            Some("it comes twice".to_owned())
+        } else if decoder.must_skip(span) {
+            Some("it depends on a damaged one".to_owned())
+        } else {
+            decoder.decode(stretch).err().map(|error| error.to_string())
+        };
+        self.rows = self.rows.max(end);
+        if let Some(reason) = refused {
+            let frames = format!("frames {} to {}", span.first_row, end.saturating_sub(1));
+            self.problems.push(format!("the stretch of {frames}: {reason}"));
+            return;
+        }
+        self.skip_rows_to(span.first_row);
+        self.stretches += 1;
+        self.end_of_stretches = end;
+        let n_rows = span.n_rows as usize;
+        let mut present_in = vec![0_u32; n_rows];
+        let mut kept_in = vec![false; n_rows];
+        let blocks = stretch.blocks.iter().map(|block| block.len() as u64);
+        for ((channel, rows), bytes) in self.per_channel.iter_mut().zip(decoder.rows()).zip(blocks) {
+            channel.payload_bytes += bytes;
+            let Some(rows) = rows else {
+                channel.gaps += u64::from(!std::mem::replace(&mut channel.in_gap, true));
+                continue;
+            };
+            channel.max_error_mm = channel.max_error_mm.max(rows.max_error_mm);
+            for row in 0..n_rows {
+                let present = rows.present[row];
+                channel.gaps += u64::from(!present && !channel.in_gap);
+                channel.in_gap = !present;
+                channel.samples += u64::from(present);
+                channel.knots += u64::from(present && rows.kept[row]);
+                present_in[row] += u32::from(present);
+                kept_in[row] |= present && rows.kept[row];
+            }
+        }
+        for (present, kept) in present_in.into_iter().zip(kept_in) {
+            self.rows_with_samples += u64::from(present > 0);
+            self.key_rows += u64::from(kept);
+            self.samples_in_key_rows += if kept { u64::from(present) } else { 0 };
+        }
+        for channel in self.per_channel.iter_mut().skip(stretch.blocks.len()) {
+            channel.gaps += u64::from(!std::mem::replace(&mut channel.in_gap, true));
+        }
+    }
+}
+
+fn ratio(over: u64, under: u64) -> Option<f64> {
+    (under > 0).then(|| over as f64 / under as f64)
+}
+
+/// Raw float32 bytes of so many samples to bytes on disk.
+#[must_use]
+pub fn size_ratio(samples: u64, file_bytes: u64) -> f64 {
+    ratio(12 * samples, file_bytes).unwrap_or(0.0)
+}

@@ -1,0 +1,14 @@
+//! mocapd: records optical motion capture. The daemon's library: the `mocapd` binary, the tests and the
+//! benchmarks are built on it.
+
+pub mod compare;
+pub mod files;
+pub mod header;
+pub mod inspect;
+pub mod outcome;
+pub mod pipeline;
+pub mod process;
+pub mod record;
+pub mod rig;
+pub mod threads;
+pub mod units;

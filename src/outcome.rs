@@ -1,0 +1,49 @@
+//! How a command ended, and the one place where that becomes an exit code.
+
+use std::{fmt, process::ExitCode};
+
+/// A command that did what it was asked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Outcome {
+    /// Nothing was lost.
+    Done,
+    /// Done, but data was lost; what was lost has been said.
+    DataLost,
+}
+
+impl Outcome {
+    /// `DataLost` when `lost`.
+    #[must_use]
+    pub fn of(lost: bool) -> Self {
+        if lost { Self::DataLost } else { Self::Done }
+    }
+
+    /// The worse of two.
+    #[must_use]
+    pub fn and(self, other: Self) -> Self {
+        if self == Self::Done { other } else { self }
+    }
+}
+
+/// An argument that cannot be meant: exit code 2 instead of 1.
+#[derive(Debug)]
+pub struct UsageError(pub String);
+
+impl fmt::Display for UsageError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for UsageError {}
+
+/// Exit codes: 0 done, 1 failed, 2 usage or refused input value, 3 done but data was lost.
+#[must_use]
+pub fn exit_code(result: &anyhow::Result<Outcome>) -> ExitCode {
+    ExitCode::from(match result {
+        Ok(Outcome::Done) => 0,
+        Ok(Outcome::DataLost) => 3,
+        Err(error) if error.downcast_ref::<UsageError>().is_some() => 2,
+        Err(_) => 1,
+    })
+}

@@ -1,0 +1,96 @@
+//! The reader's counters, and how they become a ledger.
+
+use mocapd_drivers::device::{LinkCounters, Status};
+use mocapd_take::record::{ClockFit, Ledger};
+
+/// What the reader counted. `Copy`: a snapshot travels with every stretch, so that a killed take has
+/// a ledger that is true for what it holds.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Counts {
+    /// Frames in the rings.
+    pub recorded: u64,
+    /// Rows that the device's counter skipped.
+    pub not_received: u64,
+    /// Frames that arrived when a ring was full.
+    pub ring_full: u64,
+    /// Frames seen again, or older than the last one.
+    pub duplicates: u64,
+    /// Samples of announced markers in recorded frames, there or not.
+    pub samples_announced: u64,
+    /// Samples with a position.
+    pub samples_present: u64,
+    /// Samples that came as NaN or infinity.
+    pub samples_not_finite: u64,
+    /// Samples of markers beyond the channel pool.
+    pub markers_dropped: u64,
+    /// Times that the device's counter jumped as no loss can explain.
+    pub counter_jumps: u64,
+    /// Events that found the writer's queue full.
+    pub events_dropped: u64,
+    /// What the link decoder counted.
+    pub link: LinkCounters,
+    /// The device's last report.
+    pub status: Option<Status>,
+    /// Whether that was its last word after a stop.
+    pub ended: bool,
+    /// How its clock runs.
+    pub clock: Option<ClockFit>,
+}
+
+impl Counts {
+    /// The ledger that these counters make. It closes, or says why not.
+    #[must_use]
+    pub fn ledger(&self, finished: bool) -> Ledger {
+        let mut contradictions = Vec::new();
+        let seen = self.recorded + self.not_received + self.ring_full;
+        // A report is older than the frames after it: only the last word is held against the counter.
+        let reported = self.status.map_or(0, |status| status.frames_produced);
+        if self.ended && reported < seen {
+            contradictions.push(format!(
+                "the device reports {reported} frames produced, its frame counter says {seen}"
+            ));
+        }
+        let frames_sent = if self.ended { reported.max(seen) } else { seen };
+        let missing = frames_sent - self.recorded - self.ring_full;
+        let dropped = self.status.map_or(0, |status| status.frames_dropped);
+        if dropped > missing {
+            contradictions.push(format!(
+                "the device reports {dropped} frames dropped, but only {missing} are missing"
+            ));
+        }
+        if self.counter_jumps > 0 {
+            contradictions.push(format!(
+                "the device's frame counter jumped {} times as no loss explains",
+                self.counter_jumps
+            ));
+        }
+        if self.events_dropped > 0 {
+            contradictions
+                .push(format!("{} events are not in the take: the disk stalled", self.events_dropped));
+        }
+        let dropped_by_device = dropped.min(missing);
+        Ledger {
+            finished,
+            frames_sent,
+            recorded: self.recorded,
+            lost_on_link: missing - dropped_by_device,
+            dropped_by_device,
+            lost_ring_full: self.ring_full,
+            lost_other: 0,
+            duplicates: self.duplicates,
+            unknown_after_disconnect: 0,
+            samples_announced: self.samples_announced,
+            samples_present: self.samples_present,
+            samples_occluded: self.samples_announced - self.samples_present,
+            samples_not_finite: self.samples_not_finite + self.link.samples_not_finite,
+            markers_dropped: self.markers_dropped,
+            link_bytes: self.link.bytes,
+            link_bytes_skipped: self.link.bytes_skipped,
+            link_messages: self.link.messages,
+            link_messages_damaged: self.link.messages_damaged,
+            link_messages_unknown: self.link.messages_unknown,
+            contradictions,
+            clock: self.clock,
+        }
+    }
+}

@@ -1,0 +1,165 @@
+//! How large everything is: each bound with its arithmetic.
+
+use std::time::Duration;
+
+use anyhow::ensure;
+use mocapd_codec::Settings;
+use mocapd_take::record::Channel;
+
+/// What a recording needs to know before it starts.
+#[derive(Debug, Clone)]
+pub struct PipelineConfig {
+    /// Resampler and tolerance.
+    pub codec: Settings,
+    /// Rows a second.
+    pub rate_hz: f64,
+    /// Device clock ticks a second.
+    pub tick_hz: u64,
+    /// The channels known at the start.
+    pub channels: Vec<Channel>,
+    /// How many more may appear.
+    pub reserve: usize,
+    /// Resampler threads.
+    pub workers: usize,
+    /// Length of a stretch. With `sync_every` it bounds what a pulled plug costs: one second by default.
+    pub stretch: Duration,
+    /// Length of the first stretch, so that a start is on disk soon.
+    pub first_stretch: Duration,
+    /// Time between key stretches.
+    pub key_every: Duration,
+    /// Time between syncs to disk.
+    pub sync_every: Duration,
+}
+
+impl PipelineConfig {
+    /// The defaults for a device.
+    #[must_use]
+    pub fn new(codec: Settings, rate_hz: f64, tick_hz: u64, channels: Vec<Channel>) -> Self {
+        Self {
+            codec,
+            rate_hz,
+            tick_hz,
+            channels,
+            reserve: 64,
+            workers: crate::threads::default_workers(),
+            stretch: Duration::from_millis(500),
+            first_stretch: Duration::from_millis(100),
+            key_every: Duration::from_secs(10),
+            sync_every: Duration::from_millis(500),
+        }
+    }
+}
+
+/// Rings hold this many full stretches: two being filled or coded, two more for a worker that the
+/// system does not run for a second.
+const RING_STRETCHES: usize = 4;
+
+/// Coded stretches in memory: 64 x 0.5 s, so that a disk that stalls for 30 s costs nothing.
+const CODED_STRETCHES: usize = 64;
+
+/// A time line item per row, and as many again for the runs of loss between them.
+const TIMELINE_ITEMS_PER_ROW: usize = 2;
+
+/// Events and channel announcements that wait for the writer: a marker that appears is one, and a
+/// device announces at most its whole table at once, in one message.
+pub(super) const CONTROL_MAX: usize = 1024;
+
+/// Groups per worker: enough that an uneven one is shared out, few enough that a wake is worth it.
+const GROUPS_PER_WORKER: usize = 4;
+
+/// The sizes that follow from a [`PipelineConfig`].
+#[derive(Debug, Clone)]
+pub(super) struct Plan {
+    pub(super) codec: Settings,
+    pub(super) workers: usize,
+    pub(super) n_slots: usize,
+    pub(super) group_slots: usize,
+    pub(super) stretch_rows: u32,
+    pub(super) first_stretch_rows: u32,
+    pub(super) key_rows: u64,
+    pub(super) sync_every: Duration,
+}
+
+impl Plan {
+    pub(super) fn new(config: &PipelineConfig) -> anyhow::Result<Self> {
+        ensure!(
+            config.codec.kind.is_live(),
+            "the resampler {} works on whole takes: record with dense, fast or lossless, \
+             then export and import with it",
+            config.codec.kind
+        );
+        ensure!(
+            config.rate_hz.is_finite() && (0.001..=1e6).contains(&config.rate_hz),
+            "cannot record at {} Hz",
+            config.rate_hz
+        );
+        let rows = |time: Duration| (time.as_secs_f64() * config.rate_hz).floor().max(1.0) as u32;
+        let n_slots = config.channels.len() + config.reserve;
+        let workers = config.workers.max(1);
+        Ok(Self {
+            codec: config.codec,
+            workers,
+            n_slots,
+            group_slots: n_slots.div_ceil(workers * GROUPS_PER_WORKER).clamp(1, 16),
+            stretch_rows: rows(config.stretch),
+            first_stretch_rows: rows(config.first_stretch),
+            key_rows: u64::from(rows(config.key_every)),
+            sync_every: config.sync_every,
+        })
+    }
+
+    pub(super) fn n_groups(&self) -> usize {
+        self.n_slots.div_ceil(self.group_slots)
+    }
+
+    /// Groups that hold the first `n_channels` channels.
+    pub(super) fn groups_of(&self, n_channels: usize) -> usize {
+        n_channels.div_ceil(self.group_slots)
+    }
+
+    /// Rows in every channel's ring.
+    pub(super) fn ring_rows(&self) -> usize {
+        RING_STRETCHES * self.stretch_rows as usize
+    }
+
+    pub(super) fn timeline_items(&self) -> usize {
+        TIMELINE_ITEMS_PER_ROW * self.ring_rows()
+    }
+
+    /// Stretches closed and not yet coded: each has at least one row in every ring of an active group
+    /// (one item of the time line ring), and one more is the last, without rows.
+    pub(super) fn spans_max(&self) -> usize {
+        self.timeline_items() + 1
+    }
+
+    /// Buffers for coded parts that each group has.
+    pub(super) fn buffers_per_group(&self) -> usize {
+        CODED_STRETCHES
+    }
+
+    /// Every buffer there is: sending a part never waits.
+    pub(super) fn parts_max(&self) -> usize {
+        (self.n_groups() + 1) * self.buffers_per_group()
+    }
+
+    /// Most bytes of one block, its length included.
+    pub(super) fn block_bytes_max(&self) -> usize {
+        self.codec.max_block_bytes(self.stretch_rows as usize) + 5
+    }
+
+    /// Most bytes of a group's part. Allocated as a whole, but only what is written becomes resident.
+    pub(super) fn part_bytes_max(&self) -> usize {
+        self.group_slots * self.block_bytes_max()
+    }
+
+    /// Most bytes of a time line part: per row a run (11 + 1), ticks (10), arrival (8) and timecode (4);
+    /// the front 64.
+    pub(super) fn timeline_bytes_max(&self) -> usize {
+        self.timeline_items() * 34 + 64
+    }
+
+    /// Most bytes of a stretch's payload: its front 32.
+    pub(super) fn stretch_bytes_max(&self) -> usize {
+        self.n_groups() * self.part_bytes_max() + 32
+    }
+}

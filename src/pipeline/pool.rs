@@ -1,0 +1,207 @@
+//! The resampler threads. A group of channels is an object that one worker at a time holds: ownership
+//! is handed on through channels, so nothing is locked and nobody waits for a group.
+//!
+//! A group is woken when a stretch closes and when one of its buffers comes back. Whoever takes the
+//! wake picks the group up from its station, works off all it can, and puts it back; whoever finds the
+//! station empty leaves it to the holder, who looks again after putting it back.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread::JoinHandle,
+};
+
+use crossbeam_channel::{Receiver, Sender, bounded};
+use mocapd_take::stretch::Span;
+
+use super::{
+    Counts, Progress,
+    group::{Group, Part},
+    plan::Plan,
+};
+use crate::threads;
+
+/// A closed stretch.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct StretchEnd {
+    pub(super) span: Span,
+    /// Channels that have rows in it: the first so many slots.
+    pub(super) n_channels: usize,
+    /// No other follows.
+    pub(super) last: bool,
+}
+
+/// What a group is told: the time line's group also gets the counters as they were.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Job {
+    pub(super) stretch: u64,
+    pub(super) end: StretchEnd,
+    pub(super) counts: Option<Counts>,
+}
+
+/// Where a group waits for work.
+#[derive(Debug)]
+struct Station {
+    park: Sender<Group>,
+    unpark: Receiver<Group>,
+    jobs: Receiver<Job>,
+    buffers: Receiver<Vec<u8>>,
+    /// A wake for this group is in the queue.
+    woken: AtomicBool,
+}
+
+impl Station {
+    fn has_work(&self) -> bool {
+        !self.jobs.is_empty() && !self.buffers.is_empty()
+    }
+}
+
+/// Wakes groups. At most one wake a group is queued, so the queue has room for one a group.
+#[derive(Debug, Clone)]
+pub(super) struct Wakes {
+    stations: Arc<[Station]>,
+    queue: Sender<Option<usize>>,
+}
+
+impl Wakes {
+    pub(super) fn wake(&self, group: usize) {
+        if !self.stations[group].woken.swap(true, Ordering::AcqRel) {
+            // Disconnected only after the workers were stopped, when nobody needs waking.
+            self.queue.try_send(Some(group)).ok();
+        }
+    }
+}
+
+/// The reader's way to the pool.
+#[derive(Debug)]
+pub(super) struct Feed {
+    /// One a group; the last is the time line's.
+    jobs: Vec<Sender<Job>>,
+    wakes: Wakes,
+    plan: Plan,
+    next_stretch: u64,
+}
+
+impl Feed {
+    /// Number of the stretch that is open.
+    pub(super) fn next_stretch(&self) -> u64 {
+        self.next_stretch
+    }
+
+    /// Tells every group with active channels, and the time line's. `false` when a queue was full,
+    /// which its bound rules out while the workers live.
+    pub(super) fn end_stretch(&mut self, end: StretchEnd, counts: Counts) -> bool {
+        let stretch = self.next_stretch;
+        self.next_stretch += 1;
+        let timeline = self.jobs.len() - 1;
+        let active = self.plan.groups_of(end.n_channels);
+        let mut all_sent = true;
+        for group in (0..active).chain([timeline]) {
+            let counts = (group == timeline).then_some(counts);
+            all_sent &= self.jobs[group].try_send(Job { stretch, end, counts }).is_ok();
+            self.wakes.wake(group);
+        }
+        all_sent
+    }
+}
+
+/// The threads.
+#[derive(Debug)]
+pub(super) struct Pool {
+    workers: Vec<JoinHandle<()>>,
+    wakes: Wakes,
+    jobs: Vec<Sender<Job>>,
+    plan: Plan,
+}
+
+impl Pool {
+    pub(super) fn start(
+        plan: &Plan,
+        groups: Vec<Group>,
+        parts: &Sender<Part>,
+        progress: &Arc<Progress>,
+    ) -> anyhow::Result<Self> {
+        let n_groups = groups.len();
+        let mut jobs = Vec::with_capacity(n_groups);
+        let mut stations = Vec::with_capacity(n_groups);
+        for mut group in groups {
+            let (job_in, job_out) = bounded(plan.spans_max());
+            let (park, unpark) = bounded(1);
+            let buffers = group.connect(job_out.clone(), parts.clone());
+            drop(park.send(group));
+            stations.push(Station {
+                park,
+                unpark,
+                jobs: job_out,
+                buffers,
+                woken: AtomicBool::new(false),
+            });
+            jobs.push(job_in);
+        }
+        // One wake a group, and one stop a worker.
+        let (queue, wakes_out) = bounded(n_groups + plan.workers);
+        let wakes = Wakes { stations: stations.into(), queue };
+        let mut workers = Vec::with_capacity(plan.workers);
+        for index in 0..plan.workers {
+            let (stations, queue) = (Arc::clone(&wakes.stations), wakes_out.clone());
+            let guard = FailOnPanic(Arc::clone(progress));
+            workers.push(threads::spawn(&format!("mocapd-work-{index}"), move || {
+                work(&stations, &queue);
+                drop(guard);
+            })?);
+        }
+        Ok(Self { workers, wakes, jobs, plan: plan.clone() })
+    }
+
+    pub(super) fn feed(&self) -> Feed {
+        Feed {
+            jobs: self.jobs.clone(),
+            wakes: self.wakes.clone(),
+            plan: self.plan.clone(),
+            next_stretch: 0,
+        }
+    }
+
+    pub(super) fn wakes(&self) -> Wakes {
+        self.wakes.clone()
+    }
+
+    /// Ends the workers. What they were told before is done first.
+    pub(super) fn stop(self) {
+        for _ in &self.workers {
+            self.wakes.queue.send(None).ok();
+        }
+        for worker in self.workers {
+            // A panic was already seen through `Progress::failed`.
+            drop(worker.join());
+        }
+    }
+}
+
+fn work(stations: &[Station], queue: &Receiver<Option<usize>>) {
+    while let Ok(Some(index)) = queue.recv() {
+        let station = &stations[index];
+        station.woken.store(false, Ordering::Release);
+        while let Ok(mut group) = station.unpark.try_recv() {
+            group.work_off();
+            drop(station.park.try_send(group));
+            if !station.has_work() {
+                break;
+            }
+        }
+    }
+}
+
+/// A worker that panics took a group with it: the recording cannot go on as if nothing happened.
+#[derive(Debug)]
+struct FailOnPanic(Arc<Progress>);
+
+impl Drop for FailOnPanic {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.0.failed.store(true, Ordering::Relaxed);
+        }
+    }
+}

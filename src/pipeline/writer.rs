@@ -1,0 +1,277 @@
+//! The writer thread: parts become stretches, stretches go to disk.
+
+mod assembly;
+
+use std::{
+    fs::File,
+    io::{self, Write},
+    sync::{Arc, atomic::Ordering},
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context, anyhow, bail};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
+use mocapd_take::{
+    TakeWriter,
+    record::{Channel, Event, Ledger},
+    stretch::put_front,
+};
+
+use self::assembly::Assemblies;
+use super::{
+    Counts, Progress,
+    group::{Part, PartReport},
+    plan::Plan,
+    pool::Wakes,
+};
+
+/// What a take is written to.
+pub trait TakeOutput: Write + Send + 'static {
+    /// Makes everything written so far survive a power cut.
+    ///
+    /// # Errors
+    /// The device's.
+    fn sync(&mut self) -> io::Result<()>;
+}
+
+impl TakeOutput for File {
+    fn sync(&mut self) -> io::Result<()> {
+        self.sync_data()
+    }
+}
+
+impl TakeOutput for Vec<u8> {
+    fn sync(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl TakeOutput for io::Sink {
+    fn sync(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// What the reader tells the writer beside the samples.
+#[derive(Debug)]
+pub(super) enum Control {
+    Channel(NewChannel),
+    Event(Event),
+}
+
+/// A marker that appeared.
+#[derive(Debug)]
+pub(super) struct NewChannel {
+    /// The first stretch that may hold it.
+    pub(super) stretch: u64,
+    pub(super) slot: usize,
+    pub(super) marker_id: u16,
+    /// Label, and whether the device knows the marker; without one it is named by its slot.
+    pub(super) named: Option<(String, bool)>,
+}
+
+impl NewChannel {
+    fn into_channel(self) -> Channel {
+        let (label, labelled) = self.named.unwrap_or_default();
+        let label = if label.is_empty() { format!("u{:03}", self.slot + 1) } else { label };
+        Channel { marker_id: self.marker_id, label, labelled }
+    }
+}
+
+/// What was written in the end.
+#[derive(Debug, Clone, Default)]
+pub struct Written {
+    /// The ledger as it stands in the take.
+    pub ledger: Ledger,
+    /// Bytes of the file.
+    pub file_bytes: u64,
+    /// Samples in it.
+    pub samples: u64,
+    /// Of these, kept ones.
+    pub kept: u64,
+    /// The largest error that an encoder measured, in millimetres.
+    pub max_error_mm: f64,
+    /// Blocks that had to be coded again, tighter.
+    pub recoded: u64,
+}
+
+/// Time between two ledgers in a growing take.
+const LEDGER_EVERY: Duration = Duration::from_secs(5);
+
+/// How long to wait for parts after a worker failed.
+const GIVE_UP_AFTER: Duration = Duration::from_secs(2);
+
+/// Owns the take file.
+#[derive(Debug)]
+pub(super) struct Writer<W> {
+    take: TakeWriter<W>,
+    parts: Receiver<Part>,
+    control: Receiver<Control>,
+    /// Read from `control`, but its stretch is not written yet.
+    held: Option<Control>,
+    buffers_back: Vec<Sender<Vec<u8>>>,
+    wakes: Wakes,
+    progress: Arc<Progress>,
+    assemblies: Assemblies,
+    payload: Vec<u8>,
+    report: PartReport,
+    counts: Counts,
+    sync_every: Duration,
+    last_sync: Option<Instant>,
+    last_ledger: Option<Instant>,
+}
+
+impl<W: TakeOutput> Writer<W> {
+    pub(super) fn new(
+        take: TakeWriter<W>,
+        plan: &Plan,
+        parts: Receiver<Part>,
+        control: Receiver<Control>,
+        buffers_back: Vec<Sender<Vec<u8>>>,
+        wakes: Wakes,
+        progress: &Arc<Progress>,
+    ) -> Self {
+        Self {
+            take,
+            parts,
+            control,
+            held: None,
+            buffers_back,
+            wakes,
+            progress: Arc::clone(progress),
+            assemblies: Assemblies::new(plan),
+            payload: Vec::with_capacity(plan.stretch_bytes_max()),
+            report: PartReport::default(),
+            counts: Counts::default(),
+            sync_every: plan.sync_every,
+            last_sync: None,
+            last_ledger: None,
+        }
+    }
+
+    /// Writes until the last stretch. After an error the parts are still taken, so that the reader
+    /// and the workers come to their end; what was written before stays.
+    pub(super) fn run(mut self) -> anyhow::Result<(Written, W)> {
+        let mut error = None;
+        let mut silent_since = Instant::now();
+        loop {
+            match self.parts.recv_timeout(self.sync_every.min(GIVE_UP_AFTER)) {
+                Ok(part) => {
+                    silent_since = Instant::now();
+                    self.assemblies.add(part);
+                }
+                Err(RecvTimeoutError::Timeout) => {
+                    let failed = self.progress.failed.load(Ordering::Relaxed);
+                    if failed && silent_since.elapsed() > GIVE_UP_AFTER {
+                        return Err(error.unwrap_or_else(|| anyhow!("a resampler thread failed")));
+                    }
+                }
+                Err(RecvTimeoutError::Disconnected) => bail!("the resampler threads are gone"),
+            }
+            while let Some(last) = self.assemblies.front_last() {
+                if error.is_none() {
+                    error = self.write_front().err();
+                    if error.is_some() {
+                        self.progress.failed.store(true, Ordering::Relaxed);
+                    }
+                }
+                self.give_back();
+                if last {
+                    return error.map_or_else(|| self.finish(), Err);
+                }
+            }
+        }
+    }
+
+    fn write_front(&mut self) -> anyhow::Result<()> {
+        let Some(front) = self.assemblies.front() else { return Ok(()) };
+        let Some((timeline, blocks)) = front.parts() else { return Ok(()) };
+        let span = front.end.span;
+        self.payload.clear();
+        put_front(span, &[], &mut self.payload);
+        for part in blocks {
+            self.payload.extend_from_slice(&part.bytes);
+            self.report.add(&part.report);
+        }
+        self.counts = timeline.counts.unwrap_or(self.counts);
+        write_control(&mut self.take, &self.control, &mut self.held, front.stretch)?;
+        if !timeline.bytes.is_empty() {
+            self.take.timeline(&timeline.bytes).context("cannot write the time line")?;
+            self.take.extend_rows(span.first_row);
+        }
+        if span.n_rows > 0 && front.end.n_channels > 0 {
+            self.take.stretch(span, &self.payload).context("cannot write a stretch")?;
+        }
+        if !front.end.last {
+            self.write_ledger_and_sync()?;
+        }
+        self.progress.file_bytes.store(self.take.bytes(), Ordering::Relaxed);
+        self.progress.samples.store(self.report.samples, Ordering::Relaxed);
+        Ok(())
+    }
+
+    fn write_ledger_and_sync(&mut self) -> anyhow::Result<()> {
+        if self.last_ledger.is_none_or(|last| last.elapsed() >= LEDGER_EVERY) {
+            self.take.ledger(&self.counts.ledger(false)).context("cannot write the ledger")?;
+            self.last_ledger = Some(Instant::now());
+        }
+        if self.last_sync.is_none_or(|last| last.elapsed() >= self.sync_every) {
+            self.take.get_mut().sync().context("cannot sync the take to disk")?;
+            self.last_sync = Some(Instant::now());
+        }
+        Ok(())
+    }
+
+    /// The front's buffers go back to their groups, which may have waited for them.
+    fn give_back(&mut self) {
+        let Self { assemblies, buffers_back, wakes, .. } = self;
+        assemblies.pop_front(|part| {
+            drop(buffers_back[part.group].try_send(part.bytes));
+            wakes.wake(part.group);
+        });
+    }
+
+    fn finish(self) -> anyhow::Result<(Written, W)> {
+        let mut ledger = self.counts.ledger(true);
+        if self.report.refused > 0 {
+            ledger.contradictions.push(format!(
+                "{} blocks were refused by the codec: this is a bug in mocapd",
+                self.report.refused
+            ));
+        }
+        let closing = "cannot close the take";
+        let mut output = self.take.finish(&ledger).context(closing)?;
+        output.0.sync().context(closing)?;
+        let written = Written {
+            ledger,
+            file_bytes: output.1,
+            samples: self.report.samples,
+            kept: self.report.kept,
+            max_error_mm: self.report.max_error_mm,
+            recoded: self.report.recoded,
+        };
+        Ok((written, output.0))
+    }
+}
+
+/// What must stand in the take before stretch `stretch`, and every event so far.
+fn write_control<W: Write>(
+    take: &mut TakeWriter<W>,
+    control: &Receiver<Control>,
+    held: &mut Option<Control>,
+    stretch: u64,
+) -> anyhow::Result<()> {
+    while let Some(message) = held.take().or_else(|| control.try_recv().ok()) {
+        match message {
+            Control::Channel(new) if new.stretch > stretch => {
+                *held = Some(Control::Channel(new));
+                return Ok(());
+            }
+            Control::Channel(new) => {
+                take.channels(&[new.into_channel()]).context("cannot write a new channel")?;
+            }
+            Control::Event(event) => take.event(&event).context("cannot write an event")?,
+        }
+    }
+    Ok(())
+}

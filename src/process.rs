@@ -1,0 +1,40 @@
+//! What a process has used so far, as the kernel accounts for it.
+
+use std::fs;
+
+/// Processor time and memory of one process.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Usage {
+    /// Processor time in user and kernel mode, in seconds.
+    pub cpu_s: f64,
+    /// The most memory that was resident at once, in bytes.
+    pub peak_memory_bytes: u64,
+}
+
+/// Of a process by its id, or of this one; `None` where /proc does not tell.
+#[must_use]
+pub fn usage(pid: Option<u32>) -> Option<Usage> {
+    let folder = pid.map_or("/proc/self".to_owned(), |pid| format!("/proc/{pid}"));
+    let stat = fs::read_to_string(format!("{folder}/stat")).ok()?;
+    // The name, in brackets, may hold anything: fields are counted behind it.
+    let fields: Vec<_> = stat.rsplit_once(')')?.1.split_whitespace().collect();
+    let ticks = fields.get(11)?.parse::<u64>().ok()? + fields.get(12)?.parse::<u64>().ok()?;
+    let status = fs::read_to_string(format!("{folder}/status")).ok()?;
+    let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kib: u64 = peak.trim().trim_end_matches("kB").trim().parse().ok()?;
+    let ticks_per_s = rustix::param::clock_ticks_per_second() as f64;
+    Some(Usage { cpu_s: ticks as f64 / ticks_per_s, peak_memory_bytes: kib * 1024 })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn this_process_has_used_something() {
+        let usage = usage(None).unwrap();
+        assert!(usage.peak_memory_bytes > 100_000, "{usage:?}");
+        assert!(usage.cpu_s < 1e6);
+        assert_eq!(super::usage(Some(u32::MAX)), None);
+    }
+}

@@ -1,0 +1,100 @@
+//! One recording: a rig, a pipeline, a take.
+
+use std::{
+    path::Path,
+    sync::{Arc, atomic::AtomicBool},
+    time::Duration,
+};
+
+use anyhow::bail;
+use mocapd_codec::Settings;
+
+use crate::{
+    files, header,
+    pipeline::{Pipeline, Progress, Written},
+    rig::{Ending, ReadOptions, Recording, Rig},
+};
+
+/// What to record, and how to tell people.
+#[expect(missing_debug_implementations, reason = "closures have none")]
+pub struct RecordOptions<'a> {
+    /// The take to write. It has its final name from the first byte.
+    pub take: &'a Path,
+    /// Resampler and tolerance.
+    pub codec: Settings,
+    /// Stop after so long; `None` for a replay's end or `stop`.
+    pub length: Option<Duration>,
+    /// Set by Ctrl-C.
+    pub stop: &'a AtomicBool,
+    /// Told, in words, what people should know while it runs.
+    pub say: &'a dyn Fn(&str),
+    /// Told once the pipeline runs: counters to watch.
+    pub started: &'a mut dyn FnMut(&Arc<Progress>),
+}
+
+/// What came of it.
+#[derive(Debug)]
+pub struct Recorded {
+    /// What is on disk.
+    pub written: Written,
+    /// What the reader saw.
+    pub recording: Recording,
+    /// Rows a second.
+    pub rate_hz: f64,
+    /// Markers announced at the start.
+    pub markers: usize,
+}
+
+/// Records until the device ends, the time is up, or `stop`.
+///
+/// # Errors
+/// When nothing was recorded (no take is left behind then), or the take could not be written to its end.
+pub fn record(rig: Rig, options: RecordOptions<'_>) -> anyhow::Result<Recorded> {
+    let config = rig.pipeline_config(options.codec);
+    let mut header = header::new(&options.codec, config.rate_hz)?;
+    header.up_axis = rig.hello().up_axis.min(3);
+    header.device = Some(rig.device_record());
+    header.channels.clone_from(&config.channels);
+    header.stretch_rows = (config.stretch.as_secs_f64() * config.rate_hz) as u32;
+    let (rate_hz, markers) = (config.rate_hz, config.channels.len());
+
+    let file = files::create_new(options.take)?;
+    let outcome = Pipeline::start(&config, &header, file).and_then(|(intake, pipeline)| {
+        (options.started)(pipeline.progress());
+        let rows_max = options.length.map(|length| (length.as_secs_f64() * rate_hz).ceil() as u64);
+        let read = ReadOptions { stop: options.stop, rows_max, say: options.say };
+        let recording = rig.read(intake, &read);
+        Ok((recording, pipeline.finish()))
+    });
+    let nothing_recorded = || {
+        // Only the header was written: an empty take helps nobody.
+        std::fs::remove_file(options.take).ok();
+    };
+    match outcome {
+        Err(error) => {
+            nothing_recorded();
+            Err(error)
+        }
+        Ok((Err(error), written)) => {
+            if written.is_ok_and(|(written, _)| written.ledger.recorded == 0) {
+                nothing_recorded();
+            }
+            Err(error)
+        }
+        Ok((Ok(_), Err(error))) => Err(error.context(format!(
+            "the take {} ends early; what is in it can be read",
+            options.take.display()
+        ))),
+        Ok((Ok(recording), Ok((written, _)))) => {
+            if written.ledger.recorded == 0 {
+                nothing_recorded();
+                let why = match recording.ending {
+                    Ending::Disconnected => "the device went away before its first frame",
+                    _ => "the device sent no frame: check that it is capturing",
+                };
+                bail!("nothing was recorded: {why}");
+            }
+            Ok(Recorded { written, recording, rate_hz, markers })
+        }
+    }
+}

@@ -1,0 +1,80 @@
+//! A histogram of short times that never allocates: eight buckets an octave.
+
+/// Buckets an octave: a quantile is right to 9 %.
+const PER_OCTAVE: u32 = 8;
+const N_BUCKETS: usize = 64 * PER_OCTAVE as usize;
+
+/// Times in nanoseconds.
+#[derive(Debug, Clone)]
+pub struct Latency {
+    buckets: Box<[u64; N_BUCKETS]>,
+    n: u64,
+    max_ns: u64,
+}
+
+impl Default for Latency {
+    fn default() -> Self {
+        Self { buckets: Box::new([0; N_BUCKETS]), n: 0, max_ns: 0 }
+    }
+}
+
+impl Latency {
+    /// Counts one time.
+    pub fn add(&mut self, ns: u64) {
+        self.buckets[bucket(ns)] += 1;
+        self.n += 1;
+        self.max_ns = self.max_ns.max(ns);
+    }
+
+    /// The longest.
+    #[must_use]
+    pub fn max_ns(&self) -> u64 {
+        self.max_ns
+    }
+
+    /// The time that the fraction `q` (0 to 1) stays within, rounded up to its bucket's end.
+    #[must_use]
+    pub fn quantile_ns(&self, q: f64) -> u64 {
+        let wanted = (q * self.n as f64).ceil() as u64;
+        let mut seen = 0;
+        for (index, count) in self.buckets.iter().enumerate() {
+            seen += count;
+            if seen >= wanted && *count > 0 {
+                return bucket_end(index).min(self.max_ns);
+            }
+        }
+        self.max_ns
+    }
+}
+
+/// Eight equal parts of the octave that `ns` lies in.
+fn bucket(ns: u64) -> usize {
+    let octave = ns.max(1).ilog2();
+    let part = if octave >= 3 { (ns >> (octave - 3)) & 7 } else { (ns << (3 - octave)) & 7 };
+    (octave * PER_OCTAVE) as usize + part as usize
+}
+
+fn bucket_end(index: usize) -> u64 {
+    let (octave, part) = (index as u32 / PER_OCTAVE, index as u64 % u64::from(PER_OCTAVE));
+    (((u128::from(part) + 9) << octave) >> 3).min(u128::from(u64::MAX)) as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_right_to_a_bucket() {
+        let mut latency = Latency::default();
+        for ns in 1..=10_000 {
+            latency.add(ns);
+        }
+        for (q, expected) in [(0.5, 5_000.0), (0.99, 9_900.0), (1.0, 10_000.0)] {
+            let got = latency.quantile_ns(q) as f64;
+            assert!(got >= expected && got < expected * 1.13, "{q}: {got}");
+        }
+        assert_eq!(Latency::default().quantile_ns(0.99), 0);
+        latency.add(u64::MAX);
+        assert_eq!(latency.quantile_ns(1.0), u64::MAX);
+    }
+}

@@ -1,0 +1,190 @@
+//! One device: opened, identified, started, read, stopped.
+
+mod identify;
+mod latency;
+mod reader;
+
+use std::time::Duration;
+
+use anyhow::{Context, bail, ensure};
+use mocapd_codec::Settings;
+use mocapd_drivers::{
+    device::{Command, DeviceEvent, Hello, LinkBudget, MarkerInfo, Protocol},
+    registry,
+    transport::{Transport, TransportError},
+    uri::DeviceUri,
+};
+use mocapd_take::record::{Channel, Device};
+use rustix::time::{ClockId, clock_gettime};
+
+pub use latency::Latency;
+pub use reader::{Ending, ReadOptions, Recording};
+
+use crate::pipeline::PipelineConfig;
+
+/// The host's monotonic clock, in nanoseconds: the one a simulator on the same machine reads, too.
+#[must_use]
+pub fn monotonic_ns() -> u64 {
+    let now = clock_gettime(ClockId::Monotonic);
+    now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
+}
+
+/// How much is read from a device at once: more than a pty or a USB serial driver gives.
+const READ_BYTES: usize = 64 << 10;
+
+/// How long a device may take to answer a command.
+const ANSWER_WITHIN: Duration = Duration::from_secs(1);
+
+/// How often a command is said before the device counts as mute.
+const TRIES: usize = 5;
+
+/// A device that said who it is.
+#[derive(Debug)]
+pub struct Rig {
+    uri: DeviceUri,
+    family: &'static str,
+    transport: Box<dyn Transport>,
+    protocol: Box<dyn Protocol>,
+    buffer: Vec<u8>,
+    outbox: Vec<u8>,
+    hello: Hello,
+    markers: Vec<MarkerInfo>,
+}
+
+impl Rig {
+    /// Opens a device and asks who it is.
+    ///
+    /// # Errors
+    /// Why it cannot be opened, or that it does not answer: one line that says what to do.
+    pub fn open(uri: &DeviceUri) -> anyhow::Result<Self> {
+        let opened = registry::open(uri)?;
+        Self::identify(uri.clone(), opened.family, opened.transport, opened.protocol)
+    }
+
+    /// Who it is.
+    #[must_use]
+    pub fn hello(&self) -> &Hello {
+        &self.hello
+    }
+
+    /// Its marker table.
+    #[must_use]
+    pub fn markers(&self) -> &[MarkerInfo] {
+        &self.markers
+    }
+
+    /// Its frame rate.
+    #[must_use]
+    pub fn rate_hz(&self) -> f64 {
+        f64::from(self.hello.rate_mhz) / 1000.0
+    }
+
+    /// The pipeline that suits it.
+    #[must_use]
+    pub fn pipeline_config(&self, codec: Settings) -> PipelineConfig {
+        let channels = self.markers.iter().enumerate().map(|(slot, marker)| Channel {
+            marker_id: marker.id,
+            label: if marker.label.is_empty() {
+                format!("u{:03}", slot + 1)
+            } else {
+                marker.label.clone()
+            },
+            labelled: marker.labelled,
+        });
+        PipelineConfig::new(codec, self.rate_hz(), self.hello.tick_hz, channels.collect())
+    }
+
+    /// What a take's header says of it.
+    #[must_use]
+    pub fn device_record(&self) -> Device {
+        Device {
+            driver: self.family.to_owned(),
+            uri: self.uri.to_string(),
+            model: self.hello.model.clone(),
+            serial: self.hello.serial.clone(),
+            firmware: self.hello.firmware.clone(),
+            tick_hz: self.hello.tick_hz,
+            low_latency: self.transport.describe().contains("low latency"),
+        }
+    }
+
+    /// Changes the frame rate before a start.
+    ///
+    /// # Errors
+    /// When the device refuses: the message says what it can do.
+    pub fn set_rate(&mut self, rate_hz: f64) -> anyhow::Result<()> {
+        let rate_mhz = (rate_hz * 1000.0).round();
+        ensure!((1.0..=4e9).contains(&rate_mhz), "cannot run a device at {rate_hz} Hz");
+        let answer = self.ask(Command::SetRate(rate_mhz as u32), |event| match event {
+            DeviceEvent::RateSet(set) => Some(Ok(set)),
+            DeviceEvent::Refused(budget) => Some(Err(budget)),
+            _ => None,
+        })?;
+        match answer {
+            Ok(set) => self.hello.rate_mhz = set,
+            Err(_) => bail!(
+                "the device refuses {rate_hz} Hz: it runs at {} to {} Hz",
+                f64::from(self.hello.rate_min_mhz) / 1000.0,
+                f64::from(self.hello.rate_max_mhz) / 1000.0
+            ),
+        }
+        Ok(())
+    }
+
+    /// Sends a command until `answer` finds its answer in what the device says.
+    fn ask<T>(
+        &mut self,
+        command: Command,
+        mut answer: impl FnMut(DeviceEvent<'_>) -> Option<T>,
+    ) -> anyhow::Result<T> {
+        for _ in 0..TRIES {
+            self.say(command)?;
+            let asked_ns = monotonic_ns();
+            while monotonic_ns() - asked_ns < ANSWER_WITHIN.as_nanos() as u64 {
+                let n = self.transport.read(&mut self.buffer).context("reading from the device")?;
+                let mut found = None;
+                self.protocol.push(&self.buffer[..n], &mut |event| {
+                    found = found.take().or_else(|| answer(event));
+                });
+                if let Some(found) = found {
+                    return Ok(found);
+                }
+            }
+        }
+        let counters = self.protocol.counters();
+        if counters.messages == 0 && counters.bytes > 0 {
+            bail!(
+                "{} sends bytes that the driver {} does not understand: check the baud rate, \
+                 or name the driver with ?driver=NAME",
+                self.uri,
+                self.family
+            );
+        }
+        bail!(
+            "{} does not answer: check that it is switched on, that the cable is the data one, and the baud rate",
+            self.uri
+        )
+    }
+
+    fn say(&mut self, command: Command) -> Result<(), TransportError> {
+        self.outbox.clear();
+        self.protocol.command(command, &mut self.outbox);
+        self.transport.write_all(&self.outbox)
+    }
+}
+
+/// Why a device that refused to start did so, and what to type.
+fn refusal(budget: LinkBudget, hello: &Hello) -> String {
+    let fits_hz = f64::from(budget.rate_fits_mhz) / 1000.0;
+    let advice = if budget.rate_fits_mhz >= hello.rate_min_mhz {
+        format!("record with --rate {fits_hz}, or raise the baud rate on both ends")
+    } else {
+        "raise the baud rate on both ends, or use USB".to_owned()
+    };
+    format!(
+        "the line is too slow for {} Hz: the frames need {} bytes a second and it carries {}; {advice}",
+        f64::from(hello.rate_mhz) / 1000.0,
+        budget.needed_bytes_per_s,
+        budget.available_bytes_per_s
+    )
+}

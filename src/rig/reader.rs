@@ -1,0 +1,205 @@
+//! The reader: from Start to the end of the stream, every byte into the protocol, every frame into the rings.
+
+use std::{
+    sync::atomic::{AtomicBool, Ordering},
+    time::Duration,
+};
+
+use anyhow::{anyhow, bail};
+use mocapd_drivers::{
+    device::{Command, DeviceEvent, LinkBudget},
+    transport::TransportError,
+};
+use mocapd_take::record::{Event, EventKind};
+
+use super::{ANSWER_WITHIN, Latency, Rig, TRIES, monotonic_ns, refusal};
+use crate::pipeline::{Counts, Intake};
+
+/// How long a device may send nothing before somebody is told.
+const SILENCE: Duration = Duration::from_secs(3);
+
+/// How long to wait for the end of the stream after Stop.
+const STOP_WITHIN: Duration = Duration::from_secs(2);
+
+/// When to stop, and what to tell.
+#[expect(missing_debug_implementations, reason = "a closure has none")]
+pub struct ReadOptions<'a> {
+    /// Set by Ctrl-C.
+    pub stop: &'a AtomicBool,
+    /// Stop after so many rows.
+    pub rows_max: Option<u64>,
+    /// Told, in words, what people should know while it runs.
+    pub say: &'a dyn Fn(&str),
+}
+
+/// Why the reading ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ending {
+    /// The device had no more frames: a replay's end.
+    EndOfStream,
+    /// Ctrl-C, or the time was up.
+    Stopped,
+    /// The device is gone.
+    Disconnected,
+    /// The take can no longer be written.
+    WriterFailed,
+}
+
+/// What the reader saw.
+#[derive(Debug, Clone)]
+pub struct Recording {
+    /// Why it ended.
+    pub ending: Ending,
+    /// The counters.
+    pub counts: Counts,
+    /// From the read that brought a frame's last byte to the frame's place in every ring.
+    pub ring_latency: Latency,
+    /// From exposure by the device's clock to arrival, above the quickest frame: what line, system and
+    /// simulator add unevenly.
+    pub arrival_jitter_us: f64,
+}
+
+impl Rig {
+    /// Starts the device and reads it to the end. The intake is finished in every case.
+    ///
+    /// # Errors
+    /// When the device refuses to start or does not answer. A device that goes away is an [`Ending`].
+    pub fn read(mut self, mut intake: Intake, options: &ReadOptions<'_>) -> anyhow::Result<Recording> {
+        let mut reader = Reader { intake: &mut intake, latency: Latency::default(), end: None, started: None };
+        let outcome = self.read_frames(&mut reader, options);
+        let latency = reader.latency;
+        if matches!(outcome, Ok(Ending::Disconnected)) {
+            intake.event(host_event("the device was disconnected"));
+        }
+        intake.link(self.protocol.counters());
+        let counts = intake.finish();
+        let arrival_jitter_us = counts.clock.map_or(0.0, |clock| clock.residual_us);
+        Ok(Recording { ending: outcome?, counts, ring_latency: latency, arrival_jitter_us })
+    }
+
+    fn read_frames(
+        &mut self,
+        reader: &mut Reader<'_>,
+        options: &ReadOptions<'_>,
+    ) -> anyhow::Result<Ending> {
+        self.start(reader)?;
+        let mut last_frame_ns = monotonic_ns();
+        let mut told_silent = false;
+        let mut stop_said_ns = None;
+        loop {
+            let frames_before = reader.intake.counts_recorded();
+            match self.pump(reader) {
+                Ok(()) => {}
+                Err(TransportError::Disconnected { .. }) => return Ok(Ending::Disconnected),
+                Err(error) => return Err(anyhow!(error).context("reading from the device")),
+            }
+            let now_ns = monotonic_ns();
+            if reader.intake.counts_recorded() != frames_before {
+                last_frame_ns = now_ns;
+                told_silent = false;
+            } else if !told_silent && now_ns - last_frame_ns > SILENCE.as_nanos() as u64 {
+                (options.say)("no frame for 3 s: is the device capturing? Still waiting; Ctrl-C finishes the take");
+                told_silent = true;
+            }
+            if reader.end.is_some() {
+                return Ok(if stop_said_ns.is_some() { Ending::Stopped } else { Ending::EndOfStream });
+            }
+            if reader.intake.has_failed() {
+                self.say(Command::Stop).ok();
+                return Ok(Ending::WriterFailed);
+            }
+            let time_is_up = options.rows_max.is_some_and(|max| reader.intake.next_row() >= max);
+            match stop_said_ns {
+                None if time_is_up || options.stop.load(Ordering::Relaxed) => {
+                    if self.say(Command::Stop).is_err() {
+                        return Ok(Ending::Disconnected);
+                    }
+                    stop_said_ns = Some(now_ns);
+                }
+                Some(said) if now_ns - said > STOP_WITHIN.as_nanos() as u64 => {
+                    (options.say)("the device does not confirm the stop: the take ends with its last frame");
+                    return Ok(Ending::Stopped);
+                }
+                _ => {}
+            }
+        }
+    }
+
+    fn start(&mut self, reader: &mut Reader<'_>) -> anyhow::Result<()> {
+        let line_bytes_per_s = self.transport.line_bytes_per_s().unwrap_or(0);
+        for _ in 0..TRIES {
+            self.say(Command::Start { line_bytes_per_s })?;
+            let asked_ns = monotonic_ns();
+            while monotonic_ns() - asked_ns < ANSWER_WITHIN.as_nanos() as u64 {
+                self.pump(reader)?;
+                match reader.started {
+                    Some(Ok(())) => return Ok(()),
+                    Some(Err(budget)) => bail!(refusal(budget, &self.hello)),
+                    None => {}
+                }
+            }
+        }
+        bail!("{} does not answer Start: switch it off and on again", self.uri)
+    }
+
+    /// One read, and everything it completes.
+    fn pump(&mut self, reader: &mut Reader<'_>) -> Result<(), TransportError> {
+        let n = self.transport.read(&mut self.buffer)?;
+        let arrival_ns = monotonic_ns();
+        self.protocol.push(&self.buffer[..n], &mut |event| reader.event(event, arrival_ns));
+        if n > 0 {
+            reader.intake.link(self.protocol.counters());
+        }
+        Ok(())
+    }
+}
+
+struct Reader<'a> {
+    intake: &'a mut Intake,
+    latency: Latency,
+    started: Option<Result<(), LinkBudget>>,
+    end: Option<()>,
+}
+
+impl Reader<'_> {
+    fn event(&mut self, event: DeviceEvent<'_>, arrival_ns: u64) {
+        match event {
+            DeviceEvent::Frame(frame) => {
+                self.intake.frame(&frame, arrival_ns);
+                self.latency.add(monotonic_ns().saturating_sub(arrival_ns));
+            }
+            DeviceEvent::Markers(markers) => self.intake.announce(markers),
+            DeviceEvent::Status(status) => self.intake.status(status, false),
+            DeviceEvent::EndOfStream(status) if self.started.is_some() => {
+                self.intake.status(status, true);
+                self.end = Some(());
+            }
+            DeviceEvent::Started(_) => self.started = Some(Ok(())),
+            DeviceEvent::Refused(budget) => self.started = Some(Err(budget)),
+            DeviceEvent::Trigger(trigger) => self.intake.event(Event {
+                kind: if trigger.kind == 0 { EventKind::Trigger } else { EventKind::SyncPulse },
+                row: 0,
+                device_ticks: trigger.device_ticks,
+                host_ns: arrival_ns,
+                input: trigger.input,
+                text: String::new(),
+            }),
+            // An answer to a command of the handshake that came late.
+            DeviceEvent::Hello(_)
+            | DeviceEvent::Pong(_)
+            | DeviceEvent::RateSet(_)
+            | DeviceEvent::EndOfStream(_) => {}
+        }
+    }
+}
+
+fn host_event(text: &str) -> Event {
+    Event {
+        kind: EventKind::Host,
+        row: 0,
+        device_ticks: 0,
+        host_ns: monotonic_ns(),
+        input: 0,
+        text: text.to_owned(),
+    }
+}

@@ -1,0 +1,35 @@
+//! Named threads, and panics that become errors.
+
+use std::thread::{Builder, JoinHandle};
+
+use anyhow::{Context, anyhow};
+
+/// Starts a named thread.
+///
+/// # Errors
+/// When the system refuses it.
+pub fn spawn<T: Send + 'static>(
+    name: &str,
+    work: impl FnOnce() -> T + Send + 'static,
+) -> anyhow::Result<JoinHandle<T>> {
+    Builder::new()
+        .name(name.to_owned())
+        .spawn(work)
+        .with_context(|| format!("cannot start the thread {name}"))
+}
+
+/// Waits for a thread.
+///
+/// # Errors
+/// When it panicked.
+pub fn join<T>(handle: JoinHandle<T>) -> anyhow::Result<T> {
+    let name = handle.thread().name().unwrap_or("?").to_owned();
+    handle.join().map_err(|_| anyhow!("the thread {name} panicked: this is a bug in mocapd"))
+}
+
+/// Worker threads when the user does not say: one a core, at most eight, since one core resamples
+/// more than any bus carries.
+#[must_use]
+pub fn default_workers() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from).min(8)
+}

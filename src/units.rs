@@ -1,0 +1,116 @@
+//! Values with units as people type them: `0.5mm`, `10s`, `240Hz`.
+
+use std::time::Duration;
+
+use mocapd_codec::Tolerance;
+
+/// Splits a number from its unit.
+fn split(text: &str) -> Result<(f64, &str), String> {
+    let text = text.trim();
+    // An exponent's `e` belongs to the number: the unit begins at the first letter that is not one.
+    let at = text
+        .char_indices()
+        .find(|&(i, c)| {
+            let digit_follows = text[i + c.len_utf8()..]
+                .starts_with(|next: char| next.is_ascii_digit() || next == '-' || next == '+');
+            !(c.is_ascii_digit() || "+-.".contains(c) || ((c == 'e' || c == 'E') && digit_follows))
+        })
+        .map_or(text.len(), |(i, _)| i);
+    let (number, unit) = text.split_at(at);
+    let value: f64 = number.parse().map_err(|_| format!("'{text}' does not begin with a number"))?;
+    if !value.is_finite() {
+        return Err(format!("'{text}' is not a finite number"));
+    }
+    Ok((value, unit.trim()))
+}
+
+/// `0.5mm`, `100um`, `2cm`, `0.001m`; a bare number is millimetres.
+///
+/// # Errors
+/// What is wrong and what to type; 0 is answered with `--lossless`.
+pub fn tolerance(text: &str) -> Result<Tolerance, String> {
+    let (value, unit) = split(text)?;
+    let mm = value
+        * match unit {
+            "mm" | "" => 1.0,
+            "um" | "µm" => 1e-3,
+            "cm" => 10.0,
+            "m" => 1000.0,
+            _ => return Err(format!("'{unit}' is no unit of length: use um, mm, cm or m")),
+        };
+    if mm == 0.0 {
+        return Err("a tolerance of 0 keeps every bit: use --lossless".into());
+    }
+    if mm < 0.0 {
+        return Err(format!("a tolerance cannot be negative ({text}): give a distance such as 0.5mm"));
+    }
+    Tolerance::from_mm(mm).map_err(|error| error.to_string())
+}
+
+/// `500ms`, `10s`, `2min`, `1h`; a bare number is seconds.
+///
+/// # Errors
+/// What is wrong and what to type.
+pub fn duration(text: &str) -> Result<Duration, String> {
+    let (value, unit) = split(text)?;
+    let seconds = value
+        * match unit {
+            "s" | "" => 1.0,
+            "ms" => 1e-3,
+            "min" | "m" => 60.0,
+            "h" => 3600.0,
+            _ => return Err(format!("'{unit}' is no unit of time: use ms, s, min or h")),
+        };
+    // A year is longer than any take; beyond it Duration's own limits come near.
+    if !(0.0..=3.2e7).contains(&seconds) {
+        return Err(format!("'{text}' is no length of a take: give something like 10s"));
+    }
+    Ok(Duration::from_secs_f64(seconds))
+}
+
+/// `240`, `240Hz`, `1kHz`; 1 to 10 000 Hz.
+///
+/// # Errors
+/// What is wrong and what to type.
+pub fn rate_hz(text: &str) -> Result<f64, String> {
+    let (value, unit) = split(text)?;
+    let hz = value
+        * match unit {
+            "Hz" | "hz" | "" => 1.0,
+            "kHz" | "khz" => 1000.0,
+            _ => return Err(format!("'{unit}' is no unit of rate: use Hz or kHz")),
+        };
+    if !(1.0..=10_000.0).contains(&hz) {
+        return Err(format!("{hz} Hz is no frame rate: use 1 to 10000"));
+    }
+    Ok(hz)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn units_are_understood() {
+        for (text, mm) in [("0.5mm", 0.5), ("0.5", 0.5), ("100 um", 0.1), ("2cm", 20.0), ("1e-3m", 1.0)] {
+            assert!((tolerance(text).unwrap().mm() - mm).abs() < 1e-12, "{text}");
+        }
+        assert_eq!(duration("1.5s").unwrap(), Duration::from_millis(1500));
+        assert_eq!(duration("2min").unwrap(), Duration::from_secs(120));
+        assert!((rate_hz("1kHz").unwrap() - 1000.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn nonsense_says_what_to_type() {
+        assert!(tolerance("0mm").unwrap_err().contains("--lossless"));
+        for text in ["-1mm", "nan", "inf", "1e999", "mm", "1 furlong", "1e-9mm", ""] {
+            assert!(tolerance(text).is_err(), "{text}");
+        }
+        for text in ["-1s", "1e9h", "soon"] {
+            assert!(duration(text).is_err(), "{text}");
+        }
+        for text in ["0", "-60", "1e6", "60fps"] {
+            assert!(rate_hz(text).is_err(), "{text}");
+        }
+    }
+}
