@@ -1,0 +1,49 @@
+//! The command line.
+
+mod serve;
+mod values;
+
+use clap::{Parser, Subcommand};
+
+/// A simulated motion-capture device: replays recorded or generated motion.
+#[derive(Debug, Parser)]
+#[command(name = "mocapd-sim", version, propagate_version = true)]
+pub(crate) struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Be the device, until Ctrl-C.
+    ///
+    /// Prints one line on stdout: the path for a host to open. It sends when the host says Start.
+    /// Exit codes: 0 done, 1 failed, 2 a value was refused.
+    Serve(Box<serve::ServeArgs>),
+}
+
+/// What ended the program, and the exit code that says so.
+#[derive(Debug)]
+pub(crate) struct Failure {
+    pub(crate) code: u8,
+    pub(crate) error: anyhow::Error,
+}
+
+impl Failure {
+    /// A value that was refused.
+    fn usage(error: impl Into<anyhow::Error>) -> Self {
+        Self { code: 2, error: error.into() }
+    }
+}
+
+impl<E: Into<anyhow::Error>> From<E> for Failure {
+    fn from(error: E) -> Self {
+        Self { code: 1, error: error.into() }
+    }
+}
+
+pub(crate) fn run(cli: &Cli) -> Result<(), Failure> {
+    match &cli.command {
+        Command::Serve(args) => serve::run(args),
+    }
+}

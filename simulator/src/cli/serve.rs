@@ -1,0 +1,190 @@
+//! `mocapd-sim serve`.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use anyhow::Context;
+use clap::{Args, ValueEnum};
+use mocapd_drivers::link::FrameForm;
+use mocapd_simulator::device::{Device, DeviceError, DeviceSettings, SentLog};
+use mocapd_simulator::generator::{JumpSpec, Occlusion};
+use mocapd_simulator::pty::{PtyError, PtyLine, ServeOptions, serve};
+use mocapd_simulator::source::{self, Generated, SourceError};
+use mocapd_take::motion::Motion;
+use signal_hook::consts::TERM_SIGNALS;
+
+use super::Failure;
+use super::values::{length_mm, seconds};
+
+/// The rate of a generated motion when none is given: the commonest of optical rigs.
+const GENERATED_RATE_HZ: f64 = 120.0;
+
+/// Mean length of generated gaps, seconds: a limb that passes in front of a marker.
+const MEAN_GAP_S: f64 = 0.2;
+
+#[derive(Debug, Args)]
+pub(super) struct ServeArgs {
+    /// The motion: a .take, .c3d, .trc, .tsv or .csv file.
+    #[arg(required_unless_present = "generate", conflicts_with = "generate")]
+    take: Option<PathBuf>,
+    /// Generate the motion: a standing long jump, `jump` or `jump:SEED`.
+    #[arg(long, value_name = "jump[:SEED]")]
+    generate: Option<Generated>,
+    /// Serve on a pty; with LINK, a stable symbolic link to it.
+    #[arg(long, value_name = "LINK", num_args = 0..=1, require_equals = true, required = true)]
+    pty: Option<Option<PathBuf>>,
+    /// Resample the motion to this rate, 1 to 10000 Hz.
+    #[arg(long, value_name = "HZ")]
+    rate: Option<f64>,
+    /// Play this many times faster; the device's rate grows with it.
+    #[arg(long, value_name = "X", default_value_t = 1.0)]
+    speed: f64,
+    /// Carry no more than a serial line of this speed, and refuse rates that do not fit.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(50..))]
+    baud: Option<u32>,
+    /// Begin again after the last frame, and never end.
+    #[arg(long = "loop")]
+    looping: bool,
+    /// How positions travel; by default f32, and compact when --baud is given.
+    #[arg(long, value_enum, value_name = "FORM")]
+    wire: Option<Wire>,
+    /// Write what became of every frame to a CSV file.
+    ///
+    /// Its columns: run, seq, `device_ticks`, present, dropped.
+    #[arg(long, value_name = "FILE")]
+    log: Option<PathBuf>,
+    /// Length of the generated motion (default: one jump); of a file, only its beginning.
+    #[arg(long, value_name = "N", value_parser = seconds)]
+    seconds: Option<f64>,
+    /// Number of generated markers.
+    #[arg(long, value_name = "N", conflicts_with = "take")]
+    markers: Option<usize>,
+    /// Noise of the generated samples on each axis, standard deviation [default: 0.05mm].
+    #[arg(long, value_name = "LENGTH", conflicts_with = "take", value_parser = length_mm)]
+    noise: Option<f64>,
+    /// Part of the generated samples that is hidden, 0 to 0.9.
+    #[arg(long, value_name = "PART", conflicts_with = "take")]
+    occlusion: Option<f64>,
+    /// Exit after one run, when the host has read everything.
+    #[arg(long, conflicts_with = "looping")]
+    once: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Wire {
+    /// Millimetres as f32, bit for bit.
+    F32,
+    /// Whole micrometres.
+    Um,
+    /// Whole micrometres, marker from marker: the fewest bytes.
+    Compact,
+}
+
+pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
+    // A second signal ends the program at once, should the first one not.
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in TERM_SIGNALS {
+        signal_hook::flag::register_conditional_shutdown(*signal, 130, Arc::clone(&stop))?;
+        signal_hook::flag::register(*signal, Arc::clone(&stop))?;
+    }
+    let motion = motion(args)?;
+    let mut device = Device::new(motion, settings(args)).map_err(refused)?;
+    for warning in device.warnings() {
+        say(warning);
+    }
+    let log: Option<Box<dyn Write + Send>> = match &args.log {
+        Some(path) => {
+            let file =
+                File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
+            Some(Box::new(BufWriter::new(file)))
+        }
+        None => None,
+    };
+    let line = PtyLine::open(args.pty.as_ref().and_then(Option::as_deref)).map_err(line_failure)?;
+    let hello = device.hello();
+    let hz = f64::from(hello.rate_mhz) / 1000.0;
+    say(&format!("{} markers at {hz} Hz, Ctrl-C ends", hello.markers_max));
+    let mut stdout = io::stdout();
+    writeln!(stdout, "{}", line.path().display())
+        .and_then(|()| stdout.flush())
+        .context("cannot print the path")?;
+    let options = ServeOptions { baud: args.baud, once: args.once, log };
+    let sent = serve(&line, &mut device, options, &stop)?;
+    say(&summary(&sent));
+    Ok(())
+}
+
+fn motion(args: &ServeArgs) -> Result<Motion, Failure> {
+    if let Some(Generated { seed }) = args.generate {
+        let rate_hz = args.rate.unwrap_or(GENERATED_RATE_HZ);
+        let mut spec = JumpSpec { seconds: args.seconds, ..JumpSpec::new(seed, rate_hz) };
+        spec.n_markers = args.markers.unwrap_or(spec.n_markers);
+        spec.noise_mm = args.noise.unwrap_or(spec.noise_mm);
+        spec.occlusion =
+            args.occlusion.map(|fraction| Occlusion { fraction, mean_gap_s: MEAN_GAP_S });
+        return Ok(spec.generate().map_err(Failure::usage)?.motion);
+    }
+    let path = args.take.as_deref().unwrap_or(Path::new(""));
+    let (mut motion, warnings) = source::read(path).map_err(|error| match error {
+        SourceError::Ending { .. } => Failure::usage(error),
+        _ => Failure::from(error),
+    })?;
+    for warning in warnings {
+        say(&format!("{}: {warning}", path.display()));
+    }
+    if let Some(seconds) = args.seconds {
+        source::keep_first(&mut motion, seconds);
+    }
+    Ok(motion)
+}
+
+fn settings(args: &ServeArgs) -> DeviceSettings {
+    let form = match (args.wire, args.baud) {
+        (Some(Wire::F32), _) | (None, None) => FrameForm::Float,
+        (Some(Wire::Um), _) => FrameForm::Micrometres,
+        (Some(Wire::Compact), _) | (None, Some(_)) => FrameForm::Compact,
+    };
+    DeviceSettings {
+        rate_hz: args.rate,
+        speed: args.speed,
+        looping: args.looping,
+        form,
+        line_bytes_per_s: args.baud.map_or(0, |baud| u64::from(baud) / 10),
+        ..DeviceSettings::default()
+    }
+}
+
+/// A value of the command line is a usage error, the content of a file is not.
+fn refused(error: DeviceError) -> Failure {
+    match error {
+        DeviceError::Rate { .. } | DeviceError::Speed { .. } | DeviceError::Product { .. } => {
+            Failure::usage(error)
+        }
+        _ => Failure::from(error),
+    }
+}
+
+fn line_failure(error: PtyError) -> Failure {
+    match error {
+        PtyError::LinkExists { .. } => Failure::usage(error),
+        _ => Failure::from(error),
+    }
+}
+
+fn summary(sent: &SentLog) -> String {
+    let SentLog { total, starts, frames_sent, bytes_sent, .. } = sent;
+    let undelivered = sent.frames_waiting + sent.frames_discarded;
+    format!(
+        "{starts} runs: {} frames produced, {frames_sent} sent in {bytes_sent} bytes, {} dropped by the full \
+         queue, {undelivered} never taken",
+        total.frames_produced, total.frames_dropped
+    )
+}
+
+/// A word on stderr. Nothing is lost when nobody reads it.
+fn say(text: &str) {
+    drop(writeln!(io::stderr(), "mocapd-sim: {text}"));
+}

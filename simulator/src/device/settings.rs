@@ -1,0 +1,99 @@
+//! What a simulated device is told, and why it may refuse to be one.
+
+use mocapd_drivers::link::FrameForm;
+
+/// The rates a simulated device runs at, in millihertz: 1 Hz to 10 kHz.
+pub const RATE_MHZ: std::ops::RangeInclusive<u32> = 1_000..=10_000_000;
+
+/// Ticks a second of the device's clock: one every 100 ns, an integer of nanoseconds.
+pub const TICK_HZ: u64 = 10_000_000;
+
+/// How the device plays its motion.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DeviceSettings {
+    /// Serial number it gives.
+    pub serial: String,
+    /// Resample to this rate, Hz; `None` for the recorded one.
+    pub rate_hz: Option<f64>,
+    /// Times faster than it was recorded, 0.001 to 1000, to the nearest 0.001. It multiplies the rate that
+    /// Hello gives.
+    pub speed: f64,
+    /// Begin again after the last frame, and never end.
+    pub looping: bool,
+    /// How positions travel.
+    pub form: FrameForm,
+    /// What the line carries in bytes a second; 0 when it is not limited.
+    pub line_bytes_per_s: u64,
+    /// Bytes of frames kept for a host that does not read; `None` for a second's worth, at most 4 MiB.
+    pub queue_bytes: Option<usize>,
+    /// Keep a [`SentFrame`](super::SentFrame) for every frame. Whoever asks for them takes them away.
+    pub log_frames: bool,
+}
+
+impl Default for DeviceSettings {
+    fn default() -> Self {
+        Self {
+            serial: "SIM0001".to_owned(),
+            rate_hz: None,
+            speed: 1.0,
+            looping: false,
+            form: FrameForm::Float,
+            line_bytes_per_s: 0,
+            queue_bytes: None,
+            log_frames: false,
+        }
+    }
+}
+
+/// Why a motion cannot be a device.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum DeviceError {
+    /// Nothing to send.
+    #[error("no markers: a device needs at least one, choose another file")]
+    NoMarkers,
+    /// Nothing to send.
+    #[error("no frames: the motion is empty, choose another file")]
+    NoFrames,
+    /// More than the link carries.
+    #[error("{found} markers are more than the link's {max}: choose a file with fewer")]
+    TooManyMarkers {
+        /// In the motion.
+        found: usize,
+        /// What the link's frames hold.
+        max: usize,
+    },
+    /// The motion's own rate makes no device.
+    #[error("the motion's rate is {found_hz} Hz, expected 1 to 10000: choose another file")]
+    MotionRate {
+        /// As the file has it.
+        found_hz: f64,
+    },
+    /// The rate that was asked for.
+    #[error("rate {found_hz} Hz is out of range: give 1 to 10000")]
+    Rate {
+        /// As it was given.
+        found_hz: f64,
+    },
+    /// The speed that was asked for.
+    #[error("speed {found} is out of range: give 0.001 to 1000")]
+    Speed {
+        /// As it was given.
+        found: f64,
+    },
+    /// Rate times speed.
+    #[error(
+        "{rate_hz} Hz at speed {speed} would be {product_hz} Hz, expected 1 to 10000: change the speed or give a rate"
+    )]
+    Product {
+        /// Before the speed.
+        rate_hz: f64,
+        /// The factor.
+        speed: f64,
+        /// The rate that the device would have.
+        product_hz: f64,
+    },
+    /// A text that the link cannot carry.
+    #[error(transparent)]
+    Encode(#[from] mocapd_drivers::link::EncodeError),
+}

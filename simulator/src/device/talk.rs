@@ -1,0 +1,132 @@
+//! Commands and their answers, as `docs/link-protocol.md` section 3 has them.
+
+use std::sync::Arc;
+
+use mocapd_drivers::device::{Command, LinkBudget, Pong};
+use mocapd_drivers::link::{DeviceLink, frame_bytes_in_volume, frame_bytes_max, link_budget};
+
+use super::{Device, RATE_MHZ, Run, SECOND_NS, SentCounters};
+use crate::replay::Replay;
+
+impl Device {
+    /// Queues the end of stream that is owed, as soon as there is room.
+    pub(super) fn say_end(&mut self) {
+        if let Some(status) = self.owed_end
+            && self.outbox.has_room(0)
+        {
+            self.owed_end = None;
+            self.end_said = true;
+            self.log.ends += 1;
+            let link = &mut self.link;
+            self.outbox.put(false, |out| link.end_of_stream(status, out));
+        }
+    }
+
+    /// Queues an answer, unless the host asks faster than it reads.
+    pub(super) fn answer(&mut self, write: impl FnOnce(&mut DeviceLink, &mut Vec<u8>)) {
+        if self.outbox.has_room(0) {
+            let link = &mut self.link;
+            self.outbox.put(false, |out| write(link, out));
+        } else {
+            self.log.answers_dropped += 1;
+        }
+    }
+
+    pub(super) fn obey(&mut self, command: Command, now_ns: u64) {
+        match command {
+            Command::Identify => self.identify(),
+            Command::Ping { host_ns } => {
+                let pong = Pong { host_ns, device_ticks: self.ticks(now_ns) };
+                self.answer(|link, out| link.pong(pong, out));
+            }
+            Command::SetRate(rate_mhz) => self.set_rate(rate_mhz),
+            Command::Start { line_bytes_per_s } => self.start(line_bytes_per_s, now_ns),
+            Command::Stop => {
+                // Frames that were due before the command are part of the run.
+                self.poll(now_ns);
+                self.end();
+                self.say_end();
+            }
+        }
+    }
+
+    /// After Hello a device is stopped, and what waited for another host is not for this one.
+    fn identify(&mut self) {
+        self.run = None;
+        self.owed_end = None;
+        self.end_said = false;
+        self.outbox.discard();
+        let hello = self.hello.clone();
+        let table = std::mem::take(&mut self.table);
+        self.answer(|link, out| {
+            // Both were written once when the device was made.
+            let said = link.hello(&hello, out).and_then(|()| link.markers(&table, out));
+            debug_assert!(said.is_ok());
+        });
+        self.table = table;
+    }
+
+    pub(super) fn end(&mut self) {
+        self.run = None;
+        self.owed_end = Some(self.status());
+    }
+
+    fn budget(&self, rate_mhz: u32, host_line_bytes_per_s: u64) -> LinkBudget {
+        let lines = [self.settings.line_bytes_per_s, host_line_bytes_per_s];
+        let line = lines.into_iter().filter(|line| *line > 0).min().unwrap_or(0);
+        let frame_bytes = frame_bytes_in_volume(self.settings.form, self.table.len());
+        link_budget(frame_bytes, rate_mhz, self.hello.rate_max_mhz, line)
+    }
+
+    fn start(&mut self, line_bytes_per_s: u64, now_ns: u64) {
+        let budget = self.budget(self.hello.rate_mhz, line_bytes_per_s);
+        if !budget.fits() {
+            self.log.refused += 1;
+            self.answer(|link, out| link.refused(budget, out));
+            return;
+        }
+        if !self.outbox.has_room(0) {
+            // Frames must not come without Started before them: the host says it again.
+            self.log.answers_dropped += 1;
+            return;
+        }
+        // Said again while it runs, Start changes nothing: the answer was lost, not the command.
+        if self.run.is_none() {
+            self.owed_end = None;
+            self.end_said = false;
+            self.log.starts += 1;
+            self.log.run = SentCounters::default();
+            self.run = Some(Run { start_ns: now_ns, status_ns: now_ns + SECOND_NS });
+        }
+        self.answer(|link, out| link.started(budget, out));
+    }
+
+    fn set_rate(&mut self, rate_mhz: u32) {
+        let mut budget = self.budget(rate_mhz, 0);
+        if self.run.is_some() {
+            budget.rate_fits_mhz = self.hello.rate_mhz;
+        }
+        if self.run.is_some() || !RATE_MHZ.contains(&rate_mhz) || !budget.fits() {
+            self.log.refused += 1;
+            self.answer(|link, out| link.refused(budget, out));
+            return;
+        }
+        self.adopt_rate(rate_mhz);
+        self.answer(|link, out| link.rate_set(rate_mhz, out));
+    }
+
+    pub(super) fn adopt_rate(&mut self, rate_mhz: u32) {
+        let motion = Arc::clone(self.replay.motion());
+        let recorded = u64::from(self.rates.recorded_mhz) * self.rates.speed_milli;
+        self.replay = if Some(rate_mhz) == self.rates.native_mhz {
+            Replay::native(motion)
+        } else {
+            Replay::resampled(Arc::clone(&motion), recorded, u64::from(rate_mhz) * 1000)
+                .unwrap_or_else(|| Replay::native(motion))
+        };
+        self.hello.rate_mhz = rate_mhz;
+        self.hello.n_frames = if self.settings.looping { 0 } else { self.replay.n_frames() };
+        let frame_bytes = frame_bytes_max(self.table.len());
+        self.outbox.resize(frame_bytes, rate_mhz, self.settings.queue_bytes);
+    }
+}

@@ -1,0 +1,188 @@
+//! A body of rigid segments: from a pose to the 15 sites.
+
+use super::geometry::{V3, add, cross, dot, norm, offset, scale, sin_cos, sub, unit};
+
+/// The sites of Shi et al. 2012, in the order of the first 15 columns.
+pub const SITES: [&str; 15] = [
+    "head",
+    "throat",
+    "pelvis",
+    "l_shoulder",
+    "l_elbow",
+    "l_wrist",
+    "r_shoulder",
+    "r_elbow",
+    "r_wrist",
+    "l_hip",
+    "l_knee",
+    "l_ankle",
+    "r_hip",
+    "r_knee",
+    "r_ankle",
+];
+
+/// Which sites are joined by a rigid bone, as indices into [`SITES`].
+pub const BONES: [(usize, usize); 14] = [
+    (2, 1),
+    (1, 0),
+    (1, 3),
+    (3, 4),
+    (4, 5),
+    (1, 6),
+    (6, 7),
+    (7, 8),
+    (2, 9),
+    (9, 10),
+    (10, 11),
+    (2, 12),
+    (12, 13),
+    (13, 14),
+];
+
+/// Segment lengths in metres.
+///
+/// Fractions of stature after Drillis and Contini 1966, as printed in Winter, "Biomechanics and Motor
+/// Control of Human Movement", 4th ed. 2009, fig. 4.1.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Body {
+    pub(super) stature: f64,
+    pub(super) thigh: f64,
+    pub(super) shank: f64,
+    pub(super) ankle_height: f64,
+    half_hips: f64,
+    half_shoulders: f64,
+    upper_arm: f64,
+    forearm: f64,
+    /// Hip line to the throat, which is taken half way between the shoulder line and the chin.
+    trunk: f64,
+    shoulder_drop: f64,
+    /// Throat to the middle of the head, at the height of the eyes.
+    head: f64,
+}
+
+/// One arm: angles in radians, 0 hanging, forward positive.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Arm {
+    pub(super) swing: f64,
+    pub(super) elbow: f64,
+    pub(super) abduction: f64,
+}
+
+/// What the body does at one time, in the room's axes.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Pose {
+    /// Middle of the hip line.
+    pub(super) pelvis: V3,
+    /// Cosine and sine of where the body faces, from +x towards +y.
+    pub(super) facing: [f64; 2],
+    /// Forward lean of the trunk and further nod of the head, radians.
+    pub(super) lean: f64,
+    pub(super) nod: f64,
+    /// Shoulder line against hip line about the vertical, radians.
+    pub(super) twist: f64,
+    /// Left, right.
+    pub(super) arms: [Arm; 2],
+    /// Left, right: where the ankles should be.
+    pub(super) ankles: [V3; 2],
+}
+
+impl Body {
+    pub(super) fn of_stature(stature: f64) -> Self {
+        let (shoulder_height, chin_height, eye_height, hip_height) = (0.818, 0.870, 0.936, 0.530);
+        let throat_height = 0.5 * (shoulder_height + chin_height);
+        Self {
+            stature,
+            thigh: 0.245 * stature,
+            shank: 0.246 * stature,
+            ankle_height: 0.039 * stature,
+            half_hips: 0.5 * 0.191 * stature,
+            half_shoulders: 0.129 * stature,
+            upper_arm: 0.186 * stature,
+            forearm: 0.146 * stature,
+            trunk: (throat_height - hip_height) * stature,
+            shoulder_drop: (throat_height - shoulder_height) * stature,
+            head: (eye_height - throat_height) * stature,
+        }
+    }
+
+    /// Hip to ankle with a straight knee.
+    pub(super) fn leg(&self) -> f64 {
+        self.thigh + self.shank
+    }
+
+    /// Half the distance between the hips, in metres.
+    pub(super) fn half_hips(&self) -> f64 {
+        self.half_hips
+    }
+
+    /// The 15 sites of a pose, in the order of [`SITES`], and the two lateral axes (hips, shoulders) to the left.
+    pub(super) fn place(&self, pose: &Pose) -> ([V3; 15], [V3; 2]) {
+        let [cos_yaw, sin_yaw] = pose.facing;
+        let up = [0.0, 0.0, 1.0];
+        let forward = [cos_yaw, sin_yaw, 0.0];
+        let left = cross(up, forward);
+        let lean = |angle: f64| {
+            let (s, c) = sin_cos(angle);
+            offset([0.0; 3], [forward, left, up], [s, 0.0, c])
+        };
+        let spine = lean(pose.lean);
+        // The chest turns about the spine, so that it stays square to it.
+        let (sin_twist, cos_twist) = sin_cos(pose.twist);
+        let front = cross(left, spine);
+        let chest_left = offset([0.0; 3], [left, front, up], [cos_twist, -sin_twist, 0.0]);
+        let throat = add(pose.pelvis, scale(spine, self.trunk));
+        let head = add(throat, scale(lean(pose.lean + pose.nod), self.head));
+        let mut sites = [[0.0; 3]; 15];
+        (sites[0], sites[1], sites[2]) = (head, throat, pose.pelvis);
+        for (side, sign) in [(0, 1.0), (1, -1.0)] {
+            let shoulder = add(
+                sub(throat, scale(spine, self.shoulder_drop)),
+                scale(chest_left, sign * self.half_shoulders),
+            );
+            let arm = &pose.arms[side];
+            let along = |angle: f64, abduction: f64| {
+                let ((s, c), (sa, ca)) = (sin_cos(angle), sin_cos(abduction));
+                offset([0.0; 3], [forward, left, up], [s * ca, sign * sa, -c * ca])
+            };
+            let elbow = add(shoulder, scale(along(arm.swing, arm.abduction), self.upper_arm));
+            let forearm = along(arm.swing + arm.elbow, 0.3 * arm.abduction);
+            let hip = add(pose.pelvis, scale(left, sign * self.half_hips));
+            let (knee, ankle) = self.bend_leg(hip, pose.ankles[side], left);
+            let (arm_site, leg_site) = (3 + 3 * side, 9 + 3 * side);
+            sites[arm_site] = shoulder;
+            sites[arm_site + 1] = elbow;
+            sites[arm_site + 2] = add(elbow, scale(forearm, self.forearm));
+            sites[leg_site] = hip;
+            sites[leg_site + 1] = knee;
+            sites[leg_site + 2] = ankle;
+        }
+        (sites, [left, chest_left])
+    }
+
+    /// Knee and ankle for a wanted ankle: two bones, the knee in front.
+    ///
+    /// An ankle out of reach is drawn in along the leg, smoothly, so that the bones keep their lengths.
+    fn bend_leg(&self, hip: V3, wanted: V3, left: V3) -> (V3, V3) {
+        let way = sub(wanted, hip);
+        let down = unit(way);
+        let reach = self.soft_reach(norm(way));
+        let along =
+            (self.thigh * self.thigh - self.shank * self.shank + reach * reach) / (2.0 * reach);
+        let aside = (self.thigh * self.thigh - along * along).max(0.0).sqrt();
+        let front = cross(down, left);
+        let front = unit(sub(front, scale(down, dot(front, down))));
+        let knee = add(add(hip, scale(down, along)), scale(front, aside));
+        let ankle = if reach < norm(way) { add(hip, scale(down, reach)) } else { wanted };
+        (knee, ankle)
+    }
+
+    /// Up to 98.8 % of the leg untouched, beyond it bent towards 99.9 % with two continuous derivatives.
+    fn soft_reach(&self, reach: f64) -> f64 {
+        let (free, room) = (0.988 * self.leg(), 0.011 * self.leg());
+        if reach <= free {
+            return reach;
+        }
+        let x = (reach - free) / room;
+        free + room * x / (1.0 + x * x).sqrt()
+    }
+}

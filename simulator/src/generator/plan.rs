@@ -1,0 +1,209 @@
+//! One jump from standing to touch-down and up again: the keyed curves of a trial.
+//!
+//! Keys carry value, velocity and acceleration, so that the ground phases meet the flight parabola with two
+//! continuous derivatives.
+
+use super::body::Body;
+use super::curve::{Curve, Key};
+use super::geometry::sin_cos;
+use super::style::{Style, Times};
+
+/// Standard gravity rounded as the field writes it, m/s^2.
+pub(super) const GRAVITY_M_S2: f64 = 9.81;
+
+/// Shoulder and elbow of an arm at rest, radians: a trial begins and ends with them, so that trials join.
+const HANGING: (f64, f64) = (0.08, 0.22);
+
+/// Everything that is keyed over a trial: x forward and z up in metres, angles in radians.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Keyed {
+    pub(super) pelvis_x: Curve,
+    pub(super) pelvis_z: Curve,
+    pub(super) lean: Curve,
+    pub(super) abduction: Curve,
+    /// Left, right.
+    pub(super) arm_swing: [Curve; 2],
+    pub(super) elbow: [Curve; 2],
+    pub(super) ankle_x: [Curve; 2],
+    pub(super) ankle_z: [Curve; 2],
+    /// In flight: hip line to ankle, its length in metres and its angle from straight down, forward positive.
+    pub(super) leg_length: Curve,
+    pub(super) leg_angle: [Curve; 2],
+}
+
+/// A moving point in the plane of the jump.
+#[derive(Debug, Clone, Copy)]
+struct Moving {
+    at: [f64; 2],
+    velocity: [f64; 2],
+    acceleration: [f64; 2],
+}
+
+impl Moving {
+    fn key(&self, axis: usize, time_s: f64) -> Key {
+        let [value, velocity, acceleration] =
+            [self.at, self.velocity, self.acceleration].map(|v| v[axis]);
+        Key { time_s, value, velocity, acceleration }
+    }
+}
+
+/// A leg at one end of the flight: (length, its rate), (angle, its rate).
+type Leg = [(f64, f64); 2];
+
+/// The ankle of a leg below a moving pelvis: plane polar kinematics, without angular or radial acceleration.
+fn ankle_below(pelvis: &Moving, [(r, dr), (angle, da)]: Leg) -> Moving {
+    let (s, c) = sin_cos(angle);
+    let (radial, around) = ([s, -c], [c, s]);
+    let sum = |base: [f64; 2], kr: f64, ka: f64| {
+        [base[0] + kr * radial[0] + ka * around[0], base[1] + kr * radial[1] + ka * around[1]]
+    };
+    Moving {
+        at: sum(pelvis.at, r, 0.0),
+        velocity: sum(pelvis.velocity, dr, r * da),
+        acceleration: sum(pelvis.acceleration, -r * da * da, 2.0 * dr * da),
+    }
+}
+
+impl Keyed {
+    /// `stand_m` and `walk_m` are the pelvis heights when standing and walking, `walk_end_s` when the walk ends.
+    pub(super) fn new(
+        body: &Body,
+        style: &Style,
+        stand_m: f64,
+        walk_m: f64,
+        walk_end_s: f64,
+    ) -> Self {
+        let mut keyed = Self::default();
+        let times = style.times();
+        keyed.upper_body(style, &times);
+        keyed.legs(body, style, &times, stand_m);
+        keyed.pelvis_z.rest(times.walk, stand_m);
+        keyed.pelvis_z.rest(times.walk + 0.45, walk_m);
+        keyed.pelvis_z.rest(walk_end_s - 0.45, walk_m);
+        keyed.pelvis_z.rest(walk_end_s, stand_m);
+        keyed
+    }
+
+    fn upper_body(&mut self, style: &Style, t: &Times) {
+        self.lean = Curve::resting(t.swings, 0.04);
+        self.abduction = Curve::resting(t.take_off, 0.12);
+        for (time_s, in_front) in style.extremes() {
+            self.lean.rest(time_s, if in_front { -0.02 } else { 0.36 });
+        }
+        for (time_s, lean) in [
+            (t.last_swing + style.crouch_s, 0.74),
+            (t.take_off, 0.78),
+            (t.flight + 0.02, 0.40),
+            (t.flight + 0.45 * style.flight_s, 0.34),
+            (t.touch_down, 0.72),
+            (t.touch_down + 0.24, 0.95),
+            (t.walk - 0.05, 0.04),
+        ] {
+            self.lean.rest(time_s, lean);
+        }
+        self.abduction.rest(t.flight + 0.1, 0.30);
+        self.abduction.rest(t.walk - 0.1, 0.12);
+        for (side, late_s, more) in [(0, 0.0, 0.0), (1, style.right_late_s, style.right_more)] {
+            let (swing, elbow) = (&mut self.arm_swing[side], &mut self.elbow[side]);
+            *swing = Curve::resting(t.swings, HANGING.0);
+            *elbow = Curve::resting(t.swings, HANGING.1);
+            for (i, (time_s, in_front)) in style.extremes().enumerate() {
+                let grow = 0.8 + 0.08 * i as f64;
+                swing.rest(
+                    time_s + late_s,
+                    style.arms * grow * if in_front { 1.35 } else { -0.62 } + more,
+                );
+                elbow.rest(time_s + 1.5 * late_s, if in_front { 0.55 } else { 0.25 });
+            }
+            for (time_s, angle, bend) in [
+                (t.last_swing + style.crouch_s, -0.80, 0.20),
+                (t.take_off - 0.06, -0.86, 0.24),
+                (t.flight + 0.07, 2.15, 0.50),
+                (t.touch_down, 1.25, 0.35),
+                (t.touch_down + 0.22, 0.72, 0.30),
+            ] {
+                swing.rest(time_s + late_s, style.arms * angle + more);
+                elbow.rest(time_s + 1.5 * late_s, bend);
+            }
+            swing.rest(t.walk - 0.02, HANGING.0);
+            elbow.rest(t.walk - 0.02, HANGING.1);
+        }
+    }
+
+    fn legs(&mut self, body: &Body, style: &Style, t: &Times, stand_m: f64) {
+        let (leg, ankle_m, size) = (body.leg(), body.ankle_height, body.stature / 1.75);
+        let (at_take_off, at_touch_down): (Leg, Leg) =
+            ([(0.972 * leg, 0.25), (-0.58, -0.6)], [(0.84 * leg, -1.5), (0.62, 0.0)]);
+        let below = |pelvis: [f64; 2], legs: Leg| {
+            ankle_below(&Moving { at: pelvis, velocity: [0.0; 2], acceleration: [0.0; 2] }, legs).at
+        };
+        // Where the ankles are at both ends of the flight gives the pelvis, and that the parabola.
+        let hang = (below([0.0; 2], at_take_off), below([0.0; 2], at_touch_down));
+        let from = [0.15 * size - hang.0[0], ankle_m + 0.15 * size - hang.0[1]];
+        let to = [style.jump_m - 0.07 - hang.1[0], ankle_m + 0.055 - hang.1[1]];
+        let f = style.flight_s;
+        let velocity = [(to[0] - from[0]) / f, (to[1] - from[1]) / f + 0.5 * GRAVITY_M_S2 * f];
+        let acceleration = [0.0, -GRAVITY_M_S2];
+        let leaving = Moving { at: from, velocity, acceleration };
+        let falling = [velocity[0], velocity[1] - GRAVITY_M_S2 * f];
+        let landing = Moving { at: to, velocity: falling, acceleration };
+
+        // Half the final speed times the push: from there the body only ever gets faster.
+        let low = [
+            from[0] - 0.50 * velocity[0] * style.push_s,
+            from[1] - 0.56 * velocity[1] * style.push_s,
+        ];
+        let absorb_s = 0.2;
+        let bottom =
+            [style.jump_m - 0.12, (to[1] + 0.5 * falling[1] * absorb_s).max(ankle_m + 0.36 * leg)];
+        self.pelvis_x = Curve::resting(t.swings, 0.0);
+        self.pelvis_z = Curve::resting(t.swings, stand_m);
+        for (time_s, in_front) in style.extremes() {
+            self.pelvis_x.rest(time_s, if in_front { 0.02 } else { -0.03 });
+            self.pelvis_z.rest(time_s, stand_m - if in_front { 0.01 } else { 0.07 } * size);
+        }
+        let push = t.take_off;
+        self.pelvis_x.rest(push - style.pause_s, low[0] - 0.02);
+        self.pelvis_z.rest(push - style.pause_s, low[1] + 0.02);
+        for (curve, axis) in [(&mut self.pelvis_x, 0), (&mut self.pelvis_z, 1)] {
+            curve.rest(push, low[axis]);
+            curve.pass(leaving.key(axis, t.flight));
+            curve.pass(landing.key(axis, t.touch_down));
+        }
+        let bottom_s = t.touch_down + absorb_s;
+        self.pelvis_x.pass(Key {
+            time_s: bottom_s,
+            value: bottom[0],
+            velocity: 0.3,
+            acceleration: 0.0,
+        });
+        self.pelvis_z.rest(bottom_s, bottom[1]);
+        self.pelvis_x.rest(t.walk - 0.1, style.jump_m);
+        self.pelvis_z.rest(t.walk - 0.02, stand_m);
+
+        let moving = |time_s, (value, velocity)| Key { time_s, value, velocity, acceleration: 0.0 };
+        let tuck_s = t.flight + 0.5 * f;
+        self.leg_length.pass(moving(t.flight, at_take_off[0]));
+        self.leg_length.rest(tuck_s, 0.64 * leg);
+        self.leg_length.pass(moving(t.touch_down, at_touch_down[0]));
+        for side in 0..2 {
+            let more = if side == 1 { 0.5 * style.right_more } else { 0.0 };
+            self.leg_angle[side].pass(moving(t.flight, at_take_off[1]));
+            self.leg_angle[side].pass(moving(tuck_s, (0.05 + more, 4.0)));
+            let (angle, rate) = at_touch_down[1];
+            let landing_leg = [at_touch_down[0], (angle + more, rate)];
+            self.leg_angle[side].pass(moving(t.touch_down, landing_leg[1]));
+            let lift = ankle_below(&leaving, at_take_off);
+            let touch = ankle_below(&landing, landing_leg);
+            let plant = [touch.at[0] + 0.5 * touch.velocity[0] * 0.08, ankle_m];
+            for (curve, axis, ground) in
+                [(&mut self.ankle_x[side], 0, 0.0), (&mut self.ankle_z[side], 1, ankle_m)]
+            {
+                *curve = Curve::resting(t.flight - 0.2, ground);
+                curve.pass(lift.key(axis, t.flight));
+                curve.pass(touch.key(axis, t.touch_down));
+                curve.rest(t.touch_down + 0.08, plant[axis]);
+            }
+        }
+    }
+}

@@ -1,0 +1,146 @@
+//! One subject, who jumps, walks back and jumps again.
+
+use super::Phase;
+use super::body::{Body, SITES};
+use super::geometry::{V3, sin_cos};
+use super::rng::Rng;
+use super::style::Style;
+use super::trial::Trial;
+
+/// A trial and where in the room and when it begins.
+#[derive(Debug)]
+struct Placed {
+    trial: Trial,
+    start_s: f64,
+    origin: [f64; 2],
+    /// +1 when it faces +x, -1 when it faces -x.
+    sense: f64,
+}
+
+impl Placed {
+    fn in_room(&self, [x, y, z]: V3) -> V3 {
+        [self.origin[0] + self.sense * x, self.origin[1] + self.sense * y, z]
+    }
+}
+
+/// A slow, never repeating drift: three sines.
+#[derive(Debug, Clone, Copy)]
+struct Drift {
+    /// Amplitude, frequency (Hz) and phase (radians) of each.
+    waves: [[f64; 3]; 3],
+}
+
+impl Drift {
+    fn new(size: f64, rng: &mut Rng) -> Self {
+        let waves = [(0.6, 0.12), (0.3, 0.31), (0.15, 0.57)].map(|(part, frequency_hz)| {
+            let turn = 2.0 * std::f64::consts::PI;
+            [size * part, frequency_hz * rng.between(0.8, 1.2), rng.between(0.0, turn)]
+        });
+        Self { waves }
+    }
+
+    fn at(&self, time_s: f64) -> f64 {
+        let turn = 2.0 * std::f64::consts::PI;
+        // Whole turns are taken off first: the sine is exact only for moderate angles.
+        let wave = |[size, hz, phase]: [f64; 3]| {
+            let turns = hz * time_s;
+            size * sin_cos(turn * (turns - turns.floor()) + phase).0
+        };
+        self.waves.into_iter().map(wave).sum()
+    }
+}
+
+/// What the generator needs to know of one time.
+#[derive(Debug)]
+pub(super) struct Moment {
+    pub(super) sites: [V3; SITES.len()],
+    /// Hips and chest, to the left.
+    pub(super) lateral: [V3; 2],
+    /// Seconds since the last touch-down; negative before it.
+    pub(super) since_impact_s: f64,
+}
+
+/// The subject of a seed.
+#[derive(Debug)]
+pub(super) struct Subject {
+    body: Body,
+    style: Style,
+    rng: Rng,
+    /// Pelvis x y z, lean, both arms.
+    drifts: [Drift; 6],
+    trials: Vec<Placed>,
+}
+
+impl Subject {
+    pub(super) fn new(seed: u64) -> Self {
+        let mut rng = Rng::new(seed);
+        let stature_m = rng.between(1.60, 1.92);
+        let style = Style::of_subject(stature_m, &mut rng);
+        let drifts =
+            [0.004, 0.004, 0.0008, 0.010, 0.020, 0.020].map(|size| Drift::new(size, &mut rng));
+        let mut subject =
+            Self { body: Body::of_stature(stature_m), style, rng, drifts, trials: Vec::new() };
+        subject.next_trial();
+        subject
+    }
+
+    fn next_trial(&mut self) {
+        let style = self.style.vary(&mut self.rng);
+        let trial = Trial::new(&self.body, &style);
+        let (start_s, origin, sense) = self.trials.last().map_or((0.0, [0.0; 2], 1.0), |last| {
+            let [x, y] = last.trial.end();
+            let origin = [last.origin[0] + last.sense * x, last.origin[1] + last.sense * y];
+            (last.start_s + last.trial.duration_s(), origin, -last.sense)
+        });
+        self.trials.push(Placed { trial, start_s, origin, sense });
+    }
+
+    fn end_s(&self) -> f64 {
+        self.trials.last().map_or(0.0, |last| last.start_s + last.trial.duration_s())
+    }
+
+    pub(super) fn first_trial_s(&self) -> f64 {
+        self.trials.first().map_or(0.0, |first| first.trial.duration_s())
+    }
+
+    /// Plans trials until that time.
+    pub(super) fn extend_to(&mut self, seconds: f64) {
+        while self.end_s() < seconds {
+            self.next_trial();
+        }
+    }
+
+    pub(super) fn at(&self, time_s: f64) -> Moment {
+        let index = self.trials.partition_point(|p| p.start_s <= time_s).saturating_sub(1);
+        let placed = &self.trials[index];
+        let local_s = time_s - placed.start_s;
+        let mut pose = placed.trial.pose(local_s);
+        pose.pelvis = placed.in_room(pose.pelvis);
+        pose.ankles = pose.ankles.map(|ankle| placed.in_room(ankle));
+        pose.facing = pose.facing.map(|v| placed.sense * v);
+        let [x, y, z, lean, left, right] = self.drifts.map(|drift| drift.at(time_s));
+        pose.pelvis = [pose.pelvis[0] + x, pose.pelvis[1] + y, pose.pelvis[2] + z];
+        pose.lean += lean;
+        pose.arms[0].swing += left;
+        pose.arms[1].swing += right;
+        let (sites, lateral) = self.body.place(&pose);
+        Moment { sites, lateral, since_impact_s: local_s - placed.trial.touch_down_s() }
+    }
+
+    /// Each phase and its first frame, as far as there are frames.
+    pub(super) fn phases(&self, rate_hz: f64, n_frames: usize) -> Vec<(Phase, usize)> {
+        let mut phases: Vec<(Phase, usize)> = Vec::new();
+        for placed in &self.trials {
+            for (phase, begins_s) in placed.trial.phases() {
+                let frame = ((placed.start_s + begins_s) * rate_hz).ceil() as usize;
+                if phases.last().is_some_and(|(_, first)| *first == frame) {
+                    phases.pop();
+                }
+                if frame < n_frames {
+                    phases.push((phase, frame));
+                }
+            }
+        }
+        phases
+    }
+}

@@ -1,0 +1,230 @@
+//! The loop between a device and a pty: one thread, asleep until the next frame or the next byte.
+
+use std::io::{self, Write};
+use std::os::fd::BorrowedFd;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::Errno;
+
+use super::drain::{Drain, LOOK};
+use super::pace::Pace;
+use super::{PtyError, PtyLine};
+use crate::device::{Device, SentFrame, SentLog};
+
+/// The longest sleep: how soon a stop is seen.
+const NAP: Duration = Duration::from_millis(20);
+
+/// How long to wait for room when the host's buffer is full: 64 KiB at the pty's 75 MB/s.
+const FULL: Duration = Duration::from_millis(1);
+
+/// Bytes that are read at once: many times the longest command.
+const READ_BYTES: usize = 4096;
+
+/// Reads in a row before frames have their turn again.
+const READS_MAX: usize = 16;
+
+/// How the line is served.
+#[derive(Default)]
+pub struct ServeOptions {
+    /// Carry no more than a line of this speed would; `None` for as fast as the host reads.
+    pub baud: Option<u32>,
+    /// Return when a run has ended and the host has read all of it.
+    pub once: bool,
+    /// Where a line of CSV goes for every frame whose time came; see [`SentFrame`].
+    pub log: Option<Box<dyn Write + Send>>,
+}
+
+impl std::fmt::Debug for ServeOptions {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ServeOptions")
+            .field("baud", &self.baud)
+            .field("once", &self.once)
+            .field("log", &self.log.is_some())
+            .finish()
+    }
+}
+
+/// Is the device on a line until `stop`. What was sent by then is drained before it returns, unless the host
+/// reads nothing for a second.
+///
+/// # Errors
+/// When the line or the log fails.
+pub fn serve(
+    line: &PtyLine,
+    device: &mut Device,
+    options: ServeOptions,
+    stop: &AtomicBool,
+) -> Result<SentLog, PtyError> {
+    if options.log.is_some() {
+        device.keep_frame_log();
+    }
+    let mut server = Server {
+        line,
+        device,
+        pace: options.baud.map(Pace::new),
+        log: options.log,
+        power_on: Instant::now(),
+        open_again_ns: 0,
+    };
+    server.log_line(SentFrame::CSV_HEADER)?;
+    server.run(options.once, stop)?;
+    server.drain()?;
+    server.log_frames()?;
+    if let Some(log) = &mut server.log {
+        log.flush().map_err(PtyError::Log)?;
+    }
+    Ok(device.log())
+}
+
+struct Server<'a> {
+    line: &'a PtyLine,
+    device: &'a mut Device,
+    pace: Option<Pace>,
+    log: Option<Box<dyn Write + Send>>,
+    power_on: Instant,
+    open_again_ns: u64,
+}
+
+/// What a turn of writing came to.
+enum Written {
+    All,
+    /// The line takes more at that time.
+    Until(u64),
+    /// The host's buffer is full.
+    Full,
+}
+
+impl Server<'_> {
+    fn now_ns(&self) -> u64 {
+        self.power_on.elapsed().as_nanos() as u64
+    }
+
+    fn run(&mut self, once: bool, stop: &AtomicBool) -> Result<(), PtyError> {
+        while !stop.load(Ordering::Relaxed) {
+            let now_ns = self.now_ns();
+            let wake_ns = self.device.poll(now_ns);
+            let sleep = match self.write()? {
+                Written::All => NAP,
+                Written::Until(at_ns) => Duration::from_nanos(at_ns.saturating_sub(self.now_ns())),
+                Written::Full => FULL,
+            };
+            self.log_frames()?;
+            if once && self.device.has_ended() && self.device.pending().is_empty() {
+                return Ok(());
+            }
+            let until_wake = Duration::from_nanos(wake_ns.saturating_sub(self.now_ns()));
+            if self.wait(sleep.min(until_wake).min(NAP))? {
+                self.read()?;
+            }
+            self.admit()?;
+        }
+        Ok(())
+    }
+
+    /// Writes what the line takes now.
+    fn write(&mut self) -> Result<Written, PtyError> {
+        loop {
+            let now_ns = self.now_ns();
+            let pending = self.device.pending();
+            if pending.is_empty() {
+                return Ok(Written::All);
+            }
+            let allowed = self.pace.as_mut().map_or(usize::MAX, |pace| pace.allowed(now_ns));
+            let Some(bytes) = pending.get(..allowed.min(pending.len())).filter(|b| !b.is_empty())
+            else {
+                return Ok(Written::Until(self.pace.as_ref().map_or(now_ns, Pace::next_ns)));
+            };
+            match rustix::io::write(self.line.master(), bytes) {
+                Ok(n) => {
+                    self.device.sent(n);
+                    if let Some(pace) = &mut self.pace {
+                        pace.sent(n);
+                        let rest = !self.device.pending().is_empty();
+                        return Ok(if rest {
+                            Written::Until(pace.next_ns())
+                        } else {
+                            Written::All
+                        });
+                    }
+                }
+                Err(Errno::AGAIN) => return Ok(Written::Full),
+                Err(Errno::INTR) => {}
+                Err(e) => return Err(PtyError::Line { action: "writing", source: e.into() }),
+            }
+        }
+    }
+
+    /// Sleeps, at most so long, until the host says something: `true` then.
+    fn wait(&self, at_most: Duration) -> Result<bool, PtyError> {
+        let master: BorrowedFd<'_> = self.line.master();
+        let mut fds = [PollFd::new(&master, PollFlags::IN)];
+        let timeout = Timespec {
+            tv_sec: at_most.as_secs() as i64,
+            tv_nsec: i64::from(at_most.subsec_nanos()),
+        };
+        match poll(&mut fds, Some(&timeout)) {
+            Ok(n) => Ok(n > 0),
+            Err(Errno::INTR) => Ok(false),
+            Err(e) => Err(PtyError::Line { action: "waiting", source: e.into() }),
+        }
+    }
+
+    fn read(&mut self) -> Result<(), PtyError> {
+        let mut buffer = [0; READ_BYTES];
+        for _ in 0..READS_MAX {
+            match rustix::io::read(self.line.master(), &mut buffer) {
+                Ok(0) | Err(Errno::AGAIN) => break,
+                Ok(n) => {
+                    let now_ns = self.now_ns();
+                    self.device.on_bytes(buffer.get(..n).unwrap_or_default(), now_ns);
+                }
+                Err(Errno::INTR) => {}
+                Err(e) => return Err(PtyError::Line { action: "reading", source: e.into() }),
+            }
+        }
+        Ok(())
+    }
+
+    /// Ten times a second: a new host may open the line after one that was killed, and the log is on disk.
+    fn admit(&mut self) -> Result<(), PtyError> {
+        let now_ns = self.now_ns();
+        if now_ns >= self.open_again_ns {
+            self.open_again_ns = now_ns + 100_000_000;
+            let line = |source: io::Error| PtyError::Line { action: "clearing TIOCEXCL", source };
+            self.line.clear_exclusive().map_err(line)?;
+            self.log.as_mut().map_or(Ok(()), Write::flush).map_err(PtyError::Log)?;
+        }
+        Ok(())
+    }
+
+    fn drain(&mut self) -> Result<(), PtyError> {
+        let mut drain = Drain::default();
+        loop {
+            self.write()?;
+            let unread = self
+                .line
+                .unread()
+                .map_err(|source| PtyError::Line { action: "FIONREAD", source })?;
+            let left = self.device.pending().len() as u64 + unread;
+            if drain.is_over(left, self.now_ns()) {
+                return Ok(());
+            }
+            std::thread::sleep(LOOK);
+        }
+    }
+
+    fn log_line(&mut self, text: &str) -> Result<(), PtyError> {
+        self.log.as_mut().map_or(Ok(()), |log| writeln!(log, "{text}")).map_err(PtyError::Log)
+    }
+
+    fn log_frames(&mut self) -> Result<(), PtyError> {
+        if self.log.is_some() {
+            for frame in self.device.take_frames() {
+                self.log_line(&frame.to_csv())?;
+            }
+        }
+        Ok(())
+    }
+}

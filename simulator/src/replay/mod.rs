@@ -1,0 +1,177 @@
+//! Recorded motion at another rate, frame by frame: nothing is kept but the recording.
+
+mod interpolate;
+
+use std::sync::Arc;
+
+use mocapd_take::motion::{Motion, Position};
+
+/// A recording, stepped through in fractions of its own frames.
+///
+/// Inside runs without gaps the missing moments are interpolated (Catmull-Rom); a frame that coincides with a
+/// recorded one is that one, bit for bit; where a neighbour is missing, there is a gap.
+#[derive(Debug, Clone)]
+pub struct Replay {
+    motion: Arc<Motion>,
+    /// Recorded frames a step, as an exact fraction.
+    step: (u64, u64),
+}
+
+impl Replay {
+    /// Every recorded frame as it is.
+    #[must_use]
+    pub fn native(motion: Arc<Motion>) -> Self {
+        Self { motion, step: (1, 1) }
+    }
+
+    /// `recorded` rate to `wanted` rate, both in the same unit (the device counts in millihertz).
+    /// `None` when either is 0.
+    #[must_use]
+    pub fn resampled(motion: Arc<Motion>, recorded: u64, wanted: u64) -> Option<Self> {
+        (recorded > 0 && wanted > 0).then_some(Self { motion, step: (recorded, wanted) })
+    }
+
+    /// The recording.
+    #[must_use]
+    pub fn motion(&self) -> &Arc<Motion> {
+        &self.motion
+    }
+
+    /// Frames from the first recorded one to the last, at this step.
+    #[must_use]
+    pub fn n_frames(&self) -> u64 {
+        let Some(last) = (self.motion.n_frames() as u64).checked_sub(1) else { return 0 };
+        let (num, den) = self.step;
+        let steps = u128::from(last) * u128::from(den) / u128::from(num);
+        u64::try_from(steps).unwrap_or(u64::MAX - 1) + 1
+    }
+
+    /// Replaces `row` by one frame: a position a marker, millimetres. Empty past the end.
+    pub fn frame(&self, index: u64, row: &mut Vec<Position>) {
+        row.clear();
+        let (num, den) = (u128::from(self.step.0), u128::from(self.step.1));
+        let at = u128::from(index) * num;
+        if index >= self.n_frames() {
+            return;
+        }
+        let before = (at / den) as usize;
+        let part = at % den;
+        if part == 0 {
+            row.extend_from_slice(self.motion.frame(before));
+        } else {
+            interpolate::between(&self.motion, before, part as f64 / den as f64, row);
+        }
+    }
+
+    /// All frames at once, at the rate they then have.
+    #[must_use]
+    pub fn to_motion(&self, rate_hz: f64) -> Motion {
+        let mut out = Motion { info: self.motion.info.clone(), positions_mm: Vec::new() };
+        let mut row = Vec::new();
+        for index in 0..self.n_frames() {
+            self.frame(index, &mut row);
+            out.positions_mm.extend_from_slice(&row);
+        }
+        out.info.rate_hz = rate_hz;
+        out.info.n_frames = self.n_frames();
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use mocapd_take::motion::{GAP, Marker, MotionInfo, is_gap};
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::generator::JumpSpec;
+
+    fn line(samples: &[Position]) -> Arc<Motion> {
+        let markers = vec![Marker { label: "m".to_owned(), labelled: true }];
+        let n_frames = samples.len() as u64;
+        let info = MotionInfo { rate_hz: 60.0, n_frames, markers, ..MotionInfo::default() };
+        Arc::new(Motion { info, positions_mm: samples.to_vec() })
+    }
+
+    fn at(x: f32) -> Position {
+        [x, 2.0 * x, -x]
+    }
+
+    #[test]
+    fn coinciding_frames_are_bit_equal() {
+        let motion = Arc::new(JumpSpec::new(2, 60.0).generate().unwrap().motion);
+        let replay = Replay::resampled(Arc::clone(&motion), 60_000, 240_000).unwrap();
+        assert_eq!(replay.n_frames(), (motion.n_frames() as u64 - 1) * 4 + 1);
+        let mut row = Vec::new();
+        for k in 0..motion.n_frames() {
+            replay.frame(4 * k as u64, &mut row);
+            assert_eq!(row, motion.frame(k));
+        }
+        // Down again by the same factor: the recording.
+        let up = Arc::new(replay.to_motion(240.0));
+        let down = Replay::resampled(up, 240_000, 60_000).unwrap().to_motion(60.0);
+        assert_eq!(down, *motion);
+    }
+
+    #[test]
+    fn smooth_motion_between_frames_is_met() {
+        let fine = Arc::new(JumpSpec::new(2, 480.0).clean().generate().unwrap().motion);
+        let coarse = Replay::resampled(Arc::clone(&fine), 480, 120).unwrap().to_motion(120.0);
+        let again = Replay::resampled(Arc::new(coarse), 120, 480).unwrap();
+        let mut row = Vec::new();
+        let mut worst = 0.0f32;
+        for k in 0..again.n_frames() {
+            again.frame(k, &mut row);
+            for (a, b) in row.iter().zip(fine.frame(k as usize)) {
+                for axis in 0..3 {
+                    worst = worst.max((a[axis] - b[axis]).abs());
+                }
+            }
+        }
+        // Linear interpolation would miss by acceleration * dt^2 / 8 = 1 mm at 130 m/s^2.
+        assert!(worst < 0.35, "{worst} mm");
+    }
+
+    #[test]
+    fn gaps_stay_gaps_and_do_not_grow() {
+        let motion = line(&[at(0.0), at(1.0), at(2.0), GAP, at(4.0), at(5.0), at(6.0)]);
+        let replay = Replay::resampled(motion, 1, 2).unwrap();
+        let mut row = Vec::new();
+        let mut seen = Vec::new();
+        for k in 0..replay.n_frames() {
+            replay.frame(k, &mut row);
+            seen.push(if is_gap(row[0]) { None } else { Some(row[0][0]) });
+        }
+        // Only what touches the missing sample is missing, and a straight line stays one up to the gap.
+        let expected = [0.0, 0.5, 1.0, 1.5, 2.0, -1.0, -1.0, -1.0, 4.0, 4.5, 5.0, 5.5, 6.0];
+        let expected: Vec<_> = expected.map(|x| (x >= 0.0).then_some(x)).to_vec();
+        assert_eq!(seen, expected);
+    }
+
+    #[test]
+    fn nothing_and_one_frame() {
+        let empty = Replay::native(line(&[]));
+        assert_eq!(empty.n_frames(), 0);
+        let one = Replay::resampled(line(&[at(3.0)]), 60, 999).unwrap();
+        assert_eq!(one.n_frames(), 1);
+        let mut row = Vec::new();
+        one.frame(1, &mut row);
+        assert!(row.is_empty());
+        assert!(Replay::resampled(line(&[]), 0, 1).is_none());
+    }
+
+    proptest! {
+        #[test]
+        fn any_rate_ends_at_or_before_the_last_frame(n in 1u32..50, from in 1u64..20_000, to in 1u64..20_000) {
+            let samples: Vec<_> = (0..n).map(|i| at(i as f32)).collect();
+            let replay = Replay::resampled(line(&samples), from, to).unwrap();
+            let mut row = Vec::new();
+            replay.frame(replay.n_frames() - 1, &mut row);
+            prop_assert_eq!(row.len(), 1);
+            let x = (replay.n_frames() - 1) as f64 * from as f64 / to as f64;
+            prop_assert!((f64::from(row[0][0]) - x).abs() < 1e-3);
+            replay.frame(replay.n_frames(), &mut row);
+            prop_assert!(row.is_empty());
+        }
+    }
+}

@@ -1,0 +1,161 @@
+//! Where the motion comes from: a file by its ending, or the generator by name.
+
+use std::fs;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use mocapd_take::interchange::{Format, InterchangeError};
+use mocapd_take::motion::Motion;
+
+/// Why there is no motion.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SourceError {
+    /// The name says nothing about the format.
+    #[error("{}: unknown ending, expected .take, .c3d, .trc, .tsv or .csv", path.display())]
+    Ending {
+        /// The file.
+        path: PathBuf,
+    },
+    /// It cannot be opened or read.
+    #[error("cannot read {}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// It is not what its ending says.
+    #[error("{}", path.display())]
+    Interchange {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: InterchangeError,
+    },
+    /// It is not a take that can be read.
+    #[error("{}", path.display())]
+    Take {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: mocapd_take::TakeError,
+    },
+}
+
+/// Reads a whole motion, and what was wrong with it and read all the same, one sentence each.
+///
+/// # Errors
+/// When the ending is unknown, or the file cannot be read.
+pub fn read(path: &Path) -> Result<(Motion, Vec<String>), SourceError> {
+    let owned = || path.to_owned();
+    let is_take = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("take"));
+    let format = Format::from_extension(path);
+    if !is_take && format.is_none() {
+        return Err(SourceError::Ending { path: owned() });
+    }
+    let read = |source| SourceError::Read { path: owned(), source };
+    let Some(format) = format.filter(|_| !is_take) else {
+        let file = fs::File::open(path).map_err(read)?;
+        return mocapd_take::read_motion(BufReader::new(file))
+            .map_err(|source| SourceError::Take { path: owned(), source });
+    };
+    let bytes = fs::read(path).map_err(read)?;
+    let motion =
+        format.read(&bytes).map_err(|source| SourceError::Interchange { path: owned(), source })?;
+    let warnings = motion.info.source.warnings.clone();
+    Ok((motion, warnings))
+}
+
+/// Cuts a motion to its first seconds: at least one frame, if there is any.
+pub fn keep_first(motion: &mut Motion, seconds: f64) {
+    let wanted = (seconds * motion.info.rate_hz).round().max(1.0);
+    // A float beyond usize saturates, and then nothing is cut.
+    let n_frames = motion.n_frames().min(wanted as usize);
+    motion.positions_mm.truncate(n_frames * motion.info.markers.len());
+    motion.info.n_frames = n_frames as u64;
+}
+
+/// What can be generated: `jump` or `jump:SEED`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Generated {
+    /// The seed of the jump; 1 when none is given.
+    pub seed: u64,
+}
+
+impl FromStr for Generated {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (name, seed) = text.split_once(':').unwrap_or((text, "1"));
+        if name != "jump" {
+            return Err(format!("unknown motion '{name}', expected jump or jump:SEED"));
+        }
+        let seed = seed
+            .parse()
+            .map_err(|_| format!("seed '{seed}' is no whole number from 0 to {}", u64::MAX))?;
+        Ok(Self { seed })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::{Device, DeviceSettings};
+    use crate::generator::JumpSpec;
+
+    #[test]
+    fn endings_decide_and_errors_name_the_file() {
+        let error = read(Path::new("/nowhere/jump.xyz")).unwrap_err().to_string();
+        assert_eq!(
+            error,
+            "/nowhere/jump.xyz: unknown ending, expected .take, .c3d, .trc, .tsv or .csv"
+        );
+        for ending in ["take", "TAKE", "c3d", "trc", "tsv", "csv"] {
+            let error = read(Path::new(&format!("/nowhere/jump.{ending}"))).unwrap_err();
+            assert!(matches!(error, SourceError::Read { .. }), "{ending}: {error}");
+        }
+    }
+
+    #[test]
+    fn recorded_motions_of_every_ending_become_devices() {
+        let Some(folder) = std::env::var_os("MOCAPD_TAKES") else {
+            eprintln!("skipped: MOCAPD_TAKES is not set");
+            return;
+        };
+        let mut endings = std::collections::BTreeSet::new();
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let Some(format) = Format::from_extension(&path) else { continue };
+            let (motion, _) = read(&path).unwrap();
+            let n_frames = motion.n_frames() as u64;
+            let device = Device::new(motion, DeviceSettings::default());
+            let device = device.unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+            assert_eq!(device.hello().n_frames, n_frames, "{}", path.display());
+            endings.insert(format!("{format:?}"));
+        }
+        assert_eq!(endings.len(), 4, "{endings:?}");
+    }
+
+    #[test]
+    fn generated_motions_are_named() {
+        assert_eq!("jump".parse(), Ok(Generated { seed: 1 }));
+        assert_eq!("jump:77".parse(), Ok(Generated { seed: 77 }));
+        assert!("walk:1".parse::<Generated>().unwrap_err().contains("jump:SEED"));
+        assert!("jump:-1".parse::<Generated>().is_err());
+    }
+
+    #[test]
+    fn the_first_seconds_are_kept() {
+        let mut motion = JumpSpec::new(1, 60.0).generate().unwrap().motion;
+        let whole = motion.clone();
+        keep_first(&mut motion, 1e9);
+        assert_eq!(motion, whole);
+        keep_first(&mut motion, 2.0);
+        assert_eq!((motion.n_frames(), motion.info.n_frames), (120, 120));
+        assert_eq!(motion.positions_mm, whole.positions_mm[..120 * 15]);
+        keep_first(&mut motion, 0.0);
+        assert_eq!(motion.n_frames(), 1);
+    }
+}

@@ -1,0 +1,153 @@
+//! `mocapd-sim` as a program: its one line, its exit codes, its words.
+
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use mocapd_drivers::device::{Command as Say, DeviceEvent, Protocol};
+use mocapd_drivers::link::HostLink;
+use mocapd_drivers::transport::Transport;
+use mocapd_drivers::transport::serial::SerialTransport;
+use rustix::process::{Pid, Signal, kill_process};
+
+fn sim(args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_mocapd-sim"));
+    command.arg("serve").args(args).stdin(Stdio::null());
+    command.stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+fn fails(args: &[&str], code: i32) -> String {
+    let Output { status, stdout, stderr } = sim(args).output().unwrap();
+    let words = String::from_utf8(stderr).unwrap();
+    assert_eq!(status.code(), Some(code), "{args:?}: {words}");
+    assert!(stdout.is_empty(), "{args:?} printed on stdout");
+    words
+}
+
+/// A running simulator, and the path that it printed.
+fn started(args: &[&str]) -> (Child, String) {
+    let mut child = sim(args).spawn().unwrap();
+    let mut line = String::new();
+    BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
+    (child, line.trim_end().to_owned())
+}
+
+fn ended(mut child: Child) -> (Option<i32>, String) {
+    let give_up = Instant::now() + Duration::from_secs(20);
+    let status = loop {
+        if let Some(status) = child.try_wait().unwrap() {
+            break status;
+        }
+        if Instant::now() > give_up {
+            child.kill().unwrap();
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    };
+    let mut words = String::new();
+    child.stderr.unwrap().read_to_string(&mut words).unwrap();
+    (status.code(), words)
+}
+
+/// Records until the end of stream, and counts frames.
+fn record(path: &str) -> u64 {
+    let mut port = SerialTransport::open(Path::new(path), None).unwrap();
+    let mut link = HostLink::new();
+    let mut bytes = Vec::new();
+    link.command(Say::Identify, &mut bytes);
+    link.command(Say::Start { line_bytes_per_s: 0 }, &mut bytes);
+    port.write_all(&bytes).unwrap();
+    let give_up = Instant::now() + Duration::from_secs(20);
+    let (mut n_frames, mut at_end) = (0, false);
+    let mut buffer = [0; 4096];
+    while !at_end {
+        assert!(Instant::now() < give_up, "{n_frames} frames and no end");
+        let n = port.read(&mut buffer).unwrap();
+        link.push(&buffer[..n], &mut |event| match event {
+            DeviceEvent::Frame(_) => n_frames += 1,
+            DeviceEvent::EndOfStream(_) => at_end = true,
+            _ => {}
+        });
+    }
+    n_frames
+}
+
+#[test]
+fn refused_values_exit_2_and_failures_1() {
+    let words = fails(&["/nowhere/a.xyz", "--pty"], 2);
+    assert!(words.contains("unknown ending") && words.contains(".c3d"), "{words}");
+    let words = fails(&["/nowhere/a.csv", "--pty"], 1);
+    assert!(words.contains("cannot read /nowhere/a.csv: No such file"), "{words}");
+    assert_eq!(words.lines().count(), 1, "{words}");
+    for bad in [
+        &["--generate", "jump", "--pty", "--rate", "0"][..],
+        &["--generate", "jump", "--pty", "--rate", "10001"],
+        &["--generate", "jump", "--pty", "--speed", "-1"],
+        &["--generate", "jump", "--pty", "--speed", "1000"],
+        &["--generate", "jump", "--pty", "--markers", "0"],
+        &["--generate", "jump", "--pty", "--seconds", "0s"],
+        &["--generate", "hop", "--pty"],
+        &["--generate", "jump", "--pty", "--baud", "0"],
+        &["--generate", "jump", "--pty", "--loop", "--once"],
+        &["--generate", "jump"],
+        &["a.csv", "--pty", "--markers", "3"],
+        &["a.csv", "--generate", "jump", "--pty"],
+        &["--pty"],
+    ] {
+        fails(bad, 2);
+    }
+    let words = fails(&["--generate", "jump", "--pty", "--log", "/nowhere/log.csv"], 1);
+    assert!(words.contains("/nowhere/log.csv"), "{words}");
+    let folder = tempfile::tempdir().unwrap();
+    let taken = folder.path().join("taken");
+    std::fs::write(&taken, "").unwrap();
+    let link = format!("--pty={}", taken.display());
+    let words = fails(&["--generate", "jump", &link], 2);
+    assert!(words.contains("exists and is no dead link"), "{words}");
+}
+
+#[test]
+fn one_line_one_run_and_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let link = folder.path().join("rig");
+    let log = folder.path().join("sent.csv");
+    let pty = format!("--pty={}", link.display());
+    let (child, path) = started(&[
+        "--generate",
+        "jump:5",
+        &pty,
+        "--rate",
+        "500",
+        "--seconds",
+        "300ms",
+        "--once",
+        "--log",
+        log.to_str().unwrap(),
+    ]);
+    assert_eq!(path, link.to_str().unwrap());
+    assert_eq!(record(&path), 150);
+    let (code, words) = ended(child);
+    assert_eq!(code, Some(0), "{words}");
+    assert!(words.contains("150 frames produced, 150 sent"), "{words}");
+    assert_eq!(std::fs::read_to_string(&log).unwrap().lines().count(), 151);
+    assert!(std::fs::symlink_metadata(&link).is_err(), "the link is still there");
+}
+
+#[test]
+fn signals_end_it_cleanly() {
+    for signal in [Signal::INT, Signal::TERM] {
+        let args = ["--generate", "jump", "--pty", "--speed", "4", "--seconds", "200ms"];
+        let (child, path) = started(&args);
+        assert!(path.starts_with("/dev/pts/"), "{path}");
+        // It stays after the end of stream: a second record works.
+        assert_eq!(record(&path), 24);
+        assert_eq!(record(&path), 24);
+        kill_process(Pid::from_child(&child), signal).unwrap();
+        let (code, words) = ended(child);
+        assert_eq!(code, Some(0), "{words}");
+        assert!(words.contains("2 runs: 48 frames produced"), "{words}");
+    }
+}
