@@ -63,7 +63,8 @@ pub fn compare(
                 (false, false) => {
                     let error_mm = distance_mm(a, b);
                     difference.samples += 1;
-                    difference.bits_differing += u64::from(a.map(f32::to_bits) != b.map(f32::to_bits));
+                    difference.bits_differing +=
+                        u64::from(a.map(f32::to_bits) != b.map(f32::to_bits));
                     sum_of_squares += error_mm * error_mm;
                     let worst = &mut difference.max_error_by_marker_mm[marker];
                     *worst = worst.max(error_mm);
@@ -90,8 +91,14 @@ impl Difference {
     /// Whether everything is the same but for distances within `tolerance_mm` (0: to the bit).
     #[must_use]
     pub fn is_within(&self, tolerance_mm: f64) -> bool {
-        let close =
-            if tolerance_mm > 0.0 { self.max_error_mm <= tolerance_mm } else { self.bits_differing == 0 };
-        close && self.frames_missing == 0 && self.gaps_differing == 0 && self.labels_differing.is_empty()
+        let close = if tolerance_mm > 0.0 {
+            self.max_error_mm <= tolerance_mm
+        } else {
+            self.bits_differing == 0
+        };
+        close
+            && self.frames_missing == 0
+            && self.gaps_differing == 0
+            && self.labels_differing.is_empty()
     }
 }

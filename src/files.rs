@@ -33,15 +33,12 @@ pub fn open(path: &Path) -> anyhow::Result<File> {
 /// # Errors
 /// That it exists, or why it cannot be created.
 pub fn create_new(path: &Path) -> anyhow::Result<File> {
-    OpenOptions::new().write(true).create_new(true).open(path).map_err(|error| {
-        match error.kind() {
-            io::ErrorKind::AlreadyExists => exists(path),
-            io::ErrorKind::NotFound => anyhow!(
-                "the folder of {} does not exist: create it first",
-                path.display()
-            ),
-            _ => anyhow!("cannot create {}: {error}", path.display()),
+    OpenOptions::new().write(true).create_new(true).open(path).map_err(|error| match error.kind() {
+        io::ErrorKind::AlreadyExists => exists(path),
+        io::ErrorKind::NotFound => {
+            anyhow!("the folder of {} does not exist: create it first", path.display())
         }
+        _ => anyhow!("cannot create {}: {error}", path.display()),
     })
 }
 
@@ -66,7 +63,8 @@ impl NewFile {
         if path.symlink_metadata().is_ok() {
             return Err(exists(path));
         }
-        let name = path.file_name().with_context(|| format!("{} is no file name", path.display()))?;
+        let name =
+            path.file_name().with_context(|| format!("{} is no file name", path.display()))?;
         let mut hidden_name = OsString::from(".");
         hidden_name.push(name);
         hidden_name.push(format!(".{}.part", std::process::id()));

@@ -144,16 +144,18 @@ impl Summary {
     fn add_channels(&mut self, more: &[Channel]) {
         self.channels.extend_from_slice(more);
         // A marker that appears later has had a gap until then.
-        let late = ChannelSummary { in_gap: self.rows > 0, gaps: u64::from(self.rows > 0), ..Default::default() };
+        let late = ChannelSummary {
+            in_gap: self.rows > 0,
+            gaps: u64::from(self.rows > 0),
+            ..Default::default()
+        };
         self.per_channel.resize(self.channels.len(), late);
     }
 
     fn check_rows(&mut self, n_rows: u64) {
         if n_rows != self.rows {
-            self.problems.push(format!(
-                "the footer tells of {n_rows} frames, {} were found",
-                self.rows
-            ));
+            self.problems
+                .push(format!("the footer tells of {n_rows} frames, {} were found", self.rows));
         }
     }
 
@@ -192,7 +194,8 @@ impl Summary {
         let mut present_in = vec![0_u32; n_rows];
         let mut kept_in = vec![false; n_rows];
         let blocks = stretch.blocks.iter().map(|block| block.len() as u64);
-        for ((channel, rows), bytes) in self.per_channel.iter_mut().zip(decoder.rows()).zip(blocks) {
+        for ((channel, rows), bytes) in self.per_channel.iter_mut().zip(decoder.rows()).zip(blocks)
+        {
             channel.payload_bytes += bytes;
             let Some(rows) = rows else {
                 channel.gaps += u64::from(!std::mem::replace(&mut channel.in_gap, true));

@@ -17,7 +17,8 @@ fn split(text: &str) -> Result<(f64, &str), String> {
         })
         .map_or(text.len(), |(i, _)| i);
     let (number, unit) = text.split_at(at);
-    let value: f64 = number.parse().map_err(|_| format!("'{text}' does not begin with a number"))?;
+    let value: f64 =
+        number.parse().map_err(|_| format!("'{text}' does not begin with a number"))?;
     if !value.is_finite() {
         return Err(format!("'{text}' is not a finite number"));
     }
@@ -42,7 +43,9 @@ pub fn tolerance(text: &str) -> Result<Tolerance, String> {
         return Err("a tolerance of 0 keeps every bit: use --lossless".into());
     }
     if mm < 0.0 {
-        return Err(format!("a tolerance cannot be negative ({text}): give a distance such as 0.5mm"));
+        return Err(format!(
+            "a tolerance cannot be negative ({text}): give a distance such as 0.5mm"
+        ));
     }
     Tolerance::from_mm(mm).map_err(|error| error.to_string())
 }
@@ -92,7 +95,9 @@ mod tests {
 
     #[test]
     fn units_are_understood() {
-        for (text, mm) in [("0.5mm", 0.5), ("0.5", 0.5), ("100 um", 0.1), ("2cm", 20.0), ("1e-3m", 1.0)] {
+        for (text, mm) in
+            [("0.5mm", 0.5), ("0.5", 0.5), ("100 um", 0.1), ("2cm", 20.0), ("1e-3m", 1.0)]
+        {
             assert!((tolerance(text).unwrap().mm() - mm).abs() < 1e-12, "{text}");
         }
         assert_eq!(duration("1.5s").unwrap(), Duration::from_millis(1500));

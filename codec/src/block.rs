@@ -88,11 +88,16 @@ pub struct BlockReport {
 
 /// Encodes the blocks of one channel, in order. State may run from block to block.
 pub trait BlockEncoder: Send + std::fmt::Debug {
+    /// Allocates what blocks of up to `n_rows` rows will ever need; not called, it is allocated as
+    /// blocks need it. What a debug build checks behind every block is not part of it.
+    fn prepare(&mut self, n_rows: usize);
+
     /// Appends one block to `out`: nothing at all when no row is present.
     ///
     /// `key` forgets all state first, so that a decoder may start here. `shared` is what
-    /// [`Settings::plan`](crate::Settings::plan) gave for this stretch. Does not allocate when
-    /// `out` has room for [`max_block_bytes`](crate::Settings::max_block_bytes) (live kinds).
+    /// [`Settings::plan`](crate::Settings::plan) gave for this stretch. Does not allocate after
+    /// [`prepare`](Self::prepare), when `out` has room for
+    /// [`max_block_bytes`](crate::Settings::max_block_bytes) (live kinds).
     ///
     /// # Errors
     /// `InvalidArgument` when a present sample is not finite; `out` is then as it was.

@@ -36,6 +36,12 @@ impl Fast {
         Self { tolerance, columns: Default::default(), history: Default::default(), halvings: 0 }
     }
 
+    fn reserve(&mut self, n_rows: usize) {
+        for column in &mut self.columns {
+            column.reserve(n_rows.saturating_sub(column.len()));
+        }
+    }
+
     fn step_mm(&self, halvings: u8) -> f64 {
         self.tolerance.mm() * STEP_PER_TOLERANCE / f64::from(1_u8 << halvings)
     }
@@ -88,6 +94,10 @@ fn rescale(history: [History; 3], from: u8, to: u8) -> [History; 3] {
 impl PayloadEncoder for Fast {
     type Decoder = Self;
 
+    fn prepare(&mut self, n_rows: usize) {
+        self.reserve(n_rows);
+    }
+
     fn reset(&mut self) {
         self.forget();
     }
@@ -130,6 +140,11 @@ impl PayloadEncoder for Fast {
 }
 
 impl PayloadDecoder for Fast {
+    #[cfg(debug_assertions)]
+    fn prepare(&mut self, n_rows: usize) {
+        self.reserve(n_rows);
+    }
+
     fn reset(&mut self) {
         self.forget();
     }

@@ -33,6 +33,13 @@ impl Lossless {
         columns::max_bytes_32(samples)
     }
 
+    /// Room for so many samples.
+    pub(crate) fn reserve(&mut self, n_rows: usize) {
+        for column in &mut self.columns {
+            column.reserve(n_rows.saturating_sub(column.len()));
+        }
+    }
+
     pub(crate) fn reset(&mut self) {
         self.history = Default::default();
     }
@@ -85,6 +92,10 @@ impl PayloadEncoder for Lossless {
 
     const EXACT: bool = true;
 
+    fn prepare(&mut self, n_rows: usize) {
+        self.reserve(n_rows);
+    }
+
     fn reset(&mut self) {
         Self::reset(self);
     }
@@ -108,6 +119,11 @@ impl PayloadEncoder for Lossless {
 
 impl PayloadDecoder for Lossless {
     const EXACT: bool = true;
+
+    #[cfg(debug_assertions)]
+    fn prepare(&mut self, n_rows: usize) {
+        self.reserve(n_rows);
+    }
 
     fn reset(&mut self) {
         Self::reset(self);

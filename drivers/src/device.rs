@@ -170,7 +170,7 @@ pub struct LinkCounters {
 
 /// A device family's wire, sans-io: bytes are pushed in, events come out; commands go in, bytes come out.
 ///
-/// Neither call allocates once the largest frame has been seen.
+/// Frames are decoded without allocating; what is rare (a table, a Hello) may allocate.
 pub trait Protocol: Send + std::fmt::Debug {
     /// Takes bytes as they arrived, in pieces of any size, and gives every event they complete.
     fn push(&mut self, bytes: &[u8], on_event: &mut dyn FnMut(DeviceEvent<'_>));

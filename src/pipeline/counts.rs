@@ -65,8 +65,10 @@ impl Counts {
             ));
         }
         if self.events_dropped > 0 {
-            contradictions
-                .push(format!("{} events are not in the take: the disk stalled", self.events_dropped));
+            contradictions.push(format!(
+                "{} events are not in the take: the disk stalled",
+                self.events_dropped
+            ));
         }
         let dropped_by_device = dropped.min(missing);
         Ledger {

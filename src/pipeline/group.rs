@@ -89,7 +89,9 @@ impl Group {
             .map(|_| {
                 let (producer, consumer) = ring(plan.ring_rows());
                 producers.push(producer);
-                Slot { ring: consumer, encoder: plan.codec.encoder() }
+                let mut encoder = plan.codec.encoder();
+                encoder.prepare(plan.stretch_rows as usize);
+                Slot { ring: consumer, encoder }
             })
             .collect();
         let rows = plan.stretch_rows as usize;
@@ -121,7 +123,11 @@ impl Group {
     }
 
     /// Where its jobs come from and its parts go. Gives a view of its free buffers.
-    pub(super) fn connect(&mut self, jobs: Receiver<Job>, parts: Sender<Part>) -> Receiver<Vec<u8>> {
+    pub(super) fn connect(
+        &mut self,
+        jobs: Receiver<Job>,
+        parts: Sender<Part>,
+    ) -> Receiver<Vec<u8>> {
         self.jobs = Some((jobs, parts));
         self.buffers.clone()
     }

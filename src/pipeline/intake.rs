@@ -120,7 +120,9 @@ impl Intake {
             self.counts.ring_full += 1;
             self.pending.add(1, Causes::RING_FULL);
             self.row.fill(Sample::default());
-            self.progress.lost.store(self.counts.not_received + self.counts.ring_full, Ordering::Relaxed);
+            self.progress
+                .lost
+                .store(self.counts.not_received + self.counts.ring_full, Ordering::Relaxed);
             return;
         }
         self.push_row(RowTime {
@@ -149,7 +151,8 @@ impl Intake {
     pub fn event(&mut self, mut event: Event) {
         event.row = self.next_row;
         // The queue is full only when the disk has stalled through a thousand events.
-        self.counts.events_dropped += u64::from(self.control.try_send(Control::Event(event)).is_err());
+        self.counts.events_dropped +=
+            u64::from(self.control.try_send(Control::Event(event)).is_err());
     }
 
     /// The device's report on itself.
@@ -304,7 +307,9 @@ impl Intake {
         for (rows, causes) in self.pending.drain() {
             self.timeline.push(TimelineItem::Lost { rows, causes });
         }
-        self.progress.lost.store(self.counts.not_received + self.counts.ring_full, Ordering::Relaxed);
+        self.progress
+            .lost
+            .store(self.counts.not_received + self.counts.ring_full, Ordering::Relaxed);
     }
 
     fn close_stretch(&mut self) {
@@ -321,11 +326,8 @@ impl Intake {
         if key {
             self.next_key_row = first_row + self.key_rows;
         }
-        let end = StretchEnd {
-            span: Span { first_row, n_rows, key },
-            n_channels: self.n_channels,
-            last,
-        };
+        let end =
+            StretchEnd { span: Span { first_row, n_rows, key }, n_channels: self.n_channels, last };
         if !self.feed.end_stretch(end, self.counts()) {
             self.progress.failed.store(true, Ordering::Relaxed);
         }

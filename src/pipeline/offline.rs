@@ -28,7 +28,11 @@ const STRETCH_S: f64 = 10.0;
 /// Rows of a stretch of a take at `rate_hz`: whole takes for the resamplers that are not cut.
 #[must_use]
 pub fn stretch_rows(codec: &Settings, rate_hz: f64, n_rows: usize) -> usize {
-    if codec.kind.is_live() { ((STRETCH_S * rate_hz) as usize).clamp(1, 1 << 17) } else { n_rows.max(1) }
+    if codec.kind.is_live() {
+        ((STRETCH_S * rate_hz) as usize).clamp(1, 1 << 17)
+    } else {
+        n_rows.max(1)
+    }
 }
 
 /// One channel in memory, row by row.
@@ -177,4 +181,3 @@ fn encode(
     }
     Ok(coded)
 }
-

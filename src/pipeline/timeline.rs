@@ -19,7 +19,11 @@ pub(super) struct TimelineCoder {
 }
 
 impl TimelineCoder {
-    pub(super) fn new(ring: RingOut<TimelineItem>, config: &PipelineConfig, items_max: usize) -> Self {
+    pub(super) fn new(
+        ring: RingOut<TimelineItem>,
+        config: &PipelineConfig,
+        items_max: usize,
+    ) -> Self {
         let mut timeline = Timeline::default();
         timeline.runs.reserve(items_max);
         timeline.times.reserve(items_max);

@@ -199,7 +199,7 @@ impl<W: TakeOutput> Writer<W> {
             self.take.timeline(&timeline.bytes).context("cannot write the time line")?;
             self.take.extend_rows(span.first_row);
         }
-        if span.n_rows > 0 && front.end.n_channels > 0 {
+        if span.n_rows > 0 {
             self.take.stretch(span, &self.payload).context("cannot write a stretch")?;
         }
         if !front.end.last {

@@ -64,8 +64,13 @@ impl Rig {
     ///
     /// # Errors
     /// When the device refuses to start or does not answer. A device that goes away is an [`Ending`].
-    pub fn read(mut self, mut intake: Intake, options: &ReadOptions<'_>) -> anyhow::Result<Recording> {
-        let mut reader = Reader { intake: &mut intake, latency: Latency::default(), end: None, started: None };
+    pub fn read(
+        mut self,
+        mut intake: Intake,
+        options: &ReadOptions<'_>,
+    ) -> anyhow::Result<Recording> {
+        let mut reader =
+            Reader { intake: &mut intake, latency: Latency::default(), end: None, started: None };
         let outcome = self.read_frames(&mut reader, options);
         let latency = reader.latency;
         if matches!(outcome, Ok(Ending::Disconnected)) {
@@ -98,11 +103,17 @@ impl Rig {
                 last_frame_ns = now_ns;
                 told_silent = false;
             } else if !told_silent && now_ns - last_frame_ns > SILENCE.as_nanos() as u64 {
-                (options.say)("no frame for 3 s: is the device capturing? Still waiting; Ctrl-C finishes the take");
+                (options.say)(
+                    "no frame for 3 s: is the device capturing? Still waiting; Ctrl-C finishes the take",
+                );
                 told_silent = true;
             }
             if reader.end.is_some() {
-                return Ok(if stop_said_ns.is_some() { Ending::Stopped } else { Ending::EndOfStream });
+                return Ok(if stop_said_ns.is_some() {
+                    Ending::Stopped
+                } else {
+                    Ending::EndOfStream
+                });
             }
             if reader.intake.has_failed() {
                 self.say(Command::Stop).ok();
@@ -117,7 +128,9 @@ impl Rig {
                     stop_said_ns = Some(now_ns);
                 }
                 Some(said) if now_ns - said > STOP_WITHIN.as_nanos() as u64 => {
-                    (options.say)("the device does not confirm the stop: the take ends with its last frame");
+                    (options.say)(
+                        "the device does not confirm the stop: the take ends with its last frame",
+                    );
                     return Ok(Ending::Stopped);
                 }
                 _ => {}

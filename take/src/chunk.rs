@@ -79,9 +79,9 @@ pub fn front(bytes: &[u8]) -> Front<'_> {
 }
 
 fn crc_matches(chunk: &[u8]) -> bool {
-    chunk.split_last_chunk::<4>().is_some_and(|(body, crc)| {
-        crc32fast::hash(body).to_le_bytes() == *crc
-    })
+    chunk
+        .split_last_chunk::<4>()
+        .is_some_and(|(body, crc)| crc32fast::hash(body).to_le_bytes() == *crc)
 }
 
 /// The same without the CRC, for a chunk whose CRC was seen to match.

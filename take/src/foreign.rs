@@ -68,7 +68,8 @@ mod tests {
 
     #[test]
     fn comes_back_and_damage_is_an_error() {
-        let part = Foreign { kind: "c3d/analog".into(), data: (0..4000).map(|i| i as u8).collect() };
+        let part =
+            Foreign { kind: "c3d/analog".into(), data: (0..4000).map(|i| i as u8).collect() };
         let payload = to_payload(&part).unwrap();
         assert!(payload.len() < 600);
         assert_eq!(from_payload(&payload, 8).unwrap(), part);

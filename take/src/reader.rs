@@ -176,10 +176,14 @@ impl TakeReader {
         TakeEvent::Damaged { offset, len: self.offset() - offset, message: message.to_owned() }
     }
 
-    fn interpret(&mut self, kind: u8, start: usize, len: usize) -> Result<TakeEvent<'_>, TakeError> {
+    fn interpret(
+        &mut self,
+        kind: u8,
+        start: usize,
+        len: usize,
+    ) -> Result<TakeEvent<'_>, TakeError> {
         let offset = self.base + start as u64;
-        let Front::Whole { payload, .. } = chunk::split(&self.buffer[start..start + len])
-        else {
+        let Front::Whole { payload, .. } = chunk::split(&self.buffer[start..start + len]) else {
             return Err(TakeError::NotATake("a chunk vanished while it was read"));
         };
         if !self.seen_header && kind != types::HEADER {

@@ -297,7 +297,11 @@ mod tests {
     fn a_quiet_second_is_small() {
         let mut timeline = Timeline::default();
         for i in 0..60_u64 {
-            timeline.push(RowTime { device_ticks: i * 1000, arrival_10us: i * 100_000 / 60, timecode: None });
+            timeline.push(RowTime {
+                device_ticks: i * 1000,
+                arrival_10us: i * 100_000 / 60,
+                timecode: None,
+            });
         }
         let mut out = Vec::new();
         timeline.encode(60_000, 60.0, &mut out);

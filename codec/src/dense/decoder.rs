@@ -23,6 +23,11 @@ impl DenseDecoder {
 }
 
 impl PayloadDecoder for DenseDecoder {
+    #[cfg(debug_assertions)]
+    fn prepare(&mut self, n_rows: usize) {
+        self.channel.prepare(n_rows);
+    }
+
     fn reset(&mut self) {
         self.channel.reset();
     }

@@ -35,6 +35,10 @@ impl DenseEncoder {
 impl PayloadEncoder for DenseEncoder {
     type Decoder = DenseDecoder;
 
+    fn prepare(&mut self, n_rows: usize) {
+        self.channel.prepare(n_rows);
+    }
+
     fn reset(&mut self) {
         self.channel.reset();
     }

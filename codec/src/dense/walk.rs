@@ -67,6 +67,13 @@ impl Default for Channel {
 }
 
 impl Channel {
+    /// Room for blocks of so many rows.
+    pub(super) fn prepare(&mut self, n_rows: usize) {
+        let rows = MEMORY + n_rows;
+        self.points.reserve(rows.saturating_sub(self.points.len()));
+        self.weights.reserve(rows.saturating_sub(self.weights.len()));
+    }
+
     pub(super) fn reset(&mut self) {
         self.adaptive = Adaptive::default();
         self.break_off();

@@ -21,6 +21,13 @@ impl<D: PayloadDecoder> FramedDecoder<D> {
         Self { payload, raw: Lossless::default(), tolerance, lost: false }
     }
 
+    /// Allocates what blocks of up to `n_rows` rows will ever need.
+    #[cfg(debug_assertions)]
+    pub(super) fn prepare(&mut self, n_rows: usize) {
+        self.payload.prepare(n_rows);
+        self.raw.reserve(n_rows);
+    }
+
     fn decode_samples(
         &mut self,
         block: &[u8],

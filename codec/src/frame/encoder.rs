@@ -71,6 +71,17 @@ impl<E: PayloadEncoder> FramedEncoder<E> {
 }
 
 impl<E: PayloadEncoder> BlockEncoder for FramedEncoder<E> {
+    fn prepare(&mut self, n_rows: usize) {
+        self.payload.prepare(n_rows);
+        self.raw.reserve(n_rows);
+        #[cfg(debug_assertions)]
+        {
+            let (twin, decoded) = &mut self.twin;
+            twin.prepare(n_rows);
+            decoded.clear_to(n_rows);
+        }
+    }
+
     fn encode(
         &mut self,
         rows: Rows<'_>,

@@ -36,6 +36,9 @@ pub(crate) trait PayloadEncoder: Send + fmt::Debug {
         Lossless::max_payload_bytes(samples)
     }
 
+    /// As [`BlockEncoder::prepare`](crate::BlockEncoder::prepare).
+    fn prepare(&mut self, n_rows: usize);
+
     /// Forgets all state.
     fn reset(&mut self);
 
@@ -64,6 +67,10 @@ pub(crate) trait PayloadEncoder: Send + fmt::Debug {
 pub(crate) trait PayloadDecoder: Send + fmt::Debug {
     /// As [`PayloadEncoder::EXACT`].
     const EXACT: bool = false;
+
+    /// As [`PayloadEncoder::prepare`].
+    #[cfg(debug_assertions)]
+    fn prepare(&mut self, n_rows: usize);
 
     /// Forgets all state.
     fn reset(&mut self);

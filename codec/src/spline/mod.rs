@@ -92,6 +92,9 @@ impl Spline {
 impl PayloadEncoder for Spline {
     type Decoder = Self;
 
+    /// Works on whole takes, where nothing is hot.
+    fn prepare(&mut self, _n_rows: usize) {}
+
     fn reset(&mut self) {}
 
     fn break_off(&mut self) {}
@@ -131,6 +134,9 @@ impl PayloadEncoder for Spline {
 }
 
 impl PayloadDecoder for Spline {
+    #[cfg(debug_assertions)]
+    fn prepare(&mut self, _n_rows: usize) {}
+
     fn reset(&mut self) {}
 
     fn break_off(&mut self) {}

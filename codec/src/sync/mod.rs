@@ -30,6 +30,9 @@ impl Sync {
 impl PayloadEncoder for Sync {
     type Decoder = Self;
 
+    /// Works on whole takes, where nothing is hot.
+    fn prepare(&mut self, _n_rows: usize) {}
+
     fn reset(&mut self) {}
 
     fn break_off(&mut self) {}
@@ -66,6 +69,9 @@ impl PayloadEncoder for Sync {
 }
 
 impl PayloadDecoder for Sync {
+    #[cfg(debug_assertions)]
+    fn prepare(&mut self, _n_rows: usize) {}
+
     fn reset(&mut self) {}
 
     fn break_off(&mut self) {}

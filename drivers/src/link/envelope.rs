@@ -64,7 +64,7 @@ impl Deframer {
     /// Keeps at most `wire_bytes_max` bytes, the closing 0x00 included.
     pub(super) fn new(wire_bytes_max: usize) -> Self {
         Self {
-            pending: Vec::new(),
+            pending: Vec::with_capacity(wire_bytes_max),
             pending_bytes_max: wire_bytes_max - 1,
             overlong: false,
             counters: LinkCounters::default(),

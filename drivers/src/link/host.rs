@@ -4,7 +4,7 @@ use super::{
     envelope::{Deframer, Framer, Verdict},
     frame::get_frame,
     kind,
-    limits::WIRE_BYTES_MAX,
+    limits::{MARKERS_MAX, WIRE_BYTES_MAX},
     records,
 };
 use crate::device::{
@@ -35,7 +35,7 @@ impl HostLink {
         Self {
             deframer: Deframer::new(WIRE_BYTES_MAX),
             framer: Framer::default(),
-            inbox: Inbox::default(),
+            inbox: Inbox { samples: Vec::with_capacity(MARKERS_MAX), ..Inbox::default() },
         }
     }
 }

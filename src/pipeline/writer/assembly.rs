@@ -2,11 +2,7 @@
 
 use std::collections::VecDeque;
 
-use crate::pipeline::{
-    group::Part,
-    plan::Plan,
-    pool::StretchEnd,
-};
+use crate::pipeline::{group::Part, plan::Plan, pool::StretchEnd};
 
 /// One stretch.
 #[derive(Debug)]
@@ -56,10 +52,7 @@ impl Assemblies {
             self.waiting.push_back(Assembly {
                 stretch: self.next_stretch + self.waiting.len() as u64,
                 end: part.end,
-                slots: self
-                    .spare
-                    .pop()
-                    .unwrap_or_else(|| (0..n_groups).map(|_| None).collect()),
+                slots: self.spare.pop().unwrap_or_else(|| (0..n_groups).map(|_| None).collect()),
                 missing: usize::MAX,
             });
         }

@@ -113,8 +113,7 @@ impl Header {
     pub fn set_codec(&mut self, settings: &Settings) {
         self.resampler = settings.kind.to_string();
         self.codec_version = CODEC_VERSION;
-        self.tolerance_mm =
-            if settings.kind.is_lossless() { 0.0 } else { settings.tolerance.mm() };
+        self.tolerance_mm = if settings.kind.is_lossless() { 0.0 } else { settings.tolerance.mm() };
     }
 
     /// Rejects a header whose numbers make no sense to a reader.

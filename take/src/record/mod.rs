@@ -36,8 +36,9 @@ pub trait Record: bincode::Encode + bincode::Decode<()> {
     /// `InvalidArgument` when it is larger than a reader would accept.
     fn to_payload(&self) -> Result<Vec<u8>, TakeError> {
         let mut out = Self::VERSION.to_le_bytes().to_vec();
-        let body = bincode::encode_to_vec(self, CONFIG)
-            .map_err(|e| TakeError::InvalidArgument(format!("{} cannot be stored: {e}", Self::NAME)))?;
+        let body = bincode::encode_to_vec(self, CONFIG).map_err(|e| {
+            TakeError::InvalidArgument(format!("{} cannot be stored: {e}", Self::NAME))
+        })?;
         if body.len() > LIMIT_BYTES {
             return Err(TakeError::InvalidArgument(format!(
                 "{} of {} bytes is larger than a take can hold ({LIMIT_BYTES})",
@@ -60,7 +61,11 @@ pub trait Record: bincode::Encode + bincode::Decode<()> {
             .ok_or_else(|| corrupt("shorter than its version".into()))?;
         let found = u16::from_le_bytes(*version);
         if found != Self::VERSION {
-            return Err(TakeError::Unsupported { what: Self::NAME, found, supported: Self::VERSION });
+            return Err(TakeError::Unsupported {
+                what: Self::NAME,
+                found,
+                supported: Self::VERSION,
+            });
         }
         let (record, used) = bincode::decode_from_slice(body, CONFIG)
             .map_err(|e| corrupt(format!("not decodable: {e}")))?;

@@ -1,0 +1,155 @@
+//! Nothing between a frame's bytes and its block on the way to disk allocates after the start.
+//!
+//! Every allocation of the process is counted, on every thread, so this is the only test of its binary.
+
+#![expect(unsafe_code, reason = "an allocator that counts is one by contract")]
+
+use std::{
+    alloc::{GlobalAlloc, Layout, System},
+    io::{self, Write},
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use mocapd::{
+    header,
+    pipeline::{Intake, Pipeline, PipelineConfig, TakeOutput},
+};
+use mocapd_codec::{ResamplerKind, Settings, Tolerance};
+use mocapd_drivers::{
+    device::{DeviceEvent, Frame, MarkerSample, Protocol},
+    link::{DeviceLink, FrameForm, HostLink},
+};
+use mocapd_simulator::generator::{JumpSpec, Occlusion};
+use mocapd_take::motion::{Motion, is_gap};
+
+struct Counting;
+
+static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
+
+// SAFETY: every call is handed on to the system's allocator as it came.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: the caller's promises are the ones this needs.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: the caller's promises are the ones this needs.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, new_size: usize) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: the caller's promises are the ones this needs.
+        unsafe { System.realloc(pointer, layout, new_size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Counts the stretches it is given, so that the test knows when everything was worked off.
+struct CountingSink(Arc<AtomicU64>);
+
+impl Write for CountingSink {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.fetch_add(
+            u64::from(bytes[0] == mocapd_take::chunk::types::STRETCH),
+            Ordering::Relaxed,
+        );
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl TakeOutput for CountingSink {
+    fn sync(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+const RATE_HZ: f64 = 240.0;
+const TICK_HZ: u64 = 240;
+
+/// The bytes of frames `from..to`, as a pty would bring them.
+fn wire(motion: &Motion, from: usize, to: usize) -> Vec<u8> {
+    let mut link = DeviceLink::new();
+    let mut out = Vec::new();
+    for seq in from..to {
+        let sample = |(id, &position_mm): (usize, &[f32; 3])| MarkerSample {
+            id: id as u16,
+            occluded: is_gap(position_mm),
+            position_mm,
+            ..MarkerSample::default()
+        };
+        let markers: Vec<_> = motion.frame(seq).iter().enumerate().map(sample).collect();
+        let frame =
+            Frame { seq: seq as u32, device_ticks: seq as u64, timecode: None, markers: &markers };
+        link.frame(FrameForm::Float, &frame, &mut out).unwrap();
+    }
+    out
+}
+
+fn feed(link: &mut HostLink, intake: &mut Intake, bytes: &[u8]) {
+    for piece in bytes.chunks(4095) {
+        link.push(piece, &mut |event| {
+            if let DeviceEvent::Frame(frame) = event {
+                while intake.is_full() {
+                    std::thread::yield_now();
+                }
+                intake.frame(&frame, frame.device_ticks * 1_000_000_000 / TICK_HZ);
+            }
+        });
+    }
+}
+
+fn wait_for(stretches: &AtomicU64, wanted: u64) {
+    let since = Instant::now();
+    while stretches.load(Ordering::Relaxed) < wanted {
+        assert!(since.elapsed() < Duration::from_secs(60), "the pipeline stands still");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+#[test]
+fn the_sample_path_does_not_allocate_after_the_start() {
+    let occlusion = Some(Occlusion { fraction: 0.1, mean_gap_s: 0.1 });
+    let spec =
+        JumpSpec { seconds: Some(14.0), n_markers: 40, occlusion, ..JumpSpec::new(1, RATE_HZ) };
+    let motion = spec.generate().unwrap().motion;
+    // The first stretch has 24 rows, the others 120; a key stretch comes with each of the first and the 21st.
+    let (warm_up, measured) = (wire(&motion, 0, 24 + 4 * 120), wire(&motion, 504, 504 + 20 * 120));
+    for kind in [ResamplerKind::Dense, ResamplerKind::Fast, ResamplerKind::Lossless] {
+        let codec = Settings { kind, tolerance: Tolerance::from_mm(0.5).unwrap() };
+        let channels = header::channels(&motion.info.markers);
+        let config = PipelineConfig::new(codec, RATE_HZ, TICK_HZ, channels);
+        let mut header = header::new(&codec, RATE_HZ).unwrap();
+        header.channels.clone_from(&config.channels);
+        let stretches = Arc::new(AtomicU64::new(0));
+        let (mut intake, pipeline) =
+            Pipeline::start(&config, &header, CountingSink(Arc::clone(&stretches))).unwrap();
+        let mut link = HostLink::new();
+
+        feed(&mut link, &mut intake, &warm_up);
+        wait_for(&stretches, 5);
+        // The channels make each thread's parking place when it waits for the first time: let all wait.
+        std::thread::sleep(Duration::from_millis(300));
+        let before = ALLOCATIONS.load(Ordering::Relaxed);
+        feed(&mut link, &mut intake, &measured);
+        wait_for(&stretches, 25);
+        let allocations = ALLOCATIONS.load(Ordering::Relaxed) - before;
+
+        intake.finish();
+        let (written, _) = pipeline.finish().unwrap();
+        assert_eq!(written.ledger.recorded, 504 + 20 * 120);
+        assert_eq!(allocations, 0, "{kind}: 2400 frames of 40 markers");
+    }
+}

@@ -1,0 +1,85 @@
+//! Markers that appear after the start.
+
+use mocapd_drivers::device::{MarkerInfo, MarkerSample};
+use mocapd_take::motion::is_gap;
+
+use crate::support::{chunks, config, dense, feed_samples, jump, rows, samples, start};
+
+#[test]
+fn a_marker_that_appears_becomes_a_channel() {
+    let motion = jump(1, 100.0, 2.0);
+    let (mut intake, pipeline) = start(&config(&motion, dense(0.5)), Vec::new());
+    for seq in 0..200 {
+        let mut markers = samples(motion.frame(seq));
+        if seq >= 77 {
+            markers.push(MarkerSample {
+                id: 900,
+                position_mm: [1.0, 2.0, 3.0],
+                ..Default::default()
+            });
+        }
+        if seq == 120 {
+            let label = "wand".to_owned();
+            intake.announce(&[MarkerInfo { id: 901, label, labelled: true }]);
+        }
+        if seq >= 130 {
+            markers.push(MarkerSample {
+                id: 901,
+                position_mm: [4.0, 5.0, 6.0],
+                ..Default::default()
+            });
+        }
+        feed_samples(&mut intake, 100.0, seq, &markers);
+    }
+    intake.finish();
+    let (written, take) = pipeline.finish().unwrap();
+    let ledger = written.ledger;
+    assert!(ledger.closes(), "{ledger:?}");
+    assert_eq!(ledger.samples_announced, 15 * 200 + 123 + 80);
+    assert_eq!(ledger.markers_dropped, 0);
+    assert_eq!(chunks(&take).labels[15..], ["u016", "wand"]);
+    for (seq, row) in rows(&take).0.iter().enumerate() {
+        assert_eq!(is_gap(row[15]), seq < 77, "{seq}");
+        assert_eq!(is_gap(row[16]), seq < 130, "{seq}");
+    }
+}
+
+#[test]
+fn beyond_the_pool_samples_are_dropped_and_counted() {
+    let motion = jump(2, 100.0, 0.5);
+    let config = mocapd::pipeline::PipelineConfig { reserve: 1, ..config(&motion, dense(0.5)) };
+    let (mut intake, pipeline) = start(&config, Vec::new());
+    for seq in 0..50 {
+        let mut markers = samples(motion.frame(seq));
+        for id in [500, 501, 502] {
+            markers.push(MarkerSample { id, position_mm: [1.0; 3], ..Default::default() });
+        }
+        feed_samples(&mut intake, 100.0, seq, &markers);
+    }
+    intake.finish();
+    let (written, take) = pipeline.finish().unwrap();
+    assert!(written.ledger.closes());
+    assert_eq!(written.ledger.markers_dropped, 100);
+    assert_eq!(chunks(&take).labels.len(), 16);
+}
+
+#[test]
+fn a_device_that_announces_nothing_is_recorded_all_the_same() {
+    let motion = jump(3, 100.0, 1.0);
+    let mut config = config(&motion, dense(0.5));
+    config.channels.clear();
+    let (mut intake, pipeline) = start(&config, Vec::new());
+    for seq in 0..100 {
+        // The first frames see nobody.
+        let markers = if seq < 10 { Vec::new() } else { samples(motion.frame(seq)) };
+        feed_samples(&mut intake, 100.0, seq, &markers);
+    }
+    intake.finish();
+    let (written, take) = pipeline.finish().unwrap();
+    assert!(written.ledger.closes(), "{:?}", written.ledger);
+    assert_eq!(written.ledger.recorded, 100);
+    let (rows, problems) = rows(&take);
+    assert!(problems.is_empty(), "{problems:?}");
+    assert_eq!((rows.len(), rows[50].len()), (100, 15));
+    assert_eq!(is_gap(rows[50][0]), is_gap(motion.frame(50)[0]));
+}

@@ -1,0 +1,126 @@
+//! Frames that do not come, come twice, or come with a counter that lies.
+
+use mocapd_drivers::device::Status;
+use mocapd_take::{
+    motion::is_gap,
+    timeline::{Causes, Run},
+};
+
+use crate::support::{
+    chunks, config, dense, feed, feed_samples, jump, record, rows, samples, start,
+};
+
+#[test]
+fn lost_frames_are_empty_rows_with_their_cause() {
+    let motion = jump(1, 100.0, 6.0);
+    // A few, many, and more than a whole stretch.
+    let lost =
+        |seq: &usize| (20..22).contains(seq) || (70..99).contains(seq) || (200..400).contains(seq);
+    let kept: Vec<_> = (0..motion.n_frames()).filter(|seq| !lost(seq)).collect();
+    let (written, take, _) = record(&motion, &config(&motion, dense(0.5)), kept.clone());
+    let ledger = written.ledger;
+    assert!(ledger.closes(), "{ledger:?}");
+    assert_eq!(
+        (ledger.frames_sent, ledger.recorded, ledger.lost_on_link),
+        (600, kept.len() as u64, 231)
+    );
+
+    let (rows, problems) = rows(&take);
+    assert!(problems.is_empty(), "{problems:?}");
+    for (seq, row) in rows.iter().enumerate() {
+        for (&got, &wanted) in row.iter().zip(motion.frame(seq)) {
+            assert_eq!(is_gap(got), lost(&seq) || is_gap(wanted), "{seq}");
+        }
+    }
+    let runs: Vec<Run> = chunks(&take).timelines.iter().flat_map(|t| t.runs.clone()).collect();
+    let not_received: Vec<_> = runs
+        .iter()
+        .filter(|run| run.lost == Some(Causes::NOT_RECEIVED))
+        .map(|run| run.rows)
+        .collect();
+    assert_eq!(not_received, [2, 29, 200]);
+    assert_eq!(runs.iter().map(|run| run.rows).sum::<u64>(), 600);
+}
+
+#[test]
+fn frames_that_come_again_or_late_are_counted_and_not_recorded() {
+    let motion = jump(2, 100.0, 1.0);
+    let order = [0, 1, 2, 2, 1, 3, 6, 5, 4, 7].into_iter().chain(8..100);
+    let (written, take, _) = record(&motion, &config(&motion, dense(0.5)), order);
+    let ledger = written.ledger;
+    assert!(ledger.closes(), "{ledger:?}");
+    assert_eq!((ledger.duplicates, ledger.lost_on_link, ledger.recorded), (4, 2, 98));
+    assert_eq!(rows(&take).0.len(), 100);
+}
+
+#[test]
+fn what_the_device_dropped_is_told_from_what_the_link_lost() {
+    let motion = jump(3, 100.0, 1.0);
+    let (mut intake, pipeline) = start(&config(&motion, dense(0.5)), Vec::new());
+    for seq in (5..95).filter(|seq| seq % 10 != 0) {
+        feed(&mut intake, &motion, seq);
+    }
+    intake.status(Status { frames_produced: 100, frames_dropped: 8, ..Status::default() }, true);
+    intake.finish();
+    let (written, take) = pipeline.finish().unwrap();
+    let ledger = written.ledger;
+    assert!(ledger.closes(), "{ledger:?}");
+    assert_eq!((ledger.frames_sent, ledger.recorded), (100, 81));
+    assert_eq!((ledger.dropped_by_device, ledger.lost_on_link), (8, 11));
+    // Those before the first frame have no row: nobody knows when they were.
+    assert_eq!(rows(&take).0.len(), 100);
+}
+
+#[test]
+fn counters_that_contradict_each_other_are_flagged() {
+    let motion = jump(4, 100.0, 1.0);
+    for (frames_produced, frames_dropped, said) in
+        [(50, 0, "50 frames produced"), (100, 3, "3 frames dropped")]
+    {
+        let (mut intake, pipeline) = start(&config(&motion, dense(0.5)), Vec::new());
+        (0..100).for_each(|seq| feed(&mut intake, &motion, seq));
+        intake.status(Status { frames_produced, frames_dropped, ..Status::default() }, true);
+        intake.finish();
+        let ledger = pipeline.finish().unwrap().0.ledger;
+        assert!(!ledger.closes());
+        assert!(ledger.contradictions[0].contains(said), "{:?}", ledger.contradictions);
+        assert_eq!(ledger.frame_balance(), 0);
+    }
+}
+
+#[test]
+fn a_counter_that_begins_anew_loses_no_frame_and_is_flagged() {
+    let motion = jump(5, 100.0, 1.0);
+    let (mut intake, pipeline) = start(&config(&motion, dense(0.5)), Vec::new());
+    for i in 0..100_usize {
+        let markers = samples(motion.frame(i));
+        let seq = if i < 40 { i as u32 } else { i as u32 - 40 };
+        let device_ticks = i as u64 * 10_000;
+        let frame =
+            mocapd_drivers::device::Frame { seq, device_ticks, timecode: None, markers: &markers };
+        intake.frame(&frame, device_ticks * 1000);
+    }
+    intake.finish();
+    let ledger = pipeline.finish().unwrap().0.ledger;
+    assert_eq!((ledger.recorded, ledger.duplicates), (100, 0));
+    assert!(ledger.contradictions[0].contains("jumped 1 times"), "{:?}", ledger.contradictions);
+}
+
+#[test]
+fn what_is_not_finite_is_a_gap_and_counted() {
+    let motion = jump(6, 100.0, 0.5);
+    let (mut intake, pipeline) = start(&config(&motion, dense(0.5)), Vec::new());
+    let mut present = 0;
+    for seq in 0..50 {
+        let mut markers = samples(motion.frame(seq));
+        markers[3].occluded = false;
+        markers[3].position_mm = [1.0, f32::NAN, f32::INFINITY];
+        present += markers.iter().filter(|m| !m.occluded).count() as u64 - 1;
+        feed_samples(&mut intake, 100.0, seq, &markers);
+    }
+    intake.finish();
+    let (written, take) = pipeline.finish().unwrap();
+    assert!(written.ledger.closes());
+    assert_eq!((written.ledger.samples_not_finite, written.ledger.samples_present), (50, present));
+    assert!(rows(&take).0.iter().all(|row| is_gap(row[3])));
+}

@@ -1,0 +1,158 @@
+//! A disk that stalls or fails.
+
+use std::{
+    io::{self, Write},
+    time::{Duration, Instant},
+};
+
+use crossbeam_channel::{Receiver, bounded};
+use mocapd::pipeline::TakeOutput;
+use mocapd_take::timeline::Causes;
+
+use crate::support::{chunks, config, dense, feed, jump, rows, start};
+
+/// Writes to memory, but from the second write on only after the gate was opened.
+struct Gated {
+    gate: Receiver<()>,
+    writes: usize,
+    bytes: Vec<u8>,
+}
+
+impl Write for Gated {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.writes += 1;
+        if self.writes > 1 {
+            // Disconnected: open for good.
+            self.gate.recv().ok();
+        }
+        self.bytes.extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl TakeOutput for Gated {
+    fn sync(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_stall_of_thirty_seconds_loses_nothing_and_a_longer_one_only_whole_frames() {
+    let motion = jump(1, 200.0, 4.0);
+    let n = motion.n_frames();
+    let (open, gate) = bounded(0);
+    let (mut intake, pipeline) =
+        start(&config(&motion, dense(1.0)), Gated { gate, writes: 0, bytes: Vec::new() });
+    // Faster than real time: the rings must be emptied before a loss can mean a full queue.
+    let wait_for_room = |intake: &mut mocapd::pipeline::Intake| {
+        let since = Instant::now();
+        while intake.is_full() && since.elapsed() < Duration::from_secs(1) {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    };
+    let frame = |intake: &mut _, seq: usize| {
+        crate::support::feed_samples(
+            intake,
+            200.0,
+            seq,
+            &crate::support::samples(motion.frame(seq % n)),
+        );
+    };
+    for seq in 0..6_000 {
+        wait_for_room(&mut intake);
+        frame(&mut intake, seq);
+    }
+    assert_eq!(intake.counts().ring_full, 0, "30 s fit into memory");
+    let mut seq = 6_000;
+    while intake.counts().ring_full < 100 {
+        assert!(seq < 20_000, "the queues have no bound");
+        if intake.counts().ring_full == 0 {
+            wait_for_room(&mut intake);
+        }
+        frame(&mut intake, seq);
+        seq += 1;
+    }
+    drop(open);
+    for _ in 0..400 {
+        wait_for_room(&mut intake);
+        frame(&mut intake, seq);
+        seq += 1;
+    }
+    intake.finish();
+    let (written, output) = pipeline.finish().unwrap();
+    let ledger = written.ledger;
+    assert!(ledger.closes(), "{ledger:?}");
+    assert_eq!(ledger.frames_sent, seq as u64);
+    assert_eq!(ledger.lost_ring_full, 100);
+    let found = chunks(&output.bytes);
+    let runs: Vec<_> = found.timelines.iter().flat_map(|t| &t.runs).collect();
+    let lost: u64 =
+        runs.iter().filter(|run| run.lost == Some(Causes::RING_FULL)).map(|run| run.rows).sum();
+    assert_eq!(lost, 100);
+    // A frame is there whole or not at all.
+    let recorded: std::collections::HashSet<u64> =
+        found.timelines.iter().flat_map(|t| t.recorded()).map(|(row, _)| row).collect();
+    for (row, positions) in rows(&output.bytes).0.iter().enumerate() {
+        let present = positions.iter().filter(|&&p| !mocapd_take::motion::is_gap(p)).count();
+        let sent =
+            motion.frame(row % n).iter().filter(|&&p| !mocapd_take::motion::is_gap(p)).count();
+        assert_eq!(present, if recorded.contains(&(row as u64)) { sent } else { 0 }, "{row}");
+    }
+}
+
+/// A disk that is full after so many bytes.
+struct Full {
+    room: usize,
+    bytes: std::sync::Arc<std::sync::Mutex<Vec<u8>>>,
+}
+
+impl Write for Full {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let n = bytes.len().min(self.room);
+        if n == 0 {
+            return Err(io::ErrorKind::StorageFull.into());
+        }
+        self.room -= n;
+        self.bytes.lock().unwrap().extend_from_slice(&bytes[..n]);
+        Ok(n)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl TakeOutput for Full {
+    fn sync(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_full_disk_is_an_error_and_what_was_written_can_be_read() {
+    let motion = jump(2, 200.0, 10.0);
+    let bytes = std::sync::Arc::default();
+    let full = Full { room: 4_000, bytes: std::sync::Arc::clone(&bytes) };
+    let (mut intake, pipeline) = start(&config(&motion, dense(1.0)), full);
+    for seq in 0..motion.n_frames() {
+        while intake.is_full() {
+            std::thread::yield_now();
+        }
+        feed(&mut intake, &motion, seq);
+    }
+    let since = Instant::now();
+    while !intake.has_failed() && since.elapsed() < Duration::from_secs(20) {
+        std::thread::yield_now();
+    }
+    assert!(intake.has_failed(), "nobody was told");
+    intake.finish();
+    let error = format!("{:#}", pipeline.finish().err().unwrap());
+    assert!(error.contains("cannot write"), "{error}");
+    let (rows, problems) = rows(&bytes.lock().unwrap());
+    assert!(rows.len() > 50, "{}", rows.len());
+    assert!(problems.iter().any(|p| p.contains("cut off")), "{problems:?}");
+}

@@ -1,0 +1,144 @@
+//! What several test modules need: generated motion, a pipeline in memory, and takes read back.
+
+use std::io::Cursor;
+
+use mocapd::{
+    header,
+    pipeline::{Counts, Intake, Pipeline, PipelineConfig, TakeOutput, Written},
+};
+use mocapd_codec::{ResamplerKind, Settings, Tolerance};
+use mocapd_drivers::device::{Frame, MarkerSample};
+use mocapd_simulator::generator::{JumpSpec, Occlusion};
+use mocapd_take::{
+    TakeEvent, TakeFrames,
+    motion::{FrameSource, GAP, Motion, Position, is_gap},
+    reader::read_events,
+    record::Ledger,
+    timeline::Timeline,
+};
+
+/// Ticks a second of the test devices.
+pub(crate) const TICK_HZ: u64 = 1_000_000;
+
+/// A generated jump with gaps.
+pub(crate) fn jump(seed: u64, rate_hz: f64, seconds: f64) -> Motion {
+    let occlusion = Some(Occlusion { fraction: 0.05, mean_gap_s: 0.1 });
+    let spec = JumpSpec { seconds: Some(seconds), occlusion, ..JumpSpec::new(seed, rate_hz) };
+    spec.generate().unwrap().motion
+}
+
+pub(crate) fn dense(tolerance_mm: f64) -> Settings {
+    Settings { kind: ResamplerKind::Dense, tolerance: Tolerance::from_mm(tolerance_mm).unwrap() }
+}
+
+pub(crate) fn lossless() -> Settings {
+    Settings { kind: ResamplerKind::Lossless, ..dense(1.0) }
+}
+
+/// The samples of one frame, as a device lists them.
+pub(crate) fn samples(frame: &[Position]) -> Vec<MarkerSample> {
+    let sample = |(id, &position_mm): (usize, &Position)| MarkerSample {
+        id: id as u16,
+        occluded: is_gap(position_mm),
+        position_mm,
+        ..MarkerSample::default()
+    };
+    frame.iter().enumerate().map(sample).collect()
+}
+
+/// Gives frame `seq` of `motion` to the pipeline.
+pub(crate) fn feed(intake: &mut Intake, motion: &Motion, seq: usize) {
+    feed_samples(intake, motion.info.rate_hz, seq, &samples(motion.frame(seq)));
+}
+
+pub(crate) fn feed_samples(
+    intake: &mut Intake,
+    rate_hz: f64,
+    seq: usize,
+    markers: &[MarkerSample],
+) {
+    let device_ticks = (seq as f64 * TICK_HZ as f64 / rate_hz).round() as u64;
+    let frame = Frame { seq: seq as u32, device_ticks, timecode: None, markers };
+    intake.frame(&frame, 5_000_000 + device_ticks * 1000);
+}
+
+pub(crate) fn config(motion: &Motion, codec: Settings) -> PipelineConfig {
+    let channels = header::channels(&motion.info.markers);
+    PipelineConfig::new(codec, motion.info.rate_hz, TICK_HZ, channels)
+}
+
+pub(crate) fn start<W: TakeOutput>(config: &PipelineConfig, output: W) -> (Intake, Pipeline<W>) {
+    let mut header = header::new(&config.codec, config.rate_hz).unwrap();
+    header.channels.clone_from(&config.channels);
+    header.device =
+        Some(mocapd_take::record::Device { tick_hz: config.tick_hz, ..Default::default() });
+    Pipeline::start(config, &header, output).unwrap()
+}
+
+/// Records the frames of `motion` that `wanted` names, in that order, waiting for full rings.
+pub(crate) fn record(
+    motion: &Motion,
+    config: &PipelineConfig,
+    wanted: impl IntoIterator<Item = usize>,
+) -> (Written, Vec<u8>, Counts) {
+    let (mut intake, pipeline) = start(config, Vec::new());
+    for seq in wanted {
+        while intake.is_full() {
+            std::thread::yield_now();
+        }
+        feed(&mut intake, motion, seq);
+    }
+    let counts = intake.finish();
+    let (written, take) = pipeline.finish().unwrap();
+    (written, take, counts)
+}
+
+/// Rows of a take, and what is missing from it.
+pub(crate) fn rows(take: &[u8]) -> (Vec<Vec<Position>>, Vec<String>) {
+    let mut frames = TakeFrames::open(Cursor::new(take)).unwrap();
+    let mut row = vec![GAP; frames.info().markers.len()];
+    let mut rows = Vec::new();
+    while frames.next_frame(&mut row).unwrap() {
+        rows.push(row.clone());
+    }
+    (rows, frames.problems().to_vec())
+}
+
+/// The chunks of a take that a test looks at.
+#[derive(Debug, Default)]
+pub(crate) struct Chunks {
+    pub(crate) labels: Vec<String>,
+    pub(crate) timelines: Vec<Timeline>,
+    pub(crate) ledgers: Vec<Ledger>,
+    pub(crate) keys: Vec<(u64, bool)>,
+    pub(crate) blocks: Vec<Vec<u8>>,
+    pub(crate) finished: bool,
+}
+
+pub(crate) fn chunks(take: &[u8]) -> Chunks {
+    let mut found = Chunks::default();
+    read_events(take, |event| {
+        match event {
+            TakeEvent::Header(header) => {
+                found.labels.extend(header.channels.iter().map(|c| c.label.clone()));
+            }
+            TakeEvent::Channels(more) => found.labels.extend(more.iter().map(|c| c.label.clone())),
+            TakeEvent::Timeline(timeline) => found.timelines.push(timeline),
+            TakeEvent::Ledger(ledger) => found.ledgers.push(*ledger),
+            TakeEvent::Stretch(stretch) => {
+                found.keys.push((stretch.span.first_row, stretch.span.key));
+                found.blocks.extend(stretch.blocks.iter().map(|block| block.to_vec()));
+            }
+            TakeEvent::End { finished } => found.finished = finished,
+            TakeEvent::Damaged { message, offset, .. } => panic!("damaged at {offset}: {message}"),
+            _ => {}
+        }
+        Ok(())
+    })
+    .unwrap();
+    found
+}
+
+pub(crate) fn distance_mm(a: Position, b: Position) -> f64 {
+    a.iter().zip(b).map(|(&a, b)| (f64::from(a) - f64::from(b)).powi(2)).sum::<f64>().sqrt()
+}

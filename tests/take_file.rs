@@ -1,0 +1,191 @@
+//! A take that was cut off, damaged, or written by somebody newer: what can be read is read, and what is
+//! missing is said. Nothing wrong is ever given as good.
+
+use mocapd_take::{
+    TakeError, TakeEvent, TakeFrames, TakeReader, chunk,
+    motion::{Motion, Position, is_gap},
+    record::{Header, Record},
+};
+
+use crate::support::{config, dense, distance_mm, jump, record, rows};
+
+const TOLERANCE_MM: f64 = 0.5;
+
+fn take() -> (Motion, Vec<u8>) {
+    let motion = jump(1, 60.0, 12.0);
+    // Some loss, so that the time line has runs of it.
+    let frames = (0..motion.n_frames()).filter(|seq| seq % 97 != 50);
+    let (_, take, _) = record(&motion, &config(&motion, dense(TOLERANCE_MM)), frames);
+    (motion, take)
+}
+
+/// Every sample that is there is right.
+fn assert_right(rows: &[Vec<Position>], motion: &Motion, what: &str) -> usize {
+    let mut n_present = 0;
+    assert!(rows.len() <= motion.n_frames(), "{what}: {} rows", rows.len());
+    for (index, row) in rows.iter().enumerate() {
+        for (&got, &wanted) in row.iter().zip(motion.frame(index)) {
+            assert!(is_gap(got) || distance_mm(got, wanted) <= TOLERANCE_MM, "{what}: row {index}");
+            n_present += usize::from(!is_gap(got));
+        }
+    }
+    n_present
+}
+
+fn try_rows(take: &[u8]) -> Result<(Vec<Vec<Position>>, Vec<String>), TakeError> {
+    TakeFrames::open(std::io::Cursor::new(take)).map(|_| rows(take))
+}
+
+#[test]
+fn every_truncation_gives_what_was_written_and_says_that_the_end_is_missing() {
+    let (motion, take) = take();
+    let (whole, problems) = rows(&take);
+    assert!(problems.is_empty(), "{problems:?}");
+    let n_whole = assert_right(&whole, &motion, "whole");
+    let mut n_before = 0;
+    for cut in 0..take.len() {
+        match try_rows(&take[..cut]) {
+            Err(error) => assert!(
+                matches!(error, TakeError::NotATake(_)) && n_before == 0,
+                "cut at {cut}: {error}"
+            ),
+            Ok((rows, problems)) => {
+                assert!(
+                    problems.iter().any(|p| p.contains("end is missing")),
+                    "cut at {cut}: {problems:?}"
+                );
+                let n = assert_right(&rows, &motion, "cut");
+                assert!(
+                    n >= n_before && n <= n_whole,
+                    "cut at {cut}: {n} samples after {n_before}"
+                );
+                n_before = n;
+            }
+        }
+    }
+    assert_eq!(n_before, n_whole, "the samples end before the ledger");
+}
+
+#[test]
+fn a_flipped_byte_costs_what_depends_on_it_and_never_gives_a_wrong_sample() {
+    let (motion, take) = take();
+    let n_whole = assert_right(&rows(&take).0, &motion, "whole");
+    // Every byte of the header and of the first stretches, then every 7th.
+    for at in (8..take.len()).filter(|at| *at < 2_500 || at % 7 == 0) {
+        let mut damaged = take.clone();
+        damaged[at] ^= 1 << (at % 8);
+        match try_rows(&damaged) {
+            Err(error) => assert!(matches!(error, TakeError::NotATake(_)), "byte {at}: {error}"),
+            Ok((rows, problems)) => {
+                assert!(!problems.is_empty(), "byte {at}: nobody was told");
+                let n = assert_right(&rows, &motion, "flipped");
+                // At most one key distance of ten seconds is lost.
+                assert!(n * 8 >= n_whole, "byte {at}: {n} of {n_whole} samples");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_zeroed_range_costs_no_more_than_up_to_the_next_key_stretch() {
+    let (motion, take) = take();
+    let mut damaged = take.clone();
+    let middle = take.len() / 3;
+    damaged[middle..middle + 200].fill(0);
+    let (rows, problems) = rows(&damaged);
+    assert!(!problems.is_empty());
+    assert!(assert_right(&rows, &motion, "zeroed") > 0);
+    let last = rows.last().unwrap();
+    assert!(last.iter().any(|&p| !is_gap(p)), "the stretches after the next key are unaffected");
+}
+
+#[test]
+fn bytes_may_come_in_any_pieces() {
+    let (_, take) = take();
+    let events = |size: usize| {
+        let mut reader = TakeReader::new();
+        let mut found = Vec::new();
+        for piece in take.chunks(size) {
+            reader.push(piece);
+            while let Some(event) = reader.next_event().unwrap() {
+                found.push(format!("{event:?}"));
+            }
+        }
+        reader.finish();
+        while let Some(event) = reader.next_event().unwrap() {
+            found.push(format!("{event:?}"));
+        }
+        found
+    };
+    let whole = events(take.len());
+    for size in [1, 2, 7, 1000] {
+        assert_eq!(events(size), whole, "{size}");
+    }
+}
+
+#[test]
+fn newer_parts_are_skipped_or_refused_as_their_type_says() {
+    let (_, take) = take();
+    let chunk::Front::Whole { len, .. } = chunk::front(&take[8..]) else { panic!() };
+    let with = |kind: u8| {
+        let mut changed = take[..8 + len].to_vec();
+        chunk::put(&mut changed, kind, b"from the future").unwrap();
+        changed.extend_from_slice(&take[8 + len..]);
+        changed
+    };
+    assert!(rows(&with(0xe0)).1.is_empty());
+    let (_, problems) = rows(&with(0x60));
+    assert!(problems[0].contains("use a newer mocapd"), "{problems:?}");
+}
+
+#[test]
+fn a_newer_header_is_refused_with_its_version() {
+    let (motion, _) = take();
+    let header = mocapd::header::new(&dense(1.0), motion.info.rate_hz).unwrap();
+    let mut payload = header.to_payload().unwrap();
+    payload[0] = 9;
+    let mut take = chunk::MAGIC.to_vec();
+    chunk::put(&mut take, Header::KIND, &payload).unwrap();
+    let error = TakeFrames::open(std::io::Cursor::new(&take)).unwrap_err().to_string();
+    assert!(error.contains("version 9") && error.contains("newer mocapd"), "{error}");
+}
+
+#[test]
+fn what_is_no_take_is_said_to_be_none() {
+    for (bytes, said) in [
+        (&b""[..], "shorter"),
+        (b"\x89TAK", "shorter"),
+        (b"PK\x03\x04 a zip file", "does not begin"),
+        (b"\x89TAK\n\x1a\n and more", "text mode"),
+        (b"\x89TAK\r\n\x1a\n", "no intact header"),
+        (b"\x89TAK\r\n\x1a\n\x01\x7f garbage of some length, without a header", "no intact header"),
+    ] {
+        let error = TakeFrames::open(std::io::Cursor::new(bytes)).unwrap_err().to_string();
+        assert!(error.contains(said), "{error}");
+    }
+}
+
+#[test]
+fn hostile_sizes_cost_no_memory() {
+    let (motion, _) = take();
+    let mut header = mocapd::header::new(&dense(1.0), motion.info.rate_hz).unwrap();
+    header.channels = mocapd::header::channels(&motion.info.markers);
+    let mut front = chunk::MAGIC.to_vec();
+    chunk::put(&mut front, Header::KIND, &header.to_payload().unwrap()).unwrap();
+    // A stretch that claims 2^60 rows, one that claims 4 M rows of many channels, a chunk of 1 GiB.
+    let huge_rows =
+        [&[0][..], &[0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0x0f, 1, 0, 1, 0]].concat();
+    let many = [&[0, 0x80, 0x80, 0x80, 0x02, 1, 0][..], &[1, 0].repeat(100)].concat();
+    for payload in [huge_rows, many] {
+        let mut take = front.clone();
+        chunk::put(&mut take, chunk::types::STRETCH, &payload).unwrap();
+        let mut reader = TakeReader::new();
+        reader.push(&take);
+        reader.finish();
+        assert!(matches!(reader.next_event().unwrap(), Some(TakeEvent::Header(_))));
+        assert!(matches!(reader.next_event().unwrap(), Some(TakeEvent::Damaged { .. })));
+    }
+    let mut long = front;
+    long.extend_from_slice(&[chunk::types::STRETCH, 0xff, 0xff, 0xff, 0xff, 0x03, 1, 2, 3]);
+    assert!(rows(&long).1.iter().any(|p| p.contains("inside a chunk")));
+}
