@@ -49,7 +49,7 @@ pub struct Recorded {
 ///
 /// # Errors
 /// When nothing was recorded (no take is left behind then), or the take could not be written to its end.
-pub fn record(rig: Rig, options: RecordOptions<'_>) -> anyhow::Result<Recorded> {
+pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recorded> {
     let config = rig.pipeline_config(options.codec);
     let mut header = header::new(&options.codec, config.rate_hz)?;
     header.up_axis = rig.hello().up_axis.min(3);
@@ -59,12 +59,12 @@ pub fn record(rig: Rig, options: RecordOptions<'_>) -> anyhow::Result<Recorded> 
     let (rate_hz, markers) = (config.rate_hz, config.channels.len());
 
     let file = files::create_new(options.take)?;
-    let outcome = Pipeline::start(&config, &header, file).and_then(|(intake, pipeline)| {
+    let outcome = Pipeline::start(&config, &header, file).map(|(intake, pipeline)| {
         (options.started)(pipeline.progress());
         let rows_max = options.length.map(|length| (length.as_secs_f64() * rate_hz).ceil() as u64);
         let read = ReadOptions { stop: options.stop, rows_max, say: options.say };
         let recording = rig.read(intake, &read);
-        Ok((recording, pipeline.finish()))
+        (recording, pipeline.finish())
     });
     let nothing_recorded = || {
         // Only the header was written: an empty take helps nobody.

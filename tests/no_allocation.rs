@@ -2,6 +2,7 @@
 //!
 //! Every allocation of the process is counted, on every thread, so this is the only test of its binary.
 
+#![expect(clippy::unwrap_used, reason = "a test stops where it fails")]
 #![expect(unsafe_code, reason = "an allocator that counts is one by contract")]
 
 use std::{

@@ -1,16 +1,17 @@
 //! The reader's end: a frame goes into every ring, or into none and onto the account.
 
 mod axis;
+mod channels;
 mod clock;
 mod pending;
+mod rows;
 
 use std::sync::{Arc, atomic::Ordering};
 
 use crossbeam_channel::Sender;
-use mocapd_drivers::device::{Frame, LinkCounters, MarkerInfo, Status};
+use mocapd_drivers::device::{Frame, LinkCounters, Status};
 use mocapd_take::{
     record::Event,
-    stretch::Span,
     timeline::{Causes, RowTime},
 };
 
@@ -22,9 +23,9 @@ use self::{
 use super::{
     Counts, PipelineConfig, Progress,
     plan::Plan,
-    pool::{Feed, StretchEnd},
+    pool::Feed,
     ring::{RingIn, Sample, TimelineItem},
-    writer::{Control, NewChannel},
+    writer::Control,
 };
 
 /// No slot: the channel pool was used up when the marker appeared.
@@ -136,17 +137,6 @@ impl Intake {
         }
     }
 
-    /// Markers of the device's table that are not channels yet become channels, while the pool lasts.
-    pub fn announce(&mut self, markers: &[MarkerInfo]) {
-        for marker in markers {
-            let slot = self.slot_of_id[usize::from(marker.id)];
-            let known = self.labels.get(slot as usize);
-            if known.is_none_or(|label| marker.labelled && *label != marker.label) {
-                self.open_channel(marker.id, Some((&marker.label, marker.labelled)));
-            }
-        }
-    }
-
     /// Something to note at the row being recorded.
     pub fn event(&mut self, mut event: Event) {
         event.row = self.next_row;
@@ -210,126 +200,5 @@ impl Intake {
         let counts = self.counts();
         self.end_stretch(0, true);
         counts
-    }
-
-    /// The frame's markers by slot.
-    fn fill_row(&mut self, frame: &Frame<'_>) {
-        for marker in frame.markers {
-            let mut slot = self.slot_of_id[usize::from(marker.id)];
-            if slot == NO_SLOT {
-                self.open_channel(marker.id, None);
-                slot = self.slot_of_id[usize::from(marker.id)];
-            }
-            let Some(sample) = self.row.get_mut(slot as usize) else {
-                self.counts.markers_dropped += 1;
-                continue;
-            };
-            let finite = marker.position_mm.iter().all(|v| v.is_finite());
-            self.counts.samples_not_finite += u64::from(!finite && !marker.occluded);
-            *sample =
-                Sample { position_mm: marker.position_mm, present: finite && !marker.occluded };
-        }
-    }
-
-    /// A channel that was not there before begins with a stretch of its own.
-    fn open_channel(&mut self, id: u16, named: Option<(&str, bool)>) {
-        if self.n_channels >= self.row.len() {
-            return;
-        }
-        self.close_stretch();
-        let channel = NewChannel {
-            stretch: self.feed.next_stretch(),
-            slot: self.n_channels,
-            marker_id: id,
-            named: named.map(|(label, labelled)| (label.to_owned(), labelled)),
-        };
-        if self.control.try_send(Control::Channel(channel)).is_err() {
-            return;
-        }
-        self.labels.push(named.map(|(label, _)| label.to_owned()).unwrap_or_default());
-        self.slot_of_id[usize::from(id)] = self.n_channels as u32;
-        self.n_channels += 1;
-        self.room = 0;
-    }
-
-    /// Closes the open stretch when the rows lost before this frame do not fit into it.
-    fn make_way(&mut self) {
-        let left = u64::from(self.open_limit - self.open_rows);
-        if self.open_rows > 0 && self.pending.rows() >= left {
-            self.close_stretch();
-        }
-    }
-
-    /// Whether this frame, and the lost rows before it that belong into the open stretch, fit.
-    fn has_room(&mut self) -> bool {
-        let rows = 1 + if self.open_rows > 0 { self.pending.rows() as usize } else { 0 };
-        if self.room < rows {
-            let active = &self.rings[..self.n_channels];
-            self.room = active.iter().map(RingIn::room).min().unwrap_or(usize::MAX);
-        }
-        self.room >= rows && self.timeline.room() > self.pending.len() + 1
-    }
-
-    fn push_row(&mut self, time: RowTime) {
-        if self.open_rows > 0 {
-            for _ in 0..self.pending.rows() {
-                self.push_samples(|_| Sample::default());
-                self.open_rows += 1;
-            }
-        }
-        self.push_pending();
-        if self.open_rows == 0 {
-            self.open_first_row = self.next_row;
-        }
-        let mut present = 0;
-        self.push_samples(|sample| {
-            present += u64::from(sample.present);
-            std::mem::take(sample)
-        });
-        self.timeline.push(TimelineItem::Recorded(time));
-        self.open_rows += 1;
-        self.next_row += 1;
-        self.counts.recorded += 1;
-        self.counts.samples_announced += self.n_channels as u64;
-        self.counts.samples_present += present;
-        self.progress.frames.store(self.counts.recorded, Ordering::Relaxed);
-    }
-
-    fn push_samples(&mut self, mut take: impl FnMut(&mut Sample) -> Sample) {
-        for (ring, sample) in self.rings[..self.n_channels].iter_mut().zip(&mut self.row) {
-            ring.push(take(sample));
-        }
-        self.room = self.room.saturating_sub(1);
-    }
-
-    fn push_pending(&mut self) {
-        self.next_row += self.pending.rows();
-        for (rows, causes) in self.pending.drain() {
-            self.timeline.push(TimelineItem::Lost { rows, causes });
-        }
-        self.progress
-            .lost
-            .store(self.counts.not_received + self.counts.ring_full, Ordering::Relaxed);
-    }
-
-    fn close_stretch(&mut self) {
-        if self.open_rows > 0 {
-            self.end_stretch(self.open_rows, false);
-            self.open_rows = 0;
-            self.open_limit = self.stretch_rows;
-        }
-    }
-
-    fn end_stretch(&mut self, n_rows: u32, last: bool) {
-        let first_row = if n_rows > 0 { self.open_first_row } else { self.next_row };
-        let key = first_row >= self.next_key_row;
-        if key {
-            self.next_key_row = first_row + self.key_rows;
-        }
-        let end =
-            StretchEnd { span: Span { first_row, n_rows, key }, n_channels: self.n_channels, last };
-        if !self.feed.end_stretch(end, self.counts()) {
-            self.progress.failed.store(true, Ordering::Relaxed);
-        }
     }
 }

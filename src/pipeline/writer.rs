@@ -1,10 +1,10 @@
 //! The writer thread: parts become stretches, stretches go to disk.
 
 mod assembly;
+mod output;
 
 use std::{
-    fs::File,
-    io::{self, Write},
+    io::Write,
     sync::{Arc, atomic::Ordering},
     time::{Duration, Instant},
 };
@@ -13,44 +13,18 @@ use anyhow::{Context, anyhow, bail};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use mocapd_take::{
     TakeWriter,
-    record::{Channel, Event, Ledger},
+    record::{Channel, Event},
     stretch::put_front,
 };
 
 use self::assembly::Assemblies;
+pub use self::output::{TakeOutput, Written};
 use super::{
     Counts, Progress,
     group::{Part, PartReport},
     plan::Plan,
     pool::Wakes,
 };
-
-/// What a take is written to.
-pub trait TakeOutput: Write + Send + 'static {
-    /// Makes everything written so far survive a power cut.
-    ///
-    /// # Errors
-    /// The device's.
-    fn sync(&mut self) -> io::Result<()>;
-}
-
-impl TakeOutput for File {
-    fn sync(&mut self) -> io::Result<()> {
-        self.sync_data()
-    }
-}
-
-impl TakeOutput for Vec<u8> {
-    fn sync(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
-impl TakeOutput for io::Sink {
-    fn sync(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
 
 /// What the reader tells the writer beside the samples.
 #[derive(Debug)]
@@ -76,23 +50,6 @@ impl NewChannel {
         let label = if label.is_empty() { format!("u{:03}", self.slot + 1) } else { label };
         Channel { marker_id: self.marker_id, label, labelled }
     }
-}
-
-/// What was written in the end.
-#[derive(Debug, Clone, Default)]
-pub struct Written {
-    /// The ledger as it stands in the take.
-    pub ledger: Ledger,
-    /// Bytes of the file.
-    pub file_bytes: u64,
-    /// Samples in it.
-    pub samples: u64,
-    /// Of these, kept ones.
-    pub kept: u64,
-    /// The largest error that an encoder measured, in millimetres.
-    pub max_error_mm: f64,
-    /// Blocks that had to be coded again, tighter.
-    pub recoded: u64,
 }
 
 /// Time between two ledgers in a growing take.

@@ -54,12 +54,13 @@ fn integers_are_scaled_in_f64_before_the_unit_counts() {
 
 #[test]
 fn a_sample_is_missing_exactly_where_its_fourth_word_is_negative() {
-    let fourth = [0.0, -1.0, -0.5, -0.0, 65535.0, f32::NAN, -32768.0];
+    // 65535.0 is -1 written unsigned; 32767.0 is the largest word that is not negative.
+    let fourth = [0.0, -1.0, -0.5, -0.0, 65535.0, f32::NAN, -32768.0, 32767.0, 65536.0];
     let frames = fourth.iter().map(|&w| vec![0.0, 0.0, 0.0, w]).collect();
     let motion = read(&C3dFile::new(1, frames));
     let gaps: Vec<bool> = motion.positions_mm.iter().map(|&p| is_gap(p)).collect();
-    assert_eq!(gaps, [false, true, true, false, false, false, true]);
-    let zeros = "4 of 4 samples are exactly at the origin";
+    assert_eq!(gaps, [false, true, true, false, true, false, true, false, false]);
+    let zeros = "5 of 5 samples are exactly at the origin";
     assert!(
         motion.info.source.warnings.iter().any(|w| w.starts_with(zeros)),
         "{:?}",

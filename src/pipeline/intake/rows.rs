@@ -1,0 +1,94 @@
+//! Rows into the rings, and stretches closed.
+
+use std::sync::atomic::Ordering;
+
+use mocapd_take::{stretch::Span, timeline::RowTime};
+
+use super::Intake;
+use crate::pipeline::{
+    pool::StretchEnd,
+    ring::{RingIn, Sample, TimelineItem},
+};
+
+impl Intake {
+    /// Closes the open stretch when the rows lost before this frame do not fit into it.
+    pub(super) fn make_way(&mut self) {
+        let left = u64::from(self.open_limit - self.open_rows);
+        if self.open_rows > 0 && self.pending.rows() >= left {
+            self.close_stretch();
+        }
+    }
+
+    /// Whether this frame, and the lost rows before it that belong into the open stretch, fit.
+    pub(super) fn has_room(&mut self) -> bool {
+        let rows = 1 + if self.open_rows > 0 { self.pending.rows() as usize } else { 0 };
+        if self.room < rows {
+            let active = &self.rings[..self.n_channels];
+            self.room = active.iter().map(RingIn::room).min().unwrap_or(usize::MAX);
+        }
+        self.room >= rows && self.timeline.room() > self.pending.len() + 1
+    }
+
+    pub(super) fn push_row(&mut self, time: RowTime) {
+        if self.open_rows > 0 {
+            for _ in 0..self.pending.rows() {
+                self.push_samples(|_| Sample::default());
+                self.open_rows += 1;
+            }
+        }
+        self.push_pending();
+        if self.open_rows == 0 {
+            self.open_first_row = self.next_row;
+        }
+        let mut present = 0;
+        self.push_samples(|sample| {
+            present += u64::from(sample.present);
+            std::mem::take(sample)
+        });
+        self.timeline.push(TimelineItem::Recorded(time));
+        self.open_rows += 1;
+        self.next_row += 1;
+        self.counts.recorded += 1;
+        self.counts.samples_announced += self.n_channels as u64;
+        self.counts.samples_present += present;
+        self.progress.frames.store(self.counts.recorded, Ordering::Relaxed);
+    }
+
+    fn push_samples(&mut self, mut take: impl FnMut(&mut Sample) -> Sample) {
+        for (ring, sample) in self.rings[..self.n_channels].iter_mut().zip(&mut self.row) {
+            ring.push(take(sample));
+        }
+        self.room = self.room.saturating_sub(1);
+    }
+
+    pub(super) fn push_pending(&mut self) {
+        self.next_row += self.pending.rows();
+        for (rows, causes) in self.pending.drain() {
+            self.timeline.push(TimelineItem::Lost { rows, causes });
+        }
+        self.progress
+            .lost
+            .store(self.counts.not_received + self.counts.ring_full, Ordering::Relaxed);
+    }
+
+    pub(super) fn close_stretch(&mut self) {
+        if self.open_rows > 0 {
+            self.end_stretch(self.open_rows, false);
+            self.open_rows = 0;
+            self.open_limit = self.stretch_rows;
+        }
+    }
+
+    pub(super) fn end_stretch(&mut self, n_rows: u32, last: bool) {
+        let first_row = if n_rows > 0 { self.open_first_row } else { self.next_row };
+        let key = first_row >= self.next_key_row;
+        if key {
+            self.next_key_row = first_row + self.key_rows;
+        }
+        let end =
+            StretchEnd { span: Span { first_row, n_rows, key }, n_channels: self.n_channels, last };
+        if !self.feed.end_stretch(end, self.counts()) {
+            self.progress.failed.store(true, Ordering::Relaxed);
+        }
+    }
+}
