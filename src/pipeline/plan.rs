@@ -102,7 +102,8 @@ impl Plan {
             n_slots,
             group_slots: n_slots.div_ceil(workers * GROUPS_PER_WORKER).clamp(1, 16),
             stretch_rows: rows(config.stretch),
-            first_stretch_rows: rows(config.first_stretch),
+            // The rings are made for stretches of `stretch`.
+            first_stretch_rows: rows(config.first_stretch.min(config.stretch)),
             key_rows: u64::from(rows(config.key_every)),
             sync_every: config.sync_every,
         })

@@ -183,7 +183,9 @@ impl Pool {
 fn work(stations: &[Station], queue: &Receiver<Option<usize>>) {
     while let Ok(Some(index)) = queue.recv() {
         let station = &stations[index];
-        station.woken.store(false, Ordering::Release);
+        // A swap and not a store: whoever found the flag still set sent its job before, and the group
+        // below must see that job. A store could pass the look at the jobs, and the wake would be lost.
+        station.woken.swap(false, Ordering::AcqRel);
         while let Ok(mut group) = station.unpark.try_recv() {
             group.work_off();
             drop(station.park.try_send(group));

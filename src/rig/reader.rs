@@ -54,9 +54,6 @@ pub struct Recording {
     pub counts: Counts,
     /// From the read that brought a frame's last byte to the frame's place in every ring.
     pub ring_latency: Latency,
-    /// From exposure by the device's clock to arrival, above the quickest frame: what line, system and
-    /// simulator add unevenly.
-    pub arrival_jitter_us: f64,
 }
 
 impl Rig {
@@ -78,8 +75,7 @@ impl Rig {
         }
         intake.link(self.protocol.counters());
         let counts = intake.finish();
-        let arrival_jitter_us = counts.clock.map_or(0.0, |clock| clock.residual_us);
-        Ok(Recording { ending: outcome?, counts, ring_latency: latency, arrival_jitter_us })
+        Ok(Recording { ending: outcome?, counts, ring_latency: latency })
     }
 
     fn read_frames(

@@ -64,3 +64,17 @@ fn the_time_line_keeps_ticks_and_arrivals() {
         assert_eq!(time.arrival_10us, (5_000_000 + ticks * 1000) / 10_000);
     }
 }
+
+#[test]
+fn a_stretch_a_row_hands_every_group_from_worker_to_worker_and_none_is_forgotten() {
+    let motion = jump(5, 1000.0, 20.0);
+    let config = mocapd::pipeline::PipelineConfig {
+        workers: 5,
+        stretch: std::time::Duration::ZERO,
+        ..config(&motion, dense(1.0))
+    };
+    // A wake that got lost would leave a group asleep and the recording standing.
+    let (written, take, _) = record(&motion, &config, 0..motion.n_frames());
+    assert_eq!(written.ledger.recorded, 20_000);
+    assert_eq!(chunks(&take).keys.len(), 20_000);
+}
