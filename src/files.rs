@@ -33,12 +33,19 @@ pub fn open(path: &Path) -> anyhow::Result<File> {
 /// # Errors
 /// That it exists, or why it cannot be created.
 pub fn create_new(path: &Path) -> anyhow::Result<File> {
+    create_new_for(path, path)
+}
+
+/// The same; errors speak of `wanted`, which it is for.
+fn create_new_for(path: &Path, wanted: &Path) -> anyhow::Result<File> {
+    let name = wanted.display();
     OpenOptions::new().write(true).create_new(true).open(path).map_err(|error| match error.kind() {
-        io::ErrorKind::AlreadyExists => exists(path),
-        io::ErrorKind::NotFound => {
-            anyhow!("the folder of {} does not exist: create it first", path.display())
+        io::ErrorKind::AlreadyExists => exists(wanted),
+        io::ErrorKind::NotFound => anyhow!("the folder of {name} does not exist: create it first"),
+        io::ErrorKind::PermissionDenied => {
+            anyhow!("no permission to create {name}: choose a folder that you may write to")
         }
-        _ => anyhow!("cannot create {}: {error}", path.display()),
+        _ => anyhow!("cannot create {name}: {error}"),
     })
 }
 
@@ -69,7 +76,7 @@ impl NewFile {
         hidden_name.push(name);
         hidden_name.push(format!(".{}.part", std::process::id()));
         let hidden = path.with_file_name(hidden_name);
-        let file = create_new(&hidden)?;
+        let file = create_new_for(&hidden, path)?;
         Ok(Self { file: Some(file), hidden, path: path.to_owned() })
     }
 

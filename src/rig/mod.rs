@@ -122,6 +122,7 @@ impl Rig {
         })?;
         match answer {
             Ok(set) => self.hello.rate_mhz = set,
+            Err(budget) if !budget.fits() => bail!(refusal(budget, rate_hz, &self.hello)),
             Err(_) => bail!(
                 "the device refuses {rate_hz} Hz: it runs at {} to {} Hz",
                 f64::from(self.hello.rate_min_mhz) / 1000.0,
@@ -174,7 +175,7 @@ impl Rig {
 }
 
 /// Why a device that refused to start did so, and what to type.
-fn refusal(budget: LinkBudget, hello: &Hello) -> String {
+fn refusal(budget: LinkBudget, rate_hz: f64, hello: &Hello) -> String {
     let fits_hz = f64::from(budget.rate_fits_mhz) / 1000.0;
     let advice = if budget.rate_fits_mhz >= hello.rate_min_mhz {
         format!("record with --rate {fits_hz}, or raise the baud rate on both ends")
@@ -183,8 +184,6 @@ fn refusal(budget: LinkBudget, hello: &Hello) -> String {
     };
     format!(
         "the line is too slow for {} Hz: the frames need {} bytes a second and it carries {}; {advice}",
-        f64::from(hello.rate_mhz) / 1000.0,
-        budget.needed_bytes_per_s,
-        budget.available_bytes_per_s
+        rate_hz, budget.needed_bytes_per_s, budget.available_bytes_per_s
     )
 }

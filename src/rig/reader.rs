@@ -143,7 +143,7 @@ impl Rig {
                 self.pump(reader)?;
                 match reader.started {
                     Some(Ok(())) => return Ok(()),
-                    Some(Err(budget)) => bail!(refusal(budget, &self.hello)),
+                    Some(Err(budget)) => bail!(refusal(budget, self.rate_hz(), &self.hello)),
                     None => {}
                 }
             }

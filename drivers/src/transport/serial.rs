@@ -141,12 +141,16 @@ fn has_own_speed(path: &Path) -> Result<bool, TransportError> {
         _ => TransportError::Io { device: device.clone(), action: "looking it up", source },
     })?;
     if !metadata.file_type().is_char_device() {
-        return Err(TransportError::Unsupported(format!(
-            "{device} is no serial port: give a device such as /dev/ttyUSB0, or a link to one"
-        )));
+        return Err(no_serial_port(&device));
     }
     let major = rustix::fs::major(metadata.rdev());
     Ok(!PTY_MAJORS.contains(&major) && major != CDC_ACM_MAJOR)
+}
+
+fn no_serial_port(device: &str) -> TransportError {
+    TransportError::Unsupported(format!(
+        "{device} is no serial port: give a device such as /dev/ttyUSB0, or a link to one"
+    ))
 }
 
 fn open_error(path: &Path, error: serialport::Error) -> TransportError {
@@ -162,6 +166,10 @@ fn open_error(path: &Path, error: serialport::Error) -> TransportError {
         serialport::ErrorKind::Unknown if error.description == "Operation not permitted" => {
             let remedy = format!("add `DeviceAllow={device} rw` to the systemd unit");
             TransportError::PermissionDenied { device, remedy }
+        }
+        // ENOTTY.
+        serialport::ErrorKind::Unknown if error.description == "Not a typewriter" => {
+            no_serial_port(&device)
         }
         _ => TransportError::Io {
             device,

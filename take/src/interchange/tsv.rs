@@ -8,7 +8,7 @@
 
 use super::InterchangeError;
 use super::text::{self, Rows};
-use super::units::to_millimetres;
+use super::units::Millimetres;
 use crate::motion::{Foreign, GAP, Marker, Motion, MotionInfo, Position, Source};
 
 /// Kind of the header lines that are kept: all lines above the data, each followed by LF.
@@ -21,6 +21,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
     let mut rows = Rows::default();
     let mut width = head.labels.len();
     let mut damaged = 0usize;
+    let millimetres = Millimetres::new(1.0);
     let mut first_frame = None;
     for (_, line) in text::lines(bytes).skip(head.n_lines) {
         if line.trim_ascii().is_empty() {
@@ -33,8 +34,10 @@ pub(super) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
                 first_frame = first_frame.or_else(|| text::whole_number(cell));
             }
         }
-        width = width.max(rows.read_row(&mut cells, &mut damaged, position));
+        width = width
+            .max(rows.read_row(&mut cells, &mut damaged, |stored| position(stored, &millimetres)));
     }
+    millimetres.report(&mut warnings);
     if damaged > 0 {
         warnings.push(format!("{damaged} samples have cells that are not numbers; they are gaps."));
     }
@@ -71,8 +74,8 @@ pub(super) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
 }
 
 /// A position as exported: zeros where it is missing.
-fn position(stored: [f64; 3]) -> Position {
-    if stored == [0.0; 3] { GAP } else { to_millimetres(stored, 1.0) }
+fn position(stored: [f64; 3], millimetres: &Millimetres) -> Position {
+    if stored == [0.0; 3] { GAP } else { millimetres.position(stored) }
 }
 
 /// What stands above the data.

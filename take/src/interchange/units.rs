@@ -1,5 +1,7 @@
 //! Units of length, and how a stored number becomes millimetres.
 
+use std::cell::Cell;
+
 use crate::motion::{GAP, Position};
 
 /// Millimetres in one of the unit a source names: `mm`, `cm`, `m`, `in` and their spellings, in any case.
@@ -27,11 +29,35 @@ pub(super) fn factor_or_warn(unit: &str, warnings: &mut Vec<String>) -> f64 {
     1.0
 }
 
-/// A stored position in millimetres: each coordinate is multiplied in f64 and rounded once to f32.
-/// A coordinate that is not finite, before or after, makes the sample a gap.
-pub(super) fn to_millimetres(stored: [f64; 3], factor: f64) -> Position {
-    let position = stored.map(|v| (v * factor) as f32);
-    if position.iter().all(|v| v.is_finite()) { position } else { GAP }
+/// From stored positions to millimetres: each coordinate is multiplied in f64 and rounded once to f32.
+#[derive(Debug)]
+pub(super) struct Millimetres {
+    pub(super) factor: f64,
+    not_finite: Cell<usize>,
+}
+
+impl Millimetres {
+    pub(super) fn new(factor: f64) -> Self {
+        Self { factor, not_finite: Cell::new(0) }
+    }
+
+    /// A coordinate that is not finite, before or after, makes the sample a gap, and is counted.
+    pub(super) fn position(&self, stored: [f64; 3]) -> Position {
+        let position = stored.map(|v| (v * self.factor) as f32);
+        if position.iter().all(|v| v.is_finite()) {
+            return position;
+        }
+        self.not_finite.set(self.not_finite.get() + 1);
+        GAP
+    }
+
+    /// Says how many samples became gaps that way.
+    pub(super) fn report(&self, warnings: &mut Vec<String>) {
+        let n = self.not_finite.get();
+        if n > 0 {
+            warnings.push(format!("{n} samples are not finite; they are gaps."));
+        }
+    }
 }
 
 #[cfg(test)]
@@ -51,7 +77,13 @@ mod tests {
 
     #[test]
     fn a_value_that_overflows_f32_is_a_gap() {
-        assert!(is_gap(to_millimetres([1e38, 0.0, 0.0], 1000.0)));
-        assert_eq!(to_millimetres([0.1, -0.2, 0.3], 1000.0), [100.0, -200.0, 300.0]);
+        let metres = Millimetres::new(1000.0);
+        let mut warnings = Vec::new();
+        assert_eq!(metres.position([0.1, -0.2, 0.3]), [100.0, -200.0, 300.0]);
+        metres.report(&mut warnings);
+        assert_eq!(warnings, [""; 0]);
+        assert!(is_gap(metres.position([1e38, 0.0, 0.0])));
+        metres.report(&mut warnings);
+        assert_eq!(warnings, ["1 samples are not finite; they are gaps."]);
     }
 }

@@ -8,7 +8,7 @@ use super::layout::Layout;
 use super::malformed;
 use super::parameters::Parameters;
 use crate::interchange::InterchangeError;
-use crate::interchange::units::{factor_or_warn, to_millimetres};
+use crate::interchange::units::{Millimetres, factor_or_warn};
 use crate::motion::{GAP, Motion, MotionInfo, Position, Source, UpAxis, is_gap};
 
 /// Reads a whole file.
@@ -40,7 +40,9 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
     let unit = parameters.text("POINT", "UNITS").unwrap_or_default();
     let factor = factor_or_warn(&unit, &mut warnings);
     let frames = Frames::new(bytes, &layout);
-    let positions_mm = read_positions(&frames, &points, factor);
+    let millimetres = Millimetres::new(factor);
+    let positions_mm = read_positions(&frames, &points, &millimetres);
+    millimetres.report(&mut warnings);
     warn_of_zeros(&positions_mm, &mut warnings);
     let foreign = foreign::keep(&header, &parameters, &frames, &points, &positions_mm);
     Ok(Motion {
@@ -132,7 +134,11 @@ fn is_missing(fourth: f32) -> bool {
 }
 
 /// The positions of all markers.
-fn read_positions(frames: &Frames<'_>, points: &Points, factor: f64) -> Vec<Position> {
+fn read_positions(
+    frames: &Frames<'_>,
+    points: &Points,
+    millimetres: &Millimetres,
+) -> Vec<Position> {
     let layout = frames.layout;
     let mut positions = Vec::with_capacity(layout.n_frames * points.markers.len());
     let scale = frames.scale();
@@ -145,7 +151,7 @@ fn read_positions(frames: &Frames<'_>, points: &Points, factor: f64) -> Vec<Posi
             let position = if is_missing(fourth) {
                 GAP
             } else {
-                to_millimetres(stored.map(|v| v * scale), factor)
+                millimetres.position(stored.map(|v| v * scale))
             };
             positions.push(position);
         }

@@ -4,7 +4,7 @@ use super::HEADER;
 use super::cells::LineCells;
 use crate::interchange::InterchangeError;
 use crate::interchange::text::{self, Cells, Rows};
-use crate::interchange::units::{factor_or_warn, to_millimetres};
+use crate::interchange::units::{Millimetres, factor_or_warn};
 use crate::motion::{Foreign, GAP, Motion, MotionInfo, Source, UpAxis};
 
 /// Share of the median interval by which another one may differ before the rate is called uneven.
@@ -165,6 +165,7 @@ struct Data {
 
 fn read_rows(bytes: &[u8], head: &Head, factor: f64, warnings: &mut Vec<String>) -> Data {
     let mut data = Data::default();
+    let millimetres = Millimetres::new(factor);
     let mut damaged = 0usize;
     let mut extra = 0usize;
     for (_, line) in text::lines(bytes).skip(head.n_lines) {
@@ -182,7 +183,7 @@ fn read_rows(bytes: &[u8], head: &Head, factor: f64, warnings: &mut Vec<String>)
         }
         for _ in &head.labels {
             data.rows.push(match text::three_cells(&mut cells) {
-                Cells::Position(position) => to_millimetres(position, factor),
+                Cells::Position(position) => millimetres.position(position),
                 Cells::Empty => GAP,
                 Cells::Damaged => {
                     damaged += 1;
@@ -193,6 +194,7 @@ fn read_rows(bytes: &[u8], head: &Head, factor: f64, warnings: &mut Vec<String>)
         extra += usize::from(cells.any(|cell| !cell.trim_ascii().is_empty()));
         data.rows.end_row();
     }
+    millimetres.report(warnings);
     if damaged > 0 {
         warnings.push(format!("{damaged} samples have cells that are not numbers; they are gaps."));
     }

@@ -3,7 +3,7 @@
 use super::HEADER;
 use crate::interchange::InterchangeError;
 use crate::interchange::text::{self, Rows};
-use crate::interchange::units::{factor_or_warn, to_millimetres};
+use crate::interchange::units::{Millimetres, factor_or_warn};
 use crate::motion::{Foreign, Marker, Motion, MotionInfo, Source};
 
 /// Reads a whole file.
@@ -168,6 +168,7 @@ fn read_rows(bytes: &[u8], labels_line: usize, factor: f64, warnings: &mut Vec<S
     let mut data = Data::default();
     let mut skipped = Skipped::default();
     let mut expected = None;
+    let millimetres = Millimetres::new(factor);
     for (number, line) in text::lines(bytes).skip(labels_line) {
         let mut cells = line.split(|&b| b == b'\t');
         let first = cells.next().unwrap_or(&[]);
@@ -186,10 +187,11 @@ fn read_rows(bytes: &[u8], labels_line: usize, factor: f64, warnings: &mut Vec<S
         cells.next();
         let columns = data
             .rows
-            .read_row(&mut cells, &mut skipped.cells, |stored| to_millimetres(stored, factor));
+            .read_row(&mut cells, &mut skipped.cells, |stored| millimetres.position(stored));
         data.width = data.width.max(columns);
     }
     skipped.report(warnings);
+    millimetres.report(warnings);
     data
 }
 
