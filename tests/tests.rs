@@ -1,6 +1,14 @@
 //! One integration binary: a module a topic.
 
+#![expect(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test stops where it fails"
+)]
+
 mod architecture;
+mod cli;
 mod pipeline;
 mod replay;
 mod support;

@@ -4,17 +4,16 @@ use clap::Args;
 use mocapd::{outcome::UsageError, units};
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 
-/// Half a millimetre: five to fifteen times the noise of an optical rig, and 2.5 times smaller files
-/// than a tenth.
-const DEFAULT_TOLERANCE: &str = "0.5mm";
+/// Five to fifteen times the noise of an optical rig, and 2.5 times smaller files than a tenth of a
+/// millimetre.
+const DEFAULT_TOLERANCE_MM: f64 = 0.5;
 
 #[derive(Debug, Args)]
 pub(crate) struct CodecArgs {
-    /// Largest distance between a sample and its reconstruction: 0.5mm, 100um, 2cm
-    #[arg(long, value_name = "LENGTH", default_value = DEFAULT_TOLERANCE,
-          value_parser = units::tolerance, allow_hyphen_values = true)]
-    tolerance: Tolerance,
-    /// Keep every bit
+    /// Largest distance between a sample and its reconstruction: 0.5mm, 100um, 2cm [default: 0.5mm]
+    #[arg(long, value_name = "LENGTH", value_parser = units::tolerance, allow_hyphen_values = true)]
+    tolerance: Option<Tolerance>,
+    /// Keep every bit; the same as --resampler lossless
     #[arg(long, conflicts_with_all = ["tolerance", "resampler"])]
     lossless: bool,
     /// dense, fast, lossless, spline[:worst-sample|:exhaustive], sync[:worst-sample|:exhaustive]
@@ -23,14 +22,26 @@ pub(crate) struct CodecArgs {
 }
 
 impl CodecArgs {
-    pub(crate) fn settings(&self) -> Settings {
+    /// For samples that are all there.
+    ///
+    /// # Errors
+    /// A usage error when a tolerance is given to a resampler that has none.
+    pub(crate) fn settings(&self) -> anyhow::Result<Settings> {
         let kind = if self.lossless { ResamplerKind::Lossless } else { self.resampler };
-        Settings { kind, tolerance: self.tolerance }
+        if kind.is_lossless() && self.tolerance.is_some() {
+            let message = "lossless keeps every bit and has no tolerance: leave --tolerance out";
+            return Err(UsageError(message.to_owned()).into());
+        }
+        let tolerance = self.tolerance.map_or(Tolerance::from_mm(DEFAULT_TOLERANCE_MM), Ok)?;
+        Ok(Settings { kind, tolerance })
     }
 
     /// For a device, whose samples are coded as they come.
+    ///
+    /// # Errors
+    /// A usage error for a resampler that needs the whole take.
     pub(crate) fn live_settings(&self) -> anyhow::Result<Settings> {
-        let settings = self.settings();
+        let settings = self.settings()?;
         if settings.kind.is_live() {
             return Ok(settings);
         }
@@ -40,4 +51,9 @@ impl CodecArgs {
         ))
         .into())
     }
+}
+
+/// What a report says of the bound: 0 where every bit is kept.
+pub(crate) fn tolerance_mm(codec: &Settings) -> f64 {
+    if codec.kind.is_lossless() { 0.0 } else { codec.tolerance.mm() }
 }

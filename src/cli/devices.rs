@@ -7,7 +7,7 @@ use mocapd_drivers::{
 };
 use serde::Serialize;
 
-use super::output::{print, print_json};
+use super::output::{plain, print, print_json};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -19,6 +19,7 @@ pub(crate) struct Args {
 #[derive(Debug, Serialize)]
 struct Report {
     device: String,
+    manufacturer: Option<String>,
     product: Option<String>,
     serial: Option<String>,
     driver: Option<&'static str>,
@@ -30,6 +31,7 @@ impl From<Listed> for Report {
     fn from(listed: Listed) -> Self {
         Self {
             device: listed.candidate.location.to_string(),
+            manufacturer: listed.candidate.manufacturer,
             product: listed.candidate.product,
             serial: listed.candidate.serial,
             driver: listed.family.map(|family| family.0),
@@ -42,27 +44,74 @@ impl From<Listed> for Report {
     }
 }
 
+impl Report {
+    /// One line, and a second one for what is in the way.
+    fn words(&self) -> String {
+        let driver = match (self.driver, self.certain) {
+            (Some(driver), true) => driver.to_owned(),
+            (Some(driver), false) => format!("perhaps {driver}"),
+            (None, _) => "no driver".to_owned(),
+        };
+        let names = [&self.manufacturer, &self.product, &self.serial];
+        let names: Vec<&str> = names.into_iter().flatten().map(String::as_str).collect();
+        let line = format!("{:<32} {driver:<14} {}", self.device, names.join(" "));
+        let mut out = format!("{}\n", plain(line.trim_end()));
+        if let Some(problem) = &self.problem {
+            out += &format!("    {}\n", plain(problem));
+        }
+        out
+    }
+}
+
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let reports: Vec<Report> = registry::devices()?.into_iter().map(Report::from).collect();
     if args.json {
         print_json(&reports)?;
-        return Ok(Outcome::Done);
-    }
-    if reports.is_empty() {
+    } else if reports.is_empty() {
         print("no devices: plug one in, or try `mocapd demo`, which needs none\n")?;
-    }
-    for report in &reports {
-        let driver = match (report.driver, report.certain) {
-            (Some(driver), true) => driver.to_owned(),
-            (Some(driver), false) => format!("{driver}?"),
-            (None, _) => "-".to_owned(),
-        };
-        let product = report.product.as_deref().unwrap_or("");
-        let serial = report.serial.as_deref().unwrap_or("");
-        print(&format!("{:<32} {driver:<8} {product} {serial}\n", report.device))?;
-        if let Some(problem) = &report.problem {
-            print(&format!("    {problem}\n"))?;
-        }
+    } else {
+        print(&reports.iter().map(Report::words).collect::<String>())?;
     }
     Ok(Outcome::Done)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn adapter() -> Report {
+        Report {
+            device: "serial:/dev/ttyUSB0".to_owned(),
+            manufacturer: Some("FTDI".to_owned()),
+            product: Some("FT232R\x1b[2J".to_owned()),
+            serial: None,
+            driver: Some("dvmc"),
+            certain: false,
+            problem: Some("no permission".to_owned()),
+        }
+    }
+
+    #[test]
+    fn says_what_is_sure_and_what_is_in_the_way() {
+        let words = adapter().words();
+        assert!(words.starts_with("serial:/dev/ttyUSB0 "), "{words}");
+        assert!(words.contains("perhaps dvmc") && words.contains("FTDI FT232R\u{fffd}[2J\n"));
+        assert!(words.ends_with("\n    no permission\n"), "{words}");
+        let sure = Report { certain: true, problem: None, ..adapter() };
+        assert!(!sure.words().contains("perhaps") && sure.words().lines().count() == 1);
+    }
+
+    #[test]
+    fn the_document_has_its_fields() {
+        let document = include_str!("../../docs/json.md");
+        let serde_json::Value::Object(fields) = serde_json::to_value(adapter()).unwrap() else {
+            panic!("a report is an object");
+        };
+        for name in fields.keys() {
+            assert!(
+                document.contains(&format!("| `[].{name}` |")),
+                "{name} is not in docs/json.md"
+            );
+        }
+    }
 }

@@ -7,9 +7,15 @@ mod devices;
 mod export;
 mod import;
 mod info;
+mod ledger;
+mod numbers;
+mod original;
 mod output;
+mod paths;
 mod progress;
 mod record;
+mod usage;
+mod values;
 mod verify;
 
 use clap::{Parser, Subcommand, error::ErrorKind};
@@ -56,19 +62,8 @@ pub(crate) fn parse() -> anyhow::Result<Cli> {
         ErrorKind::DisplayHelp
         | ErrorKind::DisplayVersion
         | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => error.exit(),
-        _ => UsageError(one_line(&error.render().to_string())).into(),
+        _ => UsageError(usage::one_line(&error)).into(),
     })
-}
-
-/// clap explains in paragraphs; an error here is one line.
-fn one_line(message: &str) -> String {
-    let parts: Vec<_> = message
-        .lines()
-        .map(str::trim)
-        .take_while(|line| !line.starts_with("Usage:"))
-        .filter(|line| !line.is_empty() && !line.starts_with("For more information"))
-        .collect();
-    parts.join(" ").trim_start_matches("error: ").to_owned()
 }
 
 /// Runs one command.

@@ -1,6 +1,9 @@
-//! What is printed, and how numbers are written for people.
+//! What is printed: data on stdout, words on stderr.
 
-use std::io::{self, Write};
+use std::{
+    borrow::Cow,
+    io::{self, Write},
+};
 
 use anyhow::Context;
 use serde::Serialize;
@@ -8,7 +11,7 @@ use serde::Serialize;
 /// One line of words, on stderr.
 pub(crate) fn say(line: &str) {
     // Nobody to tell when stderr is closed.
-    writeln!(io::stderr(), "mocapd: {line}").ok();
+    writeln!(io::stderr(), "mocapd: {}", plain(line)).ok();
 }
 
 /// Data, on stdout. A reader that has seen enough (`| head`) is no failure.
@@ -25,27 +28,17 @@ pub(crate) fn print_json(value: &impl Serialize) -> anyhow::Result<()> {
     print(&(serde_json::to_string_pretty(value)? + "\n"))
 }
 
-/// `12 345 678`: digits in threes.
-pub(crate) fn thousands(n: u64) -> String {
-    let digits = n.to_string();
-    let mut out = String::new();
-    for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            out.push(' ');
-        }
-        out.push(digit);
+/// A text from a file, a device or the system on one line, with nothing that a terminal would obey.
+pub(crate) fn plain(text: &str) -> Cow<'_, str> {
+    if !text.contains(char::is_control) {
+        return Cow::Borrowed(text);
     }
-    out
-}
-
-/// `1.3 MB`.
-pub(crate) fn bytes(n: u64) -> String {
-    match n {
-        0..10_000 => format!("{} B", thousands(n)),
-        10_000..1_000_000 => format!("{:.1} kB", n as f64 / 1e3),
-        1_000_000..1_000_000_000 => format!("{:.1} MB", n as f64 / 1e6),
-        _ => format!("{:.2} GB", n as f64 / 1e9),
-    }
+    let shown = |c: char| match c {
+        '\n' | '\r' | '\t' => ' ',
+        c if c.is_control() => char::REPLACEMENT_CHARACTER,
+        c => c,
+    };
+    Cow::Owned(text.trim_end().chars().map(shown).collect())
 }
 
 #[cfg(test)]
@@ -53,10 +46,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_for_people() {
-        assert_eq!(thousands(0), "0");
-        assert_eq!(thousands(1_234_567), "1 234 567");
-        assert_eq!(bytes(999), "999 B");
-        assert_eq!(bytes(1_250_000), "1.2 MB");
+    fn a_hostile_label_stays_on_its_line() {
+        assert_eq!(plain("l_knee"), "l_knee");
+        assert_eq!(plain("knie é"), "knie é");
+        assert_eq!(plain("a\nb\x1b[2Jc\n"), "a b\u{fffd}[2Jc");
     }
 }

@@ -2,10 +2,13 @@
 
 use std::{sync::atomic::Ordering, time::Duration};
 
-use mocapd::{outcome::Outcome, units};
+use mocapd::{
+    outcome::{Outcome, UsageError},
+    units,
+};
 use mocapd_simulator::{
     device::{Device, DeviceSettings},
-    generator::JumpSpec,
+    generator::{JumpSpec, SAMPLES_MAX},
     pty::{ServeOptions, serve_pty},
 };
 use mocapd_take::motion::Motion;
@@ -22,13 +25,24 @@ pub(crate) struct Args {
     seconds: Duration,
 }
 
+/// Whether such a motion fits into memory.
+///
+/// # Errors
+/// A usage error that says how much it would be.
+pub(super) fn check(markers: u16, rate_hz: f64, seconds: f64) -> Result<(), UsageError> {
+    let samples = f64::from(markers) * rate_hz * seconds;
+    if samples <= SAMPLES_MAX as f64 {
+        return Ok(());
+    }
+    Err(UsageError(format!(
+        "{markers} markers at {rate_hz} Hz for {seconds} s are {samples:.0} samples, more than {SAMPLES_MAX}: \
+         ask for less time, rate or markers"
+    )))
+}
+
 /// The motion of every benchmark.
 pub(super) fn motion(markers: usize, rate_hz: f64, seconds: f64) -> anyhow::Result<Motion> {
-    let spec = JumpSpec {
-        seconds: Some(seconds),
-        n_markers: markers,
-        ..JumpSpec::new(1, rate_hz)
-    };
+    let spec = JumpSpec { seconds: Some(seconds), n_markers: markers, ..JumpSpec::new(1, rate_hz) };
     Ok(spec.generate()?.motion)
 }
 

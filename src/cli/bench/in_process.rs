@@ -48,7 +48,8 @@ fn sample((column, &position_mm): (usize, &[f32; 3])) -> MarkerSample {
 pub(super) fn run(motion: &Motion, wire: &[u8], codec: Settings) -> anyhow::Result<Run> {
     let copy_gb_per_s = copy_gb_per_s(wire);
     let rate_hz = motion.info.rate_hz;
-    let config = PipelineConfig::new(codec, rate_hz, TICK_HZ, header::channels(&motion.info.markers));
+    let config =
+        PipelineConfig::new(codec, rate_hz, TICK_HZ, header::channels(&motion.info.markers));
     let mut header = header::new(&codec, rate_hz)?;
     header.channels.clone_from(&config.channels);
     let (mut intake, pipeline) = Pipeline::start(&config, &header, io::sink())?;

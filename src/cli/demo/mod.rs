@@ -1,33 +1,30 @@
 //! `demo`: a simulated device through the whole of mocapd, with nothing plugged in.
 
+mod device;
+
 use std::{
     fs,
-    io::{BufReader, BufWriter, Write},
+    io::BufReader,
     path::{Path, PathBuf},
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
-    thread::JoinHandle,
+    sync::Arc,
     time::Duration,
 };
 
-use anyhow::{Context, anyhow, ensure};
+use anyhow::{Context, ensure};
 use mocapd::{
     compare::compare,
-    files::{self, NewFile},
+    files,
     inspect::Summary,
-    outcome::Outcome,
+    outcome::{Outcome, UsageError},
     record::Recorded,
     rig::{Ending, Rig},
-    threads, units,
+    units,
 };
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_drivers::uri::{DeviceUri, Location};
 use mocapd_simulator::{
     device::{Device, DeviceSettings, SentLog},
     generator::JumpSpec,
-    pty::{PtyError, ServeOptions, serve_pty},
 };
 use mocapd_take::{
     TakeFrames,
@@ -35,70 +32,47 @@ use mocapd_take::{
     motion::{Motion, MotionFrames},
 };
 
+use self::device::SimulatedDevice;
 use super::{
-    output::{bytes, print, thousands},
+    export::write,
+    numbers::{bytes, count, thousands},
+    output::{print, say},
     record::{Report, record_and_watch, stop_on_signal},
+    values,
     verify::AgainstReport,
 };
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Length of the motion
-    #[arg(long, value_name = "TIME", default_value = "10", value_parser = units::duration)]
+    /// Length of the motion: 10s, 500ms, 2min
+    #[arg(long, value_name = "TIME", default_value = "10s", value_parser = values::length,
+          allow_hyphen_values = true)]
     seconds: Duration,
     /// Folder for the take and its exports; created if need be
     #[arg(long, value_name = "DIR", default_value = "mocapd-demo")]
     out: PathBuf,
-    /// Largest distance between a sample and its reconstruction
+    /// Largest distance between a sample and its reconstruction: 0.5mm, 100um, 2cm
     #[arg(long, value_name = "LENGTH", default_value = "0.5mm", value_parser = units::tolerance,
           allow_hyphen_values = true)]
     tolerance: Tolerance,
-    /// Frame rate of the simulated device
-    #[arg(long, value_name = "HZ", default_value = "120", value_parser = units::rate_hz)]
+    /// Frame rate of the simulated device: 240, 240Hz, 1kHz
+    #[arg(long, value_name = "HZ", default_value = "120Hz", value_parser = units::rate_hz,
+          allow_hyphen_values = true)]
     rate: f64,
 }
 
 /// The motion is the same for everyone, so that figures can be compared.
 const SEED: u64 = 1;
 
-/// A simulated device on a pty, on a thread of its own.
-pub(crate) struct SimulatedDevice {
-    stop: Arc<AtomicBool>,
-    thread: JoinHandle<Result<SentLog, PtyError>>,
-    /// What a host opens.
-    pub(crate) path: PathBuf,
-}
-
-impl SimulatedDevice {
-    pub(crate) fn start(mut device: Device) -> anyhow::Result<Self> {
-        let stop = Arc::new(AtomicBool::new(false));
-        let (path_in, path) = crossbeam_channel::bounded(1);
-        let stopped = Arc::clone(&stop);
-        let thread = threads::spawn("mocapd-sim", move || {
-            serve_pty(&mut device, None, ServeOptions::default(), &stopped, |path| {
-                path_in.send(path.to_owned()).ok();
-            })
-        })?;
-        match path.recv() {
-            Ok(path) => Ok(Self { stop, thread, path }),
-            Err(_) => Err(match threads::join(thread)? {
-                Err(error) => anyhow!(error).context("cannot simulate a device"),
-                Ok(_) => anyhow!("the simulated device ended at once"),
-            }),
-        }
-    }
-
-    /// What it says it sent.
-    pub(crate) fn stop(self) -> anyhow::Result<SentLog> {
-        self.stop.store(true, Ordering::Relaxed);
-        threads::join(self.thread)?.context("the simulated device failed")
-    }
-}
+/// What the take is exported to, beside it.
+const EXPORTS: [(Format, &str); 3] =
+    [(Format::C3d, "c3d"), (Format::Trc, "trc"), (Format::Csv, "csv")];
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let seconds = args.seconds.as_secs_f64();
     let spec = JumpSpec { seconds: Some(seconds), ..JumpSpec::new(SEED, args.rate) };
-    let motion = Arc::new(spec.generate()?.motion);
+    let generated = spec.generate().map_err(|error| UsageError(error.to_string()))?;
+    let motion = Arc::new(generated.motion);
     fs::create_dir_all(&args.out)
         .with_context(|| format!("cannot create the folder {}", args.out.display()))?;
     let take = free_name(&args.out);
@@ -108,9 +82,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let device = Device::new(Arc::clone(&motion), DeviceSettings::default())?;
     let simulated = SimulatedDevice::start(device)?;
     print(&format!(
-        "1. a simulated device of {} markers at {} Hz: a standing long jump, {seconds} s, on {}\n\
+        "1. a simulated device of {} at {} Hz, {seconds} s of a standing long jump, on {}\n\
          2. recording it over that line, each marker resampled within {} mm ...\n",
-        motion.info.markers.len(),
+        count(motion.info.markers.len() as u64, "marker"),
         args.rate,
         simulated.path.display(),
         args.tolerance.mm(),
@@ -119,35 +93,41 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let rig = Rig::open(&DeviceUri { location, driver: None })?;
     let recorded = record_and_watch(rig, &take, codec, None, &stop)?;
     let sent = simulated.stop()?;
-    print(&Report::new(take.clone(), &recorded, args.tolerance.mm()).words())?;
+    let report = Report::new(&take, &recorded, &codec);
+    print(&report.words())?;
 
     show_take(&take)?;
     verify(&take, &motion, &recorded, &sent, args.tolerance.mm())?;
     let exports = export(&take)?;
     print(&format!(
-        "\nThe take lies at {}\nSee what is in it:   mocapd info {}\nOpen it elsewhere:   {}\n",
+        "\nThe take lies at {0}\nSee what is in it:   mocapd info {0}\nOpen it elsewhere:   {exports}\n",
         take.display(),
-        take.display(),
-        exports
     ))?;
+    if let Some(losses) = report.losses() {
+        say(&format!("not in the take: {losses}"));
+    }
     Ok(Outcome::of(recorded.written.ledger.lost_anything()))
 }
 
-/// `jump-001.take` or the next number that is free.
+/// `jump-001.take`, or the next number under which nothing lies yet.
 fn free_name(folder: &Path) -> PathBuf {
     let name = |n: u32| folder.join(format!("jump-{n:03}.take"));
-    (1..).map(name).find(|path| path.symlink_metadata().is_err()).unwrap_or_else(|| name(0))
+    let is_free = |take: &PathBuf| {
+        let exports = EXPORTS.iter().map(|export| take.with_extension(export.1));
+        exports.chain([take.clone()]).all(|path| path.symlink_metadata().is_err())
+    };
+    (1..).map(name).find(is_free).unwrap_or_else(|| name(0))
 }
 
 fn show_take(take: &Path) -> anyhow::Result<()> {
     let summary = Summary::read(BufReader::new(files::open(take)?))?;
     let gaps: u64 = summary.per_channel.iter().map(|channel| channel.gaps).sum();
     print(&format!(
-        "3. in the take: {} stretches, {} of {} samples kept, {} gaps in the markers' trajectories\n",
-        summary.stretches,
+        "3. in the take: {} of {} kept, in {} a marker; {} in the trajectories\n",
         thousands(summary.knots()),
-        thousands(summary.samples()),
-        thousands(gaps)
+        count(summary.samples(), "sample"),
+        count(summary.stretches, "block"),
+        count(gaps, "gap")
     ))
 }
 
@@ -183,15 +163,10 @@ fn verify(
 /// Beside the take, in the three formats.
 fn export(take: &Path) -> anyhow::Result<String> {
     let mut names = Vec::new();
-    for (format, extension) in [(Format::C3d, "c3d"), (Format::Trc, "trc"), (Format::Csv, "csv")] {
+    for (format, extension) in EXPORTS {
         let path = take.with_extension(extension);
         let mut frames = TakeFrames::open(BufReader::new(files::open(take)?))?;
-        let mut output = NewFile::create(&path)?;
-        let mut out = BufWriter::new(&mut output);
-        format.write(&mut frames, &mut out)?;
-        out.flush()?;
-        drop(out);
-        output.keep()?;
+        write(&mut frames, format, &path)?;
         let size = fs::metadata(&path).map_or(0, |meta| meta.len());
         names.push(format!("{} ({})", path.display(), bytes(size)));
     }

@@ -1,0 +1,106 @@
+//! `import`: a file of the field becomes a take.
+
+mod report;
+
+use std::{
+    io::BufWriter,
+    path::{Path, PathBuf},
+    sync::{Arc, atomic::AtomicU64},
+};
+
+use mocapd::{
+    files::NewFile,
+    header,
+    outcome::Outcome,
+    pipeline::{Written, offline},
+    threads,
+};
+use mocapd_codec::Settings;
+use mocapd_take::{
+    motion::Motion,
+    record::{Header, ImportSource},
+};
+
+use self::report::Report;
+use super::{
+    codec_args::CodecArgs,
+    original::read_motion,
+    output::{print, print_json, say},
+    paths,
+    progress::Progress,
+};
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// A .c3d, .trc, .tsv (QTM) or .csv file
+    file: PathBuf,
+    /// The take to write; it must not exist
+    #[arg(short, long, value_name = "TAKE")]
+    output: PathBuf,
+    #[command(flatten)]
+    codec: CodecArgs,
+    /// Leave out what is not marker trajectories (analog channels, model outputs, foreign parameters)
+    #[arg(long)]
+    drop_foreign: bool,
+    /// Resampler threads; the bytes are the same for any number [default: one a core, at most 8]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
+    threads: Option<u16>,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
+    let codec = args.codec.settings()?;
+    paths::check_take_output(&args.output)?;
+    let mut motion = read_motion(&args.file)?;
+    let about_file = |words: &str| say(&format!("{}: {words}", args.file.display()));
+    motion.info.source.warnings.iter().for_each(|warning| about_file(warning));
+    let mut foreign_dropped = Vec::new();
+    if args.drop_foreign && !motion.info.foreign.is_empty() {
+        foreign_dropped.extend(motion.info.foreign.drain(..).map(|part| part.kind));
+        about_file(&format!("left out, as asked: {}", foreign_dropped.join(", ")));
+    }
+    let header = header_of(&motion, &args.file, &codec)?;
+    let workers = args.threads.map_or_else(threads::default_workers, usize::from);
+    let written = write(&motion, &header, workers, &args.output)?;
+    if written.samples == 0 {
+        about_file("every sample is missing: the take holds gaps only");
+    }
+    let report = Report::new(&args.output, &motion, &codec, &written, foreign_dropped);
+    if args.json {
+        print_json(&report)?;
+    } else {
+        print(&report.words())?;
+    }
+    Ok(Outcome::of(motion.info.source.frames_missing > 0))
+}
+
+fn header_of(motion: &Motion, file: &Path, codec: &Settings) -> anyhow::Result<Header> {
+    let info = &motion.info;
+    let mut header = header::new(codec, info.rate_hz)?;
+    header.up_axis = info.up.code();
+    header.stretch_rows = offline::stretch_rows(codec, info.rate_hz, motion.n_frames()) as u32;
+    header.channels = header::channels(&info.markers);
+    header.source = Some(ImportSource {
+        format: info.source.format.clone(),
+        file: file.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+        unit: info.source.unit.clone(),
+        factor: info.source.factor,
+        first_frame: info.source.first_frame,
+        warnings: info.source.warnings.clone(),
+    });
+    Ok(header)
+}
+
+fn write(motion: &Motion, header: &Header, workers: usize, to: &Path) -> anyhow::Result<Written> {
+    let mut output = NewFile::create(to)?;
+    let counter = Arc::new(AtomicU64::new(0));
+    let progress = Progress::follow("resampling", &counter, motion.positions_mm.len() as u64);
+    let out = BufWriter::new(&mut output);
+    let (written, out) = offline::write_take(motion, header, workers, &counter, out)?;
+    drop(out);
+    drop(progress);
+    output.keep()?;
+    Ok(written)
+}

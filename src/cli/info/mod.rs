@@ -1,0 +1,44 @@
+//! `info`: what is in a take.
+
+mod report;
+mod words;
+
+use std::{io::BufReader, path::PathBuf};
+
+use anyhow::Context;
+use mocapd::{files, inspect::Summary, outcome::Outcome};
+use mocapd_take::record::Ledger;
+
+use self::{report::Report, words::words};
+use super::output::{print, print_json, say};
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The take
+    take: PathBuf,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
+    let reading = || format!("cannot read {}", args.take.display());
+    let file = files::open(&args.take)?;
+    let file_bytes = file.metadata().with_context(reading)?.len();
+    let summary = Summary::read(BufReader::new(file)).with_context(reading)?;
+    let header = summary.header.as_ref().with_context(reading)?;
+    let report = Report::new(&args.take, &summary, header, file_bytes);
+    if args.json {
+        print_json(&report)?;
+    } else {
+        print(&words(&report))?;
+        for problem in &report.problems {
+            say(&format!("{}: {problem}", args.take.display()));
+        }
+    }
+    if let Some(losses) = report.losses() {
+        say(&format!("{}: not in the take: {losses}", args.take.display()));
+    }
+    let lost = summary.ledger.as_ref().is_some_and(Ledger::lost_anything);
+    Ok(Outcome::of(lost || !report.problems.is_empty()))
+}

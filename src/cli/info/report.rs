@@ -1,0 +1,178 @@
+//! What `info` says, as docs/json.md has it.
+
+use std::path::{Path, PathBuf};
+
+use mocapd::inspect::{Summary, size_ratio};
+use mocapd_take::record::{Event, EventKind, Header};
+use serde::Serialize;
+
+use crate::cli::ledger::LedgerReport;
+
+#[derive(Debug, Serialize)]
+pub(super) struct Report {
+    pub(super) take: PathBuf,
+    pub(super) finished: bool,
+    pub(super) problems: Vec<String>,
+    pub(super) software: String,
+    pub(super) created: String,
+    pub(super) resampler: String,
+    pub(super) tolerance_mm: f64,
+    pub(super) up_axis: Option<&'static str>,
+    pub(super) device: Option<DeviceReport>,
+    pub(super) source: Option<SourceReport>,
+    pub(super) foreign_parts: Vec<ForeignReport>,
+    pub(super) frames: u64,
+    pub(super) seconds: f64,
+    pub(super) markers: usize,
+    pub(super) rate_hz: f64,
+    pub(super) samples: u64,
+    pub(super) raw_bytes: u64,
+    pub(super) file_bytes: u64,
+    pub(super) ratio: f64,
+    pub(super) max_error_mm: f64,
+    pub(super) stretches: u64,
+    pub(super) sr1: Option<f64>,
+    pub(super) sr2: Option<f64>,
+    pub(super) ledger: Option<LedgerReport>,
+    pub(super) events: Vec<EventReport>,
+    pub(super) channels: Vec<ChannelReport>,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct DeviceReport {
+    pub(super) driver: String,
+    pub(super) uri: String,
+    pub(super) model: String,
+    pub(super) serial: String,
+    pub(super) firmware: String,
+    pub(super) tick_hz: u64,
+    pub(super) low_latency: bool,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct SourceReport {
+    pub(super) format: String,
+    pub(super) file: String,
+    pub(super) unit: String,
+    pub(super) factor_to_mm: f64,
+    pub(super) first_frame: u64,
+    pub(super) warnings: Vec<String>,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct ForeignReport {
+    pub(super) kind: String,
+    pub(super) bytes: u64,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct EventReport {
+    pub(super) kind: &'static str,
+    pub(super) frame: u64,
+    pub(super) device_ticks: u64,
+    pub(super) input: u8,
+    pub(super) text: String,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct ChannelReport {
+    pub(super) label: String,
+    pub(super) labelled: bool,
+    pub(super) samples: u64,
+    pub(super) gaps: u64,
+    pub(super) knots: u64,
+    pub(super) max_error_mm: f64,
+    pub(super) payload_bytes: u64,
+}
+
+impl Report {
+    pub(super) fn new(take: &Path, summary: &Summary, header: &Header, file_bytes: u64) -> Self {
+        let created = jiff::Timestamp::from_millisecond(header.created_unix_ms);
+        let channels = summary.channels.iter().zip(&summary.per_channel);
+        Self {
+            take: take.to_owned(),
+            finished: summary.finished,
+            problems: summary.problems.clone(),
+            software: header.software.clone(),
+            created: created.map(|time| time.to_string()).unwrap_or_default(),
+            resampler: header.resampler.clone(),
+            tolerance_mm: header.tolerance_mm,
+            up_axis: match header.up_axis {
+                1 => Some("x"),
+                2 => Some("y"),
+                3 => Some("z"),
+                _ => None,
+            },
+            device: header.device.clone().map(|device| DeviceReport {
+                driver: device.driver,
+                uri: device.uri,
+                model: device.model,
+                serial: device.serial,
+                firmware: device.firmware,
+                tick_hz: device.tick_hz,
+                low_latency: device.low_latency,
+            }),
+            source: header.source.clone().map(|source| SourceReport {
+                format: source.format,
+                file: source.file,
+                unit: source.unit,
+                factor_to_mm: source.factor,
+                first_frame: source.first_frame,
+                warnings: source.warnings,
+            }),
+            foreign_parts: summary
+                .foreign
+                .iter()
+                .map(|(kind, bytes)| ForeignReport { kind: kind.clone(), bytes: *bytes })
+                .collect(),
+            frames: summary.rows,
+            seconds: summary.rows as f64 / header.rate_hz,
+            markers: summary.channels.len(),
+            rate_hz: header.rate_hz,
+            samples: summary.samples(),
+            raw_bytes: summary.raw_bytes(),
+            file_bytes,
+            ratio: size_ratio(summary.samples(), file_bytes),
+            max_error_mm: summary.max_error_mm(),
+            stretches: summary.stretches,
+            sr1: summary.sr1(),
+            sr2: summary.sr2(),
+            ledger: summary.ledger.as_ref().map(LedgerReport::new),
+            events: summary.events.iter().map(EventReport::new).collect(),
+            channels: channels
+                .map(|(channel, found)| ChannelReport {
+                    label: channel.label.clone(),
+                    labelled: channel.labelled,
+                    samples: found.samples,
+                    gaps: found.gaps,
+                    knots: found.knots,
+                    max_error_mm: found.max_error_mm,
+                    payload_bytes: found.payload_bytes,
+                })
+                .collect(),
+        }
+    }
+
+    /// What was lost before it reached the take, in one line.
+    pub(super) fn losses(&self) -> Option<String> {
+        self.ledger.as_ref()?.losses()
+    }
+}
+
+impl EventReport {
+    fn new(event: &Event) -> Self {
+        Self {
+            kind: match event.kind {
+                EventKind::Mark => "mark",
+                EventKind::Trigger => "trigger",
+                EventKind::SyncPulse => "sync pulse",
+                EventKind::Device => "device",
+                EventKind::Host => "host",
+            },
+            frame: event.row,
+            device_ticks: event.device_ticks,
+            input: event.input,
+            text: event.text.clone(),
+        }
+    }
+}

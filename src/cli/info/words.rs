@@ -1,0 +1,138 @@
+//! What `info` says, for people.
+
+use std::fmt::Write;
+
+use super::report::Report;
+use crate::cli::{
+    numbers::{bytes, count, thousands},
+    output::plain,
+};
+
+/// A paragraph of facts, the ledger, and a table of the markers.
+pub(super) fn words(report: &Report) -> String {
+    let mut out = String::new();
+    let mut line = |name: &str, value: &str| {
+        writeln!(out, "{name:<10} {}", plain(value)).ok();
+    };
+    line("take", &report.take.display().to_string());
+    line("made", &format!("{} by {}", report.created, report.software));
+    origin(report, &mut line);
+    motion(report, &mut line);
+    size(report, &mut line);
+    for event in &report.events {
+        let frame = thousands(event.frame);
+        line("event", &format!("at frame {frame}: {} {}", event.kind, event.text));
+    }
+    if let Some(ledger) = &report.ledger {
+        let imported = report.source.is_some();
+        out.push_str(&if imported { ledger.words_of_import() } else { ledger.words() });
+    }
+    markers(report, &mut out);
+    out
+}
+
+fn origin(report: &Report, line: &mut impl FnMut(&str, &str)) {
+    if let Some(device) = &report.device {
+        let firmware = if device.firmware.is_empty() {
+            String::new()
+        } else {
+            format!(", firmware {}", device.firmware)
+        };
+        let device_line =
+            format!("{} {}{firmware}, at {}", device.model, device.serial, device.uri);
+        line("from", &device_line);
+    }
+    if let Some(source) = &report.source {
+        let unit = match source.unit.as_str() {
+            "" => "no unit stated".to_owned(),
+            unit => format!("in {unit}"),
+        };
+        let file_line = format!(
+            "{} ({}, {unit}, first frame {})",
+            source.file, source.format, source.first_frame
+        );
+        line("from", &file_line);
+        for warning in &source.warnings {
+            line("note", warning);
+        }
+    }
+    for part in &report.foreign_parts {
+        line("kept", &format!("{}, {}", part.kind, bytes(part.bytes)));
+    }
+}
+
+fn motion(report: &Report, line: &mut impl FnMut(&str, &str)) {
+    let up = report.up_axis.map_or(String::new(), |axis| format!(", {axis} is up"));
+    let frames = count(report.frames, "frame");
+    let markers = count(report.markers as u64, "marker");
+    line(
+        "motion",
+        &format!("{frames} of {markers} at {} Hz, {:.3} s{up}", report.rate_hz, report.seconds),
+    );
+    let all = report.frames.saturating_mul(report.markers as u64);
+    let gaps: u64 = report.channels.iter().map(|channel| channel.gaps).sum();
+    line(
+        "samples",
+        &format!(
+            "{} of {} present, {}",
+            thousands(report.samples),
+            thousands(all),
+            count(gaps, "gap")
+        ),
+    );
+}
+
+fn size(report: &Report, line: &mut impl FnMut(&str, &str)) {
+    let knots: u64 = report.channels.iter().map(|channel| channel.knots).sum();
+    let bound = if report.tolerance_mm > 0.0 {
+        format!(
+            "within {} mm (no error above {:.4} mm), {} kept",
+            report.tolerance_mm,
+            report.max_error_mm,
+            count(knots, "sample")
+        )
+    } else {
+        "every bit kept".to_owned()
+    };
+    line("resampler", &format!("{}, {bound}", report.resampler));
+    line(
+        "size",
+        &format!(
+            "{} as float32, {} on disk, {:.1}:1",
+            bytes(report.raw_bytes),
+            bytes(report.file_bytes),
+            report.ratio
+        ),
+    );
+    if let (Some(sr1), Some(sr2)) = (report.sr1, report.sr2) {
+        line("SR1, SR2", &format!("{sr1:.2}, {sr2:.2} (Shi et al. 2012, eq. 7 and 8)"));
+    }
+}
+
+fn markers(report: &Report, out: &mut String) {
+    let label = |channel: &super::report::ChannelReport| {
+        let note = if channel.labelled { "" } else { " (unlabelled)" };
+        format!("{}{note}", plain(&channel.label))
+    };
+    let labels: Vec<String> = report.channels.iter().map(label).collect();
+    let width = labels.iter().map(|label| label.chars().count()).max().unwrap_or(0).max(6);
+    let (samples, knots, error) = ("samples", "knots", "max error mm");
+    writeln!(
+        out,
+        "{:<width$} {samples:>10} {:>6} {knots:>10} {error:>13} {:>10}",
+        "marker", "gaps", "bytes"
+    )
+    .ok();
+    for (label, channel) in labels.iter().zip(&report.channels) {
+        writeln!(
+            out,
+            "{label:<width$} {:>10} {:>6} {:>10} {:>13.4} {:>10}",
+            thousands(channel.samples),
+            thousands(channel.gaps),
+            thousands(channel.knots),
+            channel.max_error_mm,
+            thousands(channel.payload_bytes)
+        )
+        .ok();
+    }
+}

@@ -1,0 +1,186 @@
+//! A ledger as JSON and as words, the same for every command that shows one.
+
+use std::fmt::Write;
+
+use mocapd_take::record::Ledger;
+use serde::Serialize;
+
+use super::{
+    numbers::{count, thousands},
+    output::plain,
+};
+
+#[derive(Debug, Serialize)]
+pub(crate) struct LedgerReport {
+    closes: bool,
+    finished: bool,
+    frames_sent: u64,
+    recorded: u64,
+    lost_on_link: u64,
+    dropped_by_device: u64,
+    lost_in_host: LostInHost,
+    duplicates: u64,
+    unknown_after_disconnect: u64,
+    frame_balance: i64,
+    samples_announced: u64,
+    samples_present: u64,
+    samples_occluded: u64,
+    samples_not_finite: u64,
+    sample_balance: i64,
+    markers_dropped: u64,
+    link_bytes: u64,
+    link_bytes_skipped: u64,
+    link_messages: u64,
+    link_messages_damaged: u64,
+    link_messages_unknown: u64,
+    contradictions: Vec<String>,
+    clock: Option<ClockReport>,
+}
+
+#[derive(Debug, Serialize)]
+struct LostInHost {
+    ring_full: u64,
+    other: u64,
+}
+
+#[derive(Debug, Serialize)]
+struct ClockReport {
+    drift_ppm: f64,
+    residual_us: f64,
+}
+
+impl LedgerReport {
+    pub(crate) fn new(ledger: &Ledger) -> Self {
+        let whole = |balance: i128| i64::try_from(balance).unwrap_or(i64::MAX);
+        Self {
+            closes: ledger.closes(),
+            finished: ledger.finished,
+            frames_sent: ledger.frames_sent,
+            recorded: ledger.recorded,
+            lost_on_link: ledger.lost_on_link,
+            dropped_by_device: ledger.dropped_by_device,
+            lost_in_host: LostInHost { ring_full: ledger.lost_ring_full, other: ledger.lost_other },
+            duplicates: ledger.duplicates,
+            unknown_after_disconnect: ledger.unknown_after_disconnect,
+            frame_balance: whole(ledger.frame_balance()),
+            samples_announced: ledger.samples_announced,
+            samples_present: ledger.samples_present,
+            samples_occluded: ledger.samples_occluded,
+            samples_not_finite: ledger.samples_not_finite,
+            sample_balance: whole(ledger.sample_balance()),
+            markers_dropped: ledger.markers_dropped,
+            link_bytes: ledger.link_bytes,
+            link_bytes_skipped: ledger.link_bytes_skipped,
+            link_messages: ledger.link_messages,
+            link_messages_damaged: ledger.link_messages_damaged,
+            link_messages_unknown: ledger.link_messages_unknown,
+            contradictions: ledger.contradictions.clone(),
+            clock: ledger.clock.map(|clock| ClockReport {
+                drift_ppm: clock.drift_ppm,
+                residual_us: clock.residual_us,
+            }),
+        }
+    }
+
+    /// As an account that adds up before the reader's eyes.
+    pub(crate) fn words(&self) -> String {
+        let mut out = String::from(if self.finished {
+            "ledger\n"
+        } else {
+            "ledger, the last one written before the take was cut off\n"
+        });
+        let mut line = |n: u64, what: &str| {
+            writeln!(out, "  {:>15} {what}", thousands(n)).ok();
+        };
+        line(self.frames_sent, "frames sent");
+        line(self.recorded, "recorded");
+        line(self.lost_on_link, "lost on the link");
+        line(self.dropped_by_device, "dropped by the device");
+        line(self.lost_in_host.ring_full, "lost in the host: a ring was full");
+        for (n, what) in [
+            (self.lost_in_host.other, "lost in the host: other"),
+            (self.unknown_after_disconnect, "unknown after the disconnect"),
+            (self.duplicates, "duplicates, not recorded again"),
+        ] {
+            if n > 0 {
+                line(n, what);
+            }
+        }
+        self.close(&mut out);
+        self.samples(&mut out);
+        self.link(&mut out);
+        out
+    }
+
+    /// As an account of a file, which no device sent.
+    pub(crate) fn words_of_import(&self) -> String {
+        let mut out = String::from("ledger\n");
+        writeln!(out, "  {:>15} frames in the file", thousands(self.frames_sent)).ok();
+        writeln!(out, "  {:>15} in the take", thousands(self.recorded)).ok();
+        self.close(&mut out);
+        self.samples(&mut out);
+        out
+    }
+
+    /// What is not in the take, in one line; `None` when all is.
+    pub(crate) fn losses(&self) -> Option<String> {
+        let parts = [
+            (self.lost_on_link, "lost on the link"),
+            (self.dropped_by_device, "dropped by the device"),
+            (self.lost_in_host.ring_full, "lost in the host because a ring was full"),
+            (self.lost_in_host.other, "lost in the host"),
+            (self.unknown_after_disconnect, "unknown after the disconnect"),
+        ];
+        let frames = parts.iter().filter(|part| part.0 > 0);
+        let mut said: Vec<String> =
+            frames.map(|&(n, what)| format!("{} {what}", count(n, "frame"))).collect();
+        if self.markers_dropped > 0 {
+            let samples = count(self.markers_dropped, "sample");
+            said.push(format!("{samples} of markers beyond the channel pool"));
+        }
+        (!said.is_empty()).then(|| said.join(", "))
+    }
+
+    fn close(&self, out: &mut String) {
+        let state = if self.closes { "the ledger closes" } else { "THE LEDGER DOES NOT CLOSE" };
+        writeln!(out, "  {:>15} left over: {state}", self.frame_balance).ok();
+    }
+
+    fn samples(&self, out: &mut String) {
+        let not_finite = match self.samples_not_finite {
+            0 => String::new(),
+            n => format!(" ({} as NaN or infinity)", thousands(n)),
+        };
+        writeln!(
+            out,
+            "  {:>15} samples announced = {} present + {} occluded{not_finite}",
+            thousands(self.samples_announced),
+            thousands(self.samples_present),
+            thousands(self.samples_occluded)
+        )
+        .ok();
+    }
+
+    fn link(&self, out: &mut String) {
+        if self.markers_dropped > 0 {
+            let n = thousands(self.markers_dropped);
+            writeln!(out, "  {n:>15} samples of markers beyond the channel pool").ok();
+        }
+        if self.link_messages_damaged > 0 || self.link_bytes_skipped > 0 {
+            let damaged = thousands(self.link_messages_damaged);
+            let skipped = thousands(self.link_bytes_skipped);
+            writeln!(out, "  {damaged:>15} messages arrived damaged, {skipped} bytes skipped").ok();
+        }
+        for contradiction in &self.contradictions {
+            writeln!(out, "  contradiction: {}", plain(contradiction)).ok();
+        }
+        if let Some(clock) = &self.clock {
+            writeln!(
+                out,
+                "  device clock {:+.1} ppm against the host's, arrivals scatter by {:.0} us",
+                clock.drift_ppm, clock.residual_us
+            )
+            .ok();
+        }
+    }
+}

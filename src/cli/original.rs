@@ -1,0 +1,38 @@
+//! Files of the field, read whole.
+
+use std::{io::Read, path::Path};
+
+use anyhow::{Context, ensure};
+use mocapd::files;
+use mocapd_take::motion::Motion;
+
+use super::paths;
+
+/// Frame rates that mean something, Hz: from time lapse to ballistics.
+const RATE_HZ: std::ops::RangeInclusive<f64> = 0.001..=1e6;
+
+/// Reads a file of trajectories.
+///
+/// # Errors
+/// Why it cannot be read, or that there is nothing in it to make a take of.
+pub(super) fn read_motion(path: &Path) -> anyhow::Result<Motion> {
+    let format = paths::input_format(path)?;
+    let mut bytes = Vec::new();
+    let reading = || format!("cannot read {}", path.display());
+    files::open(path)?.read_to_end(&mut bytes).with_context(reading)?;
+    let motion = format.read(&bytes).with_context(reading)?;
+    let name = path.display();
+    let rate_hz = motion.info.rate_hz;
+    ensure!(
+        !motion.info.markers.is_empty(),
+        "{name} holds no markers: there is nothing to make a take of"
+    );
+    ensure!(motion.n_frames() > 0, "{name} holds no frames: there is nothing to make a take of");
+    ensure!(
+        RATE_HZ.contains(&rate_hz),
+        "{name} has a rate of {rate_hz:e} Hz, expected {} to {}: mend the rate in the file",
+        RATE_HZ.start(),
+        RATE_HZ.end()
+    );
+    Ok(motion)
+}

@@ -1,0 +1,65 @@
+//! Paths as arguments: what their endings mean, and where nothing may be written.
+
+use std::path::Path;
+
+use anyhow::bail;
+use mocapd::{files::NewFile, outcome::UsageError};
+use mocapd_take::interchange::Format;
+
+/// The format of a file to read, by its ending.
+///
+/// # Errors
+/// That it is a folder, or a usage error that lists the endings.
+pub(super) fn input_format(path: &Path) -> anyhow::Result<Format> {
+    if path.is_dir() {
+        bail!("{} is a folder, not a file", path.display());
+    }
+    Format::from_extension(path).ok_or_else(|| unknown_ending(path, ".c3d, .trc, .tsv or .csv"))
+}
+
+/// The format of a file to write, by its ending.
+///
+/// # Errors
+/// A usage error that lists the endings.
+pub(super) fn output_format(path: &Path) -> anyhow::Result<Format> {
+    Format::from_extension(path)
+        .filter(|&format| format != Format::Tsv)
+        .ok_or_else(|| unknown_ending(path, ".c3d, .trc or .csv"))
+}
+
+fn unknown_ending(path: &Path, endings: &str) -> anyhow::Error {
+    let message = format!("{}: the ending tells the format: use {endings}", path.display());
+    UsageError(message).into()
+}
+
+/// Whether it is called a take.
+pub(super) fn is_take(path: &Path) -> bool {
+    path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("take"))
+}
+
+/// Says early what creating a take at `path` would meet: before a device is woken or a file is read.
+///
+/// # Errors
+/// A usage error when it is called after another format; what [`check_output`] finds.
+pub(super) fn check_take_output(path: &Path) -> anyhow::Result<()> {
+    if Format::from_extension(path).is_some() {
+        return Err(UsageError(format!(
+            "{}: a take is written, so call it .take; `mocapd export` makes other formats of it",
+            path.display()
+        ))
+        .into());
+    }
+    check_output(path)
+}
+
+/// Says early what creating a file at `path` would meet.
+///
+/// # Errors
+/// That something is there already, or that nothing can be created in that folder.
+pub(super) fn check_output(path: &Path) -> anyhow::Result<()> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    if let Some(folder) = folder.filter(|folder| !folder.exists()) {
+        bail!("the folder {} does not exist: create it first", folder.display());
+    }
+    NewFile::create(path).map(drop)
+}

@@ -1,0 +1,74 @@
+//! `record`: a device into a take.
+
+mod report;
+mod watch;
+
+use std::{path::PathBuf, time::Duration};
+
+use mocapd::{
+    outcome::{Outcome, UsageError},
+    rig::{Ending, Rig},
+    units,
+};
+use mocapd_drivers::{registry::OpenError, uri::DeviceUri};
+
+pub(crate) use self::{
+    report::{LatencyReport, ProcessReport, Report},
+    watch::{record_and_watch, stop_on_signal},
+};
+use super::{
+    codec_args::CodecArgs,
+    output::{print, print_json, say},
+    paths, values,
+};
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// serial:PATH[@BAUD] or usb:VID:PID[:SERIAL], with ?driver=NAME where needed
+    #[arg(short, long, value_name = "URI")]
+    device: String,
+    /// The take to write; it must not exist
+    #[arg(short, long, value_name = "TAKE")]
+    output: PathBuf,
+    /// Stop after so long: 10s, 500ms, 2min; without it at the end of a replay, or on Ctrl-C
+    #[arg(long, value_name = "TIME", value_parser = values::length, allow_hyphen_values = true)]
+    seconds: Option<Duration>,
+    /// Ask the device for this frame rate: 240, 240Hz, 1kHz
+    #[arg(long, value_name = "HZ", value_parser = units::rate_hz, allow_hyphen_values = true)]
+    rate: Option<f64>,
+    #[command(flatten)]
+    codec: CodecArgs,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
+    let uri: DeviceUri = args.device.parse().map_err(|error| UsageError(format!("{error}")))?;
+    let codec = args.codec.live_settings()?;
+    paths::check_take_output(&args.output)?;
+    let stop = stop_on_signal()?;
+    let mut rig = Rig::open(&uri).map_err(|error| match error.downcast_ref() {
+        Some(OpenError::UnknownDriver { .. }) => UsageError(error.to_string()).into(),
+        _ => error,
+    })?;
+    if let Some(rate_hz) = args.rate {
+        rig.set_rate(rate_hz)?;
+    }
+    let recorded = record_and_watch(rig, &args.output, codec, args.seconds, &stop)?;
+    let report = Report::new(&args.output, &recorded, &codec);
+    if args.json {
+        print_json(&report)?;
+    } else {
+        print(&report.words())?;
+    }
+    let disconnected = recorded.recording.ending == Ending::Disconnected;
+    if disconnected {
+        say("the device was disconnected: the take ends there");
+    }
+    if let Some(losses) = report.losses() {
+        say(&format!("not in the take: {losses}"));
+    }
+    let ledger = &recorded.written.ledger;
+    Ok(Outcome::of(ledger.lost_anything() || !ledger.closes() || disconnected))
+}

@@ -1,0 +1,111 @@
+//! What `record` says when it is done, as docs/json.md has it, and for people.
+
+use std::path::{Path, PathBuf};
+
+use mocapd::{inspect::size_ratio, process, record::Recorded, rig::Ending};
+use mocapd_codec::Settings;
+use serde::{Deserialize, Serialize};
+
+use crate::cli::{
+    codec_args::tolerance_mm,
+    ledger::LedgerReport,
+    numbers::{bytes, count},
+};
+
+#[derive(Debug, Serialize)]
+pub(crate) struct Report {
+    take: PathBuf,
+    ending: &'static str,
+    frames: u64,
+    seconds: f64,
+    markers: usize,
+    rate_hz: f64,
+    samples: u64,
+    raw_bytes: u64,
+    file_bytes: u64,
+    ratio: f64,
+    resampler: String,
+    tolerance_mm: f64,
+    max_error_mm: f64,
+    recoded_blocks: u64,
+    ring_latency_us: LatencyReport,
+    process: ProcessReport,
+    ledger: LedgerReport,
+}
+
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct LatencyReport {
+    pub(crate) p50: f64,
+    pub(crate) p99: f64,
+    pub(crate) max: f64,
+}
+
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct ProcessReport {
+    pub(crate) cpu_s: f64,
+    pub(crate) peak_memory_bytes: u64,
+}
+
+impl Report {
+    pub(crate) fn new(take: &Path, recorded: &Recorded, codec: &Settings) -> Self {
+        let written = &recorded.written;
+        let latency = &recorded.recording.ring_latency;
+        let us = |ns: u64| ns as f64 / 1e3;
+        let usage = process::usage(None).unwrap_or_default();
+        Self {
+            take: take.to_owned(),
+            ending: match recorded.recording.ending {
+                Ending::EndOfStream => "end of stream",
+                Ending::Stopped => "stopped",
+                Ending::Disconnected => "disconnected",
+                Ending::WriterFailed => "writer failed",
+            },
+            frames: written.ledger.recorded,
+            seconds: written.ledger.frames_sent as f64 / recorded.rate_hz,
+            markers: recorded.markers,
+            rate_hz: recorded.rate_hz,
+            samples: written.samples,
+            raw_bytes: 12 * written.samples,
+            file_bytes: written.file_bytes,
+            ratio: size_ratio(written.samples, written.file_bytes),
+            resampler: codec.kind.to_string(),
+            tolerance_mm: tolerance_mm(codec),
+            max_error_mm: written.max_error_mm,
+            recoded_blocks: written.recoded,
+            ring_latency_us: LatencyReport {
+                p50: us(latency.quantile_ns(0.5)),
+                p99: us(latency.quantile_ns(0.99)),
+                max: us(latency.max_ns()),
+            },
+            process: ProcessReport {
+                cpu_s: usage.cpu_s,
+                peak_memory_bytes: usage.peak_memory_bytes,
+            },
+            ledger: LedgerReport::new(&written.ledger),
+        }
+    }
+
+    /// What was lost, in one line.
+    pub(crate) fn losses(&self) -> Option<String> {
+        self.ledger.losses()
+    }
+
+    pub(crate) fn words(&self) -> String {
+        let bound = if self.tolerance_mm > 0.0 {
+            format!("max error {:.4} mm <= {} mm", self.max_error_mm, self.tolerance_mm)
+        } else {
+            "every bit kept".to_owned()
+        };
+        format!(
+            "{}: {} of {} at {} Hz, {} as float32, {} on disk ({:.1}:1), {bound}\n{}",
+            self.take.display(),
+            count(self.frames, "frame"),
+            count(self.markers as u64, "marker"),
+            self.rate_hz,
+            bytes(self.raw_bytes),
+            bytes(self.file_bytes),
+            self.ratio,
+            self.ledger.words()
+        )
+    }
+}

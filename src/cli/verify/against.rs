@@ -1,0 +1,110 @@
+//! How far a take lies from an original, as docs/json.md has it, and for people.
+
+use std::{io::BufReader, path::Path};
+
+use anyhow::Context;
+use mocapd::{
+    compare::{Difference, compare},
+    files,
+};
+use mocapd_take::{TakeFrames, motion::MotionFrames};
+use serde::Serialize;
+
+use crate::cli::{
+    numbers::{count, thousands},
+    original::read_motion,
+    output::plain,
+    paths,
+};
+
+#[derive(Debug, Serialize)]
+pub(crate) struct AgainstReport {
+    within_tolerance: bool,
+    frames: u64,
+    frames_missing: u64,
+    labels_differing: Vec<String>,
+    samples: u64,
+    gaps_differing: u64,
+    bits_differing: u64,
+    max_error_mm: f64,
+    rms_error_mm: f64,
+    worst_frame: Option<u64>,
+    worst_marker: Option<usize>,
+    max_error_by_marker_mm: Vec<f64>,
+}
+
+/// Compares a take with a file of the field or another take.
+///
+/// # Errors
+/// That one of the two cannot be read.
+pub(super) fn against(
+    take: &Path,
+    original: &Path,
+    tolerance_mm: f64,
+) -> anyhow::Result<AgainstReport> {
+    let open = |path: &Path| {
+        TakeFrames::open(BufReader::new(files::open(path)?))
+            .with_context(|| format!("cannot read {}", path.display()))
+    };
+    let difference = if paths::is_take(original) {
+        compare(open(take)?, open(original)?)
+    } else {
+        compare(open(take)?, MotionFrames::new(&read_motion(original)?))
+    };
+    let difference = difference.with_context(|| {
+        format!("cannot compare {} with {}", take.display(), original.display())
+    })?;
+    Ok(AgainstReport::new(difference, tolerance_mm))
+}
+
+impl AgainstReport {
+    pub(crate) fn new(difference: Difference, tolerance_mm: f64) -> Self {
+        Self {
+            within_tolerance: difference.is_within(tolerance_mm),
+            frames: difference.frames,
+            frames_missing: difference.frames_missing,
+            labels_differing: difference.labels_differing,
+            samples: difference.samples,
+            gaps_differing: difference.gaps_differing,
+            bits_differing: difference.bits_differing,
+            max_error_mm: difference.max_error_mm,
+            rms_error_mm: difference.rms_error_mm,
+            worst_frame: difference.worst.map(|worst| worst.0),
+            worst_marker: difference.worst.map(|worst| worst.1),
+            max_error_by_marker_mm: difference.max_error_by_marker_mm,
+        }
+    }
+
+    /// Whether nothing differs but distances within the tolerance.
+    pub(crate) fn is_within(&self) -> bool {
+        self.within_tolerance
+    }
+
+    /// One line, and what is wrong beside the distances.
+    pub(crate) fn words(&self, tolerance_mm: f64) -> String {
+        let verdict = match (tolerance_mm > 0.0, self.max_error_mm <= tolerance_mm) {
+            (true, true) => format!("within the tolerance of {tolerance_mm} mm"),
+            (true, false) => format!("NOT WITHIN the tolerance of {tolerance_mm} mm"),
+            (false, _) => format!("{} differ in a bit", count(self.bits_differing, "sample")),
+        };
+        let mut out = format!(
+            "against the original: {} of {}, max error {:.4} mm, rms {:.4} mm, {verdict}\n",
+            count(self.samples, "sample"),
+            count(self.frames, "frame"),
+            self.max_error_mm,
+            self.rms_error_mm
+        );
+        if self.frames_missing > 0 {
+            out += &format!("  in one of the two only: {}\n", count(self.frames_missing, "frame"));
+        }
+        if self.gaps_differing > 0 {
+            let samples = thousands(self.gaps_differing);
+            out += &format!("  a gap in one of the two only: {samples} samples\n");
+        }
+        if !self.labels_differing.is_empty() {
+            let labels = self.labels_differing.join(", ");
+            out += &format!("  labels differ: {}\n", plain(&labels));
+        }
+        out
+    }
+}

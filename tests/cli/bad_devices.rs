@@ -1,0 +1,122 @@
+//! Devices that cannot be recorded: each says why and what to do, and no take is left behind.
+
+use std::{
+    sync::atomic::{AtomicBool, Ordering},
+    thread::{scope, sleep},
+    time::Duration,
+};
+
+use mocapd_simulator::device::DeviceSettings;
+use rustix::process::Signal;
+
+use super::{
+    Folder,
+    devices::{RawLine, Recorder, Simulated},
+    unprivileged,
+};
+use crate::support::jump;
+
+#[track_caller]
+fn refused(folder: &Folder, device: &str, words: &[&str]) {
+    let line = folder.refuses(&["record", "-d", device, "-o", "new.take", "--json"], 1);
+    for word in words {
+        assert!(line.contains(word), "{device}: '{word}' is not in: {line}");
+    }
+}
+
+#[test]
+fn what_is_absent_or_no_serial_port() {
+    let folder = Folder::new();
+    folder.write("file", "");
+    refused(&folder, "serial:/dev/mocapd-none", &["does not exist", "`mocapd devices`"]);
+    for path in ["file", ".", "/dev/null"] {
+        let words = ["is no serial port: give a device such as /dev/ttyUSB0"];
+        refused(&folder, &format!("serial:{path}"), &words);
+    }
+    refused(&folder, "usb:1209:0001", &["use the device's serial port"]);
+}
+
+#[test]
+fn what_is_in_use() {
+    let folder = Folder::new();
+    let device = Simulated::endless(jump(1, 120.0, 2.0));
+    let mut first = Recorder::start(&folder, &device, "first.take", &[]);
+    let mut second = folder.command(&["record", "-d", &device.uri(), "-o", "second.take"]);
+    let second = super::Ran::from(second.output().unwrap()).with_code(1);
+    assert_eq!(second.stderr.lines().count(), 1, "{}", second.stderr);
+    assert!(second.stderr.contains("is in use by mocapd (process "), "{}", second.stderr);
+    assert!(second.stderr.ends_with(": close the other program\n"), "{}", second.stderr);
+    assert!(!folder.path("second.take").exists());
+    first.signal(Signal::INT);
+    first.wait().with_code(0);
+    folder.run(&["verify", "first.take"]).with_code(0);
+}
+
+#[test]
+fn what_may_not_be_opened() {
+    let folder = Folder::new();
+    let device = Simulated::of(jump(1, 120.0, 1.0));
+    let Some(user) = unprivileged::command_in(&folder) else { return };
+    unprivileged::forbid(&device.path);
+    let line = folder.refused(user(&["record", "-d", &device.uri(), "-o", "new.take"]), 1);
+    assert!(line.starts_with(&format!("no permission for {}: ", device.path.display())), "{line}");
+    assert!(line.contains("udev rules") || line.contains("usermod"), "{line}");
+}
+
+#[test]
+fn a_line_too_slow_for_the_rate_names_the_rate_that_fits() {
+    let folder = Folder::new();
+    let baud = 115_200;
+    let settings =
+        DeviceSettings { line_bytes_per_s: u64::from(baud) / 10, ..DeviceSettings::default() };
+    let device = Simulated::start(jump(1, 500.0, 0.5), settings, Some(baud));
+    let uri = device.uri();
+    let line = folder.refuses(&["record", "-d", &uri, "-o", "new.take"], 1);
+    assert!(line.contains("the line is too slow for 500 Hz"), "{line}");
+    assert!(line.contains("it carries 11520"), "{line}");
+    let rate = line.split("--rate ").nth(1).and_then(|rest| rest.split(',').next());
+    let rate = rate.unwrap_or_else(|| panic!("no rate in: {line}"));
+    assert!(rate.parse::<f64>().is_ok_and(|hz| hz > 10.0 && hz < 500.0), "{line}");
+    // What it says fits does fit, and a little more does not.
+    let record = ["record", "-d", &uri, "-o", "new.take", "--json", "--rate"];
+    let report = folder.run(&[&record[..], &[rate]].concat()).with_code(0).json();
+    assert_eq!(report["rate_hz"].as_f64(), rate.parse().ok());
+    assert_eq!(report["ledger"]["closes"], true);
+    std::fs::remove_file(folder.path("new.take")).unwrap();
+    let more = format!("{}", rate.parse::<f64>().unwrap() + 1.0);
+    let line = folder.refuses(&[&record[..], &[more.as_str()]].concat(), 1);
+    assert!(line.contains("the line is too slow"), "{line}");
+}
+
+/// Both wait for an answer that does not come, side by side.
+#[test]
+fn what_is_mute_or_speaks_another_language() {
+    let (mute, noisy) = (RawLine::open(), RawLine::open());
+    let noisy_uri = noisy.uri();
+    let done = AtomicBool::new(false);
+    scope(|scope| {
+        scope.spawn(|| {
+            let mut noise = 1_u32;
+            while !done.load(Ordering::Relaxed) {
+                let bytes: Vec<u8> = (0..200)
+                    .map(|_| {
+                        noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                        (noise >> 24) as u8
+                    })
+                    .collect();
+                rustix::io::write(&noisy.master, &bytes).ok();
+                let mut commands = [0; 4096];
+                rustix::io::read(&noisy.master, &mut commands).ok();
+                sleep(Duration::from_millis(10));
+            }
+        });
+        let words = ["does not understand", "check the baud rate", "?driver=NAME"];
+        let noisy_refused = scope.spawn(move || refused(&Folder::new(), &noisy_uri, &words));
+        let words = ["does not answer", "switched on", "baud rate"];
+        let mute_refused = scope.spawn(move || refused(&Folder::new(), &mute.uri(), &words));
+        let ended = (noisy_refused.join(), mute_refused.join());
+        done.store(true, Ordering::Relaxed);
+        ended.0.unwrap();
+        ended.1.unwrap();
+    });
+}

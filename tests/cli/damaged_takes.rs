@@ -1,0 +1,123 @@
+//! Takes that were cut off or damaged: what is left is read, what is missing is said, exit code 3.
+
+use serde_json::Value;
+
+use super::{Folder, Ran};
+use crate::support::jump;
+
+/// Length of a header, the first chunk: type 01, varint length, payload, CRC-32.
+fn header_end(take: &[u8]) -> usize {
+    let (mut len, mut at) = (0, 9);
+    for shift in 0.. {
+        len |= usize::from(take[at] & 0x7f) << (7 * shift);
+        at += 1;
+        if take[at - 1] & 0x80 == 0 {
+            break;
+        }
+    }
+    at + len + 4
+}
+
+/// Three stretches of ten seconds.
+fn three_stretches() -> (Folder, Vec<u8>) {
+    let folder = Folder::new();
+    folder.write_motion("jump.csv", &jump(1, 30.0, 30.0));
+    let import = ["import", "jump.csv", "-o", "jump.take", "--lossless"];
+    folder.run(&import).with_code(0);
+    let take = folder.read("jump.take");
+    (folder, take)
+}
+
+fn problems(report: &Value) -> Vec<&str> {
+    report["problems"].as_array().unwrap().iter().map(|p| p.as_str().unwrap()).collect()
+}
+
+/// What `info`, `verify` and `export` say of the same damage: each exits 3 and says on stderr what is wrong.
+fn looked_at(folder: &Folder) -> (Value, Vec<String>) {
+    let info = folder.run(&["info", "bad.take", "--json"]).with_code(3).json();
+    assert!(!problems(&info).is_empty());
+    let words = folder.run(&["info", "bad.take"]).with_code(3);
+    let verify = folder.run(&["verify", "bad.take", "--json"]).with_code(3).json();
+    assert_eq!(verify["intact"], false);
+    for problem in problems(&info) {
+        assert!(words.stderr.contains(problem), "{problem}: {}", words.stderr);
+        assert!(problems(&verify).contains(&problem), "{problem}: {verify}");
+    }
+    std::fs::remove_file(folder.path("bad.csv")).ok();
+    let export: Ran = folder.run(&["export", "bad.take", "-o", "bad.csv"]).with_code(3);
+    assert!(export.stderr.starts_with("mocapd: bad.take: "), "{}", export.stderr);
+    let rows: Vec<String> = folder.text("bad.csv").lines().skip(1).map(str::to_owned).collect();
+    assert_eq!(rows.len() as u64, info["frames"].as_u64().unwrap());
+    (info, rows)
+}
+
+#[test]
+fn a_cut_take_is_read_as_far_as_it_goes() {
+    let (folder, take) = three_stretches();
+    let original: Vec<String> =
+        folder.text("jump.csv").lines().skip(1).map(str::to_owned).collect();
+    let header = header_end(&take);
+    let mut most = 0;
+    for cut in [take.len() / 2, take.len() - 200, take.len() - 1] {
+        folder.write("bad.take", &take[..cut]);
+        let (info, rows) = looked_at(&folder);
+        assert_eq!(info["finished"], false);
+        assert!(problems(&info).contains(&"the take was cut off: its end is missing"), "{info}");
+        assert_eq!(rows, original[..rows.len()], "cut at {cut}");
+        assert!(rows.len() >= most, "cut at {cut}: {} rows", rows.len());
+        most = rows.len();
+    }
+    assert_eq!(most, original.len(), "only the end was cut off");
+    for cut in [9, header - 1] {
+        folder.write("bad.take", &take[..cut]);
+        let line = folder.refuses(&["info", "bad.take"], 1);
+        assert!(line.contains("no intact header"), "{line}");
+    }
+    for cut in [header, header + 1] {
+        folder.write("bad.take", &take[..cut]);
+        assert_eq!(folder.run(&["info", "bad.take", "--json"]).with_code(3).json()["frames"], 0);
+        folder.run(&["verify", "bad.take"]).with_code(3);
+        let line = folder.refuses(&["export", "bad.take", "-o", "new.csv"], 1);
+        assert_eq!(line, "the take holds no frames: there is nothing to export");
+    }
+}
+
+#[test]
+fn damage_in_the_middle_costs_its_stretch_and_no_more() {
+    let (folder, take) = three_stretches();
+    let original = folder.text("jump.csv");
+    let original: Vec<&str> = original.lines().skip(1).collect();
+    let mut bad = take.clone();
+    bad[take.len() / 2] ^= 0x10;
+    folder.write("bad.take", &bad);
+    let (info, rows) = looked_at(&folder);
+    assert_eq!(info["finished"], true);
+    assert!(problems(&info)[0].contains("checksum does not match"), "{info}");
+    assert_eq!(rows.len(), original.len());
+    for (index, (row, original)) in rows.iter().zip(&original).enumerate() {
+        if (300..600).contains(&index) {
+            assert!(row.ends_with(&",".repeat(45)), "row {index} is not gaps: {row}");
+        } else {
+            assert_eq!(row, original, "row {index}");
+        }
+    }
+    let verify = folder.run(&["verify", "bad.take"]).with_code(3);
+    assert!(verify.stdout.contains("NOT INTACT"), "{}", verify.stdout);
+    assert!(verify.stderr.contains("samples, the take holds"), "{}", verify.stderr);
+}
+
+#[test]
+fn every_byte_that_is_damaged_is_noticed() {
+    let folder = Folder::new();
+    folder.write_motion("jump.csv", &jump(2, 30.0, 1.0));
+    folder.run(&["import", "jump.csv", "-o", "jump.take"]).with_code(0);
+    let take = folder.read("jump.take");
+    for at in (0..take.len()).step_by(take.len() / 40) {
+        let mut bad = take.clone();
+        bad[at] ^= 0x41;
+        folder.write("bad.take", &bad);
+        let code = folder.run(&["verify", "bad.take"]).code;
+        let header = at < header_end(&take);
+        assert_eq!(code, Some(if header { 1 } else { 3 }), "byte {at} of {}", take.len());
+    }
+}

@@ -1,0 +1,169 @@
+//! Devices for the program to open: simulated ones, and lines that are worse.
+
+use std::{
+    io::Read,
+    os::{fd::OwnedFd, unix::ffi::OsStringExt},
+    path::PathBuf,
+    process::{Child, ExitStatus},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread::{Builder, JoinHandle, sleep},
+    time::{Duration, Instant},
+};
+
+use mocapd_simulator::{
+    device::{Device, DeviceSettings, SentLog},
+    pty::{ServeOptions, serve_pty},
+};
+use mocapd_take::{TakeFrames, motion::FrameSource, motion::Motion};
+use rustix::{
+    process::{Pid, Signal, kill_process},
+    pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt},
+};
+
+use super::{Folder, Ran};
+
+/// Longer than anything here takes on the slowest machine: a test that waits so long has failed.
+const GIVE_UP: Duration = Duration::from_secs(60);
+
+/// A simulated device on a pty, until it is dropped.
+pub(super) struct Simulated {
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<SentLog>>,
+    pub(super) path: PathBuf,
+}
+
+impl Simulated {
+    pub(super) fn start(motion: Motion, settings: DeviceSettings, baud: Option<u32>) -> Self {
+        // A machine that is busy with other tests must not make the device drop frames.
+        let settings = DeviceSettings { queue_bytes: Some(64 << 20), ..settings };
+        let mut device = Device::new(motion, settings).unwrap();
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = Arc::clone(&stop);
+        let (path_in, path) = crossbeam_channel::bounded(1);
+        let serve = move || {
+            let options = ServeOptions { baud, ..ServeOptions::default() };
+            let told = |path: &std::path::Path| path_in.send(path.to_owned()).unwrap();
+            serve_pty(&mut device, None, options, &stopped, told).unwrap()
+        };
+        let thread = Builder::new().name("simulator".to_owned()).spawn(serve).unwrap();
+        Self { stop, thread: Some(thread), path: path.recv().unwrap() }
+    }
+
+    /// One that plays its motion once.
+    pub(super) fn of(motion: Motion) -> Self {
+        Self::start(motion, DeviceSettings::default(), None)
+    }
+
+    /// One that never ends.
+    pub(super) fn endless(motion: Motion) -> Self {
+        let settings = DeviceSettings { looping: true, ..DeviceSettings::default() };
+        Self::start(motion, settings, None)
+    }
+
+    pub(super) fn uri(&self) -> String {
+        format!("serial:{}", self.path.display())
+    }
+
+    /// Pulls the plug, and says what was sent until then.
+    pub(super) fn unplug(mut self) -> SentLog {
+        self.stop.store(true, Ordering::Relaxed);
+        self.thread.take().unwrap().join().unwrap()
+    }
+}
+
+impl Drop for Simulated {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+    }
+}
+
+/// `mocapd record` under way.
+pub(super) struct Recorder {
+    child: Child,
+}
+
+impl Recorder {
+    /// Starts recording into `take`, and waits until a frame is on disk.
+    pub(super) fn start(folder: &Folder, device: &Simulated, take: &str, more: &[&str]) -> Self {
+        let uri = device.uri();
+        let args = [&["record", "-d", &uri, "-o", take], more].concat();
+        let mut recorder = Self { child: folder.command(&args).spawn().unwrap() };
+        let begun = Instant::now();
+        loop {
+            if let Some(status) = recorder.child.try_wait().unwrap() {
+                panic!("{status} before the first frame: {:?}", recorder.wait());
+            }
+            let file = std::fs::File::open(folder.path(take));
+            let frames = file.ok().and_then(|file| TakeFrames::open(file).ok());
+            if frames.is_some_and(|frames| frames.info().n_frames > 0) {
+                return recorder;
+            }
+            assert!(begun.elapsed() < GIVE_UP, "no frame arrives");
+            sleep(Duration::from_millis(5));
+        }
+    }
+
+    pub(super) fn signal(&self, signal: Signal) {
+        kill_process(Pid::from_child(&self.child), signal).unwrap();
+    }
+
+    /// Waits for its end.
+    pub(super) fn wait(&mut self) -> Ran {
+        let status = self.status();
+        let mut ran = Ran { code: status.code(), stdout: String::new(), stderr: String::new() };
+        self.child.stdout.as_mut().unwrap().read_to_string(&mut ran.stdout).unwrap();
+        self.child.stderr.as_mut().unwrap().read_to_string(&mut ran.stderr).unwrap();
+        ran
+    }
+
+    fn status(&mut self) -> ExitStatus {
+        let begun = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                return status;
+            }
+            assert!(begun.elapsed() < GIVE_UP, "it does not end");
+            sleep(Duration::from_millis(5));
+        }
+    }
+}
+
+impl Drop for Recorder {
+    fn drop(&mut self) {
+        self.child.kill().ok();
+        self.child.wait().ok();
+    }
+}
+
+/// A pty whose far end the test holds: what is behind it is the test's.
+pub(super) struct RawLine {
+    pub(super) master: OwnedFd,
+    /// Kept open, so that the line is not hung up between two hosts.
+    _slave: OwnedFd,
+    pub(super) path: PathBuf,
+}
+
+impl RawLine {
+    pub(super) fn open() -> Self {
+        let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
+        let master = openpt(flags).unwrap();
+        grantpt(&master).unwrap();
+        unlockpt(&master).unwrap();
+        let name = ptsname(&master, Vec::new()).unwrap().into_bytes();
+        let path = PathBuf::from(std::ffi::OsString::from_vec(name));
+        let slave = rustix::fs::open(
+            &path,
+            rustix::fs::OFlags::RDWR | rustix::fs::OFlags::NOCTTY | rustix::fs::OFlags::CLOEXEC,
+            rustix::fs::Mode::empty(),
+        );
+        rustix::io::ioctl_fionbio(&master, true).unwrap();
+        Self { master, _slave: slave.unwrap(), path }
+    }
+
+    pub(super) fn uri(&self) -> String {
+        format!("serial:{}", self.path.display())
+    }
+}

@@ -1,0 +1,224 @@
+//! docs/json.md against what the program prints: every field stands there with its type, every example has
+//! the keys of the real thing.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde_json::Value;
+
+use super::{
+    Folder,
+    devices::{Recorder, Simulated},
+};
+use crate::support::jump;
+
+const DOCUMENT: &str = include_str!("../../docs/json.md");
+
+/// The text under a heading.
+fn section(heading: &str) -> &'static str {
+    let found = DOCUMENT.split("\n## ").find(|text| text.lines().next() == Some(heading));
+    found.unwrap_or_else(|| panic!("docs/json.md has no section {heading}"))
+}
+
+/// The documented fields of a section: path and type.
+fn fields(heading: &str) -> BTreeMap<&'static str, &'static str> {
+    let rows = section(heading).lines().filter_map(|line| {
+        let mut cells = line.split('|').map(str::trim).skip(1);
+        let path = cells.next()?.strip_prefix('`')?.strip_suffix('`')?;
+        Some((path, cells.next()?))
+    });
+    rows.collect()
+}
+
+/// The example of a section.
+fn example(heading: &str) -> Value {
+    let text = section(heading).split("```json\n").nth(1).and_then(|rest| rest.split("```").next());
+    let text = text.unwrap_or_else(|| panic!("{heading} has no example"));
+    serde_json::from_str(text).unwrap_or_else(|error| panic!("{heading}: {error}"))
+}
+
+/// Every path in a document with the types that it has there: `a.b`, and `a[]` for a list's items.
+fn paths(value: &Value, path: &str, found: &mut BTreeMap<String, BTreeSet<&'static str>>) {
+    let kind = match value {
+        Value::Null => "null",
+        Value::Bool(_) => "boolean",
+        Value::Number(number) if number.is_f64() => "number",
+        Value::Number(_) => "integer",
+        Value::String(_) => "string",
+        Value::Array(_) => "list",
+        Value::Object(_) => "object",
+    };
+    if !path.is_empty() {
+        found.entry(path.to_owned()).or_default().insert(kind);
+    }
+    match value {
+        Value::Array(items) => {
+            for item in items {
+                paths(item, &format!("{path}[]"), found);
+            }
+        }
+        Value::Object(members) => {
+            let separator = if path.is_empty() { "" } else { "." };
+            for (key, member) in members {
+                paths(member, &format!("{path}{separator}{key}"), found);
+            }
+        }
+        _ => {}
+    }
+}
+
+fn paths_of(document: &Value) -> BTreeMap<String, BTreeSet<&'static str>> {
+    let mut found = BTreeMap::new();
+    paths(document, "", &mut found);
+    found
+}
+
+/// The example has the keys of `real`, the first document; all of `real` together have the documented fields,
+/// each of a documented type, and no other.
+fn check(heading: &str, real: &[Value]) {
+    let expected: Vec<_> = paths_of(&real[0]).into_keys().collect();
+    let shown: Vec<_> = paths_of(&example(heading)).into_keys().collect();
+    assert_eq!(shown, expected, "{heading}: the example has other keys");
+
+    let mut documented = fields(heading);
+    if documented.contains_key("ledger") {
+        documented.extend(fields("The ledger"));
+    }
+    let mut found: BTreeMap<String, BTreeSet<&'static str>> = BTreeMap::new();
+    for (path, kinds) in real.iter().flat_map(paths_of) {
+        found.entry(path).or_default().extend(kinds);
+    }
+    for (path, kinds) in &found {
+        let Some(types) = documented.remove(path.as_str()) else {
+            assert!(path.ends_with("[]"), "{heading}: `{path}` is not in docs/json.md");
+            assert!(kinds.contains("object"), "{heading}: `{path}` is not in docs/json.md");
+            continue;
+        };
+        for kind in kinds {
+            let known = types.split(" or ").any(|known| known == *kind);
+            assert!(known, "{heading}: `{path}` is {kind}, docs/json.md says {types}");
+        }
+    }
+    // What a healthy machine does not show: lists that stay empty.
+    documented.retain(|path, _| !(path.ends_with("contradictions[]")));
+    assert!(documented.is_empty(), "{heading}: no real document has {:?}", documented.keys());
+}
+
+#[test]
+fn info_and_verify() {
+    let folder = Folder::new();
+    folder.run(&["demo", "--seconds", "1s", "--out", "demo"]).with_code(0);
+    let take = "demo/jump-001.take";
+    let info = |take: &str| folder.run(&["info", take, "--json"]).json();
+    let mut infos = vec![info(take)];
+
+    // A recording that was cut off by a pulled plug has an event.
+    let device = Simulated::endless(jump(1, 120.0, 1.0));
+    let mut recorder = Recorder::start(&folder, &device, "unplugged.take", &[]);
+    device.unplug();
+    recorder.wait().with_code(3);
+    infos.push(info("unplugged.take"));
+
+    // An import has a source, foreign parts, and here a warning.
+    let c3d = folder.read("demo/jump-001.c3d");
+    folder.write("cut.c3d", &c3d[..c3d.len() / 2]);
+    folder.run(&["import", "cut.c3d", "-o", "cut.take"]).with_code(3);
+    infos.push(info("cut.take"));
+
+    // A damaged take has problems.
+    let bytes = folder.read("cut.take");
+    folder.write("damaged.take", &bytes[..bytes.len() - 1]);
+    infos.push(info("damaged.take"));
+    check("`mocapd info`", &infos);
+
+    // Names that scripts rely on.
+    for name in [
+        "frames",
+        "markers",
+        "rate_hz",
+        "raw_bytes",
+        "file_bytes",
+        "ratio",
+        "max_error_mm",
+        "ledger",
+        "channels",
+        "sr1",
+        "sr2",
+    ] {
+        assert!(!infos[0][name].is_null(), "{name}");
+    }
+    for name in ["label", "samples", "gaps", "knots", "max_error_mm", "payload_bytes"] {
+        assert!(!infos[0]["channels"][0][name].is_null(), "{name}");
+    }
+
+    let csv = "demo/jump-001.csv";
+    folder.run(&["import", csv, "-o", "again.take", "--tolerance", "1mm"]).with_code(0);
+    let verify = |args: &[&str]| folder.run(&[&["verify", "--json"], args].concat()).json();
+    let other = folder.text(csv).replace("head", "crown");
+    folder.write("other.csv", other);
+    check(
+        "`mocapd verify`",
+        &[
+            verify(&["again.take", "--against", csv]),
+            verify(&["again.take", "--against", "other.csv"]),
+            verify(&["damaged.take"]),
+        ],
+    );
+}
+
+#[test]
+fn record_and_import() {
+    let folder = Folder::new();
+    let motion = jump(1, 120.0, 1.0);
+    let device = Simulated::of(motion.clone());
+    let record = ["record", "-d", &device.uri(), "-o", "jump.take", "--json"];
+    check("`mocapd record`", &[folder.run(&record).with_code(0).json()]);
+
+    folder.write_motion("jump.csv", &motion);
+    let import = ["import", "jump.csv", "-o", "again.take", "--tolerance", "1mm", "--json"];
+    let mut imports = vec![folder.run(&import).with_code(0).json()];
+    folder.write_motion("jump.c3d", &motion);
+    let c3d = folder.read("jump.c3d");
+    folder.write("cut.c3d", &c3d[..c3d.len() / 2]);
+    let import = ["import", "cut.c3d", "-o", "cut.take", "--drop-foreign", "--json"];
+    imports.push(folder.run(&import).with_code(3).json());
+    check("`mocapd import`", &imports);
+}
+
+#[test]
+fn devices() {
+    // What is attached is this machine's affair; the fields are checked beside the code.
+    let example = example("`mocapd devices`");
+    let real = Folder::new().run(&["devices", "--json"]).with_code(0).json();
+    let real = real.as_array().unwrap();
+    for device in real {
+        let keys = |value: &Value| paths_of(value).into_keys().collect::<Vec<_>>();
+        assert_eq!(keys(device), keys(&example[0]));
+    }
+    if real.is_empty() {
+        eprintln!("skipped: no device is attached to compare the example with");
+    }
+}
+
+#[test]
+fn bench_pipeline() {
+    let folder = Folder::new();
+    let bench =
+        ["bench", "pipeline", "--markers", "5", "--seconds", "500ms", "--runs", "1", "--json"];
+    let ran = folder.run(&bench).with_code(0);
+    assert_eq!(ran.stderr, "");
+    check("`mocapd bench pipeline`", &[ran.json()]);
+    assert!(folder.content().is_empty(), "its takes are removed");
+}
+
+#[test]
+fn the_exit_codes_are_those_of_the_help() {
+    let help = Folder::new().run(&["--help"]).with_code(0).stdout;
+    for code in ["0 done", "1 failed", "2 usage", "3 done but data was lost"] {
+        assert!(help.contains(code), "{help}");
+    }
+    let codes = section("Exit codes").lines().filter_map(|line| {
+        let mut cells = line.split('|').map(str::trim).skip(1);
+        cells.next()?.parse::<u8>().ok()
+    });
+    assert_eq!(codes.collect::<Vec<_>>(), [0, 1, 2, 3]);
+}

@@ -1,0 +1,73 @@
+//! `export --from --to`: the frames of those times, under their own numbers.
+
+use super::Folder;
+use crate::support::jump;
+
+fn folder() -> (Folder, Vec<String>) {
+    let folder = Folder::new();
+    folder.write_motion("jump.trc", &jump(1, 100.0, 1.0));
+    folder.run(&["import", "jump.trc", "-o", "jump.take", "--lossless"]).with_code(0);
+    folder.run(&["export", "jump.take", "-o", "whole.csv"]);
+    let rows = folder.text("whole.csv").lines().skip(1).map(str::to_owned).collect();
+    (folder, rows)
+}
+
+/// A row without its time, which counts from the first one exported.
+fn untimed(row: &str) -> (&str, &str) {
+    let mut cells = row.splitn(3, ',');
+    let frame = cells.next().unwrap();
+    cells.next().unwrap();
+    (frame, cells.next().unwrap())
+}
+
+#[test]
+fn a_part_has_the_frames_between_two_times() {
+    let (folder, whole) = folder();
+    assert_eq!(whole.len(), 100);
+    for (times, range) in [
+        (&["--from", "70ms", "--to", "0.13s"][..], 7..13),
+        (&["--from", "0"], 0..100),
+        (&["--to", "70ms"], 0..7),
+        (&["--from", "0.985s"], 99..100),
+        (&["--from", "0.5", "--to", "1h"], 50..100),
+    ] {
+        folder.run(&[&["export", "jump.take", "-o", "part.csv"], times].concat()).with_code(0);
+        let text = folder.text("part.csv");
+        let part: Vec<_> = text.lines().skip(1).map(untimed).collect();
+        let expected: Vec<_> = whole[range].iter().map(|row| untimed(row)).collect();
+        assert_eq!(part, expected, "{times:?}");
+        std::fs::remove_file(folder.path("part.csv")).unwrap();
+    }
+}
+
+#[test]
+fn an_empty_part_is_refused() {
+    let (folder, _) = folder();
+    for times in [
+        &["--from", "1s"][..],
+        &["--from", "2min"],
+        &["--from", "0.5", "--to", "0.5"],
+        &["--from", "0.6", "--to", "0.5"],
+        &["--to", "0"],
+    ] {
+        let line = folder.refuses(&[&["export", "jump.take", "-o", "a.csv"], times].concat(), 2);
+        assert!(line.contains("no frames there: the take is 1.000 s long"), "{line}");
+    }
+}
+
+/// What an importer kept belongs to a part as well as to the whole.
+#[test]
+fn a_part_gets_back_what_was_kept() {
+    let folder = Folder::new();
+    folder.write_motion("jump.trc", &jump(1, 100.0, 1.0));
+    let trc = folder.text("jump.trc").replacen("mocapd.trc", "session 7.trc", 1);
+    folder.write("mine.trc", trc);
+    folder.run(&["import", "mine.trc", "-o", "mine.take"]).with_code(0);
+    let part = ["export", "mine.take", "-o", "part.trc", "--from", "0.25s", "--to", "0.5s"];
+    assert_eq!(folder.run(&part).with_code(0).stderr, "");
+    let text = folder.text("part.trc");
+    assert!(text.starts_with("PathFileType\t4\t(X/Y/Z)\tsession 7.trc\n"), "{text}");
+    folder.run(&["import", "part.trc", "-o", "part.take"]).with_code(0);
+    let info = folder.run(&["info", "part.take", "--json"]).with_code(0).json();
+    assert_eq!((&info["frames"], &info["source"]["first_frame"]), (&25.into(), &26.into()));
+}

@@ -1,0 +1,148 @@
+//! A folder of its own for every test, and the program run in it.
+
+use std::{
+    collections::BTreeMap,
+    ffi::OsStr,
+    fs,
+    io::Cursor,
+    os::unix::fs::FileTypeExt,
+    path::{Path, PathBuf},
+    process::{Command, Output, Stdio},
+};
+
+use mocapd_take::{
+    interchange::Format,
+    motion::{Motion, MotionFrames},
+};
+
+/// What a run of the program came to.
+#[derive(Debug)]
+pub(super) struct Ran {
+    pub(super) code: Option<i32>,
+    pub(super) stdout: String,
+    pub(super) stderr: String,
+}
+
+impl From<Output> for Ran {
+    fn from(output: Output) -> Self {
+        let text = |bytes| String::from_utf8(bytes).expect("the program speaks UTF-8");
+        Self {
+            code: output.status.code(),
+            stdout: text(output.stdout),
+            stderr: text(output.stderr),
+        }
+    }
+}
+
+impl Ran {
+    /// Itself, when it ended with `code`.
+    #[track_caller]
+    pub(super) fn with_code(self, code: i32) -> Self {
+        assert_eq!(self.code, Some(code), "{}{}", self.stdout, self.stderr);
+        self
+    }
+
+    /// Its standard output as the one JSON document that it is.
+    #[track_caller]
+    pub(super) fn json(&self) -> serde_json::Value {
+        serde_json::from_str(&self.stdout).unwrap_or_else(|e| panic!("{e}: {}", self.stdout))
+    }
+}
+
+/// A temporary folder: the program's working folder, so that arguments are plain names.
+#[derive(Debug)]
+pub(super) struct Folder(tempfile::TempDir);
+
+impl Folder {
+    pub(super) fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    pub(super) fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    pub(super) fn write(&self, name: &str, bytes: impl AsRef<[u8]>) {
+        fs::write(self.path(name), bytes).unwrap();
+    }
+
+    pub(super) fn read(&self, name: &str) -> Vec<u8> {
+        fs::read(self.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
+    }
+
+    pub(super) fn text(&self, name: &str) -> String {
+        String::from_utf8(self.read(name)).unwrap()
+    }
+
+    /// Writes a motion in the format that the name's ending says.
+    pub(super) fn write_motion(&self, name: &str, motion: &Motion) {
+        self.write(name, file_of(Path::new(name), motion));
+    }
+
+    /// The program, to be run here.
+    pub(super) fn command<S: AsRef<OsStr>>(&self, args: &[S]) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_mocapd"));
+        command.args(args).current_dir(self.0.path());
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        command
+    }
+
+    pub(super) fn run(&self, args: &[&str]) -> Ran {
+        self.command(args).output().unwrap().into()
+    }
+
+    /// Runs what must fail: with `code`, nothing on stdout, one line on stderr, and the folder untouched.
+    /// Returns the line.
+    #[track_caller]
+    pub(super) fn refuses(&self, args: &[&str], code: i32) -> String {
+        self.refused(self.command(args), code)
+    }
+
+    /// The same of a command that is not just the program.
+    #[track_caller]
+    pub(super) fn refused(&self, mut command: Command, code: i32) -> String {
+        let before = self.content();
+        let ran: Ran = command.output().unwrap().into();
+        let words = ran.stderr.clone();
+        assert_eq!(ran.code, Some(code), "{command:?}: {}{words}", ran.stdout);
+        assert_eq!(ran.stdout, "", "{command:?} printed on stdout");
+        assert_eq!(words.lines().count(), 1, "{command:?}: not one line: {words}");
+        let line = words.strip_prefix("mocapd: ").and_then(|rest| rest.strip_suffix('\n'));
+        let line = line.unwrap_or_else(|| panic!("{command:?}: {words:?}"));
+        assert!(!line.ends_with('.') && !line.is_empty(), "{command:?}: {line}");
+        let after = self.content();
+        assert!(before == after, "{command:?}: {:?} became {:?}", before.keys(), after.keys());
+        line.to_owned()
+    }
+
+    /// Every name, hidden ones too, with its bytes; a folder or a link has its kind instead.
+    pub(super) fn content(&self) -> BTreeMap<PathBuf, Vec<u8>> {
+        let mut content = BTreeMap::new();
+        let mut folders = vec![self.0.path().to_owned()];
+        while let Some(folder) = folders.pop() {
+            let Ok(entries) = fs::read_dir(&folder) else { continue };
+            for entry in entries {
+                let path = entry.unwrap().path();
+                let kind = path.symlink_metadata().unwrap().file_type();
+                let bytes = if kind.is_file() && !kind.is_fifo() {
+                    fs::read(&path).unwrap_or_default()
+                } else {
+                    format!("{kind:?}").into_bytes()
+                };
+                if kind.is_dir() {
+                    folders.push(path.clone());
+                }
+                content.insert(path, bytes);
+            }
+        }
+        content
+    }
+}
+
+/// A motion in the format that a name's ending says.
+fn file_of(name: &Path, motion: &Motion) -> Vec<u8> {
+    let mut bytes = Cursor::new(Vec::new());
+    let format = Format::from_extension(name).expect("an ending that is known");
+    format.write(&mut MotionFrames::new(motion), &mut bytes).unwrap();
+    bytes.into_inner()
+}

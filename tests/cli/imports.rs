@@ -1,0 +1,146 @@
+//! Every resampler through import, info and verify; every format there and back.
+
+use mocapd_take::motion::{Motion, is_gap};
+
+use super::Folder;
+use crate::support::{chunks, jump};
+
+fn samples(motion: &Motion) -> u64 {
+    motion.positions_mm.iter().filter(|&&position| !is_gap(position)).count() as u64
+}
+
+#[test]
+fn every_resampler_keeps_its_bound_and_tells_what_it_did() {
+    let folder = Folder::new();
+    let motion = jump(7, 60.0, 2.0);
+    let n_samples = samples(&motion);
+    folder.write_motion("jump.csv", &motion);
+    for resampler in [
+        "dense",
+        "fast",
+        "lossless",
+        "spline:worst-sample",
+        "spline:exhaustive",
+        "sync:worst-sample",
+        "sync:exhaustive",
+    ] {
+        let take = format!("{}.take", resampler.replace(':', "-"));
+        let tolerance_mm = if resampler == "lossless" { 0.0 } else { 2.0 };
+        let mut import =
+            vec!["import", "jump.csv", "-o", &take, "--json", "--resampler", resampler];
+        if tolerance_mm > 0.0 {
+            import.extend(["--tolerance", "0.2cm"]);
+        }
+        let imported = folder.run(&import).with_code(0).json();
+        let info = folder.run(&["info", &take, "--json"]).with_code(0).json();
+        let verify = ["verify", &take, "--against", "jump.csv", "--json"];
+        let verified = folder.run(&verify).with_code(0).json();
+        for report in [&imported, &info] {
+            assert_eq!(report["resampler"], resampler);
+            assert_eq!(report["tolerance_mm"], tolerance_mm, "{resampler}");
+            assert_eq!(report["frames"], 120, "{resampler}");
+            assert_eq!(report["samples"], n_samples, "{resampler}");
+            assert_eq!(report["raw_bytes"], 12 * n_samples, "{resampler}");
+            assert_eq!(report["file_bytes"], folder.read(&take).len(), "{resampler}");
+        }
+        let against = &verified["against"];
+        assert_eq!(against["samples"], n_samples, "{resampler}");
+        assert_eq!(against["gaps_differing"], 0, "{resampler}");
+        let error = |value: &serde_json::Value| value.as_f64().unwrap();
+        assert!(error(&against["max_error_mm"]) <= error(&info["max_error_mm"]), "{resampler}");
+        assert!(error(&info["max_error_mm"]) <= tolerance_mm, "{resampler}");
+        let channels = info["channels"].as_array().unwrap();
+        let sum = |name: &str| channels.iter().map(|c| c[name].as_u64().unwrap()).sum::<u64>();
+        assert_eq!(sum("samples"), n_samples, "{resampler}");
+        assert!(sum("gaps") > 10, "{resampler}");
+        // SR2 counts kept samples, by its definition.
+        let sr2 = (n_samples + 120) as f64 / (2 * sum("knots")) as f64;
+        assert!((error(&info["sr2"]) - sr2).abs() < 1e-9, "{resampler}");
+        assert!((error(&info["sr1"]) >= 1.0) && (sum("knots") <= n_samples), "{resampler}");
+    }
+}
+
+#[test]
+fn the_bytes_are_the_same_for_any_number_of_threads() {
+    let folder = Folder::new();
+    folder.write_motion("jump.csv", &jump(8, 120.0, 12.0));
+    let blocks = |threads: &str| {
+        let take = format!("{threads}.take");
+        let import = ["import", "jump.csv", "-o", &take, "--threads", threads];
+        folder.run(&import).with_code(0);
+        let found = chunks(&folder.read(&take));
+        assert!(found.finished && found.keys.len() == 2, "{:?}", found.keys);
+        (found.labels, found.keys, found.blocks)
+    };
+    let one = blocks("1");
+    assert!(one == blocks("2") && one == blocks("7"));
+}
+
+#[test]
+fn every_format_comes_back_to_the_bit() {
+    let folder = Folder::new();
+    folder.write_motion("original.csv", &jump(9, 120.0, 2.0));
+    folder.run(&["import", "original.csv", "-o", "original.take", "--lossless"]).with_code(0);
+    for format in ["c3d", "trc", "csv"] {
+        let (file, take, back) =
+            (format!("a.{format}"), format!("{format}.take"), format!("{format}.back.csv"));
+        folder.run(&["export", "original.take", "-o", &file]).with_code(0);
+        folder.run(&["import", &file, "-o", &take, "--lossless"]).with_code(0);
+        folder.run(&["verify", &take, "--against", &file]).with_code(0);
+        folder.run(&["verify", &take, "--against", "original.take"]).with_code(0);
+        folder.run(&["export", &take, "-o", &back]).with_code(0);
+        assert!(folder.text(&back) == folder.text("original.csv"), "{format}");
+    }
+    // Once more around: a file that mocapd wrote is written again byte for byte.
+    for (file, take, again) in [("a.c3d", "c3d.take", "b.c3d"), ("a.trc", "trc.take", "b.trc")] {
+        folder.run(&["export", take, "-o", again]).with_code(0);
+        assert!(folder.read(again) == folder.read(file), "{file}");
+    }
+}
+
+#[test]
+fn a_take_that_differs_fails_and_says_where() {
+    let folder = Folder::new();
+    let mut motion = jump(10, 60.0, 1.0);
+    folder.write_motion("a.csv", &motion);
+    folder.run(&["import", "a.csv", "-o", "a.take"]).with_code(0);
+    let stride = motion.info.markers.len();
+    let marker = (0..stride).find(|&m| !is_gap(motion.frame(31)[m])).unwrap();
+    motion.positions_mm[31 * stride + marker][2] += 50.0;
+    motion.info.markers[0].label = "crown".to_owned();
+    folder.write_motion("b.csv", &motion);
+    let ran = folder.run(&["verify", "a.take", "--against", "b.csv", "--json"]).with_code(1);
+    assert_eq!(ran.stderr, "mocapd: a.take differs from b.csv\n");
+    let against = &ran.json()["against"];
+    assert_eq!(against["within_tolerance"], false);
+    assert_eq!((&against["worst_frame"], &against["worst_marker"]), (&31.into(), &marker.into()));
+    let error = against["max_error_mm"].as_f64().unwrap();
+    assert!((error - 50.0).abs() < 0.6, "{error}");
+    assert_eq!(against["labels_differing"][0], "crown");
+    let words = folder.run(&["verify", "a.take", "--against", "b.csv"]).with_code(1).stdout;
+    assert!(words.contains("NOT WITHIN the tolerance of 0.5 mm"), "{words}");
+    assert!(words.contains("labels differ: crown"), "{words}");
+}
+
+#[test]
+fn foreign_parts_are_kept_told_and_left_out_when_asked() {
+    let folder = Folder::new();
+    folder.write_motion("a.c3d", &jump(11, 60.0, 0.5));
+    folder.run(&["import", "a.c3d", "-o", "kept.take"]).with_code(0);
+    let info = folder.run(&["info", "kept.take"]).with_code(0).stdout;
+    assert!(info.contains("kept       c3d/parameters, "), "{info}");
+    let ran = folder.run(&["import", "a.c3d", "-o", "bare.take", "--drop-foreign", "--json"]);
+    let ran = ran.with_code(0);
+    assert_eq!(ran.stderr, "mocapd: a.c3d: left out, as asked: c3d/parameters\n");
+    assert_eq!(ran.json()["foreign_dropped"], serde_json::json!(["c3d/parameters"]));
+    let info = folder.run(&["info", "bare.take", "--json"]).with_code(0).json();
+    assert_eq!(info["foreign_parts"], serde_json::json!([]));
+    // With nothing to leave out there is nothing to say.
+    folder.write("b.csv", "time_s,head.x,head.y,head.z\n0,1,2,3\n0.01,1,2,3\n");
+    let ran = folder.run(&["import", "b.csv", "-o", "b.take", "--drop-foreign"]).with_code(0);
+    assert_eq!(ran.stderr, "");
+    // Another format cannot take them: that is said, too.
+    let ran = folder.run(&["export", "kept.take", "-o", "kept.csv"]).with_code(0);
+    assert_eq!(ran.stderr, "mocapd: kept.csv cannot hold, and so has not: c3d/parameters\n");
+    assert_eq!(folder.run(&["export", "kept.take", "-o", "kept.c3d"]).with_code(0).stderr, "");
+}

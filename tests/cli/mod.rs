@@ -1,0 +1,18 @@
+//! The command line, run as the program it is: exit codes, one line on stderr for what is refused, and a
+//! folder that looks as before when nothing was to be written.
+
+mod arguments;
+mod bad_devices;
+mod bad_files;
+mod damaged_takes;
+mod demo;
+mod devices;
+mod documents;
+mod exports;
+mod folder;
+mod imports;
+mod outputs;
+mod recording;
+mod unprivileged;
+
+use folder::{Folder, Ran};

@@ -1,0 +1,123 @@
+//! What lies there is not overwritten, and what fails leaves nothing behind.
+
+use std::{
+    os::unix::fs::symlink,
+    process::{Command, Stdio},
+};
+
+use mocapd_simulator::generator::JumpSpec;
+
+use super::{Folder, unprivileged};
+use crate::support::jump;
+
+fn folder() -> Folder {
+    let folder = Folder::new();
+    folder.write_motion("jump.csv", &jump(1, 60.0, 0.5));
+    folder.run(&["import", "jump.csv", "-o", "jump.take"]).with_code(0);
+    folder
+}
+
+#[test]
+fn what_exists_is_not_overwritten() {
+    let folder = folder();
+    folder.write("mine.take", "mine");
+    folder.write("mine.csv", "mine");
+    symlink("nowhere", folder.path("link.take")).unwrap();
+    symlink("nowhere", folder.path("link.csv")).unwrap();
+    std::fs::create_dir(folder.path("folder.take")).unwrap();
+    for file in ["mine.take", "link.take", "folder.take"] {
+        let expected =
+            format!("{file} exists and is not overwritten: choose another name or move it");
+        assert_eq!(folder.refuses(&["import", "jump.csv", "-o", file], 1), expected);
+        // Before the device is looked at, which is none.
+        let record = ["record", "-d", "serial:/dev/null", "-o", file];
+        assert_eq!(folder.refuses(&record, 1), expected);
+    }
+    for file in ["mine.csv", "link.csv"] {
+        let line = folder.refuses(&["export", "jump.take", "-o", file], 1);
+        assert!(line.starts_with(&format!("{file} exists and is not overwritten")), "{line}");
+    }
+    let line = folder.refuses(&["import", "jump.csv", "-o", "jump.take"], 1);
+    assert!(line.starts_with("jump.take exists"), "{line}");
+}
+
+#[test]
+fn a_missing_folder_is_not_made() {
+    let folder = folder();
+    let expected = "the folder no/such does not exist: create it first";
+    for args in [
+        &["import", "jump.csv", "-o", "no/such/new.take"][..],
+        &["record", "-d", "serial:/dev/null", "-o", "no/such/new.take"],
+        &["export", "jump.take", "-o", "no/such/new.csv"],
+    ] {
+        assert_eq!(folder.refuses(args, 1), expected, "{args:?}");
+    }
+    let line = folder.refuses(&["bench", "pipeline", "--dir", "no/such"], 1);
+    assert_eq!(line, "no/such is no folder: create it first");
+    folder.write("file", "");
+    let line = folder.refuses(&["import", "jump.csv", "-o", "file/new.take"], 1);
+    assert!(line.contains("file/"), "{line}");
+    let line = folder.refuses(&["demo", "--seconds", "1", "--out", "file"], 1);
+    assert!(line.contains("cannot create the folder file"), "{line}");
+}
+
+#[test]
+fn a_folder_that_may_not_be_written_to() {
+    let folder = folder();
+    std::fs::create_dir(folder.path("locked")).unwrap();
+    let Some(user) = unprivileged::command_in(&folder) else { return };
+    unprivileged::forbid(&folder.path("locked"));
+    for args in [
+        ["import", "jump.csv", "-o", "locked/new.take"],
+        ["export", "jump.take", "-o", "locked/new.csv"],
+    ] {
+        let line = folder.refused(user(&args), 1);
+        assert!(line.contains(args[3]) && line.contains("ermission"), "{line}");
+    }
+}
+
+/// A resampler that refuses the motion after the output was begun.
+#[test]
+fn an_import_that_fails_leaves_nothing() {
+    let folder = Folder::new();
+    let spec = JumpSpec { seconds: Some(15.0), ..JumpSpec::new(1, 120.0) };
+    folder.write_motion("long.csv", &spec.generate().unwrap().motion);
+    let import = ["import", "long.csv", "-o", "new.take", "--resampler", "spline:exhaustive"];
+    let line = folder.refuses(&import, 1);
+    assert!(line.contains("1024"), "{line}");
+}
+
+#[test]
+fn a_reader_that_has_seen_enough_is_no_failure() {
+    let folder = folder();
+    for args in [
+        &["info", "jump.take"][..],
+        &["info", "jump.take", "--json"],
+        &["verify", "jump.take"],
+        &["import", "jump.csv", "-o", "new.take"],
+    ] {
+        let mut nobody = Command::new("true").stdin(Stdio::piped()).spawn().unwrap();
+        let pipe = nobody.stdin.take().unwrap();
+        nobody.wait().unwrap();
+        let ran = folder.command(args).stdout(pipe).output().unwrap();
+        assert_eq!(String::from_utf8_lossy(&ran.stderr), "", "{args:?}");
+        assert_eq!(ran.status.code(), Some(0), "{args:?}");
+    }
+    assert!(folder.path("new.take").exists());
+}
+
+#[test]
+fn labels_give_the_terminal_no_orders() {
+    let folder = Folder::new();
+    folder.write(
+        "a.csv",
+        "# rate=60\n\x1b[31mhead\x07_x,\x1b[31mhead\x07_y,\x1b[31mhead\x07_z\n1,2,3\n1,2,3\n",
+    );
+    folder.run(&["import", "a.csv", "-o", "a.take"]).with_code(0);
+    let info = folder.run(&["info", "a.take"]).with_code(0).stdout;
+    assert!(info.contains("[31mhead"), "{info}");
+    assert!(!info.contains(['\x1b', '\x07']), "{info:?}");
+    // JSON escapes them, and keeps them.
+    let report = folder.run(&["info", "a.take", "--json"]).with_code(0).json();
+    assert_eq!(report["channels"][0]["label"], "\x1b[31mhead\x07");
+}

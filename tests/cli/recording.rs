@@ -1,0 +1,130 @@
+//! Recordings of a simulated device: whole ones, and ones that end early.
+
+use mocapd_simulator::device::DeviceSettings;
+use rustix::process::Signal;
+
+use super::{
+    Folder,
+    devices::{Recorder, Simulated},
+};
+use crate::support::jump;
+
+#[test]
+fn a_recording_is_what_was_sent() {
+    let folder = Folder::new();
+    let motion = jump(5, 120.0, 2.0);
+    folder.write_motion("sent.csv", &motion);
+    for codec in [&["--tolerance", "1mm"][..], &["--resampler", "fast"], &["--lossless"]] {
+        // Four times as fast as it was "recorded".
+        let settings = DeviceSettings { speed: 4.0, ..DeviceSettings::default() };
+        let device = Simulated::start(motion.clone(), settings, None);
+        let uri = device.uri();
+        let record = [&["record", "-d", &uri, "-o", "new.take", "--json"], codec].concat();
+        let ran = folder.run(&record).with_code(0);
+        let report = ran.json();
+        let sent = device.unplug();
+        assert_eq!(report["ending"], "end of stream");
+        assert_eq!(report["rate_hz"], 480.0);
+        assert_eq!(report["ledger"]["closes"], true, "{report}");
+        assert_eq!(report["ledger"]["frames_sent"], sent.run.frames_produced);
+        assert_eq!(report["samples"], sent.run.samples);
+        assert_eq!(ran.stderr, "");
+        let verify = ["verify", "new.take", "--against", "sent.csv", "--json"];
+        let verified = folder.run(&verify).with_code(0).json();
+        assert_eq!(verified["intact"], true);
+        assert_eq!(verified["against"]["within_tolerance"], true);
+        assert_eq!(verified["against"]["frames"], 240);
+        assert_eq!(verified["against"]["samples"], sent.run.samples);
+        let info = folder.run(&["info", "new.take", "--json"]).with_code(0).json();
+        assert_eq!(info["device"]["serial"], "SIM0001");
+        assert_eq!(info["resampler"], report["resampler"]);
+        std::fs::remove_file(folder.path("new.take")).unwrap();
+    }
+}
+
+#[test]
+fn the_words_say_what_the_numbers_say() {
+    let folder = Folder::new();
+    let device = Simulated::of(jump(6, 240.0, 0.5));
+    let ran = folder.run(&["record", "-d", &device.uri(), "-o", "a.take"]).with_code(0);
+    assert!(
+        ran.stdout.starts_with("a.take: 120 frames of 15 markers at 240 Hz, "),
+        "{}",
+        ran.stdout
+    );
+    assert!(ran.stdout.contains("0 left over: the ledger closes\n"), "{}", ran.stdout);
+    assert_eq!(ran.stderr, "");
+}
+
+#[test]
+fn it_stops_when_the_time_is_up() {
+    let folder = Folder::new();
+    let device = Simulated::endless(jump(1, 120.0, 2.0));
+    let record = ["record", "-d", &device.uri(), "-o", "a.take", "--seconds", "500ms", "--json"];
+    let report = folder.run(&record).with_code(0).json();
+    assert_eq!(report["ending"], "stopped");
+    assert_eq!(report["ledger"]["closes"], true);
+    let frames = report["frames"].as_u64().unwrap();
+    assert!(frames >= 60, "{frames}");
+    folder.run(&["verify", "a.take"]).with_code(0);
+}
+
+#[test]
+fn a_signal_finishes_the_take() {
+    for signal in [Signal::INT, Signal::TERM] {
+        let folder = Folder::new();
+        let device = Simulated::endless(jump(1, 120.0, 2.0));
+        let mut recorder = Recorder::start(&folder, &device, "a.take", &["--json"]);
+        recorder.signal(signal);
+        let ran = recorder.wait().with_code(0);
+        assert_eq!(ran.stderr, "");
+        let report = ran.json();
+        assert_eq!(report["ending"], "stopped");
+        assert_eq!(report["ledger"]["closes"], true);
+        assert_eq!(report["ledger"]["finished"], true);
+        let info = folder.run(&["info", "a.take", "--json"]).with_code(0).json();
+        assert_eq!(info["finished"], true);
+        assert_eq!(info["frames"], report["frames"]);
+    }
+}
+
+#[test]
+fn a_pulled_plug_leaves_a_take_that_can_be_read() {
+    let folder = Folder::new();
+    let device = Simulated::endless(jump(1, 120.0, 2.0));
+    let mut recorder = Recorder::start(&folder, &device, "a.take", &["--json"]);
+    let sent = device.unplug();
+    let ran = recorder.wait().with_code(3);
+    assert_eq!(ran.stderr, "mocapd: the device was disconnected: the take ends there\n");
+    let report = ran.json();
+    assert_eq!(report["ending"], "disconnected");
+    assert_eq!(report["ledger"]["closes"], true, "{report}");
+    let recorded = report["frames"].as_u64().unwrap();
+    assert!(recorded > 0 && recorded <= sent.run.frames_produced, "{recorded} of {sent:?}");
+    // The take is whole as far as it goes, and says how it ended.
+    let info = folder.run(&["info", "a.take", "--json"]).json();
+    assert_eq!(info["finished"], true);
+    assert_eq!(info["frames"], recorded);
+    assert_eq!(info["events"][0]["kind"], "host");
+    assert_eq!(info["events"][0]["text"], "the device was disconnected");
+    assert!(folder.run(&["info", "a.take"]).stdout.contains("the device was disconnected"));
+    folder.run(&["export", "a.take", "-o", "a.csv"]).with_code(0);
+    assert_eq!(folder.text("a.csv").lines().count() as u64, 1 + recorded);
+}
+
+#[test]
+fn a_killed_recording_is_a_take_with_a_ledger() {
+    let folder = Folder::new();
+    let device = Simulated::endless(jump(1, 120.0, 2.0));
+    let mut recorder = Recorder::start(&folder, &device, "a.take", &[]);
+    recorder.signal(Signal::KILL);
+    assert_eq!(recorder.wait().code, None);
+    let info = folder.run(&["info", "a.take", "--json"]).with_code(3).json();
+    assert_eq!(info["finished"], false);
+    assert!(info["frames"].as_u64().unwrap() > 0);
+    let words = folder.run(&["info", "a.take"]).with_code(3);
+    assert!(words.stderr.contains("the take was cut off"), "{}", words.stderr);
+    // The port is free again, and the take's name is not.
+    let line = folder.refuses(&["record", "-d", &device.uri(), "-o", "a.take"], 1);
+    assert!(line.contains("not overwritten"), "{line}");
+}
