@@ -85,7 +85,8 @@ fn assert_ledger(recorded: &Recorded, take: &[u8], log: &SentLog) {
     assert_eq!(ledger.dropped_by_device, log.run.frames_dropped);
     assert_eq!((ledger.lost_on_link, ledger.lost_ring_full, ledger.duplicates), (0, 0, 0));
     let run: Vec<_> = log.frames.iter().filter(|frame| frame.run == log.starts).collect();
-    let rows: Vec<_> = chunks(take).timelines.iter().flat_map(mocapd_take::timeline::Timeline::recorded).collect();
+    let rows: Vec<_> =
+        chunks(take).timelines.iter().flat_map(mocapd_take::timeline::Timeline::recorded).collect();
     let sent = run.iter().filter(|frame| !frame.dropped).map(|frame| frame.device_ticks);
     assert!(rows.iter().map(|(_, time)| time.device_ticks).eq(sent), "other frames than were sent");
     let present: u64 = run.iter().filter(|f| !f.dropped).map(|f| u64::from(f.present)).sum();

@@ -56,7 +56,8 @@ fn stretches_are_short_at_first_and_keys_come_every_ten_seconds() {
 fn the_time_line_keeps_ticks_and_arrivals() {
     let motion = jump(4, 120.0, 2.0);
     let found = chunks(&record(&motion, &config(&motion, dense(1.0)), 0..motion.n_frames()).1);
-    let times: Vec<_> = found.timelines.iter().flat_map(mocapd_take::timeline::Timeline::recorded).collect();
+    let times: Vec<_> =
+        found.timelines.iter().flat_map(mocapd_take::timeline::Timeline::recorded).collect();
     assert_eq!(times.len(), motion.n_frames());
     for (seq, (row, time)) in times.into_iter().enumerate() {
         let ticks = (seq as f64 * 1e6 / 120.0).round() as u64;

@@ -94,8 +94,12 @@ fn a_stall_of_thirty_seconds_loses_nothing_and_a_longer_one_only_whole_frames() 
         runs.iter().filter(|run| run.lost == Some(Causes::RING_FULL)).map(|run| run.rows).sum();
     assert_eq!(lost, 100);
     // A frame is there whole or not at all.
-    let recorded: std::collections::HashSet<u64> =
-        found.timelines.iter().flat_map(mocapd_take::timeline::Timeline::recorded).map(|(row, _)| row).collect();
+    let recorded: std::collections::HashSet<u64> = found
+        .timelines
+        .iter()
+        .flat_map(mocapd_take::timeline::Timeline::recorded)
+        .map(|(row, _)| row)
+        .collect();
     for (row, positions) in rows(&output.bytes).0.iter().enumerate() {
         let present = positions.iter().filter(|&&p| !mocapd_take::motion::is_gap(p)).count();
         let sent =
