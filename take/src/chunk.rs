@@ -1,5 +1,8 @@
 //! Chunks: {type, varint length, payload, CRC-32}, and finding the next one after damage.
 
+mod marks;
+
+use self::marks::Marks;
 use crate::{TakeError, varint};
 
 /// `0x89 T A K CR LF 0x1A LF`: any transfer in text mode breaks it.
@@ -7,6 +10,9 @@ pub const MAGIC: [u8; 8] = *b"\x89TAK\r\n\x1a\n";
 
 /// Longest payload. A stretch at the limits of docs/take-format.md, lossless, stays below it.
 pub const PAYLOAD_BYTES_MAX: u64 = 1 << 30;
+
+/// Longest candidate that [`resync`] hashes: about what the way over the marks costs.
+const HASHED_BYTES: usize = 2048;
 
 /// Bit 7 of the type: a reader that does not know the chunk may skip it.
 pub const MAY_SKIP: u8 = 0x80;
@@ -104,25 +110,29 @@ pub(crate) fn split(bytes: &[u8]) -> Front<'_> {
 
 /// Offset of the next whole chunk of a known type at or after `from`, or `None` when there is none.
 ///
-/// The work is bounded: candidates are the known type bytes whose chunk fits into the bytes, and the
-/// bytes hashed in vain are limited to a fixed multiple of the input. Random bytes need about 80 times
-/// their number (every 23rd looks like a type, and claims 2 kB in the mean); only bytes made to be slow
-/// reach the limit, and what lies behind them is then given up.
+/// Every byte that may be a type is a candidate, and coded bytes are full of them, most with a length that
+/// fits. So the CRC of a long candidate is not hashed but computed from CRCs at marks: the work grows with
+/// the bytes, not with their product with the lengths. Bytes that hold nothing but long candidates are not
+/// a damaged take, and are given up.
 #[must_use]
 pub fn resync(bytes: &[u8], from: usize) -> Option<usize> {
-    let mut budget = 512 * (bytes.len() - from.min(bytes.len())) as u64 + (16 << 20);
+    let mut marks = Marks::new(bytes.get(from..)?);
+    let mut long_candidates_left = bytes.len() / 8 + (1 << 20);
     for at in from..bytes.len() {
         if !types::ALL.contains(&bytes[at]) {
             continue;
         }
-        match front(&bytes[at..]) {
-            Front::Whole { .. } => return Some(at),
-            Front::Damaged => {
-                let mut cursor = varint::Cursor::new(&bytes[at + 1..]);
-                let hashed = cursor.varint().unwrap_or(0).min(bytes.len() as u64);
-                budget = budget.checked_sub(hashed + 1)?;
-            }
-            Front::Short(_) => {}
+        let Front::Whole { len, .. } = split(&bytes[at..]) else { continue };
+        let found = if len <= HASHED_BYTES {
+            crc_matches(&bytes[at..at + len])
+        } else {
+            long_candidates_left = long_candidates_left.checked_sub(1)?;
+            let crc_at = at + len - 4;
+            let crc = marks.crc(at - from, crc_at - from);
+            bytes[crc_at..].first_chunk::<4>().is_some_and(|stored| *stored == crc.to_le_bytes())
+        };
+        if found {
+            return Some(at);
         }
     }
     None
@@ -169,5 +179,27 @@ mod tests {
                 assert_eq!(resync(&damaged, 1), Some(len), "{at} {flip}");
             }
         }
+    }
+
+    /// Long chunks of bytes as random as coded ones are: every second candidate has a length that fits.
+    #[test]
+    fn the_next_chunk_is_found_behind_a_long_damaged_one() {
+        let mut noise = 1_u32;
+        let mut payload = |len: usize| {
+            let byte = |_| {
+                noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                (noise >> 24) as u8
+            };
+            (0..len).map(byte).collect::<Vec<u8>>()
+        };
+        let mut bytes = Vec::new();
+        put(&mut bytes, types::STRETCH, &payload(300_000)).unwrap();
+        let next = bytes.len();
+        for _ in 0..3 {
+            put(&mut bytes, types::STRETCH, &payload(2_000_000)).unwrap();
+        }
+        bytes[150_000] ^= 1;
+        assert_eq!(front(&bytes), Front::Damaged);
+        assert_eq!(resync(&bytes, 1), Some(next));
     }
 }

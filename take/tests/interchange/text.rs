@@ -78,7 +78,8 @@ fn tsv_zeros_are_gaps_and_lead_columns_are_known() {
         assert_eq!(gaps, [false, true, false, true, false, true]);
         assert_eq!(motion.frame(0)[0], [1.5, 2.0, 3.0]);
         assert_eq!((motion.info.rate_hz, motion.info.source.first_frame), (60.0, first));
-        assert_eq!(motion.info.source.warnings, [""; 0]);
+        let warnings = ["1 samples are not finite; they are gaps."];
+        assert_eq!(motion.info.source.warnings, warnings);
     }
 }
 

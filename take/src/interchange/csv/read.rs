@@ -28,7 +28,8 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
     };
     let n_frames = data.rows.len() as u64;
     let announced = head.value("frames").and_then(|n| text::whole_number(n.as_bytes()));
-    if let Some(announced) = announced.filter(|&n| n != n_frames) {
+    let announced = announced.unwrap_or(n_frames);
+    if announced != n_frames {
         warnings.push(format!("{announced} frames announced, {n_frames} present."));
     }
     let mut foreign = Vec::new();
@@ -57,7 +58,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
                 unit,
                 factor,
                 first_frame: data.frames.first().copied().unwrap_or(1),
-                frames_missing: 0,
+                frames_missing: announced.saturating_sub(n_frames),
                 warnings,
             },
             foreign,
