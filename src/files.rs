@@ -4,11 +4,15 @@ use std::{
     ffi::OsString,
     fs::{File, OpenOptions},
     io::{self, Write},
+    os::fd::AsRawFd,
     path::{Path, PathBuf},
 };
 
 use anyhow::{Context, anyhow, bail};
-use rustix::fs::{CWD, RenameFlags, renameat_with};
+use rustix::{
+    fs::{AtFlags, CWD, Mode, OFlags, RenameFlags, linkat, openat, renameat_with},
+    io::Errno,
+};
 
 /// Opens a file to read.
 ///
@@ -33,36 +37,42 @@ pub fn open(path: &Path) -> anyhow::Result<File> {
 /// # Errors
 /// That it exists, or why it cannot be created.
 pub fn create_new(path: &Path) -> anyhow::Result<File> {
-    create_new_for(path, path)
+    let created = OpenOptions::new().write(true).create_new(true).open(path);
+    created.map_err(|error| cannot_create(path, &error))
 }
 
-/// The same; errors speak of `wanted`, which it is for.
-fn create_new_for(path: &Path, wanted: &Path) -> anyhow::Result<File> {
-    let name = wanted.display();
-    OpenOptions::new().write(true).create_new(true).open(path).map_err(|error| match error.kind() {
-        io::ErrorKind::AlreadyExists => exists(wanted),
-        io::ErrorKind::NotFound => anyhow!("the folder of {name} does not exist: create it first"),
-        io::ErrorKind::PermissionDenied => {
-            anyhow!("no permission to create {name}: choose a folder that you may write to")
+fn cannot_create(path: &Path, error: &io::Error) -> anyhow::Error {
+    match error.kind() {
+        io::ErrorKind::AlreadyExists => exists(path),
+        io::ErrorKind::NotFound => {
+            anyhow!("the folder of {} does not exist: create it first", path.display())
         }
-        _ => anyhow!("cannot create {name}: {error}"),
-    })
+        io::ErrorKind::PermissionDenied => {
+            anyhow!(
+                "no permission to create {}: choose a folder that you may write to",
+                path.display()
+            )
+        }
+        _ => anyhow!("cannot create {}: {error}", path.display()),
+    }
 }
 
 fn exists(path: &Path) -> anyhow::Error {
     anyhow!("{} exists and is not overwritten: choose another name or move it", path.display())
 }
 
-/// A file that gets its name only when it is complete. Dropped before, it is removed.
+/// A file that gets its name only when it is complete. Dropped before, it is removed; where the file system
+/// knows files without a name, it is gone as well when the process is killed.
 #[derive(Debug)]
 pub struct NewFile {
     file: Option<File>,
-    hidden: PathBuf,
+    /// The name that it has until then, if any.
+    hidden: Option<PathBuf>,
     path: PathBuf,
 }
 
 impl NewFile {
-    /// Creates a hidden file beside `path`.
+    /// Creates a file without a name in the folder of `path`, or a hidden one.
     ///
     /// # Errors
     /// That `path` exists, or that nothing can be created there.
@@ -72,12 +82,16 @@ impl NewFile {
         }
         let name =
             path.file_name().with_context(|| format!("{} is no file name", path.display()))?;
+        if let Some(file) = without_a_name(path)? {
+            return Ok(Self { file: Some(file), hidden: None, path: path.to_owned() });
+        }
         let mut hidden_name = OsString::from(".");
         hidden_name.push(name);
         hidden_name.push(format!(".{}.part", std::process::id()));
         let hidden = path.with_file_name(hidden_name);
-        let file = create_new_for(&hidden, path)?;
-        Ok(Self { file: Some(file), hidden, path: path.to_owned() })
+        let created = OpenOptions::new().write(true).create_new(true).open(&hidden);
+        let file = created.map_err(|error| cannot_create(path, &error))?;
+        Ok(Self { file: Some(file), hidden: Some(hidden), path: path.to_owned() })
     }
 
     /// Gives it its name. Nothing that appeared there meanwhile is overwritten.
@@ -85,15 +99,22 @@ impl NewFile {
     /// # Errors
     /// That a file of that name appeared, or the disk's.
     pub fn keep(mut self) -> anyhow::Result<()> {
-        if let Some(file) = self.file.take() {
-            file.sync_all().with_context(|| format!("cannot write {}", self.path.display()))?;
-        }
-        match renameat_with(CWD, &self.hidden, CWD, &self.path, RenameFlags::NOREPLACE) {
-            // Some network file systems know no such rename: a hard link refuses to overwrite, too.
-            Err(rustix::io::Errno::INVAL | rustix::io::Errno::NOSYS) => {
-                std::fs::hard_link(&self.hidden, &self.path).map_err(|_| exists(&self.path))
+        let Some(file) = self.file.take() else { return Ok(()) };
+        file.sync_all().with_context(|| format!("cannot write {}", self.path.display()))?;
+        let named = match &self.hidden {
+            None => linkat(CWD, own_link(&file), CWD, &self.path, AtFlags::SYMLINK_FOLLOW),
+            Some(hidden) => {
+                match renameat_with(CWD, hidden, CWD, &self.path, RenameFlags::NOREPLACE) {
+                    // Some network file systems know no such rename: a link refuses to overwrite, too.
+                    Err(Errno::INVAL | Errno::NOSYS) => {
+                        linkat(CWD, hidden, CWD, &self.path, AtFlags::empty())
+                    }
+                    other => other,
+                }
             }
-            Err(rustix::io::Errno::EXIST) => Err(exists(&self.path)),
+        };
+        match named {
+            Err(Errno::EXIST) => Err(exists(&self.path)),
             other => other.with_context(|| format!("cannot name {}", self.path.display())),
         }
     }
@@ -115,8 +136,31 @@ impl Write for NewFile {
 impl Drop for NewFile {
     fn drop(&mut self) {
         // After `keep` it is gone already, or a second link to the kept file.
-        std::fs::remove_file(&self.hidden).ok();
+        if let Some(hidden) = &self.hidden {
+            std::fs::remove_file(hidden).ok();
+        }
     }
+}
+
+/// A file without a name in the folder of `path`; `None` where there are none.
+fn without_a_name(path: &Path) -> anyhow::Result<Option<File>> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let flags = OFlags::WRONLY | OFlags::TMPFILE | OFlags::CLOEXEC;
+    match openat(CWD, folder.unwrap_or(Path::new(".")), flags, Mode::from_raw_mode(0o666)) {
+        Ok(file) => {
+            let file = File::from(file);
+            // Without /proc it could never be named.
+            Ok(own_link(&file).exists().then_some(file))
+        }
+        // Network file systems, and kernels that take the flag for a folder to be opened.
+        Err(Errno::OPNOTSUPP | Errno::ISDIR | Errno::INVAL) => Ok(None),
+        Err(error) => Err(cannot_create(path, &error.into())),
+    }
+}
+
+/// Where the kernel shows an open file as a link.
+fn own_link(file: &File) -> PathBuf {
+    PathBuf::from(format!("/proc/self/fd/{}", file.as_raw_fd()))
 }
 
 #[cfg(test)]

@@ -13,6 +13,7 @@ use crate::{
     files, header,
     pipeline::{Pipeline, Progress, Written},
     rig::{Ending, ReadOptions, Recording, Rig},
+    units,
 };
 
 /// What to record, and how to tell people.
@@ -61,7 +62,7 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
     let file = files::create_new(options.take)?;
     let outcome = Pipeline::start(&config, &header, file).map(|(intake, pipeline)| {
         (options.started)(pipeline.progress());
-        let rows_max = options.length.map(|length| (length.as_secs_f64() * rate_hz).ceil() as u64);
+        let rows_max = options.length.map(|length| units::frame_at(length, rate_hz));
         let read = ReadOptions { stop: options.stop, rows_max, say: options.say };
         let recording = rig.read(intake, &read);
         (recording, pipeline.finish())

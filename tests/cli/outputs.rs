@@ -3,9 +3,12 @@
 use std::{
     os::unix::fs::symlink,
     process::{Command, Stdio},
+    thread::sleep,
+    time::{Duration, Instant},
 };
 
 use mocapd_simulator::generator::JumpSpec;
+use rustix::process::{Pid, Signal, kill_process};
 
 use super::{Folder, unprivileged};
 use crate::support::jump;
@@ -120,4 +123,33 @@ fn labels_give_the_terminal_no_orders() {
     // JSON escapes them, and keeps them.
     let report = folder.run(&["info", "a.take", "--json"]).with_code(0).json();
     assert_eq!(report["channels"][0]["label"], "\x1b[31mhead\x07");
+}
+
+/// Ctrl-C while samples are being coded: the output was begun, and has no name yet.
+#[test]
+fn an_import_that_is_interrupted_leaves_nothing() {
+    let folder = Folder::new();
+    let spec = JumpSpec { seconds: Some(8.0), ..JumpSpec::new(1, 120.0) };
+    folder.write_motion("long.csv", &spec.generate().unwrap().motion);
+    let before = folder.content();
+    // Minutes of work, so that it is surely not done.
+    let import = ["import", "long.csv", "-o", "new.take", "--resampler", "spline:exhaustive"];
+    let mut child = folder.command(&import).spawn().unwrap();
+    let begun = Instant::now();
+    while !has_begun(&folder, child.id()) {
+        assert!(begun.elapsed() < Duration::from_secs(60), "no output is begun");
+        assert!(child.try_wait().unwrap().is_none(), "it ended");
+        sleep(Duration::from_millis(5));
+    }
+    kill_process(Pid::from_child(&child), Signal::INT).unwrap();
+    assert_eq!(child.wait().unwrap().code(), None);
+    assert!(folder.content() == before, "{:?}", folder.content().keys());
+}
+
+/// Whether a process has a file open in the folder beside the motion that it reads.
+fn has_begun(folder: &Folder, process: u32) -> bool {
+    let open = std::fs::read_dir(format!("/proc/{process}/fd")).into_iter().flatten();
+    let open = open.filter_map(|entry| std::fs::read_link(entry.ok()?.path()).ok());
+    let mut here = open.filter(|path| path.starts_with(folder.path("")));
+    here.any(|path| path != folder.path("long.csv"))
 }

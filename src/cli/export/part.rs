@@ -10,7 +10,7 @@ use std::{
 };
 
 use anyhow::ensure;
-use mocapd::outcome::UsageError;
+use mocapd::{outcome::UsageError, units::frame_at};
 use mocapd_take::motion::{FrameSource, GAP, MotionInfo, Position};
 
 /// What is left of a source between two times, counted as it is read.
@@ -54,14 +54,6 @@ impl<'a> Part<'a> {
     }
 }
 
-/// The first frame at or after a time. A time that is a frame's own but for its last digits is that frame's.
-fn frame_at(time: Duration, rate_hz: f64) -> u64 {
-    let frame = time.as_secs_f64() * rate_hz;
-    let nearest = frame.round();
-    let close = (frame - nearest).abs() <= 1e-9 * frame.max(1.0);
-    if close { nearest as u64 } else { frame.ceil() as u64 }
-}
-
 impl FrameSource for Part<'_> {
     fn info(&self) -> &MotionInfo {
         &self.info
@@ -74,28 +66,5 @@ impl FrameSource for Part<'_> {
         self.left -= 1;
         self.counter.fetch_add(1, Ordering::Relaxed);
         self.frames.next_frame(row)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_frames_own_time_is_that_frame() {
-        // 0.07 * 100 is 7.000000000000001 in binary.
-        for (ms, rate_hz, frame) in [
-            (0, 120.0, 0),
-            (70, 100.0, 7),
-            (71, 100.0, 8),
-            (1, 59.94, 1),
-            (3_600_000, 120.0, 432_000),
-        ] {
-            assert_eq!(frame_at(Duration::from_millis(ms), rate_hz), frame, "{ms} ms");
-        }
-        for frame in 0..1000 {
-            let time = Duration::from_secs_f64(f64::from(frame) / 59.94);
-            assert_eq!(frame_at(time, 59.94), u64::from(frame as u32));
-        }
     }
 }

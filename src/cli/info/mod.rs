@@ -7,7 +7,6 @@ use std::{io::BufReader, path::PathBuf};
 
 use anyhow::Context;
 use mocapd::{files, inspect::Summary, outcome::Outcome};
-use mocapd_take::record::Ledger;
 
 use self::{report::Report, words::words};
 use super::output::{print, print_json, say};
@@ -39,6 +38,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let Some(losses) = report.losses() {
         say(&format!("{}: not in the take: {losses}", args.take.display()));
     }
-    let lost = summary.ledger.as_ref().is_some_and(Ledger::lost_anything);
+    let ledger = summary.ledger.as_ref();
+    let lost = ledger.is_some_and(|ledger| ledger.lost_anything() || !ledger.closes());
     Ok(Outcome::of(lost || !report.problems.is_empty()))
 }
