@@ -4,6 +4,7 @@ use std::io::Read;
 
 use mocapd_take::{
     TakeError, TakeEvent,
+    frames::nameless,
     reader::read_events,
     record::{Channel, Event, Header, Ledger},
     stretch::{Stretch, StretchDecoder},
@@ -45,6 +46,8 @@ pub struct Summary {
     /// Stretches that were decoded.
     pub stretches: u64,
     end_of_stretches: u64,
+    /// The damage that explains a missing stretch was told.
+    damage_told: bool,
     /// Whether the take was closed in order.
     pub finished: bool,
     /// What is missing or damaged.
@@ -89,8 +92,9 @@ impl Summary {
                 TakeEvent::Footer(footer) => summary.check_rows(footer.n_rows),
                 TakeEvent::Damaged { offset, len, message } => {
                     summary.problems.push(format!("{len} bytes at byte {offset}: {message}"));
+                    summary.damage_told = true;
                     if let Some(decoder) = &mut decoder {
-                        decoder.lost();
+                        decoder.pass_damage(len);
                     }
                 }
                 TakeEvent::End { finished } => summary.finished = finished,
@@ -162,21 +166,41 @@ impl Summary {
     /// Rows up to `row` that no stretch holds: gaps in every channel.
     fn skip_rows_to(&mut self, row: u64) {
         if row > self.end_of_stretches {
-            for channel in &mut self.per_channel {
-                channel.gaps += u64::from(!std::mem::replace(&mut channel.in_gap, true));
-            }
+            self.add_empty_stretch();
             self.end_of_stretches = row;
+        }
+    }
+
+    /// A stretch in which no marker was seen.
+    fn add_empty_stretch(&mut self) {
+        for channel in &mut self.per_channel {
+            channel.gaps += u64::from(!std::mem::replace(&mut channel.in_gap, true));
         }
     }
 
     fn add_stretch(&mut self, stretch: &Stretch<'_>, decoder: &mut StretchDecoder) {
         let span = stretch.span;
         let end = span.first_row + u64::from(span.n_rows);
-        let refused = if stretch.blocks.len() > self.per_channel.len() {
-            Some("it has more channels than the take".to_owned())
-        } else if span.first_row < self.end_of_stretches {
+        let met = decoder.meet(span);
+        if met.missing && !std::mem::take(&mut self.damage_told) {
+            self.problems.push(format!("stretches before frame {} are missing", span.first_row));
+        }
+        if let Some(nameless_from) = Some(self.channels.len()).filter(|&n| n < stretch.blocks.len())
+        {
+            self.problems.push(format!(
+                "the names of {} markers are lost",
+                stretch.blocks.len() - nameless_from
+            ));
+            let nameless = (nameless_from..stretch.blocks.len()).map(|column| Channel {
+                marker_id: u16::MAX,
+                label: nameless(column).label,
+                labelled: false,
+            });
+            self.add_channels(&nameless.collect::<Vec<_>>());
+        }
+        let refused = if span.first_row < self.end_of_stretches {
             Some("it comes twice".to_owned())
-        } else if decoder.must_skip(span) {
+        } else if met.depends_on_lost {
             Some("it depends on a damaged one".to_owned())
         } else {
             decoder.decode(stretch).err().map(|error| error.to_string())
@@ -191,6 +215,10 @@ impl Summary {
         self.stretches += 1;
         self.end_of_stretches = end;
         let n_rows = span.n_rows as usize;
+        if stretch.blocks.iter().all(|block| block.is_empty()) {
+            self.add_empty_stretch();
+            return;
+        }
         let mut present_in = vec![0_u32; n_rows];
         let mut kept_in = vec![false; n_rows];
         let blocks = stretch.blocks.iter().map(|block| block.len() as u64);

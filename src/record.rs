@@ -16,6 +16,9 @@ use crate::{
     units,
 };
 
+/// Frames that are on their way when the time is up still come.
+const GRACE: Duration = Duration::from_secs(1);
+
 /// What to record, and how to tell people.
 #[expect(missing_debug_implementations, reason = "closures have none")]
 pub struct RecordOptions<'a> {
@@ -56,14 +59,15 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
     header.up_axis = rig.hello().up_axis.min(3);
     header.device = Some(rig.device_record());
     header.channels.clone_from(&config.channels);
-    header.stretch_rows = (config.stretch.as_secs_f64() * config.rate_hz) as u32;
+    header.stretch_rows = config.stretch_rows();
     let (rate_hz, markers) = (config.rate_hz, config.channels.len());
 
     let file = files::create_new(options.take)?;
     let outcome = Pipeline::start(&config, &header, file).map(|(intake, pipeline)| {
         (options.started)(pipeline.progress());
         let rows_max = options.length.map(|length| units::frame_at(length, rate_hz));
-        let read = ReadOptions { stop: options.stop, rows_max, say: options.say };
+        let time_max = options.length.map(|length| length + GRACE);
+        let read = ReadOptions { stop: options.stop, rows_max, time_max, say: options.say };
         let recording = rig.read(intake, &read);
         (recording, pipeline.finish())
     });
@@ -71,6 +75,8 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
         // Only the header was written: an empty take helps nobody.
         std::fs::remove_file(options.take).ok();
     };
+    let name = options.take.display();
+    let ends_early = || format!("the take {name} ends early; what is in it can be read");
     match outcome {
         Err(error) => {
             nothing_recorded();
@@ -79,18 +85,17 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
         Ok((Err(error), written)) => {
             if written.is_ok_and(|(written, _)| written.ledger.recorded == 0) {
                 nothing_recorded();
+                return Err(error);
             }
-            Err(error)
+            Err(error.context(ends_early()))
         }
-        Ok((Ok(_), Err(error))) => Err(error.context(format!(
-            "the take {} ends early; what is in it can be read",
-            options.take.display()
-        ))),
+        Ok((Ok(_), Err(error))) => Err(error.context(ends_early())),
         Ok((Ok(recording), Ok((written, _)))) => {
             if written.ledger.recorded == 0 {
                 nothing_recorded();
                 let why = match recording.ending {
                     Ending::Disconnected => "the device went away before its first frame",
+                    Ending::Stopped => "it was stopped before the first frame came",
                     _ => "the device sent no frame: check that it is capturing",
                 };
                 bail!("nothing was recorded: {why}");

@@ -126,7 +126,7 @@ fn the_sample_path_does_not_allocate_after_the_start() {
     let spec =
         JumpSpec { seconds: Some(14.0), n_markers: 40, occlusion, ..JumpSpec::new(1, RATE_HZ) };
     let motion = spec.generate().unwrap().motion;
-    // The first stretch has 24 rows, the others 120; a key stretch comes with each of the first and the 21st.
+    // The first stretch has 24 rows, the others 120; the 1st and the 20th are key stretches.
     let (warm_up, measured) = (wire(&motion, 0, 24 + 4 * 120), wire(&motion, 504, 504 + 20 * 120));
     for kind in [ResamplerKind::Dense, ResamplerKind::Fast, ResamplerKind::Lossless] {
         let codec = Settings { kind, tolerance: Tolerance::from_mm(0.5).unwrap() };

@@ -124,6 +124,9 @@ pub trait BlockDecoder: Send + std::fmt::Debug {
         key: bool,
         out: &mut DecodedRows,
     ) -> Result<(), CodecError>;
+
+    /// Passes an empty block: rows without a sample, however many.
+    fn skip(&mut self, key: bool);
 }
 
 /// The rows of one decoded block. Reused from block to block.

@@ -33,16 +33,26 @@ pub struct Counts {
     pub status: Option<Status>,
     /// Whether that was its last word after a stop.
     pub ended: bool,
+    /// Whether no more frames will be taken in.
+    pub closed: bool,
+    /// A number of frames produced that no device can have reached.
+    pub impossible_produced: Option<u64>,
     /// How its clock runs.
     pub clock: Option<ClockFit>,
 }
 
 impl Counts {
+    /// Frames that the device's counter tells of.
+    #[must_use]
+    pub fn seen(&self) -> u64 {
+        self.recorded + self.not_received + self.ring_full
+    }
+
     /// The ledger that these counters make. It closes, or says why not.
     #[must_use]
     pub fn ledger(&self, finished: bool) -> Ledger {
         let mut contradictions = Vec::new();
-        let seen = self.recorded + self.not_received + self.ring_full;
+        let seen = self.seen();
         // A report is older than the frames after it: only the last word is held against the counter.
         let reported = self.status.map_or(0, |status| status.frames_produced);
         if self.ended && reported < seen {
@@ -50,10 +60,16 @@ impl Counts {
                 "the device reports {reported} frames produced, its frame counter says {seen}"
             ));
         }
-        let frames_sent = if self.ended { reported.max(seen) } else { seen };
-        let missing = frames_sent - self.recorded - self.ring_full;
+        if let Some(produced) = self.impossible_produced {
+            contradictions.push(format!("the device reports {produced} frames produced"));
+        }
+        let unseen = if self.closed { reported.saturating_sub(seen) } else { 0 };
+        let frames_sent = seen + unseen;
+        // Without its last word nobody knows whether they were sent, lost or dropped.
+        let unknown_after_disconnect = if self.ended { 0 } else { unseen };
+        let missing = frames_sent - self.recorded - self.ring_full - unknown_after_disconnect;
         let dropped = self.status.map_or(0, |status| status.frames_dropped);
-        if dropped > missing {
+        if self.ended && dropped > missing {
             contradictions.push(format!(
                 "the device reports {dropped} frames dropped, but only {missing} are missing"
             ));
@@ -80,7 +96,7 @@ impl Counts {
             lost_ring_full: self.ring_full,
             lost_other: 0,
             duplicates: self.duplicates,
-            unknown_after_disconnect: 0,
+            unknown_after_disconnect,
             samples_announced: self.samples_announced,
             samples_present: self.samples_present,
             samples_occluded: self.samples_announced - self.samples_present,

@@ -15,6 +15,7 @@ use mocapd_take::{
     timeline::{Causes, RowTime},
 };
 
+pub(super) use self::pending::RUNS_MAX;
 use self::{
     axis::{Axis, Step},
     clock::ClockLine,
@@ -57,9 +58,17 @@ pub struct Intake {
     stretch_rows: u32,
     key_rows: u64,
     next_key_row: u64,
+    /// When the open stretch got its first row, in host nanoseconds, and how long it may stay open.
+    open_since_ns: u64,
+    open_ns_max: u64,
     counts: Counts,
     clock: ClockLine,
+    finished: bool,
 }
+
+/// Frames that a device can have produced beyond those seen: a day and more at 10 kHz. What claims more
+/// is a contradiction, not loss.
+const UNSEEN_MAX: u64 = 1 << 30;
 
 impl Intake {
     pub(super) fn new(
@@ -97,8 +106,11 @@ impl Intake {
             stretch_rows: plan.stretch_rows,
             key_rows: plan.key_rows,
             next_key_row: 0,
+            open_since_ns: 0,
+            open_ns_max: config.stretch.as_nanos() as u64,
             counts: Counts::default(),
             clock: ClockLine::new(config.tick_hz),
+            finished: false,
         }
     }
 
@@ -126,6 +138,9 @@ impl Intake {
                 .store(self.counts.not_received + self.counts.ring_full, Ordering::Relaxed);
             return;
         }
+        if self.open_rows == 0 {
+            self.open_since_ns = arrival_ns;
+        }
         self.push_row(RowTime {
             device_ticks: frame.device_ticks,
             arrival_10us: arrival_ns / 10_000,
@@ -133,6 +148,14 @@ impl Intake {
         });
         self.clock.add(frame.device_ticks, arrival_ns);
         if self.open_rows >= self.open_limit {
+            self.close_stretch();
+        }
+    }
+
+    /// The host's monotonic time, told also when nothing arrives: a stretch that stays open because frames
+    /// come slowly, or no more, goes to disk all the same.
+    pub fn tick(&mut self, now_ns: u64) {
+        if self.open_rows > 0 && now_ns.saturating_sub(self.open_since_ns) > self.open_ns_max {
             self.close_stretch();
         }
     }
@@ -164,10 +187,10 @@ impl Intake {
         counts
     }
 
-    /// Frames in the rings so far.
+    /// Frames so far, those that were lost too.
     #[must_use]
-    pub fn counts_recorded(&self) -> u64 {
-        self.counts.recorded
+    pub fn counts_seen(&self) -> u64 {
+        self.counts.seen()
     }
 
     /// Whether the next frame would find a ring full: for sources that can wait.
@@ -190,15 +213,35 @@ impl Intake {
 
     /// No more frames: what is open is closed, and the take ends with the ledger.
     pub fn finish(mut self) -> Counts {
-        if self.counts.ended {
-            let produced = self.counts.status.map_or(0, |status| status.frames_produced);
-            let seen = self.counts.recorded + self.counts.not_received + self.counts.ring_full;
-            self.pending.add(produced.saturating_sub(seen), Causes::NOT_RECEIVED);
+        self.close_take();
+        self.counts()
+    }
+
+    fn close_take(&mut self) {
+        if std::mem::replace(&mut self.finished, true) {
+            return;
         }
+        if let Some(status) = self.counts.status {
+            let unseen = status.frames_produced.saturating_sub(self.counts.seen());
+            if unseen > UNSEEN_MAX {
+                self.counts.impossible_produced = Some(status.frames_produced);
+                self.counts.status = None;
+            } else {
+                let gone = Causes::NOT_RECEIVED.union(Causes::DISCONNECTED);
+                let cause = if self.counts.ended { Causes::NOT_RECEIVED } else { gone };
+                self.pending.add(unseen, cause);
+            }
+        }
+        self.counts.closed = true;
         self.close_stretch();
         self.push_pending();
-        let counts = self.counts();
         self.end_stretch(0, true);
-        counts
+    }
+}
+
+/// A reader that is dropped in the middle must not leave the writer waiting.
+impl Drop for Intake {
+    fn drop(&mut self) {
+        self.close_take();
     }
 }

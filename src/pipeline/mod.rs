@@ -6,7 +6,8 @@
 //! writer thread     blocks -> stretches -> take file, synced
 //! ```
 //!
-//! Nothing between a frame's arrival and its block waits for a lock, and nothing allocates after
+//! Frames go through lock-free rings: the reader and a worker meet at a lock only when a stretch is closed
+//! and a worker sleeps (inside the channel that wakes it). From frames to blocks nothing allocates after
 //! [`Pipeline::start`]. Every queue is bounded; `plan.rs` holds the arithmetic.
 
 mod counts;
@@ -25,7 +26,7 @@ use std::sync::{
 };
 
 use anyhow::Context;
-use crossbeam_channel::{Sender, bounded};
+use crossbeam_channel::bounded;
 use mocapd_take::{TakeWriter, record::Header};
 
 pub use counts::Counts;
@@ -33,12 +34,7 @@ pub use intake::Intake;
 pub use plan::PipelineConfig;
 pub use writer::{TakeOutput, Written};
 
-use self::{
-    group::Group,
-    plan::Plan,
-    pool::Pool,
-    writer::{Control, Writer},
-};
+use self::{group::Group, plan::Plan, pool::Pool, writer::Writer};
 use crate::threads;
 
 /// What other threads may look at while it runs. Counters only: the truth is in the ledger.
@@ -62,7 +58,6 @@ pub struct Pipeline<W> {
     pool: Pool,
     writer: std::thread::JoinHandle<anyhow::Result<(Written, W)>>,
     progress: Arc<Progress>,
-    _control: Sender<Control>,
 }
 
 impl<W: TakeOutput> Pipeline<W> {
@@ -99,13 +94,18 @@ impl<W: TakeOutput> Pipeline<W> {
             producers,
             timeline_producer,
             pool.feed(),
-            control_in.clone(),
+            control_in,
             Arc::clone(&progress),
         );
         let wakes = pool.wakes();
         let writer = Writer::new(take, &plan, parts, control, buffers_back, wakes, &progress);
-        let writer = threads::spawn("mocapd-write", move || writer.run())?;
-        Ok((intake, Self { pool, writer, progress, _control: control_in }))
+        let guard = pool::FailOnPanic(Arc::clone(&progress));
+        let writer = threads::spawn("mocapd-write", move || {
+            let written = writer.run();
+            drop(guard);
+            written
+        })?;
+        Ok((intake, Self { pool, writer, progress }))
     }
 
     /// What can be seen while it runs.
@@ -119,8 +119,8 @@ impl<W: TakeOutput> Pipeline<W> {
     /// # Errors
     /// The writer's: what was written before stays a readable take.
     pub fn finish(self) -> anyhow::Result<(Written, W)> {
-        let written = threads::join(self.writer)?;
+        let written = threads::join(self.writer);
         self.pool.stop();
-        written
+        written?
     }
 }

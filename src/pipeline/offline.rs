@@ -17,7 +17,7 @@ use mocapd_take::{
     TakeWriter,
     motion::{Motion, is_gap},
     record::{Header, Ledger},
-    stretch::{ROWS_MAX, SAMPLES_MAX, Span, put_block, put_front},
+    stretch::{NUMBERS, ROWS_MAX, SAMPLES_MAX, Span, put_block, put_front},
 };
 
 use super::Written;
@@ -27,9 +27,10 @@ const STRETCH_S: f64 = 10.0;
 
 /// Rows of a stretch of a take at `rate_hz`: whole takes for the resamplers that are not cut.
 #[must_use]
-pub fn stretch_rows(codec: &Settings, rate_hz: f64, n_rows: usize) -> usize {
+pub fn stretch_rows(codec: &Settings, rate_hz: f64, n_rows: usize, n_markers: usize) -> usize {
     if codec.kind.is_live() {
-        ((STRETCH_S * rate_hz) as usize).clamp(1, 1 << 17)
+        let held = SAMPLES_MAX as usize / n_markers.max(1);
+        ((STRETCH_S * rate_hz) as usize).min(held).clamp(1, 1 << 17)
     } else {
         n_rows.max(1)
     }
@@ -70,7 +71,7 @@ pub fn write_take<W: Write>(
     let codec = header.codec()?;
     let n_rows = motion.n_frames();
     let n_markers = motion.info.markers.len();
-    let stretch_rows = stretch_rows(&codec, header.rate_hz, n_rows);
+    let stretch_rows = stretch_rows(&codec, header.rate_hz, n_rows, n_markers);
     ensure!(
         stretch_rows as u64 <= ROWS_MAX && (stretch_rows * n_markers) as u64 <= SAMPLES_MAX,
         "{n_rows} frames of {n_markers} markers are more than {} can hold in one piece: \
@@ -104,7 +105,8 @@ pub fn write_take<W: Write>(
     let mut payload = Vec::new();
     for first in (0..n_rows).step_by(stretch_rows) {
         let n = stretch_rows.min(n_rows - first);
-        let span = Span { first_row: first as u64, n_rows: n as u32, key: true };
+        let number = (first / stretch_rows % usize::from(NUMBERS)) as u8;
+        let span = Span { first_row: first as u64, n_rows: n as u32, key: true, number };
         payload.clear();
         put_front(span, &shared, &mut payload);
         for channel in &mut blocks {

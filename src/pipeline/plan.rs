@@ -4,7 +4,9 @@ use std::time::Duration;
 
 use anyhow::ensure;
 use mocapd_codec::Settings;
-use mocapd_take::record::Channel;
+use mocapd_take::{record::Channel, stretch::SAMPLES_MAX};
+
+use super::{intake::RUNS_MAX, ring::Sample};
 
 /// What a recording needs to know before it starts.
 #[derive(Debug, Clone)]
@@ -50,6 +52,18 @@ impl PipelineConfig {
     }
 }
 
+impl PipelineConfig {
+    /// Rows of a full stretch.
+    #[must_use]
+    pub fn stretch_rows(&self) -> u32 {
+        self.rows(self.stretch)
+    }
+
+    fn rows(&self, time: Duration) -> u32 {
+        (time.as_secs_f64() * self.rate_hz).floor().max(1.0) as u32
+    }
+}
+
 /// Rings hold this many full stretches: two being filled or coded, two more for a worker that the
 /// system does not run for a second.
 const RING_STRETCHES: usize = 4;
@@ -57,7 +71,13 @@ const RING_STRETCHES: usize = 4;
 /// Coded stretches in memory: 64 x 0.5 s, so that a disk that stalls for 30 s costs nothing.
 const CODED_STRETCHES: usize = 64;
 
-/// A time line item per row, and as many again for the runs of loss between them.
+/// Most memory for the rings, and for coded stretches, which is touched only as far as they do not
+/// compress: ten thousand markers at 240 Hz, or two hundred at 10 kHz, stay below. Beyond it fewer
+/// stretches are kept.
+const MEMORY_BYTES: usize = 2 << 30;
+
+/// A time line item per row, and as many again for the runs of loss between them; beside these, room for
+/// the runs that are pending when the rings are full and when the take ends.
 const TIMELINE_ITEMS_PER_ROW: usize = 2;
 
 /// Events and channel announcements that wait for the writer: a marker that appears is one, and a
@@ -70,6 +90,7 @@ const GROUPS_PER_WORKER: usize = 4;
 /// The sizes that follow from a [`PipelineConfig`].
 #[derive(Debug, Clone)]
 pub(super) struct Plan {
+    coded_stretches: usize,
     pub(super) codec: Settings,
     pub(super) workers: usize,
     pub(super) n_slots: usize,
@@ -93,20 +114,30 @@ impl Plan {
             "cannot record at {} Hz",
             config.rate_hz
         );
-        let rows = |time: Duration| (time.as_secs_f64() * config.rate_hz).floor().max(1.0) as u32;
         let n_slots = config.channels.len() + config.reserve;
         let workers = config.workers.max(1);
-        Ok(Self {
+        let plan = Self {
+            coded_stretches: CODED_STRETCHES,
             codec: config.codec,
             workers,
             n_slots,
             group_slots: n_slots.div_ceil(workers * GROUPS_PER_WORKER).clamp(1, 16),
-            stretch_rows: rows(config.stretch),
+            stretch_rows: config.stretch_rows(),
             // The rings are made for stretches of `stretch`.
-            first_stretch_rows: rows(config.first_stretch.min(config.stretch)),
-            key_rows: u64::from(rows(config.key_every)),
+            first_stretch_rows: config.rows(config.first_stretch.min(config.stretch)),
+            key_rows: u64::from(config.rows(config.key_every)),
             sync_every: config.sync_every,
-        })
+        };
+        let ring_bytes =
+            plan.ring_rows().saturating_mul(n_slots).saturating_mul(size_of::<Sample>());
+        ensure!(
+            ring_bytes <= MEMORY_BYTES
+                && (n_slots as u64).saturating_mul(u64::from(plan.stretch_rows)) <= SAMPLES_MAX,
+            "{n_slots} markers at {} Hz are more than can be recorded: use a lower rate",
+            config.rate_hz
+        );
+        let coded_stretches = (MEMORY_BYTES / plan.stretch_bytes_max()).clamp(2, CODED_STRETCHES);
+        Ok(Self { coded_stretches, ..plan })
     }
 
     pub(super) fn n_groups(&self) -> usize {
@@ -124,7 +155,7 @@ impl Plan {
     }
 
     pub(super) fn timeline_items(&self) -> usize {
-        TIMELINE_ITEMS_PER_ROW * self.ring_rows()
+        TIMELINE_ITEMS_PER_ROW * self.ring_rows() + 4 * RUNS_MAX
     }
 
     /// Stretches closed and not yet coded: each has at least one row in every ring of an active group
@@ -135,7 +166,7 @@ impl Plan {
 
     /// Buffers for coded parts that each group has.
     pub(super) fn buffers_per_group(&self) -> usize {
-        CODED_STRETCHES
+        self.coded_stretches
     }
 
     /// Every buffer there is: sending a part never waits.

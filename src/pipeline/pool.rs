@@ -196,9 +196,10 @@ fn work(stations: &[Station], queue: &Receiver<Option<usize>>) {
     }
 }
 
-/// A worker that panics took a group with it: the recording cannot go on as if nothing happened.
+/// A worker that panics took a group with it, a writer the file: the recording cannot go on as if nothing
+/// happened.
 #[derive(Debug)]
-struct FailOnPanic(Arc<Progress>);
+pub(super) struct FailOnPanic(pub(super) Arc<Progress>);
 
 impl Drop for FailOnPanic {
     fn drop(&mut self) {

@@ -74,6 +74,7 @@ pub(super) struct Writer<W> {
     report: PartReport,
     counts: Counts,
     sync_every: Duration,
+    synced_bytes: u64,
     last_sync: Option<Instant>,
     last_ledger: Option<Instant>,
 }
@@ -101,6 +102,7 @@ impl<W: TakeOutput> Writer<W> {
             report: PartReport::default(),
             counts: Counts::default(),
             sync_every: plan.sync_every,
+            synced_bytes: 0,
             last_sync: None,
             last_ledger: None,
         }
@@ -118,11 +120,15 @@ impl<W: TakeOutput> Writer<W> {
                     self.assemblies.add(part);
                 }
                 Err(RecvTimeoutError::Timeout) => {
+                    if error.is_none() {
+                        error = self.sync_what_waits().err();
+                    }
                     let failed = self.progress.failed.load(Ordering::Relaxed);
                     if failed && silent_since.elapsed() > GIVE_UP_AFTER {
                         return Err(error.unwrap_or_else(|| anyhow!("a resampler thread failed")));
                     }
                 }
+                // The groups hold the senders, and the writer holds the groups' wakes.
                 Err(RecvTimeoutError::Disconnected) => bail!("the resampler threads are gone"),
             }
             while let Some(last) = self.assemblies.front_last() {
@@ -173,7 +179,15 @@ impl<W: TakeOutput> Writer<W> {
             self.last_ledger = Some(Instant::now());
         }
         if self.last_sync.is_none_or(|last| last.elapsed() >= self.sync_every) {
+            self.sync_what_waits()?;
+        }
+        Ok(())
+    }
+
+    fn sync_what_waits(&mut self) -> anyhow::Result<()> {
+        if self.synced_bytes < self.take.bytes() {
             self.take.get_mut().sync().context("cannot sync the take to disk")?;
+            self.synced_bytes = self.take.bytes();
             self.last_sync = Some(Instant::now());
         }
         Ok(())

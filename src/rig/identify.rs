@@ -25,6 +25,7 @@ impl Rig {
             outbox: Vec::with_capacity(256),
             hello: Hello::default(),
             markers: Vec::new(),
+            not_finite_before: 0,
         };
         for _ in 0..TRIES {
             // A device that is still sending from an earlier host must not fill the table's place.

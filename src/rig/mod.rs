@@ -49,6 +49,7 @@ pub struct Rig {
     outbox: Vec<u8>,
     hello: Hello,
     markers: Vec<MarkerInfo>,
+    not_finite_before: u64,
 }
 
 impl Rig {

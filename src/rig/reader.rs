@@ -7,7 +7,7 @@ use std::{
 
 use anyhow::{anyhow, bail};
 use mocapd_drivers::{
-    device::{Command, DeviceEvent, LinkBudget},
+    device::{Command, DeviceEvent, LinkBudget, LinkCounters},
     transport::TransportError,
 };
 use mocapd_take::record::{Event, EventKind};
@@ -28,6 +28,8 @@ pub struct ReadOptions<'a> {
     pub stop: &'a AtomicBool,
     /// Stop after so many rows.
     pub rows_max: Option<u64>,
+    /// Stop after so long by the host's clock, too: frames may come slowly, or not at all.
+    pub time_max: Option<Duration>,
     /// Told, in words, what people should know while it runs.
     pub say: &'a dyn Fn(&str),
 }
@@ -66,14 +68,19 @@ impl Rig {
         mut intake: Intake,
         options: &ReadOptions<'_>,
     ) -> anyhow::Result<Recording> {
-        let mut reader =
-            Reader { intake: &mut intake, latency: Latency::default(), end: None, started: None };
+        let mut reader = Reader {
+            intake: &mut intake,
+            latency: Latency::default(),
+            end: None,
+            started: None,
+            began_anew: false,
+        };
         let outcome = self.read_frames(&mut reader, options);
         let latency = reader.latency;
         if matches!(outcome, Ok(Ending::Disconnected)) {
             intake.event(host_event("the device was disconnected"));
         }
-        intake.link(self.protocol.counters());
+        intake.link(self.link_counters());
         let counts = intake.finish();
         Ok(Recording { ending: outcome?, counts, ring_latency: latency })
     }
@@ -83,19 +90,22 @@ impl Rig {
         reader: &mut Reader<'_>,
         options: &ReadOptions<'_>,
     ) -> anyhow::Result<Ending> {
-        self.start(reader)?;
-        let mut last_frame_ns = monotonic_ns();
+        if !self.start(reader, options)? {
+            return Ok(Ending::Stopped);
+        }
+        let started_ns = monotonic_ns();
+        let mut last_frame_ns = started_ns;
         let mut told_silent = false;
         let mut stop_said_ns = None;
         loop {
-            let frames_before = reader.intake.counts_recorded();
+            let frames_before = reader.intake.counts_seen();
             match self.pump(reader) {
                 Ok(()) => {}
                 Err(TransportError::Disconnected { .. }) => return Ok(Ending::Disconnected),
                 Err(error) => return Err(anyhow!(error).context("reading from the device")),
             }
             let now_ns = monotonic_ns();
-            if reader.intake.counts_recorded() != frames_before {
+            if reader.intake.counts_seen() != frames_before {
                 last_frame_ns = now_ns;
                 told_silent = false;
             } else if !told_silent && now_ns - last_frame_ns > SILENCE.as_nanos() as u64 {
@@ -103,6 +113,16 @@ impl Rig {
                     "no frame for 3 s: is the device capturing? Still waiting; Ctrl-C finishes the take",
                 );
                 told_silent = true;
+            }
+            if std::mem::take(&mut reader.began_anew) {
+                reader.intake.event(host_event("the device began anew and was started again"));
+                (options.say)(
+                    "the device began anew, as after a loss of power: it was started again",
+                );
+                let line_bytes_per_s = self.transport.line_bytes_per_s().unwrap_or(0);
+                if self.say(Command::Start { line_bytes_per_s }).is_err() {
+                    return Ok(Ending::Disconnected);
+                }
             }
             if reader.end.is_some() {
                 return Ok(if stop_said_ns.is_some() {
@@ -115,7 +135,8 @@ impl Rig {
                 self.say(Command::Stop).ok();
                 return Ok(Ending::WriterFailed);
             }
-            let time_is_up = options.rows_max.is_some_and(|max| reader.intake.next_row() >= max);
+            let time_is_up = options.rows_max.is_some_and(|max| reader.intake.next_row() >= max)
+                || options.time_max.is_some_and(|max| now_ns - started_ns > max.as_nanos() as u64);
             match stop_said_ns {
                 None if time_is_up || options.stop.load(Ordering::Relaxed) => {
                     if self.say(Command::Stop).is_err() {
@@ -134,15 +155,25 @@ impl Rig {
         }
     }
 
-    fn start(&mut self, reader: &mut Reader<'_>) -> anyhow::Result<()> {
+    /// `false` when the user stopped it before the device answered.
+    fn start(
+        &mut self,
+        reader: &mut Reader<'_>,
+        options: &ReadOptions<'_>,
+    ) -> anyhow::Result<bool> {
+        self.not_finite_before = self.protocol.counters().samples_not_finite;
         let line_bytes_per_s = self.transport.line_bytes_per_s().unwrap_or(0);
         for _ in 0..TRIES {
             self.say(Command::Start { line_bytes_per_s })?;
             let asked_ns = monotonic_ns();
             while monotonic_ns() - asked_ns < ANSWER_WITHIN.as_nanos() as u64 {
                 self.pump(reader)?;
+                if options.stop.load(Ordering::Relaxed) {
+                    self.say(Command::Stop)?;
+                    return Ok(false);
+                }
                 match reader.started {
-                    Some(Ok(())) => return Ok(()),
+                    Some(Ok(())) => return Ok(true),
                     Some(Err(budget)) => bail!(refusal(budget, self.rate_hz(), &self.hello)),
                     None => {}
                 }
@@ -151,14 +182,22 @@ impl Rig {
         bail!("{} does not answer Start: switch it off and on again", self.uri)
     }
 
+    /// What the link counted; samples that were no numbers since Start.
+    fn link_counters(&self) -> LinkCounters {
+        let counters = self.protocol.counters();
+        let samples_not_finite = counters.samples_not_finite - self.not_finite_before;
+        LinkCounters { samples_not_finite, ..counters }
+    }
+
     /// One read, and everything it completes.
     fn pump(&mut self, reader: &mut Reader<'_>) -> Result<(), TransportError> {
         let n = self.transport.read(&mut self.buffer)?;
         let arrival_ns = monotonic_ns();
         self.protocol.push(&self.buffer[..n], &mut |event| reader.event(event, arrival_ns));
         if n > 0 {
-            reader.intake.link(self.protocol.counters());
+            reader.intake.link(self.link_counters());
         }
+        reader.intake.tick(arrival_ns);
         Ok(())
     }
 }
@@ -168,6 +207,8 @@ struct Reader<'a> {
     latency: Latency,
     started: Option<Result<(), LinkBudget>>,
     end: Option<()>,
+    /// It introduced itself while it was to send frames.
+    began_anew: bool,
 }
 
 impl Reader<'_> {
@@ -194,10 +235,8 @@ impl Reader<'_> {
                 text: String::new(),
             }),
             // An answer to a command of the handshake that came late.
-            DeviceEvent::Hello(_)
-            | DeviceEvent::Pong(_)
-            | DeviceEvent::RateSet(_)
-            | DeviceEvent::EndOfStream(_) => {}
+            DeviceEvent::Hello(_) => self.began_anew |= self.started.is_some(),
+            DeviceEvent::Pong(_) | DeviceEvent::RateSet(_) | DeviceEvent::EndOfStream(_) => {}
         }
     }
 }

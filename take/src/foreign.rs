@@ -7,7 +7,7 @@ use flate2::{Compression, read::DeflateDecoder, write::DeflateEncoder};
 use crate::{TakeError, motion::Foreign, varint};
 
 /// Longest foreign part: a C3D file's analog section at the format's own limits stays below it.
-const DATA_BYTES_MAX: u64 = 1 << 30;
+const DATA_BYTES_MAX: u64 = 1 << 28;
 
 /// The payload of a FOREIGN chunk.
 ///

@@ -4,11 +4,17 @@ use std::io::{Read, Seek, SeekFrom};
 
 use crate::{
     TakeError, TakeEvent, TakeReader,
-    motion::{FrameSource, GAP, Motion, MotionInfo, Position, Source, UpAxis},
+    motion::{FrameSource, GAP, Marker, Motion, MotionInfo, Position, Source, UpAxis},
     reader::{pull, read_events},
     record::Header,
     stretch::{Span, StretchDecoder},
 };
+
+/// Most bytes of foreign parts that are held in memory.
+const FOREIGN_BYTES_MAX: usize = 1 << 28;
+
+/// Most samples of a take that [`read_motion`] holds: 3 GiB.
+const MOTION_SAMPLES_MAX: u64 = 1 << 28;
 
 /// Frames of a take in order, decoded stretch by stretch: bounded memory for a take of any length.
 ///
@@ -22,6 +28,8 @@ pub struct TakeFrames<R> {
     /// The stretch that `decoder` holds.
     current: Option<Span>,
     next_row: u64,
+    /// The damage that explains a missing stretch was told.
+    damage_told: bool,
     problems: Vec<String>,
     ended: bool,
 }
@@ -35,6 +43,8 @@ impl<R: Read + Seek> TakeFrames<R> {
         let mut info = MotionInfo::default();
         let mut header = None;
         let mut problems = Vec::new();
+        let mut n_channels = 0;
+        let mut foreign_bytes = 0;
         read_events(&mut input, |event| {
             match event {
                 TakeEvent::Header(found) => {
@@ -45,12 +55,21 @@ impl<R: Read + Seek> TakeFrames<R> {
                 TakeEvent::Stretch(stretch) => {
                     let end = stretch.span.first_row + u64::from(stretch.span.n_rows);
                     info.n_frames = info.n_frames.max(end);
+                    n_channels = n_channels.max(stretch.blocks.len());
                 }
                 TakeEvent::Timeline(timeline) => {
                     let end = timeline.first_row + timeline.n_rows();
                     info.n_frames = info.n_frames.max(end);
                 }
-                TakeEvent::Foreign(part) => info.foreign.push(part),
+                TakeEvent::Foreign(part) => {
+                    foreign_bytes += part.data.len();
+                    if foreign_bytes > FOREIGN_BYTES_MAX {
+                        problems
+                            .push(format!("{}: more foreign data than a take can hold", part.kind));
+                    } else {
+                        info.foreign.push(part);
+                    }
+                }
                 TakeEvent::Damaged { offset, len, message } => {
                     problems.push(format!("{len} bytes at byte {offset}: {message}"));
                 }
@@ -62,6 +81,11 @@ impl<R: Read + Seek> TakeFrames<R> {
             Ok(())
         })?;
         let header = header.ok_or(TakeError::NotATake("no intact header was found"))?;
+        if n_channels > info.markers.len() {
+            problems
+                .push(format!("the names of {} markers are lost", n_channels - info.markers.len()));
+            info.markers.extend((info.markers.len()..n_channels).map(nameless));
+        }
         input.seek(SeekFrom::Start(0))?;
         Ok(Self {
             input,
@@ -70,6 +94,7 @@ impl<R: Read + Seek> TakeFrames<R> {
             decoder: StretchDecoder::new(header.codec()?),
             current: None,
             next_row: 0,
+            damage_told: false,
             problems,
             ended: false,
         })
@@ -87,7 +112,12 @@ impl<R: Read + Seek> TakeFrames<R> {
             match self.reader.next_event()? {
                 Some(TakeEvent::Stretch(stretch)) => {
                     let span = stretch.span;
-                    let problem = if self.decoder.must_skip(span) {
+                    let met = self.decoder.meet(span);
+                    if met.missing && !std::mem::take(&mut self.damage_told) {
+                        self.problems
+                            .push(format!("stretches before frame {} are missing", span.first_row));
+                    }
+                    let problem = if met.depends_on_lost {
                         "depends on a damaged stretch".to_owned()
                     } else if span.first_row < self.next_row {
                         "comes twice".to_owned()
@@ -105,7 +135,10 @@ impl<R: Read + Seek> TakeFrames<R> {
                         span.n_rows, span.first_row
                     ));
                 }
-                Some(TakeEvent::Damaged { .. }) => self.decoder.lost(),
+                Some(TakeEvent::Damaged { len, .. }) => {
+                    self.decoder.pass_damage(len);
+                    self.damage_told = true;
+                }
                 Some(TakeEvent::End { .. }) => self.ended = true,
                 Some(_) => {}
                 None => pull(&mut self.input, &mut self.reader)?,
@@ -144,6 +177,12 @@ impl<R: Read + Seek> FrameSource for TakeFrames<R> {
     }
 }
 
+/// A marker whose entry in the channel table is lost.
+#[must_use]
+pub fn nameless(column: usize) -> Marker {
+    Marker { label: format!("u{:03}", column + 1), labelled: false }
+}
+
 fn describe(header: &Header, info: &mut MotionInfo) {
     info.rate_hz = header.rate_hz;
     info.up = UpAxis::from_code(header.up_axis);
@@ -172,7 +211,14 @@ fn describe(header: &Header, info: &mut MotionInfo) {
 /// `NotATake`, `Unsupported`, `Io`.
 pub fn read_motion(input: impl Read + Seek) -> Result<(Motion, Vec<String>), TakeError> {
     let mut frames = TakeFrames::open(input)?;
-    let mut row = vec![GAP; frames.info.markers.len()];
+    let n_markers = frames.info.markers.len();
+    if frames.info.n_frames.saturating_mul(n_markers.max(1) as u64) > MOTION_SAMPLES_MAX {
+        return Err(TakeError::InvalidArgument(format!(
+            "{} frames of {n_markers} markers are more than fit into memory: export a part of the take",
+            frames.info.n_frames
+        )));
+    }
+    let mut row = vec![GAP; n_markers];
     let mut motion = Motion { info: frames.info.clone(), positions_mm: Vec::new() };
     while frames.next_frame(&mut row)? {
         motion.positions_mm.extend_from_slice(&row);

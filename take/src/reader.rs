@@ -175,7 +175,8 @@ impl TakeReader {
         let offset = self.offset();
         self.used = chunk::resync(&self.buffer, self.used + 1).unwrap_or(self.buffer.len());
         self.wanted = 1;
-        TakeEvent::Damaged { offset, len: self.offset() - offset, message: message.to_owned() }
+        let (len, message) = (self.offset() - offset, message.to_owned());
+        TakeEvent::Damaged { offset, len, message }
     }
 
     fn interpret(
@@ -217,19 +218,23 @@ impl TakeReader {
             }
             types::FOREIGN => foreign::from_payload(payload, offset).map(TakeEvent::Foreign),
             types::INDEX => parse_index(payload, offset).map(TakeEvent::Index),
-            types::FOOTER => {
-                self.seen_footer = true;
-                Footer::from_payload(payload, offset).map(TakeEvent::Footer)
-            }
+            types::FOOTER => Footer::from_payload(payload, offset)
+                .inspect(|_| self.seen_footer = true)
+                .map(TakeEvent::Footer),
             _ if kind & MAY_SKIP != 0 => Ok(TakeEvent::Skipped { kind }),
             _ => {
                 let message = format!("chunk type {kind:02x} is unknown: use a newer mocapd");
                 return Ok(TakeEvent::Damaged { offset, len: len as u64, message });
             }
         };
-        event.or_else(|error| {
-            let message = error.to_string();
-            Ok(TakeEvent::Damaged { offset, len: len as u64, message })
+        event.or_else(|error| match error {
+            TakeError::Unsupported { .. } if kind & MAY_SKIP != 0 => {
+                Ok(TakeEvent::Skipped { kind })
+            }
+            error => {
+                let message = error.to_string();
+                Ok(TakeEvent::Damaged { offset, len: len as u64, message })
+            }
         })
     }
 }

@@ -15,10 +15,6 @@ impl Causes {
     pub const RING_FULL: Self = Self(2);
     /// The device was gone.
     pub const DISCONNECTED: Self = Self(4);
-    /// Held markers beyond the channel pool only.
-    pub const POOL: Self = Self(8);
-    /// The device's clock or counter jumped.
-    pub const JUMP: Self = Self(16);
 
     /// Both.
     #[must_use]
@@ -84,7 +80,7 @@ impl Timeline {
     }
 
     /// The recorded rows with their numbers.
-    pub fn recorded(&self) -> impl Iterator<Item = (u64, RowTime)> + '_ {
+    pub fn recorded(&self) -> impl Iterator<Item = (u64, RowTime)> + Clone + '_ {
         let mut at = self.first_row;
         let rows = self.runs.iter().flat_map(move |run| {
             let first = at;

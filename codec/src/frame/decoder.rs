@@ -76,7 +76,7 @@ impl<D: PayloadDecoder> BlockDecoder for FramedDecoder<D> {
             return Err(CodecError::Corrupt("an earlier block failed: start again at a key block"));
         }
         if block.is_empty() {
-            self.payload.break_off();
+            self.skip(key);
             return Ok(());
         }
         if n_rows == 0 {
@@ -87,5 +87,13 @@ impl<D: PayloadDecoder> BlockDecoder for FramedDecoder<D> {
             self.lost = true;
             out.clear_to(n_rows);
         })
+    }
+
+    fn skip(&mut self, key: bool) {
+        if key {
+            self.payload.reset();
+            self.lost = false;
+        }
+        self.payload.break_off();
     }
 }

@@ -80,7 +80,8 @@ fn header_of(motion: &Motion, file: &Path, codec: &Settings) -> anyhow::Result<H
     let info = &motion.info;
     let mut header = header::new(codec, info.rate_hz)?;
     header.up_axis = info.up.code();
-    header.stretch_rows = offline::stretch_rows(codec, info.rate_hz, motion.n_frames()) as u32;
+    header.stretch_rows =
+        offline::stretch_rows(codec, info.rate_hz, motion.n_frames(), info.markers.len()) as u32;
     header.channels = header::channels(&info.markers);
     header.source = Some(ImportSource {
         format: info.source.format.clone(),

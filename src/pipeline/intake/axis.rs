@@ -3,6 +3,10 @@
 /// A frame this far ahead is a counter that jumped, not loss: 17 minutes at 1000 Hz.
 const MISSING_MAX: i32 = 1 << 20;
 
+/// A frame this far behind may have come late or twice: links do not reorder further. Beyond it the
+/// device began anew.
+const LATE_MIN: i32 = -64;
+
 /// What a frame's counter says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Step {
@@ -27,7 +31,7 @@ impl Axis {
             None => Step::Next { missing: 0 },
             Some((last, ticks)) => match seq.wrapping_sub(last).cast_signed() {
                 ahead @ 1..=MISSING_MAX => Step::Next { missing: ahead as u32 - 1 },
-                ..=0 if device_ticks <= ticks => return Step::Again,
+                LATE_MIN..=0 if device_ticks <= ticks => return Step::Again,
                 _ => Step::Jump,
             },
         };
@@ -55,7 +59,8 @@ mod tests {
     fn a_counter_that_begins_anew_is_a_jump() {
         let mut axis = Axis::default();
         axis.step(500, 10);
-        assert_eq!(axis.step(0, 20), Step::Jump);
+        assert_eq!(axis.step(480, 20), Step::Jump, "its clock went on");
+        assert_eq!(axis.step(0, 5), Step::Jump, "counter and clock began anew");
         assert_eq!(axis.step(1, 30), Step::Next { missing: 0 });
         assert_eq!(axis.step(1 << 30, 40), Step::Jump);
     }

@@ -13,9 +13,22 @@ impl Intake {
     pub fn announce(&mut self, markers: &[MarkerInfo]) {
         for marker in markers {
             let slot = self.slot_of_id[usize::from(marker.id)];
-            let known = self.labels.get(slot as usize);
-            if known.is_none_or(|label| marker.labelled && *label != marker.label) {
-                self.open_channel(marker.id, Some((&marker.label, marker.labelled)));
+            let nameless = marker.label.is_empty();
+            if self
+                .labels
+                .get(slot as usize)
+                .is_some_and(|label| nameless || *label == marker.label)
+            {
+                continue;
+            }
+            // The id stands for another marker now. Until that one has a channel its samples are counted
+            // as dropped: they must not be stored under the old name.
+            self.slot_of_id[usize::from(marker.id)] = NO_SLOT;
+            match self.labels.iter().position(|label| !nameless && *label == marker.label) {
+                Some(slot) if !self.slot_of_id.contains(&(slot as u32)) => {
+                    self.slot_of_id[usize::from(marker.id)] = slot as u32;
+                }
+                _ => self.open_channel(marker.id, Some((&marker.label, marker.labelled))),
             }
         }
     }

@@ -4,7 +4,7 @@ use mocapd_take::timeline::Causes;
 
 /// Runs kept apart. Loss that changes its cause more often than that between two recorded frames is
 /// told as one run with all its causes; the ledger's counters stay exact.
-const RUNS_MAX: usize = 8;
+pub(in crate::pipeline) const RUNS_MAX: usize = 8;
 
 /// A short list of runs, in place.
 #[derive(Debug, Default)]
@@ -36,10 +36,6 @@ impl Pending {
         self.rows
     }
 
-    pub(super) fn len(&self) -> usize {
-        self.n_runs
-    }
-
     /// The runs, oldest first; none are left.
     pub(super) fn drain(&mut self) -> impl Iterator<Item = (u64, Causes)> + use<> {
         let runs = std::mem::take(&mut self.runs);
@@ -59,10 +55,10 @@ mod tests {
             let causes = if i % 2 == 0 { Causes::NOT_RECEIVED } else { Causes::RING_FULL };
             pending.add(3, causes);
         }
-        assert_eq!((pending.rows(), pending.len()), (120, RUNS_MAX));
+        assert_eq!((pending.rows(), pending.n_runs), (120, RUNS_MAX));
         let runs: Vec<_> = pending.drain().collect();
         assert_eq!(runs.iter().map(|run| run.0).sum::<u64>(), 120);
         assert_eq!(runs[7].1, Causes::NOT_RECEIVED.union(Causes::RING_FULL));
-        assert_eq!((pending.rows(), pending.len()), (0, 0));
+        assert_eq!((pending.rows(), pending.n_runs), (0, 0));
     }
 }

@@ -2,9 +2,12 @@
 
 use std::sync::atomic::Ordering;
 
-use mocapd_take::{stretch::Span, timeline::RowTime};
+use mocapd_take::{
+    stretch::{NUMBERS, Span},
+    timeline::RowTime,
+};
 
-use super::Intake;
+use super::{Intake, pending::RUNS_MAX};
 use crate::pipeline::{
     pool::StretchEnd,
     ring::{RingIn, Sample, TimelineItem},
@@ -26,7 +29,8 @@ impl Intake {
             let active = &self.rings[..self.n_channels];
             self.room = active.iter().map(RingIn::room).min().unwrap_or(usize::MAX);
         }
-        self.room >= rows && self.timeline.room() > self.pending.len() + 1
+        // What is pending, this row, and what may be pending at the end.
+        self.room >= rows && self.timeline.room() > 2 * RUNS_MAX
     }
 
     pub(super) fn push_row(&mut self, time: RowTime) {
@@ -81,12 +85,14 @@ impl Intake {
 
     pub(super) fn end_stretch(&mut self, n_rows: u32, last: bool) {
         let first_row = if n_rows > 0 { self.open_first_row } else { self.next_row };
-        let key = first_row >= self.next_key_row;
+        // The next stretch would begin too late.
+        let key = first_row.saturating_add(u64::from(self.stretch_rows)) > self.next_key_row;
         if key {
-            self.next_key_row = first_row + self.key_rows;
+            self.next_key_row = first_row.saturating_add(self.key_rows);
         }
-        let end =
-            StretchEnd { span: Span { first_row, n_rows, key }, n_channels: self.n_channels, last };
+        let number = (self.feed.next_stretch() % u64::from(NUMBERS)) as u8;
+        let span = Span { first_row, n_rows, key, number };
+        let end = StretchEnd { span, n_channels: self.n_channels, last };
         if !self.feed.end_stretch(end, self.counts()) {
             self.progress.failed.store(true, Ordering::Relaxed);
         }

@@ -5,7 +5,7 @@ use bincode::{Decode, Encode};
 use super::Record;
 use crate::chunk::types;
 
-/// How the device's clock runs against the host's: `host_ns = offset_ns + ticks / tick_hz * (1 + drift)`.
+/// How the device's clock runs against the host's: `host_ns = offset_ns + 1e9 * ticks / tick_hz * (1 + drift_ppm * 1e-6)`.
 #[derive(Debug, Clone, Copy, PartialEq, Encode, Decode)]
 pub struct ClockFit {
     /// Host monotonic time at device tick 0, in nanoseconds.

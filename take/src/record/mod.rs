@@ -46,6 +46,13 @@ pub trait Record: bincode::Encode + bincode::Decode<()> {
                 body.len()
             )));
         }
+        // The limit counts what decoding claims, which is more than the bytes: ask the decoder.
+        bincode::decode_from_slice::<Self, _>(&body, CONFIG).map_err(|e| {
+            TakeError::InvalidArgument(format!(
+                "{} is larger than a take can hold: {e}",
+                Self::NAME
+            ))
+        })?;
         out.extend_from_slice(&body);
         Ok(out)
     }

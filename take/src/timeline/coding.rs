@@ -1,10 +1,15 @@
 //! The bytes of a time line: docs/take-format.md, TIMELINE.
 
 use super::{Causes, RowTime, Run, Timeline};
-use crate::{TakeError, stretch::ROWS_MAX, varint};
+use crate::{TakeError, varint};
 
-const TICKS_LISTED: u8 = 1;
-const TIMECODES_LISTED: u8 = 2;
+const TIMECODES_LISTED: u8 = 1;
+
+/// Most recorded rows of one chunk: ten times half a second at 10 kHz, a megabyte and a half in memory.
+const RECORDED_MAX: u64 = 1 << 16;
+
+/// Most rows of one run: days at 10 kHz.
+const RUN_ROWS_MAX: u64 = 1 << 32;
 
 impl Timeline {
     /// Appends the payload of its chunk. `tick_hz` is the device's; 0 counts as 1.
@@ -16,32 +21,25 @@ impl Timeline {
             let expected = a.1.device_ticks.wrapping_add(period.wrapping_mul(b.0 - a.0));
             b.1.device_ticks.wrapping_sub(expected) as i64
         };
-        let listed = times().any(|pair| tick_error(pair) != 0);
         let timecodes = self.times.iter().any(|time| time.timecode.is_some());
 
         varint::put(out, self.first_row);
-        out.push((u8::from(listed) * TICKS_LISTED) | (u8::from(timecodes) * TIMECODES_LISTED));
+        out.push(u8::from(timecodes) * TIMECODES_LISTED);
         varint::put(out, self.runs.len() as u64);
         for run in &self.runs {
-            varint::put(out, run.rows << 1 | u64::from(run.lost.is_some()));
+            varint::put(out, (run.rows << 1) | u64::from(run.lost.is_some()));
             out.extend(run.lost.map(|causes| causes.0));
         }
         let Some(first) = self.times.first() else { return };
         varint::put(out, period);
         varint::put(out, first.device_ticks);
-        if listed {
-            for pair in times() {
-                varint::put(out, varint::zigzag(tick_error(pair)));
-            }
-        }
+        pack(times().map(|pair| varint::zigzag(tick_error(pair))), out);
         varint::put(out, first.arrival_10us);
         let lateness = |time: &RowTime| {
             let late = time.arrival_10us.wrapping_sub(predict(first, time.device_ticks, tick_hz));
             varint::zigzag(late as i64)
         };
-        let width = 64 - self.times[1..].iter().map(lateness).fold(0, |a, b| a | b).leading_zeros();
-        out.push(width as u8);
-        pack(self.times[1..].iter().map(lateness), width, out);
+        pack(self.times[1..].iter().map(lateness), out);
         if timecodes {
             out.extend(self.times.iter().flat_map(|time| time.timecode.unwrap_or_default()));
         }
@@ -68,10 +66,13 @@ impl Timeline {
             let lost = if head & 1 == 1 { Some(Causes(cursor.byte()?)) } else { None };
             timeline.runs.push(Run { rows: head >> 1, lost });
         }
+        if timeline.runs.iter().any(|run| run.rows > RUN_ROWS_MAX) {
+            return None;
+        }
         timeline.first_row.checked_add(timeline.n_rows())?;
         let recorded = timeline.runs.iter().filter(|run| run.lost.is_none());
         let n = recorded.fold(0_u64, |sum, run| sum.saturating_add(run.rows));
-        if n > ROWS_MAX {
+        if n > RECORDED_MAX {
             return None;
         }
         if n > 0 {
@@ -92,22 +93,17 @@ impl Timeline {
         self.times.resize(n, RowTime::default());
         let rows: Vec<u64> = self.recorded().map(|(row, _)| row).collect();
         self.times[0].device_ticks = ticks;
+        let errors = Packed::take(cursor, n - 1)?;
         for (i, pair) in rows.windows(2).enumerate() {
-            ticks = ticks.wrapping_add(period.wrapping_mul(pair[1] - pair[0]));
-            if flags & TICKS_LISTED != 0 {
-                ticks = ticks.wrapping_add(varint::unzigzag(cursor.varint()?) as u64);
-            }
+            let error = varint::unzigzag(errors.get(i)) as u64;
+            ticks = ticks.wrapping_add(period.wrapping_mul(pair[1] - pair[0])).wrapping_add(error);
             self.times[i + 1].device_ticks = ticks;
         }
         self.times[0].arrival_10us = cursor.varint()?;
-        let width = u32::from(cursor.byte()?);
-        if width > 64 {
-            return None;
-        }
-        let bytes = cursor.take(((n - 1) as u64 * u64::from(width)).div_ceil(8))?;
+        let arrivals = Packed::take(cursor, n - 1)?;
         let first = self.times[0];
         for (i, time) in self.times[1..].iter_mut().enumerate() {
-            let late = varint::unzigzag(unpack(bytes, i, width)) as u64;
+            let late = varint::unzigzag(arrivals.get(i)) as u64;
             time.arrival_10us = predict(&first, time.device_ticks, tick_hz).wrapping_add(late);
         }
         if flags & TIMECODES_LISTED != 0 {
@@ -125,8 +121,10 @@ fn predict(first: &RowTime, ticks: u64, tick_hz: u64) -> u64 {
     first.arrival_10us.wrapping_add(passed.div_euclid(i128::from(tick_hz)) as u64)
 }
 
-/// Packs values of `width` bits, lowest first.
-fn pack(values: impl Iterator<Item = u64>, width: u32, out: &mut Vec<u8>) {
+/// Appends the width of the widest value in bits, then the values, lowest bit first.
+fn pack(values: impl Iterator<Item = u64> + Clone, out: &mut Vec<u8>) {
+    let width = 64 - values.clone().fold(0, |a, b| a | b).leading_zeros();
+    out.push(width as u8);
     let (mut held, mut n_held) = (0_u128, 0);
     for value in values {
         held |= u128::from(value) << n_held;
@@ -142,13 +140,29 @@ fn pack(values: impl Iterator<Item = u64>, width: u32, out: &mut Vec<u8>) {
     }
 }
 
-/// Value `index` of those packed; `bytes` was sized for it.
-fn unpack(bytes: &[u8], index: usize, width: u32) -> u64 {
-    let from = index * width as usize;
-    let mut value = 0_u128;
-    for (i, &byte) in bytes[from / 8..].iter().take(9).enumerate() {
-        value |= u128::from(byte) << (8 * i);
+/// Values as [`pack`] left them.
+struct Packed<'a> {
+    bytes: &'a [u8],
+    width: u32,
+}
+
+impl<'a> Packed<'a> {
+    fn take(cursor: &mut varint::Cursor<'a>, n: usize) -> Option<Self> {
+        let width = u32::from(cursor.byte()?);
+        if width > 64 {
+            return None;
+        }
+        Some(Self { bytes: cursor.take((n as u64 * u64::from(width)).div_ceil(8))?, width })
     }
-    let mask = if width == 64 { u64::MAX } else { (1 << width) - 1 };
-    (value >> (from % 8)) as u64 & mask
+
+    /// Below the number that it was taken for.
+    fn get(&self, index: usize) -> u64 {
+        let from = index * self.width as usize;
+        let mut value = 0_u128;
+        for (i, &byte) in self.bytes[from / 8..].iter().take(9).enumerate() {
+            value |= u128::from(byte) << (8 * i);
+        }
+        let mask = if self.width == 64 { u64::MAX } else { (1 << self.width) - 1 };
+        (value >> (from % 8)) as u64 & mask
+    }
 }
