@@ -83,3 +83,38 @@ fn a_device_that_announces_nothing_is_recorded_all_the_same() {
     assert_eq!((rows.len(), rows[50].len()), (100, 15));
     assert_eq!(is_gap(rows[50][0]), is_gap(motion.frame(50)[0]));
 }
+
+#[test]
+fn an_id_that_stands_for_another_marker_is_not_stored_under_the_old_name() {
+    let motion = jump(4, 100.0, 1.0);
+    let config = mocapd::pipeline::PipelineConfig { reserve: 0, ..config(&motion, dense(0.5)) };
+    let (mut intake, pipeline) = start(&config, Vec::new());
+    for seq in 0..100 {
+        if seq == 40 {
+            let label = "other".to_owned();
+            intake.announce(&[MarkerInfo { id: 3, label, labelled: true }]);
+        }
+        feed_samples(&mut intake, 100.0, seq, &samples(motion.frame(seq)));
+    }
+    intake.finish();
+    let (written, take) = pipeline.finish().unwrap();
+    assert_eq!(written.ledger.markers_dropped, 60);
+    assert!(rows(&take).0[40..].iter().all(|row| is_gap(row[3])));
+}
+
+#[test]
+fn a_table_that_is_announced_again_opens_no_channel() {
+    let motion = jump(5, 100.0, 1.0);
+    let (mut intake, pipeline) = start(&config(&motion, dense(0.5)), Vec::new());
+    for seq in 0..100 {
+        for (id, marker) in motion.info.markers.iter().enumerate() {
+            let label = if id == 4 { String::new() } else { marker.label.clone() };
+            intake.announce(&[MarkerInfo { id: id as u16, label, labelled: id != 4 }]);
+        }
+        feed_samples(&mut intake, 100.0, seq, &samples(motion.frame(seq)));
+    }
+    intake.finish();
+    let (written, take) = pipeline.finish().unwrap();
+    assert!(written.ledger.closes());
+    assert_eq!(chunks(&take).labels.len(), 15);
+}

@@ -124,3 +124,51 @@ fn what_is_not_finite_is_a_gap_and_counted() {
     assert_eq!((written.ledger.samples_not_finite, written.ledger.samples_present), (50, present));
     assert!(rows(&take).0.iter().all(|row| is_gap(row[3])));
 }
+
+#[test]
+fn a_device_whose_counter_and_clock_begin_anew_is_recorded_on() {
+    let motion = jump(7, 100.0, 1.0);
+    let (mut intake, pipeline) = start(&config(&motion, dense(0.5)), Vec::new());
+    for i in (0..500).chain(0..400) {
+        while intake.is_full() {
+            std::thread::yield_now();
+        }
+        feed_samples(&mut intake, 100.0, i, &samples(motion.frame(i % 100)));
+    }
+    intake.finish();
+    let (written, take) = pipeline.finish().unwrap();
+    let ledger = written.ledger;
+    assert_eq!((ledger.recorded, ledger.duplicates, ledger.frame_balance()), (900, 0, 0));
+    assert!(!ledger.closes() && ledger.contradictions[0].contains("jumped 1 times"), "{ledger:?}");
+    assert_eq!(rows(&take).0.len(), 900);
+}
+
+#[test]
+fn frames_that_were_reported_before_the_device_went_away_are_on_the_ledger() {
+    let motion = jump(8, 100.0, 1.0);
+    let (mut intake, pipeline) = start(&config(&motion, dense(0.5)), Vec::new());
+    (0..90).for_each(|seq| feed(&mut intake, &motion, seq));
+    intake.status(Status { frames_produced: 97, frames_dropped: 0, ..Status::default() }, false);
+    intake.finish();
+    let (written, take) = pipeline.finish().unwrap();
+    let ledger = written.ledger;
+    assert!(ledger.closes() && ledger.lost_anything(), "{ledger:?}");
+    assert_eq!((ledger.frames_sent, ledger.recorded, ledger.unknown_after_disconnect), (97, 90, 7));
+    assert_eq!(rows(&take).0.len(), 97);
+}
+
+#[test]
+fn a_number_of_frames_that_no_device_reaches_is_a_contradiction_and_no_rows() {
+    let motion = jump(9, 100.0, 1.0);
+    for frames_produced in [1 << 62, u64::MAX] {
+        let (mut intake, pipeline) = start(&config(&motion, dense(0.5)), Vec::new());
+        (0..100).for_each(|seq| feed(&mut intake, &motion, seq));
+        intake.status(Status { frames_produced, ..Status::default() }, true);
+        intake.finish();
+        let (written, take) = pipeline.finish().unwrap();
+        assert_eq!(written.ledger.frames_sent, 100);
+        let said = &written.ledger.contradictions;
+        assert!(said[0].contains(&frames_produced.to_string()), "{said:?}");
+        assert_eq!(rows(&take).0.len(), 100);
+    }
+}

@@ -160,3 +160,36 @@ fn a_full_disk_is_an_error_and_what_was_written_can_be_read() {
     assert!(rows.len() > 50, "{}", rows.len());
     assert!(problems.iter().any(|p| p.contains("cut off")), "{problems:?}");
 }
+
+#[test]
+fn frames_that_come_slowly_go_to_disk_by_the_clock() {
+    let motion = jump(3, 100.0, 1.0);
+    let bytes = std::sync::Arc::default();
+    let unlimited = Full { room: usize::MAX, bytes: std::sync::Arc::clone(&bytes) };
+    let (mut intake, pipeline) = start(&config(&motion, dense(1.0)), unlimited);
+    // Ten frames make the first stretch, nine more wait for a full one that does not come.
+    for seq in 0..19 {
+        feed(&mut intake, &motion, seq);
+    }
+    let arrival_ns = 5_000_000 + 180_000_000;
+    intake.tick(arrival_ns);
+    intake.tick(arrival_ns + 600_000_000);
+    let since = Instant::now();
+    let on_disk = || rows(&bytes.lock().unwrap()).0.len();
+    while on_disk() < 19 && since.elapsed() < Duration::from_secs(20) {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    assert_eq!(on_disk(), 19);
+    intake.finish();
+    pipeline.finish().unwrap();
+}
+
+#[test]
+fn a_reader_that_is_dropped_in_the_middle_leaves_a_whole_take() {
+    let motion = jump(4, 100.0, 1.0);
+    let (mut intake, pipeline) = start(&config(&motion, dense(1.0)), Vec::new());
+    (0..57).for_each(|seq| feed(&mut intake, &motion, seq));
+    drop(intake);
+    let (written, take) = pipeline.finish().unwrap();
+    assert_eq!((written.ledger.recorded, rows(&take).0.len()), (57, 57));
+}

@@ -31,6 +31,10 @@ pub(crate) fn dense(tolerance_mm: f64) -> Settings {
     Settings { kind: ResamplerKind::Dense, tolerance: Tolerance::from_mm(tolerance_mm).unwrap() }
 }
 
+pub(crate) fn fast(tolerance_mm: f64) -> Settings {
+    Settings { kind: ResamplerKind::Fast, ..dense(tolerance_mm) }
+}
+
 pub(crate) fn lossless() -> Settings {
     Settings { kind: ResamplerKind::Lossless, ..dense(1.0) }
 }
