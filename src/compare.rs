@@ -13,6 +13,8 @@ pub struct Difference {
     pub frames_missing: u64,
     /// Markers whose label or place differs, or that only one of the two has.
     pub labels_differing: Vec<String>,
+    /// What had to be decided to compare at all, one sentence each.
+    pub notes: Vec<String>,
     /// Samples that both have.
     pub samples: u64,
     /// Samples that only one of the two has.
@@ -43,7 +45,6 @@ pub fn compare(
         info.markers.get(i).map(|marker| marker.label.clone())
     };
     let mut difference = Difference {
-        frames_missing: ours.n_frames.abs_diff(theirs.n_frames),
         labels_differing: (0..n_markers)
             .filter(|&i| label(&ours, i) != label(&theirs, i))
             .map(|i| label(&theirs, i).or_else(|| label(&ours, i)).unwrap_or_default())
@@ -51,8 +52,27 @@ pub fn compare(
         max_error_by_marker_mm: vec![0.0; n_markers],
         ..Difference::default()
     };
+    let (ours_hz, theirs_hz) = (ours.rate_hz, theirs.rate_hz);
+    if (ours_hz - theirs_hz).abs() > 1e-6 * theirs_hz.abs() {
+        let note =
+            format!("the rates differ, {ours_hz} and {theirs_hz} Hz: frame by frame, not by time");
+        difference.notes.push(note);
+    }
     let mut row = vec![GAP; ours.markers.len()];
     let mut original_row = vec![GAP; theirs.markers.len()];
+    // A part of a file keeps its frame numbers; a whole recording of it begins with 1.
+    let (first, their_first) = (ours.source.first_frame, theirs.source.first_frame);
+    if ours.n_frames != theirs.n_frames && first != their_first {
+        difference.notes.push(format!(
+            "one begins with frame {first}, the other with {their_first}: compared by number"
+        ));
+        for _ in first..their_first.min(first.saturating_add(ours.n_frames)) {
+            take.next_frame(&mut row)?;
+        }
+        for _ in their_first..first.min(their_first.saturating_add(theirs.n_frames)) {
+            original.next_frame(&mut original_row)?;
+        }
+    }
     let mut sum_of_squares = 0.0;
     while take.next_frame(&mut row)? && original.next_frame(&mut original_row)? {
         for marker in 0..n_markers {
@@ -78,6 +98,8 @@ pub fn compare(
         }
         difference.frames += 1;
     }
+    let only_one = |n: u64| n.saturating_sub(difference.frames);
+    difference.frames_missing = only_one(ours.n_frames) + only_one(theirs.n_frames);
     difference.rms_error_mm = (sum_of_squares / difference.samples.max(1) as f64).sqrt();
     Ok(difference)
 }

@@ -43,7 +43,10 @@ def main():
         info = json.loads(answer.stdout)
         tracks = read_csv(take.with_suffix(".csv"))
         sizes = {end: take.with_suffix(end).stat().st_size for end in (".csv", ".c3d")}
-    kept = kept_rows(tracks[MARKER], info["tolerance_mm"], stretches(info))
+    kept = []
+    for first, rows in key_runs(info):
+        run = tracks[MARKER][first : first + sum(rows)]
+        kept += [first + row for row in kept_rows(run, info["tolerance_mm"], rows)]
     stated = next(c["knots"] for c in info["channels"] if c["label"] == MARKER)
     if len(kept) != stated:
         raise SystemExit(f"found {len(kept)} kept samples of {MARKER}, the take says {stated}")
@@ -60,13 +63,17 @@ def read_csv(path):
     return {label: [tuple(row[3 * i : 3 * i + 3]) for row in cells] for i, label in enumerate(labels)}
 
 
-def stretches(info):
-    """Rows of each stretch of a live take: 0.1 s, then every 0.5 s."""
-    left = info["frames"]
-    rows = [int(0.1 * info["rate_hz"])]
-    while sum(rows) < left:
-        rows.append(min(int(0.5 * info["rate_hz"]), left - sum(rows)))
-    return rows
+def key_runs(info):
+    """First row and rows of each stretch, from key stretch to key stretch, of a live take: stretches of 0.1 s, then
+    0.5 s, a key stretch where the next one would begin later than 10 s after the last key stretch."""
+    full, key_rows = int(0.5 * info["rate_hz"]), int(10 * info["rate_hz"])
+    runs, at, n_rows = [], 0, int(0.1 * info["rate_hz"])
+    while at < info["frames"]:
+        if not runs or at + full > runs[-1][0] + key_rows:
+            runs.append((at, []))
+        runs[-1][1].append(min(n_rows, info["frames"] - at))
+        at, n_rows = at + n_rows, full
+    return runs
 
 
 def stage(tracks, kept, tolerance_mm):
@@ -75,6 +82,7 @@ def stage(tracks, kept, tolerance_mm):
     for metres in range(0, 6):
         x = page_x(1000 * metres)
         parts += [line(x, GROUND, x, GROUND + 6, FAINT, 1.5), text(x, GROUND + 24, f"{metres} m", DIM, 15, "middle")]
+    parts.append(text(WIDTH - MARGIN, GROUND - 12, "generated motion", DIM, 15, "end"))
     for index, frame in enumerate(FIGURES):
         pose = {label: track[frame] for label, track in tracks.items()}
         parts += figure(pose, between(index / (len(FIGURES) - 1)))

@@ -33,7 +33,7 @@ pub(crate) struct Args {
     /// Stop after so long: 10s, 500ms, 2min; without it at the end of a replay, or on Ctrl-C
     #[arg(long, value_name = "TIME", value_parser = values::length, allow_hyphen_values = true)]
     seconds: Option<Duration>,
-    /// Ask the device for this frame rate: 240, 240Hz, 1kHz
+    /// Set the device to this frame rate, which it keeps: 240, 240Hz, 1kHz
     #[arg(long, value_name = "HZ", value_parser = units::rate_hz, allow_hyphen_values = true)]
     rate: Option<f64>,
     #[command(flatten)]

@@ -20,6 +20,7 @@ use crate::cli::{
 #[derive(Debug, Serialize)]
 pub(crate) struct AgainstReport {
     within_tolerance: bool,
+    notes: Vec<String>,
     frames: u64,
     frames_missing: u64,
     labels_differing: Vec<String>,
@@ -61,6 +62,7 @@ impl AgainstReport {
     pub(crate) fn new(difference: Difference, tolerance_mm: f64) -> Self {
         Self {
             within_tolerance: difference.is_within(tolerance_mm),
+            notes: difference.notes,
             frames: difference.frames,
             frames_missing: difference.frames_missing,
             labels_differing: difference.labels_differing,
@@ -94,6 +96,9 @@ impl AgainstReport {
             self.max_error_mm,
             self.rms_error_mm
         );
+        for note in &self.notes {
+            out += &format!("  {note}\n");
+        }
         if self.frames_missing > 0 {
             out += &format!("  in one of the two only: {}\n", count(self.frames_missing, "frame"));
         }
