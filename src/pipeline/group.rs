@@ -5,47 +5,12 @@ use mocapd_codec::{BlockEncoder, Position, Rows};
 use mocapd_take::stretch::put_block;
 
 use super::{
-    Counts, PipelineConfig,
+    PipelineConfig,
+    messages::{Job, Part, PartReport, StretchEnd},
     plan::Plan,
-    pool::{Job, StretchEnd},
     ring::{RingIn, RingOut, Sample, TimelineItem, ring},
     timeline::TimelineCoder,
 };
-
-/// What one group made of one stretch.
-#[derive(Debug)]
-pub(super) struct Part {
-    pub(super) stretch: u64,
-    pub(super) end: StretchEnd,
-    /// Which group; the time line's is the last.
-    pub(super) group: usize,
-    /// Blocks with their lengths, or the time line's payload. Goes back to the group when written.
-    pub(super) bytes: Vec<u8>,
-    pub(super) report: PartReport,
-    /// From the time line's group.
-    pub(super) counts: Option<Counts>,
-}
-
-/// What the encoders of a part proved.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(super) struct PartReport {
-    pub(super) samples: u64,
-    pub(super) kept: u64,
-    pub(super) max_error_mm: f64,
-    pub(super) recoded: u64,
-    /// Blocks that the encoder refused: a fault of this program, told in the ledger.
-    pub(super) refused: u64,
-}
-
-impl PartReport {
-    pub(super) fn add(&mut self, other: &Self) {
-        self.samples += other.samples;
-        self.kept += other.kept;
-        self.max_error_mm = self.max_error_mm.max(other.max_error_mm);
-        self.recoded += other.recoded;
-        self.refused += other.refused;
-    }
-}
 
 /// Channels or time line, with everything needed to work without allocating.
 #[derive(Debug)]

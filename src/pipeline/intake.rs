@@ -15,7 +15,6 @@ use mocapd_take::{
     timeline::{Causes, RowTime},
 };
 
-pub(super) use self::pending::RUNS_MAX;
 use self::{
     axis::{Axis, Step},
     clock::ClockLine,
@@ -23,10 +22,10 @@ use self::{
 };
 use super::{
     Counts, PipelineConfig, Progress,
+    messages::Control,
     plan::Plan,
     pool::Feed,
     ring::{RingIn, Sample, TimelineItem},
-    writer::Control,
 };
 
 /// No slot: the channel pool was used up when the marker appeared.

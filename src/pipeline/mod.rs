@@ -13,6 +13,7 @@
 mod counts;
 mod group;
 mod intake;
+mod messages;
 pub mod offline;
 mod plan;
 mod pool;

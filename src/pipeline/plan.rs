@@ -6,7 +6,7 @@ use anyhow::ensure;
 use mocapd_codec::Settings;
 use mocapd_take::{record::Channel, stretch::SAMPLES_MAX};
 
-use super::{intake::RUNS_MAX, ring::Sample};
+use super::ring::Sample;
 
 /// What a recording needs to know before it starts.
 #[derive(Debug, Clone)]
@@ -79,6 +79,10 @@ const MEMORY_BYTES: usize = 2 << 30;
 /// A time line item per row, and as many again for the runs of loss between them; beside these, room for
 /// the runs that are pending when the rings are full and when the take ends.
 const TIMELINE_ITEMS_PER_ROW: usize = 2;
+
+/// Runs kept apart. Loss that changes its cause more often than that between two recorded frames is
+/// told as one run with all its causes; the ledger's counters stay exact.
+pub(super) const RUNS_MAX: usize = 8;
 
 /// Events and channel announcements that wait for the writer: a marker that appears is one, and a
 /// device announces at most its whole table at once, in one message.

@@ -14,32 +14,14 @@ use std::{
 };
 
 use crossbeam_channel::{Receiver, Sender, bounded};
-use mocapd_take::stretch::Span;
 
 use super::{
     Counts, Progress,
-    group::{Group, Part},
+    group::Group,
+    messages::{Job, Part, StretchEnd},
     plan::Plan,
 };
 use crate::threads;
-
-/// A closed stretch.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct StretchEnd {
-    pub(super) span: Span,
-    /// Channels that have rows in it: the first so many slots.
-    pub(super) n_channels: usize,
-    /// No other follows.
-    pub(super) last: bool,
-}
-
-/// What a group is told: the time line's group also gets the counters as they were.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Job {
-    pub(super) stretch: u64,
-    pub(super) end: StretchEnd,
-    pub(super) counts: Option<Counts>,
-}
 
 /// Where a group waits for work.
 #[derive(Debug)]

@@ -4,7 +4,7 @@ use mocapd_take::timeline::Timeline;
 
 use super::{
     PipelineConfig,
-    pool::StretchEnd,
+    messages::StretchEnd,
     ring::{RingOut, TimelineItem},
 };
 

@@ -11,46 +11,16 @@ use std::{
 
 use anyhow::{Context, anyhow, bail};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
-use mocapd_take::{
-    TakeWriter,
-    record::{Channel, Event},
-    stretch::put_front,
-};
+use mocapd_take::{TakeWriter, stretch::put_front};
 
 use self::assembly::Assemblies;
 pub use self::output::{TakeOutput, Written};
 use super::{
     Counts, Progress,
-    group::{Part, PartReport},
+    messages::{Control, Part, PartReport},
     plan::Plan,
     pool::Wakes,
 };
-
-/// What the reader tells the writer beside the samples.
-#[derive(Debug)]
-pub(super) enum Control {
-    Channel(NewChannel),
-    Event(Event),
-}
-
-/// A marker that appeared.
-#[derive(Debug)]
-pub(super) struct NewChannel {
-    /// The first stretch that may hold it.
-    pub(super) stretch: u64,
-    pub(super) slot: usize,
-    pub(super) marker_id: u16,
-    /// Label, and whether the device knows the marker; without one it is named by its slot.
-    pub(super) named: Option<(String, bool)>,
-}
-
-impl NewChannel {
-    fn into_channel(self) -> Channel {
-        let (label, labelled) = self.named.unwrap_or_default();
-        let label = if label.is_empty() { format!("u{:03}", self.slot + 1) } else { label };
-        Channel { marker_id: self.marker_id, label, labelled }
-    }
-}
 
 /// Time between two ledgers in a growing take.
 const LEDGER_EVERY: Duration = Duration::from_secs(5);

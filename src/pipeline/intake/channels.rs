@@ -4,8 +4,8 @@ use mocapd_drivers::device::{Frame, MarkerInfo};
 
 use super::{Intake, NO_SLOT};
 use crate::pipeline::{
+    messages::{Control, NewChannel},
     ring::Sample,
-    writer::{Control, NewChannel},
 };
 
 impl Intake {

@@ -2,9 +2,7 @@
 
 use mocapd_take::timeline::Causes;
 
-/// Runs kept apart. Loss that changes its cause more often than that between two recorded frames is
-/// told as one run with all its causes; the ledger's counters stay exact.
-pub(in crate::pipeline) const RUNS_MAX: usize = 8;
+use crate::pipeline::plan::RUNS_MAX;
 
 /// A short list of runs, in place.
 #[derive(Debug, Default)]

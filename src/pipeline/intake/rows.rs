@@ -7,9 +7,10 @@ use mocapd_take::{
     timeline::RowTime,
 };
 
-use super::{Intake, pending::RUNS_MAX};
+use super::Intake;
 use crate::pipeline::{
-    pool::StretchEnd,
+    messages::StretchEnd,
+    plan::RUNS_MAX,
     ring::{RingIn, Sample, TimelineItem},
 };
 

@@ -2,7 +2,10 @@
 
 use std::collections::VecDeque;
 
-use crate::pipeline::{group::Part, plan::Plan, pool::StretchEnd};
+use crate::pipeline::{
+    messages::{Part, StretchEnd},
+    plan::Plan,
+};
 
 /// One stretch.
 #[derive(Debug)]

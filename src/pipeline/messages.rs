@@ -1,0 +1,87 @@
+//! What the threads of the pipeline hand to each other.
+
+use mocapd_take::{
+    record::{Channel, Event},
+    stretch::Span,
+};
+
+use super::Counts;
+
+/// A closed stretch.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct StretchEnd {
+    pub(super) span: Span,
+    /// Channels that have rows in it: the first so many slots.
+    pub(super) n_channels: usize,
+    /// No other follows.
+    pub(super) last: bool,
+}
+
+/// What a group is told: the time line's group also gets the counters as they were.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Job {
+    pub(super) stretch: u64,
+    pub(super) end: StretchEnd,
+    pub(super) counts: Option<Counts>,
+}
+
+/// What one group made of one stretch.
+#[derive(Debug)]
+pub(super) struct Part {
+    pub(super) stretch: u64,
+    pub(super) end: StretchEnd,
+    /// Which group; the time line's is the last.
+    pub(super) group: usize,
+    /// Blocks with their lengths, or the time line's payload. Goes back to the group when written.
+    pub(super) bytes: Vec<u8>,
+    pub(super) report: PartReport,
+    /// From the time line's group.
+    pub(super) counts: Option<Counts>,
+}
+
+/// What the encoders of a part proved.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct PartReport {
+    pub(super) samples: u64,
+    pub(super) kept: u64,
+    pub(super) max_error_mm: f64,
+    pub(super) recoded: u64,
+    /// Blocks that the encoder refused: a fault of this program, told in the ledger.
+    pub(super) refused: u64,
+}
+
+impl PartReport {
+    pub(super) fn add(&mut self, other: &Self) {
+        self.samples += other.samples;
+        self.kept += other.kept;
+        self.max_error_mm = self.max_error_mm.max(other.max_error_mm);
+        self.recoded += other.recoded;
+        self.refused += other.refused;
+    }
+}
+
+/// What the reader tells the writer beside the samples.
+#[derive(Debug)]
+pub(super) enum Control {
+    Channel(NewChannel),
+    Event(Event),
+}
+
+/// A marker that appeared.
+#[derive(Debug)]
+pub(super) struct NewChannel {
+    /// The first stretch that may hold it.
+    pub(super) stretch: u64,
+    pub(super) slot: usize,
+    pub(super) marker_id: u16,
+    /// Label, and whether the device knows the marker; without one it is named by its slot.
+    pub(super) named: Option<(String, bool)>,
+}
+
+impl NewChannel {
+    pub(super) fn into_channel(self) -> Channel {
+        let (label, labelled) = self.named.unwrap_or_default();
+        let label = if label.is_empty() { format!("u{:03}", self.slot + 1) } else { label };
+        Channel { marker_id: self.marker_id, label, labelled }
+    }
+}
