@@ -25,6 +25,8 @@ pub struct Counts {
     pub markers_dropped: u64,
     /// Times that the device's counter jumped as no loss can explain.
     pub counter_jumps: u64,
+    /// Times that the device's clock went back.
+    pub clock_jumps: u64,
     /// Events that found the writer's queue full.
     pub events_dropped: u64,
     /// What the link decoder counted.
@@ -79,6 +81,9 @@ impl Counts {
                 "the device's frame counter jumped {} times as no loss explains",
                 self.counter_jumps
             ));
+        }
+        if self.clock_jumps > 0 {
+            contradictions.push(format!("the device's clock went back {} times", self.clock_jumps));
         }
         if self.events_dropped > 0 {
             contradictions.push(format!(

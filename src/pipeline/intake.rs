@@ -115,6 +115,7 @@ impl Intake {
 
     /// One frame, at the host's monotonic time of its last byte.
     pub fn frame(&mut self, frame: &Frame<'_>, arrival_ns: u64) {
+        let ticks_before = self.axis.last_ticks();
         match self.axis.step(frame.seq, frame.device_ticks) {
             Step::Next { missing } => {
                 self.counts.not_received += u64::from(missing);
@@ -125,6 +126,11 @@ impl Intake {
                 return;
             }
             Step::Jump => self.counts.counter_jumps += 1,
+        }
+        if ticks_before.is_some_and(|ticks| frame.device_ticks < ticks) {
+            // No frame is dropped for its time; but no line fits both sides of a jump.
+            self.counts.clock_jumps += 1;
+            self.clock.restart();
         }
         self.fill_row(frame);
         self.make_way();

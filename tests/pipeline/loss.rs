@@ -172,3 +172,25 @@ fn a_number_of_frames_that_no_device_reaches_is_a_contradiction_and_no_rows() {
         assert_eq!(rows(&take).0.len(), 100);
     }
 }
+
+#[test]
+fn a_clock_that_goes_back_drops_no_frame_and_is_flagged() {
+    let motion = jump(10, 100.0, 1.0);
+    let (mut intake, pipeline) = start(&config(&motion, dense(0.5)), Vec::new());
+    for i in 0..100_usize {
+        let markers = samples(motion.frame(i));
+        let device_ticks = 20_000_000 + i as u64 * 10_000 - if i < 50 { 0 } else { 10_000_000 };
+        let frame = mocapd_drivers::device::Frame {
+            seq: i as u32,
+            device_ticks,
+            timecode: None,
+            markers: &markers,
+        };
+        intake.frame(&frame, i as u64 * 10_000_000);
+    }
+    intake.finish();
+    let ledger = pipeline.finish().unwrap().0.ledger;
+    assert_eq!((ledger.recorded, ledger.duplicates, ledger.frame_balance()), (100, 0, 0));
+    assert!(ledger.contradictions[0].contains("clock went back 1 times"), "{ledger:?}");
+    assert!(ledger.clock.unwrap().drift_ppm.abs() < 1.0, "{ledger:?}");
+}

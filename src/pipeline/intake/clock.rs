@@ -29,6 +29,11 @@ impl ClockLine {
         }
     }
 
+    /// What was fitted so far is another clock's.
+    pub(super) fn restart(&mut self) {
+        *self = Self { tick_hz: self.tick_hz, ..Self::new(1) };
+    }
+
     pub(super) fn add(&mut self, device_ticks: u64, arrival_ns: u64) {
         let (ticks, ns) = *self.origin.get_or_insert((device_ticks, arrival_ns));
         let device_s = device_ticks.wrapping_sub(ticks).cast_signed() as f64 / self.tick_hz;
