@@ -133,6 +133,8 @@ fn one_line_one_run_and_out() {
     assert_eq!(code, Some(0), "{words}");
     assert!(words.contains("150 frames produced, 150 sent"), "{words}");
     assert_eq!(std::fs::read_to_string(&log).unwrap().lines().count(), 151);
+    let again = fails(&["--generate", "jump", "--pty", "--log", log.to_str().unwrap()], 1);
+    assert!(again.contains("not taken"), "{again}");
     assert!(std::fs::symlink_metadata(&link).is_err(), "the link is still there");
 }
 

@@ -97,8 +97,10 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
     }
     let log: Option<Box<dyn Write + Send>> = match &args.log {
         Some(path) => {
-            let file =
-                File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
+            // A log is what a recording is held against: an earlier one stays.
+            let file = File::create_new(path).with_context(|| {
+                format!("cannot write {}: choose a name that is not taken", path.display())
+            })?;
             Some(Box::new(BufWriter::new(file)))
         }
         None => None,
