@@ -5,7 +5,7 @@ use std::io::Read;
 use mocapd_take::{
     TakeError, TakeEvent,
     frames::nameless,
-    reader::read_events,
+    reader::{TakeBytes, read_events},
     record::{Channel, Event, Header, Ledger},
     stretch::{Stretch, StretchDecoder},
 };
@@ -48,6 +48,10 @@ pub struct Summary {
     end_of_stretches: u64,
     /// The damage that explains a missing stretch was told.
     damage_told: bool,
+    /// What was found may not be all rows.
+    damaged: bool,
+    /// What the bytes are for.
+    pub bytes: TakeBytes,
     /// Whether the take was closed in order.
     pub finished: bool,
     /// What is missing or damaged.
@@ -81,8 +85,8 @@ impl Summary {
                         summary.add_stretch(&stretch, decoder);
                     }
                 }
-                TakeEvent::Timeline(timeline) => {
-                    summary.rows = summary.rows.max(timeline.first_row + timeline.n_rows());
+                TakeEvent::Unplaced { missing_before, n_rows, rows_min } => {
+                    summary.add_unplaced(missing_before, n_rows, rows_min);
                 }
                 TakeEvent::Event(event) => summary.events.push(event),
                 TakeEvent::Ledger(ledger) => summary.ledger = Some(*ledger),
@@ -93,11 +97,12 @@ impl Summary {
                 TakeEvent::Damaged { offset, len, message } => {
                     summary.problems.push(format!("{len} bytes at byte {offset}: {message}"));
                     summary.damage_told = true;
-                    if let Some(decoder) = &mut decoder {
-                        decoder.pass_damage(len);
-                    }
+                    summary.damaged = true;
                 }
-                TakeEvent::End { finished } => summary.finished = finished,
+                TakeEvent::End { finished, bytes } => {
+                    summary.finished = finished;
+                    summary.bytes = bytes;
+                }
                 TakeEvent::Index(_) | TakeEvent::Skipped { .. } => {}
             }
             Ok(())
@@ -161,6 +166,9 @@ impl Summary {
             self.problems
                 .push(format!("the footer tells of {n_rows} frames, {} were found", self.rows));
         }
+        if self.damaged {
+            self.rows = self.rows.max(n_rows);
+        }
     }
 
     /// Rows up to `row` that no stretch holds: gaps in every channel.
@@ -178,12 +186,29 @@ impl Summary {
         }
     }
 
+    /// A stretch whose rows nobody knows: they stand as gaps before what follows.
+    fn add_unplaced(&mut self, missing_before: bool, n_rows: u32, rows_min: u64) {
+        let from = self.rows;
+        if missing_before && !std::mem::take(&mut self.damage_told) {
+            self.problems.push(format!("stretches from frame {from} on are missing"));
+        }
+        self.problems.push(format!(
+            "a stretch of {n_rows} frames, from frame {from} or later: it depends on a damaged one"
+        ));
+        self.damaged = true;
+        self.rows = self.rows.max(rows_min);
+    }
+
     fn add_stretch(&mut self, stretch: &Stretch<'_>, decoder: &mut StretchDecoder) {
         let span = stretch.span;
-        let end = span.first_row + u64::from(span.n_rows);
-        let met = decoder.meet(span);
-        if met.missing && !std::mem::take(&mut self.damage_told) {
+        let end = span.end_row();
+        if stretch.missing_before && !std::mem::take(&mut self.damage_told) {
             self.problems.push(format!("stretches before frame {} are missing", span.first_row));
+        }
+        if span.n_rows == 0 {
+            // The take ends with lost rows.
+            self.rows = self.rows.max(end);
+            return;
         }
         if let Some(nameless_from) = Some(self.channels.len()).filter(|&n| n < stretch.blocks.len())
         {
@@ -199,8 +224,9 @@ impl Summary {
             self.add_channels(&nameless.collect::<Vec<_>>());
         }
         let refused = if span.first_row < self.end_of_stretches {
+            decoder.pass();
             Some("it comes twice".to_owned())
-        } else if met.depends_on_lost {
+        } else if decoder.depends_on_lost(span) {
             Some("it depends on a damaged one".to_owned())
         } else {
             decoder.decode(stretch).err().map(|error| error.to_string())

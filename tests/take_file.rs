@@ -99,6 +99,47 @@ fn a_zeroed_range_costs_no_more_than_up_to_the_next_key_stretch() {
     assert!(last.iter().any(|&p| !is_gap(p)), "the stretches after the next key are unaffected");
 }
 
+/// Bytes that are gone leave pieces of two chunks, which say nothing of the stretches between them.
+#[test]
+fn bytes_that_are_missing_give_no_wrong_sample_and_no_wrong_time() {
+    let motion = jump(3, 60.0, 40.0);
+    let (_, take, _) = record(&motion, &config(&motion, dense(TOLERANCE_MM)), 0..motion.n_frames());
+    let whole: Vec<_> = times(&take);
+    assert_eq!(whole.len(), motion.n_frames());
+    let mut state = 1_u64;
+    let mut below = |n: usize| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        (state >> 33) as usize % n
+    };
+    for _ in 0..200 {
+        let from = 1_000 + below(take.len() - 1_000);
+        let to = (from + 1 + below(take.len() / 2)).min(take.len());
+        let mut damaged = take.clone();
+        damaged.drain(from..to);
+        let (rows, problems) = rows(&damaged);
+        assert!(!problems.is_empty(), "without {from}..{to}");
+        assert_right(&rows, &motion, "without some bytes");
+        for (row, time) in times(&damaged) {
+            assert_eq!(whole[row as usize], (row, time), "without {from}..{to}");
+        }
+    }
+}
+
+/// The times of all rows that can be read.
+fn times(take: &[u8]) -> Vec<(u64, mocapd_take::timeline::RowTime)> {
+    let mut times = Vec::new();
+    mocapd_take::reader::read_events(take, |event| {
+        if let TakeEvent::Stretch(stretch) = event {
+            times.extend(
+                stretch.timeline.iter().flat_map(mocapd_take::timeline::Timeline::recorded),
+            );
+        }
+        Ok(())
+    })
+    .unwrap();
+    times
+}
+
 #[test]
 fn bytes_may_come_in_any_pieces() {
     let (_, take) = take();
@@ -173,10 +214,11 @@ fn hostile_sizes_cost_no_memory() {
     let mut front = chunk::MAGIC.to_vec();
     chunk::put(&mut front, Header::KIND, &header.to_payload().unwrap()).unwrap();
     // A stretch that claims 2^60 rows, one that claims 4 M rows of many channels, a chunk of 1 GiB.
-    let huge_rows =
-        [&[0][..], &[0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0x0f, 1, 0, 1, 0]].concat();
-    let many = [&[0, 0x80, 0x80, 0x80, 0x02, 1, 0][..], &[1, 0].repeat(100)].concat();
-    for payload in [huge_rows, many] {
+    let huge_rows = [&[1, 4, 0][..], &[0xff; 8], &[0x0f, 1, 0]].concat();
+    let many = [&[1, 4, 0, 0x80, 0x80, 0x80, 0x02][..], &[1, 0].repeat(100)].concat();
+    // One that claims 2^31 recorded rows of a time line.
+    let times = [&[1, 7, 0, 0, 1][..], &[0xfe, 0xff, 0xff, 0xff, 0x0f], &[0; 20]].concat();
+    for payload in [huge_rows, many, times] {
         let mut take = front.clone();
         chunk::put(&mut take, chunk::types::STRETCH, &payload).unwrap();
         let mut reader = TakeReader::new();
@@ -226,7 +268,7 @@ fn a_damaged_record_costs_nothing_but_itself() {
     let (motion, take) = take();
     let n_whole = assert_right(&rows(&take).0, &motion, "whole");
     for (kind, place) in chunk_places(&take) {
-        if [chunk::types::LEDGER, chunk::types::TIMELINE, chunk::types::INDEX].contains(&kind) {
+        if [chunk::types::LEDGER, chunk::types::INDEX].contains(&kind) {
             let mut damaged = take.clone();
             damaged[place.end - 1] ^= 1;
             let (rows, problems) = rows(&damaged);

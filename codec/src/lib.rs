@@ -53,6 +53,7 @@ mod spline;
 mod sync;
 
 pub use block::{BlockDecoder, BlockEncoder, BlockReport, DecodedRows, Rows};
+pub use coding::range;
 pub use error::CodecError;
 pub use settings::{ResamplerKind, Settings, SplineVariant, Tolerance};
 

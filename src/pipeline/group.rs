@@ -2,10 +2,9 @@
 
 use crossbeam_channel::{Receiver, Sender, bounded};
 use mocapd_codec::{BlockEncoder, Position, Rows};
-use mocapd_take::stretch::put_block;
+use mocapd_take::{record::Header, stretch::put_block};
 
 use super::{
-    PipelineConfig,
     messages::{Job, Part, PartReport, StretchEnd},
     plan::Plan,
     ring::{RingIn, RingOut, Sample, TimelineItem, ring},
@@ -72,11 +71,11 @@ impl Group {
     }
 
     /// The time line's group, and the reader's end of its ring.
-    pub(super) fn timeline(plan: &Plan, config: &PipelineConfig) -> (Self, RingIn<TimelineItem>) {
+    pub(super) fn timeline(plan: &Plan, header: &Header) -> (Self, RingIn<TimelineItem>) {
         let (producer, consumer) = ring(plan.timeline_items());
-        let coder = TimelineCoder::new(consumer, config, plan.timeline_items());
+        let coder = TimelineCoder::new(consumer, header, plan.timeline_items());
         let content = Content::Timeline(Box::new(coder));
-        (Self::new(plan, plan.n_groups(), content, plan.timeline_bytes_max()), producer)
+        (Self::new(plan, plan.n_groups(), content, plan.front_bytes_max()), producer)
     }
 
     fn new(plan: &Plan, index: usize, content: Content, part_bytes: usize) -> Self {
@@ -160,7 +159,7 @@ impl Scratch {
                     report.refused += 1;
                 }
             }
-            put_block(&self.block, out);
+            put_block(&self.block, end.n_channels == 1, out);
         }
         report
     }

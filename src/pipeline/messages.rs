@@ -32,7 +32,7 @@ pub(super) struct Part {
     pub(super) end: StretchEnd,
     /// Which group; the time line's is the last.
     pub(super) group: usize,
-    /// Blocks with their lengths, or the time line's payload. Goes back to the group when written.
+    /// Blocks with their lengths, or the front with its time line. Goes back to the group when written.
     pub(super) bytes: Vec<u8>,
     pub(super) report: PartReport,
     /// From the time line's group.

@@ -84,7 +84,7 @@ impl<W: TakeOutput> Pipeline<W> {
             groups.push(group);
             producers.extend(group_producers);
         }
-        let (timeline_group, timeline_producer) = Group::timeline(&plan, config);
+        let (timeline_group, timeline_producer) = Group::timeline(&plan, header);
         groups.push(timeline_group);
 
         let buffers_back = groups.iter().map(Group::buffers_back).collect();

@@ -17,7 +17,8 @@ use mocapd_take::{
     TakeWriter,
     motion::{Motion, is_gap},
     record::{Header, Ledger},
-    stretch::{NUMBERS, ROWS_MAX, SAMPLES_MAX, Span, put_block, put_front},
+    stretch::{FrontWriter, NUMBERS, ROWS_MAX, SAMPLES_MAX, Span, put_block},
+    timeline::Timeline,
 };
 
 use super::Written;
@@ -103,14 +104,16 @@ pub fn write_take<W: Write>(
         blocks.push(channel.blocks.into());
     }
     let mut payload = Vec::new();
+    let mut front = FrontWriter::new(header.stretch_rows);
     for first in (0..n_rows).step_by(stretch_rows) {
         let n = stretch_rows.min(n_rows - first);
         let number = (first / stretch_rows % usize::from(NUMBERS)) as u8;
         let span = Span { first_row: first as u64, n_rows: n as u32, key: true, number };
         payload.clear();
-        put_front(span, &shared, &mut payload);
+        let alone = blocks.len() == 1;
+        front.put(span, &Timeline::default(), &shared, alone, &mut payload);
         for channel in &mut blocks {
-            put_block(&channel.pop_front().unwrap_or_default(), &mut payload);
+            put_block(&channel.pop_front().unwrap_or_default(), alone, &mut payload);
         }
         take.stretch(span, &payload).context("cannot write a stretch")?;
     }

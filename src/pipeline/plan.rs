@@ -188,14 +188,14 @@ impl Plan {
         self.group_slots * self.block_bytes_max()
     }
 
-    /// Most bytes of a time line part: per row a run (11 + 1), ticks (10), arrival (8) and timecode (4);
-    /// the front 64.
-    pub(super) fn timeline_bytes_max(&self) -> usize {
-        self.timeline_items() * 34 + 64
+    /// Room for a stretch's front: per item a run (11 + 1), ticks and arrival (16 unless both are noise of
+    /// hours) and timecode (5); 64 for its head and a key stretch's clocks.
+    pub(super) fn front_bytes_max(&self) -> usize {
+        self.timeline_items() * 33 + 64
     }
 
-    /// Most bytes of a stretch's payload: its front 32.
+    /// Most bytes of a stretch's payload.
     pub(super) fn stretch_bytes_max(&self) -> usize {
-        self.n_groups() * self.part_bytes_max() + 32
+        self.n_groups() * self.part_bytes_max() + self.front_bytes_max()
     }
 }

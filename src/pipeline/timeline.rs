@@ -1,9 +1,12 @@
-//! The time line's group: one TIMELINE payload a stretch.
+//! The time line's group: one front a stretch, with the times of its rows.
 
-use mocapd_take::timeline::Timeline;
+use mocapd_take::{
+    record::Header,
+    stretch::FrontWriter,
+    timeline::{Timeline, TimelineEncoder},
+};
 
 use super::{
-    PipelineConfig,
     messages::StretchEnd,
     ring::{RingOut, TimelineItem},
 };
@@ -14,25 +17,25 @@ pub(super) struct TimelineCoder {
     ring: RingOut<TimelineItem>,
     timeline: Timeline,
     next_row: u64,
-    tick_hz: u64,
-    rate_hz: f64,
+    front: FrontWriter,
 }
 
 impl TimelineCoder {
-    pub(super) fn new(
-        ring: RingOut<TimelineItem>,
-        config: &PipelineConfig,
-        items_max: usize,
-    ) -> Self {
+    pub(super) fn new(ring: RingOut<TimelineItem>, header: &Header, items_max: usize) -> Self {
+        // A reader has the header and nothing else.
+        let tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz);
+        let mut times = TimelineEncoder::new(tick_hz, header.rate_hz);
+        times.reserve(items_max);
         let mut timeline = Timeline::default();
         timeline.runs.reserve(items_max);
         timeline.times.reserve(items_max);
-        Self { ring, timeline, next_row: 0, tick_hz: config.tick_hz, rate_hz: config.rate_hz }
+        let front = FrontWriter::with_times(header.stretch_rows, times);
+        Self { ring, timeline, next_row: 0, front }
     }
 
     /// Nothing when no row was recorded or lost since the last one.
     pub(super) fn encode(&mut self, end: &StretchEnd, out: &mut Vec<u8>) {
-        let end_row = end.span.first_row + u64::from(end.span.n_rows);
+        let end_row = end.span.end_row();
         self.timeline.restart(self.next_row);
         while self.next_row < end_row {
             let Some(item) = self.ring.pop() else { break };
@@ -48,7 +51,7 @@ impl TimelineCoder {
             }
         }
         if self.timeline.n_rows() > 0 {
-            self.timeline.encode(self.tick_hz, self.rate_hz, out);
+            self.front.put(end.span, &self.timeline, &[], end.n_channels == 1, out);
         }
     }
 }

@@ -1,6 +1,7 @@
 //! The writer thread: parts become stretches, stretches go to disk.
 
 mod assembly;
+mod ledgers;
 mod output;
 
 use std::{
@@ -11,19 +12,16 @@ use std::{
 
 use anyhow::{Context, anyhow, bail};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
-use mocapd_take::{TakeWriter, stretch::put_front};
+use mocapd_take::TakeWriter;
 
-use self::assembly::Assemblies;
 pub use self::output::{TakeOutput, Written};
+use self::{assembly::Assemblies, ledgers::Ledgers};
 use super::{
     Counts, Progress,
     messages::{Control, Part, PartReport},
     plan::Plan,
     pool::Wakes,
 };
-
-/// Time between two ledgers in a growing take.
-const LEDGER_EVERY: Duration = Duration::from_secs(5);
 
 /// How long to wait for parts after a worker failed.
 const GIVE_UP_AFTER: Duration = Duration::from_secs(2);
@@ -46,7 +44,7 @@ pub(super) struct Writer<W> {
     sync_every: Duration,
     synced_bytes: u64,
     last_sync: Option<Instant>,
-    last_ledger: Option<Instant>,
+    ledgers: Ledgers,
 }
 
 impl<W: TakeOutput> Writer<W> {
@@ -74,7 +72,7 @@ impl<W: TakeOutput> Writer<W> {
             sync_every: plan.sync_every,
             synced_bytes: 0,
             last_sync: None,
-            last_ledger: None,
+            ledgers: Ledgers::default(),
         }
     }
 
@@ -119,21 +117,17 @@ impl<W: TakeOutput> Writer<W> {
     fn write_front(&mut self) -> anyhow::Result<()> {
         let Some(front) = self.assemblies.front() else { return Ok(()) };
         let Some((timeline, blocks)) = front.parts() else { return Ok(()) };
-        let span = front.end.span;
         self.payload.clear();
-        put_front(span, &[], &mut self.payload);
+        self.payload.extend_from_slice(&timeline.bytes);
         for part in blocks {
             self.payload.extend_from_slice(&part.bytes);
             self.report.add(&part.report);
         }
         self.counts = timeline.counts.unwrap_or(self.counts);
         write_control(&mut self.take, &self.control, &mut self.held, front.stretch)?;
+        // The last one has neither rows nor, when nothing was lost at the end, a front.
         if !timeline.bytes.is_empty() {
-            self.take.timeline(&timeline.bytes).context("cannot write the time line")?;
-            self.take.extend_rows(span.first_row);
-        }
-        if span.n_rows > 0 {
-            self.take.stretch(span, &self.payload).context("cannot write a stretch")?;
+            self.take.stretch(front.end.span, &self.payload).context("cannot write a stretch")?;
         }
         if !front.end.last {
             self.write_ledger_and_sync()?;
@@ -144,9 +138,8 @@ impl<W: TakeOutput> Writer<W> {
     }
 
     fn write_ledger_and_sync(&mut self) -> anyhow::Result<()> {
-        if self.last_ledger.is_none_or(|last| last.elapsed() >= LEDGER_EVERY) {
+        if self.ledgers.are_due(&self.counts, Instant::now()) {
             self.take.ledger(&self.counts.ledger(false)).context("cannot write the ledger")?;
-            self.last_ledger = Some(Instant::now());
         }
         if self.last_sync.is_none_or(|last| last.elapsed() >= self.sync_every) {
             self.sync_what_waits()?;

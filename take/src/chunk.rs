@@ -23,7 +23,6 @@ pub mod types {
     pub const HEADER: u8 = 0x01;
     pub const CHANNELS: u8 = 0x02;
     pub const STRETCH: u8 = 0x03;
-    pub const TIMELINE: u8 = 0x04;
     pub const EVENT: u8 = 0x85;
     pub const LEDGER: u8 = 0x06;
     pub const SUBJECT: u8 = 0x87;
@@ -32,9 +31,8 @@ pub mod types {
     pub const INDEX: u8 = 0x8a;
     pub const FOOTER: u8 = 0x8b;
     /// Every type of version 1.
-    pub const ALL: [u8; 11] = [
-        HEADER, CHANNELS, STRETCH, TIMELINE, EVENT, LEDGER, SUBJECT, MODEL, FOREIGN, INDEX, FOOTER,
-    ];
+    pub const ALL: [u8; 10] =
+        [HEADER, CHANNELS, STRETCH, EVENT, LEDGER, SUBJECT, MODEL, FOREIGN, INDEX, FOOTER];
 }
 
 /// Appends one chunk to `out`.

@@ -44,6 +44,7 @@ impl<R: Read + Seek> TakeFrames<R> {
         let mut header = None;
         let mut problems = Vec::new();
         let mut n_channels = 0;
+        let mut damaged = false;
         let mut foreign_bytes = 0;
         read_events(&mut input, |event| {
             match event {
@@ -53,13 +54,15 @@ impl<R: Read + Seek> TakeFrames<R> {
                 }
                 TakeEvent::Channels(more) => info.markers.extend(more.iter().map(Into::into)),
                 TakeEvent::Stretch(stretch) => {
-                    let end = stretch.span.first_row + u64::from(stretch.span.n_rows);
-                    info.n_frames = info.n_frames.max(end);
+                    info.n_frames = info.n_frames.max(stretch.span.end_row());
                     n_channels = n_channels.max(stretch.blocks.len());
                 }
-                TakeEvent::Timeline(timeline) => {
-                    let end = timeline.first_row + timeline.n_rows();
-                    info.n_frames = info.n_frames.max(end);
+                TakeEvent::Unplaced { rows_min, .. } => {
+                    damaged = true;
+                    info.n_frames = info.n_frames.max(rows_min);
+                }
+                TakeEvent::Footer(footer) if damaged => {
+                    info.n_frames = info.n_frames.max(footer.n_rows);
                 }
                 TakeEvent::Foreign(part) => {
                     foreign_bytes += part.data.len();
@@ -71,9 +74,10 @@ impl<R: Read + Seek> TakeFrames<R> {
                     }
                 }
                 TakeEvent::Damaged { offset, len, message } => {
+                    damaged = true;
                     problems.push(format!("{len} bytes at byte {offset}: {message}"));
                 }
-                TakeEvent::End { finished: false } => {
+                TakeEvent::End { finished: false, .. } => {
                     problems.push("the take was cut off: its end is missing".into());
                 }
                 _ => {}
@@ -112,14 +116,16 @@ impl<R: Read + Seek> TakeFrames<R> {
             match self.reader.next_event()? {
                 Some(TakeEvent::Stretch(stretch)) => {
                     let span = stretch.span;
-                    let met = self.decoder.meet(span);
-                    if met.missing && !std::mem::take(&mut self.damage_told) {
+                    if stretch.missing_before && !std::mem::take(&mut self.damage_told) {
                         self.problems
                             .push(format!("stretches before frame {} are missing", span.first_row));
                     }
-                    let problem = if met.depends_on_lost {
-                        "depends on a damaged stretch".to_owned()
-                    } else if span.first_row < self.next_row {
+                    if span.n_rows == 0 {
+                        // The take ends with lost rows.
+                        continue;
+                    }
+                    let problem = if span.first_row < self.next_row {
+                        self.decoder.pass();
                         "comes twice".to_owned()
                     } else {
                         match self.decoder.decode(&stretch) {
@@ -135,10 +141,16 @@ impl<R: Read + Seek> TakeFrames<R> {
                         span.n_rows, span.first_row
                     ));
                 }
-                Some(TakeEvent::Damaged { len, .. }) => {
-                    self.decoder.pass_damage(len);
-                    self.damage_told = true;
+                Some(TakeEvent::Unplaced { missing_before, n_rows, .. }) => {
+                    let from = self.next_row;
+                    if missing_before && !std::mem::take(&mut self.damage_told) {
+                        self.problems.push(format!("stretches from frame {from} on are missing"));
+                    }
+                    self.problems.push(format!(
+                        "a stretch of {n_rows} frames, from frame {from} or later, depends on a damaged stretch"
+                    ));
                 }
+                Some(TakeEvent::Damaged { .. }) => self.damage_told = true,
                 Some(TakeEvent::End { .. }) => self.ended = true,
                 Some(_) => {}
                 None => pull(&mut self.input, &mut self.reader)?,
@@ -158,13 +170,14 @@ impl<R: Read + Seek> FrameSource for TakeFrames<R> {
         if at >= self.info.n_frames {
             return Ok(false);
         }
-        let end = |span: Span| span.first_row + u64::from(span.n_rows);
-        while !self.ended && self.current.is_none_or(|span| end(span) <= at) {
+        while !self.ended && self.current.is_none_or(|span| span.end_row() <= at) {
             self.current = None;
             self.advance().map_err(std::io::Error::other)?;
         }
         row.fill(GAP);
-        if let Some(span) = self.current.filter(|span| (span.first_row..end(*span)).contains(&at)) {
+        if let Some(span) =
+            self.current.filter(|span| (span.first_row..span.end_row()).contains(&at))
+        {
             let i = (at - span.first_row) as usize;
             for (position, rows) in row.iter_mut().zip(self.decoder.rows()) {
                 if let Some(rows) = rows.as_ref().filter(|rows| rows.present[i]) {

@@ -27,14 +27,15 @@ pub enum TakeError {
     /// Not a take at all.
     #[error("not a take: {0}")]
     NotATake(&'static str),
-    /// A take from a newer version.
-    #[error("{what} has version {found}, this build reads up to {supported}: use a newer mocapd")]
+    /// A take from another version.
+    #[error("{what} has version {found}, this build reads {supported}: use {}",
+        if found > supported { "a newer mocapd" } else { "the development version that wrote it" })]
     Unsupported {
         /// Which record.
         what: &'static str,
         /// The version found.
         found: u16,
-        /// The newest version known.
+        /// The version known.
         supported: u16,
     },
     /// Bytes that cannot be right.

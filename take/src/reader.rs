@@ -1,18 +1,21 @@
 //! Reads a take, sans-io: bytes are pushed in, events come out; damage is an event, not the end.
 
+mod bytes;
+mod chunks;
 mod io;
+
+pub use bytes::TakeBytes;
 
 pub use io::{pull, read_events};
 
+use self::chunks::is_one_other_chunk;
 use crate::{
     TakeError, chunk,
-    chunk::{Front, MAY_SKIP, types},
-    foreign,
-    index::{Footer, IndexEntry, parse_index},
+    chunk::Front,
+    index::{Footer, IndexEntry},
     motion::Foreign,
-    record::{Channel, Event, Header, Ledger, MoreChannels, Record},
-    stretch::Stretch,
-    timeline::Timeline,
+    record::{Channel, Event, Header, Ledger},
+    stretch::{Chain, Stretch},
 };
 
 /// One thing found in a take.
@@ -24,8 +27,16 @@ pub enum TakeEvent<'a> {
     Channels(Vec<Channel>),
     /// A stretch, its blocks still coded.
     Stretch(Stretch<'a>),
-    /// The time line up to the end of the next stretch.
-    Timeline(Timeline),
+    /// A stretch that goes on from one that is missing or damaged: nobody knows which rows it has, and
+    /// its blocks cannot be decoded.
+    Unplaced {
+        /// At least one stretch before it is missing.
+        missing_before: bool,
+        /// How many rows it has.
+        n_rows: u32,
+        /// Rows that the take has at least, up to its end.
+        rows_min: u64,
+    },
     /// An event.
     Event(Event),
     /// The ledger so far; the last one counts.
@@ -54,6 +65,8 @@ pub enum TakeEvent<'a> {
     End {
         /// Whether the footer was there: a take without one was cut off.
         finished: bool,
+        /// What the bytes were for.
+        bytes: TakeBytes,
     },
 }
 
@@ -67,9 +80,10 @@ pub struct TakeReader {
     base: u64,
     /// Bytes that must be there before another look is worth it.
     wanted: u64,
-    tick_hz: u64,
+    /// After the header.
+    chain: Option<Chain>,
+    bytes: TakeBytes,
     seen_magic: bool,
-    seen_header: bool,
     seen_footer: bool,
     complete: bool,
     ended: bool,
@@ -159,82 +173,30 @@ impl TakeReader {
         }
         self.used = have;
         self.seen_magic = true;
+        self.bytes.header += have as u64;
         Ok(true)
     }
 
     fn end(&mut self) -> Result<TakeEvent<'static>, TakeError> {
         self.ended = true;
-        if !self.seen_header {
+        if self.chain.is_none() {
             return Err(TakeError::NotATake("no intact header was found"));
         }
-        Ok(TakeEvent::End { finished: self.seen_footer })
+        Ok(TakeEvent::End { finished: self.seen_footer, bytes: self.bytes })
     }
 
     /// Steps over what is damaged, to the next whole chunk or the end.
     fn skip_damage(&mut self, message: &str) -> TakeEvent<'static> {
-        let offset = self.offset();
+        let (offset, start) = (self.offset(), self.used);
         self.used = chunk::resync(&self.buffer, self.used + 1).unwrap_or(self.buffer.len());
         self.wanted = 1;
         let (len, message) = (self.offset() - offset, message.to_owned());
-        TakeEvent::Damaged { offset, len, message }
-    }
-
-    fn interpret(
-        &mut self,
-        kind: u8,
-        start: usize,
-        len: usize,
-    ) -> Result<TakeEvent<'_>, TakeError> {
-        let offset = self.base + start as u64;
-        let Front::Whole { payload, .. } = chunk::split(&self.buffer[start..start + len]) else {
-            return Err(TakeError::NotATake("a chunk vanished while it was read"));
-        };
-        if !self.seen_header && kind != types::HEADER {
-            let message = format!("a chunk of type {kind:02x} before the header");
-            return Ok(TakeEvent::Damaged { offset, len: len as u64, message });
+        self.bytes.other += len;
+        if !is_one_other_chunk(&self.buffer[start..self.used])
+            && let Some(chain) = &mut self.chain
+        {
+            chain.break_off();
         }
-        let event = match kind {
-            types::HEADER if self.seen_header => {
-                let message = "a second header".to_owned();
-                return Ok(TakeEvent::Damaged { offset, len: len as u64, message });
-            }
-            types::HEADER => {
-                let header = Header::from_payload(payload, offset)?;
-                header.check()?;
-                self.seen_header = true;
-                self.tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz);
-                return Ok(TakeEvent::Header(Box::new(header)));
-            }
-            types::CHANNELS => {
-                MoreChannels::from_payload(payload, offset).map(|more| TakeEvent::Channels(more.0))
-            }
-            types::STRETCH => Stretch::parse(payload, offset).map(TakeEvent::Stretch),
-            types::TIMELINE => {
-                Timeline::decode(payload, self.tick_hz, offset).map(TakeEvent::Timeline)
-            }
-            types::EVENT => Event::from_payload(payload, offset).map(TakeEvent::Event),
-            types::LEDGER => {
-                Ledger::from_payload(payload, offset).map(|l| TakeEvent::Ledger(Box::new(l)))
-            }
-            types::FOREIGN => foreign::from_payload(payload, offset).map(TakeEvent::Foreign),
-            types::INDEX => parse_index(payload, offset).map(TakeEvent::Index),
-            types::FOOTER => Footer::from_payload(payload, offset)
-                .inspect(|_| self.seen_footer = true)
-                .map(TakeEvent::Footer),
-            _ if kind & MAY_SKIP != 0 => Ok(TakeEvent::Skipped { kind }),
-            _ => {
-                let message = format!("chunk type {kind:02x} is unknown: use a newer mocapd");
-                return Ok(TakeEvent::Damaged { offset, len: len as u64, message });
-            }
-        };
-        event.or_else(|error| match error {
-            TakeError::Unsupported { .. } if kind & MAY_SKIP != 0 => {
-                Ok(TakeEvent::Skipped { kind })
-            }
-            error => {
-                let message = error.to_string();
-                Ok(TakeEvent::Damaged { offset, len: len as u64, message })
-            }
-        })
+        TakeEvent::Damaged { offset, len, message }
     }
 }

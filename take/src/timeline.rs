@@ -1,8 +1,17 @@
-//! TIMELINE: when each row was exposed and when it reached the host, or why it is empty.
+//! The time line: when each row was exposed and when it reached the host, or why it is empty.
 
-mod coding;
+mod decoder;
+mod encoder;
+mod line;
+mod number;
+mod pace;
+mod state;
 #[cfg(test)]
 mod tests;
+mod timecode;
+
+pub use self::encoder::TimelineEncoder;
+pub(crate) use self::{decoder::TimelineDecoder, state::take_times};
 
 /// Why rows are empty: a set, because one stretch of loss can have several causes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -37,13 +46,14 @@ pub struct Run {
 pub struct RowTime {
     /// Device clock at exposure.
     pub device_ticks: u64,
-    /// Host monotonic clock at arrival, in units of 10 microseconds.
+    /// Host monotonic clock at arrival, in units of 10 microseconds. In a take it is kept to within half
+    /// of its step: 80 to 320 microseconds.
     pub arrival_10us: u64,
     /// Hours, minutes, seconds, frames.
     pub timecode: Option<[u8; 4]>,
 }
 
-/// The rows from one chunk to the next.
+/// The rows from the end of one stretch to the end of the next.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Timeline {
     /// First row, recorded or lost.
@@ -77,6 +87,13 @@ impl Timeline {
     #[must_use]
     pub fn n_rows(&self) -> u64 {
         self.runs.iter().fold(0, |sum, run| sum.saturating_add(run.rows))
+    }
+
+    /// Recorded rows in all.
+    #[must_use]
+    pub fn n_recorded(&self) -> u64 {
+        let recorded = self.runs.iter().filter(|run| run.lost.is_none());
+        recorded.fold(0, |sum, run| sum.saturating_add(run.rows))
     }
 
     /// The recorded rows with their numbers.

@@ -1,4 +1,4 @@
-//! LEB128 and zigzag, and a cursor over bytes that never reads past their end.
+//! LEB128, and a cursor over bytes that never reads past their end.
 
 /// Appends `value`, seven bits a byte, lowest first.
 pub(crate) fn put(out: &mut Vec<u8>, mut value: u64) {
@@ -7,16 +7,6 @@ pub(crate) fn put(out: &mut Vec<u8>, mut value: u64) {
         value >>= 7;
     }
     out.push(value as u8);
-}
-
-/// 0, -1, 1, -2 become 0, 1, 2, 3.
-pub(crate) fn zigzag(value: i64) -> u64 {
-    ((value << 1) ^ (value >> 63)) as u64
-}
-
-/// The way back.
-pub(crate) fn unzigzag(value: u64) -> i64 {
-    (value >> 1) as i64 ^ -((value & 1) as i64)
 }
 
 /// Reads from the front of a slice.
@@ -82,9 +72,6 @@ mod tests {
             assert_eq!(cursor.varint(), Some(value));
             assert!(cursor.is_empty());
             assert_eq!(Cursor::new(&out[..out.len() - 1]).varint(), None);
-        }
-        for value in [0, -1, 1, i64::MIN, i64::MAX] {
-            assert_eq!(unzigzag(zigzag(value)), value);
         }
     }
 

@@ -56,30 +56,17 @@ impl<W: Write> TakeWriter<W> {
         self.record(&MoreChannels(channels.to_vec()))
     }
 
-    /// One stretch, its payload made by [`put_front`](crate::stretch::put_front) and
+    /// One stretch, its payload made by [`FrontWriter`](crate::stretch::FrontWriter) and
     /// [`put_block`](crate::stretch::put_block).
     ///
     /// # Errors
     /// `Io`, `InvalidArgument`.
     pub fn stretch(&mut self, span: Span, payload: &[u8]) -> Result<(), TakeError> {
-        if span.key {
+        if span.key && span.n_rows > 0 {
             self.index.push(IndexEntry { offset: self.offset, first_row: span.first_row });
         }
-        self.n_rows = self.n_rows.max(span.first_row + u64::from(span.n_rows));
+        self.n_rows = self.n_rows.max(span.end_row());
         self.chunk(types::STRETCH, payload)
-    }
-
-    /// The time line of the rows up to the end of the stretch that follows.
-    ///
-    /// # Errors
-    /// `Io`, `InvalidArgument`.
-    pub fn timeline(&mut self, payload: &[u8]) -> Result<(), TakeError> {
-        self.chunk(types::TIMELINE, payload)
-    }
-
-    /// Rows at the end of the take that were lost, after the last stretch.
-    pub fn extend_rows(&mut self, n_rows: u64) {
-        self.n_rows = self.n_rows.max(n_rows);
     }
 
     /// An event.

@@ -12,7 +12,7 @@ use mocapd_simulator::generator::{JumpSpec, Occlusion};
 use mocapd_take::{
     TakeEvent, TakeFrames,
     motion::{FrameSource, GAP, Motion, Position, is_gap},
-    reader::read_events,
+    reader::{TakeBytes, read_events},
     record::Ledger,
     timeline::Timeline,
 };
@@ -74,6 +74,7 @@ pub(crate) fn config(motion: &Motion, codec: Settings) -> PipelineConfig {
 pub(crate) fn start<W: TakeOutput>(config: &PipelineConfig, output: W) -> (Intake, Pipeline<W>) {
     let mut header = header::new(&config.codec, config.rate_hz).unwrap();
     header.channels.clone_from(&config.channels);
+    header.stretch_rows = config.stretch_rows();
     header.device =
         Some(mocapd_take::record::Device { tick_hz: config.tick_hz, ..Default::default() });
     Pipeline::start(config, &header, output).unwrap()
@@ -117,6 +118,7 @@ pub(crate) struct Chunks {
     pub(crate) keys: Vec<(u64, bool)>,
     pub(crate) blocks: Vec<Vec<u8>>,
     pub(crate) finished: bool,
+    pub(crate) bytes: TakeBytes,
 }
 
 pub(crate) fn chunks(take: &[u8]) -> Chunks {
@@ -127,13 +129,18 @@ pub(crate) fn chunks(take: &[u8]) -> Chunks {
                 found.labels.extend(header.channels.iter().map(|c| c.label.clone()));
             }
             TakeEvent::Channels(more) => found.labels.extend(more.iter().map(|c| c.label.clone())),
-            TakeEvent::Timeline(timeline) => found.timelines.push(timeline),
             TakeEvent::Ledger(ledger) => found.ledgers.push(*ledger),
             TakeEvent::Stretch(stretch) => {
-                found.keys.push((stretch.span.first_row, stretch.span.key));
+                if stretch.span.n_rows > 0 {
+                    found.keys.push((stretch.span.first_row, stretch.span.key));
+                }
                 found.blocks.extend(stretch.blocks.iter().map(|block| block.to_vec()));
+                found.timelines.extend(stretch.timeline);
             }
-            TakeEvent::End { finished } => found.finished = finished,
+            TakeEvent::End { finished, bytes } => {
+                found.finished = finished;
+                found.bytes = bytes;
+            }
             TakeEvent::Damaged { message, offset, .. } => panic!("damaged at {offset}: {message}"),
             _ => {}
         }

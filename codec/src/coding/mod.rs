@@ -3,5 +3,5 @@
 pub(crate) mod bitpack;
 pub(crate) mod bytes;
 pub(crate) mod columns;
-pub(crate) mod range;
+pub mod range;
 pub(crate) mod zigzag;

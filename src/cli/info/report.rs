@@ -3,7 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use mocapd::inspect::{Summary, size_ratio};
-use mocapd_take::record::{Event, EventKind, Header};
+use mocapd_take::{
+    reader::TakeBytes,
+    record::{Event, EventKind, Header},
+};
 use serde::Serialize;
 
 use crate::cli::ledger::LedgerReport;
@@ -28,6 +31,7 @@ pub(super) struct Report {
     pub(super) samples: u64,
     pub(super) raw_bytes: u64,
     pub(super) file_bytes: u64,
+    pub(super) bytes: BytesReport,
     pub(super) ratio: f64,
     pub(super) max_error_mm: f64,
     pub(super) stretches: u64,
@@ -63,6 +67,36 @@ pub(super) struct SourceReport {
 pub(super) struct ForeignReport {
     pub(super) kind: String,
     pub(super) bytes: u64,
+}
+
+/// What the file's bytes are for: together all of them.
+#[derive(Debug, Serialize)]
+pub(super) struct BytesReport {
+    pub(super) blocks: u64,
+    pub(super) time_line: u64,
+    pub(super) framing: u64,
+    pub(super) header: u64,
+    pub(super) index: u64,
+    pub(super) ledgers: u64,
+    pub(super) events: u64,
+    pub(super) foreign: u64,
+    pub(super) other: u64,
+}
+
+impl From<&TakeBytes> for BytesReport {
+    fn from(bytes: &TakeBytes) -> Self {
+        Self {
+            blocks: bytes.blocks,
+            time_line: bytes.time_line,
+            framing: bytes.framing + bytes.lengths,
+            header: bytes.header,
+            index: bytes.index,
+            ledgers: bytes.ledgers,
+            events: bytes.events,
+            foreign: bytes.foreign,
+            other: bytes.other,
+        }
+    }
 }
 
 #[derive(Debug, Serialize)]
@@ -132,6 +166,7 @@ impl Report {
             samples: summary.samples(),
             raw_bytes: summary.raw_bytes(),
             file_bytes,
+            bytes: (&summary.bytes).into(),
             ratio: size_ratio(summary.samples(), file_bytes),
             max_error_mm: summary.max_error_mm(),
             stretches: summary.stretches,

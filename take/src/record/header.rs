@@ -68,7 +68,7 @@ pub struct Header {
     pub created_unix_ms: i64,
     /// Resampler, by name.
     pub resampler: String,
-    /// Version of the block format (docs/codec.md).
+    /// Version of stretches and blocks (docs/take-format.md and docs/codec.md).
     pub codec_version: u16,
     /// Tolerance in millimetres; 0 for `lossless`.
     pub tolerance_mm: f64,
@@ -88,14 +88,15 @@ pub struct Header {
     pub settings: Vec<(String, String)>,
 }
 
-/// The block format this build writes and reads.
-pub const CODEC_VERSION: u16 = 1;
+/// The format of stretches and blocks that this build writes and reads. 1 was that of development
+/// versions, with a time line in chunks of its own.
+pub const CODEC_VERSION: u16 = 2;
 
 impl Header {
     /// The codec's settings, checked.
     ///
     /// # Errors
-    /// `Codec` for an unknown resampler or a tolerance out of range, `Unsupported` for a newer block format.
+    /// `Codec` for an unknown resampler or a tolerance out of range, `Unsupported` for another block format.
     pub fn codec(&self) -> Result<Settings, TakeError> {
         if self.codec_version != CODEC_VERSION {
             return Err(TakeError::Unsupported {

@@ -3,16 +3,18 @@
 use super::{BinaryCoder, TOP, split_range};
 use crate::CodecError;
 
-/// Reads a slice, and zeros after it.
+/// Reads a slice, and zeros after it: any bytes give bits.
 #[derive(Debug)]
-pub(crate) struct RangeDecoder<'a> {
+pub struct RangeDecoder<'a> {
     rest: &'a [u8],
     code: u32,
     range: u32,
 }
 
 impl<'a> RangeDecoder<'a> {
-    pub(crate) fn new(bytes: &'a [u8]) -> Self {
+    /// At the first bit.
+    #[must_use]
+    pub fn new(bytes: &'a [u8]) -> Self {
         let mut decoder = Self { rest: bytes, code: 0, range: u32::MAX };
         for _ in 0..4 {
             decoder.shift();
@@ -32,7 +34,10 @@ impl<'a> RangeDecoder<'a> {
     }
 
     /// All bytes must have been needed.
-    pub(crate) fn finish(self) -> Result<(), CodecError> {
+    ///
+    /// # Errors
+    /// `Corrupt` when some were not: the encoder wrote something else.
+    pub fn finish(self) -> Result<(), CodecError> {
         if self.rest.is_empty() {
             return Ok(());
         }

@@ -4,7 +4,7 @@ use super::{BinaryCoder, TOP, split_range};
 
 /// Appends to a vector, at most `limit` bytes.
 #[derive(Debug)]
-pub(crate) struct RangeEncoder<'a> {
+pub struct RangeEncoder<'a> {
     out: &'a mut Vec<u8>,
     start: usize,
     limit: usize,
@@ -18,7 +18,8 @@ pub(crate) struct RangeEncoder<'a> {
 }
 
 impl<'a> RangeEncoder<'a> {
-    pub(crate) fn new(out: &'a mut Vec<u8>, limit: usize) -> Self {
+    /// Appends to `out`, at most `limit` bytes.
+    pub fn new(out: &'a mut Vec<u8>, limit: usize) -> Self {
         let start = out.len();
         Self { out, start, limit, overflow: false, low: 0, range: u32::MAX, held: None, pending: 0 }
     }
@@ -48,8 +49,9 @@ impl<'a> RangeEncoder<'a> {
         self.low = (self.low & 0x00ff_ffff) << 8;
     }
 
-    /// Writes what is held; gives `false` when the limit was passed.
-    pub(crate) fn finish(mut self) -> bool {
+    /// Writes what is held; gives `false` when the limit was passed, and then the bytes are of no use.
+    #[must_use]
+    pub fn finish(mut self) -> bool {
         // Of all values in the range the one with most trailing zeros, which are then dropped.
         let last = self.low + u64::from(self.range) - 1;
         for zeros in (0..=32).rev() {

@@ -1,19 +1,43 @@
 //! Adaptive binary range coding, after (Martin 1979) with the carry handling of LZMA.
 //!
 //! 32 bits of range, probabilities of 16 bits. The encoder drops trailing zero bytes; the decoder
-//! reads zeros past the end, so a block of nothing but expected bits takes no byte at all.
+//! reads zeros past the end, so a block of nothing but expected bits takes no byte at all. Both are
+//! exact integer arithmetic; `docs/codec.md` (Range coder) gives every step.
+//!
+//! A syntax is written once, over a [`BinaryCoder`], and then both encodes and decodes:
+//!
+//! ```
+//! use mocapd_codec::range::{BinaryCoder, Bit, RangeDecoder, RangeEncoder};
+//!
+//! fn late<C: BinaryCoder>(coder: &mut C, model: &mut Bit, late: bool) -> bool {
+//!     coder.bit(model, late)
+//! }
+//!
+//! let mut bytes = Vec::new();
+//! let mut encoder = RangeEncoder::new(&mut bytes, usize::MAX);
+//! let mut model = Bit::expecting(4);
+//! (0..60).for_each(|row| drop(late(&mut encoder, &mut model, row == 40)));
+//! assert!(encoder.finish());
+//! assert!(bytes.len() <= 2);
+//!
+//! let mut decoder = RangeDecoder::new(&bytes);
+//! let mut model = Bit::expecting(4);
+//! (0..60).for_each(|row| assert_eq!(late(&mut decoder, &mut model, false), row == 40));
+//! decoder.finish()?;
+//! # Ok::<(), mocapd_codec::CodecError>(())
+//! ```
 
 mod decoder;
 mod encoder;
 
-pub(crate) use self::{decoder::RangeDecoder, encoder::RangeEncoder};
+pub use self::{decoder::RangeDecoder, encoder::RangeEncoder};
 
 /// The range is refilled below this.
 const TOP: u32 = 1 << 24;
 
 /// One adaptive bit: two estimates of the probability of `false`, a nimble one and a steady one.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Bit {
+pub struct Bit {
     nimble: u16,
     steady: u16,
     /// Bits seen, saturating: young estimates move faster.
@@ -30,11 +54,13 @@ impl Bit {
     /// How many bits a first guess weighs.
     const PRIOR_SEEN: u8 = 14;
 
-    pub(crate) const NEW: Self = Self { nimble: 1 << 15, steady: 1 << 15, seen: 0 };
+    /// Even odds, nothing seen.
+    pub const NEW: Self = Self { nimble: 1 << 15, steady: 1 << 15, seen: 0 };
 
     /// Starts from the odds of `true` in 1/256, as if a few bits had been seen.
-    pub(crate) fn expecting(odds: u8) -> Self {
-        let estimate = u16::MAX - (u16::from(odds) << 8 | 0x80);
+    #[must_use]
+    pub const fn expecting(odds: u8) -> Self {
+        let estimate = u16::MAX - ((odds as u16) << 8 | 0x80);
         Self { nimble: estimate, steady: estimate, seen: Self::PRIOR_SEEN }
     }
 
@@ -60,7 +86,7 @@ impl Bit {
 }
 
 /// Encoder and decoder behind one face, so that a syntax is written once for both.
-pub(crate) trait BinaryCoder {
+pub trait BinaryCoder {
     /// Encodes `bit` and gives it back, or ignores it and gives the decoded one.
     fn split(&mut self, probability: u32, bit: bool) -> bool;
 

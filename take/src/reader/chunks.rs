@@ -1,0 +1,94 @@
+//! From whole chunks to events.
+
+use super::{TakeEvent, TakeReader};
+use crate::{
+    TakeError, chunk,
+    chunk::{Front, MAY_SKIP, types},
+    foreign,
+    index::{Footer, parse_index},
+    record::{Event, Header, Ledger, MoreChannels, Record},
+    stretch::{Chain, Placed},
+};
+
+impl TakeReader {
+    /// The chunk at `start` of the buffer, whose CRC matched.
+    pub(super) fn interpret(
+        &mut self,
+        kind: u8,
+        start: usize,
+        len: usize,
+    ) -> Result<TakeEvent<'_>, TakeError> {
+        let offset = self.base + start as u64;
+        let Front::Whole { payload, .. } = chunk::split(&self.buffer[start..start + len]) else {
+            return Err(TakeError::NotATake("a chunk vanished while it was read"));
+        };
+        let Some(chain) = &mut self.chain else {
+            if kind == types::HEADER {
+                let header = Header::from_payload(payload, offset)?;
+                header.check()?;
+                let tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz);
+                self.chain = Some(Chain::new(header.stretch_rows, tick_hz));
+                self.bytes.header += len as u64;
+                return Ok(TakeEvent::Header(Box::new(header)));
+            }
+            self.bytes.other += len as u64;
+            let message = format!("a chunk of type {kind:02x} before the header");
+            return Ok(TakeEvent::Damaged { offset, len: len as u64, message });
+        };
+        let event = match kind {
+            types::CHANNELS => {
+                MoreChannels::from_payload(payload, offset).map(|more| TakeEvent::Channels(more.0))
+            }
+            types::STRETCH => chain.place(payload).map(TakeEvent::from).map_err(|message| {
+                TakeError::Corrupt { what: "stretch", offset, message: message.to_owned() }
+            }),
+            types::EVENT => Event::from_payload(payload, offset).map(TakeEvent::Event),
+            types::LEDGER => {
+                Ledger::from_payload(payload, offset).map(|l| TakeEvent::Ledger(Box::new(l)))
+            }
+            types::FOREIGN => foreign::from_payload(payload, offset).map(TakeEvent::Foreign),
+            types::INDEX => parse_index(payload, offset).map(TakeEvent::Index),
+            types::FOOTER => Footer::from_payload(payload, offset)
+                .inspect(|_| self.seen_footer = true)
+                .map(TakeEvent::Footer),
+            _ if kind & MAY_SKIP != 0 => Ok(TakeEvent::Skipped { kind }),
+            _ => {
+                let message = match kind {
+                    types::HEADER => "a second header".to_owned(),
+                    _ => format!("chunk type {kind:02x} is unknown: use a newer mocapd"),
+                };
+                Ok(TakeEvent::Damaged { offset, len: len as u64, message })
+            }
+        };
+        let event = event.unwrap_or_else(|error| match error {
+            TakeError::Unsupported { .. } if kind & MAY_SKIP != 0 => TakeEvent::Skipped { kind },
+            error => {
+                let message = error.to_string();
+                TakeEvent::Damaged { offset, len: len as u64, message }
+            }
+        });
+        self.bytes.add(&event, len as u64);
+        Ok(event)
+    }
+}
+
+impl<'a> From<Placed<'a>> for TakeEvent<'a> {
+    fn from(placed: Placed<'a>) -> Self {
+        match placed {
+            Placed::Stretch(stretch) => Self::Stretch(stretch),
+            Placed::Unplaced { missing_before, n_rows, rows_min } => {
+                Self::Unplaced { missing_before, n_rows, rows_min }
+            }
+        }
+    }
+}
+
+/// Whether damaged bytes are one chunk by its own head, and no stretch: then none was among them. Bytes
+/// that are missing altogether leave pieces of two chunks, and no head fits these.
+pub(super) fn is_one_other_chunk(damaged: &[u8]) -> bool {
+    matches!(
+        chunk::split(damaged),
+        Front::Whole { kind, len, .. }
+            if len == damaged.len() && kind != types::STRETCH && types::ALL.contains(&kind)
+    )
+}

@@ -1,0 +1,99 @@
+//! From stretch to stretch: which row one begins at, and what the clocks said before it.
+
+use super::{NUMBERS, Span, Stretch, front::Front, take_blocks};
+use crate::{
+    timeline::{Timeline, TimelineDecoder},
+    varint,
+};
+
+/// A stretch, or what is known of one whose place is not.
+#[derive(Debug)]
+pub(crate) enum Placed<'a> {
+    Stretch(Stretch<'a>),
+    /// It goes on from one that is missing or damaged.
+    Unplaced {
+        missing_before: bool,
+        n_rows: u32,
+        /// The rows that the take has at least, up to the end of this one.
+        rows_min: u64,
+    },
+}
+
+/// Follows the stretches of a take.
+///
+/// A key stretch states its row and its clocks; any other goes on from the one before it. So after
+/// anything that may have hidden a stretch no row is given, up to the next key stretch: nobody could
+/// decode its blocks either.
+#[derive(Debug)]
+pub(crate) struct Chain {
+    stretch_rows: u32,
+    times: TimelineDecoder,
+    /// The row after the last stretch; after damage the least that it can be.
+    next_row: u64,
+    /// The number of the next stretch, as far as is known.
+    next_number: u8,
+    /// What comes next does not follow from what was read.
+    broken: bool,
+}
+
+impl Chain {
+    /// At the start of a take.
+    pub(crate) fn new(stretch_rows: u32, tick_hz: u64) -> Self {
+        Self {
+            stretch_rows,
+            times: TimelineDecoder::new(tick_hz),
+            next_row: 0,
+            next_number: 0,
+            broken: true,
+        }
+    }
+
+    /// A stretch may have been there.
+    pub(crate) fn break_off(&mut self) {
+        self.broken = true;
+    }
+
+    /// The payload of the next STRETCH that was found. An error says what is wrong with it.
+    pub(crate) fn place<'a>(&mut self, payload: &'a [u8]) -> Result<Placed<'a>, &'static str> {
+        // Until it is read to its end, it is as good as missing.
+        let was_broken = std::mem::replace(&mut self.broken, true);
+        let mut cursor = varint::Cursor::new(payload);
+        let front = Front::take(&mut cursor, self.stretch_rows)?;
+        let mut sizes = front.sizes;
+        let blocks = take_blocks(&mut cursor, front.alone, front.n_rows, &mut sizes)?;
+        let missing_before = self.next_number != front.number;
+        let from_row = match front.from_row {
+            Some(row) => row,
+            None if was_broken || missing_before => {
+                self.next_number = (front.number + 1) % NUMBERS;
+                self.next_row = self.next_row.saturating_add(front.rows_passed);
+                let (n_rows, rows_min) = (front.n_rows, self.next_row);
+                return Ok(Placed::Unplaced { missing_before, n_rows, rows_min });
+            }
+            None => self.next_row,
+        };
+        let end_row =
+            from_row.checked_add(front.rows_passed).ok_or("its rows do not fit a counter")?;
+        let timeline = match front.runs {
+            Some(runs) => {
+                let mut timeline = Timeline { first_row: from_row, runs, times: Vec::new() };
+                self.times
+                    .decode(&mut timeline, front.key, front.times)
+                    .ok_or("its times make no sense")?;
+                Some(timeline)
+            }
+            None => None,
+        };
+        self.next_row = end_row;
+        self.next_number = (front.number + 1) % NUMBERS;
+        self.broken = false;
+        let span = Span {
+            first_row: end_row - u64::from(front.n_rows),
+            n_rows: front.n_rows,
+            key: front.key,
+            number: front.number,
+        };
+        let shared = front.shared;
+        Ok(Placed::Stretch(Stretch { span, missing_before, timeline, shared, blocks, sizes }))
+    }
+}

@@ -1,0 +1,193 @@
+//! What stands in front of a stretch's blocks: docs/take-format.md, "STRETCH".
+
+use super::{NUMBERS, ROWS_MAX, Sizes, Span};
+use crate::{
+    timeline::{Causes, Run, Timeline, TimelineEncoder, take_times},
+    varint,
+};
+
+const KEY: u8 = 1;
+const PLAIN: u8 = 2;
+const ALONE: u8 = 4;
+const NUMBER_SHIFT: u32 = 3;
+
+const HAS_TIMES: u8 = 1;
+const RUNS_LISTED: u8 = 2;
+const ROWS_LISTED: u8 = 4;
+const SHARED: u8 = 8;
+
+/// Most recorded rows of one stretch with a time line: ten times half a second at 10 kHz, a megabyte and
+/// a half in memory.
+const RECORDED_MAX: u64 = 1 << 16;
+
+/// Most rows of one run: days at 10 kHz.
+const RUN_ROWS_MAX: u64 = 1 << 32;
+
+/// Writes the fronts of a take's stretches, in order.
+#[derive(Debug)]
+pub struct FrontWriter {
+    stretch_rows: u32,
+    times: Option<TimelineEncoder>,
+}
+
+impl FrontWriter {
+    /// For stretches without a time line, as an import has them. `stretch_rows` as in the take's HEADER.
+    #[must_use]
+    pub fn new(stretch_rows: u32) -> Self {
+        Self { stretch_rows, times: None }
+    }
+
+    /// For stretches with their time line.
+    #[must_use]
+    pub fn with_times(stretch_rows: u32, times: TimelineEncoder) -> Self {
+        Self { stretch_rows, times: Some(times) }
+    }
+
+    /// Appends the front of a stretch; [`put_block`](super::put_block) for every channel in table order
+    /// follows. `timeline` has the rows from the end of the stretch before to the end of this one, and is
+    /// left out without [`with_times`](Self::with_times). `alone`: at most one block will follow.
+    pub fn put(
+        &mut self,
+        span: Span,
+        timeline: &Timeline,
+        shared: &[u8],
+        alone: bool,
+        out: &mut Vec<u8>,
+    ) {
+        let lost = timeline.runs.iter().any(|run| run.lost.is_some());
+        let timed = self.times.is_some();
+        let shape = flag(timed, HAS_TIMES)
+            | flag(timed && lost, RUNS_LISTED)
+            | flag(span.n_rows != self.stretch_rows, ROWS_LISTED)
+            | flag(!shared.is_empty(), SHARED);
+        let plain = shape == HAS_TIMES;
+        let flags = flag(span.key, KEY) | flag(plain, PLAIN) | flag(alone, ALONE);
+        out.push(flags | ((span.number % NUMBERS) << NUMBER_SHIFT));
+        if !plain {
+            out.push(shape);
+        }
+        if span.key {
+            let first_row = if timed { timeline.first_row } else { span.first_row };
+            varint::put(out, first_row);
+        }
+        if shape & ROWS_LISTED != 0 {
+            varint::put(out, u64::from(span.n_rows));
+        }
+        if shape & RUNS_LISTED != 0 {
+            varint::put(out, timeline.runs.len() as u64);
+            for run in &timeline.runs {
+                varint::put(out, (run.rows << 1) | u64::from(run.lost.is_some()));
+                out.extend(run.lost.map(|causes| causes.0));
+            }
+        }
+        if let Some(times) = &mut self.times {
+            times.encode(timeline, span.key, out);
+        }
+        if !shared.is_empty() {
+            varint::put(out, shared.len() as u64);
+            out.extend_from_slice(shared);
+        }
+    }
+}
+
+fn flag(set: bool, bit: u8) -> u8 {
+    if set { bit } else { 0 }
+}
+
+/// A front as it stands in the bytes: what it is to the stretch before is not looked at.
+#[derive(Debug)]
+pub(crate) struct Front<'a> {
+    pub(crate) key: bool,
+    pub(crate) alone: bool,
+    pub(crate) number: u8,
+    /// Of a key stretch: the row after the stretch before.
+    pub(crate) from_row: Option<u64>,
+    pub(crate) n_rows: u32,
+    /// Of a stretch with a time line: what became of the rows from `from_row` on.
+    pub(crate) runs: Option<Vec<Run>>,
+    /// Rows from `from_row` to the end: `n_rows`, and those lost before.
+    pub(crate) rows_passed: u64,
+    pub(crate) times: &'a [u8],
+    pub(crate) shared: &'a [u8],
+    pub(crate) sizes: Sizes,
+}
+
+impl<'a> Front<'a> {
+    /// The front of `cursor`. An error says what is wrong.
+    pub(crate) fn take(
+        cursor: &mut varint::Cursor<'a>,
+        stretch_rows: u32,
+    ) -> Result<Self, &'static str> {
+        let short = "its front is cut short";
+        let before = cursor.rest().len();
+        let head = cursor.byte().ok_or(short)?;
+        let shape = if head & PLAIN != 0 { HAS_TIMES } else { cursor.byte().ok_or(short)? };
+        let key = head & KEY != 0;
+        if shape > HAS_TIMES | RUNS_LISTED | ROWS_LISTED | SHARED
+            || shape & (HAS_TIMES | RUNS_LISTED) == RUNS_LISTED
+        {
+            return Err("its shape is unknown: use a newer mocapd");
+        }
+        let from_row = if key { Some(cursor.varint().ok_or(short)?) } else { None };
+        let listed = shape & ROWS_LISTED != 0;
+        let n_rows = if listed { cursor.varint().ok_or(short)? } else { stretch_rows.into() };
+        if n_rows > ROWS_MAX {
+            return Err("it claims more rows than a stretch can hold");
+        }
+        let in_head = before - cursor.rest().len();
+        let runs = match shape & (HAS_TIMES | RUNS_LISTED) {
+            0 => None,
+            HAS_TIMES if n_rows == 0 => Some(Vec::new()),
+            HAS_TIMES => Some(vec![Run { rows: n_rows, lost: None }]),
+            _ => Some(take_runs(cursor).ok_or("its runs make no sense")?),
+        };
+        let rows_of = |runs: &[Run], all: bool| {
+            let runs = runs.iter().filter(|run| all || run.lost.is_none());
+            runs.fold(0_u64, |sum, run| sum.saturating_add(run.rows))
+        };
+        let (rows_passed, n_recorded) =
+            runs.as_deref().map_or((n_rows, 0), |runs| (rows_of(runs, true), rows_of(runs, false)));
+        if rows_passed < n_rows || n_recorded > RECORDED_MAX {
+            return Err("its runs make no sense");
+        }
+        let times = if n_recorded > 0 { take_times(cursor, key).ok_or(short)? } else { &[] };
+        let in_time_line = before - cursor.rest().len() - in_head;
+        let mut shared = &[][..];
+        let mut framing = in_head;
+        if shape & SHARED != 0 {
+            let left = cursor.rest().len();
+            shared = cursor.varint().and_then(|n| cursor.take(n)).ok_or(short)?;
+            framing += left - cursor.rest().len() - shared.len();
+        }
+        Ok(Self {
+            key,
+            alone: head & ALONE != 0,
+            number: head >> NUMBER_SHIFT,
+            from_row,
+            n_rows: n_rows as u32,
+            runs,
+            rows_passed,
+            times,
+            shared,
+            sizes: Sizes {
+                framing: framing as u64,
+                time_line: in_time_line as u64,
+                blocks: shared.len() as u64,
+                ..Sizes::default()
+            },
+        })
+    }
+}
+
+fn take_runs(cursor: &mut varint::Cursor<'_>) -> Option<Vec<Run>> {
+    let mut runs = Vec::new();
+    for _ in 0..cursor.varint()? {
+        let head = cursor.varint()?;
+        let lost = if head & 1 == 1 { Some(Causes(cursor.byte()?)) } else { None };
+        if head >> 1 > RUN_ROWS_MAX {
+            return None;
+        }
+        runs.push(Run { rows: head >> 1, lost });
+    }
+    Some(runs)
+}

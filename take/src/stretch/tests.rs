@@ -1,0 +1,173 @@
+//! Stretches there and back, and what a missing one does to the next.
+
+use super::{Chain, FrontWriter, NUMBERS, Placed, Span, Stretch, put_block};
+use crate::timeline::{Causes, RowTime, Run, Timeline, TimelineEncoder};
+
+const TICK_HZ: u64 = 1_000_000;
+const STRETCH_ROWS: u32 = 30;
+
+/// Payloads of stretches with loss here and there, and the time lines they were made of.
+fn written(n: u64) -> Vec<(Span, Timeline, Vec<u8>)> {
+    let times = TimelineEncoder::new(TICK_HZ, 60.0);
+    let mut front = FrontWriter::with_times(STRETCH_ROWS, times);
+    let mut row = 0;
+    let stretch = |i: u64| {
+        let mut timeline = Timeline::default();
+        timeline.restart(row);
+        let rows = if i == 0 || i % 7 == 3 { 6 } else { STRETCH_ROWS.into() };
+        let lost_before = if i % 5 == 4 { 100 } else { 0 };
+        timeline.push_lost(lost_before, Causes::NOT_RECEIVED);
+        while timeline.n_rows() < lost_before + rows {
+            let at = row + timeline.n_rows();
+            if i % 6 == 5 && at % 30 == 10 {
+                timeline.push_lost(1, Causes::RING_FULL);
+            }
+            timeline.push(RowTime {
+                device_ticks: at * 1_000_000 / 60,
+                arrival_10us: at * 100_000 / 60,
+                timecode: None,
+            });
+        }
+        let n_rows = (timeline.n_rows() - lost_before) as u32;
+        let span = Span {
+            first_row: row + lost_before,
+            n_rows,
+            key: i.is_multiple_of(20),
+            number: (i % u64::from(NUMBERS)) as u8,
+        };
+        row += timeline.n_rows();
+        let mut payload = Vec::new();
+        let alone = i.is_multiple_of(2);
+        front.put(span, &timeline, &[], alone, &mut payload);
+        put_block(b"a block", alone, &mut payload);
+        (span, timeline, payload)
+    };
+    (0..n).map(stretch).collect()
+}
+
+fn placed<'a>(chain: &mut Chain, payload: &'a [u8]) -> Option<Stretch<'a>> {
+    match chain.place(payload).unwrap() {
+        Placed::Stretch(stretch) => Some(stretch),
+        Placed::Unplaced { .. } => None,
+    }
+}
+
+fn assert_same(found: &Stretch<'_>, span: Span, timeline: &Timeline) {
+    assert_eq!(found.span, span);
+    assert_eq!(found.blocks, [b"a block"]);
+    let times = found.timeline.as_ref().unwrap();
+    assert_eq!((times.first_row, &times.runs), (timeline.first_row, &timeline.runs));
+    for (found, wanted) in times.times.iter().zip(&timeline.times) {
+        assert_eq!(found.device_ticks, wanted.device_ticks);
+        assert!(found.arrival_10us.abs_diff(wanted.arrival_10us) <= 32);
+    }
+}
+
+#[test]
+fn all_come_back_and_their_bytes_are_counted() {
+    let mut chain = Chain::new(STRETCH_ROWS, TICK_HZ);
+    for (i, (span, timeline, payload)) in written(100).into_iter().enumerate() {
+        let stretch = placed(&mut chain, &payload).unwrap();
+        assert!(!stretch.missing_before);
+        assert_same(&stretch, span, &timeline);
+        let sizes = stretch.sizes;
+        let sum = sizes.framing + sizes.time_line + sizes.lengths + sizes.blocks;
+        assert_eq!(sum, payload.len() as u64);
+        if i == 2 {
+            assert!(sizes.framing == 1 && sizes.time_line <= 3, "{sizes:?}");
+        }
+    }
+}
+
+/// Nobody can know which rows the stretches after it have, and none is given up to the next key.
+#[test]
+fn behind_a_missing_stretch_no_row_is_given_that_could_be_wrong() {
+    let written = written(64);
+    for n_missing in [1, 2, 19, 20, 31] {
+        for first in 0..30 {
+            let mut chain = Chain::new(STRETCH_ROWS, TICK_HZ);
+            for (i, (span, timeline, payload)) in written.iter().enumerate() {
+                if (first..first + n_missing).contains(&i) {
+                    continue;
+                }
+                let found = placed(&mut chain, payload);
+                let after_key = i < first || i / 20 * 20 >= first + n_missing;
+                assert_eq!(found.is_some(), after_key, "{i} without {first} and {n_missing}");
+                if let Some(found) = found {
+                    assert_same(&found, *span, timeline);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn what_may_have_hidden_a_stretch_breaks_the_chain() {
+    let written = written(25);
+    let mut chain = Chain::new(STRETCH_ROWS, TICK_HZ);
+    let mut found = written.iter().enumerate().map(|(i, (.., payload))| {
+        if i == 7 {
+            chain.break_off();
+        }
+        placed(&mut chain, payload).is_some()
+    });
+    assert!(found.by_ref().take(7).all(|found| found));
+    assert!(found.by_ref().take(13).all(|found| !found));
+    assert!(found.all(|found| found));
+}
+
+#[test]
+fn a_take_may_end_with_lost_rows() {
+    let times = TimelineEncoder::new(TICK_HZ, 60.0);
+    let mut front = FrontWriter::with_times(STRETCH_ROWS, times);
+    let mut timeline = Timeline::default();
+    timeline.restart(0);
+    timeline.push_lost(77, Causes::DISCONNECTED);
+    let span = Span { first_row: 77, n_rows: 0, key: true, number: 0 };
+    let mut payload = Vec::new();
+    front.put(span, &timeline, &[], false, &mut payload);
+    let mut chain = Chain::new(STRETCH_ROWS, TICK_HZ);
+    let stretch = placed(&mut chain, &payload).unwrap();
+    assert_eq!((stretch.span, stretch.blocks.len()), (span, 0));
+    let runs = stretch.timeline.unwrap().runs;
+    assert_eq!(runs, [Run { rows: 77, lost: Some(Causes::DISCONNECTED) }]);
+}
+
+#[test]
+fn an_import_has_no_time_line_and_states_every_row() {
+    let mut front = FrontWriter::new(600);
+    let mut chain = Chain::new(600, 1);
+    for (number, n_rows) in [(0, 600), (1, 600), (2, 55)] {
+        let span = Span { first_row: u64::from(number) * 600, n_rows, key: true, number };
+        let mut payload = Vec::new();
+        front.put(span, &Timeline::default(), b"shared", false, &mut payload);
+        for block in [&b"one"[..], b"", b"three"] {
+            put_block(block, false, &mut payload);
+        }
+        let stretch = placed(&mut chain, &payload).unwrap();
+        assert_eq!((stretch.span, stretch.shared), (span, &b"shared"[..]));
+        assert_eq!(stretch.blocks, [&b"one"[..], b"", b"three"]);
+        assert!(stretch.timeline.is_none());
+    }
+}
+
+#[test]
+fn every_cut_and_every_mutation_gives_an_error_or_a_stretch() {
+    let written = written(6);
+    let before = |chain: &mut Chain| {
+        written[..5].iter().for_each(|(.., payload)| drop(chain.place(payload)));
+    };
+    let payload = &written[5].2;
+    for at in 0..payload.len() {
+        let mut chain = Chain::new(STRETCH_ROWS, TICK_HZ);
+        before(&mut chain);
+        drop(chain.place(&payload[..at]));
+        for value in 0..=255 {
+            let mut chain = Chain::new(STRETCH_ROWS, TICK_HZ);
+            before(&mut chain);
+            let mut damaged = payload.clone();
+            damaged[at] = value;
+            drop(chain.place(&damaged));
+        }
+    }
+}

@@ -1,0 +1,83 @@
+//! What a live take costs beside its blocks.
+
+use mocapd_drivers::device::Frame;
+use mocapd_simulator::generator::JumpSpec;
+use mocapd_take::record::{Header, Record};
+
+use crate::support::{TICK_HZ, chunks, config, dense, samples, start};
+
+/// Frames of a minute.
+const SECONDS: f64 = 60.0;
+
+/// How late frames come: some tens of microseconds, half a percent of them up to four milliseconds.
+struct Lateness(u64);
+
+impl Lateness {
+    fn next_ns(&mut self) -> u64 {
+        let mut uniform = || {
+            self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            self.0 >> 40
+        };
+        let jitter = (0..4).map(|_| uniform() % 30_000).sum::<u64>();
+        if uniform() % 200 == 0 { jitter + uniform() % 4_000_000 } else { jitter }
+    }
+}
+
+/// A minute of `n_markers`, without waiting for it: what its take takes.
+fn a_minute(n_markers: usize, rate_hz: f64) -> Vec<u8> {
+    let spec = JumpSpec { seconds: Some(SECONDS), n_markers, ..JumpSpec::new(1, rate_hz) };
+    let motion = spec.generate().unwrap().motion;
+    let (mut intake, pipeline) = start(&config(&motion, dense(1.0)), Vec::new());
+    let mut lateness = Lateness(1);
+    for seq in 0..motion.n_frames() {
+        while intake.is_full() {
+            std::thread::yield_now();
+        }
+        // The counter began before the recording did, and the clocks differ by 20 ppm.
+        let seconds = (seq + 9_999) as f64 / rate_hz;
+        let markers = samples(motion.frame(seq));
+        let frame = Frame {
+            seq: seq as u32,
+            device_ticks: (seconds * TICK_HZ as f64).round() as u64,
+            timecode: None,
+            markers: &markers,
+        };
+        let arrival_ns = 86_400_000_000_000 + (seconds * 1.000_02e9) as u64 + lateness.next_ns();
+        intake.frame(&frame, arrival_ns);
+    }
+    intake.finish();
+    pipeline.finish().unwrap().1
+}
+
+/// The limits are absolute: a tenth of the file is what they are at 1 mm.
+#[test]
+fn the_time_line_and_the_framing_of_a_minute_are_small() {
+    for (n_markers, rate_hz, most) in [(15, 60.0, 12.0), (64, 240.0, 25.0)] {
+        let take = a_minute(n_markers, rate_hz);
+        let found = chunks(&take);
+        let (bytes, n_stretches) = (found.bytes, found.keys.len());
+        assert_eq!(bytes.sum(), take.len() as u64);
+        let each = (bytes.framing + bytes.time_line) as f64 / n_stretches as f64;
+        println!(
+            "{n_markers} at {rate_hz} Hz: {each:.2} bytes a stretch: {bytes:?}, {n_stretches}"
+        );
+        assert!(each <= most, "{n_markers} at {rate_hz} Hz: {each} bytes a stretch");
+
+        // Ledgers of a real minute: at 0, 5, 10, 20 and 40 s, and the last.
+        let ledger = found.ledgers.last().unwrap().to_payload().unwrap().len() as u64 + 7;
+        let labels: usize = found.labels.iter().map(String::len).sum();
+        let rest = bytes.header + bytes.index + 6 * ledger - labels as u64;
+        assert!(rest <= 2048, "{rest} bytes of header, index and ledgers");
+    }
+}
+
+#[test]
+fn a_take_of_an_older_development_version_is_refused_in_words() {
+    let mut header = mocapd::header::new(&dense(1.0), 60.0).unwrap();
+    header.codec_version = 1;
+    let mut take = mocapd_take::chunk::MAGIC.to_vec();
+    mocapd_take::chunk::put(&mut take, Header::KIND, &header.to_payload().unwrap()).unwrap();
+    let frames = mocapd_take::TakeFrames::open(std::io::Cursor::new(take));
+    let error = frames.unwrap_err().to_string();
+    assert!(error.contains("has version 1") && error.contains("development version"), "{error}");
+}
