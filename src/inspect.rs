@@ -19,10 +19,9 @@ pub struct ChannelSummary {
     pub gaps: u64,
     /// Samples kept.
     pub knots: u64,
-    /// The largest error that its blocks state, in millimetres.
+    /// The largest error that the blocks with samples of it state for all their channels, in
+    /// millimetres.
     pub max_error_mm: f64,
-    /// Bytes of its blocks.
-    pub payload_bytes: u64,
     in_gap: bool,
 }
 
@@ -210,19 +209,7 @@ impl Summary {
             self.rows = self.rows.max(end);
             return;
         }
-        if let Some(nameless_from) = Some(self.channels.len()).filter(|&n| n < stretch.blocks.len())
-        {
-            self.problems.push(format!(
-                "the names of {} markers are lost",
-                stretch.blocks.len() - nameless_from
-            ));
-            let nameless = (nameless_from..stretch.blocks.len()).map(|column| Channel {
-                marker_id: u16::MAX,
-                label: nameless(column).label,
-                labelled: false,
-            });
-            self.add_channels(&nameless.collect::<Vec<_>>());
-        }
+        self.name_channels(stretch.stated_channels());
         let refused = if span.first_row < self.end_of_stretches {
             decoder.pass();
             Some("it comes twice".to_owned())
@@ -247,11 +234,9 @@ impl Summary {
         }
         let mut present_in = vec![0_u32; n_rows];
         let mut kept_in = vec![false; n_rows];
-        let blocks = stretch.blocks.iter().map(|block| block.len() as u64);
-        for ((channel, rows), bytes) in self.per_channel.iter_mut().zip(decoder.rows()).zip(blocks)
-        {
-            channel.payload_bytes += bytes;
-            let Some(rows) = rows else {
+        let rows = decoder.rows().chain(std::iter::repeat(None));
+        for (channel, rows) in self.per_channel.iter_mut().zip(rows) {
+            let Some(rows) = rows.filter(|rows| rows.has_samples()) else {
                 channel.gaps += u64::from(!std::mem::replace(&mut channel.in_gap, true));
                 continue;
             };
@@ -271,8 +256,20 @@ impl Summary {
             self.key_rows += u64::from(kept);
             self.samples_in_key_rows += if kept { u64::from(present) } else { 0 };
         }
-        for channel in self.per_channel.iter_mut().skip(stretch.blocks.len()) {
-            channel.gaps += u64::from(!std::mem::replace(&mut channel.in_gap, true));
+    }
+
+    /// A stretch has samples of so many channels at least: those without an entry in the table get one.
+    fn name_channels(&mut self, n_channels: usize) {
+        let nameless_from = self.channels.len();
+        if nameless_from < n_channels {
+            let lost = n_channels - nameless_from;
+            self.problems.push(format!("the names of {lost} markers are lost"));
+            let nameless = (nameless_from..n_channels).map(|column| Channel {
+                marker_id: u16::MAX,
+                label: nameless(column).label,
+                labelled: false,
+            });
+            self.add_channels(&nameless.collect::<Vec<_>>());
         }
     }
 }

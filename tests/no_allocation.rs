@@ -124,7 +124,7 @@ fn wait_for(stretches: &AtomicU64, wanted: u64) {
 fn the_sample_path_does_not_allocate_after_the_start() {
     let occlusion = Some(Occlusion { fraction: 0.1, mean_gap_s: 0.1 });
     let spec =
-        JumpSpec { seconds: Some(14.0), n_markers: 40, occlusion, ..JumpSpec::new(1, RATE_HZ) };
+        JumpSpec { seconds: Some(14.0), n_markers: 70, occlusion, ..JumpSpec::new(1, RATE_HZ) };
     let motion = spec.generate().unwrap().motion;
     // The first stretch has 24 rows, the others 120; the 1st and the 20th are key stretches.
     let (warm_up, measured) = (wire(&motion, 0, 24 + 4 * 120), wire(&motion, 504, 504 + 20 * 120));
@@ -151,6 +151,6 @@ fn the_sample_path_does_not_allocate_after_the_start() {
         intake.finish();
         let (written, _) = pipeline.finish().unwrap();
         assert_eq!(written.ledger.recorded, 504 + 20 * 120);
-        assert_eq!(allocations, 0, "{kind}: 2400 frames of 40 markers");
+        assert_eq!(allocations, 0, "{kind}: 2400 frames of 70 markers");
     }
 }

@@ -227,6 +227,12 @@ fn hostile_sizes_cost_no_memory() {
         assert!(matches!(reader.next_event().unwrap(), Some(TakeEvent::Header(_))));
         assert!(matches!(reader.next_event().unwrap(), Some(TakeEvent::Damaged { .. })));
     }
+    // A block that claims 4 M rows of all channels of its group: found when it is to be decoded.
+    let group = [&[1, 4, 0, 0x80, 0x80, 0x80, 0x02][..], &[3, 0x40, 64, 0]].concat();
+    let mut take = front.clone();
+    chunk::put(&mut take, chunk::types::STRETCH, &group).unwrap();
+    let problems = mocapd::inspect::Summary::read(&take[..]).unwrap().problems;
+    assert!(problems[1].contains("more samples than a stretch can hold"), "{problems:?}");
     let mut long = front;
     long.extend_from_slice(&[chunk::types::STRETCH, 0xff, 0xff, 0xff, 0xff, 0x03, 1, 2, 3]);
     assert!(rows(&long).1.iter().any(|p| p.contains("inside a chunk")));

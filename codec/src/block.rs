@@ -1,9 +1,16 @@
-//! The contract of every resampler: one channel's rows over one stretch in, one block out, and back.
+//! The contract of every resampler: one group of channels over one stretch in, one block out, and back.
 
 use crate::{CodecError, Position};
 
-/// One channel over one stretch: a row per frame.
-#[derive(Debug, Clone, Copy)]
+/// Most channels of a group: those that lie this far apart in a take's channel table are coded together.
+///
+/// What a block costs whatever is in it (its length, its head, the ends of its coders, what it learns
+/// anew after a key) is then paid once for a whole body; and a hundred markers still make two groups,
+/// for as many processors.
+pub const GROUP_CHANNELS: usize = 64;
+
+/// One channel over one stretch: a row per frame. None by default.
+#[derive(Debug, Clone, Copy, Default)]
 pub struct Rows<'a> {
     positions: &'a [Position],
     present: &'a [bool],
@@ -72,7 +79,7 @@ pub(crate) fn runs(present: &[bool]) -> impl Iterator<Item = std::ops::Range<usi
     })
 }
 
-/// What an encoder proved about the block it just wrote.
+/// What an encoder proved about one channel of the block it just wrote.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct BlockReport {
     /// Samples present.
@@ -82,17 +89,18 @@ pub struct BlockReport {
     /// Largest Euclidean distance between a sample and its float32 reconstruction, in millimetres,
     /// measured, not estimated.
     pub max_error_mm: f64,
-    /// Blocks that missed the tolerance at first and were coded again, tighter.
-    pub recoded: u32,
 }
 
-/// Encodes the blocks of one channel, in order. State may run from block to block.
+/// Encodes the blocks of one group of channels, in order. State may run from block to block.
 pub trait BlockEncoder: Send + std::fmt::Debug {
-    /// Allocates what blocks of up to `n_rows` rows will ever need; not called, it is allocated as
-    /// blocks need it. What a debug build checks behind every block is not part of it.
-    fn prepare(&mut self, n_rows: usize);
+    /// Allocates what blocks of up to so many channels and rows will ever need; not called, it is
+    /// allocated as blocks need it. What a debug build checks behind every block is not part of it.
+    fn prepare(&mut self, n_channels: usize, n_rows: usize);
 
-    /// Appends one block to `out`: nothing at all when no row is present.
+    /// Appends one block to `out`: nothing at all when no channel has a sample.
+    ///
+    /// `channels` are 1 to [`GROUP_CHANNELS`], each with the same number of rows; `reports` gets one
+    /// a channel. Between two key blocks a channel keeps its place, and new ones come behind.
     ///
     /// `key` forgets all state first, so that a decoder may start here. `shared` is what
     /// [`Settings::plan`](crate::Settings::plan) gave for this stretch. Does not allocate after
@@ -100,36 +108,43 @@ pub trait BlockEncoder: Send + std::fmt::Debug {
     /// [`max_block_bytes`](crate::Settings::max_block_bytes) (live kinds).
     ///
     /// # Errors
-    /// `InvalidArgument` when a present sample is not finite; `out` is then as it was.
+    /// `InvalidArgument` when a present sample is not finite, or the slices do not fit each other;
+    /// `out` is then as it was.
     fn encode(
         &mut self,
-        rows: Rows<'_>,
+        channels: &[Rows<'_>],
         shared: &[u8],
         key: bool,
         out: &mut Vec<u8>,
-    ) -> Result<BlockReport, CodecError>;
+        reports: &mut [BlockReport],
+    ) -> Result<(), CodecError>;
 }
 
-/// Decodes the blocks of one channel, in order, starting at a key block.
+/// Decodes the blocks of one group of channels, in order, starting at a key block.
+///
+/// What it allocates goes with the rows times the channels of a block, which
+/// [`stated_channels`](crate::stated_channels) tells beforehand.
 pub trait BlockDecoder: Send + std::fmt::Debug {
-    /// Replaces `out` by the rows of one block. An empty block is `n_rows` absent rows.
+    /// Replaces `out` by the rows of one block, an entry for each channel that it has: those from
+    /// the group's first to the last one with a sample since the key block. The memory in `out` is
+    /// used again. An empty block has none.
     ///
     /// # Errors
-    /// `Corrupt` or `Truncated`; the decoder then needs a key block to go on.
+    /// `Corrupt` or `Truncated`; `out` is then empty and the decoder needs a key block to go on.
     fn decode(
         &mut self,
         block: &[u8],
         shared: &[u8],
         n_rows: usize,
         key: bool,
-        out: &mut DecodedRows,
+        out: &mut Vec<DecodedRows>,
     ) -> Result<(), CodecError>;
 
     /// Passes an empty block: rows without a sample, however many.
     fn skip(&mut self, key: bool);
 }
 
-/// The rows of one decoded block. Reused from block to block.
+/// The rows of one channel of a decoded block. Reused from block to block.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct DecodedRows {
     /// One position a row; `[0.0; 3]` where not present.
@@ -138,12 +153,18 @@ pub struct DecodedRows {
     pub present: Vec<bool>,
     /// Whether the sample was kept (a knot) rather than interpolated.
     pub kept: Vec<bool>,
-    /// The bound that the block states for itself, in millimetres: at least the largest error the
-    /// encoder measured, rounded up to the block's one byte, never above the tolerance.
+    /// The bound that the block states for all its channels, in millimetres: at least the largest
+    /// error the encoder measured, rounded up to a 63rd of the tolerance, never above it.
     pub max_error_mm: f64,
 }
 
 impl DecodedRows {
+    /// Whether any row has a sample.
+    #[must_use]
+    pub fn has_samples(&self) -> bool {
+        self.present.contains(&true)
+    }
+
     /// `n_rows` absent rows, in the memory already there.
     pub(crate) fn clear_to(&mut self, n_rows: usize) {
         self.positions.clear();

@@ -1,9 +1,9 @@
-//! The promise of a block: how far it lies from its samples, measured and then stated in one byte.
+//! The promise of a block: how far it lies from its samples, measured and then stated in six bits.
 
 use crate::Position;
 
-/// Steps of the stated bound; 0 is kept for exact payloads.
-pub(crate) const STATED_STEPS: u8 = 127;
+/// Steps of the stated bound.
+pub(crate) const STATED_STEPS: u8 = 63;
 
 /// Euclidean distance in f64, in millimetres.
 pub(crate) fn distance_mm(a: Position, b: Position) -> f64 {
@@ -14,7 +14,7 @@ pub(crate) fn distance_mm(a: Position, b: Position) -> f64 {
     (square(0) + square(1) + square(2)).sqrt()
 }
 
-/// The bound that a byte states, in millimetres.
+/// The bound that a step states, in millimetres.
 pub(crate) fn stated_mm(step: u8, tolerance_mm: f64) -> f64 {
     match step {
         0 => 0.0,
@@ -24,13 +24,13 @@ pub(crate) fn stated_mm(step: u8, tolerance_mm: f64) -> f64 {
     }
 }
 
-/// The smallest byte from 1 up that states at least `error_mm`; none when that is over the tolerance.
+/// The smallest step that states at least `error_mm`; none when that is over the tolerance.
 pub(crate) fn stated_step(error_mm: f64, tolerance_mm: f64) -> Option<u8> {
     if error_mm.is_nan() || error_mm > tolerance_mm {
         return None;
     }
     let guess = (error_mm / tolerance_mm * f64::from(STATED_STEPS)).ceil() as u8;
-    (guess.max(1)..=STATED_STEPS).find(|&step| stated_mm(step, tolerance_mm) >= error_mm)
+    (guess..=STATED_STEPS).find(|&step| stated_mm(step, tolerance_mm) >= error_mm)
 }
 
 #[cfg(test)]
@@ -46,7 +46,7 @@ mod tests {
                 let stated = stated_mm(step, tolerance);
                 assert!(stated >= error && stated <= tolerance, "{error} {stated} {tolerance}");
                 let finer = stated_mm(step.saturating_sub(1), tolerance);
-                assert!(step == 1 || finer < error, "{step} is not the smallest for {error}");
+                assert!(step == 0 || finer < error, "{step} is not the smallest for {error}");
             }
             assert_eq!(stated_step(tolerance.next_up(), tolerance), None);
         }

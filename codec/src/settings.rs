@@ -5,7 +5,7 @@ use std::{fmt, str::FromStr};
 use crate::{
     BlockDecoder, BlockEncoder, CodecError, Rows,
     dense::{DenseDecoder, DenseEncoder},
-    fast::Fast,
+    fast::{FastDecoder, FastEncoder},
     frame::{self, FramedDecoder, FramedEncoder, PayloadEncoder},
     lossless::Lossless,
     spline::Spline,
@@ -134,13 +134,15 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// A new encoder for one channel; allocate one a channel, at start.
+    /// A new encoder for one group of channels; allocate one a group, at start.
+    ///
+    /// Without a key block it is as behind a key block without samples; so is a new decoder.
     #[must_use]
     pub fn encoder(&self) -> Box<dyn BlockEncoder> {
         let tolerance = self.tolerance;
         match self.kind {
             ResamplerKind::Dense => framed(DenseEncoder::new(tolerance), self.dense(), tolerance),
-            ResamplerKind::Fast => framed(self.fast(), self.fast(), tolerance),
+            ResamplerKind::Fast => framed(FastEncoder::new(tolerance), self.fast(), tolerance),
             ResamplerKind::Lossless => framed(Lossless::default(), Lossless::default(), tolerance),
             ResamplerKind::Spline(variant) => {
                 framed(self.spline(variant), self.spline(variant), tolerance)
@@ -149,7 +151,7 @@ impl Settings {
         }
     }
 
-    /// A new decoder for one channel.
+    /// A new decoder for one group of channels.
     #[must_use]
     pub fn decoder(&self) -> Box<dyn BlockDecoder> {
         let tolerance = self.tolerance;
@@ -168,8 +170,8 @@ impl Settings {
         DenseDecoder::new(self.tolerance)
     }
 
-    fn fast(&self) -> Fast {
-        Fast::new(self.tolerance)
+    fn fast(&self) -> FastDecoder {
+        FastDecoder::new(self.tolerance)
     }
 
     fn spline(&self, variant: SplineVariant) -> Spline {
@@ -192,16 +194,17 @@ impl Settings {
         }
     }
 
-    /// Most bytes that `encode` can append for a block of `n_rows` rows.
+    /// Most bytes that `encode` can append for a block of so many channels and rows.
     #[must_use]
-    pub fn max_block_bytes(&self, n_rows: usize) -> usize {
-        match self.kind {
-            ResamplerKind::Spline(_) => frame::max_block_bytes::<Spline>(n_rows),
-            ResamplerKind::Sync(_) => frame::max_block_bytes::<Sync>(n_rows),
-            ResamplerKind::Dense => frame::max_block_bytes::<DenseEncoder>(n_rows),
-            ResamplerKind::Fast => frame::max_block_bytes::<Fast>(n_rows),
-            ResamplerKind::Lossless => frame::max_block_bytes::<Lossless>(n_rows),
-        }
+    pub fn max_block_bytes(&self, n_channels: usize, n_rows: usize) -> usize {
+        let most = match self.kind {
+            ResamplerKind::Spline(_) => frame::max_block_bytes::<Spline>,
+            ResamplerKind::Sync(_) => frame::max_block_bytes::<Sync>,
+            ResamplerKind::Dense => frame::max_block_bytes::<DenseEncoder>,
+            ResamplerKind::Fast => frame::max_block_bytes::<FastEncoder>,
+            ResamplerKind::Lossless => frame::max_block_bytes::<Lossless>,
+        };
+        most(n_channels, n_rows)
     }
 }
 

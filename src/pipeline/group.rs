@@ -1,7 +1,7 @@
 //! A group of channels, or the time line: rings in, one part a stretch out.
 
 use crossbeam_channel::{Receiver, Sender, bounded};
-use mocapd_codec::{BlockEncoder, Position, Rows};
+use mocapd_codec::{BlockEncoder, BlockReport, CodecError, GROUP_CHANNELS, Position, Rows};
 use mocapd_take::{record::Header, stretch::put_block};
 
 use super::{
@@ -23,51 +23,51 @@ pub(super) struct Group {
 
 #[derive(Debug)]
 enum Content {
-    Channels(Vec<Slot>, Scratch),
+    Channels(Box<Channels>),
     Timeline(Box<TimelineCoder>),
+}
+
+/// One stretch of the group's channels, and their block.
+#[derive(Debug)]
+struct Channels {
+    first_slot: usize,
+    slots: Vec<Slot>,
+    encoder: Box<dyn BlockEncoder>,
+    samples: Vec<Sample>,
+    block: Vec<u8>,
 }
 
 #[derive(Debug)]
 struct Slot {
     ring: RingOut<Sample>,
-    encoder: Box<dyn BlockEncoder>,
-}
-
-/// One stretch of one channel, and its block.
-#[derive(Debug)]
-struct Scratch {
-    first_slot: usize,
-    samples: Vec<Sample>,
     positions: Vec<Position>,
     present: Vec<bool>,
-    block: Vec<u8>,
 }
 
 impl Group {
     /// Group `index` of the plan, and the reader's ends of its rings.
     pub(super) fn channels(plan: &Plan, index: usize) -> (Self, Vec<RingIn<Sample>>) {
-        let first_slot = index * plan.group_slots;
-        let n_slots = plan.group_slots.min(plan.n_slots - first_slot);
+        let rows = plan.stretch_rows as usize;
+        let n_slots = plan.slots_of(index).len();
         let mut producers = Vec::with_capacity(n_slots);
         let slots = (0..n_slots)
             .map(|_| {
-                let (producer, consumer) = ring(plan.ring_rows());
+                let (producer, ring) = ring(plan.ring_rows());
                 producers.push(producer);
-                let mut encoder = plan.codec.encoder();
-                encoder.prepare(plan.stretch_rows as usize);
-                Slot { ring: consumer, encoder }
+                let (positions, present) = (Vec::with_capacity(rows), Vec::with_capacity(rows));
+                Slot { ring, positions, present }
             })
             .collect();
-        let rows = plan.stretch_rows as usize;
-        let scratch = Scratch {
-            first_slot,
+        let mut encoder = plan.codec.encoder();
+        encoder.prepare(n_slots, rows);
+        let content = Content::Channels(Box::new(Channels {
+            first_slot: plan.slots_of(index).start,
+            slots,
+            encoder,
             samples: vec![Sample::default(); rows],
-            positions: Vec::with_capacity(rows),
-            present: Vec::with_capacity(rows),
-            block: Vec::with_capacity(plan.block_bytes_max()),
-        };
-        let content = Content::Channels(slots, scratch);
-        (Self::new(plan, index, content, plan.part_bytes_max()), producers)
+            block: Vec::with_capacity(plan.part_bytes_max(index)),
+        }));
+        (Self::new(plan, index, content, plan.part_bytes_max(index)), producers)
     }
 
     /// The time line's group, and the reader's end of its ring.
@@ -112,7 +112,7 @@ impl Group {
             };
             bytes.clear();
             let report = match &mut self.content {
-                Content::Channels(slots, scratch) => scratch.encode(slots, &job.end, &mut bytes),
+                Content::Channels(channels) => channels.encode(&job.end, &mut bytes),
                 Content::Timeline(coder) => {
                     coder.encode(&job.end, &mut bytes);
                     PartReport::default()
@@ -128,39 +128,45 @@ impl Group {
     }
 }
 
-impl Scratch {
-    /// One block for each active channel.
-    fn encode(&mut self, slots: &mut [Slot], end: &StretchEnd, out: &mut Vec<u8>) -> PartReport {
-        let mut report = PartReport::default();
+impl Channels {
+    /// One block of the active channels.
+    fn encode(&mut self, end: &StretchEnd, out: &mut Vec<u8>) -> PartReport {
         let n_rows = end.span.n_rows as usize;
-        if n_rows == 0 {
-            return report;
+        let n_channels = end.n_channels.saturating_sub(self.first_slot).min(self.slots.len());
+        if n_rows == 0 || n_channels == 0 {
+            return PartReport::default();
         }
-        let active = end.n_channels.saturating_sub(self.first_slot);
-        for slot in slots.iter_mut().take(active) {
+        for slot in &mut self.slots[..n_channels] {
             let n = slot.ring.pop_slice(&mut self.samples[..n_rows]);
             debug_assert_eq!(n, n_rows, "a closed stretch is in its rings");
-            self.positions.clear();
-            self.present.clear();
-            self.positions.extend(self.samples[..n_rows].iter().map(|s| s.position_mm));
-            self.present.extend(self.samples[..n_rows].iter().map(|s| s.present));
-            self.block.clear();
-            let coded = Rows::new(&self.positions, &self.present)
-                .and_then(|rows| slot.encoder.encode(rows, &[], end.span.key, &mut self.block));
-            match coded {
-                Ok(block) => {
-                    report.samples += u64::from(block.samples);
-                    report.kept += u64::from(block.kept);
-                    report.max_error_mm = report.max_error_mm.max(block.max_error_mm);
-                    report.recoded += u64::from(block.recoded);
-                }
-                Err(_) => {
-                    self.block.clear();
-                    report.refused += 1;
-                }
-            }
-            put_block(&self.block, end.n_channels == 1, out);
+            slot.positions.clear();
+            slot.present.clear();
+            slot.positions.extend(self.samples[..n_rows].iter().map(|s| s.position_mm));
+            slot.present.extend(self.samples[..n_rows].iter().map(|s| s.present));
         }
+        self.block.clear();
+        let key = end.span.key;
+        let report = self.encode_rows(n_channels, key).unwrap_or_else(|_| {
+            // A reader will see a stretch without samples: so must the encoder.
+            self.block.clear();
+            self.slots[..n_channels].iter_mut().for_each(|slot| slot.present.fill(false));
+            drop(self.encode_rows(n_channels, key));
+            PartReport { refused: 1, ..PartReport::default() }
+        });
+        put_block(&self.block, end.n_channels <= GROUP_CHANNELS, out);
         report
+    }
+
+    fn encode_rows(&mut self, n_channels: usize, key: bool) -> Result<PartReport, CodecError> {
+        let mut rows = [Rows::default(); GROUP_CHANNELS];
+        for (rows, slot) in rows.iter_mut().zip(&self.slots[..n_channels]) {
+            *rows = Rows::new(&slot.positions, &slot.present)?;
+        }
+        let mut reports = [BlockReport::default(); GROUP_CHANNELS];
+        let (rows, reports) = (&rows[..n_channels], &mut reports[..n_channels]);
+        self.encoder.encode(rows, &[], key, &mut self.block, reports)?;
+        let mut report = PartReport::default();
+        reports.iter().for_each(|channel| report.add_channel(channel));
+        Ok(report)
     }
 }

@@ -1,5 +1,6 @@
 //! What the threads of the pipeline hand to each other.
 
+use mocapd_codec::BlockReport;
 use mocapd_take::{
     record::{Channel, Event},
     stretch::Span,
@@ -32,7 +33,7 @@ pub(super) struct Part {
     pub(super) end: StretchEnd,
     /// Which group; the time line's is the last.
     pub(super) group: usize,
-    /// Blocks with their lengths, or the front with its time line. Goes back to the group when written.
+    /// The group's block with its length, or the front with its time line. Goes back to the group when written.
     pub(super) bytes: Vec<u8>,
     pub(super) report: PartReport,
     /// From the time line's group.
@@ -45,17 +46,21 @@ pub(super) struct PartReport {
     pub(super) samples: u64,
     pub(super) kept: u64,
     pub(super) max_error_mm: f64,
-    pub(super) recoded: u64,
     /// Blocks that the encoder refused: a fault of this program, told in the ledger.
     pub(super) refused: u64,
 }
 
 impl PartReport {
+    pub(super) fn add_channel(&mut self, channel: &BlockReport) {
+        self.samples += u64::from(channel.samples);
+        self.kept += u64::from(channel.kept);
+        self.max_error_mm = self.max_error_mm.max(channel.max_error_mm);
+    }
+
     pub(super) fn add(&mut self, other: &Self) {
         self.samples += other.samples;
         self.kept += other.kept;
         self.max_error_mm = self.max_error_mm.max(other.max_error_mm);
-        self.recoded += other.recoded;
         self.refused += other.refused;
     }
 }

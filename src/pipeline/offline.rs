@@ -1,27 +1,27 @@
-//! Codes trajectories that are already in memory: the import path. Each channel is one worker's from
-//! its first stretch to its last, so the bytes are the same for any number of threads.
+//! Codes trajectories that are already in memory: the import path. Every stretch is a key stretch, so
+//! that groups of channels over stretches are coded on their own, whichever thread takes them, and the
+//! bytes are the same for any number of threads.
+
+mod columns;
+mod jobs;
 
 use std::{
-    collections::VecDeque,
     io::Write,
-    sync::{
-        Mutex,
-        atomic::{AtomicU64, AtomicUsize, Ordering},
-    },
-    thread::Builder,
+    sync::atomic::{AtomicU64, Ordering},
 };
 
-use anyhow::{Context, anyhow, ensure};
-use mocapd_codec::{BlockReport, Position, Rows, Settings};
+use anyhow::{Context, ensure};
+use mocapd_codec::{GROUP_CHANNELS, Settings};
 use mocapd_take::{
     TakeWriter,
-    motion::{Motion, is_gap},
+    motion::Motion,
     record::{Header, Ledger},
     stretch::{FrontWriter, NUMBERS, ROWS_MAX, SAMPLES_MAX, Span, put_block},
     timeline::Timeline,
 };
 
-use super::Written;
+use self::{columns::Columns, jobs::in_order};
+use super::{Written, messages::PartReport};
 
 /// Length of a stretch of an import, and so the distance of key stretches.
 const STRETCH_S: f64 = 10.0;
@@ -37,25 +37,13 @@ pub fn stretch_rows(codec: &Settings, rate_hz: f64, n_rows: usize, n_markers: us
     }
 }
 
-/// One channel in memory, row by row.
-struct Column {
-    positions: Vec<Position>,
-    present: Vec<bool>,
-}
-
-impl Column {
-    fn of(motion: &Motion, marker: usize) -> Self {
-        let stride = motion.info.markers.len();
-        let positions: Vec<_> =
-            motion.positions_mm.iter().skip(marker).step_by(stride).copied().collect();
-        let present = positions.iter().map(|&p| !is_gap(p)).collect();
-        Self { positions, present }
-    }
-
-    fn rows(&self, first: usize, n: usize) -> anyhow::Result<Rows<'_>> {
-        let range = first..(first + n).min(self.positions.len());
-        Ok(Rows::new(&self.positions[range.clone()], &self.present[range])?)
-    }
+/// One group over one stretch.
+#[derive(Debug, Clone, Copy)]
+struct Part {
+    first_row: usize,
+    n_rows: usize,
+    first_marker: usize,
+    n_markers: usize,
 }
 
 /// Codes `motion` with the settings in `header` and writes a whole take. `progress` counts samples.
@@ -79,110 +67,62 @@ pub fn write_take<W: Write>(
          use dense, fast or lossless",
         codec.kind
     );
-    let columns: Vec<Column> = (0..n_markers).map(|marker| Column::of(motion, marker)).collect();
-    let shared = if codec.kind.is_live() {
-        Vec::new()
-    } else {
-        let rows: Vec<_> = columns.iter().map(|c| c.rows(0, n_rows)).collect::<Result<_, _>>()?;
-        codec.plan(&rows)?
-    };
-    let coded = encode_all(&columns, &codec, &shared, stretch_rows, n_workers, progress)?;
+    let shared = columns::plan(motion, &codec)?;
+    let parts = (0..n_rows).step_by(stretch_rows).flat_map(|first_row| {
+        // A take without markers has its stretches all the same.
+        (0..n_markers.max(1)).step_by(GROUP_CHANNELS).map(move |first_marker| Part {
+            first_row,
+            n_rows: stretch_rows.min(n_rows - first_row),
+            first_marker,
+            n_markers: GROUP_CHANNELS.min(n_markers - first_marker),
+        })
+    });
 
     let mut take = TakeWriter::new(out, header).context("cannot write the take's header")?;
     for part in &motion.info.foreign {
         take.foreign(part).with_context(|| format!("cannot keep {}", part.kind))?;
     }
-    let mut written = Written::default();
-    let mut blocks: Vec<VecDeque<Vec<u8>>> = Vec::with_capacity(n_markers);
-    for channel in coded {
-        for report in &channel.reports {
-            written.samples += u64::from(report.samples);
-            written.kept += u64::from(report.kept);
-            written.max_error_mm = written.max_error_mm.max(report.max_error_mm);
-            written.recoded += u64::from(report.recoded);
-        }
-        blocks.push(channel.blocks.into());
-    }
     let mut payload = Vec::new();
     let mut front = FrontWriter::new(header.stretch_rows);
-    for first in (0..n_rows).step_by(stretch_rows) {
-        let n = stretch_rows.min(n_rows - first);
-        let number = (first / stretch_rows % usize::from(NUMBERS)) as u8;
-        let span = Span { first_row: first as u64, n_rows: n as u32, key: true, number };
-        payload.clear();
-        let alone = blocks.len() == 1;
-        front.put(span, &Timeline::default(), &shared, alone, &mut payload);
-        for channel in &mut blocks {
-            put_block(&channel.pop_front().unwrap_or_default(), alone, &mut payload);
+    let mut report = PartReport::default();
+    let alone = n_markers <= GROUP_CHANNELS;
+    let worker = || {
+        let (mut encoder, mut columns) = (codec.encoder(), Columns::default());
+        let shared = &shared;
+        move |part: &Part| {
+            columns.fill(motion, *part);
+            let mut block = Vec::new();
+            let report = columns.encode(&mut *encoder, shared, &mut block)?;
+            progress.fetch_add((part.n_rows * part.n_markers) as u64, Ordering::Relaxed);
+            Ok((block, report))
         }
-        take.stretch(span, &payload).context("cannot write a stretch")?;
-    }
+    };
+    in_order(parts, n_workers, worker, |part, (block, of_part): (Vec<u8>, PartReport)| {
+        let number = (part.first_row / stretch_rows % usize::from(NUMBERS)) as u8;
+        let (first_row, n_rows) = (part.first_row as u64, part.n_rows as u32);
+        let span = Span { first_row, n_rows, key: true, number };
+        if part.first_marker == 0 {
+            payload.clear();
+            front.put(span, &Timeline::default(), &shared, alone, &mut payload);
+        }
+        put_block(&block, alone, &mut payload);
+        report.add(&of_part);
+        if part.first_marker + part.n_markers == n_markers {
+            take.stretch(span, &payload).context("cannot write a stretch")?;
+        }
+        Ok(())
+    })?;
     let announced = (n_rows * n_markers) as u64;
-    written.ledger = Ledger {
+    let ledger = Ledger {
         finished: true,
         frames_sent: n_rows as u64,
         recorded: n_rows as u64,
         samples_announced: announced,
-        samples_present: written.samples,
-        samples_occluded: announced - written.samples,
+        samples_present: report.samples,
+        samples_occluded: announced - report.samples,
         ..Ledger::default()
     };
-    let (out, file_bytes) = take.finish(&written.ledger).context("cannot close the take")?;
-    written.file_bytes = file_bytes;
-    Ok((written, out))
-}
-
-/// One channel's blocks, stretch by stretch.
-#[derive(Default)]
-struct Coded {
-    blocks: Vec<Vec<u8>>,
-    reports: Vec<BlockReport>,
-}
-
-fn encode_all(
-    columns: &[Column],
-    codec: &Settings,
-    shared: &[u8],
-    stretch_rows: usize,
-    n_workers: usize,
-    progress: &AtomicU64,
-) -> anyhow::Result<Vec<Coded>> {
-    let next = AtomicUsize::new(0);
-    let done: Mutex<Vec<Option<Coded>>> = Mutex::new(columns.iter().map(|_| None).collect());
-    let lost = || anyhow!("a resampler thread failed");
-    std::thread::scope(|scope| {
-        let work = || -> anyhow::Result<()> {
-            loop {
-                let index = next.fetch_add(1, Ordering::Relaxed);
-                let Some(column) = columns.get(index) else { return Ok(()) };
-                let coded = encode(column, codec, shared, stretch_rows)?;
-                progress.fetch_add(column.positions.len() as u64, Ordering::Relaxed);
-                done.lock().map_err(|_| lost())?[index] = Some(coded);
-            }
-        };
-        let mut workers = Vec::new();
-        for index in 0..n_workers.clamp(1, columns.len().max(1)) {
-            let name = format!("mocapd-work-{index}");
-            workers.push(Builder::new().name(name).spawn_scoped(scope, work)?);
-        }
-        workers.into_iter().try_for_each(|worker| worker.join().map_err(|_| lost())?)
-    })?;
-    done.into_inner().map_err(|_| lost())?.into_iter().map(|coded| coded.ok_or_else(lost)).collect()
-}
-
-fn encode(
-    column: &Column,
-    codec: &Settings,
-    shared: &[u8],
-    stretch_rows: usize,
-) -> anyhow::Result<Coded> {
-    let mut encoder = codec.encoder();
-    let mut coded = Coded::default();
-    for first in (0..column.positions.len()).step_by(stretch_rows) {
-        let mut block = Vec::new();
-        let rows = column.rows(first, stretch_rows)?;
-        coded.reports.push(encoder.encode(rows, shared, true, &mut block)?);
-        coded.blocks.push(block);
-    }
-    Ok(coded)
+    let (out, file_bytes) = take.finish(&ledger).context("cannot close the take")?;
+    let PartReport { samples, kept, max_error_mm, .. } = report;
+    Ok((Written { ledger, file_bytes, samples, kept, max_error_mm }, out))
 }

@@ -1,9 +1,9 @@
 //! How large everything is: each bound with its arithmetic.
 
-use std::time::Duration;
+use std::{ops::Range, time::Duration};
 
 use anyhow::ensure;
-use mocapd_codec::Settings;
+use mocapd_codec::{GROUP_CHANNELS, Settings};
 use mocapd_take::{record::Channel, stretch::SAMPLES_MAX};
 
 use super::ring::Sample;
@@ -88,9 +88,6 @@ pub(super) const RUNS_MAX: usize = 8;
 /// device announces at most its whole table at once, in one message.
 pub(super) const CONTROL_MAX: usize = 1024;
 
-/// Groups per worker: enough that an uneven one is shared out, few enough that a wake is worth it.
-const GROUPS_PER_WORKER: usize = 4;
-
 /// The sizes that follow from a [`PipelineConfig`].
 #[derive(Debug, Clone)]
 pub(super) struct Plan {
@@ -98,7 +95,6 @@ pub(super) struct Plan {
     pub(super) codec: Settings,
     pub(super) workers: usize,
     pub(super) n_slots: usize,
-    pub(super) group_slots: usize,
     pub(super) stretch_rows: u32,
     pub(super) first_stretch_rows: u32,
     pub(super) key_rows: u64,
@@ -125,7 +121,6 @@ impl Plan {
             codec: config.codec,
             workers,
             n_slots,
-            group_slots: n_slots.div_ceil(workers * GROUPS_PER_WORKER).clamp(1, 16),
             stretch_rows: config.stretch_rows(),
             // The rings are made for stretches of `stretch`.
             first_stretch_rows: config.rows(config.first_stretch.min(config.stretch)),
@@ -144,13 +139,20 @@ impl Plan {
         Ok(Self { coded_stretches, ..plan })
     }
 
+    /// The codec's groups, whatever the number of workers: the same take for any of them.
     pub(super) fn n_groups(&self) -> usize {
-        self.n_slots.div_ceil(self.group_slots)
+        self.groups_of(self.n_slots)
+    }
+
+    /// The slots of a group.
+    pub(super) fn slots_of(&self, group: usize) -> Range<usize> {
+        let first = group * GROUP_CHANNELS;
+        first..(first + GROUP_CHANNELS).min(self.n_slots)
     }
 
     /// Groups that hold the first `n_channels` channels.
     pub(super) fn groups_of(&self, n_channels: usize) -> usize {
-        n_channels.div_ceil(self.group_slots)
+        n_channels.div_ceil(GROUP_CHANNELS)
     }
 
     /// Rows in every channel's ring.
@@ -178,14 +180,11 @@ impl Plan {
         (self.n_groups() + 1) * self.buffers_per_group()
     }
 
-    /// Most bytes of one block, its length included.
-    pub(super) fn block_bytes_max(&self) -> usize {
-        self.codec.max_block_bytes(self.stretch_rows as usize) + 5
-    }
-
-    /// Most bytes of a group's part. Allocated as a whole, but only what is written becomes resident.
-    pub(super) fn part_bytes_max(&self) -> usize {
-        self.group_slots * self.block_bytes_max()
+    /// Most bytes of a group's part: its block, and five of its length. Allocated as a whole, but only
+    /// what is written becomes resident.
+    pub(super) fn part_bytes_max(&self, group: usize) -> usize {
+        let (n_channels, n_rows) = (self.slots_of(group).len(), self.stretch_rows as usize);
+        self.codec.max_block_bytes(n_channels, n_rows) + 5
     }
 
     /// Room for a stretch's front: per item a run (11 + 1), ticks and arrival (16 unless both are noise of
@@ -196,6 +195,7 @@ impl Plan {
 
     /// Most bytes of a stretch's payload.
     pub(super) fn stretch_bytes_max(&self) -> usize {
-        self.n_groups() * self.part_bytes_max() + self.front_bytes_max()
+        let parts = (0..self.n_groups()).map(|group| self.part_bytes_max(group));
+        parts.sum::<usize>() + self.front_bytes_max()
     }
 }

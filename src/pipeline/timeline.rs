@@ -1,5 +1,6 @@
 //! The time line's group: one front a stretch, with the times of its rows.
 
+use mocapd_codec::GROUP_CHANNELS;
 use mocapd_take::{
     record::Header,
     stretch::FrontWriter,
@@ -51,7 +52,8 @@ impl TimelineCoder {
             }
         }
         if self.timeline.n_rows() > 0 {
-            self.front.put(end.span, &self.timeline, &[], end.n_channels == 1, out);
+            let alone = end.n_channels <= GROUP_CHANNELS;
+            self.front.put(end.span, &self.timeline, &[], alone, out);
         }
     }
 }

@@ -182,7 +182,6 @@ impl<W: TakeOutput> Writer<W> {
             samples: self.report.samples,
             kept: self.report.kept,
             max_error_mm: self.report.max_error_mm,
-            recoded: self.report.recoded,
         };
         Ok((written, output.0))
     }

@@ -55,7 +55,7 @@ impl<R: Read + Seek> TakeFrames<R> {
                 TakeEvent::Channels(more) => info.markers.extend(more.iter().map(Into::into)),
                 TakeEvent::Stretch(stretch) => {
                     info.n_frames = info.n_frames.max(stretch.span.end_row());
-                    n_channels = n_channels.max(stretch.blocks.len());
+                    n_channels = n_channels.max(stretch.stated_channels());
                 }
                 TakeEvent::Unplaced { rows_min, .. } => {
                     damaged = true;
@@ -129,7 +129,7 @@ impl<R: Read + Seek> TakeFrames<R> {
                         "comes twice".to_owned()
                     } else {
                         match self.decoder.decode(&stretch) {
-                            Ok(_) => {
+                            Ok(()) => {
                                 self.current = Some(span);
                                 return Ok(true);
                             }
@@ -180,7 +180,7 @@ impl<R: Read + Seek> FrameSource for TakeFrames<R> {
         {
             let i = (at - span.first_row) as usize;
             for (position, rows) in row.iter_mut().zip(self.decoder.rows()) {
-                if let Some(rows) = rows.as_ref().filter(|rows| rows.present[i]) {
+                if let Some(rows) = rows.filter(|rows| rows.present[i]) {
                     *position = rows.positions[i];
                 }
             }

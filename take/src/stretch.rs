@@ -9,6 +9,8 @@ mod tests;
 
 pub(crate) use self::chain::{Chain, Placed};
 pub use self::{decoder::StretchDecoder, front::FrontWriter};
+use mocapd_codec::GROUP_CHANNELS;
+
 use crate::{timeline::Timeline, varint};
 
 /// Most rows of one stretch: over an hour at 1000 Hz, for the resamplers that are not cut into blocks.
@@ -20,8 +22,8 @@ pub const SAMPLES_MAX: u64 = 1 << 25;
 /// Stretches are counted modulo this.
 pub const NUMBERS: u8 = 32;
 
-/// Most channels: marker ids have 16 bits.
-const CHANNELS_MAX: usize = 1 << 16;
+/// Most groups: marker ids have 16 bits.
+const GROUPS_MAX: usize = (1 << 16) / GROUP_CHANNELS;
 
 /// Where a stretch lies and whether a decoder can start at it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -68,13 +70,26 @@ pub struct Stretch<'a> {
     pub timeline: Option<Timeline>,
     /// What its channels share.
     pub shared: &'a [u8],
-    /// Its blocks, by channel; channels after the last have no samples.
+    /// Its blocks, one a group of [`GROUP_CHANNELS`] channels in table order; groups after the last have
+    /// no samples.
     pub blocks: Vec<&'a [u8]>,
     /// What its bytes are for.
     pub sizes: Sizes,
 }
 
-/// Appends one channel's block; one that is `alone` in its stretch needs no length.
+impl Stretch<'_> {
+    /// The channels that its blocks state, those before them included. The most of a take's stretches
+    /// is how many channels it has samples of at least.
+    #[must_use]
+    pub fn stated_channels(&self) -> usize {
+        let stated = |(group, block): (usize, &&[u8])| {
+            Some(group * GROUP_CHANNELS + mocapd_codec::stated_channels(block)?)
+        };
+        self.blocks.iter().enumerate().filter_map(stated).max().unwrap_or(0)
+    }
+}
+
+/// Appends one group's block; one that is `alone` in its stretch needs no length.
 pub fn put_block(block: &[u8], alone: bool, out: &mut Vec<u8>) {
     if !alone {
         varint::put(out, block.len() as u64);
@@ -95,7 +110,7 @@ fn take_blocks<'a>(
         blocks.push(all);
     }
     while !alone && !cursor.is_empty() {
-        if blocks.len() == CHANNELS_MAX {
+        if blocks.len() == GROUPS_MAX {
             return Err("it has more channels than there are marker ids");
         }
         let block = cursor.varint().and_then(|n| cursor.take(n));

@@ -3,7 +3,7 @@
 use mocapd_take::motion::{Motion, is_gap};
 
 use super::Folder;
-use crate::support::{chunks, jump};
+use crate::support::{chunks, crowd, jump};
 
 fn samples(motion: &Motion) -> u64 {
     motion.positions_mm.iter().filter(|&&position| !is_gap(position)).count() as u64
@@ -63,13 +63,14 @@ fn every_resampler_keeps_its_bound_and_tells_what_it_did() {
 #[test]
 fn the_bytes_are_the_same_for_any_number_of_threads() {
     let folder = Folder::new();
-    folder.write_motion("jump.csv", &jump(8, 120.0, 12.0));
+    folder.write_motion("jump.csv", &crowd(8, 60.0, 42.0));
     let blocks = |threads: &str| {
         let take = format!("{threads}.take");
         let import = ["import", "jump.csv", "-o", &take, "--threads", threads];
         folder.run(&import).with_code(0);
         let found = chunks(&folder.read(&take));
-        assert!(found.finished && found.keys.len() == 2, "{:?}", found.keys);
+        assert!(found.finished && found.keys.len() == 5, "{:?}", found.keys);
+        assert_eq!(found.blocks.len(), 5 * 3, "150 markers");
         (found.labels, found.keys, found.blocks)
     };
     let one = blocks("1");

@@ -3,7 +3,9 @@
 use mocapd_drivers::device::{MarkerInfo, MarkerSample};
 use mocapd_take::motion::is_gap;
 
-use crate::support::{chunks, config, dense, feed_samples, jump, rows, samples, start};
+use crate::support::{
+    chunks, config, dense, fast, feed_samples, jump, lossless, rows, samples, start,
+};
 
 #[test]
 fn a_marker_that_appears_becomes_a_channel() {
@@ -41,6 +43,45 @@ fn a_marker_that_appears_becomes_a_channel() {
     for (seq, row) in rows(&take).0.iter().enumerate() {
         assert_eq!(is_gap(row[15]), seq < 77, "{seq}");
         assert_eq!(is_gap(row[16]), seq < 130, "{seq}");
+    }
+}
+
+/// A second group of channels begins in the middle, and not with a key stretch.
+#[test]
+fn markers_that_appear_may_need_another_group() {
+    for codec in [dense(0.5), fast(0.5), lossless()] {
+        let motion = jump(6, 100.0, 12.0);
+        let (mut intake, pipeline) = start(&config(&motion, codec), Vec::new());
+        let seen = |seq: usize, id: u16| {
+            seq > 310 + usize::from(id) && !(seq / 50 + usize::from(id)).is_multiple_of(3)
+        };
+        for seq in 0..1200 {
+            let mut markers = samples(motion.frame(seq));
+            let position_mm = [seq as f32, 2.0, 3.0];
+            for id in (100..175).filter(|&id| seen(seq, id)) {
+                markers.push(MarkerSample { id, position_mm, ..Default::default() });
+            }
+            while intake.is_full() {
+                std::thread::yield_now();
+            }
+            feed_samples(&mut intake, 100.0, seq, &markers);
+        }
+        intake.finish();
+        let (written, take) = pipeline.finish().unwrap();
+        assert!(written.ledger.closes());
+        let (rows, problems) = rows(&take);
+        assert!(problems.is_empty(), "{problems:?}");
+        let mut ids: Vec<u16> = (100..175).collect();
+        let first = |id: &u16| (0..1200).find(|&seq| seen(seq, *id)).unwrap_or(1200);
+        ids.sort_by_key(|id| (first(id), *id));
+        let n_pool = 64;
+        for (seq, row) in rows.iter().enumerate() {
+            assert_eq!(row.len(), 15 + n_pool);
+            for (position, &id) in row[15..].iter().zip(&ids) {
+                assert_eq!(is_gap(*position), !seen(seq, id), "{} {id} in {seq}", codec.kind);
+                assert!(is_gap(*position) || (position[0] - seq as f32).abs() <= 0.5);
+            }
+        }
     }
 }
 

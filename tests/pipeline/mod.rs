@@ -7,7 +7,9 @@ mod overload;
 
 use mocapd_take::motion::is_gap;
 
-use crate::support::{chunks, config, dense, distance_mm, jump, lossless, record, rows};
+use crate::support::{
+    chunks, config, crowd, dense, distance_mm, fast, jump, lossless, record, rows,
+};
 
 #[test]
 fn every_sample_is_within_the_tolerance_and_every_gap_in_place() {
@@ -31,9 +33,9 @@ fn every_sample_is_within_the_tolerance_and_every_gap_in_place() {
 
 #[test]
 fn the_bytes_do_not_depend_on_the_number_of_threads() {
-    let motion = jump(2, 500.0, 4.0);
+    let motion = crowd(2, 200.0, 12.0);
     let blocks = |workers| {
-        let config = mocapd::pipeline::PipelineConfig { workers, ..config(&motion, dense(1.0)) };
+        let config = mocapd::pipeline::PipelineConfig { workers, ..config(&motion, fast(1.0)) };
         let found = chunks(&record(&motion, &config, 0..motion.n_frames()).1);
         (found.keys, found.timelines, found.blocks)
     };

@@ -27,6 +27,18 @@ pub(crate) fn jump(seed: u64, rate_hz: f64, seconds: f64) -> Motion {
     spec.generate().unwrap().motion
 }
 
+/// The same of more markers than a block has room for.
+pub(crate) fn crowd(seed: u64, rate_hz: f64, seconds: f64) -> Motion {
+    let occlusion = Some(Occlusion { fraction: 0.05, mean_gap_s: 0.1 });
+    let spec = JumpSpec {
+        seconds: Some(seconds),
+        occlusion,
+        n_markers: 150,
+        ..JumpSpec::new(seed, rate_hz)
+    };
+    spec.generate().unwrap().motion
+}
+
 pub(crate) fn dense(tolerance_mm: f64) -> Settings {
     Settings { kind: ResamplerKind::Dense, tolerance: Tolerance::from_mm(tolerance_mm).unwrap() }
 }

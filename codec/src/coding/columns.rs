@@ -1,9 +1,9 @@
-//! Three columns of integers as packed differences: the payload of `fast`, `lossless` and raw blocks.
+//! Three columns of integers as packed differences: a channel of `lossless`, and a raw one of any kind.
 //!
-//! One head byte: bits 0-1, 2-3 and 4-5 are the difference order (0, 1 or 2) of x, y and z, bits 6-7
-//! belong to the caller. Then per column: while fewer earlier values are known than the order asks
-//! for, a zigzag varint of the difference of the highest order possible; then groups
-//! ([`bitpack`](super::bitpack)) of zigzag differences.
+//! One head byte: bits 0-1, 2-3 and 4-5 are the difference order (0, 1 or 2) of x, y and z. Then per
+//! column: while fewer earlier values are known than the order asks for, a zigzag varint of the
+//! difference of the highest order possible; then groups ([`bitpack`](super::bitpack)) of zigzag
+//! differences.
 
 use super::{bitpack, bytes, zigzag};
 use crate::CodecError;
@@ -32,11 +32,6 @@ impl History {
             _ => self.last.wrapping_mul(2).wrapping_sub(self.before),
         }
     }
-
-    /// Maps both values, for a caller whose scale has changed.
-    pub(crate) fn map(self, scale: impl Fn(i64) -> i64) -> Self {
-        Self { last: scale(self.last), before: scale(self.before), known: self.known }
-    }
 }
 
 /// Most bytes of three columns of `n` values, each of which fits 32 bits.
@@ -45,60 +40,42 @@ pub(crate) fn max_bytes_32(n: usize) -> usize {
     1 + 3 * (4 * n + n.div_ceil(bitpack::GROUP_LEN))
 }
 
-/// Appends three columns; `caller_bits` (0 to 3) go to bits 6-7 of the head byte.
-/// Where that would take more than `limit` bytes it does nothing and gives `false`.
-pub(crate) fn write(
-    columns: &[Vec<i64>; 3],
-    history: &mut [History; 3],
-    caller_bits: u8,
-    limit: usize,
-    out: &mut Vec<u8>,
-) -> bool {
-    let mut head = caller_bits << 6;
-    let mut orders = [0; 3];
-    let mut size = 1;
-    for axis in 0..3 {
-        let (order, bytes) = smallest_order(&columns[axis], history[axis]);
-        orders[axis] = order;
-        head |= (order as u8) << (2 * axis);
-        size += bytes;
-    }
-    if size > limit {
-        return false;
-    }
-    out.push(head);
+/// Appends three columns.
+pub(crate) fn write(columns: &[Vec<i64>; 3], history: &mut [History; 3], out: &mut Vec<u8>) {
+    let orders: [usize; 3] =
+        std::array::from_fn(|axis| smallest_order(&columns[axis], history[axis]));
+    out.push((orders[0] | orders[1] << 2 | orders[2] << 4) as u8);
     for axis in 0..3 {
         write_column(&columns[axis], &mut history[axis], orders[axis], out);
     }
-    true
 }
 
-/// Reads three columns of `n` values into `columns`; gives the caller's two bits.
+/// Reads three columns of `n` values into `columns`.
 ///
 /// Nothing is allocated for values that `input` does not hold.
 pub(crate) fn read(
     input: &mut bytes::Bytes<'_>,
     n: usize,
-    history: impl FnOnce(u8) -> [History; 3],
+    history: &mut [History; 3],
     columns: &mut [Vec<i64>; 3],
-) -> Result<[History; 3], CodecError> {
+) -> Result<(), CodecError> {
     let head = input.byte("the head of the columns")?;
-    let mut history = history(head >> 6);
-    for (axis, (column, history)) in columns.iter_mut().zip(&mut history).enumerate() {
+    if head >> 6 != 0 {
+        return Err(CodecError::Corrupt("unknown flags of columns"));
+    }
+    for (axis, (column, history)) in columns.iter_mut().zip(history).enumerate() {
         let order = usize::from(head >> (2 * axis) & 3);
         if order > MAX_ORDER {
             return Err(CodecError::Corrupt("a difference of order 3"));
         }
         read_column(input, n, history, order, column)?;
     }
-    Ok(history)
+    Ok(())
 }
 
-/// Order and bytes; the lowest of equals, because it suffers least from a gap.
-fn smallest_order(column: &[i64], history: History) -> (usize, usize) {
-    let sizes: [usize; MAX_ORDER + 1] =
-        std::array::from_fn(|order| column_bytes(column, history, order));
-    sizes.into_iter().enumerate().min_by_key(|&(_, bytes)| bytes).unwrap_or_default()
+/// The lowest of equals, because it suffers least from a gap.
+fn smallest_order(column: &[i64], history: History) -> usize {
+    (0..=MAX_ORDER).min_by_key(|&order| column_bytes(column, history, order)).unwrap_or(0)
 }
 
 /// Bytes that [`write_column`] appends.

@@ -7,18 +7,20 @@ use super::{
 };
 use crate::{
     BlockReport, CodecError, Rows, Tolerance, bound,
-    coding::range::RangeEncoder,
-    frame::{Outcome, PayloadEncoder},
+    coding::{bytes::write_varint, range::RangeEncoder},
+    frame::PayloadEncoder,
+    raw::Raw,
 };
 
-/// The encoder of one channel.
+/// The encoder of one group.
 #[derive(Debug)]
 pub(crate) struct DenseEncoder {
     tolerance_mm: f64,
     grid: Grid,
-    channel: Channel,
-    /// What to go back to when the block is abandoned.
+    channels: Vec<Channel>,
+    /// What to go back to when a channel is abandoned.
     saved: Adaptive,
+    raw: Raw,
 }
 
 impl DenseEncoder {
@@ -26,52 +28,86 @@ impl DenseEncoder {
         Self {
             tolerance_mm: tolerance.mm(),
             grid: Grid::new(tolerance),
-            channel: Channel::default(),
+            channels: Vec::new(),
             saved: Adaptive::default(),
+            raw: Raw::default(),
         }
+    }
+
+    fn channel(&mut self, i: usize, rows: Rows<'_>, out: &mut Vec<u8>) -> Option<BlockReport> {
+        let samples = rows.present().iter().filter(|&&present| present).count();
+        let channel = &mut self.channels[i];
+        self.saved.clone_from(&channel.adaptive);
+        let mut side = Encoding {
+            rows,
+            grid: self.grid,
+            tolerance_mm: self.tolerance_mm,
+            coder: RangeEncoder::new(out, Raw::max_bytes(samples)),
+            report: BlockReport::default(),
+        };
+        if channel.block(&mut side, rows.len(), rows.runs()).is_ok() {
+            let Encoding { coder, report, .. } = side;
+            if coder.finish() {
+                return Some(report);
+            }
+        }
+        channel.adaptive.clone_from(&self.saved);
+        channel.break_off();
+        None
     }
 }
 
 impl PayloadEncoder for DenseEncoder {
     type Decoder = DenseDecoder;
 
-    fn prepare(&mut self, n_rows: usize) {
-        self.channel.prepare(n_rows);
+    fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
+        n_channels * (11 + Raw::max_bytes(n_rows))
+    }
+
+    fn prepare(&mut self, n_channels: usize, n_rows: usize) {
+        if self.channels.len() < n_channels {
+            self.channels.resize_with(n_channels, Channel::default);
+        }
+        self.channels.iter_mut().for_each(|channel| channel.prepare(n_rows));
+        self.raw.reserve(n_rows);
     }
 
     fn reset(&mut self) {
-        self.channel.reset();
+        self.channels.iter_mut().for_each(Channel::reset);
     }
 
     fn break_off(&mut self) {
-        self.channel.break_off();
-    }
-
-    fn abandon(&mut self) {
-        self.channel.adaptive.clone_from(&self.saved);
-        self.channel.break_off();
+        self.channels.iter_mut().for_each(Channel::break_off);
     }
 
     fn encode(
         &mut self,
-        rows: Rows<'_>,
+        channels: &[Rows<'_>],
         _shared: &[u8],
-        limit: usize,
         out: &mut Vec<u8>,
-    ) -> Result<Outcome, CodecError> {
-        self.saved.clone_from(&self.channel.adaptive);
-        let mut side = Encoding {
-            rows,
-            grid: self.grid,
-            tolerance_mm: self.tolerance_mm,
-            coder: RangeEncoder::new(out, limit),
-            report: BlockReport::default(),
-        };
-        if self.channel.block(&mut side, rows.len(), rows.runs()).is_err() {
-            return Ok(Outcome::Escape);
+        reports: &mut [BlockReport],
+    ) -> Result<(), CodecError> {
+        self.prepare(channels.len(), 0);
+        for (i, (rows, report)) in channels.iter().zip(reports).enumerate() {
+            if report.samples == 0 {
+                self.channels[i].break_off();
+                continue;
+            }
+            let start = out.len();
+            out.push(0);
+            if let Some(coded) = self.channel(i, *rows, out) {
+                *report = coded;
+                let end = out.len();
+                write_varint((end - start - 1) as u64, out);
+                out[start + 1..].rotate_left(end - start - 1);
+            } else {
+                out.truncate(start);
+                out.push(1);
+                self.raw.write(*rows, out);
+                report.kept = report.samples;
+            }
         }
-        let Encoding { coder, report, .. } = side;
-        Ok(if coder.finish() { Outcome::Coded(report) } else { Outcome::Escape })
+        Ok(())
     }
 }
 

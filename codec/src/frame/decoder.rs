@@ -1,59 +1,96 @@
-//! Around a decoder: head byte, presence, the raw escape, and the wait for a key block after an error.
+//! Around a decoder: head, presence, and the wait for a key block after an error.
 
-use super::{HAS_GAPS, PayloadDecoder};
+use super::{HAS_CHANNELS, HAS_GAPS, PayloadDecoder, presence::Presence};
 use crate::{
-    BlockDecoder, CodecError, DecodedRows, Tolerance, bound, coding::bytes::Bytes,
-    lossless::Lossless, presence,
+    BlockDecoder, CodecError, DecodedRows, GROUP_CHANNELS, Tolerance, bound, bound::STATED_STEPS,
+    coding::bytes::Bytes,
 };
 
 /// A resampler's decoder with the frame around it.
 #[derive(Debug)]
 pub(crate) struct FramedDecoder<D> {
     payload: D,
-    raw: Lossless,
+    presence: Presence,
     tolerance: Tolerance,
+    /// Channels of the block before.
+    n_channels: usize,
     /// After an error only a key block is in step with the encoder.
     lost: bool,
+    /// Memory of channels that a block does not have.
+    spare: Vec<DecodedRows>,
 }
 
 impl<D: PayloadDecoder> FramedDecoder<D> {
     pub(crate) fn new(payload: D, tolerance: Tolerance) -> Self {
-        Self { payload, raw: Lossless::default(), tolerance, lost: false }
+        let presence = Presence::NEW;
+        Self { payload, presence, tolerance, n_channels: 0, lost: false, spare: Vec::new() }
     }
 
-    /// Allocates what blocks of up to `n_rows` rows will ever need.
+    /// Allocates what blocks of up to so many channels and rows will ever need.
     #[cfg(debug_assertions)]
-    pub(super) fn prepare(&mut self, n_rows: usize) {
-        self.payload.prepare(n_rows);
-        self.raw.reserve(n_rows);
+    pub(super) fn prepare(&mut self, n_channels: usize, n_rows: usize, out: &mut Vec<DecodedRows>) {
+        self.payload.prepare(n_channels, n_rows);
+        self.fit(n_channels, n_rows, out);
+        self.fit(0, n_rows, out);
+    }
+
+    fn reset(&mut self) {
+        self.payload.reset();
+        self.presence.reset();
+        self.n_channels = 0;
+        self.lost = false;
+    }
+
+    /// So many channels of absent rows.
+    fn fit(&mut self, n_channels: usize, n_rows: usize, out: &mut Vec<DecodedRows>) {
+        self.spare.extend(out.drain(n_channels.min(out.len())..));
+        while out.len() < n_channels {
+            out.push(self.spare.pop().unwrap_or_default());
+        }
+        out.iter_mut().for_each(|rows| rows.clear_to(n_rows));
     }
 
     fn decode_samples(
         &mut self,
         block: &[u8],
         shared: &[u8],
-        out: &mut DecodedRows,
+        n_rows: usize,
+        out: &mut Vec<DecodedRows>,
     ) -> Result<(), CodecError> {
+        if n_rows == 0 {
+            return Err(CodecError::Corrupt("a block with bytes but without rows"));
+        }
         let mut input = Bytes::new(block);
         let head = input.byte("the head byte")?;
-        if head & HAS_GAPS != 0 {
-            presence::read(&mut input, &mut out.present)?;
-        } else {
-            out.present.fill(true);
-        }
-        let step = head & !HAS_GAPS;
-        out.max_error_mm = bound::stated_mm(step, self.tolerance.mm());
-        if D::EXACT {
-            if step != 0 {
-                return Err(CodecError::Corrupt("a lossless block that states an error"));
+        let more = head & HAS_CHANNELS != 0;
+        if more {
+            let n = usize::try_from(input.varint("the number of channels")?).unwrap_or(usize::MAX);
+            if n <= self.n_channels || n > GROUP_CHANNELS {
+                return Err(CodecError::Corrupt("a number of channels that cannot be"));
             }
-            return self.payload.decode(input.rest(), shared, out);
+            self.n_channels = n;
+        } else if self.n_channels == 0 {
+            return Err(CodecError::Corrupt("a first block without its number of channels"));
         }
-        if step == 0 {
-            self.payload.break_off();
-            self.raw.reset();
-            return self.raw.read(input.rest(), out);
+        self.fit(self.n_channels, n_rows, out);
+        if head & HAS_GAPS != 0 {
+            self.presence.read(&mut input, out)?;
+            if !out.iter().any(DecodedRows::has_samples) {
+                return Err(CodecError::Corrupt("a block with bytes but without samples"));
+            }
+        } else {
+            out.iter_mut().for_each(|rows| rows.present.fill(true));
+            self.presence.all_present(self.n_channels, n_rows);
         }
+        if more && !out.last().is_some_and(DecodedRows::has_samples) {
+            return Err(CodecError::Corrupt("a last channel without samples"));
+        }
+        let step = head & STATED_STEPS;
+        if D::EXACT && step != 0 {
+            return Err(CodecError::Corrupt("a lossless block that states an error"));
+        }
+        let max_error_mm = bound::stated_mm(step, self.tolerance.mm());
+        out.iter_mut().for_each(|rows| rows.max_error_mm = max_error_mm);
         self.payload.decode(input.rest(), shared, out)
     }
 }
@@ -65,35 +102,32 @@ impl<D: PayloadDecoder> BlockDecoder for FramedDecoder<D> {
         shared: &[u8],
         n_rows: usize,
         key: bool,
-        out: &mut DecodedRows,
+        out: &mut Vec<DecodedRows>,
     ) -> Result<(), CodecError> {
-        out.clear_to(n_rows);
+        self.fit(0, 0, out);
         if key {
-            self.payload.reset();
-            self.lost = false;
+            self.reset();
         }
         if self.lost {
             return Err(CodecError::Corrupt("an earlier block failed: start again at a key block"));
         }
         if block.is_empty() {
-            self.skip(key);
+            self.skip(false);
             return Ok(());
         }
-        if n_rows == 0 {
+        let outcome = self.decode_samples(block, shared, n_rows, out);
+        if outcome.is_err() {
             self.lost = true;
-            return Err(CodecError::Corrupt("a block with bytes but without rows"));
+            self.fit(0, 0, out);
         }
-        self.decode_samples(block, shared, out).inspect_err(|_| {
-            self.lost = true;
-            out.clear_to(n_rows);
-        })
+        outcome
     }
 
     fn skip(&mut self, key: bool) {
         if key {
-            self.payload.reset();
-            self.lost = false;
+            self.reset();
         }
         self.payload.break_off();
+        self.presence.skip();
     }
 }

@@ -1,66 +1,54 @@
-//! What every block has in common: the head byte, the presence runs, the raw escape, the proof.
+//! What every block has in common: the head, which samples are present, the stated bound, the proof.
 //!
 //! A resampler codes payloads only; [`FramedEncoder`] and [`FramedDecoder`] turn it into the public
 //! contract.
 
 mod decoder;
 mod encoder;
+mod presence;
 
 use std::fmt;
 
 pub(crate) use self::{decoder::FramedDecoder, encoder::FramedEncoder};
-use crate::{BlockReport, CodecError, DecodedRows, Rows, lossless::Lossless, presence};
+use crate::{BlockReport, CodecError, DecodedRows, GROUP_CHANNELS, Rows, coding::bytes::Bytes};
 
-/// Bit 7 of the head byte: presence runs follow.
+/// Bit 7 of the head byte: the presence section follows.
 const HAS_GAPS: u8 = 0x80;
 
-/// What a resampler made of one block.
-#[derive(Debug)]
-pub(crate) enum Outcome {
-    /// The payload is written and its reconstruction measured.
-    Coded(BlockReport),
-    /// It has no payload within the tolerance: the block is to be stored raw.
-    Escape,
-}
+/// Bit 6 of the head byte: the number of channels follows.
+const HAS_CHANNELS: u8 = 0x40;
 
 /// A resampler's encoder: payloads without the frame around them.
 pub(crate) trait PayloadEncoder: Send + fmt::Debug {
     /// Its other half.
     type Decoder: PayloadDecoder;
 
-    /// Whether its payloads are bit-exact: the stated bound is then 0 and there is no escape.
+    /// Whether its payloads are bit-exact: the stated bound is then 0.
     const EXACT: bool = false;
 
-    /// Most bytes of a payload of so many samples; one that is larger is stored raw.
-    fn max_payload_bytes(samples: usize) -> usize {
-        Lossless::max_payload_bytes(samples)
-    }
+    /// Most bytes of a payload of so many channels and rows.
+    fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize;
 
     /// As [`BlockEncoder::prepare`](crate::BlockEncoder::prepare).
-    fn prepare(&mut self, n_rows: usize);
+    fn prepare(&mut self, n_channels: usize, n_rows: usize);
 
     /// Forgets all state.
     fn reset(&mut self);
 
-    /// The block just passed was not coded here (it is absent or raw): no row of it may be
-    /// used for prediction.
+    /// A stretch passed without any sample of the group: no row of it may be used for prediction.
     fn break_off(&mut self);
 
-    /// The block just coded is thrown away and stored raw: [`break_off`](Self::break_off), with what
-    /// has been learnt as it was before the block.
-    fn abandon(&mut self) {
-        self.break_off();
-    }
-
-    /// Appends the payload of a block with at least one sample, all of them finite.
-    /// A payload that grows over `limit` bytes will be thrown away.
+    /// Appends the payload of a block with at least one sample, all of them finite. Fills `reports`,
+    /// one a channel, where the frame has set `samples`; every error in them is within the tolerance:
+    /// samples that cannot be coded so are stored as they are. There are never fewer channels than in
+    /// the payload before, but after [`reset`](Self::reset); new ones come behind the others.
     fn encode(
         &mut self,
-        rows: Rows<'_>,
+        channels: &[Rows<'_>],
         shared: &[u8],
-        limit: usize,
         out: &mut Vec<u8>,
-    ) -> Result<Outcome, CodecError>;
+        reports: &mut [BlockReport],
+    ) -> Result<(), CodecError>;
 }
 
 /// A resampler's decoder.
@@ -70,7 +58,7 @@ pub(crate) trait PayloadDecoder: Send + fmt::Debug {
 
     /// As [`PayloadEncoder::prepare`].
     #[cfg(debug_assertions)]
-    fn prepare(&mut self, n_rows: usize);
+    fn prepare(&mut self, n_channels: usize, n_rows: usize);
 
     /// Forgets all state.
     fn reset(&mut self);
@@ -78,20 +66,32 @@ pub(crate) trait PayloadDecoder: Send + fmt::Debug {
     /// As [`PayloadEncoder::break_off`].
     fn break_off(&mut self);
 
-    /// Fills `positions` and `kept` of `rows`, whose `present` is set and whose other rows are zero.
+    /// Fills `positions` and `kept` of `channels`, whose `present` is set and whose other rows are
+    /// zero. At least one sample is present. The payload must end where its samples do.
     fn decode(
         &mut self,
         payload: &[u8],
         shared: &[u8],
-        rows: &mut DecodedRows,
+        channels: &mut [DecodedRows],
     ) -> Result<(), CodecError>;
 }
 
 /// Most bytes of a block with such payloads.
-pub(crate) fn max_block_bytes<E: PayloadEncoder>(n_rows: usize) -> usize {
-    // An escape is never larger than the raw payload of the same samples.
-    let payload = E::max_payload_bytes(n_rows).max(Lossless::max_payload_bytes(n_rows));
-    1 + presence::max_bytes(n_rows) + payload
+pub(crate) fn max_block_bytes<E: PayloadEncoder>(n_channels: usize, n_rows: usize) -> usize {
+    // The head, and the number of channels in one byte: there are at most 64.
+    2 + presence::max_bytes(n_channels, n_rows) + E::max_payload_bytes(n_channels, n_rows)
+}
+
+/// How many channels a block states that it has: a key block does, and one that has more than the block
+/// before it. None where it does not, or makes no sense.
+#[must_use]
+pub fn stated_channels(block: &[u8]) -> Option<usize> {
+    let (head, rest) = block.split_first()?;
+    if head & HAS_CHANNELS == 0 {
+        return None;
+    }
+    let n = Bytes::new(rest).varint("the number of channels").ok()?;
+    usize::try_from(n).ok().filter(|n| (1..=GROUP_CHANNELS).contains(n))
 }
 
 /// Samples present; an error when one is not finite.

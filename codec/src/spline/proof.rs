@@ -10,7 +10,6 @@ pub(crate) struct RunFit {
     moments: Moments,
     rebuilt: Vec<Position>,
     max_error_mm: f64,
-    inserted: bool,
 }
 
 impl RunFit {
@@ -18,7 +17,6 @@ impl RunFit {
     pub(crate) fn clear(&mut self) {
         self.knots.clear();
         self.max_error_mm = 0.0;
-        self.inserted = false;
     }
 
     /// Keeps one more row, after all kept so far.
@@ -85,7 +83,6 @@ impl RunFit {
     pub(crate) fn insert(&mut self, row: usize) {
         let index = self.knots.partition_point(|&(knot, _)| knot < row);
         self.knots.insert(index, (row, [0.0; 3]));
-        self.inserted = true;
     }
 
     /// The kept rows.
@@ -101,10 +98,5 @@ impl RunFit {
     /// Of the last measurement.
     pub(crate) fn max_error_mm(&self) -> f64 {
         self.max_error_mm
-    }
-
-    /// Whether the proof had to insert a row.
-    pub(crate) fn inserted(&self) -> bool {
-        self.inserted
     }
 }

@@ -9,29 +9,62 @@ pub(crate) use self::key_times::plan;
 use crate::{
     BlockReport, CodecError, DecodedRows, Rows, Tolerance, block,
     coding::bytes::Bytes,
-    frame::{Outcome, PayloadDecoder, PayloadEncoder},
-    spline::{RunFit, place_run, read_position, write_position},
+    frame::{PayloadDecoder, PayloadEncoder},
+    raw::Raw,
+    spline::{CODED, RAW, RunFit, is_raw, place_run, read_position, write_position},
 };
 
-/// Encoder and decoder of one channel; there is no state between blocks.
+/// Encoder and decoder of one group; there is no state between blocks.
 #[derive(Debug)]
 pub(crate) struct Sync {
     tolerance: Tolerance,
     keys: Vec<bool>,
     fit: RunFit,
+    raw: Raw,
 }
 
 impl Sync {
     pub(crate) fn new(tolerance: Tolerance) -> Self {
-        Self { tolerance, keys: Vec::new(), fit: RunFit::default() }
+        Self { tolerance, keys: Vec::new(), fit: RunFit::default(), raw: Raw::default() }
+    }
+
+    /// Appends the positions of one channel's knots; `false` when these do not keep the tolerance.
+    fn write(&mut self, rows: Rows<'_>, out: &mut Vec<u8>, report: &mut BlockReport) -> bool {
+        for run in rows.runs() {
+            let samples = &rows.positions()[run.clone()];
+            self.fit.start(key_times::kept_rows(&self.keys[run]));
+            self.fit.measure(samples);
+            if self.fit.max_error_mm() > self.tolerance.mm() {
+                return false;
+            }
+            self.fit.rows().for_each(|row| write_position(samples[row], out));
+            report.kept += self.fit.rows().len() as u32;
+            report.max_error_mm = report.max_error_mm.max(self.fit.max_error_mm());
+        }
+        true
+    }
+
+    fn read(&mut self, input: &mut Bytes<'_>, rows: &mut DecodedRows) -> Result<(), CodecError> {
+        let DecodedRows { positions, present, kept, .. } = rows;
+        for run in block::runs(present) {
+            self.fit.start(key_times::kept_rows(&self.keys[run.clone()]));
+            self.fit.fill(|_| read_position(input))?;
+            self.fit.rebuild(run.len());
+            place_run(&self.fit, &mut positions[run.clone()], &mut kept[run])?;
+        }
+        Ok(())
     }
 }
 
 impl PayloadEncoder for Sync {
     type Decoder = Self;
 
+    fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
+        n_channels * (1 + Raw::max_bytes(n_rows))
+    }
+
     /// Works on whole takes, where nothing is hot.
-    fn prepare(&mut self, _n_rows: usize) {}
+    fn prepare(&mut self, _n_channels: usize, _n_rows: usize) {}
 
     fn reset(&mut self) {}
 
@@ -39,38 +72,36 @@ impl PayloadEncoder for Sync {
 
     fn encode(
         &mut self,
-        rows: Rows<'_>,
+        channels: &[Rows<'_>],
         shared: &[u8],
-        _limit: usize,
         out: &mut Vec<u8>,
-    ) -> Result<Outcome, CodecError> {
-        key_times::read(shared, rows.len(), &mut self.keys).map_err(|error| {
+        reports: &mut [BlockReport],
+    ) -> Result<(), CodecError> {
+        let n_rows = channels.first().map_or(0, Rows::len);
+        key_times::read(shared, n_rows, &mut self.keys).map_err(|error| {
             CodecError::InvalidArgument(format!(
-                "{error}: pass what Settings::plan gave for the same {} rows",
-                rows.len()
+                "{error}: pass what Settings::plan gave for the same {n_rows} rows"
             ))
         })?;
-        let mut report = BlockReport::default();
-        for run in rows.runs() {
-            let samples = &rows.positions()[run.clone()];
-            self.fit.start(key_times::kept_rows(&self.keys[run]));
-            self.fit.measure(samples);
-            if self.fit.max_error_mm() > self.tolerance.mm() {
+        for (rows, report) in channels.iter().zip(reports).filter(|(_, r)| r.samples > 0) {
+            let start = out.len();
+            out.push(CODED);
+            if !self.write(*rows, out, report) {
                 // Not the plan of these samples: the bound stands all the same.
-                return Ok(Outcome::Escape);
+                out.truncate(start);
+                out.push(RAW);
+                self.raw.write(*rows, out);
+                let samples = report.samples;
+                *report = BlockReport { samples, kept: samples, max_error_mm: 0.0 };
             }
-            self.fit.rows().for_each(|row| write_position(samples[row], out));
-            report.samples += samples.len() as u32;
-            report.kept += self.fit.rows().len() as u32;
-            report.max_error_mm = report.max_error_mm.max(self.fit.max_error_mm());
         }
-        Ok(Outcome::Coded(report))
+        Ok(())
     }
 }
 
 impl PayloadDecoder for Sync {
     #[cfg(debug_assertions)]
-    fn prepare(&mut self, _n_rows: usize) {}
+    fn prepare(&mut self, _n_channels: usize, _n_rows: usize) {}
 
     fn reset(&mut self) {}
 
@@ -80,16 +111,17 @@ impl PayloadDecoder for Sync {
         &mut self,
         payload: &[u8],
         shared: &[u8],
-        rows: &mut DecodedRows,
+        channels: &mut [DecodedRows],
     ) -> Result<(), CodecError> {
-        key_times::read(shared, rows.present.len(), &mut self.keys)?;
+        let n_rows = channels.first().map_or(0, |rows| rows.present.len());
+        key_times::read(shared, n_rows, &mut self.keys)?;
         let mut input = Bytes::new(payload);
-        let DecodedRows { positions, present, kept, .. } = rows;
-        for run in block::runs(present) {
-            self.fit.start(key_times::kept_rows(&self.keys[run.clone()]));
-            self.fit.fill(|_| read_position(&mut input))?;
-            self.fit.rebuild(run.len());
-            place_run(&self.fit, &mut positions[run.clone()], &mut kept[run])?;
+        for rows in channels.iter_mut().filter(|rows| rows.has_samples()) {
+            if is_raw(&mut input)? {
+                self.raw.read(&mut input, rows)?;
+            } else {
+                self.read(&mut input, rows)?;
+            }
         }
         input.finish()
     }

@@ -1,36 +1,35 @@
 //! Bytes that no encoder wrote: an error or samples, never a panic, never unbounded work or memory.
 
-use mocapd_codec::DecodedRows;
 use proptest::prelude::*;
 
-use super::{
-    KINDS, Stretch, encode,
-    motions::{positions, presence},
-    settings,
-};
+use super::{Channel, KINDS, cut, encode, settings};
 
-/// Decodes as the only block of a channel and checks that whatever comes out is well formed.
+/// Decodes as the only block of a group and checks that whatever comes out is well formed.
 fn survive(kind: &str, block: &[u8], shared: &[u8], n_rows: usize) -> bool {
     let settings = settings(kind, 0.5);
-    let mut decoded = DecodedRows::default();
+    let mut decoded = Vec::new();
     let fine = settings.decoder().decode(block, shared, n_rows, true, &mut decoded).is_ok();
-    assert_eq!(decoded.positions.len(), n_rows);
-    assert_eq!(decoded.present.len(), n_rows);
-    assert_eq!(decoded.kept.len(), n_rows);
-    assert!(decoded.positions.iter().flatten().all(|v| v.is_finite()));
-    assert!((0.0..=0.5).contains(&decoded.max_error_mm));
+    assert!(fine || decoded.is_empty());
+    for rows in &decoded {
+        assert_eq!(rows.positions.len(), n_rows);
+        assert_eq!(rows.present.len(), n_rows);
+        assert_eq!(rows.kept.len(), n_rows);
+        assert!(rows.positions.iter().flatten().all(|v| v.is_finite()));
+        assert!((0.0..=0.5).contains(&rows.max_error_mm));
+    }
     fine
-}
-
-fn samples(motion: &str, gaps: &str) -> Stretch {
-    Stretch { positions: positions(motion, 21, 75), present: presence(gaps, 21, 75), key: true }
 }
 
 #[test]
 fn every_truncation_and_every_changed_byte() {
     for kind in KINDS {
-        for (motion, gaps) in [("smooth", "all"), ("walk", "gaps"), ("extreme", "all")] {
-            let block = encode(settings(kind, 0.5), &[samples(motion, gaps)]).remove(0);
+        for group in [
+            &[("smooth", "all")][..],
+            &[("walk", "gaps"), ("extreme", "singles"), ("steps", "all")],
+        ] {
+            let channels: Vec<_> =
+                group.iter().map(|(motion, gaps)| Channel::new(motion, gaps, 21, 75)).collect();
+            let block = encode(settings(kind, 0.5), &cut(&channels, &[75], 0)).remove(0);
             assert!(survive(kind, &block.bytes, &block.shared, 75));
             for len in 1..block.bytes.len() {
                 // Trailing zeros are not stored by the range coder: dense cannot tell every cut.
@@ -52,8 +51,7 @@ fn every_truncation_and_every_changed_byte() {
                 }
             }
             let mut longer = block.bytes.clone();
-            longer.push(1);
-            longer.push(1);
+            longer.extend([1, 1]);
             let dense = kind == "dense";
             assert!(!survive(kind, &longer, &block.shared, 75) || dense, "{kind}: bytes too many");
             survive(kind, &block.bytes, &block.shared, 0);
@@ -61,6 +59,30 @@ fn every_truncation_and_every_changed_byte() {
             survive(kind, &block.bytes, &block.shared, 76);
         }
     }
+}
+
+/// Heads that no encoder writes.
+#[test]
+fn heads_and_presence_that_cannot_be() {
+    for (bytes, what) in [
+        (&[0x00, 0][..], "no number of channels behind a key"),
+        (&[0x40, 0], "no channels"),
+        (&[0x40, 65], "more channels than a group has"),
+        (&[0x40, 0x81, 0x00], "a number longer than it needs to be"),
+        (&[0xc0, 1, 5, 0], "a section that is cut short"),
+        (&[0xc0, 1, 0], "a section that says that all are present"),
+        (&[0xc0, 1, 1, 0xff], "one channel, and it has no sample"),
+        (&[0x41, 1], "a lossless block that states an error"),
+    ] {
+        assert!(!survive("lossless", bytes, &[], 20), "{what}");
+    }
+    // A channel more, of which there is nothing.
+    let channels = [Channel::new("walk", "all", 1, 20), Channel::new("walk", "none", 1, 20)];
+    let block = encode(settings("lossless", 0.5), &cut(&channels, &[20], 0)).remove(0);
+    assert_eq!(block.bytes[..2], [0x40, 1]);
+    let mut more = block.bytes.clone();
+    more[1] = 2;
+    assert!(!survive("lossless", &more, &[], 20));
 }
 
 proptest! {
@@ -76,14 +98,18 @@ proptest! {
         survive(kind, &block, &shared, n_rows);
     }
 
-    /// Behind a head byte that is well formed.
+    /// Behind a head that is well formed, with and without presence.
     #[test]
     fn random_payloads(
         kind in proptest::sample::select(KINDS.to_vec()),
-        mut block in proptest::collection::vec(any::<u8>(), 1..200),
+        mut block in proptest::collection::vec(any::<u8>(), 4..300),
+        n_channels in 1_u8..65,
+        gaps in any::<bool>(),
         n_rows in 1_usize..100,
     ) {
-        block[0] = if kind == "lossless" { 0 } else { 64 };
+        block[0] = 0x40 | if kind == "lossless" { 0 } else { 31 } | if gaps { 0x80 } else { 0 };
+        block[1] = n_channels;
+        block[2] %= 64;
         survive(kind, &block, &[], n_rows);
     }
 }

@@ -2,8 +2,10 @@
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod groups;
 mod hostile;
 mod motions;
+mod presence;
 mod round_trips;
 mod state;
 mod takes;
@@ -21,18 +23,65 @@ const KINDS: [&str; 7] = [
     "sync:exhaustive",
 ];
 
-/// One block's worth of a channel.
+/// One channel over one stretch.
 #[derive(Debug, Clone)]
-struct Stretch {
+struct Channel {
     positions: Vec<Position>,
     present: Vec<bool>,
+}
+
+impl Channel {
+    fn new(motion: &str, gaps: &str, seed: u64, n: usize) -> Self {
+        Self {
+            positions: motions::positions(motion, seed, n),
+            present: motions::presence(gaps, seed, n),
+        }
+    }
+
+    fn rows(&self) -> Rows<'_> {
+        Rows::new(&self.positions, &self.present).unwrap()
+    }
+
+    fn part(&self, rows: std::ops::Range<usize>) -> Self {
+        Self {
+            positions: self.positions[rows.clone()].to_vec(),
+            present: self.present[rows].to_vec(),
+        }
+    }
+}
+
+/// One block's worth of a group.
+#[derive(Debug, Clone)]
+struct Stretch {
+    channels: Vec<Channel>,
     key: bool,
 }
 
 impl Stretch {
-    fn rows(&self) -> Rows<'_> {
-        Rows::new(&self.positions, &self.present).unwrap()
+    fn rows(&self) -> Vec<Rows<'_>> {
+        self.channels.iter().map(Channel::rows).collect()
     }
+
+    fn n_rows(&self) -> usize {
+        self.channels[0].present.len()
+    }
+}
+
+/// A group cut into stretches of the given lengths; a key wherever `keys` has its bit, and first.
+fn cut(channels: &[Channel], lengths: &[usize], keys: u32) -> Vec<Stretch> {
+    let mut at = 0;
+    lengths
+        .iter()
+        .enumerate()
+        .map(|(i, &len)| {
+            let rows = at..at + len;
+            at += len;
+            Stretch {
+                channels: channels.iter().map(|channel| channel.part(rows.clone())).collect(),
+                key: i == 0 || keys >> i & 1 == 1,
+            }
+        })
+        .collect()
 }
 
 /// One encoded block, with what the encoder said about it.
@@ -40,7 +89,7 @@ impl Stretch {
 struct Block {
     bytes: Vec<u8>,
     shared: Vec<u8>,
-    report: BlockReport,
+    reports: Vec<BlockReport>,
 }
 
 fn settings(kind: &str, tolerance_mm: f64) -> Settings {
@@ -50,34 +99,60 @@ fn settings(kind: &str, tolerance_mm: f64) -> Settings {
     }
 }
 
-/// Encodes all stretches of one channel, each into exactly the room that was promised to be enough.
+/// Encodes all stretches of one group, each into exactly the room that was promised to be enough.
 fn encode(settings: Settings, stretches: &[Stretch]) -> Vec<Block> {
     let mut encoder = settings.encoder();
     stretches
         .iter()
         .map(|stretch| {
-            let shared = settings.plan(&[stretch.rows()]).unwrap();
-            let room = settings.max_block_bytes(stretch.present.len());
+            let rows = stretch.rows();
+            let shared = settings.plan(&rows).unwrap();
+            let room = settings.max_block_bytes(rows.len(), stretch.n_rows());
             let mut bytes = Vec::with_capacity(room);
             let capacity = bytes.capacity();
-            let report = encoder.encode(stretch.rows(), &shared, stretch.key, &mut bytes).unwrap();
+            let mut reports = vec![BlockReport::default(); rows.len()];
+            encoder.encode(&rows, &shared, stretch.key, &mut bytes, &mut reports).unwrap();
             assert!(bytes.len() <= room, "{} bytes in a room of {room}", bytes.len());
             assert_eq!(bytes.capacity(), capacity, "the room was outgrown on the way");
-            Block { bytes, shared, report }
+            Block { bytes, shared, reports }
         })
         .collect()
 }
 
+/// Decodes all blocks with one decoder and checks each.
+fn decode_and_check(settings: Settings, stretches: &[Stretch], blocks: &[Block]) {
+    let mut decoder = settings.decoder();
+    let mut decoded = Vec::new();
+    for (stretch, block) in stretches.iter().zip(blocks) {
+        let Block { bytes, shared, .. } = block;
+        decoder.decode(bytes, shared, stretch.n_rows(), stretch.key, &mut decoded).unwrap();
+        check(settings, stretch, block, &decoded);
+    }
+}
+
 /// Checks one decoded block against its samples and everything that was said about it.
-fn check(settings: Settings, stretch: &Stretch, block: &Block, decoded: &DecodedRows) {
-    assert_eq!(decoded.present, stretch.present);
+fn check(settings: Settings, stretch: &Stretch, block: &Block, decoded: &[DecodedRows]) {
+    assert_eq!(block.bytes.is_empty(), decoded.is_empty());
+    assert!(decoded.len() <= stretch.channels.len());
+    for (i, (channel, report)) in stretch.channels.iter().zip(&block.reports).enumerate() {
+        let samples = channel.present.iter().filter(|&&p| p).count() as u32;
+        assert_eq!(report.samples, samples);
+        match decoded.get(i) {
+            Some(rows) => check_channel(settings, channel, report, rows),
+            None => assert_eq!((samples, *report), (0, BlockReport::default())),
+        }
+    }
+}
+
+fn check_channel(settings: Settings, channel: &Channel, report: &BlockReport, rows: &DecodedRows) {
+    assert_eq!(rows.present, channel.present);
     let tolerance = settings.tolerance.mm();
     let mut worst = 0.0_f64;
-    for (row, &present) in stretch.present.iter().enumerate() {
-        let (sample, rebuilt) = (stretch.positions[row], decoded.positions[row]);
+    for (row, &present) in channel.present.iter().enumerate() {
+        let (sample, rebuilt) = (channel.positions[row], rows.positions[row]);
         if !present {
             assert_eq!(rebuilt, [0.0; 3]);
-            assert!(!decoded.kept[row]);
+            assert!(!rows.kept[row]);
         } else if settings.kind.is_lossless() {
             assert_eq!(sample.map(f32::to_bits), rebuilt.map(f32::to_bits), "row {row}");
         } else {
@@ -86,15 +161,10 @@ fn check(settings: Settings, stretch: &Stretch, block: &Block, decoded: &Decoded
             worst = worst.max(error);
         }
     }
-    assert_eq!(block.report.max_error_mm, worst);
-    assert!(decoded.max_error_mm >= worst);
-    if !settings.kind.is_lossless() {
-        assert!(decoded.max_error_mm <= tolerance);
-    }
-    let count = |flags: &[bool]| flags.iter().filter(|&&f| f).count() as u32;
-    assert_eq!(block.report.samples, count(&stretch.present));
-    assert_eq!(block.report.kept, count(&decoded.kept));
-    assert_eq!(block.bytes.is_empty(), block.report.samples == 0);
+    assert_eq!(report.max_error_mm, worst);
+    assert!(rows.max_error_mm >= worst);
+    assert!(rows.max_error_mm <= if settings.kind.is_lossless() { 0.0 } else { tolerance });
+    assert_eq!(report.kept, rows.kept.iter().filter(|&&f| f).count() as u32);
 }
 
 fn distance_mm(a: Position, b: Position) -> f64 {

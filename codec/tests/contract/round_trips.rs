@@ -1,45 +1,19 @@
 //! Any motion, any gaps, any tolerance, any cut into blocks: the bound holds and all counts agree.
 
-use mocapd_codec::{CodecError, DecodedRows, Position, Rows};
+use mocapd_codec::{BlockReport, CodecError, Position, Rows};
 use proptest::prelude::*;
 
 use super::{
-    KINDS, Stretch, check, distance_mm, encode,
-    motions::{MOTIONS, PRESENCES, positions, presence},
+    Channel, KINDS, Stretch, cut, decode_and_check, encode,
+    motions::{MOTIONS, PRESENCES},
     settings,
 };
-
-/// A channel cut into blocks of the given lengths; a key block wherever `keys` has its bit.
-fn stretches(motion: &str, gaps: &str, seed: u64, lengths: &[usize], keys: u32) -> Vec<Stretch> {
-    let n = lengths.iter().sum();
-    let (positions, present) = (positions(motion, seed, n), presence(gaps, seed, n));
-    let mut at = 0;
-    lengths
-        .iter()
-        .enumerate()
-        .map(|(i, &len)| {
-            let part = at..at + len;
-            at += len;
-            Stretch {
-                positions: positions[part.clone()].to_vec(),
-                present: present[part].to_vec(),
-                key: i == 0 || keys >> i & 1 == 1,
-            }
-        })
-        .collect()
-}
 
 fn round_trip(kind: &str, tolerance_mm: f64, stretches: &[Stretch]) {
     let settings = settings(kind, tolerance_mm);
     let blocks = encode(settings, stretches);
     assert_eq!(blocks, encode(settings, stretches), "the same samples gave other bytes");
-    let mut decoder = settings.decoder();
-    let mut decoded = DecodedRows::default();
-    for (stretch, block) in stretches.iter().zip(&blocks) {
-        let n = stretch.present.len();
-        decoder.decode(&block.bytes, &block.shared, n, stretch.key, &mut decoded).unwrap();
-        check(settings, stretch, block, &decoded);
-    }
+    decode_and_check(settings, stretches, &blocks);
 }
 
 #[test]
@@ -50,10 +24,16 @@ fn every_motion_presence_and_kind() {
         } else {
             (&[60, 1, 30, 7, 130, 2], &[1e-4, 0.03, 1.0, 1e3])
         };
+        let n = lengths.iter().sum();
         for motion in MOTIONS {
             for gaps in PRESENCES {
                 for &tolerance in tolerances {
-                    round_trip(kind, tolerance, &stretches(motion, gaps, 7, lengths, 0b01_0000));
+                    let channels = [
+                        Channel::new(motion, gaps, 7, n),
+                        Channel::new("smooth", "late", 8, n),
+                        Channel::new(motion, gaps, 9, n),
+                    ];
+                    round_trip(kind, tolerance, &cut(&channels, lengths, 0b01_0000));
                 }
             }
         }
@@ -64,27 +44,40 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(400))]
 
     #[test]
-    fn any_channel(
+    fn any_group(
         kind in proptest::sample::select(vec!["dense", "fast", "lossless", "spline", "sync"]),
-        motion in proptest::sample::select(MOTIONS.to_vec()),
-        gaps in proptest::sample::select(PRESENCES.to_vec()),
-        seed in any::<u64>(),
+        channels in proptest::collection::vec(
+            (
+                proptest::sample::select(MOTIONS.to_vec()),
+                proptest::sample::select(PRESENCES.to_vec()),
+                any::<u64>(),
+            ),
+            1..6,
+        ),
         lengths in proptest::collection::vec(0_usize..140, 1..6),
         keys in any::<u32>(),
         exponent in -4.0..3.0_f64,
     ) {
-        round_trip(kind, 10_f64.powf(exponent), &stretches(motion, gaps, seed, &lengths, keys));
+        let n = lengths.iter().sum();
+        let channels: Vec<_> = channels
+            .into_iter()
+            .map(|(motion, gaps, seed)| Channel::new(motion, gaps, seed, n))
+            .collect();
+        round_trip(kind, 10_f64.powf(exponent), &cut(&channels, &lengths, keys));
     }
 
     /// Bit patterns as they come: whatever is finite is kept within the bound, whatever is not is refused.
     #[test]
     fn any_bits(
         kind in proptest::sample::select(vec!["dense", "fast", "lossless", "spline", "sync"]),
-        bits in proptest::collection::vec(any::<[u32; 3]>(), 1..50),
+        bits in proptest::collection::vec(any::<[[u32; 3]; 2]>(), 1..50),
     ) {
-        let positions: Vec<Position> = bits.iter().map(|p| p.map(f32::from_bits)).collect();
-        let present = positions.iter().map(|p| p.iter().all(|v| v.is_finite())).collect();
-        round_trip(kind, 0.5, &[Stretch { positions, present, key: true }]);
+        let channels = (0..2).map(|i| {
+            let positions: Vec<Position> = bits.iter().map(|p| p[i].map(f32::from_bits)).collect();
+            let present = positions.iter().map(|p| p.iter().all(|v| v.is_finite())).collect();
+            Channel { positions, present }
+        });
+        round_trip(kind, 0.5, &[Stretch { channels: channels.collect(), key: true }]);
     }
 }
 
@@ -92,27 +85,29 @@ proptest! {
 fn a_sample_that_is_not_finite_is_refused_and_nothing_is_changed() {
     for kind in KINDS {
         let settings = settings(kind, 0.5);
-        let good = stretches("smooth", "all", 3, &[30, 30], 0);
+        let channels: Vec<_> = (0..3).map(|i| Channel::new("smooth", "all", i, 60)).collect();
+        let good = cut(&channels, &[30, 30], 0);
         let mut bad = good[1].clone();
-        bad.positions[17][1] = f32::NAN;
+        bad.channels[2].positions[17][1] = f32::NAN;
         let mut encoder = settings.encoder();
         let mut out = vec![1, 2, 3];
-        let shared: Vec<Vec<u8>> =
-            good.iter().map(|s| settings.plan(&[s.rows()]).unwrap()).collect();
-        encoder.encode(good[0].rows(), &shared[0], true, &mut out).unwrap();
+        let mut reports = [BlockReport::default(); 3];
+        let shared: Vec<Vec<u8>> = good.iter().map(|s| settings.plan(&s.rows()).unwrap()).collect();
+        encoder.encode(&good[0].rows(), &shared[0], true, &mut out, &mut reports).unwrap();
         let before = out.clone();
-        let error = encoder.encode(bad.rows(), &shared[1], true, &mut out).unwrap_err();
+        let error =
+            encoder.encode(&bad.rows(), &shared[1], true, &mut out, &mut reports).unwrap_err();
         assert!(
             matches!(&error, CodecError::InvalidArgument(m) if m.contains("row 17")),
             "{error}"
         );
         assert_eq!(out, before);
-        encoder.encode(good[1].rows(), &shared[1], false, &mut out).unwrap();
+        encoder.encode(&good[1].rows(), &shared[1], false, &mut out, &mut reports).unwrap();
         let expected: Vec<u8> =
             encode(settings, &good).into_iter().flat_map(|block| block.bytes).collect();
         assert_eq!(out[3..], expected, "{kind}: the refused block left a trace");
         // Where it is absent its bits do not matter.
-        bad.present[17] = false;
+        bad.channels[2].present[17] = false;
         round_trip(kind, 0.5, &[Stretch { key: true, ..bad }]);
     }
 }
@@ -120,48 +115,45 @@ fn a_sample_that_is_not_finite_is_refused_and_nothing_is_changed() {
 #[test]
 fn one_plan_serves_channels_that_move_apart() {
     let settings = settings("sync", 0.2);
-    let channels: Vec<Stretch> = ["smooth", "walk", "steps", "constant", "line"]
+    let channels: Vec<Channel> = ["smooth", "walk", "steps", "constant", "line"]
         .iter()
         .zip(["all", "gaps", "late", "singles", "none"])
-        .map(|(motion, gaps)| stretches(motion, gaps, 11, &[300], 0).remove(0))
+        .map(|(motion, gaps)| Channel::new(motion, gaps, 11, 300))
         .collect();
-    let rows: Vec<Rows<'_>> = channels.iter().map(Stretch::rows).collect();
-    let shared = settings.plan(&rows).unwrap();
-    let mut decoded = DecodedRows::default();
-    for channel in &channels {
-        let mut out = Vec::new();
-        let report = settings.encoder().encode(channel.rows(), &shared, true, &mut out).unwrap();
-        assert_eq!(report.recoded, 0, "the plan holds for every channel");
-        settings.decoder().decode(&out, &shared, 300, true, &mut decoded).unwrap();
-        for (row, (a, b)) in channel.positions.iter().zip(&decoded.positions).enumerate() {
-            assert!(!channel.present[row] || distance_mm(*a, *b) <= 0.2);
-        }
-    }
-    let short = &rows[0].positions()[..9];
-    let odd = Rows::new(short, &[true; 9]).unwrap();
+    let stretches = cut(&channels, &[300], 0);
+    let blocks = encode(settings, &stretches);
+    decode_and_check(settings, &stretches, &blocks);
+    // A channel that is stored as it is has no error at all.
+    assert!(blocks[0].reports[1].max_error_mm > 0.0, "the plan holds for every channel");
+    let rows = stretches[0].rows();
+    let odd = Rows::new(&rows[0].positions()[..9], &[true; 9]).unwrap();
     assert!(matches!(settings.plan(&[rows[0], odd]), Err(CodecError::InvalidArgument(_))));
 }
 
 #[test]
 fn a_plan_of_other_samples_costs_bytes_but_not_the_bound() {
     let settings = settings("sync", 0.2);
-    let walk = stretches("walk", "all", 5, &[80], 0).remove(0);
-    let mut out = Vec::new();
-    let report = settings.encoder().encode(walk.rows(), &[], true, &mut out).unwrap();
-    assert_eq!((report.recoded, report.kept, report.max_error_mm), (1, 80, 0.0));
-    let mut decoded = DecodedRows::default();
+    let walk = Channel::new("walk", "all", 5, 80);
+    let (mut out, mut reports) = (Vec::new(), [BlockReport::default()]);
+    settings.encoder().encode(&[walk.rows()], &[], true, &mut out, &mut reports).unwrap();
+    assert_eq!((reports[0].kept, reports[0].max_error_mm), (80, 0.0));
+    let mut decoded = Vec::new();
     settings.decoder().decode(&out, &[], 80, true, &mut decoded).unwrap();
-    assert_eq!(decoded.positions, walk.positions);
+    assert_eq!(decoded[0].positions, walk.positions);
 }
 
 #[test]
 fn the_exhaustive_search_refuses_what_would_take_minutes() {
     let settings = settings("spline:exhaustive", 1.0);
-    let long = stretches("line", "all", 1, &[1025], 0).remove(0);
-    let mut out = Vec::new();
-    let error = settings.encoder().encode(long.rows(), &[], true, &mut out).unwrap_err();
+    let long = Channel::new("line", "all", 1, 1025);
+    let (mut out, mut reports) = (Vec::new(), [BlockReport::default()]);
+    let mut encoder = settings.encoder();
+    let error = encoder.encode(&[long.rows()], &[], true, &mut out, &mut reports).unwrap_err();
     assert!(error.to_string().contains("at most 1024 samples"), "{error}");
     assert!(out.is_empty());
-    let fits = stretches("line", "all", 1, &[1024], 0).remove(0);
-    assert!(settings.encoder().encode(fits.rows(), &[], true, &mut out).is_ok());
+    let fits = long.part(0..1024);
+    // What was refused half way leaves an encoder that must begin anew.
+    let next = encoder.encode(&[fits.rows()], &[], false, &mut out, &mut reports);
+    assert!(matches!(next, Err(CodecError::InvalidArgument(m)) if m.contains("key block")));
+    assert!(encoder.encode(&[fits.rows()], &[], true, &mut out, &mut reports).is_ok());
 }

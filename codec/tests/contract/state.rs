@@ -1,26 +1,15 @@
 //! State across blocks: what it saves, that a key block forgets it, and that it is never lost in step.
 
-use mocapd_codec::{CodecError, DecodedRows};
+use mocapd_codec::{BlockReport, CodecError};
 
-use super::{
-    Stretch, check, encode,
-    motions::{positions, presence},
-    settings,
-};
+use super::{Channel, Stretch, check, cut, decode_and_check, encode, settings};
 
 const LIVE: [&str; 3] = ["dense", "fast", "lossless"];
 
-fn channel(gaps: &str, key_every: usize) -> Vec<Stretch> {
-    let (positions, present) = (positions("smooth", 9, 600), presence(gaps, 9, 600));
-    let pairs = positions.chunks(60).zip(present.chunks(60));
-    pairs
-        .enumerate()
-        .map(|(i, (positions, present))| Stretch {
-            positions: positions.to_vec(),
-            present: present.to_vec(),
-            key: i % key_every == 0,
-        })
-        .collect()
+fn group(gaps: &str, key_every: usize) -> Vec<Stretch> {
+    let channels: Vec<_> = (9..12).map(|seed| Channel::new("smooth", gaps, seed, 600)).collect();
+    let keys = (0..10).filter(|i| i % key_every == 0).fold(0, |keys, i| keys | 1 << i);
+    cut(&channels, &[60; 10], keys)
 }
 
 #[test]
@@ -28,15 +17,10 @@ fn a_decoder_may_start_at_any_key_block() {
     for kind in LIVE {
         for gaps in ["all", "gaps"] {
             let settings = settings(kind, 0.5);
-            let stretches = channel(gaps, 4);
+            let stretches = group(gaps, 4);
             let blocks = encode(settings, &stretches);
             assert_eq!(blocks[4..], encode(settings, &stretches[4..]), "{kind}: a key remembers");
-            let mut decoder = settings.decoder();
-            let mut decoded = DecodedRows::default();
-            for (stretch, block) in stretches.iter().zip(&blocks).skip(4) {
-                decoder.decode(&block.bytes, &[], 60, stretch.key, &mut decoded).unwrap();
-                check(settings, stretch, block, &decoded);
-            }
+            decode_and_check(settings, &stretches[4..], &blocks[4..]);
         }
     }
 }
@@ -46,7 +30,7 @@ fn state_saves_bytes() {
     for kind in LIVE {
         let settings = settings(kind, 0.5);
         let bytes = |key_every| -> usize {
-            encode(settings, &channel("all", key_every)).iter().map(|b| b.bytes.len()).sum()
+            encode(settings, &group("all", key_every)).iter().map(|b| b.bytes.len()).sum()
         };
         assert!(bytes(100) < bytes(1), "{kind}: {} and {}", bytes(100), bytes(1));
     }
@@ -56,14 +40,14 @@ fn state_saves_bytes() {
 fn after_an_error_only_a_key_block_is_taken() {
     for kind in LIVE {
         let settings = settings(kind, 0.5);
-        let stretches = channel("all", 5);
+        let stretches = group("all", 5);
         let blocks = encode(settings, &stretches);
         let mut decoder = settings.decoder();
-        let mut decoded = DecodedRows::default();
+        let mut decoded = Vec::new();
         decoder.decode(&blocks[0].bytes, &[], 60, true, &mut decoded).unwrap();
-        // Presence runs that cover nothing.
-        assert!(decoder.decode(&[0x81, 0], &[], 60, false, &mut decoded).is_err());
-        assert!(decoded.present.iter().all(|&p| !p), "a failed block leaves rows behind");
+        // A presence section that is cut short.
+        assert!(decoder.decode(&[0x81, 9], &[], 60, false, &mut decoded).is_err());
+        assert!(decoded.is_empty(), "a failed block leaves rows behind");
         let next = decoder.decode(&blocks[1].bytes, &[], 60, false, &mut decoded);
         assert!(matches!(next, Err(CodecError::Corrupt(m)) if m.contains("key block")));
         decoder.decode(&blocks[5].bytes, &[], 60, true, &mut decoded).unwrap();
@@ -72,20 +56,23 @@ fn after_an_error_only_a_key_block_is_taken() {
 }
 
 #[test]
-fn a_raw_block_in_between_does_not_break_step() {
-    for kind in ["dense", "fast"] {
+fn stretches_without_a_sample_do_not_break_step() {
+    for kind in LIVE {
         let settings = settings(kind, 1e-3);
-        let mut stretches = channel("all", 100);
-        // Beyond every lattice: this block can only be stored raw.
-        stretches[3].positions[20] = [f32::MAX; 3];
-        stretches[6].present.fill(false);
+        let mut stretches = group("all", 100);
+        for channel in &mut stretches[6].channels {
+            channel.present.fill(false);
+        }
+        stretches[3].channels[1].present.fill(false);
         let blocks = encode(settings, &stretches);
-        assert_eq!(blocks[3].report.recoded, 1);
-        assert_eq!(blocks[3].report.max_error_mm, 0.0);
-        assert_eq!(blocks[4].report.recoded, 0);
+        assert!(blocks[6].bytes.is_empty());
         let mut decoder = settings.decoder();
-        let mut decoded = DecodedRows::default();
-        for (stretch, block) in stretches.iter().zip(&blocks) {
+        let mut decoded = Vec::new();
+        for (i, (stretch, block)) in stretches.iter().zip(&blocks).enumerate() {
+            if i == 6 {
+                decoder.skip(false);
+                continue;
+            }
             decoder.decode(&block.bytes, &[], 60, stretch.key, &mut decoded).unwrap();
             check(settings, stretch, block, &decoded);
         }
@@ -93,15 +80,27 @@ fn a_raw_block_in_between_does_not_break_step() {
 }
 
 #[test]
-fn a_marker_at_rest_costs_next_to_nothing() {
-    let settings = settings("dense", 0.5);
-    let at_rest: Vec<Stretch> = (0..20)
-        .map(|i| Stretch {
-            positions: positions("constant", 1, 30),
-            present: vec![true; 30],
-            key: i == 0,
-        })
-        .collect();
-    let blocks = encode(settings, &at_rest);
-    assert!(blocks.iter().skip(3).all(|b| b.bytes.len() == 1), "only the head byte is left");
+fn markers_at_rest_cost_next_to_nothing() {
+    for kind in ["dense", "fast"] {
+        let channels =
+            [Channel::new("constant", "all", 1, 600), Channel::new("constant", "all", 2, 600)];
+        let blocks = encode(settings(kind, 0.5), &cut(&channels, &[30; 20], 0));
+        assert!(blocks.iter().skip(3).all(|b| b.bytes.len() <= 5), "{kind}");
+    }
+}
+
+#[test]
+fn memory_that_was_prepared_is_enough() {
+    // That nothing is allocated is counted elsewhere; here, that it changes no byte.
+    for kind in LIVE {
+        let settings = settings(kind, 0.5);
+        let stretches = group("gaps", 4);
+        let mut encoder = settings.encoder();
+        encoder.prepare(64, 240);
+        for (stretch, block) in stretches.iter().zip(encode(settings, &stretches)) {
+            let (mut out, mut reports) = (Vec::new(), [BlockReport::default(); 3]);
+            encoder.encode(&stretch.rows(), &[], stretch.key, &mut out, &mut reports).unwrap();
+            assert_eq!((out, &reports[..]), (block.bytes, &block.reports[..]));
+        }
+    }
 }

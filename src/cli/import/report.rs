@@ -28,7 +28,6 @@ pub(super) struct Report {
     resampler: String,
     tolerance_mm: f64,
     max_error_mm: f64,
-    recoded_blocks: u64,
     foreign_dropped: Vec<String>,
     warnings: Vec<String>,
 }
@@ -58,7 +57,6 @@ impl Report {
             resampler: codec.kind.to_string(),
             tolerance_mm: tolerance_mm(codec),
             max_error_mm: written.max_error_mm,
-            recoded_blocks: written.recoded,
             foreign_dropped,
             warnings: info.source.warnings.clone(),
         }

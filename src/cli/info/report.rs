@@ -116,7 +116,6 @@ pub(super) struct ChannelReport {
     pub(super) gaps: u64,
     pub(super) knots: u64,
     pub(super) max_error_mm: f64,
-    pub(super) payload_bytes: u64,
 }
 
 impl Report {
@@ -182,7 +181,6 @@ impl Report {
                     gaps: found.gaps,
                     knots: found.knots,
                     max_error_mm: found.max_error_mm,
-                    payload_bytes: found.payload_bytes,
                 })
                 .collect(),
         }

@@ -105,7 +105,7 @@ fn size(report: &Report, line: &mut impl FnMut(&str, &str)) {
         ),
     );
     if !report.foreign_parts.is_empty() {
-        let blocks: u64 = report.channels.iter().map(|channel| channel.payload_bytes).sum();
+        let blocks = report.bytes.blocks;
         let ratio = report.raw_bytes as f64 / blocks.max(1) as f64;
         let words = format!("{} of it are trajectories, {ratio:.1}:1", bytes(blocks));
         line("", &format!("{words}; the rest is mostly what the file held beside them"));
@@ -123,21 +123,15 @@ fn markers(report: &Report, out: &mut String) {
     let labels: Vec<String> = report.channels.iter().map(label).collect();
     let width = labels.iter().map(|label| label.chars().count()).max().unwrap_or(0).max(6);
     let (samples, knots, error) = ("samples", "knots", "max error mm");
-    writeln!(
-        out,
-        "{:<width$} {samples:>10} {:>6} {knots:>10} {error:>13} {:>10}",
-        "marker", "gaps", "bytes"
-    )
-    .ok();
+    writeln!(out, "{:<width$} {samples:>10} {:>6} {knots:>10} {error:>13}", "marker", "gaps").ok();
     for (label, channel) in labels.iter().zip(&report.channels) {
         writeln!(
             out,
-            "{label:<width$} {:>10} {:>6} {:>10} {:>13.4} {:>10}",
+            "{label:<width$} {:>10} {:>6} {:>10} {:>13.4}",
             thousands(channel.samples),
             thousands(channel.gaps),
             thousands(channel.knots),
-            channel.max_error_mm,
-            thousands(channel.payload_bytes)
+            channel.max_error_mm
         )
         .ok();
     }

@@ -27,7 +27,6 @@ pub(crate) struct Report {
     resampler: String,
     tolerance_mm: f64,
     max_error_mm: f64,
-    recoded_blocks: u64,
     ring_latency_us: LatencyReport,
     process: ProcessReport,
     ledger: LedgerReport,
@@ -71,7 +70,6 @@ impl Report {
             resampler: codec.kind.to_string(),
             tolerance_mm: tolerance_mm(codec),
             max_error_mm: written.max_error_mm,
-            recoded_blocks: written.recoded,
             ring_latency_us: LatencyReport {
                 p50: us(latency.quantile_ns(0.5)),
                 p99: us(latency.quantile_ns(0.99)),

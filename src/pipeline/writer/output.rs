@@ -47,6 +47,4 @@ pub struct Written {
     pub kept: u64,
     /// The largest error that an encoder measured, in millimetres.
     pub max_error_mm: f64,
-    /// Blocks that had to be coded again, tighter.
-    pub recoded: u64,
 }

@@ -1,34 +1,39 @@
 //! Blocks to rows.
 
-use mocapd_codec::{BlockDecoder, DecodedRows, Settings};
+use std::iter;
 
-use super::{Span, Stretch};
+use mocapd_codec::{
+    BlockDecoder, CodecError, DecodedRows, GROUP_CHANNELS, Settings, stated_channels,
+};
+
+use super::{SAMPLES_MAX, Span, Stretch};
 use crate::TakeError;
 
 /// Decodes the stretches of a take in order.
 #[derive(Debug)]
 pub struct StretchDecoder {
     settings: Settings,
-    /// By channel; made with its first block, so that an empty one costs nothing.
-    channels: Vec<Option<Box<dyn BlockDecoder>>>,
+    /// Made with the first block, so that an empty one costs nothing.
+    groups: Vec<Option<Group>>,
     /// The stretch before was not decoded: what follows up to the next key stretch cannot be either.
     waits_for_key: bool,
-    /// The rows of the last stretch decoded, by channel; `None` where a channel has no samples in it.
-    rows: Vec<Option<DecodedRows>>,
-    spare: Vec<DecodedRows>,
+}
+
+/// One group of channels.
+#[derive(Debug)]
+struct Group {
+    decoder: Box<dyn BlockDecoder>,
+    /// Channels of its last block since the key.
+    n_channels: usize,
+    /// Its rows in the last stretch decoded.
+    rows: Vec<DecodedRows>,
 }
 
 impl StretchDecoder {
     /// For a take coded with `settings`.
     #[must_use]
     pub fn new(settings: Settings) -> Self {
-        Self {
-            settings,
-            channels: Vec::new(),
-            waits_for_key: true,
-            rows: Vec::new(),
-            spare: Vec::new(),
-        }
+        Self { settings, groups: Vec::new(), waits_for_key: true }
     }
 
     /// A stretch that the reader gave is not decoded: what depends on it is lost, too.
@@ -42,43 +47,58 @@ impl StretchDecoder {
         self.waits_for_key && !span.key
     }
 
-    /// Decodes the stretch after the one before, by channel; `None` where a channel has no samples in it.
+    /// Decodes the stretch after the one before; [`rows`](Self::rows) then has what is in it.
     ///
     /// # Errors
     /// `InvalidArgument` when it [`depends_on_lost`](Self::depends_on_lost); `Codec`; what depends on the
     /// stretch is then lost, too.
-    pub fn decode(&mut self, stretch: &Stretch<'_>) -> Result<&[Option<DecodedRows>], TakeError> {
+    pub fn decode(&mut self, stretch: &Stretch<'_>) -> Result<(), TakeError> {
+        let Span { key, n_rows, .. } = stretch.span;
         if self.depends_on_lost(stretch.span) {
             return Err(TakeError::InvalidArgument("depends on a damaged stretch".to_owned()));
         }
         self.waits_for_key = true;
-        if self.channels.len() < stretch.blocks.len() {
-            self.channels.resize_with(stretch.blocks.len(), || None);
+        if self.groups.len() < stretch.blocks.len() {
+            self.groups.resize_with(stretch.blocks.len(), || None);
         }
-        self.spare.extend(self.rows.drain(..).flatten());
-        let n_rows = stretch.span.n_rows as usize;
-        let blocks = stretch.blocks.iter().copied().chain(std::iter::repeat(&[][..]));
-        for (channel, block) in self.channels.iter_mut().zip(blocks) {
-            if block.is_empty() {
-                // Its decoder's state must see the gap.
-                if let Some(decoder) = channel {
-                    decoder.skip(stretch.span.key);
-                }
-                self.rows.push(None);
-                continue;
+        // Every group that is there must see the stretch, if only as a gap.
+        let blocks = stretch.blocks.iter().copied().chain(iter::repeat(&[][..]));
+        let mut n_channels = 0;
+        for (group, block) in self.groups.iter_mut().zip(blocks.clone()) {
+            if let Some(group) = group
+                && key
+            {
+                group.n_channels = 0;
             }
-            let decoder = channel.get_or_insert_with(|| self.settings.decoder());
-            let mut rows = self.spare.pop().unwrap_or_default();
-            decoder.decode(block, stretch.shared, n_rows, stretch.span.key, &mut rows)?;
-            self.rows.push(Some(rows));
+            if !block.is_empty() {
+                let group = group.get_or_insert_with(|| Group::new(self.settings));
+                group.n_channels = stated_channels(block).unwrap_or(group.n_channels);
+                n_channels += group.n_channels;
+            }
+        }
+        if n_channels as u64 * u64::from(n_rows) > SAMPLES_MAX {
+            Err(CodecError::Corrupt("more samples than a stretch can hold"))?;
+        }
+        for (group, block) in self.groups.iter_mut().zip(blocks) {
+            if let Some(Group { decoder, rows, .. }) = group {
+                decoder.decode(block, stretch.shared, n_rows as usize, key, rows)?;
+            }
         }
         self.waits_for_key = false;
-        Ok(&self.rows)
+        Ok(())
     }
 
-    /// What [`decode`](Self::decode) gave last.
-    #[must_use]
-    pub fn rows(&self) -> &[Option<DecodedRows>] {
-        &self.rows
+    /// The rows of the last stretch decoded, by channel; `None` where it has nothing of a channel.
+    pub fn rows(&self) -> impl Iterator<Item = Option<&DecodedRows>> {
+        self.groups.iter().flat_map(|group| {
+            let rows = group.as_ref().map_or(&[][..], |group| &group.rows);
+            rows.iter().map(Some).chain(iter::repeat(None)).take(GROUP_CHANNELS)
+        })
+    }
+}
+
+impl Group {
+    fn new(settings: Settings) -> Self {
+        Self { decoder: settings.decoder(), n_channels: 0, rows: Vec::new() }
     }
 }

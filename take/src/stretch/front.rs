@@ -43,7 +43,7 @@ impl FrontWriter {
         Self { stretch_rows, times: Some(times) }
     }
 
-    /// Appends the front of a stretch; [`put_block`](super::put_block) for every channel in table order
+    /// Appends the front of a stretch; [`put_block`](super::put_block) for every group in table order
     /// follows. `timeline` has the rows from the end of the stretch before to the end of this one, and is
     /// left out without [`with_times`](Self::with_times). `alone`: at most one block will follow.
     pub fn put(

@@ -1,7 +1,15 @@
 //! Stretches there and back, and what a missing one does to the next.
 
-use super::{Chain, FrontWriter, NUMBERS, Placed, Span, Stretch, put_block};
-use crate::timeline::{Causes, RowTime, Run, Timeline, TimelineEncoder};
+use mocapd_codec::{BlockReport, ResamplerKind, Rows, Settings, Tolerance};
+
+use super::{
+    Chain, FrontWriter, NUMBERS, Placed, Sizes, Span, Stretch, StretchDecoder, put_block,
+    take_blocks,
+};
+use crate::{
+    timeline::{Causes, RowTime, Run, Timeline, TimelineEncoder},
+    varint,
+};
 
 const TICK_HZ: u64 = 1_000_000;
 const STRETCH_ROWS: u32 = 30;
@@ -169,5 +177,51 @@ fn every_cut_and_every_mutation_gives_an_error_or_a_stretch() {
             damaged[at] = value;
             drop(chain.place(&damaged));
         }
+    }
+}
+
+/// Two groups, of which the second begins late and neither with samples in every stretch.
+#[test]
+fn groups_are_decoded_side_by_side() {
+    let settings =
+        Settings { kind: ResamplerKind::Fast, tolerance: Tolerance::from_mm(0.5).unwrap() };
+    let positions: Vec<[f32; 3]> = (0..30).map(|i| [i as f32, 0.0, 1.0]).collect();
+    let (all, none) = ([true; 30], [false; 30]);
+    let rows = |present| Rows::new(&positions, present).unwrap();
+    let mut encoders = [settings.encoder(), settings.encoder()];
+    let mut decoder = StretchDecoder::new(settings);
+    // Channels with samples, by stretch: of the first group's 64, and of two of the second.
+    for (i, seen) in [[64, 0], [0, 0], [3, 0], [64, 2], [0, 1], [5, 0], [0, 2]].iter().enumerate() {
+        let key = i % 5 == 0;
+        let mut payload = Vec::new();
+        for (encoder, (&seen, n)) in encoders.iter_mut().zip(seen.iter().zip([64, 2])) {
+            let channels: Vec<_> =
+                (0..n).map(|i| rows(if i < seen { &all } else { &none })).collect();
+            let (mut block, mut reports) = (Vec::new(), vec![BlockReport::default(); n]);
+            encoder.encode(&channels, &[], key, &mut block, &mut reports).unwrap();
+            put_block(&block, false, &mut payload);
+        }
+        let mut cursor = varint::Cursor::new(&payload);
+        let blocks = take_blocks(&mut cursor, false, 30, &mut Sizes::default()).unwrap();
+        let span = Span { first_row: 0, n_rows: 30, key, number: 0 };
+        let stretch = Stretch {
+            span,
+            missing_before: false,
+            timeline: None,
+            shared: &[],
+            blocks,
+            sizes: Sizes::default(),
+        };
+        decoder.decode(&stretch).unwrap();
+        let seen_in = |channel: usize| {
+            let rows = decoder.rows().nth(channel).flatten();
+            rows.is_some_and(mocapd_codec::DecodedRows::has_samples)
+        };
+        for channel in 0..66 {
+            let expected = if channel < 64 { channel < seen[0] } else { channel - 64 < seen[1] };
+            assert_eq!(seen_in(channel), expected, "channel {channel} in stretch {i}");
+        }
+        let stated = [64, 0, 0, 66, 0, 5, 66][i];
+        assert_eq!(stretch.stated_channels(), stated, "stretch {i}");
     }
 }

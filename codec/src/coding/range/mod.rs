@@ -97,6 +97,14 @@ pub trait BinaryCoder {
         bit
     }
 
+    /// An adaptive bit expected by two models together: the mean of both counts, and both learn.
+    fn mixed(&mut self, a: &mut Bit, b: &mut Bit, bit: bool) -> bool {
+        let bit = self.split((a.probability() + b.probability()) >> 1, bit);
+        a.learn(bit);
+        b.learn(bit);
+        bit
+    }
+
     /// `n` bits of equal odds, highest first.
     fn plain(&mut self, value: u64, n: u32) -> u64 {
         (0..n)

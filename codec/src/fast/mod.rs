@@ -1,0 +1,65 @@
+//! Dyadic interpolation with a skip inside the tolerance ball, and table-driven entropy coding: the
+//! error bound at bus speed.
+//!
+//! A block is a group of channels over one stretch. Each run of samples is coded level by level: an
+//! anchor every 32 rows, then halving strides, each row predicted from the four nearest rows of the
+//! wider strides. A row whose prediction lies inside the ball costs next to nothing.
+
+mod anchors;
+mod choose;
+mod coding;
+mod decoder;
+mod encoder;
+mod isa;
+mod levels;
+mod model;
+mod read;
+mod reader;
+mod residual;
+mod tans;
+#[cfg(test)]
+mod tests;
+mod walk;
+mod writer;
+
+pub(crate) use self::{decoder::FastDecoder, encoder::FastEncoder};
+use crate::{CodecError, coding::bytes::Bytes, raw::Raw};
+
+/// 2/sqrt(3), less 2^-9 for the float32 rounding of the reconstruction: the step's cube lies inside
+/// the tolerance ball.
+const STEP_PER_TOLERANCE: f64 = 2.0 / 1.732_050_807_568_877_2 * (1.0 - 1.0 / 512.0);
+
+/// Residuals beyond so many steps are left to the raw samples; float32 holds them and their sums.
+const MAX_STEPS: u32 = 1 << 22;
+
+/// Leading zeros of the code of the largest residual.
+const MAX_ZEROS: u32 = 22;
+
+/// How one channel of one block is coded: how often the step is halved (0 to 3), or raw.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+struct Mode(u8);
+
+impl Mode {
+    const RAW: Self = Self(4);
+
+    /// The modes that are not raw, coarsest first.
+    const STEPS: [Self; 4] = [Self(0), Self(1), Self(2), Self(3)];
+
+    fn read(input: &mut Bytes<'_>) -> Result<Self, CodecError> {
+        match input.byte("the mode of a channel")? {
+            mode @ 0..=4 => Ok(Self(mode)),
+            _ => Err(CodecError::Corrupt("an unknown mode of a channel")),
+        }
+    }
+}
+
+/// The step of a mode, in millimetres.
+fn step(tolerance_mm: f64, mode: Mode) -> f32 {
+    (tolerance_mm * STEP_PER_TOLERANCE / f64::from(1_u32 << mode.0)) as f32
+}
+
+/// Most bytes of a payload of so many channels and rows.
+fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
+    // Per channel the mode and the samples; then state, flag and end mark.
+    n_channels * (1 + Raw::max_bytes(n_rows)) + 16
+}

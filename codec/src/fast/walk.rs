@@ -1,0 +1,136 @@
+//! What encoder and decoder share: the state of a channel, and in which order and from which rows a
+//! run is predicted.
+//!
+//! All arithmetic is f32 in the order written here: the same on every machine.
+
+use super::{
+    anchors::{GUESSES, anchors},
+    levels::level,
+    model::{Activity, LEVELS, ORIGIN},
+};
+use crate::CodecError;
+
+/// x, y, z and a lane that stays zero.
+pub(super) type Point = [f32; 4];
+
+/// Distance of the anchors, in rows.
+pub(super) const SPAN: usize = 32;
+
+/// Rows before a run that predictions reach back to, row 0 included.
+pub(super) const TAIL: usize = SPAN + 1;
+
+/// Index of row 0, the last row already known, in a run's points.
+pub(super) const ZERO: usize = TAIL - 1;
+
+/// An anchor's error beyond this many tolerances counts as this much.
+const MAX_ERROR: f32 = 1024.0;
+
+/// The state of a channel, the same on both sides after every block.
+#[derive(Debug, Clone)]
+pub(super) struct Channel {
+    /// The last rows, the newest last.
+    pub(super) tail: [Point; TAIL],
+    /// How many of them are right before the next block.
+    pub(super) known: usize,
+    pub(super) activity: [Activity; LEVELS],
+    /// How far each guess was off lately: an average that forgets an eighth an anchor.
+    pub(super) errors: [Point; GUESSES.len()],
+}
+
+impl Channel {
+    pub(super) const NEW: Self = Self {
+        tail: [[0.0; 4]; TAIL],
+        known: 0,
+        activity: Activity::NEW,
+        errors: [[0.0; 4]; GUESSES.len()],
+    };
+}
+
+/// What an encoder and a decoder do differently.
+pub(super) trait Side {
+    /// Coded rows of a level, in order, before their points are asked for. A decoder reads them.
+    fn enter(
+        &mut self,
+        level: usize,
+        rows: Rows,
+        activity: &mut Activity,
+    ) -> Result<(), CodecError>;
+
+    /// The final point of the level's next coded row.
+    fn settle(&mut self, row: usize, prediction: Point) -> Point;
+
+    /// All rows of the level are settled. An encoder writes them.
+    fn leave(&mut self, level: usize, rows: Rows, activity: &mut Activity);
+}
+
+/// `first`, `first + step` ... `count` rows of a run, none beyond `end`.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Rows {
+    pub(super) first: usize,
+    pub(super) step: usize,
+    pub(super) end: usize,
+    pub(super) count: usize,
+}
+
+impl Rows {
+    #[inline(always)]
+    pub(super) fn row(self, i: usize) -> usize {
+        (self.first + i * self.step).min(self.end)
+    }
+}
+
+/// Rows up to the last anchor, for `n` rows after row 0.
+pub(super) fn extent(n: usize) -> usize {
+    let full = n.saturating_sub(1) / SPAN * SPAN;
+    full + (n - full).next_power_of_two()
+}
+
+/// Room that a run of so many rows takes.
+pub(super) const fn room(n_rows: usize) -> usize {
+    TAIL + n_rows + SPAN
+}
+
+#[inline(always)]
+pub(super) fn lanes(f: impl Fn(usize) -> f32) -> Point {
+    [f(0), f(1), f(2), f(3)]
+}
+
+/// Walks one run: `n_samples` present rows, of which the first is the origin where nothing is known.
+/// `points` has [`room`] for the run.
+#[inline(always)]
+pub(super) fn run<S: Side>(
+    side: &mut S,
+    channel: &mut Channel,
+    points: &mut [Point],
+    n_samples: usize,
+    cap: f32,
+) -> Result<(), CodecError> {
+    let mut n = n_samples;
+    if channel.known == 0 {
+        let rows = Rows { first: 0, step: 1, end: 0, count: 1 };
+        let activity = &mut channel.activity[ORIGIN];
+        side.enter(ORIGIN, rows, activity)?;
+        channel.tail[ZERO] = side.settle(0, channel.tail[ZERO]);
+        side.leave(ORIGIN, rows, activity);
+        channel.known = 1;
+        n -= 1;
+    }
+    points[..TAIL].copy_from_slice(&channel.tail);
+    if n > 0 {
+        let end = extent(n);
+        anchors(side, channel, points, end, cap)?;
+        let mut stride = SPAN / 2;
+        while stride > 0 {
+            level(side, channel, points, (n, end), stride)?;
+            stride /= 2;
+        }
+    }
+    channel.tail.copy_from_slice(&points[n..n + TAIL]);
+    channel.known = (channel.known + n).min(TAIL);
+    Ok(())
+}
+
+/// The cap of an anchor's error.
+pub(super) fn error_cap(tolerance_mm: f64) -> f32 {
+    tolerance_mm as f32 * MAX_ERROR
+}

@@ -1,0 +1,112 @@
+//! Groups: how many channels, which of them a block has, and when they appear.
+
+use mocapd_codec::{BlockReport, CodecError, GROUP_CHANNELS, stated_channels};
+
+use super::{
+    Channel, KINDS, Stretch, cut, decode_and_check, encode,
+    motions::{MOTIONS, PRESENCES},
+    settings,
+};
+
+fn mixed(n_channels: usize, n_rows: usize) -> Vec<Channel> {
+    (0..n_channels)
+        .map(|i| {
+            let (motion, gaps) = (MOTIONS[i % MOTIONS.len()], PRESENCES[i % PRESENCES.len()]);
+            Channel::new(motion, gaps, i as u64, n_rows)
+        })
+        .collect()
+}
+
+#[test]
+fn groups_of_every_size() {
+    for kind in KINDS.into_iter().filter(|kind| !kind.ends_with("exhaustive")) {
+        for n_channels in [1, 2, 63, GROUP_CHANNELS] {
+            let stretches = cut(&mixed(n_channels, 150), &[50, 1, 40, 9, 50], 0b1_0000);
+            let blocks = encode(settings(kind, 0.5), &stretches);
+            assert_eq!(blocks, encode(settings(kind, 0.5), &stretches));
+            decode_and_check(settings(kind, 0.5), &stretches, &blocks);
+        }
+    }
+}
+
+#[test]
+fn what_does_not_fit_is_refused_and_leaves_no_trace() {
+    let settings = settings("fast", 0.5);
+    let channels = mixed(GROUP_CHANNELS + 1, 20);
+    let rows: Vec<_> = channels.iter().map(Channel::rows).collect();
+    let short = Channel::new("walk", "all", 1, 19);
+    let odd = [rows[0], short.rows()];
+    let mut reports = vec![BlockReport::default(); rows.len()];
+    let mut encoder = settings.encoder();
+    let mut out = Vec::new();
+    encoder.encode(&rows[..5], &[], true, &mut out, &mut reports[..5]).unwrap();
+    let before = out.clone();
+    // Too many, none, reports that are too few, other rows, and fewer channels than before.
+    for (rows, n_reports) in
+        [(&rows[..], 65), (&[][..], 0), (&rows[..5], 4), (&odd[..], 2), (&rows[..4], 4)]
+    {
+        let outcome = encoder.encode(rows, &[], false, &mut out, &mut reports[..n_reports]);
+        assert!(matches!(outcome, Err(CodecError::InvalidArgument(_))), "{outcome:?}");
+        assert_eq!(out, before);
+    }
+    encoder.encode(&rows[..5], &[], false, &mut out, &mut reports[..5]).unwrap();
+    let group = |key| Stretch { channels: channels[..5].to_vec(), key };
+    let expected = encode(settings, &[group(true), group(false)]);
+    assert_eq!(out, [&expected[0].bytes[..], &expected[1].bytes].concat());
+}
+
+#[test]
+fn a_block_has_the_channels_up_to_the_last_that_was_seen_since_the_key() {
+    for kind in ["dense", "fast", "lossless"] {
+        let (seen, absent) =
+            (Channel::new("smooth", "all", 3, 30), Channel::new("smooth", "none", 3, 30));
+        let group = |seen_ones: &[usize], n: usize, key| Stretch {
+            channels: (0..n)
+                .map(|i| if seen_ones.contains(&i) { seen.clone() } else { absent.clone() })
+                .collect(),
+            key,
+        };
+        let stretches = [
+            group(&[2], 40, true),
+            group(&[0, 2], 40, false),
+            // Channels appear, also beyond those that there were.
+            group(&[2, 39], 40, false),
+            group(&[63], 64, false),
+            group(&[], 64, false),
+            group(&[1], 64, false),
+            // An empty key block: what follows begins anew.
+            group(&[], 64, true),
+            group(&[10], 64, false),
+            group(&[4], 64, true),
+        ];
+        let blocks = encode(settings(kind, 0.5), &stretches);
+        decode_and_check(settings(kind, 0.5), &stretches, &blocks);
+        let stated: Vec<_> = blocks.iter().map(|block| stated_channels(&block.bytes)).collect();
+        let expected = [Some(3), None, Some(40), Some(64), None, None, None, Some(11), Some(5)];
+        assert_eq!(stated, expected, "{kind}");
+        // Behind an empty key block a decoder may start, and so may an encoder.
+        let again = encode(settings(kind, 0.5), &stretches[7..]);
+        assert_eq!(again, blocks[7..]);
+        decode_and_check(settings(kind, 0.5), &stretches[7..], &blocks[7..]);
+    }
+}
+
+#[test]
+fn a_channel_that_cannot_be_coded_does_not_cost_the_others() {
+    for kind in ["dense", "fast"] {
+        let mut channels: Vec<Channel> =
+            (0..8).map(|i| Channel::new("smooth", "all", i, 240)).collect();
+        let lengths = [60; 4];
+        let plain = encode(settings(kind, 0.1), &cut(&channels, &lengths, 0));
+        // Beyond every lattice, in the second stretch only.
+        channels[5].positions[70..110].fill([f32::MAX; 3]);
+        let stretches = cut(&channels, &lengths, 0);
+        let blocks = encode(settings(kind, 0.1), &stretches);
+        decode_and_check(settings(kind, 0.1), &stretches, &blocks);
+        let raw = blocks[1].reports[5];
+        assert_eq!((raw.kept, raw.max_error_mm), (60, 0.0));
+        assert!(blocks[2].reports[5].kept < 60, "{kind}: it is coded again");
+        let more = blocks[1].bytes.len() - plain[1].bytes.len();
+        assert!(more < 60 * 13, "{kind}: {more} bytes more");
+    }
+}
