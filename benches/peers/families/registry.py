@@ -1,0 +1,7 @@
+"""The codecs the bench runs, strongest families first."""
+
+from families import containers, numbers, quantised, scientific, trajectories
+
+
+def all_codecs():
+    return scientific.codecs() + trajectories.codecs() + quantised.codecs() + numbers.codecs() + containers.codecs()

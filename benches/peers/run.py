@@ -1,0 +1,86 @@
+"""Measures published codecs beside mocapd's own on recorded takes.
+
+    pip install -r benches/peers/requirements.txt
+    python benches/peers/run.py TAKES_DIR --cache DIR --json OUT.json --markdown OUT.md --plot OUT
+
+The bound is the largest Euclidean error of any sample, measured after decoding to float32; no figure is unverified.
+With --check the exit code is 1 when a claim does not hold.
+"""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import bars as bars_  # noqa: E402
+import ours as ours_  # noqa: E402
+import plot  # noqa: E402
+import sizes  # noqa: E402
+import table  # noqa: E402
+import takes as takes_  # noqa: E402
+import timings  # noqa: E402
+from families.registry import all_codecs  # noqa: E402
+
+
+def arguments():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("takes", type=Path, help="folder of C3D, TRC, TSV and CSV takes")
+    parser.add_argument("--only", metavar="WORD", help="only takes whose name holds WORD")
+    parser.add_argument("--mocapd", metavar="PATH", help="default: target/release/mocapd")
+    parser.add_argument("--peers-only", action="store_true", help="do not run mocapd")
+    parser.add_argument("--no-speed", action="store_true", help="sizes only")
+    parser.add_argument("--cache", metavar="DIR", help="keep the peers' sizes here between runs")
+    parser.add_argument("--json", metavar="OUT", type=Path)
+    parser.add_argument("--markdown", metavar="OUT", type=Path, help="default: standard output")
+    parser.add_argument("--plot", metavar="OUT", type=Path, help="writes OUT.svg and OUT.png")
+    parser.add_argument("--check", action="store_true", help="exit code 1 when a claim does not hold")
+    return parser.parse_args()
+
+
+def said(text):
+    print(text, file=sys.stderr, flush=True)
+
+
+def main():
+    options = arguments()
+    paths = [p for p in takes_.find(options.takes) if not options.only or options.only in p.stem]
+    if not paths:
+        said(f"no take in {options.takes}")
+        return 2
+    program = None if options.peers_only else ours_.find(options.mocapd)
+
+    peers = sizes.all_rows(paths, options.cache, said=said)
+    takes = [takes_.load(path) for path in paths]
+    # Speeds last and one at a time, mocapd's right after the peers': both meet the same machine.
+    speeds = []
+    for take in [] if options.no_speed else takes:
+        if take.raw_bytes < bars_.SPEED_RAW_BYTES_MIN or take.filtered:
+            continue
+        said(f"speed: {take.name}")
+        speeds += timings.speed_rows(take, peers)
+    ours = ours_.rows_of(ours_.run(program, paths), takes) if program else []
+    bars = bars_.all_bars(ours, peers, speeds) if ours else []
+
+    versions = sorted({codec.versions for codec in all_codecs()})
+    text = table.everything(peers, ours, speeds, versions)
+    if options.markdown:
+        options.markdown.write_text(text)
+    else:
+        print(text)
+    if options.json:
+        answer = {"versions": versions, "peers": peers, "speeds": speeds, "mocapd": ours, "bars": bars_.as_json(bars)}
+        options.json.write_text(json.dumps(answer, indent=1) + "\n")
+    if options.plot:
+        plot.draw(peers, ours, options.plot)
+    print(bars_.as_text(bars))
+    return 1 if options.check and not (bars and all(bar.held for bar in bars)) else 0
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except (FileNotFoundError, RuntimeError, AssertionError) as problem:
+        said(problem)
+        sys.exit(2)

@@ -1,0 +1,62 @@
+"""Bytes of every peer for every take and tolerance: rows ready for JSON."""
+
+from concurrent.futures import ProcessPoolExecutor
+
+import takes
+from cache import Cache
+from families.registry import all_codecs
+from mask import mask_bytes
+
+TOLERANCES_MM = (0.1, 0.5, 1.0, 5.0, 10.0, 20.0)
+
+
+def rows_of(path, cache_folder, codec_name, tolerances_mm):
+    """One codec on one take."""
+    take = takes.load(path)
+    cache = Cache(cache_folder, take.sha256, codec_name)
+    codec = next(c for c in all_codecs() if c.name == codec_name)
+    mask = 0 if codec.lossless else mask_bytes(take.present)
+    rows = []
+    for tolerance_mm in tolerances_mm:
+        found = []
+        for filled in take.fills[:1] if codec.lossless else take.fills:
+            # What has no bound has one size.
+            at = 0.0 if codec.lossless else tolerance_mm
+            result = cache.result(codec, filled.gaps, at, lambda: codec.best(filled, tolerance_mm))
+            if result:
+                found.append((result, filled.gaps))
+        if found:
+            result, gaps = min(found, key=lambda entry: entry[0].bytes)
+            rows.append(row(take, codec, tolerance_mm, result, mask) | {"gaps": gaps})
+    return rows
+
+
+def row(take, codec, tolerance_mm, result, mask):
+    if not result.max_error_mm <= tolerance_mm:
+        raise AssertionError(f"{codec.name} on {take.name}: {result.max_error_mm} mm for {tolerance_mm} mm")
+    return {
+        "take": take.name,
+        "samples": take.samples,
+        "raw_bytes": take.raw_bytes,
+        "filtered": take.filtered,
+        "tolerance_mm": tolerance_mm,
+        "codec": codec.name,
+        "layout": result.layout,
+        "bytes": result.bytes + mask,
+        "mask_bytes": mask,
+        "max_error_mm": result.max_error_mm,
+        "axis_tolerance_mm": result.axis_tolerance,
+    }
+
+
+def all_rows(paths, cache_folder, processes=2, said=lambda text: None, found=lambda rows: None):
+    """Rows of all codecs on all takes; `said` gets a line and `found` all rows so far, as each codec ends a take."""
+    jobs = [(path, codec.name) for codec in all_codecs() for path in paths]
+    rows = []
+    with ProcessPoolExecutor(processes) as pool:
+        futures = [pool.submit(rows_of, path, cache_folder, name, TOLERANCES_MM) for path, name in jobs]
+        for number, ((path, name), future) in enumerate(zip(jobs, futures), 1):
+            rows += future.result()
+            said(f"{number}/{len(jobs)} {name}: {path.stem}")
+            found(rows)
+    return rows
