@@ -7,11 +7,16 @@ pub(crate) const STATED_STEPS: u8 = 63;
 
 /// Euclidean distance in f64, in millimetres.
 pub(crate) fn distance_mm(a: Position, b: Position) -> f64 {
+    squares(a, b).sqrt()
+}
+
+/// The square of the distance.
+pub(crate) fn squares(a: Position, b: Position) -> f64 {
     let square = |axis: usize| {
         let d = f64::from(a[axis]) - f64::from(b[axis]);
         d * d
     };
-    (square(0) + square(1) + square(2)).sqrt()
+    square(0) + square(1) + square(2)
 }
 
 /// The bound that a step states, in millimetres.

@@ -56,6 +56,8 @@ mod sync;
 
 pub use block::{BlockDecoder, BlockEncoder, BlockReport, DecodedRows, GROUP_CHANNELS, Rows};
 pub use coding::range;
+#[cfg(feature = "training")]
+pub use dense::training;
 pub use error::CodecError;
 pub use frame::stated_channels;
 pub use settings::{ResamplerKind, Settings, SplineVariant, Tolerance};

@@ -1,12 +1,9 @@
 //! Where a span's last row will be: several guesses, of which the one that did best lately is taken.
 
-use super::grid::Point;
+use super::lattice::Point;
 
 /// (rows that the velocity is measured over, its weight in quarters).
 const GUESSES: [(usize, i64); 7] = [(1, 0), (2, 4), (4, 4), (8, 4), (8, 2), (32, 4), (32, 2)];
-
-/// Rows before row 0 that a guess may look at.
-pub(super) const REACH: usize = 32;
 
 /// An error beyond this counts as this much: one jump must not decide for seconds.
 const MAX_ERROR: u64 = 1 << 24;
@@ -22,7 +19,7 @@ pub(super) struct Anchor {
 pub(super) struct Guesses([[i64; GUESSES.len()]; 3]);
 
 impl Anchor {
-    /// `known` holds the rows up to row 0, at least one and at most `REACH + 1` used; `m` is the distance to the anchor.
+    /// `known` holds the rows up to row 0, at least one and at most 33 used; `m` is the distance to the anchor.
     pub(super) fn guess(&self, known: &[Point], m: usize) -> (Point, Guesses) {
         let mut guesses = Guesses(Default::default());
         let mut best = Point::default();

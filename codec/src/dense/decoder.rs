@@ -1,44 +1,43 @@
-//! The decoder has no choices.
+//! The half that only follows.
 
 use super::{
-    grid::{Grid, Point},
-    walk::{Channel, Side},
+    encoder::STORED,
+    lattice::{Fineness, Grid, Point},
+    walk::{Group, Question, Side},
 };
 use crate::{
-    CodecError, DecodedRows, Position, Tolerance, block,
-    coding::{bytes::Bytes, range::RangeDecoder},
+    CodecError, DecodedRows, GROUP_CHANNELS, Tolerance,
+    coding::range::{BinaryCoder, RangeDecoder},
     frame::PayloadDecoder,
-    raw::Raw,
 };
 
 /// The decoder of one group.
 #[derive(Debug)]
 pub(crate) struct DenseDecoder {
-    grid: Grid,
-    channels: Vec<Channel>,
-    raw: Raw,
+    group: Group,
+    /// The presence of the block's channels: the walk reads it while the rows are filled.
+    present: Vec<bool>,
 }
 
 impl DenseDecoder {
     pub(crate) fn new(tolerance: Tolerance) -> Self {
-        Self { grid: Grid::new(tolerance), channels: Vec::new(), raw: Raw::default() }
+        Self { group: Group::new(Grid::new(tolerance)), present: Vec::new() }
     }
 }
 
 impl PayloadDecoder for DenseDecoder {
     #[cfg(debug_assertions)]
     fn prepare(&mut self, n_channels: usize, n_rows: usize) {
-        self.channels.resize_with(n_channels, Channel::default);
-        self.channels.iter_mut().for_each(|channel| channel.prepare(n_rows));
-        self.raw.reserve(n_rows);
+        self.group.prepare(n_channels, n_rows);
+        self.present.reserve((n_channels * n_rows).saturating_sub(self.present.len()));
     }
 
     fn reset(&mut self) {
-        self.channels.iter_mut().for_each(Channel::reset);
+        self.group.reset();
     }
 
     fn break_off(&mut self) {
-        self.channels.iter_mut().for_each(Channel::break_off);
+        self.group.break_off();
     }
 
     fn decode(
@@ -47,56 +46,86 @@ impl PayloadDecoder for DenseDecoder {
         _shared: &[u8],
         channels: &mut [DecodedRows],
     ) -> Result<(), CodecError> {
-        if self.channels.len() < channels.len() {
-            self.channels.resize_with(channels.len(), Channel::default);
-        }
-        let mut input = Bytes::new(payload);
-        for (rows, channel) in channels.iter_mut().zip(&mut self.channels) {
-            if !rows.has_samples() {
-                channel.break_off();
-                continue;
+        let n_rows = channels.first().map_or(0, |rows| rows.present.len());
+        self.present.clear();
+        self.present.extend(channels.iter().flat_map(|rows| rows.present.iter().copied()));
+        let n_channels = channels.len().min(GROUP_CHANNELS);
+        let mut side =
+            Decoding { channels, grid: self.group.grid, coder: RangeDecoder::new(payload) };
+        if side.coder.split(STORED, false) {
+            self.group.reset();
+            for channel in 0..n_channels {
+                side.stored(channel)?;
             }
-            match input.byte("the mode of a channel")? {
-                0 => {}
-                1 => {
-                    channel.break_off();
-                    self.raw.read(&mut input, rows)?;
-                    continue;
+            return side.coder.finish();
+        }
+        let mut present: [Option<&[bool]>; GROUP_CHANNELS] = [None; GROUP_CHANNELS];
+        for (channel, rows) in self.present.chunks_exact(n_rows.max(1)).enumerate().take(n_channels)
+        {
+            present[channel] = Some(rows);
+            if rows.contains(&true) {
+                let fineness: Option<Fineness> = Some(Fineness::Normal);
+                if self.group.storage(&mut side.coder, channel, fineness).is_none() {
+                    side.stored(channel)?;
+                    present[channel] = None;
                 }
-                _ => return Err(CodecError::Corrupt("an unknown mode of a channel")),
             }
-            let len = usize::try_from(input.varint("a length")?).unwrap_or(usize::MAX);
-            let coded = input.take(len, "a coded channel")?;
-            let DecodedRows { positions, present, kept, .. } = rows;
-            let mut side =
-                Decoding { grid: self.grid, positions, kept, coder: RangeDecoder::new(coded) };
-            channel.block(&mut side, present.len(), block::runs(present))?;
-            side.coder.finish()?;
         }
-        input.finish()
+        self.group.block(&mut side, n_rows, &present[..n_channels])?;
+        side.coder.finish()
     }
 }
 
 struct Decoding<'a> {
+    channels: &'a mut [DecodedRows],
     grid: Grid,
-    positions: &'a mut [Position],
-    kept: &'a mut [bool],
     coder: RangeDecoder<'a>,
+}
+
+impl Decoding<'_> {
+    /// A channel bit by bit.
+    fn stored(&mut self, channel: usize) -> Result<(), CodecError> {
+        let rows = &mut self.channels[channel];
+        for row in 0..rows.present.len() {
+            if !rows.present[row] {
+                continue;
+            }
+            for coordinate in &mut rows.positions[row] {
+                *coordinate = f32::from_bits(self.coder.plain(0, 32) as u32);
+                if !coordinate.is_finite() {
+                    return Err(CodecError::Corrupt("a stored coordinate is not finite"));
+                }
+            }
+            rows.kept[row] = true;
+        }
+        Ok(())
+    }
 }
 
 impl<'a> Side for Decoding<'a> {
     type Coder = RangeDecoder<'a>;
 
-    fn coder(&mut self) -> &mut Self::Coder {
+    fn coder(&mut self) -> &mut RangeDecoder<'a> {
         &mut self.coder
     }
 
-    fn choose(&mut self, _: usize, _: Point, _: bool) -> Result<Option<Point>, CodecError> {
-        Ok(None)
+    fn choose(&mut self, _question: Question) -> Point {
+        [0; 3]
     }
 
-    fn settle(&mut self, row: usize, point: Point, kept: bool) {
-        self.positions[row] = self.grid.position(point);
-        self.kept[row] = kept;
+    fn start(
+        &mut self,
+        _channel: usize,
+        _row: usize,
+        _step: i64,
+        _ways: &[Point],
+    ) -> (usize, Point) {
+        (0, [0; 3])
+    }
+
+    fn settle(&mut self, channel: usize, row: usize, point: Point, kept: bool) {
+        let rows = &mut self.channels[channel];
+        rows.positions[row] = self.grid.position(point);
+        rows.kept[row] = kept;
     }
 }

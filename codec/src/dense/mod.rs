@@ -1,16 +1,32 @@
-//! Asynchronous dyadic cubic resampling, quantised inside the tolerance ball and context-coded.
+//! The smallest files: asynchronous dyadic cubic resampling of a group of channels, context-coded.
 //!
-//! Each run of samples is coded in spans of up to 32 rows: the span's end first, then halving levels,
-//! each row interpolated from rows already decoded. A row whose prediction lies inside the tolerance
-//! ball is skipped: the rows that are not are the channel's own, adaptive sampling.
+//! docs/codec.md, `dense`, specifies it; [`walk`] is the order, [`row`] the syntax, [`weave`] and
+//! [`lengths`] what the markers of a group say of one another.
 
 mod anchor;
+mod choice;
+mod code;
 mod decoder;
 mod encoder;
-mod grid;
+mod lattice;
+mod layout;
+mod lengths;
+mod logistic;
 mod model;
+mod origin;
 mod prior;
-mod schedule;
+mod row;
+mod taps;
+mod track;
+#[cfg(feature = "training")]
+pub mod training;
 mod walk;
+mod weave;
 
 pub(crate) use self::{decoder::DenseDecoder, encoder::DenseEncoder};
+
+/// Rows of a span: its last row must be known before its first is final.
+const SPAN: usize = 64;
+
+/// Dyadic levels below the anchor: strides 32 to 1.
+const LEVELS: usize = SPAN.ilog2() as usize;

@@ -1,164 +1,126 @@
-//! The probabilities of a channel, and the syntax of one residual.
+//! The odds of a group: contexts, and the mixing of what they say.
+//!
+//! Every decision is expected by one to three contexts at once. Each context holds a probability that
+//! follows its bits, quickly at first; a mixer adds their logits with weights that follow, too
+//! (logistic mixing, after Mahoney, Adaptive weighing of context models for lossless data compression,
+//! 2005). All of it is integer arithmetic.
 
-use super::{grid::Point, prior, schedule::LEVELS};
-use crate::{
-    CodecError,
-    coding::range::{BinaryCoder, Bit},
+use super::{
+    layout::{N_CONTEXTS, N_MIXERS},
+    logistic::Logistic,
+    prior,
+};
+use crate::coding::range::BinaryCoder;
+
+/// A probability of a bit being set, and how many bits it rests on.
+#[derive(Debug, Clone, Copy)]
+struct Context {
+    probability: u16,
+    seen: u8,
+}
+
+/// Weights of up to three contexts, 1 being 2^16, and how many bits they rest on.
+#[derive(Debug, Clone, Copy)]
+struct Mixer {
+    weights: [i32; 3],
+    seen: u16,
+}
+
+/// A context moves by 1/(n + 1.6) of its error at its n-th bit, and by 2 % at least.
+const MOVES: [i32; 64] = {
+    let mut moves = [0; 64];
+    let mut n = 0;
+    while n < 64 {
+        let share = 65536 * 5 / (5 * n as i32 + 8);
+        moves[n] = if share < 1311 { 1311 } else { share };
+        n += 1;
+    }
+    moves
 };
 
-/// Kinds of rows: first of a run, anchor of a long, a middling and a short span, and the strides.
-pub(super) const KINDS: usize = 4 + LEVELS;
-pub(super) const ORIGIN: usize = 0;
+/// The mixers' learning rate at first, and the least, in 2^-16.
+const FIRST_RATE: i32 = 1311;
+const LAST_RATE: i32 = 393;
 
-/// Classes of recent activity.
-pub(super) const ACTIVITIES: usize = 6;
-/// Classes of the neighbours' residuals.
-pub(super) const NEAR: usize = 3;
-/// Classes of local curvature.
-pub(super) const BENDS: usize = 5;
-
-/// Magnitudes up to this are unary, the rest Exp-Golomb.
-pub(super) const UNARY: usize = 12;
-/// Exponent of the largest magnitude that an encoder can need, and one to spare.
-const MAX_EXPONENT: usize = 42;
-
-/// Averages of recent magnitudes, in 1/256, forgetting an eighth a row.
-#[derive(Debug, Clone, Copy, Default)]
-struct Recent(u16);
-
-impl Recent {
-    fn class(self) -> usize {
-        match self.0 {
-            0..12 => 0,
-            12..48 => 1,
-            48..128 => 2,
-            128..320 => 3,
-            320..1024 => 4,
-            _ => 5,
-        }
-    }
-
-    fn push(&mut self, magnitude: u64) {
-        let new = 256 * magnitude.min(31) as u16;
-        self.0 = self.0 - (self.0 >> 3) + (new >> 3);
-    }
-}
-
-/// What is known about a row before its residual.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Context {
-    /// Below [`KINDS`].
-    pub(super) kind: usize,
-    /// Below [`NEAR`].
-    pub(super) near: usize,
-    /// Below [`BENDS`].
-    pub(super) bend: usize,
-}
-
-/// Everything of a channel that adapts to its residuals.
+/// All contexts and mixers of a group.
 #[derive(Debug, Clone)]
 pub(super) struct Model {
-    moving: [[[[Bit; BENDS]; NEAR]; ACTIVITIES]; KINDS],
-    nonzero: [[[Bit; 3]; ACTIVITIES]; KINDS],
-    unary: [[Bit; UNARY]; ACTIVITIES],
-    exponent: [Bit; MAX_EXPONENT + 1],
-    sign: [[Bit; 3]; KINDS],
-    row_activity: [Recent; KINDS],
-    axis_activity: [[Recent; 3]; KINDS],
-    last_sign: [[u8; 3]; KINDS],
-}
-
-impl Default for Model {
-    fn default() -> Self {
-        Self {
-            moving: prior::MOVING
-                .map(|kind| kind.map(|activity| activity.map(|near| near.map(Bit::expecting)))),
-            nonzero: prior::NONZERO.map(|kind| kind.map(|activity| activity.map(Bit::expecting))),
-            unary: prior::LONGER.map(|activity| activity.map(Bit::expecting)),
-            exponent: [Bit::NEW; MAX_EXPONENT + 1],
-            sign: [[Bit::NEW; 3]; KINDS],
-            row_activity: Default::default(),
-            axis_activity: Default::default(),
-            last_sign: Default::default(),
-        }
-    }
+    contexts: Box<[Context]>,
+    mixers: Box<[Mixer]>,
+    logistic: &'static Logistic,
+    #[cfg(feature = "training")]
+    pub(super) tally: super::training::Tally,
 }
 
 impl Model {
-    /// Codes one residual in lattice steps; none is a skipped row.
-    ///
-    /// A residual that is there is never zero on all axes: that would be a skip.
-    pub(super) fn residual(
-        &mut self,
-        coder: &mut impl BinaryCoder,
-        context: Context,
-        residual: Option<Point>,
-    ) -> Result<Option<Point>, CodecError> {
-        let Context { kind, near, bend } = context;
-        let activity = self.row_activity[kind].class();
-        let moving = coder.bit(&mut self.moving[kind][activity][near][bend], residual.is_some());
-        let mut steps = residual.unwrap_or_default();
-        if moving {
-            let mut nonzero_axes = 0;
-            for (axis, steps) in steps.iter_mut().enumerate() {
-                let certain = axis == 2 && nonzero_axes == 0;
-                self.axis(coder, kind, axis, (nonzero_axes, certain), steps)?;
-                nonzero_axes += usize::from(*steps != 0);
-            }
-        }
-        let magnitudes = steps.map(i64::unsigned_abs);
-        self.row_activity[kind].push(magnitudes.iter().fold(0, |sum, m| sum + m.min(&31)));
-        for (recent, magnitude) in self.axis_activity[kind].iter_mut().zip(magnitudes) {
-            recent.push(magnitude);
-        }
-        Ok(moving.then_some(steps))
+    pub(super) fn new() -> Self {
+        let context = Context { probability: 0, seen: 0 };
+        let mut model = Self {
+            contexts: vec![context; N_CONTEXTS].into_boxed_slice(),
+            mixers: vec![Mixer { weights: [0; 3], seen: 0 }; N_MIXERS].into_boxed_slice(),
+            logistic: Logistic::tables(),
+            #[cfg(feature = "training")]
+            tally: super::training::Tally::new(),
+        };
+        model.reset();
+        model
     }
 
-    fn axis(
-        &mut self,
-        coder: &mut impl BinaryCoder,
-        kind: usize,
-        axis: usize,
-        (nonzero_axes, certain): (usize, bool),
-        steps: &mut i64,
-    ) -> Result<(), CodecError> {
-        let activity = self.axis_activity[kind][axis].class();
-        let order = if axis == 0 { 0 } else { 1 + nonzero_axes.min(1) };
-        let nonzero = certain || coder.bit(&mut self.nonzero[kind][activity][order], *steps != 0);
-        if !nonzero {
-            *steps = 0;
-            return Ok(());
+    /// Back to the odds that everything starts from.
+    pub(super) fn reset(&mut self) {
+        for (index, context) in self.contexts.iter_mut().enumerate() {
+            let (probability, seen) = prior::context(index);
+            *context = Context { probability, seen };
         }
-        let last = &mut self.last_sign[kind][axis];
-        let negative = coder.bit(&mut self.sign[kind][usize::from(*last)], *steps < 0);
-        *last = 1 + u8::from(negative);
-        let beyond_one = self.magnitude(coder, activity, steps.unsigned_abs().saturating_sub(1))?;
-        let magnitude = 1 + beyond_one as i64;
-        *steps = if negative { -magnitude } else { magnitude };
-        Ok(())
+        for (index, mixer) in self.mixers.iter_mut().enumerate() {
+            *mixer = Mixer { weights: prior::weights(index), seen: 0 };
+        }
     }
 
-    fn magnitude(
+    /// A bit that several contexts expect together.
+    pub(super) fn mixed<const N: usize>(
         &mut self,
         coder: &mut impl BinaryCoder,
-        activity: usize,
-        value: u64,
-    ) -> Result<u64, CodecError> {
-        for (below, model) in self.unary[activity].iter_mut().enumerate() {
-            if !coder.bit(model, value > below as u64) {
-                return Ok(below as u64);
-            }
+        contexts: [usize; N],
+        mixer: usize,
+        bit: bool,
+    ) -> bool {
+        let logits = contexts.map(|i| self.logistic.logit(self.contexts[i].probability));
+        let weighing = &mut self.mixers[mixer];
+        let sum = logits.iter().zip(weighing.weights);
+        let sum = sum.fold(0, |sum, (&logit, weight)| sum + i64::from(logit) * i64::from(weight));
+        let probability = self.logistic.probability(sum >> 16).clamp(24, 65512);
+        let bit = coder.split((65536 - probability) as u32, bit);
+        let error = (i32::from(bit) << 16) - probability;
+        let rate = (FIRST_RATE * 16 / (16 + i32::from(weighing.seen))).max(LAST_RATE);
+        for (weight, logit) in weighing.weights.iter_mut().zip(logits) {
+            *weight += ((((error * logit) >> 8) * rate) + (1 << 15)) >> 16;
         }
-        let rest = value.wrapping_sub(UNARY as u64).wrapping_add(1);
-        let wanted = rest.checked_ilog2().unwrap_or(0) as usize;
-        let mut exponent = 0;
-        while coder.bit(&mut self.exponent[exponent], wanted > exponent) {
-            exponent += 1;
-            if exponent > MAX_EXPONENT {
-                return Err(CodecError::Corrupt("a residual beyond every coordinate"));
-            }
+        weighing.seen = (weighing.seen + 1).min(1 << 10);
+        for index in contexts {
+            self.learn(index, bit);
         }
-        let low = coder.plain(rest, exponent as u32);
-        Ok((1 << exponent) + low - 1 + UNARY as u64)
+        #[cfg(feature = "training")]
+        self.tally.mixer(mixer, self.mixers[mixer].weights);
+        bit
+    }
+
+    /// A bit of one context.
+    pub(super) fn single(&mut self, coder: &mut impl BinaryCoder, index: usize, bit: bool) -> bool {
+        let probability = i32::from(self.contexts[index].probability).clamp(32, 65504);
+        let bit = coder.split((65536 - probability) as u32, bit);
+        self.learn(index, bit);
+        bit
+    }
+
+    fn learn(&mut self, index: usize, bit: bool) {
+        let context = &mut self.contexts[index];
+        let target = if bit { 65535 } else { 0 };
+        let error = target - i32::from(context.probability);
+        let step = (i64::from(error) * i64::from(MOVES[usize::from(context.seen)])) >> 16;
+        context.probability = (i32::from(context.probability) + step as i32) as u16;
+        context.seen = (context.seen + 1).min(63);
+        #[cfg(feature = "training")]
+        self.tally.context(index, bit);
     }
 }

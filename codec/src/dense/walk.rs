@@ -1,220 +1,330 @@
-//! The one path through a block that encoder and decoder share: order, prediction, contexts, state.
-
-use std::ops::Range;
+//! The order in which a group's rows are coded: the same walk encodes and decodes.
 
 use super::{
-    anchor::{Anchor, REACH},
-    grid::{self, Point, STEP, UNITS_PER_TOLERANCE},
-    model::{BENDS, Context, Model, NEAR, ORIGIN},
-    schedule::{self, Entry, LEVELS, SPAN, WEIGHT_BITS},
+    LEVELS, SPAN,
+    lattice::{self, Fineness, Grid, Lattice, Point},
+    layout as is,
+    layout::ORIGIN,
+    lengths::{Lengths, distance},
+    model::Model,
+    origin,
+    row::{self, Surroundings},
+    taps::Site,
+    track::{End, MEMORY, Track},
+    weave::Weave,
 };
 use crate::{CodecError, coding::range::BinaryCoder};
 
-/// Decoded rows before a block that predictions reach back to.
-const MEMORY: usize = SPAN + 1;
-const _: () = assert!(REACH < MEMORY && 2 * SPAN / 2 < MEMORY);
+/// What an encoder is asked before a residual is coded.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Question {
+    pub(super) channel: usize,
+    /// Of the block.
+    pub(super) row: usize,
+    pub(super) prediction: Point,
+    pub(super) lattice: Lattice,
+    /// Units of a lattice step.
+    pub(super) step: i64,
+    /// Averages of the magnitudes in 1/256, by axis.
+    pub(super) activity: [i32; 3],
+    /// Nothing is predicted from the row.
+    pub(super) last_level: bool,
+}
 
-/// What an encoder and a decoder do differently.
+/// Encoder or decoder.
 pub(super) trait Side {
-    /// Range encoder or decoder.
     type Coder: BinaryCoder;
-
     fn coder(&mut self) -> &mut Self::Coder;
-
-    /// The residual to code for a row, in steps, none for a skip. A decoder has nothing to say.
-    fn choose(
-        &mut self,
-        row: usize,
-        prediction: Point,
-        finest: bool,
-    ) -> Result<Option<Point>, CodecError>;
-
-    /// A row is final.
-    fn settle(&mut self, row: usize, point: Point, kept: bool);
+    /// The lattice steps to code; all zero to stay at the prediction. A decoder's answer is ignored.
+    fn choose(&mut self, question: Question) -> Point;
+    /// Which of the candidates a first row is coded from, and the steps from there. Ignored, too.
+    fn start(&mut self, channel: usize, row: usize, step: i64, ways: &[Point]) -> (usize, Point);
+    /// A row's point is known.
+    fn settle(&mut self, channel: usize, row: usize, point: Point, kept: bool);
 }
 
-/// What adapts, and is taken back when a block is abandoned.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Adaptive {
-    model: Model,
-    anchor: Anchor,
-    /// Last decoded point of any run: where the next run is expected to start.
-    last: Point,
+/// A run of present rows within a span, as rows of a track.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Run {
+    /// Its first row, or the row before the span when it goes on from there.
+    zero: usize,
+    channel: usize,
+    end: usize,
 }
 
-/// The state of a channel, the same on both sides after every block.
+/// Everything that a group of channels remembers.
 #[derive(Debug)]
-pub(super) struct Channel {
-    pub(super) adaptive: Adaptive,
-    /// [`MEMORY`] rows before the block, then the block's rows.
-    points: Vec<Point>,
-    /// Sum of residual magnitudes of each row, saturating.
-    weights: Vec<u8>,
-    /// How many of the rows right before the block are decoded and contiguous with it.
-    known: usize,
+pub(super) struct Group {
+    pub(super) grid: Grid,
+    pub(super) tracks: Vec<Track>,
+    pub(super) model: Model,
+    pub(super) weave: Weave,
+    pub(super) lengths: Lengths,
+    runs: Vec<Run>,
+    /// Rows since the key block.
+    first_row: u64,
 }
 
-impl Default for Channel {
-    fn default() -> Self {
-        schedule::prepare();
+impl Group {
+    pub(super) fn new(grid: Grid) -> Self {
         Self {
-            adaptive: Adaptive::default(),
-            points: vec![Point::default(); MEMORY],
-            weights: vec![0; MEMORY],
-            known: 0,
+            grid,
+            tracks: Vec::new(),
+            model: Model::new(),
+            weave: Weave::new(),
+            lengths: Lengths::new(),
+            runs: Vec::new(),
+            first_row: 0,
         }
     }
-}
 
-impl Channel {
-    /// Room for blocks of so many rows.
-    pub(super) fn prepare(&mut self, n_rows: usize) {
-        let rows = MEMORY + n_rows;
-        self.points.reserve(rows.saturating_sub(self.points.len()));
-        self.weights.reserve(rows.saturating_sub(self.weights.len()));
+    pub(super) fn prepare(&mut self, n_channels: usize, n_rows: usize) {
+        if self.tracks.len() < n_channels {
+            self.tracks.resize_with(n_channels, Track::default);
+        }
+        self.tracks.iter_mut().for_each(|track| track.prepare(n_rows));
+        // Runs are at least a row long and a row apart.
+        self.runs.reserve((n_channels * SPAN.div_ceil(2)).saturating_sub(self.runs.len()));
     }
 
     pub(super) fn reset(&mut self) {
-        self.adaptive = Adaptive::default();
-        self.break_off();
+        self.tracks.iter_mut().for_each(Track::reset);
+        self.model.reset();
+        self.weave.reset();
+        self.lengths.reset();
+        self.first_row = 0;
     }
 
     /// The rows before the next block are not known.
     pub(super) fn break_off(&mut self) {
-        self.known = 0;
+        self.tracks.iter_mut().for_each(|track| track.known.fill(false));
     }
 
-    /// Codes all runs of a block of `n_rows`.
+    /// Codes the rows of a block, `present` by channel; `None` for a channel that is stored raw.
     pub(super) fn block<S: Side>(
         &mut self,
         side: &mut S,
         n_rows: usize,
-        runs: impl Iterator<Item = Range<usize>>,
+        present: &[Option<&[bool]>],
     ) -> Result<(), CodecError> {
-        self.points.resize(MEMORY + n_rows, Point::default());
-        self.weights.resize(MEMORY + n_rows, 0);
-        let mut end = 0;
-        let mut known_at_end = 0;
-        for run in runs {
-            // Both in rows of `points`, where row 0 of the block is at MEMORY.
-            let mut known = if run.start == 0 { self.known } else { 0 };
-            let (mut at, stop) = (run.start + MEMORY, run.end + MEMORY);
-            if known == 0 {
-                self.origin(side, at)?;
-                at += 1;
-                known = 1;
-            }
-            while at < stop {
-                let m = (stop - at).min(SPAN);
-                self.span(side, at - 1, m, known)?;
-                at += m;
-                known = (known + m).min(MEMORY);
-            }
-            self.adaptive.last = self.points[stop - 1];
-            end = run.end;
-            known_at_end = known;
+        let n = present.len();
+        if self.tracks.len() < n {
+            self.tracks.resize_with(n, Track::default);
         }
-        self.known = if end == n_rows { known_at_end } else { 0 };
-        self.points.copy_within(n_rows.., 0);
-        self.weights.copy_within(n_rows.., 0);
+        self.tracks.iter_mut().for_each(|track| track.begin(n_rows));
+        let mut before = MEMORY - 1;
+        while before + 1 < MEMORY + n_rows {
+            let last = (before + SPAN).min(MEMORY + n_rows - 1);
+            self.span(side, (before, last), present)?;
+            before = last;
+        }
+        self.tracks.iter_mut().for_each(|track| track.finish(n_rows));
+        self.first_row += n_rows as u64;
         Ok(())
     }
 
-    /// The first row of a run.
-    fn origin<S: Side>(&mut self, side: &mut S, at: usize) -> Result<(), CodecError> {
-        let context = Context { kind: ORIGIN, near: 0, bend: 0 };
-        self.row(side, at, self.adaptive.last, context, false)
-    }
-
-    /// `m` rows after row `zero`, of which `known` rows up to and with `zero` are decoded.
+    /// The rows after `before`, up to `last`.
     fn span<S: Side>(
         &mut self,
         side: &mut S,
-        zero: usize,
-        m: usize,
-        known: usize,
+        (before, last): (usize, usize),
+        present: &[Option<&[bool]>],
     ) -> Result<(), CodecError> {
-        let history = &self.points[zero + 1 - known.min(REACH + 1)..=zero];
-        let (prediction, guesses) = self.adaptive.anchor.guess(history, m);
-        let kind = match m {
+        let n = present.len();
+        self.weave.begin(n);
+        self.find_runs((before, last), present);
+        let mut runs = std::mem::take(&mut self.runs);
+        let mut solved = 0_u64;
+        for &run in &runs {
+            if run.zero > before {
+                self.origin(side, run.channel, run.zero, present)?;
+            } else {
+                let track = &mut self.tracks[run.channel];
+                track.run_start = track.run_start.max((before + 1).saturating_sub(MEMORY));
+            }
+            if solved >> run.channel & 1 == 0 {
+                solved |= 1 << run.channel;
+                self.look_around(run.channel, n, before);
+            }
+            if run.end > run.zero {
+                self.anchor(side, run, before)?;
+            }
+            let track = &mut self.tracks[run.channel];
+            let row = self.first_row + (run.end - MEMORY) as u64;
+            track.end = Some(End { row, point: track.points[run.end], taken: false });
+        }
+        // Now by channel, so that the references of a row are there before it.
+        runs.sort_unstable_by_key(|run| (run.channel, run.zero));
+        for stride in (0..LEVELS).rev().map(|bit| 1 << bit) {
+            self.level(side, &runs, stride, before)?;
+        }
+        for run in &runs {
+            // A run that begins in this span starts with its own first row.
+            if run.zero > before {
+                self.tracks[run.channel].run_start = run.zero;
+            }
+        }
+        self.runs = runs;
+        self.weave.end(n);
+        Ok(())
+    }
+
+    /// All runs of the span, by first row, then channel.
+    fn find_runs(&mut self, (before, last): (usize, usize), present: &[Option<&[bool]>]) {
+        self.runs.clear();
+        for (channel, present) in present.iter().enumerate() {
+            let Some(present) = present else { continue };
+            let mut row = before + 1;
+            while row <= last {
+                if !present[row - MEMORY] {
+                    row += 1;
+                    continue;
+                }
+                let goes_on = row == before + 1 && self.tracks[channel].known[before];
+                let zero = if goes_on { before } else { row };
+                while row < last && present[row + 1 - MEMORY] {
+                    row += 1;
+                }
+                self.runs.push(Run { zero, channel, end: row });
+                row += 2;
+            }
+        }
+        self.runs.sort_unstable();
+    }
+
+    /// Where the channel is among the others, and what follows from it.
+    fn look_around(&mut self, channel: usize, n: usize, before: usize) {
+        let place = |track: &Track| {
+            let row = [before, before + 1].into_iter().find(|&row| track.known[row])?;
+            Some(track.points[row])
+        };
+        if let Some(own) = place(&self.tracks[channel]) {
+            for k in 0..channel {
+                if let Some(other) = place(&self.tracks[k]) {
+                    let mm = distance(own, other)
+                        * lattice::UNITS_PER_TOLERANCE as f64
+                        * self.grid.unit_mm;
+                    self.weave.place(channel, k, mm);
+                }
+            }
+        }
+        let weave = &self.weave;
+        self.lengths.choose(channel, |k| weave.nearness(channel, k));
+        self.weave.solve(channel, n);
+    }
+
+    /// The rows of one level, by channel.
+    fn level<S: Side>(
+        &mut self,
+        side: &mut S,
+        runs: &[Run],
+        stride: usize,
+        before: usize,
+    ) -> Result<(), CodecError> {
+        for run in runs {
+            let start = self.start_of(run, before);
+            let first = (run.zero - before) / (2 * stride) * (2 * stride) + stride + before;
+            let first = if first <= run.zero { first + 2 * stride } else { first };
+            for at in (first..run.end).step_by(2 * stride) {
+                let site = Site::new(at, stride, (start, run.zero, run.end));
+                self.interpolated(side, run.channel, &site, start, before)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn start_of(&self, run: &Run, before: usize) -> usize {
+        if run.zero > before { run.zero } else { self.tracks[run.channel].run_start }
+    }
+
+    /// The first row of a run.
+    fn origin<S: Side>(
+        &mut self,
+        side: &mut S,
+        channel: usize,
+        at: usize,
+        present: &[Option<&[bool]>],
+    ) -> Result<(), CodecError> {
+        let found = origin::Ways::find(&self.tracks, channel, at, self.first_row, present);
+        let step = self.tracks[channel].fineness.step(Lattice::Cubic);
+        let (choice, steps) = side.start(channel, at - MEMORY, step, found.points());
+        let choice = found.code(side.coder(), &mut self.model, choice);
+        if let Some(end) = found.taken(choice).and_then(|k| self.tracks[k].end.as_mut()) {
+            end.taken = true;
+        }
+        let steps = row::origin(side.coder(), &mut self.model, found.class(choice), steps)?;
+        let from = found.points()[choice];
+        let point =
+            std::array::from_fn(|axis| from[axis].wrapping_add(steps[axis].wrapping_mul(step)));
+        self.settle(side, (channel, at, ORIGIN), (point, steps), true)
+    }
+
+    /// The last row of a run within the span.
+    fn anchor<S: Side>(&mut self, side: &mut S, run: Run, before: usize) -> Result<(), CodecError> {
+        let (channel, rows) = (run.channel, run.end - run.zero);
+        let start = self.start_of(&run, before);
+        let track = &self.tracks[channel];
+        let (expected, guesses) = track.anchor.guess(&track.points[start..=run.zero], rows);
+        let kind = match rows {
             17.. => 1,
             5.. => 2,
             _ => 3,
         };
-        let near = usize::from(self.weights[zero]).min(NEAR - 1);
-        self.row(side, zero + m, prediction, Context { kind, near, bend: 0 }, m == 1)?;
-        self.adaptive.anchor.score(&guesses, self.points[zero + m]);
-        for entry in schedule::interior(m) {
-            let (prediction, context) = self.interpolate(entry, zero, known);
-            self.row(side, zero + entry.row, prediction, context, entry.stride == 1)?;
-        }
+        let around = Surroundings {
+            kind,
+            left: track.steps_from(start, Some(run.zero)),
+            ..Surroundings::default()
+        };
+        self.code(side, (channel, run.end), expected, around, (run.zero, run.zero), before)?;
+        let track = &mut self.tracks[channel];
+        track.anchor.score(&guesses, track.points[run.end]);
         Ok(())
     }
 
-    fn interpolate(&self, entry: &Entry, zero: usize, known: usize) -> (Point, Context) {
-        let taps = entry.taps(known - 1);
-        let point = |row: i32| self.points[zero.wrapping_add_signed(row as isize)];
-        let weight = |row: i32| self.weights[zero.wrapping_add_signed(row as isize)];
-        let base = point(taps[0].row);
-        let mut prediction = base;
-        let mut bend = 0;
-        let (left, right) = (taps[0].row, taps[1].row);
-        let far = point(right);
-        for axis in 0..3 {
-            let mut sum = 1_i64 << (WEIGHT_BITS - 1);
-            for tap in &taps[1..] {
-                let off = point(tap.row)[axis].wrapping_sub(base[axis]);
-                sum = sum.wrapping_add(off.wrapping_mul(tap.weight));
-            }
-            let curve = sum >> WEIGHT_BITS;
-            prediction[axis] = base[axis].wrapping_add(curve);
-            let chord = far[axis]
-                .wrapping_sub(base[axis])
-                .wrapping_mul(i64::from(entry.row as i32 - left))
-                .div_euclid(i64::from(right - left));
-            bend = curve.wrapping_sub(chord).unsigned_abs().max(bend);
-        }
-        let bend = match bend.saturating_mul(8) / UNITS_PER_TOLERANCE as u64 {
-            0 => 0,
-            1..3 => 1,
-            3..8 => 2,
-            8..24 => 3,
-            _ => 4,
-        };
-        let previous = entry.row as i32 - 2 * entry.stride as i32;
-        let previous = if previous + known as i32 > 0 { weight(previous) } else { 0 };
-        let parents = weight(left).max(weight(right));
-        let near = match (previous, parents) {
-            (0, 0) => 0,
-            (0, _) | (1, 0..2) => 1,
-            _ => 2,
-        };
-        let kind = 4 + entry.stride.ilog2() as usize;
-        debug_assert!(kind < 4 + LEVELS && bend < BENDS);
-        (prediction, Context { kind, near, bend })
-    }
-
-    fn row<S: Side>(
+    fn interpolated<S: Side>(
         &mut self,
         side: &mut S,
-        at: usize,
-        prediction: Point,
-        context: Context,
-        finest: bool,
+        channel: usize,
+        site: &Site,
+        start: usize,
+        before: usize,
     ) -> Result<(), CodecError> {
-        let choice = side.choose(at - MEMORY, prediction, finest)?;
-        let residual = self.adaptive.model.residual(side.coder(), context, choice)?;
-        let steps = residual.unwrap_or_default();
-        let point = std::array::from_fn(|axis| {
-            prediction[axis].wrapping_add(steps[axis].wrapping_mul(STEP))
-        });
-        if !grid::in_range(point) {
-            return Err(CodecError::Corrupt("a position beyond every coordinate"));
+        let track = &self.tracks[channel];
+        let expected = site.expect(&track.points);
+        let earlier = |rows: usize| track.steps_from(start, site.at.checked_sub(rows));
+        let around = Surroundings {
+            kind: 4 + site.stride.ilog2() as usize,
+            left: track.steps_from(start, Some(site.left)),
+            right: track.steps_from(start, Some(site.right)),
+            before: earlier(2 * site.stride),
+            before_that: earlier(4 * site.stride),
+            bend: expected.bend,
+            side: expected.side,
+            ..Surroundings::default()
+        };
+        self.code(side, (channel, site.at), expected.point, around, (site.left, site.right), before)
+    }
+
+    /// How a channel is stored in this block: not at all here, in fine steps, or as usual.
+    pub(super) fn storage(
+        &mut self,
+        coder: &mut impl BinaryCoder,
+        channel: usize,
+        fineness: Option<Fineness>,
+    ) -> Option<Fineness> {
+        if self.tracks.len() <= channel {
+            self.tracks.resize_with(channel + 1, Track::default);
         }
-        self.points[at] = point;
-        self.weights[at] =
-            steps.iter().fold(0, |sum: u64, s| sum + s.unsigned_abs().min(64)).min(255) as u8;
-        side.settle(at - MEMORY, point, residual.is_some());
-        Ok(())
+        let track = &mut self.tracks[channel];
+        let raw = self.model.single(coder, is::RAW.at(track.was_raw), fineness.is_none());
+        track.was_raw = 1 + usize::from(raw);
+        if raw {
+            return None;
+        }
+        let fine = fineness == Some(Fineness::Fine);
+        let fine = self.model.single(coder, is::FINE.at(track.was_fine), fine);
+        track.was_fine = 1 + usize::from(fine);
+        track.fineness = if fine { Fineness::Fine } else { Fineness::Normal };
+        Some(track.fineness)
     }
 }

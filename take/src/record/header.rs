@@ -90,7 +90,7 @@ pub struct Header {
 
 /// The format of stretches and blocks that this build writes and reads. 1 was that of development
 /// versions, with a time line in chunks of its own.
-pub const CODEC_VERSION: u16 = 3;
+pub const CODEC_VERSION: u16 = 4;
 
 impl Header {
     /// The codec's settings, checked.

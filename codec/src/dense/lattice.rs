@@ -1,0 +1,111 @@
+//! Fixed point: positions as integers of a fine unit, and the lattices that residuals lie on.
+//!
+//! Residuals are vectors of a lattice whose every hole is smaller than the tolerance ball: the cubic
+//! one, edge 2/sqrt(3) of the tolerance, or the body-centred cubic one, whose points have all three
+//! coordinates even or all three odd in steps of 2/sqrt(5) (covering radii: Conway and Sloane, Sphere
+//! packings, lattices and groups, chapter 4). The second needs 0.9 bits less for a long vector, the first
+//! has more points close to zero.
+
+use crate::{Position, Tolerance};
+
+/// Units per tolerance. A power of two: the unit is then exact in f64.
+pub(super) const UNITS_PER_TOLERANCE: i64 = 256;
+
+/// Coordinates that the encoder takes, in units; 110 km at 0.1 mm.
+pub(super) const MAX_SAMPLE: f64 = (1_i64 << 40) as f64;
+
+/// Coordinates that a decoder takes: the largest sample and a step of slack, and then some.
+pub(super) const MAX_DECODED: u64 = 1 << 41;
+
+/// A point on the grid, in units.
+pub(super) type Point = [i64; 3];
+
+/// The grid of one tolerance.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Grid {
+    /// The size of a unit.
+    pub(super) unit_mm: f64,
+}
+
+impl Grid {
+    pub(super) fn new(tolerance: Tolerance) -> Self {
+        Self { unit_mm: tolerance.mm() / UNITS_PER_TOLERANCE as f64 }
+    }
+
+    /// What the decoder gives for a point.
+    pub(super) fn position(&self, point: Point) -> Position {
+        point.map(|units| (units as f64 * self.unit_mm) as f32)
+    }
+
+    /// A sample in units, not rounded.
+    pub(super) fn units(&self, sample: Position) -> [f64; 3] {
+        sample.map(|mm| f64::from(mm) / self.unit_mm)
+    }
+
+    /// The coarsest fineness whose lattices reach every sample of a channel whose coordinates are at most
+    /// `max_mm`, float32 rounding of the reconstruction included; none where even the finest does not.
+    pub(super) fn fineness(&self, max_mm: f32) -> Option<Fineness> {
+        let max_units = f64::from(max_mm) / self.unit_mm;
+        if max_units > MAX_SAMPLE {
+            return None;
+        }
+        let reach = f64::from(max_mm) + 2.0 * self.unit_mm * UNITS_PER_TOLERANCE as f64;
+        let ulp_units = f64::from((reach as f32).next_up() - reach as f32) / self.unit_mm;
+        // Half a unit in the last place on each axis, sqrt(3) / 2 of it in 3D, and a little.
+        let rounding = 0.88 * ulp_units + 0.01;
+        [Fineness::Normal, Fineness::Fine]
+            .into_iter()
+            .find(|fineness| fineness.covering_radius() + rounding <= UNITS_PER_TOLERANCE as f64)
+    }
+}
+
+/// Whether a decoded point can have come from an encoder.
+pub(super) fn in_range(point: Point) -> bool {
+    point.iter().all(|units| units.unsigned_abs() <= MAX_DECODED)
+}
+
+/// How much of the tolerance is left for the rounding to float32.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) enum Fineness {
+    /// 0.9 %: rooms at a tenth of a millimetre.
+    #[default]
+    Normal,
+    /// 13 %: for coordinates that are huge beside the tolerance.
+    Fine,
+}
+
+/// The two lattices.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Lattice {
+    /// Any integers.
+    Cubic,
+    /// All even or all odd.
+    Centred,
+}
+
+impl Fineness {
+    /// Units of one lattice step.
+    pub(super) fn step(self, lattice: Lattice) -> i64 {
+        match (self, lattice) {
+            (Self::Normal, Lattice::Cubic) => 293,
+            (Self::Normal, Lattice::Centred) => 227,
+            (Self::Fine, Lattice::Cubic) => 256,
+            (Self::Fine, Lattice::Centred) => 198,
+        }
+    }
+
+    /// Of the lattice that leaves less room, in units: sqrt(3)/2 of the cubic, sqrt(5)/2 of the centred step.
+    fn covering_radius(self) -> f64 {
+        let cubic = self.step(Lattice::Cubic) as f64 * 0.866_026;
+        let centred = self.step(Lattice::Centred) as f64 * 1.118_034;
+        cubic.max(centred)
+    }
+}
+
+/// Nearest integer, halves up.
+pub(super) fn round(value: f64) -> i64 {
+    // Without a call where the processor has no rounding instruction.
+    let shifted = value + 0.5;
+    let cut = shifted as i64;
+    cut.wrapping_sub(i64::from(cut as f64 > shifted))
+}

@@ -1,0 +1,195 @@
+//! Segments of constant length: what the distance to another marker says.
+//!
+//! The distance between two markers of a segment changes slowly, however the segment turns; where it
+//! stood at the neighbouring rows, it will about stand here. The expectation is moved along the line to
+//! such a partner, by a share that is learnt: how much of the difference used to be true.
+
+use crate::GROUP_CHANNELS;
+
+use super::{
+    SPAN,
+    lattice::{Point, UNITS_PER_TOLERANCE},
+    layout::KINDS,
+};
+
+/// Markers that a channel is held against, at most.
+pub(super) const PARTNERS: usize = 3;
+/// Earlier channels whose distance is followed: the nearest.
+const NEAR: usize = 6;
+/// Distances seen before a pair counts.
+const LEAST_SEEN: f64 = 6.0;
+/// How far back the spread of a distance remembers, in rows.
+const MEMORY_ROWS: f64 = 60.0;
+/// Differences count up to this, in tolerances.
+const MAX_DIFFERENCE: f64 = 50.0;
+/// What a row leaves of the sums of the share, and what keeps it small at first.
+const DECAY: f64 = 0.97;
+const RIDGE: f64 = 1.0;
+/// Shares below this are not used.
+const LEAST_SHARE: f64 = 0.05;
+
+/// How well a pair's distance follows from its neighbours in time.
+#[derive(Debug, Clone, Copy, Default)]
+struct Spread {
+    variance: f64,
+    seen: f64,
+}
+
+/// Sums for one share: of the squared difference, and of difference times truth.
+#[derive(Debug, Clone, Copy, Default)]
+struct Share {
+    squares: f64,
+    products: f64,
+}
+
+/// What one partner made of an expectation.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Pull {
+    slot: usize,
+    /// Too far by so much, in tolerances.
+    difference: f64,
+    /// Away from the partner, length 1.
+    direction: [f64; 3],
+    /// The expectation before the pull, in units.
+    from: [f64; 3],
+}
+
+/// Everything of a group.
+#[derive(Debug)]
+pub(super) struct Lengths {
+    spreads: Vec<Spread>,
+    shares: Vec<[[Share; PARTNERS]; KINDS]>,
+    near: Vec<([usize; NEAR], usize)>,
+    partners: Vec<([usize; PARTNERS], usize)>,
+    /// Distances to the partners at the rows of the span, by channel and slot; NaN where not asked for yet.
+    distances: Vec<[f64; SPAN + 1]>,
+}
+
+/// In tolerances.
+pub(super) fn distance(a: Point, b: Point) -> f64 {
+    let [x, y, z]: [f64; 3] = std::array::from_fn(|axis| a[axis].wrapping_sub(b[axis]) as f64);
+    (x * x + y * y + z * z).sqrt() / UNITS_PER_TOLERANCE as f64
+}
+
+impl Lengths {
+    pub(super) fn new() -> Self {
+        Self {
+            spreads: vec![Spread::default(); GROUP_CHANNELS * GROUP_CHANNELS],
+            shares: vec![Default::default(); GROUP_CHANNELS],
+            near: vec![Default::default(); GROUP_CHANNELS],
+            partners: vec![Default::default(); GROUP_CHANNELS],
+            distances: vec![[f64::NAN; SPAN + 1]; GROUP_CHANNELS * PARTNERS],
+        }
+    }
+
+    pub(super) fn reset(&mut self) {
+        self.spreads.fill(Spread::default());
+        self.shares.fill(Default::default());
+        self.near.fill(Default::default());
+        self.partners.fill(Default::default());
+    }
+
+    /// The partners of channel `j`.
+    pub(super) fn partners(&self, j: usize) -> ([usize; PARTNERS], usize) {
+        self.partners[j]
+    }
+
+    /// The channels whose distance to channel `j` is followed.
+    pub(super) fn near(&self, j: usize) -> ([usize; NEAR], usize) {
+        self.near[j]
+    }
+
+    /// Chooses partners for a span: the steadiest distances, or else the nearest channel.
+    pub(super) fn choose(&mut self, j: usize, nearness: impl Fn(usize) -> f64) {
+        self.near[j] = smallest(0..j, |k| -nearness(k));
+        let spreads = &self.spreads[j * GROUP_CHANNELS..(j + 1) * GROUP_CHANNELS];
+        let steady = (0..j).filter(|&k| spreads[k].seen >= LEAST_SEEN);
+        let mut partners = smallest(steady, |k| spreads[k].variance);
+        let (near, n_near) = self.near[j];
+        if partners.1 == 0 && n_near > 0 && nearness(near[0]) > 0.0 {
+            partners.0[0] = near[0];
+            partners.1 = 1;
+        }
+        self.partners[j] = partners;
+        self.distances[j * PARTNERS..(j + 1) * PARTNERS].fill([f64::NAN; SPAN + 1]);
+    }
+
+    /// The distance to a partner at a row of the span, worked out once.
+    pub(super) fn remembered(
+        &mut self,
+        (j, slot, row): (usize, usize, usize),
+        distance: impl FnOnce() -> Option<f64>,
+    ) -> Option<f64> {
+        let known = &mut self.distances[j * PARTNERS + slot][row];
+        if known.is_nan() {
+            *known = distance()?;
+        }
+        Some(*known)
+    }
+
+    /// Moves `expected` to where the distance to a point would be `length` tolerances, as far as the
+    /// share of this partner goes. None when it is too close to have a direction.
+    pub(super) fn pull(
+        &self,
+        (j, kind, slot): (usize, usize, usize),
+        expected: &mut [f64; 3],
+        partner: Point,
+        length: f64,
+    ) -> Option<Pull> {
+        let tolerance = UNITS_PER_TOLERANCE as f64;
+        let off: [f64; 3] = std::array::from_fn(|axis| expected[axis] - partner[axis] as f64);
+        let distance = (off[0] * off[0] + off[1] * off[1] + off[2] * off[2]).sqrt() / tolerance;
+        if distance < 1.0 {
+            return None;
+        }
+        let direction = off.map(|off| off / (distance * tolerance));
+        let pull = Pull { slot, difference: distance - length, direction, from: *expected };
+        let share = self.shares[j][kind][slot];
+        let share = (share.products / (share.squares + RIDGE)).clamp(0.0, 1.0);
+        if share > LEAST_SHARE {
+            for (expected, direction) in expected.iter_mut().zip(direction) {
+                *expected -= share * pull.difference * tolerance * direction;
+            }
+        }
+        Some(pull)
+    }
+
+    /// Learns how much of a pull was true.
+    pub(super) fn score(&mut self, j: usize, kind: usize, pull: &Pull, point: Point) {
+        let mut truth = 0.0;
+        for ((from, to), direction) in pull.from.iter().zip(point).zip(pull.direction) {
+            truth += (from - to as f64) / UNITS_PER_TOLERANCE as f64 * direction;
+        }
+        let difference = pull.difference.clamp(-MAX_DIFFERENCE, MAX_DIFFERENCE);
+        let truth = truth.clamp(-MAX_DIFFERENCE, MAX_DIFFERENCE);
+        let share = &mut self.shares[j][kind][pull.slot];
+        share.squares = share.squares * DECAY + difference * difference;
+        share.products = share.products * DECAY + difference * truth;
+    }
+
+    /// Learns how far a pair's distance was from where its neighbours in time put it.
+    pub(super) fn learn(&mut self, j: usize, k: usize, distance: f64, length: f64) {
+        let spread = &mut self.spreads[j * GROUP_CHANNELS + k];
+        let off = (distance - length).abs().min(MAX_DIFFERENCE);
+        spread.variance += (off * off - spread.variance) / (spread.seen.min(MEMORY_ROWS) + 1.0);
+        spread.seen += 1.0;
+    }
+}
+
+/// The candidates with the smallest values, in order, the first of equals first; and how many.
+fn smallest<const N: usize>(
+    candidates: impl Iterator<Item = usize>,
+    value: impl Fn(usize) -> f64,
+) -> ([usize; N], usize) {
+    let (mut found, mut n) = ([0; N], 0);
+    for candidate in candidates {
+        let place = (0..n).find(|&i| value(candidate) < value(found[i])).unwrap_or(n);
+        if place == N {
+            continue;
+        }
+        n = (n + 1).min(N);
+        found[place..n].rotate_right(1);
+        found[place] = candidate;
+    }
+    (found, n)
+}

@@ -1,0 +1,61 @@
+//! What the contexts saw, for `benches/prior`, which makes `prior.bin` of it. Only with the feature
+//! `training`: a codec that embeds this crate does not pay for it.
+
+use super::{
+    DenseEncoder,
+    layout::{N_CONTEXTS, N_MIXERS},
+};
+use crate::{BlockReport, CodecError, Rows, Tolerance, frame::PayloadEncoder};
+
+/// Counts of bits, and sums of weights.
+#[derive(Debug, Clone)]
+pub struct Tally {
+    /// Per context: bits not set, bits set.
+    pub contexts: Vec<[u64; 2]>,
+    /// Per mixer: sums of its three weights (1 being 2^16), and their number.
+    pub mixers: Vec<([i64; 3], u64)>,
+}
+
+impl Tally {
+    pub(super) fn new() -> Self {
+        Self { contexts: vec![[0; 2]; N_CONTEXTS], mixers: vec![([0; 3], 0); N_MIXERS] }
+    }
+
+    pub(super) fn context(&mut self, index: usize, bit: bool) {
+        self.contexts[index][usize::from(bit)] += 1;
+    }
+
+    pub(super) fn mixer(&mut self, index: usize, weights: [i32; 3]) {
+        let (sums, n) = &mut self.mixers[index];
+        for (sum, weight) in sums.iter_mut().zip(weights) {
+            *sum += i64::from(weight);
+        }
+        *n += 1;
+    }
+}
+
+/// Codes a group's channels in key blocks of `stretch_rows` rows and gives what the contexts saw.
+///
+/// # Errors
+/// `InvalidArgument` as [`BlockEncoder::encode`](crate::BlockEncoder::encode).
+pub fn tally(
+    tolerance: Tolerance,
+    channels: &[Rows<'_>],
+    stretch_rows: usize,
+) -> Result<Tally, CodecError> {
+    let mut encoder = DenseEncoder::new(tolerance);
+    let n_rows = channels.first().map_or(0, Rows::len);
+    for first in (0..n_rows).step_by(stretch_rows.max(1)) {
+        let last = (first + stretch_rows).min(n_rows);
+        let part = |rows: &Rows<'_>| -> Result<_, CodecError> {
+            Ok((rows.positions()[first..last].to_vec(), rows.present()[first..last].to_vec()))
+        };
+        let parts = channels.iter().map(part).collect::<Result<Vec<_>, _>>()?;
+        let rows = parts.iter().map(|(positions, present)| Rows::new(positions, present));
+        let rows = rows.collect::<Result<Vec<_>, _>>()?;
+        let mut reports = vec![BlockReport::default(); rows.len()];
+        encoder.reset();
+        encoder.encode(&rows, &[], &mut Vec::new(), &mut reports)?;
+    }
+    Ok(encoder.tally().clone())
+}
