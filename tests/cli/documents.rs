@@ -185,6 +185,22 @@ fn record_and_import() {
 }
 
 #[test]
+fn bench_codec() {
+    let folder = Folder::new();
+    folder.write_motion("jump.csv", &jump(1, 120.0, 1.0));
+    let bench = ["bench", "codec", "jump.csv", "--repeats", "1", "--json"];
+    let document = folder.run(&bench).with_code(0).json();
+    check("`mocapd bench codec`", std::slice::from_ref(&document));
+    let results = document["files"][0]["results"].as_array().unwrap();
+    assert_eq!(results.len(), 4 * 6 + 1, "six tolerances of every kind, and lossless");
+    for result in results {
+        let [error_mm, tolerance_mm] =
+            ["max_error_mm", "tolerance_mm"].map(|name| result[name].as_f64().unwrap());
+        assert!(error_mm <= tolerance_mm, "{result}");
+    }
+}
+
+#[test]
 fn devices() {
     // What is attached is this machine's affair; the fields are checked beside the code.
     let example = example("`mocapd devices`");

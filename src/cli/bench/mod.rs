@@ -1,5 +1,6 @@
 //! `bench`: what this machine can do.
 
+mod codec;
 mod device;
 mod in_process;
 mod pipeline;
@@ -10,6 +11,8 @@ use mocapd::outcome::Outcome;
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Bench {
+    /// Sizes, errors and speeds of the resamplers on your own files, one core
+    Codec(codec::Args),
     /// The whole way from a simulated device through a pty to disk, and the pipeline alone
     Pipeline(pipeline::Args),
     /// The device that `bench pipeline` records, in a process of its own
@@ -19,6 +22,7 @@ pub(crate) enum Bench {
 
 pub(crate) fn run(bench: &Bench) -> anyhow::Result<Outcome> {
     match bench {
+        Bench::Codec(args) => codec::run(args),
         Bench::Pipeline(args) => pipeline::run(args),
         Bench::Device(args) => device::run(args),
     }

@@ -76,7 +76,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     Ok(Outcome::of(motion.info.source.frames_missing > 0))
 }
 
-fn header_of(motion: &Motion, file: &Path, codec: &Settings) -> anyhow::Result<Header> {
+/// The header of a take made of a file.
+///
+/// # Errors
+/// When the rate cannot be one.
+pub(super) fn header_of(motion: &Motion, file: &Path, codec: &Settings) -> anyhow::Result<Header> {
     let info = &motion.info;
     let mut header = header::new(codec, info.rate_hz)?;
     header.up_axis = info.up.code();
