@@ -107,5 +107,5 @@ pub(super) fn round(value: f64) -> i64 {
     // Without a call where the processor has no rounding instruction.
     let shifted = value + 0.5;
     let cut = shifted as i64;
-    cut.wrapping_sub(i64::from(cut as f64 > shifted))
+    cut.saturating_sub(i64::from(cut as f64 > shifted))
 }

@@ -1,0 +1,155 @@
+"""Decodes takes with mocapd and with the reference decoder, and compares them bit for bit.
+
+    python tests/reference/check.py --mocapd target/release/mocapd TAKES_DIR [--all] [--jobs 2]
+        [--tolerances 0.1,0.5,1,5,10,20] [--resamplers dense,fast,lossless]
+
+Every file of the folder is imported at 1 mm with `dense`; the two smallest ones also at every tolerance with every
+live resampler, and at 5 mm with `spline` and `sync`. `--all` does with every file what is done with the smallest
+(but `spline` and `sync`, which are for short takes). What --tolerances or --resamplers name is done with every file.
+Takes (.take) in the folder, recordings for instance, are compared as they are.
+
+mocapd's side is its CSV export, which has the fewest digits that bring back each float32, and `info --json`: the
+samples and the kept samples of each channel, and SR1, which tells in which rows samples were kept.
+
+One line for each; the last line is `N passed, N failed`; exit code 1 when one failed.
+"""
+
+import argparse
+import csv
+import json
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+from take.stretch import read_take
+
+SUFFIXES = {".c3d", ".trc", ".tsv", ".csv"}
+TOLERANCES_MM = [0.1, 0.5, 1.0, 5.0, 10.0, 20.0]
+LIVE = ["dense", "fast", "lossless"]
+OFFLINE = ["spline", "sync"]
+BITS = struct.Struct("<3f")
+
+
+def run(*command):
+    result = subprocess.run([str(word) for word in command], capture_output=True, text=True)
+    if result.returncode not in (0, 3):  # 3: frames were lost when it was recorded
+        raise RuntimeError(f"exit {result.returncode}: {result.stderr.strip()[-300:]}")
+    return result.stdout
+
+
+def compare_positions(take, path):
+    """The first complaint about a sample, or none."""
+    with open(path, newline="", encoding="utf-8") as file:
+        table = csv.reader(file)
+        columns = (len(next(table)) - 2) // 3
+        n_rows = 0
+        for row, cells in enumerate(table):
+            n_rows += 1
+            for channel in range(columns):
+                words = cells[2 + 3 * channel : 5 + 3 * channel]
+                found = take.tracks.get(channel, {}).get(row)
+                if words[0] == "":
+                    if found:
+                        return f"row {row} channel {channel}: a sample that mocapd does not have"
+                elif not found:
+                    return f"row {row} channel {channel}: mocapd has a sample"
+                elif BITS.pack(*map(float, words)) != BITS.pack(*found[0]):
+                    return f"row {row} channel {channel}: {found[0]}, mocapd has {words}"
+    return None if n_rows == take.n_rows else f"{take.n_rows} rows, mocapd has {n_rows}"
+
+
+def compare_counts(take, info):
+    for i, channel in enumerate(info["channels"]):
+        track = take.tracks.get(i, {}).values()
+        counts = len(track), sum(kept for _, kept in track)
+        if counts != (channel["samples"], channel["knots"]):
+            return f"channel {i}: {counts} samples and kept ones, mocapd has {channel}"
+    in_rows, kept_rows = {}, set()
+    for track in take.tracks.values():
+        for row, (_, kept) in track.items():
+            in_rows[row] = in_rows.get(row, 0) + 1
+            if kept:
+                kept_rows.add(row)
+    under = sum(in_rows[row] for row in kept_rows) + len(kept_rows)
+    sr1 = (sum(in_rows.values()) + len(in_rows)) / under if under else None
+    if sr1 != info["sr1"]:
+        return f"SR1 {sr1}, mocapd has {info['sr1']}"
+    if take.stated_mm != info["max_error_mm"]:
+        return f"states {take.stated_mm} mm, mocapd has {info['max_error_mm']} mm"
+    return None
+
+
+def check(mocapd, path, resampler, tolerance_mm):
+    """One file: its line, and whether it passed."""
+    name = f"{path.name} {resampler} {tolerance_mm} mm" if resampler else path.name
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            recorded, table = Path(folder) / "t.take", Path(folder) / "t.csv"
+            if resampler:
+                command = [mocapd, "import", path, "-o", recorded, "--resampler", resampler]
+                tolerance = [] if resampler == "lossless" else ["--tolerance", f"{tolerance_mm}mm"]
+                run(*command, *tolerance, "--drop-foreign", "--threads", "1")
+            else:
+                recorded = path
+            run(mocapd, "export", recorded, "-o", table)
+            info = json.loads(run(mocapd, "info", recorded, "--json"))
+            start = time.perf_counter()
+            take = read_take(recorded.read_bytes())
+            seconds = time.perf_counter() - start
+            complaint = compare_positions(take, table) or compare_counts(take, info)
+    except Exception as problem:  # any failure is this file's, the others still count
+        return f"FAIL {name}: {type(problem).__name__}: {problem}", False
+    if complaint:
+        return f"FAIL {name}: {complaint}", False
+    samples = sum(map(len, take.tracks.values()))
+    kept = sum(kept for track in take.tracks.values() for _, kept in track.values())
+    pace = seconds / max(samples, 1) * 1e6
+    return f"ok   {name}: {samples} samples, {kept} kept, {pace:.0f} us a sample", True
+
+
+def plan(files, arguments):
+    """(file, resampler, tolerance), the longest first."""
+    named = arguments.tolerances or arguments.resamplers
+    tolerances = arguments.tolerances or TOLERANCES_MM
+    resamplers = arguments.resamplers or LIVE
+    smallest = sorted(files, key=lambda path: path.stat().st_size)[:2]
+    jobs = []
+    for path in files:
+        wide = named or arguments.all or path in smallest
+        for resampler in resamplers if wide else ["dense"]:
+            wanted = tolerances if wide else [1.0]
+            jobs += [(path, resampler, mm) for mm in (wanted if resampler != "lossless" else [0.0])]
+        if path in smallest and not named:
+            jobs += [(path, resampler, 5.0) for resampler in OFFLINE]
+    return sorted(jobs, key=lambda job: -job[0].stat().st_size)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("takes", type=Path, metavar="TAKES_DIR")
+    parser.add_argument("--mocapd", required=True, type=lambda path: Path(path).resolve())
+    parser.add_argument("--tolerances", type=lambda t: [float(mm) for mm in t.split(",")], help="millimetres")
+    parser.add_argument("--resamplers", type=lambda names: names.split(","))
+    parser.add_argument("--all", action="store_true", help="every file at everything")
+    parser.add_argument("--jobs", type=int, default=2)
+    arguments = parser.parse_args()
+    everything = sorted(arguments.takes.iterdir())
+    files = [path for path in everything if path.suffix.lower() in SUFFIXES]
+    recordings = [(path, None, None) for path in everything if path.suffix == ".take"]
+    jobs = recordings + plan(files, arguments)
+    passed = failed = 0
+    with ProcessPoolExecutor(arguments.jobs) as pool:
+        for future in [pool.submit(check, arguments.mocapd, *job) for job in jobs]:
+            line, good = future.result()
+            print(line, flush=True)
+            passed, failed = passed + good, failed + (not good)
+    print(f"{passed} passed, {failed} failed")
+    sys.exit(failed > 0 or passed == 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,115 @@
+"""The chunks of a take, and its header: docs/take-format.md."""
+
+import struct
+import zlib
+from dataclasses import dataclass, field
+
+from .cursor import Cursor
+from .errors import Corrupt
+
+MAGIC = b"\x89TAK\r\n\x1a\n"
+HEADER, CHANNELS, STRETCH, FOOTER = 0x01, 0x02, 0x03, 0x8B
+CODEC_VERSION = 4
+
+
+def chunks(data):
+    """Types and payloads. Says where the first damaged chunk is; a reader that must save what it can does more."""
+    if data[:8] != MAGIC:
+        raise Corrupt("not a take")
+    at = 8
+    while at < len(data):
+        cursor = Cursor(data)
+        cursor.at = at
+        kind = cursor.byte()
+        payload = cursor.take(cursor.varint())
+        crc = zlib.crc32(data[at : cursor.at])
+        if crc != int.from_bytes(cursor.take(4), "little"):
+            raise Corrupt(f"the chunk at byte {at} is damaged")
+        yield kind, payload
+        at = cursor.at
+
+
+class Record(Cursor):
+    """bincode 2, standard configuration, behind a version."""
+
+    def __init__(self, payload):
+        super().__init__(payload)
+        if int.from_bytes(self.take(2), "little") != 1:
+            raise Corrupt("a record of an unknown version")
+
+    def unsigned(self):
+        first = self.byte()
+        if first < 251:
+            return first
+        if first == 255:
+            raise Corrupt("an integer too long")
+        return int.from_bytes(self.take({251: 2, 252: 4, 253: 8, 254: 16}[first]), "little")
+
+    def signed(self):
+        value = self.unsigned()
+        return value >> 1 ^ -(value & 1)
+
+    def double(self):
+        return struct.unpack("<d", self.take(8))[0]
+
+    def string(self):
+        return self.take(self.unsigned()).decode()
+
+    def list(self, item):
+        return [item() for _ in range(self.unsigned())]
+
+    def optional(self, item):
+        return item() if self.byte() else None
+
+    def channel(self):
+        return {"marker_id": self.unsigned(), "label": self.string(), "labelled": self.byte() == 1}
+
+    def device(self):
+        names = ["driver", "uri", "model", "serial", "firmware"]
+        device = {name: self.string() for name in names}
+        return device | {"tick_hz": self.unsigned(), "low_latency": self.byte() == 1}
+
+    def source(self):
+        source = {name: self.string() for name in ["format", "file", "unit"]}
+        source |= {"factor": self.double(), "first_frame": self.unsigned()}
+        return source | {"warnings": self.list(self.string)}
+
+
+@dataclass
+class Header:
+    software: str
+    take_id: bytes
+    created_unix_ms: int
+    resampler: str
+    codec_version: int
+    tolerance_mm: float
+    rate_hz: float
+    up_axis: int
+    device: dict | None
+    source: dict | None
+    channels: list
+    stretch_rows: int
+    settings: list = field(default_factory=list)
+
+    def tick_hz(self):
+        return self.device["tick_hz"] if self.device else 0
+
+
+def read_header(payload):
+    r = Record(payload)
+    header = Header(
+        r.string(), r.take(16), r.signed(), r.string(), r.unsigned(), r.double(), r.double(),
+        r.byte(), r.optional(r.device), r.optional(r.source), r.list(r.channel), r.unsigned(),
+        r.list(lambda: (r.string(), r.string())),
+    )  # fmt: skip
+    r.finish()
+    if header.codec_version != CODEC_VERSION:
+        raise Corrupt(f"blocks of version {header.codec_version}, not {CODEC_VERSION}")
+    return header
+
+
+def read_channels(payload):
+    record = Record(payload)
+    channels = record.list(record.channel)
+    record.finish()
+    return channels

@@ -1,0 +1,119 @@
+"""One row with an expectation: its references, its partners, its residual."""
+
+from ..errors import Corrupt
+from . import row as syntax
+from .lattice import CENTRED, CUBIC, MAX_DECODED, distance, nearest, wrap
+from .lengths import Lengths, along
+from .model import Model
+from .track import ZERO, Track, magnitude
+from .weave import Weave
+
+CHANNELS = 64
+# By kind: anchors; strides 1, 2, 4; 8 and more.
+CLASS = [0, 0, 0, 0, 4, 3, 2, 1, 1, 1]
+
+
+class Rows:
+    """What a group of channels remembers, and how a row is decoded with it."""
+
+    def __init__(self):
+        self.tracks = [Track() for _ in range(CHANNELS)]
+        self.model = Model()
+        self.weave = Weave()
+        self.lengths = Lengths()
+        # Of the current block and span.
+        self.coder = self.settled = None
+        self.before = 0
+
+    def reset(self):
+        for track in self.tracks:
+            track.reset()
+        self.model.reset()
+        self.weave.reset()
+        self.lengths.reset()
+
+    def code(self, channel, at, expected, around, left, right):
+        """One row with an expectation: its references, its partners, its residual."""
+        kind, row = around.kind, at - self.before
+        references = self.weave.references[CLASS[kind]][channel]
+        self.refer(around, references, channel, at, row)
+        prediction = list(expected)
+        if references.used:
+            off = self.weave.expect(references, row)
+            prediction = [wrap(e + nearest(o)) for e, o in zip(expected, off)]
+        pulls = self.pull(channel, kind, prediction, left, at, right)
+
+        track = self.tracks[channel]
+        lattice = CENTRED if track.activity[kind] >= 256 else CUBIC
+        coded = syntax.residual(self.coder, self.model, track, around, lattice == CENTRED)
+        magnitudes, point = ZERO, tuple(prediction)
+        if coded:
+            steps, magnitudes = coded
+            step = track.fineness[lattice]
+            point = tuple(p + s * step for p, s in zip(prediction, steps))
+        self.settle(channel, at, kind, point, magnitudes, coded is not None)
+
+        for pull in pulls:
+            self.lengths.score(channel, kind, pull, point)
+        residual = [float(p - e) for p, e in zip(point, expected)]
+        self.weave.learn(CLASS[kind], channel, row, residual)
+        if CLASS[kind] <= 1:
+            for k in self.lengths.near[channel]:
+                other = self.tracks[k]
+                length = self.length(channel, k, left, at, right)
+                if length is not None and other.known[at]:
+                    self.lengths.learn(channel, k, distance(point, other.points[at]), length)
+
+    def refer(self, around, references, channel, at, row):
+        """What the references of a row did there."""
+        if not references.channels:
+            if channel > 0 and self.tracks[channel - 1].known[at]:
+                steps = self.tracks[channel - 1].steps[at]
+                around.references = [2 * magnitude(step) for step in steps]
+            return
+        sums, sides = [0, 0, 0], [0.0, 0.0, 0.0]
+        residuals = self.weave.residuals[row]
+        for k, sign in zip(references.channels, references.signs):
+            track = self.tracks[k]
+            if track.known[at] and track.steps[at] != ZERO:
+                for axis, step in enumerate(track.steps[at]):
+                    sums[axis] += magnitude(step)
+            if k in residuals:
+                for axis, component in enumerate(residuals[k]):
+                    sides[axis] += component * sign
+        around.references = sums
+        around.references_side = [1 if s >= 30.0 else 2 if s <= -30.0 else 0 for s in sides]
+
+    def length(self, channel, k, left, at, right):
+        """The distance in tolerances that two channels should have at a row; None where it is not known."""
+        own, other = self.tracks[channel], self.tracks[k]
+        for row in (left, right):
+            if not (own.known[row] and other.known[row]):
+                return None
+        first = distance(own.points[left], other.points[left])
+        if left == right:
+            return first
+        return along(first, distance(own.points[right], other.points[right]), left, at, right)
+
+    def pull(self, channel, kind, prediction, left, at, right):
+        pulls = []
+        moved = [float(units) for units in prediction]
+        for slot, k in enumerate(self.lengths.partners[channel]):
+            if not self.tracks[k].known[at]:
+                continue
+            length = self.length(channel, k, left, at, right)
+            if length is None:
+                continue
+            partner = self.tracks[k].points[at]
+            pull = self.lengths.pull(channel, kind, slot, moved, partner, length)
+            if pull:
+                pulls.append(pull)
+        if pulls:
+            prediction[:] = map(nearest, moved)
+        return pulls
+
+    def settle(self, channel, at, kind, point, magnitudes, kept):
+        if max(map(abs, point)) > MAX_DECODED:
+            raise Corrupt("a position beyond every coordinate")
+        self.tracks[channel].settle(at, kind, point, magnitudes)
+        self.settled(channel, at, point, kept)

@@ -1,0 +1,87 @@
+"""Segments of constant length: what the distance to another marker says. Distances in tolerances, float64."""
+
+import math
+
+from .lattice import UNITS
+from .layout import KINDS
+
+CHANNELS = 64
+PARTNERS = 3
+NEAR = 6
+LEAST_SEEN = 6.0
+MEMORY_ROWS = 60.0
+MAX_DIFFERENCE = 50.0
+DECAY = 0.97
+RIDGE = 1.0
+LEAST_SHARE = 0.05
+
+
+def clamp(value):
+    return min(max(value, -MAX_DIFFERENCE), MAX_DIFFERENCE)
+
+
+def along(first, last, left, at, right):
+    """Linear between two rows."""
+    return first + (last - first) * float(at - left) / float(right - left)
+
+
+class Lengths:
+    def __init__(self):
+        self.reset()
+
+    def reset(self):
+        # By channel and earlier channel: variance, and how many were seen.
+        self.spreads = [[[0.0, 0.0] for _ in range(j)] for j in range(CHANNELS)]
+        # By channel, kind, slot: sums of squares and products.
+        self.shares = [
+            [[[0.0, 0.0] for _ in range(PARTNERS)] for _ in range(KINDS)] for _ in range(CHANNELS)
+        ]
+        self.near = [[] for _ in range(CHANNELS)]
+        self.partners = [[] for _ in range(CHANNELS)]
+
+    def choose(self, j, nearness):
+        """Chooses partners for a span. Sorting is stable: the first of equals first."""
+        near = sorted(range(j), key=lambda k: -nearness[k])[:NEAR]
+        spreads = self.spreads[j]
+        steady = [k for k in range(j) if spreads[k][1] >= LEAST_SEEN]
+        partners = sorted(steady, key=lambda k: spreads[k][0])[:PARTNERS]
+        if not partners and near and nearness[near[0]] > 0.0:
+            partners = near[:1]
+        self.near[j], self.partners[j] = near, partners
+
+    def pull(self, j, kind, slot, expected, partner, length):
+        """Moves `expected`; gives what is needed to learn from it. None where there is no direction."""
+        x, y, z = (e - float(p) for e, p in zip(expected, partner))
+        distance = math.sqrt(x * x + y * y + z * z) / 256.0
+        if distance < 1.0:
+            return None
+        scale = distance * 256.0
+        direction = (x / scale, y / scale, z / scale)
+        difference = distance - length
+        pull = (slot, difference, direction, tuple(expected))
+        squares, products = self.shares[j][kind][slot]
+        share = min(max(products / (squares + RIDGE), 0.0), 1.0)
+        if share > LEAST_SHARE:
+            by = share * difference * 256.0
+            for axis in range(3):
+                expected[axis] -= by * direction[axis]
+        return pull
+
+    def score(self, j, kind, pull, point):
+        """Learns how much of a pull was true."""
+        slot, difference, direction, start = pull
+        truth = 0.0
+        for axis in range(3):
+            off = (start[axis] - float(point[axis])) / UNITS
+            truth += off * direction[axis]
+        difference, truth = clamp(difference), clamp(truth)
+        share = self.shares[j][kind][slot]
+        share[0] = share[0] * DECAY + difference * difference
+        share[1] = share[1] * DECAY + difference * truth
+
+    def learn(self, j, k, distance, length):
+        """Learns how far a distance was from where its neighbours in time put it."""
+        spread = self.spreads[j][k]
+        off = min(abs(distance - length), MAX_DIFFERENCE)
+        spread[0] += (off * off - spread[0]) / (min(spread[1], MEMORY_ROWS) + 1.0)
+        spread[1] += 1.0

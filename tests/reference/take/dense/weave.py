@@ -1,0 +1,143 @@
+"""What one marker's residuals say about another's. All floats are float64, in the order written."""
+
+import math
+
+from .lattice import divided
+from .layout import SPAN
+
+CHANNELS = 64
+CLASSES = 5
+REFERENCES = 3
+DECAY = 0.9
+KERNEL_WEIGHT = 0.3
+LEAST_ENERGY = 10.0
+RIDGE = 1.15, 2.0
+LEAST_GAIN = 0.02, 0.15
+MAX_RESIDUAL = 128000.0
+NONE = (0.0, 0.0, 0.0)
+
+
+class References:
+    """The references of one channel in one class."""
+
+    def __init__(self):
+        self.channels, self.weights, self.signs = [], [], []
+        self.used = False
+
+
+class Weave:
+    def __init__(self):
+        self.reset()
+        self.begin()
+
+    def reset(self):
+        zeros = range(CHANNELS)
+        # By class, channel, earlier channel or itself.
+        self.covariances = [[[0.0] * (j + 1) for j in zeros] for _ in range(CLASSES)]
+        self.references = [[References() for _ in zeros] for _ in range(CLASSES)]
+
+    def begin(self):
+        """A span begins."""
+        self.kernel = [[0.0] * j for j in range(CHANNELS)]
+        # By row: the residuals of the channels that have one.
+        self.residuals = [{} for _ in range(SPAN + 1)]
+
+    def end(self, n):
+        """The span is over: the averages forget a little."""
+        for rows in self.covariances:
+            for j in range(n):
+                rows[j] = [covariance * DECAY for covariance in rows[j]]
+
+    def place(self, j, k, distance_mm):
+        near = 800.0 / (800.0 + distance_mm)
+        self.kernel[j][k] = near * near * near
+
+    def expect(self, references, row):
+        """What the references expect of a residual, in units."""
+        x = y = z = 0.0
+        residuals = self.residuals[row]
+        for k, weight in zip(references.channels, references.weights):
+            a, b, c = residuals.get(k, NONE)
+            x += weight * a
+            y += weight * b
+            z += weight * c
+        return x, y, z
+
+    def learn(self, level_class, j, row, residual):
+        x, y, z = residual
+        length = math.sqrt(x * x + y * y + z * z)
+        if length == 0.0:
+            return
+        if length > MAX_RESIDUAL:
+            x, y, z = (component * (MAX_RESIDUAL / length) for component in residual)
+        residuals = self.residuals[row]
+        residuals[j] = (x, y, z)
+        x, y, z = x / 65536.0, y / 65536.0, z / 65536.0
+        covariances = self.covariances[level_class][j]
+        for k, (a, b, c) in residuals.items():
+            if k <= j:
+                covariances[k] += x * a + y * b + z * c
+
+    def solve(self, j, n):
+        """Chooses and weighs the references of channel j of n, for every class."""
+        for level_class in range(CLASSES):
+            self.references[level_class][j] = self.solved(self.covariances[level_class], j, n)
+
+    def solved(self, covariances, j, n):
+        energies = 0.0
+        for k in range(n):
+            energies += covariances[k][k]
+        energy = max(energies / n, LEAST_ENERGY) * KERNEL_WEIGHT
+        kernel = self.kernel
+
+        def of(a, b):
+            if a < b:
+                a, b = b, a
+            near = 1.0 if a == b else kernel[a][b]
+            return covariances[a][b] + energy * near
+
+        own = of(j, j)
+        shared = [of(j, k) for k in range(j)]
+        ridged = [of(k, k) * RIDGE[0] + RIDGE[1] for k in range(j)]
+        found, gain = References(), 0.0
+        while len(found.channels) < REFERENCES:
+            best, best_k = 0.0, None
+            for k in range(j):
+                if k in found.channels:
+                    continue
+                left = shared[k]
+                for weight, channel in zip(found.weights, found.channels):
+                    left -= weight * of(k, channel)
+                explained = divided(left * left, ridged[k])
+                if explained > best:
+                    best, best_k = explained, k
+            if best_k is None or best < LEAST_GAIN[0] * own:
+                break
+            found.channels.append(best_k)
+            found.weights = weigh([[of(a, b) for b in found.channels] for a in found.channels],
+                                  [shared[k] for k in found.channels])  # fmt: skip
+            gain = 0.0
+            for weight, k in zip(found.weights, found.channels):
+                gain += weight * shared[k]
+            gain = divided(gain, own)
+        found.signs = [-1.0 if shared[k] < 0.0 else 1.0 for k in found.channels]
+        found.used = gain > LEAST_GAIN[1]
+        return found
+
+
+def weigh(matrix, right):
+    """Least squares by Gauss and Jordan, without pivoting."""
+    n = len(right)
+    system = [row + [value] for row, value in zip(matrix, right)]
+    for i in range(n):
+        system[i][i] = system[i][i] * RIDGE[0] + RIDGE[1]
+    for i in range(n):
+        pivot = system[i][i]
+        for k in range(i, n + 1):
+            system[i][k] = divided(system[i][k], pivot)
+        for other in range(n):
+            if other != i:
+                factor = system[other][i]
+                for k in range(i, n + 1):
+                    system[other][k] -= factor * system[i][k]
+    return [row[n] for row in system]

@@ -1,0 +1,94 @@
+"""Which samples of a group are present: docs/codec.md, "Presence"."""
+
+from .errors import Corrupt
+from .range_coder import Bit, RangeDecoder
+
+CHANNELS = 64
+LONG = 61
+# Ages up to these are of classes 0 to 5; LONG is the seventh.
+AGES = [1, 2, 4, 8, 20, 60]
+
+
+class State:
+    """What was seen of a channel up to a stretch."""
+
+    def __init__(self, present, changed=0):
+        self.last = 0b1111 if present else 0
+        self.age = LONG
+        self.changed = changed  # in the block before: 0 there was none, 1 no, 2 yes
+
+    def newest(self):
+        return self.last & 1
+
+    def age_class(self):
+        return sum(self.age > limit for limit in AGES)
+
+    def push(self, present):
+        self.age = min(self.age + 1, LONG) if present == self.newest() else 1
+        self.last = self.last << 1 & 0b1111 | present
+
+
+class Presence:
+    """Follows a group from block to block. A new one is as behind an empty key block."""
+
+    def __init__(self):
+        self.reset()
+        self.skip()
+
+    def reset(self):
+        self.changes = [Bit() for _ in range(3)]
+        self.by_age = [Bit() for _ in range(2 * 7 * 4)]
+        self.by_rows = [Bit() for _ in range(16 * 4)]
+        self.states = [State(True) for _ in range(CHANNELS)]
+
+    def skip(self):
+        """An empty block."""
+        self.states = [State(False, state.changed) for state in self.states]
+
+    def leave_out_from(self, n_channels):
+        for i in range(n_channels, CHANNELS):
+            self.states[i] = State(False)
+
+    def all_present(self, n_channels, n_rows):
+        """A block without the section."""
+        for state in self.states[:n_channels]:
+            state.changed = 1 if state.newest() else 2
+            for _ in range(min(n_rows, LONG)):
+                state.push(1)
+        self.leave_out_from(n_channels)
+
+    def read(self, section, n_channels, n_rows):
+        """Lists of flags, one a channel."""
+        coder = RangeDecoder(section)
+        out = []
+        beside, beside_before = [1] * n_rows, 1
+        for state in self.states[:n_channels]:
+            was = state.newest()
+            rows = self.channel(coder, state, beside, beside_before, n_rows)
+            out.append(rows)
+            beside, beside_before = rows, was
+        coder.finish()
+        self.leave_out_from(n_channels)
+        if all(map(all, out)):
+            raise Corrupt("a presence section of a block that needs none")
+        return [[bool(flag) for flag in rows] for rows in out]
+
+    def channel(self, coder, state, beside, before, n_rows):
+        was = state.newest()
+        changes = coder.bit(self.changes[state.changed])
+        state.changed = 1 + changes
+        if not changes:
+            for _ in range(min(n_rows, LONG)):
+                state.push(was)
+            return [was] * n_rows
+        rows = []
+        for near in beside:
+            neighbour = near << 1 | (near != before)
+            before = near
+            by_age = self.by_age[(state.newest() * 7 + state.age_class()) << 2 | neighbour]
+            by_rows = self.by_rows[state.last << 2 | neighbour]
+            rows.append(state.newest() ^ coder.mixed(by_age, by_rows))
+            state.push(rows[-1])
+        if all(row == was for row in rows):
+            raise Corrupt("a change of presence that is none")
+        return rows

@@ -1,0 +1,83 @@
+"""The range coder and its adaptive bits: docs/codec.md, "Range coder"."""
+
+from .errors import Corrupt
+
+TOP = 1 << 24
+NIMBLE, STEADY = 5, 7
+GROWN_UP = 126
+
+
+class Bit:
+    """Two estimates of the probability of `false`, and how many bits they rest on."""
+
+    __slots__ = ("nimble", "steady", "seen")
+
+    def __init__(self, odds=None):
+        """`odds` of `true` in 1/256, as if 14 bits had been seen; none: even odds, nothing seen."""
+        start = 32768 if odds is None else 65535 - (256 * odds + 128)
+        self.nimble = self.steady = start
+        self.seen = 0 if odds is None else 14
+
+    def probability(self):
+        return min(max((self.nimble + self.steady) >> 1, 32), 65504)
+
+    def learn(self, bit):
+        age = (self.seen + 2).bit_length() - 1
+        nimble, steady = min(age, NIMBLE), min(age, STEADY)
+        if bit:
+            self.nimble -= self.nimble >> nimble
+            self.steady -= self.steady >> steady
+        else:
+            self.nimble += (65535 - self.nimble) >> nimble
+            self.steady += (65535 - self.steady) >> steady
+        self.seen = min(self.seen + 1, GROWN_UP)
+
+
+class RangeDecoder:
+    """Reads bytes, and zeros after them."""
+
+    def __init__(self, data):
+        self.data = data
+        self.at = 4
+        self.code = int.from_bytes((data[:4] + bytes(4))[:4], "big")
+        self.range = 0xFFFFFFFF
+
+    def split(self, probability):
+        """A bit that is `false` with this probability in 2^-16."""
+        bound = self.range * probability >> 16
+        bit = self.code >= bound
+        if bit:
+            self.code -= bound
+            self.range -= bound
+        else:
+            self.range = bound
+        while self.range < TOP:
+            self.range <<= 8
+            byte = self.data[self.at] if self.at < len(self.data) else 0
+            self.code = self.code << 8 | byte
+            self.at += 1
+        return bit
+
+    def bit(self, model):
+        bit = self.split(model.probability())
+        model.learn(bit)
+        return bit
+
+    def mixed(self, a, b):
+        """A bit that two models expect together."""
+        bit = self.split((a.probability() + b.probability()) >> 1)
+        a.learn(bit)
+        b.learn(bit)
+        return bit
+
+    def plain(self, n):
+        """`n` bits of even odds, highest first."""
+        value = 0
+        for _ in range(n):
+            value = value << 1 | self.split(32768)
+        return value
+
+    def finish(self):
+        """Every byte must have been needed."""
+        if self.at < len(self.data):
+            raise Corrupt("bytes after the coded bits")

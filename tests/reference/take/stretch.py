@@ -1,0 +1,133 @@
+"""Stretches in order: where they lie, when they were, and their blocks (docs/take-format.md, "STRETCH")."""
+
+from .container import CHANNELS, FOOTER, HEADER, STRETCH, chunks, read_channels, read_header
+from .cursor import Cursor
+from .dense import Dense
+from .errors import Corrupt
+from .fast import Fast
+from .frame import Group
+from .lossless import Lossless
+from .spline import Spline
+from .sync import Sync
+from .timeline import Times
+
+GROUP = 64
+PAYLOADS = {"dense": Dense, "fast": Fast, "lossless": Lossless, "spline": Spline, "sync": Sync}
+
+
+class Take:
+    """A decoded take."""
+
+    def __init__(self):
+        self.header = None
+        self.channels = []
+        self.n_rows = 0
+        self.times = []  # (row, ticks, arrival in 10 us, timecode) of the recorded rows
+        self.lost = []  # (first row, rows, causes)
+        self.finished = False
+        self.tracks = {}  # by channel: {row: (position, kept)}
+        self.stated_mm = 0.0
+
+
+class Stretches:
+    def __init__(self, header, take):
+        kind = header.resampler.split(":")[0]
+        if kind not in PAYLOADS:
+            raise Corrupt(f"no resampler is called {kind}")
+        self.make = PAYLOADS[kind]
+        self.tolerance_mm = header.tolerance_mm
+        self.stretch_rows = header.stretch_rows
+        self.take = take
+        self.times = Times(header.tick_hz())
+        self.next_row = 0
+        self.next_number = 0
+        self.groups = []
+
+    def read(self, payload):
+        cursor = Cursor(payload)
+        head = cursor.byte()
+        key, plain, alone, number = head & 1, head & 2, head & 4, head >> 3
+        if number != self.next_number:
+            raise Corrupt(f"stretch {self.next_number} modulo 32 is missing")
+        self.next_number = (number + 1) % 32
+        shape = 1 if plain else cursor.byte()
+        if shape > 15 or shape & 3 == 2:
+            raise Corrupt("a stretch of an unknown shape")
+        from_row = cursor.varint() if key else self.next_row
+        n_rows = cursor.varint() if shape & 4 else self.stretch_rows
+        end = from_row + n_rows
+        if shape & 1:
+            end = self.time_line(cursor, key, from_row, n_rows, shape & 2)
+        shared = cursor.take(cursor.varint()) if shape & 8 else b""
+        blocks = []
+        if alone:
+            blocks = [cursor.rest()]
+        while cursor.left():
+            blocks.append(cursor.take(cursor.varint()))
+        self.next_row = end
+        self.take.n_rows = max(self.take.n_rows, end)
+        self.decode(blocks, shared, end - n_rows, n_rows, bool(key))
+
+    def time_line(self, cursor, key, from_row, n_rows, listed):
+        """The row after the last."""
+        runs = [(n_rows, None)] if n_rows else []
+        if listed:
+            runs = []
+            for _ in range(cursor.varint()):
+                value = cursor.varint()
+                runs.append((value >> 1, cursor.byte() if value & 1 else None))
+        rows, row = [], from_row
+        for n, causes in runs:
+            if causes is None:
+                rows += range(row, row + n)
+            else:
+                self.take.lost.append((row, n, causes))
+            row += n
+        if row - from_row < n_rows:
+            raise Corrupt("runs shorter than their stretch")
+        if key:
+            self.times.begin()
+            if rows:
+                shift = cursor.byte()
+                n, p, ticks, arrival = (cursor.varint() for _ in range(4))
+                self.times.begin(rows[0], shift, n, p, ticks, arrival)
+        if rows:
+            self.take.times += self.times.read(cursor.take(cursor.varint()), rows, bool(key))
+        return row
+
+    def decode(self, blocks, shared, first_row, n_rows, key):
+        self.groups += [None] * (len(blocks) - len(self.groups))
+        for i, group in enumerate(self.groups):
+            block = blocks[i] if i < len(blocks) else b""
+            if group is None and block:
+                group = self.groups[i] = Group(self.make(self.tolerance_mm), self.tolerance_mm)
+            if group is None:
+                continue
+            for j, channel in enumerate(group.decode(block, shared, n_rows, key)):
+                track = self.take.tracks.setdefault(i * GROUP + j, {})
+                for row, present in enumerate(channel.present):
+                    if present:
+                        track[first_row + row] = (channel.positions[row], channel.kept[row])
+            if block:
+                self.take.stated_mm = max(self.take.stated_mm, group.stated_mm)
+
+
+def read_take(data):
+    """The bytes of an undamaged take; one that was cut off between two chunks is read to its end."""
+    take, stretches = Take(), None
+    for kind, payload in chunks(data):
+        if kind == HEADER:
+            take.header = read_header(payload)
+            take.channels = list(take.header.channels)
+            stretches = Stretches(take.header, take)
+        elif stretches is None:
+            raise Corrupt("a take without a header in front")
+        elif kind == CHANNELS:
+            take.channels += read_channels(payload)
+        elif kind == STRETCH:
+            stretches.read(payload)
+        elif kind == FOOTER:
+            take.finished = True
+    if take.header is None:
+        raise Corrupt("a take without a header")
+    return take
