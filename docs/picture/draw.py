@@ -2,18 +2,20 @@
 
     python3 docs/picture/draw.py [--mocapd target/release/mocapd] [--out docs/picture.svg]
 
-Needs nothing but Python. It runs the demo, finds which samples the take keeps (kept.py), checks their number
-against `mocapd info --json`, and stops when it differs.
+Needs nothing but Python. It runs the demo, reads which samples the take keeps (tests/reference, the decoder in
+plain Python), checks their number against `mocapd info --json`, and stops when it differs.
 """
 
 import argparse
 import csv
 import json
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
-from kept import kept_rows
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "reference"))
+from take.stretch import read_take  # noqa: E402, from the folder above
 
 WIDTH, HEIGHT = 1200, 800
 MARGIN = 36
@@ -43,10 +45,10 @@ def main():
         info = json.loads(answer.stdout)
         tracks = read_csv(take.with_suffix(".csv"))
         sizes = {end: take.with_suffix(end).stat().st_size for end in (".csv", ".c3d")}
-    kept = []
-    for first, rows in key_runs(info):
-        run = tracks[MARKER][first : first + sum(rows)]
-        kept += [first + row for row in kept_rows(run, info["tolerance_mm"], rows)]
+        decoded = read_take(take.read_bytes())
+    labels = [channel["label"] for channel in info["channels"]]
+    samples = decoded.tracks[labels.index(MARKER)]
+    kept = sorted(row for row, (_, is_kept) in samples.items() if is_kept)
     stated = next(c["knots"] for c in info["channels"] if c["label"] == MARKER)
     if len(kept) != stated:
         raise SystemExit(f"found {len(kept)} kept samples of {MARKER}, the take says {stated}")
@@ -61,19 +63,6 @@ def read_csv(path):
     labels = [name.removesuffix(".x") for name in names[2::3]]
     cells = [[float(cell) for cell in row[2:]] for row in rows]
     return {label: [tuple(row[3 * i : 3 * i + 3]) for row in cells] for i, label in enumerate(labels)}
-
-
-def key_runs(info):
-    """First row and rows of each stretch, from key stretch to key stretch, of a live take: stretches of 0.1 s, then
-    0.5 s, a key stretch where the next one would begin later than 10 s after the last key stretch."""
-    full, key_rows = int(0.5 * info["rate_hz"]), int(10 * info["rate_hz"])
-    runs, at, n_rows = [], 0, int(0.1 * info["rate_hz"])
-    while at < info["frames"]:
-        if not runs or at + full > runs[-1][0] + key_rows:
-            runs.append((at, []))
-        runs[-1][1].append(min(n_rows, info["frames"] - at))
-        at, n_rows = at + n_rows, full
-    return runs
 
 
 def stage(tracks, kept, tolerance_mm):
