@@ -153,7 +153,7 @@ def flow():
     steps = [
         ("device", "a rig on a serial line,", "or the simulator"),
         ("a ring per marker", "lock-free, bounded; a frame", "goes in whole or is counted"),
-        ("resampler pool", "each marker on its own; every", "sample's error is measured"),
+        ("resampler pool", "each marker at its own times;", "every error is measured"),
         ("take", "append-only, checksummed;", "readable wherever it was cut"),
     ]
     width = (WIDTH - 2 * MARGIN - gap * (len(steps) - 1)) / len(steps)
