@@ -8,6 +8,11 @@ use crate::{
     raw::Raw,
 };
 
+/// Most bytes of a channel's knots: a position and two bytes of its time a sample.
+fn max_bytes(samples: usize) -> usize {
+    14 * samples
+}
+
 /// Encoder and decoder of one group; there is no state between blocks.
 #[derive(Debug)]
 pub(crate) struct Spline {
@@ -85,7 +90,7 @@ impl PayloadEncoder for Spline {
     type Decoder = Self;
 
     fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
-        n_channels * (1 + Raw::max_bytes(n_rows))
+        n_channels * (1 + max_bytes(n_rows).max(Raw::max_bytes(n_rows)))
     }
 
     /// Works on whole takes, where nothing is hot.
@@ -107,8 +112,8 @@ impl PayloadEncoder for Spline {
             coded.clear();
             self.write(*rows, &mut coded, report)?;
             let samples = report.samples;
-            // With next to every sample kept, the times of the knots are more than they save.
-            if coded.len() > Raw::max_bytes(samples as usize) {
+            // Not where raw would merely be smaller: the knots are what is studied.
+            if coded.len() > max_bytes(samples as usize) {
                 out.push(RAW);
                 self.raw.write(*rows, out);
                 *report = BlockReport { samples, kept: samples, max_error_mm: 0.0 };
