@@ -1,8 +1,10 @@
 //! Bytes that no encoder wrote: an error or samples, never a panic, never unbounded work or memory.
 
+use std::time::{Duration, Instant};
+
 use proptest::prelude::*;
 
-use super::{Channel, KINDS, cut, encode, settings};
+use super::{Channel, KINDS, cut, encode, motions::Random, settings};
 
 /// Decodes as the only block of a group and checks that whatever comes out is well formed.
 fn survive(kind: &str, block: &[u8], shared: &[u8], n_rows: usize) -> bool {
@@ -83,6 +85,25 @@ fn heads_and_presence_that_cannot_be() {
     let mut more = block.bytes.clone();
     more[1] = 2;
     assert!(!survive("lossless", &more, &[], 20));
+}
+
+/// The work goes with the rows and channels, not with what the bytes say: a bound for a hang, hundreds of
+/// times what such a block takes.
+#[test]
+fn no_bytes_take_long() {
+    for kind in KINDS {
+        let mut random = Random(1);
+        let noise: Vec<u8> = (0..4000).map(|_| random.below(256) as u8).collect();
+        for filling in [vec![0; 4000], vec![0xff; 4000], noise] {
+            for gaps in [0, 0x80] {
+                let head = 0x40 | gaps | if kind == "lossless" { 0 } else { 63 };
+                let block = [&[head, 64][..], &filling].concat();
+                let since = Instant::now();
+                survive(kind, &block, &[0; 1000], 1000);
+                assert!(since.elapsed() < Duration::from_secs(20), "{kind}: {:?}", since.elapsed());
+            }
+        }
+    }
 }
 
 proptest! {

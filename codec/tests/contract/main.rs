@@ -2,10 +2,16 @@
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod damage;
+mod embedding;
 mod groups;
+mod hard;
 mod hostile;
+mod mixtures;
 mod motions;
+mod order;
 mod presence;
+mod rates;
 mod round_trips;
 mod state;
 mod takes;

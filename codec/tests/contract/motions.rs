@@ -22,11 +22,11 @@ impl Random {
     }
 
     /// From -1 to 1.
-    fn signed(&mut self) -> f32 {
+    pub(crate) fn signed(&mut self) -> f32 {
         self.below(1 << 24) as f32 / (1 << 23) as f32 - 1.0
     }
 
-    fn vector(&mut self, scale: f32) -> Position {
+    pub(crate) fn vector(&mut self, scale: f32) -> Position {
         [0; 3].map(|_| self.signed() * scale)
     }
 }

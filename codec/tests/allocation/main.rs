@@ -1,0 +1,188 @@
+//! What a decoder allocates is earned: by the rows that its caller asks for, times the channels that the
+//! block states (64 at most), and by the bytes that it is given. A program of its own, since it counts.
+
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+#![expect(unsafe_code, reason = "an allocator that counts is one by contract")]
+
+mod counting;
+
+use mocapd_codec::{
+    BlockReport, DecodedRows, GROUP_CHANNELS, Position, Rows, Settings, Tolerance, stated_channels,
+};
+
+use self::counting::most_bytes;
+
+const KINDS: [&str; 5] = ["dense", "fast", "lossless", "spline", "sync"];
+
+fn settings(kind: &str) -> Settings {
+    Settings { kind: kind.parse().unwrap(), tolerance: Tolerance::from_mm(0.5).unwrap() }
+}
+
+fn noise(seed: u64, len: usize) -> Vec<u8> {
+    let mut state = seed;
+    (0..len)
+        .map(|_| {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            (state >> 56) as u8
+        })
+        .collect()
+}
+
+/// Bytes that claim a key block of so many channels, each with samples.
+fn claim(kind: &str, n_channels: u8, filling: &[u8]) -> Vec<u8> {
+    let stated = if kind == "lossless" { 0 } else { 63 };
+    [&[0x40 | stated, n_channels][..], filling].concat()
+}
+
+/// A block of an encoder.
+fn honest(kind: &str, n_channels: usize, n_rows: usize) -> (Vec<u8>, Vec<u8>) {
+    let path: Vec<Position> = (0..n_rows)
+        .map(|row| [(row as f32 / 9.0).sin() * 300.0, row as f32, (row * row % 71) as f32])
+        .collect();
+    let present: Vec<bool> = (0..n_rows).map(|row| row % 13 != 4).collect();
+    let rows = vec![Rows::new(&path, &present).unwrap(); n_channels];
+    let settings = settings(kind);
+    let shared = settings.plan(&rows).unwrap();
+    let (mut block, mut reports) = (Vec::new(), vec![BlockReport::default(); n_channels]);
+    settings.encoder().encode(&rows, &shared, true, &mut block, &mut reports).unwrap();
+    (block, shared)
+}
+
+/// The most that a decoder may hold, in bytes. Each factor is about three times what the hungriest
+/// resampler needs for blocks of its own: 46 a sample in `dense`, positions and flags included.
+fn earned(kind: &str, n_channels: usize, n_rows: usize, n_bytes: usize) -> usize {
+    // The tables of contexts of `dense` are there before the first byte.
+    let tables = if kind == "dense" { 2 << 20 } else { 64 << 10 };
+    tables + 8192 * n_channels + 150 * n_rows * n_channels + 4 * n_bytes
+}
+
+/// Decodes as the first block, and says how many bytes that held at most.
+fn decode(kind: &str, block: &[u8], shared: &[u8], n_rows: usize) -> usize {
+    most_bytes(|| {
+        let mut out = Vec::new();
+        let outcome = settings(kind).decoder().decode(block, shared, n_rows, true, &mut out);
+        assert!(outcome.is_ok() || out.is_empty());
+    })
+}
+
+#[track_caller]
+fn assert_earned(kind: &str, block: &[u8], shared: &[u8], n_rows: usize) {
+    let held = decode(kind, block, shared, n_rows);
+    let n_channels = stated_channels(block).unwrap_or(0);
+    let earned = earned(kind, n_channels, n_rows, block.len() + shared.len());
+    assert!(
+        held <= earned,
+        "{kind}: {held} bytes of {earned} for {n_channels} channels of {n_rows} rows in {} bytes",
+        block.len()
+    );
+}
+
+#[test]
+fn blocks_of_an_encoder() {
+    for kind in KINDS {
+        for n_channels in [1, 8, GROUP_CHANNELS] {
+            for n_rows in [1, 60, 2000] {
+                let (block, shared) = honest(kind, n_channels, n_rows);
+                assert_eq!(stated_channels(&block), Some(n_channels));
+                assert_earned(kind, &block, &shared, n_rows);
+            }
+        }
+    }
+}
+
+/// Few bytes that claim much: what is allocated goes with what the caller asks for, not with these.
+#[test]
+fn claims_of_few_bytes() {
+    for kind in KINDS {
+        for n_channels in [0, 1, 2, 64, 65, 255] {
+            for n_rows in [0, 1, 60, 4000] {
+                for len in [0, 1, 7, 300] {
+                    for filling in [vec![0; len], vec![0xff; len], noise(len as u64, len)] {
+                        let mut block = claim(kind, n_channels, &filling);
+                        assert_earned(kind, &block, &[], n_rows);
+                        // With a presence section, and key times that are far apart.
+                        block[0] |= 0x80;
+                        assert_earned(kind, &block, &filling, n_rows);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Behind every byte that may say how a channel is stored, numbers as large as numbers get.
+#[test]
+fn large_numbers() {
+    for kind in KINDS {
+        for first in 0..=8 {
+            for n_digits in 0..9 {
+                let number = [vec![0xff; n_digits], vec![0x7f]].concat();
+                let filling = [&[first][..], &number, &[1, 0, 5], &number, &number].concat();
+                assert_earned(kind, &claim(kind, 2, &filling), &[], 100);
+                // In the key times, and in the presence section.
+                assert_earned(kind, &claim(kind, 2, &[first; 40]), &number, 100);
+                let mut block = claim(kind, 2, &[&number[..], &[first; 40]].concat());
+                block[0] |= 0x80;
+                assert_earned(kind, &block, &[], 100);
+            }
+        }
+    }
+}
+
+/// A head that makes no sense costs next to nothing, however many rows are asked for.
+#[test]
+fn heads_that_make_no_sense() {
+    for kind in KINDS {
+        let nothing = decode(kind, &[], &[], 0);
+        let claims: [&[u8]; 5] =
+            [&[0x00, 1], &[0x40, 0], &[0x40, 65], &[0x40], &[0x40, 0xff, 0xff, 0xff, 0xff, 0x0f]];
+        for block in claims {
+            let held = decode(kind, block, &[], 1 << 22);
+            assert!(held <= nothing + 1024, "{kind}: {held} bytes for {block:?}");
+        }
+    }
+}
+
+#[test]
+fn damaged_blocks() {
+    for kind in KINDS {
+        let n_rows = 90;
+        let (block, shared) = honest(kind, 3, n_rows);
+        for at in (0..block.len()).step_by(1 + block.len() / 200) {
+            assert_earned(kind, &block[..at], &shared, n_rows);
+            for flip in [0x01, 0x80, 0xff] {
+                let mut damaged = block.clone();
+                damaged[at] ^= flip;
+                assert_earned(kind, &damaged, &shared, n_rows);
+            }
+        }
+    }
+}
+
+/// What one block needed serves the next: a stream of any bytes holds no more than its largest block.
+#[test]
+fn streams_of_any_bytes() {
+    for kind in KINDS {
+        let (n_channels, n_rows, len) = (16, 100, 400);
+        let held = most_bytes(|| {
+            let mut decoder = settings(kind).decoder();
+            let mut out: Vec<DecodedRows> = Vec::new();
+            for i in 0..400 {
+                let claimed = i as usize % n_channels + 1;
+                let block = claim(kind, claimed as u8, &noise(i, i as usize % len));
+                let rows = if i % 7 == 6 { i as usize % n_rows } else { n_rows };
+                // As a key block, then as one that goes on: it has no number of channels.
+                let key = decoder.decode(&block, &[], rows, true, &mut out);
+                assert!(key.is_ok() || out.is_empty());
+                let next = noise(i + 1, i as usize % len);
+                let next = [&[block[0] & 0x3f][..], &next].concat();
+                let next = decoder.decode(&next, &[], rows, false, &mut out);
+                assert!(next.is_ok() || out.is_empty());
+            }
+        });
+        let earned = earned(kind, n_channels, n_rows, 3 * len);
+        assert!(held <= earned, "{kind}: {held} bytes of {earned}");
+    }
+}

@@ -1,0 +1,239 @@
+//! Writes what the fuzzers start from, made here and now: `cargo run --example seeds`, in `fuzz/`.
+//!
+//! Every seed is also run once, so that a target that fails on its own seeds shows without a fuzzer.
+
+use std::{fs, io, path::Path};
+
+use mocapd_codec::{BlockReport, Rows, Settings, Tolerance};
+use mocapd_take::{
+    TakeWriter,
+    chunk::{self, Front},
+    motion::UpAxis,
+    record::{Channel, Device, Event, EventKind, Header, Ledger},
+    stretch::{FrontWriter, Span, put_block},
+    timeline::{Causes, RowTime, Timeline, TimelineEncoder},
+};
+
+/// Modes of a channel in `motion.rs`, with a scale: at rest, walks, smooth, given steps, jumps, any bits.
+const MODES: [u8; 8] = [0x00, 0x72, 0x52, 0x63, 0x54, 0x66, 0x6a, 0x07];
+
+fn main() -> io::Result<()> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus");
+    for (target, run, seeds) in [
+        ("round_trip", mocapd_fuzz::round_trip as fn(&[u8]), round_trips()),
+        ("decode_block", mocapd_fuzz::decode_block, blocks()),
+        ("range_coder", mocapd_fuzz::range_coder, programs()),
+        ("read_take", mocapd_fuzz::read_take, takes()),
+    ] {
+        let folder = folder.join(target);
+        fs::create_dir_all(&folder)?;
+        for (i, seed) in seeds.iter().enumerate() {
+            fs::write(folder.join(format!("seed-{i:03}")), seed)?;
+            run(seed);
+        }
+        println!("{}: {} seeds", folder.display(), seeds.len());
+    }
+    Ok(())
+}
+
+/// Bytes that are as good as any, and always the same.
+fn noise(seed: usize, len: usize) -> Vec<u8> {
+    let mut state = seed as u32;
+    let byte = |_| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 24) as u8
+    };
+    (0..len).map(byte).collect()
+}
+
+/// A stretch of so many channels, for `Group::stretch`.
+fn stretch(i: usize, n_channels: usize, n_rows: u8) -> Vec<u8> {
+    let mut seed = vec![n_rows];
+    for channel in 0..n_channels {
+        let mode = MODES[(i + channel) % MODES.len()];
+        seed.extend([mode, [0, 0, 0x55, 0x11, 0, 0xfe][(i + 2 * channel) % 6]]);
+        match mode & 7 {
+            4 | 5 => seed.extend(noise(i, 3 * usize::from(n_rows))),
+            7 => seed.extend(noise(i + 1, 12 * usize::from(n_rows))),
+            _ => {}
+        }
+    }
+    seed
+}
+
+fn round_trips() -> Vec<Vec<u8>> {
+    let seed = |i: usize| {
+        let n_channels = i % 4 + 1;
+        let mut seed = vec![(i % 7) as u8, (i * 37 % 256) as u8, n_channels as u8 - 1];
+        for block in 0..5 {
+            seed.push(if block == 3 { 0 } else { 1 });
+            seed.extend(stretch(i, n_channels, [30, 7, 1, 19, 40][block]));
+        }
+        seed
+    };
+    (0..70).map(seed).collect()
+}
+
+fn blocks() -> Vec<Vec<u8>> {
+    let seed = |i: usize| {
+        let n_channels = i % 4 + 1;
+        let mut seed = vec![(i % 7) as u8, (i * 37 % 256) as u8, n_channels as u8 - 1];
+        seed.extend([3, 1, 4, 2]);
+        for operation in [0b101, 0b001, 0b0_1010, 0b001, 0b101, 0b011, 0b001] {
+            seed.push(operation);
+            if operation & 3 != 3 {
+                seed.extend(stretch(i, n_channels, 20));
+            }
+            if operation & 3 == 2 {
+                seed.extend([i as u8, 0, 1 << (i % 8)]);
+            }
+        }
+        // A real block as bytes of anybody, and some that are not.
+        let real = block((i % 7) as u8, (i * 37 % 256) as u8, i);
+        for (key, n_rows, bytes) in [(4, 12, real), (0, 12, noise(i, 40)), (4, 200, noise(i, 9))] {
+            seed.extend([key, n_rows, 0, bytes.len() as u8, (bytes.len() >> 8) as u8]);
+            seed.extend(bytes);
+        }
+        seed
+    };
+    (0..70).map(seed).collect()
+}
+
+/// Positions of a channel that swings.
+fn swing(channel: usize, n_rows: usize) -> Vec<[f32; 3]> {
+    let at = |row: usize| {
+        let t = row as f32 / 60.0 + channel as f32;
+        [300.0 * t.sin(), 900.0 + 50.0 * (3.0 * t).cos(), 10.0 * t]
+    };
+    (0..n_rows).map(at).collect()
+}
+
+/// A key block of two channels over twelve rows.
+fn block(kind: u8, tolerance: u8, i: usize) -> Vec<u8> {
+    let settings = mocapd_fuzz::Input::new(&[kind, tolerance]).settings();
+    let paths = [swing(i, 12), swing(i + 1, 12)];
+    let present: Vec<bool> = (0..12).map(|row| i.is_multiple_of(2) || row % 5 != 3).collect();
+    let rows = [0, 1].map(|channel| Rows::new(&paths[channel], &present).expect("12 rows"));
+    let shared = settings.plan(&rows).expect("finite samples");
+    let (mut out, mut reports) = (Vec::new(), [BlockReport::default(); 2]);
+    settings
+        .encoder()
+        .encode(&rows, &shared, true, &mut out, &mut reports)
+        .expect("finite samples");
+    out
+}
+
+fn programs() -> Vec<Vec<u8>> {
+    (0..20)
+        .map(|i| {
+            let mut seed = vec![if i % 4 == 0 { 5 } else { 0xff }, 0xff * u8::from(i % 4 != 0)];
+            // Runs of expected bits, and of what is not expected: carries.
+            let value =
+                |at: usize, byte: u8| if (at / 64 + i).is_multiple_of(3) { byte } else { 0xff };
+            seed.extend(noise(i, 400 + 20 * i).into_iter().enumerate().map(|(at, b)| value(at, b)));
+            seed
+        })
+        .collect()
+}
+
+/// Takes as they are, and as chunks whose checksums the target makes.
+fn takes() -> Vec<Vec<u8>> {
+    let mut seeds = Vec::new();
+    for kind in ["dense", "fast", "lossless", "spline", "sync"] {
+        for timed in [false, true] {
+            let take = take(kind, timed);
+            let mut chunks = vec![1];
+            let mut rest = &take[chunk::MAGIC.len()..];
+            while let Front::Whole { kind, payload, len } = chunk::front(rest) {
+                chunks.extend([kind, payload.len() as u8, (payload.len() >> 8) as u8]);
+                chunks.extend(payload);
+                rest = &rest[len..];
+            }
+            seeds.push([&[0], &take[..]].concat());
+            seeds.push([&[4], &take[..take.len() / 2]].concat());
+            seeds.push(chunks);
+        }
+    }
+    seeds
+}
+
+fn take(kind: &str, timed: bool) -> Vec<u8> {
+    const ROWS: usize = 30;
+    let settings = Settings {
+        kind: kind.parse().expect("a resampler's name"),
+        tolerance: Tolerance::from_mm(0.5).expect("a tolerance"),
+    };
+    let channels: Vec<Channel> =
+        (0..3).map(|i| Channel { marker_id: i, label: format!("m{i}"), labelled: i < 2 }).collect();
+    let mut header = Header {
+        software: "seeds".to_owned(),
+        take_id: [7; 16],
+        created_unix_ms: 0,
+        resampler: String::new(),
+        codec_version: 0,
+        tolerance_mm: 0.0,
+        rate_hz: 60.0,
+        up_axis: UpAxis::default().code(),
+        device: None,
+        source: None,
+        channels: channels[..2].to_vec(),
+        stretch_rows: ROWS as u32,
+        settings: vec![("key".to_owned(), "value".to_owned())],
+    };
+    header.set_codec(&settings);
+    if timed {
+        header.device = Some(Device { tick_hz: 1_000_000, ..Device::default() });
+    }
+    let mut writer = TakeWriter::new(Vec::new(), &header).expect("a header");
+    writer.channels(&channels[2..]).expect("a channel");
+    let event = Event {
+        kind: EventKind::Mark,
+        row: 3,
+        device_ticks: 50_000,
+        host_ns: 1,
+        input: 0,
+        text: "start".to_owned(),
+    };
+    writer.event(&event).expect("an event");
+    let paths: Vec<_> = (0..3).map(|channel| swing(channel, 5 * ROWS)).collect();
+    let mut front = if timed {
+        FrontWriter::with_times(ROWS as u32, TimelineEncoder::new(1_000_000, 60.0))
+    } else {
+        FrontWriter::new(ROWS as u32)
+    };
+    let mut encoder = settings.encoder();
+    let mut first_row = 0;
+    for number in 0..4_u8 {
+        let n_rows = if number == 1 { 7 } else { ROWS };
+        let key = number % 3 == 0 || !settings.kind.is_live();
+        let mut timeline = Timeline::default();
+        timeline.restart(first_row);
+        if timed && number == 2 {
+            timeline.push_lost(4, Causes::NOT_RECEIVED);
+        }
+        let from = first_row + timeline.n_rows();
+        for row in from..from + n_rows as u64 {
+            timeline.push(RowTime {
+                device_ticks: row * 16_667,
+                arrival_10us: row * 1667 + row % 3,
+                timecode: None,
+            });
+        }
+        let at = from as usize..from as usize + n_rows;
+        let present: Vec<bool> = at.clone().map(|row| row % 11 != 4).collect();
+        let rows: Vec<_> = paths
+            .iter()
+            .map(|path| Rows::new(&path[at.clone()], &present).expect("of one length"))
+            .collect();
+        let shared = settings.plan(&rows).expect("finite samples");
+        let (mut block, mut reports) = (Vec::new(), [BlockReport::default(); 3]);
+        encoder.encode(&rows, &shared, key, &mut block, &mut reports).expect("finite samples");
+        let span = Span { first_row: from, n_rows: n_rows as u32, key, number };
+        let mut payload = Vec::new();
+        front.put(span, &timeline, &shared, number % 2 == 0, &mut payload);
+        put_block(&block, number % 2 == 0, &mut payload);
+        writer.stretch(span, &payload).expect("a stretch");
+        first_row = span.end_row();
+    }
+    writer.finish(&Ledger::default()).expect("a ledger").0
+}

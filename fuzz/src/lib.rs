@@ -1,0 +1,15 @@
+//! What the fuzz targets share: a fuzzer's bytes as motion, and the checks of what comes back.
+//!
+//! Each target is a function here, so that the seeds can be tried without a fuzzer.
+
+mod blocks;
+mod check;
+mod input;
+mod motion;
+mod range;
+mod take;
+mod trips;
+
+pub use self::{
+    blocks::decode_block, input::Input, range::range_coder, take::read_take, trips::round_trip,
+};
