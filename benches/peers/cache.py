@@ -18,9 +18,9 @@ class Cache:
         self.path = Path(folder) / f"{take_sha256[:16]}-{codec_name}.json".replace(" ", "-") if folder else None
         self.entries = json.loads(self.path.read_text()) if self.path and self.path.exists() else {}
 
-    def result(self, codec, gaps, tolerance_mm, compute):
+    def result(self, codec, gaps, tolerance_mm, compute, plain=False):
         """The kept result, or the one of `compute`, kept from then on; None is a result too (codec refused)."""
-        key = f"{codec.versions}, {tolerance_mm:g} mm, gaps {gaps}"
+        key = f"{codec.versions}, {tolerance_mm:g} mm, gaps {gaps}{', plain' * plain}"
         if key not in self.entries:
             result = compute()
             self.entries[key] = asdict(result) if result else None

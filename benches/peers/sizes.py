@@ -18,17 +18,27 @@ def rows_of(path, cache_folder, codec_name, tolerances_mm):
     mask = 0 if codec.lossless else mask_bytes(take.present)
     rows = []
     for tolerance_mm in tolerances_mm:
-        found = []
-        for filled in take.fills[:1] if codec.lossless else take.fills:
-            # What has no bound has one size.
-            at = 0.0 if codec.lossless else tolerance_mm
-            result = cache.result(codec, filled.gaps, at, lambda: codec.best(filled, tolerance_mm))
-            if result:
-                found.append((result, filled.gaps))
+        found = smallest(take, codec, cache, tolerance_mm, tuned=codec.tuned)
         if found:
-            result, gaps = min(found, key=lambda entry: entry[0].bytes)
-            rows.append(row(take, codec, tolerance_mm, result, mask) | {"gaps": gaps})
+            plain = smallest(take, codec, cache, tolerance_mm, tuned=False) if codec.tuned else found
+            result, gaps = found
+            more = {"gaps": gaps, "plain_bytes": plain[0].bytes + mask, "plain_layout": plain[0].layout}
+            rows.append(row(take, codec, tolerance_mm, result, mask) | more)
     return rows
+
+
+def smallest(take, codec, cache, tolerance_mm, tuned):
+    """The smallest result over the ways to fill gaps, and that way; None where the codec refuses the take."""
+    found = []
+    for filled in take.fills[:1] if codec.lossless else take.fills:
+        # What has no bound has one size.
+        at = 0.0 if codec.lossless else tolerance_mm
+        plain = codec.tuned and not tuned
+        compute = lambda: codec.best(filled, tolerance_mm, tuned)  # noqa: E731
+        result = cache.result(codec, filled.gaps, at, compute, plain)
+        if result:
+            found.append((result, filled.gaps))
+    return min(found, key=lambda entry: entry[0].bytes, default=None)
 
 
 def row(take, codec, tolerance_mm, result, mask):

@@ -63,8 +63,11 @@ class Codec:
         """The way a result came from, to time it."""
         return next(way for way in self.ways(take) if way.name == layout)
 
-    def best(self, take, tolerance_mm):
-        """The smallest verified result over all ways; None where every way refuses the take."""
+    def best(self, take, tolerance_mm, tuned=True):
+        """The smallest verified result over all ways; None where every way refuses the take.
+
+        Without `tuned`, at the plain axis tolerance that keeps the bound whatever the data.
+        """
         found = []
         for way in self.ways(take):
             result = lowered(take, way, tolerance_mm)
@@ -72,7 +75,7 @@ class Codec:
                 found.append((result.bytes, len(found), way, result))
         found.sort(key=lambda entry: entry[:2])
         results = [result for *_, result in found]
-        if self.tuned:
+        if self.tuned and tuned:
             results += [raised(take, way, tolerance_mm, result) for *_, way, result in found[:WAYS_TUNED]]
         return min(results, key=lambda r: r.bytes, default=None)
 
