@@ -10,7 +10,7 @@ use mocapd_take::{
 };
 use rustix::rand::{GetRandomFlags, getrandom};
 
-/// A header with everything but channels, device and source.
+/// The header of a recording that begins now, with everything but channels and device.
 ///
 /// # Errors
 /// When the system gives no random bytes.
@@ -18,10 +18,18 @@ pub fn new(codec: &Settings, rate_hz: f64) -> anyhow::Result<Header> {
     let mut take_id = [0; 16];
     getrandom(&mut take_id, GetRandomFlags::empty()).context("cannot get random bytes")?;
     let since_1970 = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    let created_unix_ms = i64::try_from(since_1970.as_millis()).unwrap_or(i64::MAX);
+    Ok(Header { take_id, created_unix_ms, ..of_import(codec, rate_hz) })
+}
+
+/// The header of an import with everything but channels, source and id: it has no time of its own, and
+/// its id comes last ([`Header::set_import_id`]), so that the same import is the same take.
+#[must_use]
+pub fn of_import(codec: &Settings, rate_hz: f64) -> Header {
     let mut header = Header {
         software: concat!("mocapd ", env!("CARGO_PKG_VERSION")).to_owned(),
-        take_id,
-        created_unix_ms: i64::try_from(since_1970.as_millis()).unwrap_or(i64::MAX),
+        take_id: [0; 16],
+        created_unix_ms: 0,
         resampler: String::new(),
         codec_version: CODEC_VERSION,
         tolerance_mm: 0.0,
@@ -34,7 +42,7 @@ pub fn new(codec: &Settings, rate_hz: f64) -> anyhow::Result<Header> {
         settings: Vec::new(),
     };
     header.set_codec(codec);
-    Ok(header)
+    header
 }
 
 /// The channel table of an import: ids by column.

@@ -2,7 +2,7 @@
 
 use crate::{CodecError, Position};
 
-/// Most channels of a group: those that lie this far apart in a take's channel table are coded together.
+/// Most channels of a group: those that are coded together.
 ///
 /// What a block costs whatever is in it (its length, its head, the ends of its coders, what it learns
 /// anew after a key) is then paid once for a whole body; and a hundred markers still make two groups,
@@ -81,6 +81,7 @@ pub(crate) fn runs(present: &[bool]) -> impl Iterator<Item = std::ops::Range<usi
 
 /// What an encoder proved about one channel of the block it just wrote.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
 pub struct BlockReport {
     /// Samples present.
     pub samples: u32,
@@ -92,6 +93,8 @@ pub struct BlockReport {
 }
 
 /// Encodes the blocks of one group of channels, in order. State may run from block to block.
+///
+/// To be called, not implemented elsewhere: it may get more methods.
 pub trait BlockEncoder: Send + std::fmt::Debug {
     /// Allocates what blocks of up to so many channels and rows will ever need; not called, it is
     /// allocated as blocks need it. What a debug build checks behind every block is not part of it.
@@ -123,11 +126,12 @@ pub trait BlockEncoder: Send + std::fmt::Debug {
 /// Decodes the blocks of one group of channels, in order, starting at a key block.
 ///
 /// What it allocates goes with the rows times the channels of a block, which
-/// [`stated_channels`](crate::stated_channels) tells beforehand.
+/// [`stated_channels`](crate::stated_channels) tells beforehand. To be called, not implemented elsewhere:
+/// it may get more methods.
 pub trait BlockDecoder: Send + std::fmt::Debug {
     /// Replaces `out` by the rows of one block, an entry for each channel that it has: those from
     /// the group's first to the last one with a sample since the key block. The memory in `out` is
-    /// used again. An empty block has none.
+    /// used again. An empty block has none. `n_rows` is believed: bound it when it comes from a file.
     ///
     /// # Errors
     /// `Corrupt` or `Truncated`; `out` is then empty and the decoder needs a key block to go on.
@@ -146,6 +150,7 @@ pub trait BlockDecoder: Send + std::fmt::Debug {
 
 /// The rows of one channel of a decoded block. Reused from block to block.
 #[derive(Debug, Clone, Default, PartialEq)]
+#[non_exhaustive]
 pub struct DecodedRows {
     /// One position a row; `[0.0; 3]` where not present.
     pub positions: Vec<Position>,

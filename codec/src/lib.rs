@@ -11,9 +11,10 @@
 //! (Shi et al. 2012), for study. The bytes depend on the samples and the [`Settings`] only, never on the
 //! machine.
 //!
-//! The crate does no I/O, reads no clock and starts no thread. Decoders take any bytes: they give an
-//! error or samples, and never allocate more than the caller's rows and a group's channels ask for.
-//! `docs/codec.md` describes the format byte by byte.
+//! The crate does no I/O, reads no clock and starts no thread. Encoders and decoders are [`Send`], and
+//! share no state. Decoders take any bytes: they give an error or samples, do not panic, and never
+//! allocate more than the caller's rows and a group's channels ask for. `docs/codec.md` describes the
+//! format byte by byte; the README says what it costs, and what is stable.
 //!
 //! ```
 //! use mocapd_codec::{BlockReport, ResamplerKind, Rows, Settings, Tolerance};
@@ -62,5 +63,16 @@ pub use error::CodecError;
 pub use frame::stated_channels;
 pub use settings::{ResamplerKind, Settings, SplineVariant, Tolerance};
 
+/// The version of the block format: the one that this crate writes, and the only one it reads.
+///
+/// Blocks do not carry it: a container stores it beside them, and refuses any other. A new version is a
+/// breaking change of the crate. 1 to 3 were those of development versions.
+pub const BLOCK_VERSION: u16 = 4;
+
 /// A position in millimetres, x y z, right-handed, in the device's own axes.
 pub type Position = [f32; 3];
+
+/// The README's example, as a test.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -44,6 +44,7 @@ impl Tolerance {
 
 /// How `spline` picks the next knot: the two readings of step 2 of (Shi et al. 2012, 2.3).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+#[non_exhaustive]
 pub enum SplineVariant {
     /// Insert the sample whose current error is largest.
     #[default]
@@ -58,8 +59,10 @@ impl SplineVariant {
     pub const EXHAUSTIVE_MAX_RUN_ROWS: usize = 1024;
 }
 
-/// The resamplers by name.
+/// The resamplers. [`Display`](fmt::Display) writes and [`FromStr`] reads the name that a container of
+/// blocks stores: `dense`, `fast`, `lossless`, `spline:worst-sample`...
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+#[non_exhaustive]
 pub enum ResamplerKind {
     /// Smallest files: adaptive, quantised inside the tolerance, context-coded.
     #[default]
@@ -124,7 +127,8 @@ impl FromStr for ResamplerKind {
     }
 }
 
-/// What encoder and decoder of a take must agree on.
+/// What encoder and decoder must agree on: a container of blocks stores both, and the
+/// [`BLOCK_VERSION`](crate::BLOCK_VERSION).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
     /// Which resampler.
@@ -134,7 +138,8 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// A new encoder for one group of channels; allocate one a group, at start.
+    /// A new encoder for one group of channels; allocate one a group, at start. It may move to another
+    /// thread between two blocks.
     ///
     /// Without a key block it is as behind a key block without samples; so is a new decoder.
     #[must_use]
@@ -151,7 +156,7 @@ impl Settings {
         }
     }
 
-    /// A new decoder for one group of channels.
+    /// A new decoder for one group of channels. It may move to another thread between two blocks.
     #[must_use]
     pub fn decoder(&self) -> Box<dyn BlockDecoder> {
         let tolerance = self.tolerance;
@@ -194,7 +199,8 @@ impl Settings {
         }
     }
 
-    /// Most bytes that `encode` can append for a block of so many channels and rows.
+    /// Most bytes that `encode` can append for a block of so many channels, up to
+    /// [`GROUP_CHANNELS`](crate::GROUP_CHANNELS), and of as many rows as memory can hold of each.
     #[must_use]
     pub fn max_block_bytes(&self, n_channels: usize, n_rows: usize) -> usize {
         let most = match self.kind {

@@ -16,6 +16,14 @@ const RATE_HZ: std::ops::RangeInclusive<f64> = 0.001..=1e6;
 /// # Errors
 /// Why it cannot be read, or that there is nothing in it to make a take of.
 pub(super) fn read_motion(path: &Path) -> anyhow::Result<Motion> {
+    Ok(read_motion_and_bytes(path)?.0)
+}
+
+/// The same, with the file's bytes.
+///
+/// # Errors
+/// As [`read_motion`].
+pub(super) fn read_motion_and_bytes(path: &Path) -> anyhow::Result<(Motion, Vec<u8>)> {
     let format = paths::input_format(path)?;
     let mut bytes = Vec::new();
     let reading = || format!("cannot read {}", path.display());
@@ -34,5 +42,5 @@ pub(super) fn read_motion(path: &Path) -> anyhow::Result<Motion> {
         RATE_HZ.start(),
         RATE_HZ.end()
     );
-    Ok(motion)
+    Ok((motion, bytes))
 }

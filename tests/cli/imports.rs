@@ -1,12 +1,30 @@
 //! Every resampler through import, info and verify; every format there and back.
 
-use mocapd_take::motion::{Motion, is_gap};
+use mocapd_take::{
+    TakeEvent,
+    motion::{Motion, is_gap},
+    reader::read_events,
+    record::Header,
+};
+use serde_json::Value;
 
 use super::Folder;
 use crate::support::{chunks, crowd, jump};
 
 fn samples(motion: &Motion) -> u64 {
     motion.positions_mm.iter().filter(|&&position| !is_gap(position)).count() as u64
+}
+
+fn header(take: &[u8]) -> Header {
+    let mut found = None;
+    let read = read_events(take, |event| {
+        if let TakeEvent::Header(header) = event {
+            found = Some(*header);
+        }
+        Ok(())
+    });
+    read.unwrap();
+    found.unwrap()
 }
 
 #[test]
@@ -46,7 +64,7 @@ fn every_resampler_keeps_its_bound_and_tells_what_it_did() {
         let against = &verified["against"];
         assert_eq!(against["samples"], n_samples, "{resampler}");
         assert_eq!(against["gaps_differing"], 0, "{resampler}");
-        let error = |value: &serde_json::Value| value.as_f64().unwrap();
+        let error = |value: &Value| value.as_f64().unwrap();
         assert!(error(&against["max_error_mm"]) <= error(&info["max_error_mm"]), "{resampler}");
         assert!(error(&info["max_error_mm"]) <= tolerance_mm, "{resampler}");
         let channels = info["channels"].as_array().unwrap();
@@ -64,17 +82,58 @@ fn every_resampler_keeps_its_bound_and_tells_what_it_did() {
 fn the_bytes_are_the_same_for_any_number_of_threads() {
     let folder = Folder::new();
     folder.write_motion("jump.csv", &crowd(8, 60.0, 42.0));
-    let blocks = |threads: &str| {
+    let take = |threads: &str| {
         let take = format!("{threads}.take");
         let import = ["import", "jump.csv", "-o", &take, "--threads", threads];
         folder.run(&import).with_code(0);
-        let found = chunks(&folder.read(&take));
-        assert!(found.finished && found.keys.len() == 5, "{:?}", found.keys);
-        assert_eq!(found.blocks.len(), 5 * 3, "150 markers");
-        (found.labels, found.keys, found.blocks)
+        folder.read(&take)
     };
-    let one = blocks("1");
-    assert!(one == blocks("2") && one == blocks("7"));
+    let one = take("1");
+    let found = chunks(&one);
+    assert!(found.finished && found.keys.len() == 5, "{:?}", found.keys);
+    assert_eq!(found.blocks.len(), 5 * 3, "150 markers");
+    assert!(one == take("2") && one == take("7"), "whole files, header and all");
+}
+
+#[test]
+fn another_file_or_setting_is_another_take_and_the_same_is_the_same() {
+    let folder = Folder::new();
+    let motion = jump(12, 60.0, 1.0);
+    folder.write_motion("jump.c3d", &motion);
+    folder.write("same.c3d", folder.read("jump.c3d"));
+    // The samples stay: what differs is a byte that nobody reads.
+    folder.write("longer.c3d", [folder.read("jump.c3d"), vec![0]].concat());
+    folder.write_motion("jump.csv", &motion);
+    let mut n_takes = 0;
+    let mut import = |file: &str, more: &[&str]| {
+        n_takes += 1;
+        let take = format!("{n_takes}.take");
+        folder.run(&[&["import", file, "-o", &take][..], more].concat()).with_code(0);
+        folder.read(&take)
+    };
+    let plain = import("jump.c3d", &[]);
+    assert!(plain == import("jump.c3d", &["--tolerance", "0.5mm", "--resampler", "dense"]));
+    let id = |take: &[u8]| header(take).take_id;
+    let mut ids = vec![id(&plain)];
+    for (file, more) in [
+        ("jump.csv", &[][..]),
+        ("same.c3d", &[]),
+        ("longer.c3d", &[]),
+        ("jump.c3d", &["--tolerance", "0.6mm"]),
+        ("jump.c3d", &["--resampler", "fast"]),
+        ("jump.c3d", &["--lossless"]),
+        ("jump.c3d", &["--drop-foreign"]),
+    ] {
+        let other = id(&import(file, more));
+        assert!(!ids.contains(&other), "{file} {more:?}");
+        ids.push(other);
+    }
+    // A UUID of version 8, and no time: neither when it was imported, nor when the file was written.
+    assert!(ids.iter().all(|id| id[6] >> 4 == 8 && id[8] >> 6 == 2));
+    assert_eq!(header(&plain).created_unix_ms, 0);
+    assert_eq!(folder.run(&["info", "1.take", "--json"]).json()["created"], Value::Null);
+    let words = folder.run(&["info", "1.take"]).with_code(0).stdout;
+    assert!(words.contains("\nmade       by mocapd "), "{words}");
 }
 
 #[test]

@@ -4,7 +4,7 @@ use super::{
     Mode,
     isa::Isa,
     read::Decoding,
-    reader::{PAD, Reader},
+    reader::Reader,
     step,
     tans::Tables,
     walk::{self, Channel, Point},
@@ -63,7 +63,7 @@ impl FastDecoder {
 impl PayloadDecoder for FastDecoder {
     #[cfg(debug_assertions)]
     fn prepare(&mut self, n_channels: usize, n_rows: usize) {
-        self.padded.reserve(PAD + super::max_payload_bytes(n_channels, n_rows));
+        self.padded.reserve(super::reader::PAD + super::max_payload_bytes(n_channels, n_rows));
         self.raw.reserve(n_rows);
         self.grow(n_channels, n_rows);
     }

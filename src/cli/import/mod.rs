@@ -24,7 +24,7 @@ use mocapd_take::{
 use self::report::Report;
 use super::{
     codec_args::CodecArgs,
-    original::read_motion,
+    original::read_motion_and_bytes,
     output::{print, print_json, say},
     paths,
     progress::Progress,
@@ -53,7 +53,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let codec = args.codec.settings()?;
     paths::check_take_output(&args.output)?;
-    let mut motion = read_motion(&args.file)?;
+    let (mut motion, bytes) = read_motion_and_bytes(&args.file)?;
     let about_file = |words: &str| say(&format!("{}: {words}", args.file.display()));
     motion.info.source.warnings.iter().for_each(|warning| about_file(warning));
     let mut foreign_dropped = Vec::new();
@@ -61,7 +61,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         foreign_dropped.extend(motion.info.foreign.drain(..).map(|part| part.kind));
         about_file(&format!("left out, as asked: {}", foreign_dropped.join(", ")));
     }
-    let header = header_of(&motion, &args.file, &codec)?;
+    let mut header = header_of(&motion, &args.file, &codec);
+    if args.drop_foreign {
+        header.settings.push(("drop_foreign".to_owned(), "true".to_owned()));
+    }
+    header.set_import_id(&bytes)?;
+    drop(bytes);
     let workers = args.threads.map_or_else(threads::default_workers, usize::from);
     let written = write(&motion, &header, workers, &args.output)?;
     if written.samples == 0 {
@@ -76,13 +81,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     Ok(Outcome::of(motion.info.source.frames_missing > 0))
 }
 
-/// The header of a take made of a file.
-///
-/// # Errors
-/// When the rate cannot be one.
-pub(super) fn header_of(motion: &Motion, file: &Path, codec: &Settings) -> anyhow::Result<Header> {
+/// The header of a take made of a file, but for its id.
+pub(super) fn header_of(motion: &Motion, file: &Path, codec: &Settings) -> Header {
     let info = &motion.info;
-    let mut header = header::new(codec, info.rate_hz)?;
+    let mut header = header::of_import(codec, info.rate_hz);
     header.up_axis = info.up.code();
     header.stretch_rows =
         offline::stretch_rows(codec, info.rate_hz, motion.n_frames(), info.markers.len()) as u32;
@@ -95,7 +97,7 @@ pub(super) fn header_of(motion: &Motion, file: &Path, codec: &Settings) -> anyho
         first_frame: info.source.first_frame,
         warnings: info.source.warnings.clone(),
     });
-    Ok(header)
+    header
 }
 
 fn write(motion: &Motion, header: &Header, workers: usize, to: &Path) -> anyhow::Result<Written> {

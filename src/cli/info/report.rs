@@ -17,7 +17,7 @@ pub(super) struct Report {
     pub(super) finished: bool,
     pub(super) problems: Vec<String>,
     pub(super) software: String,
-    pub(super) created: String,
+    pub(super) created: Option<String>,
     pub(super) resampler: String,
     pub(super) tolerance_mm: f64,
     pub(super) up_axis: Option<&'static str>,
@@ -120,14 +120,13 @@ pub(super) struct ChannelReport {
 
 impl Report {
     pub(super) fn new(take: &Path, summary: &Summary, header: &Header, file_bytes: u64) -> Self {
-        let created = jiff::Timestamp::from_millisecond(header.created_unix_ms);
         let channels = summary.channels.iter().zip(&summary.per_channel);
         Self {
             take: take.to_owned(),
             finished: summary.finished,
             problems: summary.problems.clone(),
             software: header.software.clone(),
-            created: created.map(|time| time.to_string()).unwrap_or_default(),
+            created: created(header),
             resampler: header.resampler.clone(),
             tolerance_mm: header.tolerance_mm,
             up_axis: match header.up_axis {
@@ -190,6 +189,12 @@ impl Report {
     pub(super) fn losses(&self) -> Option<String> {
         self.ledger.as_ref()?.losses()
     }
+}
+
+/// When the take was begun, where that is known: an import has no time of its own.
+fn created(header: &Header) -> Option<String> {
+    let unix_ms = Some(header.created_unix_ms).filter(|&unix_ms| unix_ms != 0)?;
+    Some(jiff::Timestamp::from_millisecond(unix_ms).ok()?.to_string())
 }
 
 impl EventReport {

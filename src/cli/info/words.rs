@@ -15,7 +15,8 @@ pub(super) fn words(report: &Report) -> String {
         writeln!(out, "{name:<10} {}", plain(value)).ok();
     };
     line("take", &report.take.display().to_string());
-    line("made", &format!("{} by {}", report.created, report.software));
+    let by = format!("by {}", report.software);
+    line("made", &report.created.as_ref().map_or(by.clone(), |created| format!("{created} {by}")));
     origin(report, &mut line);
     motion(report, &mut line);
     size(report, &mut line);

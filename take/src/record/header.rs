@@ -1,7 +1,7 @@
 //! HEADER and CHANNELS: what a reader must know before the first stretch.
 
 use bincode::{Decode, Encode};
-use mocapd_codec::{CodecError, ResamplerKind, Settings, Tolerance};
+use mocapd_codec::{BLOCK_VERSION, CodecError, ResamplerKind, Settings, Tolerance};
 
 use super::Record;
 use crate::{
@@ -11,7 +11,7 @@ use crate::{
 };
 
 /// One entry of the channel table.
-#[derive(Debug, Clone, PartialEq, Eq, Encode, Decode)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Channel {
     /// The device's id; in an import the column, from 0.
     pub marker_id: u16,
@@ -58,13 +58,15 @@ pub struct ImportSource {
 }
 
 /// The first chunk of a take.
-#[derive(Debug, Clone, PartialEq, Encode, Decode)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Header {
     /// What wrote it.
     pub software: String,
-    /// Random, so that two takes are never mistaken for each other.
+    /// So that two takes are never mistaken for each other: random in a recording, in an import made
+    /// of its file and settings ([`Header::set_import_id`]).
     pub take_id: [u8; 16],
-    /// Wall clock at the start, in milliseconds since 1970 UTC.
+    /// Wall clock at the start of a recording, in milliseconds since 1970 UTC; 0 where none is known,
+    /// as in an import.
     pub created_unix_ms: i64,
     /// Resampler, by name.
     pub resampler: String,
@@ -84,13 +86,16 @@ pub struct Header {
     pub channels: Vec<Channel>,
     /// Rows of a full stretch.
     pub stretch_rows: u32,
-    /// The configuration that made it.
+    /// The configuration that made it: in an import what was chosen beside resampler and tolerance.
     pub settings: Vec<(String, String)>,
 }
 
 /// The format of stretches and blocks that this build writes and reads. 1 was that of development
 /// versions, with a time line in chunks of its own.
 pub const CODEC_VERSION: u16 = 4;
+
+// Blocks are a part of it: a new version of theirs is a new one of takes, too.
+const _: () = assert!(CODEC_VERSION >= BLOCK_VERSION);
 
 impl Header {
     /// The codec's settings, checked.
@@ -133,17 +138,17 @@ impl Header {
 impl Record for Header {
     const NAME: &'static str = "header";
     const KIND: u8 = types::HEADER;
-    const VERSION: u16 = 1;
+    const VERSION: u16 = 2;
 }
 
 /// The payload of CHANNELS.
-#[derive(Debug, Clone, PartialEq, Eq, Encode, Decode)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct MoreChannels(pub(crate) Vec<Channel>);
 
 impl Record for MoreChannels {
     const NAME: &'static str = "channel table";
     const KIND: u8 = types::CHANNELS;
-    const VERSION: u16 = 1;
+    const VERSION: u16 = 2;
 }
 
 impl From<&Channel> for Marker {

@@ -2,9 +2,12 @@
 //!
 //! Structures are frozen per version; docs/take-format.md gives their bytes.
 
+mod channel_table;
 mod event;
 mod header;
+mod import_id;
 mod ledger;
+mod stored;
 
 use bincode::config::{Configuration, Limit, LittleEndian, Varint};
 

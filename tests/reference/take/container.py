@@ -32,9 +32,9 @@ def chunks(data):
 class Record(Cursor):
     """bincode 2, standard configuration, behind a version."""
 
-    def __init__(self, payload):
+    def __init__(self, payload, version):
         super().__init__(payload)
-        if int.from_bytes(self.take(2), "little") != 1:
+        if int.from_bytes(self.take(2), "little") != version:
             raise Corrupt("a record of an unknown version")
 
     def unsigned(self):
@@ -61,8 +61,23 @@ class Record(Cursor):
     def optional(self, item):
         return item() if self.byte() else None
 
-    def channel(self):
-        return {"marker_id": self.unsigned(), "label": self.string(), "labelled": self.byte() == 1}
+    def channels(self):
+        """A table of channels, whose labels begin like the one before."""
+        table = Cursor(self.take(self.unsigned()))
+        marker_id, label, labelled, channels = -1, b"", True, []
+        while table.left():
+            head = table.byte()
+            marker_id, shared, n = (marker_id + 1) & 0xFFFF, head >> 4, head & 15
+            if n == 15:
+                both = table.varint()
+                marker_id, labelled = both >> 1, both & 1 == 1
+            if n >= 14:
+                n = table.varint()
+            if shared > len(label):
+                raise Corrupt("a label begins like a shorter one")
+            label = label[:shared] + table.take(n)
+            channels.append({"marker_id": marker_id, "label": label.decode(), "labelled": labelled})
+        return channels
 
     def device(self):
         names = ["driver", "uri", "model", "serial", "firmware"]
@@ -96,10 +111,10 @@ class Header:
 
 
 def read_header(payload):
-    r = Record(payload)
+    r = Record(payload, 2)
     header = Header(
         r.string(), r.take(16), r.signed(), r.string(), r.unsigned(), r.double(), r.double(),
-        r.byte(), r.optional(r.device), r.optional(r.source), r.list(r.channel), r.unsigned(),
+        r.byte(), r.optional(r.device), r.optional(r.source), r.channels(), r.unsigned(),
         r.list(lambda: (r.string(), r.string())),
     )  # fmt: skip
     r.finish()
@@ -109,7 +124,7 @@ def read_header(payload):
 
 
 def read_channels(payload):
-    record = Record(payload)
-    channels = record.list(record.channel)
+    record = Record(payload, 2)
+    channels = record.channels()
     record.finish()
     return channels

@@ -39,7 +39,7 @@ pub(super) fn measure(
     codec: &Settings,
     repeats: u8,
 ) -> anyhow::Result<Measured> {
-    let header = header_of(subject.motion, subject.file, codec)?;
+    let header = header_of(subject.motion, subject.file, codec);
     let (mut encode, mut decode) = (Duration::MAX, Duration::MAX);
     let mut take = Vec::new();
     let mut worst_mm = 0.0;

@@ -1,0 +1,184 @@
+//! The channel table in HEADER and CHANNELS: labels share their beginnings with the one before.
+//!
+//! Labels of one take are alike (`L.Shoulder`, `L.Elbow`; `h00b00m0`, `h00b00m1`), and a short take is
+//! little else: stored whole they would be a tenth of it. docs/take-format.md gives the bytes.
+
+use super::{Channel, LIMIT_BYTES};
+
+/// Most bytes that a label takes over from the one before: what a nibble can say.
+const MAX_SHARED: usize = 15;
+/// Suffix lengths that stand in the nibble; these two say what follows instead.
+const LONG: u8 = 14;
+const UNUSUAL: u8 = 15;
+/// What an entry costs a reader beside its label.
+const ENTRY_BYTES: usize = 32;
+
+/// What the next entry is, where it does not say otherwise.
+#[derive(Default)]
+struct Before<'a> {
+    label: &'a [u8],
+    /// None before the first entry, and after the largest id.
+    marker_id: Option<u16>,
+    unlabelled: bool,
+}
+
+impl<'a> Before<'a> {
+    fn next_id(&self) -> u16 {
+        self.marker_id.map_or(0, |id| id.wrapping_add(1))
+    }
+
+    fn follow(&mut self, marker_id: u16, label: &'a [u8], labelled: bool) {
+        *self = Self { label, marker_id: Some(marker_id), unlabelled: !labelled };
+    }
+}
+
+fn shared(a: &[u8], b: &[u8]) -> usize {
+    a.iter().zip(b).take(MAX_SHARED).take_while(|(a, b)| a == b).count()
+}
+
+fn put_varint(out: &mut Vec<u8>, mut value: usize) {
+    while value >= 0x80 {
+        out.push(value as u8 | 0x80);
+        value >>= 7;
+    }
+    out.push(value as u8);
+}
+
+/// The bytes of a table.
+pub(super) fn write(channels: &[Channel]) -> Vec<u8> {
+    let mut out = Vec::new();
+    let mut before = Before::default();
+    for Channel { marker_id, label, labelled } in channels {
+        let label = label.as_bytes();
+        let shared = shared(before.label, label);
+        let suffix = &label[shared..];
+        let usual = *marker_id == before.next_id() && *labelled != before.unlabelled;
+        let short = u8::try_from(suffix.len()).ok().filter(|&n| n < LONG);
+        let low = if usual { short.unwrap_or(LONG) } else { UNUSUAL };
+        out.push((shared as u8) << 4 | low);
+        if !usual {
+            put_varint(&mut out, usize::from(*marker_id) << 1 | usize::from(*labelled));
+        }
+        if low >= LONG {
+            put_varint(&mut out, suffix.len());
+        }
+        out.extend_from_slice(suffix);
+        before.follow(*marker_id, label, *labelled);
+    }
+    out
+}
+
+/// The bytes not read yet.
+struct Bytes<'a>(&'a [u8]);
+
+impl Bytes<'_> {
+    fn byte(&mut self) -> Result<u8, &'static str> {
+        let (&first, rest) = self.0.split_first().ok_or(CUT)?;
+        self.0 = rest;
+        Ok(first)
+    }
+
+    /// At most 21 bits: labels and ids are short.
+    fn varint(&mut self) -> Result<usize, &'static str> {
+        let mut value = 0;
+        for shift in [0, 7, 14] {
+            let byte = self.byte()?;
+            value |= usize::from(byte & 0x7f) << shift;
+            if byte & 0x80 == 0 {
+                return Ok(value);
+            }
+        }
+        Err("a number of the channel table is too long")
+    }
+
+    fn take(&mut self, n: usize) -> Result<&[u8], &'static str> {
+        let (taken, rest) = self.0.split_at_checked(n).ok_or(CUT)?;
+        self.0 = rest;
+        Ok(taken)
+    }
+}
+
+const CUT: &str = "the channel table is cut short";
+
+/// A table from all of its bytes.
+pub(super) fn read(bytes: &[u8]) -> Result<Vec<Channel>, &'static str> {
+    let mut bytes = Bytes(bytes);
+    let mut channels: Vec<Channel> = Vec::new();
+    let mut claimed = 0;
+    while !bytes.0.is_empty() {
+        let before = match channels.last() {
+            Some(last) => Before {
+                label: last.label.as_bytes(),
+                marker_id: Some(last.marker_id),
+                unlabelled: !last.labelled,
+            },
+            None => Before::default(),
+        };
+        let head = bytes.byte()?;
+        let shared = usize::from(head >> 4);
+        let (mut marker_id, mut labelled) = (before.next_id(), !before.unlabelled);
+        if head & 15 == UNUSUAL {
+            let both = bytes.varint()?;
+            labelled = both & 1 == 1;
+            marker_id = u16::try_from(both >> 1).map_err(|_| "a marker id is beyond 65535")?;
+        }
+        let n = if head & 15 >= LONG { bytes.varint()? } else { usize::from(head & 15) };
+        let beginning = before.label.get(..shared).ok_or("a label begins like a shorter one")?;
+        // Memory as the other records: a byte here must not buy more than the limit there.
+        claimed += ENTRY_BYTES + shared + n;
+        if claimed > LIMIT_BYTES {
+            return Err("the channel table is larger than a take can hold");
+        }
+        let label = [beginning, bytes.take(n)?].concat();
+        let label = String::from_utf8(label).map_err(|_| "a label is not UTF-8")?;
+        channels.push(Channel { marker_id, label, labelled });
+    }
+    Ok(channels)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn channel(marker_id: u16, label: &str, labelled: bool) -> Channel {
+        Channel { marker_id, label: label.to_owned(), labelled }
+    }
+
+    #[test]
+    fn what_is_usual_takes_a_byte_and_what_is_new_in_the_label() {
+        let table = [channel(0, "L.Elbow", true), channel(1, "L.Wrist", true)];
+        assert_eq!(write(&table), b"\x07L.Elbow\x25Wrist");
+        assert_eq!(read(&write(&table)).unwrap(), table);
+    }
+
+    #[test]
+    fn any_table_comes_back() {
+        let long = "ä".repeat(120);
+        let table = [
+            channel(7, "", false),
+            channel(8, "u001", false),
+            channel(8, "u001", false),
+            channel(65535, &long, true),
+            channel(0, &format!("{long}1"), true),
+            channel(1, "ö", true),
+        ];
+        assert_eq!(read(&write(&table)).unwrap(), table);
+        assert_eq!(read(&[]).unwrap(), []);
+    }
+
+    #[test]
+    fn bad_bytes_are_errors() {
+        // Shares with nothing; is cut; too long a number; not UTF-8; an id beyond 16 bits.
+        for bytes in [
+            &b"\x11a"[..],
+            b"\x05ab",
+            b"\x0e\xff\xff\xff\x01",
+            b"\x01\xff",
+            b"\x0f\xff\xff\x7f\x00",
+        ] {
+            assert!(read(bytes).is_err(), "{bytes:?}");
+        }
+        // A byte an entry: no memory beyond the limit.
+        assert!(read(&vec![0; LIMIT_BYTES]).is_err());
+    }
+}
