@@ -3,5 +3,6 @@
 pub(crate) mod bitpack;
 pub(crate) mod bytes;
 pub(crate) mod columns;
+pub(crate) mod isa;
 pub mod range;
 pub(crate) mod zigzag;

@@ -6,6 +6,7 @@
 mod anchor;
 mod choice;
 mod code;
+mod covary;
 mod decoder;
 mod encoder;
 mod lattice;
@@ -16,6 +17,7 @@ mod model;
 mod origin;
 mod prior;
 mod row;
+mod solve;
 mod taps;
 mod track;
 #[cfg(feature = "training")]

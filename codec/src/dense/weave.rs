@@ -6,27 +6,27 @@
 //! markers that are close together are taken to move alike: the covariance starts from a function of
 //! their distance, as in kriging.
 
-use crate::GROUP_CHANNELS;
+use crate::{GROUP_CHANNELS, coding::isa::Isa};
 
-use super::SPAN;
+use super::{
+    SPAN,
+    covary::{Covarying, Span},
+    solve::{Lane, Solving, ridged},
+};
 
 /// Classes of levels: anchors; strides 8 and more; 4; 2; 1.
 pub(super) const CLASSES: usize = 5;
 /// Channels that a residual is expected from, at most.
 pub(super) const REFERENCES: usize = 3;
 
-/// What a span leaves of the averages.
-const DECAY: f64 = 0.9;
 /// The weight of the distances, in averages of all channels' energies.
 const KERNEL_WEIGHT: f64 = 0.3;
 /// The least such average, in squared tolerances.
 const LEAST_ENERGY: f64 = 10.0;
-/// Every variance is taken to be so much larger: relative, and in squared tolerances.
-const RIDGE: (f64, f64) = (1.15, 2.0);
-/// A reference must explain at least this share of the energy, all of them together that one.
-const LEAST_GAIN: (f64, f64) = (0.02, 0.15);
 /// Residuals count up to this length, in units: 500 tolerances.
 const MAX_RESIDUAL: f64 = 128_000.0;
+/// A residual's own part in a product is in units of this.
+const SCALE: f64 = 65536.0;
 
 /// The references of one channel in one class.
 #[derive(Debug, Clone, Copy, Default)]
@@ -37,73 +37,96 @@ pub(super) struct References {
     pub(super) channels: [usize; REFERENCES],
     /// Whether each goes along or against.
     pub(super) signs: [f64; REFERENCES],
-    weights: [f64; REFERENCES],
-    /// Whether they explain enough to be used for the expectation.
-    used: bool,
+    /// All 0 where they do not explain enough to be used for the expectation.
+    pub(super) weights: [f64; REFERENCES],
 }
 
 /// All averages of a group.
 #[derive(Debug)]
 pub(super) struct Weave {
-    /// By class, channel, earlier channel or itself.
-    covariances: Vec<f64>,
-    /// By channel and earlier channel.
-    kernel: Vec<f64>,
+    isa: Isa,
+    /// By class, channel, channel, both ways around.
+    covariances: Vec<Lane>,
+    /// By channel and channel, both ways around.
+    kernel: Vec<Lane>,
+    /// Of the span, by class: the weight of the kernel, and the variances with their ridge. Only anchors
+    /// change theirs within a span.
+    energies: [f64; CLASSES],
+    ridged: [Lane; CLASSES],
     references: Vec<References>,
-    /// Of the current span: by row, axis, channel. Zero where there is none.
-    residuals: Vec<f64>,
-}
-
-const PAIRS: usize = GROUP_CHANNELS * GROUP_CHANNELS;
-
-fn pair(a: usize, b: usize) -> usize {
-    a.max(b) * GROUP_CHANNELS + a.min(b)
+    /// Of the current span.
+    residuals: Box<Span>,
+    learners: Box<Span>,
 }
 
 impl Weave {
     pub(super) fn new() -> Self {
         Self {
-            covariances: vec![0.0; CLASSES * PAIRS],
-            kernel: vec![0.0; PAIRS],
+            isa: Isa::detect(),
+            covariances: vec![[0.0; GROUP_CHANNELS]; CLASSES * GROUP_CHANNELS],
+            kernel: vec![[0.0; GROUP_CHANNELS]; GROUP_CHANNELS],
+            energies: [0.0; CLASSES],
+            ridged: [[1.0; GROUP_CHANNELS]; CLASSES],
             references: vec![References::default(); CLASSES * GROUP_CHANNELS],
-            residuals: vec![0.0; (SPAN + 1) * 3 * GROUP_CHANNELS],
+            residuals: Box::new(Span::default()),
+            learners: Box::new(Span::default()),
         }
     }
 
     pub(super) fn reset(&mut self) {
-        self.covariances.fill(0.0);
-        self.kernel.fill(0.0);
+        self.covariances.fill([0.0; GROUP_CHANNELS]);
         self.references.fill(References::default());
     }
 
     /// A span of `n` channels begins.
     pub(super) fn begin(&mut self, n: usize) {
-        for lane in self.residuals.chunks_exact_mut(GROUP_CHANNELS) {
+        self.residuals.clear();
+        self.learners.clear();
+        for (k, lane) in self.kernel.iter_mut().enumerate().take(n) {
             lane[..n].fill(0.0);
+            lane[k] = 1.0;
         }
-        for lane in self.kernel.chunks_exact_mut(GROUP_CHANNELS).take(n) {
-            lane[..n].fill(0.0);
+        for class in 0..CLASSES {
+            self.weigh_kernel(class, n);
         }
     }
 
-    /// The span is over: the averages forget a little.
+    /// What the solving of a class needs of all its variances.
+    fn weigh_kernel(&mut self, class: usize, n: usize) {
+        let covariances = &self.covariances[class * GROUP_CHANNELS..][..n];
+        let variances = covariances.iter().enumerate().map(|(k, lane)| lane[k]);
+        let energies = variances.clone().fold(0.0, |sum, variance| sum + variance);
+        let energy = (energies / n as f64).max(LEAST_ENERGY) * KERNEL_WEIGHT;
+        self.energies[class] = energy;
+        for (out, variance) in self.ridged[class].iter_mut().zip(variances) {
+            *out = ridged(variance + energy);
+        }
+    }
+
+    /// The span is over: what was seen in it is remembered, and the averages forget a little.
     pub(super) fn end(&mut self, n: usize) {
-        for class in self.covariances.chunks_exact_mut(PAIRS) {
-            for (j, lane) in class.chunks_exact_mut(GROUP_CHANNELS).enumerate().take(n) {
-                lane[..=j].iter_mut().for_each(|covariance| *covariance *= DECAY);
-            }
+        for (class, covariances) in self.covariances.chunks_exact_mut(GROUP_CHANNELS).enumerate() {
+            self.isa.run(Covarying {
+                class,
+                n,
+                covariances,
+                residuals: &self.residuals,
+                learners: &self.learners,
+            });
         }
     }
 
     /// States how far apart two channels are.
     pub(super) fn place(&mut self, j: usize, k: usize, distance_mm: f64) {
         let near = 800.0 / (800.0 + distance_mm);
-        self.kernel[pair(j, k)] = near * near * near;
+        let near = near * near * near;
+        self.kernel[j][k] = near;
+        self.kernel[k][j] = near;
     }
 
     /// How alike two channels are taken to move for their distance.
     pub(super) fn nearness(&self, j: usize, k: usize) -> f64 {
-        self.kernel[pair(j, k)]
+        self.kernel[j][k]
     }
 
     pub(super) fn references(&self, class: usize, j: usize) -> &References {
@@ -112,126 +135,62 @@ impl Weave {
 
     /// A residual of the current span.
     pub(super) fn residual(&self, row: usize, axis: usize, channel: usize) -> f64 {
-        self.residuals[(row * 3 + axis) * GROUP_CHANNELS + channel]
+        self.residuals.rows[row][axis][channel]
     }
 
     /// What the references expect of a residual, in units.
     pub(super) fn expect(&self, class: usize, j: usize, row: usize) -> [f64; 3] {
         let references = self.references(class, j);
         let mut sums = [0.0; 3];
-        if references.used {
-            for i in 0..references.n {
-                for (axis, sum) in sums.iter_mut().enumerate() {
-                    *sum +=
-                        references.weights[i] * self.residual(row, axis, references.channels[i]);
-                }
+        for i in 0..references.n {
+            for (axis, sum) in sums.iter_mut().enumerate() {
+                *sum += references.weights[i] * self.residual(row, axis, references.channels[i]);
             }
         }
         sums
     }
 
-    /// Remembers a residual.
+    /// Remembers a residual. Those of anchors count at once: the anchors of one span come one after another
+    /// and choose their references in between; those of levels at the end of the span.
     pub(super) fn learn(&mut self, class: usize, j: usize, row: usize, mut residual: [f64; 3]) {
         let [x, y, z] = residual;
-        let length = (x * x + y * y + z * z).sqrt();
-        if length == 0.0 {
-            return;
-        }
-        if length > MAX_RESIDUAL {
+        let squares = x * x + y * y + z * z;
+        if squares > MAX_RESIDUAL * MAX_RESIDUAL {
+            let length = squares.sqrt();
             residual = residual.map(|component| component * (MAX_RESIDUAL / length));
         }
-        let lanes = &mut self.residuals[row * 3 * GROUP_CHANNELS..(row + 1) * 3 * GROUP_CHANNELS];
-        for (lane, component) in lanes.chunks_exact_mut(GROUP_CHANNELS).zip(residual) {
-            lane[j] = component;
+        for axis in 0..3 {
+            self.residuals.rows[row][axis][j] = residual[axis];
         }
-        let (xs, rest) = lanes.split_at(GROUP_CHANNELS);
-        let (ys, zs) = rest.split_at(GROUP_CHANNELS);
-        let first = (class * GROUP_CHANNELS + j) * GROUP_CHANNELS;
-        let covariances = &mut self.covariances[first..=first + j];
-        let [x, y, z] = residual.map(|component| component / 65536.0);
-        let others = xs[..=j].iter().zip(&ys[..=j]).zip(&zs[..=j]);
-        for (covariance, ((other_x, other_y), other_z)) in covariances.iter_mut().zip(others) {
-            *covariance += x * other_x + y * other_y + z * other_z;
+        let own = residual.map(|component| component / SCALE);
+        if class != 0 {
+            for axis in 0..3 {
+                self.learners.rows[row][axis][j] = own[axis];
+            }
+            return;
+        }
+        let [x, y, z] = own;
+        let [xs, ys, zs] = &self.residuals.rows[row];
+        for k in 0..=j {
+            let covariance = self.covariances[j][k] + (x * xs[k] + y * ys[k] + z * zs[k]);
+            self.covariances[j][k] = covariance;
+            self.covariances[k][j] = covariance;
         }
     }
 
     /// Chooses and weighs the references of channel `j` of `n`, for every class.
     pub(super) fn solve(&mut self, j: usize, n: usize) {
-        for class in 0..CLASSES {
-            self.references[class * GROUP_CHANNELS + j] = self.solved(class, j, n);
+        self.weigh_kernel(0, n);
+        for (class, covariances) in self.covariances.chunks_exact(GROUP_CHANNELS).enumerate() {
+            self.references[class * GROUP_CHANNELS + j] = self.isa.run(Solving {
+                j,
+                covariances,
+                kernel: &self.kernel,
+                energy: self.energies[class],
+                ridged: &self.ridged[class],
+            });
         }
-    }
-
-    fn solved(&self, class: usize, j: usize, n: usize) -> References {
-        let covariances = &self.covariances[class * PAIRS..(class + 1) * PAIRS];
-        let energies = (0..n).fold(0.0, |sum, k| sum + covariances[pair(k, k)]);
-        let energy = (energies / n as f64).max(LEAST_ENERGY) * KERNEL_WEIGHT;
-        let of = |a: usize, b: usize| {
-            let near = if a == b { 1.0 } else { self.kernel[pair(a, b)] };
-            covariances[pair(a, b)] + energy * near
-        };
-        let own = of(j, j);
-        let (mut alike, mut ridged) = ([0.0; GROUP_CHANNELS], [0.0; GROUP_CHANNELS]);
-        for k in 0..j {
-            alike[k] =
-                covariances[j * GROUP_CHANNELS + k] + energy * self.kernel[j * GROUP_CHANNELS + k];
-            ridged[k] = (covariances[k * GROUP_CHANNELS + k] + energy) * RIDGE.0 + RIDGE.1;
-        }
-        let mut found = References::default();
-        let mut gain = 0.0;
-        while found.n < REFERENCES {
-            let mut best = (0.0, usize::MAX);
-            for k in (0..j).filter(|k| !found.channels[..found.n].contains(k)) {
-                let mut shared = alike[k];
-                for i in 0..found.n {
-                    shared -= found.weights[i] * of(k, found.channels[i]);
-                }
-                let explained = shared * shared / ridged[k];
-                if explained > best.0 {
-                    best = (explained, k);
-                }
-            }
-            if best.1 == usize::MAX || best.0 < LEAST_GAIN.0 * own {
-                break;
-            }
-            found.channels[found.n] = best.1;
-            found.n += 1;
-            let n = found.n;
-            found.weights = weigh(&found.channels[..n], j, of);
-            gain =
-                (0..n).fold(0.0, |sum, i| sum + found.weights[i] * of(j, found.channels[i])) / own;
-        }
-        for i in 0..found.n {
-            found.signs[i] = if of(j, found.channels[i]) < 0.0 { -1.0 } else { 1.0 };
-        }
-        found.used = gain > LEAST_GAIN.1;
-        found
     }
 }
 
-/// Least squares by Gauss and Jordan, without pivoting: the ridge keeps the pivots away from zero.
-fn weigh(channels: &[usize], j: usize, of: impl Fn(usize, usize) -> f64) -> [f64; REFERENCES] {
-    let n = channels.len();
-    let mut system = [[0.0; REFERENCES + 1]; REFERENCES];
-    for i in 0..n {
-        for k in 0..n {
-            system[i][k] = of(channels[i], channels[k]);
-        }
-        system[i][i] = system[i][i] * RIDGE.0 + RIDGE.1;
-        system[i][n] = of(j, channels[i]);
-    }
-    for i in 0..n {
-        let pivot = system[i][i];
-        for value in &mut system[i][i..=n] {
-            *value /= pivot;
-        }
-        let row = system[i];
-        for other in (0..n).filter(|&other| other != i) {
-            let factor = system[other][i];
-            for k in i..=n {
-                system[other][k] -= factor * row[k];
-            }
-        }
-    }
-    std::array::from_fn(|i| if i < n { system[i][n] } else { 0.0 })
-}
+const _: () = assert!(SPAN == 64);

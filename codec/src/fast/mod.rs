@@ -10,7 +10,6 @@ mod choose;
 mod coding;
 mod decoder;
 mod encoder;
-mod isa;
 mod levels;
 mod model;
 mod read;
@@ -23,7 +22,11 @@ mod walk;
 mod writer;
 
 pub(crate) use self::{decoder::FastDecoder, encoder::FastEncoder};
-use crate::{CodecError, coding::bytes::Bytes, raw::Raw};
+use crate::{
+    CodecError,
+    coding::{bytes::Bytes, isa},
+    raw::Raw,
+};
 
 /// 2/sqrt(3), less 2^-9 for the float32 rounding of the reconstruction: the step's cube lies inside
 /// the tolerance ball.

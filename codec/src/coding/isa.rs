@@ -4,7 +4,7 @@
 //! that both give the same bytes.
 
 /// Work that is worth compiling twice. `run` and all that it calls must be `#[inline(always)]`.
-pub(super) trait Kernel {
+pub(crate) trait Kernel {
     /// What it gives.
     type Output;
 
@@ -13,14 +13,14 @@ pub(super) trait Kernel {
 
 /// Which of the two to run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Isa {
+pub(crate) struct Isa {
     wide: bool,
 }
 
 impl Isa {
     /// The best that this machine has.
     #[cfg(target_arch = "x86_64")]
-    pub(super) fn detect() -> Self {
+    pub(crate) fn detect() -> Self {
         let wide = is_x86_feature_detected!("avx2")
             && is_x86_feature_detected!("bmi1")
             && is_x86_feature_detected!("bmi2")
@@ -30,18 +30,18 @@ impl Isa {
 
     /// The best that this machine has.
     #[cfg(not(target_arch = "x86_64"))]
-    pub(super) fn detect() -> Self {
+    pub(crate) fn detect() -> Self {
         Self::plain()
     }
 
     /// What every machine has.
     #[cfg(any(test, not(target_arch = "x86_64")))]
-    pub(super) const fn plain() -> Self {
+    pub(crate) const fn plain() -> Self {
         Self { wide: false }
     }
 
     #[inline]
-    pub(super) fn run<K: Kernel>(self, kernel: K) -> K::Output {
+    pub(crate) fn run<K: Kernel>(self, kernel: K) -> K::Output {
         #[cfg(target_arch = "x86_64")]
         if self.wide {
             #[expect(unsafe_code, reason = "a function of more CPU features than the crate's")]
