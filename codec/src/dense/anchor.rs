@@ -19,21 +19,31 @@ pub(super) struct Anchor {
 pub(super) struct Guesses([[i64; GUESSES.len()]; 3]);
 
 impl Anchor {
-    /// `known` holds the rows up to row 0, at least one and at most 33 used; `m` is the distance to the anchor.
-    pub(super) fn guess(&self, known: &[Point], m: usize) -> (Point, Guesses) {
+    /// `known` gives a row so far before row 0, up to `n_before`; `m` is the distance to the anchor.
+    pub(super) fn guess(
+        &self,
+        known: impl Fn(usize) -> Point,
+        n_before: usize,
+        m: usize,
+    ) -> (Point, Guesses) {
         let mut guesses = Guesses(Default::default());
         let mut best = Point::default();
-        let Some((last, before)) = known.split_last() else { return (best, guesses) };
-        for axis in 0..3 {
-            for (guess, (window, quarters)) in guesses.0[axis].iter_mut().zip(GUESSES) {
-                let window = window.min(before.len());
-                *guess = last[axis];
-                if window > 0 {
-                    let travelled = last[axis].wrapping_sub(before[before.len() - window][axis]);
-                    let ahead = travelled.wrapping_mul(m as i64 * quarters);
-                    *guess = guess.wrapping_add(ahead.div_euclid(4 * window as i64));
-                }
+        let last = known(0);
+        for (i, (window, quarters)) in GUESSES.into_iter().enumerate() {
+            let window = window.min(n_before);
+            let before = known(window);
+            for axis in 0..3 {
+                let travelled = last[axis].wrapping_sub(before[axis]);
+                let ahead = travelled.wrapping_mul(m as i64 * quarters);
+                let ahead = match window {
+                    0 => 0,
+                    _ if window.is_power_of_two() => ahead >> (2 + window.ilog2()),
+                    _ => ahead.div_euclid(4 * window as i64),
+                };
+                guesses.0[axis][i] = last[axis].wrapping_add(ahead);
             }
+        }
+        for axis in 0..3 {
             let pick = (0..GUESSES.len()).min_by_key(|&i| self.errors[axis][i]).unwrap_or(0);
             best[axis] = guesses.0[axis][pick];
         }

@@ -1,34 +1,53 @@
-//! One row of a group: what its references and partners say, its residual, and what is learnt from it.
+//! The rows of one level and run: what their references and partners say, their residuals, and what is
+//! learnt from them.
 
 use super::{
+    SPAN,
+    ahead::{Referring, Sites},
     lattice::{self, Lattice, Point},
     lengths::{PARTNERS, Pull, distance},
     row::{self, Surroundings},
-    track::{MEMORY, magnitude},
+    track::{MEMORY, magnitude, slot},
     walk::{Group, Question, Side},
 };
 use crate::CodecError;
 
 impl Group {
-    /// One row with an expectation: its references, its partners, its residual.
-    pub(super) fn code<S: Side>(
+    /// The rows that are [`ahead`](Self::ahead), of which it is known where time alone puts them.
+    pub(super) fn rows<S: Side>(
         &mut self,
         side: &mut S,
-        (channel, at): (usize, usize),
-        expected: Point,
-        mut around: Surroundings,
-        (left, right): (usize, usize),
-        before: usize,
+        channel: usize,
+        kind: usize,
     ) -> Result<(), CodecError> {
-        let kind = around.kind;
         let class = [0, 0, 0, 0, 4, 3, 2].get(kind).copied().unwrap_or(1);
-        let row = at - before;
-        self.refer(&mut around, class, channel, at, row);
-        let off = self.weave.expect(class, channel, row);
-        let mut prediction: Point =
-            std::array::from_fn(|axis| expected[axis].wrapping_add(lattice::round(off[axis])));
-        let (pulls, n_pulls) =
-            self.pull((channel, at, before), kind, &mut prediction, (left, right));
+        let references = self.weave.references(class, channel);
+        self.isa.run(Referring { ahead: &mut self.ahead, weave: &self.weave, references });
+        self.expect_lengths(channel);
+        for i in 0..self.ahead.sites.n {
+            self.code(side, channel, (kind, class), i)?;
+        }
+        // The last level is between no other rows.
+        if kind > 4 {
+            self.remember_lengths(channel);
+        }
+        Ok(())
+    }
+
+    /// One row: its partners, its residual.
+    fn code<S: Side>(
+        &mut self,
+        side: &mut S,
+        channel: usize,
+        (kind, class): (usize, usize),
+        i: usize,
+    ) -> Result<(), CodecError> {
+        let Sites { before, .. } = self.ahead.sites;
+        let at = self.ahead.sites.at(i);
+        let (left, right) = self.ahead.sites.neighbours(i);
+        let around = self.around(channel, (kind, class), i);
+        let expected: [f64; 3] = std::array::from_fn(|axis| self.ahead.expected[axis][i]);
+        let (prediction, pulls, n_pulls) = self.pull(channel, kind, i);
 
         let track = &self.tracks[channel];
         let centred = track.activity[kind] >= 256;
@@ -49,18 +68,19 @@ impl Group {
         let point: Point = std::array::from_fn(|axis| {
             prediction[axis].wrapping_add(steps[axis].wrapping_mul(step))
         });
-        self.settle(side, (channel, at, kind), (point, magnitudes), coded.is_some())?;
+        self.settle(side, (channel, at, before), kind, (point, magnitudes), coded.is_some())?;
         for pull in &pulls[..n_pulls] {
             self.lengths.score(channel, kind, pull, point);
         }
-        let residual = std::array::from_fn(|axis| point[axis].wrapping_sub(expected[axis]) as f64);
-        self.weave.learn(class, channel, row, residual);
+        let point = point.map(|units| units as f64);
+        let residual = std::array::from_fn(|axis| point[axis] - expected[axis]);
+        self.weave.learn(class, channel, at - before, residual);
         if !(4..7).contains(&kind) {
             let (near, n_near) = self.lengths.near(channel);
             for &k in &near[..n_near] {
                 let length = self.length(channel, k, at, (left, right));
-                if let Some(length) = length.filter(|_| self.tracks[k].known[at]) {
-                    let distance = distance(point, self.tracks[k].points[at]);
+                let distance = distance(point, self.tracks[k].at(at));
+                if !(length.is_nan() || distance.is_nan()) {
                     self.lengths.learn(channel, k, distance, length);
                 }
             }
@@ -68,120 +88,136 @@ impl Group {
         Ok(())
     }
 
-    /// What the references of a row did there.
-    fn refer(
-        &self,
-        around: &mut Surroundings,
-        class: usize,
-        channel: usize,
-        at: usize,
-        row: usize,
-    ) {
-        let references = self.weave.references(class, channel);
-        let mut sides = [0.0; 3];
-        let mut add = |k: usize, times: i32| {
-            let track = &self.tracks[k];
-            if track.known[at] {
-                for axis in 0..3 {
-                    around.references[axis] += times * magnitude(i32::from(track.steps[at][axis]));
-                }
-            }
+    /// What the neighbours and references of a row did.
+    fn around(&self, channel: usize, (kind, class): (usize, usize), i: usize) -> Surroundings {
+        let ahead = &self.ahead;
+        let Sites { stride, start, .. } = ahead.sites;
+        let at = ahead.sites.at(i);
+        let (left, right) = ahead.sites.neighbours(i);
+        let mut around = Surroundings {
+            kind,
+            bend: usize::from(ahead.bend[i]),
+            side: std::array::from_fn(|axis| usize::from(ahead.side[axis][i])),
+            references_side: std::array::from_fn(|axis| {
+                usize::from(ahead.references_side[axis][i])
+            }),
+            ..Surroundings::default()
         };
-        for i in 0..references.n {
-            let k = references.channels[i];
-            add(k, 1);
-            for (axis, side) in sides.iter_mut().enumerate() {
-                *side += self.weave.residual(row, axis, k) * references.signs[i];
+        let references = self.weave.references(class, channel);
+        for &k in &references.channels[..references.n] {
+            let steps = self.tracks[k].steps[at];
+            for (sum, step) in around.references.iter_mut().zip(steps) {
+                *sum += magnitude(i32::from(step));
             }
         }
         if references.n == 0 && channel > 0 {
-            add(channel - 1, 2);
+            let steps = self.tracks[channel - 1].steps[at];
+            around.references = steps.map(|step| 2 * magnitude(i32::from(step)));
         }
-        around.references_side = sides.map(|side| match side {
-            30.0.. => 1,
-            _ if side <= -30.0 => 2,
-            _ => 0,
-        });
+        let track = &self.tracks[channel];
+        around.left = track.steps_from(start, Some(left));
+        if stride > 0 {
+            around.right = track.steps_from(start, Some(right));
+            around.before = track.steps_from(start, at.checked_sub(2 * stride));
+            around.before_that = track.steps_from(start, at.checked_sub(4 * stride));
+        }
+        around
     }
 
     /// The distance that two channels should have at a row, in tolerances: linear between its neighbours.
-    fn length(
-        &self,
-        channel: usize,
-        k: usize,
-        at: usize,
-        (left, right): (usize, usize),
-    ) -> Option<f64> {
+    /// NaN where one of them is not known.
+    fn length(&self, channel: usize, k: usize, at: usize, (left, right): (usize, usize)) -> f64 {
         let (own, other) = (&self.tracks[channel], &self.tracks[k]);
-        let between = |row: usize| {
-            (own.known[row] && other.known[row])
-                .then(|| distance(own.points[row], other.points[row]))
-        };
-        let before = between(left)?;
+        let before = distance(own.at(left), other.at(left));
         if left == right {
-            return Some(before);
+            return before;
         }
-        let after = between(right)?;
-        Some(along(before, after, (left, at, right)))
+        along(before, distance(own.at(right), other.at(right)), (left, at, right))
     }
 
-    fn pull(
-        &mut self,
-        (channel, at, before): (usize, usize, usize),
-        kind: usize,
-        prediction: &mut Point,
-        (left, right): (usize, usize),
-    ) -> ([Pull; PARTNERS], usize) {
-        let (mut pulls, mut n) = ([Pull::default(); PARTNERS], 0);
+    /// The distances that the partners should have at the rows ahead.
+    fn expect_lengths(&mut self, channel: usize) {
+        let sites = self.ahead.sites;
+        let Sites { before, zero, end, stride, step, n, .. } = sites;
         let (partners, n_partners) = self.lengths.partners(channel);
-        if n_partners == 0 {
-            return (pulls, n);
-        }
-        let mut moved = prediction.map(|units| units as f64);
-        let own = &self.tracks[channel];
         for (slot, &k) in partners[..n_partners].iter().enumerate() {
-            let other = &self.tracks[k];
-            if !other.known[at] {
+            let distances = self.lengths.distances(channel, slot);
+            // What was there before this level, but for the ends, was remembered.
+            for row in [zero, end] {
+                let known = &mut distances[row - before];
+                if known.is_nan() {
+                    *known = distance(self.tracks[channel].at(row), self.tracks[k].at(row));
+                }
+            }
+            let lengths = &mut self.ahead.lengths[slot];
+            let mut fix = 0..0;
+            if stride == 0 {
+                lengths[0] = distances[zero - before];
                 continue;
             }
-            let between = |row: usize| {
-                (own.known[row] && other.known[row])
-                    .then(|| distance(own.points[row], other.points[row]))
-            };
-            let place = |row: usize| (channel, slot, row - before);
-            let Some(first) = self.lengths.remembered(place(left), || between(left)) else {
-                continue;
-            };
-            let mut length = first;
-            if left != right {
-                let Some(last) = self.lengths.remembered(place(right), || between(right)) else {
-                    continue;
-                };
-                length = along(first, last, (left, at, right));
+            let whole = |i: usize| sites.neighbours(i) == (sites.at(i) - stride, sites.at(i) + stride);
+            let (from, to) = (usize::from(!whole(0)), n - usize::from(!whole(n - 1)));
+            if from < to {
+                let rows = &distances[sites.at(from) - stride - before..];
+                let pairs = rows.iter().step_by(step).zip(rows[step..].iter().step_by(step));
+                for (length, (first, last)) in lengths[from..to].iter_mut().zip(pairs) {
+                    *length = first + (last - first) * 0.5;
+                }
+            } else {
+                fix = 0..n;
             }
-            let place = (channel, kind, slot);
-            if let Some(pull) = self.lengths.pull(place, &mut moved, other.points[at], length) {
+            for i in (0..from).chain(to.max(from)..n).chain(fix) {
+                let (left, right) = sites.neighbours(i);
+                let (first, last) = (distances[left - before], distances[right - before]);
+                lengths[i] = along(first, last, (left, sites.at(i), right));
+            }
+        }
+    }
+
+    /// The distances to the partners at the rows that were just coded, for the levels below.
+    fn remember_lengths(&mut self, channel: usize) {
+        let Sites { n, slot: first, step, before, .. } = self.ahead.sites;
+        let row = self.ahead.sites.first - before;
+        let (partners, n_partners) = self.lengths.partners(channel);
+        for (slot, &k) in partners[..n_partners].iter().enumerate() {
+            let distances = &mut self.lengths.distances(channel, slot)[row..];
+            let (own, other) = (&self.tracks[channel].span.0, &self.tracks[k].span.0);
+            for (i, known) in (first..first + n).zip(distances.iter_mut().step_by(step)) {
+                let place = |points: &[[f64; SPAN]; 3]| [points[0][i], points[1][i], points[2][i]];
+                *known = distance(place(own), place(other));
+            }
+        }
+    }
+
+    fn pull(&self, channel: usize, kind: usize, i: usize) -> (Point, [Pull; PARTNERS], usize) {
+        let (mut pulls, mut n) = ([Pull::default(); PARTNERS], 0);
+        let mut moved: [f64; 3] = std::array::from_fn(|axis| self.ahead.prediction[axis][i]);
+        let (partners, n_partners) = self.lengths.partners(channel);
+        let at = self.ahead.sites.slot + i;
+        for (slot, &k) in partners[..n_partners].iter().enumerate() {
+            let span = &self.tracks[k].span.0;
+            let (partner, length) = ([span[0][at], span[1][at], span[2][at]], self.ahead.lengths[slot][i]);
+            if let Some(pull) = self.lengths.pull((channel, kind, slot), &mut moved, partner, length)
+            {
                 pulls[n] = pull;
                 n += 1;
             }
         }
-        if n > 0 {
-            *prediction = moved.map(lattice::round);
-        }
-        (pulls, n)
+        (moved.map(lattice::round), pulls, n)
     }
 
     pub(super) fn settle<S: Side>(
         &mut self,
         side: &mut S,
-        (channel, at, kind): (usize, usize, usize),
+        (channel, at, before): (usize, usize, usize),
+        kind: usize,
         (point, magnitudes): (Point, Point),
         kept: bool,
     ) -> Result<(), CodecError> {
         if !lattice::in_range(point) {
             return Err(CodecError::Corrupt("a position beyond every coordinate"));
         }
-        self.tracks[channel].settle(at, kind, point, magnitudes);
+        self.tracks[channel].settle((at, slot(at - before)), kind, point, magnitudes);
         side.settle(channel, at - MEMORY, point, kept);
         Ok(())
     }

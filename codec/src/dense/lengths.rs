@@ -61,13 +61,14 @@ pub(super) struct Lengths {
     shares: Vec<[[Share; PARTNERS]; KINDS]>,
     near: Vec<([usize; NEAR], usize)>,
     partners: Vec<([usize; PARTNERS], usize)>,
-    /// Distances to the partners at the rows of the span, by channel and slot; NaN where not asked for yet.
+    /// Distances to the partners at the rows of the span, by channel and slot; NaN where one is not known.
     distances: Vec<[f64; SPAN + 1]>,
 }
 
-/// In tolerances.
-pub(super) fn distance(a: Point, b: Point) -> f64 {
-    let [x, y, z]: [f64; 3] = std::array::from_fn(|axis| a[axis].wrapping_sub(b[axis]) as f64);
+/// In tolerances; NaN where one of them is.
+#[inline(always)]
+pub(super) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
+    let [x, y, z]: [f64; 3] = std::array::from_fn(|axis| a[axis] - b[axis]);
     (x * x + y * y + z * z).sqrt() / UNITS_PER_TOLERANCE as f64
 }
 
@@ -114,17 +115,9 @@ impl Lengths {
         self.distances[j * PARTNERS..(j + 1) * PARTNERS].fill([f64::NAN; SPAN + 1]);
     }
 
-    /// The distance to a partner at a row of the span, worked out once.
-    pub(super) fn remembered(
-        &mut self,
-        (j, slot, row): (usize, usize, usize),
-        distance: impl FnOnce() -> Option<f64>,
-    ) -> Option<f64> {
-        let known = &mut self.distances[j * PARTNERS + slot][row];
-        if known.is_nan() {
-            *known = distance()?;
-        }
-        Some(*known)
+    /// The distances to a partner at the rows of the span.
+    pub(super) fn distances(&mut self, j: usize, slot: usize) -> &mut [f64; SPAN + 1] {
+        &mut self.distances[j * PARTNERS + slot]
     }
 
     /// Moves `expected` to where the distance to a point would be `length` tolerances, as far as the
@@ -133,17 +126,19 @@ impl Lengths {
         &self,
         (j, kind, slot): (usize, usize, usize),
         expected: &mut [f64; 3],
-        partner: Point,
+        partner: [f64; 3],
         length: f64,
     ) -> Option<Pull> {
         let tolerance = UNITS_PER_TOLERANCE as f64;
-        let off: [f64; 3] = std::array::from_fn(|axis| expected[axis] - partner[axis] as f64);
+        let off: [f64; 3] = std::array::from_fn(|axis| expected[axis] - partner[axis]);
         let distance = (off[0] * off[0] + off[1] * off[1] + off[2] * off[2]).sqrt() / tolerance;
-        if distance < 1.0 {
+        // Not so where something is not known, either.
+        let difference = distance - length;
+        if distance < 1.0 || difference.is_nan() {
             return None;
         }
         let direction = off.map(|off| off / (distance * tolerance));
-        let pull = Pull { slot, difference: distance - length, direction, from: *expected };
+        let pull = Pull { slot, difference, direction, from: *expected };
         let share = self.shares[j][kind][slot];
         let share = (share.products / (share.squares + RIDGE)).clamp(0.0, 1.0);
         if share > LEAST_SHARE {

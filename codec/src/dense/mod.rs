@@ -3,6 +3,7 @@
 //! docs/codec.md, `dense`, specifies it; [`walk`] is the order, [`row`] the syntax, [`weave`] and
 //! [`lengths`] what the markers of a group say of one another.
 
+mod ahead;
 mod anchor;
 mod choice;
 mod code;

@@ -42,7 +42,7 @@ impl Ways {
             n_ends: 0,
         };
         if let Some(before) = tracks[..channel].iter().rev().find(|track| track.known[at]) {
-            found.points[0] = before.points[at];
+            found.points[0] = before.point(at);
         }
         let now = first_row + (at - MEMORY) as u64;
         if let Some(end) = tracks[channel].end {
@@ -139,7 +139,7 @@ fn moved(tracks: &[Track], channel: usize, at: usize, point: Point, rows: u64) -
         if k == channel || !track.known[at] || !track.known[then] {
             continue;
         }
-        let (old, new) = (track.points[then], track.points[at]);
+        let (old, new) = (track.point(then), track.point(at));
         let square = |axis: usize| {
             let off = old[axis].wrapping_sub(point[axis]) as f64;
             off * off

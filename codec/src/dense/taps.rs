@@ -36,7 +36,7 @@ pub(super) struct Expected {
 }
 
 /// The side of the chord counts from here, in units.
-const SIDE_UNITS: i64 = 40;
+pub(super) const SIDE_UNITS: i64 = 40;
 
 impl Site {
     /// Row `at` of a level in a run of which the rows from `start` to `zero` and the row `end` are decoded.
@@ -60,13 +60,21 @@ impl Site {
             && self.outer_left == self.at.checked_sub(3 * self.stride)
     }
 
+    /// The last row of a level before the end of a run: (-1, 6, 3)/8 are Lagrange's weights.
+    fn ends_even(&self) -> bool {
+        self.left + self.stride == self.at
+            && self.right == self.at + self.stride
+            && self.outer_right.is_none()
+            && self.outer_left == self.at.checked_sub(3 * self.stride)
+    }
+
     /// Interpolates.
-    pub(super) fn expect(&self, points: &[Point]) -> Expected {
-        let (base, far) = (points[self.left], points[self.right]);
+    pub(super) fn expect(&self, points: impl Fn(usize) -> Point) -> Expected {
+        let (base, far) = (points(self.left), points(self.right));
         let mut curve = [0; 3];
         if let (true, Some(right), Some(left)) = (self.is_even(), self.outer_right, self.outer_left)
         {
-            let (right, left) = (points[right], points[left]);
+            let (right, left) = (points(right), points(left));
             for axis in 0..3 {
                 let near = far[axis].wrapping_sub(base[axis]).wrapping_mul(9);
                 let outer = right[axis].wrapping_sub(base[axis]).wrapping_add(left[axis]);
@@ -74,15 +82,22 @@ impl Site {
                 curve[axis] = sum.wrapping_add(8) >> 4;
             }
         } else {
-            curve = self.lagrange(points);
+            curve = self.lagrange(&points);
         }
         self.describe(base, far, curve)
     }
 
     /// Distance of the polynomial from the left neighbour, weights in 2^-16 rounded half up.
-    fn lagrange(&self, points: &[Point]) -> Point {
+    fn lagrange(&self, points: &impl Fn(usize) -> Point) -> Point {
+        let base = points(self.left);
+        if let (Some(left), true) = (self.outer_left, self.ends_even()) {
+            let (right, left) = (points(self.right), points(left));
+            return std::array::from_fn(|axis| {
+                let near = right[axis].wrapping_sub(base[axis]).wrapping_mul(3);
+                near.wrapping_sub(left[axis].wrapping_sub(base[axis])).wrapping_add(4) >> 3
+            });
+        }
         let nodes = [Some(self.left), Some(self.right), self.outer_right, self.outer_left];
-        let base = points[self.left];
         let mut sum = [1_i64 << (WEIGHT_BITS - 1); 3];
         for node in nodes.into_iter().skip(1).flatten() {
             let (mut numerator, mut denominator) = (1_i64 << WEIGHT_BITS, 1_i64);
@@ -94,8 +109,9 @@ impl Site {
                 (numerator, denominator) = (-numerator, -denominator);
             }
             let weight = (2 * numerator + denominator).div_euclid(2 * denominator);
+            let point = points(node);
             for axis in 0..3 {
-                let off = points[node][axis].wrapping_sub(base[axis]);
+                let off = point[axis].wrapping_sub(base[axis]);
                 sum[axis] = sum[axis].wrapping_add(off.wrapping_mul(weight));
             }
         }
@@ -147,7 +163,7 @@ mod tests {
                     if site.outer_left.is_none() || site.outer_right.is_none() {
                         continue;
                     }
-                    let expected = site.expect(&points).point;
+                    let expected = site.expect(|row| points[row]).point;
                     for axis in 0..3 {
                         let off = (expected[axis] - points[at][axis]).abs();
                         // A weight is off by at most 2^-17.
@@ -163,7 +179,7 @@ mod tests {
     fn even_spacing_is_the_four_point_rule() {
         let mut points = vec![[0; 3]; 33];
         points[16] = [160, 0, 0];
-        let weight = |at| Site::new(at, 2, (0, 8, 32)).expect(&points).point[0];
+        let weight = |at| Site::new(at, 2, (0, 8, 32)).expect(|row| points[row]).point[0];
         assert_eq!((weight(10), weight(14), weight(18), weight(22)), (-10, 90, 90, -10));
     }
 }

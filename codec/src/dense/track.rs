@@ -2,6 +2,7 @@
 
 use super::{
     anchor::Anchor,
+    SPAN,
     lattice::{Fineness, Point},
     layout::KINDS,
 };
@@ -24,11 +25,31 @@ pub(super) struct End {
     pub(super) taken: bool,
 }
 
+/// A vector for every row of a span, by axis and [`slot`].
+#[derive(Debug, Clone)]
+pub(super) struct SpanPoints(pub(super) [[f64; SPAN]; 3]);
+
+impl Default for SpanPoints {
+    fn default() -> Self {
+        Self([[f64::NAN; SPAN]; 3])
+    }
+}
+
+/// The place of a row (1 to 64 of a span) where the rows of a level lie side by side: the end of a whole
+/// span, stride 32, stride 16, and so on.
+pub(super) fn slot(row: usize) -> usize {
+    let odd_half = (SPAN + row) >> (row.trailing_zeros() + 1);
+    if row == SPAN { 0 } else { odd_half % SPAN }
+}
+
 /// One channel. Rows are indices into these lists, the block's first being [`MEMORY`].
 #[derive(Debug, Default)]
 pub(super) struct Track {
-    pub(super) points: Vec<Point>,
-    /// Coded magnitudes with their signs.
+    /// By axis. NaN where nothing is known: what comes of it is NaN, too.
+    pub(super) points: [Vec<f64>; 3],
+    /// The points of the current span by axis and [`slot`]: the rows of a level side by side. NaN as above.
+    pub(super) span: SpanPoints,
+    /// Coded magnitudes with their signs; zero where nothing is known.
     pub(super) steps: Vec<[i16; 3]>,
     pub(super) known: Vec<bool>,
     /// First row of the run that the row before the current span belongs to.
@@ -48,13 +69,13 @@ impl Track {
     /// Room for blocks of so many rows.
     pub(super) fn prepare(&mut self, n_rows: usize) {
         let rows = MEMORY + n_rows;
-        self.points.reserve(rows.saturating_sub(self.points.len()));
+        self.points.iter_mut().for_each(|lane| lane.reserve(rows.saturating_sub(lane.len())));
         self.steps.reserve(rows.saturating_sub(self.steps.len()));
         self.known.reserve(rows.saturating_sub(self.known.len()));
     }
 
     pub(super) fn reset(&mut self) {
-        self.known.fill(false);
+        self.forget();
         self.activity = Default::default();
         self.axis_activity = Default::default();
         self.anchor = Anchor::default();
@@ -62,9 +83,20 @@ impl Track {
         (self.was_raw, self.was_fine) = (0, 0);
     }
 
+    /// The rows so far are not known.
+    pub(super) fn forget(&mut self) {
+        self.known.fill(false);
+        self.steps.fill([0; 3]);
+        self.points.iter_mut().for_each(|lane| lane.fill(f64::NAN));
+    }
+
     /// A block of so many rows begins.
     pub(super) fn begin(&mut self, n_rows: usize) {
-        self.points.resize(MEMORY + n_rows, Point::default());
+        for lane in &mut self.points {
+            lane.resize(MEMORY, f64::NAN);
+            lane.resize(MEMORY + n_rows, f64::NAN);
+        }
+        self.steps.resize(MEMORY, [0; 3]);
         self.steps.resize(MEMORY + n_rows, [0; 3]);
         self.known.resize(MEMORY, false);
         self.known.resize(MEMORY + n_rows, false);
@@ -72,8 +104,12 @@ impl Track {
 
     /// The block of so many rows is over.
     pub(super) fn finish(&mut self, n_rows: usize) {
-        self.points.copy_within(n_rows.., 0);
+        for lane in &mut self.points {
+            lane.copy_within(n_rows.., 0);
+            lane.truncate(MEMORY);
+        }
         self.steps.copy_within(n_rows.., 0);
+        self.steps.truncate(MEMORY);
         self.known.copy_within(n_rows.., 0);
         self.known.truncate(MEMORY);
         self.run_start = self.run_start.saturating_sub(n_rows);
@@ -82,14 +118,33 @@ impl Track {
     /// Coded magnitudes of a row; zero before `start`.
     pub(super) fn steps_from(&self, start: usize, row: Option<usize>) -> [i32; 3] {
         match row {
-            Some(row) if row >= start && self.known[row] => self.steps[row].map(i32::from),
+            Some(row) if row >= start => self.steps[row].map(i32::from),
             _ => [0; 3],
         }
     }
 
-    /// Stores a coded row.
-    pub(super) fn settle(&mut self, row: usize, kind: usize, point: Point, steps: [i64; 3]) {
-        self.points[row] = point;
+    /// A known row.
+    pub(super) fn point(&self, row: usize) -> Point {
+        self.at(row).map(|units| units as i64)
+    }
+
+    /// A row, NaN where it is not known.
+    pub(super) fn at(&self, row: usize) -> [f64; 3] {
+        std::array::from_fn(|axis| self.points[axis][row])
+    }
+
+    /// Stores a coded row, which has a place in the span.
+    pub(super) fn settle(
+        &mut self,
+        (row, slot): (usize, usize),
+        kind: usize,
+        point: Point,
+        steps: [i64; 3],
+    ) {
+        for ((lane, span), units) in self.points.iter_mut().zip(&mut self.span.0).zip(point) {
+            lane[row] = units as f64;
+            span[slot] = units as f64;
+        }
         self.steps[row] = steps.map(|step| step.clamp(-1000, 1000) as i16);
         self.known[row] = true;
         let magnitudes = steps.map(|step| step.unsigned_abs().min(MAX_ACTIVITY as u64) as i32);

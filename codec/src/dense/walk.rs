@@ -2,18 +2,21 @@
 
 use super::{
     LEVELS, SPAN,
+    ahead::{Ahead, Interpolating, Sites},
     lattice::{self, Fineness, Grid, Lattice, Point},
     layout as is,
     layout::ORIGIN,
     lengths::{Lengths, distance},
     model::Model,
     origin,
-    row::{self, Surroundings},
-    taps::Site,
-    track::{End, MEMORY, Track},
+    row,
+    track::{End, MEMORY, SpanPoints, Track},
     weave::Weave,
 };
-use crate::{CodecError, coding::range::BinaryCoder};
+use crate::{
+    CodecError,
+    coding::{isa::Isa, range::BinaryCoder},
+};
 
 /// What an encoder is asked before a residual is coded.
 #[derive(Debug, Clone, Copy)]
@@ -60,6 +63,8 @@ pub(super) struct Group {
     pub(super) model: Model,
     pub(super) weave: Weave,
     pub(super) lengths: Lengths,
+    pub(super) ahead: Box<Ahead>,
+    pub(super) isa: Isa,
     runs: Vec<Run>,
     /// Rows since the key block.
     first_row: u64,
@@ -73,6 +78,8 @@ impl Group {
             model: Model::new(),
             weave: Weave::new(),
             lengths: Lengths::new(),
+            ahead: Box::new(Ahead::new()),
+            isa: Isa::detect(),
             runs: Vec::new(),
             first_row: 0,
         }
@@ -97,7 +104,7 @@ impl Group {
 
     /// The rows before the next block are not known.
     pub(super) fn break_off(&mut self) {
-        self.tracks.iter_mut().for_each(|track| track.known.fill(false));
+        self.tracks.iter_mut().for_each(Track::forget);
     }
 
     /// Codes the rows of a block, `present` by channel; `None` for a channel that is stored raw.
@@ -132,12 +139,13 @@ impl Group {
     ) -> Result<(), CodecError> {
         let n = present.len();
         self.weave.begin(n);
+        self.tracks[..n].iter_mut().for_each(|track| track.span = SpanPoints::default());
         self.find_runs((before, last), present);
         let mut runs = std::mem::take(&mut self.runs);
         let mut solved = 0_u64;
         for &run in &runs {
             if run.zero > before {
-                self.origin(side, run.channel, run.zero, present)?;
+                self.origin(side, run.channel, (run.zero, before), present)?;
             } else {
                 let track = &mut self.tracks[run.channel];
                 track.run_start = track.run_start.max((before + 1).saturating_sub(MEMORY));
@@ -151,7 +159,7 @@ impl Group {
             }
             let track = &mut self.tracks[run.channel];
             let row = self.first_row + (run.end - MEMORY) as u64;
-            track.end = Some(End { row, point: track.points[run.end], taken: false });
+            track.end = Some(End { row, point: track.point(run.end), taken: false });
         }
         // Now by channel, so that the references of a row are there before it.
         runs.sort_unstable_by_key(|run| (run.channel, run.zero));
@@ -196,7 +204,7 @@ impl Group {
     fn look_around(&mut self, channel: usize, n: usize, before: usize) {
         let place = |track: &Track| {
             let row = [before, before + 1].into_iter().find(|&row| track.known[row])?;
-            Some(track.points[row])
+            Some(track.at(row))
         };
         if let Some(own) = place(&self.tracks[channel]) {
             for k in 0..channel {
@@ -223,12 +231,13 @@ impl Group {
     ) -> Result<(), CodecError> {
         for run in runs {
             let start = self.start_of(run, before);
-            let first = (run.zero - before) / (2 * stride) * (2 * stride) + stride + before;
-            let first = if first <= run.zero { first + 2 * stride } else { first };
-            for at in (first..run.end).step_by(2 * stride) {
-                let site = Site::new(at, stride, (start, run.zero, run.end));
-                self.interpolated(side, run.channel, &site, start, before)?;
+            self.ahead.sites = Sites::level(stride, (start, run.zero, run.end), before);
+            if self.ahead.sites.n == 0 {
+                continue;
             }
+            let track = &self.tracks[run.channel];
+            self.isa.run(Interpolating { ahead: &mut self.ahead, track });
+            self.rows(side, run.channel, 4 + stride.ilog2() as usize)?;
         }
         Ok(())
     }
@@ -242,7 +251,7 @@ impl Group {
         &mut self,
         side: &mut S,
         channel: usize,
-        at: usize,
+        (at, before): (usize, usize),
         present: &[Option<&[bool]>],
     ) -> Result<(), CodecError> {
         let found = origin::Ways::find(&self.tracks, channel, at, self.first_row, present);
@@ -256,7 +265,7 @@ impl Group {
         let from = found.points()[choice];
         let point =
             std::array::from_fn(|axis| from[axis].wrapping_add(steps[axis].wrapping_mul(step)));
-        self.settle(side, (channel, at, ORIGIN), (point, steps), true)
+        self.settle(side, (channel, at, before), ORIGIN, (point, steps), true)
     }
 
     /// The last row of a run within the span.
@@ -264,45 +273,19 @@ impl Group {
         let (channel, rows) = (run.channel, run.end - run.zero);
         let start = self.start_of(&run, before);
         let track = &self.tracks[channel];
-        let (expected, guesses) = track.anchor.guess(&track.points[start..=run.zero], rows);
+        let known = |back: usize| track.point(run.zero - back);
+        let (expected, guesses) = track.anchor.guess(known, run.zero - start, rows);
         let kind = match rows {
             17.. => 1,
             5.. => 2,
             _ => 3,
         };
-        let around = Surroundings {
-            kind,
-            left: track.steps_from(start, Some(run.zero)),
-            ..Surroundings::default()
-        };
-        self.code(side, (channel, run.end), expected, around, (run.zero, run.zero), before)?;
+        self.ahead.guessed(Sites::anchor((start, run.zero, run.end), before), expected);
+        self.rows(side, channel, kind)?;
         let track = &mut self.tracks[channel];
-        track.anchor.score(&guesses, track.points[run.end]);
+        let point = track.point(run.end);
+        track.anchor.score(&guesses, point);
         Ok(())
-    }
-
-    fn interpolated<S: Side>(
-        &mut self,
-        side: &mut S,
-        channel: usize,
-        site: &Site,
-        start: usize,
-        before: usize,
-    ) -> Result<(), CodecError> {
-        let track = &self.tracks[channel];
-        let expected = site.expect(&track.points);
-        let earlier = |rows: usize| track.steps_from(start, site.at.checked_sub(rows));
-        let around = Surroundings {
-            kind: 4 + site.stride.ilog2() as usize,
-            left: track.steps_from(start, Some(site.left)),
-            right: track.steps_from(start, Some(site.right)),
-            before: earlier(2 * site.stride),
-            before_that: earlier(4 * site.stride),
-            bend: expected.bend,
-            side: expected.side,
-            ..Surroundings::default()
-        };
-        self.code(side, (channel, site.at), expected.point, around, (site.left, site.right), before)
     }
 
     /// How a channel is stored in this block: not at all here, in fine steps, or as usual.

@@ -12,6 +12,7 @@ use super::{
     SPAN,
     covary::{Covarying, Span},
     solve::{Lane, Solving, ridged},
+    track::slot,
 };
 
 /// Classes of levels: anchors; strides 8 and more; 4; 2; 1.
@@ -41,6 +42,16 @@ pub(super) struct References {
     pub(super) weights: [f64; REFERENCES],
 }
 
+/// The residuals of a channel in a span, by axis and [`slot`]; zero where there is none.
+#[derive(Debug, Clone)]
+pub(super) struct SpanVectors(pub(super) [[f64; SPAN]; 3]);
+
+impl Default for SpanVectors {
+    fn default() -> Self {
+        Self([[0.0; SPAN]; 3])
+    }
+}
+
 /// All averages of a group.
 #[derive(Debug)]
 pub(super) struct Weave {
@@ -57,6 +68,8 @@ pub(super) struct Weave {
     /// Of the current span.
     residuals: Box<Span>,
     learners: Box<Span>,
+    /// The residuals once more, by channel.
+    pub(super) by_channel: Vec<SpanVectors>,
 }
 
 impl Weave {
@@ -70,6 +83,7 @@ impl Weave {
             references: vec![References::default(); CLASSES * GROUP_CHANNELS],
             residuals: Box::new(Span::default()),
             learners: Box::new(Span::default()),
+            by_channel: vec![SpanVectors::default(); GROUP_CHANNELS],
         }
     }
 
@@ -82,6 +96,7 @@ impl Weave {
     pub(super) fn begin(&mut self, n: usize) {
         self.residuals.clear();
         self.learners.clear();
+        self.by_channel[..n].fill(SpanVectors::default());
         for (k, lane) in self.kernel.iter_mut().enumerate().take(n) {
             lane[..n].fill(0.0);
             lane[k] = 1.0;
@@ -133,23 +148,6 @@ impl Weave {
         &self.references[class * GROUP_CHANNELS + j]
     }
 
-    /// A residual of the current span.
-    pub(super) fn residual(&self, row: usize, axis: usize, channel: usize) -> f64 {
-        self.residuals.rows[row][axis][channel]
-    }
-
-    /// What the references expect of a residual, in units.
-    pub(super) fn expect(&self, class: usize, j: usize, row: usize) -> [f64; 3] {
-        let references = self.references(class, j);
-        let mut sums = [0.0; 3];
-        for i in 0..references.n {
-            for (axis, sum) in sums.iter_mut().enumerate() {
-                *sum += references.weights[i] * self.residual(row, axis, references.channels[i]);
-            }
-        }
-        sums
-    }
-
     /// Remembers a residual. Those of anchors count at once: the anchors of one span come one after another
     /// and choose their references in between; those of levels at the end of the span.
     pub(super) fn learn(&mut self, class: usize, j: usize, row: usize, mut residual: [f64; 3]) {
@@ -161,6 +159,7 @@ impl Weave {
         }
         for axis in 0..3 {
             self.residuals.rows[row][axis][j] = residual[axis];
+            self.by_channel[j].0[axis][slot(row)] = residual[axis];
         }
         let own = residual.map(|component| component / SCALE);
         if class != 0 {
