@@ -16,6 +16,10 @@ use super::{
 /// Rows of a level in a span.
 pub(super) const MOST: usize = SPAN / 2;
 
+/// Rows side by side.
+pub(super) const LANES: usize = 4;
+const _: () = assert!(MOST.is_multiple_of(LANES));
+
 /// One value a row.
 pub(super) type PerRow = [f64; MOST];
 
@@ -81,6 +85,16 @@ impl Sites {
     }
 }
 
+/// Classes of what is around a row.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Hints {
+    /// See [`Expected`](super::taps::Expected).
+    pub(super) bend: u8,
+    pub(super) side: [u8; 3],
+    /// On which side of nothing the references are.
+    pub(super) references_side: [u8; 3],
+}
+
 /// The rows of a run.
 #[derive(Debug)]
 pub(super) struct Ahead {
@@ -88,13 +102,12 @@ pub(super) struct Ahead {
     /// By axis: by time alone, and with what the references say.
     pub(super) expected: [PerRow; 3],
     pub(super) prediction: [PerRow; 3],
-    /// See [`Expected`](super::taps::Expected).
-    pub(super) bend: [u8; MOST],
-    pub(super) side: [[u8; MOST]; 3],
-    /// On which side of nothing the references are.
-    pub(super) references_side: [[u8; MOST]; 3],
+    pub(super) hints: [Hints; MOST],
     /// The distances that the partners should have; NaN where nothing says so.
     pub(super) lengths: [PerRow; PARTNERS],
+    /// Room to work in.
+    spill: [PerRow; 3],
+    offs: [PerRow; 3],
 }
 
 impl Ahead {
@@ -103,10 +116,10 @@ impl Ahead {
             sites: Sites::default(),
             expected: [[0.0; MOST]; 3],
             prediction: [[0.0; MOST]; 3],
-            bend: [0; MOST],
-            side: [[0; MOST]; 3],
-            references_side: [[0; MOST]; 3],
+            hints: [Hints::default(); MOST],
             lengths: [[f64::NAN; MOST]; PARTNERS],
+            spill: [[0.0; MOST]; 3],
+            offs: [[0.0; MOST]; 3],
         }
     }
 
@@ -115,9 +128,8 @@ impl Ahead {
         self.sites = sites;
         for axis in 0..3 {
             self.expected[axis][0] = expected[axis] as f64;
-            self.side[axis][0] = 0;
         }
-        self.bend[0] = 0;
+        self.hints[0] = Hints::default();
     }
 
     /// What is not evenly spaced.
@@ -127,9 +139,9 @@ impl Ahead {
         let expected = site.expect(|row| track.point(row));
         for axis in 0..3 {
             self.expected[axis][i] = expected.point[axis] as f64;
-            self.side[axis][i] = expected.side[axis] as u8;
         }
-        self.bend[i] = expected.bend as u8;
+        self.hints[i].side = expected.side.map(|side| side as u8);
+        self.hints[i].bend = expected.bend as u8;
     }
 }
 
@@ -161,31 +173,42 @@ impl Kernel for Interpolating<'_> {
         if from == to {
             return;
         }
-        let mut bends = [0.0; MOST];
+        let rows = to - from;
+        let mut bends = [[0.0; LANES]; MOST / LANES];
         for axis in 0..3 {
-            // The decoded rows around, evenly spaced.
-            let mut nodes = [0.0; MOST + 3];
-            let rows = &track.points[axis][ahead.sites.at(from) - 3 * stride..];
-            for (node, row) in nodes[..to - from + 3].iter_mut().zip(rows.iter().step_by(step)) {
-                *node = *row;
+            // The decoded rows around, evenly spaced; what is beyond them counts for nothing.
+            let mut nodes = [0.0; MOST + LANES];
+            let points = &track.points[ahead.sites.at(from) - 3 * stride..];
+            for (node, row) in nodes[..rows + 3].iter_mut().zip(points.chunks(step)) {
+                *node = row[0][axis];
             }
-            let (expected, side) = (&mut ahead.expected[axis][from..to], &mut ahead.side[axis]);
-            for i in 0..to - from {
-                let [before, left, right, after] =
-                    [nodes[i], nodes[i + 1], nodes[i + 2], nodes[i + 3]];
-                let outer = (after - left) + (before - left);
-                let curve = floor(((right - left) * 9.0 - outer + 8.0) * 0.0625);
-                expected[i] = left + curve;
-                let off = curve - floor((right - left) * 0.5);
-                let size = off.abs();
-                bends[i] = if size > bends[i] { size } else { bends[i] };
-                let above = if off > 0.0 { 1 } else { 2 };
-                side[from + i] = if size >= SIDE_UNITS as f64 { above } else { 0 };
+            for (block, bends) in bends[..rows.div_ceil(LANES)].iter_mut().enumerate() {
+                let first = block * LANES;
+                let [befores, lefts, rights, afters] =
+                    [0, 1, 2, 3].map(|node| lanes(&nodes, first + node));
+                let (mut expected, mut offs) = ([0.0; LANES], [0.0; LANES]);
+                for i in 0..LANES {
+                    let (before, left) = (befores[i], lefts[i]);
+                    let (right, after) = (rights[i], afters[i]);
+                    let outer = (after - left) + (before - left);
+                    let curve = floor(((right - left) * 9.0 - outer + 8.0) * 0.0625);
+                    expected[i] = left + curve;
+                    offs[i] = curve - floor((right - left) * 0.5);
+                    let size = offs[i].abs();
+                    bends[i] = if size > bends[i] { size } else { bends[i] };
+                }
+                ahead.spill[axis][first..first + LANES].copy_from_slice(&expected);
+                ahead.offs[axis][first..first + LANES].copy_from_slice(&offs);
+            }
+            ahead.expected[axis][from..to].copy_from_slice(&ahead.spill[axis][..rows]);
+            for (hints, off) in ahead.hints[from..to].iter_mut().zip(&ahead.offs[axis]) {
+                hints.side[axis] = u8::from(*off >= SIDE_UNITS as f64)
+                    + 2 * u8::from(*off <= -SIDE_UNITS as f64);
             }
         }
-        for (bend, size) in ahead.bend[from..to].iter_mut().zip(bends) {
+        for (hints, size) in ahead.hints[from..to].iter_mut().zip(bends.as_flattened()) {
             // In eighths of the tolerance: 0; 1 or 2; more.
-            *bend = u8::from(size >= 32.0) + u8::from(size >= 96.0);
+            hints.bend = u8::from(*size >= 32.0) + u8::from(*size >= 96.0);
         }
     }
 }
@@ -207,20 +230,33 @@ impl Kernel for Referring<'_> {
         let Sites { n, slot, .. } = ahead.sites;
         let found = references.n.min(REFERENCES);
         for axis in 0..3 {
-            let (mut sums, mut sides) = ([0.0; MOST], [0.0; MOST]);
-            for i in 0..found {
-                let residuals = &weave.by_channel[references.channels[i]].0[axis][slot..slot + n];
-                let (weight, sign) = (references.weights[i], references.signs[i]);
-                for ((sum, side), residual) in sums.iter_mut().zip(&mut sides).zip(residuals) {
-                    *sum += weight * residual;
-                    *side += residual * sign;
+            for first in (0..n).step_by(LANES) {
+                let (mut sums, mut sides) = ([0.0; LANES], [0.0; LANES]);
+                for i in 0..found {
+                    let by_channel = &weave.by_channel[references.channels[i]].0;
+                    let residuals = lanes(&by_channel[axis], slot + first);
+                    let (weight, sign) = (references.weights[i], references.signs[i]);
+                    for lane in 0..LANES {
+                        let weighed = weight * residuals[lane];
+                        sums[lane] += weighed;
+                        sides[lane] += residuals[lane] * sign;
+                    }
                 }
-            }
-            for i in 0..n {
-                ahead.prediction[axis][i] = ahead.expected[axis][i] + floor(sums[i] + 0.5);
-                ahead.references_side[axis][i] =
-                    u8::from(sides[i] >= 30.0) + 2 * u8::from(sides[i] <= -30.0);
+                let expected = lanes(&ahead.expected[axis], first);
+                let prediction: [f64; LANES] =
+                    std::array::from_fn(|lane| expected[lane] + floor(sums[lane] + 0.5));
+                ahead.prediction[axis][first..first + LANES].copy_from_slice(&prediction);
+                for (hints, side) in ahead.hints[first..first + LANES].iter_mut().zip(sides) {
+                    hints.references_side[axis] =
+                        u8::from(side >= 30.0) + 2 * u8::from(side <= -30.0);
+                }
             }
         }
     }
+}
+
+/// Some rows side by side; the lanes are long enough.
+#[inline(always)]
+pub(super) fn lanes(values: &[f64], first: usize) -> [f64; LANES] {
+    values[first..].first_chunk().copied().unwrap_or_default()
 }

@@ -3,14 +3,18 @@
 
 use super::{
     SPAN,
-    ahead::{Referring, Sites},
+    ahead::{LANES, Referring, Sites},
     lattice::{self, Lattice, Point},
-    lengths::{PARTNERS, Pull, distance},
+    lengths::distance,
+    pulls::Pulling,
     row::{self, Surroundings},
-    track::{MEMORY, magnitude, slot},
+    track::{MEMORY, magnitudes, slot},
     walk::{Group, Question, Side},
 };
 use crate::CodecError;
+
+/// Kinds of rows whose pulls are worked out together: strides 1 and 2.
+const TOGETHER: std::ops::Range<usize> = 4..6;
 
 impl Group {
     /// The rows that are [`ahead`](Self::ahead), of which it is known where time alone puts them.
@@ -24,6 +28,15 @@ impl Group {
         let references = self.weave.references(class, channel);
         self.isa.run(Referring { ahead: &mut self.ahead, weave: &self.weave, references });
         self.expect_lengths(channel);
+        let (partners, n_partners) = self.lengths.partners(channel);
+        let partner = |slot: usize| (slot < n_partners).then(|| &self.tracks[partners[slot]]);
+        if TOGETHER.contains(&kind) {
+            self.isa.run(Pulling {
+                pulls: &mut self.pulls,
+                ahead: &self.ahead,
+                partners: std::array::from_fn(partner),
+            });
+        }
         for i in 0..self.ahead.sites.n {
             self.code(side, channel, (kind, class), i)?;
         }
@@ -47,7 +60,19 @@ impl Group {
         let (left, right) = self.ahead.sites.neighbours(i);
         let around = self.around(channel, (kind, class), i);
         let expected: [f64; 3] = std::array::from_fn(|axis| self.ahead.expected[axis][i]);
-        let (prediction, pulls, n_pulls) = self.pull(channel, kind, i);
+        let from: [f64; 3] = std::array::from_fn(|axis| self.ahead.prediction[axis][i]);
+        let pulled = if TOGETHER.contains(&kind) {
+            self.pulls.pull(i, from, self.lengths.shares(channel, kind))
+        } else {
+            let (partners, n) = self.lengths.partners(channel);
+            let (tracks, lengths) = (&self.tracks, &self.ahead.lengths);
+            let place = self.ahead.sites.slot + i;
+            self.pulls.pull_in_turn(i, from, self.lengths.shares(channel, kind), |slot| {
+                let other = (slot < n).then(|| &tracks[partners[slot]].span.0)?;
+                Some(([0, 1, 2].map(|axis: usize| other[axis][place]), lengths[slot][i]))
+            })
+        };
+        let prediction = pulled.point.map(|units| units as i64);
 
         let track = &self.tracks[channel];
         let centred = track.activity[kind] >= 256;
@@ -69,10 +94,8 @@ impl Group {
             prediction[axis].wrapping_add(steps[axis].wrapping_mul(step))
         });
         self.settle(side, (channel, at, before), kind, (point, magnitudes), coded.is_some())?;
-        for pull in &pulls[..n_pulls] {
-            self.lengths.score(channel, kind, pull, point);
-        }
         let point = point.map(|units| units as f64);
+        self.pulls.score(i, &pulled, point, self.lengths.shares(channel, kind));
         let residual = std::array::from_fn(|axis| point[axis] - expected[axis]);
         self.weave.learn(class, channel, at - before, residual);
         if !(4..7).contains(&kind) {
@@ -89,39 +112,34 @@ impl Group {
     }
 
     /// What the neighbours and references of a row did.
+    #[inline(always)]
     fn around(&self, channel: usize, (kind, class): (usize, usize), i: usize) -> Surroundings {
-        let ahead = &self.ahead;
-        let Sites { stride, start, .. } = ahead.sites;
-        let at = ahead.sites.at(i);
-        let (left, right) = ahead.sites.neighbours(i);
-        let mut around = Surroundings {
-            kind,
-            bend: usize::from(ahead.bend[i]),
-            side: std::array::from_fn(|axis| usize::from(ahead.side[axis][i])),
-            references_side: std::array::from_fn(|axis| {
-                usize::from(ahead.references_side[axis][i])
-            }),
-            ..Surroundings::default()
-        };
+        let Sites { stride, start, slot, .. } = self.ahead.sites;
+        let at = self.ahead.sites.at(i);
+        let (left, right) = self.ahead.sites.neighbours(i);
+        let hints = &self.ahead.hints[i];
         let references = self.weave.references(class, channel);
+        let mut marks = 0;
         for &k in &references.channels[..references.n] {
-            let steps = self.tracks[k].steps[at];
-            for (sum, step) in around.references.iter_mut().zip(steps) {
-                *sum += magnitude(i32::from(step));
-            }
+            marks += self.tracks[k].marks.0[slot + i];
         }
         if references.n == 0 && channel > 0 {
-            let steps = self.tracks[channel - 1].steps[at];
-            around.references = steps.map(|step| 2 * magnitude(i32::from(step)));
+            marks = 2 * self.tracks[channel - 1].marks.0[slot + i];
         }
         let track = &self.tracks[channel];
-        around.left = track.steps_from(start, Some(left));
-        if stride > 0 {
-            around.right = track.steps_from(start, Some(right));
-            around.before = track.steps_from(start, at.checked_sub(2 * stride));
-            around.before_that = track.steps_from(start, at.checked_sub(4 * stride));
+        let earlier = |rows: usize| track.steps_from(start, at.checked_sub(rows));
+        let levels = stride > 0;
+        Surroundings {
+            kind,
+            bend: usize::from(hints.bend),
+            side: hints.side.map(usize::from),
+            references: magnitudes(marks),
+            references_side: hints.references_side.map(usize::from),
+            left: track.steps[left].map(i32::from),
+            right: if levels { track.steps[right].map(i32::from) } else { [0; 3] },
+            before: if levels { earlier(2 * stride) } else { [0; 3] },
+            before_that: if levels { earlier(4 * stride) } else { [0; 3] },
         }
-        around
     }
 
     /// The distance that two channels should have at a row, in tolerances: linear between its neighbours.
@@ -183,27 +201,10 @@ impl Group {
             let distances = &mut self.lengths.distances(channel, slot)[row..];
             let (own, other) = (&self.tracks[channel].span.0, &self.tracks[k].span.0);
             for (i, known) in (first..first + n).zip(distances.iter_mut().step_by(step)) {
-                let place = |points: &[[f64; SPAN]; 3]| [points[0][i], points[1][i], points[2][i]];
+                let place = |points: &[[f64; SPAN + LANES]; 3]| [points[0][i], points[1][i], points[2][i]];
                 *known = distance(place(own), place(other));
             }
         }
-    }
-
-    fn pull(&self, channel: usize, kind: usize, i: usize) -> (Point, [Pull; PARTNERS], usize) {
-        let (mut pulls, mut n) = ([Pull::default(); PARTNERS], 0);
-        let mut moved: [f64; 3] = std::array::from_fn(|axis| self.ahead.prediction[axis][i]);
-        let (partners, n_partners) = self.lengths.partners(channel);
-        let at = self.ahead.sites.slot + i;
-        for (slot, &k) in partners[..n_partners].iter().enumerate() {
-            let span = &self.tracks[k].span.0;
-            let (partner, length) = ([span[0][at], span[1][at], span[2][at]], self.ahead.lengths[slot][i]);
-            if let Some(pull) = self.lengths.pull((channel, kind, slot), &mut moved, partner, length)
-            {
-                pulls[n] = pull;
-                n += 1;
-            }
-        }
-        (moved.map(lattice::round), pulls, n)
     }
 
     pub(super) fn settle<S: Side>(

@@ -8,7 +8,7 @@ use crate::GROUP_CHANNELS;
 
 use super::{
     SPAN,
-    lattice::{Point, UNITS_PER_TOLERANCE},
+    lattice::UNITS_PER_TOLERANCE,
     layout::KINDS,
 };
 
@@ -26,7 +26,7 @@ const MAX_DIFFERENCE: f64 = 50.0;
 const DECAY: f64 = 0.97;
 const RIDGE: f64 = 1.0;
 /// Shares below this are not used.
-const LEAST_SHARE: f64 = 0.05;
+pub(super) const LEAST_SHARE: f64 = 0.05;
 
 /// How well a pair's distance follows from its neighbours in time.
 #[derive(Debug, Clone, Copy, Default)]
@@ -35,23 +35,30 @@ struct Spread {
     seen: f64,
 }
 
-/// Sums for one share: of the squared difference, and of difference times truth.
+/// One share: sums of the squared difference, and of difference times truth, and what follows.
 #[derive(Debug, Clone, Copy, Default)]
-struct Share {
+pub(super) struct Share {
     squares: f64,
     products: f64,
+    pub(super) share: f64,
 }
 
-/// What one partner made of an expectation.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Pull {
-    slot: usize,
-    /// Too far by so much, in tolerances.
-    difference: f64,
-    /// Away from the partner, length 1.
-    direction: [f64; 3],
-    /// The expectation before the pull, in units.
-    from: [f64; 3],
+impl Share {
+    /// Learns how much of a difference was true, in tolerances.
+    #[inline(always)]
+    pub(super) fn learn(&mut self, difference: f64, truth: f64) {
+        // Not `clamp`, which looks for NaN.
+        let cut = |value: f64| {
+            let value = if value < MAX_DIFFERENCE { value } else { MAX_DIFFERENCE };
+            if value > -MAX_DIFFERENCE { value } else { -MAX_DIFFERENCE }
+        };
+        let (difference, truth) = (cut(difference), cut(truth));
+        self.squares = self.squares * DECAY + difference * difference;
+        self.products = self.products * DECAY + difference * truth;
+        let share = self.products / (self.squares + RIDGE);
+        // Those below nothing are not used.
+        self.share = if share < 1.0 { share } else { 1.0 };
+    }
 }
 
 /// Everything of a group.
@@ -120,46 +127,9 @@ impl Lengths {
         &mut self.distances[j * PARTNERS + slot]
     }
 
-    /// Moves `expected` to where the distance to a point would be `length` tolerances, as far as the
-    /// share of this partner goes. None when it is too close to have a direction.
-    pub(super) fn pull(
-        &self,
-        (j, kind, slot): (usize, usize, usize),
-        expected: &mut [f64; 3],
-        partner: [f64; 3],
-        length: f64,
-    ) -> Option<Pull> {
-        let tolerance = UNITS_PER_TOLERANCE as f64;
-        let off: [f64; 3] = std::array::from_fn(|axis| expected[axis] - partner[axis]);
-        let distance = (off[0] * off[0] + off[1] * off[1] + off[2] * off[2]).sqrt() / tolerance;
-        // Not so where something is not known, either.
-        let difference = distance - length;
-        if distance < 1.0 || difference.is_nan() {
-            return None;
-        }
-        let direction = off.map(|off| off / (distance * tolerance));
-        let pull = Pull { slot, difference, direction, from: *expected };
-        let share = self.shares[j][kind][slot];
-        let share = (share.products / (share.squares + RIDGE)).clamp(0.0, 1.0);
-        if share > LEAST_SHARE {
-            for (expected, direction) in expected.iter_mut().zip(direction) {
-                *expected -= share * pull.difference * tolerance * direction;
-            }
-        }
-        Some(pull)
-    }
-
-    /// Learns how much of a pull was true.
-    pub(super) fn score(&mut self, j: usize, kind: usize, pull: &Pull, point: Point) {
-        let mut truth = 0.0;
-        for ((from, to), direction) in pull.from.iter().zip(point).zip(pull.direction) {
-            truth += (from - to as f64) / UNITS_PER_TOLERANCE as f64 * direction;
-        }
-        let difference = pull.difference.clamp(-MAX_DIFFERENCE, MAX_DIFFERENCE);
-        let truth = truth.clamp(-MAX_DIFFERENCE, MAX_DIFFERENCE);
-        let share = &mut self.shares[j][kind][pull.slot];
-        share.squares = share.squares * DECAY + difference * difference;
-        share.products = share.products * DECAY + difference * truth;
+    /// The shares of a channel's partners in one kind of row.
+    pub(super) fn shares(&mut self, j: usize, kind: usize) -> &mut [Share; PARTNERS] {
+        &mut self.shares[j][kind]
     }
 
     /// Learns how far a pair's distance was from where its neighbours in time put it.

@@ -17,6 +17,7 @@ mod logistic;
 mod model;
 mod origin;
 mod prior;
+mod pulls;
 mod row;
 mod solve;
 mod taps;

@@ -1,8 +1,9 @@
 //! What is known of one channel: its rows of this block, the last ones before it, and its activity.
 
 use super::{
-    anchor::Anchor,
     SPAN,
+    ahead::LANES,
+    anchor::Anchor,
     lattice::{Fineness, Point},
     layout::KINDS,
 };
@@ -27,12 +28,33 @@ pub(super) struct End {
 
 /// A vector for every row of a span, by axis and [`slot`].
 #[derive(Debug, Clone)]
-pub(super) struct SpanPoints(pub(super) [[f64; SPAN]; 3]);
+pub(super) struct SpanPoints(pub(super) [[f64; SPAN + LANES]; 3]);
+
+/// The magnitudes of a channel in a span; zero where there is nothing.
+#[derive(Debug, Clone)]
+pub(super) struct SpanMarks(pub(super) [u64; SPAN]);
+
+impl Default for SpanMarks {
+    fn default() -> Self {
+        Self([0; SPAN])
+    }
+}
 
 impl Default for SpanPoints {
     fn default() -> Self {
-        Self([[f64::NAN; SPAN]; 3])
+        Self([[f64::NAN; SPAN + LANES]; 3])
     }
+}
+
+/// The magnitudes of a row, 16 bits each: they can be added, three rows at least.
+fn marks(steps: [i16; 3]) -> u64 {
+    let [x, y, z] = steps.map(|step| magnitude(i32::from(step)) as u64);
+    x | y << 16 | z << 32
+}
+
+/// Each of them.
+pub(super) fn magnitudes(marks: u64) -> [i32; 3] {
+    [0, 16, 32].map(|shift| i32::from((marks >> shift) as u16))
 }
 
 /// The place of a row (1 to 64 of a span) where the rows of a level lie side by side: the end of a whole
@@ -45,10 +67,12 @@ pub(super) fn slot(row: usize) -> usize {
 /// One channel. Rows are indices into these lists, the block's first being [`MEMORY`].
 #[derive(Debug, Default)]
 pub(super) struct Track {
-    /// By axis. NaN where nothing is known: what comes of it is NaN, too.
-    pub(super) points: [Vec<f64>; 3],
+    /// NaN where nothing is known: what comes of it is NaN, too.
+    pub(super) points: Vec<[f64; 3]>,
     /// The points of the current span by axis and [`slot`]: the rows of a level side by side. NaN as above.
     pub(super) span: SpanPoints,
+    /// The magnitudes of the rows of the current span by [`slot`], as [`magnitudes`] takes them.
+    pub(super) marks: SpanMarks,
     /// Coded magnitudes with their signs; zero where nothing is known.
     pub(super) steps: Vec<[i16; 3]>,
     pub(super) known: Vec<bool>,
@@ -69,7 +93,7 @@ impl Track {
     /// Room for blocks of so many rows.
     pub(super) fn prepare(&mut self, n_rows: usize) {
         let rows = MEMORY + n_rows;
-        self.points.iter_mut().for_each(|lane| lane.reserve(rows.saturating_sub(lane.len())));
+        self.points.reserve(rows.saturating_sub(self.points.len()));
         self.steps.reserve(rows.saturating_sub(self.steps.len()));
         self.known.reserve(rows.saturating_sub(self.known.len()));
     }
@@ -87,15 +111,13 @@ impl Track {
     pub(super) fn forget(&mut self) {
         self.known.fill(false);
         self.steps.fill([0; 3]);
-        self.points.iter_mut().for_each(|lane| lane.fill(f64::NAN));
+        self.points.fill([f64::NAN; 3]);
     }
 
     /// A block of so many rows begins.
     pub(super) fn begin(&mut self, n_rows: usize) {
-        for lane in &mut self.points {
-            lane.resize(MEMORY, f64::NAN);
-            lane.resize(MEMORY + n_rows, f64::NAN);
-        }
+        self.points.resize(MEMORY, [f64::NAN; 3]);
+        self.points.resize(MEMORY + n_rows, [f64::NAN; 3]);
         self.steps.resize(MEMORY, [0; 3]);
         self.steps.resize(MEMORY + n_rows, [0; 3]);
         self.known.resize(MEMORY, false);
@@ -104,10 +126,8 @@ impl Track {
 
     /// The block of so many rows is over.
     pub(super) fn finish(&mut self, n_rows: usize) {
-        for lane in &mut self.points {
-            lane.copy_within(n_rows.., 0);
-            lane.truncate(MEMORY);
-        }
+        self.points.copy_within(n_rows.., 0);
+        self.points.truncate(MEMORY);
         self.steps.copy_within(n_rows.., 0);
         self.steps.truncate(MEMORY);
         self.known.copy_within(n_rows.., 0);
@@ -130,7 +150,7 @@ impl Track {
 
     /// A row, NaN where it is not known.
     pub(super) fn at(&self, row: usize) -> [f64; 3] {
-        std::array::from_fn(|axis| self.points[axis][row])
+        self.points[row]
     }
 
     /// Stores a coded row, which has a place in the span.
@@ -141,16 +161,28 @@ impl Track {
         point: Point,
         steps: [i64; 3],
     ) {
-        for ((lane, span), units) in self.points.iter_mut().zip(&mut self.span.0).zip(point) {
-            lane[row] = units as f64;
-            span[slot] = units as f64;
+        let point = point.map(|units| units as f64);
+        self.points[row] = point;
+        for (span, units) in self.span.0.iter_mut().zip(point) {
+            span[slot] = units;
         }
-        self.steps[row] = steps.map(|step| step.clamp(-1000, 1000) as i16);
         self.known[row] = true;
+        let followed = &mut self.axis_activity[kind];
+        if steps == [0; 3] {
+            // As below: nothing is known of the row so far, and that is what zeros say.
+            self.activity[kind] += (-self.activity[kind] * 51) >> 8;
+            for activity in followed {
+                *activity += (-*activity * 51) >> 8;
+            }
+            return;
+        }
+        let short = steps.map(|step| step.clamp(-1000, 1000) as i16);
+        self.steps[row] = short;
+        self.marks.0[slot] = marks(short);
         let magnitudes = steps.map(|step| step.unsigned_abs().min(MAX_ACTIVITY as u64) as i32);
         let sum = magnitudes.iter().sum::<i32>();
         follow(&mut self.activity[kind], sum);
-        for (activity, magnitude) in self.axis_activity[kind].iter_mut().zip(magnitudes) {
+        for (activity, magnitude) in followed.iter_mut().zip(magnitudes) {
             follow(activity, magnitude);
         }
     }

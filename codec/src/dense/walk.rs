@@ -9,8 +9,9 @@ use super::{
     lengths::{Lengths, distance},
     model::Model,
     origin,
+    pulls::Pulls,
     row,
-    track::{End, MEMORY, SpanPoints, Track},
+    track::{End, MEMORY, SpanMarks, SpanPoints, Track},
     weave::Weave,
 };
 use crate::{
@@ -64,6 +65,7 @@ pub(super) struct Group {
     pub(super) weave: Weave,
     pub(super) lengths: Lengths,
     pub(super) ahead: Box<Ahead>,
+    pub(super) pulls: Box<Pulls>,
     pub(super) isa: Isa,
     runs: Vec<Run>,
     /// Rows since the key block.
@@ -79,6 +81,7 @@ impl Group {
             weave: Weave::new(),
             lengths: Lengths::new(),
             ahead: Box::new(Ahead::new()),
+            pulls: Box::new(Pulls::new()),
             isa: Isa::detect(),
             runs: Vec::new(),
             first_row: 0,
@@ -139,7 +142,10 @@ impl Group {
     ) -> Result<(), CodecError> {
         let n = present.len();
         self.weave.begin(n);
-        self.tracks[..n].iter_mut().for_each(|track| track.span = SpanPoints::default());
+        for track in &mut self.tracks[..n] {
+            track.span = SpanPoints::default();
+            track.marks = SpanMarks::default();
+        }
         self.find_runs((before, last), present);
         let mut runs = std::mem::take(&mut self.runs);
         let mut solved = 0_u64;

@@ -10,6 +10,7 @@ use crate::{GROUP_CHANNELS, coding::isa::Isa};
 
 use super::{
     SPAN,
+    ahead::LANES,
     covary::{Covarying, Span},
     solve::{Lane, Solving, ridged},
     track::slot,
@@ -44,11 +45,11 @@ pub(super) struct References {
 
 /// The residuals of a channel in a span, by axis and [`slot`]; zero where there is none.
 #[derive(Debug, Clone)]
-pub(super) struct SpanVectors(pub(super) [[f64; SPAN]; 3]);
+pub(super) struct SpanVectors(pub(super) [[f64; SPAN + LANES]; 3]);
 
 impl Default for SpanVectors {
     fn default() -> Self {
-        Self([[0.0; SPAN]; 3])
+        Self([[0.0; SPAN + LANES]; 3])
     }
 }
 
