@@ -42,6 +42,20 @@ const MOVES: [i32; 64] = {
 const FIRST_RATE: i32 = 1311;
 const LAST_RATE: i32 = 393;
 
+/// What a mixer learns at after so many bits.
+const RATES: [i32; 64] = {
+    let mut rates = [0; 64];
+    let mut seen = 0;
+    while seen < 64 {
+        let rate = FIRST_RATE * 16 / (16 + seen as i32);
+        rates[seen] = if rate < LAST_RATE { LAST_RATE } else { rate };
+        seen += 1;
+    }
+    rates
+};
+// From there on it is the least.
+const _: () = assert!(RATES[63] == LAST_RATE);
+
 /// All contexts and mixers of a group.
 #[derive(Debug, Clone)]
 pub(super) struct Model {
@@ -92,7 +106,7 @@ impl Model {
         let probability = self.logistic.probability(sum >> 16).clamp(24, 65512);
         let bit = coder.split((65536 - probability) as u32, bit);
         let error = (i32::from(bit) << 16) - probability;
-        let rate = (FIRST_RATE * 16 / (16 + i32::from(weighing.seen))).max(LAST_RATE);
+        let rate = RATES[usize::from(weighing.seen).min(RATES.len() - 1)];
         for (weight, logit) in weighing.weights.iter_mut().zip(logits) {
             *weight += ((((error * logit) >> 8) * rate) + (1 << 15)) >> 16;
         }
@@ -113,11 +127,12 @@ impl Model {
         bit
     }
 
+    #[inline(always)]
     fn learn(&mut self, index: usize, bit: bool) {
         let context = &mut self.contexts[index];
-        let target = if bit { 65535 } else { 0 };
+        let target = i32::from(bit) * 65535;
         let error = target - i32::from(context.probability);
-        let step = (i64::from(error) * i64::from(MOVES[usize::from(context.seen)])) >> 16;
+        let step = (i64::from(error) * i64::from(MOVES[usize::from(context.seen) % MOVES.len()])) >> 16;
         context.probability = (i32::from(context.probability) + step as i32) as u16;
         context.seen = (context.seen + 1).min(63);
         #[cfg(feature = "training")]
