@@ -202,8 +202,8 @@ impl Kernel for Interpolating<'_> {
             }
             ahead.expected[axis][from..to].copy_from_slice(&ahead.spill[axis][..rows]);
             for (hints, off) in ahead.hints[from..to].iter_mut().zip(&ahead.offs[axis]) {
-                hints.side[axis] = u8::from(*off >= SIDE_UNITS as f64)
-                    + 2 * u8::from(*off <= -SIDE_UNITS as f64);
+                hints.side[axis] =
+                    u8::from(*off >= SIDE_UNITS as f64) + 2 * u8::from(*off <= -SIDE_UNITS as f64);
             }
         }
         for (hints, size) in ahead.hints[from..to].iter_mut().zip(bends.as_flattened()) {

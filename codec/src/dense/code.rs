@@ -11,7 +11,7 @@ use super::{
     track::{MEMORY, magnitudes, slot},
     walk::{Group, Question, Side},
 };
-use crate::CodecError;
+use crate::{CodecError, coding::isa::Kernel};
 
 /// Kinds of rows whose pulls are worked out together: strides 1 and 2.
 const TOGETHER: std::ops::Range<usize> = 4..6;
@@ -37,9 +37,7 @@ impl Group {
                 partners: std::array::from_fn(partner),
             });
         }
-        for i in 0..self.ahead.sites.n {
-            self.code(side, channel, (kind, class), i)?;
-        }
+        self.isa.run(Coding { group: self, side, channel, kind, class })?;
         // The last level is between no other rows.
         if kind > 4 {
             self.remember_lengths(channel);
@@ -48,6 +46,7 @@ impl Group {
     }
 
     /// One row: its partners, its residual.
+    #[inline(always)]
     fn code<S: Side>(
         &mut self,
         side: &mut S,
@@ -173,7 +172,8 @@ impl Group {
                 lengths[0] = distances[zero - before];
                 continue;
             }
-            let whole = |i: usize| sites.neighbours(i) == (sites.at(i) - stride, sites.at(i) + stride);
+            let whole =
+                |i: usize| sites.neighbours(i) == (sites.at(i) - stride, sites.at(i) + stride);
             let (from, to) = (usize::from(!whole(0)), n - usize::from(!whole(n - 1)));
             if from < to {
                 let rows = &distances[sites.at(from) - stride - before..];
@@ -201,7 +201,8 @@ impl Group {
             let distances = &mut self.lengths.distances(channel, slot)[row..];
             let (own, other) = (&self.tracks[channel].span.0, &self.tracks[k].span.0);
             for (i, known) in (first..first + n).zip(distances.iter_mut().step_by(step)) {
-                let place = |points: &[[f64; SPAN + LANES]; 3]| [points[0][i], points[1][i], points[2][i]];
+                let place =
+                    |points: &[[f64; SPAN + LANES]; 3]| [points[0][i], points[1][i], points[2][i]];
                 *known = distance(place(own), place(other));
             }
         }
@@ -220,6 +221,30 @@ impl Group {
         }
         self.tracks[channel].settle((at, slot(at - before)), kind, point, magnitudes);
         side.settle(channel, at - MEMORY, point, kept);
+        Ok(())
+    }
+}
+
+/// Codes the rows that are ahead.
+#[derive(Debug)]
+struct Coding<'a, S> {
+    group: &'a mut Group,
+    side: &'a mut S,
+    channel: usize,
+    kind: usize,
+    class: usize,
+}
+
+impl<S: Side> Kernel for Coding<'_, S> {
+    type Output = Result<(), CodecError>;
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let Self { group, side, channel, kind, class } = self;
+        // Not `try_for_each`: its body would be a function of its own.
+        for i in 0..group.ahead.sites.n {
+            group.code(side, channel, (kind, class), i)?;
+        }
         Ok(())
     }
 }

@@ -58,9 +58,8 @@ impl Covarying<'_> {
     /// The covariances of `SIDE` channels from `j` on with as many from `k` on.
     #[inline(always)]
     fn tile(&mut self, j: usize, k: usize) {
-        let part = |lane: &Lane, first: usize| -> [f64; SIDE] {
-            std::array::from_fn(|i| lane[first + i])
-        };
+        let part =
+            |lane: &Lane, first: usize| -> [f64; SIDE] { std::array::from_fn(|i| lane[first + i]) };
         let mut sums: [[f64; SIDE]; SIDE] =
             std::array::from_fn(|i| part(&self.covariances[j + i], k));
         for &row in ROWS[self.class] {

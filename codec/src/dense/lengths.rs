@@ -6,11 +6,7 @@
 
 use crate::GROUP_CHANNELS;
 
-use super::{
-    SPAN,
-    lattice::UNITS_PER_TOLERANCE,
-    layout::KINDS,
-};
+use super::{SPAN, lattice::UNITS_PER_TOLERANCE, layout::KINDS};
 
 /// Markers that a channel is held against, at most.
 pub(super) const PARTNERS: usize = 3;

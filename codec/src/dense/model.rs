@@ -132,7 +132,8 @@ impl Model {
         let context = &mut self.contexts[index];
         let target = i32::from(bit) * 65535;
         let error = target - i32::from(context.probability);
-        let step = (i64::from(error) * i64::from(MOVES[usize::from(context.seen) % MOVES.len()])) >> 16;
+        let step =
+            (i64::from(error) * i64::from(MOVES[usize::from(context.seen) % MOVES.len()])) >> 16;
         context.probability = (i32::from(context.probability) + step as i32) as u16;
         context.seen = (context.seen + 1).min(63);
         #[cfg(feature = "training")]

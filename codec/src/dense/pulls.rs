@@ -92,8 +92,7 @@ impl Pulls {
             self.differences[slot][i] = f64::NAN;
             let Some((other, length)) = partner(slot) else { continue };
             let off: [f64; 3] = std::array::from_fn(|axis| moved[axis] - other[axis]);
-            let distance =
-                (off[0] * off[0] + off[1] * off[1] + off[2] * off[2]).sqrt() / TOLERANCE;
+            let distance = (off[0] * off[0] + off[1] * off[1] + off[2] * off[2]).sqrt() / TOLERANCE;
             let difference = distance - length;
             if distance < 1.0 || difference.is_nan() {
                 continue;
