@@ -7,6 +7,7 @@ use crate::coding::isa::Kernel;
 
 use super::{
     SPAN,
+    lattice::{floor, round},
     lengths::PARTNERS,
     taps::{SIDE_UNITS, Site},
     track::{Track, slot},
@@ -126,8 +127,8 @@ impl Ahead {
     /// Rows that have neighbours on one side only.
     pub(super) fn guessed(&mut self, sites: Sites, expected: [i64; 3]) {
         self.sites = sites;
-        for axis in 0..3 {
-            self.expected[axis][0] = expected[axis] as f64;
+        for (lane, units) in self.expected.iter_mut().zip(expected) {
+            lane[0] = units as f64;
         }
         self.hints[0] = Hints::default();
     }
@@ -143,15 +144,6 @@ impl Ahead {
         self.hints[i].side = expected.side.map(|side| side as u8);
         self.hints[i].bend = expected.bend as u8;
     }
-}
-
-/// The largest integer that is not above `value`, which is below 2^51 in size.
-#[inline(always)]
-pub(super) fn floor(value: f64) -> f64 {
-    /// A sum with it has no room for a fraction.
-    const WHOLE: f64 = (3_u64 << 51) as f64;
-    let near = (value + WHOLE) - WHOLE;
-    near - if near > value { 1.0 } else { 0.0 }
 }
 
 /// Interpolates all rows.
@@ -244,7 +236,7 @@ impl Kernel for Referring<'_> {
                 }
                 let expected = lanes(&ahead.expected[axis], first);
                 let prediction: [f64; LANES] =
-                    std::array::from_fn(|lane| expected[lane] + floor(sums[lane] + 0.5));
+                    std::array::from_fn(|lane| expected[lane] + round(sums[lane]));
                 ahead.prediction[axis][first..first + LANES].copy_from_slice(&prediction);
                 for (hints, side) in ahead.hints[first..first + LANES].iter_mut().zip(sides) {
                     hints.references_side[axis] =

@@ -43,9 +43,9 @@ impl Anchor {
                 guesses.0[axis][i] = last[axis].wrapping_add(ahead);
             }
         }
-        for axis in 0..3 {
+        for (axis, best) in best.iter_mut().enumerate() {
             let pick = (0..GUESSES.len()).min_by_key(|&i| self.errors[axis][i]).unwrap_or(0);
-            best[axis] = guesses.0[axis][pick];
+            *best = guesses.0[axis][pick];
         }
         (best, guesses)
     }

@@ -102,10 +102,18 @@ impl Fineness {
     }
 }
 
+/// The largest integer that is not above `value`, which is below 2^51 in size; without a call where the
+/// processor has no rounding instruction.
+#[inline(always)]
+pub(super) fn floor(value: f64) -> f64 {
+    /// A sum with it has no room for a fraction.
+    const WHOLE: f64 = (3_u64 << 51) as f64;
+    let near = (value + WHOLE) - WHOLE;
+    near - if near > value { 1.0 } else { 0.0 }
+}
+
 /// Nearest integer, halves up.
-pub(super) fn round(value: f64) -> i64 {
-    // Without a call where the processor has no rounding instruction.
-    let shifted = value + 0.5;
-    let cut = shifted as i64;
-    cut.saturating_sub(i64::from(cut as f64 > shifted))
+#[inline(always)]
+pub(super) fn round(value: f64) -> f64 {
+    floor(value + 0.5)
 }

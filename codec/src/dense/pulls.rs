@@ -3,8 +3,8 @@
 use crate::coding::isa::Kernel;
 
 use super::{
-    ahead::{Ahead, LANES, MOST, PerRow, floor, lanes},
-    lattice::UNITS_PER_TOLERANCE,
+    ahead::{Ahead, LANES, MOST, PerRow, lanes},
+    lattice::{UNITS_PER_TOLERANCE, round},
     lengths::{LEAST_SHARE, PARTNERS, Share},
     track::Track,
 };
@@ -48,8 +48,7 @@ impl Pulls {
         let i = i % MOST;
         let share = |slot: usize, difference: f64| {
             let share = shares[slot].share;
-            // Not so where the difference is NaN.
-            let moves = share > LEAST_SHARE && difference == difference;
+            let moves = share > LEAST_SHARE && !difference.is_nan();
             if moves { share * difference } else { 0.0 }
         };
         let [first, second, third] = [0, 1, 2].map(|slot| self.differences[slot][i]);
@@ -65,7 +64,7 @@ impl Pulls {
         let point = std::array::from_fn(|axis| {
             let direction = |slot: usize| self.directions[slot][axis][i];
             let moved = from[axis] - far[0] * direction(0) - far[1] * direction(1);
-            floor(moved - far[2] * direction(2) + 0.5)
+            round(moved - far[2] * direction(2))
         });
         Pulled {
             point,
@@ -108,7 +107,7 @@ impl Pulls {
             }
         }
         let differences = [0, 1, 2].map(|slot| self.differences[slot][i]);
-        let point = moved.map(|units| floor(units + 0.5));
+        let point = moved.map(round);
         Pulled { point, from, differences, gone: [0.0; PARTNERS] }
     }
 
@@ -176,8 +175,8 @@ impl Kernel for Pulling<'_> {
                     directions[2][i] = if near { z * inverse } else { 0.0 };
                 }
                 pulls.differences[slot][at..at + LANES].copy_from_slice(&differences);
-                for axis in 0..3 {
-                    pulls.directions[slot][axis][at..at + LANES].copy_from_slice(&directions[axis]);
+                for (axis, lane) in pulls.directions[slot].iter_mut().zip(&directions) {
+                    axis[at..at + LANES].copy_from_slice(lane);
                 }
             }
         }

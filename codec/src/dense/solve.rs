@@ -59,8 +59,8 @@ impl Solving<'_> {
             for lane in 0..LANES {
                 let k = first + lane;
                 let mut shared = alike[k];
-                for i in 0..found.n {
-                    shared -= found.weights[i] * rows[i][k];
+                for (weight, row) in found.weights[..found.n].iter().zip(rows) {
+                    shared -= weight * row[k];
                 }
                 explained[k] = shared * shared / self.ridged[k];
             }

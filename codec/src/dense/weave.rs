@@ -158,14 +158,17 @@ impl Weave {
             let length = squares.sqrt();
             residual = residual.map(|component| component * (MAX_RESIDUAL / length));
         }
-        for axis in 0..3 {
-            self.residuals.rows[row][axis][j] = residual[axis];
-            self.by_channel[j].0[axis][slot(row)] = residual[axis];
+        let place = slot(row);
+        for (lane, component) in self.residuals.rows[row].iter_mut().zip(residual) {
+            lane[j] = component;
+        }
+        for (lane, component) in self.by_channel[j].0.iter_mut().zip(residual) {
+            lane[place] = component;
         }
         let own = residual.map(|component| component / SCALE);
         if class != 0 {
-            for axis in 0..3 {
-                self.learners.rows[row][axis][j] = own[axis];
+            for (lane, component) in self.learners.rows[row].iter_mut().zip(own) {
+                lane[j] = component;
             }
             return;
         }

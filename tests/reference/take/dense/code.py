@@ -11,6 +11,8 @@ from .weave import Weave
 CHANNELS = 64
 # By kind: anchors; strides 1, 2, 4; 8 and more.
 CLASS = [0, 0, 0, 0, 4, 3, 2, 1, 1, 1]
+# Kinds whose partners all see a row where it is at first: strides 1 and 2.
+TOGETHER = (4, 5)
 
 
 class Rows:
@@ -96,7 +98,7 @@ class Rows:
         return along(first, distance(own.points[right], other.points[right]), left, at, right)
 
     def pull(self, channel, kind, prediction, left, at, right):
-        pulls = []
+        pulls, partners = [], []
         moved = [float(units) for units in prediction]
         for slot, k in enumerate(self.lengths.partners[channel]):
             if not self.tracks[k].known[at]:
@@ -105,9 +107,14 @@ class Rows:
             if length is None:
                 continue
             partner = self.tracks[k].points[at]
+            if kind in TOGETHER:
+                partners.append((slot, partner, length))
+                continue
             pull = self.lengths.pull(channel, kind, slot, moved, partner, length)
             if pull:
                 pulls.append(pull)
+        if partners:
+            pulls = self.lengths.pull_together(channel, kind, moved, partners)
         if pulls:
             prediction[:] = map(nearest, moved)
         return pulls

@@ -58,22 +58,51 @@ class Lengths:
         scale = distance * 256.0
         direction = (x / scale, y / scale, z / scale)
         difference = distance - length
-        pull = (slot, difference, direction, tuple(expected))
-        squares, products = self.shares[j][kind][slot]
-        share = min(max(products / (squares + RIDGE), 0.0), 1.0)
+        pull = (slot, difference, direction, tuple(expected), 0.0)
+        share = self.share(j, kind, slot)
         if share > LEAST_SHARE:
             by = share * difference * 256.0
             for axis in range(3):
                 expected[axis] -= by * direction[axis]
         return pull
 
+    def share(self, j, kind, slot):
+        squares, products = self.shares[j][kind][slot]
+        return min(max(products / (squares + RIDGE), 0.0), 1.0)
+
+    def pull_together(self, j, kind, expected, partners):
+        """As `pull` for all partners (slot, point, length), seen from where the row is at first."""
+        start, seen = tuple(expected), []
+        for slot, partner, length in partners:
+            x, y, z = (e - float(p) for e, p in zip(start, partner))
+            far = math.sqrt(x * x + y * y + z * z)
+            if far >= 256.0:
+                inverse = 1.0 / far
+                direction = (x * inverse, y * inverse, z * inverse)
+                seen.append((slot, far / 256.0 - length, direction))
+        pulls, moves = [], []
+        for slot, difference, direction in seen:
+            gone = 0.0
+            for other, by in moves:
+                cosine = direction[0] * other[0] + direction[1] * other[1] + direction[2] * other[2]
+                gone += by * cosine
+            difference -= gone
+            share = self.share(j, kind, slot)
+            by = share * difference if share > LEAST_SHARE else 0.0
+            moves.append((direction, by))
+            for axis in range(3):
+                expected[axis] -= by * 256.0 * direction[axis]
+            pulls.append((slot, difference, direction, start, gone))
+        return pulls
+
     def score(self, j, kind, pull, point):
         """Learns how much of a pull was true."""
-        slot, difference, direction, start = pull
+        slot, difference, direction, start, gone = pull
         truth = 0.0
         for axis in range(3):
             off = (start[axis] - float(point[axis])) / UNITS
             truth += off * direction[axis]
+        truth -= gone
         difference, truth = clamp(difference), clamp(truth)
         share = self.shares[j][kind][slot]
         share[0] = share[0] * DECAY + difference * difference
