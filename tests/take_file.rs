@@ -227,8 +227,8 @@ fn hostile_sizes_cost_no_memory() {
         assert!(matches!(reader.next_event().unwrap(), Some(TakeEvent::Header(_))));
         assert!(matches!(reader.next_event().unwrap(), Some(TakeEvent::Damaged { .. })));
     }
-    // A block that claims 4 M rows of all channels of its group: found when it is to be decoded.
-    let group = [&[1, 4, 0, 0x80, 0x80, 0x80, 0x02][..], &[3, 0x40, 64, 0]].concat();
+    // Blocks that claim more samples than a stretch holds: found when they are to be decoded.
+    let group = [&[1, 4, 0, 0x80, 0x80, 0x08][..], &[3, 0x40, 64, 0].repeat(5)].concat();
     let mut take = front.clone();
     chunk::put(&mut take, chunk::types::STRETCH, &group).unwrap();
     let problems = mocapd::inspect::Summary::read(&take[..]).unwrap().problems;

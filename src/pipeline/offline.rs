@@ -16,7 +16,7 @@ use mocapd_take::{
     TakeWriter,
     motion::Motion,
     record::{Header, Ledger},
-    stretch::{FrontWriter, NUMBERS, ROWS_MAX, SAMPLES_MAX, Span, put_block},
+    stretch::{FrontWriter, LIVE_ROWS_MAX, NUMBERS, ROWS_MAX, SAMPLES_MAX, Span, put_block},
     timeline::Timeline,
 };
 
@@ -31,7 +31,7 @@ const STRETCH_S: f64 = 10.0;
 pub fn stretch_rows(codec: &Settings, rate_hz: f64, n_rows: usize, n_markers: usize) -> usize {
     if codec.kind.is_live() {
         let held = SAMPLES_MAX as usize / n_markers.max(1);
-        ((STRETCH_S * rate_hz) as usize).min(held).clamp(1, 1 << 17)
+        ((STRETCH_S * rate_hz) as usize).min(held).clamp(1, LIVE_ROWS_MAX as usize)
     } else {
         n_rows.max(1)
     }

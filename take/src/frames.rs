@@ -4,6 +4,7 @@ use std::io::{Read, Seek, SeekFrom};
 
 use crate::{
     TakeError, TakeEvent, TakeReader,
+    index::Footer,
     motion::{FrameSource, GAP, Marker, Motion, MotionInfo, Position, Source, UpAxis},
     reader::{pull, read_events},
     record::Header,
@@ -23,6 +24,7 @@ const MOTION_SAMPLES_MAX: u64 = 1 << 28;
 pub struct TakeFrames<R> {
     input: R,
     info: MotionInfo,
+    n_held: u64,
     reader: TakeReader,
     decoder: StretchDecoder,
     /// The stretch that `decoder` holds.
@@ -44,6 +46,7 @@ impl<R: Read + Seek> TakeFrames<R> {
         let mut header = None;
         let mut problems = Vec::new();
         let mut n_channels = 0;
+        let mut n_held = 0_u64;
         let mut damaged = false;
         let mut foreign_bytes = 0;
         read_events(&mut input, |event| {
@@ -55,14 +58,23 @@ impl<R: Read + Seek> TakeFrames<R> {
                 TakeEvent::Channels(more) => info.markers.extend(more.iter().map(Into::into)),
                 TakeEvent::Stretch(stretch) => {
                     info.n_frames = info.n_frames.max(stretch.span.end_row());
+                    n_held += u64::from(stretch.span.n_rows);
                     n_channels = n_channels.max(stretch.stated_channels());
                 }
                 TakeEvent::Unplaced { rows_min, .. } => {
                     damaged = true;
                     info.n_frames = info.n_frames.max(rows_min);
                 }
-                TakeEvent::Footer(footer) if damaged => {
-                    info.n_frames = info.n_frames.max(footer.n_rows);
+                TakeEvent::Footer(Footer { n_rows, .. }) => {
+                    if n_rows != info.n_frames {
+                        let found = info.n_frames;
+                        problems.push(format!(
+                            "the footer tells of {n_rows} frames, {found} were found"
+                        ));
+                    }
+                    if damaged {
+                        info.n_frames = info.n_frames.max(n_rows);
+                    }
                 }
                 TakeEvent::Foreign(part) => {
                     foreign_bytes += part.data.len();
@@ -94,6 +106,7 @@ impl<R: Read + Seek> TakeFrames<R> {
         Ok(Self {
             input,
             info,
+            n_held,
             reader: TakeReader::new(),
             decoder: StretchDecoder::new(header.codec()?),
             current: None,
@@ -102,6 +115,12 @@ impl<R: Read + Seek> TakeFrames<R> {
             problems,
             ended: false,
         })
+    }
+
+    /// How many of its frames lie in a stretch that was found. The others were lost, and come as gaps.
+    #[must_use]
+    pub fn n_held(&self) -> u64 {
+        self.n_held
     }
 
     /// What is missing or damaged, one sentence each. Complete after the last frame.

@@ -93,6 +93,18 @@ impl Footer {
             message: format!("{} bytes instead of 24", payload.len()),
         })
     }
+
+    /// Itself, unless it claims more rows than what is known of the take leaves room for.
+    ///
+    /// # Errors
+    /// `Corrupt`.
+    pub(crate) fn check(self, rows_max: u64, offset: u64) -> Result<Self, TakeError> {
+        if self.n_rows <= rows_max {
+            return Ok(self);
+        }
+        let message = format!("it tells of {} frames, more than can have been lost", self.n_rows);
+        Err(TakeError::Corrupt { what: "footer", offset, message })
+    }
 }
 
 #[cfg(test)]

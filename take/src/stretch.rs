@@ -9,14 +9,29 @@ mod tests;
 
 pub(crate) use self::chain::{Chain, Placed};
 pub use self::{decoder::StretchDecoder, front::FrontWriter};
-use mocapd_codec::GROUP_CHANNELS;
+use mocapd_codec::{GROUP_CHANNELS, ResamplerKind};
 
 use crate::{timeline::Timeline, varint};
 
-/// Most rows of one stretch: over an hour at 1000 Hz, for the resamplers that are not cut into blocks.
+/// Most rows of one stretch of any kind: over an hour at 1000 Hz, for the resamplers that are not cut into
+/// stretches.
 pub const ROWS_MAX: u64 = 1 << 22;
 
-/// Most samples that one stretch may decode to: 400 MB of positions.
+/// Most rows of one stretch of a live kind. An import has the longest: ten seconds, which up to 13 kHz are
+/// fewer rows, and above is cut to this. A recording has half a second, and as many rows as a time line has
+/// room for.
+pub const LIVE_ROWS_MAX: u64 = 1 << 17;
+
+/// Most recorded rows of one stretch with a time line: ten times half a second at 10 kHz, a megabyte and
+/// a half in memory.
+pub(crate) const RECORDED_MAX: u64 = 1 << 16;
+
+/// Most rows from the end of one stretch to the end of the next, and so most that are lost between them:
+/// days at 10 kHz. What claims more, in whatever place, is wrong.
+pub(crate) const ROWS_PASSED_MAX: u64 = 1 << 32;
+
+/// Most samples that one stretch may decode to: 400 MB of positions; with their flags, and what decoders of
+/// `dense` keep beside them, 1.5 GB.
 pub const SAMPLES_MAX: u64 = 1 << 25;
 
 /// Stretches are counted modulo this.
@@ -24,6 +39,12 @@ pub const NUMBERS: u8 = 32;
 
 /// Most groups: marker ids have 16 bits.
 const GROUPS_MAX: usize = (1 << 16) / GROUP_CHANNELS;
+
+/// Most rows of one stretch of a take coded with `kind`.
+#[must_use]
+pub fn rows_max(kind: ResamplerKind) -> u64 {
+    if kind.is_live() { LIVE_ROWS_MAX } else { ROWS_MAX }
+}
 
 /// Where a stretch lies and whether a decoder can start at it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

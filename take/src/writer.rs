@@ -9,7 +9,7 @@ use crate::{
     index::{Footer, IndexEntry, index_payload},
     motion::Foreign,
     record::{Channel, Event, Header, Ledger, MoreChannels, Record},
-    stretch::Span,
+    stretch::{RECORDED_MAX, ROWS_PASSED_MAX, Span, rows_max},
 };
 
 /// Appends chunks to anything that takes bytes.
@@ -21,6 +21,7 @@ pub struct TakeWriter<W> {
     offset: u64,
     failed: bool,
     scratch: Vec<u8>,
+    rows_max: u64,
     index: Vec<IndexEntry>,
     n_rows: u64,
     ledger_offset: u64,
@@ -30,14 +31,20 @@ impl<W: Write> TakeWriter<W> {
     /// Writes magic and header.
     ///
     /// # Errors
-    /// `Io`; `InvalidArgument` or `Codec` for a header that a reader would refuse.
+    /// `Io`; `InvalidArgument` or `Codec` for a header that a reader would refuse, or whose stretches it
+    /// would.
     pub fn new(out: W, header: &Header) -> Result<Self, TakeError> {
         header.check()?;
+        let rows_max = rows_max(header.codec()?.kind);
+        // A full stretch of a recording has a time for every row.
+        let full_max = if header.device.is_some() { rows_max.min(RECORDED_MAX) } else { rows_max };
+        check_rows(header.stretch_rows, full_max)?;
         let mut writer = Self {
             out,
             offset: 0,
             failed: false,
             scratch: Vec::with_capacity(1 << 16),
+            rows_max,
             index: Vec::new(),
             n_rows: 0,
             ledger_offset: 0,
@@ -60,8 +67,16 @@ impl<W: Write> TakeWriter<W> {
     /// [`put_block`](crate::stretch::put_block).
     ///
     /// # Errors
-    /// `Io`, `InvalidArgument`.
+    /// `Io`; `InvalidArgument` when it has more rows than a reader would take, or too many were lost
+    /// before it.
     pub fn stretch(&mut self, span: Span, payload: &[u8]) -> Result<(), TakeError> {
+        check_rows(span.n_rows, self.rows_max)?;
+        let passed = span.end_row().saturating_sub(self.n_rows);
+        if passed > ROWS_PASSED_MAX {
+            return Err(TakeError::InvalidArgument(format!(
+                "{passed} rows since the last stretch are more than a take can hold ({ROWS_PASSED_MAX})"
+            )));
+        }
         if span.key && span.n_rows > 0 {
             self.index.push(IndexEntry { offset: self.offset, first_row: span.first_row });
         }
@@ -143,4 +158,13 @@ impl<W: Write> TakeWriter<W> {
         self.offset += self.scratch.len() as u64;
         Ok(())
     }
+}
+
+fn check_rows(n_rows: u32, rows_max: u64) -> Result<(), TakeError> {
+    if u64::from(n_rows) <= rows_max {
+        return Ok(());
+    }
+    Err(TakeError::InvalidArgument(format!(
+        "a stretch of {n_rows} rows is longer than a take of this kind can hold ({rows_max})"
+    )))
 }

@@ -94,7 +94,7 @@ const RULES: &[Rule] = &[
                CPU features than the crate's",
         words: &["unsafe {", "unsafe fn", "unsafe impl"],
         allowed: &[
-            "codec/src/fast/isa.rs",
+            "codec/src/coding/isa.rs",
             "drivers/src/transport/descriptor.rs",
             "drivers/src/transport/low_latency.rs",
         ],

@@ -1,7 +1,7 @@
 //! The frames of a take from one time to another.
 
 use std::{
-    io,
+    io::{self, Read, Seek},
     sync::{
         Arc,
         atomic::{AtomicU64, Ordering},
@@ -11,7 +11,14 @@ use std::{
 
 use anyhow::ensure;
 use mocapd::{outcome::UsageError, units::frame_at};
-use mocapd_take::motion::{FrameSource, GAP, MotionInfo, Position};
+use mocapd_take::{
+    TakeFrames,
+    motion::{FrameSource, GAP, MotionInfo, Position},
+};
+
+/// Most lost frames that are written unasked into a file that has fewer others: four hours at 1000 Hz. The
+/// few bytes that a loss takes can claim as many frames as fill a disk with gaps.
+const LOST_UNASKED_MAX: u64 = 1 << 24;
 
 /// What is left of a source between two times, counted as it is read.
 pub(super) struct Part<'a> {
@@ -25,10 +32,10 @@ impl<'a> Part<'a> {
     /// The frames at or after `from` and before `to`.
     ///
     /// # Errors
-    /// That there are no frames at all; a usage error when there are none between the times; whatever
-    /// reading the source meets.
-    pub(super) fn new(
-        frames: &'a mut dyn FrameSource,
+    /// That there are no frames at all; a usage error when there are none between the times, or, without
+    /// `to`, hours of lost ones and fewer others; whatever reading the source meets.
+    pub(super) fn new<R: Read + Seek>(
+        frames: &'a mut TakeFrames<R>,
         from: Option<Duration>,
         to: Option<Duration>,
         counter: Arc<AtomicU64>,
@@ -41,6 +48,14 @@ impl<'a> Part<'a> {
             let length_s = info.n_frames as f64 / info.rate_hz;
             return Err(UsageError(format!(
                 "no frames there: the take is {length_s:.3} s long, so give a --from below that and a --to above it"
+            ))
+            .into());
+        }
+        let lost = info.n_frames.saturating_sub(frames.n_held());
+        if to.is_none() && lost > LOST_UNASKED_MAX.max(frames.n_held()) {
+            return Err(UsageError(format!(
+                "{lost} of the {} frames are lost, and each would be a row of gaps: give a --to, the time up to which to write",
+                info.n_frames
             ))
             .into());
         }
@@ -66,5 +81,68 @@ impl FrameSource for Part<'_> {
         self.left -= 1;
         self.counter.fetch_add(1, Ordering::Relaxed);
         self.frames.next_frame(row)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Cursor;
+
+    use mocapd_codec::{Settings, Tolerance};
+    use mocapd_take::{
+        TakeWriter,
+        record::{Header, Ledger},
+        stretch::{FrontWriter, Span},
+        timeline::Timeline,
+    };
+
+    use super::*;
+
+    /// A take of 600 empty rows, and as many behind so many lost ones.
+    fn take(lost: u64) -> Vec<u8> {
+        let mut header = Header {
+            software: String::new(),
+            take_id: [0; 16],
+            created_unix_ms: 0,
+            resampler: String::new(),
+            codec_version: 0,
+            tolerance_mm: 1.0,
+            rate_hz: 60.0,
+            up_axis: 0,
+            device: None,
+            source: None,
+            channels: Vec::new(),
+            stretch_rows: 600,
+            settings: Vec::new(),
+        };
+        let settings = Settings {
+            kind: "dense".parse().unwrap(),
+            tolerance: Tolerance::from_mm(1.0).unwrap(),
+        };
+        header.set_codec(&settings);
+        let mut take = TakeWriter::new(Vec::new(), &header).unwrap();
+        let mut front = FrontWriter::new(600);
+        for (first_row, number) in [(0, 0), (600 + lost, 1)] {
+            let span = Span { first_row, n_rows: 600, key: true, number };
+            let mut payload = Vec::new();
+            front.put(span, &Timeline::default(), &[], true, &mut payload);
+            take.stretch(span, &payload).unwrap();
+        }
+        take.finish(&Ledger::default()).unwrap().0
+    }
+
+    #[test]
+    fn hours_of_nothing_are_written_when_asked_for() {
+        let part = |lost: u64, to_s: Option<u64>| {
+            let mut frames = TakeFrames::open(Cursor::new(take(lost))).unwrap();
+            Part::new(&mut frames, None, to_s.map(Duration::from_secs), Arc::default())
+                .map(|part| part.left)
+                .map_err(|error| error.to_string())
+        };
+        assert_eq!(part(LOST_UNASKED_MAX, None), Ok(LOST_UNASKED_MAX + 1200));
+        let refused = part(1 << 31, None).unwrap_err();
+        assert!(refused.starts_with("2147483648 of the 2147484848 frames are lost"), "{refused}");
+        assert_eq!(part(1 << 31, Some(10)), Ok(600));
+        assert_eq!(part(1 << 31, Some(1_000_000)), Ok(60_000_000));
     }
 }

@@ -7,7 +7,7 @@ use crate::{
     foreign,
     index::{Footer, parse_index},
     record::{Event, Header, Ledger, MoreChannels, Record},
-    stretch::{Chain, Placed},
+    stretch::{Chain, Placed, rows_max},
 };
 
 impl TakeReader {
@@ -27,7 +27,8 @@ impl TakeReader {
                 let header = Header::from_payload(payload, offset)?;
                 header.check()?;
                 let tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz);
-                self.chain = Some(Chain::new(header.stretch_rows, tick_hz));
+                let rows_max = rows_max(header.codec()?.kind);
+                self.chain = Some(Chain::new(rows_max, header.stretch_rows, tick_hz));
                 self.bytes.header += len as u64;
                 return Ok(TakeEvent::Header(Box::new(header)));
             }
@@ -49,6 +50,7 @@ impl TakeReader {
             types::FOREIGN => foreign::from_payload(payload, offset).map(TakeEvent::Foreign),
             types::INDEX => parse_index(payload, offset).map(TakeEvent::Index),
             types::FOOTER => Footer::from_payload(payload, offset)
+                .and_then(|footer| footer.check(chain.rows_believed_max(), offset))
                 .inspect(|_| self.seen_footer = true)
                 .map(TakeEvent::Footer),
             _ if kind & MAY_SKIP != 0 => Ok(TakeEvent::Skipped { kind }),

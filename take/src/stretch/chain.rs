@@ -1,6 +1,6 @@
 //! From stretch to stretch: which row one begins at, and what the clocks said before it.
 
-use super::{NUMBERS, Span, Stretch, front::Front, take_blocks};
+use super::{NUMBERS, ROWS_PASSED_MAX, Span, Stretch, front::Front, take_blocks};
 use crate::{
     timeline::{Timeline, TimelineDecoder},
     varint,
@@ -26,6 +26,7 @@ pub(crate) enum Placed<'a> {
 /// decode its blocks either.
 #[derive(Debug)]
 pub(crate) struct Chain {
+    rows_max: u64,
     stretch_rows: u32,
     times: TimelineDecoder,
     /// The row after the last stretch; after damage the least that it can be.
@@ -37,9 +38,10 @@ pub(crate) struct Chain {
 }
 
 impl Chain {
-    /// At the start of a take.
-    pub(crate) fn new(stretch_rows: u32, tick_hz: u64) -> Self {
+    /// At the start of a take whose stretches have up to `rows_max` rows, `stretch_rows` unless they say.
+    pub(crate) fn new(rows_max: u64, stretch_rows: u32, tick_hz: u64) -> Self {
         Self {
+            rows_max,
             stretch_rows,
             times: TimelineDecoder::new(tick_hz),
             next_row: 0,
@@ -53,17 +55,32 @@ impl Chain {
         self.broken = true;
     }
 
+    /// The most rows that the take can have up to the next stretch, or to its end, as far as is known.
+    ///
+    /// Rows that nothing but a number claims stand as gaps in what is read, each of them: a number that
+    /// no loss explains must not make more of them than fit on a disk.
+    pub(crate) fn rows_believed_max(&self) -> u64 {
+        self.next_row.saturating_add(ROWS_PASSED_MAX)
+    }
+
     /// The payload of the next STRETCH that was found. An error says what is wrong with it.
     pub(crate) fn place<'a>(&mut self, payload: &'a [u8]) -> Result<Placed<'a>, &'static str> {
         // Until it is read to its end, it is as good as missing.
         let was_broken = std::mem::replace(&mut self.broken, true);
         let mut cursor = varint::Cursor::new(payload);
-        let front = Front::take(&mut cursor, self.stretch_rows)?;
+        let front = Front::take(&mut cursor, self.rows_max, self.stretch_rows)?;
         let mut sizes = front.sizes;
         let blocks = take_blocks(&mut cursor, front.alone, front.n_rows, &mut sizes)?;
-        let missing_before = self.next_number != front.number;
+        let mut missing_before = self.next_number != front.number;
         let from_row = match front.from_row {
-            Some(row) => row,
+            Some(row) => {
+                if row > self.rows_believed_max() {
+                    return Err("its row is further ahead than rows can be lost");
+                }
+                // As many as there are numbers may be missing, or more.
+                missing_before |= !was_broken && row > self.next_row;
+                row
+            }
             None if was_broken || missing_before => {
                 self.next_number = (front.number + 1) % NUMBERS;
                 self.next_row = self.next_row.saturating_add(front.rows_passed);

@@ -6,7 +6,7 @@ use mocapd_codec::{
     BlockDecoder, CodecError, DecodedRows, GROUP_CHANNELS, Settings, stated_channels,
 };
 
-use super::{SAMPLES_MAX, Span, Stretch};
+use super::{SAMPLES_MAX, Span, Stretch, rows_max};
 use crate::TakeError;
 
 /// Decodes the stretches of a take in order.
@@ -58,6 +58,9 @@ impl StretchDecoder {
             return Err(TakeError::InvalidArgument("depends on a damaged stretch".to_owned()));
         }
         self.waits_for_key = true;
+        if u64::from(n_rows) > rows_max(self.settings.kind) {
+            Err(CodecError::Corrupt("more rows than a stretch can hold"))?;
+        }
         if self.groups.len() < stretch.blocks.len() {
             self.groups.resize_with(stretch.blocks.len(), || None);
         }

@@ -1,6 +1,6 @@
 //! What stands in front of a stretch's blocks: docs/take-format.md, "STRETCH".
 
-use super::{NUMBERS, ROWS_MAX, Sizes, Span};
+use super::{NUMBERS, RECORDED_MAX, ROWS_PASSED_MAX, Sizes, Span};
 use crate::{
     timeline::{Causes, Run, Timeline, TimelineEncoder, take_times},
     varint,
@@ -15,13 +15,6 @@ const HAS_TIMES: u8 = 1;
 const RUNS_LISTED: u8 = 2;
 const ROWS_LISTED: u8 = 4;
 const SHARED: u8 = 8;
-
-/// Most recorded rows of one stretch with a time line: ten times half a second at 10 kHz, a megabyte and
-/// a half in memory.
-const RECORDED_MAX: u64 = 1 << 16;
-
-/// Most rows of one run: days at 10 kHz.
-const RUN_ROWS_MAX: u64 = 1 << 32;
 
 /// Writes the fronts of a take's stretches, in order.
 #[derive(Debug)]
@@ -113,9 +106,11 @@ pub(crate) struct Front<'a> {
 }
 
 impl<'a> Front<'a> {
-    /// The front of `cursor`. An error says what is wrong.
+    /// The front of `cursor`: `stretch_rows` unless it lists others, at most `rows_max`. An error says what
+    /// is wrong.
     pub(crate) fn take(
         cursor: &mut varint::Cursor<'a>,
+        rows_max: u64,
         stretch_rows: u32,
     ) -> Result<Self, &'static str> {
         let short = "its front is cut short";
@@ -131,7 +126,7 @@ impl<'a> Front<'a> {
         let from_row = if key { Some(cursor.varint().ok_or(short)?) } else { None };
         let listed = shape & ROWS_LISTED != 0;
         let n_rows = if listed { cursor.varint().ok_or(short)? } else { stretch_rows.into() };
-        if n_rows > ROWS_MAX {
+        if n_rows > rows_max {
             return Err("it claims more rows than a stretch can hold");
         }
         let in_head = before - cursor.rest().len();
@@ -149,6 +144,9 @@ impl<'a> Front<'a> {
             runs.as_deref().map_or((n_rows, 0), |runs| (rows_of(runs, true), rows_of(runs, false)));
         if rows_passed < n_rows || n_recorded > RECORDED_MAX {
             return Err("its runs make no sense");
+        }
+        if rows_passed > ROWS_PASSED_MAX {
+            return Err("it claims more lost rows than can be between two stretches");
         }
         let times = if n_recorded > 0 { take_times(cursor, key).ok_or(short)? } else { &[] };
         let in_time_line = before - cursor.rest().len() - in_head;
@@ -184,9 +182,6 @@ fn take_runs(cursor: &mut varint::Cursor<'_>) -> Option<Vec<Run>> {
     for _ in 0..cursor.varint()? {
         let head = cursor.varint()?;
         let lost = if head & 1 == 1 { Some(Causes(cursor.byte()?)) } else { None };
-        if head >> 1 > RUN_ROWS_MAX {
-            return None;
-        }
         runs.push(Run { rows: head >> 1, lost });
     }
     Some(runs)

@@ -12,6 +12,8 @@ from .sync import Sync
 from .timeline import Times
 
 GROUP = 64
+ROWS_MAX = {True: 1 << 17, False: 1 << 22}  # by whether the resampler is a live one
+LIVE = {"dense", "fast", "lossless"}
 PAYLOADS = {"dense": Dense, "fast": Fast, "lossless": Lossless, "spline": Spline, "sync": Sync}
 
 
@@ -35,6 +37,7 @@ class Stretches:
         if kind not in PAYLOADS:
             raise Corrupt(f"no resampler is called {kind}")
         self.make = PAYLOADS[kind]
+        self.rows_max = ROWS_MAX[kind in LIVE]
         self.tolerance_mm = header.tolerance_mm
         self.stretch_rows = header.stretch_rows
         self.take = take
@@ -54,7 +57,11 @@ class Stretches:
         if shape > 15 or shape & 3 == 2:
             raise Corrupt("a stretch of an unknown shape")
         from_row = cursor.varint() if key else self.next_row
+        if from_row != self.next_row:
+            raise Corrupt(f"stretches before row {from_row} are missing")
         n_rows = cursor.varint() if shape & 4 else self.stretch_rows
+        if n_rows > self.rows_max:
+            raise Corrupt(f"a stretch of {n_rows} rows")
         end = from_row + n_rows
         if shape & 1:
             end = self.time_line(cursor, key, from_row, n_rows, shape & 2)

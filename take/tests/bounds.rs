@@ -1,0 +1,317 @@
+//! A few bytes whose checksums match may claim anything: what is beyond the bounds is damage, what is within
+//! them comes back.
+
+#![expect(clippy::unwrap_used, reason = "helpers of tests")]
+
+use std::io::Cursor;
+
+use mocapd_codec::{CodecError, Settings, Tolerance};
+use mocapd_take::{
+    TakeError, TakeEvent, TakeFrames, TakeWriter,
+    chunk::{self, types},
+    index::Footer,
+    motion::FrameSource,
+    reader::read_events,
+    record::{Channel, Device, Header, Ledger},
+    stretch::{LIVE_ROWS_MAX, ROWS_MAX, Sizes, Span, Stretch, StretchDecoder, rows_max},
+};
+
+const LIVE: [&str; 3] = ["dense", "fast", "lossless"];
+
+/// Most rows between two stretches, as docs/take-format.md has it.
+const ROWS_PASSED_MAX: u64 = 1 << 32;
+
+/// Shapes of a stretch: its number of rows is listed; it has a time line, its runs are listed, too.
+const ROWS_LISTED: u8 = 4;
+const RUNS_LISTED: u8 = 7;
+
+fn settings(kind: &str) -> Settings {
+    Settings { kind: kind.parse().unwrap(), tolerance: Tolerance::from_mm(0.5).unwrap() }
+}
+
+fn header(kind: &str) -> Header {
+    let mut header = Header {
+        software: "bounds".to_owned(),
+        take_id: [7; 16],
+        created_unix_ms: 0,
+        resampler: String::new(),
+        codec_version: 0,
+        tolerance_mm: 0.0,
+        rate_hz: 60.0,
+        up_axis: 0,
+        device: None,
+        source: None,
+        channels: vec![Channel { marker_id: 0, label: "m".to_owned(), labelled: true }],
+        stretch_rows: 600,
+        settings: Vec::new(),
+    };
+    header.set_codec(&settings(kind));
+    header
+}
+
+fn varint(mut value: u64) -> Vec<u8> {
+    let mut out = Vec::new();
+    while value >= 0x80 {
+        out.push(value as u8 | 0x80);
+        value >>= 7;
+    }
+    out.push(value as u8);
+    out
+}
+
+/// A stretch of a group alone: its first byte, shape and numbers, and a block.
+fn stretch(number: u8, key: bool, shape: u8, numbers: &[u64], block: &[u8]) -> Vec<u8> {
+    let mut payload = vec![u8::from(key) | 4 | number << 3, shape];
+    payload.extend(numbers.iter().flat_map(|&number| varint(number)));
+    payload.extend(block);
+    payload
+}
+
+/// `n_rows` rows of samples from a row on, without a time line.
+fn held(number: u8, first_row: u64, n_rows: u64, block: &[u8]) -> Vec<u8> {
+    stretch(number, true, ROWS_LISTED, &[first_row, n_rows], block)
+}
+
+/// So many lost rows and nothing else: after `from_row`, or after the stretch before.
+fn lost(number: u8, from_row: Option<u64>, runs: &[u64]) -> Vec<u8> {
+    let mut numbers: Vec<u64> = from_row.into_iter().chain([0, runs.len() as u64]).collect();
+    // Each with its cause, one byte: not received.
+    numbers.extend(runs.iter().flat_map(|rows| [rows << 1 | 1, 1]));
+    stretch(number, from_row.is_some(), RUNS_LISTED, &numbers, &[])
+}
+
+/// A take of these stretches, their checksums good. A footer only if it is given.
+fn take(kind: &str, payloads: &[Vec<u8>], footer: Option<u64>) -> Vec<u8> {
+    let mut take = Vec::new();
+    TakeWriter::new(&mut take, &header(kind)).unwrap();
+    for payload in payloads {
+        chunk::put(&mut take, types::STRETCH, payload).unwrap();
+    }
+    if let Some(n_rows) = footer {
+        let footer = Footer { index_offset: 0, ledger_offset: 0, n_rows };
+        chunk::put(&mut take, types::FOOTER, &footer.to_payload()).unwrap();
+    }
+    take
+}
+
+/// What was read: of every stretch its first row, and what was damaged.
+fn read(take: &[u8]) -> (Vec<u64>, Vec<String>) {
+    let (mut rows, mut damage) = (Vec::new(), Vec::new());
+    read_events(take, |event| {
+        match event {
+            TakeEvent::Stretch(stretch) => rows.push(stretch.span.first_row),
+            TakeEvent::Damaged { message, .. } => damage.push(message),
+            _ => {}
+        }
+        Ok(())
+    })
+    .unwrap();
+    (rows, damage)
+}
+
+fn frames(take: &[u8]) -> TakeFrames<Cursor<&[u8]>> {
+    TakeFrames::open(Cursor::new(take)).unwrap()
+}
+
+/// A block of eight channels at rest: two bytes for any number of rows.
+const AT_REST: [u8; 2] = [0x7f, 8];
+
+#[test]
+fn a_live_stretch_of_more_rows_than_anybody_writes_is_damage() {
+    for kind in LIVE {
+        for n_rows in [LIVE_ROWS_MAX + 1, ROWS_MAX] {
+            let take = take(kind, &[held(0, 0, n_rows, &AT_REST)], None);
+            let (rows, damage) = read(&take);
+            assert_eq!(rows, [0; 0], "{kind}");
+            assert!(damage[0].contains("more rows than a stretch can hold"), "{kind}: {damage:?}");
+            assert_eq!(frames(&take).info().n_frames, 0, "{kind}");
+        }
+        assert_eq!(read(&take(kind, &[held(0, 0, LIVE_ROWS_MAX, &AT_REST)], None)).0, [0]);
+    }
+    for kind in ["spline", "sync"] {
+        let n_rows = rows_max(settings(kind).kind);
+        assert_eq!(n_rows, ROWS_MAX);
+        assert_eq!(read(&take(kind, &[held(0, 0, n_rows, &AT_REST)], None)).0, [0], "{kind}");
+        let (rows, damage) = read(&take(kind, &[held(0, 0, n_rows + 1, &AT_REST)], None));
+        assert_eq!((rows.len(), damage.len()), (0, 1), "{kind}");
+    }
+}
+
+#[test]
+fn a_decoder_refuses_it_too() {
+    for kind in LIVE {
+        let mut decoder = StretchDecoder::new(settings(kind));
+        let mut decode = |n_rows: u64| {
+            let span = Span { first_row: 0, n_rows: n_rows as u32, key: true, number: 0 };
+            decoder.decode(&Stretch {
+                span,
+                missing_before: false,
+                timeline: None,
+                shared: &[],
+                blocks: vec![&AT_REST],
+                sizes: Sizes::default(),
+            })
+        };
+        let refused = decode(ROWS_MAX);
+        assert!(
+            matches!(refused, Err(TakeError::Codec(CodecError::Corrupt(m))) if m.contains("rows")),
+            "{kind}: {refused:?}"
+        );
+    }
+}
+
+/// What no count of blocks tells: how many channels they have.
+#[test]
+fn blocks_of_more_samples_than_a_stretch_holds_are_not_decoded() {
+    let span = Span { first_row: 0, n_rows: LIVE_ROWS_MAX as u32, key: true, number: 0 };
+    let full = [0x40, 64];
+    for kind in LIVE {
+        let refused = StretchDecoder::new(settings(kind)).decode(&Stretch {
+            span,
+            missing_before: false,
+            timeline: None,
+            shared: &[],
+            blocks: vec![&full; 5],
+            sizes: Sizes::default(),
+        });
+        assert!(refused.unwrap_err().to_string().contains("more samples"), "{kind}");
+    }
+}
+
+#[test]
+fn a_writer_refuses_what_no_reader_takes() {
+    let refused = |result: Result<(), TakeError>| match result {
+        Err(TakeError::InvalidArgument(message)) => message,
+        other => panic!("{other:?}"),
+    };
+    for kind in LIVE {
+        let mut writer = TakeWriter::new(Vec::new(), &header(kind)).unwrap();
+        let mut write = |first_row, n_rows: u64| {
+            let span = Span { first_row, n_rows: n_rows as u32, key: true, number: 0 };
+            writer.stretch(span, &held(0, first_row, n_rows, &[]))
+        };
+        write(0, LIVE_ROWS_MAX).unwrap();
+        assert!(refused(write(LIVE_ROWS_MAX, LIVE_ROWS_MAX + 1)).contains("131073 rows"));
+        assert!(refused(write(LIVE_ROWS_MAX + ROWS_PASSED_MAX, 1)).contains("since the last"));
+        write(LIVE_ROWS_MAX + ROWS_PASSED_MAX - 1, 1).unwrap();
+    }
+    // Said before anything is recorded: these rows would have more times than a time line has room for.
+    let device = Some(Device::default());
+    let new = |rows| {
+        let header = Header { device: device.clone(), stretch_rows: rows, ..header("dense") };
+        TakeWriter::new(Vec::new(), &header).map(drop)
+    };
+    new(1 << 16).unwrap();
+    assert!(refused(new((1 << 16) + 1)).contains("65537 rows"));
+}
+
+#[test]
+fn a_row_further_ahead_than_rows_can_be_lost_is_damage() {
+    let block = &AT_REST;
+    let sound = held(0, 0, 30, block);
+    // Before anything is known, and after something.
+    for (before, known) in [(None, 0), (Some(sound), 30)] {
+        let behind = held(2, known + 1_000, 3, block);
+        for (row, believed) in [
+            (known + ROWS_PASSED_MAX, true),
+            (known + ROWS_PASSED_MAX + 1, false),
+            (1 << 62, false),
+            (u64::MAX, false),
+        ] {
+            let payloads: Vec<_> =
+                before.clone().into_iter().chain([held(1, row, 3, block)]).collect();
+            let (rows, damage) = read(&take("dense", &payloads, None));
+            assert_eq!(rows.contains(&row), believed, "{row}");
+            assert_eq!(damage.is_empty(), believed, "{row}: {damage:?}");
+            // What is sound behind it comes back.
+            let payloads = [payloads, vec![behind.clone()]].concat();
+            let take = take("dense", &payloads, None);
+            assert!(read(&take).0.contains(&(known + 1_000)));
+            let end = if believed { row + 3 } else { known + 1_003 };
+            assert_eq!(frames(&take).info().n_frames, end, "{row}");
+        }
+    }
+}
+
+#[test]
+fn more_lost_rows_than_can_be_are_damage() {
+    let sound = held(0, 0, 30, &AT_REST);
+    let most = ROWS_PASSED_MAX;
+    for (runs, n_frames) in [
+        (vec![most], 30 + most),
+        (vec![most - 7, 7], 30 + most),
+        (vec![most + 1], 30),
+        (vec![most, 1], 30),
+    ] {
+        // Placed, as a key stretch, and without a place, after one that is missing.
+        for from_row in [Some(30), None] {
+            let number = if from_row.is_some() { 1 } else { 2 };
+            let take = take("dense", &[sound.clone(), lost(number, from_row, &runs)], None);
+            assert_eq!(frames(&take).info().n_frames, n_frames, "{runs:?} from {from_row:?}");
+            assert_eq!(read(&take).1.is_empty(), n_frames > 30);
+        }
+    }
+}
+
+#[test]
+fn a_footer_is_believed_as_far_as_rows_can_be_lost() {
+    let stretches = [held(0, 0, 30, &AT_REST), b"no stretch".to_vec()];
+    for (n_rows, believed) in [
+        (30, true),
+        (90, true),
+        (30 + ROWS_PASSED_MAX, true),
+        (31 + ROWS_PASSED_MAX, false),
+        (u64::MAX, false),
+    ] {
+        let take = take("dense", &stretches, Some(n_rows));
+        let frames = frames(&take);
+        assert_eq!(frames.info().n_frames, if believed { n_rows } else { 30 });
+        assert_eq!(frames.n_held(), 30);
+        assert_eq!(read(&take).1.len(), if believed { 1 } else { 2 });
+        let cut_off = frames.problems().iter().any(|problem| problem.contains("cut off"));
+        assert_eq!(cut_off, !believed, "{:?}", frames.problems());
+    }
+}
+
+#[test]
+fn a_footer_that_tells_of_more_frames_is_a_problem() {
+    let stretches = [held(0, 0, 30, &[0x7f, 1]), held(1, 30, 30, &[0x7f, 1])];
+    let whole = take("dense", &stretches, Some(60));
+    assert_eq!(frames(&whole).problems(), [""; 0]);
+    let cut = take("dense", &stretches[..1], Some(60));
+    assert_eq!(frames(&cut).problems(), ["the footer tells of 60 frames, 30 were found"]);
+}
+
+/// Their numbers fit, because there are as many as numbers.
+#[test]
+fn a_row_tells_of_missing_stretches_when_no_number_does() {
+    let mut missing = Vec::new();
+    let stretches = [held(0, 0, 30, &AT_REST), held(1, 33 * 30, 30, &AT_REST)];
+    read_events(&take("dense", &stretches, None)[..], |event| {
+        if let TakeEvent::Stretch(stretch) = event {
+            missing.push(stretch.missing_before);
+        }
+        Ok(())
+    })
+    .unwrap();
+    assert_eq!(missing, [false, true]);
+}
+
+#[test]
+fn a_take_of_what_is_allowed_is_read_back() {
+    let take = {
+        let mut writer = TakeWriter::new(Vec::new(), &header("dense")).unwrap();
+        let span = Span { first_row: 0, n_rows: LIVE_ROWS_MAX as u32, key: true, number: 0 };
+        writer.stretch(span, &held(0, 0, LIVE_ROWS_MAX, &[0x7f, 1])).unwrap();
+        writer.finish(&Ledger::default()).unwrap().0
+    };
+    let mut frames = frames(&take);
+    let mut row = [[f32::NAN; 3]];
+    let mut n_frames = 0;
+    while frames.next_frame(&mut row).unwrap() {
+        assert!(row[0].iter().all(|coordinate| coordinate.is_finite()));
+        n_frames += 1;
+    }
+    assert_eq!(n_frames, LIVE_ROWS_MAX);
+    assert_eq!(frames.problems(), [""; 0]);
+}
