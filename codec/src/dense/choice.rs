@@ -2,6 +2,7 @@
 
 use super::{
     lattice::{Grid, Lattice, Point},
+    layout::KINDS,
     walk::{Question, Side},
 };
 use crate::{BlockReport, GROUP_CHANNELS, Rows, bound, coding::range::RangeEncoder};
@@ -24,8 +25,10 @@ impl Encoding<'_, '_> {
     }
 }
 
-/// What a miss costs against the bits of the steps, where rows are predicted from the row, and where not.
-const MISS: [f64; 2] = [10.0, 0.1];
+/// What a miss costs against the bits of the steps, by kind of row: the more rows are predicted from it, the
+/// more; and where none is. Found by trying.
+const MISS: [f64; KINDS] = [20.0, 20.0, 20.0, 20.0, 0.1, 5.0, 10.0, 20.0, 20.0, 20.0];
+const LAST_MISS: f64 = 0.1;
 
 /// About the bits of a magnitude whose axis has lately been `activity` on average.
 fn bits(magnitude: i64, activity: f64, free: bool) -> f64 {
@@ -53,7 +56,7 @@ impl<'a> Side for Encoding<'a, '_> {
         let off: [f64; 3] =
             std::array::from_fn(|axis| (units[axis] - prediction[axis] as f64) / step);
         let activity = question.activity.map(|activity| f64::from(activity) / 256.0);
-        let miss = MISS[usize::from(question.last_level)];
+        let miss = if question.last_level { LAST_MISS } else { MISS[question.kind] };
         let limit = 256.0 / step * (256.0 / step) * 1.01;
         let mut best = (f64::INFINITY, [0; 3]);
         let odds = match question.lattice {

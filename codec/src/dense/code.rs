@@ -13,8 +13,9 @@ use super::{
 };
 use crate::{CodecError, coding::isa::Kernel};
 
-/// Kinds of rows whose pulls are worked out together: strides 1 and 2.
-const TOGETHER: std::ops::Range<usize> = 4..6;
+/// Rows of a level that are held against the partners together: what they teach holds for those after them.
+const TOGETHER: usize = 8;
+const _: () = assert!(TOGETHER.is_multiple_of(LANES));
 
 impl Group {
     /// The rows that are [`ahead`](Self::ahead), of which it is known where time alone puts them.
@@ -28,16 +29,13 @@ impl Group {
         let references = self.weave.references(class, channel);
         self.isa.run(Referring { ahead: &mut self.ahead, weave: &self.weave, references });
         self.expect_lengths(channel);
-        let (partners, n_partners) = self.lengths.partners(channel);
-        let partner = |slot: usize| (slot < n_partners).then(|| &self.tracks[partners[slot]]);
-        if TOGETHER.contains(&kind) {
-            self.isa.run(Pulling {
-                pulls: &mut self.pulls,
-                ahead: &self.ahead,
-                partners: std::array::from_fn(partner),
-            });
+        self.lengths.begin(channel, kind);
+        let n = self.ahead.sites.n;
+        for first in (0..n).step_by(TOGETHER) {
+            let rows = (first, n.min(first + TOGETHER));
+            self.pull(channel, kind, rows);
+            self.isa.run(Coding { group: self, side, channel, kind, class, rows })?;
         }
-        self.isa.run(Coding { group: self, side, channel, kind, class })?;
         // The last level is between no other rows.
         if kind > 4 {
             self.remember_lengths(channel);
@@ -45,7 +43,20 @@ impl Group {
         Ok(())
     }
 
-    /// One row: its partners, its residual.
+    /// Where the partners put some of the rows.
+    fn pull(&mut self, channel: usize, kind: usize, rows: (usize, usize)) {
+        let (partners, n_partners) = self.lengths.partners(channel);
+        let partner = |slot: usize| (slot < n_partners).then(|| &self.tracks[partners[slot]]);
+        self.isa.run(Pulling {
+            pulls: &mut self.pulls,
+            ahead: &self.ahead,
+            partners: std::array::from_fn(partner),
+            shares: self.lengths.shares(channel, kind),
+            rows,
+        });
+    }
+
+    /// One row: its residual.
     #[inline(always)]
     fn code<S: Side>(
         &mut self,
@@ -59,20 +70,7 @@ impl Group {
         let (left, right) = self.ahead.sites.neighbours(i);
         let around = self.around(channel, (kind, class), i);
         let expected: [f64; 3] = std::array::from_fn(|axis| self.ahead.expected[axis][i]);
-        let from: [f64; 3] = std::array::from_fn(|axis| self.ahead.prediction[axis][i]);
-        let pulled = if TOGETHER.contains(&kind) {
-            self.pulls.pull(i, from, self.lengths.shares(channel, kind))
-        } else {
-            let (partners, n) = self.lengths.partners(channel);
-            let (tracks, lengths) = (&self.tracks, &self.ahead.lengths);
-            let place = self.ahead.sites.slot + i;
-            self.pulls.pull_in_turn(i, from, self.lengths.shares(channel, kind), |slot| {
-                let other = (slot < n).then(|| &tracks[partners[slot]].span.0)?;
-                Some(([0, 1, 2].map(|axis: usize| other[axis][place]), lengths[slot][i]))
-            })
-        };
-        let prediction = pulled.point.map(|units| units as i64);
-
+        let prediction = self.pulls.point.each_ref().map(|axis| axis[i] as i64);
         let track = &self.tracks[channel];
         let centred = track.activity[kind] >= 256;
         let lattice = if centred { Lattice::Centred } else { Lattice::Cubic };
@@ -81,6 +79,7 @@ impl Group {
             channel,
             row: at - MEMORY,
             prediction,
+            kind,
             lattice,
             step,
             activity: track.axis_activity[kind],
@@ -94,7 +93,9 @@ impl Group {
         });
         self.settle(side, (channel, at, before), kind, (point, magnitudes), coded.is_some())?;
         let point = point.map(|units| units as f64);
-        self.pulls.score(i, &pulled, point, self.lengths.shares(channel, kind));
+        if coded.is_some() {
+            self.pulls.score(i, point, self.lengths.shares_mut(channel, kind));
+        }
         let residual = std::array::from_fn(|axis| point[axis] - expected[axis]);
         self.weave.learn(class, channel, at - before, residual);
         if !(4..7).contains(&kind) {
@@ -233,6 +234,8 @@ struct Coding<'a, S> {
     channel: usize,
     kind: usize,
     class: usize,
+    /// The first of them, and the one behind the last.
+    rows: (usize, usize),
 }
 
 impl<S: Side> Kernel for Coding<'_, S> {
@@ -240,9 +243,9 @@ impl<S: Side> Kernel for Coding<'_, S> {
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        let Self { group, side, channel, kind, class } = self;
+        let Self { group, side, channel, kind, class, rows } = self;
         // Not `try_for_each`: its body would be a function of its own.
-        for i in 0..group.ahead.sites.n {
+        for i in rows.0..rows.1 {
             group.code(side, channel, (kind, class), i)?;
         }
         Ok(())

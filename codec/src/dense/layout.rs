@@ -3,6 +3,8 @@
 /// Kinds of rows: first of a run, anchor of a long, a middling and a short span, and the strides.
 pub(super) const KINDS: usize = 4 + super::LEVELS;
 pub(super) const ORIGIN: usize = 0;
+/// The first kind that lies between decoded rows: stride 1.
+pub(super) const INTERPOLATED: usize = 4;
 
 /// Magnitudes up to this are unary, the rest Exp-Golomb.
 pub(super) const UNARY: usize = 4;

@@ -6,7 +6,11 @@
 
 use crate::GROUP_CHANNELS;
 
-use super::{SPAN, lattice::UNITS_PER_TOLERANCE, layout::KINDS};
+use super::{
+    SPAN,
+    lattice::UNITS_PER_TOLERANCE,
+    layout::{INTERPOLATED, KINDS},
+};
 
 /// Markers that a channel is held against, at most.
 pub(super) const PARTNERS: usize = 3;
@@ -19,7 +23,7 @@ const MEMORY_ROWS: f64 = 60.0;
 /// Differences count up to this, in tolerances.
 const MAX_DIFFERENCE: f64 = 50.0;
 /// What a row leaves of the sums of the share, and what keeps it small at first.
-const DECAY: f64 = 0.97;
+const DECAY: f64 = 0.98;
 const RIDGE: f64 = 1.0;
 /// Shares below this are not used.
 pub(super) const LEAST_SHARE: f64 = 0.05;
@@ -124,8 +128,25 @@ impl Lengths {
     }
 
     /// The shares of a channel's partners in one kind of row.
-    pub(super) fn shares(&mut self, j: usize, kind: usize) -> &mut [Share; PARTNERS] {
+    pub(super) fn shares(&self, j: usize, kind: usize) -> &[Share; PARTNERS] {
+        &self.shares[j][kind]
+    }
+
+    /// The same, to learn.
+    pub(super) fn shares_mut(&mut self, j: usize, kind: usize) -> &mut [Share; PARTNERS] {
         &mut self.shares[j][kind]
+    }
+
+    /// A level begins: a share that has learnt nothing yet is that of the level above.
+    pub(super) fn begin(&mut self, j: usize, kind: usize) {
+        if !(INTERPOLATED..KINDS - 1).contains(&kind) {
+            return;
+        }
+        for slot in 0..PARTNERS {
+            if self.shares[j][kind][slot].squares == 0.0 {
+                self.shares[j][kind][slot].share = self.shares[j][kind + 1][slot].share;
+            }
+        }
     }
 
     /// Learns how far a pair's distance was from where its neighbours in time put it.

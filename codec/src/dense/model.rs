@@ -105,6 +105,8 @@ impl Model {
         let sum = sum.fold(0, |sum, (&logit, weight)| sum + i64::from(logit) * i64::from(weight));
         let probability = self.logistic.probability(sum >> 16).clamp(24, 65512);
         let bit = coder.split((65536 - probability) as u32, bit);
+        #[cfg(feature = "training")]
+        self.tally.mixed(mixer, probability, bit);
         let error = (i32::from(bit) << 16) - probability;
         let rate = RATES[usize::from(weighing.seen).min(RATES.len() - 1)];
         for (weight, logit) in weighing.weights.iter_mut().zip(logits) {
@@ -123,6 +125,8 @@ impl Model {
     pub(super) fn single(&mut self, coder: &mut impl BinaryCoder, index: usize, bit: bool) -> bool {
         let probability = i32::from(self.contexts[index].probability).clamp(32, 65504);
         let bit = coder.split((65536 - probability) as u32, bit);
+        #[cfg(feature = "training")]
+        self.tally.single(index, probability, bit);
         self.learn(index, bit);
         bit
     }

@@ -14,11 +14,31 @@ pub struct Tally {
     pub contexts: Vec<[u64; 2]>,
     /// Per mixer: sums of its three weights (1 being 2^16), and their number.
     pub mixers: Vec<([i64; 3], u64)>,
+    /// Ideal code lengths in bits: per mixer, and per context of decisions that are not mixed.
+    pub mixed_bits: Vec<f64>,
+    /// See `mixed_bits`.
+    pub single_bits: Vec<f64>,
+    /// Payload bytes.
+    pub bytes: usize,
 }
 
 impl Tally {
     pub(super) fn new() -> Self {
-        Self { contexts: vec![[0; 2]; N_CONTEXTS], mixers: vec![([0; 3], 0); N_MIXERS] }
+        Self {
+            contexts: vec![[0; 2]; N_CONTEXTS],
+            mixers: vec![([0; 3], 0); N_MIXERS],
+            mixed_bits: vec![0.0; N_MIXERS],
+            single_bits: vec![0.0; N_CONTEXTS],
+            bytes: 0,
+        }
+    }
+
+    pub(super) fn mixed(&mut self, mixer: usize, probability: i32, bit: bool) {
+        self.mixed_bits[mixer] += cost(probability, bit);
+    }
+
+    pub(super) fn single(&mut self, context: usize, probability: i32, bit: bool) {
+        self.single_bits[context] += cost(probability, bit);
     }
 
     pub(super) fn context(&mut self, index: usize, bit: bool) {
@@ -34,6 +54,12 @@ impl Tally {
     }
 }
 
+/// The bits that a decision costs whose odds of being set are in 2^-16.
+fn cost(probability: i32, bit: bool) -> f64 {
+    let p = f64::from(if bit { probability } else { 65536 - probability });
+    16.0 - p.log2()
+}
+
 /// Codes a group's channels in key blocks of `stretch_rows` rows and gives what the contexts saw.
 ///
 /// # Errors
@@ -44,6 +70,7 @@ pub fn tally(
     stretch_rows: usize,
 ) -> Result<Tally, CodecError> {
     let mut encoder = DenseEncoder::new(tolerance);
+    let mut bytes = 0;
     let n_rows = channels.first().map_or(0, Rows::len);
     for first in (0..n_rows).step_by(stretch_rows.max(1)) {
         let last = (first + stretch_rows).min(n_rows);
@@ -55,7 +82,9 @@ pub fn tally(
         let rows = rows.collect::<Result<Vec<_>, _>>()?;
         let mut reports = vec![BlockReport::default(); rows.len()];
         encoder.reset();
-        encoder.encode(&rows, &[], &mut Vec::new(), &mut reports)?;
+        let mut out = Vec::new();
+        encoder.encode(&rows, &[], &mut out, &mut reports)?;
+        bytes += out.len();
     }
-    Ok(encoder.tally().clone())
+    Ok(Tally { bytes, ..encoder.tally().clone() })
 }

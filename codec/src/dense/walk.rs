@@ -26,6 +26,8 @@ pub(super) struct Question {
     /// Of the block.
     pub(super) row: usize,
     pub(super) prediction: Point,
+    /// Of the row.
+    pub(super) kind: usize,
     pub(super) lattice: Lattice,
     /// Units of a lattice step.
     pub(super) step: i64,
