@@ -2,8 +2,6 @@
 //!
 //! A probability has 16 bits, a logit ln(p / (1 - p)) is in 1/256.
 
-use std::sync::LazyLock;
-
 /// Logits are cut to plus and minus this.
 pub(super) const MAX_LOGIT: i32 = 2047;
 
@@ -20,49 +18,56 @@ const KNOTS: [i32; 129] = [
     65459, 65468, 65476, 65483, 65489, 65495, 65500, 65504, 65508, 65511, 65514,
 ];
 
+/// Odds of a mixed bit are not less than this, nor more than 2^16 less this.
+const LEAST: i32 = 24;
+
 /// The probability of a logit, linear between the knots.
-fn squashed(logit: i32) -> u16 {
+const fn squashed(logit: i32) -> i32 {
     let at = logit + 2048;
     let (knot, rest) = ((at >> 5) as usize, at & 31);
-    ((KNOTS[knot] * (32 - rest) + KNOTS[knot + 1] * rest + 16) >> 5) as u16
+    (KNOTS[knot] * (32 - rest) + KNOTS[knot + 1] * rest + 16) >> 5
 }
 
-/// Tables both ways.
-#[derive(Debug)]
-pub(super) struct Logistic {
-    probabilities: [u16; 2 * MAX_LOGIT as usize + 1],
-    logits: [i16; 4096],
-}
-
-static TABLES: LazyLock<Logistic> = LazyLock::new(|| {
-    let probabilities = std::array::from_fn(|i| squashed(i as i32 - MAX_LOGIT));
-    // The smallest logit whose probability is not below the middle of the interval.
+/// What is left of 2^16 by the probabilities of all logits.
+static UNSET: [u16; 2 * MAX_LOGIT as usize + 1] = {
+    let mut table = [0; 2 * MAX_LOGIT as usize + 1];
     let mut logit = -MAX_LOGIT;
-    let logits = std::array::from_fn(|i| {
-        while logit < MAX_LOGIT && i32::from(squashed(logit)) < i as i32 * 16 + 8 {
+    while logit <= MAX_LOGIT {
+        let unset = (1 << 16) - squashed(logit);
+        let least = if unset < LEAST { LEAST } else { unset };
+        let most = (1 << 16) - LEAST;
+        table[(logit + MAX_LOGIT) as usize] = if least > most { most } else { least } as u16;
+        logit += 1;
+    }
+    table
+};
+
+/// By interval of probabilities: the smallest logit whose probability is not below the middle of it.
+static LOGITS: [i16; 4096] = {
+    let mut table = [0; 4096];
+    let mut logit = -MAX_LOGIT;
+    let mut i = 0;
+    while i < table.len() {
+        while logit < MAX_LOGIT && squashed(logit) < i as i32 * 16 + 8 {
             logit += 1;
         }
-        logit as i16
-    });
-    Logistic { probabilities, logits }
-});
-
-impl Logistic {
-    /// The tables, built on first use.
-    pub(super) fn tables() -> &'static Self {
-        &TABLES
+        table[i] = logit as i16;
+        i += 1;
     }
+    table
+};
 
-    /// Of a logit in any range.
-    pub(super) fn probability(&self, logit: i64) -> i32 {
-        let logit = logit.clamp(-i64::from(MAX_LOGIT), i64::from(MAX_LOGIT)) as i32;
-        i32::from(self.probabilities[(logit + MAX_LOGIT) as usize])
-    }
+/// The probability of a bit not being set, of a logit in any range; never 0 or 2^16.
+#[inline(always)]
+pub(super) fn unset(logit: i64) -> u32 {
+    let logit = logit.clamp(-i64::from(MAX_LOGIT), i64::from(MAX_LOGIT));
+    u32::from(UNSET[(logit + i64::from(MAX_LOGIT)) as usize])
+}
 
-    /// Of a probability.
-    pub(super) fn logit(&self, probability: u16) -> i32 {
-        i32::from(self.logits[usize::from(probability >> 4)])
-    }
+/// The logit of a probability.
+#[inline(always)]
+pub(super) fn logit(probability: u16) -> i32 {
+    i32::from(LOGITS[usize::from(probability >> 4)])
 }
 
 #[cfg(test)]
@@ -71,16 +76,16 @@ mod tests {
 
     #[test]
     fn tables_agree_with_the_logistic_function() {
-        let tables = Logistic::tables();
+        let probability = |logit: i32| 65536 - unset(logit.into()) as i32;
         for logit in -MAX_LOGIT..=MAX_LOGIT {
             let truth = 65536.0 / (1.0 + (-f64::from(logit) / 256.0).exp());
-            assert!((f64::from(tables.probability(logit.into())) - truth).abs() < 20.0, "{logit}");
+            assert!((f64::from(probability(logit)) - truth).abs() < 20.0, "{logit}");
         }
         for p in (0..=u16::MAX).step_by(7) {
-            let back = tables.probability(tables.logit(p).into());
+            let back = probability(logit(p));
             // A logit step is up to 64 wide, a bucket of probabilities 16.
             assert!((back - i32::from(p)).abs() <= 80, "{p} {back}");
         }
-        assert!(tables.logits.is_sorted());
+        assert!(LOGITS.is_sorted());
     }
 }

@@ -7,23 +7,42 @@
 
 use super::{
     layout::{N_CONTEXTS, N_MIXERS},
-    logistic::Logistic,
+    logistic,
     prior,
 };
 use crate::coding::range::BinaryCoder;
 
-/// A probability of a bit being set, and how many bits it rests on.
+/// A probability of a bit being set in the upper 16 bits, and how many bits it rests on in the lower: one
+/// word, since it is read and written as one.
 #[derive(Debug, Clone, Copy)]
-struct Context {
-    probability: u16,
-    seen: u8,
+struct Context(u32);
+
+impl Context {
+    fn new(probability: u16, seen: u8) -> Self {
+        Self(u32::from(probability) << 16 | u32::from(seen))
+    }
+
+    #[inline(always)]
+    fn probability(self) -> u16 {
+        (self.0 >> 16) as u16
+    }
+
+    /// After one more bit.
+    #[inline(always)]
+    fn after(self, bit: bool) -> Self {
+        let (probability, seen) = (i64::from(self.0 >> 16), self.0 as usize % MOVES.len());
+        let target = i64::from(bit) * 65535;
+        let step = ((target - probability) * i64::from(MOVES[seen])) >> 16;
+        let next = seen as u32 + u32::from(seen < MOVES.len() - 1);
+        Self(((probability + step) as u32) << 16 | next)
+    }
 }
 
 /// Weights of up to three contexts, 1 being 2^16, and how many bits they rest on.
 #[derive(Debug, Clone, Copy)]
 struct Mixer {
     weights: [i32; 3],
-    seen: u16,
+    seen: u32,
 }
 
 /// A context moves by 1/(n + 1.6) of its error at its n-th bit, and by 2 % at least.
@@ -59,20 +78,17 @@ const _: () = assert!(RATES[63] == LAST_RATE);
 /// All contexts and mixers of a group.
 #[derive(Debug, Clone)]
 pub(super) struct Model {
-    contexts: Box<[Context]>,
-    mixers: Box<[Mixer]>,
-    logistic: &'static Logistic,
+    contexts: Box<[Context; N_CONTEXTS]>,
+    mixers: Box<[Mixer; N_MIXERS]>,
     #[cfg(feature = "training")]
     pub(super) tally: super::training::Tally,
 }
 
 impl Model {
     pub(super) fn new() -> Self {
-        let context = Context { probability: 0, seen: 0 };
         let mut model = Self {
-            contexts: vec![context; N_CONTEXTS].into_boxed_slice(),
-            mixers: vec![Mixer { weights: [0; 3], seen: 0 }; N_MIXERS].into_boxed_slice(),
-            logistic: Logistic::tables(),
+            contexts: Box::new([Context(0); N_CONTEXTS]),
+            mixers: Box::new([Mixer { weights: [0; 3], seen: 0 }; N_MIXERS]),
             #[cfg(feature = "training")]
             tally: super::training::Tally::new(),
         };
@@ -84,14 +100,15 @@ impl Model {
     pub(super) fn reset(&mut self) {
         for (index, context) in self.contexts.iter_mut().enumerate() {
             let (probability, seen) = prior::context(index);
-            *context = Context { probability, seen };
+            *context = Context::new(probability, seen);
         }
         for (index, mixer) in self.mixers.iter_mut().enumerate() {
             *mixer = Mixer { weights: prior::weights(index), seen: 0 };
         }
     }
 
-    /// A bit that several contexts expect together.
+    /// A bit that several contexts, all of them different, expect together.
+    #[inline(never)]
     pub(super) fn mixed<const N: usize>(
         &mut self,
         coder: &mut impl BinaryCoder,
@@ -99,22 +116,39 @@ impl Model {
         mixer: usize,
         bit: bool,
     ) -> bool {
-        let logits = contexts.map(|i| self.logistic.logit(self.contexts[i].probability));
+        self.mixed_here(coder, contexts, mixer, bit)
+    }
+
+    /// As [`mixed`](Self::mixed), for the one place that most bits come from.
+    #[inline(always)]
+    pub(super) fn mixed_here<const N: usize>(
+        &mut self,
+        coder: &mut impl BinaryCoder,
+        contexts: [usize; N],
+        mixer: usize,
+        bit: bool,
+    ) -> bool {
+        let seen = contexts.map(|index| self.contexts[index]);
+        let logits = seen.map(|context| logistic::logit(context.probability()));
         let weighing = &mut self.mixers[mixer];
-        let sum = logits.iter().zip(weighing.weights);
-        let sum = sum.fold(0, |sum, (&logit, weight)| sum + i64::from(logit) * i64::from(weight));
-        let probability = self.logistic.probability(sum >> 16).clamp(24, 65512);
-        let bit = coder.split((65536 - probability) as u32, bit);
-        #[cfg(feature = "training")]
-        self.tally.mixed(mixer, probability, bit);
-        let error = (i32::from(bit) << 16) - probability;
-        let rate = RATES[usize::from(weighing.seen).min(RATES.len() - 1)];
-        for (weight, logit) in weighing.weights.iter_mut().zip(logits) {
-            *weight += ((((error * logit) >> 8) * rate) + (1 << 15)) >> 16;
+        let mut sum = 0;
+        for (&logit, weight) in logits.iter().zip(weighing.weights) {
+            sum += i64::from(logit) * i64::from(weight);
         }
-        weighing.seen = (weighing.seen + 1).min(1 << 10);
-        for index in contexts {
-            self.learn(index, bit);
+        let unset = logistic::unset(sum >> 16);
+        let bit = coder.split(unset, bit);
+        #[cfg(feature = "training")]
+        self.tally.mixed(mixer, 65536 - unset as i32, bit);
+        let error = unset as i32 - (i32::from(!bit) << 16);
+        let age = weighing.seen as usize % RATES.len();
+        for (weight, logit) in weighing.weights.iter_mut().zip(logits) {
+            *weight += ((((error * logit) >> 8) * RATES[age]) + (1 << 15)) >> 16;
+        }
+        weighing.seen = age as u32 + u32::from(age < RATES.len() - 1);
+        for (index, context) in contexts.into_iter().zip(seen) {
+            self.contexts[index] = context.after(bit);
+            #[cfg(feature = "training")]
+            self.tally.context(index, bit);
         }
         #[cfg(feature = "training")]
         self.tally.mixer(mixer, self.mixers[mixer].weights);
@@ -123,24 +157,15 @@ impl Model {
 
     /// A bit of one context.
     pub(super) fn single(&mut self, coder: &mut impl BinaryCoder, index: usize, bit: bool) -> bool {
-        let probability = i32::from(self.contexts[index].probability).clamp(32, 65504);
-        let bit = coder.split((65536 - probability) as u32, bit);
-        #[cfg(feature = "training")]
-        self.tally.single(index, probability, bit);
-        self.learn(index, bit);
-        bit
-    }
-
-    #[inline(always)]
-    fn learn(&mut self, index: usize, bit: bool) {
         let context = &mut self.contexts[index];
-        let target = i32::from(bit) * 65535;
-        let error = target - i32::from(context.probability);
-        let step =
-            (i64::from(error) * i64::from(MOVES[usize::from(context.seen) % MOVES.len()])) >> 16;
-        context.probability = (i32::from(context.probability) + step as i32) as u16;
-        context.seen = (context.seen + 1).min(63);
+        let probability = u32::from(context.probability()).clamp(32, 65504);
+        let bit = coder.split(65536 - probability, bit);
+        *context = context.after(bit);
         #[cfg(feature = "training")]
-        self.tally.context(index, bit);
+        {
+            self.tally.single(index, probability as i32, bit);
+            self.tally.context(index, bit);
+        }
+        bit
     }
 }

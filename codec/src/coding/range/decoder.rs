@@ -33,6 +33,15 @@ impl<'a> RangeDecoder<'a> {
         self.code = self.code << 8 | u32::from(byte);
     }
 
+    /// After every eighth bit's worth of decisions, about.
+    #[cold]
+    fn refill(&mut self) {
+        while self.range < TOP {
+            self.range <<= 8;
+            self.shift();
+        }
+    }
+
     /// All bytes must have been needed.
     ///
     /// # Errors
@@ -46,18 +55,15 @@ impl<'a> RangeDecoder<'a> {
 }
 
 impl BinaryCoder for RangeDecoder<'_> {
+    #[inline(always)]
     fn split(&mut self, probability: u32, _bit: bool) -> bool {
         let bound = split_range(self.range, probability);
         let bit = self.code >= bound;
-        if bit {
-            self.code -= bound;
-            self.range -= bound;
-        } else {
-            self.range = bound;
-        }
-        while self.range < TOP {
-            self.range <<= 8;
-            self.shift();
+        // Without a branch: the bit is what nobody knows.
+        self.code -= if bit { bound } else { 0 };
+        self.range = if bit { self.range - bound } else { bound };
+        if self.range < TOP {
+            self.refill();
         }
         bit
     }

@@ -49,6 +49,15 @@ impl<'a> RangeEncoder<'a> {
         self.low = (self.low & 0x00ff_ffff) << 8;
     }
 
+    /// After every eighth bit's worth of decisions, about.
+    #[cold]
+    fn refill(&mut self) {
+        while self.range < TOP {
+            self.range <<= 8;
+            self.shift_low();
+        }
+    }
+
     /// Writes what is held; gives `false` when the limit was passed, and then the bytes are of no use.
     #[must_use]
     pub fn finish(mut self) -> bool {
@@ -71,17 +80,13 @@ impl<'a> RangeEncoder<'a> {
 }
 
 impl BinaryCoder for RangeEncoder<'_> {
+    #[inline(always)]
     fn split(&mut self, probability: u32, bit: bool) -> bool {
         let bound = split_range(self.range, probability);
-        if bit {
-            self.low += u64::from(bound);
-            self.range -= bound;
-        } else {
-            self.range = bound;
-        }
-        while self.range < TOP {
-            self.range <<= 8;
-            self.shift_low();
+        self.low += u64::from(if bit { bound } else { 0 });
+        self.range = if bit { self.range - bound } else { bound };
+        if self.range < TOP {
+            self.refill();
         }
         bit
     }
