@@ -7,8 +7,8 @@ use super::{
     lattice::{self, Lattice, Point},
     lengths::distance,
     pulls::Pulling,
-    row::{self, Surroundings},
-    track::{MEMORY, magnitudes, slot},
+    row::{self, Near},
+    track::{MEMORY, Steps, slot},
     walk::{Group, Question, Side},
 };
 use crate::{CodecError, coding::isa::Kernel};
@@ -68,13 +68,12 @@ impl Group {
         let Sites { before, .. } = self.ahead.sites;
         let at = self.ahead.sites.at(i);
         let (left, right) = self.ahead.sites.neighbours(i);
-        let around = self.around(channel, (kind, class), i);
+        let near = self.around(channel, (kind, class), i);
         let expected: [f64; 3] = std::array::from_fn(|axis| self.ahead.expected[axis][i]);
         let prediction = self.pulls.point.each_ref().map(|axis| axis[i] as i64);
-        let track = &self.tracks[channel];
-        let centred = track.activity[kind] >= 256;
-        let lattice = if centred { Lattice::Centred } else { Lattice::Cubic };
-        let step = track.fineness.step(lattice);
+        let lattice = if near.activity[3] >= 256 { Lattice::Centred } else { Lattice::Cubic };
+        let step = self.tracks[channel].fineness.step(lattice);
+        let [x, y, z, _] = near.activity;
         let steps = side.choose(Question {
             channel,
             row: at - MEMORY,
@@ -82,18 +81,23 @@ impl Group {
             kind,
             lattice,
             step,
-            activity: track.axis_activity[kind],
+            activity: [x, y, z],
             last_level: kind == 4 || (kind < 4 && at == left + 1),
         });
-        let coder = side.coder();
-        let coded = row::residual(coder, &mut self.model, track, &around, lattice, steps)?;
-        let (steps, magnitudes) = coded.unwrap_or_default();
-        let point: Point = std::array::from_fn(|axis| {
-            prediction[axis].wrapping_add(steps[axis].wrapping_mul(step))
-        });
-        self.settle(side, (channel, at, before), kind, (point, magnitudes), coded.is_some())?;
-        let point = point.map(|units| units as f64);
-        if coded.is_some() {
+        let hints = &self.ahead.hints[i];
+        let (coder, moved) = (side.coder(), steps != [0; 3]);
+        let (mut point, mut magnitudes) = (prediction, None);
+        if row::moving(coder, &mut self.model, &near, hints.bend, moved) {
+            let around = (&near, hints);
+            let coded = row::residual(coder, &mut self.model, around, lattice, steps)?;
+            let moved = |axis: usize| coded.0[axis].wrapping_mul(step);
+            point = std::array::from_fn(|axis| prediction[axis].wrapping_add(moved(axis)));
+            magnitudes = Some(coded.1);
+        }
+        let place = (at, self.ahead.sites.slot + i);
+        let kept = magnitudes.is_some();
+        let point = self.settle_at(side, channel, place, kind, (point, magnitudes))?;
+        if kept {
             self.pulls.score(i, point, self.lengths.shares_mut(channel, kind));
         }
         let residual = std::array::from_fn(|axis| point[axis] - expected[axis]);
@@ -113,32 +117,30 @@ impl Group {
 
     /// What the neighbours and references of a row did.
     #[inline(always)]
-    fn around(&self, channel: usize, (kind, class): (usize, usize), i: usize) -> Surroundings {
+    fn around(&self, channel: usize, (kind, class): (usize, usize), i: usize) -> Near {
         let Sites { stride, start, slot, .. } = self.ahead.sites;
         let at = self.ahead.sites.at(i);
         let (left, right) = self.ahead.sites.neighbours(i);
-        let hints = &self.ahead.hints[i];
-        let references = self.weave.references(class, channel);
-        let mut marks = 0;
-        for &k in &references.channels[..references.n] {
-            marks += self.tracks[k].marks.0[slot + i];
+        let found = self.weave.references(class, channel);
+        let mut references = 0;
+        for &k in &found.channels[..found.n] {
+            references += self.tracks[k].marks.0[slot + i];
         }
-        if references.n == 0 && channel > 0 {
-            marks = 2 * self.tracks[channel - 1].marks.0[slot + i];
+        if found.n == 0 && channel > 0 {
+            references = 2 * self.tracks[channel - 1].marks.0[slot + i];
         }
         let track = &self.tracks[channel];
-        let earlier = |rows: usize| track.steps_from(start, at.checked_sub(rows));
+        let earlier = |back: usize| track.steps_from(start, at, back);
         let levels = stride > 0;
-        Surroundings {
+        let only = |steps: Steps| if levels { steps } else { Steps::default() };
+        Near {
             kind,
-            bend: usize::from(hints.bend),
-            side: hints.side.map(usize::from),
-            references: magnitudes(marks),
-            references_side: hints.references_side.map(usize::from),
-            left: track.steps[left].map(i32::from),
-            right: if levels { track.steps[right].map(i32::from) } else { [0; 3] },
-            before: if levels { earlier(2 * stride) } else { [0; 3] },
-            before_that: if levels { earlier(4 * stride) } else { [0; 3] },
+            left: track.steps[left],
+            right: only(track.steps[right]),
+            before: only(earlier(2 * stride)),
+            before_that: only(earlier(4 * stride)),
+            references,
+            activity: track.activity[kind],
         }
     }
 
@@ -209,20 +211,36 @@ impl Group {
         }
     }
 
+    /// Stores a row that was moved, wherever it is in the span.
     pub(super) fn settle<S: Side>(
         &mut self,
         side: &mut S,
         (channel, at, before): (usize, usize, usize),
         kind: usize,
         (point, magnitudes): (Point, Point),
-        kept: bool,
     ) -> Result<(), CodecError> {
+        let place = (at, slot(at - before));
+        self.settle_at(side, channel, place, kind, (point, Some(magnitudes)))?;
+        Ok(())
+    }
+
+    /// Stores a row, with its magnitudes where it was moved. Gives the point.
+    #[inline(always)]
+    fn settle_at<S: Side>(
+        &mut self,
+        side: &mut S,
+        channel: usize,
+        (at, slot): (usize, usize),
+        kind: usize,
+        (point, magnitudes): (Point, Option<Point>),
+    ) -> Result<[f64; 3], CodecError> {
         if !lattice::in_range(point) {
             return Err(CodecError::Corrupt("a position beyond every coordinate"));
         }
-        self.tracks[channel].settle((at, slot(at - before)), kind, point, magnitudes);
-        side.settle(channel, at - MEMORY, point, kept);
-        Ok(())
+        let units = point.map(|units| units as f64);
+        self.tracks[channel].settle((at, slot), kind, units, magnitudes);
+        side.settle(channel, at - MEMORY, point, magnitudes.is_some());
+        Ok(units)
     }
 }
 

@@ -6,6 +6,7 @@
 mod ahead;
 mod anchor;
 mod choice;
+mod classes;
 mod code;
 mod covary;
 mod decoder;

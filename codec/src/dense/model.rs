@@ -7,8 +7,7 @@
 
 use super::{
     layout::{N_CONTEXTS, N_MIXERS},
-    logistic,
-    prior,
+    logistic, prior,
 };
 use crate::coding::range::BinaryCoder;
 

@@ -1,100 +1,76 @@
 //! The syntax of one row: what it is expected by, and the bits of its residual.
 
 use super::{
+    ahead::Hints,
+    classes::{eight, sign, six, thirty_two},
     lattice::{Lattice, Point},
     layout as is,
     layout::{EXPONENTS, KINDS, MAX_EXPONENT, UNARY},
     model::Model,
-    track::{Track, magnitude, weight},
+    track::{Steps, magnitude, marked, marked_weight},
 };
 use crate::{CodecError, coding::range::BinaryCoder};
 
-/// What a row's neighbours in time and its references say of its residual.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Surroundings {
+/// What is around a row, as far as it says whether the row is moved.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Near {
     pub(super) kind: usize,
     /// Coded magnitudes: nearest rows before and after of coarser levels, the row of the same level
     /// before, and the one before that.
-    pub(super) left: [i32; 3],
-    pub(super) right: [i32; 3],
-    pub(super) before: [i32; 3],
-    pub(super) before_that: [i32; 3],
-    pub(super) bend: usize,
-    pub(super) side: [usize; 3],
-    /// Sums of the references' magnitudes, by axis, and the sides that their residuals are on.
-    pub(super) references: [i32; 3],
-    pub(super) references_side: [usize; 3],
+    pub(super) left: Steps,
+    pub(super) right: Steps,
+    pub(super) before: Steps,
+    pub(super) before_that: Steps,
+    /// The sum of the references' marks.
+    pub(super) references: u64,
+    /// Of the kind, as [`Track::activity`](super::track::Track::activity).
+    pub(super) activity: [i32; 4],
 }
 
 /// 0, 1, 2 or more.
-fn three(value: i32) -> usize {
-    value.min(2) as usize
+#[inline(always)]
+fn three(weight: u16) -> usize {
+    usize::from(weight.min(2))
 }
 
-/// 0, 1, 2, 3 or 4, 5 to 9, more.
-fn six(value: i32) -> usize {
-    match value {
-        0..=2 => value as usize,
-        3..=4 => 3,
-        5..=9 => 4,
-        _ => 5,
-    }
+/// Codes whether a row is moved: whether its residual is not zero on all axes.
+#[inline(always)]
+pub(super) fn moving(
+    coder: &mut impl BinaryCoder,
+    model: &mut Model,
+    near: &Near,
+    bend: u8,
+    moved: bool,
+) -> bool {
+    let Near { kind, left, right, before, before_that, .. } = *near;
+    let activity = near.activity[3];
+    let references = marked_weight(near.references);
+    let expectation = ((activity * 115) >> 8)
+        + i32::from(before.weight) * 51
+        + i32::from(before_that.weight) * 26
+        + (i32::from(left.weight) + i32::from(right.weight)) * 20
+        + references * 26;
+    let weights = (three(left.weight) * 3 + three(right.weight)) * 3 + three(before.weight);
+    let weights = weights * 2 + usize::from(before_that.weight > 0);
+    let contexts = [
+        is::MOVING_NEAR.at(kind * 54 + weights),
+        is::MOVING_REFERENCES.at((kind * 6 + six(references)) * 8 + eight(activity)),
+        is::MOVING_EXPECTED.at((kind * 32 + thirty_two(expectation)) * 3 + usize::from(bend)),
+    ];
+    model.mixed_here(coder, contexts, is::MIX_MOVING + kind, moved)
 }
 
-/// Of an activity in 1/256.
-fn eight(activity: i32) -> usize {
-    const LIMITS: [i32; 7] = [5, 20, 51, 102, 205, 410, 1024];
-    LIMITS.iter().take_while(|&&limit| activity >= limit).count()
-}
-
-/// Half octaves of an expectation in 1/256.
-fn thirty_two(expectation: i32) -> usize {
-    if expectation < 4 {
-        return 0;
-    }
-    let octave = expectation.ilog2() as usize;
-    (1 + 2 * (octave - 2) + (expectation >> (octave - 1) & 1) as usize).min(31)
-}
-
-/// 0 zero, 1 positive, 2 negative.
-fn sign(value: i32) -> usize {
-    match value.signum() {
-        0 => 0,
-        1 => 1,
-        _ => 2,
-    }
-}
-
-/// Codes one residual, in lattice steps, or none: the row stays where it is expected. Gives the steps, and
-/// the magnitudes as they were coded. A residual that is there is never zero on all axes.
+/// Codes the residual of a row that is moved, in lattice steps. Gives the steps, and the magnitudes as they
+/// were coded. They are not zero on all axes.
+#[inline(never)]
 pub(super) fn residual(
     coder: &mut impl BinaryCoder,
     model: &mut Model,
-    track: &Track,
-    around: &Surroundings,
+    (near, hints): (&Near, &Hints),
     lattice: Lattice,
     steps: Point,
-) -> Result<Option<(Point, Point)>, CodecError> {
-    let kind = around.kind;
-    let activity = track.activity[kind];
-    let (before, before_that) = (weight(around.before), weight(around.before_that));
-    let (left, right) = (weight(around.left), weight(around.right));
-    let references = around.references.iter().sum::<i32>();
-    let expectation = ((activity * 115) >> 8)
-        + before * 51
-        + before_that * 26
-        + (left + right) * 20
-        + references * 26;
-    let near = ((three(left) * 3 + three(right)) * 3 + three(before)) * 2;
-    let contexts = [
-        is::MOVING_NEAR.at(kind * 54 + near + usize::from(before_that > 0)),
-        is::MOVING_REFERENCES.at((kind * 6 + six(references)) * 8 + eight(activity)),
-        is::MOVING_EXPECTED.at((kind * 32 + thirty_two(expectation)) * 3 + around.bend),
-    ];
-    let moving = model.mixed(coder, contexts, is::MIX_MOVING + kind, steps != [0; 3]);
-    if !moving {
-        return Ok(None);
-    }
+) -> Result<(Point, Point), CodecError> {
+    let kind = near.kind;
     let odd =
         lattice == Lattice::Centred && model.single(coder, is::ODD.at(kind), steps[0] & 1 != 0);
     let form = match (lattice, odd) {
@@ -106,10 +82,10 @@ pub(super) fn residual(
     let mut some = false;
     for (axis, steps) in coded.iter_mut().enumerate() {
         let certain = odd || axis == 2 && !some;
-        axis_steps(coder, model, track, around, (form, axis, some, certain), steps)?;
+        axis_steps(coder, model, (near, hints), (form, axis, some, certain), steps)?;
         some |= *steps != 0;
     }
-    Ok(Some((form.steps(coded), coded)))
+    Ok((form.steps(coded), coded))
 }
 
 /// How the steps of a residual are turned into magnitudes.
@@ -141,16 +117,16 @@ impl Form {
 fn axis_steps(
     coder: &mut impl BinaryCoder,
     model: &mut Model,
-    track: &Track,
-    around: &Surroundings,
+    (near, hints): (&Near, &Hints),
     (form, axis, some, certain): (Form, usize, bool, bool),
     steps: &mut i64,
 ) -> Result<(), CodecError> {
-    let kind = around.kind;
-    let activity = track.axis_activity[kind][axis];
-    let before = magnitude(around.before[axis]);
-    let (left, right) = (magnitude(around.left[axis]), magnitude(around.right[axis]));
-    let references = around.references[axis];
+    let kind = near.kind;
+    let activity = near.activity[axis];
+    let [left, right, before] = [near.left, near.right, near.before].map(|row| row.axes[axis]);
+    let signs = [left, right, before].map(sign);
+    let [left, right, before] = [left, right, before].map(|step| magnitude(step.into()));
+    let references = marked(near.references, axis);
     let expectation = ((activity * 115) >> 8) + before * 51 + (left + right) * 20 + references * 26;
     let (expected, active) = (thirty_two(expectation), eight(activity));
     let referred = six(references);
@@ -166,11 +142,12 @@ fn axis_steps(
             return Ok(());
         }
     }
-    let last = sign(around.before[axis]);
+    let [left_sign, right_sign, last] = signs;
+    let referred_side = usize::from(hints.references_side[axis]);
     let contexts = [
-        is::SIGN_PARENTS.at(kind * 9 + sign(around.left[axis]) * 3 + sign(around.right[axis])),
-        is::SIGN_REFERENCES.at(kind * 9 + around.references_side[axis] * 3 + last),
-        is::SIGN_SIDE.at(kind * 9 + around.side[axis] * 3 + last),
+        is::SIGN_PARENTS.at(kind * 9 + left_sign * 3 + right_sign),
+        is::SIGN_REFERENCES.at(kind * 9 + referred_side * 3 + last),
+        is::SIGN_SIDE.at(kind * 9 + usize::from(hints.side[axis]) * 3 + last),
     ];
     let negative = model.mixed(coder, contexts, is::MIX_SIGN + kind, *steps < 0);
     let near = six(before.max(left).max(right));

@@ -46,15 +46,39 @@ impl Default for SpanPoints {
     }
 }
 
-/// The magnitudes of a row, 16 bits each: they can be added, three rows at least.
-fn marks(steps: [i16; 3]) -> u64 {
-    let [x, y, z] = steps.map(|step| magnitude(i32::from(step)) as u64);
-    x | y << 16 | z << 32
+/// The coded magnitudes of a row with their signs, and the sum of them as neighbours count them.
+#[derive(Debug, Clone, Copy, Default)]
+#[repr(align(8))]
+pub(super) struct Steps {
+    pub(super) axes: [i16; 3],
+    pub(super) weight: u16,
 }
 
-/// Each of them.
-pub(super) fn magnitudes(marks: u64) -> [i32; 3] {
-    [0, 16, 32].map(|shift| i32::from((marks >> shift) as u16))
+impl Steps {
+    #[inline(always)]
+    fn new(axes: [i16; 3]) -> Self {
+        let weight = axes.map(|step| magnitude(i32::from(step)) as u16).iter().sum();
+        Self { axes, weight }
+    }
+
+    /// The magnitudes and their sum, 16 bits each: they can be added, three rows at least.
+    #[inline(always)]
+    fn marks(self) -> u64 {
+        let [x, y, z] = self.axes.map(|step| magnitude(i32::from(step)) as u64);
+        x | y << 16 | z << 32 | u64::from(self.weight) << 48
+    }
+}
+
+/// The magnitude of an axis in a row's marks or a sum of them.
+#[inline(always)]
+pub(super) fn marked(marks: u64, axis: usize) -> i32 {
+    i32::from((marks >> (16 * axis)) as u16)
+}
+
+/// The sum of the three.
+#[inline(always)]
+pub(super) fn marked_weight(marks: u64) -> i32 {
+    (marks >> 48) as i32
 }
 
 /// The place of a row (1 to 64 of a span) where the rows of a level lie side by side: the end of a whole
@@ -71,16 +95,15 @@ pub(super) struct Track {
     pub(super) points: Vec<[f64; 3]>,
     /// The points of the current span by axis and [`slot`]: the rows of a level side by side. NaN as above.
     pub(super) span: SpanPoints,
-    /// The magnitudes of the rows of the current span by [`slot`], as [`magnitudes`] takes them.
+    /// The magnitudes of the rows of the current span by [`slot`], as [`marked`] takes them.
     pub(super) marks: SpanMarks,
-    /// Coded magnitudes with their signs; zero where nothing is known.
-    pub(super) steps: Vec<[i16; 3]>,
+    /// Zero where nothing is known.
+    pub(super) steps: Vec<Steps>,
     pub(super) known: Vec<bool>,
     /// First row of the run that the row before the current span belongs to.
     pub(super) run_start: usize,
-    /// Averages of the magnitudes, in 1/256: of the sums by kind, and by kind and axis.
-    pub(super) activity: [i32; KINDS],
-    pub(super) axis_activity: [[i32; 3]; KINDS],
+    /// Averages of the magnitudes, in 1/256, by kind: by axis, and of the sums.
+    pub(super) activity: [[i32; 4]; KINDS],
     pub(super) anchor: Anchor,
     pub(super) end: Option<End>,
     pub(super) fineness: Fineness,
@@ -101,7 +124,6 @@ impl Track {
     pub(super) fn reset(&mut self) {
         self.forget();
         self.activity = Default::default();
-        self.axis_activity = Default::default();
         self.anchor = Anchor::default();
         self.end = None;
         (self.was_raw, self.was_fine) = (0, 0);
@@ -110,7 +132,7 @@ impl Track {
     /// The rows so far are not known.
     pub(super) fn forget(&mut self) {
         self.known.fill(false);
-        self.steps.fill([0; 3]);
+        self.steps.fill(Steps::default());
         self.points.fill([f64::NAN; 3]);
     }
 
@@ -118,8 +140,8 @@ impl Track {
     pub(super) fn begin(&mut self, n_rows: usize) {
         self.points.resize(MEMORY, [f64::NAN; 3]);
         self.points.resize(MEMORY + n_rows, [f64::NAN; 3]);
-        self.steps.resize(MEMORY, [0; 3]);
-        self.steps.resize(MEMORY + n_rows, [0; 3]);
+        self.steps.resize(MEMORY, Steps::default());
+        self.steps.resize(MEMORY + n_rows, Steps::default());
         self.known.resize(MEMORY, false);
         self.known.resize(MEMORY + n_rows, false);
     }
@@ -135,12 +157,10 @@ impl Track {
         self.run_start = self.run_start.saturating_sub(n_rows);
     }
 
-    /// Coded magnitudes of a row; zero before `start`.
-    pub(super) fn steps_from(&self, start: usize, row: Option<usize>) -> [i32; 3] {
-        match row {
-            Some(row) if row >= start => self.steps[row].map(i32::from),
-            _ => [0; 3],
-        }
+    /// Coded magnitudes of the row so many rows before; zero before `start`.
+    #[inline(always)]
+    pub(super) fn steps_from(&self, start: usize, row: usize, back: usize) -> Steps {
+        if row >= start + back { self.steps[row - back] } else { Steps::default() }
     }
 
     /// A known row.
@@ -153,52 +173,43 @@ impl Track {
         self.points[row]
     }
 
-    /// Stores a coded row, which has a place in the span.
+    /// Stores a coded row, which has a place in the span, and its magnitudes where it was moved.
+    #[inline(always)]
     pub(super) fn settle(
         &mut self,
         (row, slot): (usize, usize),
         kind: usize,
-        point: Point,
-        steps: [i64; 3],
+        point: [f64; 3],
+        steps: Option<Point>,
     ) {
-        let point = point.map(|units| units as f64);
         self.points[row] = point;
         for (span, units) in self.span.0.iter_mut().zip(point) {
             span[slot] = units;
         }
         self.known[row] = true;
-        let followed = &mut self.axis_activity[kind];
-        if steps == [0; 3] {
-            // As below: nothing is known of the row so far, and that is what zeros say.
-            self.activity[kind] += (-self.activity[kind] * 51) >> 8;
-            for activity in followed {
-                *activity += (-*activity * 51) >> 8;
-            }
+        // Nothing is known of a row so far, and that is what zeros say.
+        let Some(steps) = steps else {
+            follow(&mut self.activity[kind], [0; 4]);
             return;
-        }
-        let short = steps.map(|step| step.clamp(-1000, 1000) as i16);
+        };
+        let short = Steps::new(steps.map(|step| step.clamp(-1000, 1000) as i16));
         self.steps[row] = short;
-        self.marks.0[slot] = marks(short);
-        let magnitudes = steps.map(|step| step.unsigned_abs().min(MAX_ACTIVITY as u64) as i32);
-        let sum = magnitudes.iter().sum::<i32>();
-        follow(&mut self.activity[kind], sum);
-        for (activity, magnitude) in followed.iter_mut().zip(magnitudes) {
-            follow(activity, magnitude);
-        }
+        self.marks.0[slot] = short.marks();
+        let [x, y, z] = steps.map(|step| step.unsigned_abs().min(MAX_ACTIVITY as u64) as i32);
+        follow(&mut self.activity[kind], [x, y, z, x + y + z]);
     }
 }
 
 /// A fifth of the way.
-fn follow(average: &mut i32, magnitude: i32) {
-    *average += ((magnitude * 256 - *average) * 51) >> 8;
+#[inline(always)]
+fn follow(averages: &mut [i32; 4], magnitudes: [i32; 4]) {
+    for (average, magnitude) in averages.iter_mut().zip(magnitudes) {
+        *average += ((magnitude * 256 - *average) * 51) >> 8;
+    }
 }
 
 /// A magnitude as neighbours count it.
+#[inline(always)]
 pub(super) fn magnitude(step: i32) -> i32 {
     step.unsigned_abs().min(MAX_MAGNITUDE) as i32
-}
-
-/// The sum of the three.
-pub(super) fn weight(steps: [i32; 3]) -> i32 {
-    steps.map(magnitude).iter().sum()
 }

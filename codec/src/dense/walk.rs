@@ -273,7 +273,7 @@ impl Group {
         let from = found.points()[choice];
         let point =
             std::array::from_fn(|axis| from[axis].wrapping_add(steps[axis].wrapping_mul(step)));
-        self.settle(side, (channel, at, before), ORIGIN, (point, steps), true)
+        self.settle(side, (channel, at, before), ORIGIN, (point, steps))
     }
 
     /// The last row of a run within the span.
