@@ -5,7 +5,7 @@ use super::{
     layout::KINDS,
     walk::{Question, Side},
 };
-use crate::{BlockReport, GROUP_CHANNELS, Rows, bound, coding::range::RangeEncoder};
+use crate::{BlockReport, GROUP_CHANNELS, Position, Rows, bound, coding::range::RangeEncoder};
 
 /// An encoder at work on one block.
 pub(super) struct Encoding<'a, 'r> {
@@ -20,8 +20,78 @@ pub(super) struct Encoding<'a, 'r> {
 
 impl Encoding<'_, '_> {
     /// As [`bound::distance_mm`], without its root: that keeps the order.
-    fn squares(&self, channel: usize, row: usize, point: Point) -> f64 {
-        bound::squares(self.grid.position(point), self.channels[channel].positions()[row])
+    #[inline(always)]
+    fn squares(&self, sample: Position, units: [f64; 3]) -> f64 {
+        bound::squares(self.grid.position(units), sample)
+    }
+
+    /// Of the lattice points around the sample that are inside the ball, the one with the fewest bits, and
+    /// the nearer one the more is predicted from it.
+    #[inline(never)]
+    fn search(&self, question: &Question, sample: Position) -> Point {
+        let Question { prediction, lattice, .. } = *question;
+        let units = self.grid.units(sample);
+        let step = question.step as f64;
+        let off: [f64; 3] = std::array::from_fn(|axis| (units[axis] - prediction[axis]) / step);
+        let activity = question.activity.map(|activity| f64::from(activity) / 256.0);
+        let first = activity.map(|activity| 0.6 / (activity + 0.3));
+        let miss = if question.last_level { LAST_MISS } else { MISS[question.kind] };
+        let limit = 256.0 / step * (256.0 / step) * 1.01;
+        let mut best = (f64::INFINITY, [0; 3]);
+        let odds = match lattice {
+            Lattice::Cubic => 0..1,
+            Lattice::Centred => 0..2,
+        };
+        for odd in odds {
+            let choices: [[Choice; 2]; 3] = std::array::from_fn(|axis| {
+                let first = if odd == 1 { 0.0 } else { first[axis] };
+                around(lattice, odd, off[axis])
+                    .map(|steps| Choice::new(lattice, steps, off[axis], activity[axis], first))
+            });
+            for corner in 0..8 {
+                let [x, y, z]: [&Choice; 3] =
+                    std::array::from_fn(|axis| &choices[axis][corner >> axis & 1]);
+                let squares = x.squares + y.squares + z.squares;
+                if squares > limit {
+                    continue;
+                }
+                let cost = miss * squares / limit + x.bits + y.bits + z.bits;
+                let steps = [x.steps, y.steps, z.steps];
+                if cost >= best.0 || steps == [0; 3] {
+                    continue;
+                }
+                let point: [f64; 3] = std::array::from_fn(|axis| {
+                    (prediction[axis] as i64 + steps[axis] * question.step) as f64
+                });
+                if self.squares(sample, point) <= self.allowed {
+                    best = (cost, steps);
+                }
+            }
+        }
+        best.1
+    }
+}
+
+/// What one axis of a lattice point says.
+#[derive(Debug, Clone, Copy)]
+struct Choice {
+    steps: i64,
+    /// The square of its distance from the sample, in steps.
+    squares: f64,
+    bits: f64,
+}
+
+impl Choice {
+    /// `activity` is what the magnitudes have lately been on average, `first` what the first step costs.
+    #[inline(always)]
+    fn new(lattice: Lattice, steps: i64, off: f64, activity: f64, first: f64) -> Self {
+        let miss = steps as f64 - off;
+        let magnitude = match lattice {
+            Lattice::Cubic => steps.abs(),
+            Lattice::Centred => (steps.abs() + 1) / 2,
+        };
+        let bits = magnitude as f64 * 1.44 / (activity + 0.35) + first;
+        Self { steps, squares: miss * miss, bits: if magnitude == 0 { 0.0 } else { bits } }
     }
 }
 
@@ -30,12 +100,6 @@ impl Encoding<'_, '_> {
 const MISS: [f64; KINDS] = [20.0, 20.0, 20.0, 20.0, 0.1, 5.0, 10.0, 20.0, 20.0, 20.0];
 const LAST_MISS: f64 = 0.1;
 
-/// About the bits of a magnitude whose axis has lately been `activity` on average.
-fn bits(magnitude: i64, activity: f64, free: bool) -> f64 {
-    let first = if free { 0.0 } else { 0.6 / (activity + 0.3) };
-    if magnitude == 0 { 0.0 } else { magnitude as f64 * 1.44 / (activity + 0.35) + first }
-}
-
 impl<'a> Side for Encoding<'a, '_> {
     type Coder = RangeEncoder<'a>;
 
@@ -43,52 +107,14 @@ impl<'a> Side for Encoding<'a, '_> {
         &mut self.coder
     }
 
-    /// Stays where it can. Else, of the lattice points around the sample that are inside the ball, the
-    /// one with the fewest bits, and the nearer one the more is predicted from it.
+    /// Stays where it can.
+    #[inline(always)]
     fn choose(&mut self, question: Question) -> Point {
-        let Question { channel, row, prediction, .. } = question;
-        let sample = self.channels[channel].positions()[row];
-        if self.squares(channel, row, prediction) <= self.allowed {
+        let sample = self.channels[question.channel].positions()[question.row];
+        if self.squares(sample, question.prediction) <= self.allowed {
             return [0; 3];
         }
-        let units = self.grid.units(sample);
-        let step = question.step as f64;
-        let off: [f64; 3] =
-            std::array::from_fn(|axis| (units[axis] - prediction[axis] as f64) / step);
-        let activity = question.activity.map(|activity| f64::from(activity) / 256.0);
-        let miss = if question.last_level { LAST_MISS } else { MISS[question.kind] };
-        let limit = 256.0 / step * (256.0 / step) * 1.01;
-        let mut best = (f64::INFINITY, [0; 3]);
-        let odds = match question.lattice {
-            Lattice::Cubic => 0..1,
-            Lattice::Centred => 0..2,
-        };
-        for odd in odds {
-            for corner in 0..8 {
-                let steps = corner_of(question.lattice, odd, off, corner);
-                let squares = (0..3).fold(0.0, |sum, axis| {
-                    let miss = steps[axis] as f64 - off[axis];
-                    sum + miss * miss
-                });
-                if squares > limit || steps == [0; 3] {
-                    continue;
-                }
-                let mut cost = miss * squares / limit;
-                for axis in 0..3 {
-                    let magnitude = match question.lattice {
-                        Lattice::Cubic => steps[axis].abs(),
-                        Lattice::Centred => (steps[axis].abs() + 1) / 2,
-                    };
-                    cost += bits(magnitude, activity[axis], odd == 1);
-                }
-                let point =
-                    std::array::from_fn(|axis| prediction[axis] + steps[axis] * question.step);
-                if cost < best.0 && self.squares(channel, row, point) <= self.allowed {
-                    best = (cost, steps);
-                }
-            }
-        }
-        best.1
+        self.search(&question, sample)
     }
 
     fn start(&mut self, channel: usize, row: usize, step: i64, ways: &[Point]) -> (usize, Point) {
@@ -116,26 +142,32 @@ impl<'a> Side for Encoding<'a, '_> {
             .map_or_else(Default::default, |found| (found.1, found.2))
     }
 
-    fn settle(&mut self, channel: usize, row: usize, point: Point, kept: bool) {
-        let squares = self.squares(channel, row, point);
+    #[inline(always)]
+    fn settle(&mut self, channel: usize, row: usize, units: [f64; 3], kept: bool) {
+        let squares = self.squares(self.channels[channel].positions()[row], units);
         self.squares[channel] = self.squares[channel].max(squares);
         self.reports[channel].kept += u32::from(kept);
     }
 }
 
 /// Without a call where the processor has no rounding instruction.
+#[inline(always)]
 fn floor(value: f64) -> i64 {
     let cut = value as i64;
     cut - i64::from(cut as f64 > value)
 }
 
-/// One of the eight lattice points around a place.
-fn corner_of(lattice: Lattice, odd: i64, off: [f64; 3], corner: usize) -> Point {
-    std::array::from_fn(|axis| {
-        let up = (corner >> axis & 1) as i64;
-        match lattice {
-            Lattice::Cubic => floor(off[axis]) + up,
-            Lattice::Centred => 2 * (floor((off[axis] - odd as f64) / 2.0) + up) + odd,
+/// The steps of an axis on both sides of a place.
+#[inline(always)]
+fn around(lattice: Lattice, odd: i64, off: f64) -> [i64; 2] {
+    match lattice {
+        Lattice::Cubic => {
+            let below = floor(off);
+            [below, below + 1]
         }
-    })
+        Lattice::Centred => {
+            let below = 2 * floor((off - odd as f64) / 2.0) + odd;
+            [below, below + 2]
+        }
+    }
 }

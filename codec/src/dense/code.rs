@@ -70,7 +70,7 @@ impl Group {
         let (left, right) = self.ahead.sites.neighbours(i);
         let near = self.around(channel, (kind, class), i);
         let expected: [f64; 3] = std::array::from_fn(|axis| self.ahead.expected[axis][i]);
-        let prediction = self.pulls.point.each_ref().map(|axis| axis[i] as i64);
+        let prediction = self.pulls.point.each_ref().map(|axis| axis[i]);
         let lattice = if near.activity[3] >= 256 { Lattice::Centred } else { Lattice::Cubic };
         let step = self.tracks[channel].fineness.step(lattice);
         let [x, y, z, _] = near.activity;
@@ -90,13 +90,15 @@ impl Group {
         if row::moving(coder, &mut self.model, &near, hints.bend, moved) {
             let around = (&near, hints);
             let coded = row::residual(coder, &mut self.model, around, lattice, steps)?;
-            let moved = |axis: usize| coded.0[axis].wrapping_mul(step);
-            point = std::array::from_fn(|axis| prediction[axis].wrapping_add(moved(axis)));
+            point = std::array::from_fn(|axis| {
+                let moved = coded.0[axis].wrapping_mul(step);
+                (point[axis] as i64).wrapping_add(moved) as f64
+            });
             magnitudes = Some(coded.1);
         }
         let place = (at, self.ahead.sites.slot + i);
         let kept = magnitudes.is_some();
-        let point = self.settle_at(side, channel, place, kind, (point, magnitudes))?;
+        self.settle_at(side, channel, place, kind, (point, magnitudes))?;
         if kept {
             self.pulls.score(i, point, self.lengths.shares_mut(channel, kind));
         }
@@ -217,14 +219,13 @@ impl Group {
         side: &mut S,
         (channel, at, before): (usize, usize, usize),
         kind: usize,
-        (point, magnitudes): (Point, Point),
+        (point, magnitudes): ([f64; 3], Point),
     ) -> Result<(), CodecError> {
         let place = (at, slot(at - before));
-        self.settle_at(side, channel, place, kind, (point, Some(magnitudes)))?;
-        Ok(())
+        self.settle_at(side, channel, place, kind, (point, Some(magnitudes)))
     }
 
-    /// Stores a row, with its magnitudes where it was moved. Gives the point.
+    /// Stores a row, with its magnitudes where it was moved.
     #[inline(always)]
     fn settle_at<S: Side>(
         &mut self,
@@ -232,15 +233,14 @@ impl Group {
         channel: usize,
         (at, slot): (usize, usize),
         kind: usize,
-        (point, magnitudes): (Point, Option<Point>),
-    ) -> Result<[f64; 3], CodecError> {
+        (point, magnitudes): ([f64; 3], Option<Point>),
+    ) -> Result<(), CodecError> {
         if !lattice::in_range(point) {
             return Err(CodecError::Corrupt("a position beyond every coordinate"));
         }
-        let units = point.map(|units| units as f64);
-        self.tracks[channel].settle((at, slot), kind, units, magnitudes);
+        self.tracks[channel].settle((at, slot), kind, point, magnitudes);
         side.settle(channel, at - MEMORY, point, magnitudes.is_some());
-        Ok(units)
+        Ok(())
     }
 }
 

@@ -109,6 +109,7 @@ impl<'a> Side for Decoding<'a> {
         &mut self.coder
     }
 
+    #[inline(always)]
     fn choose(&mut self, _question: Question) -> Point {
         [0; 3]
     }
@@ -123,9 +124,10 @@ impl<'a> Side for Decoding<'a> {
         (0, [0; 3])
     }
 
-    fn settle(&mut self, channel: usize, row: usize, point: Point, kept: bool) {
+    #[inline(always)]
+    fn settle(&mut self, channel: usize, row: usize, units: [f64; 3], kept: bool) {
         let rows = &mut self.channels[channel];
-        rows.positions[row] = self.grid.position(point);
+        rows.positions[row] = self.grid.position(units);
         rows.kept[row] = kept;
     }
 }

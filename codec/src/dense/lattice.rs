@@ -15,7 +15,7 @@ pub(super) const UNITS_PER_TOLERANCE: i64 = 256;
 pub(super) const MAX_SAMPLE: f64 = (1_i64 << 40) as f64;
 
 /// Coordinates that a decoder takes: the largest sample and a step of slack, and then some.
-pub(super) const MAX_DECODED: u64 = 1 << 41;
+pub(super) const MAX_DECODED: f64 = (1_i64 << 41) as f64;
 
 /// A point on the grid, in units.
 pub(super) type Point = [i64; 3];
@@ -33,8 +33,9 @@ impl Grid {
     }
 
     /// What the decoder gives for a point.
-    pub(super) fn position(&self, point: Point) -> Position {
-        point.map(|units| (units as f64 * self.unit_mm) as f32)
+    #[inline(always)]
+    pub(super) fn position(&self, units: [f64; 3]) -> Position {
+        units.map(|units| (units * self.unit_mm) as f32)
     }
 
     /// A sample in units, not rounded.
@@ -60,8 +61,9 @@ impl Grid {
 }
 
 /// Whether a decoded point can have come from an encoder.
-pub(super) fn in_range(point: Point) -> bool {
-    point.iter().all(|units| units.unsigned_abs() <= MAX_DECODED)
+#[inline(always)]
+pub(super) fn in_range(units: [f64; 3]) -> bool {
+    units.iter().all(|units| units.abs() <= MAX_DECODED)
 }
 
 /// How much of the tolerance is left for the rounding to float32.

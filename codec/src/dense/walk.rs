@@ -25,7 +25,8 @@ pub(super) struct Question {
     pub(super) channel: usize,
     /// Of the block.
     pub(super) row: usize,
-    pub(super) prediction: Point,
+    /// In units, whole.
+    pub(super) prediction: [f64; 3],
     /// Of the row.
     pub(super) kind: usize,
     pub(super) lattice: Lattice,
@@ -45,8 +46,8 @@ pub(super) trait Side {
     fn choose(&mut self, question: Question) -> Point;
     /// Which of the candidates a first row is coded from, and the steps from there. Ignored, too.
     fn start(&mut self, channel: usize, row: usize, step: i64, ways: &[Point]) -> (usize, Point);
-    /// A row's point is known.
-    fn settle(&mut self, channel: usize, row: usize, point: Point, kept: bool);
+    /// A row's point is known, in units.
+    fn settle(&mut self, channel: usize, row: usize, units: [f64; 3], kept: bool);
 }
 
 /// A run of present rows within a span, as rows of a track.
@@ -271,8 +272,9 @@ impl Group {
         }
         let steps = row::origin(side.coder(), &mut self.model, found.class(choice), steps)?;
         let from = found.points()[choice];
-        let point =
+        let point: Point =
             std::array::from_fn(|axis| from[axis].wrapping_add(steps[axis].wrapping_mul(step)));
+        let point = point.map(|units| units as f64);
         self.settle(side, (channel, at, before), ORIGIN, (point, steps))
     }
 
