@@ -27,7 +27,7 @@ impl Encoding<'_, '_> {
 
     /// Of the lattice points around the sample that are inside the ball, the one with the fewest bits, and
     /// the nearer one the more is predicted from it.
-    #[inline(never)]
+    #[inline(always)]
     fn search(&self, question: &Question, sample: Position) -> Point {
         let Question { prediction, lattice, .. } = *question;
         let units = self.grid.units(sample);
@@ -37,61 +37,79 @@ impl Encoding<'_, '_> {
         let first = activity.map(|activity| 0.6 / (activity + 0.3));
         let miss = if question.last_level { LAST_MISS } else { MISS[question.kind] };
         let limit = 256.0 / step * (256.0 / step) * 1.01;
-        let mut best = (f64::INFINITY, [0; 3]);
-        let odds = match lattice {
-            Lattice::Cubic => 0..1,
-            Lattice::Centred => 0..2,
-        };
-        for odd in odds {
-            let choices: [[Choice; 2]; 3] = std::array::from_fn(|axis| {
+        let centred = lattice == Lattice::Centred;
+        let mut axes = [[Around::default(); 3]; 2];
+        let mut costs = [[f64::INFINITY; 8]; 2];
+        for odd in 0..=usize::from(centred) {
+            for axis in 0..3 {
                 let first = if odd == 1 { 0.0 } else { first[axis] };
-                around(lattice, odd, off[axis])
-                    .map(|steps| Choice::new(lattice, steps, off[axis], activity[axis], first))
-            });
-            for corner in 0..8 {
-                let [x, y, z]: [&Choice; 3] =
-                    std::array::from_fn(|axis| &choices[axis][corner >> axis & 1]);
-                let squares = x.squares + y.squares + z.squares;
-                if squares > limit {
-                    continue;
-                }
-                let cost = miss * squares / limit + x.bits + y.bits + z.bits;
-                let steps = [x.steps, y.steps, z.steps];
-                if cost >= best.0 || steps == [0; 3] {
-                    continue;
-                }
-                let point: [f64; 3] = std::array::from_fn(|axis| {
-                    (prediction[axis] as i64 + steps[axis] * question.step) as f64
-                });
-                if self.squares(sample, point) <= self.allowed {
-                    best = (cost, steps);
-                }
+                axes[odd][axis] = Around::new((lattice, odd), off[axis], activity[axis], first);
+            }
+            let [x, y, z] = &axes[odd];
+            for (corner, cost) in costs[odd].iter_mut().enumerate() {
+                let [i, j, k] = [0, 1, 2].map(|axis| corner >> axis & 1);
+                let squares = x.squares[i] + y.squares[j] + z.squares[k];
+                let bits = miss * squares / limit + x.bits[i] + y.bits[j] + z.bits[k];
+                *cost = if squares <= limit { bits } else { f64::INFINITY };
             }
         }
-        best.1
+        // The cheapest that is truly inside, the first of equals.
+        let costs = costs.as_flattened_mut();
+        let n = if centred { 16 } else { 8 };
+        loop {
+            let mut best = (f64::INFINITY, 0);
+            for (corner, &cost) in costs[..n].iter().enumerate() {
+                best = if cost < best.0 { (cost, corner) } else { best };
+            }
+            let (cost, corner) = best;
+            if cost == f64::INFINITY {
+                return [0; 3];
+            }
+            let around = &axes[corner >> 3];
+            let steps: Point = [0, 1, 2].map(|axis| around[axis].steps[corner >> axis & 1]);
+            let point: [f64; 3] = std::array::from_fn(|axis| {
+                (prediction[axis] as i64 + steps[axis] * question.step) as f64
+            });
+            if self.squares(sample, point) <= self.allowed {
+                return steps;
+            }
+            costs[corner] = f64::INFINITY;
+        }
     }
 }
 
-/// What one axis of a lattice point says.
-#[derive(Debug, Clone, Copy)]
-struct Choice {
-    steps: i64,
-    /// The square of its distance from the sample, in steps.
-    squares: f64,
-    bits: f64,
+/// What one axis of the lattice points on both sides of the sample says.
+#[derive(Debug, Clone, Copy, Default)]
+struct Around {
+    steps: [i64; 2],
+    /// The squares of their distances from the sample, in steps.
+    squares: [f64; 2],
+    bits: [f64; 2],
 }
 
-impl Choice {
+impl Around {
     /// `activity` is what the magnitudes have lately been on average, `first` what the first step costs.
     #[inline(always)]
-    fn new(lattice: Lattice, steps: i64, off: f64, activity: f64, first: f64) -> Self {
-        let miss = steps as f64 - off;
-        let magnitude = match lattice {
-            Lattice::Cubic => steps.abs(),
-            Lattice::Centred => (steps.abs() + 1) / 2,
+    fn new((lattice, odd): (Lattice, usize), off: f64, activity: f64, first: f64) -> Self {
+        let (steps, magnitudes) = match lattice {
+            Lattice::Cubic => {
+                let below = floor(off);
+                let steps = [below, below + 1];
+                (steps, steps.map(i64::abs))
+            }
+            Lattice::Centred => {
+                let odd = odd as i64;
+                let below = 2 * floor((off - odd as f64) / 2.0) + odd;
+                let steps = [below, below + 2];
+                (steps, steps.map(|steps| (steps.abs() + 1) / 2))
+            }
         };
-        let bits = magnitude as f64 * 1.44 / (activity + 0.35) + first;
-        Self { steps, squares: miss * miss, bits: if magnitude == 0 { 0.0 } else { bits } }
+        let misses = steps.map(|steps| steps as f64 - off);
+        let bits = magnitudes.map(|magnitude| {
+            let bits = magnitude as f64 * 1.44 / (activity + 0.35) + first;
+            if magnitude == 0 { 0.0 } else { bits }
+        });
+        Self { steps, squares: misses.map(|miss| miss * miss), bits }
     }
 }
 
@@ -155,19 +173,4 @@ impl<'a> Side for Encoding<'a, '_> {
 fn floor(value: f64) -> i64 {
     let cut = value as i64;
     cut - i64::from(cut as f64 > value)
-}
-
-/// The steps of an axis on both sides of a place.
-#[inline(always)]
-fn around(lattice: Lattice, odd: i64, off: f64) -> [i64; 2] {
-    match lattice {
-        Lattice::Cubic => {
-            let below = floor(off);
-            [below, below + 1]
-        }
-        Lattice::Centred => {
-            let below = 2 * floor((off - odd as f64) / 2.0) + odd;
-            [below, below + 2]
-        }
-    }
 }

@@ -107,20 +107,8 @@ impl Model {
     }
 
     /// A bit that several contexts, all of them different, expect together.
-    #[inline(never)]
-    pub(super) fn mixed<const N: usize>(
-        &mut self,
-        coder: &mut impl BinaryCoder,
-        contexts: [usize; N],
-        mixer: usize,
-        bit: bool,
-    ) -> bool {
-        self.mixed_here(coder, contexts, mixer, bit)
-    }
-
-    /// As [`mixed`](Self::mixed), for the one place that most bits come from.
     #[inline(always)]
-    pub(super) fn mixed_here<const N: usize>(
+    pub(super) fn mixed<const N: usize>(
         &mut self,
         coder: &mut impl BinaryCoder,
         contexts: [usize; N],

@@ -57,7 +57,7 @@ pub(super) fn moving(
         is::MOVING_REFERENCES.at((kind * 6 + six(references)) * 8 + eight(activity)),
         is::MOVING_EXPECTED.at((kind * 32 + thirty_two(expectation)) * 3 + usize::from(bend)),
     ];
-    model.mixed_here(coder, contexts, is::MIX_MOVING + kind, moved)
+    model.mixed(coder, contexts, is::MIX_MOVING + kind, moved)
 }
 
 /// Codes the residual of a row that is moved, in lattice steps. Gives the steps, and the magnitudes as they
