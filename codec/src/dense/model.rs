@@ -29,11 +29,11 @@ impl Context {
     /// After one more bit.
     #[inline(always)]
     fn after(self, bit: bool) -> Self {
-        let (probability, seen) = (i64::from(self.0 >> 16), self.0 as usize % MOVES.len());
-        let target = i64::from(bit) * 65535;
-        let step = ((target - probability) * i64::from(MOVES[seen])) >> 16;
-        let next = seen as u32 + u32::from(seen < MOVES.len() - 1);
-        Self(((probability + step) as u32) << 16 | next)
+        let (probability, seen) = (self.0 >> 16, self.0 as usize % MOVES.len());
+        let target = if bit { 65535_u32 } else { 0 };
+        // Below nothing, too, the upper half of the product is the step, rounded down; the sum is in range.
+        let step = target.wrapping_sub(probability).wrapping_mul(MOVES[seen]) & !0xffff;
+        Self(self.0.wrapping_add(step) + u32::from(seen < MOVES.len() - 1))
     }
 }
 
@@ -45,11 +45,11 @@ struct Mixer {
 }
 
 /// A context moves by 1/(n + 1.6) of its error at its n-th bit, and by 2 % at least.
-const MOVES: [i32; 64] = {
+const MOVES: [u32; 64] = {
     let mut moves = [0; 64];
     let mut n = 0;
     while n < 64 {
-        let share = 65536 * 5 / (5 * n as i32 + 8);
+        let share = 65536 * 5 / (5 * n as u32 + 8);
         moves[n] = if share < 1311 { 1311 } else { share };
         n += 1;
     }

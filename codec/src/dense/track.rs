@@ -14,7 +14,9 @@ pub(super) const MEMORY: usize = 64;
 /// Magnitudes count up to this.
 const MAX_MAGNITUDE: u32 = 900;
 /// In activities up to this.
-const MAX_ACTIVITY: i32 = 2000;
+const MAX_ACTIVITY: i64 = 2000;
+/// And are remembered with their signs up to this.
+const MAX_STEP: i32 = 1000;
 
 /// The last sample of a run.
 #[derive(Debug, Clone, Copy)]
@@ -192,10 +194,11 @@ impl Track {
             follow(&mut self.activity[kind], [0; 4]);
             return;
         };
-        let short = Steps::new(steps.map(|step| step.clamp(-1000, 1000) as i16));
+        let steps = steps.map(|step| step.clamp(-MAX_ACTIVITY, MAX_ACTIVITY) as i32);
+        let short = Steps::new(steps.map(|step| step.clamp(-MAX_STEP, MAX_STEP) as i16));
         self.steps[row] = short;
         self.marks.0[slot] = short.marks();
-        let [x, y, z] = steps.map(|step| step.unsigned_abs().min(MAX_ACTIVITY as u64) as i32);
+        let [x, y, z] = steps.map(i32::abs);
         follow(&mut self.activity[kind], [x, y, z, x + y + z]);
     }
 }
