@@ -45,10 +45,17 @@ fn largest_square(grid: Grid) -> f64 {
     squares
 }
 
-/// The largest coordinate of a channel; none when it has no samples.
+/// The largest coordinate of a channel, which are finite; none when it has no samples.
 fn largest(rows: Rows<'_>) -> Option<f32> {
-    let samples = (0..rows.len()).filter_map(|row| rows.get(row));
-    samples.map(|[x, y, z]| x.abs().max(y.abs()).max(z.abs())).reduce(f32::max)
+    // Without their signs, their bits are in the order of the numbers.
+    let (mut some, mut bits) = (false, 0);
+    for (position, &present) in rows.positions().iter().zip(rows.present()) {
+        let counted = if present { !(1 << 31) } else { 0 };
+        let most = position.map(|coordinate| coordinate.to_bits() & counted);
+        bits = most.into_iter().fold(bits, u32::max);
+        some |= present;
+    }
+    some.then(|| f32::from_bits(bits))
 }
 
 impl PayloadEncoder for DenseEncoder {

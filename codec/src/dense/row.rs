@@ -123,9 +123,8 @@ fn axis_steps(
 ) -> Result<(), CodecError> {
     let kind = near.kind;
     let activity = near.activity[axis];
-    let [left, right, before] = [near.left, near.right, near.before].map(|row| row.axes[axis]);
-    let signs = [left, right, before].map(sign);
-    let [left, right, before] = [left, right, before].map(|step| magnitude(step.into()));
+    let steps_around = [near.left, near.right, near.before].map(|row| row.axes[axis]);
+    let [left, right, before] = steps_around.map(|step| magnitude(step.into()));
     let references = marked(near.references, axis);
     let expectation = ((activity * 115) >> 8) + before * 51 + (left + right) * 20 + references * 26;
     let (expected, active) = (thirty_two(expectation), eight(activity));
@@ -142,7 +141,7 @@ fn axis_steps(
             return Ok(());
         }
     }
-    let [left_sign, right_sign, last] = signs;
+    let [left_sign, right_sign, last] = steps_around.map(sign);
     let referred_side = usize::from(hints.references_side[axis]);
     let contexts = [
         is::SIGN_PARENTS.at(kind * 9 + left_sign * 3 + right_sign),
