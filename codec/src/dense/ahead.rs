@@ -226,7 +226,9 @@ impl Kernel for Referring<'_> {
                 let (mut sums, mut sides) = ([0.0; LANES], [0.0; LANES]);
                 for i in 0..found {
                     let by_channel = &weave.by_channel[references.channels[i]].0;
-                    let residuals = lanes(&by_channel[axis], slot + first);
+                    let residuals: [f32; LANES] =
+                        by_channel[axis][slot + first..].first_chunk().copied().unwrap_or_default();
+                    let residuals = residuals.map(f64::from);
                     let (weight, sign) = (references.weights[i], references.signs[i]);
                     for lane in 0..LANES {
                         let weighed = weight * residuals[lane];

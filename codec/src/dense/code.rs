@@ -36,6 +36,7 @@ impl Group {
             self.pull(channel, kind, rows);
             self.isa.run(Coding { group: self, side, channel, kind, class, rows })?;
         }
+        self.weave.learn(class, channel, &self.ahead, &self.tracks[channel].span);
         // The last level is between no other rows.
         if kind > 4 {
             self.remember_lengths(channel);
@@ -65,11 +66,9 @@ impl Group {
         (kind, class): (usize, usize),
         i: usize,
     ) -> Result<(), CodecError> {
-        let Sites { before, .. } = self.ahead.sites;
         let at = self.ahead.sites.at(i);
         let (left, right) = self.ahead.sites.neighbours(i);
         let near = self.around(channel, (kind, class), i);
-        let expected: [f64; 3] = std::array::from_fn(|axis| self.ahead.expected[axis][i]);
         let prediction = self.pulls.point.each_ref().map(|axis| axis[i]);
         let lattice = if near.activity[3] >= 256 { Lattice::Centred } else { Lattice::Cubic };
         let step = self.tracks[channel].fineness.step(lattice);
@@ -100,10 +99,9 @@ impl Group {
         let kept = magnitudes.is_some();
         self.settle_at(side, channel, place, kind, (point, magnitudes))?;
         if kept {
-            self.pulls.score(i, point, self.lengths.shares_mut(channel, kind));
+            let expected = self.ahead.prediction.each_ref().map(|axis| axis[i]);
+            self.pulls.score(i, (expected, point), self.lengths.shares_mut(channel, kind));
         }
-        let residual = std::array::from_fn(|axis| point[axis] - expected[axis]);
-        self.weave.learn(class, channel, at - before, residual);
         if !(4..7).contains(&kind) {
             let (near, n_near) = self.lengths.near(channel);
             for &k in &near[..n_near] {

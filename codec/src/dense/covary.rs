@@ -2,80 +2,81 @@
 
 use crate::{GROUP_CHANNELS, coding::isa::Kernel};
 
-use super::{SPAN, solve::Lane};
+use super::{
+    SPAN,
+    solve::Lane,
+    weave::{CLASSES, SpanVectors},
+};
 
 /// What a span leaves of the averages.
 const DECAY: f64 = 0.9;
+/// Products are in squares of 256 units.
+const SCALE: f64 = 65536.0;
 
-/// The rows of a class in the order in which they are coded: strides 32, 16, 8; 4; 2; 1. Anchors count as
-/// they are coded.
-const ROWS: [&[u8]; 5] = [
-    &[],
-    &[32, 16, 48, 8, 24, 40, 56],
-    &[4, 12, 20, 28, 36, 44, 52, 60],
-    &[2, 6, 10, 14, 18, 22, 26, 30, 34, 38, 42, 46, 50, 54, 58, 62],
-    &[
-        1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25, 27, 29, 31, 33, 35, 37, 39, 41, 43, 45, 47,
-        49, 51, 53, 55, 57, 59, 61, 63,
-    ],
-];
+/// Where the rows of a class lie side by side ([`slot`](super::track::slot)): strides 32, 16 and 8; 4; 2; 1.
+/// Anchors count as they are coded.
+const SLOTS: [(usize, usize); CLASSES] = [(0, 0), (0, 8), (8, 16), (16, 32), (32, 64)];
 
-/// Vectors of all channels at the rows of a span, zero where there is none.
+/// Channels by channels that are summed side by side.
+const HIGH: usize = 4;
+pub(super) const WIDE: usize = 8;
+const _: () = assert!(GROUP_CHANNELS.is_multiple_of(WIDE) && WIDE.is_multiple_of(HIGH));
+
+/// The residuals of a span by slot, axis and channel; zero where there is none, and at anchors.
 #[derive(Debug)]
-pub(super) struct Span {
-    /// By row, axis, channel.
-    pub(super) rows: [[Lane; 3]; SPAN + 1],
-}
+pub(super) struct Span([[[f32; GROUP_CHANNELS]; 3]; SPAN]);
 
 impl Default for Span {
     fn default() -> Self {
-        Self { rows: [[[0.0; GROUP_CHANNELS]; 3]; SPAN + 1] }
+        Self([[[0.0; GROUP_CHANNELS]; 3]; SPAN])
     }
 }
 
-impl Span {
-    pub(super) fn clear(&mut self) {
-        self.rows.as_flattened_mut().as_flattened_mut().fill(0.0);
-    }
-}
-
-/// Channels by channels that are summed side by side.
-const SIDE: usize = 4;
-const _: () = assert!(GROUP_CHANNELS.is_multiple_of(SIDE));
-
-/// One class at the end of a span of `n` channels.
+/// The end of a span of `n` channels.
 #[derive(Debug)]
 pub(super) struct Covarying<'a> {
-    pub(super) class: usize,
     pub(super) n: usize,
+    /// By class, channel, channel, both ways around.
     pub(super) covariances: &'a mut [Lane],
-    pub(super) residuals: &'a Span,
-    /// In 2^-16: each channel's own part. Zero at anchors.
-    pub(super) learners: &'a Span,
+    /// By channel; those from `n` to the next multiple of [`WIDE`] are zero.
+    pub(super) residuals: &'a [SpanVectors],
+    /// Room to work in.
+    pub(super) span: &'a mut Span,
 }
 
 impl Covarying<'_> {
-    /// The covariances of `SIDE` channels from `j` on with as many from `k` on.
     #[inline(always)]
-    fn tile(&mut self, j: usize, k: usize) {
-        let part =
-            |lane: &Lane, first: usize| -> [f64; SIDE] { std::array::from_fn(|i| lane[first + i]) };
-        let mut sums: [[f64; SIDE]; SIDE] =
-            std::array::from_fn(|i| part(&self.covariances[j + i], k));
-        for &row in ROWS[self.class] {
-            let (own, other) =
-                (&self.learners.rows[usize::from(row)], &self.residuals.rows[usize::from(row)]);
-            let [x, y, z] = [part(&own[0], j), part(&own[1], j), part(&own[2], j)];
-            let [xs, ys, zs] = [part(&other[0], k), part(&other[1], k), part(&other[2], k)];
-            for (i, sums) in sums.iter_mut().enumerate() {
-                for (lane, sum) in sums.iter_mut().enumerate() {
-                    *sum += x[i] * xs[lane] + y[i] * ys[lane] + z[i] * zs[lane];
+    fn turn(&mut self) {
+        let n = self.n.next_multiple_of(WIDE);
+        for (channel, vectors) in self.residuals.iter().enumerate().take(n) {
+            for (axis, lane) in vectors.0.iter().enumerate() {
+                for (row, residual) in self.span.0.iter_mut().zip(lane) {
+                    row[axis][channel] = *residual;
                 }
             }
         }
-        for (i, sums) in sums.iter().enumerate() {
-            for (lane, sum) in sums.iter().enumerate() {
-                self.covariances[j + i][k + lane] = sum * DECAY;
+    }
+
+    /// The covariances of a few channels from `j` on with a few from `k` on.
+    #[inline(always)]
+    fn tile(&mut self, class: usize, j: usize, k: usize) {
+        let (first, end) = SLOTS[class];
+        let mut sums = [[0.0_f32; WIDE]; HIGH];
+        for row in &self.span.0[first..end] {
+            for lane in row {
+                let own: [f32; HIGH] = std::array::from_fn(|i| lane[j + i]);
+                let other: [f32; WIDE] = std::array::from_fn(|i| lane[k + i]);
+                for (own, sums) in own.into_iter().zip(&mut sums) {
+                    for (sum, other) in sums.iter_mut().zip(other) {
+                        *sum += own * other;
+                    }
+                }
+            }
+        }
+        let covariances = &mut self.covariances[class * GROUP_CHANNELS + j..][..HIGH];
+        for (covariances, sums) in covariances.iter_mut().zip(sums) {
+            for (covariance, sum) in covariances[k..k + WIDE].iter_mut().zip(sums) {
+                *covariance = (*covariance + f64::from(sum) / SCALE) * DECAY;
             }
         }
     }
@@ -86,15 +87,20 @@ impl Kernel for Covarying<'_> {
 
     #[inline(always)]
     fn run(mut self) {
-        for j in (0..self.n).step_by(SIDE) {
-            for k in (0..=j).step_by(SIDE) {
-                self.tile(j, k);
+        self.turn();
+        for class in 0..CLASSES {
+            for j in (0..self.n).step_by(HIGH) {
+                for k in (0..j + HIGH).step_by(WIDE) {
+                    self.tile(class, j, k);
+                }
             }
-        }
-        // What the later channel of a pair learnt holds for both.
-        for j in 0..self.n {
-            for k in 0..j {
-                self.covariances[k][j] = self.covariances[j][k];
+            // What the later channel of a pair learnt holds for both.
+            let covariances = &mut self.covariances[class * GROUP_CHANNELS..][..self.n];
+            for j in 0..covariances.len() {
+                let (before, from) = covariances.split_at_mut(j);
+                for (other, covariance) in before.iter_mut().zip(from[0]) {
+                    other[j] = covariance;
+                }
             }
         }
     }

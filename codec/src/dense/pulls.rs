@@ -18,8 +18,8 @@ struct Pull {
     difference: PerRow,
     /// By axis: away from the partner, length 1; 0 where there is none.
     direction: [PerRow; 3],
-    /// By axis: where the partner saw the row, in units.
-    from: [PerRow; 3],
+    /// How far it moved the row towards itself, in units.
+    by: PerRow,
 }
 
 /// What the partners make of the rows ahead.
@@ -33,27 +33,33 @@ pub(super) struct Pulls {
 
 impl Pulls {
     pub(super) fn new() -> Self {
-        let none = || Pull {
-            difference: [f64::NAN; MOST],
-            direction: [[0.0; MOST]; 3],
-            from: [[0.0; MOST]; 3],
-        };
+        let none =
+            || Pull { difference: [f64::NAN; MOST], direction: [[0.0; MOST]; 3], by: [0.0; MOST] };
         Self { by_partner: std::array::from_fn(|_| none()), n_partners: 0, point: [[0.0; MOST]; 3] }
     }
 
     /// Learns how much of the pulls was true of a row that is at `point`.
     #[inline(always)]
-    pub(super) fn score(&self, i: usize, point: [f64; 3], shares: &mut [Share; PARTNERS]) {
+    pub(super) fn score(
+        &self,
+        i: usize,
+        (expected, point): ([f64; 3], [f64; 3]),
+        shares: &mut [Share; PARTNERS],
+    ) {
         let i = i % MOST;
+        // Where each partner saw the row.
+        let mut from = expected;
         for (pull, share) in self.by_partner[..self.n_partners].iter().zip(shares) {
             let difference = pull.difference[i];
             if difference.is_nan() {
                 continue;
             }
+            let direction = pull.direction.each_ref().map(|axis| axis[i]);
             let [x, y, z]: [f64; 3] = std::array::from_fn(|axis| {
-                (pull.from[axis][i] - point[axis]) / TOLERANCE * pull.direction[axis][i]
+                (from[axis] - point[axis]) / TOLERANCE * direction[axis]
             });
             share.learn(difference, x + y + z);
+            from = std::array::from_fn(|axis| from[axis] - pull.by[i] * direction[axis]);
         }
     }
 }
@@ -84,7 +90,7 @@ impl Kernel for Pulling<'_> {
                 let far = if share > LEAST_SHARE { share } else { 0.0 };
                 let lengths = lanes(&ahead.lengths[slot], at);
                 let other = track.span.0.each_ref().map(|axis| lanes(axis, ahead.sites.slot + at));
-                let mut differences = [0.0; LANES];
+                let (mut differences, mut bys) = ([0.0; LANES], [0.0; LANES]);
                 let mut directions = [[0.0; LANES]; 3];
                 let from = moved;
                 for i in 0..LANES {
@@ -95,6 +101,7 @@ impl Kernel for Pulling<'_> {
                     let near = units >= TOLERANCE && difference < f64::INFINITY;
                     let inverse = if near { 1.0 / units } else { 0.0 };
                     let by = if near { far * difference * TOLERANCE } else { 0.0 };
+                    bys[i] = by;
                     differences[i] = if near { difference } else { f64::NAN };
                     for (axis, off) in [x, y, z].into_iter().enumerate() {
                         let direction = if near { off * inverse } else { 0.0 };
@@ -103,9 +110,9 @@ impl Kernel for Pulling<'_> {
                     }
                 }
                 pull.difference[at..at + LANES].copy_from_slice(&differences);
-                for axis in 0..3 {
-                    pull.direction[axis][at..at + LANES].copy_from_slice(&directions[axis]);
-                    pull.from[axis][at..at + LANES].copy_from_slice(&from[axis]);
+                pull.by[at..at + LANES].copy_from_slice(&bys);
+                for (axis, lane) in pull.direction.iter_mut().zip(&directions) {
+                    axis[at..at + LANES].copy_from_slice(lane);
                 }
             }
             for (out, moved) in pulls.point.iter_mut().zip(&moved) {

@@ -27,8 +27,8 @@ pub(super) struct Solving<'a> {
     pub(super) kernel: &'a [Lane],
     /// The weight of the kernel.
     pub(super) energy: f64,
-    /// The variances of the class with their ridge; those beyond its channels are not 0.
-    pub(super) ridged: &'a Lane,
+    /// One over the variances of the class with their ridge.
+    pub(super) inverse: &'a Lane,
 }
 
 impl Solving<'_> {
@@ -37,15 +37,22 @@ impl Solving<'_> {
         self.covariances[a][b] + self.energy * self.kernel[a][b]
     }
 
-    /// Of a channel with all channels.
+    /// How many channels are looked at: those before this one, and some more to fill the lanes.
     #[inline(always)]
-    fn row(&self, a: usize) -> Lane {
+    fn width(&self) -> usize {
+        self.j.next_multiple_of(LANES).min(GROUP_CHANNELS)
+    }
+
+    /// Of a channel with those before this one.
+    #[inline(always)]
+    fn row(&self, a: usize, row: &mut Lane) {
         let (covariances, kernel) = (&self.covariances[a], &self.kernel[a]);
-        let mut row = [0.0; GROUP_CHANNELS];
-        for ((value, covariance), near) in row.iter_mut().zip(covariances).zip(kernel) {
-            *value = covariance + self.energy * near;
+        let width = self.width();
+        for first in (0..width).step_by(LANES) {
+            for k in first..first + LANES {
+                row[k] = covariances[k] + self.energy * kernel[k];
+            }
         }
-        row
     }
 
     /// The channel that explains most of what `rows` with their weights leave, and how much; the
@@ -53,7 +60,7 @@ impl Solving<'_> {
     #[inline(always)]
     fn best(&self, alike: &Lane, found: &References, rows: &[Lane; REFERENCES]) -> (f64, usize) {
         let mut explained = [0.0; GROUP_CHANNELS];
-        let width = self.j.next_multiple_of(LANES).min(GROUP_CHANNELS);
+        let width = self.width();
         let mut most = [0.0; LANES];
         for first in (0..width).step_by(LANES) {
             for lane in 0..LANES {
@@ -62,10 +69,10 @@ impl Solving<'_> {
                 for (weight, row) in found.weights[..found.n].iter().zip(rows) {
                     shared -= weight * row[k];
                 }
-                explained[k] = shared * shared / self.ridged[k];
+                explained[k] = shared * shared * self.inverse[k];
             }
         }
-        explained[self.j..].fill(0.0);
+        explained[self.j..width].fill(0.0);
         for &channel in &found.channels[..found.n] {
             explained[channel] = 0.0;
         }
@@ -122,7 +129,8 @@ impl Kernel for Solving<'_> {
     fn run(self) -> References {
         let j = self.j;
         let own = self.of(j, j);
-        let alike = self.row(j);
+        let mut alike = [0.0; GROUP_CHANNELS];
+        self.row(j, &mut alike);
         let mut rows = [[0.0; GROUP_CHANNELS]; REFERENCES];
         let mut found = References::default();
         let mut gain = 0.0;
@@ -131,7 +139,7 @@ impl Kernel for Solving<'_> {
             if best.1 == usize::MAX || best.0 < LEAST_GAIN.0 * own {
                 break;
             }
-            rows[found.n] = self.row(best.1);
+            self.row(best.1, &mut rows[found.n]);
             found.channels[found.n] = best.1;
             found.n += 1;
             let n = found.n;

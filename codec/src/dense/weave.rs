@@ -6,14 +6,17 @@
 //! markers that are close together are taken to move alike: the covariance starts from a function of
 //! their distance, as in kriging.
 
-use crate::{GROUP_CHANNELS, coding::isa::Isa};
+use crate::{
+    GROUP_CHANNELS,
+    coding::isa::{Isa, Kernel},
+};
 
 use super::{
     SPAN,
-    ahead::LANES,
-    covary::{Covarying, Span},
+    ahead::{Ahead, LANES, Sites, lanes},
+    covary::{self, Covarying, Span},
     solve::{Lane, Solving, ridged},
-    track::slot,
+    track::SpanPoints,
 };
 
 /// Classes of levels: anchors; strides 8 and more; 4; 2; 1.
@@ -27,7 +30,7 @@ const KERNEL_WEIGHT: f64 = 0.3;
 const LEAST_ENERGY: f64 = 10.0;
 /// Residuals count up to this length, in units: 500 tolerances.
 const MAX_RESIDUAL: f64 = 128_000.0;
-/// A residual's own part in a product is in units of this.
+/// Products are in squares of 256 units.
 const SCALE: f64 = 65536.0;
 
 /// The references of one channel in one class.
@@ -45,11 +48,50 @@ pub(super) struct References {
 
 /// The residuals of a channel in a span, by axis and [`slot`]; zero where there is none.
 #[derive(Debug, Clone)]
-pub(super) struct SpanVectors(pub(super) [[f64; SPAN + LANES]; 3]);
+pub(super) struct SpanVectors(pub(super) [[f32; SPAN + LANES]; 3]);
 
 impl Default for SpanVectors {
     fn default() -> Self {
         Self([[0.0; SPAN + LANES]; 3])
+    }
+}
+
+/// Keeps the residuals of some rows.
+#[derive(Debug)]
+struct Remembering<'a> {
+    ahead: &'a Ahead,
+    points: &'a SpanPoints,
+    vectors: &'a mut SpanVectors,
+}
+
+impl Kernel for Remembering<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { ahead, points, vectors } = self;
+        let Sites { n, slot, .. } = ahead.sites;
+        for first in (0..n).step_by(LANES) {
+            let mut residuals: [[f64; LANES]; 3] = std::array::from_fn(|axis| {
+                let (point, expected) =
+                    (lanes(&points.0[axis], slot + first), lanes(&ahead.expected[axis], first));
+                std::array::from_fn(|lane| point[lane] - expected[lane])
+            });
+            for lane in 0..LANES.min(n - first) {
+                let [x, y, z] = [0, 1, 2].map(|axis: usize| residuals[axis][lane]);
+                let squares = x * x + y * y + z * z;
+                if squares > MAX_RESIDUAL * MAX_RESIDUAL {
+                    let share = MAX_RESIDUAL / squares.sqrt();
+                    residuals.iter_mut().for_each(|axis| axis[lane] *= share);
+                }
+            }
+            for (out, residuals) in vectors.0.iter_mut().zip(&residuals) {
+                let n = LANES.min(n - first);
+                for (out, residual) in out[slot + first..][..n].iter_mut().zip(residuals) {
+                    *out = *residual as f32;
+                }
+            }
+        }
     }
 }
 
@@ -61,16 +103,16 @@ pub(super) struct Weave {
     covariances: Vec<Lane>,
     /// By channel and channel, both ways around.
     kernel: Vec<Lane>,
-    /// Of the span, by class: the weight of the kernel, and the variances with their ridge. Only anchors
+    /// Of the span, by class: the weight of the kernel, and one over the variances with their ridge. Only anchors
     /// change theirs within a span.
     energies: [f64; CLASSES],
-    ridged: [Lane; CLASSES],
+    inverse: [Lane; CLASSES],
     references: Vec<References>,
-    /// Of the current span.
-    residuals: Box<Span>,
-    learners: Box<Span>,
-    /// The residuals once more, by channel.
+    /// The residuals of the current span, by channel.
     pub(super) by_channel: Vec<SpanVectors>,
+    /// Which of them are of anchors, a bit a slot.
+    anchors: [u64; GROUP_CHANNELS],
+    span: Box<Span>,
 }
 
 impl Weave {
@@ -80,11 +122,11 @@ impl Weave {
             covariances: vec![[0.0; GROUP_CHANNELS]; CLASSES * GROUP_CHANNELS],
             kernel: vec![[0.0; GROUP_CHANNELS]; GROUP_CHANNELS],
             energies: [0.0; CLASSES],
-            ridged: [[1.0; GROUP_CHANNELS]; CLASSES],
+            inverse: [[1.0; GROUP_CHANNELS]; CLASSES],
             references: vec![References::default(); CLASSES * GROUP_CHANNELS],
-            residuals: Box::new(Span::default()),
-            learners: Box::new(Span::default()),
             by_channel: vec![SpanVectors::default(); GROUP_CHANNELS],
+            anchors: [0; GROUP_CHANNELS],
+            span: Box::default(),
         }
     }
 
@@ -95,9 +137,7 @@ impl Weave {
 
     /// A span of `n` channels begins.
     pub(super) fn begin(&mut self, n: usize) {
-        self.residuals.clear();
-        self.learners.clear();
-        self.by_channel[..n].fill(SpanVectors::default());
+        self.by_channel[..n.next_multiple_of(covary::WIDE)].fill(SpanVectors::default());
         for (k, lane) in self.kernel.iter_mut().enumerate().take(n) {
             lane[..n].fill(0.0);
             lane[k] = 1.0;
@@ -114,22 +154,27 @@ impl Weave {
         let energies = variances.clone().fold(0.0, |sum, variance| sum + variance);
         let energy = (energies / n as f64).max(LEAST_ENERGY) * KERNEL_WEIGHT;
         self.energies[class] = energy;
-        for (out, variance) in self.ridged[class].iter_mut().zip(variances) {
-            *out = ridged(variance + energy);
+        for (out, variance) in self.inverse[class].iter_mut().zip(variances) {
+            *out = 1.0 / ridged(variance + energy);
         }
     }
 
     /// The span is over: what was seen in it is remembered, and the averages forget a little.
     pub(super) fn end(&mut self, n: usize) {
-        for (class, covariances) in self.covariances.chunks_exact_mut(GROUP_CHANNELS).enumerate() {
-            self.isa.run(Covarying {
-                class,
-                n,
-                covariances,
-                residuals: &self.residuals,
-                learners: &self.learners,
-            });
+        // Anchors were learnt from at once.
+        for (vectors, anchors) in self.by_channel.iter_mut().zip(&mut self.anchors) {
+            while *anchors != 0 {
+                let slot = anchors.trailing_zeros() as usize;
+                vectors.0.iter_mut().for_each(|lane| lane[slot] = 0.0);
+                *anchors &= *anchors - 1;
+            }
         }
+        self.isa.run(Covarying {
+            n,
+            covariances: &mut self.covariances,
+            residuals: &self.by_channel,
+            span: &mut self.span,
+        });
     }
 
     /// States how far apart two channels are.
@@ -149,33 +194,21 @@ impl Weave {
         &self.references[class * GROUP_CHANNELS + j]
     }
 
-    /// Remembers a residual. Those of anchors count at once: the anchors of one span come one after another
-    /// and choose their references in between; those of levels at the end of the span.
-    pub(super) fn learn(&mut self, class: usize, j: usize, row: usize, mut residual: [f64; 3]) {
-        let [x, y, z] = residual;
-        let squares = x * x + y * y + z * z;
-        if squares > MAX_RESIDUAL * MAX_RESIDUAL {
-            let length = squares.sqrt();
-            residual = residual.map(|component| component * (MAX_RESIDUAL / length));
-        }
-        let place = slot(row);
-        for (lane, component) in self.residuals.rows[row].iter_mut().zip(residual) {
-            lane[j] = component;
-        }
-        for (lane, component) in self.by_channel[j].0.iter_mut().zip(residual) {
-            lane[place] = component;
-        }
-        let own = residual.map(|component| component / SCALE);
+    /// Remembers the residuals of the rows that were ahead: `points` less where time alone put them.
+    /// Those of anchors count at once: the anchors of one span come one after another and choose their
+    /// references in between; those of levels at the end of the span.
+    pub(super) fn learn(&mut self, class: usize, j: usize, ahead: &Ahead, points: &SpanPoints) {
+        self.isa.run(Remembering { ahead, points, vectors: &mut self.by_channel[j] });
         if class != 0 {
-            for (lane, component) in self.learners.rows[row].iter_mut().zip(own) {
-                lane[j] = component;
-            }
             return;
         }
-        let [x, y, z] = own;
-        let [xs, ys, zs] = &self.residuals.rows[row];
+        let place = ahead.sites.slot;
+        self.anchors[j] |= 1 << place;
+        let [x, y, z] = self.by_channel[j].0.each_ref().map(|lane| f64::from(lane[place]));
         for k in 0..=j {
-            let covariance = self.covariances[j][k] + (x * xs[k] + y * ys[k] + z * zs[k]);
+            let [xs, ys, zs] = self.by_channel[k].0.each_ref().map(|lane| f64::from(lane[place]));
+            let product = x * xs + y * ys + z * zs;
+            let covariance = self.covariances[j][k] + product / SCALE;
             self.covariances[j][k] = covariance;
             self.covariances[k][j] = covariance;
         }
@@ -190,7 +223,7 @@ impl Weave {
                 covariances,
                 kernel: &self.kernel,
                 energy: self.energies[class],
-                ridged: &self.ridged[class],
+                inverse: &self.inverse[class],
             });
         }
     }

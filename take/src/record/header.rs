@@ -92,7 +92,7 @@ pub struct Header {
 
 /// The format of stretches and blocks that this build writes and reads. 1 was that of development
 /// versions, with a time line in chunks of its own.
-pub const CODEC_VERSION: u16 = 4;
+pub const CODEC_VERSION: u16 = 5;
 
 // Blocks are a part of it: a new version of theirs is a new one of takes, too.
 const _: () = assert!(CODEC_VERSION >= BLOCK_VERSION);

@@ -11,8 +11,6 @@ from .weave import Weave
 CHANNELS = 64
 # By kind: anchors; strides 1, 2, 4; 8 and more.
 CLASS = [0, 0, 0, 0, 4, 3, 2, 1, 1, 1]
-# Kinds whose partners all see a row where it is at first: strides 1 and 2.
-TOGETHER = (4, 5)
 
 
 class Rows:
@@ -34,8 +32,8 @@ class Rows:
         self.weave.reset()
         self.lengths.reset()
 
-    def code(self, channel, at, expected, around, left, right):
-        """One row with an expectation: its references, its partners, its residual."""
+    def code(self, channel, at, expected, around, left, right, shares):
+        """One row with an expectation: its references, its partners with their shares, its residual."""
         kind, row = around.kind, at - self.before
         references = self.weave.references[CLASS[kind]][channel]
         self.refer(around, references, channel, at, row)
@@ -43,7 +41,7 @@ class Rows:
         if references.used:
             off = self.weave.expect(references, row)
             prediction = [wrap(e + nearest(o)) for e, o in zip(expected, off)]
-        pulls = self.pull(channel, kind, prediction, left, at, right)
+        pulls = self.pull(channel, prediction, shares, left, at, right)
 
         track = self.tracks[channel]
         lattice = CENTRED if track.activity[kind] >= 256 else CUBIC
@@ -55,8 +53,9 @@ class Rows:
             point = tuple(p + s * step for p, s in zip(prediction, steps))
         self.settle(channel, at, kind, point, magnitudes, coded is not None)
 
-        for pull in pulls:
-            self.lengths.score(channel, kind, pull, point)
+        if coded:
+            for pull in pulls:
+                self.lengths.score(channel, kind, pull, point)
         residual = [float(p - e) for p, e in zip(point, expected)]
         self.weave.learn(CLASS[kind], channel, row, residual)
         if CLASS[kind] <= 1:
@@ -97,8 +96,9 @@ class Rows:
             return first
         return along(first, distance(own.points[right], other.points[right]), left, at, right)
 
-    def pull(self, channel, kind, prediction, left, at, right):
-        pulls, partners = [], []
+    def pull(self, channel, prediction, shares, left, at, right):
+        """Moves the prediction to where the distances to the partners would be right, one after another."""
+        pulls = []
         moved = [float(units) for units in prediction]
         for slot, k in enumerate(self.lengths.partners[channel]):
             if not self.tracks[k].known[at]:
@@ -106,17 +106,10 @@ class Rows:
             length = self.length(channel, k, left, at, right)
             if length is None:
                 continue
-            partner = self.tracks[k].points[at]
-            if kind in TOGETHER:
-                partners.append((slot, partner, length))
-                continue
-            pull = self.lengths.pull(channel, kind, slot, moved, partner, length)
+            pull = self.lengths.pull(slot, shares[slot], moved, self.tracks[k].points[at], length)
             if pull:
                 pulls.append(pull)
-        if partners:
-            pulls = self.lengths.pull_together(channel, kind, moved, partners)
-        if pulls:
-            prediction[:] = map(nearest, moved)
+        prediction[:] = map(nearest, moved)
         return pulls
 
     def settle(self, channel, at, kind, point, magnitudes, kept):

@@ -11,7 +11,7 @@ NEAR = 6
 LEAST_SEEN = 6.0
 MEMORY_ROWS = 60.0
 MAX_DIFFERENCE = 50.0
-DECAY = 0.97
+DECAY = 0.98
 RIDGE = 1.0
 LEAST_SHARE = 0.05
 
@@ -32,9 +32,9 @@ class Lengths:
     def reset(self):
         # By channel and earlier channel: variance, and how many were seen.
         self.spreads = [[[0.0, 0.0] for _ in range(j)] for j in range(CHANNELS)]
-        # By channel, kind, slot: sums of squares and products.
+        # By channel, kind, slot: sums of squares and products, and the share that follows.
         self.shares = [
-            [[[0.0, 0.0] for _ in range(PARTNERS)] for _ in range(KINDS)] for _ in range(CHANNELS)
+            [[[0.0, 0.0, 0.0] for _ in range(PARTNERS)] for _ in range(KINDS)] for _ in range(CHANNELS)
         ]
         self.near = [[] for _ in range(CHANNELS)]
         self.partners = [[] for _ in range(CHANNELS)]
@@ -49,64 +49,43 @@ class Lengths:
             partners = near[:1]
         self.near[j], self.partners[j] = near, partners
 
-    def pull(self, j, kind, slot, expected, partner, length):
+    def begin(self, j, kind):
+        """A level begins: a share that has learnt nothing is that of the level above."""
+        for slot, share in enumerate(self.shares[j][kind]):
+            if 4 <= kind < KINDS - 1 and share[0] == 0.0:
+                share[2] = self.shares[j][kind + 1][slot][2]
+
+    def shares_of(self, j, kind):
+        """The shares as they are now."""
+        return [share[2] for share in self.shares[j][kind]]
+
+    def pull(self, slot, share, expected, partner, length):
         """Moves `expected`; gives what is needed to learn from it. None where there is no direction."""
         x, y, z = (e - float(p) for e, p in zip(expected, partner))
-        distance = math.sqrt(x * x + y * y + z * z) / 256.0
-        if distance < 1.0:
+        far = math.sqrt(x * x + y * y + z * z)
+        if far < UNITS:
             return None
-        scale = distance * 256.0
-        direction = (x / scale, y / scale, z / scale)
-        difference = distance - length
-        pull = (slot, difference, direction, tuple(expected), 0.0)
-        share = self.share(j, kind, slot)
-        if share > LEAST_SHARE:
-            by = share * difference * 256.0
-            for axis in range(3):
-                expected[axis] -= by * direction[axis]
+        inverse = 1.0 / far
+        direction = (x * inverse, y * inverse, z * inverse)
+        difference = far / UNITS - length
+        pull = (slot, difference, direction, tuple(expected))
+        by = (share if share > LEAST_SHARE else 0.0) * difference * UNITS
+        for axis in range(3):
+            expected[axis] -= by * direction[axis]
         return pull
-
-    def share(self, j, kind, slot):
-        squares, products = self.shares[j][kind][slot]
-        return min(max(products / (squares + RIDGE), 0.0), 1.0)
-
-    def pull_together(self, j, kind, expected, partners):
-        """As `pull` for all partners (slot, point, length), seen from where the row is at first."""
-        start, seen = tuple(expected), []
-        for slot, partner, length in partners:
-            x, y, z = (e - float(p) for e, p in zip(start, partner))
-            far = math.sqrt(x * x + y * y + z * z)
-            if far >= 256.0:
-                inverse = 1.0 / far
-                direction = (x * inverse, y * inverse, z * inverse)
-                seen.append((slot, far / 256.0 - length, direction))
-        pulls, moves = [], []
-        for slot, difference, direction in seen:
-            gone = 0.0
-            for other, by in moves:
-                cosine = direction[0] * other[0] + direction[1] * other[1] + direction[2] * other[2]
-                gone += by * cosine
-            difference -= gone
-            share = self.share(j, kind, slot)
-            by = share * difference if share > LEAST_SHARE else 0.0
-            moves.append((direction, by))
-            for axis in range(3):
-                expected[axis] -= by * 256.0 * direction[axis]
-            pulls.append((slot, difference, direction, start, gone))
-        return pulls
 
     def score(self, j, kind, pull, point):
         """Learns how much of a pull was true."""
-        slot, difference, direction, start, gone = pull
+        slot, difference, direction, start = pull
         truth = 0.0
         for axis in range(3):
             off = (start[axis] - float(point[axis])) / UNITS
             truth += off * direction[axis]
-        truth -= gone
         difference, truth = clamp(difference), clamp(truth)
         share = self.shares[j][kind][slot]
         share[0] = share[0] * DECAY + difference * difference
         share[1] = share[1] * DECAY + difference * truth
+        share[2] = min(share[1] / (share[0] + RIDGE), 1.0)
 
     def learn(self, j, k, distance, length):
         """Learns how far a distance was from where its neighbours in time put it."""

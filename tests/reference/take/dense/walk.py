@@ -9,6 +9,9 @@ from .row import Surroundings
 from .taps import Site
 from .track import MEMORY, End
 
+# Rows of a level whose partners have the same shares.
+TOGETHER = 8
+
 
 class Walk(Rows):
     def __init__(self, unit_mm):
@@ -108,12 +111,16 @@ class Walk(Rows):
         first = (zero - self.before) // (2 * stride) * (2 * stride) + stride + self.before
         if first <= zero:
             first += 2 * stride
-        track = self.tracks[channel]
-        for at in range(first, end, 2 * stride):
+        track, kind = self.tracks[channel], 4 + stride.bit_length() - 1
+        if first < end:
+            self.lengths.begin(channel, kind)
+        for i, at in enumerate(range(first, end, 2 * stride)):
+            if i % TOGETHER == 0:
+                shares = self.lengths.shares_of(channel, kind)
             site = Site(at, stride, start, zero, end)
             point, bend, side = site.expect(track.points)
             around = Surroundings(
-                4 + stride.bit_length() - 1,
+                kind,
                 track.steps_from(start, site.left),
                 track.steps_from(start, site.right),
                 track.steps_from(start, at - 2 * stride),
@@ -121,7 +128,7 @@ class Walk(Rows):
                 bend,
                 side,
             )
-            self.code(channel, at, point, around, site.left, site.right)
+            self.code(channel, at, point, around, site.left, site.right, shares)
 
     def origin(self, channel, at):
         """The first row of a run."""
@@ -141,5 +148,6 @@ class Walk(Rows):
         expected, guesses = track.anchor.guess(track.points[start : zero + 1], rows)
         kind = 1 if rows >= 17 else 2 if rows >= 5 else 3
         around = Surroundings(kind, track.steps_from(start, zero))
-        self.code(channel, end, expected, around, zero, zero)
+        shares = self.lengths.shares_of(channel, kind)
+        self.code(channel, end, expected, around, zero, zero, shares)
         track.anchor.score(guesses, track.points[end])

@@ -2,6 +2,7 @@
 
 import math
 
+from ..float32 import f32
 from .lattice import divided
 from .layout import SPAN
 
@@ -15,6 +16,14 @@ RIDGE = 1.15, 2.0
 LEAST_GAIN = 0.02, 0.15
 MAX_RESIDUAL = 128000.0
 NONE = (0.0, 0.0, 0.0)
+# By class, in the order of the sums: strides 32, 16, 8; 4; 2; 1. Anchors count at once.
+ROWS = [
+    [],
+    [32, 16, 48, *range(8, 64, 16)],
+    range(4, 64, 8),
+    range(2, 64, 4),
+    range(1, 64, 2),
+]
 
 
 class References:
@@ -39,14 +48,28 @@ class Weave:
     def begin(self):
         """A span begins."""
         self.kernel = [[0.0] * j for j in range(CHANNELS)]
-        # By row: the residuals of the channels that have one.
+        # By row: the residuals of the channels that have one, as float32.
         self.residuals = [{} for _ in range(SPAN + 1)]
+        # Which are of anchors: row and channel.
+        self.anchors = []
 
     def end(self, n):
-        """The span is over: the averages forget a little."""
-        for rows in self.covariances:
+        """The span is over: what was seen in it is remembered, and the averages forget a little."""
+        for row, channel in self.anchors:
+            del self.residuals[row][channel]
+        for rows, class_rows in zip(self.covariances, ROWS):
+            sums = [[0.0] * (j + 1) for j in range(n)]
+            for row in class_rows:
+                residuals = self.residuals[row]
+                for j, own in residuals.items():
+                    for k, other in residuals.items():
+                        if k <= j:
+                            total = sums[j][k]
+                            for a, b in zip(own, other):
+                                total = f32(total + f32(a * b))
+                            sums[j][k] = total
             for j in range(n):
-                rows[j] = [covariance * DECAY for covariance in rows[j]]
+                rows[j] = [(c + s / 65536.0) * DECAY for c, s in zip(rows[j], sums[j])] + rows[j][j + 1 :]
 
     def place(self, j, k, distance_mm):
         near = 800.0 / (800.0 + distance_mm)
@@ -70,13 +93,16 @@ class Weave:
             return
         if length > MAX_RESIDUAL:
             x, y, z = (component * (MAX_RESIDUAL / length) for component in residual)
+        x, y, z = f32(x), f32(y), f32(z)
         residuals = self.residuals[row]
         residuals[j] = (x, y, z)
-        x, y, z = x / 65536.0, y / 65536.0, z / 65536.0
-        covariances = self.covariances[level_class][j]
+        if level_class != 0:
+            return
+        self.anchors.append((row, j))
+        covariances = self.covariances[0][j]
         for k, (a, b, c) in residuals.items():
             if k <= j:
-                covariances[k] += x * a + y * b + z * c
+                covariances[k] += (x * a + y * b + z * c) / 65536.0
 
     def solve(self, j, n):
         """Chooses and weighs the references of channel j of n, for every class."""
@@ -98,7 +124,7 @@ class Weave:
 
         own = of(j, j)
         shared = [of(j, k) for k in range(j)]
-        ridged = [of(k, k) * RIDGE[0] + RIDGE[1] for k in range(j)]
+        inverse = [divided(1.0, of(k, k) * RIDGE[0] + RIDGE[1]) for k in range(j)]
         found, gain = References(), 0.0
         while len(found.channels) < REFERENCES:
             best, best_k = 0.0, None
@@ -108,7 +134,7 @@ class Weave:
                 left = shared[k]
                 for weight, channel in zip(found.weights, found.channels):
                     left -= weight * of(k, channel)
-                explained = divided(left * left, ridged[k])
+                explained = left * left * inverse[k]
                 if explained > best:
                     best, best_k = explained, k
             if best_k is None or best < LEAST_GAIN[0] * own:
