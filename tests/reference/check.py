@@ -2,6 +2,10 @@
 
     python tests/reference/check.py --mocapd target/release/mocapd TAKES_DIR [--all] [--jobs 2]
         [--tolerances 0.1,0.5,1,5,10,20] [--resamplers dense,fast,lossless]
+    python tests/reference/check.py
+
+The golden takes of this format's version (take/tests/golden) are decoded, and the digests compared with what
+expected.txt says of them. Without a folder of takes that is all, and mocapd need not be built.
 
 Every file of the folder is imported at 1 mm with `dense`; the two smallest ones also at every tolerance with every
 live resampler, and at 5 mm with `spline` and `sync`. `--all` does with every file what is done with the smallest
@@ -16,6 +20,7 @@ One line for each; the last line is `N passed, N failed`; exit code 1 when one f
 
 import argparse
 import csv
+import hashlib
 import json
 import struct
 import subprocess
@@ -25,13 +30,16 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
+from take.container import CODEC_VERSION
 from take.stretch import read_take
 
+GOLDENS = Path(__file__).parents[2] / "take" / "tests" / "golden" / f"v{CODEC_VERSION}"
 SUFFIXES = {".c3d", ".trc", ".tsv", ".csv"}
 TOLERANCES_MM = [0.1, 0.5, 1.0, 5.0, 10.0, 20.0]
 LIVE = ["dense", "fast", "lossless"]
 OFFLINE = ["spline", "sync"]
 BITS = struct.Struct("<3f")
+SAMPLE, TIME = struct.Struct("<B3f"), struct.Struct("<3Q5B")
 
 
 def run(*command):
@@ -111,6 +119,52 @@ def check(mocapd, path, resampler, tolerance_mm):
     return f"ok   {name}: {samples} samples, {kept} kept, {pace:.0f} us a sample", True
 
 
+def digest(parts):
+    return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
+
+
+def golden_words(take):
+    """What expected.txt says of a take, but for what this decoder passes over: stretches, events, ledgers."""
+    markers = (f"{m['marker_id']} {m['label']} {int(m['labelled'])}\n".encode() for m in take.channels)
+    yield f"rows {take.n_rows}, stated {take.stated_mm} mm"
+    yield f"{len(take.channels)} markers, {digest(markers)}"
+    for channel, track in sorted(take.tracks.items()):
+        if track:
+            kept = sum(kept for _, kept in track.values())
+            rows = (track.get(row) for row in range(take.n_rows))
+            samples = (SAMPLE.pack(1 | s[1] << 1, *s[0]) if s else bytes(SAMPLE.size) for s in rows)
+            yield f"channel {channel}: {len(track)} samples, {kept} kept, {digest(samples)}"
+    times = (
+        TIME.pack(row, ticks, arrival, code is not None, *(code or (0, 0, 0, 0)))
+        for row, ticks, arrival, code in take.times
+    )
+    yield f"times of {len(take.times)} rows, {digest(times)}"
+    for row, n_rows, causes in take.lost:
+        yield f"lost from row {row}: {n_rows}, causes {causes}"
+
+
+def check_golden(path, words):
+    """One golden take: its line, and whether it passed."""
+    passed_over = ("stretch ", "event ", "ledger ")
+    expected = [line for line in words.splitlines() if line and not line.startswith(passed_over)]
+    name = f"golden {path.name} of version {CODEC_VERSION}"
+    try:
+        found = list(golden_words(read_take(path.read_bytes())))
+    except Exception as problem:  # any failure is this file's, the others still count
+        return f"FAIL {name}: {type(problem).__name__}: {problem}", False
+    if found != expected:
+        differing = [line for line in expected if line not in found] or ["more than is expected"]
+        return f"FAIL {name}: not {differing[0]}", False
+    return f"ok   {name}: {len(found)} lines", True
+
+
+def plan_goldens():
+    """(file, what is expected of it)"""
+    sections = (GOLDENS / "expected.txt").read_text(encoding="utf-8").split("\ntake ")[1:]
+    pairs = (section.split("\n", 1) for section in sections)
+    return [(GOLDENS / name, words) for name, words in pairs]
+
+
 def plan(files, arguments):
     """(file, resampler, tolerance), the longest first."""
     named = arguments.tolerances or arguments.resamplers
@@ -130,20 +184,24 @@ def plan(files, arguments):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("takes", type=Path, metavar="TAKES_DIR")
-    parser.add_argument("--mocapd", required=True, type=lambda path: Path(path).resolve())
+    parser.add_argument("takes", nargs="?", type=Path, metavar="TAKES_DIR", help="without: golden takes only")
+    parser.add_argument("--mocapd", type=lambda path: Path(path).resolve(), help="for the takes of TAKES_DIR")
     parser.add_argument("--tolerances", type=lambda t: [float(mm) for mm in t.split(",")], help="millimetres")
     parser.add_argument("--resamplers", type=lambda names: names.split(","))
     parser.add_argument("--all", action="store_true", help="every file at everything")
     parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args()
-    everything = sorted(arguments.takes.iterdir())
+    if arguments.takes and not arguments.mocapd:
+        parser.error("--mocapd is needed to compare with")
+    everything = sorted(arguments.takes.iterdir()) if arguments.takes else []
     files = [path for path in everything if path.suffix.lower() in SUFFIXES]
     recordings = [(path, None, None) for path in everything if path.suffix == ".take"]
     jobs = recordings + plan(files, arguments)
     passed = failed = 0
     with ProcessPoolExecutor(arguments.jobs) as pool:
-        for future in [pool.submit(check, arguments.mocapd, *job) for job in jobs]:
+        goldens = [pool.submit(check_golden, *golden) for golden in plan_goldens()]
+        others = [pool.submit(check, arguments.mocapd, *job) for job in jobs]
+        for future in goldens + others:
             line, good = future.result()
             print(line, flush=True)
             passed, failed = passed + good, failed + (not good)

@@ -1,0 +1,91 @@
+//! Everything that a decoder finds in a take.
+
+use mocapd_codec::Position;
+use mocapd_take::{
+    TakeError, TakeEvent,
+    reader::read_events,
+    record::{Channel, Event, Ledger},
+    stretch::{Stretch, StretchDecoder},
+    timeline::{Causes, RowTime},
+};
+
+/// Everything that is in a take.
+#[derive(Debug, Default)]
+pub(crate) struct Decoded {
+    pub(crate) channels: Vec<Channel>,
+    pub(crate) n_rows: u64,
+    /// By channel and row: the sample, and whether it was kept.
+    pub(crate) tracks: Vec<Vec<Option<(Position, bool)>>>,
+    /// The recorded rows.
+    pub(crate) times: Vec<(u64, RowTime)>,
+    /// First row, rows and causes.
+    pub(crate) lost: Vec<(u64, u64, Causes)>,
+    pub(crate) events: Vec<Event>,
+    pub(crate) ledgers: Vec<Ledger>,
+    pub(crate) stated_mm: f64,
+    /// First row, rows, and whether it is a key.
+    pub(crate) stretches: Vec<(u64, u32, bool)>,
+}
+
+impl Decoded {
+    /// # Errors
+    /// The reader's. Damage of an undamaged take panics.
+    pub(crate) fn read(take: &[u8]) -> Result<Self, TakeError> {
+        let mut found = Self::default();
+        let mut decoder = None;
+        read_events(take, |event| {
+            match event {
+                TakeEvent::Header(header) => {
+                    decoder = Some(StretchDecoder::new(header.codec()?));
+                    found.channels = header.channels;
+                }
+                TakeEvent::Channels(more) => found.channels.extend(more),
+                TakeEvent::Stretch(stretch) => {
+                    assert!(!stretch.missing_before);
+                    let decoder = decoder.as_mut().expect("a header in front");
+                    decoder.decode(&stretch)?;
+                    found.add(&stretch, decoder);
+                }
+                TakeEvent::Event(event) => found.events.push(event),
+                TakeEvent::Ledger(ledger) => found.ledgers.push(*ledger),
+                TakeEvent::Index(entries) => {
+                    let keys = found.stretches.iter().filter(|stretch| stretch.2);
+                    assert!(keys.map(|key| key.0).eq(entries.iter().map(|entry| entry.first_row)));
+                }
+                TakeEvent::Footer(footer) => assert_eq!(footer.n_rows, found.n_rows),
+                TakeEvent::End { finished, .. } => assert!(finished),
+                other => panic!("{other:?}"),
+            }
+            Ok(())
+        })?;
+        let n_rows = found.n_rows as usize;
+        found.tracks.iter_mut().for_each(|track| track.resize(n_rows, None));
+        Ok(found)
+    }
+
+    fn add(&mut self, stretch: &Stretch<'_>, decoder: &StretchDecoder) {
+        let span = stretch.span;
+        self.n_rows = self.n_rows.max(span.end_row());
+        self.stretches.push((span.first_row, span.n_rows, span.key));
+        if let Some(timeline) = &stretch.timeline {
+            self.times.extend(timeline.recorded());
+            let mut row = timeline.first_row;
+            for run in &timeline.runs {
+                self.lost.extend(run.lost.map(|causes| (row, run.rows, causes)));
+                row += run.rows;
+            }
+        }
+        for (channel, rows) in decoder.rows().enumerate() {
+            let Some(rows) = rows.filter(|rows| rows.has_samples()) else { continue };
+            if self.tracks.len() <= channel {
+                self.tracks.resize_with(channel + 1, Vec::new);
+            }
+            let track = &mut self.tracks[channel];
+            track.resize(span.first_row as usize, None);
+            let flags = rows.present.iter().zip(&rows.kept);
+            let samples = rows.positions.iter().zip(flags);
+            track.extend(samples.map(|(&at, (&present, &kept))| present.then_some((at, kept))));
+            self.stated_mm = self.stated_mm.max(rows.max_error_mm);
+        }
+    }
+}

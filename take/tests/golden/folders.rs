@@ -1,0 +1,89 @@
+//! Where the golden takes lie: a folder a version.
+
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+    sync::Once,
+};
+
+use mocapd_take::record::CODEC_VERSION;
+
+use super::{
+    decoded::Decoded,
+    takes::{GOLDENS, Golden},
+    words::PREFACE,
+};
+
+/// Set, it writes the folder of the current version anew.
+pub(crate) const WRITE: &str = "MOCAPD_WRITE_GOLDEN";
+
+/// The folder of all versions, that of the current one written anew when asked for.
+pub(crate) fn goldens() -> PathBuf {
+    static WRITTEN: Once = Once::new();
+    let goldens = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden");
+    WRITTEN.call_once(|| {
+        if std::env::var_os(WRITE).is_some() {
+            write(&folder(&goldens, CODEC_VERSION));
+        }
+    });
+    goldens
+}
+
+pub(crate) fn folder(goldens: &Path, version: u16) -> PathBuf {
+    goldens.join(format!("v{version}"))
+}
+
+fn write(folder: &Path) {
+    if folder.exists() {
+        fs::remove_dir_all(folder).unwrap();
+    }
+    fs::create_dir(folder).unwrap();
+    let mut expected = PREFACE.to_owned();
+    for golden in GOLDENS {
+        let take = golden.write().bytes;
+        let words = Decoded::read(&take).unwrap().in_words();
+        expected += &format!("\ntake {}\n{words}", golden.file());
+        fs::write(folder.join(golden.file()), take).unwrap();
+    }
+    fs::write(folder.join("expected.txt"), expected).unwrap();
+}
+
+/// The stored bytes of one of the current version's.
+pub(crate) fn stored(golden: &Golden) -> Vec<u8> {
+    let path = folder(&goldens(), CODEC_VERSION).join(golden.file());
+    fs::read(&path).unwrap_or_else(|error| {
+        panic!(
+            "{}: {error}: for a new version, or a new golden take, write them with {WRITE}=1",
+            path.display()
+        )
+    })
+}
+
+/// What `expected.txt` says of each take.
+pub(crate) fn expected(folder: &Path) -> BTreeMap<String, String> {
+    let text = fs::read_to_string(folder.join("expected.txt")).unwrap();
+    let sections = text.split("\ntake ").skip(1);
+    sections
+        .map(|section| {
+            let (file, words) = section.split_once('\n').unwrap();
+            (file.to_owned(), format!("{}\n", words.trim_end()))
+        })
+        .collect()
+}
+
+/// The versions with a folder, and the takes in it by name.
+pub(crate) fn versions(goldens: &Path) -> Vec<(u16, BTreeMap<String, Vec<u8>>)> {
+    let folders = fs::read_dir(goldens).unwrap().map(|entry| entry.unwrap().path());
+    let versions = folders.filter_map(|folder| {
+        let version = folder.file_name()?.to_str()?.strip_prefix('v')?.parse().ok()?;
+        let files = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+        let takes = files.filter(|path| path.extension().is_some_and(|e| e == "mtake"));
+        let named = takes.map(|path| {
+            let name = path.file_name().unwrap().to_str().unwrap().to_owned();
+            (name, fs::read(path).unwrap())
+        });
+        Some((version, named.collect()))
+    });
+    versions.collect()
+}

@@ -1,0 +1,171 @@
+//! Takes that each version of the format has written, kept so that whoever reads that version decodes
+//! them for ever, bit for bit.
+//!
+//! They lie in a folder named by [`CODEC_VERSION`], and `expected.txt` beside them says what they hold.
+//! The motion in them is seeded and generated here, never recorded. They stand in this crate because a
+//! take holds blocks and times with all that a decoder must know of both, so one file serves the codec, the
+//! take format and the reference decoder.
+//!
+//! This command writes the folder of the current version:
+//!
+//! ```text
+//! MOCAPD_WRITE_GOLDEN=1 cargo test -p mocapd-take --test golden
+//! ```
+
+#![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "a test stops there")]
+
+mod decoded;
+mod folders;
+mod motion;
+mod recording;
+mod takes;
+mod times;
+mod words;
+
+use std::io::Cursor;
+
+use mocapd_take::{
+    TakeError, TakeFrames, chunk,
+    record::{CODEC_VERSION, Header, Record},
+    timeline::Timeline,
+};
+
+use self::{
+    decoded::Decoded,
+    folders::{WRITE, expected, folder, goldens, stored, versions},
+    takes::GOLDENS,
+};
+
+/// Older versions that this build reads beside its own. Taking one out is a breaking change.
+const ALSO_READ: [u16; 0] = [];
+
+#[test]
+fn takes_of_every_version_that_is_read_decode_as_when_they_were_written() {
+    let goldens = goldens();
+    let versions = versions(&goldens);
+    for wanted in ALSO_READ.iter().chain([&CODEC_VERSION]) {
+        assert!(
+            versions.iter().any(|(version, takes)| version == wanted && !takes.is_empty()),
+            "there are no golden takes of version {wanted}: for a new version write them with {WRITE}=1"
+        );
+    }
+    for (version, takes) in versions {
+        let is_read = version == CODEC_VERSION || ALSO_READ.contains(&version);
+        let expected = expected(&folder(&goldens, version));
+        assert!(
+            takes.keys().eq(expected.keys()),
+            "version {version}: takes and expected.txt differ"
+        );
+        for (name, take) in takes {
+            match Decoded::read(&take) {
+                Ok(decoded) => {
+                    assert!(is_read, "v{version}/{name} is read, and ALSO_READ does not say so");
+                    assert_same(&decoded.in_words(), &expected[&name], version, &name);
+                }
+                Err(TakeError::Unsupported { .. }) if !is_read => {}
+                Err(error) => panic!("v{version}/{name}: {error}"),
+            }
+        }
+    }
+}
+
+/// Tells the first line that differs.
+fn assert_same(found: &str, expected: &str, version: u16, name: &str) {
+    for (found, expected) in found.lines().zip(expected.lines()) {
+        assert_eq!(found, expected, "v{version}/{name} decodes to something else");
+    }
+    assert_eq!(found, expected, "v{version}/{name} decodes to something else");
+}
+
+#[test]
+fn another_version_is_refused_with_its_number() {
+    for golden in GOLDENS {
+        let take = stored(&golden);
+        let behind_magic = chunk::MAGIC.len();
+        let chunk::Front::Whole { kind: Header::KIND, payload, len } =
+            chunk::front(&take[behind_magic..])
+        else {
+            panic!("{}: no header in front", golden.name)
+        };
+        let header = Header::from_payload(payload, 0).unwrap();
+        for (codec_version, advice) in [
+            (CODEC_VERSION + 1, "a newer mocapd"),
+            (CODEC_VERSION - 1, "the development version that wrote it"),
+        ] {
+            let changed = Header { codec_version, ..header.clone() }.to_payload().unwrap();
+            let mut other = chunk::MAGIC.to_vec();
+            chunk::put(&mut other, Header::KIND, &changed).unwrap();
+            other.extend_from_slice(&take[behind_magic + len..]);
+            let errors = [
+                Decoded::read(&other).unwrap_err(),
+                TakeFrames::open(Cursor::new(&other)).unwrap_err(),
+            ];
+            for error in errors {
+                assert!(error.to_string().ends_with(advice), "{error}");
+                assert!(
+                    matches!(error, TakeError::Unsupported { what: "block format", found, supported }
+                        if found == codec_version && supported == CODEC_VERSION),
+                    "{error}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn the_same_motion_gives_the_same_bytes() {
+    for golden in GOLDENS {
+        let (stored, written) = (stored(&golden), golden.write().bytes);
+        let differs = stored.iter().zip(&written).position(|(a, b)| a != b);
+        assert!(
+            stored == written,
+            "{} is written otherwise than in version {CODEC_VERSION}'s golden take: {} bytes, not {}, from \
+             byte {} on. An encoder may choose otherwise without a new version, as long as every decoder \
+             of this one still reads it, and the golden takes still decode; the change is to be meant, and \
+             its commit says why. What is decoded otherwise needs a new version. Then: \
+             {WRITE}=1 cargo test -p mocapd-take --test golden",
+            golden.file(),
+            written.len(),
+            stored.len(),
+            differs.unwrap_or(stored.len().min(written.len())),
+        );
+    }
+}
+
+/// So that nothing wrong is kept as right.
+#[test]
+fn the_takes_hold_what_they_were_made_of() {
+    for golden in GOLDENS {
+        let written = golden.write();
+        let decoded = Decoded::read(&written.bytes).unwrap();
+        let mut n_samples = 0;
+        for (channel, column) in &written.columns {
+            let track = &decoded.tracks[*channel];
+            for (row, (&at, &present)) in column.positions.iter().zip(&column.present).enumerate() {
+                let found = track[row];
+                assert_eq!(found.is_some(), present, "{}: {channel} {row}", golden.name);
+                let Some((found, _)) = found else { continue };
+                n_samples += 1;
+                let apart = |axis: usize| f64::from(found[axis]) - f64::from(at[axis]);
+                let squares = (0..3).map(|axis| apart(axis) * apart(axis)).sum::<f64>();
+                assert!(
+                    squares.sqrt() <= golden.tolerance_mm,
+                    "{}: {channel} {row}: {found:?} for {at:?}",
+                    golden.name
+                );
+                if golden.settings().kind.is_lossless() {
+                    assert_eq!(found.map(f32::to_bits), at.map(f32::to_bits));
+                }
+            }
+        }
+        assert_eq!(decoded.tracks.iter().flatten().flatten().count(), n_samples);
+        let times: Vec<_> = written.timelines.iter().flat_map(Timeline::recorded).collect();
+        assert_eq!(decoded.times.len(), times.len());
+        for (found, wanted) in decoded.times.iter().zip(&times) {
+            assert_eq!((found.0, found.1.device_ticks), (wanted.0, wanted.1.device_ticks));
+            assert_eq!(found.1.timecode, wanted.1.timecode);
+            // Half of the 320 us that arrivals are kept in at 120 Hz.
+            assert!(found.1.arrival_10us.abs_diff(wanted.1.arrival_10us) <= 16, "{found:?}");
+        }
+    }
+}

@@ -1,0 +1,146 @@
+//! A golden take as recordings are: with a time line, lost rows, and markers that appear.
+
+use mocapd_codec::GROUP_CHANNELS;
+use mocapd_take::{
+    TakeWriter,
+    record::{ClockFit, Device, Event, EventKind, Header, Ledger},
+    stretch::{FrontWriter, Span, put_block},
+    timeline::{Timeline, TimelineEncoder},
+};
+
+use super::{
+    motion::{Column, markers},
+    takes::{Golden, Written, channel, encode},
+    times::{PLANS, STRETCH_ROWS, TICK_HZ, n_rows, timelines},
+};
+
+/// Markers that appear late, and stand in a second group.
+const LATE: usize = 2;
+
+/// The stretch that the late markers appear in.
+const APPEAR: usize = 2;
+
+impl Golden {
+    pub(crate) fn record(&self) -> Written {
+        let early = self.n_markers - LATE;
+        let header = Header {
+            created_unix_ms: 1_700_000_000_123,
+            device: Some(Device {
+                driver: "golden".to_owned(),
+                model: "seeded".to_owned(),
+                tick_hz: TICK_HZ,
+                low_latency: true,
+                ..Device::default()
+            }),
+            channels: (0..GROUP_CHANNELS).map(channel).collect(),
+            ..self.header()
+        };
+        let mut timelines = timelines();
+        let mut columns = markers(n_rows());
+        columns.truncate(self.n_markers);
+        blank(&mut columns, early, &timelines);
+
+        let settings = self.settings();
+        let mut groups = [settings.encoder(), settings.encoder()];
+        let mut take = TakeWriter::new(Vec::new(), &header).unwrap();
+        let times = TimelineEncoder::new(TICK_HZ, header.rate_hz);
+        let mut front = FrontWriter::with_times(STRETCH_ROWS, times);
+        let mut ledger = Ledger::default();
+        for (i, (plan, timeline)) in PLANS.iter().zip(&timelines).enumerate() {
+            if i == APPEAR {
+                take.channels(&[channel(GROUP_CHANNELS), channel(GROUP_CHANNELS + 1)]).unwrap();
+                happenings().iter().for_each(|event| take.event(event).unwrap());
+            }
+            let end = (timeline.first_row + timeline.n_rows()) as usize;
+            let first = end - plan.n_rows as usize;
+            let span = Span {
+                first_row: first as u64,
+                n_rows: plan.n_rows,
+                key: plan.key,
+                number: i as u8,
+            };
+            // One block, while no marker of the second group was announced.
+            let alone = i < APPEAR;
+            let mut payload = Vec::new();
+            front.put(span, timeline, &[], alone, &mut payload);
+            let all: Vec<_> = columns.iter().map(|column| column.part(first..end)).collect();
+            let parts = [&all[..early], &all[early..]];
+            for (encoder, rows) in groups.iter_mut().zip(parts).take(if alone { 1 } else { 2 }) {
+                let (block, n) = encode(encoder.as_mut(), rows, &[], plan.key);
+                put_block(&block, alone, &mut payload);
+                ledger.samples_present += n;
+            }
+            take.stretch(span, &payload).unwrap();
+            account(&mut ledger, timeline, if alone { early } else { self.n_markers });
+            if i == 0 {
+                let contradictions = vec!["a counter that jumped".to_owned()];
+                take.ledger(&Ledger { contradictions, ..ledger.clone() }).unwrap();
+            }
+        }
+        ledger.finished = true;
+        (ledger.duplicates, ledger.link_bytes, ledger.link_messages) = (3, 123_456_789, 341);
+        ledger.clock = Some(ClockFit {
+            offset_ns: -3_765_432_110_987,
+            drift_ppm: 40.25,
+            residual_us: 0.1,
+            n_fitted: ledger.recorded,
+        });
+        timelines.retain(|timeline| timeline.n_rows() > 0);
+        let places = (0..early).chain(GROUP_CHANNELS..GROUP_CHANNELS + LATE);
+        let (bytes, _) = take.finish(&ledger).unwrap();
+        Written { bytes, columns: places.zip(columns).collect(), timelines }
+    }
+}
+
+/// Takes the samples away where a frame was lost or nothing was seen, and of the markers from `late` on
+/// before they appear.
+pub(crate) fn blank(columns: &mut [Column], late: usize, timelines: &[Timeline]) {
+    for (i, (plan, timeline)) in PLANS.iter().zip(timelines).enumerate() {
+        let rows = timeline.first_row..timeline.first_row + timeline.n_rows();
+        for row in rows {
+            let recorded = timeline.recorded().any(|(recorded, _)| recorded == row);
+            for (marker, column) in columns.iter_mut().enumerate() {
+                let seen = recorded && !plan.empty && (marker < late || i >= APPEAR);
+                column.present[row as usize] &= seen;
+            }
+        }
+    }
+}
+
+fn account(ledger: &mut Ledger, timeline: &Timeline, n_markers: usize) {
+    let lost = |bit: u8| -> u64 {
+        let runs = timeline.runs.iter();
+        let lost = runs.filter(|run| run.lost.is_some_and(|causes| causes.0 == bit));
+        lost.map(|run| run.rows).sum()
+    };
+    ledger.frames_sent += timeline.n_rows();
+    ledger.recorded += timeline.n_recorded();
+    ledger.lost_on_link += lost(1);
+    ledger.lost_ring_full += lost(2);
+    ledger.unknown_after_disconnect += lost(1 | 4);
+    ledger.samples_announced += timeline.n_recorded() * n_markers as u64;
+    ledger.samples_occluded = ledger.samples_announced - ledger.samples_present;
+}
+
+/// One of every kind.
+fn happenings() -> [Event; 5] {
+    let kinds = [
+        EventKind::Mark,
+        EventKind::Trigger,
+        EventKind::SyncPulse,
+        EventKind::Device,
+        EventKind::Host,
+    ];
+    let mut row = 61;
+    kinds.map(|kind| {
+        row += 1;
+        Event {
+            kind,
+            row,
+            device_ticks: 5_000_000_000 + 8_333 * row,
+            host_ns: 1_234_567_890_000 + 8_333_333 * row,
+            input: row as u8 % 3,
+            text: format!("event at row {row}"),
+        }
+    })
+}

@@ -1,0 +1,163 @@
+//! The golden takes, as this build writes them: recordings of the live resamplers, imports of the others.
+
+use mocapd_codec::{BlockEncoder, BlockReport, ResamplerKind, Rows, Settings, Tolerance};
+use mocapd_take::{
+    TakeWriter,
+    record::{CODEC_VERSION, Channel, Header, ImportSource, Ledger},
+    stretch::{FrontWriter, Span, put_block},
+    timeline::Timeline,
+};
+
+use super::{
+    motion::{Column, MARKERS, markers},
+    recording::blank,
+    times::{PLANS, RATE_HZ, STRETCH_ROWS, n_rows, timelines},
+};
+
+/// One golden take.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Golden {
+    pub(crate) name: &'static str,
+    resampler: &'static str,
+    pub(crate) tolerance_mm: f64,
+    /// Of the seeded motion's.
+    pub(crate) n_markers: usize,
+}
+
+/// A take and what it was made of.
+#[derive(Debug)]
+pub(crate) struct Written {
+    pub(crate) bytes: Vec<u8>,
+    /// By channel.
+    pub(crate) columns: Vec<(usize, Column)>,
+    pub(crate) timelines: Vec<Timeline>,
+}
+
+/// All of them, of as many markers as keep them small together.
+pub(crate) const GOLDENS: [Golden; 7] = [
+    Golden { name: "dense-0.1mm", resampler: "dense", tolerance_mm: 0.1, n_markers: 12 },
+    Golden { name: "dense-1mm", resampler: "dense", tolerance_mm: 1.0, n_markers: 16 },
+    Golden { name: "dense-20mm", resampler: "dense", tolerance_mm: 20.0, n_markers: MARKERS },
+    Golden { name: "fast-1mm", resampler: "fast", tolerance_mm: 1.0, n_markers: 14 },
+    Golden { name: "lossless", resampler: "lossless", tolerance_mm: 0.0, n_markers: 7 },
+    Golden {
+        name: "spline-1mm",
+        resampler: "spline:worst-sample",
+        tolerance_mm: 1.0,
+        n_markers: 8,
+    },
+    Golden { name: "sync-20mm", resampler: "sync:worst-sample", tolerance_mm: 20.0, n_markers: 7 },
+];
+
+impl Golden {
+    pub(crate) fn file(&self) -> String {
+        // Not .take: that is what git is told to pass over, because recordings never belong here.
+        format!("{}.mtake", self.name)
+    }
+
+    pub(crate) fn settings(&self) -> Settings {
+        let kind: ResamplerKind = self.resampler.parse().unwrap();
+        let mm = if kind.is_lossless() { Tolerance::MAX_MM } else { self.tolerance_mm };
+        Settings { kind, tolerance: Tolerance::from_mm(mm).unwrap() }
+    }
+
+    /// The same bytes whenever and wherever.
+    pub(crate) fn write(&self) -> Written {
+        if self.settings().kind.is_live() { self.record() } else { self.import() }
+    }
+
+    pub(crate) fn header(&self) -> Header {
+        let mut header = Header {
+            software: "mocapd, golden take".to_owned(),
+            take_id: *b"a golden take id",
+            created_unix_ms: 0,
+            resampler: String::new(),
+            codec_version: CODEC_VERSION,
+            tolerance_mm: 0.0,
+            rate_hz: RATE_HZ as f64,
+            up_axis: 3,
+            device: None,
+            source: None,
+            channels: (0..self.n_markers).map(channel).collect(),
+            stretch_rows: STRETCH_ROWS,
+            settings: Vec::new(),
+        };
+        header.set_codec(&self.settings());
+        header
+    }
+
+    /// As imports are: key stretches without time lines.
+    fn import(&self) -> Written {
+        let source = ImportSource {
+            format: "generated".to_owned(),
+            file: "seeded motion".to_owned(),
+            unit: "m".to_owned(),
+            factor: 1000.0,
+            first_frame: 7,
+            warnings: vec!["it was never recorded".to_owned()],
+        };
+        let header = Header {
+            source: Some(source),
+            settings: vec![("drop_foreign".to_owned(), "true".to_owned())],
+            ..self.header()
+        };
+        let mut columns = markers(n_rows());
+        columns.truncate(self.n_markers);
+        blank(&mut columns, self.n_markers, &timelines());
+        // Without the short first stretch, so that the empty one is a whole stretch here, too.
+        let short = PLANS[0].n_rows as usize;
+        columns.iter_mut().for_each(|column| column.drop_front(short));
+        let n_rows = n_rows() - short;
+
+        let settings = self.settings();
+        let mut encoder = settings.encoder();
+        let mut take = TakeWriter::new(Vec::new(), &header).unwrap();
+        let mut front = FrontWriter::new(STRETCH_ROWS);
+        let mut ledger = Ledger { finished: true, ..Ledger::default() };
+        for (number, first) in (0..n_rows).step_by(STRETCH_ROWS as usize).enumerate() {
+            let end = n_rows.min(first + STRETCH_ROWS as usize);
+            let span = Span {
+                first_row: first as u64,
+                n_rows: (end - first) as u32,
+                key: true,
+                number: number as u8,
+            };
+            let rows: Vec<_> = columns.iter().map(|column| column.part(first..end)).collect();
+            let shared = settings.plan(&rows).unwrap();
+            let (block, n) = encode(encoder.as_mut(), &rows, &shared, true);
+            let mut payload = Vec::new();
+            front.put(span, &Timeline::default(), &shared, true, &mut payload);
+            put_block(&block, true, &mut payload);
+            take.stretch(span, &payload).unwrap();
+            ledger.samples_present += n;
+        }
+        (ledger.frames_sent, ledger.recorded) = (n_rows as u64, n_rows as u64);
+        ledger.samples_announced = ledger.recorded * self.n_markers as u64;
+        ledger.samples_occluded = ledger.samples_announced - ledger.samples_present;
+        let (bytes, _) = take.finish(&ledger).unwrap();
+        Written { bytes, columns: columns.into_iter().enumerate().collect(), timelines: Vec::new() }
+    }
+}
+
+/// A slot of the channel table. The marker that jumps is not labelled, and no slot beyond the markers is.
+pub(crate) fn channel(column: usize) -> Channel {
+    let labelled = column < MARKERS && column != 2;
+    let label =
+        if labelled { format!("Golden:m{column:02}") } else { format!("u{:03}", column + 1) };
+    // Ids of a device are not its columns.
+    let marker_id = (column + if column < 4 { 0 } else { 1_000 }) as u16;
+    Channel { marker_id, label, labelled }
+}
+
+/// The block, and how many samples it has.
+pub(crate) fn encode(
+    encoder: &mut dyn BlockEncoder,
+    rows: &[Rows<'_>],
+    shared: &[u8],
+    key: bool,
+) -> (Vec<u8>, u64) {
+    let mut block = Vec::new();
+    let mut reports = vec![BlockReport::default(); rows.len()];
+    encoder.encode(rows, shared, key, &mut block, &mut reports).unwrap();
+    (block, reports.iter().map(|report| u64::from(report.samples)).sum())
+}
