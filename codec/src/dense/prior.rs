@@ -1,4 +1,4 @@
-//! What the odds are before anything was seen: counted on real takes by `benches/prior`.
+//! What the odds are before anything was seen: counted on real takes by `benches/lab`.
 //!
 //! `prior.bin`: a byte a context, its probability in 1/256 (0: nothing known), then three little-endian
 //! i16 a mixer, its weights in 1/1024.

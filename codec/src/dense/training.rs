@@ -1,11 +1,24 @@
-//! What the contexts saw, for `benches/prior`, which makes `prior.bin` of it. Only with the feature
-//! `training`: a codec that embeds this crate does not pay for it.
+//! What the contexts saw and what each decision cost, for `benches/lab`. Only with the feature `training`: a codec that embeds this crate does not pay for it.
 
 use super::{
     DenseEncoder,
-    layout::{N_CONTEXTS, N_MIXERS},
+    layout::{self as is, KINDS, N_CONTEXTS, N_MIXERS},
 };
 use crate::{BlockReport, CodecError, Rows, Tolerance, frame::PayloadEncoder};
+
+/// The kinds of rows.
+const KIND_NAMES: [&str; KINDS] = [
+    "first row",
+    "anchor, 17 rows and more",
+    "anchor, 5 rows and more",
+    "anchor",
+    "stride 1",
+    "stride 2",
+    "stride 4",
+    "stride 8",
+    "stride 16",
+    "stride 32",
+];
 
 /// Counts of bits, and sums of weights.
 #[derive(Debug, Clone)]
@@ -31,6 +44,28 @@ impl Tally {
             single_bits: vec![0.0; N_CONTEXTS],
             bytes: 0,
         }
+    }
+
+    /// Ideal code lengths in bits by what is said and of which kind of row; `None` where all kinds share
+    /// their decisions.
+    #[must_use]
+    pub fn lengths(&self) -> Vec<(&'static str, Option<&'static str>, f64)> {
+        let by_kind = |name, first: usize| {
+            (0..KINDS)
+                .map(move |kind| (name, Some(KIND_NAMES[kind]), self.mixed_bits[first + kind]))
+        };
+        let sum = |from: usize, to: usize| self.mixed_bits[from..to].iter().sum();
+        let mut lengths: Vec<_> = by_kind("moved", is::MIX_MOVING)
+            .chain(by_kind("not zero", is::MIX_NONZERO))
+            .chain(by_kind("sign", is::MIX_SIGN))
+            .collect();
+        lengths.push(("length", None, sum(is::MIX_LONGER, is::MIX_EXPONENT)));
+        lengths.push(("exponent", None, sum(is::MIX_EXPONENT, N_MIXERS)));
+        let single = self.single_bits.iter().sum::<f64>();
+        lengths.push(("parity, mantissa, first rows", None, single));
+        let modelled = lengths.iter().map(|(.., bits)| bits).sum::<f64>();
+        lengths.push(("bits without a model", None, self.bytes as f64 * 8.0 - modelled));
+        lengths
     }
 
     pub(super) fn mixed(&mut self, mixer: usize, probability: i32, bit: bool) {

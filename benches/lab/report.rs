@@ -1,0 +1,88 @@
+//! What is printed: ratios, the change against an earlier build, and where the bits go.
+
+use std::{collections::BTreeMap, fmt::Write, path::Path};
+
+use anyhow::Context;
+
+use mocapd_codec::training::Tally;
+
+use super::takes::{Cell, TOLERANCES_MM};
+
+fn geometric_mean(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, n) = values.fold((0.0, 0), |(sum, n), value| (sum + value.ln(), n + 1));
+    (sum / f64::from(n.max(1))).exp()
+}
+
+/// The geometric mean of a value over all cells, and over those of each tolerance.
+fn means(cells: &[Cell], value: impl Fn(&Cell) -> f64) -> Vec<f64> {
+    let of = |mm: f64| cells.iter().filter(move |cell| cell.tolerance_mm == mm);
+    let all = geometric_mean(cells.iter().map(&value));
+    let by_tolerance = TOLERANCES_MM.map(|mm| geometric_mean(of(mm).map(&value)));
+    std::iter::once(all).chain(by_tolerance).collect()
+}
+
+/// Ratio of float32 to payload bytes, and against the bytes that an earlier build kept.
+pub(crate) fn ratios(cells: &[Cell], before: Option<&Path>) -> anyhow::Result<String> {
+    let mut text = format!("{:24}     all", "");
+    for mm in TOLERANCES_MM {
+        write!(text, "{mm:>6} mm")?;
+    }
+    let ratio = |cell: &Cell| cell.samples as f64 * 12.0 / cell.bytes() as f64;
+    write!(text, "\n{:24}", "ratio")?;
+    for mean in means(cells, ratio) {
+        write!(text, " {mean:8.3}")?;
+    }
+    if let Some(file) = before {
+        let kept = std::fs::read_to_string(file)
+            .with_context(|| format!("cannot read {}", file.display()))?;
+        let kept: BTreeMap<_, f64> = kept
+            .lines()
+            .filter_map(|line| line.rsplit_once('\t'))
+            .filter_map(|(cell, bytes)| Some((cell.to_owned(), bytes.parse().ok()?)))
+            .collect();
+        let change = |cell: &Cell| {
+            kept.get(&name(cell)).map_or(f64::NAN, |before| before / cell.bytes() as f64)
+        };
+        write!(text, "\n{:24}", "against before, %")?;
+        for mean in means(cells, change) {
+            write!(text, " {:+8.2}", (mean - 1.0) * 100.0)?;
+        }
+    }
+    text.push('\n');
+    Ok(text)
+}
+
+fn name(cell: &Cell) -> String {
+    format!("{}\t{}", cell.file, cell.tolerance_mm)
+}
+
+/// What [`ratios`] reads again: a line a cell, its bytes last.
+pub(crate) fn to_keep(cells: &[Cell]) -> String {
+    cells.iter().map(|cell| format!("{}\t{}\n", name(cell), cell.bytes())).collect()
+}
+
+/// Ideal code lengths: the share of each kind of decision in a cell's bytes, mean over the cells.
+pub(crate) fn lengths(cells: &[Cell]) -> anyhow::Result<String> {
+    let mut shares: BTreeMap<(&str, Option<&str>), [f64; TOLERANCES_MM.len()]> = BTreeMap::new();
+    for (column, mm) in TOLERANCES_MM.into_iter().enumerate() {
+        let cells: Vec<_> = cells.iter().filter(|cell| cell.tolerance_mm == mm).collect();
+        for cell in &cells {
+            for (what, kind, bits) in cell.tallies.iter().flat_map(Tally::lengths) {
+                let share = bits / (cell.bytes() as f64 * 8.0) / cells.len() as f64;
+                shares.entry((what, kind)).or_default()[column] += share;
+            }
+        }
+    }
+    let mut rows: Vec<_> = shares.into_iter().collect();
+    rows.sort_by(|a, b| b.1.iter().sum::<f64>().total_cmp(&a.1.iter().sum()));
+    let mut text = String::from("share of the bytes, %\n");
+    for ((what, kind), shares) in rows {
+        let label = kind.map_or_else(|| what.to_owned(), |kind| format!("{what}, {kind}"));
+        write!(text, "{label:33}")?;
+        for share in shares {
+            write!(text, " {:8.1}", share * 100.0)?;
+        }
+        text.push('\n');
+    }
+    Ok(text)
+}
