@@ -21,6 +21,9 @@ pub(super) const MOST: usize = SPAN / 2;
 pub(super) const LANES: usize = 4;
 const _: () = assert!(MOST.is_multiple_of(LANES));
 
+/// Values of a span, and room for whole lanes behind the last.
+pub(super) const PADDED: usize = SPAN + 2 * LANES;
+
 /// One value a row.
 pub(super) type PerRow = [f64; MOST];
 
@@ -177,7 +180,7 @@ impl Kernel for Interpolating<'_> {
             for (block, bends) in bends[..rows.div_ceil(LANES)].iter_mut().enumerate() {
                 let first = block * LANES;
                 let [befores, lefts, rights, afters] =
-                    [0, 1, 2, 3].map(|node| lanes(&nodes, first + node));
+                    [0, 1, 2, 3].map(|node| lanes::<LANES>(&nodes, first + node));
                 let (mut expected, mut offs) = ([0.0; LANES], [0.0; LANES]);
                 for i in 0..LANES {
                     let (before, left) = (befores[i], lefts[i]);
@@ -236,7 +239,7 @@ impl Kernel for Referring<'_> {
                         sides[lane] += residuals[lane] * sign;
                     }
                 }
-                let expected = lanes(&ahead.expected[axis], first);
+                let expected: [f64; LANES] = lanes(&ahead.expected[axis], first);
                 let prediction: [f64; LANES] =
                     std::array::from_fn(|lane| expected[lane] + round(sums[lane]));
                 ahead.prediction[axis][first..first + LANES].copy_from_slice(&prediction);
@@ -251,6 +254,6 @@ impl Kernel for Referring<'_> {
 
 /// Some rows side by side; the lanes are long enough.
 #[inline(always)]
-pub(super) fn lanes(values: &[f64], first: usize) -> [f64; LANES] {
-    values[first..].first_chunk().copied().unwrap_or_default()
+pub(super) fn lanes<const N: usize>(values: &[f64], first: usize) -> [f64; N] {
+    values[first..].first_chunk().copied().unwrap_or([0.0; N])
 }

@@ -2,8 +2,7 @@
 //! learnt from them.
 
 use super::{
-    SPAN,
-    ahead::{LANES, Referring, Sites},
+    ahead::{LANES, PADDED, Referring, Sites},
     lattice::{self, Lattice, Point},
     lengths::distance,
     pulls::Pulling,
@@ -47,12 +46,13 @@ impl Group {
     /// Where the partners put some of the rows.
     fn pull(&mut self, channel: usize, kind: usize, rows: (usize, usize)) {
         let (partners, n_partners) = self.lengths.partners(channel);
+        let shares = self.lengths.shares(channel, kind);
         let partner = |slot: usize| (slot < n_partners).then(|| &self.tracks[partners[slot]]);
         self.isa.run(Pulling {
             pulls: &mut self.pulls,
             ahead: &self.ahead,
             partners: std::array::from_fn(partner),
-            shares: self.lengths.shares(channel, kind),
+            shares,
             rows,
         });
     }
@@ -205,7 +205,7 @@ impl Group {
             let (own, other) = (&self.tracks[channel].span.0, &self.tracks[k].span.0);
             for (i, known) in (first..first + n).zip(distances.iter_mut().step_by(step)) {
                 let place =
-                    |points: &[[f64; SPAN + LANES]; 3]| [points[0][i], points[1][i], points[2][i]];
+                    |points: &[[f64; PADDED]; 3]| [points[0][i], points[1][i], points[2][i]];
                 *known = distance(place(own), place(other));
             }
         }

@@ -40,7 +40,9 @@ struct Spread {
 pub(super) struct Share {
     squares: f64,
     products: f64,
-    pub(super) share: f64,
+    share: f64,
+    /// The share does not follow from the sums yet: that is worked out when it is asked for.
+    is_stale: bool,
 }
 
 impl Share {
@@ -55,9 +57,17 @@ impl Share {
         let (difference, truth) = (cut(difference), cut(truth));
         self.squares = self.squares * DECAY + difference * difference;
         self.products = self.products * DECAY + difference * truth;
-        let share = self.products / (self.squares + RIDGE);
-        // Those below nothing are not used.
-        self.share = if share < 1.0 { share } else { 1.0 };
+        self.is_stale = true;
+    }
+
+    /// How much of a difference is true.
+    fn share(&mut self) -> f64 {
+        if self.is_stale {
+            // Those below nothing are not used.
+            self.share = (self.products / (self.squares + RIDGE)).min(1.0);
+            self.is_stale = false;
+        }
+        self.share
     }
 }
 
@@ -128,11 +138,11 @@ impl Lengths {
     }
 
     /// The shares of a channel's partners in one kind of row.
-    pub(super) fn shares(&self, j: usize, kind: usize) -> &[Share; PARTNERS] {
-        &self.shares[j][kind]
+    pub(super) fn shares(&mut self, j: usize, kind: usize) -> [f64; PARTNERS] {
+        self.shares[j][kind].each_mut().map(Share::share)
     }
 
-    /// The same, to learn.
+    /// What they follow from.
     pub(super) fn shares_mut(&mut self, j: usize, kind: usize) -> &mut [Share; PARTNERS] {
         &mut self.shares[j][kind]
     }
@@ -144,7 +154,9 @@ impl Lengths {
         }
         for slot in 0..PARTNERS {
             if self.shares[j][kind][slot].squares == 0.0 {
-                self.shares[j][kind][slot].share = self.shares[j][kind + 1][slot].share;
+                let above = self.shares[j][kind + 1][slot].share();
+                let own = &mut self.shares[j][kind][slot];
+                (own.share, own.is_stale) = (above, false);
             }
         }
     }

@@ -70,56 +70,70 @@ pub(super) struct Pulling<'a> {
     pub(super) pulls: &'a mut Pulls,
     pub(super) ahead: &'a Ahead,
     pub(super) partners: [Option<&'a Track>; PARTNERS],
-    pub(super) shares: &'a [Share; PARTNERS],
+    pub(super) shares: [f64; PARTNERS],
     /// The first of the rows, a multiple of [`LANES`], and the one behind the last.
     pub(super) rows: (usize, usize),
+}
+
+impl Pulling<'_> {
+    /// `N` rows side by side.
+    #[inline(always)]
+    fn block<const N: usize>(&mut self, at: usize) {
+        let Self { pulls, ahead, partners, shares, .. } = self;
+        let mut moved: [[f64; N]; 3] = ahead.prediction.each_ref().map(|axis| lanes(axis, at));
+        for (slot, track) in partners.iter().flatten().enumerate() {
+            let pull = &mut pulls.by_partner[slot];
+            let share = shares[slot];
+            let far = if share > LEAST_SHARE { share } else { 0.0 };
+            let lengths: [f64; N] = lanes(&ahead.lengths[slot], at);
+            let other: [[f64; N]; 3] =
+                track.span.0.each_ref().map(|axis| lanes(axis, ahead.sites.slot + at));
+            let (mut differences, mut bys) = ([0.0; N], [0.0; N]);
+            let mut directions = [[0.0; N]; 3];
+            for i in 0..N {
+                let [x, y, z] = [0, 1, 2].map(|axis| moved[axis][i] - other[axis][i]);
+                let units = (x * x + y * y + z * z).sqrt();
+                let difference = units / TOLERANCE - lengths[i];
+                // Not so where something is not known, either.
+                let near = units >= TOLERANCE && difference < f64::INFINITY;
+                let inverse = if near { 1.0 / units } else { 0.0 };
+                let by = if near { far * difference * TOLERANCE } else { 0.0 };
+                bys[i] = by;
+                differences[i] = if near { difference } else { f64::NAN };
+                for (axis, off) in [x, y, z].into_iter().enumerate() {
+                    let direction = if near { off * inverse } else { 0.0 };
+                    directions[axis][i] = direction;
+                    moved[axis][i] -= by * direction;
+                }
+            }
+            pull.difference[at..at + N].copy_from_slice(&differences);
+            pull.by[at..at + N].copy_from_slice(&bys);
+            for (axis, lane) in pull.direction.iter_mut().zip(&directions) {
+                axis[at..at + N].copy_from_slice(lane);
+            }
+        }
+        for (out, moved) in pulls.point.iter_mut().zip(&moved) {
+            for (out, &units) in out[at..at + N].iter_mut().zip(moved) {
+                *out = round(units);
+            }
+        }
+    }
 }
 
 impl Kernel for Pulling<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn run(self) {
-        let Self { pulls, ahead, partners, shares, rows } = self;
-        pulls.n_partners = partners.iter().flatten().count();
-        for at in (rows.0..rows.1).step_by(LANES) {
-            let mut moved = ahead.prediction.each_ref().map(|axis| lanes(axis, at));
-            for (slot, track) in partners.iter().flatten().enumerate() {
-                let pull = &mut pulls.by_partner[slot];
-                let share = shares[slot].share;
-                let far = if share > LEAST_SHARE { share } else { 0.0 };
-                let lengths = lanes(&ahead.lengths[slot], at);
-                let other = track.span.0.each_ref().map(|axis| lanes(axis, ahead.sites.slot + at));
-                let (mut differences, mut bys) = ([0.0; LANES], [0.0; LANES]);
-                let mut directions = [[0.0; LANES]; 3];
-                let from = moved;
-                for i in 0..LANES {
-                    let [x, y, z] = [0, 1, 2].map(|axis| from[axis][i] - other[axis][i]);
-                    let units = (x * x + y * y + z * z).sqrt();
-                    let difference = units / TOLERANCE - lengths[i];
-                    // Not so where something is not known, either.
-                    let near = units >= TOLERANCE && difference < f64::INFINITY;
-                    let inverse = if near { 1.0 / units } else { 0.0 };
-                    let by = if near { far * difference * TOLERANCE } else { 0.0 };
-                    bys[i] = by;
-                    differences[i] = if near { difference } else { f64::NAN };
-                    for (axis, off) in [x, y, z].into_iter().enumerate() {
-                        let direction = if near { off * inverse } else { 0.0 };
-                        directions[axis][i] = direction;
-                        moved[axis][i] -= by * direction;
-                    }
-                }
-                pull.difference[at..at + LANES].copy_from_slice(&differences);
-                pull.by[at..at + LANES].copy_from_slice(&bys);
-                for (axis, lane) in pull.direction.iter_mut().zip(&directions) {
-                    axis[at..at + LANES].copy_from_slice(lane);
-                }
-            }
-            for (out, moved) in pulls.point.iter_mut().zip(&moved) {
-                for (out, &units) in out[at..at + LANES].iter_mut().zip(moved) {
-                    *out = round(units);
-                }
-            }
+    fn run(mut self) {
+        let (mut at, end) = self.rows;
+        self.pulls.n_partners = self.partners.iter().flatten().count();
+        // Partners wait for one another: more rows at once hide that.
+        while end - at > LANES {
+            self.block::<{ 2 * LANES }>(at);
+            at += (2 * LANES).min(end - at);
+        }
+        if at < end {
+            self.block::<LANES>(at);
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{
     SPAN,
-    ahead::LANES,
+    ahead::PADDED,
     anchor::Anchor,
     lattice::{Fineness, Point},
     layout::KINDS,
@@ -30,7 +30,7 @@ pub(super) struct End {
 
 /// A vector for every row of a span, by axis and [`slot`].
 #[derive(Debug, Clone)]
-pub(super) struct SpanPoints(pub(super) [[f64; SPAN + LANES]; 3]);
+pub(super) struct SpanPoints(pub(super) [[f64; PADDED]; 3]);
 
 /// The magnitudes of a channel in a span; zero where there is nothing.
 #[derive(Debug, Clone)]
@@ -44,7 +44,7 @@ impl Default for SpanMarks {
 
 impl Default for SpanPoints {
     fn default() -> Self {
-        Self([[f64::NAN; SPAN + LANES]; 3])
+        Self([[f64::NAN; PADDED]; 3])
     }
 }
 

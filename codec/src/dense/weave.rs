@@ -13,7 +13,7 @@ use crate::{
 
 use super::{
     SPAN,
-    ahead::{Ahead, LANES, Sites, lanes},
+    ahead::{Ahead, LANES, PADDED, Sites, lanes},
     covary::{self, Covarying, Span},
     solve::{Lane, Solving, ridged},
     track::SpanPoints,
@@ -48,11 +48,11 @@ pub(super) struct References {
 
 /// The residuals of a channel in a span, by axis and [`slot`]; zero where there is none.
 #[derive(Debug, Clone)]
-pub(super) struct SpanVectors(pub(super) [[f32; SPAN + LANES]; 3]);
+pub(super) struct SpanVectors(pub(super) [[f32; PADDED]; 3]);
 
 impl Default for SpanVectors {
     fn default() -> Self {
-        Self([[0.0; SPAN + LANES]; 3])
+        Self([[0.0; PADDED]; 3])
     }
 }
 
@@ -73,8 +73,10 @@ impl Kernel for Remembering<'_> {
         let Sites { n, slot, .. } = ahead.sites;
         for first in (0..n).step_by(LANES) {
             let mut residuals: [[f64; LANES]; 3] = std::array::from_fn(|axis| {
-                let (point, expected) =
-                    (lanes(&points.0[axis], slot + first), lanes(&ahead.expected[axis], first));
+                let (point, expected) = (
+                    lanes::<LANES>(&points.0[axis], slot + first),
+                    lanes::<LANES>(&ahead.expected[axis], first),
+                );
                 std::array::from_fn(|lane| point[lane] - expected[lane])
             });
             for lane in 0..LANES.min(n - first) {
