@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, fmt::Write, path::Path};
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 
 use mocapd_codec::training::Tally;
 
@@ -40,9 +40,11 @@ pub(crate) fn ratios(cells: &[Cell], before: Option<&Path>) -> anyhow::Result<St
             .filter_map(|line| line.rsplit_once('\t'))
             .filter_map(|(cell, bytes)| Some((cell.to_owned(), bytes.parse().ok()?)))
             .collect();
-        let change = |cell: &Cell| {
-            kept.get(&name(cell)).map_or(f64::NAN, |before| before / cell.bytes() as f64)
-        };
+        for cell in cells {
+            let known = kept.contains_key(&name(cell));
+            ensure!(known, "{} has no {} at {} mm", file.display(), cell.file, cell.tolerance_mm);
+        }
+        let change = |cell: &Cell| kept.get(&name(cell)).unwrap_or(&f64::NAN) / cell.bytes() as f64;
         write!(text, "\n{:24}", "against before, %")?;
         for mean in means(cells, change) {
             write!(text, " {:+8.2}", (mean - 1.0) * 100.0)?;

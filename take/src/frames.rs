@@ -57,8 +57,12 @@ impl<R: Read + Seek> TakeFrames<R> {
                 }
                 TakeEvent::Channels(more) => info.markers.extend(more.iter().map(Into::into)),
                 TakeEvent::Stretch(stretch) => {
+                    // Rows that come twice, and those of no channel, are not held.
+                    if stretch.blocks.iter().any(|block| !block.is_empty()) {
+                        let first = stretch.span.first_row.max(info.n_frames);
+                        n_held += stretch.span.end_row().saturating_sub(first);
+                    }
                     info.n_frames = info.n_frames.max(stretch.span.end_row());
-                    n_held += u64::from(stretch.span.n_rows);
                     n_channels = n_channels.max(stretch.stated_channels());
                 }
                 TakeEvent::Unplaced { rows_min, .. } => {

@@ -41,7 +41,7 @@ impl<'a> Cursor<'a> {
         Some(head)
     }
 
-    /// `None` when the bytes end first or the value does not fit 64 bits.
+    /// `None` when the bytes end first, the value does not fit 64 bits, or fewer bytes would have said it.
     pub(crate) fn varint(&mut self) -> Option<u64> {
         let mut value = 0_u64;
         for shift in (0..64).step_by(7) {
@@ -52,7 +52,7 @@ impl<'a> Cursor<'a> {
             }
             value |= bits << shift;
             if byte < 0x80 {
-                return Some(value);
+                return (byte != 0 || shift == 0).then_some(value);
             }
         }
         None

@@ -170,7 +170,6 @@ impl Group {
                 }
             }
             let lengths = &mut self.ahead.lengths[slot];
-            let mut fix = 0..0;
             if stride == 0 {
                 lengths[0] = distances[zero - before];
                 continue;
@@ -184,10 +183,8 @@ impl Group {
                 for (length, (first, last)) in lengths[from..to].iter_mut().zip(pairs) {
                     *length = first + (last - first) * 0.5;
                 }
-            } else {
-                fix = 0..n;
             }
-            for i in (0..from).chain(to.max(from)..n).chain(fix) {
+            for i in (0..from).chain(to.max(from)..n) {
                 let (left, right) = sites.neighbours(i);
                 let (first, last) = (distances[left - before], distances[right - before]);
                 lengths[i] = along(first, last, (left, sites.at(i), right));

@@ -22,6 +22,8 @@ mod pulls;
 mod row;
 mod solve;
 mod taps;
+#[cfg(test)]
+mod tests;
 mod track;
 #[cfg(feature = "training")]
 pub mod training;

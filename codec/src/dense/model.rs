@@ -129,7 +129,9 @@ impl Model {
         let error = unset as i32 - (i32::from(!bit) << 16);
         let age = weighing.seen as usize % RATES.len();
         for (weight, logit) in weighing.weights.iter_mut().zip(logits) {
-            *weight += ((((error * logit) >> 8) * RATES[age]) + (1 << 15)) >> 16;
+            let step = ((((error * logit) >> 8) * RATES[age]) + (1 << 15)) >> 16;
+            // It would take 2^31 bits that all push one way, and keys are nearer than that.
+            *weight = weight.wrapping_add(step);
         }
         weighing.seen = age as u32 + u32::from(age < RATES.len() - 1);
         for (index, context) in contexts.into_iter().zip(seen) {

@@ -8,6 +8,8 @@ use super::weave::{REFERENCES, References};
 const RIDGE: (f64, f64) = (1.15, 2.0);
 /// A reference must explain at least this share of the energy, all of them together that one.
 const LEAST_GAIN: (f64, f64) = (0.02, 0.15);
+/// A larger weight is an accident of the numbers.
+const MAX_WEIGHT: f64 = 256.0;
 
 /// Values of every channel.
 pub(super) type Lane = [f64; GROUP_CHANNELS];
@@ -89,7 +91,8 @@ impl Solving<'_> {
         (most, first.unwrap_or(usize::MAX))
     }
 
-    /// Least squares by Gauss and Jordan, without pivoting: the ridge keeps the pivots away from zero.
+    /// Least squares by Gauss and Jordan, without pivoting: the ridge keeps the pivots of a covariance away
+    /// from zero, and what comes of another system is not used.
     #[inline(always)]
     fn weigh(&self, channels: &[usize]) -> [f64; REFERENCES] {
         let n = channels.len();
@@ -151,7 +154,9 @@ impl Kernel for Solving<'_> {
         for i in 0..found.n {
             found.signs[i] = if self.of(j, found.channels[i]) < 0.0 { -1.0 } else { 1.0 };
         }
-        if gain <= LEAST_GAIN.1 {
+        // Sums over anchors lack what came later: their system may be no covariance, and near singular.
+        let bounded = found.weights.iter().all(|weight| weight.abs() < MAX_WEIGHT);
+        if !(bounded && gain > LEAST_GAIN.1) {
             found.weights = [0.0; REFERENCES];
         }
         found

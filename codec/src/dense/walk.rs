@@ -151,17 +151,32 @@ impl Group {
         }
         self.find_runs((before, last), present);
         let mut runs = std::mem::take(&mut self.runs);
-        let mut solved = 0_u64;
-        for &run in &runs {
+        let walked = self.walk(side, &mut runs, before, present);
+        self.runs = runs;
+        walked?;
+        self.weave.end(n);
+        Ok(())
+    }
+
+    /// All rows of some runs.
+    fn walk<S: Side>(
+        &mut self,
+        side: &mut S,
+        runs: &mut [Run],
+        before: usize,
+        present: &[Option<&[bool]>],
+    ) -> Result<(), CodecError> {
+        let mut looked_around = 0_u64;
+        for &run in &*runs {
             if run.zero > before {
                 self.origin(side, run.channel, (run.zero, before), present)?;
             } else {
                 let track = &mut self.tracks[run.channel];
                 track.run_start = track.run_start.max((before + 1).saturating_sub(MEMORY));
             }
-            if solved >> run.channel & 1 == 0 {
-                solved |= 1 << run.channel;
-                self.look_around(run.channel, n, before);
+            if looked_around >> run.channel & 1 == 0 {
+                looked_around |= 1 << run.channel;
+                self.look_around(run.channel, present.len(), before);
             }
             if run.end > run.zero {
                 self.anchor(side, run, before)?;
@@ -173,16 +188,14 @@ impl Group {
         // Now by channel, so that the references of a row are there before it.
         runs.sort_unstable_by_key(|run| (run.channel, run.zero));
         for stride in (0..LEVELS).rev().map(|bit| 1 << bit) {
-            self.level(side, &runs, stride, before)?;
+            self.level(side, runs, stride, before)?;
         }
-        for run in &runs {
+        for run in &*runs {
             // A run that begins in this span starts with its own first row.
             if run.zero > before {
                 self.tracks[run.channel].run_start = run.zero;
             }
         }
-        self.runs = runs;
-        self.weave.end(n);
         Ok(())
     }
 

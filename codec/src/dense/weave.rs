@@ -140,6 +140,8 @@ impl Weave {
     /// A span of `n` channels begins.
     pub(super) fn begin(&mut self, n: usize) {
         self.by_channel[..n.next_multiple_of(covary::WIDE)].fill(SpanVectors::default());
+        // Those of a span that was not ended, because its bytes were damaged.
+        self.anchors = [0; GROUP_CHANNELS];
         for (k, lane) in self.kernel.iter_mut().enumerate().take(n) {
             lane[..n].fill(0.0);
             lane[k] = 1.0;

@@ -17,7 +17,7 @@ const ENTRY_BYTES: usize = 32;
 #[derive(Default)]
 struct Before<'a> {
     label: &'a [u8],
-    /// None before the first entry, and after the largest id.
+    /// None before the first entry.
     marker_id: Option<u16>,
     unlabelled: bool,
 }
@@ -85,10 +85,13 @@ impl Bytes<'_> {
             let byte = self.byte()?;
             value |= usize::from(byte & 0x7f) << shift;
             if byte & 0x80 == 0 {
+                if byte == 0 && shift > 0 {
+                    break;
+                }
                 return Ok(value);
             }
         }
-        Err("a number of the channel table is too long")
+        Err("a number of the channel table is longer than it needs to be")
     }
 
     fn take(&mut self, n: usize) -> Result<&[u8], &'static str> {
@@ -168,11 +171,12 @@ mod tests {
 
     #[test]
     fn bad_bytes_are_errors() {
-        // Shares with nothing; is cut; too long a number; not UTF-8; an id beyond 16 bits.
+        // Shares with nothing; is cut; too long a number, twice; not UTF-8; an id beyond 16 bits.
         for bytes in [
             &b"\x11a"[..],
             b"\x05ab",
             b"\x0e\xff\xff\xff\x01",
+            b"\x0e\x81\x00a",
             b"\x01\xff",
             b"\x0f\xff\xff\x7f\x00",
         ] {

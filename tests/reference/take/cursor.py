@@ -6,8 +6,6 @@ from .errors import Corrupt
 class Cursor:
     """A chunk or its parts."""
 
-    shortest_only = False
-
     def __init__(self, data):
         self.data = data
         self.at = 0
@@ -35,7 +33,7 @@ class Cursor:
                 break
         if value >> 64 or shift > 70:
             raise Corrupt("a varint of more than 64 bits")
-        if self.shortest_only and byte == 0 and shift > 7:
+        if byte == 0 and shift > 7:
             raise Corrupt("a varint longer than it needs to be")
         return value
 
@@ -45,9 +43,3 @@ class Cursor:
     def finish(self):
         if self.left():
             raise Corrupt("bytes are left over")
-
-
-class BlockCursor(Cursor):
-    """A block or its parts: one value has one spelling."""
-
-    shortest_only = True

@@ -3,7 +3,7 @@
 import math
 
 from .columns import read_channel
-from .cursor import BlockCursor
+from .cursor import Cursor
 from .errors import Corrupt
 from .fast_run import Memory, mul, run
 from .float32 import f32
@@ -33,7 +33,7 @@ class Fast:
         sampled = [i for i, channel in enumerate(channels) if any(channel.present)]
         bits = Bits(payload)
         modes = dict.fromkeys(sampled, 0)
-        cursor = BlockCursor(payload)
+        cursor = Cursor(payload)
         if bits.take(1):
             for i in sampled:
                 modes[i] = cursor.byte()

@@ -1,6 +1,6 @@
 """One block: head, presence, payload (docs/codec.md, "The frame")."""
 
-from .cursor import BlockCursor
+from .cursor import Cursor
 from .errors import Corrupt
 from .presence import CHANNELS, Presence
 
@@ -50,7 +50,7 @@ class Group:
             return []
         if n_rows == 0:
             raise Corrupt("a block with bytes but without rows")
-        cursor = BlockCursor(block)
+        cursor = Cursor(block)
         head = cursor.byte()
         states_channels = head & 0x40
         if states_channels:

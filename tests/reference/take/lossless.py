@@ -1,7 +1,7 @@
 """`lossless`: the columns of each sampled channel, with the histories of the blocks before."""
 
 from .columns import History, read_channel
-from .cursor import BlockCursor
+from .cursor import Cursor
 
 
 class Lossless:
@@ -19,7 +19,7 @@ class Lossless:
         """A marker is found again not far from where it was lost."""
 
     def decode(self, payload, _shared, channels):
-        cursor = BlockCursor(payload)
+        cursor = Cursor(payload)
         for channel, histories in zip(channels, self.histories):
             if any(channel.present):
                 read_channel(cursor, channel, histories)

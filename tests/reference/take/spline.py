@@ -4,7 +4,7 @@ import math
 import struct
 
 from .columns import read_channel
-from .cursor import BlockCursor
+from .cursor import Cursor
 from .errors import Corrupt
 from .float32 import f32
 
@@ -81,7 +81,7 @@ class Spline:
 
     def decode(self, payload, shared, channels):
         self.begin(shared, len(channels[0].present))
-        cursor = BlockCursor(payload)
+        cursor = Cursor(payload)
         for channel in channels:
             if not any(channel.present):
                 continue

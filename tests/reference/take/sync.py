@@ -1,6 +1,6 @@
 """`sync`: splines through one set of key times for all channels (docs/codec.md, "sync")."""
 
-from .cursor import BlockCursor
+from .cursor import Cursor
 from .errors import Corrupt
 from .spline import Spline
 
@@ -8,7 +8,7 @@ from .spline import Spline
 class Sync(Spline):
     def begin(self, shared, n_rows):
         self.keys = set()
-        cursor = BlockCursor(shared)
+        cursor = Cursor(shared)
         row = -1
         while cursor.left():
             row += 1 + cursor.varint()

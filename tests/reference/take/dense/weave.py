@@ -15,6 +15,7 @@ LEAST_ENERGY = 10.0
 RIDGE = 1.15, 2.0
 LEAST_GAIN = 0.02, 0.15
 MAX_RESIDUAL = 128000.0
+MAX_WEIGHT = 256.0
 NONE = (0.0, 0.0, 0.0)
 # By class, in the order of the sums: strides 32, 16, 8; 4; 2; 1. Anchors count at once.
 ROWS = [
@@ -147,7 +148,7 @@ class Weave:
                 gain += weight * shared[k]
             gain = divided(gain, own)
         found.signs = [-1.0 if shared[k] < 0.0 else 1.0 for k in found.channels]
-        found.used = gain > LEAST_GAIN[1]
+        found.used = gain > LEAST_GAIN[1] and all(abs(w) < MAX_WEIGHT for w in found.weights)
         return found
 
 

@@ -1,0 +1,79 @@
+//! What an error in mid-block leaves behind.
+
+use super::{
+    lattice::{Grid, Point},
+    walk::{Group, Question, Side},
+};
+use crate::{CodecError, Tolerance, coding::range::RangeEncoder};
+
+const CHANNELS: usize = 12;
+
+/// Moves every row by an amount that all channels share in part; one row, if asked to, out of the world.
+struct Scripted<'a> {
+    coder: RangeEncoder<'a>,
+    out_of_the_world: Option<(usize, usize)>,
+}
+
+/// From -8 to 7.
+fn noise(seed: usize) -> i64 {
+    (((seed + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) & 15) as i64 - 8
+}
+
+impl<'a> Side for Scripted<'a> {
+    type Coder = RangeEncoder<'a>;
+
+    fn coder(&mut self) -> &mut RangeEncoder<'a> {
+        &mut self.coder
+    }
+
+    fn choose(&mut self, question: Question) -> Point {
+        let Question { channel, row, .. } = question;
+        if self.out_of_the_world == Some((channel, row)) {
+            return [1 << 40, 0, 0];
+        }
+        // Even, so that both lattices have it.
+        std::array::from_fn(|axis| {
+            2 * (5 * noise(3 * row + axis) + noise(1000 * channel + 3 * row + axis))
+        })
+    }
+
+    fn start(&mut self, _: usize, _: usize, _: i64, _: &[Point]) -> (usize, Point) {
+        (0, [0; 3])
+    }
+
+    fn settle(&mut self, _: usize, _: usize, _: [f64; 3], _: bool) {}
+}
+
+fn block(
+    group: &mut Group,
+    n_rows: usize,
+    out_of_the_world: Option<(usize, usize)>,
+) -> Result<Vec<u8>, CodecError> {
+    let mut out = Vec::new();
+    let present = vec![true; n_rows];
+    let mut side = Scripted { coder: RangeEncoder::new(&mut out, usize::MAX), out_of_the_world };
+    group.block(&mut side, n_rows, &[Some(&present[..]); CHANNELS])?;
+    assert!(side.coder.finish());
+    Ok(out)
+}
+
+#[test]
+fn a_key_forgets_what_an_error_in_mid_block_left() {
+    let group = || Group::new(Grid::new(Tolerance::from_mm(0.5).unwrap()));
+    let mut fresh = group();
+    let wanted = [block(&mut fresh, 128, None).unwrap(), block(&mut fresh, 128, None).unwrap()];
+    // Of a whole span, and of one that ends early: its last row has another place in the span.
+    for n_rows in [40, 64] {
+        for row in [0, 20, n_rows - 1] {
+            let mut group = group();
+            let error = block(&mut group, n_rows, Some((5, row)));
+            if row > 0 {
+                assert!(matches!(error, Err(CodecError::Corrupt(_))), "row {row}: {error:?}");
+            }
+            group.reset();
+            let got =
+                [block(&mut group, 128, None).unwrap(), block(&mut group, 128, None).unwrap()];
+            assert!(got == wanted, "after an error in row {row} of {n_rows}");
+        }
+    }
+}
