@@ -66,7 +66,7 @@ pub use settings::{ResamplerKind, Settings, SplineVariant, Tolerance};
 /// The version of the block format: the one that this crate writes, and the only one it reads.
 ///
 /// Blocks do not carry it: a container stores it beside them, and refuses any other. A new version is a
-/// breaking change of the crate. 1 to 3 were those of development versions.
+/// breaking change of the crate. 1 to 4 were those of development versions.
 pub const BLOCK_VERSION: u16 = 5;
 
 /// A position in millimetres, x y z, right-handed, in the device's own axes.

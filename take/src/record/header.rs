@@ -90,8 +90,8 @@ pub struct Header {
     pub settings: Vec<(String, String)>,
 }
 
-/// The format of stretches and blocks that this build writes and reads. 1 was that of development
-/// versions, with a time line in chunks of its own.
+/// The format of stretches and blocks that this build writes and reads. 1 to 4 were those of development
+/// versions.
 pub const CODEC_VERSION: u16 = 5;
 
 // Blocks are a part of it: a new version of theirs is a new one of takes, too.

@@ -33,57 +33,79 @@ impl Subject<'_> {
     }
 }
 
-/// Codes, decodes and compares, `repeats` times, on one thread.
+/// Codes, decodes and compares, then measures both `repeats` times, on one thread.
 pub(super) fn measure(
     subject: &Subject<'_>,
     codec: &Settings,
     repeats: u8,
 ) -> anyhow::Result<Measured> {
     let header = header_of(subject.motion, subject.file, codec);
-    let (mut encode, mut decode) = (Duration::MAX, Duration::MAX);
     let mut take = Vec::new();
-    let mut worst_mm = 0.0;
-    for _ in 0..repeats {
+    let encode = median_time(repeats, || {
         take.clear();
-        let started = Instant::now();
         offline::write_take(subject.motion, &header, 1, &AtomicU64::new(0), &mut take)?;
-        encode = encode.min(started.elapsed());
-        let (took, error_mm) = decode_and_compare(&take, subject.motion)?;
-        decode = decode.min(took);
-        worst_mm = error_mm;
-    }
+        Ok(())
+    })?;
     let summary = Summary::read(&take[..])?;
     ensure!(summary.problems.is_empty(), "{}", summary.problems.join("; "));
+    let mut worst_mm = 0.0_f64;
+    let mut samples = 0;
+    decode(&take, |decoder, first_row| {
+        let (found, error_mm) = compare(decoder, subject.motion, first_row);
+        samples += found;
+        worst_mm = worst_mm.max(error_mm);
+    })?;
+    ensure!(
+        samples as u64 == subject.samples(),
+        "{samples} samples came back of {}",
+        subject.samples()
+    );
+    let decode = median_time(repeats, || decode(&take, |_, _| ()))?;
     Ok(Measured::new(codec, &summary, take.len() as u64, worst_mm, (encode, decode)))
 }
 
-/// The time that decoding took, and the largest error found.
-fn decode_and_compare(take: &[u8], motion: &Motion) -> anyhow::Result<(Duration, f64)> {
+/// A measurement is at least so long: short against it are the clock's steps and the scheduler's.
+const LEAST: Duration = Duration::from_millis(20);
+
+/// The median of some measurements, each the mean of as many runs as it takes; after one that is not
+/// measured.
+fn median_time(
+    repeats: u8,
+    mut run: impl FnMut() -> anyhow::Result<()>,
+) -> anyhow::Result<Duration> {
+    let started = Instant::now();
+    run()?;
+    let first = started.elapsed().max(Duration::from_nanos(1));
+    let runs = (LEAST.as_secs_f64() / first.as_secs_f64()).round().max(1.0) as u32;
+    let mut times = Vec::new();
+    for _ in 0..repeats.max(1) {
+        let started = Instant::now();
+        for _ in 0..runs {
+            run()?;
+        }
+        times.push(started.elapsed() / runs);
+    }
+    times.sort_unstable();
+    Ok(times[times.len() / 2])
+}
+
+/// Decodes a take from its bytes to float32; `found` is told the first row of each stretch.
+fn decode(take: &[u8], mut found: impl FnMut(&StretchDecoder, usize)) -> anyhow::Result<()> {
     let mut decoder = None;
-    let mut decoding = Duration::ZERO;
-    let mut worst_mm = 0.0_f64;
-    let mut samples = 0;
     read_events(take, |event| {
         match event {
             TakeEvent::Header(header) => decoder = Some(StretchDecoder::new(header.codec()?)),
             TakeEvent::Stretch(stretch) => {
                 if let Some(decoder) = &mut decoder {
-                    let started = Instant::now();
                     decoder.decode(&stretch)?;
-                    decoding += started.elapsed();
-                    let first_row = stretch.span.first_row as usize;
-                    let (found, error_mm) = compare(decoder, motion, first_row);
-                    samples += found;
-                    worst_mm = worst_mm.max(error_mm);
+                    found(decoder, stretch.span.first_row as usize);
                 }
             }
             _ => {}
         }
         Ok(())
     })?;
-    let expected = motion.positions_mm.iter().filter(|&&position| !is_gap(position)).count();
-    ensure!(samples == expected, "{samples} samples came back of {expected}");
-    Ok((decoding, worst_mm))
+    Ok(())
 }
 
 /// Samples of a decoded stretch that were there, and the largest error.

@@ -31,7 +31,7 @@ pub(crate) struct Args {
     /// A tolerance; may be given several times [default: 0.1 0.5 1 5 10 20 mm]
     #[arg(long = "tolerance", value_name = "LENGTH", value_parser = units::tolerance)]
     tolerances: Vec<Tolerance>,
-    /// Times that each is coded; speeds are of the quickest
+    /// Measurements of each speed, of 20 ms or one run at least; the median counts
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=20))]
     repeats: u8,
     /// Print one JSON document
