@@ -54,7 +54,7 @@ impl<'a> Part<'a> {
         let lost = info.n_frames.saturating_sub(frames.n_held());
         if to.is_none() && lost > LOST_UNASKED_MAX.max(frames.n_held()) {
             return Err(UsageError(format!(
-                "{lost} of the {} frames are lost, and each would be a row of gaps: give a --to, the time up to which to write",
+                "{lost} of the {} frames hold nothing, and each would be a row of gaps: give a --to, the time up to which to write",
                 info.n_frames
             ))
             .into());
@@ -139,9 +139,12 @@ mod tests {
                 .map(|part| part.left)
                 .map_err(|error| error.to_string())
         };
-        assert_eq!(part(LOST_UNASKED_MAX, None), Ok(LOST_UNASKED_MAX + 1200));
+        assert_eq!(part(LOST_UNASKED_MAX - 1200, None), Ok(LOST_UNASKED_MAX));
         let refused = part(1 << 31, None).unwrap_err();
-        assert!(refused.starts_with("2147483648 of the 2147484848 frames are lost"), "{refused}");
+        assert!(
+            refused.starts_with("2147484848 of the 2147484848 frames hold nothing"),
+            "{refused}"
+        );
         assert_eq!(part(1 << 31, Some(10)), Ok(600));
         assert_eq!(part(1 << 31, Some(1_000_000)), Ok(60_000_000));
     }
