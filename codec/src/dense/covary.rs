@@ -11,7 +11,7 @@ use super::{
 /// What a span leaves of the averages.
 const DECAY: f64 = 0.9;
 /// Products are in squares of 256 units.
-const SCALE: f64 = 65536.0;
+pub(super) const SCALE: f64 = 65536.0;
 
 /// Where the rows of a class lie side by side ([`slot`](super::track::slot)): strides 32, 16 and 8; 4; 2; 1.
 /// Anchors count as they are coded.

@@ -14,7 +14,7 @@ use crate::{
 use super::{
     SPAN,
     ahead::{Ahead, LANES, PADDED, Sites, lanes},
-    covary::{self, Covarying, Span},
+    covary::{self, Covarying, SCALE, Span},
     solve::{Lane, Solving, ridged},
     track::SpanPoints,
 };
@@ -30,8 +30,6 @@ const KERNEL_WEIGHT: f64 = 0.3;
 const LEAST_ENERGY: f64 = 10.0;
 /// Residuals count up to this length, in units: 500 tolerances.
 const MAX_RESIDUAL: f64 = 128_000.0;
-/// Products are in squares of 256 units.
-const SCALE: f64 = 65536.0;
 
 /// The references of one channel in one class.
 #[derive(Debug, Clone, Copy, Default)]

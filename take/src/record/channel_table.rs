@@ -4,6 +4,7 @@
 //! little else: stored whole they would be a tenth of it. docs/take-format.md gives the bytes.
 
 use super::{Channel, LIMIT_BYTES};
+use crate::varint::{self, Cursor};
 
 /// Most bytes that a label takes over from the one before: what a nibble can say.
 const MAX_SHARED: usize = 15;
@@ -36,14 +37,6 @@ fn shared(a: &[u8], b: &[u8]) -> usize {
     a.iter().zip(b).take(MAX_SHARED).take_while(|(a, b)| a == b).count()
 }
 
-fn put_varint(out: &mut Vec<u8>, mut value: usize) {
-    while value >= 0x80 {
-        out.push(value as u8 | 0x80);
-        value >>= 7;
-    }
-    out.push(value as u8);
-}
-
 /// The bytes of a table.
 pub(super) fn write(channels: &[Channel]) -> Vec<u8> {
     let mut out = Vec::new();
@@ -57,10 +50,10 @@ pub(super) fn write(channels: &[Channel]) -> Vec<u8> {
         let low = if usual { short.unwrap_or(LONG) } else { UNUSUAL };
         out.push((shared as u8) << 4 | low);
         if !usual {
-            put_varint(&mut out, usize::from(*marker_id) << 1 | usize::from(*labelled));
+            varint::put(&mut out, u64::from(*marker_id) << 1 | u64::from(*labelled));
         }
         if low >= LONG {
-            put_varint(&mut out, suffix.len());
+            varint::put(&mut out, suffix.len() as u64);
         }
         out.extend_from_slice(suffix);
         before.follow(*marker_id, label, *labelled);
@@ -68,47 +61,14 @@ pub(super) fn write(channels: &[Channel]) -> Vec<u8> {
     out
 }
 
-/// The bytes not read yet.
-struct Bytes<'a>(&'a [u8]);
-
-impl Bytes<'_> {
-    fn byte(&mut self) -> Result<u8, &'static str> {
-        let (&first, rest) = self.0.split_first().ok_or(CUT)?;
-        self.0 = rest;
-        Ok(first)
-    }
-
-    /// At most 21 bits: labels and ids are short.
-    fn varint(&mut self) -> Result<usize, &'static str> {
-        let mut value = 0;
-        for shift in [0, 7, 14] {
-            let byte = self.byte()?;
-            value |= usize::from(byte & 0x7f) << shift;
-            if byte & 0x80 == 0 {
-                if byte == 0 && shift > 0 {
-                    break;
-                }
-                return Ok(value);
-            }
-        }
-        Err("a number of the channel table is longer than it needs to be")
-    }
-
-    fn take(&mut self, n: usize) -> Result<&[u8], &'static str> {
-        let (taken, rest) = self.0.split_at_checked(n).ok_or(CUT)?;
-        self.0 = rest;
-        Ok(taken)
-    }
-}
-
-const CUT: &str = "the channel table is cut short";
+const CUT: &str = "the channel table is cut short, or a number in it is longer than it needs to be";
 
 /// A table from all of its bytes.
 pub(super) fn read(bytes: &[u8]) -> Result<Vec<Channel>, &'static str> {
-    let mut bytes = Bytes(bytes);
+    let mut bytes = Cursor::new(bytes);
     let mut channels: Vec<Channel> = Vec::new();
-    let mut claimed = 0;
-    while !bytes.0.is_empty() {
+    let mut claimed = 0_u64;
+    while !bytes.is_empty() {
         let before = match channels.last() {
             Some(last) => Before {
                 label: last.label.as_bytes(),
@@ -117,22 +77,22 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Channel>, &'static str> {
             },
             None => Before::default(),
         };
-        let head = bytes.byte()?;
+        let head = bytes.byte().ok_or(CUT)?;
         let shared = usize::from(head >> 4);
         let (mut marker_id, mut labelled) = (before.next_id(), !before.unlabelled);
         if head & 15 == UNUSUAL {
-            let both = bytes.varint()?;
+            let both = bytes.varint().ok_or(CUT)?;
             labelled = both & 1 == 1;
             marker_id = u16::try_from(both >> 1).map_err(|_| "a marker id is beyond 65535")?;
         }
-        let n = if head & 15 >= LONG { bytes.varint()? } else { usize::from(head & 15) };
+        let n = if head & 15 >= LONG { bytes.varint().ok_or(CUT)? } else { u64::from(head & 15) };
         let beginning = before.label.get(..shared).ok_or("a label begins like a shorter one")?;
         // Memory as the other records: a byte here must not buy more than the limit there.
-        claimed += ENTRY_BYTES + shared + n;
-        if claimed > LIMIT_BYTES {
+        claimed = (claimed + (ENTRY_BYTES + shared) as u64).saturating_add(n);
+        if claimed > LIMIT_BYTES as u64 {
             return Err("the channel table is larger than a take can hold");
         }
-        let label = [beginning, bytes.take(n)?].concat();
+        let label = [beginning, bytes.take(n).ok_or(CUT)?].concat();
         let label = String::from_utf8(label).map_err(|_| "a label is not UTF-8")?;
         channels.push(Channel { marker_id, label, labelled });
     }
