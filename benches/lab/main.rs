@@ -46,9 +46,8 @@ fn main() -> anyhow::Result<()> {
             .with_context(|| format!("cannot write {}", file.display()))?;
     }
     if let Some(file) = prior {
-        let mut sums = prior::Sums::default();
-        cells.iter().flat_map(|cell| &cell.tallies).for_each(|tally| sums.add(tally));
-        std::fs::write(&file, sums.table())
+        let tallies: Vec<_> = cells.into_iter().map(|cell| cell.tallies).collect();
+        std::fs::write(&file, prior::table(&tallies))
             .with_context(|| format!("cannot write {}", file.display()))?;
     }
     Ok(())

@@ -67,7 +67,7 @@ pub use settings::{ResamplerKind, Settings, SplineVariant, Tolerance};
 ///
 /// Blocks do not carry it: a container stores it beside them, and refuses any other. A new version is a
 /// breaking change of the crate. 1 to 4 were those of development versions.
-pub const BLOCK_VERSION: u16 = 5;
+pub const BLOCK_VERSION: u16 = 6;
 
 /// A position in millimetres, x y z, right-handed, in the device's own axes.
 pub type Position = [f32; 3];

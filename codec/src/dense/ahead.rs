@@ -7,9 +7,9 @@ use crate::coding::isa::Kernel;
 
 use super::{
     SPAN,
-    lattice::{floor, round},
+    lattice::{Point, floor, round},
     lengths::PARTNERS,
-    taps::{SIDE_UNITS, Site},
+    taps::Site,
     track::{Track, slot},
     weave::{REFERENCES, References, Weave},
 };
@@ -24,8 +24,11 @@ const _: () = assert!(MOST.is_multiple_of(LANES));
 /// Values of a span, and room for whole lanes behind the last.
 pub(super) const PADDED: usize = SPAN + 2 * LANES;
 
+/// Values of the rows of a level, and room for the rest of the last lanes.
+pub(super) const ROOM: usize = MOST + LANES;
+
 /// One value a row.
-pub(super) type PerRow = [f64; MOST];
+pub(super) type PerRow = [f64; ROOM];
 
 /// Where the rows lie. Indices are those of a track.
 #[derive(Debug, Clone, Copy, Default)]
@@ -77,6 +80,13 @@ impl Sites {
         ((at - self.stride).max(self.zero), (at + self.stride).min(self.end))
     }
 
+    /// The rows that have both neighbours at the stride.
+    pub(super) fn whole(&self) -> (usize, usize) {
+        let from = usize::from(self.first < self.zero + self.stride);
+        let to = self.n - usize::from(self.at(self.n - 1) + self.stride > self.end);
+        (from, to.max(from))
+    }
+
     /// The rows that are expected by the four-point rule.
     fn even(&self) -> (usize, usize) {
         let least = (self.zero + self.stride).max(self.start + 3 * self.stride);
@@ -89,14 +99,13 @@ impl Sites {
     }
 }
 
-/// Classes of what is around a row.
-#[derive(Debug, Clone, Copy, Default)]
+/// Classes of what is around a row that is moved, by axis.
+#[derive(Debug, Clone, Copy)]
 pub(super) struct Hints {
-    /// See [`Expected`](super::taps::Expected).
-    pub(super) bend: u8,
-    pub(super) side: [u8; 3],
+    /// On which side of the chord the row is expected: 0 none to speak of, 1 above, 2 below.
+    pub(super) side: [usize; 3],
     /// On which side of nothing the references are.
-    pub(super) references_side: [u8; 3],
+    pub(super) references_side: [usize; 3],
 }
 
 /// The rows of a run.
@@ -106,34 +115,63 @@ pub(super) struct Ahead {
     /// By axis: by time alone, and with what the references say.
     pub(super) expected: [PerRow; 3],
     pub(super) prediction: [PerRow; 3],
-    pub(super) hints: [Hints; MOST],
     /// The distances that the partners should have; NaN where nothing says so.
     pub(super) lengths: [PerRow; PARTNERS],
-    /// Room to work in.
-    spill: [PerRow; 3],
+    /// By axis: how far the expectation lies from the chord of the two near neighbours, in units.
     offs: [PerRow; 3],
+    /// The class of the largest of the three, in eighths of the tolerance: 0; 1 or 2; more.
+    pub(super) bends: [u8; ROOM],
+    /// By axis: the residuals of the references, added up.
+    referred: [PerRow; 3],
+    /// Room to work in.
+    nodes: [PerRow; 3],
+}
+
+/// The sides count from here, in units.
+const SIDE_UNITS: f64 = 40.0;
+const REFERENCES_SIDE_UNITS: f64 = 30.0;
+
+/// 0 near nothing, 1 above, 2 below.
+#[inline(always)]
+fn side(units: f64, least: f64) -> usize {
+    usize::from(units >= least) + 2 * usize::from(units <= -least)
+}
+
+/// The class of a distance from the chord, in units.
+#[inline(always)]
+fn bend(units: f64) -> u8 {
+    u8::from(units >= 32.0) + u8::from(units >= 96.0)
 }
 
 impl Ahead {
     pub(super) fn new() -> Self {
         Self {
             sites: Sites::default(),
-            expected: [[0.0; MOST]; 3],
-            prediction: [[0.0; MOST]; 3],
-            hints: [Hints::default(); MOST],
-            lengths: [[f64::NAN; MOST]; PARTNERS],
-            spill: [[0.0; MOST]; 3],
-            offs: [[0.0; MOST]; 3],
+            expected: [[0.0; ROOM]; 3],
+            prediction: [[0.0; ROOM]; 3],
+            lengths: [[f64::NAN; ROOM]; PARTNERS],
+            offs: [[0.0; ROOM]; 3],
+            bends: [0; ROOM],
+            referred: [[0.0; ROOM]; 3],
+            nodes: [[0.0; ROOM]; 3],
+        }
+    }
+
+    #[inline(always)]
+    pub(super) fn hints(&self, i: usize) -> Hints {
+        Hints {
+            side: self.offs.each_ref().map(|axis| side(axis[i], SIDE_UNITS)),
+            references_side: self
+                .referred
+                .each_ref()
+                .map(|axis| side(axis[i], REFERENCES_SIDE_UNITS)),
         }
     }
 
     /// Rows that have neighbours on one side only.
     pub(super) fn guessed(&mut self, sites: Sites, expected: [i64; 3]) {
         self.sites = sites;
-        for (lane, units) in self.expected.iter_mut().zip(expected) {
-            lane[0] = units as f64;
-        }
-        self.hints[0] = Hints::default();
+        self.store(0, expected, [0; 3]);
     }
 
     /// What is not evenly spaced.
@@ -141,11 +179,17 @@ impl Ahead {
         let Sites { stride, start, zero, end, .. } = self.sites;
         let site = Site::new(self.sites.at(i), stride, (start, zero, end));
         let expected = site.expect(|row| track.point(row));
+        self.store(i, expected.point, expected.off);
+    }
+
+    fn store(&mut self, i: usize, expected: Point, off: Point) {
+        let mut largest = 0.0_f64;
         for axis in 0..3 {
-            self.expected[axis][i] = expected.point[axis] as f64;
+            self.expected[axis][i] = expected[axis] as f64;
+            self.offs[axis][i] = off[axis] as f64;
+            largest = largest.max((off[axis] as f64).abs());
         }
-        self.hints[i].side = expected.side.map(|side| side as u8);
-        self.hints[i].bend = expected.bend as u8;
+        self.bends[i] = bend(largest);
     }
 }
 
@@ -164,23 +208,22 @@ impl Kernel for Interpolating<'_> {
         let Self { ahead, track } = self;
         let Sites { n, step, stride, .. } = ahead.sites;
         let (from, to) = ahead.sites.even();
-        (0..from).chain(to..n).for_each(|i| ahead.uneven(track, i));
-        if from == to {
-            return;
-        }
-        let rows = to - from;
-        let mut bends = [[0.0; LANES]; MOST / LANES];
-        for axis in 0..3 {
-            // The decoded rows around, evenly spaced; what is beyond them counts for nothing.
-            let mut nodes = [0.0; MOST + LANES];
-            let points = &track.points[ahead.sites.at(from) - 3 * stride..];
-            for (node, row) in nodes[..rows + 3].iter_mut().zip(points.chunks(step)) {
-                *node = row[0][axis];
+        // The decoded rows around, evenly spaced; what is beyond them counts for nothing.
+        let mut row = ahead.sites.at(from).wrapping_sub(3 * stride);
+        let nodes = if from < to { to - from + 3 } else { 0 };
+        for node in 0..nodes.min(ROOM) {
+            let point = track.points[row];
+            for (axis, units) in ahead.nodes.iter_mut().zip(point) {
+                axis[node] = units;
             }
-            for (block, bends) in bends[..rows.div_ceil(LANES)].iter_mut().enumerate() {
-                let first = block * LANES;
-                let [befores, lefts, rights, afters] =
-                    [0, 1, 2, 3].map(|node| lanes::<LANES>(&nodes, first + node));
+            row += step;
+        }
+        // The last lanes may reach into rows that are not even: those come after.
+        for first in (from..to).step_by(LANES) {
+            let mut bends = [0.0; LANES];
+            for axis in 0..3 {
+                let [befores, lefts, rights, afters] = [0, 1, 2, 3]
+                    .map(|node| lanes::<LANES>(&ahead.nodes[axis], first - from + node));
                 let (mut expected, mut offs) = ([0.0; LANES], [0.0; LANES]);
                 for i in 0..LANES {
                     let (before, left) = (befores[i], lefts[i]);
@@ -192,19 +235,14 @@ impl Kernel for Interpolating<'_> {
                     let size = offs[i].abs();
                     bends[i] = if size > bends[i] { size } else { bends[i] };
                 }
-                ahead.spill[axis][first..first + LANES].copy_from_slice(&expected);
-                ahead.offs[axis][first..first + LANES].copy_from_slice(&offs);
+                put(&mut ahead.expected[axis], first, expected);
+                put(&mut ahead.offs[axis], first, offs);
             }
-            ahead.expected[axis][from..to].copy_from_slice(&ahead.spill[axis][..rows]);
-            for (hints, off) in ahead.hints[from..to].iter_mut().zip(&ahead.offs[axis]) {
-                hints.side[axis] =
-                    u8::from(*off >= SIDE_UNITS as f64) + 2 * u8::from(*off <= -SIDE_UNITS as f64);
+            if let Some(classes) = ahead.bends[first..].first_chunk_mut() {
+                *classes = bends.map(bend);
             }
         }
-        for (hints, size) in ahead.hints[from..to].iter_mut().zip(bends.as_flattened()) {
-            // In eighths of the tolerance: 0; 1 or 2; more.
-            hints.bend = u8::from(*size >= 32.0) + u8::from(*size >= 96.0);
-        }
+        (0..from).chain(to..n).for_each(|i| ahead.uneven(track, i));
     }
 }
 
@@ -224,9 +262,9 @@ impl Kernel for Referring<'_> {
         let Self { ahead, weave, references } = self;
         let Sites { n, slot, .. } = ahead.sites;
         let found = references.n.min(REFERENCES);
-        for axis in 0..3 {
-            for first in (0..n).step_by(LANES) {
-                let (mut sums, mut sides) = ([0.0; LANES], [0.0; LANES]);
+        for first in (0..n).step_by(LANES) {
+            for axis in 0..3 {
+                let (mut sums, mut referred) = ([0.0; LANES], [0.0; LANES]);
                 for i in 0..found {
                     let by_channel = &weave.by_channel[references.channels[i]].0;
                     let residuals: [f32; LANES] =
@@ -236,19 +274,23 @@ impl Kernel for Referring<'_> {
                     for lane in 0..LANES {
                         let weighed = weight * residuals[lane];
                         sums[lane] += weighed;
-                        sides[lane] += residuals[lane] * sign;
+                        referred[lane] += residuals[lane] * sign;
                     }
                 }
                 let expected: [f64; LANES] = lanes(&ahead.expected[axis], first);
-                let prediction: [f64; LANES] =
-                    std::array::from_fn(|lane| expected[lane] + round(sums[lane]));
-                ahead.prediction[axis][first..first + LANES].copy_from_slice(&prediction);
-                for (hints, side) in ahead.hints[first..first + LANES].iter_mut().zip(sides) {
-                    hints.references_side[axis] =
-                        u8::from(side >= 30.0) + 2 * u8::from(side <= -30.0);
-                }
+                let prediction = std::array::from_fn(|lane| expected[lane] + round(sums[lane]));
+                put(&mut ahead.prediction[axis], first, prediction);
+                put(&mut ahead.referred[axis], first, referred);
             }
         }
+    }
+}
+
+/// Stores some rows side by side; there is room.
+#[inline(always)]
+pub(super) fn put(values: &mut PerRow, first: usize, lanes: [f64; LANES]) {
+    if let Some(values) = values[first..].first_chunk_mut() {
+        *values = lanes;
     }
 }
 

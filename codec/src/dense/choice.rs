@@ -1,9 +1,10 @@
 //! Which lattice point is coded.
 
 use super::{
+    code::{Points, TOGETHER},
     lattice::{Grid, Lattice, Point},
     layout::KINDS,
-    walk::{Question, Side},
+    walk::{Batch, Question, Side},
 };
 use crate::{BlockReport, GROUP_CHANNELS, Position, Rows, bound, coding::range::RangeEncoder};
 
@@ -23,6 +24,26 @@ impl Encoding<'_, '_> {
     #[inline(always)]
     fn squares(&self, sample: Position, units: [f64; 3]) -> f64 {
         bound::squares(self.grid.position(units), sample)
+    }
+
+    /// The same of some rows; of those beyond them it says nothing.
+    #[inline(always)]
+    fn all_squares(&self, channel: usize, batch: Batch, units: &Points) -> [f64; TOGETHER] {
+        let rows = self.channels[channel].positions();
+        let mut samples = [[0.0_f32; TOGETHER]; 3];
+        for i in 0..batch.n.min(TOGETHER) {
+            let sample = rows[batch.row(i)];
+            for (axis, coordinate) in samples.iter_mut().zip(sample) {
+                axis[i] = coordinate;
+            }
+        }
+        let positions = self.grid.positions(units);
+        std::array::from_fn(|i| {
+            let [x, y, z]: [f64; 3] = std::array::from_fn(|axis| {
+                f64::from(positions[axis][i]) - f64::from(samples[axis][i])
+            });
+            x * x + y * y + z * z
+        })
     }
 
     /// Of the lattice points around the sample that are inside the ball, the one with the fewest bits, and
@@ -125,13 +146,9 @@ impl<'a> Side for Encoding<'a, '_> {
         &mut self.coder
     }
 
-    /// Stays where it can.
     #[inline(always)]
     fn choose(&mut self, question: Question) -> Point {
         let sample = self.channels[question.channel].positions()[question.row];
-        if self.squares(sample, question.prediction) <= self.allowed {
-            return [0; 3];
-        }
         self.search(&question, sample)
     }
 
@@ -161,10 +178,20 @@ impl<'a> Side for Encoding<'a, '_> {
     }
 
     #[inline(always)]
-    fn settle(&mut self, channel: usize, row: usize, units: [f64; 3], kept: bool) {
-        let squares = self.squares(self.channels[channel].positions()[row], units);
-        self.squares[channel] = self.squares[channel].max(squares);
-        self.reports[channel].kept += u32::from(kept);
+    fn outside(&mut self, channel: usize, batch: Batch, predictions: &Points) -> u32 {
+        let squares = self.all_squares(channel, batch, predictions);
+        let inside = squares.map(|squares| squares <= self.allowed);
+        (0..batch.n).fold(0, |bits, i| bits | u32::from(!inside[i]) << i)
+    }
+
+    #[inline(always)]
+    fn settle(&mut self, channel: usize, batch: Batch, points: &Points, kept: u32) {
+        let squares = self.all_squares(channel, batch, points);
+        let most = &mut self.squares[channel];
+        for square in &squares[..batch.n] {
+            *most = most.max(*square);
+        }
+        self.reports[channel].kept += kept.count_ones();
     }
 }
 

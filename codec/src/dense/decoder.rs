@@ -1,9 +1,10 @@
 //! The half that only follows.
 
 use super::{
+    code::{Points, TOGETHER},
     encoder::STORED,
     lattice::{Fineness, Grid, Point},
-    walk::{Group, Question, Side},
+    walk::{Batch, Group, Question, Side},
 };
 use crate::{
     CodecError, DecodedRows, GROUP_CHANNELS, Tolerance,
@@ -125,9 +126,18 @@ impl<'a> Side for Decoding<'a> {
     }
 
     #[inline(always)]
-    fn settle(&mut self, channel: usize, row: usize, units: [f64; 3], kept: bool) {
-        let rows = &mut self.channels[channel];
-        rows.positions[row] = self.grid.position(units);
-        rows.kept[row] = kept;
+    fn outside(&mut self, _channel: usize, _batch: Batch, _predictions: &Points) -> u32 {
+        0
+    }
+
+    #[inline(always)]
+    fn settle(&mut self, channel: usize, batch: Batch, points: &Points, kept: u32) {
+        let DecodedRows { positions, kept: flags, .. } = &mut self.channels[channel];
+        let [x, y, z] = self.grid.positions(points);
+        for i in 0..batch.n.min(TOGETHER) {
+            let row = batch.row(i);
+            positions[row] = [x[i], y[i], z[i]];
+            flags[row] = kept >> i & 1 == 1;
+        }
     }
 }

@@ -6,6 +6,7 @@
 //! packings, lattices and groups, chapter 4). The second needs 0.9 bits less for a long vector, the first
 //! has more points close to zero.
 
+use super::code::{Points, TOGETHER};
 use crate::{Position, Tolerance};
 
 /// Units per tolerance. A power of two: the unit is then exact in f64.
@@ -38,6 +39,12 @@ impl Grid {
         units.map(|units| (units * self.unit_mm) as f32)
     }
 
+    /// The same for some rows, by axis.
+    #[inline(always)]
+    pub(super) fn positions(&self, units: &Points) -> [[f32; TOGETHER]; 3] {
+        units.map(|axis| axis.map(|units| (units * self.unit_mm) as f32))
+    }
+
     /// A sample in units, not rounded.
     pub(super) fn units(&self, sample: Position) -> [f64; 3] {
         sample.map(|mm| f64::from(mm) / self.unit_mm)
@@ -60,10 +67,10 @@ impl Grid {
     }
 }
 
-/// Whether a decoded point can have come from an encoder.
+/// Whether decoded coordinates can have come from an encoder.
 #[inline(always)]
-pub(super) fn in_range(units: [f64; 3]) -> bool {
-    units.iter().all(|units| units.abs() <= MAX_DECODED)
+pub(super) fn in_range(units: &[f64]) -> bool {
+    units.iter().fold(true, |in_range, units| in_range & (units.abs() <= MAX_DECODED))
 }
 
 /// How much of the tolerance is left for the rounding to float32.
@@ -83,6 +90,14 @@ pub(super) enum Lattice {
     Cubic,
     /// All even or all odd.
     Centred,
+}
+
+impl Lattice {
+    /// That of a row with these activities, the last one of the sum.
+    #[inline(always)]
+    pub(super) fn of(activity: &[i32; 4]) -> Self {
+        if activity[3] >= 256 { Self::Centred } else { Self::Cubic }
+    }
 }
 
 impl Fineness {

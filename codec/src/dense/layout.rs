@@ -34,21 +34,18 @@ impl Family {
     }
 }
 
-pub(super) const MOVING_NEAR: Family = Family { first: 0, len: KINDS * 54 };
-pub(super) const MOVING_REFERENCES: Family = Family::after(MOVING_NEAR, KINDS * 6 * 8);
+pub(super) const MOVING_REFERENCES: Family = Family { first: 0, len: KINDS * 6 * 8 };
 pub(super) const MOVING_EXPECTED: Family = Family::after(MOVING_REFERENCES, KINDS * 32 * 3);
 pub(super) const ODD: Family = Family::after(MOVING_EXPECTED, KINDS);
 pub(super) const NONZERO_REFERENCES: Family = Family::after(ODD, KINDS * 6 * 8 * 6);
 pub(super) const NONZERO_EXPECTED: Family = Family::after(NONZERO_REFERENCES, KINDS * 32 * 6);
-pub(super) const SIGN_PARENTS: Family = Family::after(NONZERO_EXPECTED, KINDS * 9);
-pub(super) const SIGN_REFERENCES: Family = Family::after(SIGN_PARENTS, KINDS * 9);
+pub(super) const SIGN_REFERENCES: Family = Family::after(NONZERO_EXPECTED, KINDS * 9);
 pub(super) const SIGN_SIDE: Family = Family::after(SIGN_REFERENCES, KINDS * 9);
 pub(super) const LONGER_NEAR: Family = Family::after(SIGN_SIDE, KINDS * UNARY * 6);
 pub(super) const LONGER_REFERENCES: Family = Family::after(LONGER_NEAR, 3 * UNARY * 6 * 8);
 pub(super) const LONGER_EXPECTED: Family = Family::after(LONGER_REFERENCES, 3 * 32 * UNARY);
 pub(super) const EXPONENT_EXPECTED: Family = Family::after(LONGER_EXPECTED, 32 * EXPONENTS);
-pub(super) const EXPONENT_NEAR: Family = Family::after(EXPONENT_EXPECTED, KINDS * EXPONENTS * 6);
-pub(super) const EXPONENT_REFERENCES: Family = Family::after(EXPONENT_NEAR, EXPONENTS * 6 * 8);
+pub(super) const EXPONENT_REFERENCES: Family = Family::after(EXPONENT_EXPECTED, EXPONENTS * 6 * 8);
 pub(super) const TOP_BIT: Family = Family::after(EXPONENT_REFERENCES, EXPONENTS * 32);
 pub(super) const NEXT_BIT: Family = Family::after(TOP_BIT, EXPONENTS * 2);
 pub(super) const ORIGIN_EXPONENT: Family = Family::after(NEXT_BIT, 3 * 3 * 48);

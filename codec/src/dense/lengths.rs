@@ -12,6 +12,9 @@ use super::{
     layout::{INTERPOLATED, KINDS},
 };
 
+/// Units of a length: lengths are in tolerances.
+pub(super) const LENGTH_UNITS: f64 = UNITS_PER_TOLERANCE as f64;
+
 /// Markers that a channel is held against, at most.
 pub(super) const PARTNERS: usize = 3;
 /// Earlier channels whose distance is followed: the nearest.
@@ -30,9 +33,24 @@ pub(super) const LEAST_SHARE: f64 = 0.05;
 
 /// How well a pair's distance follows from its neighbours in time.
 #[derive(Debug, Clone, Copy, Default)]
-struct Spread {
+pub(super) struct Spread {
     variance: f64,
     seen: f64,
+}
+
+impl Spread {
+    /// Learns how far the distance was from where its neighbours in time put it; nothing where one of the two
+    /// is not known.
+    #[inline(always)]
+    pub(super) fn learn(&mut self, distance: f64, length: f64) {
+        let off = (distance - length).abs();
+        if off.is_nan() {
+            return;
+        }
+        let off = off.min(MAX_DIFFERENCE);
+        self.variance += (off * off - self.variance) / (self.seen.min(MEMORY_ROWS) + 1.0);
+        self.seen += 1.0;
+    }
 }
 
 /// One share: sums of the squared difference, and of difference times truth, and what follows.
@@ -61,6 +79,7 @@ impl Share {
     }
 
     /// How much of a difference is true.
+    #[inline(always)]
     fn share(&mut self) -> f64 {
         if self.is_stale {
             // Those below nothing are not used.
@@ -71,6 +90,14 @@ impl Share {
     }
 }
 
+/// The distances of two channels at the decoded rows of a span, and room up to a power of two; NaN where one of
+/// them is not known.
+pub(super) type SpanRows = [f64; 2 * SPAN];
+
+/// The same at one row in so many, the rows of anchors and longer strides.
+pub(super) type NearRows = [f64; 2 * SPAN / EVERY];
+pub(super) const EVERY: usize = 8;
+
 /// Everything of a group.
 #[derive(Debug)]
 pub(super) struct Lengths {
@@ -78,15 +105,16 @@ pub(super) struct Lengths {
     shares: Vec<[[Share; PARTNERS]; KINDS]>,
     near: Vec<([usize; NEAR], usize)>,
     partners: Vec<([usize; PARTNERS], usize)>,
-    /// Distances to the partners at the rows of the span, by channel and slot; NaN where one is not known.
-    distances: Vec<[f64; SPAN + 1]>,
+    /// By channel and slot: with the partners, and with the near channels.
+    partner_distances: Vec<SpanRows>,
+    near_distances: Vec<NearRows>,
 }
 
 /// In tolerances; NaN where one of them is.
 #[inline(always)]
 pub(super) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     let [x, y, z]: [f64; 3] = std::array::from_fn(|axis| a[axis] - b[axis]);
-    (x * x + y * y + z * z).sqrt() / UNITS_PER_TOLERANCE as f64
+    (x * x + y * y + z * z).sqrt() / LENGTH_UNITS
 }
 
 impl Lengths {
@@ -96,7 +124,8 @@ impl Lengths {
             shares: vec![Default::default(); GROUP_CHANNELS],
             near: vec![Default::default(); GROUP_CHANNELS],
             partners: vec![Default::default(); GROUP_CHANNELS],
-            distances: vec![[f64::NAN; SPAN + 1]; GROUP_CHANNELS * PARTNERS],
+            partner_distances: vec![[f64::NAN; _]; GROUP_CHANNELS * PARTNERS],
+            near_distances: vec![[f64::NAN; _]; GROUP_CHANNELS * NEAR],
         }
     }
 
@@ -129,15 +158,23 @@ impl Lengths {
             partners.1 = 1;
         }
         self.partners[j] = partners;
-        self.distances[j * PARTNERS..(j + 1) * PARTNERS].fill([f64::NAN; SPAN + 1]);
+        self.partner_distances(j).iter_mut().for_each(|rows| rows[..=SPAN].fill(f64::NAN));
+        self.near_distances(j).0.fill([f64::NAN; _]);
     }
 
-    /// The distances to a partner at the rows of the span.
-    pub(super) fn distances(&mut self, j: usize, slot: usize) -> &mut [f64; SPAN + 1] {
-        &mut self.distances[j * PARTNERS + slot]
+    /// With the partners of channel `j`, by slot.
+    pub(super) fn partner_distances(&mut self, j: usize) -> &mut [SpanRows] {
+        &mut self.partner_distances[j * PARTNERS..(j + 1) * PARTNERS]
+    }
+
+    /// With the near channels of channel `j`, by slot; and with every channel how steady the distance is.
+    pub(super) fn near_distances(&mut self, j: usize) -> (&mut [NearRows], &mut [Spread]) {
+        let spreads = &mut self.spreads[j * GROUP_CHANNELS..(j + 1) * GROUP_CHANNELS];
+        (&mut self.near_distances[j * NEAR..(j + 1) * NEAR], spreads)
     }
 
     /// The shares of a channel's partners in one kind of row.
+    #[inline(always)]
     pub(super) fn shares(&mut self, j: usize, kind: usize) -> [f64; PARTNERS] {
         self.shares[j][kind].each_mut().map(Share::share)
     }
@@ -160,14 +197,6 @@ impl Lengths {
             }
         }
     }
-
-    /// Learns how far a pair's distance was from where its neighbours in time put it.
-    pub(super) fn learn(&mut self, j: usize, k: usize, distance: f64, length: f64) {
-        let spread = &mut self.spreads[j * GROUP_CHANNELS + k];
-        let off = (distance - length).abs().min(MAX_DIFFERENCE);
-        spread.variance += (off * off - spread.variance) / (spread.seen.min(MEMORY_ROWS) + 1.0);
-        spread.seen += 1.0;
-    }
 }
 
 /// The candidates with the smallest values, in order, the first of equals first; and how many.
@@ -175,15 +204,20 @@ fn smallest<const N: usize>(
     candidates: impl Iterator<Item = usize>,
     value: impl Fn(usize) -> f64,
 ) -> ([usize; N], usize) {
-    let (mut found, mut n) = ([0; N], 0);
+    let (mut found, mut values, mut n) = ([0; N], [f64::INFINITY; N], 0);
     for candidate in candidates {
-        let place = (0..n).find(|&i| value(candidate) < value(found[i])).unwrap_or(n);
-        if place == N {
+        let own = value(candidate);
+        if n == N && own >= values[N - 1] {
             continue;
         }
+        // Up to where it belongs: one place, or the last one's, is free.
+        let mut place = n.min(N - 1);
         n = (n + 1).min(N);
-        found[place..n].rotate_right(1);
-        found[place] = candidate;
+        while place > 0 && own < values[place - 1] {
+            (found[place], values[place]) = (found[place - 1], values[place - 1]);
+            place -= 1;
+        }
+        (found[place], values[place]) = (candidate, own);
     }
     (found, n)
 }

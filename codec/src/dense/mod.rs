@@ -20,6 +20,7 @@ mod origin;
 mod prior;
 mod pulls;
 mod row;
+mod segments;
 mod solve;
 mod taps;
 #[cfg(test)]

@@ -104,6 +104,8 @@ impl Model {
         for (index, mixer) in self.mixers.iter_mut().enumerate() {
             *mixer = Mixer { weights: prior::weights(index), seen: 0 };
         }
+        #[cfg(feature = "training")]
+        self.tally.key();
     }
 
     /// A bit that several contexts, all of them different, expect together.

@@ -27,12 +27,6 @@ pub(super) struct Near {
     pub(super) activity: [i32; 4],
 }
 
-/// 0, 1, 2 or more.
-#[inline(always)]
-fn three(weight: u16) -> usize {
-    usize::from(weight.min(2))
-}
-
 /// Codes whether a row is moved: whether its residual is not zero on all axes.
 #[inline(always)]
 pub(super) fn moving(
@@ -50,10 +44,7 @@ pub(super) fn moving(
         + i32::from(before_that.weight) * 26
         + (i32::from(left.weight) + i32::from(right.weight)) * 20
         + references * 26;
-    let weights = (three(left.weight) * 3 + three(right.weight)) * 3 + three(before.weight);
-    let weights = weights * 2 + usize::from(before_that.weight > 0);
     let contexts = [
-        is::MOVING_NEAR.at(kind * 54 + weights),
         is::MOVING_REFERENCES.at((kind * 6 + six(references)) * 8 + eight(activity)),
         is::MOVING_EXPECTED.at((kind * 32 + thirty_two(expectation)) * 3 + usize::from(bend)),
     ];
@@ -141,12 +132,11 @@ fn axis_steps(
             return Ok(());
         }
     }
-    let [left_sign, right_sign, last] = steps_around.map(sign);
-    let referred_side = usize::from(hints.references_side[axis]);
+    let last = sign(near.before.axes[axis]);
+    let referred_side = hints.references_side[axis];
     let contexts = [
-        is::SIGN_PARENTS.at(kind * 9 + left_sign * 3 + right_sign),
         is::SIGN_REFERENCES.at(kind * 9 + referred_side * 3 + last),
-        is::SIGN_SIDE.at(kind * 9 + usize::from(hints.side[axis]) * 3 + last),
+        is::SIGN_SIDE.at(kind * 9 + hints.side[axis] * 3 + last),
     ];
     let negative = model.mixed(coder, contexts, is::MIX_SIGN + kind, *steps < 0);
     let near = six(before.max(left).max(right));
@@ -193,7 +183,6 @@ impl Place {
         loop {
             let i = exponent.min(EXPONENTS - 1);
             let contexts = [
-                is::EXPONENT_NEAR.at((self.kind * EXPONENTS + i) * 6 + self.near),
                 is::EXPONENT_REFERENCES.at((i * 6 + self.referred) * 8 + self.active),
                 is::EXPONENT_EXPECTED.at(self.expected * EXPONENTS + i),
             ];

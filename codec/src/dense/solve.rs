@@ -33,97 +33,116 @@ pub(super) struct Solving<'a> {
     pub(super) inverse: &'a Lane,
 }
 
+/// Channels side by side.
+const LANES: usize = 4;
+const _: () = assert!(GROUP_CHANNELS.is_multiple_of(LANES));
+
+/// Values of every channel, side by side.
+type Lanes = [[f64; LANES]; GROUP_CHANNELS / LANES];
+
+#[inline(always)]
+fn at(lanes: &Lanes, channel: usize) -> f64 {
+    lanes.as_flattened()[channel]
+}
+
 impl Solving<'_> {
+    /// How many lanes are looked at: of the channels before this one, and some more to fill the last.
+    #[inline(always)]
+    fn width(&self) -> usize {
+        self.j.div_ceil(LANES).min(GROUP_CHANNELS / LANES)
+    }
+
     #[inline(always)]
     fn of(&self, a: usize, b: usize) -> f64 {
         self.covariances[a][b] + self.energy * self.kernel[a][b]
     }
 
-    /// How many channels are looked at: those before this one, and some more to fill the lanes.
-    #[inline(always)]
-    fn width(&self) -> usize {
-        self.j.next_multiple_of(LANES).min(GROUP_CHANNELS)
-    }
-
     /// Of a channel with those before this one.
     #[inline(always)]
-    fn row(&self, a: usize, row: &mut Lane) {
-        let (covariances, kernel) = (&self.covariances[a], &self.kernel[a]);
-        let width = self.width();
-        for first in (0..width).step_by(LANES) {
-            for k in first..first + LANES {
-                row[k] = covariances[k] + self.energy * kernel[k];
-            }
+    fn row(&self, a: usize, row: &mut Lanes) {
+        let (covariances, _) = self.covariances[a].as_chunks::<LANES>();
+        let (kernel, _) = self.kernel[a].as_chunks::<LANES>();
+        for first in 0..self.width() {
+            row[first] = std::array::from_fn(|lane| {
+                covariances[first][lane] + self.energy * kernel[first][lane]
+            });
         }
     }
 
-    /// The channel that explains most of what `rows` with their weights leave, and how much; the
-    /// channels themselves are left out.
+    /// The channel that explains most of what `N` references with their weights leave, and how much. Where
+    /// `inverse` is 0 nothing is explained.
     #[inline(always)]
-    fn best(&self, alike: &Lane, found: &References, rows: &[Lane; REFERENCES]) -> (f64, usize) {
-        let mut explained = [0.0; GROUP_CHANNELS];
-        let width = self.width();
-        let mut most = [0.0; LANES];
-        for first in (0..width).step_by(LANES) {
-            for lane in 0..LANES {
-                let k = first + lane;
-                let mut shared = alike[k];
-                for (weight, row) in found.weights[..found.n].iter().zip(rows) {
-                    shared -= weight * row[k];
+    fn best<const N: usize>(&self, work: &Work, found: &References) -> (f64, usize) {
+        let (mut most, mut places) = ([0.0; LANES], [usize::MAX; LANES]);
+        for first in 0..self.width() {
+            let mut shared = work.alike[first];
+            for (weight, row) in found.weights[..N].iter().zip(&work.rows) {
+                for (shared, other) in shared.iter_mut().zip(row[first]) {
+                    *shared -= weight * other;
                 }
-                explained[k] = shared * shared * self.inverse[k];
+            }
+            for lane in 0..LANES {
+                let explained = shared[lane] * shared[lane] * work.inverse[first][lane];
+                let better = explained > most[lane];
+                most[lane] = if better { explained } else { most[lane] };
+                places[lane] = if better { first } else { places[lane] };
             }
         }
-        explained[self.j..width].fill(0.0);
-        for &channel in &found.channels[..found.n] {
-            explained[channel] = 0.0;
-        }
-        for lanes in explained[..width].chunks_exact(LANES) {
-            for (most, &value) in most.iter_mut().zip(lanes) {
-                *most = if value > *most { value } else { *most };
+        let mut best = (0.0, usize::MAX);
+        for (lane, (most, place)) in most.into_iter().zip(places).enumerate() {
+            let channel = place.wrapping_mul(LANES).wrapping_add(lane);
+            if most > best.0 || most == best.0 && most > 0.0 && channel < best.1 {
+                best = (most, channel);
             }
         }
-        let most = most.iter().fold(0.0, |most, &value| if value > most { value } else { most });
-        if most == 0.0 {
-            return (0.0, usize::MAX);
-        }
-        let first = explained[..self.j].iter().position(|&value| value == most);
-        (most, first.unwrap_or(usize::MAX))
+        best
     }
 
     /// Least squares by Gauss and Jordan, without pivoting: the ridge keeps the pivots of a covariance away
     /// from zero, and what comes of another system is not used.
     #[inline(always)]
-    fn weigh(&self, channels: &[usize]) -> [f64; REFERENCES] {
-        let n = channels.len();
-        let mut system = [[0.0; REFERENCES + 1]; REFERENCES];
-        for i in 0..n {
-            for k in 0..n {
+    fn weigh<const N: usize>(
+        &self,
+        work: &Work,
+        channels: &[usize; REFERENCES],
+    ) -> [f64; REFERENCES] {
+        let mut system = [[0.0; REFERENCES + 1]; N];
+        for i in 0..N {
+            for k in 0..N {
                 system[i][k] = self.of(channels[i], channels[k]);
             }
             system[i][i] = ridged(system[i][i]);
-            system[i][n] = self.of(self.j, channels[i]);
+            system[i][N] = at(&work.alike, channels[i]);
         }
-        for i in 0..n {
+        for i in 0..N {
             let pivot = system[i][i];
-            for value in &mut system[i][i..=n] {
+            for value in &mut system[i][i..=N] {
                 *value /= pivot;
             }
             let row = system[i];
-            for other in (0..n).filter(|&other| other != i) {
-                let factor = system[other][i];
-                for k in i..=n {
-                    system[other][k] -= factor * row[k];
+            for (other, values) in system.iter_mut().enumerate() {
+                if other == i {
+                    continue;
+                }
+                let factor = values[i];
+                for k in i..=N {
+                    values[k] -= factor * row[k];
                 }
             }
         }
-        std::array::from_fn(|i| if i < n { system[i][n] } else { 0.0 })
+        std::array::from_fn(|i| if i < N { system[i][N] } else { 0.0 })
     }
 }
 
-/// Channels side by side.
-const LANES: usize = 4;
-const _: () = assert!(GROUP_CHANNELS.is_multiple_of(LANES));
+/// Of one channel and class.
+struct Work {
+    /// Of the channel with those before it.
+    alike: Lanes,
+    /// Of its references with those.
+    rows: [Lanes; REFERENCES - 1],
+    /// As [`Solving`] has it; 0 where a reference cannot be, or is already.
+    inverse: Lanes,
+}
 
 impl Kernel for Solving<'_> {
     type Output = References;
@@ -132,27 +151,39 @@ impl Kernel for Solving<'_> {
     fn run(self) -> References {
         let j = self.j;
         let own = self.of(j, j);
-        let mut alike = [0.0; GROUP_CHANNELS];
-        self.row(j, &mut alike);
-        let mut rows = [[0.0; GROUP_CHANNELS]; REFERENCES];
+        let none = [[0.0; LANES]; GROUP_CHANNELS / LANES];
+        let mut work = Work { alike: none, rows: [none; REFERENCES - 1], inverse: none };
+        self.row(j, &mut work.alike);
+        work.inverse.as_flattened_mut()[..j].copy_from_slice(&self.inverse[..j]);
         let mut found = References::default();
         let mut gain = 0.0;
         while found.n < REFERENCES {
-            let best = self.best(&alike, &found, &rows);
-            if best.1 == usize::MAX || best.0 < LEAST_GAIN.0 * own {
+            let n = found.n;
+            let (most, channel) = match n {
+                0 => self.best::<0>(&work, &found),
+                1 => self.best::<1>(&work, &found),
+                _ => self.best::<2>(&work, &found),
+            };
+            if most == 0.0 || most < LEAST_GAIN.0 * own {
                 break;
             }
-            self.row(best.1, &mut rows[found.n]);
-            found.channels[found.n] = best.1;
+            work.inverse.as_flattened_mut()[channel] = 0.0;
+            if let Some(row) = work.rows.get_mut(n) {
+                self.row(channel, row);
+            }
+            found.channels[n] = channel;
             found.n += 1;
-            let n = found.n;
-            found.weights = self.weigh(&found.channels[..n]);
-            gain = (0..n)
-                .fold(0.0, |sum, i| sum + found.weights[i] * self.of(j, found.channels[i]))
+            found.weights = match n {
+                0 => self.weigh::<1>(&work, &found.channels),
+                1 => self.weigh::<2>(&work, &found.channels),
+                _ => self.weigh::<3>(&work, &found.channels),
+            };
+            gain = (0..=n)
+                .fold(0.0, |sum, i| sum + found.weights[i] * at(&work.alike, found.channels[i]))
                 / own;
         }
         for i in 0..found.n {
-            found.signs[i] = if self.of(j, found.channels[i]) < 0.0 { -1.0 } else { 1.0 };
+            found.signs[i] = if at(&work.alike, found.channels[i]) < 0.0 { -1.0 } else { 1.0 };
         }
         // Sums over anchors lack what came later: their system may be no covariance, and near singular.
         let bounded = found.weights.iter().all(|weight| weight.abs() < MAX_WEIGHT);
@@ -162,3 +193,5 @@ impl Kernel for Solving<'_> {
         found
     }
 }
+
+const _: () = assert!(REFERENCES == 3);

@@ -3,7 +3,7 @@
 //! The polynomial through two rows on either side (Lagrange), which on even spacing is
 //! (-1, 9, 9, -1)/16. Near the ends of a run the spacing is uneven, or there is one row less.
 
-use super::lattice::{Point, UNITS_PER_TOLERANCE};
+use super::lattice::Point;
 
 /// Fraction bits of a tap weight.
 const WEIGHT_BITS: u32 = 16;
@@ -28,15 +28,9 @@ pub(super) struct Site {
 pub(super) struct Expected {
     /// The interpolation.
     pub(super) point: Point,
-    /// Largest distance per axis from the chord of the two near neighbours, in eighths of the tolerance:
-    /// 0, 1 (1 or 2), 2 (more).
-    pub(super) bend: usize,
-    /// On which side of the chord, per axis: 0 none to speak of, 1 above, 2 below.
-    pub(super) side: [usize; 3],
+    /// How far it lies from the chord of the two near neighbours, in units.
+    pub(super) off: Point,
 }
-
-/// The side of the chord counts from here, in units.
-pub(super) const SIDE_UNITS: i64 = 40;
 
 impl Site {
     /// Row `at` of a level in a run of which the rows from `start` to `zero` and the row `end` are decoded.
@@ -120,8 +114,7 @@ impl Site {
 
     fn describe(&self, base: Point, far: Point, curve: Point) -> Expected {
         let (before, whole) = ((self.at - self.left) as i64, (self.right - self.left) as i64);
-        let mut point = base;
-        let (mut bend, mut side) = (0, [0; 3]);
+        let (mut point, mut off) = (base, curve);
         for axis in 0..3 {
             point[axis] = base[axis].wrapping_add(curve[axis]);
             let across = far[axis].wrapping_sub(base[axis]);
@@ -129,18 +122,9 @@ impl Site {
                 true => across >> 1,
                 false => across.wrapping_mul(before).div_euclid(whole),
             };
-            let off = curve[axis].wrapping_sub(chord);
-            bend = off.unsigned_abs().max(bend);
-            if off.unsigned_abs() >= SIDE_UNITS as u64 {
-                side[axis] = if off > 0 { 1 } else { 2 };
-            }
+            off[axis] = curve[axis].wrapping_sub(chord);
         }
-        let bend = match bend.saturating_mul(8) / UNITS_PER_TOLERANCE as u64 {
-            0 => 0,
-            1..3 => 1,
-            _ => 2,
-        };
-        Expected { point, bend, side }
+        Expected { point, off }
     }
 }
 

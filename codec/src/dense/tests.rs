@@ -1,8 +1,9 @@
 //! What an error in mid-block leaves behind.
 
 use super::{
+    code::Points,
     lattice::{Grid, Point},
-    walk::{Group, Question, Side},
+    walk::{Batch, Group, Question, Side},
 };
 use crate::{CodecError, Tolerance, coding::range::RangeEncoder};
 
@@ -41,7 +42,11 @@ impl<'a> Side for Scripted<'a> {
         (0, [0; 3])
     }
 
-    fn settle(&mut self, _: usize, _: usize, _: [f64; 3], _: bool) {}
+    fn outside(&mut self, _: usize, _: Batch, _: &Points) -> u32 {
+        u32::MAX
+    }
+
+    fn settle(&mut self, _: usize, _: Batch, _: &Points, _: u32) {}
 }
 
 fn block(

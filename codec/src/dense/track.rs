@@ -4,8 +4,10 @@ use super::{
     SPAN,
     ahead::PADDED,
     anchor::Anchor,
+    code::{Points, TOGETHER},
     lattice::{Fineness, Point},
     layout::KINDS,
+    walk::Batch,
 };
 
 /// Rows before the block that predictions look at.
@@ -34,11 +36,11 @@ pub(super) struct SpanPoints(pub(super) [[f64; PADDED]; 3]);
 
 /// The magnitudes of a channel in a span; zero where there is nothing.
 #[derive(Debug, Clone)]
-pub(super) struct SpanMarks(pub(super) [u64; SPAN]);
+pub(super) struct SpanMarks(pub(super) [u64; PADDED]);
 
 impl Default for SpanMarks {
     fn default() -> Self {
-        Self([0; SPAN])
+        Self([0; PADDED])
     }
 }
 
@@ -175,37 +177,41 @@ impl Track {
         self.points[row]
     }
 
-    /// Stores a coded row, which has a place in the span, and its magnitudes where it was moved.
+    /// Stores the points of some rows, the first of which has the place `slot` in the span.
     #[inline(always)]
-    pub(super) fn settle(
+    pub(super) fn settle(&mut self, batch: Batch, slot: usize, points: &Points) {
+        for (span, axis) in self.span.0.iter_mut().zip(points) {
+            span[slot..][..batch.n].copy_from_slice(&axis[..batch.n]);
+        }
+        let [x, y, z] = points;
+        for i in 0..batch.n.min(TOGETHER) {
+            let row = batch.at(i);
+            self.points[row] = [x[i], y[i], z[i]];
+            self.known[row] = true;
+        }
+    }
+
+    /// Remembers the magnitudes of a row that was moved. Of others nothing is known so far, and that is what
+    /// zeros say.
+    #[inline(always)]
+    pub(super) fn keep(
         &mut self,
         (row, slot): (usize, usize),
-        kind: usize,
-        point: [f64; 3],
-        steps: Option<Point>,
+        steps: Point,
+        activity: &mut [i32; 4],
     ) {
-        self.points[row] = point;
-        for (span, units) in self.span.0.iter_mut().zip(point) {
-            span[slot] = units;
-        }
-        self.known[row] = true;
-        // Nothing is known of a row so far, and that is what zeros say.
-        let Some(steps) = steps else {
-            follow(&mut self.activity[kind], [0; 4]);
-            return;
-        };
         let steps = steps.map(|step| step.clamp(-MAX_ACTIVITY, MAX_ACTIVITY) as i32);
         let short = Steps::new(steps.map(|step| step.clamp(-MAX_STEP, MAX_STEP) as i16));
         self.steps[row] = short;
         self.marks.0[slot] = short.marks();
         let [x, y, z] = steps.map(i32::abs);
-        follow(&mut self.activity[kind], [x, y, z, x + y + z]);
+        follow(activity, [x, y, z, x + y + z]);
     }
 }
 
 /// A fifth of the way.
 #[inline(always)]
-fn follow(averages: &mut [i32; 4], magnitudes: [i32; 4]) {
+pub(super) fn follow(averages: &mut [i32; 4], magnitudes: [i32; 4]) {
     for (average, magnitude) in averages.iter_mut().zip(magnitudes) {
         *average += ((magnitude * 256 - *average) * 51) >> 8;
     }

@@ -20,11 +20,16 @@ const KIND_NAMES: [&str; KINDS] = [
     "stride 32",
 ];
 
-/// Counts of bits, and sums of weights.
+/// Bits of a key block that are kept of a context: its odds follow what it saw long before.
+const FIRST_BITS: usize = 200;
+
+/// First bits, sums of weights, and code lengths.
 #[derive(Debug, Clone)]
 pub struct Tally {
-    /// Per context: bits not set, bits set.
-    pub contexts: Vec<[u64; 2]>,
+    /// Per context: of every key block that has some, the first bits.
+    pub firsts: Vec<Vec<Vec<bool>>>,
+    /// Whether the next bit of a context is the first one of a key block.
+    fresh: Vec<bool>,
     /// Per mixer: sums of its three weights (1 being 2^16), and their number.
     pub mixers: Vec<([i64; 3], u64)>,
     /// Ideal code lengths in bits: per mixer, and per context of decisions that are not mixed.
@@ -38,7 +43,8 @@ pub struct Tally {
 impl Tally {
     pub(super) fn new() -> Self {
         Self {
-            contexts: vec![[0; 2]; N_CONTEXTS],
+            firsts: vec![Vec::new(); N_CONTEXTS],
+            fresh: vec![true; N_CONTEXTS],
             mixers: vec![([0; 3], 0); N_MIXERS],
             mixed_bits: vec![0.0; N_MIXERS],
             single_bits: vec![0.0; N_CONTEXTS],
@@ -77,7 +83,18 @@ impl Tally {
     }
 
     pub(super) fn context(&mut self, index: usize, bit: bool) {
-        self.contexts[index][usize::from(bit)] += 1;
+        let firsts = &mut self.firsts[index];
+        if std::mem::take(&mut self.fresh[index]) {
+            firsts.push(Vec::new());
+        }
+        if let Some(bits) = firsts.last_mut().filter(|bits| bits.len() < FIRST_BITS) {
+            bits.push(bit);
+        }
+    }
+
+    /// A key block begins.
+    pub(super) fn key(&mut self) {
+        self.fresh.fill(true);
     }
 
     pub(super) fn mixer(&mut self, index: usize, weights: [i32; 3]) {

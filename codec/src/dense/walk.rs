@@ -3,6 +3,7 @@
 use super::{
     LEVELS, SPAN,
     ahead::{Ahead, Interpolating, Sites},
+    code::Points,
     lattice::{self, Fineness, Grid, Lattice, Point},
     layout as is,
     layout::ORIGIN,
@@ -42,12 +43,35 @@ pub(super) struct Question {
 pub(super) trait Side {
     type Coder: BinaryCoder;
     fn coder(&mut self) -> &mut Self::Coder;
-    /// The lattice steps to code; all zero to stay at the prediction. A decoder's answer is ignored.
+    /// The lattice steps to code for a row outside; all zero to stay at the prediction.
     fn choose(&mut self, question: Question) -> Point;
     /// Which of the candidates a first row is coded from, and the steps from there. Ignored, too.
     fn start(&mut self, channel: usize, row: usize, step: i64, ways: &[Point]) -> (usize, Point);
-    /// A row's point is known, in units.
-    fn settle(&mut self, channel: usize, row: usize, units: [f64; 3], kept: bool);
+    /// Of some rows, a bit each, those whose sample is not within the tolerance of the prediction. A decoder's
+    /// answer is ignored.
+    fn outside(&mut self, channel: usize, batch: Batch, predictions: &Points) -> u32;
+    /// The points of some rows are known, in units; of those that are kept a bit is set.
+    fn settle(&mut self, channel: usize, batch: Batch, points: &Points, kept: u32);
+}
+
+/// A few rows of one level, as rows of a track.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Batch {
+    pub(super) first: usize,
+    pub(super) step: usize,
+    /// [`TOGETHER`](super::code::TOGETHER) at most.
+    pub(super) n: usize,
+}
+
+impl Batch {
+    pub(super) fn at(&self, i: usize) -> usize {
+        self.first + i * self.step
+    }
+
+    /// As a row of the block.
+    pub(super) fn row(&self, i: usize) -> usize {
+        self.at(i) - MEMORY
+    }
 }
 
 /// A run of present rows within a span, as rows of a track.
@@ -287,8 +311,7 @@ impl Group {
         let from = found.points()[choice];
         let point: Point =
             std::array::from_fn(|axis| from[axis].wrapping_add(steps[axis].wrapping_mul(step)));
-        let point = point.map(|units| units as f64);
-        self.settle(side, (channel, at, before), ORIGIN, (point, steps))
+        self.settle_first(side, (channel, at, before), ORIGIN, (point, steps))
     }
 
     /// The last row of a run within the span.

@@ -92,7 +92,7 @@ pub struct Header {
 
 /// The format of stretches and blocks that this build writes and reads. 1 to 4 were those of development
 /// versions.
-pub const CODEC_VERSION: u16 = 5;
+pub const CODEC_VERSION: u16 = 6;
 
 // Blocks are a part of it: a new version of theirs is a new one of takes, too.
 const _: () = assert!(CODEC_VERSION >= BLOCK_VERSION);

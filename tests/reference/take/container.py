@@ -9,7 +9,7 @@ from .errors import Corrupt
 
 MAGIC = b"\x89TAK\r\n\x1a\n"
 HEADER, CHANNELS, STRETCH, FOOTER = 0x01, 0x02, 0x03, 0x8B
-CODEC_VERSION = 5
+CODEC_VERSION = 6
 
 
 def chunks(data):

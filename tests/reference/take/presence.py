@@ -5,8 +5,14 @@ from .range_coder import Bit, RangeDecoder
 
 CHANNELS = 64
 LONG = 61
+PAGE, PART = 64, 8
 # Ages up to these are of classes 0 to 5; LONG is the seventh.
 AGES = [1, 2, 4, 8, 20, 60]
+
+
+def split(first, end, piece):
+    """Pieces of some rows, the last one shorter."""
+    return [(at, min(end, at + piece)) for at in range(first, end, piece)]
 
 
 class State:
@@ -37,6 +43,8 @@ class Presence:
 
     def reset(self):
         self.changes = [Bit() for _ in range(3)]
+        self.pages = [Bit() for _ in range(2 * 7 * 3)]
+        self.parts = [Bit() for _ in range(2 * 7 * 3)]
         self.by_age = [Bit() for _ in range(2 * 7 * 4)]
         self.by_rows = [Bit() for _ in range(16 * 4)]
         self.states = [State(True) for _ in range(CHANNELS)]
@@ -82,13 +90,43 @@ class Presence:
                 state.push(was)
             return [was] * n_rows
         rows = []
-        for near in beside:
-            neighbour = near << 1 | (near != before)
-            before = near
+        changed_page = False
+        for page in split(0, n_rows, PAGE):
+            certain = not changed_page and page[1] == n_rows
+            if not self.any(coder, self.pages, state, beside, before, page, certain, rows):
+                continue
+            changed_page, changed_part = True, False
+            for part in split(*page, PART):
+                certain = not changed_part and part[1] == page[1]
+                if self.any(coder, self.parts, state, beside, before, part, certain, rows):
+                    changed_part = True
+                    self.rows(coder, state, beside, before, part, rows)
+        return rows
+
+    def any(self, coder, bits, state, beside, before, piece, certain, rows):
+        """Whether some rows have a change; if they have not, they are passed."""
+        was, n_rows = state.newest(), piece[1] - piece[0]
+        first = beside[piece[0] - 1] if piece[0] else before
+        near = beside[piece[0] : piece[1]]
+        place = 1 + first if all(row == first for row in near) else 0
+        bit = bits[(was * 7 + state.age_class()) * 3 + place]
+        if certain or coder.bit(bit):
+            return True
+        for _ in range(min(n_rows, LONG)):
+            state.push(was)
+        rows += [was] * n_rows
+        return False
+
+    def rows(self, coder, state, beside, before, part, rows):
+        """The rows of a part that has a change."""
+        changed = False
+        for row in range(*part):
+            near = beside[row]
+            neighbour = near << 1 | (near != (beside[row - 1] if row else before))
             by_age = self.by_age[(state.newest() * 7 + state.age_class()) << 2 | neighbour]
             by_rows = self.by_rows[state.last << 2 | neighbour]
-            rows.append(state.newest() ^ coder.mixed(by_age, by_rows))
+            certain = not changed and row + 1 == part[1]
+            flips = 1 if certain else coder.mixed(by_age, by_rows)
+            changed = changed or flips
+            rows.append(state.newest() ^ flips)
             state.push(rows[-1])
-        if all(row == was for row in rows):
-            raise Corrupt("a change of presence that is none")
-        return rows

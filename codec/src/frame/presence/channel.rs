@@ -1,5 +1,7 @@
 //! One channel's presence over one stretch: what is known of it, what it is expected from, and its bits.
 
+use std::ops::Range;
+
 use crate::coding::range::{BinaryCoder, Bit};
 
 /// Classes of how long a state has lasted.
@@ -43,7 +45,14 @@ impl State {
 
     /// So many rows alike.
     pub(super) fn pass(&mut self, present: bool, n_rows: usize) {
-        (0..n_rows.min(LONG.into())).for_each(|_| self.push(present));
+        let Some(more) = n_rows.checked_sub(1) else { return };
+        self.push(present);
+        self.age = more.saturating_add(self.age.into()).min(LONG.into()) as u8;
+        if present {
+            self.last = (self.last << more.min(4) | ((1 << more.min(4)) - 1)) & 0b1111;
+        } else {
+            self.last = self.last << more.min(4) & 0b1111;
+        }
     }
 
     fn push(&mut self, present: bool) {
@@ -60,11 +69,37 @@ pub(super) struct Beside<'a> {
     pub(super) before: bool,
 }
 
+impl Beside<'_> {
+    /// A row and the one before it.
+    fn at(&self, row: usize) -> (bool, bool) {
+        (self.present[row], if row == 0 { self.before } else { self.present[row - 1] })
+    }
+
+    /// 0 it changes in these rows, 1 it is absent, 2 present.
+    fn class(&self, rows: Range<usize>) -> usize {
+        let (_, before) = self.at(rows.start);
+        if self.present[rows].iter().any(|&present| present != before) {
+            return 0;
+        }
+        1 + usize::from(before)
+    }
+}
+
+/// Rows of a page, and of its parts. Most of a channel that comes and goes is still long runs of the same:
+/// a page without a change is one bit, and a part of another page one.
+pub(super) const PAGE: usize = 64;
+pub(super) const PART: usize = 8;
+
+/// By the newest row, how long that has lasted, and the class of the channel beside.
+type ByPlace = [Bit; 2 * AGES * 3];
+
 /// The adaptive bits.
 #[derive(Debug)]
 pub(super) struct Models {
     /// By what the channel did in the block before.
     changes: [Bit; 3],
+    pages: ByPlace,
+    parts: ByPlace,
     /// By the newest row, how long that has lasted, and the row and change of the channel beside.
     by_age: [Bit; 2 * AGES * 4],
     /// By the last four rows and the channel beside.
@@ -72,8 +107,13 @@ pub(super) struct Models {
 }
 
 impl Models {
-    pub(super) const NEW: Self =
-        Self { changes: [Bit::NEW; 3], by_age: [Bit::NEW; 2 * AGES * 4], by_rows: [Bit::NEW; 64] };
+    pub(super) const NEW: Self = Self {
+        changes: [Bit::NEW; 3],
+        pages: [Bit::NEW; 2 * AGES * 3],
+        parts: [Bit::NEW; 2 * AGES * 3],
+        by_age: [Bit::NEW; 2 * AGES * 4],
+        by_rows: [Bit::NEW; 64],
+    };
 
     /// One channel over one stretch, the same for both sides.
     pub(super) fn channel<C: BinaryCoder>(
@@ -83,38 +123,100 @@ impl Models {
         beside: Option<Beside<'_>>,
         rows: &mut impl Flags,
     ) {
-        let was = state.is_present();
-        let changes = (0..rows.len()).any(|row| rows.get(row) != was);
-        let changes = coder.bit(&mut self.changes[usize::from(state.changed)], changes);
+        let all = 0..rows.len();
+        let change = &mut self.changes[usize::from(state.changed)];
+        let changes = any(coder, Some(change), state, all.clone(), rows);
         state.changed = 1 + u8::from(changes);
         if !changes {
-            (0..rows.len()).for_each(|row| rows.set(row, was));
-            state.pass(was, rows.len());
             return;
         }
-        let mut beside_before = beside.is_none_or(|beside| beside.before);
-        for row in 0..rows.len() {
-            let near = beside.is_none_or(|beside| beside.present[row]);
-            let neighbour = usize::from(near) << 1 | usize::from(near != beside_before);
-            beside_before = near;
+        // The last piece must have a change where those before it had none, and is not asked.
+        let mut found = false;
+        for page in split(all.clone(), PAGE) {
+            let asked = found || page.end != all.end;
+            let change = &mut self.pages[place(state, beside, &page)];
+            if !any(coder, asked.then_some(change), state, page.clone(), rows) {
+                continue;
+            }
+            found = true;
+            let mut found = false;
+            for part in split(page.clone(), PART) {
+                let asked = found || part.end != page.end;
+                let change = &mut self.parts[place(state, beside, &part)];
+                if any(coder, asked.then_some(change), state, part.clone(), rows) {
+                    found = true;
+                    self.rows(coder, state, beside, part, rows);
+                }
+            }
+        }
+    }
+
+    /// Rows of which at least one is other than the one before it.
+    fn rows<C: BinaryCoder>(
+        &mut self,
+        coder: &mut C,
+        state: &mut State,
+        beside: Option<Beside<'_>>,
+        part: Range<usize>,
+        rows: &mut impl Flags,
+    ) {
+        let (mut found, end) = (false, part.end);
+        for row in part {
+            let (near, before) = beside.map_or((true, true), |beside| beside.at(row));
+            let neighbour = usize::from(near) << 1 | usize::from(near != before);
             let was = state.is_present();
             let by_age = usize::from(was) * AGES + state.age_class();
-            let flips = coder.mixed(
-                &mut self.by_age[by_age << 2 | neighbour],
-                &mut self.by_rows[usize::from(state.last) << 2 | neighbour],
-                rows.get(row) != was,
-            );
-            rows.set(row, was != flips);
+            let asked = found || row + 1 != end;
+            let flips = !asked
+                || coder.mixed(
+                    &mut self.by_age[by_age << 2 | neighbour],
+                    &mut self.by_rows[usize::from(state.last) << 2 | neighbour],
+                    rows.get(row) != was,
+                );
+            found |= flips;
+            rows.fill(row..row + 1, was != flips);
             state.push(was != flips);
         }
     }
 }
 
+/// Says whether any of some rows is other than the newest, which is so where there is no model; if none is they
+/// are passed.
+fn any<C: BinaryCoder>(
+    coder: &mut C,
+    model: Option<&mut Bit>,
+    state: &mut State,
+    range: Range<usize>,
+    rows: &mut impl Flags,
+) -> bool {
+    let was = state.is_present();
+    let any = model.is_none_or(|model| coder.bit(model, rows.any_other(range.clone(), was)));
+    if !any {
+        state.pass(was, range.len());
+        rows.fill(range, was);
+    }
+    any
+}
+
+/// The context of a page or part.
+fn place(state: &State, beside: Option<Beside<'_>>, rows: &Range<usize>) -> usize {
+    let beside = beside.map_or(2, |beside| beside.class(rows.clone()));
+    (usize::from(state.is_present()) * AGES + state.age_class()) * 3 + beside
+}
+
+/// Pieces of some rows, the last one shorter.
+fn split(rows: Range<usize>, piece: usize) -> impl Iterator<Item = Range<usize>> {
+    rows.clone().step_by(piece).map(move |first| first..rows.end.min(first + piece))
+}
+
 /// The rows of a channel: what an encoder has, or what a decoder will have.
 pub(super) trait Flags {
     fn len(&self) -> usize;
+    /// Nothing that a decoder relies on.
     fn get(&self, row: usize) -> bool;
-    fn set(&mut self, row: usize, present: bool);
+    /// As `get`.
+    fn any_other(&self, rows: Range<usize>, than: bool) -> bool;
+    fn fill(&mut self, rows: Range<usize>, present: bool);
 }
 
 impl Flags for &[bool] {
@@ -126,7 +228,11 @@ impl Flags for &[bool] {
         self[row]
     }
 
-    fn set(&mut self, _row: usize, _present: bool) {}
+    fn any_other(&self, rows: Range<usize>, than: bool) -> bool {
+        self[rows].iter().any(|&present| present != than)
+    }
+
+    fn fill(&mut self, _rows: Range<usize>, _present: bool) {}
 }
 
 impl Flags for &mut [bool] {
@@ -134,11 +240,15 @@ impl Flags for &mut [bool] {
         <[bool]>::len(self)
     }
 
-    fn get(&self, row: usize) -> bool {
-        self[row]
+    fn get(&self, _row: usize) -> bool {
+        false
     }
 
-    fn set(&mut self, row: usize, present: bool) {
-        self[row] = present;
+    fn any_other(&self, _rows: Range<usize>, _than: bool) -> bool {
+        false
+    }
+
+    fn fill(&mut self, rows: Range<usize>, present: bool) {
+        self[rows].fill(present);
     }
 }

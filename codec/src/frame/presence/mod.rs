@@ -1,8 +1,9 @@
 //! Which samples of a group are present.
 //!
 //! Most channels of most stretches go on as they were: one cheap bit each. Those that do not get a bit
-//! a row, expected from the channel's own last rows and from the channel before it, because markers
-//! of one body are hidden together, and an unlabelled one that is lost here goes on as another there.
+//! a page of rows, then a part of a page, and a row only where something changes; expected from the channel's
+//! own last rows and from the channel before it, because markers of one body are hidden together, and an
+//! unlabelled one that is lost here goes on as another there.
 
 mod channel;
 
@@ -86,9 +87,6 @@ impl Presence {
             let beside = done.last().map(|rows| Beside { present: &rows.present, before });
             before = state.is_present();
             self.models.channel(&mut coder, state, beside, &mut &mut rest[0].present[..]);
-            if state.changed == 2 && rest[0].present.iter().all(|&present| present == before) {
-                return Err(CodecError::Corrupt("a change of presence that is none"));
-            }
         }
         coder.finish()?;
         self.leave_out_from(channels.len());
@@ -101,6 +99,7 @@ impl Presence {
 
 /// Most bytes of a section.
 pub(super) fn max_bytes(n_channels: usize, n_rows: usize) -> usize {
+    let pieces = n_rows.div_ceil(channel::PAGE) + n_rows.div_ceil(channel::PART);
     // No bit costs more than 11: its odds are at least 2^-11. Twelve leave room for their rounding.
-    MAX_VARINT_BYTES + 5 + n_channels * (1 + n_rows) * 12 / 8
+    MAX_VARINT_BYTES + 5 + n_channels * (1 + pieces + n_rows) * 12 / 8
 }

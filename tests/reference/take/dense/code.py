@@ -2,8 +2,8 @@
 
 from ..errors import Corrupt
 from . import row as syntax
-from .lattice import CENTRED, CUBIC, MAX_DECODED, distance, nearest, wrap
-from .lengths import Lengths, along
+from .lattice import CENTRED, CUBIC, MAX_DECODED, UNITS, distance, nearest, wrap
+from .lengths import LEAST_SHARE, Lengths, along
 from .model import Model
 from .track import ZERO, Track, magnitude
 from .weave import Weave
@@ -11,6 +11,8 @@ from .weave import Weave
 CHANNELS = 64
 # By kind: anchors; strides 1, 2, 4; 8 and more.
 CLASS = [0, 0, 0, 0, 4, 3, 2, 1, 1, 1]
+# Kinds of which the partners are seen from one place: strides 1, 2 and 4.
+FINE = range(4, 7)
 
 
 class Rows:
@@ -41,7 +43,7 @@ class Rows:
         if references.used:
             off = self.weave.expect(references, row)
             prediction = [wrap(e + nearest(o)) for e, o in zip(expected, off)]
-        pulls = self.pull(channel, prediction, shares, left, at, right)
+        pulls = self.pull(channel, kind, prediction, shares, (left, at, right))
 
         track = self.tracks[channel]
         lattice = CENTRED if track.activity[kind] >= 256 else CUBIC
@@ -96,20 +98,32 @@ class Rows:
             return first
         return along(first, distance(own.points[right], other.points[right]), left, at, right)
 
-    def pull(self, channel, prediction, shares, left, at, right):
+    def pull(self, channel, kind, prediction, shares, rows):
         """Moves the prediction to where the distances to the partners would be right, one after another."""
-        pulls = []
-        moved = [float(units) for units in prediction]
+        pulls, far = [], kind not in FINE
+        start, moved = [float(units) for units in prediction], [0.0, 0.0, 0.0]
+        seen = start
         for slot, k in enumerate(self.lengths.partners[channel]):
+            left, at, right = rows
             if not self.tracks[k].known[at]:
                 continue
             length = self.length(channel, k, left, at, right)
             if length is None:
                 continue
-            pull = self.lengths.pull(slot, shares[slot], moved, self.tracks[k].points[at], length)
-            if pull:
-                pulls.append(pull)
-        prediction[:] = map(nearest, moved)
+            own = [s + m for s, m in zip(start, moved)] if far else start
+            aim = self.lengths.aim(own, self.tracks[k].points[at], length)
+            if not aim:
+                continue
+            difference, away = aim
+            if not far:
+                along = moved[0] * away[0] + moved[1] * away[1] + moved[2] * away[2]
+                difference += along / UNITS
+            share = shares[slot] if shares[slot] > LEAST_SHARE else 0.0
+            by = share * difference * UNITS
+            pulls.append((slot, difference, away, seen))
+            moved = [m - by * a for m, a in zip(moved, away)]
+            seen = [s - by * a for s, a in zip(seen, away)]
+        prediction[:] = [nearest(s + m) for s, m in zip(start, moved)]
         return pulls
 
     def settle(self, channel, at, kind, point, magnitudes, kept):

@@ -21,20 +21,17 @@ def _family(length):
     return first
 
 
-MOVING_NEAR = _family(KINDS * 54)
 MOVING_REFERENCES = _family(KINDS * 6 * 8)
 MOVING_EXPECTED = _family(KINDS * 32 * 3)
 ODD = _family(KINDS)
 NONZERO_REFERENCES = _family(KINDS * 6 * 8 * 6)
 NONZERO_EXPECTED = _family(KINDS * 32 * 6)
-SIGN_PARENTS = _family(KINDS * 9)
 SIGN_REFERENCES = _family(KINDS * 9)
 SIGN_SIDE = _family(KINDS * 9)
 LONGER_NEAR = _family(KINDS * UNARY * 6)
 LONGER_REFERENCES = _family(3 * UNARY * 6 * 8)
 LONGER_EXPECTED = _family(3 * 32 * UNARY)
 EXPONENT_EXPECTED = _family(32 * EXPONENTS)
-EXPONENT_NEAR = _family(KINDS * EXPONENTS * 6)
 EXPONENT_REFERENCES = _family(EXPONENTS * 6 * 8)
 TOP_BIT = _family(EXPONENTS * 32)
 NEXT_BIT = _family(EXPONENTS * 2)

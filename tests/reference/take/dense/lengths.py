@@ -59,20 +59,14 @@ class Lengths:
         """The shares as they are now."""
         return [share[2] for share in self.shares[j][kind]]
 
-    def pull(self, slot, share, expected, partner, length):
-        """Moves `expected`; gives what is needed to learn from it. None where there is no direction."""
-        x, y, z = (e - float(p) for e, p in zip(expected, partner))
+    def aim(self, own, partner, length):
+        """How much too far a point is from a partner, and the direction away from it; None where there is none."""
+        x, y, z = (e - float(p) for e, p in zip(own, partner))
         far = math.sqrt(x * x + y * y + z * z)
         if far < UNITS:
             return None
         inverse = 1.0 / far
-        direction = (x * inverse, y * inverse, z * inverse)
-        difference = far / UNITS - length
-        pull = (slot, difference, direction, tuple(expected))
-        by = (share if share > LEAST_SHARE else 0.0) * difference * UNITS
-        for axis in range(3):
-            expected[axis] -= by * direction[axis]
-        return pull
+        return far / UNITS - length, (x * inverse, y * inverse, z * inverse)
 
     def score(self, j, kind, pull, point):
         """Learns how much of a pull was true."""

@@ -6,7 +6,6 @@ from pathlib import Path
 from .layout import N_CONTEXTS, N_MIXERS
 
 PRIOR = Path(__file__).parents[4] / "codec/src/dense/prior.bin"
-PRIOR_SEEN = 12
 MAX_LOGIT = 2047
 
 # A context moves by 1/(n + 1.6) of its error at its n-th bit, and by 2 % at least.
@@ -42,17 +41,17 @@ LOGITS = _logits()
 class Model:
     def __init__(self, prior=PRIOR):
         self.prior = prior.read_bytes()
-        if len(self.prior) != N_CONTEXTS + 6 * N_MIXERS:
+        if len(self.prior) != 3 * N_CONTEXTS + 6 * N_MIXERS:
             raise ValueError(f"{prior} has {len(self.prior)} bytes, which is not its size")
         self.reset()
 
     def reset(self):
-        contexts = self.prior[:N_CONTEXTS]
-        self.probabilities = [p << 8 | 0x80 if p else 32768 for p in contexts]
-        self.seen = [PRIOR_SEEN if p else 0 for p in contexts]
+        contexts = self.prior[: 3 * N_CONTEXTS]
+        self.probabilities = [low | high << 8 for low, high in zip(contexts[::3], contexts[1::3])]
+        self.seen = list(contexts[2::3])
         self.weights, self.mixed_bits = [], [0] * N_MIXERS
         for i in range(N_MIXERS):
-            at = N_CONTEXTS + 6 * i
+            at = 3 * N_CONTEXTS + 6 * i
             words = (self.prior[at + 2 * k : at + 2 * k + 2] for k in range(3))
             self.weights.append([int.from_bytes(w, "little", signed=True) << 6 for w in words])
 

@@ -54,9 +54,7 @@ def residual(coder, model, track, around, centred):
         + (left + right) * 20
         + references * 26
     )
-    near = (min(left, 2) * 3 + min(right, 2)) * 3 + min(before, 2)
     contexts = (
-        ctx.MOVING_NEAR + kind * 54 + near * 2 + (before_that > 0),
         ctx.MOVING_REFERENCES + (kind * 6 + six(references)) * 8 + eight(activity),
         ctx.MOVING_EXPECTED + (kind * 32 + thirty_two(expectation)) * 3 + around.bend,
     )
@@ -94,9 +92,7 @@ def axis_magnitude(coder, model, track, around, form, axis, some, certain):
         if not model.mixed(coder, contexts, ctx.MIX_NONZERO + kind):
             return 0
     last = sign(around.before[axis])
-    parents = sign(around.left[axis]) * 3 + sign(around.right[axis])
     contexts = (
-        ctx.SIGN_PARENTS + kind * 9 + parents,
         ctx.SIGN_REFERENCES + kind * 9 + around.references_side[axis] * 3 + last,
         ctx.SIGN_SIDE + kind * 9 + around.side[axis] * 3 + last,
     )
@@ -120,7 +116,6 @@ def longer(coder, model, kind, form, near, referred, active, expected):
     while True:
         i = min(exponent, ctx.EXPONENTS - 1)
         contexts = (
-            ctx.EXPONENT_NEAR + (kind * ctx.EXPONENTS + i) * 6 + near,
             ctx.EXPONENT_REFERENCES + (i * 6 + referred) * 8 + active,
             ctx.EXPONENT_EXPECTED + expected * ctx.EXPONENTS + i,
         )
