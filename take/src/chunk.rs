@@ -30,9 +30,10 @@ pub mod types {
     pub const FOREIGN: u8 = 0x89;
     pub const INDEX: u8 = 0x8a;
     pub const FOOTER: u8 = 0x8b;
+    pub const CLOCK: u8 = 0x8c;
     /// Every type of version 1.
-    pub const ALL: [u8; 10] =
-        [HEADER, CHANNELS, STRETCH, EVENT, LEDGER, SUBJECT, MODEL, FOREIGN, INDEX, FOOTER];
+    pub const ALL: [u8; 11] =
+        [HEADER, CHANNELS, STRETCH, EVENT, LEDGER, SUBJECT, MODEL, FOREIGN, INDEX, FOOTER, CLOCK];
 }
 
 /// Appends one chunk to `out`.

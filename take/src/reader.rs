@@ -14,7 +14,7 @@ use crate::{
     chunk::Front,
     index::{Footer, IndexEntry},
     motion::Foreign,
-    record::{Channel, Event, Header, Ledger},
+    record::{Channel, Clock, Event, Header, Ledger},
     stretch::{Chain, Stretch},
 };
 
@@ -39,6 +39,8 @@ pub enum TakeEvent<'a> {
     },
     /// An event.
     Event(Event),
+    /// What was seen of the clocks.
+    Clock(Box<Clock>),
     /// The ledger so far; the last one counts.
     Ledger(Box<Ledger>),
     /// What an importer kept.

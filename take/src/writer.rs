@@ -8,7 +8,7 @@ use crate::{
     foreign,
     index::{Footer, IndexEntry, index_payload},
     motion::Foreign,
-    record::{Channel, Event, Header, Ledger, MoreChannels, Record},
+    record::{Channel, Clock, Event, Header, Ledger, MoreChannels, Record},
     stretch::{RECORDED_MAX, ROWS_PASSED_MAX, Span, rows_max},
 };
 
@@ -90,6 +90,14 @@ impl<W: Write> TakeWriter<W> {
     /// `Io`, `InvalidArgument`.
     pub fn event(&mut self, event: &Event) -> Result<(), TakeError> {
         self.record(event)
+    }
+
+    /// What was seen of the clocks.
+    ///
+    /// # Errors
+    /// `Io`, `InvalidArgument`.
+    pub fn clock(&mut self, clock: &Clock) -> Result<(), TakeError> {
+        self.record(clock)
     }
 
     /// The ledger so far.

@@ -17,6 +17,8 @@ pub struct TakeBytes {
     pub framing: u64,
     /// LEDGER.
     pub ledgers: u64,
+    /// CLOCK.
+    pub clock: u64,
     /// EVENT.
     pub events: u64,
     /// INDEX and FOOTER.
@@ -41,6 +43,7 @@ impl TakeBytes {
                 return;
             }
             TakeEvent::Ledger(_) => &mut self.ledgers,
+            TakeEvent::Clock(_) => &mut self.clock,
             TakeEvent::Event(_) => &mut self.events,
             TakeEvent::Foreign(_) => &mut self.foreign,
             TakeEvent::Index(_) | TakeEvent::Footer(_) => &mut self.index,
@@ -57,6 +60,6 @@ impl TakeBytes {
     pub fn sum(&self) -> u64 {
         let Self { header, blocks, lengths, time_line, framing, .. } = self;
         let stretches = header + blocks + lengths + time_line + framing;
-        stretches + self.ledgers + self.events + self.index + self.foreign + self.other
+        stretches + self.ledgers + self.clock + self.events + self.index + self.foreign + self.other
     }
 }

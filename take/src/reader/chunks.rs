@@ -6,7 +6,7 @@ use crate::{
     chunk::{Front, MAY_SKIP, types},
     foreign,
     index::{Footer, parse_index},
-    record::{Event, Header, Ledger, MoreChannels, Record},
+    record::{Clock, Event, Header, Ledger, MoreChannels, Record},
     stretch::{Chain, Placed, rows_max},
 };
 
@@ -46,6 +46,9 @@ impl TakeReader {
             types::EVENT => Event::from_payload(payload, offset).map(TakeEvent::Event),
             types::LEDGER => {
                 Ledger::from_payload(payload, offset).map(|l| TakeEvent::Ledger(Box::new(l)))
+            }
+            types::CLOCK => {
+                Clock::from_payload(payload, offset).map(|c| TakeEvent::Clock(Box::new(c)))
             }
             types::FOREIGN => foreign::from_payload(payload, offset).map(TakeEvent::Foreign),
             types::INDEX => parse_index(payload, offset).map(TakeEvent::Index),

@@ -3,6 +3,7 @@
 //! Structures are frozen per version; docs/take-format.md gives their bytes.
 
 mod channel_table;
+mod clock;
 mod event;
 mod header;
 mod import_id;
@@ -11,6 +12,9 @@ mod stored;
 
 use bincode::config::{Configuration, Limit, LittleEndian, Varint};
 
+pub use clock::{
+    CLOCK_ENTRIES_MAX, Clock, ClockJitter, ClockLine, ClockPoint, ClockProbe,
+};
 pub use event::{Event, EventKind};
 pub(crate) use header::MoreChannels;
 pub use header::{CODEC_VERSION, Channel, Device, Header, ImportSource};

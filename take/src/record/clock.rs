@@ -1,0 +1,319 @@
+//! CLOCK: what ties the device's clock to the host's, and the line that was laid through it.
+//!
+//! Everything the line is made of is here in whole microseconds, so that whoever reads a take can lay it
+//! again. docs/clock.md says how.
+
+use bincode::{
+    Decode, Encode,
+    de::Decoder,
+    enc::Encoder,
+    error::{DecodeError, EncodeError},
+};
+
+use super::Record;
+use crate::{
+    chunk::types,
+    varint::{self, Cursor},
+};
+
+/// Most probes and most points of one record: a recorder writes one well before it has so many, and a
+/// reader needs memory for no more than these.
+pub const CLOCK_ENTRIES_MAX: usize = 4096;
+
+/// A frame that came early for its stretch of time: nothing can arrive before it happened, so the device's
+/// `device_ticks` were no later than `host_us`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct ClockPoint {
+    /// The frame's device time, in ticks.
+    pub device_ticks: u64,
+    /// Its arrival by the host's monotonic clock, in microseconds, rounded up.
+    pub host_us: u64,
+}
+
+/// One round trip: the device's clock stood at `device_ticks` between the two host times.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct ClockProbe {
+    /// When the ping was sent, by the host's monotonic clock in microseconds, rounded down.
+    pub sent_us: u64,
+    /// What the device's clock said when the ping came, in ticks.
+    pub device_ticks: u64,
+    /// From there to the pong's arrival, in microseconds, rounded up.
+    pub round_trip_us: u64,
+}
+
+/// The line: `host_ns + (ticks - device_ticks) * 1e9 / tick_hz * (1 + drift_ppb * 1e-9)` is the host time of
+/// device time `ticks`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct ClockLine {
+    /// The device time that it is told at, in ticks.
+    pub device_ticks: u64,
+    /// The host's monotonic clock then, in nanoseconds.
+    pub host_ns: u64,
+    /// How much faster the host's clock runs, in parts per billion.
+    pub drift_ppb: i64,
+    /// Half of the least way there and back: the line is no further off, whatever the two ways share of it.
+    /// `None` when no round trip was measured: the line is late by the least delay that frames had.
+    pub bound_us: Option<u64>,
+}
+
+/// How late frames came after the line, over the recording so far: microseconds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Encode, Decode)]
+pub struct ClockJitter {
+    /// Frames it is of.
+    pub frames: u64,
+    /// Root mean square distance of arrivals from the line.
+    pub residual_us: u64,
+    /// Half of the arrivals were no later than this after the line.
+    pub p50_us: u64,
+    /// 99 of a hundred.
+    pub p99_us: u64,
+    /// The latest one.
+    pub max_us: u64,
+}
+
+/// What was seen of the clocks since the last such record.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Clock {
+    /// Which run of the device's clock, from 0: it is another one after a jump.
+    pub segment: u32,
+    /// Device clock ticks a second.
+    pub tick_hz: u64,
+    /// The line, as it is laid now.
+    pub line: Option<ClockLine>,
+    /// How late frames come.
+    pub jitter: ClockJitter,
+    /// Round trips, in the order in which they were answered.
+    pub probes: Vec<ClockProbe>,
+    /// Frames, in order.
+    pub points: Vec<ClockPoint>,
+}
+
+impl Record for Clock {
+    const NAME: &'static str = "clock";
+    const KIND: u8 = types::CLOCK;
+    const VERSION: u16 = 1;
+}
+
+/// A pair of times, as the entries are told by their difference from the one before.
+type Times = (u64, u64);
+
+fn ticks_in(us: i64, tick_hz: u64) -> u64 {
+    // Modulo 2^64, as ticks are.
+    (i128::from(us) * i128::from(tick_hz)).div_euclid(1_000_000) as u64
+}
+
+fn zigzag(value: u64) -> u64 {
+    let value = value.cast_signed();
+    (value << 1 ^ value >> 63).cast_unsigned()
+}
+
+fn unzigzag(value: u64) -> u64 {
+    value >> 1 ^ (value & 1).wrapping_neg()
+}
+
+fn put(out: &mut Vec<u8>, (ticks, us): Times, before: &mut Times, tick_hz: u64) {
+    let passed_us = us.wrapping_sub(before.1);
+    let expected = ticks_in(passed_us.cast_signed(), tick_hz);
+    varint::put(out, zigzag(passed_us));
+    varint::put(out, zigzag(ticks.wrapping_sub(before.0).wrapping_sub(expected)));
+    *before = (ticks, us);
+}
+
+fn take(bytes: &mut Cursor<'_>, before: &mut Times, tick_hz: u64) -> Option<Times> {
+    let passed_us = unzigzag(bytes.varint()?);
+    let expected = ticks_in(passed_us.cast_signed(), tick_hz);
+    let error = unzigzag(bytes.varint()?);
+    let ticks = before.0.wrapping_add(expected).wrapping_add(error);
+    *before = (ticks, before.1.wrapping_add(passed_us));
+    Some(*before)
+}
+
+impl Clock {
+    fn origin(&self) -> Times {
+        let probe = self.probes.first().map(|probe| (probe.device_ticks, probe.sent_us));
+        let point = self.points.first().map(|point| (point.device_ticks, point.host_us));
+        let line = self.line.map(|line| (line.device_ticks, line.host_ns / 1000));
+        probe.or(point).or(line).unwrap_or_default()
+    }
+}
+
+impl Encode for Clock {
+    fn encode<E: Encoder>(&self, encoder: &mut E) -> Result<(), EncodeError> {
+        if self.probes.len().max(self.points.len()) > CLOCK_ENTRIES_MAX {
+            return Err(EncodeError::Other("more probes or points than a record may hold"));
+        }
+        let (origin, tick_hz) = (self.origin(), self.tick_hz);
+        let (mut probes, mut points) = (Vec::new(), Vec::new());
+        let mut before = origin;
+        for probe in &self.probes {
+            put(&mut probes, (probe.device_ticks, probe.sent_us), &mut before, tick_hz);
+            varint::put(&mut probes, probe.round_trip_us);
+        }
+        before = origin;
+        for point in &self.points {
+            put(&mut points, (point.device_ticks, point.host_us), &mut before, tick_hz);
+        }
+        self.segment.encode(encoder)?;
+        tick_hz.encode(encoder)?;
+        origin.encode(encoder)?;
+        self.line
+            .map(|line| {
+                let ticks = line.device_ticks.wrapping_sub(origin.0).cast_signed();
+                let ns = line.host_ns.wrapping_sub(origin.1.wrapping_mul(1000)).cast_signed();
+                (ticks, ns, line.drift_ppb, line.bound_us)
+            })
+            .encode(encoder)?;
+        self.jitter.encode(encoder)?;
+        probes.encode(encoder)?;
+        points.encode(encoder)
+    }
+}
+
+impl Decode<()> for Clock {
+    fn decode<D: Decoder<Context = ()>>(decoder: &mut D) -> Result<Self, DecodeError> {
+        let segment = u32::decode(decoder)?;
+        let tick_hz = u64::decode(decoder)?;
+        let origin = Times::decode(decoder)?;
+        let line = Option::<(i64, i64, i64, Option<u64>)>::decode(decoder)?;
+        let jitter = ClockJitter::decode(decoder)?;
+        let line = line.map(|(ticks, ns, drift_ppb, bound_us)| ClockLine {
+            device_ticks: origin.0.wrapping_add_signed(ticks),
+            host_ns: origin.1.wrapping_mul(1000).wrapping_add_signed(ns),
+            drift_ppb,
+            bound_us,
+        });
+        let probes = entries(&Vec::<u8>::decode(decoder)?, |bytes| {
+            let mut before = origin;
+            let mut next = move |bytes: &mut Cursor<'_>| {
+                let (device_ticks, sent_us) = take(bytes, &mut before, tick_hz)?;
+                Some(ClockProbe { sent_us, device_ticks, round_trip_us: bytes.varint()? })
+            };
+            all(bytes, &mut next)
+        })?;
+        let points = entries(&Vec::<u8>::decode(decoder)?, |bytes| {
+            let mut before = origin;
+            let mut next = move |bytes: &mut Cursor<'_>| {
+                let (device_ticks, host_us) = take(bytes, &mut before, tick_hz)?;
+                Some(ClockPoint { device_ticks, host_us })
+            };
+            all(bytes, &mut next)
+        })?;
+        Ok(Self { segment, tick_hz, line, jitter, probes, points })
+    }
+}
+
+fn entries<T>(
+    bytes: &[u8],
+    read: impl FnOnce(&mut Cursor<'_>) -> Option<Vec<T>>,
+) -> Result<Vec<T>, DecodeError> {
+    read(&mut Cursor::new(bytes)).ok_or(DecodeError::Other(
+        "its probes or points are cut short, or are more than a record may hold",
+    ))
+}
+
+/// All that the bytes hold; `None` when they end in the middle of one, or hold too many.
+fn all<T>(
+    bytes: &mut Cursor<'_>,
+    next: &mut impl FnMut(&mut Cursor<'_>) -> Option<T>,
+) -> Option<Vec<T>> {
+    let mut found = Vec::new();
+    while !bytes.is_empty() {
+        if found.len() == CLOCK_ENTRIES_MAX {
+            return None;
+        }
+        found.push(next(bytes)?);
+    }
+    Some(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn recorded() -> Clock {
+        let at = |us: u64| 70_000_000 + us * 10 - us / 500;
+        Clock {
+            segment: 0,
+            tick_hz: 10_000_000,
+            line: Some(ClockLine {
+                device_ticks: at(9_000_000),
+                host_ns: 86_400_009_000_123,
+                drift_ppb: 200_012,
+                bound_us: Some(96),
+            }),
+            jitter: ClockJitter {
+                frames: 600,
+                residual_us: 9_000,
+                p50_us: 8_000,
+                p99_us: 16_100,
+                max_us: 21_000,
+            },
+            probes: (0..8)
+                .map(|i| ClockProbe {
+                    sent_us: 86_400_000_000 + 16_000 * i,
+                    device_ticks: at(16_000 * i) + 600,
+                    round_trip_us: 150 + i,
+                })
+                .collect(),
+            points: (0..5)
+                .map(|i| ClockPoint {
+                    device_ticks: at(1_000_000 * i),
+                    host_us: 86_400_000_210 + 1_000_000 * i + i % 3,
+                })
+                .collect(),
+        }
+    }
+
+    #[test]
+    fn it_comes_back_and_is_small() {
+        let clock = recorded();
+        let payload = clock.to_payload().unwrap();
+        assert_eq!(Clock::from_payload(&payload, 0).unwrap(), clock);
+        assert!(payload.len() <= 150, "{} bytes", payload.len());
+    }
+
+    #[test]
+    fn any_numbers_come_back() {
+        let mut state = 1_u64;
+        let mut number = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695);
+            state.rotate_left(17) >> (state >> 58)
+        };
+        for _ in 0..200 {
+            let mut clock = Clock {
+                segment: number() as u32,
+                tick_hz: number(),
+                line: Some(ClockLine {
+                    device_ticks: number(),
+                    host_ns: number(),
+                    drift_ppb: number().cast_signed(),
+                    bound_us: Some(number()),
+                }),
+                ..Clock::default()
+            };
+            for _ in 0..number() % 20 {
+                let [sent_us, device_ticks, round_trip_us] = [number(), number(), number()];
+                clock.probes.push(ClockProbe { sent_us, device_ticks, round_trip_us });
+                clock.points.push(ClockPoint { device_ticks: number(), host_us: number() });
+            }
+            assert_eq!(Clock::from_payload(&clock.to_payload().unwrap(), 0).unwrap(), clock);
+        }
+    }
+
+    #[test]
+    fn every_cut_and_too_many_entries_are_errors() {
+        let payload = recorded().to_payload().unwrap();
+        for cut in 0..payload.len() {
+            assert!(Clock::from_payload(&payload[..cut], 0).is_err(), "{cut}");
+        }
+        let points = vec![ClockPoint::default(); CLOCK_ENTRIES_MAX + 1];
+        assert!(Clock { points, ..Clock::default() }.to_payload().is_err());
+        let mut bytes = Clock::default().to_payload().unwrap();
+        // The list of points is the last thing: two bytes each, and one too many.
+        assert_eq!(bytes.pop(), Some(0));
+        let n = 2 * (CLOCK_ENTRIES_MAX + 1);
+        bytes.extend([251, n as u8, (n >> 8) as u8]);
+        bytes.resize(bytes.len() + n, 0);
+        assert!(Clock::from_payload(&bytes, 0).is_err());
+    }
+}
