@@ -6,7 +6,7 @@ use mocapd_take::{
     TakeError, TakeEvent,
     frames::nameless,
     reader::{TakeBytes, read_events},
-    record::{Channel, Event, Header, Ledger},
+    record::{Channel, Clock, Event, Header, Ledger},
     stretch::{Stretch, StretchDecoder},
 };
 
@@ -38,6 +38,12 @@ pub struct Summary {
     pub rows: u64,
     /// The last ledger.
     pub ledger: Option<Ledger>,
+    /// The last that was said of the clocks, without what the line was laid through.
+    pub clock: Option<Clock>,
+    /// Round trips that are in the take.
+    pub clock_probes: u64,
+    /// Frames that were kept for the line.
+    pub clock_points: u64,
     /// The events.
     pub events: Vec<Event>,
     /// What an importer kept: kind, and bytes as they were.
@@ -91,6 +97,11 @@ impl Summary {
                 TakeEvent::Ledger(ledger) => summary.ledger = Some(*ledger),
                 TakeEvent::Foreign(part) => {
                     summary.foreign.push((part.kind, part.data.len() as u64));
+                }
+                TakeEvent::Clock(clock) => {
+                    summary.clock_probes += clock.probes.len() as u64;
+                    summary.clock_points += clock.points.len() as u64;
+                    summary.clock = Some(Clock { probes: vec![], points: vec![], ..*clock });
                 }
                 TakeEvent::Footer(footer) => summary.check_rows(footer.n_rows),
                 TakeEvent::Damaged { offset, len, message } => {

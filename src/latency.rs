@@ -26,6 +26,12 @@ impl Latency {
         self.max_ns = self.max_ns.max(ns);
     }
 
+    /// How many there were.
+    #[must_use]
+    pub fn count(&self) -> u64 {
+        self.n
+    }
+
     /// The longest.
     #[must_use]
     pub fn max_ns(&self) -> u64 {

@@ -1,10 +1,12 @@
 //! mocapd: records optical motion capture. The daemon's library: the `mocapd` binary, the tests and the
 //! benchmarks are built on it.
 
+pub mod clock;
 pub mod compare;
 pub mod files;
 pub mod header;
 pub mod inspect;
+mod latency;
 pub mod outcome;
 pub mod pipeline;
 pub mod process;

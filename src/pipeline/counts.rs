@@ -1,7 +1,9 @@
 //! The reader's counters, and how they become a ledger.
 
 use mocapd_drivers::device::{LinkCounters, Status};
-use mocapd_take::record::{ClockFit, Ledger};
+use mocapd_take::record::Ledger;
+
+use crate::clock::ClockStatus;
 
 /// What the reader counted. `Copy`: a snapshot travels with every stretch, so that a killed take has
 /// a ledger that is true for what it holds.
@@ -40,7 +42,7 @@ pub struct Counts {
     /// A number of frames produced that no device can have reached.
     pub impossible_produced: Option<u64>,
     /// How its clock runs.
-    pub clock: Option<ClockFit>,
+    pub clock: ClockStatus,
 }
 
 impl Counts {
@@ -91,6 +93,12 @@ impl Counts {
                 self.events_dropped
             ));
         }
+        if self.clock.dropped > 0 {
+            contradictions.push(format!(
+                "{} observations of the clocks are not in the take: the disk stalled",
+                self.clock.dropped
+            ));
+        }
         let dropped_by_device = dropped.min(missing);
         Ledger {
             finished,
@@ -113,7 +121,7 @@ impl Counts {
             link_messages_damaged: self.link.messages_damaged,
             link_messages_unknown: self.link.messages_unknown,
             contradictions,
-            clock: self.clock,
+            clock: self.clock.ledger(),
         }
     }
 }

@@ -17,7 +17,7 @@ use mocapd_take::{
 
 use self::{
     axis::{Axis, Step},
-    clock::ClockLine,
+    clock::Clocks,
     pending::Pending,
 };
 use super::{
@@ -27,6 +27,7 @@ use super::{
     pool::Feed,
     ring::{RingIn, Sample, TimelineItem},
 };
+use crate::clock::ClockItem;
 
 /// No slot: the channel pool was used up when the marker appeared.
 const NO_SLOT: u32 = u32::MAX;
@@ -61,7 +62,7 @@ pub struct Intake {
     open_since_ns: u64,
     open_ns_max: u64,
     counts: Counts,
-    clock: ClockLine,
+    clocks: Clocks,
     finished: bool,
 }
 
@@ -78,6 +79,7 @@ impl Intake {
         feed: Feed,
         control: Sender<Control>,
         progress: Arc<Progress>,
+        clock_items: Sender<ClockItem>,
     ) -> Self {
         let mut slot_of_id = vec![NO_SLOT; usize::from(u16::MAX) + 1];
         for (slot, channel) in config.channels.iter().enumerate() {
@@ -108,14 +110,13 @@ impl Intake {
             open_since_ns: 0,
             open_ns_max: config.stretch.as_nanos() as u64,
             counts: Counts::default(),
-            clock: ClockLine::new(config.tick_hz),
+            clocks: Clocks::new(config.tick_hz, clock_items),
             finished: false,
         }
     }
 
     /// One frame, at the host's monotonic time of its last byte.
     pub fn frame(&mut self, frame: &Frame<'_>, arrival_ns: u64) {
-        let ticks_before = self.axis.last_ticks();
         match self.axis.step(frame.seq, frame.device_ticks) {
             Step::Next { missing } => {
                 self.counts.not_received += u64::from(missing);
@@ -127,11 +128,9 @@ impl Intake {
             }
             Step::Jump => self.counts.counter_jumps += 1,
         }
-        if ticks_before.is_some_and(|ticks| frame.device_ticks < ticks) {
-            // No frame is dropped for its time; but no line fits both sides of a jump.
-            self.counts.clock_jumps += 1;
-            self.clock.restart();
-        }
+        // No frame is dropped for its time; but no line fits both sides of a jump.
+        let event = self.clocks.frame(frame.device_ticks, arrival_ns);
+        self.clock_event(event, frame.device_ticks, arrival_ns);
         self.fill_row(frame);
         self.make_way();
         if !self.has_room() {
@@ -151,7 +150,6 @@ impl Intake {
             arrival_10us: arrival_ns / 10_000,
             timecode: frame.timecode,
         });
-        self.clock.add(frame.device_ticks, arrival_ns);
         if self.open_rows >= self.open_limit {
             self.close_stretch();
         }
@@ -188,7 +186,7 @@ impl Intake {
     #[must_use]
     pub fn counts(&self) -> Counts {
         let mut counts = self.counts;
-        counts.clock = self.clock.fit();
+        counts.clock = self.clocks.status();
         counts
     }
 
@@ -226,6 +224,7 @@ impl Intake {
         if std::mem::replace(&mut self.finished, true) {
             return;
         }
+        self.clocks.close();
         if let Some(status) = self.counts.status {
             let unseen = status.frames_produced.saturating_sub(self.counts.seen());
             if unseen > UNSEEN_MAX {

@@ -23,7 +23,7 @@ mod writer;
 
 use std::sync::{
     Arc,
-    atomic::{AtomicBool, AtomicU64},
+    atomic::{AtomicBool, AtomicI64, AtomicU64},
 };
 
 use anyhow::Context;
@@ -35,7 +35,12 @@ pub use intake::Intake;
 pub use plan::PipelineConfig;
 pub use writer::{TakeOutput, Written};
 
-use self::{group::Group, plan::Plan, pool::Pool, writer::Writer};
+use self::{
+    group::Group,
+    plan::Plan,
+    pool::Pool,
+    writer::{ClockWriter, Writer},
+};
 use crate::threads;
 
 /// What other threads may look at while it runs. Counters only: the truth is in the ledger.
@@ -45,6 +50,10 @@ pub struct Progress {
     pub frames: AtomicU64,
     /// Frames lost so far, for whatever reason.
     pub lost: AtomicU64,
+    /// How much faster the host's clock runs than the device's, in parts per billion, as an `i64` has it.
+    pub drift_ppb: AtomicI64,
+    /// What 99 of 100 frames were no later than after the clock's line, in microseconds; 0 while unknown.
+    pub jitter_p99_us: AtomicU64,
     /// Bytes written.
     pub file_bytes: AtomicU64,
     /// Samples in the stretches written.
@@ -77,6 +86,7 @@ impl<W: TakeOutput> Pipeline<W> {
 
         let (parts_in, parts) = bounded(plan.parts_max());
         let (control_in, control) = bounded(plan::CONTROL_MAX);
+        let (clock_in, clock) = bounded(plan::CLOCK_ITEMS_MAX);
         let mut groups = Vec::new();
         let mut producers = Vec::new();
         for index in 0..plan.n_groups() {
@@ -97,9 +107,12 @@ impl<W: TakeOutput> Pipeline<W> {
             pool.feed(),
             control_in,
             Arc::clone(&progress),
+            clock_in,
         );
         let wakes = pool.wakes();
-        let writer = Writer::new(take, &plan, parts, control, buffers_back, wakes, &progress);
+        let clocks = ClockWriter::new(clock);
+        let writer =
+            Writer::new(take, &plan, parts, control, clocks, buffers_back, wakes, &progress);
         let guard = pool::FailOnPanic(Arc::clone(&progress));
         let writer = threads::spawn("mocapd-write", move || {
             let written = writer.run();

@@ -124,5 +124,6 @@ pub fn write_take<W: Write>(
     };
     let (out, file_bytes) = take.finish(&ledger).context("cannot close the take")?;
     let PartReport { samples, kept, max_error_mm, .. } = report;
-    Ok((Written { ledger, file_bytes, samples, kept, max_error_mm }, out))
+    let written = Written { ledger, file_bytes, samples, kept, max_error_mm, ..Written::default() };
+    Ok((written, out))
 }

@@ -88,6 +88,10 @@ pub(super) const RUNS_MAX: usize = 8;
 /// device announces at most its whole table at once, in one message.
 pub(super) const CONTROL_MAX: usize = 1024;
 
+/// Observations of the clocks that wait for the writer: at most ten a second of round trips (the link's budget)
+/// and four of points, and only at the start; in a stall of 30 s some 60.
+pub(super) const CLOCK_ITEMS_MAX: usize = 1024;
+
 /// The sizes that follow from a [`PipelineConfig`].
 #[derive(Debug, Clone)]
 pub(super) struct Plan {

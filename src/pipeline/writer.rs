@@ -1,6 +1,7 @@
 //! The writer thread: parts become stretches, stretches go to disk.
 
 mod assembly;
+mod clocks;
 mod ledgers;
 mod output;
 
@@ -14,6 +15,7 @@ use anyhow::{Context, anyhow, bail};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use mocapd_take::TakeWriter;
 
+pub(super) use self::clocks::ClockWriter;
 pub use self::output::{TakeOutput, Written};
 use self::{assembly::Assemblies, ledgers::Ledgers};
 use super::{
@@ -32,6 +34,7 @@ pub(super) struct Writer<W> {
     take: TakeWriter<W>,
     parts: Receiver<Part>,
     control: Receiver<Control>,
+    clocks: ClockWriter,
     /// Read from `control`, but its stretch is not written yet.
     held: Option<Control>,
     buffers_back: Vec<Sender<Vec<u8>>>,
@@ -53,6 +56,7 @@ impl<W: TakeOutput> Writer<W> {
         plan: &Plan,
         parts: Receiver<Part>,
         control: Receiver<Control>,
+        clocks: ClockWriter,
         buffers_back: Vec<Sender<Vec<u8>>>,
         wakes: Wakes,
         progress: &Arc<Progress>,
@@ -61,6 +65,7 @@ impl<W: TakeOutput> Writer<W> {
             take,
             parts,
             control,
+            clocks,
             held: None,
             buffers_back,
             wakes,
@@ -134,11 +139,18 @@ impl<W: TakeOutput> Writer<W> {
         }
         self.progress.file_bytes.store(self.take.bytes(), Ordering::Relaxed);
         self.progress.samples.store(self.report.samples, Ordering::Relaxed);
+        if let Some(line) = self.counts.clock.line {
+            self.progress.drift_ppb.store(line.drift_ppb, Ordering::Relaxed);
+            let p99_us = self.counts.clock.jitter.p99_us;
+            self.progress.jitter_p99_us.store(p99_us, Ordering::Relaxed);
+        }
         Ok(())
     }
 
     fn write_ledger_and_sync(&mut self) -> anyhow::Result<()> {
-        if self.ledgers.are_due(&self.counts, Instant::now()) {
+        let ledger_is_due = self.ledgers.are_due(&self.counts, Instant::now());
+        self.clocks.write(&mut self.take, &self.counts.clock, ledger_is_due)?;
+        if ledger_is_due {
             self.take.ledger(&self.counts.ledger(false)).context("cannot write the ledger")?;
         }
         if self.last_sync.is_none_or(|last| last.elapsed() >= self.sync_every) {
@@ -165,7 +177,8 @@ impl<W: TakeOutput> Writer<W> {
         });
     }
 
-    fn finish(self) -> anyhow::Result<(Written, W)> {
+    fn finish(mut self) -> anyhow::Result<(Written, W)> {
+        self.clocks.write(&mut self.take, &self.counts.clock, true)?;
         let mut ledger = self.counts.ledger(true);
         if self.report.refused > 0 {
             ledger.contradictions.push(format!(
@@ -178,6 +191,7 @@ impl<W: TakeOutput> Writer<W> {
         output.0.sync().context(closing)?;
         let written = Written {
             ledger,
+            clock: self.counts.clock,
             file_bytes: output.1,
             samples: self.report.samples,
             kept: self.report.kept,

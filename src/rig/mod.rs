@@ -1,7 +1,6 @@
 //! One device: opened, identified, started, read, stopped.
 
 mod identify;
-mod latency;
 mod reader;
 
 use std::time::Duration;
@@ -17,7 +16,7 @@ use mocapd_drivers::{
 use mocapd_take::record::{Channel, Device};
 use rustix::time::{ClockId, clock_gettime};
 
-pub use latency::Latency;
+pub use crate::latency::Latency;
 pub use reader::{Ending, ReadOptions, Recording};
 
 use crate::pipeline::PipelineConfig;

@@ -7,13 +7,16 @@ use std::{
 
 use anyhow::{anyhow, bail};
 use mocapd_drivers::{
-    device::{Command, DeviceEvent, LinkBudget, LinkCounters},
+    device::{Command, DeviceEvent, LinkBudget, LinkCounters, Pong},
     transport::TransportError,
 };
 use mocapd_take::record::{Event, EventKind};
 
 use super::{ANSWER_WITHIN, Latency, Rig, TRIES, monotonic_ns, refusal};
-use crate::pipeline::{Counts, Intake};
+use crate::{
+    clock::Prober,
+    pipeline::{Counts, Intake},
+};
 
 /// How long a device may send nothing before somebody is told.
 const SILENCE: Duration = Duration::from_secs(3);
@@ -71,6 +74,7 @@ impl Rig {
         let mut reader = Reader {
             intake: &mut intake,
             latency: Latency::default(),
+            prober: Prober::new(),
             end: None,
             started: None,
             began_anew: false,
@@ -103,6 +107,9 @@ impl Rig {
                 Ok(()) => {}
                 Err(TransportError::Disconnected { .. }) => return Ok(Ending::Disconnected),
                 Err(error) => return Err(anyhow!(error).context("reading from the device")),
+            }
+            if stop_said_ns.is_none() {
+                self.probe(reader);
             }
             let now_ns = monotonic_ns();
             if reader.intake.counts_seen() != frames_before {
@@ -182,6 +189,24 @@ impl Rig {
         bail!("{} does not answer Start: switch it off and on again", self.uri)
     }
 
+    /// Asks the device for its clock, when that is due.
+    fn probe(&mut self, reader: &mut Reader<'_>) {
+        if reader.intake.wants_probes() {
+            reader.prober.hurry();
+        }
+        let now_ns = monotonic_ns();
+        let Some(due_ns) = reader.prober.due(now_ns) else { return };
+        // On a line that sends in batches only, between two of them: nothing arrives meanwhile.
+        std::thread::sleep(Duration::from_nanos(due_ns.saturating_sub(now_ns)));
+        let host_ns = monotonic_ns();
+        match self.say(Command::Ping { host_ns }) {
+            Ok(()) if !self.outbox.is_empty() => reader.prober.sent(host_ns),
+            // Its family has no ping, or it does not read: a recording goes on without. A device that is gone
+            // shows in the next read.
+            Ok(()) | Err(_) => reader.prober.off(),
+        }
+    }
+
     /// What the link counted; samples that were no numbers since Start.
     fn link_counters(&self) -> LinkCounters {
         let counters = self.protocol.counters();
@@ -205,6 +230,7 @@ impl Rig {
 struct Reader<'a> {
     intake: &'a mut Intake,
     latency: Latency,
+    prober: Prober,
     started: Option<Result<(), LinkBudget>>,
     end: Option<()>,
     /// It introduced itself while it was to send frames.
@@ -236,7 +262,12 @@ impl Reader<'_> {
             }),
             // An answer to a command of the handshake that came late.
             DeviceEvent::Hello(_) => self.began_anew |= self.started.is_some(),
-            DeviceEvent::Pong(_) | DeviceEvent::RateSet(_) | DeviceEvent::EndOfStream(_) => {}
+            DeviceEvent::Pong(Pong { host_ns, device_ticks }) => {
+                if self.prober.answered(host_ns, arrival_ns) {
+                    self.intake.probe(device_ticks, host_ns, arrival_ns);
+                }
+            }
+            DeviceEvent::RateSet(_) | DeviceEvent::EndOfStream(_) => {}
         }
     }
 }

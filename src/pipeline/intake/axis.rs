@@ -25,11 +25,6 @@ pub(super) struct Axis {
 }
 
 impl Axis {
-    /// The device's clock at the last frame that was not late.
-    pub(super) fn last_ticks(&self) -> Option<u64> {
-        self.last.map(|last| last.1)
-    }
-
     /// The device's clock tells a late frame from a counter that began anew.
     pub(super) fn step(&mut self, seq: u32, device_ticks: u64) -> Step {
         let step = match self.last {

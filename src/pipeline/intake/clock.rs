@@ -1,92 +1,90 @@
-//! A straight line through (device time, host arrival): offset, drift, residual.
+//! The clocks of a recording: what frames and pongs say of them, and where that goes.
 
-use mocapd_take::record::ClockFit;
+use crossbeam_channel::Sender;
+use mocapd_take::record::{Event, EventKind};
 
-/// Least squares, updated frame by frame (running means and co-moments, so that hours lose no digits).
+use super::Intake;
+use crate::clock::{ClockEvent, ClockItem, ClockModel, ClockStatus};
+
+/// Jumps that get an event of their own. More are a device without a clock: the segments count them.
+const EVENTS_MAX: u32 = 32;
+
+/// The model, and the way to the writer.
 #[derive(Debug)]
-pub(super) struct ClockLine {
-    tick_hz: f64,
-    origin: Option<(u64, u64)>,
-    n: u64,
-    mean_device_s: f64,
-    mean_late_s: f64,
-    m_device: f64,
-    m_cross: f64,
-    m_late: f64,
+pub(super) struct Clocks {
+    model: ClockModel,
+    items: Sender<ClockItem>,
+    /// Items that found the writer's queue full.
+    dropped: u64,
+    events: u32,
 }
 
-impl ClockLine {
-    pub(super) fn new(tick_hz: u64) -> Self {
-        Self {
-            tick_hz: tick_hz.max(1) as f64,
-            origin: None,
-            n: 0,
-            mean_device_s: 0.0,
-            mean_late_s: 0.0,
-            m_device: 0.0,
-            m_cross: 0.0,
-            m_late: 0.0,
-        }
+impl Clocks {
+    pub(super) fn new(tick_hz: u64, items: Sender<ClockItem>) -> Self {
+        Self { model: ClockModel::new(tick_hz), items, dropped: 0, events: 0 }
     }
 
-    /// What was fitted so far is another clock's.
-    pub(super) fn restart(&mut self) {
-        *self = Self { tick_hz: self.tick_hz, ..Self::new(1) };
-    }
-
-    pub(super) fn add(&mut self, device_ticks: u64, arrival_ns: u64) {
-        let (ticks, ns) = *self.origin.get_or_insert((device_ticks, arrival_ns));
-        let device_s = device_ticks.wrapping_sub(ticks).cast_signed() as f64 / self.tick_hz;
-        // What is fitted is the difference of the clocks: microseconds beside hours.
-        let late_s = arrival_ns.wrapping_sub(ns).cast_signed() as f64 * 1e-9 - device_s;
-        self.n += 1;
-        let n = self.n as f64;
-        let from_mean = device_s - self.mean_device_s;
-        let late_from_mean = late_s - self.mean_late_s;
-        self.mean_device_s += from_mean / n;
-        self.mean_late_s += late_from_mean / n;
-        self.m_device += from_mean * (device_s - self.mean_device_s);
-        self.m_cross += from_mean * (late_s - self.mean_late_s);
-        self.m_late += late_from_mean * (late_s - self.mean_late_s);
-    }
-
-    /// `None` before there are two different times.
-    pub(super) fn fit(&self) -> Option<ClockFit> {
-        let (ticks, ns) = self.origin?;
-        if self.m_device <= 0.0 {
-            return None;
-        }
-        let drift = self.m_cross / self.m_device;
-        let late_at_origin_s = self.mean_late_s - drift * self.mean_device_s;
-        let origin_s = ticks as f64 / self.tick_hz;
-        let offset_ns = ns as f64 + (late_at_origin_s - origin_s * (1.0 + drift)) * 1e9;
-        let residual = (self.m_late - drift * self.m_cross).max(0.0) / self.n as f64;
-        Some(ClockFit {
-            offset_ns: offset_ns as i64,
-            drift_ppm: drift * 1e6,
-            residual_us: residual.sqrt() * 1e6,
-            n_fitted: self.n,
+    pub(super) fn frame(&mut self, ticks: u64, arrival_ns: u64) -> Option<ClockEvent> {
+        let Self { model, items, dropped, .. } = self;
+        model.frame(ticks, arrival_ns, &mut |item| {
+            *dropped += u64::from(items.try_send(item).is_err())
         })
     }
+
+    fn probe(&mut self, ticks: u64, sent_ns: u64, answered_ns: u64) -> Option<ClockEvent> {
+        let Self { model, items, dropped, .. } = self;
+        let store = &mut |item| *dropped += u64::from(items.try_send(item).is_err());
+        model.probe(ticks, sent_ns, answered_ns, store)
+    }
+
+    pub(super) fn close(&mut self) {
+        let Self { model, items, dropped, .. } = self;
+        model.close(&mut |item| *dropped += u64::from(items.try_send(item).is_err()));
+    }
+
+    pub(super) fn status(&self) -> ClockStatus {
+        ClockStatus { dropped: self.dropped, ..self.model.status() }
+    }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
+impl Intake {
+    /// A ping of `sent_ns` whose pong said `device_ticks` and arrived at `answered_ns`, by the host's monotonic
+    /// clock.
+    pub fn probe(&mut self, device_ticks: u64, sent_ns: u64, answered_ns: u64) {
+        let event = self.clocks.probe(device_ticks, sent_ns, answered_ns);
+        self.clock_event(event, device_ticks, answered_ns);
+    }
 
-    #[test]
-    fn finds_a_drifting_clock_under_jitter() {
-        let mut line = ClockLine::new(1_000_000);
-        for i in 0..10_000_u64 {
-            let ticks = 7_000_000 + i * 1_000;
-            let jitter_ns = (i * 7_919) % 100_000;
-            let ns = 5_000_000_000 + (i as f64 * 1e6 * (1.0 + 150e-6)) as u64 + jitter_ns;
-            line.add(ticks, ns);
+    /// Whether the clocks are in doubt, and round trips would help. Said once.
+    pub fn wants_probes(&mut self) -> bool {
+        self.clocks.model.wants_probes()
+    }
+
+    pub(super) fn clock_event(
+        &mut self,
+        event: Option<ClockEvent>,
+        device_ticks: u64,
+        host_ns: u64,
+    ) {
+        let Some(event) = event else { return };
+        self.counts.clock_jumps += u64::from(matches!(event, ClockEvent::WentBack(_)));
+        self.clocks.events += 1;
+        if self.clocks.events > EVENTS_MAX {
+            return;
         }
-        let fit = line.fit().unwrap();
-        assert!((fit.drift_ppm - 150.0).abs() < 1.0, "{fit:?}");
-        assert!((fit.residual_us - 28.87).abs() < 0.5, "{fit:?}");
-        let expected = 5_000_050_000 - 7_000_000_000_i64 - 1_050_000;
-        assert!((fit.offset_ns - expected).abs() < 10_000, "{fit:?}");
+        let what = match event {
+            ClockEvent::WentBack(by_s) => format!("went back by {by_s:.3} s"),
+            ClockEvent::Wrapped => "counts in 32 bits and began again at 0".to_owned(),
+            ClockEvent::Jumped(by_s) if by_s >= 0.0 => format!("jumped ahead by {by_s:.3} s"),
+            ClockEvent::Jumped(by_s) => format!("fell behind by {:.3} s", -by_s),
+        };
+        self.event(Event {
+            kind: EventKind::Host,
+            row: 0,
+            device_ticks,
+            host_ns,
+            input: 0,
+            text: format!("the device's clock {what}"),
+        });
     }
 }

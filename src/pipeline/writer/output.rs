@@ -7,6 +7,8 @@ use std::{
 
 use mocapd_take::record::Ledger;
 
+use crate::clock::ClockStatus;
+
 /// What a take is written to.
 pub trait TakeOutput: Write + Send + 'static {
     /// Makes everything written so far survive a power cut.
@@ -39,6 +41,8 @@ impl TakeOutput for io::Sink {
 pub struct Written {
     /// The ledger as it stands in the take.
     pub ledger: Ledger,
+    /// How the clocks ran in the end.
+    pub clock: ClockStatus,
     /// Bytes of the file.
     pub file_bytes: u64,
     /// Samples in it.

@@ -1,0 +1,277 @@
+//! The clock of one recording: its segments, the line of the one that runs, and how late frames come.
+
+use mocapd_take::record::{ClockFit, ClockJitter, ClockLine, ClockPoint, ClockProbe};
+
+use super::{
+    arrivals::Arrivals,
+    fit::{Line, fit},
+    judge::{Judge, Verdict},
+    probes::Bursts,
+    seconds,
+};
+use crate::latency::Latency;
+
+/// What a take stores of it, as it comes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ClockItem {
+    /// The earliest frame of a bin, in the segment.
+    Point(u32, ClockPoint),
+    /// A round trip, in the segment.
+    Probe(u32, ClockProbe),
+}
+
+/// The device's clock did what clocks do not: a new segment begins.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum ClockEvent {
+    /// Its ticks went back, by so many seconds.
+    WentBack(f64),
+    /// It counts in 32 bits, and began again at 0.
+    Wrapped,
+    /// It is ahead by so many seconds more than before; behind when negative.
+    Jumped(f64),
+}
+
+/// How the clocks run, at some moment of a recording.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct ClockStatus {
+    /// Which segment, from 0.
+    pub segment: u32,
+    /// Device clock ticks a second.
+    pub tick_hz: u64,
+    /// The line.
+    pub line: Option<ClockLine>,
+    /// How late frames come.
+    pub jitter: ClockJitter,
+    /// Round trips so far.
+    pub probes: u64,
+    /// Root mean square distance of arrivals from the line, in microseconds.
+    pub residual_us: f64,
+    /// Points and round trips that are not in the take, because the disk stalled.
+    pub dropped: u64,
+}
+
+impl ClockStatus {
+    /// As a ledger stores it.
+    #[must_use]
+    pub fn ledger(&self) -> Option<ClockFit> {
+        let line = self.line?;
+        let drift_ppm = line.drift_ppb as f64 * 1e-3;
+        let at_s = line.device_ticks as f64 / self.tick_hz.max(1) as f64;
+        Some(ClockFit {
+            offset_ns: (line.host_ns as f64 - at_s * (1e9 + drift_ppm * 1e3)) as i64,
+            drift_ppm,
+            residual_us: self.residual_us,
+            n_fitted: self.jitter.frames,
+        })
+    }
+}
+
+/// Bounded, and fed by one thread.
+#[derive(Debug)]
+pub struct ClockModel {
+    ticks_per_s: u64,
+    tick_hz: f64,
+    segment: u32,
+    begun_us: Option<u64>,
+    /// The frame before: ticks and host microseconds.
+    last: Option<(u64, u64)>,
+    arrivals: Arrivals,
+    bursts: Bursts,
+    judge: Judge,
+    line: Option<Line>,
+    lateness: Latency,
+    late_squared: f64,
+    probes: u64,
+    wants_probes: bool,
+}
+
+impl ClockModel {
+    /// Of a device whose clock makes so many ticks a second.
+    #[must_use]
+    pub fn new(tick_hz: u64) -> Self {
+        Self {
+            ticks_per_s: tick_hz,
+            tick_hz: tick_hz.max(1) as f64,
+            segment: 0,
+            begun_us: None,
+            last: None,
+            arrivals: Arrivals::new(),
+            bursts: Bursts::new(),
+            judge: Judge::default(),
+            line: None,
+            lateness: Latency::default(),
+            late_squared: 0.0,
+            probes: 0,
+            wants_probes: false,
+        }
+    }
+
+    /// A frame that arrived.
+    pub fn frame(
+        &mut self,
+        ticks: u64,
+        arrival_ns: u64,
+        store: &mut dyn FnMut(ClockItem),
+    ) -> Option<ClockEvent> {
+        let host_us = arrival_ns.div_ceil(1000);
+        let before = self.last;
+        let silent_us = before.map_or(0, |(_, us)| host_us.saturating_sub(us));
+        let mut event = before.and_then(|(last, _)| self.went_back(ticks, last, silent_us));
+        if event.is_some() {
+            self.restart(store);
+        }
+        let begun_us = *self.begun_us.get_or_insert(host_us);
+        if let Some(line) = self.line {
+            let late_us = line.lateness_us(ticks, arrival_ns, self.tick_hz);
+            let age_us = host_us.saturating_sub(begun_us);
+            match self.judge.frame(late_us, host_us, age_us, silent_us) {
+                Verdict::Fits => self.count(late_us),
+                // The next one is compared with the one before this.
+                Verdict::Odd => return event,
+                Verdict::Jumped(by_us) => {
+                    self.restart(store);
+                    self.begun_us = Some(host_us);
+                    event = Some(ClockEvent::Jumped(by_us * 1e-6));
+                }
+            }
+            self.wants_probes |= self.judge.is_in_doubt();
+        }
+        self.last = Some((ticks, host_us));
+        let drift_ppm = self.line.map_or(0.0, |line| line.drift_ppm);
+        let point = ClockPoint { device_ticks: ticks, host_us };
+        if let Some(closed) = self.arrivals.add(point, drift_ppm, self.tick_hz) {
+            store(ClockItem::Point(self.segment, closed));
+            self.lay();
+        }
+        event
+    }
+
+    /// A ping of `sent_ns` whose pong said `ticks` and arrived at `answered_ns`.
+    pub fn probe(
+        &mut self,
+        ticks: u64,
+        sent_ns: u64,
+        answered_ns: u64,
+        store: &mut dyn FnMut(ClockItem),
+    ) -> Option<ClockEvent> {
+        let sent_us = sent_ns / 1000;
+        let answered_us = answered_ns.div_ceil(1000);
+        let round_trip_us = answered_us.saturating_sub(sent_us);
+        let probe = ClockProbe { sent_us, device_ticks: ticks, round_trip_us };
+        self.probes += 1;
+        let mut event = None;
+        let begun_us = *self.begun_us.get_or_insert(sent_us);
+        if let Some(line) = self.line {
+            let off = |host_us: u64| line.lateness_us(ticks, host_us * 1000, self.tick_hz);
+            let age_us = sent_us.saturating_sub(begun_us);
+            let silent_us = self.last.map_or(0, |(_, us)| sent_us.saturating_sub(us));
+            let (sent, answered) = (off(sent_us), off(answered_us));
+            match self.judge.probe(&line, sent, answered, age_us, silent_us) {
+                Verdict::Fits => {}
+                Verdict::Odd => {
+                    store(ClockItem::Probe(self.segment, probe));
+                    return None;
+                }
+                Verdict::Jumped(by_us) => {
+                    self.restart(store);
+                    self.begun_us = Some(sent_us);
+                    event = Some(ClockEvent::Jumped(by_us * 1e-6));
+                }
+            }
+        }
+        store(ClockItem::Probe(self.segment, probe));
+        let drift_ppm = self.line.map_or(0.0, |line| line.drift_ppm);
+        self.bursts.add(probe, drift_ppm, self.tick_hz);
+        self.lay();
+        event
+    }
+
+    /// Lays the line through everything there is: at the end of a recording.
+    pub fn close(&mut self, store: &mut dyn FnMut(ClockItem)) {
+        if let Some(closed) = self.arrivals.close() {
+            store(ClockItem::Point(self.segment, closed));
+            self.lay();
+        }
+    }
+
+    /// Whether round trips would help now. Said once.
+    pub fn wants_probes(&mut self) -> bool {
+        std::mem::take(&mut self.wants_probes)
+    }
+
+    /// The line of the segment that runs.
+    #[must_use]
+    pub fn line(&self) -> Option<&Line> {
+        self.line.as_ref()
+    }
+
+    /// How the clocks run.
+    #[must_use]
+    pub fn status(&self) -> ClockStatus {
+        let late = &self.lateness;
+        let us = |ns: u64| ns.div_ceil(1000);
+        let residual_us = (self.late_squared / late.count().max(1) as f64).sqrt();
+        ClockStatus {
+            segment: self.segment,
+            tick_hz: self.ticks_per_s,
+            line: self.line.map(|line| line.stored()),
+            jitter: ClockJitter {
+                frames: late.count(),
+                residual_us: residual_us.round() as u64,
+                p50_us: us(late.quantile_ns(0.5)),
+                p99_us: us(late.quantile_ns(0.99)),
+                max_us: us(late.max_ns()),
+            },
+            probes: self.probes,
+            residual_us,
+            dropped: 0,
+        }
+    }
+
+    fn count(&mut self, late_us: f64) {
+        self.lateness.add((late_us.max(0.0) * 1e3) as u64);
+        self.late_squared += late_us * late_us;
+    }
+
+    fn lay(&mut self) {
+        let laid = fit(self.arrivals.points(), self.bursts.all(), self.tick_hz);
+        if let Some((line, outdated)) = laid {
+            // Bursts that contradict the frames altogether stay: the next one may agree.
+            if (1..self.bursts.all().len()).contains(&outdated) {
+                self.bursts.forget(outdated);
+                self.arrivals.forget_before(self.bursts.all()[0].first_us);
+            }
+            self.line = Some(line);
+        }
+    }
+
+    /// A clock that counts in 64 bits wraps in ten thousands of years; one of 32 bits does so in minutes.
+    fn went_back(&self, ticks: u64, last: u64, silent_us: u64) -> Option<ClockEvent> {
+        let by = last.wrapping_sub(ticks).cast_signed();
+        if by <= 0 {
+            return None;
+        }
+        let wrapped_s = seconds(ticks.wrapping_add(1 << 32), last, self.tick_hz);
+        let passed_s = silent_us as f64 * 1e-6;
+        let is_wrap = last >> 32 == 0 && (wrapped_s - passed_s).abs() < 0.1 + passed_s * 0.1;
+        let back_s = by as f64 / self.tick_hz;
+        Some(if is_wrap { ClockEvent::Wrapped } else { ClockEvent::WentBack(back_s) })
+    }
+
+    /// A new segment; what is known of the old one is in the take.
+    fn restart(&mut self, store: &mut dyn FnMut(ClockItem)) {
+        // A clock that jumps with every frame leaves nothing worth storing.
+        if self.line.is_some()
+            && let Some(closed) = self.arrivals.close()
+        {
+            store(ClockItem::Point(self.segment, closed));
+        }
+        self.segment = self.segment.saturating_add(1);
+        self.begun_us = None;
+        self.arrivals = Arrivals::new();
+        self.bursts = Bursts::new();
+        self.judge = Judge::default();
+        self.line = None;
+        self.wants_probes = true;
+    }
+}

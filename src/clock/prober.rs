@@ -1,0 +1,199 @@
+//! When to ask the device for its clock.
+//!
+//! Round trips come in bursts of eight, of which the best bounds count. On a line that sends what it has once
+//! in a while (an FTDI adapter: every 16 ms), a pong waits for the next sending, and a burst that does not
+//! care when it asks never sees a short way back. So a burst on such a line measures the time between two
+//! sendings and asks shortly before the next one.
+
+/// Round trips of a burst: as in LSL.
+const PROBES: u32 = 8;
+
+/// Between two bursts, in seconds: often at the start, then as often as a take can afford to store (60 bytes a
+/// burst). Two thirds of the window hold five at least.
+const INTERVALS_S: [u64; 7] = [1, 1, 2, 4, 7, 15, 30];
+
+/// The link's budget has room for ten pongs a second (docs/link-protocol.md), and a clock that jumps with every
+/// frame is not to be asked all the time.
+const HURRY_NS: u64 = 2 * SECOND_NS;
+
+const SECOND_NS: u64 = 1_000_000_000;
+
+/// An answer that takes longer is no longer waited for.
+const ANSWER_NS: u64 = 500_000_000;
+
+/// A device that left so many without an answer is not asked again.
+const UNANSWERED_MAX: u32 = 2 * PROBES;
+
+/// Pings that may still be answered.
+const PENDING: usize = 8;
+
+/// Between two round trips of a burst on a line that sends at once, so that they are not all held up by the
+/// same thing.
+const APART_NS: u64 = 10_000_000;
+
+/// A round trip below this did not wait for a sending.
+const QUICK_NS: u64 = 400_000;
+
+/// The longest time between two sendings that is waited for: 16 ms, and what a scheduler adds. Nothing can
+/// arrive meanwhile.
+const PERIOD_MAX_NS: u64 = 20_000_000;
+
+/// How long before a sending is asked at least: what a sleep is late by on an idle machine.
+const AHEAD_MIN_NS: u64 = 80_000;
+
+/// Asked too late so many times in a row: the time between two sendings is measured again.
+const MISSES_MAX: u32 = 3;
+
+/// Sans-io: tells when a ping is due, and is told what was sent and answered.
+#[derive(Debug, Default)]
+pub struct Prober {
+    off: bool,
+    bursts: usize,
+    burst_began_ns: u64,
+    next_burst_ns: u64,
+    left: u32,
+    ready_ns: u64,
+    waits: bool,
+    waiting_since_ns: Option<u64>,
+    unanswered: u32,
+    pending: [Option<u64>; PENDING],
+    aim: Aim,
+}
+
+#[derive(Debug, Default)]
+struct Aim {
+    /// Between two sendings; 0 while not known.
+    period_ns: u64,
+    ahead_ns: u64,
+    misses: u32,
+    missed: bool,
+    /// The last pong of this burst came then.
+    last_pong_ns: Option<u64>,
+    /// The ping that is under way was sent at its time before a sending.
+    aimed: bool,
+}
+
+impl Prober {
+    /// A first burst is due at once.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// When the next ping is to be sent, if that is now, or so soon that it is worth sleeping until then.
+    pub fn due(&mut self, now_ns: u64) -> Option<u64> {
+        if self.off {
+            return None;
+        }
+        if let Some(since_ns) = self.waiting_since_ns {
+            if now_ns.saturating_sub(since_ns) < ANSWER_NS {
+                return None;
+            }
+            self.waiting_since_ns = None;
+            self.unanswered += 1;
+            self.off = self.unanswered >= UNANSWERED_MAX;
+            self.ready_ns = now_ns;
+        }
+        if self.left == 0 {
+            if now_ns < self.next_burst_ns {
+                return None;
+            }
+            self.begin(now_ns);
+        }
+        let soon =
+            now_ns >= self.ready_ns || (self.waits && self.ready_ns - now_ns <= PERIOD_MAX_NS);
+        (soon && !self.off).then_some(self.ready_ns.max(now_ns))
+    }
+
+    fn begin(&mut self, now_ns: u64) {
+        let interval_s = INTERVALS_S[self.bursts.min(INTERVALS_S.len() - 1)];
+        self.bursts += 1;
+        self.left = PROBES;
+        self.burst_began_ns = now_ns;
+        self.next_burst_ns = now_ns + interval_s * SECOND_NS;
+        self.ready_ns = now_ns;
+        self.waits = false;
+        self.aim.last_pong_ns = None;
+        self.aim.aimed = false;
+    }
+
+    /// Something is not as it was: as at the start, but not sooner than links have room for.
+    pub fn hurry(&mut self) {
+        if self.bursts > 0 {
+            self.bursts = 0;
+            self.next_burst_ns = self.next_burst_ns.min(self.burst_began_ns + HURRY_NS);
+        }
+    }
+
+    /// A ping was sent.
+    pub fn sent(&mut self, at_ns: u64) {
+        self.left = self.left.saturating_sub(1);
+        self.waiting_since_ns = Some(at_ns);
+        self.pending.rotate_right(1);
+        self.pending[0] = Some(at_ns);
+        self.aim.aimed = std::mem::take(&mut self.waits);
+    }
+
+    /// The device cannot be asked.
+    pub fn off(&mut self) {
+        self.off = true;
+    }
+
+    /// A pong that carries `sent_ns`. Whether it answers one of these pings.
+    pub fn answered(&mut self, sent_ns: u64, now_ns: u64) -> bool {
+        let Some(ping) = self.pending.iter_mut().find(|ping| **ping == Some(sent_ns)) else {
+            return false;
+        };
+        *ping = None;
+        self.unanswered = 0;
+        // One that came late is as good a bound as any, but says nothing of when to ask.
+        if self.waiting_since_ns == Some(sent_ns) {
+            self.waiting_since_ns = None;
+            (self.ready_ns, self.waits) = self.aim.next(sent_ns, now_ns);
+        }
+        true
+    }
+}
+
+impl Aim {
+    /// After a round trip: when to ask next, and whether to sleep until then.
+    fn next(&mut self, sent_ns: u64, now_ns: u64) -> (u64, bool) {
+        let trip_ns = now_ns.saturating_sub(sent_ns);
+        let before_ns = self.last_pong_ns.replace(now_ns);
+        if self.aimed {
+            if trip_ns <= self.period_ns / 2 {
+                self.misses = 0;
+                // By half until one came too late, then with care.
+                let less_ns = self.ahead_ns / if self.missed { 4 } else { 2 };
+                self.ahead_ns = (self.ahead_ns - less_ns).max(AHEAD_MIN_NS);
+            } else {
+                self.misses += 1;
+                self.missed = true;
+                self.ahead_ns = (self.ahead_ns * 2).min(self.period_ns / 2);
+                if self.misses >= MISSES_MAX {
+                    *self = Self { last_pong_ns: self.last_pong_ns, ..Self::default() };
+                    return (now_ns, false);
+                }
+            }
+        } else if trip_ns < QUICK_NS {
+            self.period_ns = 0;
+            return (now_ns + APART_NS, false);
+        } else if self.period_ns == 0 {
+            // Sent at once when the pong before came, with a sending, it came with the next one.
+            if let Some(before_ns) = before_ns
+                && sent_ns.saturating_sub(before_ns) < QUICK_NS
+            {
+                self.period_ns = now_ns.saturating_sub(before_ns);
+                self.ahead_ns = (self.period_ns / 16).max(AHEAD_MIN_NS);
+                (self.misses, self.missed) = (0, false);
+            } else {
+                return (now_ns, false);
+            }
+        }
+        if (QUICK_NS..=PERIOD_MAX_NS).contains(&self.period_ns) {
+            return (now_ns + self.period_ns - self.ahead_ns, true);
+        }
+        self.period_ns = 0;
+        (now_ns + APART_NS, false)
+    }
+}
