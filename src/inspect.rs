@@ -10,6 +10,8 @@ use mocapd_take::{
     stretch::{Stretch, StretchDecoder},
 };
 
+use crate::clock::ClockStatus;
+
 /// One channel, over the whole take.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ChannelSummary {
@@ -122,6 +124,22 @@ impl Summary {
             summary.problems.push("the take was cut off: its end is missing".to_owned());
         }
         Ok(summary)
+    }
+
+    /// How the clocks ran in the end, as far as the take tells.
+    #[must_use]
+    pub fn clock_status(&self) -> ClockStatus {
+        let Some(clock) = &self.clock else { return ClockStatus::default() };
+        ClockStatus {
+            segment: clock.segment,
+            tick_hz: clock.tick_hz,
+            line: clock.line,
+            jitter: clock.jitter,
+            probes: self.clock_probes,
+            points: self.clock_points,
+            residual_us: clock.jitter.residual_us as f64,
+            dropped: 0,
+        }
     }
 
     /// Samples present.

@@ -32,7 +32,8 @@ const MOCAPD: &str = env!("CARGO_BIN_EXE_mocapd");
 /// Markers and rate of what is generated: the published study's, and one group of channels.
 const GENERATED: [(usize, f64); 2] = [(15, 60.0), (64, 240.0)];
 /// What the first row of the table says.
-const KINDS: [&str; 7] = ["blocks", "time_line", "framing", "header", "index", "ledgers", "events"];
+const KINDS: [&str; 8] =
+    ["blocks", "time_line", "framing", "header", "index", "ledgers", "clock", "events"];
 
 struct Subject {
     name: String,

@@ -112,6 +112,15 @@ impl LedgerReport {
         out
     }
 
+    /// The clocks, as a ledger knows them: for takes that tell no more of them.
+    pub(crate) fn clock_words(&self) -> Option<String> {
+        let ClockReport { drift_ppm, residual_us } = self.clock.as_ref()?;
+        let words = "ppm: how much faster the host's clock runs than the device's";
+        Some(format!(
+            "clock\n  drift {drift_ppm:+.1} {words}; arrivals {residual_us:.0} us off (rms)\n"
+        ))
+    }
+
     /// As an account of a file, which no device sent.
     pub(crate) fn words_of_import(&self) -> String {
         let mut out = String::from("ledger\n");
@@ -173,14 +182,6 @@ impl LedgerReport {
         }
         for contradiction in &self.contradictions {
             writeln!(out, "  contradiction: {}", plain(contradiction)).ok();
-        }
-        if let Some(clock) = &self.clock {
-            writeln!(
-                out,
-                "  device clock {:+.1} ppm against the host's, arrivals scatter by {:.0} us",
-                clock.drift_ppm, clock.residual_us
-            )
-            .ok();
         }
     }
 }

@@ -1,6 +1,7 @@
 //! The command line: one file a subcommand. stdout is data, stderr is words.
 
 mod bench;
+mod clock;
 mod codec_args;
 mod demo;
 mod devices;

@@ -44,6 +44,8 @@ pub struct ClockStatus {
     pub jitter: ClockJitter,
     /// Round trips so far.
     pub probes: u64,
+    /// Frames that were kept for the line so far.
+    pub points: u64,
     /// Root mean square distance of arrivals from the line, in microseconds.
     pub residual_us: f64,
     /// Points and round trips that are not in the take, because the disk stalled.
@@ -82,6 +84,7 @@ pub struct ClockModel {
     lateness: Latency,
     late_squared: f64,
     probes: u64,
+    points: u64,
     wants_probes: bool,
 }
 
@@ -102,6 +105,7 @@ impl ClockModel {
             lateness: Latency::default(),
             late_squared: 0.0,
             probes: 0,
+            points: 0,
             wants_probes: false,
         }
     }
@@ -140,6 +144,7 @@ impl ClockModel {
         let drift_ppm = self.line.map_or(0.0, |line| line.drift_ppm);
         let point = ClockPoint { device_ticks: ticks, host_us };
         if let Some(closed) = self.arrivals.add(point, drift_ppm, self.tick_hz) {
+            self.points += 1;
             store(ClockItem::Point(self.segment, closed));
             self.lay();
         }
@@ -189,6 +194,7 @@ impl ClockModel {
     /// Lays the line through everything there is: at the end of a recording.
     pub fn close(&mut self, store: &mut dyn FnMut(ClockItem)) {
         if let Some(closed) = self.arrivals.close() {
+            self.points += 1;
             store(ClockItem::Point(self.segment, closed));
             self.lay();
         }
@@ -223,6 +229,7 @@ impl ClockModel {
                 max_us: us(late.max_ns()),
             },
             probes: self.probes,
+            points: self.points,
             residual_us,
             dropped: 0,
         }
@@ -264,6 +271,7 @@ impl ClockModel {
         if self.line.is_some()
             && let Some(closed) = self.arrivals.close()
         {
+            self.points += 1;
             store(ClockItem::Point(self.segment, closed));
         }
         self.segment = self.segment.saturating_add(1);

@@ -5,6 +5,7 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+use std::time::Duration;
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
@@ -45,6 +46,14 @@ pub(super) struct ServeArgs {
     /// Carry no more than a serial line of this speed, and refuse rates that do not fit.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(50..))]
     baud: Option<u32>,
+    /// The device's clock loses this many ppm against the host's, or gains them when negative.
+    ///
+    /// `mocapd info` tells the same number as the clock's drift.
+    #[arg(long, value_name = "P", default_value_t = 0.0, allow_hyphen_values = true)]
+    drift_ppm: f64,
+    /// Hand over what waits only every M milliseconds, as an FTDI adapter does with 16; 0 for at once.
+    #[arg(long, value_name = "M", default_value_t = 0, value_parser = clap::value_parser!(u64).range(0..=1000))]
+    batch_ms: u64,
     /// Begin again after the last frame, and never end.
     #[arg(long = "loop")]
     looping: bool,
@@ -53,7 +62,8 @@ pub(super) struct ServeArgs {
     wire: Option<Wire>,
     /// Write what became of every frame to a CSV file.
     ///
-    /// Its columns: run, seq, `device_ticks`, present, dropped.
+    /// Its columns: run, seq, `device_ticks`, present, dropped, and `host_ns`, the host's monotonic clock at
+    /// `device_ticks`.
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
     /// Length of the generated motion (default: one jump); of a file, only its beginning.
@@ -113,7 +123,8 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
     writeln!(stdout, "{}", line.path().display())
         .and_then(|()| stdout.flush())
         .context("cannot print the path")?;
-    let options = ServeOptions { baud: args.baud, once: args.once, log };
+    let batch = Some(args.batch_ms).filter(|ms| *ms > 0).map(Duration::from_millis);
+    let options = ServeOptions { baud: args.baud, batch, once: args.once, log };
     let sent = serve(&line, &mut device, options, &stop)?;
     say(&summary(&sent));
     Ok(())
@@ -152,6 +163,7 @@ fn settings(args: &ServeArgs) -> DeviceSettings {
     DeviceSettings {
         rate_hz: args.rate,
         speed: args.speed,
+        drift_ppm: args.drift_ppm,
         looping: args.looping,
         form,
         line_bytes_per_s: args.baud.map_or(0, |baud| u64::from(baud) / 10),
@@ -162,9 +174,10 @@ fn settings(args: &ServeArgs) -> DeviceSettings {
 /// A value of the command line is a usage error, the content of a file is not.
 fn refused(error: DeviceError) -> Failure {
     match error {
-        DeviceError::Rate { .. } | DeviceError::Speed { .. } | DeviceError::Product { .. } => {
-            Failure::usage(error)
-        }
+        DeviceError::Rate { .. }
+        | DeviceError::Speed { .. }
+        | DeviceError::Product { .. }
+        | DeviceError::Drift { .. } => Failure::usage(error),
         _ => Failure::from(error),
     }
 }

@@ -55,16 +55,18 @@ pub struct SentFrame {
     pub present: u32,
     /// The queue was full: it never left the device.
     pub dropped: bool,
+    /// The caller's clock when its time came: of a device on a line the host's monotonic one, in nanoseconds.
+    pub host_ns: u64,
 }
 
 impl SentFrame {
     /// The first line of a log file.
-    pub const CSV_HEADER: &'static str = "run,seq,device_ticks,present,dropped";
+    pub const CSV_HEADER: &'static str = "run,seq,device_ticks,present,dropped,host_ns";
 
     /// One line of a log file, without its end.
     #[must_use]
     pub fn to_csv(self) -> String {
-        let Self { run, seq, device_ticks, present, dropped } = self;
-        format!("{run},{seq},{device_ticks},{present},{}", u8::from(dropped))
+        let Self { run, seq, device_ticks, present, dropped, host_ns } = self;
+        format!("{run},{seq},{device_ticks},{present},{},{host_ns}", u8::from(dropped))
     }
 }

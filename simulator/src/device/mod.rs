@@ -2,6 +2,7 @@
 //!
 //! Times are nanoseconds of one monotonic clock, whichever the caller has.
 
+mod clock;
 mod log;
 mod outbox;
 mod rates;
@@ -20,6 +21,7 @@ use mocapd_drivers::device::{
 use mocapd_drivers::link::{DeviceLink, MARKERS_MAX, frame_bytes_max};
 use mocapd_take::motion::{Motion, Position, UpAxis};
 
+use clock::DeviceClock;
 pub use log::{SentCounters, SentFrame, SentLog};
 use outbox::Outbox;
 use rates::Rates;
@@ -45,8 +47,7 @@ pub struct Device {
     end_said: bool,
     log: SentLog,
     warnings: Vec<String>,
-    /// When the device's clock was 0.
-    epoch_ns: Option<u64>,
+    clock: DeviceClock,
     commands: Vec<Command>,
     row: Vec<Position>,
     samples: Vec<MarkerSample>,
@@ -79,6 +80,7 @@ impl Device {
             _ => {}
         }
         let rates = Rates::new(&motion, &settings)?;
+        let clock = DeviceClock::new(settings.drift_ppm)?;
         let (table, warnings) = table::announce(&motion.info.markers);
         let hello = Hello {
             model: "mocapd-sim".to_owned(),
@@ -109,7 +111,7 @@ impl Device {
             end_said: false,
             log: SentLog::default(),
             warnings,
-            epoch_ns: None,
+            clock,
             commands: Vec::new(),
             row: Vec::new(),
             samples: Vec::new(),
@@ -187,7 +189,7 @@ impl Device {
 
     /// Bytes from the host, in pieces of any size.
     pub fn on_bytes(&mut self, bytes: &[u8], now_ns: u64) {
-        self.epoch_ns.get_or_insert(now_ns);
+        self.clock.begin(now_ns);
         let mut commands = std::mem::take(&mut self.commands);
         self.link.push(bytes, &mut |command| commands.push(command));
         for command in commands.drain(..) {
@@ -199,7 +201,7 @@ impl Device {
     /// Does what is due. Gives the time of the next thing that will be; `u64::MAX` when only the host can
     /// cause one.
     pub fn poll(&mut self, now_ns: u64) -> u64 {
-        self.epoch_ns.get_or_insert(now_ns);
+        self.clock.begin(now_ns);
         let next_ns = loop {
             let Some(run) = self.run else { break u64::MAX };
             let next_ns = self.frame_time_ns(&run);
@@ -229,13 +231,12 @@ impl Device {
     fn frame_time_ns(&self, run: &Run) -> u64 {
         let after = u128::from(self.log.run.frames_produced) * 1000 * u128::from(SECOND_NS)
             / u128::from(self.hello.rate_mhz.max(1));
-        run.start_ns.saturating_add(u64::try_from(after).unwrap_or(u64::MAX))
+        let after_ns = self.clock.caller_ns(u64::try_from(after).unwrap_or(u64::MAX));
+        run.start_ns.saturating_add(after_ns)
     }
 
     fn ticks(&self, at_ns: u64) -> u64 {
-        let since_ns = at_ns.saturating_sub(self.epoch_ns.unwrap_or(at_ns));
-        let ticks = u128::from(since_ns) * u128::from(TICK_HZ) / u128::from(SECOND_NS);
-        u64::try_from(ticks).unwrap_or(u64::MAX)
+        self.clock.ticks(at_ns)
     }
 
     fn status(&self) -> Status {
@@ -273,7 +274,8 @@ impl Device {
         }
         if self.settings.log_frames {
             let run = self.log.starts;
-            self.log.frames.push(SentFrame { run, seq, device_ticks, present, dropped });
+            let host_ns = at_ns;
+            self.log.frames.push(SentFrame { run, seq, device_ticks, present, dropped, host_ns });
         }
     }
 }

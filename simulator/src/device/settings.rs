@@ -24,6 +24,9 @@ pub struct DeviceSettings {
     pub form: FrameForm,
     /// What the line carries in bytes a second; 0 when it is not limited.
     pub line_bytes_per_s: u64,
+    /// How much slower than the caller's clock the device's runs, in parts per million: the host's drift, as a
+    /// recorder tells it. Within 100 000 either way.
+    pub drift_ppm: f64,
     /// Bytes of frames kept for a host that does not read; `None` for a second's worth, at most 4 MiB.
     pub queue_bytes: Option<usize>,
     /// Keep a [`SentFrame`](super::SentFrame) for every frame. Whoever asks for them takes them away.
@@ -39,6 +42,7 @@ impl Default for DeviceSettings {
             looping: false,
             form: FrameForm::Float,
             line_bytes_per_s: 0,
+            drift_ppm: 0.0,
             queue_bytes: None,
             log_frames: false,
         }
@@ -80,6 +84,12 @@ pub enum DeviceError {
     Speed {
         /// As it was given.
         found: f64,
+    },
+    /// The drift that was asked for.
+    #[error("drift {found_ppm} ppm is out of range: give -100000 to 100000")]
+    Drift {
+        /// As it was given.
+        found_ppm: f64,
     },
     /// Rate times speed.
     #[error(

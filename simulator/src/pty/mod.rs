@@ -1,5 +1,6 @@
 //! A pty as the device's line: a path that any program opens like a serial port.
 
+mod batch;
 mod drain;
 mod error;
 mod line;

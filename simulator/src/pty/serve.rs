@@ -3,11 +3,13 @@
 use std::io::{self, Write};
 use std::os::fd::BorrowedFd;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
+use rustix::time::{ClockId, clock_gettime};
 
+use super::batch::Batch;
 use super::drain::{Drain, LOOK};
 use super::pace::Pace;
 use super::{PtyError, PtyLine};
@@ -30,6 +32,8 @@ const READS_MAX: usize = 16;
 pub struct ServeOptions {
     /// Carry no more than a line of this speed would; `None` for as fast as the host reads.
     pub baud: Option<u32>,
+    /// Hand over what waits only so often; `None` for at once.
+    pub batch: Option<Duration>,
     /// Return when a run has ended and the host has read all of it.
     pub once: bool,
     /// Where a line of CSV goes for every frame whose time came; see [`SentFrame`].
@@ -40,6 +44,7 @@ impl std::fmt::Debug for ServeOptions {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("ServeOptions")
             .field("baud", &self.baud)
+            .field("batch", &self.batch)
             .field("once", &self.once)
             .field("log", &self.log.is_some())
             .finish()
@@ -64,8 +69,8 @@ pub fn serve(
         line,
         device,
         pace: options.baud.map(Pace::new),
+        batch: options.batch.map(|batch| Batch::new(batch.as_nanos() as u64, host_ns())),
         log: options.log,
-        power_on: Instant::now(),
         open_again_ns: 0,
     };
     server.log_line(SentFrame::CSV_HEADER)?;
@@ -78,12 +83,18 @@ pub fn serve(
     Ok(device.log())
 }
 
+/// The system's monotonic clock: the one that a host on the same machine reads, too.
+fn host_ns() -> u64 {
+    let now = clock_gettime(ClockId::Monotonic);
+    now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
+}
+
 struct Server<'a> {
     line: &'a PtyLine,
     device: &'a mut Device,
     pace: Option<Pace>,
+    batch: Option<Batch>,
     log: Option<Box<dyn Write + Send>>,
-    power_on: Instant,
     open_again_ns: u64,
 }
 
@@ -97,24 +108,21 @@ enum Written {
 }
 
 impl Server<'_> {
-    fn now_ns(&self) -> u64 {
-        self.power_on.elapsed().as_nanos() as u64
-    }
-
     fn run(&mut self, once: bool, stop: &AtomicBool) -> Result<(), PtyError> {
         while !stop.load(Ordering::Relaxed) {
-            let now_ns = self.now_ns();
+            let now_ns = host_ns();
+            self.tick(now_ns);
             let wake_ns = self.device.poll(now_ns);
             let sleep = match self.write()? {
                 Written::All => NAP,
-                Written::Until(at_ns) => Duration::from_nanos(at_ns.saturating_sub(self.now_ns())),
+                Written::Until(at_ns) => Duration::from_nanos(at_ns.saturating_sub(host_ns())),
                 Written::Full => FULL,
             };
             self.log_frames()?;
             if once && self.device.has_ended() && self.device.pending().is_empty() {
                 return Ok(());
             }
-            let until_wake = Duration::from_nanos(wake_ns.saturating_sub(self.now_ns()));
+            let until_wake = Duration::from_nanos(wake_ns.saturating_sub(host_ns()));
             if self.wait(sleep.min(until_wake).min(NAP))? {
                 self.read()?;
             }
@@ -123,15 +131,30 @@ impl Server<'_> {
         Ok(())
     }
 
+    /// What the device says from now on waits for the next batch.
+    fn tick(&mut self, now_ns: u64) {
+        let waiting = self.device.pending().len();
+        if let Some(batch) = &mut self.batch {
+            batch.tick(now_ns, waiting);
+        }
+    }
+
     /// Writes what the line takes now.
     fn write(&mut self) -> Result<Written, PtyError> {
         loop {
-            let now_ns = self.now_ns();
+            let now_ns = host_ns();
             let pending = self.device.pending();
             if pending.is_empty() {
                 return Ok(Written::All);
             }
-            let allowed = self.pace.as_mut().map_or(usize::MAX, |pace| pace.allowed(now_ns));
+            let mut allowed = self.pace.as_mut().map_or(usize::MAX, |pace| pace.allowed(now_ns));
+            if let Some(batch) = &mut self.batch {
+                batch.tick(now_ns, pending.len());
+                if batch.allowed() == 0 {
+                    return Ok(Written::Until(batch.next_ns()));
+                }
+                allowed = allowed.min(batch.allowed());
+            }
             let Some(bytes) = pending.get(..allowed.min(pending.len())).filter(|b| !b.is_empty())
             else {
                 return Ok(Written::Until(self.pace.as_ref().map_or(now_ns, Pace::next_ns)));
@@ -139,6 +162,9 @@ impl Server<'_> {
             match rustix::io::write(self.line.master(), bytes) {
                 Ok(n) => {
                     self.device.sent(n);
+                    if let Some(batch) = &mut self.batch {
+                        batch.sent(n);
+                    }
                     if let Some(pace) = &mut self.pace {
                         pace.sent(n);
                         let rest = !self.device.pending().is_empty();
@@ -177,7 +203,8 @@ impl Server<'_> {
             match rustix::io::read(self.line.master(), &mut buffer) {
                 Ok(0) | Err(Errno::AGAIN) => break,
                 Ok(n) => {
-                    let now_ns = self.now_ns();
+                    let now_ns = host_ns();
+                    self.tick(now_ns);
                     self.device.on_bytes(buffer.get(..n).unwrap_or_default(), now_ns);
                 }
                 Err(Errno::INTR) => {}
@@ -189,7 +216,7 @@ impl Server<'_> {
 
     /// Ten times a second: a new host may open the line after one that was killed, and the log is on disk.
     fn admit(&mut self) -> Result<(), PtyError> {
-        let now_ns = self.now_ns();
+        let now_ns = host_ns();
         if now_ns >= self.open_again_ns {
             self.open_again_ns = now_ns + 100_000_000;
             let line = |source: io::Error| PtyError::Line { action: "clearing TIOCEXCL", source };
@@ -208,7 +235,7 @@ impl Server<'_> {
                 .unread()
                 .map_err(|source| PtyError::Line { action: "FIONREAD", source })?;
             let left = self.device.pending().len() as u64 + unread;
-            if drain.is_over(left, self.now_ns()) {
+            if drain.is_over(left, host_ns()) {
                 return Ok(());
             }
             std::thread::sleep(LOOK);

@@ -9,7 +9,7 @@ use mocapd_take::{
 };
 use serde::Serialize;
 
-use crate::cli::ledger::LedgerReport;
+use crate::cli::{clock::ClockReport, ledger::LedgerReport};
 
 #[derive(Debug, Serialize)]
 pub(super) struct Report {
@@ -38,6 +38,7 @@ pub(super) struct Report {
     pub(super) sr1: Option<f64>,
     pub(super) sr2: Option<f64>,
     pub(super) ledger: Option<LedgerReport>,
+    pub(super) clock: Option<ClockReport>,
     pub(super) events: Vec<EventReport>,
     pub(super) channels: Vec<ChannelReport>,
 }
@@ -78,6 +79,7 @@ pub(super) struct BytesReport {
     pub(super) header: u64,
     pub(super) index: u64,
     pub(super) ledgers: u64,
+    pub(super) clock: u64,
     pub(super) events: u64,
     pub(super) foreign: u64,
     pub(super) other: u64,
@@ -92,6 +94,7 @@ impl From<&TakeBytes> for BytesReport {
             header: bytes.header,
             index: bytes.index,
             ledgers: bytes.ledgers,
+            clock: bytes.clock,
             events: bytes.events,
             foreign: bytes.foreign,
             other: bytes.other,
@@ -171,6 +174,7 @@ impl Report {
             sr1: summary.sr1(),
             sr2: summary.sr2(),
             ledger: summary.ledger.as_ref().map(LedgerReport::new),
+            clock: ClockReport::new(&summary.clock_status()),
             events: summary.events.iter().map(EventReport::new).collect(),
             channels: channels
                 .map(|(channel, found)| ChannelReport {

@@ -4,6 +4,8 @@ use std::fmt::Write;
 
 use super::report::Report;
 use crate::cli::{
+    clock::ClockReport,
+    ledger::LedgerReport,
     numbers::{bytes, count, thousands},
     output::plain,
 };
@@ -28,6 +30,10 @@ pub(super) fn words(report: &Report) -> String {
         let imported = report.source.is_some();
         out.push_str(&if imported { ledger.words_of_import() } else { ledger.words() });
     }
+    let by_ledger = || report.ledger.as_ref().and_then(LedgerReport::clock_words);
+    out.push_str(
+        &report.clock.as_ref().map(ClockReport::words).or_else(by_ledger).unwrap_or_default(),
+    );
     markers(report, &mut out);
     out
 }

@@ -7,6 +7,7 @@ use mocapd_codec::Settings;
 use serde::{Deserialize, Serialize};
 
 use crate::cli::{
+    clock::ClockReport,
     codec_args::tolerance_mm,
     ledger::LedgerReport,
     numbers::{bytes, count},
@@ -29,6 +30,7 @@ pub(crate) struct Report {
     max_error_mm: f64,
     ring_latency_us: LatencyReport,
     process: ProcessReport,
+    clock: Option<ClockReport>,
     ledger: LedgerReport,
 }
 
@@ -79,6 +81,7 @@ impl Report {
                 cpu_s: usage.cpu_s,
                 peak_memory_bytes: usage.peak_memory_bytes,
             },
+            clock: ClockReport::new(&written.clock),
             ledger: LedgerReport::new(&written.ledger),
         }
     }
@@ -95,7 +98,7 @@ impl Report {
             "every bit kept".to_owned()
         };
         format!(
-            "{}: {} of {} at {} Hz, {} as float32, {} on disk ({:.1}:1), {bound}\n{}",
+            "{}: {} of {} at {} Hz, {} as float32, {} on disk ({:.1}:1), {bound}\n{}{}",
             self.take.display(),
             count(self.frames, "frame"),
             count(self.markers as u64, "marker"),
@@ -103,7 +106,8 @@ impl Report {
             bytes(self.raw_bytes),
             bytes(self.file_bytes),
             self.ratio,
-            self.ledger.words()
+            self.ledger.words(),
+            self.clock.as_ref().map(ClockReport::words).unwrap_or_default()
         )
     }
 }

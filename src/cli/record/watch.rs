@@ -48,10 +48,11 @@ pub(crate) fn record_and_watch(
         watching = Some(Progress::status(move || {
             let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
             format!(
-                "recording: {} frames, {} lost, {} on disk",
+                "recording: {} frames, {} lost, {} on disk{}",
                 thousands(get(&progress.frames)),
                 thousands(get(&progress.lost)),
-                bytes(get(&progress.file_bytes))
+                bytes(get(&progress.file_bytes)),
+                clock(&progress)
             )
         }));
     };
@@ -59,4 +60,14 @@ pub(crate) fn record_and_watch(
     let recorded = record(rig, &mut options);
     drop(watching);
     recorded
+}
+
+/// How the clocks run, once that is known.
+fn clock(progress: &mocapd::pipeline::Progress) -> String {
+    let p99_us = progress.jitter_p99_us.load(Ordering::Relaxed);
+    if p99_us == 0 {
+        return String::new();
+    }
+    let drift_ppm = progress.drift_ppb.load(Ordering::Relaxed) as f64 * 1e-3;
+    format!(", drift {drift_ppm:+.1} ppm, jitter {:.1} ms (p99)", p99_us as f64 * 1e-3)
 }

@@ -1,0 +1,92 @@
+//! How the clocks ran, as JSON and as words, the same for `info` and `record`.
+
+use std::fmt::Write;
+
+use mocapd::clock::ClockStatus;
+use mocapd_take::record::{ClockJitter, ClockLine};
+use serde::Serialize;
+
+use super::numbers::count;
+
+#[derive(Debug, Serialize)]
+pub(crate) struct ClockReport {
+    method: &'static str,
+    offset_ns: i64,
+    drift_ppm: f64,
+    bound_us: Option<u64>,
+    at: At,
+    residual_us: u64,
+    jitter_us: Jitter,
+    frames: u64,
+    probes: u64,
+    points: u64,
+    segments: u64,
+}
+
+/// Where the line is told at: no digits are lost there.
+#[derive(Debug, Serialize)]
+struct At {
+    device_ticks: u64,
+    host_ns: u64,
+}
+
+#[derive(Debug, Serialize)]
+struct Jitter {
+    p50: u64,
+    p99: u64,
+    max: u64,
+}
+
+impl ClockReport {
+    /// `None` when no line was laid.
+    pub(crate) fn new(status: &ClockStatus) -> Option<Self> {
+        let ClockLine { device_ticks, host_ns, bound_us, .. } = status.line?;
+        let fit = status.ledger()?;
+        let ClockJitter { frames, residual_us, p50_us, p99_us, max_us } = status.jitter;
+        Some(Self {
+            method: if bound_us.is_some() { "round trips" } else { "arrivals" },
+            offset_ns: fit.offset_ns,
+            drift_ppm: fit.drift_ppm,
+            bound_us,
+            at: At { device_ticks, host_ns },
+            residual_us,
+            jitter_us: Jitter { p50: p50_us, p99: p99_us, max: max_us },
+            frames,
+            probes: status.probes,
+            points: status.points,
+            segments: u64::from(status.segment) + 1,
+        })
+    }
+
+    /// Indented, a line each.
+    pub(crate) fn words(&self) -> String {
+        let mut out = String::from("clock\n");
+        let mut line = |name: &str, words: &str| {
+            writeln!(out, "  {name:>15} {words}").ok();
+        };
+        line("drift", &format!("{:+.3} ppm: {}", self.drift_ppm, self.which_is_faster()));
+        let offset_s = self.offset_ns as f64 * 1e-9;
+        let known = match self.bound_us {
+            Some(us) => format!("within {us} us, by {}", count(self.probes, "round trip")),
+            None => "late by the least delay of frames: no round trip was measured".to_owned(),
+        };
+        line("offset", &format!("{offset_s:.6} s of host time at device tick 0, {known}"));
+        let Jitter { p50, p99, max } = self.jitter_us;
+        let jitter =
+            format!("frames came {p50} us after that (p50), {p99} us (p99), {max} us (max)");
+        line("jitter", &format!("{jitter}; {} us rms", self.residual_us));
+        if self.segments > 1 {
+            let segments = count(self.segments, "segment");
+            line("segments", &format!("{segments}: the device's clock jumped; this is the last"));
+        }
+        out
+    }
+
+    fn which_is_faster(&self) -> &'static str {
+        if self.drift_ppm >= 0.0 {
+            "the host's clock runs faster than the device's"
+        } else {
+            "the device's clock runs faster than the host's"
+        }
+    }
+}
