@@ -18,7 +18,7 @@ use mocapd::{
 use mocapd_codec::Settings;
 use mocapd_drivers::uri::DeviceUri;
 use mocapd_simulator::{
-    device::{Device, DeviceSettings, SentLog},
+    device::{Device, DeviceSettings, SentLog, TICK_HZ},
     pty::{ServeOptions, serve_pty},
 };
 use mocapd_take::{
@@ -37,6 +37,10 @@ struct Simulated {
 
 impl Simulated {
     fn start(motion: Motion, settings: DeviceSettings) -> Self {
+        Self::on_line(motion, settings, ServeOptions::default())
+    }
+
+    fn on_line(motion: Motion, settings: DeviceSettings, options: ServeOptions) -> Self {
         let mut device =
             Device::new(motion, DeviceSettings { log_frames: true, ..settings }).unwrap();
         let stop = Arc::new(AtomicBool::new(false));
@@ -45,7 +49,6 @@ impl Simulated {
         let thread = std::thread::Builder::new()
             .name("simulator".to_owned())
             .spawn(move || {
-                let options = ServeOptions::default();
                 let log = serve_pty(&mut device, None, options, &stopped, |path| {
                     path_in.send(path.to_owned()).unwrap();
                 });
@@ -129,6 +132,41 @@ fn a_looped_replay_is_stopped_when_the_time_is_up() {
     let frames = recorded.written.ledger.recorded;
     assert!((250..500).contains(&frames), "{frames}");
     assert_ledger(&recorded, &take, &simulated.stop());
+}
+
+/// The limits leave room for a machine that is busy with other tests: on an idle one the line is off by some
+/// tens of microseconds.
+#[test]
+fn a_clock_that_drifts_on_a_line_that_sends_in_batches_is_followed() {
+    for drift_ppm in [200.0, -200.0] {
+        let settings = DeviceSettings { drift_ppm, looping: true, ..DeviceSettings::default() };
+        let batch = Some(Duration::from_millis(16));
+        let options = ServeOptions { batch, ..ServeOptions::default() };
+        let simulated = Simulated::on_line(jump(4, 100.0, 1.0), settings, options);
+        let (recorded, take) = simulated.record(dense(1.0), Some(Duration::from_secs(6)));
+        let sent = simulated.stop();
+        assert_eq!(recorded.written.ledger.lost_on_link, 0);
+
+        let clocks = chunks(&take).clocks;
+        let probes: usize = clocks.iter().map(|clock| clock.probes.len()).sum();
+        assert!(clocks.iter().all(|clock| clock.segment == 0));
+        assert!(probes >= 16, "{probes} round trips");
+        let line = clocks.last().unwrap().line.unwrap();
+        assert_eq!(Some(line), recorded.written.clock.line);
+        // The truth: the host's clock at the ticks of a frame.
+        for frame in sent.frames.iter().rev().take(200) {
+            let ticks = frame.device_ticks.wrapping_sub(line.device_ticks).cast_signed() as f64;
+            let passed_ns = ticks * 1e9 / TICK_HZ as f64 * (1.0 + line.drift_ppb as f64 * 1e-9);
+            let found_ns = line.host_ns as f64 + passed_ns;
+            let off_us = (found_ns - frame.host_ns as f64) / 1e3;
+            assert!(off_us.abs() < 1_500.0, "{off_us} us off: {line:?}");
+        }
+        let found_ppm = line.drift_ppb as f64 * 1e-3;
+        assert!((found_ppm - drift_ppm).abs() < 150.0, "{found_ppm} ppm instead of {drift_ppm}");
+        // Batches are late by up to their length, and arrivals are told as they were.
+        let jitter = recorded.written.clock.jitter;
+        assert!(jitter.p99_us > 8_000, "{jitter:?}");
+    }
 }
 
 #[test]

@@ -4,10 +4,10 @@ use mocapd_take::record::ClockPoint;
 
 use super::{WINDOW_US, fit::POINTS_MAX, seconds};
 
-/// How long a bin is, by the age of the segment: short ones, so that there is a line soon, then seconds,
-/// then as long as a take can afford to store (six bytes each).
-const BINS_US: [(u64, u64); 3] =
-    [(1_000_000, 250_000), (10_000_000, 1_000_000), (u64::MAX, 5_000_000)];
+/// How long a bin is, by the age of the segment: short ones, so that there is a line soon, then as long as a take
+/// can afford to store (some six bytes each).
+const BINS_US: [(u64, u64); 4] =
+    [(250_000, 250_000), (4_000_000, 1_000_000), (10_000_000, 2_000_000), (u64::MAX, 5_000_000)];
 
 /// The points of a segment, oldest first, and the bin that is filled.
 #[derive(Debug)]

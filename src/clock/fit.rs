@@ -230,7 +230,10 @@ pub fn fit(points: &[ClockPoint], bursts: &[Burst], tick_hz: f64) -> Option<(Lin
 
 fn through(points: &[ClockPoint], since_us: u64, bursts: &[Burst], tick_hz: f64) -> Option<Line> {
     let at = *points.last().or(bursts.last().map(|burst| &burst.low))?;
-    let recent = points.iter().copied().filter(|point| point.host_us >= since_us);
+    // The last point always counts: bursts that do not go with it are not of the frames' clock.
+    let (last, before) =
+        points.split_last().map_or((None, points), |(last, rest)| (Some(last), rest));
+    let recent = before.iter().filter(|point| point.host_us >= since_us).chain(last).copied();
     let span_us = match bursts {
         [first, .., last] => last.first_us.saturating_sub(first.first_us),
         _ => 0,

@@ -167,10 +167,10 @@ impl ClockModel {
         let mut event = None;
         let begun_us = *self.begun_us.get_or_insert(sent_us);
         if let Some(line) = self.line {
-            let off = |host_us: u64| line.lateness_us(ticks, host_us * 1000, self.tick_hz);
+            let off = |host_ns: u64| line.lateness_us(ticks, host_ns, self.tick_hz);
             let age_us = sent_us.saturating_sub(begun_us);
             let silent_us = self.last.map_or(0, |(_, us)| sent_us.saturating_sub(us));
-            let (sent, answered) = (off(sent_us), off(answered_us));
+            let (sent, answered) = (off(sent_ns), off(answered_ns));
             match self.judge.probe(&line, sent, answered, age_us, silent_us) {
                 Verdict::Fits => {}
                 Verdict::Odd => {

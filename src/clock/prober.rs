@@ -8,9 +8,9 @@
 /// Round trips of a burst: as in LSL.
 const PROBES: u32 = 8;
 
-/// Between two bursts, in seconds: often at the start, then as often as a take can afford to store (60 bytes a
-/// burst). Two thirds of the window hold five at least.
-const INTERVALS_S: [u64; 7] = [1, 1, 2, 4, 7, 15, 30];
+/// Between two bursts, in seconds: often at the start, so that there is a rate after four seconds and a good one
+/// after nine, then as often as a take can afford to store (some 50 bytes a burst). A full window holds four.
+const INTERVALS_S: [u64; 6] = [1, 3, 5, 11, 20, 30];
 
 /// The link's budget has room for ten pongs a second (docs/link-protocol.md), and a clock that jumps with every
 /// frame is not to be asked all the time.
@@ -110,7 +110,7 @@ impl Prober {
         self.bursts += 1;
         self.left = PROBES;
         self.burst_began_ns = now_ns;
-        self.next_burst_ns = now_ns + interval_s * SECOND_NS;
+        self.next_burst_ns = now_ns.saturating_add(interval_s * SECOND_NS);
         self.ready_ns = now_ns;
         self.waits = false;
         self.aim.last_pong_ns = None;
@@ -121,7 +121,8 @@ impl Prober {
     pub fn hurry(&mut self) {
         if self.bursts > 0 {
             self.bursts = 0;
-            self.next_burst_ns = self.next_burst_ns.min(self.burst_began_ns + HURRY_NS);
+            self.next_burst_ns =
+                self.next_burst_ns.min(self.burst_began_ns.saturating_add(HURRY_NS));
         }
     }
 
@@ -166,10 +167,10 @@ impl Aim {
                 // By half until one came too late, then with care.
                 let less_ns = self.ahead_ns / if self.missed { 4 } else { 2 };
                 self.ahead_ns = (self.ahead_ns - less_ns).max(AHEAD_MIN_NS);
-            } else {
+            } else if trip_ns <= 2 * self.period_ns {
                 self.misses += 1;
                 self.missed = true;
-                self.ahead_ns = (self.ahead_ns * 2).min(self.period_ns / 2);
+                self.ahead_ns = self.ahead_ns.saturating_mul(2).min(self.period_ns / 2);
                 if self.misses >= MISSES_MAX {
                     *self = Self { last_pong_ns: self.last_pong_ns, ..Self::default() };
                     return (now_ns, false);
@@ -177,7 +178,7 @@ impl Aim {
             }
         } else if trip_ns < QUICK_NS {
             self.period_ns = 0;
-            return (now_ns + APART_NS, false);
+            return (now_ns.saturating_add(APART_NS), false);
         } else if self.period_ns == 0 {
             // Sent at once when the pong before came, with a sending, it came with the next one.
             if let Some(before_ns) = before_ns
@@ -191,9 +192,9 @@ impl Aim {
             }
         }
         if (QUICK_NS..=PERIOD_MAX_NS).contains(&self.period_ns) {
-            return (now_ns + self.period_ns - self.ahead_ns, true);
+            return (now_ns.saturating_add(self.period_ns - self.ahead_ns), true);
         }
         self.period_ns = 0;
-        (now_ns + APART_NS, false)
+        (now_ns.saturating_add(APART_NS), false)
     }
 }

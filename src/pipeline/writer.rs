@@ -178,7 +178,7 @@ impl<W: TakeOutput> Writer<W> {
     }
 
     fn finish(mut self) -> anyhow::Result<(Written, W)> {
-        self.clocks.write(&mut self.take, &self.counts.clock, true)?;
+        self.clocks.finish(&mut self.take, &self.counts.clock)?;
         let mut ledger = self.counts.ledger(true);
         if self.report.refused > 0 {
             ledger.contradictions.push(format!(

@@ -1,6 +1,7 @@
 //! The pipeline in memory: what goes in as frames stands in the take, or on the account.
 
 mod channels;
+mod clocks;
 mod framing;
 mod loss;
 mod overload;

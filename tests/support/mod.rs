@@ -13,7 +13,7 @@ use mocapd_take::{
     TakeEvent, TakeFrames,
     motion::{FrameSource, GAP, Motion, Position, is_gap},
     reader::{TakeBytes, read_events},
-    record::Ledger,
+    record::{Clock, Ledger},
     timeline::Timeline,
 };
 
@@ -127,6 +127,7 @@ pub(crate) struct Chunks {
     pub(crate) labels: Vec<String>,
     pub(crate) timelines: Vec<Timeline>,
     pub(crate) ledgers: Vec<Ledger>,
+    pub(crate) clocks: Vec<Clock>,
     pub(crate) keys: Vec<(u64, bool)>,
     pub(crate) blocks: Vec<Vec<u8>>,
     pub(crate) finished: bool,
@@ -142,6 +143,7 @@ pub(crate) fn chunks(take: &[u8]) -> Chunks {
             }
             TakeEvent::Channels(more) => found.labels.extend(more.iter().map(|c| c.label.clone())),
             TakeEvent::Ledger(ledger) => found.ledgers.push(*ledger),
+            TakeEvent::Clock(clock) => found.clocks.push(*clock),
             TakeEvent::Stretch(stretch) => {
                 if stretch.span.n_rows > 0 {
                     found.keys.push((stretch.span.first_row, stretch.span.key));

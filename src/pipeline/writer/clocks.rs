@@ -1,6 +1,9 @@
 //! What was seen of the clocks, into the take: seldom, because each record costs some fifty bytes.
 
-use std::io::Write;
+use std::{
+    io::Write,
+    time::{Duration, Instant},
+};
 
 use anyhow::Context;
 use crossbeam_channel::Receiver;
@@ -14,11 +17,15 @@ use crate::clock::{ClockItem, ClockStatus};
 /// Round trips, or points, that wait for a record at most: those of a minute are sixteen and twelve.
 const HELD_MAX: usize = 256;
 
+/// Until the first record: before, little is known. A recording that is killed by then has the line in its ledger.
+const FIRST_AFTER: Duration = Duration::from_secs(8);
+
 /// Holds what comes until a record is written.
 #[derive(Debug)]
 pub(in crate::pipeline) struct ClockWriter {
     items: Receiver<ClockItem>,
     segment: u32,
+    begun: Instant,
     probes: Vec<ClockProbe>,
     points: Vec<ClockPoint>,
 }
@@ -26,7 +33,7 @@ pub(in crate::pipeline) struct ClockWriter {
 impl ClockWriter {
     pub(in crate::pipeline) fn new(items: Receiver<ClockItem>) -> Self {
         let (probes, points) = (Vec::with_capacity(HELD_MAX), Vec::with_capacity(HELD_MAX));
-        Self { items, segment: 0, probes, points }
+        Self { items, segment: 0, begun: Instant::now(), probes, points }
     }
 
     /// Takes in what came, and writes it when a record is due, the segment is another one, or enough is held.
@@ -50,10 +57,20 @@ impl ClockWriter {
                 self.record(take, status)?;
             }
         }
-        if is_due {
+        if is_due && self.begun.elapsed() >= FIRST_AFTER {
             self.record(take, status)?;
         }
         Ok(())
+    }
+
+    /// Writes what is left.
+    pub(super) fn finish<W: Write>(
+        &mut self,
+        take: &mut TakeWriter<W>,
+        status: &ClockStatus,
+    ) -> anyhow::Result<()> {
+        self.write(take, status, false)?;
+        self.record(take, status)
     }
 
     fn record<W: Write>(

@@ -114,13 +114,14 @@ fn unzigzag(value: u64) -> u64 {
 fn put(out: &mut Vec<u8>, (ticks, us): Times, before: &mut Times, tick_hz: u64) {
     let passed_us = us.wrapping_sub(before.1);
     let expected = ticks_in(passed_us.cast_signed(), tick_hz);
-    varint::put(out, zigzag(passed_us));
+    // Time goes on, but for a pong that was overtaken.
+    varint::put(out, passed_us);
     varint::put(out, zigzag(ticks.wrapping_sub(before.0).wrapping_sub(expected)));
     *before = (ticks, us);
 }
 
 fn take(bytes: &mut Cursor<'_>, before: &mut Times, tick_hz: u64) -> Option<Times> {
-    let passed_us = unzigzag(bytes.varint()?);
+    let passed_us = bytes.varint()?;
     let expected = ticks_in(passed_us.cast_signed(), tick_hz);
     let error = unzigzag(bytes.varint()?);
     let ticks = before.0.wrapping_add(expected).wrapping_add(error);
@@ -134,6 +135,11 @@ impl Clock {
         let point = self.points.first().map(|point| (point.device_ticks, point.host_us));
         let line = self.line.map(|line| (line.device_ticks, line.host_ns / 1000));
         probe.or(point).or(line).unwrap_or_default()
+    }
+
+    /// A line is mostly told at the last point.
+    fn last(&self) -> Times {
+        self.points.last().map_or(self.origin(), |point| (point.device_ticks, point.host_us))
     }
 }
 
@@ -153,19 +159,20 @@ impl Encode for Clock {
         for point in &self.points {
             put(&mut points, (point.device_ticks, point.host_us), &mut before, tick_hz);
         }
+        let last = self.last();
         self.segment.encode(encoder)?;
         tick_hz.encode(encoder)?;
         origin.encode(encoder)?;
+        probes.encode(encoder)?;
+        points.encode(encoder)?;
         self.line
             .map(|line| {
-                let ticks = line.device_ticks.wrapping_sub(origin.0).cast_signed();
-                let ns = line.host_ns.wrapping_sub(origin.1.wrapping_mul(1000)).cast_signed();
+                let ticks = line.device_ticks.wrapping_sub(last.0).cast_signed();
+                let ns = line.host_ns.wrapping_sub(last.1.wrapping_mul(1000)).cast_signed();
                 (ticks, ns, line.drift_ppb, line.bound_us)
             })
             .encode(encoder)?;
-        self.jitter.encode(encoder)?;
-        probes.encode(encoder)?;
-        points.encode(encoder)
+        self.jitter.encode(encoder)
     }
 }
 
@@ -174,14 +181,6 @@ impl Decode<()> for Clock {
         let segment = u32::decode(decoder)?;
         let tick_hz = u64::decode(decoder)?;
         let origin = Times::decode(decoder)?;
-        let line = Option::<(i64, i64, i64, Option<u64>)>::decode(decoder)?;
-        let jitter = ClockJitter::decode(decoder)?;
-        let line = line.map(|(ticks, ns, drift_ppb, bound_us)| ClockLine {
-            device_ticks: origin.0.wrapping_add_signed(ticks),
-            host_ns: origin.1.wrapping_mul(1000).wrapping_add_signed(ns),
-            drift_ppb,
-            bound_us,
-        });
         let probes = entries(&Vec::<u8>::decode(decoder)?, |bytes| {
             let mut before = origin;
             let mut next = move |bytes: &mut Cursor<'_>| {
@@ -198,7 +197,17 @@ impl Decode<()> for Clock {
             };
             all(bytes, &mut next)
         })?;
-        Ok(Self { segment, tick_hz, line, jitter, probes, points })
+        let line = Option::<(i64, i64, i64, Option<u64>)>::decode(decoder)?;
+        let jitter = ClockJitter::decode(decoder)?;
+        let mut clock = Self { segment, tick_hz, line: None, jitter, probes, points };
+        let last = if clock.points.is_empty() { origin } else { clock.last() };
+        clock.line = line.map(|(ticks, ns, drift_ppb, bound_us)| ClockLine {
+            device_ticks: last.0.wrapping_add_signed(ticks),
+            host_ns: last.1.wrapping_mul(1000).wrapping_add_signed(ns),
+            drift_ppb,
+            bound_us,
+        });
+        Ok(clock)
     }
 }
 
@@ -308,12 +317,14 @@ mod tests {
         }
         let points = vec![ClockPoint::default(); CLOCK_ENTRIES_MAX + 1];
         assert!(Clock { points, ..Clock::default() }.to_payload().is_err());
-        let mut bytes = Clock::default().to_payload().unwrap();
-        // The list of points is the last thing: two bytes each, and one too many.
-        assert_eq!(bytes.pop(), Some(0));
+        // Two bytes each, and one too many, in place of the empty list of points.
+        let empty = Clock::default().to_payload().unwrap();
+        let (head, rest) = empty.split_at(2 + 1 + 1 + 2 + 1);
         let n = 2 * (CLOCK_ENTRIES_MAX + 1);
-        bytes.extend([251, n as u8, (n >> 8) as u8]);
-        bytes.resize(bytes.len() + n, 0);
-        assert!(Clock::from_payload(&bytes, 0).is_err());
+        for (n, is_fine) in [(n - 2, true), (n, false)] {
+            let list = [251, n as u8, (n >> 8) as u8];
+            let bytes = [head, &list, &vec![0; n], &rest[1..]].concat();
+            assert_eq!(Clock::from_payload(&bytes, 0).is_ok(), is_fine);
+        }
     }
 }
