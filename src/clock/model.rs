@@ -57,7 +57,7 @@ impl ClockStatus {
     #[must_use]
     pub fn ledger(&self) -> Option<ClockFit> {
         let line = self.line?;
-        let drift_ppm = line.drift_ppb as f64 * 1e-3;
+        let drift_ppm = line.drift_ppb as f64 / 1e3;
         let at_s = line.device_ticks as f64 / self.tick_hz.max(1) as f64;
         Some(ClockFit {
             offset_ns: (line.host_ns as f64 - at_s * (1e9 + drift_ppm * 1e3)) as i64,

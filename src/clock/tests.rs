@@ -292,10 +292,10 @@ fn a_clock_that_jumps_begins_a_segment_and_is_followed() {
                 assert!((20.0..20.3).contains(&at_s), "{world:?}: {at_s}");
                 match event {
                     ClockEvent::Jumped(found_s) => {
-                        assert!((found_s - by_s).abs() < 0.05 + by_s.abs() * 1e-3, "{found_s}")
+                        assert!((found_s - by_s).abs() < 0.05 + by_s.abs() * 1e-3, "{found_s}");
                     }
                     ClockEvent::WentBack(found_s) => {
-                        assert!((found_s + by_s).abs() < 0.6, "{found_s}")
+                        assert!((found_s + by_s).abs() < 0.6, "{found_s}");
                     }
                     ClockEvent::Wrapped => panic!("{world:?}"),
                 }

@@ -22,12 +22,11 @@ use self::{
 };
 use super::{
     Counts, PipelineConfig, Progress,
-    messages::Control,
+    messages::{Control, ToWriter},
     plan::Plan,
     pool::Feed,
     ring::{RingIn, Sample, TimelineItem},
 };
-use crate::clock::ClockItem;
 
 /// No slot: the channel pool was used up when the marker appeared.
 const NO_SLOT: u32 = u32::MAX;
@@ -77,9 +76,8 @@ impl Intake {
         rings: Vec<RingIn<Sample>>,
         timeline: RingIn<TimelineItem>,
         feed: Feed,
-        control: Sender<Control>,
+        to_writer: ToWriter,
         progress: Arc<Progress>,
-        clock_items: Sender<ClockItem>,
     ) -> Self {
         let mut slot_of_id = vec![NO_SLOT; usize::from(u16::MAX) + 1];
         for (slot, channel) in config.channels.iter().enumerate() {
@@ -91,7 +89,7 @@ impl Intake {
             rings,
             timeline,
             feed,
-            control,
+            control: to_writer.control,
             progress,
             slot_of_id,
             labels,
@@ -110,7 +108,7 @@ impl Intake {
             open_since_ns: 0,
             open_ns_max: config.stretch.as_nanos() as u64,
             counts: Counts::default(),
-            clocks: Clocks::new(config.tick_hz, clock_items),
+            clocks: Clocks::new(config.tick_hz, to_writer.clock),
             finished: false,
         }
     }

@@ -1,12 +1,17 @@
 //! What the threads of the pipeline hand to each other.
 
+use crossbeam_channel::{Receiver, Sender, bounded};
 use mocapd_codec::BlockReport;
 use mocapd_take::{
     record::{Channel, Event},
     stretch::Span,
 };
 
-use super::Counts;
+use super::{
+    Counts,
+    plan::{CLOCK_ITEMS_MAX, CONTROL_MAX},
+};
+use crate::clock::ClockItem;
 
 /// A closed stretch.
 #[derive(Debug, Clone, Copy)]
@@ -70,6 +75,27 @@ impl PartReport {
 pub(super) enum Control {
     Channel(NewChannel),
     Event(Event),
+}
+
+/// The reader's ends of its queues to the writer.
+#[derive(Debug)]
+pub(super) struct ToWriter {
+    pub(super) control: Sender<Control>,
+    pub(super) clock: Sender<ClockItem>,
+}
+
+/// The writer's ends of them.
+#[derive(Debug)]
+pub(super) struct FromReader {
+    pub(super) control: Receiver<Control>,
+    pub(super) clock: Receiver<ClockItem>,
+}
+
+/// Bounded queues from the reader to the writer.
+pub(super) fn reader_to_writer() -> (ToWriter, FromReader) {
+    let (control_in, control) = bounded(CONTROL_MAX);
+    let (clock_in, clock) = bounded(CLOCK_ITEMS_MAX);
+    (ToWriter { control: control_in, clock: clock_in }, FromReader { control, clock })
 }
 
 /// A marker that appeared.

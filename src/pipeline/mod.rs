@@ -35,12 +35,7 @@ pub use intake::Intake;
 pub use plan::PipelineConfig;
 pub use writer::{TakeOutput, Written};
 
-use self::{
-    group::Group,
-    plan::Plan,
-    pool::Pool,
-    writer::{ClockWriter, Writer},
-};
+use self::{group::Group, plan::Plan, pool::Pool, writer::Writer};
 use crate::threads;
 
 /// What other threads may look at while it runs. Counters only: the truth is in the ledger.
@@ -85,8 +80,7 @@ impl<W: TakeOutput> Pipeline<W> {
         let progress = Arc::new(Progress::default());
 
         let (parts_in, parts) = bounded(plan.parts_max());
-        let (control_in, control) = bounded(plan::CONTROL_MAX);
-        let (clock_in, clock) = bounded(plan::CLOCK_ITEMS_MAX);
+        let (to_writer, from_reader) = messages::reader_to_writer();
         let mut groups = Vec::new();
         let mut producers = Vec::new();
         for index in 0..plan.n_groups() {
@@ -105,14 +99,11 @@ impl<W: TakeOutput> Pipeline<W> {
             producers,
             timeline_producer,
             pool.feed(),
-            control_in,
+            to_writer,
             Arc::clone(&progress),
-            clock_in,
         );
         let wakes = pool.wakes();
-        let clocks = ClockWriter::new(clock);
-        let writer =
-            Writer::new(take, &plan, parts, control, clocks, buffers_back, wakes, &progress);
+        let writer = Writer::new(take, &plan, parts, from_reader, buffers_back, wakes, &progress);
         let guard = pool::FailOnPanic(Arc::clone(&progress));
         let writer = threads::spawn("mocapd-write", move || {
             let written = writer.run();

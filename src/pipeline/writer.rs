@@ -15,12 +15,11 @@ use anyhow::{Context, anyhow, bail};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use mocapd_take::TakeWriter;
 
-pub(super) use self::clocks::ClockWriter;
 pub use self::output::{TakeOutput, Written};
-use self::{assembly::Assemblies, ledgers::Ledgers};
+use self::{assembly::Assemblies, clocks::ClockWriter, ledgers::Ledgers};
 use super::{
     Counts, Progress,
-    messages::{Control, Part, PartReport},
+    messages::{Control, FromReader, Part, PartReport},
     plan::Plan,
     pool::Wakes,
 };
@@ -55,8 +54,7 @@ impl<W: TakeOutput> Writer<W> {
         take: TakeWriter<W>,
         plan: &Plan,
         parts: Receiver<Part>,
-        control: Receiver<Control>,
-        clocks: ClockWriter,
+        from_reader: FromReader,
         buffers_back: Vec<Sender<Vec<u8>>>,
         wakes: Wakes,
         progress: &Arc<Progress>,
@@ -64,8 +62,8 @@ impl<W: TakeOutput> Writer<W> {
         Self {
             take,
             parts,
-            control,
-            clocks,
+            control: from_reader.control,
+            clocks: ClockWriter::new(from_reader.clock),
             held: None,
             buffers_back,
             wakes,

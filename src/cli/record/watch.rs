@@ -68,6 +68,6 @@ fn clock(progress: &mocapd::pipeline::Progress) -> String {
     if p99_us == 0 {
         return String::new();
     }
-    let drift_ppm = progress.drift_ppb.load(Ordering::Relaxed) as f64 * 1e-3;
+    let drift_ppm = progress.drift_ppb.load(Ordering::Relaxed) as f64 / 1e3;
     format!(", drift {drift_ppm:+.1} ppm, jitter {:.1} ms (p99)", p99_us as f64 * 1e-3)
 }

@@ -27,7 +27,7 @@ impl Clocks {
     pub(super) fn frame(&mut self, ticks: u64, arrival_ns: u64) -> Option<ClockEvent> {
         let Self { model, items, dropped, .. } = self;
         model.frame(ticks, arrival_ns, &mut |item| {
-            *dropped += u64::from(items.try_send(item).is_err())
+            *dropped += u64::from(items.try_send(item).is_err());
         })
     }
 

@@ -22,7 +22,7 @@ const FIRST_AFTER: Duration = Duration::from_secs(8);
 
 /// Holds what comes until a record is written.
 #[derive(Debug)]
-pub(in crate::pipeline) struct ClockWriter {
+pub(super) struct ClockWriter {
     items: Receiver<ClockItem>,
     segment: u32,
     begun: Instant,
@@ -31,7 +31,7 @@ pub(in crate::pipeline) struct ClockWriter {
 }
 
 impl ClockWriter {
-    pub(in crate::pipeline) fn new(items: Receiver<ClockItem>) -> Self {
+    pub(super) fn new(items: Receiver<ClockItem>) -> Self {
         let (probes, points) = (Vec::with_capacity(HELD_MAX), Vec::with_capacity(HELD_MAX));
         Self { items, segment: 0, begun: Instant::now(), probes, points }
     }
