@@ -281,6 +281,50 @@ mod tests {
         assert!(payload.len() <= 150, "{} bytes", payload.len());
     }
 
+    /// As docs/take-format.md has them, put together by hand: version 1 is never changed in place.
+    #[test]
+    fn its_bytes_are_what_the_format_says() {
+        let clock = Clock {
+            segment: 3,
+            tick_hz: 1_000_000,
+            line: Some(ClockLine {
+                device_ticks: 7_001_003,
+                host_ns: 2_001_009_500,
+                drift_ppb: -200_000,
+                bound_us: Some(60),
+            }),
+            jitter: ClockJitter {
+                frames: 120,
+                residual_us: 300,
+                p50_us: 90,
+                p99_us: 1_000,
+                max_us: 70_000,
+            },
+            probes: vec![
+                ClockProbe { sent_us: 2_000_000, device_ticks: 7_000_000, round_trip_us: 150 },
+                ClockProbe { sent_us: 2_000_100, device_ticks: 7_000_098, round_trip_us: 90 },
+            ],
+            points: vec![ClockPoint { device_ticks: 7_001_003, host_us: 2_001_000 }],
+        };
+        let bytes: &[&[u8]] = &[
+            &[1, 0],
+            &[3],
+            &[252, 0x40, 0x42, 0x0f, 0],
+            // The origin: ticks 7 000 000, us 2 000 000.
+            &[252, 0xc0, 0xcf, 0x6a, 0],
+            &[252, 0x80, 0x84, 0x1e, 0],
+            // Probes: nothing, nothing, 150 = 0x96; 100 later, two ticks fewer than 100, 90.
+            &[7, 0, 0, 0x96, 0x01, 100, 3, 90],
+            // A point: 1000 = 0x3e8 later, three ticks more.
+            &[3, 0xe8, 0x07, 6],
+            // The line: at the point; 9500 ns later; -200 ppm; 60.
+            &[1, 0, 251, 0x38, 0x4a, 252, 0x7f, 0x1a, 0x06, 0, 1, 60],
+            &[120, 251, 0x2c, 0x01, 90, 251, 0xe8, 0x03, 252, 0x70, 0x11, 0x01, 0],
+        ];
+        assert_eq!(clock.to_payload().unwrap(), bytes.concat());
+        assert_eq!(Clock::from_payload(&bytes.concat(), 0).unwrap(), clock);
+    }
+
     #[test]
     fn any_numbers_come_back() {
         let mut state = 1_u64;
