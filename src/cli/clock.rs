@@ -14,6 +14,7 @@ pub(crate) struct ClockReport {
     offset_ns: i64,
     drift_ppm: f64,
     bound_us: Option<u64>,
+    drift_bound_ppm: Option<f64>,
     at: At,
     residual_us: u64,
     jitter_us: Jitter,
@@ -40,14 +41,15 @@ struct Jitter {
 impl ClockReport {
     /// `None` when no line was laid.
     pub(crate) fn new(status: &ClockStatus) -> Option<Self> {
-        let ClockLine { device_ticks, host_ns, bound_us, .. } = status.line?;
+        let ClockLine { device_ticks, host_ns, bound, .. } = status.line?;
         let fit = status.ledger()?;
         let ClockJitter { frames, residual_us, p50_us, p99_us, max_us } = status.jitter;
         Some(Self {
-            method: if bound_us.is_some() { "round trips" } else { "arrivals" },
+            method: if bound.is_some() { "round trips" } else { "arrivals" },
             offset_ns: fit.offset_ns,
             drift_ppm: fit.drift_ppm,
-            bound_us,
+            bound_us: bound.map(|bound| bound.offset_us),
+            drift_bound_ppm: bound.map(|bound| bound.drift_ppb as f64 / 1e3),
             at: At { device_ticks, host_ns },
             residual_us,
             jitter_us: Jitter { p50: p50_us, p99: p99_us, max: max_us },
@@ -64,7 +66,9 @@ impl ClockReport {
         let mut line = |name: &str, words: &str| {
             writeln!(out, "  {name:>15} {words}").ok();
         };
-        line("drift", &format!("{:+.3} ppm: {}", self.drift_ppm, self.which_is_faster()));
+        let within = self.drift_bound_ppm.map_or(String::new(), |ppm| format!(" within {ppm:.1}"));
+        let faster = self.which_is_faster();
+        line("drift", &format!("{:+.1} ppm{within}: {faster}", self.drift_ppm));
         let offset_s = self.offset_ns as f64 * 1e-9;
         let known = match self.bound_us {
             Some(us) => format!("within {us} us, by {}", count(self.probes, "round trip")),

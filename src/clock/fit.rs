@@ -1,6 +1,6 @@
 //! The line itself: a function of the points and the round trips, and of nothing else.
 
-use mocapd_take::record::{ClockLine, ClockPoint};
+use mocapd_take::record::{ClockBound, ClockLine, ClockPoint};
 
 use super::seconds;
 
@@ -61,9 +61,17 @@ pub struct Line {
     pub late_us: f64,
     /// How much faster the host's clock runs, in parts per million.
     pub drift_ppm: f64,
-    /// How far the truth can be from it there, if the drift is constant and within 500 ppm; `None` without a
-    /// round trip.
-    pub bound_us: Option<f64>,
+    /// How far it can be off; `None` without a round trip.
+    pub bound: Option<Bound>,
+}
+
+/// How far a line can be off, if the drift is constant and within 500 ppm.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bound {
+    /// Where it is told, in microseconds.
+    pub offset_us: f64,
+    /// Its drift, in parts per million.
+    pub drift_ppm: f64,
 }
 
 impl Line {
@@ -83,7 +91,10 @@ impl Line {
             device_ticks: self.at.device_ticks,
             host_ns: self.at.host_us.saturating_mul(1000).saturating_add_signed(late_ns),
             drift_ppb: (self.drift_ppm * 1e3).round() as i64,
-            bound_us: self.bound_us.map(|bound| bound.ceil() as u64),
+            bound: self.bound.map(|bound| ClockBound {
+                offset_us: bound.offset_us.ceil() as u64,
+                drift_ppb: (bound.drift_ppm * 1e3).ceil() as u64,
+            }),
         }
     }
 }
@@ -165,9 +176,9 @@ impl Sides {
         self.arrivals.least(ppm) - self.arrivals.mean(ppm) - prior + ruled_out
     }
 
-    /// How far the truth may be from a line of the best rate, at the place where the line is told, in
-    /// microseconds: over all lines that keep the bounds, of a rate that oscillators have.
-    fn bound_us(&self, best_ppm: f64, late_us: f64) -> f64 {
+    /// How far the truth may be from a line of the best rate, at the place where the line is told: over all
+    /// lines that keep the bounds, of a rate that oscillators have.
+    fn bound(&self, best_ppm: f64, late_us: f64) -> Bound {
         let keeps = |ppm: f64| self.gap(ppm) >= 0.0;
         let [from, to] = [-1.0, 1.0].map(|sign| {
             let (mut inside, mut outside) = (best_ppm, sign * USUAL_PPM);
@@ -186,7 +197,10 @@ impl Sides {
         let high = |ppm: f64| self.arrivals.least(ppm).min(self.high.least(ppm));
         let highest = high(peak(from, to, high));
         let lowest = self.low.most(peak(from, to, |ppm| -self.low.most(ppm)));
-        (highest - late_us).max(late_us - lowest)
+        Bound {
+            offset_us: (highest - late_us).max(late_us - lowest),
+            drift_ppm: (to - best_ppm).max(best_ppm - from),
+        }
     }
 }
 
@@ -253,7 +267,7 @@ fn through(points: &[ClockPoint], since_us: u64, bursts: &[Burst], tick_hz: f64)
     };
     let earliest = sides.arrivals.least(drift_ppm);
     if bursts.is_empty() {
-        return Some(Line { at, late_us: earliest, drift_ppm, bound_us: None });
+        return Some(Line { at, late_us: earliest, drift_ppm, bound: None });
     }
     let gap_us = sides.gap(drift_ppm);
     let contradicts = gap_us < 0.0
@@ -262,6 +276,6 @@ fn through(points: &[ClockPoint], since_us: u64, bursts: &[Burst], tick_hz: f64)
         return None;
     }
     let late_us = sides.low.most(drift_ppm) + gap_us / 2.0;
-    let bound_us = Some(sides.bound_us(drift_ppm, late_us));
-    Some(Line { at, late_us, drift_ppm, bound_us })
+    let bound = Some(sides.bound(drift_ppm, late_us));
+    Some(Line { at, late_us, drift_ppm, bound })
 }

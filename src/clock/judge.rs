@@ -90,9 +90,10 @@ impl Judge {
         age_us: u64,
         silent_us: u64,
     ) -> Verdict {
-        let Some(bound_us) = line.bound_us else { return Verdict::Fits };
+        let Some(bound) = line.bound else { return Verdict::Fits };
         let young = if age_us < YOUNG_US { YOUNG_SLACK_US } else { 0.0 };
-        let slack_us = SLACK_US + young + bound_us + silent_us as f64 * 1e-6 * STALE_US_PER_S;
+        let slack_us =
+            SLACK_US + young + bound.offset_us + silent_us as f64 * 1e-6 * STALE_US_PER_S;
         let off_us = if sent_us > slack_us {
             -sent_us
         } else if answered_us < -slack_us {

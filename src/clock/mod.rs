@@ -16,7 +16,7 @@ mod probes;
 #[cfg(test)]
 mod tests;
 
-pub use fit::{Burst, Line, fit};
+pub use fit::{Bound, Burst, Line, fit};
 pub use model::{ClockEvent, ClockItem, ClockModel, ClockStatus};
 pub use prober::Prober;
 

@@ -179,7 +179,7 @@ impl World {
                     let tick_us = 0.5e6 / self.tick_hz as f64;
                     let (ticks, tick_hz) = (self.ticks(now_ns), self.tick_hz as f64);
                     let off_us = line.lateness_us(ticks, now_ns as u64, tick_hz) - tick_us;
-                    errors.push((at_s, off_us, line.bound_us));
+                    errors.push((at_s, off_us, line.bound.map(|bound| bound.offset_us)));
                 }
             }
         }
@@ -261,6 +261,10 @@ fn the_error_grows_with_the_jitter_and_stays_within_the_bound() {
             );
         }
         assert!(run.worst_us(10.0) < 500.0, "{world:?}: {}", run.worst_us(10.0));
+        let line = run.model.line().unwrap();
+        let off_ppm = (line.drift_ppm - world.drift_ppm).abs();
+        // A tick of a microsecond is as exact as it gets.
+        assert!(off_ppm < line.bound.unwrap().drift_ppm + 0.1, "{world:?}: {line:?}");
     }
 }
 
@@ -273,7 +277,7 @@ fn without_round_trips_the_line_is_late_by_the_least_delay() {
     for world in worlds(silent) {
         let run = world.run(35.0);
         let status = run.model.status();
-        assert_eq!((status.probes, status.line.unwrap().bound_us), (0, None));
+        assert_eq!((status.probes, status.line.unwrap().bound), (0, None));
         let off_us = run.worst_us(10.0);
         let most_us = least_us + 20.0 + 3.0e3 * world.batch_ms;
         assert!(off_us < most_us, "{world:?}: {off_us}");
@@ -423,6 +427,10 @@ fn times() -> impl Strategy<Value = Vec<(bool, u64, u64, u64)>> {
     prop::collection::vec(step, 0..300)
 }
 
+fn is_finite(bound: Bound) -> bool {
+    bound.offset_us.is_finite() && bound.drift_ppm.is_finite()
+}
+
 proptest! {
     /// No panic, bounded memory by construction, and numbers that a take can store.
     #[test]
@@ -452,7 +460,7 @@ proptest! {
             }
             if let Some(line) = model.line() {
                 prop_assert!(line.late_us.is_finite() && line.drift_ppm.abs() <= 20_000.0);
-                prop_assert!(line.bound_us.is_none_or(f64::is_finite), "{line:?}");
+                prop_assert!(line.bound.is_none_or(is_finite), "{line:?}");
             }
             let status = model.status();
             let fit = status.ledger();
@@ -475,7 +483,7 @@ proptest! {
         }
         if let Some((line, _)) = fit(&points, bursts.all(), 1e6) {
             prop_assert!(line.late_us.is_finite() && line.drift_ppm.is_finite(), "{line:?}");
-            prop_assert!(line.bound_us.is_none_or(f64::is_finite), "{line:?}");
+            prop_assert!(line.bound.is_none_or(is_finite), "{line:?}");
         }
     }
 }

@@ -25,7 +25,7 @@ def main():
     if not clocks or not clocks[-1].line:
         sys.exit(f"{args.take}: it tells of no line")
     last = clocks[-1]
-    ticks, host_ns, drift_ppb, bound_us = last.line
+    ticks, host_ns, drift_ppb, bound = last.line
     at, late_us, ppm = line_of(clocks)
     passed_s = signed(at[0] - ticks) / last.tick_hz
     stored_ns = host_ns + passed_s * (1e9 + drift_ppb)
@@ -33,8 +33,8 @@ def main():
     n_probes = sum(len(clock.probes) for clock in clocks)
     n_points = sum(len(clock.points) for clock in clocks)
     print(f"{n_probes} round trips, {n_points} points, {last.segment + 1} segments")
-    bound = f"within {bound_us} us" if bound_us is not None else "without a bound"
-    print(f"stored: {drift_ppb / 1e3:+.3f} ppm, {bound}; laid again: {ppm:+.3f} ppm, {apart_us:+.1f} us apart")
+    within = f"within {bound[0]} us and {bound[1] / 1e3} ppm" if bound else "without a bound"
+    print(f"stored: {drift_ppb / 1e3:+.3f} ppm, {within}; laid again: {ppm:+.3f} ppm, {apart_us:+.1f} us apart")
     print(f"jitter: {last.jitter}")
     if args.sent:
         compare_with_truth(args.sent, last)

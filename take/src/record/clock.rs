@@ -51,9 +51,18 @@ pub struct ClockLine {
     pub host_ns: u64,
     /// How much faster the host's clock runs, in parts per billion.
     pub drift_ppb: i64,
-    /// Half of the least way there and back: the line is no further off, whatever the two ways share of it.
-    /// `None` when no round trip was measured: the line is late by the least delay that frames had.
-    pub bound_us: Option<u64>,
+    /// How far it can be off. `None` when no round trip was measured: it is late by the least delay that frames
+    /// had.
+    pub bound: Option<ClockBound>,
+}
+
+/// How far a line can be off, if both clocks keep their rates, and these are within 500 ppm of each other.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Encode, Decode)]
+pub struct ClockBound {
+    /// Where the line is told, in microseconds.
+    pub offset_us: u64,
+    /// Its drift, in parts per billion.
+    pub drift_ppb: u64,
 }
 
 /// How late frames came after the line, over the recording so far: microseconds.
@@ -169,7 +178,7 @@ impl Encode for Clock {
             .map(|line| {
                 let ticks = line.device_ticks.wrapping_sub(last.0).cast_signed();
                 let ns = line.host_ns.wrapping_sub(last.1.wrapping_mul(1000)).cast_signed();
-                (ticks, ns, line.drift_ppb, line.bound_us)
+                (ticks, ns, line.drift_ppb, line.bound)
             })
             .encode(encoder)?;
         self.jitter.encode(encoder)
@@ -197,15 +206,15 @@ impl Decode<()> for Clock {
             };
             all(bytes, &mut next)
         })?;
-        let line = Option::<(i64, i64, i64, Option<u64>)>::decode(decoder)?;
+        let line = Option::<(i64, i64, i64, Option<ClockBound>)>::decode(decoder)?;
         let jitter = ClockJitter::decode(decoder)?;
         let mut clock = Self { segment, tick_hz, line: None, jitter, probes, points };
         let last = if clock.points.is_empty() { origin } else { clock.last() };
-        clock.line = line.map(|(ticks, ns, drift_ppb, bound_us)| ClockLine {
+        clock.line = line.map(|(ticks, ns, drift_ppb, bound)| ClockLine {
             device_ticks: last.0.wrapping_add_signed(ticks),
             host_ns: last.1.wrapping_mul(1000).wrapping_add_signed(ns),
             drift_ppb,
-            bound_us,
+            bound,
         });
         Ok(clock)
     }
@@ -248,7 +257,7 @@ mod tests {
                 device_ticks: at(9_000_000),
                 host_ns: 86_400_009_000_123,
                 drift_ppb: 200_012,
-                bound_us: Some(96),
+                bound: Some(ClockBound { offset_us: 96, drift_ppb: 8_400 }),
             }),
             jitter: ClockJitter {
                 frames: 600,
@@ -291,7 +300,7 @@ mod tests {
                 device_ticks: 7_001_003,
                 host_ns: 2_001_009_500,
                 drift_ppb: -200_000,
-                bound_us: Some(60),
+                bound: Some(ClockBound { offset_us: 60, drift_ppb: 200 }),
             }),
             jitter: ClockJitter {
                 frames: 120,
@@ -317,8 +326,8 @@ mod tests {
             &[7, 0, 0, 0x96, 0x01, 100, 3, 90],
             // A point: 1000 = 0x3e8 later, three ticks more.
             &[3, 0xe8, 0x07, 6],
-            // The line: at the point; 9500 ns later; -200 ppm; 60.
-            &[1, 0, 251, 0x38, 0x4a, 252, 0x7f, 0x1a, 0x06, 0, 1, 60],
+            // The line: at the point; 9500 ns later; -200 ppm; within 60 us and 200 ppb.
+            &[1, 0, 251, 0x38, 0x4a, 252, 0x7f, 0x1a, 0x06, 0, 1, 60, 200],
             &[120, 251, 0x2c, 0x01, 90, 251, 0xe8, 0x03, 252, 0x70, 0x11, 0x01, 0],
         ];
         assert_eq!(clock.to_payload().unwrap(), bytes.concat());
@@ -340,7 +349,7 @@ mod tests {
                     device_ticks: number(),
                     host_ns: number(),
                     drift_ppb: number().cast_signed(),
-                    bound_us: Some(number()),
+                    bound: Some(ClockBound { offset_us: number(), drift_ppb: number() }),
                 }),
                 ..Clock::default()
             };

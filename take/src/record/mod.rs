@@ -12,7 +12,9 @@ mod stored;
 
 use bincode::config::{Configuration, Limit, LittleEndian, Varint};
 
-pub use clock::{CLOCK_ENTRIES_MAX, Clock, ClockJitter, ClockLine, ClockPoint, ClockProbe};
+pub use clock::{
+    CLOCK_ENTRIES_MAX, Clock, ClockBound, ClockJitter, ClockLine, ClockPoint, ClockProbe,
+};
 pub use event::{Event, EventKind};
 pub(crate) use header::MoreChannels;
 pub use header::{CODEC_VERSION, Channel, Device, Header, ImportSource};

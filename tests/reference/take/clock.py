@@ -31,7 +31,7 @@ class Clock:
     tick_hz: int
     probes: list  # (ticks, sent_us, round_trip_us)
     points: list  # (ticks, host_us)
-    line: tuple | None  # (ticks, host_ns, drift_ppb, bound_us or None)
+    line: tuple | None  # (ticks, host_ns, drift_ppb, (bound in us, bound in ppb) or None)
     jitter: dict
 
 
@@ -51,7 +51,7 @@ def read_clock(payload):
     origin = r.unsigned(), r.unsigned()
     probes = list(times(r.take(r.unsigned()), origin, tick_hz, True))
     points = list(times(r.take(r.unsigned()), origin, tick_hz, False))
-    line = r.optional(lambda: (r.signed(), r.signed(), r.signed(), r.optional(r.unsigned)))
+    line = r.optional(lambda: (r.signed(), r.signed(), r.signed(), r.optional(lambda: (r.unsigned(), r.unsigned()))))
     names = ["frames", "residual_us", "p50_us", "p99_us", "max_us"]
     jitter = {name: r.unsigned() for name in names}
     r.finish()
