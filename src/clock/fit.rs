@@ -4,7 +4,7 @@ use mocapd_take::record::{ClockBound, ClockLine, ClockPoint};
 
 use super::seconds;
 
-/// Most points, and most bursts, that a line is laid through: ten of the first ten seconds, and one each five
+/// Most points, and most bursts, that a line is laid through: eight of the first ten seconds, and one each five
 /// seconds of a window of 120; a burst each half a minute, and those of the first.
 pub(super) const POINTS_MAX: usize = 48;
 pub(super) const BURSTS_MAX: usize = 16;
@@ -25,7 +25,9 @@ const BURSTS_FOR_RATE: usize = 3;
 const SPAN_FOR_RATE_S: f64 = 1.0;
 
 /// What a microsecond beyond a bound costs, beside a microsecond of mean lateness: more than any rate gains.
+/// Beyond the second number it is more than how exactly a rate is searched for.
 const RULED_OUT: f64 = 100.0;
+const BEYOND_US: f64 = 1.0;
 
 /// Frames that come later than this after their round trips are not of the same clock.
 const LATE_MAX_US: f64 = 10e6;
@@ -171,7 +173,7 @@ impl Sides {
             let [low, high] = self.slack(ppm);
             let [low_noise, high_noise] = self.noise_us;
             let slack = low / low_noise + high / high_noise;
-            return (ruled_out - prior) / (low_noise + high_noise) - slack;
+            return ruled_out - prior / (low_noise + high_noise) - slack;
         }
         self.arrivals.least(ppm) - self.arrivals.mean(ppm) - prior + ruled_out
     }
@@ -198,7 +200,7 @@ impl Sides {
         let highest = high(peak(from, to, high));
         let lowest = self.low.most(peak(from, to, |ppm| -self.low.most(ppm)));
         Bound {
-            offset_us: (highest - late_us).max(late_us - lowest),
+            offset_us: (highest - late_us).max(late_us - lowest).max(0.0),
             drift_ppm: (to - best_ppm).max(best_ppm - from),
         }
     }
@@ -270,12 +272,12 @@ fn through(points: &[ClockPoint], since_us: u64, bursts: &[Burst], tick_hz: f64)
         return Some(Line { at, late_us: earliest, drift_ppm, bound: None });
     }
     let gap_us = sides.gap(drift_ppm);
-    let contradicts = gap_us < 0.0
+    let contradicts = gap_us < -BEYOND_US
         || (sides.arrivals.n > 0 && earliest - sides.high.least(drift_ppm) > LATE_MAX_US);
     if contradicts {
         return None;
     }
-    let late_us = sides.low.most(drift_ppm) + gap_us / 2.0;
+    let late_us = sides.low.most(drift_ppm) + gap_us.max(0.0) / 2.0;
     let bound = Some(sides.bound(drift_ppm, late_us));
     Some(Line { at, late_us, drift_ppm, bound })
 }

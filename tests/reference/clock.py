@@ -3,8 +3,9 @@
     python tests/reference/clock.py TAKE [--sent LOG]
 
 With the simulator's log (mocapd-sim serve --log), also says how far the stored line is from the truth.
-Exit code 1 when the two lines are more than 20 us apart (the bursts are told apart with another rate), or the
-rates more than 2 ppm.
+Exit code 1 when the two lines are further apart than 20 us and a quarter of the bound, or the rates than 2 ppm and
+a quarter of theirs: which round trip of a burst is the best one was told with the rate known then, and with the
+last one here.
 """
 
 import argparse
@@ -38,7 +39,9 @@ def main():
     print(f"jitter: {last.jitter}")
     if args.sent:
         compare_with_truth(args.sent, last)
-    sys.exit(abs(apart_us) > 20 or abs(ppm - drift_ppb / 1e3) > 2)
+    bound_us, bound_ppb = bound or (0, 0)
+    apart_ppm = ppm - drift_ppb / 1e3
+    sys.exit(abs(apart_us) > 20 + bound_us / 4 or abs(apart_ppm) > 2 + bound_ppb / 4e3)
 
 
 def compare_with_truth(path, clock):

@@ -12,6 +12,7 @@ BURST_US = 500_000
 DRIFT_MAX_PPM = 20_000.0
 PRIOR_S = 0.25
 RULED_OUT = 100.0
+BEYOND_US = 1.0
 NOISE_MIN_US = 3.0
 LATE_MAX_US = 10e6
 
@@ -130,18 +131,17 @@ def lay(points, bursts, tick_hz):
 
     def merit(ppm):
         ruled_out = RULED_OUT * min(gap(ppm), 0) if bursts else 0
-        rest = ruled_out - PRIOR_S * abs(ppm)
         if tell:
             slack = (low.most(ppm) - low.mean(ppm)) / noise[0] + (high.mean(ppm) - high.least(ppm)) / noise[1]
-            return rest / sum(noise) - slack
-        return arrivals.least(ppm) - arrivals.mean(ppm) + rest
+            return ruled_out - PRIOR_S * abs(ppm) / sum(noise) - slack
+        return arrivals.least(ppm) - arrivals.mean(ppm) + ruled_out - PRIOR_S * abs(ppm)
 
     ppm = peak(merit) if tell or points else 0.0
     if not bursts:
         return at, arrivals.least(ppm), ppm
-    if gap(ppm) < 0 or (points and arrivals.least(ppm) - high.least(ppm) > LATE_MAX_US):
+    if gap(ppm) < -BEYOND_US or (points and arrivals.least(ppm) - high.least(ppm) > LATE_MAX_US):
         return None
-    return at, low.most(ppm) + gap(ppm) / 2, ppm
+    return at, low.most(ppm) + max(gap(ppm), 0) / 2, ppm
 
 
 def line_of(clocks):
