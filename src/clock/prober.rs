@@ -157,11 +157,22 @@ impl Prober {
 }
 
 impl Aim {
+    /// A pong that was seen late made the time between two sendings wrong; each pong since shows it again, or
+    /// twice of it.
+    fn correct(&mut self, now_ns: u64, before_ns: Option<u64>) {
+        let passed_ns = now_ns.saturating_sub(before_ns.unwrap_or(now_ns));
+        let times = (passed_ns + self.period_ns / 2) / self.period_ns.max(1);
+        if (1..=2).contains(&times) && self.period_ns.abs_diff(passed_ns / times) > self.ahead_ns {
+            self.period_ns = u64::midpoint(self.period_ns, passed_ns / times);
+        }
+    }
+
     /// After a round trip: when to ask next, and whether to sleep until then.
     fn next(&mut self, sent_ns: u64, now_ns: u64) -> (u64, bool) {
         let trip_ns = now_ns.saturating_sub(sent_ns);
         let before_ns = self.last_pong_ns.replace(now_ns);
         if self.aimed {
+            self.correct(now_ns, before_ns);
             if trip_ns <= self.period_ns / 2 {
                 self.misses = 0;
                 // By half until one came too late, then with care.
