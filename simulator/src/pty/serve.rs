@@ -1,6 +1,7 @@
 //! The loop between a device and a pty: one thread, asleep until the next frame or the next byte.
 
 use std::io::{self, Write};
+use std::num::NonZeroU64;
 use std::os::fd::BorrowedFd;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -62,6 +63,8 @@ pub fn serve(
     options: ServeOptions,
     stop: &AtomicBool,
 ) -> Result<SentLog, PtyError> {
+    // A device's timer is not 50 us late, as a thread's sleep may be; where the kernel refuses, it is.
+    drop(rustix::thread::set_current_timer_slack(NonZeroU64::new(1)));
     if options.log.is_some() {
         device.keep_frame_log();
     }
