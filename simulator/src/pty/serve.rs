@@ -64,7 +64,7 @@ pub fn serve(
     stop: &AtomicBool,
 ) -> Result<SentLog, PtyError> {
     // A device's timer is not 50 us late, as a thread's sleep may be; where the kernel refuses, it is.
-    drop(rustix::thread::set_current_timer_slack(NonZeroU64::new(1)));
+    rustix::thread::set_current_timer_slack(NonZeroU64::new(1)).ok();
     if options.log.is_some() {
         device.keep_frame_log();
     }
