@@ -2,7 +2,7 @@
 //! learnt from them.
 
 use super::{
-    ahead::{LANES, Referring},
+    ahead::{LANES, Referring, lanes},
     lattice::{self, Lattice, Point},
     layout::INTERPOLATED,
     pulls::Aiming,
@@ -15,6 +15,15 @@ use crate::{CodecError, coding::isa::Kernel};
 /// Rows of a level that are held against the partners together: what they teach holds for those after them.
 pub(super) const TOGETHER: usize = 8;
 const _: () = assert!(TOGETHER.is_multiple_of(LANES));
+
+/// Copies the first `n` of some values; to copy a fixed number, most often, takes no call.
+#[inline(always)]
+pub(super) fn copy<T: Copy>(values: &[T; TOGETHER], out: &mut [T], n: usize) {
+    match out.first_chunk_mut() {
+        Some(out) if n == TOGETHER => *out = *values,
+        _ => out.iter_mut().zip(values).take(n).for_each(|(out, value)| *out = *value),
+    }
+}
 
 /// Strides 1, 2 and 4.
 const FINE: std::ops::Range<usize> = INTERPOLATED..INTERPOLATED + 3;
@@ -52,7 +61,9 @@ impl Group {
         if !FINE.contains(&kind) {
             self.learn_lengths(channel);
         }
-        self.weave.learn(class, channel, &self.ahead, &self.tracks[channel].span);
+        if class == 0 {
+            self.weave.learn_anchor(channel, self.ahead.sites.slot);
+        }
         // The last level is between no other rows.
         if kind != 4 {
             self.remember_lengths(channel);
@@ -197,6 +208,12 @@ impl<S: Side> Kernel for Coding<'_, S> {
             group.pulls.score(from + i, (expected, point), shares);
         }
         track.activity[kind] = activity;
+        let mut residuals = points;
+        for (residuals, expected) in residuals.iter_mut().zip(&group.ahead.expected) {
+            let expected: [f64; TOGETHER] = lanes(expected, from);
+            residuals.iter_mut().zip(expected).for_each(|(units, expected)| *units -= expected);
+        }
+        group.weave.remember(channel, (slot, batch.n), &mut residuals);
         group.settle(side, channel, (batch, slot), (&points, kept))
     }
 }

@@ -4,7 +4,7 @@ use super::{
     SPAN,
     ahead::PADDED,
     anchor::Anchor,
-    code::{Points, TOGETHER},
+    code::{Points, TOGETHER, copy},
     lattice::{Fineness, Point},
     layout::KINDS,
     walk::Batch,
@@ -181,7 +181,7 @@ impl Track {
     #[inline(always)]
     pub(super) fn settle(&mut self, batch: Batch, slot: usize, points: &Points) {
         for (span, axis) in self.span.0.iter_mut().zip(points) {
-            span[slot..][..batch.n].copy_from_slice(&axis[..batch.n]);
+            copy(axis, &mut span[slot..], batch.n);
         }
         let [x, y, z] = points;
         for i in 0..batch.n.min(TOGETHER) {

@@ -6,17 +6,14 @@
 //! markers that are close together are taken to move alike: the covariance starts from a function of
 //! their distance, as in kriging.
 
-use crate::{
-    GROUP_CHANNELS,
-    coding::isa::{Isa, Kernel},
-};
+use crate::{GROUP_CHANNELS, coding::isa::Isa};
 
 use super::{
     SPAN,
-    ahead::{Ahead, LANES, PADDED, Sites, lanes},
+    ahead::PADDED,
+    code::{Points, TOGETHER, copy},
     covary::{self, Covarying, SCALE, Span},
     solve::{Lane, Solving, ridged},
-    track::SpanPoints,
 };
 
 /// Classes of levels: anchors; strides 8 and more; 4; 2; 1.
@@ -51,47 +48,6 @@ pub(super) struct SpanVectors(pub(super) [[f32; PADDED]; 3]);
 impl Default for SpanVectors {
     fn default() -> Self {
         Self([[0.0; PADDED]; 3])
-    }
-}
-
-/// Keeps the residuals of some rows.
-#[derive(Debug)]
-struct Remembering<'a> {
-    ahead: &'a Ahead,
-    points: &'a SpanPoints,
-    vectors: &'a mut SpanVectors,
-}
-
-impl Kernel for Remembering<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        let Self { ahead, points, vectors } = self;
-        let Sites { n, slot, .. } = ahead.sites;
-        for first in (0..n).step_by(LANES) {
-            let mut residuals: [[f64; LANES]; 3] = std::array::from_fn(|axis| {
-                let (point, expected) = (
-                    lanes::<LANES>(&points.0[axis], slot + first),
-                    lanes::<LANES>(&ahead.expected[axis], first),
-                );
-                std::array::from_fn(|lane| point[lane] - expected[lane])
-            });
-            for lane in 0..LANES.min(n - first) {
-                let [x, y, z] = [0, 1, 2].map(|axis: usize| residuals[axis][lane]);
-                let squares = x * x + y * y + z * z;
-                if squares > MAX_RESIDUAL * MAX_RESIDUAL {
-                    let share = MAX_RESIDUAL / squares.sqrt();
-                    residuals.iter_mut().for_each(|axis| axis[lane] *= share);
-                }
-            }
-            for (out, residuals) in vectors.0.iter_mut().zip(&residuals) {
-                let n = LANES.min(n - first);
-                for (out, residual) in out[slot + first..][..n].iter_mut().zip(residuals) {
-                    *out = *residual as f32;
-                }
-            }
-        }
     }
 }
 
@@ -196,20 +152,33 @@ impl Weave {
         &self.references[class * GROUP_CHANNELS + j]
     }
 
-    /// Remembers the residuals of the rows that were ahead: `points` less where time alone put them.
-    /// Those of anchors count at once: the anchors of one span come one after another and choose their
-    /// references in between; those of levels at the end of the span.
-    pub(super) fn learn(&mut self, class: usize, j: usize, ahead: &Ahead, points: &SpanPoints) {
-        self.isa.run(Remembering { ahead, points, vectors: &mut self.by_channel[j] });
-        if class != 0 {
-            return;
+    /// Remembers the residuals of some rows: where they are, less where time alone put them. The first has the
+    /// place `slot` in the span.
+    #[inline(always)]
+    pub(super) fn remember(&mut self, j: usize, (slot, n): (usize, usize), residuals: &mut Points) {
+        let [x, y, z] = &*residuals;
+        let squares: [f64; TOGETHER] =
+            std::array::from_fn(|i| x[i] * x[i] + y[i] * y[i] + z[i] * z[i]);
+        const MOST: f64 = MAX_RESIDUAL * MAX_RESIDUAL;
+        if squares.iter().fold(false, |far, &squares| far | (squares > MOST)) {
+            for (i, squares) in squares.into_iter().enumerate().filter(|&(_, s)| s > MOST) {
+                let share = MAX_RESIDUAL / squares.sqrt();
+                residuals.iter_mut().for_each(|axis| axis[i] *= share);
+            }
         }
-        let place = ahead.sites.slot;
+        for (out, residuals) in self.by_channel[j].0.iter_mut().zip(residuals) {
+            copy(&residuals.map(|units| units as f32), &mut out[slot..], n);
+        }
+    }
+
+    /// Learns from the residual of the anchor that was ahead. It counts at once: the anchors of one span come one
+    /// after another and choose their references in between. Levels count at the end of the span.
+    pub(super) fn learn_anchor(&mut self, j: usize, place: usize) {
         self.anchors[j] |= 1 << place;
-        let [x, y, z] = self.by_channel[j].0.each_ref().map(|lane| f64::from(lane[place]));
+        let residual = |k: usize, axis: usize| f64::from(self.by_channel[k].0[axis][place]);
+        let [x, y, z] = [residual(j, 0), residual(j, 1), residual(j, 2)];
         for k in 0..=j {
-            let [xs, ys, zs] = self.by_channel[k].0.each_ref().map(|lane| f64::from(lane[place]));
-            let product = x * xs + y * ys + z * zs;
+            let product = x * residual(k, 0) + y * residual(k, 1) + z * residual(k, 2);
             let covariance = self.covariances[j][k] + product / SCALE;
             self.covariances[j][k] = covariance;
             self.covariances[k][j] = covariance;
