@@ -31,6 +31,7 @@
 pub mod device;
 mod dvmc;
 pub mod link;
+pub mod ndi;
 pub mod registry;
 pub mod transport;
 pub mod uri;

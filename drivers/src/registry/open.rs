@@ -1,6 +1,6 @@
 //! From a URI to bytes and what they mean.
 
-use super::{Candidate, FAMILIES, Family, family_of, listing};
+use super::{Candidate, Connection, FAMILIES, Family, family_of, listing};
 use crate::{
     device::Protocol,
     transport::{Transport, TransportError, serial::SerialTransport},
@@ -57,7 +57,8 @@ pub fn open(uri: &DeviceUri) -> Result<OpenedDevice, OpenError> {
             family_of(&candidate).ok_or_else(unclaimed)?.0
         }
     };
-    Ok(OpenedDevice { transport, protocol: family.protocol(), family: family.name() })
+    let Connection { transport, protocol } = family.connect(transport, &uri.location);
+    Ok(OpenedDevice { transport, protocol, family: family.name() })
 }
 
 fn family_named(name: &str) -> Result<&'static dyn Family, OpenError> {

@@ -36,6 +36,9 @@ pub enum TransportError {
         /// A path, or a USB identity.
         device: String,
     },
+    /// The device answers, and says that it cannot do what it was asked.
+    #[error("{0}")]
+    Refused(String),
     /// This build cannot do that.
     #[error("{0}")]
     Unsupported(String),

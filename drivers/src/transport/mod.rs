@@ -6,6 +6,7 @@ mod error;
 mod low_latency;
 pub mod memory;
 pub mod serial;
+pub mod turns;
 pub mod usb;
 
 use std::{fmt::Debug, time::Duration};
@@ -37,6 +38,23 @@ pub trait Transport: Send + Debug {
     /// `Disconnected` when the device is gone; `Io` also when it took no bytes for
     /// [`WRITE_TIMEOUT`].
     fn write_all(&mut self, bytes: &[u8]) -> Result<(), TransportError>;
+
+    /// Holds the line in the break state for a moment, which some devices take as a reset.
+    /// `false`: this line has no break (a pty, USB), and nothing was done.
+    ///
+    /// # Errors
+    /// `Disconnected` when the device is gone; `Io`.
+    fn send_break(&mut self) -> Result<bool, TransportError> {
+        Ok(false)
+    }
+
+    /// Changes the line's speed, once what was written has left. A line without one takes any.
+    ///
+    /// # Errors
+    /// `Disconnected` when the device is gone; `Io` when the port cannot run at that speed.
+    fn set_baud(&mut self, _baud: u32) -> Result<(), TransportError> {
+        Ok(())
+    }
 
     /// What the line carries, in bytes a second and each direction; `None` when it is not limited.
     fn line_bytes_per_s(&self) -> Option<u64>;

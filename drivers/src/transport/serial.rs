@@ -4,7 +4,8 @@ use std::{
     io::{self, ErrorKind, Read, Write},
     os::unix::fs::{FileTypeExt, MetadataExt},
     path::{Path, PathBuf},
-    time::Instant,
+    thread,
+    time::{Duration, Instant},
 };
 
 use rustix::fs::OFlags;
@@ -24,13 +25,21 @@ pub const BAUD_DEFAULT: u32 = 3_000_000;
 /// Bits on an 8N1 line for every byte: a start bit, eight of data, a stop bit.
 const BITS_PER_BYTE: u64 = 10;
 
+/// How long a break is held. A device sees one after a few characters' time: 10 ms at 9600 baud,
+/// where a character takes 1 ms; the rest is for adapters that are slow to end one.
+const BREAK: Duration = Duration::from_millis(50);
+
+/// How long the last bytes may take to leave before the speed changes: a command of 64 bytes takes
+/// 67 ms at 9600 baud.
+const LEAVE_WITHIN: Duration = Duration::from_millis(200);
+
 /// A serial line, open.
 #[derive(Debug)]
 pub struct SerialTransport {
     port: TTYPort,
     path: PathBuf,
     baud: u32,
-    line_bytes_per_s: Option<u64>,
+    limited: bool,
     low_latency: bool,
 }
 
@@ -63,13 +72,7 @@ impl SerialTransport {
         })?;
         let low_latency = low_latency::set(fd);
         let limited = has_own_speed || baud.is_some();
-        Ok(Self {
-            port,
-            path: path.to_owned(),
-            baud: baud_rate,
-            line_bytes_per_s: limited.then_some(u64::from(baud_rate) / BITS_PER_BYTE),
-            low_latency,
-        })
+        Ok(Self { port, path: path.to_owned(), baud: baud_rate, limited, low_latency })
     }
 
     fn device(&self) -> String {
@@ -115,8 +118,35 @@ impl Transport for SerialTransport {
         Ok(())
     }
 
+    fn send_break(&mut self) -> Result<bool, TransportError> {
+        // A pty, and some adapters, know no break.
+        if self.port.set_break().is_err() {
+            return Ok(false);
+        }
+        thread::sleep(BREAK);
+        match self.port.clear_break() {
+            Ok(()) => Ok(true),
+            Err(error) => Err(self.session_error("ending a break", error.into())),
+        }
+    }
+
+    fn set_baud(&mut self, baud: u32) -> Result<(), TransportError> {
+        // tcdrain would wait without an end for a device that holds us off.
+        let give_up_at = Instant::now() + LEAVE_WITHIN;
+        while self.port.bytes_to_write().is_ok_and(|left| left > 0) && Instant::now() < give_up_at {
+            thread::sleep(Duration::from_millis(1));
+        }
+        match self.port.set_baud_rate(baud) {
+            Ok(()) => {
+                self.baud = baud;
+                Ok(())
+            }
+            Err(error) => Err(self.session_error("changing its speed", error.into())),
+        }
+    }
+
     fn line_bytes_per_s(&self) -> Option<u64> {
-        self.line_bytes_per_s
+        self.limited.then_some(u64::from(self.baud) / BITS_PER_BYTE)
     }
 
     fn describe(&self) -> String {

@@ -10,8 +10,9 @@ use std::time::Duration;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use mocapd_drivers::link::FrameForm;
-use mocapd_simulator::device::{Device, DeviceError, DeviceSettings, SentLog};
+use mocapd_simulator::device::{Device, DeviceError, DeviceSettings, LineDevice, SentLog};
 use mocapd_simulator::generator::{JumpSpec, Occlusion};
+use mocapd_simulator::ndi::{NdiDevice, NdiError, NdiSettings};
 use mocapd_simulator::pty::{PtyError, PtyLine, ServeOptions, serve};
 use mocapd_simulator::source::{self, Generated, SourceError};
 use mocapd_take::motion::Motion;
@@ -37,13 +38,23 @@ pub(super) struct ServeArgs {
     /// Serve on a pty; with LINK, a stable symbolic link to it.
     #[arg(long, value_name = "LINK", num_args = 0..=1, require_equals = true, required = true)]
     pty: Option<Option<PathBuf>>,
+    /// What the device speaks.
+    #[arg(long, value_enum, value_name = "NAME", default_value_t = Spoken::Dvmc)]
+    protocol: Spoken,
+    /// With --protocol ndi: this marker is a tool; give it again for more. All others are strays.
+    #[arg(long, value_name = "LABEL")]
+    tool: Vec<String>,
+    /// With --protocol ndi: know no BX2, as systems before the Vega.
+    #[arg(long)]
+    no_bx2: bool,
     /// Resample the motion to this rate, 1 to 10000 Hz.
     #[arg(long, value_name = "HZ")]
     rate: Option<f64>,
     /// Play this many times faster; the device's rate grows with it.
     #[arg(long, value_name = "X", default_value_t = 1.0)]
     speed: f64,
-    /// Carry no more than a serial line of this speed, and refuse rates that do not fit.
+    /// Carry no more than a serial line of this speed, and refuse rates that do not fit; an NDI system
+    /// refuses higher speeds of its line.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(50..))]
     baud: Option<u32>,
     /// The device's clock loses this many ppm against the host's, or gains them when negative.
@@ -84,6 +95,14 @@ pub(super) struct ServeArgs {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Spoken {
+    /// The link protocol of mocapd.
+    Dvmc,
+    /// The Combined API of NDI Polaris and Vega systems.
+    Ndi,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Wire {
     /// Millimetres as f32, bit for bit.
     F32,
@@ -100,11 +119,7 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
         signal_hook::flag::register_conditional_shutdown(*signal, 130, Arc::clone(&stop))?;
         signal_hook::flag::register(*signal, Arc::clone(&stop))?;
     }
-    let motion = motion(args)?;
-    let mut device = Device::new(motion, settings(args)).map_err(refused)?;
-    for warning in device.warnings() {
-        say(warning);
-    }
+    let (mut device, what) = device(args, motion(args)?)?;
     let log: Option<Box<dyn Write + Send>> = match &args.log {
         Some(path) => {
             // A log is what a recording is held against: an earlier one stays.
@@ -116,18 +131,45 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
         None => None,
     };
     let line = PtyLine::open(args.pty.as_ref().and_then(Option::as_deref)).map_err(line_failure)?;
-    let hello = device.hello();
-    let hz = f64::from(hello.rate_mhz) / 1000.0;
-    say(&format!("{} markers at {hz} Hz, Ctrl-C ends", hello.markers_max));
+    say(&what);
     let mut stdout = io::stdout();
     writeln!(stdout, "{}", line.path().display())
         .and_then(|()| stdout.flush())
         .context("cannot print the path")?;
     let batch = Some(args.batch_ms).filter(|ms| *ms > 0).map(Duration::from_millis);
     let options = ServeOptions { baud: args.baud, batch, once: args.once, log };
-    let sent = serve(&line, &mut device, options, &stop)?;
+    let sent = serve(&line, device.as_mut(), options, &stop)?;
     say(&summary(&sent));
     Ok(())
+}
+
+/// The device, and what it is in words.
+fn device(args: &ServeArgs, motion: Motion) -> Result<(Box<dyn LineDevice>, String), Failure> {
+    let usage = |words: &str| Err(Failure::usage(anyhow::anyhow!("{words}")));
+    let n_markers = motion.info.markers.len();
+    let device: (Box<dyn LineDevice>, u32) = match args.protocol {
+        Spoken::Dvmc if !args.tool.is_empty() || args.no_bx2 => {
+            return usage("--tool and --no-bx2 are for NDI systems: add --protocol ndi");
+        }
+        Spoken::Ndi if args.wire.is_some() => {
+            return usage("--wire is for the link protocol: an NDI system sends f32");
+        }
+        Spoken::Dvmc => {
+            let device = Device::new(motion, settings(args)).map_err(refused)?;
+            device.warnings().iter().for_each(|warning| say(warning));
+            let rate_mhz = device.hello().rate_mhz;
+            (Box::new(device), rate_mhz)
+        }
+        Spoken::Ndi => {
+            let device = NdiDevice::new(motion, ndi_settings(args)).map_err(ndi_refused)?;
+            device.warnings().iter().for_each(|warning| say(warning));
+            let rate_mhz = device.rate_mhz();
+            (Box::new(device), rate_mhz)
+        }
+    };
+    let (device, rate_mhz) = device;
+    let hz = f64::from(rate_mhz) / 1000.0;
+    Ok((device, format!("{n_markers} markers at {hz} Hz, Ctrl-C ends")))
 }
 
 fn motion(args: &ServeArgs) -> Result<Motion, Failure> {
@@ -168,6 +210,27 @@ fn settings(args: &ServeArgs) -> DeviceSettings {
         form,
         line_bytes_per_s: args.baud.map_or(0, |baud| u64::from(baud) / 10),
         ..DeviceSettings::default()
+    }
+}
+
+fn ndi_settings(args: &ServeArgs) -> NdiSettings {
+    let settings = NdiSettings::default();
+    NdiSettings {
+        rate_hz: args.rate,
+        speed: args.speed,
+        looping: args.looping,
+        tools: args.tool.clone(),
+        bx2: !args.no_bx2,
+        baud_max: args.baud.unwrap_or(settings.baud_max),
+        ..settings
+    }
+}
+
+fn ndi_refused(error: NdiError) -> Failure {
+    match error {
+        NdiError::Device(error) => refused(error),
+        NdiError::NoSuchTool { .. } | NdiError::TooManyTools { .. } => Failure::usage(error),
+        _ => Failure::from(error),
     }
 }
 

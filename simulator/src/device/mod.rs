@@ -3,6 +3,7 @@
 //! Times are nanoseconds of one monotonic clock, whichever the caller has.
 
 mod clock;
+mod line_device;
 mod log;
 mod outbox;
 mod rates;
@@ -22,9 +23,10 @@ use mocapd_drivers::link::{DeviceLink, MARKERS_MAX, frame_bytes_max};
 use mocapd_take::motion::{Motion, Position, UpAxis};
 
 use clock::DeviceClock;
+pub use line_device::LineDevice;
 pub use log::{SentCounters, SentFrame, SentLog};
-use outbox::Outbox;
-use rates::Rates;
+pub(crate) use outbox::Outbox;
+pub(crate) use rates::Rates;
 pub use settings::{DeviceError, DeviceSettings, RATE_MHZ, TICK_HZ};
 
 use crate::replay::Replay;

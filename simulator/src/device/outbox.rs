@@ -13,7 +13,7 @@ const FRAMES_MIN: usize = 4;
 
 /// A queue of bytes whose frames are counted when the line has taken them whole.
 #[derive(Debug, Default)]
-pub(super) struct Outbox {
+pub(crate) struct Outbox {
     bytes: Vec<u8>,
     head: usize,
     capacity: usize,
@@ -27,19 +27,19 @@ pub(super) struct Outbox {
 
 impl Outbox {
     /// Room for a second of frames, between 64 KiB and 4 MiB, or as much as is asked for.
-    pub(super) fn resize(&mut self, frame_bytes: usize, rate_mhz: u32, asked: Option<usize>) {
+    pub(crate) fn resize(&mut self, frame_bytes: usize, rate_mhz: u32, asked: Option<usize>) {
         let second = frame_bytes as u64 * u64::from(rate_mhz) / 1000;
         let second = usize::try_from(second).unwrap_or(CAPACITY_MAX);
         let room = asked.unwrap_or(second.clamp(CAPACITY_MIN, CAPACITY_MAX));
         self.capacity = room.max(FRAMES_MIN * frame_bytes);
     }
 
-    pub(super) fn has_room(&self, bytes: usize) -> bool {
+    pub(crate) fn has_room(&self, bytes: usize) -> bool {
         self.pending().len() + bytes <= self.capacity
     }
 
     /// Queues what `write` appends. `true` marks it as a frame.
-    pub(super) fn put(&mut self, is_frame: bool, write: impl FnOnce(&mut Vec<u8>)) {
+    pub(crate) fn put(&mut self, is_frame: bool, write: impl FnOnce(&mut Vec<u8>)) {
         let start = self.bytes.len();
         write(&mut self.bytes);
         self.queued += (self.bytes.len() - start) as u64;
@@ -48,12 +48,12 @@ impl Outbox {
         }
     }
 
-    pub(super) fn pending(&self) -> &[u8] {
+    pub(crate) fn pending(&self) -> &[u8] {
         self.bytes.get(self.head..).unwrap_or_default()
     }
 
     /// The line took so many bytes.
-    pub(super) fn sent(&mut self, n: usize) {
+    pub(crate) fn sent(&mut self, n: usize) {
         self.head = (self.head + n).min(self.bytes.len());
         let sent = self.bytes_sent();
         while self.frame_ends.front().is_some_and(|end| *end <= sent) {
@@ -71,7 +71,7 @@ impl Outbox {
     }
 
     /// Forgets what the line has not taken. What it has taken of a message stays on the line, unfinished.
-    pub(super) fn discard(&mut self) {
+    pub(crate) fn discard(&mut self) {
         self.queued = self.bytes_sent();
         self.frames_discarded += self.frames_waiting();
         self.frame_ends.clear();
@@ -79,19 +79,19 @@ impl Outbox {
         self.head = 0;
     }
 
-    pub(super) fn frames_discarded(&self) -> u64 {
+    pub(crate) fn frames_discarded(&self) -> u64 {
         self.frames_discarded
     }
 
-    pub(super) fn bytes_sent(&self) -> u64 {
+    pub(crate) fn bytes_sent(&self) -> u64 {
         self.queued - self.pending().len() as u64
     }
 
-    pub(super) fn frames_sent(&self) -> u64 {
+    pub(crate) fn frames_sent(&self) -> u64 {
         self.frames_sent
     }
 
-    pub(super) fn frames_waiting(&self) -> u64 {
+    pub(crate) fn frames_waiting(&self) -> u64 {
         self.frame_ends.len() as u64
     }
 }

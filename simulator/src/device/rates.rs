@@ -6,20 +6,20 @@ use super::{DeviceError, DeviceSettings, RATE_MHZ};
 
 /// Rates in millihertz that fit each other.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Rates {
+pub(crate) struct Rates {
     /// Of the recording.
-    pub(super) recorded_mhz: u32,
+    pub(crate) recorded_mhz: u32,
     /// Of the recording, times the speed: the rate at which every recorded frame is played as it is. `None` when
     /// the device cannot run at it, and another one was asked for.
-    pub(super) native_mhz: Option<u32>,
+    pub(crate) native_mhz: Option<u32>,
     /// The one to begin with.
-    pub(super) rate_mhz: u32,
+    pub(crate) rate_mhz: u32,
     /// The speed in thousandths.
-    pub(super) speed_milli: u64,
+    pub(crate) speed_milli: u64,
 }
 
 impl Rates {
-    pub(super) fn new(motion: &Motion, settings: &DeviceSettings) -> Result<Self, DeviceError> {
+    pub(crate) fn new(motion: &Motion, settings: &DeviceSettings) -> Result<Self, DeviceError> {
         let found_hz = motion.info.rate_hz;
         let recorded_mhz = to_mhz(found_hz).ok_or(DeviceError::MotionRate { found_hz })?;
         let speed = settings.speed;

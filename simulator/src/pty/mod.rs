@@ -17,7 +17,7 @@ pub use serve::{ServeOptions, serve};
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
-use crate::device::{Device, SentLog};
+use crate::device::{LineDevice, SentLog};
 
 /// Opens a pty, and is the device on it until `stop`, or until the host has read the end of stream when
 /// `options.once` is set. `on_open` gets the path that a host opens.
@@ -27,7 +27,7 @@ use crate::device::{Device, SentLog};
 /// # Errors
 /// When the pty or its link cannot be made, and when the line or the log fails.
 pub fn serve_pty(
-    device: &mut Device,
+    device: &mut dyn LineDevice,
     link: Option<&Path>,
     options: ServeOptions,
     stop: &AtomicBool,

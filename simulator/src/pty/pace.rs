@@ -24,6 +24,10 @@ impl Pace {
         Self { baud: u64::from(baud.max(1)), free_ns: 0 }
     }
 
+    pub(super) fn baud(&self) -> u32 {
+        u32::try_from(self.baud).unwrap_or(u32::MAX)
+    }
+
     /// How many bytes may be handed over now.
     pub(super) fn allowed(&mut self, now_ns: u64) -> usize {
         self.free_ns = self.free_ns.max(now_ns.saturating_sub(CREDIT_NS));

@@ -14,7 +14,7 @@ use super::batch::Batch;
 use super::drain::{Drain, LOOK};
 use super::pace::Pace;
 use super::{PtyError, PtyLine};
-use crate::device::{Device, SentFrame, SentLog};
+use crate::device::{LineDevice, SentFrame, SentLog};
 
 /// The longest sleep: how soon a stop is seen.
 const NAP: Duration = Duration::from_millis(20);
@@ -59,7 +59,7 @@ impl std::fmt::Debug for ServeOptions {
 /// When the line or the log fails.
 pub fn serve(
     line: &PtyLine,
-    device: &mut Device,
+    device: &mut dyn LineDevice,
     options: ServeOptions,
     stop: &AtomicBool,
 ) -> Result<SentLog, PtyError> {
@@ -71,7 +71,8 @@ pub fn serve(
     let mut server = Server {
         line,
         device,
-        pace: options.baud.map(Pace::new),
+        pace: None,
+        baud: options.baud,
         batch: options.batch.map(|batch| Batch::new(batch.as_nanos() as u64, host_ns())),
         log: options.log,
         open_again_ns: 0,
@@ -94,9 +95,11 @@ fn host_ns() -> u64 {
 
 struct Server<'a> {
     line: &'a PtyLine,
-    device: &'a mut Device,
+    device: &'a mut dyn LineDevice,
     pace: Option<Pace>,
     batch: Option<Batch>,
+    /// What the line carries at most; a device may run its own end slower.
+    baud: Option<u32>,
     log: Option<Box<dyn Write + Send>>,
     open_again_ns: u64,
 }
@@ -144,6 +147,10 @@ impl Server<'_> {
 
     /// Writes what the line takes now.
     fn write(&mut self) -> Result<Written, PtyError> {
+        let baud = self.device.baud().into_iter().chain(self.baud).min();
+        if baud != self.pace.as_ref().map(Pace::baud) {
+            self.pace = baud.map(Pace::new);
+        }
         loop {
             let now_ns = host_ns();
             let pending = self.device.pending();

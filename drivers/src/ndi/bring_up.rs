@@ -1,0 +1,280 @@
+//! From a line of which nothing is known to a device whose tools are enabled.
+
+use super::{
+    bauds::{BAUD_AT_RESET, BAUDS},
+    host::{MS, NdiHost, Outcome, State, Task},
+    request::{checked, plain},
+    strays, tools,
+};
+use crate::{device::Hello, transport::turns::Order};
+
+/// How a device is looked for: `INIT:` at a speed, or a break (`None`). A device that is where a
+/// power-on leaves it answers the first; a break sets one back that another program left at any
+/// speed; the rest are for lines that carry no break. The commonest speeds come first.
+const SEARCH: [Option<u32>; 10] = [
+    Some(BAUD_AT_RESET),
+    None,
+    Some(921_600),
+    Some(115_200),
+    Some(1_228_739),
+    Some(57_600),
+    Some(230_400),
+    Some(38_400),
+    Some(19_200),
+    Some(14_400),
+];
+
+/// How long `INIT:` may take while the speed is a guess, milliseconds.
+const SEEK_MS: u64 = 200;
+
+/// How long a reset by break may take. The vendor's guide gives no bound; a Vicra needs less.
+const BREAK_MS: u64 = 1_500;
+
+/// How long a command of the bring-up may take: initializing a tool reads its memory.
+const ANSWER_MS: u64 = 2_000;
+
+/// How long device and adapter need for a new speed.
+const SETTLE_NS: u64 = 100 * MS;
+
+/// How often tools are looked for: initializing one may bring forth another on the same plug.
+const ROUNDS_MAX: u32 = 4;
+
+/// Handles that wait to be freed, to be initialized, to be enabled, and that are enabled.
+const FREE: u8 = 1;
+const INITIALIZE: u8 = 2;
+const ENABLE: u8 = 3;
+const ENABLED: u8 = 4;
+
+/// What the vendor's guide gives as the rate of all but the fastest systems.
+const FRAME_HZ_DEFAULT: f64 = 60.0;
+
+/// Rates that are believed, in hertz.
+const FRAME_HZ: std::ops::RangeInclusive<f64> = 1.0..=10_000.0;
+
+impl NdiHost {
+    /// Looks for a device on a line on which nothing was said yet.
+    pub(super) fn seek_first(&mut self) {
+        self.state = State::BringUp;
+        self.seek(0);
+    }
+
+    /// The device was lost: it may have been switched off and on, or be at another speed.
+    pub(super) fn seek_anew(&mut self) {
+        self.state = State::BringUp;
+        self.owed.hello = true;
+        self.owed.start = false;
+        self.owed.stop = false;
+        self.polls_lost = 0;
+        self.seek(0);
+    }
+
+    fn seek(&mut self, step: usize) {
+        let step = step % SEARCH.len();
+        match SEARCH[step] {
+            Some(baud) => {
+                self.set_baud(baud);
+                self.ask(Task::Seek(step), checked("INIT:"), SEEK_MS, 0);
+            }
+            None => {
+                self.set_baud(BAUD_AT_RESET);
+                self.desk.order(Order::Break);
+                self.expect(Task::Break(step), BREAK_MS);
+            }
+        }
+    }
+
+    fn set_baud(&mut self, baud: u32) {
+        self.baud = baud;
+        self.desk.order(Order::Baud(baud));
+    }
+
+    fn ask_checked(&mut self, task: Task, text: &str) {
+        self.ask(task, checked(text), ANSWER_MS, 0);
+    }
+
+    pub(super) fn brought_up(&mut self, task: Task, outcome: Outcome<'_>) {
+        match (task, outcome) {
+            (Task::Seek(_), Outcome::Text("OKAY")) => self.faster(self.ceiling),
+            (Task::Seek(step), _) => self.seek(step + 1),
+            (Task::Break(_), Outcome::Text("RESET")) => {
+                let not_before_ns = self.desk.now_ns() + SETTLE_NS;
+                self.ask(Task::Seek(0), checked("INIT:"), ANSWER_MS, not_before_ns);
+            }
+            (Task::Break(step), _) => self.seek(step + 1),
+            (Task::Comm(place), Outcome::Text("OKAY")) => {
+                self.set_baud(BAUDS[place].0);
+                let not_before_ns = self.desk.now_ns() + SETTLE_NS;
+                self.ask(Task::Check, checked("INIT:"), SEEK_MS, not_before_ns);
+            }
+            (Task::Comm(place), Outcome::Refused(_)) => self.faster(place.saturating_sub(1)),
+            (Task::Check, Outcome::Text("OKAY")) => self.ask_checked(Task::Version, "VER:0"),
+            (Task::Comm(_) | Task::Check, _) => {
+                // One of the two cannot run at that speed: back to the start, and no further up.
+                self.ceiling = self.ceiling.saturating_sub(1);
+                self.seek(1);
+            }
+            (_, Outcome::Silence) => self.seek_anew(),
+            (Task::Version, Outcome::Text(text)) => {
+                self.hello = hello(text);
+                self.ask_checked(Task::ApiRevision, "APIREV:");
+            }
+            (Task::ApiRevision, _) => {
+                self.bx2 = matches!(outcome, Outcome::Text(text) if has_bx2(text));
+                self.ask_checked(Task::FrameFrequency, "GET:Param.Tracking.Frame Frequency");
+            }
+            (Task::FrameFrequency, _) => {
+                let hz = value(outcome).and_then(|value| value.parse().ok());
+                let hz = hz.filter(|hz| FRAME_HZ.contains(hz)).unwrap_or(FRAME_HZ_DEFAULT);
+                self.hello.rate_mhz = (hz * 1000.0).round() as u32;
+                self.ask_checked(Task::TrackFrequency, "GET:Param.Tracking.Track Frequency");
+            }
+            (Task::TrackFrequency, _) => {
+                // Every third, every second, or every frame is tracked.
+                self.divisor = match value(outcome) {
+                    Some("0") => 3,
+                    Some("1") => 2,
+                    _ => 1,
+                };
+                self.ask_checked(Task::List(FREE), "PHSR:01");
+            }
+            (Task::List(kind), Outcome::Text(text)) => match tools::handles(text) {
+                Some(handles) => self.listed(kind, handles),
+                None => self.fail(format!("the NDI system lists its ports as '{text}', which is no list: update its firmware")),
+            },
+            (Task::Info(handle), Outcome::Text(text)) => {
+                self.table.push(tools::marker(handle, text, &self.table));
+                self.next_handle(ENABLED);
+            }
+            (Task::Free(_), Outcome::Text(_)) => self.next_handle(FREE),
+            (Task::Initialize(_), Outcome::Text(_)) => self.next_handle(INITIALIZE),
+            (Task::Enable(_), Outcome::Text(_)) => self.next_handle(ENABLE),
+            (task, Outcome::Refused(code)) => self.fail_refused(&what(task), code),
+            (Task::Start | Task::Poll | Task::Stop, Outcome::Text(_)) => {}
+        }
+    }
+
+    /// The highest speed up to a place in `BAUDS`, unless it is the one at hand.
+    fn faster(&mut self, place: usize) {
+        let (baud, digit) = BAUDS[place];
+        if baud == self.baud || place == 0 {
+            self.ask_checked(Task::Version, "VER:0");
+        } else {
+            self.ask_checked(Task::Comm(place), &format!("COMM:{digit}0000"));
+        }
+    }
+
+    fn listed(&mut self, kind: u8, handles: Vec<u8>) {
+        self.todo = handles;
+        // Taken from the end: in the device's order.
+        self.todo.reverse();
+        match kind {
+            FREE => self.rounds = 0,
+            INITIALIZE => {
+                self.rounds += 1;
+                if self.rounds > ROUNDS_MAX {
+                    self.todo.clear();
+                }
+            }
+            ENABLED => self.table.clear(),
+            _ => {}
+        }
+        self.next_handle(kind);
+    }
+
+    /// The next handle of a list, or the next list.
+    fn next_handle(&mut self, kind: u8) {
+        let any_initialized = kind == INITIALIZE && self.todo.is_empty() && self.rounds > 0;
+        match (kind, self.todo.pop()) {
+            (FREE, Some(handle)) => {
+                self.ask_checked(Task::Free(handle), &format!("PHF:{handle:02X}"))
+            }
+            (FREE, None) => self.ask_checked(Task::List(INITIALIZE), "PHSR:02"),
+            (INITIALIZE, Some(handle)) => {
+                self.ask_checked(Task::Initialize(handle), &format!("PINIT:{handle:02X}"));
+            }
+            (INITIALIZE, None) if any_initialized => {
+                self.ask_checked(Task::List(ENABLE), "PHSR:03");
+            }
+            (INITIALIZE, None) => self.ask_checked(Task::List(INITIALIZE), "PHSR:02"),
+            (ENABLE, Some(handle)) => {
+                self.ask_checked(Task::Enable(handle), &format!("PENA:{handle:02X}D"));
+            }
+            (ENABLE, None) => self.ask_checked(Task::List(ENABLED), "PHSR:04"),
+            (_, Some(handle)) => {
+                self.ask_checked(Task::Info(handle), &format!("PHINF:{handle:02X}0005"));
+            }
+            (_, None) => self.ready(),
+        }
+    }
+
+    fn ready(&mut self) {
+        if !self.bx2 && self.table.is_empty() {
+            // BX numbers frames by their tools: without one nobody could tell them apart.
+            self.fail("no tool is plugged into the NDI system, and its firmware numbers frames by their tools: plug one in".to_owned());
+            return;
+        }
+        let hello = &mut self.hello;
+        let frame_mhz = hello.rate_mhz;
+        hello.rate_mhz = frame_mhz / self.divisor;
+        (hello.rate_min_mhz, hello.rate_max_mhz) = (hello.rate_mhz, hello.rate_mhz);
+        // BX2 has a clock in nanoseconds; the clock of BX is the frame number.
+        hello.tick_hz = if self.bx2 { 1_000_000_000 } else { u64::from(frame_mhz) };
+        hello.markers_max = self.table.len() as u16 + super::seen::STRAYS_MAX as u16;
+        self.poll = if self.bx2 { plain(super::gbf::REQUEST) } else { checked(super::bx::REQUEST) };
+        self.state = State::Ready;
+        self.farewell(false);
+    }
+
+    /// The next host finds the device at the speed that it looks for first, and not tracking.
+    pub(super) fn farewell(&mut self, tracking: bool) {
+        let slower = self.baud != BAUD_AT_RESET;
+        let mut farewell = Vec::new();
+        farewell.extend(tracking.then(|| checked("TSTOP:")));
+        farewell.extend(slower.then(|| checked("COMM:00000")));
+        self.desk.order(Order::Farewell(farewell));
+    }
+}
+
+/// What a request was to do, for people.
+fn what(task: Task) -> String {
+    match task {
+        Task::Version => "say who it is".to_owned(),
+        Task::Free(handle) => format!("free port {handle:02X}"),
+        Task::Initialize(handle) => format!("initialize the tool in port {handle:02X}"),
+        Task::Enable(handle) => format!("enable the tool in port {handle:02X}"),
+        Task::Info(handle) => format!("describe the tool in port {handle:02X}"),
+        _ => "list its ports".to_owned(),
+    }
+}
+
+/// The answer to `VER:0`: the first line is the model, others name serial number and firmware.
+fn hello(text: &str) -> Hello {
+    let field = |name: &str| {
+        let found = text.lines().find_map(|line| line.trim().strip_prefix(name));
+        found.unwrap_or_default().trim().to_owned()
+    };
+    Hello {
+        model: text.lines().next().unwrap_or_default().trim().to_owned(),
+        serial: field("NDI S/N:"),
+        firmware: field("Freeze Tag:"),
+        ..Hello::default()
+    }
+}
+
+/// `G.003.005`: `BX2` came with the Vega's third revision.
+fn has_bx2(revision: &str) -> bool {
+    let mut parts = revision.split('.');
+    let family = parts.next().unwrap_or_default();
+    let major: u32 = parts.next().and_then(|major| major.parse().ok()).unwrap_or(0);
+    family >= "G" && major >= 3
+}
+
+/// The value in `Name=value`.
+fn value<'a>(outcome: Outcome<'a>) -> Option<&'a str> {
+    match outcome {
+        Outcome::Text(text) => text.split_once('=').map(|(_, value)| value.trim()),
+        Outcome::Refused(_) | Outcome::Silence => None,
+    }
+}
+
+const _: () = assert!(strays::FIRST_ID as usize >= super::seen::TOOLS_MAX);

@@ -1,0 +1,72 @@
+//! NDI Polaris and Vega systems over their Combined API on a serial line: `docs/ndi.md`.
+//!
+//! The device answers, and never speaks unasked. [`NdiHost`] therefore leaves requests on a
+//! [desk](crate::transport::turns); who reads the line carries them out.
+
+mod bauds;
+mod bring_up;
+mod bx;
+mod crc;
+mod cursor;
+mod errors;
+mod gbf;
+mod host;
+mod pace;
+mod reply;
+mod request;
+mod seen;
+mod strays;
+mod tools;
+mod tracking;
+
+pub use bauds::{BAUD_AT_RESET, BAUDS};
+pub use crc::crc16;
+pub use host::{BAUD_MAX_DEFAULT, NdiHost};
+
+use crate::{
+    registry::{Candidate, Claim, Connection, Family},
+    transport::{
+        Transport,
+        turns::{TurnTransport, desk},
+    },
+    uri::Location,
+};
+
+/// The family.
+#[derive(Debug)]
+pub(crate) struct Ndi;
+
+impl Family for Ndi {
+    fn name(&self) -> &'static str {
+        "ndi"
+    }
+
+    fn description(&self) -> &'static str {
+        "NDI Polaris and Vega systems, over the Combined API on a serial line"
+    }
+
+    fn claims(&self, candidate: &Candidate) -> Claim {
+        let says_so =
+            [&candidate.product, &candidate.manufacturer].into_iter().flatten().any(|text| {
+                let text = text.to_ascii_lowercase();
+                text.contains("northern digital") || text.starts_with("ndi ")
+            });
+        match candidate.location {
+            Location::Serial { .. } if says_so => Claim::Certain,
+            Location::Serial { .. } => Claim::Possible,
+            Location::Usb { .. } => Claim::No,
+        }
+    }
+
+    fn connect(&self, line: Box<dyn Transport>, location: &Location) -> Connection {
+        let asked_for = match location {
+            Location::Serial { baud, .. } => *baud,
+            Location::Usb { .. } => None,
+        };
+        let (desk, orders) = desk();
+        Connection {
+            transport: Box::new(TurnTransport::new(line, orders)),
+            protocol: Box::new(NdiHost::new(desk, asked_for.unwrap_or(BAUD_MAX_DEFAULT))),
+        }
+    }
+}

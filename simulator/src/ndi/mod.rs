@@ -1,0 +1,241 @@
+//! An NDI system over a motion, sans-io: requests and the time go in, answers come out.
+//!
+//! Markers whose labels are named as tools are plugged in, and reported with their positions and no
+//! turn; all other markers are strays. A frame that no request fetched before the next one came was
+//! dropped by the device, and its log says so. After the last frame of a motion that does not loop
+//! the system leaves tracking, and refuses to give frames: so a host sees the end.
+
+mod frames;
+mod ports;
+mod report;
+mod request;
+mod settings;
+mod setup;
+
+#[cfg(test)]
+mod tests;
+
+use std::sync::Arc;
+
+use mocapd_drivers::ndi::BAUD_AT_RESET;
+use mocapd_take::motion::Motion;
+
+pub use settings::{NdiError, NdiSettings, STRAYS_MAX, TOOLS_MAX};
+
+use crate::device::{DeviceError, DeviceSettings, LineDevice, Outbox, Rates, SentFrame, SentLog};
+use crate::replay::Replay;
+use frames::Tracking;
+use ports::Ports;
+use request::Line;
+
+/// Labels that an error names.
+const LABELS_NAMED: usize = 8;
+
+/// Bytes of a part number.
+const PART_NUMBER_BYTES: usize = 20;
+
+/// A simulated NDI system.
+#[derive(Debug)]
+pub struct NdiDevice {
+    settings: NdiSettings,
+    replay: Replay,
+    rates: Rates,
+    ports: Ports,
+    line: Line,
+    outbox: Outbox,
+    initialized: bool,
+    baud: u32,
+    /// The speed from when the answer at hand has left.
+    baud_after: Option<u32>,
+    tracking: Tracking,
+    warnings: Vec<String>,
+    log: SentLog,
+    log_frames: bool,
+    /// When the system's clock was 0.
+    epoch_ns: Option<u64>,
+}
+
+impl NdiDevice {
+    /// A system that is switched on, and waits.
+    ///
+    /// # Errors
+    /// When there is nothing to report, a tool is not there, or a rate or speed is out of range.
+    pub fn new(motion: impl Into<Arc<Motion>>, settings: NdiSettings) -> Result<Self, NdiError> {
+        let motion = motion.into();
+        let markers = &motion.info.markers;
+        match (markers.len(), motion.n_frames()) {
+            (0, _) => return Err(DeviceError::NoMarkers.into()),
+            (_, 0) => return Err(DeviceError::NoFrames.into()),
+            _ => {}
+        }
+        if settings.tools.len() > TOOLS_MAX {
+            return Err(NdiError::TooManyTools { found: settings.tools.len() });
+        }
+        let mut warnings = Vec::new();
+        let mut tools = Vec::new();
+        for label in &settings.tools {
+            let Some(column) = markers.iter().position(|m| m.labelled && m.label == *label) else {
+                let known: Vec<_> =
+                    markers.iter().take(LABELS_NAMED).map(|m| m.label.as_str()).collect();
+                return Err(NdiError::NoSuchTool { label: label.clone(), known: known.join(", ") });
+            };
+            let part = part_number(label);
+            if part != *label {
+                warnings.push(format!("label '{label}' is no part number, sent as '{part}'"));
+            }
+            tools.push((part, column));
+        }
+        // Until a tool is enabled its marker is a stray, too.
+        if markers.len() > STRAYS_MAX {
+            return Err(NdiError::TooManyStrays { found: markers.len() });
+        }
+        let rated = DeviceSettings {
+            rate_hz: settings.rate_hz,
+            speed: settings.speed,
+            ..DeviceSettings::default()
+        };
+        let rates = Rates::new(&motion, &rated)?;
+        let n_columns = markers.len();
+        let recorded = u64::from(rates.recorded_mhz) * rates.speed_milli;
+        let replay = if rates.native_mhz == Some(rates.rate_mhz) {
+            Replay::native(motion)
+        } else {
+            Replay::resampled(Arc::clone(&motion), recorded, u64::from(rates.rate_mhz) * 1000)
+                .unwrap_or_else(|| Replay::native(motion))
+        };
+        let mut outbox = Outbox::default();
+        outbox.resize(0, rates.rate_mhz, None);
+        Ok(Self {
+            replay,
+            rates,
+            ports: Ports::new(tools, n_columns),
+            line: Line::default(),
+            outbox,
+            initialized: false,
+            baud: BAUD_AT_RESET,
+            baud_after: None,
+            tracking: Tracking::default(),
+            warnings,
+            log: SentLog::default(),
+            log_frames: false,
+            epoch_ns: None,
+            settings,
+        })
+    }
+
+    /// What of the motion could not be said as it was, one sentence each.
+    #[must_use]
+    pub fn warnings(&self) -> &[String] {
+        &self.warnings
+    }
+
+    /// Its frame rate, in millihertz.
+    #[must_use]
+    pub fn rate_mhz(&self) -> u32 {
+        self.rates.rate_mhz
+    }
+
+    /// Whether it tracks.
+    #[must_use]
+    pub fn is_running(&self) -> bool {
+        self.tracking.is_on()
+    }
+
+    /// As after power-on, but for the line's speed.
+    fn set_up_anew(&mut self) {
+        self.end_run();
+        self.initialized = false;
+        self.ports.reset();
+    }
+
+    fn answer(&mut self, name: &str, args: &str, now_ns: u64) {
+        if !self.outbox.has_room(0) {
+            self.log.answers_dropped += 1;
+            return;
+        }
+        let reported = self.report(name, args, now_ns);
+        let Some(answer) = reported.or_else(|| Some(self.obey(name, args))) else { return };
+        let said = answer.unwrap_or_else(|code| format!("ERROR{code:02X}"));
+        if !said.is_empty() {
+            self.outbox.put(false, |out| report::text(&said, out));
+        }
+    }
+}
+
+/// What fits into a part number: printable ASCII.
+fn part_number(label: &str) -> String {
+    let printable = label.chars().map(|c| if (' '..='~').contains(&c) { c } else { '_' });
+    printable.take(PART_NUMBER_BYTES).collect()
+}
+
+impl LineDevice for NdiDevice {
+    fn on_bytes(&mut self, bytes: &[u8], now_ns: u64) {
+        self.epoch_ns.get_or_insert(now_ns);
+        for byte in bytes {
+            match self.line.push(*byte) {
+                None => {}
+                Some(Ok((name, args))) => self.answer(&name, &args, now_ns),
+                Some(Err(code)) => {
+                    let said = format!("ERROR{code:02X}");
+                    if self.outbox.has_room(0) {
+                        self.outbox.put(false, |out| report::text(&said, out));
+                    } else {
+                        self.log.answers_dropped += 1;
+                    }
+                }
+            }
+        }
+    }
+
+    fn on_break(&mut self, _: u64) {
+        self.set_up_anew();
+        self.line.clear();
+        self.outbox.discard();
+        (self.baud, self.baud_after) = (BAUD_AT_RESET, None);
+        self.outbox.put(false, |out| report::text("RESET", out));
+    }
+
+    fn poll(&mut self, now_ns: u64) -> u64 {
+        self.epoch_ns.get_or_insert(now_ns);
+        self.produce_until(now_ns)
+    }
+
+    fn pending(&self) -> &[u8] {
+        self.outbox.pending()
+    }
+
+    fn sent(&mut self, n: usize) {
+        self.outbox.sent(n);
+        if self.outbox.pending().is_empty()
+            && let Some(baud) = self.baud_after.take()
+        {
+            self.baud = baud;
+        }
+    }
+
+    fn baud(&self) -> Option<u32> {
+        Some(self.baud)
+    }
+
+    fn has_ended(&self) -> bool {
+        self.tracking.end_was_told()
+    }
+
+    fn log(&self) -> SentLog {
+        SentLog {
+            frames_sent: self.outbox.frames_sent(),
+            frames_waiting: self.outbox.frames_waiting(),
+            frames_discarded: self.outbox.frames_discarded(),
+            bytes_sent: self.outbox.bytes_sent(),
+            ..self.log.clone()
+        }
+    }
+
+    fn keep_frame_log(&mut self) {
+        self.log_frames = true;
+    }
+
+    fn take_frames(&mut self) -> Vec<SentFrame> {
+        std::mem::take(&mut self.log.frames)
+    }
+}
