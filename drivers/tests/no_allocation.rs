@@ -1,4 +1,5 @@
-//! Once the largest frame has been seen, neither end of the link allocates.
+//! Once the largest frame has been seen, neither end of the link allocates; nor does an NDI host while it
+//! polls.
 
 #![expect(unsafe_code, reason = "counting allocations takes an allocator")]
 
@@ -11,8 +12,12 @@ mod no_allocation {
     };
 
     use mocapd_drivers::{
-        device::{Command, Frame, Hello, MarkerInfo, MarkerSample, Pong, Protocol, Status},
+        device::{
+            Command, DeviceEvent, Frame, Hello, MarkerInfo, MarkerSample, Pong, Protocol, Status,
+        },
         link::{DeviceLink, FrameForm, HostLink},
+        ndi::{NdiHost, crc16},
+        transport::turns::{Order, Orders, desk},
     };
 
     thread_local! {
@@ -112,6 +117,89 @@ mod no_allocation {
         for seq in 1..50 {
             talk.round(seq);
         }
+        assert_eq!(ALLOCATIONS.get(), before);
+    }
+
+    /// An NDI system as answers to requests: set up at once, then the same tool and strays every time.
+    fn ndi_answer(request: &[u8], number: u32, out: &mut Vec<u8>) {
+        out.clear();
+        let mut text = |text: &[u8]| {
+            out.extend_from_slice(text);
+            let crc = crc16(text);
+            for shift in [12, 8, 4, 0] {
+                out.push(b"0123456789ABCDEF"[usize::from(crc >> shift & 15)]);
+            }
+            out.push(b'\r');
+        };
+        match request {
+            _ if request.starts_with(b"APIREV") => text(b"D.001.007"),
+            _ if request.starts_with(b"PHSR:04") => text(b"0101031"),
+            _ if request.starts_with(b"PHSR") => text(b"00"),
+            _ if !request.starts_with(b"BX:") => text(b"OKAY"),
+            _ => {
+                let at = |index: u32| (number * 3 + index * 200) as f32;
+                let mut block = [0; 1 + 42 + 1 + 32 + 255 * 12 + 2];
+                block[..3].copy_from_slice(&[1, 1, 1]);
+                block[39..43].copy_from_slice(&number.to_le_bytes());
+                block[43] = 255;
+                for index in 0..255 {
+                    let place = 76 + 12 * index as usize;
+                    block[place..place + 4].copy_from_slice(&at(index).to_le_bytes());
+                }
+                out.extend([0xC4, 0xA5]);
+                out.extend((block.len() as u16).to_le_bytes());
+                out.extend(crc16(out).to_le_bytes());
+                out.extend(block);
+                out.extend(crc16(&block).to_le_bytes());
+            }
+        }
+    }
+
+    /// One read: orders are carried out, and the answer comes.
+    fn ndi_read(
+        host: &mut NdiHost,
+        orders: &Orders,
+        now_ns: &mut u64,
+        wire: &mut Vec<u8>,
+    ) -> usize {
+        wire.clear();
+        while let Some(order) = orders.next_order() {
+            if let Order::Write { request, not_before_ns } = order {
+                *now_ns = not_before_ns.max(*now_ns) + 1_000_000;
+                ndi_answer(request.as_bytes(), (*now_ns / 16_000_000) as u32, wire);
+            }
+        }
+        orders.set_now_ns(*now_ns);
+        let mut heard = 0;
+        for piece in wire.chunks(1000) {
+            host.push(piece, &mut |event| {
+                if let DeviceEvent::Frame(frame) = event {
+                    heard += frame.markers.len();
+                }
+                black_box(event);
+            });
+        }
+        heard
+    }
+
+    #[test]
+    fn an_ndi_host_polls_without_allocating() {
+        let (desk, orders) = desk();
+        let mut host = NdiHost::new(desk, 9_600_000);
+        let (mut now_ns, mut wire) = (0, Vec::with_capacity(8192));
+        host.command(Command::Identify, &mut Vec::new());
+        host.command(Command::Start { line_bytes_per_s: 0 }, &mut Vec::new());
+        let mut heard = 0;
+        for _ in 0..200 {
+            heard += ndi_read(&mut host, &orders, &mut now_ns, &mut wire);
+        }
+        assert!(heard > 50 * 256, "{heard}");
+        let before = ALLOCATIONS.get();
+        let mut heard = 0;
+        for _ in 0..1_000 {
+            heard += ndi_read(&mut host, &orders, &mut now_ns, &mut wire);
+        }
+        assert!(heard > 500 * 256, "{heard}");
         assert_eq!(ALLOCATIONS.get(), before);
     }
 }

@@ -14,7 +14,7 @@ use std::{
 };
 
 use mocapd_simulator::{
-    device::{Device, DeviceSettings, SentLog},
+    device::{Device, DeviceSettings, LineDevice, SentLog},
     pty::{ServeOptions, serve_pty},
 };
 use mocapd_take::{TakeFrames, motion::FrameSource, motion::Motion};
@@ -39,7 +39,11 @@ impl Simulated {
     pub(super) fn start(motion: Motion, settings: DeviceSettings, baud: Option<u32>) -> Self {
         // A machine that is busy with other tests must not make the device drop frames.
         let settings = DeviceSettings { queue_bytes: Some(64 << 20), ..settings };
-        let mut device = Device::new(motion, settings).unwrap();
+        Self::serve(Device::new(motion, settings).unwrap(), baud)
+    }
+
+    /// Any device, as it is.
+    pub(super) fn serve(mut device: impl LineDevice + Send + 'static, baud: Option<u32>) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = Arc::clone(&stop);
         let (path_in, path) = crossbeam_channel::bounded(1);

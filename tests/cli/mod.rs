@@ -11,6 +11,7 @@ mod documents;
 mod exports;
 mod folder;
 mod imports;
+mod ndi;
 mod outputs;
 mod recording;
 mod unprivileged;

@@ -164,47 +164,37 @@ impl NdiHost {
     }
 
     fn listed(&mut self, kind: u8, handles: Vec<u8>) {
-        self.todo = handles;
-        // Taken from the end: in the device's order.
-        self.todo.reverse();
         match kind {
             FREE => self.rounds = 0,
-            INITIALIZE => {
-                self.rounds += 1;
-                if self.rounds > ROUNDS_MAX {
-                    self.todo.clear();
-                }
-            }
             ENABLED => self.table.clear(),
             _ => {}
         }
+        if kind == INITIALIZE {
+            self.rounds += 1;
+            if handles.is_empty() || self.rounds > ROUNDS_MAX {
+                self.ask_checked(Task::List(ENABLE), "PHSR:03");
+                return;
+            }
+        }
+        self.todo = handles;
+        // Taken from the end: in the device's order.
+        self.todo.reverse();
         self.next_handle(kind);
     }
 
     /// The next handle of a list, or the next list.
     fn next_handle(&mut self, kind: u8) {
-        let any_initialized = kind == INITIALIZE && self.todo.is_empty() && self.rounds > 0;
-        match (kind, self.todo.pop()) {
-            (FREE, Some(handle)) => {
-                self.ask_checked(Task::Free(handle), &format!("PHF:{handle:02X}"))
-            }
-            (FREE, None) => self.ask_checked(Task::List(INITIALIZE), "PHSR:02"),
-            (INITIALIZE, Some(handle)) => {
-                self.ask_checked(Task::Initialize(handle), &format!("PINIT:{handle:02X}"));
-            }
-            (INITIALIZE, None) if any_initialized => {
-                self.ask_checked(Task::List(ENABLE), "PHSR:03");
-            }
-            (INITIALIZE, None) => self.ask_checked(Task::List(INITIALIZE), "PHSR:02"),
-            (ENABLE, Some(handle)) => {
-                self.ask_checked(Task::Enable(handle), &format!("PENA:{handle:02X}D"));
-            }
-            (ENABLE, None) => self.ask_checked(Task::List(ENABLED), "PHSR:04"),
-            (_, Some(handle)) => {
-                self.ask_checked(Task::Info(handle), &format!("PHINF:{handle:02X}0005"));
-            }
-            (_, None) => self.ready(),
-        }
+        let (task, text) = match (kind, self.todo.pop()) {
+            (FREE, Some(handle)) => (Task::Free(handle), format!("PHF:{handle:02X}")),
+            (INITIALIZE, Some(handle)) => (Task::Initialize(handle), format!("PINIT:{handle:02X}")),
+            (ENABLE, Some(handle)) => (Task::Enable(handle), format!("PENA:{handle:02X}D")),
+            (_, Some(handle)) => (Task::Info(handle), format!("PHINF:{handle:02X}0005")),
+            // Initializing may have brought forth more.
+            (FREE | INITIALIZE, None) => (Task::List(INITIALIZE), "PHSR:02".to_owned()),
+            (ENABLE, None) => (Task::List(ENABLED), "PHSR:04".to_owned()),
+            (_, None) => return self.ready(),
+        };
+        self.ask_checked(task, &text);
     }
 
     fn ready(&mut self) {

@@ -107,6 +107,16 @@ pub(super) enum State {
     Tracking,
 }
 
+/// A ping that waits for the bring-up.
+#[derive(Debug, Clone, Copy)]
+struct Ping {
+    /// The host's time, which it gets back.
+    host_ns: u64,
+    /// When it was first said, and the answers that had come by then.
+    said_ns: u64,
+    messages: u64,
+}
+
 /// What the host asked for and has not got.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Owed {
@@ -114,8 +124,7 @@ pub(super) struct Owed {
     pub(super) start: bool,
     pub(super) stop: bool,
     set_rate: Option<u32>,
-    /// The host's time, and when it was said.
-    ping: Option<(u64, u64)>,
+    ping: Option<Ping>,
 }
 
 /// An NDI system as a [`Protocol`], sans-io.
@@ -374,8 +383,9 @@ impl NdiHost {
             }
         }
         let now_ns = self.desk.now_ns();
-        let Some((host_ns, said_ns)) = self.owed.ping else { return };
-        let waited = now_ns.saturating_sub(said_ns) > PING_WAITS_NS && self.counters.messages > 0;
+        let Some(Ping { host_ns, said_ns, messages }) = self.owed.ping else { return };
+        let waited =
+            now_ns.saturating_sub(said_ns) > PING_WAITS_NS && self.counters.messages > messages;
         if self.state == State::Ready || (self.state == State::BringUp && waited) {
             self.owed.ping = None;
             let device_ticks = self.run.last_ticks();
@@ -420,8 +430,14 @@ impl Protocol for NdiHost {
                 self.owed.stop = matches!(self.state, State::Ready | State::Tracking);
             }
             Command::SetRate(rate_mhz) => self.owed.set_rate = Some(rate_mhz),
+            // No command asks for the time: what a pong says is that the device is there, and while
+            // it tracks its frames say that.
+            Command::Ping { .. } if self.state == State::Tracking => {}
+            // Said again, it waits on.
+            Command::Ping { host_ns } if self.owed.ping.is_some_and(|p| p.host_ns == host_ns) => {}
             Command::Ping { host_ns } => {
-                self.owed.ping = Some((host_ns, self.desk.now_ns()));
+                let (said_ns, messages) = (self.desk.now_ns(), self.counters.messages);
+                self.owed.ping = Some(Ping { host_ns, said_ns, messages });
             }
         }
     }

@@ -1,0 +1,155 @@
+//! The bring-up, request by request.
+
+use mocapd_drivers::device::{Command, MarkerInfo};
+
+use super::script::{Script, text};
+
+#[test]
+fn a_vega_with_one_tool() {
+    let mut script = Script::new(|_| None);
+    script.say(Command::Identify);
+    script.read(60);
+    assert_eq!(
+        script.said,
+        [
+            "INIT:E3A5\r",
+            "COMM:60000000C\r",
+            "INIT:E3A5\r",
+            "VER:065EE\r",
+            "APIREV:443E\r",
+            "GET:Param.Tracking.Frame FrequencyEF07\r",
+            "GET:Param.Tracking.Track FrequencyDD48\r",
+            "PHSR:01E03E\r",
+            "PHSR:02E17E\r",
+            "PHSR:0321BF\r",
+            "PHSR:04E3FE\r",
+            "PHINF:0100050CAD\r",
+        ]
+    );
+    assert_eq!(script.bauds, [9_600, 921_600]);
+    let hello = script.hello.clone().unwrap();
+    assert_eq!(hello.model, "Polaris Vega Control Firmware");
+    assert_eq!((hello.serial.as_str(), hello.firmware.as_str()), ("P9-00123", "Polaris Vega 008"));
+    assert_eq!((hello.rate_mhz, hello.tick_hz), (60_000, 1_000_000_000));
+    let label = "8700449".to_owned();
+    assert_eq!(script.markers, [MarkerInfo { id: 1, label, labelled: true }]);
+    assert_eq!(script.counters().messages, 12);
+}
+
+#[test]
+fn handles_are_freed_initialized_and_enabled_in_turn() {
+    let mut lists = 0;
+    let mut script = Script::new(move |request| match request {
+        b"PHSR:01E03E\r" => Some(text("010B001")),
+        b"PHSR:02E17E\r" => {
+            // Initializing the first two brings forth a third.
+            lists += 1;
+            Some(text(["020A0010B001", "010C001", "00"][lists - 1]))
+        }
+        b"PHSR:0321BF\r" => Some(text("030A0110B0110C011")),
+        b"PHSR:04E3FE\r" => Some(text("030A0310B0310C031")),
+        _ if request.starts_with(b"PHINF:") => Some(text("02000000NDI         0010000000031")),
+        _ => None,
+    });
+    script.say(Command::Identify);
+    script.read(100);
+    let said: Vec<_> = script.said.iter().map(|s| &s[..s.len() - 5]).collect();
+    let from = said.iter().position(|said| *said == "PHSR:01").unwrap();
+    assert_eq!(
+        said[from..],
+        [
+            "PHSR:01",
+            "PHF:0B",
+            "PHSR:02",
+            "PINIT:0A",
+            "PINIT:0B",
+            "PHSR:02",
+            "PINIT:0C",
+            "PHSR:02",
+            "PHSR:03",
+            "PENA:0AD",
+            "PENA:0BD",
+            "PENA:0CD",
+            "PHSR:04",
+            "PHINF:0A0005",
+            "PHINF:0B0005",
+            "PHINF:0C0005",
+        ]
+    );
+    let labels: Vec<_> = script.markers.iter().map(|marker| marker.label.as_str()).collect();
+    assert_eq!(labels, ["port 0A", "port 0B", "port 0C"]);
+}
+
+#[test]
+fn an_old_system_has_no_bx2_and_its_clock_is_the_frame_number() {
+    for revision in [text("D.001.007"), text("G.002.009"), text("ERROR01")] {
+        let mut script = Script::new(move |request| match request {
+            b"APIREV:443E\r" => Some(revision.clone()),
+            b"GET:Param.Tracking.Track FrequencyDD48\r" => Some(text("ERROR01")),
+            b"GET:Param.Tracking.Frame FrequencyEF07\r" => Some(text("ERROR01")),
+            _ => None,
+        })
+        .started();
+        script.read(1);
+        let hello = script.hello.unwrap();
+        assert_eq!((hello.rate_mhz, hello.tick_hz), (60_000, 60_000));
+        assert!(script.said.contains(&"BX:10013E6C\r".to_owned()), "{:?}", script.said);
+    }
+}
+
+#[test]
+fn refusals_say_what_to_do() {
+    for (request, code, cannot, remedy) in [
+        ("PINIT:01", "ERROR13", "initialize the tool in port 01 (ERROR13)", "unplug the tool"),
+        ("PENA:01D", "ERROR0E", "enable the tool in port 01 (ERROR0E)", "plug the tool in again"),
+        ("PHSR:04", "ERROR10", "list its ports (ERROR10)", "switch it off and on again"),
+        ("VER:0", "ERROR19", "say who it is (ERROR19)", "serviced"),
+        ("PHINF:01", "ERROR7E", "describe the tool in port 01 (ERROR7E)", "user's guide"),
+        ("TSTART:", "ERROR12", "start tracking (ERROR12)", "error light"),
+    ] {
+        let mut listed = 0;
+        let mut script = Script::new(move |said| match said {
+            _ if said.starts_with(request.as_bytes()) => Some(text(code)),
+            b"PHSR:02E17E\r" => {
+                listed += 1;
+                Some(text(if listed == 1 { "0101001" } else { "00" }))
+            }
+            b"PHSR:0321BF\r" => Some(text("0101011")),
+            _ => None,
+        });
+        script.say(Command::Identify);
+        script.read(100);
+        script.say(Command::Start { line_bytes_per_s: 0 });
+        script.read(10);
+        let words = script.failed.clone().unwrap();
+        assert!(words.contains(cannot) && words.contains(remedy), "{words}");
+        let tries = script.said.iter().filter(|said| said.starts_with(request)).count();
+        assert_eq!(tries, 3, "{request}: {:?}", script.said);
+        // It begins anew when it is asked again.
+        script.said.clear();
+        script.say(Command::Identify);
+        script.read(1);
+        assert_eq!(script.said, ["INIT:E3A5\r"]);
+    }
+}
+
+#[test]
+fn a_break_is_tried_when_init_has_no_answer() {
+    let mut inits = 0;
+    let mut script = Script::new(move |request| match request {
+        b"INIT:E3A5\r" => {
+            inits += 1;
+            (inits == 1).then(Vec::new)
+        }
+        _ => None,
+    });
+    script.say(Command::Identify);
+    script.read(20);
+    assert_eq!(script.said, ["INIT:E3A5\r", "(break)"]);
+    // Nothing is said before the device has said RESET, or not.
+    script.read(40);
+    assert_eq!(script.said.len(), 2);
+    script.read(60);
+    assert_eq!(script.said[2], "INIT:E3A5\r");
+    assert_eq!(script.bauds[..3], [9_600, 9_600, 921_600]);
+}

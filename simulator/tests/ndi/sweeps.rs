@@ -1,0 +1,153 @@
+//! Bytes that no device should send: nothing panics, nothing hangs, nothing grows.
+
+use mocapd_drivers::device::{Command, Protocol};
+use mocapd_simulator::device::LineDevice;
+use mocapd_simulator::ndi::{NdiDevice, NdiSettings};
+
+use super::bench::{Bench, MS, assert_is_row, jump, settings};
+use super::damage::Dice;
+
+#[test]
+fn every_single_byte_of_an_answer_can_be_wrong() {
+    let motion = jump(12, 60.0, 3.0);
+    for bx2 in [true, false] {
+        let settings = NdiSettings { looping: true, ..settings(&["head"], bx2) };
+        let mut bench = Bench::new(motion.clone(), settings, 921_600);
+        bench.identify();
+        bench.start();
+        bench.run_for(200 * MS);
+        let mut at = 0;
+        let mut flip = 0;
+        let mut turn = 0;
+        bench.damage = Box::new(move |answer| {
+            // Every third answer, so that the device is not given up.
+            turn += 1;
+            if turn % 3 == 0 && answer.starts_with(&[0xC4]) {
+                let n = answer.len();
+                answer[at % n] ^= [0x01, 0x80, 0xFF, 0x5A][flip % 4];
+                at += 1;
+                flip += usize::from(at % n == 0);
+            }
+        });
+        bench.run_for(60_000 * MS);
+        assert_eq!(bench.hellos.len(), 1);
+        assert!(bench.host.counters().messages_damaged > 500);
+        let head = motion.info.markers.iter().position(|m| m.label == "head").unwrap();
+        for heard in &bench.frames {
+            let row = motion.frame(heard.seq as usize % motion.n_frames());
+            assert_is_row(heard, row, &[(1, head)]);
+        }
+    }
+}
+
+#[test]
+fn a_device_that_babbles_is_bounded_and_recovers() {
+    for seed in 1..=40 {
+        let settings = NdiSettings { looping: true, ..settings(&["head"], true) };
+        let mut bench = Bench::new(jump(12, 60.0, 1.0), settings, 921_600);
+        let mut dice = Dice(seed);
+        bench.damage = Box::new(move |answer| {
+            // Garbage before, behind and in the place of answers, up to more than any answer has.
+            match dice.below(4) {
+                0 => {}
+                1 => answer.extend((0..dice.below(5_000)).map(|_| dice.below(256) as u8)),
+                2 => *answer = (0..dice.below(200_000)).map(|_| dice.below(256) as u8).collect(),
+                _ => *answer = vec![[0xC4, 0xC8, b'\r', 0xA5][dice.below(4)]; dice.below(1_000)],
+            }
+        });
+        bench.say(Command::Identify);
+        bench.say(Command::Start { line_bytes_per_s: 0 });
+        bench.run_for(30_000 * MS);
+        bench.damage = Box::new(|_| {});
+        bench.failed = None;
+        bench.say(Command::Identify);
+        let hellos = bench.hellos.len();
+        bench.run_until(|bench| bench.hellos.len() > hellos);
+        bench.start();
+        let frames = bench.frames.len();
+        bench.run_until(|bench| bench.frames.len() > frames + 10);
+    }
+}
+
+#[test]
+fn any_bytes_may_come_from_a_host() {
+    for seed in 1..=60 {
+        let mut dice = Dice(seed);
+        let settings = NdiSettings { looping: true, ..settings(&["head"], true) };
+        let mut device = NdiDevice::new(jump(12, 60.0, 1.0), settings).unwrap();
+        let words = [
+            "INIT:E3A5\r",
+            "TSTART:",
+            "TSTOP:",
+            "BX:",
+            "BX2 ",
+            "TX:1001",
+            "PHSR:02",
+            "PVWR:0A0000",
+            "PHRQ:*********1****",
+            "PHINF:01FFFF",
+            "PENA:01D",
+            "COMM:6",
+            "VER:0",
+            "\r",
+            "RESET:",
+            "\0",
+            "GETINFO:Features.Firmware.Version0492\r",
+            "PHF:0A",
+            "é",
+            "  ",
+            "::",
+            "FFFF",
+            "SET:=",
+        ];
+        let mut now_ns = 0;
+        for _ in 0..4_000 {
+            let mut bytes = words[dice.below(words.len())].as_bytes().to_vec();
+            if dice.below(3) == 0 {
+                let crc = mocapd_drivers::ndi::crc16(&bytes);
+                bytes.extend(format!("{crc:04X}\r").into_bytes());
+            }
+            if dice.below(10) == 0 {
+                bytes.extend((0..dice.below(3_000)).map(|_| dice.below(256) as u8));
+            }
+            device.on_bytes(&bytes, now_ns);
+            now_ns += dice.below(30) as u64 * MS;
+            device.poll(now_ns);
+            if dice.below(50) == 0 {
+                device.on_break(now_ns);
+            }
+            // A host that reads nothing for a while must not make it grow.
+            assert!(device.pending().len() < 200_000);
+            if dice.below(20) == 0 {
+                let n = device.pending().len();
+                device.sent(n);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_host_that_is_told_nothing_and_everything_in_any_order() {
+    for seed in 1..=60 {
+        let mut dice = Dice(seed * 77);
+        let settings = NdiSettings { looping: true, ..settings(&["head"], true) };
+        let mut bench = Bench::new(jump(12, 60.0, 1.0), settings, 921_600);
+        for turn in 0..600 {
+            match dice.below(8) {
+                0 => bench.say(Command::Identify),
+                1 => bench.say(Command::Start { line_bytes_per_s: 0 }),
+                2 => bench.say(Command::Stop),
+                3 => bench.say(Command::Ping { host_ns: turn }),
+                4 => bench.say(Command::SetRate(60_000)),
+                5 => bench.device.on_break(bench.now_ns),
+                _ => bench.run_for(dice.below(300) as u64 * MS),
+            }
+        }
+        bench.say(Command::Stop);
+        bench.run_for(4_000 * MS);
+        bench.say(Command::Identify);
+        let hellos = bench.hellos.len();
+        bench.run_until(|bench| bench.hellos.len() > hellos);
+        assert!(bench.host.counters().bytes > 0);
+    }
+}
