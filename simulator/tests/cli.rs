@@ -96,6 +96,11 @@ fn refused_values_exit_2_and_failures_1() {
         &["a.csv", "--pty", "--markers", "3"],
         &["a.csv", "--generate", "jump", "--pty"],
         &["--pty"],
+        &["--generate", "jump", "--pty", "--tool", "head"],
+        &["--generate", "jump", "--pty", "--no-bx2"],
+        &["--generate", "jump", "--pty", "--protocol", "vicon"],
+        &["--generate", "jump", "--pty", "--protocol", "ndi", "--wire", "um"],
+        &["--generate", "jump", "--pty", "--protocol", "ndi", "--tool", "nobody"],
     ] {
         fails(bad, 2);
     }

@@ -24,7 +24,8 @@ const SEARCH: [Option<u32>; 10] = [
     Some(14_400),
 ];
 
-/// How long `INIT:` may take while the speed is a guess, milliseconds.
+/// How long `INIT:` may take while the speed is a guess, milliseconds; twice as long each time that all
+/// guesses were wrong, up to four times.
 const SEEK_MS: u64 = 200;
 
 /// How long a reset by break may take. The vendor's guide gives no bound; a Vicra needs less.
@@ -69,11 +70,12 @@ impl NdiHost {
     }
 
     fn seek(&mut self, step: usize) {
-        let step = step % SEARCH.len();
-        match SEARCH[step] {
+        let round = step / SEARCH.len();
+        match SEARCH[step % SEARCH.len()] {
             Some(baud) => {
                 self.set_baud(baud);
-                self.ask(Task::Seek(step), checked("INIT:"), SEEK_MS, 0);
+                let patience_ms = SEEK_MS << round.min(2);
+                self.ask(Task::Seek(step), checked("INIT:"), patience_ms, 0);
             }
             None => {
                 self.set_baud(BAUD_AT_RESET);

@@ -30,6 +30,13 @@ const QUIET_NS: u64 = 20 * MS;
 /// 921600 baud.
 const BABBLE_NS: u64 = 2_000 * MS;
 
+/// The same while the device is looked for: none of what it says then is long.
+const BABBLE_SEEKING_NS: u64 = 300 * MS;
+
+/// The longest answer while the device is looked for has 12 bytes, `ERRORxx` with its checksum; the rest
+/// is room for what stood on the line before.
+const SEEKING_BYTES_MAX: usize = 64;
+
 /// How often a request is said before its silence, or its refusal, counts.
 const TRIES: u32 = 3;
 
@@ -248,9 +255,9 @@ impl NdiHost {
             if now_ns - last_byte_ns >= QUIET_NS {
                 self.drain = None;
                 self.again(on_event);
-            } else if now_ns - since_ns > BABBLE_NS {
+            } else if now_ns - since_ns > self.babble_ns() {
                 self.drain = None;
-                self.seek_anew();
+                self.babbled(on_event);
             }
             return;
         }
@@ -260,7 +267,9 @@ impl NdiHost {
         };
         if !bytes.is_empty() {
             asked.active_ns = asked.active_ns.max(now_ns);
-            if self.reply.extend(bytes) {
+            let fits = self.reply.extend(bytes)
+                && (!self.is_seeking() || self.reply.len() <= SEEKING_BYTES_MAX);
+            if fits {
                 self.look(on_event);
             } else {
                 self.damaged(now_ns);
@@ -271,6 +280,24 @@ impl NdiHost {
                 self.count_damage();
             }
             self.again(on_event);
+        }
+    }
+
+    fn is_seeking(&self) -> bool {
+        matches!(self.asked, Some(Asked { task: Task::Seek(_) | Task::Break(_) | Task::Check, .. }))
+    }
+
+    fn babble_ns(&self) -> u64 {
+        if self.is_seeking() { BABBLE_SEEKING_NS } else { BABBLE_NS }
+    }
+
+    /// It sends without being asked: at the wrong speed, or because it is something else.
+    fn babbled(&mut self, on_event: &mut dyn FnMut(DeviceEvent<'_>)) {
+        match self.asked.take() {
+            Some(Asked { task: task @ (Task::Seek(_) | Task::Break(_) | Task::Check), .. }) => {
+                self.done(task, Outcome::Silence, on_event);
+            }
+            _ => self.seek_anew(),
         }
     }
 
@@ -320,10 +347,7 @@ impl NdiHost {
     fn count_damage(&mut self) {
         self.counters.bytes_skipped += self.reply.len() as u64;
         // While the speed is not known yet, damage is what wrong guesses look like.
-        if !matches!(
-            self.asked,
-            Some(Asked { task: Task::Seek(_) | Task::Break(_) | Task::Check, .. })
-        ) {
+        if !self.is_seeking() {
             self.counters.messages_damaged += 1;
         }
         self.reply.clear();

@@ -19,3 +19,19 @@ fn the_guides_known_answers() {
     assert_eq!(text("OKAY"), b"OKAYA896\r");
     assert_eq!(text("RESET"), b"RESETBE6F\r");
 }
+
+#[test]
+fn the_known_answers_of_the_page() {
+    let page = include_str!("../../../docs/ndi.md");
+    let section =
+        page.split("### Known answers").nth(1).and_then(|rest| rest.split("\n## ").next());
+    let mut n_checked = 0;
+    for row in section.unwrap().lines().filter(|line| line.starts_with('|')) {
+        for wire in row.split('`').skip(1).step_by(2) {
+            let (said, digits) = wire.split_at(wire.len() - 4);
+            assert_eq!(format!("{:04X}", crc16(said.as_bytes())), digits, "{wire}");
+            n_checked += 1;
+        }
+    }
+    assert_eq!(n_checked, 10);
+}

@@ -9,7 +9,7 @@ use mocapd_drivers::transport::serial::SerialTransport;
 use mocapd_take::motion::Motion;
 
 use super::*;
-use crate::device::DeviceSettings;
+use crate::device::{Device, DeviceSettings};
 use crate::generator::JumpSpec;
 
 /// Generous: the machine may be busy with anything.

@@ -35,6 +35,8 @@ pub(super) struct Bench {
     pub(super) breaks: u32,
     /// Above this the line garbles every byte.
     pub(super) line_baud_max: u32,
+    /// Something else sends without an end.
+    pub(super) chatter: bool,
     /// What happens to answers on their way.
     pub(super) damage: Box<dyn FnMut(&mut Vec<u8>)>,
     on_the_way: Vec<u8>,
@@ -66,6 +68,7 @@ impl Bench {
             has_break: true,
             breaks: 0,
             line_baud_max: u32::MAX,
+            chatter: false,
             damage: Box::new(|_| {}),
             on_the_way: Vec::new(),
             requests: Vec::new(),
@@ -187,6 +190,11 @@ impl Bench {
             (self.damage)(&mut answer);
             self.now_ns += answer.len() as u64 * 10_000 * MS / baud / 2;
             self.on_the_way.append(&mut answer);
+        }
+        if self.chatter {
+            self.now_ns += MS;
+            self.on_the_way.clear();
+            return (0..90_u8).map(|byte| byte.wrapping_mul(29)).collect();
         }
         if self.on_the_way.is_empty() {
             self.now_ns += READ_NS;

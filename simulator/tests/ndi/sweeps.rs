@@ -151,3 +151,19 @@ fn a_host_that_is_told_nothing_and_everything_in_any_order() {
         assert!(bench.host.counters().bytes > 0);
     }
 }
+
+#[test]
+fn another_kind_of_device_that_streams_is_not_taken_for_one_and_does_not_hold_the_search_up() {
+    let mut bench = Bench::new(jump(12, 60.0, 1.0), settings(&["head"], true), 921_600);
+    bench.device.on_bytes(b"INIT:E3A5\r", 0);
+    // What crosses the line is never what was said, and it never ends.
+    bench.chatter = true;
+    bench.say(Command::Identify);
+    bench.run_for(5_000 * MS);
+    let counters = bench.host.counters();
+    assert!(bench.hellos.is_empty() && bench.failed.is_none());
+    assert!(counters.messages == 0 && counters.bytes_skipped > 100_000, "{counters:?}");
+    assert!(bench.breaks >= 1 && bench.requests.len() >= 9, "{:?}", bench.requests_as_text());
+    bench.chatter = false;
+    bench.identify();
+}
