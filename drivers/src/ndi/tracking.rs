@@ -1,8 +1,10 @@
 //! Frames: asked for one by one, numbered as the device numbers them.
 
 use super::{
-    bx, gbf,
-    host::{NdiHost, Outcome, State, Task},
+    bx,
+    exchange::Outcome,
+    gbf,
+    host::{NdiHost, State, Task},
     request::checked,
 };
 use crate::{

@@ -23,6 +23,9 @@ pub(super) struct Heard {
     pub(super) markers: Vec<MarkerSample>,
 }
 
+/// What a line does to an answer.
+type Damage = Box<dyn FnMut(&mut Vec<u8>)>;
+
 pub(super) struct Bench {
     pub(super) device: NdiDevice,
     pub(super) host: NdiHost,
@@ -38,7 +41,7 @@ pub(super) struct Bench {
     /// Something else sends without an end.
     pub(super) chatter: bool,
     /// What happens to answers on their way.
-    pub(super) damage: Box<dyn FnMut(&mut Vec<u8>)>,
+    pub(super) damage: Damage,
     on_the_way: Vec<u8>,
     /// Every request, as it was written.
     pub(super) requests: Vec<Vec<u8>>,

@@ -2,6 +2,7 @@
 
 use mocapd_drivers::device::{Command, Protocol};
 use mocapd_drivers::ndi::BAUDS;
+use mocapd_drivers::transport::turns::Request;
 use mocapd_simulator::device::LineDevice;
 use mocapd_simulator::ndi::NdiSettings;
 
@@ -62,7 +63,7 @@ fn a_device_that_was_just_switched_on() {
         ]
     );
     bench.read();
-    let farewell: Vec<_> = bench.farewell.iter().map(|request| request.as_bytes()).collect();
+    let farewell: Vec<_> = bench.farewell.iter().map(Request::as_bytes).collect();
     assert_eq!(farewell, [b"COMM:000000084\r"]);
     assert!(bench.now_ns < 1_000 * MS, "{} ns", bench.now_ns);
 }

@@ -2,6 +2,7 @@
 
 use mocapd_drivers::device::{Command, Protocol};
 use mocapd_drivers::ndi::crc16;
+use mocapd_drivers::transport::turns::Request;
 use mocapd_simulator::device::LineDevice;
 use mocapd_simulator::ndi::NdiSettings;
 
@@ -50,7 +51,7 @@ fn a_stop_ends_it_and_a_start_begins_again() {
     for run in 1..=3 {
         bench.start();
         bench.run_for(3_000 * MS);
-        let farewell: Vec<_> = bench.farewell.iter().map(|request| request.as_bytes()).collect();
+        let farewell: Vec<_> = bench.farewell.iter().map(Request::as_bytes).collect();
         assert_eq!(farewell, [&b"TSTOP:2C14\r"[..], b"COMM:000000084\r"]);
         bench.say(Command::Stop);
         bench.run_until(|bench| bench.end.is_some());
