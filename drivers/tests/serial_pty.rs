@@ -74,6 +74,23 @@ mod serial_pty {
     }
 
     #[test]
+    fn the_speed_changes_while_it_is_open_and_a_pty_has_no_break_that_matters() {
+        let (mut device, path) = pty();
+        let mut host = SerialTransport::open(&path, Some(9_600)).unwrap();
+        host.write_all(b"before").unwrap();
+        for baud in [921_600, 1_228_739] {
+            host.set_baud(baud).unwrap();
+            assert_eq!(host.line_bytes_per_s(), Some(u64::from(baud) / 10));
+            assert!(host.describe().contains(&format!("{baud} baud")), "{}", host.describe());
+        }
+        host.send_break().unwrap();
+        host.write_all(b"after").unwrap();
+        let mut got = [0; 11];
+        device.read_exact(&mut got).unwrap();
+        assert_eq!(&got, b"beforeafter");
+    }
+
+    #[test]
     fn a_vanished_device_is_disconnected() {
         let (device, path) = pty();
         let mut host = SerialTransport::open(&path, None).unwrap();

@@ -110,8 +110,11 @@ mod tests {
         let port =
             Candidate::at("serial:/dev/ttyUSB0".parse::<crate::uri::DeviceUri>().unwrap().location);
         assert_eq!(family_of(&port).unwrap().1, Claim::Possible);
-        let named = Candidate { product: Some("DVMC-8820".to_owned()), ..port };
+        let named = Candidate { product: Some("DVMC-8820".to_owned()), ..port.clone() };
         assert_eq!(family_of(&named).unwrap().1, Claim::Certain);
+        let adapter = Candidate { product: Some("NDI Host USB Converter".to_owned()), ..named };
+        let (family, claim) = family_of(&adapter).unwrap();
+        assert_eq!((family.name(), claim), ("ndi", Claim::Certain));
         let mouse = Candidate {
             product: Some("Optical Mouse".to_owned()),
             ..Candidate::at(Location::Usb { vid: 0x046d, pid: 0xc077, serial: None })
