@@ -173,6 +173,9 @@ pub struct LinkCounters {
 /// Frames are decoded without allocating; what is rare (a table, a Hello) may allocate.
 pub trait Protocol: Send + std::fmt::Debug {
     /// Takes bytes as they arrived, in pieces of any size, and gives every event they complete.
+    ///
+    /// It is called after every read, also one that brought nothing: a protocol that waits for
+    /// answers sees then that time has passed.
     fn push(&mut self, bytes: &[u8], on_event: &mut dyn FnMut(DeviceEvent<'_>));
 
     /// Appends the bytes that say `command`.

@@ -209,3 +209,48 @@ fn a_device_that_left_tracking_by_itself_has_ended() {
     script.read(2);
     assert_eq!(script.said.iter().filter(|said| *said == "TSTART:5423\r").count(), 2);
 }
+
+#[test]
+fn any_block_may_come_under_a_good_checksum() {
+    for (bx2, good) in [(true, bx2_block(&[frame_item(5, 0, 0)])), (false, bx_block(5))] {
+        let (mut state, mut turn) = (0x9E37_79B9_7F4A_7C15_u64, 0);
+        let mut dice = move |n: usize| {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (state >> 20) as usize % n
+        };
+        let mut script = Script::new(move |request| {
+            if request.starts_with(b"APIREV") && !bx2 {
+                return Some(text("D.001.007"));
+            }
+            if !request.starts_with(b"BX") {
+                return None;
+            }
+            turn += 1;
+            let mut block = good.clone();
+            if turn % 3 > 0 {
+                for _ in 0..=dice(4) {
+                    let at = dice(block.len());
+                    match dice(5) {
+                        0 => block[at] = 0xFF,
+                        1 => block[at] = dice(256) as u8,
+                        2 => block.truncate(at + 1),
+                        3 => block.insert(at, dice(256) as u8),
+                        _ => block.extend((0..dice(300)).map(|_| dice(256) as u8)),
+                    }
+                }
+            }
+            Some(binary(&block))
+        })
+        .started();
+        script.read(60_000);
+        assert!(script.failed.is_none());
+        let counters = script.counters();
+        assert!(counters.messages_damaged > 2_000 && counters.messages > 10_000, "{counters:?}");
+        for (_, _, markers) in &script.frames {
+            assert!(markers.iter().all(|m| m.position_mm.iter().all(|v| v.is_finite())));
+            assert!(markers.len() < 6_000, "more than a block has room for");
+        }
+    }
+}
