@@ -32,23 +32,45 @@ const REFUSED_PAUSE_NS: u64 = 10_000_000;
 /// Bytes of a binary answer around its block.
 const AROUND_BYTES: usize = 6 + 2;
 
-/// From a Start to its end.
+/// A number this far ahead is loss, and one this far behind came late; anything else is a counter that
+/// began anew. The same holds where frames are put on record.
+const AHEAD_MAX: i32 = 1 << 20;
+const LATE_MIN: i32 = -64;
+
+/// From a Start to its end; a system that is lost and found again in between goes on with it.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Run {
-    /// The first frame's number and the last one's, in tracked frames.
-    numbers: Option<(u32, u32)>,
+    /// The last frame's number, in tracked frames.
+    last: Option<u32>,
+    /// Frames as far as their numbers tell, those that did not come too.
+    produced: u64,
     ticks: u64,
     started: bool,
 }
 
 impl Run {
-    pub(super) fn status(&self) -> Status {
-        let n_frames = self.numbers.map_or(0, |(first, last)| last.wrapping_sub(first) + 1);
-        Status {
-            frames_produced: u64::from(n_frames),
-            frames_dropped: 0,
-            temperature_c_100: i16::MIN,
+    /// Before a Start.
+    fn begin(&mut self) {
+        if !self.started {
+            *self = Self { ticks: self.ticks, started: true, ..Self::default() };
         }
+    }
+
+    /// A frame came; by how many it is ahead of the last one.
+    fn frame(&mut self, number: u32, ticks: u64) -> u32 {
+        let ahead = self.last.map_or(1, |last| number.wrapping_sub(last).cast_signed());
+        let counted = match ahead {
+            1..=AHEAD_MAX => ahead as u32,
+            LATE_MIN..=0 if ticks <= self.ticks => 0,
+            _ => 1,
+        };
+        self.produced += u64::from(counted);
+        (self.last, self.ticks) = (Some(number), ticks);
+        counted
+    }
+
+    pub(super) fn status(&self) -> Status {
+        Status { frames_produced: self.produced, frames_dropped: 0, temperature_c_100: i16::MIN }
     }
 
     /// The device's clock at the last frame; 0 before the first.
@@ -86,7 +108,7 @@ impl NdiHost {
                 self.state = State::Tracking;
                 self.farewell(true);
                 let rate_hz = f64::from(self.hello.rate_mhz) / 1000.0;
-                self.run = Run { ticks: self.run.ticks, started: true, ..Run::default() };
+                self.run.begin();
                 self.strays.restart(rate_hz);
                 self.pace.restart((1e9 / rate_hz) as u64, self.desk.now_ns());
                 on_event(DeviceEvent::Started(self.budget()));
@@ -138,12 +160,12 @@ impl NdiHost {
             // Said again: the answer was late, not the command.
             on_event(DeviceEvent::Started(self.budget()));
         }
-        let number = self.seen.number.map(|number| number / self.divisor);
-        let last = self.run.numbers.map(|(_, last)| last);
-        match number {
-            Some(number) if Some(number) != last => {
-                let after_last = last.map_or(1, |last| number.wrapping_sub(last));
-                self.pace.new_frame(after_last, now_ns);
+        match self.seen.number.map(|number| number / self.divisor) {
+            Some(number) if Some(number) != self.run.last => {
+                // The clock of BX is its frame number, in ticks of a thousandth of a frame.
+                let by_number = u64::from(self.seen.number.unwrap_or(0)) * 1000;
+                let ahead = self.run.frame(number, self.seen.time_ns.unwrap_or(by_number));
+                self.pace.new_frame(ahead, now_ns);
                 self.emit(number, on_event);
             }
             // The same frame again, or none yet.
@@ -153,11 +175,6 @@ impl NdiHost {
     }
 
     fn emit(&mut self, number: u32, on_event: &mut dyn FnMut(DeviceEvent<'_>)) {
-        let first = self.run.numbers.map_or(number, |(first, _)| first);
-        self.run.numbers = Some((first, number));
-        // The clock of BX is its frame number, in ticks of a thousandth of a frame.
-        let by_number = u64::from(self.seen.number.unwrap_or(0)) * 1000;
-        self.run.ticks = self.seen.time_ns.unwrap_or(by_number);
         self.counters.samples_not_finite += self.seen.not_finite;
         self.samples.clear();
         self.samples.extend_from_slice(&self.seen.tools);
