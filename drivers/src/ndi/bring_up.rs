@@ -36,6 +36,18 @@ const BREAK_MS: u64 = 1_500;
 /// How long a command of the bring-up may take: initializing a tool reads its memory.
 const ANSWER_MS: u64 = 2_000;
 
+/// Between two guesses.
+const SEEK_PAUSE_NS: u64 = 20 * MS;
+
+/// How long the first answer at a new speed may take to begin.
+const CHECK_MS: u64 = 500;
+
+/// Characters of an answer that an error quotes.
+const SAID_CHARS: usize = 40;
+
+/// The error of what does not fit the mode the device is in.
+const WRONG_MODE: u8 = 0x0C;
+
 /// How long device and adapter need for a new speed.
 const SETTLE_NS: u64 = 100 * MS;
 
@@ -58,6 +70,7 @@ impl NdiHost {
     /// Looks for a device on a line on which nothing was said yet.
     pub(super) fn seek_first(&mut self) {
         self.state = State::BringUp;
+        self.rounds = 0;
         self.seek(0);
     }
 
@@ -67,7 +80,7 @@ impl NdiHost {
         self.owed.hello = true;
         self.owed.start = false;
         self.owed.stop = false;
-        self.polls_lost = 0;
+        (self.polls_lost, self.rounds) = (0, 0);
         self.seek(0);
     }
 
@@ -77,7 +90,9 @@ impl NdiHost {
             Some(baud) => {
                 self.set_baud(baud);
                 let patience_ms = SEEK_MS << round.min(2);
-                self.ask(Task::Seek(step), checked("INIT:"), patience_ms, 0);
+                // What answers everything at once, and wrongly, must not make us spin.
+                let not_before_ns = self.desk.now_ns() + if step > 0 { SEEK_PAUSE_NS } else { 0 };
+                self.ask(Task::Seek(step), checked("INIT:"), patience_ms, not_before_ns);
             }
             None => {
                 self.set_baud(BAUD_AT_RESET);
@@ -99,6 +114,13 @@ impl NdiHost {
     pub(super) fn brought_up(&mut self, task: Task, outcome: Outcome<'_>) {
         match (task, outcome) {
             (Task::Seek(_), Outcome::Text("OKAY")) => self.faster(self.ceiling),
+            // It tracks for a host that was killed.
+            (Task::Seek(_), Outcome::Refused(WRONG_MODE)) if self.rounds == 0 => {
+                self.rounds += 1;
+                self.ask_checked(Task::Release, "TSTOP:");
+            }
+            (Task::Release, _) => self.ask_checked(Task::Seek(0), "INIT:"),
+            (Task::Seek(_), Outcome::Refused(code)) => self.fail_refused("initialize itself", code),
             (Task::Seek(step), _) => self.seek(step + 1),
             (Task::Break(_), Outcome::Text("RESET")) => {
                 let not_before_ns = self.desk.now_ns() + SETTLE_NS;
@@ -108,20 +130,24 @@ impl NdiHost {
             (Task::Comm(place), Outcome::Text("OKAY")) => {
                 self.set_baud(BAUDS[place].0);
                 let not_before_ns = self.desk.now_ns() + SETTLE_NS;
-                self.ask(Task::Check, checked("INIT:"), SEEK_MS, not_before_ns);
+                self.ask(Task::Check, checked("VER:0"), CHECK_MS, not_before_ns);
             }
             (Task::Comm(place), Outcome::Refused(_)) => self.faster(place.saturating_sub(1)),
-            (Task::Check, Outcome::Text("OKAY")) => self.ask_checked(Task::Version, "VER:0"),
+            // Whatever it says of itself, its checksum was right.
+            (Task::Check | Task::Version, Outcome::Text(text)) => {
+                self.hello = hello(text);
+                self.ask_checked(Task::ApiRevision, "APIREV:");
+            }
+            (Task::Check | Task::Version, Outcome::Refused(_)) => {
+                self.hello = hello("NDI system");
+                self.ask_checked(Task::ApiRevision, "APIREV:");
+            }
             (Task::Comm(_) | Task::Check, _) => {
                 // One of the two cannot run at that speed: back to the start, and no further up.
                 self.ceiling = self.ceiling.saturating_sub(1);
                 self.seek(1);
             }
             (_, Outcome::Silence) => self.seek_anew(),
-            (Task::Version, Outcome::Text(text)) => {
-                self.hello = hello(text);
-                self.ask_checked(Task::ApiRevision, "APIREV:");
-            }
             (Task::ApiRevision, _) => {
                 self.bx2 = matches!(outcome, Outcome::Text(text) if has_bx2(text));
                 self.ask_checked(Task::FrameFrequency, "GET:Param.Tracking.Frame Frequency");
@@ -143,10 +169,18 @@ impl NdiHost {
             }
             (Task::List(kind), Outcome::Text(text)) => match tools::handles(text) {
                 Some(handles) => self.listed(kind, handles),
-                None => self.fail(format!("the NDI system lists its ports as '{text}', which is no list: update its firmware")),
+                None => {
+                    let said: String = text.chars().take(SAID_CHARS).collect();
+                    self.fail(format!(
+                        "the NDI system lists its ports as '{}', which is no list: update its firmware",
+                        said.escape_debug()
+                    ));
+                }
             },
-            (Task::Info(handle), Outcome::Text(text)) => {
-                self.table.push(tools::marker(handle, text, &self.table));
+            (Task::Info(handle), _) => {
+                // A tool that is not described is known by its port.
+                let info = if let Outcome::Text(text) = outcome { text } else { "" };
+                self.table.push(tools::marker(handle, info, &self.table));
                 self.next_handle(ENABLED);
             }
             (Task::Free(_), Outcome::Text(_)) => self.next_handle(FREE),

@@ -137,7 +137,7 @@ impl NdiHost {
         if !bytes.is_empty() {
             asked.active_ns = asked.active_ns.max(now_ns);
             let fits = self.reply.extend(bytes)
-                && (!self.is_seeking() || self.reply.len() <= SEEKING_BYTES_MAX);
+                && (!self.is_guessing() || self.reply.len() <= SEEKING_BYTES_MAX);
             if fits {
                 self.look(on_event);
             } else {
@@ -152,8 +152,13 @@ impl NdiHost {
         }
     }
 
+    /// No speed is known at which it answers.
+    fn is_guessing(&self) -> bool {
+        matches!(self.asked, Some(Asked { task: Task::Seek(_) | Task::Break(_), .. }))
+    }
+
     fn is_seeking(&self) -> bool {
-        matches!(self.asked, Some(Asked { task: Task::Seek(_) | Task::Break(_) | Task::Check, .. }))
+        self.is_guessing() || self.asked.is_some_and(|asked| asked.task == Task::Check)
     }
 
     fn babble_ns(&self) -> u64 {

@@ -33,7 +33,9 @@ pub(super) enum Task {
     Break(usize),
     /// Another speed, by its place in `BAUDS`.
     Comm(usize),
-    /// Does it answer at the new speed?
+    /// It must leave tracking before it can be initialized.
+    Release,
+    /// Does it answer at the new speed, and with what?
     Check,
     Version,
     ApiRevision,

@@ -6,11 +6,9 @@ use crate::device::Hello;
 /// What a request was to do, for people.
 pub(super) fn what(task: Task) -> String {
     match task {
-        Task::Version => "say who it is".to_owned(),
         Task::Free(handle) => format!("free port {handle:02X}"),
         Task::Initialize(handle) => format!("initialize the tool in port {handle:02X}"),
         Task::Enable(handle) => format!("enable the tool in port {handle:02X}"),
-        Task::Info(handle) => format!("describe the tool in port {handle:02X}"),
         _ => "list its ports".to_owned(),
     }
 }

@@ -12,7 +12,7 @@ use crate::{
     link::link_budget,
 };
 
-/// The error of a poll after which the device is not tracking any more.
+/// The error of a poll after which the device is not tracking any more, and of a start when it is.
 pub(super) const NOT_TRACKING: u8 = 0x0C;
 
 /// The error of everything after a reset, and what a reset says.
@@ -104,7 +104,8 @@ impl NdiHost {
         on_event: &mut dyn FnMut(DeviceEvent<'_>),
     ) {
         match (task, outcome) {
-            (Task::Start, Outcome::Text(_)) => {
+            // It may have heard an earlier one, whose answer was lost.
+            (Task::Start, Outcome::Text(_) | Outcome::Refused(NOT_TRACKING)) => {
                 self.state = State::Tracking;
                 self.farewell(true);
                 let rate_hz = f64::from(self.hello.rate_mhz) / 1000.0;
@@ -129,7 +130,10 @@ impl NdiHost {
             }
             (Task::Start, Outcome::Refused(code)) => self.fail_refused("start tracking", code),
             // A text where a block belongs: the answer to something else.
-            (Task::Poll, Outcome::Text(text)) if text != RESET => self.next_poll(),
+            (Task::Poll, Outcome::Text(text)) if text != RESET => {
+                self.pace.nothing_new(self.desk.now_ns());
+                self.next_poll();
+            }
             // Silence, or it was reset: it is set up again, and said to have begun anew.
             _ => self.seek_anew(),
         }

@@ -52,6 +52,10 @@ impl Script {
         self.host.counters()
     }
 
+    pub(super) fn now_ns(&self) -> u64 {
+        self.now_ns
+    }
+
     /// Reads so often; a read that brings nothing takes 20 ms.
     pub(super) fn read(&mut self, times: usize) {
         for _ in 0..times {
@@ -70,7 +74,7 @@ impl Script {
                     Order::Fail(words) => self.failed = Some(words),
                 }
             }
-            self.now_ns += if bytes.is_empty() { 20 * MS } else { MS };
+            self.now_ns += if bytes.is_empty() { 20 * MS } else { MS / 10 };
             self.orders.set_now_ns(self.now_ns);
             let Self { hello, markers, frames, ended, .. } = self;
             self.host.push(&bytes, &mut |event| match event {

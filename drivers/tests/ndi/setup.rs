@@ -14,7 +14,6 @@ fn a_vega_with_one_tool() {
         [
             "INIT:E3A5\r",
             "COMM:60000000C\r",
-            "INIT:E3A5\r",
             "VER:065EE\r",
             "APIREV:443E\r",
             "GET:Param.Tracking.Frame FrequencyEF07\r",
@@ -33,7 +32,7 @@ fn a_vega_with_one_tool() {
     assert_eq!((hello.rate_mhz, hello.tick_hz), (60_000, 1_000_000_000));
     let label = "8700449".to_owned();
     assert_eq!(script.markers, [MarkerInfo { id: 1, label, labelled: true }]);
-    assert_eq!(script.counters().messages, 12);
+    assert_eq!(script.counters().messages, 11);
 }
 
 #[test]
@@ -103,8 +102,9 @@ fn refusals_say_what_to_do() {
         ("PINIT:01", "ERROR13", "initialize the tool in port 01 (ERROR13)", "unplug the tool"),
         ("PENA:01D", "ERROR0E", "enable the tool in port 01 (ERROR0E)", "plug the tool in again"),
         ("PHSR:04", "ERROR10", "list its ports (ERROR10)", "switch it off and on again"),
-        ("VER:0", "ERROR19", "say who it is (ERROR19)", "serviced"),
-        ("PHINF:01", "ERROR7E", "describe the tool in port 01 (ERROR7E)", "user's guide"),
+        ("INIT:", "ERROR15", "initialize itself (ERROR15)", "switch it off and on again"),
+        ("PHSR:01", "ERROR7E", "list its ports (ERROR7E)", "user's guide"),
+        ("PHSR:03", "ERROR29", "list its ports (ERROR29)", "serviced"),
         ("TSTART:", "ERROR12", "start tracking (ERROR12)", "error light"),
     ] {
         let mut listed = 0;
@@ -152,4 +152,82 @@ fn a_break_is_tried_when_init_has_no_answer() {
     script.read(60);
     assert_eq!(script.said[2], "INIT:E3A5\r");
     assert_eq!(script.bauds[..3], [9_600, 9_600, 921_600]);
+}
+
+#[test]
+fn what_is_only_for_people_may_be_refused() {
+    let mut script = Script::new(|request| {
+        let refused = request.starts_with(b"VER:") || request.starts_with(b"PHINF:");
+        refused.then(|| text("ERROR01"))
+    });
+    script.say(Command::Identify);
+    script.read(100);
+    assert_eq!(script.hello.unwrap().model, "NDI system");
+    assert_eq!(script.markers[0].label, "port 01");
+}
+
+#[test]
+fn a_system_that_tracks_for_a_host_that_was_killed_is_stopped_first() {
+    let mut tracks = true;
+    let mut script = Script::new(move |request| {
+        tracks &= !request.starts_with(b"TSTOP:");
+        (tracks && request.starts_with(b"INIT:")).then(|| text("ERROR0C"))
+    });
+    script.say(Command::Identify);
+    script.read(100);
+    assert!(script.hello.is_some(), "{:?}", script.said);
+    let told = ["INIT:E3A5\r", "INIT:E3A5\r", "INIT:E3A5\r", "TSTOP:2C14\r", "INIT:E3A5\r"];
+    assert_eq!(script.said[..5], told);
+}
+
+#[test]
+fn a_start_whose_answer_was_lost_is_a_start() {
+    let mut starts = 0;
+    let mut script = Script::new(move |request| {
+        if !request.starts_with(b"TSTART:") {
+            return None;
+        }
+        starts += 1;
+        Some(if starts == 1 { Vec::new() } else { text("ERROR0C") })
+    });
+    script.say(Command::Identify);
+    script.read(100);
+    script.say(Command::Start { line_bytes_per_s: 0 });
+    script.read(150);
+    assert!(script.failed.is_none(), "{:?}", script.failed);
+    assert!(script.said.iter().any(|said| said.starts_with("BX2")), "{:?}", script.said);
+}
+
+#[test]
+fn an_answer_that_is_no_list_is_quoted_with_care() {
+    let mut script = Script::new(|request| {
+        request.starts_with(b"PHSR:01").then(|| text(&format!("\u{1b}[2J{}", "x".repeat(500))))
+    });
+    script.say(Command::Identify);
+    script.read(100);
+    let words = script.failed.unwrap();
+    assert!(words.contains("\\u{1b}[2Jxxx") && words.len() < 150, "{words}");
+}
+
+#[test]
+fn what_answers_at_once_and_wrongly_is_not_asked_without_a_pause() {
+    type Wrong = fn(&[u8]) -> Option<Vec<u8>>;
+    // An echo; one that is always busy; one that says OKAY to polls, too.
+    let wrong: [Wrong; 3] = [
+        |request| Some(request.to_vec()),
+        |request| request.starts_with(b"INIT:").then(|| text("ERROR0C")),
+        |_| None,
+    ];
+    for answer in wrong {
+        let mut script = Script::new(answer);
+        script.say(Command::Identify);
+        script.read(100);
+        script.say(Command::Start { line_bytes_per_s: 0 });
+        let (asked, before_ns) = (script.said.len(), script.now_ns());
+        script.read(2_000);
+        let asked = (script.said.len() - asked) as u64;
+        let ms = (script.now_ns() - before_ns) / 1_000_000;
+        assert!(asked <= ms, "{asked} requests in {ms} ms");
+        assert!(script.frames.is_empty());
+    }
 }

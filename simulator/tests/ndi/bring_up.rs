@@ -44,7 +44,6 @@ fn a_device_that_was_just_switched_on() {
         [
             "INIT:E3A5",
             "COMM:60000000C",
-            "INIT:E3A5",
             "VER:065EE",
             "APIREV:443E",
             "GET:Param.Tracking.Frame FrequencyEF07",
