@@ -1,5 +1,7 @@
 //! What a device says and is told, whatever its wire: the vocabulary between a driver and the daemon.
 
+use crate::transport::Transport;
+
 /// Who the device is. Sent first, and again when asked.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Hello {
@@ -172,6 +174,16 @@ pub struct LinkCounters {
 ///
 /// Frames are decoded without allocating; what is rare (a table, a Hello) may allocate.
 pub trait Protocol: Send + std::fmt::Debug {
+    /// Takes the line that it is spoken on, at first and again after the device went away, and gives
+    /// the transport to read instead.
+    ///
+    /// A protocol of devices that speak unasked gives the line back as it is. One of devices that
+    /// only answer puts a [`TurnTransport`](crate::transport::turns::TurnTransport) around it, and
+    /// knows nothing of the device from then on.
+    fn attach(&mut self, line: Box<dyn Transport>) -> Box<dyn Transport> {
+        line
+    }
+
     /// Takes bytes as they arrived, in pieces of any size, and gives every event they complete.
     ///
     /// It is called after every read, also one that brought nothing: a protocol that waits for

@@ -4,9 +4,9 @@
 //! rig, and the simulator speaks it.
 
 use crate::{
+    device::Protocol,
     link::HostLink,
-    registry::{Candidate, Claim, Connection, Family},
-    transport::Transport,
+    registry::{Candidate, Claim, Family},
     uri::Location,
 };
 
@@ -39,7 +39,7 @@ impl Family for Dvmc {
         }
     }
 
-    fn connect(&self, line: Box<dyn Transport>, _: &Location) -> Connection {
-        Connection { transport: line, protocol: Box::new(HostLink::new()) }
+    fn protocol(&self, _: &Location) -> Box<dyn Protocol> {
+        Box::new(HostLink::new())
     }
 }

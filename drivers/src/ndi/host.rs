@@ -13,7 +13,10 @@ use crate::{
         Command, DeviceEvent, Hello, LinkBudget, LinkCounters, MarkerInfo, MarkerSample, Pong,
         Protocol,
     },
-    transport::turns::{Desk, Request},
+    transport::{
+        Transport,
+        turns::{Desk, Request, TurnTransport, desk},
+    },
 };
 
 /// The highest speed that is asked for when the URI gives none: what common adapters and the
@@ -187,6 +190,16 @@ impl NdiHost {
 }
 
 impl Protocol for NdiHost {
+    fn attach(&mut self, line: Box<dyn Transport>) -> Box<dyn Transport> {
+        let (desk, orders) = desk();
+        self.desk = desk;
+        self.state = State::Off;
+        self.owed = Owed::default();
+        (self.asked, self.drain) = (None, None);
+        self.run = super::tracking::Run::default();
+        Box::new(TurnTransport::new(line, orders))
+    }
+
     fn push(&mut self, bytes: &[u8], on_event: &mut dyn FnMut(DeviceEvent<'_>)) {
         self.counters.bytes += bytes.len() as u64;
         self.receive(bytes, on_event);

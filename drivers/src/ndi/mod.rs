@@ -26,11 +26,9 @@ pub use crc::crc16;
 pub use host::{BAUD_MAX_DEFAULT, NdiHost};
 
 use crate::{
-    registry::{Candidate, Claim, Connection, Family},
-    transport::{
-        Transport,
-        turns::{TurnTransport, desk},
-    },
+    device::Protocol,
+    registry::{Candidate, Claim, Family},
+    transport::turns::desk,
     uri::Location,
 };
 
@@ -60,15 +58,13 @@ impl Family for Ndi {
         }
     }
 
-    fn connect(&self, line: Box<dyn Transport>, location: &Location) -> Connection {
+    fn protocol(&self, location: &Location) -> Box<dyn Protocol> {
         let asked_for = match location {
             Location::Serial { baud, .. } => *baud,
             Location::Usb { .. } => None,
         };
-        let (desk, orders) = desk();
-        Connection {
-            transport: Box::new(TurnTransport::new(line, orders)),
-            protocol: Box::new(NdiHost::new(desk, asked_for.unwrap_or(BAUD_MAX_DEFAULT))),
-        }
+        // A desk for the time before there is a line: nobody takes its orders.
+        let (desk, _) = desk();
+        Box::new(NdiHost::new(desk, asked_for.unwrap_or(BAUD_MAX_DEFAULT)))
     }
 }

@@ -8,7 +8,7 @@ use std::fmt::Debug;
 pub use listing::{Listed, devices};
 pub use open::{OpenError, OpenedDevice, open};
 
-use crate::{device::Protocol, dvmc::Dvmc, ndi::Ndi, transport::Transport, uri::Location};
+use crate::{device::Protocol, dvmc::Dvmc, ndi::Ndi, uri::Location};
 
 /// Every family. A new one is a folder and a line here.
 pub static FAMILIES: &[&dyn Family] = &[&Dvmc, &Ndi];
@@ -24,21 +24,8 @@ pub trait Family: Sync + Debug {
     /// Whether a device is one of these, by what can be seen without opening it.
     fn claims(&self, candidate: &Candidate) -> Claim;
 
-    /// The protocol, on which nothing was said yet, over the line to a device at `location`.
-    ///
-    /// A family whose devices speak unasked gives the line back as it is. One whose devices only
-    /// answer puts a [`TurnTransport`](crate::transport::turns::TurnTransport) around it, through
-    /// which its protocol asks.
-    fn connect(&self, line: Box<dyn Transport>, location: &Location) -> Connection;
-}
-
-/// A line, and what is spoken on it.
-#[derive(Debug)]
-pub struct Connection {
-    /// Its bytes.
-    pub transport: Box<dyn Transport>,
-    /// Their meaning.
-    pub protocol: Box<dyn Protocol>,
+    /// The protocol of a device at `location`, on which nothing was said yet.
+    fn protocol(&self, location: &Location) -> Box<dyn Protocol>;
 }
 
 /// How sure a family is.

@@ -1,6 +1,6 @@
 //! From a URI to bytes and what they mean.
 
-use super::{Candidate, Connection, FAMILIES, Family, family_of, listing};
+use super::{Candidate, FAMILIES, Family, family_of, listing};
 use crate::{
     device::Protocol,
     transport::{Transport, TransportError, serial::SerialTransport},
@@ -57,7 +57,8 @@ pub fn open(uri: &DeviceUri) -> Result<OpenedDevice, OpenError> {
             family_of(&candidate).ok_or_else(unclaimed)?.0
         }
     };
-    let Connection { transport, protocol } = family.connect(transport, &uri.location);
+    let mut protocol = family.protocol(&uri.location);
+    let transport = protocol.attach(transport);
     Ok(OpenedDevice { transport, protocol, family: family.name() })
 }
 

@@ -1,6 +1,8 @@
 //! The bring-up, request by request.
 
-use mocapd_drivers::device::{Command, MarkerInfo};
+use mocapd_drivers::device::{Command, MarkerInfo, Protocol};
+use mocapd_drivers::ndi::NdiHost;
+use mocapd_drivers::transport::{Transport, memory, turns::desk};
 
 use super::script::{Script, text};
 
@@ -229,5 +231,26 @@ fn what_answers_at_once_and_wrongly_is_not_asked_without_a_pause() {
         let ms = (script.now_ns() - before_ns) / 1_000_000;
         assert!(asked <= ms, "{asked} requests in {ms} ms");
         assert!(script.frames.is_empty());
+    }
+}
+
+#[test]
+fn another_line_after_a_replug_begins_with_init() {
+    let mut host = NdiHost::new(desk().0, 921_600);
+    for _ in 0..2 {
+        let (line, mut device) = memory::pair(256);
+        let mut line = host.attach(Box::new(line));
+        host.command(Command::Identify, &mut Vec::new());
+        let mut buf = [0; 64];
+        assert_eq!(line.read(&mut buf).unwrap(), 0);
+        host.push(&[], &mut |_| {});
+        assert_eq!(device.read(&mut buf).unwrap(), 10);
+        assert_eq!(&buf[..10], b"INIT:E3A5\r");
+        device.write_all(b"OKAYA896\r").unwrap();
+        let n = line.read(&mut buf).unwrap();
+        host.push(&buf[..n], &mut |_| {});
+        assert_eq!(line.read(&mut buf[20..]).unwrap(), 0);
+        let n = device.read(&mut buf).unwrap();
+        assert_eq!(&buf[..n], b"COMM:60000000C\r");
     }
 }
