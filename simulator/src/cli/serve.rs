@@ -160,6 +160,11 @@ fn device(args: &ServeArgs, motion: Motion) -> Result<(Box<dyn LineDevice>, Stri
             let rate_mhz = device.hello().rate_mhz;
             (Box::new(device), rate_mhz)
         }
+        Spoken::Ndi if args.drift_ppm != 0.0 => {
+            return usage(
+                "--drift-ppm is for the link protocol: an NDI system here keeps the host's time",
+            );
+        }
         Spoken::Ndi => {
             let device = NdiDevice::new(motion, ndi_settings(args)).map_err(ndi_refused)?;
             device.warnings().iter().for_each(|warning| say(warning));

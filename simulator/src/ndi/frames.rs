@@ -22,6 +22,8 @@ const PARAMETERS: u8 = 0x07;
 #[derive(Debug, Clone, Copy)]
 struct Current {
     number: u32,
+    /// The caller's clock, and the system's own.
+    at_ns: u64,
     time_ns: u64,
     present: u32,
     /// Whether any request fetched it, and whether `BX2` did.
@@ -81,6 +83,7 @@ impl NdiDevice {
         let present = self.tracking.row.iter().filter(|position| !is_gap(**position)).count();
         self.tracking.current = Some(Current {
             number: (self.log.total.frames_produced - self.tracking.counted_from) as u32,
+            at_ns,
             time_ns: at_ns.saturating_sub(self.epoch_ns.unwrap_or(at_ns)),
             present: present as u32,
             fetched: false,
@@ -109,6 +112,7 @@ impl NdiDevice {
                 device_ticks: frame.time_ns,
                 present: frame.present,
                 dropped: !frame.fetched,
+                host_ns: frame.at_ns,
             });
         }
     }
