@@ -159,9 +159,9 @@ impl Weave {
         let [x, y, z] = &*residuals;
         let squares: [f64; TOGETHER] =
             std::array::from_fn(|i| x[i] * x[i] + y[i] * y[i] + z[i] * z[i]);
-        const MOST: f64 = MAX_RESIDUAL * MAX_RESIDUAL;
-        if squares.iter().fold(false, |far, &squares| far | (squares > MOST)) {
-            for (i, squares) in squares.into_iter().enumerate().filter(|&(_, s)| s > MOST) {
+        let most = MAX_RESIDUAL * MAX_RESIDUAL;
+        if squares.iter().fold(false, |far, &squares| far | (squares > most)) {
+            for (i, squares) in squares.into_iter().enumerate().filter(|&(_, s)| s > most) {
                 let share = MAX_RESIDUAL / squares.sqrt();
                 residuals.iter_mut().for_each(|axis| axis[i] *= share);
             }
