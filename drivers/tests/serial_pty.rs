@@ -122,7 +122,7 @@ mod serial_pty {
         let (_device, path) = pty();
         let mut host = SerialTransport::open(&path, None).unwrap();
         let error = host.write_all(&[0x55; 1 << 20]).unwrap_err();
-        assert!(matches!(error, TransportError::Io { action: "writing", .. }), "{error:?}");
+        assert!(matches!(error, TransportError::Stuck { .. }), "{error:?}");
     }
 
     #[test]

@@ -33,7 +33,7 @@ fn what_is_absent_or_no_serial_port() {
         let words = ["is no serial port: give a device such as /dev/ttyUSB0"];
         refused(&folder, &format!("serial:{path}"), &words);
     }
-    refused(&folder, "usb:1209:0001", &["use the device's serial port"]);
+    refused(&folder, "usb:1209:0001:none", &["does not exist", "mocapd devices"]);
 }
 
 #[test]

@@ -34,7 +34,7 @@ pub fn devices() -> Result<Vec<Listed>, TransportError> {
     let mut listed = Vec::new();
     for device in &usb {
         if !serial.iter().any(|port| is_port_of(port, device)) {
-            listed.push(list(usb_candidate(device), usb_access(device)));
+            listed.push(list(usb_candidate(device), usb::usb_access(device)));
         }
     }
     let ports = serial.into_iter().map(|candidate| {
@@ -78,24 +78,14 @@ pub(super) fn serial_candidates() -> Result<Vec<Candidate>, TransportError> {
         .collect())
 }
 
-fn usb_candidate(device: &UsbDevice) -> Candidate {
+pub(super) fn usb_candidate(device: &UsbDevice) -> Candidate {
     let UsbDevice { vid, pid, serial, manufacturer, product, .. } = device.clone();
     Candidate {
-        location: Location::Usb { vid, pid, serial: serial.clone() },
+        location: device.location(),
         usb_ids: Some((vid, pid)),
         serial,
         manufacturer,
         product,
-    }
-}
-
-/// A device that the user may not open, or that this build cannot.
-fn usb_access(device: &UsbDevice) -> Access {
-    match access(&device.node) {
-        Access::Accessible => Access::Refused(TransportError::Unsupported(
-            "this build has no USB bulk transport".to_owned(),
-        )),
-        refused @ Access::Refused(_) => refused,
     }
 }
 
@@ -128,6 +118,7 @@ mod tests {
             manufacturer: None,
             product: None,
             node: "/dev/bus/usb/001/002".into(),
+            sysfs: "/sys/bus/usb/devices/1-1".into(),
         };
         let port = Candidate {
             location: Location::Serial { path: "/dev/ttyUSB0".into(), baud: None },

@@ -6,7 +6,7 @@ mod open;
 use std::fmt::Debug;
 
 pub use listing::{Listed, devices};
-pub use open::{OpenError, OpenedDevice, open};
+pub use open::{OpenError, OpenedDevice, open, open_again};
 
 use crate::{device::Protocol, dvmc::Dvmc, ndi::Ndi, uri::Location};
 

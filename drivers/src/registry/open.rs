@@ -3,7 +3,11 @@
 use super::{Candidate, FAMILIES, Family, family_of, listing};
 use crate::{
     device::Protocol,
-    transport::{Transport, TransportError, serial::SerialTransport},
+    transport::{
+        Transport, TransportError,
+        serial::SerialTransport,
+        usb::{self, UsbTransport},
+    },
     uri::{DeviceUri, Location},
 };
 
@@ -16,6 +20,8 @@ pub struct OpenedDevice {
     pub protocol: Box<dyn Protocol>,
     /// The family's name.
     pub family: &'static str,
+    /// Which device it is, to be found again by after a replug.
+    pub identity: Candidate,
 }
 
 /// Why a device was not opened.
@@ -49,17 +55,46 @@ pub enum OpenError {
 pub fn open(uri: &DeviceUri) -> Result<OpenedDevice, OpenError> {
     let named = uri.driver.as_deref().map(family_named).transpose()?;
     let transport = open_transport(&uri.location)?;
+    let identity = candidate_at(&uri.location);
+    let unclaimed = || OpenError::Unclaimed { location: uri.location.to_string() };
     let family = match named {
         Some(family) => family,
-        None => {
-            let candidate = candidate_at(&uri.location);
-            let unclaimed = || OpenError::Unclaimed { location: uri.location.to_string() };
-            family_of(&candidate).ok_or_else(unclaimed)?.0
-        }
+        None => family_of(&identity).ok_or_else(unclaimed)?.0,
     };
     let mut protocol = family.protocol(&uri.location);
     let transport = protocol.attach(transport);
-    Ok(OpenedDevice { transport, protocol, family: family.name() })
+    Ok(OpenedDevice { transport, protocol, family: family.name(), identity })
+}
+
+/// Opens a device that went away, wherever it is now: a replug may give a port another name.
+///
+/// # Errors
+/// Why its transport could not be opened.
+pub fn open_again(
+    uri: &DeviceUri,
+    identity: &Candidate,
+) -> Result<Box<dyn Transport>, TransportError> {
+    open_transport(&place_now(&uri.location, identity))
+}
+
+/// A USB device is the one with its serial number, whatever else of its kind is attached by now.
+fn place_now(location: &Location, identity: &Candidate) -> Location {
+    match location {
+        Location::Usb { vid, pid, .. } => {
+            Location::Usb { vid: *vid, pid: *pid, serial: identity.serial.clone() }
+        }
+        Location::Serial { baud, .. } if identity.serial.is_some() => {
+            let ports = listing::serial_candidates().unwrap_or_default().into_iter();
+            let mut same = ports.filter(|port| {
+                (port.usb_ids, &port.serial) == (identity.usb_ids, &identity.serial)
+            });
+            match same.next().map(|port| port.location) {
+                Some(Location::Serial { path, .. }) => Location::Serial { path, baud: *baud },
+                _ => location.clone(),
+            }
+        }
+        Location::Serial { .. } => location.clone(),
+    }
 }
 
 fn family_named(name: &str) -> Result<&'static dyn Family, OpenError> {
@@ -74,18 +109,24 @@ fn family_names() -> String {
 fn open_transport(location: &Location) -> Result<Box<dyn Transport>, TransportError> {
     match location {
         Location::Serial { path, baud } => Ok(Box::new(SerialTransport::open(path, *baud)?)),
-        Location::Usb { .. } => Err(TransportError::Unsupported(format!(
-            "{location} cannot be opened: this build has no USB bulk transport; \
-             use the device's serial port"
-        ))),
+        Location::Usb { vid, pid, serial } => {
+            Ok(Box::new(UsbTransport::open(*vid, *pid, serial.as_deref())?))
+        }
     }
 }
 
 /// What is known of the device at a place: a link to a port is the port.
 fn candidate_at(location: &Location) -> Candidate {
     let unknown = || Candidate::at(location.clone());
-    let Location::Serial { path, .. } = location else {
-        return unknown();
+    let path = match location {
+        Location::Serial { path, .. } => path,
+        Location::Usb { vid, pid, serial } => {
+            let same = usb::devices().unwrap_or_default().into_iter().find(|device| {
+                (device.vid, device.pid) == (*vid, *pid)
+                    && (serial.is_none() || device.serial == *serial)
+            });
+            return same.as_ref().map_or_else(unknown, listing::usb_candidate);
+        }
     };
     let Ok(real_path) = path.canonicalize() else {
         return unknown();
@@ -107,7 +148,7 @@ mod tests {
     #[test]
     fn says_what_to_do() {
         assert!(error_of("serial:/dev/null?driver=vicon").contains("use one of dvmc"));
-        assert!(error_of("usb:1209:0001").contains("use the device's serial port"));
+        assert!(error_of("usb:1209:0001:none").contains("mocapd devices"));
         assert!(error_of("serial:/dev/mocapd-none").contains("mocapd devices"));
         assert!(error_of("serial:/etc/hostname").contains("no serial port"));
         assert!(error_of("serial:/dev/null").starts_with("/dev/null"));

@@ -35,19 +35,20 @@ pub fn access(path: &Path) -> Access {
 
 /// What to type so that the user may open `path`.
 pub(super) fn permission_remedy(path: &Path) -> String {
+    let by_rule = || "install mocapd's udev rules, or ask who administers this machine".to_owned();
+    group_remedy(path).unwrap_or_else(by_rule)
+}
+
+/// How to join the group that may open `path`; `None` where no group but root's may.
+pub(super) fn group_remedy(path: &Path) -> Option<String> {
     const GROUP_READ_WRITE: u32 = 0o060;
-    let by_rule = "install mocapd's udev rules, or ask who administers this machine".to_owned();
-    let Ok(metadata) = fs::metadata(path) else {
-        return by_rule;
-    };
+    let metadata = fs::metadata(path).ok()?;
     if metadata.gid() == 0 || metadata.mode() & GROUP_READ_WRITE != GROUP_READ_WRITE {
-        return by_rule;
+        return None;
     }
     let groups = fs::read_to_string("/etc/group").unwrap_or_default();
-    match group_name(&groups, metadata.gid()) {
-        Some(group) => format!("`sudo usermod -aG {group} $USER`, then log in again"),
-        None => by_rule,
-    }
+    let group = group_name(&groups, metadata.gid())?;
+    Some(format!("`sudo usermod -aG {group} $USER`, then log in again"))
 }
 
 /// The name of a group in the text of /etc/group (`name:password:gid:members`).

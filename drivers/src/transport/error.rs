@@ -39,6 +39,14 @@ pub enum TransportError {
     /// The device answers, and says that it cannot do what it was asked.
     #[error("{0}")]
     Refused(String),
+    /// It is there, and takes no bytes.
+    #[error(
+        "{device} takes no commands: check that it is the right device, and switch it off and on again"
+    )]
+    Stuck {
+        /// A path, or a USB identity.
+        device: String,
+    },
     /// This build cannot do that.
     #[error("{0}")]
     Unsupported(String),

@@ -2,7 +2,6 @@
 
 use std::{
     collections::VecDeque,
-    io,
     sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
     time::Instant,
 };
@@ -104,11 +103,7 @@ impl Transport for MemoryTransport {
                 return Err(disconnected());
             }
             if waited.timed_out() {
-                return Err(TransportError::Io {
-                    device: NAME.to_owned(),
-                    action: "writing",
-                    source: io::ErrorKind::TimedOut.into(),
-                });
+                return Err(TransportError::Stuck { device: NAME.to_owned() });
             }
             let room = pipe.capacity_bytes - state.bytes.len();
             let (now, later) = bytes.split_at(room.min(bytes.len()));
@@ -169,6 +164,6 @@ mod tests {
     fn a_write_that_nobody_reads_ends() {
         let (mut a, _b) = pair(4);
         let error = a.write_all(b"too long").unwrap_err();
-        assert!(matches!(error, TransportError::Io { .. }), "{error}");
+        assert!(matches!(error, TransportError::Stuck { .. }), "{error}");
     }
 }

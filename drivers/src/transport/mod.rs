@@ -1,4 +1,4 @@
-//! How bytes reach a device: serial lines now, and an in-process pair for tests.
+//! How bytes reach a device: serial lines, USB bulk endpoints, and an in-process pair for tests.
 
 mod access;
 mod descriptor;
@@ -35,8 +35,7 @@ pub trait Transport: Send + Debug {
     /// Writes all of `bytes`.
     ///
     /// # Errors
-    /// `Disconnected` when the device is gone; `Io` also when it took no bytes for
-    /// [`WRITE_TIMEOUT`].
+    /// `Disconnected` when the device is gone; `Stuck` when it took no bytes for [`WRITE_TIMEOUT`]; `Io`.
     fn write_all(&mut self, bytes: &[u8]) -> Result<(), TransportError>;
 
     /// Holds the line in the break state for a moment, which some devices take as a reset.
@@ -61,4 +60,9 @@ pub trait Transport: Send + Debug {
 
     /// The device and the line's settings, for people.
     fn describe(&self) -> String;
+
+    /// How often the device stalled and was cleared; what was on its way then may be lost.
+    fn stalls_cleared(&self) -> u64 {
+        0
+    }
 }

@@ -111,7 +111,11 @@ impl Transport for SerialTransport {
                     bytes = bytes.get(n..).unwrap_or_default();
                     last_progress = Instant::now();
                 }
-                Err(error) if is_not_yet(&error) && last_progress.elapsed() < WRITE_TIMEOUT => {}
+                Err(error) if is_not_yet(&error) => {
+                    if last_progress.elapsed() >= WRITE_TIMEOUT {
+                        return Err(TransportError::Stuck { device: self.device() });
+                    }
+                }
                 Err(error) => return Err(self.session_error("writing", error)),
             }
         }
