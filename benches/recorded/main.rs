@@ -123,10 +123,10 @@ fn measure(subject: Subject, seconds: f64, tolerance: &str) -> anyhow::Result<St
 /// The device, until it is told to stop.
 fn simulate(
     mut device: Device,
-    line: PtyLine,
+    mut line: PtyLine,
     stop: Arc<AtomicBool>,
 ) -> anyhow::Result<JoinHandle<Result<SentLog, PtyError>>> {
-    let run = move || serve(&line, &mut device, ServeOptions::default(), &stop);
+    let run = move || serve(&mut line, &mut device, ServeOptions::default(), &stop);
     Ok(thread::Builder::new().name("simulator".to_owned()).spawn(run)?)
 }
 

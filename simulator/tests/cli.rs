@@ -115,6 +115,29 @@ fn refused_values_exit_2_and_failures_1() {
 }
 
 #[test]
+fn a_machine_that_cannot_be_a_usb_device_says_so() {
+    for bad in [
+        &["--generate", "jump", "--usb-gadget", "--pty"][..],
+        &["--generate", "jump", "--usb-gadget", "--usb-serial"],
+        &["--generate", "jump", "--usb-gadget", "--baud", "9600"],
+        &["--generate", "jump", "--pty", "--udc", "dummy_udc.0"],
+    ] {
+        fails(bad, 2);
+    }
+    let words = fails(&["--generate", "jump", "--usb-gadget", "--serial", "two words"], 2);
+    assert!(words.contains("'two words' is no serial number"), "{words}");
+    if std::fs::read_dir("/sys/class/udc").is_ok_and(|mut all| all.next().is_some()) {
+        eprintln!("skipped: this machine can be a USB device");
+        return;
+    }
+    for line in ["--usb-gadget", "--usb-serial"] {
+        let words = fails(&["--generate", "jump", line], 1);
+        assert!(words.contains("hardware-in-the-loop.md"), "{words}");
+        assert!(words.contains("`sudo modprobe dummy_hcd`"), "{words}");
+    }
+}
+
+#[test]
 fn one_line_one_run_and_out() {
     let folder = tempfile::tempdir().unwrap();
     let link = folder.path().join("rig");

@@ -12,8 +12,9 @@ use clap::{Args, ValueEnum};
 use mocapd_drivers::link::FrameForm;
 use mocapd_simulator::device::{Device, DeviceError, DeviceSettings, LineDevice, SentLog};
 use mocapd_simulator::generator::{JumpSpec, Occlusion};
+use mocapd_simulator::line::{Line, ServeOptions, serve};
 use mocapd_simulator::ndi::{NdiDevice, NdiError, NdiSettings};
-use mocapd_simulator::pty::{PtyError, PtyLine, ServeOptions, serve};
+use mocapd_simulator::pty::{PtyError, PtyLine};
 use mocapd_simulator::source::{self, Generated, SourceError};
 use mocapd_take::motion::Motion;
 use signal_hook::consts::TERM_SIGNALS;
@@ -35,9 +36,8 @@ pub(super) struct ServeArgs {
     /// Generate the motion: a standing long jump, `jump` or `jump:SEED`.
     #[arg(long, value_name = "jump[:SEED]")]
     generate: Option<Generated>,
-    /// Serve on a pty; with LINK, a stable symbolic link to it.
-    #[arg(long, value_name = "LINK", num_args = 0..=1, require_equals = true, required = true)]
-    pty: Option<Option<PathBuf>>,
+    #[command(flatten)]
+    line: LineArgs,
     /// What the device speaks.
     #[arg(long, value_enum, value_name = "NAME", default_value_t = Spoken::Dvmc)]
     protocol: Spoken,
@@ -47,6 +47,9 @@ pub(super) struct ServeArgs {
     /// With --protocol ndi: know no BX2, as systems before the Vega.
     #[arg(long)]
     no_bx2: bool,
+    /// The device's serial number.
+    #[arg(long, value_name = "TEXT", default_value = "SIM0001")]
+    serial: String,
     /// Resample the motion to this rate, 1 to 10000 Hz.
     #[arg(long, value_name = "HZ")]
     rate: Option<f64>,
@@ -94,6 +97,23 @@ pub(super) struct ServeArgs {
     once: bool,
 }
 
+/// What the device is connected by.
+#[derive(Debug, Args)]
+struct LineArgs {
+    /// Serve on a pty; with LINK, a stable symbolic link to it.
+    #[arg(long, value_name = "LINK", num_args = 0..=1, require_equals = true, required_unless_present_any = ["usb_gadget", "usb_serial"])]
+    pty: Option<Option<PathBuf>>,
+    /// Be a USB device with a bulk pair, on a machine that has a USB device controller; needs root.
+    #[arg(long, conflicts_with_all = ["pty", "baud"])]
+    usb_gadget: bool,
+    /// Be a USB serial port (CDC-ACM), on a machine that has a USB device controller; needs root.
+    #[arg(long, conflicts_with_all = ["pty", "usb_gadget"])]
+    usb_serial: bool,
+    /// The USB device controller, as /sys/class/udc names it; by default the first that is free.
+    #[arg(long, value_name = "NAME", conflicts_with = "pty")]
+    udc: Option<String>,
+}
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Spoken {
     /// The link protocol of mocapd.
@@ -130,15 +150,15 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
         }
         None => None,
     };
-    let line = PtyLine::open(args.pty.as_ref().and_then(Option::as_deref)).map_err(line_failure)?;
+    let (mut line, name) = args.line.open(&args.serial)?;
     say(&what);
     let mut stdout = io::stdout();
-    writeln!(stdout, "{}", line.path().display())
+    writeln!(stdout, "{name}")
         .and_then(|()| stdout.flush())
-        .context("cannot print the path")?;
+        .context("cannot print the line's name")?;
     let batch = Some(args.batch_ms).filter(|ms| *ms > 0).map(Duration::from_millis);
     let options = ServeOptions { baud: args.baud, batch, once: args.once, log };
-    let sent = serve(&line, device.as_mut(), options, &stop)?;
+    let sent = serve(&mut *line, device.as_mut(), options, &stop)?;
     say(&summary(&sent));
     Ok(())
 }
@@ -208,6 +228,7 @@ fn settings(args: &ServeArgs) -> DeviceSettings {
         (Some(Wire::Compact), _) | (None, Some(_)) => FrameForm::Compact,
     };
     DeviceSettings {
+        serial: args.serial.clone(),
         rate_hz: args.rate,
         speed: args.speed,
         drift_ppm: args.drift_ppm,
@@ -250,9 +271,54 @@ fn refused(error: DeviceError) -> Failure {
     }
 }
 
-fn line_failure(error: PtyError) -> Failure {
+impl LineArgs {
+    /// The line, and what a host calls it.
+    fn open(&self, serial: &str) -> Result<(Box<dyn Line>, String), Failure> {
+        if self.usb_gadget || self.usb_serial {
+            return self.plug_in(serial);
+        }
+        let line =
+            PtyLine::open(self.pty.as_ref().and_then(Option::as_deref)).map_err(pty_failure)?;
+        let path = line.path().display().to_string();
+        Ok((Box::new(line), path))
+    }
+
+    #[cfg(target_os = "linux")]
+    fn plug_in(&self, serial: &str) -> Result<(Box<dyn Line>, String), Failure> {
+        use mocapd_simulator::gadget::{Bulk, GadgetSettings, Serial};
+
+        let settings = GadgetSettings { serial: serial.to_owned(), controller: self.udc.clone() };
+        if self.usb_gadget {
+            let line = Bulk::plug_in(&settings).map_err(gadget_failure)?;
+            let uri = line.uri();
+            return Ok((Box::new(line), uri));
+        }
+        let line = Serial::plug_in(&settings).map_err(gadget_failure)?;
+        let path = line.host_path().display().to_string();
+        Ok((Box::new(line), path))
+    }
+
+    #[cfg(not(target_os = "linux"))]
+    fn plug_in(&self, _serial: &str) -> Result<(Box<dyn Line>, String), Failure> {
+        Err(anyhow::anyhow!("USB gadgets are Linux's: use --pty here").into())
+    }
+}
+
+fn pty_failure(error: PtyError) -> Failure {
     match error {
         PtyError::LinkExists { .. } => Failure::usage(error),
+        _ => Failure::from(error),
+    }
+}
+
+#[cfg(target_os = "linux")]
+fn gadget_failure(error: mocapd_simulator::gadget::GadgetError) -> Failure {
+    use mocapd_simulator::gadget::GadgetError;
+
+    match error {
+        GadgetError::SerialNumber { .. } | GadgetError::NoSuchController { .. } => {
+            Failure::usage(error)
+        }
         _ => Failure::from(error),
     }
 }

@@ -29,15 +29,7 @@ pub enum PtyError {
         /// What the system said.
         source: io::Error,
     },
-    /// The line failed while it was served.
-    #[error("{action} failed on the pty")]
-    Line {
-        /// What was tried.
-        action: &'static str,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// The log of what was sent could not be written.
-    #[error("cannot write the log of sent frames")]
-    Log(#[source] io::Error),
+    /// It failed while it was served.
+    #[error(transparent)]
+    Line(#[from] crate::line::LineError),
 }

@@ -6,12 +6,16 @@ use std::io::{self, ErrorKind};
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::os::unix::ffi::OsStringExt;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::OFlags;
+use rustix::io::Errno;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 
 use super::PtyError;
+use crate::line::Line;
 
 /// An open pty: the device's end, and the path of the host's end. Dropping it hangs up and removes the link.
 #[derive(Debug)]
@@ -29,8 +33,7 @@ impl PtyLine {
     /// # Errors
     /// When the kernel gives no pty, or the link cannot be made.
     pub fn open(link: Option<&Path>) -> Result<Self, PtyError> {
-        let failed =
-            |action| move |e: rustix::io::Errno| PtyError::Open { action, source: e.into() };
+        let failed = |action| move |e: Errno| PtyError::Open { action, source: e.into() };
         let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
         let master = openpt(flags).map_err(failed("openpt"))?;
         grantpt(&master).map_err(failed("grantpt"))?;
@@ -55,13 +58,27 @@ impl PtyLine {
     pub fn path(&self) -> &Path {
         self.link.as_deref().unwrap_or(&self.slave_path)
     }
+}
 
-    pub(super) fn master(&self) -> BorrowedFd<'_> {
-        self.master.as_fd()
+impl Line for PtyLine {
+    fn name(&self) -> &'static str {
+        "pty"
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        or_nothing(rustix::io::write(&self.master, bytes))
+    }
+
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        or_nothing(rustix::io::read(&self.master, buffer))
+    }
+
+    fn wait(&mut self, at_most: Duration) -> io::Result<bool> {
+        wait_readable(self.master.as_fd(), at_most)
     }
 
     /// Bytes that the host could read now and has not.
-    pub(super) fn unread(&self) -> io::Result<u64> {
+    fn unread(&mut self) -> io::Result<u64> {
         Ok(rustix::io::ioctl_fionread(&self.slave)?)
     }
 
@@ -69,8 +86,28 @@ impl PtyLine {
     ///
     /// Serial programs open with TIOCEXCL. The kernel keeps that mark as long as our end is open, so that a host
     /// that could not take it back would leave the line busy for ever. Their flock still keeps two hosts apart.
-    pub(super) fn clear_exclusive(&self) -> io::Result<()> {
+    fn tend(&mut self) -> io::Result<()> {
         Ok(rustix::termios::ioctl_tiocnxcl(&self.slave)?)
+    }
+}
+
+/// A transfer that could not be made now is one of no bytes.
+pub(crate) fn or_nothing(outcome: Result<usize, Errno>) -> io::Result<usize> {
+    match outcome {
+        Err(Errno::AGAIN | Errno::INTR) => Ok(0),
+        outcome => Ok(outcome?),
+    }
+}
+
+/// Sleeps, at most so long, until there is something to read.
+pub(crate) fn wait_readable(fd: BorrowedFd<'_>, at_most: Duration) -> io::Result<bool> {
+    let mut fds = [PollFd::new(&fd, PollFlags::IN)];
+    let timeout =
+        Timespec { tv_sec: at_most.as_secs() as i64, tv_nsec: i64::from(at_most.subsec_nanos()) };
+    match poll(&mut fds, Some(&timeout)) {
+        Ok(n) => Ok(n > 0),
+        Err(Errno::INTR) => Ok(false),
+        Err(error) => Err(error.into()),
     }
 }
 

@@ -11,6 +11,7 @@ use mocapd_take::motion::Motion;
 use super::*;
 use crate::device::{Device, DeviceSettings};
 use crate::generator::JumpSpec;
+use crate::line::Line;
 
 /// Generous: the machine may be busy with anything.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -28,7 +29,7 @@ struct Served {
 }
 
 fn serve_in_background(motion: Motion, settings: DeviceSettings, options: ServeOptions) -> Served {
-    let line = PtyLine::open(None).unwrap();
+    let mut line = PtyLine::open(None).unwrap();
     let path = line.path().to_owned();
     let stop = Arc::new(AtomicBool::new(false));
     let seen = Arc::clone(&stop);
@@ -36,7 +37,7 @@ fn serve_in_background(motion: Motion, settings: DeviceSettings, options: ServeO
         .name("sim-test".to_owned())
         .spawn(move || {
             let mut device = Device::new(motion, settings).unwrap();
-            serve(&line, &mut device, options, &seen)
+            serve(&mut line, &mut device, options, &seen)
         })
         .unwrap();
     Served { path, stop, thread }
@@ -100,12 +101,12 @@ impl Host {
 
 #[test]
 fn every_byte_passes_both_ways() {
-    let line = PtyLine::open(None).unwrap();
+    let mut line = PtyLine::open(None).unwrap();
     let mut host = SerialTransport::open(line.path(), Some(3_000_000)).unwrap();
     // Twice all bytes: 0x00, ^C, ^D, XON, XOFF, CR, LF and 0xff among them, next to each other and apart.
     let bytes: Vec<u8> =
         (0..=255).chain((0..=255).rev()).chain([0, 3, 4, 0x11, 0x13, 13, 10, 255]).collect();
-    assert_eq!(rustix::io::write(line.master(), &bytes).unwrap(), bytes.len());
+    assert_eq!(line.write(&bytes).unwrap(), bytes.len());
     let mut got = Vec::new();
     let mut buffer = [0; 1000];
     let give_up = Instant::now() + PATIENCE;
@@ -117,7 +118,7 @@ fn every_byte_passes_both_ways() {
     host.write_all(&bytes).unwrap();
     got.clear();
     while got.len() < bytes.len() && Instant::now() < give_up {
-        if let Ok(n) = rustix::io::read(line.master(), &mut buffer) {
+        if let Ok(n) = line.read(&mut buffer) {
             got.extend_from_slice(&buffer[..n]);
         }
     }

@@ -1,19 +1,16 @@
-//! The loop between a device and a pty: one thread, asleep until the next frame or the next byte.
+//! The loop between a device and its line: one thread, asleep until the next frame or the next byte.
 
 use std::io::{self, Write};
 use std::num::NonZeroU64;
-use std::os::fd::BorrowedFd;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use rustix::io::Errno;
 use rustix::time::{ClockId, clock_gettime};
 
 use super::batch::Batch;
 use super::drain::{Drain, LOOK};
 use super::pace::Pace;
-use super::{PtyError, PtyLine};
+use super::{Line, LineError};
 use crate::device::{LineDevice, SentFrame, SentLog};
 
 /// The longest sleep: how soon a stop is seen.
@@ -58,11 +55,11 @@ impl std::fmt::Debug for ServeOptions {
 /// # Errors
 /// When the line or the log fails.
 pub fn serve(
-    line: &PtyLine,
+    line: &mut dyn Line,
     device: &mut dyn LineDevice,
     options: ServeOptions,
     stop: &AtomicBool,
-) -> Result<SentLog, PtyError> {
+) -> Result<SentLog, LineError> {
     // A device's timer is not 50 us late, as a thread's sleep may be; where the kernel refuses, it is.
     rustix::thread::set_current_timer_slack(NonZeroU64::new(1)).ok();
     if options.log.is_some() {
@@ -82,7 +79,7 @@ pub fn serve(
     server.drain()?;
     server.log_frames()?;
     if let Some(log) = &mut server.log {
-        log.flush().map_err(PtyError::Log)?;
+        log.flush().map_err(LineError::Log)?;
     }
     Ok(device.log())
 }
@@ -94,7 +91,7 @@ fn host_ns() -> u64 {
 }
 
 struct Server<'a> {
-    line: &'a PtyLine,
+    line: &'a mut dyn Line,
     device: &'a mut dyn LineDevice,
     pace: Option<Pace>,
     batch: Option<Batch>,
@@ -114,22 +111,31 @@ enum Written {
 }
 
 impl Server<'_> {
-    fn run(&mut self, once: bool, stop: &AtomicBool) -> Result<(), PtyError> {
+    fn failed(&self, action: &'static str) -> impl FnOnce(io::Error) -> LineError + use<> {
+        let line = self.line.name();
+        move |source| LineError::Line { line, action, source }
+    }
+
+    fn run(&mut self, once: bool, stop: &AtomicBool) -> Result<(), LineError> {
         while !stop.load(Ordering::Relaxed) {
             let now_ns = host_ns();
             self.tick(now_ns);
             let wake_ns = self.device.poll(now_ns);
-            let sleep = match self.write()? {
-                Written::All => NAP,
-                Written::Until(at_ns) => Duration::from_nanos(at_ns.saturating_sub(host_ns())),
-                Written::Full => FULL,
+            let (sleep, is_full) = match self.write()? {
+                Written::All => (NAP, false),
+                Written::Until(at_ns) => {
+                    (Duration::from_nanos(at_ns.saturating_sub(host_ns())), false)
+                }
+                Written::Full => (FULL, true),
             };
             self.log_frames()?;
             if once && self.device.has_ended() && self.device.pending().is_empty() {
                 return Ok(());
             }
             let until_wake = Duration::from_nanos(wake_ns.saturating_sub(host_ns()));
-            if self.wait(sleep.min(until_wake).min(NAP))? {
+            let nap = sleep.min(until_wake).min(NAP);
+            let heard = if is_full { self.line.wait_for_room(nap) } else { self.line.wait(nap) };
+            if heard.map_err(self.failed("waiting"))? {
                 self.read()?;
             }
             self.admit()?;
@@ -146,7 +152,7 @@ impl Server<'_> {
     }
 
     /// Writes what the line takes now.
-    fn write(&mut self) -> Result<Written, PtyError> {
+    fn write(&mut self) -> Result<Written, LineError> {
         let baud = self.device.baud().into_iter().chain(self.baud).min();
         if baud != self.pace.as_ref().map(Pace::baud) {
             self.pace = baud.map(Pace::new);
@@ -169,81 +175,52 @@ impl Server<'_> {
             else {
                 return Ok(Written::Until(self.pace.as_ref().map_or(now_ns, Pace::next_ns)));
             };
-            match rustix::io::write(self.line.master(), bytes) {
-                Ok(n) => {
-                    self.device.sent(n);
-                    if let Some(batch) = &mut self.batch {
-                        batch.sent(n);
-                    }
-                    if let Some(pace) = &mut self.pace {
-                        pace.sent(n);
-                        let rest = !self.device.pending().is_empty();
-                        return Ok(if rest {
-                            Written::Until(pace.next_ns())
-                        } else {
-                            Written::All
-                        });
-                    }
-                }
-                Err(Errno::AGAIN) => return Ok(Written::Full),
-                Err(Errno::INTR) => {}
-                Err(e) => return Err(PtyError::Line { action: "writing", source: e.into() }),
+            let n = self.line.write(bytes).map_err(self.failed("writing"))?;
+            if n == 0 {
+                return Ok(Written::Full);
+            }
+            self.device.sent(n);
+            if let Some(batch) = &mut self.batch {
+                batch.sent(n);
+            }
+            if let Some(pace) = &mut self.pace {
+                pace.sent(n);
+                let rest = !self.device.pending().is_empty();
+                return Ok(if rest { Written::Until(pace.next_ns()) } else { Written::All });
             }
         }
     }
 
-    /// Sleeps, at most so long, until the host says something: `true` then.
-    fn wait(&self, at_most: Duration) -> Result<bool, PtyError> {
-        let master: BorrowedFd<'_> = self.line.master();
-        let mut fds = [PollFd::new(&master, PollFlags::IN)];
-        let timeout = Timespec {
-            tv_sec: at_most.as_secs() as i64,
-            tv_nsec: i64::from(at_most.subsec_nanos()),
-        };
-        match poll(&mut fds, Some(&timeout)) {
-            Ok(n) => Ok(n > 0),
-            Err(Errno::INTR) => Ok(false),
-            Err(e) => Err(PtyError::Line { action: "waiting", source: e.into() }),
-        }
-    }
-
-    fn read(&mut self) -> Result<(), PtyError> {
+    fn read(&mut self) -> Result<(), LineError> {
         let mut buffer = [0; READ_BYTES];
         for _ in 0..READS_MAX {
-            match rustix::io::read(self.line.master(), &mut buffer) {
-                Ok(0) | Err(Errno::AGAIN) => break,
-                Ok(n) => {
-                    let now_ns = host_ns();
-                    self.tick(now_ns);
-                    self.device.on_bytes(buffer.get(..n).unwrap_or_default(), now_ns);
-                }
-                Err(Errno::INTR) => {}
-                Err(e) => return Err(PtyError::Line { action: "reading", source: e.into() }),
+            let n = self.line.read(&mut buffer).map_err(self.failed("reading"))?;
+            if n == 0 {
+                break;
             }
+            let now_ns = host_ns();
+            self.tick(now_ns);
+            self.device.on_bytes(buffer.get(..n).unwrap_or_default(), now_ns);
         }
         Ok(())
     }
 
     /// Ten times a second: a new host may open the line after one that was killed, and the log is on disk.
-    fn admit(&mut self) -> Result<(), PtyError> {
+    fn admit(&mut self) -> Result<(), LineError> {
         let now_ns = host_ns();
         if now_ns >= self.open_again_ns {
             self.open_again_ns = now_ns + 100_000_000;
-            let line = |source: io::Error| PtyError::Line { action: "clearing TIOCEXCL", source };
-            self.line.clear_exclusive().map_err(line)?;
-            self.log.as_mut().map_or(Ok(()), Write::flush).map_err(PtyError::Log)?;
+            self.line.tend().map_err(self.failed("tending"))?;
+            self.log.as_mut().map_or(Ok(()), Write::flush).map_err(LineError::Log)?;
         }
         Ok(())
     }
 
-    fn drain(&mut self) -> Result<(), PtyError> {
+    fn drain(&mut self) -> Result<(), LineError> {
         let mut drain = Drain::default();
         loop {
             self.write()?;
-            let unread = self
-                .line
-                .unread()
-                .map_err(|source| PtyError::Line { action: "FIONREAD", source })?;
+            let unread = self.line.unread().map_err(self.failed("counting bytes"))?;
             let left = self.device.pending().len() as u64 + unread;
             if drain.is_over(left, host_ns()) {
                 return Ok(());
@@ -252,11 +229,11 @@ impl Server<'_> {
         }
     }
 
-    fn log_line(&mut self, text: &str) -> Result<(), PtyError> {
-        self.log.as_mut().map_or(Ok(()), |log| writeln!(log, "{text}")).map_err(PtyError::Log)
+    fn log_line(&mut self, text: &str) -> Result<(), LineError> {
+        self.log.as_mut().map_or(Ok(()), |log| writeln!(log, "{text}")).map_err(LineError::Log)
     }
 
-    fn log_frames(&mut self) -> Result<(), PtyError> {
+    fn log_frames(&mut self) -> Result<(), LineError> {
         if self.log.is_some() {
             for frame in self.device.take_frames() {
                 self.log_line(&frame.to_csv())?;
