@@ -15,6 +15,8 @@ pub struct Counts {
     pub not_received: u64,
     /// Frames that arrived when a ring was full.
     pub ring_full: u64,
+    /// Rows that the device's counter skipped while it was away.
+    pub lost_in_outages: u64,
     /// Frames seen again, or older than the last one.
     pub duplicates: u64,
     /// Samples of announced markers in recorded frames, there or not.
@@ -33,8 +35,12 @@ pub struct Counts {
     pub events_dropped: u64,
     /// What the link decoder counted.
     pub link: LinkCounters,
-    /// The device's last report.
+    /// The device's last report, of all its frames: those before an outage too.
     pub status: Option<Status>,
+    /// Frames that the device's counter told of when it was last started, which its reports leave out.
+    pub reports_from: u64,
+    /// Of these, dropped inside it by its own account.
+    pub dropped_before: u64,
     /// Whether that was its last word after a stop.
     pub ended: bool,
     /// Whether no more frames will be taken in.
@@ -49,7 +55,31 @@ impl Counts {
     /// Frames that the device's counter tells of.
     #[must_use]
     pub fn seen(&self) -> u64 {
-        self.recorded + self.not_received + self.ring_full
+        self.recorded + self.lost()
+    }
+
+    /// Of these, the ones that are not in the take.
+    #[must_use]
+    pub fn lost(&self) -> u64 {
+        self.not_received + self.ring_full + self.lost_in_outages
+    }
+
+    /// The device reports on itself. `early`: before its first frame after an outage, by which alone its account can
+    /// be joined to the one before.
+    pub(super) fn status(&mut self, status: Status, early: bool) {
+        let reports_from = if early { self.seen() } else { self.reports_from };
+        self.status = Some(Status {
+            frames_produced: status.frames_produced.saturating_add(reports_from),
+            frames_dropped: status.frames_dropped.saturating_add(self.dropped_before),
+            ..status
+        });
+    }
+
+    /// The device is started again after an outage, and its reports with it.
+    pub(super) fn rejoin(&mut self) {
+        self.dropped_before = self.status.map_or(self.dropped_before, |s| s.frames_dropped);
+        // Frames that it reported and that never came are missing when its counter goes on.
+        self.status = None;
     }
 
     /// The ledger that these counters make. It closes, or says why not.
@@ -70,9 +100,9 @@ impl Counts {
         let unseen = if self.closed { reported.saturating_sub(seen) } else { 0 };
         let frames_sent = seen + unseen;
         // Without its last word nobody knows whether they were sent, lost or dropped.
-        let unknown_after_disconnect = if self.ended { 0 } else { unseen };
+        let unknown_after_disconnect = self.lost_in_outages + if self.ended { 0 } else { unseen };
         let missing = frames_sent - self.recorded - self.ring_full - unknown_after_disconnect;
-        let dropped = self.status.map_or(0, |status| status.frames_dropped);
+        let dropped = self.status.map_or(self.dropped_before, |status| status.frames_dropped);
         if self.ended && dropped > missing {
             contradictions.push(format!(
                 "the device reports {dropped} frames dropped, but only {missing} are missing"

@@ -3,6 +3,7 @@
 mod axis;
 mod channels;
 mod clock;
+mod follow;
 mod pending;
 mod rows;
 
@@ -62,6 +63,8 @@ pub struct Intake {
     open_ns_max: u64,
     counts: Counts,
     clocks: Clocks,
+    /// The device is back after an outage, and its first frame has not come.
+    rejoining: bool,
     finished: bool,
 }
 
@@ -109,22 +112,17 @@ impl Intake {
             open_ns_max: config.stretch.as_nanos() as u64,
             counts: Counts::default(),
             clocks: Clocks::new(config.tick_hz, to_writer.clock),
+            rejoining: false,
             finished: false,
         }
     }
 
     /// One frame, at the host's monotonic time of its last byte.
     pub fn frame(&mut self, frame: &Frame<'_>, arrival_ns: u64) {
-        match self.axis.step(frame.seq, frame.device_ticks) {
-            Step::Next { missing } => {
-                self.counts.not_received += u64::from(missing);
-                self.pending.add(u64::from(missing), Causes::NOT_RECEIVED);
-            }
-            Step::Again => {
-                self.counts.duplicates += 1;
-                return;
-            }
-            Step::Jump => self.counts.counter_jumps += 1,
+        if self.rejoining {
+            self.end_outage(frame, arrival_ns);
+        } else if !self.follow(frame) {
+            return;
         }
         // No frame is dropped for its time; but no line fits both sides of a jump.
         let event = self.clocks.frame(frame.device_ticks, arrival_ns);
@@ -135,9 +133,7 @@ impl Intake {
             self.counts.ring_full += 1;
             self.pending.add(1, Causes::RING_FULL);
             self.row.fill(Sample::default());
-            self.progress
-                .lost
-                .store(self.counts.not_received + self.counts.ring_full, Ordering::Relaxed);
+            self.progress.lost.store(self.counts.lost(), Ordering::Relaxed);
             return;
         }
         if self.open_rows == 0 {
@@ -171,7 +167,7 @@ impl Intake {
 
     /// The device's report on itself.
     pub fn status(&mut self, status: Status, last: bool) {
-        self.counts.status = Some(status);
+        self.counts.status(status, self.rejoining);
         self.counts.ended |= last;
     }
 

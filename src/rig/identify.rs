@@ -1,21 +1,19 @@
 //! Asking a device who it is and which markers it tracks.
 
+use std::time::Duration;
+
 use anyhow::bail;
 use mocapd_drivers::{
-    device::{Command, DeviceEvent, Hello, MarkerInfo, Protocol},
-    transport::Transport,
+    device::{Command, DeviceEvent, Hello, MarkerInfo},
+    registry::OpenedDevice,
     uri::DeviceUri,
 };
 
 use super::{READ_BYTES, Rig, TRIES, monotonic_ns};
 
 impl Rig {
-    pub(super) fn identify(
-        uri: DeviceUri,
-        family: &'static str,
-        transport: Box<dyn Transport>,
-        protocol: Box<dyn Protocol>,
-    ) -> anyhow::Result<Self> {
+    pub(super) fn identify(uri: DeviceUri, opened: OpenedDevice) -> anyhow::Result<Self> {
+        let OpenedDevice { transport, protocol, family, identity } = opened;
         let mut rig = Self {
             uri,
             family,
@@ -26,16 +24,24 @@ impl Rig {
             hello: Hello::default(),
             markers: Vec::new(),
             not_finite_before: 0,
+            identity,
+            patience: Duration::ZERO,
         };
+        rig.introduce()?;
+        Ok(rig)
+    }
+
+    /// Asks the device who it is, whatever it was doing.
+    pub(super) fn introduce(&mut self) -> anyhow::Result<()> {
         for _ in 0..TRIES {
             // A device that is still sending from an earlier host must not fill the table's place.
-            rig.say(Command::Stop)?;
-            let damaged = rig.protocol.counters().messages_damaged;
+            self.say(Command::Stop)?;
+            let damaged = self.protocol.counters().messages_damaged;
             let mut hello = None;
             let mut markers = Vec::new();
-            rig.say(Command::Identify)?;
+            self.say(Command::Identify)?;
             let host_ns = monotonic_ns();
-            rig.ask(Command::Ping { host_ns }, |event| {
+            self.ask(Command::Ping { host_ns }, |event| {
                 match event {
                     DeviceEvent::Hello(said) => {
                         hello = Some(said.clone());
@@ -49,14 +55,14 @@ impl Rig {
                 None
             })?;
             if let Some(hello) = hello
-                && rig.protocol.counters().messages_damaged == damaged
+                && self.protocol.counters().messages_damaged == damaged
             {
-                rig.hello = hello;
-                rig.markers = markers;
-                return Ok(rig);
+                self.hello = hello;
+                self.markers = markers;
+                return Ok(());
             }
         }
-        bail!("{} answers, but its messages arrive damaged: check cable and baud rate", rig.uri)
+        bail!("{} answers, but its messages arrive damaged: check cable and baud rate", self.uri)
     }
 }
 

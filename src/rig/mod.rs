@@ -2,6 +2,7 @@
 
 mod identify;
 mod reader;
+mod reconnect;
 
 use std::time::Duration;
 
@@ -9,7 +10,7 @@ use anyhow::{Context, bail, ensure};
 use mocapd_codec::Settings;
 use mocapd_drivers::{
     device::{Command, DeviceEvent, Hello, LinkBudget, MarkerInfo, Protocol},
-    registry,
+    registry::{self, Candidate},
     transport::{Transport, TransportError},
     uri::DeviceUri,
 };
@@ -49,6 +50,10 @@ pub struct Rig {
     hello: Hello,
     markers: Vec<MarkerInfo>,
     not_finite_before: u64,
+    /// To be found again by.
+    identity: Candidate,
+    /// How long it is waited for when it goes away.
+    patience: Duration,
 }
 
 impl Rig {
@@ -57,8 +62,7 @@ impl Rig {
     /// # Errors
     /// Why it cannot be opened, or that it does not answer: one line that says what to do.
     pub fn open(uri: &DeviceUri) -> anyhow::Result<Self> {
-        let opened = registry::open(uri)?;
-        Self::identify(uri.clone(), opened.family, opened.transport, opened.protocol)
+        Self::identify(uri.clone(), registry::open(uri)?)
     }
 
     /// Who it is.

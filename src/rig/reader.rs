@@ -7,7 +7,7 @@ use std::{
 
 use anyhow::{anyhow, bail};
 use mocapd_drivers::{
-    device::{Command, DeviceEvent, LinkBudget, LinkCounters, Pong},
+    device::{Command, DeviceEvent, LinkBudget, LinkCounters, MarkerInfo, Pong},
     transport::TransportError,
 };
 use mocapd_take::record::{Event, EventKind};
@@ -59,6 +59,8 @@ pub struct Recording {
     pub counts: Counts,
     /// From the read that brought a frame's last byte to the frame's place in every ring.
     pub ring_latency: Latency,
+    /// How often the device went away and came back.
+    pub outages: u32,
 }
 
 impl Rig {
@@ -78,15 +80,13 @@ impl Rig {
             end: None,
             started: None,
             began_anew: false,
+            outages: 0,
         };
         let outcome = self.read_frames(&mut reader, options);
-        let latency = reader.latency;
-        if matches!(outcome, Ok(Ending::Disconnected)) {
-            intake.event(host_event("the device was disconnected"));
-        }
+        let Reader { latency, outages, .. } = reader;
         intake.link(self.link_counters());
         let counts = intake.finish();
-        Ok(Recording { ending: outcome?, counts, ring_latency: latency })
+        Ok(Recording { ending: outcome?, counts, ring_latency: latency, outages })
     }
 
     fn read_frames(
@@ -94,13 +94,41 @@ impl Rig {
         reader: &mut Reader<'_>,
         options: &ReadOptions<'_>,
     ) -> anyhow::Result<Ending> {
+        self.not_finite_before = self.protocol.counters().samples_not_finite;
         if !self.start(reader, options)? {
             return Ok(Ending::Stopped);
         }
         let started_ns = monotonic_ns();
-        let mut last_frame_ns = started_ns;
+        let is_over = |reader: &Reader<'_>| {
+            let time_max = options.time_max.map(|max| max.as_nanos() as u64);
+            options.stop.load(Ordering::Relaxed)
+                || options.rows_max.is_some_and(|max| reader.intake.next_row() >= max)
+                || time_max.is_some_and(|max| monotonic_ns() - started_ns > max)
+        };
+        loop {
+            let ending = self.read_until_gone(reader, options, &is_over)?;
+            if ending != Ending::Disconnected {
+                return Ok(ending);
+            }
+            reader.intake.event(host_event("the device was disconnected"));
+            if !self.reconnect(reader, options, &is_over) {
+                return Ok(Ending::Disconnected);
+            }
+            reader.outages += 1;
+        }
+    }
+
+    /// Reads a device that sends frames, for as long as it is there.
+    fn read_until_gone(
+        &mut self,
+        reader: &mut Reader<'_>,
+        options: &ReadOptions<'_>,
+        is_over: &dyn Fn(&Reader<'_>) -> bool,
+    ) -> anyhow::Result<Ending> {
+        let mut last_frame_ns = monotonic_ns();
         let mut told_silent = false;
         let mut stop_said_ns = None;
+        let mut stalls_cleared = self.transport.stalls_cleared();
         loop {
             let frames_before = reader.intake.counts_seen();
             match self.pump(reader) {
@@ -120,6 +148,13 @@ impl Rig {
                     "no frame for 3 s: is the device capturing? Still waiting; Ctrl-C finishes the take",
                 );
                 told_silent = true;
+            }
+            if self.transport.stalls_cleared() > stalls_cleared {
+                stalls_cleared = self.transport.stalls_cleared();
+                reader.intake.event(host_event("the device stalled, and was cleared"));
+                (options.say)(
+                    "the device stalled, and was cleared: what it was sending may be lost",
+                );
             }
             if std::mem::take(&mut reader.began_anew) {
                 reader.intake.event(host_event("the device began anew and was started again"));
@@ -142,10 +177,8 @@ impl Rig {
                 self.say(Command::Stop).ok();
                 return Ok(Ending::WriterFailed);
             }
-            let time_is_up = options.rows_max.is_some_and(|max| reader.intake.next_row() >= max)
-                || options.time_max.is_some_and(|max| now_ns - started_ns > max.as_nanos() as u64);
             match stop_said_ns {
-                None if time_is_up || options.stop.load(Ordering::Relaxed) => {
+                None if is_over(reader) => {
                     if self.say(Command::Stop).is_err() {
                         return Ok(Ending::Disconnected);
                     }
@@ -163,12 +196,11 @@ impl Rig {
     }
 
     /// `false` when the user stopped it before the device answered.
-    fn start(
+    pub(super) fn start(
         &mut self,
         reader: &mut Reader<'_>,
         options: &ReadOptions<'_>,
     ) -> anyhow::Result<bool> {
-        self.not_finite_before = self.protocol.counters().samples_not_finite;
         let line_bytes_per_s = self.transport.line_bytes_per_s().unwrap_or(0);
         for _ in 0..TRIES {
             self.say(Command::Start { line_bytes_per_s })?;
@@ -227,17 +259,28 @@ impl Rig {
     }
 }
 
-struct Reader<'a> {
-    intake: &'a mut Intake,
+pub(super) struct Reader<'a> {
+    pub(super) intake: &'a mut Intake,
     latency: Latency,
     prober: Prober,
     started: Option<Result<(), LinkBudget>>,
     end: Option<()>,
     /// It introduced itself while it was to send frames.
     began_anew: bool,
+    outages: u32,
 }
 
 impl Reader<'_> {
+    /// The device is back, and will be started again.
+    pub(super) fn restart(&mut self, markers: &[MarkerInfo]) {
+        self.started = None;
+        self.end = None;
+        self.began_anew = false;
+        self.prober = Prober::new();
+        self.intake.rejoin();
+        self.intake.announce(markers);
+    }
+
     fn event(&mut self, event: DeviceEvent<'_>, arrival_ns: u64) {
         match event {
             DeviceEvent::Frame(frame) => {
@@ -272,7 +315,7 @@ impl Reader<'_> {
     }
 }
 
-fn host_event(text: &str) -> Event {
+pub(super) fn host_event(text: &str) -> Event {
     Event {
         kind: EventKind::Host,
         row: 0,

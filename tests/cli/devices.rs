@@ -37,6 +37,22 @@ pub(super) struct Simulated {
 
 impl Simulated {
     pub(super) fn start(motion: Motion, settings: DeviceSettings, baud: Option<u32>) -> Self {
+        Self::at(None, motion, settings, baud)
+    }
+
+    /// One that never ends, at a path that its successor can have.
+    pub(super) fn endless_at(link: &std::path::Path, serial: &str, motion: Motion) -> Self {
+        let serial = serial.to_owned();
+        let settings = DeviceSettings { looping: true, serial, ..DeviceSettings::default() };
+        Self::at(Some(link.to_owned()), motion, settings, None)
+    }
+
+    fn at(
+        link: Option<PathBuf>,
+        motion: Motion,
+        settings: DeviceSettings,
+        baud: Option<u32>,
+    ) -> Self {
         // A machine that is busy with other tests must not make the device drop frames.
         let settings = DeviceSettings { queue_bytes: Some(64 << 20), ..settings };
         Self::serve(Device::new(motion, settings).unwrap(), baud)
@@ -50,7 +66,7 @@ impl Simulated {
         let serve = move || {
             let options = ServeOptions { baud, ..ServeOptions::default() };
             let told = |path: &std::path::Path| path_in.send(path.to_owned()).unwrap();
-            serve_pty(&mut device, None, options, &stopped, told).unwrap()
+            serve_pty(&mut device, link.as_deref(), options, &stopped, told).unwrap()
         };
         let thread = Builder::new().name("simulator".to_owned()).spawn(serve).unwrap();
         Self { stop, thread: Some(thread), path: path.recv().unwrap() }
@@ -112,6 +128,18 @@ impl Recorder {
 
     pub(super) fn signal(&self, signal: Signal) {
         kill_process(Pid::from_child(&self.child), signal).unwrap();
+    }
+
+    /// Waits until it has said this.
+    pub(super) fn hears(&mut self, words: &str) {
+        let begun = Instant::now();
+        let mut said = Vec::new();
+        let mut byte = [0];
+        while !String::from_utf8_lossy(&said).contains(words) {
+            let n = self.child.stderr.as_mut().unwrap().read(&mut byte).unwrap();
+            assert!(n > 0 && begun.elapsed() < GIVE_UP, "{}", String::from_utf8_lossy(&said));
+            said.extend(byte);
+        }
     }
 
     /// Waits for its end.

@@ -113,7 +113,7 @@ fn info_and_verify() {
 
     // A recording that was cut off by a pulled plug has an event.
     let device = Simulated::endless(jump(1, 120.0, 1.0));
-    let mut recorder = Recorder::start(&folder, &device, "unplugged.take", &[]);
+    let mut recorder = Recorder::start(&folder, &device, "unplugged.take", &["--reconnect", "0s"]);
     device.unplug();
     recorder.wait().with_code(3);
     infos.push(info("unplugged.take"));

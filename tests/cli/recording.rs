@@ -92,7 +92,8 @@ fn a_signal_finishes_the_take() {
 fn a_pulled_plug_leaves_a_take_that_can_be_read() {
     let folder = Folder::new();
     let device = Simulated::endless(jump(1, 120.0, 2.0));
-    let mut recorder = Recorder::start(&folder, &device, "a.take", &["--json"]);
+    let options = ["--json", "--reconnect", "0s"];
+    let mut recorder = Recorder::start(&folder, &device, "a.take", &options);
     let sent = device.unplug();
     let ran = recorder.wait().with_code(3);
     assert_eq!(ran.stderr, "mocapd: the device was disconnected: the take ends there\n");
@@ -110,6 +111,39 @@ fn a_pulled_plug_leaves_a_take_that_can_be_read() {
     assert!(folder.run(&["info", "a.take"]).stdout.contains("the device was disconnected"));
     folder.run(&["export", "a.take", "-o", "a.csv"]).with_code(0);
     assert_eq!(folder.text("a.csv").lines().count() as u64, 1 + recorded);
+}
+
+#[test]
+fn a_device_that_comes_back_is_recorded_again() {
+    let folder = Folder::new();
+    let link = folder.path("rig");
+    let motion = jump(1, 120.0, 2.0);
+    let device = Simulated::endless_at(&link, "SIM0001", motion.clone());
+    let mut recorder = Recorder::start(&folder, &device, "a.take", &["--json"]);
+    device.unplug();
+    recorder.hears("is gone: plug it in again within 60 s");
+    // Another one at the same place is not taken for it.
+    let other = Simulated::endless_at(&link, "SIM0002", motion.clone());
+    recorder.hears("another device answers, mocapd-sim SIM0002");
+    let sent = other.unplug();
+    assert_eq!(sent.starts, 0, "the other device was started");
+    let device = Simulated::endless_at(&link, "SIM0001", motion);
+    recorder.hears("the device is back after");
+    std::thread::sleep(std::time::Duration::from_millis(300));
+    recorder.signal(Signal::INT);
+    let report = recorder.wait().with_code(3).json();
+    assert_eq!(report["ending"], "stopped");
+    assert_eq!(report["ledger"]["closes"], true, "{report}");
+    assert_eq!(report["ledger"]["contradictions"], serde_json::json!([]));
+    assert_eq!(device.unplug().starts, 1);
+    let info = folder.run(&["info", "a.take", "--json"]).json();
+    assert_eq!(info["frames"], report["frames"]);
+    let events: Vec<&str> =
+        info["events"].as_array().unwrap().iter().filter_map(|e| e["text"].as_str()).collect();
+    for words in ["was disconnected", "is back after", "began anew"] {
+        let told = events.iter().filter(|event| event.contains(words)).count();
+        assert_eq!(told, 1, "'{words}' in {events:?}");
+    }
 }
 
 #[test]

@@ -4,6 +4,7 @@ mod channels;
 mod clocks;
 mod framing;
 mod loss;
+mod outage;
 mod overload;
 
 use mocapd_take::motion::is_gap;

@@ -36,6 +36,9 @@ pub(crate) struct Args {
     /// Set the device to this frame rate, which it keeps: 240, 240Hz, 1kHz
     #[arg(long, value_name = "HZ", value_parser = units::rate_hz, allow_hyphen_values = true)]
     rate: Option<f64>,
+    /// Wait so long for a device that goes away, and go on when it is back; 0s ends the take at once
+    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = units::duration, allow_hyphen_values = true)]
+    reconnect: Duration,
     #[command(flatten)]
     codec: CodecArgs,
     /// Print one JSON document
@@ -55,6 +58,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let Some(rate_hz) = args.rate {
         rig.set_rate(rate_hz)?;
     }
+    rig.wait_for_replug(args.reconnect);
     let recorded = record_and_watch(rig, &args.output, codec, args.seconds, &stop)?;
     let report = Report::new(&args.output, &recorded, &codec);
     if args.json {
@@ -70,5 +74,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         say(&format!("not in the take: {losses}"));
     }
     let ledger = &recorded.written.ledger;
-    Ok(Outcome::of(ledger.lost_anything() || !ledger.closes() || disconnected))
+    let was_away = disconnected || recorded.recording.outages > 0;
+    Ok(Outcome::of(ledger.lost_anything() || !ledger.closes() || was_away))
 }

@@ -3,6 +3,9 @@
 /// A frame this far ahead is a counter that jumped, not loss: 17 minutes at 1000 Hz.
 const MISSING_MAX: i32 = 1 << 20;
 
+/// A counter that is this far ahead after an outage has gone on: a day and more at 10 kHz.
+const OUTAGE_MAX: i32 = 1 << 30;
+
 /// A frame this far behind may have come late or twice: links do not reorder further. Beyond it the
 /// device began anew.
 const LATE_MIN: i32 = -64;
@@ -25,6 +28,17 @@ pub(super) struct Axis {
 }
 
 impl Axis {
+    /// The first frame after an outage: so many did not come in between, or `None` where counter and clock do not go
+    /// on from where they were, because the device lost its power.
+    pub(super) fn rejoin(&mut self, seq: u32, device_ticks: u64) -> Option<u32> {
+        let last = self.last.replace((seq, device_ticks));
+        let Some((last, ticks)) = last else { return Some(0) };
+        match seq.wrapping_sub(last).cast_signed() {
+            ahead @ 1..=OUTAGE_MAX if device_ticks > ticks => Some(ahead as u32 - 1),
+            _ => None,
+        }
+    }
+
     /// The device's clock tells a late frame from a counter that began anew.
     pub(super) fn step(&mut self, seq: u32, device_ticks: u64) -> Step {
         let step = match self.last {
@@ -53,6 +67,19 @@ mod tests {
         assert_eq!(axis.step(2, 50), Step::Again);
         assert_eq!(axis.step(1, 40), Step::Again);
         assert_eq!(axis.step(3, 60), Step::Next { missing: 0 });
+    }
+
+    #[test]
+    fn after_an_outage_a_device_goes_on_or_begins_anew() {
+        let mut axis = Axis::default();
+        assert_eq!(axis.rejoin(7, 10), Some(0), "nothing came before");
+        assert_eq!(axis.rejoin(20, 300), Some(12));
+        assert_eq!(axis.rejoin(0, 5), None, "counter and clock began anew");
+        assert_eq!(axis.step(1, 15), Step::Next { missing: 0 });
+        assert_eq!(axis.rejoin(1, 15), None, "as early as before, by another clock");
+        assert_eq!(axis.rejoin(9, 3), None, "a clock that went back");
+        axis.step(u32::MAX, 400);
+        assert_eq!(axis.rejoin(2, 500), Some(2), "through the wrap");
     }
 
     #[test]

@@ -71,9 +71,7 @@ impl Intake {
         for (rows, causes) in self.pending.drain() {
             self.timeline.push(TimelineItem::Lost { rows, causes });
         }
-        self.progress
-            .lost
-            .store(self.counts.not_received + self.counts.ring_full, Ordering::Relaxed);
+        self.progress.lost.store(self.counts.lost(), Ordering::Relaxed);
     }
 
     pub(super) fn close_stretch(&mut self) {
