@@ -1,0 +1,85 @@
+//! What the host side sees, and waiting for it.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::Command,
+    thread::sleep,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context, bail, ensure};
+use mocapd_drivers::transport::usb;
+
+/// Five times what anything took on a loaded machine.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(20);
+
+/// Where udev's own rules go in this machine.
+const RULES: &str = "/etc/udev/rules.d";
+
+pub(crate) fn wait_until<T>(
+    what: &str,
+    within: Duration,
+    mut look: impl FnMut() -> Option<T>,
+) -> anyhow::Result<T> {
+    let started = Instant::now();
+    loop {
+        if let Some(found) = look() {
+            return Ok(found);
+        }
+        if started.elapsed() > within {
+            bail!("{what}: not within {:.1} s", within.as_secs_f64());
+        }
+        sleep(Duration::from_millis(5));
+    }
+}
+
+/// Waits for the USB device with this serial number, and for udev to have done with it.
+pub(crate) fn wait_for_usb(serial: &str) -> anyhow::Result<PathBuf> {
+    let node = wait_until(&format!("a USB device {serial}"), PATIENCE, || {
+        let all = usb::devices().ok()?;
+        let found = all.into_iter().find(|device| device.serial.as_deref() == Some(serial))?;
+        found.node.exists().then_some(found.node)
+    })?;
+    settle()?;
+    Ok(node)
+}
+
+pub(crate) fn wait_for_absence(serial: &str) -> anyhow::Result<()> {
+    wait_until(&format!("{serial} to go"), PATIENCE, || {
+        let all = usb::devices().ok()?;
+        (!all.iter().any(|device| device.serial.as_deref() == Some(serial))).then_some(())
+    })
+}
+
+/// Waits for the port that udev names by the serial number.
+pub(crate) fn wait_for_port(path: &str) -> anyhow::Result<()> {
+    wait_until(path, PATIENCE, || Path::new(path).exists().then_some(()))?;
+    settle()
+}
+
+pub(crate) fn settle() -> anyhow::Result<()> {
+    run("udevadm", &["settle"])
+}
+
+/// Gives udev these rules, and none of ours besides; they count for what is plugged in from now on.
+pub(crate) fn set_rules(rules: Option<&str>) -> anyhow::Result<()> {
+    let path = Path::new(RULES).join("60-mocapd.rules");
+    match rules {
+        Some(rules) => fs::write(&path, rules)?,
+        None if path.exists() => fs::remove_file(&path)?,
+        None => {}
+    }
+    run("udevadm", &["control", "--reload"])
+}
+
+/// The rules as they lie in the project.
+pub(crate) fn our_rules() -> anyhow::Result<String> {
+    fs::read_to_string("/rules/60-mocapd.rules").context("the project's rules")
+}
+
+pub(crate) fn run(program: &str, arguments: &[&str]) -> anyhow::Result<()> {
+    let status = Command::new(program).args(arguments).status().context(program.to_owned())?;
+    ensure!(status.success(), "{program} {arguments:?}: {status}");
+    Ok(())
+}

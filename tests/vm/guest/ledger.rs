@@ -1,0 +1,59 @@
+//! The recorder's account, held against the simulator's log.
+
+use anyhow::{Context, ensure};
+use serde_json::Value;
+
+use crate::simulator::Sent;
+
+/// What a recording reports, as far as scenarios look at it.
+#[derive(Debug, Clone)]
+pub(crate) struct Account {
+    pub(crate) ending: String,
+    pub(crate) recorded: u64,
+    pub(crate) frames_sent: u64,
+    pub(crate) lost: u64,
+    pub(crate) unknown: u64,
+    pub(crate) samples: u64,
+    pub(crate) damaged: u64,
+    contradictions: usize,
+    closes: bool,
+}
+
+impl Account {
+    pub(crate) fn of(report: &Value) -> anyhow::Result<Self> {
+        let ledger = &report["ledger"];
+        let number =
+            |name: &str| ledger[name].as_u64().with_context(|| format!("{name}: {ledger}"));
+        let in_host = |name: &str| ledger["lost_in_host"][name].as_u64().unwrap_or(u64::MAX);
+        Ok(Self {
+            ending: report["ending"].as_str().unwrap_or_default().to_owned(),
+            recorded: number("recorded")?,
+            frames_sent: number("frames_sent")?,
+            lost: number("lost_on_link")?
+                .saturating_add(number("dropped_by_device")?)
+                .saturating_add(in_host("ring_full"))
+                .saturating_add(in_host("other")),
+            unknown: number("unknown_after_disconnect")?,
+            samples: number("samples_present")?,
+            damaged: number("link_messages_damaged")?,
+            contradictions: ledger["contradictions"].as_array().map_or(0, Vec::len),
+            closes: ledger["closes"] == true,
+        })
+    }
+
+    /// It closes, and contradicts neither itself nor the device.
+    pub(crate) fn closes(&self) -> anyhow::Result<()> {
+        ensure!(self.closes && self.contradictions == 0, "the ledger does not close: {self:?}");
+        Ok(())
+    }
+
+    /// Every frame that the simulator sent is in the take, with every sample.
+    pub(crate) fn has_all_of(&self, sent: &Sent) -> anyhow::Result<()> {
+        self.closes()?;
+        ensure!(
+            self.recorded == sent.produced && self.samples == sent.samples && self.lost == 0,
+            "{self:?} of {sent:?}"
+        );
+        Ok(())
+    }
+}

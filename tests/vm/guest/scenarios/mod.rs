@@ -1,0 +1,35 @@
+//! What is tried, in this order.
+
+mod access;
+mod bad;
+mod recording;
+mod replug;
+mod speed;
+
+use crate::Scenario;
+
+pub(crate) const ALL: &[(&str, Scenario)] = &[
+    ("devices: both listed with our rules", access::listed_with_our_rules),
+    ("devices: the udev line that is shown mends it", access::the_line_mends_it),
+    ("devices: one program at a time", access::one_at_a_time),
+    ("devices: a kernel driver gives way", access::kernel_driver),
+    ("devices: no memory for transfers", access::no_memory),
+    ("record: bulk", recording::bulk),
+    ("record: CDC-ACM", recording::port),
+    ("record: two devices at once", recording::two_at_once),
+    ("replug: bulk", replug::bulk),
+    ("replug: CDC-ACM", replug::port),
+    ("replug: without udev", replug::without_udev),
+    ("replug: after a loss of power", replug::power_cut),
+    ("replug: another serial number", replug::another),
+    ("replug: never", replug::never),
+    ("bad: stalls now and then", bad::stalls),
+    ("bad: stalls for good", bad::stalls_for_good),
+    ("bad: sends nothing", bad::sends_nothing),
+    ("bad: sends garbage", bad::sends_garbage),
+    ("bad: lies in its descriptors", bad::lies),
+    ("bad: vanishes inside a transfer", bad::vanishes),
+    ("bad: answers late", bad::answers_late),
+    ("speed: the transport alone", speed::transport),
+    ("speed: the whole pipeline", speed::pipeline),
+];
