@@ -23,6 +23,8 @@ pub(crate) enum User {
     Dialout,
     /// In no group that matters.
     Nobody,
+    /// Who may do anything.
+    Root,
 }
 
 type Lines = Arc<Mutex<Vec<(Instant, String)>>>;
@@ -57,21 +59,31 @@ pub(crate) fn record(uri: &str, take: &str, more: &[&str]) -> anyhow::Result<Moc
 
 impl Mocapd {
     pub(crate) fn start(user: User, arguments: &[&str]) -> anyhow::Result<Self> {
+        Self::start_program("mocapd", user, arguments)
+    }
+
+    /// The same for another program.
+    pub(crate) fn start_program(
+        program: &str,
+        user: User,
+        arguments: &[&str],
+    ) -> anyhow::Result<Self> {
         const GUEST: u32 = 1000;
         const DIALOUT: u32 = 20;
-        let group = match user {
-            User::Dialout => DIALOUT,
-            User::Nobody => GUEST,
+        let (user, group) = match user {
+            User::Dialout => (GUEST, DIALOUT),
+            User::Nobody => (GUEST, GUEST),
+            User::Root => (0, 0),
         };
-        let mut child = Command::new("mocapd")
+        let mut child = Command::new(program)
             .args(arguments)
-            .uid(GUEST)
+            .uid(user)
             .gid(group)
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
-            .context("mocapd")?;
+            .with_context(|| program.to_owned())?;
         let mut out = child.stdout.take().context("its stdout")?;
         let stdout = Builder::new().name("stdout".to_owned()).spawn(move || {
             let mut text = String::new();

@@ -13,7 +13,7 @@ use crate::{
     attached::{PATIENCE, our_rules, run, set_rules, wait_for_absence, wait_for_port},
     ledger::Account,
     odd::{Odd, mute},
-    recorder::{User, mocapd, record},
+    recorder::{Mocapd, User, mocapd, record},
     simulator::Simulator,
 };
 
@@ -44,7 +44,8 @@ pub(crate) fn listed_with_our_rules() -> Measured {
         let problem = problem.unwrap_or_default();
         ensure!(problem.contains("sudo usermod -aG dialout"), "{device}: {problem}");
     }
-    Ok(format!("2 of 2 open to the group dialout; others are told: {}", "usermod -aG dialout"))
+    println!("   mocapd devices, in the group dialout:\n{seen}   and in no group:\n{refused}");
+    Ok("2 of 2 open to the group dialout; others are told to join it".to_owned())
 }
 
 pub(crate) fn the_line_mends_it() -> Measured {
@@ -99,6 +100,23 @@ pub(crate) fn kernel_driver() -> Measured {
     wait_for_absence("DRIVER1")?;
     run("rmmod", &["usbserial"])?;
     measured
+}
+
+pub(crate) fn no_gadget() -> Measured {
+    let serve = ["serve", "--generate", "jump", "--usb-gadget"];
+    let refused = |user: User, more: &[&str], code: i32, words: &[&str]| {
+        let simulator = Mocapd::start_program("mocapd-sim", user, &[&serve, more].concat())?;
+        simulator.finish(PATIENCE)?.with_code(code)?.says(words)
+    };
+    refused(User::Dialout, &[], 1, &["only root may make a USB gadget"])?;
+    refused(User::Root, &["--udc", "none.0"], 2, &["'none.0'", "dummy_udc.0, dummy_udc.1"])?;
+    let _first = Simulator::bulk("BOTH1", &[])?;
+    let second = Simulator::port("BOTH2", &[])?;
+    refused(User::Root, &[], 1, &["no USB device controller is free", "--udc"])?;
+    second.stop()?;
+    wait_for_absence("BOTH2")?;
+    let _again = Simulator::bulk("BOTH3", &["--udc", "dummy_udc.1"])?;
+    Ok("not root, no such controller, none free: each told".to_owned())
 }
 
 /// Another program's transfers use up the kernel's limit.

@@ -14,6 +14,7 @@ pub(crate) const ALL: &[(&str, Scenario)] = &[
     ("devices: one program at a time", access::one_at_a_time),
     ("devices: a kernel driver gives way", access::kernel_driver),
     ("devices: no memory for transfers", access::no_memory),
+    ("simulator: what keeps it from being a device", access::no_gadget),
     ("record: bulk", recording::bulk),
     ("record: CDC-ACM", recording::port),
     ("record: two devices at once", recording::two_at_once),
