@@ -55,12 +55,15 @@ def watch(command: list, environment: dict, limit_s: float) -> bool:
     timer = threading.Timer(limit_s, stop)
     timer.start()
     is_over = False
-    for line in emulator.stdout:
-        text = line.decode(errors="replace").rstrip()
-        if not is_over:
-            print(text, flush=True)
-        # What the kernel says when it goes is of no interest.
-        is_over = is_over or bool(re.fullmatch(r"\d+ passed, \d+ failed", text))
-    emulator.wait()
-    timer.cancel()
+    try:
+        for line in emulator.stdout:
+            text = line.decode(errors="replace").rstrip()
+            if not is_over:
+                print(text, flush=True)
+            # What the kernel says when it goes is of no interest.
+            is_over = is_over or bool(re.fullmatch(r"\d+ passed, \d+ failed", text))
+    finally:
+        timer.cancel()
+        emulator.kill()
+        emulator.wait()
     return not late.is_set()

@@ -83,8 +83,13 @@ impl Queue {
         while n < buf.len() && self.error.is_none() && self.rx.pending() > 0 {
             let Some(done) = self.rx.wait_next_complete(wait) else { break };
             wait = Duration::ZERO;
+            let is_full = done.actual_len == TRANSFER_BYTES;
             self.keep(done);
             n += self.give(buf.get_mut(n..).unwrap_or_default());
+            if is_full {
+                // Worth a turn of its own: to look for another costs, and only short ones are gathered.
+                break;
+            }
         }
         n
     }
