@@ -87,8 +87,9 @@ impl UsbTransport {
         let again = self.received.failed_again();
         match error {
             TransferError::Stall if again => {
+                // A device that does not let itself be cleared is on its way out.
                 if !self.received.clear_halt() {
-                    return Err(self.device.failure("clearing a stall", error));
+                    return Err(self.device.is_gone());
                 }
                 self.stalls_cleared += 1;
             }

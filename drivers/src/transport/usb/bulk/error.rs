@@ -2,10 +2,8 @@
 
 use nusb::transfer::TransferError;
 
-use super::{
-    super::{bulk::Opened, memory},
-    TransportError,
-};
+use super::{super::memory, Opened};
+use crate::transport::TransportError;
 
 /// `ENOMEM`: the kernel's limit for transfers is used up.
 const ENOMEM: u32 = 12;

@@ -49,7 +49,9 @@ fn send_transfer(
         };
         match done.status {
             Ok(()) => return Ok(()),
-            Err(TransferError::Stall) if left > 0 && tx.clear_halt().wait().is_ok() => {}
+            Err(TransferError::Stall) if left > 0 => {
+                tx.clear_halt().wait().map_err(|_| device.is_gone())?;
+            }
             Err(TransferError::Stall) => return Err(device.stalled()),
             Err(TransferError::Fault | TransferError::Cancelled)
                 if left > 0 && device.is_attached() =>
