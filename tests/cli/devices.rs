@@ -55,11 +55,19 @@ impl Simulated {
     ) -> Self {
         // A machine that is busy with other tests must not make the device drop frames.
         let settings = DeviceSettings { queue_bytes: Some(64 << 20), ..settings };
-        Self::serve(Device::new(motion, settings).unwrap(), baud)
+        Self::serve_at(link, Device::new(motion, settings).unwrap(), baud)
     }
 
     /// Any device, as it is.
-    pub(super) fn serve(mut device: impl LineDevice + Send + 'static, baud: Option<u32>) -> Self {
+    pub(super) fn serve(device: impl LineDevice + Send + 'static, baud: Option<u32>) -> Self {
+        Self::serve_at(None, device, baud)
+    }
+
+    fn serve_at(
+        link: Option<PathBuf>,
+        mut device: impl LineDevice + Send + 'static,
+        baud: Option<u32>,
+    ) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = Arc::clone(&stop);
         let (path_in, path) = crossbeam_channel::bounded(1);

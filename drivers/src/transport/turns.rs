@@ -215,6 +215,10 @@ impl Transport for TurnTransport {
         self.line.set_baud(baud)
     }
 
+    fn stalls_cleared(&self) -> u64 {
+        self.line.stalls_cleared()
+    }
+
     fn line_bytes_per_s(&self) -> Option<u64> {
         self.line.line_bytes_per_s()
     }
