@@ -2,7 +2,10 @@
 
 use std::time::Instant;
 
-use crate::{Measured, Scenario};
+use crate::{
+    Measured, Scenario,
+    attached::{our_rules, set_rules},
+};
 
 #[derive(Default)]
 pub(crate) struct Table {
@@ -19,7 +22,8 @@ impl Table {
     pub(crate) fn run(&mut self, name: &'static str, scenario: Scenario) {
         println!("-- {name}");
         let started = Instant::now();
-        let result = scenario();
+        // Each begins with our rules in place, whatever the one before left.
+        let result = our_rules().and_then(|ours| set_rules(Some(&ours))).and_then(|()| scenario());
         let seconds = started.elapsed().as_secs_f64();
         match &result {
             Ok(measured) => println!("   {measured} ({seconds:.1} s)"),

@@ -10,7 +10,7 @@ use nusb::{
 
 use crate::{
     Measured,
-    attached::{PATIENCE, our_rules, run, set_rules, wait_for_absence, wait_for_port},
+    attached::{PATIENCE, run, set_rules, wait_for_absence, wait_for_port},
     ledger::Account,
     odd::{Odd, mute},
     recorder::{Mocapd, User, mocapd, record},
@@ -29,7 +29,6 @@ fn lines_of<'a>(listing: &'a str, device: &str) -> anyhow::Result<(&'a str, Opti
 }
 
 pub(crate) fn listed_with_our_rules() -> Measured {
-    set_rules(Some(&our_rules()?))?;
     let _bulk = Simulator::bulk("LIST1", &[])?;
     let _port = Simulator::port("LIST2", &[])?;
     let seen = listing(User::Dialout)?;
@@ -65,7 +64,6 @@ pub(crate) fn the_line_mends_it() -> Measured {
     let seen = listing(User::Dialout)?;
     let problem = lines_of(&seen, &device.uri)?.1;
     ensure!(problem.is_none(), "with the line in place: {problem:?}");
-    set_rules(Some(&our_rules()?))?;
     Ok("refused with the line, open with it in place".to_owned())
 }
 
