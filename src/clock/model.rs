@@ -265,6 +265,12 @@ impl ClockModel {
         Some(if is_wrap { ClockEvent::Wrapped } else { ClockEvent::WentBack(back_s) })
     }
 
+    /// The device was away. Its clock may have gone on or not, and its way here may be another: a new segment.
+    pub fn rejoin(&mut self, store: &mut dyn FnMut(ClockItem)) {
+        self.restart(store);
+        self.last = None;
+    }
+
     /// A new segment; what is known of the old one is in the take.
     fn restart(&mut self, store: &mut dyn FnMut(ClockItem)) {
         // A clock that jumps with every frame leaves nothing worth storing.

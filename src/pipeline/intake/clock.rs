@@ -37,6 +37,11 @@ impl Clocks {
         model.probe(ticks, sent_ns, answered_ns, store)
     }
 
+    pub(super) fn rejoin(&mut self) {
+        let Self { model, items, dropped, .. } = self;
+        model.rejoin(&mut |item| *dropped += u64::from(items.try_send(item).is_err()));
+    }
+
     pub(super) fn close(&mut self) {
         let Self { model, items, dropped, .. } = self;
         model.close(&mut |item| *dropped += u64::from(items.try_send(item).is_err()));

@@ -29,6 +29,7 @@ impl Intake {
     /// skips until its next frame was lost to the outage.
     pub fn rejoin(&mut self) {
         self.rejoining = true;
+        self.clocks.rejoin();
         self.counts.rejoin();
     }
 

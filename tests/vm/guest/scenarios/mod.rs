@@ -2,6 +2,7 @@
 
 mod access;
 mod bad;
+mod ndi;
 mod recording;
 mod replug;
 mod speed;
@@ -18,11 +19,13 @@ pub(crate) const ALL: &[(&str, Scenario)] = &[
     ("record: bulk", recording::bulk),
     ("record: CDC-ACM", recording::port),
     ("record: two devices at once", recording::two_at_once),
+    ("record: NDI over CDC-ACM", ndi::recorded),
     ("replug: bulk", replug::bulk),
     ("replug: CDC-ACM", replug::port),
     ("replug: without udev", replug::without_udev),
     ("replug: after a loss of power", replug::power_cut),
     ("replug: another serial number", replug::another),
+    ("replug: NDI over CDC-ACM", ndi::replugged),
     ("replug: never", replug::never),
     ("bad: stalls now and then", bad::stalls),
     ("bad: stalls for good", bad::stalls_for_good),
