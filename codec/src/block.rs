@@ -170,14 +170,20 @@ impl DecodedRows {
         self.present.contains(&true)
     }
 
-    /// `n_rows` absent rows, in the memory already there.
-    pub(crate) fn clear_to(&mut self, n_rows: usize) {
-        self.positions.clear();
+    /// `n_rows` rows that are not kept, in the memory already there. Which of them are present, and where they are,
+    /// is as it was: to be said of every row.
+    pub(crate) fn reuse(&mut self, n_rows: usize) {
         self.positions.resize(n_rows, [0.0; 3]);
-        for flags in [&mut self.present, &mut self.kept] {
-            flags.clear();
-            flags.resize(n_rows, false);
-        }
+        self.present.resize(n_rows, false);
+        self.kept.clear();
+        self.kept.resize(n_rows, false);
         self.max_error_mm = 0.0;
+    }
+
+    /// Absent rows have no position.
+    pub(crate) fn blank_absent(&mut self) {
+        for (position, present) in self.positions.iter_mut().zip(&self.present) {
+            *position = if *present { *position } else { [0.0; 3] };
+        }
     }
 }

@@ -41,13 +41,13 @@ impl<D: PayloadDecoder> FramedDecoder<D> {
         self.lost = false;
     }
 
-    /// So many channels of absent rows.
+    /// So many channels of so many rows, of which nothing is said yet.
     fn fit(&mut self, n_channels: usize, n_rows: usize, out: &mut Vec<DecodedRows>) {
         self.spare.extend(out.drain(n_channels.min(out.len())..));
         while out.len() < n_channels {
             out.push(self.spare.pop().unwrap_or_default());
         }
-        out.iter_mut().for_each(|rows| rows.clear_to(n_rows));
+        out.iter_mut().for_each(|rows| rows.reuse(n_rows));
     }
 
     fn decode_samples(
@@ -75,6 +75,7 @@ impl<D: PayloadDecoder> FramedDecoder<D> {
         self.fit(self.n_channels, n_rows, out);
         if head & HAS_GAPS != 0 {
             self.presence.read(&mut input, out)?;
+            out.iter_mut().for_each(DecodedRows::blank_absent);
             if !out.iter().any(DecodedRows::has_samples) {
                 return Err(CodecError::Corrupt("a block with bytes but without samples"));
             }
