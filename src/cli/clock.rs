@@ -66,28 +66,40 @@ impl ClockReport {
         let mut line = |name: &str, words: &str| {
             writeln!(out, "  {name:>15} {words}").ok();
         };
-        let within = self.drift_bound_ppm.map_or(String::new(), |ppm| format!(" within {ppm:.1}"));
+        let within = match self.drift_bound_ppm {
+            Some(ppm) => format!(" within {ppm:.1}"),
+            None => ", nobody knows how well without round trips".to_owned(),
+        };
         let faster = self.which_is_faster();
         line("drift", &format!("{:+.1} ppm{within}: {faster}", self.drift_ppm));
-        let offset_s = self.offset_ns as f64 * 1e-9;
+        let At { device_ticks, host_ns } = self.at;
+        let host_s = host_ns as f64 * 1e-9;
         let known = match self.bound_us {
             Some(us) => format!("within {us} us, by {}", count(self.probes, "round trip")),
             None => "late by the least delay of frames: no round trip was measured".to_owned(),
         };
-        line("offset", &format!("{offset_s:.6} s of host time at device tick 0, {known}"));
+        line(
+            "offset",
+            &format!("device tick {device_ticks} is {host_s:.6} s of host time, {known}"),
+        );
         let Jitter { p50, p99, max } = self.jitter_us;
         let jitter =
             format!("frames came {p50} us after that (p50), {p99} us (p99), {max} us (max)");
         line("jitter", &format!("{jitter}; {} us rms", self.residual_us));
         if self.segments > 1 {
             let segments = count(self.segments, "segment");
-            line("segments", &format!("{segments}: the device's clock jumped; this is the last"));
+            line(
+                "segments",
+                &format!("{segments}: the device was away, or its clock jumped; this is the last"),
+            );
         }
         out
     }
 
     fn which_is_faster(&self) -> &'static str {
-        if self.drift_ppm >= 0.0 {
+        if self.drift_bound_ppm.is_some_and(|bound| self.drift_ppm.abs() <= bound) {
+            "no difference can be told"
+        } else if self.drift_ppm >= 0.0 {
             "the host's clock runs faster than the device's"
         } else {
             "the device's clock runs faster than the host's"

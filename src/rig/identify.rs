@@ -27,12 +27,13 @@ impl Rig {
             identity,
             patience: Duration::ZERO,
         };
-        rig.introduce()?;
+        rig.introduce(&|| false)?;
         Ok(rig)
     }
 
     /// Asks the device who it is, whatever it was doing.
-    pub(super) fn introduce(&mut self) -> anyhow::Result<()> {
+    pub(super) fn introduce(&mut self, give_up: &dyn Fn() -> bool) -> anyhow::Result<()> {
+        let damaged_before = self.protocol.counters().messages_damaged;
         for _ in 0..TRIES {
             // A device that is still sending from an earlier host must not fill the table's place.
             self.say(Command::Stop)?;
@@ -41,7 +42,7 @@ impl Rig {
             let mut markers = Vec::new();
             self.say(Command::Identify)?;
             let host_ns = monotonic_ns();
-            self.ask(Command::Ping { host_ns }, |event| {
+            self.ask(Command::Ping { host_ns }, give_up, |event| {
                 match event {
                     DeviceEvent::Hello(said) => {
                         hello = Some(said.clone());
@@ -61,6 +62,13 @@ impl Rig {
                 self.markers = markers;
                 return Ok(());
             }
+        }
+        if self.protocol.counters().messages_damaged == damaged_before {
+            bail!(
+                "{} answers, but does not get to say who it is: it may be starting up, or a tool on it does not answer; \
+                 wait, unplug its tools, and try again",
+                self.uri
+            );
         }
         bail!("{} answers, but its messages arrive damaged: check cable and baud rate", self.uri)
     }

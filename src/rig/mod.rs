@@ -117,9 +117,13 @@ impl Rig {
     /// # Errors
     /// When the device refuses: the message says what it can do.
     pub fn set_rate(&mut self, rate_hz: f64) -> anyhow::Result<()> {
+        self.set_rate_unless(rate_hz, &|| false)
+    }
+
+    fn set_rate_unless(&mut self, rate_hz: f64, give_up: &dyn Fn() -> bool) -> anyhow::Result<()> {
         let rate_mhz = (rate_hz * 1000.0).round();
         ensure!((1.0..=4e9).contains(&rate_mhz), "cannot run a device at {rate_hz} Hz");
-        let answer = self.ask(Command::SetRate(rate_mhz as u32), |event| match event {
+        let answer = self.ask(Command::SetRate(rate_mhz as u32), give_up, |event| match event {
             DeviceEvent::RateSet(set) => Some(Ok(set)),
             DeviceEvent::Refused(budget) => Some(Err(budget)),
             _ => None,
@@ -136,16 +140,18 @@ impl Rig {
         Ok(())
     }
 
-    /// Sends a command until `answer` finds its answer in what the device says.
+    /// Sends a command until `answer` finds its answer in what the device says, or nobody waits for it any more.
     fn ask<T>(
         &mut self,
         command: Command,
+        give_up: &dyn Fn() -> bool,
         mut answer: impl FnMut(DeviceEvent<'_>) -> Option<T>,
     ) -> anyhow::Result<T> {
         for _ in 0..TRIES {
             self.say(command)?;
             let asked_ns = monotonic_ns();
             while monotonic_ns() - asked_ns < ANSWER_WITHIN.as_nanos() as u64 {
+                ensure!(!give_up(), "{} was not waited for", self.uri);
                 let n = self.transport.read(&mut self.buffer).context("reading from the device")?;
                 let mut found = None;
                 self.protocol.push(&self.buffer[..n], &mut |event| {
@@ -166,7 +172,8 @@ impl Rig {
             );
         }
         bail!(
-            "{} does not answer: check that it is switched on, that the cable is the data one, and the baud rate",
+            "{} does not answer: check that it is switched on, that the cable is the data one, the baud rate, \
+             and the driver (?driver=NAME)",
             self.uri
         )
     }

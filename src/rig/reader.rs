@@ -63,6 +63,9 @@ pub struct Recording {
     pub outages: u32,
 }
 
+/// A device that stalls for ever must fill neither the take nor the screen.
+const STALLS_TOLD_MAX: u32 = 32;
+
 impl Rig {
     /// Starts the device and reads it to the end. The intake is finished in every case.
     ///
@@ -129,6 +132,7 @@ impl Rig {
         let mut told_silent = false;
         let mut stop_said_ns = None;
         let mut stalls_cleared = self.transport.stalls_cleared();
+        let mut stalls_told = 0;
         loop {
             let frames_before = reader.intake.counts_seen();
             match self.pump(reader) {
@@ -151,19 +155,27 @@ impl Rig {
             }
             if self.transport.stalls_cleared() > stalls_cleared {
                 stalls_cleared = self.transport.stalls_cleared();
-                reader.intake.event(host_event("the device stalled, and was cleared"));
-                (options.say)(
-                    "the device stalled, and was cleared: what it was sending may be lost",
-                );
+                stalls_told += 1;
+                if stalls_told <= STALLS_TOLD_MAX {
+                    reader.intake.event(host_event("the device stalled, and was cleared"));
+                    (options.say)(
+                        "the device stalled, and was cleared: what it was sending may be lost",
+                    );
+                }
+                if stalls_told == STALLS_TOLD_MAX {
+                    (options.say)("it stalls again and again: no more is said of it");
+                }
             }
-            if std::mem::take(&mut reader.began_anew) {
+            if std::mem::take(&mut reader.began_anew) && stop_said_ns.is_none() {
                 reader.intake.event(host_event("the device began anew and was started again"));
                 (options.say)(
                     "the device began anew, as after a loss of power: it was started again",
                 );
                 let line_bytes_per_s = self.transport.line_bytes_per_s().unwrap_or(0);
-                if self.say(Command::Start { line_bytes_per_s }).is_err() {
-                    return Ok(Ending::Disconnected);
+                match self.say(Command::Start { line_bytes_per_s }) {
+                    Ok(()) => {}
+                    Err(TransportError::Disconnected { .. }) => return Ok(Ending::Disconnected),
+                    Err(error) => return Err(anyhow!(error).context("starting the device again")),
                 }
             }
             if reader.end.is_some() {
@@ -179,8 +191,16 @@ impl Rig {
             }
             match stop_said_ns {
                 None if is_over(reader) => {
-                    if self.say(Command::Stop).is_err() {
-                        return Ok(Ending::Disconnected);
+                    match self.say(Command::Stop) {
+                        Ok(()) => {}
+                        Err(TransportError::Disconnected { .. }) => {
+                            return Ok(Ending::Disconnected);
+                        }
+                        // It takes no commands: the take ends with its last frame.
+                        Err(error) => {
+                            (options.say)(&error.to_string());
+                            return Ok(Ending::Stopped);
+                        }
                     }
                     stop_said_ns = Some(now_ns);
                 }

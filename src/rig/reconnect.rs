@@ -74,12 +74,14 @@ impl Rig {
         (options.say)(&format!(
             "{} is gone: plug it in again within {} s, and the take goes on; Ctrl-C finishes it",
             self.uri,
-            self.patience.as_secs()
+            (self.patience.as_secs_f64() * 10.0).round() / 10.0
         ));
         let mut obstacle = Obstacle { words: String::new(), since_ns: gone_ns, told: true };
         let mut watch = UsbWatch::new();
         while !is_over(reader) && monotonic_ns() - gone_ns < self.patience.as_nanos() as u64 {
-            let wait = match self.attempt(reader, options) {
+            let give_up_ns = gone_ns.saturating_add(self.patience.as_nanos() as u64);
+            let give_up = |reader: &Reader<'_>| is_over(reader) || monotonic_ns() > give_up_ns;
+            let wait = match self.attempt(reader, options, &give_up) {
                 Attempt::Back => {
                     let gone_s = (monotonic_ns() - gone_ns) as f64 * 1e-9;
                     let words = format!("the device is back after {gone_s:.1} s");
@@ -103,12 +105,17 @@ impl Rig {
         false
     }
 
-    fn attempt(&mut self, reader: &mut Reader<'_>, options: &ReadOptions<'_>) -> Attempt {
+    fn attempt(
+        &mut self,
+        reader: &mut Reader<'_>,
+        options: &ReadOptions<'_>,
+        give_up: &dyn Fn(&Reader<'_>) -> bool,
+    ) -> Attempt {
         match registry::open_again(&self.uri, &self.identity) {
             Ok(transport) => self.transport = self.protocol.attach(transport),
             Err(error) => return Attempt::Absent(error.to_string()),
         }
-        match self.rejoin(reader, options) {
+        match self.rejoin(reader, options, give_up) {
             Ok(()) => Attempt::Back,
             Err(error) => {
                 self.transport = Box::new(Unplugged);
@@ -118,9 +125,14 @@ impl Rig {
     }
 
     /// Makes sure that it is the same device, as it was, and starts it.
-    fn rejoin(&mut self, reader: &mut Reader<'_>, options: &ReadOptions<'_>) -> anyhow::Result<()> {
+    fn rejoin(
+        &mut self,
+        reader: &mut Reader<'_>,
+        options: &ReadOptions<'_>,
+        give_up: &dyn Fn(&Reader<'_>) -> bool,
+    ) -> anyhow::Result<()> {
         let before = self.hello.clone();
-        let introduced = self.introduce();
+        let introduced = self.introduce(&|| give_up(reader));
         let now = std::mem::replace(&mut self.hello, before);
         introduced?;
         let was = &self.hello;
@@ -133,7 +145,7 @@ impl Rig {
             was.serial
         );
         if now.rate_mhz != was.rate_mhz {
-            self.set_rate(self.rate_hz())?;
+            self.set_rate_unless(self.rate_hz(), &|| give_up(reader))?;
         }
         reader.restart(&self.markers);
         self.start(reader, options).map(drop)

@@ -80,21 +80,26 @@ pub fn open_again(
 /// A USB device is the one with its serial number, whatever else of its kind is attached by now.
 fn place_now(location: &Location, identity: &Candidate) -> Location {
     match location {
-        Location::Usb { vid, pid, .. } => {
-            Location::Usb { vid: *vid, pid: *pid, serial: identity.serial.clone() }
+        Location::Usb { vid, pid, serial } => {
+            let serial = identity.serial.clone().or_else(|| serial.clone());
+            Location::Usb { vid: *vid, pid: *pid, serial }
         }
-        Location::Serial { baud, .. } if identity.serial.is_some() => {
+        Location::Serial { path, baud } if identity.serial.is_some() && !path.exists() => {
             let ports = listing::serial_candidates().unwrap_or_default().into_iter();
-            let mut same = ports.filter(|port| {
-                (port.usb_ids, &port.serial) == (identity.usb_ids, &identity.serial)
-            });
-            match same.next().map(|port| port.location) {
-                Some(Location::Serial { path, .. }) => Location::Serial { path, baud: *baud },
+            let mut same = ports.filter(|port| is_same(port, identity));
+            match (same.next().map(|port| port.location), same.next()) {
+                (Some(Location::Serial { path, .. }), None) => {
+                    Location::Serial { path, baud: *baud }
+                }
                 _ => location.clone(),
             }
         }
         Location::Serial { .. } => location.clone(),
     }
+}
+
+fn is_same(port: &Candidate, identity: &Candidate) -> bool {
+    (port.usb_ids, &port.serial) == (identity.usb_ids, &identity.serial)
 }
 
 fn family_named(name: &str) -> Result<&'static dyn Family, OpenError> {
@@ -131,10 +136,14 @@ fn candidate_at(location: &Location) -> Candidate {
     let Ok(real_path) = path.canonicalize() else {
         return unknown();
     };
-    let listed = listing::serial_candidates().unwrap_or_default().into_iter().find(
-        |candidate| matches!(&candidate.location, Location::Serial { path, .. } if *path == real_path),
-    );
-    listed.unwrap_or_else(unknown)
+    let ports = listing::serial_candidates().unwrap_or_default();
+    let is_here = |port: &&Candidate| matches!(&port.location, Location::Serial { path, .. } if *path == real_path);
+    let Some(mut found) = ports.iter().find(is_here).cloned() else { return unknown() };
+    if ports.iter().filter(|port| is_same(port, &found)).count() > 1 {
+        // The ports of one adapter, or adapters that were never numbered: the serial number tells nothing.
+        found.serial = None;
+    }
+    found
 }
 
 #[cfg(test)]

@@ -145,6 +145,10 @@ impl Transport for SerialTransport {
                 self.baud = baud;
                 Ok(())
             }
+            Err(_) if Path::new(&self.device()).exists() => Err(TransportError::Refused(format!(
+                "{} does not run at {baud} baud",
+                self.device()
+            ))),
             Err(error) => Err(self.session_error("changing its speed", error.into())),
         }
     }

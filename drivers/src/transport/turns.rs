@@ -169,7 +169,11 @@ impl TurnTransport {
                     self.line.write_all(request.as_bytes())?;
                 }
                 Order::Break => drop(self.line.send_break()?),
-                Order::Baud(baud) => self.line.set_baud(baud)?,
+                Order::Baud(baud) => match self.line.set_baud(baud) {
+                    // What is asked at the old speed is not answered, and the search goes on.
+                    Ok(()) | Err(TransportError::Refused(_)) => {}
+                    Err(error) => return Err(error),
+                },
                 Order::Farewell(farewell) => self.farewell = farewell,
                 Order::Fail(words) => return Err(TransportError::Refused(words)),
             }

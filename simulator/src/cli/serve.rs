@@ -140,6 +140,8 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
         signal_hook::flag::register(*signal, Arc::clone(&stop))?;
     }
     let (mut device, what) = device(args, motion(args)?)?;
+    let (mut line, name) = args.line.open(&args.serial)?;
+    // Last: a start that is refused leaves no log behind.
     let log: Option<Box<dyn Write + Send>> = match &args.log {
         Some(path) => {
             // A log is what a recording is held against: an earlier one stays.
@@ -150,7 +152,6 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
         }
         None => None,
     };
-    let (mut line, name) = args.line.open(&args.serial)?;
     say(&what);
     let mut stdout = io::stdout();
     writeln!(stdout, "{name}")

@@ -125,7 +125,10 @@ impl Drop for PtyLine {
 fn make_link(target: &Path, link: &Path) -> Result<(), PtyError> {
     let failed = |source| PtyError::Link { path: link.to_owned(), source };
     let is_link = fs::symlink_metadata(link).is_ok_and(|m| m.file_type().is_symlink());
-    if is_link && matches!(fs::metadata(link), Err(e) if e.kind() == ErrorKind::NotFound) {
+    // A dead one may seem alive: this pty can have the number of that which died.
+    let is_ours = || fs::read_link(link).is_ok_and(|old| old == target);
+    let is_dead = || matches!(fs::metadata(link), Err(e) if e.kind() == ErrorKind::NotFound);
+    if is_link && (is_ours() || is_dead()) {
         fs::remove_file(link).map_err(failed)?;
     }
     std::os::unix::fs::symlink(target, link).map_err(|e| match e.kind() {

@@ -80,7 +80,10 @@ impl Queue {
             self.submit_rest();
         }
         let mut wait = if n > 0 { Duration::ZERO } else { at_most };
-        while n < buf.len() && self.error.is_none() && self.rx.pending() > 0 {
+        // No more turns than transfers: a device that floods with empty packets must not keep the reader here.
+        let mut turns = self.transfers;
+        while n < buf.len() && self.error.is_none() && self.rx.pending() > 0 && turns > 0 {
+            turns -= 1;
             let Some(done) = self.rx.wait_next_complete(wait) else { break };
             wait = Duration::ZERO;
             let is_full = done.actual_len == TRANSFER_BYTES;
