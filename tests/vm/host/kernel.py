@@ -2,9 +2,12 @@
 
 import lzma
 import re
+import shutil
 import subprocess
 import zlib
 from pathlib import Path
+
+from . import Absent, Failed
 
 # Two controllers: two devices at once.
 MODULES = {"dummy_hcd": "num=2", "libcomposite": "", "usb_f_fs": "", "usb_f_acm": "", "cdc_acm": ""}
@@ -30,7 +33,11 @@ def extract(folder: Path, release: str) -> None:
     setup = (image[0x1F1] + 1) * 512
     start = setup + int.from_bytes(image[0x248:0x24C], "little")
     payload = image[start : start + int.from_bytes(image[0x24C:0x250], "little")]
-    (folder / f"vmlinux-{release}").write_bytes(decompress(payload))
+    elf = decompress(payload)
+    # Its length stands behind the data.
+    if not elf.startswith(b"\x7fELF") or len(elf) != int.from_bytes(payload[-4:], "little"):
+        raise Failed(f"vmlinuz-{release} does not decompress to a kernel: {len(elf)} bytes")
+    (folder / f"vmlinux-{release}").write_bytes(elf)
 
 
 def decompress(payload: bytes) -> bytes:
@@ -39,10 +46,12 @@ def decompress(payload: bytes) -> bytes:
     if payload.startswith(b"\x1f\x8b"):
         return zlib.decompressobj(wbits=31).decompress(payload)
     if payload.startswith(b"\x28\xb5\x2f\xfd"):
-        # The image's length stands behind the data, which zstd says is no data of its own.
+        if shutil.which("zstd") is None:
+            raise Absent("zstd is not here, and the kernel is compressed with it")
+        # It takes the length behind the data for an error; whether all is there is seen by that length.
         done = subprocess.run(["zstd", "-dcq"], input=payload, capture_output=True, check=False)
         return done.stdout
-    raise ValueError(f"a kernel image that begins with {payload[:6].hex()}")
+    raise Failed(f"a kernel image that begins with {payload[:6].hex()}")
 
 
 class Module:

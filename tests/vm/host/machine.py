@@ -13,6 +13,8 @@ from .packages import Unpacked
 PROCESSOR = "qemu64"
 PROCESSORS = 2
 MEMORY_MIB = 1024
+# Between the guest's last word and its end it only switches itself off: well under a second.
+SWITCHING_OFF_S = 10.0
 COMMAND_LINE = "console=ttyS0 quiet panic=-1 mitigations=off audit=0"
 
 
@@ -61,7 +63,11 @@ def watch(command: list, environment: dict, limit_s: float) -> bool:
             if not is_over:
                 print(text, flush=True)
             # What the kernel says when it goes is of no interest.
-            is_over = is_over or bool(re.fullmatch(r"\d+ passed, \d+ failed", text))
+            if not is_over and re.fullmatch(r"\d+ passed, \d+ failed", text):
+                is_over = True
+                timer.cancel()
+                timer = threading.Timer(SWITCHING_OFF_S, emulator.kill)
+                timer.start()
     finally:
         timer.cancel()
         emulator.kill()
