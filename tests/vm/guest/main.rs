@@ -32,6 +32,13 @@ fn main() -> ExitCode {
         return ExitCode::from(2);
     };
     let wanted: Vec<&str> = wanted.lines().collect();
+    let names = || scenarios::ALL.iter().map(|(name, _)| *name);
+    if let Some(part) = wanted.iter().find(|part| !names().any(|name| name.contains(**part))) {
+        println!("no scenario has '{part}' in its name; there are:");
+        names().for_each(|name| println!("  {name}"));
+        println!("0 passed, 1 failed");
+        return ExitCode::FAILURE;
+    }
     let mut table = Table::default();
     for (name, scenario) in scenarios::ALL {
         if wanted.is_empty() || wanted.iter().any(|part| name.contains(part)) {

@@ -29,12 +29,23 @@ pub(crate) enum User {
 
 type Lines = Arc<Mutex<Vec<(Instant, String)>>>;
 
-/// A command under way.
+/// A command under way; killed when it is let go.
 pub(crate) struct Mocapd {
-    child: Child,
+    child: Killed,
     lines: Lines,
     stdout: JoinHandle<String>,
     stderr: JoinHandle<()>,
+}
+
+/// A process that a scenario which fails half way does not leave to the next one.
+struct Killed(Child);
+
+impl Drop for Killed {
+    fn drop(&mut self) {
+        // Does nothing to one that was waited for.
+        self.0.kill().ok();
+        self.0.wait().ok();
+    }
 }
 
 /// A command that ended.
@@ -75,7 +86,7 @@ impl Mocapd {
             User::Nobody => (GUEST, GUEST),
             User::Root => (0, 0),
         };
-        let mut child = Command::new(program)
+        let child = Command::new(program)
             .args(arguments)
             .uid(user)
             .gid(group)
@@ -84,14 +95,15 @@ impl Mocapd {
             .stderr(Stdio::piped())
             .spawn()
             .with_context(|| program.to_owned())?;
-        let mut out = child.stdout.take().context("its stdout")?;
+        let mut child = Killed(child);
+        let mut out = child.0.stdout.take().context("its stdout")?;
         let stdout = Builder::new().name("stdout".to_owned()).spawn(move || {
             let mut text = String::new();
             out.read_to_string(&mut text).ok();
             text
         })?;
         let lines = Lines::default();
-        let (err, kept) = (child.stderr.take().context("its stderr")?, Arc::clone(&lines));
+        let (err, kept) = (child.0.stderr.take().context("its stderr")?, Arc::clone(&lines));
         let stderr = Builder::new().name("stderr".to_owned()).spawn(move || {
             for line in BufReader::new(err).lines().map_while(Result::ok) {
                 kept.lock().unwrap_or_else(PoisonError::into_inner).push((Instant::now(), line));
@@ -109,7 +121,7 @@ impl Mocapd {
             if let Some((at, _)) = line {
                 return Some(Some(*at));
             }
-            self.child.try_wait().ok().flatten().map(|_| None)
+            self.child.0.try_wait().ok().flatten().map(|_| None)
         });
         match found {
             Ok(Some(at)) => Ok(at),
@@ -130,38 +142,34 @@ impl Mocapd {
             TakeFrames::open(file).ok().map(|frames| frames.info().n_frames)
         };
         let outcome = wait_until("the first frames on disk", PATIENCE, || {
-            let is_over = self.child.try_wait().ok().flatten().is_some();
+            let is_over = self.child.0.try_wait().ok().flatten().is_some();
             (is_over || n_frames().is_some_and(|n| n > 0)).then_some(())
         });
         outcome.with_context(|| self.words())
     }
 
     pub(crate) fn interrupt(&self) -> anyhow::Result<()> {
-        Ok(kill_process(Pid::from_child(&self.child), Signal::INT)?)
+        Ok(kill_process(Pid::from_child(&self.child.0), Signal::INT)?)
     }
 
     /// Whether it has ended.
     pub(crate) fn ended(&mut self) -> Option<()> {
-        self.child.try_wait().ok().flatten().map(drop)
+        self.child.0.try_wait().ok().flatten().map(drop)
     }
 
     /// Processor time so far, in seconds.
     pub(crate) fn processor_s(&self) -> anyhow::Result<f64> {
         const TICKS_PER_S: f64 = 100.0;
-        let stat = fs::read_to_string(format!("/proc/{}/stat", self.child.id()))?;
+        let stat = fs::read_to_string(format!("/proc/{}/stat", self.child.0.id()))?;
         let after_name = stat.rsplit_once(')').context("its name")?.1;
         let ticks = after_name.split_whitespace().skip(11).take(2).flat_map(str::parse::<f64>);
         Ok(ticks.sum::<f64>() / TICKS_PER_S)
     }
 
     pub(crate) fn finish(mut self, within: Duration) -> anyhow::Result<Ran> {
-        let status = match wait_until("mocapd's end", within, || self.child.try_wait().ok()?) {
+        let status = match wait_until("mocapd's end", within, || self.child.0.try_wait().ok()?) {
             Ok(status) => status,
-            Err(error) => {
-                self.child.kill()?;
-                self.child.wait()?;
-                bail!("{error:#}: it hangs, and said: {}", self.words());
-            }
+            Err(error) => bail!("{error:#}: it hangs, and said: {}", self.words()),
         };
         let stdout = self.stdout.join().unwrap_or_default();
         self.stderr.join().ok();
@@ -177,7 +185,7 @@ impl Ran {
         Ok(self)
     }
 
-    /// Its only words are one line, which has each of these in it.
+    /// What it says, be it one line or several, has each of these in it.
     pub(crate) fn says(&self, words: &[&str]) -> anyhow::Result<()> {
         for word in words {
             ensure!(self.stderr.contains(word), "nothing of '{word}' in: {}", self.stderr);
