@@ -17,6 +17,7 @@ import json
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 
@@ -29,6 +30,9 @@ N_STRAYS = 50
 TOOLS = ("probe", "reference")
 LABELS = TOOLS + tuple(f"m{k:02}" for k in range(N_STRAYS))
 FIT_ERROR_MM = 0.25
+
+# It names its line as soon as it has made it; a machine under load may take seconds to start it.
+FIRST_WORD_WITHIN_S = 30.0
 
 
 def position(column, frame):
@@ -62,9 +66,15 @@ def simulator(program, motion, *more):
     command = [program, "serve", motion, "--pty", "--protocol", "ndi", "--loop", *tools, *more]
     process = subprocess.Popen([str(word) for word in command], stdout=subprocess.PIPE,
                                stderr=subprocess.DEVNULL, text=True)
+    silent = threading.Timer(FIRST_WORD_WITHIN_S, process.kill)
+    silent.start()
     try:
-        yield process.stdout.readline().strip()
+        path = process.stdout.readline().strip()
+        silent.cancel()
+        expect(path, "the simulator names no line")
+        yield path
     finally:
+        silent.cancel()
         process.terminate()
         process.wait(10)
 
