@@ -4,7 +4,11 @@ mod error;
 mod queue;
 mod sending;
 
-use std::path::PathBuf;
+use std::{
+    collections::VecDeque,
+    path::PathBuf,
+    time::{Duration, Instant},
+};
 
 use nusb::{
     Endpoint, MaybeFuture,
@@ -26,6 +30,10 @@ pub const TRANSFER_BYTES: usize = 32 << 10;
 /// Transfers without which there is no queue: one is filled while the other is read.
 const TRANSFERS_MIN: usize = 2;
 
+/// A device that stalls so often within that time is not mended by clearing, whatever comes in between.
+const STALLS_MAX: usize = 32;
+const STALLS_WITHIN: Duration = Duration::from_secs(10);
+
 /// A USB device's bulk pair, open and claimed for us alone.
 #[derive(Debug)]
 pub struct UsbTransport {
@@ -33,6 +41,8 @@ pub struct UsbTransport {
     tx: Endpoint<Bulk, Out>,
     device: Opened,
     stalls_cleared: u64,
+    /// When it stalled last, at most [`STALLS_MAX`] times.
+    stalls: VecDeque<Instant>,
 }
 
 /// Which device is open, and how to see whether it still is there.
@@ -79,14 +89,26 @@ impl UsbTransport {
             TransportError::Unsupported(memory::words(&name, memory::limit_mib()))
         })?;
         let device = Opened { name, sysfs: device.sysfs, address };
-        Ok(Self { received, tx, device, stalls_cleared: 0 })
+        Ok(Self {
+            received,
+            tx,
+            device,
+            stalls_cleared: 0,
+            stalls: VecDeque::with_capacity(STALLS_MAX),
+        })
+    }
+
+    fn stalls_too_often(&mut self) -> bool {
+        let first = (self.stalls.len() == STALLS_MAX).then(|| self.stalls.pop_front()).flatten();
+        self.stalls.push_back(Instant::now());
+        first.is_some_and(|first| first.elapsed() < STALLS_WITHIN)
     }
 
     /// A transfer failed: mends what can be mended, and says what cannot.
     fn recover(&mut self, error: TransferError) -> Result<(), TransportError> {
         let again = self.received.failed_again();
         match error {
-            TransferError::Stall if again => {
+            TransferError::Stall if again && !self.stalls_too_often() => {
                 // A device that does not let itself be cleared is on its way out.
                 if !self.received.clear_halt() {
                     return Err(self.device.is_gone());
