@@ -159,13 +159,7 @@ impl Device {
     /// What it sent so far.
     #[must_use]
     pub fn log(&self) -> SentLog {
-        SentLog {
-            frames_sent: self.outbox.frames_sent(),
-            frames_waiting: self.outbox.frames_waiting(),
-            frames_discarded: self.outbox.frames_discarded(),
-            bytes_sent: self.outbox.bytes_sent(),
-            ..self.log.clone()
-        }
+        self.outbox.completed(&self.log)
     }
 
     /// Keeps a [`SentFrame`] for every frame from now on; [`take_frames`](Self::take_frames) takes them away.

@@ -2,6 +2,8 @@
 
 use std::collections::VecDeque;
 
+use super::SentLog;
+
 /// Least memory for messages, bytes: a pty of the kernel holds as much.
 const CAPACITY_MIN: usize = 64 << 10;
 
@@ -79,19 +81,22 @@ impl Outbox {
         self.head = 0;
     }
 
-    pub(crate) fn frames_discarded(&self) -> u64 {
-        self.frames_discarded
+    /// A log with what is known here: what left, what waits, and what was thrown away.
+    pub(crate) fn completed(&self, log: &SentLog) -> SentLog {
+        SentLog {
+            frames_sent: self.frames_sent,
+            frames_waiting: self.frames_waiting(),
+            frames_discarded: self.frames_discarded,
+            bytes_sent: self.bytes_sent(),
+            ..log.clone()
+        }
     }
 
-    pub(crate) fn bytes_sent(&self) -> u64 {
+    fn bytes_sent(&self) -> u64 {
         self.queued - self.pending().len() as u64
     }
 
-    pub(crate) fn frames_sent(&self) -> u64 {
-        self.frames_sent
-    }
-
-    pub(crate) fn frames_waiting(&self) -> u64 {
+    fn frames_waiting(&self) -> u64 {
         self.frame_ends.len() as u64
     }
 }

@@ -222,13 +222,7 @@ impl LineDevice for NdiDevice {
     }
 
     fn log(&self) -> SentLog {
-        SentLog {
-            frames_sent: self.outbox.frames_sent(),
-            frames_waiting: self.outbox.frames_waiting(),
-            frames_discarded: self.outbox.frames_discarded(),
-            bytes_sent: self.outbox.bytes_sent(),
-            ..self.log.clone()
-        }
+        self.outbox.completed(&self.log)
     }
 
     fn keep_frame_log(&mut self) {
