@@ -6,8 +6,9 @@ use mocapd_take::{
     TakeError, TakeEvent,
     frames::nameless,
     reader::{TakeBytes, read_events},
-    record::{Channel, Clock, Event, Header, Ledger},
+    record::{Channel, Clock, ClockLine, Event, Header, Ledger},
     stretch::{Stretch, StretchDecoder},
+    timeline::{Causes, Timeline},
 };
 
 use crate::clock::ClockStatus;
@@ -46,6 +47,11 @@ pub struct Summary {
     pub clock_probes: u64,
     /// Frames that were kept for the line.
     pub clock_points: u64,
+    /// By segment, the last line of each that has one.
+    pub clock_lines: Vec<(u32, ClockLine)>,
+    /// Times that the device was away, and the rows missing for it.
+    pub outages: (u32, u64),
+    in_outage: bool,
     /// The events.
     pub events: Vec<Event>,
     /// What an importer kept: kind, and bytes as they were.
@@ -103,6 +109,10 @@ impl Summary {
                 TakeEvent::Clock(clock) => {
                     summary.clock_probes += clock.probes.len() as u64;
                     summary.clock_points += clock.points.len() as u64;
+                    if let Some(line) = clock.line {
+                        summary.clock_lines.pop_if(|last| last.0 == clock.segment);
+                        summary.clock_lines.push((clock.segment, line));
+                    }
                     summary.clock = Some(Clock { probes: vec![], points: vec![], ..*clock });
                 }
                 TakeEvent::Footer(footer) => summary.check_rows(footer.n_rows),
@@ -233,6 +243,9 @@ impl Summary {
         if stretch.missing_before && !std::mem::take(&mut self.damage_told) {
             self.problems.push(format!("stretches before frame {} are missing", span.first_row));
         }
+        if let Some(timeline) = &stretch.timeline {
+            self.add_outages(timeline);
+        }
         if span.n_rows == 0 {
             // The take ends with lost rows.
             self.rows = self.rows.max(end);
@@ -284,6 +297,15 @@ impl Summary {
             self.rows_with_samples += u64::from(present > 0);
             self.key_rows += u64::from(kept);
             self.samples_in_key_rows += if kept { u64::from(present) } else { 0 };
+        }
+    }
+
+    fn add_outages(&mut self, timeline: &Timeline) {
+        for run in &timeline.runs {
+            let away = run.lost.is_some_and(|causes| causes.contain(Causes::DISCONNECTED));
+            self.outages.0 += u32::from(away && !self.in_outage);
+            self.outages.1 += if away { run.rows } else { 0 };
+            self.in_outage = away;
         }
     }
 

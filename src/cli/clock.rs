@@ -22,6 +22,33 @@ pub(crate) struct ClockReport {
     probes: u64,
     points: u64,
     segments: u64,
+    lines: Vec<LineReport>,
+}
+
+/// Lines of earlier segments that words show.
+const LINES_SHOWN: usize = 8;
+
+/// A segment's line.
+#[derive(Debug, Serialize)]
+struct LineReport {
+    segment: u32,
+    drift_ppm: f64,
+    bound_us: Option<u64>,
+    drift_bound_ppm: Option<f64>,
+    at: At,
+}
+
+impl LineReport {
+    fn new(segment: u32, line: &ClockLine) -> Self {
+        let &ClockLine { device_ticks, host_ns, drift_ppb, bound } = line;
+        Self {
+            segment,
+            drift_ppm: drift_ppb as f64 / 1e3,
+            bound_us: bound.map(|bound| bound.offset_us),
+            drift_bound_ppm: bound.map(|bound| bound.drift_ppb as f64 / 1e3),
+            at: At { device_ticks, host_ns },
+        }
+    }
 }
 
 /// Where the line is told at: no digits are lost there.
@@ -39,8 +66,8 @@ struct Jitter {
 }
 
 impl ClockReport {
-    /// `None` when no line was laid.
-    pub(crate) fn new(status: &ClockStatus) -> Option<Self> {
+    /// `lines`: by segment, the line of each that had one. `None` when the last one had none.
+    pub(crate) fn new(status: &ClockStatus, lines: &[(u32, ClockLine)]) -> Option<Self> {
         let ClockLine { device_ticks, host_ns, bound, .. } = status.line?;
         let fit = status.ledger()?;
         let ClockJitter { frames, residual_us, p50_us, p99_us, max_us } = status.jitter;
@@ -57,6 +84,7 @@ impl ClockReport {
             probes: status.probes,
             points: status.points,
             segments: u64::from(status.segment) + 1,
+            lines: lines.iter().map(|(segment, line)| LineReport::new(*segment, line)).collect(),
         })
     }
 
@@ -92,6 +120,20 @@ impl ClockReport {
                 "segments",
                 &format!("{segments}: the device was away, or its clock jumped; this is the last"),
             );
+            let earlier =
+                self.lines.iter().filter(|line| u64::from(line.segment) + 1 < self.segments);
+            for one in earlier.clone().take(LINES_SHOWN) {
+                let known =
+                    one.bound_us.map_or(String::new(), |us| format!(", known within {us} us"));
+                line(
+                    "",
+                    &format!("segment {}: drift {:+.1} ppm{known}", one.segment, one.drift_ppm),
+                );
+            }
+            let more = earlier.count().saturating_sub(LINES_SHOWN);
+            if more > 0 {
+                line("", &format!("and {more} more: --json has them"));
+            }
         }
         out
     }

@@ -37,6 +37,29 @@ pub(crate) struct LedgerReport {
     clock: Option<ClockReport>,
 }
 
+/// Times that the device was away and frames are missing for it.
+#[derive(Debug, Serialize)]
+pub(crate) struct OutagesReport {
+    count: u32,
+    frames: u64,
+    seconds: f64,
+}
+
+impl OutagesReport {
+    pub(crate) fn new(count: u32, frames: u64, rate_hz: f64) -> Self {
+        Self { count, frames, seconds: frames as f64 / rate_hz }
+    }
+
+    /// In one line; `None` when there was none.
+    pub(crate) fn words(&self) -> Option<String> {
+        let away = count(u64::from(self.count), "time");
+        let frames = count(self.frames, "frame");
+        let words =
+            format!("the device was away {away}, {:.3} s of the take: {frames}", self.seconds);
+        (self.frames > 0).then_some(words)
+    }
+}
+
 #[derive(Debug, Serialize)]
 struct LostInHost {
     ring_full: u64,

@@ -18,6 +18,8 @@ pub enum ClockItem {
     Point(u32, ClockPoint),
     /// A round trip, in the segment.
     Probe(u32, ClockProbe),
+    /// The segment is over, and this was its line.
+    Line(u32, ClockLine),
 }
 
 /// The device's clock did what clocks do not: a new segment begins.
@@ -274,11 +276,11 @@ impl ClockModel {
     /// A new segment; what is known of the old one is in the take.
     fn restart(&mut self, store: &mut dyn FnMut(ClockItem)) {
         // A clock that jumps with every frame leaves nothing worth storing.
-        if self.line.is_some()
-            && let Some(closed) = self.arrivals.close()
-        {
-            self.points += 1;
-            store(ClockItem::Point(self.segment, closed));
+        if self.line.is_some() {
+            self.close(store);
+        }
+        if let Some(line) = self.line {
+            store(ClockItem::Line(self.segment, line.stored()));
         }
         self.segment = self.segment.saturating_add(1);
         self.begun_us = None;

@@ -15,8 +15,11 @@ pub struct Counts {
     pub not_received: u64,
     /// Frames that arrived when a ring was full.
     pub ring_full: u64,
-    /// Rows that the device's counter skipped while it was away.
+    /// Rows missing for the time that the device was away: by its counter, or by the host's clock where that began
+    /// anew.
     pub lost_in_outages: u64,
+    /// Times that it was away and rows are missing for it.
+    pub outages: u32,
     /// Frames seen again, or older than the last one.
     pub duplicates: u64,
     /// Samples of announced markers in recorded frames, there or not.
@@ -39,7 +42,9 @@ pub struct Counts {
     pub status: Option<Status>,
     /// Frames that the device's counter told of when it was last started, which its reports leave out.
     pub reports_from: u64,
-    /// Of these, dropped inside it by its own account.
+    /// Of the rows missing before its first frame since then, those that its reports tell of too: it had begun.
+    pub told_twice: u64,
+    /// Frames dropped inside it before it was last started, by its own account.
     pub dropped_before: u64,
     /// Whether that was its last word after a stop.
     pub ended: bool,
@@ -68,11 +73,26 @@ impl Counts {
     /// be joined to the one before.
     pub(super) fn status(&mut self, status: Status, early: bool) {
         let reports_from = if early { self.seen() } else { self.reports_from };
+        let mut frames_produced = status.frames_produced.saturating_add(reports_from);
+        if !early {
+            // What it produced beyond the frames seen was lost before the first of them, or just now: the least that
+            // any report tells of was lost before.
+            self.told_twice = self.told_twice.min(frames_produced.saturating_sub(self.seen()));
+            frames_produced -= self.told_twice;
+        }
         self.status = Some(Status {
-            frames_produced: status.frames_produced.saturating_add(reports_from),
+            frames_produced,
             frames_dropped: status.frames_dropped.saturating_add(self.dropped_before),
             ..status
         });
+    }
+
+    /// So many rows are missing for the time that the device was away. How many of them its reports tell of too is
+    /// not known yet.
+    pub(super) fn lost_to_outage(&mut self, rows: u64) {
+        self.lost_in_outages += rows;
+        self.outages += u32::from(rows > 0);
+        self.told_twice = rows;
     }
 
     /// The device is started again after an outage, and its reports with it.

@@ -6,6 +6,7 @@ mod clock;
 mod follow;
 mod pending;
 mod rows;
+mod silence;
 
 use std::sync::{Arc, atomic::Ordering};
 
@@ -20,6 +21,7 @@ use self::{
     axis::{Axis, Step},
     clock::Clocks,
     pending::Pending,
+    silence::Silences,
 };
 use super::{
     Counts, PipelineConfig, Progress,
@@ -49,7 +51,9 @@ pub struct Intake {
     row: Vec<Sample>,
     /// Rows that every active ring is known to have room for.
     room: usize,
+    rate_hz: f64,
     axis: Axis,
+    silences: Silences,
     pending: Pending,
     next_row: u64,
     open_first_row: u64,
@@ -99,7 +103,9 @@ impl Intake {
             n_channels: config.channels.len(),
             row: vec![Sample::default(); plan.n_slots],
             room: 0,
+            rate_hz: config.rate_hz,
             axis: Axis::default(),
+            silences: Silences::new(config.rate_hz),
             pending: Pending::default(),
             next_row: 0,
             open_first_row: 0,
@@ -119,11 +125,13 @@ impl Intake {
 
     /// One frame, at the host's monotonic time of its last byte.
     pub fn frame(&mut self, frame: &Frame<'_>, arrival_ns: u64) {
-        if self.rejoining {
+        let rejoins = self.rejoining;
+        if rejoins {
             self.end_outage(frame, arrival_ns);
         } else if !self.follow(frame) {
             return;
         }
+        self.end_silence(frame.device_ticks, arrival_ns, rejoins);
         // No frame is dropped for its time; but no line fits both sides of a jump.
         let event = self.clocks.frame(frame.device_ticks, arrival_ns);
         self.clock_event(event, frame.device_ticks, arrival_ns);
@@ -227,6 +235,7 @@ impl Intake {
             } else {
                 let gone = Causes::NOT_RECEIVED.union(Causes::DISCONNECTED);
                 let cause = if self.counts.ended { Causes::NOT_RECEIVED } else { gone };
+                self.counts.outages += u32::from(!self.counts.ended && unseen > 0);
                 self.pending.add(unseen, cause);
             }
         }

@@ -176,7 +176,7 @@ impl<W: TakeOutput> Writer<W> {
     }
 
     fn finish(mut self) -> anyhow::Result<(Written, W)> {
-        self.clocks.finish(&mut self.take, &self.counts.clock)?;
+        let clock_lines = self.clocks.finish(&mut self.take, &self.counts.clock)?;
         let mut ledger = self.counts.ledger(true);
         if self.report.refused > 0 {
             ledger.contradictions.push(format!(
@@ -190,6 +190,7 @@ impl<W: TakeOutput> Writer<W> {
         let written = Written {
             ledger,
             clock: self.counts.clock,
+            clock_lines,
             file_bytes: output.1,
             samples: self.report.samples,
             kept: self.report.kept,

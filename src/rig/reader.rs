@@ -168,6 +168,7 @@ impl Rig {
             }
             if std::mem::take(&mut reader.began_anew) && stop_said_ns.is_none() {
                 reader.intake.event(host_event("the device began anew and was started again"));
+                reader.count_anew();
                 (options.say)(
                     "the device began anew, as after a loss of power: it was started again",
                 );
@@ -296,9 +297,14 @@ impl Reader<'_> {
         self.started = None;
         self.end = None;
         self.began_anew = false;
+        self.count_anew();
+        self.intake.announce(markers);
+    }
+
+    /// Its counter, clock and reports may begin anew.
+    fn count_anew(&mut self) {
         self.prober = Prober::new();
         self.intake.rejoin();
-        self.intake.announce(markers);
     }
 
     fn event(&mut self, event: DeviceEvent<'_>, arrival_ns: u64) {

@@ -25,6 +25,12 @@ impl Causes {
     /// The device was gone.
     pub const DISCONNECTED: Self = Self(4);
 
+    /// Whether all of these are among them.
+    #[must_use]
+    pub fn contain(self, these: Self) -> bool {
+        self.0 & these.0 == these.0
+    }
+
     /// Both.
     #[must_use]
     pub fn union(self, other: Self) -> Self {

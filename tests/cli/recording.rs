@@ -137,9 +137,16 @@ fn a_device_that_comes_back_is_recorded_again() {
     assert_eq!(report["ledger"]["contradictions"], serde_json::json!([]));
     assert_eq!(device.unplug().starts, 1);
     let info = folder.run(&["info", "a.take", "--json"]).json();
-    assert_eq!(info["frames"], report["frames"]);
+    assert_eq!(info["frames"], report["ledger"]["frames_sent"]);
+    assert_eq!(info["seconds"], report["seconds"]);
     let events: Vec<&str> =
         info["events"].as_array().unwrap().iter().filter_map(|e| e["text"].as_str()).collect();
+    // The other life's counter says nothing of the time between: the host's clock does.
+    let outages = &report["outages"];
+    assert_eq!((&outages["count"], &info["outages"]), (&serde_json::json!(1), outages));
+    assert_eq!(outages["frames"], report["ledger"]["unknown_after_disconnect"]);
+    let away_s = outages["seconds"].as_f64().unwrap();
+    assert!((0.1..60.0).contains(&away_s), "{outages}");
     for words in ["was disconnected", "is back after", "began anew"] {
         let told = events.iter().filter(|event| event.contains(words)).count();
         assert_eq!(told, 1, "'{words}' in {events:?}");

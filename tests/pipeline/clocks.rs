@@ -76,8 +76,41 @@ fn a_jump_is_an_event_and_a_segment_and_loses_no_frame() {
     let [event] = &events(&take)[..] else { panic!("{:?}", events(&take)) };
     assert_eq!(event.text, "the device's clock jumped ahead by 5.000 s");
     assert!((1800..1810).contains(&event.row), "{event:?}");
-    let segments: Vec<_> = chunks(&take).clocks.iter().map(|clock| clock.segment).collect();
+    let clocks = chunks(&take).clocks;
+    let segments: Vec<_> = clocks.iter().map(|clock| clock.segment).collect();
     assert_eq!(segments, [0, 1]);
+    // Both lines are told of, each true on its side.
+    let lines: Vec<_> = clocks.iter().map(|clock| (clock.segment, clock.line.unwrap())).collect();
+    assert_eq!(written.clock_lines, lines);
+    assert_eq!(mocapd::inspect::Summary::read(&take[..]).unwrap().clock_lines, lines);
+    for (segment, line) in lines {
+        let jumped_us = if segment == 0 { 0 } else { 5_000_000 };
+        let host_us = 1_000_000_000 + line.device_ticks - jumped_us;
+        assert!((line.host_ns / 1000).abs_diff(host_us) < 100, "{segment}: {line:?}");
+    }
+}
+
+#[test]
+fn a_long_silence_is_an_event_at_the_frame_that_ends_it() {
+    let motion = jump(9, 120.0, 2.0);
+    let (mut intake, pipeline) = start(&config(&motion, dense(1.0)), Vec::new());
+    // Held up for 2.5 s after the hundredth frame, and none is lost; 0.9 s are nothing to tell.
+    for seq in 0..240_u64 {
+        let held_ns = match seq {
+            ..100 => 0,
+            100..200 => 2_500_000_000,
+            _ => 3_400_000_000,
+        };
+        let device_ticks = seq * TICK_HZ / 120;
+        let markers = &samples(motion.frame(seq as usize));
+        let frame = Frame { seq: seq as u32, device_ticks, timecode: None, markers };
+        intake.frame(&frame, 1_000_000_000 + device_ticks * 1000 + held_ns);
+    }
+    intake.finish();
+    let (written, take) = pipeline.finish().unwrap();
+    assert!(written.ledger.closes(), "{:?}", written.ledger);
+    let [event] = &events(&take)[..] else { panic!("{:?}", events(&take)) };
+    assert_eq!((event.row, event.text.as_str()), (100, "no frame came for 2.508 s"));
 }
 
 #[test]

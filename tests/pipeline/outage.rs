@@ -1,14 +1,16 @@
 //! A device that goes away and comes back.
 
 use mocapd::pipeline::Intake;
-use mocapd_drivers::device::Status;
+use mocapd_drivers::device::{Frame, Status};
 use mocapd_take::{
     motion::{Motion, is_gap},
     record::Ledger,
     timeline::{Causes, Run},
 };
 
-use crate::support::{chunks, config, dense, feed, feed_samples, jump, rows, samples, start};
+use crate::support::{
+    TICK_HZ, chunks, config, dense, feed, feed_samples, jump, rows, samples, start,
+};
 
 /// Gives these frames to the pipeline, waiting for full rings.
 fn feed_all(intake: &mut Intake, motion: &Motion, wanted: impl Iterator<Item = usize>) {
@@ -62,21 +64,69 @@ fn what_the_counter_skipped_is_unknown_and_has_its_rows() {
     assert_eq!(rows_gone.sum::<u64>(), 150);
 }
 
+/// A frame of a device that begins its counter and clock anew, `later_s` after it was first switched on.
+fn feed_anew(intake: &mut Intake, motion: &Motion, seq: usize, later_s: f64) {
+    while intake.is_full() {
+        std::thread::yield_now();
+    }
+    let device_ticks = (seq as f64 * TICK_HZ as f64 / motion.info.rate_hz).round() as u64;
+    let markers = &samples(motion.frame(seq));
+    let frame = Frame { seq: seq as u32, device_ticks, timecode: None, markers };
+    intake.frame(&frame, 5_000_000 + device_ticks * 1000 + (later_s * 1e9) as u64);
+}
+
 #[test]
-fn a_device_that_lost_its_power_goes_on_from_zero_without_a_contradiction() {
+fn a_device_that_lost_its_power_goes_on_from_zero_and_the_take_keeps_time() {
     let motion = jump(2, 100.0, 4.0);
     let (mut intake, pipeline) = start(&config(&motion, dense(0.5)), Vec::new());
     feed_all(&mut intake, &motion, 0..30);
     intake.rejoin();
-    // As early as those before by its counter and clock: no frame of them is a late one.
-    feed_all(&mut intake, &motion, 0..200);
+    // As early as those before by its counter and clock: no frame of them is a late one. By the host's clock the first
+    // comes 2.71 s after the last before: 270 were due.
+    (0..200).for_each(|seq| feed_anew(&mut intake, &motion, seq, 3.0));
     intake.status(status(200, 0), true);
     intake.finish();
     let (written, take) = pipeline.finish().unwrap();
     let ledger = written.ledger;
     closes(&ledger);
-    assert_eq!((ledger.frames_sent, ledger.recorded, ledger.duplicates), (230, 230, 0));
-    assert_eq!(rows(&take).0.len(), 230);
+    assert_eq!((ledger.frames_sent, ledger.recorded, ledger.duplicates), (500, 230, 0));
+    assert_eq!((ledger.unknown_after_disconnect, ledger.lost_on_link), (270, 0));
+    let (rows, problems) = rows(&take);
+    assert!(problems.is_empty(), "{problems:?}");
+    assert_eq!(rows.len(), 500);
+    assert!(rows[30..300].iter().flatten().all(|&position| is_gap(position)));
+    assert!(rows[300..].iter().flatten().any(|&position| !is_gap(position)));
+    let runs: Vec<Run> = chunks(&take).timelines.iter().flat_map(|t| t.runs.clone()).collect();
+    let gone = runs.iter().filter(|run| run.lost == Some(Causes::DISCONNECTED));
+    assert_eq!(gone.map(|run| run.rows).sum::<u64>(), 270);
+}
+
+#[test]
+fn frames_lost_between_its_start_and_its_first_frame_are_counted_once() {
+    let motion = jump(5, 100.0, 6.0);
+    for (anew, rows_sent) in [(false, 600), (true, 600)] {
+        let (mut intake, pipeline) = start(&config(&motion, dense(0.5)), Vec::new());
+        feed_all(&mut intake, &motion, 0..200);
+        intake.rejoin();
+        // Started at frame 350 or anew, and five of its frames are lost before one comes through.
+        let first = if anew { 0 } else { 350 };
+        let feed_one = |intake: &mut Intake, seq| match anew {
+            true => feed_anew(intake, &motion, seq, 3.5),
+            false => feed_all(intake, &motion, seq..seq + 1),
+        };
+        (first + 5..first + 100).for_each(|seq| feed_one(&mut intake, seq));
+        intake.status(status(100, 0), false);
+        (first + 100..first + 247).for_each(|seq| feed_one(&mut intake, seq));
+        // And three at the end.
+        intake.status(status(250, 0), true);
+        intake.finish();
+        let (written, take) = pipeline.finish().unwrap();
+        let ledger = written.ledger;
+        closes(&ledger);
+        assert_eq!((ledger.frames_sent, ledger.recorded), (rows_sent, 442), "{ledger:?}");
+        assert_eq!((ledger.unknown_after_disconnect, ledger.lost_on_link), (155, 3), "{ledger:?}");
+        assert_eq!(rows(&take).0.len(), 600);
+    }
 }
 
 #[test]

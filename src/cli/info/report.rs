@@ -9,7 +9,10 @@ use mocapd_take::{
 };
 use serde::Serialize;
 
-use crate::cli::{clock::ClockReport, ledger::LedgerReport};
+use crate::cli::{
+    clock::ClockReport,
+    ledger::{LedgerReport, OutagesReport},
+};
 
 #[derive(Debug, Serialize)]
 pub(super) struct Report {
@@ -38,6 +41,7 @@ pub(super) struct Report {
     pub(super) sr1: Option<f64>,
     pub(super) sr2: Option<f64>,
     pub(super) ledger: Option<LedgerReport>,
+    pub(super) outages: OutagesReport,
     pub(super) clock: Option<ClockReport>,
     pub(super) events: Vec<EventReport>,
     pub(super) channels: Vec<ChannelReport>,
@@ -174,7 +178,8 @@ impl Report {
             sr1: summary.sr1(),
             sr2: summary.sr2(),
             ledger: summary.ledger.as_ref().map(LedgerReport::new),
-            clock: ClockReport::new(&summary.clock_status()),
+            outages: OutagesReport::new(summary.outages.0, summary.outages.1, header.rate_hz),
+            clock: ClockReport::new(&summary.clock_status(), &summary.clock_lines),
             events: summary.events.iter().map(EventReport::new).collect(),
             channels: channels
                 .map(|(channel, found)| ChannelReport {

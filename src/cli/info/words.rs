@@ -30,6 +30,9 @@ pub(super) fn words(report: &Report) -> String {
         let imported = report.source.is_some();
         out.push_str(&if imported { ledger.words_of_import() } else { ledger.words() });
     }
+    if let Some(outages) = report.outages.words() {
+        writeln!(out, "{:<10} {outages}", "outages").ok();
+    }
     let by_ledger = || report.ledger.as_ref().and_then(LedgerReport::clock_words);
     out.push_str(
         &report.clock.as_ref().map(ClockReport::words).or_else(by_ledger).unwrap_or_default(),

@@ -70,6 +70,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if disconnected {
         say("the device was disconnected: the take ends there");
     }
+    if let Some(outages) = report.outages() {
+        say(&outages);
+    }
     if let Some(losses) = report.losses() {
         say(&format!("not in the take: {losses}"));
     }

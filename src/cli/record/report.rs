@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::cli::{
     clock::ClockReport,
     codec_args::tolerance_mm,
-    ledger::LedgerReport,
+    ledger::{LedgerReport, OutagesReport},
     numbers::{bytes, count},
 };
 
@@ -30,6 +30,7 @@ pub(crate) struct Report {
     max_error_mm: f64,
     ring_latency_us: LatencyReport,
     process: ProcessReport,
+    outages: OutagesReport,
     clock: Option<ClockReport>,
     ledger: LedgerReport,
 }
@@ -81,7 +82,12 @@ impl Report {
                 cpu_s: usage.cpu_s,
                 peak_memory_bytes: usage.peak_memory_bytes,
             },
-            clock: ClockReport::new(&written.clock),
+            outages: OutagesReport::new(
+                recorded.recording.counts.outages,
+                written.ledger.unknown_after_disconnect,
+                recorded.rate_hz,
+            ),
+            clock: ClockReport::new(&written.clock, &written.clock_lines),
             ledger: LedgerReport::new(&written.ledger),
         }
     }
@@ -89,6 +95,11 @@ impl Report {
     /// What was lost, in one line.
     pub(crate) fn losses(&self) -> Option<String> {
         self.ledger.losses()
+    }
+
+    /// How long the device was away.
+    pub(crate) fn outages(&self) -> Option<String> {
+        self.outages.words()
     }
 
     pub(crate) fn words(&self) -> String {

@@ -6,7 +6,7 @@ use mocapd_take::{
     timeline::Causes,
 };
 
-use super::{Intake, Step};
+use super::{Intake, Step, UNSEEN_MAX};
 
 impl Intake {
     /// `false` for a frame that was seen before.
@@ -25,8 +25,8 @@ impl Intake {
         true
     }
 
-    /// The device went away, is back, and was told to start again: its reports count from there, and what its counter
-    /// skips until its next frame was lost to the outage.
+    /// The device went away, is back, and was told to start again: its reports count from there, and what is missing
+    /// until its next frame was lost to the outage.
     pub fn rejoin(&mut self) {
         self.rejoining = true;
         self.clocks.rejoin();
@@ -36,21 +36,31 @@ impl Intake {
     /// The first frame after an outage.
     pub(super) fn end_outage(&mut self, frame: &Frame<'_>, arrival_ns: u64) {
         self.rejoining = false;
-        if let Some(missing) = self.axis.rejoin(frame.seq, frame.device_ticks) {
-            let missing = u64::from(missing);
-            self.counts.lost_in_outages += missing;
-            self.pending.add(missing, Causes::NOT_RECEIVED.union(Causes::DISCONNECTED));
-        } else {
-            // How many frames it would have sent meanwhile nobody knows: none are made up.
-            self.event(Event {
-                kind: EventKind::Host,
-                row: 0,
-                device_ticks: frame.device_ticks,
-                host_ns: arrival_ns,
-                input: 0,
-                text: "the device began anew: its frame counter and clock start over".to_owned(),
-            });
-        }
-        self.counts.reports_from = self.counts.seen();
+        let (missing, causes) = match self.axis.rejoin(frame.seq, frame.device_ticks) {
+            Some(missing) => (u64::from(missing), Causes::NOT_RECEIVED.union(Causes::DISCONNECTED)),
+            // Its counter tells nothing of the time between; the host's clock does, so that the take keeps time.
+            None => (self.began_anew(frame, arrival_ns), Causes::DISCONNECTED),
+        };
+        self.counts.reports_from = self.counts.seen() + missing;
+        self.counts.lost_to_outage(missing);
+        self.pending.add(missing, causes);
+    }
+
+    /// Counter and clock start over: how many frames were due since the last one.
+    fn began_anew(&mut self, frame: &Frame<'_>, arrival_ns: u64) -> u64 {
+        let silent_s = self.silences.until_ns(arrival_ns) as f64 * 1e-9;
+        let due = ((silent_s * self.rate_hz).round() as u64).saturating_sub(1).min(UNSEEN_MAX);
+        let start_over = "the device began anew: its frame counter and clock start over";
+        self.event(Event {
+            kind: EventKind::Host,
+            row: 0,
+            device_ticks: frame.device_ticks,
+            host_ns: arrival_ns,
+            input: 0,
+            text: format!(
+                "{start_over}; by the host's clock {silent_s:.3} s without a frame, {due} were due"
+            ),
+        });
+        due
     }
 }

@@ -9,13 +9,17 @@ use anyhow::Context;
 use crossbeam_channel::Receiver;
 use mocapd_take::{
     TakeWriter,
-    record::{Clock, ClockPoint, ClockProbe},
+    record::{Clock, ClockLine, ClockPoint, ClockProbe},
 };
 
 use crate::clock::{ClockItem, ClockStatus};
 
 /// Round trips, or points, that wait for a record at most: those of a minute are sixteen and twelve.
 const HELD_MAX: usize = 256;
+
+/// Segments that are told of one by one at the end: a device is plugged in again so often in a long day. The take
+/// has each one's line.
+const LINES_MAX: usize = 256;
 
 /// Until the first record: before, little is known. A recording that is killed by then has the line in its ledger.
 const FIRST_AFTER: Duration = Duration::from_secs(8);
@@ -28,12 +32,16 @@ pub(super) struct ClockWriter {
     begun: Instant,
     probes: Vec<ClockProbe>,
     points: Vec<ClockPoint>,
+    /// Of the segment, when that is over.
+    line: Option<ClockLine>,
+    lines: Vec<(u32, ClockLine)>,
 }
 
 impl ClockWriter {
     pub(super) fn new(items: Receiver<ClockItem>) -> Self {
         let (probes, points) = (Vec::with_capacity(HELD_MAX), Vec::with_capacity(HELD_MAX));
-        Self { items, segment: 0, begun: Instant::now(), probes, points }
+        let begun = Instant::now();
+        Self { items, segment: 0, begun, probes, points, line: None, lines: Vec::new() }
     }
 
     /// Takes in what came, and writes it when a record is due, the segment is another one, or enough is held.
@@ -44,7 +52,9 @@ impl ClockWriter {
         is_due: bool,
     ) -> anyhow::Result<()> {
         while let Ok(item) = self.items.try_recv() {
-            let (ClockItem::Point(segment, _) | ClockItem::Probe(segment, _)) = item;
+            let (ClockItem::Point(segment, _)
+            | ClockItem::Probe(segment, _)
+            | ClockItem::Line(segment, _)) = item;
             if segment != self.segment {
                 self.record(take, status)?;
                 self.segment = segment;
@@ -52,6 +62,7 @@ impl ClockWriter {
             match item {
                 ClockItem::Point(_, point) => self.points.push(point),
                 ClockItem::Probe(_, probe) => self.probes.push(probe),
+                ClockItem::Line(_, line) => self.line = Some(line),
             }
             if self.points.len().max(self.probes.len()) >= HELD_MAX {
                 self.record(take, status)?;
@@ -63,14 +74,17 @@ impl ClockWriter {
         Ok(())
     }
 
-    /// Writes what is left.
+    /// Writes what is left. The line of each segment that had one.
     pub(super) fn finish<W: Write>(
         &mut self,
         take: &mut TakeWriter<W>,
         status: &ClockStatus,
-    ) -> anyhow::Result<()> {
+    ) -> anyhow::Result<Vec<(u32, ClockLine)>> {
         self.write(take, status, false)?;
-        self.record(take, status)
+        self.record(take, status)?;
+        let last = status.line.map(|line| (status.segment, line));
+        self.lines.extend(last);
+        Ok(std::mem::take(&mut self.lines))
     }
 
     fn record<W: Write>(
@@ -78,14 +92,19 @@ impl ClockWriter {
         take: &mut TakeWriter<W>,
         status: &ClockStatus,
     ) -> anyhow::Result<()> {
-        if self.probes.is_empty() && self.points.is_empty() {
+        let ended = self.line.take();
+        if self.probes.is_empty() && self.points.is_empty() && ended.is_none() {
             return Ok(());
         }
+        if self.lines.len() < LINES_MAX {
+            self.lines.extend(ended.map(|line| (self.segment, line)));
+        }
+        // Of the segment that runs, the line is the newest.
+        let running = status.line.filter(|_| status.segment == self.segment);
         let mut clock = Clock {
             segment: self.segment,
             tick_hz: status.tick_hz,
-            // The line is that of the segment that runs.
-            line: status.line.filter(|_| status.segment == self.segment),
+            line: ended.or(running),
             jitter: status.jitter,
             probes: std::mem::take(&mut self.probes),
             points: std::mem::take(&mut self.points),

@@ -20,7 +20,7 @@ pub(super) struct Ledgers {
 }
 
 /// The counters that stand still while all goes well.
-type Troubles = [u64; 12];
+type Troubles = [u64; 13];
 
 impl Ledgers {
     /// Whether one is to be written now; then it counts as written.
@@ -46,6 +46,7 @@ fn troubles(counts: &Counts) -> Troubles {
     [
         counts.not_received,
         counts.ring_full,
+        counts.lost_in_outages,
         counts.duplicates,
         counts.samples_not_finite + counts.link.samples_not_finite,
         counts.markers_dropped,

@@ -5,7 +5,7 @@ use std::{
     io::{self, Write},
 };
 
-use mocapd_take::record::Ledger;
+use mocapd_take::record::{ClockLine, Ledger};
 
 use crate::clock::ClockStatus;
 
@@ -43,6 +43,8 @@ pub struct Written {
     pub ledger: Ledger,
     /// How the clocks ran in the end.
     pub clock: ClockStatus,
+    /// By segment, the line of each that had one.
+    pub clock_lines: Vec<(u32, ClockLine)>,
     /// Bytes of the file.
     pub file_bytes: u64,
     /// Samples in it.

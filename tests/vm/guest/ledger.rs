@@ -13,6 +13,7 @@ pub(crate) struct Account {
     pub(crate) frames_sent: u64,
     pub(crate) lost: u64,
     pub(crate) unknown: u64,
+    pub(crate) away_s: f64,
     pub(crate) samples: u64,
     pub(crate) damaged: u64,
     contradictions: usize,
@@ -34,6 +35,7 @@ impl Account {
                 .saturating_add(in_host("ring_full"))
                 .saturating_add(in_host("other")),
             unknown: number("unknown_after_disconnect")?,
+            away_s: report["outages"]["seconds"].as_f64().context("outages.seconds")?,
             samples: number("samples_present")?,
             damaged: number("link_messages_damaged")?,
             contradictions: ledger["contradictions"].as_array().map_or(0, Vec::len),

@@ -1,6 +1,9 @@
 //! Cables that are pulled while a take is being recorded.
 
-use std::{thread::sleep, time::Duration};
+use std::{
+    thread::sleep,
+    time::{Duration, Instant},
+};
 
 use anyhow::{Context, ensure};
 
@@ -17,6 +20,10 @@ const ACTED_WITHIN: Duration = Duration::from_millis(100);
 
 /// A device that is back is recorded again.
 const BACK_WITHIN: Duration = Duration::from_secs(2);
+
+/// By how much the take of a device that lost its power may be off the wall clock: the process that plays it is
+/// killed and started again, and its first frame comes a little after it is back.
+const KEEPS_TIME_WITHIN_S: f64 = 0.3;
 
 const ENDLESS: [&str; 5] = ["--rate", "240", "--markers", "24", "--loop"];
 
@@ -118,16 +125,26 @@ fn cut_power(plug_in: impl Fn() -> anyhow::Result<Simulator>, take: &str) -> Mea
     let uri = simulator.uri.clone();
     let mut recorder = record(&uri, take, &[])?;
     recorder.has_recorded(take)?;
+    let cut = Instant::now();
     simulator.kill()?;
     let simulator = plug_in()?;
-    recorder.said("the device is back after", PATIENCE)?;
+    let away_s = (recorder.said("the device is back after", PATIENCE)? - cut).as_secs_f64();
     sleep(WHILE);
     let account = ended(recorder, take)?;
+    // The device's counter says nothing of the time between: the take keeps it by the host's clock.
+    ensure!(
+        (account.away_s - away_s).abs() < KEEPS_TIME_WITHIN_S,
+        "{account:?}: away for {away_s} s"
+    );
     let info = mocapd(User::Dialout, &["info", take])?;
     ensure!(info.stdout.contains("began anew"), "{}", info.stdout);
     let sent = simulator.stop()?;
     ensure!(account.recorded > sent.produced, "{account:?}: no frame of before the cut");
-    Ok(format!("{} frames of both lives", account.recorded))
+    let off_ms = (account.away_s - away_s) * 1e3;
+    Ok(format!(
+        "{} frames, {away_s:.2} s away, of which the take has {off_ms:+.0} ms",
+        account.recorded
+    ))
 }
 
 pub(crate) fn power_cut() -> Measured {
