@@ -3,6 +3,7 @@
 
 pub mod clock;
 pub mod compare;
+pub mod disk;
 pub mod files;
 pub mod header;
 pub mod inspect;

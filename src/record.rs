@@ -10,8 +10,8 @@ use anyhow::bail;
 use mocapd_codec::Settings;
 
 use crate::{
-    files, header,
-    pipeline::{Pipeline, Progress, Written},
+    disk, files, header,
+    pipeline::{Pipeline, PipelineConfig, Progress, Written},
     rig::{Ending, ReadOptions, Recording, Rig},
     units,
 };
@@ -28,6 +28,8 @@ pub struct RecordOptions<'a> {
     pub codec: Settings,
     /// Stop after so long; `None` for a replay's end or `stop`.
     pub length: Option<Duration>,
+    /// Bytes of the disk that stay free: a take that comes there is closed.
+    pub keep_free_bytes: u64,
     /// Set by Ctrl-C.
     pub stop: &'a AtomicBool,
     /// Told, in words, what people should know while it runs.
@@ -54,7 +56,9 @@ pub struct Recorded {
 /// # Errors
 /// When nothing was recorded (no take is left behind then), or the take could not be written to its end.
 pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recorded> {
-    let config = rig.pipeline_config(options.codec);
+    disk::check_room(options.take, options.keep_free_bytes)?;
+    let keep_free_bytes = options.keep_free_bytes;
+    let config = PipelineConfig { keep_free_bytes, ..rig.pipeline_config(options.codec) };
     let mut header = header::new(&options.codec, config.rate_hz)?;
     header.up_axis = rig.hello().up_axis.min(3);
     header.device = Some(rig.device_record());
@@ -95,6 +99,7 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
                 nothing_recorded();
                 let why = match recording.ending {
                     Ending::Disconnected => "the device went away before its first frame",
+                    Ending::DiskFull => "the disk is full: delete something",
                     Ending::Stopped => "it was stopped before the first frame came",
                     _ => "the device sent no frame: check that it is capturing",
                 };

@@ -71,6 +71,32 @@ pub fn duration(text: &str) -> Result<Duration, String> {
     Ok(Duration::from_secs_f64(seconds))
 }
 
+/// `256MiB`, `2GB`, `500kB`; a bare number is bytes.
+///
+/// # Errors
+/// What is wrong and what to type.
+pub fn size_bytes(text: &str) -> Result<u64, String> {
+    let (value, unit) = split(text)?;
+    let bytes = value
+        * match unit {
+            "B" | "" => 1.0,
+            "kB" | "KB" => 1e3,
+            "MB" => 1e6,
+            "GB" => 1e9,
+            "TB" => 1e12,
+            "KiB" | "kiB" => 1024.0,
+            "MiB" => 1048576.0,
+            "GiB" => 1073741824.0,
+            "TiB" => 1099511627776.0,
+            _ => return Err(format!("'{unit}' is no unit of size: use B, kB, MB, GB, MiB or GiB")),
+        };
+    // No disk has more, and every whole number of bytes below it is one of f64.
+    if !(0.0..=9e15).contains(&bytes) {
+        return Err(format!("'{text}' is no size of a disk: give something like 2GiB"));
+    }
+    Ok(bytes.round() as u64)
+}
+
 /// The first frame at or after `time`, and so the number of frames before it. A time that is a frame's own
 /// but for its last digits is that frame's: 0.07 s at 100 Hz are 7.000000000000001 frames in binary.
 #[must_use]
@@ -113,6 +139,12 @@ mod tests {
         assert_eq!(duration("1.5s").unwrap(), Duration::from_millis(1500));
         assert_eq!(duration("2min").unwrap(), Duration::from_secs(120));
         assert!((rate_hz("1kHz").unwrap() - 1000.0).abs() < 1e-9);
+        for (text, bytes) in [("0", 0), ("512", 512), ("1.5 MB", 1_500_000), ("2GiB", 2 << 30)] {
+            assert_eq!(size_bytes(text), Ok(bytes));
+        }
+        for text in ["-1", "1 floppy", "nan", "1e20", ""] {
+            assert!(size_bytes(text).is_err(), "{text}");
+        }
     }
 
     #[test]

@@ -63,6 +63,7 @@ impl Simulated {
         let folder = tempfile::tempdir().unwrap();
         let take = folder.path().join("a.take");
         let mut options = RecordOptions {
+            keep_free_bytes: 0,
             take: &take,
             codec,
             length,

@@ -216,6 +216,12 @@ impl Intake {
         self.progress.failed.load(Ordering::Relaxed)
     }
 
+    /// Whether the disk is so full that the take has to end: what was taken in is still written.
+    #[must_use]
+    pub fn is_disk_full(&self) -> bool {
+        self.progress.disk_full.load(Ordering::Relaxed)
+    }
+
     /// No more frames: what is open is closed, and the take ends with the ledger.
     pub fn finish(mut self) -> Counts {
         self.close_take();

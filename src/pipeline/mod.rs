@@ -33,7 +33,8 @@ use mocapd_take::{TakeWriter, record::Header};
 pub use counts::Counts;
 pub use intake::Intake;
 pub use plan::PipelineConfig;
-pub use writer::{TakeOutput, Written};
+pub(crate) use writer::HELD_MIN_BYTES;
+pub use writer::{DiskState, TakeOutput, Written};
 
 use self::{group::Group, plan::Plan, pool::Pool, writer::Writer};
 use crate::threads;
@@ -53,6 +54,10 @@ pub struct Progress {
     pub file_bytes: AtomicU64,
     /// Samples in the stretches written.
     pub samples: AtomicU64,
+    /// How long the disk will do, in seconds; `u64::MAX` while unknown.
+    pub disk_left_s: AtomicU64,
+    /// So little is left of the disk that the take has to end: stop feeding, and it is closed.
+    pub disk_full: AtomicBool,
     /// The writer met an error and writes no more, or a worker is gone: stop feeding.
     pub failed: AtomicBool,
 }

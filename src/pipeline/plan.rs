@@ -31,6 +31,8 @@ pub struct PipelineConfig {
     pub key_every: Duration,
     /// Time between syncs to disk.
     pub sync_every: Duration,
+    /// Bytes of the disk that stay free: a take that comes there is to end.
+    pub keep_free_bytes: u64,
 }
 
 impl PipelineConfig {
@@ -48,6 +50,7 @@ impl PipelineConfig {
             first_stretch: Duration::from_millis(100),
             key_every: Duration::from_secs(10),
             sync_every: Duration::from_millis(500),
+            keep_free_bytes: 0,
         }
     }
 }
@@ -103,6 +106,7 @@ pub(super) struct Plan {
     pub(super) first_stretch_rows: u32,
     pub(super) key_rows: u64,
     pub(super) sync_every: Duration,
+    pub(super) keep_free_bytes: u64,
 }
 
 impl Plan {
@@ -130,6 +134,7 @@ impl Plan {
             first_stretch_rows: config.rows(config.first_stretch.min(config.stretch)),
             key_rows: u64::from(config.rows(config.key_every)),
             sync_every: config.sync_every,
+            keep_free_bytes: config.keep_free_bytes,
         };
         let ring_bytes =
             plan.ring_rows().saturating_mul(n_slots).saturating_mul(size_of::<Sample>());

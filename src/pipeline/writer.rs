@@ -4,6 +4,7 @@ mod assembly;
 mod clocks;
 mod ledgers;
 mod output;
+mod room;
 
 use std::{
     io::Write,
@@ -15,8 +16,12 @@ use anyhow::{Context, anyhow, bail};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use mocapd_take::TakeWriter;
 
-pub use self::output::{TakeOutput, Written};
-use self::{assembly::Assemblies, clocks::ClockWriter, ledgers::Ledgers};
+pub(crate) use self::room::HELD_MIN_BYTES;
+use self::{assembly::Assemblies, clocks::ClockWriter, ledgers::Ledgers, room::Room};
+pub use self::{
+    output::{TakeOutput, Written},
+    room::DiskState,
+};
 use super::{
     Counts, Progress,
     messages::{Control, FromReader, Part, PartReport},
@@ -47,6 +52,7 @@ pub(super) struct Writer<W> {
     synced_bytes: u64,
     last_sync: Option<Instant>,
     ledgers: Ledgers,
+    room: Room,
 }
 
 impl<W: TakeOutput> Writer<W> {
@@ -76,6 +82,7 @@ impl<W: TakeOutput> Writer<W> {
             synced_bytes: 0,
             last_sync: None,
             ledgers: Ledgers::default(),
+            room: Room::new(plan.keep_free_bytes),
         }
     }
 
@@ -84,6 +91,7 @@ impl<W: TakeOutput> Writer<W> {
     pub(super) fn run(mut self) -> anyhow::Result<(Written, W)> {
         let mut error = None;
         let mut silent_since = Instant::now();
+        self.look_at_disk();
         loop {
             match self.parts.recv_timeout(self.sync_every.min(GIVE_UP_AFTER)) {
                 Ok(part) => {
@@ -93,6 +101,7 @@ impl<W: TakeOutput> Writer<W> {
                 Err(RecvTimeoutError::Timeout) => {
                     if error.is_none() {
                         error = self.sync_what_waits().err();
+                        self.look_at_disk();
                     }
                     let failed = self.progress.failed.load(Ordering::Relaxed);
                     if failed && silent_since.elapsed() > GIVE_UP_AFTER {
@@ -145,12 +154,18 @@ impl<W: TakeOutput> Writer<W> {
         Ok(())
     }
 
+    fn look_at_disk(&mut self) {
+        let written = self.take.bytes();
+        self.room.look(self.take.get_mut(), written, &self.progress, Instant::now());
+    }
+
     fn write_ledger_and_sync(&mut self) -> anyhow::Result<()> {
         let ledger_is_due = self.ledgers.are_due(&self.counts, Instant::now());
         self.clocks.write(&mut self.take, &self.counts.clock, ledger_is_due)?;
         if ledger_is_due {
             self.take.ledger(&self.counts.ledger(false)).context("cannot write the ledger")?;
         }
+        self.look_at_disk();
         if self.last_sync.is_none_or(|last| last.elapsed() >= self.sync_every) {
             self.sync_what_waits()?;
         }
@@ -186,11 +201,13 @@ impl<W: TakeOutput> Writer<W> {
         }
         let closing = "cannot close the take";
         let mut output = self.take.finish(&ledger).context(closing)?;
+        output.0.release(output.1).context(closing)?;
         output.0.sync().context(closing)?;
         let written = Written {
             ledger,
             clock: self.counts.clock,
             clock_lines,
+            disk: self.room.state(),
             file_bytes: output.1,
             samples: self.report.samples,
             kept: self.report.kept,

@@ -46,6 +46,8 @@ pub enum Ending {
     Stopped,
     /// The device is gone.
     Disconnected,
+    /// So little was left of the disk that the take was closed.
+    DiskFull,
     /// The take can no longer be written.
     WriterFailed,
 }
@@ -105,11 +107,15 @@ impl Rig {
         let is_over = |reader: &Reader<'_>| {
             let time_max = options.time_max.map(|max| max.as_nanos() as u64);
             options.stop.load(Ordering::Relaxed)
+                || reader.intake.is_disk_full()
                 || options.rows_max.is_some_and(|max| reader.intake.next_row() >= max)
                 || time_max.is_some_and(|max| monotonic_ns() - started_ns > max)
         };
         loop {
-            let ending = self.read_until_gone(reader, options, &is_over)?;
+            let ending = match self.read_until_gone(reader, options, &is_over)? {
+                Ending::Stopped if reader.intake.is_disk_full() => Ending::DiskFull,
+                ending => ending,
+            };
             if ending != Ending::Disconnected {
                 return Ok(ending);
             }

@@ -10,6 +10,7 @@ mod devices;
 mod documents;
 mod exports;
 mod folder;
+mod full_disk;
 mod imports;
 mod ndi;
 mod outputs;

@@ -37,7 +37,7 @@ use super::{
     export::write,
     numbers::{bytes, count, thousands},
     output::{print, say},
-    record::{Report, record_and_watch, stop_on_signal},
+    record::{Limits, Report, record_and_watch, stop_on_signal},
     values,
     verify::AgainstReport,
 };
@@ -91,7 +91,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     ))?;
     let location = Location::Serial { path: simulated.path.clone(), baud: None };
     let rig = Rig::open(&DeviceUri { location, driver: None })?;
-    let recorded = record_and_watch(rig, &take, codec, None, &stop)?;
+    let limits = Limits { length: None, keep_free_bytes: 0 };
+    let recorded = record_and_watch(rig, &take, codec, limits, &stop)?;
     let sent = simulated.stop()?;
     let report = Report::new(&take, &recorded, &codec);
     print(&report.words())?;

@@ -14,13 +14,16 @@ use mocapd_drivers::{registry::OpenError, uri::DeviceUri};
 
 pub(crate) use self::{
     report::{LatencyReport, ProcessReport, Report},
-    watch::{record_and_watch, stop_on_signal},
+    watch::{Limits, record_and_watch, stop_on_signal},
 };
 use super::{
     codec_args::CodecArgs,
     output::{print, print_json, say},
     paths, values,
 };
+
+/// What stays free of the disk: a system that has nothing left does not even log why.
+pub(crate) const KEEP_FREE: &str = "256MiB";
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -39,6 +42,9 @@ pub(crate) struct Args {
     /// Wait so long for a device that goes away, and go on when it is back; 0s ends the take at once
     #[arg(long, value_name = "TIME", default_value = "60s", value_parser = units::duration, allow_hyphen_values = true)]
     reconnect: Duration,
+    /// End the take when no more than so much of the disk is free: 256MiB, 2GB; 0 uses all of it
+    #[arg(long, value_name = "SIZE", default_value = KEEP_FREE, value_parser = units::size_bytes, allow_hyphen_values = true)]
+    keep_free: u64,
     #[command(flatten)]
     codec: CodecArgs,
     /// Print one JSON document
@@ -59,7 +65,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         rig.set_rate(rate_hz)?;
     }
     rig.wait_for_replug(args.reconnect);
-    let recorded = record_and_watch(rig, &args.output, codec, args.seconds, &stop)?;
+    let limits = Limits { length: args.seconds, keep_free_bytes: args.keep_free };
+    let recorded = record_and_watch(rig, &args.output, codec, limits, &stop)?;
     let report = Report::new(&args.output, &recorded, &codec);
     if args.json {
         print_json(&report)?;
@@ -70,6 +77,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if disconnected {
         say("the device was disconnected: the take ends there");
     }
+    let is_full = recorded.recording.ending == Ending::DiskFull;
+    if is_full {
+        say(&report.disk_full());
+    }
     if let Some(outages) = report.outages() {
         say(&outages);
     }
@@ -78,5 +89,5 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let ledger = &recorded.written.ledger;
     let was_away = disconnected || recorded.recording.outages > 0;
-    Ok(Outcome::of(ledger.lost_anything() || !ledger.closes() || was_away))
+    Ok(Outcome::of(ledger.lost_anything() || !ledger.closes() || was_away || is_full))
 }

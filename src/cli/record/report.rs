@@ -30,9 +30,16 @@ pub(crate) struct Report {
     max_error_mm: f64,
     ring_latency_us: LatencyReport,
     process: ProcessReport,
+    disk: DiskReport,
     outages: OutagesReport,
     clock: Option<ClockReport>,
     ledger: LedgerReport,
+}
+
+#[derive(Debug, Serialize)]
+struct DiskReport {
+    free_bytes: Option<u64>,
+    seconds_left: Option<f64>,
 }
 
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -60,6 +67,7 @@ impl Report {
                 Ending::EndOfStream => "end of stream",
                 Ending::Stopped => "stopped",
                 Ending::Disconnected => "disconnected",
+                Ending::DiskFull => "disk full",
                 Ending::WriterFailed => "writer failed",
             },
             frames: written.ledger.recorded,
@@ -82,6 +90,10 @@ impl Report {
                 cpu_s: usage.cpu_s,
                 peak_memory_bytes: usage.peak_memory_bytes,
             },
+            disk: DiskReport {
+                free_bytes: written.disk.free_bytes,
+                seconds_left: written.disk.left_s,
+            },
             outages: OutagesReport::new(
                 recorded.recording.counts.outages,
                 written.ledger.unknown_after_disconnect,
@@ -95,6 +107,14 @@ impl Report {
     /// What was lost, in one line.
     pub(crate) fn losses(&self) -> Option<String> {
         self.ledger.losses()
+    }
+
+    /// Why the take ended.
+    pub(crate) fn disk_full(&self) -> String {
+        let free = self.disk.free_bytes.map_or("little".to_owned(), bytes);
+        format!(
+            "the disk is nearly full ({free} left): the take ends here, and is whole; delete something before the next"
+        )
     }
 
     /// How long the device was away.

@@ -34,12 +34,21 @@ pub(crate) fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
     Ok(stop)
 }
 
+/// When a recording ends by itself.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Limits {
+    /// After so long.
+    pub(crate) length: Option<Duration>,
+    /// When no more than so much of the disk is free.
+    pub(crate) keep_free_bytes: u64,
+}
+
 /// Records `rig` into `take`, showing how it goes.
 pub(crate) fn record_and_watch(
     rig: Rig,
     take: &Path,
     codec: Settings,
-    length: Option<Duration>,
+    limits: Limits,
     stop: &AtomicBool,
 ) -> anyhow::Result<Recorded> {
     let mut watching = None;
@@ -48,18 +57,39 @@ pub(crate) fn record_and_watch(
         watching = Some(Progress::status(move || {
             let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
             format!(
-                "recording: {} frames, {} lost, {} on disk{}",
+                "recording: {} frames, {} lost, {} on disk{}{}",
                 thousands(get(&progress.frames)),
                 thousands(get(&progress.lost)),
                 bytes(get(&progress.file_bytes)),
+                disk_left(get(&progress.disk_left_s)),
                 clock(&progress)
             )
         }));
     };
-    let mut options = RecordOptions { take, codec, length, stop, say: &say, started: &mut started };
+    let Limits { length, keep_free_bytes } = limits;
+    let mut options = RecordOptions {
+        take,
+        codec,
+        length,
+        keep_free_bytes,
+        stop,
+        say: &say,
+        started: &mut started,
+    };
     let recorded = record(rig, &mut options);
     drop(watching);
     recorded
+}
+
+/// How long the disk will do at this rate, in hours and minutes, once that is known.
+fn disk_left(left_s: u64) -> String {
+    const LONG_H: u64 = 1000;
+    let (hours, minutes) = (left_s / 3600, left_s / 60 % 60);
+    match left_s {
+        u64::MAX => String::new(),
+        _ if hours >= LONG_H => format!(", room for more than {LONG_H} h"),
+        _ => format!(", room for {hours}:{minutes:02} h"),
+    }
 }
 
 /// How the clocks run, once that is known.

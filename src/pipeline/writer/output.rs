@@ -6,7 +6,9 @@ use std::{
 };
 
 use mocapd_take::record::{ClockLine, Ledger};
+use rustix::fs::{FallocateFlags, fallocate, fstatvfs};
 
+use super::DiskState;
 use crate::clock::ClockStatus;
 
 /// What a take is written to.
@@ -16,11 +18,46 @@ pub trait TakeOutput: Write + Send + 'static {
     /// # Errors
     /// The device's.
     fn sync(&mut self) -> io::Result<()>;
+
+    /// Makes sure that so many bytes can be written from an offset on, whatever others write to the disk meanwhile.
+    ///
+    /// # Errors
+    /// `StorageFull`, `QuotaExceeded` when there is no such room; `Unsupported` where none can be held back.
+    fn hold_back(&mut self, _from: u64, _bytes: u64) -> io::Result<()> {
+        Err(io::ErrorKind::Unsupported.into())
+    }
+
+    /// Gives back what was held and is not needed: the output has so many bytes.
+    ///
+    /// # Errors
+    /// The device's.
+    fn release(&mut self, _bytes: u64) -> io::Result<()> {
+        Ok(())
+    }
+
+    /// Bytes that the disk has left, for whoever may write there; `None` where nobody can tell.
+    fn free_bytes(&self) -> Option<u64> {
+        None
+    }
 }
 
 impl TakeOutput for File {
     fn sync(&mut self) -> io::Result<()> {
         self.sync_data()
+    }
+
+    fn hold_back(&mut self, from: u64, bytes: u64) -> io::Result<()> {
+        Ok(fallocate(self, FallocateFlags::KEEP_SIZE, from, bytes)?)
+    }
+
+    fn release(&mut self, bytes: u64) -> io::Result<()> {
+        // The length is the file's already; blocks beyond it go.
+        self.set_len(bytes)
+    }
+
+    fn free_bytes(&self) -> Option<u64> {
+        let disk = fstatvfs(self).ok()?;
+        Some(disk.f_bavail.saturating_mul(disk.f_frsize))
     }
 }
 
@@ -45,6 +82,8 @@ pub struct Written {
     pub clock: ClockStatus,
     /// By segment, the line of each that had one.
     pub clock_lines: Vec<(u32, ClockLine)>,
+    /// What was left of the disk.
+    pub disk: DiskState,
     /// Bytes of the file.
     pub file_bytes: u64,
     /// Samples in it.

@@ -1,0 +1,199 @@
+//! Room on the disk: some is held back, so that a take can be closed on a disk that others fill, and what is left is
+//! watched, so that it is closed before nothing works any more.
+
+use std::{
+    io,
+    sync::atomic::Ordering,
+    time::{Duration, Instant},
+};
+
+use super::TakeOutput;
+use crate::pipeline::Progress;
+
+/// Held back at least: a ledger, an index of days and a few stretches.
+pub(crate) const HELD_MIN_BYTES: u64 = 4 << 20;
+
+/// Held back for so much time: what is in memory when the disk was stalled, and what comes until the device stops.
+const HELD_S: f64 = 60.0;
+
+/// Time between two looks at the disk.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+
+/// The rate is that of so long.
+const RATE_OF_S: f64 = 30.0;
+
+/// What the writer knows of its disk.
+#[derive(Debug)]
+pub(super) struct Room {
+    keep_free_bytes: u64,
+    /// The file has room up to here.
+    held_to: u64,
+    /// Not every file system can hold room back.
+    can_hold: bool,
+    looked: Option<(Instant, u64)>,
+    bytes_per_s: f64,
+    state: DiskState,
+}
+
+/// What is left of the disk.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct DiskState {
+    /// Bytes that others may take, what is held back for the take not included. `None` where nobody can tell.
+    pub free_bytes: Option<u64>,
+    /// How long the take could go on at the rate of the last half a minute, in seconds. `None` before it has one.
+    pub left_s: Option<f64>,
+    /// The take is to end, because less is free than has to stay.
+    pub is_full: bool,
+}
+
+impl Room {
+    pub(super) fn new(keep_free_bytes: u64) -> Self {
+        Self {
+            keep_free_bytes,
+            held_to: 0,
+            can_hold: true,
+            looked: None,
+            bytes_per_s: 0.0,
+            state: DiskState::default(),
+        }
+    }
+
+    pub(super) fn state(&self) -> DiskState {
+        self.state
+    }
+
+    /// Looks, now and then, when the take has so many bytes.
+    pub(super) fn look<W: TakeOutput>(
+        &mut self,
+        output: &mut W,
+        written: u64,
+        progress: &Progress,
+        now: Instant,
+    ) {
+        if self.looked.is_some_and(|(last, _)| now.duration_since(last) < LOOK_EVERY) {
+            return;
+        }
+        if let Some((last, before)) = self.looked {
+            let passed_s = now.duration_since(last).as_secs_f64();
+            let rate = written.saturating_sub(before) as f64 / passed_s;
+            // Before there is a mean, the first second's bytes have to do.
+            let weight = if self.bytes_per_s > 0.0 { (passed_s / RATE_OF_S).min(1.0) } else { 1.0 };
+            self.bytes_per_s += (rate - self.bytes_per_s) * weight;
+        }
+        self.looked = Some((now, written));
+        self.hold(output, written);
+        self.state.free_bytes = output.free_bytes();
+        if let Some(free) = self.state.free_bytes {
+            self.state.is_full |= free < self.keep_free_bytes;
+            let ours =
+                free.saturating_sub(self.keep_free_bytes) + self.held_to.saturating_sub(written);
+            self.state.left_s = (self.bytes_per_s > 0.0).then(|| ours as f64 / self.bytes_per_s);
+        }
+        progress.disk_full.store(self.state.is_full, Ordering::Relaxed);
+        let left_s = self.state.left_s.map_or(u64::MAX, |left_s| left_s as u64);
+        progress.disk_left_s.store(left_s, Ordering::Relaxed);
+    }
+
+    fn hold<W: TakeOutput>(&mut self, output: &mut W, written: u64) {
+        let ahead = HELD_MIN_BYTES.max((self.bytes_per_s * HELD_S) as u64);
+        // Half of it is enough to be there at any time: the rest spares a call each second.
+        if self.state.is_full || !self.can_hold || self.held_to >= written + ahead / 2 {
+            return;
+        }
+        let from = self.held_to.max(written);
+        match output.hold_back(from, written + ahead - from) {
+            Ok(()) => self.held_to = written + ahead,
+            Err(error) => match error.kind() {
+                // What was held before is still there.
+                io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+                    self.state.is_full = true;
+                }
+                _ => self.can_hold = false,
+            },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+
+    use super::*;
+
+    /// A disk of so many bytes, that may be unable to hold room back.
+    struct Disk {
+        free: u64,
+        holds: Result<(), io::ErrorKind>,
+    }
+
+    impl Write for Disk {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    impl TakeOutput for Disk {
+        fn sync(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+
+        fn hold_back(&mut self, _from: u64, bytes: u64) -> io::Result<()> {
+            self.holds?;
+            self.free = self.free.checked_sub(bytes).ok_or(io::ErrorKind::StorageFull)?;
+            Ok(())
+        }
+
+        fn free_bytes(&self) -> Option<u64> {
+            Some(self.free)
+        }
+    }
+
+    const MIB: u64 = 1 << 20;
+
+    /// A take of 1 MiB a second on a disk of 40 MiB, of which 10 have to stay free: when it is told to end.
+    fn ends_after(holds: Result<(), io::ErrorKind>) -> (u64, Vec<f64>) {
+        let mut disk = Disk { free: 40 * MIB, holds };
+        let (mut room, progress, begun) =
+            (Room::new(10 * MIB), Progress::default(), Instant::now());
+        let mut left = Vec::new();
+        for second in 0..100 {
+            room.look(&mut disk, second * MIB, &progress, begun + Duration::from_secs(second));
+            left.extend(room.state().left_s);
+            if progress.disk_full.load(Ordering::Relaxed) {
+                return (second, left);
+            }
+            // Without room of its own the take grows into the free bytes.
+            if holds.is_err() {
+                disk.free -= MIB;
+            }
+        }
+        panic!("never full: {:?}", room.state());
+    }
+
+    #[test]
+    fn a_take_ends_before_the_rest_is_used() {
+        let (seconds, left) = ends_after(Err(io::ErrorKind::Unsupported));
+        assert_eq!(seconds, 31);
+        assert!((left[4] - 25.0).abs() < 0.1, "{left:?}");
+        // A minute at this rate cannot be held back on such a disk: the take ends at once, and can be closed.
+        let (seconds, _) = ends_after(Ok(()));
+        assert_eq!(seconds, 1);
+    }
+
+    #[test]
+    fn time_left_counts_what_is_held_for_the_take() {
+        let mut disk = Disk { free: 1000 * MIB, holds: Ok(()) };
+        let (mut room, progress, begun) = (Room::new(0), Progress::default(), Instant::now());
+        for second in 0..10 {
+            room.look(&mut disk, second * MIB, &progress, begun + Duration::from_secs(second));
+        }
+        let left_s = room.state().left_s.unwrap();
+        assert!((left_s - 991.0).abs() < 1.0, "{left_s}");
+        assert_eq!(progress.disk_left_s.load(Ordering::Relaxed), left_s as u64);
+        assert!(disk.free < 950 * MIB && !room.state().is_full);
+    }
+}

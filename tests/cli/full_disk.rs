@@ -1,0 +1,82 @@
+//! Recording on a real file system that is small: a tmpfs in a name space of its own.
+
+use std::process::{Command, Stdio};
+
+use super::{Folder, Ran, devices::Simulated};
+use crate::support::crowd;
+
+/// Runs a script in `folder`, where `disk` is a file system of so many bytes; `None`, with the reason printed, where
+/// none can be mounted. The program is `$mocapd`, the device `$device`.
+#[expect(clippy::print_stderr, reason = "a test that is skipped says why")]
+fn on_small_disk(folder: &Folder, bytes: u64, device: &str, script: &str) -> Option<Ran> {
+    std::fs::create_dir(folder.path("disk")).unwrap();
+    let mount = format!("mount -t tmpfs -o size={bytes} tmpfs disk");
+    let unshared = |script: &str| {
+        let mut command = Command::new("unshare");
+        command.args(["--map-root-user", "--mount", "sh", "-c", script]);
+        command.current_dir(folder.path("")).stdin(Stdio::null());
+        command.env("mocapd", env!("CARGO_BIN_EXE_mocapd")).env("device", device);
+        command.output()
+    };
+    let can_mount = unshared(&mount).is_ok_and(|output| output.status.success());
+    if !can_mount {
+        eprintln!("skipped: no file system can be mounted here (unshare --map-root-user --mount)");
+        return None;
+    }
+    Some(unshared(&format!("{mount} || exit 99\n{script}")).unwrap().into())
+}
+
+/// 150 markers, 1000 times a second.
+fn device() -> Simulated {
+    Simulated::endless(crowd(5, 1000.0, 2.0))
+}
+
+#[test]
+fn a_take_is_closed_before_the_disk_is_full_and_the_next_is_refused() {
+    let (folder, device) = (Folder::new(), device());
+    let script = "
+        $mocapd record --device $device -o disk/a.take --lossless --keep-free 4MiB --seconds 60s --json > a.json 2> a.err
+        echo $? > a.code
+        cp disk/a.take .
+        head -c 2000000 /dev/zero > disk/more
+        $mocapd record --device $device -o disk/b.take --keep-free 4MiB --seconds 1s";
+    let Some(second) = on_small_disk(&folder, 9 << 20, &device.uri(), script) else { return };
+    assert_eq!(folder.text("a.code").trim(), "3", "{}", folder.text("a.err"));
+    let said = folder.text("a.err");
+    assert!(said.contains("the disk is nearly full") && said.contains("is whole"), "{said}");
+    let report: serde_json::Value = serde_json::from_str(&folder.text("a.json")).unwrap();
+    assert_eq!(report["ending"], "disk full");
+    let ledger = &report["ledger"];
+    assert_eq!((&ledger["closes"], &ledger["recorded"]), (&true.into(), &ledger["frames_sent"]));
+    folder.run(&["verify", "a.take"]).with_code(0);
+
+    assert_eq!(second.code, Some(1), "{}", second.stderr);
+    let line = second.stderr.lines().last().unwrap();
+    assert!(line.contains("the disk is nearly full") && line.contains("--keep-free"), "{line}");
+}
+
+#[test]
+fn a_take_can_be_closed_when_something_else_takes_all_that_is_left() {
+    let (folder, device) = (Folder::new(), device());
+    // All but what the take holds is gone between two looks at the disk.
+    let script = "
+        $mocapd record --device $device -o disk/a.take --keep-free 64KiB --seconds 60s --json > a.json 2> a.err &
+        recorder=$!
+        until grep -qs . /proc/$recorder/io && [ -s disk/a.take ]; do sleep 0.05; done
+        sleep 1
+        cat /dev/zero > disk/more
+        wait $recorder
+        echo $? > a.code
+        cp disk/a.take .";
+    if on_small_disk(&folder, 12 << 20, &device.uri(), script).is_none() {
+        return;
+    }
+    assert_eq!(folder.text("a.code").trim(), "3", "{}", folder.text("a.err"));
+    let report: serde_json::Value = serde_json::from_str(&folder.text("a.json")).unwrap();
+    assert_eq!(
+        (&report["ending"], &report["ledger"]["closes"]),
+        (&"disk full".into(), &true.into())
+    );
+    assert!(report["frames"].as_u64().unwrap() > 500, "{report}");
+    folder.run(&["verify", "a.take"]).with_code(0);
+}
