@@ -2,8 +2,10 @@
 
 mod channels;
 mod clocks;
+mod failing_disk;
 mod framing;
 mod loss;
+mod lossy_disk;
 mod outage;
 mod overload;
 
