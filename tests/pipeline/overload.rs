@@ -6,10 +6,11 @@ use std::{
 };
 
 use crossbeam_channel::{Receiver, bounded};
-use mocapd::pipeline::TakeOutput;
-use mocapd_take::timeline::Causes;
+use mocapd::pipeline::{PipelineConfig, TakeOutput};
+use mocapd_simulator::generator::JumpSpec;
+use mocapd_take::{motion::is_gap, timeline::Causes};
 
-use crate::support::{chunks, config, dense, feed, jump, rows, start};
+use crate::support::{chunks, config, dense, fast, feed, jump, rows, start};
 
 /// Writes to memory, but from the second write on only after the gate was opened.
 struct Gated {
@@ -101,11 +102,62 @@ fn a_stall_of_thirty_seconds_loses_nothing_and_a_longer_one_only_whole_frames() 
         .map(|(row, _)| row)
         .collect();
     for (row, positions) in rows(&output.bytes).0.iter().enumerate() {
-        let present = positions.iter().filter(|&&p| !mocapd_take::motion::is_gap(p)).count();
-        let sent =
-            motion.frame(row % n).iter().filter(|&&p| !mocapd_take::motion::is_gap(p)).count();
+        let present = positions.iter().filter(|&&p| !is_gap(p)).count();
+        let sent = motion.frame(row % n).iter().filter(|&&p| !is_gap(p)).count();
         assert_eq!(present, if recorded.contains(&(row as u64)) { sent } else { 0 }, "{row}");
     }
+}
+
+/// Frames as fast as they can be given, whatever the rings say, while nothing can be written; then, when that has
+/// passed, some that are waited for. Stretches are short, so that the queues are full soon.
+fn flooded(n_markers: usize, rate_hz: f64, stretch: Duration, n_flood: usize) {
+    let n_after = 50;
+    let spec = JumpSpec { n_markers, seconds: Some(0.5), ..JumpSpec::new(6, rate_hz.min(1000.0)) };
+    let motion = spec.generate().unwrap().motion;
+    let all: Vec<_> =
+        (0..motion.n_frames()).map(|index| crate::support::samples(motion.frame(index))).collect();
+    let config = PipelineConfig { rate_hz, stretch, ..config(&motion, fast(1.0)) };
+    let (open, gate) = bounded(0);
+    let (mut intake, pipeline) = start(&config, Gated { gate, writes: 0, bytes: Vec::new() });
+    let mut open = Some(open);
+    for seq in 0..n_flood + n_after {
+        if seq == n_flood {
+            open.take();
+        }
+        while seq >= n_flood && intake.is_full() {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        crate::support::feed_samples(&mut intake, rate_hz, seq, &all[seq % all.len()]);
+    }
+    intake.finish();
+    let (written, take) = pipeline.finish().unwrap();
+    let ledger = written.ledger;
+    assert!(ledger.closes(), "{ledger:?}");
+    assert_eq!(ledger.frames_sent, (n_flood + n_after) as u64);
+    assert!(ledger.lost_ring_full > 0, "no overload");
+    assert_eq!(ledger.recorded + ledger.lost_ring_full, ledger.frames_sent);
+    let (rows, problems) = rows(&take.bytes);
+    assert!(problems.is_empty(), "{problems:?}");
+    assert_eq!(rows.len(), n_flood + n_after);
+    // Whole, or not at all; and when it has passed all are there.
+    let mut n_whole = 0;
+    for (seq, row) in rows.iter().enumerate() {
+        let present = row.iter().filter(|&&position| !is_gap(position)).count();
+        assert!(present == 0 || present == n_markers, "{seq}: {present} of {n_markers}");
+        assert!(present > 0 || seq < n_flood, "{seq} is lost, and nothing was full any more");
+        n_whole += u64::from(present > 0);
+    }
+    assert_eq!(n_whole, ledger.recorded);
+}
+
+#[test]
+fn frames_at_100_khz_are_dropped_whole_and_counted() {
+    flooded(20, 100_000.0, Duration::from_millis(5), 100_000);
+}
+
+#[test]
+fn ten_thousand_markers_are_dropped_whole_and_counted() {
+    flooded(10_000, 240.0, Duration::from_millis(20), 600);
 }
 
 /// A disk that is full after so many bytes.
