@@ -4,6 +4,7 @@
 pub mod clock;
 pub mod compare;
 pub mod disk;
+pub mod doctor;
 pub mod files;
 pub mod header;
 pub mod inspect;

@@ -5,6 +5,7 @@ mod clock;
 mod codec_args;
 mod demo;
 mod devices;
+mod doctor;
 mod export;
 mod import;
 mod info;
@@ -52,6 +53,8 @@ enum Command {
     Info(info::Args),
     /// Check a take: checksums, every block, the ledger, and every sample against an original
     Verify(verify::Args),
+    /// Look whether this machine can record, and say what to type where it cannot
+    Doctor(doctor::Args),
     /// Measure this machine
     #[command(subcommand)]
     Bench(bench::Bench),
@@ -77,6 +80,7 @@ pub(crate) fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Export(args) => export::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Verify(args) => verify::run(&args),
+        Command::Doctor(args) => doctor::run(&args),
         Command::Bench(bench) => bench::run(&bench),
     }
 }

@@ -166,6 +166,22 @@ fn info_and_verify() {
 }
 
 #[test]
+fn doctor() {
+    let folder = Folder::new();
+    let examined = folder.run(&["doctor", "--keep-free", "0", "--json"]);
+    let known = ["good", "note", "warning", "failure"];
+    for finding in examined.json().as_array().unwrap() {
+        assert!(known.contains(&finding["verdict"].as_str().unwrap()), "{finding}");
+        let wants = ["warning", "failure"].contains(&finding["verdict"].as_str().unwrap());
+        assert_eq!(finding["remedy"].is_string(), wants, "{finding}");
+    }
+    let no_folder = folder.run(&["doctor", "--dir", "nowhere", "--json"]).with_code(1);
+    assert!(no_folder.stderr.contains("in the way of a recording"), "{}", no_folder.stderr);
+    check("`mocapd doctor`", &[no_folder.json(), examined.json()]);
+    assert_eq!(folder.path("").read_dir().unwrap().count(), 0);
+}
+
+#[test]
 fn record_and_import() {
     let folder = Folder::new();
     let motion = jump(1, 120.0, 1.0);

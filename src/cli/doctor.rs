@@ -1,0 +1,89 @@
+//! `doctor`: whether this machine can record, and what to type where it cannot.
+
+use std::path::PathBuf;
+
+use anyhow::bail;
+use mocapd::{
+    doctor::{self, Finding, Verdict},
+    outcome::Outcome,
+    units,
+};
+use serde::Serialize;
+
+use super::{
+    numbers::count,
+    output::{plain, print, print_json},
+    record::KEEP_FREE,
+};
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Folder where takes would go: some megabytes are written there, and removed
+    #[arg(long, value_name = "DIR", default_value = ".")]
+    dir: PathBuf,
+    /// What is to stay free of its disk, as `record` has it
+    #[arg(long, value_name = "SIZE", default_value = KEEP_FREE, value_parser = units::size_bytes, allow_hyphen_values = true)]
+    keep_free: u64,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    what: String,
+    verdict: &'static str,
+    seen: String,
+    remedy: Option<String>,
+}
+
+impl Report {
+    fn new(finding: Finding) -> Self {
+        Self {
+            what: finding.what,
+            verdict: match finding.verdict {
+                Verdict::Good => "good",
+                Verdict::Note => "note",
+                Verdict::Warning => "warning",
+                Verdict::Failure => "failure",
+            },
+            seen: finding.seen,
+            remedy: finding.remedy,
+        }
+    }
+
+    /// One line, and a second one for what to do.
+    fn words(&self) -> String {
+        let mut out =
+            format!("{:<8} {:<24} {}\n", self.verdict, plain(&self.what), plain(&self.seen));
+        if let Some(remedy) = &self.remedy {
+            out += &format!("{:<8} {:<24} -> {}\n", "", "", plain(remedy));
+        }
+        out
+    }
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
+    let (mut reports, mut printed) = (Vec::new(), Ok(()));
+    let (mut failures, mut warnings) = (0, 0);
+    doctor::examine(&args.dir, args.keep_free, &mut |finding| {
+        failures += u64::from(finding.verdict == Verdict::Failure);
+        warnings += u64::from(finding.verdict == Verdict::Warning);
+        let report = Report::new(finding);
+        // The disk takes a while: each is told as it comes.
+        if !args.json && printed.is_ok() {
+            printed = print(&report.words());
+        }
+        reports.push(report);
+    });
+    printed?;
+    if args.json {
+        print_json(&reports)?;
+    } else if failures + warnings == 0 {
+        print("this machine can record\n")?;
+    }
+    if failures > 0 {
+        bail!("{} in the way of a recording: see above", count(failures, "thing"));
+    }
+    Ok(Outcome::Done)
+}
