@@ -103,7 +103,7 @@ fn is_same(port: &Candidate, identity: &Candidate) -> bool {
 }
 
 fn family_named(name: &str) -> Result<&'static dyn Family, OpenError> {
-    let found = FAMILIES.iter().find(|family| family.name() == name);
+    let found = FAMILIES.iter().find(|family| family.name().eq_ignore_ascii_case(name));
     found.copied().ok_or_else(|| OpenError::UnknownDriver { name: name.to_owned() })
 }
 
@@ -157,6 +157,8 @@ mod tests {
     #[test]
     fn says_what_to_do() {
         assert!(error_of("serial:/dev/null?driver=vicon").contains("use one of dvmc"));
+        // A name in capitals is found: what is wrong is the port.
+        assert!(error_of("serial:/dev/null?driver=NDI").starts_with("/dev/null"));
         assert!(error_of("usb:1209:0001:none").contains("mocapd devices"));
         assert!(error_of("serial:/dev/mocapd-none").contains("mocapd devices"));
         assert!(error_of("serial:/etc/hostname").contains("no serial port"));
