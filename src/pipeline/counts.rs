@@ -28,6 +28,8 @@ pub struct Counts {
     pub samples_present: u64,
     /// Samples that came as NaN or infinity.
     pub samples_not_finite: u64,
+    /// Markers that were not announced at the start, and got a channel when they appeared.
+    pub markers_appeared: u64,
     /// Samples of markers beyond the channel pool.
     pub markers_dropped: u64,
     /// Times that the device's counter jumped as no loss can explain.

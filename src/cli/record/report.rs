@@ -10,7 +10,7 @@ use crate::cli::{
     clock::ClockReport,
     codec_args::tolerance_mm,
     ledger::{LedgerReport, OutagesReport},
-    numbers::{bytes, count},
+    numbers::{bytes, count, thousands},
 };
 
 #[derive(Debug, Serialize)]
@@ -20,6 +20,8 @@ pub(crate) struct Report {
     frames: u64,
     seconds: f64,
     markers: usize,
+    #[serde(skip)]
+    markers_appeared: u64,
     rate_hz: f64,
     samples: u64,
     raw_bytes: u64,
@@ -73,6 +75,7 @@ impl Report {
             frames: written.ledger.recorded,
             seconds: written.ledger.frames_sent as f64 / recorded.rate_hz,
             markers: recorded.markers,
+            markers_appeared: recorded.recording.counts.markers_appeared,
             rate_hz: recorded.rate_hz,
             samples: written.samples,
             raw_bytes: 12 * written.samples,
@@ -122,6 +125,16 @@ impl Report {
         self.outages.words()
     }
 
+    /// Those without a name are announced by no device: they come as they appear, and may come again under
+    /// another number.
+    fn markers_in_words(&self) -> String {
+        let announced = count(self.markers as u64, "marker");
+        match self.markers_appeared {
+            0 => announced,
+            more => format!("{announced} announced and {} more as they appeared", thousands(more)),
+        }
+    }
+
     pub(crate) fn words(&self) -> String {
         let bound = if self.tolerance_mm > 0.0 {
             format!("max error {:.4} mm <= {} mm", self.max_error_mm, self.tolerance_mm)
@@ -132,7 +145,7 @@ impl Report {
             "{}: {} of {} at {} Hz, {} as float32, {} on disk ({:.1}:1), {bound}\n{}{}",
             self.take.display(),
             count(self.frames, "frame"),
-            count(self.markers as u64, "marker"),
+            self.markers_in_words(),
             self.rate_hz,
             bytes(self.raw_bytes),
             bytes(self.file_bytes),

@@ -70,6 +70,7 @@ impl Intake {
         self.labels.push(named.map(|(label, _)| label.to_owned()).unwrap_or_default());
         self.slot_of_id[usize::from(id)] = self.n_channels as u32;
         self.n_channels += 1;
+        self.counts.markers_appeared += 1;
         self.room = 0;
     }
 }
