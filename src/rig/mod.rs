@@ -131,11 +131,7 @@ impl Rig {
         match answer {
             Ok(set) => self.hello.rate_mhz = set,
             Err(budget) if !budget.fits() => bail!(refusal(budget, rate_hz, &self.hello)),
-            Err(_) => bail!(
-                "the device refuses {rate_hz} Hz: it runs at {} to {} Hz",
-                f64::from(self.hello.rate_min_mhz) / 1000.0,
-                f64::from(self.hello.rate_max_mhz) / 1000.0
-            ),
+            Err(_) => bail!("the device refuses {rate_hz} Hz: {}", rates(&self.hello)),
         }
         Ok(())
     }
@@ -182,6 +178,17 @@ impl Rig {
         self.outbox.clear();
         self.protocol.command(command, &mut self.outbox);
         self.transport.write_all(&self.outbox)
+    }
+}
+
+/// What it runs at.
+fn rates(hello: &Hello) -> String {
+    let [min_hz, max_hz] =
+        [hello.rate_min_mhz, hello.rate_max_mhz].map(|mhz| f64::from(mhz) / 1000.0);
+    if min_hz == max_hz {
+        format!("it runs at {max_hz} Hz and no other rate; leave --rate out")
+    } else {
+        format!("it runs at {min_hz} to {max_hz} Hz")
     }
 }
 
