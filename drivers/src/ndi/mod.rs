@@ -3,6 +3,7 @@
 //! The device answers, and never speaks unasked. [`NdiHost`] therefore leaves requests on a
 //! [desk](crate::transport::turns); who reads the line carries them out.
 
+mod assign;
 mod bauds;
 mod bring_up;
 mod bx;

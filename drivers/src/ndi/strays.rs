@@ -1,10 +1,17 @@
 //! Which stray is which: a device lists them in any order, and says nothing of their identity.
 //!
-//! A stray keeps the number of the one that is nearest to where it would have moved on to, within
-//! what a marker can stray from that in a frame. A number whose stray is gone is held for half a
-//! second, for one that comes back where it went; then it goes to the next that appears.
+//! Strays and the numbers of the frame before are paired so that the squares of the distances between
+//! where each is and where it would have moved on to are least in sum. Where the host fetches every
+//! frame that is the nearest one; where a slow line skips frames and everything has moved by more than
+//! markers are apart, it is still the right one, because a motion that all share changes no pairing.
+//! No pair is farther apart than a marker can stray in the time between the two frames. A number whose
+//! stray is gone is held for half a second, for one that comes back where it went; then it goes to the
+//! next that appears.
 
-use super::seen::{STRAYS_MAX, Seen};
+use super::{
+    assign::Assignment,
+    seen::{STRAYS_MAX, Seen},
+};
 use crate::device::MarkerSample;
 
 /// Ids of strays begin here; port handles are below.
@@ -17,6 +24,14 @@ const SPEED_MAX_MM_S: f32 = 6_000.0;
 /// Two strays nearer to each other than this are not told apart by any optical system.
 const GATE_MIN_MM: f32 = 10.0;
 
+/// However many frames were skipped, no stray is looked for farther away, in millimetres: the greatest
+/// speed for 75 ms. A hand that moved on from there could as well be the other hand.
+const GATE_MAX_MM: f32 = 450.0;
+
+/// How much of its velocity a marker is taken to keep over frames that were skipped: of 0.6 to 1 the part
+/// with which recorded motions, over slow lines, took the fewest numbers.
+const VELOCITY_KEPT: f32 = 0.8;
+
 /// How long a number is held, in seconds.
 const HOLD_S: f64 = 0.5;
 
@@ -24,65 +39,68 @@ const HOLD_S: f64 = 0.5;
 /// keeps room for beside those announced.
 const NUMBERS_SOON: usize = 64;
 
-/// A stray and a number that it may have.
-#[derive(Debug, Clone, Copy)]
-struct Pair {
-    distance2: f32,
-    stray: u16,
-    slot: u16,
-}
-
 #[derive(Debug, Clone, Copy, Default)]
 struct Slot {
     position_mm: [f32; 3],
-    /// How far it moved in the last frame, millimetres.
+    /// How far it moves in a frame, millimetres.
     step_mm: [f32; 3],
-    /// Frames for which it is still held; 0: free.
+    /// Frames of the device for which it is still held; 0: free.
     held: u32,
+}
+
+/// A number that a stray may have.
+#[derive(Debug, Clone, Copy)]
+struct Expected {
+    slot: usize,
+    position_mm: [f32; 3],
+    gate2: f32,
 }
 
 /// The numbers in use.
 #[derive(Debug)]
 pub(super) struct Strays {
     slots: [Slot; STRAYS_MAX],
-    pairs: Vec<Pair>,
-    gate2: f32,
+    expected: Vec<Expected>,
+    assignment: Assignment,
+    gate_mm: f32,
     hold: u32,
 }
 
 impl Strays {
     pub(super) fn new() -> Self {
-        let pairs = Vec::with_capacity(STRAYS_MAX * STRAYS_MAX);
-        Self { slots: [Slot::default(); STRAYS_MAX], pairs, gate2: 0.0, hold: 1 }
+        Self {
+            slots: [Slot::default(); STRAYS_MAX],
+            expected: Vec::with_capacity(STRAYS_MAX),
+            assignment: Assignment::new(STRAYS_MAX, STRAYS_MAX),
+            gate_mm: 0.0,
+            hold: 1,
+        }
     }
 
     /// No stray is known, and frames come at this rate.
     pub(super) fn restart(&mut self, rate_hz: f64) {
         self.slots = [Slot::default(); STRAYS_MAX];
-        let gate = (SPEED_MAX_MM_S / rate_hz as f32).max(GATE_MIN_MM);
-        self.gate2 = gate * gate;
+        self.gate_mm = (SPEED_MAX_MM_S / rate_hz as f32).max(GATE_MIN_MM);
         self.hold = (HOLD_S * rate_hz).ceil().max(1.0) as u32;
     }
 
-    /// Appends the strays of a frame with their ids.
-    pub(super) fn number(&mut self, seen: &Seen, out: &mut Vec<MarkerSample>) {
+    /// Appends the strays of a frame with their ids. The frame is so many after the last one given.
+    pub(super) fn number(&mut self, seen: &Seen, elapsed: u32, out: &mut Vec<MarkerSample>) {
+        let elapsed = elapsed.max(1);
         let strays = seen.strays.as_slice();
-        self.pair(strays);
+        self.pair(strays, elapsed);
         let mut numbered = [false; STRAYS_MAX];
         let mut taken = [false; STRAYS_MAX];
-        for index in 0..self.pairs.len() {
-            let Pair { stray, slot, .. } = self.pairs[index];
-            let (stray, slot) = (usize::from(stray), usize::from(slot));
-            if !numbered[stray] && !taken[slot] {
-                self.put(slot, strays[stray], out);
-                (numbered[stray], taken[slot]) = (true, true);
-            }
+        for (stray, index) in self.assignment.pairs() {
+            let slot = self.expected[index].slot;
+            put(&mut self.slots[slot], slot, strays[stray], elapsed, self.hold, out);
+            (numbered[stray], taken[slot]) = (true, true);
         }
         for (stray, _) in strays.iter().zip(numbered).filter(|(_, numbered)| !numbered) {
             match self.free_slot(&taken) {
                 Some(slot) => {
                     self.slots[slot] = Slot::default();
-                    self.put(slot, *stray, out);
+                    put(&mut self.slots[slot], slot, *stray, elapsed, self.hold, out);
                     taken[slot] = true;
                 }
                 None => beyond(*stray, out),
@@ -91,7 +109,8 @@ impl Strays {
         for (slot, taken) in self.slots.iter_mut().zip(taken) {
             if !taken {
                 // Where it went is not known: it is looked for where it was.
-                *slot = Slot { held: slot.held.saturating_sub(1), step_mm: [0.0; 3], ..*slot };
+                *slot =
+                    Slot { held: slot.held.saturating_sub(elapsed), step_mm: [0.0; 3], ..*slot };
             }
         }
         for _ in 0..seen.strays_beyond {
@@ -110,32 +129,51 @@ impl Strays {
         held.min_by_key(|slot| self.slots[*slot].held).or(free)
     }
 
-    /// Every stray with every number near it, nearest first.
-    fn pair(&mut self, strays: &[[f32; 3]]) {
-        self.pairs.clear();
-        for (stray, position) in (0_u16..).zip(strays) {
-            for (slot, known) in (0_u16..).zip(&self.slots) {
-                let ahead = known.position_mm.iter().zip(known.step_mm).map(|(at, step)| at + step);
-                let distance2: f32 = ahead.zip(position).map(|(a, b)| (a - b) * (a - b)).sum();
-                if known.held > 0 && distance2 <= self.gate2 {
-                    self.pairs.push(Pair { distance2, stray, slot });
-                }
-            }
+    /// Strays with the numbers that they keep.
+    fn pair(&mut self, strays: &[[f32; 3]], elapsed: u32) {
+        let Self { slots, expected, assignment, gate_mm, hold } = self;
+        let far_mm = (*gate_mm * elapsed as f32).min(GATE_MAX_MM).max(*gate_mm);
+        expected.clear();
+        for (slot, known) in slots.iter().enumerate().filter(|(_, known)| known.held > 0) {
+            // One that was hidden, or not looked at for too long, is looked for where it was.
+            let moves = known.held == *hold && elapsed <= *hold;
+            let (ahead, gate_mm) = match (moves, elapsed) {
+                (false, _) => (0.0, *gate_mm),
+                (true, 1) => (1.0, *gate_mm),
+                (true, _) => (elapsed as f32 * VELOCITY_KEPT, far_mm),
+            };
+            let position_mm =
+                std::array::from_fn(|axis| known.position_mm[axis] + known.step_mm[axis] * ahead);
+            expected.push(Expected { slot, position_mm, gate2: gate_mm * gate_mm });
         }
-        self.pairs.sort_unstable_by(|a, b| {
-            a.distance2.total_cmp(&b.distance2).then((a.stray, a.slot).cmp(&(b.stray, b.slot)))
+        // Rather a new number than one from beyond the gate, and rather any in it than a new one.
+        let alone = f64::from(far_mm * far_mm);
+        assignment.solve(strays.len(), expected.len(), alone, |stray, index| {
+            let Expected { position_mm, gate2, .. } = expected[index];
+            let distance2: f32 =
+                position_mm.iter().zip(strays[stray]).map(|(a, b)| (a - b) * (a - b)).sum();
+            if distance2 <= gate2 { f64::from(distance2) } else { f64::INFINITY }
         });
     }
+}
 
-    fn put(&mut self, slot: usize, position_mm: [f32; 3], out: &mut Vec<MarkerSample>) {
-        let Slot { position_mm: before, held, .. } = self.slots[slot];
-        // One that was not there in the last frame has no speed that is known.
-        let there = held == self.hold;
-        let step = |axis: usize| if there { position_mm[axis] - before[axis] } else { 0.0 };
-        let step_mm = std::array::from_fn(step);
-        self.slots[slot] = Slot { position_mm, step_mm, held: self.hold };
-        out.push(MarkerSample { id: FIRST_ID + slot as u16, position_mm, ..Default::default() });
-    }
+/// Gives the number of a slot to a stray.
+fn put(
+    slot: &mut Slot,
+    index: usize,
+    position_mm: [f32; 3],
+    elapsed: u32,
+    hold: u32,
+    out: &mut Vec<MarkerSample>,
+) {
+    let Slot { position_mm: before, held, .. } = *slot;
+    // One that was not there in the last frame has no speed that is known.
+    let there = held == hold;
+    let step = |axis: usize| {
+        if there { (position_mm[axis] - before[axis]) / elapsed as f32 } else { 0.0 }
+    };
+    *slot = Slot { position_mm, step_mm: std::array::from_fn(step), held: hold };
+    out.push(MarkerSample { id: FIRST_ID + index as u16, position_mm, ..Default::default() });
 }
 
 /// A stray for which there is no number: under one id for all, so that it is counted as dropped.
@@ -149,10 +187,14 @@ mod tests {
     use super::*;
 
     fn ids(strays: &mut Strays, positions: &[[f32; 3]]) -> Vec<u16> {
+        ids_after(strays, 1, positions)
+    }
+
+    fn ids_after(strays: &mut Strays, elapsed: u32, positions: &[[f32; 3]]) -> Vec<u16> {
         let mut seen = Seen::new();
         positions.iter().for_each(|position| seen.stray(*position));
         let mut out = Vec::new();
-        strays.number(&seen, &mut out);
+        strays.number(&seen, elapsed, &mut out);
         // In the order of the list.
         positions
             .iter()
@@ -198,8 +240,65 @@ mod tests {
             seen.stray([f32::from(i) * 50.0, 0.0, 0.0]);
         }
         let mut out = Vec::new();
-        strays.number(&seen, &mut out);
+        strays.number(&seen, 1, &mut out);
         assert_eq!(out.len(), 300);
         assert_eq!(out.iter().filter(|s| usize::from(s.id - FIRST_ID) == STRAYS_MAX).count(), 45);
+    }
+
+    /// Six markers in a row, 100 mm apart.
+    fn row(from_mm: f32) -> Vec<[f32; 3]> {
+        (0..6_u8).map(|i| [from_mm + 100.0 * f32::from(i), 0.0, 0.0]).collect()
+    }
+
+    #[test]
+    fn what_all_move_by_over_skipped_frames_changes_no_number() {
+        let mut strays = Strays::new();
+        strays.restart(60.0);
+        let all: Vec<u16> = (0..6).collect();
+        // 2.4 m/s: 200 mm from one fetched frame to the next, twice the distance between two markers; no
+        // velocity is known at the first.
+        for (fetched, from_mm) in [0.0, 200.0, 400.0, 600.0].into_iter().enumerate() {
+            assert_eq!(ids_after(&mut strays, 5, &row(from_mm)), all, "frame {fetched}");
+        }
+        // They stop at once.
+        assert_eq!(ids_after(&mut strays, 5, &row(600.0)), all);
+        // The last one is hidden, and the others move on.
+        assert_eq!(ids_after(&mut strays, 4, &row(650.0)[..5]), all[..5]);
+    }
+
+    #[test]
+    fn skipped_frames_glue_no_two_strays_together() {
+        let mut strays = Strays::new();
+        strays.restart(60.0);
+        let (a, b) = ([0.0, 0.0, 0.0], [2000.0, 0.0, 0.0]);
+        assert_eq!(ids(&mut strays, &[a, b]), [0, 1]);
+        // However long nobody looked, one stray is gone and another is there.
+        for elapsed in [5, 20, 30] {
+            let mut strays = Strays { slots: strays.slots, ..Strays::new() };
+            (strays.gate_mm, strays.hold) = (100.0, 30);
+            let other = [GATE_MAX_MM + 1.0, 0.0, 0.0];
+            assert_eq!(ids_after(&mut strays, elapsed, &[other, b]), [2, 1], "{elapsed}");
+        }
+        // Beyond half a second it is only the same where it was.
+        let near = [150.0, 0.0, 0.0];
+        let mut later = Strays { slots: strays.slots, ..Strays::new() };
+        (later.gate_mm, later.hold) = (100.0, 30);
+        assert_eq!(ids_after(&mut later, 31, &[near, b]), [2, 1]);
+        // One that was hidden in the last fetched frame is not looked for farther away than before.
+        assert_eq!(ids_after(&mut strays, 5, &[b]), [1]);
+        assert_eq!(ids_after(&mut strays, 5, &[near, b]), [2, 1]);
+    }
+
+    #[test]
+    fn a_number_is_held_for_half_a_second_of_the_device() {
+        let mut strays = Strays::new();
+        strays.restart(60.0);
+        let (a, b, far) = ([0.0; 3], [2000.0, 0.0, 0.0], [900.0; 3]);
+        assert_eq!(ids(&mut strays, &[a, b]), [0, 1]);
+        assert_eq!(ids_after(&mut strays, 15, &[b]), [1]);
+        assert_eq!(ids_after(&mut strays, 14, &[far, b]), [2, 1], "29 frames: it is held");
+        let other = [-900.0; 3];
+        assert_eq!(ids_after(&mut strays, 1, &[far, b]), [2, 1]);
+        assert_eq!(ids_after(&mut strays, 1, &[other, far, b]), [0, 2, 1], "free after 30");
     }
 }

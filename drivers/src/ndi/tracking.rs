@@ -170,7 +170,7 @@ impl NdiHost {
                 let by_number = u64::from(self.seen.number.unwrap_or(0)) * 1000;
                 let ahead = self.run.frame(number, self.seen.time_ns.unwrap_or(by_number));
                 self.pace.new_frame(ahead, now_ns);
-                self.emit(number, on_event);
+                self.emit(number, ahead, on_event);
             }
             // The same frame again, or none yet.
             _ => self.pace.nothing_new(now_ns),
@@ -178,11 +178,11 @@ impl NdiHost {
         self.next_poll();
     }
 
-    fn emit(&mut self, number: u32, on_event: &mut dyn FnMut(DeviceEvent<'_>)) {
+    fn emit(&mut self, number: u32, ahead: u32, on_event: &mut dyn FnMut(DeviceEvent<'_>)) {
         self.counters.samples_not_finite += self.seen.not_finite;
         self.samples.clear();
         self.samples.extend_from_slice(&self.seen.tools);
-        self.strays.number(&self.seen, &mut self.samples);
+        self.strays.number(&self.seen, ahead, &mut self.samples);
         on_event(DeviceEvent::Frame(Frame {
             seq: number,
             device_ticks: self.run.ticks,
