@@ -69,7 +69,8 @@ pub struct Frame<'a> {
 pub struct Status {
     /// Frames produced since Start: the value the counter reached, dropped ones included.
     pub frames_produced: u64,
-    /// Of these, dropped inside the device (its own queue was full).
+    /// Of these, the ones that never left the device: its own queue was full, or it is polled and nobody
+    /// fetched them before the next one.
     pub frames_dropped: u64,
     /// Temperature in hundredths of a degree Celsius; `i16::MIN` when not measured.
     pub temperature_c_100: i16,
@@ -119,6 +120,9 @@ pub enum DeviceEvent<'a> {
     Trigger(Trigger),
     /// A report.
     Status(Status),
+    /// What people should know about this device or its line, in one line of words. Said rarely: once a
+    /// Start for each thing.
+    Note(&'a str),
     /// Answer to [`Command::Ping`].
     Pong(Pong),
     /// Start accepted.

@@ -68,6 +68,9 @@ pub struct Recording {
 /// A device that stalls for ever must fill neither the take nor the screen.
 const STALLS_TOLD_MAX: u32 = 32;
 
+/// Neither must a driver that has much to say: of notes that come with one read, no more are kept.
+const NOTES_MAX: usize = 8;
+
 impl Rig {
     /// Starts the device and reads it to the end. The intake is finished in every case.
     ///
@@ -86,6 +89,7 @@ impl Rig {
             started: None,
             began_anew: false,
             outages: 0,
+            notes: Vec::new(),
         };
         let outcome = self.read_frames(&mut reader, options);
         let Reader { latency, outages, .. } = reader;
@@ -146,6 +150,7 @@ impl Rig {
                 Err(TransportError::Disconnected { .. }) => return Ok(Ending::Disconnected),
                 Err(error) => return Err(anyhow!(error).context("reading from the device")),
             }
+            reader.notes.drain(..).for_each(|note| (options.say)(&note));
             if stop_said_ns.is_none() {
                 self.probe(reader);
             }
@@ -295,6 +300,8 @@ pub(super) struct Reader<'a> {
     /// It introduced itself while it was to send frames.
     began_anew: bool,
     outages: u32,
+    /// What people should be told.
+    notes: Vec<String>,
 }
 
 impl Reader<'_> {
@@ -321,6 +328,11 @@ impl Reader<'_> {
             }
             DeviceEvent::Markers(markers) => self.intake.announce(markers),
             DeviceEvent::Status(status) => self.intake.status(status, false),
+            DeviceEvent::Note(text) if self.notes.len() < NOTES_MAX => {
+                let kind = EventKind::Device;
+                self.intake.event(Event { kind, ..host_event(text) });
+                self.notes.push(text.to_owned());
+            }
             DeviceEvent::EndOfStream(status) if self.started.is_some() => {
                 self.intake.status(status, true);
                 self.end = Some(());
@@ -342,7 +354,7 @@ impl Reader<'_> {
                     self.intake.probe(device_ticks, host_ns, arrival_ns);
                 }
             }
-            DeviceEvent::RateSet(_) | DeviceEvent::EndOfStream(_) => {}
+            DeviceEvent::RateSet(_) | DeviceEvent::EndOfStream(_) | DeviceEvent::Note(_) => {}
         }
     }
 }

@@ -33,7 +33,8 @@ fn a_recording_is_what_was_sent() {
             // Whatever was missed is on the account, and the system's own log says the same.
             assert_eq!(report["ledger"]["closes"], true, "{report}");
             assert_eq!(report["ledger"]["frames_sent"], sent.run.frames_produced);
-            assert_eq!(report["ledger"]["lost_on_link"], sent.run.frames_dropped, "{report}");
+            assert_eq!(report["ledger"]["dropped_by_device"], sent.run.frames_dropped, "{report}");
+            assert_eq!(report["ledger"]["lost_on_link"], 0, "{report}");
             assert_eq!(report["samples"], sent.run.samples);
             if sent.run.frames_dropped > 0 && attempt < TRIES {
                 std::fs::remove_file(folder.path(name)).unwrap();
@@ -76,6 +77,54 @@ fn samples_by_row(table: &str) -> Vec<Vec<[String; 3]>> {
     rows.map(row).collect()
 }
 
+/// On a line that carries a fourth of the frames, to the end of the motion and stopped before it.
+#[test]
+fn what_a_slow_line_misses_is_on_both_accounts_the_same() {
+    let folder = Folder::new();
+    let motion = jump(5, 60.0, 4.0);
+    for (looping, bx2, name) in [(false, true, "a"), (false, false, "b"), (true, true, "c")] {
+        let tools: &[&str] = if bx2 { &[] } else { &["head"] };
+        let settings = NdiSettings { bx2, looping, ..system(&motion, tools) };
+        let device = Simulated::serve(NdiDevice::new(motion.clone(), settings).unwrap(), None);
+        let uri = format!("{}@57600?driver=NDI", device.uri());
+        let (take, words) = (format!("{name}.take"), format!("{name}-words.take"));
+        let mut record = vec!["record", "-d", &uri, "-o", &take, "--json"];
+        if looping {
+            record.extend(["--seconds", "2s"]);
+        }
+        let ran = folder.run(&record).with_code(3);
+        assert!(ran.stderr.contains("the line is too slow for every frame"), "{}", ran.stderr);
+        assert!(ran.stderr.contains("behind the port in the device's URI"), "{}", ran.stderr);
+        let report = ran.json();
+        if !looping {
+            // A run of its own, for people: the first one is over.
+            let record = ["record", "-d", &uri, "-o", &words];
+            let said = folder.run(&record).with_code(3).stdout;
+            assert!(said.contains("announced and") && said.contains("as they appeared"), "{said}");
+        }
+        let log = device.unplug();
+        // Of the last run, or of the only one.
+        let take = if looping { &take } else { &words };
+        let info = folder.run(&["info", take, "--json"]).json();
+        let ledger = &info["ledger"];
+        let run = log.run;
+        assert_eq!(ledger["closes"], true, "{ledger}");
+        assert_eq!(ledger["frames_sent"], run.frames_produced - run.frames_unasked, "{run:?}");
+        assert_eq!(ledger["dropped_by_device"], run.frames_dropped, "{ledger} {run:?}");
+        assert_eq!((&ledger["lost_on_link"], &ledger["duplicates"]), (&0.into(), &0.into()));
+        assert_eq!(info["samples"], run.samples);
+        assert!(run.frames_dropped > run.frames_produced / 4, "{run:?}");
+        if !looping {
+            assert_eq!((run.frames_produced, run.frames_unasked), (240, 0));
+            let recorded = [&report["ledger"], ledger].map(|run| run["recorded"].as_u64().unwrap());
+            assert_eq!(log.frames_sent, recorded.iter().sum::<u64>(), "{log:?}");
+            assert_eq!(log.total.frames_produced, log.frames_sent + log.total.frames_dropped);
+        }
+        let notes: Vec<_> = info["events"].as_array().unwrap().iter().collect();
+        assert!(notes.iter().any(|note| note["kind"] == "device"), "{notes:?}");
+    }
+}
+
 #[test]
 fn what_it_refuses_is_said_with_what_to_do() {
     let folder = Folder::new();
@@ -96,7 +145,8 @@ fn a_line_too_slow_for_its_tools_is_refused_and_a_rate_cannot_be_set() {
         Simulated::serve(NdiDevice::new(motion.clone(), system(&motion, &tools)).unwrap(), None);
     let slow = format!("{}@9600?driver=ndi", device.uri());
     let line = folder.refuses(&["record", "-d", &slow, "-o", "a.take"], 1);
-    assert!(line.contains("the line is too slow for 60 Hz"), "{line}");
+    assert!(line.contains("the line is too slow for the NDI system's tools: 4 tools"), "{line}");
+    assert!(line.contains("write @230400 behind the port") && !line.contains("USB"), "{line}");
     let uri = format!("{}?driver=ndi", device.uri());
     let line = folder.refuses(&["record", "-d", &uri, "-o", "a.take", "--rate", "120"], 1);
     assert!(line.contains("it runs at 60 Hz and no other rate"), "{line}");

@@ -10,9 +10,9 @@ const VALID: u8 = 1;
 const MISSING: u8 = 2;
 const DISABLED: u8 = 4;
 
-/// Bytes of a block with so many tools and no strays.
-pub(super) const fn block_bytes(tools: usize) -> usize {
-    1 + tools * (2 + 8 * 4 + 4 + 4) + 1 + 2
+/// Bytes of a block with so many tools and strays.
+pub(super) const fn block_bytes(tools: usize, strays: usize) -> usize {
+    1 + tools * (2 + 8 * 4 + 4 + 4) + 1 + strays.div_ceil(8) + strays * (3 * 4) + 2
 }
 
 /// Reads the answer to [`REQUEST`]; `None` when it is none.

@@ -237,6 +237,7 @@ impl NdiHost {
         let Some(Asked { task, tries, .. }) = self.asked else { return };
         if task == Task::Poll {
             self.polls_lost += 1;
+            self.run.unread();
             self.asked = None;
             if self.polls_lost >= POLLS_LOST_MAX {
                 self.seek_anew();

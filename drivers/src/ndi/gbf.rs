@@ -23,10 +23,10 @@ const MISSING_3D: u8 = 1;
 
 const SECOND_NS: u64 = 1_000_000_000;
 
-/// Bytes of a block with so many tools and no strays: a container, a frame with its item and
-/// container, 6D items, an empty list of strays.
-pub(super) const fn block_bytes(tools: usize) -> usize {
-    4 + 12 + 16 + 4 + 12 + tools * (4 + 8 * 4) + 12 + 4
+/// Bytes of a block with so many tools and strays: a container, a frame with its item and container,
+/// 6D items, a list of strays.
+pub(super) const fn block_bytes(tools: usize, strays: usize) -> usize {
+    4 + 12 + 16 + 4 + 12 + tools * (4 + 8 * 4) + 12 + 4 + strays * (4 + 3 * 4)
 }
 
 /// Reads the answer to [`REQUEST`]; `None` when it is none.

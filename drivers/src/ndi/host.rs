@@ -5,6 +5,7 @@ use super::{
     exchange::{Asked, Drain, MS},
     pace::Pace,
     reply::ReplyBuffer,
+    run::Run,
     seen::Seen,
     strays::Strays,
 };
@@ -103,6 +104,8 @@ pub struct NdiHost {
     /// The line's speed now, and the place in `BAUDS` of the highest one to try.
     pub(super) baud: u32,
     pub(super) ceiling: usize,
+    /// The same as it was asked for: one that failed lowers the ceiling.
+    pub(super) asked_for: usize,
     /// Handles that wait for their turn, and how often tools were asked for.
     pub(super) todo: Vec<u8>,
     pub(super) rounds: u32,
@@ -115,7 +118,7 @@ pub struct NdiHost {
     pub(super) seen: Seen,
     pub(super) strays: Strays,
     pub(super) samples: Vec<MarkerSample>,
-    pub(super) run: super::tracking::Run,
+    pub(super) run: Run,
 }
 
 impl NdiHost {
@@ -134,6 +137,7 @@ impl NdiHost {
             table: Vec::new(),
             baud: BAUD_AT_RESET,
             ceiling: at_most(baud_max),
+            asked_for: at_most(baud_max),
             todo: Vec::new(),
             rounds: 0,
             bx2: false,
@@ -144,7 +148,7 @@ impl NdiHost {
             seen: Seen::new(),
             strays: Strays::new(),
             samples: Vec::with_capacity(super::seen::TOOLS_MAX + super::seen::STRAYS_MAX),
-            run: super::tracking::Run::default(),
+            run: Run::default(),
         }
     }
 
@@ -162,7 +166,7 @@ impl NdiHost {
                 on_event(self.rate_answer(rate_mhz));
             }
             if std::mem::take(&mut self.owed.start) {
-                self.start(on_event);
+                self.start();
             }
         }
         let now_ns = self.desk.now_ns();
@@ -196,7 +200,7 @@ impl Protocol for NdiHost {
         self.state = State::Off;
         self.owed = Owed::default();
         (self.asked, self.drain) = (None, None);
-        self.run = super::tracking::Run::default();
+        self.run = Run::default();
         Box::new(TurnTransport::new(line, orders))
     }
 

@@ -76,8 +76,8 @@ pub(super) struct ServeArgs {
     wire: Option<Wire>,
     /// Write what became of every frame to a CSV file.
     ///
-    /// Its columns: run, seq, `device_ticks`, present, dropped, and `host_ns`, the host's monotonic clock at
-    /// `device_ticks`.
+    /// Its columns: run, seq, `device_ticks`, present, dropped (it never left the device), `host_ns`, the
+    /// host's monotonic clock at `device_ticks`, and unasked: an NDI system's frame after the last request.
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
     /// Length of the generated motion (default: one jump); of a file, only its beginning.
@@ -160,7 +160,7 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
     let batch = Some(args.batch_ms).filter(|ms| *ms > 0).map(Duration::from_millis);
     let options = ServeOptions { baud: args.baud, batch, once: args.once, log };
     let sent = serve(&mut *line, device.as_mut(), options, &stop)?;
-    say(&summary(&sent));
+    say(&summary(&sent, args.protocol));
     Ok(())
 }
 
@@ -324,14 +324,25 @@ fn gadget_failure(error: mocapd_simulator::gadget::GadgetError) -> Failure {
     }
 }
 
-fn summary(sent: &SentLog) -> String {
+/// The account: what was produced is what comes after it.
+fn summary(sent: &SentLog, spoken: Spoken) -> String {
     let SentLog { total, starts, frames_sent, bytes_sent, .. } = sent;
-    let undelivered = sent.frames_waiting + sent.frames_discarded;
-    format!(
-        "{starts} runs: {} frames produced, {frames_sent} sent in {bytes_sent} bytes, {} dropped by the full \
-         queue, {undelivered} never taken",
-        total.frames_produced, total.frames_dropped
-    )
+    let why = match spoken {
+        Spoken::Dvmc => "its queue was full",
+        Spoken::Ndi => "not fetched before the next",
+    };
+    let mut said = format!(
+        "{starts} runs: {} frames produced, {frames_sent} sent in {bytes_sent} bytes, {} dropped by the device \
+         ({why}), {} never taken",
+        total.frames_produced,
+        total.frames_dropped,
+        sent.frames_waiting + sent.frames_discarded
+    );
+    if spoken == Spoken::Ndi {
+        let unasked = total.frames_unasked;
+        said.push_str(&format!(", {unasked} after the last request (on no recorder's account)"));
+    }
+    said
 }
 
 /// A word on stderr. Nothing is lost when nobody reads it.

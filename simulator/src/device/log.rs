@@ -5,9 +5,13 @@
 pub struct SentCounters {
     /// Frames whose time came.
     pub frames_produced: u64,
-    /// Of these, dropped because the device's own queue was full.
+    /// Of these, the ones that never left the device: its own queue was full, or it is polled and the
+    /// next frame came before a request fetched them.
     pub frames_dropped: u64,
-    /// Marker samples in the frames that were not dropped.
+    /// Frames of a polled device for which nobody asked any more: no request came in their run after
+    /// them, so no host can know that they were made. They are not among those dropped.
+    pub frames_unasked: u64,
+    /// Marker samples in the frames that left it.
     pub samples: u64,
     /// Markers that these frames listed as occluded, or left out because they were not seen.
     pub samples_occluded: u64,
@@ -15,7 +19,8 @@ pub struct SentCounters {
 
 /// What a device did since it was made.
 ///
-/// Over all runs, `frames_produced = frames_sent + frames_waiting + frames_discarded + frames_dropped`.
+/// Over all runs `frames_produced` is the sum of `frames_sent`, `frames_waiting`, `frames_discarded`,
+/// `frames_dropped` and `frames_unasked`.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct SentLog {
     /// Since the last Start.
@@ -32,7 +37,8 @@ pub struct SentLog {
     pub answers_dropped: u64,
     /// Frames that the line took whole, over all runs.
     pub frames_sent: u64,
-    /// Frames still in the device's queue.
+    /// Frames still in the device's queue; of a polled device those that a request may still fetch, or
+    /// miss.
     pub frames_waiting: u64,
     /// Frames that waited when a host said Identify: they were not its own, and did not leave.
     pub frames_discarded: u64,
@@ -53,20 +59,23 @@ pub struct SentFrame {
     pub device_ticks: u64,
     /// Markers with a position in it.
     pub present: u32,
-    /// The queue was full: it never left the device.
+    /// It never left the device: see [`SentCounters::frames_dropped`].
     pub dropped: bool,
+    /// Nobody asked for it, nor for any after it: see [`SentCounters::frames_unasked`].
+    pub unasked: bool,
     /// The caller's clock when its time came: of a device on a line the host's monotonic one, in nanoseconds.
     pub host_ns: u64,
 }
 
 impl SentFrame {
     /// The first line of a log file.
-    pub const CSV_HEADER: &'static str = "run,seq,device_ticks,present,dropped,host_ns";
+    pub const CSV_HEADER: &'static str = "run,seq,device_ticks,present,dropped,host_ns,unasked";
 
     /// One line of a log file, without its end.
     #[must_use]
     pub fn to_csv(self) -> String {
-        let Self { run, seq, device_ticks, present, dropped, host_ns } = self;
-        format!("{run},{seq},{device_ticks},{present},{},{host_ns}", u8::from(dropped))
+        let Self { run, seq, device_ticks, present, dropped, unasked, host_ns } = self;
+        let (dropped, unasked) = (u8::from(dropped), u8::from(unasked));
+        format!("{run},{seq},{device_ticks},{present},{dropped},{host_ns},{unasked}")
     }
 }

@@ -271,7 +271,16 @@ impl Device {
         if self.settings.log_frames {
             let run = self.log.starts;
             let host_ns = at_ns;
-            self.log.frames.push(SentFrame { run, seq, device_ticks, present, dropped, host_ns });
+            let unasked = false;
+            self.log.frames.push(SentFrame {
+                run,
+                seq,
+                device_ticks,
+                present,
+                dropped,
+                unasked,
+                host_ns,
+            });
         }
     }
 }

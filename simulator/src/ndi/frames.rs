@@ -18,14 +18,18 @@ const RESET_COUNTER: &str = "80";
 /// Errors of options.
 const PARAMETERS: u8 = 0x07;
 
+/// How long the last frame of a motion can be had beyond its time: a line that is slow still gets to it.
+const LAST_FRAME_NS: u64 = SECOND_NS;
+
+/// Frames that went by unfetched of which it is open whether a request still comes. After more the host
+/// has missed them, whatever it does next: a minute at 60 Hz.
+const MISSED_MAX: usize = 4096;
+
 /// The frame that can be had now.
 #[derive(Debug, Clone, Copy)]
 struct Current {
-    number: u32,
-    /// The caller's clock, and the system's own.
-    at_ns: u64,
-    time_ns: u64,
-    present: u32,
+    /// What it will be in the log.
+    sent: SentFrame,
     /// Whether any request fetched it, and whether `BX2` did.
     fetched: bool,
     fetched_new: bool,
@@ -34,8 +38,12 @@ struct Current {
 /// From `TSTART` to the end.
 #[derive(Debug, Default)]
 pub(super) struct Tracking {
+    is_on: bool,
+    /// When its first frame came: with the first request for one.
     start_ns: Option<u64>,
     current: Option<Current>,
+    /// Frames since the last one fetched.
+    missed: Vec<SentFrame>,
     row: Vec<Position>,
     /// The frame counter when it was last set back.
     counted_from: u64,
@@ -47,11 +55,17 @@ pub(super) struct Tracking {
 
 impl Tracking {
     pub(super) fn is_on(&self) -> bool {
-        self.start_ns.is_some()
+        self.is_on
     }
 
     pub(super) fn end_was_told(&self) -> bool {
         self.ended && self.told
+    }
+
+    /// Frames of which it is open what becomes of them.
+    pub(super) fn waiting(&self) -> u64 {
+        let current = self.current.is_some_and(|frame| !frame.fetched);
+        self.missed.len() as u64 + u64::from(current)
     }
 }
 
@@ -68,7 +82,11 @@ impl NdiDevice {
                 return next_ns;
             }
             if !self.settings.looping && produced >= n_frames {
-                // The last frame could be had for as long as every other one.
+                // The last frame can be had for as long as every other one, and until it was.
+                let waits_until_ns = next_ns.saturating_add(LAST_FRAME_NS);
+                if self.tracking.waiting() > 0 && now_ns < waits_until_ns {
+                    return waits_until_ns;
+                }
                 self.end_run();
             } else {
                 self.produce(produced % n_frames, next_ns);
@@ -82,10 +100,15 @@ impl NdiDevice {
         self.replay.frame(index, &mut self.tracking.row);
         let present = self.tracking.row.iter().filter(|position| !is_gap(**position)).count();
         self.tracking.current = Some(Current {
-            number: (self.log.total.frames_produced - self.tracking.counted_from) as u32,
-            at_ns,
-            time_ns: at_ns.saturating_sub(self.epoch_ns.unwrap_or(at_ns)),
-            present: present as u32,
+            sent: SentFrame {
+                run: self.log.starts,
+                seq: (self.log.total.frames_produced - self.tracking.counted_from) as u32,
+                device_ticks: at_ns.saturating_sub(self.epoch_ns.unwrap_or(at_ns)),
+                present: present as u32,
+                dropped: false,
+                unasked: false,
+                host_ns: at_ns,
+            },
             fetched: false,
             fetched_new: false,
         });
@@ -96,30 +119,45 @@ impl NdiDevice {
     /// The frame at hand can no longer be had.
     fn settle_current(&mut self) {
         let Some(frame) = self.tracking.current.take() else { return };
-        let absent = self.tracking.row.len() as u64 - u64::from(frame.present);
-        for counters in [&mut self.log.run, &mut self.log.total] {
-            if frame.fetched {
-                counters.samples += u64::from(frame.present);
+        if frame.fetched {
+            let absent = self.tracking.row.len() as u64 - u64::from(frame.sent.present);
+            for counters in [&mut self.log.run, &mut self.log.total] {
+                counters.samples += u64::from(frame.sent.present);
                 counters.samples_occluded += absent;
-            } else {
-                counters.frames_dropped += 1;
             }
+            self.note(frame.sent);
+        } else {
+            if self.tracking.missed.len() >= MISSED_MAX {
+                self.settle_missed(false);
+            }
+            self.tracking.missed.push(frame.sent);
         }
+    }
+
+    /// What became of the frames that went by: a request came after them, or none will any more.
+    fn settle_missed(&mut self, unasked: bool) {
+        let missed = std::mem::take(&mut self.tracking.missed);
+        for counters in [&mut self.log.run, &mut self.log.total] {
+            let count =
+                if unasked { &mut counters.frames_unasked } else { &mut counters.frames_dropped };
+            *count += missed.len() as u64;
+        }
+        missed.into_iter().for_each(|sent| {
+            self.note(SentFrame { dropped: !unasked, unasked, ..sent });
+        });
+    }
+
+    fn note(&mut self, sent: SentFrame) {
         if self.log_frames {
-            self.log.frames.push(SentFrame {
-                run: self.log.starts,
-                seq: frame.number,
-                device_ticks: frame.time_ns,
-                present: frame.present,
-                dropped: !frame.fetched,
-                host_ns: frame.at_ns,
-            });
+            self.log.frames.push(sent);
         }
     }
 
     pub(super) fn end_run(&mut self) {
         self.settle_current();
-        if self.tracking.start_ns.take().is_some() {
+        self.settle_missed(true);
+        self.tracking.start_ns = None;
+        if std::mem::take(&mut self.tracking.is_on) {
             self.log.ends += 1;
             (self.tracking.ended, self.tracking.told) = (true, false);
         }
@@ -135,11 +173,14 @@ impl NdiDevice {
         if !matches!(name, "TSTART" | "TSTOP" | "TX" | "BX" | "BX2") || !self.initialized {
             return None;
         }
+        if self.tracking.is_on && !matches!(name, "TSTART" | "TSTOP") {
+            self.tracking.start_ns.get_or_insert(now_ns);
+        }
         // Frames that were due before the command can be had by it.
         self.produce_until(now_ns);
         let answer = match name {
             "TSTART" if self.is_running() => Err(WRONG_MODE),
-            "TSTART" => self.start(args, now_ns),
+            "TSTART" => self.start(args),
             _ if !self.is_running() => {
                 self.tracking.told = true;
                 Err(WRONG_MODE)
@@ -168,7 +209,7 @@ impl NdiDevice {
         Some(answer)
     }
 
-    fn start(&mut self, args: &str, now_ns: u64) -> Result<String, u8> {
+    fn start(&mut self, args: &str) -> Result<String, u8> {
         match args {
             "" => {}
             RESET_COUNTER => self.tracking.counted_from = self.log.total.frames_produced,
@@ -177,8 +218,7 @@ impl NdiDevice {
         self.log.starts += 1;
         self.log.run = SentCounters::default();
         (self.tracking.ended, self.tracking.told) = (false, false);
-        self.tracking.start_ns = Some(now_ns);
-        self.produce_until(now_ns);
+        (self.tracking.is_on, self.tracking.start_ns) = (true, None);
         Ok("OKAY".to_owned())
     }
 
@@ -195,11 +235,14 @@ impl NdiDevice {
     fn fetch(&mut self, by_bx2: bool) -> bool {
         let Some(frame) = &mut self.tracking.current else { return false };
         frame.fetched_new |= by_bx2;
-        !std::mem::replace(&mut frame.fetched, true)
+        let first = !std::mem::replace(&mut frame.fetched, true);
+        self.settle_missed(false);
+        first
     }
 
     fn moment(&self) -> Moment<'_> {
-        let (number, time_ns) = self.tracking.current.map_or((0, 0), |f| (f.number, f.time_ns));
+        let (number, time_ns) =
+            self.tracking.current.map_or((0, 0), |f| (f.sent.seq, f.sent.device_ticks));
         Moment { ports: &self.ports, row: &self.tracking.row, number, time_ns }
     }
 

@@ -1,9 +1,10 @@
 //! An NDI system over a motion, sans-io: requests and the time go in, answers come out.
 //!
 //! Markers whose labels are named as tools are plugged in, and reported with their positions and no
-//! turn; all other markers are strays. A frame that no request fetched before the next one came was
-//! dropped by the device, and its log says so. After the last frame of a motion that does not loop
-//! the system leaves tracking, and refuses to give frames: so a host sees the end.
+//! turn; all other markers are strays. The motion begins with the first request for a frame. One that no
+//! request fetched before the next one came was dropped by the device, and its log says so. After the
+//! last frame of a motion that does not loop was fetched the system leaves tracking, and refuses to give
+//! frames: so a host sees the end.
 
 mod frames;
 mod ports;
@@ -18,7 +19,7 @@ mod tests;
 use std::sync::Arc;
 
 use mocapd_drivers::ndi::BAUD_AT_RESET;
-use mocapd_take::motion::Motion;
+use mocapd_take::motion::{Marker, Motion};
 
 pub use settings::{NdiError, NdiSettings, STRAYS_MAX, TOOLS_MAX};
 
@@ -75,9 +76,7 @@ impl NdiDevice {
         let mut tools = Vec::new();
         for label in &settings.tools {
             let Some(column) = markers.iter().position(|m| m.labelled && m.label == *label) else {
-                let known: Vec<_> =
-                    markers.iter().take(LABELS_NAMED).map(|m| m.label.as_str()).collect();
-                return Err(NdiError::NoSuchTool { label: label.clone(), known: known.join(", ") });
+                return Err(NdiError::NoSuchTool { label: label.clone(), known: known(markers) });
             };
             let part = part_number(label);
             if part != *label {
@@ -162,6 +161,19 @@ impl NdiDevice {
     }
 }
 
+/// Labels to choose from, or how many more there are than are named.
+fn known(markers: &[Marker]) -> String {
+    let labels: Vec<_> = markers.iter().filter(|m| m.labelled).map(|m| m.label.as_str()).collect();
+    if labels.is_empty() {
+        return "nothing: no marker has a label".to_owned();
+    }
+    let named = labels.iter().take(LABELS_NAMED).copied().collect::<Vec<_>>().join(", ");
+    match labels.len().saturating_sub(LABELS_NAMED) {
+        0 => named,
+        more => format!("{named} and {more} more"),
+    }
+}
+
 /// What fits into a part number: printable ASCII.
 fn part_number(label: &str) -> String {
     let printable = label.chars().map(|c| if (' '..='~').contains(&c) { c } else { '_' });
@@ -222,7 +234,9 @@ impl LineDevice for NdiDevice {
     }
 
     fn log(&self) -> SentLog {
-        self.outbox.completed(&self.log)
+        let mut log = self.outbox.completed(&self.log);
+        log.frames_waiting += self.tracking.waiting();
+        log
     }
 
     fn keep_frame_log(&mut self) {

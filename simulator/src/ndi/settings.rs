@@ -50,7 +50,7 @@ pub enum NdiError {
     NoSuchTool {
         /// As it was given.
         label: String,
-        /// What there is, the beginning of it.
+        /// What there is: the first labels, and how many more.
         known: String,
     },
     /// More than can be plugged in.

@@ -150,19 +150,78 @@ fn what_nobody_fetched_was_dropped_and_the_end_is_told() {
     tracking(&mut device, 0);
     ask(&mut device, "BX:1001", 0);
     assert!(!device.has_ended());
-    assert_eq!(asked(&mut device, "BX:1001", 40 * MS), "ERROR0C", "it left tracking by itself");
+    // The second frame is gone; the last one can be had until it was fetched.
+    let last = ask(&mut device, "BX:1001", 40 * MS);
+    assert_eq!(last[..2], [0xC4, 0xA5]);
+    assert_eq!(asked(&mut device, "BX:1001", 41 * MS), "ERROR0C", "it left tracking by itself");
     assert!(device.has_ended());
     let frames = device.take_frames();
     let fates: Vec<_> = frames.iter().map(|f| (f.seq, f.present, f.dropped)).collect();
-    assert_eq!(fates, [(0, 2, false), (1, 1, true), (2, 2, true)]);
+    assert_eq!(fates, [(0, 2, false), (1, 1, true), (2, 2, false)]);
     let log = device.log();
-    assert_eq!((log.run.frames_dropped, log.run.samples, log.ends), (2, 2, 1));
+    assert_eq!((log.run.frames_dropped, log.run.samples, log.ends), (1, 4, 1));
+    assert_eq!((log.run.frames_unasked, log.frames_waiting, log.frames_sent), (0, 0, 2));
     // Again, with the frame counter set back.
     assert_eq!(asked(&mut device, "TSTART:80", 50 * MS), "OKAY");
     assert!(!device.has_ended());
     assert!(asked(&mut device, "TX:0001", 50 * MS).contains("00000000\n"));
     assert_eq!(asked(&mut device, "TSTOP:", 51 * MS), "OKAY");
     assert!(device.has_ended());
+}
+
+#[test]
+fn frames_behind_the_last_request_are_nobodys_and_all_are_on_the_account() {
+    let mut device = system(NdiSettings { looping: true, ..NdiSettings::default() });
+    device.keep_frame_log();
+    tracking(&mut device, 0);
+    device.poll(500 * MS);
+    assert_eq!(device.log().total.frames_produced, 0, "it begins with the first request");
+    let adds_up = |device: &NdiDevice| {
+        let log = device.log();
+        let left = log.frames_sent + log.frames_waiting + log.frames_discarded;
+        let account = left + log.total.frames_dropped + log.total.frames_unasked;
+        assert_eq!(account, log.total.frames_produced, "{log:?}");
+        log
+    };
+    for at_ms in [500, 510, 545, 549] {
+        ask(&mut device, "BX:1001", at_ms * MS);
+        adds_up(&device);
+    }
+    device.poll(585 * MS);
+    assert_eq!(adds_up(&device).frames_waiting, 4, "a request may come after them");
+    assert_eq!(asked(&mut device, "TSTOP:", 590 * MS), "OKAY");
+    let log = adds_up(&device);
+    assert_eq!(
+        (log.run.frames_produced, log.run.frames_dropped, log.run.frames_unasked),
+        (10, 2, 5)
+    );
+    let frames = device.take_frames();
+    let fates: Vec<_> = frames.iter().map(|f| (f.dropped, f.unasked)).collect();
+    let (fetched, dropped, unasked) = ((false, false), (true, false), (false, true));
+    let mut expected = vec![fetched, fetched, dropped, dropped, fetched];
+    expected.resize(10, unasked);
+    assert_eq!(fates, expected);
+    assert!(frames.is_sorted_by(|a, b| b.seq == a.seq + 1));
+}
+
+#[test]
+fn the_last_frame_is_not_kept_for_ever_and_missed_ones_are_bounded() {
+    let mut device = system(NdiSettings::default());
+    tracking(&mut device, 0);
+    ask(&mut device, "BX:1001", 0);
+    device.poll(1_029 * MS);
+    assert!(device.is_running());
+    device.poll(1_030 * MS);
+    let log = device.log();
+    assert!(!device.is_running());
+    assert_eq!((log.run.frames_dropped, log.run.frames_unasked), (0, 2));
+    let mut device = system(NdiSettings { looping: true, ..NdiSettings::default() });
+    tracking(&mut device, 0);
+    ask(&mut device, "BX:1001", 0);
+    device.poll(60_000 * MS);
+    let log = device.log();
+    assert_eq!((log.run.frames_produced, log.run.frames_dropped), (6001, 4096));
+    assert_eq!(log.frames_waiting, 6001 - 4096 - 1);
 }
 
 #[test]
@@ -173,6 +232,12 @@ fn it_says_why_it_cannot_be_one() {
     };
     let refused = |settings| NdiDevice::new(motion(), settings).unwrap_err().to_string();
     assert_eq!(refused(with(&["wand"])), "no marker is called 'wand': name one of tool, stray");
+    let marker = |index: usize| Marker { label: format!("m{index}"), labelled: index > 0 };
+    let mut many = motion();
+    many.info.markers = (0..21).map(marker).collect();
+    many.positions_mm = vec![GAP; 63];
+    let error = NdiDevice::new(many, with(&["wand"])).unwrap_err().to_string();
+    assert!(error.ends_with("name one of m1, m2, m3, m4, m5, m6, m7, m8 and 12 more"), "{error}");
     assert!(refused(with(&["tool"; 33])).contains("33 tools are more than the 32"));
     let slow = NdiSettings { rate_hz: Some(0.5), ..NdiSettings::default() };
     assert!(refused(slow).contains("0.5 Hz is out of range"));

@@ -208,7 +208,7 @@ fn the_log_names_every_frame() {
     let lines: Vec<_> = text.lines().collect();
     assert_eq!(
         (lines[0], lines.len(), host.frames.len()),
-        ("run,seq,device_ticks,present,dropped,host_ns", 51, 50)
+        ("run,seq,device_ticks,present,dropped,host_ns,unasked", 51, 50)
     );
     assert!(lines[50].starts_with("1,49,") && lines[50].contains(",15,0,"), "{}", lines[50]);
 }

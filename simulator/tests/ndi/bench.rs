@@ -52,6 +52,8 @@ pub(super) struct Bench {
     pub(super) frames: Vec<Heard>,
     pub(super) started: u32,
     pub(super) refused: Option<LinkBudget>,
+    pub(super) notes: Vec<String>,
+    pub(super) status: Option<Status>,
     pub(super) end: Option<Status>,
     pub(super) pongs: Vec<u64>,
 }
@@ -82,6 +84,8 @@ impl Bench {
             frames: Vec::new(),
             started: 0,
             refused: None,
+            notes: Vec::new(),
+            status: None,
             end: None,
             pongs: Vec::new(),
         }
@@ -126,7 +130,9 @@ impl Bench {
         let may_read = self.carry_out();
         let bytes = if may_read { self.receive() } else { Vec::new() };
         self.orders.set_now_ns(self.now_ns);
-        let Self { host, hellos, markers, frames, started, refused, end, pongs, .. } = self;
+        let Self {
+            host, hellos, markers, frames, started, refused, notes, status, end, pongs, ..
+        } = self;
         host.push(&bytes, &mut |event| match event {
             DeviceEvent::Hello(hello) => hellos.push(hello.clone()),
             DeviceEvent::Markers(table) => *markers = table.to_vec(),
@@ -139,7 +145,9 @@ impl Bench {
             DeviceEvent::Refused(budget) => *refused = Some(budget),
             DeviceEvent::EndOfStream(status) => *end = Some(status),
             DeviceEvent::Pong(pong) => pongs.push(pong.host_ns),
-            DeviceEvent::Trigger(_) | DeviceEvent::Status(_) | DeviceEvent::RateSet(_) => {}
+            DeviceEvent::Note(words) => notes.push(words.to_owned()),
+            DeviceEvent::Status(now) => *status = Some(now),
+            DeviceEvent::Trigger(_) | DeviceEvent::RateSet(_) => {}
         });
     }
 

@@ -83,10 +83,16 @@ fn a_frame_that_no_poll_fetched_is_missing_and_the_device_knows() {
     let dropped: Vec<_> = sent.iter().filter(|frame| frame.dropped).map(|f| f.seq).collect();
     assert!((5..=7).contains(&dropped.len()), "{dropped:?}");
     let heard: Vec<_> = bench.frames.iter().map(|frame| frame.seq).collect();
-    let fetched: Vec<_> = sent.iter().filter(|frame| !frame.dropped).map(|f| f.seq).collect();
+    let fetched: Vec<_> =
+        sent.iter().filter(|frame| !frame.dropped && !frame.unasked).map(|f| f.seq).collect();
     assert_eq!(heard, fetched);
     let produced = bench.end.unwrap().frames_produced;
     assert_eq!(produced, heard.len() as u64 + dropped.len() as u64);
+    assert_eq!(bench.end.unwrap().frames_dropped, dropped.len() as u64);
+    // Told when it was known, and not only at the end.
+    assert_eq!(bench.status.unwrap().frames_dropped, dropped.len() as u64);
+    let log = bench.device.log();
+    assert_eq!(log.run.frames_produced, produced + log.run.frames_unasked);
 }
 
 #[test]

@@ -6,4 +6,5 @@ mod bench;
 mod bring_up;
 mod damage;
 mod frames;
+mod strays;
 mod sweeps;

@@ -109,6 +109,10 @@ impl Simulator {
             let mut cells = line.split(',').skip(3).map(str::parse::<u64>);
             let (present, dropped) = (cells.next(), cells.next());
             let (Some(Ok(present)), Some(Ok(dropped))) = (present, dropped) else { continue };
+            if cells.nth(1) == Some(Ok(1)) {
+                // Nobody asked for it, nor for any after it: no recorder can have it on its account.
+                continue;
+            }
             sent.produced += 1;
             sent.dropped += dropped;
             sent.samples += if dropped == 0 { present } else { 0 };

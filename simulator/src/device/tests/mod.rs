@@ -66,6 +66,7 @@ impl Bench {
                 DeviceEvent::Started(budget) => Heard::Started(budget),
                 DeviceEvent::Refused(budget) => Heard::Refused(budget),
                 DeviceEvent::RateSet(rate) => Heard::RateSet(rate),
+                DeviceEvent::Note(words) => panic!("the link protocol has no notes: {words}"),
                 DeviceEvent::EndOfStream(status) => Heard::End(status),
                 DeviceEvent::Trigger(_) => panic!("no trigger was pulled"),
             });

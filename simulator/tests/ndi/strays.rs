@@ -1,0 +1,99 @@
+//! Strays keep their numbers on lines too slow for every frame, and never share one.
+
+use std::collections::BTreeMap;
+
+use mocapd_drivers::device::Command;
+use mocapd_simulator::generator::JumpSpec;
+use mocapd_simulator::ndi::NdiSettings;
+use mocapd_take::motion::Motion;
+
+use super::bench::{Bench, jump, settings};
+
+/// How strays were numbered in a replay over a line of this speed.
+#[derive(Debug, Default)]
+struct Numbered {
+    skipped: usize,
+    /// Numbers that were used.
+    numbers: usize,
+    /// A stray came under another number than the last time it was seen.
+    renumbered: usize,
+    /// A number went on to another stray from one fetched frame to the next.
+    glued: usize,
+}
+
+fn numbered(motion: &Motion, baud: u32) -> Numbered {
+    let mut bench = Bench::new(motion.clone(), NdiSettings::default(), baud);
+    bench.identify();
+    bench.say(Command::Start { line_bytes_per_s: 0 });
+    bench.run_until(|bench| bench.end.is_some() || bench.refused.is_some());
+    let bits = |position: [f32; 3]| position.map(f32::to_bits);
+    let mut out = Numbered::default();
+    let (mut number_of, mut column_of) = (BTreeMap::new(), BTreeMap::new());
+    let mut last = None;
+    for heard in &bench.frames {
+        let row = motion.frame(heard.seq as usize);
+        out.skipped += last.map_or(0, |last| (heard.seq - last - 1) as usize);
+        last = Some(heard.seq);
+        let mut now = BTreeMap::new();
+        for sample in &heard.markers {
+            let column = row.iter().position(|p| bits(*p) == bits(sample.position_mm)).unwrap();
+            let before = number_of.insert(column, sample.id);
+            out.renumbered += usize::from(before.is_some_and(|before| before != sample.id));
+            let was: Option<&usize> = column_of.get(&sample.id);
+            out.glued += usize::from(was.is_some_and(|was| *was != column));
+            now.insert(sample.id, column);
+        }
+        column_of = now;
+    }
+    let mut ids: Vec<_> =
+        bench.frames.iter().flat_map(|f| f.markers.iter().map(|m| m.id)).collect();
+    ids.sort_unstable();
+    ids.dedup();
+    out.numbers = ids.len();
+    out
+}
+
+#[test]
+fn on_a_slow_line_strays_keep_their_numbers() {
+    // A whole jump, of which a third to a half of the frames come; nothing is hidden.
+    let spec = JumpSpec { seconds: Some(10.0), n_markers: 20, ..JumpSpec::new(11, 60.0) };
+    let motion = spec.generate().unwrap().motion;
+    for (baud, skipped_min) in [(115_200, 0), (57_600, 200)] {
+        let numbered = numbered(&motion, baud);
+        assert!(numbered.skipped >= skipped_min, "{numbered:?}");
+        assert_eq!((numbered.numbers, numbered.renumbered, numbered.glued), (20, 0, 0), "{baud}");
+    }
+}
+
+#[test]
+fn what_is_hidden_and_skipped_is_not_glued_to_others() {
+    // A tenth is hidden at any time: numbers change where a stray was away, and no more than that.
+    let numbered = numbered(&jump(20, 60.0, 10.0), 57_600);
+    assert!(numbered.skipped > 200, "{numbered:?}");
+    assert!(numbered.numbers <= 30 && numbered.renumbered <= 70, "{numbered:?}");
+    assert_eq!(numbered.glued, 0, "{numbered:?}");
+}
+
+#[test]
+fn a_line_too_slow_for_the_strays_is_said_once_with_what_helps() {
+    let motion = jump(20, 60.0, 3.0);
+    for (bx2, baud, said) in [
+        (true, 57_600, Some("write @921600")),
+        (true, 921_600, None),
+        (false, 57_600, Some("write @230400")),
+    ] {
+        let tools: &[&str] = if bx2 { &[] } else { &["head"] };
+        let mut bench = Bench::new(motion.clone(), settings(tools, bx2), baud);
+        bench.identify();
+        bench.start();
+        bench.run_until(|bench| bench.end.is_some());
+        let slow: Vec<_> = bench.notes.iter().filter(|note| note.contains("too slow")).collect();
+        assert_eq!(slow.len(), usize::from(said.is_some()), "{:?}", bench.notes);
+        if let Some(said) = said {
+            assert!(slow[0].contains(said), "{slow:?}");
+            assert!(slow[0].contains("stray markers over 57600 baud come at most"), "{slow:?}");
+        }
+        let clock = bench.notes.iter().filter(|note| note.contains("clock is its frame number"));
+        assert_eq!(clock.count(), usize::from(!bx2), "{:?}", bench.notes);
+    }
+}
