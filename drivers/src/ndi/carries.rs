@@ -36,7 +36,7 @@ impl NdiHost {
     /// Why a start is refused, and what to do.
     pub(super) fn refusal(&self) -> String {
         let needed = self.budget().needed_bytes_per_s;
-        format!("the line is too slow for the NDI system's tools: {}", self.limits(0, needed))
+        format!("the line is too slow for the NDI system: {}", self.limits(0, needed))
     }
 
     /// Words for a line that does not carry every frame with what was just seen; said once a run.
@@ -74,10 +74,12 @@ impl NdiHost {
             }
             None => "no speed is enough: show it fewer markers, or lower its frame rate".to_owned(),
         };
+        let seen = [(tools, "tool"), (strays, "stray marker")];
+        let seen: Vec<_> =
+            seen.iter().filter(|(n, _)| *n > 0).map(|(n, what)| counted(*n, what)).collect();
+        let seen = if seen.is_empty() { "frames".to_owned() } else { seen.join(" and ") };
         format!(
-            "{} and {} over {} baud come at most {most_hz:.1} times a second, and it runs at {rate_hz} Hz; {advice}",
-            counted(tools, "tool"),
-            counted(strays, "stray marker"),
+            "{seen} over {} baud come at most {most_hz:.1} times a second, and it runs at {rate_hz} Hz; {advice}",
             self.baud
         )
     }

@@ -214,10 +214,7 @@ fn a_line_that_is_too_slow_is_refused_with_what_helps() {
     bench.say(Command::Start { line_bytes_per_s: 0 });
     bench.run_for(100 * MS);
     let words = bench.failed.unwrap();
-    assert!(
-        words.contains("4 tools and 0 stray markers over 9600 baud come at most 4.0 times"),
-        "{words}"
-    );
+    assert!(words.contains("4 tools over 9600 baud come at most 4.0 times"), "{words}");
     assert!(
         words.ends_with("it runs at 60 Hz; write @230400 behind the port in the device's URI"),
         "{words}"
