@@ -5,10 +5,15 @@
 use std::{fs, io, path::Path};
 
 use mocapd_codec::{BlockReport, Rows, Settings, Tolerance};
+use mocapd_drivers::{
+    device::{Frame, Hello, MarkerInfo, MarkerSample, Status},
+    link::{DeviceLink, FrameForm},
+};
 use mocapd_take::{
     TakeWriter,
     chunk::{self, Front},
-    motion::UpAxis,
+    interchange::Format,
+    motion::{GAP, Marker, Motion, MotionFrames, MotionInfo, Source, UpAxis},
     record::{Channel, Device, Event, EventKind, Header, Ledger},
     stretch::{FrontWriter, Span, put_block},
     timeline::{Causes, RowTime, Timeline, TimelineEncoder},
@@ -24,6 +29,8 @@ fn main() -> io::Result<()> {
         ("decode_block", mocapd_fuzz::decode_block, blocks()),
         ("range_coder", mocapd_fuzz::range_coder, programs()),
         ("read_take", mocapd_fuzz::read_take, takes()),
+        ("read_file", mocapd_fuzz::read_file, files()),
+        ("hear", mocapd_fuzz::hear, wires()),
     ] {
         let folder = folder.join(target);
         fs::create_dir_all(&folder)?;
@@ -134,6 +141,92 @@ fn programs() -> Vec<Vec<u8>> {
             seed
         })
         .collect()
+}
+
+/// Small files of each format, whole and cut, with gaps and labels of every kind.
+fn files() -> Vec<Vec<u8>> {
+    let mut seeds = Vec::new();
+    for i in 0..6 {
+        let names = ["head", "l knee", "", "a,b", "é"];
+        let marker = |k: usize| Marker { label: names[k % names.len()].to_owned(), labelled: true };
+        let n_frames = 3 + 2 * i;
+        let info = MotionInfo {
+            rate_hz: 100.0,
+            n_frames: n_frames as u64,
+            markers: (0..=i).map(marker).collect(),
+            source: Source { factor: 1.0, first_frame: 1, ..Source::default() },
+            ..MotionInfo::default()
+        };
+        let mut motion = Motion { info, positions_mm: Vec::new() };
+        let paths: Vec<_> = (0..=i).map(|k| swing(k, n_frames)).collect();
+        for row in 0..n_frames {
+            let gap = |k: usize| (row + k).is_multiple_of(4);
+            let positions = paths.iter().map(|path| path[row]).enumerate();
+            motion.positions_mm.extend(positions.map(|(k, at)| if gap(k) { GAP } else { at }));
+        }
+        for (byte, format) in [(0, Format::C3d), (1, Format::Trc), (3, Format::Csv)] {
+            let mut seed = vec![byte];
+            // A label that a format cannot hold is refused: what was written until then is a seed, too.
+            format.write(&mut MotionFrames::new(&motion), &mut seed).ok();
+            let cut = seed.len() * 2 / 3;
+            seeds.push(seed[..cut].to_vec());
+            seeds.push(seed);
+        }
+    }
+    let tsv = "NO_OF_FRAMES\t2\nNO_OF_CAMERAS\t8\nNO_OF_MARKERS\t2\nFREQUENCY\t100\nNO_OF_ANALOG\t0\n\
+               ANALOG_FREQUENCY\t0\nDESCRIPTION\t--\nTIME_STAMP\t--\nDATA_INCLUDED\t3D\nMARKER_NAMES\ta\tb\n\
+               1.0\t2.0\t3.0\t4.0\t5.0\t6.0\n1.5\t2.5\t3.5\t0.000\t0.000\t0.000\n";
+    seeds.push([&[2], tsv.as_bytes()].concat());
+    seeds
+}
+
+/// What a device says, as it is, damaged, and as messages whose checksums the target makes.
+fn wires() -> Vec<Vec<u8>> {
+    let mut seeds = Vec::new();
+    for i in 0..12_usize {
+        let (mut link, mut wire) = (DeviceLink::new(), Vec::new());
+        let hello = Hello {
+            model: "rig".into(),
+            serial: "1".into(),
+            rate_mhz: 100_000,
+            rate_min_mhz: 60_000,
+            rate_max_mhz: 1_000_000,
+            tick_hz: 1 << i,
+            markers_max: 64,
+            ..Hello::default()
+        };
+        link.hello(&hello, &mut wire).expect("short names");
+        let label = |id: u16| MarkerInfo { id, label: format!("m{id}"), labelled: id > 0 };
+        link.markers(&(0..i as u16).map(label).collect::<Vec<_>>(), &mut wire)
+            .expect("few markers");
+        let form = if i.is_multiple_of(2) { FrameForm::Float } else { FrameForm::Micrometres };
+        for seq in 0..4 {
+            let markers: Vec<_> = (0..i as u16)
+                .map(|id| MarkerSample {
+                    id,
+                    occluded: (id + seq as u16).is_multiple_of(3),
+                    position_mm: swing(id.into(), 4)[seq as usize],
+                    ..MarkerSample::default()
+                })
+                .collect();
+            let frame =
+                Frame { seq, device_ticks: u64::from(seq) * 10, timecode: None, markers: &markers };
+            link.frame(form, &frame, &mut wire).expect("few markers");
+        }
+        link.end_of_stream(Status { frames_produced: 4, ..Status::default() }, &mut wire);
+        let as_is = [0, 2, 4, 6][i % 4];
+        seeds.push([&[as_is], &wire[..]].concat());
+        let at = wire.len() * i / 12;
+        wire[at] ^= 0x20;
+        seeds.push([&[as_is], &wire[..]].concat());
+        // Any payload in a message of each type.
+        let kinds = [0x01, 0x02, 0x03, 0x10, 0x11, 0x12, 0x20, 0x21, 0x22, 0x23, 0x30, 0x40];
+        let payload = noise(i, 3 * i);
+        let mut seed = vec![1 | as_is, kinds[i], payload.len() as u8, 0];
+        seed.extend(payload);
+        seeds.push(seed);
+    }
+    seeds
 }
 
 /// Takes as they are, and as chunks whose checksums the target makes.

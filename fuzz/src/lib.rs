@@ -4,12 +4,15 @@
 
 mod blocks;
 mod check;
+mod file;
 mod input;
+mod link;
 mod motion;
 mod range;
 mod take;
 mod trips;
 
 pub use self::{
-    blocks::decode_block, input::Input, range::range_coder, take::read_take, trips::round_trip,
+    blocks::decode_block, file::read_file, input::Input, link::hear, range::range_coder,
+    take::read_take, trips::round_trip,
 };

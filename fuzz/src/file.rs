@@ -1,0 +1,34 @@
+//! Bytes of anybody as a file of another program.
+
+use mocapd_take::{interchange::Format, motion::MotionFrames};
+
+use crate::Input;
+
+/// Bytes of positions that a byte of input may become.
+const EARNED: usize = 48;
+
+/// The first byte says which format. An error, or a motion that the bytes earn; and what was read can be written, or is
+/// refused.
+pub fn read_file(bytes: &[u8]) {
+    let mut input = Input::new(bytes);
+    let format = match input.byte() & 3 {
+        0 => Format::C3d,
+        1 => Format::Trc,
+        2 => Format::Tsv,
+        _ => Format::Csv,
+    };
+    let file = input.take(usize::MAX);
+    let Ok(motion) = format.read(file) else { return };
+    let positions = size_of_val(&motion.positions_mm[..]);
+    assert!(positions <= file.len() * EARNED, "{positions} bytes of positions from {}", file.len());
+    let foreign: usize = motion.info.foreign.iter().map(|part| part.data.len()).sum();
+    assert!(foreign <= 2 * file.len() + 1024, "{foreign} bytes kept from {}", file.len());
+    assert!(motion.info.markers.is_empty() || motion.n_frames() as u64 == motion.info.n_frames);
+    let back = if format == Format::Tsv { Format::Csv } else { format };
+    let mut written = Vec::new();
+    if back.write(&mut MotionFrames::new(&motion), &mut written).is_ok() {
+        let again = back.read(&written).expect("our own file");
+        assert_eq!(again.info.markers.len(), motion.info.markers.len());
+        assert_eq!(again.n_frames(), motion.n_frames());
+    }
+}
