@@ -38,7 +38,8 @@ fn encode_description(text: &[u8], out: &mut Vec<u8>) {
 }
 
 fn encode_group(group: &Group, out: &mut Vec<u8>) {
-    encode_name(&group.name, group.locked, -(group.id as i8), out);
+    // A group 128 is -128 in the file.
+    encode_name(&group.name, group.locked, (group.id as i8).wrapping_neg(), out);
     out.extend((group.description.len().min(255) as u16 + 3).to_le_bytes());
     encode_description(&group.description, out);
 }
