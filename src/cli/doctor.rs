@@ -79,8 +79,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     printed?;
     if args.json {
         print_json(&reports)?;
-    } else if failures + warnings == 0 {
-        print("this machine can record\n")?;
+    } else if failures == 0 {
+        print(&match warnings {
+            0 => "this machine can record\n".to_owned(),
+            n => format!("this machine can record; {} to look at\n", count(n, "warning")),
+        })?;
     }
     if failures > 0 {
         bail!("{} in the way of a recording: see above", count(failures, "thing"));

@@ -36,26 +36,37 @@ pub(super) fn examine(folder: &Path, keep_free_bytes: u64, tell: &mut dyn FnMut(
     match statvfs(folder) {
         Err(error) => {
             let seen = format!("{}: {}", folder.display(), io::Error::from(error));
-            return tell(Finding::failure("disk", seen, "give another folder with --dir"));
+            tell(Finding::failure("disk", seen, "give another folder with --dir"));
         }
         Ok(disk) => {
-            tell(space(disk.f_bavail.saturating_mul(disk.f_frsize), keep_free_bytes));
+            let free_bytes = disk.f_bavail.saturating_mul(disk.f_frsize);
+            tell(space(free_bytes, keep_free_bytes));
+            if let Ok(disk) = statfs(folder) {
+                // Some kernels' numbers are signed.
+                tell(kind(disk.f_type as u64 & 0xffff_ffff));
+            }
+            // What a recording would not take is not taken to measure, either.
+            let spare = free_bytes.saturating_sub(keep_free_bytes);
+            if spare < HELD_MIN_BYTES {
+                return;
+            }
+            match measure(folder, spare / 2) {
+                Ok(measured) => measured.into_iter().for_each(tell),
+                Err(error) => tell(cannot_write(folder, &error)),
+            }
         }
     }
-    if let Ok(disk) = statfs(folder) {
-        tell(kind(disk.f_type as u64));
-    }
-    match measure(folder) {
-        Ok(measured) => measured.into_iter().for_each(tell),
-        Err(error) => {
-            let seen = format!("cannot write to {}: {error}", folder.display());
-            tell(Finding::failure(
-                "disk",
-                seen,
-                "give another folder with --dir, or mend its permissions",
-            ));
+}
+
+fn cannot_write(folder: &Path, error: &io::Error) -> Finding {
+    let seen = format!("cannot write to {}: {error}", folder.display());
+    let remedy = match error.kind() {
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+            "delete something, or give another folder with --dir"
         }
-    }
+        _ => "give another folder with --dir, or mend its permissions",
+    };
+    Finding::failure("disk", seen, remedy)
 }
 
 fn space(free_bytes: u64, keep_free_bytes: u64) -> Finding {
@@ -96,18 +107,27 @@ fn kind(f_type: u64) -> Finding {
             "FAT: no file can be larger than 4 GB, and a power cut may damage all of it",
             "record to ext4, XFS or btrfs",
         ),
+        0x6573_5546 => Finding::note(what, "FUSE: its program decides what a sync does"),
+        0x0102_1997 | 0x786f_4256 => Finding::warning(
+            what,
+            "a folder of another machine, as virtual machines share it",
+            network,
+        ),
         0x2011_bab0 => Finding::note(what, "exFAT: a power cut may damage all of it"),
         other => Finding::note(what, format!("number {other:#x}, which mocapd does not know")),
     }
 }
 
-fn measure(folder: &Path) -> io::Result<[Finding; 2]> {
+/// Writes at most so many bytes.
+fn measure(folder: &Path, bytes_max: u64) -> io::Result<[Finding; 2]> {
+    let bytes_max = usize::try_from(bytes_max).unwrap_or(usize::MAX);
+    let syncs_max = SYNCS.min(bytes_max / 2 / STRETCH_BYTES).max(1);
     let mut file = tempfile_in(folder)?;
     let block: Vec<u8> =
         (0..BLOCK_BYTES).map(|i| (i as u32).wrapping_mul(2_654_435_761) as u8).collect();
     let begun = Instant::now();
     let mut written = 0;
-    while written < WRITTEN_BYTES && begun.elapsed() < LONG {
+    while written < WRITTEN_BYTES.min(bytes_max / 2) && begun.elapsed() < LONG {
         file.write_all(&block)?;
         written += BLOCK_BYTES;
     }
@@ -115,7 +135,7 @@ fn measure(folder: &Path) -> io::Result<[Finding; 2]> {
     let bytes_per_s = written as f64 / begun.elapsed().as_secs_f64();
     let mut syncs = Latency::default();
     let begun = Instant::now();
-    for _ in 0..SYNCS {
+    for _ in 0..syncs_max {
         file.write_all(&block[..STRETCH_BYTES])?;
         let before = Instant::now();
         file.sync_data()?;
