@@ -120,7 +120,10 @@ impl<W: TakeOutput> Writer<W> {
                 }
                 self.give_back();
                 if last {
-                    return error.map_or_else(|| self.finish(), Err);
+                    return match error {
+                        None => self.finish(),
+                        Some(error) => Err(self.give_up(error)),
+                    };
                 }
             }
         }
@@ -190,6 +193,14 @@ impl<W: TakeOutput> Writer<W> {
         });
     }
 
+    /// What was held for the rest is nobody's: the part that was written stays.
+    fn give_up(&mut self, error: anyhow::Error) -> anyhow::Error {
+        let written = self.take.bytes();
+        // A disk that failed may fail here, too.
+        self.take.get_mut().release(written).ok();
+        error
+    }
+
     fn finish(mut self) -> anyhow::Result<(Written, W)> {
         let clock_lines = self.clocks.finish(&mut self.take, &self.counts.clock)?;
         let mut ledger = self.counts.ledger(true);
@@ -207,7 +218,7 @@ impl<W: TakeOutput> Writer<W> {
             ledger,
             clock: self.counts.clock,
             clock_lines,
-            disk: self.room.state(),
+            disk: self.room.close(&output.0),
             file_bytes: output.1,
             samples: self.report.samples,
             kept: self.report.kept,

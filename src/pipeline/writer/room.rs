@@ -30,6 +30,8 @@ pub(super) struct Room {
     held_to: u64,
     /// Not every file system can hold room back.
     can_hold: bool,
+    /// Nor did this one have so much, whatever it says is free: a quota.
+    is_refused: bool,
     looked: Option<(Instant, u64)>,
     bytes_per_s: f64,
     state: DiskState,
@@ -52,14 +54,11 @@ impl Room {
             keep_free_bytes,
             held_to: 0,
             can_hold: true,
+            is_refused: false,
             looked: None,
             bytes_per_s: 0.0,
             state: DiskState::default(),
         }
-    }
-
-    pub(super) fn state(&self) -> DiskState {
-        self.state
     }
 
     /// Looks, now and then, when the take has so many bytes.
@@ -83,15 +82,28 @@ impl Room {
         self.looked = Some((now, written));
         self.hold(output, written);
         self.state.free_bytes = output.free_bytes();
-        if let Some(free) = self.state.free_bytes {
-            self.state.is_full |= free < self.keep_free_bytes;
-            let ours =
-                free.saturating_sub(self.keep_free_bytes) + self.held_to.saturating_sub(written);
-            self.state.left_s = (self.bytes_per_s > 0.0).then(|| ours as f64 / self.bytes_per_s);
-        }
+        let held = self.held_to.saturating_sub(written);
+        let others = match self.state.free_bytes {
+            // What a quota leaves nobody tells.
+            Some(free) if !self.is_refused => free.saturating_sub(self.keep_free_bytes),
+            Some(_) => 0,
+            None => u64::MAX,
+        };
+        // The last of it is for closing the take.
+        let left = others.saturating_add(held);
+        self.state.is_full |= left < HELD_MIN_BYTES;
+        let is_known = self.bytes_per_s > 0.0 && self.state.free_bytes.is_some();
+        let left_s = left.saturating_sub(HELD_MIN_BYTES) as f64 / self.bytes_per_s;
+        self.state.left_s = is_known.then_some(left_s);
         progress.disk_full.store(self.state.is_full, Ordering::Relaxed);
         let left_s = self.state.left_s.map_or(u64::MAX, |left_s| left_s as u64);
         progress.disk_left_s.store(left_s, Ordering::Relaxed);
+    }
+
+    /// The take is closed, and what it held is given back.
+    pub(super) fn close<W: TakeOutput>(&mut self, output: &W) -> DiskState {
+        self.state.free_bytes = output.free_bytes();
+        self.state
     }
 
     fn hold<W: TakeOutput>(&mut self, output: &mut W, written: u64) {
@@ -101,17 +113,32 @@ impl Room {
             return;
         }
         let from = self.held_to.max(written);
-        match output.hold_back(from, written + ahead - from) {
-            Ok(()) => self.held_to = written + ahead,
-            Err(error) => match error.kind() {
-                // What was held before is still there.
-                io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
-                    self.state.is_full = true;
+        // Not of what has to stay free.
+        let spare =
+            output.free_bytes().map_or(u64::MAX, |free| free.saturating_sub(self.keep_free_bytes));
+        let wanted = (written + ahead).min(from.saturating_add(spare));
+        for to in [wanted, (written + HELD_MIN_BYTES).min(wanted)] {
+            if to <= from {
+                return;
+            }
+            match output.hold_back(from, to - from) {
+                Ok(()) => {
+                    (self.held_to, self.is_refused) = (to, false);
+                    return;
                 }
-                _ => self.can_hold = false,
-            },
+                // What was held before is still there, and less may do.
+                Err(error) if is_full(&error) => self.is_refused = true,
+                Err(_) => {
+                    self.can_hold = false;
+                    return;
+                }
+            }
         }
     }
+}
+
+fn is_full(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
 }
 
 #[cfg(test)]
@@ -154,34 +181,57 @@ mod tests {
 
     const MIB: u64 = 1 << 20;
 
-    /// A take of 1 MiB a second on a disk of 40 MiB, of which 10 have to stay free: when it is told to end.
-    fn ends_after(holds: Result<(), io::ErrorKind>) -> (u64, Vec<f64>) {
+    /// A take of 1 MiB a second on a disk of 40 MiB, of which 10 have to stay free: when it is told to end, what others
+    /// could take at the least, and how long it thought that it had.
+    fn ends_after(holds: Result<(), io::ErrorKind>) -> (u64, u64, Vec<f64>) {
         let mut disk = Disk { free: 40 * MIB, holds };
         let (mut room, progress, begun) =
             (Room::new(10 * MIB), Progress::default(), Instant::now());
-        let mut left = Vec::new();
+        let (mut left, mut least) = (Vec::new(), disk.free);
         for second in 0..100 {
             room.look(&mut disk, second * MIB, &progress, begun + Duration::from_secs(second));
-            left.extend(room.state().left_s);
+            left.extend(room.state.left_s);
+            least = least.min(disk.free);
             if progress.disk_full.load(Ordering::Relaxed) {
-                return (second, left);
+                return (second, least, left);
             }
             // Without room of its own the take grows into the free bytes.
             if holds.is_err() {
                 disk.free -= MIB;
             }
         }
-        panic!("never full: {:?}", room.state());
+        panic!("never full: {:?}", room.state);
     }
 
     #[test]
-    fn a_take_ends_before_the_rest_is_used() {
-        let (seconds, left) = ends_after(Err(io::ErrorKind::Unsupported));
-        assert_eq!(seconds, 31);
-        assert!((left[4] - 25.0).abs() < 0.1, "{left:?}");
-        // A minute at this rate cannot be held back on such a disk: the take ends at once, and can be closed.
-        let (seconds, _) = ends_after(Ok(()));
-        assert_eq!(seconds, 1);
+    fn a_take_goes_on_until_no_more_is_left_than_closes_it() {
+        for holds in [Ok(()), Err(io::ErrorKind::Unsupported)] {
+            let (seconds, least, left) = ends_after(holds);
+            // 30 MiB but for the last 4, and none of the others' 10.
+            assert_eq!(seconds, 27, "{holds:?}");
+            assert!(least >= 10 * MIB, "{holds:?}: {least}");
+            assert!((left[4] - 21.0).abs() < 0.1, "{holds:?}: {left:?}");
+        }
+    }
+
+    #[test]
+    fn a_quota_that_nobody_tells_of_ends_it_when_what_is_held_is_used() {
+        let (seconds, ..) = ends_after(Err(io::ErrorKind::QuotaExceeded));
+        assert_eq!(seconds, 0);
+        // Half a minute's room was there before the quota was met.
+        let mut disk = Disk { free: 1000 * MIB, holds: Ok(()) };
+        let (mut room, progress, begun) = (Room::new(0), Progress::default(), Instant::now());
+        for second in 0..100 {
+            if second == 5 {
+                disk.holds = Err(io::ErrorKind::QuotaExceeded);
+            }
+            room.look(&mut disk, second * MIB, &progress, begun + Duration::from_secs(second));
+            if room.state.is_full {
+                assert!((50..64).contains(&second), "{second}");
+                return;
+            }
+        }
+        panic!("never full: {:?}", room.state);
     }
 
     #[test]
@@ -191,9 +241,9 @@ mod tests {
         for second in 0..10 {
             room.look(&mut disk, second * MIB, &progress, begun + Duration::from_secs(second));
         }
-        let left_s = room.state().left_s.unwrap();
-        assert!((left_s - 991.0).abs() < 1.0, "{left_s}");
+        let left_s = room.state.left_s.unwrap();
+        assert!((left_s - 987.0).abs() < 1.0, "{left_s}");
         assert_eq!(progress.disk_left_s.load(Ordering::Relaxed), left_s as u64);
-        assert!(disk.free < 950 * MIB && !room.state().is_full);
+        assert!(disk.free < 950 * MIB && !room.state.is_full);
     }
 }
