@@ -166,8 +166,12 @@ impl Intake {
     }
 
     /// Something to note at the row being recorded.
-    pub fn event(&mut self, mut event: Event) {
-        event.row = self.next_row;
+    pub fn event(&mut self, event: Event) {
+        self.event_at(self.next_row, event);
+    }
+
+    fn event_at(&mut self, row: u64, event: Event) {
+        let event = Event { row, ..event };
         // The queue is full only when the disk has stalled through a thousand events.
         self.counts.events_dropped +=
             u64::from(self.control.try_send(Control::Event(event)).is_err());

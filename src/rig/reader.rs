@@ -7,7 +7,7 @@ use std::{
 
 use anyhow::{anyhow, bail};
 use mocapd_drivers::{
-    device::{Command, DeviceEvent, LinkBudget, LinkCounters, MarkerInfo, Pong},
+    device::{Command, DeviceEvent, Hello, LinkBudget, LinkCounters, MarkerInfo, Pong},
     transport::TransportError,
 };
 use mocapd_take::record::{Event, EventKind};
@@ -23,6 +23,9 @@ const SILENCE: Duration = Duration::from_secs(3);
 
 /// How long to wait for the end of the stream after Stop.
 const STOP_WITHIN: Duration = Duration::from_secs(2);
+
+/// Between two times that a silent device is asked who it is: one that starts up needs a while.
+const ASK_EVERY: Duration = Duration::from_secs(5);
 
 /// When to stop, and what to tell.
 #[expect(missing_debug_implementations, reason = "a closure has none")]
@@ -87,7 +90,8 @@ impl Rig {
             prober: Prober::new(),
             end: None,
             started: None,
-            began_anew: false,
+            began_anew: None,
+            asked_ns: None,
             outages: 0,
             notes: Vec::new(),
         };
@@ -116,8 +120,12 @@ impl Rig {
                 || time_max.is_some_and(|max| monotonic_ns() - started_ns > max)
         };
         loop {
+            let or_full = |ending, intake: &Intake| match intake.is_disk_full() {
+                true => Ending::DiskFull,
+                false => ending,
+            };
             let ending = match self.read_until_gone(reader, options, &is_over)? {
-                Ending::Stopped if reader.intake.is_disk_full() => Ending::DiskFull,
+                Ending::Stopped => or_full(Ending::Stopped, reader.intake),
                 ending => ending,
             };
             if ending != Ending::Disconnected {
@@ -125,7 +133,7 @@ impl Rig {
             }
             reader.intake.event(host_event("the device was disconnected"));
             if !self.reconnect(reader, options, &is_over) {
-                return Ok(Ending::Disconnected);
+                return Ok(or_full(Ending::Disconnected, reader.intake));
             }
             reader.outages += 1;
         }
@@ -158,11 +166,15 @@ impl Rig {
             if reader.intake.counts_seen() != frames_before {
                 last_frame_ns = now_ns;
                 told_silent = false;
+                reader.asked_ns = None;
             } else if !told_silent && now_ns - last_frame_ns > SILENCE.as_nanos() as u64 {
                 (options.say)(
                     "no frame for 3 s: is the device capturing? Still waiting; Ctrl-C finishes the take",
                 );
                 told_silent = true;
+            }
+            if told_silent && stop_said_ns.is_none() {
+                self.ask_who(reader, now_ns);
             }
             if self.transport.stalls_cleared() > stalls_cleared {
                 stalls_cleared = self.transport.stalls_cleared();
@@ -177,16 +189,14 @@ impl Rig {
                     (options.say)("it stalls again and again: no more is said of it");
                 }
             }
-            if std::mem::take(&mut reader.began_anew) && stop_said_ns.is_none() {
-                reader.intake.event(host_event("the device began anew and was started again"));
-                reader.count_anew();
-                (options.say)(
-                    "the device began anew, as after a loss of power: it was started again",
-                );
-                let line_bytes_per_s = self.transport.line_bytes_per_s().unwrap_or(0);
-                match self.say(Command::Start { line_bytes_per_s }) {
-                    Ok(()) => {}
-                    Err(TransportError::Disconnected { .. }) => return Ok(Ending::Disconnected),
+            if let Some(now) = reader.began_anew.take()
+                && stop_said_ns.is_none()
+            {
+                match self.start_again(reader, &now, options) {
+                    Ok(true) => {}
+                    Ok(false) | Err(TransportError::Disconnected { .. }) => {
+                        return Ok(Ending::Disconnected);
+                    }
                     Err(error) => return Err(anyhow!(error).context("starting the device again")),
                 }
             }
@@ -215,6 +225,7 @@ impl Rig {
                         }
                     }
                     stop_said_ns = Some(now_ns);
+                    reader.asked_ns = None;
                 }
                 Some(said) if now_ns - said > STOP_WITHIN.as_nanos() as u64 => {
                     (options.say)(
@@ -251,6 +262,43 @@ impl Rig {
             }
         }
         bail!("{} does not answer Start: switch it off and on again", self.uri)
+    }
+
+    /// A device that sent frames and sends none any more may have lost its power while the line to it stayed: it says who
+    /// it is when it is asked, and is started again then.
+    fn ask_who(&mut self, reader: &mut Reader<'_>, now_ns: u64) {
+        let is_due =
+            reader.asked_ns.is_none_or(|asked| now_ns - asked > ASK_EVERY.as_nanos() as u64);
+        if is_due && reader.intake.counts_seen() > 0 {
+            reader.asked_ns = Some(now_ns);
+            // A device that is gone shows in the next read.
+            self.say(Command::Identify).ok();
+        }
+    }
+
+    /// A device that introduced itself while it was to send frames is started again, as it was. `false` when it is
+    /// another one.
+    fn start_again(
+        &mut self,
+        reader: &mut Reader<'_>,
+        now: &Hello,
+        options: &ReadOptions<'_>,
+    ) -> Result<bool, TransportError> {
+        if (&now.model, &now.serial) != (&self.hello.model, &self.hello.serial) {
+            (options.say)(&format!("another device answers, {} {}", now.model, now.serial));
+            return Ok(false);
+        }
+        reader.intake.event(host_event("the device introduced itself and was started again"));
+        reader.count_anew();
+        (options.say)(
+            "the device introduced itself, as after a reset, a loss of power or a long silence: it was started again",
+        );
+        if now.rate_mhz != self.hello.rate_mhz {
+            self.say(Command::SetRate(self.hello.rate_mhz))?;
+        }
+        let line_bytes_per_s = self.transport.line_bytes_per_s().unwrap_or(0);
+        self.say(Command::Start { line_bytes_per_s })?;
+        Ok(true)
     }
 
     /// Asks the device for its clock, when that is due.
@@ -297,8 +345,10 @@ pub(super) struct Reader<'a> {
     prober: Prober,
     started: Option<Result<(), LinkBudget>>,
     end: Option<()>,
-    /// It introduced itself while it was to send frames.
-    began_anew: bool,
+    /// It introduced itself while it was to send frames: so.
+    began_anew: Option<Hello>,
+    /// It was asked who it is, because no frame came: when.
+    asked_ns: Option<u64>,
     outages: u32,
     /// What people should be told.
     notes: Vec<String>,
@@ -309,7 +359,7 @@ impl Reader<'_> {
     pub(super) fn restart(&mut self, markers: &[MarkerInfo]) {
         self.started = None;
         self.end = None;
-        self.began_anew = false;
+        self.began_anew = None;
         self.count_anew();
         self.intake.announce(markers);
     }
@@ -317,6 +367,7 @@ impl Reader<'_> {
     /// Its counter, clock and reports may begin anew.
     fn count_anew(&mut self) {
         self.prober = Prober::new();
+        self.asked_ns = None;
         self.intake.rejoin();
     }
 
@@ -333,6 +384,10 @@ impl Reader<'_> {
                 self.intake.event(Event { kind, ..host_event(text) });
                 self.notes.push(text.to_owned());
             }
+            // Being asked stops it, and some say so.
+            DeviceEvent::EndOfStream(status) if self.asked_ns.is_some() => {
+                self.intake.status(status, false);
+            }
             DeviceEvent::EndOfStream(status) if self.started.is_some() => {
                 self.intake.status(status, true);
                 self.end = Some(());
@@ -348,13 +403,18 @@ impl Reader<'_> {
                 text: String::new(),
             }),
             // An answer to a command of the handshake that came late.
-            DeviceEvent::Hello(_) => self.began_anew |= self.started.is_some(),
+            DeviceEvent::Hello(hello) if self.started.is_some() => {
+                self.began_anew = Some(hello.clone());
+            }
             DeviceEvent::Pong(Pong { host_ns, device_ticks }) => {
                 if self.prober.answered(host_ns, arrival_ns) {
                     self.intake.probe(device_ticks, host_ns, arrival_ns);
                 }
             }
-            DeviceEvent::RateSet(_) | DeviceEvent::EndOfStream(_) | DeviceEvent::Note(_) => {}
+            DeviceEvent::Hello(_)
+            | DeviceEvent::RateSet(_)
+            | DeviceEvent::EndOfStream(_)
+            | DeviceEvent::Note(_) => {}
         }
     }
 }

@@ -8,10 +8,7 @@ use mocapd_drivers::{
     transport::{Transport, TransportError, usb::UsbWatch},
 };
 
-use super::{
-    ReadOptions, Rig, monotonic_ns,
-    reader::{Reader, host_event},
-};
+use super::{ReadOptions, Rig, monotonic_ns, reader::Reader};
 
 /// How often it is looked for where udev does not tell: twenty looks in the two seconds within which a device
 /// that is back is recorded again.
@@ -86,7 +83,6 @@ impl Rig {
                     let gone_s = (monotonic_ns() - gone_ns) as f64 * 1e-9;
                     let words = format!("the device is back after {gone_s:.1} s");
                     (options.say)(&words);
-                    reader.intake.event(host_event(&words));
                     return true;
                 }
                 Attempt::Absent(words) => {

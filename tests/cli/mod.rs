@@ -15,6 +15,7 @@ mod imports;
 mod ndi;
 mod outputs;
 mod recording;
+mod troubled;
 mod unprivileged;
 
 use folder::{Folder, Ran};

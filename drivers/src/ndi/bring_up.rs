@@ -80,6 +80,7 @@ impl NdiHost {
         self.owed.hello = true;
         self.owed.start = false;
         self.owed.stop = false;
+        self.run.lost();
         (self.polls_lost, self.rounds) = (0, 0);
         self.seek(0);
     }

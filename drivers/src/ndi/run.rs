@@ -16,7 +16,8 @@ pub(super) struct Counted {
     pub(super) dropped: u32,
 }
 
-/// From a Start to its end; a system that is lost and found again in between goes on with it.
+/// From a Start to its end. A system that is lost and found again is started again, and with that a new run begins: a
+/// host counts its reports from there.
 ///
 /// A system keeps one frame. Those that its number skips were replaced before a poll came: they never
 /// left it. But an answer that was damaged or did not come may have held one: of the frames that are
@@ -44,6 +45,12 @@ impl Run {
         if !self.started {
             *self = Self { ticks: self.ticks, started: true, ..Self::default() };
         }
+    }
+
+    /// The system is lost: what was counted of it was told. What was said of the line holds.
+    pub(super) fn lost(&mut self) {
+        let Self { ticks, started, said_slow, said_clock, .. } = *self;
+        *self = Self { ticks, started, said_slow, said_clock, ..Self::default() };
     }
 
     /// At its end; whether there was one to end.

@@ -113,10 +113,10 @@ fn a_device_that_was_reset_is_set_up_and_said_to_have_begun_anew() {
         bench.run_for(500 * MS);
         assert!(bench.frames.len() > before + 25);
         assert!(bench.end.is_none() && bench.failed.is_none());
-        // It is one run: what its numbers tell is counted from the first frame to the last.
+        // It was started again: what its numbers tell is counted from there, as a host counts it.
         bench.say(Command::Stop);
         bench.run_until(|bench| bench.end.is_some());
-        let (first, last) = (bench.frames[0].seq, bench.frames.last().unwrap().seq);
+        let (first, last) = (bench.frames[before].seq, bench.frames.last().unwrap().seq);
         assert_eq!(bench.end.unwrap().frames_produced, u64::from(last - first + 1));
     }
 }

@@ -36,31 +36,36 @@ impl Intake {
     /// The first frame after an outage.
     pub(super) fn end_outage(&mut self, frame: &Frame<'_>, arrival_ns: u64) {
         self.rejoining = false;
-        let (missing, causes) = match self.axis.rejoin(frame.seq, frame.device_ticks) {
-            Some(missing) => (u64::from(missing), Causes::NOT_RECEIVED.union(Causes::DISCONNECTED)),
+        let silent_s = self.silences.until_ns(arrival_ns) as f64 * 1e-9;
+        let (missing, causes, how) = match self.axis.rejoin(frame.seq, frame.device_ticks) {
+            Some(missing) => {
+                let causes = Causes::NOT_RECEIVED.union(Causes::DISCONNECTED);
+                (u64::from(missing), causes, "goes on: frames that are missing by its counter:")
+            }
             // Its counter tells nothing of the time between; the host's clock does, so that the take keeps time.
-            None => (self.began_anew(frame, arrival_ns), Causes::DISCONNECTED),
+            None => {
+                let due = self.due(silent_s);
+                (due, Causes::DISCONNECTED, "began anew: frames that were due by the host's clock:")
+            }
         };
+        // At the first row that there is again.
+        let row = self.next_row + self.pending.rows() + missing;
+        let event = Event {
+            kind: EventKind::Host,
+            row,
+            device_ticks: frame.device_ticks,
+            host_ns: arrival_ns,
+            input: 0,
+            text: format!("the device is back after {silent_s:.3} s, and {how} {missing}"),
+        };
+        self.event_at(row, event);
         self.counts.reports_from = self.counts.seen() + missing;
         self.counts.lost_to_outage(missing);
         self.pending.add(missing, causes);
     }
 
-    /// Counter and clock start over: how many frames were due since the last one.
-    fn began_anew(&mut self, frame: &Frame<'_>, arrival_ns: u64) -> u64 {
-        let silent_s = self.silences.until_ns(arrival_ns) as f64 * 1e-9;
-        let due = ((silent_s * self.rate_hz).round() as u64).saturating_sub(1).min(UNSEEN_MAX);
-        let start_over = "the device began anew: its frame counter and clock start over";
-        self.event(Event {
-            kind: EventKind::Host,
-            row: 0,
-            device_ticks: frame.device_ticks,
-            host_ns: arrival_ns,
-            input: 0,
-            text: format!(
-                "{start_over}; by the host's clock {silent_s:.3} s without a frame, {due} were due"
-            ),
-        });
-        due
+    /// How many frames fit between two that are so far apart.
+    fn due(&self, silent_s: f64) -> u64 {
+        ((silent_s * self.rate_hz).round() as u64).saturating_sub(1).min(UNSEEN_MAX)
     }
 }

@@ -1,0 +1,152 @@
+//! Devices that stall, are reset, or lose their power while the line to them stays.
+
+use std::time::Duration;
+
+use mocapd_simulator::{
+    device::{Device, DeviceSettings, LineDevice, SentFrame, SentLog},
+    ndi::{NdiDevice, NdiSettings},
+};
+
+use super::{Folder, devices::Simulated};
+use crate::support::jump;
+
+/// A device that has trouble so long after it was first asked for something.
+struct Troubled<D> {
+    device: D,
+    trouble: Option<Trouble<D>>,
+    begun_ns: Option<u64>,
+}
+
+enum Trouble<D> {
+    /// It does nothing for a while.
+    Stalls(Duration),
+    /// It is reset as by a break.
+    IsReset,
+    /// From then on it is this one.
+    IsAnother(Box<D>),
+}
+
+const AFTER_NS: u64 = 1_500_000_000;
+
+impl<D> Troubled<D> {
+    fn new(device: D, trouble: Trouble<D>) -> Self {
+        Self { device, trouble: Some(trouble), begun_ns: None }
+    }
+}
+
+impl<D: LineDevice> LineDevice for Troubled<D> {
+    fn on_bytes(&mut self, bytes: &[u8], now_ns: u64) {
+        self.begun_ns.get_or_insert(now_ns);
+        self.device.on_bytes(bytes, now_ns);
+    }
+
+    fn on_break(&mut self, now_ns: u64) {
+        self.device.on_break(now_ns);
+    }
+
+    fn poll(&mut self, now_ns: u64) -> u64 {
+        let is_time = self.begun_ns.is_some_and(|begun_ns| now_ns - begun_ns > AFTER_NS);
+        match self.trouble.take_if(|_| is_time) {
+            None => {}
+            Some(Trouble::Stalls(time)) => std::thread::sleep(time),
+            Some(Trouble::IsReset) => self.device.on_break(now_ns),
+            Some(Trouble::IsAnother(other)) => self.device = *other,
+        }
+        // Looked at often enough for the trouble to come in time.
+        self.device.poll(now_ns).min(now_ns + 10_000_000)
+    }
+
+    fn pending(&self) -> &[u8] {
+        self.device.pending()
+    }
+
+    fn sent(&mut self, n: usize) {
+        self.device.sent(n);
+    }
+
+    fn baud(&self) -> Option<u32> {
+        self.device.baud()
+    }
+
+    fn has_ended(&self) -> bool {
+        self.device.has_ended()
+    }
+
+    fn log(&self) -> SentLog {
+        self.device.log()
+    }
+
+    fn keep_frame_log(&mut self) {
+        self.device.keep_frame_log();
+    }
+
+    fn take_frames(&mut self) -> Vec<SentFrame> {
+        self.device.take_frames()
+    }
+}
+
+/// Records for `seconds`: the ledger closes, the take is as long as it lasted, and has frames to its end.
+fn recorded(device: &Simulated, driver: &str, seconds: f64) -> serde_json::Value {
+    let folder = Folder::new();
+    let uri = format!("{}{driver}", device.uri());
+    let time = format!("{seconds}s");
+    let ran = folder.run(&["record", "-d", &uri, "-o", "a.take", "--seconds", &time, "--json"]);
+    let report = ran.json();
+    assert_eq!(report["ending"], "stopped", "{}", ran.stderr);
+    assert_eq!(report["ledger"]["closes"], true, "{}", report["ledger"]);
+    let info = folder.run(&["info", "a.take", "--json"]).json();
+    let lasted_s = info["seconds"].as_f64().unwrap();
+    assert!((lasted_s - seconds).abs() < 1.2, "{lasted_s} s for {seconds}: {}", ran.stderr);
+    folder.run(&["export", "a.take", "-o", "a.csv"]);
+    let table = folder.text("a.csv");
+    let last_rows = table.lines().rev().take(20);
+    let has_samples = |line: &str| line.split(',').skip(2).any(|cell| !cell.is_empty());
+    assert!(
+        last_rows.into_iter().any(has_samples),
+        "it ends with rows that nobody sent: {}",
+        ran.stderr
+    );
+    info
+}
+
+fn events(info: &serde_json::Value) -> String {
+    let texts = info["events"].as_array().unwrap().iter();
+    texts.filter_map(|event| event["text"].as_str()).collect::<Vec<_>>().join("; ")
+}
+
+#[test]
+fn an_ndi_system_that_stalls_or_is_reset_or_replaced_invents_no_frame() {
+    let system = || {
+        let motion = jump(6, 60.0, 2.0);
+        let settings =
+            NdiSettings { tools: vec!["head".into()], looping: true, ..NdiSettings::default() };
+        NdiDevice::new(motion, settings).unwrap()
+    };
+    for (trouble, name) in [
+        (Trouble::Stalls(Duration::from_millis(900)), "a stall"),
+        (Trouble::IsReset, "a reset"),
+        (Trouble::IsAnother(Box::new(system())), "a replacement"),
+    ] {
+        let device = Simulated::serve(Troubled::new(system(), trouble), None);
+        let info = recorded(&device, "?driver=ndi", 6.0);
+        assert!(events(&info).contains("is back after"), "{name}: {}", events(&info));
+    }
+}
+
+/// A rig on a UART adapter: the port stays when the rig loses its power.
+#[test]
+fn a_device_that_loses_its_power_behind_a_line_that_stays_is_started_again() {
+    let device = || {
+        let settings = DeviceSettings {
+            looping: true,
+            queue_bytes: Some(64 << 20),
+            ..DeviceSettings::default()
+        };
+        Device::new(jump(7, 120.0, 2.0), settings).unwrap()
+    };
+    let troubled = Troubled::new(device(), Trouble::IsAnother(Box::new(device())));
+    let device = Simulated::serve(troubled, None);
+    let info = recorded(&device, "", 12.0);
+    assert!(events(&info).contains("began anew"), "{}", events(&info));
+    assert_eq!(info["outages"]["count"], 1);
+}
