@@ -11,6 +11,8 @@ pub struct Difference {
     pub frames: u64,
     /// Frames that only one of the two has.
     pub frames_missing: u64,
+    /// Frames of the original that the take lost to damage, or with its end: they were not compared.
+    pub frames_lost: u64,
     /// Markers whose label or place differs, or that only one of the two has.
     pub labels_differing: Vec<String>,
     /// What had to be decided to compare at all, one sentence each.
@@ -21,6 +23,8 @@ pub struct Difference {
     pub gaps_differing: u64,
     /// Samples that are not the same to the bit.
     pub bits_differing: u64,
+    /// Samples farther away than the block that they are in states; of an original that is exact.
+    pub beyond_stated: u64,
     /// The largest Euclidean distance, in millimetres.
     pub max_error_mm: f64,
     /// Root mean square distance, in millimetres.
@@ -75,6 +79,11 @@ pub fn compare(
     }
     let mut sum_of_squares = 0.0;
     while take.next_frame(&mut row)? && original.next_frame(&mut original_row)? {
+        if take.is_lost() {
+            difference.frames_lost += 1;
+            difference.frames += 1;
+            continue;
+        }
         for marker in 0..n_markers {
             let a = row.get(marker).copied().unwrap_or(GAP);
             let b = original_row.get(marker).copied().unwrap_or(GAP);
@@ -83,6 +92,9 @@ pub fn compare(
                 (false, false) => {
                     let error_mm = distance_mm(a, b);
                     difference.samples += 1;
+                    let stated_mm = take.stated_error_mm(marker);
+                    difference.beyond_stated +=
+                        u64::from(stated_mm.is_some_and(|mm| error_mm > mm));
                     difference.bits_differing +=
                         u64::from(a.map(f32::to_bits) != b.map(f32::to_bits));
                     sum_of_squares += error_mm * error_mm;
@@ -100,6 +112,7 @@ pub fn compare(
     }
     let only_one = |n: u64| n.saturating_sub(difference.frames);
     difference.frames_missing = only_one(ours.n_frames) + only_one(theirs.n_frames);
+    difference.frames -= difference.frames_lost;
     difference.rms_error_mm = (sum_of_squares / difference.samples.max(1) as f64).sqrt();
     Ok(difference)
 }

@@ -10,6 +10,9 @@ use mocapd_take::{
 };
 use rustix::rand::{GetRandomFlags, getrandom};
 
+/// What a take says wrote it.
+pub const SOFTWARE: &str = concat!("mocapd ", env!("CARGO_PKG_VERSION"));
+
 /// The header of a recording that begins now, with everything but channels and device.
 ///
 /// # Errors
@@ -27,7 +30,7 @@ pub fn new(codec: &Settings, rate_hz: f64) -> anyhow::Result<Header> {
 #[must_use]
 pub fn of_import(codec: &Settings, rate_hz: f64) -> Header {
     let mut header = Header {
-        software: concat!("mocapd ", env!("CARGO_PKG_VERSION")).to_owned(),
+        software: SOFTWARE.to_owned(),
         take_id: [0; 16],
         created_unix_ms: 0,
         resampler: String::new(),

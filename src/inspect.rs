@@ -3,15 +3,22 @@
 use std::io::Read;
 
 use mocapd_take::{
-    TakeError, TakeEvent,
-    frames::nameless,
-    reader::{TakeBytes, read_events},
+    TakeError, TakeEvent, TakeReader,
+    chunk::MAGIC,
+    frames::mended,
+    loss::{Losses, LostRows},
+    reader::{TakeBytes, pull},
     record::{Channel, Clock, ClockLine, Event, Header, Ledger},
     stretch::{Stretch, StretchDecoder},
+    table::ChannelTable,
     timeline::{Causes, Timeline},
 };
 
-use crate::clock::ClockStatus;
+use crate::clock::{Apart, ClockStatus, LineAgain};
+
+mod claims;
+
+use self::claims::Claims;
 
 /// One channel, over the whole take.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -25,6 +32,9 @@ pub struct ChannelSummary {
     /// The largest error that the blocks with samples of it state for all their channels, in
     /// millimetres.
     pub max_error_mm: f64,
+    /// Rows that are lost because the take is damaged, or was when it was recovered: it was announced, and
+    /// nobody knows whether it was seen.
+    pub rows_damaged: u64,
     in_gap: bool,
 }
 
@@ -33,8 +43,8 @@ pub struct ChannelSummary {
 pub struct Summary {
     /// Its header.
     pub header: Option<Header>,
-    /// The whole channel table.
-    pub channels: Vec<Channel>,
+    table: ChannelTable,
+    losses: Losses,
     /// By channel.
     pub per_channel: Vec<ChannelSummary>,
     /// Rows, lost ones included.
@@ -52,6 +62,8 @@ pub struct Summary {
     /// Times that the device was away, and the rows missing for it.
     pub outages: (u32, u64),
     in_outage: bool,
+    line_again: LineAgain,
+    claims: Claims,
     /// The events.
     pub events: Vec<Event>,
     /// What an importer kept: kind, and bytes as they were.
@@ -63,6 +75,7 @@ pub struct Summary {
     damage_told: bool,
     /// What was found may not be all rows.
     damaged: bool,
+    ended: bool,
     /// What the bytes are for.
     pub bytes: TakeBytes,
     /// Whether the take was closed in order.
@@ -82,58 +95,63 @@ impl Summary {
     ///
     /// # Errors
     /// `NotATake`, `Unsupported`, `Io`. Damage is a problem, not an error.
-    pub fn read(input: impl Read) -> Result<Self, TakeError> {
+    pub fn read(mut input: impl Read) -> Result<Self, TakeError> {
         let mut summary = Self::default();
         let mut decoder = None;
-        read_events(input, |event| {
-            match event {
-                TakeEvent::Header(header) => {
-                    decoder = Some(StretchDecoder::new(header.codec()?));
-                    summary.add_channels(&header.channels);
-                    summary.header = Some(*header);
+        let mut reader = TakeReader::new();
+        // Events lie behind each other: one begins where the one before ends.
+        let mut offset = 0;
+        while !summary.ended {
+            match reader.next_event()? {
+                Some(event) => {
+                    summary.event(event, offset.max(MAGIC.len() as u64), &mut decoder)?;
                 }
-                TakeEvent::Channels(more) => summary.add_channels(&more),
-                TakeEvent::Stretch(stretch) => {
-                    if let Some(decoder) = &mut decoder {
-                        summary.add_stretch(&stretch, decoder);
-                    }
-                }
-                TakeEvent::Unplaced { missing_before, n_rows, rows_min } => {
-                    summary.add_unplaced(missing_before, n_rows, rows_min);
-                }
-                TakeEvent::Event(event) => summary.events.push(event),
-                TakeEvent::Ledger(ledger) => summary.ledger = Some(*ledger),
-                TakeEvent::Foreign(part) => {
-                    summary.foreign.push((part.kind, part.data.len() as u64));
-                }
-                TakeEvent::Clock(clock) => {
-                    summary.clock_probes += clock.probes.len() as u64;
-                    summary.clock_points += clock.points.len() as u64;
-                    if let Some(line) = clock.line {
-                        summary.clock_lines.pop_if(|last| last.0 == clock.segment);
-                        summary.clock_lines.push((clock.segment, line));
-                    }
-                    summary.clock = Some(Clock { probes: vec![], points: vec![], ..*clock });
-                }
-                TakeEvent::Footer(footer) => summary.check_rows(footer.n_rows),
-                TakeEvent::Damaged { offset, len, message } => {
-                    summary.problems.push(format!("{len} bytes at byte {offset}: {message}"));
-                    summary.damage_told = true;
-                    summary.damaged = true;
-                }
-                TakeEvent::End { finished, bytes } => {
-                    summary.finished = finished;
-                    summary.bytes = bytes;
-                }
-                TakeEvent::Index(_) | TakeEvent::Skipped { .. } => {}
+                None => pull(&mut input, &mut reader)?,
             }
-            Ok(())
-        })?;
+            offset = reader.offset();
+        }
         summary.skip_rows_to(summary.rows);
+        summary.losses.at_least(summary.rows);
+        let lost = summary.losses.finish();
+        summary.lose(lost);
         if !summary.finished {
             summary.problems.push("the take was cut off: its end is missing".to_owned());
         }
         Ok(summary)
+    }
+
+    /// The whole channel table.
+    #[must_use]
+    pub fn channels(&self) -> &[Channel] {
+        self.table.channels()
+    }
+
+    /// Rows that are lost because the take is damaged, or was when it was recovered.
+    #[must_use]
+    pub fn damage(&self) -> &[LostRows] {
+        self.losses.lost()
+    }
+
+    /// Whether anything was found that is damaged, missing or not decodable: what a whole take says of itself need
+    /// not be true then.
+    #[must_use]
+    pub fn is_damaged(&self) -> bool {
+        self.damaged
+    }
+
+    /// What the take says of itself and what is not so, though nothing is damaged: one sentence each.
+    #[must_use]
+    pub fn contradictions(&self) -> &[String] {
+        self.claims.broken()
+    }
+
+    /// How far the clocks' line lies from what the stored observations give; `None` where there is no line, or not
+    /// all of them are there.
+    #[must_use]
+    pub fn clock_apart(&self) -> Option<Apart> {
+        let stalled = |told: &String| told.contains("observations of the clocks");
+        let dropped = self.ledger.as_ref().is_some_and(|l| l.contradictions.iter().any(stalled));
+        if self.damaged || dropped { None } else { self.line_again.apart() }
     }
 
     /// How the clocks ran in the end, as far as the take tells.
@@ -188,15 +206,88 @@ impl Summary {
         ratio(self.samples() + self.rows_with_samples, 2 * self.knots())
     }
 
+    /// The next thing found, which begins at file offset `offset`.
+    fn event(
+        &mut self,
+        event: TakeEvent<'_>,
+        offset: u64,
+        decoder: &mut Option<StretchDecoder>,
+    ) -> Result<(), TakeError> {
+        match event {
+            TakeEvent::Header(header) => {
+                *decoder = Some(StretchDecoder::new(header.codec()?));
+                self.claims = Claims::new(header.tolerance_mm);
+                self.add_channels(&header.channels);
+                self.header = Some(*header);
+            }
+            TakeEvent::Channels(more) => self.add_channels(&more),
+            TakeEvent::Mended { offset } => self.problems.push(mended(offset)),
+            TakeEvent::Stretch(stretch) => {
+                if let Some(decoder) = decoder {
+                    self.add_stretch(&stretch, offset, decoder);
+                }
+            }
+            TakeEvent::Unplaced { missing_before, n_rows, rows_min } => {
+                self.add_unplaced(missing_before, n_rows, rows_min);
+            }
+            TakeEvent::Event(event) => self.events.push(event),
+            TakeEvent::Ledger(ledger) => {
+                self.claims.ledger(&ledger, offset, self.samples(), self.damaged);
+                self.ledger = Some(*ledger);
+            }
+            TakeEvent::Foreign(part) => {
+                self.foreign.push((part.kind, part.data.len() as u64));
+            }
+            TakeEvent::Clock(clock) => {
+                self.clock_probes += clock.probes.len() as u64;
+                self.clock_points += clock.points.len() as u64;
+                self.line_again.add(&clock);
+                if let Some(line) = clock.line {
+                    self.clock_lines.pop_if(|last| last.0 == clock.segment);
+                    self.clock_lines.push((clock.segment, line));
+                }
+                self.clock = Some(Clock { probes: vec![], points: vec![], ..*clock });
+            }
+            TakeEvent::Footer(footer) => {
+                self.claims.footer(&footer, self.damaged);
+                self.check_rows(footer.n_rows);
+            }
+            TakeEvent::Damaged { offset, len, message, .. } => {
+                self.problems.push(format!("{len} bytes at byte {offset}: {message}"));
+                self.damage_told = true;
+                self.damaged = true;
+                self.table.damaged();
+            }
+            TakeEvent::End { finished, bytes } => {
+                self.ended = true;
+                self.finished = finished;
+                self.bytes = bytes;
+            }
+            TakeEvent::Index(entries) => self.claims.index(&entries, offset, self.damaged),
+            TakeEvent::Skipped { .. } => {}
+        }
+        Ok(())
+    }
+
     fn add_channels(&mut self, more: &[Channel]) {
-        self.channels.extend_from_slice(more);
-        // A marker that appears later has had a gap until then.
-        let late = ChannelSummary {
+        self.table.append(more);
+        self.per_channel.resize(self.table.channels().len(), self.late());
+    }
+
+    /// A marker that appears later has had a gap until then.
+    fn late(&self) -> ChannelSummary {
+        ChannelSummary {
             in_gap: self.rows > 0,
             gaps: u64::from(self.rows > 0),
             ..Default::default()
-        };
-        self.per_channel.resize(self.channels.len(), late);
+        }
+    }
+
+    /// So many rows of every channel.
+    fn lose(&mut self, rows: u64) {
+        for channel in &mut self.per_channel {
+            channel.rows_damaged += rows;
+        }
     }
 
     fn check_rows(&mut self, n_rows: u64) {
@@ -237,9 +328,11 @@ impl Summary {
         self.rows = self.rows.max(rows_min);
     }
 
-    fn add_stretch(&mut self, stretch: &Stretch<'_>, decoder: &mut StretchDecoder) {
+    fn add_stretch(&mut self, stretch: &Stretch<'_>, offset: u64, decoder: &mut StretchDecoder) {
         let span = stretch.span;
         let end = span.end_row();
+        self.damaged |= stretch.missing_before;
+        self.claims.key(span, offset);
         if stretch.missing_before && !std::mem::take(&mut self.damage_told) {
             self.problems.push(format!("stretches before frame {} are missing", span.first_row));
         }
@@ -247,8 +340,10 @@ impl Summary {
             self.add_outages(timeline);
         }
         if span.n_rows == 0 {
-            // The take ends with lost rows.
+            // The take ends with lost rows, or some were lost before it was recovered.
             self.rows = self.rows.max(end);
+            let lost = self.losses.stretch(stretch);
+            self.lose(lost);
             return;
         }
         self.name_channels(stretch.stated_channels());
@@ -264,9 +359,13 @@ impl Summary {
         if let Some(reason) = refused {
             let frames = format!("frames {} to {}", span.first_row, end.saturating_sub(1));
             self.problems.push(format!("the stretch of {frames}: {reason}"));
+            self.damaged = true;
             return;
         }
         self.skip_rows_to(span.first_row);
+        let lost = self.losses.stretch(stretch);
+        self.lose(lost);
+        self.claims.stretch(stretch, self.table.channels().len());
         self.stretches += 1;
         self.end_of_stretches = end;
         let n_rows = span.n_rows as usize;
@@ -283,6 +382,7 @@ impl Summary {
                 continue;
             };
             channel.max_error_mm = channel.max_error_mm.max(rows.max_error_mm);
+            self.claims.block(span.first_row, rows.max_error_mm);
             for row in 0..n_rows {
                 let present = rows.present[row];
                 channel.gaps += u64::from(!present && !channel.in_gap);
@@ -311,17 +411,11 @@ impl Summary {
 
     /// A stretch has samples of so many channels at least: those without an entry in the table get one.
     fn name_channels(&mut self, n_channels: usize) {
-        let nameless_from = self.channels.len();
-        if nameless_from < n_channels {
-            let lost = n_channels - nameless_from;
-            self.problems.push(format!("the names of {lost} markers are lost"));
-            let nameless = (nameless_from..n_channels).map(|column| Channel {
-                marker_id: u16::MAX,
-                label: nameless(column).label,
-                labelled: false,
-            });
-            self.add_channels(&nameless.collect::<Vec<_>>());
-        }
+        let Some(renamed) = self.table.stated(n_channels) else { return };
+        self.problems.push(renamed.to_string());
+        let late = self.late();
+        let at = renamed.first.min(self.per_channel.len());
+        self.per_channel.splice(at..at, std::iter::repeat_n(late, renamed.inserted));
     }
 }
 

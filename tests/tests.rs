@@ -10,6 +10,7 @@
 mod architecture;
 mod cli;
 mod pipeline;
+mod recovery;
 mod replay;
 mod support;
 mod take_file;

@@ -3,6 +3,7 @@
 mod bench;
 mod clock;
 mod codec_args;
+mod damage;
 mod demo;
 mod devices;
 mod doctor;
@@ -16,6 +17,7 @@ mod output;
 mod paths;
 mod progress;
 mod record;
+mod recover;
 mod usage;
 mod values;
 mod verify;
@@ -53,6 +55,8 @@ enum Command {
     Info(info::Args),
     /// Check a take: checksums, every block, the ledger, and every sample against an original
     Verify(verify::Args),
+    /// Write a take again of what can be read of one that was cut off or damaged
+    Recover(recover::Args),
     /// Look whether this machine can record, and say what to type where it cannot
     Doctor(doctor::Args),
     /// Measure this machine
@@ -80,6 +84,7 @@ pub(crate) fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Export(args) => export::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Verify(args) => verify::run(&args),
+        Command::Recover(args) => recover::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Bench(bench) => bench::run(&bench),
     }

@@ -7,6 +7,7 @@
 //!
 //! Sans-io: times and ticks go in. Nothing here allocates after it was made, or reads a clock.
 
+mod again;
 mod arrivals;
 mod fit;
 mod judge;
@@ -16,6 +17,7 @@ mod probes;
 #[cfg(test)]
 mod tests;
 
+pub use again::{Apart, LineAgain};
 pub use fit::{Bound, Burst, Line, fit};
 pub use model::{ClockEvent, ClockItem, ClockModel, ClockStatus};
 pub use prober::Prober;

@@ -5,11 +5,15 @@ use std::io::{Read, Seek, SeekFrom};
 use crate::{
     TakeError, TakeEvent, TakeReader,
     index::Footer,
-    motion::{FrameSource, GAP, Marker, Motion, MotionInfo, Position, Source, UpAxis},
+    motion::{FrameSource, GAP, Motion, MotionInfo, Position, Source, UpAxis},
     reader::{pull, read_events},
     record::Header,
     stretch::{Span, StretchDecoder},
+    table::ChannelTable,
+    timeline::Causes,
 };
+
+pub use crate::table::nameless;
 
 /// Most bytes of foreign parts that are held in memory.
 const FOREIGN_BYTES_MAX: usize = 1 << 28;
@@ -25,10 +29,15 @@ pub struct TakeFrames<R> {
     input: R,
     info: MotionInfo,
     n_held: u64,
+    tolerance_mm: f64,
+    damaged: bool,
+    cut_off: bool,
     reader: TakeReader,
     decoder: StretchDecoder,
     /// The stretch that `decoder` holds.
     current: Option<Span>,
+    /// By channel, what its blocks state.
+    stated_mm: Vec<Option<f64>>,
     next_row: u64,
     /// The damage that explains a missing stretch was told.
     damage_told: bool,
@@ -45,25 +54,35 @@ impl<R: Read + Seek> TakeFrames<R> {
         let mut info = MotionInfo::default();
         let mut header = None;
         let mut problems = Vec::new();
-        let mut n_channels = 0;
+        let mut table = ChannelTable::default();
         let mut n_held = 0_u64;
         let mut damaged = false;
+        let mut cut_off = false;
         let mut foreign_bytes = 0;
         read_events(&mut input, |event| {
             match event {
                 TakeEvent::Header(found) => {
                     describe(&found, &mut info);
+                    table.append(&found.channels);
                     header = Some(found);
                 }
-                TakeEvent::Channels(more) => info.markers.extend(more.iter().map(Into::into)),
+                TakeEvent::Channels(more) => table.append(&more),
                 TakeEvent::Stretch(stretch) => {
+                    damaged |= stretch.missing_before;
+                    // A recovered take says itself which rows it has not.
+                    damaged |=
+                        stretch.timeline.iter().flat_map(|t| &t.runs).any(|run| {
+                            run.lost.is_some_and(|causes| causes.contains(Causes::DAMAGED))
+                        });
                     // Rows that come twice, and those of no channel, are not held.
                     if stretch.blocks.iter().any(|block| !block.is_empty()) {
                         let first = stretch.span.first_row.max(info.n_frames);
                         n_held += stretch.span.end_row().saturating_sub(first);
                     }
                     info.n_frames = info.n_frames.max(stretch.span.end_row());
-                    n_channels = n_channels.max(stretch.stated_channels());
+                    if let Some(renamed) = table.stated(stretch.stated_channels()) {
+                        problems.push(renamed.to_string());
+                    }
                 }
                 TakeEvent::Unplaced { rows_min, .. } => {
                     damaged = true;
@@ -89,11 +108,14 @@ impl<R: Read + Seek> TakeFrames<R> {
                         info.foreign.push(part);
                     }
                 }
-                TakeEvent::Damaged { offset, len, message } => {
+                TakeEvent::Damaged { offset, len, message, .. } => {
                     damaged = true;
+                    table.damaged();
                     problems.push(format!("{len} bytes at byte {offset}: {message}"));
                 }
+                TakeEvent::Mended { offset } => problems.push(mended(offset)),
                 TakeEvent::End { finished: false, .. } => {
+                    cut_off = true;
                     problems.push("the take was cut off: its end is missing".into());
                 }
                 _ => {}
@@ -101,19 +123,19 @@ impl<R: Read + Seek> TakeFrames<R> {
             Ok(())
         })?;
         let header = header.ok_or(TakeError::NotATake("no intact header was found"))?;
-        if n_channels > info.markers.len() {
-            problems
-                .push(format!("the names of {} markers are lost", n_channels - info.markers.len()));
-            info.markers.extend((info.markers.len()..n_channels).map(nameless));
-        }
+        info.markers = table.channels().iter().map(Into::into).collect();
         input.seek(SeekFrom::Start(0))?;
         Ok(Self {
             input,
             info,
             n_held,
+            tolerance_mm: header.tolerance_mm,
+            damaged,
+            cut_off,
             reader: TakeReader::new(),
             decoder: StretchDecoder::new(header.codec()?),
             current: None,
+            stated_mm: Vec::new(),
             next_row: 0,
             damage_told: false,
             problems,
@@ -125,6 +147,18 @@ impl<R: Read + Seek> TakeFrames<R> {
     #[must_use]
     pub fn n_held(&self) -> u64 {
         self.n_held
+    }
+
+    /// The bound that was asked for; 0 for `lossless`.
+    #[must_use]
+    pub fn tolerance_mm(&self) -> f64 {
+        self.tolerance_mm
+    }
+
+    /// Whether its end is missing.
+    #[must_use]
+    pub fn is_cut_off(&self) -> bool {
+        self.cut_off
     }
 
     /// What is missing or damaged, one sentence each. Complete after the last frame.
@@ -154,6 +188,10 @@ impl<R: Read + Seek> TakeFrames<R> {
                         match self.decoder.decode(&stretch) {
                             Ok(()) => {
                                 self.current = Some(span);
+                                let stated =
+                                    self.decoder.rows().map(|rows| Some(rows?.max_error_mm));
+                                self.stated_mm.clear();
+                                self.stated_mm.extend(stated);
                                 return Ok(true);
                             }
                             Err(error) => error.to_string(),
@@ -211,18 +249,27 @@ impl<R: Read + Seek> FrameSource for TakeFrames<R> {
         self.next_row += 1;
         Ok(true)
     }
+
+    fn stated_error_mm(&self, column: usize) -> Option<f64> {
+        if self.is_lost() { None } else { self.stated_mm.get(column).copied().flatten() }
+    }
+
+    fn is_lost(&self) -> bool {
+        let Some(row) = self.next_row.checked_sub(1) else { return false };
+        self.damaged
+            && !self.current.is_some_and(|span| (span.first_row..span.end_row()).contains(&row))
+    }
 }
 
-/// A marker whose entry in the channel table is lost.
+/// What to say of a chunk whose head was damaged.
 #[must_use]
-pub fn nameless(column: usize) -> Marker {
-    Marker { label: format!("u{:03}", column + 1), labelled: false }
+pub fn mended(offset: u64) -> String {
+    format!("the head of the chunk at byte {offset} is damaged; its content is whole")
 }
 
 fn describe(header: &Header, info: &mut MotionInfo) {
     info.rate_hz = header.rate_hz;
     info.up = UpAxis::from_code(header.up_axis);
-    info.markers = header.channels.iter().map(Into::into).collect();
     info.source = match (&header.source, &header.device) {
         (Some(source), _) => Source {
             format: source.format.clone(),

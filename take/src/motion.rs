@@ -115,6 +115,17 @@ pub trait FrameSource {
     /// # Errors
     /// Whatever reading the source meets.
     fn next_frame(&mut self, row: &mut [Position]) -> std::io::Result<bool>;
+
+    /// The largest error in millimetres that the source states of a marker, by column, around the frame it gave
+    /// last; `None` where it states none.
+    fn stated_error_mm(&self, _column: usize) -> Option<f64> {
+        None
+    }
+
+    /// Whether the frame it gave last stands for one that was damaged in the file: nobody knows what was in it.
+    fn is_lost(&self) -> bool {
+        false
+    }
 }
 
 /// A [`FrameSource`] over trajectories in memory.

@@ -3,10 +3,12 @@
 mod bytes;
 mod chunks;
 mod io;
+mod mend;
 
 pub use bytes::TakeBytes;
 
 pub use io::{pull, read_events};
+pub(crate) use mend::head as mend_head;
 
 use self::chunks::is_one_other_chunk;
 use crate::{
@@ -60,8 +62,16 @@ pub enum TakeEvent<'a> {
         offset: u64,
         /// How many bytes.
         len: u64,
+        /// The type of chunk that their first byte says, if it is one.
+        kind: Option<u8>,
         /// What is wrong.
         message: String,
+    },
+    /// Type or length of the chunk that follows were damaged; where the next one begins and its CRC told what
+    /// they were. Nothing of it is lost.
+    Mended {
+        /// File offset of the chunk.
+        offset: u64,
     },
     /// The end of the bytes, said once after [`TakeReader::finish`].
     End {
@@ -182,23 +192,30 @@ impl TakeReader {
     fn end(&mut self) -> Result<TakeEvent<'static>, TakeError> {
         self.ended = true;
         if self.chain.is_none() {
-            return Err(TakeError::NotATake("no intact header was found"));
+            return Err(TakeError::NotATake(
+                "no intact header was found; try `mocapd recover`, which can put one byte of it right",
+            ));
         }
         Ok(TakeEvent::End { finished: self.seen_footer, bytes: self.bytes })
     }
 
-    /// Steps over what is damaged, to the next whole chunk or the end.
+    /// Steps over what is damaged, to the next whole chunk or the end; or makes it whole where that is proven.
     fn skip_damage(&mut self, message: &str) -> TakeEvent<'static> {
         let (offset, start) = (self.offset(), self.used);
         self.used = chunk::resync(&self.buffer, self.used + 1).unwrap_or(self.buffer.len());
         self.wanted = 1;
+        if mend::head(&mut self.buffer[start..self.used]) {
+            self.used = start;
+            return TakeEvent::Mended { offset };
+        }
         let (len, message) = (self.offset() - offset, message.to_owned());
         self.bytes.other += len;
+        let kind = self.buffer.get(start).copied().filter(|kind| chunk::types::ALL.contains(kind));
         if !is_one_other_chunk(&self.buffer[start..self.used])
             && let Some(chain) = &mut self.chain
         {
             chain.break_off();
         }
-        TakeEvent::Damaged { offset, len, message }
+        TakeEvent::Damaged { offset, len, kind, message }
     }
 }

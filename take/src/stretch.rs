@@ -11,7 +11,10 @@ pub(crate) use self::chain::{Chain, Placed};
 pub use self::{decoder::StretchDecoder, front::FrontWriter};
 use mocapd_codec::{GROUP_CHANNELS, ResamplerKind};
 
-use crate::{timeline::Timeline, varint};
+use crate::{
+    timeline::{Causes, Run, Timeline},
+    varint,
+};
 
 /// Most rows of one stretch of any kind: over an hour at 1000 Hz, for the resamplers that are not cut into
 /// stretches.
@@ -99,6 +102,18 @@ pub struct Stretch<'a> {
 }
 
 impl Stretch<'_> {
+    /// The row after the stretch before it: where its account of rows begins, lost ones included.
+    #[must_use]
+    pub fn from_row(&self) -> u64 {
+        self.timeline.as_ref().map_or(self.span.first_row, |timeline| timeline.first_row)
+    }
+
+    /// Whether it has no rows, and stands for stretches that were damaged: a recovery wrote it in their place.
+    pub(crate) fn stands_for_damaged(&self) -> bool {
+        let runs = self.timeline.as_ref().map_or(&[][..], |timeline| &timeline.runs);
+        self.span.n_rows == 0 && all_damaged(runs)
+    }
+
     /// The channels that its blocks state, those before them included. The most of a take's stretches
     /// is how many channels it has samples of at least.
     #[must_use]
@@ -108,6 +123,12 @@ impl Stretch<'_> {
         };
         self.blocks.iter().enumerate().filter_map(stated).max().unwrap_or(0)
     }
+}
+
+/// Whether runs are those of rows that were damaged before a recovery.
+fn all_damaged(runs: &[Run]) -> bool {
+    let damaged = |run: &Run| run.lost.is_some_and(|causes| causes.contains(Causes::DAMAGED));
+    !runs.is_empty() && runs.iter().all(damaged)
 }
 
 /// Appends one group's block; one that is `alone` in its stretch needs no length.

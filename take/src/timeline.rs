@@ -24,6 +24,14 @@ impl Causes {
     pub const RING_FULL: Self = Self(2);
     /// The device was gone.
     pub const DISCONNECTED: Self = Self(4);
+    /// They were recorded, and damaged in the file that this take was recovered from.
+    pub const DAMAGED: Self = Self(8);
+
+    /// Whether all of `other` are among these.
+    #[must_use]
+    pub fn contains(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
 
     /// Whether all of these are among them.
     #[must_use]

@@ -143,6 +143,11 @@ impl<W: Write> TakeWriter<W> {
         &mut self.out
     }
 
+    /// A chunk of another take that is no stretch, unchanged.
+    pub(crate) fn copy(&mut self, kind: u8, payload: &[u8]) -> Result<(), TakeError> {
+        self.chunk(kind, payload)
+    }
+
     fn record<R: Record>(&mut self, record: &R) -> Result<(), TakeError> {
         self.chunk(R::KIND, &record.to_payload()?)
     }

@@ -117,7 +117,8 @@ fn every_byte_that_is_damaged_is_noticed() {
         bad[at] ^= 0x41;
         folder.write("bad.take", &bad);
         let code = folder.run(&["verify", "bad.take"]).code;
-        let header = at < header_end(&take);
+        // Type and length of a chunk come back by its checksum, even those of the header.
+        let header = at < header_end(&take) && !(8..11).contains(&at);
         assert_eq!(code, Some(if header { 1 } else { 3 }), "byte {at} of {}", take.len());
     }
 }

@@ -3,6 +3,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use mocapd_take::{
+    chunk::{self, Front, types},
+    index::Footer,
+};
 use serde_json::Value;
 
 use super::{
@@ -128,6 +132,19 @@ fn info_and_verify() {
     let bytes = folder.read("cut.take");
     folder.write("damaged.take", &bytes[..bytes.len() - 1]);
     infos.push(info("damaged.take"));
+    // One of a recording has lost frames.
+    let mut bytes = folder.read(take);
+    let mut at = chunk::MAGIC.len();
+    let mut last = 0;
+    while let Front::Whole { kind, len, .. } = chunk::front(&bytes[at..]) {
+        last = if kind == types::STRETCH { at } else { last };
+        at += len;
+    }
+    bytes[last + 8..last + 12].fill(0);
+    folder.write("hurt.take", &bytes);
+    infos.push(info("hurt.take"));
+    folder.run(&["recover", "hurt.take", "-o", "recovered.take"]).with_code(3);
+    infos.push(info("recovered.take"));
     check("`mocapd info`", &infos);
 
     // Names that scripts rely on.
@@ -153,6 +170,12 @@ fn info_and_verify() {
     let csv = "demo/jump-001.csv";
     folder.run(&["import", csv, "-o", "again.take", "--tolerance", "1mm"]).with_code(0);
     let verify = |args: &[&str]| folder.run(&[&["verify", "--json"], args].concat()).json();
+    // A footer that tells of other places, its checksum good.
+    let bytes = folder.read(take);
+    let mut broken = bytes[..bytes.len() - Footer::CHUNK_BYTES].to_vec();
+    let footer = Footer { index_offset: 8, ledger_offset: 8, n_rows: 120 };
+    chunk::put(&mut broken, types::FOOTER, &footer.to_payload()).unwrap();
+    folder.write("broken.take", broken);
     let other = folder.text(csv).replace("head", "crown");
     folder.write("other.csv", other);
     check(
@@ -161,6 +184,19 @@ fn info_and_verify() {
             verify(&["again.take", "--against", csv]),
             verify(&["again.take", "--against", "other.csv"]),
             verify(&["damaged.take"]),
+            verify(&[take]),
+            verify(&["hurt.take"]),
+            verify(&["broken.take"]),
+        ],
+    );
+
+    let recover = |take: &str, to: &str| folder.run(&["recover", take, "-o", to, "--json"]).json();
+    check(
+        "`mocapd recover`",
+        &[
+            recover("hurt.take", "mended.take"),
+            recover("cut.take", "whole.take"),
+            recover(take, "again2.take"),
         ],
     );
 }

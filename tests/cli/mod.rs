@@ -15,7 +15,9 @@ mod imports;
 mod ndi;
 mod outputs;
 mod recording;
+mod recoveries;
 mod troubled;
 mod unprivileged;
+mod verify;
 
 use folder::{Folder, Ran};

@@ -6,11 +6,13 @@ use mocapd::inspect::{Summary, size_ratio};
 use mocapd_take::{
     reader::TakeBytes,
     record::{Event, EventKind, Header},
+    recovery::RECOVERED,
 };
 use serde::Serialize;
 
 use crate::cli::{
     clock::ClockReport,
+    damage::DamageReport,
     ledger::{LedgerReport, OutagesReport},
 };
 
@@ -19,6 +21,8 @@ pub(super) struct Report {
     pub(super) take: PathBuf,
     pub(super) finished: bool,
     pub(super) problems: Vec<String>,
+    pub(super) damage: Vec<DamageReport>,
+    pub(super) recovered: Option<String>,
     pub(super) software: String,
     pub(super) created: Option<String>,
     pub(super) resampler: String,
@@ -123,15 +127,18 @@ pub(super) struct ChannelReport {
     pub(super) gaps: u64,
     pub(super) knots: u64,
     pub(super) max_error_mm: f64,
+    pub(super) frames_damaged: u64,
 }
 
 impl Report {
     pub(super) fn new(take: &Path, summary: &Summary, header: &Header, file_bytes: u64) -> Self {
-        let channels = summary.channels.iter().zip(&summary.per_channel);
+        let channels = summary.channels().iter().zip(&summary.per_channel);
         Self {
             take: take.to_owned(),
             finished: summary.finished,
             problems: summary.problems.clone(),
+            damage: DamageReport::all(summary.damage()),
+            recovered: recovered(header),
             software: header.software.clone(),
             created: created(header),
             resampler: header.resampler.clone(),
@@ -166,7 +173,7 @@ impl Report {
                 .collect(),
             frames: summary.rows,
             seconds: summary.rows as f64 / header.rate_hz,
-            markers: summary.channels.len(),
+            markers: summary.channels().len(),
             rate_hz: header.rate_hz,
             samples: summary.samples(),
             raw_bytes: summary.raw_bytes(),
@@ -189,6 +196,7 @@ impl Report {
                     gaps: found.gaps,
                     knots: found.knots,
                     max_error_mm: found.max_error_mm,
+                    frames_damaged: found.rows_damaged,
                 })
                 .collect(),
         }
@@ -204,6 +212,12 @@ impl Report {
 fn created(header: &Header) -> Option<String> {
     let unix_ms = Some(header.created_unix_ms).filter(|&unix_ms| unix_ms != 0)?;
     Some(jiff::Timestamp::from_millisecond(unix_ms).ok()?.to_string())
+}
+
+/// What its recoveries say, where it was recovered.
+fn recovered(header: &Header) -> Option<String> {
+    let told = header.settings.iter().filter(|(key, _)| key == RECOVERED);
+    told.map(|(_, words)| words.clone()).reduce(|all, next| format!("{all}; again {next}"))
 }
 
 impl EventReport {

@@ -5,6 +5,7 @@ use std::fmt::Write;
 use super::report::Report;
 use crate::cli::{
     clock::ClockReport,
+    damage,
     ledger::LedgerReport,
     numbers::{bytes, count, thousands},
     output::plain,
@@ -19,9 +20,15 @@ pub(super) fn words(report: &Report) -> String {
     line("take", &report.take.display().to_string());
     let by = format!("by {}", report.software);
     line("made", &report.created.as_ref().map_or(by.clone(), |created| format!("{created} {by}")));
+    if let Some(recovered) = &report.recovered {
+        line("recovered", recovered);
+    }
     origin(report, &mut line);
     motion(report, &mut line);
     size(report, &mut line);
+    for lost in damage::lines(&report.damage) {
+        line("lost", &lost);
+    }
     for event in &report.events {
         let frame = thousands(event.frame);
         line("event", &format!("at frame {frame}: {} {}", event.kind, event.text));
@@ -38,6 +45,8 @@ pub(super) fn words(report: &Report) -> String {
         &report.clock.as_ref().map(ClockReport::words).or_else(by_ledger).unwrap_or_default(),
     );
     markers(report, &mut out);
+    let damaged = report.channels.iter().map(|c| (c.label.as_str(), c.frames_damaged));
+    out.push_str(&damage::by_marker(&damaged.collect::<Vec<_>>()));
     out
 }
 

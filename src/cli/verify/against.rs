@@ -23,10 +23,12 @@ pub(crate) struct AgainstReport {
     notes: Vec<String>,
     frames: u64,
     frames_missing: u64,
+    frames_lost: u64,
     labels_differing: Vec<String>,
     samples: u64,
     gaps_differing: u64,
     bits_differing: u64,
+    beyond_stated: Option<u64>,
     max_error_mm: f64,
     rms_error_mm: f64,
     worst_frame: Option<u64>,
@@ -47,21 +49,33 @@ pub(super) fn against(
         TakeFrames::open(BufReader::new(files::open(path)?))
             .with_context(|| format!("cannot read {}", path.display()))
     };
-    let difference = if paths::is_take(original) {
-        compare(open(take)?, open(original)?)
+    let take_frames = open(take)?;
+    let cut_off = take_frames.is_cut_off();
+    let (difference, exact) = if paths::is_take(original) {
+        let original = open(original)?;
+        let exact = original.tolerance_mm() == 0.0;
+        (compare(take_frames, original), exact)
     } else {
-        compare(open(take)?, MotionFrames::new(&read_motion(original)?))
+        (compare(take_frames, MotionFrames::new(&read_motion(original)?)), true)
     };
-    let difference = difference.with_context(|| {
+    let mut difference = difference.with_context(|| {
         format!("cannot compare {} with {}", take.display(), original.display())
     })?;
-    Ok(AgainstReport::new(difference, tolerance_mm))
+    if cut_off {
+        // What came behind the cut is lost, and no difference.
+        difference.frames_lost += std::mem::take(&mut difference.frames_missing);
+    }
+    Ok(AgainstReport::new(difference, tolerance_mm, exact))
 }
 
 impl AgainstReport {
-    pub(crate) fn new(difference: Difference, tolerance_mm: f64) -> Self {
+    /// `exact`: the original is what the take was made of, and no other rounding of it.
+    pub(crate) fn new(difference: Difference, tolerance_mm: f64, exact: bool) -> Self {
+        let beyond_stated = exact.then_some(difference.beyond_stated);
         Self {
-            within_tolerance: difference.is_within(tolerance_mm),
+            within_tolerance: difference.is_within(tolerance_mm) && beyond_stated.unwrap_or(0) == 0,
+            beyond_stated,
+            frames_lost: difference.frames_lost,
             notes: difference.notes,
             frames: difference.frames,
             frames_missing: difference.frames_missing,
@@ -98,6 +112,14 @@ impl AgainstReport {
         );
         for note in &self.notes {
             out += &format!("  {note}\n");
+        }
+        if self.frames_lost > 0 {
+            let frames = count(self.frames_lost, "frame");
+            out += &format!("  not compared, the take lost them: {frames}\n");
+        }
+        if let Some(beyond) = self.beyond_stated.filter(|&beyond| beyond > 0) {
+            let samples = count(beyond, "sample");
+            out += &format!("  FARTHER AWAY than their blocks state: {samples}\n");
         }
         if self.frames_missing > 0 {
             out += &format!("  in one of the two only: {}\n", count(self.frames_missing, "frame"));

@@ -8,16 +8,17 @@ use std::{
 };
 
 use anyhow::{Context, bail};
-use mocapd::{files, inspect::Summary, outcome::Outcome};
+use mocapd::{clock::Apart, files, inspect::Summary, outcome::Outcome};
 use mocapd_take::record::{Header, Ledger};
 use serde::Serialize;
 
 pub(super) use self::against::AgainstReport;
 use self::against::against;
 use super::{
+    damage::{self, DamageReport},
     ledger::LedgerReport,
     numbers::count,
-    output::{print, print_json, say},
+    output::{plain, print, print_json, say},
     paths,
 };
 
@@ -39,11 +40,29 @@ struct Report {
     intact: bool,
     ledger_closes: Option<bool>,
     problems: Vec<String>,
+    contradictions: Vec<String>,
     frames: u64,
+    damage: Vec<DamageReport>,
+    markers: Vec<MarkerReport>,
     samples: u64,
     tolerance_mm: f64,
     stated_max_error_mm: f64,
+    clock: Option<ClockCheck>,
     against: Option<AgainstReport>,
+}
+
+#[derive(Debug, Serialize)]
+struct MarkerReport {
+    label: String,
+    frames_damaged: u64,
+}
+
+/// The line through the clocks, laid again from what the take stores.
+#[derive(Debug, Serialize)]
+struct ClockCheck {
+    agrees: bool,
+    apart_us: f64,
+    apart_ppm: f64,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
@@ -73,6 +92,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     {
         bail!("{} differs from {}", args.take.display(), original.display());
     }
+    if let Some(contradiction) = report.contradictions.first() {
+        bail!("{} contradicts itself: {contradiction}", args.take.display());
+    }
     let lost = summary.ledger.as_ref().is_some_and(Ledger::lost_anything);
     Ok(Outcome::of(lost || !report.intact))
 }
@@ -86,6 +108,7 @@ impl Report {
         }
         if let Some(ledger) = &summary.ledger
             && summary.finished
+            && summary.is_damaged()
             && ledger.samples_present != summary.samples()
         {
             problems.push(format!(
@@ -94,15 +117,34 @@ impl Report {
                 summary.samples()
             ));
         }
+        let mut contradictions = summary.contradictions().to_vec();
+        let clock = summary.clock_apart().map(|Apart { offset_us, drift_ppm, agrees }| {
+            if !agrees {
+                contradictions.push(format!(
+                    "the clocks' line lies {offset_us:.1} us and {drift_ppm:.3} ppm off the one that its observations give"
+                ));
+            }
+            ClockCheck { agrees, apart_us: offset_us, apart_ppm: drift_ppm }
+        });
+        let markers = summary.channels().iter().zip(&summary.per_channel);
         Self {
             take: take.to_owned(),
             intact: problems.is_empty(),
             ledger_closes,
             problems,
+            contradictions,
             frames: summary.rows,
+            damage: DamageReport::all(summary.damage()),
+            markers: markers
+                .map(|(channel, found)| MarkerReport {
+                    label: channel.label.clone(),
+                    frames_damaged: found.rows_damaged,
+                })
+                .collect(),
             samples: summary.samples(),
             tolerance_mm: header.tolerance_mm,
             stated_max_error_mm: summary.max_error_mm(),
+            clock,
             against: None,
         }
     }
@@ -110,11 +152,24 @@ impl Report {
     fn words(&self) -> String {
         let state = if self.intact { "intact" } else { "NOT INTACT" };
         let mut out = format!(
-            "{}: {state}, {}, {}, every checksum and every block checked\n",
+            "{}: {state}, {}, {}, every checksum, every block and every ledger checked\n",
             self.take.display(),
             count(self.frames, "frame"),
             count(self.samples, "sample")
         );
+        if let Some(ClockCheck { apart_us, apart_ppm, .. }) = &self.clock {
+            out += &format!(
+                "the clocks' line laid again from what the take stores: {apart_us:+.1} us and {apart_ppm:+.3} ppm apart\n"
+            );
+        }
+        for line in damage::lines(&self.damage) {
+            out += &format!("lost {line}\n");
+        }
+        let damaged = self.markers.iter().map(|m| (m.label.as_str(), m.frames_damaged));
+        out += &damage::by_marker(&damaged.collect::<Vec<_>>());
+        for contradiction in &self.contradictions {
+            out += &format!("CONTRADICTION: {}\n", plain(contradiction));
+        }
         if let Some(against) = &self.against {
             out += &against.words(self.tolerance_mm);
         }

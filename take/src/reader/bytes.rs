@@ -50,6 +50,7 @@ impl TakeBytes {
             TakeEvent::Unplaced { .. }
             | TakeEvent::Skipped { .. }
             | TakeEvent::Damaged { .. }
+            | TakeEvent::Mended { .. }
             | TakeEvent::End { .. } => &mut self.other,
         };
         *counter += len;

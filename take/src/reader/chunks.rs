@@ -34,7 +34,7 @@ impl TakeReader {
             }
             self.bytes.other += len as u64;
             let message = format!("a chunk of type {kind:02x} before the header");
-            return Ok(TakeEvent::Damaged { offset, len: len as u64, message });
+            return Ok(damaged(offset, len, kind, message));
         };
         let event = match kind {
             types::CHANNELS => {
@@ -62,19 +62,22 @@ impl TakeReader {
                     types::HEADER => "a second header".to_owned(),
                     _ => format!("chunk type {kind:02x} is unknown: use a newer mocapd"),
                 };
-                Ok(TakeEvent::Damaged { offset, len: len as u64, message })
+                Ok(damaged(offset, len, kind, message))
             }
         };
         let event = event.unwrap_or_else(|error| match error {
             TakeError::Unsupported { .. } if kind & MAY_SKIP != 0 => TakeEvent::Skipped { kind },
-            error => {
-                let message = error.to_string();
-                TakeEvent::Damaged { offset, len: len as u64, message }
-            }
+            error => damaged(offset, len, kind, error.to_string()),
         });
         self.bytes.add(&event, len as u64);
         Ok(event)
     }
+}
+
+/// A chunk whose content is wrong.
+fn damaged(offset: u64, len: usize, kind: u8, message: String) -> TakeEvent<'static> {
+    let kind = Some(kind).filter(|kind| types::ALL.contains(kind));
+    TakeEvent::Damaged { offset, len: len as u64, kind, message }
 }
 
 impl<'a> From<Placed<'a>> for TakeEvent<'a> {

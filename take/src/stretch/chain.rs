@@ -79,6 +79,8 @@ impl Chain {
                 }
                 // As many as there are numbers may be missing, or more.
                 missing_before |= !was_broken && row > self.next_row;
+                // Unless it says itself what became of those before it.
+                missing_before &= row > self.next_row || !front.stands_for_damaged();
                 row
             }
             None if was_broken || missing_before => {

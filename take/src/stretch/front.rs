@@ -177,6 +177,13 @@ impl<'a> Front<'a> {
     }
 }
 
+impl Front<'_> {
+    /// Whether it has no rows, and stands for stretches that were damaged: a recovery wrote it in their place.
+    pub(crate) fn stands_for_damaged(&self) -> bool {
+        self.n_rows == 0 && super::all_damaged(self.runs.as_deref().unwrap_or_default())
+    }
+}
+
 fn take_runs(cursor: &mut varint::Cursor<'_>) -> Option<Vec<Run>> {
     let mut runs = Vec::new();
     for _ in 0..cursor.varint()? {

@@ -1,0 +1,113 @@
+//! Frames that are lost to damage, as JSON and as words, the same for `info`, `verify` and `recover`.
+
+use std::fmt::Write;
+
+use mocapd_take::loss::{LostRows, Why};
+use serde::Serialize;
+
+use super::{
+    numbers::{count, thousands},
+    output::plain,
+};
+
+/// Ranges that are told one by one; more of them are summed up.
+const TOLD_MAX: usize = 20;
+
+#[derive(Debug, Clone, Serialize)]
+pub(crate) struct DamageReport {
+    first_frame: u64,
+    frames: u64,
+    cause: &'static str,
+}
+
+impl DamageReport {
+    pub(crate) fn all(lost: &[LostRows]) -> Vec<Self> {
+        let report = |lost: &LostRows| Self {
+            first_frame: lost.first_row,
+            frames: lost.rows,
+            cause: match lost.why {
+                Why::Damaged => "damaged in the file",
+                Why::BeforeRecovery => "damaged before the take was recovered",
+            },
+        };
+        lost.iter().map(report).collect()
+    }
+
+    fn words(&self) -> String {
+        let Self { first_frame, frames, cause } = self;
+        let last = first_frame.saturating_add(frames.saturating_sub(1));
+        match frames {
+            1 => format!("frame {}: {cause}", thousands(*first_frame)),
+            _ => format!(
+                "frames {} to {}, {}: {cause}",
+                thousands(*first_frame),
+                thousands(last),
+                count(*frames, "frame")
+            ),
+        }
+    }
+}
+
+/// Which frames are lost, a line each.
+pub(crate) fn lines(damage: &[DamageReport]) -> Vec<String> {
+    let mut lines: Vec<String> = damage.iter().take(TOLD_MAX).map(DamageReport::words).collect();
+    if let Some(more) = damage.get(TOLD_MAX..).filter(|more| !more.is_empty()) {
+        let frames = more.iter().map(|damage| damage.frames).sum();
+        lines.push(format!(
+            "{} more, {}",
+            count(more.len() as u64, "range"),
+            count(frames, "frame")
+        ));
+    }
+    lines
+}
+
+/// How many frames each marker lost, markers of the same number together; empty when none lost any.
+pub(crate) fn by_marker(markers: &[(&str, u64)]) -> String {
+    let mut groups: Vec<(u64, Vec<&str>)> = Vec::new();
+    for &(label, frames) in markers {
+        match groups.iter_mut().find(|(n, _)| *n == frames) {
+            Some((_, labels)) => labels.push(label),
+            None => groups.push((frames, vec![label])),
+        }
+    }
+    let whole = groups.len() == 1;
+    let mut out = String::new();
+    for (frames, labels) in groups.iter().filter(|(frames, _)| *frames > 0) {
+        let who = match labels.as_slice() {
+            [label] => plain(label).into_owned(),
+            labels if whole => format!("each of {}", count(labels.len() as u64, "marker")),
+            labels => plain(&labels.join(", ")).into_owned(),
+        };
+        writeln!(out, "  {:>15} lost to damage: {who}", count(*frames, "frame")).ok();
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn markers_that_lost_the_same_stand_together() {
+        let markers = [("a", 30), ("b", 30), ("c", 0), ("d", 7)];
+        assert_eq!(
+            by_marker(&markers),
+            "        30 frames lost to damage: a, b\n         7 frames lost to damage: d\n"
+        );
+        assert_eq!(
+            by_marker(&[("a", 30), ("b", 30)]),
+            "        30 frames lost to damage: each of 2 markers\n"
+        );
+        assert_eq!(by_marker(&[("a", 0)]), "");
+    }
+
+    #[test]
+    fn many_ranges_are_summed_up() {
+        let range = |first_row| LostRows { first_row, rows: 2, why: Why::Damaged };
+        let lost: Vec<_> = (0..25).map(|i| range(10 * i)).collect();
+        let lines = lines(&DamageReport::all(&lost));
+        assert_eq!(lines[1], "frames 10 to 11, 2 frames: damaged in the file");
+        assert_eq!(lines.last().unwrap(), "5 ranges more, 10 frames");
+    }
+}

@@ -1,0 +1,120 @@
+//! What `recover` says, as docs/json.md has it, and for people.
+
+use std::{fmt::Write, path::PathBuf};
+
+use mocapd_take::recovery::{KindCount, Survey};
+use serde::Serialize;
+
+use super::Args;
+use crate::cli::{
+    damage::{self, DamageReport},
+    ledger::LedgerReport,
+    numbers::{bytes, count, thousands},
+    output::plain,
+};
+
+#[derive(Debug, Serialize)]
+pub(super) struct Report {
+    take: PathBuf,
+    output: PathBuf,
+    lost: bool,
+    finished: bool,
+    problems: Vec<String>,
+    chunks: Vec<ChunkReport>,
+    frames: u64,
+    frames_recovered: u64,
+    frames_damaged: u64,
+    samples: u64,
+    damage: Vec<DamageReport>,
+    markers: Vec<MarkerReport>,
+    take_bytes: u64,
+    discarded_bytes: u64,
+    output_bytes: u64,
+    ledger: LedgerReport,
+}
+
+#[derive(Debug, Serialize)]
+struct ChunkReport {
+    kind: &'static str,
+    recovered: u64,
+    discarded: u64,
+}
+
+#[derive(Debug, Serialize)]
+struct MarkerReport {
+    label: String,
+    samples: u64,
+    frames_damaged: u64,
+}
+
+impl Report {
+    pub(super) fn new(
+        args: &Args,
+        survey: &Survey,
+        problems: Vec<String>,
+        take_bytes: u64,
+        output_bytes: u64,
+    ) -> Self {
+        let chunk = |count: &KindCount| ChunkReport {
+            kind: count.kind.name(),
+            recovered: count.recovered,
+            discarded: count.discarded,
+        };
+        let there = |count: &&KindCount| count.recovered + count.discarded > 0;
+        let markers = survey.channels().iter().zip(survey.per_channel());
+        Self {
+            take: args.take.clone(),
+            output: args.output.clone(),
+            lost: survey.lost_anything(),
+            finished: survey.finished(),
+            problems,
+            chunks: survey.kinds().iter().filter(there).map(chunk).collect(),
+            frames: survey.rows(),
+            frames_recovered: survey.recorded(),
+            frames_damaged: survey.rows_damaged(),
+            samples: survey.per_channel().iter().map(|channel| channel.samples).sum(),
+            damage: DamageReport::all(survey.damage()),
+            markers: markers
+                .map(|(channel, found)| MarkerReport {
+                    label: channel.label.clone(),
+                    samples: found.samples,
+                    frames_damaged: found.rows_damaged,
+                })
+                .collect(),
+            take_bytes,
+            discarded_bytes: survey.discarded_bytes(),
+            output_bytes,
+            ledger: LedgerReport::new(survey.ledger()),
+        }
+    }
+
+    pub(super) fn problems(&self) -> &[String] {
+        &self.problems
+    }
+
+    pub(super) fn words(&self) -> String {
+        let mut out = format!(
+            "{}: {} of {}, {}, {} of the {} read\n",
+            plain(&self.output.display().to_string()),
+            count(self.frames_recovered, "frame"),
+            count(self.markers.len() as u64, "marker"),
+            count(self.samples, "sample"),
+            bytes(self.take_bytes.saturating_sub(self.discarded_bytes)),
+            bytes(self.take_bytes),
+        );
+        writeln!(out, "{:<15} {:>10} {:>10}", "chunks", "recovered", "discarded").ok();
+        for ChunkReport { kind, recovered, discarded } in &self.chunks {
+            let (recovered, discarded) = (thousands(*recovered), thousands(*discarded));
+            writeln!(out, "  {kind:<13} {recovered:>10} {discarded:>10}").ok();
+        }
+        let (recovered, damaged) =
+            (thousands(self.frames_recovered), thousands(self.frames_damaged));
+        writeln!(out, "  {:<13} {recovered:>10} {damaged:>10}", "frames").ok();
+        for line in damage::lines(&self.damage) {
+            writeln!(out, "lost {line}").ok();
+        }
+        let damaged = self.markers.iter().map(|m| (m.label.as_str(), m.frames_damaged));
+        out += &damage::by_marker(&damaged.collect::<Vec<_>>());
+        out
+    }
+}

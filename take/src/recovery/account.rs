@@ -1,0 +1,119 @@
+//! The ledger of a recovered take: what the last one said, and what stands in the file behind it.
+
+use crate::{
+    loss::LostRows,
+    record::Ledger,
+    stretch::Stretch,
+    timeline::{Causes, Run},
+};
+
+/// Rows by what became of them, as far as the stretches tell.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+struct Rows {
+    recorded: u64,
+    not_received: u64,
+    ring_full: u64,
+    disconnected: u64,
+    /// In a file that this one was recovered from.
+    damaged: u64,
+}
+
+impl Rows {
+    fn add(&mut self, run: &Run) {
+        let counter = match run.lost {
+            None => &mut self.recorded,
+            Some(causes) if causes.contains(Causes::DAMAGED) => &mut self.damaged,
+            // Of several causes together nobody knows which rows had which: the first that may be the host's or
+            // the link's. The counters of ledgers know, and these are taken where there are any.
+            Some(causes) if causes.contains(Causes::NOT_RECEIVED) => &mut self.not_received,
+            Some(causes) if causes.contains(Causes::RING_FULL) => &mut self.ring_full,
+            Some(_) => &mut self.disconnected,
+        };
+        *counter = counter.saturating_add(run.rows);
+    }
+
+    fn since(self, before: Self) -> Self {
+        Self {
+            recorded: self.recorded - before.recorded,
+            not_received: self.not_received - before.not_received,
+            ring_full: self.ring_full - before.ring_full,
+            disconnected: self.disconnected - before.disconnected,
+            damaged: self.damaged - before.damaged,
+        }
+    }
+
+    fn sum(self) -> u64 {
+        let lost = [self.not_received, self.ring_full, self.disconnected, self.damaged];
+        lost.iter().fold(self.recorded, |sum, &n| sum.saturating_add(n))
+    }
+}
+
+/// Counts as the file is read.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Account {
+    rows: Rows,
+    announced: u64,
+    present: u64,
+    /// The last ledger, and what had been counted when it came.
+    last: Option<(Ledger, Rows)>,
+}
+
+impl Account {
+    /// A stretch that is kept: so many channels were announced, so many samples are in it.
+    pub(super) fn stretch(&mut self, stretch: &Stretch<'_>, n_channels: usize, samples: u64) {
+        let before = self.rows.recorded;
+        match &stretch.timeline {
+            Some(timeline) => timeline.runs.iter().for_each(|run| self.rows.add(run)),
+            None => self.rows.add(&Run { rows: stretch.span.n_rows.into(), lost: None }),
+        }
+        let recorded = self.rows.recorded - before;
+        self.announced = self.announced.saturating_add(recorded.saturating_mul(n_channels as u64));
+        self.present = self.present.saturating_add(samples);
+    }
+
+    pub(super) fn ledger(&mut self, ledger: Ledger) {
+        self.last = Some((ledger, self.rows));
+    }
+
+    /// Frames in the stretches that are kept.
+    pub(super) fn recorded(&self) -> u64 {
+        self.rows.recorded
+    }
+
+    pub(super) fn last(&self) -> Option<&Ledger> {
+        self.last.as_ref().map(|(ledger, _)| ledger)
+    }
+
+    /// A ledger of what is kept. `lost`: the rows that were damaged here.
+    ///
+    /// What the last ledger counted stands, but for frames that it has as recorded and that are not kept; these
+    /// are lost, as are the damaged rows behind it.
+    pub(super) fn close(&self, lost: &[LostRows]) -> Ledger {
+        let (mut ledger, before) = self.last.clone().unwrap_or_default();
+        let rows_then = ledger.frames_sent;
+        let since = self.rows.since(before);
+        let lost_then = ledger.recorded.saturating_sub(before.recorded);
+        let behind = |lost: &LostRows| {
+            let end = lost.first_row.saturating_add(lost.rows);
+            end.saturating_sub(lost.first_row.max(rows_then))
+        };
+        let lost_since = if ledger.finished { 0 } else { lost.iter().map(behind).sum() };
+
+        let add = |counter: &mut u64, by: u64| *counter = counter.saturating_add(by);
+        add(&mut ledger.frames_sent, since.sum());
+        add(&mut ledger.frames_sent, lost_since);
+        add(&mut ledger.lost_on_link, since.not_received);
+        add(&mut ledger.lost_ring_full, since.ring_full);
+        add(&mut ledger.unknown_after_disconnect, since.disconnected);
+        add(&mut ledger.lost_other, since.damaged);
+        add(&mut ledger.lost_other, lost_then);
+        add(&mut ledger.lost_other, lost_since);
+        ledger.recorded = self.rows.recorded;
+        ledger.samples_announced = self.announced.max(self.present);
+        ledger.samples_present = self.present;
+        ledger.samples_occluded = ledger.samples_announced - self.present;
+        ledger.samples_not_finite = ledger.samples_not_finite.min(ledger.samples_occluded);
+        ledger.finished = true;
+        ledger
+    }
+}

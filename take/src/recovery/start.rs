@@ -1,0 +1,127 @@
+//! A take whose first bytes are damaged: without a header nothing can be read, so a single wrong byte there is
+//! put right where its CRC tells which.
+
+use std::io::{self, Read, Seek, SeekFrom};
+
+use crate::chunk::{self, Front, MAGIC, types};
+
+/// Headers that are looked at: 10 000 labels fit.
+const START_BYTES_MAX: u64 = 4 << 20;
+
+/// The reflected polynomial of CRC-32 (IEEE).
+const POLYNOMIAL: u32 = 0xedb8_8320;
+
+/// What was wrong with the start, in words.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Mended {
+    /// The eight bytes that every take begins with.
+    Magic,
+    /// One byte of the header.
+    HeaderByte(u64),
+}
+
+/// A file whose start reads as it must have been.
+#[derive(Debug)]
+pub struct MendedStart<R> {
+    input: R,
+    start: Vec<u8>,
+    at: u64,
+}
+
+/// Looks at the start of a file, from where it stands, and puts right what can be: the magic in front of a whole
+/// header, and one byte of a header. Says what it was; whatever else is wrong stays.
+///
+/// A header with one wrong byte has exactly one CRC that fits each such byte, but for one case in thousands;
+/// a header with more wrong bytes looks like one with a single one in one of 10^4 cases, and is then still no
+/// header. Where two bytes would explain the CRC, nothing is changed.
+///
+/// # Errors
+/// What reading meets.
+pub fn mend_start<R: Read + Seek>(mut input: R) -> io::Result<(MendedStart<R>, Vec<Mended>)> {
+    let mut start = Vec::new();
+    input.seek(SeekFrom::Start(0))?;
+    input.by_ref().take(START_BYTES_MAX).read_to_end(&mut start)?;
+    input.seek(SeekFrom::Start(0))?;
+    let mut mended = Vec::new();
+    if let Some((magic, rest)) = start.split_at_mut_checked(MAGIC.len()) {
+        if let Some(at) = mend_header(rest) {
+            mended.push(Mended::HeaderByte((MAGIC.len() + at) as u64));
+        }
+        let header = matches!(chunk::front(rest), Front::Whole { kind: types::HEADER, .. });
+        if header && *magic != MAGIC {
+            magic.copy_from_slice(&MAGIC);
+            mended.push(Mended::Magic);
+        }
+    }
+    if mended.is_empty() {
+        start = Vec::new();
+    }
+    Ok((MendedStart { input, start, at: 0 }, mended))
+}
+
+/// Puts the one wrong byte of the header at the front of `bytes` right, if there is one, and says where.
+fn mend_header(bytes: &mut [u8]) -> Option<usize> {
+    if chunk::front(bytes) != Front::Damaged {
+        return None;
+    }
+    let Front::Whole { kind: types::HEADER, len, .. } = chunk::split(bytes) else { return None };
+    let (body, crc) = bytes.get_mut(..len)?.split_last_chunk_mut::<4>()?;
+    let difference = crc32fast::hash(body) ^ u32::from_le_bytes(*crc);
+    // A wrong byte of the CRC itself.
+    if difference.to_le_bytes().iter().filter(|&&byte| byte != 0).count() == 1 {
+        *crc = crc32fast::hash(body).to_le_bytes();
+        return Some(len - 4);
+    }
+    let (at, by) = wrong_byte(difference, body.len())?;
+    // Type and length are what the reader mends.
+    body[at] ^= by;
+    Some(at)
+}
+
+/// The byte of so many, and what it is off by, that changes the CRC by this; `None` when no or several do.
+fn wrong_byte(difference: u32, len: usize) -> Option<(usize, u8)> {
+    let table = table();
+    let mut state = difference;
+    let mut found = None;
+    for at in (0..len).rev() {
+        // The byte before which the CRC was right: its own entry is all that is left.
+        let by = (0..=255_u8).find(|&by| table[usize::from(by)] == state).filter(|&by| by != 0);
+        if let Some(by) = by
+            && found.replace((at, by)).is_some()
+        {
+            return None;
+        }
+        // Back over one byte that was right.
+        let (index, entry) =
+            table.iter().enumerate().find(|(_, entry)| **entry >> 24 == state >> 24)?;
+        state = (state ^ entry) << 8 | index as u32;
+    }
+    found
+}
+
+fn table() -> [u32; 256] {
+    std::array::from_fn(|byte| {
+        (0..8)
+            .fold(byte as u32, |crc, _| if crc & 1 == 1 { crc >> 1 ^ POLYNOMIAL } else { crc >> 1 })
+    })
+}
+
+impl<R: Read> Read for MendedStart<R> {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        let n = self.input.read(bytes)?;
+        let from = usize::try_from(self.at).unwrap_or(usize::MAX);
+        if let Some(mended) = self.start.get(from..) {
+            let n = n.min(mended.len());
+            bytes[..n].copy_from_slice(&mended[..n]);
+        }
+        self.at += n as u64;
+        Ok(n)
+    }
+}
+
+impl<R: Seek> Seek for MendedStart<R> {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.at = self.input.seek(to)?;
+        Ok(self.at)
+    }
+}

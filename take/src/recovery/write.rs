@@ -1,0 +1,148 @@
+//! The second way through the file: its good chunks, copied.
+
+use std::io::{Read, Seek, SeekFrom, Write};
+
+use super::{Piece, RECOVERED, Survey};
+use crate::{
+    TakeError,
+    chunk::{self, Front},
+    reader::mend_head,
+    record::{Event, EventKind, Header},
+    stretch::{FrontWriter, ROWS_PASSED_MAX, Span},
+    timeline::{Causes, Timeline, TimelineEncoder},
+    writer::TakeWriter,
+};
+
+impl Survey {
+    /// What was lost, in a few words for whoever reads the new take.
+    #[must_use]
+    pub fn losses_in_words(&self) -> String {
+        if !self.lost_anything() {
+            return "nothing was lost".to_owned();
+        }
+        let mut words = Vec::new();
+        match self.rows_damaged() {
+            0 => {}
+            1 => words.push("1 frame was damaged".to_owned()),
+            rows => words.push(format!("{rows} frames were damaged")),
+        }
+        if !self.finished() {
+            words.push("the end was cut off".to_owned());
+        }
+        if self.discarded_bytes() > 0 {
+            words.push(format!("{} bytes could not be read", self.discarded_bytes()));
+        }
+        if words.is_empty() {
+            words.push("names of markers were lost".to_owned());
+        }
+        words.join(", ")
+    }
+
+    /// Writes the new take. `input` is the file that was surveyed, `software` what the new take says of who made
+    /// it. Gives the bytes written.
+    ///
+    /// # Errors
+    /// `Io`; `Corrupt` when the file is not the one that was surveyed.
+    pub fn write(
+        &self,
+        mut input: impl Read + Seek,
+        output: impl Write,
+        software: &str,
+    ) -> Result<u64, TakeError> {
+        let mut header = self.header().clone();
+        let told = format!("by {software}: {}", self.losses_in_words());
+        header.settings.push((RECOVERED.to_owned(), told.clone()));
+        let mut take = TakeWriter::new(output, &header)?;
+        let mut fronts = fronts(&header);
+        let mut bytes = Vec::new();
+        for piece in &self.pieces {
+            match piece {
+                Piece::Chunk { offset, len, kind, span } => {
+                    read_chunk(&mut input, *offset, *len, &mut bytes)?;
+                    let payload = payload(&mut bytes, *kind, *offset)?;
+                    match span {
+                        Some(span) => take.stretch(*span, payload)?,
+                        None => take.copy(*kind, payload)?,
+                    }
+                }
+                Piece::Channels(channels) => take.channels(channels)?,
+                Piece::Lost { first_row, rows, number } => {
+                    let rows = (*rows).min(ROWS_PASSED_MAX);
+                    lost(&mut take, &mut fronts, *first_row, rows, *number)?;
+                }
+            }
+        }
+        if self.lost_anything() {
+            take.event(&host_event(self.rows(), format!("recovered {told}")))?;
+        }
+        let (mut output, written) = take.finish(self.ledger())?;
+        output.flush()?;
+        Ok(written)
+    }
+}
+
+fn fronts(header: &Header) -> FrontWriter {
+    let tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz);
+    FrontWriter::with_times(header.stretch_rows, TimelineEncoder::new(tick_hz, header.rate_hz))
+}
+
+/// What stands for rows that are lost: a stretch without any, and an event for people.
+fn lost<W: Write>(
+    take: &mut TakeWriter<W>,
+    fronts: &mut FrontWriter,
+    first_row: u64,
+    rows: u64,
+    number: u8,
+) -> Result<(), TakeError> {
+    let end = first_row.saturating_add(rows);
+    let mut timeline = Timeline::default();
+    timeline.restart(first_row);
+    timeline.push_lost(rows, Causes::DAMAGED);
+    let span = Span { first_row: end, n_rows: 0, key: true, number };
+    let mut payload = Vec::new();
+    fronts.put(span, &timeline, &[], true, &mut payload);
+    take.stretch(span, &payload)?;
+    if rows > 0 {
+        let frames = match rows {
+            1 => format!("frame {first_row} was"),
+            _ => format!("frames {first_row} to {} were", end - 1),
+        };
+        let text = format!("{frames} damaged in the file that this take was recovered from");
+        take.event(&host_event(first_row, text))?;
+    }
+    Ok(())
+}
+
+fn host_event(row: u64, text: String) -> Event {
+    Event { kind: EventKind::Host, row, device_ticks: 0, host_ns: 0, input: 0, text }
+}
+
+fn read_chunk(
+    input: &mut (impl Read + Seek),
+    offset: u64,
+    len: u64,
+    bytes: &mut Vec<u8>,
+) -> Result<(), TakeError> {
+    input.seek(SeekFrom::Start(offset))?;
+    bytes.clear();
+    // As long as the file has it: its length was seen when it was read whole.
+    input.by_ref().take(len).read_to_end(bytes)?;
+    Ok(())
+}
+
+/// The payload of a chunk that was whole, or whose head could be mended.
+fn payload(bytes: &mut [u8], kind: u8, offset: u64) -> Result<&[u8], TakeError> {
+    if !matches!(chunk::front(bytes), Front::Whole { .. }) {
+        mend_head(bytes);
+    }
+    match chunk::front(bytes) {
+        Front::Whole { kind: found, payload, len } if found == kind && len == bytes.len() => {
+            Ok(payload)
+        }
+        _ => Err(TakeError::Corrupt {
+            what: "chunk",
+            offset,
+            message: "the file changed while it was read".to_owned(),
+        }),
+    }
+}

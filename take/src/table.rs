@@ -1,0 +1,145 @@
+//! The channel table as it grows, and where entries of it are lost.
+
+use std::fmt;
+
+use crate::{motion::Marker, record::Channel};
+
+/// Entries in order of columns. A lost entry shows when a stretch states more channels than there are entries:
+/// it gets a name of its own, where it stood, so that no other channel gets a name that is not its own.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct ChannelTable {
+    channels: Vec<Channel>,
+    hole: Option<Hole>,
+}
+
+/// Entries may be missing here.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Hole {
+    /// Before this column.
+    column: usize,
+    /// And elsewhere behind it: nobody knows which entries are whose.
+    several: bool,
+}
+
+/// What became of a table when lost entries showed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Renamed {
+    /// The first column without its name.
+    pub first: usize,
+    /// Columns that had no entry.
+    pub inserted: usize,
+    /// Columns without a name from `first` on: those inserted, and those whose entry may be another's.
+    pub nameless: usize,
+}
+
+impl fmt::Display for Renamed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "the names of {} markers are lost", self.nameless)
+    }
+}
+
+impl ChannelTable {
+    /// The entries so far.
+    #[must_use]
+    pub fn channels(&self) -> &[Channel] {
+        &self.channels
+    }
+
+    /// Entries that were read.
+    pub fn append(&mut self, more: &[Channel]) {
+        self.channels.extend_from_slice(more);
+    }
+
+    /// Bytes that cannot be read: entries may have been among them.
+    pub fn damaged(&mut self) {
+        let column = self.channels.len();
+        match &mut self.hole {
+            Some(hole) => hole.several |= hole.column != column,
+            None => self.hole = Some(Hole { column, several: false }),
+        }
+    }
+
+    /// A stretch has so many channels at least. Says what is lost, when that shows.
+    pub fn stated(&mut self, n_channels: usize) -> Option<Renamed> {
+        let len = self.channels.len();
+        if n_channels < len {
+            return None;
+        }
+        let hole = self.hole.take();
+        let inserted = n_channels - len;
+        if inserted == 0 {
+            return None;
+        }
+        let Hole { column: first, several } = hole.unwrap_or(Hole { column: len, several: false });
+        let nameless = if several { n_channels - first } else { inserted };
+        let replaced = if several { first..len } else { first..first };
+        let new: Vec<_> = (first..first + nameless).map(nameless_channel).collect();
+        self.channels.splice(replaced, new);
+        Some(Renamed { first, inserted, nameless })
+    }
+}
+
+/// A channel whose entry is lost.
+fn nameless_channel(column: usize) -> Channel {
+    let Marker { label, labelled } = nameless(column);
+    Channel { marker_id: u16::MAX, label, labelled }
+}
+
+/// A marker whose entry in the channel table is lost.
+#[must_use]
+pub fn nameless(column: usize) -> Marker {
+    Marker { label: format!("u{:03}", column + 1), labelled: false }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn channels(labels: &[&str]) -> Vec<Channel> {
+        let channel =
+            |label: &&str| Channel { marker_id: 0, label: (*label).to_owned(), labelled: true };
+        labels.iter().map(channel).collect()
+    }
+
+    fn labels(table: &ChannelTable) -> Vec<&str> {
+        table.channels().iter().map(|channel| channel.label.as_str()).collect()
+    }
+
+    #[test]
+    fn a_lost_entry_leaves_the_others_their_names() {
+        let mut table = ChannelTable::default();
+        table.append(&channels(&["a", "b"]));
+        table.damaged();
+        table.append(&channels(&["d"]));
+        assert_eq!(table.stated(2), None);
+        assert_eq!(table.stated(4), Some(Renamed { first: 2, inserted: 1, nameless: 1 }));
+        assert_eq!(labels(&table), ["a", "b", "u003", "d"]);
+        table.append(&channels(&["e"]));
+        assert_eq!(table.stated(5), None);
+        assert_eq!(table.stated(6), Some(Renamed { first: 5, inserted: 1, nameless: 1 }));
+    }
+
+    #[test]
+    fn damage_that_hid_no_entry_is_forgotten() {
+        let mut table = ChannelTable::default();
+        table.append(&channels(&["a"]));
+        table.damaged();
+        assert_eq!(table.stated(1), None);
+        table.append(&channels(&["b"]));
+        table.damaged();
+        table.append(&channels(&["d"]));
+        table.stated(4);
+        assert_eq!(labels(&table), ["a", "b", "u003", "d"]);
+    }
+
+    #[test]
+    fn where_nobody_knows_no_name_is_given() {
+        let mut table = ChannelTable::default();
+        table.append(&channels(&["a"]));
+        table.damaged();
+        table.append(&channels(&["b or c"]));
+        table.damaged();
+        assert_eq!(table.stated(3), Some(Renamed { first: 1, inserted: 1, nameless: 2 }));
+        assert_eq!(labels(&table), ["a", "u002", "u003"]);
+    }
+}

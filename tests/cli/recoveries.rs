@@ -1,0 +1,97 @@
+//! `recover`, run as the program it is.
+
+use rustix::process::Signal;
+
+use super::{
+    Folder,
+    devices::{Recorder, Simulated},
+};
+use crate::support::jump;
+
+#[test]
+fn a_killed_recording_is_recovered() {
+    let folder = Folder::new();
+    let device = Simulated::endless(jump(1, 120.0, 2.0));
+    let mut recorder = Recorder::start(&folder, &device, "killed.take", &[]);
+    std::thread::sleep(std::time::Duration::from_millis(700));
+    recorder.signal(Signal::KILL);
+    recorder.wait();
+    let killed = folder.read("killed.take");
+    let ran = folder.run(&["recover", "killed.take", "-o", "new.take"]).with_code(3);
+    assert!(ran.stdout.starts_with("new.take: "), "{}", ran.stdout);
+    assert!(ran.stderr.contains("killed.take: the end was cut off"), "{}", ran.stderr);
+    assert_eq!(folder.read("killed.take"), killed, "it is only read");
+    let verified = folder.run(&["verify", "new.take", "--json"]).with_code(0).json();
+    assert_eq!(verified["intact"], true, "{verified}");
+    let before = folder.run(&["info", "killed.take", "--json"]).with_code(3).json();
+    let info = folder.run(&["info", "new.take", "--json"]).with_code(0).json();
+    for same in ["frames", "samples", "markers", "stretches", "created", "resampler"] {
+        assert_eq!(info[same], before[same], "{same}");
+    }
+    assert_eq!(info["finished"], true);
+    assert_eq!(info["ledger"]["closes"], true);
+    assert_eq!(info["ledger"]["recorded"], info["frames"]);
+    assert!(info["recovered"].as_str().unwrap().ends_with("the end was cut off"), "{info}");
+    let words = folder.run(&["info", "new.take"]).with_code(0);
+    assert!(words.stdout.contains("\nrecovered  by mocapd "), "{}", words.stdout);
+}
+
+#[test]
+fn what_is_whole_is_copied_and_says_so() {
+    let folder = Folder::new();
+    folder.write_motion("jump.csv", &jump(2, 60.0, 12.0));
+    folder.run(&["import", "jump.csv", "-o", "jump.take"]).with_code(0);
+    let report = folder.run(&["recover", "jump.take", "-o", "new.take", "--json"]).with_code(0);
+    assert_eq!(report.stderr, "");
+    let report = report.json();
+    assert_eq!(report["lost"], false);
+    assert_eq!(report["frames_recovered"], 720);
+    folder.run(&["verify", "new.take", "--against", "jump.csv"]).with_code(0);
+    // Without index and footer nothing is lost either.
+    let take = folder.read("jump.take");
+    folder.write("cut.take", &take[..take.len() - 35]);
+    let report = folder.run(&["recover", "cut.take", "-o", "mended.take", "--json"]).json();
+    assert_eq!(report["lost"], false, "{report}");
+    assert!(folder.read("mended.take") == folder.read("new.take"), "other bytes");
+}
+
+#[test]
+fn nothing_is_overwritten_and_nothing_left_behind() {
+    let folder = Folder::new();
+    folder.write_motion("jump.csv", &jump(2, 60.0, 1.0));
+    folder.run(&["import", "jump.csv", "-o", "jump.take"]).with_code(0);
+    folder.write("mine.take", "mine");
+    let line = folder.refuses(&["recover", "jump.take", "-o", "mine.take"], 1);
+    assert!(line.contains("not overwritten"), "{line}");
+    let line = folder.refuses(&["recover", "jump.take", "-o", "jump.take"], 1);
+    assert!(line.contains("not overwritten"), "{line}");
+    let line = folder.refuses(&["recover", "jump.take", "-o", "new.csv"], 2);
+    assert!(line.contains("call it .take"), "{line}");
+    let line = folder.refuses(&["recover", "no.take", "-o", "new.take"], 1);
+    assert_eq!(line, "no.take does not exist");
+    let line = folder.refuses(&["recover", "jump.csv", "-o", "new.take"], 1);
+    assert!(line.contains("not a take"), "{line}");
+    // Half of a header is none.
+    let take = folder.read("jump.take");
+    folder.write("head.take", &take[..60]);
+    let line = folder.refuses(&["recover", "head.take", "-o", "new.take"], 1);
+    assert!(line.contains("no intact header"), "{line}");
+}
+
+#[test]
+fn a_wrong_byte_of_the_header_is_put_right() {
+    let folder = Folder::new();
+    folder.write_motion("jump.csv", &jump(2, 60.0, 1.0));
+    folder.run(&["import", "jump.csv", "-o", "jump.take", "--lossless"]).with_code(0);
+    let mut take = folder.read("jump.take");
+    take[40] ^= 0x20;
+    folder.write("bad.take", &take);
+    let line = folder.refuses(&["info", "bad.take"], 1);
+    assert!(line.contains("try `mocapd recover`"), "{line}");
+    let ran = folder.run(&["recover", "bad.take", "-o", "new.take"]).with_code(0);
+    assert_eq!(
+        ran.stderr,
+        "mocapd: bad.take: byte 40, in the header, was damaged; the checksum told what it was\n"
+    );
+    folder.run(&["verify", "new.take", "--against", "jump.csv"]).with_code(0);
+}

@@ -1,0 +1,361 @@
+//! `recover`: what can be read of a damaged take is in the new one, unchanged, and the rest is on its account.
+
+use std::io::Cursor;
+
+use mocapd::inspect::Summary;
+use mocapd_drivers::device::MarkerSample;
+use mocapd_simulator::generator::Rng;
+use mocapd_take::{
+    TakeEvent,
+    chunk::{self, types},
+    motion::Position,
+    reader::read_events,
+    recovery::{Kind, Mended, Survey, mend_start},
+};
+
+use crate::support::{config, dense, fast, feed_samples, jump, lossless, rows, samples, start};
+
+/// A recording with loss, and with two markers that appear later; stretches of a quarter of a second and
+/// keys each second, so that a short take has many.
+fn recording(codec: mocapd_codec::Settings) -> Vec<u8> {
+    let motion = jump(3, 60.0, 8.0);
+    let mut config = config(&motion, codec);
+    config.stretch = std::time::Duration::from_millis(250);
+    config.key_every = std::time::Duration::from_secs(1);
+    config.channels.truncate(13);
+    let (mut intake, pipeline) = start(&config, Vec::new());
+    for seq in (0..motion.n_frames()).filter(|seq| seq % 97 != 50 && !(200..230).contains(seq)) {
+        while intake.is_full() {
+            std::thread::yield_now();
+        }
+        let shown = if seq < 120 { 13 } else { 15 };
+        let all: Vec<MarkerSample> = samples(motion.frame(seq));
+        feed_samples(&mut intake, 60.0, seq, &all[..shown]);
+    }
+    intake.finish();
+    pipeline.finish().unwrap().1
+}
+
+/// An import of three stretches, each a key.
+fn import(seconds: f64) -> Vec<u8> {
+    let motion = jump(4, 60.0, seconds);
+    let codec = dense(0.5);
+    let mut header = mocapd::header::of_import(&codec, 60.0);
+    header.channels = mocapd::header::channels(&motion.info.markers);
+    header.stretch_rows = 600;
+    let counter = std::sync::Arc::default();
+    let written =
+        mocapd::pipeline::offline::write_take(&motion, &header, 1, &counter, Vec::new()).unwrap();
+    written.1
+}
+
+fn recover(take: &[u8]) -> (Survey, Vec<u8>) {
+    let survey = Survey::read(take).unwrap();
+    let mut new = Vec::new();
+    let n = survey.write(Cursor::new(take), &mut new, "tests").unwrap();
+    assert_eq!(n, new.len() as u64);
+    (survey, new)
+}
+
+/// Chunks after the magic: type, and place.
+fn places(take: &[u8]) -> Vec<(u8, std::ops::Range<usize>)> {
+    let mut at = chunk::MAGIC.len();
+    let mut places = Vec::new();
+    while let chunk::Front::Whole { kind, len, .. } = chunk::front(&take[at..]) {
+        places.push((kind, at..at + len));
+        at += len;
+    }
+    places
+}
+
+fn stretches(take: &[u8]) -> Vec<&[u8]> {
+    let places = places(take).into_iter().filter(|place| place.0 == types::STRETCH);
+    places.map(|place| &take[place.1]).collect()
+}
+
+/// Recovers a damaged take, and holds the new one against what the damaged one still gives.
+fn check(damaged: &[u8], original: &[u8], what: &str) -> (Survey, Vec<u8>, Summary) {
+    let (survey, new) = recover(damaged);
+    let summary = Summary::read(&new[..]).unwrap();
+    assert_eq!(summary.problems, [""; 0], "{what}: {:?}", survey.problems());
+    assert!(summary.finished, "{what}");
+    let ledger = summary.ledger.as_ref().unwrap();
+    assert!(ledger.closes() && ledger.finished, "{what}: {ledger:?}");
+    assert_eq!(ledger.samples_present, summary.samples(), "{what}");
+    assert_eq!(summary.rows, survey.rows(), "{what}");
+    assert_eq!(survey.per_channel().len(), summary.channels().len(), "{what}");
+    assert_eq!(survey.channels(), summary.channels(), "{what}");
+    for (ours, theirs) in survey.per_channel().iter().zip(&summary.per_channel) {
+        assert_eq!(
+            (ours.samples, ours.rows_damaged),
+            (theirs.samples, theirs.rows_damaged),
+            "{what}"
+        );
+    }
+    // Every sample that the damaged take gives, at its row, and no other. Behind the last one both may have
+    // rows without any.
+    let (old_rows, _) = rows(damaged);
+    let (new_rows, _) = rows(&new);
+    let bits = |rows: &[Vec<Position>]| {
+        let rows = rows.iter().map(|row| row.iter().map(|p| p.map(f32::to_bits)).collect());
+        let mut rows: Vec<Vec<[u32; 3]>> = rows.collect();
+        let gap = rows.first().and_then(|row| row.first()).map(|_| [f32::NAN.to_bits(); 3]);
+        while gap.is_some_and(|gap| rows.last().is_some_and(|row| row.iter().all(|p| *p == gap))) {
+            rows.pop();
+        }
+        rows
+    };
+    assert_eq!(bits(&old_rows), bits(&new_rows), "{what}");
+    // Copied, not coded again.
+    let old = stretches(original);
+    let is_old = |stretch: &&&[u8]| old.contains(*stretch);
+    let lost = survey.damage().len();
+    assert!(
+        stretches(&new).iter().filter(|stretch| !is_old(stretch)).count() <= lost,
+        "{what}: a stretch is new"
+    );
+    (survey, new, summary)
+}
+
+#[test]
+fn of_an_intact_take_everything_is_kept() {
+    for take in [recording(dense(0.5)), recording(lossless()), import(25.0)] {
+        let (survey, new, summary) = check(&take, &take, "intact");
+        assert!(!survey.lost_anything() && survey.finished());
+        assert_eq!(survey.losses_in_words(), "nothing was lost");
+        assert_eq!(stretches(&new), stretches(&take));
+        let before = Summary::read(&take[..]).unwrap();
+        assert_eq!(summary.ledger, before.ledger);
+        assert_eq!(summary.events, before.events);
+        assert_eq!(survey.discarded_bytes(), 0);
+        let header = summary.header.unwrap();
+        assert_eq!(header.take_id, before.header.unwrap().take_id);
+        assert_eq!(
+            header.settings.last().unwrap(),
+            &("recovered".to_owned(), "by tests: nothing was lost".to_owned())
+        );
+    }
+}
+
+#[test]
+fn what_is_counted_again_is_what_the_recorder_counted() {
+    // Without its last ledger, a take's account is made of its stretches: and is the same.
+    for codec in [dense(0.5), fast(0.5)] {
+        let take = recording(codec);
+        let ledger = Summary::read(&take[..]).unwrap().ledger.unwrap();
+        let last = places(&take).into_iter().rfind(|place| place.0 == types::LEDGER).unwrap();
+        let (survey, _, summary) = check(&take[..last.1.start], &take, "without its ledger");
+        assert!(survey.lost_anything(), "nobody knows whether more came");
+        let again = summary.ledger.unwrap();
+        let frames = |ledger: &mocapd_take::record::Ledger| {
+            (
+                [ledger.frames_sent, ledger.recorded, ledger.lost_on_link, ledger.lost_other],
+                [ledger.samples_announced, ledger.samples_present, ledger.samples_occluded],
+            )
+        };
+        assert_eq!(frames(&again), frames(&ledger));
+        assert!(ledger.lost_on_link >= 30 && ledger.recorded < 480);
+    }
+}
+
+#[test]
+fn a_take_cut_at_any_byte_is_recovered() {
+    let take = recording(dense(0.5));
+    let first = places(&take)[0].1.end;
+    let mut most = 0;
+    // Every byte of the first and the last part, then every 61st.
+    for cut in (first..take.len())
+        .filter(|cut| *cut < first + 200 || *cut + 200 > take.len() || cut % 61 == 0)
+    {
+        let (survey, _, summary) = check(&take[..cut], &take, &format!("cut at {cut}"));
+        let finished = survey.finished();
+        assert_eq!(survey.lost_anything(), !finished, "cut at {cut}");
+        assert!(summary.samples() >= most, "cut at {cut}");
+        most = summary.samples();
+    }
+    assert_eq!(most, Summary::read(&take[..]).unwrap().samples());
+}
+
+#[test]
+fn a_damaged_chunk_costs_what_depends_on_it_and_its_rows_stay() {
+    for take in [recording(dense(0.5)), recording(lossless()), import(25.0)] {
+        let whole = Summary::read(&take[..]).unwrap();
+        for (kind, place) in places(&take).into_iter().skip(1) {
+            let mut damaged = take.clone();
+            damaged[place.start + (place.len() / 2).max(2)] ^= 0x10;
+            let what = format!("type {kind:02x} at {}", place.start);
+            let (survey, _, summary) = check(&damaged, &take, &what);
+            let anew = Kind::of(Some(kind)).is_made_anew();
+            assert_eq!(survey.lost_anything(), !anew, "{what}");
+            assert_eq!(summary.rows, whole.rows, "{what}");
+            let counts = survey.kinds().iter().find(|count| count.kind == Kind::of(Some(kind)));
+            assert!(counts.unwrap().discarded >= 1, "{what}");
+            let (before, after) =
+                (whole.ledger.as_ref().unwrap(), summary.ledger.as_ref().unwrap());
+            if kind == types::STRETCH {
+                let lost = survey.rows_damaged();
+                assert!(lost > 0 && survey.damage().len() == 1, "{what}");
+                assert_eq!(after.frames_sent, before.frames_sent, "{what}");
+                assert_eq!(after.recorded + after.lost_other, before.recorded, "{what}");
+                assert!(after.lost_other > 0 && after.lost_other <= lost, "{what}");
+                let told = format!("frames {} to", survey.damage()[0].first_row);
+                assert!(summary.events.iter().any(|event| event.text.starts_with(&told)));
+            } else {
+                assert_eq!(summary.samples(), whole.samples(), "{what}");
+                assert_eq!(after.recorded, before.recorded, "{what}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_damaged_head_costs_nothing() {
+    let take = recording(dense(0.5));
+    let whole = rows(&take).0;
+    for (kind, place) in places(&take) {
+        let len_bytes = if place.len() < 6 + 128 { 1 } else { 2 };
+        for at in place.start..=place.start + len_bytes {
+            let mut damaged = take.clone();
+            damaged[at] ^= 0x05;
+            let (survey, new) = recover(&damaged);
+            assert!(!survey.lost_anything(), "type {kind:02x}, byte {at}");
+            assert_eq!(survey.problems().len(), 1, "{:?}", survey.problems());
+            assert!(survey.problems()[0].contains("its content is whole"));
+            assert_eq!(format!("{:?}", rows(&new).0), format!("{whole:?}"));
+            assert_eq!(format!("{:?}", rows(&damaged).0), format!("{whole:?}"));
+        }
+    }
+}
+
+fn below(rng: &mut Rng, n: usize) -> usize {
+    (rng.next_u64() % n as u64) as usize
+}
+
+#[test]
+fn zeros_and_noise_anywhere_are_recovered() {
+    let mut rng = Rng::new(7);
+    let takes = [recording(dense(0.5)), recording(lossless()), import(25.0)];
+    for round in 0..120 {
+        let take = &takes[round % 3];
+        let mut damaged = take.clone();
+        let first = places(take)[0].1.end;
+        for _ in 0..=below(&mut rng, 2) {
+            let from = first + below(&mut rng, take.len() - first);
+            let len = 1 + below(&mut rng, [4, 60, 3_000][round / 3 % 3]);
+            let to = (from + len).min(take.len());
+            match below(&mut rng, 3) {
+                0 => damaged[from..to].fill(0),
+                1 => damaged[from..to].fill_with(|| below(&mut rng, 256) as u8),
+                _ => damaged.truncate(to.max(first + 100)),
+            }
+            damaged.resize(take.len().min(damaged.len()), 0);
+            if damaged.len() < take.len() {
+                break;
+            }
+        }
+        let (survey, new, _) = check(&damaged, take, &format!("round {round}"));
+        // What is recovered once has nothing more to lose.
+        let (again, newer, _) = check(&new, &new, &format!("round {round}, again"));
+        assert!(!again.lost_anything(), "round {round}: {:?}", again.problems());
+        assert_eq!(again.ledger(), survey.ledger(), "round {round}");
+        assert_eq!(stretches(&newer), stretches(&new));
+        assert_eq!(again.damage().len(), survey.damage().len());
+    }
+}
+
+#[test]
+fn a_lost_name_is_not_given_to_another() {
+    let take = recording(dense(0.5));
+    let labels = |take: &[u8]| {
+        let summary = Summary::read(take).unwrap();
+        summary.channels().iter().map(|c| c.label.clone()).collect::<Vec<_>>()
+    };
+    let whole = labels(&take);
+    assert_eq!(whole.len(), 15);
+    let tables: Vec<_> = places(&take).into_iter().filter(|p| p.0 == types::CHANNELS).collect();
+    assert_eq!(tables.len(), 2, "each marker that appears has its own");
+    for (i, (_, place)) in tables.iter().enumerate() {
+        let mut damaged = take.clone();
+        damaged[place.end - 1] ^= 1;
+        let (survey, new, _) = check(&damaged, &take, "a lost name");
+        assert!(survey.lost_anything());
+        let mut expected = whole.clone();
+        expected[13 + i] = format!("u0{}", 14 + i);
+        assert_eq!(labels(&damaged), expected);
+        assert_eq!(labels(&new), expected);
+        let motion = mocapd_take::read_motion(Cursor::new(&damaged)).unwrap().0;
+        let read: Vec<_> = motion.info.markers.iter().map(|marker| marker.label.clone()).collect();
+        assert_eq!(read, expected, "the reader of frames sees it, too");
+    }
+}
+
+#[test]
+fn one_wrong_byte_of_the_header_is_put_right() {
+    let take = import(0.5);
+    let header = places(&take)[0].1.clone();
+    for at in 0..header.end {
+        for by in [0x01, 0x80, 0xff] {
+            let mut damaged = take.clone();
+            damaged[at] ^= by;
+            let (mut input, mended) = mend_start(Cursor::new(&damaged)).unwrap();
+            let survey = Survey::read(&mut input).unwrap();
+            assert!(!survey.lost_anything(), "byte {at}");
+            let in_head = (8..11).contains(&at);
+            let expected = match at {
+                0..8 => vec![Mended::Magic],
+                _ if in_head => vec![],
+                // Any byte of the CRC is told as its first.
+                _ => vec![Mended::HeaderByte(at.min(header.end - 4) as u64)],
+            };
+            assert_eq!(mended, expected, "byte {at}");
+            assert_eq!(survey.problems().len(), usize::from(in_head), "byte {at}");
+            let mut new = Vec::new();
+            survey.write(&mut input, &mut new, "tests").unwrap();
+            assert_eq!(format!("{:?}", rows(&new)), format!("{:?}", rows(&take)), "byte {at}");
+        }
+    }
+    // Two of them are not.
+    let mut damaged = take.clone();
+    damaged[header.start + 20] ^= 1;
+    damaged[header.start + 30] ^= 1;
+    let (input, mended) = mend_start(Cursor::new(&damaged)).unwrap();
+    assert_eq!(mended, []);
+    assert!(Survey::read(input).is_err());
+}
+
+#[test]
+fn the_file_may_not_change_meanwhile() {
+    let take = import(25.0);
+    let survey = Survey::read(&take[..]).unwrap();
+    for changed in [&take[..take.len() / 2], &[&take[..400], &[9], &take[401..]].concat()] {
+        let error = survey.write(Cursor::new(changed), Vec::new(), "tests").unwrap_err();
+        assert!(error.to_string().contains("changed while it was read"), "{error}");
+    }
+}
+
+#[test]
+fn the_reader_says_which_rows_are_lost() {
+    let take = recording(dense(0.5));
+    let places = places(&take);
+    let middle = places.iter().filter(|p| p.0 == types::STRETCH).nth(6).unwrap();
+    let mut damaged = take.clone();
+    damaged[middle.1.end - 1] ^= 1;
+    let summary = Summary::read(&damaged[..]).unwrap();
+    let [lost] = summary.damage() else { panic!("{:?}", summary.damage()) };
+    // From that stretch to the next key.
+    let mut keys = Vec::new();
+    read_events(&take[..], |event| {
+        if let TakeEvent::Stretch(stretch) = event {
+            keys.push((stretch.from_row(), stretch.span.key));
+        }
+        Ok(())
+    })
+    .unwrap();
+    assert_eq!(lost.first_row, keys[6].0);
+    let next_key = keys[7..].iter().find(|key| key.1).unwrap().0;
+    assert_eq!(lost.first_row + lost.rows, next_key);
+    assert!(lost.first_row + lost.rows < 120, "two markers appear there: {lost:?}");
+    for (column, channel) in summary.per_channel.iter().enumerate() {
+        assert_eq!(channel.rows_damaged, if column < 13 { lost.rows } else { 0 });
+    }
+}
