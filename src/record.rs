@@ -64,6 +64,7 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
     header.device = Some(rig.device_record());
     header.channels.clone_from(&config.channels);
     header.stretch_rows = config.stretch_rows();
+    header.settings = config.chosen();
     let (rate_hz, markers) = (config.rate_hz, config.channels.len());
 
     let file = files::create_new(options.take)?;

@@ -8,6 +8,10 @@ use mocapd_take::{record::Channel, stretch::SAMPLES_MAX};
 
 use super::ring::Sample;
 
+/// Length of a stretch, and time between syncs, unless others are chosen: together what a power cut may cost.
+const STRETCH: Duration = Duration::from_millis(500);
+const SYNC_EVERY: Duration = Duration::from_millis(500);
+
 /// What a recording needs to know before it starts.
 #[derive(Debug, Clone)]
 pub struct PipelineConfig {
@@ -46,10 +50,10 @@ impl PipelineConfig {
             channels,
             reserve: 64,
             workers: crate::threads::default_workers(),
-            stretch: Duration::from_millis(500),
+            stretch: STRETCH,
             first_stretch: Duration::from_millis(100),
             key_every: Duration::from_secs(10),
-            sync_every: Duration::from_millis(500),
+            sync_every: SYNC_EVERY,
             keep_free_bytes: 0,
         }
     }
@@ -62,17 +66,26 @@ impl PipelineConfig {
         self.rows(self.stretch)
     }
 
+    /// What is not as usual, as HEADER tells it.
+    #[must_use]
+    pub fn chosen(&self) -> Vec<(String, String)> {
+        let times = [("stretch", self.stretch, STRETCH), ("sync", self.sync_every, SYNC_EVERY)];
+        let other = times.into_iter().filter(|(_, time, usual)| time != usual);
+        other.map(|(name, time, _)| (name.to_owned(), format!("{time:?}"))).collect()
+    }
+
     fn rows(&self, time: Duration) -> u32 {
         (time.as_secs_f64() * self.rate_hz).floor().max(1.0) as u32
     }
 }
 
 /// Rings hold this many full stretches: two being filled or coded, two more for a worker that the
-/// system does not run for a second.
-const RING_STRETCHES: usize = 4;
+/// system does not run for a second; of shorter stretches as many as make up the same time.
+const RING_STRETCHES: u32 = 4;
 
-/// Coded stretches in memory: 64 x 0.5 s, so that a disk that stalls for 30 s costs nothing.
-const CODED_STRETCHES: usize = 64;
+/// Coded stretches in memory: 64 x 0.5 s, so that a disk that stalls for 30 s costs nothing; of shorter
+/// stretches as many as make up the same time.
+const CODED_STRETCHES: u32 = 64;
 
 /// Most memory for the rings, and for coded stretches, which is touched only as far as they do not
 /// compress: ten thousand markers at 240 Hz, or two hundred at 10 kHz, stay below. Beyond it fewer
@@ -99,6 +112,7 @@ pub(super) const CLOCK_ITEMS_MAX: usize = 1024;
 #[derive(Debug, Clone)]
 pub(super) struct Plan {
     coded_stretches: usize,
+    ring_rows: usize,
     pub(super) codec: Settings,
     pub(super) workers: usize,
     pub(super) n_slots: usize,
@@ -125,7 +139,8 @@ impl Plan {
         let n_slots = config.channels.len() + config.reserve;
         let workers = config.workers.max(1);
         let plan = Self {
-            coded_stretches: CODED_STRETCHES,
+            coded_stretches: usual_time(CODED_STRETCHES, config.stretch),
+            ring_rows: usual_time(RING_STRETCHES, config.stretch) * config.stretch_rows() as usize,
             codec: config.codec,
             workers,
             n_slots,
@@ -144,7 +159,8 @@ impl Plan {
             "{n_slots} markers at {} Hz are more than can be recorded: use a lower rate",
             config.rate_hz
         );
-        let coded_stretches = (MEMORY_BYTES / plan.stretch_bytes_max()).clamp(2, CODED_STRETCHES);
+        let coded_stretches =
+            (MEMORY_BYTES / plan.stretch_bytes_max()).clamp(2, plan.coded_stretches);
         Ok(Self { coded_stretches, ..plan })
     }
 
@@ -166,7 +182,7 @@ impl Plan {
 
     /// Rows in every channel's ring.
     pub(super) fn ring_rows(&self) -> usize {
-        RING_STRETCHES * self.stretch_rows as usize
+        self.ring_rows
     }
 
     pub(super) fn timeline_items(&self) -> usize {
@@ -207,4 +223,10 @@ impl Plan {
         let parts = (0..self.n_groups()).map(|group| self.part_bytes_max(group));
         parts.sum::<usize>() + self.front_bytes_max()
     }
+}
+
+/// So many stretches of the usual length, or more of shorter ones that make up the same time.
+fn usual_time(stretches: u32, stretch: Duration) -> usize {
+    let shorter = STRETCH.as_secs_f64() / stretch.as_secs_f64().max(1e-3);
+    (f64::from(stretches) * shorter.max(1.0)).ceil() as usize
 }

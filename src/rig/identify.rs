@@ -26,6 +26,7 @@ impl Rig {
             not_finite_before: 0,
             identity,
             patience: Duration::ZERO,
+            risk: None,
         };
         rig.introduce(&|| false)?;
         Ok(rig)

@@ -54,6 +54,8 @@ pub struct Rig {
     identity: Candidate,
     /// How long it is waited for when it goes away.
     patience: Duration,
+    /// Length of a stretch, and time between syncs, where these were chosen.
+    risk: Option<(Duration, Duration)>,
 }
 
 impl Rig {
@@ -63,6 +65,11 @@ impl Rig {
     /// Why it cannot be opened, or that it does not answer: one line that says what to do.
     pub fn open(uri: &DeviceUri) -> anyhow::Result<Self> {
         Self::identify(uri.clone(), registry::open(uri)?)
+    }
+
+    /// What a kill may cost: at most the open stretch, and with the power what came since the last sync, too.
+    pub fn risk_at_most(&mut self, stretch: Duration, sync_every: Duration) {
+        self.risk = Some((stretch, sync_every));
     }
 
     /// Who it is.
@@ -95,7 +102,12 @@ impl Rig {
             },
             labelled: marker.labelled,
         });
-        PipelineConfig::new(codec, self.rate_hz(), self.hello.tick_hz, channels.collect())
+        let new = PipelineConfig::new;
+        let config = new(codec, self.rate_hz(), self.hello.tick_hz, channels.collect());
+        match self.risk {
+            Some((stretch, sync_every)) => PipelineConfig { stretch, sync_every, ..config },
+            None => config,
+        }
     }
 
     /// What a take's header says of it.

@@ -42,6 +42,12 @@ pub(crate) struct Args {
     /// Wait so long for a device that goes away, and go on when it is back; 0s ends the take at once
     #[arg(long, value_name = "TIME", default_value = "60s", value_parser = units::duration, allow_hyphen_values = true)]
     reconnect: Duration,
+    /// Write so often: a kill loses no more, and shorter ones take more room; 50ms to 10s
+    #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = values::stretch, allow_hyphen_values = true)]
+    stretch: Duration,
+    /// Force what is written onto the disk so often: a power cut loses no more than this and a stretch
+    #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = values::sync, allow_hyphen_values = true)]
+    sync: Duration,
     /// End the take when no more than so much of the disk is free: 256MiB, 2GB; 0 uses all of it
     #[arg(long, value_name = "SIZE", default_value = KEEP_FREE, value_parser = units::size_bytes, allow_hyphen_values = true)]
     keep_free: u64,
@@ -65,6 +71,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         rig.set_rate(rate_hz)?;
     }
     rig.wait_for_replug(args.reconnect);
+    rig.risk_at_most(args.stretch, args.sync);
     let limits = Limits { length: args.seconds, keep_free_bytes: args.keep_free };
     let recorded = record_and_watch(rig, &args.output, codec, limits, &stop)?;
     let report = Report::new(&args.output, &recorded, &codec);

@@ -1,0 +1,60 @@
+//! An allocator that counts what each thread holds.
+
+use std::{
+    alloc::{GlobalAlloc, Layout, System},
+    cell::Cell,
+};
+
+/// Bytes by thread: tests run beside each other.
+#[derive(Debug, Clone, Copy)]
+struct Count {
+    held: isize,
+    most: isize,
+}
+
+thread_local! {
+    static COUNT: Cell<Count> = const { Cell::new(Count { held: 0, most: 0 }) };
+}
+
+fn count(by: isize) {
+    COUNT.with(|count| {
+        let held = count.get().held + by;
+        count.set(Count { held, most: count.get().most.max(held) });
+    });
+}
+
+struct Counting;
+
+// SAFETY: every call is handed on to the system's allocator as it came.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count(layout.size() as isize);
+        // SAFETY: the caller's promises are the ones this needs.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        count(-(layout.size() as isize));
+        // SAFETY: the caller's promises are the ones this needs.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, new_size: usize) -> *mut u8 {
+        // Both are there while the bytes are copied.
+        count(new_size as isize);
+        count(-(layout.size() as isize));
+        // SAFETY: the caller's promises are the ones this needs.
+        unsafe { System.realloc(pointer, layout, new_size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Most bytes held at once while `work` runs, beyond those held before.
+pub(crate) fn most_bytes(work: impl FnOnce()) -> usize {
+    let before = COUNT.get().held;
+    COUNT.set(Count { held: before, most: before });
+    work();
+    (COUNT.get().most - before) as usize
+}

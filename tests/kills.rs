@@ -1,0 +1,323 @@
+//! `mocapd record` killed with SIGKILL at any instant: the take can be read, nothing older than a stretch and a sync
+//! is lost, and every frame in it is the one that was sent. The truth is the simulator's log.
+//!
+//! Each `cargo test` kills a few; five hundred are killed by
+//!
+//! ```text
+//! cargo test --release --test integration -- --ignored --nocapture kills::five_hundred
+//! ```
+
+use std::{
+    collections::HashMap,
+    io::{Cursor, Write},
+    path::Path,
+    process::{Child, Command, Stdio},
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+    },
+    thread::{self, sleep},
+    time::{Duration, Instant},
+};
+
+use mocapd::{inspect::Summary, rig::monotonic_ns};
+use mocapd_simulator::{
+    device::{Device, DeviceSettings},
+    generator::{JumpSpec, Occlusion, Rng},
+    pty::{ServeOptions, serve_pty},
+};
+use mocapd_take::{
+    TakeEvent, TakeFrames,
+    motion::{FrameSource, GAP, Motion, is_gap},
+    reader::read_events,
+    recovery::Survey,
+};
+
+use crate::support::distance_mm;
+
+const RATE_HZ: f64 = 1000.0;
+const MARKERS: usize = 64;
+const TOLERANCE_MM: f64 = 0.5;
+
+/// From the first byte of the take, a kill comes within this.
+const KILLED_WITHIN: Duration = Duration::from_millis(2500);
+
+/// What a recorder is told beside device and take, and what it may lose then: stretch and sync, in milliseconds.
+const WAYS: [(&[&str], u64); 4] = [
+    (&[], 1000),
+    (&["--lossless"], 1000),
+    (&["--stretch", "100ms", "--sync", "200ms"], 300),
+    (&["--resampler", "fast"], 1000),
+];
+
+/// What a machine that does other things beside this may add: it runs the recorder's threads late. Beyond that, and
+/// how late frames came by their arrival times, nothing is allowed.
+const LATE: Duration = Duration::from_millis(500);
+
+fn motion() -> Motion {
+    let occlusion = Some(Occlusion { fraction: 0.05, mean_gap_s: 0.1 });
+    let spec =
+        JumpSpec { seconds: Some(2.0), occlusion, n_markers: MARKERS, ..JumpSpec::new(1, RATE_HZ) };
+    spec.generate().unwrap().motion
+}
+
+/// A log that is read while it is written.
+#[derive(Debug, Clone, Default)]
+struct Log(Arc<Mutex<Vec<u8>>>);
+
+impl Write for Log {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0.lock().unwrap().extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+/// A frame as it was sent: its place in the order, and when.
+#[derive(Debug, Clone, Copy)]
+struct Sent {
+    seq: usize,
+    host_ns: u64,
+    dropped: bool,
+}
+
+impl Log {
+    /// By device time.
+    fn frames(&self) -> HashMap<u64, Sent> {
+        let bytes = self.0.lock().unwrap();
+        let frame = |line: &str| {
+            let cells: Vec<u64> = line.split(',').map(|cell| cell.parse().unwrap()).collect();
+            let sent = Sent { seq: cells[1] as usize, host_ns: cells[5], dropped: cells[4] == 1 };
+            (cells[2], sent)
+        };
+        std::str::from_utf8(&bytes).unwrap().lines().skip(1).map(frame).collect()
+    }
+}
+
+/// What one kill cost.
+#[derive(Debug, Default, Clone, Copy)]
+struct Cost {
+    /// Age of the oldest frame that is lost, when the recorder was killed; 0 when none is.
+    lost_ms: f64,
+    /// How late the last second of frames came into the recorder, at most: what the machine added, not the recorder.
+    late_ms: f64,
+    frames: usize,
+    samples: usize,
+    max_error_mm: f64,
+}
+
+/// Records, kills at the seed's instant, and holds what is left against what was sent.
+fn kill(motion: &Motion, folder: &Path, seed: u64) -> Cost {
+    let mut rng = Rng::new(seed);
+    let (options, may_lose_ms) = WAYS[seed as usize % WAYS.len()];
+    let take = folder.join(format!("{seed}.take"));
+    let log = Log::default();
+    let (killed_ns, stop) = {
+        let settings = DeviceSettings {
+            looping: true,
+            queue_bytes: Some(64 << 20),
+            ..DeviceSettings::default()
+        };
+        let mut device = Device::new(motion.clone(), settings).unwrap();
+        let stop = Arc::new(AtomicBool::new(false));
+        let (stopped, logged) = (Arc::clone(&stop), log.clone());
+        let (path_in, path) = crossbeam_channel::bounded(1);
+        let served = thread::spawn(move || {
+            let log: Option<Box<dyn Write + Send>> = Some(Box::new(logged));
+            let options = ServeOptions { log, ..ServeOptions::default() };
+            let told = |path: &Path| path_in.send(path.to_owned()).unwrap();
+            serve_pty(&mut device, None, options, &stopped, told).unwrap();
+        });
+        let uri = format!("serial:{}", path.recv().unwrap().display());
+        let mut recorder = Recorder::start(&uri, &take, options);
+        recorder.wait_for(&take);
+        sleep(KILLED_WITHIN.mul_f64(rng.unit()));
+        let killed_ns = recorder.kill();
+        // Frames on their way are in the log, too.
+        sleep(Duration::from_millis(20));
+        stop.store(true, Ordering::Relaxed);
+        served.join().unwrap();
+        (killed_ns, stop)
+    };
+    assert!(stop.load(Ordering::Relaxed));
+    let cost = check(motion, &std::fs::read(&take).unwrap(), &log.frames(), killed_ns, seed);
+    let most_ms = may_lose_ms as f64 + cost.late_ms + LATE.as_secs_f64() * 1e3;
+    assert!(cost.lost_ms <= most_ms, "seed {seed}: {cost:?}");
+    std::fs::remove_file(&take).ok();
+    cost
+}
+
+fn check(
+    motion: &Motion,
+    take: &[u8],
+    sent: &HashMap<u64, Sent>,
+    killed_ns: u64,
+    seed: u64,
+) -> Cost {
+    let summary = Summary::read(take).unwrap_or_else(|error| panic!("seed {seed}: {error}"));
+    let torn = |problem: &String| {
+        problem.contains("end is missing") || problem.contains("ends inside a chunk")
+    };
+    assert!(summary.problems.iter().all(torn), "seed {seed}: {:?}", summary.problems);
+    assert_eq!(summary.contradictions(), [""; 0], "seed {seed}");
+    assert!(!summary.finished, "seed {seed}");
+
+    let mut recorded = Vec::new();
+    read_events(take, |event| {
+        if let TakeEvent::Stretch(stretch) = event {
+            let times = stretch.timeline.iter().flat_map(mocapd_take::timeline::Timeline::recorded);
+            recorded.extend(times.map(|(row, t)| (row, t.device_ticks, t.arrival_10us)));
+        }
+        Ok(())
+    })
+    .unwrap();
+    let mut frames = TakeFrames::open(Cursor::new(take)).unwrap();
+    let mut row = vec![GAP; frames.info().markers.len()];
+    let mut rows = Vec::new();
+    while frames.next_frame(&mut row).unwrap() {
+        rows.push(row.clone());
+    }
+    let mut cost = Cost { frames: recorded.len(), ..Cost::default() };
+    let mut last = None;
+    let recent = recorded.len().saturating_sub(RATE_HZ as usize);
+    for (i, &(index, ticks, arrival_10us)) in recorded.iter().enumerate() {
+        let Some(Sent { seq, dropped, host_ns }) = sent.get(&ticks) else {
+            panic!("seed {seed}: no frame of tick {ticks} was sent");
+        };
+        assert!(!dropped, "seed {seed}: frame {seq} never left");
+        if i >= recent {
+            let late_ns = (arrival_10us * 10_000).saturating_sub(*host_ns);
+            cost.late_ms = cost.late_ms.max(late_ns as f64 / 1e6);
+        }
+        // A row is a tick of the device's counter.
+        let first = last.get_or_insert((index, *seq));
+        assert_eq!(index - first.0, (seq - first.1) as u64, "seed {seed}: row {index}");
+        let original = motion.frame(seq % motion.n_frames());
+        for (&got, &wanted) in rows[index as usize].iter().zip(original) {
+            assert_eq!(is_gap(got), is_gap(wanted), "seed {seed}: row {index}");
+            if !is_gap(got) {
+                cost.max_error_mm = cost.max_error_mm.max(distance_mm(got, wanted));
+                cost.samples += 1;
+            }
+        }
+    }
+    assert!(cost.max_error_mm <= TOLERANCE_MM, "seed {seed}: {} mm", cost.max_error_mm);
+    assert_eq!(summary.samples(), cost.samples as u64, "seed {seed}");
+
+    // The oldest frame that was sent behind the last one in the take, or the first of all.
+    let next_seq = recorded.last().map_or(0, |(_, ticks, _)| sent[ticks].seq + 1);
+    let next = sent.values().find(|frame| frame.seq == next_seq);
+    cost.lost_ms = next.map_or(0.0, |next| killed_ns.saturating_sub(next.host_ns) as f64 / 1e6);
+
+    let survey = Survey::read(take).unwrap();
+    let mut new = Vec::new();
+    survey.write(Cursor::new(take), &mut new, "tests").unwrap();
+    let new = Summary::read(&new[..]).unwrap();
+    assert_eq!(new.problems, [""; 0], "seed {seed}");
+    assert_eq!(new.contradictions(), [""; 0], "seed {seed}");
+    assert_eq!(new.samples(), summary.samples(), "seed {seed}");
+    let ledger = new.ledger.unwrap();
+    assert!(ledger.closes() && ledger.recorded == cost.frames as u64, "seed {seed}: {ledger:?}");
+    cost
+}
+
+/// `mocapd record`, killed when it is dropped.
+struct Recorder(Child);
+
+impl Recorder {
+    fn start(uri: &str, take: &Path, options: &[&str]) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_mocapd"));
+        command.args(["record", "-d", uri, "-o"]).arg(take).args(options);
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+        Self(command.spawn().unwrap())
+    }
+
+    /// Waits for the first byte.
+    fn wait_for(&mut self, take: &Path) {
+        let begun = Instant::now();
+        while std::fs::metadata(take).map_or(0, |meta| meta.len()) == 0 {
+            assert_eq!(self.0.try_wait().unwrap(), None, "it ended before the first byte");
+            assert!(begun.elapsed() < Duration::from_secs(60), "no byte is written");
+            sleep(Duration::from_millis(1));
+        }
+    }
+
+    /// The host's monotonic time just before.
+    fn kill(&mut self) -> u64 {
+        let killed_ns = monotonic_ns();
+        self.0.kill().unwrap();
+        self.0.wait().unwrap();
+        killed_ns
+    }
+}
+
+impl Drop for Recorder {
+    fn drop(&mut self) {
+        self.0.kill().ok();
+        self.0.wait().ok();
+    }
+}
+
+/// Kills of these seeds, so many at a time.
+fn kills(seeds: std::ops::Range<u64>, at_once: usize) {
+    let motion = motion();
+    let folder = tempfile::tempdir().unwrap();
+    let begun = Instant::now();
+    let next = AtomicU64::new(seeds.start);
+    let costs = Mutex::new(Vec::new());
+    thread::scope(|scope| {
+        for _ in 0..at_once {
+            scope.spawn(|| {
+                loop {
+                    let seed = next.fetch_add(1, Ordering::Relaxed);
+                    if seed >= seeds.end {
+                        return;
+                    }
+                    let cost = kill(&motion, folder.path(), seed);
+                    costs.lock().unwrap().push((seed, cost));
+                }
+            });
+        }
+    });
+    let costs = costs.into_inner().unwrap();
+    assert_eq!(costs.len() as u64, seeds.end - seeds.start);
+    for (way, (options, may_lose_ms)) in WAYS.iter().enumerate() {
+        let of_way = |cost: &&(u64, Cost)| cost.0 as usize % WAYS.len() == way;
+        let mut lost: Vec<f64> = costs.iter().filter(of_way).map(|cost| cost.1.lost_ms).collect();
+        lost.sort_by(f64::total_cmp);
+        let over = lost.iter().filter(|lost_ms| **lost_ms > *may_lose_ms as f64).count();
+        eprintln!(
+            "{options:?}: {} kills, lost {:.0} ms (median) to {:.0} ms (most); {over} more than {may_lose_ms} ms",
+            lost.len(),
+            lost.get(lost.len() / 2).unwrap_or(&0.0),
+            lost.last().unwrap_or(&0.0)
+        );
+        for (seed, cost) in
+            costs.iter().filter(of_way).filter(|c| c.1.lost_ms > *may_lose_ms as f64)
+        {
+            eprintln!("  seed {seed}: {cost:?}");
+        }
+    }
+    let frames: usize = costs.iter().map(|(_, cost)| cost.frames).sum();
+    let samples: usize = costs.iter().map(|(_, cost)| cost.samples).sum();
+    let max_error_mm = costs.iter().map(|(_, cost)| cost.max_error_mm).fold(0.0, f64::max);
+    eprintln!(
+        "{} takes, all readable; {frames} frames, {samples} samples, none wrong (max error {max_error_mm:.4} mm), {:.0} s",
+        costs.len(),
+        begun.elapsed().as_secs_f64()
+    );
+}
+
+#[test]
+fn a_few() {
+    kills(0..8, 2);
+}
+
+#[test]
+#[ignore = "minutes: see the command above"]
+fn five_hundred() {
+    kills(1000..1500, 2);
+}
