@@ -29,6 +29,7 @@ fn main() -> io::Result<()> {
         ("decode_block", mocapd_fuzz::decode_block, blocks()),
         ("range_coder", mocapd_fuzz::range_coder, programs()),
         ("read_take", mocapd_fuzz::read_take, takes()),
+        ("recover_take", mocapd_fuzz::recover_take, damaged_takes()),
         ("read_file", mocapd_fuzz::read_file, files()),
         ("hear", mocapd_fuzz::hear, wires()),
     ] {
@@ -248,6 +249,14 @@ fn takes() -> Vec<Vec<u8>> {
         }
     }
     seeds
+}
+
+/// The same, whole and with one, three and twenty of their bytes changed.
+fn damaged_takes() -> Vec<Vec<u8>> {
+    let damage = [0, 1, 3, 20];
+    let damaged =
+        |seed: Vec<u8>| damage.map(|n: u8| [&[seed[0] & 7 | n << 3], &seed[1..]].concat());
+    takes().into_iter().flat_map(damaged).collect()
 }
 
 fn take(kind: &str, timed: bool) -> Vec<u8> {

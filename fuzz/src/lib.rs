@@ -14,5 +14,5 @@ mod trips;
 
 pub use self::{
     blocks::decode_block, file::read_file, input::Input, link::hear, range::range_coder,
-    take::read_take, trips::round_trip,
+    take::read_take, take::recover_take, trips::round_trip,
 };

@@ -3,7 +3,7 @@
 use std::io::Cursor;
 
 use mocapd_take::{
-    TakeError, TakeEvent, TakeFrames, TakeReader, chunk, motion::FrameSource,
+    TakeError, TakeEvent, TakeFrames, TakeReader, chunk, motion::FrameSource, recovery::Survey,
     stretch::StretchDecoder,
 };
 
@@ -37,6 +37,46 @@ pub fn read_take(bytes: &[u8]) {
             frames(&take);
         }
     }
+}
+
+/// The same bytes as a damaged take: what can be recovered of it makes a take that has lost nothing more.
+///
+/// Bits 3 to 7 of the first byte say how it is damaged beside: so many bytes of it, spread over the file, are changed.
+pub fn recover_take(bytes: &[u8]) {
+    let take = damaged(bytes);
+    if !events(&take, take.len().max(1)).is_ok_and(|(_, small)| small) {
+        return;
+    }
+    let survey = Survey::read(&take[..]).expect("its events could be read");
+    let mut new = Vec::new();
+    match survey.write(Cursor::new(&take), &mut new, "fuzz") {
+        Ok(_) => {}
+        // A header that is as large as it can be has no room for what recovered it.
+        Err(TakeError::InvalidArgument(_)) => return,
+        Err(error) => panic!("{error}"),
+    }
+    let again = Survey::read(&new[..]).expect("a take");
+    assert!(again.problems().is_empty() && !again.lost_anything(), "{:?}", again.problems());
+    let samples = |survey: &Survey| survey.per_channel().iter().map(|c| c.samples).sum::<u64>();
+    assert_eq!(samples(&survey), samples(&again), "other samples than were found");
+    assert_eq!(survey.rows(), again.rows(), "other rows than were found");
+    assert_eq!(survey.channels(), again.channels(), "other names than were found");
+}
+
+/// A fuzzer's bytes as a damaged take.
+fn damaged(bytes: &[u8]) -> Vec<u8> {
+    let mut input = Input::new(bytes);
+    let how = input.byte();
+    let rest = input.take(usize::MAX);
+    let mut take = if how & 1 == 1 { with_checksums(rest) } else { rest.to_vec() };
+    let n = usize::from(how >> 3);
+    for i in 0..n {
+        let at = take.len() * (2 * i + 1) / (2 * n);
+        if let Some(byte) = take.get_mut(at) {
+            *byte ^= 0x55;
+        }
+    }
+    take
 }
 
 /// `{type, length in 2 bytes, payload}` after each other as a take.

@@ -9,6 +9,8 @@ use crate::{motion::Marker, record::Channel};
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ChannelTable {
     channels: Vec<Channel>,
+    /// The header's entries are there, if it has any.
+    begun: bool,
     hole: Option<Hole>,
 }
 
@@ -47,11 +49,15 @@ impl ChannelTable {
 
     /// Entries that were read.
     pub fn append(&mut self, more: &[Channel]) {
+        self.begun = true;
         self.channels.extend_from_slice(more);
     }
 
-    /// Bytes that cannot be read: entries may have been among them.
+    /// Bytes that cannot be read: entries may have been among them, if they follow the header.
     pub fn damaged(&mut self) {
+        if !self.begun {
+            return;
+        }
         let column = self.channels.len();
         match &mut self.hole {
             Some(hole) => hole.several |= hole.column != column,
@@ -130,6 +136,16 @@ mod tests {
         table.append(&channels(&["d"]));
         table.stated(4);
         assert_eq!(labels(&table), ["a", "b", "u003", "d"]);
+    }
+
+    #[test]
+    fn damage_before_the_header_hides_no_entry() {
+        let mut table = ChannelTable::default();
+        table.damaged();
+        table.append(&channels(&["a", "b"]));
+        table.damaged();
+        table.stated(3);
+        assert_eq!(labels(&table), ["a", "b", "u003"]);
     }
 
     #[test]

@@ -97,6 +97,11 @@ impl Timeline {
         self.extend_run(rows, Some(causes));
     }
 
+    /// Adds a run of rows that were damaged before a recovery; of none, too, which says that only numbers are.
+    pub(crate) fn push_damaged(&mut self, rows: u64) {
+        self.runs.push(Run { rows, lost: Some(Causes::DAMAGED) });
+    }
+
     /// Rows in all.
     #[must_use]
     pub fn n_rows(&self) -> u64 {

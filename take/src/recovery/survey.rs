@@ -245,7 +245,9 @@ impl Surveyor {
                 let kind = Kind::of(kind);
                 self.lose(if self.closed && !kind.is_made_anew() { Kind::Index } else { kind });
                 self.table.damaged();
-                self.hole.get_or_insert(self.pieces.len());
+                if self.header.is_some() {
+                    self.hole.get_or_insert(self.pieces.len());
+                }
                 Fate::Discarded
             }
             TakeEvent::Mended { offset } => {
@@ -277,10 +279,10 @@ impl Surveyor {
         let refused = if from_row < end_row {
             decoder.pass();
             Some("it comes twice".to_owned())
-        } else if span.n_rows == 0 {
-            None
         } else if decoder.depends_on_lost(span) {
             Some("it depends on a damaged one".to_owned())
+        } else if span.n_rows == 0 {
+            None
         } else {
             decoder.decode(stretch).err().map(|error| error.to_string())
         };

@@ -8,8 +8,8 @@ use crate::{
     chunk::{self, Front},
     reader::mend_head,
     record::{Event, EventKind, Header},
-    stretch::{FrontWriter, ROWS_PASSED_MAX, Span},
-    timeline::{Causes, Timeline, TimelineEncoder},
+    stretch::{FrontWriter, NUMBERS, ROWS_PASSED_MAX, Span},
+    timeline::{Timeline, TimelineEncoder},
     writer::TakeWriter,
 };
 
@@ -67,8 +67,7 @@ impl Survey {
                 }
                 Piece::Channels(channels) => take.channels(channels)?,
                 Piece::Lost { first_row, rows, number } => {
-                    let rows = (*rows).min(ROWS_PASSED_MAX);
-                    lost(&mut take, &mut fronts, *first_row, rows, *number)?;
+                    lost(&mut take, &mut fronts, *first_row, *rows, *number)?;
                 }
             }
         }
@@ -95,13 +94,21 @@ fn lost<W: Write>(
     number: u8,
 ) -> Result<(), TakeError> {
     let end = first_row.saturating_add(rows);
-    let mut timeline = Timeline::default();
-    timeline.restart(first_row);
-    timeline.push_lost(rows, Causes::DAMAGED);
-    let span = Span { first_row: end, n_rows: 0, key: true, number };
-    let mut payload = Vec::new();
-    fronts.put(span, &timeline, &[], true, &mut payload);
-    take.stretch(span, &payload)?;
+    // As many as can be lost between two stretches at once; the last one has the number.
+    let pieces = rows.div_ceil(ROWS_PASSED_MAX).max(1);
+    for piece in 0..pieces {
+        let from = first_row.saturating_add(piece.saturating_mul(ROWS_PASSED_MAX));
+        let to = from.saturating_add(ROWS_PASSED_MAX).min(end);
+        let mut timeline = Timeline::default();
+        timeline.restart(from);
+        timeline.push_damaged(to - from);
+        let back = ((pieces - 1 - piece) % u64::from(NUMBERS)) as u8;
+        let number = (number + NUMBERS - back) % NUMBERS;
+        let span = Span { first_row: to, n_rows: 0, key: true, number };
+        let mut payload = Vec::new();
+        fronts.put(span, &timeline, &[], true, &mut payload);
+        take.stretch(span, &payload)?;
+    }
     if rows > 0 {
         let frames = match rows {
             1 => format!("frame {first_row} was"),
