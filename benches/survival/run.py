@@ -100,14 +100,14 @@ def read(reader, path, work):
     out.unlink(missing_ok=True)
     command = [sys.executable, HERE / "readers.py", reader, path, out]
     try:
-        ran = subprocess.run(command, capture_output=True, text=True, timeout=60)
+        ran = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=60)
     except subprocess.TimeoutExpired:
         return np.zeros((0, 0, 3)), "does not come to an end within 60 s"
     said = [line for line in ran.stdout.splitlines() if line.strip()]
     if ran.returncode < 0:
         said.append(f"the process ends with {signal.Signals(-ran.returncode).name}")
     elif ran.returncode > 0:
-        said.append((ran.stderr.strip().splitlines() or ["?"])[-1])
+        said = said[-1:]
     frames = np.load(out) if out.exists() else np.zeros((0, 0, 3))
     return frames, "; ".join(dict.fromkeys(said)) or "nothing"
 
@@ -115,6 +115,7 @@ def read(reader, path, work):
 def row(name, how, reader, frames, original, said, tolerance_mm=0.0):
     back, wrong = verdict(frames, original, tolerance_mm)
     said = said.replace("|", "/").replace(str(Path(tempfile.gettempdir())), "...")
+    said = " ".join(said.split())
     if len(said) > 160:
         said = said[:157] + "..."
     print(f"| {name} | {how} | {reader} | {back} of {len(original)} | {wrong} | {said} |", flush=True)

@@ -31,9 +31,10 @@ pub struct MendedStart<R> {
 /// Looks at the start of a file, from where it stands, and puts right what can be: the magic in front of a whole
 /// header, and one byte of a header. Says what it was; whatever else is wrong stays.
 ///
-/// A header with one wrong byte has exactly one CRC that fits each such byte, but for one case in thousands;
-/// a header with more wrong bytes looks like one with a single one in one of 10^4 cases, and is then still no
-/// header. Where two bytes would explain the CRC, nothing is changed.
+/// A CRC tells a single wrong byte: of a header of 300 bytes hardly two single bytes explain the same one, and where
+/// two do, nothing is changed. A header with more wrong bytes can look like one with a single one, in one of 50 000
+/// cases; then it has a matching CRC, and says what nobody wrote, if it can be decoded at all. So ordinary readers do
+/// not do this, and who asks for it is told.
 ///
 /// # Errors
 /// What reading meets.
