@@ -139,6 +139,9 @@ fn a_device_that_comes_back_is_recorded_again() {
     let info = folder.run(&["info", "a.take", "--json"]).json();
     assert_eq!(info["frames"], report["ledger"]["frames_sent"]);
     assert_eq!(info["seconds"], report["seconds"]);
+    let verified = folder.run(&["verify", "a.take", "--json"]).json();
+    assert_eq!(verified["contradictions"], serde_json::json!([]), "{verified}");
+    assert_eq!(verified["intact"], true, "{verified}");
     let events: Vec<&str> =
         info["events"].as_array().unwrap().iter().filter_map(|e| e["text"].as_str()).collect();
     // The other life's counter says nothing of the time between: the host's clock does.

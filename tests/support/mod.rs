@@ -4,6 +4,7 @@ use std::io::Cursor;
 
 use mocapd::{
     header,
+    inspect::Summary,
     pipeline::{Counts, Intake, Pipeline, PipelineConfig, TakeOutput, Written},
 };
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
@@ -107,6 +108,8 @@ pub(crate) fn record(
     }
     let counts = intake.finish();
     let (written, take) = pipeline.finish().unwrap();
+    let summary = Summary::read(&take[..]).unwrap();
+    assert_eq!((summary.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
     (written, take, counts)
 }
 
