@@ -41,6 +41,15 @@ pub fn create_new(path: &Path) -> anyhow::Result<File> {
     created.map_err(|error| cannot_create(path, &error))
 }
 
+/// Makes the name of a new file survive a power cut, as a sync makes its content. Where a file system has no such
+/// sync of folders, it keeps names in its own way.
+pub fn sync_name(path: &Path) {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    if let Ok(folder) = File::open(folder.unwrap_or(Path::new("."))) {
+        folder.sync_all().ok();
+    }
+}
+
 fn cannot_create(path: &Path, error: &io::Error) -> anyhow::Error {
     match error.kind() {
         io::ErrorKind::AlreadyExists => exists(path),
@@ -115,6 +124,10 @@ impl NewFile {
         };
         match named {
             Err(Errno::EXIST) => Err(exists(&self.path)),
+            Ok(()) => {
+                sync_name(&self.path);
+                Ok(())
+            }
             other => other.with_context(|| format!("cannot name {}", self.path.display())),
         }
     }

@@ -68,6 +68,7 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
     let (rate_hz, markers) = (config.rate_hz, config.channels.len());
 
     let file = files::create_new(options.take)?;
+    files::sync_name(options.take);
     let outcome = Pipeline::start(&config, &header, file).map(|(intake, pipeline)| {
         (options.started)(pipeline.progress());
         let rows_max = options.length.map(|length| units::frame_at(length, rate_hz));
