@@ -32,7 +32,7 @@ pub struct Counts {
     pub markers_appeared: u64,
     /// Samples of markers beyond the channel pool.
     pub markers_dropped: u64,
-    /// Times that the device's counter jumped as no loss can explain.
+    /// Times that the device's counter jumped as no loss can explain: too far, or further than its own clock allows.
     pub counter_jumps: u64,
     /// Times that the device's clock went back.
     pub clock_jumps: u64,

@@ -104,7 +104,7 @@ impl Intake {
             row: vec![Sample::default(); plan.n_slots],
             room: 0,
             rate_hz: config.rate_hz,
-            axis: Axis::default(),
+            axis: Axis::new(config.rate_hz, config.tick_hz),
             silences: Silences::new(config.rate_hz),
             pending: Pending::default(),
             next_row: 0,

@@ -10,6 +10,13 @@ const OUTAGE_MAX: i32 = 1 << 30;
 /// device began anew.
 const LATE_MIN: i32 = -64;
 
+/// So few frames missing are never doubted: a clock that is read late by a few frames' time is no lie of the counter.
+const DOUBTED_MIN: i32 = 8;
+
+/// A counter that went so many times further than the device's own clock allows did not lose frames. Far from 1: the
+/// rate may be another than the device said, and its clock be set while frames are lost.
+const CLOCK_FACTOR: f64 = 4.0;
+
 /// What a frame's counter says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Step {
@@ -25,9 +32,25 @@ pub(super) enum Step {
 #[derive(Debug, Default)]
 pub(super) struct Axis {
     last: Option<(u32, u64)>,
+    /// From a frame to the next by the device's clock; 0 where that is not known.
+    frame_ticks: f64,
 }
 
 impl Axis {
+    pub(super) fn new(rate_hz: f64, tick_hz: u64) -> Self {
+        Self { last: None, frame_ticks: tick_hz as f64 / rate_hz }
+    }
+
+    /// Whether so many frames cannot have been produced since the last one, by the device's own clock.
+    fn is_ahead_of_clock(&self, ahead: i32, ticks: u64, last_ticks: u64) -> bool {
+        // A clock that went back says nothing.
+        let passed = ticks.checked_sub(last_ticks).filter(|passed| *passed > 0);
+        passed.is_some_and(|passed| {
+            ahead > DOUBTED_MIN
+                && f64::from(ahead) * self.frame_ticks > CLOCK_FACTOR * passed as f64
+        })
+    }
+
     /// The first frame after an outage: so many did not come in between, or `None` where counter and clock do not go
     /// on from where they were, because the device lost its power.
     pub(super) fn rejoin(&mut self, seq: u32, device_ticks: u64) -> Option<u32> {
@@ -44,6 +67,7 @@ impl Axis {
         let step = match self.last {
             None => Step::Next { missing: 0 },
             Some((last, ticks)) => match seq.wrapping_sub(last).cast_signed() {
+                ahead @ 1.. if self.is_ahead_of_clock(ahead, device_ticks, ticks) => Step::Jump,
                 ahead @ 1..=MISSING_MAX => Step::Next { missing: ahead as u32 - 1 },
                 LATE_MIN..=0 if device_ticks <= ticks => return Step::Again,
                 _ => Step::Jump,
@@ -80,6 +104,21 @@ mod tests {
         assert_eq!(axis.rejoin(9, 3), None, "a clock that went back");
         axis.step(u32::MAX, 400);
         assert_eq!(axis.rejoin(2, 500), Some(2), "through the wrap");
+    }
+
+    #[test]
+    fn a_counter_that_is_ahead_of_its_own_clock_is_a_jump() {
+        let mut axis = Axis::new(100.0, 1000);
+        axis.step(0, 0);
+        assert_eq!(axis.step(501, 5010), Step::Next { missing: 500 }, "five seconds passed");
+        assert_eq!(axis.step(1002, 5020), Step::Jump, "a hundredth passed");
+        assert_eq!(axis.step(1003, 5030), Step::Next { missing: 0 });
+        assert_eq!(axis.step(1010, 5040), Step::Next { missing: 6 }, "too few to doubt");
+        assert_eq!(axis.step(1111, 5300), Step::Next { missing: 100 }, "a rate that was misstated");
+        assert_eq!(axis.step(1212, 4000), Step::Next { missing: 100 }, "a clock that was set back");
+        let mut axis = Axis::default();
+        axis.step(0, 0);
+        assert_eq!(axis.step(501, 1), Step::Next { missing: 500 }, "a clock that nobody knows");
     }
 
     #[test]
