@@ -101,6 +101,7 @@ fn refused_values_exit_2_and_failures_1() {
         &["--generate", "jump", "--pty", "--protocol", "vicon"],
         &["--generate", "jump", "--pty", "--protocol", "ndi", "--wire", "um"],
         &["--generate", "jump", "--pty", "--protocol", "ndi", "--tool", "nobody"],
+        &["--generate", "jump", "--pty", "--protocol", "ndi", "--faults", "faults/garbage.toml"],
     ] {
         fails(bad, 2);
     }
@@ -164,6 +165,45 @@ fn one_line_one_run_and_out() {
     let again = fails(&["--generate", "jump", "--pty", "--log", log.to_str().unwrap()], 1);
     assert!(again.contains("not taken"), "{again}");
     assert!(std::fs::symlink_metadata(&link).is_err(), "the link is still there");
+}
+
+#[test]
+fn scripts_of_faults_are_refused_in_words_and_played() {
+    let folder = tempfile::tempdir().unwrap();
+    let script = folder.path().join("faults.toml");
+    let with = |more: &[&'static str]| {
+        let mut args = vec!["--generate", "jump:5", "--seconds", "1s", "--faults"];
+        let path: &'static str = script.to_str().unwrap().to_owned().leak();
+        args.push(path);
+        args.extend(more);
+        args
+    };
+    let words = fails(&with(&["--pty"]), 1);
+    assert!(words.contains("cannot read") && words.contains("faults.toml"), "{words}");
+    std::fs::write(&script, "seed = 1\n[[fault]]\nkind = 'stall'\nat = 2\n").unwrap();
+    let words = fails(&with(&["--pty"]), 2);
+    assert!(words.contains("faults.toml line 4: unknown key 'at'"), "{words}");
+    assert!(words.contains("did you mean 'at_s'?") && words.lines().count() == 1, "{words}");
+    std::fs::write(&script, "seed = 1\n[[fault]]\nkind = 'unplug'\nat_s = 1\nfor_s = 1\n").unwrap();
+    let words = fails(&with(&["--pty"]), 2);
+    assert!(words.contains("give --pty=LINK"), "{words}");
+
+    std::fs::write(&script, "seed = 1\n[[fault]]\nkind = 'lost-frames'\nrate = 0.2\n").unwrap();
+    let log = folder.path().join("sent.csv");
+    let path: &'static str = log.to_str().unwrap().to_owned().leak();
+    let (child, device) = started(&with(&["--pty", "--once", "--log", path]));
+    let n_frames = record(&device);
+    let (code, words) = ended(child);
+    assert_eq!(code, Some(0), "{words}");
+    let lost = 120 - n_frames;
+    let said = format!(
+        "faults: {n_frames} frames sent whole, 0 damaged and {lost} lost ({lost} by lost-frames)"
+    );
+    assert!(lost > 5 && words.contains(&said), "{words}");
+    let log = std::fs::read_to_string(&log).unwrap();
+    assert!(log.starts_with("run,seq,device_ticks,present,dropped,host_ns,fate,again,faults\n"));
+    let with = |fate: &str| log.lines().filter(|line| line.contains(fate)).count() as u64;
+    assert_eq!((with(",whole,0,"), with(",lost,0,lost-frames")), (n_frames, lost));
 }
 
 #[test]

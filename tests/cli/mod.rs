@@ -9,6 +9,7 @@ mod demo;
 mod devices;
 mod documents;
 mod exports;
+mod faults;
 mod folder;
 mod full_disk;
 mod imports;

@@ -1,7 +1,7 @@
 //! `mocapd-sim serve`.
 
 use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -11,6 +11,7 @@ use anyhow::Context;
 use clap::{Args, ValueEnum};
 use mocapd_drivers::link::FrameForm;
 use mocapd_simulator::device::{Device, DeviceError, DeviceSettings, LineDevice, SentLog};
+use mocapd_simulator::faults::{FaultyDevice, SCRIPT_BYTES_MAX, Script};
 use mocapd_simulator::generator::{JumpSpec, Occlusion};
 use mocapd_simulator::line::{Line, ServeOptions, serve};
 use mocapd_simulator::ndi::{NdiDevice, NdiError, NdiSettings};
@@ -68,6 +69,9 @@ pub(super) struct ServeArgs {
     /// Hand over what waits only every M milliseconds, as an FTDI adapter does with 16; 0 for at once.
     #[arg(long, value_name = "M", default_value_t = 0, value_parser = clap::value_parser!(u64).range(0..=1000))]
     batch_ms: u64,
+    /// What goes wrong, and when: a script in TOML, as docs/faults.md has it.
+    #[arg(long, value_name = "SCRIPT")]
+    faults: Option<PathBuf>,
     /// Begin again after the last frame, and never end.
     #[arg(long = "loop")]
     looping: bool,
@@ -77,7 +81,8 @@ pub(super) struct ServeArgs {
     /// Write what became of every frame to a CSV file.
     ///
     /// Its columns: run, seq, `device_ticks`, present, dropped (it never left the device), `host_ns`, the
-    /// host's monotonic clock at `device_ticks`, and unasked: an NDI system's frame after the last request.
+    /// host's monotonic clock at `device_ticks`, and unasked: an NDI system's frame after the last request; with
+    /// --faults also fate, again and faults.
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
     /// Length of the generated motion (default: one jump); of a file, only its beginning.
@@ -139,7 +144,8 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
         signal_hook::flag::register_conditional_shutdown(*signal, 130, Arc::clone(&stop))?;
         signal_hook::flag::register(*signal, Arc::clone(&stop))?;
     }
-    let (mut device, what) = device(args, motion(args)?)?;
+    let script = script(args)?;
+    let (mut device, what) = device(args, motion(args)?, script)?;
     let (mut line, name) = args.line.open(&args.serial)?;
     // Last: a start that is refused leaves no log behind.
     let log: Option<Box<dyn Write + Send>> = match &args.log {
@@ -165,7 +171,11 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
 }
 
 /// The device, and what it is in words.
-fn device(args: &ServeArgs, motion: Motion) -> Result<(Box<dyn LineDevice>, String), Failure> {
+fn device(
+    args: &ServeArgs,
+    motion: Motion,
+    script: Option<Arc<Script>>,
+) -> Result<(Box<dyn LineDevice>, String), Failure> {
     let usage = |words: &str| Err(Failure::usage(anyhow::anyhow!("{words}")));
     let n_markers = motion.info.markers.len();
     let device: (Box<dyn LineDevice>, u32) = match args.protocol {
@@ -175,11 +185,18 @@ fn device(args: &ServeArgs, motion: Motion) -> Result<(Box<dyn LineDevice>, Stri
         Spoken::Ndi if args.wire.is_some() => {
             return usage("--wire is for the link protocol: an NDI system sends f32");
         }
+        Spoken::Ndi if script.is_some() => {
+            return usage("--faults is for the link protocol: an NDI system has none here");
+        }
         Spoken::Dvmc => {
-            let device = Device::new(motion, settings(args)).map_err(refused)?;
+            let settings = DeviceSettings { faults: script.clone(), ..settings(args) };
+            let device = Device::new(motion, settings).map_err(refused)?;
             device.warnings().iter().for_each(|warning| say(warning));
             let rate_mhz = device.hello().rate_mhz;
-            (Box::new(device), rate_mhz)
+            match script {
+                Some(script) => (Box::new(FaultyDevice::new(device, &script)), rate_mhz),
+                None => (Box::new(device), rate_mhz),
+            }
         }
         Spoken::Ndi if args.drift_ppm != 0.0 => {
             return usage(
@@ -196,6 +213,24 @@ fn device(args: &ServeArgs, motion: Motion) -> Result<(Box<dyn LineDevice>, Stri
     let (device, rate_mhz) = device;
     let hz = f64::from(rate_mhz) / 1000.0;
     Ok((device, format!("{n_markers} markers at {hz} Hz, Ctrl-C ends")))
+}
+
+/// What goes wrong.
+fn script(args: &ServeArgs) -> Result<Option<Arc<Script>>, Failure> {
+    let Some(path) = &args.faults else { return Ok(None) };
+    let cannot_read = || format!("cannot read {}", path.display());
+    let file = File::open(path).with_context(cannot_read)?;
+    let mut text = String::new();
+    // One byte more shows that it is too long.
+    let at_most = SCRIPT_BYTES_MAX as u64 + 1;
+    file.take(at_most).read_to_string(&mut text).with_context(cannot_read)?;
+    let name = path.display().to_string();
+    let script = Script::parse(&name, &text).map_err(Failure::usage)?;
+    if script.unplugs() && !matches!(args.line.pty, Some(Some(_))) {
+        let words = "a script that unplugs the device needs a name that lasts: give --pty=LINK";
+        return Err(Failure::usage(anyhow::anyhow!("{}: {words}", path.display())));
+    }
+    Ok(Some(Arc::new(script)))
 }
 
 fn motion(args: &ServeArgs) -> Result<Motion, Failure> {
@@ -341,6 +376,9 @@ fn summary(sent: &SentLog, spoken: Spoken) -> String {
     if spoken == Spoken::Ndi {
         let unasked = total.frames_unasked;
         said.push_str(&format!(", {unasked} after the last request (on no recorder's account)"));
+    }
+    if let Some(faults) = &sent.faults {
+        said = format!("{said}\nmocapd-sim: {}", faults.words());
     }
     said
 }

@@ -28,6 +28,11 @@ impl DeviceClock {
         self.epoch_ns.get_or_insert(now_ns);
     }
 
+    /// It has lost its power: the next [`begin`](Self::begin) is its first.
+    pub(super) fn reset(&mut self) {
+        self.epoch_ns = None;
+    }
+
     /// What it shows at the caller's time.
     pub(super) fn ticks(&self, at_ns: u64) -> u64 {
         let since_ns = at_ns.saturating_sub(self.epoch_ns.unwrap_or(at_ns));

@@ -37,6 +37,24 @@ pub trait LineDevice {
 
     /// Takes the logged frames away.
     fn take_frames(&mut self) -> Vec<SentFrame>;
+
+    /// Whether it is on its line. A line follows.
+    fn is_plugged(&self) -> bool {
+        true
+    }
+
+    /// The first line of a log file.
+    fn log_header(&self) -> &'static str {
+        SentFrame::CSV_HEADER
+    }
+
+    /// Takes the logged frames away, one line each.
+    fn take_log_lines(&mut self) -> Vec<String> {
+        self.take_frames().into_iter().map(SentFrame::to_csv).collect()
+    }
+
+    /// Nothing goes over the line any more: what became of the last frames is known now.
+    fn close(&mut self) {}
 }
 
 impl LineDevice for Device {

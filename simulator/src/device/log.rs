@@ -1,5 +1,7 @@
 //! The truth about what was sent, for whoever checks a recording against it.
 
+use crate::faults::FaultTotals;
+
 /// What became of frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct SentCounters {
@@ -19,7 +21,7 @@ pub struct SentCounters {
 
 /// What a device did since it was made.
 ///
-/// Over all runs `frames_produced` is the sum of `frames_sent`, `frames_waiting`, `frames_discarded`,
+/// Over all runs, without faults, `frames_produced` is the sum of `frames_sent`, `frames_waiting`, `frames_discarded`,
 /// `frames_dropped` and `frames_unasked`.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct SentLog {
@@ -44,6 +46,8 @@ pub struct SentLog {
     pub frames_discarded: u64,
     /// Bytes that the line took.
     pub bytes_sent: u64,
+    /// What became of the frames on a line with faults.
+    pub faults: Option<FaultTotals>,
     /// One entry a frame, when asked for and not taken away by then.
     pub frames: Vec<SentFrame>,
 }

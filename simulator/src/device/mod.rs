@@ -29,9 +29,12 @@ pub(crate) use outbox::Outbox;
 pub(crate) use rates::Rates;
 pub use settings::{DeviceError, DeviceSettings, RATE_MHZ, TICK_HZ};
 
+use crate::faults::SourceFaults;
 use crate::replay::Replay;
 
 const SECOND_NS: u64 = 1_000_000_000;
+
+const NS_PER_TICK: i64 = (SECOND_NS / TICK_HZ) as i64;
 
 /// A simulated device.
 #[derive(Debug)]
@@ -50,6 +53,10 @@ pub struct Device {
     log: SentLog,
     warnings: Vec<String>,
     clock: DeviceClock,
+    faults: Option<SourceFaults>,
+    first_start_ns: Option<u64>,
+    /// The next frame's number on the wire: since power-up, while the log counts since the device was made.
+    counter: u32,
     commands: Vec<Command>,
     row: Vec<Position>,
     samples: Vec<MarkerSample>,
@@ -73,16 +80,20 @@ impl Device {
     ) -> Result<Self, DeviceError> {
         let motion = motion.into();
         let found = motion.info.markers.len();
+        let ghosts = settings.faults.as_ref().map_or(0, |script| script.n_ghosts());
         match (found, motion.n_frames()) {
             (0, _) => return Err(DeviceError::NoMarkers),
             (_, 0) => return Err(DeviceError::NoFrames),
-            _ if found > MARKERS_MAX => {
+            _ if found + ghosts > MARKERS_MAX => {
+                let found = found + ghosts;
                 return Err(DeviceError::TooManyMarkers { found, max: MARKERS_MAX });
             }
             _ => {}
         }
         let rates = Rates::new(&motion, &settings)?;
         let clock = DeviceClock::new(settings.drift_ppm)?;
+        let faults = settings.faults.clone();
+        let faults = faults.map(|script| SourceFaults::new(script, found));
         let (table, warnings) = table::announce(&motion.info.markers);
         let hello = Hello {
             model: "mocapd-sim".to_owned(),
@@ -98,7 +109,7 @@ impl Device {
                 UpAxis::Y => 2,
                 UpAxis::Z => 3,
             },
-            markers_max: found as u16,
+            markers_max: (found + ghosts) as u16,
             n_frames: 0,
         };
         let mut device = Self {
@@ -114,6 +125,9 @@ impl Device {
             log: SentLog::default(),
             warnings,
             clock,
+            faults,
+            first_start_ns: None,
+            counter: 0,
             commands: Vec::new(),
             row: Vec::new(),
             samples: Vec::new(),
@@ -232,7 +246,15 @@ impl Device {
     }
 
     fn ticks(&self, at_ns: u64) -> u64 {
-        self.clock.ticks(at_ns)
+        let ticks = self.clock.ticks(at_ns);
+        let (Some(faults), Some(since_ns)) = (&self.faults, self.since_ns(at_ns)) else {
+            return ticks;
+        };
+        ticks.saturating_add_signed(faults.clock_ahead_ns(since_ns) / NS_PER_TICK)
+    }
+
+    fn since_ns(&self, at_ns: u64) -> Option<u64> {
+        self.first_start_ns.map(|start_ns| at_ns.saturating_sub(start_ns))
     }
 
     fn status(&self) -> Status {
@@ -243,17 +265,58 @@ impl Device {
         }
     }
 
+    /// The device is switched off: what it was about to say is gone.
+    pub(crate) fn lose_power(&mut self) {
+        self.run = None;
+        self.owed_end = None;
+        self.end_said = false;
+        self.outbox.discard();
+        self.clock.reset();
+        self.counter = 0;
+        if let Some(faults) = &mut self.faults {
+            faults.begin_anew();
+        }
+    }
+
+    /// It is switched on again. `greets`: its line is open, and it says who it is.
+    pub(crate) fn power_up(&mut self, now_ns: u64, greets: bool) {
+        self.clock.begin(now_ns);
+        if greets {
+            self.identify();
+        }
+    }
+
+    fn add_ghosts(&mut self, since_ns: u64) {
+        let Some(faults) = &mut self.faults else { return };
+        let ghosts = faults.announce_ghosts(since_ns);
+        faults.add_ghosts(since_ns, &mut self.samples);
+        if !ghosts.is_empty() {
+            self.answer(|link, out| {
+                // No label is too long, and there are few enough.
+                let said = link.markers(&ghosts, out);
+                debug_assert!(said.is_ok());
+            });
+        }
+    }
+
     /// One frame, whose time has come, into the queue or lost.
     fn produce(&mut self, at_ns: u64) {
         let number = self.log.run.frames_produced;
         let n_frames = self.replay.n_frames().max(1);
         self.replay.frame(number % n_frames, &mut self.row);
+        let since_ns = self.since_ns(at_ns).unwrap_or(0);
+        let mut seq = self.counter;
+        self.counter = self.counter.wrapping_add(1);
+        if let Some(faults) = &mut self.faults {
+            seq = faults.counter(seq, since_ns);
+            faults.positions(since_ns, &mut self.row);
+        }
         let present = table::list(&self.table, &self.row, &mut self.samples);
-        // The number on the wire counts since power-up, the run only since Start.
-        let seq = self.log.total.frames_produced as u32;
+        self.add_ghosts(since_ns);
         let device_ticks = self.ticks(at_ns);
         let frame = Frame { seq, device_ticks, timecode: None, markers: &self.samples };
-        let mut dropped = !self.outbox.has_room(frame_bytes_max(self.table.len()));
+        let n_markers_max = usize::from(self.hello.markers_max);
+        let mut dropped = !self.outbox.has_room(frame_bytes_max(n_markers_max));
         if !dropped {
             let (link, form) = (&mut self.link, self.settings.form);
             // Ids ascend and are few enough by construction; a frame the link refused would not have left.

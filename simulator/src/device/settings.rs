@@ -1,6 +1,10 @@
 //! What a simulated device is told, and why it may refuse to be one.
 
+use std::sync::Arc;
+
 use mocapd_drivers::link::FrameForm;
+
+use crate::faults::Script;
 
 /// The rates a simulated device runs at, in millihertz: 1 Hz to 10 kHz.
 pub const RATE_MHZ: std::ops::RangeInclusive<u32> = 1_000..=10_000_000;
@@ -29,6 +33,9 @@ pub struct DeviceSettings {
     pub drift_ppm: f64,
     /// Bytes of frames kept for a host that does not read; `None` for a second's worth, at most 4 MiB.
     pub queue_bytes: Option<usize>,
+    /// What goes wrong inside the device; what goes wrong behind it is a
+    /// [`FaultyDevice`](crate::faults::FaultyDevice)'s.
+    pub faults: Option<Arc<Script>>,
     /// Keep a [`SentFrame`](super::SentFrame) for every frame. Whoever asks for them takes them away.
     pub log_frames: bool,
 }
@@ -44,6 +51,7 @@ impl Default for DeviceSettings {
             line_bytes_per_s: 0,
             drift_ppm: 0.0,
             queue_bytes: None,
+            faults: None,
             log_frames: false,
         }
     }

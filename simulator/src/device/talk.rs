@@ -51,7 +51,7 @@ impl Device {
     }
 
     /// After Hello a device is stopped, and what waited for another host is not for this one.
-    fn identify(&mut self) {
+    pub(super) fn identify(&mut self) {
         self.run = None;
         self.owed_end = None;
         self.end_said = false;
@@ -95,6 +95,7 @@ impl Device {
             self.owed_end = None;
             self.end_said = false;
             self.log.starts += 1;
+            self.first_start_ns.get_or_insert(now_ns);
             self.log.run = SentCounters::default();
             self.run = Some(Run { start_ns: now_ns, status_ns: now_ns + SECOND_NS });
         }
@@ -126,7 +127,7 @@ impl Device {
         };
         self.hello.rate_mhz = rate_mhz;
         self.hello.n_frames = if self.settings.looping { 0 } else { self.replay.n_frames() };
-        let frame_bytes = frame_bytes_max(self.table.len());
+        let frame_bytes = frame_bytes_max(usize::from(self.hello.markers_max));
         self.outbox.resize(frame_bytes, rate_mhz, self.settings.queue_bytes);
     }
 }

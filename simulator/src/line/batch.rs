@@ -2,7 +2,7 @@
 
 /// The timer: it runs whether there is something to send or not.
 #[derive(Debug)]
-pub(super) struct Batch {
+pub(crate) struct Batch {
     period_ns: u64,
     /// The next time that it goes off.
     next_ns: u64,
@@ -11,13 +11,13 @@ pub(super) struct Batch {
 }
 
 impl Batch {
-    pub(super) fn new(period_ns: u64, now_ns: u64) -> Self {
+    pub(crate) fn new(period_ns: u64, now_ns: u64) -> Self {
         let period_ns = period_ns.max(1);
         Self { period_ns, next_ns: now_ns + period_ns, released: 0 }
     }
 
     /// Time passed. `waiting` bytes were there all the while: what is new is told next time.
-    pub(super) fn tick(&mut self, now_ns: u64, waiting: usize) {
+    pub(crate) fn tick(&mut self, now_ns: u64, waiting: usize) {
         if now_ns >= self.next_ns {
             // A late wake-up does not move the timer.
             self.next_ns +=
@@ -27,16 +27,16 @@ impl Batch {
     }
 
     /// How many bytes may be handed over.
-    pub(super) fn allowed(&self) -> usize {
+    pub(crate) fn allowed(&self) -> usize {
         self.released
     }
 
-    pub(super) fn sent(&mut self, bytes: usize) {
+    pub(crate) fn sent(&mut self, bytes: usize) {
         self.released = self.released.saturating_sub(bytes);
     }
 
     /// When it is worth asking again.
-    pub(super) fn next_ns(&self) -> u64 {
+    pub(crate) fn next_ns(&self) -> u64 {
         self.next_ns
     }
 }

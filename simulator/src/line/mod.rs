@@ -8,6 +8,7 @@ mod serve;
 use std::io;
 use std::time::Duration;
 
+pub(crate) use batch::Batch;
 pub use serve::{ServeOptions, serve};
 
 /// A byte stream to a host, which may come and go.
@@ -46,6 +47,22 @@ pub trait Line {
     /// # Errors
     /// When the line is broken for good.
     fn unread(&mut self) -> io::Result<u64>;
+
+    /// Pulls the cable: the host's end is hung up, and gone.
+    ///
+    /// # Errors
+    /// When this line cannot be pulled, or is broken for good.
+    fn unplug(&mut self) -> io::Result<()> {
+        Err(io::ErrorKind::Unsupported.into())
+    }
+
+    /// Puts it in again, under the name that it had.
+    ///
+    /// # Errors
+    /// When this line cannot be pulled, or is broken for good.
+    fn plug_in(&mut self) -> io::Result<()> {
+        Err(io::ErrorKind::Unsupported.into())
+    }
 
     /// Called ten times a second.
     ///

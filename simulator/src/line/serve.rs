@@ -11,7 +11,7 @@ use super::batch::Batch;
 use super::drain::{Drain, LOOK};
 use super::pace::Pace;
 use super::{Line, LineError};
-use crate::device::{LineDevice, SentFrame, SentLog};
+use crate::device::{LineDevice, SentLog};
 
 /// The longest sleep: how soon a stop is seen.
 const NAP: Duration = Duration::from_millis(20);
@@ -34,7 +34,9 @@ pub struct ServeOptions {
     pub batch: Option<Duration>,
     /// Return when a run has ended and the host has read all of it.
     pub once: bool,
-    /// Where a line of CSV goes for every frame whose time came; see [`SentFrame`].
+    /// Where a line of CSV goes for every frame whose time came; see
+    /// [`SentFrame`](crate::device::SentFrame), and of a line with faults
+    /// [`FrameFate`](crate::faults::FrameFate).
     pub log: Option<Box<dyn Write + Send>>,
 }
 
@@ -73,10 +75,12 @@ pub fn serve(
         batch: options.batch.map(|batch| Batch::new(batch.as_nanos() as u64, host_ns())),
         log: options.log,
         open_again_ns: 0,
+        plugged: true,
     };
-    server.log_line(SentFrame::CSV_HEADER)?;
+    server.log_line(server.device.log_header())?;
     server.run(options.once, stop)?;
     server.drain()?;
+    server.device.close();
     server.log_frames()?;
     if let Some(log) = &mut server.log {
         log.flush().map_err(LineError::Log)?;
@@ -99,6 +103,8 @@ struct Server<'a> {
     baud: Option<u32>,
     log: Option<Box<dyn Write + Send>>,
     open_again_ns: u64,
+    /// The cable is in.
+    plugged: bool,
 }
 
 /// What a turn of writing came to.
@@ -121,6 +127,7 @@ impl Server<'_> {
             let now_ns = host_ns();
             self.tick(now_ns);
             let wake_ns = self.device.poll(now_ns);
+            self.follow_cable()?;
             let (sleep, is_full) = match self.write()? {
                 Written::All => (NAP, false),
                 Written::Until(at_ns) => {
@@ -141,6 +148,27 @@ impl Server<'_> {
             self.admit()?;
         }
         Ok(())
+    }
+
+    /// Pulls the line out or puts it in, when the device says so.
+    fn follow_cable(&mut self) -> Result<(), LineError> {
+        let plugged = self.device.is_plugged();
+        if plugged == self.plugged {
+            return Ok(());
+        }
+        self.plugged = plugged;
+        if plugged {
+            return self.line.plug_in().map_err(self.failed("plugging in"));
+        }
+        // What left the device has reached the host: the log knows no third.
+        let mut drain = Drain::default();
+        loop {
+            let unread = self.line.unread().map_err(self.failed("counting bytes"))?;
+            if drain.is_over(unread, host_ns()) {
+                return self.line.unplug().map_err(self.failed("unplugging"));
+            }
+            std::thread::sleep(LOOK);
+        }
     }
 
     /// What the device says from now on waits for the next batch.
@@ -235,8 +263,8 @@ impl Server<'_> {
 
     fn log_frames(&mut self) -> Result<(), LineError> {
         if self.log.is_some() {
-            for frame in self.device.take_frames() {
-                self.log_line(&frame.to_csv())?;
+            for line in self.device.take_log_lines() {
+                self.log_line(&line)?;
             }
         }
         Ok(())

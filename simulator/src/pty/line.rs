@@ -20,19 +20,24 @@ use crate::line::Line;
 /// An open pty: the device's end, and the path of the host's end. Dropping it hangs up and removes the link.
 #[derive(Debug)]
 pub struct PtyLine {
-    master: OwnedFd,
-    /// Kept open so that hosts may come and go: without it the master fails with EIO between two of them.
-    slave: OwnedFd,
+    /// `None` while it is unplugged.
+    pair: Option<Pair>,
+    /// What a host opens where there is no link.
     slave_path: PathBuf,
     link: Option<PathBuf>,
 }
 
-impl PtyLine {
-    /// A raw, 8-bit clean pty. With a `link`, a symbolic link to it is made there, in place of a dead one.
-    ///
-    /// # Errors
-    /// When the kernel gives no pty, or the link cannot be made.
-    pub fn open(link: Option<&Path>) -> Result<Self, PtyError> {
+#[derive(Debug)]
+struct Pair {
+    master: OwnedFd,
+    /// Kept open so that hosts may come and go: without it the master fails with EIO between two of them.
+    slave: OwnedFd,
+    slave_path: PathBuf,
+}
+
+impl Pair {
+    /// A raw, 8-bit clean pty.
+    fn open() -> Result<Self, PtyError> {
         let failed = |action| move |e: Errno| PtyError::Open { action, source: e.into() };
         let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
         let master = openpt(flags).map_err(failed("openpt"))?;
@@ -47,16 +52,37 @@ impl PtyLine {
         termios.make_raw();
         tcsetattr(&slave, OptionalActions::Now, &termios).map_err(failed("tcsetattr"))?;
         rustix::io::ioctl_fionbio(&master, true).map_err(failed("fionbio"))?;
+        Ok(Self { master, slave, slave_path })
+    }
+}
+
+impl PtyLine {
+    /// A raw, 8-bit clean pty. With a `link`, a symbolic link to it is made there, in place of a dead one.
+    ///
+    /// # Errors
+    /// When the kernel gives no pty, or the link cannot be made.
+    pub fn open(link: Option<&Path>) -> Result<Self, PtyError> {
+        let pair = Pair::open()?;
         if let Some(link) = link {
-            make_link(&slave_path, link)?;
+            make_link(&pair.slave_path, link)?;
         }
-        Ok(Self { master, slave, slave_path, link: link.map(Path::to_owned) })
+        let slave_path = pair.slave_path.clone();
+        Ok(Self { pair: Some(pair), slave_path, link: link.map(Path::to_owned) })
     }
 
     /// The path that a host opens: the link when there is one.
     #[must_use]
     pub fn path(&self) -> &Path {
         self.link.as_deref().unwrap_or(&self.slave_path)
+    }
+
+    fn remove_link(&self) {
+        if let Some(link) = &self.link
+            && fs::read_link(link).is_ok_and(|target| target == self.slave_path)
+            && fs::remove_file(link).is_err()
+        {
+            // A dead link stays, which the next simulator replaces.
+        }
     }
 }
 
@@ -66,20 +92,43 @@ impl Line for PtyLine {
     }
 
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        or_nothing(rustix::io::write(&self.master, bytes))
+        let Some(Pair { master, .. }) = &self.pair else { return Ok(0) };
+        or_nothing(rustix::io::write(master, bytes))
     }
 
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        or_nothing(rustix::io::read(&self.master, buffer))
+        let Some(Pair { master, .. }) = &self.pair else { return Ok(0) };
+        or_nothing(rustix::io::read(master, buffer))
     }
 
     fn wait(&mut self, at_most: Duration) -> io::Result<bool> {
-        wait_readable(self.master.as_fd(), at_most)
+        match &self.pair {
+            Some(Pair { master, .. }) => wait_readable(master.as_fd(), at_most),
+            None => wait_for(&mut [], at_most),
+        }
     }
 
     /// Bytes that the host could read now and has not.
     fn unread(&mut self) -> io::Result<u64> {
-        Ok(rustix::io::ioctl_fionread(&self.slave)?)
+        let Some(Pair { slave, .. }) = &self.pair else { return Ok(0) };
+        Ok(rustix::io::ioctl_fionread(slave)?)
+    }
+
+    fn unplug(&mut self) -> io::Result<()> {
+        self.remove_link();
+        self.pair = None;
+        Ok(())
+    }
+
+    /// Another pty: only a link makes it the same to a host.
+    fn plug_in(&mut self) -> io::Result<()> {
+        let pair = Pair::open().map_err(io::Error::other)?;
+        if let Some(link) = &self.link {
+            make_link(&pair.slave_path, link).map_err(io::Error::other)?;
+        }
+        self.slave_path.clone_from(&pair.slave_path);
+        self.pair = Some(pair);
+        Ok(())
     }
 
     /// Lets a new host in after one that was killed.
@@ -87,7 +136,8 @@ impl Line for PtyLine {
     /// Serial programs open with TIOCEXCL. The kernel keeps that mark as long as our end is open, so that a host
     /// that could not take it back would leave the line busy for ever. Their flock still keeps two hosts apart.
     fn tend(&mut self) -> io::Result<()> {
-        Ok(rustix::termios::ioctl_tiocnxcl(&self.slave)?)
+        let Some(Pair { slave, .. }) = &self.pair else { return Ok(()) };
+        Ok(rustix::termios::ioctl_tiocnxcl(slave)?)
     }
 }
 
@@ -101,10 +151,13 @@ pub(crate) fn or_nothing(outcome: Result<usize, Errno>) -> io::Result<usize> {
 
 /// Sleeps, at most so long, until there is something to read.
 pub(crate) fn wait_readable(fd: BorrowedFd<'_>, at_most: Duration) -> io::Result<bool> {
-    let mut fds = [PollFd::new(&fd, PollFlags::IN)];
+    wait_for(&mut [PollFd::new(&fd, PollFlags::IN)], at_most)
+}
+
+fn wait_for(fds: &mut [PollFd<'_>], at_most: Duration) -> io::Result<bool> {
     let timeout =
         Timespec { tv_sec: at_most.as_secs() as i64, tv_nsec: i64::from(at_most.subsec_nanos()) };
-    match poll(&mut fds, Some(&timeout)) {
+    match poll(fds, Some(&timeout)) {
         Ok(n) => Ok(n > 0),
         Err(Errno::INTR) => Ok(false),
         Err(error) => Err(error.into()),
@@ -113,12 +166,7 @@ pub(crate) fn wait_readable(fd: BorrowedFd<'_>, at_most: Duration) -> io::Result
 
 impl Drop for PtyLine {
     fn drop(&mut self) {
-        if let Some(link) = &self.link
-            && fs::read_link(link).is_ok_and(|target| target == self.slave_path)
-            && fs::remove_file(link).is_err()
-        {
-            // A dead link stays, which the next simulator replaces.
-        }
+        self.remove_link();
     }
 }
 

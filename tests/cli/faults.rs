@@ -1,0 +1,158 @@
+//! Every fault script that ships, through a pty into the program: its ledger against the device's own log, exactly.
+
+mod expected;
+mod played;
+
+use std::fs;
+
+use mocapd_simulator::faults::{Agreement, Expect, Fate, Script};
+
+use self::{
+    expected::expected,
+    played::{Played, play, sent_frames},
+};
+use super::Folder;
+use crate::support::{chunks, rows};
+
+const SCRIPTS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/simulator/faults");
+
+/// One test a script, so that they run beside each other.
+macro_rules! scripts {
+    ($($test:ident $name:literal)*) => {
+        const NAMES: &[&str] = &[$($name),*];
+        $(#[test] fn $test() { agrees($name); })*
+    };
+}
+
+scripts! {
+    bit_flips "bit-flips"
+    dropped_bytes "dropped-bytes"
+    doubled_bytes "doubled-bytes"
+    lost_frames "lost-frames"
+    doubled_frames "doubled-frames"
+    late_frames "late-frames"
+    bursts "bursts"
+    stall "stall"
+    clock "clock"
+    clock_back "clock-back"
+    unplug "unplug"
+    power_loss "power-loss"
+    power_loss_behind_adapter "power-loss-behind-adapter"
+    swaps_and_ghosts "swaps-and-ghosts"
+    occlusion_storm "occlusion-storm"
+    lying_counter "lying-counter"
+    garbage "garbage"
+    mixed_noise "mixed-noise"
+    mixed_bad_day "mixed-bad-day"
+}
+
+#[test]
+fn every_script_that_ships_is_tried() {
+    let mut found: Vec<String> = fs::read_dir(SCRIPTS)
+        .unwrap()
+        .map(|entry| entry.unwrap().path().file_stem().unwrap().to_str().unwrap().to_owned())
+        .collect();
+    found.sort();
+    let mut tried = NAMES.to_vec();
+    tried.sort_unstable();
+    assert_eq!(found, tried);
+}
+
+fn agrees(name: &str) {
+    let text = fs::read_to_string(format!("{SCRIPTS}/{name}.toml")).unwrap();
+    let script = Script::parse(name, &text).unwrap();
+    let expect = script.expect.clone().expect("a script that ships says what it comes to");
+    let folder = Folder::new();
+    let played = play(&folder, &script);
+    let told = format!("{:#}\n{}", played.report["ledger"], played.ran.stderr);
+    assert_eq!(played.ran.code, Some(i32::from(expect.exit)), "{told}");
+    ledger_agrees(&played, &expect, &told);
+    words_agree(&played, &expect, &told);
+    take_holds_what_was_sent(&folder, &script, &played);
+    folder.run(&["verify", "a.take"]);
+}
+
+fn ledger_agrees(played: &Played, expect: &Expect, told: &str) {
+    let ledger = &played.report["ledger"];
+    let expected = expected(&played.fates);
+    assert_eq!(ledger["frame_balance"], 0, "{told}");
+    // A ledger with a contradiction adds up, and does not close.
+    assert_eq!(ledger["closes"], expect.contradictions.is_empty(), "{told}");
+    assert_eq!(ledger["finished"], true, "{told}");
+    let count = |key: &str| ledger[key].as_u64().unwrap();
+    assert_eq!(count("recorded"), expected.recorded, "recorded: {told}");
+    assert_eq!(count("duplicates"), expected.duplicates, "duplicates: {told}");
+    assert_eq!(count("dropped_by_device"), expected.dropped, "dropped: {told}");
+    assert_eq!(count("lost_on_link"), expected.lost_on_link, "lost: {told}");
+    match expect.ledger {
+        Agreement::Exact => {
+            assert_eq!(count("unknown_after_disconnect"), expected.unknown, "unknown: {told}");
+            assert_eq!(count("frames_sent"), played.fates.len() as u64, "sent: {told}");
+            assert_eq!(count("frames_sent"), played.sent.total.frames_produced);
+        }
+        Agreement::ByHostClock => {
+            // What the host's clock says of the frames that were due, to half a second of a busy machine.
+            let unknown = count("unknown_after_disconnect") as f64 / played::RATE_HZ;
+            assert!((unknown - expected.away_s).abs() < 0.5, "{unknown} s: {told}");
+        }
+    }
+    let missing = count("frames_sent") - count("recorded") + count("duplicates");
+    assert!(missing >= expect.at_least, "{missing} frames: {told}");
+    // The totals say what the lines say.
+    let totals = played.sent.faults.as_ref().unwrap();
+    let with = |fate| played.fates.iter().filter(|f| f.fate == fate).count() as u64;
+    assert_eq!((totals.whole, totals.late), (with(Fate::Whole), with(Fate::Late)));
+    assert_eq!((totals.damaged, totals.lost), (with(Fate::Damaged), with(Fate::Lost)));
+    assert_eq!(with(Fate::Waiting), 0);
+    let unexplained = played.fates.iter().filter(|f| {
+        matches!(f.fate, Fate::Damaged | Fate::Lost | Fate::Late) && f.faults.is_empty()
+    });
+    assert_eq!(unexplained.count(), 0, "damaged by nothing");
+}
+
+fn words_agree(played: &Played, expect: &Expect, told: &str) {
+    let listed = |value: &serde_json::Value, key: Option<&str>| -> Vec<String> {
+        let all = value.as_array().unwrap().iter();
+        all.map(|v| key.map_or(v, |key| &v[key]).as_str().unwrap().to_owned()).collect()
+    };
+    let contradictions = listed(&played.report["ledger"]["contradictions"], None);
+    let events = listed(&played.info["events"], Some("text"));
+    for (what, found, wanted) in [
+        ("contradictions", contradictions, &expect.contradictions),
+        ("events", events, &expect.events),
+    ] {
+        assert_eq!(found.len(), wanted.len(), "{what} {found:?}: {told}");
+        for words in wanted {
+            assert!(found.iter().any(|found| found.contains(words)), "{what} {found:?}: {words}");
+        }
+    }
+}
+
+/// Every recorded row has the ticks and, bit for bit, the positions of the frame that went whole in its turn.
+fn take_holds_what_was_sent(folder: &Folder, script: &Script, played: &Played) {
+    let take = folder.read("a.take");
+    let found = chunks(&take);
+    let (rows, problems) = rows(&take);
+    assert_eq!(problems, [""; 0]);
+    let recorded: Vec<_> =
+        found.timelines.iter().flat_map(mocapd_take::timeline::Timeline::recorded).collect();
+    let whole: Vec<_> =
+        played.fates.iter().enumerate().filter(|(_, f)| f.fate == Fate::Whole).collect();
+    assert_eq!(recorded.len(), whole.len());
+    let sent = sent_frames(script, played);
+    for ((row, time), (index, fate)) in recorded.into_iter().zip(whole) {
+        assert_eq!(time.device_ticks, fate.frame.device_ticks, "row {row}");
+        let row = &rows[row as usize];
+        let sent = &sent[index];
+        for (id, got) in row.iter().enumerate() {
+            let wanted =
+                sent.iter().find(|sample| usize::from(sample.id) == id && !sample.occluded);
+            match wanted {
+                Some(sample) => assert_eq!(*got, sample.position_mm, "frame {index} marker {id}"),
+                None => assert!(mocapd_take::motion::is_gap(*got), "frame {index} marker {id}"),
+            }
+        }
+        let sent_ids = sent.iter().map(|sample| usize::from(sample.id));
+        assert!(sent_ids.max().unwrap_or(0) < found.labels.len(), "a marker without a channel");
+    }
+}

@@ -1,0 +1,48 @@
+//! What a ledger has to say of frames whose fates are known: worked out again, from the fates alone.
+
+use mocapd_simulator::faults::{Fate, FrameFate};
+
+/// The counts of a ledger.
+#[derive(Debug, Default)]
+pub(super) struct Expected {
+    pub(super) recorded: u64,
+    pub(super) duplicates: u64,
+    pub(super) dropped: u64,
+    pub(super) lost_on_link: u64,
+    pub(super) unknown: u64,
+    /// From the last frame before each outage to the first one behind it, by the device's log.
+    pub(super) away_s: f64,
+}
+
+pub(super) fn expected(fates: &[FrameFate]) -> Expected {
+    let mut expected = Expected::default();
+    let is_whole = |fate: &&FrameFate| fate.fate == Fate::Whole;
+    let mut from = 0;
+    let mut last: Option<&FrameFate> = None;
+    for (index, fate) in fates.iter().enumerate().filter(|(_, fate)| is_whole(fate)) {
+        let between = &fates[from..index];
+        match last {
+            // Between two runs the host was not there, whatever became of the frames.
+            Some(before) if before.frame.run != fate.frame.run => {
+                expected.unknown += between.len() as u64;
+                expected.away_s += (fate.frame.host_ns - before.frame.host_ns) as f64 * 1e-9;
+            }
+            _ => expected.missing(between),
+        }
+        (from, last) = (index + 1, Some(fate));
+    }
+    expected.missing(&fates[from..]);
+    for fate in fates.iter().filter(|fate| matches!(fate.fate, Fate::Whole | Fate::Late)) {
+        expected.recorded += u64::from(fate.fate == Fate::Whole);
+        expected.duplicates += u64::from(fate.again) + u64::from(fate.fate == Fate::Late);
+    }
+    expected
+}
+
+impl Expected {
+    fn missing(&mut self, frames: &[FrameFate]) {
+        let dropped = frames.iter().filter(|fate| fate.fate == Fate::Dropped).count() as u64;
+        self.dropped += dropped;
+        self.lost_on_link += frames.len() as u64 - dropped;
+    }
+}

@@ -1,0 +1,135 @@
+//! A script played: a device with its faults on a pty, and the program that records it.
+
+use std::{
+    io::Write,
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread::Builder,
+};
+
+use mocapd_drivers::{
+    device::{Command, DeviceEvent, MarkerSample, Protocol},
+    link::HostLink,
+};
+use mocapd_simulator::{
+    device::{Device, DeviceSettings, SentLog},
+    faults::{Fate, FaultyDevice, FrameFate, Kind, Script},
+    pty::{PtyLine, ServeOptions, serve},
+};
+use mocapd_take::motion::Motion;
+use serde_json::Value;
+
+use super::super::{Folder, Ran};
+use crate::support::{jump, samples};
+
+pub(super) const RATE_HZ: f64 = 240.0;
+const SECONDS: f64 = 2.0;
+
+/// What came of it.
+pub(super) struct Played {
+    pub(super) ran: Ran,
+    pub(super) report: Value,
+    pub(super) info: Value,
+    pub(super) sent: SentLog,
+    /// Every frame in the order in which the device produced it.
+    pub(super) fates: Vec<FrameFate>,
+}
+
+fn motion() -> Motion {
+    jump(1, RATE_HZ, SECONDS)
+}
+
+fn settings(script: &Arc<Script>) -> DeviceSettings {
+    // A machine that is busy with other tests must not make the device drop frames; a stall must.
+    let queue_bytes = if script.has(Kind::Stall) { None } else { Some(64 << 20) };
+    DeviceSettings { queue_bytes, faults: Some(Arc::clone(script)), ..DeviceSettings::default() }
+}
+
+/// A log file that the test reads when the device is done.
+#[derive(Clone, Default)]
+struct Shared(Arc<Mutex<Vec<u8>>>);
+
+impl Write for Shared {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0.lock().unwrap().write(bytes)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Records a device with the faults of a script, to its end.
+pub(super) fn play(folder: &Folder, script: &Script) -> Played {
+    let script = Arc::new(script.clone());
+    let device = Device::new(motion(), settings(&script)).unwrap();
+    let mut device = FaultyDevice::new(device, &script);
+    let link = folder.path("rig");
+    let mut line = PtyLine::open(Some(&link)).unwrap();
+    let stop = Arc::new(AtomicBool::new(false));
+    let log = Shared::default();
+    let (stopped, written) = (Arc::clone(&stop), log.clone());
+    let thread = Builder::new().name("simulator".to_owned()).spawn(move || {
+        let log: Option<Box<dyn Write + Send>> = Some(Box::new(written));
+        let options = ServeOptions { log, ..ServeOptions::default() };
+        serve(&mut line, &mut device, options, &stopped).unwrap()
+    });
+    let uri = format!("serial:{}", link.display());
+    let record = ["record", "-d", &uri, "-o", "a.take", "--lossless", "--json"];
+    let ran = folder.run(&record);
+    stop.store(true, Ordering::Relaxed);
+    let sent = thread.unwrap().join().unwrap();
+    let log = String::from_utf8(log.0.lock().unwrap().clone()).unwrap();
+    assert!(!ran.stdout.is_empty(), "{}", ran.stderr);
+    let report = ran.json();
+    let info = folder.run(&["info", "a.take", "--json"]).json();
+    Played { ran, report, info, sent, fates: fates(&log) }
+}
+
+/// Reads the log file back.
+fn fates(log: &str) -> Vec<FrameFate> {
+    let mut lines = log.lines();
+    assert_eq!(lines.next(), Some(FrameFate::CSV_HEADER));
+    lines.map(|line| FrameFate::from_csv(line).unwrap_or_else(|| panic!("{line}"))).collect()
+}
+
+/// What each frame of the log held.
+pub(super) fn sent_frames(script: &Script, played: &Played) -> Vec<Vec<MarkerSample>> {
+    let changes_motion = [Kind::Swaps, Kind::Ghosts, Kind::OcclusionStorm];
+    if changes_motion.iter().any(|kind| script.has(*kind)) {
+        let all = played.fates.iter().all(|f| f.frame.run == 1 && f.fate != Fate::Dropped);
+        assert!(all, "one run, as below");
+        return said_in_virtual_time(script);
+    }
+    let motion = motion();
+    let mut run = (0, 0);
+    let frame = |fate: &FrameFate| {
+        run = if run.0 == fate.frame.run { (run.0, run.1 + 1) } else { (fate.frame.run, 0) };
+        samples(motion.frame(run.1))
+    };
+    played.fates.iter().map(frame).collect()
+}
+
+/// The same device beside a clock that the test turns: what it says without a line.
+fn said_in_virtual_time(script: &Script) -> Vec<Vec<MarkerSample>> {
+    let mut device = Device::new(motion(), settings(&Arc::new(script.clone()))).unwrap();
+    let mut host = HostLink::new();
+    let mut command = Vec::new();
+    host.command(Command::Start { line_bytes_per_s: 0 }, &mut command);
+    let mut now_ns = 77;
+    device.on_bytes(&command, now_ns);
+    let mut frames = Vec::new();
+    while now_ns != u64::MAX {
+        now_ns = device.poll(now_ns);
+        let pending = device.pending().to_vec();
+        device.sent(pending.len());
+        host.push(&pending, &mut |event| {
+            if let DeviceEvent::Frame(frame) = event {
+                frames.push(frame.markers.to_vec());
+            }
+        });
+    }
+    frames
+}
