@@ -12,6 +12,7 @@ mod latency;
 pub mod outcome;
 pub mod pipeline;
 pub mod process;
+pub mod raw_log;
 pub mod record;
 pub mod rig;
 pub mod threads;

@@ -207,6 +207,53 @@ fn scripts_of_faults_are_refused_in_words_and_played() {
 }
 
 #[test]
+fn a_raw_log_is_the_device_that_it_is_of() {
+    let log = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/logs/stall.rawlog");
+    for option in [&["--rate", "60"][..], &["--faults", "x.toml"], &["--loop"], &["--seconds", "1"]]
+    {
+        let words = fails(&[&[log, "--pty"], option].concat(), 2);
+        assert!(words.contains(&format!("{} is for motions", option[0])), "{words}");
+    }
+    let pulled = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/logs/unplug.rawlog");
+    let words = fails(&[pulled, "--pty"], 2);
+    assert!(words.contains("give --pty=LINK"), "{words}");
+
+    let (child, path) = started(&[log, "--pty", "--speed", "10", "--once"]);
+    let mut port = SerialTransport::open(Path::new(&path), None).unwrap();
+    let mut link = HostLink::new();
+    let (mut n_frames, mut at_end, mut greeted) = (0, false, false);
+    let say = |port: &mut SerialTransport, commands: &[Say]| {
+        let mut bytes = Vec::new();
+        commands.iter().for_each(|command| HostLink::new().command(*command, &mut bytes));
+        port.write_all(&bytes).unwrap();
+    };
+    say(&mut port, &[Say::Identify, Say::Ping { host_ns: 42 }]);
+    let begun = Instant::now();
+    let mut buffer = [0; 4096];
+    while !at_end {
+        assert!(begun.elapsed() < Duration::from_secs(20), "{n_frames} frames and no end");
+        let n = port.read(&mut buffer).unwrap();
+        let mut pong = false;
+        link.push(&buffer[..n], &mut |event| match event {
+            DeviceEvent::Frame(_) => n_frames += 1,
+            DeviceEvent::EndOfStream(_) => at_end = greeted,
+            DeviceEvent::Pong(said) if said.host_ns == 42 => pong = true,
+            _ => {}
+        });
+        if pong && !greeted {
+            greeted = true;
+            say(&mut port, &[Say::Start { line_bytes_per_s: 0 }]);
+        }
+    }
+    // Two seconds of it, ten times as fast.
+    assert_eq!(n_frames, 120);
+    assert!((0.1..1.9).contains(&begun.elapsed().as_secs_f64()), "{:?}", begun.elapsed());
+    let (code, words) = ended(child);
+    assert_eq!(code, Some(0), "{words}");
+    assert!(words.contains("bytes of the log sent"), "{words}");
+}
+
+#[test]
 fn signals_end_it_cleanly() {
     for signal in [Signal::INT, Signal::TERM] {
         let args = ["--generate", "jump", "--pty", "--speed", "4", "--seconds", "200ms"];

@@ -9,10 +9,14 @@ use mocapd_drivers::{
     uri::DeviceUri,
 };
 
-use super::{READ_BYTES, Rig, TRIES, monotonic_ns};
+use super::{READ_BYTES, Rig, TRIES, Tap, monotonic_ns};
 
 impl Rig {
-    pub(super) fn identify(uri: DeviceUri, opened: OpenedDevice) -> anyhow::Result<Self> {
+    pub(super) fn identify(
+        uri: DeviceUri,
+        opened: OpenedDevice,
+        raw_log: Option<Tap>,
+    ) -> anyhow::Result<Self> {
         let OpenedDevice { transport, protocol, family, identity } = opened;
         let mut rig = Self {
             uri,
@@ -27,6 +31,7 @@ impl Rig {
             identity,
             patience: Duration::ZERO,
             risk: None,
+            raw_log,
         };
         rig.introduce(&|| false)?;
         Ok(rig)

@@ -20,7 +20,7 @@ use rustix::time::{ClockId, clock_gettime};
 pub use crate::latency::Latency;
 pub use reader::{Ending, ReadOptions, Recording};
 
-use crate::pipeline::PipelineConfig;
+use crate::{pipeline::PipelineConfig, raw_log::Tap};
 
 /// The host's monotonic clock, in nanoseconds: the one a simulator on the same machine reads, too.
 #[must_use]
@@ -56,6 +56,8 @@ pub struct Rig {
     patience: Duration,
     /// Length of a stretch, and time between syncs, where these were chosen.
     risk: Option<(Duration, Duration)>,
+    /// Where every byte goes, too.
+    raw_log: Option<Tap>,
 }
 
 impl Rig {
@@ -64,7 +66,19 @@ impl Rig {
     /// # Errors
     /// Why it cannot be opened, or that it does not answer: one line that says what to do.
     pub fn open(uri: &DeviceUri) -> anyhow::Result<Self> {
-        Self::identify(uri.clone(), registry::open(uri)?)
+        Self::open_logged(uri, None)
+    }
+
+    /// The same, with every byte on its line in a raw log.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn open_logged(uri: &DeviceUri, raw_log: Option<Tap>) -> anyhow::Result<Self> {
+        let opened = registry::open_through(uri, &mut |family, line| match &raw_log {
+            Some(tap) => tap.on(family, line),
+            None => line,
+        })?;
+        Self::identify(uri.clone(), opened, raw_log)
     }
 
     /// What a kill may cost: at most the open stretch, and with the power what came since the last sync, too.

@@ -108,7 +108,13 @@ impl Rig {
         give_up: &dyn Fn(&Reader<'_>) -> bool,
     ) -> Attempt {
         match registry::open_again(&self.uri, &self.identity) {
-            Ok(transport) => self.transport = self.protocol.attach(transport),
+            Ok(line) => {
+                let line = match &self.raw_log {
+                    Some(tap) => tap.on(self.family, line),
+                    None => line,
+                };
+                self.transport = self.protocol.attach(line);
+            }
             Err(error) => return Attempt::Absent(error.to_string()),
         }
         match self.rejoin(reader, options, give_up) {

@@ -1,7 +1,7 @@
 //! Every fault script that ships, through a pty into the program: its ledger against the device's own log, exactly.
 
 mod expected;
-mod played;
+pub(super) mod played;
 
 use std::fs;
 
@@ -14,7 +14,7 @@ use self::{
 use super::Folder;
 use crate::support::{chunks, rows};
 
-const SCRIPTS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/simulator/faults");
+pub(super) const SCRIPTS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/simulator/faults");
 
 /// One test a script, so that they run beside each other.
 macro_rules! scripts {

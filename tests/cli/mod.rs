@@ -15,6 +15,7 @@ mod full_disk;
 mod imports;
 mod ndi;
 mod outputs;
+mod raw_logs;
 mod recording;
 mod recoveries;
 mod troubled;

@@ -53,6 +53,17 @@ pub enum OpenError {
 /// # Errors
 /// `UnknownDriver`, `Unclaimed`, and why the transport could not be opened.
 pub fn open(uri: &DeviceUri) -> Result<OpenedDevice, OpenError> {
+    open_through(uri, &mut |_, line| line)
+}
+
+/// The same, with something between the line and the protocol: `wrap` gets the family's name and the line.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_through(
+    uri: &DeviceUri,
+    wrap: &mut dyn FnMut(&'static str, Box<dyn Transport>) -> Box<dyn Transport>,
+) -> Result<OpenedDevice, OpenError> {
     let named = uri.driver.as_deref().map(family_named).transpose()?;
     let transport = open_transport(&uri.location)?;
     let identity = candidate_at(&uri.location);
@@ -62,7 +73,7 @@ pub fn open(uri: &DeviceUri) -> Result<OpenedDevice, OpenError> {
         None => family_of(&identity).ok_or_else(unclaimed)?.0,
     };
     let mut protocol = family.protocol(&uri.location);
-    let transport = protocol.attach(transport);
+    let transport = protocol.attach(wrap(family.name(), transport));
     Ok(OpenedDevice { transport, protocol, family: family.name(), identity })
 }
 

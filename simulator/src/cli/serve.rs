@@ -20,6 +20,8 @@ use mocapd_simulator::source::{self, Generated, SourceError};
 use mocapd_take::motion::Motion;
 use signal_hook::consts::TERM_SIGNALS;
 
+mod logged;
+
 use super::Failure;
 use super::values::{length_mm, seconds};
 
@@ -31,7 +33,7 @@ const MEAN_GAP_S: f64 = 0.2;
 
 #[derive(Debug, Args)]
 pub(super) struct ServeArgs {
-    /// The motion: a .take, .c3d, .trc, .tsv or .csv file.
+    /// The motion: a .take, .c3d, .trc, .tsv or .csv file; or a log of `mocapd record --raw`, to be that device again.
     #[arg(required_unless_present = "generate", conflicts_with = "generate")]
     take: Option<PathBuf>,
     /// Generate the motion: a standing long jump, `jump` or `jump:SEED`.
@@ -144,8 +146,10 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
         signal_hook::flag::register_conditional_shutdown(*signal, 130, Arc::clone(&stop))?;
         signal_hook::flag::register(*signal, Arc::clone(&stop))?;
     }
-    let script = script(args)?;
-    let (mut device, what) = device(args, motion(args)?, script)?;
+    let (mut device, what): (Box<dyn LineDevice>, String) = match logged::read(args)? {
+        Some(log) => logged::device(args, &log)?,
+        None => device(args, motion(args)?, script(args)?)?,
+    };
     let (mut line, name) = args.line.open(&args.serial)?;
     // Last: a start that is refused leaves no log behind.
     let log: Option<Box<dyn Write + Send>> = match &args.log {
@@ -362,6 +366,10 @@ fn gadget_failure(error: mocapd_simulator::gadget::GadgetError) -> Failure {
 /// The account: what was produced is what comes after it.
 fn summary(sent: &SentLog, spoken: Spoken) -> String {
     let SentLog { total, starts, frames_sent, bytes_sent, .. } = sent;
+    if total.frames_produced == 0 && sent.bytes_sent > 0 {
+        // A log: it has no frames, but bytes.
+        return format!("{starts} runs: {} bytes of the log sent", sent.bytes_sent);
+    }
     let why = match spoken {
         Spoken::Dvmc => "its queue was full",
         Spoken::Ndi => "not fetched before the next",

@@ -1,5 +1,6 @@
 //! `record`: a device into a take.
 
+mod raw;
 mod report;
 mod watch;
 
@@ -51,6 +52,9 @@ pub(crate) struct Args {
     /// End the take when no more than so much of the disk is free: 256MiB, 2GB; 0 uses all of it
     #[arg(long, value_name = "SIZE", default_value = KEEP_FREE, value_parser = units::size_bytes, allow_hyphen_values = true)]
     keep_free: u64,
+    /// Keep every byte of the line in this file, too: a log that `mocapd-sim serve` replays as the device
+    #[arg(long, value_name = "LOG")]
+    raw: Option<PathBuf>,
     #[command(flatten)]
     codec: CodecArgs,
     /// Print one JSON document
@@ -62,18 +66,26 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let uri: DeviceUri = args.device.parse().map_err(|error| UsageError(format!("{error}")))?;
     let codec = args.codec.live_settings()?;
     paths::check_take_output(&args.output)?;
-    let stop = stop_on_signal()?;
-    let mut rig = Rig::open(&uri).map_err(|error| match error.downcast_ref() {
-        Some(OpenError::UnknownDriver { .. }) => UsageError(error.to_string()).into(),
-        _ => error,
-    })?;
-    if let Some(rate_hz) = args.rate {
-        rig.set_rate(rate_hz)?;
+    if let Some(raw) = &args.raw {
+        if *raw == args.output {
+            return Err(UsageError("--raw and --output name the same file".to_owned()).into());
+        }
+        paths::check_output(raw)?;
     }
-    rig.wait_for_replug(args.reconnect);
-    rig.risk_at_most(args.stretch, args.sync);
-    let limits = Limits { length: args.seconds, keep_free_bytes: args.keep_free };
-    let recorded = record_and_watch(rig, &args.output, codec, limits, &stop)?;
+    let stop = stop_on_signal()?;
+    let (recorded, log_lost) = raw::with_log(args.raw.as_deref(), |tap| {
+        let mut rig = Rig::open_logged(&uri, tap).map_err(|error| match error.downcast_ref() {
+            Some(OpenError::UnknownDriver { .. }) => UsageError(error.to_string()).into(),
+            _ => error,
+        })?;
+        if let Some(rate_hz) = args.rate {
+            rig.set_rate(rate_hz)?;
+        }
+        rig.wait_for_replug(args.reconnect);
+        rig.risk_at_most(args.stretch, args.sync);
+        let limits = Limits { length: args.seconds, keep_free_bytes: args.keep_free };
+        record_and_watch(rig, &args.output, codec, limits, &stop)
+    })?;
     let report = Report::new(&args.output, &recorded, &codec);
     if args.json {
         print_json(&report)?;
@@ -96,5 +108,5 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let ledger = &recorded.written.ledger;
     let was_away = disconnected || recorded.recording.outages > 0;
-    Ok(Outcome::of(ledger.lost_anything() || !ledger.closes() || was_away || is_full))
+    Ok(Outcome::of(ledger.lost_anything() || !ledger.closes() || was_away || is_full || log_lost))
 }

@@ -14,7 +14,7 @@ use mocapd_drivers::{
     link::HostLink,
 };
 use mocapd_simulator::{
-    device::{Device, DeviceSettings, SentLog},
+    device::{Device, DeviceSettings, LineDevice, SentLog},
     faults::{Fate, FaultyDevice, FrameFate, Kind, Script},
     pty::{PtyLine, ServeOptions, serve},
 };
@@ -41,6 +41,30 @@ fn motion() -> Motion {
     jump(1, RATE_HZ, SECONDS)
 }
 
+/// Serves a device at `rig` in the folder, and records it with these options beside. `log` gets its frames.
+pub(crate) fn record_from(
+    folder: &Folder,
+    mut device: impl LineDevice + Send + 'static,
+    log: Option<Box<dyn Write + Send>>,
+    options: &[&str],
+) -> (Ran, SentLog) {
+    let link = folder.path("rig");
+    let mut line = PtyLine::open(Some(&link)).unwrap();
+    let stop = Arc::new(AtomicBool::new(false));
+    let stopped = Arc::clone(&stop);
+    let thread = Builder::new().name("simulator".to_owned()).spawn(move || {
+        let options = ServeOptions { log, ..ServeOptions::default() };
+        serve(&mut line, &mut device, options, &stopped).unwrap()
+    });
+    let uri = format!("serial:{}", link.display());
+    let record = [&["record", "-d", &uri, "--lossless", "--json"][..], options].concat();
+    let ran = folder.run(&record);
+    stop.store(true, Ordering::Relaxed);
+    let sent = thread.unwrap().join().unwrap();
+    assert!(!ran.stdout.is_empty(), "{}", ran.stderr);
+    (ran, sent)
+}
+
 fn settings(script: &Arc<Script>) -> DeviceSettings {
     // A machine that is busy with other tests must not make the device drop frames; a stall must.
     let queue_bytes = if script.has(Kind::Stall) { None } else { Some(64 << 20) };
@@ -65,24 +89,10 @@ impl Write for Shared {
 pub(super) fn play(folder: &Folder, script: &Script) -> Played {
     let script = Arc::new(script.clone());
     let device = Device::new(motion(), settings(&script)).unwrap();
-    let mut device = FaultyDevice::new(device, &script);
-    let link = folder.path("rig");
-    let mut line = PtyLine::open(Some(&link)).unwrap();
-    let stop = Arc::new(AtomicBool::new(false));
+    let device = FaultyDevice::new(device, &script);
     let log = Shared::default();
-    let (stopped, written) = (Arc::clone(&stop), log.clone());
-    let thread = Builder::new().name("simulator".to_owned()).spawn(move || {
-        let log: Option<Box<dyn Write + Send>> = Some(Box::new(written));
-        let options = ServeOptions { log, ..ServeOptions::default() };
-        serve(&mut line, &mut device, options, &stopped).unwrap()
-    });
-    let uri = format!("serial:{}", link.display());
-    let record = ["record", "-d", &uri, "-o", "a.take", "--lossless", "--json"];
-    let ran = folder.run(&record);
-    stop.store(true, Ordering::Relaxed);
-    let sent = thread.unwrap().join().unwrap();
+    let (ran, sent) = record_from(folder, device, Some(Box::new(log.clone())), &["-o", "a.take"]);
     let log = String::from_utf8(log.0.lock().unwrap().clone()).unwrap();
-    assert!(!ran.stdout.is_empty(), "{}", ran.stderr);
     let report = ran.json();
     let info = folder.run(&["info", "a.take", "--json"]).json();
     Played { ran, report, info, sent, fates: fates(&log) }

@@ -1,0 +1,209 @@
+use mocapd_drivers::device::{DeviceEvent, Hello, LinkBudget, Pong, Protocol, Status};
+use mocapd_drivers::link::{DeviceLink, HostLink};
+use mocapd_drivers::raw_log::{Entry, Record, put_head, put_record};
+
+use super::*;
+
+const MS: u64 = 1_000_000;
+
+fn from_device(write: impl FnOnce(&mut DeviceLink, &mut Vec<u8>)) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    write(&mut DeviceLink::new(), &mut bytes);
+    bytes
+}
+
+fn command(command: Command) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    HostLink::new().command(command, &mut bytes);
+    bytes
+}
+
+fn hello() -> Vec<u8> {
+    let hello = Hello {
+        rate_mhz: 60_000,
+        rate_min_mhz: 1,
+        rate_max_mhz: 60_000,
+        tick_hz: 1,
+        ..Hello::default()
+    };
+    from_device(|link, out| link.hello(&hello, out).unwrap())
+}
+
+const START: Command = Command::Start { line_bytes_per_s: 0 };
+const BUDGET: LinkBudget =
+    LinkBudget { needed_bytes_per_s: 1, available_bytes_per_s: 2, rate_fits_mhz: 60_000 };
+
+/// A talk of two seconds, in which the host pinged at 5 and the device answered 100 ms later.
+fn log() -> Vec<u8> {
+    let pong = |host_ns| from_device(|link, out| link.pong(Pong { host_ns, device_ticks: 9 }, out));
+    let entries: [(u64, bool, Vec<u8>); 9] = [
+        (0, true, command(Command::Identify)),
+        (1, true, command(Command::Ping { host_ns: 5 })),
+        (40, false, hello()),
+        (100, false, pong(5)),
+        (110, true, command(START)),
+        (120, false, from_device(|link, out| link.started(BUDGET, out))),
+        (600, true, command(Command::Ping { host_ns: 6 })),
+        (610, false, pong(6)),
+        (2000, false, from_device(|link, out| link.end_of_stream(Status::default(), out))),
+    ];
+    let mut log = Vec::new();
+    put_head(&mut log);
+    put_record(&Record { time_ns: 0, entry: Entry::Opened("dvmc a line") }, &mut log);
+    for (at_ms, to_device, bytes) in &entries {
+        let entry = if *to_device { Entry::ToDevice(bytes) } else { Entry::FromDevice(bytes) };
+        put_record(&Record { time_ns: at_ms * MS, entry }, &mut log);
+    }
+    put_record(&Record { time_ns: 2100 * MS, entry: Entry::Closed }, &mut log);
+    put_record(&Record { time_ns: 2100 * MS, entry: Entry::End }, &mut log);
+    log
+}
+
+/// What it says until it waits for the host, with the milliseconds at which it did.
+fn says(device: &mut LogDevice, now_ms: &mut u64) -> Vec<(u64, String)> {
+    let mut host = HostLink::new();
+    let mut said = Vec::new();
+    loop {
+        let next_ns = device.poll(*now_ms * MS);
+        let bytes = device.pending().to_vec();
+        device.sent(bytes.len());
+        host.push(&bytes, &mut |event| {
+            let words = match event {
+                DeviceEvent::Hello(_) => "hello".to_owned(),
+                DeviceEvent::Pong(pong) => format!("pong {}", pong.host_ns),
+                DeviceEvent::Started(_) => "started".to_owned(),
+                DeviceEvent::EndOfStream(_) => "end".to_owned(),
+                other => format!("{other:?}"),
+            };
+            said.push((*now_ms, words));
+        });
+        if next_ns == u64::MAX {
+            return said;
+        }
+        *now_ms = next_ns.div_ceil(MS);
+    }
+}
+
+fn told(said: &[(u64, &str)]) -> Vec<(u64, String)> {
+    said.iter().map(|(at, words)| (*at, (*words).to_owned())).collect()
+}
+
+#[test]
+fn it_waits_for_its_host_and_keeps_the_time_of_the_log() {
+    for speed in [1.0, 2.0, 0.5] {
+        let at = |ms: u64| (ms as f64 / speed) as u64;
+        let mut device = LogDevice::new(&log(), speed).unwrap();
+        assert!(device.problems().is_empty() && !device.unplugs());
+        let mut now_ms = 7000;
+        assert_eq!(says(&mut device, &mut now_ms), []);
+        // A second host after the first gets the same again.
+        for begin_ms in [10_000, 20_000] {
+            now_ms = begin_ms;
+            device.on_bytes(&command(Command::Stop), now_ms * MS);
+            device.on_bytes(&command(Command::Identify), now_ms * MS);
+            // Its ping comes later than that of the log: the Pong waits, and says its time.
+            assert_eq!(says(&mut device, &mut now_ms), told(&[(begin_ms + at(40), "hello")]));
+            now_ms = begin_ms + 3000;
+            device.on_bytes(&command(Command::Ping { host_ns: 77 }), now_ms * MS);
+            assert_eq!(says(&mut device, &mut now_ms), told(&[(begin_ms + 3000, "pong 77")]));
+            now_ms = begin_ms + 4000;
+            device.on_bytes(&command(START), now_ms * MS);
+            let wanted = [(at(10), "started"), (at(500), "pong 6"), (at(1890), "end")];
+            let wanted = wanted.map(|(ms, words)| (begin_ms + 4000 + ms, words));
+            assert_eq!(says(&mut device, &mut now_ms), told(&wanted));
+            assert!(device.has_ended());
+        }
+        assert_eq!(device.log().starts, 2);
+    }
+}
+
+#[test]
+fn logs_that_cannot_be_a_device_are_refused_in_words() {
+    let error = |log: &[u8]| LogDevice::new(log, 1.0).unwrap_err().to_string();
+    assert!(error(b"time,x\n").contains("not a raw log"));
+    let mut empty = Vec::new();
+    put_head(&mut empty);
+    assert!(error(&empty).contains("said nothing"));
+    put_record(&Record { time_ns: 0, entry: Entry::Opened("ndi /dev/ttyUSB0") }, &mut empty);
+    put_record(&Record { time_ns: 0, entry: Entry::FromDevice(b"OKAYA896\r") }, &mut empty);
+    assert!(error(&empty).contains("family 'ndi'"));
+    assert!(LogDevice::new(&log(), 0.0).unwrap_err().to_string().contains("0.001 to 1000"));
+}
+
+#[test]
+fn a_log_that_is_cut_off_or_has_holes_is_played_and_says_so() {
+    let whole = log();
+    let cut = LogDevice::new(&whole[..whole.len() - 30], 1.0).unwrap();
+    assert!(cut.problems()[0].contains("cut off"), "{:?}", cut.problems());
+    let mut holes = whole[..whole.len() - 2 * 17].to_vec();
+    put_record(&Record { time_ns: 1, entry: Entry::Missing(99) }, &mut holes);
+    put_record(&Record { time_ns: 1, entry: Entry::End }, &mut holes);
+    let holes = LogDevice::new(&holes, 1.0).unwrap();
+    assert_eq!(holes.problems(), ["99 bytes are missing in the log: its disk was too slow"]);
+}
+
+/// Logs of any records in any order, and hosts that say anything: it never panics, and never stands still at a time.
+#[test]
+fn any_log_and_any_host_come_to_an_end() {
+    for seed in 0..300 {
+        let mut rng = crate::generator::Rng::new(seed);
+        let mut below = |n: u64| rng.next_u64() % n;
+        let mut log = Vec::new();
+        put_head(&mut log);
+        let commands = [
+            Command::Identify,
+            START,
+            Command::Stop,
+            Command::Ping { host_ns: 3 },
+            Command::SetRate(5),
+        ];
+        let pong = from_device(|link, out| link.pong(Pong { host_ns: 1, device_ticks: 2 }, out));
+        let mut time_ns = 0;
+        put_record(&Record { time_ns, entry: Entry::Opened("dvmc x") }, &mut log);
+        for _ in 0..40 {
+            time_ns = (time_ns + below(400 * MS)).saturating_sub(below(100 * MS));
+            let said = command(commands[below(5) as usize]);
+            let noise: Vec<u8> = (0..below(60)).map(|_| below(5) as u8).collect();
+            let entry = match below(8) {
+                0 => Entry::ToDevice(&said),
+                1 => Entry::ToDevice(&noise),
+                2 => Entry::Closed,
+                3 => Entry::Opened("dvmc y"),
+                4 => Entry::FromDevice(&pong),
+                5 => Entry::Missing(3),
+                _ => Entry::FromDevice(&noise),
+            };
+            put_record(&Record { time_ns, entry }, &mut log);
+        }
+        let cut = below(log.len() as u64 / 4) as usize;
+        log.truncate(log.len() - cut);
+        let Ok(mut device) = LogDevice::new(&log, 1.0) else { continue };
+        let mut now_ns = 1;
+        for _ in 0..400 {
+            if below(3) == 0 {
+                device.on_bytes(&command(commands[below(5) as usize]), now_ns);
+            }
+            let next_ns = device.poll(now_ns);
+            let n = device.pending().len();
+            device.sent(n);
+            assert!(next_ns > now_ns || n > 0, "seed {seed}: it is due and does nothing");
+            now_ns = next_ns.min(now_ns + 50 * MS).max(now_ns);
+        }
+        assert!(device.log().bytes_sent < 400 * 40 * 60, "seed {seed}");
+    }
+}
+
+#[test]
+fn bytes_pass_as_they_are_however_they_are_cut() {
+    let frames: Vec<u8> = (0..4000u32).map(|i| ((i * i) >> 3) as u8 % 7).collect();
+    let pong = from_device(|link, out| link.pong(Pong { host_ns: 1, device_ticks: 2 }, out));
+    let all = [&frames[..], &[0], &pong, &frames, &[0, 0, 0], &pong].concat();
+    for chunk in [1, 5, 24, 25, 1000, all.len()] {
+        let (mut pongs, mut out) = (Pongs::new(), Vec::new());
+        for piece in all.chunks(chunk) {
+            assert_eq!(pongs.pass(piece, 5, false, &mut out), piece.len());
+        }
+        pongs.flush(&mut out);
+        assert_eq!(out, all, "{chunk}");
+    }
+}

@@ -1,0 +1,167 @@
+//! Raw logs: what `record --raw` keeps, and what a recording of its replay comes to.
+
+use std::{fs, path::PathBuf, sync::Arc};
+
+use mocapd_drivers::raw_log::{Entry, Record, put_head, put_record, records};
+use mocapd_simulator::{
+    device::{Device, DeviceSettings},
+    faults::{FaultyDevice, Script},
+    generator::JumpSpec,
+    logged::LogDevice,
+};
+use serde_json::{Value, json};
+
+use super::{
+    Folder, Ran,
+    faults::{SCRIPTS, played::record_from},
+};
+
+const LOGS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/logs");
+
+/// The logs that are kept, each of a script that ships.
+const KEPT: &[&str] = &["garbage", "mixed-noise", "stall", "lying-counter", "unplug"];
+
+/// Small enough to keep.
+const KEPT_BYTES_MAX: usize = 100_000;
+
+/// What a recording comes to, without what is of its own time: arrivals, and the line through them.
+fn outcome(folder: &Folder, take: &str, ran: &Ran) -> Value {
+    let mut ledger = ran.json()["ledger"].clone();
+    ledger.as_object_mut().unwrap().remove("clock");
+    let info = folder.run(&["info", take, "--json"]).json();
+    let without_numbers = |event: &Value| {
+        let text = event["text"].as_str().unwrap();
+        let words = text.split(|c: char| c.is_ascii_digit() || c == '.').filter(|w| !w.is_empty());
+        words.collect::<Vec<_>>().join("#")
+    };
+    let events: Vec<String> =
+        info["events"].as_array().unwrap().iter().map(without_numbers).collect();
+    json!({ "exit": ran.code, "ledger": ledger, "events": events })
+}
+
+/// Twelve markers at 60 Hz for two seconds, under a script that ships: a recording with a log of it.
+fn recorded(folder: &Folder, script: &str) -> Value {
+    let text = fs::read_to_string(format!("{SCRIPTS}/{script}.toml")).unwrap();
+    let script = Arc::new(Script::parse(script, &text).unwrap());
+    let spec = JumpSpec { seconds: Some(2.0), n_markers: 12, ..JumpSpec::new(script.seed, 60.0) };
+    let settings =
+        DeviceSettings { faults: Some(Arc::clone(&script)), ..DeviceSettings::default() };
+    let device = Device::new(spec.generate().unwrap().motion, settings).unwrap();
+    let device = FaultyDevice::new(device, &script);
+    let (ran, _) =
+        record_from(folder, device, None, &["-o", "first.take", "--raw", "first.rawlog"]);
+    outcome(folder, "first.take", &ran)
+}
+
+fn replayed(folder: &Folder, log: &[u8], options: &[&str]) -> Value {
+    let device = LogDevice::new(log, 1.0).unwrap();
+    assert!(device.problems().is_empty(), "{:?}", device.problems());
+    let (ran, _) = record_from(folder, device, None, &[&["-o", "again.take"], options].concat());
+    outcome(folder, "again.take", &ran)
+}
+
+#[test]
+fn a_replayed_log_comes_to_the_same() {
+    for script in ["mixed-noise", "unplug"] {
+        let folder = Folder::new();
+        let first = recorded(&folder, script);
+        assert_eq!(first["ledger"]["frame_balance"], 0, "{first:#}");
+        let log = folder.read("first.rawlog");
+        let again = replayed(&folder, &log, &["--raw", "again.rawlog"]);
+        assert_eq!(again, first, "{script}: {again:#} {first:#}");
+        // And a log of the replay has what the first one has, but for the pongs' times.
+        assert_eq!(said(&log).len(), said(&folder.read("again.rawlog")).len(), "{script}");
+    }
+}
+
+/// Everything that the device said.
+fn said(log: &[u8]) -> Vec<u8> {
+    let mut said = Vec::new();
+    for record in records(log).unwrap() {
+        if let Record { entry: Entry::FromDevice(bytes), .. } = record.unwrap() {
+            said.extend_from_slice(bytes);
+        }
+    }
+    said
+}
+
+#[test]
+fn a_log_has_every_byte_in_order_and_an_end() {
+    let folder = Folder::new();
+    let outcome = recorded(&folder, "garbage");
+    let log = folder.read("first.rawlog");
+    let all: Vec<Record<'_>> = records(&log).unwrap().map(Result::unwrap).collect();
+    assert!(
+        matches!(all[0].entry, Entry::Opened(words) if words.starts_with("dvmc ")),
+        "{:?}",
+        all[0]
+    );
+    assert!(matches!(all[1].entry, Entry::ToDevice(_)), "{:?}", all[1]);
+    let [.., closed, end] = &all[..] else { panic!("{all:?}") };
+    assert_eq!((closed.entry, end.entry), (Entry::Closed, Entry::End));
+    assert!(all.is_sorted_by_key(|record| record.time_ns));
+    assert!((1_900_000_000..20_000_000_000).contains(&end.time_ns), "{} ns", end.time_ns);
+    assert_eq!(outcome["ledger"]["link_bytes"], said(&log).len());
+}
+
+#[test]
+fn the_logs_that_are_kept_come_to_what_stands_beside_them() {
+    let mut found: Vec<PathBuf> = fs::read_dir(LOGS).unwrap().map(|e| e.unwrap().path()).collect();
+    found.retain(|path| path.extension().is_some_and(|ending| ending == "rawlog"));
+    assert_eq!(found.len(), KEPT.len());
+    // Each takes as long as its recording did: beside each other.
+    std::thread::scope(|scope| {
+        for path in &found {
+            scope.spawn(move || {
+                let log = fs::read(path).unwrap();
+                assert!(log.len() < KEPT_BYTES_MAX, "{}: {} bytes", path.display(), log.len());
+                let expected = fs::read_to_string(path.with_extension("json")).unwrap();
+                let expected: Value = serde_json::from_str(&expected).unwrap();
+                let again = replayed(&Folder::new(), &log, &[]);
+                assert_eq!(again, expected, "{}: {again:#}", path.display());
+            });
+        }
+    });
+}
+
+/// Run by name when the logs have to be made anew, which a change of the link protocol alone should need.
+#[test]
+#[ignore = "writes tests/logs"]
+fn write_the_logs_that_are_kept() {
+    for script in KEPT {
+        let folder = Folder::new();
+        let outcome = recorded(&folder, script);
+        let path = PathBuf::from(LOGS).join(script);
+        fs::write(path.with_extension("rawlog"), nameless(&folder.read("first.rawlog"))).unwrap();
+        fs::write(path.with_extension("json"), format!("{outcome:#}\n")).unwrap();
+    }
+}
+
+/// Without the names of the ptys that it was written from.
+fn nameless(log: &[u8]) -> Vec<u8> {
+    let mut out = Vec::new();
+    put_head(&mut out);
+    for record in records(log).unwrap() {
+        let mut record = record.unwrap();
+        if let Entry::Opened(_) = record.entry {
+            record.entry = Entry::Opened("dvmc a simulated device");
+        }
+        put_record(&record, &mut out);
+    }
+    out
+}
+
+#[test]
+fn a_log_is_never_overwritten_and_none_is_left_of_nothing() {
+    let folder = Folder::new();
+    folder.write("taken", "");
+    let record = |raw| ["record", "-d", "serial:/dev/mocapd-none", "-o", "a.take", "--raw", raw];
+    let line = folder.refuses(&record("taken"), 1);
+    assert!(line.contains("not overwritten"), "{line}");
+    let line = folder.refuses(&record("a.take"), 2);
+    assert!(line.contains("the same file"), "{line}");
+    let line = folder.refuses(&record("nowhere/a.rawlog"), 1);
+    assert!(line.contains("does not exist"), "{line}");
+    let line = folder.refuses(&record("a.rawlog"), 1);
+    assert!(line.contains("/dev/mocapd-none does not exist"), "{line}");
+}
