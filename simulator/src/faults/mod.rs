@@ -1,7 +1,7 @@
 //! What goes wrong between a rig and a recorder, by a script: seeded, so that it goes wrong in the same way again.
 //!
-//! Three layers, all sans-io: [`source`] changes what the device says before it is bytes, [`wire`] the bytes, and
-//! [`connection`] says when there is none. [`account`] knows what became of every frame. `docs/faults.md` has all
+//! Three layers, all sans-io: `source` changes what the device says before it is bytes, `wire` the bytes, and
+//! `connection` says when there is none. `account` knows what became of every frame. `docs/faults.md` has all
 //! keys.
 
 mod account;

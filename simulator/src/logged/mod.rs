@@ -151,11 +151,18 @@ impl LogDevice {
         self.greeting = true;
     }
 
-    /// When a time of the log comes.
-    fn due_ns(&self, at_ns: u64, now_ns: u64) -> u64 {
-        let Some((log_ns, caller_ns)) = self.anchor else { return now_ns };
-        let after_ns = at_ns.saturating_sub(log_ns) as f64 / self.speed;
-        caller_ns.saturating_add(after_ns as u64)
+    /// When a time of the log comes, or came; all has come before the first.
+    fn clock(&self) -> impl Fn(u64) -> u64 + use<> {
+        let (anchor, speed) = (self.anchor, self.speed);
+        move |at_ns| {
+            let Some((log_ns, caller_ns)) = anchor else { return 0 };
+            let apart_ns = (at_ns.abs_diff(log_ns) as f64 / speed) as u64;
+            if at_ns < log_ns {
+                caller_ns.saturating_sub(apart_ns)
+            } else {
+                caller_ns.saturating_add(apart_ns)
+            }
+        }
     }
 
     /// Does what is due, and gives the time of what is next.
@@ -172,14 +179,17 @@ impl LogDevice {
                 self.next += 1;
                 continue;
             }
-            let due_ns = self.due_ns(step.at_ns, now_ns);
+            let due_ns = self.clock()(step.at_ns);
             if due_ns > now_ns {
                 return due_ns;
             }
             match step.doing {
                 Doing::Say { start, end } => {
                     let said = self.steps.said.get(start + self.said..end).unwrap_or_default();
-                    let n = self.pongs.pass(said, now_ns, self.greeting, &mut self.out);
+                    let (pings, due_ns) = (&self.steps.pings, self.clock());
+                    let asked_ns = |host_ns: u64| pings.get(&host_ns).map(|at_ns| due_ns(*at_ns));
+                    let out = &mut self.out;
+                    let n = self.pongs.pass(said, now_ns, self.greeting, asked_ns, out);
                     self.said += n;
                     if n < said.len() {
                         return u64::MAX;

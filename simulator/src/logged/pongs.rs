@@ -48,11 +48,16 @@ impl Pongs {
     }
 
     /// Passes logged bytes on. Gives how many it took: all, but where a Pong has no Ping to answer and `waits`.
+    ///
+    /// `asked_ns` gives the time at which the Ping of a logged Pong was said, by the caller's clock. Without `waits`
+    /// only a Ping that came before that is answered: the ticks of a Pong are never older than its Ping, or the line
+    /// through the clocks would be wrong.
     pub(super) fn pass(
         &mut self,
         said: &[u8],
         now_ns: u64,
         waits: bool,
+        asked_ns: impl Fn(u64) -> Option<u64>,
         out: &mut Vec<u8>,
     ) -> usize {
         for (taken, &byte) in said.iter().enumerate() {
@@ -73,8 +78,11 @@ impl Pongs {
             while !waits && self.pings.front().is_some_and(is_old) {
                 self.pings.pop_front();
             }
-            match self.pings.pop_front() {
+            let by_ns = if waits { Some(u64::MAX) } else { asked_ns(pong.host_ns) };
+            let ping = self.pings.front().copied();
+            match ping.filter(|(_, came_ns)| by_ns.is_some_and(|by_ns| *came_ns <= by_ns)) {
                 Some((host_ns, _)) => {
+                    self.pings.pop_front();
                     self.message.clear();
                     self.link.pong(Pong { host_ns, ..pong }, &mut self.message);
                     out.extend_from_slice(&self.message);

@@ -1,5 +1,7 @@
 //! A raw log as steps: what the device said and when, and what it waited for.
 
+use std::collections::HashMap;
+
 use mocapd_drivers::device::Command;
 use mocapd_drivers::link::DeviceLink;
 use mocapd_drivers::raw_log::{Entry, RawLogError, Record, records};
@@ -49,6 +51,8 @@ pub(super) struct Steps {
     pub(super) steps: Vec<Step>,
     /// Everything the device said.
     pub(super) said: Vec<u8>,
+    /// When each Ping was said, by the time that it carried.
+    pub(super) pings: HashMap<u64, u64>,
     pub(super) driver: String,
     pub(super) missing_bytes: u64,
     /// Why the log was not read to its end.
@@ -70,7 +74,8 @@ impl Steps {
                     break;
                 }
             };
-            let mut step = |doing| found.steps.push(Step { at_ns, doing });
+            let steps = &mut found.steps;
+            let mut step = |doing| steps.push(Step { at_ns, doing });
             match entry {
                 Entry::FromDevice(bytes) => {
                     let start = found.said.len();
@@ -78,6 +83,9 @@ impl Steps {
                     step(Doing::Say { start, end: start + bytes.len() });
                 }
                 Entry::ToDevice(bytes) => host.push(bytes, &mut |command| {
+                    if let Command::Ping { host_ns } = command {
+                        found.pings.insert(host_ns, at_ns);
+                    }
                     if let Some(barrier) = Barrier::of(command) {
                         step(Doing::Hear(barrier));
                     }

@@ -118,6 +118,25 @@ fn it_waits_for_its_host_and_keeps_the_time_of_the_log() {
 }
 
 #[test]
+fn a_ping_is_answered_with_ticks_that_are_no_older_than_it() {
+    for (pinged_ms, answer) in [(580, "pong 88"), (605, "pong 6")] {
+        let mut device = LogDevice::new(&log(), 1.0).unwrap();
+        let mut now_ms = 0;
+        let greeting = [Command::Identify, Command::Ping { host_ns: 77 }].map(command).concat();
+        device.on_bytes(&greeting, 0);
+        says(&mut device, &mut now_ms);
+        // From here on the times are those of the log, in which the ping before `pong 6` was said at 600.
+        device.on_bytes(&command(START), 110 * MS);
+        device.poll(110 * MS);
+        device.poll(pinged_ms * MS);
+        device.on_bytes(&command(Command::Ping { host_ns: 88 }), pinged_ms * MS);
+        now_ms = pinged_ms;
+        let said = says(&mut device, &mut now_ms);
+        assert!(said.contains(&(610, answer.to_owned())), "{pinged_ms}: {said:?}");
+    }
+}
+
+#[test]
 fn logs_that_cannot_be_a_device_are_refused_in_words() {
     let error = |log: &[u8]| LogDevice::new(log, 1.0).unwrap_err().to_string();
     assert!(error(b"time,x\n").contains("not a raw log"));
@@ -201,7 +220,7 @@ fn bytes_pass_as_they_are_however_they_are_cut() {
     for chunk in [1, 5, 24, 25, 1000, all.len()] {
         let (mut pongs, mut out) = (Pongs::new(), Vec::new());
         for piece in all.chunks(chunk) {
-            assert_eq!(pongs.pass(piece, 5, false, &mut out), piece.len());
+            assert_eq!(pongs.pass(piece, 5, false, |_| None, &mut out), piece.len());
         }
         pongs.flush(&mut out);
         assert_eq!(out, all, "{chunk}");
