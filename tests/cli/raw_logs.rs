@@ -8,13 +8,16 @@ use mocapd_simulator::{
     faults::{FaultyDevice, Script},
     generator::JumpSpec,
     logged::LogDevice,
+    ndi::{NdiDevice, NdiSettings},
 };
 use serde_json::{Value, json};
 
 use super::{
     Folder, Ran,
+    devices::Simulated,
     faults::{SCRIPTS, played::record_from},
 };
+use crate::support::jump;
 
 const LOGS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/logs");
 
@@ -102,6 +105,30 @@ fn a_log_has_every_byte_in_order_and_an_end() {
     assert!(all.is_sorted_by_key(|record| record.time_ns));
     assert!((1_900_000_000..20_000_000_000).contains(&end.time_ns), "{} ns", end.time_ns);
     assert_eq!(outcome["ledger"]["link_bytes"], said(&log).len());
+}
+
+#[test]
+fn an_ndi_system_is_logged_and_its_replay_refused() {
+    let folder = Folder::new();
+    let device = NdiDevice::new(jump(5, 60.0, 0.5), NdiSettings::default()).unwrap();
+    let device = Simulated::serve(device, None);
+    let uri = format!("{}?driver=ndi", device.uri());
+    let ran = folder.run(&["record", "-d", &uri, "-o", "a.take", "--raw", "a.rawlog", "--json"]);
+    let log = folder.read("a.rawlog");
+    let all: Vec<Record<'_>> = records(&log).unwrap().map(Result::unwrap).collect();
+    assert!(
+        matches!(all[0].entry, Entry::Opened(words) if words.starts_with("ndi ")),
+        "{:?}",
+        all[0]
+    );
+    let said = |name: &[u8]| {
+        let is_it = |record: &&Record<'_>| matches!(record.entry, Entry::ToDevice(bytes) if bytes.starts_with(name));
+        all.iter().filter(is_it).count() as u64
+    };
+    assert!(said(b"INIT") > 0 && said(b"TSTART") == 1, "not as it is spoken");
+    assert!(said(b"BX2") >= ran.json()["frames"].as_u64().unwrap());
+    let refused = LogDevice::new(&log, 1.0).unwrap_err().to_string();
+    assert!(refused.contains("family 'ndi'"), "{refused}");
 }
 
 #[test]

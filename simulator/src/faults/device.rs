@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use super::account::FrameFate;
 use super::connection::{Connection, State};
+use super::fate::FrameFate;
 use super::kinds::Kind;
 use super::script::Script;
 use super::wire::Wire;

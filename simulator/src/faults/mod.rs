@@ -8,6 +8,10 @@ mod account;
 mod check;
 mod connection;
 mod device;
+mod expect;
+mod fate;
+mod fault;
+mod keys;
 mod kinds;
 mod script;
 mod source;
@@ -16,10 +20,11 @@ mod wire;
 #[cfg(test)]
 mod tests;
 
-pub use account::{Fate, FaultTotals, FrameFate};
 pub use device::FaultyDevice;
-pub use kinds::{KINDS, Key, Kind, KindKeys, Kinds, TIME_MAX_S, WINDOW};
-pub use script::{
-    Agreement, Expect, FAULTS_MAX, Fault, SCRIPT_BYTES_MAX, Script, ScriptError, Windowed,
-};
+pub use expect::{Agreement, Expect};
+pub use fate::{Fate, FaultTotals, FrameFate};
+pub use fault::Fault;
+pub use keys::{KINDS, Key, KindKeys, TIME_MAX_S, WINDOW};
+pub use kinds::{Kind, Kinds};
+pub use script::{FAULTS_MAX, SCRIPT_BYTES_MAX, Script, ScriptError, Windowed};
 pub(crate) use source::SourceFaults;

@@ -3,6 +3,8 @@
 use serde::Deserialize;
 
 use super::check;
+use super::expect::Expect;
+use super::fault::Fault;
 use super::kinds::Kind;
 
 /// Bytes of a script: the longest that ships has 2 kB.
@@ -39,143 +41,6 @@ impl Windowed {
     pub fn is_on(&self, since_ns: u64) -> bool {
         (self.from_ns..self.to_ns).contains(&since_ns)
     }
-}
-
-/// One fault. `docs/faults.md` says what each does.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-#[serde(tag = "kind", rename_all = "kebab-case")]
-#[expect(missing_docs, reason = "docs/faults.md has a line for every key, and a test compares")]
-pub enum Fault {
-    BitFlips {
-        rate: f64,
-    },
-    DroppedBytes {
-        rate: f64,
-    },
-    DoubledBytes {
-        rate: f64,
-    },
-    LostFrames {
-        rate: f64,
-        #[serde(default = "one")]
-        run: u64,
-    },
-    DoubledFrames {
-        rate: f64,
-    },
-    LateFrames {
-        rate: f64,
-        by: u32,
-    },
-    Bursts {
-        period_ms: u64,
-    },
-    Stall {
-        at_s: f64,
-        for_s: f64,
-    },
-    ClockDrift {
-        ppm: f64,
-    },
-    ClockJump {
-        at_s: f64,
-        by_s: f64,
-    },
-    Unplug {
-        at_s: f64,
-        for_s: f64,
-    },
-    PowerLoss {
-        at_s: f64,
-        for_s: f64,
-        #[serde(default)]
-        keeps_port: bool,
-    },
-    Swaps {
-        every_s: f64,
-        for_s: f64,
-    },
-    Ghosts {
-        count: u16,
-    },
-    OcclusionStorm {
-        part: f64,
-        gap_s: f64,
-    },
-    CounterJump {
-        at_s: f64,
-        by: i32,
-    },
-    CounterRepeat {
-        rate: f64,
-    },
-    Garbage {
-        bytes: usize,
-        #[serde(default = "one")]
-        times: u64,
-    },
-}
-
-fn one() -> u64 {
-    1
-}
-
-impl Fault {
-    /// Its kind.
-    #[must_use]
-    pub fn kind(&self) -> Kind {
-        match self {
-            Self::BitFlips { .. } => Kind::BitFlips,
-            Self::DroppedBytes { .. } => Kind::DroppedBytes,
-            Self::DoubledBytes { .. } => Kind::DoubledBytes,
-            Self::LostFrames { .. } => Kind::LostFrames,
-            Self::DoubledFrames { .. } => Kind::DoubledFrames,
-            Self::LateFrames { .. } => Kind::LateFrames,
-            Self::Bursts { .. } => Kind::Bursts,
-            Self::Stall { .. } => Kind::Stall,
-            Self::ClockDrift { .. } => Kind::ClockDrift,
-            Self::ClockJump { .. } => Kind::ClockJump,
-            Self::Unplug { .. } => Kind::Unplug,
-            Self::PowerLoss { .. } => Kind::PowerLoss,
-            Self::Swaps { .. } => Kind::Swaps,
-            Self::Ghosts { .. } => Kind::Ghosts,
-            Self::OcclusionStorm { .. } => Kind::OcclusionStorm,
-            Self::CounterJump { .. } => Kind::CounterJump,
-            Self::CounterRepeat { .. } => Kind::CounterRepeat,
-            Self::Garbage { .. } => Kind::Garbage,
-        }
-    }
-}
-
-/// What a recording under the script comes to.
-#[derive(Debug, Clone, PartialEq, Eq, Deserialize, Default)]
-#[serde(deny_unknown_fields)]
-pub struct Expect {
-    /// The recorder's exit code.
-    pub exit: u8,
-    /// What its ledger agrees with.
-    #[serde(default)]
-    pub ledger: Agreement,
-    /// A piece of each contradiction that its ledger tells; no other may be told.
-    #[serde(default)]
-    pub contradictions: Vec<String>,
-    /// A piece of each event that stands in the take; no other may.
-    #[serde(default)]
-    pub events: Vec<String>,
-    /// Frames that must be missing or double, so that the script is not one that does nothing.
-    #[serde(default)]
-    pub at_least: u64,
-}
-
-/// How far a ledger agrees with the device's log.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Default)]
-#[serde(rename_all = "kebab-case")]
-pub enum Agreement {
-    /// Every count is the log's.
-    #[default]
-    Exact,
-    /// Counter and clock began anew: frames that were due meanwhile are by the host's clock, all else is the log's.
-    ByHostClock,
 }
 
 /// Why a script is none: one line.

@@ -8,7 +8,8 @@ use std::sync::Arc;
 use mocapd_drivers::device::{MarkerInfo, MarkerSample};
 use mocapd_take::motion::{GAP, Position};
 
-use super::script::{Fault, Script, nanoseconds};
+use super::fault::Fault;
+use super::script::{Script, nanoseconds};
 use crate::generator::Rng;
 
 /// Ghosts stay within so much of the origin on each axis: a volume's size.

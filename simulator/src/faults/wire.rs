@@ -10,8 +10,9 @@ use mocapd_drivers::device::{DeviceEvent, Protocol};
 use mocapd_drivers::link::HostLink;
 
 use super::account::Account;
+use super::fault::Fault;
 use super::kinds::{Kind, Kinds};
-use super::script::{Fault, Script};
+use super::script::Script;
 use super::source::{below, stream};
 use crate::device::SentFrame;
 
