@@ -140,6 +140,21 @@ impl LogDevice {
         })
     }
 
+    /// A host that needs fewer tries than the logged one does not say what the log waits for: the log goes on where it
+    /// waits for what the host did say, unless the cable is pulled before.
+    fn skip_to_what_was_heard(&mut self) -> bool {
+        let Some(heard) = self.heard.pop_front() else { return false };
+        let rest = self.steps.steps.get(self.next..).unwrap_or_default();
+        let until_pulled = rest.iter().take_while(|step| step.doing != Doing::Unplug);
+        let Some(ahead) = until_pulled.into_iter().position(|s| s.doing == Doing::Hear(heard))
+        else {
+            return false;
+        };
+        self.heard.push_front(heard);
+        (self.next, self.said) = (self.next + ahead, 0);
+        true
+    }
+
     /// Another host: the log from its first Hello.
     fn rewind(&mut self) {
         let is_first = |step: &steps::Step| step.doing == Doing::Hear(Barrier::Identify);
@@ -170,6 +185,9 @@ impl LogDevice {
         while let Some(step) = self.steps.steps.get(self.next).copied() {
             if let Doing::Hear(barrier) = step.doing {
                 if !self.heard.contains(&barrier) {
+                    if self.skip_to_what_was_heard() {
+                        continue;
+                    }
                     return u64::MAX;
                 }
                 while self.heard.pop_front().is_some_and(|heard| heard != barrier) {}

@@ -1,6 +1,6 @@
 use mocapd_drivers::device::{DeviceEvent, Hello, LinkBudget, Pong, Protocol, Status};
 use mocapd_drivers::link::{DeviceLink, HostLink};
-use mocapd_drivers::raw_log::{Entry, Record, put_head, put_record};
+use mocapd_drivers::raw_log::{Entry, Record, put_head, put_record, records};
 
 use super::*;
 
@@ -134,6 +134,32 @@ fn a_ping_is_answered_with_ticks_that_are_no_older_than_it() {
         let said = says(&mut device, &mut now_ms);
         assert!(said.contains(&(610, answer.to_owned())), "{pinged_ms}: {said:?}");
     }
+}
+
+#[test]
+fn a_host_that_needs_fewer_tries_than_the_logged_one_gets_its_frames() {
+    // The logged host asked twice.
+    let mut twice = Vec::new();
+    put_head(&mut twice);
+    let mut asked = false;
+    for record in records(&log()).unwrap() {
+        let record = record.unwrap();
+        put_record(&record, &mut twice);
+        if matches!(record.entry, Entry::FromDevice(_)) && !std::mem::replace(&mut asked, true) {
+            let entry = Entry::ToDevice(&command(Command::Identify));
+            put_record(&Record { time_ns: 50 * MS, entry }, &mut twice);
+        }
+    }
+    let mut device = LogDevice::new(&twice, 1.0).unwrap();
+    let mut now_ms = 0;
+    let greeting = [Command::Identify, Command::Ping { host_ns: 77 }].map(command).concat();
+    device.on_bytes(&greeting, 0);
+    assert_eq!(says(&mut device, &mut now_ms), told(&[(40, "hello")]));
+    now_ms = 1000;
+    device.on_bytes(&command(START), now_ms * MS);
+    let said = says(&mut device, &mut now_ms);
+    assert_eq!(said[0], (1010, "started".to_owned()));
+    assert_eq!(said.last(), Some(&(2890, "end".to_owned())));
 }
 
 #[test]

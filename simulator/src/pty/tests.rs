@@ -245,3 +245,32 @@ fn a_stop_that_came_first_still_opens_and_closes() {
     assert!(existed && !path.exists(), "{}", path.display());
     assert_eq!(sent.unwrap(), SentLog::default());
 }
+
+#[test]
+fn a_pulled_cable_is_gone_for_its_host_and_comes_back_under_its_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let link = folder.path().join("rig");
+    let mut line = PtyLine::open(Some(&link)).unwrap();
+    for round in 0..3u8 {
+        let mut host = SerialTransport::open(&link, None).unwrap();
+        assert_eq!(line.write(&[round, 7]).unwrap(), 2);
+        let mut buffer = [0; 8];
+        let give_up = Instant::now() + PATIENCE;
+        while host.read(&mut buffer).unwrap() == 0 {
+            assert!(Instant::now() < give_up, "nothing arrives");
+        }
+        assert_eq!(buffer[..2], [round, 7]);
+        line.unplug().unwrap();
+        assert!(link.symlink_metadata().is_err(), "the link is still there");
+        assert!(host.read(&mut buffer).is_err(), "the host does not see that it is gone");
+        // Nobody is there: nothing is taken, nothing comes, and nothing fails.
+        assert_eq!((line.write(b"x").unwrap(), line.read(&mut buffer).unwrap()), (0, 0));
+        assert_eq!(line.unread().unwrap(), 0);
+        assert!(!line.wait(Duration::from_millis(1)).unwrap());
+        line.tend().unwrap();
+        line.plug_in().unwrap();
+        assert_eq!(line.path(), link);
+    }
+    drop(line);
+    assert!(link.symlink_metadata().is_err(), "the link is still there");
+}
