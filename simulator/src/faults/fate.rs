@@ -91,6 +91,7 @@ impl FrameFate {
             present: cell()?.parse().ok()?,
             dropped: cell()? == "1",
             host_ns: cell()?.parse().ok()?,
+            unasked: cell()? == "1",
         };
         let name = cell()?;
         let fate = *FATES.iter().find(|fate| fate.name() == name)?;

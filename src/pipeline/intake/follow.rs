@@ -37,15 +37,15 @@ impl Intake {
     pub(super) fn end_outage(&mut self, frame: &Frame<'_>, arrival_ns: u64) {
         self.rejoining = false;
         let silent_s = self.silences.until_ns(arrival_ns) as f64 * 1e-9;
-        let (missing, causes, how) = match self.axis.rejoin(frame.seq, frame.device_ticks) {
+        let (missing, causes, how, why) = match self.axis.rejoin(frame.seq, frame.device_ticks) {
             Some(missing) => {
                 let causes = Causes::NOT_RECEIVED.union(Causes::DISCONNECTED);
-                (u64::from(missing), causes, "goes on: frames that are missing by its counter:")
+                (u64::from(missing), causes, "goes on", "are missing by its counter")
             }
             // Its counter tells nothing of the time between; the host's clock does, so that the take keeps time.
             None => {
                 let due = self.due(silent_s);
-                (due, Causes::DISCONNECTED, "began anew: frames that were due by the host's clock:")
+                (due, Causes::DISCONNECTED, "began anew", "were due by the host's clock")
             }
         };
         // At the first row that there is again.
@@ -56,7 +56,9 @@ impl Intake {
             device_ticks: frame.device_ticks,
             host_ns: arrival_ns,
             input: 0,
-            text: format!("the device is back after {silent_s:.3} s, and {how} {missing}"),
+            text: format!(
+                "the device is back after {silent_s:.3} s, and {how}: {missing} frames {why}"
+            ),
         };
         self.event_at(row, event);
         self.counts.reports_from = self.counts.seen() + missing;
