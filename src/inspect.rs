@@ -151,7 +151,11 @@ impl Summary {
     pub fn clock_apart(&self) -> Option<Apart> {
         let stalled = |told: &String| told.contains("observations of the clocks");
         let dropped = self.ledger.as_ref().is_some_and(|l| l.contradictions.iter().any(stalled));
-        if self.damaged || dropped { None } else { self.line_again.apart() }
+        // Nor does a take that was recovered have all that the line was laid through.
+        let recovered = self.header.as_ref().is_some_and(|header| {
+            header.settings.iter().any(|(name, _)| name == mocapd_take::recovery::RECOVERED)
+        });
+        if self.damaged || dropped || recovered { None } else { self.line_again.apart() }
     }
 
     /// How the clocks ran in the end, as far as the take tells.

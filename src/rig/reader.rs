@@ -24,8 +24,12 @@ const SILENCE: Duration = Duration::from_secs(3);
 /// How long to wait for the end of the stream after Stop.
 const STOP_WITHIN: Duration = Duration::from_secs(2);
 
-/// Between two times that a silent device is asked who it is: one that starts up needs a while.
-const ASK_EVERY: Duration = Duration::from_secs(5);
+/// A device that sent frames and is silent for so long is asked who it is, and again after as long: one that starts up
+/// needs a while, and being asked stops one that only pauses.
+const ASK_EVERY: Duration = Duration::from_secs(10);
+
+/// Starts that get an event and words: a device that is started in vain must fill neither the take nor the screen.
+const STARTS_TOLD_MAX: u32 = 32;
 
 /// When to stop, and what to tell.
 #[expect(missing_debug_implementations, reason = "a closure has none")]
@@ -92,6 +96,8 @@ impl Rig {
             started: None,
             began_anew: None,
             asked_ns: None,
+            asking: false,
+            started_again: 0,
             outages: 0,
             notes: Vec::new(),
         };
@@ -174,7 +180,7 @@ impl Rig {
                 told_silent = true;
             }
             if told_silent && stop_said_ns.is_none() {
-                self.ask_who(reader, now_ns);
+                self.ask_who(reader, last_frame_ns, now_ns);
             }
             if self.transport.stalls_cleared() > stalls_cleared {
                 stalls_cleared = self.transport.stalls_cleared();
@@ -225,7 +231,7 @@ impl Rig {
                         }
                     }
                     stop_said_ns = Some(now_ns);
-                    reader.asked_ns = None;
+                    reader.asking = false;
                 }
                 Some(said) if now_ns - said > STOP_WITHIN.as_nanos() as u64 => {
                     (options.say)(
@@ -266,11 +272,11 @@ impl Rig {
 
     /// A device that sent frames and sends none any more may have lost its power while the line to it stayed: it says who
     /// it is when it is asked, and is started again then.
-    fn ask_who(&mut self, reader: &mut Reader<'_>, now_ns: u64) {
-        let is_due =
-            reader.asked_ns.is_none_or(|asked| now_ns - asked > ASK_EVERY.as_nanos() as u64);
+    fn ask_who(&mut self, reader: &mut Reader<'_>, last_frame_ns: u64, now_ns: u64) {
+        let since_ns = reader.asked_ns.unwrap_or(last_frame_ns);
+        let is_due = now_ns.saturating_sub(since_ns) > ASK_EVERY.as_nanos() as u64;
         if is_due && reader.intake.counts_seen() > 0 {
-            reader.asked_ns = Some(now_ns);
+            (reader.asked_ns, reader.asking) = (Some(now_ns), true);
             // A device that is gone shows in the next read.
             self.say(Command::Identify).ok();
         }
@@ -288,11 +294,14 @@ impl Rig {
             (options.say)(&format!("another device answers, {} {}", now.model, now.serial));
             return Ok(false);
         }
-        reader.intake.event(host_event("the device introduced itself and was started again"));
+        reader.started_again += 1;
         reader.count_anew();
-        (options.say)(
-            "the device introduced itself, as after a reset, a loss of power or a long silence: it was started again",
-        );
+        if reader.started_again <= STARTS_TOLD_MAX {
+            reader.intake.event(host_event("the device introduced itself and was started again"));
+            (options.say)(
+                "the device introduced itself, as after a reset, a loss of power or a long silence: it was started again",
+            );
+        }
         if now.rate_mhz != self.hello.rate_mhz {
             self.say(Command::SetRate(self.hello.rate_mhz))?;
         }
@@ -349,6 +358,10 @@ pub(super) struct Reader<'a> {
     began_anew: Option<Hello>,
     /// It was asked who it is, because no frame came: when.
     asked_ns: Option<u64>,
+    /// And has not answered.
+    asking: bool,
+    /// Times that it was started again without having gone away.
+    started_again: u32,
     outages: u32,
     /// What people should be told.
     notes: Vec<String>,
@@ -367,7 +380,6 @@ impl Reader<'_> {
     /// Its counter, clock and reports may begin anew.
     fn count_anew(&mut self) {
         self.prober = Prober::new();
-        self.asked_ns = None;
         self.intake.rejoin();
     }
 
@@ -385,7 +397,7 @@ impl Reader<'_> {
                 self.notes.push(text.to_owned());
             }
             // Being asked stops it, and some say so.
-            DeviceEvent::EndOfStream(status) if self.asked_ns.is_some() => {
+            DeviceEvent::EndOfStream(status) if self.asking => {
                 self.intake.status(status, false);
             }
             DeviceEvent::EndOfStream(status) if self.started.is_some() => {
@@ -405,6 +417,7 @@ impl Reader<'_> {
             // An answer to a command of the handshake that came late.
             DeviceEvent::Hello(hello) if self.started.is_some() => {
                 self.began_anew = Some(hello.clone());
+                self.asking = false;
             }
             DeviceEvent::Pong(Pong { host_ns, device_ticks }) => {
                 if self.prober.answered(host_ns, arrival_ns) {

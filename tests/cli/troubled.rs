@@ -146,7 +146,7 @@ fn a_device_that_loses_its_power_behind_a_line_that_stays_is_started_again() {
     };
     let troubled = Troubled::new(device(), Trouble::IsAnother(Box::new(device())));
     let device = Simulated::serve(troubled, None);
-    let info = recorded(&device, "", 12.0);
+    let info = recorded(&device, "", 16.0);
     assert!(events(&info).contains("began anew"), "{}", events(&info));
     assert_eq!(info["outages"]["count"], 1);
 }

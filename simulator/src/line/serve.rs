@@ -136,7 +136,9 @@ impl Server<'_> {
                 Written::Full => (FULL, true),
             };
             self.log_frames()?;
-            if once && self.device.has_ended() && self.device.pending().is_empty() {
+            // A host's first Stop ends nothing: there was no run yet.
+            let has_ended = self.device.has_ended() && self.device.log().starts > 0;
+            if once && has_ended && self.device.pending().is_empty() {
                 return Ok(());
             }
             let until_wake = Duration::from_nanos(wake_ns.saturating_sub(host_ns()));

@@ -57,7 +57,16 @@ impl Axis {
         let last = self.last.replace((seq, device_ticks));
         let Some((last, ticks)) = last else { return Some(0) };
         match seq.wrapping_sub(last).cast_signed() {
-            ahead @ 1..=OUTAGE_MAX if device_ticks > ticks => Some(ahead as u32 - 1),
+            ahead @ 1..=OUTAGE_MAX if device_ticks > ticks => {
+                // A counter that stood still while the device was stopped: its clock did not.
+                let passed = (device_ticks - ticks) as f64 / self.frame_ticks;
+                let by_clock = if passed.is_finite() { passed.round() as i64 } else { 0 };
+                let slack = i64::from(DOUBTED_MIN).max(i64::from(ahead) / 100);
+                let stood_still = by_clock - i64::from(ahead) > slack;
+                let ahead =
+                    if stood_still { by_clock.min(OUTAGE_MAX.into()) } else { ahead.into() };
+                Some(ahead as u32 - 1)
+            }
             _ => None,
         }
     }
@@ -104,6 +113,15 @@ mod tests {
         assert_eq!(axis.rejoin(9, 3), None, "a clock that went back");
         axis.step(u32::MAX, 400);
         assert_eq!(axis.rejoin(2, 500), Some(2), "through the wrap");
+    }
+
+    #[test]
+    fn after_an_outage_the_clock_counts_where_the_counter_stood_still() {
+        let mut axis = Axis::new(100.0, 1000);
+        axis.step(10, 100);
+        assert_eq!(axis.rejoin(11, 5_100), Some(499), "stopped for five seconds");
+        assert_eq!(axis.rejoin(111, 6_100), Some(99), "they agree");
+        assert_eq!(axis.rejoin(112, 6_180), Some(0), "a clock that is read late says little");
     }
 
     #[test]
