@@ -16,6 +16,7 @@
     reason = "a test fails by panicking, and a long one says what it did"
 )]
 
+#[path = "../../../codec/tests/allocation/counting.rs"]
 mod counting;
 mod take;
 
