@@ -1,9 +1,10 @@
 //! Devices that stall, are reset, or lose their power while the line to them stays.
 
-use std::time::Duration;
+use std::{sync::Arc, time::Duration};
 
 use mocapd_simulator::{
     device::{Device, DeviceSettings, LineDevice, SentFrame, SentLog},
+    faults::{FaultyDevice, Script},
     ndi::{NdiDevice, NdiSettings},
 };
 
@@ -149,4 +150,23 @@ fn a_device_that_loses_its_power_behind_a_line_that_stays_is_started_again() {
     let info = recorded(&device, "", 16.0);
     assert!(events(&info).contains("began anew"), "{}", events(&info));
     assert_eq!(info["outages"]["count"], 1);
+}
+
+/// Frames that a line loses are no reason to start the device over and over: it is asked seldom, and the take keeps time.
+#[test]
+fn a_line_that_loses_every_frame_for_long_costs_those_frames_and_a_start() {
+    let text = "seed = 1\n[[fault]]\nkind = \"lost-frames\"\nrate = 1\nfrom_s = 1\nto_s = 13\n";
+    let script = Arc::new(Script::parse("long.toml", text).unwrap());
+    let settings = DeviceSettings {
+        looping: true,
+        queue_bytes: Some(64 << 20),
+        faults: Some(Arc::clone(&script)),
+        ..DeviceSettings::default()
+    };
+    let device = Device::new(jump(8, 120.0, 2.0), settings).unwrap();
+    let device = Simulated::serve(FaultyDevice::new(device, &script), None);
+    let info = recorded(&device, "", 16.0);
+    let starts = device.unplug().starts;
+    assert_eq!(starts, 2, "{}", events(&info));
+    assert_eq!(events(&info).matches("was started again").count(), 1, "{}", events(&info));
 }
