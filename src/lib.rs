@@ -15,5 +15,6 @@ pub mod process;
 pub mod raw_log;
 pub mod record;
 pub mod rig;
+pub mod service;
 pub mod threads;
 pub mod units;

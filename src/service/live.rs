@@ -1,0 +1,97 @@
+//! Frames for people's eyes: some thirty a second, the newest ones, and never at the cost of the data plane.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Duration,
+};
+
+use crossbeam_channel::Receiver;
+
+/// One message of the live stream.
+#[derive(Debug, Clone, PartialEq)]
+pub enum LiveMessage {
+    /// Which markers there are: before the first frame, and whenever that changes.
+    Table(Arc<LiveTable>),
+    /// A frame.
+    Frame(Arc<LiveFrame>),
+}
+
+/// The markers of the frames that follow.
+#[derive(Debug, Clone, PartialEq, Default, serde::Serialize)]
+pub struct LiveTable {
+    /// Labels, by slot.
+    pub labels: Vec<String>,
+    /// Whether the device knows the marker, by slot.
+    pub labelled: Vec<bool>,
+    /// Which axis points up: 0 unknown, 1 x, 2 y, 3 z.
+    pub up_axis: u8,
+    /// Frames a second that the device sends.
+    pub rate_hz: f64,
+    /// Pairs of slots between which a line is drawn.
+    pub bones: Vec<[u16; 2]>,
+}
+
+/// One frame.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct LiveFrame {
+    /// Its row, counted since the device was armed.
+    pub row: u64,
+    /// By the device's clock.
+    pub device_ticks: u64,
+    /// When its last byte arrived, in microseconds since 1970.
+    pub arrival_unix_us: u64,
+    /// In millimetres, by slot; NaN where the marker is not seen.
+    pub positions_mm: Vec<[f32; 3]>,
+}
+
+impl LiveMessage {
+    /// As it goes to a browser, little endian: u32 length of what follows, u8 kind. Kind 1, a table: JSON. Kind 2, a
+    /// frame: three bytes of zero, u64 row, u64 ticks, u64 arrival in microseconds since 1970, then three f32 a marker
+    /// (NaN where it is not seen).
+    pub fn put(&self, out: &mut Vec<u8>) {
+        let at = out.len();
+        out.extend_from_slice(&[0; 4]);
+        match self {
+            Self::Table(table) => {
+                out.push(1);
+                // A table of strings and numbers is always JSON.
+                serde_json::to_writer(&mut *out, table.as_ref()).ok();
+            }
+            Self::Frame(frame) => {
+                out.extend_from_slice(&[2, 0, 0, 0]);
+                for number in [frame.row, frame.device_ticks, frame.arrival_unix_us] {
+                    out.extend_from_slice(&number.to_le_bytes());
+                }
+                for value in frame.positions_mm.iter().flatten() {
+                    out.extend_from_slice(&value.to_le_bytes());
+                }
+            }
+        }
+        let len = (out.len() - at - 4) as u32;
+        out[at..at + 4].copy_from_slice(&len.to_le_bytes());
+    }
+}
+
+/// One viewer's frames: the newest few. What a slow viewer does not take is dropped, its table never.
+#[derive(Debug)]
+pub struct LiveFeed {
+    pub(crate) messages: Receiver<LiveMessage>,
+    pub(crate) closed: Arc<AtomicBool>,
+}
+
+impl LiveFeed {
+    /// The next message, waited for at most so long. `None`: none came.
+    #[must_use]
+    pub fn next(&self, wait: Duration) -> Option<LiveMessage> {
+        self.messages.recv_timeout(wait).ok()
+    }
+
+    /// Whether the service ends, and no more will come.
+    #[must_use]
+    pub fn is_over(&self) -> bool {
+        self.closed.load(Ordering::Relaxed) && self.messages.is_empty()
+    }
+}

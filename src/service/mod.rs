@@ -1,0 +1,13 @@
+//! The service: between takes nobody watches a terminal.
+//!
+//! ```text
+//! Control      what people and programs can ask for: status, arm, start, stop, mark
+//!   ▲   ▲  ▲
+//!   │   │  └── HTTP API, dashboard     own thread, async; never touches the data plane
+//!   │   └───── capture triggers        own thread
+//!   └───────── signals, systemd
+//! ```
+
+pub mod control;
+pub mod live;
+pub mod status;
