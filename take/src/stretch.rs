@@ -4,11 +4,12 @@
 mod chain;
 mod decoder;
 mod front;
+mod moved;
 #[cfg(test)]
 mod tests;
 
 pub(crate) use self::chain::{Chain, Placed};
-pub use self::{decoder::StretchDecoder, front::FrontWriter};
+pub use self::{decoder::StretchDecoder, front::FrontWriter, moved::put_moved};
 use mocapd_codec::{GROUP_CHANNELS, ResamplerKind};
 
 use crate::{

@@ -6,10 +6,10 @@ use crate::{
     varint,
 };
 
-const KEY: u8 = 1;
-const PLAIN: u8 = 2;
+pub(super) const KEY: u8 = 1;
+pub(super) const PLAIN: u8 = 2;
 const ALONE: u8 = 4;
-const NUMBER_SHIFT: u32 = 3;
+pub(super) const NUMBER_SHIFT: u32 = 3;
 
 const HAS_TIMES: u8 = 1;
 const RUNS_LISTED: u8 = 2;

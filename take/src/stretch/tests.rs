@@ -4,7 +4,7 @@ use mocapd_codec::{BlockReport, ResamplerKind, Rows, Settings, Tolerance};
 
 use super::{
     Chain, FrontWriter, LIVE_ROWS_MAX, NUMBERS, Placed, Sizes, Span, Stretch, StretchDecoder,
-    put_block, take_blocks,
+    put_block, put_moved, take_blocks,
 };
 use crate::{
     timeline::{Causes, RowTime, Run, Timeline, TimelineEncoder},
@@ -224,4 +224,29 @@ fn groups_are_decoded_side_by_side() {
         let stated = [64, 0, 0, 66, 0, 5, 66][i];
         assert_eq!(stretch.stated_channels(), stated, "stretch {i}");
     }
+}
+
+/// A take that begins in the middle of a recording: from any key stretch on, with rows and numbers of its own.
+#[test]
+fn stretches_that_are_moved_come_back_at_their_new_rows() {
+    let all = written(100);
+    for begin in [0, 20, 60] {
+        let rows_before = all[begin].1.first_row;
+        let mut chain = Chain::new(LIVE_ROWS_MAX, STRETCH_ROWS, TICK_HZ);
+        for (number, (span, timeline, payload)) in all[begin..].iter().enumerate() {
+            let number = (number % usize::from(NUMBERS)) as u8;
+            let mut moved = Vec::new();
+            put_moved(payload, rows_before, number, &mut moved).unwrap();
+            let stretch = placed(&mut chain, &moved).unwrap();
+            assert!(!stretch.missing_before);
+            let span = Span { first_row: span.first_row - rows_before, number, ..*span };
+            let mut timeline = timeline.clone();
+            timeline.first_row -= rows_before;
+            assert_same(&stretch, span, &timeline);
+        }
+    }
+    let mut out = Vec::new();
+    assert!(put_moved(&[], 0, 0, &mut out).is_err());
+    let key = &all[20];
+    assert!(put_moved(&key.2, key.1.first_row + 1, 0, &mut out).is_err(), "begins before its take");
 }
