@@ -56,6 +56,19 @@ pub struct Counts {
     pub impossible_produced: Option<u64>,
     /// How its clock runs.
     pub clock: ClockStatus,
+    /// Of the frames lost, those whose rows come with the next recorded one.
+    pub pending: PendingRows,
+}
+
+/// Rows lost since the last recorded one, by what counted them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct PendingRows {
+    /// Of [`Counts::not_received`].
+    pub not_received: u64,
+    /// Of [`Counts::ring_full`].
+    pub ring_full: u64,
+    /// Of [`Counts::lost_in_outages`].
+    pub in_outages: u64,
 }
 
 impl Counts {
@@ -102,6 +115,64 @@ impl Counts {
         self.dropped_before = self.status.map_or(self.dropped_before, |s| s.frames_dropped);
         // Frames that it reported and that never came are missing when its counter goes on.
         self.status = None;
+    }
+
+    /// The counters of the rows up to the last recorded one: a take that ends here has these, and one that begins here
+    /// has the others.
+    pub(super) fn in_rows(&self) -> Self {
+        let PendingRows { not_received, ring_full, in_outages } = self.pending;
+        Self {
+            not_received: self.not_received.saturating_sub(not_received),
+            ring_full: self.ring_full.saturating_sub(ring_full),
+            lost_in_outages: self.lost_in_outages.saturating_sub(in_outages),
+            outages: self.outages.saturating_sub(u32::from(in_outages > 0)),
+            pending: PendingRows::default(),
+            ..*self
+        }
+    }
+
+    /// What was counted since `base`, which a take began with.
+    pub(super) fn since(&self, base: &Self) -> Self {
+        let dropped_base = base.status.map_or(base.dropped_before, |status| status.frames_dropped);
+        let status = self.status.map(|status| Status {
+            frames_produced: status.frames_produced.saturating_sub(base.seen()),
+            frames_dropped: status.frames_dropped.saturating_sub(dropped_base),
+            ..status
+        });
+        let (link, link_base) = (self.link, base.link);
+        Self {
+            recorded: self.recorded - base.recorded,
+            not_received: self.not_received - base.not_received,
+            ring_full: self.ring_full - base.ring_full,
+            lost_in_outages: self.lost_in_outages - base.lost_in_outages,
+            outages: self.outages - base.outages,
+            duplicates: self.duplicates - base.duplicates,
+            samples_announced: self.samples_announced - base.samples_announced,
+            samples_present: self.samples_present - base.samples_present,
+            samples_not_finite: self.samples_not_finite - base.samples_not_finite,
+            markers_appeared: self.markers_appeared - base.markers_appeared,
+            markers_dropped: self.markers_dropped - base.markers_dropped,
+            counter_jumps: self.counter_jumps - base.counter_jumps,
+            clock_jumps: self.clock_jumps - base.clock_jumps,
+            events_dropped: self.events_dropped - base.events_dropped,
+            link: LinkCounters {
+                bytes: link.bytes - link_base.bytes,
+                bytes_skipped: link.bytes_skipped - link_base.bytes_skipped,
+                messages: link.messages - link_base.messages,
+                messages_damaged: link.messages_damaged - link_base.messages_damaged,
+                messages_unknown: link.messages_unknown - link_base.messages_unknown,
+                samples_not_finite: link.samples_not_finite - link_base.samples_not_finite,
+            },
+            status,
+            reports_from: self.reports_from.saturating_sub(base.seen()),
+            told_twice: self.told_twice,
+            dropped_before: self.dropped_before.saturating_sub(dropped_base),
+            ended: self.ended,
+            closed: self.closed,
+            impossible_produced: self.impossible_produced,
+            clock: ClockStatus { dropped: self.clock.dropped - base.clock.dropped, ..self.clock },
+            pending: self.pending,
+        }
     }
 
     /// The ledger that these counters make. It closes, or says why not.

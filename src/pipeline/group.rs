@@ -8,6 +8,7 @@ use super::{
     messages::{Job, Part, PartReport, StretchEnd},
     plan::Plan,
     ring::{RingIn, RingOut, Sample, TimelineItem, ring},
+    seen::SeenCounters,
     timeline::TimelineCoder,
 };
 
@@ -35,6 +36,8 @@ struct Channels {
     encoder: Box<dyn BlockEncoder>,
     samples: Vec<Sample>,
     block: Vec<u8>,
+    /// Counted when somebody asks for it: by slot of all groups.
+    seen: Option<SeenCounters>,
 }
 
 #[derive(Debug)]
@@ -46,7 +49,11 @@ struct Slot {
 
 impl Group {
     /// Group `index` of the plan, and the reader's ends of its rings.
-    pub(super) fn channels(plan: &Plan, index: usize) -> (Self, Vec<RingIn<Sample>>) {
+    pub(super) fn channels(
+        plan: &Plan,
+        index: usize,
+        seen: Option<SeenCounters>,
+    ) -> (Self, Vec<RingIn<Sample>>) {
         let rows = plan.stretch_rows as usize;
         let n_slots = plan.slots_of(index).len();
         let mut producers = Vec::with_capacity(n_slots);
@@ -66,6 +73,7 @@ impl Group {
             encoder,
             samples: vec![Sample::default(); rows],
             block: Vec::with_capacity(plan.part_bytes_max(index)),
+            seen,
         }));
         (Self::new(plan, index, content, plan.part_bytes_max(index)), producers)
     }
@@ -143,6 +151,11 @@ impl Channels {
             slot.present.clear();
             slot.positions.extend(self.samples[..n_rows].iter().map(|s| s.position_mm));
             slot.present.extend(self.samples[..n_rows].iter().map(|s| s.present));
+        }
+        if let Some(SeenCounters(seen)) = &self.seen {
+            let seen = &seen[self.first_slot..];
+            let slots = self.slots[..n_channels].iter();
+            slots.zip(seen).for_each(|(slot, seen)| seen.count(&slot.present));
         }
         self.block.clear();
         let key = end.span.key;

@@ -25,10 +25,12 @@ use self::{
 };
 use super::{
     Counts, PipelineConfig, Progress,
-    messages::{Control, ToWriter},
+    desk::{Boundary, DeskIn},
+    messages::{Control, Moment, ToWriter},
     plan::Plan,
     pool::Feed,
     ring::{RingIn, Sample, TimelineItem},
+    tap::{TapHead, TapIn},
 };
 
 /// No slot: the channel pool was used up when the marker appeared.
@@ -60,16 +62,26 @@ pub struct Intake {
     open_rows: u32,
     open_limit: u32,
     stretch_rows: u32,
+    first_stretch_rows: u32,
     key_rows: u64,
+    /// Without a take: a pre-roll begins with a key.
+    armed_key_rows: u64,
+    /// Rows between keys now.
+    key_every: u64,
     next_key_row: u64,
     /// When the open stretch got its first row, in host nanoseconds, and how long it may stay open.
     open_since_ns: u64,
     open_ns_max: u64,
+    /// The open stretch's first recorded row, and when the last one arrived.
+    open_first: Moment,
+    last_arrival_ns: u64,
     counts: Counts,
     clocks: Clocks,
     /// The device is back after an outage, and its first frame has not come.
     rejoining: bool,
     finished: bool,
+    desk: DeskIn,
+    tap: TapIn,
 }
 
 /// Frames that a device can have produced beyond those seen: a day and more at 10 kHz. What claims more
@@ -85,6 +97,7 @@ impl Intake {
         feed: Feed,
         to_writer: ToWriter,
         progress: Arc<Progress>,
+        (desk, tap): (DeskIn, TapIn),
     ) -> Self {
         let mut slot_of_id = vec![NO_SLOT; usize::from(u16::MAX) + 1];
         for (slot, channel) in config.channels.iter().enumerate() {
@@ -112,19 +125,27 @@ impl Intake {
             open_rows: 0,
             open_limit: plan.first_stretch_rows,
             stretch_rows: plan.stretch_rows,
+            first_stretch_rows: plan.first_stretch_rows,
             key_rows: plan.key_rows,
+            armed_key_rows: plan.armed_key_rows,
+            key_every: if plan.pre_roll.is_some() { plan.armed_key_rows } else { plan.key_rows },
             next_key_row: 0,
             open_since_ns: 0,
             open_ns_max: config.stretch.as_nanos() as u64,
+            open_first: Moment::default(),
+            last_arrival_ns: 0,
             counts: Counts::default(),
             clocks: Clocks::new(config.tick_hz, to_writer.clock),
             rejoining: false,
             finished: false,
+            desk,
+            tap,
         }
     }
 
     /// One frame, at the host's monotonic time of its last byte.
     pub fn frame(&mut self, frame: &Frame<'_>, arrival_ns: u64) {
+        self.look_at_desk();
         let rejoins = self.rejoining;
         if rejoins {
             self.end_outage(frame, arrival_ns);
@@ -136,6 +157,15 @@ impl Intake {
         let event = self.clocks.frame(frame.device_ticks, arrival_ns);
         self.clock_event(event, frame.device_ticks, arrival_ns);
         self.fill_row(frame);
+        self.tap.offer(
+            TapHead {
+                row: self.next_row + self.pending.rows(),
+                device_ticks: frame.device_ticks,
+                arrival_ns,
+                n_channels: self.n_channels,
+            },
+            &self.row[..self.n_channels],
+        );
         self.make_way();
         if !self.has_room() {
             self.counts.ring_full += 1;
@@ -146,7 +176,9 @@ impl Intake {
         }
         if self.open_rows == 0 {
             self.open_since_ns = arrival_ns;
+            self.open_first = Moment { device_ticks: frame.device_ticks, arrival_ns };
         }
+        self.last_arrival_ns = arrival_ns;
         self.push_row(RowTime {
             device_ticks: frame.device_ticks,
             arrival_10us: arrival_ns / 10_000,
@@ -160,6 +192,7 @@ impl Intake {
     /// The host's monotonic time, told also when nothing arrives: a stretch that stays open because frames
     /// come slowly, or no more, goes to disk all the same.
     pub fn tick(&mut self, now_ns: u64) {
+        self.look_at_desk();
         if self.open_rows > 0 && now_ns.saturating_sub(self.open_since_ns) > self.open_ns_max {
             self.close_stretch();
         }
@@ -173,8 +206,30 @@ impl Intake {
     fn event_at(&mut self, row: u64, event: Event) {
         let event = Event { row, ..event };
         // The queue is full only when the disk has stalled through a thousand events.
-        self.counts.events_dropped +=
-            u64::from(self.control.try_send(Control::Event(event)).is_err());
+        self.counts.events_dropped += u64::from(
+            self.control.try_send(Control::Event(self.feed.next_stretch(), event)).is_err(),
+        );
+    }
+
+    /// What other threads want of the reader.
+    fn look_at_desk(&mut self) {
+        while let Some(mark) = self.desk.mark() {
+            self.event(mark.event);
+            // Whoever asked may have gone.
+            mark.row.try_send(self.next_row).ok();
+        }
+        if let Some(boundary) = self.desk.boundary() {
+            self.cut(boundary);
+        }
+    }
+
+    /// Ends the open stretch; the next one is a short key stretch, so that what begins there is on disk soon.
+    fn cut(&mut self, boundary: Boundary) {
+        self.close_stretch();
+        self.end_boundary(boundary.number);
+        self.key_every = if boundary.recording { self.key_rows } else { self.armed_key_rows };
+        self.next_key_row = self.next_row;
+        self.open_limit = self.first_stretch_rows;
     }
 
     /// The device's report on itself.
@@ -193,6 +248,7 @@ impl Intake {
     pub fn counts(&self) -> Counts {
         let mut counts = self.counts;
         counts.clock = self.clocks.status();
+        counts.pending = self.pending.counted();
         counts
     }
 

@@ -13,10 +13,22 @@ use super::{
 };
 use crate::clock::ClockItem;
 
+/// A frame, by when it was.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) struct Moment {
+    pub(super) device_ticks: u64,
+    pub(super) arrival_ns: u64,
+}
+
 /// A closed stretch.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct StretchEnd {
     pub(super) span: Span,
+    /// Its first recorded row, and when the last one arrived.
+    pub(super) first: Moment,
+    pub(super) last_arrival_ns: u64,
+    /// Not 0: no stretch but a boundary between two, the one of this number. Takes begin and end there.
+    pub(super) boundary: u64,
     /// Channels that have rows in it: the first so many slots.
     pub(super) n_channels: usize,
     /// No other follows.
@@ -74,7 +86,18 @@ impl PartReport {
 #[derive(Debug)]
 pub(super) enum Control {
     Channel(NewChannel),
-    Event(Event),
+    /// With the stretch that was open then: the event stands before it.
+    Event(u64, Event),
+}
+
+impl Control {
+    /// The stretch before which it has to be written.
+    pub(super) fn stretch(&self) -> u64 {
+        match self {
+            Self::Channel(new) => new.stretch,
+            Self::Event(stretch, _) => *stretch,
+        }
+    }
 }
 
 /// The reader's ends of its queues to the writer.

@@ -37,6 +37,17 @@ pub struct PipelineConfig {
     pub sync_every: Duration,
     /// Bytes of the disk that stay free: a take that comes there is to end.
     pub keep_free_bytes: u64,
+    /// What is kept in memory beside what is written.
+    pub pre_roll: Option<PreRollConfig>,
+}
+
+/// Coded stretches that are kept in memory, so that a take can begin before it was asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PreRollConfig {
+    /// How long they are kept.
+    pub time: Duration,
+    /// Bytes that they may take: beyond it the oldest go earlier.
+    pub bytes_max: usize,
 }
 
 impl PipelineConfig {
@@ -55,6 +66,7 @@ impl PipelineConfig {
             key_every: Duration::from_secs(10),
             sync_every: SYNC_EVERY,
             keep_free_bytes: 0,
+            pre_roll: None,
         }
     }
 }
@@ -92,6 +104,14 @@ const CODED_STRETCHES: u32 = 64;
 /// stretches are kept.
 const MEMORY_BYTES: usize = 2 << 30;
 
+/// Time between key stretches while no take is written: a pre-roll begins with one, so by so much more it has than was
+/// asked for. A key costs bytes, but these only stay in memory.
+const ARMED_KEY_EVERY: Duration = Duration::from_secs(1);
+
+/// Boundaries on their way to the writer: each waits for its answer before the next is asked for, or gives up after
+/// seconds.
+const BOUNDARIES_MAX: usize = 16;
+
 /// A time line item per row, and as many again for the runs of loss between them; beside these, room for
 /// the runs that are pending when the rings are full and when the take ends.
 const TIMELINE_ITEMS_PER_ROW: usize = 2;
@@ -119,8 +139,9 @@ pub(super) struct Plan {
     pub(super) stretch_rows: u32,
     pub(super) first_stretch_rows: u32,
     pub(super) key_rows: u64,
+    pub(super) armed_key_rows: u64,
+    pub(super) pre_roll: Option<PreRollConfig>,
     pub(super) sync_every: Duration,
-    pub(super) keep_free_bytes: u64,
 }
 
 impl Plan {
@@ -148,8 +169,9 @@ impl Plan {
             // The rings are made for stretches of `stretch`.
             first_stretch_rows: config.rows(config.first_stretch.min(config.stretch)),
             key_rows: u64::from(config.rows(config.key_every)),
+            armed_key_rows: u64::from(config.rows(config.key_every.min(ARMED_KEY_EVERY))),
+            pre_roll: config.pre_roll,
             sync_every: config.sync_every,
-            keep_free_bytes: config.keep_free_bytes,
         };
         let ring_bytes =
             plan.ring_rows().saturating_mul(n_slots).saturating_mul(size_of::<Sample>());
@@ -190,9 +212,9 @@ impl Plan {
     }
 
     /// Stretches closed and not yet coded: each has at least one row in every ring of an active group
-    /// (one item of the time line ring), and one more is the last, without rows.
+    /// (one item of the time line ring), one more is the last, without rows, and so are boundaries.
     pub(super) fn spans_max(&self) -> usize {
-        self.timeline_items() + 1
+        self.timeline_items() + 1 + BOUNDARIES_MAX
     }
 
     /// Buffers for coded parts that each group has.

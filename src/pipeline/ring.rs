@@ -45,6 +45,11 @@ impl<T: Copy> RingIn<T> {
         self.0.vacant_len()
     }
 
+    /// How full it is, of a thousand.
+    pub(super) fn fill_permille(&self) -> u64 {
+        (self.0.occupied_len() * 1000 / self.0.capacity().get()) as u64
+    }
+
     /// After [`room`](Self::room) said that it fits.
     pub(super) fn push(&mut self, item: T) {
         let pushed = self.0.try_push(item).is_ok();

@@ -1,32 +1,36 @@
-//! The writer thread: parts become stretches, stretches go to disk.
+//! The writer thread: parts become stretches, stretches go into the take, or wait for one.
 
 mod assembly;
 mod clocks;
+mod held;
 mod ledgers;
+mod live;
+mod orders;
 mod output;
 mod room;
 
 use std::{
-    io::Write,
     sync::{Arc, atomic::Ordering},
     time::{Duration, Instant},
 };
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::{anyhow, bail};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
-use mocapd_take::TakeWriter;
+use mocapd_take::record::Channel;
 
+pub(super) use self::live::LiveTake;
 pub(crate) use self::room::HELD_MIN_BYTES;
-use self::{assembly::Assemblies, clocks::ClockWriter, ledgers::Ledgers, room::Room};
+use self::{assembly::Assemblies, clocks::ClockWriter, held::Held};
 pub use self::{
     output::{TakeOutput, Written},
     room::DiskState,
 };
 use super::{
     Counts, Progress,
-    messages::{Control, FromReader, Part, PartReport},
+    messages::{Control, FromReader, Part, PartReport, StretchEnd},
     plan::Plan,
     pool::Wakes,
+    takes::Order,
 };
 
 /// How long to wait for parts after a worker failed.
@@ -35,63 +39,82 @@ const GIVE_UP_AFTER: Duration = Duration::from_secs(2);
 /// Owns the take file.
 #[derive(Debug)]
 pub(super) struct Writer<W> {
-    take: TakeWriter<W>,
     parts: Receiver<Part>,
     control: Receiver<Control>,
+    orders: Receiver<Order<W>>,
     clocks: ClockWriter,
     /// Read from `control`, but its stretch is not written yet.
-    held: Option<Control>,
+    waiting: Option<Control>,
     buffers_back: Vec<Sender<Vec<u8>>>,
     wakes: Wakes,
     progress: Arc<Progress>,
     assemblies: Assemblies,
     payload: Vec<u8>,
-    report: PartReport,
+    /// Up to the last stretch.
     counts: Counts,
+    /// All channels so far, by the stretch that may hold them first.
+    table: Vec<(u64, Channel)>,
     sync_every: Duration,
-    synced_bytes: u64,
-    last_sync: Option<Instant>,
-    ledgers: Ledgers,
-    room: Room,
+    held: Option<Held>,
+    live: Option<LiveTake<W>>,
+    /// The pipeline is there for one take, and has failed when that has.
+    for_one_take: bool,
+}
+
+/// What a writer hears from.
+pub(super) struct Sources<W> {
+    pub(super) parts: Receiver<Part>,
+    pub(super) from_reader: FromReader,
+    pub(super) orders: Receiver<Order<W>>,
 }
 
 impl<W: TakeOutput> Writer<W> {
     pub(super) fn new(
-        take: TakeWriter<W>,
         plan: &Plan,
-        parts: Receiver<Part>,
-        from_reader: FromReader,
+        channels: &[Channel],
+        sources: Sources<W>,
         buffers_back: Vec<Sender<Vec<u8>>>,
         wakes: Wakes,
         progress: &Arc<Progress>,
     ) -> Self {
+        let mut table = Vec::with_capacity(plan.n_slots);
+        table.extend(channels.iter().map(|channel| (0, channel.clone())));
         Self {
-            take,
-            parts,
-            control: from_reader.control,
-            clocks: ClockWriter::new(from_reader.clock),
-            held: None,
+            parts: sources.parts,
+            control: sources.from_reader.control,
+            orders: sources.orders,
+            clocks: ClockWriter::new(sources.from_reader.clock),
+            waiting: None,
             buffers_back,
             wakes,
             progress: Arc::clone(progress),
             assemblies: Assemblies::new(plan),
             payload: Vec::with_capacity(plan.stretch_bytes_max()),
-            report: PartReport::default(),
             counts: Counts::default(),
+            table,
             sync_every: plan.sync_every,
-            synced_bytes: 0,
-            last_sync: None,
-            ledgers: Ledgers::default(),
-            room: Room::new(plan.keep_free_bytes),
+            held: plan.pre_roll.map(Held::new),
+            live: None,
+            for_one_take: false,
         }
     }
 
-    /// Writes until the last stretch. After an error the parts are still taken, so that the reader
-    /// and the workers come to their end; what was written before stays.
-    pub(super) fn run(mut self) -> anyhow::Result<(Written, W)> {
-        let mut error = None;
+    /// Writes this take from the first stretch on, and nothing else.
+    pub(super) fn for_take(&mut self, mut take: LiveTake<W>) {
+        take.reserve(self.payload.capacity());
+        self.live = Some(take);
+        self.for_one_take = true;
+    }
+
+    /// Works until the last stretch. After an error the parts are still taken, so that the reader and the workers come
+    /// to their end; what was written before stays.
+    pub(super) fn run(mut self) -> anyhow::Result<()> {
         let mut silent_since = Instant::now();
-        self.look_at_disk();
+        let progress = Arc::clone(&self.progress);
+        self.on_take(|take, _| {
+            take.look_at_disk(&progress);
+            Ok(())
+        });
         loop {
             match self.parts.recv_timeout(self.sync_every.min(GIVE_UP_AFTER)) {
                 Ok(part) => {
@@ -99,89 +122,132 @@ impl<W: TakeOutput> Writer<W> {
                     self.assemblies.add(part);
                 }
                 Err(RecvTimeoutError::Timeout) => {
-                    if error.is_none() {
-                        error = self.sync_what_waits().err();
-                        self.look_at_disk();
-                    }
-                    let failed = self.progress.failed.load(Ordering::Relaxed);
-                    if failed && silent_since.elapsed() > GIVE_UP_AFTER {
-                        return Err(error.unwrap_or_else(|| anyhow!("a resampler thread failed")));
+                    self.on_take(|take, _| {
+                        take.look_at_disk(&progress);
+                        take.sync_what_waits()
+                    });
+                    let failed = progress.failed.load(Ordering::Relaxed);
+                    let has_no_take = self.for_one_take && self.live.is_none();
+                    if failed && !has_no_take && silent_since.elapsed() > GIVE_UP_AFTER {
+                        let error = || anyhow!("a resampler thread failed");
+                        self.on_take(|_, _| Err(error()));
+                        return Err(error());
                     }
                 }
                 // The groups hold the senders, and the writer holds the groups' wakes.
                 Err(RecvTimeoutError::Disconnected) => bail!("the resampler threads are gone"),
             }
             while let Some(last) = self.assemblies.front_last() {
-                if error.is_none() {
-                    error = self.write_front().err();
-                    if error.is_some() {
-                        self.progress.failed.store(true, Ordering::Relaxed);
-                    }
-                }
+                self.front();
                 self.give_back();
                 if last {
-                    return match error {
-                        None => self.finish(),
-                        Some(error) => Err(self.give_up(error)),
-                    };
+                    if let Some(take) = self.live.take() {
+                        take.end(&self.counts, &mut self.clocks);
+                    }
+                    return Ok(());
                 }
             }
         }
     }
 
-    fn write_front(&mut self) -> anyhow::Result<()> {
-        let Some(front) = self.assemblies.front() else { return Ok(()) };
-        let Some((timeline, blocks)) = front.parts() else { return Ok(()) };
+    /// The oldest stretch, which is complete: into the take, and to what is held.
+    fn front(&mut self) {
+        let Some(front) = self.assemblies.front() else { return };
+        let Some((timeline, blocks)) = front.parts() else { return };
+        let (stretch, end) = (front.stretch, front.end);
+        let mut report = PartReport::default();
         self.payload.clear();
         self.payload.extend_from_slice(&timeline.bytes);
         for part in blocks {
             self.payload.extend_from_slice(&part.bytes);
-            self.report.add(&part.report);
+            report.add(&part.report);
         }
+        let before = self.counts;
         self.counts = timeline.counts.unwrap_or(self.counts);
-        write_control(&mut self.take, &self.control, &mut self.held, front.stretch)?;
-        // The last one has neither rows nor, when nothing was lost at the end, a front.
-        if !timeline.bytes.is_empty() {
-            self.take.stretch(front.end.span, &self.payload).context("cannot write a stretch")?;
+        self.take_in_control(stretch);
+        match end.boundary {
+            0 => self.place(stretch, &end, &report, before),
+            number => self.carry_out(number, &end),
         }
-        if !front.end.last {
-            self.write_ledger_and_sync()?;
+        self.tell_clock();
+    }
+
+    fn place(&mut self, stretch: u64, end: &StretchEnd, report: &PartReport, before: Counts) {
+        let (counts, progress) = (self.counts, Arc::clone(&self.progress));
+        let payload = std::mem::take(&mut self.payload);
+        if let Some(held) = &mut self.held
+            && end.span.n_rows > 0
+        {
+            held.push(stretch, end, &payload, *report, (before, counts));
         }
-        self.progress.file_bytes.store(self.take.bytes(), Ordering::Relaxed);
-        self.progress.samples.store(self.report.samples, Ordering::Relaxed);
+        self.on_take(|take, clocks| {
+            take.stretch(end.span, end.first, &payload, report, &counts)?;
+            if !end.last {
+                take.ledger_and_sync(clocks, &progress)?;
+            }
+            take.tell(&progress);
+            Ok(())
+        });
+        if self.live.is_none() {
+            // Without a take there is nothing that could fail.
+            self.clocks.write::<W>(None, &counts.clock, false).ok();
+        }
+        self.payload = payload;
+        self.tell_held();
+    }
+
+    /// What must stand in a take before stretch `stretch`.
+    fn take_in_control(&mut self, stretch: u64) {
+        while let Some(message) = self.waiting.take().or_else(|| self.control.try_recv().ok()) {
+            if message.stretch() > stretch {
+                self.waiting = Some(message);
+                return;
+            }
+            match message {
+                Control::Channel(new) => {
+                    let channel = new.into_channel();
+                    self.on_take(|take, _| take.channel(&channel));
+                    self.table.push((stretch, channel));
+                }
+                Control::Event(at, event) => {
+                    self.on_take(|take, _| take.event(&event));
+                    if let Some(held) = &mut self.held {
+                        held.event(at, event);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Something with the take, if there is one. After an error there is none.
+    fn on_take(
+        &mut self,
+        work: impl FnOnce(&mut LiveTake<W>, &mut ClockWriter) -> anyhow::Result<()>,
+    ) {
+        let Some(take) = &mut self.live else { return };
+        let Err(error) = work(take, &mut self.clocks) else { return };
+        if self.for_one_take {
+            self.progress.failed.store(true, Ordering::Relaxed);
+        }
+        if let Some(take) = self.live.take() {
+            take.give_up(error);
+        }
+    }
+
+    fn tell_held(&self) {
+        let Some(held) = &self.held else { return };
+        let progress = &self.progress;
+        progress.held_bytes.store(held.bytes() as u64, Ordering::Relaxed);
+        progress.held_ms.store((held.seconds() * 1e3) as u64, Ordering::Relaxed);
+        progress.held_cut.store(held.is_cut(), Ordering::Relaxed);
+    }
+
+    fn tell_clock(&self) {
         if let Some(line) = self.counts.clock.line {
             self.progress.drift_ppb.store(line.drift_ppb, Ordering::Relaxed);
             let p99_us = self.counts.clock.jitter.p99_us;
             self.progress.jitter_p99_us.store(p99_us, Ordering::Relaxed);
         }
-        Ok(())
-    }
-
-    fn look_at_disk(&mut self) {
-        let written = self.take.bytes();
-        self.room.look(self.take.get_mut(), written, &self.progress, Instant::now());
-    }
-
-    fn write_ledger_and_sync(&mut self) -> anyhow::Result<()> {
-        let ledger_is_due = self.ledgers.are_due(&self.counts, Instant::now());
-        self.clocks.write(&mut self.take, &self.counts.clock, ledger_is_due)?;
-        if ledger_is_due {
-            self.take.ledger(&self.counts.ledger(false)).context("cannot write the ledger")?;
-        }
-        self.look_at_disk();
-        if self.last_sync.is_none_or(|last| last.elapsed() >= self.sync_every) {
-            self.sync_what_waits()?;
-        }
-        Ok(())
-    }
-
-    fn sync_what_waits(&mut self) -> anyhow::Result<()> {
-        if self.synced_bytes < self.take.bytes() {
-            self.take.get_mut().sync().context("cannot sync the take to disk")?;
-            self.synced_bytes = self.take.bytes();
-            self.last_sync = Some(Instant::now());
-        }
-        Ok(())
     }
 
     /// The front's buffers go back to their groups, which may have waited for them.
@@ -192,60 +258,4 @@ impl<W: TakeOutput> Writer<W> {
             wakes.wake(part.group);
         });
     }
-
-    /// What was held for the rest is nobody's: the part that was written stays.
-    fn give_up(&mut self, error: anyhow::Error) -> anyhow::Error {
-        let written = self.take.bytes();
-        // A disk that failed may fail here, too.
-        self.take.get_mut().release(written).ok();
-        error
-    }
-
-    fn finish(mut self) -> anyhow::Result<(Written, W)> {
-        let clock_lines = self.clocks.finish(&mut self.take, &self.counts.clock)?;
-        let mut ledger = self.counts.ledger(true);
-        if self.report.refused > 0 {
-            ledger.contradictions.push(format!(
-                "{} blocks were refused by the codec: this is a bug in mocapd",
-                self.report.refused
-            ));
-        }
-        let closing = "cannot close the take";
-        let mut output = self.take.finish(&ledger).context(closing)?;
-        output.0.release(output.1).context(closing)?;
-        output.0.sync().context(closing)?;
-        let written = Written {
-            ledger,
-            clock: self.counts.clock,
-            clock_lines,
-            disk: self.room.close(&output.0),
-            file_bytes: output.1,
-            samples: self.report.samples,
-            kept: self.report.kept,
-            max_error_mm: self.report.max_error_mm,
-        };
-        Ok((written, output.0))
-    }
-}
-
-/// What must stand in the take before stretch `stretch`, and every event so far.
-fn write_control<W: Write>(
-    take: &mut TakeWriter<W>,
-    control: &Receiver<Control>,
-    held: &mut Option<Control>,
-    stretch: u64,
-) -> anyhow::Result<()> {
-    while let Some(message) = held.take().or_else(|| control.try_recv().ok()) {
-        match message {
-            Control::Channel(new) if new.stretch > stretch => {
-                *held = Some(Control::Channel(new));
-                return Ok(());
-            }
-            Control::Channel(new) => {
-                take.channels(&[new.into_channel()]).context("cannot write a new channel")?;
-            }
-            Control::Event(event) => take.event(&event).context("cannot write an event")?,
-        }
-    }
-    Ok(())
 }

@@ -9,6 +9,7 @@ mod loss;
 mod lossy_disk;
 mod outage;
 mod overload;
+mod takes;
 
 use mocapd_take::motion::is_gap;
 

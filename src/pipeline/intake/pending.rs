@@ -2,7 +2,7 @@
 
 use mocapd_take::timeline::Causes;
 
-use crate::pipeline::plan::RUNS_MAX;
+use crate::pipeline::{counts::PendingRows, plan::RUNS_MAX};
 
 /// A short list of runs, in place.
 #[derive(Debug, Default)]
@@ -10,6 +10,7 @@ pub(super) struct Pending {
     runs: [(u64, Causes); RUNS_MAX],
     n_runs: usize,
     rows: u64,
+    counted: PendingRows,
 }
 
 impl Pending {
@@ -18,6 +19,14 @@ impl Pending {
             return;
         }
         self.rows += rows;
+        let counted = if causes.contains(Causes::DISCONNECTED) {
+            &mut self.counted.in_outages
+        } else if causes.contains(Causes::RING_FULL) {
+            &mut self.counted.ring_full
+        } else {
+            &mut self.counted.not_received
+        };
+        *counted += rows;
         match self.runs[..self.n_runs].last_mut() {
             Some(last) if last.1 == causes || self.n_runs == RUNS_MAX => {
                 last.0 += rows;
@@ -34,10 +43,16 @@ impl Pending {
         self.rows
     }
 
+    /// The same, by what counted them.
+    pub(super) fn counted(&self) -> PendingRows {
+        self.counted
+    }
+
     /// The runs, oldest first; none are left.
     pub(super) fn drain(&mut self) -> impl Iterator<Item = (u64, Causes)> + use<> {
         let runs = std::mem::take(&mut self.runs);
         self.rows = 0;
+        self.counted = PendingRows::default();
         runs.into_iter().take(std::mem::take(&mut self.n_runs))
     }
 }

@@ -87,11 +87,34 @@ impl Intake {
         // The next stretch would begin too late.
         let key = first_row.saturating_add(u64::from(self.stretch_rows)) > self.next_key_row;
         if key {
-            self.next_key_row = first_row.saturating_add(self.key_rows);
+            self.next_key_row = first_row.saturating_add(self.key_every);
         }
         let number = (self.feed.next_stretch() % u64::from(NUMBERS)) as u8;
         let span = Span { first_row, n_rows, key, number };
-        let end = StretchEnd { span, n_channels: self.n_channels, last };
+        self.send(self.end_of(span, 0, last));
+    }
+
+    /// A boundary between two stretches, sent the way that they go.
+    pub(super) fn end_boundary(&mut self, boundary: u64) {
+        let span = Span { first_row: self.next_row, n_rows: 0, key: false, number: 0 };
+        self.send(self.end_of(span, boundary, false));
+    }
+
+    fn end_of(&self, span: Span, boundary: u64, last: bool) -> StretchEnd {
+        StretchEnd {
+            span,
+            first: self.open_first,
+            last_arrival_ns: self.last_arrival_ns,
+            boundary,
+            n_channels: self.n_channels,
+            last,
+        }
+    }
+
+    fn send(&mut self, end: StretchEnd) {
+        let fill = |ring: &RingIn<Sample>| ring.fill_permille();
+        let fullest = self.rings[..self.n_channels].iter().map(fill).max().unwrap_or(0);
+        self.progress.ring_fill_permille.store(fullest, Ordering::Relaxed);
         if !self.feed.end_stretch(end, self.counts()) {
             self.progress.failed.store(true, Ordering::Relaxed);
         }

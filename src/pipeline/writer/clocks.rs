@@ -1,12 +1,13 @@
 //! What was seen of the clocks, into the take: seldom, because each record costs some fifty bytes.
 
 use std::{
+    collections::VecDeque,
     io::Write,
     time::{Duration, Instant},
 };
 
 use anyhow::Context;
-use crossbeam_channel::Receiver;
+use crossbeam_channel::{Receiver, never};
 use mocapd_take::{
     TakeWriter,
     record::{Clock, ClockLine, ClockPoint, ClockProbe},
@@ -16,6 +17,10 @@ use crate::clock::{ClockItem, ClockStatus};
 
 /// Round trips, or points, that wait for a record at most: those of a minute are sixteen and twelve.
 const HELD_MAX: usize = 256;
+
+/// Observations of each kind that a line is laid through, at most: a take that begins later has them, too. Those of
+/// two minutes are some thirty.
+const RECENT_MAX: usize = 128;
 
 /// Segments that are told of one by one at the end: a device is plugged in again so often in a long day. The take
 /// has each one's line.
@@ -32,6 +37,9 @@ pub(super) struct ClockWriter {
     begun: Instant,
     probes: Vec<ClockProbe>,
     points: Vec<ClockPoint>,
+    /// Of the segment, whether they are in a take or not.
+    recent_probes: VecDeque<ClockProbe>,
+    recent_points: VecDeque<ClockPoint>,
     /// Of the segment, when that is over.
     line: Option<ClockLine>,
     lines: Vec<(u32, ClockLine)>,
@@ -40,14 +48,44 @@ pub(super) struct ClockWriter {
 impl ClockWriter {
     pub(super) fn new(items: Receiver<ClockItem>) -> Self {
         let (probes, points) = (Vec::with_capacity(HELD_MAX), Vec::with_capacity(HELD_MAX));
-        let begun = Instant::now();
-        Self { items, segment: 0, begun, probes, points, line: None, lines: Vec::new() }
+        Self {
+            items,
+            segment: 0,
+            begun: Instant::now(),
+            probes,
+            points,
+            recent_probes: VecDeque::with_capacity(RECENT_MAX),
+            recent_points: VecDeque::with_capacity(RECENT_MAX),
+            line: None,
+            lines: Vec::new(),
+        }
     }
 
-    /// Takes in what came, and writes it when a record is due, the segment is another one, or enough is held.
+    /// A take begins: what the line is laid through belongs into it, though it was seen before.
+    pub(super) fn begin(&mut self) {
+        self.begun = Instant::now();
+        self.probes.clear();
+        self.points.clear();
+        self.probes.extend(&self.recent_probes);
+        self.points.extend(&self.recent_points);
+        self.line = None;
+        self.lines.clear();
+    }
+
+    /// For a take beside the one that is written.
+    pub(super) fn beside(&self) -> Self {
+        let mut beside = Self::new(never());
+        beside.segment = self.segment;
+        beside.probes.extend(&self.recent_probes);
+        beside.points.extend(&self.recent_points);
+        beside
+    }
+
+    /// Takes in what came, and writes it when a record is due, the segment is another one, or enough is held; without a
+    /// take, it keeps what the next one needs.
     pub(super) fn write<W: Write>(
         &mut self,
-        take: &mut TakeWriter<W>,
+        mut take: Option<&mut TakeWriter<W>>,
         status: &ClockStatus,
         is_due: bool,
     ) -> anyhow::Result<()> {
@@ -56,16 +94,24 @@ impl ClockWriter {
             | ClockItem::Probe(segment, _)
             | ClockItem::Line(segment, _)) = item;
             if segment != self.segment {
-                self.record(take, status)?;
+                self.record(take.as_deref_mut(), status)?;
                 self.segment = segment;
+                self.recent_probes.clear();
+                self.recent_points.clear();
             }
             match item {
-                ClockItem::Point(_, point) => self.points.push(point),
-                ClockItem::Probe(_, probe) => self.probes.push(probe),
+                ClockItem::Point(_, point) => {
+                    self.points.push(point);
+                    keep(&mut self.recent_points, point);
+                }
+                ClockItem::Probe(_, probe) => {
+                    self.probes.push(probe);
+                    keep(&mut self.recent_probes, probe);
+                }
                 ClockItem::Line(_, line) => self.line = Some(line),
             }
             if self.points.len().max(self.probes.len()) >= HELD_MAX {
-                self.record(take, status)?;
+                self.record(take.as_deref_mut(), status)?;
             }
         }
         if is_due && self.begun.elapsed() >= FIRST_AFTER {
@@ -80,8 +126,8 @@ impl ClockWriter {
         take: &mut TakeWriter<W>,
         status: &ClockStatus,
     ) -> anyhow::Result<Vec<(u32, ClockLine)>> {
-        self.write(take, status, false)?;
-        self.record(take, status)?;
+        self.write(Some(&mut *take), status, false)?;
+        self.record(Some(take), status)?;
         let last = status.line.map(|line| (status.segment, line));
         self.lines.extend(last);
         Ok(std::mem::take(&mut self.lines))
@@ -89,10 +135,15 @@ impl ClockWriter {
 
     fn record<W: Write>(
         &mut self,
-        take: &mut TakeWriter<W>,
+        take: Option<&mut TakeWriter<W>>,
         status: &ClockStatus,
     ) -> anyhow::Result<()> {
         let ended = self.line.take();
+        let Some(take) = take else {
+            self.probes.clear();
+            self.points.clear();
+            return Ok(());
+        };
         if self.probes.is_empty() && self.points.is_empty() && ended.is_none() {
             return Ok(());
         }
@@ -115,4 +166,12 @@ impl ClockWriter {
         (self.probes, self.points) = (clock.probes, clock.points);
         Ok(())
     }
+}
+
+/// The newest few.
+fn keep<T>(recent: &mut VecDeque<T>, item: T) {
+    if recent.len() == RECENT_MAX {
+        recent.pop_front();
+    }
+    recent.push_back(item);
 }

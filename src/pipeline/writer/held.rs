@@ -1,0 +1,152 @@
+//! The pre-roll: coded stretches that wait for a take to want them.
+
+use std::{collections::VecDeque, time::Duration};
+
+use mocapd_take::{record::Event, stretch::Span};
+
+use crate::pipeline::{
+    Counts, PreRollConfig,
+    messages::{Moment, PartReport, StretchEnd},
+};
+
+/// Events that wait with them: as many as may wait for the writer. Of more, the oldest go.
+const EVENTS_MAX: usize = 1024;
+
+/// A stretch, as it was coded.
+#[derive(Debug)]
+pub(super) struct HeldStretch {
+    pub(super) stretch: u64,
+    pub(super) span: Span,
+    pub(super) first: Moment,
+    pub(super) last_arrival_ns: u64,
+    pub(super) payload: Box<[u8]>,
+    pub(super) report: PartReport,
+    /// What was counted before it, and with it.
+    pub(super) before: Counts,
+    pub(super) after: Counts,
+}
+
+/// The newest stretches, from a key on.
+#[derive(Debug)]
+pub(super) struct Held {
+    time_ns: u64,
+    bytes_max: usize,
+    stretches: VecDeque<HeldStretch>,
+    events: VecDeque<(u64, Event)>,
+    bytes: usize,
+    /// Something went because of the bytes that it took.
+    cut: bool,
+}
+
+impl Held {
+    pub(super) fn new(config: PreRollConfig) -> Self {
+        Self {
+            time_ns: u64::try_from(config.time.as_nanos()).unwrap_or(u64::MAX),
+            bytes_max: config.bytes_max,
+            stretches: VecDeque::new(),
+            events: VecDeque::new(),
+            bytes: 0,
+            cut: false,
+        }
+    }
+
+    pub(super) fn push(
+        &mut self,
+        stretch: u64,
+        end: &StretchEnd,
+        payload: &[u8],
+        report: PartReport,
+        (before, after): (Counts, Counts),
+    ) {
+        // What a decoder cannot start at is of no use at the front.
+        if self.stretches.is_empty() && !end.span.key {
+            return;
+        }
+        self.bytes += payload.len();
+        self.stretches.push_back(HeldStretch {
+            stretch,
+            span: end.span,
+            first: end.first,
+            last_arrival_ns: end.last_arrival_ns,
+            payload: payload.into(),
+            report,
+            before,
+            after,
+        });
+        self.trim(end.last_arrival_ns);
+    }
+
+    pub(super) fn event(&mut self, stretch: u64, event: Event) {
+        if self.events.len() == EVENTS_MAX {
+            self.events.pop_front();
+        }
+        self.events.push_back((stretch, event));
+    }
+
+    /// The stretches that a take of the last `pre_roll` before `now_ns` has: from the last key that is old enough.
+    pub(super) fn of_last(&self, pre_roll: Duration, now_ns: u64) -> usize {
+        if pre_roll.is_zero() {
+            return self.stretches.len();
+        }
+        let pre_roll_ns = u64::try_from(pre_roll.as_nanos()).unwrap_or(u64::MAX);
+        let from_ns = now_ns.saturating_sub(pre_roll_ns);
+        let old_enough = |held: &HeldStretch| held.span.key && held.first.arrival_ns <= from_ns;
+        let keys = self.stretches.iter().enumerate();
+        keys.filter(|(_, held)| old_enough(held)).map(|(at, _)| at).last().unwrap_or(0)
+    }
+
+    pub(super) fn from(&self, at: usize) -> impl Iterator<Item = &HeldStretch> {
+        self.stretches.iter().skip(at)
+    }
+
+    pub(super) fn events(&self) -> impl Iterator<Item = &(u64, Event)> {
+        self.events.iter()
+    }
+
+    pub(super) fn bytes(&self) -> usize {
+        self.bytes
+    }
+
+    pub(super) fn is_cut(&self) -> bool {
+        self.cut
+    }
+
+    /// From the first frame to the last.
+    pub(super) fn seconds(&self) -> f64 {
+        let ends = (self.stretches.front(), self.stretches.back());
+        let (Some(first), Some(last)) = ends else { return 0.0 };
+        last.last_arrival_ns.saturating_sub(first.first.arrival_ns) as f64 * 1e-9
+    }
+
+    /// Lets go what is older than wanted, up to a key at a time.
+    fn trim(&mut self, newest_ns: u64) {
+        let from_ns = newest_ns.saturating_sub(self.time_ns);
+        let mut over = self.bytes > self.bytes_max;
+        while let Some(next_key) = self.next_key() {
+            let is_old = self.stretches[next_key].first.arrival_ns <= from_ns;
+            if !is_old && !over {
+                break;
+            }
+            self.cut |= !is_old;
+            self.drop_first(next_key);
+            over = self.bytes > self.bytes_max;
+        }
+        if over {
+            // All of it since the last key: nothing can be kept before the next one.
+            self.cut = true;
+            self.drop_first(self.stretches.len());
+        }
+        let first = self.stretches.front().map_or(u64::MAX, |held| held.stretch);
+        while self.events.front().is_some_and(|(stretch, _)| *stretch < first) {
+            self.events.pop_front();
+        }
+    }
+
+    fn next_key(&self) -> Option<usize> {
+        self.stretches.iter().skip(1).position(|held| held.span.key).map(|at| at + 1)
+    }
+
+    fn drop_first(&mut self, n: usize) {
+        self.bytes -= self.stretches.drain(..n).map(|held| held.payload.len()).sum::<usize>();
+    }
+}

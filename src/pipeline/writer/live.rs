@@ -1,0 +1,211 @@
+//! The take that is being written.
+
+use std::{
+    sync::atomic::Ordering,
+    time::{Duration, Instant},
+};
+
+use anyhow::Context;
+use mocapd_take::{
+    TakeWriter,
+    record::{Channel, Event, Header},
+    stretch::{NUMBERS, Span, put_moved},
+};
+
+use super::{TakeOutput, Written, clocks::ClockWriter, ledgers::Ledgers, room::Room};
+use crate::pipeline::{
+    Counts, FirstRow, Progress, TakeEnd, TakeNow,
+    messages::{Moment, PartReport},
+    takes::Answers,
+};
+
+/// From its header to its footer.
+#[derive(Debug)]
+pub(in crate::pipeline) struct LiveTake<W> {
+    take: TakeWriter<W>,
+    answers: Answers<W>,
+    /// What the pipeline had counted before it, and the row that is its first.
+    base: Counts,
+    rows_before: u64,
+    next_number: u8,
+    first: Option<FirstRow>,
+    first_told: bool,
+    moved: Vec<u8>,
+    report: PartReport,
+    counts: Counts,
+    sync_every: Duration,
+    synced_bytes: u64,
+    last_sync: Option<Instant>,
+    ledgers: Ledgers,
+    room: Room,
+}
+
+impl<W: TakeOutput> LiveTake<W> {
+    pub(in crate::pipeline) fn begin(
+        output: W,
+        header: &Header,
+        answers: Answers<W>,
+        (base, rows_before): (Counts, u64),
+        (sync_every, keep_free_bytes): (Duration, u64),
+    ) -> Result<Self, (anyhow::Error, Answers<W>)> {
+        let take = match TakeWriter::new(output, header).context("cannot write the take's header") {
+            Ok(take) => take,
+            Err(error) => return Err((error, answers)),
+        };
+        Ok(Self {
+            take,
+            answers,
+            base,
+            rows_before,
+            next_number: 0,
+            first: None,
+            first_told: false,
+            moved: Vec::new(),
+            report: PartReport::default(),
+            counts: Counts::default(),
+            sync_every,
+            synced_bytes: 0,
+            last_sync: None,
+            ledgers: Ledgers::default(),
+            room: Room::new(keep_free_bytes),
+        })
+    }
+
+    /// So that nothing is allocated later.
+    pub(super) fn reserve(&mut self, stretch_bytes: usize) {
+        self.moved.reserve(stretch_bytes);
+    }
+
+    pub(super) fn channel(&mut self, channel: &Channel) -> anyhow::Result<()> {
+        self.take.channels(std::slice::from_ref(channel)).context("cannot write a new channel")
+    }
+
+    /// An event at a row of the pipeline.
+    pub(super) fn event(&mut self, event: &Event) -> anyhow::Result<()> {
+        let row = event.row.saturating_sub(self.rows_before);
+        self.take.event(&Event { row, ..event.clone() }).context("cannot write an event")
+    }
+
+    /// A stretch of the pipeline, with what it counted up to its end.
+    pub(super) fn stretch(
+        &mut self,
+        span: Span,
+        first: Moment,
+        payload: &[u8],
+        report: &PartReport,
+        counts: &Counts,
+    ) -> anyhow::Result<()> {
+        self.report.add(report);
+        self.counts = counts.since(&self.base);
+        // The last one has neither rows nor, when nothing was lost at the end, a front.
+        if payload.is_empty() {
+            return Ok(());
+        }
+        let cannot = "cannot write a stretch";
+        let number = self.next_number;
+        self.next_number = (number + 1) % NUMBERS;
+        self.moved.clear();
+        put_moved(payload, self.rows_before, number, &mut self.moved).context(cannot)?;
+        let first_row = span.first_row.saturating_sub(self.rows_before);
+        self.take.stretch(Span { first_row, number, ..span }, &self.moved).context(cannot)?;
+        if span.n_rows > 0 {
+            let Moment { device_ticks, arrival_ns } = first;
+            let row = self.rows_before;
+            self.first.get_or_insert(FirstRow { device_ticks, arrival_ns, row });
+        }
+        Ok(())
+    }
+
+    pub(super) fn ledger_and_sync(
+        &mut self,
+        clocks: &mut ClockWriter,
+        progress: &Progress,
+    ) -> anyhow::Result<()> {
+        let ledger_is_due = self.ledgers.are_due(&self.counts, Instant::now());
+        clocks.write(Some(&mut self.take), &self.counts.clock, ledger_is_due)?;
+        if ledger_is_due {
+            self.take.ledger(&self.counts.ledger(false)).context("cannot write the ledger")?;
+        }
+        self.look_at_disk(progress);
+        if self.last_sync.is_none_or(|last| last.elapsed() >= self.sync_every) {
+            self.sync_what_waits()?;
+        }
+        Ok(())
+    }
+
+    pub(super) fn look_at_disk(&mut self, progress: &Progress) {
+        let written = self.take.bytes();
+        self.room.look(self.take.get_mut(), written, progress, Instant::now());
+    }
+
+    pub(super) fn sync_what_waits(&mut self) -> anyhow::Result<()> {
+        if self.synced_bytes < self.take.bytes() {
+            self.take.get_mut().sync().context("cannot sync the take to disk")?;
+            self.synced_bytes = self.take.bytes();
+            self.last_sync = Some(Instant::now());
+        }
+        if let Some(first) = self.first
+            && !std::mem::replace(&mut self.first_told, true)
+        {
+            // Nobody need wait for it.
+            self.answers.first.try_send(first).ok();
+        }
+        Ok(())
+    }
+
+    /// For whoever watches.
+    pub(super) fn tell(&self, progress: &Progress) {
+        progress.file_bytes.store(self.take.bytes(), Ordering::Relaxed);
+        progress.samples.store(self.report.samples, Ordering::Relaxed);
+        let now = TakeNow {
+            rows: self.counts.seen(),
+            bytes: self.take.bytes(),
+            durable_bytes: self.synced_bytes,
+            samples: self.report.samples,
+            max_error_mm: self.report.max_error_mm,
+            ledger: self.counts.ledger(false),
+        };
+        *progress.take.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(now);
+    }
+
+    /// What was held for the rest is nobody's: the part that was written stays.
+    pub(super) fn give_up(mut self, error: anyhow::Error) {
+        let written = self.take.bytes();
+        // A disk that failed may fail here, too.
+        self.take.get_mut().release(written).ok();
+        self.answers.ended.try_send(Err(error)).ok();
+    }
+
+    /// Closes it, with the counters at its end.
+    pub(super) fn end(mut self, counts: &Counts, clocks: &mut ClockWriter) {
+        self.counts = counts.since(&self.base);
+        let ended = self.answers.ended.clone();
+        ended.try_send(self.finish(clocks)).ok();
+    }
+
+    fn finish(mut self, clocks: &mut ClockWriter) -> TakeEnd<W> {
+        let clock_lines = clocks.finish(&mut self.take, &self.counts.clock)?;
+        let mut ledger = self.counts.ledger(true);
+        if self.report.refused > 0 {
+            ledger.contradictions.push(format!(
+                "{} blocks were refused by the codec: this is a bug in mocapd",
+                self.report.refused
+            ));
+        }
+        let closing = "cannot close the take";
+        let mut output = self.take.finish(&ledger).context(closing)?;
+        output.0.release(output.1).context(closing)?;
+        output.0.sync().context(closing)?;
+        let written = Written {
+            ledger,
+            clock: self.counts.clock,
+            clock_lines,
+            disk: self.room.close(&output.0),
+            file_bytes: output.1,
+            samples: self.report.samples,
+            kept: self.report.kept,
+            max_error_mm: self.report.max_error_mm,
+        };
+        Ok((written, output.0))
+    }
+}

@@ -1,0 +1,118 @@
+//! What is done at a boundary between two stretches: takes end, begin, and are saved.
+
+use std::{sync::atomic::Ordering, time::Duration};
+
+use anyhow::anyhow;
+use mocapd_take::record::Channel;
+
+use super::{TakeOutput, Writer, live::LiveTake};
+use crate::pipeline::{
+    messages::StretchEnd,
+    takes::{Answers, NewTake, Order, What},
+};
+
+impl<W: TakeOutput> Writer<W> {
+    /// Everything that was ordered up to this boundary.
+    pub(super) fn carry_out(&mut self, boundary: u64, end: &StretchEnd) {
+        while let Ok(Order { boundary: at, what }) = self.orders.try_recv() {
+            debug_assert!(at <= boundary, "an order is sent before its boundary is wanted");
+            match what {
+                What::End => self.end_take(),
+                What::Begin(take, answers) => {
+                    self.end_take();
+                    let pre_roll = take.pre_roll;
+                    self.live = self.begin_take(*take, answers, pre_roll, end);
+                }
+                What::Save(take, answers) => {
+                    let pre_roll = take.pre_roll;
+                    // The take that is being written goes on beside it.
+                    if let Some(saved) = self.begin_take(*take, answers, pre_roll, end) {
+                        let mut clocks = self.clocks.beside();
+                        saved.end(&self.counts.in_rows(), &mut clocks);
+                    }
+                }
+            }
+        }
+    }
+
+    fn end_take(&mut self) {
+        if let Some(take) = self.live.take() {
+            take.end(&self.counts.in_rows(), &mut self.clocks);
+        }
+        *self.progress.take.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = None;
+    }
+
+    /// A take that has what is held of the last `pre_roll`. What failed is told to whoever waits for it.
+    fn begin_take(
+        &mut self,
+        new: NewTake<W>,
+        answers: Answers<W>,
+        pre_roll: Duration,
+        end: &StretchEnd,
+    ) -> Option<LiveTake<W>> {
+        let NewTake { output, mut header, asked_ns, notes, keep_free_bytes, .. } = new;
+        let from = self.held.as_ref().map_or(0, |held| held.of_last(pre_roll, asked_ns));
+        let first = self.held.as_ref().and_then(|held| held.from(from).next());
+        let (base, rows_before, stretch) = match first {
+            // The row after the stretch before: rows lost before it are its own.
+            Some(held) => (held.before.in_rows(), held.before.in_rows().seen(), held.stretch),
+            None => (self.counts.in_rows(), end.span.first_row, u64::MAX),
+        };
+        let known = |(since, _): &&(u64, Channel)| *since <= stretch;
+        header.channels = self.table.iter().filter(known).map(|(_, c)| c.clone()).collect();
+        self.progress.disk_full.store(false, Ordering::Relaxed);
+        let times = (self.sync_every, keep_free_bytes);
+        let begun = LiveTake::begin(output, &header, answers, (base, rows_before), times);
+        let mut take = match begun {
+            Ok(take) => take,
+            Err((error, answers)) => {
+                answers.ended.try_send(Err(error)).ok();
+                return None;
+            }
+        };
+        take.reserve(self.payload.capacity());
+        let wrote = notes.map_or(Ok(()), |event| take.event(&event));
+        match wrote.and_then(|()| self.write_held(&mut take, from, stretch)) {
+            Ok(()) => Some(take),
+            Err(error) => {
+                take.give_up(error);
+                None
+            }
+        }
+    }
+
+    fn write_held(
+        &mut self,
+        take: &mut LiveTake<W>,
+        from: usize,
+        first: u64,
+    ) -> anyhow::Result<()> {
+        self.clocks.begin();
+        take.look_at_disk(&self.progress);
+        let Some(held) = &self.held else { return Ok(()) };
+        if first == u64::MAX {
+            return Ok(());
+        }
+        let mut channels = self.table.iter().filter(|(since, _)| *since > first).peekable();
+        let mut events = held.events().filter(|(stretch, _)| *stretch >= first).peekable();
+        for stretch in held.from(from) {
+            if self.progress.disk_full.load(Ordering::Relaxed) {
+                return Err(anyhow!("the disk is full: delete something"));
+            }
+            while let Some((_, channel)) = channels.next_if(|(since, _)| *since <= stretch.stretch)
+            {
+                take.channel(channel)?;
+            }
+            while let Some((_, event)) = events.next_if(|(at, _)| *at <= stretch.stretch) {
+                take.event(event)?;
+            }
+            let (payload, report) = (&stretch.payload, &stretch.report);
+            take.stretch(stretch.span, stretch.first, payload, report, &stretch.after)?;
+        }
+        channels.try_for_each(|(_, channel)| take.channel(channel))?;
+        events.try_for_each(|(_, event)| take.event(event))?;
+        take.ledger_and_sync(&mut self.clocks, &self.progress)?;
+        take.tell(&self.progress);
+        Ok(())
+    }
+}
