@@ -42,6 +42,8 @@ pub(super) struct Writer<W> {
     parts: Receiver<Part>,
     control: Receiver<Control>,
     orders: Receiver<Order<W>>,
+    /// Read from `orders`, but its boundary has not come.
+    next_order: Option<Order<W>>,
     clocks: ClockWriter,
     /// Read from `control`, but its stretch is not written yet.
     waiting: Option<Control>,
@@ -83,6 +85,7 @@ impl<W: TakeOutput> Writer<W> {
             parts: sources.parts,
             control: sources.from_reader.control,
             orders: sources.orders,
+            next_order: None,
             clocks: ClockWriter::new(sources.from_reader.clock),
             waiting: None,
             buffers_back,

@@ -80,8 +80,9 @@ fn takes_begin_and_end_at_the_frame_that_comes_next() {
     let motion = crowd(11, 200.0, 20.0);
     let (mut intake, pipeline, mut armed) = arm(&motion, PRE_ROLL);
     feed_all(&mut intake, &motion, 0..333);
-    for (from, to) in [(333, 500), (900, 1000), (1000, 2777)] {
-        feed_all(&mut intake, &motion, intake.next_row() as usize..from);
+    for (from, to) in [(333, 500), (900, 1000), (1001, 2777)] {
+        let next = intake.next_row() as usize;
+        feed_all(&mut intake, &motion, next..from);
         let begun = armed.takes.begin(new_take(&motion, Duration::ZERO, from)).unwrap();
         feed_all(&mut intake, &motion, from..to);
         let first = begun.first.recv_timeout(Duration::from_secs(30)).unwrap();
@@ -190,7 +191,7 @@ fn markers_that_appeared_before_a_take_are_in_its_table_and_later_ones_when_they
     let begun = armed.takes.begin(new_take(&motion, Duration::ZERO, 300)).unwrap();
     feed_n(&mut intake, 300..400, 120);
     feed_n(&mut intake, 400..500, 150);
-    let rolled = armed.takes.save(new_take(&motion, Duration::from_secs(4), 500)).unwrap();
+    let rolled = armed.takes.save(new_take(&motion, Duration::from_secs(600), 500)).unwrap();
     armed.takes.end().unwrap();
     feed_n(&mut intake, 500..501, 150);
     for (take, n_rows) in [(ended(&begun).1, 200), (ended(&rolled).1, 500)] {
@@ -245,7 +246,7 @@ fn a_disk_that_fails_ends_the_take_and_not_the_pipeline() {
     let motion = jump(17, 100.0, 20.0);
     let (mut intake, pipeline, mut armed) = arm::<Failing>(&motion, PRE_ROLL);
     let mut seq = 0;
-    for (room, fails) in [(0, true), (5000, true), (1 << 20, false)] {
+    for (room, fails) in [(0, true), (1500, true), (1 << 20, false)] {
         let take = new_take(&motion, Duration::ZERO, seq);
         let NewTake { header, pre_roll, asked_ns, notes, keep_free_bytes, .. } = take;
         let output = Failing(room);

@@ -8,15 +8,19 @@ use mocapd_take::record::Channel;
 use super::{TakeOutput, Writer, live::LiveTake};
 use crate::pipeline::{
     messages::StretchEnd,
-    takes::{Answers, NewTake, Order, What},
+    takes::{Answers, NewTake, What},
 };
 
 impl<W: TakeOutput> Writer<W> {
     /// Everything that was ordered up to this boundary.
     pub(super) fn carry_out(&mut self, boundary: u64, end: &StretchEnd) {
-        while let Ok(Order { boundary: at, what }) = self.orders.try_recv() {
-            debug_assert!(at <= boundary, "an order is sent before its boundary is wanted");
-            match what {
+        while let Some(order) = self.next_order.take().or_else(|| self.orders.try_recv().ok()) {
+            if order.boundary > boundary {
+                // It came while the writer was here: its boundary is on the way.
+                self.next_order = Some(order);
+                return;
+            }
+            match order.what {
                 What::End => self.end_take(),
                 What::Begin(take, answers) => {
                     self.end_take();
