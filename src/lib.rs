@@ -5,8 +5,11 @@ pub mod clock;
 pub mod compare;
 pub mod disk;
 pub mod doctor;
+#[cfg(feature = "fault-hooks")]
+pub mod fault_hooks;
 pub mod files;
 pub mod header;
+pub mod heartbeat;
 pub mod inspect;
 mod latency;
 pub mod outcome;

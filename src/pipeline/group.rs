@@ -11,6 +11,7 @@ use super::{
     seen::SeenCounters,
     timeline::TimelineCoder,
 };
+use crate::heartbeat::Beat;
 
 /// Channels or time line, with everything needed to work without allocating.
 #[derive(Debug)]
@@ -110,9 +111,10 @@ impl Group {
     }
 
     /// Does every job for which there is a buffer.
-    pub(super) fn work_off(&mut self) {
+    pub(super) fn work_off(&mut self, beat: &Beat) {
         let Some((jobs, parts)) = &self.jobs else { return };
         while !jobs.is_empty() {
+            beat.moved();
             let Ok(mut bytes) = self.buffers.try_recv() else { return };
             let Ok(job) = jobs.try_recv() else {
                 drop(self.buffers_back.try_send(bytes));

@@ -32,6 +32,7 @@ use super::{
     ring::{RingIn, Sample, TimelineItem},
     tap::{TapHead, TapIn},
 };
+use crate::heartbeat::{Beat, Who};
 
 /// No slot: the channel pool was used up when the marker appeared.
 const NO_SLOT: u32 = u32::MAX;
@@ -44,6 +45,7 @@ pub struct Intake {
     feed: Feed,
     control: Sender<Control>,
     progress: Arc<Progress>,
+    beat: Beat,
     /// By marker id; `NO_SLOT` where none.
     slot_of_id: Vec<u32>,
     /// By slot, as announced.
@@ -98,19 +100,20 @@ impl Intake {
         to_writer: ToWriter,
         progress: Arc<Progress>,
         (desk, tap): (DeskIn, TapIn),
-    ) -> Self {
+    ) -> anyhow::Result<Self> {
         let mut slot_of_id = vec![NO_SLOT; usize::from(u16::MAX) + 1];
         for (slot, channel) in config.channels.iter().enumerate() {
             slot_of_id[usize::from(channel.marker_id)] = slot as u32;
         }
         let mut labels: Vec<String> = config.channels.iter().map(|c| c.label.clone()).collect();
         labels.reserve(config.reserve);
-        Self {
+        Ok(Self {
             rings,
             timeline,
             feed,
             control: to_writer.control,
             progress,
+            beat: config.heartbeat.beat(Who::Reader)?,
             slot_of_id,
             labels,
             n_channels: config.channels.len(),
@@ -140,7 +143,7 @@ impl Intake {
             finished: false,
             desk,
             tap,
-        }
+        })
     }
 
     /// One frame, at the host's monotonic time of its last byte.
@@ -192,10 +195,16 @@ impl Intake {
     /// The host's monotonic time, told also when nothing arrives: a stretch that stays open because frames
     /// come slowly, or no more, goes to disk all the same.
     pub fn tick(&mut self, now_ns: u64) {
+        self.beat.moved();
         self.look_at_desk();
         if self.open_rows > 0 && now_ns.saturating_sub(self.open_since_ns) > self.open_ns_max {
             self.close_stretch();
         }
+    }
+
+    /// The reader waits for a device, and is alive.
+    pub(crate) fn alive(&self) {
+        self.beat.moved();
     }
 
     /// Something to note at the row being recorded.

@@ -49,7 +49,7 @@ use self::{
     pool::Pool,
     writer::{LiveTake, Sources, Writer},
 };
-use crate::threads;
+use crate::{heartbeat::Who, threads};
 
 /// What other threads may look at while it runs. Counters only: the truth is in the ledger.
 #[derive(Debug, Default)]
@@ -164,6 +164,7 @@ impl<W: TakeOutput> Pipeline<W> {
     ) -> anyhow::Result<(Intake, Self, Armed<W>)> {
         let plan = Plan::new(config)?;
         let progress = Arc::new(Progress::default());
+        let writer_beat = config.heartbeat.beat(Who::Writer)?;
 
         let (parts_in, parts) = bounded(plan.parts_max());
         let (to_writer, from_reader) = messages::reader_to_writer();
@@ -178,7 +179,7 @@ impl<W: TakeOutput> Pipeline<W> {
         groups.push(timeline_group);
 
         let buffers_back = groups.iter().map(Group::buffers_back).collect();
-        let pool = Pool::start(&plan, groups, &parts_in, &progress)?;
+        let pool = Pool::start(&plan, groups, &parts_in, &progress, &config.heartbeat)?;
         let (desk, desk_in) = desk::desk();
         let (tap_in, tap) = tap::tap(plan.n_slots);
         let (takes, orders) = takes::takes(desk);
@@ -191,7 +192,7 @@ impl<W: TakeOutput> Pipeline<W> {
             to_writer,
             Arc::clone(&progress),
             (desk_in, tap_in),
-        );
+        )?;
         let sources = Sources { parts, from_reader, orders };
         let (wakes, channels) = (pool.wakes(), &config.channels);
         let mut writer = Writer::new(&plan, channels, sources, buffers_back, wakes, &progress);
@@ -200,7 +201,7 @@ impl<W: TakeOutput> Pipeline<W> {
         }
         let guard = pool::FailOnPanic(Arc::clone(&progress));
         let writer = threads::spawn("mocapd-write", move || {
-            let written = writer.run();
+            let written = writer.run(&writer_beat);
             drop(guard);
             written
         })?;

@@ -7,6 +7,7 @@ use mocapd_codec::{GROUP_CHANNELS, Settings};
 use mocapd_take::{record::Channel, stretch::SAMPLES_MAX};
 
 use super::ring::Sample;
+use crate::heartbeat::Heartbeat;
 
 /// Length of a stretch, and time between syncs, unless others are chosen: together what a power cut may cost.
 const STRETCH: Duration = Duration::from_millis(500);
@@ -39,6 +40,8 @@ pub struct PipelineConfig {
     pub keep_free_bytes: u64,
     /// What is kept in memory beside what is written.
     pub pre_roll: Option<PreRollConfig>,
+    /// Where its threads say that they move.
+    pub heartbeat: Heartbeat,
 }
 
 /// Coded stretches that are kept in memory, so that a take can begin before it was asked for.
@@ -67,6 +70,7 @@ impl PipelineConfig {
             sync_every: SYNC_EVERY,
             keep_free_bytes: 0,
             pre_roll: None,
+            heartbeat: Heartbeat::default(),
         }
     }
 }

@@ -21,7 +21,10 @@ use super::{
     messages::{Job, Part, StretchEnd},
     plan::Plan,
 };
-use crate::threads;
+use crate::{
+    heartbeat::{Beat, Heartbeat, Who},
+    threads,
+};
 
 /// Where a group waits for work.
 #[derive(Debug)]
@@ -104,6 +107,7 @@ impl Pool {
         groups: Vec<Group>,
         parts: &Sender<Part>,
         progress: &Arc<Progress>,
+        heartbeat: &Heartbeat,
     ) -> anyhow::Result<Self> {
         let n_groups = groups.len();
         let mut jobs = Vec::with_capacity(n_groups);
@@ -129,8 +133,9 @@ impl Pool {
         for index in 0..plan.workers {
             let (stations, queue) = (Arc::clone(&wakes.stations), wakes_out.clone());
             let guard = FailOnPanic(Arc::clone(progress));
+            let beat = heartbeat.beat(Who::Worker)?;
             workers.push(threads::spawn(&format!("mocapd-work-{index}"), move || {
-                work(&stations, &queue);
+                work(&stations, &queue, &beat);
                 drop(guard);
             })?);
         }
@@ -162,14 +167,18 @@ impl Pool {
     }
 }
 
-fn work(stations: &[Station], queue: &Receiver<Option<usize>>) {
-    while let Ok(Some(index)) = queue.recv() {
+fn work(stations: &[Station], queue: &Receiver<Option<usize>>, beat: &Beat) {
+    let next = || {
+        beat.idle();
+        queue.recv()
+    };
+    while let Ok(Some(index)) = next() {
         let station = &stations[index];
         // A swap and not a store: whoever found the flag still set sent its job before, and the group
         // below must see that job. A store could pass the look at the jobs, and the wake would be lost.
         station.woken.swap(false, Ordering::AcqRel);
         while let Ok(mut group) = station.unpark.try_recv() {
-            group.work_off();
+            group.work_off(beat);
             drop(station.park.try_send(group));
             if !station.has_work() {
                 break;

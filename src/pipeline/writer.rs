@@ -32,6 +32,7 @@ use super::{
     pool::Wakes,
     takes::Order,
 };
+use crate::heartbeat::Beat;
 
 /// How long to wait for parts after a worker failed.
 const GIVE_UP_AFTER: Duration = Duration::from_secs(2);
@@ -111,7 +112,7 @@ impl<W: TakeOutput> Writer<W> {
 
     /// Works until the last stretch. After an error the parts are still taken, so that the reader and the workers come
     /// to their end; what was written before stays.
-    pub(super) fn run(mut self) -> anyhow::Result<()> {
+    pub(super) fn run(mut self, beat: &Beat) -> anyhow::Result<()> {
         let mut silent_since = Instant::now();
         let progress = Arc::clone(&self.progress);
         self.on_take(|take, _| {
@@ -119,12 +120,14 @@ impl<W: TakeOutput> Writer<W> {
             Ok(())
         });
         loop {
+            beat.moved();
             match self.parts.recv_timeout(self.sync_every.min(GIVE_UP_AFTER)) {
                 Ok(part) => {
                     silent_since = Instant::now();
                     self.assemblies.add(part);
                 }
                 Err(RecvTimeoutError::Timeout) => {
+                    beat.at_disk();
                     self.on_take(|take, _| {
                         take.look_at_disk(&progress);
                         take.sync_what_waits()
@@ -141,6 +144,7 @@ impl<W: TakeOutput> Writer<W> {
                 Err(RecvTimeoutError::Disconnected) => bail!("the resampler threads are gone"),
             }
             while let Some(last) = self.assemblies.front_last() {
+                beat.at_disk();
                 self.front();
                 self.give_back();
                 if last {

@@ -77,7 +77,11 @@ impl Rig {
         let mut watch = UsbWatch::new();
         while !is_over(reader) && monotonic_ns() - gone_ns < self.patience.as_nanos() as u64 {
             let give_up_ns = gone_ns.saturating_add(self.patience.as_nanos() as u64);
-            let give_up = |reader: &Reader<'_>| is_over(reader) || monotonic_ns() > give_up_ns;
+            let give_up = |reader: &Reader<'_>| {
+                // Asked between any two tries: a handshake may take longer than the watchdog waits.
+                reader.intake.alive();
+                is_over(reader) || monotonic_ns() > give_up_ns
+            };
             let wait = match self.attempt(reader, options, &give_up) {
                 Attempt::Back => {
                     let gone_s = (monotonic_ns() - gone_ns) as f64 * 1e-9;

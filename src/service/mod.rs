@@ -10,4 +10,6 @@
 
 pub mod control;
 pub mod live;
+pub mod log;
+pub mod notify;
 pub mod status;

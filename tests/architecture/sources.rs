@@ -56,7 +56,8 @@ const RULES: &[Rule] = &[
     Rule {
         says: "nothing on the sample path waits for a lock",
         words: &["Mutex", "RwLock", "Condvar"],
-        allowed: &["drivers/src/transport/memory.rs"],
+        // The log's gate is asked by threads that may wait: the others have a relay.
+        allowed: &["drivers/src/transport/memory.rs", "src/service/log/gate.rs"],
     },
     Rule {
         says: "every queue is bounded",

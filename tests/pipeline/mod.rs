@@ -4,6 +4,7 @@ mod channels;
 mod clocks;
 mod failing_disk;
 mod framing;
+mod heartbeat;
 mod long;
 mod loss;
 mod lossy_disk;

@@ -1,0 +1,161 @@
+//! What the service says while it runs: into the journal, with fields; on stderr where there is no journal.
+//!
+//! Who must not wait gives its words to a [`Relay`]: a journal that stalls then stalls nobody else.
+
+mod gate;
+mod relay;
+
+use std::{fmt, io, str::FromStr, sync::Arc};
+
+use anyhow::Context;
+use tracing::level_filters::LevelFilter;
+use tracing_subscriber::{
+    Layer, Registry, fmt::MakeWriter, layer::SubscriberExt, util::SubscriberInitExt,
+};
+
+use self::gate::Gate;
+pub use self::relay::Relay;
+
+/// Before the names of our fields in the journal: `MOCAPD_RIG`, `MOCAPD_TAKE`, `MOCAPD_DEVICE`.
+const PREFIX: &str = "MOCAPD";
+
+/// How much is said.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Level {
+    /// What went wrong.
+    Error,
+    /// And what may.
+    Warn,
+    /// And what happens: takes that start and end, devices that come and go.
+    #[default]
+    Info,
+    /// And how.
+    Debug,
+    /// Everything.
+    Trace,
+}
+
+impl Level {
+    /// From silent to chatty.
+    pub const ALL: [Self; 5] = [Self::Error, Self::Warn, Self::Info, Self::Debug, Self::Trace];
+
+    fn filter(self) -> LevelFilter {
+        match self {
+            Self::Error => LevelFilter::ERROR,
+            Self::Warn => LevelFilter::WARN,
+            Self::Info => LevelFilter::INFO,
+            Self::Debug => LevelFilter::DEBUG,
+            Self::Trace => LevelFilter::TRACE,
+        }
+    }
+}
+
+impl fmt::Display for Level {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Error => "error",
+            Self::Warn => "warn",
+            Self::Info => "info",
+            Self::Debug => "debug",
+            Self::Trace => "trace",
+        })
+    }
+}
+
+impl FromStr for Level {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let found = Self::ALL.into_iter().find(|level| level.to_string() == text);
+        found.ok_or_else(|| format!("'{text}' is no level: use error, warn, info, debug or trace"))
+    }
+}
+
+/// The running log. Dropping it says what was left out.
+#[derive(Debug)]
+pub struct Log {
+    gate: Arc<Gate>,
+    relay: relay::Running,
+}
+
+impl Log {
+    /// From now on everything that is said through `tracing` goes to the journal when stderr does, and to `stderr`
+    /// otherwise. `rig` is a field of every line in the journal.
+    ///
+    /// # Errors
+    /// When there is a log already, or its thread cannot be started.
+    pub fn start<W>(level: Level, rig: &str, stderr: W) -> anyhow::Result<Self>
+    where
+        W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
+    {
+        let gate = Arc::new(Gate::new(level));
+        let out: Box<dyn Layer<Registry> + Send + Sync> =
+            match stderr_is_the_journal().then(|| journal(rig)).and_then(Result::ok) {
+                Some(journal) => Box::new(journal),
+                None => Box::new(lines(stderr)),
+            };
+        let registry =
+            tracing_subscriber::registry().with(out).with(gate::Layer(Arc::clone(&gate)));
+        registry.try_init().context("the log runs already")?;
+        let relay = relay::start(Arc::clone(&gate))?;
+        Ok(Self { gate, relay })
+    }
+
+    /// Says more or less from now on.
+    pub fn set_level(&self, level: Level) {
+        self.gate.set_level(level);
+    }
+
+    /// For those who must not wait.
+    #[must_use]
+    pub fn relay(&self) -> Relay {
+        self.relay.relay()
+    }
+}
+
+/// systemd says in `JOURNAL_STREAM` which file stderr is, when it is the journal's.
+fn stderr_is_the_journal() -> bool {
+    let Ok(stat) = rustix::fs::fstat(rustix::stdio::stderr()) else { return false };
+    std::env::var("JOURNAL_STREAM")
+        .is_ok_and(|stream| stream == format!("{}:{}", stat.st_dev, stat.st_ino))
+}
+
+fn journal(rig: &str) -> io::Result<tracing_journald::Layer> {
+    use tracing_journald::{Priority, PriorityMappings};
+    let priorities = PriorityMappings {
+        info: Priority::Informational,
+        debug: Priority::Debug,
+        ..PriorityMappings::new()
+    };
+    Ok(tracing_journald::layer()?
+        .with_field_prefix(Some(PREFIX.to_owned()))
+        .with_custom_fields([(format!("{PREFIX}_RIG"), rig)])
+        .with_priority_mappings(priorities)
+        .with_syslog_identifier("mocapd".to_owned()))
+}
+
+fn lines<W>(writer: W) -> impl Layer<Registry> + Send + Sync
+where
+    W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
+{
+    tracing_subscriber::fmt::layer().with_target(false).with_ansi(false).with_writer(writer)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn levels_have_names() {
+        for level in Level::ALL {
+            assert_eq!(level.to_string().parse(), Ok(level));
+        }
+        let error = "loud".parse::<Level>().unwrap_err();
+        assert_eq!(error, "'loud' is no level: use error, warn, info, debug or trace");
+    }
+
+    #[test]
+    fn a_terminal_is_not_the_journal() {
+        assert!(!stderr_is_the_journal());
+    }
+}
