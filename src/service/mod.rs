@@ -8,6 +8,7 @@
 //!   └───────── signals, systemd
 //! ```
 
+pub mod bones;
 pub mod control;
 pub mod live;
 pub mod log;
