@@ -73,7 +73,13 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
         (options.started)(pipeline.progress());
         let rows_max = options.length.map(|length| units::frame_at(length, rate_hz));
         let time_max = options.length.map(|length| length + GRACE);
-        let read = ReadOptions { stop: options.stop, rows_max, time_max, say: options.say };
+        let read = ReadOptions {
+            stop: options.stop,
+            rows_max,
+            time_max,
+            ends_when_full: true,
+            say: options.say,
+        };
         let recording = rig.read(intake, &read);
         (recording, pipeline.finish())
     });

@@ -33,6 +33,7 @@ use super::{
     tap::{TapHead, TapIn},
 };
 use crate::heartbeat::{Beat, Who};
+use crate::latency::Latency;
 
 /// No slot: the channel pool was used up when the marker appeared.
 const NO_SLOT: u32 = u32::MAX;
@@ -289,6 +290,20 @@ impl Intake {
     #[must_use]
     pub fn is_disk_full(&self) -> bool {
         self.progress.disk_full.load(Ordering::Relaxed)
+    }
+
+    /// The device went away, or is back.
+    pub(crate) fn away(&mut self, is_away: bool) {
+        self.progress.is_away.store(is_away, Ordering::Relaxed);
+        if !is_away {
+            self.progress.outages.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// For whoever watches.
+    pub(crate) fn tell_latency(&self, latency: &Latency) {
+        let p99_ns = latency.quantile_ns(0.99);
+        self.progress.ring_latency_p99_ns.store(p99_ns, Ordering::Relaxed);
     }
 
     /// No more frames: what is open is closed, and the take ends with the ledger.

@@ -26,13 +26,13 @@ mod timeline;
 mod writer;
 
 use std::sync::{
-    Arc, Mutex,
+    Arc, Mutex, MutexGuard, PoisonError,
     atomic::{AtomicBool, AtomicI64, AtomicU64},
 };
 
 use anyhow::anyhow;
 use crossbeam_channel::{Receiver, bounded};
-use mocapd_take::record::{Header, Ledger};
+use mocapd_take::record::{Channel, Header, Ledger};
 
 pub use counts::{Counts, PendingRows};
 pub use intake::Intake;
@@ -76,6 +76,12 @@ pub struct Progress {
     pub ring_fill_permille: AtomicU64,
     /// What 99 of 100 frames took at most from their last byte into every ring, in nanoseconds; told every second.
     pub ring_latency_p99_ns: AtomicU64,
+    /// Times that the device went away and came back.
+    pub outages: AtomicU64,
+    /// It is away now.
+    pub is_away: AtomicBool,
+    /// All channels so far, by slot: those that appeared, too.
+    pub channels: Mutex<Vec<Channel>>,
     /// Bytes of the pre-roll.
     pub held_bytes: AtomicU64,
     /// Its length, in milliseconds.
@@ -111,6 +117,11 @@ pub struct Pipeline<W> {
     progress: Arc<Progress>,
     /// Of a pipeline for one take.
     ended: Option<Receiver<TakeEnd<W>>>,
+}
+
+/// The state behind a lock, whatever became of who held it last: a count or a name is never half written.
+pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// What a pipeline that takes are begun and ended in has beside its threads.
@@ -163,7 +174,8 @@ impl<W: TakeOutput> Pipeline<W> {
         seen: Option<SeenCounters>,
     ) -> anyhow::Result<(Intake, Self, Armed<W>)> {
         let plan = Plan::new(config)?;
-        let progress = Arc::new(Progress::default());
+        let channels = Mutex::new(config.channels.clone());
+        let progress = Arc::new(Progress { channels, ..Progress::default() });
         let writer_beat = config.heartbeat.beat(Who::Writer)?;
 
         let (parts_in, parts) = bounded(plan.parts_max());

@@ -26,7 +26,7 @@ pub use self::{
     room::DiskState,
 };
 use super::{
-    Counts, Progress,
+    Counts, Progress, lock,
     messages::{Control, FromReader, Part, PartReport, StretchEnd},
     plan::Plan,
     pool::Wakes,
@@ -214,6 +214,7 @@ impl<W: TakeOutput> Writer<W> {
                 Control::Channel(new) => {
                     let channel = new.into_channel();
                     self.on_take(|take, _| take.channel(&channel));
+                    lock(&self.progress.channels).push(channel.clone());
                     self.table.push((stretch, channel));
                 }
                 Control::Event(at, event) => {

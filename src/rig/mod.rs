@@ -69,6 +69,28 @@ impl Rig {
         Self::open_logged(uri, None)
     }
 
+    /// Opens a device that was seen before, wherever it is plugged in now.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn open_again(uri: &DeviceUri, identity: &Candidate) -> anyhow::Result<Self> {
+        let mut rig = Self::open(&registry::find_again(uri, identity))?;
+        rig.uri = uri.clone();
+        Ok(rig)
+    }
+
+    /// What it is found again by.
+    #[must_use]
+    pub fn identity(&self) -> &Candidate {
+        &self.identity
+    }
+
+    /// Its driver family.
+    #[must_use]
+    pub fn family(&self) -> &'static str {
+        self.family
+    }
+
     /// The same, with every byte on its line in a raw log.
     ///
     /// # Errors

@@ -40,6 +40,8 @@ pub struct ReadOptions<'a> {
     pub rows_max: Option<u64>,
     /// Stop after so long by the host's clock, too: frames may come slowly, or not at all.
     pub time_max: Option<Duration>,
+    /// Whether a disk that is full ends it, or only the take.
+    pub ends_when_full: bool,
     /// Told, in words, what people should know while it runs.
     pub say: &'a dyn Fn(&str),
 }
@@ -72,6 +74,9 @@ pub struct Recording {
     pub outages: u32,
 }
 
+/// How often others are told how long frames take into the rings.
+const LATENCY_EVERY_NS: u64 = 1_000_000_000;
+
 /// A device that stalls for ever must fill neither the take nor the screen.
 const STALLS_TOLD_MAX: u32 = 32;
 
@@ -91,6 +96,7 @@ impl Rig {
         let mut reader = Reader {
             intake: &mut intake,
             latency: Latency::default(),
+            latency_told_ns: 0,
             prober: Prober::new(),
             end: None,
             started: None,
@@ -121,12 +127,13 @@ impl Rig {
         let is_over = |reader: &Reader<'_>| {
             let time_max = options.time_max.map(|max| max.as_nanos() as u64);
             options.stop.load(Ordering::Relaxed)
-                || reader.intake.is_disk_full()
+                || (options.ends_when_full && reader.intake.is_disk_full())
                 || options.rows_max.is_some_and(|max| reader.intake.next_row() >= max)
                 || time_max.is_some_and(|max| monotonic_ns() - started_ns > max)
         };
         loop {
-            let or_full = |ending, intake: &Intake| match intake.is_disk_full() {
+            let is_full = |intake: &Intake| options.ends_when_full && intake.is_disk_full();
+            let or_full = |ending, intake: &Intake| match is_full(intake) {
                 true => Ending::DiskFull,
                 false => ending,
             };
@@ -138,9 +145,11 @@ impl Rig {
                 return Ok(ending);
             }
             reader.intake.event(host_event("the device was disconnected"));
+            reader.intake.away(true);
             if !self.reconnect(reader, options, &is_over) {
                 return Ok(or_full(Ending::Disconnected, reader.intake));
             }
+            reader.intake.away(false);
             reader.outages += 1;
         }
     }
@@ -351,6 +360,7 @@ impl Rig {
 pub(super) struct Reader<'a> {
     pub(super) intake: &'a mut Intake,
     latency: Latency,
+    latency_told_ns: u64,
     prober: Prober,
     started: Option<Result<(), LinkBudget>>,
     end: Option<()>,
@@ -387,7 +397,12 @@ impl Reader<'_> {
         match event {
             DeviceEvent::Frame(frame) => {
                 self.intake.frame(&frame, arrival_ns);
-                self.latency.add(monotonic_ns().saturating_sub(arrival_ns));
+                let done_ns = monotonic_ns();
+                self.latency.add(done_ns.saturating_sub(arrival_ns));
+                if done_ns.saturating_sub(self.latency_told_ns) > LATENCY_EVERY_NS {
+                    self.latency_told_ns = done_ns;
+                    self.intake.tell_latency(&self.latency);
+                }
             }
             DeviceEvent::Markers(markers) => self.intake.announce(markers),
             DeviceEvent::Status(status) => self.intake.status(status, false),

@@ -6,7 +6,7 @@ mod open;
 use std::fmt::Debug;
 
 pub use listing::{Listed, devices};
-pub use open::{OpenError, OpenedDevice, open, open_again, open_through};
+pub use open::{OpenError, OpenedDevice, find_again, open, open_again, open_through};
 
 use crate::{device::Protocol, dvmc::Dvmc, ndi::Ndi, uri::Location};
 

@@ -88,6 +88,12 @@ pub fn open_again(
     open_transport(&place_now(&uri.location, identity))
 }
 
+/// Where a device is now that was seen before.
+#[must_use]
+pub fn find_again(uri: &DeviceUri, identity: &Candidate) -> DeviceUri {
+    DeviceUri { location: place_now(&uri.location, identity), driver: uri.driver.clone() }
+}
+
 /// A USB device is the one with its serial number, whatever else of its kind is attached by now.
 fn place_now(location: &Location, identity: &Candidate) -> Location {
     match location {

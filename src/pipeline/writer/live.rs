@@ -14,7 +14,7 @@ use mocapd_take::{
 
 use super::{TakeOutput, Written, clocks::ClockWriter, ledgers::Ledgers, room::Room};
 use crate::pipeline::{
-    Counts, FirstRow, Progress, TakeEnd, TakeNow,
+    Counts, FirstRow, Progress, TakeEnd, TakeNow, lock,
     messages::{Moment, PartReport},
     takes::Answers,
 };
@@ -165,7 +165,7 @@ impl<W: TakeOutput> LiveTake<W> {
             max_error_mm: self.report.max_error_mm,
             ledger: self.counts.ledger(false),
         };
-        *progress.take.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(now);
+        *lock(&progress.take) = Some(now);
     }
 
     /// What was held for the rest is nobody's: the part that was written stays.

@@ -7,6 +7,7 @@ use mocapd_take::record::Channel;
 
 use super::{TakeOutput, Writer, live::LiveTake};
 use crate::pipeline::{
+    lock,
     messages::StretchEnd,
     takes::{Answers, NewTake, What},
 };
@@ -43,7 +44,7 @@ impl<W: TakeOutput> Writer<W> {
         if let Some(take) = self.live.take() {
             take.end(&self.counts.in_rows(), &mut self.clocks);
         }
-        *self.progress.take.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = None;
+        *lock(&self.progress.take) = None;
     }
 
     /// A take that has what is held of the last `pre_roll`. What failed is told to whoever waits for it.
