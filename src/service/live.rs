@@ -80,6 +80,8 @@ impl LiveMessage {
 pub struct LiveFeed {
     pub(crate) messages: Receiver<LiveMessage>,
     pub(crate) closed: Arc<AtomicBool>,
+    /// Tells the other end that it is still there.
+    pub(crate) _alive: Arc<()>,
 }
 
 impl LiveFeed {

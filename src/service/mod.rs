@@ -10,6 +10,7 @@
 
 pub mod bones;
 pub mod control;
+pub mod engine;
 pub mod live;
 pub mod log;
 pub mod notify;

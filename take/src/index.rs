@@ -1,6 +1,10 @@
 //! INDEX and FOOTER: the way to the middle of a long take, and the proof that it was finished.
 
-use crate::{TakeError, varint};
+use crate::{
+    TakeError,
+    chunk::{self, types},
+    varint,
+};
 
 /// One key stretch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -74,6 +78,18 @@ impl Footer {
             .iter()
             .flat_map(|value| value.to_le_bytes())
             .collect()
+    }
+
+    /// From the last bytes of a file, when they are a footer whose CRC matches: so a take is known to be finished
+    /// without reading it.
+    #[must_use]
+    pub fn from_chunk(chunk: &[u8; Self::CHUNK_BYTES]) -> Option<Self> {
+        match chunk::front(chunk) {
+            chunk::Front::Whole { kind: types::FOOTER, payload, .. } => {
+                Self::from_payload(payload, 0).ok()
+            }
+            _ => None,
+        }
     }
 
     /// From its payload.

@@ -92,7 +92,7 @@ impl Held {
         let from_ns = now_ns.saturating_sub(pre_roll_ns);
         let old_enough = |held: &HeldStretch| held.span.key && held.first.arrival_ns <= from_ns;
         let keys = self.stretches.iter().enumerate();
-        keys.filter(|(_, held)| old_enough(held)).map(|(at, _)| at).last().unwrap_or(0)
+        keys.filter(|(_, held)| old_enough(held)).map(|(at, _)| at).next_back().unwrap_or(0)
     }
 
     pub(super) fn from(&self, at: usize) -> impl Iterator<Item = &HeldStretch> {

@@ -1,0 +1,432 @@
+//! What people ask for, one thing at a time.
+
+use std::{
+    path::PathBuf,
+    sync::{MutexGuard, atomic::Ordering},
+    time::{Duration, Instant},
+};
+
+use crossbeam_channel::{RecvTimeoutError, after, select};
+use mocapd_take::record::{Event, EventKind};
+
+use super::{Inner, names, session::OpenTake};
+use crate::{
+    disk, files, header,
+    pipeline::NewTake,
+    rig::monotonic_ns,
+    service::control::{
+        FirstFrame, Marked, Refusal, RefusalKind, SaveLast, Start, Started, Stopped,
+    },
+};
+
+/// How long a device may take to be opened and started.
+const ARMED_WITHIN: Duration = Duration::from_secs(10);
+
+/// How long the first frame may take to be on disk.
+const FIRST_WITHIN: Duration = Duration::from_secs(5);
+
+/// How long a take may take to be closed: a disk that stalls for half a minute is waited for.
+const CLOSED_WITHIN: Duration = Duration::from_secs(40);
+
+/// How long the reader may take to place a mark.
+const MARKED_WITHIN: Duration = Duration::from_secs(1);
+
+/// Longest text of a mark and of notes, in bytes.
+const TEXT_BYTES_MAX: usize = 1024;
+
+/// Names that are tried for a take that nobody named.
+const NAMES_MAX: u32 = 10_000;
+
+/// The right to carry out a command.
+type Command<'a> = MutexGuard<'a, ()>;
+
+impl Inner {
+    /// Makes the device run.
+    pub(super) fn arm(&self, _command: &Command<'_>) -> Result<(), Refusal> {
+        let until = Instant::now() + ARMED_WITHIN;
+        let mut core = self.core();
+        core.failure = None;
+        core.wanted = true;
+        core.device.obstacle = None;
+        self.changed.notify_all();
+        loop {
+            if self.is_stopping() {
+                return Err(stopping());
+            }
+            if core.session.is_some() {
+                return Ok(());
+            }
+            if let Some(obstacle) = &core.device.obstacle {
+                let words = format!("{obstacle}; the device is armed as soon as it is there");
+                return Err(Refusal::new(RefusalKind::Device, words));
+            }
+            if Instant::now() >= until {
+                let words = "the device does not start: look at the status, and try again";
+                return Err(Refusal::new(RefusalKind::Device, words));
+            }
+            let waited = self.changed.wait_timeout(core, Duration::from_millis(50));
+            core = waited.unwrap_or_else(std::sync::PoisonError::into_inner).0;
+        }
+    }
+
+    pub(super) fn disarm(&self, _command: &Command<'_>) -> Result<(), Refusal> {
+        let until = Instant::now() + ARMED_WITHIN;
+        let mut core = self.core();
+        if let Some(take) = &core.take {
+            let words = format!("the take {} is being recorded: stop it first", take.name);
+            return Err(Refusal::new(RefusalKind::Conflict, words));
+        }
+        core.wanted = false;
+        core.failure = None;
+        while let Some(session) = &core.session {
+            session.stop.store(true, Ordering::Relaxed);
+            if Instant::now() >= until {
+                let words = "the device does not stop: look at the status";
+                return Err(Refusal::new(RefusalKind::Device, words));
+            }
+            let waited = self.changed.wait_timeout(core, Duration::from_millis(50));
+            core = waited.unwrap_or_else(std::sync::PoisonError::into_inner).0;
+        }
+        Ok(())
+    }
+
+    pub(super) fn start_take(
+        &self,
+        command: &Command<'_>,
+        start: &Start,
+    ) -> Result<Started, Refusal> {
+        let asked_ns = monotonic_ns();
+        let core = self.core();
+        if let Some(take) = &core.take {
+            let words = format!("the take {} is being recorded: stop it first", take.name);
+            return Err(Refusal::new(RefusalKind::Conflict, words));
+        }
+        let pre_roll = match start.pre_roll_s {
+            None => core.options.include_pre_roll,
+            Some(s) => seconds(s, "pre_roll_s")?,
+        };
+        drop(core);
+        let new =
+            self.new_take(start.name.as_deref(), start.notes.as_deref(), pre_roll, asked_ns)?;
+        if let Err(refusal) = self.arm(command) {
+            new.discard();
+            return Err(refusal);
+        }
+        let NewNamed { name, path, id, take } = new;
+        let mut core = self.core();
+        let Some(session) = &mut core.session else {
+            drop(core);
+            std::fs::remove_file(&path).ok();
+            return Err(gone());
+        };
+        let (rate_hz, held_ms) = (session.header.rate_hz, &session.progress.held_ms);
+        let held = Duration::from_millis(held_ms.load(Ordering::Relaxed));
+        let take = NewTake { header: session.header_of_take(&take), ..take };
+        let begun = match session.takes.begin(take) {
+            Ok(begun) => begun,
+            Err(error) => {
+                drop(core);
+                std::fs::remove_file(&path).ok();
+                return Err(Refusal::new(RefusalKind::Unavailable, format!("{error:#}")));
+            }
+        };
+        let take = OpenTake {
+            id: id.clone(),
+            name: name.clone(),
+            path: path.clone(),
+            asked_unix_ms: super::status::unix_ms(),
+            begun: Instant::now(),
+            rate_hz,
+            first: None,
+            ended: begun.ended.clone(),
+            ending: None,
+        };
+        core.failure = None;
+        core.take = Some(take);
+        drop(core);
+        let first = select! {
+            recv(begun.first) -> first => first.ok(),
+            recv(after(FIRST_WITHIN)) -> _ => None,
+        };
+        let Some(first) = first else {
+            return Err(self.begun_in_vain());
+        };
+        if let Some(take) = &mut self.core().take {
+            take.first = Some(first);
+        }
+        self.say_event("take-started", &format!("recording {name}"), Some(&name));
+        let before_request_s = asked_ns.saturating_sub(first.arrival_ns) as f64 * 1e-9;
+        let mut remarks = Vec::new();
+        if pre_roll > held {
+            remarks.push(format!(
+                "{:.1} s of pre-roll were held, not the {:.1} s that were asked for",
+                held.as_secs_f64(),
+                pre_roll.as_secs_f64()
+            ));
+        }
+        let first_frame = FirstFrame {
+            device_ticks: first.device_ticks,
+            arrival_ns: first.arrival_ns,
+            before_request_s,
+        };
+        Ok(Started { take_id: id, name, path, first_frame, remarks })
+    }
+
+    /// No frame came: the take ends, and so does its file.
+    fn begun_in_vain(&self) -> Refusal {
+        let refused = self.end_take("stopped");
+        match refused {
+            // A frame came after all, and a moment too late.
+            Ok(stopped) => Refusal::new(
+                RefusalKind::Device,
+                format!(
+                    "no frame was on disk within {} s: is the device capturing? What came is in {}",
+                    FIRST_WITHIN.as_secs(),
+                    stopped.path.display()
+                ),
+            ),
+            Err(refusal) => refusal,
+        }
+    }
+
+    pub(super) fn stop_take(
+        &self,
+        _command: &Command<'_>,
+        ending: &'static str,
+    ) -> Result<Stopped, Refusal> {
+        self.end_take(ending)
+    }
+
+    fn end_take(&self, ending: &'static str) -> Result<Stopped, Refusal> {
+        let mut core = self.core();
+        let Some(take) = &mut core.take else {
+            let words = "no take is being recorded";
+            return Err(Refusal::new(RefusalKind::Conflict, words));
+        };
+        let is_first = take.ending.is_none();
+        take.ending.get_or_insert(ending);
+        let ended = take.ended.clone();
+        // Without a session its end is on the way.
+        if let Some(session) = &mut core.session
+            && is_first
+            && let Err(error) = session.takes.end()
+        {
+            if let Some(take) = &mut core.take {
+                take.ending = None;
+            }
+            return Err(Refusal::new(RefusalKind::Unavailable, format!("{error:#}")));
+        }
+        drop(core);
+        match ended.recv_timeout(CLOSED_WITHIN) {
+            Ok(end) => self.finish_take(end),
+            Err(RecvTimeoutError::Disconnected) => {
+                self.finish_take(Err(anyhow::anyhow!("the writer is gone")))
+            }
+            Err(RecvTimeoutError::Timeout) => Err(Refusal::new(
+                RefusalKind::Disk,
+                "the disk has not taken the end of the take yet: it is closed as soon as it does; look at the status",
+            )),
+        }
+    }
+
+    pub(super) fn mark_take(&self, text: &str) -> Result<Marked, Refusal> {
+        check_text(text, "a mark")?;
+        let core = self.core();
+        let (Some(session), Some(take)) = (&core.session, &core.take) else {
+            let words = "no take is being recorded: nothing to mark";
+            return Err(Refusal::new(RefusalKind::Conflict, words));
+        };
+        let name = take.name.clone();
+        let rows_before = take.first.map_or(0, |first| first.row);
+        let row = session.takes.mark(text, monotonic_ns());
+        drop(core);
+        let row =
+            row.map_err(|error| Refusal::new(RefusalKind::Unavailable, format!("{error:#}")))?;
+        let row = row.recv_timeout(MARKED_WITHIN).map_err(|_| {
+            let words = "the mark was not placed in time: the device is away or the host too slow";
+            Refusal::new(RefusalKind::Unavailable, words)
+        })?;
+        self.say_event("mark", if text.is_empty() { "a mark" } else { text }, Some(&name));
+        Ok(Marked { row: row.saturating_sub(rows_before) })
+    }
+
+    pub(super) fn save_held(
+        &self,
+        _command: &Command<'_>,
+        save: &SaveLast,
+    ) -> Result<Stopped, Refusal> {
+        let asked_ns = monotonic_ns();
+        let last = seconds(save.seconds, "seconds")?;
+        if last.is_zero() {
+            let words = "seconds is 0: nothing would be saved";
+            return Err(Refusal::new(RefusalKind::Invalid, words));
+        }
+        if self.core().session.is_none() {
+            let words = "not armed: nothing is held";
+            return Err(Refusal::new(RefusalKind::Conflict, words));
+        }
+        let new = self.new_take(save.name.as_deref(), None, last, asked_ns)?;
+        let NewNamed { name, path, id, take } = new;
+        let mut core = self.core();
+        let Some(session) = &mut core.session else {
+            drop(core);
+            std::fs::remove_file(&path).ok();
+            return Err(gone());
+        };
+        let rate_hz = session.header.rate_hz;
+        let take = NewTake { header: session.header_of_take(&take), ..take };
+        let saved = session.takes.save(take);
+        drop(core);
+        let ended = saved.map_err(|error| format!("{error:#}")).and_then(|begun| {
+            let late = "the disk has not taken the take yet";
+            begun.ended.recv_timeout(CLOSED_WITHIN).map_err(|_| late.to_owned())
+        });
+        match ended {
+            Err(words) => {
+                std::fs::remove_file(&path).ok();
+                Err(Refusal::new(RefusalKind::Unavailable, words))
+            }
+            Ok(end) => self.closed(end, &id, &name, &path, rate_hz, "saved"),
+        }
+    }
+
+    /// A file for a take, whose name is nobody's yet.
+    fn new_take(
+        &self,
+        name: Option<&str>,
+        notes: Option<&str>,
+        pre_roll: Duration,
+        asked_ns: u64,
+    ) -> Result<NewNamed, Refusal> {
+        if self.is_stopping() {
+            return Err(stopping());
+        }
+        let options = std::sync::Arc::clone(&self.core().options);
+        let refused = |kind, error: &anyhow::Error| Refusal::new(kind, format!("{error:#}"));
+        let (name, path) = self.free_name(name, &options)?;
+        disk::check_room(&path, options.keep_free_bytes)
+            .map_err(|error| refused(RefusalKind::Disk, &error))?;
+        let notes = notes.filter(|notes| !notes.is_empty());
+        if let Some(notes) = notes {
+            check_text(notes, "notes")?;
+        }
+        let header = header::new(&options.codec, 1.0)
+            .map_err(|error| refused(RefusalKind::Internal, &error))?;
+        let output =
+            files::create_new(&path).map_err(|error| refused(RefusalKind::Disk, &error))?;
+        files::sync_name(&path);
+        let notes = notes.map(|text| Event {
+            kind: EventKind::Mark,
+            row: 0,
+            device_ticks: 0,
+            host_ns: asked_ns,
+            input: 0,
+            text: text.to_owned(),
+        });
+        let id = header.take_id.iter().map(|byte| format!("{byte:02x}")).collect();
+        let keep_free_bytes = options.keep_free_bytes;
+        let take = NewTake { output, header, pre_roll, asked_ns, notes, keep_free_bytes };
+        Ok(NewNamed { name, path, id, take })
+    }
+}
+
+/// A take that has a name and a file.
+struct NewNamed {
+    name: String,
+    path: PathBuf,
+    id: String,
+    take: NewTake<std::fs::File>,
+}
+
+impl NewNamed {
+    /// It does not come to it: an empty file helps nobody.
+    fn discard(self) {
+        std::fs::remove_file(&self.path).ok();
+    }
+}
+
+impl super::session::Session {
+    /// The header of its takes, with what is this one's own.
+    fn header_of_take<W>(&self, take: &NewTake<W>) -> mocapd_take::record::Header {
+        mocapd_take::record::Header {
+            take_id: take.header.take_id,
+            created_unix_ms: take.header.created_unix_ms,
+            ..self.header.clone()
+        }
+    }
+}
+
+impl Inner {
+    fn free_name(
+        &self,
+        name: Option<&str>,
+        options: &super::EngineOptions,
+    ) -> Result<(String, PathBuf), Refusal> {
+        let path = |name: &str| options.directory.join(format!("{name}.take"));
+        let is_free = |path: &PathBuf| path.symlink_metadata().is_err();
+        if let Some(name) = name {
+            let name = names::checked(name)?;
+            let path = path(name);
+            if !is_free(&path) {
+                let words = format!("a take called {name} exists: choose another name");
+                return Err(Refusal::new(RefusalKind::Exists, words));
+            }
+            return Ok((name.to_owned(), path));
+        }
+        for count in 1..NAMES_MAX {
+            let name = (options.name_take)(count);
+            let name = names::checked(&name)?.to_owned();
+            // A template without a count gets one when it has to.
+            let counted = format!("{name}-{count}");
+            let name = if count == 1 || is_free(&path(&name)) { name } else { counted };
+            let path = path(&name);
+            if is_free(&path) {
+                return Ok((name, path));
+            }
+        }
+        let words = "every name that the configuration gives is taken: name the take";
+        Err(Refusal::new(RefusalKind::Exists, words))
+    }
+
+    /// Finishes what is being recorded, and tells everybody that it is over.
+    pub(super) fn shut_down(&self) {
+        if self.stopping.swap(true, Ordering::SeqCst) {
+            return;
+        }
+        if self.core().take.is_some() {
+            // A client's stop may be under way: then that one tells.
+            drop(self.end_take("service stopped"));
+        }
+        if let Some(session) = &self.core().session {
+            session.stop.store(true, Ordering::Relaxed);
+        }
+        self.core().wanted = false;
+        self.viewers.close();
+        self.changed.notify_all();
+    }
+}
+
+fn seconds(value: f64, what: &str) -> Result<Duration, Refusal> {
+    const SECONDS_MAX: f64 = 3600.0;
+    if (0.0..=SECONDS_MAX).contains(&value) {
+        return Ok(Duration::from_secs_f64(value));
+    }
+    let words = format!("{what} is {value}: it must be 0 to {SECONDS_MAX} s");
+    Err(Refusal::new(RefusalKind::Invalid, words))
+}
+
+fn check_text(text: &str, what: &str) -> Result<(), Refusal> {
+    if text.len() <= TEXT_BYTES_MAX && !text.contains('\0') {
+        return Ok(());
+    }
+    let words = format!("{what} has at most {TEXT_BYTES_MAX} bytes and no NUL");
+    Err(Refusal::new(RefusalKind::Invalid, words))
+}
+
+fn stopping() -> Refusal {
+    Refusal::new(RefusalKind::Unavailable, "the service is stopping")
+}
+
+fn gone() -> Refusal {
+    Refusal::new(RefusalKind::Device, "the device has just gone away: try again")
+}

@@ -1,0 +1,114 @@
+//! What a take came to.
+
+use std::{fs::File, path::Path};
+
+use mocapd_take::record::Ledger;
+
+use super::Inner;
+use crate::{
+    pipeline::{TakeEnd, Written},
+    service::{
+        control::{Refusal, RefusalKind, Stopped},
+        status::TakeSummary,
+    },
+};
+
+impl Inner {
+    /// The take that was recorded is closed, or cannot be.
+    pub(super) fn finish_take(&self, end: TakeEnd<File>) -> Result<Stopped, Refusal> {
+        let Some(take) = self.core().take.take() else {
+            let words = "the take was ended by somebody else: look at the status";
+            return Err(Refusal::new(RefusalKind::Conflict, words));
+        };
+        self.changed.notify_all();
+        let ending = take.ending.unwrap_or("stopped");
+        self.closed(end, &take.id, &take.name, &take.path, take.rate_hz, ending)
+    }
+
+    pub(super) fn closed(
+        &self,
+        end: TakeEnd<File>,
+        take_id: &str,
+        name: &str,
+        path: &Path,
+        rate_hz: f64,
+        ending: &str,
+    ) -> Result<Stopped, Refusal> {
+        let written = match end {
+            Ok((written, _)) => written,
+            Err(error) => return Err(self.broken(&error, name, path)),
+        };
+        if written.ledger.recorded == 0 {
+            // Only the header was written: an empty take helps nobody.
+            std::fs::remove_file(path).ok();
+            let words =
+                format!("no frame came, so there is no take {name}: is the device capturing?");
+            self.say_event("warning", &words, Some(name));
+            return Err(Refusal::new(RefusalKind::Device, words));
+        }
+        let stopped = stopped(&written, take_id, name, path, rate_hz, ending);
+        let summary = TakeSummary {
+            name: name.to_owned(),
+            bytes: written.file_bytes,
+            modified_unix_ms: super::status::unix_ms(),
+            is_open: false,
+            health: health(&written.ledger).to_owned(),
+            seconds: stopped.seconds,
+            markers: self.core().device.markers,
+            take_id: take_id.to_owned(),
+        };
+        self.core().last_take = Some(summary);
+        let lost = written.ledger.frames_lost();
+        let words = format!(
+            "{name} is closed ({ending}): {:.1} s, {} bytes, {lost} frames lost",
+            stopped.seconds, stopped.bytes
+        );
+        let kind = if ending == "disk full" { "warning" } else { "take-stopped" };
+        self.say_event(kind, &words, Some(name));
+        Ok(stopped)
+    }
+
+    /// The take could not be written to its end. What is in it stays.
+    fn broken(&self, error: &anyhow::Error, name: &str, path: &Path) -> Refusal {
+        let is_empty = path.metadata().is_ok_and(|file| file.len() == 0);
+        let words = if is_empty {
+            std::fs::remove_file(path).ok();
+            format!("the take {name} cannot be written: {error:#}")
+        } else {
+            format!(
+                "the take {name} ends early: {error:#}; what is in it can be read, and `mocapd recover` closes it"
+            )
+        };
+        self.core().failure = Some(words.clone());
+        self.changed.notify_all();
+        self.say_event("failure", &words, Some(name));
+        Refusal::new(RefusalKind::Disk, words)
+    }
+}
+
+fn health(ledger: &Ledger) -> &'static str {
+    let is_whole = ledger.closes() && !ledger.lost_anything();
+    if is_whole { "complete" } else { "lossy" }
+}
+
+fn stopped(
+    written: &Written,
+    take_id: &str,
+    name: &str,
+    path: &Path,
+    rate_hz: f64,
+    ending: &str,
+) -> Stopped {
+    let ledger = &written.ledger;
+    let rows = ledger.recorded + ledger.frames_lost();
+    Stopped {
+        take_id: take_id.to_owned(),
+        name: name.to_owned(),
+        path: path.to_owned(),
+        rows,
+        seconds: rows as f64 / rate_hz,
+        bytes: written.file_bytes,
+        ending: ending.to_owned(),
+        ledger: ledger.into(),
+    }
+}

@@ -1,0 +1,99 @@
+//! What the engine's threads know together.
+
+use std::{
+    fs::File,
+    path::PathBuf,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, AtomicU64},
+    },
+    time::Instant,
+};
+
+use crossbeam_channel::Receiver;
+use mocapd_drivers::{device::Hello, registry::Candidate};
+use mocapd_take::record::Header;
+
+use super::options::EngineOptions;
+use crate::{
+    pipeline::{FirstRow, Progress, SeenCounters, TakeEnd, Takes},
+    service::status::TakeSummary,
+};
+
+/// The state. What `State` calls it follows from this.
+#[derive(Debug)]
+pub(super) struct Core {
+    pub(super) options: Arc<EngineOptions>,
+    /// It is to be armed.
+    pub(super) wanted: bool,
+    pub(super) failure: Option<String>,
+    pub(super) device: KnownDevice,
+    /// While armed.
+    pub(super) session: Option<Session>,
+    /// While recording.
+    pub(super) take: Option<OpenTake>,
+    pub(super) last_take: Option<TakeSummary>,
+}
+
+/// What is known of the device, whether it is there or not.
+#[derive(Debug, Default)]
+pub(super) struct KnownDevice {
+    pub(super) uri: String,
+    pub(super) present: bool,
+    pub(super) obstacle: Option<String>,
+    pub(super) hello: Hello,
+    pub(super) driver: String,
+    pub(super) markers: usize,
+    /// To be found again by.
+    pub(super) identity: Option<Candidate>,
+}
+
+/// The device runs.
+#[derive(Debug)]
+pub(super) struct Session {
+    pub(super) number: u64,
+    pub(super) takes: Takes<File>,
+    pub(super) progress: Arc<Progress>,
+    pub(super) seen: SeenCounters,
+    /// Of its takes, but for what is each one's own.
+    pub(super) header: Header,
+    pub(super) slots: usize,
+    /// Ends it.
+    pub(super) stop: Arc<AtomicBool>,
+}
+
+/// A take that is being written.
+#[derive(Debug)]
+pub(super) struct OpenTake {
+    pub(super) id: String,
+    pub(super) name: String,
+    pub(super) path: PathBuf,
+    pub(super) asked_unix_ms: i64,
+    pub(super) begun: Instant,
+    pub(super) rate_hz: f64,
+    pub(super) first: Option<FirstRow>,
+    pub(super) ended: Receiver<TakeEnd<File>>,
+    /// Why it ends, when that is known before it has.
+    pub(super) ending: Option<&'static str>,
+}
+
+/// Figures that are measured now and then; f64 by their bits.
+#[derive(Debug, Default)]
+pub(super) struct Rates {
+    pub(super) frames_hz: AtomicU64,
+    pub(super) cpu_cores: AtomicU64,
+}
+
+impl Core {
+    pub(super) fn new(options: EngineOptions) -> Self {
+        Self {
+            device: KnownDevice { uri: options.device.clone(), ..KnownDevice::default() },
+            options: Arc::new(options),
+            wanted: false,
+            failure: None,
+            session: None,
+            take: None,
+            last_take: None,
+        }
+    }
+}

@@ -1,0 +1,268 @@
+//! The rig's thread: finds the device, arms the pipeline, reads, and begins again when that is over.
+
+use std::{
+    fs::File,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use crossbeam_channel::Sender;
+use mocapd_drivers::{
+    registry,
+    transport::usb::UsbWatch,
+    uri::{DeviceUri, Location},
+};
+use mocapd_take::record::Header;
+
+use super::{
+    Inner,
+    hub::NewSession,
+    session::{KnownDevice, Session},
+};
+use crate::{
+    header,
+    pipeline::{Pipeline, PipelineConfig, PreRollConfig},
+    rig::{Ending, ReadOptions, Rig},
+};
+
+/// Between two looks at what is wanted.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+
+/// Between two looks for a device that is not there or does not answer.
+const TRY_EVERY: Duration = Duration::from_millis(500);
+
+/// Between two looks whether an idle device is attached.
+const PRESENCE_EVERY: Duration = Duration::from_secs(2);
+
+/// A device that ends its stream at once, again and again, is started no oftener.
+const SESSION_AT_LEAST: Duration = Duration::from_secs(1);
+
+/// Until the service ends.
+pub(super) fn run(inner: &Arc<Inner>, sessions: &Sender<NewSession>) {
+    let mut looked: Option<Instant> = None;
+    let mut watch = UsbWatch::new();
+    while !inner.is_stopping() {
+        if !inner.core().wanted {
+            if looked.is_none_or(|last| last.elapsed() >= PRESENCE_EVERY) {
+                inner.look_for_device();
+                looked = Some(Instant::now());
+            }
+            inner.wait(LOOK_EVERY);
+            continue;
+        }
+        looked = None;
+        let begun = Instant::now();
+        match inner.open() {
+            Ok(rig) => {
+                inner.run_session(rig, sessions);
+                let rest = SESSION_AT_LEAST.saturating_sub(begun.elapsed());
+                if inner.core().wanted && !inner.is_stopping() {
+                    std::thread::sleep(rest);
+                }
+            }
+            Err(error) => {
+                inner.met(&format!("{error:#}"));
+                watch.wait(TRY_EVERY);
+            }
+        }
+    }
+}
+
+impl Inner {
+    pub(super) fn is_stopping(&self) -> bool {
+        self.stopping.load(Ordering::Relaxed)
+    }
+
+    /// Until something changed, or so long.
+    pub(super) fn wait(&self, at_most: Duration) {
+        let core = self.core();
+        drop(self.changed.wait_timeout(core, at_most));
+    }
+
+    fn look_for_device(&self) {
+        let find = Arc::clone(&self.core().options.find_device);
+        let found = find();
+        let present = found.as_ref().is_ok_and(is_attached);
+        let mut core = self.core();
+        let changed = core.device.present != present;
+        core.device.present = present;
+        core.device.obstacle = found.err().map(|error| format!("{error:#}"));
+        drop(core);
+        if changed {
+            let what =
+                if present { "the device is attached" } else { "the device is not attached" };
+            self.say_event("device", what, None);
+        }
+    }
+
+    /// Something is in the way of arming: told once.
+    fn met(&self, words: &str) {
+        let mut core = self.core();
+        let is_new = core.device.obstacle.as_deref() != Some(words);
+        core.device.obstacle = Some(words.to_owned());
+        core.device.present = false;
+        drop(core);
+        self.changed.notify_all();
+        if is_new {
+            self.say_event("warning", words, None);
+        }
+    }
+
+    fn open(&self) -> anyhow::Result<Rig> {
+        let core = self.core();
+        let (options, identity) = (Arc::clone(&core.options), core.device.identity.clone());
+        let known = core.device.uri.clone();
+        drop(core);
+        let uri = (options.find_device)()?;
+        let mut rig = match identity {
+            Some(identity) if uri.to_string() == known => Rig::open_again(&uri, &identity)?,
+            _ => Rig::open(&uri)?,
+        };
+        if let Some(rate_hz) = options.rate_hz {
+            rig.set_rate(rate_hz)?;
+        }
+        rig.wait_for_replug(options.reconnect);
+        rig.risk_at_most(options.stretch, options.sync);
+        let mut core = self.core();
+        core.device = KnownDevice {
+            uri: uri.to_string(),
+            present: true,
+            obstacle: None,
+            hello: rig.hello().clone(),
+            driver: rig.family().to_owned(),
+            markers: rig.markers().len(),
+            identity: Some(rig.identity().clone()),
+        };
+        Ok(rig)
+    }
+
+    fn run_session(&self, rig: Rig, sessions: &Sender<NewSession>) {
+        let stop = Arc::new(AtomicBool::new(false));
+        let (intake, pipeline) = match self.begin_session(&rig, &stop, sessions) {
+            Ok(begun) => begun,
+            Err(error) => return self.met(&format!("{error:#}")),
+        };
+        self.say_event("state", "armed", None);
+        let say = |words: &str| self.events.say(words);
+        let options = ReadOptions {
+            stop: &stop,
+            rows_max: None,
+            time_max: None,
+            ends_when_full: false,
+            say: &say,
+        };
+        let read = rig.read(intake, &options);
+        let joined = pipeline.join();
+        let words = match (&read, &joined) {
+            (_, Err(error)) => {
+                self.fail(&format!("{error:#}"));
+                "the data plane failed"
+            }
+            (Err(error), _) => {
+                self.met(&format!("{error:#}"));
+                "the device cannot be read"
+            }
+            (Ok(recording), _) => match recording.ending {
+                Ending::EndOfStream => {
+                    // A replay that is over: it is not begun again by itself.
+                    self.core().wanted = false;
+                    "the device has ended its stream"
+                }
+                Ending::Disconnected => "the device is gone",
+                Ending::WriterFailed => {
+                    self.fail("the data plane failed: see the log");
+                    "the data plane failed"
+                }
+                Ending::Stopped | Ending::DiskFull => "disarmed",
+            },
+        };
+        let ending = match &read {
+            Ok(recording) if recording.ending == Ending::EndOfStream => "device ended",
+            _ if self.is_stopping() => "service stopped",
+            _ => "device gone",
+        };
+        let mut core = self.core();
+        core.session = None;
+        if let Some(take) = &mut core.take {
+            take.ending.get_or_insert(ending);
+        }
+        drop(core);
+        self.changed.notify_all();
+        self.say_event("state", words, None);
+    }
+
+    fn begin_session(
+        &self,
+        rig: &Rig,
+        stop: &Arc<AtomicBool>,
+        sessions: &Sender<NewSession>,
+    ) -> anyhow::Result<(crate::pipeline::Intake, Pipeline<File>)> {
+        let options = Arc::clone(&self.core().options);
+        let pre_roll = PreRollConfig {
+            time: options.pre_roll,
+            bytes_max: usize::try_from(options.memory_max_bytes).unwrap_or(usize::MAX),
+        };
+        let config = PipelineConfig {
+            pre_roll: Some(pre_roll),
+            heartbeat: self.heartbeat.clone(),
+            ..rig.pipeline_config(options.codec)
+        };
+        let header = header_of(rig, &config)?;
+        let (intake, pipeline, armed) = Pipeline::<File>::arm(&config, &header)?;
+        let progress = Arc::clone(pipeline.progress());
+        let number = self.sessions.fetch_add(1, Ordering::Relaxed) + 1;
+        let session = Session {
+            number,
+            takes: armed.takes,
+            progress: Arc::clone(&progress),
+            seen: armed.seen,
+            slots: config.channels.len() + config.reserve,
+            stop: Arc::clone(stop),
+            header: header.clone(),
+        };
+        // The hub forgets the one before: it looks here in every round.
+        sessions.try_send(NewSession { tap: armed.tap, progress, header }).ok();
+        let mut core = self.core();
+        core.session = Some(session);
+        // What was asked while it was being armed.
+        if !core.wanted || self.is_stopping() {
+            stop.store(true, Ordering::Relaxed);
+        }
+        drop(core);
+        self.changed.notify_all();
+        Ok((intake, pipeline))
+    }
+
+    /// The data plane failed: somebody has to look.
+    pub(super) fn fail(&self, words: &str) {
+        self.core().failure = Some(words.to_owned());
+        self.changed.notify_all();
+        self.say_event("failure", words, None);
+    }
+}
+
+fn header_of(rig: &Rig, config: &PipelineConfig) -> anyhow::Result<Header> {
+    let mut header = header::new(&config.codec, config.rate_hz)?;
+    header.up_axis = rig.hello().up_axis.min(3);
+    header.device = Some(rig.device_record());
+    header.channels.clone_from(&config.channels);
+    header.stretch_rows = config.stretch_rows();
+    header.settings = config.chosen();
+    Ok(header)
+}
+
+/// Whether something is at the place, without opening it.
+fn is_attached(uri: &DeviceUri) -> bool {
+    match &uri.location {
+        Location::Serial { path, .. } => path.exists(),
+        Location::Usb { vid, pid, serial } => registry::devices().is_ok_and(|listed| {
+            listed.iter().any(|device| {
+                device.candidate.usb_ids == Some((*vid, *pid))
+                    && (serial.is_none() || device.candidate.serial == *serial)
+            })
+        }),
+    }
+}

@@ -1,0 +1,118 @@
+//! The watcher's thread: takes that end by themselves, figures that need two looks, and words of other threads.
+
+use std::{
+    sync::{Arc, atomic::Ordering},
+    time::{Duration, Instant},
+};
+
+use super::{Inner, session::Core};
+use crate::{heartbeat::Who, process};
+
+/// Between two looks.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+
+/// Between two figures of a rate.
+const RATES_EVERY: Duration = Duration::from_secs(1);
+
+/// Until the service ends.
+pub(super) fn run(inner: &Arc<Inner>) {
+    // Without it nobody would know that this thread hangs; with sixty others it is not needed.
+    let beat = inner.heartbeat.beat(Who::Supervisor).ok();
+    let mut rates = Measured::default();
+    while !inner.is_stopping() {
+        if let Some(beat) = &beat {
+            beat.moved();
+        }
+        inner.tell_what_was_said();
+        inner.end_what_is_over();
+        rates.look(inner);
+        inner.wait(LOOK_EVERY);
+    }
+    inner.tell_what_was_said();
+}
+
+impl Inner {
+    fn tell_what_was_said(&self) {
+        while let Some(words) = self.events.said() {
+            let take = self.core().take.as_ref().map(|take| take.name.clone());
+            self.say_event("device", &words, take.as_deref());
+        }
+    }
+
+    /// Takes whose length, disk, device or writer is over. Not while somebody carries out a command: that one will tell.
+    fn end_what_is_over(&self) {
+        let Ok(command) = self.command.try_lock() else { return };
+        let core = self.core();
+        let why = core.why_over();
+        let ended = core.take.as_ref().and_then(|take| take.ended.try_recv().ok());
+        let exhausted = core.is_exhausted();
+        drop(core);
+        if let Some(end) = ended {
+            // What there is to say stands in the events.
+            drop(self.finish_take(end));
+        } else if let Some(why) = why {
+            drop(self.stop_take(&command, why));
+        }
+        if exhausted {
+            self.say_event(
+                "warning",
+                "every channel of the reserve is used by markers that appeared: the pre-roll begins anew",
+                None,
+            );
+            if let Some(session) = &self.core().session {
+                session.stop.store(true, Ordering::Relaxed);
+            }
+        }
+    }
+}
+
+impl Core {
+    fn why_over(&self) -> Option<&'static str> {
+        let take = self.take.as_ref().filter(|take| take.first.is_some())?;
+        if self.options.max_length.is_some_and(|max| take.begun.elapsed() >= max) {
+            return Some("length");
+        }
+        let session = self.session.as_ref()?;
+        session.progress.disk_full.load(Ordering::Relaxed).then_some("disk full")
+    }
+
+    /// Markers that came and went have used up the channels: without a take they can be forgotten.
+    fn is_exhausted(&self) -> bool {
+        self.take.is_none()
+            && self.session.as_ref().is_some_and(|session| {
+                !session.stop.load(Ordering::Relaxed)
+                    && crate::pipeline::lock(&session.progress.channels).len() >= session.slots
+            })
+    }
+}
+
+/// Counters at the last look.
+#[derive(Debug, Default)]
+struct Measured {
+    last: Option<(Instant, u64, u64, f64)>,
+}
+
+impl Measured {
+    fn look(&mut self, inner: &Inner) {
+        if self.last.is_some_and(|(at, ..)| at.elapsed() < RATES_EVERY) {
+            return;
+        }
+        let now = Instant::now();
+        let core = inner.core();
+        let session = core.session.as_ref();
+        let number = session.map_or(0, |session| session.number);
+        let frames = session.map_or(0, |s| s.progress.frames.load(Ordering::Relaxed));
+        drop(core);
+        let cpu_s = process::usage(None).map_or(0.0, |usage| usage.cpu_s);
+        if let Some((at, session, before, cpu_before_s)) = self.last {
+            let passed_s = now.duration_since(at).as_secs_f64();
+            let came = if session == number { frames.saturating_sub(before) } else { frames };
+            let put = |to: &std::sync::atomic::AtomicU64, rate: f64| {
+                to.store(rate.to_bits(), Ordering::Relaxed);
+            };
+            put(&inner.rates.frames_hz, came as f64 / passed_s);
+            put(&inner.rates.cpu_cores, (cpu_s - cpu_before_s).max(0.0) / passed_s);
+        }
+        self.last = Some((now, number, frames, cpu_s));
+    }
+}
