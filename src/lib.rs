@@ -3,6 +3,7 @@
 
 pub mod clock;
 pub mod compare;
+pub mod config;
 pub mod disk;
 pub mod doctor;
 #[cfg(feature = "fault-hooks")]

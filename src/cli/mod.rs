@@ -3,6 +3,7 @@
 mod bench;
 mod clock;
 mod codec_args;
+mod config;
 mod damage;
 mod demo;
 mod devices;
@@ -59,6 +60,9 @@ enum Command {
     Recover(recover::Args),
     /// Look whether this machine can record, and say what to type where it cannot
     Doctor(doctor::Args),
+    /// Check a configuration of the service, or print one with every key
+    #[command(subcommand)]
+    Config(config::ConfigCommand),
     /// Measure this machine
     #[command(subcommand)]
     Bench(bench::Bench),
@@ -86,6 +90,7 @@ pub(crate) fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Verify(args) => verify::run(&args),
         Command::Recover(args) => recover::run(&args),
         Command::Doctor(args) => doctor::run(&args),
+        Command::Config(command) => config::run(&command),
         Command::Bench(bench) => bench::run(&bench),
     }
 }

@@ -1,7 +1,10 @@
 //! docs/json.md against what the program prints: every field stands there with its type, every example has
 //! the keys of the real thing.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    os::unix::fs::PermissionsExt,
+};
 
 use mocapd_take::{
     chunk::{self, Front, types},
@@ -215,6 +218,32 @@ fn doctor() {
     assert!(no_folder.stderr.contains("in the way of a recording"), "{}", no_folder.stderr);
     check("`mocapd doctor`", &[no_folder.json(), examined.json()]);
     assert_eq!(folder.path("").read_dir().unwrap().count(), 0);
+}
+
+#[test]
+fn config_check() {
+    let folder = Folder::new();
+    // Every key that the page has, and one of each list.
+    let all = "[device]\nrate_hz = 240\n[take]\nmax_length = '1h'\n[http]\ntoken_file = 'token'\n\
+               allowed_hosts = ['rig.lab']\n[trigger]\nlisten = '0.0.0.0:8989'\nsend_to = ['10.0.0.1:8989']\n";
+    folder.write("left.toml", all);
+    folder.write("token", "0123456789abcdef\n");
+    std::fs::set_permissions(folder.path("token"), std::fs::Permissions::from_mode(0o600)).unwrap();
+    let checked = folder.run(&["config", "check", "left.toml", "--json"]).with_code(0);
+    assert_eq!(checked.stderr, "");
+    folder.write(
+        "lossless.toml",
+        all.replace("[http]", "lossless = true\n[http]") + "allow_from = ['::1']\n",
+    );
+    let lossless = folder.run(&["config", "check", "lossless.toml", "--json"]).with_code(0);
+    folder.write("wrong.toml", "[arm]\npre_roll = 10\n[log]\nlevl = 1\n");
+    let wrong = folder.run(&["config", "check", "wrong.toml", "--json"]).with_code(2);
+    folder.write("my rig.toml", "");
+    let unnamed = folder.run(&["config", "check", "my rig.toml", "--json"]).with_code(2);
+    check(
+        "`mocapd config check`",
+        &[checked.json(), lossless.json(), wrong.json(), unnamed.json()],
+    );
 }
 
 #[test]

@@ -4,6 +4,7 @@
 mod arguments;
 mod bad_devices;
 mod bad_files;
+mod configs;
 mod damaged_takes;
 mod demo;
 mod devices;

@@ -1,0 +1,150 @@
+//! `config`: whether a configuration can be meant, and one with every key in it.
+
+use std::path::{Path, PathBuf};
+
+use mocapd::{
+    config::{
+        self, CONFIG_PATH, Config, ConfigError, Overrides, Place, Problem, Token, TokenError,
+    },
+    outcome::{Outcome, UsageError},
+};
+use rustix::process::geteuid;
+use serde::Serialize;
+use serde_json::{Map, Value};
+
+use super::{
+    numbers::count,
+    output::{plain, print, print_json, say},
+};
+
+#[derive(Debug, clap::Subcommand)]
+pub(crate) enum ConfigCommand {
+    /// Check a configuration: everything that is wrong with it at once, and what may surprise
+    Check(CheckArgs),
+    /// Print a configuration with every key, its default and what it is for
+    Example,
+}
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct CheckArgs {
+    /// The file
+    #[arg(value_name = "FILE", default_value = CONFIG_PATH)]
+    file: PathBuf,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    file: String,
+    good: bool,
+    problems: Vec<ProblemReport>,
+    notes: Vec<String>,
+    /// By section and key; `None` when something is wrong.
+    config: Option<Value>,
+}
+
+#[derive(Debug, Serialize)]
+struct ProblemReport {
+    line: Option<usize>,
+    column: Option<usize>,
+    key: Option<&'static str>,
+    message: String,
+}
+
+impl From<&Problem> for ProblemReport {
+    fn from(problem: &Problem) -> Self {
+        let (line, column) = match problem.place {
+            Place::At { line, column } => (Some(line), Some(column)),
+            Place::Option(_) | Place::Nowhere => (None, None),
+        };
+        Self { line, column, key: problem.key, message: problem.message.clone() }
+    }
+}
+
+pub(crate) fn run(command: &ConfigCommand) -> anyhow::Result<Outcome> {
+    match command {
+        ConfigCommand::Check(args) => check(args),
+        ConfigCommand::Example => print(&config::example()).map(|()| Outcome::Done),
+    }
+}
+
+fn check(args: &CheckArgs) -> anyhow::Result<Outcome> {
+    match Config::load(&args.file, &Overrides::default()) {
+        Ok(config) => found_good(args, &config),
+        Err(error @ ConfigError::Refused { .. }) => refused(args, &error),
+        Err(error) => Err(error.into()),
+    }
+}
+
+fn found_good(args: &CheckArgs, config: &Config) -> anyhow::Result<Outcome> {
+    let mut notes = config.notes();
+    if let Some(file) = &config.http.token_file {
+        notes.extend(token_note(file)?);
+    }
+    if args.json {
+        print_json(&Report {
+            file: args.file.display().to_string(),
+            good: true,
+            problems: Vec::new(),
+            notes,
+            config: Some(by_section(config)),
+        })?;
+        return Ok(Outcome::Done);
+    }
+    for note in &notes {
+        say(&format!("note: {note}"));
+    }
+    print(&format!("{} is good\n", plain(&args.file.display().to_string())))?;
+    Ok(Outcome::Done)
+}
+
+/// The file must do for the service; root who looks is not the service's user.
+fn token_note(file: &Path) -> anyhow::Result<Option<String>> {
+    match Token::read(file) {
+        Ok(_) => Ok(None),
+        Err(error @ TokenError::Foreign { .. }) if geteuid().is_root() => {
+            Ok(Some(format!("{error}, unless that is the service's user")))
+        }
+        Err(error) => Err(error.into()),
+    }
+}
+
+fn refused(args: &CheckArgs, error: &ConfigError) -> anyhow::Result<Outcome> {
+    let ConfigError::Refused { problems, more, .. } = error else {
+        return Err(UsageError(error.to_string()).into());
+    };
+    if args.json {
+        print_json(&Report {
+            file: args.file.display().to_string(),
+            good: false,
+            problems: problems.iter().map(ProblemReport::from).collect(),
+            notes: Vec::new(),
+            config: None,
+        })?;
+    }
+    let mut lines = error.lines();
+    if lines.len() == 1 {
+        return Err(UsageError(lines.remove(0)).into());
+    }
+    for line in &lines {
+        say(line);
+    }
+    let n = count((problems.len() + more) as u64, "thing");
+    Err(UsageError(format!("{} is refused: {n} to put right, see above", args.file.display()))
+        .into())
+}
+
+/// Every key that has a value, by section.
+fn by_section(config: &Config) -> Value {
+    let mut sections = Map::new();
+    for (path, value) in config.values() {
+        let (Some((section, name)), Some(value)) = (path.split_once('.'), value) else { continue };
+        let section = sections.entry(section).or_insert_with(|| Value::Object(Map::new()));
+        if let Value::Object(keys) = section {
+            keys.insert(name.to_owned(), value);
+        }
+    }
+    Value::Object(sections)
+}

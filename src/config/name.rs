@@ -1,0 +1,201 @@
+//! How takes are called that were started without a name: a template in which words are filled in.
+
+use std::fmt;
+
+use jiff::civil::DateTime;
+
+use super::{value::short, written::meant};
+
+/// Bytes of a take's name without `.take`: file systems have room for 255, and what stands beside a take has a
+/// longer ending.
+pub const NAME_BYTES_MAX: usize = 200;
+
+/// Bytes that a word may become: a rig's name has 64, and no other one more.
+const WORD_BYTES_MAX: usize = 64;
+
+/// What is filled in.
+#[derive(Debug, Clone, Copy)]
+pub struct NameParts<'a> {
+    /// `{date}` and `{time}`: when the take begins, on the clock of the wall.
+    pub begin: DateTime,
+    /// `{rig}`.
+    pub rig: &'a str,
+    /// `{count}`: of takes since the service runs, or of those in the folder; the caller's to choose.
+    pub count: u64,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum Part {
+    Text(String),
+    Date,
+    Time,
+    Rig,
+    Count,
+}
+
+const WORDS: [(&str, Part); 4] =
+    [("date", Part::Date), ("time", Part::Time), ("rig", Part::Rig), ("count", Part::Count)];
+
+/// A template that gives a file name whatever is filled in: no path, not hidden, of a bounded length.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct NameTemplate {
+    text: String,
+    parts: Vec<Part>,
+}
+
+impl NameTemplate {
+    /// Reads a template.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let (mut parts, mut rest) = (Vec::new(), text);
+        while !rest.is_empty() {
+            let end = rest.find(['{', '}']).unwrap_or(rest.len());
+            let (plain, behind) = rest.split_at(end);
+            if !plain.is_empty() {
+                parts.push(Part::Text(plain.to_owned()));
+            }
+            rest = behind;
+            if let Some(behind) = behind.strip_prefix('{') {
+                let Some((word, behind)) = behind.split_once('}') else {
+                    return Err("a '{' has no '}' behind it".to_owned());
+                };
+                let known = WORDS.iter().find(|(name, _)| *name == word);
+                let (_, part) = known.ok_or_else(|| {
+                    let meant = meant(word, WORDS.iter().map(|(name, _)| *name));
+                    format!("nothing is filled in for {{{}}}: {meant}", short(word))
+                })?;
+                parts.push(part.clone());
+                rest = behind;
+            } else if !behind.is_empty() {
+                return Err("a '}' has no '{' before it".to_owned());
+            }
+        }
+        let template = Self { text: text.to_owned(), parts };
+        template.check()?;
+        Ok(template)
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if self.text.is_empty() {
+            return Err("it is empty".to_owned());
+        }
+        if self.text.starts_with(['.', '-', ' ']) {
+            return Err("a take's name does not begin with a dot, a dash or a space".to_owned());
+        }
+        if self.text.ends_with([' ', '.']) {
+            return Err("a take's name does not end with a dot or a space".to_owned());
+        }
+        if let Some(c) = self.text.chars().find(|c| c.is_control() || "/\\:".contains(*c)) {
+            return Err(format!(
+                "'{}' cannot be in a take's name, which is no path",
+                c.escape_debug()
+            ));
+        }
+        if self.text.ends_with(".take") {
+            return Err(".take is added to it: leave it out".to_owned());
+        }
+        let longest: usize = self.parts.iter().map(Part::bytes_max).sum();
+        if longest > NAME_BYTES_MAX {
+            return Err(format!(
+                "it may become {longest} bytes long, and a name has at most {NAME_BYTES_MAX}"
+            ));
+        }
+        Ok(())
+    }
+
+    /// As it is written.
+    #[must_use]
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+
+    /// Whether two takes of different times have different names.
+    #[must_use]
+    pub fn tells_takes_apart(&self) -> bool {
+        self.parts.iter().any(|part| matches!(part, Part::Time | Part::Count))
+    }
+
+    /// A take's name without `.take`: `2026-11-22_16-04-59_left`.
+    #[must_use]
+    pub fn fill(&self, with: &NameParts<'_>) -> String {
+        self.parts.iter().map(|part| part.filled(with)).collect()
+    }
+}
+
+impl Part {
+    fn filled(&self, with: &NameParts<'_>) -> String {
+        match self {
+            Self::Text(text) => text.clone(),
+            Self::Date => with.begin.date().to_string(),
+            Self::Time => with.begin.strftime("%H-%M-%S").to_string(),
+            Self::Rig => with.rig.to_owned(),
+            Self::Count => format!("{:03}", with.count),
+        }
+    }
+
+    fn bytes_max(&self) -> usize {
+        match self {
+            Self::Text(text) => text.len(),
+            // A count has 20 digits at most, a date 13 bytes, a time 8.
+            Self::Date | Self::Time | Self::Count => 20,
+            Self::Rig => WORD_BYTES_MAX,
+        }
+    }
+}
+
+impl fmt::Display for NameTemplate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.text)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fill(text: &str) -> String {
+        let begin = jiff::civil::date(2026, 1, 2).at(3, 4, 5, 999_000_000);
+        NameTemplate::parse(text).unwrap().fill(&NameParts { begin, rig: "left", count: 7 })
+    }
+
+    #[test]
+    fn words_are_filled_in() {
+        assert_eq!(fill("{date}_{time}_{rig}"), "2026-01-02_03-04-05_left");
+        assert_eq!(fill("S01 {rig}-{count}"), "S01 left-007");
+        assert_eq!(fill("{count}{count}"), "007007");
+        assert_eq!(fill("Läufer"), "Läufer");
+    }
+
+    #[test]
+    fn what_is_no_name_says_why() {
+        for (text, why) in [
+            ("", "empty"),
+            ("../x", "begin with a dot"),
+            (".hidden", "begin with a dot"),
+            ("-rf", "a dash"),
+            ("a/b", "'/' cannot be"),
+            ("a\\b", "cannot be"),
+            ("a\nb", "cannot be"),
+            ("{date", "has no '}'"),
+            ("date}", "has no '{'"),
+            ("{dat}", "did you mean 'date'?"),
+            ("{subject}", "there are date, time, rig, count"),
+            ("{rig}.take", "leave it out"),
+            ("{rig}.", "end with a dot"),
+            ("{rig}{rig}{rig}{rig}", "256 bytes"),
+        ] {
+            let said = NameTemplate::parse(text).unwrap_err();
+            assert!(said.contains(why), "{text}: {said}");
+        }
+        assert!(NameTemplate::parse(&"x".repeat(NAME_BYTES_MAX)).is_ok());
+    }
+
+    #[test]
+    fn names_that_come_twice_are_known() {
+        for (text, apart) in [("{date}_{rig}", false), ("{time}", true), ("run {count}", true)] {
+            assert_eq!(NameTemplate::parse(text).unwrap().tells_takes_apart(), apart, "{text}");
+        }
+    }
+}

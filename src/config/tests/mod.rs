@@ -1,0 +1,195 @@
+mod documents;
+mod sweep;
+mod words;
+
+use std::net::SocketAddr;
+
+use super::*;
+
+/// Somewhere without systemd.
+pub(super) fn nowhere() -> Surroundings {
+    Surroundings { file_stem: Some("left".to_owned()), ..Surroundings::default() }
+}
+
+pub(super) fn parse(text: &str) -> Result<Config, ConfigError> {
+    Config::parse("left.toml", text.as_bytes(), &nowhere(), &Overrides::default())
+}
+
+/// With every key, none of them at its default.
+pub(super) const EVERYTHING: &str = r#"
+[rig]
+name = "left-2.x"
+[device]
+uri = "usb:1209:0001:A:1?driver=dvmc"
+rate_hz = 59.94
+raw_log = true
+[take]
+directory = "/srv/täkes"
+name = "S01 {count}"
+tolerance = "100 um"
+lossless = false
+resampler = "fast"
+stretch = "0.25s"
+sync = "0s"
+keep_free = "1.5GB"
+reconnect = "5min"
+max_length = "90min"
+[arm]
+at_start = false
+pre_roll = "1.25s"
+include_pre_roll = "1250ms"
+memory_max = "1MiB"
+[http]
+socket = ""
+listen = "[::]:80"
+token_file = "/etc/mocapd/token"
+allowed_hosts = ["Rig.Lab", "10.0.0.1"]
+connections_max = 1
+[trigger]
+listen = "0.0.0.0:8989"
+send_to = ["192.168.10.255:8989", "[fe80::1]:30"]
+allow_from = ["192.168.10.0/24", "::1"]
+[log]
+level = "trace"
+"#;
+
+#[test]
+fn an_empty_file_is_the_defaults() {
+    let config = parse("").unwrap();
+    assert_eq!(config.rig_name, "left");
+    assert_eq!(config.device.uri, DeviceChoice::Auto);
+    assert_eq!(config.device.rate_hz, None);
+    assert_eq!(config.take.directory, PathBuf::from("."));
+    assert_eq!(config.take.codec.tolerance.mm(), 0.5);
+    assert_eq!(config.take.codec.kind, mocapd_codec::ResamplerKind::Dense);
+    assert_eq!(config.take.keep_free_bytes, 256 << 20);
+    assert_eq!(config.take.max_length, None);
+    assert_eq!(config.arm.pre_roll, Duration::from_secs(10));
+    assert_eq!(config.arm.include_pre_roll, Duration::ZERO);
+    assert!(config.arm.at_start && !config.device.raw_log);
+    assert_eq!(config.http.socket, Some("/run/mocapd/mocapd.sock".into()));
+    assert_eq!(config.http.listen, Some("127.0.0.1:7060".parse::<SocketAddr>().unwrap()));
+    assert_eq!(config.trigger.listen, None);
+    assert_eq!(config.log_level, LogLevel::Info);
+    assert_eq!(config.notes(), [""; 0]);
+}
+
+#[test]
+fn every_key_is_read() {
+    let config = parse(EVERYTHING).unwrap();
+    assert_eq!(config.rig_name, "left-2.x");
+    let DeviceChoice::At(uri) = &config.device.uri else { panic!("{config:?}") };
+    assert_eq!(uri.to_string(), "usb:1209:0001:A:1?driver=dvmc");
+    assert_eq!(config.device.rate_hz, Some(59.94));
+    assert_eq!(config.take.name.text(), "S01 {count}");
+    assert!((config.take.codec.tolerance.mm() - 0.1).abs() < 1e-12);
+    assert_eq!(config.take.stretch, Duration::from_millis(250));
+    assert_eq!(config.take.keep_free_bytes, 1_500_000_000);
+    assert_eq!(config.take.max_length, Some(Duration::from_secs(5400)));
+    assert_eq!(config.arm.include_pre_roll, config.arm.pre_roll);
+    assert_eq!(config.http.socket, None);
+    assert_eq!(config.http.allowed_hosts, ["rig.lab", "10.0.0.1"]);
+    assert_eq!(config.trigger.send_to.len(), 2);
+    assert!(config.trigger.allow_from[0].contains("192.168.10.3".parse().unwrap()));
+    assert_eq!(config.log_level, LogLevel::Trace);
+    // Each differs from its default, so that none is merely left alone.
+    let changes = parse("").unwrap().changes(&config);
+    let unchanged: Vec<_> = keys::KEYS
+        .iter()
+        .map(|key| key.path)
+        .filter(|path| changes.iter().all(|change| change.key != *path))
+        .collect();
+    assert_eq!(unchanged, ["take.lossless"], "it would contradict the tolerance");
+    assert!(parse("[take]\nlossless = true").unwrap().take.codec.kind.is_lossless());
+    assert!(parse("[take]\nresampler = 'lossless'").unwrap().take.codec.kind.is_lossless());
+}
+
+#[test]
+fn what_is_written_out_is_the_same_again() {
+    for text in ["", EVERYTHING, "[take]\nlossless = true", "[device]\nrate_hz = 240"] {
+        let config = parse(text).unwrap();
+        let again = parse(&config.to_toml()).unwrap();
+        assert_eq!(config, again, "{}", config.to_toml());
+        assert_eq!(config.changes(&again), []);
+    }
+}
+
+#[test]
+fn systemds_folders_are_the_defaults_and_the_file_comes_first() {
+    let surroundings = Surroundings {
+        state_directory: Some("/var/lib/mocapd".into()),
+        runtime_directory: Some("/run/other".into()),
+        file_stem: Some("mocapd".to_owned()),
+    };
+    let parse = |text: &str, overrides: &Overrides| {
+        Config::parse("x", text.as_bytes(), &surroundings, overrides)
+    };
+    let config = parse("", &Overrides::default()).unwrap();
+    assert_eq!(config.rig_name, "rig");
+    assert_eq!(config.take.directory, PathBuf::from("/var/lib/mocapd"));
+    assert_eq!(config.http.socket, Some("/run/other/mocapd.sock".into()));
+
+    let text = "[device]\nuri = 'serial:/dev/a'\n[take]\ndirectory = '/srv'\n[http]\nlisten = ''";
+    let config = parse(text, &Overrides::default()).unwrap();
+    assert_eq!(config.take.directory, PathBuf::from("/srv"));
+    assert_eq!(config.http.listen, None);
+    let said = |text: &str| Some(text.to_owned());
+    let overrides = Overrides {
+        device: said("serial:/dev/b"),
+        directory: said("/mnt"),
+        listen: said("127.0.0.1:0"),
+    };
+    let config = parse(text, &overrides).unwrap();
+    let DeviceChoice::At(uri) = &config.device.uri else { panic!("{config:?}") };
+    assert_eq!(uri.to_string(), "serial:/dev/b");
+    assert_eq!(config.take.directory, PathBuf::from("/mnt"));
+    assert_eq!(config.http.listen, Some("127.0.0.1:0".parse().unwrap()));
+
+    // What the command line says is refused with the option's name.
+    let overrides = Overrides { listen: said("0.0.0.0:80"), ..Overrides::default() };
+    let error = parse("", &overrides).unwrap_err().to_string();
+    assert!(error.starts_with("--listen: http.listen is 0.0.0.0:80"), "{error}");
+    let overrides = Overrides { device: said("ttyUSB0"), ..Overrides::default() };
+    let error = parse("", &overrides).unwrap_err().to_string();
+    assert!(error.starts_with("--device: ") && error.contains("serial:PATH"), "{error}");
+}
+
+#[test]
+fn changes_say_when_they_hold() {
+    let old = parse("").unwrap();
+    let new = parse(
+        "[log]\nlevel='warn'\n[take]\nname='{time}'\n[arm]\npre_roll='20s'\n[http]\nlisten=''",
+    )
+    .unwrap();
+    let changes = old.changes(&new);
+    let told: Vec<_> = changes.iter().map(|change| (change.key, change.when)).collect();
+    assert_eq!(
+        told,
+        [
+            ("take.name", When::NextTake),
+            ("arm.pre_roll", When::NextArm),
+            ("http.listen", When::Restart),
+            ("log.level", When::Now)
+        ]
+    );
+    assert_eq!(changes[1].from, Some("10s".into()));
+    assert_eq!(changes[1].to, Some("20s".into()));
+    let lossless = old.changes(&parse("[take]\nlossless = true").unwrap());
+    let keys: Vec<_> = lossless.iter().map(|change| change.key).collect();
+    assert_eq!(keys, ["take.tolerance", "take.lossless", "take.resampler"]);
+    assert_eq!(lossless[0].to, None);
+}
+
+#[test]
+fn what_may_surprise_is_noted() {
+    let notes = |text: &str| parse(text).unwrap().notes().join("\n");
+    let open = notes("[trigger]\nlisten = '0.0.0.0:8989'");
+    assert!(open.contains("ANYBODY who reaches 0.0.0.0:8989"), "{open}");
+    assert_eq!(notes("[trigger]\nlisten = '127.0.0.1:8989'"), "");
+    assert_eq!(notes("[trigger]\nlisten = '0.0.0.0:8989'\nallow_from = ['10.0.0.1']"), "");
+    assert!(notes("[trigger]\nallow_from = ['10.0.0.1']").contains("no trigger is heard"));
+    assert!(notes("[http]\nlisten = '0.0.0.0:1'\ntoken_file = 'x'").contains("as it is"));
+    assert!(notes("[http]\nlisten = ''\nsocket = ''").contains("nobody can start a take"));
+    assert!(notes("[take]\nname = '{date}'").contains("{time} or {count}"));
+    assert!(notes("[device]\nraw_log = true").contains("many times as large"));
+}

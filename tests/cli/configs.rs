@@ -1,0 +1,72 @@
+//! `config`: a file that is good, one that is not, and the example.
+
+use std::{fs, os::unix::fs::PermissionsExt};
+
+use super::Folder;
+
+#[test]
+fn the_example_is_good() {
+    let folder = Folder::new();
+    let example = folder.run(&["config", "example"]).with_code(0);
+    assert_eq!(example.stderr, "");
+    assert_eq!(example.stdout, include_str!("../../systemd/mocapd.toml"));
+    folder.write("left.toml", &example.stdout);
+    let checked = folder.run(&["config", "check", "left.toml"]).with_code(0);
+    assert_eq!((checked.stdout.as_str(), checked.stderr.as_str()), ("left.toml is good\n", ""));
+    let json = folder.run(&["config", "check", "left.toml", "--json"]).with_code(0).json();
+    assert_eq!(json["config"]["rig"]["name"], "left");
+    assert_eq!(json["config"]["take"]["tolerance"], "0.5mm");
+    assert!(json["config"]["device"].get("rate_hz").is_none());
+}
+
+#[test]
+fn what_is_wrong_is_one_line_each() {
+    let folder = Folder::new();
+    folder.write("left.toml", "[arm]\npre_rol = '10s'\n");
+    let line = folder.refuses(&["config", "check", "left.toml"], 2);
+    assert_eq!(
+        line,
+        "left.toml line 2, column 1: unknown key 'pre_rol' in [arm]: did you mean 'pre_roll'?"
+    );
+
+    folder.write("left.toml", "[arm]\npre_rol = '10s'\npre_roll = 10\n[log]\nlevel = 'x'\n");
+    let ran = folder.run(&["config", "check", "left.toml"]).with_code(2);
+    let lines: Vec<_> = ran.stderr.lines().collect();
+    assert_eq!(lines.len(), 4, "{}", ran.stderr);
+    for (line, place) in lines.iter().zip(["2, column 1", "3, column 12", "5, column 9"]) {
+        assert!(line.starts_with(&format!("mocapd: left.toml line {place}: ")), "{line}");
+    }
+    assert_eq!(lines[3], "mocapd: left.toml is refused: 3 things to put right, see above");
+    assert_eq!(ran.stdout, "");
+}
+
+#[test]
+fn a_file_that_is_not_there_says_how_to_write_one() {
+    let folder = Folder::new();
+    let line = folder.refuses(&["config", "check", "left.toml"], 1);
+    assert_eq!(
+        line,
+        "left.toml does not exist: write one with `mocapd config example > left.toml`"
+    );
+    assert!(folder.refuses(&["config", "check", "."], 1).contains("cannot read ."));
+}
+
+#[test]
+fn notes_and_token_files() {
+    let folder = Folder::new();
+    folder.write("left.toml", "[trigger]\nlisten = '0.0.0.0:8989'\n");
+    let ran = folder.run(&["config", "check", "left.toml"]).with_code(0);
+    assert!(ran.stderr.starts_with("mocapd: note: trigger.allow_from is empty"), "{}", ran.stderr);
+    assert_eq!(ran.stderr.lines().count(), 1);
+
+    folder.write("left.toml", "[http]\nlisten = '0.0.0.0:7060'\ntoken_file = 'token'\n");
+    let check = ["config", "check", "left.toml"];
+    assert!(folder.refuses(&check, 1).contains("openssl rand"));
+    folder.write("token", "0123456789abcdef\n");
+    fs::set_permissions(folder.path("token"), fs::Permissions::from_mode(0o640)).unwrap();
+    assert!(folder.refuses(&check, 1).contains("chmod 600 token"));
+    fs::set_permissions(folder.path("token"), fs::Permissions::from_mode(0o600)).unwrap();
+    let ran = folder.run(&check).with_code(0);
+    assert!(ran.stderr.contains("the token travels over the network"), "{}", ran.stderr);
+    assert!(!ran.stderr.contains("0123456789abcdef"));
+}
