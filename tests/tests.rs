@@ -13,5 +13,6 @@ mod kills;
 mod pipeline;
 mod recovery;
 mod replay;
+mod service;
 mod support;
 mod take_file;

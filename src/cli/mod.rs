@@ -19,6 +19,7 @@ mod paths;
 mod progress;
 mod record;
 mod recover;
+mod run;
 mod usage;
 mod values;
 mod verify;
@@ -48,6 +49,8 @@ enum Command {
     Devices(devices::Args),
     /// Record a device into a take
     Record(record::Args),
+    /// Run beside a rig as a service: arm, start, stop and mark over HTTP
+    Run(run::Args),
     /// Make a take of a C3D, TRC, QTM TSV or CSV file
     Import(import::Args),
     /// Write a take as C3D, TRC or CSV
@@ -84,6 +87,7 @@ pub(crate) fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Demo(args) => demo::run(&args),
         Command::Devices(args) => devices::run(&args),
         Command::Record(args) => record::run(&args),
+        Command::Run(args) => run::run(&args),
         Command::Import(args) => import::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Info(args) => info::run(&args),

@@ -29,19 +29,19 @@ use super::{Folder, Ran};
 const GIVE_UP: Duration = Duration::from_secs(60);
 
 /// A simulated device on a pty, until it is dropped.
-pub(super) struct Simulated {
+pub(crate) struct Simulated {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<SentLog>>,
-    pub(super) path: PathBuf,
+    pub(crate) path: PathBuf,
 }
 
 impl Simulated {
-    pub(super) fn start(motion: Motion, settings: DeviceSettings, baud: Option<u32>) -> Self {
+    pub(crate) fn start(motion: Motion, settings: DeviceSettings, baud: Option<u32>) -> Self {
         Self::at(None, motion, settings, baud)
     }
 
     /// One that never ends, at a path that its successor can have.
-    pub(super) fn endless_at(link: &std::path::Path, serial: &str, motion: Motion) -> Self {
+    pub(crate) fn endless_at(link: &std::path::Path, serial: &str, motion: Motion) -> Self {
         let serial = serial.to_owned();
         let settings = DeviceSettings { looping: true, serial, ..DeviceSettings::default() };
         Self::at(Some(link.to_owned()), motion, settings, None)
@@ -59,7 +59,7 @@ impl Simulated {
     }
 
     /// Any device, as it is.
-    pub(super) fn serve(device: impl LineDevice + Send + 'static, baud: Option<u32>) -> Self {
+    pub(crate) fn serve(device: impl LineDevice + Send + 'static, baud: Option<u32>) -> Self {
         Self::serve_at(None, device, baud)
     }
 
@@ -81,22 +81,22 @@ impl Simulated {
     }
 
     /// One that plays its motion once.
-    pub(super) fn of(motion: Motion) -> Self {
+    pub(crate) fn of(motion: Motion) -> Self {
         Self::start(motion, DeviceSettings::default(), None)
     }
 
     /// One that never ends.
-    pub(super) fn endless(motion: Motion) -> Self {
+    pub(crate) fn endless(motion: Motion) -> Self {
         let settings = DeviceSettings { looping: true, ..DeviceSettings::default() };
         Self::start(motion, settings, None)
     }
 
-    pub(super) fn uri(&self) -> String {
+    pub(crate) fn uri(&self) -> String {
         format!("serial:{}", self.path.display())
     }
 
     /// Pulls the plug, and says what was sent until then.
-    pub(super) fn unplug(mut self) -> SentLog {
+    pub(crate) fn unplug(mut self) -> SentLog {
         self.stop.store(true, Ordering::Relaxed);
         self.thread.take().unwrap().join().unwrap()
     }
@@ -109,13 +109,13 @@ impl Drop for Simulated {
 }
 
 /// `mocapd record` under way.
-pub(super) struct Recorder {
+pub(crate) struct Recorder {
     child: Child,
 }
 
 impl Recorder {
     /// Starts recording into `take`, and waits until a frame is on disk.
-    pub(super) fn start(folder: &Folder, device: &Simulated, take: &str, more: &[&str]) -> Self {
+    pub(crate) fn start(folder: &Folder, device: &Simulated, take: &str, more: &[&str]) -> Self {
         let uri = device.uri();
         let args = [&["record", "-d", &uri, "-o", take], more].concat();
         let mut recorder = Self { child: folder.command(&args).spawn().unwrap() };
@@ -134,12 +134,12 @@ impl Recorder {
         }
     }
 
-    pub(super) fn signal(&self, signal: Signal) {
+    pub(crate) fn signal(&self, signal: Signal) {
         kill_process(Pid::from_child(&self.child), signal).unwrap();
     }
 
     /// Waits until it has said this.
-    pub(super) fn hears(&mut self, words: &str) {
+    pub(crate) fn hears(&mut self, words: &str) {
         let begun = Instant::now();
         let mut said = Vec::new();
         let mut byte = [0];
@@ -151,7 +151,7 @@ impl Recorder {
     }
 
     /// Waits for its end.
-    pub(super) fn wait(&mut self) -> Ran {
+    pub(crate) fn wait(&mut self) -> Ran {
         let status = self.status();
         let mut ran = Ran { code: status.code(), stdout: String::new(), stderr: String::new() };
         self.child.stdout.as_mut().unwrap().read_to_string(&mut ran.stdout).unwrap();
@@ -179,15 +179,15 @@ impl Drop for Recorder {
 }
 
 /// A pty whose far end the test holds: what is behind it is the test's.
-pub(super) struct RawLine {
-    pub(super) master: OwnedFd,
+pub(crate) struct RawLine {
+    pub(crate) master: OwnedFd,
     /// Kept open, so that the line is not hung up between two hosts.
     _slave: OwnedFd,
-    pub(super) path: PathBuf,
+    pub(crate) path: PathBuf,
 }
 
 impl RawLine {
-    pub(super) fn open() -> Self {
+    pub(crate) fn open() -> Self {
         let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
         let master = openpt(flags).unwrap();
         grantpt(&master).unwrap();
@@ -203,7 +203,7 @@ impl RawLine {
         Self { master, _slave: slave.unwrap(), path }
     }
 
-    pub(super) fn uri(&self) -> String {
+    pub(crate) fn uri(&self) -> String {
         format!("serial:{}", self.path.display())
     }
 }

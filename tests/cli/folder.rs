@@ -17,10 +17,10 @@ use mocapd_take::{
 
 /// What a run of the program came to.
 #[derive(Debug)]
-pub(super) struct Ran {
-    pub(super) code: Option<i32>,
-    pub(super) stdout: String,
-    pub(super) stderr: String,
+pub(crate) struct Ran {
+    pub(crate) code: Option<i32>,
+    pub(crate) stdout: String,
+    pub(crate) stderr: String,
 }
 
 impl From<Output> for Ran {
@@ -37,70 +37,70 @@ impl From<Output> for Ran {
 impl Ran {
     /// Itself, when it ended with `code`.
     #[track_caller]
-    pub(super) fn with_code(self, code: i32) -> Self {
+    pub(crate) fn with_code(self, code: i32) -> Self {
         assert_eq!(self.code, Some(code), "{}{}", self.stdout, self.stderr);
         self
     }
 
     /// Its standard output as the one JSON document that it is.
     #[track_caller]
-    pub(super) fn json(&self) -> serde_json::Value {
+    pub(crate) fn json(&self) -> serde_json::Value {
         serde_json::from_str(&self.stdout).unwrap_or_else(|e| panic!("{e}: {}", self.stdout))
     }
 }
 
 /// A temporary folder: the program's working folder, so that arguments are plain names.
 #[derive(Debug)]
-pub(super) struct Folder(tempfile::TempDir);
+pub(crate) struct Folder(tempfile::TempDir);
 
 impl Folder {
-    pub(super) fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self(tempfile::tempdir().unwrap())
     }
 
-    pub(super) fn path(&self, name: &str) -> PathBuf {
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
         self.0.path().join(name)
     }
 
-    pub(super) fn write(&self, name: &str, bytes: impl AsRef<[u8]>) {
+    pub(crate) fn write(&self, name: &str, bytes: impl AsRef<[u8]>) {
         fs::write(self.path(name), bytes).unwrap();
     }
 
-    pub(super) fn read(&self, name: &str) -> Vec<u8> {
+    pub(crate) fn read(&self, name: &str) -> Vec<u8> {
         fs::read(self.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
     }
 
-    pub(super) fn text(&self, name: &str) -> String {
+    pub(crate) fn text(&self, name: &str) -> String {
         String::from_utf8(self.read(name)).unwrap()
     }
 
     /// Writes a motion in the format that the name's ending says.
-    pub(super) fn write_motion(&self, name: &str, motion: &Motion) {
+    pub(crate) fn write_motion(&self, name: &str, motion: &Motion) {
         self.write(name, file_of(Path::new(name), motion));
     }
 
     /// The program, to be run here.
-    pub(super) fn command<S: AsRef<OsStr>>(&self, args: &[S]) -> Command {
+    pub(crate) fn command<S: AsRef<OsStr>>(&self, args: &[S]) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_mocapd"));
         command.args(args).current_dir(self.0.path());
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         command
     }
 
-    pub(super) fn run(&self, args: &[&str]) -> Ran {
+    pub(crate) fn run(&self, args: &[&str]) -> Ran {
         self.command(args).output().unwrap().into()
     }
 
     /// Runs what must fail: with `code`, nothing on stdout, one line on stderr, and the folder untouched.
     /// Returns the line.
     #[track_caller]
-    pub(super) fn refuses(&self, args: &[&str], code: i32) -> String {
+    pub(crate) fn refuses(&self, args: &[&str], code: i32) -> String {
         self.refused(self.command(args), code)
     }
 
     /// The same of a command that is not just the program.
     #[track_caller]
-    pub(super) fn refused(&self, mut command: Command, code: i32) -> String {
+    pub(crate) fn refused(&self, mut command: Command, code: i32) -> String {
         let before = self.content();
         let ran: Ran = command.output().unwrap().into();
         let words = ran.stderr.clone();
@@ -116,7 +116,7 @@ impl Folder {
     }
 
     /// Every name, hidden ones too, with its bytes; a folder or a link has its kind instead.
-    pub(super) fn content(&self) -> BTreeMap<PathBuf, Vec<u8>> {
+    pub(crate) fn content(&self) -> BTreeMap<PathBuf, Vec<u8>> {
         let mut content = BTreeMap::new();
         let mut folders = vec![self.0.path().to_owned()];
         while let Some(folder) = folders.pop() {

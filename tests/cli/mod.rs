@@ -7,7 +7,7 @@ mod bad_files;
 mod configs;
 mod damaged_takes;
 mod demo;
-mod devices;
+pub(crate) mod devices;
 mod documents;
 mod exports;
 mod faults;

@@ -18,6 +18,7 @@ mod hub;
 mod names;
 mod options;
 mod quality;
+mod recoveries;
 mod session;
 mod status;
 mod supervisor;
@@ -105,14 +106,22 @@ impl Engine {
             sessions: AtomicU64::new(0),
         });
         lock(&inner.core).wanted = arm_at_start;
+        let cut_off = recoveries::cut_off(&inner);
         let (hub, sessions) = Hub::new(&inner);
         let supervised = Arc::clone(&inner);
         let watched = Arc::clone(&inner);
-        let threads = vec![
+        let mut threads = Vec::new();
+        if !cut_off.is_empty() {
+            let inner = Arc::clone(&inner);
+            let run = move || recoveries::run(&inner, cut_off);
+            // It ends by itself, or when the service does.
+            drop(threads::spawn("mocapd-recover", run)?);
+        }
+        threads.extend([
             threads::spawn("mocapd-hub", move || hub.run())?,
             threads::spawn("mocapd-rig", move || supervisor::run(&supervised, &sessions))?,
             threads::spawn("mocapd-watch", move || watcher::run(&watched))?,
-        ];
+        ]);
         Ok(Self { inner, threads: Mutex::new(threads) })
     }
 
@@ -125,7 +134,7 @@ impl Engine {
     }
 
     /// Finishes the take, stops the device, and ends the threads.
-    pub fn stop(&self) {
+    pub fn stop_service(&self) {
         self.inner.shut_down();
         let until = Instant::now() + STOP_WITHIN;
         for thread in lock(&self.threads).drain(..) {
@@ -149,7 +158,7 @@ impl Engine {
 
 impl Drop for Engine {
     fn drop(&mut self) {
-        self.stop();
+        self.stop_service();
     }
 }
 

@@ -2,14 +2,18 @@
 
 use std::{fmt, path::PathBuf, sync::Arc, time::Duration};
 
+use anyhow::anyhow;
+use jiff::Zoned;
 use mocapd_codec::Settings;
-use mocapd_drivers::uri::DeviceUri;
+use mocapd_drivers::{registry, uri::DeviceUri};
+
+use crate::config::{Config, DeviceChoice, NameParts, choose};
 
 /// Which device it is, looked up whenever it is opened.
 pub type FindDevice = Arc<dyn Fn() -> anyhow::Result<DeviceUri> + Send + Sync>;
 
 /// Names a take that nobody named; of names that exist, the next is asked for.
-pub type NameTake = Arc<dyn Fn(u32) -> String + Send + Sync>;
+pub(super) type NameTake = Arc<dyn Fn(u32) -> String + Send + Sync>;
 
 /// The engine's part of a configuration.
 #[derive(Clone)]
@@ -46,6 +50,44 @@ pub struct EngineOptions {
     pub include_pre_roll: Duration,
     /// Bytes that it may hold.
     pub memory_max_bytes: u64,
+}
+
+impl EngineOptions {
+    /// As a configuration has them.
+    #[must_use]
+    pub fn of(config: &Config) -> Self {
+        let (choice, rig) = (config.device.uri.clone(), config.rig_name.clone());
+        let (template, name) = (config.take.name.clone(), rig.clone());
+        Self {
+            rig,
+            device: match &choice {
+                DeviceChoice::Auto => "auto".to_owned(),
+                DeviceChoice::At(uri) => uri.to_string(),
+            },
+            find_device: Arc::new(move || match &choice {
+                DeviceChoice::At(uri) => Ok(uri.clone()),
+                DeviceChoice::Auto => {
+                    choose(&choice, &registry::devices()?).map_err(|e| anyhow!(e))
+                }
+            }),
+            rate_hz: config.device.rate_hz,
+            directory: config.take.directory.clone(),
+            name_take: Arc::new(move |count| {
+                let (begin, count) = (Zoned::now().datetime(), u64::from(count));
+                template.fill(&NameParts { begin, rig: &name, count })
+            }),
+            codec: config.take.codec,
+            stretch: config.take.stretch,
+            sync: config.take.sync,
+            keep_free_bytes: config.take.keep_free_bytes,
+            reconnect: config.take.reconnect,
+            max_length: config.take.max_length,
+            arm_at_start: config.arm.at_start,
+            pre_roll: config.arm.pre_roll,
+            include_pre_roll: config.arm.include_pre_roll,
+            memory_max_bytes: config.arm.memory_max_bytes,
+        }
+    }
 }
 
 impl fmt::Debug for EngineOptions {

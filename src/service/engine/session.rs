@@ -80,6 +80,8 @@ pub(super) struct OpenTake {
 /// Figures that are measured now and then; f64 by their bits.
 #[derive(Debug, Default)]
 pub(super) struct Rates {
+    /// The session that `frames_hz` is of, from its beginning to its end; 0: of none.
+    pub(super) session: AtomicU64,
     pub(super) frames_hz: AtomicU64,
     pub(super) cpu_cores: AtomicU64,
 }

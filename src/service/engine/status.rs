@@ -34,10 +34,10 @@ impl Core {
         }
     }
 
-    fn presence(&self, measured_hz: f64) -> &'static str {
+    fn presence(&self, measured_hz: f64, measured_in: u64) -> &'static str {
         match &self.session {
             Some(session) if session.progress.is_away.load(Ordering::Relaxed) => "absent",
-            Some(session) if measured_hz == 0.0 && get(&session.progress.frames) > 0 => "silent",
+            Some(session) if measured_hz == 0.0 && measured_in == session.number => "silent",
             Some(_) => "streaming",
             None if self.device.present => "present",
             None => "absent",
@@ -62,7 +62,7 @@ impl Inner {
             uptime_s: self.began.elapsed().as_secs_f64(),
             device: DeviceStatus {
                 uri: core.device.uri.clone(),
-                presence: core.presence(measured_hz).to_owned(),
+                presence: core.presence(measured_hz, get(&self.rates.session)).to_owned(),
                 model: core.device.hello.model.clone(),
                 serial: core.device.hello.serial.clone(),
                 firmware: core.device.hello.firmware.clone(),

@@ -106,7 +106,9 @@ impl Measured {
         let cpu_s = process::usage(None).map_or(0.0, |usage| usage.cpu_s);
         if let Some((at, session, before, cpu_before_s)) = self.last {
             let passed_s = now.duration_since(at).as_secs_f64();
-            let came = if session == number { frames.saturating_sub(before) } else { frames };
+            let is_same = session == number;
+            let came = if is_same { frames.saturating_sub(before) } else { frames };
+            inner.rates.session.store(if is_same { number } else { 0 }, Ordering::Relaxed);
             let put = |to: &std::sync::atomic::AtomicU64, rate: f64| {
                 to.store(rate.to_bits(), Ordering::Relaxed);
             };

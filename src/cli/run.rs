@@ -1,0 +1,169 @@
+//! `run`: the service, until it is told to stop.
+
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use anyhow::Context;
+use mocapd::{
+    config::{CONFIG_PATH, Config, ConfigError, LogLevel, Overrides},
+    heartbeat::Heartbeat,
+    outcome::{Outcome, UsageError},
+    service::{
+        control::Control,
+        engine::{Engine, EngineOptions},
+        log::{Level, Log},
+        notify::Notifier,
+    },
+};
+use signal_hook::{
+    consts::{SIGHUP, SIGINT, SIGTERM},
+    iterator::Signals,
+};
+
+use super::output::say;
+
+/// Between two looks at signals, and at what systemd is told.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+const TELL_EVERY: Duration = Duration::from_secs(1);
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The configuration
+    #[arg(long, value_name = "FILE", default_value = CONFIG_PATH)]
+    config: PathBuf,
+    /// The device, whatever the configuration says: serial:PATH[@BAUD], usb:VID:PID[:SERIAL], or auto
+    #[arg(long, value_name = "DEVICE")]
+    device: Option<String>,
+    /// The takes' folder, whatever the configuration says
+    #[arg(long, value_name = "FOLDER")]
+    directory: Option<String>,
+    /// The TCP address, whatever the configuration says
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    listen: Option<String>,
+}
+
+impl Args {
+    fn load(&self) -> Result<Config, ConfigError> {
+        let overrides = Overrides {
+            device: self.device.clone(),
+            directory: self.directory.clone(),
+            listen: self.listen.clone(),
+        };
+        Config::load(&self.config, &overrides)
+    }
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
+    let config = args.load().map_err(|error| match error {
+        ConfigError::Refused { .. } => UsageError(error.to_string()).into(),
+        error => anyhow::Error::from(error),
+    })?;
+    #[cfg(feature = "fault-hooks")]
+    mocapd::fault_hooks::install()?;
+    // Before anything is started: no signal is missed.
+    let mut signals =
+        Signals::new([SIGHUP, SIGINT, SIGTERM]).context("cannot watch for signals")?;
+    make_directory(&config.take.directory)?;
+    let log = Log::start(level(config.log_level), &config.rig_name, std::io::stderr)?;
+    let heartbeat = Heartbeat::default();
+    let engine = Arc::new(Engine::start(EngineOptions::of(&config), &heartbeat)?);
+    let doors = Doors::open(&config, &engine)?;
+    let mut notifier = Notifier::default();
+    notifier.ready(&engine.status().words());
+    let pings = Notifier::watch(&heartbeat)?;
+    let mut running = Running { args, config, log, engine, notifier };
+    let outcome = running.until_stopped(&mut signals);
+    running.notifier.stopping("finishing the take");
+    running.engine.stop_service();
+    doors.close();
+    drop(pings);
+    outcome.map(|()| Outcome::Done)
+}
+
+/// Ways in.
+struct Doors {}
+
+impl Doors {
+    fn open(_config: &Config, _engine: &Arc<Engine>) -> anyhow::Result<Self> {
+        Ok(Self {})
+    }
+
+    fn close(self) {}
+}
+
+struct Running<'a> {
+    args: &'a Args,
+    config: Config,
+    log: Log,
+    engine: Arc<Engine>,
+    notifier: Notifier,
+}
+
+impl Running<'_> {
+    fn until_stopped(&mut self, signals: &mut Signals) -> anyhow::Result<()> {
+        let mut told = Instant::now();
+        loop {
+            for signal in signals.pending() {
+                match signal {
+                    SIGHUP => self.reload(),
+                    _ => return Ok(()),
+                }
+            }
+            if self.engine.has_died() {
+                anyhow::bail!("a thread of the service has ended: this is a bug in mocapd");
+            }
+            if told.elapsed() >= TELL_EVERY {
+                told = Instant::now();
+                self.notifier.status(&self.engine.status().words());
+            }
+            std::thread::sleep(LOOK_EVERY);
+        }
+    }
+
+    /// A configuration that cannot be meant changes nothing.
+    fn reload(&mut self) {
+        self.notifier.reloading();
+        match self.args.load() {
+            Ok(config) => self.take_over(config),
+            Err(error) => tracing::error!("the configuration stays as it was: {error}"),
+        }
+        self.notifier.ready(&self.engine.status().words());
+    }
+
+    fn take_over(&mut self, config: Config) {
+        let changes = self.config.changes(&config);
+        for change in &changes {
+            tracing::info!("{}: {}", change.key, change.when.words());
+        }
+        if let Err(error) = make_directory(&config.take.directory) {
+            tracing::error!("the configuration stays as it was: {error:#}");
+            return;
+        }
+        self.log.set_level(level(config.log_level));
+        self.engine.reload(EngineOptions::of(&config));
+        self.config = config;
+    }
+}
+
+fn make_directory(directory: &Path) -> anyhow::Result<()> {
+    let cannot = || format!("cannot make the takes' folder {}", directory.display());
+    if directory.exists() {
+        return Ok(());
+    }
+    std::fs::create_dir_all(directory).with_context(cannot)?;
+    say(&format!("made the folder {}", directory.display()));
+    Ok(())
+}
+
+fn level(level: LogLevel) -> Level {
+    match level {
+        LogLevel::Error => Level::Error,
+        LogLevel::Warn => Level::Warn,
+        LogLevel::Info => Level::Info,
+        LogLevel::Debug => Level::Debug,
+        LogLevel::Trace => Level::Trace,
+    }
+}

@@ -1,0 +1,268 @@
+//! The engine's answers are true: what it says is on disk is there, and what it refuses has left nothing behind.
+
+use std::{path::Path, sync::Arc, time::Duration};
+
+use mocapd::{
+    heartbeat::Heartbeat,
+    inspect::Summary,
+    service::{
+        control::{Control, Mark, RefusalKind, Request, SaveLast, Start},
+        engine::{Engine, EngineOptions},
+        live::LiveMessage,
+        status::State,
+    },
+};
+
+use crate::{
+    cli::devices::Simulated,
+    support::{dense, jump},
+};
+
+fn options(directory: &Path, device: &Path) -> EngineOptions {
+    let uri: mocapd_drivers::uri::DeviceUri =
+        format!("serial:{}", device.display()).parse().unwrap();
+    EngineOptions {
+        rig: "test".to_owned(),
+        device: uri.to_string(),
+        find_device: Arc::new(move || Ok(uri.clone())),
+        rate_hz: None,
+        directory: directory.to_owned(),
+        name_take: Arc::new(|count| format!("take-{count}")),
+        codec: dense(1.0),
+        stretch: Duration::from_millis(500),
+        sync: Duration::from_millis(500),
+        keep_free_bytes: 0,
+        reconnect: Duration::from_secs(20),
+        max_length: None,
+        arm_at_start: false,
+        pre_roll: Duration::from_secs(5),
+        include_pre_roll: Duration::ZERO,
+        memory_max_bytes: 64 << 20,
+    }
+}
+
+struct Room {
+    directory: tempfile::TempDir,
+    device: Simulated,
+    engine: Engine,
+}
+
+fn room(change: impl FnOnce(&mut EngineOptions)) -> Room {
+    let directory = tempfile::tempdir().unwrap();
+    let device = Simulated::endless(jump(1, 120.0, 3.0));
+    let mut options = options(directory.path(), &device.path);
+    change(&mut options);
+    let engine = Engine::start(options, &Heartbeat::default()).unwrap();
+    Room { directory, device, engine }
+}
+
+fn request() -> Request {
+    Request::default()
+}
+
+fn named(name: &str) -> Start {
+    Start { name: Some(name.to_owned()), ..Start::default() }
+}
+
+/// A whole take that nothing is wrong with.
+fn read(path: &Path) -> Summary {
+    let summary = Summary::read(std::fs::File::open(path).unwrap()).unwrap();
+    assert_eq!((summary.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
+    assert!(summary.ledger.as_ref().unwrap().finished);
+    summary
+}
+
+fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
+    for _ in 0..1500 {
+        if is_so() {
+            return;
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    panic!("{what} did not come");
+}
+
+#[test]
+fn a_take_is_there_when_start_says_so_and_whole_when_stop_does() {
+    let Room { directory, device, engine } = room(|_| {});
+    assert_eq!(engine.status().state, State::Idle);
+    let started = engine.start(&named("walk")).unwrap();
+    assert_eq!(started.path, directory.path().join("walk.take"));
+    let half = Summary::read(std::fs::File::open(&started.path).unwrap()).unwrap();
+    assert!(half.samples() > 0, "its first frames are in the file");
+    let status = engine.status();
+    assert_eq!((status.state, status.device.presence.as_str()), (State::Recording, "streaming"));
+    assert_eq!(status.take.unwrap().name, "walk");
+    assert_eq!(engine.start(&named("other")).unwrap_err().kind, RefusalKind::Conflict);
+    assert_eq!(engine.disarm(&request()).unwrap_err().kind, RefusalKind::Conflict);
+    std::thread::sleep(Duration::from_millis(700));
+    let marked = engine.mark(&Mark { text: "heel strike".to_owned(), ..Mark::default() }).unwrap();
+    std::thread::sleep(Duration::from_millis(100));
+    let stopped = engine.stop(&request()).unwrap();
+    let summary = read(&started.path);
+    assert_eq!(stopped.bytes, started.path.metadata().unwrap().len());
+    assert_eq!(stopped.ledger.recorded, summary.ledger.as_ref().unwrap().recorded);
+    assert!(stopped.ledger.closes && stopped.seconds > 0.7, "{stopped:?}");
+    let mark = summary.events.iter().find(|event| event.text == "heel strike").unwrap();
+    assert_eq!(mark.row, marked.row);
+    assert!(mark.row > 0 && mark.row < stopped.rows);
+    // It goes on from there, at once.
+    assert_eq!(engine.status().state, State::Armed);
+    assert_eq!(engine.start(&named("walk")).unwrap_err().kind, RefusalKind::Exists);
+    let again = engine.start(&Start::default()).unwrap();
+    assert_eq!(again.name, "take-1");
+    engine.stop(&request()).unwrap();
+    read(&again.path);
+    assert_eq!(engine.stop(&request()).unwrap_err().kind, RefusalKind::Conflict);
+    let names: Vec<_> = engine.takes(9).unwrap().into_iter().map(|take| take.name).collect();
+    assert_eq!(names, ["take-1", "walk"]);
+    assert_eq!(engine.disarm(&request()).unwrap().state, State::Idle);
+    drop(engine);
+    assert_eq!(device.unplug().starts, 1, "one start of the device for all of it");
+}
+
+#[test]
+fn the_pre_roll_is_in_the_take_and_can_be_saved_after_the_fact() {
+    let Room { directory: _directory, device: _device, engine } =
+        room(|options| options.arm_at_start = true);
+    wait_until("the pre-roll", || engine.status().pre_roll.held_s > 4.0);
+    let start = Start { pre_roll_s: Some(2.0), ..named("early") };
+    let started = engine.start(&start).unwrap();
+    assert!((2.0..3.7).contains(&started.first_frame.before_request_s), "{started:?}");
+    let save = SaveLast { seconds: 3.0, name: Some("last".to_owned()), ..SaveLast::default() };
+    let saved = engine.save_last(&save).unwrap();
+    assert!((2.9..4.9).contains(&saved.seconds), "{saved:?}");
+    read(&saved.path);
+    let stopped = engine.stop(&request()).unwrap();
+    assert!(stopped.seconds > 2.0);
+    read(&started.path);
+    let long = Start { pre_roll_s: Some(600.0), ..named("long") };
+    let started = engine.start(&long).unwrap();
+    assert_eq!(started.remarks.len(), 1, "{started:?}");
+    engine.stop(&request()).unwrap();
+    assert!(read(&started.path).samples() > 0);
+}
+
+#[test]
+fn a_request_that_comes_twice_is_carried_out_once() {
+    let Room { directory: _directory, device: _device, engine } = room(|_| {});
+    let id = |id: &str| Some(id.to_owned());
+    let start = Start { request_id: id("a"), ..Start::default() };
+    let first = engine.start(&start).unwrap();
+    assert_eq!(engine.start(&start).unwrap(), first);
+    let stop = Request { request_id: id("b") };
+    let stopped = engine.stop(&stop).unwrap();
+    assert_eq!(engine.stop(&stop).unwrap(), stopped);
+    assert_eq!(engine.start(&start).unwrap(), first, "long over, and not begun again");
+    assert_eq!(engine.status().state, State::Armed);
+    let other = Request { request_id: id("a") };
+    assert_eq!(engine.stop(&other).unwrap_err().kind, RefusalKind::Invalid);
+}
+
+#[test]
+fn a_device_that_is_absent_is_waited_for_and_one_that_comes_back_goes_on_in_the_take() {
+    let directory = tempfile::tempdir().unwrap();
+    let link = directory.path().join("device");
+    let mut options = options(directory.path(), &link);
+    options.arm_at_start = true;
+    let engine = Engine::start(options, &Heartbeat::default()).unwrap();
+    let refused = engine.start(&named("early")).unwrap_err();
+    assert_eq!(refused.kind, RefusalKind::Device, "{refused}");
+    assert!(!directory.path().join("early.take").exists());
+    assert!(engine.status().device.obstacle.is_some());
+    let motion = jump(2, 120.0, 3.0);
+    let device = Simulated::endless_at(&link, "A", motion.clone());
+    wait_until("the device", || engine.status().state == State::Armed);
+    let started = engine.start(&named("unplugged")).unwrap();
+    std::thread::sleep(Duration::from_millis(300));
+    device.unplug();
+    wait_until("the outage", || engine.status().device.presence == "absent");
+    assert_eq!(engine.status().state, State::Recording);
+    let _device = Simulated::endless_at(&link, "A", motion);
+    wait_until("its return", || engine.status().device.outages == 1);
+    std::thread::sleep(Duration::from_millis(300));
+    let stopped = engine.stop(&request()).unwrap();
+    assert!(stopped.ledger.unknown_after_disconnect > 0, "{stopped:?}");
+    read(&started.path);
+}
+
+#[test]
+fn the_take_is_finished_when_the_service_stops_and_when_its_time_is_up() {
+    let Room { directory, device: _device, engine } =
+        room(|options| options.max_length = Some(Duration::from_millis(800)));
+    let events = engine.events();
+    let long = engine.start(&named("long")).unwrap();
+    wait_until("the end", || engine.status().state == State::Armed);
+    assert!(read(&long.path).samples() > 0);
+    let mut told = Vec::new();
+    while let Some(event) = events.next(Duration::from_millis(100)) {
+        told.push(event.message.clone());
+    }
+    assert!(told.iter().any(|words| words.contains("closed (length)")), "{told:?}");
+    let open = engine.start(&named("open")).unwrap();
+    engine.stop_service();
+    assert!(read(&open.path).samples() > 0);
+    let refused = engine.start(&named("late")).unwrap_err();
+    assert_eq!(refused.kind, RefusalKind::Unavailable);
+    assert!(!directory.path().join("late.take").exists());
+}
+
+#[test]
+fn viewers_see_the_newest_frames_and_a_slow_one_costs_nothing() {
+    let Room { directory: _directory, device: _device, engine } =
+        room(|options| options.arm_at_start = true);
+    let (quick, slow) = (engine.live(), engine.live());
+    let mut frames = 0;
+    let mut tables = 0;
+    let mut last = 0;
+    for _ in 0..60 {
+        match quick.next(Duration::from_secs(10)).unwrap() {
+            LiveMessage::Table(table) => {
+                tables += 1;
+                assert_eq!(table.labels.len(), 15);
+                assert!(!table.bones.is_empty());
+            }
+            LiveMessage::Frame(frame) => {
+                assert_eq!(frame.positions_mm.len(), 15);
+                assert!(frame.row >= last);
+                last = frame.row;
+                frames += 1;
+            }
+        }
+    }
+    assert_eq!((tables, frames), (1, 59));
+    assert!(matches!(slow.next(Duration::ZERO), Some(LiveMessage::Table(_))));
+    let mut newest = 0;
+    while let Some(LiveMessage::Frame(frame)) = slow.next(Duration::ZERO) {
+        newest = frame.row;
+    }
+    assert!(newest + 60 > last, "what waited for it is recent: {newest} of {last}");
+    let quality = engine.quality();
+    assert_eq!(quality.len(), 15);
+    assert!(quality.iter().all(|marker| marker.visible > 0.5), "{quality:?}");
+}
+
+#[test]
+fn takes_that_a_kill_left_without_an_end_are_closed_when_the_service_starts() {
+    let Room { directory, device, engine } = room(|_| {});
+    let started = engine.start(&named("killed")).unwrap();
+    std::thread::sleep(Duration::from_millis(1200));
+    let killed = std::fs::read(&started.path).unwrap();
+    engine.stop(&request()).unwrap();
+    drop(engine);
+    std::fs::write(&started.path, &killed).unwrap();
+    let engine =
+        Engine::start(options(directory.path(), &device.path), &Heartbeat::default()).unwrap();
+    let recovered = directory.path().join("killed.recovered.take");
+    wait_until("the recovery", || recovered.exists());
+    assert!(read(&recovered).samples() > 0);
+    assert_eq!(std::fs::read(&started.path).unwrap(), killed, "what was written stays as it is");
+    let takes = engine.takes(9).unwrap();
+    let health = |name: &str| takes.iter().find(|take| take.name == name).unwrap().health.clone();
+    assert_eq!(
+        (health("killed"), health("killed.recovered")),
+        ("cut off".into(), "complete".into())
+    );
+    assert_eq!(engine.take_path("../killed").unwrap_err().kind, RefusalKind::Invalid);
+    assert_eq!(engine.take_path("none").unwrap_err().kind, RefusalKind::NotFound);
+}

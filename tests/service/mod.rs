@@ -1,0 +1,3 @@
+//! The service: an engine and a simulated device on a line.
+
+mod engine;
