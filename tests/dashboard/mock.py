@@ -1,0 +1,228 @@
+#!/usr/bin/env python3
+"""The service's HTTP API without a rig: for work on the page, and for its tests. Plain Python, nothing to install.
+
+    tests/dashboard/mock.py                                # http://127.0.0.1:8820, 200 markers, armed
+    tests/dashboard/mock.py --scenario lossy --markers 39
+    tests/dashboard/mock.py --token secret                 # asks who is there
+
+`POST /mock` with JSON sets what goes wrong (see FAULTS in mock_rig.py) or the state (`{"fail": "why"}`).
+"""
+
+import argparse
+import json
+import math
+import secrets
+import struct
+import sys
+import time
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from urllib.parse import parse_qs, unquote, urlsplit
+
+from mock_rig import FAULTS, Refused, Rig
+
+HERE = Path(__file__).resolve().parent
+#: What is served, by the folder that the path names: the page, and the tests of its modules.
+FOLDERS = {"/": HERE.parents[1] / "web", "/units/": HERE / "units"}
+TYPES = {".html": "text/html; charset=utf-8", ".js": "text/javascript; charset=utf-8",
+         ".css": "text/css; charset=utf-8", ".svg": "image/svg+xml", ".png": "image/png"}
+LOGIN = b"""<!doctype html><title>mocapd: log in</title><form method="post" action="/login">
+<label>Token <input type="password" name="token" required autofocus></label><button>Log in</button></form>"""
+CODES = {"invalid": 400, "not_found": 404, "conflict": 409, "exists": 409, "device": 503, "disk": 507,
+         "unavailable": 503, "internal": 500}
+
+
+class Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    disable_nagle_algorithm = True
+    rig = token = None
+
+    def log_message(self, *_):
+        pass
+
+    def answer(self, code, body, kind="application/json", extra=()):
+        data = body if isinstance(body, bytes) else json.dumps(body).encode()
+        self.send_response(code)
+        for name, value in (("Content-Type", kind), ("Content-Length", str(len(data))), ("Cache-Control", "no-store"),
+                            ("Content-Security-Policy", "default-src 'self'"), *extra):
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(data)
+
+    def is_known(self):
+        return self.token is None or f"mocapd_session={self.rig.cookie}" in self.headers.get("Cookie", "")
+
+    def do_GET(self):
+        url = urlsplit(self.path)
+        if url.path == "/login":
+            return self.answer(200, LOGIN, "text/html; charset=utf-8")
+        if not self.is_known() and "text/html" in self.headers.get("Accept", ""):
+            return self.answer(303, b"", extra=[("Location", "/login")])
+        if not url.path.startswith("/v1/"):
+            folder, _, name = url.path.rpartition("/")
+            file = FOLDERS.get(folder + "/", HERE / "nowhere") / (name or "index.html")
+            if file.is_file():
+                return self.answer(200, file.read_bytes(), TYPES.get(file.suffix, "application/octet-stream"))
+            return self.answer(404, {"kind": "not_found", "message": f"there is no {url.path}"})
+        if not self.is_known():
+            return self.answer(401, {"kind": "unauthorized", "message": "who is there? log in with the token"})
+        if url.path == "/v1/live":
+            return self.live()
+        if url.path == "/v1/events":
+            return self.events()
+        with self.rig.lock:
+            if url.path == "/v1/status":
+                return self.answer(200, self.rig.status())
+            if url.path == "/v1/quality":
+                return self.answer(200, self.rig.quality())
+            if url.path == "/v1/takes":
+                limit = int(parse_qs(url.query).get("limit", ["50"])[0])
+                return self.answer(200, self.rig.takes[:limit])
+        if url.path.startswith("/v1/takes/") and url.path.endswith("/download"):
+            name = unquote(url.path.split("/")[3])
+            return self.answer(200, b"mock take\n", "application/octet-stream",
+                               [("Content-Disposition", f'attachment; filename="{name}.take"')])
+        return self.answer(404, {"kind": "not_found", "message": f"there is no {url.path}"})
+
+    def do_POST(self):
+        data = self.rfile.read(int(self.headers.get("Content-Length") or 0))
+        rig, path = self.rig, urlsplit(self.path).path
+        if path == "/login":
+            return self.login(parse_qs(data.decode()).get("token", [""])[0])
+        body = json.loads(data or b"{}")
+        if path == "/mock":
+            with rig.lock:
+                if "fail" in body:
+                    rig.fail(body.pop("fail"))
+                if body.pop("log_out", False):
+                    rig.cookie = secrets.token_hex(8)
+                rig.faults.update({key: value for key, value in body.items() if key in FAULTS})
+            return self.answer(200, {})
+        if not self.is_known():
+            return self.answer(401, {"kind": "unauthorized", "message": "who is there? log in with the token"})
+        time.sleep(rig.faults["delay_s"])
+        with rig.lock:
+            key = body.get("request_id")
+            if key not in rig.answers:
+                rig.answers[key] = self.carry_out(path, body)
+            if rig.faults["lose_answers"] > 0:
+                rig.faults["lose_answers"] -= 1
+                self.close_connection = True
+                return None
+            return self.answer(*rig.answers[key])
+
+    def login(self, token):
+        if token != self.token:
+            return self.answer(401, {"kind": "unauthorized", "message": "that is not the token"})
+        cookie = f"mocapd_session={self.rig.cookie}; Path=/; HttpOnly; SameSite=Strict"
+        return self.answer(303, b"", extra=[("Set-Cookie", cookie), ("Location", "/")])
+
+    def carry_out(self, path, body):
+        rig = self.rig
+        calls = {"/v1/arm": rig.arm, "/v1/disarm": rig.disarm, "/v1/start": rig.start, "/v1/stop": rig.stop,
+                 "/v1/mark": rig.mark, "/v1/save-last": rig.save_last}
+        try:
+            if rig.faults["refuse"]:
+                raise Refused(*rig.faults["refuse"])
+            if path.startswith("/v1/takes/") and path.endswith("/verify"):
+                return 200, self.verify(unquote(path.split("/")[3]))
+            if path not in calls:
+                raise Refused("not_found", f"there is no {path}")
+            return 200, calls[path](body) or rig.status()
+        except Refused as refused:
+            return CODES[refused.kind], {"kind": refused.kind, "message": refused.message}
+
+    def verify(self, name):
+        for take in self.rig.takes:
+            if take["name"] == name:
+                take["health"] = "complete" if take["health"] == "unknown" else take["health"]
+                take["seconds"], take["markers"] = take["seconds"] or 12.5, len(self.rig.body.labels)
+                samples = int(take["seconds"] * self.rig.rate_hz) * take["markers"]
+                return {"name": name, "health": take["health"], "seconds": take["seconds"], "samples": samples,
+                        "tolerance_mm": 0.5, "max_error_mm": 0.499, "contradictions": [],
+                        "problems": ["no footer"] if take["health"] == "cut off" else []}
+        raise Refused("not_found", f"there is no take {name}")
+
+    def stream(self, kind):
+        self.send_response(200)
+        self.send_header("Content-Type", kind)
+        self.send_header("Cache-Control", "no-store")
+        self.send_header("Transfer-Encoding", "chunked")
+        self.close_connection = True
+        self.end_headers()
+
+    def chunk(self, data):
+        self.wfile.write(f"{len(data):x}\r\n".encode() + data + b"\r\n")
+        self.wfile.flush()
+
+    def live(self):
+        rig, body = self.rig, self.rig.body
+        table = {"labels": body.labels, "labelled": body.labelled, "up_axis": 3, "rate_hz": rig.rate_hz,
+                 "bones": body.bones}
+        self.stream("application/octet-stream")
+        data = b"\x01" + json.dumps(table).encode()
+        nothing = (math.nan,) * 3
+        try:
+            self.chunk(struct.pack("<I", len(data)) + data)
+            due = started = time.time()
+            while True:
+                due = max(due + 1 / 30, time.time() - 0.1)
+                time.sleep(max(0.0, due - time.time()))
+                if rig.faults["cut_streams"] > started:
+                    return
+                if rig.armed_at is None or rig.faults["frozen"] or rig.faults["presence"] != "streaming":
+                    continue
+                now = time.time()
+                t = now - rig.armed_at
+                row = int(t * rig.rate_hz)
+                values = [value for at in body.positions(t) for value in (at or nothing)]
+                frame = struct.pack(f"<B3xQQQ{len(values)}f", 2, row, row * 1000, int(now * 1e6), *values)
+                self.chunk(struct.pack("<I", len(frame)) + frame)
+        except (BrokenPipeError, ConnectionResetError):
+            pass
+
+    def events(self):
+        """As the service does it: ids are `RUN-NUMBER`, and one of another run is told as `missed`."""
+        rig, started = self.rig, time.time()
+        run, _, number = self.headers.get("Last-Event-ID", "").rpartition("-")
+        seen = int(number) if number and run == rig.session else 0
+        self.stream("text/event-stream")
+        try:
+            if number and run != rig.session:
+                self.chunk(b'event: missed\ndata: {"missed":null}\n\n')
+            while rig.faults["cut_streams"] <= started:
+                with rig.lock:
+                    rig.lock.wait_for(lambda: len(rig.events) > seen, timeout=1)
+                    new = rig.events[seen:]
+                for event in new:
+                    head = f"event: {event['kind']}\nid: {rig.session}-{event['number']}\n"
+                    self.chunk(f"{head}data: {json.dumps(event)}\n\n".encode())
+                if not new:
+                    self.chunk(b": still here\n\n")
+                seen += len(new)
+        except (BrokenPipeError, ConnectionResetError):
+            pass
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--port", type=int, default=8820, help="0: one that is free")
+    parser.add_argument("--markers", type=int, default=200)
+    parser.add_argument("--rate", type=float, default=120.0)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--token", help="asked for before anything is told")
+    parser.add_argument("--scenario", default="armed",
+                        choices=["idle", "armed", "recording", "lossy", "absent", "failed"])
+    args = parser.parse_args()
+    Handler.rig, Handler.token = Rig(args.markers, args.rate, args.seed, args.scenario), args.token
+    server = ThreadingHTTPServer(("127.0.0.1", args.port), Handler)
+    server.daemon_threads = True
+    print(f"http://127.0.0.1:{server.server_port}/", flush=True)
+    try:
+        server.serve_forever()
+    except KeyboardInterrupt:
+        sys.exit(0)
+
+
+if __name__ == "__main__":
+    main()

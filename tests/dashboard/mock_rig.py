@@ -1,0 +1,199 @@
+"""What the mock knows: states, takes, events and figures that move as a service's would. Nothing is recorded."""
+
+import random
+import secrets
+import threading
+import time
+import uuid
+
+from mock_body import Body
+
+#: What can be set: `lose_answers` carries out so many orders and closes the connection; `cut_streams` ends the streams
+#: that were begun before that time.
+FAULTS = {"presence": "streaming", "obstacle": None, "lossy": False, "frozen": False, "delay_s": 0.0, "refuse": None,
+          "free_bytes": 412_000_000_000, "lose_answers": 0, "cut_streams": 0.0}
+
+
+class Refused(Exception):
+    def __init__(self, kind, message):
+        super().__init__(message)
+        self.kind, self.message = kind, message
+
+
+class Rig:
+    """Every method is called with `lock` held."""
+
+    def __init__(self, markers, rate_hz, seed, scenario):
+        self.lock = threading.Condition()
+        self.rate_hz, self.born = rate_hz, time.time()
+        self.body = Body(markers, seed, strays=markers // 12)
+        self.draw = random.Random(seed)
+        self.state, self.failure, self.armed_at, self.take = "idle", None, None, None
+        self.lost, self.causes, self.outages, self.last_look = 0, [0, 0, 0, 0], 0, time.time()
+        self.faults = dict(FAULTS)
+        self.session, self.cookie = secrets.token_hex(4), secrets.token_hex(8)
+        self.events, self.answers = [], {}
+        now = int(time.time() * 1000)
+        self.takes = [self._take(f"jump-{n:03}", now - (6 - n) * 420_000, 8.4 + 3 * n, health) for n, health in
+                      [(5, "unknown"), (4, "complete"), (3, "lossy"), (2, "cut off"), (1, "complete")]]
+        with self.lock:
+            self._begin(scenario)
+
+    def _begin(self, scenario):
+        self.event("state", "service started")
+        if scenario != "idle":
+            self.arm()
+        if scenario == "lossy":
+            self.faults["lossy"] = True
+        elif scenario == "absent":
+            self.disarm()
+            self.faults.update(presence="absent", obstacle="/dev/ttyUSB0 does not exist: is the device plugged in?")
+        elif scenario == "failed":
+            self.fail("the disk failed while jump-006 was written (EIO): the take holds 41.5 s; "
+                      "look at the disk, then arm again")
+        elif scenario == "recording":
+            self.start({"name": "jump-006"})
+
+    def event(self, kind, message):
+        self.events.append({"number": len(self.events) + 1, "unix_ms": int(time.time() * 1000), "kind": kind,
+                            "message": message, "state": self.state, "take": self.take and self.take["name"]})
+        self.lock.notify_all()
+
+    def fail(self, why):
+        self.state, self.failure, self.take = "failed", why, None
+        self.event("failure", why)
+
+    def _take(self, name, modified, seconds, health):
+        known = health not in ("unknown", "unreadable")
+        return {"name": name, "bytes": int(seconds * 61_000 * len(self.body.labels) / 200), "is_open": False,
+                "modified_unix_ms": modified, "health": health, "seconds": seconds if known else 0.0,
+                "markers": len(self.body.labels) if known else 0, "take_id": uuid.uuid4().hex if known else ""}
+
+    def step(self):
+        """Losses since it was looked at last."""
+        now = time.time()
+        n_frames = (now - self.last_look) * self.rate_hz
+        self.last_look = now
+        if self.faults["lossy"] and self.armed_at:
+            for cause, share in enumerate([0.012, 0.002, 0.004, 0.0]):
+                n = int(n_frames * share * self.draw.uniform(0, 2) + self.draw.random())
+                self.causes[cause] += n
+                self.lost += n
+
+    def arm(self, _body=None):
+        if self.faults["presence"] == "absent":
+            raise Refused("device", "the device is not there: " + self.faults["obstacle"])
+        if self.state in ("idle", "failed"):
+            self.state, self.failure, self.armed_at = "armed", None, time.time()
+            self.lost, self.causes = 0, [0, 0, 0, 0]
+            self.event("state", "armed: 10 s are kept")
+
+    def disarm(self, _body=None):
+        if self.state == "recording":
+            raise Refused("conflict", "a take is being recorded: stop it first")
+        self.state, self.failure, self.armed_at = "idle", None, None
+        self.event("state", "idle")
+
+    def start(self, body):
+        if self.state == "recording":
+            raise Refused("conflict", f"{self.take['name']} is being recorded: stop it first")
+        name = body.get("name") or f"take-{len(self.takes) + 1:03}"
+        if any(take["name"] == name for take in self.takes):
+            raise Refused("exists", f"a take called {name} exists: choose another name")
+        self.arm()
+        held = min(10.0, time.time() - self.armed_at)
+        self.state = "recording"
+        self.take = {"take_id": uuid.uuid4().hex, "name": name, "path": f"/var/lib/mocapd/{name}.take", "held": held,
+                     "started": time.time()}
+        self.causes = [0, 0, 0, 0]
+        self.event("take-started", f"{name} begins {held:.2f} s before it was asked for")
+        remarks = [f"the pre-roll is {held:.1f} s long: not more was held"] if held < 9.9 else []
+        return {**{key: self.take[key] for key in ("take_id", "name", "path")}, "remarks": remarks,
+                "first_frame": {"device_ticks": 1, "arrival_ns": 1, "before_request_s": held}}
+
+    def stop(self, _body):
+        if self.state != "recording":
+            raise Refused("conflict", "no take is being recorded")
+        status = self.take_status()
+        self.takes.insert(0, self._take(status["name"], int(time.time() * 1000), status["seconds"],
+                                        "lossy" if sum(self.causes) else "complete"))
+        self.state, self.take = "armed", None
+        self.event("take-stopped", f"{status['name']}: {status['seconds']:.1f} s, stopped")
+        return {**{key: status[key] for key in ("take_id", "name", "path", "rows", "seconds", "bytes")},
+                "ending": "stopped", "ledger": {**status["ledger"], "finished": True}}
+
+    def mark(self, body):
+        if self.state != "recording":
+            raise Refused("conflict", "no take is being recorded: there is nothing to mark")
+        self.event("mark", body.get("text") or "mark")
+        return {"row": self.take_status()["rows"]}
+
+    def save_last(self, body):
+        if self.armed_at is None:
+            raise Refused("conflict", "not armed: nothing is held; arm first")
+        seconds = min(body["seconds"], 10.0, time.time() - self.armed_at)
+        name = body.get("name") or f"last-{len(self.takes) + 1:03}"
+        take = self._take(name, int(time.time() * 1000), seconds, "complete")
+        self.takes.insert(0, take)
+        self.event("take-stopped", f"{name}: the last {seconds:.1f} s")
+        return {"take_id": take["take_id"], "name": name, "path": f"/var/lib/mocapd/{name}.take",
+                "rows": int(seconds * self.rate_hz), "seconds": seconds, "bytes": take["bytes"], "ending": "stopped",
+                "ledger": self.ledger(int(seconds * self.rate_hz))}
+
+    def ledger(self, rows):
+        link, device, ring, other = self.causes
+        announced = (rows - sum(self.causes)) * len(self.body.labels)
+        occluded = int(announced * 0.031)
+        return {"finished": False, "closes": True, "frames_sent": rows, "recorded": rows - sum(self.causes),
+                "lost_on_link": link, "dropped_by_device": device, "lost_ring_full": ring, "lost_other": other,
+                "duplicates": 0, "unknown_after_disconnect": 0, "samples_announced": announced,
+                "samples_present": announced - occluded, "samples_occluded": occluded, "samples_not_finite": 0,
+                "markers_dropped": 0, "contradictions": []}
+
+    def take_status(self):
+        take = self.take
+        if take is None:
+            return None
+        seconds = time.time() - take["started"] + take["held"]
+        rows = int(seconds * self.rate_hz)
+        raw = rows * len(self.body.labels) * 12
+        return {"take_id": take["take_id"], "name": take["name"], "path": take["path"],
+                "started_unix_ms": int(take["started"] * 1000), "rows": rows, "seconds": seconds,
+                "bytes": raw // 21, "durable_bytes": max(0, raw // 21 - 30_000), "ratio": 21.0,
+                "max_error_mm": 0.499, "ledger": self.ledger(rows)}
+
+    def status(self):
+        self.step()
+        faults, now, runs = self.faults, time.time(), self.armed_at is not None
+        there = faults["presence"] != "absent"
+        held = min(10.0, now - self.armed_at) if runs else 0.0
+        wobble = self.draw.gauss(0, 0.02)
+        measured = (self.rate_hz * (0.982 if faults["lossy"] else 1) + wobble) if runs and there else 0.0
+        return {
+            "rig": "jump lab", "state": self.state, "failure": self.failure, "software": "mocapd mock",
+            "uptime_s": now - self.born,
+            "device": {"uri": "serial:/dev/ttyUSB0", "presence": "present" if there and not runs else faults["presence"],
+                       "model": "DVMC-8820" if there else "", "serial": "SIM-0001" if there else "",
+                       "firmware": "1.4" if there else "", "driver": "dvmc", "rate_hz": self.rate_hz if there else 0.0,
+                       "markers": len(self.body.labels) if there else 0, "obstacle": faults["obstacle"],
+                       "outages": self.outages},
+            "input": {"frames": int((now - self.armed_at) * self.rate_hz) if runs else 0, "lost": self.lost,
+                      "measured_hz": measured, "ring_fill": (0.31 if faults["lossy"] else 0.02) if runs else 0.0,
+                      "ring_latency_p99_us": 46 if runs else 0, "jitter_p99_us": 212 if runs else 0,
+                      "drift_ppm": 11.8, "cpu_cores": 0.07 if runs else 0.0},
+            "pre_roll": {"wanted_s": 10.0, "held_s": held, "held_bytes": int(held * 61_000), "is_cut": False},
+            "take": self.take_status(), "last_take": self.takes[0] if self.takes else None,
+            "disk": {"directory": "/var/lib/mocapd", "free_bytes": faults["free_bytes"],
+                     "keep_free_bytes": 268_435_456, "left_s": int(faults["free_bytes"] / 12_000) if runs else None},
+        }
+
+    def quality(self):
+        runs_s = time.time() - self.armed_at if self.armed_at else 0.0
+        rows = []
+        for slot, (label, (period, _, gap)) in enumerate(zip(self.body.labels, self.body.habits)):
+            rows.append({"label": label, "labelled": self.body.labelled[slot],
+                         "visible": 1 - gap / period if runs_s else 0.0, "gaps": int(runs_s / period) if gap else 0,
+                         "longest_gap_s": gap if runs_s > period else 0.0,
+                         "still_sigma_mm": None if slot % 17 == 5 else 0.08 + 0.02 * (slot % 5),
+                         "swaps_suspected": 2 if slot % 61 == 7 else 0})
+        return rows

@@ -1,0 +1,42 @@
+// As little of a test framework as will do.
+
+const tests = [];
+
+export function test(name, body) {
+  tests.push([name, body]);
+}
+
+export function equal(found, expected, what = "") {
+  const [a, b] = [found, expected].map((value) => JSON.stringify(value));
+  if (a !== b) throw new Error(`${what} found ${a}, expected ${b}`);
+}
+
+export function near(found, expected, within = 1e-6, what = "") {
+  if (!(Math.abs(found - expected) <= within)) throw new Error(`${what} found ${found}, expected ${expected} ± ${within}`);
+}
+
+export function isTrue(found, what) {
+  if (found !== true) throw new Error(`${what}: ${found}`);
+}
+
+export function throws(body, words) {
+  try {
+    body();
+  } catch (error) {
+    if (!error.message.includes(words)) throw new Error(`'${error.message}' does not say '${words}'`);
+    return;
+  }
+  throw new Error(`nothing was thrown; expected '${words}'`);
+}
+
+export function run() {
+  const failed = [];
+  for (const [name, body] of tests) {
+    try {
+      body();
+    } catch (error) {
+      failed.push(`${name}: ${error.message}`);
+    }
+  }
+  return { passed: tests.length - failed.length, failed };
+}

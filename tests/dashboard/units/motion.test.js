@@ -1,0 +1,76 @@
+import { Motion, TRAIL } from "/motion.js";
+import { equal, isTrue, near, test } from "./harness.js";
+
+function withTable(labels, upAxis = 3, bones = []) {
+  const motion = new Motion();
+  motion.setTable({ labels, labelled: labels.map(() => true), up_axis: upAxis, rate_hz: 120, bones });
+  return motion;
+}
+
+const frame = (...positions) => ({ positionsMm: Float32Array.from(positions) });
+
+test("a marker that vanishes stays where it was seen last, and since when is known", () => {
+  const motion = withTable(["a", "b"]);
+  motion.push(frame(1, 2, 3, 4, 5, 6), 100);
+  motion.push(frame(7, 8, 9, NaN, NaN, NaN), 133);
+  equal([...motion.last], [7, 8, 9, 4, 5, 6]);
+  equal([...motion.lastSeenMs], [133, 100]);
+  equal([motion.isSeen(0), motion.isSeen(1), motion.nSeen], [true, false, 1]);
+});
+
+test("a frame with too few or too many markers harms nothing", () => {
+  const motion = withTable(["a", "b"]);
+  motion.push(frame(1, 2, 3), 1);
+  equal([motion.isSeen(0), motion.isSeen(1)], [true, false]);
+  motion.push(frame(1, 2, 3, 4, 5, 6, 7, 8, 9), 2);
+  equal(motion.nSeen, 2);
+});
+
+test("the axis that points up becomes the third", () => {
+  const motion = withTable(["a"], 2);
+  motion.push(frame(1, 2, 3), 1);
+  equal([...motion.last], [3, 1, 2]);
+});
+
+test("trails go round", () => {
+  const motion = withTable(["a"]);
+  for (let i = 0; i < TRAIL + 3; i += 1) motion.push(frame(i, 0, 0), i);
+  const xs = Array.from({ length: TRAIL }, (_, age) => motion.trail[3 * ((motion.head - age + TRAIL) % TRAIL)]);
+  equal(xs, Array.from({ length: TRAIL }, (_, age) => TRAIL + 2 - age));
+});
+
+test("a table with one more marker keeps the others' places and trails", () => {
+  const motion = withTable(["a", "b"]);
+  motion.push(frame(1, 2, 3, 4, 5, 6), 10);
+  motion.push(frame(2, 2, 3, 4, 5, 6), 20);
+  motion.setTable({ labels: ["b", "c", "a"], labelled: [true, true, true], up_axis: 3, bones: [[0, 2], [0, 3]] });
+  equal([...motion.last].slice(6), [2, 2, 3]);
+  equal([motion.lastSeenMs[0], motion.lastSeenMs[2]], [20, 20]);
+  const before = (motion.head - 1 + TRAIL) % TRAIL;
+  equal([...motion.trail.slice(3 * (before * 3 + 2), 3 * (before * 3 + 2) + 3)], [1, 2, 3]);
+  equal(motion.bones, [[0, 2]], "a line to a marker that is not there is left out");
+});
+
+test("markers without a name get one by their slot", () => {
+  equal(withTable(["a", ""]).labels, ["a", "u002"]);
+});
+
+test("the box leaves out a reflection far away, grows at once and shrinks slowly", () => {
+  const motion = withTable(Array.from({ length: 40 }, (_, i) => `m${i}`));
+  const cloud = (half) => Array.from({ length: 39 }, (_, i) => [half * Math.sin(i), half * Math.cos(i), 900]).flat();
+  motion.push(frame(...cloud(500), 90_000, 0, 900), 1);
+  const box = motion.follow(0);
+  isTrue(box.high[0] <= 500, `the reflection is out: ${box.high[0]}`);
+  equal(box.low[2], 0, "the floor is in");
+  motion.push(frame(...cloud(800), 0, 0, 900), 2);
+  isTrue(motion.follow(0).high[0] > 700, "grown at once");
+  const high = motion.box.high[0];
+  motion.push(frame(...cloud(100), 0, 0, 900), 3);
+  near(motion.follow(0.1).high[0], high - 0.1 * (high - 99.8), 1);
+});
+
+test("without a marker that is seen there is no box", () => {
+  const motion = withTable(["a"]);
+  motion.push(frame(NaN, NaN, NaN), 1);
+  equal(motion.follow(1), null);
+});
