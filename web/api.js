@@ -23,7 +23,7 @@ export function onUnauthorized(handler) {
 const ANSWER_MS = 2500;
 /** The service itself gives up after 60 s and says so. */
 const ORDER_MS = 65_000;
-const ORDER_TRIES = 4;
+const ORDER_TRIES = 6;
 
 async function send(path, options, limitMs) {
   const limit = AbortSignal.timeout(limitMs);
@@ -88,9 +88,10 @@ export async function order(path, body = {}, { onRetry = () => {}, tries = ORDER
     } catch (error) {
       if (error.status === 401) {
         await logIn();
-      } else if (error instanceof Refused || tried >= tries) {
+      } else if ((error instanceof Refused && error.kind !== "unavailable") || tried >= tries) {
         throw error;
       } else {
+        // Not reached, too busy, or still at it with the first try.
         onRetry();
         await new Promise((resolve) => setTimeout(resolve, 500 * tried));
       }

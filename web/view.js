@@ -15,6 +15,8 @@ export class View {
   camera = new Camera();
   isFollowing = true;
   options = { labels: false, trails: true };
+  width = 300;
+  height = 150;
   pinned = -1;
   hovered = -1;
   onChosen = () => {};
@@ -83,9 +85,11 @@ export class View {
 
   #resize() {
     const { clientWidth, clientHeight } = this.canvas;
+    // While the page is laid out there may be no room for a moment: the eye must not fly away for it.
+    if (clientWidth < 50 || clientHeight < 50) return;
     const ratio = Math.min(2, devicePixelRatio || 1);
-    this.width = Math.max(1, clientWidth);
-    this.height = Math.max(1, clientHeight);
+    this.width = clientWidth;
+    this.height = clientHeight;
     this.canvas.width = Math.round(this.width * ratio);
     this.canvas.height = Math.round(this.height * ratio);
     this.ctx.setTransform(ratio, 0, 0, ratio, 0, 0);

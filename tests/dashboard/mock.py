@@ -109,7 +109,10 @@ class Handler(BaseHTTPRequestHandler):
                 rig.faults["lose_answers"] -= 1
                 self.close_connection = True
                 return None
-            return self.answer(*rig.answers[key])
+            code, answer = rig.answers[key]
+            if answer.get("kind") == "unavailable":
+                del rig.answers[key]
+            return self.answer(code, answer)
 
     def login(self, token):
         if token != self.token:

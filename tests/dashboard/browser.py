@@ -1,0 +1,106 @@
+"""A browser to test with: Debian's chromium, alone, with a profile that is thrown away."""
+
+import base64
+import json
+import tempfile
+import time
+
+from selenium import webdriver
+from selenium.webdriver.chrome.options import Options
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.action_chains import ActionChains
+
+FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--hide-scrollbars",
+         "--disable-background-networking", "--disable-component-update", "--disable-sync",
+         "--disable-dev-shm-usage", "--force-color-profile=srgb"]
+DESKTOP, PHONE = (1440, 900), (390, 844)
+
+
+class Browser:
+    def __init__(self, chromium, chromedriver, pictures, downloads):
+        self.profile = tempfile.TemporaryDirectory(prefix="mocapd-browser-")
+        self.pictures = pictures
+        options = Options()
+        options.binary_location = chromium
+        for flag in [*FLAGS, f"--user-data-dir={self.profile.name}"]:
+            options.add_argument(flag)
+        options.add_experimental_option("prefs", {"download.default_directory": str(downloads)})
+        options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+        self.driver = webdriver.Chrome(options=options, service=Service(chromedriver))
+        self.driver.set_script_timeout(30)
+        self.size(DESKTOP)
+
+    def close(self):
+        self.driver.quit()
+        self.profile.cleanup()
+
+    def devtools(self, command, **what):
+        return self.driver.execute_cdp_cmd(command, what)
+
+    def size(self, size, scale=1):
+        self.devtools("Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=scale,
+                      mobile=size[0] < 800)
+
+    def media(self, **features):
+        self.devtools("Emulation.setEmulatedMedia",
+                      features=[{"name": name.replace("_", "-"), "value": value} for name, value in features.items()])
+
+    def open(self, url):
+        self.driver.get(url)
+
+    def js(self, script, *values):
+        return self.driver.execute_script(script, *values)
+
+    def text(self, name):
+        return self.js("return document.getElementById(arguments[0])?.textContent ?? ''", name)
+
+    def state(self):
+        return self.js("return document.getElementById('hero').dataset.state")
+
+    def stats(self):
+        return self.js("return window.mocapdStats")
+
+    def click(self, name):
+        self.js("document.getElementById(arguments[0]).click()", name)
+
+    def type(self, name, words):
+        """As a person does it: into the field, in place of what stands there."""
+        field = self.driver.find_element("id", name)
+        field.clear()
+        field.send_keys(words)
+
+    def keys(self, keys):
+        """To whatever has the focus: nothing has."""
+        self.js("document.activeElement?.blur()")
+        ActionChains(self.driver).send_keys(keys).perform()
+
+    def wait(self, what, condition, seconds=8.0):
+        """Until it is so; `condition` is a function, or a script that returns something true."""
+        until = time.monotonic() + seconds
+        while True:
+            found = condition() if callable(condition) else self.js(condition)
+            if found:
+                return found
+            if time.monotonic() > until:
+                raise AssertionError(f"not within {seconds:.0f} s: {what}")
+            time.sleep(0.05)
+
+    def wait_state(self, state, seconds=8.0):
+        self.wait(f"state {state} (it is {self.state()}; {self.text('answer')})", lambda: self.state() == state, seconds)
+
+    def picture(self, name, whole=False):
+        """What is seen, kept for people to look at."""
+        data = self.devtools("Page.captureScreenshot", format="png", captureBeyondViewport=whole)["data"]
+        path = self.pictures / f"{name}.png"
+        path.write_bytes(base64.b64decode(data))
+        return path
+
+    def complaints(self):
+        """What the browser complained about since it was asked last: errors of scripts, broken rules of CSP."""
+        said = [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] == "SEVERE"]
+        return [words for words in said if "favicon.ico" not in words]
+
+    def json(self, url):
+        """An answer of the service as the page would get it."""
+        return json.loads(self.driver.execute_async_script(
+            "const done = arguments[1]; fetch(arguments[0]).then((r) => r.text()).then(done)", url))

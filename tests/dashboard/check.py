@@ -1,0 +1,64 @@
+#!/usr/bin/env python3
+"""The dashboard in a real browser: against the mock, and against the daemon with a simulated device.
+
+    tests/dashboard/check.py                               # the page alone
+    tests/dashboard/check.py --mocapd target/release/mocapd --mocapd-sim target/release/mocapd-sim
+    tests/dashboard/check.py --only phone                  # a part of a check's name
+
+Needs requirements.txt, and Debian's chromium with chromium-driver. Pictures go to the folder of `--pictures`. The last
+line says how many checks passed and failed.
+"""
+
+import argparse
+import shutil
+import sys
+import tempfile
+import time
+import traceback
+from pathlib import Path
+
+import checks_page
+from browser import Browser
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--chromium", default=shutil.which("chromium"))
+    parser.add_argument("--chromedriver", default=shutil.which("chromedriver"))
+    parser.add_argument("--pictures", type=Path, help="folder for what was seen; without it they are thrown away")
+    parser.add_argument("--only", default="", help="checks whose name has this in it")
+    args = parser.parse_args()
+    if not args.chromium or not args.chromedriver:
+        parser.error("chromium or chromedriver is missing: apt-get install chromium chromium-driver")
+    passed, failed = 0, 0
+    with tempfile.TemporaryDirectory(prefix="mocapd-dashboard-") as folder:
+        pictures, downloads = args.pictures or Path(folder) / "pictures", Path(folder) / "downloads"
+        for place in (pictures, downloads):
+            place.mkdir(parents=True, exist_ok=True)
+        browser = Browser(args.chromium, args.chromedriver, pictures.resolve(), downloads)
+        browser.media(prefers_color_scheme="dark")
+        try:
+            for name, check in checks_page.CHECKS:
+                if args.only not in name:
+                    continue
+                began = time.monotonic()
+                # What the page before said when its service was stopped.
+                browser.open("about:blank")
+                browser.complaints()
+                try:
+                    check(browser, lambda words: print(f"    {words}", flush=True))
+                    passed += 1
+                    print(f"ok      {name} ({time.monotonic() - began:.1f} s)", flush=True)
+                except Exception:  # One that fails must not hide the others.
+                    failed += 1
+                    traceback.print_exc()
+                    browser.picture(f"failed-{failed}")
+                    print(f"FAILED  {name}", flush=True)
+        finally:
+            browser.close()
+    print(f"{passed} passed, {failed} failed")
+    return 1 if failed or not passed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
