@@ -15,3 +15,4 @@ pub mod live;
 pub mod log;
 pub mod notify;
 pub mod status;
+pub mod trigger;

@@ -1,0 +1,113 @@
+//! What we send: our starts and stops, as others understand them.
+
+use super::{StopResult, TEXT_BYTES_MAX, TakeName, Trigger};
+
+/// Numbers of packets end before this one: programs were seen that take ten digits and no more.
+const PACKET_IDS_END: u64 = 10_000_000_000;
+
+/// Numbers of each second of a day: no program sends more triggers.
+const IDS_PER_SECOND: u64 = 100_000;
+
+/// The number to begin with: another one each second of a day, so that a service that is started again does not
+/// repeat itself.
+#[must_use]
+pub fn first_packet_id(unix_seconds: u64) -> u64 {
+    unix_seconds % 86_400 * IDS_PER_SECOND + 1
+}
+
+/// Makes our datagrams, each with a number of its own that grows.
+#[derive(Debug)]
+pub struct Announcer {
+    rig: String,
+    mark: u64,
+    next_packet_id: u64,
+}
+
+impl Announcer {
+    /// For a rig of this name; `mark` is any number that nobody else has, by which the
+    /// [`Listener`](super::Listener) knows our own datagrams.
+    #[must_use]
+    pub fn new(rig: &str, mark: u64, first_packet_id: u64) -> Self {
+        let next_packet_id = first_packet_id % PACKET_IDS_END;
+        Self { rig: rig.to_owned(), mark, next_packet_id }
+    }
+
+    /// A take began.
+    #[must_use]
+    pub fn start(&mut self, name: &TakeName, notes: &str) -> Vec<u8> {
+        self.datagram("CaptureStart", None, name, Some(notes))
+    }
+
+    /// It ended.
+    #[must_use]
+    pub fn stop(&mut self, name: &TakeName, result: &StopResult) -> Vec<u8> {
+        self.datagram("CaptureStop", Some(result), name, None)
+    }
+
+    /// It is whole on the disk.
+    #[must_use]
+    pub fn complete(&mut self, name: &TakeName) -> Vec<u8> {
+        self.datagram("CaptureComplete", None, name, None)
+    }
+
+    fn datagram(
+        &mut self,
+        element: &str,
+        result: Option<&StopResult>,
+        name: &TakeName,
+        notes: Option<&str>,
+    ) -> Vec<u8> {
+        let packet_id = self.next_packet_id;
+        self.next_packet_id = (packet_id + 1) % PACKET_IDS_END;
+        let result = result
+            .map(|result| format!(" RESULT=\"{}\"", escaped(result.word())))
+            .unwrap_or_default();
+        let notes =
+            notes.map(|notes| format!("<Notes VALUE=\"{}\"/>", escaped(notes))).unwrap_or_default();
+        // Where our takes are is nobody's business, and no delay is needed: the take has begun.
+        format!(
+            "<?xml version=\"1.0\" encoding=\"UTF-8\" standalone=\"no\"?><{element}{result}>\
+             <Name VALUE=\"{}\"/>{notes}<Description VALUE=\"{}\"/><DatabasePath VALUE=\"\"/>\
+             <Delay VALUE=\"0\"/><PacketID VALUE=\"{packet_id}\"/></{element}>\0",
+            escaped(name.text()),
+            escaped(&description(&self.rig, self.mark)),
+        )
+        .into_bytes()
+    }
+}
+
+/// Who sent it, with the mark at its end.
+fn description(rig: &str, mark: u64) -> String {
+    format!("mocapd {rig} {mark:016x}")
+}
+
+/// Whether a trigger is one of an announcer with this mark.
+pub(super) fn has_mark(trigger: &Trigger, mark: u64) -> bool {
+    let mark = format!(" {mark:016x}");
+    let is_ours = |(what, text): &(String, String)| {
+        what == "Description" && text.starts_with("mocapd ") && text.ends_with(&mark)
+    };
+    trigger.about().said.iter().any(is_ours)
+}
+
+/// A text as an attribute's value, of a bounded length; what XML cannot hold is replaced.
+fn escaped(text: &str) -> String {
+    let mut out = String::new();
+    for c in text.chars() {
+        match c {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            '\n' | '\r' | '\t' => out.push(' '),
+            c if c.is_control() || matches!(c, '\u{fffe}' | '\u{ffff}') => {
+                out.push(char::REPLACEMENT_CHARACTER);
+            }
+            c => out.push(c),
+        }
+        if out.len() >= TEXT_BYTES_MAX {
+            break;
+        }
+    }
+    out
+}

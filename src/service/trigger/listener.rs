@@ -1,0 +1,73 @@
+//! Who is listened to, and what of it is new.
+
+use std::{net::IpAddr, time::Duration};
+
+use super::{Refusal, Trigger, encode, parse, seen::Seen};
+use crate::config::Network;
+
+/// What became of a datagram that was understood.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Heard {
+    /// Somebody else's, for the first time.
+    Trigger(Trigger),
+    /// Heard before: senders repeat theirs.
+    Repeat,
+    /// Our own, which came back as broadcasts do.
+    Own,
+}
+
+/// Hears datagrams, one after another.
+#[derive(Debug)]
+pub struct Listener {
+    allow_from: Vec<Network>,
+    mark: u64,
+    seen: Seen,
+}
+
+impl Listener {
+    /// Listens to these networks, or to everybody where there are none; `mark` is the [`Announcer`](super::Announcer)'s,
+    /// so that our own datagrams are known.
+    #[must_use]
+    pub fn new(allow_from: Vec<Network>, mark: u64) -> Self {
+        Self { allow_from, mark, seen: Seen::default() }
+    }
+
+    /// Listens to others from now on.
+    pub fn allow(&mut self, allow_from: Vec<Network>) {
+        self.allow_from = allow_from;
+    }
+
+    /// A datagram that came `now`, a time that only grows. `exists` says whether there is a take of a name: a start
+    /// of one is refused. That is also what ends every echo: whoever tells us of our own take names one that exists.
+    ///
+    /// # Errors
+    /// Why it starts and stops nothing.
+    pub fn hear(
+        &mut self,
+        from: IpAddr,
+        datagram: &[u8],
+        now: Duration,
+        exists: &dyn Fn(&str) -> bool,
+    ) -> Result<Heard, Refusal> {
+        let from = from.to_canonical();
+        let is_allowed = self.allow_from.is_empty()
+            || self.allow_from.iter().any(|allowed| allowed.contains(from));
+        if !is_allowed {
+            return Err(Refusal::NotAllowed(from));
+        }
+        let trigger = parse(datagram)?;
+        if encode::has_mark(&trigger, self.mark) {
+            return Ok(Heard::Own);
+        }
+        if self.seen.is_repeat(from, &trigger, datagram, now) {
+            return Ok(Heard::Repeat);
+        }
+        if let Trigger::Start(start) = &trigger
+            && let Some(name) = &start.name
+            && exists(name.text())
+        {
+            return Err(Refusal::NameTaken(name.to_string()));
+        }
+        Ok(Heard::Trigger(trigger))
+    }
+}

@@ -1,0 +1,161 @@
+//! Capture triggers: `<CaptureStart>` and `<CaptureStop>` in UDP datagrams, as motion capture programs send and
+//! hear them. docs/triggers.md has the bytes.
+//!
+//! All but [`socket`] is sans-io: a datagram's bytes and the time go in, a [`Trigger`] or a [`Refusal`] comes out.
+
+mod encode;
+mod listener;
+mod name;
+mod parse;
+mod quiet;
+mod seen;
+pub mod socket;
+mod words;
+
+#[cfg(test)]
+mod tests;
+
+use std::time::Duration;
+
+pub use self::{
+    encode::{Announcer, first_packet_id},
+    listener::{Heard, Listener},
+    name::TakeName,
+    parse::{DATAGRAM_BYTES_MAX, DELAY_MAX, TEXT_BYTES_MAX, parse},
+    quiet::Quiet,
+    seen::{IDS_MAX, REMEMBERED, SENDERS_MAX},
+    words::Refusal,
+};
+
+/// What a datagram asks for, or tells.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Trigger {
+    /// A take begins.
+    Start(Start),
+    /// It ends.
+    Stop(Stop),
+    /// Its files are written, says another program: nothing has to be done.
+    Complete(Stop),
+}
+
+/// `<CaptureStart>`.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Start {
+    /// How the take is to be called; `None` where the sender leaves it to us.
+    pub name: Option<TakeName>,
+    /// How long after the datagram the capture begins; zero where nothing is said.
+    pub delay: Duration,
+    /// What else it says.
+    pub about: About,
+}
+
+/// `<CaptureStop>` and `<CaptureComplete>`.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Stop {
+    /// Which take is meant: a take of another name is to go on. `None` means whichever runs.
+    pub name: Option<TakeName>,
+    /// How it ended at the sender; `None` where it does not say.
+    pub result: Option<StopResult>,
+    /// How long after the datagram the capture ends.
+    pub delay: Duration,
+    /// What else it says.
+    pub about: About,
+}
+
+/// What a datagram says beside its name, for the take's event. Nothing here is ever used as a path.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct About {
+    /// The sender's number of the datagram: its repeats have the same.
+    pub packet_id: Option<u64>,
+    /// `Notes`, `Description`, `DatabasePath` and whatever else stands in it, with what it says, in the order of the
+    /// datagram; what says nothing is left out.
+    pub said: Vec<(String, String)>,
+    /// What was cut or replaced in it, in words.
+    pub changed: Vec<String>,
+}
+
+/// How a capture ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum StopResult {
+    /// `SUCCESS`.
+    Success,
+    /// `FAIL`.
+    Fail,
+    /// `CANCEL`.
+    Cancel,
+    /// Another word.
+    Other(String),
+}
+
+impl StopResult {
+    /// As it is written.
+    #[must_use]
+    pub fn word(&self) -> &str {
+        match self {
+            Self::Success => "SUCCESS",
+            Self::Fail => "FAIL",
+            Self::Cancel => "CANCEL",
+            Self::Other(word) => word,
+        }
+    }
+}
+
+impl Trigger {
+    /// What else it says.
+    #[must_use]
+    pub fn about(&self) -> &About {
+        match self {
+            Self::Start(start) => &start.about,
+            Self::Stop(stop) | Self::Complete(stop) => &stop.about,
+        }
+    }
+
+    /// The take that it names.
+    #[must_use]
+    pub fn name(&self) -> Option<&TakeName> {
+        match self {
+            Self::Start(start) => start.name.as_ref(),
+            Self::Stop(stop) | Self::Complete(stop) => stop.name.as_ref(),
+        }
+    }
+
+    /// The element that it is.
+    #[must_use]
+    pub fn element(&self) -> &'static str {
+        match self {
+            Self::Start(_) => "CaptureStart",
+            Self::Stop(_) => "CaptureStop",
+            Self::Complete(_) => "CaptureComplete",
+        }
+    }
+
+    /// One line for the take's event: everything that it says, as text.
+    #[must_use]
+    pub fn note(&self, from: std::net::IpAddr) -> String {
+        let mut note = format!("{} from {}", self.element(), from.to_canonical());
+        let about = self.about();
+        if let Some(id) = about.packet_id {
+            note += &format!(", packet {id}");
+        }
+        let delay = match self {
+            Self::Start(start) => start.delay,
+            Self::Stop(stop) | Self::Complete(stop) => stop.delay,
+        };
+        if delay > Duration::ZERO {
+            note += &format!(", delay {} ms", delay.as_millis());
+        }
+        if let Some(result) = match self {
+            Self::Start(_) => None,
+            Self::Stop(stop) | Self::Complete(stop) => stop.result.as_ref(),
+        } {
+            note += &format!(", result {}", result.word());
+        }
+        for (what, text) in &about.said {
+            note += &format!(", {what} \"{text}\"");
+        }
+        for changed in &about.changed {
+            note += &format!("; {changed}");
+        }
+        note
+    }
+}

@@ -1,0 +1,192 @@
+//! A datagram's bytes as a trigger.
+
+use std::time::Duration;
+
+use roxmltree::{Document, Node, ParsingOptions};
+
+use super::{About, Refusal, Start, Stop, StopResult, TakeName, Trigger};
+
+/// Bytes of a trigger: no UDP datagram has more.
+pub const DATAGRAM_BYTES_MAX: usize = 64 << 10;
+
+/// Elements, texts and comments in it: programs send six to ten elements, with spaces between them.
+const NODES_MAX: u32 = 128;
+
+/// Equals signs in it, one an attribute: an element compares each of its attributes with the ones before it.
+const ATTRIBUTES_MAX: usize = 256;
+
+/// Bytes of a text that is kept, such as the notes: an event of a take is a line.
+pub const TEXT_BYTES_MAX: usize = 1024;
+
+/// Elements that are kept beside those we know.
+const SAID_MAX: usize = 16;
+
+/// The longest lead time: more is a number of something else.
+pub const DELAY_MAX: Duration = Duration::from_secs(60);
+
+/// Letters of a found text that a refusal repeats.
+const SHOWN_MAX: usize = 60;
+
+/// What a datagram asks for.
+///
+/// # Errors
+/// Why it is none, or which of its values cannot be meant.
+pub fn parse(datagram: &[u8]) -> Result<Trigger, Refusal> {
+    if datagram.len() > DATAGRAM_BYTES_MAX {
+        return Err(Refusal::TooLong(datagram.len()));
+    }
+    let text = text(datagram)?;
+    if text.bytes().filter(|byte| *byte == b'=').count() > ATTRIBUTES_MAX {
+        return Err(Refusal::Xml(format!("it has more than {ATTRIBUTES_MAX} attributes")));
+    }
+    // No DTD, and so no entities of its own that would grow.
+    let options =
+        ParsingOptions { allow_dtd: false, nodes_limit: NODES_MAX, entity_resolver: None };
+    let document = Document::parse_with_options(text, options)
+        .map_err(|error| Refusal::Xml(cut(&error.to_string(), 200)))?;
+    let root = document.root_element();
+    let element = root.tag_name().name();
+    match element {
+        "CaptureStart" => {
+            let (name, delay, about) = said(root)?;
+            Ok(Trigger::Start(Start { name, delay, about }))
+        }
+        "CaptureStop" => stop(root).map(Trigger::Stop),
+        "CaptureComplete" => stop(root).map(Trigger::Complete),
+        _ => Err(Refusal::Element(cut(element, SHOWN_MAX))),
+    }
+}
+
+/// Without the 0 at the end and the mark at the beginning, where there are any.
+fn text(datagram: &[u8]) -> Result<&str, Refusal> {
+    let text = std::str::from_utf8(datagram)
+        .map_err(|error| Refusal::Encoding(format!("byte {} is no UTF-8", error.valid_up_to())))?;
+    let is_space = |c: char| " \t\r\n".contains(c);
+    let text = text.trim_end_matches(|c| c == '\0' || is_space(c));
+    let text = text.trim_start_matches('\u{feff}').trim_start_matches(is_space);
+    if text.contains('\0') {
+        return Err(Refusal::Encoding("a 0 stands in the middle".to_owned()));
+    }
+    let Some(encoding) = declared_encoding(text) else { return Ok(text) };
+    let is = |names: &[&str]| names.iter().any(|name| encoding.eq_ignore_ascii_case(name));
+    // In these, what is ASCII is the same.
+    let agrees = text.is_ascii() && is(&["iso-8859-1", "windows-1252"]);
+    if agrees || is(&["utf-8", "utf8", "us-ascii", "ascii"]) {
+        return Ok(text);
+    }
+    Err(Refusal::Encoding(format!("it says that they are {}", cut(encoding, SHOWN_MAX))))
+}
+
+/// What stands behind `encoding=` in the declaration, which is the reader's to obey.
+fn declared_encoding(text: &str) -> Option<&str> {
+    let (declaration, _) = text.trim_start().strip_prefix("<?xml")?.split_once("?>")?;
+    let (_, rest) = declaration.split_once("encoding")?;
+    let rest = rest.trim_start().strip_prefix('=')?.trim_start();
+    let quote = rest.chars().next().filter(|c| ['"', '\''].contains(c))?;
+    rest[1..].split(quote).next()
+}
+
+fn stop(root: Node<'_, '_>) -> Result<Stop, Refusal> {
+    let (name, delay, about) = said(root)?;
+    let result = attribute(root, "RESULT").map(|word| match word.trim() {
+        "SUCCESS" => StopResult::Success,
+        "FAIL" => StopResult::Fail,
+        "CANCEL" => StopResult::Cancel,
+        other => StopResult::Other(cut(&plain(other), SHOWN_MAX)),
+    });
+    Ok(Stop { name, result, delay, about })
+}
+
+type Said = (Option<TakeName>, Duration, About);
+
+/// What the elements in it say. Of two of a name the first is meant, and the second one is kept as a text.
+fn said(root: Node<'_, '_>) -> Result<Said, Refusal> {
+    let (mut name, mut delay, mut about) = (None, None, About::default());
+    for node in root.children().filter(Node::is_element) {
+        let element = node.tag_name().name();
+        let value = attribute(node, "VALUE").unwrap_or_else(|| node.text().unwrap_or_default());
+        match element {
+            _ if value.trim().is_empty() => {}
+            "Name" if name.is_none() => name = Some(take_name(value, &mut about)?),
+            "Delay" if delay.is_none() => delay = Some(milliseconds(value)?),
+            "PacketID" if about.packet_id.is_none() => about.packet_id = Some(packet_id(value)?),
+            _ => keep(element, value, &mut about),
+        }
+    }
+    Ok((name, delay.unwrap_or_default(), about))
+}
+
+/// Programs write attributes in capitals; a lower-case one is meant as such.
+fn attribute<'a>(node: Node<'a, '_>, name: &str) -> Option<&'a str> {
+    node.attributes()
+        .find(|found| found.name().eq_ignore_ascii_case(name))
+        .map(|found| found.value())
+}
+
+fn take_name(value: &str, about: &mut About) -> Result<TakeName, Refusal> {
+    let name = TakeName::of(value).ok_or_else(|| Refusal::Name(cut(&plain(value), SHOWN_MAX)))?;
+    if name.was_changed() {
+        let sent = cut(&plain(value), SHOWN_MAX);
+        about.changed.push(format!("the name \"{sent}\" became {name}"));
+    }
+    Ok(name)
+}
+
+fn packet_id(value: &str) -> Result<u64, Refusal> {
+    let text = value.trim();
+    let is_number = text.bytes().all(|byte| byte.is_ascii_digit());
+    text.parse().ok().filter(|_| is_number).ok_or_else(|| Refusal::Number {
+        what: "PacketID",
+        found: cut(&plain(value), SHOWN_MAX),
+        wanted: "send a whole number",
+    })
+}
+
+fn milliseconds(value: &str) -> Result<Duration, Refusal> {
+    let found = value.trim().parse::<f64>().ok();
+    let delay = found.filter(|ms| (0.0..=DELAY_MAX.as_millis() as f64).contains(ms));
+    delay.map(|ms| Duration::from_secs_f64(ms / 1000.0)).ok_or_else(|| Refusal::Number {
+        what: "Delay",
+        found: cut(&plain(value), SHOWN_MAX),
+        wanted: "send milliseconds, 0 to 60000",
+    })
+}
+
+fn keep(element: &str, value: &str, about: &mut About) {
+    let element = cut(element, SHOWN_MAX);
+    if about.said.len() == SAID_MAX {
+        let words = format!("more than {SAID_MAX} elements, the rest is left out");
+        if about.changed.last() != Some(&words) {
+            about.changed.push(words);
+        }
+        return;
+    }
+    let text = plain(value);
+    let kept = cut(&text, TEXT_BYTES_MAX);
+    if kept.len() != text.len() {
+        about.changed.push(format!("{element} had {} bytes", value.len()));
+    }
+    about.said.push((element, kept));
+}
+
+/// On one line, with nothing that a terminal would obey.
+fn plain(text: &str) -> String {
+    let shown = |c: char| match c {
+        '\n' | '\r' | '\t' => ' ',
+        c if c.is_control() => char::REPLACEMENT_CHARACTER,
+        c => c,
+    };
+    text.trim().chars().map(shown).collect()
+}
+
+/// At most so many bytes, with dots behind it where it was longer.
+fn cut(text: &str, bytes_max: usize) -> String {
+    if text.len() <= bytes_max {
+        return text.to_owned();
+    }
+    let mut end = bytes_max;
+    while !text.is_char_boundary(end) {
+        end -= 1;
+    }
+    format!("{}...", &text[..end])
+}

@@ -1,0 +1,167 @@
+//! Triggers on the network: a thread that hears them, and a sender.
+
+use std::{
+    io,
+    net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread::JoinHandle,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context, anyhow};
+use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
+
+use super::{DATAGRAM_BYTES_MAX, Heard, Listener, Quiet, Trigger};
+use crate::threads;
+
+/// Triggers that wait for the service. It takes one within milliseconds, and a laboratory sends one in seconds: when
+/// so many wait the service is stuck, and a start that comes out minutes later would start nothing that anybody meant.
+pub const TRIGGERS_MAX: usize = 16;
+
+/// How soon the thread sees that it is to stop.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
+
+/// A trigger of somebody.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Received {
+    /// Whose.
+    pub from: SocketAddr,
+    /// What it asks for.
+    pub trigger: Trigger,
+}
+
+/// Where triggers go, and where the service gets them.
+#[must_use]
+pub fn channel() -> (Sender<Received>, Receiver<Received>) {
+    bounded(TRIGGERS_MAX)
+}
+
+/// Opens the socket.
+///
+/// # Errors
+/// Why not, and what helps.
+pub fn bind(listen: SocketAddr) -> anyhow::Result<UdpSocket> {
+    let socket = UdpSocket::bind(listen).map_err(|error| match error.kind() {
+        io::ErrorKind::AddrInUse => anyhow!(
+            "cannot hear triggers on {listen}: another program does; `ss -ulpn` shows which, or choose another port"
+        ),
+        io::ErrorKind::PermissionDenied => anyhow!(
+            "cannot hear triggers on {listen}: ports below 1024 need CAP_NET_BIND_SERVICE; \
+             give it in the unit (AmbientCapabilities=), or choose another port"
+        ),
+        io::ErrorKind::AddrNotAvailable => anyhow!(
+            "cannot hear triggers on {listen}: no interface has this address; `ip address` shows them, \
+             or use 0.0.0.0:{}",
+            listen.port()
+        ),
+        _ => anyhow!("cannot hear triggers on {listen}: {error}"),
+    })?;
+    socket.set_read_timeout(Some(LOOK_EVERY)).context("a socket takes no time limit")?;
+    Ok(socket)
+}
+
+/// Hears triggers on a thread of its own until `stop`, or until nobody receives them any more. `exists` says whether
+/// there is a take of a name; `say` is told what is refused and what is lost, a few words at a time.
+///
+/// # Errors
+/// When the system refuses the thread.
+pub fn listen(
+    socket: UdpSocket,
+    mut listener: Listener,
+    exists: impl Fn(&str) -> bool + Send + 'static,
+    triggers: Sender<Received>,
+    mut say: impl FnMut(&str) + Send + 'static,
+    stop: Arc<AtomicBool>,
+) -> anyhow::Result<JoinHandle<()>> {
+    threads::spawn("mocapd-trigger", move || {
+        let (begin, mut quiet) = (Instant::now(), Quiet::default());
+        let mut buffer = vec![0; DATAGRAM_BYTES_MAX];
+        while !stop.load(Ordering::Relaxed) {
+            let received = socket.recv_from(&mut buffer);
+            let now = begin.elapsed();
+            let words = match received {
+                Ok((n_bytes, from)) => {
+                    let datagram = buffer.get(..n_bytes).unwrap_or_default();
+                    match listener.hear(from.ip(), datagram, now, &exists) {
+                        Ok(Heard::Repeat | Heard::Own) => continue,
+                        Ok(Heard::Trigger(trigger)) => {
+                            match triggers.try_send(Received { from, trigger }) {
+                                Ok(()) => continue,
+                                Err(TrySendError::Disconnected(_)) => return,
+                                Err(TrySendError::Full(lost)) => format!(
+                                    "{} from {from} is lost: {TRIGGERS_MAX} others wait already",
+                                    lost.trigger.element()
+                                ),
+                            }
+                        }
+                        Err(refusal) => format!("a datagram from {from} is refused: {refusal}"),
+                    }
+                }
+                Err(error) if is_idle(&error) => continue,
+                Err(error) => {
+                    // A network that is down is down for a while.
+                    std::thread::sleep(LOOK_EVERY);
+                    format!("cannot hear triggers: {error}")
+                }
+            };
+            if let Some(words) = quiet.say(&words, now) {
+                say(&words);
+            }
+        }
+    })
+}
+
+fn is_idle(error: &io::Error) -> bool {
+    use io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
+    matches!(error.kind(), WouldBlock | TimedOut | Interrupted)
+}
+
+/// Sends datagrams, to broadcast addresses too.
+#[derive(Debug)]
+pub struct Teller {
+    to: Vec<SocketAddr>,
+    ipv4: Option<UdpSocket>,
+    ipv6: Option<UdpSocket>,
+}
+
+impl Teller {
+    /// For these addresses.
+    ///
+    /// # Errors
+    /// When the system gives no socket.
+    pub fn new(to: Vec<SocketAddr>) -> anyhow::Result<Self> {
+        let socket = |wanted: bool, any: IpAddr| {
+            let open = || -> io::Result<UdpSocket> {
+                let socket = UdpSocket::bind((any, 0))?;
+                // Nobody waits for a network card: what it cannot take is lost, and told.
+                socket.set_nonblocking(true)?;
+                if any.is_ipv4() {
+                    socket.set_broadcast(true)?;
+                }
+                Ok(socket)
+            };
+            wanted.then(open).transpose().context("cannot open a socket for triggers")
+        };
+        let ipv4 = socket(to.iter().any(SocketAddr::is_ipv4), Ipv4Addr::UNSPECIFIED.into())?;
+        let ipv6 = socket(to.iter().any(SocketAddr::is_ipv6), Ipv6Addr::UNSPECIFIED.into())?;
+        Ok(Self { to, ipv4, ipv6 })
+    }
+
+    /// Sends one to all of them. Returns what could not be sent, a line each.
+    #[must_use]
+    pub fn tell(&self, datagram: &[u8]) -> Vec<String> {
+        let mut failed = Vec::new();
+        for to in &self.to {
+            let Some(socket) = (if to.is_ipv4() { &self.ipv4 } else { &self.ipv6 }) else {
+                continue;
+            };
+            if let Err(error) = socket.send_to(datagram, to) {
+                failed.push(format!("a trigger could not be sent to {to}: {error}"));
+            }
+        }
+        failed
+    }
+}

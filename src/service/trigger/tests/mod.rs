@@ -1,0 +1,242 @@
+mod document;
+mod network;
+mod sweep;
+
+use std::net::IpAddr;
+
+use super::*;
+
+const FROM: IpAddr = IpAddr::V4(std::net::Ipv4Addr::new(192, 0, 2, 7));
+
+fn start(inside: &str) -> String {
+    format!("<CaptureStart>{inside}</CaptureStart>")
+}
+
+#[track_caller]
+fn refused(datagram: impl AsRef<[u8]>, words: &str) {
+    let said = parse(datagram.as_ref()).unwrap_err().to_string();
+    assert!(said.contains(words), "'{words}' is not in: {said}");
+    assert!(said.chars().count() < 300 && !said.contains(char::is_control), "{said:?}");
+}
+
+#[test]
+fn what_is_said_is_understood() {
+    let text = "\u{feff} <?xml version='1.0' encoding='utf-8'?>\r\n<CaptureStart>\n\
+                <Name VALUE=\"walk_03\"/><Notes VALUE=\"two\nlines &lt;&#233;&gt;\"/><Delay VALUE=\" 12.5 \"/>\
+                <PacketID VALUE=\"18446744073709551615\"/></CaptureStart>\n\0\0";
+    let Trigger::Start(start) = parse(text.as_bytes()).unwrap() else { panic!("no start") };
+    assert_eq!(start.name.unwrap().text(), "walk_03");
+    assert_eq!(start.delay, Duration::from_micros(12_500));
+    assert_eq!(start.about.packet_id, Some(u64::MAX));
+    // A line end in an attribute is a space by the rules of XML.
+    assert_eq!(start.about.said, [("Notes".to_owned(), "two lines <é>".to_owned())]);
+    assert_eq!(start.about.changed, [""; 0]);
+
+    for (word, result) in [
+        ("SUCCESS", StopResult::Success),
+        ("FAIL", StopResult::Fail),
+        ("CANCEL", StopResult::Cancel),
+        ("MAYBE", StopResult::Other("MAYBE".to_owned())),
+    ] {
+        let text = format!("<CaptureStop RESULT=\"{word}\"/>");
+        let Trigger::Stop(stop) = parse(text.as_bytes()).unwrap() else { panic!("no stop") };
+        assert_eq!((stop.name, stop.result), (None, Some(result)));
+    }
+    assert!(matches!(parse(b"<CaptureComplete/>"), Ok(Trigger::Complete(_))));
+    assert_eq!(parse(b"<CaptureStart/>"), Ok(Trigger::Start(Start::default())));
+    let latin = "<?xml version='1.0' encoding='ISO-8859-1'?><CaptureStart/>";
+    assert!(parse(latin.as_bytes()).is_ok(), "all of it is ASCII");
+}
+
+#[test]
+fn nothing_that_is_said_is_lost_without_a_word() {
+    let twice = "<Name VALUE='a'/><Name VALUE='b'/><Notes>inside</Notes>";
+    let trigger = parse(start(twice).as_bytes()).unwrap();
+    let note = trigger.note(FROM);
+    assert_eq!(note, "CaptureStart from 192.0.2.7, Name \"b\", Notes \"inside\"");
+
+    let long = start(&format!("<Notes VALUE='{}'/>", "é".repeat(TEXT_BYTES_MAX)));
+    let about = parse(long.as_bytes()).unwrap().about().clone();
+    assert_eq!(about.changed, ["Notes had 2048 bytes"]);
+    assert_eq!(about.said[0].1, format!("{}...", "é".repeat(TEXT_BYTES_MAX / 2)));
+
+    let many: String = (0..40).map(|n| format!("<A{n} VALUE='x'/>")).collect();
+    let about = parse(start(&many).as_bytes()).unwrap().about().clone();
+    assert_eq!((about.said.len(), about.changed.len()), (16, 1));
+    assert!(about.changed[0].contains("the rest is left out"));
+
+    let path = parse(start("<DatabasePath VALUE='/etc/&#x85;x'/>").as_bytes()).unwrap();
+    assert_eq!(path.name(), None);
+    assert!(path.note(FROM).ends_with("DatabasePath \"/etc/\u{fffd}x\""), "{}", path.note(FROM));
+}
+
+#[test]
+fn what_is_no_trigger_is_refused_in_words() {
+    refused("", "it is no trigger");
+    refused("start", "it is no trigger");
+    refused("<CaptureStart>", "it is no trigger");
+    refused("<CapturePause/>", "<CapturePause> is no trigger");
+    refused(format!("<{}/>", "x".repeat(60_000)), "xxx...> is no trigger");
+    refused(vec![b' '; DATAGRAM_BYTES_MAX + 1], "it has 65537 bytes");
+    refused(b"<CaptureStart><Name VALUE=\"L\xe4ufer\"/></CaptureStart>", "byte 28 is no UTF-8");
+    refused(b"\xff\xfe<\0", "byte 0 is no UTF-8");
+    refused("<CaptureStart>\0</CaptureStart>", "a 0 stands in the middle");
+    refused(
+        "<?xml version='1.0' encoding='UTF-16'?><CaptureStart/>",
+        "it says that they are UTF-16",
+    );
+    refused(
+        "<?xml version='1.0' encoding='ISO-8859-1'?><CaptureStart><Name VALUE='é'/></CaptureStart>",
+        "it says that they are ISO-8859-1",
+    );
+    refused(start("<PacketID VALUE='-1'/>"), "its PacketID is \"-1\": send a whole number");
+    refused(start("<PacketID VALUE='+1'/>"), "PacketID");
+    refused(start("<PacketID VALUE='18446744073709551616'/>"), "PacketID");
+    refused(start("<Delay VALUE='-1'/>"), "its Delay is \"-1\": send milliseconds, 0 to 60000");
+    for delay in ["60001", "nan", "inf", "1e300", "soon"] {
+        refused(start(&format!("<Delay VALUE='{delay}'/>")), "Delay");
+    }
+    refused(start("<Name VALUE='...'/>"), "a take cannot be called \"...\"");
+    let bomb = "<!DOCTYPE x [<!ENTITY a 'aaaa'><!ENTITY b '&a;&a;&a;'>]>\
+                <CaptureStart><Name VALUE='&b;'/></CaptureStart>";
+    refused(bomb, "it is no trigger");
+    refused(start("<Name VALUE='&b;'/>"), "it is no trigger");
+    let file =
+        "<!DOCTYPE x [<!ENTITY a SYSTEM 'file:///etc/passwd'>]><CaptureStart>&a;</CaptureStart>";
+    refused(file, "it is no trigger");
+    refused(start(&"<x/>".repeat(200)), "it is no trigger");
+    refused("<a>".repeat(10_000), "it is no trigger");
+    let attributes: String = (0..5000).map(|n| format!(" a{n}='1'")).collect();
+    refused(format!("<CaptureStart{attributes}/>"), "more than 256 attributes");
+}
+
+fn hear(listener: &mut Listener, text: &str, from: &str, at_s: u64) -> Result<Heard, Refusal> {
+    let now = Duration::from_secs(at_s);
+    listener.hear(from.parse().unwrap(), text.as_bytes(), now, &|name| name == "old")
+}
+
+fn packet(id: u64) -> String {
+    start(&format!("<PacketID VALUE='{id}'/>"))
+}
+
+#[test]
+fn repeats_do_nothing() {
+    let mut listener = Listener::new(Vec::new(), 1);
+    let mut hear = |text: &str, from: &str, at_s| hear(&mut listener, text, from, at_s).unwrap();
+    assert!(matches!(hear(&packet(5), "10.0.0.1", 0), Heard::Trigger(_)));
+    assert_eq!(hear(&packet(5), "10.0.0.1", 1), Heard::Repeat);
+    // The same address, whatever it came over.
+    assert_eq!(hear(&packet(5), "::ffff:10.0.0.1", 1), Heard::Repeat);
+    assert!(matches!(hear(&packet(5), "10.0.0.2", 1), Heard::Trigger(_)), "another sender's");
+    assert!(matches!(hear(&packet(6), "10.0.0.1", 1), Heard::Trigger(_)), "another number");
+    let stop = "<CaptureStop><PacketID VALUE='5'/></CaptureStop>";
+    assert!(matches!(hear(stop, "10.0.0.1", 1), Heard::Trigger(_)), "another element");
+    // A minute after it was heard last, it is another one.
+    assert_eq!(hear(&packet(5), "10.0.0.1", 50), Heard::Repeat);
+    assert_eq!(hear(&packet(5), "10.0.0.1", 110), Heard::Repeat);
+    assert!(matches!(hear(&packet(5), "10.0.0.1", 171), Heard::Trigger(_)));
+    // Without a number the bytes tell.
+    assert!(matches!(hear("<CaptureStart/>", "10.0.0.1", 171), Heard::Trigger(_)));
+    assert_eq!(hear("<CaptureStart/>", "10.0.0.1", 172), Heard::Repeat);
+    assert!(matches!(hear("<CaptureStart />", "10.0.0.1", 172), Heard::Trigger(_)));
+}
+
+#[test]
+fn what_is_remembered_is_bounded() {
+    let mut seen = seen::Seen::default();
+    let mut repeat = |from: u32, id: u64, at_s| {
+        let from = IpAddr::V4(from.into());
+        let trigger = parse(packet(id).as_bytes()).unwrap();
+        let is_repeat = seen.is_repeat(from, &trigger, b"", Duration::from_secs(at_s));
+        let (n_senders, n_ids) = seen.n_remembered();
+        assert!(n_senders <= SENDERS_MAX && n_ids <= SENDERS_MAX * IDS_MAX);
+        is_repeat
+    };
+    for id in 0..1000 {
+        assert!(!repeat(1, id, 0));
+    }
+    assert!(repeat(1, 999, 0) && repeat(1, 1000 - IDS_MAX as u64, 0));
+    assert!(!repeat(1, 0, 0), "the oldest is forgotten");
+    // A flood of senders forgets the one that was silent for longest, and no other.
+    assert!(!repeat(2, 1, 1));
+    for from in 3..1000 {
+        assert!(!repeat(from, 1, 2));
+        assert!(repeat(2, 1, 3), "{from}");
+    }
+    assert!(!repeat(1, 0, 3));
+}
+
+#[test]
+fn who_is_not_allowed_is_refused_before_anything_is_read() {
+    let networks = ["10.0.0.0/24", "fe80::/10"].map(|text| text.parse().unwrap());
+    let mut listener = Listener::new(networks.into(), 1);
+    for from in ["10.0.0.1", "::ffff:10.0.0.2", "fe80::1"] {
+        assert!(hear(&mut listener, &packet(1), from, 0).is_ok(), "{from}");
+    }
+    let refusal = hear(&mut listener, "garbage", "10.0.1.1", 0).unwrap_err();
+    assert_eq!(refusal.to_string(), "10.0.1.1 is not in trigger.allow_from");
+    listener.allow(Vec::new());
+    assert!(hear(&mut listener, &packet(1), "10.0.1.1", 0).is_ok());
+}
+
+#[test]
+fn a_name_that_exists_is_refused_once_and_said() {
+    let mut listener = Listener::new(Vec::new(), 1);
+    let old = start("<Name VALUE='old'/><PacketID VALUE='1'/>");
+    let refusal = hear(&mut listener, &old, "10.0.0.1", 0).unwrap_err();
+    assert_eq!(
+        refusal.to_string(),
+        "a take called old exists, and none is overwritten: send another name"
+    );
+    assert_eq!(hear(&mut listener, &old, "10.0.0.1", 0), Ok(Heard::Repeat));
+    // Under what it becomes, too; and a stop of it is no start.
+    let same = start("<Name VALUE='.old.take'/><PacketID VALUE='2'/>");
+    assert!(matches!(hear(&mut listener, &same, "10.0.0.1", 0), Err(Refusal::NameTaken(_))));
+    let stop = "<CaptureStop><Name VALUE='old'/></CaptureStop>";
+    assert!(matches!(hear(&mut listener, stop, "10.0.0.1", 0), Ok(Heard::Trigger(_))));
+}
+
+#[test]
+fn our_own_come_back_and_do_nothing() {
+    let mut announcer = Announcer::new("left", 7, 1);
+    let name = TakeName::of("new").unwrap();
+    let sent = [
+        announcer.start(&name, "a \"note\" <&>\u{1}\u{ffff}"),
+        announcer.stop(&name, &StopResult::Success),
+        announcer.complete(&name),
+    ];
+    let (mut own, mut others) = (Listener::new(Vec::new(), 7), Listener::new(Vec::new(), 8));
+    for (datagram, id) in sent.iter().zip(1..) {
+        let hear = |listener: &mut Listener| {
+            listener.hear(FROM, datagram, Duration::ZERO, &|_| false).unwrap()
+        };
+        assert_eq!(hear(&mut own), Heard::Own);
+        let Heard::Trigger(trigger) = hear(&mut others) else { panic!("heard nothing") };
+        assert_eq!(trigger.name().unwrap().text(), "new");
+        assert_eq!(trigger.about().packet_id, Some(id));
+        assert_eq!(trigger.about().changed, [""; 0]);
+        assert!(
+            trigger
+                .about()
+                .said
+                .contains(&("Description".to_owned(), "mocapd left 0000000000000007".to_owned()))
+        );
+    }
+    let text = String::from_utf8(sent[0].clone()).unwrap();
+    assert!(text.contains("a &quot;note&quot; &lt;&amp;&gt;\u{fffd}\u{fffd}"), "{text}");
+    // The longest is one datagram that nobody refuses.
+    let longest = TakeName::of(&"&".repeat(1000)).unwrap();
+    let datagram = announcer.start(&longest, &"&".repeat(100_000));
+    assert!(datagram.len() < 4096 && parse(&datagram).is_ok(), "{}", datagram.len());
+}
+
+#[test]
+fn numbers_grow_and_have_ten_digits() {
+    assert_eq!(first_packet_id(0), 1);
+    assert_eq!(first_packet_id(86_400 + 43_215), 4_321_500_001);
+    assert!(first_packet_id(u64::MAX) < 10_000_000_000);
+    let name = TakeName::of("a").unwrap();
+    let mut announcer = Announcer::new("left", 7, 9_999_999_998);
+    let mut id = || parse(&announcer.complete(&name)).unwrap().about().packet_id;
+    assert_eq!([id(), id(), id()], [Some(9_999_999_998), Some(9_999_999_999), Some(0)]);
+}

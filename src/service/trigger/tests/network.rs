@@ -1,0 +1,118 @@
+//! Real sockets on this machine.
+
+use std::{
+    net::{SocketAddr, UdpSocket},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+};
+
+use super::{
+    socket::{Received, TRIGGERS_MAX, Teller, bind, channel, listen},
+    *,
+};
+
+/// Longer than anything here takes: a test that waits so long has failed.
+const GIVE_UP: Duration = Duration::from_secs(20);
+
+struct Service {
+    at: SocketAddr,
+    triggers: crossbeam_channel::Receiver<Received>,
+    said: crossbeam_channel::Receiver<String>,
+    stop: Arc<AtomicBool>,
+    thread: Option<std::thread::JoinHandle<()>>,
+}
+
+impl Service {
+    fn start(mark: u64) -> Self {
+        let socket = bind("127.0.0.1:0".parse().unwrap()).unwrap();
+        let at = socket.local_addr().unwrap();
+        let (to_service, triggers) = channel();
+        let (to_said, said) = crossbeam_channel::bounded(1000);
+        let stop = Arc::new(AtomicBool::new(false));
+        let listener = Listener::new(Vec::new(), mark);
+        let say = move |words: &str| to_said.send(words.to_owned()).unwrap();
+        let exists = |name: &str| name == "old";
+        let thread = listen(socket, listener, exists, to_service, say, Arc::clone(&stop)).unwrap();
+        Self { at, triggers, said, stop, thread: Some(thread) }
+    }
+
+    fn next(&self) -> Received {
+        self.triggers.recv_timeout(GIVE_UP).unwrap()
+    }
+
+    fn end(mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        self.thread.take().unwrap().join().unwrap();
+    }
+}
+
+#[test]
+fn what_one_tells_another_hears_and_itself_ignores() {
+    let (own, other) = (Service::start(7), Service::start(8));
+    let teller = Teller::new(vec![own.at, other.at]).unwrap();
+    let mut announcer = Announcer::new("left", 7, 1);
+    let name = TakeName::of("walk").unwrap();
+    let sent = announcer.start(&name, "");
+    for _ in 0..3 {
+        assert_eq!(teller.tell(&sent), [""; 0]);
+    }
+    assert_eq!(teller.tell(&announcer.stop(&name, &StopResult::Success)), [""; 0]);
+    assert!(matches!(other.next().trigger, Trigger::Start(_)));
+    // The repeats are none, and what comes next is the stop.
+    assert!(matches!(other.next().trigger, Trigger::Stop(_)));
+    // Its own were read before this one, and gave nothing.
+    assert_eq!(teller.tell(b"<CaptureComplete/>"), [""; 0]);
+    assert!(matches!(own.next().trigger, Trigger::Complete(_)));
+    assert!(own.said.is_empty() && other.said.is_empty());
+    own.end();
+    other.end();
+}
+
+#[test]
+fn refusals_are_said_a_few_at_a_time() {
+    let service = Service::start(7);
+    let client = UdpSocket::bind("127.0.0.1:0").unwrap();
+    for id in 0..50 {
+        let old = start(&format!("<Name VALUE='old'/><PacketID VALUE='{id}'/>"));
+        client.send_to(old.as_bytes(), service.at).unwrap();
+    }
+    client.send_to(packet(1000).as_bytes(), service.at).unwrap();
+    service.next();
+    let said: Vec<String> = service.said.try_iter().collect();
+    assert_eq!(said.len(), 5, "{said:?}");
+    let from = client.local_addr().unwrap();
+    assert!(
+        said[0]
+            .starts_with(&format!("a datagram from {from} is refused: a take called old exists"))
+    );
+    service.end();
+}
+
+#[test]
+fn more_than_fit_are_lost_and_said() {
+    let service = Service::start(7);
+    let client = UdpSocket::bind("127.0.0.1:0").unwrap();
+    for id in 0..=TRIGGERS_MAX as u64 {
+        client.send_to(packet(id).as_bytes(), service.at).unwrap();
+    }
+    let said = service.said.recv_timeout(GIVE_UP).unwrap();
+    assert!(said.contains("is lost: 16 others wait already"), "{said}");
+    assert_eq!(service.triggers.len(), TRIGGERS_MAX);
+    service.end();
+}
+
+#[test]
+fn a_service_that_is_gone_ends_the_thread_and_a_port_that_is_taken_says_so() {
+    let mut service = Service::start(7);
+    let error = bind(service.at).unwrap_err().to_string();
+    assert!(error.contains("another program does"), "{error}");
+    let error = bind("192.0.2.1:0".parse().unwrap()).unwrap_err().to_string();
+    assert!(error.contains("no interface has this address"), "{error}");
+    let (_, gone) = channel();
+    drop(std::mem::replace(&mut service.triggers, gone));
+    let client = UdpSocket::bind("127.0.0.1:0").unwrap();
+    client.send_to(packet(1).as_bytes(), service.at).unwrap();
+    service.thread.take().unwrap().join().unwrap();
+}
