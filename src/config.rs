@@ -40,6 +40,7 @@ pub use self::{
     surroundings::Surroundings,
     token::{Token, TokenError},
 };
+use crate::service::log::Level;
 
 /// A configuration in which every value is possible, and all of them together.
 #[derive(Debug, Clone, PartialEq)]
@@ -57,7 +58,7 @@ pub struct Config {
     /// Capture triggers in and out.
     pub trigger: TriggerConfig,
     /// How much is said.
-    pub log_level: LogLevel,
+    pub log_level: Level,
 }
 
 /// `[device]`.
@@ -138,36 +139,4 @@ pub struct TriggerConfig {
     pub send_to: Vec<SocketAddr>,
     /// Who is listened to; everybody when it is empty.
     pub allow_from: Vec<Network>,
-}
-
-/// How much is said, from little to much.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum LogLevel {
-    /// What failed.
-    Error,
-    /// What lost data or may.
-    Warn,
-    /// What happened: arms, starts, stops, outages.
-    Info,
-    /// What helps to find a fault of the rig's.
-    Debug,
-    /// What helps to find a fault of mocapd's.
-    Trace,
-}
-
-impl LogLevel {
-    /// All of them.
-    pub const ALL: [Self; 5] = [Self::Error, Self::Warn, Self::Info, Self::Debug, Self::Trace];
-
-    /// As it is written.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Error => "error",
-            Self::Warn => "warn",
-            Self::Info => "info",
-            Self::Debug => "debug",
-            Self::Trace => "trace",
-        }
-    }
 }

@@ -5,18 +5,22 @@ use std::{net::IpAddr, path::PathBuf};
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 
 use super::{
-    ArmConfig, Config, DeviceChoice, DeviceConfig, HttpConfig, LogLevel, NameTemplate, Network,
-    Surroundings, TakeConfig, TriggerConfig,
+    ArmConfig, Config, DeviceChoice, DeviceConfig, HttpConfig, NameTemplate, Network, Surroundings,
+    TakeConfig, TriggerConfig,
     keys::*,
     reader::{self, Reader},
     written::suggestion,
 };
+use crate::service::log::Level;
 
 /// Bytes of a Unix socket's path, without the 0 behind it: `sun_path` has 108 on Linux.
 const SOCKET_BYTES_MAX: usize = 107;
 
 /// Bytes of a rig's name: it is a part of each take's.
 const RIG_NAME_BYTES_MAX: usize = 64;
+
+/// As they are written, for who wrote another word.
+const LEVELS: [&str; 5] = ["error", "warn", "info", "debug", "trace"];
 
 /// A configuration; it holds only when `reader` has no problems afterwards: what may be left out is left out then.
 pub(super) fn check(reader: &mut Reader, surroundings: &Surroundings) -> Option<Config> {
@@ -27,8 +31,7 @@ pub(super) fn check(reader: &mut Reader, surroundings: &Surroundings) -> Option<
     let http = http(reader, surroundings);
     let trigger = trigger(reader);
     let log_level = reader.text(&LOG_LEVEL, |text| {
-        let found = LogLevel::ALL.into_iter().find(|level| level.name() == text);
-        found.ok_or_else(|| suggestion(text, LogLevel::ALL.iter().map(|level| level.name())))
+        text.parse::<Level>().map_err(|_| suggestion(text, LEVELS.into_iter()))
     });
     Some(Config {
         rig_name: rig_name?,

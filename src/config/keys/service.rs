@@ -169,5 +169,5 @@ pub static LOG_LEVEL: Key = Key {
     what: "How much is said on standard error, and so in the journal.",
     why: "`info` says each arm, start, stop and outage, and nothing for each frame.",
     when: When::Now,
-    written: |config| Some(json!(config.log_level.name())),
+    written: |config| Some(json!(config.log_level.to_string())),
 };

@@ -70,7 +70,7 @@ fn an_empty_file_is_the_defaults() {
     assert_eq!(config.http.socket, Some("/run/mocapd/mocapd.sock".into()));
     assert_eq!(config.http.listen, Some("127.0.0.1:7060".parse::<SocketAddr>().unwrap()));
     assert_eq!(config.trigger.listen, None);
-    assert_eq!(config.log_level, LogLevel::Info);
+    assert_eq!(config.log_level, Level::Info);
     assert_eq!(config.notes(), [""; 0]);
 }
 
@@ -91,7 +91,7 @@ fn every_key_is_read() {
     assert_eq!(config.http.allowed_hosts, ["rig.lab", "10.0.0.1"]);
     assert_eq!(config.trigger.send_to.len(), 2);
     assert!(config.trigger.allow_from[0].contains("192.168.10.3".parse().unwrap()));
-    assert_eq!(config.log_level, LogLevel::Trace);
+    assert_eq!(config.log_level, Level::Trace);
     // Each differs from its default, so that none is merely left alone.
     let changes = parse("").unwrap().changes(&config);
     let unchanged: Vec<_> = keys::KEYS

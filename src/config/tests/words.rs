@@ -244,5 +244,5 @@ fn a_file_that_is_not_there_says_how_to_write_one() {
     ));
     std::fs::write(&file, "[log]\nlevel = 'debug'\n").unwrap();
     let config = Config::load(&file, &Overrides::default()).unwrap();
-    assert_eq!((config.log_level, config.rig_name.as_str()), (LogLevel::Debug, "left"));
+    assert_eq!((config.log_level, config.rig_name.as_str()), (Level::Debug, "left"));
 }
