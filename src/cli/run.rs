@@ -8,14 +8,15 @@ use std::{
 
 use anyhow::Context;
 use mocapd::{
-    config::{CONFIG_PATH, Config, ConfigError, LogLevel, Overrides},
+    config::{CONFIG_PATH, Config, ConfigError, Overrides},
     heartbeat::Heartbeat,
     outcome::{Outcome, UsageError},
     service::{
         control::Control,
         engine::{Engine, EngineOptions},
-        log::{Level, Log},
+        log::Log,
         notify::Notifier,
+        triggered::Triggers,
     },
 };
 use signal_hook::{
@@ -67,31 +68,54 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let mut signals =
         Signals::new([SIGHUP, SIGINT, SIGTERM]).context("cannot watch for signals")?;
     make_directory(&config.take.directory)?;
-    let log = Log::start(level(config.log_level), &config.rig_name, std::io::stderr)?;
+    let log = Log::start(config.log_level, &config.rig_name, std::io::stderr)?;
     let heartbeat = Heartbeat::default();
     let engine = Arc::new(Engine::start(EngineOptions::of(&config), &heartbeat)?);
-    let doors = Doors::open(&config, &engine)?;
+    let control: Arc<dyn Control> = Arc::<Engine>::clone(&engine);
+    let doors = Doors::open(&config, &control)?;
     let mut notifier = Notifier::default();
     notifier.ready(&engine.status().words());
     let pings = Notifier::watch(&heartbeat)?;
-    let mut running = Running { args, config, log, engine, notifier };
+    let mut running = Running { args, config, log, engine, control, doors, notifier };
     let outcome = running.until_stopped(&mut signals);
     running.notifier.stopping("finishing the take");
     running.engine.stop_service();
-    doors.close();
+    running.doors.close();
     drop(pings);
     outcome.map(|()| Outcome::Done)
 }
 
 /// Ways in.
-struct Doors {}
+struct Doors {
+    triggers: Option<Triggers>,
+}
 
 impl Doors {
-    fn open(_config: &Config, _engine: &Arc<Engine>) -> anyhow::Result<Self> {
-        Ok(Self {})
+    fn open(config: &Config, control: &Arc<dyn Control>) -> anyhow::Result<Self> {
+        Ok(Self { triggers: Triggers::open(&config.trigger, &config.rig_name, control)? })
     }
 
-    fn close(self) {}
+    /// Other triggers, where the configuration has others.
+    fn reopen(
+        &mut self,
+        was: &Config,
+        now: &Config,
+        control: &Arc<dyn Control>,
+    ) -> anyhow::Result<()> {
+        if was.trigger != now.trigger {
+            if let Some(triggers) = self.triggers.take() {
+                triggers.close();
+            }
+            self.triggers = Triggers::open(&now.trigger, &now.rig_name, control)?;
+        }
+        Ok(())
+    }
+
+    fn close(self) {
+        if let Some(triggers) = self.triggers {
+            triggers.close();
+        }
+    }
 }
 
 struct Running<'a> {
@@ -99,6 +123,8 @@ struct Running<'a> {
     config: Config,
     log: Log,
     engine: Arc<Engine>,
+    control: Arc<dyn Control>,
+    doors: Doors,
     notifier: Notifier,
 }
 
@@ -142,8 +168,11 @@ impl Running<'_> {
             tracing::error!("the configuration stays as it was: {error:#}");
             return;
         }
-        self.log.set_level(level(config.log_level));
+        self.log.set_level(config.log_level);
         self.engine.reload(EngineOptions::of(&config));
+        if let Err(error) = self.doors.reopen(&self.config, &config, &self.control) {
+            tracing::error!("{error:#}");
+        }
         self.config = config;
     }
 }
@@ -156,14 +185,4 @@ fn make_directory(directory: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(directory).with_context(cannot)?;
     say(&format!("made the folder {}", directory.display()));
     Ok(())
-}
-
-fn level(level: LogLevel) -> Level {
-    match level {
-        LogLevel::Error => Level::Error,
-        LogLevel::Warn => Level::Warn,
-        LogLevel::Info => Level::Info,
-        LogLevel::Debug => Level::Debug,
-        LogLevel::Trace => Level::Trace,
-    }
 }

@@ -95,8 +95,7 @@ impl Intake {
     pub(super) fn new(
         config: &PipelineConfig,
         plan: &Plan,
-        rings: Vec<RingIn<Sample>>,
-        timeline: RingIn<TimelineItem>,
+        (rings, timeline): (Vec<RingIn<Sample>>, RingIn<TimelineItem>),
         feed: Feed,
         to_writer: ToWriter,
         progress: Arc<Progress>,

@@ -198,8 +198,7 @@ impl<W: TakeOutput> Pipeline<W> {
         let intake = Intake::new(
             config,
             &plan,
-            producers,
-            timeline_producer,
+            (producers, timeline_producer),
             pool.feed(),
             to_writer,
             Arc::clone(&progress),

@@ -68,6 +68,9 @@ pub trait Control: Send + Sync + std::fmt::Debug + 'static {
     /// There is no such take.
     fn take_path(&self, name: &str) -> Result<PathBuf, Refusal>;
 
+    /// Says something to everybody who listens: an event of this kind.
+    fn tell(&self, _kind: &str, _message: &str) {}
+
     /// What happens from now on.
     fn events(&self) -> EventFeed;
 

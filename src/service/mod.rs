@@ -16,3 +16,4 @@ pub mod log;
 pub mod notify;
 pub mod status;
 pub mod trigger;
+pub mod triggered;

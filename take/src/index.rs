@@ -138,7 +138,7 @@ mod tests {
 
         let footer = Footer { index_offset: 5, ledger_offset: 6, n_rows: 7 };
         let mut out = Vec::new();
-        chunk::put(&mut out, chunk::types::FOOTER, &footer.to_payload()).unwrap();
+        chunk::put(&mut out, types::FOOTER, &footer.to_payload()).unwrap();
         assert_eq!(out.len(), Footer::CHUNK_BYTES);
         assert_eq!(Footer::from_payload(&footer.to_payload(), 0).unwrap(), footer);
     }

@@ -241,6 +241,10 @@ impl Control for Engine {
         self.inner.path_of(name)
     }
 
+    fn tell(&self, kind: &str, message: &str) {
+        self.inner.say_event(kind, message, None);
+    }
+
     fn events(&self) -> EventFeed {
         self.inner.events.subscribe()
     }

@@ -157,7 +157,7 @@ mod tests {
 
     #[test]
     fn noise_is_measured_where_a_marker_is_still() {
-        let noise = |frame: usize| if frame % 2 == 0 { 0.1 } else { -0.1 };
+        let noise = |frame: usize| if frame.is_multiple_of(2) { 0.1 } else { -0.1 };
         let markers = judged(|frame| {
             let moving = frame as f32 * 3.0;
             vec![[noise(frame), 5.0, 7.0], [moving, 0.0, 0.0], [f32::NAN; 3]]
