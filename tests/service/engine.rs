@@ -18,7 +18,7 @@ use crate::{
     support::{dense, jump},
 };
 
-fn options(directory: &Path, device: &Path) -> EngineOptions {
+pub(crate) fn options(directory: &Path, device: &Path) -> EngineOptions {
     let uri: mocapd_drivers::uri::DeviceUri =
         format!("serial:{}", device.display()).parse().unwrap();
     EngineOptions {
@@ -41,13 +41,13 @@ fn options(directory: &Path, device: &Path) -> EngineOptions {
     }
 }
 
-struct Room {
-    directory: tempfile::TempDir,
-    device: Simulated,
-    engine: Engine,
+pub(crate) struct Room {
+    pub(crate) directory: tempfile::TempDir,
+    pub(crate) device: Simulated,
+    pub(crate) engine: Engine,
 }
 
-fn room(change: impl FnOnce(&mut EngineOptions)) -> Room {
+pub(crate) fn room(change: impl FnOnce(&mut EngineOptions)) -> Room {
     let directory = tempfile::tempdir().unwrap();
     let device = Simulated::endless(jump(1, 120.0, 3.0));
     let mut options = options(directory.path(), &device.path);
@@ -60,19 +60,19 @@ fn request() -> Request {
     Request::default()
 }
 
-fn named(name: &str) -> Start {
+pub(crate) fn named(name: &str) -> Start {
     Start { name: Some(name.to_owned()), ..Start::default() }
 }
 
 /// A whole take that nothing is wrong with.
-fn read(path: &Path) -> Summary {
+pub(crate) fn read(path: &Path) -> Summary {
     let summary = Summary::read(std::fs::File::open(path).unwrap()).unwrap();
     assert_eq!((summary.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
     assert!(summary.ledger.as_ref().unwrap().finished);
     summary
 }
 
-fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
+pub(crate) fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
     for _ in 0..1500 {
         if is_so() {
             return;

@@ -1,3 +1,5 @@
 //! The service: an engine and a simulated device on a line.
 
-mod engine;
+mod cycles;
+pub(crate) mod engine;
+mod triggers;

@@ -1,0 +1,72 @@
+//! Takes begun and ended again and again: each is whole, and nothing is left over. A thousand of them:
+//!
+//! ```text
+//! cargo test --release --test integration -- --ignored --nocapture service::cycles::a_thousand
+//! ```
+
+use std::{
+    fs,
+    time::{Duration, Instant},
+};
+
+use mocapd::service::control::{Control, Request};
+
+use super::engine::{Room, named, read, room, wait_until};
+
+/// Of this process: threads, open files, and resident memory in bytes.
+fn held() -> (usize, usize, u64) {
+    let count = |folder: &str| fs::read_dir(folder).unwrap().count();
+    let statm = fs::read_to_string("/proc/self/statm").unwrap();
+    let pages: u64 = statm.split_whitespace().nth(1).unwrap().parse().unwrap();
+    (count("/proc/self/task"), count("/proc/self/fd"), pages * 4096)
+}
+
+/// The first and the last of `n` takes, by what the process held after them.
+fn cycles(n: usize, look: bool) -> Vec<(usize, usize, u64)> {
+    let Room { directory: _directory, device: _device, engine } =
+        room(|options| options.arm_at_start = true);
+    wait_until("the pre-roll", || engine.status().pre_roll.held_s > 4.5);
+    let mut first_ms = Vec::new();
+    let mut all = Vec::new();
+    for cycle in 0..n {
+        let asked = Instant::now();
+        let started = engine.start(&named(&format!("take-{cycle}"))).unwrap();
+        first_ms.push(asked.elapsed().as_secs_f64() * 1e3);
+        std::thread::sleep(Duration::from_millis(30));
+        let stopped = engine.stop(&Request::default()).unwrap();
+        assert!(stopped.ledger.closes && stopped.ledger.finished, "{stopped:?}");
+        let summary = read(&started.path);
+        assert_eq!(summary.ledger.unwrap().recorded, stopped.ledger.recorded);
+        fs::remove_file(&started.path).unwrap();
+        all.push(held());
+    }
+    first_ms.sort_by(f64::total_cmp);
+    if look {
+        println!(
+            "{n} takes: start to first durable frame, median {:.0} ms, 99 of 100 within {:.0} ms, at most {:.0} ms",
+            first_ms[n / 2],
+            first_ms[n * 99 / 100],
+            first_ms[n - 1]
+        );
+    }
+    all
+}
+
+#[test]
+fn takes_follow_each_other_and_leave_nothing_behind() {
+    cycles(10, false);
+}
+
+#[test]
+#[ignore = "minutes: see the command above"]
+fn a_thousand_takes_leave_no_thread_no_file_and_no_memory() {
+    let all = cycles(1000, true);
+    let (threads, files, bytes) = all[99];
+    let (threads_now, files_now, bytes_now) = all[999];
+    let grown = bytes_now.saturating_sub(bytes);
+    println!(
+        "threads {threads} -> {threads_now}, files {files} -> {files_now}, memory +{grown} bytes from the 100th on"
+    );
+    assert_eq!((threads_now, files_now), (threads, files));
+    assert!(grown < 4 << 20, "{grown}");
+}
