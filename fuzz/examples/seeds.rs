@@ -32,6 +32,7 @@ fn main() -> io::Result<()> {
         ("recover_take", mocapd_fuzz::recover_take, damaged_takes()),
         ("read_file", mocapd_fuzz::read_file, files()),
         ("hear", mocapd_fuzz::hear, wires()),
+        ("config", mocapd_fuzz::config, configs()),
     ] {
         let folder = folder.join(target);
         fs::create_dir_all(&folder)?;
@@ -226,6 +227,32 @@ fn wires() -> Vec<Vec<u8>> {
         let mut seed = vec![1 | as_is, kinds[i], payload.len() as u8, 0];
         seed.extend(payload);
         seeds.push(seed);
+    }
+    seeds
+}
+
+/// The example, every key of it with its default or what it may be, and some of what people write instead.
+fn configs() -> Vec<Vec<u8>> {
+    let example = mocapd::config::example();
+    let mut given = String::new();
+    for key in mocapd::config::keys::KEYS {
+        // A section may stand once only.
+        given.push_str(&format!("{} = {}\n", key.path, key.example()));
+    }
+    let mut seeds = vec![example.into_bytes(), given.clone().into_bytes()];
+    for (from, to) in [
+        ("auto", "usb:1209:0001:A?driver=dvmc"),
+        ("\"0.5mm\"", "'1e-1 mm'"),
+        ("lossless = false", "lossless = true"),
+        ("[]", "['192.168.10.0/24', '::1']"),
+        ("127.0.0.1", "0.0.0.0"),
+        ("= 240", "= \"59.94Hz\""),
+        ("\"10s\"", "10"),
+        ("pre_roll", "pre_rol"),
+        ("{date}", "../{dat}"),
+        (" = ", " = = "),
+    ] {
+        seeds.push(given.replace(from, to).into_bytes());
     }
     seeds
 }

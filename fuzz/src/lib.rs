@@ -4,6 +4,7 @@
 
 mod blocks;
 mod check;
+mod config;
 mod file;
 mod input;
 mod link;
@@ -13,6 +14,6 @@ mod take;
 mod trips;
 
 pub use self::{
-    blocks::decode_block, file::read_file, input::Input, link::hear, range::range_coder,
-    take::read_take, take::recover_take, trips::round_trip,
+    blocks::decode_block, config::config, file::read_file, input::Input, link::hear,
+    range::range_coder, take::read_take, take::recover_take, trips::round_trip,
 };

@@ -1,0 +1,27 @@
+//! Bytes of anybody as a configuration.
+
+use mocapd::config::{Config, Overrides, PROBLEMS_MAX, Surroundings};
+
+/// Reasons of a bounded number and length, each on its line; or a configuration that is the same when it is written
+/// out and read again, and of which nothing has changed then.
+pub fn config(bytes: &[u8]) {
+    let surroundings =
+        Surroundings { file_stem: Some("left".to_owned()), ..Surroundings::default() };
+    let parse = |bytes: &[u8]| Config::parse("x", bytes, &surroundings, &Overrides::default());
+    match parse(bytes) {
+        Ok(config) => {
+            let written = config.to_toml();
+            let again = parse(written.as_bytes()).expect("what we write can be meant");
+            assert_eq!(config, again, "{written}");
+            assert!(config.changes(&again).is_empty(), "{written}");
+            assert!(config.notes().iter().all(|note| !note.contains('\n')));
+        }
+        Err(error) => {
+            let lines = error.lines();
+            assert!((1..=PROBLEMS_MAX + 1).contains(&lines.len()), "{lines:?}");
+            for line in lines {
+                assert!(line.len() < 2000 && !line.contains(char::is_control), "{line:?}");
+            }
+        }
+    }
+}
