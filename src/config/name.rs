@@ -20,7 +20,7 @@ pub struct NameParts<'a> {
     pub begin: DateTime,
     /// `{rig}`.
     pub rig: &'a str,
-    /// `{count}`: of takes since the service runs, or of those in the folder; the caller's to choose.
+    /// `{count}`: the first from 1 whose name is free; the caller counts.
     pub count: u64,
 }
 
@@ -87,7 +87,7 @@ impl NameTemplate {
         if self.text.ends_with([' ', '.']) {
             return Err("a take's name does not end with a dot or a space".to_owned());
         }
-        if let Some(c) = self.text.chars().find(|c| c.is_control() || "/\\:".contains(*c)) {
+        if let Some(c) = self.text.chars().find(|c| c.is_control() || "/\\:\u{fffd}".contains(*c)) {
             return Err(format!(
                 "'{}' cannot be in a take's name, which is no path",
                 c.escape_debug()
@@ -109,12 +109,6 @@ impl NameTemplate {
     #[must_use]
     pub fn text(&self) -> &str {
         &self.text
-    }
-
-    /// Whether two takes of different times have different names.
-    #[must_use]
-    pub fn tells_takes_apart(&self) -> bool {
-        self.parts.iter().any(|part| matches!(part, Part::Time | Part::Count))
     }
 
     /// A take's name without `.take`: `2026-11-22_16-04-59_left`.
@@ -178,6 +172,7 @@ mod tests {
             ("a/b", "'/' cannot be"),
             ("a\\b", "cannot be"),
             ("a\nb", "cannot be"),
+            ("a\u{fffd}", "cannot be"),
             ("{date", "has no '}'"),
             ("date}", "has no '{'"),
             ("{dat}", "did you mean 'date'?"),
@@ -190,12 +185,5 @@ mod tests {
             assert!(said.contains(why), "{text}: {said}");
         }
         assert!(NameTemplate::parse(&"x".repeat(NAME_BYTES_MAX)).is_ok());
-    }
-
-    #[test]
-    fn names_that_come_twice_are_known() {
-        for (text, apart) in [("{date}_{rig}", false), ("{time}", true), ("run {count}", true)] {
-            assert_eq!(NameTemplate::parse(text).unwrap().tells_takes_apart(), apart, "{text}");
-        }
     }
 }

@@ -43,13 +43,6 @@ impl Config {
                 "there is no http.socket and no http.listen: nobody can ask how it is".to_owned(),
             );
         }
-        if !self.take.name.tells_takes_apart() {
-            notes.push(format!(
-                "take.name is {}: a second take would have the name of the first, and is refused; \
-                 put {{time}} or {{count}} into it",
-                self.take.name
-            ));
-        }
         if self.device.raw_log {
             notes.push(
                 "device.raw_log is on: each take has a log beside it that is many times as large"

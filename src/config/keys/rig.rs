@@ -88,7 +88,7 @@ pub static TAKE_NAME: Key = Key {
     ),
     preset: Preset::Text("{date}_{time}_{rig}"),
     what: "How a take is called that was started without a name.",
-    why: "Names that begin with the date sort by time, and those with {time} or {count} do not come twice.",
+    why: "Names that begin with the date sort by time; where a name exists a number is put behind it, since no take is overwritten.",
     when: When::NextTake,
     written: |config| Some(json!(config.take.name.text())),
 };

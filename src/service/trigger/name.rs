@@ -15,19 +15,10 @@ impl TakeName {
     /// What can be kept of a text; `None` when nothing can.
     #[must_use]
     pub fn of(sent: &str) -> Option<Self> {
-        let mut text: String = sent.chars().map(|c| if is_refused(c) { '_' } else { c }).collect();
-        // The ending is ours to add.
-        if text.to_ascii_lowercase().ends_with(".take") {
-            text.truncate(text.len() - ".take".len());
-        }
+        let text: String = sent.chars().map(|c| if is_refused(c) { '_' } else { c }).collect();
         let begins = |c: char| c == '.' || c == '-' || c.is_whitespace();
-        let ends = |c: char| c == '.' || c.is_whitespace();
-        let trimmed = text.trim_start_matches(begins);
-        let mut end = trimmed.len().min(NAME_BYTES_MAX);
-        while !trimmed.is_char_boundary(end) {
-            end -= 1;
-        }
-        let text = trimmed[..end].trim_end_matches(ends).to_owned();
+        let text = ended(&text).trim_start_matches(begins);
+        let text = ended(cut(ended(text))).to_owned();
         let is_name = text.chars().any(|c| c != '_');
         is_name.then(|| Self { was_changed: text != sent, text })
     }
@@ -45,12 +36,36 @@ impl TakeName {
     }
 }
 
-/// Separators of paths here and elsewhere, what other file systems refuse, what terminals obey, and what cannot be seen
-/// and turns or hides the rest.
+/// Without what may not end it: `.take` is ours to add, once.
+fn ended(mut text: &str) -> &str {
+    loop {
+        let trimmed = text.trim_end_matches(|c: char| c == '.' || c.is_whitespace());
+        let at = trimmed.len().saturating_sub(".take".len());
+        let shorter = match trimmed.get(at..) {
+            Some(ending) if ending.eq_ignore_ascii_case(".take") => &trimmed[..at],
+            _ => trimmed,
+        };
+        if shorter == text {
+            return text;
+        }
+        text = shorter;
+    }
+}
+
+fn cut(text: &str) -> &str {
+    let mut end = text.len().min(NAME_BYTES_MAX);
+    while !text.is_char_boundary(end) {
+        end -= 1;
+    }
+    &text[..end]
+}
+
+/// Separators of paths here and elsewhere, what other file systems refuse, what terminals obey, what cannot be seen
+/// and turns or hides the rest, and what stands for a letter that was lost.
 fn is_refused(c: char) -> bool {
     c.is_control()
         || "/\\:*?\"<>|".contains(c)
-        || matches!(c, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}')
+        || matches!(c, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}' | '\u{fffd}')
 }
 
 impl fmt::Display for TakeName {
@@ -80,6 +95,9 @@ mod tests {
             ("ab\u{202e}ekat.", "ab_ekat"),
             ("walk.take", "walk"),
             ("walk.TAKE", "walk"),
+            ("walk.take.take", "walk"),
+            ("walk.take. .", "walk"),
+            ("w\u{fffd}lk", "w_lk"),
         ] {
             let kept = TakeName::of(sent).unwrap();
             assert_eq!((kept.text(), kept.was_changed()), (name, true), "{sent:?}");
@@ -98,5 +116,7 @@ mod tests {
         // What the cut leaves at the end is no dot.
         let kept = TakeName::of(&format!("{}{}x", "a".repeat(190), ".".repeat(20))).unwrap();
         assert_eq!(kept.text(), "a".repeat(190));
+        let kept = TakeName::of(&format!("{}.take.x", "a".repeat(195))).unwrap();
+        assert_eq!(kept.text(), "a".repeat(195));
     }
 }
