@@ -44,19 +44,28 @@ pub enum SourceError {
     },
 }
 
+/// Whether a file is called after a format of motion.
+#[must_use]
+pub fn is_motion(path: &Path) -> bool {
+    is_take(path) || Format::from_extension(path).is_some()
+}
+
+fn is_take(path: &Path) -> bool {
+    path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("take"))
+}
+
 /// Reads a whole motion, and what was wrong with it and read all the same, one sentence each.
 ///
 /// # Errors
 /// When the ending is unknown, or the file cannot be read.
 pub fn read(path: &Path) -> Result<(Motion, Vec<String>), SourceError> {
     let owned = || path.to_owned();
-    let is_take = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("take"));
     let format = Format::from_extension(path);
-    if !is_take && format.is_none() {
+    if !is_motion(path) {
         return Err(SourceError::Ending { path: owned() });
     }
     let read = |source| SourceError::Read { path: owned(), source };
-    let Some(format) = format.filter(|_| !is_take) else {
+    let Some(format) = format.filter(|_| !is_take(path)) else {
         let file = fs::File::open(path).map_err(read)?;
         return mocapd_take::read_motion(BufReader::new(file))
             .map_err(|source| SourceError::Take { path: owned(), source });

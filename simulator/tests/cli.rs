@@ -254,6 +254,89 @@ fn a_raw_log_is_the_device_that_it_is_of() {
 }
 
 #[test]
+fn a_file_that_is_neither_motion_nor_log_is_told_for_what_it_is() {
+    let log =
+        std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/logs/stall.rawlog")).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.rawlog");
+    let mut bad_head = log.clone();
+    bad_head[2] ^= 0x40;
+    for (bytes, code, said) in [
+        (&b""[..], 1, "is empty"),
+        (&log[..5], 1, "cut off in its first bytes"),
+        (&log[..8], 1, "cut off at byte 8"),
+        (
+            &log[..30],
+            1,
+            "nothing of what the device said can be read: the raw log is cut off at byte 9",
+        ),
+        (&bad_head, 1, "its first 8 bytes are damaged"),
+        (b"time,x,y\n1,2,3\n", 2, "unknown ending"),
+    ] {
+        std::fs::write(&path, bytes).unwrap();
+        let words = fails(&[path.to_str().unwrap(), "--pty"], code);
+        assert!(words.contains(said) && words.contains("a.rawlog"), "{words}");
+        assert_eq!(words.lines().count(), 1, "{words}");
+    }
+    let words = fails(&[folder.path().to_str().unwrap(), "--pty"], 1);
+    assert!(words.contains("is a folder"), "{words}");
+}
+
+/// The log of a recorder that was killed: two seconds less their end.
+#[test]
+fn a_log_without_its_end_is_played_once_and_the_device_goes_away() {
+    let log =
+        std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/logs/stall.rawlog")).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cut.rawlog");
+    std::fs::write(&path, &log[..log.len() - 200]).unwrap();
+    let (child, line) = started(&[path.to_str().unwrap(), "--pty", "--speed", "20"]);
+    let mut port = SerialTransport::open(Path::new(&line), None).unwrap();
+    let mut link = HostLink::new();
+    let mut bytes = Vec::new();
+    for command in [Say::Stop, Say::Identify, Say::Ping { host_ns: 42 }] {
+        link.command(command, &mut bytes);
+    }
+    link.command(Say::Start { line_bytes_per_s: 0 }, &mut bytes);
+    port.write_all(&bytes).unwrap();
+    let mut buffer = [0; 4096];
+    let begun = Instant::now();
+    while let Ok(n) = port.read(&mut buffer) {
+        link.push(&buffer[..n], &mut |event| {
+            assert!(!matches!(event, DeviceEvent::EndOfStream(_)), "it was cut off");
+        });
+        assert!(begun.elapsed() < Duration::from_secs(20), "it stays");
+    }
+    let (code, words) = ended(child);
+    assert_eq!(code, Some(0), "{words}");
+    assert!(words.contains("is cut off at byte"), "{words}");
+    assert!(words.contains("the log is over, and has no end of stream"), "{words}");
+    assert!(words.contains("1 run: ") && words.contains("bytes of the log sent"), "{words}");
+}
+
+/// `timeout -s INT` signals a process and then its group.
+#[test]
+fn a_signal_that_comes_twice_is_one_and_a_later_one_ends_it_at_once() {
+    // Half a second of frames that nobody reads: a device that ends waits a second for its host.
+    let args = ["--generate", "jump", "--pty", "--rate", "1000", "--loop"];
+    for (pause_ms, code) in [(100, Some(0)), (700, Some(130))] {
+        let (child, path) = started(&args);
+        let mut port = SerialTransport::open(Path::new(&path), None).unwrap();
+        let mut bytes = Vec::new();
+        HostLink::new().command(Say::Start { line_bytes_per_s: 0 }, &mut bytes);
+        port.write_all(&bytes).unwrap();
+        std::thread::sleep(Duration::from_millis(500));
+        let signal = || kill_process(Pid::from_child(&child), Signal::INT).unwrap();
+        signal();
+        std::thread::sleep(Duration::from_millis(pause_ms));
+        signal();
+        let (ended, words) = ended(child);
+        assert_eq!(ended, code, "{pause_ms} ms: {words}");
+        drop(port);
+    }
+}
+
+#[test]
 fn signals_end_it_cleanly() {
     for signal in [Signal::INT, Signal::TERM] {
         let args = ["--generate", "jump", "--pty", "--speed", "4", "--seconds", "200ms"];

@@ -131,6 +131,34 @@ fn an_ndi_system_is_logged_and_its_replay_refused() {
     assert!(refused.contains("family 'ndi'"), "{refused}");
 }
 
+/// Of a recorder that was killed, and of a cable that was pulled for good: what there is, once, and nothing made of it.
+#[test]
+fn a_log_without_an_end_is_recorded_once() {
+    let log = fs::read(format!("{LOGS}/stall.rawlog")).unwrap();
+    let all: Vec<Record<'_>> = records(&log).unwrap().map(Result::unwrap).collect();
+    let kept = &all[..all.len() - 12];
+    let mut cut = Vec::new();
+    put_head(&mut cut);
+    kept.iter().for_each(|record| put_record(record, &mut cut));
+    let mut unplugged = cut.clone();
+    for (entry, after_ns) in [(Entry::Closed, 50_000_000), (Entry::End, 900_000_000)] {
+        let time_ns = kept[kept.len() - 1].time_ns + after_ns;
+        put_record(&Record { time_ns, entry }, &mut unplugged);
+    }
+    for log in [&cut, &unplugged] {
+        let folder = Folder::new();
+        let device = LogDevice::new(log, 1.0).unwrap();
+        // Long enough for a device that begins again to be recorded a second time.
+        let options = ["-o", "again.take", "--reconnect", "3s"];
+        let (ran, sent) = record_from(&folder, device, None, &options);
+        assert_eq!((ran.code, sent.starts), (Some(3), 1), "{}", ran.stderr);
+        let report = ran.json();
+        assert_eq!(report["ending"], "disconnected");
+        assert_eq!(report["ledger"]["link_bytes"], said(log).len(), "{report:#}");
+        assert!(report["frames"].as_u64().unwrap() > 20, "{report:#}");
+    }
+}
+
 #[test]
 fn the_logs_that_are_kept_come_to_what_stands_beside_them() {
     let mut found: Vec<PathBuf> = fs::read_dir(LOGS).unwrap().map(|e| e.unwrap().path()).collect();

@@ -16,13 +16,13 @@ pub enum RawLogError {
         found: u8,
     },
     /// A record is not as it was written. What stands before it is good.
-    #[error("the raw log is damaged at byte {offset}: what stands before it can be used")]
+    #[error("the raw log is damaged at byte {offset}, and is read up to there")]
     Damaged {
         /// Where the record begins.
         offset: usize,
     },
     /// The last record is not whole: the recorder was killed.
-    #[error("the raw log is cut off at byte {offset}: what stands before it can be used")]
+    #[error("the raw log is cut off at byte {offset}, and is read up to there")]
     CutOff {
         /// Where the record begins.
         offset: usize,

@@ -43,6 +43,11 @@ pub trait LineDevice {
         true
     }
 
+    /// Whether it went away and will not come back: nothing more goes over its line.
+    fn is_gone(&self) -> bool {
+        false
+    }
+
     /// The first line of a log file.
     fn log_header(&self) -> &'static str {
         SentFrame::CSV_HEADER

@@ -51,7 +51,7 @@ impl std::fmt::Debug for ServeOptions {
     }
 }
 
-/// Is the device on a line until `stop`. What was sent by then is drained before it returns, unless the host
+/// Is the device on a line until `stop`, or until it [went away](LineDevice::is_gone) for good. What was sent by then is drained before it returns, unless the host
 /// reads nothing for a second.
 ///
 /// # Errors
@@ -138,7 +138,8 @@ impl Server<'_> {
             self.log_frames()?;
             // A host's first Stop ends nothing: there was no run yet.
             let has_ended = self.device.has_ended() && self.device.log().starts > 0;
-            if once && has_ended && self.device.pending().is_empty() {
+            let is_over = self.device.is_gone() || (once && has_ended);
+            if is_over && self.device.pending().is_empty() {
                 return Ok(());
             }
             let until_wake = Duration::from_nanos(wake_ns.saturating_sub(host_ns()));

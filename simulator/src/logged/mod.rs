@@ -29,7 +29,8 @@ pub enum LogDeviceError {
     Log(#[from] RawLogError),
     /// It is of a device that is spoken to otherwise.
     #[error(
-        "the log is of a device of the family '{driver}': only those of the link protocol (dvmc) can be replayed"
+        "the log is of a device of the family '{driver}', and only those of the link protocol (dvmc) can be replayed: an NDI \
+         system is found by breaks and at other speeds of its line, which a replay has not"
     )]
     Driver {
         /// The family.
@@ -38,6 +39,9 @@ pub enum LogDeviceError {
     /// The device said nothing.
     #[error("the device said nothing in this log: there is nothing to replay")]
     Silent,
+    /// Nor could it be read.
+    #[error("nothing of what the device said can be read: {0}")]
+    Unreadable(RawLogError),
     /// Hello and ticks are as logged, and time is not.
     #[error("speed {found} is out of range: give 0.001 to 1000")]
     Speed {
@@ -62,7 +66,13 @@ pub struct LogDevice {
     out: Vec<u8>,
     /// Between Hello and Start a host waits for its Pong.
     greeting: bool,
+    /// Its host said Stop, and not Start since: with Identify behind it that is how a host begins that opened the line.
+    stopped: bool,
+    /// It was started since its line was opened.
+    started: bool,
     plugged: bool,
+    /// The log is over, and says of no end: the device is not there any more.
+    gone: bool,
     /// The line is open, and no host has said anything.
     unheard: bool,
     log: SentLog,
@@ -78,9 +88,12 @@ impl LogDevice {
         if !(0.001..=1000.0).contains(&speed) {
             return Err(LogDeviceError::Speed { found: speed });
         }
-        let steps = Steps::read(log)?;
+        let steps = Steps::read(log).map_err(|error| match error {
+            RawLogError::CutOff { .. } => LogDeviceError::Unreadable(error),
+            _ => LogDeviceError::Log(error),
+        })?;
         if steps.said.is_empty() {
-            return Err(LogDeviceError::Silent);
+            return Err(steps.problem.map_or(LogDeviceError::Silent, LogDeviceError::Unreadable));
         }
         if steps.driver != "dvmc" {
             return Err(LogDeviceError::Driver { driver: steps.driver });
@@ -101,7 +114,10 @@ impl LogDevice {
             pongs: Pongs::new(),
             out: Vec::new(),
             greeting: true,
+            stopped: false,
+            started: false,
             plugged: true,
+            gone: false,
             unheard: true,
             log: SentLog::default(),
             problems,
@@ -124,13 +140,22 @@ impl LogDevice {
         if let Command::Ping { host_ns } = command {
             self.pongs.ping(host_ns, now_ns);
         }
+        self.stopped |= command == Command::Stop;
         let Some(barrier) = Barrier::of(command) else { return };
-        if barrier == Barrier::Identify && self.next_barrier() != Some(Barrier::Identify) {
+        if barrier == Barrier::Identify && self.is_another_host() {
             self.rewind();
         }
+        self.stopped &= barrier != Barrier::Start;
         if self.heard.len() < HEARD_MAX {
             self.heard.push_back(barrier);
         }
+    }
+
+    /// Whether an Identify is of a host that opened the line anew, and not of one that asks because it hears nothing.
+    fn is_another_host(&self) -> bool {
+        let is_over = self.next == self.steps.steps.len();
+        let is_awaited = self.next_barrier() == Some(Barrier::Identify) && !self.started;
+        is_over || (self.stopped && !is_awaited)
     }
 
     fn next_barrier(&self) -> Option<Barrier> {
@@ -163,7 +188,7 @@ impl LogDevice {
         self.heard.clear();
         self.pongs.clear();
         self.out.clear();
-        self.greeting = true;
+        (self.greeting, self.started) = (true, false);
     }
 
     /// When a time of the log comes, or came; all has come before the first.
@@ -193,6 +218,7 @@ impl LogDevice {
                 while self.heard.pop_front().is_some_and(|heard| heard != barrier) {}
                 self.log.starts += u64::from(barrier == Barrier::Start);
                 self.greeting = barrier != Barrier::Start;
+                self.started |= barrier == Barrier::Start;
                 self.anchor = Some((step.at_ns, now_ns));
                 self.next += 1;
                 continue;
@@ -213,16 +239,21 @@ impl LogDevice {
                         return u64::MAX;
                     }
                 }
-                Doing::Unplug => {
+                Doing::Unplug | Doing::Leave => {
                     self.pongs.flush(&mut self.out);
                     if !self.out.is_empty() {
                         // What was said before the cable was pulled reaches the host.
                         return now_ns;
                     }
+                    if step.doing == Doing::Leave {
+                        self.gone = true;
+                        return u64::MAX;
+                    }
                     self.plugged = false;
                 }
                 Doing::PlugIn => {
                     (self.plugged, self.unheard, self.greeting) = (true, true, true);
+                    (self.started, self.stopped) = (false, false);
                     self.pongs.clear();
                     self.heard.clear();
                 }
@@ -242,7 +273,7 @@ impl LogDevice {
 
 impl LineDevice for LogDevice {
     fn on_bytes(&mut self, bytes: &[u8], now_ns: u64) {
-        if !self.plugged {
+        if !self.plugged || self.gone {
             return;
         }
         self.unheard = false;
@@ -273,6 +304,10 @@ impl LineDevice for LogDevice {
 
     fn is_plugged(&self) -> bool {
         self.plugged
+    }
+
+    fn is_gone(&self) -> bool {
+        self.gone
     }
 
     fn log(&self) -> SentLog {

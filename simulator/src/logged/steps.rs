@@ -2,8 +2,8 @@
 
 use std::collections::HashMap;
 
-use mocapd_drivers::device::Command;
-use mocapd_drivers::link::DeviceLink;
+use mocapd_drivers::device::{Command, DeviceEvent, Protocol};
+use mocapd_drivers::link::{DeviceLink, HostLink};
 use mocapd_drivers::raw_log::{Entry, RawLogError, Record, records};
 
 /// What a host must say before a device goes on. Pings and Stop come when the host likes: nothing waits for them.
@@ -36,6 +36,8 @@ pub(super) enum Doing {
     Unplug,
     /// And put in again.
     PlugIn,
+    /// The log is over, and the device had not ended its stream: nobody knows what it said then.
+    Leave,
 }
 
 /// A step and its time in the log.
@@ -64,8 +66,10 @@ impl Steps {
     pub(super) fn read(log: &[u8]) -> Result<Self, RawLogError> {
         let mut found = Self::default();
         let mut host = DeviceLink::new();
+        let mut stream = Stream::default();
         let mut is_open = false;
         let mut ever_open = false;
+        let mut over_ns = 0;
         for record in records(log)? {
             let Record { time_ns: at_ns, entry } = match record {
                 Ok(record) => record,
@@ -74,12 +78,14 @@ impl Steps {
                     break;
                 }
             };
+            over_ns = at_ns;
             let steps = &mut found.steps;
             let mut step = |doing| steps.push(Step { at_ns, doing });
             match entry {
                 Entry::FromDevice(bytes) => {
                     let start = found.said.len();
                     found.said.extend_from_slice(bytes);
+                    stream.push(bytes);
                     step(Doing::Say { start, end: start + bytes.len() });
                 }
                 Entry::ToDevice(bytes) => host.push(bytes, &mut |command| {
@@ -110,8 +116,11 @@ impl Steps {
             }
         }
         // The line is closed at the end of every log; that is no pulled cable.
-        if found.steps.last().is_some_and(|step| step.doing == Doing::Unplug) {
-            found.steps.pop();
+        if let Some(closed) = found.steps.pop_if(|step| step.doing == Doing::Unplug) {
+            over_ns = closed.at_ns;
+        }
+        if !stream.has_ended {
+            found.steps.push(Step { at_ns: over_ns, doing: Doing::Leave });
         }
         Ok(found)
     }
@@ -119,5 +128,25 @@ impl Steps {
     /// Whether the cable is pulled in it.
     pub(super) fn unplugs(&self) -> bool {
         self.steps.iter().any(|step| step.doing == Doing::Unplug)
+    }
+}
+
+/// Whether the device ended what it had started.
+#[derive(Debug, Default)]
+struct Stream {
+    reader: HostLink,
+    runs: bool,
+    has_ended: bool,
+}
+
+impl Stream {
+    fn push(&mut self, bytes: &[u8]) {
+        let Self { reader, runs, has_ended } = self;
+        reader.push(bytes, &mut |event| match event {
+            DeviceEvent::Started(_) => (*runs, *has_ended) = (true, false),
+            // One before the first Start answers a host that stops whatever there was.
+            DeviceEvent::EndOfStream(_) if *runs => (*runs, *has_ended) = (false, true),
+            _ => {}
+        });
     }
 }

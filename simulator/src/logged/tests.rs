@@ -168,11 +168,87 @@ fn logs_that_cannot_be_a_device_are_refused_in_words() {
     assert!(error(b"time,x\n").contains("not a raw log"));
     let mut empty = Vec::new();
     put_head(&mut empty);
-    assert!(error(&empty).contains("said nothing"));
+    assert!(error(&empty).contains("can be read: the raw log is cut off at byte 9"));
+    assert!(error(&empty[..8]).contains("can be read: the raw log is cut off at byte 8"));
+    let mut silent = empty.clone();
+    put_record(&Record { time_ns: 0, entry: Entry::End }, &mut silent);
+    assert!(error(&silent).contains("said nothing"));
     put_record(&Record { time_ns: 0, entry: Entry::Opened("ndi /dev/ttyUSB0") }, &mut empty);
     put_record(&Record { time_ns: 0, entry: Entry::FromDevice(b"OKAYA896\r") }, &mut empty);
     assert!(error(&empty).contains("family 'ndi'"));
     assert!(LogDevice::new(&log(), 0.0).unwrap_err().to_string().contains("0.001 to 1000"));
+}
+
+#[test]
+fn a_log_without_an_end_of_stream_is_played_once_and_then_the_device_is_gone() {
+    let whole = log();
+    let mut again = Vec::new();
+    put_head(&mut again);
+    let put = |record: Result<Record<'_>, _>| {
+        put_record(&record.unwrap(), &mut again);
+        again.len()
+    };
+    let ends: Vec<usize> = records(&whole).unwrap().map(put).collect();
+    // Started, the ping and its pong, the end of stream: the last of which may be cut off, or damaged, or not be there
+    // because the cable was pulled for good.
+    let n = ends.len();
+    let mut damaged = whole.clone();
+    damaged[ends[n - 4] + 20] ^= 1;
+    let mut unplugged = whole[..ends[n - 4]].to_vec();
+    put_record(&Record { time_ns: 900 * MS, entry: Entry::Closed }, &mut unplugged);
+    put_record(&Record { time_ns: 5000 * MS, entry: Entry::End }, &mut unplugged);
+    for (what, log, gone_ms) in [
+        ("of a killed recorder", &whole[..ends[n - 4]], 500),
+        ("cut off", &whole[..ends[n - 4] + 9], 500),
+        ("damaged", &damaged, 500),
+        ("unplugged", &unplugged, 790),
+    ] {
+        let mut device = LogDevice::new(log, 1.0).unwrap();
+        assert_eq!(device.problems().len(), usize::from(what != "unplugged"), "{what}");
+        assert!(!device.unplugs(), "it needs no name that lasts: {what}");
+        let greeting =
+            [Command::Stop, Command::Identify, Command::Ping { host_ns: 77 }].map(command).concat();
+        let mut now_ms = 1000;
+        device.on_bytes(&greeting, now_ms * MS);
+        says(&mut device, &mut now_ms);
+        now_ms = 2000;
+        device.on_bytes(&command(START), now_ms * MS);
+        let said = says(&mut device, &mut now_ms);
+        assert_eq!(said, told(&[(2010, "started"), (2500, "pong 6")]), "{what}");
+        assert_eq!((now_ms, device.is_gone()), (2000 + gone_ms, true), "{what}");
+        assert!(!device.has_ended(), "{what}");
+        // Whoever asks now hears nothing.
+        now_ms = 20_000;
+        device.on_bytes(&greeting, now_ms * MS);
+        assert_eq!(says(&mut device, &mut now_ms), [], "{what}");
+    }
+}
+
+#[test]
+fn only_a_host_that_opened_the_line_anew_gets_the_log_from_its_beginning() {
+    let greeting = [Command::Stop, Command::Identify].map(command).concat();
+    let begun = || {
+        let mut device = LogDevice::new(&log(), 1.0).unwrap();
+        device.on_bytes(&[&greeting[..], &command(Command::Ping { host_ns: 7 })].concat(), 0);
+        says(&mut device, &mut 0);
+        device.on_bytes(&command(START), 110 * MS);
+        device.poll(110 * MS);
+        device.poll(500 * MS);
+        let n = device.pending().len();
+        device.sent(n);
+        device
+    };
+    // One that hears no frame asks who it is: the log says nothing of it, and goes on.
+    let mut device = begun();
+    device.on_bytes(&command(Command::Identify), 500 * MS);
+    let mut now_ms = 500;
+    let rest = told(&[(610, "pong 6"), (2000, "end")]);
+    assert_eq!(says(&mut device, &mut now_ms), rest);
+    // Another one after a recorder that was killed.
+    let mut device = begun();
+    device.on_bytes(&greeting, 500 * MS);
+    now_ms = 500;
+    assert_eq!(says(&mut device, &mut now_ms), told(&[(540, "hello")]));
 }
 
 #[test]

@@ -8,6 +8,7 @@ use anyhow::Context;
 use mocapd_drivers::raw_log::MAGIC;
 use mocapd_simulator::device::LineDevice;
 use mocapd_simulator::logged::{LogDevice, LogDeviceError};
+use mocapd_simulator::source::is_motion;
 
 use super::{ServeArgs, Spoken, say};
 use crate::cli::Failure;
@@ -15,17 +16,24 @@ use crate::cli::Failure;
 /// Bytes of a log: hours of a serial line, minutes of the fastest. It is held in memory.
 const LOG_BYTES_MAX: u64 = 1 << 30;
 
+/// So many bytes of a log's first eight are no accident.
+const HEAD_ALIKE: usize = 4;
+
 /// The file, when it is a log.
 pub(super) fn read(args: &ServeArgs) -> Result<Option<Vec<u8>>, Failure> {
     let Some(path) = &args.take else { return Ok(None) };
     // What cannot be read is told with what it should have been.
     let Ok(mut file) = File::open(path) else { return Ok(None) };
-    let mut head = [0; MAGIC.len()];
-    if file.read_exact(&mut head).is_err() || head != MAGIC {
-        return Ok(None);
+    let cannot_read = || format!("cannot read {}", path.display());
+    if file.metadata().is_ok_and(|found| found.is_dir()) {
+        return Err(anyhow::anyhow!("{} is a folder, not a file", path.display()).into());
+    }
+    let mut head = Vec::new();
+    file.by_ref().take(MAGIC.len() as u64).read_to_end(&mut head).with_context(cannot_read)?;
+    if head != MAGIC {
+        return if is_motion(path) { Ok(None) } else { Err(is_nothing(path, &head)) };
     }
     refuse_what_is_for_motions(args, path)?;
-    let cannot_read = || format!("cannot read {}", path.display());
     file.seek(SeekFrom::Start(0)).with_context(cannot_read)?;
     let mut log = Vec::new();
     file.take(LOG_BYTES_MAX + 1).read_to_end(&mut log).with_context(cannot_read)?;
@@ -35,6 +43,27 @@ pub(super) fn read(args: &ServeArgs) -> Result<Option<Vec<u8>>, Failure> {
         );
     }
     Ok(Some(log))
+}
+
+/// Why a file that has no motion's ending is no log either, and what it may have been.
+fn is_nothing(path: &Path, head: &[u8]) -> Failure {
+    let path = path.display();
+    let of_a_log = head.iter().zip(&MAGIC).filter(|(found, wanted)| found == wanted).count();
+    match head.len() {
+        0 => anyhow::anyhow!("{path} is empty: neither a motion nor a log of `mocapd record --raw`").into(),
+        n if n < MAGIC.len() && of_a_log == n => {
+            anyhow::anyhow!("{path} is a raw log that is cut off in its first bytes: there is nothing to replay").into()
+        }
+        _ if of_a_log >= HEAD_ALIKE => anyhow::anyhow!(
+            "{path} begins nearly as a raw log does: its first {} bytes are damaged, or were sent as text",
+            MAGIC.len()
+        )
+        .into(),
+        _ => Failure::usage(anyhow::anyhow!(
+            "{path}: unknown ending, expected .take, .c3d, .trc, .tsv or .csv, and it does not begin as a log of \
+             `mocapd record --raw`"
+        )),
+    }
 }
 
 fn refuse_what_is_for_motions(args: &ServeArgs, path: &Path) -> Result<(), Failure> {
@@ -64,11 +93,13 @@ pub(super) fn device(
     args: &ServeArgs,
     log: &[u8],
 ) -> Result<(Box<dyn LineDevice>, String), Failure> {
+    let name = args.take.as_deref().unwrap_or(Path::new("")).display();
     let device = LogDevice::new(log, args.speed).map_err(|error| match error {
-        LogDeviceError::Speed { .. } | LogDeviceError::Driver { .. } => Failure::usage(error),
-        _ => Failure::from(error),
+        LogDeviceError::Speed { .. } => Failure::usage(error),
+        LogDeviceError::Driver { .. } => Failure::usage(anyhow::anyhow!("{name}: {error}")),
+        _ => anyhow::anyhow!("{name}: {error}").into(),
     })?;
-    if device.unplugs() && !matches!(args.line.pty, Some(Some(_))) {
+    if device.unplugs() && !args.line.has_lasting_name() {
         let words = "the cable is pulled in this log, and the device needs a name that lasts: give --pty=LINK";
         return Err(Failure::usage(anyhow::anyhow!("{words}")));
     }

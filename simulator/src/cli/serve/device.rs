@@ -1,0 +1,107 @@
+//! The device that the options ask for.
+
+use std::sync::Arc;
+
+use mocapd_drivers::link::FrameForm;
+use mocapd_simulator::device::{Device, DeviceError, DeviceSettings, LineDevice};
+use mocapd_simulator::faults::{FaultyDevice, Script};
+use mocapd_simulator::ndi::{NdiDevice, NdiError, NdiSettings};
+use mocapd_take::motion::Motion;
+
+use super::{ServeArgs, Spoken, Wire, say};
+use crate::cli::Failure;
+
+/// The device, and what it is in words.
+pub(super) fn device(
+    args: &ServeArgs,
+    motion: Motion,
+    script: Option<Arc<Script>>,
+) -> Result<(Box<dyn LineDevice>, String), Failure> {
+    let usage = |words: &str| Err(Failure::usage(anyhow::anyhow!("{words}")));
+    let n_markers = motion.info.markers.len();
+    let device: (Box<dyn LineDevice>, u32) = match args.protocol {
+        Spoken::Dvmc if !args.tool.is_empty() || args.no_bx2 => {
+            return usage("--tool and --no-bx2 are for NDI systems: add --protocol ndi");
+        }
+        Spoken::Ndi if args.wire.is_some() => {
+            return usage("--wire is for the link protocol: an NDI system sends f32");
+        }
+        Spoken::Ndi if script.is_some() => {
+            return usage("--faults is for the link protocol: an NDI system has none here");
+        }
+        Spoken::Dvmc => {
+            let settings = DeviceSettings { faults: script.clone(), ..settings(args) };
+            let device = Device::new(motion, settings).map_err(refused)?;
+            device.warnings().iter().for_each(|warning| say(warning));
+            let rate_mhz = device.hello().rate_mhz;
+            match script {
+                Some(script) => (Box::new(FaultyDevice::new(device, &script)), rate_mhz),
+                None => (Box::new(device), rate_mhz),
+            }
+        }
+        Spoken::Ndi if args.drift_ppm != 0.0 => {
+            return usage(
+                "--drift-ppm is for the link protocol: an NDI system here keeps the host's time",
+            );
+        }
+        Spoken::Ndi => {
+            let device = NdiDevice::new(motion, ndi_settings(args)).map_err(ndi_refused)?;
+            device.warnings().iter().for_each(|warning| say(warning));
+            let rate_mhz = device.rate_mhz();
+            (Box::new(device), rate_mhz)
+        }
+    };
+    let (device, rate_mhz) = device;
+    let hz = f64::from(rate_mhz) / 1000.0;
+    Ok((device, format!("{n_markers} markers at {hz} Hz, Ctrl-C ends")))
+}
+
+fn settings(args: &ServeArgs) -> DeviceSettings {
+    let form = match (args.wire, args.baud) {
+        (Some(Wire::F32), _) | (None, None) => FrameForm::Float,
+        (Some(Wire::Um), _) => FrameForm::Micrometres,
+        (Some(Wire::Compact), _) | (None, Some(_)) => FrameForm::Compact,
+    };
+    DeviceSettings {
+        serial: args.serial.clone(),
+        rate_hz: args.rate,
+        speed: args.speed,
+        drift_ppm: args.drift_ppm,
+        looping: args.looping,
+        form,
+        line_bytes_per_s: args.baud.map_or(0, |baud| u64::from(baud) / 10),
+        ..DeviceSettings::default()
+    }
+}
+
+fn ndi_settings(args: &ServeArgs) -> NdiSettings {
+    let settings = NdiSettings::default();
+    NdiSettings {
+        rate_hz: args.rate,
+        speed: args.speed,
+        looping: args.looping,
+        tools: args.tool.clone(),
+        bx2: !args.no_bx2,
+        baud_max: args.baud.unwrap_or(settings.baud_max),
+        ..settings
+    }
+}
+
+fn ndi_refused(error: NdiError) -> Failure {
+    match error {
+        NdiError::Device(error) => refused(error),
+        NdiError::NoSuchTool { .. } | NdiError::TooManyTools { .. } => Failure::usage(error),
+        _ => Failure::from(error),
+    }
+}
+
+/// A value of the command line is a usage error, the content of a file is not.
+fn refused(error: DeviceError) -> Failure {
+    match error {
+        DeviceError::Rate { .. }
+        | DeviceError::Speed { .. }
+        | DeviceError::Product { .. }
+        | DeviceError::Drift { .. } => Failure::usage(error),
+        _ => Failure::from(error),
+    }
+}

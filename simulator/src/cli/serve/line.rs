@@ -1,0 +1,83 @@
+//! The line that a device is served on, by the options.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use mocapd_simulator::line::Line;
+use mocapd_simulator::pty::{PtyError, PtyLine};
+
+use crate::cli::Failure;
+
+/// What the device is connected by.
+#[derive(Debug, Args)]
+pub(super) struct LineArgs {
+    /// Serve on a pty; with LINK, a stable symbolic link to it.
+    #[arg(long, value_name = "LINK", num_args = 0..=1, require_equals = true, required_unless_present_any = ["usb_gadget", "usb_serial"])]
+    pty: Option<Option<PathBuf>>,
+    /// Be a USB device with a bulk pair, on a machine that has a USB device controller; needs root.
+    #[arg(long, conflicts_with_all = ["pty", "baud"])]
+    usb_gadget: bool,
+    /// Be a USB serial port (CDC-ACM), on a machine that has a USB device controller; needs root.
+    #[arg(long, conflicts_with_all = ["pty", "usb_gadget"])]
+    usb_serial: bool,
+    /// The USB device controller, as /sys/class/udc names it; by default the first that is free.
+    #[arg(long, value_name = "NAME", conflicts_with = "pty")]
+    udc: Option<String>,
+}
+
+impl LineArgs {
+    /// Whether a host finds the device again when its cable was pulled and put in.
+    pub(super) fn has_lasting_name(&self) -> bool {
+        matches!(self.pty, Some(Some(_)))
+    }
+
+    /// The line, and what a host calls it.
+    pub(super) fn open(&self, serial: &str) -> Result<(Box<dyn Line>, String), Failure> {
+        if self.usb_gadget || self.usb_serial {
+            return self.plug_in(serial);
+        }
+        let line =
+            PtyLine::open(self.pty.as_ref().and_then(Option::as_deref)).map_err(pty_failure)?;
+        let path = line.path().display().to_string();
+        Ok((Box::new(line), path))
+    }
+
+    #[cfg(target_os = "linux")]
+    fn plug_in(&self, serial: &str) -> Result<(Box<dyn Line>, String), Failure> {
+        use mocapd_simulator::gadget::{Bulk, GadgetSettings, Serial};
+
+        let settings = GadgetSettings { serial: serial.to_owned(), controller: self.udc.clone() };
+        if self.usb_gadget {
+            let line = Bulk::plug_in(&settings).map_err(gadget_failure)?;
+            let uri = line.uri();
+            return Ok((Box::new(line), uri));
+        }
+        let line = Serial::plug_in(&settings).map_err(gadget_failure)?;
+        let path = line.host_path().display().to_string();
+        Ok((Box::new(line), path))
+    }
+
+    #[cfg(not(target_os = "linux"))]
+    fn plug_in(&self, _serial: &str) -> Result<(Box<dyn Line>, String), Failure> {
+        Err(anyhow::anyhow!("USB gadgets are Linux's: use --pty here").into())
+    }
+}
+
+fn pty_failure(error: PtyError) -> Failure {
+    match error {
+        PtyError::LinkExists { .. } => Failure::usage(error),
+        _ => Failure::from(error),
+    }
+}
+
+#[cfg(target_os = "linux")]
+fn gadget_failure(error: mocapd_simulator::gadget::GadgetError) -> Failure {
+    use mocapd_simulator::gadget::GadgetError;
+
+    match error {
+        GadgetError::SerialNumber { .. } | GadgetError::NoSuchController { .. } => {
+            Failure::usage(error)
+        }
+        _ => Failure::from(error),
+    }
+}
