@@ -4,20 +4,24 @@
 //! the log says how many bytes are missing, and the recording goes on.
 
 mod tap;
+mod write;
+
+#[cfg(test)]
+mod tests;
 
 use std::{
-    fs::File,
-    io::Write,
+    io::{self, Write},
     path::{Path, PathBuf},
     sync::{
         Arc,
         atomic::{AtomicU64, Ordering},
     },
     thread::JoinHandle,
+    time::Duration,
 };
 
 use anyhow::Context;
-use crossbeam_channel::{Receiver, Sender, bounded};
+use crossbeam_channel::bounded;
 use mocapd_drivers::raw_log::{Entry, Record, put_head, put_record};
 
 pub use tap::Tap;
@@ -37,37 +41,68 @@ const BLOCKS: usize = 128;
 #[derive(Debug)]
 pub struct RawLog {
     path: PathBuf,
+    file_bytes: Arc<AtomicU64>,
     tap: Tap,
-    thread: JoinHandle<std::io::Result<u64>>,
+    thread: JoinHandle<write::Written>,
 }
 
 /// What a raw log came to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug)]
 pub struct RawLogged {
     /// Bytes of the file.
     pub file_bytes: u64,
     /// Bytes of the line that are in it.
     pub line_bytes: u64,
-    /// Bytes of the line that are not, because the disk did not take them in time.
+    /// Bytes of the line that are not, because the disk did not take them, or not in time.
     pub missing_bytes: u64,
+    /// Why it ends early: what is in it can be read.
+    pub error: Option<io::Error>,
+}
+
+impl RawLogged {
+    /// Whether every byte of the line is in it, and its end.
+    #[must_use]
+    pub fn is_whole(&self) -> bool {
+        self.missing_bytes == 0 && self.error.is_none()
+    }
+}
+
+/// Some of a log, on its way to the disk.
+#[derive(Debug, Default)]
+struct Block {
+    bytes: Vec<u8>,
+    /// Bytes of the line in it.
+    line_bytes: u64,
+}
+
+impl Block {
+    fn new() -> Self {
+        Self { bytes: Vec::with_capacity(BLOCK_CAPACITY_BYTES), line_bytes: 0 }
+    }
+
+    fn clear(&mut self) {
+        self.bytes.clear();
+        self.line_bytes = 0;
+    }
 }
 
 /// What taps and the log have in common.
 #[derive(Debug, Default)]
 struct Totals {
+    /// Bytes that passed.
     line_bytes: AtomicU64,
-    missing_bytes: AtomicU64,
-    /// Of these, the ones that the log does not tell yet.
+    /// Of these, the ones for which no block was free, and that the log does not tell yet.
     untold_bytes: AtomicU64,
 }
 
 impl RawLog {
-    /// Begins a log in a file that must not exist.
+    /// Begins a log in a file that must not exist. What is written is forced onto the disk every `sync_every`.
     ///
     /// # Errors
     /// When it does, or cannot be made.
-    pub fn start(path: &Path) -> anyhow::Result<Self> {
+    pub fn start(path: &Path, sync_every: Duration) -> anyhow::Result<Self> {
         let mut file = files::create_new(path)?;
+        files::sync_name(path);
         let mut head = Vec::new();
         put_head(&mut head);
         let name = path.display().to_string();
@@ -76,12 +111,14 @@ impl RawLog {
         let (free, emptied) = bounded(BLOCKS);
         for _ in 0..BLOCKS {
             // Never full: it holds every block there is.
-            free.try_send(Vec::with_capacity(BLOCK_CAPACITY_BYTES)).ok();
+            free.try_send(Block::new()).ok();
         }
-        let head_bytes = head.len() as u64;
-        let thread = threads::spawn("mocapd-raw", move || write(file, head_bytes, &blocks, &free))?;
+        let file_bytes = Arc::new(AtomicU64::new(head.len() as u64));
+        let counted = Arc::clone(&file_bytes);
+        let work = move || write::write(file, &counted, sync_every, &blocks, &free);
+        let thread = threads::spawn("mocapd-raw", work)?;
         let tap = Tap::new(monotonic_ns(), full, emptied, Arc::default());
-        Ok(Self { path: path.to_owned(), tap, thread })
+        Ok(Self { path: path.to_owned(), file_bytes, tap, thread })
     }
 
     /// What copies a line's bytes into it.
@@ -96,120 +133,30 @@ impl RawLog {
         &self.path
     }
 
+    /// Bytes of the file: they grow as it is written.
+    #[must_use]
+    pub fn file_bytes(&self) -> Arc<AtomicU64> {
+        Arc::clone(&self.file_bytes)
+    }
+
     /// Ends the log. Every other tap must be gone.
     ///
     /// # Errors
-    /// When it could not be written to its end: what is in it can be read.
+    /// When its thread panicked.
     pub fn finish(self) -> anyhow::Result<RawLogged> {
-        let Self { path, tap, thread } = self;
-        let totals = tap.end();
-        let written = threads::join(thread)?;
-        let file_bytes = written.with_context(|| {
-            format!("the raw log {} ends early; what is in it can be read", path.display())
-        })?;
+        let passed = self.tap.end();
+        let write::Written { line_bytes, error } = threads::join(self.thread)?;
         Ok(RawLogged {
-            file_bytes,
-            line_bytes: totals.line_bytes.load(Ordering::Relaxed),
-            missing_bytes: totals.missing_bytes.load(Ordering::Relaxed),
+            file_bytes: self.file_bytes.load(Ordering::Relaxed),
+            line_bytes,
+            missing_bytes: passed.line_bytes.load(Ordering::Relaxed).saturating_sub(line_bytes),
+            error,
         })
     }
-}
-
-/// The thread: blocks to the file, and back to the taps. After an error it only gives them back.
-fn write(
-    mut file: File,
-    head_bytes: u64,
-    blocks: &Receiver<Vec<u8>>,
-    free: &Sender<Vec<u8>>,
-) -> std::io::Result<u64> {
-    let mut written = Ok(head_bytes);
-    for mut block in blocks {
-        if let Ok(bytes) = written {
-            written = file.write_all(&block).map(|()| bytes + block.len() as u64);
-        }
-        block.clear();
-        free.try_send(block).ok();
-    }
-    if written.is_ok() {
-        file.sync_all()?;
-    }
-    written
 }
 
 /// Appends a record that is now.
 fn put(entry: Entry<'_>, began_ns: u64, block: &mut Vec<u8>) {
     let time_ns = monotonic_ns().saturating_sub(began_ns);
     put_record(&Record { time_ns, entry }, block);
-}
-
-#[cfg(test)]
-mod tests {
-    use mocapd_drivers::{
-        raw_log::records,
-        transport::{Transport, memory},
-    };
-
-    use super::*;
-
-    /// A tap over a few blocks, which the test takes and gives back as the thread does.
-    fn tap(blocks: usize) -> (Tap, Receiver<Vec<u8>>, Sender<Vec<u8>>) {
-        let (full, written) = bounded(blocks);
-        let (free, emptied) = bounded(blocks);
-        (0..blocks).for_each(|_| free.send(Vec::with_capacity(BLOCK_CAPACITY_BYTES)).unwrap());
-        (Tap::new(monotonic_ns(), full, emptied, Arc::default()), written, free)
-    }
-
-    #[test]
-    fn a_disk_that_stalls_costs_bytes_of_the_log_and_the_log_says_how_many() {
-        let (tap, written, free) = tap(2);
-        let (mut device, line) = memory::pair(1 << 20);
-        let mut line = tap.on("dvmc", Box::new(line));
-        let mut buffer = vec![0; 1 << 16];
-        let mut log = Vec::new();
-        put_head(&mut log);
-        let mut passed = 0;
-        // Far more than two blocks hold, and nobody writes them: every read comes back all the same.
-        for round in 0..20u8 {
-            device.write_all(&vec![round; 40_000]).unwrap();
-            let mut got = 0;
-            while got < 40_000 {
-                let n = line.read(&mut buffer).unwrap();
-                assert!(buffer[..n].iter().all(|byte| *byte == round));
-                got += n;
-            }
-            passed += got as u64;
-        }
-        line.write_all(b"ping").unwrap();
-        passed += 4;
-        // The disk is back.
-        let mut give_back = |mut block: Vec<u8>| {
-            log.extend_from_slice(&block);
-            block.clear();
-            // At the end nobody takes it any more.
-            free.send(block).ok();
-        };
-        written.try_iter().for_each(&mut give_back);
-        device.write_all(b"late").unwrap();
-        assert_eq!(line.read(&mut buffer).unwrap(), 4);
-        passed += 4;
-        drop(line);
-        let totals = tap.end();
-        written.try_iter().for_each(&mut give_back);
-
-        let (mut found, mut missing, mut last) = (0, 0, None);
-        for record in records(&log).unwrap() {
-            let entry = record.unwrap().entry;
-            match entry {
-                Entry::FromDevice(bytes) | Entry::ToDevice(bytes) => found += bytes.len() as u64,
-                Entry::Missing(bytes) => missing += bytes,
-                _ => {}
-            }
-            last = Some(entry);
-        }
-        assert_eq!(last, Some(Entry::End));
-        assert!(missing > 0 && found > 80_000, "{found} and {missing}");
-        assert_eq!(found + missing, passed);
-        assert_eq!(totals.line_bytes.load(Ordering::Relaxed), found);
-        assert_eq!(totals.missing_bytes.load(Ordering::Relaxed), missing);
-    }
 }

@@ -20,6 +20,7 @@ mod progress;
 mod record;
 mod recover;
 mod run;
+mod stop;
 mod usage;
 mod values;
 mod verify;

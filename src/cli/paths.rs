@@ -1,6 +1,6 @@
 //! Paths as arguments: what their endings mean, and where nothing may be written.
 
-use std::path::Path;
+use std::{os::unix::fs::MetadataExt, path::Path};
 
 use anyhow::bail;
 use mocapd::{files::NewFile, outcome::UsageError};
@@ -50,6 +50,17 @@ pub(super) fn check_take_output(path: &Path) -> anyhow::Result<()> {
         .into());
     }
     check_output(path)
+}
+
+/// Whether two files that do not exist yet would be one: whatever their folders are called.
+pub(super) fn are_one(one: &Path, other: &Path) -> bool {
+    let folder = |path: &Path| {
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let meta = folder.unwrap_or(Path::new(".")).metadata().ok()?;
+        Some((meta.dev(), meta.ino()))
+    };
+    let is_same_folder = folder(one).is_some_and(|found| folder(other) == Some(found));
+    one == other || (is_same_folder && one.file_name() == other.file_name())
 }
 
 /// Says early what creating a file at `path` would meet.

@@ -8,7 +8,7 @@ use mocapd_drivers::{
     transport::{Transport, TransportError},
 };
 
-use super::{BLOCK_BYTES, BLOCK_CAPACITY_BYTES, Totals, put};
+use super::{BLOCK_BYTES, BLOCK_CAPACITY_BYTES, Block, Totals, put};
 use crate::rig::monotonic_ns;
 
 /// A block that holds anything is handed over after so long: what a killed recorder loses of its log.
@@ -21,10 +21,11 @@ const SPARE_BYTES: usize = 3 * RECORD_OVERHEAD_BYTES + 8;
 #[derive(Debug)]
 pub struct Tap {
     began_ns: u64,
-    full: Sender<Vec<u8>>,
-    free: Receiver<Vec<u8>>,
+    full: Sender<Block>,
+    free: Receiver<Block>,
     totals: Arc<Totals>,
-    block: Vec<u8>,
+    /// Without memory of its own between two of them.
+    block: Block,
     block_since_ns: u64,
 }
 
@@ -37,11 +38,11 @@ impl Clone for Tap {
 impl Tap {
     pub(super) fn new(
         began_ns: u64,
-        full: Sender<Vec<u8>>,
-        free: Receiver<Vec<u8>>,
+        full: Sender<Block>,
+        free: Receiver<Block>,
         totals: Arc<Totals>,
     ) -> Self {
-        Self { began_ns, full, free, totals, block: Vec::new(), block_since_ns: 0 }
+        Self { began_ns, full, free, totals, block: Block::default(), block_since_ns: 0 }
     }
 
     /// A line whose bytes go through a tap of its own.
@@ -65,41 +66,41 @@ impl Tap {
         };
         let words_bytes = if let Entry::Opened(words) = entry { words.len() } else { 0 };
         let needed = n_bytes + words_bytes + RECORD_OVERHEAD_BYTES + SPARE_BYTES;
-        if self.block.len() + needed > BLOCK_CAPACITY_BYTES {
+        self.totals.line_bytes.fetch_add(n_bytes as u64, Ordering::Relaxed);
+        if self.block.bytes.len() + needed > BLOCK_CAPACITY_BYTES {
             self.hand_over();
         }
-        if self.block.capacity() == 0 {
+        if self.block.bytes.capacity() == 0 {
             let Ok(block) = self.free.try_recv() else { return self.miss(n_bytes) };
             self.begin(block);
         }
         // A single read that no block holds: the largest that a host makes has half of one.
-        if self.block.len() + needed > self.block.capacity() {
+        if self.block.bytes.len() + needed > self.block.bytes.capacity() {
             return self.miss(n_bytes);
         }
-        put(entry, self.began_ns, &mut self.block);
-        self.totals.line_bytes.fetch_add(n_bytes as u64, Ordering::Relaxed);
-        if self.block.len() >= BLOCK_BYTES {
+        put(entry, self.began_ns, &mut self.block.bytes);
+        self.block.line_bytes += n_bytes as u64;
+        if self.block.bytes.len() >= BLOCK_BYTES {
             self.hand_over();
         }
     }
 
     /// A new block says first what is missing before it.
-    fn begin(&mut self, block: Vec<u8>) {
+    fn begin(&mut self, block: Block) {
         self.block = block;
         self.block_since_ns = monotonic_ns();
         let missing = self.totals.untold_bytes.swap(0, Ordering::Relaxed);
         if missing > 0 {
-            put(Entry::Missing(missing), self.began_ns, &mut self.block);
+            put(Entry::Missing(missing), self.began_ns, &mut self.block.bytes);
         }
     }
 
     fn miss(&mut self, n_bytes: usize) {
-        self.totals.missing_bytes.fetch_add(n_bytes as u64, Ordering::Relaxed);
         self.totals.untold_bytes.fetch_add(n_bytes as u64, Ordering::Relaxed);
     }
 
     fn hand_over(&mut self) {
-        if !self.block.is_empty() {
+        if !self.block.bytes.is_empty() {
             // Never full: it holds every block there is.
             self.full.try_send(std::mem::take(&mut self.block)).ok();
         }
@@ -108,7 +109,7 @@ impl Tap {
     /// Time passed.
     fn tick(&mut self) {
         let age_ns = monotonic_ns().saturating_sub(self.block_since_ns);
-        if !self.block.is_empty() && age_ns > BLOCK_NS_MAX {
+        if !self.block.bytes.is_empty() && age_ns > BLOCK_NS_MAX {
             self.hand_over();
         }
     }
@@ -116,7 +117,7 @@ impl Tap {
     /// Nothing comes any more.
     pub(super) fn end(mut self) -> Arc<Totals> {
         // The recording is over: now there is time to wait for the disk.
-        if self.block.capacity() == 0
+        if self.block.bytes.capacity() == 0
             && let Ok(block) = self.free.recv()
         {
             self.begin(block);

@@ -251,8 +251,15 @@ fn record_and_import() {
     let folder = Folder::new();
     let motion = jump(1, 120.0, 1.0);
     let device = Simulated::of(motion.clone());
-    let record = ["record", "-d", &device.uri(), "-o", "jump.take", "--json"];
-    check("`mocapd record`", &[folder.run(&record).with_code(0).json()]);
+    let uri = device.uri();
+    let record = |take: &str, more: &[&str]| {
+        let args = [&["record", "-d", &uri, "-o", take, "--json"], more].concat();
+        folder.run(&args).with_code(0).json()
+    };
+    check(
+        "`mocapd record`",
+        &[record("jump.take", &["--raw", "jump.rawlog"]), record("other.take", &[])],
+    );
 
     folder.write_motion("jump.csv", &motion);
     let import = ["import", "jump.csv", "-o", "again.take", "--tolerance", "1mm", "--json"];

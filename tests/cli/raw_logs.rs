@@ -81,7 +81,7 @@ fn a_replayed_log_comes_to_the_same() {
 fn said(log: &[u8]) -> Vec<u8> {
     let mut said = Vec::new();
     for record in records(log).unwrap() {
-        if let Record { entry: Entry::FromDevice(bytes), .. } = record.unwrap() {
+        if let Ok(Record { entry: Entry::FromDevice(bytes), .. }) = record {
             said.extend_from_slice(bytes);
         }
     }
@@ -136,7 +136,7 @@ fn an_ndi_system_is_logged_and_its_replay_refused() {
 fn a_log_without_an_end_is_recorded_once() {
     let log = fs::read(format!("{LOGS}/stall.rawlog")).unwrap();
     let all: Vec<Record<'_>> = records(&log).unwrap().map(Result::unwrap).collect();
-    let kept = &all[..all.len() - 12];
+    let kept = &all[..all.len() - 4];
     let mut cut = Vec::new();
     put_head(&mut cut);
     kept.iter().for_each(|record| put_record(record, &mut cut));
@@ -213,10 +213,43 @@ fn a_log_is_never_overwritten_and_none_is_left_of_nothing() {
     let record = |raw| ["record", "-d", "serial:/dev/mocapd-none", "-o", "a.take", "--raw", raw];
     let line = folder.refuses(&record("taken"), 1);
     assert!(line.contains("not overwritten"), "{line}");
-    let line = folder.refuses(&record("a.take"), 2);
-    assert!(line.contains("the same file"), "{line}");
+    std::os::unix::fs::symlink(".", folder.path("here")).unwrap();
+    let whole = folder.path("a.take");
+    for same in ["a.take", "./a.take", "here/a.take", whole.to_str().unwrap()] {
+        let line = folder.refuses(&record(same), 2);
+        assert!(line.contains("the same file"), "{same}: {line}");
+    }
     let line = folder.refuses(&record("nowhere/a.rawlog"), 1);
     assert!(line.contains("does not exist"), "{line}");
     let line = folder.refuses(&record("a.rawlog"), 1);
     assert!(line.contains("/dev/mocapd-none does not exist"), "{line}");
+    // Much is said, and no frame comes.
+    let settings = DeviceSettings { line_bytes_per_s: 960, ..DeviceSettings::default() };
+    let slow = Simulated::start(jump(1, 120.0, 1.0), settings, Some(9600));
+    let line =
+        folder.refuses(&["record", "-d", &slow.uri(), "-o", "a.take", "--raw", "a.rawlog"], 1);
+    assert!(line.contains("too slow"), "{line}");
+}
+
+#[test]
+fn a_log_is_told_with_its_size() {
+    let folder = Folder::new();
+    let device = Simulated::of(jump(1, 120.0, 1.0));
+    let args = ["record", "-d", &device.uri(), "-o", "a.take", "--raw", "a.rawlog"];
+    let ran = folder.run(&args).with_code(0);
+    assert!(ran.stdout.contains("\na.rawlog: every byte of the line, "), "{}", ran.stdout);
+    let args = ["record", "-d", &device.uri(), "-o", "b.take", "--raw", "b.rawlog", "--json"];
+    let report = folder.run(&args).with_code(0).json();
+    let log = folder.read("b.rawlog");
+    let both: usize = records(&log)
+        .unwrap()
+        .map(|record| match record.unwrap().entry {
+            Entry::FromDevice(bytes) | Entry::ToDevice(bytes) => bytes.len(),
+            _ => 0,
+        })
+        .sum();
+    let expected = json!({
+        "log": "b.rawlog", "file_bytes": log.len(), "line_bytes": both, "missing_bytes": 0, "error": null
+    });
+    assert_eq!(report["raw_log"], expected);
 }

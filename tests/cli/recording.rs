@@ -1,6 +1,11 @@
 //! Recordings of a simulated device: whole ones, and ones that end early.
 
-use mocapd_simulator::device::DeviceSettings;
+use std::sync::Arc;
+
+use mocapd_simulator::{
+    device::{Device, DeviceSettings},
+    faults::{FaultyDevice, Script},
+};
 use rustix::process::Signal;
 
 use super::{
@@ -85,6 +90,32 @@ fn a_signal_finishes_the_take() {
         let info = folder.run(&["info", "a.take", "--json"]).with_code(0).json();
         assert_eq!(info["finished"], true);
         assert_eq!(info["frames"], report["frames"]);
+    }
+}
+
+/// `timeout` signals the process and then its group. The device confirms no stop, which is waited for for two seconds.
+#[test]
+fn a_signal_that_comes_twice_is_one_and_a_later_one_ends_it_at_once() {
+    let script = "seed = 1\n[[fault]]\nkind = 'stall'\nat_s = 1\nfor_s = 100";
+    let script = Arc::new(Script::parse("stall", script).unwrap());
+    for (pause_ms, code) in [(100, 0), (900, 1)] {
+        let folder = Folder::new();
+        let settings = DeviceSettings {
+            looping: true,
+            faults: Some(Arc::clone(&script)),
+            ..DeviceSettings::default()
+        };
+        let device = Device::new(jump(1, 120.0, 2.0), settings).unwrap();
+        let device = Simulated::serve(FaultyDevice::new(device, &script), None);
+        let mut recorder = Recorder::start(&folder, &device, "a.take", &["--json"]);
+        std::thread::sleep(std::time::Duration::from_millis(1500));
+        recorder.signal(Signal::INT);
+        std::thread::sleep(std::time::Duration::from_millis(pause_ms));
+        recorder.signal(Signal::INT);
+        let ran = recorder.wait().with_code(code);
+        assert_eq!(ran.stdout.is_empty(), code == 1, "{pause_ms} ms: {}", ran.stderr);
+        let info = folder.run(&["info", "a.take", "--json"]).json();
+        assert_eq!(info["finished"], code == 0, "{pause_ms} ms");
     }
 }
 

@@ -13,7 +13,7 @@ use mocapd_simulator::{
 };
 use mocapd_take::motion::Motion;
 
-use crate::cli::{output::print, record::stop_on_signal};
+use crate::cli::{output::print, stop::stop_on_signal};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {

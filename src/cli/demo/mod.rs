@@ -37,7 +37,8 @@ use super::{
     export::write,
     numbers::{bytes, count, thousands},
     output::{print, say},
-    record::{Limits, Report, record_and_watch, stop_on_signal},
+    record::{Limits, Report, record_and_watch},
+    stop::stop_on_signal,
     values,
     verify::AgainstReport,
 };

@@ -8,6 +8,7 @@ use std::{path::PathBuf, time::Duration};
 
 use mocapd::{
     outcome::{Outcome, UsageError},
+    raw_log::RawLog,
     rig::{Ending, Rig},
     units,
 };
@@ -15,12 +16,14 @@ use mocapd_drivers::{registry::OpenError, uri::DeviceUri};
 
 pub(crate) use self::{
     report::{LatencyReport, ProcessReport, Report},
-    watch::{Limits, record_and_watch, stop_on_signal},
+    watch::{Limits, record_and_watch},
 };
 use super::{
     codec_args::CodecArgs,
     output::{print, print_json, say},
-    paths, values,
+    paths,
+    stop::stop_on_signal,
+    values,
 };
 
 /// What stays free of the disk: a system that has nothing left does not even log why.
@@ -67,14 +70,17 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let codec = args.codec.live_settings()?;
     paths::check_take_output(&args.output)?;
     if let Some(raw) = &args.raw {
-        if *raw == args.output {
+        if paths::are_one(raw, &args.output) {
             return Err(UsageError("--raw and --output name the same file".to_owned()).into());
         }
         paths::check_output(raw)?;
     }
     let stop = stop_on_signal()?;
-    let (recorded, log_lost) = raw::with_log(args.raw.as_deref(), |tap| {
-        let mut rig = Rig::open_logged(&uri, tap).map_err(|error| match error.downcast_ref() {
+    let raw = args.raw.as_deref();
+    let (recorded, log) = raw::with_log(raw, &args.output, args.sync, |log| {
+        let mut rig = Rig::open_logged(&uri, log.map(RawLog::tap)).map_err(|error| match error
+            .downcast_ref()
+        {
             Some(OpenError::UnknownDriver { .. }) => UsageError(error.to_string()).into(),
             _ => error,
         })?;
@@ -86,7 +92,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         let limits = Limits { length: args.seconds, keep_free_bytes: args.keep_free };
         record_and_watch(rig, &args.output, codec, limits, &stop)
     })?;
-    let report = Report::new(&args.output, &recorded, &codec);
+    let report = Report::new(&args.output, &recorded, &codec).with_log(log);
     if args.json {
         print_json(&report)?;
     } else {
@@ -108,5 +114,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let ledger = &recorded.written.ledger;
     let was_away = disconnected || recorded.recording.outages > 0;
-    Ok(Outcome::of(ledger.lost_anything() || !ledger.closes() || was_away || is_full || log_lost))
+    Ok(Outcome::of(
+        ledger.lost_anything() || !ledger.closes() || was_away || is_full || report.log_lost(),
+    ))
 }

@@ -6,6 +6,7 @@ use mocapd::{inspect::size_ratio, process, record::Recorded, rig::Ending};
 use mocapd_codec::Settings;
 use serde::{Deserialize, Serialize};
 
+use super::raw::RawLogReport;
 use crate::cli::{
     clock::ClockReport,
     codec_args::tolerance_mm,
@@ -33,6 +34,7 @@ pub(crate) struct Report {
     ring_latency_us: LatencyReport,
     process: ProcessReport,
     disk: DiskReport,
+    raw_log: Option<RawLogReport>,
     outages: OutagesReport,
     clock: Option<ClockReport>,
     ledger: LedgerReport,
@@ -97,6 +99,7 @@ impl Report {
                 free_bytes: written.disk.free_bytes,
                 seconds_left: written.disk.left_s,
             },
+            raw_log: None,
             outages: OutagesReport::new(
                 recorded.recording.counts.outages,
                 written.ledger.unknown_after_disconnect,
@@ -105,6 +108,16 @@ impl Report {
             clock: ClockReport::new(&written.clock, &written.clock_lines),
             ledger: LedgerReport::new(&written.ledger),
         }
+    }
+
+    /// With what came of the log of the line.
+    pub(super) fn with_log(self, raw_log: Option<RawLogReport>) -> Self {
+        Self { raw_log, ..self }
+    }
+
+    /// Whether that has less than the line had.
+    pub(super) fn log_lost(&self) -> bool {
+        self.raw_log.as_ref().is_some_and(RawLogReport::lost)
     }
 
     /// What was lost, in one line.
@@ -142,7 +155,7 @@ impl Report {
             "every bit kept".to_owned()
         };
         format!(
-            "{}: {} of {} at {} Hz, {} as float32, {} on disk ({:.1}:1), {bound}\n{}{}",
+            "{}: {} of {} at {} Hz, {} as float32, {} on disk ({:.1}:1), {bound}\n{}{}{}",
             self.take.display(),
             count(self.frames, "frame"),
             self.markers_in_words(),
@@ -150,6 +163,7 @@ impl Report {
             bytes(self.raw_bytes),
             bytes(self.file_bytes),
             self.ratio,
+            self.raw_log.as_ref().map(RawLogReport::words).unwrap_or_default(),
             self.ledger.words(),
             self.clock.as_ref().map(ClockReport::words).unwrap_or_default()
         )

@@ -9,30 +9,17 @@ use std::{
     time::Duration,
 };
 
-use anyhow::Context;
 use mocapd::{
     record::{RecordOptions, Recorded, record},
     rig::Rig,
 };
 use mocapd_codec::Settings;
-use signal_hook::consts::{SIGINT, SIGTERM};
 
 use crate::cli::{
     numbers::{bytes, thousands},
     output::say,
     progress::Progress,
 };
-
-/// Set by Ctrl-C or SIGTERM; a second Ctrl-C ends the process at once.
-pub(crate) fn stop_on_signal() -> anyhow::Result<Arc<AtomicBool>> {
-    let stop = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM] {
-        signal_hook::flag::register_conditional_shutdown(signal, 1, Arc::clone(&stop))
-            .and_then(|_| signal_hook::flag::register(signal, Arc::clone(&stop)))
-            .context("cannot watch for Ctrl-C")?;
-    }
-    Ok(stop)
-}
 
 /// When a recording ends by itself.
 #[derive(Debug, Clone, Copy)]

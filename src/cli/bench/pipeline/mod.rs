@@ -17,7 +17,7 @@ use super::{device, in_process};
 use crate::cli::{
     codec_args::{CodecArgs, tolerance_mm},
     output::{print, print_json, say},
-    record::stop_on_signal,
+    stop::stop_on_signal,
     values,
 };
 

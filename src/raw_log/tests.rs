@@ -1,0 +1,150 @@
+use std::sync::mpsc;
+
+use crossbeam_channel::{Receiver, Sender};
+use mocapd_drivers::{
+    raw_log::records,
+    transport::{Transport, memory},
+};
+
+use super::*;
+
+/// A tap over a few blocks, which the test takes and gives back as the thread does.
+fn tap(blocks: usize) -> (Tap, Receiver<Block>, Sender<Block>) {
+    let (full, written) = bounded(blocks);
+    let (free, emptied) = bounded(blocks);
+    (0..blocks).for_each(|_| free.send(Block::new()).unwrap());
+    (Tap::new(monotonic_ns(), full, emptied, Arc::default()), written, free)
+}
+
+#[test]
+fn a_disk_that_stalls_costs_bytes_of_the_log_and_the_log_says_how_many() {
+    let (tap, written, free) = tap(2);
+    let (mut device, line) = memory::pair(1 << 20);
+    let mut line = tap.on("dvmc", Box::new(line));
+    let mut buffer = vec![0; 1 << 16];
+    let mut log = Vec::new();
+    put_head(&mut log);
+    let mut passed = 0;
+    // Far more than two blocks hold, and nobody writes them: every read comes back all the same.
+    for round in 0..20u8 {
+        device.write_all(&vec![round; 40_000]).unwrap();
+        let mut got = 0;
+        while got < 40_000 {
+            let n = line.read(&mut buffer).unwrap();
+            assert!(buffer[..n].iter().all(|byte| *byte == round));
+            got += n;
+        }
+        passed += got as u64;
+    }
+    line.write_all(b"ping").unwrap();
+    passed += 4;
+    // The disk is back.
+    let mut counted = 0;
+    let mut give_back = |mut block: Block| {
+        log.extend_from_slice(&block.bytes);
+        counted += block.line_bytes;
+        block.clear();
+        // At the end nobody takes it any more.
+        free.send(block).ok();
+    };
+    written.try_iter().for_each(&mut give_back);
+    device.write_all(b"late").unwrap();
+    assert_eq!(line.read(&mut buffer).unwrap(), 4);
+    passed += 4;
+    drop(line);
+    let totals = tap.end();
+    written.try_iter().for_each(&mut give_back);
+
+    let (mut found, mut missing, mut last) = (0, 0, None);
+    for record in records(&log).unwrap() {
+        let entry = record.unwrap().entry;
+        match entry {
+            Entry::FromDevice(bytes) | Entry::ToDevice(bytes) => found += bytes.len() as u64,
+            Entry::Missing(bytes) => missing += bytes,
+            _ => {}
+        }
+        last = Some(entry);
+    }
+    assert_eq!(last, Some(Entry::End));
+    assert!(missing > 0 && found > 80_000, "{found} and {missing}");
+    assert_eq!(found + missing, passed);
+    assert_eq!((totals.line_bytes.load(Ordering::Relaxed), counted), (passed, found));
+}
+
+/// A disk that says what was written between its syncs, and has room for so many bytes.
+struct Disk {
+    room: usize,
+    unsynced: usize,
+    synced: mpsc::SyncSender<usize>,
+}
+
+impl Write for Disk {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.room = self.room.checked_sub(bytes.len()).ok_or(io::ErrorKind::StorageFull)?;
+        self.unsynced += bytes.len();
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl write::LogOutput for Disk {
+    fn sync(&mut self) -> io::Result<()> {
+        self.synced.send(std::mem::take(&mut self.unsynced)).unwrap();
+        Ok(())
+    }
+}
+
+/// A log on a disk: what was synced, a way to hand blocks of so many bytes over, and what came of it.
+fn logged(
+    room: usize,
+    sync_every: Duration,
+) -> (mpsc::Receiver<usize>, impl Fn(usize), impl FnOnce() -> write::Written) {
+    let (told, synced) = mpsc::sync_channel(100);
+    let (full, blocks) = bounded(BLOCKS);
+    let (free, emptied) = bounded(BLOCKS);
+    let disk = Disk { room, unsynced: 0, synced: told };
+    let work = move || write::write(disk, &AtomicU64::new(0), sync_every, &blocks, &free);
+    let thread = threads::spawn("test", work).unwrap();
+    let hand_over = full.clone();
+    let put = move |n: usize| {
+        let _keep = &emptied;
+        hand_over.send(Block { bytes: vec![7; n], line_bytes: n as u64 - 1 }).unwrap();
+    };
+    (synced, put, move || {
+        drop(full);
+        threads::join(thread).unwrap()
+    })
+}
+
+#[test]
+fn what_is_written_is_forced_onto_the_disk_in_time_and_at_the_end() {
+    let (synced, put, finish) = logged(1000, Duration::from_millis(100));
+    // The head, though nothing else comes.
+    assert_eq!(synced.recv_timeout(Duration::from_secs(20)).unwrap(), 0);
+    put(10);
+    put(20);
+    let mut first = 0;
+    while first < 30 {
+        first += synced.recv_timeout(Duration::from_secs(20)).unwrap();
+    }
+    std::thread::sleep(Duration::from_millis(300));
+    assert!(synced.try_recv().is_err(), "nothing new was there to sync");
+    put(30);
+    drop(put);
+    let written = finish();
+    assert_eq!((written.line_bytes, written.error.is_none()), (57, true));
+    assert_eq!(synced.iter().sum::<usize>(), 30);
+}
+
+#[test]
+fn a_disk_that_fills_up_ends_the_log_and_its_bytes_are_counted_as_missing() {
+    let (_synced, put, finish) = logged(100, Duration::ZERO);
+    (0..BLOCKS * 3).for_each(|_| put(40));
+    drop(put);
+    let written = finish();
+    assert_eq!(written.line_bytes, 2 * 39, "those of whole blocks");
+    assert_eq!(written.error.unwrap().kind(), io::ErrorKind::StorageFull);
+}
