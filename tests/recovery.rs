@@ -7,13 +7,15 @@ use mocapd_drivers::device::MarkerSample;
 use mocapd_simulator::generator::Rng;
 use mocapd_take::{
     TakeEvent,
-    chunk::{self, types},
+    chunk::types,
     motion::Position,
     reader::read_events,
     recovery::{Kind, Mended, Survey, mend_start},
 };
 
-use crate::support::{config, dense, fast, feed_samples, jump, lossless, rows, samples, start};
+use crate::support::{
+    config, dense, fast, feed_samples, jump, lossless, places, rows, samples, start,
+};
 
 /// A recording with loss, and with two markers that appear later; stretches of a quarter of a second and
 /// keys each second, so that a short take has many.
@@ -55,17 +57,6 @@ fn recover(take: &[u8]) -> (Survey, Vec<u8>) {
     let n = survey.write(Cursor::new(take), &mut new, "tests").unwrap();
     assert_eq!(n, new.len() as u64);
     (survey, new)
-}
-
-/// Chunks after the magic: type, and place.
-fn places(take: &[u8]) -> Vec<(u8, std::ops::Range<usize>)> {
-    let mut at = chunk::MAGIC.len();
-    let mut places = Vec::new();
-    while let chunk::Front::Whole { kind, len, .. } = chunk::front(&take[at..]) {
-        places.push((kind, at..at + len));
-        at += len;
-    }
-    places
 }
 
 fn stretches(take: &[u8]) -> Vec<&[u8]> {

@@ -7,7 +7,7 @@ use mocapd_take::{
     record::{Header, Record},
 };
 
-use crate::support::{config, dense, distance_mm, jump, record, rows};
+use crate::support::{config, dense, distance_mm, jump, places, record, rows};
 
 const TOLERANCE_MM: f64 = 0.5;
 
@@ -238,17 +238,6 @@ fn hostile_sizes_cost_no_memory() {
     assert!(rows(&long).1.iter().any(|p| p.contains("inside a chunk")));
 }
 
-/// The chunks of a take after its magic: type, and where they lie.
-fn chunk_places(take: &[u8]) -> Vec<(u8, std::ops::Range<usize>)> {
-    let mut at = chunk::MAGIC.len();
-    let mut places = Vec::new();
-    while let chunk::Front::Whole { kind, len, .. } = chunk::front(&take[at..]) {
-        places.push((kind, at..at + len));
-        at += len;
-    }
-    places
-}
-
 #[test]
 fn a_stretch_that_is_missing_is_noticed_and_gives_no_wrong_sample() {
     let motion = jump(2, 60.0, 12.0);
@@ -256,7 +245,7 @@ fn a_stretch_that_is_missing_is_noticed_and_gives_no_wrong_sample() {
         [dense(TOLERANCE_MM), crate::support::lossless(), crate::support::fast(TOLERANCE_MM)]
     {
         let (_, take, _) = record(&motion, &config(&motion, codec), 0..motion.n_frames());
-        let stretches = chunk_places(&take).into_iter().filter(|p| p.0 == chunk::types::STRETCH);
+        let stretches = places(&take).into_iter().filter(|p| p.0 == chunk::types::STRETCH);
         let n = stretches.clone().count();
         // But for the last: its absence is that of rows.
         for (_, place) in stretches.take(n - 1) {
@@ -273,7 +262,7 @@ fn a_stretch_that_is_missing_is_noticed_and_gives_no_wrong_sample() {
 fn a_damaged_record_costs_nothing_but_itself() {
     let (motion, take) = take();
     let n_whole = assert_right(&rows(&take).0, &motion, "whole");
-    for (kind, place) in chunk_places(&take) {
+    for (kind, place) in places(&take) {
         if [chunk::types::LEDGER, chunk::types::INDEX].contains(&kind) {
             let mut damaged = take.clone();
             damaged[place.end - 1] ^= 1;

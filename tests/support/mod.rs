@@ -1,6 +1,6 @@
 //! What several test modules need: generated motion, a pipeline in memory, and takes read back.
 
-use std::io::Cursor;
+use std::{io::Cursor, ops::Range};
 
 use mocapd::{
     header,
@@ -11,7 +11,7 @@ use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_drivers::device::{Frame, MarkerSample};
 use mocapd_simulator::generator::{JumpSpec, Occlusion};
 use mocapd_take::{
-    TakeEvent, TakeFrames,
+    TakeEvent, TakeFrames, chunk,
     motion::{FrameSource, GAP, Motion, Position, is_gap},
     reader::{TakeBytes, read_events},
     record::{Clock, Ledger},
@@ -165,6 +165,17 @@ pub(crate) fn chunks(take: &[u8]) -> Chunks {
     })
     .unwrap();
     found
+}
+
+/// The chunks of a take after its magic: type, and where they lie.
+pub(crate) fn places(take: &[u8]) -> Vec<(u8, Range<usize>)> {
+    let mut at = chunk::MAGIC.len();
+    let mut places = Vec::new();
+    while let chunk::Front::Whole { kind, len, .. } = chunk::front(&take[at..]) {
+        places.push((kind, at..at + len));
+        at += len;
+    }
+    places
 }
 
 pub(crate) fn distance_mm(a: Position, b: Position) -> f64 {
