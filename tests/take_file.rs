@@ -198,8 +198,12 @@ fn what_is_no_take_is_said_to_be_none() {
         (b"\x89TAK", "shorter"),
         (b"PK\x03\x04 a zip file", "does not begin"),
         (b"\x89TAK\n\x1a\n and more", "text mode"),
-        (b"\x89TAK\r\n\x1a\n", "no intact header"),
-        (b"\x89TAK\r\n\x1a\n\x01\x7f garbage of some length, without a header", "no intact header"),
+        (b"\x89TAK\r\n\x1a\n", "the file ends inside its header"),
+        (b"\x89TAK\r\n\x1a\n\x01\x7f garbage, and then nothing", "the file ends inside its header"),
+        (
+            b"\x89TAK\r\n\x1a\n\x01\x04 garbage of some length, without a header",
+            "try `mocapd recover`",
+        ),
     ] {
         let error = TakeFrames::open(std::io::Cursor::new(bytes)).unwrap_err().to_string();
         assert!(error.contains(said), "{error}");

@@ -1,7 +1,8 @@
 //! Frames that are lost to damage, as JSON and as words, the same for `info`, `verify` and `recover`.
 
-use std::fmt::Write;
+use std::{fmt::Write, path::Path};
 
+use mocapd::inspect::Summary;
 use mocapd_take::loss::{LostRows, Why};
 use serde::Serialize;
 
@@ -46,6 +47,17 @@ impl DamageReport {
             ),
         }
     }
+}
+
+/// Whether a recovery makes a better take of it.
+pub(crate) fn is_recoverable(summary: &Summary) -> bool {
+    !summary.problems.is_empty()
+}
+
+/// How.
+pub(crate) fn recoverable(take: &Path) -> String {
+    let name = take.display();
+    format!("{name}: `mocapd recover {name} -o NEW.take` makes a whole take of what is there")
 }
 
 /// Which frames are lost, a line each.

@@ -173,9 +173,28 @@ impl LedgerReport {
         (!said.is_empty()).then(|| said.join(", "))
     }
 
+    /// Why it does not close, in one line; `None` when it does.
+    pub(crate) fn not_closing(&self) -> Option<String> {
+        let mut why: Vec<String> =
+            self.contradictions.iter().map(|told| plain(told).into_owned()).collect();
+        for (n, what) in [(self.frame_balance, "frames"), (self.sample_balance, "samples")] {
+            if n != 0 {
+                why.push(format!("{n} {what} are left over"));
+            }
+        }
+        (!self.closes).then(|| format!("the ledger does not close: {}", why.join("; ")))
+    }
+
     fn close(&self, out: &mut String) {
         let state = if self.closes { "the ledger closes" } else { "THE LEDGER DOES NOT CLOSE" };
-        writeln!(out, "  {:>15} left over: {state}", self.frame_balance).ok();
+        let but = match (self.closes, self.frame_balance, self.sample_balance) {
+            (true, ..) => String::new(),
+            // Every frame has its place, and what counted them cannot be believed.
+            (_, 0, 0) => " of the frames, but what counts them contradicts itself".to_owned(),
+            (_, _, 0) => " of the frames".to_owned(),
+            (.., samples) => format!(" of the frames, {samples} of the samples"),
+        };
+        writeln!(out, "  {:>15} left over{but}: {state}", self.frame_balance).ok();
     }
 
     fn samples(&self, out: &mut String) {

@@ -203,12 +203,13 @@ impl Counts {
         }
         if self.counter_jumps > 0 {
             contradictions.push(format!(
-                "the device's frame counter jumped {} times as no loss explains",
-                self.counter_jumps
+                "the device's frame counter jumped {} as no loss explains",
+                times(self.counter_jumps)
             ));
         }
         if self.clock_jumps > 0 {
-            contradictions.push(format!("the device's clock went back {} times", self.clock_jumps));
+            let times = times(self.clock_jumps);
+            contradictions.push(format!("the device's clock went back {times}"));
         }
         if self.events_dropped > 0 {
             contradictions.push(format!(
@@ -247,4 +248,8 @@ impl Counts {
             clock: self.clock.ledger(),
         }
     }
+}
+
+fn times(n: u64) -> String {
+    if n == 1 { "once".to_owned() } else { format!("{n} times") }
 }

@@ -82,6 +82,9 @@ pub enum TakeEvent<'a> {
     },
 }
 
+/// What an ordinary reader says of a header that it cannot read.
+pub(crate) const HEADER_DAMAGED: &str = "its header is damaged, and nothing can be read without it; try `mocapd recover`, which can put one byte of it right";
+
 /// Turns bytes into [`TakeEvent`]s. Holds one chunk at a time (after damage, up to the rest of the file).
 #[derive(Debug, Default)]
 pub struct TakeReader {
@@ -95,6 +98,8 @@ pub struct TakeReader {
     /// After the header.
     chain: Option<Chain>,
     bytes: TakeBytes,
+    /// Up to which byte there was nothing but the beginning of a header.
+    header_cut_until: u64,
     seen_magic: bool,
     seen_footer: bool,
     complete: bool,
@@ -156,7 +161,14 @@ impl TakeReader {
                 self.wanted = wanted;
                 Ok(None)
             }
-            Front::Short(_) => Ok(Some(self.skip_damage("the file ends inside a chunk"))),
+            Front::Short(_) => {
+                let is_header = self.offset() == chunk::MAGIC.len() as u64;
+                let damage = self.skip_damage("the file ends inside a chunk");
+                if is_header {
+                    self.header_cut_until = self.offset();
+                }
+                Ok(Some(damage))
+            }
             Front::Damaged if !self.complete => {
                 // The next whole chunk may be long and cut by the end of the buffer, and only its
                 // CRC tells it from noise: look again when all is there.
@@ -184,6 +196,7 @@ impl TakeReader {
             };
         }
         self.used = have;
+        self.header_cut_until = have as u64;
         self.seen_magic = true;
         self.bytes.header += have as u64;
         Ok(true)
@@ -192,9 +205,11 @@ impl TakeReader {
     fn end(&mut self) -> Result<TakeEvent<'static>, TakeError> {
         self.ended = true;
         if self.chain.is_none() {
-            return Err(TakeError::NotATake(
-                "no intact header was found; try `mocapd recover`, which can put one byte of it right",
-            ));
+            return Err(TakeError::NotATake(if self.offset() > self.header_cut_until {
+                HEADER_DAMAGED
+            } else {
+                "the file ends inside its header, and nothing of it can be read"
+            }));
         }
         Ok(TakeEvent::End { finished: self.seen_footer, bytes: self.bytes })
     }

@@ -57,7 +57,7 @@ fn what_is_no_take() {
         ("short.take", "shorter than a take's eight bytes"),
         ("text.take", "does not begin with a take's eight bytes"),
         ("sent_as_text.take", "copy it again in binary mode"),
-        ("magic_only.take", "no intact header"),
+        ("magic_only.take", "the file ends inside its header"),
     ] {
         for args in [&["info", file][..], &["verify", file], &["export", file, "-o", "new.csv"]] {
             let line = folder.refuses(args, 1);

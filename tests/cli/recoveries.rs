@@ -23,6 +23,12 @@ fn a_killed_recording_is_recovered() {
     assert_eq!(folder.read("killed.take"), killed, "it is only read");
     let verified = folder.run(&["verify", "new.take", "--json"]).with_code(0).json();
     assert_eq!(verified["intact"], true, "{verified}");
+    // Whoever looks at it is told.
+    for command in ["info", "verify"] {
+        let ran = folder.run(&[command, "killed.take"]).with_code(3);
+        assert!(ran.stderr.contains("`mocapd recover killed.take -o NEW.take`"), "{}", ran.stderr);
+        assert!(!folder.run(&[command, "new.take"]).stderr.contains("recover"), "{command}");
+    }
     let before = folder.run(&["info", "killed.take", "--json"]).with_code(3).json();
     let info = folder.run(&["info", "new.take", "--json"]).with_code(0).json();
     for same in ["frames", "samples", "markers", "stretches", "created", "resampler"] {
@@ -75,7 +81,17 @@ fn nothing_is_overwritten_and_nothing_left_behind() {
     let take = folder.read("jump.take");
     folder.write("head.take", &take[..60]);
     let line = folder.refuses(&["recover", "head.take", "-o", "new.take"], 1);
-    assert!(line.contains("no intact header"), "{line}");
+    assert!(line.contains("the file ends inside its header"), "{line}");
+    // Nor is one of which two bytes are wrong; a recovery does not send people to a recovery.
+    let mut bad = take.clone();
+    bad[40] ^= 0x20;
+    bad[50] ^= 0x20;
+    folder.write("bad.take", &bad);
+    let line = folder.refuses(&["recover", "bad.take", "-o", "new.take"], 1);
+    assert!(line.contains("more than one byte of its header is damaged"), "{line}");
+    for line in [folder.refuses(&["info", "head.take"], 1), line] {
+        assert!(!line.contains("`mocapd recover`"), "{line}");
+    }
 }
 
 #[test]

@@ -4,6 +4,7 @@ use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::keys::{KINDS, Key, KindKeys, WINDOW};
+use super::nearest::nearest;
 use super::script::FAULTS_MAX;
 
 /// What is wrong, and at which byte.
@@ -11,6 +12,7 @@ type Wrong = (usize, String);
 
 /// The tables and keys beside the faults.
 const TOP: &[&str] = &["seed", "fault", "expect"];
+const LEDGER: &[&str] = &["exact", "by-host-clock"];
 const EXPECT: &[&str] = &["exit", "ledger", "contradictions", "events", "at_least"];
 
 pub(super) fn check(text: &str) -> Result<(), Wrong> {
@@ -18,14 +20,17 @@ pub(super) fn check(text: &str) -> Result<(), Wrong> {
         .map_err(|error| (error.span().map_or(0, |span| span.start), error.message().to_owned()))?;
     let table = document.get_ref();
     only(table, TOP, "a script")?;
-    if !table.contains_key("seed") {
-        return Err((
-            0,
-            "no seed: write `seed = 1` in front, so that it can be repeated".to_owned(),
-        ));
+    match table.get("seed") {
+        None => {
+            return Err((
+                0,
+                "no seed: write `seed = 1` in front, so that it can be repeated".to_owned(),
+            ));
+        }
+        Some(seed) => whole("seed", seed, i64::MAX)?,
     }
-    if let Some(expect) = table.get("expect").and_then(|value| value.get_ref().as_table()) {
-        only(expect, EXPECT, "[expect]")?;
+    if let Some(value) = table.get("expect") {
+        expect(value)?;
     }
     let Some(faults) = table.get("fault") else { return Ok(()) };
     let Some(list) = faults.get_ref().as_array() else {
@@ -55,6 +60,66 @@ fn unknown(key: &Spanned<std::borrow::Cow<'_, str>>, known: &[&str], where_: &st
     (key.span().start, format!("unknown key '{}' in {where_}: {meant}", word.escape_debug()))
 }
 
+/// What a script says of a recording of it.
+fn expect(value: &Spanned<DeValue<'_>>) -> Result<(), Wrong> {
+    let Some(table) = value.get_ref().as_table() else {
+        return Err((value.span().start, "write [expect], in brackets".to_owned()));
+    };
+    only(table, EXPECT, "[expect]")?;
+    for (key, max) in [("exit", i64::from(u8::MAX)), ("at_least", i64::MAX)] {
+        match table.get(key) {
+            Some(value) => whole(key, value, max)?,
+            None if key == "exit" => {
+                return Err((
+                    value.span().start,
+                    "[expect] needs 'exit' (an exit code)".to_owned(),
+                ));
+            }
+            None => {}
+        }
+    }
+    if let Some(ledger) = table.get("ledger")
+        && !ledger.get_ref().as_str().is_some_and(|word| LEDGER.contains(&word))
+    {
+        return Err((ledger.span().start, format!("ledger is one of {}", LEDGER.join(", "))));
+    }
+    for key in ["contradictions", "events"] {
+        let Some(list) = table.get(key) else { continue };
+        let texts = list.get_ref().as_array();
+        if !texts.is_some_and(|texts| texts.iter().all(|text| text.get_ref().is_str())) {
+            return Err((list.span().start, format!("{key} is a list of texts: give [\"...\"]")));
+        }
+    }
+    Ok(())
+}
+
+/// A count.
+fn whole(name: &str, value: &Spanned<DeValue<'_>>, max: i64) -> Result<(), Wrong> {
+    let fits = match value.get_ref() {
+        DeValue::Integer(integer) => i64::from_str_radix(integer.as_str(), integer.radix())
+            .is_ok_and(|n| (0..=max).contains(&n)),
+        _ => false,
+    };
+    if fits {
+        return Ok(());
+    }
+    let wrong = wrong_type(value, name, "a number").unwrap_or(format!("{name} is out of range"));
+    Err((value.span().start, format!("{wrong}: give a whole number from 0 to {max}")))
+}
+
+/// That a value is not even of the type that belongs there.
+fn wrong_type(value: &Spanned<DeValue<'_>>, name: &str, wanted: &str) -> Option<String> {
+    let found = match value.get_ref() {
+        DeValue::String(_) => "a text",
+        DeValue::Integer(_) | DeValue::Float(_) => "a number",
+        DeValue::Boolean(_) => "true or false",
+        DeValue::Datetime(_) => "a date",
+        DeValue::Array(_) => "a list",
+        DeValue::Table(_) => "a table",
+    };
+    (found != wanted).then(|| format!("{name} is {found}, not {wanted}"))
+}
+
 fn fault(value: &Spanned<DeValue<'_>>) -> Result<(), Wrong> {
     let at = value.span().start;
     let Some(table) = value.get_ref().as_table() else {
@@ -65,6 +130,9 @@ fn fault(value: &Spanned<DeValue<'_>>) -> Result<(), Wrong> {
     let Some(written) = table.get("kind") else {
         return Err((at, format!("a fault without a kind: it is one of {}", all())));
     };
+    if let Some(wrong) = wrong_type(written, "kind", "a text") {
+        return Err((written.span().start, format!("{wrong}: it is one of {}", all())));
+    }
     let word = written.get_ref().as_str().unwrap_or("");
     let Some(keys) = KINDS.iter().find(|keys| keys.name == word) else {
         let meant = match nearest(word, kinds()) {
@@ -129,42 +197,8 @@ fn in_range(value: &Spanned<DeValue<'_>>, key: &Key) -> Result<(), Wrong> {
         (_, true) => format!("a whole number from {min} to {max} ({unit})"),
         _ => format!("{min} to {max} ({unit})"),
     };
-    Err((value.span().start, format!("{name} is out of range: give {wanted}")))
-}
-
-/// The known word that is meant, when one is near: at most two letters away, or a third of a long word.
-fn nearest<'a>(word: &str, known: impl Iterator<Item = &'a str>) -> Option<&'a str> {
-    known
-        .map(|name| (distance(word, name), name))
-        .filter(|(away, name)| *away <= 2.max(name.len() / 3))
-        .min_by_key(|(away, _)| *away)
-        .map(|(_, name)| name)
-}
-
-/// Letters to change, add or leave out (Levenshtein 1965).
-fn distance(a: &str, b: &str) -> usize {
-    let mut row: Vec<usize> = (0..=b.chars().count()).collect();
-    for (i, x) in a.chars().enumerate() {
-        let mut before = i;
-        row[0] = i + 1;
-        for (j, y) in b.chars().enumerate() {
-            let changed = before + usize::from(x != y);
-            before = row[j + 1];
-            row[j + 1] = changed.min(before + 1).min(row[j] + 1);
-        }
-    }
-    row.last().copied().unwrap_or(0)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_nearest_word() {
-        assert_eq!(distance("kitten", "sitting"), 3);
-        assert_eq!(nearest("rat", ["rate", "run"].into_iter()), Some("rate"));
-        assert_eq!(nearest("bitflips", KINDS.iter().map(|k| k.name)), Some("bit-flips"));
-        assert_eq!(nearest("seconds", ["rate", "run"].into_iter()), None);
-    }
+    let type_wanted = if is_bool { "true or false" } else { "a number" };
+    let wrong =
+        wrong_type(value, name, type_wanted).unwrap_or_else(|| format!("{name} is out of range"));
+    Err((value.span().start, format!("{wrong}: give {wanted}")))
 }

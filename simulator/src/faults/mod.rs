@@ -13,6 +13,7 @@ mod fate;
 mod fault;
 mod keys;
 mod kinds;
+mod nearest;
 mod script;
 mod source;
 mod wire;

@@ -34,7 +34,20 @@ fn what_cannot_be_meant_is_refused_with_its_line_and_what_to_write() {
     refused(&format!("{flips}rate = 1e-4\nseconds = 3"), 5, "it has kind, rate, from_s, to_s");
     refused(flips, 2, "needs 'rate' (per byte)");
     refused(&format!("{flips}rate = 0.2"), 4, "rate is out of range: give 0 to 0.1 (per byte)");
-    refused(&format!("{flips}rate = 'x'"), 4, "give 0 to 0.1");
+    refused(&format!("{flips}rate = 'x'"), 4, "rate is a text, not a number: give 0 to 0.1");
+    refused(&format!("{flips}rate = true"), 4, "rate is true or false, not a number: give 0 to");
+    refused("[[fault]]\nkind = 3", 3, "kind is a number, not a text: it is one of bit-flips");
+    refused("[[fault]]\nkind = ''", 3, "unknown kind of fault ''");
+    refused(
+        "[expect]\nexit = 'x'",
+        3,
+        "exit is a text, not a number: give a whole number from 0 to 255",
+    );
+    refused("[expect]\nexit = 300", 3, "exit is out of range");
+    refused("[expect]\nevents = []", 2, "needs 'exit'");
+    refused("[expect]\nexit = 0\nevents = 'x'", 4, "events is a list of texts");
+    refused("[expect]\nexit = 0\nledger = 1", 4, "ledger is one of exact, by-host-clock");
+    refused("expect = 3", 2, "write [expect]");
     refused(&format!("{flips}rate = nan"), 4, "give 0 to 0.1");
     refused(&format!("{flips}rate = 1e-4\nfrom_s = 3\nto_s = 2"), 2, "later than from_s");
     refused(
@@ -68,7 +81,14 @@ fn what_cannot_be_meant_is_refused_with_its_line_and_what_to_write() {
         error,
         "b.toml line 1: no seed: write `seed = 1` in front, so that it can be repeated"
     );
-    assert!(Script::parse("b.toml", "seed = -1").is_err());
+    for (seed, said) in [
+        ("'x'", "seed is a text, not a number: give a whole number from 0 to 9223372036854775807"),
+        ("-1", "seed is out of range: give a whole number from 0 to 9223372036854775807"),
+        ("1.5", "seed is out of range: give a whole number from 0"),
+    ] {
+        let error = Script::parse("b.toml", &format!("seed = {seed}")).unwrap_err().to_string();
+        assert!(error.starts_with("b.toml line 1: ") && error.contains(said), "{error}");
+    }
 }
 
 /// Every kind with all of its keys, each at its least.

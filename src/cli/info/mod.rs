@@ -9,7 +9,10 @@ use anyhow::Context;
 use mocapd::{files, inspect::Summary, outcome::Outcome};
 
 use self::{report::Report, words::words};
-use super::output::{print, print_json, say};
+use super::{
+    damage,
+    output::{print, print_json, say},
+};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -37,6 +40,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     if let Some(losses) = report.losses() {
         say(&format!("{}: not in the take: {losses}", args.take.display()));
+    }
+    if let Some(why) = report.not_closing() {
+        say(&format!("{}: {why}", args.take.display()));
+    }
+    if !args.json && damage::is_recoverable(&summary) {
+        say(&damage::recoverable(&args.take));
     }
     let ledger = summary.ledger.as_ref();
     let lost = ledger.is_some_and(|ledger| ledger.lost_anything() || !ledger.closes());

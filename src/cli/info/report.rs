@@ -206,6 +206,11 @@ impl Report {
     pub(super) fn losses(&self) -> Option<String> {
         self.ledger.as_ref()?.losses()
     }
+
+    /// Why its ledger does not close, in one line.
+    pub(super) fn not_closing(&self) -> Option<String> {
+        self.ledger.as_ref()?.not_closing()
+    }
 }
 
 /// When the take was begun, where that is known: an import has no time of its own.

@@ -112,6 +112,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let Some(losses) = report.losses() {
         say(&format!("not in the take: {losses}"));
     }
+    if let Some(why) = report.not_closing() {
+        say(&why);
+    }
     let ledger = &recorded.written.ledger;
     let was_away = disconnected || recorded.recording.outages > 0;
     Ok(Outcome::of(

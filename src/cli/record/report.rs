@@ -125,6 +125,11 @@ impl Report {
         self.ledger.losses()
     }
 
+    /// Why its ledger does not close, in one line.
+    pub(crate) fn not_closing(&self) -> Option<String> {
+        self.ledger.not_closing()
+    }
+
     /// Why the take ended.
     pub(crate) fn disk_full(&self) -> String {
         let free = self.disk.free_bytes.map_or("little".to_owned(), bytes);

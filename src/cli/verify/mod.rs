@@ -22,6 +22,9 @@ use super::{
     paths,
 };
 
+/// Among the problems of a take.
+const NOT_CLOSING: &str = "the ledger does not close";
+
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// The take
@@ -80,12 +83,19 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         print_json(&report)?;
     } else {
         print(&report.words())?;
-        for problem in &report.problems {
+        // The ledger's own words come below.
+        for problem in report.problems.iter().filter(|problem| *problem != NOT_CLOSING) {
             say(&format!("{}: {problem}", args.take.display()));
         }
     }
     if let Some(losses) = summary.ledger.as_ref().and_then(|l| LedgerReport::new(l).losses()) {
         say(&format!("{}: not in the take: {losses}", args.take.display()));
+    }
+    if let Some(why) = summary.ledger.as_ref().and_then(|l| LedgerReport::new(l).not_closing()) {
+        say(&format!("{}: {why}", args.take.display()));
+    }
+    if !args.json && damage::is_recoverable(&summary) {
+        say(&damage::recoverable(&args.take));
     }
     if let Some(original) = &args.against
         && !report.against.as_ref().is_some_and(AgainstReport::is_within)
@@ -104,7 +114,7 @@ impl Report {
         let mut problems = summary.problems.clone();
         let ledger_closes = summary.ledger.as_ref().map(Ledger::closes);
         if ledger_closes == Some(false) {
-            problems.push("the ledger does not close".to_owned());
+            problems.push(NOT_CLOSING.to_owned());
         }
         if let Some(ledger) = &summary.ledger
             && summary.finished

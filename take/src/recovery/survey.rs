@@ -10,7 +10,7 @@ use super::{KindCount, Piece, kinds::Kinds};
 use crate::{
     TakeError, TakeReader, chunk,
     loss::{Losses, LostRows, Why},
-    reader::pull,
+    reader::{HEADER_DAMAGED, pull},
     record::{Channel, Header, Ledger},
     table::ChannelTable,
 };
@@ -52,7 +52,7 @@ impl Survey {
         let mut surveyor = Surveyor::default();
         let mut start = chunk::MAGIC.len() as u64;
         while !surveyor.ended {
-            let Some(event) = reader.next_event()? else {
+            let Some(event) = reader.next_event().map_err(as_recovery)? else {
                 pull(&mut input, &mut reader)?;
                 continue;
             };
@@ -151,5 +151,15 @@ impl Survey {
             || self.names_lost
             || self.rows_damaged() > 0
             || self.kinds.all().iter().any(lost)
+    }
+}
+
+/// A recovery does not send people to a recovery.
+fn as_recovery(error: TakeError) -> TakeError {
+    match error {
+        TakeError::NotATake(HEADER_DAMAGED) => TakeError::NotATake(
+            "more than one byte of its header is damaged, and nothing can be read without it",
+        ),
+        other => other,
     }
 }
