@@ -197,13 +197,16 @@ fn scripts_of_faults_are_refused_in_words_and_played() {
     assert_eq!(code, Some(0), "{words}");
     let lost = 120 - n_frames;
     let said = format!(
-        "faults: {n_frames} frames sent whole, 0 damaged and {lost} lost ({lost} by lost-frames)"
+        "faults: {n_frames} frames sent whole, 0 damaged and {lost} lost ({lost} by lost-frames); \
+         what happened: lost-frames in {lost} frames\n"
     );
     assert!(lost > 5 && words.contains(&said), "{words}");
     let log = std::fs::read_to_string(&log).unwrap();
-    assert!(log.starts_with("run,seq,device_ticks,present,dropped,host_ns,fate,again,faults\n"));
+    assert!(log.starts_with(
+        "run,seq,device_ticks,present,dropped,host_ns,unasked,fate,again,faults,frames\n"
+    ));
     let with = |fate: &str| log.lines().filter(|line| line.contains(fate)).count() as u64;
-    assert_eq!((with(",whole,0,"), with(",lost,0,lost-frames")), (n_frames, lost));
+    assert_eq!((with(",whole,0,,1"), with(",lost,0,lost-frames,1")), (n_frames, lost));
 }
 
 #[test]

@@ -67,6 +67,12 @@ fn agrees(name: &str) {
     let told = format!("{:#}\n{}", played.report["ledger"], played.ran.stderr);
     assert_eq!(played.ran.code, Some(i32::from(expect.exit)), "{told}");
     ledger_agrees(&played, &expect, &told);
+    // Whatever it does to frames, the totals say that it was there.
+    let totals = played.sent.faults.as_ref().unwrap();
+    for windowed in &script.faults {
+        let kind = windowed.fault.kind();
+        assert!(totals.parts.of(kind) > 0, "{}: {}", kind.name(), totals.words());
+    }
     words_agree(&played, &expect, &told);
     take_holds_what_was_sent(&folder, &script, &played);
     let words = folder.run(&["verify", "a.take"]).stderr;

@@ -29,7 +29,7 @@ pub(crate) use outbox::Outbox;
 pub(crate) use rates::Rates;
 pub use settings::{DeviceError, DeviceSettings, RATE_MHZ, TICK_HZ};
 
-use crate::faults::SourceFaults;
+use crate::faults::{Parts, SourceFaults};
 use crate::replay::Replay;
 
 const SECOND_NS: u64 = 1_000_000_000;
@@ -286,6 +286,11 @@ impl Device {
         }
     }
 
+    /// What the faults inside it had a part in.
+    pub(crate) fn fault_parts(&self) -> Parts {
+        self.faults.as_ref().map(SourceFaults::parts).unwrap_or_default()
+    }
+
     fn add_ghosts(&mut self, since_ns: u64) {
         let Some(faults) = &mut self.faults else { return };
         let ghosts = faults.announce_ghosts(since_ns);
@@ -310,6 +315,9 @@ impl Device {
         if let Some(faults) = &mut self.faults {
             seq = faults.counter(seq, since_ns);
             faults.positions(since_ns, &mut self.row);
+        }
+        if let Some(faults) = &mut self.faults {
+            faults.stamped(since_ns);
         }
         let present = table::list(&self.table, &self.row, &mut self.samples);
         self.add_ghosts(since_ns);

@@ -2,6 +2,7 @@
 
 use super::fault::Fault;
 use super::kinds::Kind;
+use super::parts::Parts;
 use super::script::{Script, nanoseconds};
 use crate::line::Batch;
 
@@ -75,6 +76,15 @@ impl Connection {
         let edges = self.outages.iter().flat_map(|outage| [outage.from_ns, outage.to_ns]);
         let edge = edges.filter(|at| *at > since_ns).min().unwrap_or(u64::MAX);
         edge.min(self.batch.as_ref().map_or(u64::MAX, Batch::next_ns))
+    }
+
+    /// The outages that have begun.
+    pub(super) fn parts(&self, since_ns: u64) -> Parts {
+        let mut parts = Parts::default();
+        for outage in self.outages.iter().filter(|outage| outage.from_ns <= since_ns) {
+            parts.add(outage.kind, 1);
+        }
+        parts
     }
 
     /// How many of the `waiting` bytes may be handed over.

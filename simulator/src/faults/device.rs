@@ -19,6 +19,8 @@ pub struct FaultyDevice {
     connection: Connection,
     state: State,
     first_start_ns: Option<u64>,
+    /// Of the last turn, since then.
+    seen_ns: Option<u64>,
     discarded: u64,
     starts: u64,
     /// Plugged in again, and no host has said anything: nothing leaves it.
@@ -36,6 +38,7 @@ impl FaultyDevice {
             connection: Connection::new(script),
             state: State { plugged: true, powered: true, flows: true },
             first_start_ns: None,
+            seen_ns: None,
             discarded: 0,
             starts: 0,
             unheard: false,
@@ -81,6 +84,7 @@ impl FaultyDevice {
     /// What begins or ends at this time does.
     fn turn(&mut self, now_ns: u64) {
         let Some(since_ns) = self.since_ns(now_ns) else { return };
+        self.seen_ns = Some(since_ns);
         let (before, now) = (self.state, self.connection.state(since_ns));
         self.state = now;
         if before.powered && !now.powered {
@@ -159,7 +163,12 @@ impl LineDevice for FaultyDevice {
     }
 
     fn log(&self) -> SentLog {
-        SentLog { faults: Some(self.wire.account.totals()), ..self.device.log() }
+        let mut totals = self.wire.account.totals();
+        let begun = self.seen_ns.map(|since_ns| self.connection.parts(since_ns));
+        for parts in [self.device.fault_parts(), self.wire.parts(), begun.unwrap_or_default()] {
+            totals.parts = totals.parts.join(parts);
+        }
+        SentLog { faults: Some(totals), ..self.device.log() }
     }
 
     fn keep_frame_log(&mut self) {

@@ -2,6 +2,7 @@
 
 use super::keys::KINDS;
 use super::kinds::Kinds;
+use super::parts::Parts;
 use crate::device::SentFrame;
 
 /// What became of a frame.
@@ -59,6 +60,8 @@ impl Fate {
 pub struct FrameFate {
     /// What the device made of it: its number is the one on the wire, true or not.
     pub frame: SentFrame,
+    /// How many in a row this is told of, of which `frame` is the first: 1, but for very many that were dropped.
+    pub frames: u64,
     /// What became of it.
     pub fate: Fate,
     /// How often it went whole after the first time.
@@ -70,13 +73,13 @@ pub struct FrameFate {
 impl FrameFate {
     /// The first line of a log file.
     pub const CSV_HEADER: &'static str =
-        "run,seq,device_ticks,present,dropped,host_ns,fate,again,faults";
+        "run,seq,device_ticks,present,dropped,host_ns,unasked,fate,again,faults,frames";
 
     /// One line of a log file, without its end.
     #[must_use]
     pub fn to_csv(self) -> String {
-        let Self { frame, fate, again, faults } = self;
-        format!("{},{},{again},{}", frame.to_csv(), fate.name(), faults.names())
+        let Self { frame, frames, fate, again, faults } = self;
+        format!("{},{},{again},{},{frames}", frame.to_csv(), fate.name(), faults.names())
     }
 
     /// Reads such a line; `None` for another.
@@ -100,7 +103,8 @@ impl FrameFate {
         for name in cell()?.split('+').filter(|name| !name.is_empty()) {
             faults.add(Kinds::of(KINDS.iter().find(|keys| keys.name == name)?.kind));
         }
-        Some(Self { frame, fate, again, faults })
+        let frames = cell()?.parse().ok()?;
+        Some(Self { frame, frames, fate, again, faults })
     }
 }
 
@@ -128,6 +132,8 @@ pub struct FaultTotals {
     /// Of the damaged and lost ones, those that each kind touched, by [`Kind`](super::Kind). One that two kinds touched is with
     /// both.
     pub by_kind: [u64; KINDS.len()],
+    /// What each kind did at all, whatever became of the frames.
+    pub parts: Parts,
 }
 
 impl FaultTotals {
@@ -141,7 +147,10 @@ impl FaultTotals {
             Fate::Dropped => &mut self.dropped,
             Fate::Discarded => &mut self.discarded,
             Fate::Waiting => &mut self.waiting,
-        } += 1;
+        } += fate.frames;
+        for kind in fate.faults.iter().filter(|kind| !kind.is_of_a_moment()) {
+            self.parts.add(kind, fate.frames);
+        }
         self.again += u64::from(fate.again);
         if matches!(fate.fate, Fate::Damaged | Fate::Lost) {
             for kind in fate.faults.iter() {
@@ -172,6 +181,6 @@ impl FaultTotals {
                 words.push_str(&format!(", {n} {what}"));
             }
         }
-        words
+        words + &self.parts.words()
     }
 }

@@ -6,9 +6,11 @@
 use std::sync::Arc;
 
 use mocapd_drivers::device::{MarkerInfo, MarkerSample};
-use mocapd_take::motion::{GAP, Position};
+use mocapd_take::motion::{GAP, Position, is_gap};
 
 use super::fault::Fault;
+use super::kinds::Kind;
+use super::parts::Parts;
 use super::script::{Script, nanoseconds};
 use crate::generator::Rng;
 
@@ -29,16 +31,44 @@ pub(crate) struct SourceFaults {
     /// What the counter on the wire is ahead of the true one.
     ahead: u32,
     jumped: Vec<usize>,
+    /// Clock jumps that a frame was stamped after.
+    leapt: Vec<usize>,
     told_ghosts: bool,
+    parts: Parts,
 }
 
 impl SourceFaults {
     pub(crate) fn new(script: Arc<Script>, n_markers: usize) -> Self {
-        Self { script, n_markers, ahead: 0, jumped: Vec::new(), told_ghosts: false }
+        let (jumped, leapt) = (Vec::new(), Vec::new());
+        let parts = Parts::default();
+        Self { script, n_markers, ahead: 0, jumped, leapt, told_ghosts: false, parts }
     }
 
     pub(crate) fn n_ghosts(&self) -> usize {
         self.script.n_ghosts()
+    }
+
+    /// What they had a part in so far.
+    pub(crate) fn parts(&self) -> Parts {
+        self.parts
+    }
+
+    /// A frame is stamped by the device's clock.
+    pub(crate) fn stamped(&mut self, since_ns: u64) {
+        for (index, windowed) in self.script.faults.iter().enumerate() {
+            match windowed.fault {
+                Fault::ClockDrift { .. } if windowed.is_on(since_ns) => {
+                    self.parts.add(Kind::ClockDrift, 1);
+                }
+                Fault::ClockJump { at_s, .. }
+                    if nanoseconds(at_s) <= since_ns && !self.leapt.contains(&index) =>
+                {
+                    self.leapt.push(index);
+                    self.parts.add(Kind::ClockJump, 1);
+                }
+                _ => {}
+            }
+        }
     }
 
     /// What the device's clock is ahead of itself, in nanoseconds: what jumps and drift came to until then.
@@ -63,11 +93,13 @@ impl SourceFaults {
                     if nanoseconds(at_s) <= since_ns && !self.jumped.contains(&index) =>
                 {
                     self.jumped.push(index);
+                    self.parts.add(Kind::CounterJump, 1);
                     self.ahead = self.ahead.wrapping_add_signed(by);
                 }
                 // The first frame has none before it to repeat.
                 Fault::CounterRepeat { rate } if number > 0 && windowed.is_on(since_ns) => {
-                    let repeats = self.rng(index, u64::from(number)).unit() < rate;
+                    let repeats = stream(&self.script, index, number.into()).unit() < rate;
+                    self.parts.add(Kind::CounterRepeat, repeats.into());
                     self.ahead = self.ahead.wrapping_sub(u32::from(repeats));
                 }
                 _ => {}
@@ -77,7 +109,7 @@ impl SourceFaults {
     }
 
     /// The positions of a frame.
-    pub(crate) fn positions(&self, since_ns: u64, row: &mut [Position]) {
+    pub(crate) fn positions(&mut self, since_ns: u64, row: &mut [Position]) {
         for (index, windowed) in self.script.faults.iter().enumerate() {
             if !windowed.is_on(since_ns) {
                 continue;
@@ -90,16 +122,20 @@ impl SourceFaults {
                         let one = below(&mut rng, row.len());
                         let other = below(&mut rng, row.len() - 1);
                         row.swap(one, if other >= one { other + 1 } else { other });
+                        self.parts.add(Kind::Swaps, 1);
                     }
                 }
                 Fault::OcclusionStorm { part, gap_s } => {
                     let slot = (since_ns - windowed.from_ns) / nanoseconds(gap_s).max(1);
                     let mut rng = self.rng(index, slot);
+                    let mut hides = false;
                     for position in row.iter_mut() {
                         if rng.unit() < part {
+                            hides |= !is_gap(*position);
                             *position = GAP;
                         }
                     }
+                    self.parts.add(Kind::OcclusionStorm, hides.into());
                 }
                 _ => {}
             }
@@ -107,8 +143,9 @@ impl SourceFaults {
     }
 
     /// Adds the markers that are not there, their ids above all others.
-    pub(crate) fn add_ghosts(&self, since_ns: u64, samples: &mut Vec<MarkerSample>) {
+    pub(crate) fn add_ghosts(&mut self, since_ns: u64, samples: &mut Vec<MarkerSample>) {
         let mut id = self.n_markers as u16;
+        let before = samples.len();
         for (index, windowed) in self.script.faults.iter().enumerate() {
             let Fault::Ghosts { count } = windowed.fault else { continue };
             let mut rng = self.rng(index, since_ns / GHOST_STAYS_NS);
@@ -121,6 +158,7 @@ impl SourceFaults {
             }
             id += count;
         }
+        self.parts.add(Kind::Ghosts, (samples.len() > before).into());
     }
 
     /// What the device says of them before the first is seen; nothing once it has.

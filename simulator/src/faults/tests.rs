@@ -245,3 +245,48 @@ fn the_account_is_what_a_receiver_finds() {
     }
     assert!(hit > 1000, "{hit} damaged frames");
 }
+
+/// What harms no frame is told as well.
+#[test]
+fn the_totals_say_what_each_kind_did() {
+    for (name, said) in [
+        (
+            "lying-counter",
+            "0 damaged and 0 lost; what happened: counter-jump 3 times, counter-repeat in ",
+        ),
+        ("clock-back", "0 damaged and 0 lost; what happened: clock-jump once"),
+        ("clock", "0 lost; what happened: clock-drift in 480 frames, clock-jump once"),
+        ("bursts", "0 lost; what happened: bursts in "),
+        ("garbage", "0 lost; what happened: garbage once"),
+        ("swaps-and-ghosts", "what happened: swaps in "),
+        ("doubled-frames", "what happened: doubled-frames in "),
+    ] {
+        let text = std::fs::read_to_string(format!("{SHIPPED}/{name}.toml")).unwrap();
+        let script = Script::parse(name, &text).unwrap();
+        let words = totals(&script).words();
+        assert!(words.contains(said), "{name}: {words}");
+    }
+}
+
+fn totals(script: &Script) -> FaultTotals {
+    let script = Arc::new(script.clone());
+    let spec = JumpSpec { seconds: Some(2.0), ..JumpSpec::new(1, 240.0) };
+    let settings =
+        DeviceSettings { faults: Some(Arc::clone(&script)), ..DeviceSettings::default() };
+    let device = Device::new(spec.generate().unwrap().motion, settings).unwrap();
+    let mut device = FaultyDevice::new(device, &script);
+    let mut bytes = Vec::new();
+    HostLink::new().command(Command::Identify, &mut bytes);
+    HostLink::new().command(Command::Start { line_bytes_per_s: 0 }, &mut bytes);
+    let mut now_ns = 1_000_000;
+    device.on_bytes(&bytes, now_ns);
+    while !device.has_ended() {
+        let wake_ns = device.poll(now_ns);
+        let n = device.pending().len();
+        device.sent(n);
+        now_ns = wake_ns.clamp(now_ns + 1, now_ns + 10_000_000);
+        assert!(now_ns < 20_000_000_000, "no end");
+    }
+    device.close();
+    device.log().faults.unwrap()
+}

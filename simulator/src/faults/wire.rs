@@ -12,6 +12,7 @@ use mocapd_drivers::link::HostLink;
 use super::account::Account;
 use super::fault::Fault;
 use super::kinds::{Kind, Kinds};
+use super::parts::Parts;
 use super::script::Script;
 use super::source::{below, stream};
 use crate::device::SentFrame;
@@ -53,6 +54,8 @@ pub(super) struct Wire {
     /// The faults that hit the 0x00 before the next message.
     spoilt: Kinds,
     scratch: Vec<u8>,
+    /// Beside those that frames were touched by.
+    parts: Parts,
 }
 
 /// What a message is, as far as it matters here.
@@ -77,12 +80,18 @@ impl Wire {
             since_ns: None,
             spoilt: Kinds::default(),
             scratch: Vec::new(),
+            parts: Parts::default(),
         }
     }
 
     /// What the line should carry next.
     pub(super) fn out(&self) -> &[u8] {
         &self.out
+    }
+
+    /// What its faults had a part in, beside those that frames were touched by.
+    pub(super) fn parts(&self) -> Parts {
+        self.parts
     }
 
     pub(super) fn has_room(&self) -> bool {
@@ -154,7 +163,11 @@ impl Wire {
                     self.account.lost(number, Kind::LostFrames);
                     copies = 0;
                 }
-                Fault::DoubledFrames { rate } if hits(number, rate) => copies *= 2,
+                Fault::DoubledFrames { rate } if hits(number, rate) => {
+                    copies *= 2;
+                    self.parts.add(Kind::DoubledFrames, u64::from(copies > 0));
+                }
+                Fault::Bursts { .. } => self.parts.add(Kind::Bursts, 1),
                 Fault::LateFrames { rate, by } if hits(number, rate) => late = Some(by),
                 _ => {}
             }
@@ -196,6 +209,7 @@ impl Wire {
                     let mut rng = stream(&script, index, self.greetings);
                     let garbage: Vec<u8> = (0..bytes).map(|_| rng.next_u64() as u8).collect();
                     self.account.put(garbage.len(), None);
+                    self.parts.add(Kind::Garbage, 1);
                     self.out.extend(garbage);
                 }
                 _ => {}
