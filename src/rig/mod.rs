@@ -1,5 +1,6 @@
 //! One device: opened, identified, started, read, stopped.
 
+mod asked;
 mod identify;
 mod reader;
 mod reconnect;

@@ -7,12 +7,12 @@ use std::{
 
 use anyhow::{anyhow, bail};
 use mocapd_drivers::{
-    device::{Command, DeviceEvent, Hello, LinkBudget, LinkCounters, MarkerInfo, Pong},
+    device::{Command, DeviceEvent, Hello, LinkBudget, LinkCounters, MarkerInfo, Pong, Status},
     transport::TransportError,
 };
 use mocapd_take::record::{Event, EventKind};
 
-use super::{ANSWER_WITHIN, Latency, Rig, TRIES, monotonic_ns, refusal};
+use super::{ANSWER_WITHIN, Latency, Rig, TRIES, asked::Asked, monotonic_ns, refusal};
 use crate::{
     clock::Prober,
     pipeline::{Counts, Intake},
@@ -23,13 +23,6 @@ const SILENCE: Duration = Duration::from_secs(3);
 
 /// How long to wait for the end of the stream after Stop.
 const STOP_WITHIN: Duration = Duration::from_secs(2);
-
-/// A device that sent frames and is silent for so long is asked who it is, and again after as long: one that starts up
-/// needs a while, and being asked stops one that only pauses.
-const ASK_EVERY: Duration = Duration::from_secs(10);
-
-/// Starts that get an event and words: a device that is started in vain must fill neither the take nor the screen.
-const STARTS_TOLD_MAX: u32 = 32;
 
 /// When to stop, and what to tell.
 #[expect(missing_debug_implementations, reason = "a closure has none")]
@@ -101,8 +94,8 @@ impl Rig {
             end: None,
             started: None,
             began_anew: None,
-            asked_ns: None,
-            asking: false,
+            asked: None,
+            last_status: None,
             started_again: 0,
             outages: 0,
             notes: Vec::new(),
@@ -181,7 +174,7 @@ impl Rig {
             if reader.intake.counts_seen() != frames_before {
                 last_frame_ns = now_ns;
                 told_silent = false;
-                reader.asked_ns = None;
+                reader.asked = None;
             } else if !told_silent && now_ns - last_frame_ns > SILENCE.as_nanos() as u64 {
                 (options.say)(
                     "no frame for 3 s: is the device capturing? Still waiting; Ctrl-C finishes the take",
@@ -207,7 +200,7 @@ impl Rig {
             if let Some(now) = reader.began_anew.take()
                 && stop_said_ns.is_none()
             {
-                match self.start_again(reader, &now, options) {
+                match self.follow_hello(reader, &now, options) {
                     Ok(true) => {}
                     Ok(false) | Err(TransportError::Disconnected { .. }) => {
                         return Ok(Ending::Disconnected);
@@ -240,7 +233,7 @@ impl Rig {
                         }
                     }
                     stop_said_ns = Some(now_ns);
-                    reader.asking = false;
+                    reader.no_longer_asking();
                 }
                 Some(said) if now_ns - said > STOP_WITHIN.as_nanos() as u64 => {
                     (options.say)(
@@ -277,46 +270,6 @@ impl Rig {
             }
         }
         bail!("{} does not answer Start: switch it off and on again", self.uri)
-    }
-
-    /// A device that sent frames and sends none any more may have lost its power while the line to it stayed: it says who
-    /// it is when it is asked, and is started again then.
-    fn ask_who(&mut self, reader: &mut Reader<'_>, last_frame_ns: u64, now_ns: u64) {
-        let since_ns = reader.asked_ns.unwrap_or(last_frame_ns);
-        let is_due = now_ns.saturating_sub(since_ns) > ASK_EVERY.as_nanos() as u64;
-        if is_due && reader.intake.counts_seen() > 0 {
-            (reader.asked_ns, reader.asking) = (Some(now_ns), true);
-            // A device that is gone shows in the next read.
-            self.say(Command::Identify).ok();
-        }
-    }
-
-    /// A device that introduced itself while it was to send frames is started again, as it was. `false` when it is
-    /// another one.
-    fn start_again(
-        &mut self,
-        reader: &mut Reader<'_>,
-        now: &Hello,
-        options: &ReadOptions<'_>,
-    ) -> Result<bool, TransportError> {
-        if (&now.model, &now.serial) != (&self.hello.model, &self.hello.serial) {
-            (options.say)(&format!("another device answers, {} {}", now.model, now.serial));
-            return Ok(false);
-        }
-        reader.started_again += 1;
-        reader.count_anew();
-        if reader.started_again <= STARTS_TOLD_MAX {
-            reader.intake.event(host_event("the device introduced itself and was started again"));
-            (options.say)(
-                "the device introduced itself, as after a reset, a loss of power or a long silence: it was started again",
-            );
-        }
-        if now.rate_mhz != self.hello.rate_mhz {
-            self.say(Command::SetRate(self.hello.rate_mhz))?;
-        }
-        let line_bytes_per_s = self.transport.line_bytes_per_s().unwrap_or(0);
-        self.say(Command::Start { line_bytes_per_s })?;
-        Ok(true)
     }
 
     /// Asks the device for its clock, when that is due.
@@ -363,15 +316,15 @@ pub(super) struct Reader<'a> {
     latency_told_ns: u64,
     prober: Prober,
     started: Option<Result<(), LinkBudget>>,
-    end: Option<()>,
+    pub(super) end: Option<()>,
     /// It introduced itself while it was to send frames: so.
     began_anew: Option<Hello>,
-    /// It was asked who it is, because no frame came: when.
-    asked_ns: Option<u64>,
-    /// And has not answered.
-    asking: bool,
+    /// It was asked who it is, because no frame came.
+    pub(super) asked: Option<Asked>,
+    /// What it said last of the frames of its run.
+    pub(super) last_status: Option<Status>,
     /// Times that it was started again without having gone away.
-    started_again: u32,
+    pub(super) started_again: u32,
     outages: u32,
     /// What people should be told.
     notes: Vec<String>,
@@ -388,7 +341,8 @@ impl Reader<'_> {
     }
 
     /// Its counter, clock and reports may begin anew.
-    fn count_anew(&mut self) {
+    pub(super) fn count_anew(&mut self) {
+        self.last_status = None;
         self.prober = Prober::new();
         self.intake.rejoin();
     }
@@ -405,14 +359,18 @@ impl Reader<'_> {
                 }
             }
             DeviceEvent::Markers(markers) => self.intake.announce(markers),
-            DeviceEvent::Status(status) => self.intake.status(status, false),
+            DeviceEvent::Status(status) => {
+                self.last_status = Some(status);
+                self.intake.status(status, false);
+            }
             DeviceEvent::Note(text) if self.notes.len() < NOTES_MAX => {
                 let kind = EventKind::Device;
                 self.intake.event(Event { kind, ..host_event(text) });
                 self.notes.push(text.to_owned());
             }
             // Being asked stops it, and some say so.
-            DeviceEvent::EndOfStream(status) if self.asking => {
+            DeviceEvent::EndOfStream(status) if self.is_asking() => {
+                self.last_status = Some(status);
                 self.intake.status(status, false);
             }
             DeviceEvent::EndOfStream(status) if self.started.is_some() => {
@@ -432,7 +390,7 @@ impl Reader<'_> {
             // An answer to a command of the handshake that came late.
             DeviceEvent::Hello(hello) if self.started.is_some() => {
                 self.began_anew = Some(hello.clone());
-                self.asking = false;
+                self.no_longer_asking();
             }
             DeviceEvent::Pong(Pong { host_ns, device_ticks }) => {
                 if self.prober.answered(host_ns, arrival_ns) {

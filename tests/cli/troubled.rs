@@ -2,11 +2,16 @@
 
 use std::{sync::Arc, time::Duration};
 
+use mocapd_drivers::{
+    device::{DeviceEvent, Protocol},
+    link::HostLink,
+};
 use mocapd_simulator::{
     device::{Device, DeviceSettings, LineDevice, SentFrame, SentLog},
     faults::{FaultyDevice, Script},
     ndi::{NdiDevice, NdiSettings},
 };
+use mocapd_take::motion::Motion;
 
 use super::{Folder, devices::Simulated};
 use crate::support::jump;
@@ -169,4 +174,98 @@ fn a_line_that_loses_every_frame_for_long_costs_those_frames_and_a_start() {
     let starts = device.unplug().starts;
     assert_eq!(starts, 2, "{}", events(&info));
     assert_eq!(events(&info).matches("was started again").count(), 1, "{}", events(&info));
+}
+
+/// A device on a line that spoils the end of its stream, and so many of the reports that it gives when it is asked.
+struct Spoilt {
+    device: Device,
+    reader: HostLink,
+    out: Vec<u8>,
+    has_ended: bool,
+    reports: u32,
+}
+
+impl Spoilt {
+    fn new(motion: Motion, reports: u32) -> Self {
+        let device = Device::new(motion, DeviceSettings::default()).unwrap();
+        Self { device, reader: HostLink::new(), out: Vec::new(), has_ended: false, reports }
+    }
+
+    fn carry(&mut self) {
+        while let Some(end) = self.device.pending().iter().position(|byte| *byte == 0) {
+            let mut message = self.device.pending()[..=end].to_vec();
+            self.device.sent(message.len());
+            let (mut is_end, mut is_report) = (false, false);
+            self.reader.push(&message, &mut |event| {
+                is_end = matches!(event, DeviceEvent::EndOfStream(_));
+                is_report = matches!(event, DeviceEvent::Status(_));
+            });
+            let spoils_report = is_report && self.has_ended && self.reports > 0;
+            if is_end || spoils_report {
+                self.has_ended = true;
+                self.reports -= u32::from(spoils_report);
+                message[3] ^= 0x55;
+                message[3] |= 1;
+            }
+            self.out.extend(message);
+        }
+    }
+}
+
+impl LineDevice for Spoilt {
+    fn on_bytes(&mut self, bytes: &[u8], now_ns: u64) {
+        self.device.on_bytes(bytes, now_ns);
+    }
+
+    fn poll(&mut self, now_ns: u64) -> u64 {
+        let next_ns = self.device.poll(now_ns);
+        self.carry();
+        next_ns
+    }
+
+    fn pending(&self) -> &[u8] {
+        &self.out
+    }
+
+    fn sent(&mut self, n: usize) {
+        self.out.drain(..n);
+    }
+
+    fn has_ended(&self) -> bool {
+        self.device.has_ended()
+    }
+
+    fn log(&self) -> SentLog {
+        self.device.log()
+    }
+
+    fn keep_frame_log(&mut self) {}
+
+    fn take_frames(&mut self) -> Vec<SentFrame> {
+        Vec::new()
+    }
+}
+
+/// It is not played again: a host that hears nothing asks, and hears that all of the motion was sent.
+#[test]
+fn a_stream_whose_end_is_lost_ends_all_the_same() {
+    std::thread::scope(|scope| {
+        for reports in [0, 1] {
+            scope.spawn(move || {
+                let folder = Folder::new();
+                let device = Simulated::serve(Spoilt::new(jump(9, 120.0, 1.0), reports), None);
+                let ran = folder.run(&["record", "-d", &device.uri(), "-o", "a.take", "--json"]);
+                let report = ran.with_code(0).json();
+                assert_eq!(report["ending"], "end of stream");
+                assert_eq!(report["ledger"]["recorded"], 120);
+                assert_eq!(report["ledger"]["frames_sent"], 120);
+                assert_eq!(report["ledger"]["link_messages_damaged"], 1 + reports);
+                assert_eq!(device.unplug().starts, 1);
+                let info = folder.run(&["info", "a.take", "--json"]).json();
+                let told = events(&info);
+                assert!(told.contains("the end of the stream was lost"), "{told}");
+                assert!(!told.contains("started again"), "{told}");
+            });
+        }
+    });
 }

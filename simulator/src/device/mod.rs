@@ -50,6 +50,8 @@ pub struct Device {
     /// An end of stream that found no room yet.
     owed_end: Option<Status>,
     end_said: bool,
+    /// The motion was played to its end, and no host has stopped or started it since: its end may have been lost.
+    finished: bool,
     log: SentLog,
     warnings: Vec<String>,
     clock: DeviceClock,
@@ -122,6 +124,7 @@ impl Device {
             run: None,
             owed_end: None,
             end_said: false,
+            finished: false,
             log: SentLog::default(),
             warnings,
             clock,
@@ -217,6 +220,7 @@ impl Device {
             let next_ns = self.frame_time_ns(&run);
             if !self.settings.looping && self.log.run.frames_produced >= self.hello.n_frames {
                 self.end();
+                self.finished = true;
                 break u64::MAX;
             }
             if next_ns > now_ns {
@@ -270,6 +274,7 @@ impl Device {
         self.run = None;
         self.owed_end = None;
         self.end_said = false;
+        self.finished = false;
         self.outbox.discard();
         self.clock.reset();
         self.counter = 0;

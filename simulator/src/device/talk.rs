@@ -45,6 +45,7 @@ impl Device {
                 // Frames that were due before the command are part of the run.
                 self.poll(now_ns);
                 self.end();
+                self.finished = false;
                 self.say_end();
             }
         }
@@ -56,6 +57,10 @@ impl Device {
         self.owed_end = None;
         self.end_said = false;
         self.outbox.discard();
+        if self.finished {
+            let status = self.status();
+            self.answer(|link, out| link.status(status, out));
+        }
         let hello = self.hello.clone();
         let table = std::mem::take(&mut self.table);
         self.answer(|link, out| {
@@ -94,6 +99,7 @@ impl Device {
         if self.run.is_none() {
             self.owed_end = None;
             self.end_said = false;
+            self.finished = false;
             self.log.starts += 1;
             self.first_start_ns.get_or_insert(now_ns);
             self.log.run = SentCounters::default();

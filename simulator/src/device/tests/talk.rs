@@ -23,6 +23,41 @@ fn a_second_run_counts_on_and_brings_the_same_motion() {
     }
 }
 
+/// Its end may have been lost on the line: whoever asks who it is hears how many frames there were.
+#[test]
+fn a_device_that_played_its_motion_says_so_when_it_is_asked() {
+    let mut bench = Bench::new(jump(0.5), DeviceSettings::default());
+    let asked = |bench: &mut Bench| {
+        bench.heard.clear();
+        bench.say(Command::Identify);
+        bench.pass(MS, true);
+        match &bench.heard[..] {
+            [Heard::Status(status), Heard::Hello(hello), Heard::Markers(_)] => {
+                assert_eq!(status.frames_produced, hello.n_frames);
+                true
+            }
+            [Heard::Hello(_), Heard::Markers(_)] => false,
+            other => panic!("{other:?}"),
+        }
+    };
+    assert!(!asked(&mut bench), "it sent nothing");
+    bench.say(start());
+    bench.pass(200 * MS, true);
+    assert!(!asked(&mut bench), "its stream did not end by itself");
+    bench.say(start());
+    bench.pass(2_000 * MS, true);
+    // As often as it is asked: an answer may be lost, too.
+    assert!(asked(&mut bench) && asked(&mut bench));
+    bench.say(Command::Stop);
+    bench.pass(MS, true);
+    assert!(!asked(&mut bench), "a host that says Stop knows");
+    bench.say(start());
+    bench.pass(2_000 * MS, true);
+    bench.device.lose_power();
+    bench.device.power_up(bench.now_ns, false);
+    assert!(!asked(&mut bench), "it remembers nothing");
+}
+
 #[test]
 fn stop_ends_after_the_frames_that_were_due() {
     let mut bench = Bench::new(jump(3.0), DeviceSettings::default());
