@@ -45,7 +45,7 @@ impl Config {
         }
         if self.device.raw_log {
             notes.push(
-                "device.raw_log is on: each take has a log beside it that is many times as large"
+                "device.raw_log is on: the line's bytes are kept for as long as it is armed, many times what its takes have"
                     .to_owned(),
             );
         }

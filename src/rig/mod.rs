@@ -74,8 +74,12 @@ impl Rig {
     ///
     /// # Errors
     /// As [`open`](Self::open).
-    pub fn open_again(uri: &DeviceUri, identity: &Candidate) -> anyhow::Result<Self> {
-        let mut rig = Self::open(&registry::find_again(uri, identity))?;
+    pub fn open_again(
+        uri: &DeviceUri,
+        identity: &Candidate,
+        raw_log: Option<Tap>,
+    ) -> anyhow::Result<Self> {
+        let mut rig = Self::open_logged(&registry::find_again(uri, identity), raw_log)?;
         rig.uri = uri.clone();
         Ok(rig)
     }

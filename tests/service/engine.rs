@@ -26,6 +26,7 @@ pub(crate) fn options(directory: &Path, device: &Path) -> EngineOptions {
         device: uri.to_string(),
         find_device: Arc::new(move || Ok(uri.clone())),
         rate_hz: None,
+        raw_log: false,
         directory: directory.to_owned(),
         name_take: Arc::new(|count| format!("take-{count}")),
         codec: dense(1.0),
@@ -265,4 +266,19 @@ fn takes_that_a_kill_left_without_an_end_are_closed_when_the_service_starts() {
     );
     assert_eq!(engine.take_path("../killed").unwrap_err().kind, RefusalKind::Invalid);
     assert_eq!(engine.take_path("none").unwrap_err().kind, RefusalKind::NotFound);
+}
+
+#[test]
+fn the_bytes_of_the_line_are_kept_from_arm_to_disarm_where_that_is_wanted() {
+    let Room { directory, device: _device, engine } = room(|options| options.raw_log = true);
+    engine.start(&named("logged")).unwrap();
+    engine.stop(&request()).unwrap();
+    engine.disarm(&request()).unwrap();
+    drop(engine);
+    let is_log = |path: &std::path::PathBuf| path.extension().is_some_and(|e| e == "rawlog");
+    let entries = directory.path().read_dir().unwrap().map(|entry| entry.unwrap().path());
+    let logs: Vec<_> = entries.filter(is_log).collect();
+    assert_eq!(logs.len(), 1, "{logs:?}");
+    let bytes = std::fs::read(&logs[0]).unwrap();
+    assert!(bytes.len() > 10_000, "{}", bytes.len());
 }

@@ -26,6 +26,8 @@ pub struct EngineOptions {
     pub find_device: FindDevice,
     /// The frame rate to set.
     pub rate_hz: Option<f64>,
+    /// Whether the bytes of its line are kept, from when it is armed until it is not.
+    pub raw_log: bool,
     /// The takes' folder.
     pub directory: PathBuf,
     /// Names of takes that nobody named.
@@ -71,6 +73,7 @@ impl EngineOptions {
                 }
             }),
             rate_hz: config.device.rate_hz,
+            raw_log: config.device.raw_log,
             directory: config.take.directory.clone(),
             name_take: Arc::new(move |count| {
                 let (begin, count) = (Zoned::now().datetime(), u64::from(count));

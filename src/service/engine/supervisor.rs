@@ -10,21 +10,23 @@ use std::{
 };
 
 use crossbeam_channel::Sender;
+use jiff::Zoned;
 use mocapd_drivers::{
-    registry,
+    registry::{self, Candidate},
     transport::usb::UsbWatch,
     uri::{DeviceUri, Location},
 };
 use mocapd_take::record::Header;
 
 use super::{
-    Inner,
+    EngineOptions, Inner,
     hub::NewSession,
     session::{KnownDevice, Session},
 };
 use crate::{
     header,
     pipeline::{Pipeline, PipelineConfig, PreRollConfig},
+    raw_log::RawLog,
     rig::{Ending, ReadOptions, Rig},
 };
 
@@ -56,8 +58,9 @@ pub(super) fn run(inner: &Arc<Inner>, sessions: &Sender<NewSession>) {
         looked = None;
         let begun = Instant::now();
         match inner.open() {
-            Ok(rig) => {
+            Ok((rig, log)) => {
                 inner.run_session(rig, sessions);
+                inner.finish_log(log);
                 let rest = SESSION_AT_LEAST.saturating_sub(begun.elapsed());
                 if inner.core().wanted && !inner.is_stopping() {
                     std::thread::sleep(rest);
@@ -111,15 +114,20 @@ impl Inner {
         }
     }
 
-    fn open(&self) -> anyhow::Result<Rig> {
+    fn open(&self) -> anyhow::Result<(Rig, Option<RawLog>)> {
         let core = self.core();
         let (options, identity) = (Arc::clone(&core.options), core.device.identity.clone());
         let known = core.device.uri.clone();
         drop(core);
         let uri = (options.find_device)()?;
-        let mut rig = match identity {
-            Some(identity) if uri.to_string() == known => Rig::open_again(&uri, &identity)?,
-            _ => Rig::open(&uri)?,
+        let log = options.raw_log.then(|| begin_log(&options)).transpose()?;
+        let opened = self.open_logged(&uri, identity.filter(|_| uri.to_string() == known), &log);
+        let mut rig = match opened {
+            Ok(rig) => rig,
+            Err(error) => {
+                discard(log);
+                return Err(error);
+            }
         };
         if let Some(rate_hz) = options.rate_hz {
             rig.set_rate(rate_hz)?;
@@ -136,7 +144,41 @@ impl Inner {
             markers: rig.markers().len(),
             identity: Some(rig.identity().clone()),
         };
-        Ok(rig)
+        drop(core);
+        Ok((rig, log))
+    }
+
+    fn open_logged(
+        &self,
+        uri: &DeviceUri,
+        identity: Option<Candidate>,
+        log: &Option<RawLog>,
+    ) -> anyhow::Result<Rig> {
+        let tap = log.as_ref().map(RawLog::tap);
+        match identity {
+            Some(identity) => Rig::open_again(uri, &identity, tap),
+            None => Rig::open_logged(uri, tap),
+        }
+    }
+
+    /// The device is not read any more.
+    fn finish_log(&self, log: Option<RawLog>) {
+        let Some(log) = log else { return };
+        let name = log.path().display().to_string();
+        match log.finish() {
+            Ok(logged) if logged.is_whole() => {}
+            Ok(logged) => self.say_event(
+                "warning",
+                &format!(
+                    "{} bytes of the line are not in the raw log {name}",
+                    logged.missing_bytes
+                ),
+                None,
+            ),
+            Err(error) => {
+                self.say_event("warning", &format!("the raw log {name}: {error:#}"), None)
+            }
+        }
     }
 
     fn run_session(&self, rig: Rig, sessions: &Sender<NewSession>) {
@@ -242,6 +284,21 @@ impl Inner {
         self.changed.notify_all();
         self.say_event("failure", words, None);
     }
+}
+
+/// A log of the line, named by the time.
+fn begin_log(options: &EngineOptions) -> anyhow::Result<RawLog> {
+    let now = Zoned::now().strftime("%Y-%m-%d_%H%M%S%.3f");
+    let name = format!("{now}_{}.rawlog", options.rig);
+    RawLog::start(&options.directory.join(name), options.sync)
+}
+
+/// A log of a device that was not there helps nobody.
+fn discard(log: Option<RawLog>) {
+    let Some(log) = log else { return };
+    let path = log.path().to_owned();
+    drop(log.finish());
+    std::fs::remove_file(path).ok();
 }
 
 fn header_of(rig: &Rig, config: &PipelineConfig) -> anyhow::Result<Header> {
