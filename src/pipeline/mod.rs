@@ -18,6 +18,7 @@ mod messages;
 pub mod offline;
 mod plan;
 mod pool;
+mod progress;
 mod ring;
 mod seen;
 mod takes;
@@ -25,18 +26,17 @@ mod tap;
 mod timeline;
 mod writer;
 
-use std::sync::{
-    Arc, Mutex, MutexGuard, PoisonError,
-    atomic::{AtomicBool, AtomicI64, AtomicU64},
-};
+use std::sync::Arc;
 
 use anyhow::anyhow;
 use crossbeam_channel::{Receiver, bounded};
-use mocapd_take::record::{Channel, Header, Ledger};
+use mocapd_take::record::Header;
 
 pub use counts::{Counts, PendingRows};
 pub use intake::Intake;
 pub use plan::{PipelineConfig, PreRollConfig};
+pub(crate) use progress::lock;
+pub use progress::{Progress, TakeNow};
 pub use seen::{Seen, SeenCounters};
 pub use takes::{Begun, FirstRow, NewTake, TakeEnd, Takes};
 pub use tap::{TapHead, TapOut};
@@ -51,64 +51,6 @@ use self::{
 };
 use crate::{heartbeat::Who, threads};
 
-/// What other threads may look at while it runs. Counters only: the truth is in the ledger.
-#[derive(Debug, Default)]
-pub struct Progress {
-    /// Frames taken in.
-    pub frames: AtomicU64,
-    /// Frames lost so far, for whatever reason.
-    pub lost: AtomicU64,
-    /// How much faster the host's clock runs than the device's, in parts per billion, as an `i64` has it.
-    pub drift_ppb: AtomicI64,
-    /// What 99 of 100 frames were no later than after the clock's line, in microseconds; 0 while unknown.
-    pub jitter_p99_us: AtomicU64,
-    /// Bytes written.
-    pub file_bytes: AtomicU64,
-    /// Samples in the stretches written.
-    pub samples: AtomicU64,
-    /// How long the disk will do, in seconds; `u64::MAX` while unknown.
-    pub disk_left_s: AtomicU64,
-    /// So little is left of the disk that the take has to end: stop feeding, and it is closed.
-    pub disk_full: AtomicBool,
-    /// The writer met an error and writes no more, or a worker is gone: stop feeding.
-    pub failed: AtomicBool,
-    /// How full the fullest ring was at the last end of a stretch, of a thousand.
-    pub ring_fill_permille: AtomicU64,
-    /// What 99 of 100 frames took at most from their last byte into every ring, in nanoseconds; told every second.
-    pub ring_latency_p99_ns: AtomicU64,
-    /// Times that the device went away and came back.
-    pub outages: AtomicU64,
-    /// It is away now.
-    pub is_away: AtomicBool,
-    /// All channels so far, by slot: those that appeared, too.
-    pub channels: Mutex<Vec<Channel>>,
-    /// Bytes of the pre-roll.
-    pub held_bytes: AtomicU64,
-    /// Its length, in milliseconds.
-    pub held_ms: AtomicU64,
-    /// Some of it went because of the bytes that it took.
-    pub held_cut: AtomicBool,
-    /// The take that is being written. The writer and whoever watches meet here, and nobody else.
-    pub take: Mutex<Option<TakeNow>>,
-}
-
-/// A take that grows.
-#[derive(Debug, Clone, Default)]
-pub struct TakeNow {
-    /// Rows, lost ones included.
-    pub rows: u64,
-    /// Bytes of the file.
-    pub bytes: u64,
-    /// Of these, bytes that were synced.
-    pub durable_bytes: u64,
-    /// Samples in it.
-    pub samples: u64,
-    /// The largest error that an encoder measured, in millimetres.
-    pub max_error_mm: f64,
-    /// The ledger so far.
-    pub ledger: Ledger,
-}
-
 /// The running threads behind an [`Intake`].
 #[derive(Debug)]
 pub struct Pipeline<W> {
@@ -117,11 +59,6 @@ pub struct Pipeline<W> {
     progress: Arc<Progress>,
     /// Of a pipeline for one take.
     ended: Option<Receiver<TakeEnd<W>>>,
-}
-
-/// The state behind a lock, whatever became of who held it last: a count or a name is never half written.
-pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// What a pipeline that takes are begun and ended in has beside its threads.
@@ -174,8 +111,7 @@ impl<W: TakeOutput> Pipeline<W> {
         seen: Option<SeenCounters>,
     ) -> anyhow::Result<(Intake, Self, Armed<W>)> {
         let plan = Plan::new(config)?;
-        let channels = Mutex::new(config.channels.clone());
-        let progress = Arc::new(Progress { channels, ..Progress::default() });
+        let progress = Arc::new(Progress::new(&config.channels));
         let writer_beat = config.heartbeat.beat(Who::Writer)?;
 
         let (parts_in, parts) = bounded(plan.parts_max());

@@ -40,11 +40,13 @@ pub(super) struct Held {
 
 impl Held {
     pub(super) fn new(config: PreRollConfig) -> Self {
+        // Two a second, and those up to the next key.
+        let usual = 2 * config.time.as_secs().min(600) as usize + 32;
         Self {
             time_ns: u64::try_from(config.time.as_nanos()).unwrap_or(u64::MAX),
             bytes_max: config.bytes_max,
-            stretches: VecDeque::new(),
-            events: VecDeque::new(),
+            stretches: VecDeque::with_capacity(usual),
+            events: VecDeque::with_capacity(EVENTS_MAX),
             bytes: 0,
             cut: false,
         }
