@@ -13,6 +13,7 @@ pub mod header;
 pub mod heartbeat;
 pub mod inspect;
 mod latency;
+pub mod listing;
 pub mod outcome;
 pub mod pipeline;
 pub mod process;

@@ -3,6 +3,7 @@
 use std::{path::PathBuf, sync::Arc, time::Duration};
 
 use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
 use super::{
     live::LiveFeed,
@@ -79,20 +80,22 @@ pub trait Control: Send + Sync + std::fmt::Debug + 'static {
 }
 
 /// What every request may carry.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Request {
     /// Chosen by the client, at most 64 characters: the same request again gets the same answer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(min_length = 1, max_length = 64, pattern = r"^[ -~]+$")]
     pub request_id: Option<String>,
 }
 
 /// Begin a take.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Start {
     /// As in [`Request`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(min_length = 1, max_length = 64, pattern = r"^[ -~]+$")]
     pub request_id: Option<String>,
     /// Name of the take, without `.take`; without one it is named by the configuration.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -106,11 +109,12 @@ pub struct Start {
 }
 
 /// Put a mark into the take.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Mark {
     /// As in [`Request`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(min_length = 1, max_length = 64, pattern = r"^[ -~]+$")]
     pub request_id: Option<String>,
     /// What it says, at most 1024 bytes; may be empty.
     #[serde(default)]
@@ -118,11 +122,12 @@ pub struct Mark {
 }
 
 /// Write what the pre-roll holds.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SaveLast {
     /// As in [`Request`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(min_length = 1, max_length = 64, pattern = r"^[ -~]+$")]
     pub request_id: Option<String>,
     /// As in [`Start`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -132,13 +137,14 @@ pub struct SaveLast {
 }
 
 /// A take has begun.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Started {
     /// Of the take, 32 hexadecimal digits.
     pub take_id: String,
     /// Its name, without `.take`.
     pub name: String,
     /// Its file.
+    #[schema(value_type = String)]
     pub path: PathBuf,
     /// Its first frame, which is on disk.
     pub first_frame: FirstFrame,
@@ -148,7 +154,7 @@ pub struct Started {
 }
 
 /// The frame that a take begins with.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct FirstFrame {
     /// By the device's clock.
     pub device_ticks: u64,
@@ -159,13 +165,14 @@ pub struct FirstFrame {
 }
 
 /// A take has ended.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Stopped {
     /// Of the take, 32 hexadecimal digits.
     pub take_id: String,
     /// Its name, without `.take`.
     pub name: String,
     /// Its file.
+    #[schema(value_type = String)]
     pub path: PathBuf,
     /// Rows: the frames recorded and those lost between them.
     pub rows: u64,
@@ -180,7 +187,7 @@ pub struct Stopped {
 }
 
 /// A mark is in the take.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Marked {
     /// The row of the take that it stands at.
     pub row: u64,
@@ -234,6 +241,15 @@ pub struct EventFeed {
 }
 
 impl EventFeed {
+    /// What comes from `events`; `missed` counts what did not.
+    #[must_use]
+    pub fn new(
+        events: crossbeam_channel::Receiver<Arc<ServiceEvent>>,
+        missed: Arc<std::sync::atomic::AtomicU64>,
+    ) -> Self {
+        Self { events, missed }
+    }
+
     /// The next event, waited for at most so long. `None`: none came.
     #[must_use]
     pub fn next(&self, wait: Duration) -> Option<Arc<ServiceEvent>> {

@@ -85,6 +85,12 @@ pub struct LiveFeed {
 }
 
 impl LiveFeed {
+    /// What comes from `messages`, until `closed` is true.
+    #[must_use]
+    pub fn new(messages: Receiver<LiveMessage>, closed: Arc<AtomicBool>) -> Self {
+        Self { messages, closed, _alive: Arc::default() }
+    }
+
     /// The next message, waited for at most so long. `None`: none came.
     #[must_use]
     pub fn next(&self, wait: Duration) -> Option<LiveMessage> {

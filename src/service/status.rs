@@ -1,9 +1,10 @@
 //! How things stand, as the API, the dashboard and `ctl` tell it. Units stand in the names.
 
 use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
 /// What the service is doing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum State {
     /// The device does not run, or is not there.
@@ -18,7 +19,7 @@ pub enum State {
 }
 
 /// Everything at one time.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct Status {
     /// Name of the rig, from its configuration.
     pub rig: String,
@@ -45,7 +46,7 @@ pub struct Status {
 }
 
 /// The device.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct DeviceStatus {
     /// Where it is looked for.
     pub uri: String,
@@ -70,7 +71,7 @@ pub struct DeviceStatus {
 }
 
 /// What came from the device since it was armed.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct InputStatus {
     /// Frames taken in.
     pub frames: u64,
@@ -91,7 +92,7 @@ pub struct InputStatus {
 }
 
 /// What is kept while armed.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct PreRollStatus {
     /// Seconds that are to be held.
     pub wanted_s: f64,
@@ -104,7 +105,7 @@ pub struct PreRollStatus {
 }
 
 /// The take being written.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct TakeStatus {
     /// 32 hexadecimal digits.
     pub take_id: String,
@@ -131,7 +132,7 @@ pub struct TakeStatus {
 }
 
 /// A ledger in numbers; docs/take-format.md gives each one's meaning.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 #[expect(missing_docs, reason = "docs/take-format.md, The ledger")]
 pub struct LedgerStatus {
     pub finished: bool,
@@ -153,7 +154,7 @@ pub struct LedgerStatus {
 }
 
 /// A take that is there.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct TakeSummary {
     /// Without `.take`.
     pub name: String,
@@ -175,7 +176,7 @@ pub struct TakeSummary {
 }
 
 /// The disk of the takes' folder.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct DiskStatus {
     /// The folder.
     pub directory: String,
@@ -188,7 +189,7 @@ pub struct DiskStatus {
 }
 
 /// How well a marker is seen since the device was armed.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct MarkerQuality {
     /// Its label, or `u001` by slot.
     pub label: String,
@@ -208,7 +209,7 @@ pub struct MarkerQuality {
 }
 
 /// Something happened.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ServiceEvent {
     /// Counted from 1 since the service was started.
     pub number: u64,

@@ -67,6 +67,7 @@ const RULES: &[Rule] = &[
             "drivers/src/transport/memory.rs",
             "src/pipeline/progress.rs",
             "src/service/engine/",
+            "src/service/http/",
             "src/service/log/gate.rs",
         ],
     },
@@ -96,6 +97,11 @@ const RULES: &[Rule] = &[
         says: "a crate that could be replaced is named in one room",
         words: &["ringbuf"],
         allowed: &["src/pipeline/ring.rs"],
+    },
+    Rule {
+        says: "async lives in the HTTP API, and in the client that asks it",
+        words: &["tokio::", "axum::", "hyper::", "async fn", "async move", ".await"],
+        allowed: &["src/service/http/", "src/cli/ctl/"],
     },
     Rule {
         says: "bincode is for small records behind a checksum",

@@ -1,5 +1,7 @@
-//! The service: an engine and a simulated device on a line.
+//! The service: an engine with a simulated device on a line, and its API in front of a fake one.
 
 mod cycles;
 pub(crate) mod engine;
+pub(crate) mod fake;
+mod http;
 mod triggers;

@@ -1,0 +1,86 @@
+//! The API's description of itself.
+
+use utoipa::{
+    Modify, OpenApi,
+    openapi::{
+        self, ContentBuilder, Ref, ResponseBuilder,
+        path::Operation,
+        security::{ApiKey, ApiKeyValue, HttpAuthScheme, HttpBuilder, SecurityScheme},
+    },
+};
+
+use axum::{
+    body::Bytes,
+    extract::State,
+    http::{HeaderName, header},
+};
+
+use super::{
+    auth::COOKIE,
+    problem::{PROBLEM_JSON, Problem},
+    state::Shared,
+};
+
+/// What stands over all routes.
+#[derive(Debug, OpenApi)]
+#[openapi(
+    info(
+        title = "mocapd",
+        description = "A recorder for optical motion capture, as a service. docs/api.md has the words to it.",
+        license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0")
+    ),
+    components(schemas(Problem)),
+    security((), ("token" = []), ("session" = [])),
+    modifiers(&Security),
+    tags(
+        (name = "status", description = "How things stand"),
+        (name = "commands", description = "What changes something. Each waits until it is true. One with a \
+            `request_id`, or the header `Idempotency-Key`, of an earlier one is not carried out again: it gets the \
+            answer of the first."),
+        (name = "takes", description = "The takes in the service's folder"),
+        (name = "streams", description = "Answers that go on until the client closes"),
+        (name = "login", description = "For browsers, where a token is needed")
+    )
+)]
+pub(super) struct Document;
+
+#[derive(Debug)]
+struct Security;
+
+impl Modify for Security {
+    fn modify(&self, openapi: &mut openapi::OpenApi) {
+        let components = openapi.components.get_or_insert_default();
+        let bearer = HttpBuilder::new().scheme(HttpAuthScheme::Bearer).build();
+        components.add_security_scheme("token", SecurityScheme::Http(bearer));
+        let cookie = SecurityScheme::ApiKey(ApiKey::Cookie(ApiKeyValue::new(COOKIE)));
+        components.add_security_scheme("session", cookie);
+    }
+}
+
+/// This description
+#[utoipa::path(get, path = "/openapi.json", tag = "status",
+    responses((status = 200, description = "`OpenAPI` 3.1", body = Object)))]
+pub(super) async fn document(
+    State(app): State<Shared>,
+) -> ([(HeaderName, &'static str); 1], Bytes) {
+    ([(header::CONTENT_TYPE, "application/json")], app.document.clone())
+}
+
+/// Adds what holds for every route: whatever is not described is a problem.
+pub(super) fn finish(mut document: openapi::OpenApi) -> openapi::OpenApi {
+    for item in document.paths.paths.values_mut() {
+        for operation in [&mut item.get, &mut item.post].into_iter().flatten() {
+            add_problem(operation);
+        }
+    }
+    document
+}
+
+fn add_problem(operation: &mut Operation) {
+    let content = ContentBuilder::new().schema(Some(Ref::from_schema_name("Problem"))).build();
+    let problem = ResponseBuilder::new()
+        .description("Not carried out: why, and what to do")
+        .content(PROBLEM_JSON, content)
+        .build();
+    operation.responses.responses.entry("default".to_owned()).or_insert_with(|| problem.into());
+}

@@ -1,0 +1,261 @@
+//! What every request has to pass: its name for us, where it comes from, and whether it may.
+//!
+//! A page on another site can make a browser send us requests, and a name that it owns can be made to point here
+//! (DNS rebinding). The first shows in `Origin` and `Sec-Fetch-Site`, the second in `Host`.
+
+use std::net::{IpAddr, Ipv6Addr};
+
+use axum::{
+    extract::{Request, State},
+    http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Uri, header, uri::Authority},
+    middleware::Next,
+    response::{IntoResponse, Redirect, Response},
+};
+
+use super::{
+    connection::Via,
+    counts::Counts,
+    problem::{PROBLEM_JSON, Problem, ProblemKind},
+    state::Shared,
+};
+
+/// Bytes of path and query at most; the longest that means something has a take's name, percent-encoded.
+const URI_BYTES_MAX: usize = 4096;
+
+const SEC_FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
+
+/// Nothing from anywhere else, no inline code, no frames around it.
+const CONTENT_SECURITY_POLICY: HeaderValue = HeaderValue::from_static(
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; font-src 'self'; \
+     connect-src 'self'; worker-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'self'; \
+     frame-ancestors 'none'",
+);
+
+/// Lets a request through to its route, or says why not.
+pub(super) async fn guard(State(app): State<Shared>, request: Request, next: Next) -> Response {
+    match check(&app, &request) {
+        Ok(()) => next.run(request).await,
+        Err(refused) => *refused,
+    }
+}
+
+fn check(app: &Shared, request: &Request) -> Result<(), Box<Response>> {
+    let refuse = |problem: Problem| Err(Box::new(problem.into_response()));
+    let (uri, headers) = (request.uri(), request.headers());
+    let said = uri.path_and_query().map_or(0, |said| said.as_str().len());
+    if said > URI_BYTES_MAX {
+        let words = format!("a path of {said} bytes: {URI_BYTES_MAX} at most");
+        return refuse(Problem::new(StatusCode::URI_TOO_LONG, ProblemKind::TooLarge, words));
+    }
+    let via = request.extensions().get::<Via>().copied();
+    let host = host(uri, headers);
+    // Nobody's browser reaches a Unix socket by itself: a proxy does, under a name of its own.
+    if !matches!(via, Some(Via::Unix)) {
+        match &host {
+            Some(host) if is_ours(host, via, &app.allowed_hosts) => {}
+            Some(host) => return refuse(not_ours(host)),
+            None => return refuse(Problem::invalid("the header Host is missing, or is no host")),
+        }
+    }
+    if changes(request.method())
+        && let Err(problem) = same_site(headers, host.as_ref())
+    {
+        return refuse(problem);
+    }
+    if matches!(via, Some(Via::Unix)) || is_open(uri.path()) || app.auth.lets_in(headers) {
+        return Ok(());
+    }
+    let accepts = headers.get(header::ACCEPT).and_then(|accept| accept.to_str().ok());
+    if request.method() == Method::GET && accepts.is_some_and(|types| types.contains("text/html")) {
+        return Err(Box::new(Redirect::to("/login").into_response()));
+    }
+    let words = "a token is needed: send `Authorization: Bearer …`, or log in at /login";
+    refuse(Problem::new(StatusCode::UNAUTHORIZED, ProblemKind::Unauthorized, words))
+}
+
+/// What can be had without a token: the way in, and whether the service lives.
+fn is_open(path: &str) -> bool {
+    matches!(path, "/login" | "/healthz")
+}
+
+fn changes(method: &Method) -> bool {
+    !matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS)
+}
+
+/// The host that the client means. `None`: none, several, or none that is one.
+fn host(uri: &Uri, headers: &HeaderMap) -> Option<Authority> {
+    let mut hosts = headers.get_all(header::HOST).iter();
+    let host = hosts.next()?;
+    if hosts.next().is_some() || host.as_bytes().contains(&b'@') {
+        return None;
+    }
+    let host: Authority = host.to_str().ok()?.parse().ok()?;
+    match uri.authority() {
+        // `GET http://host/ HTTP/1.1`, as to a proxy, has to mean the same.
+        Some(other) if !other.as_str().eq_ignore_ascii_case(host.as_str()) => None,
+        _ => Some(host),
+    }
+}
+
+/// Whether that is a name of this service. Ports are not looked at: `ssh -L` gives others.
+fn is_ours(host: &Authority, via: Option<Via>, allowed: &[String]) -> bool {
+    let name = host.host().trim_start_matches('[').trim_end_matches(']');
+    if name.eq_ignore_ascii_case("localhost")
+        || allowed.iter().any(|allowed| allowed.eq_ignore_ascii_case(name))
+    {
+        return true;
+    }
+    let Ok(address) = name.parse::<IpAddr>() else { return false };
+    let local = match via {
+        Some(Via::Tcp(local)) => Some(local.ip().to_canonical()),
+        _ => None,
+    };
+    address.to_canonical() == IpAddr::from([127, 0, 0, 1])
+        || address == IpAddr::from(Ipv6Addr::LOCALHOST)
+        || Some(address.to_canonical()) == local
+}
+
+fn not_ours(host: &Authority) -> Problem {
+    Problem::new(
+        StatusCode::MISDIRECTED_REQUEST,
+        ProblemKind::Forbidden,
+        format!(
+            "'{}' is not a name of this service: put it into allowed_hosts, if it is",
+            host.host()
+        ),
+    )
+}
+
+/// Whether what changes something comes from our own pages, or from no page at all.
+fn same_site(headers: &HeaderMap, host: Option<&Authority>) -> Result<(), Problem> {
+    let forbidden =
+        |words: String| Problem::new(StatusCode::FORBIDDEN, ProblemKind::Forbidden, words);
+    let mut origins = headers.get_all(header::ORIGIN).iter();
+    if let Some(origin) = origins.next() {
+        let said = origin.to_str().unwrap_or_default();
+        let from = said.strip_prefix("http://").or_else(|| said.strip_prefix("https://"));
+        let same = from
+            .is_some_and(|from| host.is_some_and(|host| host.as_str().eq_ignore_ascii_case(from)));
+        if !same || origins.next().is_some() {
+            return Err(forbidden(format!(
+                "a page of '{}' may not change anything here",
+                said.escape_default()
+            )));
+        }
+    }
+    match headers.get(SEC_FETCH_SITE).map(HeaderValue::as_bytes) {
+        None | Some(b"same-origin" | b"none") => Ok(()),
+        Some(_) => Err(forbidden("a page of another site may not change anything here".to_owned())),
+    }
+}
+
+/// Makes every refusal a problem in JSON, and adds the headers that keep browsers to themselves.
+pub(super) async fn finish(State(app): State<Shared>, request: Request, next: Next) -> Response {
+    let is_api = request.uri().path().starts_with("/v1/");
+    Counts::add(&app.counts.requests, 1);
+    let mut response = next.run(request).await;
+    let status = response.status();
+    if status.is_client_error() || status.is_server_error() {
+        Counts::add(&app.counts.requests_refused, 1);
+        let kind = response.headers().get(header::CONTENT_TYPE);
+        if kind.is_none_or(|kind| kind != PROBLEM_JSON) {
+            let allow = response.headers().get(header::ALLOW).cloned();
+            response = Problem::of_status(status, "").into_response();
+            if let Some(allow) = allow {
+                response.headers_mut().insert(header::ALLOW, allow);
+            }
+        }
+    }
+    let headers = response.headers_mut();
+    headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    headers.insert(header::REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
+    headers.insert(header::CONTENT_SECURITY_POLICY, CONTENT_SECURITY_POLICY);
+    headers.insert(
+        HeaderName::from_static("cross-origin-resource-policy"),
+        HeaderValue::from_static("same-origin"),
+    );
+    if is_api {
+        headers.entry(header::CACHE_CONTROL).or_insert(HeaderValue::from_static("no-store"));
+    }
+    response
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ours(host: &str, local: &str) -> bool {
+        let via = Some(Via::Tcp(local.parse().unwrap()));
+        is_ours(&host.parse().unwrap(), via, &["rig.lab".to_owned()])
+    }
+
+    #[test]
+    fn names_of_this_service() {
+        for host in
+            ["localhost", "LOCALHOST:1", "127.0.0.1:7060", "[::1]", "[::1]:80", "rig.lab:7060"]
+        {
+            assert!(ours(host, "127.0.0.1:7060"), "{host}");
+        }
+        for host in ["evil.example", "localhost.evil.example", "127.0.0.2", "10.0.0.5", "rig.lab.x"]
+        {
+            assert!(!ours(host, "127.0.0.1:7060"), "{host}");
+        }
+        assert!(ours("10.0.0.5:7060", "10.0.0.5:7060") && !ours("10.0.0.6", "10.0.0.5:7060"));
+        assert!(ours("10.0.0.5", "[::ffff:10.0.0.5]:7060"), "a socket for both families");
+    }
+
+    #[test]
+    fn one_host_and_the_same_in_the_uri() {
+        let host_of = |uri: &str, hosts: &[&'static str]| {
+            let headers =
+                hosts.iter().map(|host| (header::HOST, HeaderValue::from_static(host))).collect();
+            host(&uri.parse().unwrap(), &headers).map(|host| host.to_string())
+        };
+        assert_eq!(host_of("/", &["a:1"]).as_deref(), Some("a:1"));
+        assert_eq!(host_of("http://a:1/", &["a:1"]).as_deref(), Some("a:1"));
+        for (uri, hosts) in [
+            ("/", &[][..]),
+            ("/", &["a", "a"]),
+            ("/", &["a b"]),
+            ("/", &["u@a"]),
+            ("/", &[""]),
+            ("http://b/", &["a"]),
+        ] {
+            assert_eq!(host_of(uri, hosts), None, "{uri} {hosts:?}");
+        }
+    }
+
+    #[test]
+    fn pages_of_other_sites_change_nothing() {
+        let host: Authority = "localhost:7060".parse().unwrap();
+        let allowed = |headers: &[(HeaderName, &'static str)]| {
+            let headers = headers
+                .iter()
+                .map(|(name, value)| (name.clone(), HeaderValue::from_static(value)))
+                .collect();
+            same_site(&headers, Some(&host)).is_ok()
+        };
+        assert!(allowed(&[]));
+        assert!(allowed(&[(header::ORIGIN, "http://localhost:7060")]));
+        assert!(allowed(&[
+            (header::ORIGIN, "http://LOCALHOST:7060"),
+            (SEC_FETCH_SITE, "same-origin")
+        ]));
+        for origin in [
+            "null",
+            "",
+            "http://localhost",
+            "http://evil.example",
+            "http://localhost:7061",
+            "file://localhost:7060",
+            "http://localhost:7060.evil.example",
+        ] {
+            assert!(!allowed(&[(header::ORIGIN, origin)]), "{origin}");
+        }
+        for site in ["cross-site", "same-site", "what"] {
+            assert!(!allowed(&[(SEC_FETCH_SITE, site)]), "{site}");
+        }
+        let twice = [(header::ORIGIN, "http://localhost:7060"), (header::ORIGIN, "http://evil")];
+        assert!(!allowed(&twice));
+    }
+}

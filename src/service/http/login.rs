@@ -1,0 +1,134 @@
+//! A browser shows the token once, and holds a cookie from then on.
+
+use std::time::Duration;
+
+use axum::{
+    extract::{Request, State},
+    http::{HeaderMap, HeaderValue, StatusCode, header},
+    response::{Html, IntoResponse, Redirect, Response},
+};
+
+use super::{
+    auth::{COOKIE, SESSION_MAX},
+    body,
+    problem::{Problem, ProblemKind},
+    state::Shared,
+};
+
+/// Before a wrong token is answered: guessing over one connection is slow, and connections are counted.
+const WRONG_TOKEN_WAIT: Duration = Duration::from_millis(500);
+
+const PAGE: &str = include_str!("login.html");
+
+/// A page that asks for the token
+#[utoipa::path(get, path = "/login", tag = "login",
+    responses((status = 200, body = String, content_type = "text/html")), security(()))]
+pub(super) async fn page() -> Html<&'static str> {
+    Html(PAGE)
+}
+
+/// What the page sends.
+#[derive(Debug, utoipa::ToSchema)]
+#[expect(dead_code, reason = "it stands in the description only: the one field is read by hand")]
+pub(super) struct Login {
+    /// The token.
+    token: String,
+}
+
+/// Log a browser in
+///
+/// Answers with a cookie that scripts cannot read and other sites' pages cannot use.
+#[utoipa::path(post, path = "/login", tag = "login", security(()),
+    request_body(content = inline(Login), content_type = "application/x-www-form-urlencoded"),
+    responses((status = 303, description = "Logged in: to the dashboard"),
+        (status = 401, description = "Not the token", body = Problem,
+            content_type = "application/problem+json")))]
+pub(super) async fn login(State(app): State<Shared>, request: Request) -> Response {
+    match log_in(&app, request).await {
+        Ok(response) => response,
+        Err(problem) => problem.into_response(),
+    }
+}
+
+async fn log_in(app: &Shared, request: Request) -> Result<Response, Problem> {
+    let (parts, body) = request.into_parts();
+    if !body::is_type(&parts.headers, "application/x-www-form-urlencoded") {
+        return Err(Problem::new(
+            StatusCode::UNSUPPORTED_MEDIA_TYPE,
+            ProblemKind::UnsupportedMediaType,
+            "send the form of /login",
+        ));
+    }
+    let form = body::read(body, &parts.headers, app).await?;
+    let said = token_of(&form).ok_or_else(|| Problem::invalid("the form has no field `token`"))?;
+    if !app.auth.is_token(&said) {
+        tokio::time::sleep(WRONG_TOKEN_WAIT).await;
+        let words = "that is not the token: it stands in the file that the configuration names";
+        return Err(Problem::new(StatusCode::UNAUTHORIZED, ProblemKind::Unauthorized, words));
+    }
+    let mut response = Redirect::to("/").into_response();
+    if app.auth.is_on() {
+        let id = app.auth.open_session();
+        let id = id.map_err(|error| Problem::internal(format!("no random bytes: {error}")))?;
+        set_cookie(&mut response, &id, SESSION_MAX)?;
+    }
+    Ok(response)
+}
+
+/// Log a browser out
+#[utoipa::path(post, path = "/logout", tag = "login",
+    responses((status = 303, description = "Logged out: to the login page")))]
+pub(super) async fn logout(
+    State(app): State<Shared>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    app.auth.close_session(&headers);
+    let mut response = Redirect::to("/login").into_response();
+    set_cookie(&mut response, "", Duration::ZERO)?;
+    Ok(response)
+}
+
+fn set_cookie(response: &mut Response, value: &str, life: Duration) -> Result<(), Problem> {
+    let cookie =
+        format!("{COOKIE}={value}; Path=/; HttpOnly; SameSite=Strict; Max-Age={}", life.as_secs());
+    let cookie =
+        HeaderValue::try_from(cookie).map_err(|error| Problem::internal(error.to_string()))?;
+    response.headers_mut().insert(header::SET_COOKIE, cookie);
+    Ok(())
+}
+
+/// The field `token` of a form, decoded. Tokens are visible ASCII, so that no more than this is needed.
+fn token_of(form: &[u8]) -> Option<Vec<u8>> {
+    let value = form.split(|&byte| byte == b'&').find_map(|field| field.strip_prefix(b"token="))?;
+    let mut out = Vec::with_capacity(value.len());
+    let mut rest = value;
+    while let [byte, tail @ ..] = rest {
+        rest = tail;
+        if *byte == b'%'
+            && let Some((digits, tail)) = rest.split_at_checked(2)
+            && let Some(decoded) =
+                std::str::from_utf8(digits).ok().and_then(|hex| u8::from_str_radix(hex, 16).ok())
+        {
+            out.push(decoded);
+            rest = tail;
+        } else {
+            out.push(if *byte == b'+' { b' ' } else { *byte });
+        }
+    }
+    // Pasted with a line end.
+    Some(out.trim_ascii().to_vec())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_form_is_read() {
+        let token = |form: &str| token_of(form.as_bytes()).map(|t| String::from_utf8(t).unwrap());
+        assert_eq!(token("token=abc").as_deref(), Some("abc"));
+        assert_eq!(token("a=b&token=a%2Bb%20&c=d").as_deref(), Some("a+b"));
+        assert_eq!(token("token=%zz%4").as_deref(), Some("%zz%4"));
+        assert_eq!(token("tokens=abc"), None);
+    }
+}

@@ -1,0 +1,108 @@
+//! What the fake tells: events and frames, each listener bounded.
+
+use std::sync::{
+    Arc, Mutex,
+    atomic::{AtomicBool, AtomicU64, Ordering},
+};
+
+use crossbeam_channel::{Sender, bounded};
+use mocapd::service::{
+    control::EventFeed,
+    live::{LiveFeed, LiveFrame, LiveMessage, LiveTable},
+    status::{ServiceEvent, State},
+};
+
+/// Events and frames that a listener may be behind.
+const EVENTS: usize = 64;
+const FRAMES: usize = 8;
+
+/// Where its events go, and how many did not fit.
+type Listener = (Sender<Arc<ServiceEvent>>, Arc<AtomicU64>);
+
+#[derive(Debug, Default)]
+pub(crate) struct Feeds {
+    number: AtomicU64,
+    listeners: Mutex<Vec<Listener>>,
+    viewers: Mutex<Vec<Sender<LiveMessage>>>,
+    closed: Arc<AtomicBool>,
+}
+
+impl Feeds {
+    pub(super) fn events(&self) -> EventFeed {
+        let (sender, receiver) = bounded(EVENTS);
+        let missed = Arc::new(AtomicU64::new(0));
+        self.listeners.lock().unwrap().push((sender, Arc::clone(&missed)));
+        EventFeed::new(receiver, missed)
+    }
+
+    pub(super) fn live(&self) -> LiveFeed {
+        let (sender, receiver) = bounded(FRAMES);
+        sender.send(LiveMessage::Table(table(2))).unwrap();
+        self.viewers.lock().unwrap().push(sender);
+        LiveFeed::new(receiver, Arc::clone(&self.closed))
+    }
+
+    pub(crate) fn tell(&self, kind: &str, message: String, state: State, take: Option<&str>) {
+        let number = self.number.fetch_add(1, Ordering::Relaxed) + 1;
+        let event = Arc::new(ServiceEvent {
+            number,
+            unix_ms: 1_700_000_000_000 + number as i64,
+            kind: kind.to_owned(),
+            message,
+            state,
+            take: take.map(str::to_owned),
+        });
+        self.listeners.lock().unwrap().retain(|(sender, missed)| {
+            match sender.try_send(Arc::clone(&event)) {
+                Err(crossbeam_channel::TrySendError::Full(_)) => {
+                    missed.fetch_add(1, Ordering::Relaxed);
+                    true
+                }
+                sent => sent.is_ok(),
+            }
+        });
+    }
+
+    /// Shows a frame to everybody who looks: how many do.
+    pub(crate) fn show(&self, row: u64, n_markers: usize) -> usize {
+        let frame = Arc::new(LiveFrame {
+            row,
+            device_ticks: row * 10,
+            arrival_unix_us: 1,
+            positions_mm: vec![[row as f32, 2.0, f32::NAN]; n_markers],
+        });
+        self.send(&LiveMessage::Frame(frame))
+    }
+
+    /// Shows other markers.
+    pub(crate) fn show_table(&self, n_markers: usize) {
+        self.send(&LiveMessage::Table(table(n_markers)));
+    }
+
+    fn send(&self, message: &LiveMessage) -> usize {
+        let mut viewers = self.viewers.lock().unwrap();
+        viewers.retain(|viewer| match viewer.try_send(message.clone()) {
+            // A table waits for room, as it is never dropped.
+            Err(crossbeam_channel::TrySendError::Full(message @ LiveMessage::Table(_))) => {
+                viewer.send(message).is_ok()
+            }
+            Err(crossbeam_channel::TrySendError::Full(_)) => true,
+            sent => sent.is_ok(),
+        });
+        viewers.len()
+    }
+
+    pub(crate) fn close(&self) {
+        self.closed.store(true, Ordering::Relaxed);
+    }
+}
+
+fn table(n_markers: usize) -> Arc<LiveTable> {
+    Arc::new(LiveTable {
+        labels: (0..n_markers).map(|slot| format!("m{slot}")).collect(),
+        labelled: vec![true; n_markers],
+        up_axis: 3,
+        rate_hz: 120.0,
+        bones: vec![[0, 1]],
+    })
+}

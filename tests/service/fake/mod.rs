@@ -1,0 +1,371 @@
+//! A service that records nothing and is otherwise true to its word: states, refusals, files, events, frames.
+
+mod feeds;
+
+use std::{
+    collections::HashMap,
+    fs,
+    path::{Path, PathBuf},
+    sync::{
+        Arc, Mutex, MutexGuard,
+        atomic::{AtomicU64, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use mocapd::service::{
+    control::{
+        Control, EventFeed, FirstFrame, Mark, Marked, Refusal, RefusalKind, Request, SaveLast,
+        Start, Started, Stopped,
+    },
+    live::LiveFeed,
+    status::{LedgerStatus, MarkerQuality, State, Status, TakeStatus, TakeSummary},
+};
+
+use self::feeds::Feeds;
+
+const ROWS: u64 = 120;
+
+/// See the module.
+#[derive(Debug)]
+pub(crate) struct Fake {
+    folder: PathBuf,
+    take: Vec<u8>,
+    started: Instant,
+    inner: Mutex<Inner>,
+    pub(crate) feeds: Feeds,
+    /// Milliseconds that every command takes.
+    pub(crate) command_ms: AtomicU64,
+    /// Commands that were carried out, not answered from memory.
+    pub(crate) carried_out: AtomicU64,
+}
+
+#[derive(Debug, Default)]
+struct Inner {
+    state: State,
+    failure: Option<String>,
+    take: Option<TakeStatus>,
+    n_takes: u64,
+    answers: HashMap<String, Remembered>,
+}
+
+#[derive(Debug, Clone)]
+enum Remembered {
+    Status(Box<Result<Status, Refusal>>),
+    Started(Result<Started, Refusal>),
+    Stopped(Result<Stopped, Refusal>),
+    Marked(Result<Marked, Refusal>),
+}
+
+fn refuse<T>(kind: RefusalKind, message: &str) -> Result<T, Refusal> {
+    Err(Refusal::new(kind, message))
+}
+
+/// A name of a take: what could be a path, or hidden, is none.
+fn is_name(name: &str) -> bool {
+    let allowed = |c: char| c.is_ascii_alphanumeric() || "-_. ".contains(c);
+    !name.is_empty()
+        && name.len() <= 100
+        && !name.starts_with(['.', ' '])
+        && name.chars().all(allowed)
+}
+
+impl Fake {
+    /// Keeps its takes in `folder`; `take` is what every one of them will hold.
+    pub(crate) fn new(folder: &Path, take: Vec<u8>) -> Arc<Self> {
+        Arc::new(Self {
+            folder: folder.to_owned(),
+            take,
+            started: Instant::now(),
+            inner: Mutex::default(),
+            feeds: Feeds::default(),
+            command_ms: AtomicU64::new(0),
+            carried_out: AtomicU64::new(0),
+        })
+    }
+
+    pub(crate) fn fail(&self, why: &str) {
+        let mut inner = self.lock();
+        inner.state = State::Failed;
+        inner.failure = Some(why.to_owned());
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Inner> {
+        self.inner.lock().unwrap()
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.join(format!("{name}.take"))
+    }
+
+    fn new_path(&self, name: &str) -> Result<PathBuf, Refusal> {
+        if !is_name(name) {
+            return refuse(RefusalKind::Invalid, "that is no name for a take");
+        }
+        let path = self.path(name);
+        if path.exists() {
+            return refuse(RefusalKind::Exists, "a take of that name exists: choose another");
+        }
+        Ok(path)
+    }
+
+    /// Carries out, or answers as before.
+    fn once<T>(
+        &self,
+        id: Option<&String>,
+        wrap: impl Fn(Result<T, Refusal>) -> Remembered,
+        unwrap: impl Fn(Remembered) -> Option<Result<T, Refusal>>,
+        carry_out: impl FnOnce(&mut Inner) -> Result<T, Refusal>,
+    ) -> Result<T, Refusal>
+    where
+        Result<T, Refusal>: Clone,
+    {
+        std::thread::sleep(Duration::from_millis(self.command_ms.load(Ordering::Relaxed)));
+        let mut inner = self.lock();
+        if let Some(id) = id {
+            if id.chars().count() > 64 {
+                return refuse(RefusalKind::Invalid, "a request_id of more than 64 characters");
+            }
+            if let Some(known) = inner.answers.get(id) {
+                return unwrap(known.clone()).unwrap_or_else(|| {
+                    refuse(RefusalKind::Invalid, "that request_id was another request's")
+                });
+            }
+        }
+        self.carried_out.fetch_add(1, Ordering::Relaxed);
+        let answer = carry_out(&mut inner);
+        if let Some(id) = id {
+            inner.answers.insert(id.clone(), wrap(answer.clone()));
+        }
+        answer
+    }
+
+    fn status_of(&self, inner: &Inner) -> Status {
+        let mut status = Status {
+            rig: "fake".to_owned(),
+            state: inner.state,
+            failure: inner.failure.clone(),
+            software: "mocapd 0.0.0".to_owned(),
+            uptime_s: self.started.elapsed().as_secs_f64(),
+            take: inner.take.clone(),
+            ..Status::default()
+        };
+        status.device.uri = "serial:/dev/fake".to_owned();
+        status.device.presence = "streaming".to_owned();
+        status.device.rate_hz = 120.0;
+        status.device.markers = 15;
+        status.input.frames = 12_345;
+        status.input.ring_latency_p99_us = 45;
+        status.disk.directory = self.folder.display().to_string();
+        status.disk.free_bytes = Some(1 << 40);
+        status.disk.left_s = Some(86_400);
+        status
+    }
+
+    fn tell(&self, kind: &str, message: String, state: State, take: Option<&str>) {
+        self.feeds.tell(kind, message, state, take);
+    }
+
+    fn whole(&self, name: &str, path: PathBuf, ending: &str) -> Result<Stopped, Refusal> {
+        if let Err(error) = fs::write(&path, &self.take) {
+            return refuse(RefusalKind::Disk, &format!("the disk: {error}"));
+        }
+        Ok(Stopped {
+            take_id: "0".repeat(32),
+            name: name.to_owned(),
+            path,
+            rows: ROWS,
+            seconds: 1.0,
+            bytes: self.take.len() as u64,
+            ending: ending.to_owned(),
+            ledger: ledger(),
+        })
+    }
+}
+
+fn ledger() -> LedgerStatus {
+    LedgerStatus {
+        finished: true,
+        closes: true,
+        frames_sent: ROWS,
+        recorded: ROWS,
+        ..LedgerStatus::default()
+    }
+}
+
+impl Control for Fake {
+    fn status(&self) -> Status {
+        self.status_of(&self.lock())
+    }
+
+    fn quality(&self) -> Vec<MarkerQuality> {
+        let marker = |label: &str| MarkerQuality {
+            label: label.to_owned(),
+            labelled: true,
+            visible: 0.98,
+            still_sigma_mm: Some(0.05),
+            ..MarkerQuality::default()
+        };
+        vec![marker("head"), marker("l_knee")]
+    }
+
+    fn arm(&self, request: &Request) -> Result<Status, Refusal> {
+        let wrap = |answer| Remembered::Status(Box::new(answer));
+        let unwrap = |known| match known {
+            Remembered::Status(answer) => Some(*answer),
+            _ => None,
+        };
+        self.once(request.request_id.as_ref(), wrap, unwrap, |inner| {
+            if inner.state == State::Idle {
+                inner.state = State::Armed;
+                self.tell("state", "armed".to_owned(), State::Armed, None);
+            }
+            Ok(self.status_of(inner))
+        })
+    }
+
+    fn disarm(&self, request: &Request) -> Result<Status, Refusal> {
+        let wrap = |answer| Remembered::Status(Box::new(answer));
+        let unwrap = |known| match known {
+            Remembered::Status(answer) => Some(*answer),
+            _ => None,
+        };
+        self.once(request.request_id.as_ref(), wrap, unwrap, |inner| {
+            if inner.state == State::Recording {
+                return refuse(RefusalKind::Conflict, "a take is being recorded: stop it first");
+            }
+            inner.state = State::Idle;
+            self.tell("state", "idle".to_owned(), State::Idle, None);
+            Ok(self.status_of(inner))
+        })
+    }
+
+    fn start(&self, start: &Start) -> Result<Started, Refusal> {
+        let unwrap = |known| match known {
+            Remembered::Started(answer) => Some(answer),
+            _ => None,
+        };
+        self.once(start.request_id.as_ref(), Remembered::Started, unwrap, |inner| {
+            if inner.state == State::Recording {
+                return refuse(RefusalKind::Conflict, "a take is being recorded: stop it first");
+            }
+            if start.pre_roll_s.is_some_and(|seconds| !(0.0..=3600.0).contains(&seconds)) {
+                return refuse(RefusalKind::Invalid, "a pre-roll is 0 to 3600 s");
+            }
+            inner.n_takes += 1;
+            let name = start.name.clone().unwrap_or_else(|| format!("take-{:03}", inner.n_takes));
+            let path = self.new_path(&name)?;
+            let durable = &self.take[..self.take.len() / 2];
+            if let Err(error) = fs::write(&path, durable) {
+                return refuse(RefusalKind::Disk, &format!("the disk: {error}"));
+            }
+            inner.state = State::Recording;
+            let take_id = format!("{:032x}", inner.n_takes);
+            inner.take = Some(TakeStatus {
+                take_id: take_id.clone(),
+                name: name.clone(),
+                path: path.display().to_string(),
+                rows: ROWS / 2,
+                bytes: durable.len() as u64,
+                durable_bytes: durable.len() as u64,
+                ..TakeStatus::default()
+            });
+            self.tell("take-started", format!("{name} began"), State::Recording, Some(&name));
+            let first_frame = FirstFrame { device_ticks: 0, arrival_ns: 1, before_request_s: 0.0 };
+            Ok(Started { take_id, name, path, first_frame, remarks: Vec::new() })
+        })
+    }
+
+    fn stop(&self, request: &Request) -> Result<Stopped, Refusal> {
+        let unwrap = |known| match known {
+            Remembered::Stopped(answer) => Some(answer),
+            _ => None,
+        };
+        self.once(request.request_id.as_ref(), Remembered::Stopped, unwrap, |inner| {
+            let Some(take) = inner.take.take() else {
+                return refuse(RefusalKind::Conflict, "no take is being recorded: start one");
+            };
+            inner.state = State::Armed;
+            self.tell(
+                "take-stopped",
+                format!("{} ended", take.name),
+                State::Armed,
+                Some(&take.name),
+            );
+            self.whole(&take.name, PathBuf::from(take.path), "stopped")
+        })
+    }
+
+    fn mark(&self, mark: &Mark) -> Result<Marked, Refusal> {
+        let unwrap = |known| match known {
+            Remembered::Marked(answer) => Some(answer),
+            _ => None,
+        };
+        self.once(mark.request_id.as_ref(), Remembered::Marked, unwrap, |inner| {
+            if mark.text.len() > 1024 {
+                return refuse(RefusalKind::Invalid, "a mark's text has at most 1024 bytes");
+            }
+            let Some(take) = &inner.take else {
+                return refuse(RefusalKind::Conflict, "no take is being recorded: start one");
+            };
+            self.tell("mark", mark.text.clone(), inner.state, Some(&take.name));
+            Ok(Marked { row: take.rows })
+        })
+    }
+
+    fn save_last(&self, save: &SaveLast) -> Result<Stopped, Refusal> {
+        let unwrap = |known| match known {
+            Remembered::Stopped(answer) => Some(answer),
+            _ => None,
+        };
+        self.once(save.request_id.as_ref(), Remembered::Stopped, unwrap, |inner| {
+            if !(save.seconds > 0.0 && save.seconds <= 3600.0) {
+                return refuse(RefusalKind::Invalid, "seconds are more than 0 and at most 3600");
+            }
+            if inner.state != State::Armed {
+                return refuse(RefusalKind::Conflict, "nothing is held: arm first");
+            }
+            inner.n_takes += 1;
+            let name = save.name.clone().unwrap_or_else(|| format!("last-{:03}", inner.n_takes));
+            self.whole(&name, self.new_path(&name)?, "length")
+        })
+    }
+
+    fn takes(&self, limit: usize) -> Result<Vec<TakeSummary>, Refusal> {
+        let open = self.lock().take.as_ref().map(|take| take.name.clone());
+        let entries = fs::read_dir(&self.folder)
+            .map_err(|error| Refusal::new(RefusalKind::Disk, error.to_string()))?;
+        let mut takes = Vec::with_capacity(16);
+        for entry in entries.flatten() {
+            let name = entry.file_name().to_string_lossy().into_owned();
+            let Some(name) = name.strip_suffix(".take") else { continue };
+            takes.push(TakeSummary {
+                name: name.to_owned(),
+                bytes: entry.metadata().map_or(0, |found| found.len()),
+                modified_unix_ms: 1,
+                is_open: open.as_deref() == Some(name),
+                health: "unknown".to_owned(),
+                ..TakeSummary::default()
+            });
+        }
+        takes.sort_by(|a, b| b.name.cmp(&a.name));
+        takes.truncate(limit);
+        Ok(takes)
+    }
+
+    fn take_path(&self, name: &str) -> Result<PathBuf, Refusal> {
+        let path = self.path(name);
+        if !is_name(name) || !path.exists() {
+            return refuse(RefusalKind::NotFound, "there is no take of that name");
+        }
+        Ok(path)
+    }
+
+    fn events(&self) -> EventFeed {
+        self.feeds.events()
+    }
+
+    fn live(&self) -> LiveFeed {
+        self.feeds.live()
+    }
+}

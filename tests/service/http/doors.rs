@@ -1,0 +1,88 @@
+//! The Unix socket, and how the server starts and ends.
+
+use std::{
+    io::{Read, Write},
+    net::TcpStream,
+    os::unix::net::UnixStream,
+    path::Path,
+    sync::atomic::Ordering,
+    time::{Duration, Instant},
+};
+
+use mocapd::service::http::{HttpOptions, HttpServer};
+
+use super::{
+    client::{Answer, connect, post, request},
+    local, serve, serve_with,
+};
+use crate::service::fake::Fake;
+
+fn over_unix(path: &Path, bytes: &[u8]) -> Answer {
+    let mut stream = UnixStream::connect(path).unwrap();
+    stream.write_all(bytes).unwrap();
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).unwrap();
+    Answer::parse(&answer)
+}
+
+#[test]
+fn the_unix_socket_needs_no_token() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("rig.sock");
+    let options = HttpOptions {
+        unix_socket: Some(path.clone()),
+        token: Some("correct-horse-battery-staple".to_owned()),
+        ..local()
+    };
+    let served = serve_with(options);
+    assert_eq!(over_unix(&path, &request("GET", "/v1/status", &[], "")).status, 200);
+    let named = request("POST", "/v1/arm", &[("host", "whatever")], "{}");
+    assert_eq!(over_unix(&path, &named).status, 200);
+    // A proxy's page may, and another site's through it may not.
+    let through = |origin| [("host", "rig.lab"), ("origin", origin)];
+    let ours = request("POST", "/v1/arm", &through("https://rig.lab"), "{}");
+    assert_eq!(over_unix(&path, &ours).status, 200);
+    let other = request("POST", "/v1/arm", &through("https://evil.example"), "{}");
+    over_unix(&path, &other).refused(403, "forbidden");
+
+    let again = HttpOptions { unix_socket: Some(path.clone()), ..HttpOptions::default() };
+    let refused = HttpServer::start(again, Fake::new(folder.path(), Vec::new())).unwrap_err();
+    assert!(refused.to_string().contains("another service answers"), "{refused:#}");
+    served.stop();
+    assert!(!path.exists());
+}
+
+#[test]
+fn the_end_waits_for_what_is_being_done_and_for_nothing_else() {
+    let served = serve();
+    let at = served.at;
+    // Three that would stay for ever.
+    let idle = connect(at);
+    let mut slow = connect(at);
+    slow.write_all(b"GET /v1/st").unwrap();
+    served.fake.command_ms.store(400, Ordering::Relaxed);
+    let asked = std::thread::scope(|scope| {
+        let asked = scope.spawn(|| post(at, "/v1/arm", "{}"));
+        std::thread::sleep(Duration::from_millis(150));
+        let began = Instant::now();
+        served.stop();
+        assert!(began.elapsed() < Duration::from_secs(6), "{:?}", began.elapsed());
+        asked.join().unwrap()
+    });
+    assert_eq!(asked.status, 200, "it was being carried out");
+    assert!(TcpStream::connect(at).is_err(), "nobody listens any more");
+    drop(idle);
+}
+
+#[test]
+fn the_end_does_not_wait_for_longer_than_it_is_told() {
+    let served = serve();
+    let at = served.at;
+    served.fake.command_ms.store(3000, Ordering::Relaxed);
+    let mut stream = connect(at);
+    stream.write_all(&request("POST", "/v1/arm", &[], "{}")).unwrap();
+    std::thread::sleep(Duration::from_millis(150));
+    let began = Instant::now();
+    served.server.stop(Duration::from_millis(300)).unwrap();
+    assert!(began.elapsed() < Duration::from_millis(1500), "{:?}", began.elapsed());
+}

@@ -1,0 +1,188 @@
+//! Takes: listed, downloaded, checked, and nothing else of the disk.
+
+use std::{
+    fs,
+    io::{Read, Write},
+    os::unix::fs::symlink,
+};
+
+use super::{
+    client::{Answer, ask, connect, exchange, get, post, request},
+    serve,
+};
+
+fn with_take(name: &str) -> super::Served {
+    let served = serve();
+    post(served.at, "/v1/start", &format!(r#"{{"name": "{name}"}}"#));
+    assert_eq!(post(served.at, "/v1/stop", "{}").status, 200);
+    served
+}
+
+#[test]
+fn takes_are_listed_within_their_limit() {
+    let served = with_take("a");
+    post(served.at, "/v1/save-last", r#"{"name": "b", "seconds": 1}"#);
+    let names = |path: &str| {
+        let list = get(served.at, path).json();
+        let names = list.as_array().unwrap().iter();
+        names.map(|take| take["name"].as_str().unwrap().to_owned()).collect::<Vec<_>>()
+    };
+    assert_eq!(names("/v1/takes"), ["b", "a"]);
+    assert_eq!(names("/v1/takes?limit=1"), ["b"]);
+    for limit in ["0", "1001", "-1", "x", "", "1e3"] {
+        get(served.at, &format!("/v1/takes?limit={limit}")).refused(400, "invalid");
+    }
+}
+
+#[test]
+fn a_take_comes_whole_and_in_pieces() {
+    let served = with_take("jump");
+    let path = "/v1/takes/jump/download";
+    let file = fs::read(served.folder.path().join("takes/jump.take")).unwrap();
+    let whole = get(served.at, path);
+    assert_eq!((whole.status, &whole.body), (200, &file));
+    assert_eq!(whole.header("content-length"), Some(file.len().to_string().as_str()));
+    assert_eq!(whole.header("accept-ranges"), Some("bytes"));
+    assert!(whole.header("content-disposition").unwrap().contains("filename=\"jump.take\""));
+    let tag = whole.header("etag").unwrap();
+
+    let ranged = |range: &str, more: &[(&str, &str)]| {
+        ask(served.at, "GET", path, &[&[("range", range)], more].concat(), "")
+    };
+    let part = ranged("bytes=10-19", &[]);
+    assert_eq!((part.status, &part.body[..]), (206, &file[10..20]));
+    let said = format!("bytes 10-19/{}", file.len());
+    assert_eq!(part.header("content-range"), Some(said.as_str()));
+    assert_eq!(ranged("bytes=-4", &[]).body, file[file.len() - 4..]);
+    assert_eq!(ranged("bytes=5-", &[("if-range", tag)]).body, file[5..]);
+    assert_eq!(ranged("bytes=5-", &[("if-range", "\"other\"")]).body, file);
+    assert_eq!(ranged("bytes=0-1,4-5", &[]).status, 200, "several ranges are one too many");
+    let behind = ranged("bytes=99999999-", &[]);
+    behind.refused(416, "range");
+    assert_eq!(behind.header("content-range"), Some(format!("bytes */{}", file.len()).as_str()));
+    assert_eq!(ask(served.at, "GET", path, &[("if-none-match", tag)], "").status, 304);
+    let head = ask(served.at, "HEAD", path, &[], "");
+    assert_eq!((head.status, head.body.len()), (200, 0));
+    assert_eq!(head.header("content-length"), Some(file.len().to_string().as_str()));
+}
+
+#[test]
+fn a_take_that_is_being_written_gives_what_is_durable() {
+    let served = serve();
+    post(served.at, "/v1/start", r#"{"name": "live"}"#);
+    let path = served.folder.path().join("takes/live.take");
+    let durable = fs::read(&path).unwrap();
+    // Room that is held back behind it.
+    fs::OpenOptions::new().append(true).open(&path).unwrap().write_all(&[0; 1000]).unwrap();
+    let growing = get(served.at, "/v1/takes/live/download");
+    assert_eq!((growing.status, &growing.body), (200, &durable));
+    assert_eq!(growing.header("etag"), None, "it will be longer");
+    post(served.at, "/v1/takes/live/verify", "{}").refused(409, "conflict");
+    post(served.at, "/v1/stop", "{}");
+    let rest = format!("bytes={}-", durable.len());
+    let rest = ask(served.at, "GET", "/v1/takes/live/download", &[("range", &rest)], "");
+    assert_eq!([durable, rest.body].concat(), fs::read(&path).unwrap());
+}
+
+#[test]
+fn a_check_tells_what_is_wrong() {
+    let served = with_take("jump");
+    let check = |name: &str| post(served.at, &format!("/v1/takes/{name}/verify"), "{}").json();
+    let good = check("jump");
+    assert_eq!((&good["health"], &good["frames"]), (&"complete".into(), &120.into()), "{good}");
+    assert_eq!(good["ledger"]["closes"], true);
+    let file = |name: &str| served.folder.path().join(format!("takes/{name}.take"));
+    let mut bytes = fs::read(file("jump")).unwrap();
+    fs::write(file("cut"), &bytes[..bytes.len() - 200]).unwrap();
+    assert_eq!(check("cut")["health"], "cut off");
+    let middle = bytes.len() / 2;
+    bytes[middle..middle + 8].fill(0x55);
+    fs::write(file("hurt"), &bytes).unwrap();
+    let hurt = check("hurt");
+    assert_eq!(hurt["health"], "damaged");
+    assert!(!hurt["problems"].as_array().unwrap().is_empty());
+    fs::write(file("noise"), "no take at all").unwrap();
+    assert_eq!(check("noise")["health"], "unreadable");
+    post(served.at, "/v1/takes/none/verify", "{}").refused(404, "not_found");
+    get(served.at, "/v1/takes/jump/verify").refused(405, "method_not_allowed");
+    ask(served.at, "POST", "/v1/takes/jump/verify", &[("content-type", "")], "")
+        .refused(415, "unsupported_media_type");
+}
+
+#[test]
+fn nothing_else_of_the_disk_can_be_had() {
+    let served = with_take("jump");
+    let takes = served.folder.path().join("takes");
+    fs::write(served.folder.path().join("secret.take"), "secret").unwrap();
+    symlink("../secret.take", takes.join("link.take")).unwrap();
+    symlink("/etc", takes.join("folder")).unwrap();
+    fs::create_dir(takes.join("dir.take")).unwrap();
+    let fifo = std::process::Command::new("mkfifo").arg(takes.join("pipe.take")).status();
+    assert!(fifo.unwrap().success());
+    for name in [
+        "..",
+        ".",
+        "../secret",
+        "..%2fsecret",
+        "%2e%2e%2fsecret",
+        "%2e%2e/secret",
+        "%252e%252e%252fsecret",
+        "..%5csecret",
+        "jump%00",
+        "%00",
+        "%2fetc%2fpasswd",
+        "/etc/passwd",
+        "%0ajump",
+        "folder%2fpasswd",
+        "link",
+        "dir",
+        "pipe",
+        ".hidden",
+        "",
+        "jump.take",
+        "JUMP",
+        &"x".repeat(300),
+    ] {
+        let asked = request("GET", &format!("/v1/takes/{name}/download"), &[], "");
+        Answer::parse(&exchange(served.at, &asked)).refused(404, "not_found");
+        let asked = request("POST", &format!("/v1/takes/{name}/verify"), &[], "{}");
+        let checked = Answer::parse(&exchange(served.at, &asked));
+        assert_eq!(checked.status, 404, "{name}");
+    }
+    get(served.at, "/v1/takes/%ff/download").refused(400, "invalid");
+    for path in ["/../Cargo.toml", "/%2e%2e/Cargo.toml", "/index.html/..", "//etc/passwd", "/web"] {
+        get(served.at, path).refused(404, "not_found");
+    }
+}
+
+#[test]
+fn a_reader_that_stops_costs_a_place_and_no_memory() {
+    let options = mocapd::service::http::HttpOptions {
+        limits: super::short(),
+        connections_max: 8,
+        ..super::local()
+    };
+    let served = super::serve_with(options);
+    // Larger than any socket holds.
+    let big = fs::File::create(served.folder.path().join("takes/big.take")).unwrap();
+    big.set_len(1 << 30).unwrap();
+    let held: Vec<_> = (0..4)
+        .map(|_| {
+            let mut stream = connect(served.at);
+            stream.write_all(&request("GET", "/v1/takes/big/download", &[], "")).unwrap();
+            stream.read_exact(&mut [0; 1000]).unwrap();
+            stream
+        })
+        .collect();
+    let refused = get(served.at, "/v1/takes/big/download").refused(503, "unavailable");
+    assert!(refused.contains("too many streams"), "{refused}");
+    assert_eq!(get(served.at, "/v1/status").status, 200);
+    // Nothing is taken in for longer than the limit: their places are free again.
+    std::thread::sleep(std::time::Duration::from_millis(2000));
+    assert_eq!(ask(served.at, "HEAD", "/v1/takes/big/download", &[], "").status, 200);
+    for mut stream in held {
+        let mut rest = Vec::new();
+        stream.read_to_end(&mut rest).ok();
+        assert!(rest.len() < 64 << 20, "{} bytes were on their way", rest.len());
+    }
+}
