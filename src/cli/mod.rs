@@ -4,6 +4,7 @@ mod bench;
 mod clock;
 mod codec_args;
 mod config;
+mod ctl;
 mod damage;
 mod demo;
 mod devices;
@@ -62,6 +63,8 @@ enum Command {
     Verify(verify::Args),
     /// Write a take again of what can be read of one that was cut off or damaged
     Recover(recover::Args),
+    /// Ask a running service: status, arm, start, stop, mark, takes, events
+    Ctl(ctl::Args),
     /// Look whether this machine can record, and say what to type where it cannot
     Doctor(doctor::Args),
     /// Check a configuration of the service, or print one with every key
@@ -94,6 +97,7 @@ pub(crate) fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Info(args) => info::run(&args),
         Command::Verify(args) => verify::run(&args),
         Command::Recover(args) => recover::run(&args),
+        Command::Ctl(args) => ctl::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Config(command) => config::run(&command),
         Command::Bench(bench) => bench::run(&bench),

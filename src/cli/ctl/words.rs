@@ -1,0 +1,189 @@
+//! The service's answers for people.
+
+use std::fmt::Write;
+
+use jiff::Timestamp;
+use mocapd::service::{
+    control::{Started, Stopped},
+    status::{LedgerStatus, State, Status, TakeSummary},
+};
+
+use crate::cli::{
+    numbers::{bytes, count, thousands},
+    output::plain,
+};
+
+pub(super) fn state(state: State) -> &'static str {
+    match state {
+        State::Idle => "idle",
+        State::Armed => "armed",
+        State::Recording => "recording",
+        State::Failed => "failed",
+    }
+}
+
+/// A few lines.
+pub(super) fn status(status: &Status) -> String {
+    let mut out = format!("{}: {}\n", plain(&status.rig), line(status));
+    // Writing into a string cannot fail, here and below.
+    if let Some(failure) = &status.failure {
+        writeln!(out, "  {}", plain(failure)).ok();
+    }
+    let device = &status.device;
+    let named = format!("{} {}", device.model, device.serial);
+    let named = if named.trim().is_empty() { &device.uri } else { named.trim() };
+    let rate = format!("{} at {} Hz", count(device.markers as u64, "marker"), device.rate_hz);
+    let known = if device.rate_hz > 0.0 { format!(", {rate}") } else { String::new() };
+    writeln!(out, "  device    {}: {}{known}", plain(named), plain(&device.presence)).ok();
+    if let Some(obstacle) = &device.obstacle {
+        writeln!(out, "            {}", plain(obstacle)).ok();
+    }
+    let (input, pre_roll) = (&status.input, &status.pre_roll);
+    let lost = thousands(input.lost);
+    writeln!(
+        out,
+        "  input     {}, {lost} lost, {:.1} Hz",
+        count(input.frames, "frame"),
+        input.measured_hz
+    )
+    .ok();
+    let cut = if pre_roll.is_cut { ", cut by its bound on memory" } else { "" };
+    let (held, wanted) = (pre_roll.held_s, pre_roll.wanted_s);
+    writeln!(out, "  pre-roll  {held:.1} s of {wanted} s{cut}").ok();
+    if let Some(take) = &status.take {
+        let size = format!("{}, {:.1}:1", bytes(take.bytes), take.ratio);
+        let error = take.max_error_mm;
+        writeln!(
+            out,
+            "  take      {}: {:.1} s, {size}, max error {error:.4} mm",
+            plain(&take.name),
+            take.seconds
+        )
+        .ok();
+        if let Some(losses) = losses(&take.ledger) {
+            writeln!(out, "            not in the take: {losses}").ok();
+        }
+    }
+    if let Some(take) = &status.last_take {
+        writeln!(
+            out,
+            "  before    {}: {}, {}",
+            plain(&take.name),
+            bytes(take.bytes),
+            plain(&take.health)
+        )
+        .ok();
+    }
+    let free = status.disk.free_bytes.map_or("nobody knows how much is".to_owned(), bytes);
+    let left = status.disk.left_s.map(|left| format!(", enough for {}", duration(left)));
+    writeln!(
+        out,
+        "  disk      {free} free in {}{}",
+        plain(&status.disk.directory),
+        left.unwrap_or_default()
+    )
+    .ok();
+    out
+}
+
+/// One line.
+pub(super) fn line(status: &Status) -> String {
+    match &status.take {
+        Some(take) => {
+            let lost = thousands(status.input.lost);
+            let of = plain(&take.name);
+            format!("recording {of}, {:.1} s, {}, {lost} lost", take.seconds, bytes(take.bytes))
+        }
+        None => state(status.state).to_owned(),
+    }
+}
+
+fn duration(seconds: u64) -> String {
+    match seconds {
+        0..120 => format!("{seconds} s"),
+        120..7200 => format!("{} min", seconds / 60),
+        7200..172_800 => format!("{} h", seconds / 3600),
+        _ => format!("{} days", thousands(seconds / 86_400)),
+    }
+}
+
+pub(super) fn started(started: &Started) -> String {
+    let before = started.first_frame.before_request_s;
+    let pre_roll =
+        if before > 0.0 { format!(", from {before:.2} s before") } else { String::new() };
+    format!("recording {}{pre_roll}\n", plain(&started.path.display().to_string()))
+}
+
+pub(super) fn stopped(stopped: &Stopped) -> String {
+    let path = stopped.path.display().to_string();
+    let frames = count(stopped.ledger.recorded, "frame");
+    let (size, ending) = (bytes(stopped.bytes), plain(&stopped.ending));
+    format!("{}: {frames}, {:.1} s, {size}; it ended: {ending}\n", plain(&path), stopped.seconds)
+}
+
+/// What a ledger tells of loss, in one line.
+pub(super) fn losses(ledger: &LedgerStatus) -> Option<String> {
+    let lost = [
+        (ledger.lost_on_link, "lost on the link"),
+        (ledger.dropped_by_device, "dropped by the device"),
+        (ledger.lost_ring_full, "lost in the host, a ring was full"),
+        (ledger.lost_other, "lost in the host"),
+        (ledger.unknown_after_disconnect, "unknown, the device was away"),
+    ];
+    let mut said: Vec<String> = lost
+        .iter()
+        .filter(|(n, _)| *n > 0)
+        .map(|&(n, how)| format!("{} {how}", count(n, "frame")))
+        .collect();
+    if ledger.markers_dropped > 0 {
+        said.push(format!(
+            "{} of markers without a channel",
+            count(ledger.markers_dropped, "sample")
+        ));
+    }
+    (!said.is_empty()).then(|| said.join("; "))
+}
+
+pub(super) fn takes(takes: &[TakeSummary]) -> String {
+    if takes.is_empty() {
+        return "no takes\n".to_owned();
+    }
+    let mut out = String::new();
+    for take in takes {
+        let when = time(take.modified_unix_ms);
+        let health = if take.is_open { "being written" } else { take.health.as_str() };
+        let size = bytes(take.bytes);
+        writeln!(out, "{when}  {size:>10}  {:<13} {}", plain(health), plain(&take.name)).ok();
+    }
+    out
+}
+
+/// In UTC, to the second.
+pub(super) fn time(unix_ms: i64) -> String {
+    Timestamp::from_millisecond(unix_ms)
+        .map_or_else(|_| "?".to_owned(), |time| time.strftime("%Y-%m-%dT%H:%M:%SZ").to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn losses_are_told_by_cause() {
+        assert_eq!(losses(&LedgerStatus { duplicates: 4, ..LedgerStatus::default() }), None);
+        let ledger =
+            LedgerStatus { lost_on_link: 1, markers_dropped: 1200, ..LedgerStatus::default() };
+        assert_eq!(
+            losses(&ledger).unwrap(),
+            "1 frame lost on the link; 1 200 samples of markers without a channel"
+        );
+    }
+
+    #[test]
+    fn hostile_names_stay_on_their_lines() {
+        let take = TakeSummary { name: "a\nb\x1b[2J".to_owned(), ..TakeSummary::default() };
+        let said = takes(&[take]);
+        assert_eq!(said.lines().count(), 1);
+        assert!(!said.contains('\x1b') && said.starts_with("1970-01-01T00:00:00Z"), "{said}");
+    }
+}
