@@ -8,12 +8,13 @@ use std::{
 
 use anyhow::Context;
 use mocapd::{
-    config::{CONFIG_PATH, Config, ConfigError, Overrides},
+    config::{CONFIG_PATH, Config, ConfigError, HttpConfig, Overrides, Token},
     heartbeat::Heartbeat,
     outcome::{Outcome, UsageError},
     service::{
         control::Control,
         engine::{Engine, EngineOptions},
+        http::{HttpOptions, HttpServer},
         log::Log,
         notify::Notifier,
         triggered::Triggers,
@@ -29,6 +30,9 @@ use super::output::say;
 /// Between two looks at signals, and at what systemd is told.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 const TELL_EVERY: Duration = Duration::from_secs(1);
+
+/// How long clients are waited for when the service stops: their takes are closed by then.
+const CLIENTS_WITHIN: Duration = Duration::from_secs(1);
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -87,12 +91,25 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
 
 /// Ways in.
 struct Doors {
+    http: Option<HttpServer>,
     triggers: Option<Triggers>,
 }
 
 impl Doors {
     fn open(config: &Config, control: &Arc<dyn Control>) -> anyhow::Result<Self> {
-        Ok(Self { triggers: Triggers::open(&config.trigger, &config.rig_name, control)? })
+        let options = http_options(&config.http)?;
+        let wanted = options.unix_socket.is_some() || options.tcp.is_some();
+        let http = wanted.then(|| HttpServer::start(options, Arc::clone(control))).transpose()?;
+        if let Some(http) = &http {
+            for remark in http.remarks() {
+                control.tell("warning", remark);
+            }
+            if let Some(address) = http.tcp_address() {
+                control.tell("state", &format!("the dashboard is at http://{address}/"));
+            }
+        }
+        let triggers = Triggers::open(&config.trigger, &config.rig_name, control)?;
+        Ok(Self { http, triggers })
     }
 
     /// Other triggers, where the configuration has others.
@@ -115,7 +132,24 @@ impl Doors {
         if let Some(triggers) = self.triggers {
             triggers.close();
         }
+        if let Some(http) = self.http
+            && let Err(error) = http.stop(CLIENTS_WITHIN)
+        {
+            tracing::error!("{error:#}");
+        }
     }
+}
+
+fn http_options(config: &HttpConfig) -> anyhow::Result<HttpOptions> {
+    let token = config.token_file.as_deref().map(Token::read).transpose()?;
+    Ok(HttpOptions {
+        unix_socket: config.socket.clone(),
+        tcp: config.listen,
+        token: token.map(Token::into_text),
+        allowed_hosts: config.allowed_hosts.clone(),
+        connections_max: config.connections_max,
+        ..HttpOptions::default()
+    })
 }
 
 struct Running<'a> {

@@ -115,13 +115,10 @@ impl Token {
         Ok(Self(token.to_owned()))
     }
 
-    /// Whether a caller knows it. It takes as long however much of it is right.
+    /// The token itself, for whoever compares it with what callers say.
     #[must_use]
-    pub fn is(&self, said: &str) -> bool {
-        let (own, said) = (self.0.as_bytes(), said.as_bytes());
-        let differs = own.iter().zip(said).fold(0, |differs, (a, b)| differs | (a ^ b));
-        // So that the compiler does not leave early after all.
-        std::hint::black_box(differs) == 0 && own.len() == said.len()
+    pub fn into_text(self) -> String {
+        self.0
     }
 }
 
@@ -159,11 +156,8 @@ mod tests {
         for (mode, content) in [(0o600, "0123456789abcdef\n"), (0o400, SECRET)] {
             let (_dir, path) = file(mode, content.as_bytes());
             let token = Token::read(&path).unwrap();
-            assert!(token.is(SECRET));
-            for wrong in ["", "0123456789abcde", "0123456789abcdef0", "0123456789abcdeg"] {
-                assert!(!token.is(wrong), "{wrong}");
-            }
             assert_eq!(format!("{token:?}"), "Token(..)");
+            assert_eq!(token.into_text(), SECRET);
         }
     }
 

@@ -5,7 +5,7 @@ use std::{sync::atomic::Ordering, time::Duration};
 use mocapd::{outcome::Outcome, service::status::Status};
 
 use super::{client::Client, orders::read, words};
-use crate::cli::{output::print, record::stop_on_signal};
+use crate::cli::{output::print, stop::stop_on_signal};
 
 const EVERY: Duration = Duration::from_secs(1);
 
