@@ -1,6 +1,6 @@
 //! Paths as arguments: what their endings mean, and where nothing may be written.
 
-use std::{os::unix::fs::MetadataExt, path::Path};
+use std::{fs::Metadata, os::unix::fs::MetadataExt, path::Path};
 
 use anyhow::bail;
 use mocapd::{files::NewFile, outcome::UsageError};
@@ -54,13 +54,21 @@ pub(super) fn check_take_output(path: &Path) -> anyhow::Result<()> {
 
 /// Whether two files that do not exist yet would be one: whatever their folders are called.
 pub(super) fn are_one(one: &Path, other: &Path) -> bool {
-    let folder = |path: &Path| {
-        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-        let meta = folder.unwrap_or(Path::new(".")).metadata().ok()?;
-        Some((meta.dev(), meta.ino()))
-    };
-    let is_same_folder = folder(one).is_some_and(|found| folder(other) == Some(found));
+    let place = |path: &Path| folder(path).map(|folder| (folder.dev(), folder.ino()));
+    let is_same_folder = place(one).is_some_and(|found| place(other) == Some(found));
     one == other || (is_same_folder && one.file_name() == other.file_name())
+}
+
+/// Whether what grows at one path takes room from the other.
+pub(super) fn are_on_one_disk(one: &Path, other: &Path) -> bool {
+    let disk = |path: &Path| folder(path).map(|folder| folder.dev());
+    disk(one).is_some_and(|found| disk(other) == Some(found))
+}
+
+/// The folder that a file would be in.
+fn folder(path: &Path) -> Option<Metadata> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    folder.unwrap_or(Path::new(".")).metadata().ok()
 }
 
 /// Says early what creating a file at `path` would meet.

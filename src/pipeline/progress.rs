@@ -1,7 +1,7 @@
 //! What other threads may look at while a pipeline runs.
 
 use std::sync::{
-    Mutex, MutexGuard, PoisonError,
+    Arc, Mutex, MutexGuard, OnceLock, PoisonError,
     atomic::{AtomicBool, AtomicI64, AtomicU64},
 };
 
@@ -22,6 +22,8 @@ pub struct Progress {
     pub file_bytes: AtomicU64,
     /// Samples in the stretches written.
     pub samples: AtomicU64,
+    /// Bytes of another file of ours that grows on the same disk, where there is one: it takes the disk's room, too.
+    pub beside_bytes: OnceLock<Arc<AtomicU64>>,
     /// How long the disk will do, in seconds; `u64::MAX` while unknown.
     pub disk_left_s: AtomicU64,
     /// So little is left of the disk that the take has to end: stop feeding, and it is closed.

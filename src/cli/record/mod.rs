@@ -89,7 +89,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         }
         rig.wait_for_replug(args.reconnect);
         rig.risk_at_most(args.stretch, args.sync);
-        let limits = Limits { length: args.seconds, keep_free_bytes: args.keep_free };
+        let beside = log.filter(|log| paths::are_on_one_disk(log.path(), &args.output));
+        let limits = Limits {
+            length: args.seconds,
+            keep_free_bytes: args.keep_free,
+            beside_bytes: beside.map(RawLog::file_bytes),
+        };
         record_and_watch(rig, &args.output, codec, limits, &stop)
     })?;
     let report = Report::new(&args.output, &recorded, &codec).with_log(log);

@@ -22,12 +22,14 @@ use crate::cli::{
 };
 
 /// When a recording ends by itself.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug)]
 pub(crate) struct Limits {
     /// After so long.
     pub(crate) length: Option<Duration>,
     /// When no more than so much of the disk is free.
     pub(crate) keep_free_bytes: u64,
+    /// Bytes of what grows beside the take, on its disk.
+    pub(crate) beside_bytes: Option<Arc<AtomicU64>>,
 }
 
 /// Records `rig` into `take`, showing how it goes.
@@ -41,6 +43,10 @@ pub(crate) fn record_and_watch(
     let mut watching = None;
     let mut started = |progress: &Arc<mocapd::pipeline::Progress>| {
         let progress = Arc::clone(progress);
+        if let Some(beside) = &limits.beside_bytes {
+            // Nobody set it before: the pipeline is this recording's.
+            progress.beside_bytes.set(Arc::clone(beside)).ok();
+        }
         watching = Some(Progress::status(move || {
             let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
             format!(
@@ -53,7 +59,7 @@ pub(crate) fn record_and_watch(
             )
         }));
     };
-    let Limits { length, keep_free_bytes } = limits;
+    let Limits { length, keep_free_bytes, .. } = limits;
     let mut options = RecordOptions {
         take,
         codec,

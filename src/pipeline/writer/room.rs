@@ -32,8 +32,11 @@ pub(super) struct Room {
     can_hold: bool,
     /// Nor did this one have so much, whatever it says is free: a quota.
     is_refused: bool,
-    looked: Option<(Instant, u64)>,
+    /// When, and the bytes of the take and beside it then.
+    looked: Option<(Instant, u64, u64)>,
     bytes_per_s: f64,
+    /// What grows beside the take.
+    beside_per_s: f64,
     state: DiskState,
 }
 
@@ -57,6 +60,7 @@ impl Room {
             is_refused: false,
             looked: None,
             bytes_per_s: 0.0,
+            beside_per_s: 0.0,
             state: DiskState::default(),
         }
     }
@@ -69,17 +73,22 @@ impl Room {
         progress: &Progress,
         now: Instant,
     ) {
-        if self.looked.is_some_and(|(last, _)| now.duration_since(last) < LOOK_EVERY) {
+        if self.looked.is_some_and(|(last, ..)| now.duration_since(last) < LOOK_EVERY) {
             return;
         }
-        if let Some((last, before)) = self.looked {
+        let beside = progress.beside_bytes.get().map_or(0, |bytes| bytes.load(Ordering::Relaxed));
+        if let Some((last, before, beside_before)) = self.looked {
             let passed_s = now.duration_since(last).as_secs_f64();
-            let rate = written.saturating_sub(before) as f64 / passed_s;
             // Before there is a mean, the first second's bytes have to do.
             let weight = if self.bytes_per_s > 0.0 { (passed_s / RATE_OF_S).min(1.0) } else { 1.0 };
-            self.bytes_per_s += (rate - self.bytes_per_s) * weight;
+            for (mean, now, before) in [
+                (&mut self.bytes_per_s, written, before),
+                (&mut self.beside_per_s, beside, beside_before),
+            ] {
+                *mean += (now.saturating_sub(before) as f64 / passed_s - *mean) * weight;
+            }
         }
-        self.looked = Some((now, written));
+        self.looked = Some((now, written, beside));
         self.hold(output, written);
         self.state.free_bytes = output.free_bytes();
         let held = self.held_to.saturating_sub(written);
@@ -93,7 +102,11 @@ impl Room {
         let left = others.saturating_add(held);
         self.state.is_full |= left < HELD_MIN_BYTES;
         let is_known = self.bytes_per_s > 0.0 && self.state.free_bytes.is_some();
-        let left_s = left.saturating_sub(HELD_MIN_BYTES) as f64 / self.bytes_per_s;
+        let both_per_s = self.bytes_per_s + self.beside_per_s;
+        let left_s = left.saturating_sub(HELD_MIN_BYTES) as f64 / both_per_s;
+        // What is held for the take is not for what grows beside it.
+        let beside_s = others as f64 / self.beside_per_s;
+        let left_s = if self.beside_per_s > 0.0 { left_s.min(beside_s) } else { left_s };
         self.state.left_s = is_known.then_some(left_s);
         progress.disk_full.store(self.state.is_full, Ordering::Relaxed);
         let left_s = self.state.left_s.map_or(u64::MAX, |left_s| left_s as u64);
@@ -143,7 +156,10 @@ fn is_full(error: &io::Error) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use std::io::Write;
+    use std::{
+        io::Write,
+        sync::{Arc, atomic::AtomicU64},
+    };
 
     use super::*;
 
@@ -232,6 +248,23 @@ mod tests {
             }
         }
         panic!("never full: {:?}", room.state);
+    }
+
+    #[test]
+    fn time_left_counts_what_grows_beside_the_take() {
+        // 3 MiB a second beside 1 MiB of the take: 950 MiB last for a quarter of the time.
+        let mut disk = Disk { free: 1000 * MIB, holds: Ok(()) };
+        let (mut room, progress, begun) =
+            (Room::new(50 * MIB), Progress::default(), Instant::now());
+        let beside = Arc::new(AtomicU64::new(9));
+        progress.beside_bytes.set(Arc::clone(&beside)).unwrap();
+        for second in 0..10 {
+            room.look(&mut disk, second * MIB, &progress, begun + Duration::from_secs(second));
+            beside.fetch_add(3 * MIB, Ordering::Relaxed);
+            disk.free -= 3 * MIB;
+        }
+        let left_s = room.state.left_s.unwrap();
+        assert!((left_s - (950.0 - 4.0 - 4.0 * 9.0) / 4.0).abs() < 2.0, "{left_s}");
     }
 
     #[test]
