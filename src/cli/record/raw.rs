@@ -23,6 +23,9 @@ pub(crate) struct RawLogReport {
 impl RawLogReport {
     fn new(path: &Path, logged: &RawLogged) -> Self {
         let RawLogged { file_bytes, line_bytes, missing_bytes, ref error } = *logged;
+        // What was written of the last block is in the file, too.
+        let found = path.metadata().map_or(file_bytes, |found| found.len());
+        let file_bytes = if error.is_some() { found } else { file_bytes };
         let error = error.as_ref().map(ToString::to_string);
         Self { log: path.to_owned(), file_bytes, line_bytes, missing_bytes, error }
     }
