@@ -23,4 +23,4 @@ mod troubled;
 mod unprivileged;
 mod verify;
 
-use folder::{Folder, Ran};
+pub(crate) use folder::{Folder, Ran};

@@ -1,5 +1,6 @@
 //! The service: an engine with a simulated device on a line, and its API in front of a fake one.
 
+mod ctl;
 mod cycles;
 pub(crate) mod engine;
 pub(crate) mod fake;

@@ -56,12 +56,11 @@ impl<T: Identified> FromRequest<Shared> for Asked<T> {
             ));
         }
         let bytes = read(body, &parts.headers, app).await?;
-        let text = bytes.trim_ascii();
         // serde would take a list for an object whose names were left out.
-        let mut asked: T = match text.first() {
-            None => parse(b"{}")?,
-            Some(b'{') => parse(text)?,
-            Some(_) => return Err(Problem::invalid("the body is no JSON object")),
+        let mut asked: T = match bytes.trim_ascii().first() {
+            None if bytes.is_empty() => parse(b"{}")?,
+            Some(b'{') => parse(&bytes)?,
+            _ => return Err(Problem::invalid("the body is no JSON object")),
         };
         let id = asked.request_id();
         let key = parts.headers.get(IDEMPOTENCY_KEY).map(key_of).transpose()?;

@@ -1,6 +1,6 @@
 //! Connections: how many, how long, and what becomes of one.
 
-use std::{convert::Infallible, net::SocketAddr, sync::Arc, time::Duration};
+use std::{net::SocketAddr, sync::Arc, time::Duration};
 
 use axum::{Router, body::Body};
 use hyper::{Request, body::Incoming, server::conn::http1, service::service_fn};
@@ -8,7 +8,7 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use tokio::{
     io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt},
     net::{TcpListener, UnixListener},
-    sync::{OwnedSemaphorePermit, Semaphore, mpsc, watch},
+    sync::{OwnedSemaphorePermit, Semaphore, watch},
     time::{sleep, timeout},
 };
 use tower_service::Service;
@@ -53,7 +53,7 @@ pub(super) struct Doorway {
     pub(super) told: Arc<Semaphore>,
     pub(super) stopping: watch::Receiver<bool>,
     /// Held by every connection: when all are gone the other end knows.
-    pub(super) alive: mpsc::Sender<Infallible>,
+    pub(super) alive: watch::Receiver<()>,
 }
 
 impl std::fmt::Debug for Doorway {

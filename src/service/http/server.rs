@@ -14,7 +14,7 @@ use anyhow::Context;
 use jiff::Timestamp;
 use tokio::{
     runtime::{Builder, Runtime},
-    sync::{Semaphore, mpsc, watch},
+    sync::{Semaphore, watch},
 };
 
 use super::{
@@ -87,8 +87,8 @@ impl HttpServer {
         });
         let router = routes::router(&app);
         let hubs = Hubs::start(&app, feed)?;
-        // Never used: that the other ends are gone is the message.
-        let (alive, gone) = mpsc::channel(1);
+        // Nothing is ever sent: that the other ends are gone is the message.
+        let (gone, alive) = watch::channel(());
         let doorway = Doorway {
             router,
             limits,
@@ -179,7 +179,7 @@ fn serve(
     doorway: Doorway,
     unix: Option<UnixDoor>,
     tcp: Option<tokio::net::TcpListener>,
-    mut gone: mpsc::Receiver<std::convert::Infallible>,
+    gone: watch::Sender<()>,
     how_long: &std::sync::mpsc::Receiver<Duration>,
 ) {
     let deadline = runtime.block_on(async move {
@@ -197,7 +197,7 @@ fn serve(
         drop(file);
         let within = how_long.try_recv().unwrap_or_default();
         let deadline = Instant::now() + within;
-        tokio::time::timeout(within, gone.recv()).await.ok();
+        tokio::time::timeout(within, gone.closed()).await.ok();
         deadline
     });
     // Jobs that the service does not finish in time are left to themselves.

@@ -36,6 +36,8 @@ pub(crate) struct Fake {
     pub(crate) feeds: Feeds,
     /// Milliseconds that every command takes.
     pub(crate) command_ms: AtomicU64,
+    /// Frames that the ledger of the next take tells of as lost on the link.
+    lost: AtomicU64,
     /// Commands that were carried out, not answered from memory.
     pub(crate) carried_out: AtomicU64,
 }
@@ -80,6 +82,7 @@ impl Fake {
             inner: Mutex::default(),
             feeds: Feeds::default(),
             command_ms: AtomicU64::new(0),
+            lost: AtomicU64::new(0),
             carried_out: AtomicU64::new(0),
         })
     }
@@ -88,6 +91,10 @@ impl Fake {
         let mut inner = self.lock();
         inner.state = State::Failed;
         inner.failure = Some(why.to_owned());
+    }
+
+    pub(crate) fn lose(&self, frames: u64) {
+        self.lost.store(frames, Ordering::Relaxed);
     }
 
     fn lock(&self) -> MutexGuard<'_, Inner> {
@@ -178,17 +185,18 @@ impl Fake {
             seconds: 1.0,
             bytes: self.take.len() as u64,
             ending: ending.to_owned(),
-            ledger: ledger(),
+            ledger: ledger(self.lost.swap(0, Ordering::Relaxed)),
         })
     }
 }
 
-fn ledger() -> LedgerStatus {
+fn ledger(lost_on_link: u64) -> LedgerStatus {
     LedgerStatus {
         finished: true,
         closes: true,
-        frames_sent: ROWS,
+        frames_sent: ROWS + lost_on_link,
         recorded: ROWS,
+        lost_on_link,
         ..LedgerStatus::default()
     }
 }

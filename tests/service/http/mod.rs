@@ -6,7 +6,9 @@ mod connections;
 mod document;
 mod doors;
 mod hostile;
+mod page;
 mod security;
+mod soak;
 mod streams;
 mod takes;
 
@@ -41,7 +43,7 @@ fn local() -> HttpOptions {
 }
 
 /// A second of a jump.
-fn take() -> Vec<u8> {
+pub(crate) fn take() -> Vec<u8> {
     let motion = jump(1, 120.0, 1.0);
     let n_frames = motion.n_frames();
     record(&motion, &config(&motion, dense(0.5)), 0..n_frames).1

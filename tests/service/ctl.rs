@@ -1,0 +1,143 @@
+//! `mocapd ctl` against a served fake: words, documents, exit codes.
+
+use std::{
+    io::{BufRead, BufReader},
+    process::{Command, Stdio},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Duration,
+};
+
+use mocapd::service::{
+    http::{HttpOptions, HttpServer},
+    status::State,
+};
+use serde_json::Value;
+
+use super::fake::Fake;
+use crate::cli::Folder;
+
+const TOKEN: &str = "correct-horse-battery-staple";
+
+struct Rig {
+    folder: Folder,
+    fake: Arc<Fake>,
+    server: HttpServer,
+    connect: String,
+}
+
+fn rig() -> Rig {
+    let folder = Folder::new();
+    let takes = folder.path("takes");
+    std::fs::create_dir(&takes).unwrap();
+    let fake = Fake::new(&takes, super::http::take());
+    let socket = folder.path("rig.sock");
+    let options = HttpOptions {
+        unix_socket: Some(socket.clone()),
+        tcp: Some("127.0.0.1:0".parse().unwrap()),
+        token: Some(TOKEN.to_owned()),
+        ..HttpOptions::default()
+    };
+    let server = HttpServer::start(options, fake.clone()).unwrap();
+    Rig { folder, fake, server, connect: format!("unix:{}", socket.display()) }
+}
+
+impl Rig {
+    fn ctl(&self, args: &[&str]) -> crate::cli::Ran {
+        self.folder.run(&[&["ctl", "--connect", &self.connect], args].concat())
+    }
+}
+
+#[test]
+fn a_session_from_the_command_line() {
+    let rig = rig();
+    let said = |args: &[&str]| rig.ctl(args).with_code(0).stdout;
+    assert!(said(&["status"]).starts_with("fake: idle\n"), "{}", said(&["status"]));
+    assert_eq!(said(&["arm"]), "armed\n");
+    let started = said(&["start", "--name", "jump", "--notes", "left shoe", "--pre-roll", "5s"]);
+    assert!(started.starts_with("recording ") && started.contains("jump.take"), "{started}");
+    assert!(said(&["status"]).contains("recording jump"));
+    assert_eq!(said(&["mark", "take off"]), "marked at frame 60\n");
+    let stopped = said(&["stop"]);
+    assert!(stopped.contains("120 frames") && stopped.contains("stopped"), "{stopped}");
+    assert!(said(&["save-last", "30s", "--name", "last"]).contains("last.take"));
+    let takes = said(&["takes"]);
+    assert!(takes.lines().count() == 2 && takes.contains("  jump\n"), "{takes}");
+    said(&["download", "jump"]);
+    assert_eq!(rig.folder.read("jump.take"), rig.folder.read("takes/jump.take"));
+    let again = rig.ctl(&["download", "jump"]).with_code(1);
+    assert!(again.stderr.contains("exists"), "{}", again.stderr);
+    let report = rig.ctl(&["download", "jump", "-o", "other.take", "--json"]).with_code(0).json();
+    assert_eq!(report["bytes"], rig.folder.read("other.take").len());
+    assert_eq!(rig.ctl(&["takes", "--limit", "1", "--json"]).json()[0]["name"], "last");
+    assert!(rig.ctl(&["devices", "--json"]).with_code(0).json().is_array());
+    assert_eq!(said(&["disarm"]), "idle\n");
+    assert_eq!(rig.ctl(&["status", "--json"]).json()["state"], "idle");
+}
+
+#[test]
+fn exit_codes_are_those_of_the_rest() {
+    let rig = rig();
+    let refused = rig.ctl(&["stop"]).with_code(1);
+    assert!(refused.stderr.contains("no take is being recorded"), "{}", refused.stderr);
+    assert_eq!(refused.stdout, "");
+    rig.ctl(&["start", "--name", "../x"]).with_code(2);
+    rig.ctl(&["save-last", "0"]).with_code(2);
+    rig.ctl(&["takes", "--limit", "0"]).with_code(2);
+    rig.ctl(&["download", "none"]).with_code(1);
+    rig.ctl(&["download", "../../etc/passwd"]).with_code(1);
+    assert!(rig.folder.content().iter().all(|file| !file.0.ends_with("passwd.take")));
+    rig.fake.lose(3);
+    rig.ctl(&["start"]).with_code(0);
+    let lossy = rig.ctl(&["stop", "--json"]).with_code(3);
+    assert!(lossy.stderr.contains("3 frames lost on the link"), "{}", lossy.stderr);
+    assert_eq!(lossy.json()["ledger"]["lost_on_link"], 3);
+    let nobody = rig.folder.run(&["ctl", "--connect", "unix:none.sock", "status"]).with_code(1);
+    assert!(nobody.stderr.contains("nobody answers"), "{}", nobody.stderr);
+    rig.folder.run(&["ctl", "--connect", "ftp://x", "status"]).with_code(2);
+}
+
+#[test]
+fn over_tcp_the_token_is_needed() {
+    let rig = rig();
+    let address = format!("http://{}", rig.server.tcp_address().unwrap());
+    let status =
+        |more: &[&str]| rig.folder.run(&[&["ctl", "--connect", &address, "status"], more].concat());
+    assert!(status(&[]).with_code(1).stderr.contains("--token-file"));
+    rig.folder.write("token", format!("{TOKEN}\n"));
+    status(&["--token-file", "token"]).with_code(0);
+    rig.folder.write("wrong", "something-else-entirely");
+    status(&["--token-file", "wrong"]).with_code(1);
+    rig.folder.write("empty", "");
+    status(&["--token-file", "empty"]).with_code(1);
+}
+
+#[test]
+fn events_are_followed() {
+    let rig = rig();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_mocapd"))
+        .args(["ctl", "--connect", &rig.connect, "events", "--json"])
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap());
+    let done = AtomicBool::new(false);
+    let told = std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while !done.load(Ordering::Relaxed) {
+                rig.fake.feeds.tell("mark", "take off".to_owned(), State::Recording, None);
+                std::thread::sleep(Duration::from_millis(50));
+            }
+        });
+        let mut line = String::new();
+        lines.read_line(&mut line).unwrap();
+        done.store(true, Ordering::Relaxed);
+        line
+    });
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let event: Value = serde_json::from_str(&told).unwrap();
+    assert_eq!((&event["kind"], &event["message"]), (&"mark".into(), &"take off".into()));
+}

@@ -1,0 +1,116 @@
+//! A hundred clients, half of them hostile, and how long the others wait for the status. For figures:
+//!
+//! ```text
+//! cargo test --release --test integration -- --ignored --nocapture service::http::soak
+//! ```
+
+use std::{
+    io::{Read, Write},
+    net::{SocketAddr, TcpStream},
+    sync::atomic::{AtomicBool, AtomicU64, Ordering},
+    time::{Duration, Instant},
+};
+
+use super::{client::request, serve};
+use crate::support::Seeded;
+
+const CLIENTS: u64 = 100;
+const LENGTH: Duration = Duration::from_secs(30);
+
+/// A browser asks every second; ten times that.
+const EVERY: Duration = Duration::from_millis(100);
+
+#[test]
+#[ignore = "half a minute of a whole machine, for figures"]
+fn the_status_while_half_of_all_clients_are_hostile() {
+    let served = serve();
+    let at = served.at;
+    let over = AtomicBool::new(false);
+    let attacks = AtomicU64::new(0);
+    let mut waits: Vec<Duration> = std::thread::scope(|scope| {
+        for n in 0..CLIENTS / 2 {
+            let (over, attacks) = (&over, &attacks);
+            scope.spawn(move || {
+                let mut random = Seeded::new(n);
+                while !over.load(Ordering::Relaxed) {
+                    // A server that closes on it is what is wanted.
+                    attack(at, &mut random).ok();
+                    attacks.fetch_add(1, Ordering::Relaxed);
+                }
+            });
+        }
+        let honest: Vec<_> = (0..CLIENTS / 2)
+            .map(|n| {
+                scope.spawn(move || {
+                    std::thread::sleep(EVERY.mul_f64(n as f64 / 50.0));
+                    ask_for_a_while(at)
+                })
+            })
+            .collect();
+        let waits = honest.into_iter().flat_map(|client| client.join().unwrap()).collect();
+        over.store(true, Ordering::Relaxed);
+        waits
+    });
+    waits.sort();
+    let at = |share: f64| waits[((waits.len() - 1) as f64 * share) as usize];
+    println!(
+        "{} answers beside {} attacks: p50 {:?}, p99 {:?}, longest {:?}",
+        waits.len(),
+        attacks.load(Ordering::Relaxed),
+        at(0.5),
+        at(0.99),
+        at(1.0)
+    );
+    assert!(at(0.99) < Duration::from_millis(50), "{:?}", at(0.99));
+}
+
+fn ask_for_a_while(at: SocketAddr) -> Vec<Duration> {
+    let mut stream = TcpStream::connect(at).unwrap();
+    stream.set_nodelay(true).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+    let (began, mut waits) = (Instant::now(), Vec::new());
+    while began.elapsed() < LENGTH {
+        let asked = Instant::now();
+        stream.write_all(b"GET /v1/status HTTP/1.1\r\nhost: localhost\r\n\r\n").unwrap();
+        let mut answer = Vec::new();
+        while !answer.ends_with(b"}}") {
+            let mut piece = [0; 4096];
+            let len = stream.read(&mut piece).unwrap();
+            assert!(len > 0, "an honest client was cut off");
+            answer.extend_from_slice(&piece[..len]);
+        }
+        assert!(answer.starts_with(b"HTTP/1.1 200"), "{}", String::from_utf8_lossy(&answer));
+        waits.push(asked.elapsed());
+        std::thread::sleep(EVERY.saturating_sub(asked.elapsed()));
+    }
+    waits
+}
+
+fn attack(at: SocketAddr, random: &mut Seeded) -> std::io::Result<()> {
+    let mut stream = TcpStream::connect(at)?;
+    stream.set_read_timeout(Some(Duration::from_secs(2)))?;
+    stream.set_write_timeout(Some(Duration::from_secs(2)))?;
+    let mut answer = [0; 256];
+    match random.below(5) {
+        0 => {
+            // A head that drips.
+            for byte in b"GET /v1/status HTTP/1.1\r\nx-a: bbbbbbbbbbbbb" {
+                stream.write_all(&[*byte])?;
+                std::thread::sleep(Duration::from_millis(20));
+            }
+        }
+        1 => {
+            let noise: Vec<u8> = (0..random.below(8000)).map(|_| random.next() as u8).collect();
+            stream.write_all(&noise)?;
+        }
+        2 => stream.write_all(&request("POST", "/v1/arm", &[], &"x".repeat(60 << 10)))?,
+        3 => {
+            // Asked for, and never read.
+            stream.write_all(&request("GET", "/v1/live", &[], ""))?;
+            std::thread::sleep(Duration::from_millis(500));
+        }
+        _ => stream.write_all(&request("POST", "/v1/arm", &[("content-length", "1000")], "{"))?,
+    }
+    while stream.read(&mut answer)? > 0 {}
+    Ok(())
+}
