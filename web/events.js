@@ -16,32 +16,48 @@ const SHAPES = { failure: "✕", warning: "▲", mark: "⚑", "take-started": "�
 export class Events {
   #lastId = null;
   #n = 0;
+  #page = null;
 
   constructor(onEvent) {
     this.onEvent = onEvent;
-    this.#run();
+    document.addEventListener("visibilitychange", () => this.#look());
+    this.#look();
   }
 
-  async #run() {
-    for (;;) {
-      const abort = new AbortController();
-      let timer = setTimeout(() => abort.abort(), SILENT_MS);
+  /** A page that nobody sees listens later: a browser has few connections for all of its pages, and nothing is lost. */
+  #look() {
+    if (document.hidden) {
+      this.#page?.abort();
+      this.#page = null;
+    } else if (!this.#page) {
+      this.#page = new AbortController();
+      this.#run(this.#page.signal);
+    }
+  }
+
+  async #run(page) {
+    while (!page.aborted) {
+      const silent = new AbortController();
+      let timer = setTimeout(() => silent.abort(), SILENT_MS);
+      const stop = () => silent.abort();
+      page.addEventListener("abort", stop);
       try {
         const headers = { Accept: "text/event-stream" };
         if (this.#lastId !== null) headers["Last-Event-ID"] = this.#lastId;
-        const response = await open("/v1/events?after=0", abort.signal, headers);
+        const response = await open("/v1/events?after=0", silent.signal, headers);
         const reader = response.body.pipeThrough(new TextDecoderStream()).getReader();
         const parser = new EventParser();
         for (;;) {
           const { done, value } = await reader.read();
           if (done) break;
           clearTimeout(timer);
-          timer = setTimeout(() => abort.abort(), SILENT_MS);
+          timer = setTimeout(stop, SILENT_MS);
           parser.push(value).forEach((event) => this.#take(event));
         }
       } catch (error) {
-        if (!abort.signal.aborted) console.info("events:", error.message);
+        if (!silent.signal.aborted) console.info("events:", error.message);
       }
+      page.removeEventListener("abort", stop);
       clearTimeout(timer);
       await new Promise((resolve) => setTimeout(resolve, AGAIN_MS));
     }

@@ -19,7 +19,7 @@ DESKTOP, PHONE = (1440, 900), (390, 844)
 class Browser:
     def __init__(self, chromium, chromedriver, pictures, downloads):
         self.profile = tempfile.TemporaryDirectory(prefix="mocapd-browser-")
-        self.pictures = pictures
+        self.pictures, self.downloads = pictures, downloads
         options = Options()
         options.binary_location = chromium
         for flag in [*FLAGS, f"--user-data-dir={self.profile.name}"]:

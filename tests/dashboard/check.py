@@ -18,6 +18,7 @@ import traceback
 from pathlib import Path
 
 import checks_page
+import checks_service
 from browser import Browser
 
 
@@ -26,19 +27,27 @@ def main():
     parser.add_argument("--chromium", default=shutil.which("chromium"))
     parser.add_argument("--chromedriver", default=shutil.which("chromedriver"))
     parser.add_argument("--pictures", type=Path, help="folder for what was seen; without it they are thrown away")
+    parser.add_argument("--mocapd", type=Path, help="the daemon; without it only the page is tested")
+    parser.add_argument("--mocapd-sim", type=Path, help="the simulated device")
+    parser.add_argument("--picture", type=Path, help="write the picture of the documentation there")
     parser.add_argument("--only", default="", help="checks whose name has this in it")
     args = parser.parse_args()
     if not args.chromium or not args.chromedriver:
         parser.error("chromium or chromedriver is missing: apt-get install chromium chromium-driver")
+    if (args.mocapd is None) != (args.mocapd_sim is None):
+        parser.error("--mocapd and --mocapd-sim go together")
+    checks = list(checks_page.CHECKS)
+    if args.mocapd:
+        checks += checks_service.checks(args.mocapd.resolve(), args.mocapd_sim.resolve(), args.picture)
     passed, failed = 0, 0
     with tempfile.TemporaryDirectory(prefix="mocapd-dashboard-") as folder:
         pictures, downloads = args.pictures or Path(folder) / "pictures", Path(folder) / "downloads"
         for place in (pictures, downloads):
             place.mkdir(parents=True, exist_ok=True)
-        browser = Browser(args.chromium, args.chromedriver, pictures.resolve(), downloads)
+        browser = Browser(args.chromium, args.chromedriver, pictures.resolve(), downloads.resolve())
         browser.media(prefers_color_scheme="dark")
         try:
-            for name, check in checks_page.CHECKS:
+            for name, check in checks:
                 if args.only not in name:
                     continue
                 began = time.monotonic()

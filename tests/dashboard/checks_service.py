@@ -1,0 +1,211 @@
+"""The page against the daemon, with a simulated device on a pty: a take from the first click to its verification."""
+
+import contextlib
+import hashlib
+import os
+import shutil
+import socket
+import subprocess
+import tempfile
+import time
+import urllib.request
+from pathlib import Path
+
+#: What the page has to keep up with.
+MARKERS, RATE_HZ = 200, 120
+#: Shown some thirty times a second; a frame now and then may come a refresh later.
+DRAWN_HZ_MIN = 27
+#: From a frame's last byte at the host to the script in the browser.
+LATENCY_P95_MS_MAX = 100
+#: Threads that stand between a device and the disk.
+DATA_PLANE = ("mocapd-rig", "mocapd-work", "mocapd-write")
+
+
+class Rig:
+    """A simulated device and the service that records it, in a folder of their own."""
+
+    def __init__(self, mocapd, mocapd_sim):
+        self.mocapd, self.folder = mocapd, Path(tempfile.mkdtemp(prefix="mocapd-rig-"))
+        self.running = contextlib.ExitStack()
+        try:
+            self._begin(mocapd_sim)
+        except BaseException:
+            self.close()
+            raise
+
+    def _begin(self, mocapd_sim):
+        self.takes = self.folder / "takes"
+        self.takes.mkdir()
+        line = self.folder / "line"
+        self._run([mocapd_sim, "serve", "--generate", "jump:3", "--seconds", "60", "--markers", str(MARKERS), "--rate",
+                   str(RATE_HZ), "--occlusion", "0.03", "--loop", f"--pty={line}"], "device")
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        config = self.folder / "jump-lab.toml"
+        config.write_text(f"""[device]
+uri = "serial:{line}"
+[take]
+directory = "{self.takes}"
+[http]
+socket = ""
+listen = "127.0.0.1:{port}"
+""")
+        self.config, self.url = config, f"http://127.0.0.1:{port}/"
+        until = time.monotonic() + 20
+        while not line.exists():
+            assert time.monotonic() < until, self.words()
+            time.sleep(0.05)
+        self.again()
+
+    def again(self):
+        """Starts the service, and waits until it answers."""
+        self.service = self._run([self.mocapd, "run", "--config", self.config], "service")
+        until = time.monotonic() + 20
+        while True:
+            try:
+                return urllib.request.urlopen(f"{self.url}healthz", timeout=2).close()
+            except OSError:
+                assert time.monotonic() < until and self.service.poll() is None, self.words()
+                time.sleep(0.05)
+
+    def _run(self, command, name):
+        log = self.running.enter_context((self.folder / f"{name}.log").open("wb"))
+        process = subprocess.Popen(list(map(str, command)), stdout=log, stderr=subprocess.STDOUT)
+        self.running.callback(process.wait)
+        self.running.callback(process.kill)
+        return process
+
+    def words(self):
+        """What both said, for a check that failed."""
+        return "".join(path.read_text(errors="replace")[-2000:] for path in sorted(self.folder.glob("*.log")))
+
+    def close(self):
+        self.running.close()
+        shutil.rmtree(self.folder)
+
+    def cpu(self, seconds):
+        """Parts of one processor that the data plane and the rest took meanwhile."""
+        before, began = self._cpu_s(), time.monotonic()
+        time.sleep(seconds)
+        after, took = self._cpu_s(), time.monotonic() - began
+        shares = {name: (after[name] - before.get(name, 0.0)) / took for name in after}
+        plane = sum(share for name, share in shares.items() if name.startswith(DATA_PLANE))
+        return plane, sum(shares.values()) - plane
+
+    def _cpu_s(self):
+        """By thread, from /proc."""
+        found = {}
+        for task in Path(f"/proc/{self.service.pid}/task").iterdir():
+            with contextlib.suppress(OSError):
+                name, _, rest = (task / "stat").read_text().partition("(")[2].rpartition(")")
+                fields = rest.split()
+                found[name] = found.get(name, 0.0) + (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+        return found
+
+
+def checks(mocapd, mocapd_sim, picture):
+    """What the check program runs, each with its name."""
+    return [("the daemon: a take from the first click to its verification",
+             lambda browser, log: a_take(browser, log, mocapd, mocapd_sim, picture)),
+            ("the daemon: killed, it is missed at once, and found again when it is back",
+             lambda browser, log: killed(browser, log, mocapd, mocapd_sim))]
+
+
+def a_take(browser, log, mocapd, mocapd_sim, picture):
+    rig = Rig(mocapd, mocapd_sim)
+    try:
+        browser.open(rig.url)
+        browser.wait_state("armed", 20)
+        browser.wait("frames", lambda: browser.stats()["frames"] > 30)
+        assert browser.stats()["markers"] == MARKERS, browser.stats()
+        look = "return document.getElementById('view').toDataURL()"
+        before = browser.js(look)
+        browser.wait("markers that move", lambda: browser.js(look) != before)
+        browser.type("name", "jump-001")
+        browser.type("notes", "barefoot")
+        browser.keys("r")
+        browser.wait("the first frame on disk", lambda: "Its first frame is on disk" in browser.text("answer"), 15)
+        browser.wait_state("recording")
+        watched(browser, log, rig)
+        if picture:
+            browser.picture("dashboard").replace(picture)
+        browser.type("mark-text", "heel strike")
+        browser.keys("m")
+        browser.wait("the mark's row", lambda: browser.text("answer").startswith("Done: Marked at row"))
+        browser.wait("its event", "return document.getElementById('events').textContent.includes('heel strike')")
+        browser.wait("figures of the take", lambda: "closes" in browser.text("tile-ledger"))
+        browser.picture("daemon-recording")
+        browser.keys("s")
+        browser.wait("the ledger on disk", lambda: "jump-001 is on disk" in browser.text("answer"), 15)
+        log(browser.text("answer"))
+        assert "no frame lost, the ledger closes" in browser.text("answer"), browser.text("answer")
+        browser.wait_state("armed")
+        downloaded(browser, rig)
+        assert browser.complaints() == []
+        unwatched(browser, log, rig)
+    except AssertionError as error:
+        raise AssertionError(f"{error}\n{rig.words()}") from error
+    finally:
+        browser.open("about:blank")
+        rig.close()
+
+
+def watched(browser, log, rig):
+    """Frames and their latency, while somebody looks and a take is written."""
+    # Not those from before the take, when all threads were beginning.
+    time.sleep(2)
+    with_viewer = rig.cpu(8)
+    stats = browser.stats()
+    log(f"{MARKERS} markers: {stats['drawn_hz']:.1f} frames/s drawn; last byte to browser p50 {stats['latency_p50_ms']:.1f} ms, "
+        f"p95 {stats['latency_p95_ms']:.1f} ms, to the screen p95 {stats['drawn_p95_ms']:.1f} ms")
+    log(f"with a viewer: data plane {100 * with_viewer[0]:.1f} % of a processor, the rest {100 * with_viewer[1]:.1f} %")
+    assert stats["drawn_hz"] >= DRAWN_HZ_MIN, stats
+    assert stats["latency_p95_ms"] < LATENCY_P95_MS_MAX, stats
+
+
+def unwatched(browser, log, rig):
+    """The same service without a viewer."""
+    browser.keys("r")
+    browser.wait_state("recording", 15)
+    browser.open("about:blank")
+    time.sleep(2)
+    plane, rest = rig.cpu(8)
+    log(f"without one: data plane {100 * plane:.1f} % of a processor, the rest {100 * rest:.1f} %")
+
+
+def downloaded(browser, rig):
+    """The take as the browser gets it is the one on disk, and is what it says; and the page finds so, too."""
+    row = "document.querySelector('[data-take=\"jump-001\"]')"
+    browser.wait("the take in the list", f"return {row}")
+    browser.js(f"{row}.querySelector('a').click()")
+    file = browser.downloads / "jump-001.take"
+    browser.wait("the download", file.exists, 15)
+    original = rig.takes / "jump-001.take"
+    digest = [hashlib.sha256(path.read_bytes()).digest() for path in (original, file)]
+    assert digest[0] == digest[1], f"{file.stat().st_size} of {original.stat().st_size} bytes"
+    said = subprocess.run([rig.mocapd, "verify", file], capture_output=True, text=True, check=False)
+    assert said.returncode == 0, said.stdout + said.stderr
+    browser.js(f"{row}.querySelector('button').click()")
+    browser.wait("what the check found", f"return {row}.textContent.includes('Verified: complete')", 20)
+    assert "heel strike" in subprocess.run([rig.mocapd, "info", "--json", file], capture_output=True, text=True, check=True).stdout
+
+
+def killed(browser, log, mocapd, mocapd_sim):
+    rig = Rig(mocapd, mocapd_sim)
+    try:
+        browser.open(rig.url)
+        browser.wait_state("armed", 20)
+        browser.wait("frames", lambda: browser.stats()["frames"] > 30)
+        began = time.monotonic()
+        rig.service.kill()
+        browser.wait_state("lost", 6)
+        log(f"missed after {time.monotonic() - began:.1f} s")
+        assert browser.text("timer") == "" and browser.text("tile-rate").startswith("Frame rate–")
+        before = browser.stats()["frames"]
+        rig.again()
+        browser.wait_state("armed", 20)
+        browser.wait("frames again", lambda: browser.stats()["frames"] > before + 30)
+    finally:
+        browser.open("about:blank")
+        rig.close()
