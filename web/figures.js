@@ -19,7 +19,7 @@ export function figures(status) {
     tile("ledger", "Ledger", false, ledger(status.take)),
     tile("seen", "Samples seen", false, samples(status.take)),
     tile("pre-roll", "Pre-roll", false, runs && preRoll(status.pre_roll)),
-    tile("delay", "Into the rings, p99", false, runs && delay(status, status.input.ring_latency_p99_us)),
+    tile("delay", "Ring delay, p99", false, runs && delay(status, status.input.ring_latency_p99_us)),
     tile("jitter", "Jitter, p99", false, runs && jitter(status)),
     tile("outages", "Outages", false, runs && outages(status.device)),
     tile("cpu", "Processor", false, { ...value(short(status.input.cpu_cores), "cores"), note: "of the service" }),
@@ -81,8 +81,8 @@ function ring({ ring_fill: fill }) {
 function size(take) {
   if (!take) return NO_TAKE;
   const behind = bytes(Math.max(0, take.bytes - take.durable_bytes)).join(" ");
-  const ratio = take.ratio > 0 ? `${short(take.ratio)}× smaller` : "no ratio yet";
-  return { ...value(...bytes(take.bytes)), note: `${ratio}, ${behind} to sync` };
+  const word = take.ratio > 0 ? `${short(take.ratio)}× smaller` : "";
+  return { ...value(...bytes(take.bytes)), note: `${behind} to sync`, word };
 }
 
 function error(take) {
@@ -114,7 +114,7 @@ function preRoll({ wanted_s: wanted, held_s: held, held_bytes: size, is_cut: isC
 /** What takes longer than a frame is worth a look. */
 function delay({ device }, us) {
   const found = { ...value(...micros(us)), note: "from the last byte" };
-  return device.rate_hz > 0 && us > 1e6 / device.rate_hz ? { ...found, ...watch("over a frame") } : found;
+  return device.rate_hz > 0 && us > 1e6 / device.rate_hz ? { ...found, ...watch("> 1 frame") } : found;
 }
 
 function jitter({ device, input }) {

@@ -16,7 +16,9 @@ export class Past {
     const runs = status !== null && (status.state === "armed" || status.state === "recording");
     const { lost = 0, measured_hz: hz = 0 } = status?.input ?? {};
     const before = this.#lostBefore;
-    const sample = { t, hz: runs ? hz : null, lost: runs && before !== null ? Math.max(0, lost - before) : 0 };
+    // In the first seconds the rate is counted up, and is none yet.
+    const isKnown = runs && status.input.frames >= 3 * (status.device.rate_hz || 0);
+    const sample = { t, hz: isKnown ? hz : null, lost: runs && before !== null ? Math.max(0, lost - before) : 0 };
     if (status !== null) {
       this.#lostBefore = runs ? lost : null;
       this.nominalHz = status.device.rate_hz || this.nominalHz;
@@ -74,7 +76,7 @@ export class History {
     ctx.scale(ratio, ratio);
     ctx.font = "12px system-ui, sans-serif";
     const now = performance.now() / 1000;
-    const plot = { left: 46, right: width - 8, split: height * 0.56, bottom: height - 18 };
+    const plot = { left: 58, right: width - 8, split: height * 0.56, bottom: height - 18 };
     const x = (t) => plot.right - ((now - t) / SPAN_S) * (plot.right - plot.left);
     this.#rates(ctx, plot, x);
     this.#losses(ctx, plot, now);
@@ -90,7 +92,7 @@ export class History {
   #rates(ctx, { left, right, split }, x) {
     const { samples, nominalHz } = this.past;
     const [low, high] = this.past.range();
-    const y = (hz) => split - 8 - ((hz - low) / (high - low)) * (split - 16);
+    const y = (hz) => split - 6 - ((hz - low) / (high - low)) * (split - 26);
     ctx.fillStyle = this.colours.muted;
     ctx.textAlign = "right";
     ctx.textBaseline = "middle";
@@ -99,9 +101,8 @@ export class History {
       ctx.setLineDash([5, 5]);
       line(ctx, left, y(nominalHz), right, y(nominalHz));
       ctx.setLineDash([]);
-      ctx.fillText(`${Number(nominalHz.toFixed(1))}`, left - 6, y(nominalHz));
+      ctx.fillText(`${Number(nominalHz.toFixed(1))} Hz`, left - 6, y(nominalHz));
     }
-    ctx.fillText("Hz", left - 6, 8);
     ctx.strokeStyle = this.colours.accent;
     ctx.lineWidth = 2;
     ctx.beginPath();

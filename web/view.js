@@ -9,7 +9,7 @@ import { FADE_MS, draw, pick } from "./scene.js";
 const COLOURS = ["panel", "text", "muted", "grid", "grid-main", "shadow", "trail", "bone", "marker", "stray", "chosen"];
 /** How soon the eye is where the markers are, and how slowly it comes nearer again. */
 const FOLLOW_MS = 700;
-const SHRINK_MS = 9000;
+const SHRINK_MS = 6000;
 
 export class View {
   camera = new Camera();

@@ -64,7 +64,7 @@ test("the disk says for how long, and when it is too late", () => {
 
 test("a ring that fills up, a late frame, an outage and a cut pre-roll are seen", () => {
   equal([0.1, 0.6, 0.9].map((fill) => figure("ring", { input: { ring_fill: fill } }).level), ["ok", "watch", "bad"]);
-  equal(figure("delay", { input: { ring_latency_p99_us: 9000 } }).word, "over a frame");
+  equal(figure("delay", { input: { ring_latency_p99_us: 9000 } }).word, "> 1 frame");
   equal(says(figure("jitter", { input: { jitter_p99_us: 0 } })), ["–", "", "none", ""]);
   equal(figure("outages", { device: { outages: 1 } }).level, "watch");
   equal(figure("pre-roll", { pre_roll: { is_cut: true, held_s: 4 } }).word, "cut: memory");
@@ -80,7 +80,7 @@ test("the take has its size, error, ledger and samples, and without one they are
 
 test("history counts what came since the look before, not what was there", () => {
   const past = new Past();
-  const at = (t, lost, state = "armed") => past.add(t, { ...STATUS, state, input: { measured_hz: 119, lost } });
+  const at = (t, lost, state = "armed") => past.add(t, { ...STATUS, state, input: { ...STATUS.input, measured_hz: 119, lost } });
   at(0, 500);
   at(0.5, 503);
   at(1, 503);
@@ -90,13 +90,15 @@ test("history counts what came since the look before, not what was there", () =>
   equal(past.samples.map(({ lost }) => lost), [0, 3, 0, 0, 1, 0]);
   equal(past.samples.map(({ hz }) => hz), [119, 119, 119, null, 119, 119]);
   equal(past.lostBySecond(2.5).slice(0, 3), [1, 0, 3]);
+  past.add(3, { ...STATUS, input: { ...STATUS.input, frames: 100 } });
+  equal(past.samples.at(-1).hz, null, "in the first seconds there is no rate yet");
   at(200, 0);
   equal(past.samples.length, 1, "two minutes are kept");
 });
 
 test("the axis of rates holds the nominal rate and what was measured", () => {
   const past = new Past();
-  past.add(0, { ...STATUS, input: { measured_hz: 60, lost: 0 } });
+  past.add(0, { ...STATUS, input: { ...STATUS.input, measured_hz: 60 } });
   const [low, high] = past.range();
   isTrue(low < 60 && high > 120, `${low} to ${high}`);
   near(new Past().range()[0], 0);
