@@ -118,9 +118,9 @@ pub struct Beat {
 impl Beat {
     /// It works, and will say so again soon.
     pub fn moved(&self) {
+        self.say(State::Working);
         #[cfg(feature = "fault-hooks")]
         crate::fault_hooks::hang_if_told(self.who());
-        self.say(State::Working);
     }
 
     /// It waits for work, for as long as there is none.

@@ -24,6 +24,10 @@ pub(super) fn run(inner: &Arc<Inner>) {
             beat.moved();
         }
         inner.tell_what_was_said();
+        // A take that ends by itself is waited for, and its disk may stall.
+        if let Some(beat) = &beat {
+            beat.at_disk();
+        }
         inner.end_what_is_over();
         rates.look(inner);
         inner.wait(LOOK_EVERY);
