@@ -13,6 +13,7 @@ mod export;
 mod import;
 mod info;
 mod ledger;
+mod manual;
 mod numbers;
 mod original;
 mod output;
@@ -73,6 +74,12 @@ enum Command {
     /// Measure this machine
     #[command(subcommand)]
     Bench(bench::Bench),
+    /// Print what a shell needs to complete this command line
+    #[command(hide = true)]
+    Completions(manual::Completions),
+    /// Write the pages of the manual, replacing those that are there
+    #[command(hide = true)]
+    Man(manual::Pages),
 }
 
 /// Reads the arguments. Help and version are printed here.
@@ -101,5 +108,7 @@ pub(crate) fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Doctor(args) => doctor::run(&args),
         Command::Config(command) => config::run(&command),
         Command::Bench(bench) => bench::run(&bench),
+        Command::Completions(args) => manual::completions(&args),
+        Command::Man(args) => manual::pages(&args),
     }
 }

@@ -1,5 +1,6 @@
 //! The command line.
 
+mod manual;
 mod serve;
 mod values;
 
@@ -20,6 +21,12 @@ enum Command {
     /// Prints one line on stdout: the path for a host to open. It sends when the host says Start.
     /// Exit codes: 0 done, 1 failed, 2 a value was refused.
     Serve(Box<serve::ServeArgs>),
+    /// Print what a shell needs to complete this command line
+    #[command(hide = true)]
+    Completions(manual::Completions),
+    /// Write the pages of the manual, replacing those that are there
+    #[command(hide = true)]
+    Man(manual::Pages),
 }
 
 /// What ended the program, and the exit code that says so.
@@ -45,5 +52,7 @@ impl<E: Into<anyhow::Error>> From<E> for Failure {
 pub(crate) fn run(cli: &Cli) -> Result<(), Failure> {
     match &cli.command {
         Command::Serve(args) => serve::run(args),
+        Command::Completions(args) => manual::completions(args),
+        Command::Man(args) => manual::pages(args),
     }
 }
