@@ -15,4 +15,5 @@ mod recovery;
 mod replay;
 mod service;
 mod support;
+mod system;
 mod take_file;
