@@ -1,5 +1,6 @@
 //! What goes to the system: units, udev rules, users, and the package's list of files.
 
+mod package;
 mod rules;
 mod units;
 

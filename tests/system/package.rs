@@ -1,0 +1,70 @@
+//! The Debian package's list in Cargo.toml: everything that is to be installed is, from files that exist.
+
+use std::{fs, path::Path};
+
+use super::text;
+
+/// Source and destination of every asset.
+fn assets() -> Vec<(String, String)> {
+    let manifest = text("Cargo.toml");
+    let (_, list) = manifest.split_once("\nassets = [").expect("no assets");
+    let (list, _) = list.split_once("\n]").expect("an open list");
+    let asset = |line: &str| {
+        let mut words = line.split('"').skip(1).step_by(2).map(str::to_owned);
+        Some((words.next()?, words.next()?))
+    };
+    list.lines().filter_map(asset).collect()
+}
+
+#[test]
+fn what_is_in_the_source_exists_and_what_the_system_needs_is_there() {
+    let assets = assets();
+    assert!(assets.len() > 20, "{assets:?}");
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    for (source, _) in assets.iter().filter(|(source, _)| !source.starts_with("target/")) {
+        let exists = match source.strip_suffix("/*.md") {
+            Some(folder) => root.join(folder).is_dir(),
+            None => root.join(source).is_file(),
+        };
+        assert!(exists, "{source} is not there");
+    }
+    let folder = fs::read_dir(root.join("systemd")).unwrap().flatten();
+    for file in folder.filter(|entry| entry.path().is_file()) {
+        let name = format!("systemd/{}", file.file_name().display());
+        assert!(assets.iter().any(|(source, _)| *source == name), "{name} is not installed");
+    }
+    let at = |source: &str| assets.iter().find(|asset| asset.0 == source).map(|asset| &*asset.1);
+    assert_eq!(at("target/release/mocapd"), Some("usr/bin/"));
+    assert_eq!(at("target/release/mocapd-sim"), Some("usr/bin/"));
+    assert_eq!(at("systemd/mocapd.sysusers"), Some("usr/lib/sysusers.d/mocapd.conf"));
+    assert_eq!(at("systemd/mocapd.toml"), Some("etc/mocapd/example.toml"));
+}
+
+#[test]
+fn its_version_is_the_program_s() {
+    let changelog = text("systemd/deb/changelog");
+    let version = format!("mocapd ({}-1)", env!("CARGO_PKG_VERSION"));
+    assert!(changelog.starts_with(&version), "{version} has no entry in systemd/deb/changelog");
+}
+
+#[test]
+fn its_licence_text_is_the_licence() {
+    let words = |text: &str| -> Vec<String> {
+        text.split_whitespace().filter(|word| *word != ".").map(str::to_owned).collect()
+    };
+    let licence = text("LICENSE-MIT");
+    let (_, licence) = licence.split_once("authors\n").expect("a copyright line");
+    let (licence, copyright) = (words(licence), words(&text("systemd/deb/copyright")));
+    assert!(copyright.windows(licence.len()).any(|part| part == licence));
+}
+
+/// A shell that stops at the first error, and no command that asks.
+#[test]
+fn its_scripts_are_scripts() {
+    for name in ["postinst", "prerm", "postrm"] {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("systemd/deb").join(name);
+        assert!(fs::read_to_string(&path).unwrap().contains("\nset -e\n"), "{name}");
+        let checked = std::process::Command::new("sh").arg("-n").arg(&path).status().unwrap();
+        assert!(checked.success(), "{name}");
+    }
+}
