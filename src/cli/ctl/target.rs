@@ -72,10 +72,16 @@ impl Target {
     /// # Errors
     /// Which there are, when there are several.
     fn expected(folder: &Path) -> Result<Self, String> {
-        let entries = folder.read_dir().into_iter().flatten().flatten();
         let is_socket =
             |path: &PathBuf| path.extension().is_some_and(|extension| extension == "sock");
-        let mut sockets: Vec<_> = entries.map(|entry| entry.path()).filter(is_socket).collect();
+        let within = |folder: &Path| -> Vec<PathBuf> {
+            let entries = folder.read_dir().into_iter().flatten().flatten();
+            entries.map(|entry| entry.path()).collect()
+        };
+        let mut sockets = within(folder);
+        // A unit has a folder of its own: /run/mocapd/NAME/mocapd.sock.
+        sockets.extend(sockets.clone().iter().flat_map(|folder| within(folder)));
+        sockets.retain(is_socket);
         sockets.sort();
         match &sockets[..] {
             [] => Ok(Self::Tcp(LOOPBACK.to_owned())),
@@ -123,11 +129,15 @@ mod tests {
         let expected = || Target::expected(folder.path());
         assert_eq!(expected().unwrap(), Target::Tcp(LOOPBACK.to_owned()));
         std::fs::write(folder.path().join("note.txt"), "").unwrap();
-        std::fs::write(folder.path().join("a.sock"), "").unwrap();
-        assert_eq!(expected().unwrap(), Target::Unix(folder.path().join("a.sock")));
+        let units = folder.path().join("hall/mocapd.sock");
+        std::fs::create_dir(folder.path().join("hall")).unwrap();
+        std::fs::write(&units, "").unwrap();
+        assert_eq!(expected().unwrap(), Target::Unix(units), "a unit's");
         std::fs::write(folder.path().join("b.sock"), "").unwrap();
         let several = expected().unwrap_err();
-        assert!(several.contains("a.sock") && several.contains("b.sock"), "{several}");
+        assert!(several.contains("hall/mocapd.sock") && several.contains("b.sock"), "{several}");
+        std::fs::remove_dir_all(folder.path().join("hall")).unwrap();
+        assert_eq!(expected().unwrap(), Target::Unix(folder.path().join("b.sock")));
         assert_eq!(
             Target::expected(Path::new("/nowhere")).unwrap(),
             Target::Tcp(LOOPBACK.to_owned())
