@@ -3,6 +3,7 @@
 mod clock;
 mod devices;
 mod disk;
+mod service;
 mod system;
 
 use std::path::Path;
@@ -59,4 +60,5 @@ pub fn examine(folder: &Path, keep_free_bytes: u64, tell: &mut dyn FnMut(Finding
     disk::examine(folder, keep_free_bytes, tell);
     clock::examine(tell);
     system::examine(tell);
+    service::examine(tell);
 }

@@ -1,28 +1,17 @@
-//! The machine itself: processors, memory, and the service.
+//! The machine itself: processors and memory.
 
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Stdio},
-};
+use std::fs;
 
 use super::Finding;
 
 /// The rings, coded stretches and a stall of 30 s at 200 markers x 1000 Hz, and as much for everything else.
 const MEMORY_MIB_LEAST: u64 = 600;
 
-/// Where units are.
-const UNITS: [&str; 3] = ["/etc/systemd/system", "/usr/lib/systemd/system", "/lib/systemd/system"];
-
 pub(super) fn examine(tell: &mut dyn FnMut(Finding)) {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     tell(processors(cores));
     if let Some(finding) = fs::read_to_string("/proc/meminfo").ok().and_then(|text| memory(&text)) {
         tell(finding);
-    }
-    // What runs on a machine without systemd starts it in another way.
-    if Path::new("/run/systemd/system").exists() {
-        tell(unit(&UNITS, is_active().as_deref()));
     }
 }
 
@@ -49,27 +38,6 @@ fn memory(text: &str) -> Option<Finding> {
     })
 }
 
-fn is_active() -> Option<String> {
-    let mut command = Command::new("systemctl");
-    let output = command.args(["is-active", "mocapd"]).stdin(Stdio::null()).output().ok()?;
-    Some(String::from_utf8_lossy(&output.stdout).trim().to_owned())
-}
-
-fn unit(folders: &[&str], state: Option<&str>) -> Finding {
-    let what = "service";
-    let installed = folders.iter().any(|folder| Path::new(folder).join("mocapd.service").exists());
-    match (installed, state) {
-        (false, _) => Finding::note(what, "not installed: recordings are started by hand"),
-        (true, Some("active")) => Finding::good(what, "runs"),
-        (true, Some("failed")) => {
-            Finding::failure(what, "has failed", "`journalctl -u mocapd -n 50` says why")
-        }
-        (true, _) => {
-            Finding::note(what, "installed, and does not run: `sudo systemctl start mocapd`")
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -83,17 +51,5 @@ mod tests {
         assert_eq!(memory(text).unwrap().seen, "3906 MiB available");
         assert_eq!(memory("MemAvailable: 100000 kB\n").unwrap().verdict, Verdict::Warning);
         assert_eq!(memory(""), None);
-    }
-
-    #[test]
-    fn what_is_found_of_the_service() {
-        let folder = tempfile::tempdir().unwrap();
-        let folders = [folder.path().to_str().unwrap()];
-        assert_eq!(unit(&folders, Some("inactive")).verdict, Verdict::Note);
-        fs::write(folder.path().join("mocapd.service"), "").unwrap();
-        assert_eq!(unit(&folders, Some("active")).verdict, Verdict::Good);
-        let failed = unit(&folders, Some("failed"));
-        assert_eq!(failed.verdict, Verdict::Failure);
-        assert!(failed.remedy.unwrap().contains("journalctl"));
     }
 }

@@ -1,0 +1,239 @@
+//! The service: whether it is installed, which rigs it has, how each is, and who may speak to it.
+
+use std::{
+    fs,
+    path::Path,
+    process::{Command, Stdio},
+};
+
+use super::{Finding, Verdict};
+
+/// Where units are.
+const UNITS: [&str; 3] = ["/etc/systemd/system", "/usr/lib/systemd/system", "/lib/systemd/system"];
+
+/// Where a rig's configuration is: NAME.toml is `mocapd@NAME`'s.
+const CONFIGURATIONS: &str = "/etc/mocapd";
+
+/// Comes with the package, and is no rig.
+const EXAMPLE: &str = "example";
+
+/// Rigs that are told of: a machine has one, or a few.
+const RIGS_MAX: usize = 64;
+
+pub(super) fn examine(tell: &mut dyn FnMut(Finding)) {
+    // What runs on a machine without systemd starts it in another way.
+    if Path::new("/run/systemd/system").exists() {
+        let rigs = rigs(Path::new(CONFIGURATIONS));
+        tell(installed(&UNITS, &rigs));
+        rigs.iter().filter_map(|name| Some(rig(name, &state(name)?))).for_each(&mut *tell);
+    }
+    let Ok(groups) = fs::read_to_string("/etc/group") else { return };
+    let me = Me::now();
+    let why = ["open serial ports and rigs", "read the service's takes and speak to it"];
+    for (name, why) in ["dialout", "mocapd"].into_iter().zip(why) {
+        group(&groups, &me, name, why).into_iter().for_each(&mut *tell);
+    }
+}
+
+/// Names of the rigs that are configured.
+fn rigs(folder: &Path) -> Vec<String> {
+    let Ok(entries) = fs::read_dir(folder) else { return Vec::new() };
+    let names = entries.flatten().filter_map(|entry| {
+        let name = entry.file_name().into_string().ok()?.strip_suffix(".toml")?.to_owned();
+        // What systemd would write in another way is not looked for.
+        let is_plain = name.chars().all(|c| c.is_ascii_alphanumeric() || "-_.:".contains(c));
+        (is_plain && name != EXAMPLE).then_some(name)
+    });
+    let mut names: Vec<_> = names.take(RIGS_MAX).collect();
+    names.sort();
+    names
+}
+
+fn installed(folders: &[&str], rigs: &[String]) -> Finding {
+    let what = "service";
+    if !folders.iter().any(|folder| Path::new(folder).join("mocapd@.service").exists()) {
+        return Finding::note(what, "not installed: recordings are started by hand");
+    }
+    if rigs.is_empty() {
+        let remedy = format!(
+            "`sudo cp {CONFIGURATIONS}/{EXAMPLE}.toml {CONFIGURATIONS}/NAME.toml`, edit it, and \
+             `sudo systemctl enable --now mocapd@NAME`"
+        );
+        return with_remedy(Finding::note(what, "installed; no rig is configured"), remedy);
+    }
+    Finding::good(what, format!("installed; rigs: {}", rigs.join(", ")))
+}
+
+/// What systemd knows of a unit.
+#[derive(Debug, Clone, Default, PartialEq)]
+struct UnitState {
+    active: String,
+    enabled: String,
+    status: String,
+}
+
+fn state(name: &str) -> Option<UnitState> {
+    let mut command = Command::new("systemctl");
+    let properties = ["show", "-p", "ActiveState", "-p", "UnitFileState", "-p", "StatusText"];
+    command.args(properties).arg(format!("mocapd@{name}.service")).stdin(Stdio::null());
+    let output = command.output().ok()?;
+    Some(parse(&String::from_utf8_lossy(&output.stdout)))
+}
+
+fn parse(shown: &str) -> UnitState {
+    let mut state = UnitState::default();
+    for (key, value) in shown.lines().filter_map(|line| line.split_once('=')) {
+        match key {
+            "ActiveState" => value.clone_into(&mut state.active),
+            "UnitFileState" => value.clone_into(&mut state.enabled),
+            "StatusText" => value.clone_into(&mut state.status),
+            _ => {}
+        }
+    }
+    state
+}
+
+fn rig(name: &str, state: &UnitState) -> Finding {
+    let what = format!("mocapd@{name}");
+    let status = match state.status.as_str() {
+        "" => String::new(),
+        words => format!(": {words}"),
+    };
+    let at_boot = state.enabled.starts_with("enabled");
+    match (state.active.as_str(), at_boot) {
+        ("active" | "reloading", true) => {
+            Finding::good(&what, format!("runs, and is started at boot{status}"))
+        }
+        ("active" | "reloading", false) => with_remedy(
+            Finding::good(&what, format!("runs; it is not started at boot{status}")),
+            format!("`sudo systemctl enable {what}` starts it at boot"),
+        ),
+        ("failed", _) => Finding::failure(
+            &what,
+            "has failed",
+            format!("`journalctl -u {what} -n 50` says why; then `sudo systemctl restart {what}`"),
+        ),
+        ("activating" | "deactivating", _) => {
+            Finding::note(&what, format!("is {}{status}", state.active))
+        }
+        _ => with_remedy(
+            Finding::note(&what, "does not run"),
+            format!("`sudo systemctl enable --now {what}`"),
+        ),
+    }
+}
+
+fn with_remedy(finding: Finding, remedy: impl Into<String>) -> Finding {
+    Finding { remedy: Some(remedy.into()), ..finding }
+}
+
+/// Who asks.
+#[derive(Debug)]
+struct Me {
+    name: Option<String>,
+    is_root: bool,
+    groups: Vec<u32>,
+}
+
+impl Me {
+    fn now() -> Self {
+        let uid = rustix::process::getuid().as_raw();
+        let mut groups = vec![rustix::process::getegid().as_raw()];
+        let more = rustix::process::getgroups().unwrap_or_default();
+        groups.extend(more.into_iter().map(rustix::process::Gid::as_raw));
+        let users = fs::read_to_string("/etc/passwd").unwrap_or_default();
+        let name = users.lines().find_map(|line| {
+            let mut fields = line.split(':');
+            let name = fields.next()?;
+            (fields.nth(1)?.parse() == Ok(uid)).then(|| name.to_owned())
+        });
+        Self { name, is_root: uid == 0, groups }
+    }
+}
+
+/// Whether one is in a group; nothing where there is no such group.
+fn group(groups: &str, me: &Me, name: &str, why: &str) -> Option<Finding> {
+    let line = groups.lines().find(|line| line.split(':').next() == Some(name))?;
+    let mut fields = line.split(':').skip(2);
+    let id: u32 = fields.next()?.parse().ok()?;
+    let mut members = fields.next().unwrap_or_default().split(',');
+    let what = format!("group {name}");
+    if me.is_root {
+        return Some(Finding::good(&what, "root may do without"));
+    }
+    if me.groups.contains(&id) {
+        return Some(Finding::good(&what, format!("you may {why}")));
+    }
+    let is_member = me.name.as_deref().is_some_and(|me| members.any(|member| member == me));
+    let seen = format!("you are not in it: you may not {why}");
+    Some(match is_member {
+        true => Finding::warning(&what, "you are in it since you logged in", "log in again"),
+        false => Finding {
+            verdict: Verdict::Note,
+            ..Finding::warning(
+                &what,
+                seen,
+                format!("`sudo usermod -aG {name} $USER`, and log in again"),
+            )
+        },
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn whether_it_is_installed_and_has_rigs() {
+        let folder = tempfile::tempdir().unwrap();
+        let folders = [folder.path().to_str().unwrap()];
+        assert!(installed(&folders, &[]).seen.contains("not installed"));
+        fs::write(folder.path().join("mocapd@.service"), "").unwrap();
+        let none = installed(&folders, &[]);
+        assert!(none.remedy.unwrap().contains("sudo cp /etc/mocapd/example.toml"));
+        for name in ["hall.toml", "example.toml", "token", "left-2.toml", "bad name.toml"] {
+            fs::write(folder.path().join(name), "").unwrap();
+        }
+        let rigs = rigs(folder.path());
+        assert_eq!(rigs, ["hall", "left-2"]);
+        assert_eq!(installed(&folders, &rigs).seen, "installed; rigs: hall, left-2");
+        assert_eq!(super::rigs(&folder.path().join("none")), Vec::<String>::new());
+    }
+
+    #[test]
+    fn how_a_rig_is_and_what_to_type() {
+        let of = |text: &str| rig("hall", &parse(text));
+        let all_well = of("ActiveState=active\nUnitFileState=enabled\nStatusText=armed = yes\n");
+        assert_eq!(all_well.verdict, Verdict::Good);
+        assert_eq!(all_well.seen, "runs, and is started at boot: armed = yes");
+        assert_eq!(all_well.remedy, None);
+        let by_hand = of("ActiveState=active\nUnitFileState=disabled\n");
+        assert!(by_hand.remedy.unwrap().contains("sudo systemctl enable mocapd@hall"));
+        let failed = of("ActiveState=failed\nUnitFileState=enabled\n");
+        assert_eq!(failed.verdict, Verdict::Failure);
+        assert!(failed.remedy.unwrap().contains("journalctl -u mocapd@hall"));
+        let stopped = of("ActiveState=inactive\nUnitFileState=\n");
+        assert_eq!(stopped.verdict, Verdict::Note);
+        assert_eq!(stopped.remedy.unwrap(), "`sudo systemctl enable --now mocapd@hall`");
+        assert_eq!(of("ActiveState=activating\n").seen, "is activating");
+    }
+
+    #[test]
+    fn who_is_in_a_group_and_who_has_to_log_in_again() {
+        let groups = "root:x:0:\ndialout:x:20:ann\nmocapd:x:990:ann,bob\n";
+        let me = |name: &str, groups: &[u32]| Me {
+            name: Some(name.to_owned()),
+            is_root: false,
+            groups: groups.to_vec(),
+        };
+        let found = |me: &Me| group(groups, me, "mocapd", "read takes").unwrap();
+        assert_eq!(found(&me("ann", &[1000, 990])).seen, "you may read takes");
+        assert_eq!(found(&me("bob", &[1001])).remedy.unwrap(), "log in again");
+        let outside = found(&me("eve", &[1002]));
+        assert_eq!(outside.verdict, Verdict::Note);
+        assert!(outside.remedy.unwrap().contains("sudo usermod -aG mocapd $USER"));
+        let root = Me { is_root: true, ..me("root", &[0]) };
+        assert_eq!(found(&root).verdict, Verdict::Good);
+        assert_eq!(group(groups, &root, "uucp", "x"), None);
+    }
+}
