@@ -78,6 +78,10 @@ pub(crate) fn our_rules() -> anyhow::Result<String> {
     fs::read_to_string("/rules/60-mocapd.rules").context("the project's rules")
 }
 
+pub(crate) fn set_our_rules() -> anyhow::Result<()> {
+    set_rules(Some(&our_rules()?))
+}
+
 pub(crate) fn run(program: &str, arguments: &[&str]) -> anyhow::Result<()> {
     let status = Command::new(program).args(arguments).status().context(program.to_owned())?;
     ensure!(status.success(), "{program} {arguments:?}: {status}");

@@ -1,4 +1,5 @@
-//! The scenarios of `tests/vm/run usb`: mocapd, its simulator, and devices that misbehave, on the kernel's own USB stack.
+//! The scenarios of `tests/vm/run usb`: mocapd, its simulator, and devices that misbehave, on the kernel's own USB stack;
+//! and those of `tests/vm/run systemd`: the package, and the service under Debian's systemd.
 //!
 //! Runs as root in the emulated machine of `tests/vm`, whose two controllers are loops of cable: what a program here
 //! is as a USB device, another one here is the host of.
@@ -10,6 +11,7 @@ mod ledger;
 mod odd;
 mod recorder;
 mod scenarios;
+mod service;
 mod simulator;
 mod table;
 
@@ -26,13 +28,21 @@ type Scenario = fn() -> Measured;
 /// A part of a scenario's name a line: only those that have one of them in it. None: all.
 const WANTED: &str = "/arguments";
 
+/// Says that the guest has systemd.
+const KIND: &str = "/kind";
+
 fn main() -> ExitCode {
     let Ok(wanted) = std::fs::read_to_string(WANTED) else {
         println!("this runs in the emulated machine: tests/vm/run usb");
         return ExitCode::from(2);
     };
     let wanted: Vec<&str> = wanted.lines().collect();
-    let names = || scenarios::ALL.iter().map(|(name, _)| *name);
+    let has_systemd = std::path::Path::new(KIND).exists();
+    let (all, prepare) = match has_systemd {
+        true => (service::ALL, service::prepare as fn() -> anyhow::Result<()>),
+        false => (scenarios::ALL, attached::set_our_rules as _),
+    };
+    let names = || all.iter().map(|(name, _)| *name);
     if let Some(part) = wanted.iter().find(|part| !names().any(|name| name.contains(**part))) {
         println!("no scenario has '{part}' in its name; there are:");
         names().for_each(|name| println!("  {name}"));
@@ -40,9 +50,9 @@ fn main() -> ExitCode {
         return ExitCode::FAILURE;
     }
     let mut table = Table::default();
-    for (name, scenario) in scenarios::ALL {
+    for (name, scenario) in all {
         if wanted.is_empty() || wanted.iter().any(|part| name.contains(part)) {
-            table.run(name, *scenario);
+            table.run(name, prepare, *scenario);
         }
     }
     table.print();

@@ -2,10 +2,7 @@
 
 use std::time::Instant;
 
-use crate::{
-    Measured, Scenario,
-    attached::{our_rules, set_rules},
-};
+use crate::{Measured, Scenario};
 
 #[derive(Default)]
 pub(crate) struct Table {
@@ -19,11 +16,16 @@ struct Row {
 }
 
 impl Table {
-    pub(crate) fn run(&mut self, name: &'static str, scenario: Scenario) {
+    /// `prepare` makes each begin alike, whatever the one before left.
+    pub(crate) fn run(
+        &mut self,
+        name: &'static str,
+        prepare: fn() -> anyhow::Result<()>,
+        scenario: Scenario,
+    ) {
         println!("-- {name}");
         let started = Instant::now();
-        // Each begins with our rules in place, whatever the one before left.
-        let result = our_rules().and_then(|ours| set_rules(Some(&ours))).and_then(|()| scenario());
+        let result = prepare().and_then(|()| scenario());
         let seconds = started.elapsed().as_secs_f64();
         match &result {
             Ok(measured) => println!("   {measured} ({seconds:.1} s)"),

@@ -1,20 +1,47 @@
 """The programs under test, as cargo builds them for this machine."""
 
 import json
+import os
+import shutil
 import subprocess
 from pathlib import Path
+
+from . import Absent
 
 ROOT = Path(__file__).resolve().parents[3]
 
 
 def programs() -> list[Path]:
     """mocapd, mocapd-sim and the guest's program. An empty list is an error of cargo's, which it has told."""
+    return built("-p", "mocapd", "-p", "mocapd-simulator", "--bins", "--example", "vm-guest")
+
+
+def built(*what: str) -> list[Path]:
     command = ["cargo", "build", "--release", "--locked", "--message-format=json-render-diagnostics"]
-    what = ["-p", "mocapd", "-p", "mocapd-simulator", "--bins", "--example", "vm-guest"]
-    done = subprocess.run(command + what, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
+    done = subprocess.run([*command, *what], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
     found = []
     for line in done.stdout.splitlines():
         message = json.loads(line)
         if message.get("executable"):
             found.append(Path(message["executable"]))
     return found
+
+
+def hanging(folder: Path) -> Path:
+    """mocapd with the hooks that make it hang, into a folder: in cargo's own the next build takes its place."""
+    program = next(path for path in built("-p", "mocapd", "--bins", "--features", "fault-hooks") if path.name == "mocapd")
+    return Path(shutil.copy2(program, folder / "mocapd-hanging"))
+
+
+def guest() -> Path:
+    return next(path for path in built("-p", "mocapd", "--example", "vm-guest") if path.name == "vm-guest")
+
+
+def package(folder: Path, cargo_deb: list[Path]) -> Path:
+    """The Debian package. `cargo_deb` are folders where cargo-deb may be, beside the usual ones."""
+    places = os.pathsep.join([*map(str, cargo_deb), os.environ.get("PATH", "")])
+    if shutil.which("cargo-deb", path=places) is None:
+        raise Absent("cargo-deb is not here: cargo install --locked cargo-deb")
+    done = subprocess.run([ROOT / "systemd/deb/build", folder], env=dict(os.environ, PATH=places), cwd=ROOT,
+                          stdout=subprocess.PIPE, text=True, check=True)
+    return Path(done.stdout.splitlines()[-1])

@@ -83,6 +83,31 @@ def write(path: Path, unpacked: Unpacked, programs: list[Path], arguments: list[
     archive.close()
 
 
+def write_system(path: Path, root: Path, unpacked: Unpacked, files: dict[str, Path], arguments: list[str]) -> None:
+    """The same for a guest that boots systemd: its whole root, and `files` in it by their names there."""
+    archive = Archive(path)
+    archive.entry("dev", stat.S_IFDIR | 0o755)
+    archive.entry("dev/console", stat.S_IFCHR | 0o600, device=(5, 1))
+    archive.program("bin/busybox", unpacked.guest / "bin" / "busybox")
+    archive.program("init", Path(__file__).parents[1] / "guest" / "init-systemd")
+    for name, file in files.items():
+        archive.file(f"new/{name}", file.read_bytes(), 0o755)
+    archive.file("new/arguments", "\n".join(arguments).encode())
+    archive.file("new/kind", b"systemd")
+    modules(archive, unpacked, "new/")
+    for place, folders, names in os.walk(root):
+        inside = Path("new") / Path(place).relative_to(root)
+        archive.folder(str(inside))
+        for name in folders + names:
+            file = Path(place) / name
+            mode = file.lstat().st_mode
+            if stat.S_ISLNK(mode):
+                archive.link(str(inside / name), os.readlink(file))
+            elif stat.S_ISREG(mode):
+                archive.file(str(inside / name), file.read_bytes(), stat.S_IMODE(mode))
+    archive.close()
+
+
 def libraries(archive: Archive, unpacked: Unpacked, programs: list[Path]) -> None:
     """What the programs ask for, from this machine or from the packages."""
     folders = [unpacked.guest / f"{part}lib/x86_64-linux-gnu{sub}" for part in ("", "usr/") for sub in ("", "/systemd")]
@@ -100,10 +125,10 @@ def libraries(archive: Archive, unpacked: Unpacked, programs: list[Path]) -> Non
                 archive.program(place.lstrip("/"), Path(path).resolve())
 
 
-def modules(archive: Archive, unpacked: Unpacked) -> None:
+def modules(archive: Archive, unpacked: Unpacked, under: str = "") -> None:
     for number, module in enumerate(kernel.modules(unpacked.modules)):
-        name = f"modules/{number:02}-{module.name}"
+        name = f"{under}modules/{number:02}-{module.name}"
         archive.file(f"{name}.ko", module.data)
         archive.file(f"{name}.parameters", module.parameters.encode())
     for module in kernel.modules(unpacked.modules, kernel.EXTRA):
-        archive.file(f"modules/extra/{module.name}.ko", module.data)
+        archive.file(f"{under}modules/extra/{module.name}.ko", module.data)

@@ -45,7 +45,7 @@ def fetch(cache: Path) -> Unpacked:
         for name in (KERNEL, EMULATOR, *GUEST):
             if not run("apt-cache", "madison", name):
                 raise Absent(f"apt knows no package {name}: run `apt-get update`")
-        empty(cache, done)
+        empty(cache, done, FOLDERS)
         release = kernel_package().removeprefix("linux-image-")
         unpack(cache / "emulator", [EMULATOR] + missing(EMULATOR))
         unpack(cache / "guest", GUEST + missing(*GUEST))
@@ -61,9 +61,9 @@ def programs_hash() -> str:
     return hashlib.sha256(b"".join(program.read_bytes() for program in programs)).hexdigest()
 
 
-def empty(cache: Path, done: Path) -> None:
+def empty(cache: Path, done: Path, folders: tuple[str, ...]) -> None:
     """Removes what an earlier run made. `done` stands there from the beginning, to tell our folders from others'."""
-    for folder in (cache / name for name in FOLDERS):
+    for folder in (cache / name for name in folders):
         if folder.exists():
             if not done.exists():
                 raise Failed(f"{folder} was not made here: set MOCAPD_VM_CACHE to a folder for this alone")

@@ -1,0 +1,142 @@
+//! The Debian package: what it installs, what it says, and what it leaves.
+
+use std::{fs, os::unix::fs::MetadataExt, path::Path};
+
+use anyhow::{Context, ensure};
+
+use super::rig::{PATIENCE, TAKES, UNIT, User, configure, id_of, ok, run, said, show, start};
+use crate::{Measured, attached::wait_until};
+
+const PACKAGE: &str = "/opt/mocapd.deb";
+
+/// What the unit's exposure must stay below, by `systemd-analyze security`.
+const EXPOSURE_MAX: f64 = 1.5;
+
+/// mode, user, group
+fn owned(path: &str) -> anyhow::Result<(u32, u32, u32)> {
+    let meta = fs::metadata(path).with_context(|| path.to_owned())?;
+    Ok((meta.mode() & 0o7777, meta.uid(), meta.gid()))
+}
+
+pub(crate) fn installs() -> Measured {
+    ok("dpkg", &["-i", PACKAGE])?;
+    let status = ok("dpkg-query", &["-W", "-f", "${Status} ${Version}", "mocapd"])?;
+    ensure!(status.starts_with("install ok installed"), "{status}");
+    let (user, group) = (id_of("mocapd", "/etc/passwd")?, id_of("mocapd", "/etc/group")?);
+    ensure!((1..1000).contains(&user), "a system user: {user}");
+    for folder in ["/var/lib/mocapd", "/run/mocapd"] {
+        ensure!(owned(folder)? == (0o750, 0, group), "{folder}: {:?}", owned(folder)?);
+    }
+    ensure!(Path::new("/etc/mocapd/example.toml").exists(), "no example");
+    let conf_files = ok("dpkg-query", &["-W", "-f", "${Conffiles}", "mocapd"])?;
+    ensure!(conf_files.contains("/etc/mocapd/example.toml"), "no conffile: {conf_files}");
+    let files = ok("dpkg", &["-L", "mocapd"])?;
+    Ok(format!(
+        "{}, {} files and folders",
+        status.rsplit(' ').next().unwrap_or("?"),
+        files.lines().count()
+    ))
+}
+
+pub(crate) fn units() -> Measured {
+    for unit in ["mocapd@sim.service", "mocapd-sim@sim.service"] {
+        // Without the option an unknown key is no error. `man` is not in this machine, nor are its pages looked at.
+        let arguments = ["verify", "--recursive-errors=no", "--man=no", unit];
+        let output = run(User::Root, "systemd-analyze", &arguments)?;
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        said(&output, "systemd-analyze", &arguments)?;
+        ensure!(stderr.is_empty(), "{unit}: {stderr}");
+    }
+    configure("")?;
+    start()?;
+    let mut figures = Vec::new();
+    for unit in ["mocapd@sim.service", "mocapd-sim@sim.service"] {
+        let table = ok("systemd-analyze", &["security", "--no-pager", unit])?;
+        let last =
+            table.lines().rfind(|line| line.contains("exposure level")).context(table.clone())?;
+        let figure = last.split(':').nth(1).and_then(|words| words.split_whitespace().next());
+        let figure: f64 = figure.context(last.to_owned())?.parse()?;
+        ensure!(figure < EXPOSURE_MAX, "{last}");
+        figures.push(format!("{unit} {figure}"));
+    }
+    Ok(format!("exposure: {}", figures.join(", ")))
+}
+
+pub(crate) fn manual() -> Measured {
+    let help = ok("mocapd", &["--help"])?;
+    let commands: Vec<_> = help
+        .lines()
+        .skip_while(|line| !line.starts_with("Commands:"))
+        .skip(1)
+        .take_while(|line| line.starts_with("  "))
+        .filter_map(|line| line.strip_prefix("  ")?.split_whitespace().next())
+        .filter(|&name| name != "help")
+        .collect();
+    ensure!(commands.len() > 5, "{help}");
+    for name in &commands {
+        let page = format!("/usr/share/man/man1/mocapd-{name}.1.gz");
+        ensure!(Path::new(&page).exists(), "no {page}");
+    }
+    for file in [
+        "bash-completion/completions/mocapd",
+        "zsh/vendor-completions/_mocapd",
+        "fish/vendor_completions.d/mocapd.fish",
+    ] {
+        let text = fs::read_to_string(Path::new("/usr/share").join(file)).context(file)?;
+        for name in &commands {
+            ensure!(text.contains(name), "{file} knows no {name}");
+        }
+    }
+    ok("bash", &["-n", "/usr/share/bash-completion/completions/mocapd"])?;
+    Ok(format!("{} pages, and three shells know them", commands.len()))
+}
+
+pub(crate) fn doctor() -> Measured {
+    configure("")?;
+    start()?;
+    let seen = |user| -> anyhow::Result<String> {
+        let output = run(user, "mocapd", &["doctor", "--dir", "/tmp"])?;
+        Ok(String::from_utf8_lossy(&output.stdout).into_owned())
+    };
+    let member = seen(User::Member)?;
+    let line = |text: &str, what: &str| -> anyhow::Result<String> {
+        let found = text.lines().find(|line| line.contains(what));
+        Ok(found.with_context(|| format!("no '{what}' in: {text}"))?.to_owned())
+    };
+    let service = line(&member, "mocapd@sim")?;
+    ensure!(service.starts_with("good") && service.contains("runs"), "{service}");
+    ensure!(line(&member, "sudo systemctl enable mocapd@sim").is_ok(), "{member}");
+    let stranger = seen(User::Stranger)?;
+    line(&stranger, "sudo usermod -aG mocapd")?;
+    ok("systemctl", &["stop", UNIT])?;
+    let stopped = seen(User::Member)?;
+    line(&stopped, "sudo systemctl enable --now mocapd@sim")?;
+    Ok(service.split_whitespace().collect::<Vec<_>>().join(" "))
+}
+
+/// An upgrade keeps what was edited and cuts no take; a removal stops the service and keeps takes.
+pub(crate) fn removed() -> Measured {
+    let example = "/etc/mocapd/example.toml";
+    let edited = format!("{}\n# edited\n", fs::read_to_string(example)?);
+    fs::write(example, &edited)?;
+    configure("")?;
+    start()?;
+    let pid = show(UNIT, "MainPID")?;
+    let said = ok("dpkg", &["-i", PACKAGE])?;
+    ensure!(show(UNIT, "MainPID")? == pid, "an upgrade restarted it");
+    ensure!(said.contains("systemctl restart mocapd@sim.service"), "{said}");
+    ensure!(fs::read_to_string(example)? == edited, "the edited file is gone");
+    ok("dpkg", &["-r", "mocapd"])?;
+    wait_until("the service's end", PATIENCE, || {
+        (show(UNIT, "ActiveState").ok()? != "active").then_some(())
+    })?;
+    ensure!(!Path::new("/usr/bin/mocapd").exists(), "the program is there");
+    ensure!(fs::read_to_string(example)? == edited, "a removal took the configuration");
+    let takes = super::rig::takes()?.len();
+    ensure!(takes > 0, "no take to keep");
+    let said = ok("dpkg", &["-P", "mocapd"])?;
+    ensure!(super::rig::takes()?.len() == takes, "a purge took takes");
+    ensure!(said.contains("takes in /var/lib/mocapd are kept"), "{said}");
+    ensure!(!Path::new(example).exists(), "a purge left the example");
+    Ok(format!("{takes} takes kept in {TAKES}"))
+}

@@ -1,0 +1,74 @@
+//! A service that is killed, and one whose data plane hangs.
+
+use std::{
+    thread::sleep,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context, ensure};
+
+use super::rig::{
+    PATIENCE, SIM, TAKES, UNIT, User, configure, edit, frames, journal, ok, restarted, run, said,
+    show, start,
+};
+use crate::{Measured, attached::wait_until};
+
+pub(crate) fn killed() -> Measured {
+    configure("")?;
+    start()?;
+    let take = SIM.begin()?;
+    sleep(Duration::from_secs(3));
+    ok("systemctl", &["kill", "-s", "KILL", UNIT])?;
+    let took = restarted(1)?;
+    // The service closes it again, beside itself.
+    let recovered = take.replace(".take", ".recovered.take");
+    let n = wait_until("the take to be recovered", PATIENCE, || frames(&recovered, 0).ok())?;
+    ensure!(n > 100, "{n} frames of the killed take");
+    let next = SIM.begin()?;
+    SIM.end(0)?;
+    for take in [&recovered, &next] {
+        let verified = ["verify", take];
+        said(&run(User::Member, "mocapd", &verified)?, "mocapd", &verified)?;
+    }
+    let took_s = took.as_secs_f64();
+    Ok(format!("up again after {took_s:.1} s, {n} frames recovered, and the next take is sound"))
+}
+
+/// systemd's limit in this scenario; the guest is slow, and the unit's own would take a minute.
+const WATCHDOG_S: u64 = 8;
+
+pub(crate) fn hangs() -> Measured {
+    configure("")?;
+    let mut measured = Vec::new();
+    for whom in ["reader", "worker", "writer"] {
+        edit(&format!(
+            "ExecStart=\nExecStart=/opt/hanging/mocapd run --config /etc/mocapd/sim.toml\n\
+             WatchdogSec={WATCHDOG_S}\nEnvironment=MOCAPD_HANG={whom}"
+        ))?;
+        start()?;
+        let take = SIM.begin()?;
+        sleep(Duration::from_secs(2));
+        let pid = show(UNIT, "MainPID")?;
+        let began = Instant::now();
+        ok("systemctl", &["kill", "--kill-whom=main", "-s", "USR2", UNIT])?;
+        wait_until("the watchdog", PATIENCE, || (show(UNIT, "MainPID").ok()? != pid).then_some(()))
+            .with_context(|| format!("a {whom} that hangs"))?;
+        let noticed_s = began.elapsed().as_secs_f64();
+        restarted(1)?;
+        let lines = journal(UNIT)?;
+        let says = |words: &str| {
+            lines.iter().any(|line| line["MESSAGE"].as_str().unwrap_or("").contains(words))
+        };
+        ensure!(says("Watchdog timeout"), "another end of a {whom} that hangs");
+        ensure!(
+            says(&format!("the {whom} has not moved for")),
+            "nobody said that the {whom} hangs"
+        );
+        let n = frames(&take, 3)?;
+        ensure!(n > 0, "nothing of the take in {TAKES} before it hung");
+        measured.push(format!("{whom} after {noticed_s:.0} s"));
+        ok("systemctl", &["stop", UNIT, "mocapd-sim@sim"])?;
+        ok("systemctl", &["reset-failed"])?;
+    }
+    Ok(format!("WatchdogSec={WATCHDOG_S}: restarted with a hanging {}", measured.join(", ")))
+}
