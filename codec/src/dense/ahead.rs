@@ -3,8 +3,6 @@
 //! Rows of one level are not predicted from one another, so that all that their neighbours in time and the
 //! other channels say of them can be worked out for many rows at once.
 
-use crate::coding::isa::Kernel;
-
 use super::{
     SPAN,
     lattice::{Point, floor, round},
@@ -193,19 +191,11 @@ impl Ahead {
     }
 }
 
-/// Interpolates all rows.
-#[derive(Debug)]
-pub(super) struct Interpolating<'a> {
-    pub(super) ahead: &'a mut Ahead,
-    pub(super) track: &'a Track,
-}
-
-impl Kernel for Interpolating<'_> {
-    type Output = ();
-
+impl Ahead {
+    /// Interpolates all rows.
     #[inline(always)]
-    fn run(self) {
-        let Self { ahead, track } = self;
+    pub(super) fn interpolate(&mut self, track: &Track) {
+        let ahead = self;
         let Sites { n, step, stride, .. } = ahead.sites;
         let (from, to) = ahead.sites.even();
         // The decoded rows around, evenly spaced; what is beyond them counts for nothing.
@@ -223,7 +213,7 @@ impl Kernel for Interpolating<'_> {
             let mut bends = [0.0; LANES];
             for axis in 0..3 {
                 let [befores, lefts, rights, afters] = [0, 1, 2, 3]
-                    .map(|node| lanes::<LANES>(&ahead.nodes[axis], first - from + node));
+                    .map(|node| lanes::<_, LANES>(&ahead.nodes[axis], first - from + node));
                 let (mut expected, mut offs) = ([0.0; LANES], [0.0; LANES]);
                 for i in 0..LANES {
                     let (before, left) = (befores[i], lefts[i]);
@@ -246,20 +236,11 @@ impl Kernel for Interpolating<'_> {
     }
 }
 
-/// What the references say of all rows.
-#[derive(Debug)]
-pub(super) struct Referring<'a> {
-    pub(super) ahead: &'a mut Ahead,
-    pub(super) weave: &'a Weave,
-    pub(super) references: &'a References,
-}
-
-impl Kernel for Referring<'_> {
-    type Output = ();
-
+impl Ahead {
+    /// Adds what the references say of all rows.
     #[inline(always)]
-    fn run(self) {
-        let Self { ahead, weave, references } = self;
+    pub(super) fn refer(&mut self, weave: &Weave, references: &References) {
+        let ahead = self;
         let Sites { n, slot, .. } = ahead.sites;
         let found = references.n.min(REFERENCES);
         for first in (0..n).step_by(LANES) {
@@ -267,8 +248,7 @@ impl Kernel for Referring<'_> {
                 let (mut sums, mut referred) = ([0.0; LANES], [0.0; LANES]);
                 for i in 0..found {
                     let by_channel = &weave.by_channel[references.channels[i]].0;
-                    let residuals: [f32; LANES] =
-                        by_channel[axis][slot + first..].first_chunk().copied().unwrap_or_default();
+                    let residuals: [f32; LANES] = lanes(&by_channel[axis], slot + first);
                     let residuals = residuals.map(f64::from);
                     let (weight, sign) = (references.weights[i], references.signs[i]);
                     for lane in 0..LANES {
@@ -288,7 +268,7 @@ impl Kernel for Referring<'_> {
 
 /// Stores some rows side by side; there is room.
 #[inline(always)]
-pub(super) fn put(values: &mut PerRow, first: usize, lanes: [f64; LANES]) {
+pub(super) fn put(values: &mut [f64], first: usize, lanes: [f64; LANES]) {
     if let Some(values) = values[first..].first_chunk_mut() {
         *values = lanes;
     }
@@ -296,6 +276,8 @@ pub(super) fn put(values: &mut PerRow, first: usize, lanes: [f64; LANES]) {
 
 /// Some rows side by side; the lanes are long enough.
 #[inline(always)]
-pub(super) fn lanes<const N: usize>(values: &[f64], first: usize) -> [f64; N] {
-    values[first..].first_chunk().copied().unwrap_or([0.0; N])
+pub(super) fn lanes<T: Copy + Default, const N: usize>(values: &[T], first: usize) -> [T; N] {
+    let mut lanes = [T::default(); N];
+    lanes.copy_from_slice(&values[first..first + N]);
+    lanes
 }

@@ -2,7 +2,7 @@
 
 use super::{
     code::{Points, TOGETHER},
-    lattice::{Grid, Lattice, Point},
+    lattice::{Grid, Lattice, Point, floor},
     layout::KINDS,
     walk::{Batch, Question, Side},
 };
@@ -17,6 +17,9 @@ pub(super) struct Encoding<'a, 'r> {
     /// The largest square whose root is within the tolerance, and the largest so far by channel.
     pub(super) allowed: f64,
     pub(super) squares: [f64; GROUP_CHANNELS],
+    /// The samples of the rows that are being coded, by axis, and the squares of where they are expected.
+    pub(super) samples: [[f32; TOGETHER]; 3],
+    pub(super) expected: [f64; TOGETHER],
 }
 
 impl Encoding<'_, '_> {
@@ -26,24 +29,34 @@ impl Encoding<'_, '_> {
         bound::squares(self.grid.position(units), sample)
     }
 
-    /// The same of some rows; of those beyond them it says nothing.
+    /// Takes the samples of some rows; of those beyond them, the last one again.
     #[inline(always)]
-    fn all_squares(&self, channel: usize, batch: Batch, units: &Points) -> [f64; TOGETHER] {
+    fn gather<const N: usize>(&mut self, channel: usize, batch: Batch) {
         let rows = self.channels[channel].positions();
-        let mut samples = [[0.0_f32; TOGETHER]; 3];
-        for i in 0..batch.n.min(TOGETHER) {
-            let sample = rows[batch.row(i)];
+        let mut samples = [[0.0_f32; N]; 3];
+        // All of them, however few are asked for: they are put together in registers.
+        for i in 0..N {
+            let sample = rows[batch.row(i.min(batch.n - 1))];
             for (axis, coordinate) in samples.iter_mut().zip(sample) {
                 axis[i] = coordinate;
             }
         }
+        for (taken, axis) in self.samples.iter_mut().zip(&samples) {
+            taken[..N].copy_from_slice(axis);
+        }
+    }
+
+    /// As [`squares`](Self::squares), of the rows whose samples were taken last.
+    #[inline(always)]
+    fn all_squares<const N: usize>(&self, units: &Points<N>) -> [f64; N] {
         let positions = self.grid.positions(units);
-        std::array::from_fn(|i| {
-            let [x, y, z]: [f64; 3] = std::array::from_fn(|axis| {
-                f64::from(positions[axis][i]) - f64::from(samples[axis][i])
-            });
-            x * x + y * y + z * z
-        })
+        let mut squares = [0.0; N];
+        for i in 0..N {
+            let [x, y, z] = [0, 1, 2]
+                .map(|axis| f64::from(positions[axis][i]) - f64::from(self.samples[axis][i]));
+            squares[i] = x * x + y * y + z * z;
+        }
+        squares
     }
 
     /// Of the lattice points around the sample that are inside the ball, the one with the fewest bits, and
@@ -53,85 +66,134 @@ impl Encoding<'_, '_> {
         let Question { prediction, lattice, .. } = *question;
         let units = self.grid.units(sample);
         let step = question.step as f64;
-        let off: [f64; 3] = std::array::from_fn(|axis| (units[axis] - prediction[axis]) / step);
-        let activity = question.activity.map(|activity| f64::from(activity) / 256.0);
-        let first = activity.map(|activity| 0.6 / (activity + 0.3));
+        let (mut off, mut slope, mut first) = ([0.0; AXES], [0.0; AXES], [0.0; AXES]);
+        for axis in 0..3 {
+            off[axis] = (units[axis] - prediction[axis]) / step;
+            slope[axis] = f64::from(question.activity[axis]) / 256.0;
+        }
+        for axis in 0..AXES {
+            first[axis] = 0.6 / (slope[axis] + 0.3);
+            slope[axis] = 1.44 / (slope[axis] + 0.35);
+        }
         let miss = if question.last_level { LAST_MISS } else { MISS[question.kind] };
         let limit = 256.0 / step * (256.0 / step) * 1.01;
-        let centred = lattice == Lattice::Centred;
-        let mut axes = [[Around::default(); 3]; 2];
-        let mut costs = [[f64::INFINITY; 8]; 2];
-        for odd in 0..=usize::from(centred) {
-            for axis in 0..3 {
-                let first = if odd == 1 { 0.0 } else { first[axis] };
-                axes[odd][axis] = Around::new((lattice, odd), off[axis], activity[axis], first);
-            }
-            let [x, y, z] = &axes[odd];
-            for (corner, cost) in costs[odd].iter_mut().enumerate() {
-                let [i, j, k] = [0, 1, 2].map(|axis| corner >> axis & 1);
-                let squares = x.squares[i] + y.squares[j] + z.squares[k];
-                let bits = miss * squares / limit + x.bits[i] + y.bits[j] + z.bits[k];
-                *cost = if squares <= limit { bits } else { f64::INFINITY };
-            }
-        }
+        let price = miss / limit;
+        let mut costs = [f64::INFINITY; 2 * CORNERS];
+        let mut around = [Around::default(); 2];
+        let n = if lattice == Lattice::Centred {
+            around[0] = Around::new::<true>(0.0, &off, &slope, &first);
+            around[1] = Around::new::<true>(1.0, &off, &slope, &[0.0; AXES]);
+            around[0].price(price, limit, &mut costs[..CORNERS]);
+            around[1].price(price, limit, &mut costs[CORNERS..]);
+            2 * CORNERS
+        } else {
+            around[0] = Around::new::<false>(0.0, &off, &slope, &first);
+            around[0].price(price, limit, &mut costs[..CORNERS]);
+            CORNERS
+        };
         // The cheapest that is truly inside, the first of equals.
-        let costs = costs.as_flattened_mut();
-        let n = if centred { 16 } else { 8 };
         loop {
-            let mut best = (f64::INFINITY, 0);
-            for (corner, &cost) in costs[..n].iter().enumerate() {
-                best = if cost < best.0 { (cost, corner) } else { best };
-            }
-            let (cost, corner) = best;
+            let (cost, corner) = cheapest(&costs[..n]);
             if cost == f64::INFINITY {
                 return [0; 3];
             }
-            let around = &axes[corner >> 3];
-            let steps: Point = [0, 1, 2].map(|axis| around[axis].steps[corner >> axis & 1]);
-            let point: [f64; 3] = std::array::from_fn(|axis| {
-                (prediction[axis] as i64 + steps[axis] * question.step) as f64
-            });
+            let steps = around[corner / CORNERS].corner(corner % CORNERS);
+            let point = std::array::from_fn(|axis| prediction[axis] + steps[axis] * step);
             if self.squares(sample, point) <= self.allowed {
-                return steps;
+                return steps.map(|steps| steps as i64);
             }
             costs[corner] = f64::INFINITY;
         }
     }
 }
 
-/// What one axis of the lattice points on both sides of the sample says.
+/// Axes side by side: three, and one to fill the lanes.
+const AXES: usize = 4;
+/// Of the cell that a sample is in.
+const CORNERS: usize = 8;
+
+/// What the axes of the lattice points on both sides of the sample say.
 #[derive(Debug, Clone, Copy, Default)]
 struct Around {
-    steps: [i64; 2],
+    /// Below the sample and above it, whole numbers.
+    steps: [[f64; AXES]; 2],
     /// The squares of their distances from the sample, in steps.
-    squares: [f64; 2],
-    bits: [f64; 2],
+    squares: [[f64; AXES]; 2],
+    bits: [[f64; AXES]; 2],
 }
 
 impl Around {
-    /// `activity` is what the magnitudes have lately been on average, `first` what the first step costs.
+    /// Of the points whose coordinates are all `odd` or all even, or of any; a magnitude costs `slope` for each
+    /// step, and `first` for the first one.
     #[inline(always)]
-    fn new((lattice, odd): (Lattice, usize), off: f64, activity: f64, first: f64) -> Self {
-        let (steps, magnitudes) = match lattice {
-            Lattice::Cubic => {
-                let below = floor(off);
-                let steps = [below, below + 1];
-                (steps, steps.map(i64::abs))
+    fn new<const CENTRED: bool>(
+        odd: f64,
+        off: &[f64; AXES],
+        slope: &[f64; AXES],
+        first: &[f64; AXES],
+    ) -> Self {
+        let mut around = Self::default();
+        for side in 0..2 {
+            for axis in 0..AXES {
+                let (steps, magnitude) = if CENTRED {
+                    let below = 2.0 * floor((off[axis] - odd) * 0.5) + odd;
+                    let steps = below + 2.0 * side as f64;
+                    (steps, floor((steps.abs() + 1.0) * 0.5))
+                } else {
+                    let steps = floor(off[axis]) + side as f64;
+                    (steps, steps.abs())
+                };
+                let miss = steps - off[axis];
+                let bits = magnitude * slope[axis] + first[axis];
+                around.steps[side][axis] = steps;
+                around.squares[side][axis] = miss * miss;
+                around.bits[side][axis] = if magnitude == 0.0 { 0.0 } else { bits };
             }
-            Lattice::Centred => {
-                let odd = odd as i64;
-                let below = 2 * floor((off - odd as f64) / 2.0) + odd;
-                let steps = [below, below + 2];
-                (steps, steps.map(|steps| (steps.abs() + 1) / 2))
-            }
-        };
-        let misses = steps.map(|steps| steps as f64 - off);
-        let bits = magnitudes.map(|magnitude| {
-            let bits = magnitude as f64 * 1.44 / (activity + 0.35) + first;
-            if magnitude == 0 { 0.0 } else { bits }
-        });
-        Self { steps, squares: misses.map(|miss| miss * miss), bits }
+        }
+        around
     }
+
+    /// What the corners cost: x changes from one to the next, then y, then z.
+    #[inline(always)]
+    fn price(&self, price: f64, limit: f64, costs: &mut [f64]) {
+        let of = |values: &[[f64; AXES]; 2], axis: usize| [values[0][axis], values[1][axis]];
+        let [x, y, z] = [0, 1, 2].map(|axis| (of(&self.squares, axis), of(&self.bits, axis)));
+        for (k, costs) in costs.chunks_exact_mut(4).enumerate().take(2) {
+            let mut squares = [0.0; 4];
+            for (lane, squares) in squares.iter_mut().enumerate() {
+                *squares = x.0[lane & 1] + y.0[lane >> 1] + z.0[k];
+            }
+            for (lane, cost) in costs.iter_mut().enumerate() {
+                let bits = squares[lane] * price + x.1[lane & 1] + y.1[lane >> 1] + z.1[k];
+                *cost = if squares[lane] <= limit { bits } else { f64::INFINITY };
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn corner(&self, corner: usize) -> [f64; 3] {
+        [0, 1, 2].map(|axis| self.steps[corner >> axis & 1][axis])
+    }
+}
+
+/// The smallest of some costs, a multiple of four, and which it is: the first of equals.
+#[inline(always)]
+fn cheapest(costs: &[f64]) -> (f64, usize) {
+    let (mut least, mut places) = ([f64::INFINITY; 4], [0; 4]);
+    for (place, costs) in costs.chunks_exact(4).enumerate() {
+        for lane in 0..4 {
+            let better = costs[lane] < least[lane];
+            least[lane] = if better { costs[lane] } else { least[lane] };
+            places[lane] = if better { place } else { places[lane] };
+        }
+    }
+    let mut best = (least[0], 4 * places[0]);
+    for lane in 1..4 {
+        let own = (least[lane], 4 * places[lane] + lane);
+        let better = own.0 < best.0 || own.0 == best.0 && own.1 < best.1;
+        best = if better { own } else { best };
+    }
+    best
 }
 
 /// What a miss costs against the bits of the steps, by kind of row: the more rows are predicted from it, the
@@ -178,26 +240,45 @@ impl<'a> Side for Encoding<'a, '_> {
     }
 
     #[inline(always)]
-    fn outside(&mut self, channel: usize, batch: Batch, predictions: &Points) -> u32 {
-        let squares = self.all_squares(channel, batch, predictions);
-        let inside = squares.map(|squares| squares <= self.allowed);
-        (0..batch.n).fold(0, |bits, i| bits | u32::from(!inside[i]) << i)
+    fn outside<const N: usize>(
+        &mut self,
+        channel: usize,
+        batch: Batch,
+        predictions: &Points<N>,
+    ) -> u32 {
+        self.gather::<N>(channel, batch);
+        let squares = self.all_squares(predictions);
+        self.expected[..N].copy_from_slice(&squares);
+        let mut bits = 0;
+        for (i, squares) in squares.into_iter().enumerate() {
+            bits |= u32::from(squares > self.allowed) << i;
+        }
+        bits
     }
 
     #[inline(always)]
-    fn settle(&mut self, channel: usize, batch: Batch, points: &Points, kept: u32) {
-        let squares = self.all_squares(channel, batch, points);
+    fn settle<const N: usize>(
+        &mut self,
+        channel: usize,
+        batch: Batch,
+        points: &Points<N>,
+        kept: u32,
+    ) {
+        // First rows come alone and unasked.
+        if N == 1 {
+            self.gather::<N>(channel, batch);
+        }
+        // What is not moved was measured when it was expected.
+        let mut squares = [0.0; N];
+        if kept == 0 {
+            squares.copy_from_slice(&self.expected[..N]);
+        } else {
+            squares = self.all_squares(points);
+        }
         let most = &mut self.squares[channel];
         for square in &squares[..batch.n] {
             *most = most.max(*square);
         }
         self.reports[channel].kept += kept.count_ones();
     }
-}
-
-/// Without a call where the processor has no rounding instruction.
-#[inline(always)]
-fn floor(value: f64) -> i64 {
-    let cut = value as i64;
-    cut - i64::from(cut as f64 > value)
 }

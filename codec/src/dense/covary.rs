@@ -98,8 +98,8 @@ impl Kernel for Covarying<'_> {
             let covariances = &mut self.covariances[class * GROUP_CHANNELS..][..self.n];
             for j in 0..covariances.len() {
                 let (before, from) = covariances.split_at_mut(j);
-                for (other, covariance) in before.iter_mut().zip(from[0]) {
-                    other[j] = covariance;
+                for (other, covariance) in before.iter_mut().zip(&from[0]) {
+                    other[j] = *covariance;
                 }
             }
         }

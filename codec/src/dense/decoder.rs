@@ -1,7 +1,7 @@
 //! The half that only follows.
 
 use super::{
-    code::{Points, TOGETHER},
+    code::Points,
     encoder::STORED,
     lattice::{Fineness, Grid, Point},
     walk::{Batch, Group, Question, Side},
@@ -49,7 +49,7 @@ impl PayloadDecoder for DenseDecoder {
     ) -> Result<(), CodecError> {
         let n_rows = channels.first().map_or(0, |rows| rows.present.len());
         self.present.clear();
-        self.present.extend(channels.iter().flat_map(|rows| rows.present.iter().copied()));
+        channels.iter().for_each(|rows| self.present.extend_from_slice(&rows.present));
         let n_channels = channels.len().min(GROUP_CHANNELS);
         let mut side =
             Decoding { channels, grid: self.group.grid, coder: RangeDecoder::new(payload) };
@@ -126,18 +126,34 @@ impl<'a> Side for Decoding<'a> {
     }
 
     #[inline(always)]
-    fn outside(&mut self, _channel: usize, _batch: Batch, _predictions: &Points) -> u32 {
+    fn outside<const N: usize>(
+        &mut self,
+        _channel: usize,
+        _batch: Batch,
+        _predictions: &Points<N>,
+    ) -> u32 {
         0
     }
 
     #[inline(always)]
-    fn settle(&mut self, channel: usize, batch: Batch, points: &Points, kept: u32) {
+    fn settle<const N: usize>(
+        &mut self,
+        channel: usize,
+        batch: Batch,
+        points: &Points<N>,
+        kept: u32,
+    ) {
         let DecodedRows { positions, kept: flags, .. } = &mut self.channels[channel];
         let [x, y, z] = self.grid.positions(points);
-        for i in 0..batch.n.min(TOGETHER) {
+        for i in 0..batch.n.min(N) {
             let row = batch.row(i);
             positions[row] = [x[i], y[i], z[i]];
-            flags[row] = kept >> i & 1 == 1;
+        }
+        // No row is kept until it is said.
+        let mut kept = kept;
+        while kept != 0 {
+            flags[batch.row(kept.trailing_zeros() as usize)] = true;
+            kept &= kept - 1;
         }
     }
 }

@@ -3,13 +3,14 @@
 use super::{
     DenseDecoder,
     choice::Encoding,
+    code::TOGETHER,
     lattice::{Grid, UNITS_PER_TOLERANCE},
     walk::Group,
 };
 use crate::{
     BlockReport, CodecError, GROUP_CHANNELS, Rows, Tolerance,
     coding::range::{BinaryCoder, RangeEncoder},
-    frame::{PayloadEncoder, count_finite},
+    frame::PayloadEncoder,
 };
 
 /// The odds of a block that is stored raw as a whole, in 2^-16.
@@ -86,12 +87,8 @@ impl PayloadEncoder for DenseEncoder {
         reports: &mut [BlockReport],
     ) -> Result<(), CodecError> {
         let start = out.len();
-        let mut samples = 0;
-        for rows in channels {
-            samples += count_finite(*rows)?;
-        }
         // What is larger is stored raw.
-        let limit = samples * 12;
+        let limit = reports.iter().map(|report| report.samples as usize * 12).sum();
         let n_rows = channels.first().map_or(0, Rows::len);
         let mut side = Encoding {
             channels,
@@ -100,6 +97,8 @@ impl PayloadEncoder for DenseEncoder {
             reports,
             allowed: largest_square(self.group.grid),
             squares: [0.0; GROUP_CHANNELS],
+            samples: [[0.0; TOGETHER]; 3],
+            expected: [0.0; TOGETHER],
         };
         side.coder.split(STORED, false);
         let mut present: [Option<&[bool]>; GROUP_CHANNELS] = [None; GROUP_CHANNELS];

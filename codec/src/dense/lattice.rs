@@ -6,7 +6,7 @@
 //! packings, lattices and groups, chapter 4). The second needs 0.9 bits less for a long vector, the first
 //! has more points close to zero.
 
-use super::code::{Points, TOGETHER};
+use super::code::Points;
 use crate::{Position, Tolerance};
 
 /// Units per tolerance. A power of two: the unit is then exact in f64.
@@ -41,8 +41,14 @@ impl Grid {
 
     /// The same for some rows, by axis.
     #[inline(always)]
-    pub(super) fn positions(&self, units: &Points) -> [[f32; TOGETHER]; 3] {
-        units.map(|axis| axis.map(|units| (units * self.unit_mm) as f32))
+    pub(super) fn positions<const N: usize>(&self, units: &Points<N>) -> [[f32; N]; 3] {
+        let mut positions = [[0.0; N]; 3];
+        for axis in 0..3 {
+            for i in 0..N {
+                positions[axis][i] = (units[axis][i] * self.unit_mm) as f32;
+            }
+        }
+        positions
     }
 
     /// A sample in units, not rounded.
@@ -67,10 +73,15 @@ impl Grid {
     }
 }
 
-/// Whether decoded coordinates can have come from an encoder.
+/// Whether the first `n` of some decoded points can have come from an encoder.
 #[inline(always)]
-pub(super) fn in_range(units: &[f64]) -> bool {
-    units.iter().fold(true, |in_range, units| in_range & (units.abs() <= MAX_DECODED))
+pub(super) fn in_range<const N: usize>([x, y, z]: &Points<N>, n: usize) -> bool {
+    let mut in_range = [true; N];
+    for i in 0..N {
+        in_range[i] =
+            (x[i].abs() <= MAX_DECODED) & (y[i].abs() <= MAX_DECODED) & (z[i].abs() <= MAX_DECODED);
+    }
+    in_range.iter().enumerate().fold(true, |all, (i, in_range)| all & (*in_range | (i >= n)))
 }
 
 /// How much of the tolerance is left for the rounding to float32.

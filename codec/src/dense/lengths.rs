@@ -8,6 +8,7 @@ use crate::GROUP_CHANNELS;
 
 use super::{
     SPAN,
+    ahead::LANES,
     lattice::UNITS_PER_TOLERANCE,
     layout::{INTERPOLATED, KINDS},
 };
@@ -19,6 +20,8 @@ pub(super) const LENGTH_UNITS: f64 = UNITS_PER_TOLERANCE as f64;
 pub(super) const PARTNERS: usize = 3;
 /// Earlier channels whose distance is followed: the nearest.
 const NEAR: usize = 6;
+/// As many side by side, and some to fill the last lanes.
+pub(super) const NEAR_LANES: usize = NEAR.next_multiple_of(LANES);
 /// Distances seen before a pair counts.
 const LEAST_SEEN: f64 = 6.0;
 /// How far back the spread of a distance remembers, in rows.
@@ -39,17 +42,18 @@ pub(super) struct Spread {
 }
 
 impl Spread {
-    /// Learns how far the distance was from where its neighbours in time put it; nothing where one of the two
-    /// is not known.
+    /// Some pairs learn how far their distance was from where its neighbours in time put it; nothing where that is
+    /// not known.
     #[inline(always)]
-    pub(super) fn learn(&mut self, distance: f64, length: f64) {
-        let off = (distance - length).abs();
-        if off.is_nan() {
-            return;
+    pub(super) fn learn(pairs: &mut [Self; NEAR_LANES], offs: [f64; NEAR_LANES]) {
+        for (pair, off) in pairs.iter_mut().zip(offs) {
+            let Self { variance, seen } = *pair;
+            let cut = if off < MAX_DIFFERENCE { off } else { MAX_DIFFERENCE };
+            let rows = if seen < MEMORY_ROWS { seen } else { MEMORY_ROWS };
+            let learnt = variance + (cut * cut - variance) / (rows + 1.0);
+            pair.variance = if off.is_nan() { variance } else { learnt };
+            pair.seen = if off.is_nan() { seen } else { seen + 1.0 };
         }
-        let off = off.min(MAX_DIFFERENCE);
-        self.variance += (off * off - self.variance) / (self.seen.min(MEMORY_ROWS) + 1.0);
-        self.seen += 1.0;
     }
 }
 

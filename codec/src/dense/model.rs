@@ -11,29 +11,37 @@ use super::{
 };
 use crate::coding::range::BinaryCoder;
 
-/// A probability of a bit being set in the upper 16 bits, and how many bits it rests on in the lower: one
-/// word, since it is read and written as one.
+/// What is expected of a bit. Read and written as one, and aligned for it.
 #[derive(Debug, Clone, Copy)]
-struct Context(u32);
+#[repr(align(8))]
+struct Context {
+    /// Its probability of being set in the upper 16 bits, and how many bits that rests on in the lower.
+    state: u32,
+    /// Of the probability: worked out when a bit has been seen, the next one need not wait for it.
+    logit: i32,
+}
 
 impl Context {
     fn new(probability: u16, seen: u8) -> Self {
-        Self(u32::from(probability) << 16 | u32::from(seen))
+        let logit = logistic::logit(probability);
+        Self { state: u32::from(probability) << 16 | u32::from(seen), logit }
     }
 
     #[inline(always)]
     fn probability(self) -> u16 {
-        (self.0 >> 16) as u16
+        (self.state >> 16) as u16
     }
 
     /// After one more bit.
     #[inline(always)]
     fn after(self, bit: bool) -> Self {
-        let (probability, seen) = (self.0 >> 16, self.0 as usize % MOVES.len());
-        let target = if bit { 65535_u32 } else { 0 };
+        let (probability, seen) = (self.state >> 16, self.state as usize % MOVES.len());
+        // 65535 or 0, without a branch: the bit is what nobody knows.
+        let target = 0_u32.wrapping_sub(u32::from(bit)) >> 16;
         // Below nothing, too, the upper half of the product is the step, rounded down; the sum is in range.
         let step = target.wrapping_sub(probability).wrapping_mul(MOVES[seen]) & !0xffff;
-        Self(self.0.wrapping_add(step) + u32::from(seen < MOVES.len() - 1))
+        let state = self.state.wrapping_add(step) + u32::from(seen < MOVES.len() - 1);
+        Self { state, logit: logistic::logit((state >> 16) as u16) }
     }
 }
 
@@ -86,7 +94,7 @@ pub(super) struct Model {
 impl Model {
     pub(super) fn new() -> Self {
         let mut model = Self {
-            contexts: Box::new([Context(0); N_CONTEXTS]),
+            contexts: Box::new([Context { state: 0, logit: 0 }; N_CONTEXTS]),
             mixers: Box::new([Mixer { weights: [0; 3], seen: 0 }; N_MIXERS]),
             #[cfg(feature = "training")]
             tally: super::training::Tally::new(),
@@ -118,7 +126,7 @@ impl Model {
         bit: bool,
     ) -> bool {
         let seen = contexts.map(|index| self.contexts[index]);
-        let logits = seen.map(|context| logistic::logit(context.probability()));
+        let logits = seen.map(|context| context.logit);
         let weighing = &mut self.mixers[mixer];
         let mut sum = 0;
         for (&logit, weight) in logits.iter().zip(weighing.weights) {

@@ -2,44 +2,63 @@
 
 use super::{
     ahead::{LANES, PerRow, ROOM, Sites, lanes, put},
-    lengths::{EVERY, LENGTH_UNITS, NearRows, SpanRows, Spread, distance},
+    lengths::{EVERY, LENGTH_UNITS, NEAR_LANES, Spread, distance},
     track::Track,
     walk::Group,
 };
-use crate::coding::isa::Kernel;
-
 impl Group {
     /// The distances that the partners should have at the rows ahead.
+    #[inline(always)]
     pub(super) fn expect_lengths(&mut self, channel: usize) {
         let (partners, n) = self.lengths.partners(channel);
-        self.isa.run(Expecting {
-            pairs: Pairs::new(&self.ahead.sites, &self.tracks, channel),
-            partners: &partners[..n],
-            known: self.lengths.partner_distances(channel),
-            lengths: &mut self.ahead.lengths,
-        });
+        let pairs = Pairs::new(&self.ahead.sites, &self.tracks, channel);
+        let known = self.lengths.partner_distances(channel);
+        for ((&k, known), lengths) in partners[..n].iter().zip(known).zip(&mut self.ahead.lengths) {
+            pairs.expect(k, (known, 1), lengths);
+        }
     }
 
     /// The distances to the partners at the rows that were just coded, for the levels below.
+    #[inline(always)]
     pub(super) fn remember_lengths(&mut self, channel: usize) {
         let (partners, n) = self.lengths.partners(channel);
-        self.isa.run(Remembering {
-            pairs: Pairs::new(&self.ahead.sites, &self.tracks, channel),
-            partners: &partners[..n],
-            known: self.lengths.partner_distances(channel),
-        });
+        let pairs = Pairs::new(&self.ahead.sites, &self.tracks, channel);
+        let known = self.lengths.partner_distances(channel);
+        for (&k, known) in partners[..n].iter().zip(known) {
+            for first in (0..pairs.sites.n).step_by(LANES) {
+                let found = pairs.found(k, first);
+                pairs.remember((known, 1), first, found);
+            }
+        }
     }
 
     /// Learns from the rows that were just coded how steady the distances to the nearest channels are.
+    #[inline(always)]
     pub(super) fn learn_lengths(&mut self, channel: usize) {
         let (near, n) = self.lengths.near(channel);
+        let pairs = Pairs::new(&self.ahead.sites, &self.tracks, channel);
         let (known, spreads) = self.lengths.near_distances(channel);
-        self.isa.run(Learning {
-            pairs: Pairs::new(&self.ahead.sites, &self.tracks, channel),
-            near: &near[..n],
-            known,
-            spreads,
-        });
+        let mut lengths = [0.0; ROOM];
+        // By channel and row.
+        let mut offs = [[f64::NAN; LANES]; NEAR_LANES];
+        let mut learning = [Spread::default(); NEAR_LANES];
+        for (slot, (&k, known)) in near[..n].iter().zip(known).enumerate() {
+            pairs.expect(k, (known, EVERY), &mut lengths);
+            let found = pairs.found(k, 0);
+            let expected: [f64; LANES] = lanes(&lengths, 0);
+            for i in 0..LANES {
+                offs[slot][i] = (found[i] - expected[i]).abs();
+            }
+            learning[slot] = spreads[k];
+            pairs.remember((known, EVERY), 0, found);
+        }
+        // The levels that are learnt from have no more rows than that.
+        for row in 0..pairs.sites.n.min(LANES) {
+            Spread::learn(&mut learning, offs.map(|rows| rows[row]));
+        }
+        for (&k, spread) in near[..n].iter().zip(learning) {
+            spreads[k] = spread;
+        }
     }
 }
 
@@ -87,17 +106,19 @@ impl<'a> Pairs<'a> {
         }
         let last = at(end);
         let (from, to) = self.whole;
-        let mut nodes = [0.0; ROOM];
         let mut place = (self.sites.at(from) - stride - before) / every;
-        for node in &mut nodes[..(to + 1 - from).min(ROOM)] {
-            *node = known[place % N];
-            place += step / every;
-        }
-        for i in (0..to - from).step_by(LANES) {
-            let firsts: [f64; LANES] = lanes(&nodes, i);
-            let lasts: [f64; LANES] = lanes(&nodes, i + 1);
-            let middle = std::array::from_fn(|i| firsts[i] + (lasts[i] - firsts[i]) * 0.5);
-            put(lengths, from + i, middle);
+        let beside = step / every;
+        for first in (from..to).step_by(LANES) {
+            let mut nodes = [0.0; LANES + 1];
+            for (i, node) in nodes.iter_mut().enumerate() {
+                *node = known[(place + i * beside) % N];
+            }
+            place += LANES * beside;
+            let mut middle = [0.0; LANES];
+            for i in 0..LANES {
+                middle[i] = nodes[i] + (nodes[i + 1] - nodes[i]) * 0.5;
+            }
+            put(lengths, first, middle);
         }
         for i in (0..from).chain(to..n) {
             let (left, right) = self.sites.neighbours(i);
@@ -142,73 +163,6 @@ impl<'a> Pairs<'a> {
         for found in &found[..LANES.min(n - first)] {
             known[place % N] = *found;
             place += step;
-        }
-    }
-}
-
-struct Expecting<'a> {
-    pairs: Pairs<'a>,
-    partners: &'a [usize],
-    known: &'a mut [SpanRows],
-    lengths: &'a mut [PerRow],
-}
-
-impl Kernel for Expecting<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        let Self { pairs, partners, known, lengths } = self;
-        for ((&k, known), lengths) in partners.iter().zip(known).zip(lengths) {
-            pairs.expect(k, (known, 1), lengths);
-        }
-    }
-}
-
-struct Remembering<'a> {
-    pairs: Pairs<'a>,
-    partners: &'a [usize],
-    known: &'a mut [SpanRows],
-}
-
-impl Kernel for Remembering<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        let Self { pairs, partners, known } = self;
-        for (&k, known) in partners.iter().zip(known) {
-            for first in (0..pairs.sites.n).step_by(LANES) {
-                let found = pairs.found(k, first);
-                pairs.remember((known, 1), first, found);
-            }
-        }
-    }
-}
-
-struct Learning<'a> {
-    pairs: Pairs<'a>,
-    near: &'a [usize],
-    known: &'a mut [NearRows],
-    spreads: &'a mut [Spread],
-}
-
-impl Kernel for Learning<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        let Self { pairs, near, known, spreads } = self;
-        // The levels that are learnt from have no more rows.
-        let n = pairs.sites.n.min(LANES);
-        let mut lengths = [0.0; ROOM];
-        for (&k, known) in near.iter().zip(known) {
-            pairs.expect(k, (known, EVERY), &mut lengths);
-            let found = pairs.found(k, 0);
-            for (&length, &distance) in lengths[..n].iter().zip(&found) {
-                spreads[k].learn(distance, length);
-            }
-            pairs.remember((known, EVERY), 0, found);
         }
     }
 }

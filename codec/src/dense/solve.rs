@@ -2,7 +2,7 @@
 
 use crate::{GROUP_CHANNELS, coding::isa::Kernel};
 
-use super::weave::{REFERENCES, References};
+use super::weave::{CLASSES, REFERENCES, References};
 
 /// Every variance is taken to be so much larger: relative, and in squared tolerances.
 const RIDGE: (f64, f64) = (1.15, 2.0);
@@ -21,16 +21,16 @@ pub(super) fn ridged(variance: f64) -> f64 {
 
 /// The references of channel `j` in one class.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Solving<'a> {
-    pub(super) j: usize,
+struct Solving<'a> {
+    j: usize,
     /// Of the class, by channel and channel, both ways around.
-    pub(super) covariances: &'a [Lane],
+    covariances: &'a [Lane],
     /// By channel and channel, both ways around; 1 with itself.
-    pub(super) kernel: &'a [Lane],
+    kernel: &'a [Lane],
     /// The weight of the kernel.
-    pub(super) energy: f64,
+    energy: f64,
     /// One over the variances of the class with their ridge.
-    pub(super) inverse: &'a Lane,
+    inverse: &'a Lane,
 }
 
 /// Channels side by side.
@@ -134,8 +134,9 @@ impl Solving<'_> {
     }
 }
 
-/// Of one channel and class.
-struct Work {
+/// Room to work in: of one channel and class.
+#[derive(Debug)]
+pub(super) struct Work {
     /// Of the channel with those before it.
     alike: Lanes,
     /// Of its references with those.
@@ -144,25 +145,29 @@ struct Work {
     inverse: Lanes,
 }
 
-impl Kernel for Solving<'_> {
-    type Output = References;
+impl Work {
+    pub(super) fn new() -> Self {
+        let none = [[0.0; LANES]; GROUP_CHANNELS / LANES];
+        Self { alike: none, rows: [none; REFERENCES - 1], inverse: none }
+    }
+}
 
+impl Solving<'_> {
     #[inline(always)]
-    fn run(self) -> References {
+    fn solve(&self, work: &mut Work) -> References {
         let j = self.j;
         let own = self.of(j, j);
-        let none = [[0.0; LANES]; GROUP_CHANNELS / LANES];
-        let mut work = Work { alike: none, rows: [none; REFERENCES - 1], inverse: none };
         self.row(j, &mut work.alike);
         work.inverse.as_flattened_mut()[..j].copy_from_slice(&self.inverse[..j]);
+        work.inverse.as_flattened_mut()[j..j.next_multiple_of(LANES)].fill(0.0);
         let mut found = References::default();
         let mut gain = 0.0;
         while found.n < REFERENCES {
             let n = found.n;
             let (most, channel) = match n {
-                0 => self.best::<0>(&work, &found),
-                1 => self.best::<1>(&work, &found),
-                _ => self.best::<2>(&work, &found),
+                0 => self.best::<0>(work, &found),
+                1 => self.best::<1>(work, &found),
+                _ => self.best::<2>(work, &found),
             };
             if most == 0.0 || most < LEAST_GAIN.0 * own {
                 break;
@@ -174,9 +179,9 @@ impl Kernel for Solving<'_> {
             found.channels[n] = channel;
             found.n += 1;
             found.weights = match n {
-                0 => self.weigh::<1>(&work, &found.channels),
-                1 => self.weigh::<2>(&work, &found.channels),
-                _ => self.weigh::<3>(&work, &found.channels),
+                0 => self.weigh::<1>(work, &found.channels),
+                1 => self.weigh::<2>(work, &found.channels),
+                _ => self.weigh::<3>(work, &found.channels),
             };
             gain = (0..=n)
                 .fold(0.0, |sum, i| sum + found.weights[i] * at(&work.alike, found.channels[i]))
@@ -191,6 +196,37 @@ impl Kernel for Solving<'_> {
             found.weights = [0.0; REFERENCES];
         }
         found
+    }
+}
+
+/// The references of a channel in every class.
+#[derive(Debug)]
+pub(super) struct SolvingAll<'a> {
+    pub(super) j: usize,
+    /// By class, channel and channel, both ways around.
+    pub(super) covariances: &'a [Lane],
+    pub(super) kernel: &'a [Lane],
+    /// By class.
+    pub(super) energies: &'a [f64; CLASSES],
+    pub(super) inverse: &'a [Lane; CLASSES],
+    /// By class and channel.
+    pub(super) references: &'a mut [References],
+    pub(super) work: &'a mut Work,
+}
+
+impl Kernel for SolvingAll<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { j, covariances, kernel, energies, inverse, references, work } = self;
+        for class in 0..CLASSES {
+            let of_class = class * GROUP_CHANNELS;
+            let covariances = &covariances[of_class..of_class + GROUP_CHANNELS];
+            let (energy, inverse) = (energies[class], &inverse[class]);
+            let solving = Solving { j, covariances, kernel, energy, inverse };
+            references[of_class + j] = solving.solve(work);
+        }
     }
 }
 

@@ -42,11 +42,11 @@ impl<'a> Side for Scripted<'a> {
         (0, [0; 3])
     }
 
-    fn outside(&mut self, _: usize, _: Batch, _: &Points) -> u32 {
+    fn outside<const N: usize>(&mut self, _: usize, _: Batch, _: &Points<N>) -> u32 {
         u32::MAX
     }
 
-    fn settle(&mut self, _: usize, _: Batch, _: &Points, _: u32) {}
+    fn settle<const N: usize>(&mut self, _: usize, _: Batch, _: &Points<N>, _: u32) {}
 }
 
 fn block(

@@ -4,7 +4,7 @@ use super::{
     SPAN,
     ahead::PADDED,
     anchor::Anchor,
-    code::{Points, TOGETHER, copy},
+    code::{Points, copy},
     lattice::{Fineness, Point},
     layout::KINDS,
     walk::Batch,
@@ -177,21 +177,21 @@ impl Track {
         self.points[row]
     }
 
-    /// Stores the points of some rows, the first of which has the place `slot` in the span.
+    /// Stores the points of some rows, the first of which has the place `slot` in the span. That they are
+    /// known is asked only where runs begin, and said there.
     #[inline(always)]
-    pub(super) fn settle(&mut self, batch: Batch, slot: usize, points: &Points) {
+    pub(super) fn settle<const N: usize>(&mut self, batch: Batch, slot: usize, points: &Points<N>) {
         for (span, axis) in self.span.0.iter_mut().zip(points) {
             copy(axis, &mut span[slot..], batch.n);
         }
         let [x, y, z] = points;
-        for i in 0..batch.n.min(TOGETHER) {
+        for i in 0..batch.n.min(N) {
             let row = batch.at(i);
             self.points[row] = [x[i], y[i], z[i]];
-            self.known[row] = true;
         }
     }
 
-    /// Remembers the magnitudes of a row that was moved. Of others nothing is known so far, and that is what
+    /// Remembers the magnitudes of a row that was moved, and gives them. Of others nothing is known so far, and that is what
     /// zeros say.
     #[inline(always)]
     pub(super) fn keep(
@@ -199,13 +199,14 @@ impl Track {
         (row, slot): (usize, usize),
         steps: Point,
         activity: &mut [i32; 4],
-    ) {
+    ) -> Steps {
         let steps = steps.map(|step| step.clamp(-MAX_ACTIVITY, MAX_ACTIVITY) as i32);
         let short = Steps::new(steps.map(|step| step.clamp(-MAX_STEP, MAX_STEP) as i16));
         self.steps[row] = short;
         self.marks.0[slot] = short.marks();
         let [x, y, z] = steps.map(i32::abs);
         follow(activity, [x, y, z, x + y + z]);
+        short
     }
 }
 

@@ -4,7 +4,10 @@ use super::{
     DenseEncoder,
     layout::{self as is, KINDS, N_CONTEXTS, N_MIXERS},
 };
-use crate::{BlockReport, CodecError, Rows, Tolerance, frame::PayloadEncoder};
+use crate::{
+    BlockReport, CodecError, Rows, Tolerance,
+    frame::{PayloadEncoder, count_finite},
+};
 
 /// The kinds of rows.
 const KIND_NAMES: [&str; KINDS] = [
@@ -132,7 +135,10 @@ pub fn tally(
         let parts = channels.iter().map(part).collect::<Result<Vec<_>, _>>()?;
         let rows = parts.iter().map(|(positions, present)| Rows::new(positions, present));
         let rows = rows.collect::<Result<Vec<_>, _>>()?;
-        let mut reports = vec![BlockReport::default(); rows.len()];
+        let report = |rows: &Rows<'_>| -> Result<_, CodecError> {
+            Ok(BlockReport { samples: count_finite(*rows)? as u32, ..BlockReport::default() })
+        };
+        let mut reports = rows.iter().map(report).collect::<Result<Vec<_>, _>>()?;
         encoder.reset();
         let mut out = Vec::new();
         encoder.encode(&rows, &[], &mut out, &mut reports)?;

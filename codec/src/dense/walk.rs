@@ -2,7 +2,7 @@
 
 use super::{
     LEVELS, SPAN,
-    ahead::{Ahead, Interpolating, Sites},
+    ahead::{Ahead, Sites},
     code::Points,
     lattice::{self, Fineness, Grid, Lattice, Point},
     layout as is,
@@ -49,9 +49,20 @@ pub(super) trait Side {
     fn start(&mut self, channel: usize, row: usize, step: i64, ways: &[Point]) -> (usize, Point);
     /// Of some rows, a bit each, those whose sample is not within the tolerance of the prediction. A decoder's
     /// answer is ignored.
-    fn outside(&mut self, channel: usize, batch: Batch, predictions: &Points) -> u32;
+    fn outside<const N: usize>(
+        &mut self,
+        channel: usize,
+        batch: Batch,
+        predictions: &Points<N>,
+    ) -> u32;
     /// The points of some rows are known, in units; of those that are kept a bit is set.
-    fn settle(&mut self, channel: usize, batch: Batch, points: &Points, kept: u32);
+    fn settle<const N: usize>(
+        &mut self,
+        channel: usize,
+        batch: Batch,
+        points: &Points<N>,
+        kept: u32,
+    );
 }
 
 /// A few rows of one level, as rows of a track.
@@ -194,6 +205,7 @@ impl Group {
         for &run in &*runs {
             if run.zero > before {
                 self.origin(side, run.channel, (run.zero, before), present)?;
+                self.tracks[run.channel].known[run.zero] = true;
             } else {
                 let track = &mut self.tracks[run.channel];
                 track.run_start = track.run_start.max((before + 1).saturating_sub(MEMORY));
@@ -206,6 +218,7 @@ impl Group {
                 self.anchor(side, run, before)?;
             }
             let track = &mut self.tracks[run.channel];
+            track.known[run.end] = true;
             let row = self.first_row + (run.end - MEMORY) as u64;
             track.end = Some(End { row, point: track.point(run.end), taken: false });
         }
@@ -215,9 +228,11 @@ impl Group {
             self.level(side, runs, stride, before)?;
         }
         for run in &*runs {
+            let track = &mut self.tracks[run.channel];
+            track.known[run.zero..=run.end].fill(true);
             // A run that begins in this span starts with its own first row.
             if run.zero > before {
-                self.tracks[run.channel].run_start = run.zero;
+                track.run_start = run.zero;
             }
         }
         Ok(())
@@ -281,8 +296,6 @@ impl Group {
             if self.ahead.sites.n == 0 {
                 continue;
             }
-            let track = &self.tracks[run.channel];
-            self.isa.run(Interpolating { ahead: &mut self.ahead, track });
             self.rows(side, run.channel, 4 + stride.ilog2() as usize)?;
         }
         Ok(())

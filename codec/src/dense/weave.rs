@@ -11,9 +11,9 @@ use crate::{GROUP_CHANNELS, coding::isa::Isa};
 use super::{
     SPAN,
     ahead::PADDED,
-    code::{Points, TOGETHER, copy},
+    code::{Points, copy},
     covary::{self, Covarying, SCALE, Span},
-    solve::{Lane, Solving, ridged},
+    solve::{Lane, SolvingAll, Work, ridged},
 };
 
 /// Classes of levels: anchors; strides 8 and more; 4; 2; 1.
@@ -69,6 +69,7 @@ pub(super) struct Weave {
     /// Which of them are of anchors, a bit a slot.
     anchors: [u64; GROUP_CHANNELS],
     span: Box<Span>,
+    work: Box<Work>,
 }
 
 impl Weave {
@@ -83,6 +84,7 @@ impl Weave {
             by_channel: vec![SpanVectors::default(); GROUP_CHANNELS],
             anchors: [0; GROUP_CHANNELS],
             span: Box::default(),
+            work: Box::new(Work::new()),
         }
     }
 
@@ -155,10 +157,17 @@ impl Weave {
     /// Remembers the residuals of some rows: where they are, less where time alone put them. The first has the
     /// place `slot` in the span.
     #[inline(always)]
-    pub(super) fn remember(&mut self, j: usize, (slot, n): (usize, usize), residuals: &mut Points) {
+    pub(super) fn remember<const N: usize>(
+        &mut self,
+        j: usize,
+        (slot, n): (usize, usize),
+        residuals: &mut Points<N>,
+    ) {
         let [x, y, z] = &*residuals;
-        let squares: [f64; TOGETHER] =
-            std::array::from_fn(|i| x[i] * x[i] + y[i] * y[i] + z[i] * z[i]);
+        let mut squares = [0.0; N];
+        for i in 0..N {
+            squares[i] = x[i] * x[i] + y[i] * y[i] + z[i] * z[i];
+        }
         let most = MAX_RESIDUAL * MAX_RESIDUAL;
         if squares.iter().fold(false, |far, &squares| far | (squares > most)) {
             for (i, squares) in squares.into_iter().enumerate().filter(|&(_, s)| s > most) {
@@ -188,15 +197,15 @@ impl Weave {
     /// Chooses and weighs the references of channel `j` of `n`, for every class.
     pub(super) fn solve(&mut self, j: usize, n: usize) {
         self.weigh_kernel(0, n);
-        for (class, covariances) in self.covariances.chunks_exact(GROUP_CHANNELS).enumerate() {
-            self.references[class * GROUP_CHANNELS + j] = self.isa.run(Solving {
-                j,
-                covariances,
-                kernel: &self.kernel,
-                energy: self.energies[class],
-                inverse: &self.inverse[class],
-            });
-        }
+        self.isa.run(SolvingAll {
+            j,
+            covariances: &self.covariances,
+            kernel: &self.kernel,
+            energies: &self.energies,
+            inverse: &self.inverse,
+            references: &mut self.references,
+            work: &mut self.work,
+        });
     }
 }
 

@@ -1,5 +1,7 @@
 //! The decoding half.
 
+use std::hint::select_unpredictable;
+
 use super::{BinaryCoder, TOP, split_range};
 use crate::CodecError;
 
@@ -60,8 +62,8 @@ impl BinaryCoder for RangeDecoder<'_> {
         let bound = split_range(self.range, probability);
         let bit = self.code >= bound;
         // Without a branch: the bit is what nobody knows.
-        self.code -= if bit { bound } else { 0 };
-        self.range = if bit { self.range - bound } else { bound };
+        self.code = select_unpredictable(bit, self.code.wrapping_sub(bound), self.code);
+        self.range = select_unpredictable(bit, self.range - bound, bound);
         if self.range < TOP {
             self.refill();
         }
