@@ -172,6 +172,29 @@ impl Ahead {
         self.store(0, expected, [0; 3]);
     }
 
+    /// The last row before the end of a run, where the three rows around it are as far apart as those of the others:
+    /// (-1, 6, 3)/8 are Lagrange's weights.
+    #[inline(always)]
+    fn ends_even(&mut self, track: &Track, i: usize) -> bool {
+        let Sites { stride, start, zero, end, .. } = self.sites;
+        let at = self.sites.at(i);
+        if at + stride != end || at < zero + stride || at < start + 3 * stride {
+            return false;
+        }
+        let [before, left, right] = [at - 3 * stride, at - stride, end].map(|row| track.at(row));
+        let mut largest = 0.0;
+        for axis in 0..3 {
+            let across = right[axis] - left[axis];
+            let curve = floor((across * 3.0 - (before[axis] - left[axis]) + 4.0) * 0.125);
+            let off = curve - floor(across * 0.5);
+            self.expected[axis][i] = left[axis] + curve;
+            self.offs[axis][i] = off;
+            largest = if off.abs() > largest { off.abs() } else { largest };
+        }
+        self.bends[i] = bend(largest);
+        true
+    }
+
     /// What is not evenly spaced.
     fn uneven(&mut self, track: &Track, i: usize) {
         let Sites { stride, start, zero, end, .. } = self.sites;
@@ -232,7 +255,11 @@ impl Ahead {
                 *classes = bends.map(bend);
             }
         }
-        (0..from).chain(to..n).for_each(|i| ahead.uneven(track, i));
+        for i in (0..from).chain(to..n) {
+            if !ahead.ends_even(track, i) {
+                ahead.uneven(track, i);
+            }
+        }
     }
 }
 

@@ -1,9 +1,12 @@
 //! Which lattice point is coded.
 
 use super::{
+    ahead::{ROOM, Sites, lanes},
     code::{Points, TOGETHER},
-    lattice::{Grid, Lattice, Point, floor},
+    corners::{AXES, Around, CORNERS, cheapest},
+    lattice::{Grid, Lattice, Point},
     layout::KINDS,
+    track::MEMORY,
     walk::{Batch, Question, Side},
 };
 use crate::{BlockReport, GROUP_CHANNELS, Position, Rows, bound, coding::range::RangeEncoder};
@@ -17,8 +20,8 @@ pub(super) struct Encoding<'a, 'r> {
     /// The largest square whose root is within the tolerance, and the largest so far by channel.
     pub(super) allowed: f64,
     pub(super) squares: [f64; GROUP_CHANNELS],
-    /// The samples of the rows that are being coded, by axis, and the squares of where they are expected.
-    pub(super) samples: [[f32; TOGETHER]; 3],
+    /// The samples of the rows ahead, by axis; of some of them, the squares of where they are expected.
+    pub(super) samples: [[f32; ROOM]; 3],
     pub(super) expected: [f64; TOGETHER],
 }
 
@@ -29,31 +32,15 @@ impl Encoding<'_, '_> {
         bound::squares(self.grid.position(units), sample)
     }
 
-    /// Takes the samples of some rows; of those beyond them, the last one again.
+    /// As [`squares`](Self::squares), of some of the rows ahead.
     #[inline(always)]
-    fn gather<const N: usize>(&mut self, channel: usize, batch: Batch) {
-        let rows = self.channels[channel].positions();
-        let mut samples = [[0.0_f32; N]; 3];
-        // All of them, however few are asked for: they are put together in registers.
-        for i in 0..N {
-            let sample = rows[batch.row(i.min(batch.n - 1))];
-            for (axis, coordinate) in samples.iter_mut().zip(sample) {
-                axis[i] = coordinate;
-            }
-        }
-        for (taken, axis) in self.samples.iter_mut().zip(&samples) {
-            taken[..N].copy_from_slice(axis);
-        }
-    }
-
-    /// As [`squares`](Self::squares), of the rows whose samples were taken last.
-    #[inline(always)]
-    fn all_squares<const N: usize>(&self, units: &Points<N>) -> [f64; N] {
+    fn all_squares<const N: usize>(&self, batch: Batch, units: &Points<N>) -> [f64; N] {
         let positions = self.grid.positions(units);
+        let samples: [[f32; N]; 3] = self.samples.each_ref().map(|axis| lanes(axis, batch.from));
         let mut squares = [0.0; N];
         for i in 0..N {
-            let [x, y, z] = [0, 1, 2]
-                .map(|axis| f64::from(positions[axis][i]) - f64::from(self.samples[axis][i]));
+            let [x, y, z] =
+                [0, 1, 2].map(|axis| f64::from(positions[axis][i]) - f64::from(samples[axis][i]));
             squares[i] = x * x + y * y + z * z;
         }
         squares
@@ -107,95 +94,6 @@ impl Encoding<'_, '_> {
     }
 }
 
-/// Axes side by side: three, and one to fill the lanes.
-const AXES: usize = 4;
-/// Of the cell that a sample is in.
-const CORNERS: usize = 8;
-
-/// What the axes of the lattice points on both sides of the sample say.
-#[derive(Debug, Clone, Copy, Default)]
-struct Around {
-    /// Below the sample and above it, whole numbers.
-    steps: [[f64; AXES]; 2],
-    /// The squares of their distances from the sample, in steps.
-    squares: [[f64; AXES]; 2],
-    bits: [[f64; AXES]; 2],
-}
-
-impl Around {
-    /// Of the points whose coordinates are all `odd` or all even, or of any; a magnitude costs `slope` for each
-    /// step, and `first` for the first one.
-    #[inline(always)]
-    fn new<const CENTRED: bool>(
-        odd: f64,
-        off: &[f64; AXES],
-        slope: &[f64; AXES],
-        first: &[f64; AXES],
-    ) -> Self {
-        let mut around = Self::default();
-        for side in 0..2 {
-            for axis in 0..AXES {
-                let (steps, magnitude) = if CENTRED {
-                    let below = 2.0 * floor((off[axis] - odd) * 0.5) + odd;
-                    let steps = below + 2.0 * side as f64;
-                    (steps, floor((steps.abs() + 1.0) * 0.5))
-                } else {
-                    let steps = floor(off[axis]) + side as f64;
-                    (steps, steps.abs())
-                };
-                let miss = steps - off[axis];
-                let bits = magnitude * slope[axis] + first[axis];
-                around.steps[side][axis] = steps;
-                around.squares[side][axis] = miss * miss;
-                around.bits[side][axis] = if magnitude == 0.0 { 0.0 } else { bits };
-            }
-        }
-        around
-    }
-
-    /// What the corners cost: x changes from one to the next, then y, then z.
-    #[inline(always)]
-    fn price(&self, price: f64, limit: f64, costs: &mut [f64]) {
-        let of = |values: &[[f64; AXES]; 2], axis: usize| [values[0][axis], values[1][axis]];
-        let [x, y, z] = [0, 1, 2].map(|axis| (of(&self.squares, axis), of(&self.bits, axis)));
-        for (k, costs) in costs.chunks_exact_mut(4).enumerate().take(2) {
-            let mut squares = [0.0; 4];
-            for (lane, squares) in squares.iter_mut().enumerate() {
-                *squares = x.0[lane & 1] + y.0[lane >> 1] + z.0[k];
-            }
-            for (lane, cost) in costs.iter_mut().enumerate() {
-                let bits = squares[lane] * price + x.1[lane & 1] + y.1[lane >> 1] + z.1[k];
-                *cost = if squares[lane] <= limit { bits } else { f64::INFINITY };
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn corner(&self, corner: usize) -> [f64; 3] {
-        [0, 1, 2].map(|axis| self.steps[corner >> axis & 1][axis])
-    }
-}
-
-/// The smallest of some costs, a multiple of four, and which it is: the first of equals.
-#[inline(always)]
-fn cheapest(costs: &[f64]) -> (f64, usize) {
-    let (mut least, mut places) = ([f64::INFINITY; 4], [0; 4]);
-    for (place, costs) in costs.chunks_exact(4).enumerate() {
-        for lane in 0..4 {
-            let better = costs[lane] < least[lane];
-            least[lane] = if better { costs[lane] } else { least[lane] };
-            places[lane] = if better { place } else { places[lane] };
-        }
-    }
-    let mut best = (least[0], 4 * places[0]);
-    for lane in 1..4 {
-        let own = (least[lane], 4 * places[lane] + lane);
-        let better = own.0 < best.0 || own.0 == best.0 && own.1 < best.1;
-        best = if better { own } else { best };
-    }
-    best
-}
-
 /// What a miss costs against the bits of the steps, by kind of row: the more rows are predicted from it, the
 /// more; and where none is. Found by trying.
 const MISS: [f64; KINDS] = [20.0, 20.0, 20.0, 20.0, 0.1, 5.0, 10.0, 20.0, 20.0, 20.0];
@@ -240,14 +138,24 @@ impl<'a> Side for Encoding<'a, '_> {
     }
 
     #[inline(always)]
+    fn ahead(&mut self, channel: usize, sites: &Sites) {
+        let rows = self.channels[channel].positions();
+        for i in 0..sites.n.min(ROOM) {
+            let sample = rows[sites.at(i) - MEMORY];
+            for (axis, coordinate) in self.samples.iter_mut().zip(sample) {
+                axis[i] = coordinate;
+            }
+        }
+    }
+
+    #[inline(always)]
     fn outside<const N: usize>(
         &mut self,
-        channel: usize,
+        _channel: usize,
         batch: Batch,
         predictions: &Points<N>,
     ) -> u32 {
-        self.gather::<N>(channel, batch);
-        let squares = self.all_squares(predictions);
+        let squares = self.all_squares(batch, predictions);
         self.expected[..N].copy_from_slice(&squares);
         let mut bits = 0;
         for (i, squares) in squares.into_iter().enumerate() {
@@ -264,16 +172,12 @@ impl<'a> Side for Encoding<'a, '_> {
         points: &Points<N>,
         kept: u32,
     ) {
-        // First rows come alone and unasked.
-        if N == 1 {
-            self.gather::<N>(channel, batch);
-        }
         // What is not moved was measured when it was expected.
         let mut squares = [0.0; N];
         if kept == 0 {
             squares.copy_from_slice(&self.expected[..N]);
         } else {
-            squares = self.all_squares(points);
+            squares = self.all_squares(batch, points);
         }
         let most = &mut self.squares[channel];
         for square in &squares[..batch.n] {

@@ -2,10 +2,10 @@
 //! learnt from them.
 
 use super::{
-    ahead::{LANES, lanes},
+    ahead::{LANES, Sites, lanes},
     lattice::{self, Lattice, Point},
     layout::INTERPOLATED,
-    row::{self, Near},
+    row::{self, Near, Residual},
     track::{Steps, follow, slot},
     walk::{Batch, Group, Question, Side},
 };
@@ -80,7 +80,8 @@ impl Group {
         (point, magnitudes): (Point, Point),
     ) -> Result<(), CodecError> {
         let points = point.map(|units| [units as f64; 1]);
-        let batch = Batch { first: at, step: 1, n: 1 };
+        let batch = Batch { first: at, step: 1, n: 1, from: 0 };
+        side.ahead(channel, &Sites::anchor((at, at, at), before));
         let track = &mut self.tracks[channel];
         let mut activity = track.activity[kind];
         track.keep((at, slot(at - before)), magnitudes, &mut activity);
@@ -114,7 +115,7 @@ impl Group {
     ) -> Result<(), CodecError> {
         let sites = self.ahead.sites;
         let slot = sites.slot + from;
-        let batch = Batch { first: sites.at(from), step: sites.step, n: to - from };
+        let batch = Batch { first: sites.at(from), step: sites.step, n: to - from, from };
         let referred = self.referred::<N>(channel, class, slot);
         let shares = self.lengths.shares(channel, kind);
         let (partners, n_partners) = self.lengths.partners(channel);
@@ -161,8 +162,14 @@ impl Group {
             }
             let lattice = Lattice::of(&activity);
             let hints = self.ahead.hints(from + i);
-            let around = (&near, &hints);
-            let coded = row::residual(side.coder(), &mut self.model, around, lattice, steps)?;
+            let coded = self.isa.run(Residual {
+                coder: side.coder(),
+                model: &mut self.model,
+                near: &near,
+                hints: &hints,
+                lattice,
+                steps,
+            })?;
             let step = track.fineness.step(lattice);
             for (axis, steps) in points.iter_mut().zip(coded.0) {
                 axis[i] = (axis[i] as i64).wrapping_add(steps.wrapping_mul(step)) as f64;
@@ -203,6 +210,7 @@ impl<S: Side, const N: usize, const FAR: bool> Kernel for Level<'_, S, N, FAR> {
     fn run(self) -> Self::Output {
         let Self { group, side, channel, kind } = self;
         let class = [0, 0, 0, 0, 4, 3, 2].get(kind).copied().unwrap_or(1);
+        side.ahead(channel, &group.ahead.sites);
         if kind >= INTERPOLATED {
             group.ahead.interpolate(&group.tracks[channel]);
         }

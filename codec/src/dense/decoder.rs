@@ -1,6 +1,7 @@
 //! The half that only follows.
 
 use super::{
+    ahead::Sites,
     code::Points,
     encoder::STORED,
     lattice::{Fineness, Grid, Point},
@@ -124,6 +125,9 @@ impl<'a> Side for Decoding<'a> {
     ) -> (usize, Point) {
         (0, [0; 3])
     }
+
+    #[inline(always)]
+    fn ahead(&mut self, _channel: usize, _sites: &Sites) {}
 
     #[inline(always)]
     fn outside<const N: usize>(

@@ -2,6 +2,7 @@
 
 use super::{
     DenseDecoder,
+    ahead::ROOM,
     choice::Encoding,
     code::TOGETHER,
     lattice::{Grid, UNITS_PER_TOLERANCE},
@@ -97,7 +98,7 @@ impl PayloadEncoder for DenseEncoder {
             reports,
             allowed: largest_square(self.group.grid),
             squares: [0.0; GROUP_CHANNELS],
-            samples: [[0.0; TOGETHER]; 3],
+            samples: [[0.0; ROOM]; 3],
             expected: [0.0; TOGETHER],
         };
         side.coder.split(STORED, false);

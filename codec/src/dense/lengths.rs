@@ -152,10 +152,10 @@ impl Lengths {
 
     /// Chooses partners for a span: the steadiest distances, or else the nearest channel.
     pub(super) fn choose(&mut self, j: usize, nearness: impl Fn(usize) -> f64) {
-        self.near[j] = smallest(0..j, |k| -nearness(k));
+        self.near[j] = smallest(0..j, |k| -nearness(k), &self.near[j]);
         let spreads = &self.spreads[j * GROUP_CHANNELS..(j + 1) * GROUP_CHANNELS];
         let steady = (0..j).filter(|&k| spreads[k].seen >= LEAST_SEEN);
-        let mut partners = smallest(steady, |k| spreads[k].variance);
+        let mut partners = smallest(steady, |k| spreads[k].variance, &self.partners[j]);
         let (near, n_near) = self.near[j];
         if partners.1 == 0 && n_near > 0 && nearness(near[0]) > 0.0 {
             partners.0[0] = near[0];
@@ -203,15 +203,22 @@ impl Lengths {
     }
 }
 
-/// The candidates with the smallest values, in order, the first of equals first; and how many.
+/// The candidates with the smallest values, in order, the first of equals first; and how many. Those that were it
+/// `before` are candidates.
 fn smallest<const N: usize>(
     candidates: impl Iterator<Item = usize>,
     value: impl Fn(usize) -> f64,
+    before: &([usize; N], usize),
 ) -> ([usize; N], usize) {
     let (mut found, mut values, mut n) = ([0; N], [f64::INFINITY; N], 0);
+    // They are most often the same again: what is above all of them is not among the first.
+    let most = match before.1 == N {
+        true => before.0.iter().fold(f64::NEG_INFINITY, |most, &k| most.max(value(k))),
+        false => f64::INFINITY,
+    };
     for candidate in candidates {
         let own = value(candidate);
-        if n == N && own >= values[N - 1] {
+        if own > most || n == N && own >= values[N - 1] {
             continue;
         }
         // Up to where it belongs: one place, or the last one's, is free.

@@ -8,6 +8,7 @@ mod anchor;
 mod choice;
 mod classes;
 mod code;
+mod corners;
 mod covary;
 mod decoder;
 mod encoder;

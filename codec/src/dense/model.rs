@@ -11,37 +11,32 @@ use super::{
 };
 use crate::coding::range::BinaryCoder;
 
-/// What is expected of a bit. Read and written as one, and aligned for it.
-#[derive(Debug, Clone, Copy)]
-#[repr(align(8))]
-struct Context {
-    /// Its probability of being set in the upper 16 bits, and how many bits that rests on in the lower.
-    state: u32,
-    /// Of the probability: worked out when a bit has been seen, the next one need not wait for it.
-    logit: i32,
+/// What is expected of bits, a context each.
+#[derive(Debug, Clone)]
+struct Contexts {
+    /// Probabilities of a bit being set in the upper 16 bits, and how many bits they rest on in the lower.
+    states: [u32; N_CONTEXTS],
+    /// Of the probabilities: worked out when a bit has been seen, the next one need not wait for it.
+    logits: [i16; N_CONTEXTS],
 }
 
-impl Context {
-    fn new(probability: u16, seen: u8) -> Self {
-        let logit = logistic::logit(probability);
-        Self { state: u32::from(probability) << 16 | u32::from(seen), logit }
-    }
-
+impl Contexts {
     #[inline(always)]
-    fn probability(self) -> u16 {
-        (self.state >> 16) as u16
+    fn set(&mut self, index: usize, state: u32) {
+        self.states[index] = state;
+        self.logits[index] = logistic::logit((state >> 16) as u16) as i16;
     }
 
     /// After one more bit.
     #[inline(always)]
-    fn after(self, bit: bool) -> Self {
-        let (probability, seen) = (self.state >> 16, self.state as usize % MOVES.len());
+    fn learn(&mut self, index: usize, state: u32, bit: bool) {
+        let (probability, seen) = (state >> 16, (state & 0xffff) as usize);
         // 65535 or 0, without a branch: the bit is what nobody knows.
         let target = 0_u32.wrapping_sub(u32::from(bit)) >> 16;
         // Below nothing, too, the upper half of the product is the step, rounded down; the sum is in range.
-        let step = target.wrapping_sub(probability).wrapping_mul(MOVES[seen]) & !0xffff;
-        let state = self.state.wrapping_add(step) + u32::from(seen < MOVES.len() - 1);
-        Self { state, logit: logistic::logit((state >> 16) as u16) }
+        let step = target.wrapping_sub(probability).wrapping_mul(MOVES[seen % MOVES.len()]);
+        let older = u32::from(seen < MOVES.len() - 1);
+        self.set(index, state.wrapping_add(step & !0xffff).wrapping_add(older));
     }
 }
 
@@ -85,7 +80,7 @@ const _: () = assert!(RATES[63] == LAST_RATE);
 /// All contexts and mixers of a group.
 #[derive(Debug, Clone)]
 pub(super) struct Model {
-    contexts: Box<[Context; N_CONTEXTS]>,
+    contexts: Box<Contexts>,
     mixers: Box<[Mixer; N_MIXERS]>,
     #[cfg(feature = "training")]
     pub(super) tally: super::training::Tally,
@@ -94,7 +89,7 @@ pub(super) struct Model {
 impl Model {
     pub(super) fn new() -> Self {
         let mut model = Self {
-            contexts: Box::new([Context { state: 0, logit: 0 }; N_CONTEXTS]),
+            contexts: Box::new(Contexts { states: [0; N_CONTEXTS], logits: [0; N_CONTEXTS] }),
             mixers: Box::new([Mixer { weights: [0; 3], seen: 0 }; N_MIXERS]),
             #[cfg(feature = "training")]
             tally: super::training::Tally::new(),
@@ -105,9 +100,9 @@ impl Model {
 
     /// Back to the odds that everything starts from.
     pub(super) fn reset(&mut self) {
-        for (index, context) in self.contexts.iter_mut().enumerate() {
+        for index in 0..N_CONTEXTS {
             let (probability, seen) = prior::context(index);
-            *context = Context::new(probability, seen);
+            self.contexts.set(index, u32::from(probability) << 16 | u32::from(seen));
         }
         for (index, mixer) in self.mixers.iter_mut().enumerate() {
             *mixer = Mixer { weights: prior::weights(index), seen: 0 };
@@ -125,27 +120,29 @@ impl Model {
         mixer: usize,
         bit: bool,
     ) -> bool {
-        let seen = contexts.map(|index| self.contexts[index]);
-        let logits = seen.map(|context| context.logit);
+        let states = contexts.map(|index| self.contexts.states[index]);
+        // In 64 bits, which no processor multiplies side by side: what waits for the weights is one after another.
+        let logits = contexts.map(|index| i64::from(self.contexts.logits[index]));
         let weighing = &mut self.mixers[mixer];
         let mut sum = 0;
         for (&logit, weight) in logits.iter().zip(weighing.weights) {
-            sum += i64::from(logit) * i64::from(weight);
+            sum += logit * i64::from(weight);
         }
         let unset = logistic::unset(sum >> 16);
         let bit = coder.split(unset, bit);
         #[cfg(feature = "training")]
         self.tally.mixed(mixer, 65536 - unset as i32, bit);
-        let error = unset as i32 - (i32::from(!bit) << 16);
+        let error = i64::from(unset) - (i64::from(!bit) << 16);
         let age = weighing.seen as usize % RATES.len();
+        let rate = i64::from(RATES[age]);
         for (weight, logit) in weighing.weights.iter_mut().zip(logits) {
-            let step = ((((error * logit) >> 8) * RATES[age]) + (1 << 15)) >> 16;
+            let step = ((((error * logit) >> 8) * rate) + (1 << 15)) >> 16;
             // It would take 2^31 bits that all push one way, and keys are nearer than that.
-            *weight = weight.wrapping_add(step);
+            *weight = weight.wrapping_add(step as i32);
         }
         weighing.seen = age as u32 + u32::from(age < RATES.len() - 1);
-        for (index, context) in contexts.into_iter().zip(seen) {
-            self.contexts[index] = context.after(bit);
+        for (index, state) in contexts.into_iter().zip(states) {
+            self.contexts.learn(index, state, bit);
             #[cfg(feature = "training")]
             self.tally.context(index, bit);
         }
@@ -155,11 +152,12 @@ impl Model {
     }
 
     /// A bit of one context.
+    #[inline(always)]
     pub(super) fn single(&mut self, coder: &mut impl BinaryCoder, index: usize, bit: bool) -> bool {
-        let context = &mut self.contexts[index];
-        let probability = u32::from(context.probability()).clamp(32, 65504);
+        let state = self.contexts.states[index];
+        let probability = (state >> 16).clamp(32, 65504);
         let bit = coder.split(65536 - probability, bit);
-        *context = context.after(bit);
+        self.contexts.learn(index, state, bit);
         #[cfg(feature = "training")]
         {
             self.tally.single(index, probability as i32, bit);

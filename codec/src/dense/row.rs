@@ -9,7 +9,10 @@ use super::{
     model::Model,
     track::{Steps, magnitude, marked, marked_weight},
 };
-use crate::{CodecError, coding::range::BinaryCoder};
+use crate::{
+    CodecError,
+    coding::{isa::Kernel, range::BinaryCoder},
+};
 
 /// What is around a row, as far as it says whether the row is moved.
 #[derive(Debug, Clone, Copy)]
@@ -53,30 +56,39 @@ pub(super) fn moving(
 
 /// Codes the residual of a row that is moved, in lattice steps. Gives the steps, and the magnitudes as they
 /// were coded. They are not zero on all axes.
-#[inline(never)]
-pub(super) fn residual(
-    coder: &mut impl BinaryCoder,
-    model: &mut Model,
-    (near, hints): (&Near, &Hints),
-    lattice: Lattice,
-    steps: Point,
-) -> Result<(Point, Point), CodecError> {
-    let kind = near.kind;
-    let odd =
-        lattice == Lattice::Centred && model.single(coder, is::ODD.at(kind), steps[0] & 1 != 0);
-    let form = match (lattice, odd) {
-        (Lattice::Cubic, _) => Form { number: 0, odd, centred: false },
-        (Lattice::Centred, true) => Form { number: 1, odd, centred: true },
-        (Lattice::Centred, false) => Form { number: 2, odd, centred: true },
-    };
-    let mut coded = form.magnitudes(steps);
-    let mut some = false;
-    for (axis, steps) in coded.iter_mut().enumerate() {
-        let certain = odd || axis == 2 && !some;
-        axis_steps(coder, model, (near, hints), (form, axis, some, certain), steps)?;
-        some |= *steps != 0;
+#[derive(Debug)]
+pub(super) struct Residual<'a, C> {
+    pub(super) coder: &'a mut C,
+    pub(super) model: &'a mut Model,
+    pub(super) near: &'a Near,
+    pub(super) hints: &'a Hints,
+    pub(super) lattice: Lattice,
+    pub(super) steps: Point,
+}
+
+impl<C: BinaryCoder> Kernel for Residual<'_, C> {
+    type Output = Result<(Point, Point), CodecError>;
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let Self { coder, model, near, hints, lattice, steps } = self;
+        let kind = near.kind;
+        let odd =
+            lattice == Lattice::Centred && model.single(coder, is::ODD.at(kind), steps[0] & 1 != 0);
+        let form = match (lattice, odd) {
+            (Lattice::Cubic, _) => Form { number: 0, odd, centred: false },
+            (Lattice::Centred, true) => Form { number: 1, odd, centred: true },
+            (Lattice::Centred, false) => Form { number: 2, odd, centred: true },
+        };
+        let mut coded = form.magnitudes(steps);
+        let mut some = false;
+        for (axis, steps) in coded.iter_mut().enumerate() {
+            let certain = odd || axis == 2 && !some;
+            axis_steps(coder, model, (near, hints), (form, axis, some, certain), steps)?;
+            some |= *steps != 0;
+        }
+        Ok((form.steps(coded), coded))
     }
-    Ok((form.steps(coded), coded))
 }
 
 /// How the steps of a residual are turned into magnitudes.
@@ -88,6 +100,7 @@ struct Form {
 }
 
 impl Form {
+    #[inline(always)]
     fn magnitudes(self, steps: Point) -> Point {
         match (self.centred, self.odd) {
             (false, _) => steps,
@@ -96,6 +109,7 @@ impl Form {
         }
     }
 
+    #[inline(always)]
     fn steps(self, coded: Point) -> Point {
         match (self.centred, self.odd) {
             (false, _) => coded,
@@ -105,6 +119,7 @@ impl Form {
     }
 }
 
+#[inline(always)]
 fn axis_steps(
     coder: &mut impl BinaryCoder,
     model: &mut Model,
@@ -160,6 +175,7 @@ struct Place {
 
 impl Place {
     /// A magnitude less one: unary at first, then Exp-Golomb.
+    #[inline(always)]
     fn longer(
         self,
         coder: &mut impl BinaryCoder,
@@ -199,6 +215,7 @@ impl Place {
     }
 
     /// The bits below the highest: two of them adaptive.
+    #[inline(always)]
     fn mantissa(
         self,
         coder: &mut impl BinaryCoder,

@@ -1,5 +1,7 @@
 //! Which references a channel has, and how much each weighs: least squares, one reference at a time.
 
+use std::hint::select_unpredictable;
+
 use crate::{GROUP_CHANNELS, coding::isa::Kernel};
 
 use super::weave::{CLASSES, REFERENCES, References};
@@ -91,9 +93,11 @@ impl Solving<'_> {
         let mut best = (0.0, usize::MAX);
         for (lane, (most, place)) in most.into_iter().zip(places).enumerate() {
             let channel = place.wrapping_mul(LANES).wrapping_add(lane);
-            if most > best.0 || most == best.0 && most > 0.0 && channel < best.1 {
-                best = (most, channel);
-            }
+            // Without a branch: nobody knows which it is.
+            let first = (most == best.0) & (most > 0.0) & (channel < best.1);
+            let better = (most > best.0) | first;
+            best.0 = select_unpredictable(better, most, best.0);
+            best.1 = select_unpredictable(better, channel, best.1);
         }
         best
     }

@@ -54,14 +54,6 @@ impl Site {
             && self.outer_left == self.at.checked_sub(3 * self.stride)
     }
 
-    /// The last row of a level before the end of a run: (-1, 6, 3)/8 are Lagrange's weights.
-    fn ends_even(&self) -> bool {
-        self.left + self.stride == self.at
-            && self.right == self.at + self.stride
-            && self.outer_right.is_none()
-            && self.outer_left == self.at.checked_sub(3 * self.stride)
-    }
-
     /// Interpolates.
     pub(super) fn expect(&self, points: impl Fn(usize) -> Point) -> Expected {
         let (base, far) = (points(self.left), points(self.right));
@@ -84,13 +76,6 @@ impl Site {
     /// Distance of the polynomial from the left neighbour, weights in 2^-16 rounded half up.
     fn lagrange(&self, points: &impl Fn(usize) -> Point) -> Point {
         let base = points(self.left);
-        if let (Some(left), true) = (self.outer_left, self.ends_even()) {
-            let (right, left) = (points(self.right), points(left));
-            return std::array::from_fn(|axis| {
-                let near = right[axis].wrapping_sub(base[axis]).wrapping_mul(3);
-                near.wrapping_sub(left[axis].wrapping_sub(base[axis])).wrapping_add(4) >> 3
-            });
-        }
         let nodes = [Some(self.left), Some(self.right), self.outer_right, self.outer_left];
         let mut sum = [1_i64 << (WEIGHT_BITS - 1); 3];
         for node in nodes.into_iter().skip(1).flatten() {

@@ -1,6 +1,7 @@
 //! What an error in mid-block leaves behind.
 
 use super::{
+    ahead::Sites,
     code::Points,
     lattice::{Grid, Point},
     walk::{Batch, Group, Question, Side},
@@ -41,6 +42,8 @@ impl<'a> Side for Scripted<'a> {
     fn start(&mut self, _: usize, _: usize, _: i64, _: &[Point]) -> (usize, Point) {
         (0, [0; 3])
     }
+
+    fn ahead(&mut self, _: usize, _: &Sites) {}
 
     fn outside<const N: usize>(&mut self, _: usize, _: Batch, _: &Points<N>) -> u32 {
         u32::MAX

@@ -4,10 +4,10 @@ use super::{
     LEVELS, SPAN,
     ahead::{Ahead, Sites},
     code::Points,
-    lattice::{self, Fineness, Grid, Lattice, Point},
+    lattice::{Fineness, Grid, Lattice, Point},
     layout as is,
     layout::ORIGIN,
-    lengths::{Lengths, distance},
+    lengths::Lengths,
     model::Model,
     origin,
     pulls::Pulls,
@@ -47,7 +47,9 @@ pub(super) trait Side {
     fn choose(&mut self, question: Question) -> Point;
     /// Which of the candidates a first row is coded from, and the steps from there. Ignored, too.
     fn start(&mut self, channel: usize, row: usize, step: i64, ways: &[Point]) -> (usize, Point);
-    /// Of some rows, a bit each, those whose sample is not within the tolerance of the prediction. A decoder's
+    /// Which rows come next.
+    fn ahead(&mut self, channel: usize, sites: &Sites);
+    /// Of some of them, a bit each, those whose sample is not within the tolerance of the prediction. A decoder's
     /// answer is ignored.
     fn outside<const N: usize>(
         &mut self,
@@ -72,6 +74,8 @@ pub(super) struct Batch {
     pub(super) step: usize,
     /// [`TOGETHER`](super::code::TOGETHER) at most.
     pub(super) n: usize,
+    /// The place of the first among the rows ahead.
+    pub(super) from: usize,
 }
 
 impl Batch {
@@ -180,9 +184,12 @@ impl Group {
     ) -> Result<(), CodecError> {
         let n = present.len();
         self.weave.begin(n);
-        for track in &mut self.tracks[..n] {
+        for (channel, track) in self.tracks[..n].iter_mut().enumerate() {
             track.span = SpanPoints::default();
             track.marks = SpanMarks::default();
+            if track.known[before] {
+                self.weave.place(channel, track.at(before));
+            }
         }
         self.find_runs((before, last), present);
         let mut runs = std::mem::take(&mut self.runs);
@@ -243,14 +250,21 @@ impl Group {
         self.runs.clear();
         for (channel, present) in present.iter().enumerate() {
             let Some(present) = present else { continue };
+            let goes_on = self.tracks[channel].known[before];
+            let rows = &present[before + 1 - MEMORY..=last - MEMORY];
+            // Most often there is no gap.
+            if rows.iter().fold(true, |all, &row| all & row) {
+                let zero = if goes_on { before } else { before + 1 };
+                self.runs.push(Run { zero, channel, end: last });
+                continue;
+            }
             let mut row = before + 1;
             while row <= last {
                 if !present[row - MEMORY] {
                     row += 1;
                     continue;
                 }
-                let goes_on = row == before + 1 && self.tracks[channel].known[before];
-                let zero = if goes_on { before } else { row };
+                let zero = if goes_on && row == before + 1 { before } else { row };
                 while row < last && present[row + 1 - MEMORY] {
                     row += 1;
                 }
@@ -263,20 +277,11 @@ impl Group {
 
     /// Where the channel is among the others, and what follows from it.
     fn look_around(&mut self, channel: usize, n: usize, before: usize) {
-        let place = |track: &Track| {
-            let row = [before, before + 1].into_iter().find(|&row| track.known[row])?;
-            Some(track.at(row))
-        };
-        if let Some(own) = place(&self.tracks[channel]) {
-            for k in 0..channel {
-                if let Some(other) = place(&self.tracks[k]) {
-                    let mm = distance(own, other)
-                        * lattice::UNITS_PER_TOLERANCE as f64
-                        * self.grid.unit_mm;
-                    self.weave.place(channel, k, mm);
-                }
-            }
+        let track = &self.tracks[channel];
+        if !self.weave.has_place(channel) && track.known[before + 1] {
+            self.weave.place(channel, track.at(before + 1));
         }
+        self.weave.find_near(channel, self.grid.unit_mm);
         let weave = &self.weave;
         self.lengths.choose(channel, |k| weave.nearness(channel, k));
         self.weave.solve(channel, n);

@@ -6,7 +6,10 @@
 //! markers that are close together are taken to move alike: the covariance starts from a function of
 //! their distance, as in kriging.
 
-use crate::{GROUP_CHANNELS, coding::isa::Isa};
+use crate::{
+    GROUP_CHANNELS,
+    coding::isa::{Isa, Kernel},
+};
 
 use super::{
     SPAN,
@@ -59,6 +62,8 @@ pub(super) struct Weave {
     covariances: Vec<Lane>,
     /// By channel and channel, both ways around.
     kernel: Vec<Lane>,
+    /// Of the span, by axis: where the channels are, in units; NaN where that is not known.
+    places: [Lane; 3],
     /// Of the span, by class: the weight of the kernel, and one over the variances with their ridge. Only anchors
     /// change theirs within a span.
     energies: [f64; CLASSES],
@@ -78,6 +83,7 @@ impl Weave {
             isa: Isa::detect(),
             covariances: vec![[0.0; GROUP_CHANNELS]; CLASSES * GROUP_CHANNELS],
             kernel: vec![[0.0; GROUP_CHANNELS]; GROUP_CHANNELS],
+            places: [[f64::NAN; GROUP_CHANNELS]; 3],
             energies: [0.0; CLASSES],
             inverse: [[1.0; GROUP_CHANNELS]; CLASSES],
             references: vec![References::default(); CLASSES * GROUP_CHANNELS],
@@ -102,6 +108,7 @@ impl Weave {
             lane[..n].fill(0.0);
             lane[k] = 1.0;
         }
+        self.places.iter_mut().for_each(|axis| axis[..n].fill(f64::NAN));
         for class in 0..CLASSES {
             self.weigh_kernel(class, n);
         }
@@ -137,12 +144,22 @@ impl Weave {
         });
     }
 
-    /// States how far apart two channels are.
-    pub(super) fn place(&mut self, j: usize, k: usize, distance_mm: f64) {
-        let near = 800.0 / (800.0 + distance_mm);
-        let near = near * near * near;
-        self.kernel[j][k] = near;
-        self.kernel[k][j] = near;
+    /// States where a channel is in this span, in units.
+    pub(super) fn place(&mut self, channel: usize, point: [f64; 3]) {
+        for (axis, units) in self.places.iter_mut().zip(point) {
+            axis[channel] = units;
+        }
+    }
+
+    /// Whether that has been stated.
+    pub(super) fn has_place(&self, channel: usize) -> bool {
+        !self.places[0][channel].is_nan()
+    }
+
+    /// Works out how near channel `j` is to those before it.
+    pub(super) fn find_near(&mut self, j: usize, unit_mm: f64) {
+        let Self { isa, places, kernel, .. } = self;
+        isa.run(Nearing { j, unit_mm, places, kernel });
     }
 
     /// How alike two channels are taken to move for their distance.
@@ -206,6 +223,37 @@ impl Weave {
             references: &mut self.references,
             work: &mut self.work,
         });
+    }
+}
+
+/// How near a channel is to those before it.
+struct Nearing<'a> {
+    j: usize,
+    unit_mm: f64,
+    places: &'a [Lane; 3],
+    kernel: &'a mut [Lane],
+}
+
+impl Kernel for Nearing<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { j, unit_mm, places: [xs, ys, zs], kernel } = self;
+        let (before, own) = kernel.split_at_mut(j);
+        let (own, n) = (&mut own[0][..j], j);
+        let (x, y, z) = (xs[j], ys[j], zs[j]);
+        for (((near, other_x), other_y), other_z) in own.iter_mut().zip(xs).zip(ys).zip(zs) {
+            let (x, y, z) = (x - other_x, y - other_y, z - other_z);
+            let mm = (x * x + y * y + z * z).sqrt() * unit_mm;
+            let ratio = 800.0 / (800.0 + mm);
+            let cube = ratio * ratio * ratio;
+            // Not so where one of them is nowhere.
+            *near = if cube >= 0.0 { cube } else { 0.0 };
+        }
+        for (other, near) in before.iter_mut().zip(own) {
+            other[n] = *near;
+        }
     }
 }
 

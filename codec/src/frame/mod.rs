@@ -10,7 +10,9 @@ mod presence;
 use std::fmt;
 
 pub(crate) use self::{decoder::FramedDecoder, encoder::FramedEncoder};
-use crate::{BlockReport, CodecError, DecodedRows, GROUP_CHANNELS, Rows, coding::bytes::Bytes};
+use crate::{
+    BlockReport, CodecError, DecodedRows, GROUP_CHANNELS, Position, Rows, coding::bytes::Bytes,
+};
 
 /// Bit 7 of the head byte: the presence section follows.
 const HAS_GAPS: u8 = 0x80;
@@ -96,14 +98,20 @@ pub fn stated_channels(block: &[u8]) -> Option<usize> {
 
 /// Samples present; an error when one is not finite.
 pub(crate) fn count_finite(rows: Rows<'_>) -> Result<usize, CodecError> {
-    let mut samples = 0;
-    for (row, (position, &present)) in rows.positions().iter().zip(rows.present()).enumerate() {
-        if present && !position.iter().all(|c| c.is_finite()) {
-            return Err(CodecError::InvalidArgument(format!(
-                "row {row} is present but {position:?} is not finite; mark such rows absent"
-            )));
-        }
-        samples += usize::from(present);
+    let not_finite = |(position, present): (&Position, &bool)| {
+        *present & position.iter().fold(false, |any, c| any | !c.is_finite())
+    };
+    let all = || rows.positions().iter().zip(rows.present());
+    let (mut samples, mut any) = (0, false);
+    for (position, present) in all() {
+        any |= not_finite((position, present));
+        samples += usize::from(*present);
     }
-    Ok(samples)
+    match any.then(|| all().position(not_finite)).flatten() {
+        None => Ok(samples),
+        Some(row) => Err(CodecError::InvalidArgument(format!(
+            "row {row} is present but {:?} is not finite; mark such rows absent",
+            rows.positions()[row]
+        ))),
+    }
 }

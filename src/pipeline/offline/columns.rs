@@ -17,8 +17,12 @@ impl Columns {
     pub(super) fn fill(&mut self, motion: &Motion, part: Part) {
         self.positions.resize_with(part.n_markers, Vec::new);
         self.present.resize_with(part.n_markers, Vec::new);
-        self.positions.iter_mut().for_each(Vec::clear);
-        self.present.iter_mut().for_each(Vec::clear);
+        for (positions, present) in self.positions.iter_mut().zip(&mut self.present) {
+            positions.clear();
+            positions.reserve(part.n_rows);
+            present.clear();
+            present.reserve(part.n_rows);
+        }
         for row in part.first_row..part.first_row + part.n_rows {
             let markers = &motion.frame(row)[part.first_marker..][..part.n_markers];
             for ((positions, present), &position) in
