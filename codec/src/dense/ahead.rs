@@ -157,13 +157,12 @@ impl Ahead {
 
     #[inline(always)]
     pub(super) fn hints(&self, i: usize) -> Hints {
-        Hints {
-            side: self.offs.each_ref().map(|axis| side(axis[i], SIDE_UNITS)),
-            references_side: self
-                .referred
-                .each_ref()
-                .map(|axis| side(axis[i], REFERENCES_SIDE_UNITS)),
+        let mut hints = Hints { side: [0; 3], references_side: [0; 3] };
+        for axis in 0..3 {
+            hints.side[axis] = side(self.offs[axis][i], SIDE_UNITS);
+            hints.references_side[axis] = side(self.referred[axis][i], REFERENCES_SIDE_UNITS);
         }
+        hints
     }
 
     /// Rows that have neighbours on one side only.

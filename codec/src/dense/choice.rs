@@ -3,7 +3,7 @@
 use super::{
     ahead::{ROOM, Sites, lanes},
     code::{Points, TOGETHER},
-    corners::{AXES, Around, CORNERS, cheapest},
+    corners::{AXES, CORNERS, Cell, Reach},
     lattice::{Grid, Lattice, Point},
     layout::KINDS,
     track::MEMORY,
@@ -23,6 +23,8 @@ pub(super) struct Encoding<'a, 'r> {
     /// The samples of the rows ahead, by axis; of some of them, the squares of where they are expected.
     pub(super) samples: [[f32; ROOM]; 3],
     pub(super) expected: [f64; TOGETHER],
+    /// Of the rows ahead, how far the samples are from where they are expected, in units.
+    pub(super) off: [[f64; ROOM]; 3],
 }
 
 impl Encoding<'_, '_> {
@@ -36,11 +38,14 @@ impl Encoding<'_, '_> {
     #[inline(always)]
     fn all_squares<const N: usize>(&self, batch: Batch, units: &Points<N>) -> [f64; N] {
         let positions = self.grid.positions(units);
-        let samples: [[f32; N]; 3] = self.samples.each_ref().map(|axis| lanes(axis, batch.from));
+        let [x, y, z] = &self.samples;
+        let samples: [[f32; N]; 3] =
+            [lanes(x, batch.from), lanes(y, batch.from), lanes(z, batch.from)];
         let mut squares = [0.0; N];
         for i in 0..N {
-            let [x, y, z] =
-                [0, 1, 2].map(|axis| f64::from(positions[axis][i]) - f64::from(samples[axis][i]));
+            let x = f64::from(positions[0][i]) - f64::from(samples[0][i]);
+            let y = f64::from(positions[1][i]) - f64::from(samples[1][i]);
+            let z = f64::from(positions[2][i]) - f64::from(samples[2][i]);
             squares[i] = x * x + y * y + z * z;
         }
         squares
@@ -49,48 +54,27 @@ impl Encoding<'_, '_> {
     /// Of the lattice points around the sample that are inside the ball, the one with the fewest bits, and
     /// the nearer one the more is predicted from it.
     #[inline(always)]
-    fn search(&self, question: &Question, sample: Position) -> Point {
-        let Question { prediction, lattice, .. } = *question;
-        let units = self.grid.units(sample);
-        let step = question.step as f64;
-        let (mut off, mut slope, mut first) = ([0.0; AXES], [0.0; AXES], [0.0; AXES]);
+    fn search(&self, question: &Question) -> Point {
+        let Question { prediction, lattice, fineness, place, .. } = *question;
+        let reach = Reach::of(lattice, fineness);
+        let (mut off, mut activity) = ([0.0; AXES], [0.0; AXES]);
         for axis in 0..3 {
-            off[axis] = (units[axis] - prediction[axis]) / step;
-            slope[axis] = f64::from(question.activity[axis]) / 256.0;
-        }
-        for axis in 0..AXES {
-            first[axis] = 0.6 / (slope[axis] + 0.3);
-            slope[axis] = 1.44 / (slope[axis] + 0.35);
+            off[axis] = self.off[axis][place] * reach.per_step;
+            activity[axis] = f64::from(question.activity[axis]) / 256.0;
         }
         let miss = if question.last_level { LAST_MISS } else { MISS[question.kind] };
-        let limit = 256.0 / step * (256.0 / step) * 1.01;
-        let price = miss / limit;
-        let mut costs = [f64::INFINITY; 2 * CORNERS];
-        let mut around = [Around::default(); 2];
-        let n = if lattice == Lattice::Centred {
-            around[0] = Around::new::<true>(0.0, &off, &slope, &first);
-            around[1] = Around::new::<true>(1.0, &off, &slope, &[0.0; AXES]);
-            around[0].price(price, limit, &mut costs[..CORNERS]);
-            around[1].price(price, limit, &mut costs[CORNERS..]);
-            2 * CORNERS
-        } else {
-            around[0] = Around::new::<false>(0.0, &off, &slope, &first);
-            around[0].price(price, limit, &mut costs[..CORNERS]);
-            CORNERS
-        };
-        // The cheapest that is truly inside, the first of equals.
-        loop {
-            let (cost, corner) = cheapest(&costs[..n]);
-            if cost == f64::INFINITY {
-                return [0; 3];
-            }
-            let steps = around[corner / CORNERS].corner(corner % CORNERS);
+        let sample = self.samples.each_ref().map(|axis| axis[place]);
+        let step = fineness.step(lattice) as f64;
+        let is_inside = |steps: [f64; 3]| {
             let point = std::array::from_fn(|axis| prediction[axis] + steps[axis] * step);
-            if self.squares(sample, point) <= self.allowed {
-                return steps.map(|steps| steps as i64);
-            }
-            costs[corner] = f64::INFINITY;
-        }
+            self.squares(sample, point) <= self.allowed
+        };
+        let cell = Cell { off, activity, miss, reach };
+        let steps = match lattice {
+            Lattice::Cubic => cell.cheapest::<1, CORNERS>(is_inside),
+            Lattice::Centred => cell.cheapest::<2, { 2 * CORNERS }>(is_inside),
+        };
+        steps.map(|steps| steps as i64)
     }
 }
 
@@ -108,8 +92,7 @@ impl<'a> Side for Encoding<'a, '_> {
 
     #[inline(always)]
     fn choose(&mut self, question: Question) -> Point {
-        let sample = self.channels[question.channel].positions()[question.row];
-        self.search(&question, sample)
+        self.search(&question)
     }
 
     fn start(&mut self, channel: usize, row: usize, step: i64, ways: &[Point]) -> (usize, Point) {
@@ -157,6 +140,13 @@ impl<'a> Side for Encoding<'a, '_> {
     ) -> u32 {
         let squares = self.all_squares(batch, predictions);
         self.expected[..N].copy_from_slice(&squares);
+        for (axis, off) in self.off.iter_mut().enumerate() {
+            let samples: [f32; N] = lanes(&self.samples[axis], batch.from);
+            let off = &mut off[batch.from..batch.from + N];
+            for i in 0..N {
+                off[i] = f64::from(samples[i]) / self.grid.unit_mm - predictions[axis][i];
+            }
+        }
         let mut bits = 0;
         for (i, squares) in squares.into_iter().enumerate() {
             bits |= u32::from(squares > self.allowed) << i;

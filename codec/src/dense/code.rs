@@ -144,12 +144,11 @@ impl Group {
                 let lattice = Lattice::of(&activity);
                 let [x, y, z, _] = activity;
                 steps = side.choose(Question {
-                    channel,
-                    row: batch.row(i),
+                    place: from + i,
                     prediction: points.each_ref().map(|axis| axis[i]),
                     kind,
                     lattice,
-                    step: track.fineness.step(lattice),
+                    fineness: track.fineness,
                     activity: [x, y, z],
                     last_level: kind == 4 || (kind < 4 && at == sites.zero + 1),
                 });

@@ -100,6 +100,7 @@ impl PayloadEncoder for DenseEncoder {
             squares: [0.0; GROUP_CHANNELS],
             samples: [[0.0; ROOM]; 3],
             expected: [0.0; TOGETHER],
+            off: [[0.0; ROOM]; 3],
         };
         side.coder.split(STORED, false);
         let mut present: [Option<&[bool]>; GROUP_CHANNELS] = [None; GROUP_CHANNELS];

@@ -113,7 +113,7 @@ impl Lattice {
 
 impl Fineness {
     /// Units of one lattice step.
-    pub(super) fn step(self, lattice: Lattice) -> i64 {
+    pub(super) const fn step(self, lattice: Lattice) -> i64 {
         match (self, lattice) {
             (Self::Normal, Lattice::Cubic) => 293,
             (Self::Normal, Lattice::Centred) => 227,

@@ -66,8 +66,8 @@ pub(super) fn unset(logit: i64) -> u32 {
 
 /// The logit of a probability.
 #[inline(always)]
-pub(super) fn logit(probability: u16) -> i32 {
-    i32::from(LOGITS[usize::from(probability >> 4)])
+pub(super) const fn logit(probability: u16) -> i32 {
+    LOGITS[(probability >> 4) as usize] as i32
 }
 
 #[cfg(test)]

@@ -20,6 +20,19 @@ struct Contexts {
     logits: [i16; N_CONTEXTS],
 }
 
+/// What everything starts from.
+static FIRST: Contexts = {
+    let mut first = Contexts { states: [0; N_CONTEXTS], logits: [0; N_CONTEXTS] };
+    let mut index = 0;
+    while index < N_CONTEXTS {
+        let (probability, seen) = prior::context(index);
+        first.states[index] = (probability as u32) << 16 | seen as u32;
+        first.logits[index] = logistic::logit(probability) as i16;
+        index += 1;
+    }
+    first
+};
+
 impl Contexts {
     #[inline(always)]
     fn set(&mut self, index: usize, state: u32) {
@@ -89,7 +102,7 @@ pub(super) struct Model {
 impl Model {
     pub(super) fn new() -> Self {
         let mut model = Self {
-            contexts: Box::new(Contexts { states: [0; N_CONTEXTS], logits: [0; N_CONTEXTS] }),
+            contexts: Box::new(FIRST.clone()),
             mixers: Box::new([Mixer { weights: [0; 3], seen: 0 }; N_MIXERS]),
             #[cfg(feature = "training")]
             tally: super::training::Tally::new(),
@@ -100,10 +113,7 @@ impl Model {
 
     /// Back to the odds that everything starts from.
     pub(super) fn reset(&mut self) {
-        for index in 0..N_CONTEXTS {
-            let (probability, seen) = prior::context(index);
-            self.contexts.set(index, u32::from(probability) << 16 | u32::from(seen));
-        }
+        (*self.contexts).clone_from(&FIRST);
         for (index, mixer) in self.mixers.iter_mut().enumerate() {
             *mixer = Mixer { weights: prior::weights(index), seen: 0 };
         }

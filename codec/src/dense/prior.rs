@@ -8,7 +8,7 @@ use super::layout::{N_CONTEXTS, N_MIXERS};
 static TABLE: &[u8; 3 * N_CONTEXTS + 6 * N_MIXERS] = include_bytes!("prior.bin");
 
 /// Probability in 2^-16 and weight of a context.
-pub(super) fn context(index: usize) -> (u16, u8) {
+pub(super) const fn context(index: usize) -> (u16, u8) {
     let at = 3 * index;
     (u16::from_le_bytes([TABLE[at], TABLE[at + 1]]), TABLE[at + 2])
 }

@@ -4,6 +4,7 @@ use super::{
     ahead::Sites,
     code::Points,
     lattice::{Grid, Point},
+    track::MEMORY,
     walk::{Batch, Group, Question, Side},
 };
 use crate::{CodecError, Tolerance, coding::range::RangeEncoder};
@@ -14,6 +15,8 @@ const CHANNELS: usize = 12;
 struct Scripted<'a> {
     coder: RangeEncoder<'a>,
     out_of_the_world: Option<(usize, usize)>,
+    /// The channel and the rows that come next.
+    next: (usize, Sites),
 }
 
 /// From -8 to 7.
@@ -29,7 +32,8 @@ impl<'a> Side for Scripted<'a> {
     }
 
     fn choose(&mut self, question: Question) -> Point {
-        let Question { channel, row, .. } = question;
+        let (channel, sites) = self.next;
+        let row = sites.at(question.place) - MEMORY;
         if self.out_of_the_world == Some((channel, row)) {
             return [1 << 40, 0, 0];
         }
@@ -43,7 +47,9 @@ impl<'a> Side for Scripted<'a> {
         (0, [0; 3])
     }
 
-    fn ahead(&mut self, _: usize, _: &Sites) {}
+    fn ahead(&mut self, channel: usize, sites: &Sites) {
+        self.next = (channel, *sites);
+    }
 
     fn outside<const N: usize>(&mut self, _: usize, _: Batch, _: &Points<N>) -> u32 {
         u32::MAX
@@ -59,7 +65,8 @@ fn block(
 ) -> Result<Vec<u8>, CodecError> {
     let mut out = Vec::new();
     let present = vec![true; n_rows];
-    let mut side = Scripted { coder: RangeEncoder::new(&mut out, usize::MAX), out_of_the_world };
+    let coder = RangeEncoder::new(&mut out, usize::MAX);
+    let mut side = Scripted { coder, out_of_the_world, next: (0, Sites::default()) };
     group.block(&mut side, n_rows, &[Some(&present[..]); CHANNELS])?;
     assert!(side.coder.finish());
     Ok(out)

@@ -23,16 +23,14 @@ use crate::{
 /// What an encoder is asked before a residual is coded.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Question {
-    pub(super) channel: usize,
-    /// Of the block.
-    pub(super) row: usize,
+    /// Among the rows ahead.
+    pub(super) place: usize,
     /// In units, whole.
     pub(super) prediction: [f64; 3],
     /// Of the row.
     pub(super) kind: usize,
     pub(super) lattice: Lattice,
-    /// Units of a lattice step.
-    pub(super) step: i64,
+    pub(super) fineness: Fineness,
     /// Averages of the magnitudes in 1/256, by axis.
     pub(super) activity: [i32; 3],
     /// Nothing is predicted from the row.

@@ -98,8 +98,10 @@ pub fn stated_channels(block: &[u8]) -> Option<usize> {
 
 /// Samples present; an error when one is not finite.
 pub(crate) fn count_finite(rows: Rows<'_>) -> Result<usize, CodecError> {
+    // Without their signs, the bits of those that are not are the largest.
     let not_finite = |(position, present): (&Position, &bool)| {
-        *present & position.iter().fold(false, |any, c| any | !c.is_finite())
+        let [x, y, z] = position.map(|c| c.to_bits() & !(1 << 31));
+        *present & (x.max(y).max(z) >= f32::INFINITY.to_bits())
     };
     let all = || rows.positions().iter().zip(rows.present());
     let (mut samples, mut any) = (0, false);
