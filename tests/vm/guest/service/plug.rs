@@ -69,7 +69,7 @@ pub(crate) fn starts() -> Measured {
     let rig = Simulator::bulk("RIG0001", &["--loop"])?;
     wait_for("mocapd@RIG0001", "active")?;
     ensure!(show("mocapd@RIG0002", "ActiveState")? == "inactive", "a rig without a configuration");
-    let frames = records(BULK, 0)?;
+    let n_frames = records(BULK, 0)?;
     let pid = show("mocapd@RIG0001", "MainPID")?;
     let take = BULK.begin()?;
     let (controller, _) = rig.unplug()?;
@@ -79,12 +79,13 @@ pub(crate) fn starts() -> Measured {
     // What was sent meanwhile is missing, and the take went on.
     BULK.end(3)?;
     let over_the_gap = frames(&take, 3)?;
+    ensure!(over_the_gap > 0, "nothing of it is in the take");
     ensure!(show("mocapd@RIG0001", "MainPID")? == pid, "unplugging ended the service");
     records(BULK, 0).context("after it was plugged in again")?;
     rig.stop()?;
     other.stop()?;
     Ok(format!(
-        "udev started it; {frames} frames through the sandbox; unplugged and plugged in again"
+        "udev started it; {n_frames} frames through the sandbox; unplugged and plugged in again"
     ))
 }
 
