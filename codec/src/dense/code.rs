@@ -105,6 +105,7 @@ impl Group {
         side.settle(channel, batch, points, kept);
         Ok(())
     }
+
     /// Codes some of the rows that are ahead: those from `from` to `to`, `N` at most.
     #[inline(always)]
     fn code<S: Side, const N: usize, const FAR: bool>(

@@ -7,7 +7,10 @@ use super::{
     track::MEMORY,
     walk::{Batch, Group, Question, Side},
 };
-use crate::{CodecError, Tolerance, coding::range::RangeEncoder};
+use crate::{
+    CodecError, Tolerance,
+    coding::{isa::Isa, range::RangeEncoder},
+};
 
 const CHANNELS: usize = 12;
 
@@ -90,5 +93,16 @@ fn a_key_forgets_what_an_error_in_mid_block_left() {
                 [block(&mut group, 128, None).unwrap(), block(&mut group, 128, None).unwrap()];
             assert!(got == wanted, "after an error in row {row} of {n_rows}");
         }
+    }
+}
+
+#[test]
+fn both_instruction_sets_give_the_same_bytes() {
+    let group = || Group::new(Grid::new(Tolerance::from_mm(0.5).unwrap()));
+    let (mut wide, mut plain) = (group(), group());
+    (plain.isa, plain.weave.isa) = (Isa::plain(), Isa::plain());
+    for n_rows in [128, 100, 7, 128] {
+        let (wide, plain) = (block(&mut wide, n_rows, None), block(&mut plain, n_rows, None));
+        assert!(wide.is_ok() && wide == plain, "{n_rows} rows");
     }
 }

@@ -57,7 +57,7 @@ impl Default for SpanVectors {
 /// All averages of a group.
 #[derive(Debug)]
 pub(super) struct Weave {
-    isa: Isa,
+    pub(super) isa: Isa,
     /// By class, channel, channel, both ways around.
     covariances: Vec<Lane>,
     /// By channel and channel, both ways around.
