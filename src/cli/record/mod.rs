@@ -95,7 +95,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
             keep_free_bytes: args.keep_free,
             beside_bytes: beside.map(RawLog::file_bytes),
         };
-        record_and_watch(rig, &args.output, codec, limits, &stop)
+        record_and_watch(rig, &args.output, codec, &limits, &stop)
     })?;
     let report = Report::new(&args.output, &recorded, &codec).with_log(log);
     if args.json {

@@ -37,7 +37,7 @@ pub(crate) fn record_and_watch(
     rig: Rig,
     take: &Path,
     codec: Settings,
-    limits: Limits,
+    limits: &Limits,
     stop: &AtomicBool,
 ) -> anyhow::Result<Recorded> {
     let mut watching = None;
@@ -59,7 +59,7 @@ pub(crate) fn record_and_watch(
             )
         }));
     };
-    let Limits { length, keep_free_bytes, .. } = limits;
+    let &Limits { length, keep_free_bytes, .. } = limits;
     let mut options = RecordOptions {
         take,
         codec,

@@ -176,7 +176,7 @@ impl Inner {
                 None,
             ),
             Err(error) => {
-                self.say_event("warning", &format!("the raw log {name}: {error:#}"), None)
+                self.say_event("warning", &format!("the raw log {name}: {error:#}"), None);
             }
         }
     }
