@@ -190,5 +190,5 @@ fn what_may_surprise_is_noted() {
     assert!(notes("[trigger]\nallow_from = ['10.0.0.1']").contains("no trigger is heard"));
     assert!(notes("[http]\nlisten = '0.0.0.0:1'\ntoken_file = 'x'").contains("as it is"));
     assert!(notes("[http]\nlisten = ''\nsocket = ''").contains("nobody can start a take"));
-    assert!(notes("[device]\nraw_log = true").contains("many times as large"));
+    assert!(notes("[device]\nraw_log = true").contains("many times what its takes have"));
 }

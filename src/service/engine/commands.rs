@@ -393,10 +393,12 @@ impl Inner {
         if self.stopping.swap(true, Ordering::SeqCst) {
             return;
         }
-        if self.core().take.is_some() {
-            // A client's stop may be under way: then that one tells.
+        // A client's stop may be under way: then that one closes the take.
+        let command = self.command_within(super::STOP_WITHIN);
+        if command.is_ok() && self.core().take.is_some() {
             drop(self.end_take("service stopped"));
         }
+        drop(command);
         if let Some(session) = &self.core().session {
             session.stop.store(true, Ordering::Relaxed);
         }

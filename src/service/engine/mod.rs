@@ -169,7 +169,11 @@ impl Inner {
 
     /// The right to carry out a command.
     fn command(&self) -> Result<MutexGuard<'_, ()>, Refusal> {
-        let until = Instant::now() + COMMAND_WITHIN;
+        self.command_within(COMMAND_WITHIN)
+    }
+
+    fn command_within(&self, at_most: Duration) -> Result<MutexGuard<'_, ()>, Refusal> {
+        let until = Instant::now() + at_most;
         loop {
             match self.command.try_lock() {
                 Ok(guard) => return Ok(guard),

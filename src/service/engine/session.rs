@@ -84,6 +84,8 @@ pub(super) struct Rates {
     pub(super) session: AtomicU64,
     pub(super) frames_hz: AtomicU64,
     pub(super) cpu_cores: AtomicU64,
+    /// Bytes free in the takes' folder, and one more; 0 while nobody can tell.
+    pub(super) free_bytes: AtomicU64,
 }
 
 impl Core {

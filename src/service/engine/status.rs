@@ -90,10 +90,8 @@ impl Inner {
             },
         };
         core.tell_session(&mut status, measured_hz);
-        let directory = options.directory.clone();
         drop(core);
-        // A disk may be slow to tell: not with the state locked.
-        status.disk.free_bytes = free_bytes(&directory);
+        status.disk.free_bytes = get(&self.rates.free_bytes).checked_sub(1);
         if status.disk.left_s.is_none() {
             status.disk.left_s = estimated_left_s(&status);
         }
@@ -141,7 +139,8 @@ impl Core {
     }
 }
 
-fn free_bytes(directory: &Path) -> Option<u64> {
+/// What a disk may be slow to tell.
+pub(super) fn free_bytes(directory: &Path) -> Option<u64> {
     let disk = statvfs(directory).ok()?;
     Some(disk.f_bavail.saturating_mul(disk.f_frsize))
 }

@@ -5,8 +5,11 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::{Inner, session::Core};
-use crate::{heartbeat::Who, process};
+use super::{Inner, session::Core, status::free_bytes};
+use crate::{
+    heartbeat::{Beat, Who},
+    process,
+};
 
 /// Between two looks.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
@@ -29,7 +32,7 @@ pub(super) fn run(inner: &Arc<Inner>) {
             beat.at_disk();
         }
         inner.end_what_is_over();
-        rates.look(inner);
+        rates.look(inner, beat.as_ref());
         inner.wait(LOOK_EVERY);
     }
     inner.tell_what_was_said();
@@ -97,7 +100,7 @@ struct Measured {
 }
 
 impl Measured {
-    fn look(&mut self, inner: &Inner) {
+    fn look(&mut self, inner: &Inner, beat: Option<&Beat>) {
         if self.last.is_some_and(|(at, ..)| at.elapsed() < RATES_EVERY) {
             return;
         }
@@ -106,7 +109,13 @@ impl Measured {
         let session = core.session.as_ref();
         let number = session.map_or(0, |session| session.number);
         let frames = session.map_or(0, |s| s.progress.frames.load(Ordering::Relaxed));
+        let directory = core.options.directory.clone();
         drop(core);
+        if let Some(beat) = beat {
+            beat.at_disk();
+        }
+        let free_bytes = free_bytes(&directory).map_or(0, |bytes| bytes.saturating_add(1));
+        inner.rates.free_bytes.store(free_bytes, Ordering::Relaxed);
         let cpu_s = process::usage(None).map_or(0.0, |usage| usage.cpu_s);
         if let Some((at, session, before, cpu_before_s)) = self.last {
             let passed_s = now.duration_since(at).as_secs_f64();
