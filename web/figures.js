@@ -114,7 +114,7 @@ function preRoll({ wanted_s: wanted, held_s: held, held_bytes: size, is_cut: isC
 /** What takes longer than a frame is worth a look. */
 function delay({ device }, us) {
   const found = { ...value(...micros(us)), note: "from the last byte" };
-  return device.rate_hz > 0 && us > 1e6 / device.rate_hz ? { ...found, ...watch("> 1 frame") } : found;
+  return device.rate_hz > 0 && us > 1e6 / device.rate_hz ? { ...found, ...watch("late") } : found;
 }
 
 function jitter({ device, input }) {

@@ -55,7 +55,7 @@ class Browser:
         return self.js("return document.getElementById(arguments[0])?.textContent ?? ''", name)
 
     def state(self):
-        return self.js("return document.getElementById('hero').dataset.state")
+        return self.js("return document.getElementById('hero')?.dataset.state ?? null")
 
     def stats(self):
         return self.js("return window.mocapdStats")

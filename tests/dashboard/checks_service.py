@@ -24,16 +24,16 @@ DATA_PLANE = ("mocapd-rig", "mocapd-work", "mocapd-write")
 class Rig:
     """A simulated device and the service that records it, in a folder of their own."""
 
-    def __init__(self, mocapd, mocapd_sim):
+    def __init__(self, mocapd, mocapd_sim, token=None):
         self.mocapd, self.folder = mocapd, Path(tempfile.mkdtemp(prefix="rig-"))
         self.running = contextlib.ExitStack()
         try:
-            self._begin(mocapd_sim)
+            self._begin(mocapd_sim, token)
         except BaseException:
             self.close()
             raise
 
-    def _begin(self, mocapd_sim):
+    def _begin(self, mocapd_sim, token):
         self.takes = self.folder / "takes"
         self.takes.mkdir()
         line = self.folder / "line"
@@ -51,6 +51,12 @@ directory = "{self.takes}"
 socket = ""
 listen = "127.0.0.1:{port}"
 """)
+        if token:
+            secret = self.folder / "token"
+            secret.touch(mode=0o600)
+            secret.write_text(f"{token}\n")
+            with config.open("a") as more:
+                more.write(f'token_file = "{secret}"\n')
         self.config, self.url = config, f"http://127.0.0.1:{port}/"
         until = time.monotonic() + 20
         while not line.exists():
@@ -109,7 +115,9 @@ def checks(mocapd, mocapd_sim, picture):
     return [("the daemon: a take from the first click to its verification",
              lambda browser, log: a_take(browser, log, mocapd, mocapd_sim, picture)),
             ("the daemon: killed, it is missed at once, and found again when it is back",
-             lambda browser, log: killed(browser, log, mocapd, mocapd_sim))]
+             lambda browser, log: killed(browser, log, mocapd, mocapd_sim)),
+            ("the daemon: its token lets the page in, at the door and when a session has ended",
+             lambda browser, _log: let_in(browser, mocapd, mocapd_sim))]
 
 
 def a_take(browser, log, mocapd, mocapd_sim, picture):
@@ -210,6 +218,29 @@ def killed(browser, log, mocapd, mocapd_sim):
         rig.again()
         browser.wait_state("armed", 20)
         browser.wait("frames again", lambda: browser.stats()["frames"] > before + 30)
+    finally:
+        browser.open("about:blank")
+        rig.close()
+
+
+def let_in(browser, mocapd, mocapd_sim):
+    token = "0123456789abcdef"
+    rig = Rig(mocapd, mocapd_sim, token)
+    try:
+        browser.open(rig.url)
+        assert browser.driver.current_url.endswith("/login"), browser.driver.current_url
+        assert browser.complaints() == []
+        browser.picture("daemon-login")
+        browser.driver.find_element("name", "token").send_keys(f"{token}\n")
+        browser.wait_state("armed", 20)
+        browser.driver.delete_all_cookies()
+        browser.wait("the question", "return document.getElementById('login').open")
+        browser.type("token", "0123456789abcdee\n")
+        browser.wait("that it is wrong", lambda: browser.text("login-answer").startswith("that is not the token"))
+        browser.type("token", f"{token}\n")
+        browser.wait("no question", "return !document.getElementById('login').open")
+        browser.wait_state("armed")
+        browser.complaints()
     finally:
         browser.open("about:blank")
         rig.close()

@@ -73,9 +73,9 @@ fn check(app: &Shared, request: &Request) -> Result<(), Box<Response>> {
     refuse(Problem::new(StatusCode::UNAUTHORIZED, ProblemKind::Unauthorized, words))
 }
 
-/// What can be had without a token: the way in, and whether the service lives.
+/// What can be had without a token: the way in with what it looks like, and whether the service lives.
 fn is_open(path: &str) -> bool {
-    matches!(path, "/login" | "/healthz")
+    matches!(path, "/login" | "/style.css" | "/icon.svg" | "/healthz")
 }
 
 fn changes(method: &Method) -> bool {
@@ -168,7 +168,8 @@ pub(super) async fn finish(State(app): State<Shared>, request: Request, next: Ne
     }
     let headers = response.headers_mut();
     headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
-    headers.insert(header::REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
+    // Not `no-referrer`: with that, browsers send the form of /login with `Origin: null`, which is no page of ours.
+    headers.insert(header::REFERRER_POLICY, HeaderValue::from_static("same-origin"));
     headers.insert(header::CONTENT_SECURITY_POLICY, CONTENT_SECURITY_POLICY);
     headers.insert(
         HeaderName::from_static("cross-origin-resource-policy"),

@@ -64,7 +64,7 @@ test("the disk says for how long, and when it is too late", () => {
 
 test("a ring that fills up, a late frame, an outage and a cut pre-roll are seen", () => {
   equal([0.1, 0.6, 0.9].map((fill) => figure("ring", { input: { ring_fill: fill } }).level), ["ok", "watch", "bad"]);
-  equal(figure("delay", { input: { ring_latency_p99_us: 9000 } }).word, "> 1 frame");
+  equal(figure("delay", { input: { ring_latency_p99_us: 9000 } }).word, "late");
   equal(says(figure("jitter", { input: { jitter_p99_us: 0 } })), ["–", "", "none", ""]);
   equal(figure("outages", { device: { outages: 1 } }).level, "watch");
   equal(figure("pre-roll", { pre_roll: { is_cut: true, held_s: 4 } }).word, "cut: memory");

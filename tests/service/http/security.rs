@@ -70,7 +70,9 @@ fn without_the_token_there_is_only_the_way_in() {
         post(at, &format!("/v1/{path}"), "{}").refused(401, "unauthorized");
     }
     post(at, "/logout", "").refused(401, "unauthorized");
-    assert_eq!(get(at, "/healthz").status, 200);
+    for path in ["/login", "/style.css", "/icon.svg", "/healthz"] {
+        assert_eq!(get(at, path).status, 200, "{path}");
+    }
     served.fake.fail("/secret/folder is full");
     assert!(!get(at, "/healthz").refused(503, "internal").contains("secret"));
     for said in ["Bearer wrong", "Basic abc", "Bearer ", "Bearer correct-horse-battery-stapl"] {
@@ -142,6 +144,8 @@ fn browsers_are_told_to_keep_to_themselves() {
         assert!(policy.contains("default-src 'none'") && !policy.contains("unsafe"), "{policy}");
         assert_eq!(answer.header("x-content-type-options"), Some("nosniff"), "{path}");
         assert_eq!(answer.header("cross-origin-resource-policy"), Some("same-origin"), "{path}");
+        // With `no-referrer` a browser's form of /login would come with `Origin: null`, and be refused.
+        assert_eq!(answer.header("referrer-policy"), Some("same-origin"), "{path}");
     }
     let page = get(served.at, "/");
     assert!(page.header("content-type").unwrap().starts_with("text/html"));
