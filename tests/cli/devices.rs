@@ -32,6 +32,8 @@ const GIVE_UP: Duration = Duration::from_secs(60);
 pub(crate) struct Simulated {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<SentLog>>,
+    /// Where its link is.
+    _place: tempfile::TempDir,
     pub(crate) path: PathBuf,
 }
 
@@ -68,16 +70,20 @@ impl Simulated {
         mut device: impl LineDevice + Send + 'static,
         baud: Option<u32>,
     ) -> Self {
+        // A name of its own: a terminal's number is given to the next test, whose device a recorder that waits for this one
+        // would take for it.
+        let place = tempfile::tempdir().unwrap();
+        let link = link.unwrap_or_else(|| place.path().join("device"));
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = Arc::clone(&stop);
         let (path_in, path) = crossbeam_channel::bounded(1);
         let serve = move || {
             let options = ServeOptions { baud, ..ServeOptions::default() };
             let told = |path: &std::path::Path| path_in.send(path.to_owned()).unwrap();
-            serve_pty(&mut device, link.as_deref(), options, &stopped, told).unwrap()
+            serve_pty(&mut device, Some(&link), options, &stopped, told).unwrap()
         };
         let thread = Builder::new().name("simulator".to_owned()).spawn(serve).unwrap();
-        Self { stop, thread: Some(thread), path: path.recv().unwrap() }
+        Self { stop, thread: Some(thread), _place: place, path: path.recv().unwrap() }
     }
 
     /// One that plays its motion once.
