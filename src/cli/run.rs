@@ -97,7 +97,16 @@ struct Doors {
 
 impl Doors {
     fn open(config: &Config, control: &Arc<dyn Control>) -> anyhow::Result<Self> {
-        let options = http_options(&config.http)?;
+        let mut options = http_options(&config.http)?;
+        if let Some(folder) = options.unix_socket.as_deref().and_then(Path::parent)
+            && options.tcp.is_some()
+            && !folder.exists()
+        {
+            let words = "there is no Unix socket, because systemd has not made its folder";
+            let remedy = "set http.socket to another path, or to \"\" for none";
+            control.tell("warning", &format!("{words} {}: {remedy}", folder.display()));
+            options.unix_socket = None;
+        }
         let wanted = options.unix_socket.is_some() || options.tcp.is_some();
         let http = wanted.then(|| HttpServer::start(options, Arc::clone(control))).transpose()?;
         if let Some(http) = &http {
