@@ -18,7 +18,7 @@ pub fn check_room(path: &Path, keep_free_bytes: u64) -> anyhow::Result<()> {
     let free_bytes = disk.f_bavail.saturating_mul(disk.f_frsize);
     if free_bytes < keep_free_bytes.saturating_add(HELD_MIN_BYTES) {
         bail!(
-            "the disk is nearly full: {:.0} MB are free for {}, and {:.0} MB have to stay free (--keep-free) beside {:.0} MB \
+            "the disk is nearly full: {:.0} MB are free for {}, and {:.0} MB have to stay free (--keep-free, take.keep_free) beside {:.0} MB \
              to close a take in: delete something, or record to another disk",
             mb(free_bytes),
             path.display(),

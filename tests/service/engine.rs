@@ -282,3 +282,14 @@ fn the_bytes_of_the_line_are_kept_from_arm_to_disarm_where_that_is_wanted() {
     let bytes = std::fs::read(&logs[0]).unwrap();
     assert!(bytes.len() > 2_000, "{}", bytes.len());
 }
+
+#[test]
+fn a_disk_that_is_full_is_said_to_be_so_and_nothing_is_left_there() {
+    let Room { directory, device: _device, engine } =
+        room(|options| options.keep_free_bytes = u64::MAX / 2);
+    let refused = engine.start(&named("full")).unwrap_err();
+    assert_eq!(refused.kind, RefusalKind::Disk, "{refused}");
+    assert!(refused.message.contains("--keep-free") || refused.message.contains("keep_free"));
+    assert_eq!(directory.path().read_dir().unwrap().count(), 0);
+    assert_eq!(engine.status().state, State::Idle);
+}
