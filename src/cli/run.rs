@@ -202,7 +202,7 @@ impl Running<'_> {
         self.notifier.ready(&self.engine.status().words());
     }
 
-    fn take_over(&mut self, config: Config) {
+    fn take_over(&mut self, mut config: Config) {
         let changes = self.config.changes(&config);
         for change in &changes {
             tracing::info!("{}: {}", change.key, change.when.words());
@@ -215,6 +215,8 @@ impl Running<'_> {
         self.engine.reload(EngineOptions::of(&config));
         if let Err(error) = self.doors.reopen(&self.config, &config, &self.control) {
             tracing::error!("{error:#}");
+            // Tried again the next time.
+            config.trigger.listen = None;
         }
         self.config = config;
     }

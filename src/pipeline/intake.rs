@@ -235,6 +235,7 @@ impl Intake {
     /// Ends the open stretch; the next one is a short key stretch, so that what begins there is on disk soon.
     fn cut(&mut self, boundary: Boundary) {
         self.close_stretch();
+        self.close_pending();
         self.end_boundary(boundary.number);
         self.key_every = if boundary.recording { self.key_rows } else { self.armed_key_rows };
         self.next_key_row = self.next_row;

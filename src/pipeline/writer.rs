@@ -34,6 +34,9 @@ use super::{
 };
 use crate::heartbeat::Beat;
 
+/// How often the writer looks what waits, though it is to sync with every stretch.
+const LOOK_AT_MOST: Duration = Duration::from_millis(50);
+
 /// How long to wait for parts after a worker failed.
 const GIVE_UP_AFTER: Duration = Duration::from_secs(2);
 
@@ -121,7 +124,7 @@ impl<W: TakeOutput> Writer<W> {
         });
         loop {
             beat.moved();
-            match self.parts.recv_timeout(self.sync_every.min(GIVE_UP_AFTER)) {
+            match self.parts.recv_timeout(self.sync_every.clamp(LOOK_AT_MOST, GIVE_UP_AFTER)) {
                 Ok(part) => {
                     silent_since = Instant::now();
                     self.assemblies.add(part);
@@ -183,7 +186,7 @@ impl<W: TakeOutput> Writer<W> {
         let (counts, progress) = (self.counts, Arc::clone(&self.progress));
         let payload = std::mem::take(&mut self.payload);
         if let Some(held) = &mut self.held
-            && end.span.n_rows > 0
+            && !payload.is_empty()
         {
             held.push(stretch, end, &payload, *report, (before, counts));
         }

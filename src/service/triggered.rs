@@ -156,6 +156,10 @@ impl Worker {
                     return;
                 }
                 self.wait(stop.delay);
+                if self.control.status().take.is_none_or(|take| take.name != recording) {
+                    self.control.tell("trigger", &format!("{note}: {recording} was over already"));
+                    return;
+                }
                 // A take that cannot be marked can be stopped.
                 self.control.mark(&Mark { text: note.clone(), ..Mark::default() }).ok();
                 let words = match self.control.stop(&Request::default()) {

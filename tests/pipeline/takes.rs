@@ -264,3 +264,83 @@ fn a_disk_that_fails_ends_the_take_and_not_the_pipeline() {
     drop(intake);
     pipeline.join().unwrap();
 }
+
+/// A disk that lets nothing through until somebody opens it.
+#[derive(Debug, Clone, Default)]
+struct Shut(std::sync::Arc<std::sync::Mutex<bool>>, Vec<u8>);
+
+impl io::Write for Shut {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        while *self.0.lock().unwrap() {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        self.1.extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl TakeOutput for Shut {
+    fn sync(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// What found the rings full after a take's last row is that take's loss, though no row of it followed.
+#[test]
+fn frames_that_a_stalled_disk_costs_at_a_takes_end_are_on_its_ledger() {
+    let motion = jump(18, 1000.0, 80.0);
+    let (mut intake, pipeline, mut armed) = arm::<Shut>(&motion, PRE_ROLL);
+    feed_all(&mut intake, &motion, 0..100);
+    let gate = Shut::default();
+    let NewTake { header, pre_roll, asked_ns, notes, keep_free_bytes, .. } =
+        new_take(&motion, Duration::ZERO, 100);
+    let output = gate.clone();
+    let take = NewTake { output, header, pre_roll, asked_ns, notes, keep_free_bytes };
+    let begun = armed.takes.begin(take).unwrap();
+    feed_all(&mut intake, &motion, 100..300);
+    begun.first.recv_timeout(Duration::from_secs(30)).unwrap();
+    *gate.0.lock().unwrap() = true;
+    // More than buffers and rings hold.
+    let mut seq = 300;
+    let mut lost = 0;
+    while lost < 500 {
+        let is_full = intake.is_full();
+        feed(&mut intake, &motion, seq);
+        lost += u32::from(is_full);
+        seq += 1;
+        if seq % 500 == 0 {
+            // The workers get their turn.
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+    armed.takes.end().unwrap();
+    intake.tick(arrival_ns(&motion, seq));
+    *gate.0.lock().unwrap() = false;
+    let (written, output) = begun.ended.recv_timeout(Duration::from_secs(60)).unwrap().unwrap();
+    let ledger = &written.ledger;
+    assert!(ledger.closes() && ledger.finished, "{ledger:?}");
+    assert_eq!(ledger.recorded + ledger.lost_ring_full, seq as u64 - 100, "{ledger:?}");
+    assert!(ledger.lost_ring_full >= 500, "{ledger:?}");
+    let (found, problems) = rows(&output.1);
+    assert_eq!((found.len(), problems.len()), (seq - 100, 0), "{problems:?}");
+    let summary = Summary::read(&output.1[..]).unwrap();
+    assert_eq!((summary.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
+    // What is held goes over that, too.
+    let NewTake { header, asked_ns, notes, keep_free_bytes, .. } =
+        new_take(&motion, Duration::ZERO, seq);
+    let pre_roll = Duration::from_secs(600);
+    let take =
+        NewTake { output: Shut::default(), header, pre_roll, asked_ns, notes, keep_free_bytes };
+    feed_all(&mut intake, &motion, seq..seq + 100);
+    let saved = armed.takes.save(take).unwrap();
+    intake.tick(arrival_ns(&motion, seq + 100));
+    let (written, output) = saved.ended.recv_timeout(Duration::from_secs(60)).unwrap().unwrap();
+    assert!(written.ledger.closes(), "{:?}", written.ledger);
+    let summary = Summary::read(&output.1[..]).unwrap();
+    assert_eq!((summary.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
+    drop(intake);
+    pipeline.join().unwrap();
+}

@@ -134,6 +134,7 @@ fn the_pre_roll_is_in_the_take_and_can_be_saved_after_the_fact() {
     let saved = engine.save_last(&save).unwrap();
     assert!((2.9..4.9).contains(&saved.seconds), "{saved:?}");
     read(&saved.path);
+    assert_eq!(engine.status().take.unwrap().name, "early", "it goes on");
     let stopped = engine.stop(&request()).unwrap();
     assert!(stopped.seconds > 2.0);
     read(&started.path);
@@ -158,6 +159,8 @@ fn a_request_that_comes_twice_is_carried_out_once() {
     assert_eq!(engine.status().state, State::Armed);
     let other = Request { request_id: id("a") };
     assert_eq!(engine.stop(&other).unwrap_err().kind, RefusalKind::Invalid);
+    let save = SaveLast { request_id: id("b"), seconds: 1.0, ..SaveLast::default() };
+    assert_eq!(engine.save_last(&save).unwrap_err().kind, RefusalKind::Invalid);
 }
 
 #[test]

@@ -82,6 +82,20 @@ impl Intake {
         }
     }
 
+    /// Rows that were lost since the last recorded one, as a stretch of their own: they are the account's of whatever
+    /// take ends here.
+    pub(super) fn close_pending(&mut self) {
+        if self.pending.rows() == 0
+            || self.counts.recorded == 0
+            || self.timeline.room() <= 3 * RUNS_MAX
+        {
+            return;
+        }
+        self.push_pending();
+        let span = Span { first_row: self.next_row, n_rows: 0, key: false, number: 0 };
+        self.send(self.end_of(span, 0, false));
+    }
+
     pub(super) fn end_stretch(&mut self, n_rows: u32, last: bool) {
         let first_row = if n_rows > 0 { self.open_first_row } else { self.next_row };
         // The next stretch would begin too late.

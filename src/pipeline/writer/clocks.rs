@@ -72,9 +72,14 @@ impl ClockWriter {
         self.lines.clear();
     }
 
+    /// One that nothing comes to.
+    pub(super) fn idle() -> Self {
+        Self::new(never())
+    }
+
     /// For a take beside the one that is written.
     pub(super) fn beside(&self) -> Self {
-        let mut beside = Self::new(never());
+        let mut beside = Self::idle();
         beside.segment = self.segment;
         beside.probes.extend(&self.recent_probes);
         beside.points.extend(&self.recent_points);

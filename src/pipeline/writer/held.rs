@@ -92,6 +92,10 @@ impl Held {
         }
         let pre_roll_ns = u64::try_from(pre_roll.as_nanos()).unwrap_or(u64::MAX);
         let from_ns = now_ns.saturating_sub(pre_roll_ns);
+        // Nothing of it is so new: the device was away.
+        if self.stretches.back().is_none_or(|newest| newest.last_arrival_ns < from_ns) {
+            return self.stretches.len();
+        }
         let old_enough = |held: &HeldStretch| held.span.key && held.first.arrival_ns <= from_ns;
         let keys = self.stretches.iter().enumerate();
         keys.filter(|(_, held)| old_enough(held)).map(|(at, _)| at).next_back().unwrap_or(0)

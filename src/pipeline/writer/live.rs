@@ -127,7 +127,9 @@ impl<W: TakeOutput> LiveTake<W> {
             self.take.ledger(&self.counts.ledger(false)).context("cannot write the ledger")?;
         }
         self.look_at_disk(progress);
-        if self.last_sync.is_none_or(|last| last.elapsed() >= self.sync_every) {
+        let is_due = self.last_sync.is_none_or(|last| last.elapsed() >= self.sync_every);
+        // Somebody waits for the first row.
+        if is_due || (self.first.is_some() && !self.first_told) {
             self.sync_what_waits()?;
         }
         Ok(())

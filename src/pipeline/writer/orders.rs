@@ -1,13 +1,13 @@
 //! What is done at a boundary between two stretches: takes end, begin, and are saved.
 
-use std::{sync::atomic::Ordering, time::Duration};
+use std::sync::{Arc, atomic::Ordering};
 
 use anyhow::anyhow;
 use mocapd_take::record::Channel;
 
-use super::{TakeOutput, Writer, live::LiveTake};
+use super::{TakeOutput, Writer, clocks::ClockWriter, live::LiveTake};
 use crate::pipeline::{
-    lock,
+    Progress, lock,
     messages::StretchEnd,
     takes::{Answers, NewTake, What},
 };
@@ -25,14 +25,17 @@ impl<W: TakeOutput> Writer<W> {
                 What::End => self.end_take(),
                 What::Begin(take, answers) => {
                     self.end_take();
-                    let pre_roll = take.pre_roll;
-                    self.live = self.begin_take(*take, answers, pre_roll, end);
+                    let progress = Arc::clone(&self.progress);
+                    let mut clocks = std::mem::replace(&mut self.clocks, ClockWriter::idle());
+                    clocks.begin();
+                    self.live = self.begin_take(*take, answers, end, &mut clocks, &progress);
+                    self.clocks = clocks;
                 }
                 What::Save(take, answers) => {
-                    let pre_roll = take.pre_roll;
-                    // The take that is being written goes on beside it.
-                    if let Some(saved) = self.begin_take(*take, answers, pre_roll, end) {
-                        let mut clocks = self.clocks.beside();
+                    // The take that is being written goes on beside it, and what others look at is that one's.
+                    let (mut clocks, progress) = (self.clocks.beside(), Progress::new(&[]));
+                    let saved = self.begin_take(*take, answers, end, &mut clocks, &progress);
+                    if let Some(saved) = saved {
                         saved.end(&self.counts.in_rows(), &mut clocks);
                     }
                 }
@@ -49,13 +52,14 @@ impl<W: TakeOutput> Writer<W> {
 
     /// A take that has what is held of the last `pre_roll`. What failed is told to whoever waits for it.
     fn begin_take(
-        &mut self,
+        &self,
         new: NewTake<W>,
         answers: Answers<W>,
-        pre_roll: Duration,
         end: &StretchEnd,
+        clocks: &mut ClockWriter,
+        progress: &Progress,
     ) -> Option<LiveTake<W>> {
-        let NewTake { output, mut header, asked_ns, notes, keep_free_bytes, .. } = new;
+        let NewTake { output, mut header, pre_roll, asked_ns, notes, keep_free_bytes } = new;
         let from = self.held.as_ref().map_or(0, |held| held.of_last(pre_roll, asked_ns));
         let first = self.held.as_ref().and_then(|held| held.from(from).next());
         let (base, rows_before, stretch) = match first {
@@ -65,7 +69,7 @@ impl<W: TakeOutput> Writer<W> {
         };
         let known = |(since, _): &&(u64, Channel)| *since <= stretch;
         header.channels = self.table.iter().filter(known).map(|(_, c)| c.clone()).collect();
-        self.progress.disk_full.store(false, Ordering::Relaxed);
+        progress.disk_full.store(false, Ordering::Relaxed);
         let times = (self.sync_every, keep_free_bytes);
         let begun = LiveTake::begin(output, &header, answers, (base, rows_before), times);
         let mut take = match begun {
@@ -77,7 +81,9 @@ impl<W: TakeOutput> Writer<W> {
         };
         take.reserve(self.payload.capacity());
         let wrote = notes.map_or(Ok(()), |event| take.event(&event));
-        match wrote.and_then(|()| self.write_held(&mut take, from, stretch)) {
+        let held =
+            wrote.and_then(|()| self.write_held(&mut take, (from, stretch), clocks, progress));
+        match held {
             Ok(()) => Some(take),
             Err(error) => {
                 take.give_up(error);
@@ -87,13 +93,13 @@ impl<W: TakeOutput> Writer<W> {
     }
 
     fn write_held(
-        &mut self,
+        &self,
         take: &mut LiveTake<W>,
-        from: usize,
-        first: u64,
+        (from, first): (usize, u64),
+        clocks: &mut ClockWriter,
+        progress: &Progress,
     ) -> anyhow::Result<()> {
-        self.clocks.begin();
-        take.look_at_disk(&self.progress);
+        take.look_at_disk(progress);
         let Some(held) = &self.held else { return Ok(()) };
         if first == u64::MAX {
             return Ok(());
@@ -101,7 +107,7 @@ impl<W: TakeOutput> Writer<W> {
         let mut channels = self.table.iter().filter(|(since, _)| *since > first).peekable();
         let mut events = held.events().filter(|(stretch, _)| *stretch >= first).peekable();
         for stretch in held.from(from) {
-            if self.progress.disk_full.load(Ordering::Relaxed) {
+            if progress.disk_full.load(Ordering::Relaxed) {
                 return Err(anyhow!("the disk is full: delete something"));
             }
             while let Some((_, channel)) = channels.next_if(|(since, _)| *since <= stretch.stretch)
@@ -116,8 +122,8 @@ impl<W: TakeOutput> Writer<W> {
         }
         channels.try_for_each(|(_, channel)| take.channel(channel))?;
         events.try_for_each(|(_, event)| take.event(event))?;
-        take.ledger_and_sync(&mut self.clocks, &self.progress)?;
-        take.tell(&self.progress);
+        take.ledger_and_sync(clocks, progress)?;
+        take.tell(progress);
         Ok(())
     }
 }

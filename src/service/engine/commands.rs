@@ -53,7 +53,9 @@ impl Inner {
             if self.is_stopping() {
                 return Err(stopping());
             }
-            if core.session.is_some() {
+            // One that is being ended is none.
+            let runs = |s: &super::session::Session| !s.stop.load(Ordering::Relaxed);
+            if core.session.as_ref().is_some_and(runs) {
                 return Ok(());
             }
             if let Some(obstacle) = &core.device.obstacle {
@@ -219,11 +221,9 @@ impl Inner {
         drop(core);
         match ended.recv_timeout(CLOSED_WITHIN) {
             Ok(end) => self.finish_take(end),
-            Err(RecvTimeoutError::Disconnected) => {
-                self.finish_take(Err(anyhow::anyhow!("the writer is gone")))
-            }
+            Err(RecvTimeoutError::Disconnected) => self.finish_unanswered(),
             Err(RecvTimeoutError::Timeout) => Err(Refusal::new(
-                RefusalKind::Disk,
+                RefusalKind::Unavailable,
                 "the disk has not taken the end of the take yet: it is closed as soon as it does; look at the status",
             )),
         }
@@ -237,7 +237,10 @@ impl Inner {
             return Err(Refusal::new(RefusalKind::Conflict, words));
         };
         let name = take.name.clone();
-        let rows_before = take.first.map_or(0, |first| first.row);
+        let Some(rows_before) = take.first.map(|first| first.row) else {
+            let words = "the take has no frame yet: mark it when it has begun";
+            return Err(Refusal::new(RefusalKind::Conflict, words));
+        };
         let row = session.takes.mark(text, monotonic_ns());
         drop(core);
         let row =
@@ -399,6 +402,11 @@ impl Inner {
             drop(self.end_take("service stopped"));
         }
         drop(command);
+        // Whoever has the command is still closing it: a disk that stalls is waited for.
+        let until = Instant::now() + CLOSED_WITHIN;
+        while self.core().take.is_some() && Instant::now() < until {
+            std::thread::sleep(Duration::from_millis(20));
+        }
         if let Some(session) = &self.core().session {
             session.stop.store(true, Ordering::Relaxed);
         }

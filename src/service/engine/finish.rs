@@ -25,6 +25,20 @@ impl Inner {
         self.closed(end, &take.id, &take.name, &take.path, take.rate_hz, ending)
     }
 
+    /// Nobody will tell what became of the take: the pipeline ended before it was begun there, or its writer is gone.
+    pub(super) fn finish_unanswered(&self) -> Result<Stopped, Refusal> {
+        let path = self.core().take.as_ref().map(|take| take.path.clone());
+        let is_empty = path.and_then(|path| path.metadata().ok()).is_some_and(|f| f.len() == 0);
+        if !is_empty {
+            return self.finish_take(Err(anyhow::anyhow!("the writer is gone")));
+        }
+        if let Some(take) = self.core().take.take() {
+            std::fs::remove_file(&take.path).ok();
+        }
+        let words = "the device went away before the take began: try again";
+        Err(Refusal::new(RefusalKind::Device, words))
+    }
+
     pub(super) fn closed(
         &self,
         end: TakeEnd<File>,
@@ -63,8 +77,11 @@ impl Inner {
             "{name} is closed ({ending}): {:.1} s, {} bytes, {lost} frames lost",
             stopped.seconds, stopped.bytes
         );
-        let kind = if ending == "disk full" { "warning" } else { "take-stopped" };
-        self.say_event(kind, &words, Some(name));
+        self.say_event("take-stopped", &words, Some(name));
+        if ending == "disk full" {
+            let words = "the disk is full: no take is begun before something is deleted";
+            self.say_event("warning", words, None);
+        }
         Ok(stopped)
     }
 

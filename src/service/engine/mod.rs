@@ -204,37 +204,39 @@ impl Control for Engine {
     }
 
     fn arm(&self, request: &Request) -> Result<Status, Refusal> {
-        self.inner.once(request.request_id.as_deref(), |inner| {
+        self.inner.once("arm", request.request_id.as_deref(), |inner| {
             inner.arm(&inner.command()?)?;
             Ok(inner.status())
         })
     }
 
     fn disarm(&self, request: &Request) -> Result<Status, Refusal> {
-        self.inner.once(request.request_id.as_deref(), |inner| {
+        self.inner.once("disarm", request.request_id.as_deref(), |inner| {
             inner.disarm(&inner.command()?)?;
             Ok(inner.status())
         })
     }
 
     fn start(&self, start: &Start) -> Result<Started, Refusal> {
-        self.inner
-            .once(start.request_id.as_deref(), |inner| inner.start_take(&inner.command()?, start))
+        self.inner.once("start", start.request_id.as_deref(), |inner| {
+            inner.start_take(&inner.command()?, start)
+        })
     }
 
     fn stop(&self, request: &Request) -> Result<Stopped, Refusal> {
-        self.inner.once(request.request_id.as_deref(), |inner| {
+        self.inner.once("stop", request.request_id.as_deref(), |inner| {
             inner.stop_take(&inner.command()?, "stopped")
         })
     }
 
     fn mark(&self, mark: &Mark) -> Result<Marked, Refusal> {
-        self.inner.once(mark.request_id.as_deref(), |inner| inner.mark_take(&mark.text))
+        self.inner.once("mark", mark.request_id.as_deref(), |inner| inner.mark_take(&mark.text))
     }
 
     fn save_last(&self, save: &SaveLast) -> Result<Stopped, Refusal> {
-        self.inner
-            .once(save.request_id.as_deref(), |inner| inner.save_held(&inner.command()?, save))
+        self.inner.once("save_last", save.request_id.as_deref(), |inner| {
+            inner.save_held(&inner.command()?, save)
+        })
     }
 
     fn takes(&self, limit: usize) -> Result<Vec<TakeSummary>, Refusal> {

@@ -59,8 +59,12 @@ pub(super) fn run(inner: &Arc<Inner>, sessions: &Sender<NewSession>) {
         let begun = Instant::now();
         match inner.open() {
             Ok((rig, log)) => {
-                inner.run_session(rig, sessions);
-                inner.finish_log(log);
+                let has_frames = inner.run_session(rig, sessions);
+                if has_frames {
+                    inner.finish_log(log);
+                } else {
+                    discard(log);
+                }
                 let rest = SESSION_AT_LEAST.saturating_sub(begun.elapsed());
                 if inner.core().wanted && !inner.is_stopping() {
                     std::thread::sleep(rest);
@@ -129,8 +133,12 @@ impl Inner {
                 return Err(error);
             }
         };
-        if let Some(rate_hz) = options.rate_hz {
-            rig.set_rate(rate_hz)?;
+        if let Some(rate_hz) = options.rate_hz
+            && let Err(error) = rig.set_rate(rate_hz)
+        {
+            drop(rig);
+            discard(log);
+            return Err(error);
         }
         rig.wait_for_replug(options.reconnect);
         rig.risk_at_most(options.stretch, options.sync);
@@ -181,11 +189,15 @@ impl Inner {
         }
     }
 
-    fn run_session(&self, rig: Rig, sessions: &Sender<NewSession>) {
+    /// Whether a frame came.
+    fn run_session(&self, rig: Rig, sessions: &Sender<NewSession>) -> bool {
         let stop = Arc::new(AtomicBool::new(false));
         let (intake, pipeline) = match self.begin_session(&rig, &stop, sessions) {
             Ok(begun) => begun,
-            Err(error) => return self.met(&format!("{error:#}")),
+            Err(error) => {
+                self.met(&format!("{error:#}"));
+                return false;
+            }
         };
         self.say_event("state", "armed", None);
         let say = |words: &str| self.events.say(words);
@@ -196,7 +208,9 @@ impl Inner {
             ends_when_full: false,
             say: &say,
         };
+        let progress = Arc::clone(pipeline.progress());
         let read = rig.read(intake, &options);
+        self.close_session(read.as_ref().ok().map(|recording| recording.ending));
         let joined = pipeline.join();
         let words = match (&read, &joined) {
             (_, Err(error)) => {
@@ -221,19 +235,23 @@ impl Inner {
                 Ending::Stopped | Ending::DiskFull => "disarmed",
             },
         };
-        let ending = match &read {
-            Ok(recording) if recording.ending == Ending::EndOfStream => "device ended",
+        self.changed.notify_all();
+        self.say_event("state", words, None);
+        progress.frames.load(Ordering::Relaxed) > 0
+    }
+
+    /// The device is not read any more: no take begins here, and one that is written ends.
+    fn close_session(&self, ending: Option<Ending>) {
+        let why = match ending {
+            Some(Ending::EndOfStream) => "device ended",
             _ if self.is_stopping() => "service stopped",
             _ => "device gone",
         };
         let mut core = self.core();
         core.session = None;
         if let Some(take) = &mut core.take {
-            take.ending.get_or_insert(ending);
+            take.ending.get_or_insert(why);
         }
-        drop(core);
-        self.changed.notify_all();
-        self.say_event("state", words, None);
     }
 
     fn begin_session(

@@ -5,6 +5,8 @@ use std::{
     time::{Duration, Instant},
 };
 
+use crossbeam_channel::TryRecvError;
+
 use super::{Inner, session::Core, status::free_bytes};
 use crate::{
     heartbeat::{Beat, Who},
@@ -51,14 +53,15 @@ impl Inner {
         let Ok(command) = self.command.try_lock() else { return };
         let core = self.core();
         let why = core.why_over();
-        let ended = core.take.as_ref().and_then(|take| take.ended.try_recv().ok());
+        let ended = core.take.as_ref().map(|take| take.ended.try_recv());
         let exhausted = core.is_exhausted();
         drop(core);
-        if let Some(end) = ended {
-            // What there is to say stands in the events.
-            drop(self.finish_take(end));
-        } else if let Some(why) = why {
-            drop(self.stop_take(&command, why));
+        // What there is to say stands in the events.
+        match (ended, why) {
+            (Some(Ok(end)), _) => drop(self.finish_take(end)),
+            (Some(Err(TryRecvError::Disconnected)), _) => drop(self.finish_unanswered()),
+            (_, Some(why)) => drop(self.stop_take(&command, why)),
+            _ => {}
         }
         if exhausted {
             self.say_event(
