@@ -1,9 +1,9 @@
 //! Names of takes, as people and programs give them.
 
-use crate::service::control::{Refusal, RefusalKind};
-
-/// Longest name, in bytes: file systems take 255, and `.take`, `.recovered` and the like are put behind it.
-const NAME_BYTES_MAX: usize = 200;
+use crate::{
+    config::NAME_BYTES_MAX,
+    service::control::{Refusal, RefusalKind},
+};
 
 /// A name that is a file's in the takes' folder and nothing else.
 pub(super) fn checked(name: &str) -> Result<&str, Refusal> {
