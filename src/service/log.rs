@@ -1,9 +1,9 @@
 //! What the service says while it runs: into the journal, with fields; on stderr where there is no journal.
 //!
-//! Who must not wait gives its words to a [`Relay`]: a journal that stalls then stalls nobody else.
+//! Who must not wait does not speak here: the reader's words go to the engine's watcher (`engine/events.rs`).
 
 mod gate;
-mod relay;
+mod summaries;
 
 use std::{fmt, io, str::FromStr, sync::Arc};
 
@@ -14,7 +14,6 @@ use tracing_subscriber::{
 };
 
 use self::gate::Gate;
-pub use self::relay::Relay;
 
 /// Before the names of our fields in the journal: `MOCAPD_RIG`, `MOCAPD_TAKE`, `MOCAPD_DEVICE`.
 const PREFIX: &str = "MOCAPD";
@@ -75,7 +74,7 @@ impl FromStr for Level {
 #[derive(Debug)]
 pub struct Log {
     gate: Arc<Gate>,
-    relay: relay::Running,
+    _summaries: summaries::Running,
 }
 
 impl Log {
@@ -97,19 +96,13 @@ impl Log {
         let registry =
             tracing_subscriber::registry().with(out).with(gate::Layer(Arc::clone(&gate)));
         registry.try_init().context("the log runs already")?;
-        let relay = relay::start(Arc::clone(&gate))?;
-        Ok(Self { gate, relay })
+        let summaries = summaries::start(Arc::clone(&gate))?;
+        Ok(Self { gate, _summaries: summaries })
     }
 
     /// Says more or less from now on.
     pub fn set_level(&self, level: Level) {
         self.gate.set_level(level);
-    }
-
-    /// For those who must not wait.
-    #[must_use]
-    pub fn relay(&self) -> Relay {
-        self.relay.relay()
     }
 }
 
