@@ -48,6 +48,9 @@ pub struct Counts {
     pub told_twice: u64,
     /// Frames dropped inside it before it was last started, by its own account.
     pub dropped_before: u64,
+    /// Of a take that began while the device ran: frames missing before it that no report had told of by then, so that
+    /// a later one may.
+    pub dropped_late_max: u64,
     /// Whether that was its last word after a stop.
     pub ended: bool,
     /// Whether no more frames will be taken in.
@@ -140,6 +143,7 @@ impl Counts {
             ..status
         });
         let (link, link_base) = (self.link, base.link);
+        let missing_base = base.not_received + base.lost_in_outages;
         Self {
             recorded: self.recorded - base.recorded,
             not_received: self.not_received - base.not_received,
@@ -167,6 +171,7 @@ impl Counts {
             reports_from: self.reports_from.saturating_sub(base.seen()),
             told_twice: self.told_twice,
             dropped_before: self.dropped_before.saturating_sub(dropped_base),
+            dropped_late_max: missing_base.saturating_sub(dropped_base),
             ended: self.ended,
             closed: self.closed,
             impossible_produced: self.impossible_produced,
@@ -196,7 +201,7 @@ impl Counts {
         let unknown_after_disconnect = self.lost_in_outages + if self.ended { 0 } else { unseen };
         let missing = frames_sent - self.recorded - self.ring_full - unknown_after_disconnect;
         let dropped = self.status.map_or(self.dropped_before, |status| status.frames_dropped);
-        if self.ended && dropped > missing {
+        if self.ended && dropped > missing.saturating_add(self.dropped_late_max) {
             contradictions.push(format!(
                 "the device reports {dropped} frames dropped, but only {missing} are missing"
             ));

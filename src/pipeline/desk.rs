@@ -3,7 +3,7 @@
 //! The reader looks here with every frame and every read: two loads when there is nothing.
 
 use std::sync::{
-    Arc,
+    Arc, Weak,
     atomic::{AtomicU64, Ordering},
 };
 
@@ -18,12 +18,14 @@ const MARKS_MAX: usize = 16;
 pub(super) struct MarkOrder {
     pub(super) event: Event,
     pub(super) row: Sender<u64>,
+    /// Gone when whoever asked has given up: then it is no mark.
+    pub(super) asked: Weak<()>,
 }
 
 /// The outer side.
 #[derive(Debug, Clone)]
 pub(super) struct Desk {
-    /// Number of the last boundary wanted, times two; plus one when a take is written after it.
+    /// The last boundary wanted, as [`Boundary::word`] has it.
     boundary: Arc<AtomicU64>,
     marks: Sender<MarkOrder>,
 }
@@ -42,6 +44,14 @@ pub(super) struct Boundary {
     pub(super) number: u64,
     /// Whether a take is being written after it: key stretches may be rarer then.
     pub(super) recording: bool,
+    /// Whether a take begins there: then it waits for a device that is away, whose absence is none of the take's.
+    pub(super) begins: bool,
+}
+
+impl Boundary {
+    fn word(self) -> u64 {
+        (self.number << 2) | (u64::from(self.begins) << 1) | u64::from(self.recording)
+    }
 }
 
 pub(super) fn desk() -> (Desk, DeskIn) {
@@ -54,8 +64,7 @@ pub(super) fn desk() -> (Desk, DeskIn) {
 impl Desk {
     /// The stretch that is open ends now, and the next one is a key.
     pub(super) fn want(&self, boundary: Boundary) {
-        let word = (boundary.number << 1) | u64::from(boundary.recording);
-        self.boundary.store(word, Ordering::Release);
+        self.boundary.store(boundary.word(), Ordering::Release);
     }
 
     /// `false` when too many wait.
@@ -71,10 +80,11 @@ impl DeskIn {
             return None;
         }
         self.done = word;
-        Some(Boundary { number: word >> 1, recording: word & 1 == 1 })
+        Some(Boundary { number: word >> 2, begins: word & 2 != 0, recording: word & 1 != 0 })
     }
 
+    /// The next mark that somebody still waits for.
     pub(super) fn mark(&self) -> Option<MarkOrder> {
-        self.marks.try_recv().ok()
+        self.marks.try_iter().find(|mark| mark.asked.strong_count() > 0)
     }
 }

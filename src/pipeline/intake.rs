@@ -80,8 +80,11 @@ pub struct Intake {
     last_arrival_ns: u64,
     counts: Counts,
     clocks: Clocks,
+    is_away: bool,
     /// The device is back after an outage, and its first frame has not come.
     rejoining: bool,
+    /// A take is to begin with that frame.
+    begins_then: Option<Boundary>,
     finished: bool,
     desk: DeskIn,
     tap: TapIn,
@@ -139,7 +142,9 @@ impl Intake {
             last_arrival_ns: 0,
             counts: Counts::default(),
             clocks: Clocks::new(config.tick_hz, to_writer.clock),
+            is_away: false,
             rejoining: false,
+            begins_then: None,
             finished: false,
             desk,
             tap,
@@ -152,6 +157,7 @@ impl Intake {
         let rejoins = self.rejoining;
         if rejoins {
             self.end_outage(frame, arrival_ns);
+            self.part_from_outage();
         } else if !self.follow(frame) {
             return;
         }
@@ -228,7 +234,27 @@ impl Intake {
             mark.row.try_send(self.next_row).ok();
         }
         if let Some(boundary) = self.desk.boundary() {
-            self.cut(boundary);
+            // What is ordered later is done with it: an end does not wait for a device.
+            self.begins_then = None;
+            if boundary.begins && (self.is_away || self.rejoining) {
+                self.begins_then = Some(boundary);
+            } else {
+                self.cut(boundary);
+            }
+        }
+    }
+
+    /// Rows of an outage are a stretch of their own, and the next one is a key: a take that begins behind them has
+    /// none of them.
+    fn part_from_outage(&mut self) {
+        match self.begins_then.take() {
+            Some(boundary) => self.cut(boundary),
+            None if self.pending.rows() > 0 => {
+                self.close_stretch();
+                self.close_pending();
+                self.next_key_row = self.next_row;
+            }
+            None => {}
         }
     }
 
@@ -268,10 +294,11 @@ impl Intake {
         self.counts.seen()
     }
 
-    /// Whether the next frame would find a ring full: for sources that can wait.
+    /// Whether the next frame might find a ring full, however many are lost before it: for sources that can wait.
     #[must_use]
     pub fn is_full(&mut self) -> bool {
-        !self.has_room()
+        // More lost rows than the open stretch has left do not go into the rings.
+        !self.has_room_for(1 + self.open_limit.saturating_sub(self.open_rows) as usize)
     }
 
     /// The row that the next frame gets.
@@ -293,7 +320,8 @@ impl Intake {
     }
 
     /// The device went away, or is back.
-    pub(crate) fn away(&mut self, is_away: bool) {
+    pub fn away(&mut self, is_away: bool) {
+        self.is_away = is_away;
         self.progress.is_away.store(is_away, Ordering::Relaxed);
         if !is_away {
             self.progress.outages.fetch_add(1, Ordering::Relaxed);

@@ -1,6 +1,6 @@
 //! Takes of a pipeline that runs: begun, ended, and saved from its pre-roll, without the device noticing.
 
-use std::time::Duration;
+use std::{sync::Arc, time::Duration};
 
 use anyhow::{Context, ensure};
 use crossbeam_channel::{Receiver, Sender, bounded};
@@ -52,6 +52,14 @@ pub struct Begun<W> {
     pub first: Receiver<FirstRow>,
     /// Told when it is closed.
     pub ended: Receiver<TakeEnd<W>>,
+}
+
+/// A mark that was asked for. Dropped before it was placed, it is none.
+#[derive(Debug)]
+pub struct AskedMark {
+    /// Told the pipeline's row that it stands at.
+    pub row: Receiver<u64>,
+    _asked: Arc<()>,
 }
 
 /// What the writer is to do at a boundary.
@@ -126,12 +134,12 @@ impl<W> Takes<W> {
         Ok(begun)
     }
 
-    /// Puts a mark at the frame that comes next. Tells the pipeline's row of it.
+    /// Puts a mark at the frame that comes next, unless what is returned is dropped before.
     ///
     /// # Errors
     /// When too many wait.
-    pub fn mark(&self, text: &str, host_ns: u64) -> anyhow::Result<Receiver<u64>> {
-        let (row, row_out) = bounded(1);
+    pub fn mark(&self, text: &str, host_ns: u64) -> anyhow::Result<AskedMark> {
+        let ((row, row_out), asked) = (bounded(1), Arc::new(()));
         let event = Event {
             kind: EventKind::Mark,
             row: 0,
@@ -140,19 +148,20 @@ impl<W> Takes<W> {
             input: 0,
             text: text.to_owned(),
         };
-        let taken = self.desk.mark(MarkOrder { event, row });
+        let taken = self.desk.mark(MarkOrder { event, row, asked: Arc::downgrade(&asked) });
         ensure!(taken, "too many marks wait: wait a moment");
-        Ok(row_out)
+        Ok(AskedMark { row: row_out, _asked: asked })
     }
 
     fn order(&mut self, what: What<W>, recording: bool) -> anyhow::Result<()> {
         let boundary = self.next_boundary;
+        let begins = matches!(what, What::Begin(..));
         let sent = self.orders.try_send(Order { boundary, what });
         // The channel's error would carry the whole order.
         sent.ok().context("the writer is still busy with what it was asked before")?;
         self.next_boundary += 1;
         self.recording = recording;
-        self.desk.want(Boundary { number: boundary, recording });
+        self.desk.want(Boundary { number: boundary, recording, begins });
         Ok(())
     }
 }

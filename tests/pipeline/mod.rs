@@ -11,6 +11,7 @@ mod lossy_disk;
 mod outage;
 mod overload;
 mod takes;
+mod takes_outage;
 
 use mocapd_take::motion::is_gap;
 

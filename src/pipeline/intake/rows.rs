@@ -25,7 +25,11 @@ impl Intake {
 
     /// Whether this frame, and the lost rows before it that belong into the open stretch, fit.
     pub(super) fn has_room(&mut self) -> bool {
-        let rows = 1 + if self.open_rows > 0 { self.pending.rows() as usize } else { 0 };
+        self.has_room_for(1 + if self.open_rows > 0 { self.pending.rows() as usize } else { 0 })
+    }
+
+    /// Whether so many rows fit.
+    pub(super) fn has_room_for(&mut self, rows: usize) -> bool {
         if self.room < rows {
             let active = &self.rings[..self.n_channels];
             self.room = active.iter().map(RingIn::room).min().unwrap_or(usize::MAX);

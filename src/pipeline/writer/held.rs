@@ -64,7 +64,7 @@ impl Held {
         if self.stretches.is_empty() && !end.span.key {
             return;
         }
-        self.bytes += payload.len();
+        self.bytes += bytes_of(payload);
         self.stretches.push_back(HeldStretch {
             stretch,
             span: end.span,
@@ -85,7 +85,8 @@ impl Held {
         self.events.push_back((stretch, event));
     }
 
-    /// The stretches that a take of the last `pre_roll` before `now_ns` has: from the last key that is old enough.
+    /// The stretches that a take of the last `pre_roll` before `now_ns` has: from the last key that is old enough, and
+    /// none from before an outage that had begun by then.
     pub(super) fn of_last(&self, pre_roll: Duration, now_ns: u64) -> usize {
         if pre_roll.is_zero() {
             return self.stretches.len();
@@ -97,8 +98,14 @@ impl Held {
             return self.stretches.len();
         }
         let old_enough = |held: &HeldStretch| held.span.key && held.first.arrival_ns <= from_ns;
-        let keys = self.stretches.iter().enumerate();
-        keys.filter(|(_, held)| old_enough(held)).map(|(at, _)| at).next_back().unwrap_or(0)
+        let Some(at) = self.stretches.iter().rposition(old_enough) else { return 0 };
+        // All that goes with that key may be older than wanted.
+        let next_key = self.stretches.iter().skip(at + 1).position(|held| held.span.key);
+        let next_key = next_key.map(|after| at + 1 + after);
+        let end = next_key.unwrap_or(self.stretches.len());
+        let reaches_in = |held: &HeldStretch| held.last_arrival_ns >= from_ns;
+        let is_wanted = self.stretches.range(at..end).any(reaches_in);
+        if is_wanted { at } else { end }
     }
 
     pub(super) fn from(&self, at: usize) -> impl Iterator<Item = &HeldStretch> {
@@ -153,6 +160,11 @@ impl Held {
     }
 
     fn drop_first(&mut self, n: usize) {
-        self.bytes -= self.stretches.drain(..n).map(|held| held.payload.len()).sum::<usize>();
+        self.bytes -= self.stretches.drain(..n).map(|held| bytes_of(&held.payload)).sum::<usize>();
     }
+}
+
+/// What a stretch takes in memory.
+fn bytes_of(payload: &[u8]) -> usize {
+    payload.len() + size_of::<HeldStretch>()
 }

@@ -245,7 +245,7 @@ impl Inner {
         drop(core);
         let row =
             row.map_err(|error| Refusal::new(RefusalKind::Unavailable, format!("{error:#}")))?;
-        let row = row.recv_timeout(MARKED_WITHIN).map_err(|_| {
+        let row = row.row.recv_timeout(MARKED_WITHIN).map_err(|_| {
             let words = "the mark was not placed in time: the device is away or the host too slow";
             Refusal::new(RefusalKind::Unavailable, words)
         })?;

@@ -96,7 +96,13 @@ impl Inner {
                 "the take {name} ends early: {error:#}; what is in it can be read, and `mocapd recover` closes it"
             )
         };
-        self.core().failure = Some(words.clone());
+        let mut core = self.core();
+        core.failure = Some(words.clone());
+        // The pipeline goes on without a take, and its pre-roll with keys as often as that needs.
+        if let Some(session) = &mut core.session {
+            session.takes.end().ok();
+        }
+        drop(core);
         self.changed.notify_all();
         self.say_event("failure", &words, Some(name));
         Refusal::new(RefusalKind::Disk, words)

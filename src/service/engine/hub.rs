@@ -152,7 +152,12 @@ impl Hub {
         let offset_us = since_1970.unwrap_or_default().as_micros() as u64 - monotonic_ns() / 1000;
         while let Some(head) = session.tap.next(&mut self.positions) {
             if self.table.labels.len() != head.n_channels {
-                self.table = Arc::new(table(session));
+                let table = table(session);
+                // A marker that has just appeared has no name before the writer has met it: it is shown then.
+                if table.labels.len() != self.table.labels.len() {
+                    self.table = Arc::new(table);
+                }
+                self.positions.truncate(self.table.labels.len());
             }
             lock(&self.inner.judgements).frame(head.arrival_ns, &self.positions);
             if self.inner.viewers.is_empty() {

@@ -1,0 +1,145 @@
+//! Takes beside an absence of the device, and what is told late.
+
+use std::time::Duration;
+
+use mocapd::inspect::Summary;
+use mocapd_drivers::device::Status;
+
+use super::takes::{PRE_ROLL, arm, arrival_ns, ended, feed_all, new_take};
+use crate::support::{jump, rows};
+
+const SOON: Duration = Duration::from_secs(30);
+
+#[test]
+fn a_take_that_begins_while_the_device_is_away_has_none_of_its_absence() {
+    let motion = jump(21, 100.0, 20.0);
+    for is_back in [false, true] {
+        let (mut intake, pipeline, mut armed) = arm(&motion, PRE_ROLL);
+        feed_all(&mut intake, &motion, 0..300);
+        intake.away(true);
+        if is_back {
+            intake.away(false);
+            intake.rejoin();
+        }
+        let begun = armed.takes.begin(new_take(&motion, Duration::ZERO, 800)).unwrap();
+        // The reader looks, and the frame does not come yet.
+        intake.tick(arrival_ns(&motion, 800));
+        if !is_back {
+            intake.away(false);
+            intake.rejoin();
+        }
+        feed_all(&mut intake, &motion, 900..1200);
+        let first = begun.first.recv_timeout(SOON).unwrap();
+        assert_eq!((first.row, first.arrival_ns), (900, arrival_ns(&motion, 900)));
+        armed.takes.end().unwrap();
+        feed_all(&mut intake, &motion, 1200..1201);
+        let (written, take) = ended(&begun);
+        let ledger = &written.ledger;
+        assert_eq!((ledger.frames_sent, ledger.recorded), (300, 300), "{ledger:?}");
+        assert!(ledger.closes() && ledger.contradictions.is_empty(), "{ledger:?}");
+        assert_eq!(rows(&take).0.len(), 300);
+        drop(intake);
+        pipeline.join().unwrap();
+    }
+}
+
+#[test]
+fn an_end_does_not_wait_for_a_device_that_is_away() {
+    let motion = jump(22, 100.0, 10.0);
+    let (mut intake, pipeline, mut armed) = arm(&motion, PRE_ROLL);
+    let begun = armed.takes.begin(new_take(&motion, Duration::ZERO, 0)).unwrap();
+    feed_all(&mut intake, &motion, 0..300);
+    intake.away(true);
+    armed.takes.end().unwrap();
+    intake.tick(arrival_ns(&motion, 400));
+    assert_eq!(ended(&begun).0.ledger.recorded, 300);
+    // Neither does one of a take that could not begin yet.
+    let begun = armed.takes.begin(new_take(&motion, Duration::ZERO, 500)).unwrap();
+    intake.tick(arrival_ns(&motion, 500));
+    armed.takes.end().unwrap();
+    intake.tick(arrival_ns(&motion, 600));
+    assert_eq!(ended(&begun).0.ledger.frames_sent, 0);
+    drop(intake);
+    pipeline.join().unwrap();
+}
+
+/// Two seconds asked for, one since it is back: that one, and not the minutes that it was away.
+#[test]
+fn a_pre_roll_does_not_reach_behind_an_absence() {
+    let motion = jump(23, 100.0, 40.0);
+    for asked_s in [2, 30] {
+        let (mut intake, pipeline, mut armed) = arm(&motion, PRE_ROLL);
+        feed_all(&mut intake, &motion, 0..330);
+        intake.away(true);
+        intake.away(false);
+        intake.rejoin();
+        feed_all(&mut intake, &motion, 3000..3100);
+        let pre_roll = Duration::from_secs(asked_s);
+        let begun = armed.takes.begin(new_take(&motion, pre_roll, 3100)).unwrap();
+        feed_all(&mut intake, &motion, 3100..3300);
+        let first = begun.first.recv_timeout(SOON).unwrap();
+        armed.takes.end().unwrap();
+        feed_all(&mut intake, &motion, 3300..3301);
+        let (written, take) = ended(&begun);
+        let ledger = &written.ledger;
+        assert!(ledger.closes() && ledger.contradictions.is_empty(), "{ledger:?}");
+        let summary = Summary::read(&take[..]).unwrap();
+        assert_eq!((summary.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
+        if asked_s == 2 {
+            assert_eq!((first.row, ledger.frames_sent, ledger.recorded), (3000, 300, 300));
+        } else {
+            // Whoever asks for the time before has the absence, with its rows.
+            assert!(first.row < 330, "{first:?}");
+            assert_eq!(ledger.unknown_after_disconnect, 2670, "{ledger:?}");
+            assert_eq!(ledger.recorded, 330 - first.row + 300);
+        }
+        assert_eq!(rows(&take).0.len() as u64, ledger.frames_sent);
+        drop(intake);
+        pipeline.join().unwrap();
+    }
+}
+
+#[test]
+fn a_mark_that_nobody_waits_for_any_more_is_none() {
+    let motion = jump(24, 100.0, 5.0);
+    let (mut intake, pipeline, mut armed) = arm(&motion, PRE_ROLL);
+    let begun = armed.takes.begin(new_take(&motion, Duration::ZERO, 0)).unwrap();
+    feed_all(&mut intake, &motion, 0..100);
+    drop(armed.takes.mark("given up", 1).unwrap());
+    let mark = armed.takes.mark("waited for", 2).unwrap();
+    feed_all(&mut intake, &motion, 100..200);
+    assert_eq!(mark.row.recv_timeout(SOON), Ok(100));
+    armed.takes.end().unwrap();
+    feed_all(&mut intake, &motion, 200..201);
+    let summary = Summary::read(&ended(&begun).1[..]).unwrap();
+    let texts: Vec<_> = summary.events.iter().map(|event| event.text.as_str()).collect();
+    assert_eq!(texts, ["waited for"]);
+    drop(intake);
+    pipeline.join().unwrap();
+}
+
+/// A device tells of what it dropped now and then: what it tells of after a take began may have been before.
+#[test]
+fn drops_that_are_told_late_contradict_nothing() {
+    let status = |frames_produced, frames_dropped| Status {
+        frames_produced,
+        frames_dropped,
+        ..Status::default()
+    };
+    let motion = jump(25, 100.0, 10.0);
+    for (dropped, contradicts) in [(20, false), (25, false), (26, true)] {
+        let (mut intake, pipeline, mut armed) = arm(&motion, PRE_ROLL);
+        intake.status(status(0, 0), false);
+        feed_all(&mut intake, &motion, (0..300).filter(|seq| !(100..120).contains(seq)));
+        let begun = armed.takes.begin(new_take(&motion, Duration::ZERO, 300)).unwrap();
+        feed_all(&mut intake, &motion, (300..600).filter(|seq| !(400..405).contains(seq)));
+        begun.first.recv_timeout(SOON).unwrap();
+        intake.status(status(600, dropped), true);
+        intake.finish();
+        let ledger = ended(&begun).0.ledger;
+        assert_eq!((ledger.frames_sent, ledger.recorded), (300, 295));
+        assert_eq!(ledger.closes(), !contradicts, "{ledger:?}");
+        assert_eq!(ledger.contradictions.len(), usize::from(contradicts), "{ledger:?}");
+        pipeline.join().unwrap();
+    }
+}
