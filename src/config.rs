@@ -34,7 +34,7 @@ pub use self::{
     example::{example, table},
     keys::When,
     load::{CONFIG_BYTES_MAX, CONFIG_PATH, Overrides},
-    name::{NAME_BYTES_MAX, NameParts, NameTemplate},
+    name::{NAME_BYTES_MAX, NameParts, NameTemplate, is_refused_in_name},
     network::Network,
     problem::{ConfigError, PROBLEMS_MAX, Place, Problem},
     surroundings::Surroundings,

@@ -30,6 +30,7 @@ def arguments():
     parser.add_argument("--only", metavar="WORD", help="only takes whose name holds WORD")
     parser.add_argument("--mocapd", metavar="PATH", help="default: target/release/mocapd")
     parser.add_argument("--peers-only", action="store_true", help="do not run mocapd")
+    parser.add_argument("--codecs", metavar="NAMES", help="only these peers, commas between; claims need all")
     parser.add_argument("--no-speed", action="store_true", help="sizes only")
     parser.add_argument("--cache", metavar="DIR", help="keep the peers' sizes here between runs")
     parser.add_argument("--json", metavar="OUT", type=Path)
@@ -51,7 +52,8 @@ def main():
         return 2
     program = None if options.peers_only else ours_.find(options.mocapd)
 
-    peers = sizes.all_rows(paths, options.cache, said=said)
+    names = options.codecs.split(",") if options.codecs else None
+    peers = sizes.all_rows(paths, options.cache, said=said, names=names)
     takes = [takes_.load(path) for path in paths]
     # Speeds last and one at a time, mocapd's right after the peers': both meet the same machine.
     speeds = []
@@ -61,7 +63,7 @@ def main():
         said(f"speed: {take.name}")
         speeds += timings.speed_rows(take, peers)
     ours = ours_.rows_of(ours_.run(program, paths), takes) if program else []
-    bars = bars_.all_bars(ours, peers, speeds) if ours else []
+    bars = bars_.all_bars(ours, peers, speeds) if ours and not names else []
 
     versions = sorted({codec.versions for codec in all_codecs()})
     text = table.everything(peers, ours, speeds, versions)

@@ -59,9 +59,12 @@ def row(take, codec, tolerance_mm, result, mask):
     }
 
 
-def all_rows(paths, cache_folder, processes=2, said=lambda text: None, found=lambda rows: None):
-    """Rows of all codecs on all takes; `said` gets a line and `found` all rows so far, as each codec ends a take."""
-    jobs = [(path, codec.name) for codec in all_codecs() for path in paths]
+def all_rows(paths, cache_folder, processes=2, said=lambda text: None, found=lambda rows: None, names=None):
+    """Rows of all codecs, or those with these names, on all takes.
+
+    As each codec ends a take, `said` gets a line and `found` all rows so far.
+    """
+    jobs = [(path, codec.name) for codec in all_codecs() if not names or codec.name in names for path in paths]
     rows = []
     with ProcessPoolExecutor(processes) as pool:
         futures = [pool.submit(rows_of, path, cache_folder, name, TOLERANCES_MM) for path, name in jobs]

@@ -10,6 +10,16 @@ use super::{value::short, written::meant};
 /// longer ending.
 pub const NAME_BYTES_MAX: usize = 200;
 
+/// What no take's name has, wherever it comes from: separators of paths here and elsewhere, what other file systems
+/// refuse, what terminals obey, what cannot be seen and turns or hides the rest, and what stands for a letter that was
+/// lost.
+#[must_use]
+pub fn is_refused_in_name(c: char) -> bool {
+    c.is_control()
+        || "/\\:*?\"<>|".contains(c)
+        || matches!(c, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}' | '\u{fffd}')
+}
+
 /// Bytes that a word may become: a rig's name has 64, and no other one more.
 const WORD_BYTES_MAX: usize = 64;
 
@@ -87,7 +97,7 @@ impl NameTemplate {
         if self.text.ends_with([' ', '.']) {
             return Err("a take's name does not end with a dot or a space".to_owned());
         }
-        if let Some(c) = self.text.chars().find(|c| c.is_control() || "/\\:\u{fffd}".contains(*c)) {
+        if let Some(c) = self.text.chars().find(|&c| is_refused_in_name(c)) {
             return Err(format!(
                 "'{}' cannot be in a take's name, which is no path",
                 c.escape_debug()

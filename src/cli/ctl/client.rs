@@ -1,6 +1,6 @@
 //! A client that waits: hyper, which is in the program anyway, on a runtime of this thread.
 
-use std::{path::Path, time::Duration};
+use std::{io::ErrorKind, path::Path, time::Duration};
 
 use anyhow::{Context, anyhow, bail};
 use http_body_util::{BodyExt, Full, Limited};
@@ -115,7 +115,14 @@ impl Client {
         match &self.target {
             Target::Unix(path) => {
                 let stream = timeout(CONNECT_WITHIN, UnixStream::connect(path)).await;
-                exchange(stream.with_context(nobody)?.with_context(nobody)?, request).await
+                let stream = stream.with_context(nobody)?;
+                if stream.as_ref().is_err_and(|e| e.kind() == ErrorKind::PermissionDenied) {
+                    let path = path.display();
+                    bail!(
+                        "you may not open {path}: it is for the service's user and group. Become a member of the group (`ls -l {path}` names it, `sudo usermod -aG GROUP $USER` adds you) and log in again"
+                    );
+                }
+                exchange(stream.with_context(nobody)?, request).await
             }
             Target::Tcp(host) => {
                 let stream = timeout(CONNECT_WITHIN, TcpStream::connect(host.as_str())).await;

@@ -1,7 +1,7 @@
 //! Names of takes, as people and programs give them.
 
 use crate::{
-    config::NAME_BYTES_MAX,
+    config::{NAME_BYTES_MAX, is_refused_in_name},
     service::control::{Refusal, RefusalKind},
 };
 
@@ -17,8 +17,7 @@ pub(super) fn checked(name: &str) -> Result<&str, Refusal> {
             "a take cannot be called {name:?}: begin with a letter or a number"
         ));
     }
-    let wrong = |c: char| c.is_control() || matches!(c, '/' | '\\' | ':' | '\u{fffd}');
-    if let Some(wrong) = name.chars().find(|&c| wrong(c)) {
+    if let Some(wrong) = name.chars().find(|&c| is_refused_in_name(c)) {
         return invalid(format!("a take's name cannot have {wrong:?}: it is a file's"));
     }
     Ok(name)
@@ -47,6 +46,8 @@ mod tests {
             "-x",
             "a\0b",
             "c:",
+            "what?",
+            "turned \u{202e}round",
             &long,
         ] {
             assert_eq!(checked(bad).unwrap_err().kind, RefusalKind::Invalid, "{bad:?}");

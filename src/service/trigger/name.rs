@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::config::NAME_BYTES_MAX;
+use crate::config::{NAME_BYTES_MAX, is_refused_in_name};
 
 /// A file name without `.take`: no path, not hidden, nothing that a terminal obeys, of a bounded length.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -15,7 +15,8 @@ impl TakeName {
     /// What can be kept of a text; `None` when nothing can.
     #[must_use]
     pub fn of(sent: &str) -> Option<Self> {
-        let text: String = sent.chars().map(|c| if is_refused(c) { '_' } else { c }).collect();
+        let text: String =
+            sent.chars().map(|c| if is_refused_in_name(c) { '_' } else { c }).collect();
         let begins = |c: char| c == '.' || c == '-' || c.is_whitespace();
         let text = ended(&text).trim_start_matches(begins);
         let text = ended(cut(ended(text))).to_owned();
@@ -58,14 +59,6 @@ fn cut(text: &str) -> &str {
         end -= 1;
     }
     &text[..end]
-}
-
-/// Separators of paths here and elsewhere, what other file systems refuse, what terminals obey, what cannot be seen
-/// and turns or hides the rest, and what stands for a letter that was lost.
-fn is_refused(c: char) -> bool {
-    c.is_control()
-        || "/\\:*?\"<>|".contains(c)
-        || matches!(c, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}' | '\u{fffd}')
 }
 
 impl fmt::Display for TakeName {
