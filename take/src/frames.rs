@@ -1,16 +1,14 @@
 //! A take as frames: what exporters, `verify` and the simulator read.
 
-use std::io::{Read, Seek, SeekFrom};
+use std::io::{Read, Seek};
 
 use crate::{
-    TakeError, TakeEvent, TakeReader,
-    index::Footer,
+    TakeError,
+    map::TakeMap,
     motion::{FrameSource, GAP, Motion, MotionInfo, Position, Source, UpAxis},
-    reader::{pull, read_events},
     record::Header,
-    stretch::{Span, StretchDecoder},
-    table::ChannelTable,
-    timeline::Causes,
+    stretch::Span,
+    stretches::TakeStretches,
 };
 
 pub use crate::table::nameless;
@@ -26,21 +24,17 @@ const MOTION_SAMPLES_MAX: u64 = 1 << 28;
 /// A lost or damaged frame is a row of gaps; [`problems`](Self::problems) says which and why.
 #[derive(Debug)]
 pub struct TakeFrames<R> {
-    input: R,
     info: MotionInfo,
     n_held: u64,
     tolerance_mm: f64,
     damaged: bool,
     cut_off: bool,
-    reader: TakeReader,
-    decoder: StretchDecoder,
-    /// The stretch that `decoder` holds.
+    stretches: TakeStretches<R>,
+    /// The stretch that was decoded last.
     current: Option<Span>,
     /// By channel, what its blocks state.
     stated_mm: Vec<Option<f64>>,
     next_row: u64,
-    /// The damage that explains a missing stretch was told.
-    damage_told: bool,
     problems: Vec<String>,
     ended: bool,
 }
@@ -52,92 +46,31 @@ impl<R: Read + Seek> TakeFrames<R> {
     /// `NotATake`, `Unsupported`, `Io`.
     pub fn open(mut input: R) -> Result<Self, TakeError> {
         let mut info = MotionInfo::default();
-        let mut header = None;
         let mut problems = Vec::new();
-        let mut table = ChannelTable::default();
-        let mut n_held = 0_u64;
-        let mut damaged = false;
-        let mut cut_off = false;
         let mut foreign_bytes = 0;
-        read_events(&mut input, |event| {
-            match event {
-                TakeEvent::Header(found) => {
-                    describe(&found, &mut info);
-                    table.append(&found.channels);
-                    header = Some(found);
-                }
-                TakeEvent::Channels(more) => table.append(&more),
-                TakeEvent::Stretch(stretch) => {
-                    damaged |= stretch.missing_before;
-                    // A recovered take says itself which rows it has not.
-                    damaged |=
-                        stretch.timeline.iter().flat_map(|t| &t.runs).any(|run| {
-                            run.lost.is_some_and(|causes| causes.contains(Causes::DAMAGED))
-                        });
-                    // Rows that come twice, and those of no channel, are not held.
-                    if stretch.blocks.iter().any(|block| !block.is_empty()) {
-                        let first = stretch.span.first_row.max(info.n_frames);
-                        n_held += stretch.span.end_row().saturating_sub(first);
-                    }
-                    info.n_frames = info.n_frames.max(stretch.span.end_row());
-                    if let Some(renamed) = table.stated(stretch.stated_channels()) {
-                        problems.push(renamed.to_string());
-                    }
-                }
-                TakeEvent::Unplaced { rows_min, .. } => {
-                    damaged = true;
-                    info.n_frames = info.n_frames.max(rows_min);
-                }
-                TakeEvent::Footer(Footer { n_rows, .. }) => {
-                    if n_rows != info.n_frames {
-                        let found = info.n_frames;
-                        problems.push(format!(
-                            "the footer tells of {n_rows} frames, {found} were found"
-                        ));
-                    }
-                    if damaged {
-                        info.n_frames = info.n_frames.max(n_rows);
-                    }
-                }
-                TakeEvent::Foreign(part) => {
-                    foreign_bytes += part.data.len();
-                    if foreign_bytes > FOREIGN_BYTES_MAX {
-                        problems
-                            .push(format!("{}: more foreign data than a take can hold", part.kind));
-                    } else {
-                        info.foreign.push(part);
-                    }
-                }
-                TakeEvent::Damaged { offset, len, message, .. } => {
-                    damaged = true;
-                    table.damaged();
-                    problems.push(format!("{len} bytes at byte {offset}: {message}"));
-                }
-                TakeEvent::Mended { offset } => problems.push(mended(offset)),
-                TakeEvent::End { finished: false, .. } => {
-                    cut_off = true;
-                    problems.push("the take was cut off: its end is missing".into());
-                }
-                _ => {}
+        let map = TakeMap::scan(&mut input, |part| {
+            foreign_bytes += part.data.len();
+            if foreign_bytes > FOREIGN_BYTES_MAX {
+                problems.push(format!("{}: more foreign data than a take can hold", part.kind));
+            } else {
+                info.foreign.push(part);
             }
             Ok(())
         })?;
-        let header = header.ok_or(TakeError::NotATake("no intact header was found"))?;
-        info.markers = table.channels().iter().map(Into::into).collect();
-        input.seek(SeekFrom::Start(0))?;
+        describe(&map.header, &mut info);
+        info.n_frames = map.n_rows;
+        info.markers = map.channels.iter().map(Into::into).collect();
+        problems.extend_from_slice(&map.problems);
         Ok(Self {
-            input,
             info,
-            n_held,
-            tolerance_mm: header.tolerance_mm,
-            damaged,
-            cut_off,
-            reader: TakeReader::new(),
-            decoder: StretchDecoder::new(header.codec()?),
+            n_held: map.n_held.unwrap_or_default(),
+            tolerance_mm: map.header.tolerance_mm,
+            damaged: map.damaged,
+            cut_off: !map.finished,
+            stretches: TakeStretches::new(input, &map)?,
             current: None,
             stated_mm: Vec::new(),
             next_row: 0,
-            damage_told: false,
             problems,
             ended: false,
         })
@@ -161,63 +94,40 @@ impl<R: Read + Seek> TakeFrames<R> {
         self.cut_off
     }
 
-    /// What is missing or damaged, one sentence each. Complete after the last frame.
+    /// What is missing or damaged, one sentence each. Complete after the last frame, but for frames that were
+    /// [passed over](Self::seek).
     #[must_use]
     pub fn problems(&self) -> &[String] {
         &self.problems
     }
 
-    /// Decodes the next stretch that can be; `false` at the end.
-    fn advance(&mut self) -> Result<bool, TakeError> {
-        while !self.ended {
-            match self.reader.next_event()? {
-                Some(TakeEvent::Stretch(stretch)) => {
-                    let span = stretch.span;
-                    if stretch.missing_before && !std::mem::take(&mut self.damage_told) {
-                        self.problems
-                            .push(format!("stretches before frame {} are missing", span.first_row));
-                    }
-                    if span.n_rows == 0 {
-                        // The take ends with lost rows.
-                        continue;
-                    }
-                    let problem = if span.first_row < self.next_row {
-                        self.decoder.pass();
-                        "comes twice".to_owned()
-                    } else {
-                        match self.decoder.decode(&stretch) {
-                            Ok(()) => {
-                                self.current = Some(span);
-                                let stated =
-                                    self.decoder.rows().map(|rows| Some(rows?.max_error_mm));
-                                self.stated_mm.clear();
-                                self.stated_mm.extend(stated);
-                                return Ok(true);
-                            }
-                            Err(error) => error.to_string(),
-                        }
-                    };
-                    self.problems.push(format!(
-                        "the stretch of {} frames from frame {} on {problem}",
-                        span.n_rows, span.first_row
-                    ));
-                }
-                Some(TakeEvent::Unplaced { missing_before, n_rows, .. }) => {
-                    let from = self.next_row;
-                    if missing_before && !std::mem::take(&mut self.damage_told) {
-                        self.problems.push(format!("stretches from frame {from} on are missing"));
-                    }
-                    self.problems.push(format!(
-                        "a stretch of {n_rows} frames, from frame {from} or later, depends on a damaged stretch"
-                    ));
-                }
-                Some(TakeEvent::Damaged { .. }) => self.damage_told = true,
-                Some(TakeEvent::End { .. }) => self.ended = true,
-                Some(_) => {}
-                None => pull(&mut self.input, &mut self.reader)?,
+    /// Passes over the frames before `row`, so that it comes next: those before the last key stretch, at most ten
+    /// seconds before it, are not decoded. Frames that came already do not come again.
+    ///
+    /// # Errors
+    /// `Unsupported`, `Io`.
+    pub fn seek(&mut self, row: u64) -> Result<(), TakeError> {
+        self.stretches.seek(row)?;
+        self.next_row = self.next_row.max(row);
+        Ok(())
+    }
+
+    /// Decodes the next stretch that can be, if the take goes on.
+    fn advance(&mut self) -> Result<(), TakeError> {
+        self.current = None;
+        let span = self.stretches.next_stretch();
+        self.problems.append(&mut self.stretches.take_problems());
+        match span? {
+            Some(span) if span.n_rows > 0 => {
+                self.current = Some(span);
+                let stated = self.stretches.rows().map(|rows| Some(rows?.max_error_mm));
+                self.stated_mm.clear();
+                self.stated_mm.extend(stated);
             }
+            Some(_) => {}
+            None => self.ended = true,
         }
-        Ok(false)
+        Ok(())
     }
 }
 
@@ -232,7 +142,6 @@ impl<R: Read + Seek> FrameSource for TakeFrames<R> {
             return Ok(false);
         }
         while !self.ended && self.current.is_none_or(|span| span.end_row() <= at) {
-            self.current = None;
             self.advance().map_err(std::io::Error::other)?;
         }
         row.fill(GAP);
@@ -240,7 +149,7 @@ impl<R: Read + Seek> FrameSource for TakeFrames<R> {
             self.current.filter(|span| (span.first_row..span.end_row()).contains(&at))
         {
             let i = (at - span.first_row) as usize;
-            for (position, rows) in row.iter_mut().zip(self.decoder.rows()) {
+            for (position, rows) in row.iter_mut().zip(self.stretches.rows()) {
                 if let Some(rows) = rows.filter(|rows| rows.present[i]) {
                     *position = rows.positions[i];
                 }

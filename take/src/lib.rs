@@ -9,18 +9,22 @@ pub mod frames;
 pub mod index;
 pub mod interchange;
 pub mod loss;
+pub mod map;
 pub mod motion;
 pub mod reader;
 pub mod record;
 pub mod recovery;
 pub mod stretch;
+pub mod stretches;
 pub mod table;
 pub mod timeline;
 mod varint;
 pub mod writer;
 
 pub use frames::{TakeFrames, read_motion};
+pub use map::TakeMap;
 pub use reader::{TakeEvent, TakeReader};
+pub use stretches::TakeStretches;
 pub use writer::TakeWriter;
 
 /// What can go wrong with a take, by what the caller can do about it.

@@ -7,7 +7,7 @@ mod mend;
 
 pub use bytes::TakeBytes;
 
-pub use io::{pull, read_events};
+pub use io::{pull, read_events, read_events_at};
 pub(crate) use mend::head as mend_head;
 
 use self::chunks::is_one_other_chunk;
@@ -111,6 +111,18 @@ impl TakeReader {
     #[must_use]
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// In the middle of the take whose header was read: the bytes to push are those from the key stretch `key` on.
+    ///
+    /// What lies before it is not missed. The bytes that [`TakeEvent::End`] counts are those that were pushed.
+    ///
+    /// # Errors
+    /// `Unsupported` or `Codec` when the header cannot be used.
+    pub fn from_key(header: &Header, key: IndexEntry) -> Result<Self, TakeError> {
+        let mut chain = Chain::of(header)?;
+        chain.go_to(key.first_row);
+        Ok(Self { base: key.offset, chain: Some(chain), seen_magic: true, ..Self::default() })
     }
 
     /// Adds bytes of the file, in order, in pieces of any size.

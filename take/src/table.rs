@@ -47,6 +47,11 @@ impl ChannelTable {
         &self.channels
     }
 
+    /// The entries, to keep.
+    pub(crate) fn into_channels(self) -> Vec<Channel> {
+        self.channels
+    }
+
     /// Entries that were read.
     pub fn append(&mut self, more: &[Channel]) {
         self.begun = true;

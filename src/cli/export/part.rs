@@ -13,7 +13,7 @@ use anyhow::ensure;
 use mocapd::{outcome::UsageError, units::frame_at};
 use mocapd_take::{
     TakeFrames,
-    motion::{FrameSource, GAP, MotionInfo, Position},
+    motion::{FrameSource, MotionInfo, Position},
 };
 
 /// Most lost frames that are written unasked into a file that has fewer others: four hours at 1000 Hz. The
@@ -59,10 +59,7 @@ impl<'a> Part<'a> {
             ))
             .into());
         }
-        let mut row = vec![GAP; info.markers.len()];
-        for _ in 0..first {
-            frames.next_frame(&mut row)?;
-        }
+        frames.seek(first)?;
         info.source.first_frame += first;
         info.n_frames = end - first;
         Ok(Self { frames, left: info.n_frames, info, counter })

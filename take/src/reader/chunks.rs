@@ -7,7 +7,7 @@ use crate::{
     foreign,
     index::{Footer, parse_index},
     record::{Clock, Event, Header, Ledger, MoreChannels, Record},
-    stretch::{Chain, Placed, rows_max},
+    stretch::{Chain, Placed},
 };
 
 impl TakeReader {
@@ -26,9 +26,7 @@ impl TakeReader {
             if kind == types::HEADER {
                 let header = Header::from_payload(payload, offset)?;
                 header.check()?;
-                let tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz);
-                let rows_max = rows_max(header.codec()?.kind);
-                self.chain = Some(Chain::new(rows_max, header.stretch_rows, tick_hz));
+                self.chain = Some(Chain::of(&header)?);
                 self.bytes.header += len as u64;
                 return Ok(TakeEvent::Header(Box::new(header)));
             }

@@ -33,15 +33,28 @@ pub fn pull(input: &mut impl Read, reader: &mut TakeReader) -> Result<(), TakeEr
 /// # Errors
 /// As [`TakeReader::next_event`], `Io`, and whatever `on_event` returns.
 pub fn read_events(
-    mut input: impl Read,
+    input: impl Read,
     mut on_event: impl FnMut(TakeEvent<'_>) -> Result<(), TakeError>,
+) -> Result<(), TakeError> {
+    read_events_at(input, |_, event| on_event(event))
+}
+
+/// The same, with the file offset at which each event's chunk begins (that of the header at 0).
+///
+/// # Errors
+/// As [`read_events`].
+pub fn read_events_at(
+    mut input: impl Read,
+    mut on_event: impl FnMut(u64, TakeEvent<'_>) -> Result<(), TakeError>,
 ) -> Result<(), TakeError> {
     let mut reader = TakeReader::new();
     loop {
+        // Events lie behind each other: one begins where the one before ends.
+        let offset = reader.offset();
         match reader.next_event()? {
             Some(event) => {
                 let end = matches!(event, TakeEvent::End { .. });
-                on_event(event)?;
+                on_event(offset, event)?;
                 if end {
                     return Ok(());
                 }

@@ -1,7 +1,9 @@
 //! From stretch to stretch: which row one begins at, and what the clocks said before it.
 
-use super::{NUMBERS, ROWS_PASSED_MAX, Span, Stretch, front::Front, take_blocks};
+use super::{NUMBERS, ROWS_PASSED_MAX, Span, Stretch, front::Front, rows_max, take_blocks};
 use crate::{
+    TakeError,
+    record::Header,
     timeline::{Timeline, TimelineDecoder},
     varint,
 };
@@ -31,13 +33,19 @@ pub(crate) struct Chain {
     times: TimelineDecoder,
     /// The row after the last stretch; after damage the least that it can be.
     next_row: u64,
-    /// The number of the next stretch, as far as is known.
-    next_number: u8,
+    /// The number of the next stretch, as far as is known; `None` where reading began in the middle.
+    next_number: Option<u8>,
     /// What comes next does not follow from what was read.
     broken: bool,
 }
 
 impl Chain {
+    /// At the start of the take with this header.
+    pub(crate) fn of(header: &Header) -> Result<Self, TakeError> {
+        let tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz);
+        Ok(Self::new(rows_max(header.codec()?.kind), header.stretch_rows, tick_hz))
+    }
+
     /// At the start of a take whose stretches have up to `rows_max` rows, `stretch_rows` unless they say.
     pub(crate) fn new(rows_max: u64, stretch_rows: u32, tick_hz: u64) -> Self {
         Self {
@@ -45,9 +53,16 @@ impl Chain {
             stretch_rows,
             times: TimelineDecoder::new(tick_hz),
             next_row: 0,
-            next_number: 0,
+            next_number: Some(0),
             broken: true,
         }
+    }
+
+    /// What comes next is a key stretch in the middle of the take, with rows from `row` on.
+    pub(crate) fn go_to(&mut self, row: u64) {
+        self.broken = true;
+        self.next_row = row;
+        self.next_number = None;
     }
 
     /// A stretch may have been there.
@@ -71,7 +86,7 @@ impl Chain {
         let front = Front::take(&mut cursor, self.rows_max, self.stretch_rows)?;
         let mut sizes = front.sizes;
         let blocks = take_blocks(&mut cursor, front.alone, front.n_rows, &mut sizes)?;
-        let mut missing_before = self.next_number != front.number;
+        let mut missing_before = self.next_number.is_some_and(|number| number != front.number);
         let from_row = match front.from_row {
             Some(row) => {
                 if row > self.rows_believed_max() {
@@ -84,7 +99,7 @@ impl Chain {
                 row
             }
             None if was_broken || missing_before => {
-                self.next_number = (front.number + 1) % NUMBERS;
+                self.next_number = Some((front.number + 1) % NUMBERS);
                 self.next_row = self.next_row.saturating_add(front.rows_passed);
                 let (n_rows, rows_min) = (front.n_rows, self.next_row);
                 return Ok(Placed::Unplaced { missing_before, n_rows, rows_min });
@@ -104,7 +119,7 @@ impl Chain {
             None => None,
         };
         self.next_row = end_row;
-        self.next_number = (front.number + 1) % NUMBERS;
+        self.next_number = Some((front.number + 1) % NUMBERS);
         self.broken = false;
         let span = Span {
             first_row: end_row - u64::from(front.n_rows),

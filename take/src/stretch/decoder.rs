@@ -13,6 +13,8 @@ use crate::TakeError;
 #[derive(Debug)]
 pub struct StretchDecoder {
     settings: Settings,
+    /// Those that are decoded; `None`: all.
+    wanted: Option<Vec<usize>>,
     /// Made with the first block, so that an empty one costs nothing.
     groups: Vec<Option<Group>>,
     /// The stretch before was not decoded: what follows up to the next key stretch cannot be either.
@@ -33,7 +35,14 @@ impl StretchDecoder {
     /// For a take coded with `settings`.
     #[must_use]
     pub fn new(settings: Settings) -> Self {
-        Self { settings, groups: Vec::new(), waits_for_key: true }
+        Self { settings, wanted: None, groups: Vec::new(), waits_for_key: true }
+    }
+
+    /// The same for some groups only, by number: what is coded together is decoded together, and groups know
+    /// nothing of each other. [`rows`](Self::rows) has nothing of the others.
+    #[must_use]
+    pub fn of_groups(settings: Settings, wanted: Vec<usize>) -> Self {
+        Self { wanted: Some(wanted), ..Self::new(settings) }
     }
 
     /// A stretch that the reader gave is not decoded: what depends on it is lost, too.
@@ -65,7 +74,9 @@ impl StretchDecoder {
             self.groups.resize_with(stretch.blocks.len(), || None);
         }
         // Every group that is there must see the stretch, if only as a gap.
-        let blocks = stretch.blocks.iter().copied().chain(iter::repeat(&[][..]));
+        let is_wanted = |group: usize| self.wanted.as_ref().is_none_or(|all| all.contains(&group));
+        let wanted = |(group, &block)| if is_wanted(group) { block } else { &[][..] };
+        let blocks = stretch.blocks.iter().enumerate().map(wanted).chain(iter::repeat(&[][..]));
         let mut n_channels = 0;
         for (group, block) in self.groups.iter_mut().zip(blocks.clone()) {
             if let Some(group) = group
