@@ -4,10 +4,8 @@ use std::time::SystemTime;
 
 use anyhow::Context;
 use mocapd_codec::Settings;
-use mocapd_take::{
-    motion::Marker,
-    record::{CODEC_VERSION, Channel, Header},
-};
+use mocapd_take::record::{CODEC_VERSION, Header};
+pub use mocapd_take::whole::channels;
 use rustix::rand::{GetRandomFlags, getrandom};
 
 /// What a take says wrote it.
@@ -46,15 +44,4 @@ pub fn of_import(codec: &Settings, rate_hz: f64) -> Header {
     };
     header.set_codec(codec);
     header
-}
-
-/// The channel table of an import: ids by column.
-#[must_use]
-pub fn channels(markers: &[Marker]) -> Vec<Channel> {
-    let channel = |(column, marker): (usize, &Marker)| Channel {
-        marker_id: column as u16,
-        label: marker.label.clone(),
-        labelled: marker.labelled,
-    };
-    markers.iter().enumerate().map(channel).collect()
 }

@@ -19,6 +19,7 @@ pub mod stretches;
 pub mod table;
 pub mod timeline;
 mod varint;
+pub mod whole;
 pub mod writer;
 
 pub use frames::{TakeFrames, read_motion};

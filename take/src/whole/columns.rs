@@ -1,9 +1,9 @@
 //! Rows of markers turned into channels, one after another.
 
-use mocapd_codec::{BlockEncoder, BlockReport, Position, Rows, Settings};
-use mocapd_take::motion::{Motion, is_gap};
+use mocapd_codec::{CodecError, Position, Rows, Settings};
 
-use super::{Part, PartReport};
+use super::Part;
+use crate::motion::{Motion, is_gap};
 
 /// Memory for some markers over some rows.
 #[derive(Debug, Default)]
@@ -34,32 +34,15 @@ impl Columns {
         }
     }
 
-    fn rows(&self) -> anyhow::Result<Vec<Rows<'_>>> {
+    /// The channels, one after another.
+    pub(super) fn rows(&self) -> Result<Vec<Rows<'_>>, CodecError> {
         let columns = self.positions.iter().zip(&self.present);
-        Ok(columns
-            .map(|(positions, present)| Rows::new(positions, present))
-            .collect::<Result<_, _>>()?)
-    }
-
-    /// Appends the key block of these channels, which are one group.
-    pub(super) fn encode(
-        &self,
-        encoder: &mut dyn BlockEncoder,
-        shared: &[u8],
-        block: &mut Vec<u8>,
-    ) -> anyhow::Result<PartReport> {
-        let mut report = PartReport::default();
-        if !self.positions.is_empty() {
-            let mut reports = vec![BlockReport::default(); self.positions.len()];
-            encoder.encode(&self.rows()?, shared, true, block, &mut reports)?;
-            reports.iter().for_each(|channel| report.add_channel(channel));
-        }
-        Ok(report)
+        columns.map(|(positions, present)| Rows::new(positions, present)).collect()
     }
 }
 
 /// What all channels of a whole take share.
-pub(super) fn plan(motion: &Motion, codec: &Settings) -> anyhow::Result<Vec<u8>> {
+pub(super) fn plan(motion: &Motion, codec: &Settings) -> Result<Vec<u8>, CodecError> {
     if codec.kind.is_live() {
         return Ok(Vec::new());
     }
@@ -68,5 +51,5 @@ pub(super) fn plan(motion: &Motion, codec: &Settings) -> anyhow::Result<Vec<u8>>
     if n_markers > 0 {
         columns.fill(motion, Part { first_row: 0, n_rows, first_marker: 0, n_markers });
     }
-    Ok(codec.plan(&columns.rows()?)?)
+    codec.plan(&columns.rows()?)
 }

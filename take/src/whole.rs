@@ -1,0 +1,209 @@
+//! Trajectories in memory coded into a take: what an import is.
+//!
+//! Every stretch is a key stretch, so that groups of channels over stretches are coded on their own, whoever
+//! codes them, and the bytes are the same for any number of threads.
+
+mod columns;
+
+use std::io::Write;
+
+use mocapd_codec::{BlockEncoder, BlockReport, GROUP_CHANNELS, Settings};
+
+use self::columns::Columns;
+use crate::{
+    TakeError, TakeWriter,
+    motion::{Marker, Motion},
+    record::{Channel, Header, Ledger},
+    stretch::{FrontWriter, LIVE_ROWS_MAX, NUMBERS, ROWS_MAX, SAMPLES_MAX, Span, put_block},
+    timeline::Timeline,
+};
+
+/// Length of a stretch of an import, and so the distance of key stretches.
+const STRETCH_S: f64 = 10.0;
+
+/// Rows of a stretch of a take at `rate_hz`: whole takes for the resamplers that are not cut.
+#[must_use]
+pub fn stretch_rows(codec: &Settings, rate_hz: f64, n_rows: usize, n_markers: usize) -> usize {
+    if codec.kind.is_live() {
+        let held = SAMPLES_MAX as usize / n_markers.max(1);
+        ((STRETCH_S * rate_hz) as usize).min(held).clamp(1, LIVE_ROWS_MAX as usize)
+    } else {
+        n_rows.max(1)
+    }
+}
+
+/// The channel table of trajectories: ids by column.
+#[must_use]
+pub fn channels(markers: &[Marker]) -> Vec<Channel> {
+    let channel = |(column, marker): (usize, &Marker)| Channel {
+        marker_id: column as u16,
+        label: marker.label.clone(),
+        labelled: marker.labelled,
+    };
+    markers.iter().enumerate().map(channel).collect()
+}
+
+/// One group over one stretch: what is coded on its own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Part {
+    /// Its first row.
+    pub first_row: usize,
+    /// How many rows.
+    pub n_rows: usize,
+    /// Its first marker.
+    pub first_marker: usize,
+    /// How many markers.
+    pub n_markers: usize,
+}
+
+/// A part's block, and what its encoder proved of each channel.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Coded {
+    block: Vec<u8>,
+    /// One a marker of the part.
+    pub reports: Vec<BlockReport>,
+}
+
+/// What all parts of one motion are coded with.
+#[derive(Debug)]
+pub struct Plan<'a> {
+    motion: &'a Motion,
+    codec: Settings,
+    stretch_rows: usize,
+    shared: Vec<u8>,
+}
+
+impl<'a> Plan<'a> {
+    /// For `motion` and the settings in `header`.
+    ///
+    /// # Errors
+    /// `InvalidArgument` for more samples than a stretch of that resampler can hold; `Codec` when it refuses
+    /// (`spline:exhaustive` on a long take).
+    pub fn new(motion: &'a Motion, header: &Header) -> Result<Self, TakeError> {
+        let codec = header.codec()?;
+        let (n_rows, n_markers) = (motion.n_frames(), motion.info.markers.len());
+        let stretch_rows = stretch_rows(&codec, header.rate_hz, n_rows, n_markers);
+        if stretch_rows as u64 > ROWS_MAX || (stretch_rows * n_markers) as u64 > SAMPLES_MAX {
+            return Err(TakeError::InvalidArgument(format!(
+                "{n_rows} frames of {n_markers} markers are more than {} can hold in one piece: \
+                 use dense, fast or lossless",
+                codec.kind
+            )));
+        }
+        let shared = columns::plan(motion, &codec)?;
+        Ok(Self { motion, codec, stretch_rows, shared })
+    }
+
+    /// The parts, in the order in which a take has them.
+    pub fn parts(&self) -> impl Iterator<Item = Part> + use<> {
+        let (n_rows, n_markers) = (self.motion.n_frames(), self.motion.info.markers.len());
+        let stretch_rows = self.stretch_rows;
+        (0..n_rows).step_by(stretch_rows).flat_map(move |first_row| {
+            // A take without markers has its stretches all the same.
+            (0..n_markers.max(1)).step_by(GROUP_CHANNELS).map(move |first_marker| Part {
+                first_row,
+                n_rows: stretch_rows.min(n_rows - first_row),
+                first_marker,
+                n_markers: GROUP_CHANNELS.min(n_markers - first_marker),
+            })
+        })
+    }
+
+    /// Who codes parts; one a thread.
+    #[must_use]
+    pub fn encoder(&self) -> PartEncoder<'_> {
+        PartEncoder { plan: self, encoder: self.codec.encoder(), columns: Columns::default() }
+    }
+}
+
+/// Codes parts, in any order.
+#[derive(Debug)]
+pub struct PartEncoder<'a> {
+    plan: &'a Plan<'a>,
+    encoder: Box<dyn BlockEncoder>,
+    columns: Columns,
+}
+
+impl PartEncoder<'_> {
+    /// The key block of a part.
+    ///
+    /// # Errors
+    /// `Codec`.
+    pub fn encode(&mut self, part: Part) -> Result<Coded, TakeError> {
+        self.columns.fill(self.plan.motion, part);
+        let mut coded = Coded::default();
+        if part.n_markers > 0 {
+            coded.reports.resize(part.n_markers, BlockReport::default());
+            let channels = self.columns.rows()?;
+            let Coded { block, reports } = &mut coded;
+            self.encoder.encode(&channels, &self.plan.shared, true, block, reports)?;
+        }
+        Ok(coded)
+    }
+}
+
+/// Writes the parts of a plan as a take.
+#[derive(Debug)]
+pub struct WholeWriter<'a, W> {
+    plan: &'a Plan<'a>,
+    take: TakeWriter<W>,
+    front: FrontWriter,
+    payload: Vec<u8>,
+    n_samples: u64,
+}
+
+impl<'a, W: Write> WholeWriter<'a, W> {
+    /// Writes the header, and what an importer kept beside trajectories.
+    ///
+    /// # Errors
+    /// As [`TakeWriter::new`] and [`TakeWriter::foreign`].
+    pub fn new(plan: &'a Plan<'a>, header: &Header, out: W) -> Result<Self, TakeError> {
+        let mut take = TakeWriter::new(out, header)?;
+        plan.motion.info.foreign.iter().try_for_each(|part| take.foreign(part))?;
+        let front = FrontWriter::new(header.stretch_rows);
+        Ok(Self { plan, take, front, payload: Vec::new(), n_samples: 0 })
+    }
+
+    /// The next part, in the order of [`Plan::parts`].
+    ///
+    /// # Errors
+    /// As [`TakeWriter::stretch`].
+    pub fn push(&mut self, part: Part, coded: &Coded) -> Result<(), TakeError> {
+        let n_markers = self.plan.motion.info.markers.len();
+        let alone = n_markers <= GROUP_CHANNELS;
+        let number = (part.first_row / self.plan.stretch_rows % usize::from(NUMBERS)) as u8;
+        let (first_row, n_rows) = (part.first_row as u64, part.n_rows as u32);
+        let span = Span { first_row, n_rows, key: true, number };
+        if part.first_marker == 0 {
+            self.payload.clear();
+            let shared = &self.plan.shared;
+            self.front.put(span, &Timeline::default(), shared, alone, &mut self.payload);
+        }
+        put_block(&coded.block, alone, &mut self.payload);
+        self.n_samples += coded.reports.iter().map(|report| u64::from(report.samples)).sum::<u64>();
+        if part.first_marker + part.n_markers == n_markers {
+            self.take.stretch(span, &self.payload)?;
+        }
+        Ok(())
+    }
+
+    /// Closes the take. Gives its ledger, the output, and the bytes written.
+    ///
+    /// # Errors
+    /// As [`TakeWriter::finish`].
+    pub fn finish(self) -> Result<(Ledger, W, u64), TakeError> {
+        let n_rows = self.plan.motion.n_frames() as u64;
+        let announced = n_rows * self.plan.motion.info.markers.len() as u64;
+        let ledger = Ledger {
+            finished: true,
+            frames_sent: n_rows,
+            recorded: n_rows,
+            samples_announced: announced,
+            samples_present: self.n_samples,
+            samples_occluded: announced - self.n_samples,
+            ..Ledger::default()
+        };
+        let (out, bytes) = self.take.finish(&ledger)?;
+        Ok((ledger, out, bytes))
+    }
+}
