@@ -201,7 +201,9 @@ impl Counts {
         let unknown_after_disconnect = self.lost_in_outages + if self.ended { 0 } else { unseen };
         let missing = frames_sent - self.recorded - self.ring_full - unknown_after_disconnect;
         let dropped = self.status.map_or(self.dropped_before, |status| status.frames_dropped);
-        if self.ended && dropped > missing.saturating_add(self.dropped_late_max) {
+        // Of the frames of an outage nobody knows which were dropped.
+        let may_be = missing.saturating_add(self.lost_in_outages);
+        if self.ended && dropped > may_be.saturating_add(self.dropped_late_max) {
             contradictions.push(format!(
                 "the device reports {dropped} frames dropped, but only {missing} are missing"
             ));

@@ -155,6 +155,10 @@ impl Intake {
     pub fn frame(&mut self, frame: &Frame<'_>, arrival_ns: u64) {
         self.look_at_desk();
         let rejoins = self.rejoining;
+        // Its frames came before whoever waited for it was told.
+        if !rejoins && let Some(boundary) = self.begins_then.take() {
+            self.cut(boundary);
+        }
         if rejoins {
             self.end_outage(frame, arrival_ns);
             self.part_from_outage();

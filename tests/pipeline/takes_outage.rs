@@ -13,31 +13,37 @@ const SOON: Duration = Duration::from_secs(30);
 #[test]
 fn a_take_that_begins_while_the_device_is_away_has_none_of_its_absence() {
     let motion = jump(21, 100.0, 20.0);
-    for is_back in [false, true] {
+    // While it is away; back, before its first frame; and before anybody knew that it was away.
+    for when in ["away", "back", "silent"] {
         let (mut intake, pipeline, mut armed) = arm(&motion, PRE_ROLL);
         feed_all(&mut intake, &motion, 0..300);
-        intake.away(true);
-        if is_back {
+        if when != "silent" {
+            intake.away(true);
+        }
+        if when == "back" {
             intake.away(false);
             intake.rejoin();
         }
         let begun = armed.takes.begin(new_take(&motion, Duration::ZERO, 800)).unwrap();
         // The reader looks, and the frame does not come yet.
         intake.tick(arrival_ns(&motion, 800));
-        if !is_back {
+        if when != "back" {
             intake.away(false);
             intake.rejoin();
         }
         feed_all(&mut intake, &motion, 900..1200);
         let first = begun.first.recv_timeout(SOON).unwrap();
-        assert_eq!((first.row, first.arrival_ns), (900, arrival_ns(&motion, 900)));
+        assert_eq!(first.arrival_ns, arrival_ns(&motion, 900), "{when}");
         armed.takes.end().unwrap();
         feed_all(&mut intake, &motion, 1200..1201);
         let (written, take) = ended(&begun);
         let ledger = &written.ledger;
         assert_eq!((ledger.frames_sent, ledger.recorded), (300, 300), "{ledger:?}");
         assert!(ledger.closes() && ledger.contradictions.is_empty(), "{ledger:?}");
-        assert_eq!(rows(&take).0.len(), 300);
+        let (rows, problems) = rows(&take);
+        assert_eq!((rows.len(), problems.as_slice()), (300, &[][..]), "{when}");
+        let summary = Summary::read(&take[..]).unwrap();
+        assert_eq!((summary.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
         drop(intake);
         pipeline.join().unwrap();
     }
@@ -60,6 +66,24 @@ fn an_end_does_not_wait_for_a_device_that_is_away() {
     intake.tick(arrival_ns(&motion, 600));
     assert_eq!(ended(&begun).0.ledger.frames_sent, 0);
     drop(intake);
+    pipeline.join().unwrap();
+}
+
+/// A device that is plugged in again may send before whoever waited for it is told.
+#[test]
+fn a_take_does_not_wait_while_frames_come() {
+    let motion = jump(26, 100.0, 10.0);
+    let (mut intake, pipeline, mut armed) = arm(&motion, PRE_ROLL);
+    feed_all(&mut intake, &motion, 0..300);
+    intake.away(true);
+    intake.rejoin();
+    feed_all(&mut intake, &motion, 400..410);
+    let begun = armed.takes.begin(new_take(&motion, Duration::ZERO, 410)).unwrap();
+    feed_all(&mut intake, &motion, 410..500);
+    let first = begun.first.recv_timeout(SOON).unwrap();
+    assert_eq!(first.arrival_ns, arrival_ns(&motion, 410));
+    drop(intake);
+    assert_eq!(ended(&begun).0.ledger.recorded, 90);
     pipeline.join().unwrap();
 }
 

@@ -62,7 +62,10 @@ impl ClockWriter {
     }
 
     /// A take begins: what the line is laid through belongs into it, though it was seen before.
-    pub(super) fn begin(&mut self) {
+    pub(super) fn begin(&mut self, status: &ClockStatus) {
+        // What came since the last look, which no take wants: without one nothing can fail.
+        self.write::<Vec<u8>>(None, status, false).ok();
+        self.enter(status.segment);
         self.begun = Instant::now();
         self.probes.clear();
         self.points.clear();
@@ -78,12 +81,23 @@ impl ClockWriter {
     }
 
     /// For a take beside the one that is written.
-    pub(super) fn beside(&self) -> Self {
+    pub(super) fn beside(&self, status: &ClockStatus) -> Self {
         let mut beside = Self::idle();
-        beside.segment = self.segment;
-        beside.probes.extend(&self.recent_probes);
-        beside.points.extend(&self.recent_points);
+        beside.segment = status.segment;
+        // Of the one before, nothing is to be said of this one.
+        if self.segment == status.segment {
+            beside.probes.extend(&self.recent_probes);
+            beside.points.extend(&self.recent_points);
+        }
         beside
+    }
+
+    fn enter(&mut self, segment: u32) {
+        if segment != self.segment {
+            self.segment = segment;
+            self.recent_probes.clear();
+            self.recent_points.clear();
+        }
     }
 
     /// Takes in what came, and writes it when a record is due, the segment is another one, or enough is held; without a
@@ -100,9 +114,7 @@ impl ClockWriter {
             | ClockItem::Line(segment, _)) = item;
             if segment != self.segment {
                 self.record(take.as_deref_mut(), status)?;
-                self.segment = segment;
-                self.recent_probes.clear();
-                self.recent_points.clear();
+                self.enter(segment);
             }
             match item {
                 ClockItem::Point(_, point) => {

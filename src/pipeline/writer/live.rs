@@ -28,6 +28,7 @@ pub(in crate::pipeline) struct LiveTake<W> {
     base: Counts,
     rows_before: u64,
     next_number: u8,
+    has_stretches: bool,
     first: Option<FirstRow>,
     first_told: bool,
     moved: Vec<u8>,
@@ -58,6 +59,7 @@ impl<W: TakeOutput> LiveTake<W> {
             base,
             rows_before,
             next_number: 0,
+            has_stretches: false,
             first: None,
             first_told: false,
             moved: Vec::new(),
@@ -95,6 +97,10 @@ impl<W: TakeOutput> LiveTake<W> {
         report: &PartReport,
         counts: &Counts,
     ) -> anyhow::Result<()> {
+        if !self.has_stretches && !span.key {
+            self.begin_behind(span, counts);
+            return Ok(());
+        }
         self.report.add(report);
         self.counts = counts.since(&self.base);
         // The last one has neither rows nor, when nothing was lost at the end, a front.
@@ -102,6 +108,7 @@ impl<W: TakeOutput> LiveTake<W> {
             return Ok(());
         }
         let cannot = "cannot write a stretch";
+        self.has_stretches = true;
         let number = self.next_number;
         self.next_number = (number + 1) % NUMBERS;
         self.moved.clear();
@@ -114,6 +121,15 @@ impl<W: TakeOutput> LiveTake<W> {
             self.first.get_or_insert(FirstRow { device_ticks, arrival_ns, row });
         }
         Ok(())
+    }
+
+    /// Rows that were lost before its first key: nobody can read on from them, and whoever asked for the take when
+    /// nothing came wants what came then. The absence of a device is none of the take's; frames that did come, and
+    /// found the rings full, are on its account.
+    fn begin_behind(&mut self, span: Span, counts: &Counts) {
+        self.base = Counts { ring_full: self.base.ring_full, ..*counts };
+        self.rows_before = span.first_row;
+        self.counts = counts.since(&self.base);
     }
 
     pub(super) fn ledger_and_sync(

@@ -27,13 +27,14 @@ impl<W: TakeOutput> Writer<W> {
                     self.end_take();
                     let progress = Arc::clone(&self.progress);
                     let mut clocks = std::mem::replace(&mut self.clocks, ClockWriter::idle());
-                    clocks.begin();
+                    clocks.begin(&self.counts.clock);
                     self.live = self.begin_take(*take, answers, end, &mut clocks, &progress);
                     self.clocks = clocks;
                 }
                 What::Save(take, answers) => {
                     // The take that is being written goes on beside it, and what others look at is that one's.
-                    let (mut clocks, progress) = (self.clocks.beside(), Progress::new(&[]));
+                    let (mut clocks, progress) =
+                        (self.clocks.beside(&self.counts.clock), Progress::new(&[]));
                     let saved = self.begin_take(*take, answers, end, &mut clocks, &progress);
                     if let Some(saved) = saved {
                         saved.end(&self.counts.in_rows(), &mut clocks);

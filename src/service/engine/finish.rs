@@ -32,7 +32,8 @@ impl Inner {
         if !is_empty {
             return self.finish_take(Err(anyhow::anyhow!("the writer is gone")));
         }
-        if let Some(take) = self.core().take.take() {
+        let take = self.core().take.take();
+        if let Some(take) = take {
             std::fs::remove_file(&take.path).ok();
         }
         let words = "the device went away before the take began: try again";
@@ -98,8 +99,11 @@ impl Inner {
         };
         let mut core = self.core();
         core.failure = Some(words.clone());
-        // The pipeline goes on without a take, and its pre-roll with keys as often as that needs.
-        if let Some(session) = &mut core.session {
+        // The pipeline goes on without a take, and its pre-roll with keys as often as that needs. A save that failed
+        // leaves the take beside it alone.
+        if core.take.is_none()
+            && let Some(session) = &mut core.session
+        {
             session.takes.end().ok();
         }
         drop(core);

@@ -78,7 +78,7 @@ impl Inner {
 
 impl Core {
     fn why_over(&self) -> Option<&'static str> {
-        let take = self.take.as_ref().filter(|take| take.first.is_some())?;
+        let take = self.take.as_ref()?;
         if self.options.max_length.is_some_and(|max| take.begun.elapsed() >= max) {
             return Some("length");
         }

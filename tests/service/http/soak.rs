@@ -1,4 +1,5 @@
-//! A hundred clients, half of them hostile, and how long the others wait for the status. For figures:
+//! A hundred clients, half of them hostile, beside a take: how long the others wait for the status, and whether the
+//! take loses a frame. For figures:
 //!
 //! ```text
 //! cargo test --release --test integration -- --ignored --nocapture service::http::soak
@@ -7,12 +8,23 @@
 use std::{
     io::{Read, Write},
     net::{SocketAddr, TcpStream},
-    sync::atomic::{AtomicBool, AtomicU64, Ordering},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+    },
     time::{Duration, Instant},
 };
 
-use super::{client::request, serve};
-use crate::support::Seeded;
+use mocapd::service::{
+    control::{Control, Request},
+    http::HttpServer,
+};
+
+use super::{client::request, local};
+use crate::{
+    service::engine::{Room, named, read, room},
+    support::Seeded,
+};
 
 const CLIENTS: u64 = 100;
 const LENGTH: Duration = Duration::from_secs(30);
@@ -22,9 +34,13 @@ const EVERY: Duration = Duration::from_millis(100);
 
 #[test]
 #[ignore = "half a minute of a whole machine, for figures"]
-fn the_status_while_half_of_all_clients_are_hostile() {
-    let served = serve();
-    let at = served.at;
+fn the_status_and_a_take_while_half_of_all_clients_are_hostile() {
+    let Room { directory: _directory, device: _device, engine } = room(|_| {});
+    let engine: Arc<dyn Control> = Arc::new(engine);
+    let server = HttpServer::start(local(), Arc::clone(&engine)).unwrap();
+    let at = server.tcp_address().unwrap();
+    let started = engine.start(&named("besieged")).unwrap();
+    let began = Instant::now();
     let over = AtomicBool::new(false);
     let attacks = AtomicU64::new(0);
     let mut waits: Vec<Duration> = std::thread::scope(|scope| {
@@ -61,6 +77,13 @@ fn the_status_while_half_of_all_clients_are_hostile() {
         at(0.99),
         at(1.0)
     );
+    let seconds = began.elapsed().as_secs_f64();
+    let ledger = engine.stop(&Request::default()).unwrap().ledger;
+    println!("a take of {seconds:.0} s beside them: {ledger:?}");
+    server.stop(Duration::from_secs(5)).unwrap();
+    assert!(ledger.closes && ledger.recorded as f64 > 110.0 * seconds, "{ledger:?}");
+    assert_eq!(ledger.frames_sent, ledger.recorded, "{ledger:?}");
+    assert_eq!(read(&started.path).ledger.unwrap().recorded, ledger.recorded);
     assert!(at(0.99) < Duration::from_millis(50), "{:?}", at(0.99));
 }
 
@@ -91,7 +114,10 @@ fn attack(at: SocketAddr, random: &mut Seeded) -> std::io::Result<()> {
     stream.set_read_timeout(Some(Duration::from_secs(2)))?;
     stream.set_write_timeout(Some(Duration::from_secs(2)))?;
     let mut answer = [0; 256];
-    match random.below(5) {
+    match random.below(8) {
+        5 => stream.write_all(&request("POST", "/v1/stop", &[("host", "evil.example")], "{}"))?,
+        6 => stream.write_all(&request("GET", "/v1/takes/..%2f..%2fetc%2fpasswd", &[], ""))?,
+        7 => stream.write_all(&request("POST", "/v1/stop", &[("origin", "http://a.b")], "{}"))?,
         0 => {
             // A head that drips.
             for byte in b"GET /v1/status HTTP/1.1\r\nx-a: bbbbbbbbbbbbb" {
