@@ -10,7 +10,7 @@ const AGAIN_MS = 1000;
 /** Longer than the service is ever silent: it gives a sign of life every 15 s. */
 const SILENT_MS = 40_000;
 
-const SHAPES = { failure: "✕", warning: "▲", mark: "⚑", "take-started": "●", "take-stopped": "■", trigger: "»",
+const SHAPES = { failure: "✕", warning: "▲", mark: "⚑", "take-started": "●", "take-stopped": "■", "take-saved": "■", trigger: "»",
   device: "◇", state: "·" };
 
 export class Events {

@@ -11,6 +11,9 @@ export function describe(status) {
   if (state === "recording" && take) return take.name;
   if (state === "failed") return status.failure ?? "no reason is known: see the events";
   if (state === "armed") {
+    // Nothing that comes now would be recorded.
+    if (status.device.presence === "absent") return "not ready: the device is away";
+    if (status.device.presence === "silent") return "not ready: the device sends nothing";
     const held = `${preRoll.held_s.toFixed(1)} s held`;
     return preRoll.wanted_s > 0 ? `ready, ${held} of ${preRoll.wanted_s.toFixed(0)} s` : "ready";
   }

@@ -20,6 +20,7 @@ use mocapd::{
         triggered::Triggers,
     },
 };
+use rustix::fs::{Access, access};
 use signal_hook::{
     consts::{SIGHUP, SIGINT, SIGTERM},
     iterator::Signals,
@@ -100,6 +101,7 @@ impl Doors {
         let mut options = http_options(&config.http)?;
         if let Some(folder) = options.unix_socket.as_deref().and_then(Path::parent)
             && options.tcp.is_some()
+            && !folder.as_os_str().is_empty()
             && !folder.exists()
         {
             let words = "there is no Unix socket, because systemd has not made its folder";
@@ -223,11 +225,17 @@ impl Running<'_> {
 }
 
 fn make_directory(directory: &Path) -> anyhow::Result<()> {
-    let cannot = || format!("cannot make the takes' folder {}", directory.display());
     if directory.exists() {
-        return Ok(());
+        // Told before anybody presses record.
+        return access(directory, Access::WRITE_OK | Access::EXEC_OK).with_context(|| {
+            format!(
+                "cannot write into the takes' folder {}: give it to the user that the service runs as, or name another one",
+                directory.display()
+            )
+        });
     }
-    std::fs::create_dir_all(directory).with_context(cannot)?;
+    std::fs::create_dir_all(directory)
+        .with_context(|| format!("cannot make the takes' folder {}", directory.display()))?;
     say(&format!("made the folder {}", directory.display()));
     Ok(())
 }

@@ -85,6 +85,8 @@ pub struct Intake {
     rejoining: bool,
     /// A take is to begin with that frame.
     begins_then: Option<Boundary>,
+    /// Rows of the absence that lasts, which takes that ended meanwhile have already.
+    rows_away: u64,
     finished: bool,
     desk: DeskIn,
     tap: TapIn,
@@ -145,6 +147,7 @@ impl Intake {
             is_away: false,
             rejoining: false,
             begins_then: None,
+            rows_away: 0,
             finished: false,
             desk,
             tap,
@@ -153,15 +156,15 @@ impl Intake {
 
     /// One frame, at the host's monotonic time of its last byte.
     pub fn frame(&mut self, frame: &Frame<'_>, arrival_ns: u64) {
-        self.look_at_desk();
+        self.look_at_desk(arrival_ns);
         let rejoins = self.rejoining;
         // Its frames came before whoever waited for it was told.
         if !rejoins && let Some(boundary) = self.begins_then.take() {
-            self.cut(boundary);
+            self.cut(boundary, arrival_ns);
         }
         if rejoins {
             self.end_outage(frame, arrival_ns);
-            self.part_from_outage();
+            self.part_from_outage(arrival_ns);
         } else if !self.follow(frame) {
             return;
         }
@@ -206,7 +209,7 @@ impl Intake {
     /// come slowly, or no more, goes to disk all the same.
     pub fn tick(&mut self, now_ns: u64) {
         self.beat.moved();
-        self.look_at_desk();
+        self.look_at_desk(now_ns);
         if self.open_rows > 0 && now_ns.saturating_sub(self.open_since_ns) > self.open_ns_max {
             self.close_stretch();
         }
@@ -231,7 +234,7 @@ impl Intake {
     }
 
     /// What other threads want of the reader.
-    fn look_at_desk(&mut self) {
+    fn look_at_desk(&mut self, now_ns: u64) {
         while let Some(mark) = self.desk.mark() {
             self.event(mark.event);
             // Whoever asked may have gone.
@@ -243,16 +246,16 @@ impl Intake {
             if boundary.begins && (self.is_away || self.rejoining) {
                 self.begins_then = Some(boundary);
             } else {
-                self.cut(boundary);
+                self.cut(boundary, now_ns);
             }
         }
     }
 
     /// Rows of an outage are a stretch of their own, and the next one is a key: a take that begins behind them has
     /// none of them.
-    fn part_from_outage(&mut self) {
+    fn part_from_outage(&mut self, now_ns: u64) {
         match self.begins_then.take() {
-            Some(boundary) => self.cut(boundary),
+            Some(boundary) => self.cut(boundary, now_ns),
             None if self.pending.rows() > 0 => {
                 self.close_stretch();
                 self.close_pending();
@@ -263,8 +266,11 @@ impl Intake {
     }
 
     /// Ends the open stretch; the next one is a short key stretch, so that what begins there is on disk soon.
-    fn cut(&mut self, boundary: Boundary) {
+    fn cut(&mut self, boundary: Boundary, now_ns: u64) {
         self.close_stretch();
+        if self.is_away && !boundary.begins {
+            self.count_absence(now_ns);
+        }
         self.close_pending();
         self.end_boundary(boundary.number);
         self.key_every = if boundary.recording { self.key_rows } else { self.armed_key_rows };

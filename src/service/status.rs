@@ -173,6 +173,9 @@ pub struct TakeSummary {
     pub markers: usize,
     /// 32 hexadecimal digits; empty while unknown.
     pub take_id: String,
+    /// Why it ended, as `stop` tells it; empty where this service did not record it.
+    #[serde(default)]
+    pub ending: String,
 }
 
 /// The disk of the takes' folder.
@@ -184,7 +187,8 @@ pub struct DiskStatus {
     pub free_bytes: Option<u64>,
     /// Bytes that stay free: a take that comes there is closed, and none is begun.
     pub keep_free_bytes: u64,
-    /// How long a take can go on at the rate of the last half a minute, in seconds; `None` while unknown.
+    /// How long a take can go on at the rate of the last half a minute, in seconds; 0 where none can begin; `None` while
+    /// unknown.
     pub left_s: Option<u64>,
 }
 
@@ -215,7 +219,7 @@ pub struct ServiceEvent {
     pub number: u64,
     /// Milliseconds since 1970.
     pub unix_ms: i64,
-    /// `state`, `device`, `take-started`, `take-stopped`, `mark`, `warning`, `failure`, `trigger`.
+    /// `state`, `device`, `take-started`, `take-stopped`, `take-saved`, `mark`, `warning`, `failure`, `trigger`.
     pub kind: String,
     /// One line for people.
     pub message: String,
@@ -223,4 +227,7 @@ pub struct ServiceEvent {
     pub state: State,
     /// Name of the take that it is about.
     pub take: Option<String>,
+    /// The notes of a take that has started.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub notes: Option<String>,
 }

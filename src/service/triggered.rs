@@ -206,7 +206,9 @@ impl Worker {
         let Some(name) = TakeName::of(name) else { return Vec::new() };
         let Self { announcer, teller: Some(_), .. } = self else { return Vec::new() };
         match event.kind.as_str() {
-            "take-started" => vec![announcer.start(&name, "")],
+            "take-started" => {
+                vec![announcer.start(&name, event.notes.as_deref().unwrap_or_default())]
+            }
             "take-stopped" => {
                 vec![announcer.stop(&name, &StopResult::Success), announcer.complete(&name)]
             }

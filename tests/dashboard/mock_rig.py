@@ -135,7 +135,7 @@ class Rig:
         name = body.get("name") or f"last-{len(self.takes) + 1:03}"
         take = self._take(name, int(time.time() * 1000), seconds, "complete")
         self.takes.insert(0, take)
-        self.event("take-stopped", f"{name}: the last {seconds:.1f} s")
+        self.event("take-saved", f"{name}: the last {seconds:.1f} s")
         return {"take_id": take["take_id"], "name": name, "path": f"/var/lib/mocapd/{name}.take",
                 "rows": int(seconds * self.rate_hz), "seconds": seconds, "bytes": take["bytes"], "ending": "stopped",
                 "ledger": self.ledger(int(seconds * self.rate_hz))}

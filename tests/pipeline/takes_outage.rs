@@ -58,13 +58,24 @@ fn an_end_does_not_wait_for_a_device_that_is_away() {
     intake.away(true);
     armed.takes.end().unwrap();
     intake.tick(arrival_ns(&motion, 400));
-    assert_eq!(ended(&begun).0.ledger.recorded, 300);
+    let (written, take) = ended(&begun);
+    let ledger = &written.ledger;
+    // What was due while it was away is on its account, and in it: 400 is not due yet.
+    assert_eq!((ledger.recorded, ledger.unknown_after_disconnect), (300, 100), "{ledger:?}");
+    assert!(ledger.closes() && ledger.contradictions.is_empty(), "{ledger:?}");
+    assert_eq!(rows(&take).0.len(), 400);
     // Neither does one of a take that could not begin yet.
     let begun = armed.takes.begin(new_take(&motion, Duration::ZERO, 500)).unwrap();
     intake.tick(arrival_ns(&motion, 500));
     armed.takes.end().unwrap();
     intake.tick(arrival_ns(&motion, 600));
-    assert_eq!(ended(&begun).0.ledger.frames_sent, 0);
+    assert_eq!(ended(&begun).0.ledger.recorded, 0);
+    // What was counted once is not counted again when it is back.
+    intake.away(false);
+    intake.rejoin();
+    feed_all(&mut intake, &motion, 700..800);
+    assert_eq!(intake.counts().seen(), 800);
+    assert_eq!(intake.next_row(), 800);
     drop(intake);
     pipeline.join().unwrap();
 }
@@ -117,6 +128,9 @@ fn a_pre_roll_does_not_reach_behind_an_absence() {
             assert_eq!(ledger.unknown_after_disconnect, 2670, "{ledger:?}");
             assert_eq!(ledger.recorded, 330 - first.row + 300);
         }
+        let asked =
+            summary.events.iter().find(|event| event.text.starts_with("the take was asked"));
+        assert_eq!(asked.unwrap().row, ledger.frames_sent - 200);
         assert_eq!(rows(&take).0.len() as u64, ledger.frames_sent);
         drop(intake);
         pipeline.join().unwrap();

@@ -67,10 +67,11 @@ pub(super) fn status(status: &Status) -> String {
     if let Some(take) = &status.last_take {
         writeln!(
             out,
-            "  before    {}: {}, {}",
+            "  before    {}: {}, {}, ended: {}",
             plain(&take.name),
             bytes(take.bytes),
-            plain(&take.health)
+            plain(&take.health),
+            plain(&take.ending)
         )
         .ok();
     }
@@ -88,13 +89,25 @@ pub(super) fn status(status: &Status) -> String {
 
 /// One line.
 pub(super) fn line(status: &Status) -> String {
+    let presence = status.device.presence.as_str();
+    // What sends nothing, or is not there, is worth more than a word among figures.
+    let missing = match status.state {
+        State::Idle => "",
+        _ if presence == "absent" => ", THE DEVICE IS ABSENT",
+        _ if presence == "silent" => ", THE DEVICE IS SILENT",
+        _ => "",
+    };
     match &status.take {
         Some(take) => {
             let lost = thousands(status.input.lost);
             let of = plain(&take.name);
-            format!("recording {of}, {:.1} s, {}, {lost} lost", take.seconds, bytes(take.bytes))
+            format!(
+                "recording {of}, {:.1} s, {}, {lost} lost{missing}",
+                take.seconds,
+                bytes(take.bytes)
+            )
         }
-        None => state(status.state).to_owned(),
+        None => format!("{}{missing}", state(status.state)),
     }
 }
 

@@ -22,7 +22,7 @@ pub static RIG_NAME: Key = Key {
     },
     what: "What the rig is called: in names of takes, in the status, in triggers.",
     why: "One service records one rig, and /etc/mocapd/left.toml needs no second name.",
-    when: When::NextTake,
+    when: When::Now,
     written: |config| Some(json!(config.rig_name)),
 };
 
@@ -169,7 +169,7 @@ pub static TAKE_RECONNECT: Key = Key {
     preset: Preset::Text("60s"),
     what: "How long a take waits for a device that went away; `0s` closes it at once.",
     why: "A minute is enough for a cable that was pulled by a foot, and for a device that starts again.",
-    when: When::NextTake,
+    when: When::NextArm,
     written: |config| duration(config.take.reconnect),
 };
 

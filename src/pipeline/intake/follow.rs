@@ -48,8 +48,9 @@ impl Intake {
                 (due, Causes::DISCONNECTED, "began anew", "were due by the host's clock")
             }
         };
+        let new = missing.saturating_sub(std::mem::take(&mut self.rows_away));
         // At the first row that there is again.
-        let row = self.next_row + self.pending.rows() + missing;
+        let row = self.next_row + self.pending.rows() + new;
         let event = Event {
             kind: EventKind::Host,
             row,
@@ -61,9 +62,20 @@ impl Intake {
             ),
         };
         self.event_at(row, event);
-        self.counts.reports_from = self.counts.seen() + missing;
-        self.counts.lost_to_outage(missing);
-        self.pending.add(missing, causes);
+        self.counts.reports_from = self.counts.seen() + new;
+        self.counts.lost_to_outage(new);
+        self.counts.told_twice = missing;
+        self.pending.add(new, causes);
+    }
+
+    /// A take ends while the device is away: what was due since its last frame, by the host's clock, is that take's
+    /// loss, and stands in it.
+    pub(super) fn count_absence(&mut self, now_ns: u64) {
+        let due = self.due(self.silences.until_ns(now_ns) as f64 * 1e-9);
+        let new = due.saturating_sub(self.rows_away);
+        self.rows_away += new;
+        self.counts.lost_to_outage(new);
+        self.pending.add(new, Causes::DISCONNECTED);
     }
 
     /// How many frames fit between two that are so far apart.

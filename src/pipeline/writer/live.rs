@@ -8,7 +8,7 @@ use std::{
 use anyhow::Context;
 use mocapd_take::{
     TakeWriter,
-    record::{Channel, Event, Header},
+    record::{Channel, Event, EventKind, Header},
     stretch::{NUMBERS, Span, put_moved},
 };
 
@@ -86,6 +86,16 @@ impl<W: TakeOutput> LiveTake<W> {
     pub(super) fn event(&mut self, event: &Event) -> anyhow::Result<()> {
         let row = event.row.saturating_sub(self.rows_before);
         self.take.event(&Event { row, ..event.clone() }).context("cannot write an event")
+    }
+
+    /// The row of the pipeline that came next when it was asked for: where there are rows before, that is worth knowing.
+    pub(super) fn asked_here(&mut self, row: u64, asked_ns: u64) -> anyhow::Result<()> {
+        if !self.has_stretches {
+            return Ok(());
+        }
+        let text = "the take was asked for here: before it is pre-roll".to_owned();
+        let (kind, host_ns) = (EventKind::Host, asked_ns);
+        self.event(&Event { kind, row, device_ticks: 0, host_ns, input: 0, text })
     }
 
     /// A stretch of the pipeline, with what it counted up to its end.

@@ -28,8 +28,10 @@ impl<W: TakeOutput> Writer<W> {
                     let progress = Arc::clone(&self.progress);
                     let mut clocks = std::mem::replace(&mut self.clocks, ClockWriter::idle());
                     clocks.begin(&self.counts.clock);
+                    let asked_ns = take.asked_ns;
                     self.live = self.begin_take(*take, answers, end, &mut clocks, &progress);
                     self.clocks = clocks;
+                    self.on_take(|take, _| take.asked_here(end.span.first_row, asked_ns));
                 }
                 What::Save(take, answers) => {
                     // The take that is being written goes on beside it, and what others look at is that one's.
@@ -69,6 +71,9 @@ impl<W: TakeOutput> Writer<W> {
             None => (self.counts.in_rows(), end.span.first_row, u64::MAX),
         };
         let known = |(since, _): &&(u64, Channel)| *since <= stretch;
+        // Its first row is older than the wish for it.
+        let before_ns = first.map_or(0, |held| asked_ns.saturating_sub(held.first.arrival_ns));
+        header.created_unix_ms -= (before_ns / 1_000_000).cast_signed();
         header.channels = self.table.iter().filter(known).map(|(_, c)| c.clone()).collect();
         progress.disk_full.store(false, Ordering::Relaxed);
         let times = (self.sync_every, keep_free_bytes);

@@ -107,7 +107,11 @@ impl Inner {
             None => core.options.include_pre_roll,
             Some(s) => seconds(s, "pre_roll_s")?,
         };
+        let away = core.away();
         drop(core);
+        if let Some(words) = away {
+            return Err(Refusal::new(RefusalKind::Device, words));
+        }
         let new =
             self.new_take(start.name.as_deref(), start.notes.as_deref(), pre_roll, asked_ns)?;
         if let Err(refusal) = self.arm(command) {
@@ -121,8 +125,7 @@ impl Inner {
             std::fs::remove_file(&path).ok();
             return Err(gone());
         };
-        let (rate_hz, held_ms) = (session.header.rate_hz, &session.progress.held_ms);
-        let held = Duration::from_millis(held_ms.load(Ordering::Relaxed));
+        let rate_hz = session.header.rate_hz;
         let take = NewTake { header: session.header_of_take(&take), ..take };
         let begun = match session.takes.begin(take) {
             Ok(begun) => begun,
@@ -156,16 +159,10 @@ impl Inner {
         if let Some(take) = &mut self.core().take {
             take.first = Some(first);
         }
-        self.say_event("take-started", &format!("recording {name}"), Some(&name));
+        let notes = start.notes.as_deref().filter(|notes| !notes.is_empty());
+        self.say_noted("take-started", &format!("recording {name}"), Some(&name), notes);
         let before_request_s = asked_ns.saturating_sub(first.arrival_ns) as f64 * 1e-9;
-        let mut remarks = Vec::new();
-        if pre_roll > held {
-            remarks.push(format!(
-                "{:.1} s of pre-roll were held, not the {:.1} s that were asked for",
-                held.as_secs_f64(),
-                pre_roll.as_secs_f64()
-            ));
-        }
+        let remarks = pre_roll_remark(pre_roll, before_request_s).into_iter().collect();
         let first_frame = FirstFrame {
             device_ticks: first.device_ticks,
             arrival_ns: first.arrival_ns,
@@ -176,6 +173,7 @@ impl Inner {
 
     /// No frame came: the take ends, and so does its file.
     fn begun_in_vain(&self) -> Refusal {
+        let away = self.core().away();
         let refused = self.end_take("stopped");
         match refused {
             // A frame came after all, and a moment too late.
@@ -187,7 +185,7 @@ impl Inner {
                     stopped.path.display()
                 ),
             ),
-            Err(refusal) => refusal,
+            Err(refusal) => away.map_or(refusal, |words| Refusal::new(RefusalKind::Device, words)),
         }
     }
 
@@ -202,7 +200,13 @@ impl Inner {
     fn end_take(&self, ending: &'static str) -> Result<Stopped, Refusal> {
         let mut core = self.core();
         let Some(take) = &mut core.take else {
-            let words = "no take is being recorded";
+            let before = core.last_take.as_ref().filter(|take| !take.ending.is_empty());
+            let words = before.map_or_else(
+                || "no take is being recorded".to_owned(),
+                |take| {
+                    format!("no take is being recorded: {} has ended ({})", take.name, take.ending)
+                },
+            );
             return Err(Refusal::new(RefusalKind::Conflict, words));
         };
         let is_first = take.ending.is_none();
@@ -414,6 +418,23 @@ impl Inner {
         self.viewers.close();
         self.changed.notify_all();
     }
+}
+
+/// Takes begin at key stretches: what the take has of the time before is told when it is not what was asked for.
+fn pre_roll_remark(asked: Duration, before_request_s: f64) -> Option<String> {
+    /// Keys are a second apart while armed.
+    const USUAL_S: f64 = 1.6;
+    let asked_s = asked.as_secs_f64();
+    if asked_s > before_request_s + 0.1 {
+        return Some(format!(
+            "{before_request_s:.1} s of pre-roll were held, not the {asked_s:.1} s that were asked for"
+        ));
+    }
+    (asked_s > 0.0 && before_request_s > asked_s + USUAL_S).then(|| {
+        format!(
+            "the take begins {before_request_s:.1} s before the request, not {asked_s:.1} s: takes begin at key stretches, which are 10 s apart in what was recorded before"
+        )
+    })
 }
 
 fn seconds(value: f64, what: &str) -> Result<Duration, Refusal> {

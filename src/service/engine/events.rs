@@ -80,7 +80,13 @@ impl Events {
         self.said_out.try_recv().ok()
     }
 
-    fn tell(&self, kind: &str, message: &str, state: State, take: Option<String>) {
+    fn tell(
+        &self,
+        kind: &str,
+        message: &str,
+        state: State,
+        (take, notes): (Option<String>, Option<String>),
+    ) {
         let mut listeners = lock(&self.listeners);
         listeners.number += 1;
         let event = Arc::new(ServiceEvent {
@@ -90,6 +96,7 @@ impl Events {
             message: message.to_owned(),
             state,
             take,
+            notes,
         });
         listeners.all.retain(|listener| listener.tell(&event));
     }
@@ -112,8 +119,20 @@ impl Listener {
 impl Inner {
     /// Tells an event, and logs it. Not from the reader's thread, and not with the state locked.
     pub(super) fn say_event(&self, kind: &str, message: &str, take: Option<&str>) {
+        self.say_noted(kind, message, take, None);
+    }
+
+    /// The same, with the notes of a take.
+    pub(super) fn say_noted(
+        &self,
+        kind: &str,
+        message: &str,
+        take: Option<&str>,
+        notes: Option<&str>,
+    ) {
         let state = self.core().state();
-        self.events.tell(kind, message, state, take.map(str::to_owned));
+        let about = (take.map(str::to_owned), notes.map(str::to_owned));
+        self.events.tell(kind, message, state, about);
         let device = self.core().device.uri.clone();
         let take = take.unwrap_or_default();
         match kind {

@@ -53,6 +53,11 @@ impl Inner {
             Ok((written, _)) => written,
             Err(error) => return Err(self.broken(&error, name, path)),
         };
+        if written.ledger.recorded == 0 && ending == "saved" {
+            std::fs::remove_file(path).ok();
+            let words = "nothing of that time is held: the device was away or sent nothing; ask for more seconds";
+            return Err(Refusal::new(RefusalKind::Device, words));
+        }
         if written.ledger.recorded == 0 {
             // Only the header was written: an empty take helps nobody.
             std::fs::remove_file(path).ok();
@@ -67,10 +72,11 @@ impl Inner {
             bytes: written.file_bytes,
             modified_unix_ms: super::status::unix_ms(),
             is_open: false,
-            health: health(&written.ledger).to_owned(),
+            health: health(&written.ledger, ending).to_owned(),
             seconds: stopped.seconds,
             markers: self.core().device.markers,
             take_id: take_id.to_owned(),
+            ending: ending.to_owned(),
         };
         self.core().last_take = Some(summary);
         let lost = written.ledger.frames_lost();
@@ -78,7 +84,8 @@ impl Inner {
             "{name} is closed ({ending}): {:.1} s, {} bytes, {lost} frames lost",
             stopped.seconds, stopped.bytes
         );
-        self.say_event("take-stopped", &words, Some(name));
+        let kind = if ending == "saved" { "take-saved" } else { "take-stopped" };
+        self.say_event(kind, &words, Some(name));
         if ending == "disk full" {
             let words = "the disk is full: no take is begun before something is deleted";
             self.say_event("warning", words, None);
@@ -113,8 +120,9 @@ impl Inner {
     }
 }
 
-fn health(ledger: &Ledger) -> &'static str {
-    let is_whole = ledger.closes() && !ledger.lost_anything();
+fn health(ledger: &Ledger, ending: &str) -> &'static str {
+    // What it did not send any more, nobody can count.
+    let is_whole = ledger.closes() && !ledger.lost_anything() && ending != "device gone";
     if is_whole { "complete" } else { "lossy" }
 }
 

@@ -58,6 +58,7 @@ impl Inner {
             if let Some(last) = last.as_ref().filter(|last| last.take_id == summary.take_id) {
                 summary.health.clone_from(&last.health);
                 summary.seconds = last.seconds;
+                summary.ending.clone_from(&last.ending);
             }
             summary
         };

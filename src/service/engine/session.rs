@@ -5,9 +5,9 @@ use std::{
     path::PathBuf,
     sync::{
         Arc,
-        atomic::{AtomicBool, AtomicU64},
+        atomic::{AtomicBool, AtomicU64, Ordering},
     },
-    time::Instant,
+    time::{Duration, Instant},
 };
 
 use crossbeam_channel::Receiver;
@@ -58,6 +58,8 @@ pub(super) struct Session {
     /// Of its takes, but for what is each one's own.
     pub(super) header: Header,
     pub(super) slots: usize,
+    /// How much it was told to hold.
+    pub(super) pre_roll: Duration,
     /// Ends it.
     pub(super) stop: Arc<AtomicBool>,
 }
@@ -89,6 +91,15 @@ pub(super) struct Rates {
 }
 
 impl Core {
+    /// That the device is away, and what to do, while it is.
+    pub(super) fn away(&self) -> Option<String> {
+        let session = self.session.as_ref()?;
+        session.progress.is_away.load(Ordering::Relaxed).then(|| {
+            "the device is away: plug it in or switch it on, and it is armed again by itself"
+                .to_owned()
+        })
+    }
+
     pub(super) fn new(options: EngineOptions) -> Self {
         Self {
             device: KnownDevice { uri: options.device.clone(), ..KnownDevice::default() },

@@ -12,7 +12,7 @@ use rustix::fs::statvfs;
 use super::{Inner, session::Core};
 use crate::{
     header::SOFTWARE,
-    pipeline::lock,
+    pipeline::{HELD_MIN_BYTES, lock},
     service::status::{
         DeviceStatus, DiskStatus, InputStatus, LedgerStatus, PreRollStatus, State, Status,
         TakeStatus,
@@ -69,7 +69,7 @@ impl Inner {
                 driver: core.device.driver.clone(),
                 rate_hz: f64::from(core.device.hello.rate_mhz) / 1000.0,
                 markers: core.device.markers,
-                obstacle: core.device.obstacle.clone(),
+                obstacle: core.device.obstacle.clone().or_else(|| core.away()),
                 outages: 0,
             },
             input: InputStatus {
@@ -113,6 +113,7 @@ impl Core {
         input.ring_latency_p99_us = get(&progress.ring_latency_p99_ns).div_ceil(1000);
         input.jitter_p99_us = get(&progress.jitter_p99_us);
         input.drift_ppm = progress.drift_ppb.load(Ordering::Relaxed) as f64 / 1e3;
+        status.pre_roll.wanted_s = session.pre_roll.as_secs_f64();
         status.pre_roll.held_s = get(&progress.held_ms) as f64 / 1e3;
         status.pre_roll.held_bytes = get(&progress.held_bytes);
         status.pre_roll.is_cut = progress.held_cut.load(Ordering::Relaxed);
@@ -152,7 +153,9 @@ fn estimated_left_s(status: &Status) -> Option<u64> {
         return None;
     }
     let bytes_per_s = held.held_bytes as f64 / held.held_s;
-    let spare = status.disk.free_bytes?.saturating_sub(status.disk.keep_free_bytes);
+    // What closing a take needs is not for its frames.
+    let kept = status.disk.keep_free_bytes.saturating_add(HELD_MIN_BYTES);
+    let spare = status.disk.free_bytes?.saturating_sub(kept);
     Some((spare as f64 / bytes_per_s) as u64)
 }
 

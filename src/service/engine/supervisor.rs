@@ -280,6 +280,7 @@ impl Inner {
             progress: Arc::clone(&progress),
             seen: armed.seen,
             slots: config.channels.len() + config.reserve,
+            pre_roll: options.pre_roll,
             stop: Arc::clone(stop),
             header: header.clone(),
         };

@@ -119,6 +119,7 @@ mod tests {
             message: String::new(),
             state: State::Idle,
             take: None,
+            notes: None,
         })
     }
 

@@ -44,8 +44,16 @@ pub(super) struct Login {
         (status = 401, description = "Not the token", body = Problem,
             content_type = "application/problem+json")))]
 pub(super) async fn login(State(app): State<Shared>, request: Request) -> Response {
+    let accepts = request.headers().get(header::ACCEPT).and_then(|value| value.to_str().ok());
+    let is_page = accepts.is_some_and(|accepts| accepts.contains("text/html"));
     match log_in(&app, request).await {
         Ok(response) => response,
+        // A browser without scripts shows what comes: the page again, and why.
+        Err(problem) if is_page && problem.kind == ProblemKind::Unauthorized => {
+            let page = PAGE
+                .replace("</form>", "</form>\n    <p role=\"alert\">That is not the token.</p>");
+            (StatusCode::UNAUTHORIZED, Html(page)).into_response()
+        }
         Err(problem) => problem.into_response(),
     }
 }

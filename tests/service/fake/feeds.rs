@@ -51,6 +51,7 @@ impl Feeds {
             message,
             state,
             take: take.map(str::to_owned),
+            notes: None,
         });
         self.listeners.lock().unwrap().retain(|(sender, missed)| {
             match sender.try_send(Arc::clone(&event)) {

@@ -291,7 +291,7 @@ impl Control for Fake {
         };
         self.once(request.request_id.as_ref(), Remembered::Stopped, unwrap, |inner| {
             let Some(take) = inner.take.take() else {
-                return refuse(RefusalKind::Conflict, "no take is being recorded: start one");
+                return refuse(RefusalKind::Conflict, "no take is being recorded");
             };
             inner.state = State::Armed;
             self.tell(
@@ -314,7 +314,7 @@ impl Control for Fake {
                 return refuse(RefusalKind::Invalid, "a mark's text has at most 1024 bytes");
             }
             let Some(take) = &inner.take else {
-                return refuse(RefusalKind::Conflict, "no take is being recorded: start one");
+                return refuse(RefusalKind::Conflict, "no take is being recorded");
             };
             self.tell("mark", mark.text.clone(), inner.state, Some(&take.name));
             Ok(Marked { row: take.rows })

@@ -115,6 +115,7 @@ fn examples() -> Vec<(&'static str, Value)> {
         message: String::new(),
         state: State::Armed,
         take: None,
+        notes: Some("left shoe".to_owned()),
     };
     let device = ListedDevice {
         device: String::new(),
