@@ -296,3 +296,28 @@ fn a_disk_that_is_full_is_said_to_be_so_and_nothing_is_left_there() {
     assert_eq!(directory.path().read_dir().unwrap().count(), 0);
     assert_eq!(engine.status().state, State::Idle);
 }
+
+#[test]
+fn what_a_device_that_is_gone_did_not_send_is_on_the_ledger_of_the_take_that_ends() {
+    let Room { directory: _directory, device, engine } = room(|_| {});
+    let started = engine.start(&named("cut")).unwrap();
+    std::thread::sleep(Duration::from_millis(300));
+    device.unplug();
+    wait_until("the absence", || engine.status().device.presence == "absent");
+    assert!(engine.status().device.obstacle.unwrap().starts_with("the device is away"));
+    std::thread::sleep(Duration::from_millis(1200));
+    let stopped = engine.stop(&request()).unwrap();
+    let ledger = read(&started.path).ledger.unwrap();
+    assert_eq!(ledger.unknown_after_disconnect, stopped.ledger.unknown_after_disconnect);
+    assert!(ledger.closes() && ledger.unknown_after_disconnect >= 140, "{ledger:?}");
+    assert_eq!(engine.takes(1).unwrap()[0].health, "lossy");
+    // Nobody waits for a frame that cannot come.
+    let asked = std::time::Instant::now();
+    let refusal = engine.start(&named("next")).unwrap_err();
+    assert_eq!(refusal.kind, RefusalKind::Device);
+    assert!(refusal.message.contains("is away"), "{refusal:?}");
+    assert!(
+        asked.elapsed() < Duration::from_secs(1)
+            && !started.path.with_file_name("next.take").exists()
+    );
+}
