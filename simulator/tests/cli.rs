@@ -354,3 +354,35 @@ fn signals_end_it_cleanly() {
         assert!(words.contains("2 runs: 48 frames produced"), "{words}");
     }
 }
+
+#[test]
+fn a_data_set_of_jumps() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("jumps");
+    let generate = |more: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_mocapd-sim"));
+        command.args(["generate", "--subjects", "2", "--rate", "30", "--out"]).arg(&out);
+        command.args(more).output().unwrap()
+    };
+    for more in [&["--jumps", "0"][..], &["--jumps", "3", "--rate", "0"]] {
+        let refused = generate(more);
+        assert_eq!(refused.status.code(), Some(2), "{refused:?}");
+        assert!(!out.exists(), "nothing is made for a value that is refused");
+    }
+    assert_eq!(generate(&["--jumps", "3"]).status.code(), Some(0));
+    let mut names: Vec<String> = std::fs::read_dir(&out)
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    let jumps = ["subject-01-jump-01.c3d", "subject-01-jump-02.c3d", "subject-02-jump-01.c3d"];
+    assert_eq!(names[..1], ["phases.csv"]);
+    assert_eq!(names[1..], jumps);
+    let phases = std::fs::read_to_string(out.join("phases.csv")).unwrap();
+    assert!(phases.starts_with("file,phase,first_frame\n"));
+    for jump in jumps {
+        assert_eq!(phases.matches(&format!("\n{jump},")).count(), 7, "{phases}");
+    }
+    let again = generate(&["--jumps", "3"]);
+    assert_eq!(again.status.code(), Some(1), "a folder that is there is left alone");
+}

@@ -1,5 +1,6 @@
 //! The command line.
 
+mod generate;
 mod manual;
 mod serve;
 mod values;
@@ -21,6 +22,10 @@ enum Command {
     /// Prints one line on stdout: the path for a host to open. It sends when the host says Start.
     /// Exit codes: 0 done, 1 failed, 2 a value was refused.
     Serve(Box<serve::ServeArgs>),
+    /// Write a data set of generated jumps: a C3D file each, and the phases of all.
+    ///
+    /// The default is of the size of the one of Shi et al. 2012: 326 standing long jumps by 10 subjects at 60 Hz.
+    Generate(generate::GenerateArgs),
     /// Print what a shell needs to complete this command line
     #[command(hide = true)]
     Completions(manual::Completions),
@@ -52,6 +57,7 @@ impl<E: Into<anyhow::Error>> From<E> for Failure {
 pub(crate) fn run(cli: &Cli) -> Result<(), Failure> {
     match &cli.command {
         Command::Serve(args) => serve::run(args),
+        Command::Generate(args) => generate::run(args),
         Command::Completions(args) => manual::completions(args),
         Command::Man(args) => manual::pages(args),
     }

@@ -11,6 +11,7 @@ mod geometry;
 mod plan;
 mod rng;
 mod sensor;
+mod set;
 mod spec;
 mod style;
 mod subject;
@@ -24,7 +25,8 @@ use mocapd_take::motion::Motion;
 
 pub use body::{BONES, SITES};
 pub use rng::Rng;
-pub use spec::{GenerateError, JumpSpec, MARKERS_MAX, Occlusion, RATE_HZ, SAMPLES_MAX};
+pub use set::{JumpSet, SUBJECTS_MAX};
+pub use spec::{GenerateError, JumpSpec, MARKERS_MAX, Occlusion, RATE_HZ, SAMPLES_MAX, TRIALS_MAX};
 
 /// What part of a trial a frame belongs to, as Shi et al. 2012 divide it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]

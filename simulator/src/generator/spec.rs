@@ -18,6 +18,9 @@ pub const SAMPLES_MAX: u64 = 100_000_000;
 /// The most markers: what the link's table holds.
 pub const MARKERS_MAX: usize = mocapd_drivers::link::MARKERS_MAX;
 
+/// The most trials of one subject: each is drawn after all before it.
+pub const TRIALS_MAX: u32 = 100_000;
+
 /// How much is hidden from the cameras.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Occlusion {
@@ -32,6 +35,8 @@ pub struct Occlusion {
 pub struct JumpSpec {
     /// Says which subject jumps, how, and every bit of the noise.
     pub seed: u64,
+    /// Which of the subject's trials comes first, from 0: the same body and habits, another jump.
+    pub first_trial: u32,
     /// Frames a second, in [`RATE_HZ`].
     pub rate_hz: f64,
     /// How long; `None` for one whole trial (11 to 16 s). More than a trial repeats it with small changes.
@@ -52,6 +57,7 @@ impl JumpSpec {
     pub fn new(seed: u64, rate_hz: f64) -> Self {
         Self {
             seed,
+            first_trial: 0,
             rate_hz,
             seconds: None,
             n_markers: SITES.len(),
@@ -73,7 +79,7 @@ impl JumpSpec {
     /// When a value is out of its range; the message names it and the range.
     pub fn generate(&self) -> Result<Jump, GenerateError> {
         self.check()?;
-        let mut subject = Subject::new(self.seed);
+        let mut subject = Subject::new(self.seed, self.first_trial);
         let seconds = self.seconds.unwrap_or_else(|| subject.first_trial_s());
         let n_frames = (seconds * self.rate_hz).round().max(1.0);
         let samples = n_frames * self.n_markers as f64;
@@ -82,6 +88,9 @@ impl JumpSpec {
         }
         let n_frames = n_frames as usize;
         subject.extend_to(seconds);
+        // What the cameras add is another one's in every trial; markers sit where they sat.
+        let noise_seed =
+            self.seed ^ u64::from(self.first_trial).wrapping_mul(0x9e37_79b9_7f4a_7c15);
         let stuck = cluster::stick(self.n_markers.saturating_sub(SITES.len()), self.seed);
         let labels =
             SITES.iter().map(|s| (*s).to_owned()).chain(stuck.iter().map(|s| s.label.clone()));
@@ -89,7 +98,7 @@ impl JumpSpec {
         let mut sensors: Vec<(Rng, Wobble)> = (0..)
             .zip(&labels)
             .map(|(i, label)| {
-                let mut rng = Rng::stream(self.seed, 0x2_0000 + i);
+                let mut rng = Rng::stream(noise_seed, 0x2_0000 + i);
                 let wobble = Wobble::new(self.wobble_mm, sensor::softness(label), &mut rng);
                 (rng, wobble)
             })
@@ -147,6 +156,7 @@ impl JumpSpec {
         };
         range("rate_hz", self.rate_hz, *RATE_HZ.start(), *RATE_HZ.end())?;
         range("markers", self.n_markers as f64, 1.0, MARKERS_MAX as f64)?;
+        range("first trial", f64::from(self.first_trial), 0.0, f64::from(TRIALS_MAX))?;
         range("noise_mm", self.noise_mm, 0.0, 1000.0)?;
         range("wobble_mm", self.wobble_mm, 0.0, 1000.0)?;
         if let Some(seconds) = self.seconds {

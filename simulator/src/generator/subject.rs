@@ -7,6 +7,9 @@ use super::rng::Rng;
 use super::style::Style;
 use super::trial::Trial;
 
+/// By how much the drifts of a subject's next trial are later, seconds: no multiple of their periods.
+const DRIFT_STEP_S: f64 = 17.3;
+
 /// A trial and where in the room and when it begins.
 #[derive(Debug)]
 struct Placed {
@@ -68,18 +71,32 @@ pub(super) struct Subject {
     rng: Rng,
     /// Pelvis x y z, lean, both arms.
     drifts: [Drift; 6],
+    /// Time of the drifts at the beginning, seconds.
+    drift_from_s: f64,
     trials: Vec<Placed>,
 }
 
 impl Subject {
-    pub(super) fn new(seed: u64) -> Self {
+    /// Its trials begin with the one of this number, from 0, at time 0 and the origin.
+    pub(super) fn new(seed: u64, first_trial: u32) -> Self {
         let mut rng = Rng::new(seed);
         let stature_m = rng.between(1.60, 1.92);
         let style = Style::of_subject(stature_m, &mut rng);
         let drifts =
             [0.004, 0.004, 0.0008, 0.010, 0.020, 0.020].map(|size| Drift::new(size, &mut rng));
-        let mut subject =
-            Self { body: Body::of_stature(stature_m), style, rng, drifts, trials: Vec::new() };
+        let mut subject = Self {
+            body: Body::of_stature(stature_m),
+            style,
+            rng,
+            drifts,
+            drift_from_s: 0.0,
+            trials: Vec::new(),
+        };
+        for _ in 0..first_trial {
+            subject.style.vary(&mut subject.rng);
+        }
+        // The body does not sway in every trial as in the first.
+        subject.drift_from_s = f64::from(first_trial) * DRIFT_STEP_S;
         subject.next_trial();
         subject
     }
@@ -118,7 +135,8 @@ impl Subject {
         pose.pelvis = placed.in_room(pose.pelvis);
         pose.ankles = pose.ankles.map(|ankle| placed.in_room(ankle));
         pose.facing = pose.facing.map(|v| placed.sense * v);
-        let [x, y, z, lean, left, right] = self.drifts.map(|drift| drift.at(time_s));
+        let [x, y, z, lean, left, right] =
+            self.drifts.map(|drift| drift.at(self.drift_from_s + time_s));
         pose.pelvis = [pose.pelvis[0] + x, pose.pelvis[1] + y, pose.pelvis[2] + z];
         pose.lean += lean;
         pose.arms[0].swing += left;

@@ -1,0 +1,70 @@
+//! `mocapd-sim generate`: a data set of jumps as files.
+
+use std::fmt::Write as _;
+use std::fs::{self, File};
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use clap::Args;
+use mocapd_simulator::generator::{JumpSet, JumpSpec};
+use mocapd_take::interchange::Format;
+use mocapd_take::motion::MotionFrames;
+
+use super::Failure;
+use super::values::length_mm;
+
+#[derive(Debug, Args)]
+pub(super) struct GenerateArgs {
+    /// Folder for the C3D files and phases.csv; it must not exist
+    #[arg(short, long, value_name = "DIR")]
+    out: PathBuf,
+    /// Who jump, each with a body and a style of their own.
+    #[arg(long, value_name = "N", default_value_t = 10)]
+    subjects: u32,
+    /// Jumps of all subjects together, dealt evenly.
+    #[arg(long, value_name = "N", default_value_t = 326)]
+    jumps: u32,
+    /// Frames a second.
+    #[arg(long, value_name = "HZ", default_value_t = 60.0)]
+    rate: f64,
+    /// Says who the subjects are, how they jump, and every bit of the noise.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    /// Noise of the samples on each axis, standard deviation [default: 0.05mm].
+    #[arg(long, value_name = "LENGTH", value_parser = length_mm)]
+    noise: Option<f64>,
+}
+
+pub(super) fn run(args: &GenerateArgs) -> Result<(), Failure> {
+    let mut spec = JumpSpec::new(args.seed, args.rate);
+    spec.noise_mm = args.noise.unwrap_or(spec.noise_mm);
+    let set = JumpSet::new(spec, args.subjects, args.jumps).map_err(Failure::usage)?;
+    // Before anything is made, so that nothing is made for a value that is refused.
+    spec.generate().map_err(Failure::usage)?;
+    fs::create_dir(&args.out)
+        .with_context(|| format!("cannot make the folder {}", args.out.display()))?;
+    let mut phases = "file,phase,first_frame\n".to_owned();
+    for (subject, trial, jump) in set.jumps() {
+        let jump = jump.map_err(Failure::usage)?;
+        let name = format!("subject-{subject:02}-jump-{trial:02}.c3d");
+        for (phase, first_frame) in &jump.phases {
+            writeln!(phases, "{name},{},{first_frame}", phase.name())?;
+        }
+        write(&args.out.join(&name), |out| {
+            Ok(Format::C3d.write(&mut MotionFrames::new(&jump.motion), out)?)
+        })?;
+    }
+    write(&args.out.join("phases.csv"), |out| Ok(out.write_all(phases.as_bytes())?))?;
+    Ok(())
+}
+
+fn write(
+    path: &Path,
+    content: impl FnOnce(&mut dyn Write) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
+    let writing = || format!("cannot write {}", path.display());
+    let mut out = BufWriter::new(File::create_new(path).with_context(writing)?);
+    content(&mut out).with_context(writing)?;
+    out.flush().with_context(writing)
+}
