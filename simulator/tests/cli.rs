@@ -361,15 +361,15 @@ fn a_data_set_of_jumps() {
     let out = folder.path().join("jumps");
     let generate = |more: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_mocapd-sim"));
-        command.args(["generate", "--subjects", "2", "--rate", "30", "--out"]).arg(&out);
+        command.args(["generate", "--subjects", "2", "--out"]).arg(&out);
         command.args(more).output().unwrap()
     };
-    for more in [&["--jumps", "0"][..], &["--jumps", "3", "--rate", "0"]] {
+    for more in [&["--jumps", "0"][..], &["--jumps", "3", "--rate", "0.5"]] {
         let refused = generate(more);
         assert_eq!(refused.status.code(), Some(2), "{refused:?}");
         assert!(!out.exists(), "nothing is made for a value that is refused");
     }
-    assert_eq!(generate(&["--jumps", "3"]).status.code(), Some(0));
+    assert_eq!(generate(&["--jumps", "3", "--rate", "30"]).status.code(), Some(0));
     let mut names: Vec<String> = std::fs::read_dir(&out)
         .unwrap()
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
@@ -383,6 +383,6 @@ fn a_data_set_of_jumps() {
     for jump in jumps {
         assert_eq!(phases.matches(&format!("\n{jump},")).count(), 7, "{phases}");
     }
-    let again = generate(&["--jumps", "3"]);
+    let again = generate(&["--jumps", "3", "--rate", "30"]);
     assert_eq!(again.status.code(), Some(1), "a folder that is there is left alone");
 }

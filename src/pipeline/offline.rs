@@ -14,9 +14,9 @@ use mocapd_take::{
     whole::{Coded, Part, Plan, WholeWriter},
 };
 
+pub use self::jobs::in_order;
 pub use mocapd_take::whole::stretch_rows;
 
-use self::jobs::in_order;
 use super::{Written, messages::PartReport};
 
 /// Codes `motion` with the settings in `header` and writes a whole take. `progress` counts samples.

@@ -18,7 +18,7 @@ const AHEAD: usize = 4;
 ///
 /// # Errors
 /// The first of the workers', or that of `done`.
-pub(super) fn in_order<P, T, W>(
+pub fn in_order<P, T, W>(
     parts: impl IntoIterator<Item = P>,
     n_workers: usize,
     worker: impl Fn() -> W + Sync,

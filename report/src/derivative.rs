@@ -1,0 +1,211 @@
+//! What a tolerance does to velocities and accelerations: those of a take against those of its original.
+//!
+//! Both are filtered first, as the field does before it differentiates ([`Butterworth`]). The filter and the
+//! differences are linear, so that what is filtered is the difference of the two: its derivative is the error of
+//! the derivative.
+
+use mocapd_take::motion::Motion;
+
+use crate::{
+    ReportError,
+    butterworth::Butterworth,
+    column::{Column, Vector, norm},
+};
+
+/// The usual cutoff for the motion of a body, Hz.
+pub const CUTOFF_HZ: f64 = 6.0;
+
+/// The size of a vector over many rows.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Size {
+    n: u64,
+    sum_of_squares: f64,
+    max: f64,
+}
+
+impl Size {
+    fn add(&mut self, length: f64) {
+        self.n += 1;
+        self.sum_of_squares += length * length;
+        self.max = self.max.max(length);
+    }
+
+    /// Both together.
+    pub fn add_all(&mut self, other: &Self) {
+        self.n += other.n;
+        self.sum_of_squares += other.sum_of_squares;
+        self.max = self.max.max(other.max);
+    }
+
+    /// Rows.
+    #[must_use]
+    pub fn n(&self) -> u64 {
+        self.n
+    }
+
+    /// Root of the mean square of the lengths; 0 without rows.
+    #[must_use]
+    pub fn rms(&self) -> f64 {
+        (self.sum_of_squares / self.n.max(1) as f64).sqrt()
+    }
+
+    /// The largest length; 0 without rows.
+    #[must_use]
+    pub fn max(&self) -> f64 {
+        self.max
+    }
+}
+
+/// One marker, or many together.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct DerivativeError {
+    /// Error of the filtered position, mm.
+    pub position_mm: Size,
+    /// Error of the velocity, mm/s.
+    pub velocity_mm_s: Size,
+    /// Error of the acceleration, mm/s^2.
+    pub acceleration_mm_s2: Size,
+    /// The original's own velocity, mm/s.
+    pub original_velocity_mm_s: Size,
+    /// The original's own acceleration, mm/s^2.
+    pub original_acceleration_mm_s2: Size,
+    /// Samples of runs between gaps that are shorter than a period of the cutoff: nothing is said of them.
+    pub samples_left_out: u64,
+}
+
+impl DerivativeError {
+    /// Both together.
+    pub fn add_all(&mut self, other: &Self) {
+        self.position_mm.add_all(&other.position_mm);
+        self.velocity_mm_s.add_all(&other.velocity_mm_s);
+        self.acceleration_mm_s2.add_all(&other.acceleration_mm_s2);
+        self.original_velocity_mm_s.add_all(&other.original_velocity_mm_s);
+        self.original_acceleration_mm_s2.add_all(&other.original_acceleration_mm_s2);
+        self.samples_left_out += other.samples_left_out;
+    }
+}
+
+/// By marker of the original, in its order, for the frames and markers that both have; filtered at `cutoff_hz`.
+///
+/// # Errors
+/// `InvalidArgument` when the cutoff does not go with the rate of the original.
+pub fn by_marker(
+    take: &Motion,
+    original: &Motion,
+    cutoff_hz: f64,
+) -> Result<Vec<DerivativeError>, ReportError> {
+    let rate_hz = original.info.rate_hz;
+    let filter = Butterworth::new(cutoff_hz, rate_hz)?;
+    let n_markers = original.info.markers.len().min(take.info.markers.len());
+    Ok((0..n_markers)
+        .map(|marker| {
+            let (ours, theirs) = (Column::of(take, marker), Column::of(original, marker));
+            of_marker(&ours, &theirs, &filter, rate_hz)
+        })
+        .collect())
+}
+
+fn of_marker(
+    ours: &Column,
+    theirs: &Column,
+    filter: &Butterworth,
+    rate_hz: f64,
+) -> DerivativeError {
+    let mut found = DerivativeError::default();
+    let both: Vec<Option<(Vector, Vector)>> =
+        ours.0.iter().zip(&theirs.0).map(|(a, b)| (*a).zip(*b)).collect();
+    for run in crate::column::runs(both.iter().map(Option::is_some)) {
+        if run.len() < filter.rows_min() {
+            found.samples_left_out += run.len() as u64;
+            continue;
+        }
+        let pairs: Vec<(Vector, Vector)> = both[run].iter().flatten().copied().collect();
+        let apart = |(a, b): &(Vector, Vector)| std::array::from_fn(|axis| a[axis] - b[axis]);
+        let differences: Vec<Vector> = pairs.iter().map(apart).collect();
+        let originals: Vec<Vector> = pairs.iter().map(|(_, b)| *b).collect();
+        let difference = filtered(filter, &differences);
+        let original = filtered(filter, &originals);
+        difference.iter().for_each(|&error| found.position_mm.add(norm(error)));
+        derivatives(&difference, rate_hz, |velocity, acceleration| {
+            found.velocity_mm_s.add(velocity);
+            found.acceleration_mm_s2.add(acceleration);
+        });
+        derivatives(&original, rate_hz, |velocity, acceleration| {
+            found.original_velocity_mm_s.add(velocity);
+            found.original_acceleration_mm_s2.add(acceleration);
+        });
+    }
+    found
+}
+
+/// The three axes of a run, each filtered.
+pub(crate) fn filtered(filter: &Butterworth, run: &[Vector]) -> Vec<Vector> {
+    let axes: [Vec<f64>; 3] = std::array::from_fn(|axis| {
+        let values: Vec<f64> = run.iter().map(|at| at[axis]).collect();
+        filter.filter(&values)
+    });
+    (0..run.len()).map(|row| std::array::from_fn(|axis| axes[axis][row])).collect()
+}
+
+/// Central differences of all rows but the first and the last: lengths of velocity and acceleration.
+fn derivatives(run: &[Vector], rate_hz: f64, mut found: impl FnMut(f64, f64)) {
+    for three in run.windows(3) {
+        let velocity =
+            std::array::from_fn(|axis| (three[2][axis] - three[0][axis]) * 0.5 * rate_hz);
+        let acceleration = std::array::from_fn(|axis| {
+            (three[2][axis] - 2.0 * three[1][axis] + three[0][axis]) * rate_hz * rate_hz
+        });
+        found(norm(velocity), norm(acceleration));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::PI;
+
+    use mocapd_take::motion::{GAP, Marker, MotionInfo};
+
+    use super::*;
+
+    fn motion(rate_hz: f64, path: impl Fn(f64) -> [f32; 3]) -> Motion {
+        let marker = Marker { label: "m".to_owned(), labelled: true };
+        let info =
+            MotionInfo { rate_hz, n_frames: 600, markers: vec![marker], ..Default::default() };
+        Motion { info, positions_mm: (0..600).map(|i| path(f64::from(i) / rate_hz)).collect() }
+    }
+
+    /// A take that is off by a sine of 2 Hz and 1 mm: its velocity is off by 4 pi mm/s, times the filter's gain.
+    #[test]
+    fn a_known_error_has_the_known_derivatives() {
+        let rate_hz = 240.0;
+        let original = motion(rate_hz, |t| [(100.0 * t) as f32, 0.0, 0.0]);
+        let take =
+            motion(rate_hz, |t| [(100.0 * t) as f32, (2.0 * PI * 2.0 * t).sin() as f32, 0.0]);
+        let found = by_marker(&take, &original, CUTOFF_HZ).unwrap()[0];
+        let w = |f: f64| (PI * f / rate_hz).tan();
+        let gain = 1.0 / (1.0 + (w(2.0) * crate::butterworth::TWO_PASSES / w(6.0)).powi(4));
+        let speed = gain * 4.0 * PI;
+        let close = |value: f64, expected: f64, part: f64| {
+            assert!((value - expected).abs() < part * expected, "{value} is not {expected}");
+        };
+        close(found.velocity_mm_s.rms(), speed / 2.0_f64.sqrt(), 0.01);
+        close(found.acceleration_mm_s2.rms(), speed * 4.0 * PI / 2.0_f64.sqrt(), 0.02);
+        close(found.position_mm.rms(), gain / 2.0_f64.sqrt(), 0.01);
+        close(found.original_velocity_mm_s.max(), 100.0, 0.01);
+        assert_eq!(found.velocity_mm_s.n(), 598);
+    }
+
+    #[test]
+    fn gaps_are_not_crossed_and_short_runs_are_counted() {
+        let original = motion(60.0, |t| [(50.0 * t) as f32, 0.0, 0.0]);
+        let mut take = original.clone();
+        // Rows 0 to 4 are too short a run for 6 Hz at 60 Hz.
+        take.positions_mm[5] = GAP;
+        take.positions_mm[300] = GAP;
+        let found = by_marker(&take, &original, CUTOFF_HZ).unwrap()[0];
+        assert_eq!(found.samples_left_out, 5);
+        assert_eq!(found.position_mm.n(), 600 - 5 - 2);
+        assert_eq!(found.velocity_mm_s.max(), 0.0);
+        assert!(by_marker(&take, &original, 30.0).is_err());
+    }
+}

@@ -1,0 +1,227 @@
+//! Stick figures of several moments: original above, rebuilt below (figure 3 of Shi et al. 2012).
+
+use mocapd_take::motion::{Motion, UpAxis};
+use plotters::prelude::*;
+
+use super::canvas::{
+    Area, BLUE, DIM, Drawn, GRID, INK, SMALL, Stand, TITLE, VERMILION, WORDS, sheet, shortened,
+    words,
+};
+use crate::{
+    ReportError,
+    coded::Coded,
+    column::{Vector, distance, sample},
+};
+
+/// Most moments that have room beside each other.
+const MOMENTS_MAX: usize = 12;
+
+/// Most markers that are drawn of a moment: more are a cloud, and megabytes.
+const MARKERS_MAX: usize = 500;
+
+const WIDTH: u32 = 1280;
+const HEAD: i32 = 72;
+const ROW: i32 = 330;
+const FOOT: i32 = 56;
+
+/// What to draw.
+#[derive(Debug, Clone, Copy)]
+pub struct Pose<'a> {
+    /// The take's name, for the title.
+    pub name: &'a str,
+    /// The take.
+    pub coded: &'a Coded,
+    /// What it was made of, where that is there.
+    pub original: Option<&'a Motion>,
+    /// The moments: rows, from 0.
+    pub rows: &'a [usize],
+    /// Columns between which a line is drawn.
+    pub bones: &'a [[u16; 2]],
+}
+
+/// How a body becomes lines on the sheet.
+struct View {
+    across: usize,
+    up: usize,
+    /// Units of the sheet to a millimetre.
+    scale: f64,
+    /// Lowest height of all, mm.
+    floor_mm: f64,
+}
+
+/// Draws it as SVG.
+///
+/// # Errors
+/// `Nothing` when no moment has a sample, `InvalidArgument` when there are none, too many, or one beyond the end.
+pub fn pose(wanted: &Pose<'_>) -> Result<String, ReportError> {
+    let motion = &wanted.coded.motion;
+    let n_frames = motion.n_frames();
+    if wanted.rows.is_empty() || wanted.rows.len() > MOMENTS_MAX {
+        return Err(ReportError::InvalidArgument(format!(
+            "{} moments were asked for: 1 to {MOMENTS_MAX} have room",
+            wanted.rows.len()
+        )));
+    }
+    if let Some(row) = wanted.rows.iter().find(|&&row| row >= n_frames) {
+        return Err(ReportError::InvalidArgument(format!(
+            "there is no frame {row}: the take has {n_frames}, from 0"
+        )));
+    }
+    let view = View::of(wanted).ok_or_else(|| {
+        ReportError::Nothing("no marker was seen at any of these moments: choose others".to_owned())
+    })?;
+    let n_rows = if wanted.original.is_some() { 2 } else { 1 };
+    let height = (HEAD + n_rows * ROW + FOOT) as u32;
+    sheet((WIDTH, height), |area| {
+        let title = format!("Moments of {}", shortened(wanted.name, 80));
+        words(area, &title, (24, 26), TITLE, INK, Stand::Left)?;
+        words(area, &caption(wanted), (24, 52), WORDS, DIM, Stand::Left)?;
+        let mut base = HEAD;
+        if let Some(original) = wanted.original {
+            strip(area, base, "original", original, wanted, &view, INK)?;
+            base += ROW;
+        }
+        strip(area, base, "rebuilt", motion, wanted, &view, BLUE)?;
+        times(area, base + ROW, wanted)
+    })
+}
+
+impl View {
+    fn of(wanted: &Pose<'_>) -> Option<Self> {
+        let motion = &wanted.coded.motion;
+        let up = match motion.info.up {
+            UpAxis::X => 0,
+            UpAxis::Y => 1,
+            UpAxis::Z => 2,
+            UpAxis::Unknown => tallest(wanted)?,
+        };
+        let moments: Vec<Vec<Vector>> =
+            wanted.rows.iter().map(|&row| seen(motion, row).map(|(_, at)| at).collect()).collect();
+        // From the side on which the body is seen best: where it goes, or else where it is wide.
+        let spread = |axis: usize| {
+            let values = moments.iter().flatten().map(|at| at[axis]);
+            let (low, high) = values.fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(v), h.max(v)));
+            high - low
+        };
+        let across =
+            (0..3).filter(|&axis| axis != up).max_by(|&a, &b| spread(a).total_cmp(&spread(b)))?;
+        let floor_mm = moments.iter().flatten().map(|at| at[up]).reduce(f64::min)?;
+        let high_mm = moments.iter().flatten().map(|at| at[up]).reduce(f64::max)?;
+        let wide_mm = moments
+            .iter()
+            .filter_map(|points| {
+                let middle = middle(points, across)?;
+                points.iter().map(|at| 2.0 * (at[across] - middle).abs()).reduce(f64::max)
+            })
+            .fold(1.0, f64::max);
+        let cell = f64::from(WIDTH - 120) / wanted.rows.len() as f64;
+        let scale =
+            ((f64::from(ROW) - 60.0) / (high_mm - floor_mm).max(1.0)).min(0.94 * cell / wide_mm);
+        Some(Self { across, up, scale, floor_mm })
+    }
+}
+
+/// The axis along which the markers of these moments lie farthest apart: a body is taller than wide.
+fn tallest(wanted: &Pose<'_>) -> Option<usize> {
+    let extent = |axis: usize| {
+        let of_row = |&row: &usize| {
+            let values = seen(&wanted.coded.motion, row).map(|(_, at)| at[axis]);
+            let (low, high) = values.fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(v), h.max(v)));
+            (high - low).max(0.0)
+        };
+        wanted.rows.iter().map(of_row).sum::<f64>()
+    };
+    (0..3).max_by(|&a, &b| extent(a).total_cmp(&extent(b)))
+}
+
+/// The markers that a frame has.
+fn seen(motion: &Motion, row: usize) -> impl Iterator<Item = (usize, Vector)> + '_ {
+    let frame = motion.frame(row).iter().enumerate().take(MARKERS_MAX);
+    frame.filter_map(|(marker, &position)| Some((marker, sample(position)?)))
+}
+
+fn middle(points: &[Vector], axis: usize) -> Option<f64> {
+    let values = || points.iter().map(|at| at[axis]);
+    Some(0.5 * (values().reduce(f64::min)? + values().reduce(f64::max)?))
+}
+
+fn strip(
+    area: &Area<'_>,
+    top: i32,
+    name: &str,
+    motion: &Motion,
+    wanted: &Pose<'_>,
+    view: &View,
+    colour: RGBColor,
+) -> Drawn {
+    let floor = top + ROW - 24;
+    area.draw(&PathElement::new(
+        vec![(24, floor), (WIDTH as i32 - 24, floor)],
+        GRID.stroke_width(2),
+    ))?;
+    words(area, name, (24, top + 20), WORDS, INK, Stand::Left)?;
+    for (i, &row) in wanted.rows.iter().enumerate() {
+        // Both strips are laid about the rebuilt body, so that they can be compared by eye.
+        let rebuilt: Vec<Vector> = seen(&wanted.coded.motion, row).map(|(_, at)| at).collect();
+        let Some(middle) = middle(&rebuilt, view.across) else { continue };
+        let x0 = column_x(i, wanted.rows.len());
+        let place = |at: Vector| {
+            let x = x0 + (at[view.across] - middle) * view.scale;
+            let y = f64::from(floor) - (at[view.up] - view.floor_mm) * view.scale;
+            (x.round() as i32, y.round() as i32)
+        };
+        let points: std::collections::BTreeMap<usize, Vector> = seen(motion, row).collect();
+        for bone in wanted.bones {
+            let ends = bone.map(|column| points.get(&usize::from(column)));
+            if let [Some(&a), Some(&b)] = ends {
+                let line = vec![place(a), place(b)];
+                area.draw(&PathElement::new(line, colour.stroke_width(2)))?;
+            }
+        }
+        for &at in points.values() {
+            area.draw(&Circle::new(place(at), 2, colour.filled()))?;
+        }
+    }
+    Ok(())
+}
+
+fn column_x(i: usize, n: usize) -> f64 {
+    60.0 + f64::from(WIDTH - 120) * (i as f64 + 0.5) / n as f64
+}
+
+/// Below each moment its time, and how far apart the two bodies are.
+fn times(area: &Area<'_>, top: i32, wanted: &Pose<'_>) -> Drawn {
+    let motion = &wanted.coded.motion;
+    for (i, &row) in wanted.rows.iter().enumerate() {
+        let x = column_x(i, wanted.rows.len()).round() as i32;
+        let time_s = row as f64 / motion.info.rate_hz.max(f64::MIN_POSITIVE);
+        words(area, &format!("{time_s:.2} s"), (x, top + 2), WORDS, INK, Stand::Middle)?;
+        let none = seen(motion, row).next().is_none();
+        let line = match wanted.original {
+            _ if none => "no marker seen".to_owned(),
+            None => continue,
+            Some(original) => {
+                let pairs = motion.frame(row).iter().zip(original.frame(row));
+                let apart = pairs.filter_map(|(&a, &b)| Some(distance(sample(a)?, sample(b)?)));
+                apart.reduce(f64::max).map_or_else(String::new, |mm| format!("{mm:.2} mm"))
+            }
+        };
+        words(area, &line, (x, top + 24), SMALL, VERMILION, Stand::Middle)?;
+    }
+    Ok(())
+}
+
+fn caption(wanted: &Pose<'_>) -> String {
+    let mut words = wanted.coded.how();
+    if wanted.original.is_some() {
+        words += "; below each moment: the largest distance of a marker, original to rebuilt";
+    }
+    if wanted.bones.is_empty() {
+        words += "; no lines are known between these labels (--skeleton)";
+    }
+    let n = wanted.coded.motion.info.markers.len();
+    if n > MARKERS_MAX {
+        words += &format!("; the first {MARKERS_MAX} of {n} markers");
+    }
+    words
+}

@@ -1,0 +1,280 @@
+//! Marker by marker: where its gaps are, how noisy it is, and how far the take lies from it.
+
+use mocapd_take::motion::Motion;
+use plotters::prelude::*;
+
+use super::{
+    canvas::{
+        Area, BLUE, DIM, Drawn, GRID, INK, ORANGE, SMALL, Stand, TITLE, VERMILION, WORDS, sheet,
+        shortened, words,
+    },
+    chart::tick,
+};
+use crate::{
+    ReportError,
+    coded::Coded,
+    column::{Column, Vector, distance},
+};
+
+/// Most markers on a sheet; of more the worst are shown.
+const MARKERS_MAX: usize = 60;
+
+/// Fewest fourth differences that tell a marker's noise.
+const DIFFERENCES_MIN: usize = 16;
+
+const WIDTH: u32 = 1280;
+const HEAD: i32 = 100;
+const LINE: i32 = 19;
+const FOOT: i32 = 66;
+/// Where the strip of gaps and the two columns of bars are.
+const GAPS: (i32, i32) = (190, 640);
+const NOISE: (i32, i32) = (730, 940);
+const ERROR: (i32, i32) = (1030, 1240);
+
+/// One marker.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct MarkerQuality {
+    /// Its name.
+    pub label: String,
+    /// Samples, of `rows`.
+    pub samples: usize,
+    /// Runs without a sample.
+    pub gaps: usize,
+    /// Rows of the longest.
+    pub longest_gap: usize,
+    /// Robust standard deviation of the noise on one axis, mm; none where runs are too short to tell.
+    pub noise_mm: Option<f64>,
+    /// The largest distance to the original, mm; none without one.
+    pub max_error_mm: Option<f64>,
+}
+
+/// What to draw.
+#[derive(Debug, Clone, Copy)]
+pub struct Quality<'a> {
+    /// The take's name, for the title.
+    pub name: &'a str,
+    /// The take.
+    pub coded: &'a Coded,
+    /// What it was made of, where that is there: noise is then the original's, too.
+    pub original: Option<&'a Motion>,
+}
+
+impl MarkerQuality {
+    /// Of each marker of a take. A take within a tolerance has the noise of its reconstruction: the original's is
+    /// told where there is one.
+    #[must_use]
+    pub fn all(wanted: &Quality<'_>) -> Vec<Self> {
+        let motion = &wanted.coded.motion;
+        (0..motion.info.markers.len())
+            .map(|marker| {
+                let ours = Column::of(motion, marker);
+                let theirs = wanted.original.map(|original| Column::of(original, marker));
+                let apart = theirs.as_ref().and_then(|theirs| {
+                    let pairs = ours.0.iter().zip(&theirs.0);
+                    pairs.filter_map(|(a, b)| Some(distance((*a)?, (*b)?))).reduce(f64::max)
+                });
+                let gaps: Vec<usize> = crate::column::runs(ours.0.iter().map(Option::is_none))
+                    .map(|gap| gap.len())
+                    .collect();
+                Self {
+                    label: motion.info.markers[marker].label.clone(),
+                    samples: ours.n_samples(),
+                    gaps: gaps.len(),
+                    longest_gap: gaps.iter().copied().max().unwrap_or(0),
+                    noise_mm: noise_mm(theirs.as_ref().unwrap_or(&ours)),
+                    max_error_mm: apart,
+                }
+            })
+            .collect()
+    }
+}
+
+/// Robust standard deviation of fourth differences, per axis: motion is smooth enough to be gone from them, and
+/// white noise of one grows by the root of 70.
+fn noise_mm(column: &Column) -> Option<f64> {
+    let mut differences: Vec<f64> = Vec::new();
+    for run in column.runs() {
+        let samples: Vec<Vector> = column.0[run].iter().flatten().copied().collect();
+        for five in samples.windows(5) {
+            let fourth = |axis: usize| {
+                let [a, b, c, d, e] = std::array::from_fn(|i| five[i][axis]);
+                (a - 4.0 * b + 6.0 * c - 4.0 * d + e).abs()
+            };
+            differences.extend((0..3).map(fourth));
+        }
+    }
+    if differences.len() < DIFFERENCES_MIN {
+        return None;
+    }
+    let middle = differences.len() / 2;
+    let (_, median, _) = differences.select_nth_unstable_by(middle, f64::total_cmp);
+    // The median of the size of normal noise is 0.6745 of its standard deviation.
+    Some(*median / 0.674_489_750_196_081_7 / 70.0_f64.sqrt())
+}
+
+/// Draws it as SVG.
+///
+/// # Errors
+/// `Nothing` when the take has no marker or no frame.
+pub fn quality(wanted: &Quality<'_>) -> Result<String, ReportError> {
+    let motion = &wanted.coded.motion;
+    let n_rows = motion.n_frames();
+    let all = MarkerQuality::all(wanted);
+    if all.is_empty() || n_rows == 0 {
+        return Err(ReportError::Nothing(
+            "there is no frame of a marker in it: nothing to draw".to_owned(),
+        ));
+    }
+    let shown = shown(&all);
+    let height = (HEAD + LINE * shown.len() as i32 + FOOT) as u32;
+    sheet((WIDTH, height), |area| {
+        let title = format!("Quality of {}", shortened(wanted.name, 80));
+        words(area, &title, (24, 26), TITLE, INK, Stand::Left)?;
+        words(area, &caption(wanted, &all, shown.len()), (24, 52), WORDS, DIM, Stand::Left)?;
+        let heads = [
+            (GAPS.0, "seen (blue), gaps (orange)"),
+            (NOISE.0, "noise, each axis (mm)"),
+            (ERROR.0, if wanted.original.is_some() { "largest error (mm)" } else { "" }),
+        ];
+        for (x, head) in heads {
+            words(area, head, (x, HEAD - 18), WORDS, INK, Stand::Left)?;
+        }
+        for (i, &marker) in shown.iter().enumerate() {
+            let y = HEAD + LINE * i as i32 + LINE / 2;
+            let label = shortened(&all[marker].label, 20);
+            words(area, &label, (GAPS.0 - 12, y), SMALL, INK, Stand::Right)?;
+            presence(area, &Column::of(motion, marker), y)?;
+        }
+        let base = HEAD + LINE * shown.len() as i32;
+        let seconds = n_rows as f64 / motion.info.rate_hz.max(f64::MIN_POSITIVE);
+        scale(area, GAPS, base, seconds, "time (s)")?;
+        let noise = shown.iter().map(|&marker| all[marker].noise_mm);
+        bars(area, NOISE, base, noise, BLUE, "mm")?;
+        if wanted.original.is_some() {
+            let errors = shown.iter().map(|&marker| all[marker].max_error_mm);
+            bars(area, ERROR, base, errors, VERMILION, "mm")?;
+        }
+        Ok(())
+    })
+}
+
+/// All in their order, or of too many the worst: most gaps first, then most noise.
+fn shown(all: &[MarkerQuality]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..all.len()).collect();
+    if all.len() > MARKERS_MAX {
+        order.sort_by(|&a, &b| {
+            let noise = |i: usize| all[i].noise_mm.unwrap_or(0.0);
+            all[a].samples.cmp(&all[b].samples).then(noise(b).total_cmp(&noise(a)))
+        });
+        order.truncate(MARKERS_MAX);
+        order.sort_unstable();
+    }
+    order
+}
+
+fn presence(area: &Area<'_>, column: &Column, y: i32) -> Drawn {
+    let n = column.0.len().max(1) as f64;
+    let width = f64::from(GAPS.1 - GAPS.0);
+    let x = |row: usize| GAPS.0 + (row as f64 / n * width).round() as i32;
+    let bar = |from: i32, to: i32, half: i32, colour: RGBColor| {
+        Rectangle::new([(from, y - half), (to.max(from + 1), y + half)], colour.filled())
+    };
+    area.draw(&bar(GAPS.0, GAPS.1, 5, BLUE))?;
+    // A gap is never thinner than it can be seen; those that share a pixel are one.
+    let mut drawn_to = i32::MIN;
+    for gap in crate::column::runs(column.0.iter().map(Option::is_none)) {
+        let (from, to) = (x(gap.start), x(gap.end).max(x(gap.start) + 1));
+        if to > drawn_to {
+            area.draw(&bar(from, to, 7, ORANGE))?;
+            drawn_to = to;
+        }
+    }
+    Ok(())
+}
+
+fn bars(
+    area: &Area<'_>,
+    place: (i32, i32),
+    base: i32,
+    values: impl Iterator<Item = Option<f64>> + Clone,
+    colour: RGBColor,
+    unit: &str,
+) -> Drawn {
+    let most = values.clone().flatten().fold(0.0, f64::max);
+    let most = if most > 0.0 { most } else { 1.0 };
+    let width = f64::from(place.1 - place.0);
+    for (i, value) in values.enumerate() {
+        let y = HEAD + LINE * i as i32 + LINE / 2;
+        let Some(value) = value else {
+            words(area, "-", (place.0 + 4, y), SMALL, DIM, Stand::Left)?;
+            continue;
+        };
+        let to = place.0 + (value / most * width).round() as i32;
+        area.draw(&Rectangle::new(
+            [(place.0, y - 5), (to.max(place.0 + 1), y + 5)],
+            colour.filled(),
+        ))?;
+    }
+    scale(area, place, base, most, unit)
+}
+
+/// A line with its beginning, middle and end.
+fn scale(area: &Area<'_>, (left, right): (i32, i32), y: i32, most: f64, unit: &str) -> Drawn {
+    let y = y + 6;
+    area.draw(&PathElement::new(vec![(left, y), (right, y)], GRID.stroke_width(2)))?;
+    for part in [0.0, 0.5, 1.0] {
+        let x = left + (part * f64::from(right - left)).round() as i32;
+        area.draw(&PathElement::new(vec![(x, y), (x, y + 5)], DIM.stroke_width(1)))?;
+        words(area, &tick(part * most, 0.5 * most), (x, y + 16), SMALL, INK, Stand::Middle)?;
+    }
+    words(area, unit, (left + (right - left) / 2, y + 36), SMALL, DIM, Stand::Middle)
+}
+
+fn caption(wanted: &Quality<'_>, all: &[MarkerQuality], n_shown: usize) -> String {
+    let motion = &wanted.coded.motion;
+    let n_rows = motion.n_frames();
+    let samples: usize = all.iter().map(|marker| marker.samples).sum();
+    let part = 100.0 * samples as f64 / (n_rows * all.len()).max(1) as f64;
+    let mut words = format!(
+        "{}, {} markers, {n_rows} frames, {part:.1} % of the samples seen",
+        wanted.coded.how(),
+        all.len()
+    );
+    if n_shown < all.len() {
+        words += &format!("; the {n_shown} with most gaps and noise");
+    }
+    if wanted.original.is_none() && wanted.coded.settings.is_some_and(|s| !s.kind.is_lossless()) {
+        words += "; noise is what the tolerance left of it (--against)";
+    }
+    words
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn noise_is_that_of_white_noise_and_motion_has_none() {
+        let mut state = 7_u64;
+        let mut normal = || {
+            let mut sum = -6.0;
+            for _ in 0..12 {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_041);
+                sum += (state >> 11) as f64 / (1_u64 << 53) as f64;
+            }
+            sum
+        };
+        let path = |i: usize| 500.0 * (i as f64 * 0.02).sin();
+        let noisy = Column(
+            (0..4000)
+                .map(|i| Some([path(i) + 0.3 * normal(), 0.3 * normal(), 0.3 * normal()]))
+                .collect(),
+        );
+        let found = noise_mm(&noisy).unwrap();
+        assert!((found - 0.3).abs() < 0.03, "{found}");
+        let smooth = Column((0..4000).map(|i| Some([path(i), 0.0, 0.0])).collect());
+        assert!(noise_mm(&smooth).unwrap() < 1e-3);
+        assert_eq!(noise_mm(&Column(vec![Some([0.0; 3]); 4])), None);
+        assert_eq!(noise_mm(&Column(vec![None; 400])), None);
+    }
+}

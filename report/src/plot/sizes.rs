@@ -1,0 +1,161 @@
+//! Bytes against tolerance, by resampler.
+
+use plotters::{
+    coord::combinators::{BindKeyPoints, IntoLogRange},
+    prelude::*,
+};
+
+use super::canvas::{
+    Area, BLUE, DIM, Drawn, FONT, GREEN, GRID, INK, PURPLE, Stand, TITLE, VERMILION, WORDS, sheet,
+    shortened, words,
+};
+use crate::ReportError;
+
+/// Most takes on a sheet.
+const PANELS_MAX: usize = 6;
+
+const PANEL: (u32, u32) = (640, 560);
+/// Room for the names behind the lines.
+const NAMES: u32 = 120;
+/// Least distance of two names.
+const NAME_GAP: i32 = 18;
+const COLOURS: [RGBColor; 5] = [VERMILION, BLUE, GREEN, PURPLE, INK];
+
+/// One resampler.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SizeLine {
+    /// Its name.
+    pub name: String,
+    /// Tolerance (mm) and bytes of the take.
+    pub points: Vec<(f64, u64)>,
+    /// The same at every tolerance: drawn thin.
+    pub is_level: bool,
+}
+
+/// One take.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SizePanel {
+    /// Its name.
+    pub name: String,
+    /// What it is, in a line.
+    pub caption: String,
+    /// Its resamplers.
+    pub lines: Vec<SizeLine>,
+}
+
+/// Draws a panel a take as SVG, all on the same axes.
+///
+/// # Errors
+/// `InvalidArgument` for more takes than have room, `Nothing` without a line.
+pub fn sizes(panels: &[SizePanel]) -> Result<String, ReportError> {
+    let points = || panels.iter().flat_map(|panel| &panel.lines).flat_map(|line| &line.points);
+    if points().next().is_none() {
+        return Err(ReportError::Nothing("no size was measured: nothing to draw".to_owned()));
+    }
+    if panels.len() > PANELS_MAX {
+        return Err(ReportError::InvalidArgument(format!(
+            "{} takes were given: {PANELS_MAX} have room on a sheet",
+            panels.len()
+        )));
+    }
+    let low = points().map(|point| point.1 as f64).fold(f64::MAX, f64::min) * 0.7;
+    let high = points().map(|point| point.1 as f64).fold(1.0, f64::max) * 1.4;
+    let from = points().map(|point| point.0).fold(f64::MAX, f64::min);
+    let to = points().map(|point| point.0).fold(0.0, f64::max).max(from * 1.01);
+    let n_across = panels.len().min(2);
+    let n_down = panels.len().div_ceil(2);
+    let size = (PANEL.0 * n_across as u32, PANEL.1 * n_down as u32);
+    sheet(size, |area| {
+        let areas = area.split_evenly((n_down, n_across));
+        for (area, panel) in areas.iter().zip(panels) {
+            draw(area, panel, from..to, low.max(1.0)..high)?;
+        }
+        Ok(())
+    })
+}
+
+fn draw(
+    area: &Area<'_>,
+    panel: &SizePanel,
+    tolerances_mm: std::ops::Range<f64>,
+    bytes: std::ops::Range<f64>,
+) -> Drawn {
+    words(area, &shortened(&panel.name, 56), (24, 26), TITLE, INK, Stand::Left)?;
+    words(area, &shortened(&panel.caption, 84), (24, 50), WORDS, DIM, Stand::Left)?;
+    let decades = |range: &std::ops::Range<f64>| -> Vec<f64> {
+        let ticks = (-5..12).flat_map(|i| [1.0, 2.0, 5.0].map(|digit| digit * 10_f64.powi(i)));
+        ticks.filter(|tick| (0.999 * range.start..=1.001 * range.end).contains(tick)).collect()
+    };
+    let (x_ticks, y_ticks) = (decades(&tolerances_mm), decades(&bytes));
+    let mut chart = ChartBuilder::on(area)
+        .margin_top(70)
+        .margin_right(NAMES)
+        .margin_bottom(8)
+        .margin_left(8)
+        .x_label_area_size(44)
+        .y_label_area_size(82)
+        .build_cartesian_2d(
+            tolerances_mm.log_scale().with_key_points(x_ticks),
+            bytes.log_scale().with_key_points(y_ticks),
+        )?;
+    chart
+        .configure_mesh()
+        .axis_style(GRID)
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(GRID)
+        .x_desc("tolerance (mm)")
+        .y_desc("size of the take")
+        .x_label_formatter(&|mm| format!("{}", (mm * 1e6).round() / 1e6))
+        .y_label_formatter(&|bytes| with_unit(*bytes))
+        .label_style((FONT, WORDS).into_font().color(&INK))
+        .axis_desc_style((FONT, WORDS).into_font().color(&INK))
+        .draw()?;
+    let mut ends = Vec::new();
+    for (line, colour) in panel.lines.iter().zip(COLOURS.iter().cycle()) {
+        let points = line.points.iter().map(|&(mm, bytes)| (mm, bytes as f64));
+        let style = colour.stroke_width(if line.is_level { 1 } else { 2 });
+        if line.is_level {
+            chart.draw_series(DashedLineSeries::new(points.clone(), 6, 4, style))?;
+        } else {
+            chart.draw_series(LineSeries::new(points.clone(), style))?;
+            chart.draw_series(points.clone().map(|at| Circle::new(at, 3, colour.filled())))?;
+        }
+        if let Some(end) = points.clone().next_back() {
+            ends.push((chart.plotting_area().map_coordinate(&end), line.name.clone(), *colour));
+        }
+    }
+    let origin = area.get_base_pixel();
+    let heights = spread(&ends.iter().map(|(end, _, _)| end.1).collect::<Vec<_>>());
+    for (((x, end_y), name, colour), y) in ends.into_iter().zip(heights) {
+        let (x, end_y, y) = (x - origin.0, end_y - origin.1, y - origin.1);
+        area.draw(&PathElement::new(vec![(x + 5, end_y), (x + 14, y)], GRID))?;
+        words(area, &name, (x + 17, y), WORDS, colour, Stand::Left)?;
+    }
+    Ok(())
+}
+
+/// Heights of names: near their lines' ends, never on each other.
+pub(super) fn spread(ends: &[i32]) -> Vec<i32> {
+    let mut order: Vec<usize> = (0..ends.len()).collect();
+    order.sort_by_key(|&i| ends[i]);
+    let mut heights = ends.to_vec();
+    // Two that are too close move apart by half of what is missing; neighbours follow in the next round.
+    for _ in 0..200 {
+        for pair in order.windows(2) {
+            let missing = NAME_GAP - (heights[pair[1]] - heights[pair[0]]);
+            if missing > 0 {
+                heights[pair[0]] -= missing / 2;
+                heights[pair[1]] += missing - missing / 2;
+            }
+        }
+    }
+    heights
+}
+
+fn with_unit(bytes: f64) -> String {
+    match bytes {
+        b if b >= 1e6 => format!("{} MB", b / 1e6),
+        b if b >= 1e3 => format!("{} kB", b / 1e3),
+        b => format!("{b} B"),
+    }
+}

@@ -1,0 +1,93 @@
+//! SR2 against the tolerance, a line a phase: the paper's beside the study's.
+
+use plotters::prelude::*;
+
+use super::{
+    canvas::{
+        Area, BLUE, DIM, Drawn, GREEN, GRID, INK, ORANGE, PURPLE, SKY, Stand, TITLE, VERMILION,
+        WORDS, sheet, words,
+    },
+    chart::{Axes, panel},
+    sizes::spread,
+};
+use crate::{
+    ReportError,
+    phases::Phase,
+    study::{Findings, Method, Piece, paper},
+};
+
+const SIZE: (u32, u32) = (1280, 600);
+const NAMES: u32 = 130;
+
+/// A colour a column of table 1, in its order.
+const COLOURS: [RGBColor; 7] = [BLUE, SKY, VERMILION, ORANGE, GREEN, PURPLE, INK];
+
+/// Draws table 1 as SVG.
+///
+/// # Errors
+/// `Nothing` when nothing was measured.
+pub fn by_phase(findings: &Findings) -> Result<String, ReportError> {
+    let here = |piece: Piece, mm: f64| findings.sum(piece, Method::WorstSample, mm)?.counts.sr2();
+    let found = lines(&findings.tolerances_mm, here);
+    if found.iter().all(|(_, points, _)| points.is_empty()) {
+        return Err(ReportError::Nothing("no phase was measured: nothing to draw".to_owned()));
+    }
+    let published = lines(&paper::TOLERANCES_MM, paper::sr2);
+    let all = || found.iter().chain(&published).flat_map(|line| &line.1);
+    let most = all().map(|point| point.1).fold(1.0, f64::max);
+    let widest = all().map(|point| point.0).fold(1.0, f64::max);
+    sheet(SIZE, |area| {
+        words(area, "SR2 by phase and tolerance", (24, 26), TITLE, INK, Stand::Left)?;
+        let caption = "Stored items, a position and a time one each: original to asynchronous resampling (Shi et al. 2012, 8)";
+        words(area, caption, (24, 52), WORDS, DIM, Stand::Left)?;
+        let (_, body) = area.split_vertically(66);
+        for (area, (title, lines)) in body
+            .split_evenly((1, 2))
+            .iter()
+            .zip([("these takes", &found), ("the paper", &published)])
+        {
+            draw(area, title, lines, widest, most)?;
+        }
+        Ok(())
+    })
+}
+
+type Line = (String, Vec<(f64, f64)>, RGBColor);
+
+fn lines(tolerances_mm: &[f64], sr2: impl Fn(Piece, f64) -> Option<f64>) -> Vec<Line> {
+    let line = |(&piece, &colour): (&Piece, &RGBColor)| {
+        let points = tolerances_mm.iter().filter_map(|&mm| Some((mm, sr2(piece, mm)?)));
+        let name =
+            if piece == Piece::Phase(Phase::Flight) { "flight".to_owned() } else { piece.name() };
+        (name, points.collect(), colour)
+    };
+    paper::COLUMNS.iter().zip(&COLOURS).map(line).collect()
+}
+
+fn draw(area: &Area<'_>, title: &str, lines: &[Line], widest: f64, most: f64) -> Drawn {
+    words(area, title, (90, 14), WORDS, INK, Stand::Left)?;
+    let axes = Axes {
+        x: 0.0..widest * 1.02,
+        y: 0.0..most * 1.05,
+        x_words: "tolerance (mm)",
+        y_words: "SR2",
+        margins: [28, NAMES, 6, 6],
+    };
+    let mut chart = panel(area, &axes)?;
+    let mut ends = Vec::new();
+    for (name, points, colour) in lines.iter().filter(|line| !line.1.is_empty()) {
+        chart.draw_series(LineSeries::new(points.iter().copied(), colour.stroke_width(2)))?;
+        chart.draw_series(points.iter().map(|&at| Circle::new(at, 3, colour.filled())))?;
+        if let Some(end) = points.last() {
+            ends.push((chart.backend_coord(end), name, *colour));
+        }
+    }
+    let origin = area.get_base_pixel();
+    let heights = spread(&ends.iter().map(|(end, _, _)| end.1).collect::<Vec<_>>());
+    for (((x, end_y), name, colour), y) in ends.into_iter().zip(heights) {
+        let (x, end_y, y) = (x - origin.0, end_y - origin.1, y - origin.1);
+        area.draw(&PathElement::new(vec![(x + 5, end_y), (x + 14, y)], GRID))?;
+        words(area, name, (x + 17, y), WORDS, colour, Stand::Left)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,319 @@
+//! One marker: original samples, kept samples and the rebuilt curve, in space and against time (figure 2 of
+//! Shi et al. 2012).
+
+use std::ops::Range;
+
+use mocapd_take::motion::{Motion, UpAxis};
+use plotters::prelude::*;
+
+use super::{
+    canvas::{
+        Area, BLUE, DIM, Drawn, INK, SMALL, Stand, TITLE, VERMILION, WORDS, sheet, shortened, words,
+    },
+    chart::{Axes, panel, range},
+};
+use crate::{
+    ReportError,
+    coded::Coded,
+    column::{Column, Vector, distance, runs},
+};
+
+/// Most rows of which every sample has a mark of its own; above it only the curve is drawn.
+const MARKED_ROWS_MAX: usize = 1500;
+
+/// Most rows: beyond them nothing can be seen on a page, and a file has megabytes.
+const ROWS_MAX: usize = 20_000;
+
+const SIZE: (u32, u32) = (1280, 860);
+const HEAD: i32 = 74;
+const LEFT: i32 = 560;
+
+/// What to draw.
+#[derive(Debug, Clone, Copy)]
+pub struct Trajectory<'a> {
+    /// The take's name, for the title.
+    pub name: &'a str,
+    /// The take.
+    pub coded: &'a Coded,
+    /// What it was made of, where that is there.
+    pub original: Option<&'a Motion>,
+    /// The marker, by column.
+    pub marker: usize,
+    /// Rows, from 0.
+    pub rows: (usize, usize),
+}
+
+/// What is drawn, row by row.
+struct Path {
+    rows: Range<usize>,
+    rate_hz: f64,
+    rebuilt: Column,
+    original: Option<Column>,
+    kept: Vec<bool>,
+    is_marked: bool,
+}
+
+/// Draws it as SVG.
+///
+/// # Errors
+/// `Nothing` when there is no sample to draw, `InvalidArgument` when there are too many, or no such marker.
+pub fn trajectory(wanted: &Trajectory<'_>) -> Result<String, ReportError> {
+    let path = Path::of(wanted)?;
+    let label = &wanted.coded.motion.info.markers[wanted.marker].label;
+    sheet(SIZE, |area| {
+        let title = format!("{} of {}", shortened(label, 40), shortened(wanted.name, 60));
+        words(area, &title, (24, 26), TITLE, INK, Stand::Left)?;
+        words(area, &path.caption(wanted), (24, 52), WORDS, DIM, Stand::Left)?;
+        let (head, body) = area.split_vertically(HEAD);
+        legend(&head, &path)?;
+        let (left, right) = body.split_horizontally(LEFT);
+        in_space(&left, &path, wanted.coded.motion.info.up)?;
+        against_time(&right, &path, wanted)
+    })
+}
+
+impl Path {
+    fn of(wanted: &Trajectory<'_>) -> Result<Self, ReportError> {
+        let motion = &wanted.coded.motion;
+        let marker = wanted.marker;
+        if marker >= motion.info.markers.len() {
+            return Err(ReportError::InvalidArgument(format!("the take has no column {marker}")));
+        }
+        let rows = wanted.rows.0..wanted.rows.1.min(motion.n_frames());
+        if rows.len() > ROWS_MAX {
+            return Err(ReportError::InvalidArgument(format!(
+                "{} frames are more than a picture shows ({ROWS_MAX}): give --from and --to",
+                rows.len()
+            )));
+        }
+        let cut = |column: Column| Column(column.0.get(rows.clone()).unwrap_or_default().to_vec());
+        let rebuilt = cut(Column::of(motion, marker));
+        if rebuilt.n_samples() == 0 {
+            return Err(ReportError::Nothing(format!(
+                "{} has no sample in these frames: there is nothing to draw",
+                motion.info.markers[marker].label
+            )));
+        }
+        let kept = wanted.coded.kept.get(marker).and_then(|kept| kept.get(rows.clone()));
+        Ok(Self {
+            rate_hz: motion.info.rate_hz.max(f64::MIN_POSITIVE),
+            original: wanted.original.map(|original| cut(Column::of(original, marker))),
+            kept: kept.unwrap_or_default().to_vec(),
+            is_marked: rows.len() <= MARKED_ROWS_MAX,
+            rebuilt,
+            rows,
+        })
+    }
+
+    fn time_s(&self, row: usize) -> f64 {
+        (self.rows.start + row) as f64 / self.rate_hz
+    }
+
+    /// The curve between gaps.
+    fn curves(&self) -> impl Iterator<Item = Vec<(usize, Vector)>> + '_ {
+        let runs = runs(self.rebuilt.0.iter().map(Option::is_some));
+        runs.map(|run| run.filter_map(|row| Some((row, self.rebuilt.0[row]?))).collect())
+    }
+
+    fn originals(&self) -> impl Iterator<Item = (usize, Vector)> + '_ {
+        let column = self.original.as_ref().filter(|_| self.is_marked);
+        column.into_iter().flat_map(|column| {
+            column.0.iter().enumerate().filter_map(|(row, at)| Some((row, (*at)?)))
+        })
+    }
+
+    fn kept(&self) -> impl Iterator<Item = (usize, Vector)> + '_ {
+        let rows = self.kept.iter().enumerate().filter(|(_, kept)| **kept && self.is_marked);
+        rows.filter_map(|(row, _)| Some((row, (*self.rebuilt.0.get(row)?)?)))
+    }
+
+    fn errors_mm(&self) -> Vec<(usize, f64)> {
+        let Some(original) = &self.original else { return Vec::new() };
+        let pairs = self.rebuilt.0.iter().zip(&original.0).enumerate();
+        pairs.filter_map(|(row, (a, b))| Some((row, distance((*a)?, (*b)?)))).collect()
+    }
+
+    fn caption(&self, wanted: &Trajectory<'_>) -> String {
+        let kept = self.kept.iter().filter(|kept| **kept).count();
+        let mut words = format!(
+            "{}: {kept} of {} samples kept, {} Hz",
+            wanted.coded.how(),
+            self.rebuilt.n_samples(),
+            (self.rate_hz * 100.0).round() / 100.0
+        );
+        if let Some(worst) = self.errors_mm().iter().map(|e| e.1).reduce(f64::max) {
+            words += &format!(", at most {worst:.3} mm off");
+        }
+        if !self.is_marked {
+            words += "; too many samples to mark each";
+        }
+        words
+    }
+}
+
+fn legend(area: &Area<'_>, path: &Path) -> Drawn {
+    let y = 26;
+    let mut x = SIZE.0 as i32 - 470;
+    if path.original.is_some() && path.is_marked {
+        area.draw(&Circle::new((x, y), 4, DIM.stroke_width(1)))?;
+        words(area, "original samples", (x + 12, y), WORDS, INK, Stand::Left)?;
+    }
+    x += 170;
+    if path.is_marked {
+        area.draw(&Circle::new((x, y), 4, VERMILION.filled()))?;
+        words(area, "kept samples", (x + 12, y), WORDS, INK, Stand::Left)?;
+    }
+    x += 142;
+    area.draw(&PathElement::new(vec![(x - 8, y), (x + 12, y)], BLUE.stroke_width(2)))?;
+    words(area, "rebuilt curve", (x + 20, y), WORDS, INK, Stand::Left)
+}
+
+/// Seen from above at an angle, all axes at one scale.
+fn in_space(area: &Area<'_>, path: &Path, up: UpAxis) -> Drawn {
+    let project = projection(up);
+    let all = path.rebuilt.0.iter().flatten().copied().chain(path.originals().map(|(_, at)| at));
+    let points: Vec<(f64, f64)> = all.map(project).collect();
+    let (xs, ys) = (range(points.iter().map(|p| p.0)), range(points.iter().map(|p| p.1)));
+    let (width, height) = area.dim_in_pixel();
+    let (left, top, right, bottom) = (40.0, 46.0, 30.0, 96.0);
+    let (room_x, room_y) = (f64::from(width) - left - right, f64::from(height) - top - bottom);
+    let scale = (room_x / (xs.end - xs.start)).min(room_y / (ys.end - ys.start));
+    let (mid_x, mid_y) = (0.5 * (xs.start + xs.end), 0.5 * (ys.start + ys.end));
+    let place = |at: Vector| {
+        let (x, y) = project(at);
+        let px = left + 0.5 * room_x + (x - mid_x) * scale;
+        let py = top + 0.5 * room_y - (y - mid_y) * scale;
+        (px.round() as i32, py.round() as i32)
+    };
+    words(area, "in space", (40, 18), WORDS, INK, Stand::Left)?;
+    for (_, at) in path.originals() {
+        area.draw(&Circle::new(place(at), 4, DIM.stroke_width(1)))?;
+    }
+    for curve in path.curves() {
+        let points: Vec<(i32, i32)> = curve.iter().map(|&(_, at)| place(at)).collect();
+        area.draw(&PathElement::new(points, BLUE.stroke_width(2)))?;
+    }
+    for (_, at) in path.kept() {
+        area.draw(&Circle::new(place(at), 3, VERMILION.filled()))?;
+    }
+    // A length to measure by, and which way the axes go.
+    let bar_mm = round_length(0.25 * room_x / scale);
+    let (bar, base) = ((bar_mm * scale).round() as i32, height as i32 - 36);
+    area.draw(&PathElement::new(vec![(170, base), (170 + bar, base)], INK.stroke_width(3)))?;
+    words(area, &format!("{bar_mm} mm"), (170, base + 18), WORDS, INK, Stand::Left)?;
+    let corner = (74, base - 8);
+    for (axis, name) in ["x", "y", "z"].iter().enumerate() {
+        let mut unit = [0.0; 3];
+        unit[axis] = 1.0;
+        let ((x, y), (ox, oy)) = (project(unit), project([0.0; 3]));
+        let end = |length: f64| {
+            (corner.0 + ((x - ox) * length) as i32, corner.1 - ((y - oy) * length) as i32)
+        };
+        area.draw(&PathElement::new(vec![corner, end(34.0)], DIM.stroke_width(1)))?;
+        words(area, name, end(46.0), SMALL, DIM, Stand::Middle)?;
+    }
+    Ok(())
+}
+
+/// From a point to the sheet: up is up, the other two axes go to the right, aslant.
+fn projection(up: UpAxis) -> impl Fn(Vector) -> (f64, f64) + Copy {
+    let (right, depth, height) = match up {
+        UpAxis::X => (1, 2, 0),
+        UpAxis::Y => (2, 0, 1),
+        UpAxis::Z | UpAxis::Unknown => (0, 1, 2),
+    };
+    let ((turn_sin, turn_cos), (tilt_sin, tilt_cos)) =
+        (35.0_f64.to_radians().sin_cos(), 25.0_f64.to_radians().sin_cos());
+    move |at: Vector| {
+        let (a, b, c) = (at[right], at[depth], at[height]);
+        let x = a * turn_cos + b * turn_sin;
+        let away = b * turn_cos - a * turn_sin;
+        (x, c * tilt_cos + away * tilt_sin)
+    }
+}
+
+/// The largest of 1, 2, 5, 10 ... that is no longer, mm.
+fn round_length(mm: f64) -> f64 {
+    let power = 10.0_f64.powf(mm.max(1e-6).log10().floor());
+    let digit = [5.0, 2.0, 1.0].into_iter().find(|digit| digit * power <= mm);
+    digit.unwrap_or(1.0) * power
+}
+
+fn against_time(area: &Area<'_>, path: &Path, wanted: &Trajectory<'_>) -> Drawn {
+    let errors = path.errors_mm();
+    let n_panels = if errors.is_empty() { 3 } else { 4 };
+    let areas = area.split_evenly((n_panels, 1));
+    let times = path.time_s(0)..path.time_s(path.rows.len().max(2) - 1);
+    let is_last = |i: usize| i + 1 == n_panels;
+    let axes = |i: usize, y: Range<f64>, y_words: &'static str| Axes {
+        x: times.clone(),
+        y,
+        x_words: if is_last(i) { "time (s)" } else { "" },
+        y_words,
+        margins: [10, 24, 4, 4],
+    };
+    for (axis, name) in ["x (mm)", "y (mm)", "z (mm)"].into_iter().enumerate() {
+        let values = path
+            .rebuilt
+            .0
+            .iter()
+            .flatten()
+            .chain(path.original.iter().flat_map(|c| c.0.iter().flatten()));
+        let y = range(values.map(|at| at[axis]));
+        let mut chart = panel(&areas[axis], &axes(axis, y, name))?;
+        let point = |(row, at): (usize, Vector)| (path.time_s(row), at[axis]);
+        chart
+            .draw_series(path.originals().map(|s| Circle::new(point(s), 4, DIM.stroke_width(1))))?;
+        for curve in path.curves() {
+            chart
+                .draw_series(LineSeries::new(curve.into_iter().map(point), BLUE.stroke_width(2)))?;
+        }
+        chart.draw_series(path.kept().map(|s| Circle::new(point(s), 3, VERMILION.filled())))?;
+    }
+    if errors.is_empty() {
+        return Ok(());
+    }
+    let tolerance_mm =
+        wanted.coded.settings.filter(|s| !s.kind.is_lossless()).map(|s| s.tolerance.mm());
+    let worst = errors.iter().map(|e| e.1).chain(tolerance_mm).fold(1e-3, f64::max);
+    let mut chart = panel(&areas[3], &axes(3, 0.0..1.2 * worst, "error (mm)"))?;
+    for run in
+        runs((0..path.rows.len()).map(|row| errors.binary_search_by_key(&row, |e| e.0).is_ok()))
+    {
+        let part = errors.iter().filter(|(row, _)| run.contains(row));
+        let points = part.map(|&(row, mm)| (path.time_s(row), mm));
+        chart.draw_series(LineSeries::new(points, INK.stroke_width(1)))?;
+    }
+    if let Some(mm) = tolerance_mm {
+        let line = [(times.start, mm), (times.end, mm)];
+        chart.draw_series(DashedLineSeries::new(line, 6, 4, VERMILION.stroke_width(1)))?;
+        let (x, y) = chart.backend_coord(&(times.start, mm));
+        let base = areas[3].get_base_pixel();
+        let at = (x - base.0 + 8, y - base.1 - 9);
+        words(&areas[3], &format!("tolerance {mm} mm"), at, SMALL, VERMILION, Stand::Left)?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lengths_to_measure_by_are_round() {
+        for (mm, round) in [(1.0, 1.0), (1.9, 1.0), (137.0, 100.0), (260.0, 200.0), (0.7, 0.5)] {
+            assert!((round_length(mm) - round).abs() < 1e-9, "{mm}");
+        }
+    }
+
+    #[test]
+    fn up_is_up_for_every_axis() {
+        for (up, axis) in [(UpAxis::X, 0), (UpAxis::Y, 1), (UpAxis::Z, 2)] {
+            let project = projection(up);
+            let mut unit = [0.0; 3];
+            unit[axis] = 1.0;
+            let (x, y) = project(unit);
+            assert!(x.abs() < 1e-12 && y > 0.5, "{up:?}");
+        }
+    }
+}

@@ -1,0 +1,83 @@
+//! Which marker is at which site of the body, by its label.
+
+use mocapd_take::motion::Motion;
+
+use crate::column::Column;
+
+/// What labels call a site, in small letters and figures only; the first name that is there is taken.
+const PELVIS: &[&str] = &["pelvis", "hips", "root", "sacrum", "sacr", "midhip", "vsacral", "vsac"];
+/// Where there is no pelvis, the middle of these is: every marker of the first line that is there whole.
+const AROUND_PELVIS: &[&[&str]] =
+    &[&["lasi", "rasi", "lpsi", "rpsi"], &["lasis", "rasis"], &["lasi", "rasi"], &["lhip", "rhip"]];
+const LEFT_FOOT: &[&str] =
+    &["lankle", "leftankle", "ankleleft", "lank", "leftfoot", "lfoot", "lheel", "lhee"];
+const RIGHT_FOOT: &[&str] =
+    &["rankle", "rightankle", "ankleright", "rank", "rightfoot", "rfoot", "rheel", "rhee"];
+
+/// The sites by which the phases of a jump are told.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sites {
+    /// Columns whose middle is the pelvis.
+    pub pelvis: Vec<usize>,
+    /// Left and right.
+    pub feet: [usize; 2],
+}
+
+impl Sites {
+    /// Of several subjects (`name:site`) those of the first are taken.
+    ///
+    /// # Errors
+    /// Which site is missing, in words.
+    pub fn of(motion: &Motion) -> Result<Self, String> {
+        let plain: Vec<String> =
+            motion.info.markers.iter().map(|marker| plain(&marker.label)).collect();
+        let column = |name: &str| plain.iter().position(|label| label == name);
+        let first = |names: &[&str]| names.iter().find_map(|name| column(name));
+        let pelvis = first(PELVIS).map(|pelvis| vec![pelvis]).or_else(|| {
+            AROUND_PELVIS.iter().find_map(|names| names.iter().map(|name| column(name)).collect())
+        });
+        let pelvis = pelvis.ok_or("no marker is called pelvis, hips, sacrum or l_hip and r_hip")?;
+        let foot = |names: &[&str], side: &str| {
+            first(names)
+                .ok_or(format!("no marker is called {side}_ankle, {side}_foot or {side}_heel"))
+        };
+        Ok(Self { pelvis, feet: [foot(LEFT_FOOT, "l")?, foot(RIGHT_FOOT, "r")?] })
+    }
+
+    /// The pelvis over the take.
+    #[must_use]
+    pub fn pelvis(&self, motion: &Motion) -> Column {
+        let columns: Vec<Column> =
+            self.pelvis.iter().map(|&column| Column::of(motion, column)).collect();
+        Column::mean(&columns)
+    }
+}
+
+/// `CMU:L_Ankle` becomes `lankle`.
+fn plain(label: &str) -> String {
+    let site = label.rsplit_once(':').map_or(label, |(_, site)| site);
+    site.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use mocapd_take::motion::{Marker, MotionInfo};
+
+    use super::*;
+
+    fn motion(labels: &[&str]) -> Motion {
+        let marker = |label: &&str| Marker { label: (*label).to_owned(), labelled: true };
+        let markers = labels.iter().map(marker).collect();
+        Motion { info: MotionInfo { markers, ..Default::default() }, positions_mm: vec![] }
+    }
+
+    #[test]
+    fn sites_of_several_marker_sets() {
+        let ours = motion(&["head", "pelvis", "l_ankle", "r_ankle"]);
+        assert_eq!(Sites::of(&ours), Ok(Sites { pelvis: vec![1], feet: [2, 3] }));
+        let gait = motion(&["S1:LASI", "S1:RASI", "S1:LPSI", "S1:RPSI", "S1:LANK", "S1:RANK"]);
+        assert_eq!(Sites::of(&gait), Ok(Sites { pelvis: vec![0, 1, 2, 3], feet: [4, 5] }));
+        assert!(Sites::of(&motion(&["pelvis", "l_ankle"])).unwrap_err().contains("r_ankle"));
+        assert!(Sites::of(&motion(&["u001"])).unwrap_err().contains("pelvis"));
+    }
+}

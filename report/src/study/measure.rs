@@ -1,0 +1,180 @@
+//! Measures one trial: every piece of it, with every method, at every tolerance.
+
+use std::{
+    ops::Range,
+    sync::atomic::{AtomicU64, Ordering},
+};
+
+use mocapd_codec::{Settings, Tolerance};
+use mocapd_take::motion::Motion;
+
+use super::{Cell, Coder, Method, Options, Piece, Results, Trial};
+use crate::{ReportError, coded::Coded, derivative, measures::Counts};
+
+/// Longest piece that the exhaustive search is tried on, frames: with the third power of them its work grows to half a
+/// second a channel and tolerance, and to half a minute a trial.
+pub const EXHAUSTIVE_FRAMES_MAX: usize = 256;
+
+/// What is left of a trial to do: a piece, its frames, the methods and tolerances.
+type Task = (Piece, Range<usize>, Vec<Method>, Vec<f64>);
+
+/// Samples times settings that [`measure`] will code: what its progress counts up to.
+#[must_use]
+pub fn work(trial: &Trial, options: &Options, with_exhaustive: bool) -> u64 {
+    let n_markers = trial.motion.info.markers.len();
+    let tasks = tasks(trial, options, with_exhaustive);
+    let samples = tasks.iter().map(|(_, frames, methods, tolerances)| {
+        (frames.len() * n_markers * methods.len() * tolerances.len()) as u64
+    });
+    samples.sum()
+}
+
+/// Codes all of it; `progress` counts samples. The exhaustive search is tried where it is asked for, on pieces up to
+/// [`EXHAUSTIVE_FRAMES_MAX`].
+///
+/// # Errors
+/// When the coder refuses, or a take that it made is not what went in.
+pub fn measure(
+    trial: &Trial,
+    options: &Options,
+    with_exhaustive: bool,
+    coder: &dyn Coder,
+    progress: &AtomicU64,
+) -> Result<Results, ReportError> {
+    let mut results = Results::new(trial);
+    for (piece, frames, methods, tolerances) in tasks(trial, options, with_exhaustive) {
+        let motion = part(&trial.motion, frames);
+        for &tolerance_mm in &tolerances {
+            for &method in &methods {
+                let tolerance = Tolerance::from_mm(tolerance_mm)
+                    .map_err(|error| ReportError::InvalidArgument(error.to_string()))?;
+                let settings = Settings { kind: method.kind(), tolerance };
+                let bytes = coder.take(&motion, &settings).map_err(ReportError::Coder)?;
+                let coded = Coded::read(&bytes[..])?;
+                check(&coded, &motion, tolerance_mm)?;
+                results.add(cell(piece, method, tolerance_mm, &coded, &motion, bytes.len()));
+                if piece == Piece::Whole {
+                    whole(trial, method, tolerance_mm, &coded, options, &mut results)?;
+                }
+                progress.fetch_add(motion.positions_mm.len() as u64, Ordering::Relaxed);
+            }
+        }
+    }
+    Ok(results)
+}
+
+fn tasks(trial: &Trial, options: &Options, with_exhaustive: bool) -> Vec<Task> {
+    let n_frames = trial.motion.n_frames();
+    let methods = |n_frames: usize| {
+        let mut methods = vec![Method::WorstSample, Method::Sync, Method::Dense];
+        if with_exhaustive && n_frames <= EXHAUSTIVE_FRAMES_MAX {
+            methods.push(Method::Exhaustive);
+        }
+        methods
+    };
+    let tolerances = &options.tolerances_mm;
+    let mut tasks: Vec<Task> = Vec::new();
+    for part in trial.phases.iter().flatten() {
+        let piece = Piece::Phase(part.phase);
+        tasks.push((piece, part.frames.clone(), methods(part.frames.len()), tolerances.clone()));
+    }
+    tasks.push((Piece::Whole, 0..n_frames, methods(n_frames), tolerances.clone()));
+    for &length in options.prefixes.iter().filter(|&&length| length <= n_frames) {
+        let methods = vec![Method::WorstSample, Method::Dense];
+        tasks.push((
+            Piece::First(length),
+            0..length,
+            methods,
+            options.prefix_tolerances_mm.clone(),
+        ));
+    }
+    tasks
+}
+
+/// Those frames, with nothing beside the trajectories.
+fn part(motion: &Motion, frames: Range<usize>) -> Motion {
+    let mut info = motion.info.clone();
+    info.foreign.clear();
+    info.n_frames = frames.len() as u64;
+    let n_markers = info.markers.len();
+    let positions = frames.start * n_markers..frames.end * n_markers;
+    let positions_mm = motion.positions_mm.get(positions).unwrap_or_default().to_vec();
+    Motion { info, positions_mm }
+}
+
+/// What is counted is what is in the bytes: all of it, and within the tolerance.
+fn check(coded: &Coded, motion: &Motion, tolerance_mm: f64) -> Result<(), ReportError> {
+    let n_samples = |motion: &Motion| {
+        motion.positions_mm.iter().filter(|&&at| !mocapd_take::motion::is_gap(at)).count()
+    };
+    let (found, expected) = (n_samples(&coded.motion), n_samples(motion));
+    let error_mm = coded.max_error_mm(motion);
+    if let Some(problem) = coded.problems.first() {
+        return Err(ReportError::Coder(problem.clone()));
+    }
+    if found != expected || error_mm > tolerance_mm {
+        return Err(ReportError::Coder(format!(
+            "{found} samples came back of {expected}, at most {error_mm} mm off: this is a bug in mocapd"
+        )));
+    }
+    Ok(())
+}
+
+fn cell(
+    piece: Piece,
+    method: Method,
+    tolerance_mm: f64,
+    coded: &Coded,
+    motion: &Motion,
+    file_bytes: usize,
+) -> Cell {
+    let counts = coded.counts();
+    Cell {
+        piece,
+        method,
+        tolerance_mm,
+        counts,
+        file_bytes: file_bytes as u64,
+        max_error_mm: coded.max_error_mm(motion),
+    }
+}
+
+/// What only a whole trial tells: knots by phase, and derivatives.
+fn whole(
+    trial: &Trial,
+    method: Method,
+    tolerance_mm: f64,
+    coded: &Coded,
+    options: &Options,
+    results: &mut Results,
+) -> Result<(), ReportError> {
+    if method == Method::WorstSample {
+        for part in trial.phases.iter().flatten() {
+            let counts = counts_within(coded, part.frames.clone());
+            let piece = Piece::Within(part.phase);
+            let (file_bytes, max_error_mm) = (0, 0.0);
+            results.add(Cell { piece, method, tolerance_mm, counts, file_bytes, max_error_mm });
+        }
+    }
+    if matches!(method, Method::WorstSample | Method::Dense)
+        && options.cutoff_hz < 0.5 * trial.motion.info.rate_hz
+    {
+        let found = derivative::by_marker(&coded.motion, &trial.motion, options.cutoff_hz)?;
+        results.derivatives.push((method, tolerance_mm, found));
+    }
+    Ok(())
+}
+
+fn counts_within(coded: &Coded, frames: Range<usize>) -> Counts {
+    let part = Coded {
+        motion: part(&coded.motion, frames.clone()),
+        kept: coded
+            .kept
+            .iter()
+            .map(|kept| kept.get(frames.clone()).unwrap_or_default().to_vec())
+            .collect(),
+        settings: coded.settings,
+        problems: Vec::new(),
+    };
+    part.counts()
+}

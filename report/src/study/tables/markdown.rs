@@ -1,0 +1,347 @@
+//! For people.
+
+use std::fmt::Write;
+
+use super::{Table, columns, figure, paper, ratio, short, verdicts};
+use crate::{
+    phases::Phase,
+    study::{EXHAUSTIVE_FRAMES_MAX, Findings, Method, Piece},
+};
+
+/// Trials are listed one by one up to here.
+const LISTED_MAX: usize = 20;
+
+/// The whole study.
+#[must_use]
+pub fn markdown(findings: &Findings) -> String {
+    let n = findings.trials.len();
+    let mut out =
+        format!("# The study of Shi et al. 2012, on {n} take{}\n\n", if n == 1 { "" } else { "s" });
+    out += "SR1 and SR2 count stored items as the paper does: a position is one, a time is one.\n\
+            They are not what a disk counts: beside them stands the ratio of raw float32 bytes to the bytes of the take, everything included.\n\
+            Sums are of items and bytes, over all takes that have the phase, before anything is divided.\n\n";
+    section(&mut out, "The takes", &takes(findings));
+    section(
+        &mut out,
+        "Table 1: SR2 by phase, each phase resampled on its own (here / paper)",
+        &table_1(findings),
+    );
+    section(&mut out, "The same phases inside the resampling of the whole take", &within(findings));
+    section(&mut out, "What the paper claims", &claims(findings));
+    section(&mut out, "Synchronous against asynchronous, whole takes", &rivals(findings));
+    section(&mut out, "Both readings of step 2", &readings(findings));
+    section(&mut out, "Bytes on disk: raw float32 to take", &on_disk(findings));
+    section(
+        &mut out,
+        "Table 2: SR2 by length from the first frame on (here / paper)",
+        &table_2(findings),
+    );
+    section(&mut out, "Velocity and acceleration, whole takes", &derivatives(findings));
+    out
+}
+
+fn section(out: &mut String, title: &str, body: &str) {
+    if !body.is_empty() {
+        // Writing to a String does not fail.
+        write!(out, "## {title}\n\n{body}\n").ok();
+    }
+}
+
+fn takes(findings: &Findings) -> String {
+    let mut out = String::new();
+    let n = findings.trials.len();
+    if n <= LISTED_MAX {
+        let mut table =
+            Table::new(["take", "frames", "Hz", "markers", "phases: first to last, frames"]);
+        for trial in &findings.trials {
+            let phases = match &trial.phases {
+                Ok(phases) => {
+                    let words = phases.iter().map(|(phase, n)| format!("{} {n}", phase.name()));
+                    words.collect::<Vec<_>>().join(", ")
+                }
+                Err(why) => format!("none: {why}"),
+            };
+            let Cells { frames, rate, markers } = cells(trial);
+            table.row([trial.name.clone(), frames, rate, markers, phases]);
+        }
+        out += &table.markdown();
+        out.push('\n');
+    }
+    let mut table = Table::new(["phase", "takes", "frames", "shortest", "longest"]);
+    for phase in Phase::ALL {
+        let lengths: Vec<usize> = findings
+            .trials
+            .iter()
+            .filter_map(|trial| trial.phases.as_ref().ok())
+            .flatten()
+            .filter(|(found, _)| *found == phase)
+            .map(|(_, frames)| *frames)
+            .collect();
+        if let (Some(min), Some(max)) = (lengths.iter().min(), lengths.iter().max()) {
+            let frames: usize = lengths.iter().sum();
+            table.row([
+                phase.name().to_owned(),
+                lengths.len().to_string(),
+                frames.to_string(),
+                min.to_string(),
+                max.to_string(),
+            ]);
+        }
+    }
+    let frames: u64 = findings.trials.iter().map(|trial| trial.frames).sum();
+    let without = findings.trials.iter().filter(|trial| trial.phases.is_err()).count();
+    write!(out, "{n} takes, {frames} frames; {without} without phases.\n\n").ok();
+    if !table.rows.is_empty() {
+        out += &table.markdown();
+    }
+    out
+}
+
+struct Cells {
+    frames: String,
+    rate: String,
+    markers: String,
+}
+
+fn cells(trial: &crate::study::Results) -> Cells {
+    Cells {
+        frames: trial.frames.to_string(),
+        rate: format!("{}", (trial.rate_hz * 1000.0).round() / 1000.0),
+        markers: trial.markers.to_string(),
+    }
+}
+
+fn tolerance(mm: f64) -> String {
+    format!("{mm} mm")
+}
+
+fn table_1(findings: &Findings) -> String {
+    let columns = columns(findings);
+    let names = columns.iter().map(|piece| piece.name());
+    let mut table = Table::new(["tolerance".to_owned()].into_iter().chain(names));
+    for &mm in &findings.tolerances_mm {
+        let cell = |&piece: &Piece| {
+            let sum = findings.sum(piece, Method::WorstSample, mm);
+            let here = figure(sum.and_then(|sum| sum.counts.sr2()));
+            format!("{here} / {}", figure(paper::sr2(piece, mm)))
+        };
+        table.row([tolerance(mm)].into_iter().chain(columns.iter().map(cell)));
+    }
+    table.markdown()
+        + "\nThe ends of what is resampled are always kept: a phase of n frames has at most SR2 = (N + 1) n / 4 N, here "
+        + &caps(findings, &columns)
+        + ".\n"
+}
+
+/// The highest SR2 that the ends of each phase leave room for, where there are no gaps.
+fn caps(findings: &Findings, columns: &[Piece]) -> String {
+    let Some(&mm) = findings.tolerances_mm.first() else { return String::new() };
+    let cells = || findings.trials.iter().flat_map(|trial| &trial.cells);
+    let cap = |&piece: &Piece| {
+        let same = cells().filter(|cell| {
+            (cell.piece, cell.method) == (piece, Method::WorstSample) && cell.tolerance_mm == mm
+        });
+        let (mut all, mut ends) = (0, 0);
+        for counts in same.map(|cell| cell.counts).filter(|counts| counts.rows > 0) {
+            all += counts.original_items();
+            // A phase of one frame has one end.
+            ends += 2 * counts.rows.min(2) * counts.samples / counts.rows;
+        }
+        Some(format!("{} {:.1}", piece.name(), crate::measures::ratio(all, ends)?))
+    };
+    columns.iter().filter_map(cap).collect::<Vec<_>>().join(", ")
+}
+
+fn within(findings: &Findings) -> String {
+    let phases: Vec<Phase> = Phase::ALL
+        .into_iter()
+        .filter(|&phase| {
+            let mm = findings.tolerances_mm.first().copied().unwrap_or(0.0);
+            findings.sum(Piece::Within(phase), Method::WorstSample, mm).is_some()
+        })
+        .collect();
+    if phases.is_empty() {
+        return String::new();
+    }
+    let names = phases.iter().map(|phase| phase.name().to_owned());
+    let mut table = Table::new(["tolerance".to_owned()].into_iter().chain(names));
+    for &mm in &findings.tolerances_mm {
+        let cell = |&phase: &Phase| {
+            let sum = findings.sum(Piece::Within(phase), Method::WorstSample, mm);
+            figure(sum.and_then(|sum| sum.counts.sr2()))
+        };
+        table.row([tolerance(mm)].into_iter().chain(phases.iter().map(cell)));
+    }
+    table.markdown() + "\nNo ends are kept here, so that short phases are not held down by them.\n"
+}
+
+fn claims(findings: &Findings) -> String {
+    let mut table = Table::new(["claim", "here", "figures"]);
+    for verdict in verdicts(findings) {
+        let holds = match verdict.holds {
+            Some(true) => "holds",
+            Some(false) => "does not hold",
+            None => "cannot be told",
+        };
+        table.row([verdict.claim.to_owned(), holds.to_owned(), verdict.words]);
+    }
+    table.markdown()
+}
+
+fn rivals(findings: &Findings) -> String {
+    let mut table = Table::new([
+        "tolerance",
+        "SR1",
+        "SR2",
+        "asynchronous wins",
+        "bytes, `sync`",
+        "bytes, `spline`",
+        "bytes, `dense`",
+    ]);
+    for &mm in &findings.tolerances_mm {
+        let sum = |method| findings.sum(Piece::Whole, method, mm);
+        let Some(spline) = sum(Method::WorstSample) else { continue };
+        table.row([
+            tolerance(mm),
+            figure(spline.counts.sr1()),
+            figure(spline.counts.sr2()),
+            format!("{} of {}", spline.wins, spline.n),
+            ratio(sum(Method::Sync).as_ref()),
+            ratio(Some(&spline)),
+            ratio(sum(Method::Dense).as_ref()),
+        ]);
+    }
+    table.markdown()
+}
+
+fn readings(findings: &Findings) -> String {
+    let mut table = Table::new([
+        "piece",
+        "tolerance",
+        "SR2, `worst-sample`",
+        "SR2, `exhaustive`",
+        "kept",
+        "bytes, `worst-sample`",
+        "bytes, `exhaustive`",
+    ]);
+    let mut n = 0;
+    for piece in columns(findings) {
+        for &mm in &findings.tolerances_mm {
+            let sum = |method| findings.sum_of_compared(piece, method, mm);
+            let Some((worst, all)) = sum(Method::WorstSample).zip(sum(Method::Exhaustive)) else {
+                continue;
+            };
+            n = n.max(all.n);
+            table.row([
+                piece.name(),
+                tolerance(mm),
+                figure(worst.counts.sr2()),
+                figure(all.counts.sr2()),
+                format!("{} / {}", worst.counts.kept, all.counts.kept),
+                ratio(Some(&worst)),
+                ratio(Some(&all)),
+            ]);
+        }
+    }
+    if table.rows.is_empty() {
+        return String::new();
+    }
+    let mut out = table.markdown();
+    write!(
+        out,
+        "\nOn {n} takes at most, and on pieces of up to {EXHAUSTIVE_FRAMES_MAX} frames: the exhaustive search is slow.\n"
+    )
+    .ok();
+    out
+}
+
+fn on_disk(findings: &Findings) -> String {
+    let methods = [Method::WorstSample, Method::Sync, Method::Dense];
+    let mut head = vec!["piece".to_owned(), "tolerance".to_owned()];
+    for method in methods {
+        head.extend([format!("SR2, `{}`", method.name()), format!("bytes, `{}`", method.name())]);
+    }
+    let mut table = Table::new(head);
+    for piece in columns(findings) {
+        for &mm in &findings.tolerances_mm {
+            let mut row = vec![piece.name(), tolerance(mm)];
+            for method in methods {
+                let sum = findings.sum(piece, method, mm);
+                row.extend([figure(sum.and_then(|sum| sum.counts.sr2())), ratio(sum.as_ref())]);
+            }
+            table.row(row);
+        }
+    }
+    table.markdown()
+        + "\nEach phase is a take of its own here, with the header, account and index of one (about half a kilobyte).\n"
+}
+
+fn table_2(findings: &Findings) -> String {
+    let lengths = findings.prefixes.iter().filter(|&&length| {
+        let mm = findings.prefix_tolerances_mm.first().copied().unwrap_or(0.0);
+        findings.sum(Piece::First(length), Method::WorstSample, mm).is_some()
+    });
+    let lengths: Vec<usize> = lengths.copied().collect();
+    if lengths.is_empty() {
+        return String::new();
+    }
+    let names = lengths.iter().map(ToString::to_string);
+    let mut table = Table::new(["frames".to_owned()].into_iter().chain(names));
+    let mut add = |name: String, cell: &dyn Fn(usize) -> String| {
+        table.row([name].into_iter().chain(lengths.iter().map(|&length| cell(length))));
+    };
+    for &mm in &findings.prefix_tolerances_mm {
+        let sum = |length, method| findings.sum(Piece::First(length), method, mm);
+        add(format!("SR2, {mm} mm"), &|length| {
+            let here = sum(length, Method::WorstSample).and_then(|sum| sum.counts.sr2());
+            format!("{} / {}", figure(here), figure(paper::sr2(Piece::First(length), mm)))
+        });
+        add(format!("bytes, `spline`, {mm} mm"), &|length| {
+            ratio(sum(length, Method::WorstSample).as_ref())
+        });
+        add(format!("bytes, `dense`, {mm} mm"), &|length| {
+            ratio(sum(length, Method::Dense).as_ref())
+        });
+        add(format!("takes, {mm} mm"), &|length| {
+            sum(length, Method::WorstSample).map_or(0, |sum| sum.n).to_string()
+        });
+    }
+    table.markdown()
+}
+
+fn derivatives(findings: &Findings) -> String {
+    let mut table = Table::new([
+        "resampler",
+        "tolerance",
+        "velocity, rms (mm/s)",
+        "largest",
+        "acceleration, rms (mm/s^2)",
+        "largest",
+    ]);
+    let mut own = None;
+    for method in [Method::WorstSample, Method::Dense] {
+        for &mm in &findings.tolerances_mm {
+            let Some(found) = findings.derivatives(method, mm) else { continue };
+            own = Some(found);
+            table.row([
+                method.name(),
+                tolerance(mm),
+                short(found.velocity_mm_s.rms()),
+                short(found.velocity_mm_s.max()),
+                short(found.acceleration_mm_s2.rms()),
+                short(found.acceleration_mm_s2.max()),
+            ]);
+        }
+    }
+    let Some(own) = own else { return String::new() };
+    table.markdown()
+        + &format!(
+            "\nErrors after a zero-lag fourth-order Butterworth at {} Hz, the cutoff corrected for two passes, as lengths in 3D over all markers.\n\
+             The motion itself: velocity {} mm/s rms and {} at most, acceleration {} mm/s^2 rms and {} at most.\n",
+            findings.cutoff_hz,
+            short(own.original_velocity_mm_s.rms()),
+            short(own.original_velocity_mm_s.max()),
+            short(own.original_acceleration_mm_s2.rms()),
+            short(own.original_acceleration_mm_s2.max()),
+        )
+}
