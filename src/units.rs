@@ -125,6 +125,24 @@ pub fn rate_hz(text: &str) -> Result<f64, String> {
     Ok(hz)
 }
 
+/// `6`, `6Hz`, `0.5kHz`: more than 0 and at most 10 kHz.
+///
+/// # Errors
+/// What is wrong and what to type.
+pub fn frequency_hz(text: &str) -> Result<f64, String> {
+    let (value, unit) = split(text)?;
+    let hz = value
+        * match unit {
+            "Hz" | "hz" | "" => 1.0,
+            "kHz" | "khz" => 1000.0,
+            _ => return Err(format!("'{unit}' is no unit of frequency: use Hz or kHz")),
+        };
+    if hz > 0.0 && hz <= 10_000.0 {
+        return Ok(hz);
+    }
+    Err(format!("a frequency of '{text}' cannot be: give something like 6Hz"))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -158,7 +176,9 @@ mod tests {
         }
         for text in ["0", "-60", "1e6", "60fps"] {
             assert!(rate_hz(text).is_err(), "{text}");
+            assert!(frequency_hz(text).is_err(), "{text}");
         }
+        assert_eq!(frequency_hz("0.5Hz"), Ok(0.5));
     }
 
     #[test]

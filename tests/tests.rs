@@ -10,6 +10,7 @@
 mod architecture;
 mod cli;
 mod kills;
+mod phases;
 mod pipeline;
 mod recovery;
 mod replay;

@@ -18,14 +18,17 @@ mod numbers;
 mod original;
 mod output;
 mod paths;
+mod plot;
 mod progress;
 mod record;
 mod recover;
 mod run;
 mod stop;
+mod study;
 mod usage;
 mod values;
 mod verify;
+mod whole;
 
 use clap::{Parser, Subcommand, error::ErrorKind};
 use mocapd::outcome::{Outcome, UsageError};
@@ -64,6 +67,11 @@ enum Command {
     Verify(verify::Args),
     /// Write a take again of what can be read of one that was cut off or damaged
     Recover(recover::Args),
+    /// Draw a take as SVG or PNG: a trajectory, poses, sizes, quality
+    #[command(subcommand)]
+    Plot(plot::Plot),
+    /// Repeat the study of Shi et al. 2012 on takes: its tables and figures, beside bytes on disk
+    Study(study::Args),
     /// Ask a running service: status, arm, start, stop, mark, takes, events
     Ctl(ctl::Args),
     /// Look whether this machine can record, and say what to type where it cannot
@@ -104,6 +112,8 @@ pub(crate) fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Info(args) => info::run(&args),
         Command::Verify(args) => verify::run(&args),
         Command::Recover(args) => recover::run(&args),
+        Command::Plot(plot) => plot::run(&plot),
+        Command::Study(args) => study::run(&args),
         Command::Ctl(args) => ctl::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Config(command) => config::run(&command),

@@ -184,7 +184,7 @@ fn info_and_verify() {
     check(
         "`mocapd verify`",
         &[
-            verify(&["again.take", "--against", csv]),
+            verify(&["again.take", "--against", csv, "--cutoff", "6Hz"]),
             verify(&["again.take", "--against", "other.csv"]),
             verify(&["damaged.take"]),
             verify(&[take]),
@@ -286,6 +286,18 @@ fn bench_codec() {
             ["max_error_mm", "tolerance_mm"].map(|name| result[name].as_f64().unwrap());
         assert!(error_mm <= tolerance_mm, "{result}");
     }
+}
+
+#[test]
+fn study() {
+    let folder = Folder::new();
+    folder.write_motion("jump.c3d", &jump(1, 60.0, 8.0));
+    folder.write_motion("start.csv", &jump(1, 60.0, 1.0));
+    let study = |file: &str| {
+        let args = ["study", file, "--tolerances", "5mm,20mm", "--json"];
+        folder.run(&args).with_code(0).json()
+    };
+    check("`mocapd study`", &[study("jump.c3d"), study("start.csv")]);
 }
 
 #[test]

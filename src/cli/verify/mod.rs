@@ -1,6 +1,7 @@
 //! `verify`: whether a take is what it says, and how far it lies from an original.
 
 mod against;
+mod derivatives;
 
 use std::{
     io::BufReader,
@@ -8,12 +9,15 @@ use std::{
 };
 
 use anyhow::{Context, bail};
-use mocapd::{clock::Apart, files, inspect::Summary, outcome::Outcome};
+use mocapd::{clock::Apart, files, inspect::Summary, outcome::Outcome, units};
 use mocapd_take::record::{Header, Ledger};
 use serde::Serialize;
 
 pub(super) use self::against::AgainstReport;
-use self::against::against;
+use self::{
+    against::against,
+    derivatives::{DerivativesReport, derivatives},
+};
 use super::{
     damage::{self, DamageReport},
     ledger::LedgerReport,
@@ -32,6 +36,9 @@ pub(crate) struct Args {
     /// The original: a .c3d, .trc, .tsv or .csv file, or another .take
     #[arg(long, value_name = "FILE")]
     against: Option<PathBuf>,
+    /// With --against, tell the errors of velocities and accelerations behind a low-pass of this cutoff: 6Hz
+    #[arg(long, value_name = "HZ", requires = "against", value_parser = units::frequency_hz)]
+    cutoff: Option<f64>,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -52,6 +59,7 @@ struct Report {
     stated_max_error_mm: f64,
     clock: Option<ClockCheck>,
     against: Option<AgainstReport>,
+    derivatives: Option<DerivativesReport>,
 }
 
 #[derive(Debug, Serialize)]
@@ -78,6 +86,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let mut report = Report::new(&args.take, &summary, header);
     if let Some(original) = &args.against {
         report.against = Some(against(&args.take, original, header.tolerance_mm)?);
+        if let Some(cutoff_hz) = args.cutoff {
+            report.derivatives = Some(derivatives(&args.take, original, cutoff_hz)?);
+        }
     }
     if args.json {
         print_json(&report)?;
@@ -156,6 +167,7 @@ impl Report {
             stated_max_error_mm: summary.max_error_mm(),
             clock,
             against: None,
+            derivatives: None,
         }
     }
 
@@ -182,6 +194,9 @@ impl Report {
         }
         if let Some(against) = &self.against {
             out += &against.words(self.tolerance_mm);
+        }
+        if let Some(derivatives) = &self.derivatives {
+            out += &derivatives.words();
         }
         out
     }

@@ -1,0 +1,75 @@
+//! `plot pose`.
+
+use std::{path::PathBuf, time::Duration};
+
+use mocapd::{
+    outcome::{Outcome, UsageError},
+    service::bones,
+    units,
+};
+use mocapd_report::plot::{Pose, pose};
+
+use super::{picture, skeleton};
+use crate::cli::whole::{name, read_coded};
+
+/// Moments when none are asked for.
+const MOMENTS: usize = 8;
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The take
+    take: PathBuf,
+    /// The picture to write, .svg or .png; it must not exist
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// The original: a .c3d, .trc, .tsv or .csv file, or another .take
+    #[arg(long, value_name = "FILE")]
+    against: Option<PathBuf>,
+    /// The moments, up to 12 [default: eight, evenly spread]
+    #[arg(long, value_name = "TIME,...", value_delimiter = ',', value_parser = units::duration)]
+    at: Vec<Duration>,
+    /// Which markers are joined, where their labels do not tell: a line a bone, two labels and a comma between
+    #[arg(long, value_name = "FILE")]
+    skeleton: Option<PathBuf>,
+}
+
+pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
+    picture::check_output(&args.output)?;
+    let coded = read_coded(&args.take)?;
+    let original = args.against.as_ref().map(|path| picture::original(&args.take, &coded, path));
+    let original = original.transpose()?;
+    let motion = &coded.motion;
+    let n_frames = motion.n_frames();
+    let mut rows = Vec::with_capacity(args.at.len());
+    for &at in &args.at {
+        let row = usize::try_from(units::frame_at(at, motion.info.rate_hz)).unwrap_or(usize::MAX);
+        if row >= n_frames {
+            return Err(UsageError(format!(
+                "the take has {:.3} s, and {:.3} s were asked for: choose an earlier moment",
+                n_frames as f64 / motion.info.rate_hz,
+                at.as_secs_f64()
+            ))
+            .into());
+        }
+        rows.push(row);
+    }
+    if rows.is_empty() {
+        let n = MOMENTS.min(n_frames);
+        rows.extend((0..n).map(|i| i * (n_frames - 1) / (n - 1).max(1)));
+    }
+    let labels: Vec<String> =
+        motion.info.markers.iter().map(|marker| marker.label.clone()).collect();
+    let bones = match &args.skeleton {
+        Some(path) => skeleton::read(path, &labels)?,
+        None => bones::bones(&labels),
+    };
+    let wanted = Pose {
+        name: &name(&args.take),
+        coded: &coded,
+        original: original.as_ref(),
+        rows: &rows,
+        bones: &bones,
+    };
+    picture::write(&args.output, &pose(&wanted)?)?;
+    Ok(picture::outcome(&coded))
+}

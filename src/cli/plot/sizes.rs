@@ -1,0 +1,132 @@
+//! `plot sizes`.
+
+use std::{
+    path::{Path, PathBuf},
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+};
+
+use mocapd::{
+    outcome::{Outcome, UsageError},
+    pipeline::offline,
+    threads, units,
+};
+use mocapd_codec::{ResamplerKind, Settings, SplineVariant, Tolerance};
+use mocapd_report::plot::{SizeLine, SizePanel, sizes};
+use mocapd_take::motion::{Motion, is_gap};
+
+use super::picture;
+use crate::cli::{
+    import::header_of,
+    numbers::count,
+    progress::Progress,
+    whole::{name, read_samples},
+};
+
+/// The tolerances when none are given, mm.
+const TOLERANCES_MM: [f64; 8] = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0];
+
+/// Most frames that the published method is tried on: its time grows faster than they do.
+const SPLINE_FRAMES_MAX: usize = 5000;
+
+const RESAMPLERS: [ResamplerKind; 3] =
+    [ResamplerKind::Dense, ResamplerKind::Fast, ResamplerKind::Spline(SplineVariant::WorstSample)];
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Takes, or .c3d, .trc, .tsv and .csv files, up to six
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+    /// The picture to write, .svg or .png; it must not exist
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Tolerances [default: 0.1mm,0.2mm,0.5mm,1mm,2mm,5mm,10mm,20mm]
+    #[arg(long, value_name = "LENGTH,...", value_delimiter = ',', value_parser = units::tolerance)]
+    tolerances: Vec<Tolerance>,
+}
+
+pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
+    picture::check_output(&args.output)?;
+    if args.files.len() > 6 {
+        let n = args.files.len();
+        return Err(UsageError(format!("{n} takes were given: six have room on a sheet")).into());
+    }
+    let mut tolerances_mm: Vec<f64> = args.tolerances.iter().map(|t| t.mm()).collect();
+    if tolerances_mm.is_empty() {
+        tolerances_mm.extend(TOLERANCES_MM);
+    }
+    tolerances_mm.sort_by(f64::total_cmp);
+    tolerances_mm.dedup();
+    let mut panels = Vec::new();
+    for path in &args.files {
+        panels.push(panel(path, &tolerances_mm)?);
+    }
+    picture::write(&args.output, &sizes(&panels)?)?;
+    Ok(Outcome::Done)
+}
+
+fn panel(path: &Path, tolerances_mm: &[f64]) -> anyhow::Result<SizePanel> {
+    let (mut motion, coded) = read_samples(path)?;
+    // What else a file holds would be in every take alike.
+    motion.info.foreign.clear();
+    let n_frames = motion.n_frames();
+    let samples = motion.positions_mm.iter().filter(|&&at| !is_gap(at)).count();
+    let mut caption = format!(
+        "{}, {}, {} Hz",
+        count(motion.info.markers.len() as u64, "marker"),
+        count(n_frames as u64, "frame"),
+        (motion.info.rate_hz * 100.0).round() / 100.0
+    );
+    if let Some(coded) = coded.filter(|coded| !coded.kind.is_lossless()) {
+        caption += &format!("; already within {} mm", coded.tolerance.mm());
+    }
+    let mut kinds = RESAMPLERS.to_vec();
+    if n_frames > SPLINE_FRAMES_MAX {
+        kinds.pop();
+        caption += "; too long for spline";
+    }
+    let counter = Arc::new(AtomicU64::new(0));
+    let settings = (kinds.len() * tolerances_mm.len() + 1) as u64;
+    let total = settings * motion.positions_mm.len() as u64;
+    let progress = Progress::follow("resampling", &counter, total);
+    let level = |name: &str, bytes: u64| SizeLine {
+        name: name.to_owned(),
+        points: tolerances_mm.iter().map(|&mm| (mm, bytes)).collect(),
+        is_level: true,
+    };
+    let mut lines = Vec::new();
+    for kind in kinds {
+        let mut points = Vec::new();
+        for &mm in tolerances_mm {
+            points.push((mm, file_bytes(path, &motion, kind, mm, &counter)?));
+        }
+        let name = kind.to_string().replace(":worst-sample", "");
+        lines.push(SizeLine { name, points, is_level: false });
+    }
+    let lossless = file_bytes(path, &motion, ResamplerKind::Lossless, 1.0, &counter)?;
+    lines.push(level("lossless", lossless));
+    lines.push(level("float32", 12 * samples as u64));
+    drop(progress);
+    Ok(SizePanel { name: name(path), caption, lines })
+}
+
+/// Bytes of the take, everything included.
+fn file_bytes(
+    path: &Path,
+    motion: &Motion,
+    kind: ResamplerKind,
+    tolerance_mm: f64,
+    counter: &AtomicU64,
+) -> anyhow::Result<u64> {
+    let settings = Settings { kind, tolerance: Tolerance::from_mm(tolerance_mm)? };
+    let header = header_of(motion, path, &settings);
+    let before = counter.load(Ordering::Relaxed);
+    let workers = threads::default_workers();
+    let (written, _) = offline::write_take(motion, &header, workers, counter, std::io::sink())?;
+    // The writer counts samples of its own accord; a resampler that is not cut counts them at once.
+    let after = before + motion.positions_mm.len() as u64;
+    counter.store(after, Ordering::Relaxed);
+    Ok(written.file_bytes)
+}

@@ -1,0 +1,87 @@
+//! `plot trajectory`.
+
+use std::{path::PathBuf, time::Duration};
+
+use mocapd::{
+    outcome::{Outcome, UsageError},
+    units,
+};
+use mocapd_report::{
+    coded::Coded,
+    column::{Column, distance},
+    plot::{Trajectory, trajectory},
+};
+
+use super::picture;
+use crate::cli::whole::{name, read_coded};
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The take
+    take: PathBuf,
+    /// The picture to write, .svg or .png; it must not exist
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// The original: a .c3d, .trc, .tsv or .csv file, or another .take
+    #[arg(long, value_name = "FILE")]
+    against: Option<PathBuf>,
+    /// The marker, by its label [default: the one that goes the longest way]
+    #[arg(long, value_name = "LABEL")]
+    marker: Option<String>,
+    /// Leave out what is before this time: 10s, 500ms, 2min
+    #[arg(long, value_name = "TIME", value_parser = units::duration, allow_hyphen_values = true)]
+    from: Option<Duration>,
+    /// Leave out what is at or after this time
+    #[arg(long, value_name = "TIME", value_parser = units::duration, allow_hyphen_values = true)]
+    to: Option<Duration>,
+}
+
+pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
+    picture::check_output(&args.output)?;
+    let coded = read_coded(&args.take)?;
+    let original = args.against.as_ref().map(|path| picture::original(&args.take, &coded, path));
+    let original = original.transpose()?;
+    let motion = &coded.motion;
+    let row = |time: Duration| {
+        usize::try_from(units::frame_at(time, motion.info.rate_hz)).unwrap_or(usize::MAX)
+    };
+    let rows = (args.from.map_or(0, row), args.to.map_or(motion.n_frames(), row));
+    if rows.0 >= rows.1.min(motion.n_frames()) {
+        return Err(UsageError(format!(
+            "nothing lies between --from and --to: the take has {} frames, {:.3} s",
+            motion.n_frames(),
+            motion.n_frames() as f64 / motion.info.rate_hz
+        ))
+        .into());
+    }
+    let marker = marker(&coded, args.marker.as_deref())?;
+    let wanted = Trajectory {
+        name: &name(&args.take),
+        coded: &coded,
+        original: original.as_ref(),
+        marker,
+        rows,
+    };
+    picture::write(&args.output, &trajectory(&wanted)?)?;
+    Ok(picture::outcome(&coded))
+}
+
+/// The column of a label, or of the marker that goes the longest way.
+fn marker(coded: &Coded, label: Option<&str>) -> anyhow::Result<usize> {
+    let markers = &coded.motion.info.markers;
+    if let Some(label) = label {
+        return markers.iter().position(|marker| marker.label == label).ok_or_else(|| {
+            let nearest = markers.iter().map(|marker| marker.label.as_str());
+            let nearest = nearest.max_by(|a, b| {
+                strsim::jaro_winkler(a, label).total_cmp(&strsim::jaro_winkler(b, label))
+            });
+            let meant = nearest.map_or_else(String::new, |label| format!(": was '{label}' meant?"));
+            UsageError(format!("no marker is called '{label}'{meant}")).into()
+        });
+    }
+    let way = |marker: usize| {
+        let samples: Vec<_> = Column::of(&coded.motion, marker).0.into_iter().flatten().collect();
+        samples.windows(2).map(|pair| distance(pair[0], pair[1])).sum::<f64>()
+    };
+    Ok((0..markers.len()).max_by(|&a, &b| way(a).total_cmp(&way(b))).unwrap_or(0))
+}
