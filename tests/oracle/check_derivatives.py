@@ -34,7 +34,8 @@ def run(*words):
 def read_csv(path):
     """Frames x markers x 3, NaN where there is a gap."""
     table = numpy.genfromtxt(path, delimiter=",", skip_header=1)
-    return table[:, 2:].reshape(len(table), -1, 3)
+    # The shortest digits that bring back a float32 are not its value: it has to be brought back.
+    return table[:, 2:].astype(numpy.float32).astype(numpy.float64).reshape(len(table), -1, 3)
 
 
 def runs(present):
