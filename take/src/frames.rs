@@ -176,6 +176,11 @@ pub fn mended(offset: u64) -> String {
     format!("the head of the chunk at byte {offset} is damaged; its content is whole")
 }
 
+/// What to say of bytes that are damaged.
+pub(crate) fn damaged(offset: u64, len: u64, message: &str) -> String {
+    format!("{len} bytes at byte {offset}: {message}")
+}
+
 fn describe(header: &Header, info: &mut MotionInfo) {
     info.rate_hz = header.rate_hz;
     info.up = UpAxis::from_code(header.up_axis);

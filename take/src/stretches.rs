@@ -6,6 +6,7 @@ use mocapd_codec::DecodedRows;
 
 use crate::{
     TakeError, TakeEvent, TakeReader,
+    frames::{damaged, mended},
     index::IndexEntry,
     map::TakeMap,
     reader::pull,
@@ -26,6 +27,8 @@ pub struct TakeStretches<R> {
     /// Rows before this one were read: a stretch that has some of them comes twice.
     read_to: u64,
     timeline: Option<Timeline>,
+    /// Damaged chunks are told here, because the map was made without reading them.
+    tells_damage: bool,
     /// The damage that explains a missing stretch was told.
     damage_told: bool,
     problems: Vec<String>,
@@ -47,6 +50,7 @@ impl<R: Read + Seek> TakeStretches<R> {
             decoder: StretchDecoder::new(map.header.codec()?),
             read_to: 0,
             timeline: None,
+            tells_damage: map.n_held.is_none(),
             damage_told: false,
             problems: Vec::new(),
             ended: false,
@@ -133,7 +137,15 @@ impl<R: Read + Seek> TakeStretches<R> {
                         "a stretch of {n_rows} frames, from frame {from} or later, depends on a damaged stretch"
                     ));
                 }
-                Some(TakeEvent::Damaged { .. }) => self.damage_told = true,
+                Some(TakeEvent::Damaged { offset, len, message, .. }) => {
+                    self.damage_told = true;
+                    if self.tells_damage {
+                        self.problems.push(damaged(offset, len, &message));
+                    }
+                }
+                Some(TakeEvent::Mended { offset }) if self.tells_damage => {
+                    self.problems.push(mended(offset));
+                }
                 Some(TakeEvent::End { .. }) => self.ended = true,
                 Some(_) => {}
                 None => pull(&mut self.input, &mut self.reader)?,

@@ -115,6 +115,24 @@ fn what_is_cut_or_damaged_is_scanned() {
 }
 
 #[test]
+fn damage_that_opening_passed_over_is_told_when_it_is_read() {
+    let whole = take::take("fast");
+    let last = *scanned(&whole).keys.last().unwrap();
+    for key in [scanned(&whole).keys[2], last] {
+        let mut hurt = whole.clone();
+        hurt[key.offset as usize + 40] ^= 1;
+        let map = TakeMap::open(&mut Cursor::new(&hurt)).unwrap();
+        assert!(map.problems.is_empty() && map.n_held.is_none());
+        let mut stretches = TakeStretches::new(Cursor::new(&hurt), &map).unwrap();
+        stretches.seek(key.first_row).unwrap();
+        while stretches.next_stretch().unwrap().is_some() {}
+        let told = stretches.problems();
+        let damage = format!("at byte {}: checksum", key.offset);
+        assert!(told.iter().any(|problem| problem.contains(&damage)), "{told:?}");
+    }
+}
+
+#[test]
 fn only_the_groups_that_are_wanted_have_rows() {
     let bytes =
         std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden/v6/dense-1mm.mtake"))

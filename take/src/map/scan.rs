@@ -4,8 +4,14 @@ use std::io::{Read, Seek, SeekFrom};
 
 use super::TakeMap;
 use crate::{
-    TakeError, TakeEvent, frames::mended, index::IndexEntry, motion::Foreign,
-    reader::read_events_at, stretch::Stretch, table::ChannelTable, timeline::Causes,
+    TakeError, TakeEvent,
+    frames::{damaged, mended},
+    index::IndexEntry,
+    motion::Foreign,
+    reader::read_events_at,
+    stretch::Stretch,
+    table::ChannelTable,
+    timeline::Causes,
 };
 
 pub(super) fn scan(
@@ -72,10 +78,6 @@ pub(super) fn scan(
     map.problems = before;
     map.channels = table.into_channels();
     Ok(map)
-}
-
-fn damaged(offset: u64, len: u64, message: &str) -> String {
-    format!("{len} bytes at byte {offset}: {message}")
 }
 
 impl TakeMap {

@@ -43,7 +43,7 @@ pub struct Device {
 /// The file that was imported.
 #[derive(Debug, Clone, PartialEq, Default, Encode, Decode)]
 pub struct ImportSource {
-    /// `c3d`, `trc`, `tsv`, `csv`.
+    /// `c3d`, `trc`, `tsv`, `csv`; `array` for what was in a program's memory.
     pub format: String,
     /// Its name, without folders.
     pub file: String,
