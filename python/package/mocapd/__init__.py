@@ -1,0 +1,38 @@
+"""Takes of mocapd as NumPy arrays, and arrays as takes.
+
+>>> import mocapd
+>>> take = mocapd.open("jump.take")
+>>> take.positions.shape            # frames, markers, axes; millimetres, NaN where a marker was not seen
+(1200, 15, 3)
+>>> take["LKNE"].read(start_s=2.0, stop_s=3.0)      # one marker's second
+
+Positions are float32 millimetres, right-handed, in the device's axes. Every sample lies within
+``take.header.tolerance_mm`` of what was recorded, as a distance in 3D: the encoder measured each of them.
+"""
+
+from ._arrays import compress, decompress, write_take
+from ._native import TakeError
+from ._records import ClockLine, Device, Event, Header, Ledger, LostFrames, Source, Times
+from ._take import Marker, MarkerSummary, Take, TakeWarning, open
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "ClockLine",
+    "Device",
+    "Event",
+    "Header",
+    "Ledger",
+    "LostFrames",
+    "Marker",
+    "MarkerSummary",
+    "Source",
+    "Take",
+    "TakeError",
+    "TakeWarning",
+    "Times",
+    "compress",
+    "decompress",
+    "open",
+    "write_take",
+]

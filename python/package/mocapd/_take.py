@@ -1,0 +1,450 @@
+"""A take that is open."""
+
+from __future__ import annotations
+
+import math
+import os
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Union
+
+import numpy as np
+import numpy.typing as npt
+
+from ._arrays import threads_of
+from ._native import TakeFile
+from ._records import ClockLine, Event, Header, Ledger, LostFrames, Times
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+Positions = npt.NDArray[np.float32]
+MarkerKey = Union[str, int]
+
+# Most samples that are read at once: 12 GiB. A few bytes of a damaged take can claim years of lost frames.
+_SAMPLES_MAX = 1 << 30
+
+
+class TakeWarning(UserWarning):
+    """Something of a take is missing or damaged; the words say what."""
+
+
+@dataclass(frozen=True)
+class MarkerSummary:
+    """What a whole take holds of one marker."""
+
+    label: str
+    n_samples: int
+    n_gaps: int
+    """Runs of frames without a sample, at the ends too."""
+    n_knots: int
+    """Samples that are kept; the others are interpolated between them."""
+    max_error_mm: float
+    """The largest error that the take states where it has samples of this marker."""
+
+
+def open(path: str | os.PathLike[str], *, threads: int | None = None) -> Take:
+    """Opens a take.
+
+    Nothing is decoded yet, and of a take that was finished little is read, however long it is. One that was cut
+    off, as a killed recorder leaves it, opens with a :class:`TakeWarning` that says what is missing.
+
+    Parameters
+    ----------
+    path
+        The file.
+    threads
+        How many decode; one a core, at most 8, unless given.
+
+    Raises
+    ------
+    FileNotFoundError, PermissionError, OSError
+        When the file cannot be read.
+    TakeError
+        When it is no take, of another version, or its header is damaged.
+    """
+    return Take(path, threads=threads)
+
+
+class Take:
+    """A take: trajectories of markers, when their frames were, and what became of every frame.
+
+    ``take[100:200]`` are the positions of some frames, [frames, markers, 3]; ``take["LKNE"]`` is a marker;
+    ``take[100:200, "LKNE"]`` are some frames of it, [frames, 3].
+    """
+
+    def __init__(self, path: str | os.PathLike[str], *, threads: int | None = None) -> None:
+        self.path = os.fspath(path)
+        self._threads = threads_of(threads)
+        self._file = TakeFile(path)
+        self.header: Header = Header._of(self._file.header())
+        """What it begins with: device or source, resampler, tolerance, who wrote it."""
+        self.labels: tuple[str, ...] = tuple(self._file.labels)
+        """The markers' names, in order of columns; ``u001``... for markers without one."""
+        self.n_frames: int = self._file.n_rows
+        """Frames, lost ones included."""
+        self.finished: bool = self._file.finished
+        """Whether it was closed in order; one that was not was cut off."""
+        self.problems: list[str] = []
+        """What is missing or damaged, as far as was read."""
+        self._warn(self._file.problems)
+
+    # -- what it is ----------------------------------------------------------------------------------------
+
+    @property
+    def frames(self) -> int:
+        """The same as ``n_frames``."""
+        return self.n_frames
+
+    @property
+    def n_markers(self) -> int:
+        """Markers, seen or not."""
+        return len(self.labels)
+
+    @property
+    def rate_hz(self) -> float:
+        """Frames a second."""
+        return self.header.rate_hz
+
+    @property
+    def duration_s(self) -> float:
+        """Frames / rate."""
+        return self.n_frames / self.rate_hz
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Of ``positions``: frames, markers, 3."""
+        return self.n_frames, self.n_markers, 3
+
+    def __len__(self) -> int:
+        return self.n_frames
+
+    def __repr__(self) -> str:
+        within = f"within {self.header.tolerance_mm:g} mm" if self.header.tolerance_mm else "every bit"
+        cut = "" if self.finished else ", cut off"
+        return (
+            f"<mocapd.Take {self.path!r}: {self.n_frames} frames at {self.rate_hz:g} Hz, "
+            f"{self.n_markers} markers, {within}{cut}>"
+        )
+
+    @cached_property
+    def ledger(self) -> Ledger | None:
+        """The account of every frame and sample; None where the take was cut off before the first one."""
+        fields = self._file.ledger()
+        return Ledger(**fields) if fields else None
+
+    @cached_property
+    def events(self) -> tuple[Event, ...]:
+        """Marks, triggers, sync pulses, and what device and host said, in order."""
+        events = self._file.events()
+        return tuple(Event(time_s=event["frame"] / self.rate_hz, **event) for event in events)
+
+    @cached_property
+    def clock_lines(self) -> tuple[ClockLine, ...]:
+        """How the device's clock ran against the host's, by run of the device's clock; empty for an import."""
+        return tuple(ClockLine(**line) for line in self._file.clock_lines())
+
+    # -- positions -----------------------------------------------------------------------------------------
+
+    @cached_property
+    def positions(self) -> Positions:
+        """All positions: float32 [frames, markers, 3], millimetres, NaN where a marker was not seen or a frame lost.
+
+        Decoded once and kept; :meth:`read` decodes a part and keeps nothing.
+        """
+        return self.read()
+
+    def read(
+        self,
+        start_s: float | None = None,
+        stop_s: float | None = None,
+        markers: Sequence[MarkerKey] | MarkerKey | None = None,
+        *,
+        start_frame: int | None = None,
+        stop_frame: int | None = None,
+    ) -> Positions:
+        """Positions of a part: float32 [frames, markers, 3], millimetres, NaN where there is no sample.
+
+        Only what is asked for is read and decoded: from the key before it on, at most ten seconds earlier, and of
+        the groups of 64 markers those that are wanted.
+
+        Parameters
+        ----------
+        start_s, stop_s
+            Seconds from the first frame: frames at or after ``start_s``, and before ``stop_s``.
+        markers
+            Labels or columns, in the order wanted; all of them unless given. A single one keeps its axis.
+        start_frame, stop_frame
+            The same by frames, instead of seconds.
+
+        Raises
+        ------
+        KeyError
+            For a marker that is not in the take.
+        ValueError
+            For a time that is none, or more than 2^30 samples at once.
+        """
+        first = self._frame(start_s, start_frame, 0)
+        stop = max(first, self._frame(stop_s, stop_frame, self.n_frames))
+        columns = self._columns(markers)
+        return self._read(first, stop, columns)
+
+    def __getitem__(self, key: object) -> Marker | Positions:
+        if isinstance(key, str):
+            return self.marker(key)
+        frames, markers = key if isinstance(key, tuple) and len(key) == 2 else (key, None)
+        rows = self._slice(frames)
+        one = isinstance(markers, (str, int, np.integer))
+        found = self._read(min(rows.start, rows.stop), rows.stop, self._columns(markers))  # type: ignore[arg-type]
+        found = found[:: rows.step]
+        return found[:, 0] if one else found
+
+    def marker(self, key: MarkerKey) -> Marker:
+        """One marker, by label or column.
+
+        Raises
+        ------
+        KeyError
+            When there is none, or several, of that name.
+        """
+        return Marker(self, self._columns(key)[0])
+
+    @property
+    def markers(self) -> list[Marker]:
+        """Every marker, in order of columns."""
+        return [Marker(self, column) for column in range(self.n_markers)]
+
+    def __iter__(self) -> Iterator[Marker]:
+        return iter(self.markers)
+
+    def __contains__(self, label: object) -> bool:
+        return label in self.labels
+
+    # -- what is kept, when, and what is lost --------------------------------------------------------------
+
+    @cached_property
+    def summary(self) -> dict[str, MarkerSummary]:
+        """By label, what the whole take holds of each marker; decodes it once. Of two markers of one name the
+        later one has its column behind it: ``LKNE#7``.
+        """
+        columns = list(range(self.n_markers))
+        found, problems = self._file.survey(columns, False, self._threads)
+        self._warn(problems)
+        out: dict[str, MarkerSummary] = {}
+        for column, (label, (samples, gaps, knots, error_mm, _)) in enumerate(zip(self.labels, found)):
+            name = f"{label}#{column}" if label in out else label
+            out[name] = MarkerSummary(label, samples, gaps, knots, error_mm)
+        return out
+
+    def knots(self, markers: Sequence[MarkerKey] | MarkerKey | None = None) -> list[npt.NDArray[np.int64]]:
+        """The frames whose samples are kept, of each marker: what ``mocapd info`` counts as knots."""
+        found, problems = self._file.survey(self._columns(markers), True, self._threads)
+        self._warn(problems)
+        return [knots for *_, knots in found]
+
+    def times(self, start_s: float | None = None, stop_s: float | None = None) -> Times:
+        """When frames were, by the device's clock and by the host's, where the take has them."""
+        first, stop = self._frame(start_s, None, 0), self._frame(stop_s, None, self.n_frames)
+        stop = max(first, stop)
+        frame = np.arange(first, stop, dtype=np.int64)
+        nominal_s = frame / self.rate_hz
+        device = self.header.device
+        if device is None:
+            return Times(frame, nominal_s, None, None, None, None)
+        ticks, arrival_ns, recorded, _ = self._file.times(first, stop)
+        device_s = np.where(recorded, ticks / float(max(device.tick_hz, 1)), np.nan)
+        host_s = np.where(recorded, arrival_ns / 1e9, np.nan)
+        return Times(frame, nominal_s, device_s, host_s, ticks, recorded)
+
+    @cached_property
+    def lost(self) -> tuple[LostFrames, ...]:
+        """Frames that are not in the take, with their causes. Where a frame is there and a marker NaN, the marker
+        was not seen.
+        """
+        return tuple(LostFrames(*lost) for lost in self._file.times(0, self.n_frames)[3])
+
+    # -- to other libraries --------------------------------------------------------------------------------
+
+    def to_xarray(
+        self,
+        start_s: float | None = None,
+        stop_s: float | None = None,
+        markers: Sequence[MarkerKey] | MarkerKey | None = None,
+    ) -> xarray.DataArray:
+        """As an ``xarray.DataArray`` with the dimensions time (seconds), marker and axis.
+
+        Raises
+        ------
+        ImportError
+            Without xarray: ``pip install mocapd[xarray]``.
+        """
+        try:
+            import xarray
+        except ImportError as error:
+            raise ImportError("to_xarray() needs xarray: pip install 'mocapd[xarray]'") from error
+        values, columns, time_s = self._part(start_s, stop_s, markers)
+        attributes = {"units": "mm", "rate_hz": self.rate_hz, "tolerance_mm": self.header.tolerance_mm}
+        return xarray.DataArray(
+            values,
+            dims=("time", "marker", "axis"),
+            coords={
+                "time": ("time", time_s, {"units": "s"}),
+                "marker": [self.labels[column] for column in columns],
+                "axis": list("xyz"),
+            },
+            name="position",
+            attrs=attributes,
+        )
+
+    def to_pandas(
+        self,
+        start_s: float | None = None,
+        stop_s: float | None = None,
+        markers: Sequence[MarkerKey] | MarkerKey | None = None,
+    ) -> pandas.DataFrame:
+        """As a ``pandas.DataFrame``: a row a frame by time in seconds, columns (marker, axis), millimetres.
+
+        Raises
+        ------
+        ImportError
+            Without pandas: ``pip install mocapd[pandas]``.
+        """
+        try:
+            import pandas
+        except ImportError as error:
+            raise ImportError("to_pandas() needs pandas: pip install 'mocapd[pandas]'") from error
+        values, columns, time_s = self._part(start_s, stop_s, markers)
+        names = [(self.labels[column], axis) for column in columns for axis in "xyz"]
+        return pandas.DataFrame(
+            values.reshape(len(values), -1),
+            index=pandas.Index(time_s, name="time_s"),
+            columns=pandas.MultiIndex.from_tuples(names, names=["marker", "axis"]),
+        )
+
+    # -- the ways there ------------------------------------------------------------------------------------
+
+    def _part(
+        self, start_s: float | None, stop_s: float | None, markers: Sequence[MarkerKey] | MarkerKey | None
+    ) -> tuple[Positions, list[int], npt.NDArray[np.float64]]:
+        first = self._frame(start_s, None, 0)
+        stop = max(first, self._frame(stop_s, None, self.n_frames))
+        columns = self._columns(markers)
+        return self._read(first, stop, columns), columns, np.arange(first, stop) / self.rate_hz
+
+    def _read(self, first: int, stop: int, columns: list[int]) -> Positions:
+        if (stop - first) * len(columns) > _SAMPLES_MAX:
+            raise ValueError(
+                f"{stop - first} frames of {len(columns)} markers are more than fit at once: give start_s and stop_s"
+            )
+        if "positions" in self.__dict__:
+            return self.positions[first:stop, columns]
+        out = np.empty((stop - first, len(columns), 3), dtype=np.float32)
+        self._warn(self._file.read_into(out, first, columns, self._threads))
+        return out
+
+    def _warn(self, problems: list[str]) -> None:
+        for problem in problems:
+            if problem in self.problems:
+                continue
+            self.problems.append(problem)
+            if "cut off" in problem:
+                problem += (
+                    f"; {self.n_frames} frames ({self.n_frames / self.rate_hz:.3f} s) are here. "
+                    "`mocapd recover` makes a whole take of them"
+                )
+            warnings.warn(f"{self.path}: {problem}", TakeWarning, stacklevel=4)
+
+    def _frame(self, time_s: float | None, frame: int | None, default: int) -> int:
+        if time_s is not None and frame is not None:
+            raise ValueError("a time and a frame were given for one end: choose one of them")
+        if frame is not None:
+            if frame < 0:
+                raise ValueError(f"frame {frame}: frames count from 0")
+            return min(int(frame), self.n_frames)
+        if time_s is None:
+            return default
+        if not time_s >= 0:
+            raise ValueError(f"a time of {time_s} s: times count from the first frame")
+        # The first frame at or after it; a time that is a frame's own but for its last digits is that frame's.
+        at = min(time_s * self.rate_hz, float(self.n_frames))
+        nearest = round(at)
+        found = nearest if abs(at - nearest) <= 1e-9 * max(at, 1.0) else math.ceil(at)
+        return min(found, self.n_frames)
+
+    def _slice(self, key: object) -> slice:
+        if isinstance(key, slice):
+            start, stop, step = key.indices(self.n_frames)
+            if step < 0:
+                raise ValueError("frames are read forwards: turn the array round instead")
+            return slice(start, max(start, stop), step)
+        if isinstance(key, (int, np.integer)):
+            raise TypeError(f"take[{key}]: for one frame use take[{key}:{key + 1}], for a marker take.marker({key})")
+        raise TypeError(f"take[{key!r}]: use a label, a slice of frames, or both")
+
+    def _columns(self, markers: Sequence[MarkerKey] | MarkerKey | None) -> list[int]:
+        if markers is None:
+            return list(range(self.n_markers))
+        if isinstance(markers, (str, int, np.integer)):
+            markers = [markers]
+        return [self._column(marker) for marker in markers]
+
+    def _column(self, marker: MarkerKey) -> int:
+        if isinstance(marker, (int, np.integer)):
+            if not 0 <= marker < self.n_markers:
+                raise KeyError(f"there is no marker {marker}: the take has {self.n_markers}")
+            return int(marker)
+        found = [column for column, label in enumerate(self.labels) if label == marker]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            raise KeyError(f"{len(found)} markers are called {marker!r}: use one of their columns, {found}")
+        raise KeyError(f"no marker is called {marker!r}; there are {', '.join(self.labels[:20])}...")
+
+
+class Marker:
+    """One marker of a take; ``marker[100:200]`` are some frames of it, [frames, 3]."""
+
+    def __init__(self, take: Take, column: int) -> None:
+        self.take = take
+        self.column = column
+        self.label: str = take.labels[column]
+
+    def __repr__(self) -> str:
+        return f"<mocapd.Marker {self.label!r} of {self.take.path!r}>"
+
+    @cached_property
+    def positions(self) -> Positions:
+        """All of its positions: float32 [frames, 3], millimetres, NaN where there is no sample."""
+        return self.read()
+
+    def read(self, start_s: float | None = None, stop_s: float | None = None) -> Positions:
+        """Some of its positions: float32 [frames, 3], millimetres."""
+        return self.take.read(start_s, stop_s, self.column)[:, 0]
+
+    def __getitem__(self, frames: slice) -> Positions:
+        found = self.take[frames, self.column]
+        assert isinstance(found, np.ndarray)
+        return found
+
+    @cached_property
+    def knots(self) -> npt.NDArray[np.int64]:
+        """The frames whose samples are kept; the others are interpolated between them."""
+        return self.take.knots(self.column)[0]
+
+    @property
+    def n_knots(self) -> int:
+        """How many samples are kept."""
+        return len(self.knots)
+
+    @property
+    def knot_times_s(self) -> npt.NDArray[np.float64]:
+        """The times of the kept samples, in seconds from the first frame."""
+        return self.knots / self.take.rate_hz
+
+    @property
+    def max_error_mm(self) -> float:
+        """The largest error that the take states where it has samples of this marker."""
+        return list(self.take.summary.values())[self.column].max_error_mm

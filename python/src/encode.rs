@@ -1,0 +1,142 @@
+//! Arrays into takes.
+
+use std::thread;
+
+use mocapd_codec::{Settings, Tolerance};
+use mocapd_take::{
+    motion::{Marker, Motion, MotionInfo, Position},
+    record::{CODEC_VERSION, Header, ImportSource},
+    whole::{self, Coded, Part, Plan, WholeWriter},
+};
+use numpy::{PyReadonlyArray3, PyUntypedArrayMethods};
+use pyo3::{prelude::*, types::PyBytes};
+
+use crate::errors::{Failure, detached};
+
+/// What a take says wrote it.
+const SOFTWARE: &str = concat!("mocapd-python ", env!("CARGO_PKG_VERSION"));
+
+/// Most markers of a take: their ids have 16 bits.
+const MARKERS_MAX: usize = 1 << 16;
+
+/// The bytes of a take of `positions`, float32 [frames, markers, 3] in millimetres, NaN where there is no sample.
+/// `tolerance_mm` of None keeps every bit.
+#[pyfunction]
+#[expect(clippy::too_many_arguments, reason = "named, in Python")]
+pub(crate) fn encode<'py>(
+    py: Python<'py>,
+    positions: PyReadonlyArray3<'py, f32>,
+    labels: Vec<(String, bool)>,
+    rate_hz: f64,
+    tolerance_mm: Option<f64>,
+    resampler: &str,
+    up_axis: u8,
+    threads: usize,
+) -> PyResult<Bound<'py, PyBytes>> {
+    let [n_rows, n_markers, axes] = *positions.shape() else {
+        return Err(Failure::Value("the array must be [frames, markers, 3]".into()).into());
+    };
+    if axes != 3 || labels.len() != n_markers || n_markers > MARKERS_MAX {
+        let message = format!(
+            "[{n_rows}, {n_markers}, {axes}] with {} labels: it must be [frames, markers, 3], with a label a marker, and at most {MARKERS_MAX} of them",
+            labels.len()
+        );
+        return Err(Failure::Value(message).into());
+    }
+    let values = positions
+        .as_slice()
+        .map_err(|_| Failure::Value("the array must be contiguous, in C order".into()))?;
+    let take = detached(py, || {
+        let kind = resampler.parse()?;
+        let tolerance = Tolerance::from_mm(tolerance_mm.unwrap_or(Tolerance::MAX_MM))?;
+        let mut header = header(&Settings { kind, tolerance }, rate_hz, up_axis.min(3));
+        let motion = motion(values, n_rows, labels, rate_hz)?;
+        header.channels = whole::channels(&motion.info.markers);
+        let codec = header.codec()?;
+        header.stretch_rows = whole::stretch_rows(&codec, rate_hz, n_rows, n_markers) as u32;
+        header.check()?;
+        let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+        header.set_import_id(&bytes)?;
+        drop(bytes);
+        write(&motion, &header, threads)
+    })?;
+    Ok(PyBytes::new(py, &take))
+}
+
+fn header(codec: &Settings, rate_hz: f64, up_axis: u8) -> Header {
+    let mut header = Header {
+        software: SOFTWARE.to_owned(),
+        take_id: [0; 16],
+        created_unix_ms: 0,
+        resampler: String::new(),
+        codec_version: CODEC_VERSION,
+        tolerance_mm: 0.0,
+        rate_hz,
+        up_axis,
+        device: None,
+        source: Some(ImportSource {
+            format: "array".to_owned(),
+            unit: "mm".to_owned(),
+            factor: 1.0,
+            first_frame: 1,
+            ..ImportSource::default()
+        }),
+        channels: Vec::new(),
+        stretch_rows: 0,
+        settings: Vec::new(),
+    };
+    header.set_codec(codec);
+    header
+}
+
+fn motion(
+    values: &[f32],
+    n_rows: usize,
+    labels: Vec<(String, bool)>,
+    rate_hz: f64,
+) -> Result<Motion, Failure> {
+    let (positions, _) = values.as_chunks::<3>();
+    let is_half = |position: &Position| {
+        let missing = position.iter().filter(|value| value.is_nan()).count();
+        (missing != 0 && missing != 3) || position.iter().any(|value| value.is_infinite())
+    };
+    if let Some(place) = positions.iter().position(is_half) {
+        let (row, column) = (place / labels.len(), place % labels.len());
+        return Err(Failure::Value(format!(
+            "frame {row}, marker {column} is {:?}: a sample is three finite numbers, a gap three NaN",
+            positions[place]
+        )));
+    }
+    let marker = |(label, labelled): (String, bool)| Marker { label, labelled };
+    Ok(Motion {
+        info: MotionInfo {
+            rate_hz,
+            n_frames: n_rows as u64,
+            markers: labels.into_iter().map(marker).collect(),
+            ..MotionInfo::default()
+        },
+        positions_mm: positions.to_vec(),
+    })
+}
+
+/// As many parts at a time as there are threads: the bytes are the same for any number.
+fn write(motion: &Motion, header: &Header, threads: usize) -> Result<Vec<u8>, Failure> {
+    let plan = Plan::new(motion, header)?;
+    let mut take = WholeWriter::new(&plan, header, Vec::new())?;
+    let mut encoders: Vec<_> = (0..threads.max(1)).map(|_| plan.encoder()).collect();
+    let parts: Vec<Part> = plan.parts().collect();
+    for parts in parts.chunks(encoders.len()) {
+        let coded: Vec<Coded> = thread::scope(|scope| {
+            let work = encoders.iter_mut().zip(parts);
+            let threads: Vec<_> =
+                work.map(|(encoder, &part)| scope.spawn(move || encoder.encode(part))).collect();
+            let done = threads.into_iter().map(|thread| thread.join());
+            done.map(|coded| Ok(coded.map_err(|_| Failure::Internal)??))
+                .collect::<Result<_, Failure>>()
+        })?;
+        for (part, coded) in parts.iter().zip(&coded) {
+            take.push(*part, coded)?;
+        }
+    }
+    Ok(take.finish()?.1)
+}

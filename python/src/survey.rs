@@ -1,0 +1,102 @@
+//! What a whole take holds of each marker: samples, gaps, knots, and the error that is stated.
+
+use mocapd_take::TakeMap;
+
+use crate::{
+    errors::Failure,
+    pieces::{Walk, cut, groups, on_threads},
+    source::Source,
+};
+
+/// One marker, over the whole take.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Column {
+    /// Samples present.
+    pub(crate) samples: u64,
+    /// Runs of rows without a sample, at the ends too.
+    pub(crate) gaps: u64,
+    /// Samples that are kept.
+    pub(crate) n_knots: u64,
+    /// The largest error that blocks with samples of it state.
+    pub(crate) max_error_mm: f64,
+    /// The rows of the knots, where they are asked for.
+    pub(crate) knots: Vec<i64>,
+    begins_in_gap: bool,
+    in_gap: bool,
+}
+
+impl Column {
+    fn absent(&mut self, at_start: bool) {
+        self.gaps += u64::from(at_start || !self.in_gap);
+        self.begins_in_gap |= at_start;
+        self.in_gap = true;
+    }
+
+    /// A piece that lies behind this one.
+    fn append(&mut self, next: Self) {
+        self.samples += next.samples;
+        self.gaps += next.gaps - u64::from(self.in_gap && next.begins_in_gap);
+        self.n_knots += next.n_knots;
+        self.max_error_mm = self.max_error_mm.max(next.max_error_mm);
+        self.knots.extend_from_slice(&next.knots);
+        self.in_gap = next.in_gap;
+    }
+}
+
+/// Of `columns`, in their order; their knots only `with_knots`.
+pub(crate) fn survey(
+    source: &Source,
+    map: &TakeMap,
+    columns: &[usize],
+    with_knots: bool,
+    threads: usize,
+) -> Result<(Vec<Column>, Vec<String>), Failure> {
+    let pieces = cut(map, &(0..map.n_rows), threads);
+    let walk = || Walk::new(source, map, groups(columns.iter().copied()));
+    let (pieces, problems) = on_threads(pieces, threads, walk, |walk, rows| {
+        let mut found = vec![Column::default(); columns.len()];
+        let mut at = rows.start;
+        let problems = walk.piece(&rows, |stretches, held, offset| {
+            let n = (held.end - held.start) as usize;
+            for (column, &place) in found.iter_mut().zip(columns) {
+                if held.start > at {
+                    column.absent(at == rows.start);
+                }
+                let first = held.start == rows.start;
+                let seen = Walk::column(stretches, place).filter(|seen| seen.has_samples());
+                let Some(seen) = seen else {
+                    column.absent(first);
+                    continue;
+                };
+                column.max_error_mm = column.max_error_mm.max(seen.max_error_mm);
+                for i in 0..n {
+                    if !seen.present[offset + i] {
+                        column.absent(first && i == 0);
+                        continue;
+                    }
+                    column.in_gap = false;
+                    column.samples += 1;
+                    if seen.kept[offset + i] {
+                        column.n_knots += 1;
+                        if with_knots {
+                            column.knots.push((held.start + i as u64).cast_signed());
+                        }
+                    }
+                }
+            }
+            at = held.end;
+        })?;
+        if rows.end > at {
+            found.iter_mut().for_each(|column| column.absent(at == rows.start));
+        }
+        Ok((found, problems))
+    })?;
+    let mut whole: Option<Vec<Column>> = None;
+    for piece in pieces {
+        match &mut whole {
+            None => whole = Some(piece),
+            Some(whole) => whole.iter_mut().zip(piece).for_each(|(one, next)| one.append(next)),
+        }
+    }
+    Ok((whole.unwrap_or_else(|| vec![Column::default(); columns.len()]), problems))
+}

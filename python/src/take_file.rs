@@ -1,0 +1,289 @@
+//! `TakeFile`: a take that is open, as `mocapd.Take` uses it.
+
+use std::{ops::Range, path::PathBuf, sync::Arc};
+
+use mocapd_take::{TakeMap, record::EventKind, timeline::Causes};
+use numpy::{IntoPyArray, PyArray1, PyReadwriteArray3, PyUntypedArrayMethods};
+use pyo3::{
+    exceptions::PyOSError,
+    prelude::*,
+    types::{PyBytes, PyDict, PyList},
+};
+
+use crate::{
+    errors::{Failure, detached},
+    read::read,
+    source::Source,
+    survey::survey,
+    times::times,
+};
+
+/// A take that is open, by rows and columns.
+#[pyclass(frozen, module = "mocapd._native")]
+pub(crate) struct TakeFile {
+    source: Source,
+    map: TakeMap,
+}
+
+const EISDIR: i32 = 21;
+
+/// Device ticks, arrivals in nanoseconds, and whether a row was recorded; then lost rows as (first, count, cause).
+type TimesOut<'py> = (
+    Bound<'py, PyArray1<u64>>,
+    Bound<'py, PyArray1<u64>>,
+    Bound<'py, PyArray1<bool>>,
+    Vec<(u64, u64, String)>,
+);
+
+/// By column: samples, gaps, knots, the largest stated error in millimetres, and the rows of the knots.
+type SurveyOut<'py> = Vec<(u64, u64, u64, f64, Bound<'py, PyArray1<i64>>)>;
+
+#[pymethods]
+impl TakeFile {
+    #[new]
+    fn open(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        let open = || Source::open(&path);
+        let source = py.detach(open).map_err(|error| {
+            // With its number it becomes FileNotFoundError and the like; EISDIR is what Linux says of a folder.
+            let code = error.raw_os_error().unwrap_or(EISDIR);
+            let words = error.to_string();
+            let words = words.split(" (os error").next().unwrap_or_default().to_owned();
+            PyOSError::new_err((code, words, path.to_string_lossy().into_owned()))
+        })?;
+        Self::of(py, source)
+    }
+
+    /// A take in memory.
+    #[staticmethod]
+    fn from_bytes(py: Python<'_>, bytes: &Bound<'_, PyBytes>) -> PyResult<Self> {
+        Self::of(py, Source::Bytes(Arc::from(bytes.as_bytes())))
+    }
+
+    #[getter]
+    fn n_rows(&self) -> u64 {
+        self.map.n_rows
+    }
+
+    #[getter]
+    fn labels(&self) -> Vec<String> {
+        self.map.channels.iter().map(|channel| channel.label.clone()).collect()
+    }
+
+    #[getter]
+    fn finished(&self) -> bool {
+        self.map.finished
+    }
+
+    #[getter]
+    fn problems(&self) -> Vec<String> {
+        self.map.problems.clone()
+    }
+
+    /// The header as a dict.
+    fn header<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let header = &self.map.header;
+        let out = PyDict::new(py);
+        out.set_item("software", &header.software)?;
+        out.set_item("take_id", PyBytes::new(py, &header.take_id))?;
+        out.set_item("created_unix_ms", header.created_unix_ms)?;
+        out.set_item("resampler", &header.resampler)?;
+        out.set_item("tolerance_mm", header.tolerance_mm)?;
+        out.set_item("rate_hz", header.rate_hz)?;
+        let up = match header.up_axis {
+            1 => Some("x"),
+            2 => Some("y"),
+            3 => Some("z"),
+            _ => None,
+        };
+        out.set_item("up_axis", up)?;
+        out.set_item("settings", header.settings.to_vec())?;
+        let device = header.device.as_ref().map(|device| {
+            let dict = PyDict::new(py);
+            dict.set_item("driver", &device.driver)?;
+            dict.set_item("uri", &device.uri)?;
+            dict.set_item("model", &device.model)?;
+            dict.set_item("serial", &device.serial)?;
+            dict.set_item("firmware", &device.firmware)?;
+            dict.set_item("tick_hz", device.tick_hz)?;
+            dict.set_item("low_latency", device.low_latency)?;
+            Ok::<_, PyErr>(dict)
+        });
+        out.set_item("device", device.transpose()?)?;
+        let source = header.source.as_ref().map(|source| {
+            let dict = PyDict::new(py);
+            dict.set_item("format", &source.format)?;
+            dict.set_item("file", &source.file)?;
+            dict.set_item("unit", &source.unit)?;
+            dict.set_item("factor_to_mm", source.factor)?;
+            dict.set_item("first_frame", source.first_frame)?;
+            dict.set_item("warnings", &source.warnings)?;
+            Ok::<_, PyErr>(dict)
+        });
+        out.set_item("source", source.transpose()?)?;
+        Ok(out)
+    }
+
+    /// By channel, whether its name came from the device or file.
+    fn labelled(&self) -> Vec<bool> {
+        self.map.channels.iter().map(|channel| channel.labelled).collect()
+    }
+
+    /// The last ledger as a dict, or None.
+    fn ledger<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyDict>>> {
+        let Some(ledger) = &self.map.ledger else { return Ok(None) };
+        let out = PyDict::new(py);
+        out.set_item("finished", ledger.finished)?;
+        for (name, count) in [
+            ("frames_sent", ledger.frames_sent),
+            ("recorded", ledger.recorded),
+            ("lost_on_link", ledger.lost_on_link),
+            ("dropped_by_device", ledger.dropped_by_device),
+            ("lost_ring_full", ledger.lost_ring_full),
+            ("lost_other", ledger.lost_other),
+            ("duplicates", ledger.duplicates),
+            ("unknown_after_disconnect", ledger.unknown_after_disconnect),
+            ("samples_announced", ledger.samples_announced),
+            ("samples_present", ledger.samples_present),
+            ("samples_occluded", ledger.samples_occluded),
+            ("samples_not_finite", ledger.samples_not_finite),
+            ("markers_dropped", ledger.markers_dropped),
+            ("link_bytes", ledger.link_bytes),
+            ("link_bytes_skipped", ledger.link_bytes_skipped),
+            ("link_messages", ledger.link_messages),
+            ("link_messages_damaged", ledger.link_messages_damaged),
+            ("link_messages_unknown", ledger.link_messages_unknown),
+        ] {
+            out.set_item(name, count)?;
+        }
+        out.set_item("contradictions", &ledger.contradictions)?;
+        out.set_item("closes", ledger.closes())?;
+        Ok(Some(out))
+    }
+
+    /// The events, each as a dict.
+    fn events<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+        let out = PyList::empty(py);
+        for event in &self.map.events {
+            let dict = PyDict::new(py);
+            let kind = match event.kind {
+                EventKind::Mark => "mark",
+                EventKind::Trigger => "trigger",
+                EventKind::SyncPulse => "sync pulse",
+                EventKind::Device => "device",
+                EventKind::Host => "host",
+            };
+            dict.set_item("kind", kind)?;
+            dict.set_item("frame", event.row)?;
+            dict.set_item("device_ticks", event.device_ticks)?;
+            dict.set_item("host_ns", event.host_ns)?;
+            dict.set_item("input", event.input)?;
+            dict.set_item("text", &event.text)?;
+            out.append(dict)?;
+        }
+        Ok(out)
+    }
+
+    /// The lines from the device's clock to the host's, each as a dict.
+    fn clock_lines<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+        let out = PyList::empty(py);
+        for (segment, line) in &self.map.clock_lines {
+            let dict = PyDict::new(py);
+            dict.set_item("segment", segment)?;
+            dict.set_item("device_ticks", line.device_ticks)?;
+            dict.set_item("host_ns", line.host_ns)?;
+            dict.set_item("drift_ppm", line.drift_ppb as f64 / 1e3)?;
+            dict.set_item("bound_us", line.bound.map(|bound| bound.offset_us))?;
+            out.append(dict)?;
+        }
+        Ok(out)
+    }
+
+    /// Fills `out`, float32 [stop - first, columns, 3], with millimetres, NaN where there is no sample. Gives what
+    /// could not be decoded, in words.
+    fn read_into(
+        &self,
+        py: Python<'_>,
+        mut out: PyReadwriteArray3<'_, f32>,
+        first: u64,
+        columns: Vec<usize>,
+        threads: usize,
+    ) -> PyResult<Vec<String>> {
+        let n_rows = out.shape()[0] as u64;
+        if out.shape()[1..] != [columns.len(), 3] {
+            return Err(Failure::Value("the array must be [frames, markers, 3]".into()).into());
+        }
+        let rows = self.rows(first, first.saturating_add(n_rows))?;
+        self.check(&columns)?;
+        let out = out
+            .as_slice_mut()
+            .map_err(|_| Failure::Value("the array must be contiguous, in C order".into()))?;
+        detached(py, || read(&self.source, &self.map, rows, &columns, threads, out))
+    }
+
+    /// Of every column asked for, over the whole take: what [`SurveyOut`] has; and what could not be decoded.
+    fn survey<'py>(
+        &self,
+        py: Python<'py>,
+        columns: Vec<usize>,
+        with_knots: bool,
+        threads: usize,
+    ) -> PyResult<(SurveyOut<'py>, Vec<String>)> {
+        self.check(&columns)?;
+        let (found, problems) =
+            detached(py, || survey(&self.source, &self.map, &columns, with_knots, threads))?;
+        let out = found.into_iter().map(|column| {
+            let knots = column.knots.into_pyarray(py);
+            (column.samples, column.gaps, column.n_knots, column.max_error_mm, knots)
+        });
+        Ok((out.collect(), problems))
+    }
+
+    /// Of the rows from `first` to before `stop`: what [`TimesOut`] has; the arrays are empty for an import.
+    fn times<'py>(&self, py: Python<'py>, first: u64, stop: u64) -> PyResult<TimesOut<'py>> {
+        let rows = self.rows(first, stop)?;
+        let found = detached(py, || times(&self.source, &self.map, &rows))?;
+        let lost = found.lost.into_iter().map(|(first, n, causes)| (first, n, words(causes)));
+        Ok((
+            found.device_ticks.into_pyarray(py),
+            found.arrival_ns.into_pyarray(py),
+            found.recorded.into_pyarray(py),
+            lost.collect(),
+        ))
+    }
+}
+
+impl TakeFile {
+    fn of(py: Python<'_>, source: Source) -> PyResult<Self> {
+        let map = detached(py, || Ok(TakeMap::open(&mut source.reader())?))?;
+        Ok(Self { source, map })
+    }
+
+    fn rows(&self, first: u64, stop: u64) -> Result<Range<u64>, Failure> {
+        if first <= stop && stop <= self.map.n_rows {
+            return Ok(first..stop);
+        }
+        let n_rows = self.map.n_rows;
+        Err(Failure::Value(format!("frames {first} to {stop} of a take of {n_rows}")))
+    }
+
+    fn check(&self, columns: &[usize]) -> Result<(), Failure> {
+        let n = self.map.channels.len();
+        match columns.iter().find(|&&column| column >= n) {
+            Some(column) => Err(Failure::Value(format!("column {column} of {n}"))),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Why rows are empty.
+fn words(causes: Causes) -> String {
+    let all = [
+        (Causes::NOT_RECEIVED, "not received"),
+        (Causes::RING_FULL, "ring full"),
+        (Causes::DISCONNECTED, "disconnected"),
+        (Causes::DAMAGED, "damaged"),
+    ];
+    let said = all.iter().filter(|(cause, _)| causes.contains(*cause)).map(|(_, words)| *words);
+    let said: Vec<_> = said.collect();
+    if said.is_empty() { "unknown".to_owned() } else { said.join(", ") }
+}

@@ -1,0 +1,74 @@
+"""Motion that is made here, takes of it, and the program, where there is one."""
+
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mocapd
+
+RATE_HZ = 120.0
+
+
+def make_motion(frames, markers, seed=7):
+    """Swings with noise of 0.05 mm; some markers hidden for a while, one always."""
+    random = np.random.default_rng(seed)
+    t = np.arange(frames)[:, None, None] / RATE_HZ
+    swing = random.uniform(20, 300, (1, markers, 3))
+    speed = random.uniform(0.5, 6, (1, markers, 3))
+    phase = random.uniform(0, 6, (1, markers, 3))
+    positions = 900 + swing * np.sin(speed * t + phase) + random.normal(0, 0.05, (frames, markers, 3))
+    for marker in range(0, markers - 1, 3):
+        start = int(random.integers(0, max(1, frames - 40)))
+        positions[start : start + int(random.integers(1, 40)), marker] = np.nan
+    positions[:, markers - 1] = np.nan
+    return positions.astype(np.float32)
+
+
+@pytest.fixture(scope="session")
+def motion():
+    """35 s of 70 markers: two groups, four keys."""
+    return make_motion(4200, 70)
+
+
+@pytest.fixture(scope="session")
+def labels(motion):
+    return [f"M{column:02}" for column in range(motion.shape[1])]
+
+
+@pytest.fixture(scope="session")
+def path(motion, labels, tmp_path_factory):
+    to = tmp_path_factory.mktemp("takes") / "made.take"
+    mocapd.write_take(to, motion, labels, RATE_HZ, 0.5, up_axis="z")
+    return to
+
+
+@pytest.fixture(scope="session")
+def program():
+    """The command line, in the variable MOCAPD."""
+    if not os.environ.get("MOCAPD"):
+        pytest.skip("MOCAPD does not name the program")
+    return Path(os.environ["MOCAPD"]).resolve()
+
+
+@pytest.fixture(scope="session")
+def recorded(program, tmp_path_factory):
+    """A take that was recorded from a simulated device."""
+    folder = tmp_path_factory.mktemp("demo")
+    run(program, "demo", "--seconds", "12", "--out", folder / "out")
+    return folder / "out" / "jump-001.take"
+
+
+def run(*command):
+    done = subprocess.run([str(word) for word in command], capture_output=True, text=True)
+    assert done.returncode in (0, 3), done.stderr
+    return done.stdout
+
+
+def error_mm(found, original):
+    """The largest distance of samples, all of which must be there, and no others."""
+    assert np.array_equal(np.isnan(found), np.isnan(original))
+    apart = np.linalg.norm(found.astype(np.float64) - original, axis=-1)
+    return float(np.nanmax(apart)) if np.isfinite(apart).any() else 0.0
