@@ -10,12 +10,14 @@ Positions are float32 millimetres, right-handed, in the device's axes. Every sam
 ``take.header.tolerance_mm`` of what was recorded, as a distance in 3D: the encoder measured each of them.
 """
 
+from importlib.metadata import version
+
 from ._arrays import compress, decompress, write_take
 from ._native import TakeError
 from ._records import ClockLine, Device, Event, Header, Ledger, LostFrames, Source, Times
 from ._take import Marker, MarkerSummary, Take, TakeWarning, open
 
-__version__ = "0.1.0"
+__version__ = version("mocapd")
 
 __all__ = [
     "ClockLine",

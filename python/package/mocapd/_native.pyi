@@ -1,11 +1,14 @@
 import os
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 import numpy.typing as npt
 
+__all__ = ["TakeError", "TakeFile", "encode"]
+
 class TakeError(Exception): ...
 
+@final
 class TakeFile:
     def __new__(cls, path: str | os.PathLike[str]) -> TakeFile: ...
     @staticmethod

@@ -198,7 +198,7 @@ class Take:
         frames, markers = key if isinstance(key, tuple) and len(key) == 2 else (key, None)
         rows = self._slice(frames)
         one = isinstance(markers, (str, int, np.integer))
-        found = self._read(min(rows.start, rows.stop), rows.stop, self._columns(markers))  # type: ignore[arg-type]
+        found = self._read(min(rows.start, rows.stop), rows.stop, self._columns(markers))
         found = found[:: rows.step]
         return found[:, 0] if one else found
 
