@@ -14,7 +14,10 @@ pub(super) fn input_format(path: &Path) -> anyhow::Result<Format> {
     if path.is_dir() {
         bail!("{} is a folder, not a file", path.display());
     }
-    Format::from_extension(path).ok_or_else(|| unknown_ending(path, ".c3d, .trc, .tsv or .csv"))
+    let is_read = |format: &Format| !matches!(format, Format::Parquet | Format::Mcap);
+    Format::from_extension(path)
+        .filter(is_read)
+        .ok_or_else(|| unknown_ending(path, ".c3d, .trc, .tsv or .csv"))
 }
 
 /// The format of a file to write, by its ending.
@@ -24,7 +27,7 @@ pub(super) fn input_format(path: &Path) -> anyhow::Result<Format> {
 pub(super) fn output_format(path: &Path) -> anyhow::Result<Format> {
     Format::from_extension(path)
         .filter(|&format| format != Format::Tsv)
-        .ok_or_else(|| unknown_ending(path, ".c3d, .trc or .csv"))
+        .ok_or_else(|| unknown_ending(path, ".c3d, .trc, .csv, .parquet or .mcap"))
 }
 
 fn unknown_ending(path: &Path, endings: &str) -> anyhow::Error {

@@ -25,10 +25,7 @@ const MOTION_SAMPLES_MAX: u64 = 1 << 28;
 #[derive(Debug)]
 pub struct TakeFrames<R> {
     info: MotionInfo,
-    n_held: u64,
-    tolerance_mm: f64,
-    damaged: bool,
-    cut_off: bool,
+    map: TakeMap,
     stretches: TakeStretches<R>,
     /// The stretch that was decoded last.
     current: Option<Span>,
@@ -63,11 +60,8 @@ impl<R: Read + Seek> TakeFrames<R> {
         problems.extend_from_slice(&map.problems);
         Ok(Self {
             info,
-            n_held: map.n_held.unwrap_or_default(),
-            tolerance_mm: map.header.tolerance_mm,
-            damaged: map.damaged,
-            cut_off: !map.finished,
             stretches: TakeStretches::new(input, &map)?,
+            map,
             current: None,
             stated_mm: Vec::new(),
             next_row: 0,
@@ -79,19 +73,19 @@ impl<R: Read + Seek> TakeFrames<R> {
     /// How many of its frames lie in a stretch that was found. The others were lost, and come as gaps.
     #[must_use]
     pub fn n_held(&self) -> u64 {
-        self.n_held
+        self.map.n_held.unwrap_or_default()
     }
 
     /// The bound that was asked for; 0 for `lossless`.
     #[must_use]
     pub fn tolerance_mm(&self) -> f64 {
-        self.tolerance_mm
+        self.map.header.tolerance_mm
     }
 
     /// Whether its end is missing.
     #[must_use]
     pub fn is_cut_off(&self) -> bool {
-        self.cut_off
+        !self.map.finished
     }
 
     /// What is missing or damaged, one sentence each. Complete after the last frame, but for frames that were
@@ -163,9 +157,13 @@ impl<R: Read + Seek> FrameSource for TakeFrames<R> {
         if self.is_lost() { None } else { self.stated_mm.get(column).copied().flatten() }
     }
 
+    fn take(&self) -> Option<&TakeMap> {
+        Some(&self.map)
+    }
+
     fn is_lost(&self) -> bool {
         let Some(row) = self.next_row.checked_sub(1) else { return false };
-        self.damaged
+        self.map.damaged
             && !self.current.is_some_and(|span| (span.first_row..span.end_row()).contains(&row))
     }
 }

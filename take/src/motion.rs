@@ -1,5 +1,7 @@
 //! Marker trajectories in memory: what importers produce, exporters consume and the simulator replays.
 
+use crate::map::TakeMap;
+
 /// A position in millimetres; a gap is [`GAP`].
 pub type Position = [f32; 3];
 
@@ -119,6 +121,11 @@ pub trait FrameSource {
     /// The largest error in millimetres that the source states of a marker, by column, around the frame it gave
     /// last; `None` where it states none.
     fn stated_error_mm(&self, _column: usize) -> Option<f64> {
+        None
+    }
+
+    /// The take that they are of, without its samples; `None` for frames of anything else.
+    fn take(&self) -> Option<&TakeMap> {
         None
     }
 

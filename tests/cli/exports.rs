@@ -71,3 +71,27 @@ fn a_part_gets_back_what_was_kept() {
     let info = folder.run(&["info", "part.take", "--json"]).with_code(0).json();
     assert_eq!((&info["frames"], &info["source"]["first_frame"]), (&25.into(), &26.into()));
 }
+
+/// A build without the feature says where it is to be had, and leaves no file.
+#[test]
+fn parquet_and_mcap_are_there_or_it_says_how_to_get_them() {
+    let (folder, _) = folder();
+    for (output, more) in [("a.parquet", &[][..]), ("wide.parquet", &["--wide"]), ("a.mcap", &[])] {
+        let export = [&["export", "jump.take", "-o", output], more].concat();
+        if cfg!(feature = "full") {
+            folder.run(&export).with_code(0);
+            assert!(folder.path(output).metadata().unwrap().len() > 1000);
+        } else {
+            let line = folder.refuses(&export, 1);
+            assert!(line.contains("--features full"), "{line}");
+            assert!(!folder.path(output).exists());
+        }
+    }
+    for output in ["a.csv", "b.mcap"] {
+        let line = folder.refuses(&["export", "jump.take", "-o", output, "--wide"], 2);
+        assert!(line.contains("--wide is for .parquet"), "{line}");
+    }
+    folder.write("t.parquet", "PAR1");
+    let line = folder.refuses(&["import", "t.parquet", "-o", "t.take"], 2);
+    assert!(line.contains("use .c3d, .trc, .tsv or .csv"), "{line}");
+}

@@ -12,7 +12,7 @@ use std::{
 use anyhow::Context;
 use mocapd::{
     files::{self, NewFile},
-    outcome::Outcome,
+    outcome::{Outcome, UsageError},
     units,
 };
 use mocapd_take::{
@@ -28,7 +28,7 @@ use super::{output::say, paths, progress::Progress};
 pub(crate) struct Args {
     /// The take
     take: PathBuf,
-    /// The file to write, .c3d, .trc or .csv; it must not exist
+    /// The file to write, .c3d, .trc or .csv, or, where they are built in, .parquet or .mcap; it must not exist
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Leave out what is before this time: 10s, 500ms, 2min
@@ -37,10 +37,20 @@ pub(crate) struct Args {
     /// Leave out what is at or after this time
     #[arg(long, value_name = "TIME", value_parser = units::duration, allow_hyphen_values = true)]
     to: Option<Duration>,
+    /// Of Parquet a row a frame, with three columns a marker, instead of a row a sample
+    #[arg(long)]
+    wide: bool,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let format = paths::output_format(&args.output)?;
+    let format = match (paths::output_format(&args.output)?, args.wide) {
+        (Format::Parquet, true) => Format::ParquetWide,
+        (format, false) => format,
+        (_, true) => {
+            return Err(UsageError("--wide is for .parquet: leave it out".to_owned()).into());
+        }
+    };
+    format.check_built()?;
     paths::check_output(&args.output)?;
     let reading = || format!("cannot read {}", args.take.display());
     let file = files::open(&args.take)?;
@@ -81,7 +91,9 @@ fn left_out(info: &MotionInfo, format: Format) -> Vec<String> {
     let prefix = match format {
         Format::C3d => "c3d/",
         Format::Trc => "trc/",
-        Format::Tsv | Format::Csv => return info.foreign.iter().map(|p| p.kind.clone()).collect(),
+        Format::Tsv | Format::Csv | Format::Parquet | Format::ParquetWide | Format::Mcap => {
+            return info.foreign.iter().map(|p| p.kind.clone()).collect();
+        }
     };
     let others = info.foreign.iter().filter(|part| !part.kind.starts_with(prefix));
     others.map(|part| part.kind.clone()).collect()

@@ -12,7 +12,7 @@ use std::{
 use anyhow::ensure;
 use mocapd::{outcome::UsageError, units::frame_at};
 use mocapd_take::{
-    TakeFrames,
+    TakeFrames, TakeMap,
     motion::{FrameSource, MotionInfo, Position},
 };
 
@@ -78,6 +78,10 @@ impl FrameSource for Part<'_> {
         self.left -= 1;
         self.counter.fetch_add(1, Ordering::Relaxed);
         self.frames.next_frame(row)
+    }
+
+    fn take(&self) -> Option<&TakeMap> {
+        self.frames.take()
     }
 }
 

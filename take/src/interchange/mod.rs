@@ -1,4 +1,4 @@
-//! The field's formats: C3D, TRC, QTM TSV, CSV in; C3D, TRC, CSV out.
+//! The field's formats: C3D, TRC, QTM TSV, CSV in; C3D, TRC, CSV out, and with the feature `full` Parquet and MCAP.
 //!
 //! Every importer turns the bytes of a whole file into a [`Motion`] in millimetres: each coordinate is the number
 //! as stored or printed, multiplied in f64 by one factor and rounded once to f32. What was found wrong and could
@@ -10,8 +10,14 @@ use std::io::Write;
 
 use crate::motion::{FrameSource, Motion};
 
+#[cfg(feature = "full")]
+mod about;
 mod c3d;
 mod csv;
+#[cfg(feature = "full")]
+mod mcap;
+#[cfg(feature = "full")]
+mod parquet;
 mod text;
 mod trc;
 mod tsv;
@@ -28,6 +34,12 @@ pub enum Format {
     Tsv,
     /// Ours, and the `time,head_x,...` dialect.
     Csv,
+    /// Apache Parquet, a row a sample; written only, with the feature `full`.
+    Parquet,
+    /// The same, a row a frame.
+    ParquetWide,
+    /// MCAP with Foxglove's schemas; written only, with the feature `full`.
+    Mcap,
 }
 
 /// Why bytes could not be read as a format, or trajectories not written.
@@ -62,8 +74,25 @@ impl Format {
             "trc" => Self::Trc,
             "tsv" => Self::Tsv,
             "csv" => Self::Csv,
+            "parquet" => Self::Parquet,
+            "mcap" => Self::Mcap,
             _ => return None,
         })
+    }
+
+    /// Whether this build writes it, where it writes it at all.
+    ///
+    /// # Errors
+    /// `Unsupported`, with what to do.
+    pub fn check_built(self) -> Result<(), InterchangeError> {
+        let is_heavy = matches!(self, Self::Parquet | Self::ParquetWide | Self::Mcap);
+        if !is_heavy || cfg!(feature = "full") {
+            return Ok(());
+        }
+        Err(InterchangeError::Unsupported(
+            "this build has no Parquet and no MCAP: the Debian package has, and so has what `cargo build --release --features full` makes; or export to c3d, trc or csv"
+                .to_owned(),
+        ))
     }
 
     /// Reads a whole file's bytes.
@@ -76,6 +105,9 @@ impl Format {
             Self::Trc => trc::read(bytes),
             Self::Tsv => tsv::read(bytes),
             Self::Csv => csv::read(bytes),
+            Self::Parquet | Self::ParquetWide | Self::Mcap => Err(InterchangeError::Unsupported(
+                "parquet and mcap are written only: import c3d, trc, tsv or csv".to_owned(),
+            )),
         }
     }
 
@@ -94,6 +126,14 @@ impl Format {
             Self::C3d => c3d::write(frames, out),
             Self::Trc => trc::write(frames, out),
             Self::Csv => csv::write(frames, out),
+            #[cfg(feature = "full")]
+            Self::Parquet => parquet::write_long(frames, out),
+            #[cfg(feature = "full")]
+            Self::ParquetWide => parquet::write_wide(frames, out),
+            #[cfg(feature = "full")]
+            Self::Mcap => mcap::write(frames, out),
+            #[cfg(not(feature = "full"))]
+            Self::Parquet | Self::ParquetWide | Self::Mcap => self.check_built(),
             Self::Tsv => Err(InterchangeError::Unsupported(
                 "tsv is read only: export to c3d, trc or csv".to_owned(),
             )),

@@ -55,7 +55,7 @@ pub(crate) fn write(
 }
 
 /// A name for each column: the marker's label; `#2`, `#3`... is added where a column before it has that name.
-fn column_labels(info: &MotionInfo) -> Vec<String> {
+pub(crate) fn column_labels(info: &MotionInfo) -> Vec<String> {
     let mut taken = HashSet::new();
     let mut next_number = HashMap::new();
     let mut names = Vec::with_capacity(info.markers.len());

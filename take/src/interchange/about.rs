@@ -1,0 +1,66 @@
+//! What is to be known of trajectories beside the numbers, as names and words: metadata of Parquet and MCAP.
+
+use serde_json::json;
+
+use crate::{
+    motion::{FrameSource, UpAxis},
+    record::Ledger,
+};
+
+/// Names and words, those of a take where they are of one. What is not a word or a number is JSON.
+pub(super) fn about(frames: &dyn FrameSource) -> Vec<(String, String)> {
+    let info = frames.info();
+    let labels: Vec<&str> = info.markers.iter().map(|marker| &*marker.label).collect();
+    let up = match info.up {
+        UpAxis::X => "x",
+        UpAxis::Y => "y",
+        UpAxis::Z => "z",
+        UpAxis::Unknown => "unknown",
+    };
+    let mut all = vec![
+        ("rate_hz", info.rate_hz.to_string()),
+        ("frames", info.n_frames.to_string()),
+        ("first_frame", info.source.first_frame.to_string()),
+        ("labels", json!(labels).to_string()),
+        ("up_axis", up.to_owned()),
+    ];
+    if let Some(take) = frames.take() {
+        let header = &take.header;
+        all.push(("software", header.software.clone()));
+        all.push(("take_id", header.take_id.iter().map(|byte| format!("{byte:02x}")).collect()));
+        all.push(("created_unix_ms", header.created_unix_ms.to_string()));
+        all.push(("resampler", header.resampler.clone()));
+        all.push(("tolerance_mm", header.tolerance_mm.to_string()));
+        all.push(("finished", take.finished.to_string()));
+        all.push(("problems", json!(take.problems).to_string()));
+        if let Some(device) = &header.device {
+            all.push((
+                "device",
+                json!({ "model": device.model, "serial": device.serial }).to_string(),
+            ));
+        }
+        if let Some(found) = &take.ledger {
+            all.push(("ledger", ledger(found).to_string()));
+        }
+    }
+    all.into_iter().map(|(name, words)| (format!("mocapd.{name}"), words)).collect()
+}
+
+/// The whole take's counters, by the names that `info --json` has.
+fn ledger(ledger: &Ledger) -> serde_json::Value {
+    json!({
+        "frames_sent": ledger.frames_sent,
+        "recorded": ledger.recorded,
+        "lost_on_link": ledger.lost_on_link,
+        "dropped_by_device": ledger.dropped_by_device,
+        "lost_ring_full": ledger.lost_ring_full,
+        "lost_other": ledger.lost_other,
+        "duplicates": ledger.duplicates,
+        "unknown_after_disconnect": ledger.unknown_after_disconnect,
+        "samples_announced": ledger.samples_announced,
+        "samples_present": ledger.samples_present,
+        "samples_occluded": ledger.samples_occluded,
+        "contradictions": ledger.contradictions,
+        "closes": ledger.closes(),
+    })
+}

@@ -1,0 +1,176 @@
+//! Parquet and MCAP, read back by their own libraries: what is there, what is not, and how much of it at once.
+
+#![cfg(feature = "full")]
+#![expect(clippy::unwrap_used, reason = "a test stops there")]
+
+use std::collections::HashSet;
+
+use mocapd_take::{
+    interchange::Format,
+    motion::{GAP, Marker, Motion, MotionFrames, MotionInfo, Source, UpAxis, is_gap},
+};
+use parquet::{
+    file::reader::{FileReader, SerializedFileReader},
+    record::Field,
+};
+
+/// Some markers, with gaps, two of one name, and one that is never seen.
+fn motion(n_frames: usize, n_markers: usize) -> Motion {
+    let mut positions_mm = Vec::new();
+    for frame in 0..n_frames {
+        for marker in 0..n_markers {
+            let (t, m) = (frame as f32 / 100.0, marker as f32);
+            let hidden = (frame / 7 + marker) % 5 == 0 || marker + 1 == n_markers;
+            positions_mm.push(if hidden { GAP } else { [100.0 * (t + m).sin(), t, -m] });
+        }
+    }
+    let marker = |column: usize| Marker {
+        label: if column == 1 { "M0".to_owned() } else { format!("M{column}") },
+        labelled: true,
+    };
+    let info = MotionInfo {
+        rate_hz: 100.0,
+        n_frames: n_frames as u64,
+        markers: (0..n_markers).map(marker).collect(),
+        up: UpAxis::Y,
+        source: Source { first_frame: 17, ..Source::default() },
+        foreign: Vec::new(),
+    };
+    Motion { info, positions_mm }
+}
+
+fn written(motion: &Motion, format: Format) -> Vec<u8> {
+    let mut out = Vec::new();
+    format.write(&mut MotionFrames::new(motion), &mut out).unwrap();
+    out
+}
+
+fn reader(file: Vec<u8>) -> SerializedFileReader<bytes::Bytes> {
+    SerializedFileReader::new(bytes::Bytes::from(file)).unwrap()
+}
+
+#[test]
+fn a_row_a_sample_and_no_row_where_there_is_none() {
+    let motion = motion(300, 5);
+    let file = reader(written(&motion, Format::Parquet));
+    let mut seen = HashSet::new();
+    for row in file.get_row_iter(None).unwrap() {
+        let fields: Vec<Field> = row.unwrap().into_columns().into_iter().map(|(_, f)| f).collect();
+        let [Field::Long(frame), Field::Double(time_s), Field::Str(label), axes @ ..] = &fields[..]
+        else {
+            panic!("{fields:?}")
+        };
+        let index = (*frame - 17) as usize;
+        assert!((time_s - index as f64 / 100.0).abs() < 1e-12);
+        let column = ["M0", "M0#2", "M2", "M3", "M4"].iter().position(|l| l == label).unwrap();
+        let position = motion.frame(index)[column];
+        let found: Vec<Field> = position.iter().map(|&axis| Field::Float(axis)).collect();
+        assert_eq!(axes, found);
+        assert!(!is_gap(position) && seen.insert((index, column)));
+    }
+    assert_eq!(seen.len(), motion.positions_mm.iter().filter(|&&p| !is_gap(p)).count());
+}
+
+#[test]
+fn a_row_a_frame_and_null_where_there_is_no_sample() {
+    let motion = motion(300, 5);
+    let file = reader(written(&motion, Format::ParquetWide));
+    let mut n_rows = 0;
+    for (index, row) in file.get_row_iter(None).unwrap().enumerate() {
+        let columns = row.unwrap().into_columns();
+        assert_eq!(columns.len(), 2 + 3 * 5);
+        assert_eq!(columns[0], ("frame".to_owned(), Field::Long(index as i64 + 17)));
+        assert_eq!(columns[5].0, "M0#2.x");
+        for (column, &position) in motion.frame(index).iter().enumerate() {
+            for (axis, value) in position.into_iter().enumerate() {
+                let expected = if is_gap(position) { Field::Null } else { Field::Float(value) };
+                assert_eq!(columns[2 + 3 * column + axis].1, expected);
+            }
+        }
+        n_rows += 1;
+    }
+    assert_eq!(n_rows, 300);
+}
+
+#[test]
+fn memory_is_bounded_by_row_groups() {
+    let motion = motion(40_000, 64);
+    for (format, rows_max) in [(Format::Parquet, 1 << 17), (Format::ParquetWide, 21_845)] {
+        let file = reader(written(&motion, format));
+        let groups = file.metadata().row_groups();
+        assert!(groups.len() > 1);
+        assert!(groups.iter().all(|group| group.num_rows() <= rows_max));
+    }
+}
+
+#[test]
+fn metadata_say_what_the_numbers_are() {
+    let file = reader(written(&motion(3, 2), Format::Parquet));
+    let about = file.metadata().file_metadata().key_value_metadata().unwrap();
+    let value =
+        |name: &str| about.iter().find(|pair| pair.key == name).and_then(|pair| pair.value.clone());
+    assert_eq!(value("mocapd.labels").unwrap(), r#"["M0","M0"]"#);
+    assert_eq!(value("mocapd.rate_hz").unwrap(), "100");
+    assert_eq!(value("mocapd.layout").unwrap(), "long");
+    assert_eq!(value("mocapd.up_axis").unwrap(), "y");
+    assert_eq!(value("mocapd.tolerance_mm"), None, "it is no take");
+}
+
+#[test]
+fn mcap_has_a_cloud_a_frame_and_names_ten_times_a_second() {
+    let motion = motion(300, 5);
+    let file = written(&motion, Format::Mcap);
+    let (mut clouds, mut names, mut transforms) = (0_u64, 0, 0);
+    for message in mcap::MessageStream::new(&file).unwrap() {
+        let message = message.unwrap();
+        let schema = message.channel.schema.clone().unwrap();
+        assert_eq!(schema.encoding, "protobuf");
+        match (&*message.channel.topic, &*schema.name) {
+            ("/markers", "foxglove.PointCloud") => {
+                assert_eq!(message.log_time, clouds * 10_000_000);
+                clouds += 1;
+            }
+            ("/names", "foxglove.SceneUpdate") => names += 1,
+            ("/tf", "foxglove.FrameTransform") => transforms += 1,
+            other => panic!("{other:?}"),
+        }
+    }
+    assert_eq!((clouds, names, transforms), (300, 30, 1));
+    assert!(mcap::Summary::read(&file).unwrap().unwrap().chunk_indexes.len() == 1);
+}
+
+#[test]
+fn nothing_is_a_file_too() {
+    for (n_frames, n_markers) in [(0, 3), (4, 0), (0, 0)] {
+        let mut motion = motion(n_frames, n_markers);
+        motion.info.n_frames = n_frames as u64;
+        for format in [Format::Parquet, Format::ParquetWide] {
+            reader(written(&motion, format));
+        }
+        assert!(mcap::Summary::read(&written(&motion, Format::Mcap)).unwrap().is_some());
+    }
+}
+
+/// Takes a few bytes, and then no more.
+struct Full(usize);
+
+impl std::io::Write for Full {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0 = self.0.checked_sub(bytes.len()).ok_or(std::io::ErrorKind::StorageFull)?;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_full_disk_is_an_error() {
+    let motion = motion(2000, 9);
+    for format in [Format::Parquet, Format::ParquetWide, Format::Mcap] {
+        for room in [0, 100, 20_000] {
+            assert!(format.write(&mut MotionFrames::new(&motion), &mut Full(room)).is_err());
+        }
+    }
+}
