@@ -29,6 +29,8 @@ test("a mark says where it is", () => {
 
 test("the state says what matters in it", () => {
   equal(describe(STATUS), "ready, 2.5 s held of 10 s");
+  equal(describe({ ...STATUS, device: { ...STATUS.device, presence: "absent" } }), "not ready: the device is away");
+  equal(describe({ ...STATUS, device: { ...STATUS.device, presence: "silent" } }), "not ready: the device sends nothing");
   equal(describe({ ...STATUS, state: "failed", failure: "the disk is full: make room" }), "the disk is full: make room");
   equal(describe({ ...STATUS, state: "recording", take: { name: "b" } }), "b");
   equal(describe({ ...STATUS, state: "idle", last_take: { name: "c" } }), "last take: c");
