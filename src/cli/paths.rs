@@ -26,8 +26,7 @@ pub(super) fn input_format(path: &Path) -> anyhow::Result<Format> {
 /// A usage error that lists the endings.
 pub(super) fn output_format(path: &Path) -> anyhow::Result<Format> {
     Format::from_extension(path)
-        .filter(|&format| format != Format::Tsv)
-        .ok_or_else(|| unknown_ending(path, ".c3d, .trc, .csv, .parquet or .mcap"))
+        .ok_or_else(|| unknown_ending(path, ".c3d, .trc, .tsv, .csv, .parquet or .mcap"))
 }
 
 fn unknown_ending(path: &Path, endings: &str) -> anyhow::Error {

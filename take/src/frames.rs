@@ -5,8 +5,8 @@ use std::io::{Read, Seek};
 use crate::{
     TakeError,
     map::TakeMap,
-    motion::{FrameSource, GAP, Motion, MotionInfo, Position, Source, UpAxis},
-    record::Header,
+    motion::{FrameSource, GAP, Motion, MotionEvent, MotionInfo, Position, Source, UpAxis},
+    record::{Event, Header},
     stretch::Span,
     stretches::TakeStretches,
 };
@@ -57,6 +57,14 @@ impl<R: Read + Seek> TakeFrames<R> {
         describe(&map.header, &mut info);
         info.n_frames = map.n_rows;
         info.markers = map.channels.iter().map(Into::into).collect();
+        let event = |Event { row: frame, kind, text, .. }: &Event| MotionEvent {
+            frame: *frame,
+            kind: *kind,
+            text: text.clone(),
+        };
+        info.events = map.events.iter().map(event).collect();
+        // An event may be written behind the stretch of a later frame.
+        info.events.sort_by_key(|event| event.frame);
         problems.extend_from_slice(&map.problems);
         Ok(Self {
             info,

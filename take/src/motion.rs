@@ -1,6 +1,6 @@
 //! Marker trajectories in memory: what importers produce, exporters consume and the simulator replays.
 
-use crate::map::TakeMap;
+use crate::{map::TakeMap, record::EventKind};
 
 /// A position in millimetres; a gap is [`GAP`].
 pub type Position = [f32; 3];
@@ -63,6 +63,25 @@ pub struct Foreign {
     pub data: Vec<u8>,
 }
 
+/// Something that happened beside the motion: a mark, a trigger, a word of the device or the host.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct MotionEvent {
+    /// The frame, counted from 0: the one that was recorded then. One past the last is the end.
+    pub frame: u64,
+    /// What kind.
+    pub kind: EventKind,
+    /// In words; may be empty.
+    pub text: String,
+}
+
+impl MotionEvent {
+    /// What to call it: its text, or the word for its kind where it has none.
+    #[must_use]
+    pub fn label(&self) -> &str {
+        if self.text.trim().is_empty() { self.kind.word() } else { &self.text }
+    }
+}
+
 /// Everything about trajectories but the samples.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct MotionInfo {
@@ -78,6 +97,20 @@ pub struct MotionInfo {
     pub source: Source,
     /// What else was there.
     pub foreign: Vec<Foreign>,
+    /// What happened, in the order of the frames.
+    pub events: Vec<MotionEvent>,
+}
+
+impl MotionInfo {
+    /// Turns this into what is true of the frames `first..end` alone: their number, the number of the first, and
+    /// the events among them. What is noticed after the last frame belongs to a part that reaches it.
+    pub fn cut(&mut self, first: u64, end: u64) {
+        let reaches_end = end >= self.n_frames;
+        self.events.retain(|event| event.frame >= first && (event.frame < end || reaches_end));
+        self.events.iter_mut().for_each(|event| event.frame -= first);
+        self.source.first_frame = self.source.first_frame.saturating_add(first);
+        self.n_frames = end.saturating_sub(first);
+    }
 }
 
 /// Trajectories in memory, frame-major: `positions_mm[frame * n_markers + marker]`.

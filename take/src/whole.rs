@@ -12,8 +12,8 @@ use mocapd_codec::{BlockEncoder, BlockReport, GROUP_CHANNELS, Settings};
 use self::columns::Columns;
 use crate::{
     TakeError, TakeWriter,
-    motion::{Marker, Motion},
-    record::{Channel, Header, Ledger},
+    motion::{Marker, Motion, MotionEvent},
+    record::{Channel, Event, Header, Ledger},
     stretch::{FrontWriter, LIVE_ROWS_MAX, NUMBERS, ROWS_MAX, SAMPLES_MAX, Span, put_block},
     timeline::Timeline,
 };
@@ -156,10 +156,15 @@ impl<'a, W: Write> WholeWriter<'a, W> {
     /// Writes the header, and what an importer kept beside trajectories.
     ///
     /// # Errors
-    /// As [`TakeWriter::new`] and [`TakeWriter::foreign`].
+    /// As [`TakeWriter::new`], [`TakeWriter::foreign`] and [`TakeWriter::event`].
     pub fn new(plan: &'a Plan<'a>, header: &Header, out: W) -> Result<Self, TakeError> {
         let mut take = TakeWriter::new(out, header)?;
-        plan.motion.info.foreign.iter().try_for_each(|part| take.foreign(part))?;
+        let info = &plan.motion.info;
+        info.foreign.iter().try_for_each(|part| take.foreign(part))?;
+        for MotionEvent { frame, kind, text } in &info.events {
+            let (row, kind, text) = (*frame, *kind, text.clone());
+            take.event(&Event { kind, row, device_ticks: 0, host_ns: 0, input: 0, text })?;
+        }
         let front = FrontWriter::new(header.stretch_rows);
         Ok(Self { plan, take, front, payload: Vec::new(), n_samples: 0 })
     }

@@ -116,7 +116,7 @@ fn endings() {
         refused_with(&folder, &["import", file, "-o", "new.take"], &words);
     }
     refused_with(&folder, &["verify", "jump.take", "--against", "jump.xyz"], &["jump.xyz", ".c3d"]);
-    for file in ["new.xyz", "new", "new.tsv", "new.take"] {
+    for file in ["new.xyz", "new", "new.take"] {
         refused_with(
             &folder,
             &["export", "jump.take", "-o", file],

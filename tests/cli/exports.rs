@@ -1,5 +1,7 @@
 //! `export --from --to`: the frames of those times, under their own numbers.
 
+use mocapd_take::{motion::MotionEvent, record::EventKind};
+
 use super::Folder;
 use crate::support::jump;
 
@@ -94,4 +96,35 @@ fn parquet_and_mcap_are_there_or_it_says_how_to_get_them() {
     folder.write("t.parquet", "PAR1");
     let line = folder.refuses(&["import", "t.parquet", "-o", "t.take"], 2);
     assert!(line.contains("use .c3d, .trc, .tsv or .csv"), "{line}");
+}
+
+/// Events go with their frames: from a file into the take, into another file, and in a part of it those of the part.
+#[test]
+fn events_go_where_their_frames_go() {
+    let folder = Folder::new();
+    let mut motion = jump(1, 100.0, 1.0);
+    let event = |frame: u64, kind: EventKind, text: &str| MotionEvent {
+        frame,
+        kind,
+        text: text.to_owned(),
+    };
+    motion.info.events =
+        vec![event(10, EventKind::Mark, "ready"), event(60, EventKind::Trigger, "input 1")];
+    folder.write_motion("jump.c3d", &motion);
+    folder.run(&["import", "jump.c3d", "-o", "jump.take"]).with_code(0);
+    let events_of = |take: &str| {
+        let info = folder.run(&["info", take, "--json"]).with_code(0).json();
+        let events = info["events"].as_array().unwrap().clone();
+        let told =
+            |e: &serde_json::Value| (e["kind"].clone(), e["frame"].clone(), e["text"].clone());
+        events.iter().map(told).collect::<Vec<_>>()
+    };
+    let trigger = |frame: u64| ("trigger".into(), frame.into(), "input 1".into());
+    assert_eq!(events_of("jump.take"), [("mark".into(), 10.into(), "ready".into()), trigger(60)]);
+    let part = ["export", "jump.take", "-o", "part.c3d", "--from", "0.5s"];
+    assert_eq!(folder.run(&part).with_code(0).stderr, "");
+    folder.run(&["import", "part.c3d", "-o", "part.take"]).with_code(0);
+    assert_eq!(events_of("part.take"), [trigger(10)]);
+    let line = folder.run(&["export", "jump.take", "-o", "jump.csv"]).with_code(0).stderr;
+    assert!(line.contains("cannot hold") && line.contains("2 events"), "{line}");
 }

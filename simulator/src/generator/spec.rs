@@ -146,6 +146,7 @@ impl JumpSpec {
                 warnings: Vec::new(),
             },
             foreign: Vec::new(),
+            events: Vec::new(),
         }
     }
 

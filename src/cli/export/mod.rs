@@ -15,11 +15,7 @@ use mocapd::{
     outcome::{Outcome, UsageError},
     units,
 };
-use mocapd_take::{
-    TakeFrames,
-    interchange::Format,
-    motion::{FrameSource, MotionInfo},
-};
+use mocapd_take::{TakeFrames, interchange::Format, motion::FrameSource};
 
 use self::part::Part;
 use super::{output::say, paths, progress::Progress};
@@ -28,9 +24,13 @@ use super::{output::say, paths, progress::Progress};
 pub(crate) struct Args {
     /// The take
     take: PathBuf,
-    /// The file to write, .c3d, .trc or .csv, or, where they are built in, .parquet or .mcap; it must not exist
+    /// The file to write, .c3d, .trc, .tsv (QTM) or .csv, or, where they are built in, .parquet or .mcap; it must not
+    /// exist
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+    /// Rows of a CSV file: `wide`, one a frame; `long`, one a sample that is present
+    #[arg(long, value_name = "LAYOUT", default_value = "wide")]
+    layout: Layout,
     /// Leave out what is before this time: 10s, 500ms, 2min
     #[arg(long, value_name = "TIME", value_parser = units::duration, allow_hyphen_values = true)]
     from: Option<Duration>,
@@ -42,22 +42,23 @@ pub(crate) struct Args {
     wide: bool,
 }
 
+/// How a CSV file is laid out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Layout {
+    Wide,
+    Long,
+}
+
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let format = match (paths::output_format(&args.output)?, args.wide) {
-        (Format::Parquet, true) => Format::ParquetWide,
-        (format, false) => format,
-        (_, true) => {
-            return Err(UsageError("--wide is for .parquet: leave it out".to_owned()).into());
-        }
-    };
+    let format = format(args)?;
     format.check_built()?;
     paths::check_output(&args.output)?;
     let reading = || format!("cannot read {}", args.take.display());
     let file = files::open(&args.take)?;
     let mut frames = TakeFrames::open(BufReader::new(file)).with_context(reading)?;
-    let left_out = left_out(frames.info(), format);
     let counter = Arc::new(AtomicU64::new(0));
     let mut part = Part::new(&mut frames, args.from, args.to, Arc::clone(&counter))?;
+    let left_out = format.leaves_out(part.info());
     let progress = Progress::follow("exporting", &counter, part.info().n_frames);
     write(&mut part, format, &args.output)?;
     drop(progress);
@@ -69,6 +70,25 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         say(&format!("{}: {problem}", args.take.display()));
     }
     Ok(Outcome::of(!frames.problems().is_empty()))
+}
+
+/// The format by the output's ending and what was said beside it.
+fn format(args: &Args) -> anyhow::Result<Format> {
+    let found = paths::output_format(&args.output)?;
+    if args.wide {
+        return match found {
+            Format::Parquet => Ok(Format::ParquetWide),
+            _ => Err(UsageError("--wide is for .parquet: leave it out".to_owned()).into()),
+        };
+    }
+    match (found, args.layout) {
+        (Format::Csv, Layout::Long) => Ok(Format::CsvLong),
+        (format, Layout::Wide) => Ok(format),
+        (_, Layout::Long) => {
+            Err(UsageError("--layout long is for .csv: other formats have one layout".to_owned())
+                .into())
+        }
+    }
 }
 
 /// Writes a whole file under its own name, or none.
@@ -84,17 +104,4 @@ pub(super) fn write(
     out.flush().with_context(writing)?;
     drop(out);
     output.keep()
-}
-
-/// What an importer kept and only another format takes back (docs/foreign.md).
-fn left_out(info: &MotionInfo, format: Format) -> Vec<String> {
-    let prefix = match format {
-        Format::C3d => "c3d/",
-        Format::Trc => "trc/",
-        Format::Tsv | Format::Csv | Format::Parquet | Format::ParquetWide | Format::Mcap => {
-            return info.foreign.iter().map(|p| p.kind.clone()).collect();
-        }
-    };
-    let others = info.foreign.iter().filter(|part| !part.kind.starts_with(prefix));
-    others.map(|part| part.kind.clone()).collect()
 }

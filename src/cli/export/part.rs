@@ -60,8 +60,7 @@ impl<'a> Part<'a> {
             .into());
         }
         frames.seek(first)?;
-        info.source.first_frame += first;
-        info.n_frames = end - first;
+        info.cut(first, end);
         Ok(Self { frames, left: info.n_frames, info, counter })
     }
 }

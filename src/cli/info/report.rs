@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use mocapd::inspect::{Summary, size_ratio};
 use mocapd_take::{
     reader::TakeBytes,
-    record::{Event, EventKind, Header},
+    record::{Event, Header},
     recovery::RECOVERED,
 };
 use serde::Serialize;
@@ -228,13 +228,7 @@ fn recovered(header: &Header) -> Option<String> {
 impl EventReport {
     fn new(event: &Event) -> Self {
         Self {
-            kind: match event.kind {
-                EventKind::Mark => "mark",
-                EventKind::Trigger => "trigger",
-                EventKind::SyncPulse => "sync pulse",
-                EventKind::Device => "device",
-                EventKind::Host => "host",
-            },
+            kind: event.kind.word(),
             frame: event.row,
             device_ticks: event.device_ticks,
             input: event.input,

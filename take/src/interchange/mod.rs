@@ -1,4 +1,4 @@
-//! The field's formats: C3D, TRC, QTM TSV, CSV in; C3D, TRC, CSV out, and with the feature `full` Parquet and MCAP.
+//! The field's formats: C3D, TRC, QTM TSV and CSV, in and out, and with the feature `full` Parquet and MCAP out.
 //!
 //! Every importer turns the bytes of a whole file into a [`Motion`] in millimetres: each coordinate is the number
 //! as stored or printed, multiplied in f64 by one factor and rounded once to f32. What was found wrong and could
@@ -8,7 +8,7 @@
 
 use std::io::Write;
 
-use crate::motion::{FrameSource, Motion};
+use crate::motion::{FrameSource, Motion, MotionInfo};
 
 #[cfg(feature = "full")]
 mod about;
@@ -32,7 +32,7 @@ pub enum Format {
     Trc,
     /// Qualisys Track Manager's text export.
     Tsv,
-    /// Ours, and the `time,head_x,...` dialect.
+    /// Ours, and the `time,head_x,...` dialect; read in the long layout, too.
     Csv,
     /// Apache Parquet, a row a sample; written only, with the feature `full`.
     Parquet,
@@ -40,6 +40,8 @@ pub enum Format {
     ParquetWide,
     /// MCAP with Foxglove's schemas; written only, with the feature `full`.
     Mcap,
+    /// CSV with one row a sample.
+    CsvLong,
 }
 
 /// Why bytes could not be read as a format, or trajectories not written.
@@ -104,11 +106,36 @@ impl Format {
             Self::C3d => c3d::read(bytes),
             Self::Trc => trc::read(bytes),
             Self::Tsv => tsv::read(bytes),
-            Self::Csv => csv::read(bytes),
+            Self::Csv | Self::CsvLong => csv::read(bytes),
             Self::Parquet | Self::ParquetWide | Self::Mcap => Err(InterchangeError::Unsupported(
                 "parquet and mcap are written only: import c3d, trc, tsv or csv".to_owned(),
             )),
         }
+    }
+
+    /// What of `info` a file of this format will not hold, in words.
+    #[must_use]
+    pub fn leaves_out(self, info: &MotionInfo) -> Vec<String> {
+        let own = match self {
+            Self::C3d => Some("c3d/"),
+            Self::Trc => Some("trc/"),
+            Self::Tsv => Some("tsv/"),
+            Self::Csv | Self::CsvLong | Self::Parquet | Self::ParquetWide | Self::Mcap => None,
+        };
+        let others =
+            info.foreign.iter().filter(|part| own.is_none_or(|own| !part.kind.starts_with(own)));
+        let mut left_out: Vec<String> = others.map(|part| part.kind.clone()).collect();
+        let events = match self {
+            Self::C3d => info.events.len().saturating_sub(c3d::EVENTS_MAX),
+            Self::Tsv | Self::Parquet | Self::ParquetWide | Self::Mcap => 0,
+            Self::Trc | Self::Csv | Self::CsvLong => info.events.len(),
+        };
+        match events {
+            0 => {}
+            1 => left_out.push("1 event".to_owned()),
+            n => left_out.push(format!("{n} events")),
+        }
+        left_out
     }
 
     /// Writes frames as they come, in bounded memory. The number of the first frame is
@@ -116,7 +143,7 @@ impl Format {
     /// an importer kept frame by frame (analog samples, residuals) is given back for the right frames.
     ///
     /// # Errors
-    /// `Unsupported` for TSV (read only) and what the format cannot hold; `Io`.
+    /// `Unsupported` for what the format cannot hold; `Io`.
     pub fn write(
         self,
         frames: &mut dyn FrameSource,
@@ -125,7 +152,9 @@ impl Format {
         match self {
             Self::C3d => c3d::write(frames, out),
             Self::Trc => trc::write(frames, out),
+            Self::Tsv => tsv::write(frames, out),
             Self::Csv => csv::write(frames, out),
+            Self::CsvLong => csv::long::write(frames, out),
             #[cfg(feature = "full")]
             Self::Parquet => parquet::write_long(frames, out),
             #[cfg(feature = "full")]
@@ -134,9 +163,6 @@ impl Format {
             Self::Mcap => mcap::write(frames, out),
             #[cfg(not(feature = "full"))]
             Self::Parquet | Self::ParquetWide | Self::Mcap => self.check_built(),
-            Self::Tsv => Err(InterchangeError::Unsupported(
-                "tsv is read only: export to c3d, trc or csv".to_owned(),
-            )),
         }
     }
 }

@@ -1,10 +1,13 @@
 //! What the text formats share: lines, cells, numbers, labels.
 
+use std::borrow::Cow;
+use std::collections::{HashMap, HashSet};
+
 use super::InterchangeError;
-use crate::motion::{GAP, Marker, Position};
+use crate::motion::{GAP, Marker, MotionInfo, Position};
 
 /// Positions a byte of text may claim: a short row next to a wide one must not earn unbounded memory.
-const MAX_POSITIONS_PER_BYTE: usize = 4;
+pub(super) const MAX_POSITIONS_PER_BYTE: usize = 4;
 
 /// The lines of a text with their 1-based numbers, without a byte order mark and without line ends (LF or CRLF).
 pub(super) fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
@@ -83,6 +86,43 @@ pub(super) fn marker(label: &str, column: usize) -> Marker {
         return Marker { label: unlabelled, labelled: false };
     }
     Marker { label: label.to_owned(), labelled: true }
+}
+
+/// A name for each column: the marker's label; `#2`, `#3`... is added where a column before it has that name.
+pub(super) fn column_labels(info: &MotionInfo) -> Vec<String> {
+    let mut taken = HashSet::new();
+    let mut next_number = HashMap::new();
+    let mut names = Vec::with_capacity(info.markers.len());
+    for (column, marker) in info.markers.iter().enumerate() {
+        let empty = marker.label.trim().is_empty();
+        let label = if empty { unlabelled_name(column) } else { marker.label.clone() };
+        let mut name = label.clone();
+        while !taken.insert(name.clone()) {
+            let number = next_number.entry(label.clone()).or_insert(2u32);
+            name = format!("{label}#{number}");
+            *number += 1;
+        }
+        names.push(name);
+    }
+    names
+}
+
+/// A text as a cell between tabs: a tab or a line end would shift what follows it.
+pub(super) fn plain(text: &str) -> Cow<'_, str> {
+    if text.contains(['\t', '\n', '\r']) {
+        return Cow::Owned(text.replace(['\t', '\n', '\r'], " "));
+    }
+    Cow::Borrowed(text)
+}
+
+/// The value behind a name and a tab, in lines of such pairs.
+pub(super) fn value_of(kept: &[u8], name: &str) -> Option<String> {
+    let value = |(_, line): (usize, &[u8])| {
+        let value = line.strip_prefix(name.as_bytes())?.strip_prefix(b"\t")?;
+        let value = decode(value.trim_ascii());
+        (!value.is_empty()).then_some(value)
+    };
+    lines(kept).find_map(value)
 }
 
 /// Rows of different widths: positions as they were read, one list a row.

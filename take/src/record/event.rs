@@ -20,6 +20,27 @@ pub enum EventKind {
     Host,
 }
 
+impl EventKind {
+    /// In words.
+    #[must_use]
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Mark => "mark",
+            Self::Trigger => "trigger",
+            Self::SyncPulse => "sync pulse",
+            Self::Device => "device",
+            Self::Host => "host",
+        }
+    }
+
+    /// By its word.
+    #[must_use]
+    pub fn from_word(word: &str) -> Option<Self> {
+        let all = [Self::Mark, Self::Trigger, Self::SyncPulse, Self::Device, Self::Host];
+        all.into_iter().find(|kind| kind.word() == word)
+    }
+}
+
 /// One event.
 #[derive(Debug, Clone, PartialEq, Eq, Encode, Decode)]
 pub struct Event {

@@ -4,9 +4,11 @@
 
 mod c3d;
 mod c3d_file;
+mod events;
 mod given_back;
 mod hostile;
 mod round_trip;
+mod subjects;
 mod takes;
 mod text;
 

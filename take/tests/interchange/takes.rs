@@ -55,7 +55,7 @@ fn real_takes_are_read_as_other_readers_read_them() {
 fn real_takes_come_back_from_every_format() {
     for (name, ..) in TAKES {
         let Some(motion) = take(name) else { return };
-        for format in [Format::C3d, Format::Csv, Format::Trc] {
+        for format in [Format::C3d, Format::Csv, Format::Trc, Format::Tsv] {
             let mut bytes = Vec::new();
             format.write(&mut MotionFrames::new(&motion), &mut bytes).expect("memory");
             let back = format.read(&bytes).expect("what was written");

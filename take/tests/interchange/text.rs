@@ -28,6 +28,14 @@ fn trc_with_labels_every_three_columns() {
     let written = String::from_utf8(written).expect("text");
     assert!(written.starts_with("PathFileType\t4\t(X/Y/Z)\twalk.trc\nDataRate\t"), "{written}");
     assert!(written.contains("\n200\t400\t2\t2\tmm\t200\t9\t77\n"), "{written}");
+    // As OpenSim writes it: a tab at every end, so that a missing sample in the last column has its cells.
+    let lines: Vec<&str> = written.lines().skip(3).collect();
+    assert_eq!(
+        lines[..3],
+        ["Frame#\tTime\tHead\t\t\tToe L\t\t\t", "\t\tX1\tY1\tZ1\tX2\tY2\tZ2\t", ""]
+    );
+    assert_eq!(lines[3], "5\t0\t150\t-2000\t3000\t\t\t\t");
+    assert_eq!(lines[3].split('\t').count(), 2 + 6 + 1);
 }
 
 #[test]
@@ -78,6 +86,10 @@ fn tsv_zeros_are_gaps_and_lead_columns_are_known() {
         assert_eq!(gaps, [false, true, false, true, false, true]);
         assert_eq!(motion.frame(0)[0], [1.5, 2.0, 3.0]);
         assert_eq!((motion.info.rate_hz, motion.info.source.first_frame), (60.0, first));
+        let events: Vec<_> =
+            motion.info.events.iter().map(|e| (e.frame, e.text.as_str())).collect();
+        // Of frame 2: the second of a file that begins with 1, and before one that begins with 11.
+        assert_eq!(events, if first == 1 { vec![(1, "kick")] } else { vec![] });
         let warnings = ["1 samples are not finite; they are gaps."];
         assert_eq!(motion.info.source.warnings, warnings);
     }

@@ -9,6 +9,7 @@ use super::InterchangeError;
 mod body;
 mod bytes;
 mod columns;
+mod events;
 mod foreign;
 mod header;
 mod labels;
@@ -16,8 +17,10 @@ mod layout;
 mod parameters;
 mod read;
 mod section;
+mod subjects;
 mod write;
 
+pub(super) use events::EVENTS_MAX;
 pub(super) use read::read;
 pub(super) use write::write;
 

@@ -1,6 +1,7 @@
 //! Bytes of a C3D file -> trajectories.
 
 use super::bytes::ByteOrder;
+use super::events;
 use super::foreign;
 use super::header::{BLOCK, Header};
 use super::labels::{Points, sort_points};
@@ -45,6 +46,8 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
     millimetres.report(&mut warnings);
     warn_of_zeros(&positions_mm, &mut warnings);
     let foreign = foreign::keep(&header, &parameters, &frames, &points, &positions_mm);
+    let events =
+        events::read(&parameters, layout.rate_hz, layout.first_frame, layout.n_frames as u64);
     Ok(Motion {
         info: MotionInfo {
             rate_hz: layout.rate_hz,
@@ -60,6 +63,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
                 warnings,
             },
             foreign,
+            events,
         },
         positions_mm,
     })

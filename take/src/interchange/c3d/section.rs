@@ -1,5 +1,6 @@
 //! Parameters -> bytes, and the parameters of a file to be written.
 
+use super::events::{EVENT, Entry};
 use super::parameters::{Group, Parameter, Parameters};
 use crate::motion::UpAxis;
 
@@ -108,6 +109,12 @@ impl Parameters {
         self.set(group, name, 2, Vec::new(), value.to_le_bytes().to_vec());
     }
 
+    /// Sets a list of at most 255 words.
+    pub(super) fn set_words(&mut self, group: &str, name: &str, values: &[u16]) {
+        let data = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+        self.set(group, name, 2, vec![values.len().min(255) as u8], data);
+    }
+
     /// Sets a number of 32 bits as two words, the lower one first.
     pub(super) fn set_double_word(&mut self, group: &str, name: &str, value: u32) {
         self.set(group, name, 2, vec![2], value.to_le_bytes().to_vec());
@@ -196,6 +203,42 @@ impl Parameters {
                 self.set_float("ANALOG", name, value);
             }
         }
+    }
+
+    /// Says who wrote the file, where it does not say who made it.
+    pub(super) fn set_manufacturer(&mut self) {
+        if self.group_id("MANUFACTURER").is_none() {
+            self.set_text("MANUFACTURER", "COMPANY", "mocapd");
+            self.set_text("MANUFACTURER", "SOFTWARE", "mocapd");
+            self.set_text("MANUFACTURER", "VERSION_LABEL", env!("CARGO_PKG_VERSION"));
+        }
+    }
+
+    /// Sets the EVENT group: at most 255 events, whose texts together stay within what a parameter holds.
+    pub(super) fn set_events(&mut self, entries: &[Entry]) {
+        let n = entries.len().min(MAX_STRINGS) as u8;
+        // What the group had of its own would stand beside other events.
+        if let Some(id) = self.group_id(EVENT) {
+            self.parameters.retain(|parameter| parameter.group != id);
+        }
+        self.set_word(EVENT, "USED", u16::from(n));
+        let texts = |text: fn(&Entry) -> &String| entries.iter().map(text).cloned().collect();
+        let lists: [(&str, Vec<String>); 4] = [
+            ("CONTEXTS", texts(|entry| &entry.context)),
+            ("LABELS", texts(|entry| &entry.label)),
+            ("DESCRIPTIONS", texts(|entry| &entry.description)),
+            ("SUBJECTS", texts(|entry| &entry.subject)),
+        ];
+        for (name, texts) in &lists {
+            // None is longer than what was read or cut.
+            self.set_texts(EVENT, name, texts).unwrap_or_default();
+        }
+        let times = entries.iter().flat_map(|entry| entry.time).flat_map(f32::to_le_bytes);
+        self.set(EVENT, "TIMES", 4, vec![2, n], times.collect());
+        let icons: Vec<u16> = entries.iter().map(|entry| entry.icon).collect();
+        self.set_words(EVENT, "ICON_IDS", &icons);
+        let flags = entries.iter().map(|entry| entry.flag).collect();
+        self.set(EVENT, "GENERIC_FLAGS", 1, vec![n], flags);
     }
 
     /// Says which axes point right and up on a screen, where that is known and not said yet.

@@ -3,10 +3,12 @@
 use std::io::Write;
 
 use super::body::{Body, Point};
+use super::events;
 use super::foreign::kept_parameters;
 use super::header::{BLOCK, Header};
 use super::parameters::Parameters;
 use super::section::encode_records;
+use super::subjects;
 use crate::interchange::{InterchangeError, expect_frames};
 use crate::motion::{FrameSource, GAP, MotionInfo};
 
@@ -86,6 +88,9 @@ fn fill_parameters(
             info.n_frames, info.source.first_frame
         ))
     })?;
+    // What was kept says how many frames it was kept of: a part of them has its own events only.
+    let kept_frames = parameters.number("POINT", "FRAMES");
+    let whole = kept_frames.is_some_and(|n| n as u64 == info.n_frames.min(u64::from(u16::MAX)));
     let labels = labels(parameters, info, &body.points);
     let descriptions = parameters.texts("POINT", "DESCRIPTIONS");
     parameters.set_word("POINT", "USED", n_points);
@@ -114,6 +119,9 @@ fn fill_parameters(
         parameters.set_texts("POINT", "DESCRIPTIONS", &empty).unwrap_or_default();
     }
     parameters.set_screen(info.up);
+    parameters.set_manufacturer();
+    subjects::fill(parameters, &info.markers);
+    events::fill(parameters, info, whole);
     let (_, n_channels) = body.analog_shape();
     if n_channels == 0 {
         parameters.set_no_analog();

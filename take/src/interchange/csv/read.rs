@@ -1,7 +1,7 @@
 //! Bytes of a CSV file -> trajectories.
 
-use super::HEADER;
 use super::cells::LineCells;
+use super::{HEADER, long};
 use crate::interchange::InterchangeError;
 use crate::interchange::text::{self, Cells, Rows};
 use crate::interchange::units::{Millimetres, factor_or_warn};
@@ -12,6 +12,16 @@ const EVEN: f64 = 0.01;
 
 /// Reads a whole file.
 pub(crate) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
+    let mut lines = text::lines(bytes);
+    let is_content = |line: &&(usize, &[u8])| {
+        let line = line.1.trim_ascii();
+        !line.is_empty() && !line.starts_with(b"#")
+    };
+    if let Some((number, line)) = lines.find(|line| is_content(&line))
+        && long::is_long(line)
+    {
+        return long::read(bytes, number);
+    }
     let mut warnings = Vec::new();
     let head = Head::parse(bytes)?;
     let unit = head.value("units").unwrap_or_else(|| "mm".to_owned());
@@ -62,6 +72,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
                 warnings,
             },
             foreign,
+            events: Vec::new(),
         },
     })
 }
@@ -209,7 +220,11 @@ fn read_rows(bytes: &[u8], head: &Head, factor: f64, warnings: &mut Vec<String>)
 
 /// Frames a second by the times of the rows: the median interval tells whether they are even, first and last time
 /// give the rate. Times are often rounded, so a whole number of millionths of a hertz is preferred where it fits.
-fn rate_from_times(times: &[f64], frames: &[u64], warnings: &mut Vec<String>) -> Option<f64> {
+pub(super) fn rate_from_times(
+    times: &[f64],
+    frames: &[u64],
+    warnings: &mut Vec<String>,
+) -> Option<f64> {
     let mut intervals: Vec<f64> =
         times.windows(2).filter_map(|w| Some(w.get(1)? - w.first()?)).collect();
     intervals.sort_by(f64::total_cmp);
@@ -237,7 +252,7 @@ fn rate_from_times(times: &[f64], frames: &[u64], warnings: &mut Vec<String>) ->
     (usable.is_finite() && usable > 0.0).then_some(usable)
 }
 
-fn malformed(line: usize, message: &str) -> InterchangeError {
+pub(super) fn malformed(line: usize, message: &str) -> InterchangeError {
     InterchangeError::Malformed {
         format: "csv",
         place: format!("line {line}"),

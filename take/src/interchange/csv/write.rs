@@ -1,15 +1,11 @@
 //! Trajectories -> CSV.
 
-use std::collections::{HashMap, HashSet};
 use std::io::Write;
 
-use super::cells::quote;
+use super::{BUFFER_BYTES, cells::quote};
 use crate::interchange::InterchangeError;
-use crate::interchange::text::unlabelled_name;
-use crate::motion::{FrameSource, GAP, MotionInfo, is_gap};
-
-/// Bytes gathered before they are written.
-const BUFFER_BYTES: usize = 1 << 16;
+use crate::interchange::text::column_labels;
+use crate::motion::{FrameSource, GAP, is_gap};
 
 /// Writes a line of names, then one line a frame: its number, its time from the first frame in seconds, and three
 /// cells a marker in millimetres, empty where the sample is missing. Numbers have the fewest digits that bring
@@ -52,23 +48,4 @@ pub(crate) fn write(
     out.write_all(&buffer)?;
     out.flush()?;
     Ok(())
-}
-
-/// A name for each column: the marker's label; `#2`, `#3`... is added where a column before it has that name.
-pub(crate) fn column_labels(info: &MotionInfo) -> Vec<String> {
-    let mut taken = HashSet::new();
-    let mut next_number = HashMap::new();
-    let mut names = Vec::with_capacity(info.markers.len());
-    for (column, marker) in info.markers.iter().enumerate() {
-        let label =
-            if marker.label.is_empty() { unlabelled_name(column) } else { marker.label.clone() };
-        let mut name = label.clone();
-        while !taken.insert(name.clone()) {
-            let number = next_number.entry(label.clone()).or_insert(2u32);
-            name = format!("{label}#{number}");
-            *number += 1;
-        }
-        names.push(name);
-    }
-    names
 }

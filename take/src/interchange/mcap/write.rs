@@ -10,7 +10,7 @@ use mcap::{
 
 use super::{messages, proto::Message, schema::descriptor_set};
 use crate::{
-    interchange::{InterchangeError, about::about, csv::column_labels},
+    interchange::{InterchangeError, about::about, text::column_labels},
     motion::{FrameSource, GAP},
 };
 

@@ -6,7 +6,7 @@ use parquet::data_type::{ByteArray, DoubleType, FloatType, Int64Type};
 
 use super::file::{Kind, ParquetFile};
 use crate::{
-    interchange::{InterchangeError, csv::column_labels},
+    interchange::{InterchangeError, text::column_labels},
     motion::{FrameSource, GAP, is_gap},
 };
 

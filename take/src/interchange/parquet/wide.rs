@@ -6,7 +6,7 @@ use parquet::data_type::{DoubleType, FloatType, Int64Type};
 
 use super::file::{Kind, ParquetFile};
 use crate::{
-    interchange::{InterchangeError, csv::column_labels},
+    interchange::{InterchangeError, text::column_labels},
     motion::{FrameSource, GAP, Position, is_gap},
 };
 

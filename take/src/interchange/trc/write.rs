@@ -3,11 +3,14 @@
 use std::io::Write;
 
 use super::HEADER;
-use crate::interchange::text;
+use crate::interchange::text::{self, column_labels, plain};
 use crate::interchange::{InterchangeError, expect_frames};
 use crate::motion::{FrameSource, GAP, MotionInfo, is_gap};
 
 /// Writes a whole file: millimetres, LF, missing samples as empty cells, as many digits as bring back the f32.
+///
+/// Lines end in a tab, as `OpenSim` writes them: its reader takes what stands behind the last tab for a cell only when
+/// it is not empty, so that a row whose last sample is missing would have a cell too few.
 pub(crate) fn write(
     frames: &mut dyn FrameSource,
     out: &mut dyn Write,
@@ -21,13 +24,13 @@ pub(crate) fn write(
     let mut n_written = 0u64;
     while frames.next_frame(&mut row)? {
         line.clear();
-        write!(line, "{}\t{}", first_frame + n_written, n_written as f64 / info.rate_hz)?;
+        write!(line, "{}\t{}\t", first_frame + n_written, n_written as f64 / info.rate_hz)?;
         for &position in &row {
             if is_gap(position) {
                 line.extend(b"\t\t\t");
             } else {
                 let [x, y, z] = position;
-                write!(line, "\t{x}\t{y}\t{z}")?;
+                write!(line, "{x}\t{y}\t{z}\t")?;
             }
         }
         line.push(b'\n');
@@ -57,17 +60,16 @@ fn write_head(
     write!(
         line,
         "\nDataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames\n\
-         {}\t{camera_rate}\t{}\t{n_markers}\tmm\t{original_rate}\t{original_first}\t{original_frames}\nFrame#\tTime",
+         {}\t{camera_rate}\t{}\t{n_markers}\tmm\t{original_rate}\t{original_first}\t{original_frames}\nFrame#\tTime\t",
         info.rate_hz, info.n_frames
     )?;
-    for marker in &info.markers {
-        // A tab or a line end would shift every column after it.
-        let label = marker.label.replace(['\t', '\n', '\r'], " ");
-        write!(line, "\t{label}\t\t")?;
+    // A label is never empty and none comes twice: OpenSim's tables need that.
+    for label in column_labels(info) {
+        write!(line, "{}\t\t\t", plain(&label))?;
     }
-    line.extend(b"\n\t");
+    line.extend(b"\n\t\t");
     for column in 1..=n_markers {
-        write!(line, "\tX{column}\tY{column}\tZ{column}")?;
+        write!(line, "X{column}\tY{column}\tZ{column}\t")?;
     }
     line.extend(b"\n\n");
     Ok(())

@@ -1,21 +1,14 @@
-//! Qualisys Track Manager's text export of 3D data.
-//!
-//! Lines of a name, a tab and a value, the last of them `MARKER_NAMES` (QTM manual, "Motion data (.tsv)",
-//! docs.qualisys.com); perhaps a line with trajectory types and a line with column names (`Frame`, `Time`,
-//! `Head_FL X` or `Head_FL_X`); then one line a frame, in millimetres.
-//! The export has no mark for a missing sample: it writes zeros. Three zeros, empty cells and cells that are no
-//! finite numbers are therefore gaps.
+//! A QTM text export -> trajectories.
 
-use super::InterchangeError;
-use super::text::{self, Rows};
-use super::units::Millimetres;
-use crate::motion::{Foreign, GAP, Marker, Motion, MotionInfo, Position, Source};
-
-/// Kind of the header lines that are kept: all lines above the data, each followed by LF.
-const HEADER: &str = "tsv/header";
+use super::HEADER;
+use crate::interchange::InterchangeError;
+use crate::interchange::text::{self, Rows};
+use crate::interchange::units::Millimetres;
+use crate::motion::{Foreign, GAP, Marker, Motion, MotionEvent, MotionInfo, Position, Source};
+use crate::record::EventKind;
 
 /// Reads a whole file.
-pub(super) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
+pub(crate) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
     let mut warnings = Vec::new();
     let head = Head::parse(bytes)?;
     let mut rows = Rows::default();
@@ -53,6 +46,9 @@ pub(super) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
     let markers: Vec<Marker> = (0..width)
         .map(|column| text::marker(head.labels.get(column).map_or("", String::as_str), column))
         .collect();
+    let first_frame = first_frame.unwrap_or(1);
+    let mut events = head.events(first_frame, n_frames);
+    events.sort_by_key(|event| event.frame);
     Ok(Motion {
         positions_mm: rows.into_rectangle(width, bytes.len(), "tsv")?,
         info: MotionInfo {
@@ -63,10 +59,11 @@ pub(super) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
                 format: "tsv".to_owned(),
                 unit: "mm".to_owned(),
                 factor: 1.0,
-                first_frame: first_frame.unwrap_or(1),
+                first_frame,
                 frames_missing: head.n_frames.unwrap_or(0).saturating_sub(n_frames),
                 warnings,
             },
+            events,
             foreign: vec![Foreign { kind: HEADER.to_owned(), data: head.lines }],
             ..MotionInfo::default()
         },
@@ -153,6 +150,25 @@ impl Head {
             ));
         }
         Ok(head)
+    }
+
+    /// What lies among the frames; the rest stays in the lines that are kept.
+    fn events(&self, first_frame: u64, n_frames: u64) -> Vec<MotionEvent> {
+        let event = |(_, line): (usize, &[u8])| {
+            let mut cells = line.strip_prefix(b"EVENT\t")?.split(|&b| b == b'\t');
+            let text = text::decode(cells.next()?.trim_ascii());
+            let number = cells.next().and_then(text::whole_number);
+            let mut by_time = || {
+                let frame = (text::number(cells.next()?)? * self.rate_hz).round();
+                (frame >= 0.0).then_some(frame as u64)
+            };
+            let frame = match number {
+                Some(number) => number.checked_sub(first_frame)?,
+                None => by_time()?,
+            };
+            (frame < n_frames).then_some(MotionEvent { frame, kind: EventKind::Mark, text })
+        };
+        text::lines(&self.lines).filter_map(event).collect()
     }
 
     fn read_labels(&mut self, line: &[u8]) {

@@ -1,0 +1,155 @@
+//! The EVENT group: what happened, and when.
+//!
+//! CONTEXTS, LABELS, DESCRIPTIONS and SUBJECTS are texts, TIMES pairs of minutes and seconds, `ICON_IDS` words and
+//! `GENERIC_FLAGS` bytes, an entry an event. Times count from frame number 1, not from the first frame of the file
+//! (as Vicon's software and BTK count them).
+
+use super::parameters::{Parameter, Parameters};
+use crate::motion::{MotionEvent, MotionInfo};
+use crate::record::EventKind;
+
+/// Name of the group.
+pub(super) const EVENT: &str = "EVENT";
+/// What says nothing about an event.
+const GENERAL: &str = "General";
+/// Most events that are written: dimensions count to 255.
+pub(in crate::interchange) const EVENTS_MAX: usize = 255;
+/// Most bytes of all labels: as much as a parameter holds.
+const LABEL_BYTES_MAX: usize = 32_000;
+
+/// An event as the group has it.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Entry {
+    pub(super) context: String,
+    pub(super) label: String,
+    pub(super) description: String,
+    pub(super) subject: String,
+    /// Minutes, seconds.
+    pub(super) time: [f32; 2],
+    pub(super) icon: u16,
+    pub(super) flag: u8,
+}
+
+impl Entry {
+    /// What it says: a context of its own, and the label.
+    fn text(&self) -> String {
+        let context = self.context.trim();
+        let context = if context.eq_ignore_ascii_case(GENERAL) { "" } else { context };
+        let mut text = context.to_owned();
+        if !text.is_empty() && !self.label.is_empty() {
+            text.push(' ');
+        }
+        text.push_str(&self.label);
+        text
+    }
+
+    /// As an event of a file whose first frame has the number `first_frame`; `None` when it lies outside.
+    fn event(&self, rate_hz: f64, first_frame: u64, n_frames: u64) -> Option<MotionEvent> {
+        let [minutes, seconds] = self.time.map(f64::from);
+        let from_one = ((minutes * 60.0 + seconds) * rate_hz).round();
+        let frame = from_one - (first_frame.max(1) - 1) as f64;
+        if !(0.0..n_frames as f64).contains(&frame) {
+            return None;
+        }
+        let kind = EventKind::from_word(&self.description).unwrap_or(EventKind::Mark);
+        Some(MotionEvent { frame: frame as u64, kind, text: self.text() })
+    }
+}
+
+/// The entries of the group, in order.
+pub(super) fn entries(parameters: &Parameters) -> Vec<Entry> {
+    let words =
+        |name: &str| parameters.get(EVENT, name).map(Parameter::numbers).unwrap_or_default();
+    let times: Vec<f32> = parameters.get(EVENT, "TIMES").map(Parameter::floats).unwrap_or_default();
+    let texts = |name: &str| parameters.texts(EVENT, name);
+    let (contexts, labels) = (texts("CONTEXTS"), texts("LABELS"));
+    let (descriptions, subjects) = (texts("DESCRIPTIONS"), texts("SUBJECTS"));
+    let (icons, flags) = (words("ICON_IDS"), words("GENERIC_FLAGS"));
+    let used = parameters.number(EVENT, "USED").map_or(usize::MAX, |used| used as usize);
+    let at = |list: &[String], index: usize| list.get(index).cloned().unwrap_or_default();
+    let entry = |(index, &time): (usize, &[f32; 2])| Entry {
+        context: at(&contexts, index),
+        label: at(&labels, index),
+        description: at(&descriptions, index),
+        subject: at(&subjects, index),
+        time,
+        icon: icons.get(index).map_or(0, |&icon| icon as u16),
+        flag: flags.get(index).map_or(0, |&flag| flag as u8),
+    };
+    times.as_chunks::<2>().0.iter().take(used).enumerate().map(entry).collect()
+}
+
+/// The events among the frames of a file; others stay in the group that is kept.
+pub(super) fn read(
+    parameters: &Parameters,
+    rate_hz: f64,
+    first_frame: u64,
+    n_frames: u64,
+) -> Vec<MotionEvent> {
+    let entries = entries(parameters);
+    let inside = entries.iter().filter_map(|entry| entry.event(rate_hz, first_frame, n_frames));
+    let mut events: Vec<_> = inside.collect();
+    events.sort_by_key(|event| event.frame);
+    events
+}
+
+/// Makes the group say what happened. A group that says it already stays as it came, and so do those of its entries
+/// that are still true.
+pub(super) fn fill(parameters: &mut Parameters, info: &MotionInfo, whole: bool) {
+    let first_frame = info.source.first_frame.max(1);
+    let kept = entries(parameters);
+    let known = read(parameters, info.rate_hz, first_frame, info.n_frames);
+    let nothing_outside = whole || known.len() == kept.len();
+    if known == info.events && nothing_outside {
+        return;
+    }
+    let subject = parameters.text("SUBJECTS", "NAMES").unwrap_or_default();
+    let events = written(&info.events);
+    let label_bytes = LABEL_BYTES_MAX / events.len().max(1);
+    let mut left: Vec<Option<Entry>> = kept.into_iter().map(Some).collect();
+    let entries: Vec<Entry> = events
+        .into_iter()
+        .map(|event| {
+            let same = |entry: &&mut Option<Entry>| {
+                let found = entry.as_ref();
+                let found = found.and_then(|e| e.event(info.rate_hz, first_frame, info.n_frames));
+                found.as_ref() == Some(event)
+            };
+            let kept = left.iter_mut().find(same).and_then(Option::take);
+            kept.unwrap_or_else(|| Entry {
+                context: GENERAL.to_owned(),
+                label: cut(event.label(), label_bytes.min(255)).to_owned(),
+                description: event.kind.word().to_owned(),
+                subject: subject.clone(),
+                time: time(first_frame - 1 + event.frame, info.rate_hz),
+                icon: 0,
+                flag: 0,
+            })
+        })
+        .collect();
+    parameters.set_events(&entries);
+}
+
+/// As many events as the group holds, in order: what people and triggers marked before what machines noticed.
+fn written(events: &[MotionEvent]) -> Vec<&MotionEvent> {
+    let is_meant =
+        |event: &&MotionEvent| !matches!(event.kind, EventKind::Device | EventKind::Host);
+    let mut some: Vec<&MotionEvent> = events.iter().filter(is_meant).take(EVENTS_MAX).collect();
+    let room = EVENTS_MAX - some.len();
+    some.extend(events.iter().filter(|event| !is_meant(event)).take(room));
+    some.sort_by_key(|event| event.frame);
+    some
+}
+
+/// Minutes and seconds of a frame counted from 0: a float of all seconds would be off by frames after hours.
+fn time(frame: u64, rate_hz: f64) -> [f32; 2] {
+    let time_s = frame as f64 / rate_hz;
+    let minutes = (time_s / 60.0).floor();
+    [minutes as f32, (time_s - 60.0 * minutes) as f32]
+}
+
+/// The beginning of a text, whole characters.
+fn cut(text: &str, bytes: usize) -> &str {
+    let end = (0..=bytes.min(text.len())).rev().find(|&end| text.is_char_boundary(end));
+    text.get(..end.unwrap_or(0)).unwrap_or(text)
+}

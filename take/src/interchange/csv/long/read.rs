@@ -1,0 +1,161 @@
+//! CSV in the long layout -> trajectories.
+
+use std::borrow::Cow;
+use std::collections::HashMap;
+
+use super::super::cells::LineCells;
+use super::super::read::{malformed, rate_from_times};
+use super::COLUMNS;
+use crate::interchange::InterchangeError;
+use crate::interchange::text::{self, Cells};
+use crate::interchange::units::Millimetres;
+use crate::motion::{GAP, Marker, Motion, MotionInfo, Position, Source};
+
+/// Whether these are the names of the columns.
+pub(in crate::interchange) fn is_long(line: &[u8]) -> bool {
+    let mut cells = LineCells::new(line).map(|cell| text::decode(cell.trim_ascii()));
+    COLUMNS.iter().all(|name| cells.next().is_some_and(|cell| cell.eq_ignore_ascii_case(name)))
+}
+
+/// Reads a whole file whose column names are at `head_line`. Markers come in the order in which they are first seen.
+pub(in crate::interchange) fn read(
+    bytes: &[u8],
+    head_line: usize,
+) -> Result<Motion, InterchangeError> {
+    let mut warnings = Vec::new();
+    let millimetres = Millimetres::new(1.0);
+    let data = Data::read(bytes, head_line, &millimetres)?;
+    data.report(&mut warnings);
+    millimetres.report(&mut warnings);
+    let (Some(&(first, _)), Some(&(last, _))) = (data.times.first(), data.times.last()) else {
+        return Err(malformed(head_line, "expected a line for each sample, found none"));
+    };
+    let n_markers = data.labels.len();
+    let n_frames = usize::try_from(last - first).ok().and_then(|n| n.checked_add(1));
+    let total = n_frames.and_then(|n| n.checked_mul(n_markers));
+    let earned = bytes.len().saturating_mul(text::MAX_POSITIONS_PER_BYTE);
+    let Some(total) = total.filter(|&total| total <= earned) else {
+        let message = format!(
+            "frames {first} to {last} of {n_markers} markers are more than {} bytes of text can mean; split the file",
+            bytes.len()
+        );
+        return Err(malformed(head_line, &message));
+    };
+    let rate_hz = rate(&data.times, &mut warnings).ok_or_else(|| {
+        malformed(head_line, "the rate is not known: expected times that rise with the frames")
+    })?;
+    let mut positions_mm = vec![GAP; total];
+    for (frame, column, position) in data.samples {
+        let place = (frame - first) as usize * n_markers + column;
+        if let Some(place) = positions_mm.get_mut(place) {
+            *place = position;
+        }
+    }
+    Ok(Motion {
+        positions_mm,
+        info: MotionInfo {
+            rate_hz,
+            n_frames: last - first + 1,
+            markers: data.labels.into_iter().map(marker).collect(),
+            source: Source {
+                format: "csv".to_owned(),
+                unit: "mm".to_owned(),
+                factor: 1.0,
+                first_frame: first,
+                frames_missing: 0,
+                warnings,
+            },
+            ..MotionInfo::default()
+        },
+    })
+}
+
+/// A marker by its name. A column that has none is called by its number, whatever place it has here.
+fn marker(label: String) -> Marker {
+    let number = label.strip_prefix('u').filter(|digits| digits.len() >= 3);
+    let numbered = number.is_some_and(|digits| digits.bytes().all(|b| b.is_ascii_digit()));
+    Marker { labelled: !numbered, label }
+}
+
+/// Frames a second, by the frames that have samples and their times.
+fn rate(times: &[(u64, f64)], warnings: &mut Vec<String>) -> Option<f64> {
+    let (numbers, times): (Vec<u64>, Vec<f64>) = times.iter().copied().unzip();
+    if numbers.windows(2).all(|w| matches!(w, [a, b] if b - a == 1)) {
+        return rate_from_times(&times, &numbers, warnings);
+    }
+    let rate = (numbers.last()? - numbers.first()?) as f64 / (times.last()? - times.first()?);
+    let rounded = (rate * 1e6).round() / 1e6;
+    let usable = if (rounded - rate).abs() <= 1e-9 * rate { rounded } else { rate };
+    (usable.is_finite() && usable > 0.0).then_some(usable)
+}
+
+/// The data as read.
+#[derive(Default)]
+struct Data {
+    labels: Vec<String>,
+    samples: Vec<(u64, usize, Position)>,
+    /// The frames that have a sample and their times, in order.
+    times: Vec<(u64, f64)>,
+    damaged: usize,
+    twice: usize,
+}
+
+impl Data {
+    fn read(
+        bytes: &[u8],
+        head_line: usize,
+        millimetres: &Millimetres,
+    ) -> Result<Self, InterchangeError> {
+        let mut data = Self::default();
+        let mut columns: HashMap<Vec<u8>, usize> = HashMap::new();
+        for (number, line) in text::lines(bytes).skip(head_line) {
+            if line.trim_ascii().is_empty() || line.starts_with(b"#") {
+                continue;
+            }
+            let mut cells = LineCells::new(line);
+            let mut next = || cells.next().unwrap_or(Cow::Borrowed(&[]));
+            let (frame, time, label) = (next(), next(), next());
+            let position = [next(), next(), next()];
+            let frame = text::whole_number(&frame).ok_or_else(|| {
+                malformed(number, "expected the number of a frame in the first cell")
+            })?;
+            if let Some(time) = text::number(&time) {
+                data.times.push((frame, time));
+            }
+            let column = *columns.entry(label.trim_ascii().to_vec()).or_insert_with_key(|label| {
+                data.labels.push(text::decode(label));
+                data.labels.len() - 1
+            });
+            let mut position = position.iter().map(|cell| &cell[..]);
+            match text::three_cells(&mut position) {
+                Cells::Position(stored) => {
+                    data.samples.push((frame, column, millimetres.position(stored)));
+                }
+                Cells::Empty => {}
+                Cells::Damaged => data.damaged += 1,
+            }
+        }
+        data.times.sort_by_key(|&(frame, _)| frame);
+        data.times.dedup_by_key(|&mut (frame, _)| frame);
+        let mut places: Vec<_> =
+            data.samples.iter().map(|&(frame, column, _)| (frame, column)).collect();
+        places.sort_unstable();
+        data.twice = places.windows(2).filter(|w| matches!(w, [a, b] if a == b)).count();
+        Ok(data)
+    }
+
+    fn report(&self, warnings: &mut Vec<String>) {
+        if self.damaged > 0 {
+            warnings.push(format!(
+                "{} samples have cells that are not numbers; they are gaps.",
+                self.damaged
+            ));
+        }
+        if self.twice > 0 {
+            warnings.push(format!(
+                "{} samples come twice, the same marker in the same frame; the last one counts.",
+                self.twice
+            ));
+        }
+    }
+}
