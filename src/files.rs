@@ -1,7 +1,9 @@
 //! Files that are never overwritten: live takes under their own name, everything else beside it first.
 
+mod folder;
+
 use std::{
-    ffi::OsString,
+    ffi::{OsStr, OsString},
     fs::{File, OpenOptions},
     io::{self, Write},
     os::fd::AsRawFd,
@@ -13,6 +15,8 @@ use rustix::{
     fs::{AtFlags, CWD, Mode, OFlags, RenameFlags, linkat, openat, renameat_with},
     io::Errno,
 };
+
+pub use self::folder::NewFolder;
 
 /// Opens a file to read.
 ///
@@ -94,10 +98,7 @@ impl NewFile {
         if let Some(file) = without_a_name(path)? {
             return Ok(Self { file: Some(file), hidden: None, path: path.to_owned() });
         }
-        let mut hidden_name = OsString::from(".");
-        hidden_name.push(name);
-        hidden_name.push(format!(".{}.part", std::process::id()));
-        let hidden = path.with_file_name(hidden_name);
+        let hidden = path.with_file_name(hidden_name(name));
         let created = OpenOptions::new().write(true).create_new(true).open(&hidden);
         let file = created.map_err(|error| cannot_create(path, &error))?;
         Ok(Self { file: Some(file), hidden: Some(hidden), path: path.to_owned() })
@@ -153,6 +154,14 @@ impl Drop for NewFile {
             std::fs::remove_file(hidden).ok();
         }
     }
+}
+
+/// What something is called until it is complete.
+fn hidden_name(name: &OsStr) -> OsString {
+    let mut hidden = OsString::from(".");
+    hidden.push(name);
+    hidden.push(format!(".{}.part", std::process::id()));
+    hidden
 }
 
 /// A file without a name in the folder of `path`; `None` where there are none.

@@ -47,7 +47,7 @@ pub enum SourceError {
 /// Whether a file is called after a format of motion.
 #[must_use]
 pub fn is_motion(path: &Path) -> bool {
-    is_take(path) || Format::from_extension(path).is_some()
+    is_take(path) || Format::from_extension(path).is_some_and(Format::is_read)
 }
 
 fn is_take(path: &Path) -> bool {
@@ -60,7 +60,7 @@ fn is_take(path: &Path) -> bool {
 /// When the ending is unknown, or the file cannot be read.
 pub fn read(path: &Path) -> Result<(Motion, Vec<String>), SourceError> {
     let owned = || path.to_owned();
-    let format = Format::from_extension(path);
+    let format = Format::from_extension(path).filter(|format| format.is_read());
     if !is_motion(path) {
         return Err(SourceError::Ending { path: owned() });
     }

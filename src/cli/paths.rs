@@ -14,9 +14,8 @@ pub(super) fn input_format(path: &Path) -> anyhow::Result<Format> {
     if path.is_dir() {
         bail!("{} is a folder, not a file", path.display());
     }
-    let is_read = |format: &Format| !matches!(format, Format::Parquet | Format::Mcap);
     Format::from_extension(path)
-        .filter(is_read)
+        .filter(|format| format.is_read())
         .ok_or_else(|| unknown_ending(path, ".c3d, .trc, .tsv or .csv"))
 }
 
@@ -25,8 +24,12 @@ pub(super) fn input_format(path: &Path) -> anyhow::Result<Format> {
 /// # Errors
 /// A usage error that lists the endings.
 pub(super) fn output_format(path: &Path) -> anyhow::Result<Format> {
-    Format::from_extension(path)
-        .ok_or_else(|| unknown_ending(path, ".c3d, .trc, .tsv, .csv, .parquet or .mcap"))
+    Format::from_extension(path).ok_or_else(|| {
+        unknown_ending(
+            path,
+            ".c3d, .trc, .tsv, .csv, .npz, .xdf, .parquet or .mcap, or say --format (bids is a folder)",
+        )
+    })
 }
 
 fn unknown_ending(path: &Path, endings: &str) -> anyhow::Error {

@@ -120,7 +120,7 @@ fn endings() {
         refused_with(
             &folder,
             &["export", "jump.take", "-o", file],
-            &[file, "use .c3d, .trc, .csv, .parquet or .mcap"],
+            &[file, "use .c3d, .trc, .tsv, .csv, .npz, .xdf, .parquet or .mcap"],
         );
     }
     for file in ["new.csv", "new.C3D"] {

@@ -1,5 +1,6 @@
 //! `export`: a take in a format that other tools open.
 
+mod format;
 mod part;
 
 use std::{
@@ -11,46 +12,39 @@ use std::{
 
 use anyhow::Context;
 use mocapd::{
-    files::{self, NewFile},
-    outcome::{Outcome, UsageError},
+    files::{self, NewFile, NewFolder},
+    outcome::Outcome,
     units,
 };
-use mocapd_take::{TakeFrames, interchange::Format, motion::FrameSource};
+use mocapd_take::{
+    TakeFrames,
+    interchange::{Format, bids},
+    motion::FrameSource,
+};
 
-use self::part::Part;
+use self::{format::FormatArgs, part::Part};
 use super::{output::say, paths, progress::Progress};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// The take
     take: PathBuf,
-    /// The file to write, .c3d, .trc, .tsv (QTM) or .csv, or, where they are built in, .parquet or .mcap; it must not
-    /// exist
+    /// What to write: a file, .c3d, .trc, .tsv (QTM), .csv, .npz, .xdf or, where they are built in, .parquet or .mcap,
+    /// or with `--format bids` a folder; it must not exist
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Rows of a CSV file: `wide`, one a frame; `long`, one a sample that is present
-    #[arg(long, value_name = "LAYOUT", default_value = "wide")]
-    layout: Layout,
+    #[command(flatten)]
+    format: FormatArgs,
     /// Leave out what is before this time: 10s, 500ms, 2min
     #[arg(long, value_name = "TIME", value_parser = units::duration, allow_hyphen_values = true)]
     from: Option<Duration>,
     /// Leave out what is at or after this time
     #[arg(long, value_name = "TIME", value_parser = units::duration, allow_hyphen_values = true)]
     to: Option<Duration>,
-    /// Of Parquet a row a frame, with three columns a marker, instead of a row a sample
-    #[arg(long)]
-    wide: bool,
-}
-
-/// How a CSV file is laid out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Layout {
-    Wide,
-    Long,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let format = format(args)?;
+    let format = args.format.of(&args.output)?;
     format.check_built()?;
     paths::check_output(&args.output)?;
     let reading = || format!("cannot read {}", args.take.display());
@@ -60,7 +54,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let mut part = Part::new(&mut frames, args.from, args.to, Arc::clone(&counter))?;
     let left_out = format.leaves_out(part.info());
     let progress = Progress::follow("exporting", &counter, part.info().n_frames);
-    write(&mut part, format, &args.output)?;
+    if format == Format::Bids {
+        write_folder(&mut part, &args.format.names(&args.take)?, &args.output)?;
+    } else {
+        write(&mut part, format, &args.output)?;
+    }
     drop(progress);
     if !left_out.is_empty() {
         let output = args.output.display();
@@ -70,25 +68,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         say(&format!("{}: {problem}", args.take.display()));
     }
     Ok(Outcome::of(!frames.problems().is_empty()))
-}
-
-/// The format by the output's ending and what was said beside it.
-fn format(args: &Args) -> anyhow::Result<Format> {
-    let found = paths::output_format(&args.output)?;
-    if args.wide {
-        return match found {
-            Format::Parquet => Ok(Format::ParquetWide),
-            _ => Err(UsageError("--wide is for .parquet: leave it out".to_owned()).into()),
-        };
-    }
-    match (found, args.layout) {
-        (Format::Csv, Layout::Long) => Ok(Format::CsvLong),
-        (format, Layout::Wide) => Ok(format),
-        (_, Layout::Long) => {
-            Err(UsageError("--layout long is for .csv: other formats have one layout".to_owned())
-                .into())
-        }
-    }
 }
 
 /// Writes a whole file under its own name, or none.
@@ -103,5 +82,17 @@ pub(super) fn write(
     format.write(frames, &mut out).with_context(writing)?;
     out.flush().with_context(writing)?;
     drop(out);
+    output.keep()
+}
+
+/// Writes a whole folder under its own name, or none.
+fn write_folder(
+    frames: &mut dyn FrameSource,
+    names: &bids::Names,
+    path: &Path,
+) -> anyhow::Result<()> {
+    let mut output = NewFolder::create(path)?;
+    let writing = || format!("cannot write {}", path.display());
+    bids::write(frames, names, &mut output).with_context(writing)?;
     output.keep()
 }

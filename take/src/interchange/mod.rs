@@ -1,4 +1,5 @@
-//! The field's formats: C3D, TRC, QTM TSV and CSV, in and out, and with the feature `full` Parquet and MCAP out.
+//! The field's formats: C3D, TRC, QTM TSV and CSV, in and out; `NumPy` archives, XDF and BIDS out, and with the feature
+//! `full` Parquet and MCAP.
 //!
 //! Every importer turns the bytes of a whole file into a [`Motion`] in millimetres: each coordinate is the number
 //! as stored or printed, multiplied in f64 by one factor and rounded once to f32. What was found wrong and could
@@ -12,16 +13,19 @@ use crate::motion::{FrameSource, Motion, MotionInfo};
 
 #[cfg(feature = "full")]
 mod about;
+pub mod bids;
 mod c3d;
 mod csv;
 #[cfg(feature = "full")]
 mod mcap;
+mod npz;
 #[cfg(feature = "full")]
 mod parquet;
 mod text;
 mod trc;
 mod tsv;
 mod units;
+mod xdf;
 
 /// A format by name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -42,6 +46,12 @@ pub enum Format {
     Mcap,
     /// CSV with one row a sample.
     CsvLong,
+    /// An archive of `NumPy` arrays; written only.
+    Npz,
+    /// Lab Streaming Layer's recordings; written only.
+    Xdf,
+    /// A folder after the Brain Imaging Data Structure; written only, by [`bids::write`].
+    Bids,
 }
 
 /// Why bytes could not be read as a format, or trajectories not written.
@@ -78,6 +88,8 @@ impl Format {
             "csv" => Self::Csv,
             "parquet" => Self::Parquet,
             "mcap" => Self::Mcap,
+            "npz" => Self::Npz,
+            "xdf" => Self::Xdf,
             _ => return None,
         })
     }
@@ -92,23 +104,34 @@ impl Format {
             return Ok(());
         }
         Err(InterchangeError::Unsupported(
-            "this build has no Parquet and no MCAP: the Debian package has, and so has what `cargo build --release --features full` makes; or export to c3d, trc or csv"
+            "this build has no Parquet and no MCAP: the Debian package has, and so has what `cargo build --release --features full` makes; or export to c3d, trc, csv or npz"
                 .to_owned(),
         ))
+    }
+
+    /// Whether files of it are read.
+    #[must_use]
+    pub fn is_read(self) -> bool {
+        matches!(self, Self::C3d | Self::Trc | Self::Tsv | Self::Csv | Self::CsvLong)
     }
 
     /// Reads a whole file's bytes.
     ///
     /// # Errors
-    /// `Malformed` when there is nothing usable.
+    /// `Malformed` when there is nothing usable; `Unsupported` for a format that is written only.
     pub fn read(self, bytes: &[u8]) -> Result<Motion, InterchangeError> {
         match self {
             Self::C3d => c3d::read(bytes),
             Self::Trc => trc::read(bytes),
             Self::Tsv => tsv::read(bytes),
             Self::Csv | Self::CsvLong => csv::read(bytes),
-            Self::Parquet | Self::ParquetWide | Self::Mcap => Err(InterchangeError::Unsupported(
-                "parquet and mcap are written only: import c3d, trc, tsv or csv".to_owned(),
+            Self::Npz
+            | Self::Xdf
+            | Self::Bids
+            | Self::Parquet
+            | Self::ParquetWide
+            | Self::Mcap => Err(InterchangeError::Unsupported(
+                "this format is written only: import c3d, trc, tsv or csv".to_owned(),
             )),
         }
     }
@@ -120,14 +143,20 @@ impl Format {
             Self::C3d => Some("c3d/"),
             Self::Trc => Some("trc/"),
             Self::Tsv => Some("tsv/"),
-            Self::Csv | Self::CsvLong | Self::Parquet | Self::ParquetWide | Self::Mcap => None,
+            _ => None,
         };
         let others =
             info.foreign.iter().filter(|part| own.is_none_or(|own| !part.kind.starts_with(own)));
         let mut left_out: Vec<String> = others.map(|part| part.kind.clone()).collect();
         let events = match self {
             Self::C3d => info.events.len().saturating_sub(c3d::EVENTS_MAX),
-            Self::Tsv | Self::Parquet | Self::ParquetWide | Self::Mcap => 0,
+            Self::Tsv
+            | Self::Npz
+            | Self::Xdf
+            | Self::Bids
+            | Self::Parquet
+            | Self::ParquetWide
+            | Self::Mcap => 0,
             Self::Trc | Self::Csv | Self::CsvLong => info.events.len(),
         };
         match events {
@@ -143,7 +172,7 @@ impl Format {
     /// an importer kept frame by frame (analog samples, residuals) is given back for the right frames.
     ///
     /// # Errors
-    /// `Unsupported` for what the format cannot hold; `Io`.
+    /// `Unsupported` for what the format cannot hold, and for BIDS, which is a folder; `Io`.
     pub fn write(
         self,
         frames: &mut dyn FrameSource,
@@ -163,6 +192,11 @@ impl Format {
             Self::Mcap => mcap::write(frames, out),
             #[cfg(not(feature = "full"))]
             Self::Parquet | Self::ParquetWide | Self::Mcap => self.check_built(),
+            Self::Npz => npz::write(frames, out),
+            Self::Xdf => xdf::write(frames, out),
+            Self::Bids => Err(InterchangeError::Unsupported(
+                "bids is a folder, not a file: use bids::write".to_owned(),
+            )),
         }
     }
 }

@@ -11,6 +11,7 @@ mod round_trip;
 mod subjects;
 mod takes;
 mod text;
+mod written;
 
 use mocapd_take::motion::{Motion, is_gap};
 

@@ -6,8 +6,6 @@ mod read;
 mod write;
 
 pub(super) use read::read;
-#[cfg(feature = "full")]
-pub(super) use write::column_labels;
 pub(super) use write::write;
 
 /// Kind of the lines above the column names that are kept, each followed by LF.
