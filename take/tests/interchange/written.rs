@@ -138,8 +138,8 @@ fn an_xdf_is_a_row_of_chunks() {
     let file = write(Format::Xdf, &source);
     let chunks = chunks(&file);
     let tags: Vec<u64> = chunks.iter().map(|&(tag, _)| tag).collect();
-    assert_eq!(tags[..5], [1, 2, 2, 3, 6]);
-    assert!(tags[5..tags.len() - 1].iter().all(|&tag| tag == 3) && tags.last() == Some(&6));
+    assert_eq!(tags[..7], [1, 2, 4, 2, 4, 3, 6]);
+    assert!(tags[7..tags.len() - 1].iter().all(|&tag| tag == 3) && tags.last() == Some(&6));
     let head = std::str::from_utf8(&chunks[1].1[4..]).expect("text");
     assert!(
         head.contains("<channel_count>900</channel_count>")

@@ -43,8 +43,12 @@ pub(super) fn participants() -> String {
 
 pub(super) fn motion(names: &Names, info: &MotionInfo) -> String {
     let n_markers = info.markers.len() as u64;
-    Object::default()
-        .text("TaskName", names.task())
+    // Channels that there are none of: the specification recommends to say so.
+    let others = ["ACCEL", "ANGACCEL", "GYRO", "JNTANG", "LATENCY", "MAGN", "MISC", "ORNT", "VEL"];
+    let none = others
+        .iter()
+        .fold(Object::default(), |about, kind| about.count(&format!("{kind}ChannelCount"), 0));
+    none.text("TaskName", names.task())
         .number("SamplingFrequency", info.rate_hz)
         .text("TrackingSystemName", "optical")
         .text("RecordingType", "continuous")

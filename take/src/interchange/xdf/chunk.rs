@@ -7,6 +7,7 @@ pub(super) mod tags {
     pub(in super::super) const FILE_HEADER: u16 = 1;
     pub(in super::super) const STREAM_HEADER: u16 = 2;
     pub(in super::super) const SAMPLES: u16 = 3;
+    pub(in super::super) const CLOCK_OFFSET: u16 = 4;
     pub(in super::super) const STREAM_FOOTER: u16 = 6;
 }
 
@@ -31,6 +32,12 @@ pub(super) fn put_chunk(out: &mut dyn Write, tag: u16, pieces: &[&[u8]]) -> io::
     head.extend(tag.to_le_bytes());
     out.write_all(&head)?;
     pieces.iter().try_for_each(|piece| out.write_all(piece))
+}
+
+/// Says that the times of a stream are those of the file: an offset of nothing, found at its beginning.
+pub(super) fn put_own_clock(out: &mut dyn Write, stream: u32) -> io::Result<()> {
+    let nothing = 0_f64.to_le_bytes();
+    put_chunk(out, tags::CLOCK_OFFSET, &[&stream.to_le_bytes(), &nothing, &nothing])
 }
 
 /// Samples of a stream, gathered into a chunk.

@@ -7,7 +7,7 @@ mod xml;
 use std::io::Write;
 
 use self::{
-    chunk::{Samples, put_chunk, tags},
+    chunk::{Samples, put_chunk, put_own_clock, tags},
     xml::{event_head, foot, motion_head},
 };
 use super::{InterchangeError, expect_frames};
@@ -34,6 +34,7 @@ pub(super) fn write(
         &[b"<?xml version=\"1.0\"?><info><version>1.0</version></info>"],
     )?;
     put_chunk(out, tags::STREAM_HEADER, &[&MOTION.to_le_bytes(), motion_head(&info).as_bytes()])?;
+    put_own_clock(out, MOTION)?;
     if !info.events.is_empty() {
         write_events(&info, out)?;
     }
@@ -62,6 +63,7 @@ pub(super) fn write(
 
 fn write_events(info: &MotionInfo, out: &mut dyn Write) -> std::io::Result<()> {
     put_chunk(out, tags::STREAM_HEADER, &[&EVENTS.to_le_bytes(), event_head().as_bytes()])?;
+    put_own_clock(out, EVENTS)?;
     let mut samples = Samples::new(EVENTS);
     let time_s = |frame: u64| frame as f64 / info.rate_hz;
     for event in &info.events {

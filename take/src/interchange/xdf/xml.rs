@@ -65,6 +65,6 @@ pub(super) fn foot(first_s: f64, last_s: f64, n: u64, rate_hz: Option<f64>) -> S
         rate_hz.map_or_else(String::new, |hz| format!("<measured_srate>{hz}</measured_srate>"));
     format!(
         "<?xml version=\"1.0\"?><info><first_timestamp>{first_s}</first_timestamp><last_timestamp>{last_s}\
-         </last_timestamp><sample_count>{n}</sample_count>{rate}<clock_offsets></clock_offsets></info>"
+         </last_timestamp><sample_count>{n}</sample_count>{rate}<clock_offsets><offset><time>0</time><value>0</value></offset></clock_offsets></info>"
     )
 }
