@@ -2,8 +2,10 @@
 
 use std::io::{Read, Seek};
 
+use mocapd_codec::Settings;
+
 use crate::{
-    TakeError,
+    TakeError, TakeReader,
     map::TakeMap,
     motion::{FrameSource, GAP, Motion, MotionEvent, MotionInfo, Position, Source, UpAxis},
     record::{Event, Header},
@@ -82,6 +84,29 @@ impl<R: Read + Seek> TakeFrames<R> {
     #[must_use]
     pub fn n_held(&self) -> u64 {
         self.map.n_held.unwrap_or_default()
+    }
+
+    /// Rows of its longest stretch: what a decoder holds of each marker.
+    #[must_use]
+    pub fn longest_stretch(&self) -> u64 {
+        self.map.longest_stretch.unwrap_or_default()
+    }
+
+    /// A second reader of the same take, and where in the file it begins: at the last key stretch that begins at `row`
+    /// or before it.
+    ///
+    /// # Errors
+    /// `Unsupported` or `Codec` when the header cannot be used.
+    pub fn reader_at(&self, row: u64) -> Result<(u64, TakeReader), TakeError> {
+        self.stretches.reader_at(row)
+    }
+
+    /// What it was coded with.
+    ///
+    /// # Errors
+    /// `Unsupported` or `Codec` when the header cannot be used.
+    pub fn codec(&self) -> Result<Settings, TakeError> {
+        self.map.header.codec()
     }
 
     /// The bound that was asked for; 0 for `lossless`.

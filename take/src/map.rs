@@ -25,6 +25,8 @@ pub struct TakeMap {
     /// Rows in stretches that were found and have samples; `None` when stretches were not read. The others were
     /// lost, or nothing was seen in them.
     pub n_held: Option<u64>,
+    /// Rows of the longest stretch, which is what a decoder holds of each marker; `None` when stretches were not read.
+    pub longest_stretch: Option<u64>,
     /// The key stretches, at which a reader can start, in order of rows.
     pub keys: Vec<IndexEntry>,
     /// The events, in order.
@@ -75,6 +77,7 @@ impl TakeMap {
             channels: Vec::new(),
             n_rows: 0,
             n_held: None,
+            longest_stretch: None,
             keys: Vec::new(),
             events: Vec::new(),
             ledger: None,

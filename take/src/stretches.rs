@@ -91,6 +91,19 @@ impl<R: Read + Seek> TakeStretches<R> {
         Ok(())
     }
 
+    /// A reader of the same take that begins at the last key stretch at `row` or before it, and that key's place in the
+    /// file; at the start of the take where there is none.
+    ///
+    /// # Errors
+    /// `Unsupported` or `Codec` when the header cannot be used.
+    pub fn reader_at(&self, row: u64) -> Result<(u64, TakeReader), TakeError> {
+        let behind = self.keys.partition_point(|key| key.first_row <= row);
+        match behind.checked_sub(1).and_then(|at| self.keys.get(at)) {
+            Some(&key) => Ok((key.offset, TakeReader::from_key(&self.header, key)?)),
+            None => Ok((0, TakeReader::new())),
+        }
+    }
+
     /// Decodes the next stretch that can be; `None` at the end of the take. Stretches without rows, which tell
     /// of lost ones alone, come with what they tell.
     ///

@@ -12,9 +12,10 @@ use std::{
 
 use anyhow::Context;
 use mocapd::{
+    ahead::Ahead,
     files::{self, NewFile, NewFolder},
     outcome::Outcome,
-    units,
+    threads, units,
 };
 use mocapd_take::{
     TakeFrames,
@@ -50,8 +51,18 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let reading = || format!("cannot read {}", args.take.display());
     let file = files::open(&args.take)?;
     let mut frames = TakeFrames::open(BufReader::new(file)).with_context(reading)?;
+    let range = part::range(frames.info(), frames.n_held(), args.from, args.to)?;
+    let mut ahead =
+        Ahead::start(&args.take, &frames, range.start, threads::default_workers())?;
+    let source: &mut dyn FrameSource = match &mut ahead {
+        Some(ahead) => ahead,
+        None => {
+            frames.seek(range.start)?;
+            &mut frames
+        }
+    };
     let counter = Arc::new(AtomicU64::new(0));
-    let mut part = Part::new(&mut frames, args.from, args.to, Arc::clone(&counter))?;
+    let mut part = Part::new(source, &range, Arc::clone(&counter));
     let left_out = format.leaves_out(part.info());
     let progress = Progress::follow("exporting", &counter, part.info().n_frames);
     if format == Format::Bids {
@@ -64,10 +75,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         let output = args.output.display();
         say(&format!("{output} cannot hold, and so has not: {}", left_out.join(", ")));
     }
-    for problem in frames.problems() {
+    let problems = ahead.as_ref().map_or(frames.problems(), Ahead::problems);
+    for problem in problems {
         say(&format!("{}: {problem}", args.take.display()));
     }
-    Ok(Outcome::of(!frames.problems().is_empty()))
+    Ok(Outcome::of(!problems.is_empty()))
 }
 
 /// Writes a whole file under its own name, or none.

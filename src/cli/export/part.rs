@@ -1,7 +1,8 @@
 //! The frames of a take from one time to another.
 
 use std::{
-    io::{self, Read, Seek},
+    io,
+    ops::Range,
     sync::{
         Arc,
         atomic::{AtomicU64, Ordering},
@@ -12,7 +13,7 @@ use std::{
 use anyhow::ensure;
 use mocapd::{outcome::UsageError, units::frame_at};
 use mocapd_take::{
-    TakeFrames, TakeMap,
+    TakeMap,
     motion::{FrameSource, MotionInfo, Position},
 };
 
@@ -28,40 +29,48 @@ pub(super) struct Part<'a> {
     counter: Arc<AtomicU64>,
 }
 
+/// The frames of a take at or after `from` and before `to`; `n_held` of all lie in its stretches.
+///
+/// # Errors
+/// That there are no frames at all; a usage error when there are none between the times, or, without `to`, hours of
+/// lost ones and fewer others.
+pub(super) fn range(
+    info: &MotionInfo,
+    n_held: u64,
+    from: Option<Duration>,
+    to: Option<Duration>,
+) -> anyhow::Result<Range<u64>> {
+    ensure!(info.n_frames > 0, "the take holds no frames: there is nothing to export");
+    let first = from.map_or(0, |time| frame_at(time, info.rate_hz));
+    let end = to.map_or(info.n_frames, |time| frame_at(time, info.rate_hz)).min(info.n_frames);
+    if first >= end {
+        let length_s = info.n_frames as f64 / info.rate_hz;
+        return Err(UsageError(format!(
+            "no frames there: the take is {length_s:.3} s long, so give a --from below that and a --to above it"
+        ))
+        .into());
+    }
+    let lost = info.n_frames.saturating_sub(n_held);
+    if to.is_none() && lost > LOST_UNASKED_MAX.max(n_held) {
+        return Err(UsageError(format!(
+            "{lost} of the {} frames hold nothing, and each would be a row of gaps: give a --to, the time up to which to write",
+            info.n_frames
+        ))
+        .into());
+    }
+    Ok(first..end)
+}
+
 impl<'a> Part<'a> {
-    /// The frames at or after `from` and before `to`.
-    ///
-    /// # Errors
-    /// That there are no frames at all; a usage error when there are none between the times, or, without
-    /// `to`, hours of lost ones and fewer others; whatever reading the source meets.
-    pub(super) fn new<R: Read + Seek>(
-        frames: &'a mut TakeFrames<R>,
-        from: Option<Duration>,
-        to: Option<Duration>,
+    /// The frames of a range, of a source that gives the first of them next.
+    pub(super) fn new(
+        frames: &'a mut dyn FrameSource,
+        range: &Range<u64>,
         counter: Arc<AtomicU64>,
-    ) -> anyhow::Result<Self> {
+    ) -> Self {
         let mut info = frames.info().clone();
-        ensure!(info.n_frames > 0, "the take holds no frames: there is nothing to export");
-        let first = from.map_or(0, |time| frame_at(time, info.rate_hz));
-        let end = to.map_or(info.n_frames, |time| frame_at(time, info.rate_hz)).min(info.n_frames);
-        if first >= end {
-            let length_s = info.n_frames as f64 / info.rate_hz;
-            return Err(UsageError(format!(
-                "no frames there: the take is {length_s:.3} s long, so give a --from below that and a --to above it"
-            ))
-            .into());
-        }
-        let lost = info.n_frames.saturating_sub(frames.n_held());
-        if to.is_none() && lost > LOST_UNASKED_MAX.max(frames.n_held()) {
-            return Err(UsageError(format!(
-                "{lost} of the {} frames hold nothing, and each would be a row of gaps: give a --to, the time up to which to write",
-                info.n_frames
-            ))
-            .into());
-        }
-        frames.seek(first)?;
-        info.cut(first, end);
-        Ok(Self { frames, left: info.n_frames, info, counter })
+        info.cut(range.start, range.end);
+        Self { frames, left: info.n_frames, info, counter }
     }
 }
 
@@ -90,7 +99,7 @@ mod tests {
 
     use mocapd_codec::{Settings, Tolerance};
     use mocapd_take::{
-        TakeWriter,
+        TakeFrames, TakeWriter,
         record::{Header, Ledger},
         stretch::{FrontWriter, Span},
         timeline::Timeline,
@@ -134,9 +143,9 @@ mod tests {
     #[test]
     fn hours_of_nothing_are_written_when_asked_for() {
         let part = |lost: u64, to_s: Option<u64>| {
-            let mut frames = TakeFrames::open(Cursor::new(take(lost))).unwrap();
-            Part::new(&mut frames, None, to_s.map(Duration::from_secs), Arc::default())
-                .map(|part| part.left)
+            let frames = TakeFrames::open(Cursor::new(take(lost))).unwrap();
+            range(frames.info(), frames.n_held(), None, to_s.map(Duration::from_secs))
+                .map(|range| range.end - range.start)
                 .map_err(|error| error.to_string())
         };
         assert_eq!(part(LOST_UNASKED_MAX - 1200, None), Ok(LOST_UNASKED_MAX));

@@ -28,7 +28,7 @@ pub(super) fn scan(
             match event {
                 TakeEvent::Header(header) => {
                     table.append(&header.channels);
-                    map = Some(TakeMap { n_held: Some(0), ..TakeMap::new(*header) });
+                    map = Some(TakeMap { n_held: Some(0), longest_stretch: Some(0), ..TakeMap::new(*header) });
                 }
                 TakeEvent::Damaged { offset, len, message, .. } => {
                     damaged_before = true;
@@ -88,6 +88,8 @@ impl TakeMap {
         let mut runs = stretch.timeline.iter().flat_map(|timeline| &timeline.runs);
         self.damaged |=
             runs.any(|run| run.lost.is_some_and(|causes| causes.contains(Causes::DAMAGED)));
+        let longest = self.longest_stretch.unwrap_or_default();
+        self.longest_stretch = Some(longest.max(span.n_rows.into()));
         // Rows that come twice, and those of no channel, are not held.
         if let Some(held) = &mut self.n_held
             && stretch.blocks.iter().any(|block| !block.is_empty())

@@ -1,0 +1,104 @@
+use std::{fs, io::Cursor, path::PathBuf, sync::atomic::AtomicU64};
+
+use mocapd_codec::{ResamplerKind, Tolerance};
+use mocapd_simulator::generator::{JumpSpec, Occlusion};
+use mocapd_take::motion::is_gap;
+
+use super::*;
+use crate::{header, pipeline::offline};
+
+/// A take of several key stretches and two groups of channels.
+fn take(kind: &str, folder: &Path) -> PathBuf {
+    let occlusion = Some(Occlusion { fraction: 0.1, mean_gap_s: 0.2 });
+    let spec = JumpSpec { n_markers: 70, seconds: Some(64.0), occlusion, ..JumpSpec::new(3, 50.0) };
+    let motion = spec.generate().unwrap().motion;
+    let kind: ResamplerKind = kind.parse().unwrap();
+    let codec = Settings { kind, tolerance: Tolerance::from_mm(1.0).unwrap() };
+    let mut header = header::of_import(&codec, 50.0);
+    header.channels = header::channels(&motion.info.markers);
+    header.stretch_rows = offline::stretch_rows(&codec, 50.0, motion.n_frames(), 70) as u32;
+    let (_, bytes) =
+        offline::write_take(&motion, &header, 2, &AtomicU64::new(0), Vec::new()).unwrap();
+    let path = folder.join("a.take");
+    fs::write(&path, bytes).unwrap();
+    path
+}
+
+fn open(path: &Path) -> TakeFrames<Cursor<Vec<u8>>> {
+    TakeFrames::open(Cursor::new(fs::read(path).unwrap())).unwrap()
+}
+
+fn rows(frames: &mut dyn FrameSource) -> Vec<Vec<[u32; 3]>> {
+    let mut row = vec![GAP; frames.info().markers.len()];
+    let mut all = Vec::new();
+    while frames.next_frame(&mut row).unwrap() {
+        let bits = |&p: &Position| if is_gap(p) { [0; 3] } else { p.map(f32::to_bits) };
+        all.push(row.iter().map(bits).collect());
+    }
+    all
+}
+
+#[test]
+fn the_same_frames_for_any_number_of_threads() {
+    for kind in ["dense", "fast", "lossless"] {
+        let folder = tempfile::tempdir().unwrap();
+        let path = take(kind, folder.path());
+        let mut frames = open(&path);
+        let (info, codec) = (frames.info().clone(), frames.codec().unwrap());
+        let expected = rows(&mut frames);
+        assert_eq!(expected.len(), 3200);
+        for n_threads in [1, 2, 3, 9] {
+            let file = File::open(&path).unwrap();
+            let mut ahead = Ahead::with_threads(file, TakeReader::new(), info.clone(), codec, n_threads).unwrap();
+            assert!(rows(&mut ahead) == expected, "{kind}, {n_threads} threads");
+            assert_eq!(ahead.problems(), [""; 0]);
+        }
+    }
+}
+
+#[test]
+fn threads_end_when_nobody_wants_more() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = take("fast", folder.path());
+    let codec = open(&path).codec().unwrap();
+    // Its other end is gone: the reader returns instead of reading on.
+    let (coded_in, coded) = bounded(1);
+    drop(coded);
+    read(File::open(&path).unwrap(), TakeReader::new(), &[coded_in]);
+    // More coded stretches could come, but nobody takes the rows.
+    let (coded_in, coded) = bounded(CODED_MAX);
+    coded_in.send(Coded::Next).unwrap();
+    let (decoded_in, decoded) = bounded(1);
+    drop(decoded);
+    decode(codec, 70, &coded, &decoded_in);
+}
+
+#[test]
+fn a_take_with_a_flaw_is_not_read_ahead() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = take("fast", folder.path());
+    let bytes = fs::read(&path).unwrap();
+    fs::write(&path, &bytes[..bytes.len() - 40]).unwrap();
+    assert!(Ahead::start(&path, &open(&path), 0, 4).unwrap().is_none());
+}
+
+#[test]
+fn stretches_that_fill_the_memory_are_read_by_one() {
+    let folder = tempfile::tempdir().unwrap();
+    // A whole take in one stretch: 70 markers of 3200 rows are 5 MB a thread.
+    let path = take("spline", folder.path());
+    let ahead = Ahead::start(&path, &open(&path), 0, 1000).unwrap().unwrap();
+    assert_eq!(ahead.decoded.len() as u64, MEMORY_MAX / (70 * 3200 * SAMPLE_BYTES));
+}
+
+#[test]
+fn a_file_that_shrinks_meanwhile_is_an_error_or_a_problem() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = take("fast", folder.path());
+    let frames = open(&path);
+    let bytes = fs::read(&path).unwrap();
+    fs::write(&path, &bytes[..100]).unwrap();
+    let mut ahead = Ahead::start(&path, &frames, 0, 2).unwrap().unwrap();
+    let mut row = vec![GAP; 70];
+    assert!(ahead.next_frame(&mut row).is_err());
+}
