@@ -7,6 +7,7 @@
     reason = "a test stops where it fails"
 )]
 
+mod ahead;
 mod architecture;
 mod cli;
 mod kills;

@@ -128,3 +128,38 @@ fn events_go_where_their_frames_go() {
     let line = folder.run(&["export", "jump.take", "-o", "jump.csv"]).with_code(0).stderr;
     assert!(line.contains("cannot hold") && line.contains("2 events"), "{line}");
 }
+
+/// A format by its name, and a folder that appears whole.
+#[test]
+fn formats_by_name() {
+    let (folder, _) = folder();
+    folder.run(&["export", "jump.take", "-o", "data", "--format", "npz"]).with_code(0);
+    assert!(folder.read("data").starts_with(b"PK\x03\x04"));
+    folder.run(&["export", "jump.take", "-o", "jump.xdf"]).with_code(0);
+    assert!(folder.read("jump.xdf").starts_with(b"XDF:"));
+    folder.run(&["export", "jump.take", "-o", "long.csv", "--layout", "long"]).with_code(0);
+    assert!(folder.text("long.csv").starts_with("frame,time_s,label,x_mm,y_mm,z_mm\n1,0,"));
+    let bids = ["export", "jump.take", "-o", "set", "--format", "bids", "--subject", "7"];
+    folder.run(&bids).with_code(0);
+    let motion = folder.text("set/sub-7/motion/sub-7_task-jump_tracksys-optical_motion.tsv");
+    assert_eq!(motion.lines().count(), 100);
+    let line = folder.refuses(&bids, 1);
+    assert!(line.contains("exists and is not overwritten"), "{line}");
+    let names: Vec<_> = folder.content().into_keys().collect();
+    assert!(names.iter().all(|name| !name.to_string_lossy().contains(".part")), "{names:?}");
+}
+
+#[test]
+fn what_does_not_go_together_is_refused() {
+    let (folder, _) = folder();
+    for (args, word) in [
+        (&["-o", "a.c3d", "--layout", "long"][..], "--layout long is for csv"),
+        (&["-o", "a.c3d", "--subject", "1"], "are for --format bids"),
+        (&["-o", "a", "--format", "bids", "--task", "a b"], "letters a to z and digits"),
+        (&["-o", "a"], "or say --format"),
+        (&["-o", "a.c3d", "--format", "hdf5"], "invalid value 'hdf5'"),
+    ] {
+        let line = folder.refuses(&[&["export", "jump.take"], args].concat(), 2);
+        assert!(line.contains(word), "{line}");
+    }
+}

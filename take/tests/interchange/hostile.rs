@@ -21,6 +21,8 @@ fn survive(format: Format, bytes: &[u8]) {
     assert!(foreign <= 2 * bytes.len() + 1024, "{foreign} bytes kept from {} bytes", bytes.len());
     assert!(motion.info.markers.is_empty() || motion.n_frames() as u64 == motion.info.n_frames);
     // Refusing is fine: labels may have become too long.
+    drop(Format::Npz.write(&mut MotionFrames::new(&motion), &mut std::io::sink()));
+    drop(Format::Xdf.write(&mut MotionFrames::new(&motion), &mut std::io::sink()));
     drop(format.write(&mut MotionFrames::new(&motion), &mut Vec::new()));
 }
 
@@ -48,6 +50,13 @@ fn c3d(order: Order, scale: f32) -> Vec<u8> {
     file.records.extend(file.group(2, "TRIAL"));
     file.words(2, "ACTUAL_START_FIELD", &[1, 0]);
     file.words(2, "ACTUAL_END_FIELD", &[6, 0]);
+    file.records.extend(file.group(3, "EVENT"));
+    file.words(3, "USED", &[2]);
+    file.texts(3, "CONTEXTS", &["Left", "General"]);
+    file.texts(3, "LABELS", &["On", "Off"]);
+    let times = [0.0, 0.0, 0.0, 0.02];
+    let times: Vec<u8> = times.iter().flat_map(|&t| order.float(t)).collect();
+    file.records.extend(file.record(3, "TIMES", 4, &[2, 2], &times));
     file.bytes()
 }
 
