@@ -31,7 +31,7 @@ fn several_threads_find_what_one_does() {
         std::fs::write(&path, take).unwrap();
         let open = || TakeFrames::open(BufReader::new(File::open(&path).unwrap())).unwrap();
         let mut one = open();
-        let mut ahead = Ahead::start(&path, &open(), 3).unwrap().expect("a take without a flaw");
+        let mut ahead = Ahead::start(&path, &open(), 0, 3).unwrap().expect("a take without a flaw");
         assert_eq!(ahead.info(), one.info());
         let mut rows = [vec![GAP; motion.info.markers.len()], vec![GAP; motion.info.markers.len()]];
         let [mine, its] = &mut rows;

@@ -49,7 +49,9 @@ fn the_same_frames_for_any_number_of_threads() {
         assert_eq!(expected.len(), 3200);
         for n_threads in [1, 2, 3, 9] {
             let file = File::open(&path).unwrap();
-            let mut ahead = Ahead::with_threads(file, TakeReader::new(), info.clone(), codec, n_threads).unwrap();
+            let mut ahead =
+                Ahead::with_threads(file, TakeReader::new(), info.clone(), codec, n_threads)
+                    .unwrap();
             assert!(rows(&mut ahead) == expected, "{kind}, {n_threads} threads");
             assert_eq!(ahead.problems(), [""; 0]);
         }

@@ -35,6 +35,7 @@ fn motion(n_frames: usize, n_markers: usize) -> Motion {
         up: UpAxis::Y,
         source: Source { first_frame: 17, ..Source::default() },
         foreign: Vec::new(),
+        events: Vec::new(),
     };
     Motion { info, positions_mm }
 }

@@ -52,8 +52,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let file = files::open(&args.take)?;
     let mut frames = TakeFrames::open(BufReader::new(file)).with_context(reading)?;
     let range = part::range(frames.info(), frames.n_held(), args.from, args.to)?;
-    let mut ahead =
-        Ahead::start(&args.take, &frames, range.start, threads::default_workers())?;
+    let mut ahead = Ahead::start(&args.take, &frames, range.start, threads::default_workers())?;
     let source: &mut dyn FrameSource = match &mut ahead {
         Some(ahead) => ahead,
         None => {

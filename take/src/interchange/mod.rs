@@ -125,14 +125,11 @@ impl Format {
             Self::Trc => trc::read(bytes),
             Self::Tsv => tsv::read(bytes),
             Self::Csv | Self::CsvLong => csv::read(bytes),
-            Self::Npz
-            | Self::Xdf
-            | Self::Bids
-            | Self::Parquet
-            | Self::ParquetWide
-            | Self::Mcap => Err(InterchangeError::Unsupported(
-                "this format is written only: import c3d, trc, tsv or csv".to_owned(),
-            )),
+            Self::Npz | Self::Xdf | Self::Bids | Self::Parquet | Self::ParquetWide | Self::Mcap => {
+                Err(InterchangeError::Unsupported(
+                    "this format is written only: import c3d, trc, tsv or csv".to_owned(),
+                ))
+            }
         }
     }
 

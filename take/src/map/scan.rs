@@ -28,7 +28,11 @@ pub(super) fn scan(
             match event {
                 TakeEvent::Header(header) => {
                     table.append(&header.channels);
-                    map = Some(TakeMap { n_held: Some(0), longest_stretch: Some(0), ..TakeMap::new(*header) });
+                    map = Some(TakeMap {
+                        n_held: Some(0),
+                        longest_stretch: Some(0),
+                        ..TakeMap::new(*header)
+                    });
                 }
                 TakeEvent::Damaged { offset, len, message, .. } => {
                     damaged_before = true;
