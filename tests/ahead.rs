@@ -43,6 +43,20 @@ fn several_threads_find_what_one_does() {
             n_present += mine.iter().filter(|&&position| !is_gap(position)).count();
         }
         assert!(!ahead.next_frame(its).unwrap() && ahead.problems().is_empty());
+        // From the middle on: at a key, behind one, and in the rows that were lost.
+        for first in [n as u64 / 3, n as u64 / 2 + 50, n as u64 - 1] {
+            let mut whole = open();
+            whole.seek(first).unwrap();
+            let mut ahead = Ahead::start(&path, &open(), first, 2).unwrap().expect("no flaw");
+            while whole.next_frame(mine).unwrap() {
+                assert!(ahead.next_frame(its).unwrap());
+                assert!(
+                    mine.iter().zip(&*its).all(|(&a, &b)| bits(a) == bits(b)),
+                    "{name}: from {first}"
+                );
+            }
+            assert!(!ahead.next_frame(its).unwrap());
+        }
         assert!(n_present > motion.positions_mm.len() / 2, "{name}: {n_present}");
     }
 }
