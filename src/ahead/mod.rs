@@ -65,8 +65,7 @@ impl Ahead {
         let (offset, reader) = frames.reader_at(first_row)?;
         let mut file = File::open(path)?;
         file.seek(SeekFrom::Start(offset))?;
-        let mut ahead =
-            Self::with_threads(file, reader, info.clone(), frames.codec()?, n_threads)?;
+        let mut ahead = Self::with_threads(file, reader, info.clone(), frames.codec()?, n_threads)?;
         ahead.next_row = first_row;
         ahead.take = frames.take().cloned();
         Ok(Some(ahead))
