@@ -28,6 +28,8 @@ pub(super) enum Coded {
     Next,
     /// There are no more.
     End,
+    /// Something of the take is missing.
+    Flaw,
     /// The file could not be read.
     Failed(TakeError),
 }
@@ -35,8 +37,7 @@ pub(super) enum Coded {
 /// What it gives.
 pub(super) enum Decoded {
     Rows(Rows),
-    /// What is missing, in words.
-    Problem(String),
+    Flaw,
     Next,
     End,
     Failed(io::Error),
@@ -78,6 +79,7 @@ pub(super) fn read(mut file: File, mut reader: TakeReader, lines: &[Sender<Coded
     let mut begun = false;
     loop {
         let message = match reader.next_event() {
+            Ok(Some(TakeEvent::Stretch(stretch))) if stretch.missing_before => Coded::Flaw,
             Ok(Some(TakeEvent::Stretch(stretch))) if stretch.span.n_rows > 0 => {
                 if stretch.span.key && begun {
                     if lines[turn].send(Coded::Next).is_err() {
@@ -92,7 +94,11 @@ pub(super) fn read(mut file: File, mut reader: TakeReader, lines: &[Sender<Coded
                     blocks: stretch.blocks.iter().map(|block| block.to_vec()).collect(),
                 })
             }
-            Ok(Some(TakeEvent::End { .. })) => Coded::End,
+            // A file that is shorter than when it was opened has no footer any more.
+            Ok(Some(TakeEvent::End { finished, .. })) if finished => Coded::End,
+            Ok(Some(
+                TakeEvent::End { .. } | TakeEvent::Damaged { .. } | TakeEvent::Unplaced { .. },
+            )) => Coded::Flaw,
             Ok(Some(_)) => continue,
             Ok(None) => match pull(&mut file, &mut reader) {
                 Ok(()) => continue,
@@ -119,15 +125,11 @@ pub(super) fn decode(
         let sent = match coded {
             Coded::Stretch(stretch) => match decode_one(&mut decoder, &stretch) {
                 Ok(()) => send_rows(&decoder, stretch.span, n_markers, decoded),
-                Err(error) => {
-                    let Span { first_row, n_rows, .. } = stretch.span;
-                    let problem =
-                        format!("the stretch of {n_rows} frames from frame {first_row} on {error}");
-                    decoded.send(Decoded::Problem(problem)).is_ok()
-                }
+                Err(_) => decoded.send(Decoded::Flaw).is_ok(),
             },
             Coded::Next => decoded.send(Decoded::Next).is_ok(),
             Coded::End => decoded.send(Decoded::End).is_ok(),
+            Coded::Flaw => decoded.send(Decoded::Flaw).is_ok(),
             Coded::Failed(error) => decoded.send(Decoded::Failed(io::Error::other(error))).is_ok(),
         };
         if !sent {

@@ -1,7 +1,8 @@
 //! A take as frames, decoded by several threads ahead of who reads them: what lies between two key stretches is decoded
 //! by one thread, and the next by the next, in turn.
 //!
-//! Only for takes without a flaw: whoever knows what a damaged one is missing is [`TakeFrames`].
+//! Only for takes without a flaw: whoever knows what a damaged one is missing is [`TakeFrames`]. One that turns up later
+//! is an error, and [`Ahead::has_flaw`].
 
 mod lines;
 #[cfg(test)]
@@ -40,7 +41,7 @@ pub struct Ahead {
     current: Rows,
     next_row: u64,
     ended: bool,
-    problems: Vec<String>,
+    has_flaw: bool,
 }
 
 impl Ahead {
@@ -98,14 +99,14 @@ impl Ahead {
             current: Rows::default(),
             next_row: 0,
             ended: false,
-            problems: Vec::new(),
+            has_flaw: false,
         })
     }
 
-    /// What turned out to be missing, one sentence each. Complete after the last frame.
+    /// Whether something turned out to be missing: then what was read is not to be used.
     #[must_use]
-    pub fn problems(&self) -> &[String] {
-        &self.problems
+    pub fn has_flaw(&self) -> bool {
+        self.has_flaw
     }
 
     /// Takes rows until some of them come at or after the next, or there are no more.
@@ -114,7 +115,10 @@ impl Ahead {
             let decoded = self.decoded.get(self.turn).and_then(|line| line.recv().ok());
             match decoded.unwrap_or_else(|| Decoded::Failed(io::Error::other("a thread failed"))) {
                 Decoded::Rows(rows) => self.current = rows,
-                Decoded::Problem(problem) => self.problems.push(problem),
+                Decoded::Flaw => {
+                    self.has_flaw = true;
+                    return Err(io::Error::new(io::ErrorKind::InvalidData, "the take has a flaw"));
+                }
                 Decoded::Next => self.turn = (self.turn + 1) % self.decoded.len().max(1),
                 Decoded::End => self.ended = true,
                 Decoded::Failed(error) => return Err(error),

@@ -53,28 +53,39 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let mut frames = TakeFrames::open(BufReader::new(file)).with_context(reading)?;
     let range = part::range(frames.info(), frames.n_held(), args.from, args.to)?;
     let mut ahead = Ahead::start(&args.take, &frames, range.start, threads::default_workers())?;
-    let source: &mut dyn FrameSource = match &mut ahead {
-        Some(ahead) => ahead,
-        None => {
-            frames.seek(range.start)?;
-            &mut frames
+    let mut left_out = Vec::new();
+    let mut export = |source: &mut dyn FrameSource| {
+        let counter = Arc::new(AtomicU64::new(0));
+        let mut part = Part::new(source, &range, Arc::clone(&counter));
+        left_out = format.leaves_out(part.info());
+        let _progress = Progress::follow("exporting", &counter, part.info().n_frames);
+        if format == Format::Bids {
+            write_folder(&mut part, &args.format.names(&args.take)?, &args.output)
+        } else {
+            write(&mut part, format, &args.output)
         }
     };
-    let counter = Arc::new(AtomicU64::new(0));
-    let mut part = Part::new(source, &range, Arc::clone(&counter));
-    let left_out = format.leaves_out(part.info());
-    let progress = Progress::follow("exporting", &counter, part.info().n_frames);
-    if format == Format::Bids {
-        write_folder(&mut part, &args.format.names(&args.take)?, &args.output)?;
-    } else {
-        write(&mut part, format, &args.output)?;
+    let done = match &mut ahead {
+        None => false,
+        Some(ahead) => match export(ahead) {
+            // What is missing of a take with a flaw is known to the reader that goes through it frame by frame. Nothing
+            // of the first try is left.
+            Err(_) if ahead.has_flaw() => false,
+            tried => {
+                tried?;
+                true
+            }
+        },
+    };
+    if !done {
+        frames.seek(range.start)?;
+        export(&mut frames)?;
     }
-    drop(progress);
     if !left_out.is_empty() {
         let output = args.output.display();
         say(&format!("{output} cannot hold, and so has not: {}", left_out.join(", ")));
     }
-    let problems = ahead.as_ref().map_or(frames.problems(), Ahead::problems);
+    let problems = frames.problems();
     for problem in problems {
         say(&format!("{}: {problem}", args.take.display()));
     }
