@@ -72,11 +72,19 @@ impl<'a> Rows<'a> {
 pub(crate) fn runs(present: &[bool]) -> impl Iterator<Item = std::ops::Range<usize>> {
     let mut at = 0;
     std::iter::from_fn(move || {
-        let start = at + present[at..].iter().position(|&p| p)?;
-        let len = present[start..].iter().position(|&p| !p).unwrap_or(present.len() - start);
-        at = start + len;
-        Some(start..at)
+        let start = at + length(&present[at..], false);
+        at = start + length(&present[start..], true);
+        (start < at).then_some(start..at)
     })
+}
+
+/// How many rows from the first on are as said. Most are as those before them: many are looked at together.
+fn length(present: &[bool], state: bool) -> usize {
+    let (many, _) = present.as_chunks::<32>();
+    let is_other = |many: &[bool; 32]| many.iter().fold(false, |any, &p| any | (p != state));
+    let same = 32 * many.iter().position(is_other).unwrap_or(many.len());
+    let rest = &present[same..];
+    same + rest.iter().position(|&p| p != state).unwrap_or(rest.len())
 }
 
 /// What an encoder proved about one channel of the block it just wrote.

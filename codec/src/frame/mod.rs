@@ -99,17 +99,18 @@ pub fn stated_channels(block: &[u8]) -> Option<usize> {
 /// Samples present; an error when one is not finite.
 pub(crate) fn count_finite(rows: Rows<'_>) -> Result<usize, CodecError> {
     // Without their signs, the bits of those that are not are the largest.
-    let not_finite = |(position, present): (&Position, &bool)| {
-        let [x, y, z] = position.map(|c| c.to_bits() & !(1 << 31));
-        *present & (x.max(y).max(z) >= f32::INFINITY.to_bits())
-    };
-    let all = || rows.positions().iter().zip(rows.present());
+    let not_finite = |c: &f32| c.to_bits() & !(1 << 31) >= f32::INFINITY.to_bits();
     let (mut samples, mut any) = (0, false);
-    for (position, present) in all() {
-        any |= not_finite((position, present));
-        samples += usize::from(*present);
+    for run in rows.runs() {
+        samples += run.len();
+        // No branch, so that many are looked at together.
+        let positions = rows.positions()[run].as_flattened();
+        any |= positions.iter().fold(false, |any, c| any | not_finite(c));
     }
-    match any.then(|| all().position(not_finite)).flatten() {
+    let is_bad =
+        |(position, present): (&Position, &bool)| *present && position.iter().any(not_finite);
+    let all = || rows.positions().iter().zip(rows.present());
+    match any.then(|| all().position(is_bad)).flatten() {
         None => Ok(samples),
         Some(row) => Err(CodecError::InvalidArgument(format!(
             "row {row} is present but {:?} is not finite; mark such rows absent",
