@@ -1,180 +1,136 @@
-//! What an encoder chooses for a row, and what it writes for it.
+//! What an encoder chooses for rows: their residuals in steps, and with these the points.
 
-use super::{
-    model::{Activity, GOLOMB, LOW_BITS, QUIET, QUIET_ROWS, WAKE},
-    walk::{self, Point, Rows, Side},
-    writer::Op,
-};
-use crate::CodecError;
-
-/// Adding this and taking it off again rounds to the nearest integer, for values within 2^22.
+/// Adding this and taking it off again rounds to the nearest integer, for values within 2^22; and its bits are then
+/// that integer more.
 const ROUND: f32 = 12_582_912.0;
 
-/// Sets the target of the last anchor, which may lie up to 15 rows beyond the samples: on a line.
-#[inline(always)]
-pub(super) fn ahead(targets: &mut [Point], n: usize, origin: usize) {
-    let end = walk::extent(n);
-    let window = (n + origin).saturating_sub(1).min(4);
-    if n == 0 || end == n {
-        return;
-    }
-    let last = targets[n];
-    let before = targets[n - window.min(n)];
-    let factor = if window == 0 { 0.0 } else { ((end - n) as f32 / window as f32).min(4.0) };
-    targets[end] = std::array::from_fn(|i| last[i] + (last[i] - before[i]) * factor);
-}
+/// Of a symbol: an axis is larger than +-1, and more must be written than the symbol.
+pub(super) const LARGER: u8 = 1 << 7;
 
-pub(super) struct Choosing<'a> {
-    /// By row of the run.
-    pub(super) targets: &'a [Point],
-    /// Residuals of the level, in steps.
-    pub(super) steps: &'a mut [Point],
-    pub(super) ops: &'a mut [Op],
-    pub(super) n_ops: usize,
-    pub(super) n: usize,
-    pub(super) at: usize,
-    pub(super) finest: bool,
+/// What it is chosen by.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Rule {
     pub(super) step: f32,
     pub(super) inverse: f32,
     /// Square of the tolerance.
     pub(super) ball: f32,
     /// Square of the largest distance that can be coded.
     pub(super) reach: f32,
-    /// Whether all residuals so far can be coded.
-    pub(super) in_reach: bool,
-    pub(super) kept: u32,
 }
 
-impl Choosing<'_> {
-    /// The residual of a row on which nothing depends: one step of +-1 less, where that stays inside
-    /// the ball.
-    #[inline(always)]
-    fn shorten(&self, off: Point, mut steps: Point) -> Point {
-        let mut error = 0.0;
-        let (mut least, mut pick) = (f32::INFINITY, 0);
-        for axis in 0..3 {
-            let rest = off[axis] - steps[axis] * self.step;
-            error += rest * rest;
-            let more = off[axis] * off[axis] - rest * rest;
-            let more = if steps[axis].abs() == 1.0 { more } else { f32::INFINITY };
-            (least, pick) = if more < least { (more, axis) } else { (least, pick) };
-        }
-        let worth = error + least <= self.ball;
-        for (axis, steps) in steps.iter_mut().enumerate() {
-            *steps = if worth && axis == pick { 0.0 } else { *steps };
-        }
-        steps
-    }
-
-    /// Codes a row; gives the sum of its magnitudes.
-    #[inline(always)]
-    fn row(&mut self, table: usize, steps: Point) -> u32 {
-        let order = GOLOMB[table];
-        let low_bits = LOW_BITS[table];
-        let half = (1 << low_bits) >> 1;
-        let (mut symbol, mut sum, mut low) = (0, 0, 0);
-        let mut fields = [Op::default(); 3];
-        for (field, &steps) in fields.iter_mut().zip(&steps[..3]) {
-            let value = steps as i32;
-            sum += value.unsigned_abs();
-            let high = (value + half) >> low_bits;
-            low = low << low_bits | ((value + half) & ((1 << low_bits) - 1)) as u32;
-            let magnitude = high.unsigned_abs();
-            let larger = magnitude > 1;
-            let code = magnitude.wrapping_sub(2).wrapping_add(1 << order);
-            let width = if larger { 64 - 2 * code.leading_zeros() - order } else { 0 };
-            let code = if larger { code << 1 | u32::from(high < 0) } else { 0 };
-            *field = Op::bits(code, width);
-            let axis = if larger { 3 } else { magnitude as usize + usize::from(high < 0) };
-            symbol = symbol << 2 | axis;
-        }
-        let has_larger = symbol & symbol >> 1 & 0b01_01_01 != 0;
-        if low_bits > 0 {
-            // Before the fields: these alone have a symbol right before them.
-            self.push(Op::symbol(table, symbol, false));
-            self.push(Op::bits(low, 3 * low_bits));
-            for field in fields {
-                self.push(field);
-            }
-            return sum;
-        }
-        self.push(Op::symbol(table, symbol, has_larger));
-        if has_larger {
-            for field in fields {
-                self.push(field);
-            }
-        }
-        sum
-    }
-
-    #[inline(always)]
-    fn push(&mut self, op: Op) {
-        if let Some(slot) = self.ops.get_mut(self.n_ops) {
-            *slot = op;
-            self.n_ops += 1;
-        }
-    }
+/// One row.
+pub(super) struct Chosen {
+    pub(super) point: [f32; 3],
+    pub(super) steps: [i32; 3],
+    /// As without low bits; [`LARGER`] is set where it is not all.
+    pub(super) symbol: u8,
+    /// Of the magnitudes, cut to a byte.
+    pub(super) sum: u8,
+    /// A residual cannot be coded.
+    pub(super) out_of_reach: bool,
 }
 
-impl Side for Choosing<'_> {
+impl Rule {
+    /// Chooses for a row. Those of the `FINEST` level, on which nothing depends, have one step of +-1 less where that
+    /// stays inside the ball. There is no branch: it is done to rows side by side.
     #[inline(always)]
-    fn enter(
-        &mut self,
-        level: usize,
-        _rows: Rows,
-        _activity: &mut Activity,
-    ) -> Result<(), CodecError> {
-        self.at = 0;
-        self.finest = level == 0;
-        Ok(())
-    }
-
-    #[inline(always)]
-    fn settle(&mut self, row: usize, prediction: Point) -> Point {
-        let target = self.targets[row];
-        let off: Point = std::array::from_fn(|i| target[i] - prediction[i]);
+    pub(super) fn row<const FINEST: bool>(self, target: [f32; 3], prediction: [f32; 3]) -> Chosen {
+        let off = [0, 1, 2].map(|axis| target[axis] - prediction[axis]);
         let square = off[0] * off[0] + off[1] * off[1] + off[2] * off[2];
-        // Not so where it is not a number.
-        self.in_reach &= square <= self.reach;
-        let inside = square <= self.ball;
-        let scale = if inside { 0.0 } else { self.inverse };
-        let mut steps: Point = std::array::from_fn(|i| (off[i] * scale + ROUND) - ROUND);
-        if self.finest && !inside {
+        let scale = if square <= self.ball { 0.0 } else { self.inverse };
+        let mut steps = off.map(|off| (off * scale + ROUND) - ROUND);
+        if FINEST {
             steps = self.shorten(off, steps);
         }
-        self.steps[self.at] = steps;
-        self.at += 1;
-        std::array::from_fn(|i| prediction[i] + steps[i] * self.step)
+        let values =
+            steps.map(|steps| (steps + ROUND).to_bits().wrapping_sub(ROUND.to_bits()) as i32);
+        let magnitudes = values.map(i32::unsigned_abs);
+        let [x, y, z] = [0, 1, 2].map(|axis| {
+            let small = magnitudes[axis] + (values[axis] as u32 >> 31);
+            if magnitudes[axis] > 1 { 3 } else { small }
+        });
+        let [a, b, c] = magnitudes;
+        let larger = if a.max(b).max(c) > 1 { u32::from(LARGER) } else { 0 };
+        Chosen {
+            point: [0, 1, 2].map(|axis| prediction[axis] + steps[axis] * self.step),
+            steps: values,
+            symbol: (x << 4 | y << 2 | z | larger) as u8,
+            sum: (a + b + c).min(255) as u8,
+            // So where it is not a number.
+            out_of_reach: !(square <= self.reach),
+        }
     }
 
+    /// Leaves out the step of +-1 that is missed least, where all else is inside the ball without it. Without a
+    /// branch: it is done to rows side by side.
     #[inline(always)]
-    fn leave(&mut self, _level: usize, rows: Rows, activity: &mut Activity) {
-        if !self.in_reach {
-            // The channel will be stored raw.
-            return;
-        }
-        let n = self.at;
-        let mut i = 0;
-        while i < n {
-            let mut table = activity.class();
-            if activity.is_quiet() {
-                let most = (n - i).min(QUIET_ROWS);
-                let zeros = self.steps[i..i + most]
-                    .iter()
-                    .position(|steps| *steps != [0.0; 4])
-                    .unwrap_or(QUIET_ROWS);
-                self.push(Op::symbol(QUIET, zeros, false));
-                i += zeros.min(most);
-                if zeros == QUIET_ROWS {
-                    continue;
-                }
-                table = WAKE;
-            }
-            let sum = self.row(table, self.steps[i]);
-            activity.push(sum);
-            // The last anchor may lie beyond the samples.
-            self.kept += u32::from(sum > 0 && rows.row(i) <= self.n);
-            i += 1;
-        }
+    fn shorten(self, off: [f32; 3], steps: [f32; 3]) -> [f32; 3] {
+        let rest = [0, 1, 2].map(|axis| off[axis] - steps[axis] * self.step);
+        let error = rest[0] * rest[0] + rest[1] * rest[1] + rest[2] * rest[2];
+        let [x, y, z] = [0, 1, 2].map(|axis| {
+            let more = off[axis] * off[axis] - rest[axis] * rest[axis];
+            if steps[axis].abs() == 1.0 { more } else { f32::INFINITY }
+        });
+        // Compared one by one: which of three it is would become a branch.
+        let y_before_x = y < x;
+        let least = if y_before_x { y } else { x };
+        let z_first = z < least;
+        let least = if z_first { z } else { least };
+        let worth = error + least <= self.ball;
+        let without = [!y_before_x & !z_first, y_before_x & !z_first, z_first];
+        [0, 1, 2].map(|axis| if worth & without[axis] { 0.0 } else { steps[axis] })
     }
+}
+
+/// Chooses for all rows of a level. Each slice is one of its own, so that it is known to overlap with no other.
+#[inline(always)]
+#[expect(clippy::too_many_arguments, reason = "a slice in an array may be any")]
+pub(super) fn choose<const FINEST: bool>(
+    rule: Rule,
+    [tx, ty, tz]: [&[f32]; 3],
+    x: &mut [f32],
+    y: &mut [f32],
+    z: &mut [f32],
+    steps_x: &mut [i32],
+    steps_y: &mut [i32],
+    steps_z: &mut [i32],
+    symbols: &mut [u8],
+    sums: &mut [u8],
+) -> bool {
+    let n = sums.len();
+    let (tx, ty, tz) = (&tx[..n], &ty[..n], &tz[..n]);
+    let (x, y, z) = (&mut x[..n], &mut y[..n], &mut z[..n]);
+    let (steps_x, steps_y, steps_z) = (&mut steps_x[..n], &mut steps_y[..n], &mut steps_z[..n]);
+    let symbols = &mut symbols[..n];
+    let mut out_of_reach = false;
+    for i in 0..n {
+        let chosen = rule.row::<FINEST>([tx[i], ty[i], tz[i]], [x[i], y[i], z[i]]);
+        [x[i], y[i], z[i]] = chosen.point;
+        [steps_x[i], steps_y[i], steps_z[i]] = chosen.steps;
+        symbols[i] = chosen.symbol;
+        sums[i] = chosen.sum;
+        out_of_reach |= chosen.out_of_reach;
+    }
+    out_of_reach
+}
+
+/// The largest square of a distance between rows, as bits: what is not a number is largest of all.
+#[inline(always)]
+pub(super) fn worst(targets: [&[f32]; 3], points: [&[f32]; 3]) -> u64 {
+    let n = targets[0].len();
+    let ([a, b, c], [x, y, z]) =
+        (targets.map(|plane| &plane[..n]), points.map(|plane| &plane[..n]));
+    let mut worst = 0;
+    for i in 0..n {
+        worst = worst.max(square([a[i], b[i], c[i]], [x[i], y[i], z[i]]).to_bits() as i64);
+    }
+    worst as u64
+}
+
+/// In float64, as errors are stated.
+#[inline(always)]
+pub(super) fn square(target: [f32; 3], point: [f32; 3]) -> f64 {
+    let [x, y, z] = [0, 1, 2].map(|axis| f64::from(target[axis]) - f64::from(point[axis]));
+    // Without the sign that what is not a number may have.
+    (x * x + y * y + z * z).abs()
 }

@@ -2,37 +2,37 @@
 
 use super::{
     MAX_STEPS,
-    choose::{Choosing, ahead},
+    choose::Rule,
     isa::Kernel,
+    side::{Choosing, Residuals},
     tans::Tables,
-    walk::{self, Channel, Point},
-    writer::{Op, Writer},
+    targets::Targets,
+    walk::{self, Channel, Grid},
+    writer::{Ops, Writer},
 };
 use crate::Rows;
-
-/// A count of zeros or low bits, a symbol and three larger magnitudes.
-const OPS_PER_ROW: usize = 5;
 
 /// Memory for one channel of one block.
 #[derive(Debug, Default)]
 pub(super) struct Work {
-    points: Vec<Point>,
-    targets: Vec<Point>,
-    steps: Vec<Point>,
-    pub(super) ops: Vec<Op>,
+    grid: Grid,
+    targets: Targets,
+    residuals: Residuals,
+    pub(super) ops: Ops,
     pub(super) bytes: Vec<u8>,
+    room: usize,
 }
 
 impl Work {
     pub(super) fn prepare(&mut self, n_rows: usize) {
         let room = walk::room(n_rows);
-        let Work { points, targets, steps, ops, bytes } = self;
-        if points.len() < room {
-            for buffer in [points, targets, steps] {
-                buffer.resize(room, Point::default());
-            }
-            ops.resize(OPS_PER_ROW * room, Op::default());
-            bytes.resize(Op::MAX_BYTES * ops.len() + 8, 0);
+        if self.room < room {
+            self.room = room;
+            self.grid.grow(room);
+            self.targets.grow(room);
+            self.residuals.grow(room);
+            self.ops.grow(room);
+            self.bytes.resize(self.ops.max_bytes() + 8, 0);
         }
     }
 }
@@ -40,7 +40,7 @@ impl Work {
 pub(super) struct Emitting<'a> {
     pub(super) writer: &'a mut Writer,
     pub(super) tables: &'static Tables,
-    pub(super) ops: &'a [Op],
+    pub(super) ops: &'a Ops,
     pub(super) bytes: &'a mut [u8],
 }
 
@@ -58,7 +58,6 @@ impl Kernel for Emitting<'_> {
 pub(super) struct Outcome {
     pub(super) max_error_mm: f64,
     pub(super) kept: u32,
-    pub(super) n_ops: usize,
 }
 
 /// One channel of one block: fills `work.ops`.
@@ -76,13 +75,18 @@ impl Kernel for Coding<'_> {
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        let Self { channel, rows, work: Work { points, targets, steps, ops, .. }, .. } = self;
-        // Less than the tolerance by more than the rounding of the distance in f32.
-        let ball = (self.tolerance_mm * self.tolerance_mm * (1.0 - 1e-5)) as f32;
-        let reach = (f64::from(self.step) * f64::from(MAX_STEPS)).powi(2) as f32;
+        let Self { channel, rows, work: Work { grid, targets, residuals, ops, .. }, .. } = self;
+        let rule = Rule {
+            step: self.step,
+            inverse: self.step.recip(),
+            // Less than the tolerance by more than the rounding of the distance in f32.
+            ball: (self.tolerance_mm * self.tolerance_mm * (1.0 - 1e-5)) as f32,
+            reach: (f64::from(self.step) * f64::from(MAX_STEPS)).powi(2) as f32,
+        };
         let cap = walk::error_cap(self.tolerance_mm);
-        let (mut worst, mut kept, mut n_ops) = (0.0_f64, 0, 0);
+        let (mut worst, mut kept) = (0, 0);
         let mut end = 0;
+        ops.clear();
         for run in rows.runs() {
             if run.start != 0 {
                 channel.known = 0;
@@ -90,47 +94,29 @@ impl Kernel for Coding<'_> {
             end = run.end;
             let samples = &rows.positions()[run];
             let origin = usize::from(channel.known == 0);
+            targets.take(samples, origin);
             let n = samples.len() - origin;
-            for (target, sample) in targets[1 - origin..].iter_mut().zip(samples) {
-                *target = [sample[0], sample[1], sample[2], 0.0];
-            }
-            ahead(targets, n, origin);
             let mut side = Choosing {
+                rule,
                 targets,
-                steps,
+                residuals,
                 ops,
-                n_ops,
                 n,
                 at: 0,
-                finest: false,
-                step: self.step,
-                inverse: self.step.recip(),
-                ball,
-                reach,
-                in_reach: true,
-                kept: 0,
+                out_of_reach: false,
+                kept,
+                worst,
             };
-            walk::run(&mut side, channel, points, samples.len(), cap).ok()?;
-            kept += side.kept;
-            n_ops = side.n_ops;
-            if !side.in_reach {
+            walk::run(&mut side, channel, grid, samples.len(), cap).ok()?;
+            if side.out_of_reach {
                 return None;
             }
-            for (sample, point) in samples.iter().zip(&points[walk::ZERO + 1 - origin..]) {
-                let square = |axis: usize| {
-                    let d = f64::from(sample[axis]) - f64::from(point[axis]);
-                    d * d
-                };
-                let distance = square(0) + square(1) + square(2);
-                // Written so that not a number is worst of all.
-                worst = if distance <= worst { worst } else { distance };
-            }
+            (kept, worst) = (side.kept, side.worst);
         }
         if end != rows.len() {
             channel.known = 0;
         }
-        let worst = worst.sqrt();
-        let max_error_mm = if worst.is_nan() { f64::INFINITY } else { worst };
-        Some(Outcome { max_error_mm, kept, n_ops })
+        let max_error_mm = f64::from_bits(worst).sqrt();
+        Some(Outcome { max_error_mm, kept })
     }
 }

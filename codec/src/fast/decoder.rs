@@ -7,7 +7,7 @@ use super::{
     reader::Reader,
     step,
     tans::Tables,
-    walk::{self, Channel, Point},
+    walk::{self, Channel, Grid, Point},
 };
 use crate::{
     CodecError, DecodedRows, Tolerance, coding::bytes::Bytes, frame::PayloadDecoder, raw::Raw,
@@ -20,7 +20,7 @@ pub(crate) struct FastDecoder {
     tables: &'static Tables,
     isa: Isa,
     channels: Vec<Channel>,
-    points: Vec<Point>,
+    grid: Grid,
     steps: Vec<Point>,
     padded: Vec<u8>,
     modes: Vec<Mode>,
@@ -39,7 +39,7 @@ impl FastDecoder {
             tables: Tables::get(),
             isa,
             channels: Vec::new(),
-            points: Vec::new(),
+            grid: Grid::default(),
             steps: Vec::new(),
             padded: Vec::new(),
             modes: Vec::new(),
@@ -53,9 +53,9 @@ impl FastDecoder {
             self.modes.resize(n_channels, Mode::default());
         }
         let room = walk::room(n_rows);
-        if self.points.len() < room {
-            self.points.resize(room, Point::default());
-            self.steps.resize(n_rows.max(1), Point::default());
+        if self.steps.len() < room {
+            self.steps.resize(room, Point::default());
+            self.grid.grow(room);
         }
     }
 }
@@ -116,7 +116,7 @@ impl PayloadDecoder for FastDecoder {
                 reader: &mut reader,
                 channel,
                 rows,
-                points: &mut self.points,
+                grid: &mut self.grid,
                 steps: &mut self.steps,
                 step: step(self.tolerance_mm, *mode),
                 cap: walk::error_cap(self.tolerance_mm),

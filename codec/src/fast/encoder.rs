@@ -59,11 +59,10 @@ impl FastEncoder {
                 tolerance_mm: self.tolerance_mm,
                 step: step(self.tolerance_mm, mode),
             });
-            let Some(Outcome { max_error_mm, kept, n_ops }) = outcome else { return false };
+            let Some(Outcome { max_error_mm, kept }) = outcome else { return false };
             if max_error_mm <= self.tolerance_mm {
                 let mut next = *writer;
                 let Work { ops, bytes, .. } = &mut self.work;
-                let ops = &ops[..n_ops];
                 let tables = self.tables;
                 let length = self.isa.run(Emitting { writer: &mut next, tables, ops, bytes });
                 if length > Raw::max_bytes(report.samples as usize) {

@@ -12,10 +12,13 @@ mod decoder;
 mod encoder;
 mod levels;
 mod model;
+mod planes;
 mod read;
 mod reader;
 mod residual;
+mod side;
 mod tans;
+mod targets;
 #[cfg(test)]
 mod tests;
 mod walk;

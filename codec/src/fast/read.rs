@@ -2,13 +2,15 @@
 
 use super::{
     isa::Kernel,
+    levels::LEAD,
     model::{Activity, QUIET, QUIET_ROWS, WAKE},
+    planes::Planes,
     reader::Reader,
-    residual::residual,
-    tans::Tables,
-    walk::{self, Channel, Point, Rows, Side},
+    residual::{RESIDUALS, residual},
+    tans::{MORE, Tables},
+    walk::{self, Channel, Grid, Point, Rows, Side},
 };
-use crate::{CodecError, DecodedRows, block};
+use crate::{CodecError, DecodedRows, Position, block};
 
 /// One channel of one block.
 pub(super) struct Decoding<'a, 'p> {
@@ -16,7 +18,7 @@ pub(super) struct Decoding<'a, 'p> {
     pub(super) reader: &'a mut Reader<'p>,
     pub(super) channel: &'a mut Channel,
     pub(super) rows: &'a mut DecodedRows,
-    pub(super) points: &'a mut [Point],
+    pub(super) grid: &'a mut Grid,
     pub(super) steps: &'a mut [Point],
     pub(super) step: f32,
     pub(super) cap: f32,
@@ -27,7 +29,7 @@ impl Kernel for Decoding<'_, '_> {
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        let Self { tables, reader, channel, rows, points, steps, step, cap } = self;
+        let Self { tables, reader, channel, rows, grid, steps, step, cap } = self;
         let DecodedRows { positions, present, kept, .. } = rows;
         let mut end = 0;
         for run in block::runs(present) {
@@ -39,17 +41,9 @@ impl Kernel for Decoding<'_, '_> {
             let n = run.len();
             let kept = &mut kept[run.clone()];
             let mut side = Reading { tables, reader, steps, kept, at: 0, step, origin };
-            walk::run(&mut side, channel, points, n, cap)?;
-            let first = walk::ZERO + 1 - origin;
-            let mut sum = 0.0_f32;
-            let settled = &points[first..];
-            // The origin is row 0 of the points.
-            for (position, point) in positions[run].iter_mut().zip(settled) {
-                *position = [point[0], point[1], point[2]];
-                // Not a number for each that is not finite.
-                sum += point[0] * 0.0 + point[1] * 0.0 + point[2] * 0.0;
-            }
-            if sum != 0.0 {
+            walk::run(&mut side, channel, grid, n, cap)?;
+            let [x, y, z] = grid.known.from(LEAD + 1 - origin);
+            if gather(x, y, z, &mut positions[run]) {
                 return Err(CodecError::Corrupt("a position beyond every coordinate"));
             }
         }
@@ -57,6 +51,33 @@ impl Kernel for Decoding<'_, '_> {
             channel.known = 0;
         }
         Ok(())
+    }
+}
+
+/// Puts the axes together; says whether any is not finite.
+#[inline(always)]
+fn gather(x: &[f32], y: &[f32], z: &[f32], positions: &mut [Position]) -> bool {
+    let n = positions.len();
+    let (x, y, z) = (&x[..n], &y[..n], &z[..n]);
+    for (i, position) in positions.iter_mut().enumerate() {
+        *position = [x[i], y[i], z[i]];
+    }
+    let mut not_finite = false;
+    for i in 0..n {
+        not_finite |= !x[i].is_finite() | !y[i].is_finite() | !z[i].is_finite();
+    }
+    not_finite
+}
+
+/// Adds residuals to what was expected.
+#[inline(always)]
+fn settle(steps: &[Point], step: f32, x: &mut [f32], y: &mut [f32], z: &mut [f32]) {
+    let n = steps.len();
+    let (x, y, z) = (&mut x[..n], &mut y[..n], &mut z[..n]);
+    for (i, steps) in steps.iter().enumerate() {
+        x[i] += steps[0] * step;
+        y[i] += steps[1] * step;
+        z[i] += steps[2] * step;
     }
 }
 
@@ -85,22 +106,27 @@ impl Side for Reading<'_, '_> {
         let mut reader = *self.reader;
         let mut recent = *activity;
         let steps = &mut self.steps[..rows.count];
+        steps.fill(Point::default());
         let mut i = 0;
         while i < steps.len() {
             let mut table = recent.class();
             if recent.is_quiet() {
-                let zeros = reader.symbol(self.tables, QUIET)?;
-                let quiet = zeros.min(steps.len() - i);
-                steps[i..i + quiet].fill(Point::default());
-                i += quiet;
+                let zeros = reader.entry(self.tables, QUIET)? as usize % 64;
+                i = (i + zeros).min(steps.len());
                 if zeros == QUIET_ROWS {
                     continue;
                 }
                 table = WAKE;
             }
             let slot = steps.get_mut(i).ok_or(CodecError::Corrupt("a row beyond its level"))?;
-            let symbol = reader.symbol(self.tables, table)?;
-            let magnitude = residual(&mut reader, symbol, table, slot)?;
+            let entry = reader.entry(self.tables, table)?;
+            let symbol = entry as usize % 64;
+            *slot = RESIDUALS[symbol];
+            // Not looked up: what is read next waits for it.
+            let mut magnitude = entry >> 6 & 3;
+            if entry & MORE != 0 {
+                magnitude = residual(&mut reader, symbol, table, slot)?;
+            }
             recent.push(magnitude);
             // The last anchor may lie beyond the samples.
             if let Some(kept) = self.kept.get_mut(rows.row(i) + self.origin - 1) {
@@ -118,6 +144,13 @@ impl Side for Reading<'_, '_> {
         let steps = self.steps[self.at];
         self.at += 1;
         std::array::from_fn(|i| prediction[i] + steps[i] * self.step)
+    }
+
+    #[inline(always)]
+    fn settle_level(&mut self, _level: usize, count: usize, padded: usize, rows: &mut Planes) {
+        self.steps[count..padded].fill(Point::default());
+        let [x, y, z] = &mut rows.0;
+        settle(&self.steps[..padded], self.step, x, y, z);
     }
 
     #[inline(always)]

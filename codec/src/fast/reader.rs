@@ -4,7 +4,7 @@ use std::cmp::Ordering;
 
 use super::{
     model::{STATE_BITS, STATES, TABLES},
-    tans::Tables,
+    tans::{Entry, Tables},
 };
 use crate::CodecError;
 
@@ -92,15 +92,16 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
+    /// The entry of the next symbol of a table.
     #[inline(always)]
-    pub(super) fn symbol(&mut self, tables: &Tables, table: usize) -> Result<usize, CodecError> {
+    pub(super) fn entry(&mut self, tables: &Tables, table: usize) -> Result<Entry, CodecError> {
         let word = self.peek()?;
         let entry = tables.entries[(table * STATES + self.state) % (TABLES * STATES)];
-        let width = entry >> 8 & 0xff;
+        let width = entry >> 8 & 0x3f;
         // In two steps: a shift by 64 is none.
         self.state = (entry >> 16) as usize + (word >> 1 >> (63 - width)) as usize;
         self.skip(width);
-        Ok((entry & 0xff) as usize)
+        Ok(entry)
     }
 
     /// All must have been read, down to the state that the encoder began with.

@@ -46,9 +46,9 @@ const fn axes() -> ([u8; 64], [u8; 64]) {
     (ones, larger)
 }
 
-static RESIDUALS: [Point; 64] = residuals();
-static ONES: [u8; 64] = axes().0;
-static LARGER: [u8; 64] = axes().1;
+pub(super) static RESIDUALS: [Point; 64] = residuals();
+pub(super) static ONES: [u8; 64] = axes().0;
+pub(super) static LARGER: [u8; 64] = axes().1;
 
 /// One magnitude of 2 and more, with its sign.
 #[inline(always)]
@@ -65,7 +65,8 @@ fn larger(reader: &mut Reader<'_>, order: u32) -> Result<i32, CodecError> {
     Ok(if value & 1 == 0 { magnitude } else { -magnitude })
 }
 
-/// Puts the residual of a symbol of a table into `steps`; gives the sum of its magnitudes.
+/// Puts what is behind a symbol of a table, which there is, into the residual that it has without; gives the sum of
+/// the magnitudes.
 #[inline(always)]
 pub(super) fn residual(
     reader: &mut Reader<'_>,
@@ -73,9 +74,7 @@ pub(super) fn residual(
     table: usize,
     steps: &mut Point,
 ) -> Result<u32, CodecError> {
-    let low_bits = LOW_BITS[table];
-    *steps = RESIDUALS[symbol % 64];
-    if low_bits > 0 {
+    if LOW_BITS[table] > 0 {
         return wide_residual(reader, symbol, table, steps);
     }
     let mut magnitude = u32::from(ONES[symbol % 64]);

@@ -5,17 +5,24 @@
 
 use std::sync::LazyLock;
 
-use super::model::{self, STATE_BITS, STATES, SYMBOLS, TABLES};
+use super::{
+    model::{self, LOW_BITS, QUIET, STATE_BITS, STATES, SYMBOLS, TABLES},
+    residual::{LARGER, ONES},
+};
 
-/// A decoder's state: symbol in bits 0-7, bits to read in 8-15, base of the next state in 16-31.
+/// A decoder's state: symbol in bits 0-5, how many of its axes are +-1 in 6-7, bits to read in 8-14, base of the next
+/// state in 16-31; bit 15 is set where there is more to read for the row.
 pub(super) type Entry = u32;
+
+/// Bit 15 of an entry.
+pub(super) const MORE: Entry = 1 << 15;
 
 /// How an encoder codes one symbol of one table.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Transition {
     /// `(state + bits) >> 16` is the number of bits to write.
     pub(super) bits: u32,
-    /// Added to the state without these bits: the index of the next state.
+    /// Added to the state without these bits: the index of the next state, among those of all tables.
     pub(super) offset: i32,
 }
 
@@ -71,7 +78,7 @@ impl Tables {
                 let most = STATE_BITS - (count - 1).checked_ilog2().unwrap_or(0);
                 self.transitions[table * SYMBOLS + symbol] = Transition {
                     bits: (most << 16).wrapping_sub((count << most) as u32),
-                    offset: start[symbol] as i32 - count as i32,
+                    offset: (at + start[symbol]) as i32 - count as i32,
                 };
             }
         }
@@ -81,7 +88,12 @@ impl Tables {
             next[symbol] += 1;
             let bits = STATE_BITS - x.ilog2();
             let base = (x << bits) - STATES;
-            self.entries[at + state] = (base as u32) << 16 | bits << 8 | symbol as u32;
+            let (ones, more) = match table {
+                QUIET => (0, false),
+                _ => (ONES[symbol], LARGER[symbol] != 0 || LOW_BITS[table] > 0),
+            };
+            let row = u32::from(ones) << 6 | if more { MORE } else { 0 };
+            self.entries[at + state] = (base as u32) << 16 | bits << 8 | row | symbol as u32;
             self.states[at + start[symbol] + x - counts[symbol]] = (STATES + state) as u16;
         }
     }

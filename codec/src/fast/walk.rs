@@ -5,8 +5,9 @@
 
 use super::{
     anchors::{GUESSES, anchors},
-    levels::level,
+    levels::{LEAD, level},
     model::{Activity, LEVELS, ORIGIN},
+    planes::{LANES, Planes},
 };
 use crate::CodecError;
 
@@ -56,8 +57,12 @@ pub(super) trait Side {
         activity: &mut Activity,
     ) -> Result<(), CodecError>;
 
-    /// The final point of the level's next coded row.
+    /// The final point of the next coded row, an origin or an anchor.
     fn settle(&mut self, row: usize, prediction: Point) -> Point;
+
+    /// Makes final points of the predictions of a whole level, of which the first `count` are coded. The others,
+    /// up to `padded`, stay as they are, but for the signs of zeros.
+    fn settle_level(&mut self, level: usize, count: usize, padded: usize, rows: &mut Planes);
 
     /// All rows of the level are settled. An encoder writes them.
     fn leave(&mut self, level: usize, rows: Rows, activity: &mut Activity);
@@ -85,9 +90,28 @@ pub(super) fn extent(n: usize) -> usize {
     full + (n - full).next_power_of_two()
 }
 
-/// Room that a run of so many rows takes.
+/// Room that a run of so many rows takes, by axis: up to the last anchor, and what whole lanes are more.
 pub(super) const fn room(n_rows: usize) -> usize {
-    TAIL + n_rows + SPAN
+    LEAD + n_rows + SPAN + 4 * LANES
+}
+
+/// The points of a run, from the anchors to all rows. Memory that is used again.
+#[derive(Debug, Default)]
+pub(super) struct Grid {
+    /// Every so many rows, from row 0 at [`LEAD`] on.
+    pub(super) known: Planes,
+    /// The rows between them, of one level.
+    pub(super) rows: Planes,
+    /// Both.
+    pub(super) next: Planes,
+    /// The last anchor, which may lie between the known rows.
+    pub(super) last: Point,
+}
+
+impl Grid {
+    pub(super) fn grow(&mut self, room: usize) {
+        [&mut self.known, &mut self.rows, &mut self.next].into_iter().for_each(|p| p.grow(room));
+    }
 }
 
 #[inline(always)]
@@ -96,12 +120,12 @@ pub(super) fn lanes(f: impl Fn(usize) -> f32) -> Point {
 }
 
 /// Walks one run: `n_samples` present rows, of which the first is the origin where nothing is known.
-/// `points` has [`room`] for the run.
+/// `grid` has [`room`] for the run, and then its rows, from row 0 on.
 #[inline(always)]
 pub(super) fn run<S: Side>(
     side: &mut S,
     channel: &mut Channel,
-    points: &mut [Point],
+    grid: &mut Grid,
     n_samples: usize,
     cap: f32,
 ) -> Result<(), CodecError> {
@@ -115,17 +139,23 @@ pub(super) fn run<S: Side>(
         channel.known = 1;
         n -= 1;
     }
-    points[..TAIL].copy_from_slice(&channel.tail);
-    if n > 0 {
-        let end = extent(n);
-        anchors(side, channel, points, end, cap)?;
-        let mut stride = SPAN / 2;
-        while stride > 0 {
-            level(side, channel, points, (n, end), stride)?;
-            stride /= 2;
-        }
+    if n == 0 {
+        grid.known.set(LEAD, channel.tail[ZERO]);
+        return Ok(());
     }
-    channel.tail.copy_from_slice(&points[n..n + TAIL]);
+    let end = extent(n);
+    anchors(side, channel, grid, end, cap)?;
+    let mut stride = SPAN / 2;
+    while stride > 0 {
+        level(side, channel, grid, (n, end), stride)?;
+        stride /= 2;
+    }
+    // Of a short run, rows before it are among the last, too.
+    let old = TAIL.saturating_sub(n);
+    channel.tail.copy_within(TAIL - old.., 0);
+    for (i, point) in channel.tail.iter_mut().enumerate().skip(old) {
+        *point = grid.known.get(LEAD + n + i - ZERO);
+    }
     channel.known = (channel.known + n).min(TAIL);
     Ok(())
 }

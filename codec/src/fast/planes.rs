@@ -1,0 +1,70 @@
+//! Rows by axis, so that one instruction takes many rows: the rows of a level depend on wider levels only.
+
+use super::walk::Point;
+
+/// Rows that are worked out together. What is worked out beyond the last row is not looked at.
+pub(super) const LANES: usize = 8;
+type Lanes = [f32; LANES];
+
+/// So many rows, in whole lanes.
+#[inline(always)]
+pub(super) fn whole(n_rows: usize) -> usize {
+    n_rows.next_multiple_of(LANES)
+}
+
+/// x, y and z.
+#[derive(Debug, Default)]
+pub(super) struct Planes(pub(super) [Vec<f32>; 3]);
+
+impl Planes {
+    pub(super) fn grow(&mut self, room: usize) {
+        self.0.iter_mut().for_each(|plane| plane.resize(plane.len().max(room), 0.0));
+    }
+
+    #[inline(always)]
+    pub(super) fn get(&self, i: usize) -> Point {
+        let [x, y, z] = &self.0;
+        [x[i], y[i], z[i], 0.0]
+    }
+
+    #[inline(always)]
+    pub(super) fn set(&mut self, i: usize, point: Point) {
+        for (plane, value) in self.0.iter_mut().zip(point) {
+            plane[i] = value;
+        }
+    }
+
+    /// The axes, from row `from` on.
+    #[inline(always)]
+    pub(super) fn from(&self, from: usize) -> [&[f32]; 3] {
+        self.0.each_ref().map(|plane| &plane[from..])
+    }
+
+    /// The same, to write.
+    #[inline(always)]
+    pub(super) fn from_mut(&mut self, from: usize) -> [&mut [f32]; 3] {
+        self.0.each_mut().map(|plane| &mut plane[from..])
+    }
+}
+
+/// Puts every second of the first `2 * n + 1` rows into `odd`, and leaves the others. In whole lanes.
+#[inline(always)]
+pub(super) fn split(rows: &mut [f32], odd: &mut [f32], n: usize) {
+    for (i, odd) in odd.as_chunks_mut::<LANES>().0[..n / LANES + 1].iter_mut().enumerate() {
+        let mut both = [0.0; 2 * LANES];
+        both.copy_from_slice(&rows[2 * LANES * i..][..2 * LANES]);
+        *odd = std::array::from_fn(|j| both[2 * j + 1]);
+        let even: Lanes = std::array::from_fn(|j| both[2 * j]);
+        rows[LANES * i..][..LANES].copy_from_slice(&even);
+    }
+}
+
+/// Puts `n + 1` even rows and the `n` odd ones between them in order. In whole lanes.
+#[inline(always)]
+pub(super) fn join(even: &[f32], odd: &[f32], n: usize, rows: &mut [f32]) {
+    let n = whole(n + 1);
+    let (even, odd) = (&even[..n], &odd[..n]);
+    for (i, rows) in rows.as_chunks_mut().0[..n].iter_mut().enumerate() {
+        *rows = [even[i], odd[i]];
+    }
+}
