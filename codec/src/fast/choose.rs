@@ -37,6 +37,8 @@ impl Rule {
     pub(super) fn row<const FINEST: bool>(self, target: [f32; 3], prediction: [f32; 3]) -> Chosen {
         let off = [0, 1, 2].map(|axis| target[axis] - prediction[axis]);
         let square = off[0] * off[0] + off[1] * off[1] + off[2] * off[2];
+        // Not so where it is not a number.
+        let in_reach = square <= self.reach;
         let scale = if square <= self.ball { 0.0 } else { self.inverse };
         let mut steps = off.map(|off| (off * scale + ROUND) - ROUND);
         if FINEST {
@@ -56,8 +58,7 @@ impl Rule {
             steps: values,
             symbol: (x << 4 | y << 2 | z | larger) as u8,
             sum: (a + b + c).min(255) as u8,
-            // So where it is not a number.
-            out_of_reach: !(square <= self.reach),
+            out_of_reach: !in_reach,
         }
     }
 

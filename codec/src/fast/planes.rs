@@ -36,13 +36,13 @@ impl Planes {
 
     /// The axes, from row `from` on.
     #[inline(always)]
-    pub(super) fn from(&self, from: usize) -> [&[f32]; 3] {
+    pub(super) fn axes(&self, from: usize) -> [&[f32]; 3] {
         self.0.each_ref().map(|plane| &plane[from..])
     }
 
     /// The same, to write.
     #[inline(always)]
-    pub(super) fn from_mut(&mut self, from: usize) -> [&mut [f32]; 3] {
+    pub(super) fn axes_mut(&mut self, from: usize) -> [&mut [f32]; 3] {
         self.0.each_mut().map(|plane| &mut plane[from..])
     }
 }

@@ -42,7 +42,7 @@ impl Kernel for Decoding<'_, '_> {
             let kept = &mut kept[run.clone()];
             let mut side = Reading { tables, reader, steps, kept, at: 0, step, origin };
             walk::run(&mut side, channel, grid, n, cap)?;
-            let [x, y, z] = grid.known.from(LEAD + 1 - origin);
+            let [x, y, z] = grid.known.axes(LEAD + 1 - origin);
             if gather(x, y, z, &mut positions[run]) {
                 return Err(CodecError::Corrupt("a position beyond every coordinate"));
             }

@@ -47,13 +47,13 @@ pub(super) struct Choosing<'a> {
 impl Choosing<'_> {
     #[inline(always)]
     fn choose_level<const FINEST: bool>(&mut self, start: usize, padded: usize, rows: &mut Planes) {
-        let targets = self.targets.levels.from(start).map(|plane| &plane[..padded]);
+        let targets = self.targets.levels.axes(start).map(|plane| &plane[..padded]);
         let [x, y, z] = &mut rows.0;
         let Residuals { steps: [steps_x, steps_y, steps_z], symbols, sums } = &mut *self.residuals;
         let sums = &mut sums[..padded];
         self.out_of_reach |=
             choose::<FINEST>(self.rule, targets, x, y, z, steps_x, steps_y, steps_z, symbols, sums);
-        self.worst = self.worst.max(worst(targets, rows.from(0)));
+        self.worst = self.worst.max(worst(targets, rows.axes(0)));
     }
 
     /// Codes a row of which the symbol is not all.

@@ -39,7 +39,7 @@ impl Targets {
     pub(super) fn take(&mut self, samples: &[Position], origin: usize) {
         let n = samples.len() - origin;
         let end = walk::extent(n);
-        let [x, y, z] = self.anchors.from_mut(1 - origin);
+        let [x, y, z] = self.anchors.axes_mut(1 - origin);
         by_axis(samples, x, y, z);
         self.last = ahead(samples, end - n);
         self.end = end;
