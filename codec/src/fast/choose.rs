@@ -48,7 +48,7 @@ impl Rule {
             steps.map(|steps| (steps + ROUND).to_bits().wrapping_sub(ROUND.to_bits()) as i32);
         let magnitudes = values.map(i32::unsigned_abs);
         let [x, y, z] = [0, 1, 2].map(|axis| {
-            let small = magnitudes[axis] + (values[axis] as u32 >> 31);
+            let small = magnitudes[axis].wrapping_add(values[axis] as u32 >> 31);
             if magnitudes[axis] > 1 { 3 } else { small }
         });
         let [a, b, c] = magnitudes;
@@ -57,7 +57,8 @@ impl Rule {
             point: [0, 1, 2].map(|axis| prediction[axis] + steps[axis] * self.step),
             steps: values,
             symbol: (x << 4 | y << 2 | z | larger) as u8,
-            sum: (a + b + c).min(255) as u8,
+            // Beyond what can be coded, these and the symbol are not looked at.
+            sum: a.wrapping_add(b).wrapping_add(c).min(255) as u8,
             out_of_reach: !in_reach,
         }
     }
