@@ -3,7 +3,7 @@
 use super::{
     levels::LEAD,
     model::ANCHOR,
-    walk::{Channel, Grid, Point, Rows, SPAN, Side, ZERO, lanes},
+    walk::{Channel, Grid, Point, Rows, SPAN, Side, lanes},
 };
 use crate::CodecError;
 
@@ -23,12 +23,14 @@ fn onward(last: Point, before: Point, factor: f32) -> Point {
 /// The guesses of the first anchor of a run, so many rows away.
 #[inline(always)]
 fn first_guesses(channel: &Channel, reach: f32) -> [Point; GUESSES.len()] {
-    let last = channel.tail[ZERO];
-    GUESSES.map(|(window, weight)| {
-        let is_known = weight > 0.0 && window < channel.known;
-        let factor = reach * weight / window as f32;
-        if is_known { onward(last, channel.tail[ZERO - window], factor) } else { last }
-    })
+    let last = channel.before(0);
+    let mut guesses = [last; GUESSES.len()];
+    for (guess, (window, weight)) in guesses.iter_mut().zip(GUESSES).skip(1) {
+        if window < channel.known {
+            *guess = onward(last, channel.before(window), reach * weight / window as f32);
+        }
+    }
+    guesses
 }
 
 /// The guesses of an anchor `reach` rows behind `last`, from it and the two anchors before it. There may be
@@ -71,7 +73,7 @@ pub(super) fn anchors<S: Side>(
     let count = end.div_ceil(SPAN);
     let rows = Rows { first: SPAN, step: SPAN, end, count };
     side.enter(ANCHOR, rows, &mut channel.activity[ANCHOR])?;
-    let mut last = channel.tail[ZERO];
+    let mut last = channel.before(0);
     grid.known.set(LEAD, last);
     let mut before = [None; 2];
     for i in 0..count {

@@ -1,8 +1,8 @@
 //! One stride of a run: rows between rows that are known, from the four nearest of these.
 
 use super::{
-    planes::{Planes, join, whole},
-    walk::{Channel, Grid, Point, Rows, Side, ZERO, lanes},
+    planes::{self, LANES, Planes, join},
+    walk::{Channel, Grid, Point, Rows, Side, lanes},
 };
 use crate::CodecError;
 
@@ -22,13 +22,18 @@ fn parabola(far: Point, near: Point, other: Point) -> Point {
     lanes(|i| ((near[i] * 6.0 + other[i] * 3.0) - far[i]) * 0.125)
 }
 
-/// The cubic between each two of the known rows of one axis, from the second of them on.
+/// The cubic between each two of the known rows of one axis, from the second of them on. In whole lanes.
 #[inline(always)]
-fn cubics(known: &[f32], rows: &mut [f32]) {
-    let n = rows.len();
-    let [a, b, c, d] = [0, 1, 2, 3].map(|i| &known[i..][..n]);
-    for (i, row) in rows.iter_mut().enumerate() {
-        *row = cubic(a[i], b[i], c[i], d[i]);
+fn cubics(known: &[f32], rows: &mut [f32], n: usize) {
+    let n = n.div_ceil(LANES);
+    let [a, b, c, d] = [0, 1, 2, 3].map(|i| planes::lanes(&known[i..], n));
+    for (i, rows) in rows.as_chunks_mut().0[..n].iter_mut().enumerate() {
+        let (a, b, c, d) = (&a[i], &b[i], &c[i], &d[i]);
+        let mut cubics = [0.0; LANES];
+        for j in 0..LANES {
+            cubics[j] = cubic(a[j], b[j], c[j], d[j]);
+        }
+        *rows = cubics;
     }
 }
 
@@ -73,14 +78,12 @@ pub(super) fn level<S: Side>(
         let coded = Rows { first: stride, step: 2 * stride, end, count };
         side.enter(level, coded, &mut channel.activity[level])?;
         let has_left = 2 * stride < channel.known;
-        known.set(LEAD - 1, channel.tail[ZERO - 2 * stride]);
-        let padded = whole(n_rows);
+        known.set(LEAD - 1, channel.before(2 * stride));
         for (known, rows) in known.0.iter().zip(&mut rows.0) {
-            cubics(known, &mut rows[..padded]);
-            rows[n_rows..padded].fill(0.0);
+            cubics(known, rows, n_rows);
         }
         mend_ends(known, has_left, n_rows, rows);
-        side.settle_level(level, count, padded, rows);
+        side.settle_level(level, count, rows);
         side.leave(level, coded, &mut channel.activity[level]);
     }
     for ((known, rows), next) in known.0.iter().zip(&rows.0).zip(&mut next.0) {

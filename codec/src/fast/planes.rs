@@ -4,7 +4,7 @@ use super::walk::Point;
 
 /// Rows that are worked out together. What is worked out beyond the last row is not looked at.
 pub(super) const LANES: usize = 8;
-type Lanes = [f32; LANES];
+pub(super) type Lanes = [f32; LANES];
 
 /// So many rows, in whole lanes.
 #[inline(always)]
@@ -62,9 +62,22 @@ pub(super) fn split(rows: &mut [f32], odd: &mut [f32], n: usize) {
 /// Puts `n + 1` even rows and the `n` odd ones between them in order. In whole lanes.
 #[inline(always)]
 pub(super) fn join(even: &[f32], odd: &[f32], n: usize, rows: &mut [f32]) {
-    let n = whole(n + 1);
-    let (even, odd) = (&even[..n], &odd[..n]);
-    for (i, rows) in rows.as_chunks_mut().0[..n].iter_mut().enumerate() {
-        *rows = [even[i], odd[i]];
+    let n = n / LANES + 1;
+    let (even, odd) = (lanes(even, n), lanes(odd, n));
+    for (i, rows) in rows.as_chunks_mut::<{ 2 * LANES }>().0[..n].iter_mut().enumerate() {
+        let (even, odd) = (&even[i], &odd[i]);
+        let mut both = [0.0; 2 * LANES];
+        for j in 0..LANES {
+            both[2 * j] = even[j];
+            both[2 * j + 1] = odd[j];
+        }
+        *rows = both;
     }
+}
+
+/// So many lanes of a plane. Most levels of a live block are short: loops that the compiler cuts into lanes go
+/// through them row by row.
+#[inline(always)]
+pub(super) fn lanes(plane: &[f32], n: usize) -> &[Lanes] {
+    &plane.as_chunks().0[..n]
 }

@@ -147,10 +147,9 @@ impl Side for Reading<'_, '_> {
     }
 
     #[inline(always)]
-    fn settle_level(&mut self, _level: usize, count: usize, padded: usize, rows: &mut Planes) {
-        self.steps[count..padded].fill(Point::default());
+    fn settle_level(&mut self, _level: usize, count: usize, rows: &mut Planes) {
         let [x, y, z] = &mut rows.0;
-        settle(&self.steps[..padded], self.step, x, y, z);
+        settle(&self.steps[..count], self.step, x, y, z);
     }
 
     #[inline(always)]

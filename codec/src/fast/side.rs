@@ -46,11 +46,11 @@ pub(super) struct Choosing<'a> {
 
 impl Choosing<'_> {
     #[inline(always)]
-    fn choose_level<const FINEST: bool>(&mut self, start: usize, padded: usize, rows: &mut Planes) {
-        let targets = self.targets.levels.axes(start).map(|plane| &plane[..padded]);
+    fn choose_level<const FINEST: bool>(&mut self, start: usize, count: usize, rows: &mut Planes) {
+        let targets = self.targets.levels.axes(start).map(|plane| &plane[..count]);
         let [x, y, z] = &mut rows.0;
         let Residuals { steps: [steps_x, steps_y, steps_z], symbols, sums } = &mut *self.residuals;
-        let sums = &mut sums[..padded];
+        let sums = &mut sums[..count];
         self.out_of_reach |=
             choose::<FINEST>(self.rule, targets, x, y, z, steps_x, steps_y, steps_z, symbols, sums);
         self.worst = self.worst.max(worst(targets, rows.axes(0)));
@@ -116,16 +116,12 @@ impl Side for Choosing<'_> {
     }
 
     #[inline(always)]
-    fn settle_level(&mut self, level: usize, count: usize, padded: usize, rows: &mut Planes) {
+    fn settle_level(&mut self, level: usize, count: usize, rows: &mut Planes) {
         let start = self.targets.starts[level];
-        // Where nothing is coded, nothing is missed.
-        for (targets, rows) in self.targets.levels.0.iter_mut().zip(&rows.0) {
-            targets[start + count..start + padded].copy_from_slice(&rows[count..padded]);
-        }
         if level == 0 {
-            self.choose_level::<true>(start, padded, rows);
+            self.choose_level::<true>(start, count, rows);
         } else {
-            self.choose_level::<false>(start, padded, rows);
+            self.choose_level::<false>(start, count, rows);
         }
     }
 

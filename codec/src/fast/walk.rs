@@ -21,7 +21,7 @@ pub(super) const SPAN: usize = 32;
 pub(super) const TAIL: usize = SPAN + 1;
 
 /// Index of row 0, the last row already known, in a run's points.
-pub(super) const ZERO: usize = TAIL - 1;
+const ZERO: usize = TAIL - 1;
 
 /// An anchor's error beyond this many tolerances counts as this much.
 const MAX_ERROR: f32 = 1024.0;
@@ -29,8 +29,8 @@ const MAX_ERROR: f32 = 1024.0;
 /// The state of a channel, the same on both sides after every block.
 #[derive(Debug, Clone)]
 pub(super) struct Channel {
-    /// The last rows, the newest last.
-    pub(super) tail: [Point; TAIL],
+    /// The last rows by axis, the newest last.
+    tail: [[f32; TAIL]; 3],
     /// How many of them are right before the next block.
     pub(super) known: usize,
     pub(super) activity: [Activity; LEVELS],
@@ -40,11 +40,18 @@ pub(super) struct Channel {
 
 impl Channel {
     pub(super) const NEW: Self = Self {
-        tail: [[0.0; 4]; TAIL],
+        tail: [[0.0; TAIL]; 3],
         known: 0,
         activity: Activity::NEW,
         errors: [[0.0; 4]; GUESSES.len()],
     };
+
+    /// So many rows before row 0 of the next run.
+    #[inline(always)]
+    pub(super) fn before(&self, n_rows: usize) -> Point {
+        let [x, y, z] = &self.tail;
+        [x[ZERO - n_rows], y[ZERO - n_rows], z[ZERO - n_rows], 0.0]
+    }
 }
 
 /// What an encoder and a decoder do differently.
@@ -60,9 +67,8 @@ pub(super) trait Side {
     /// The final point of the next coded row, an origin or an anchor.
     fn settle(&mut self, row: usize, prediction: Point) -> Point;
 
-    /// Makes final points of the predictions of a whole level, of which the first `count` are coded. The others,
-    /// up to `padded`, stay as they are, but for the signs of zeros.
-    fn settle_level(&mut self, level: usize, count: usize, padded: usize, rows: &mut Planes);
+    /// Makes final points of the predictions of a level's rows, the first `count`, which are coded.
+    fn settle_level(&mut self, level: usize, count: usize, rows: &mut Planes);
 
     /// All rows of the level are settled. An encoder writes them.
     fn leave(&mut self, level: usize, rows: Rows, activity: &mut Activity);
@@ -132,15 +138,19 @@ pub(super) fn run<S: Side>(
     let mut n = n_samples;
     if channel.known == 0 {
         let rows = Rows { first: 0, step: 1, end: 0, count: 1 };
+        let before = channel.before(0);
         let activity = &mut channel.activity[ORIGIN];
         side.enter(ORIGIN, rows, activity)?;
-        channel.tail[ZERO] = side.settle(0, channel.tail[ZERO]);
+        let origin = side.settle(0, before);
+        for (tail, origin) in channel.tail.iter_mut().zip(origin) {
+            tail[ZERO] = origin;
+        }
         side.leave(ORIGIN, rows, activity);
         channel.known = 1;
         n -= 1;
     }
     if n == 0 {
-        grid.known.set(LEAD, channel.tail[ZERO]);
+        grid.known.set(LEAD, channel.before(0));
         return Ok(());
     }
     let end = extent(n);
@@ -152,9 +162,9 @@ pub(super) fn run<S: Side>(
     }
     // Of a short run, rows before it are among the last, too.
     let old = TAIL.saturating_sub(n);
-    channel.tail.copy_within(TAIL - old.., 0);
-    for (i, point) in channel.tail.iter_mut().enumerate().skip(old) {
-        *point = grid.known.get(LEAD + n + i - ZERO);
+    for (tail, known) in channel.tail.iter_mut().zip(&grid.known.0) {
+        tail.copy_within(TAIL - old.., 0);
+        tail[old..].copy_from_slice(&known[LEAD + n + old - ZERO..][..TAIL - old]);
     }
     channel.known = (channel.known + n).min(TAIL);
     Ok(())
