@@ -201,7 +201,8 @@ impl Spoilt {
                 is_report = matches!(event, DeviceEvent::Status(_));
             });
             let spoils_report = is_report && self.has_ended && self.reports > 0;
-            if is_end || spoils_report {
+            // The answer to the host's Stop comes too late to matter, or in time to be counted.
+            if (is_end && !self.has_ended) || spoils_report {
                 self.has_ended = true;
                 self.reports -= u32::from(spoils_report);
                 message[3] ^= 0x55;
