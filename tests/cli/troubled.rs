@@ -181,6 +181,7 @@ struct Spoilt {
     device: Device,
     reader: HostLink,
     out: Vec<u8>,
+    has_run: bool,
     has_ended: bool,
     reports: u32,
 }
@@ -188,21 +189,31 @@ struct Spoilt {
 impl Spoilt {
     fn new(motion: Motion, reports: u32) -> Self {
         let device = Device::new(motion, DeviceSettings::default()).unwrap();
-        Self { device, reader: HostLink::new(), out: Vec::new(), has_ended: false, reports }
+        Self {
+            device,
+            reader: HostLink::new(),
+            out: Vec::new(),
+            has_run: false,
+            has_ended: false,
+            reports,
+        }
     }
 
     fn carry(&mut self) {
         while let Some(end) = self.device.pending().iter().position(|byte| *byte == 0) {
             let mut message = self.device.pending()[..=end].to_vec();
             self.device.sent(message.len());
-            let (mut is_end, mut is_report) = (false, false);
+            let (mut is_end, mut is_report, mut is_frame) = (false, false, false);
             self.reader.push(&message, &mut |event| {
                 is_end = matches!(event, DeviceEvent::EndOfStream(_));
                 is_report = matches!(event, DeviceEvent::Status(_));
+                is_frame = matches!(event, DeviceEvent::Frame(_));
             });
             let spoils_report = is_report && self.has_ended && self.reports > 0;
-            // The answer to the host's Stop comes too late to matter, or in time to be counted.
-            if (is_end && !self.has_ended) || spoils_report {
+            self.has_run |= is_frame;
+            // Not what answers a Stop, before the run or after it: whether that is read, and counted, is luck.
+            let spoils_end = is_end && self.has_run && !self.has_ended;
+            if spoils_end || spoils_report {
                 self.has_ended = true;
                 self.reports -= u32::from(spoils_report);
                 message[3] ^= 0x55;
