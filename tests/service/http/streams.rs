@@ -132,11 +132,14 @@ fn who_was_away_for_too_long_is_told_how_much_is_gone() {
     seen.until(|stream| stream.events().len() == 1);
     let id = seen.events()[0].0.clone();
     drop(seen);
+    let mut stayed = Stream::open(served.at, "/v1/events", &[]);
     for n in 2..=700 {
         mark(n);
         // The fake's listeners have a short queue as well.
         std::thread::sleep(Duration::from_micros(300));
     }
+    // What is still on its way to the server would be told as it comes.
+    stayed.until(|stream| stream.events().iter().any(|event| event.2["number"] == 700));
     let mut back = Stream::open(served.at, "/v1/events", &[("last-event-id", &id)]);
     back.until(|stream| stream.events().iter().any(|event| event.2["number"] == 700));
     let events = back.events();
