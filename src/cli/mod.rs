@@ -59,7 +59,7 @@ enum Command {
     Run(run::Args),
     /// Make a take of a C3D, TRC, QTM TSV or CSV file
     Import(import::Args),
-    /// Write a take as C3D, TRC or CSV
+    /// Write a take as other tools read it: C3D, TRC, CSV, NumPy, XDF, BIDS and more
     Export(export::Args),
     /// Tell what is in a take: header, ledger, and per marker samples, gaps, knots, error, bytes
     Info(info::Args),
@@ -70,7 +70,7 @@ enum Command {
     /// Draw a take as SVG or PNG: a trajectory, poses, sizes, quality
     #[command(subcommand)]
     Plot(plot::Plot),
-    /// Repeat the study of Shi et al. 2012 on takes: its tables and figures, beside bytes on disk
+    /// Repeat the study of Shi et al. 2012 on takes: its tables, figures, and bytes
     Study(study::Args),
     /// Ask a running service: status, arm, start, stop, mark, takes, events
     Ctl(ctl::Args),

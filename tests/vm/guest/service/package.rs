@@ -69,7 +69,9 @@ pub(crate) fn manual() -> Measured {
         .skip_while(|line| !line.starts_with("Commands:"))
         .skip(1)
         .take_while(|line| line.starts_with("  "))
-        .filter_map(|line| line.strip_prefix("  ")?.split_whitespace().next())
+        // Longer words go on in a line that is set in further.
+        .filter_map(|line| line.strip_prefix("  ").filter(|line| !line.starts_with(' ')))
+        .filter_map(|line| line.split_whitespace().next())
         .filter(|&name| name != "help")
         .collect();
     ensure!(commands.len() > 5, "{help}");
