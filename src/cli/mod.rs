@@ -59,7 +59,7 @@ enum Command {
     Run(run::Args),
     /// Make a take of a C3D, TRC, QTM TSV or CSV file
     Import(import::Args),
-    /// Write a take as other tools read it: C3D, TRC, CSV, NumPy, XDF, BIDS and more
+    /// Write a take as other tools read it: C3D, TRC, CSV, XDF, BIDS and more
     Export(export::Args),
     /// Tell what is in a take: header, ledger, and per marker samples, gaps, knots, error, bytes
     Info(info::Args),
