@@ -21,10 +21,17 @@ fn text(path: impl AsRef<Path>) -> String {
 
 /// Every Rust file of the product, relative to the project's folder: no tests, no benches.
 fn product_sources() -> Vec<PathBuf> {
-    let mut folders: Vec<PathBuf> =
-        ["src", "codec/src", "take/src", "drivers/src", "simulator/src", "report/src"]
-            .map(PathBuf::from)
-            .into();
+    let mut folders: Vec<PathBuf> = [
+        "src",
+        "codec/src",
+        "take/src",
+        "drivers/src",
+        "simulator/src",
+        "report/src",
+        "subject/src",
+    ]
+    .map(PathBuf::from)
+    .into();
     let mut files = Vec::new();
     while let Some(folder) = folders.pop() {
         for entry in fs::read_dir(root().join(&folder)).unwrap() {
