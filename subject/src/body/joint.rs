@@ -1,0 +1,54 @@
+//! The joints that a scan gives, and how sure each is.
+
+use std::collections::BTreeMap;
+
+/// Which of a pair. Where left and right could not be told ([`Joints::sides_told`]), all of one side's joints are still on
+/// one side of the body, and nobody knows which.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Side {
+    /// The subject's left.
+    Left,
+    /// The subject's right.
+    Right,
+}
+
+/// The 15 sites of Shi et al. 2012 (doi 10.3969/j.issn.0372-2112.2012.01.021).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Joint {
+    /// The top of the head.
+    Head,
+    /// The base of the neck.
+    Throat,
+    /// The middle of the hips.
+    Pelvis,
+    /// Glenohumeral.
+    Shoulder(Side),
+    /// Between upper arm and forearm.
+    Elbow(Side),
+    /// Between forearm and hand.
+    Wrist(Side),
+    /// Femoral head.
+    Hip(Side),
+    /// Between thigh and shank.
+    Knee(Side),
+    /// Between shank and foot.
+    Ankle(Side),
+}
+
+/// Where a joint is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Estimate {
+    /// x, y, z in the mesh's own frame and unit.
+    pub position: [f64; 3],
+    /// Standard deviation that is expected of the distance to the true centre, in the mesh's unit.
+    pub sigma: f64,
+}
+
+/// The joints of one scan, in the mesh's own frame and unit.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Joints {
+    /// Those that were found.
+    pub estimates: BTreeMap<Joint, Estimate>,
+    /// Whether left is left. If not, the sides may be the wrong way round as a whole.
+    pub sides_told: bool,
+}
