@@ -59,9 +59,20 @@ fn real_takes_come_back_from_every_format() {
             let mut bytes = Vec::new();
             format.write(&mut MotionFrames::new(&motion), &mut bytes).expect("memory");
             let back = format.read(&bytes).expect("what was written");
-            assert_same_samples(&back, &motion);
+            assert_same_samples(&back, &as_written(&motion, format));
         }
     }
+}
+
+/// Three zeros are a gap in QTM's files: a sample at the very origin is written a nanometre beside it.
+fn as_written(motion: &Motion, format: Format) -> Motion {
+    let mut motion = motion.clone();
+    if format == Format::Tsv {
+        for position in motion.positions_mm.iter_mut().filter(|position| **position == [0.0; 3]) {
+            *position = [1e-6, 0.0, 0.0];
+        }
+    }
+    motion
 }
 
 #[test]
