@@ -1,5 +1,6 @@
 //! Files that are never overwritten: live takes under their own name, everything else beside it first.
 
+mod behind;
 mod folder;
 
 use std::{
@@ -16,6 +17,7 @@ use rustix::{
     io::Errno,
 };
 
+use self::behind::Behind;
 pub use self::folder::NewFolder;
 
 /// Opens a file to read.
@@ -79,6 +81,7 @@ fn exists(path: &Path) -> anyhow::Error {
 #[derive(Debug)]
 pub struct NewFile {
     file: Option<File>,
+    behind: Behind,
     /// The name that it has until then, if any.
     hidden: Option<PathBuf>,
     path: PathBuf,
@@ -96,12 +99,16 @@ impl NewFile {
         let name =
             path.file_name().with_context(|| format!("{} is no file name", path.display()))?;
         if let Some(file) = without_a_name(path)? {
-            return Ok(Self { file: Some(file), hidden: None, path: path.to_owned() });
+            return Ok(Self::new(file, None, path));
         }
         let hidden = path.with_file_name(hidden_name(name));
         let created = OpenOptions::new().write(true).create_new(true).open(&hidden);
         let file = created.map_err(|error| cannot_create(path, &error))?;
-        Ok(Self { file: Some(file), hidden: Some(hidden), path: path.to_owned() })
+        Ok(Self::new(file, Some(hidden), path))
+    }
+
+    fn new(file: File, hidden: Option<PathBuf>, path: &Path) -> Self {
+        Self { file: Some(file), behind: Behind::default(), hidden, path: path.to_owned() }
     }
 
     /// Gives it its name. Nothing that appeared there meanwhile is overwritten.
@@ -110,7 +117,8 @@ impl NewFile {
     /// That a file of that name appeared, or the disk's.
     pub fn keep(mut self) -> anyhow::Result<()> {
         let Some(file) = self.file.take() else { return Ok(()) };
-        file.sync_all().with_context(|| format!("cannot write {}", self.path.display()))?;
+        let synced = self.behind.finish().and_then(|()| file.sync_all());
+        synced.with_context(|| format!("cannot write {}", self.path.display()))?;
         let named = match &self.hidden {
             None => linkat(CWD, own_link(&file), CWD, &self.path, AtFlags::SYMLINK_FOLLOW),
             Some(hidden) => {
@@ -136,10 +144,10 @@ impl NewFile {
 
 impl Write for NewFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        match &mut self.file {
-            Some(file) => file.write(bytes),
-            None => Err(io::ErrorKind::BrokenPipe.into()),
-        }
+        let Some(file) = &mut self.file else { return Err(io::ErrorKind::BrokenPipe.into()) };
+        let n_bytes = file.write(bytes)?;
+        self.behind.wrote(file, n_bytes)?;
+        Ok(n_bytes)
     }
 
     fn flush(&mut self) -> io::Result<()> {

@@ -26,6 +26,9 @@ use mocapd_take::{
 use self::{format::FormatArgs, part::Part};
 use super::{output::say, paths, progress::Progress};
 
+/// What is written at once: so much that the calls into the system cost nothing beside the bytes.
+const BUFFER_BYTES: usize = 1 << 20;
+
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// The take
@@ -99,7 +102,7 @@ pub(super) fn write(
     path: &Path,
 ) -> anyhow::Result<()> {
     let mut output = NewFile::create(path)?;
-    let mut out = BufWriter::new(&mut output);
+    let mut out = BufWriter::with_capacity(BUFFER_BYTES, &mut output);
     let writing = || format!("cannot write {}", path.display());
     format.write(frames, &mut out).with_context(writing)?;
     out.flush().with_context(writing)?;
