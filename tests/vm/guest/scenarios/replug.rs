@@ -25,6 +25,9 @@ const BACK_WITHIN: Duration = Duration::from_secs(2);
 /// killed and started again, and its first frame comes a little after it is back.
 const KEEPS_TIME_WITHIN_S: f64 = 0.3;
 
+/// Half a second in which a busy machine lets the device stand still.
+const STOOD_STILL_MAX: u64 = 120;
+
 const ENDLESS: [&str; 5] = ["--rate", "240", "--markers", "24", "--loop"];
 
 /// How long the device is away, and recorded before and after.
@@ -43,9 +46,11 @@ fn pull_and_plug(simulator: Simulator, take: &str) -> Measured {
     let account = ended(recorder, take)?;
     let sent = simulator.stop()?;
     let lost_frames = account.unknown;
-    // What was sent after the last frame that arrived nobody can know of but the simulator.
+    // What was sent after the last frame that arrived nobody can know of but the simulator; and where the host took long
+    // from its Stop to its Start, the counter stood still, and the take keeps time by the device's clock.
     ensure!(
-        account.frames_sent <= sent.produced && sent.produced <= account.frames_sent + 240,
+        account.frames_sent <= sent.produced + STOOD_STILL_MAX
+            && sent.produced <= account.frames_sent + 240,
         "{account:?} of {sent:?}"
     );
     ensure!(lost_frames >= 240, "an outage of more than a second, and {account:?}");
