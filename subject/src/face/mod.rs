@@ -1,1 +1,7 @@
 //! From a photograph to a wireframe of the face (Yang et al. 2004, and past it).
+
+pub mod photo;
+pub mod plane;
+
+pub use photo::{Photo, PhotoError};
+pub use plane::Plane;

@@ -1,0 +1,148 @@
+//! Bytes into a photograph, within bounds.
+
+use std::io::Cursor;
+
+use image::metadata::Orientation;
+use image::{ColorType, DynamicImage, ImageDecoder, ImageError, ImageFormat, ImageReader, Limits};
+use sha2::{Digest, Sha256};
+
+use super::container::{Jpeg, png_is_animated};
+use super::{Note, Photo, PhotoError};
+
+/// Bytes of a file that are looked at: a JPEG of 40 megapixels at its best quality has about half of it.
+pub const BYTES_MAX: usize = 64 << 20;
+/// Pixels that are decoded: 120 MB as 8-bit RGB, 320 MB as what takes most, 16-bit RGBA.
+pub const PIXELS_MAX: u64 = 40_000_000;
+/// The shorter side that a face has room on.
+pub const SIDE_MIN_PX: u64 = 32;
+/// The decoder's own memory: the picture at its largest, and as much again for coefficients of progressive JPEG.
+const DECODER_BYTES_MAX: u64 = 8 * PIXELS_MAX * 2;
+/// How far a file can grow in decoding. PNG at one bit a pixel and deflate's 1032:1 is 8256:1; a progressive JPEG has
+/// one bit at least for 64 pixels of three channels, 1536:1.
+const GROWTH_MAX: u64 = 8256;
+/// The same for PNM, whose tightest form has one bit a pixel that becomes a byte.
+const PNM_GROWTH_MAX: u64 = 8;
+
+impl Photo {
+    /// Reads a PNG, JPEG or PNM file.
+    ///
+    /// It is turned upright as its EXIF orientation says. 16 bits become 8, transparency becomes grey, grey becomes three
+    /// equal channels, CMYK becomes RGB without a profile, of an animation the first picture stays: [`Photo::notes`] tells.
+    ///
+    /// # Errors
+    /// [`PhotoError`] where the bytes are not such a picture, are cut off, or are outside of [`BYTES_MAX`],
+    /// [`PIXELS_MAX`] and [`SIDE_MIN_PX`].
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, PhotoError> {
+        if bytes.is_empty() {
+            return Err(PhotoError::Empty);
+        }
+        if bytes.len() > BYTES_MAX {
+            return Err(PhotoError::Bytes { bytes: bytes.len() });
+        }
+        let mut notes = Vec::new();
+        let picture = decode(bytes, &mut notes)?;
+        let (width, height) = (picture.width() as usize, picture.height() as usize);
+        let transparent = picture.color().has_alpha();
+        let pixels = if transparent {
+            let rgba = picture.into_rgba8();
+            if rgba.pixels().any(|pixel| pixel.0[3] < u8::MAX) {
+                notes.push(Note::Transparent);
+            }
+            rgba.pixels().map(|pixel| over_grey(pixel.0)).collect()
+        } else {
+            picture.into_rgb8().pixels().map(|pixel| pixel.0).collect()
+        };
+        let mut photo = Self::from_pixels(width, height, pixels)?;
+        notes.append(&mut photo.notes);
+        photo.notes = notes;
+        photo.sha256 = Sha256::digest(bytes).into();
+        Ok(photo)
+    }
+}
+
+fn decode(bytes: &[u8], notes: &mut Vec<Note>) -> Result<DynamicImage, PhotoError> {
+    let format = image::guess_format(bytes).map_err(|_| unknown(bytes))?;
+    let growth = match format {
+        ImageFormat::Jpeg => {
+            let jpeg = Jpeg::of(bytes);
+            if !jpeg.whole {
+                return Err(PhotoError::Truncated { what: "no end-of-image marker".into() });
+            }
+            if jpeg.components == 4 {
+                notes.push(Note::Cmyk);
+            }
+            GROWTH_MAX
+        }
+        ImageFormat::Png => {
+            if png_is_animated(bytes) {
+                notes.push(Note::Animated);
+            }
+            GROWTH_MAX
+        }
+        ImageFormat::Pnm => PNM_GROWTH_MAX,
+        other => return Err(PhotoError::Format { found: format!("{other:?}") }),
+    };
+    let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
+    // The size is checked below, with words that say what to do; these hold what a decoder allocates before and after.
+    let mut limits = Limits::default();
+    limits.max_alloc = Some(DECODER_BYTES_MAX);
+    reader.limits(limits);
+    let mut decoder = reader.into_decoder().map_err(|error| refused(&error))?;
+    let (width, height) = decoder.dimensions();
+    check_size(u64::from(width), u64::from(height))?;
+    if decoder.total_bytes() > (bytes.len() as u64).saturating_mul(growth) {
+        let what = format!("{} bytes cannot hold {width} x {height} pixels", bytes.len());
+        return Err(PhotoError::Truncated { what });
+    }
+    // Damaged EXIF is no reason to refuse a picture.
+    let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+    let mut picture = DynamicImage::from_decoder(decoder).map_err(|error| refused(&error))?;
+    if !matches!(
+        picture.color(),
+        ColorType::L8 | ColorType::La8 | ColorType::Rgb8 | ColorType::Rgba8
+    ) {
+        notes.push(Note::Reduced);
+    }
+    if orientation != Orientation::NoTransforms {
+        notes.push(Note::Turned);
+        picture.apply_orientation(orientation);
+    }
+    Ok(picture)
+}
+
+/// Refuses what is too small or too large, before anything is allocated for it.
+pub(super) fn check_size(width: u64, height: u64) -> Result<(), PhotoError> {
+    if width.min(height) < SIDE_MIN_PX {
+        return Err(PhotoError::Small { width, height });
+    }
+    if width.saturating_mul(height) > PIXELS_MAX {
+        return Err(PhotoError::Large { width, height });
+    }
+    Ok(())
+}
+
+/// In front of mid-grey: neither skin nor as dark as an iris.
+fn over_grey([red, green, blue, alpha]: [u8; 4]) -> [u8; 3] {
+    let alpha = u16::from(alpha);
+    [red, green, blue]
+        .map(|channel| ((u16::from(channel) * alpha + 128 * (255 - alpha) + 127) / 255) as u8)
+}
+
+fn unknown(bytes: &[u8]) -> PhotoError {
+    let start: Vec<String> = bytes.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
+    PhotoError::Format { found: format!("it begins with {}", start.join(" ")) }
+}
+
+fn refused(error: &ImageError) -> PhotoError {
+    let reason = error.to_string();
+    let cut =
+        ["unexpected end", "unexpected eof", "eof", "failed to fill whole buffer", "truncated"];
+    let lower = reason.to_lowercase();
+    match error {
+        ImageError::Limits(_) => PhotoError::Damaged {
+            reason: format!("its decoder needs more than {DECODER_BYTES_MAX} bytes of memory"),
+        },
+        _ if cut.iter().any(|word| lower.contains(word)) => PhotoError::Truncated { what: reason },
+        _ => PhotoError::Damaged { reason },
+    }
+}
