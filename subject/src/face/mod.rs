@@ -6,3 +6,4 @@ pub mod plane;
 pub use photo::{Photo, PhotoError};
 pub use plane::Plane;
 pub mod model;
+pub mod render;

@@ -11,7 +11,7 @@ mod parse;
 mod shape;
 mod solve;
 #[cfg(test)]
-pub(crate) mod tests;
+mod tests;
 
 pub use camera::Camera;
 pub use feature::{FeatureId, Side};

@@ -1,6 +1,6 @@
 //! Damped Gauss-Newton steps on pose and shape.
 
-use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector2, Vector3};
 
 use super::OUTER_EYES_MM;
 use super::camera::Camera;
@@ -99,21 +99,17 @@ impl<'a> Solver<'a> {
             .iter()
             .map(|o| {
                 let seen = turn * Vector3::from(places[o.id.index()]);
-                (o.weight / (o.noise_io * o.noise_io), [seen.x, seen.y], [o.at[0], -o.at[1]])
+                let weight = o.weight / (o.noise_io * o.noise_io);
+                (weight, Vector2::new(seen.x, seen.y), Vector2::new(o.at[0], -o.at[1]))
             })
             .collect();
-        let total: f64 = pairs.iter().map(|p| p.0).sum();
-        let mean = |pick: fn(&(f64, [f64; 2], [f64; 2])) -> [f64; 2]| {
-            let sum = pairs
-                .iter()
-                .fold([0.0; 2], |s, p| [s[0] + p.0 * pick(p)[0], s[1] + p.0 * pick(p)[1]]);
-            sum.map(|s| s / total)
-        };
-        let (from, to) = (mean(|p| p.1), mean(|p| p.2));
+        let total: f64 = pairs.iter().map(|(weight, ..)| weight).sum();
+        let from = pairs.iter().map(|(weight, a, _)| a * *weight).sum::<Vector2<f64>>() / total;
+        let to = pairs.iter().map(|(weight, _, b)| b * *weight).sum::<Vector2<f64>>() / total;
         let (mut along, mut across, mut spread) = (0.0, 0.0, 0.0);
         let mut scatter = [0.0; 3];
         for (weight, a, b) in &pairs {
-            let (a, b) = ([a[0] - from[0], a[1] - from[1]], [b[0] - to[0], b[1] - to[1]]);
+            let (a, b) = (a - from, b - to);
             along += weight * (a[0] * b[0] + a[1] * b[1]);
             across += weight * (a[0] * b[1] - a[1] * b[0]);
             spread += weight * (a[0] * a[0] + a[1] * a[1]);

@@ -1,21 +1,5 @@
 use super::*;
-
-/// Numbers that look random and are the same everywhere (splitmix64), roughly normal.
-pub(crate) struct Noise(pub(crate) u64);
-
-impl Noise {
-    pub(crate) fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    pub(crate) fn normal(&mut self) -> f64 {
-        (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
-    }
-}
+use crate::face::render::Random;
 
 fn camera(yaw_deg: f64, pitch_deg: f64, roll_deg: f64) -> Camera {
     Camera { scale_px_per_mm: 1.3, yaw_deg, pitch_deg, roll_deg, origin_px: [210.0, 180.0] }
@@ -143,7 +127,7 @@ fn yaw_turns_the_nose_to_the_right_of_the_picture() {
 #[test]
 fn the_pose_and_points_of_random_faces_are_found() {
     let model = Model::generic().unwrap();
-    let mut noise = Noise(7);
+    let mut noise = Random::new(7);
     let (mut worst_yaw, mut sum) = (0.0f64, 0.0);
     let rounds = 60;
     for _ in 0..rounds {
@@ -186,8 +170,9 @@ fn a_few_wrong_points_are_repaired() {
     let fit = model.fit_shape(&points, &FitOptions::default()).unwrap();
     for (id, (p, q)) in FeatureId::all().zip(fit.points_px.iter().zip(&truth)) {
         let off = (p[0] - q[0]).hypot(p[1] - q[1]);
-        // 4 % of the outer eye corners' distance; they were off by 46 %.
-        assert!(off < 0.05 * 117.0, "{}: {off}", id.name());
+        // A share of the outer eye corners' 117 px; they were off by 54 px.
+        let share = if id.is_contour() { 0.08 } else { 0.05 };
+        assert!(off < share * 117.0, "{}: {off}", id.name());
     }
     let mouth = FeatureId::from_name("mouth_left").unwrap().index();
     assert!(fit.residuals_sd[mouth].unwrap() > 5.0, "{:?}", fit.residuals_sd[mouth]);
