@@ -5,5 +5,7 @@ pub mod plane;
 
 pub use photo::{Photo, PhotoError};
 pub use plane::Plane;
+pub mod adapt;
 pub mod model;
+pub mod pose;
 pub mod render;
