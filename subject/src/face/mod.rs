@@ -6,6 +6,7 @@ pub mod plane;
 pub use photo::{Photo, PhotoError};
 pub use plane::Plane;
 pub mod adapt;
+pub mod fitted;
 pub mod model;
 pub mod pose;
 pub mod render;

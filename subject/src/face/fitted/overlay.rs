@@ -1,0 +1,132 @@
+//! Fitted faces on their photograph.
+
+use image::RgbImage;
+use image::imageops::{self, FilterType};
+
+use super::FittedFace;
+use super::curves::{Curve, Part};
+use super::draw::{self, Ink};
+use crate::face::model::{FeatureId, OUTER_EYES_MM};
+
+/// Below this the lines would cover the face: small pictures are enlarged first.
+const LEAST_IO_PX: f64 = 160.0;
+const MAX_SIDE_PX: u32 = 3000;
+const DARK: [u8; 3] = [0x10, 0x18, 0x28];
+const LIGHT: [u8; 3] = [0xff, 0xff, 0xff];
+/// Points that are less sure than this are drawn hollow.
+const SURE: f64 = 0.5;
+
+/// A photograph that faces are drawn on.
+#[derive(Debug, Clone)]
+pub struct Overlay {
+    picture: RgbImage,
+    enlarged: f64,
+}
+
+impl Overlay {
+    /// The photograph, enlarged by a whole number where the smallest of the faces would be too small to be drawn on.
+    pub fn new(photograph: &RgbImage, faces: &[FittedFace]) -> Self {
+        let io_px = |face: &FittedFace| face.camera.scale_px_per_mm * OUTER_EYES_MM;
+        let least = faces.iter().map(io_px).fold(LEAST_IO_PX, f64::min).max(1.0);
+        let side = photograph.width().max(photograph.height()).max(1);
+        let factor = ((LEAST_IO_PX / least).ceil() as u32).min(MAX_SIDE_PX / side).max(1);
+        let picture = if factor == 1 {
+            photograph.clone()
+        } else {
+            let (width, height) = (photograph.width() * factor, photograph.height() * factor);
+            imageops::resize(photograph, width, height, FilterType::CatmullRom)
+        };
+        let mut overlay = Self { picture, enlarged: f64::from(factor) };
+        faces.iter().for_each(|face| overlay.draw(face));
+        overlay
+    }
+
+    /// The picture.
+    pub fn into_image(self) -> RgbImage {
+        self.picture
+    }
+
+    /// From the photograph's pixels to the picture's.
+    fn place(&self, at: [f64; 2]) -> [f64; 2] {
+        at.map(|v| (v + 0.5) * self.enlarged - 0.5)
+    }
+
+    fn draw(&mut self, face: &FittedFace) {
+        let io_px = face.camera.scale_px_per_mm * OUTER_EYES_MM * self.enlarged;
+        let width_px = (io_px / 110.0).clamp(1.0, 6.0);
+        let vertices: Vec<_> =
+            face.vertices_px().iter().map(|&[x, y, _]| self.place([x, y])).collect();
+        let wire = |colour, opacity, width_px| Ink { colour, opacity, width_px };
+        for [a, b] in face.facing_lines() {
+            draw::line(
+                &mut self.picture,
+                vertices[a],
+                vertices[b],
+                wire(DARK, 0.35, 1.6 * width_px),
+            );
+            draw::line(
+                &mut self.picture,
+                vertices[a],
+                vertices[b],
+                wire(LIGHT, 0.6, 0.7 * width_px),
+            );
+        }
+        for curve in Curve::all() {
+            let at = |id: &FeatureId| face.points.get(id.index()).map(|p| self.place(p.xy_px));
+            let points: Vec<_> = curve.points.iter().filter_map(at).collect();
+            let last = if curve.closed { points.first() } else { None };
+            let path: Vec<_> = points.iter().chain(last).copied().collect();
+            for pair in path.windows(2) {
+                draw::line(&mut self.picture, pair[0], pair[1], wire(DARK, 0.8, 2.6 * width_px));
+            }
+            for pair in path.windows(2) {
+                draw::line(
+                    &mut self.picture,
+                    pair[0],
+                    pair[1],
+                    wire(curve.part.colour(), 1.0, 1.3 * width_px),
+                );
+            }
+        }
+        for point in &face.points {
+            let at = self.place(point.xy_px);
+            let colour = Part::of(point.id).colour();
+            if point.confidence >= SURE {
+                draw::disc(&mut self.picture, at, wire(DARK, 0.9, 5.4 * width_px));
+                draw::disc(&mut self.picture, at, wire(colour, 1.0, 3.6 * width_px));
+            } else {
+                draw::circle(
+                    &mut self.picture,
+                    at,
+                    2.2 * width_px,
+                    wire(DARK, 0.9, 2.2 * width_px),
+                );
+                draw::circle(
+                    &mut self.picture,
+                    at,
+                    2.2 * width_px,
+                    wire(colour, 1.0, 1.0 * width_px),
+                );
+            }
+        }
+    }
+}
+
+impl FittedFace {
+    /// The edges of triangles that face the camera.
+    fn facing_lines(&self) -> Vec<[usize; 2]> {
+        let seen = self.vertices_px();
+        let facing = self.triangles.iter().filter(|triangle| {
+            let [a, b, c] = triangle.map(|v| seen[v]);
+            // Counter-clockwise from in front, with y down.
+            (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) < 0.0
+        });
+        let mut lines: Vec<_> = facing
+            .flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]])
+            .map(|[a, b]| [a.min(b), a.max(b)])
+            .collect();
+        lines.sort_unstable();
+        lines.dedup();
+        lines
+    }
+}

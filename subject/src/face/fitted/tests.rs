@@ -1,0 +1,151 @@
+use super::*;
+use crate::face::render::Scene;
+use image::Rgb;
+
+fn example() -> (image::RgbImage, FittedFace) {
+    let model = Model::generic().unwrap();
+    let picture = Scene::portrait(4, 70.0, 20.0).render().unwrap();
+    let truth = &picture.faces[0];
+    let points = FeatureId::all()
+        .map(|id| Point {
+            id,
+            xy_px: truth.at(id),
+            confidence: if id.is_contour() { 0.3 } else { 0.9 },
+        })
+        .collect();
+    let (width, height) = picture.image.dimensions();
+    let source =
+        Source { name: "a <b> & \"c\".png".into(), sha256: "0f".repeat(32), width, height };
+    let vertices = model.shape(&truth.coefficients);
+    let face = FittedFace::new(model, Method::Default, source, truth.camera, points, vertices);
+    (picture.image, face)
+}
+
+#[test]
+fn what_is_written_is_read_again() {
+    let (_, face) = example();
+    let text = face.to_json().unwrap();
+    let again = FittedFace::from_json(&text).unwrap();
+    assert_eq!(again.to_json().unwrap(), text);
+    assert_eq!(
+        (again.source, again.triangles, again.features),
+        (face.source, face.triangles, face.features)
+    );
+    for (a, b) in again.vertices_mm.iter().flatten().zip(face.vertices_mm.iter().flatten()) {
+        assert!((a - b).abs() <= 0.0005 + 1e-9, "{a} {b}");
+    }
+    for (a, b) in again.points.iter().zip(&face.points) {
+        assert!((a.xy_px[0] - b.xy_px[0]).abs() < 0.006 && a.id == b.id, "{a:?} {b:?}");
+    }
+}
+
+#[test]
+fn what_is_no_face_file_is_refused() {
+    let (_, face) = example();
+    let good: serde_json::Value = serde_json::from_str(&face.to_json().unwrap()).unwrap();
+    let refused = |change: &dyn Fn(&mut serde_json::Value)| {
+        let mut bad = good.clone();
+        change(&mut bad);
+        FittedFace::from_json(&bad.to_string()).unwrap_err()
+    };
+    assert!(matches!(refused(&|v| v["format"] = "mocapd-skeleton".into()), FaceFileError::Kind(_)));
+    assert!(matches!(refused(&|v| v["version"] = 2.into()), FaceFileError::Kind(_)));
+    assert!(matches!(refused(&|v| v["colour"] = 2.into()), FaceFileError::Shape(_)));
+    assert!(matches!(refused(&|v| v["points"] = serde_json::json!([])), FaceFileError::Value(_)));
+    assert!(matches!(refused(&|v| v["points"][3]["name"] = "ear".into()), FaceFileError::Value(_)));
+    assert!(matches!(
+        refused(&|v| v["points"][3]["confidence"] = 1.5.into()),
+        FaceFileError::Value(_)
+    ));
+    assert!(matches!(refused(&|v| v["triangles"][7][1] = 100_000.into()), FaceFileError::Value(_)));
+    assert!(matches!(
+        refused(&|v| v["features"]["nose_tip"] = 5000.into()),
+        FaceFileError::Value(_)
+    ));
+    assert!(matches!(refused(&|v| v["vertices_mm"][0][0] = 1e300.into()), FaceFileError::Value(_)));
+    assert!(matches!(
+        refused(&|v| v["vertices_mm"] = serde_json::json!([])),
+        FaceFileError::Value(_)
+    ));
+    assert!(matches!(refused(&|v| v["scale_px_per_mm"] = 0.into()), FaceFileError::Value(_)));
+    assert!(matches!(refused(&|v| v["pose_deg"]["yaw"] = 200.into()), FaceFileError::Value(_)));
+    assert!(matches!(refused(&|v| v["source"]["sha256"] = "ABC".into()), FaceFileError::Value(_)));
+    assert!(matches!(refused(&|v| v["source"]["name"] = "a\nb".into()), FaceFileError::Value(_)));
+    assert!(matches!(FittedFace::from_json(&" ".repeat(2 << 20)), Err(FaceFileError::Value(_))));
+    let text = face.to_json().unwrap();
+    for end in (0..text.len()).step_by(1009) {
+        assert!(FittedFace::from_json(&text[..end]).is_err());
+    }
+    let mut broken = face;
+    broken.vertices_mm[3][1] = f64::NAN;
+    assert!(matches!(broken.to_json(), Err(FaceFileError::Value(_))));
+}
+
+#[test]
+fn the_obj_has_every_vertex_and_triangle() {
+    let (_, face) = example();
+    let obj = face.to_obj();
+    let count = |word: &str| obj.lines().filter(|line| line.starts_with(word)).count();
+    assert_eq!((count("v "), count("f ")), (face.vertices_mm.len(), face.triangles.len()));
+    assert_eq!(count("# feature "), face.features.len());
+}
+
+#[test]
+fn the_overlay_marks_its_points_in_their_colours() {
+    let (photograph, face) = example();
+    let picture = Overlay::new(&photograph, std::slice::from_ref(&face)).into_image();
+    // 70 px between the eyes are enlarged to three times that.
+    assert_eq!(picture.width(), 3 * photograph.width());
+    for point in face.points.iter().filter(|p| p.confidence > 0.5 && Part::of(p.id) == Part::Nose) {
+        let at = point.xy_px.map(|v| ((v + 0.5) * 3.0 - 0.5).round() as u32);
+        assert_eq!(
+            picture.get_pixel(at[0], at[1]),
+            &Rgb(Part::Nose.colour()),
+            "{}",
+            point.id.name()
+        );
+    }
+    let mut far = face;
+    far.camera.origin_px = [-1e5, 1e5];
+    far.points.iter_mut().for_each(|p| p.xy_px = [1e5, -1e5]);
+    let untouched = Overlay::new(&photograph, &[far]).into_image();
+    let plain = image::imageops::resize(
+        &photograph,
+        untouched.width(),
+        untouched.height(),
+        image::imageops::FilterType::CatmullRom,
+    );
+    assert_eq!(untouched, plain);
+}
+
+#[test]
+fn three_views_stand_in_the_svg() {
+    let (_, face) = example();
+    let svg = face.to_svg();
+    for text in [
+        ">front<",
+        ">three-quarter<",
+        ">side<",
+        "mm, nominal",
+        "a &lt;b&gt; &amp; &quot;c&quot;.png",
+    ] {
+        assert!(svg.contains(text), "{text}");
+    }
+    // More than half of the triangles face each of the first two views.
+    assert!(svg.matches('Z').count() > face.triangles.len());
+}
+
+/// Writes what there is to look at into the folder that `MOCAPD_FACES_DRAWN` names.
+#[test]
+fn outputs_to_look_at() {
+    let Some(folder) = std::env::var_os("MOCAPD_FACES_DRAWN").map(std::path::PathBuf::from) else {
+        println!("passed over: MOCAPD_FACES_DRAWN names no folder");
+        return;
+    };
+    let (photograph, face) = example();
+    let overlay = Overlay::new(&photograph, std::slice::from_ref(&face));
+    overlay.into_image().save(folder.join("overlay.png")).unwrap();
+    std::fs::write(folder.join("views.svg"), face.to_svg()).unwrap();
+    std::fs::write(folder.join("face.json"), face.to_json().unwrap()).unwrap();
+    std::fs::write(folder.join("face.obj"), face.to_obj()).unwrap();
+}
