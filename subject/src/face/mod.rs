@@ -7,6 +7,7 @@ pub use photo::{Photo, PhotoError};
 pub use plane::Plane;
 pub mod adapt;
 pub mod fitted;
+pub mod mapping;
 pub mod model;
 pub mod pose;
 pub mod render;
