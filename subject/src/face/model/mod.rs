@@ -8,8 +8,11 @@ mod camera;
 mod feature;
 mod fit;
 mod parse;
+#[cfg(test)]
+mod recorded;
 mod shape;
 mod solve;
+mod start;
 #[cfg(test)]
 mod tests;
 

@@ -1,12 +1,13 @@
 //! Damped Gauss-Newton steps on pose and shape.
 
-use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector2, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
 
 use super::OUTER_EYES_MM;
 use super::camera::Camera;
 use super::feature::FeatureId;
 use super::fit::FitOptions;
 use super::shape::{Anchor, Model};
+use super::start::similarity;
 
 /// A point of a picture.
 #[derive(Debug, Clone, Copy)]
@@ -30,9 +31,9 @@ const SMALL_STEP: f64 = 1e-4;
 /// A pose and a shape.
 #[derive(Debug, Clone)]
 pub(super) struct State {
-    rotation: Matrix3<f64>,
-    scale: f64,
-    origin: [f64; 2],
+    pub(super) rotation: Matrix3<f64>,
+    pub(super) scale: f64,
+    pub(super) origin: [f64; 2],
     pub(super) coefficients: Vec<f64>,
 }
 
@@ -71,12 +72,12 @@ impl<'a> Solver<'a> {
 
     /// The best fit, or none where the points are degenerate.
     pub(super) fn solve(mut self) -> Option<State> {
-        let first = self.start(0.0)?;
+        let first = similarity(self.model, self.observed, 0.0)?;
         self.io_px = first.scale * OUTER_EYES_MM;
         let mut best: Option<(f64, State)> = None;
         for yaw_deg in STARTS_DEG {
-            let Some((cost, state)) =
-                self.start(yaw_deg).and_then(|s| self.descend(s, 0, POSE_STEPS))
+            let Some((cost, state)) = similarity(self.model, self.observed, yaw_deg)
+                .and_then(|s| self.descend(s, 0, POSE_STEPS))
             else {
                 continue;
             };
@@ -87,49 +88,6 @@ impl<'a> Solver<'a> {
         let (_, pose) = best?;
         let (_, state) = self.descend(pose, self.modes, self.options.steps)?;
         state.scale.is_finite().then_some(state)
-    }
-
-    /// The similarity that carries the average face, turned by `yaw_deg`, onto the points (weighted least squares).
-    fn start(&self, yaw_deg: f64) -> Option<State> {
-        let turn =
-            Rotation3::from_axis_angle(&Vector3::y_axis(), yaw_deg.to_radians()).into_inner();
-        let places = self.model.feature_points(&self.model.vertices, &turn);
-        let pairs: Vec<_> = self
-            .observed
-            .iter()
-            .map(|o| {
-                let seen = turn * Vector3::from(places[o.id.index()]);
-                let weight = o.weight / (o.noise_io * o.noise_io);
-                (weight, Vector2::new(seen.x, seen.y), Vector2::new(o.at[0], -o.at[1]))
-            })
-            .collect();
-        let total: f64 = pairs.iter().map(|(weight, ..)| weight).sum();
-        let from = pairs.iter().map(|(weight, a, _)| a * *weight).sum::<Vector2<f64>>() / total;
-        let to = pairs.iter().map(|(weight, _, b)| b * *weight).sum::<Vector2<f64>>() / total;
-        let (mut along, mut across, mut spread) = (0.0, 0.0, 0.0);
-        let mut scatter = [0.0; 3];
-        for (weight, a, b) in &pairs {
-            let (a, b) = (a - from, b - to);
-            along += weight * (a[0] * b[0] + a[1] * b[1]);
-            across += weight * (a[0] * b[1] - a[1] * b[0]);
-            spread += weight * (a[0] * a[0] + a[1] * a[1]);
-            scatter[0] += weight * b[0] * b[0];
-            scatter[1] += weight * b[0] * b[1];
-            scatter[2] += weight * b[1] * b[1];
-        }
-        // Points on one line have a scatter of rank 1.
-        let flat = scatter[0] * scatter[2] - scatter[1] * scatter[1];
-        let size = scatter[0] + scatter[2];
-        let scale = along.hypot(across) / spread;
-        if !(flat > 1e-6 * size * size && scale > 0.0 && scale.is_finite()) {
-            return None;
-        }
-        let (sin, cos) = across.atan2(along).sin_cos();
-        let roll = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
-        let x = to[0] - scale * (cos * from[0] - sin * from[1]);
-        let y = to[1] - scale * (sin * from[0] + cos * from[1]);
-        let coefficients = vec![0.0; self.model.modes.len()];
-        Some(State { rotation: roll * turn, scale, origin: [x, -y], coefficients })
     }
 
     /// Steps downhill on the pose and the first `modes` modes. Gives the cost, too.
