@@ -1,5 +1,5 @@
 use super::*;
-use crate::face::render::Scene;
+use crate::face::render::{Random, Scene};
 use image::Rgb;
 
 fn example() -> (image::RgbImage, FittedFace) {
@@ -79,6 +79,29 @@ fn what_is_no_face_file_is_refused() {
     let mut broken = face;
     broken.vertices_mm[3][1] = f64::NAN;
     assert!(matches!(broken.to_json(), Err(FaceFileError::Value(_))));
+}
+
+#[test]
+fn changed_bytes_give_an_error_or_a_face_that_holds() {
+    let (_, face) = example();
+    let good = face.to_json().unwrap().into_bytes();
+    let mut random = Random::new(9);
+    let mut read = 0;
+    for _ in 0..400 {
+        let mut bytes = good.clone();
+        for _ in 0..1 + (3.0 * random.uniform()) as usize {
+            let at = (random.uniform() * bytes.len() as f64) as usize;
+            bytes[at] = random.one_of(b"0123456789-.e,[]{}\"ax ");
+        }
+        if let Ok(again) = FittedFace::from_json(&String::from_utf8(bytes).unwrap()) {
+            // Whatever is read can be drawn and written.
+            again.to_json().unwrap();
+            again.to_obj();
+            again.to_svg();
+            read += 1;
+        }
+    }
+    assert!(read > 20, "{read}");
 }
 
 #[test]
