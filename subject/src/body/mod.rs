@@ -1,7 +1,13 @@
 //! From a body scan to a skeleton (Yu et al. 2008, and past it).
 
+mod geometry;
 mod joint;
 mod mesh;
+mod note;
+pub mod read;
+mod unit;
 
 pub use joint::{Estimate, Joint, Joints, Side};
 pub use mesh::Mesh;
+pub use note::Note;
+pub use unit::{Unit, UnitError};
