@@ -1,5 +1,6 @@
 //! From a body scan to a skeleton (Yu et al. 2008, and past it).
 
+pub mod generate;
 mod geometry;
 mod joint;
 mod mesh;
