@@ -6,6 +6,7 @@ mod joint;
 mod mesh;
 mod note;
 pub mod read;
+pub mod repair;
 mod unit;
 
 pub use joint::{Estimate, Joint, Joints, Side};
