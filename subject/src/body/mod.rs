@@ -13,3 +13,13 @@ pub use joint::{Estimate, Joint, Joints, Side};
 pub use mesh::Mesh;
 pub use note::Note;
 pub use unit::{Unit, UnitError};
+pub mod extremity;
+pub mod geodesic;
+
+mod joint;
+mod mesh;
+mod refusal;
+
+pub use joint::{Estimate, Joint, Joints, Side};
+pub use mesh::Mesh;
+pub use refusal::Refusal;

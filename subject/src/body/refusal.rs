@@ -1,0 +1,77 @@
+//! Why a mesh gives no skeleton.
+
+use thiserror::Error;
+
+/// Why a mesh gives no skeleton, and what to do.
+///
+/// A wrong skeleton is worse than none: what cannot be told with confidence is refused.
+#[derive(Debug, Clone, Copy, PartialEq, Error)]
+#[non_exhaustive]
+pub enum Refusal {
+    /// The mesh is not a surface.
+    #[error("the mesh has {what}: export it again, or repair it first")]
+    BrokenMesh {
+        /// What is wrong with it.
+        what: &'static str,
+    },
+    /// The surface is in pieces where the body should be one.
+    #[error(
+        "the body is in pieces: only {reached} of {vertices} vertices hang together: close the gaps of the scan"
+    )]
+    InPieces {
+        /// How many vertices the largest piece has.
+        reached: usize,
+        /// How many there are.
+        vertices: usize,
+    },
+    /// Fewer ends stand out of the surface than a body has.
+    #[error(
+        "{found} ends stand out, and a body has 5 (head, hands, feet): scan the whole body, limbs apart"
+    )]
+    TooFewEnds {
+        /// How many stand out.
+        found: usize,
+    },
+    /// Ends stand out, and the ways between them are not those of a body.
+    #[error(
+        "the ways between the ends are not those of a human body (misfit {misfit:.1}, at most {limit:.1}): \
+         scan one whole person, limbs apart"
+    )]
+    NotABody {
+        /// How far from a body, in standard deviations a distance.
+        misfit: f64,
+        /// The most that is taken for a body.
+        limit: f64,
+    },
+    /// Two ways to name the ends fit about as well.
+    #[error(
+        "head, hands and feet cannot be told apart with confidence: scan with limbs apart and stretched"
+    )]
+    Ambiguous {
+        /// How much worse the second best fits, in the unit of the misfit.
+        margin: f64,
+    },
+    /// Limbs touch, and the scan has grown together there.
+    #[error(
+        "limbs touch and the scan has grown together there ({handles} loops): scan with limbs apart"
+    )]
+    Contact {
+        /// How many loops the surface has that a body has not.
+        handles: usize,
+    },
+}
+
+impl Refusal {
+    /// A word for programs, which stays when the sentence changes.
+    #[must_use]
+    pub fn code(&self) -> &'static str {
+        match self {
+            Self::BrokenMesh { .. } => "broken-mesh",
+            Self::InPieces { .. } => "in-pieces",
+            Self::TooFewEnds { .. } => "too-few-ends",
+            Self::NotABody { .. } => "not-a-body",
+            Self::Ambiguous { .. } => "ambiguous",
+            Self::Contact { .. } => "contact",
+        }
+    }
+}
