@@ -1,4 +1,22 @@
-//! The ends of a body: head, hands and feet.
+//! The ends of a body: head, hands and feet, and which is which.
+//!
+//! Ends stand out of the surface wherever the limbs are: they are the maxima of the mean distance along the surface to
+//! a few far-spread vertices, and how far each stands out is its persistence ([`peaks`]). Which is which follows from
+//! the ten distances between five of them, whose ratios hardly differ from person to person ([`roles`]).
+
+mod cap;
+mod choice;
+mod find;
+mod peaks;
+mod roles;
+mod spread;
+
+#[cfg(test)]
+mod tests;
+
+pub use find::{Ends, find};
+pub use peaks::Peak;
+pub use roles::{MISFIT_MAX, Misfit};
 
 /// The ends of a body, as vertices of the mesh.
 ///
@@ -12,4 +30,13 @@ pub struct Extremities {
     pub hands: [u32; 2],
     /// The tips of the feet: heel or toes, whichever is farther.
     pub feet: [u32; 2],
+}
+
+impl Extremities {
+    /// Head, hands, feet: the order in which fields of distances stand.
+    #[must_use]
+    pub fn all(&self) -> [u32; 5] {
+        let ([a, b], [c, d]) = (self.hands, self.feet);
+        [self.head, a, b, c, d]
+    }
 }

@@ -1,0 +1,72 @@
+//! Vertices spread far over the surface.
+
+use super::choice::farthest;
+use crate::body::Mesh;
+use crate::body::geodesic::{Graph, Workspace, distances};
+
+/// Vertices that are far from each other, and the distances from each to all.
+#[derive(Debug, Clone)]
+pub(crate) struct Spread {
+    pub(crate) vertices: Vec<u32>,
+    pub(crate) fields: Vec<Vec<f64>>,
+}
+
+/// Up to `count` vertices by farthest-point sampling: each is the farthest along the surface from all before it.
+///
+/// The first is the farthest along the surface from the vertex that is farthest, straight, from the centroid of the area:
+/// it depends on the shape alone, not on where it stands or which vertex comes first.
+pub(crate) fn farthest_points(
+    mesh: &Mesh,
+    graph: &Graph,
+    count: usize,
+    workspace: &mut Workspace,
+) -> Spread {
+    let centre = area_centroid(mesh);
+    let from_centre: Vec<f64> = mesh.positions.iter().map(|at| distance(*at, centre)).collect();
+    let mut spread = Spread { vertices: Vec::new(), fields: Vec::new() };
+    // A vertex that no triangle uses is no part of the surface.
+    let on_surface = |vertex: u32| !graph.links(vertex).is_empty();
+    let Some(start) = farthest(&from_centre, on_surface) else { return spread };
+    let mut nearest = distances(graph, start, workspace);
+    for turn in 0..count {
+        let Some(vertex) = farthest(&nearest, |_| true) else { break };
+        let field = distances(graph, vertex, workspace);
+        if turn == 0 {
+            nearest.clone_from(&field);
+        } else {
+            for (nearest, far) in nearest.iter_mut().zip(&field) {
+                *nearest = nearest.min(*far);
+            }
+        }
+        spread.vertices.push(vertex);
+        spread.fields.push(field);
+    }
+    spread
+}
+
+/// The centroid of the surface, each triangle weighted by its area.
+pub(crate) fn area_centroid(mesh: &Mesh) -> [f64; 3] {
+    let mut sum = [0.0; 3];
+    let mut total = 0.0;
+    for corners in &mesh.triangles {
+        let [a, b, c] = corners.map(|vertex| mesh.positions[vertex as usize]);
+        let (u, v) = (minus(b, a), minus(c, a));
+        let normal =
+            [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+        let area = normal.iter().map(|part| part * part).sum::<f64>().sqrt();
+        for axis in 0..3 {
+            sum[axis] += area * (a[axis] + b[axis] + c[axis]) / 3.0;
+        }
+        total += area;
+    }
+    if total > 0.0 { sum.map(|sum| sum / total) } else { [0.0; 3] }
+}
+
+pub(super) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
+    let arm = minus(a, b);
+    arm.iter().map(|part| part * part).sum::<f64>().sqrt()
+}
+
+fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
