@@ -1,0 +1,26 @@
+//! Meshes with known joints: what of them is found, and what the constants are learned from.
+//!
+//! `MOCAPD_BODIES=FOLDER cargo run --release -p mocapd-subject --example bodies` prints a row for each mesh below the
+//! folder: the ends, the time and its ratio to one run of Dijkstra along edges. With `ratios` behind it, the means and
+//! standard deviations of the ratios between ends of the two average shapes: what `extremity/roles.rs` holds.
+
+mod ratios;
+mod read;
+mod score;
+mod table;
+
+use std::path::Path;
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let Ok(folder) = std::env::var("MOCAPD_BODIES") else {
+        return Err(
+            "MOCAPD_BODIES names no folder: set it to one of meshes with known joints".into()
+        );
+    };
+    let meshes = read::all(Path::new(&folder))?;
+    let mut out = std::io::stdout().lock();
+    match std::env::args().nth(1).as_deref() {
+        Some("ratios") => ratios::print(&meshes, &mut out),
+        filter => table::print(&meshes, filter.unwrap_or_default(), &mut out),
+    }
+}

@@ -1,0 +1,78 @@
+//! A row for each mesh.
+
+use std::io::Write;
+use std::path::PathBuf;
+use std::time::Instant;
+
+use mocapd_subject::body::extremity::find;
+use mocapd_subject::body::geodesic::{Adjacency, Graph, Workspace, distances};
+
+use crate::{read, score};
+
+/// So many runs; the fastest counts, since other work on the machine only ever adds.
+const RUN_COUNT: usize = 5;
+
+pub(crate) fn print(
+    meshes: &[PathBuf],
+    filter: &str,
+    out: &mut impl Write,
+) -> Result<(), Box<dyn std::error::Error>> {
+    writeln!(out, "{:32} {:>5} {:>6} {:>5}  ends", "mesh", "euler", "ms", "ratio")?;
+    let [mut right, mut refused, mut wrong] = [0; 3];
+    for path in meshes.iter().filter(|path| path.to_string_lossy().contains(filter)) {
+        let (mesh, truth) = read::body(path)?;
+        let adjacency = Adjacency::new(&mesh)?;
+        let mut workspace = Workspace::default();
+        let ends = find(&mesh, &Graph::with_short_cuts(&mesh, &adjacency), &mut workspace);
+        let whole_ms = fastest_ms(|| {
+            let adjacency = Adjacency::new(&mesh)?;
+            let graph = Graph::with_short_cuts(&mesh, &adjacency);
+            std::hint::black_box(find(&mesh, &graph, &mut Workspace::default()).ok());
+            Ok::<_, Box<dyn std::error::Error>>(())
+        })?;
+        let edges = Graph::along_edges(&mesh, &adjacency);
+        let bare_ms = fastest_ms(|| {
+            std::hint::black_box(distances(&edges, 0, &mut workspace));
+            Ok::<_, Box<dyn std::error::Error>>(())
+        })?;
+        let euler = adjacency.euler_characteristic();
+        write!(out, "{:32} {euler:5} {whole_ms:6.2} {:5.1}  ", truth.name, whole_ms / bare_ms)?;
+        match ends {
+            Ok(ends) => {
+                let verdict = match score::right(&mesh, &truth, &ends.extremities) {
+                    Some(true) => "right",
+                    Some(false) => "WRONG",
+                    None => "found",
+                };
+                right += i32::from(verdict == "right");
+                wrong += i32::from(verdict == "WRONG");
+                let (misfit, sure) = (ends.misfit.rms, ends.confidence());
+                write!(
+                    out,
+                    "{verdict}, misfit {misfit:.2}, margin {:.2}, sure {sure:.2}, out",
+                    ends.margin
+                )?;
+                for part in ends.persistence {
+                    write!(out, " {part:.3}")?;
+                }
+                writeln!(out)?;
+            }
+            Err(refusal) => {
+                refused += 1;
+                writeln!(out, "refused: {}: {refusal:?}", refusal.code())?;
+            }
+        }
+    }
+    writeln!(out, "{right} right, {refused} refused, {wrong} wrong")?;
+    Ok(())
+}
+
+fn fastest_ms<E>(mut run: impl FnMut() -> Result<(), E>) -> Result<f64, E> {
+    let mut least = f64::INFINITY;
+    for _ in 0..RUN_COUNT {
+        let start = Instant::now();
+        run()?;
+        least = least.min(start.elapsed().as_secs_f64() * 1e3);
+    }
+    Ok(least)
+}
