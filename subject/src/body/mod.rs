@@ -15,6 +15,9 @@ pub use note::Note;
 pub use unit::{Unit, UnitError};
 pub mod extremity;
 pub mod geodesic;
+pub mod level;
+pub mod paper;
+pub mod reeb;
 
 mod joint;
 mod mesh;

@@ -1,8 +1,8 @@
 //! The ends of a body: head, hands and feet, and which is which.
 //!
 //! Ends stand out of the surface wherever the limbs are: they are the maxima of the mean distance along the surface to
-//! a few far-spread vertices, and how far each stands out is its persistence ([`peaks`]). Which is which follows from
-//! the ten distances between five of them, whose ratios hardly differ from person to person ([`roles`]).
+//! a few far-spread vertices, and how far each stands out is its persistence. Which is which follows from the ten
+//! distances between five of them, whose ratios hardly differ from person to person.
 
 mod cap;
 mod choice;

@@ -37,7 +37,8 @@ pub const MISFIT_MAX: f64 = 2.0;
 /// How far a naming of five ends is from a body.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Misfit {
-    /// The measures of the ways: see [`measures`].
+    /// Logarithms of ratios of the ways: head to hands, head to feet, hand to hand and foot to foot, each to the mean of
+    /// all; the four differences between the sides; across the body to one side.
     pub measures: [f64; MEASURE_COUNT],
     /// The root mean square of the measures' deviations, in standard deviations.
     pub rms: f64,
