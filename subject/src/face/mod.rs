@@ -1,13 +1,13 @@
 //! From a photograph to a wireframe of the face (Yang et al. 2004, and past it).
 
-pub mod photo;
-pub mod plane;
-
-pub use photo::{Photo, PhotoError};
-pub use plane::Plane;
 pub mod adapt;
 pub mod fitted;
 pub mod mapping;
 pub mod model;
+pub mod photo;
+pub mod plane;
 pub mod pose;
 pub mod render;
+
+pub use photo::{Photo, PhotoError};
+pub use plane::Plane;

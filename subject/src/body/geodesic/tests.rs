@@ -86,7 +86,9 @@ proptest! {
         prop_assert!((0.99..1.06).contains(&cut_mean), "{cut_mean}");
         // The slivers about the poles make single ways long; they stay no longer than along edges.
         prop_assert!(cut_max <= edge_max, "{cut_max} of {edge_max}");
-        prop_assert!(cut_mean - 1.0 < 0.7 * (edge_mean - 1.0), "{cut_mean} of {edge_mean}");
+        // From a pole the edges lie along the arcs already, and there is little to be won.
+        let nearer = cut_mean - 1.0 < 0.7 * (edge_mean - 1.0) || edge_mean < 1.02;
+        prop_assert!(nearer, "{cut_mean} of {edge_mean}");
     }
 
     #[test]
