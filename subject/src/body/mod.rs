@@ -6,6 +6,7 @@ pub mod geodesic;
 mod geometry;
 mod joint;
 pub mod level;
+pub mod locate;
 mod mesh;
 mod note;
 pub mod paper;

@@ -1,0 +1,129 @@
+"""Learns where joints are among the landmarks, and writes subject/src/body/locate/weights.rs.
+
+    MOCAPD_BODIES=... python3 benches/subject/learn.py [LANDMARKS.jsonl]
+
+A joint is a weighted mean of landmarks (subject/src/body/locate/landmark.rs) with weights that add up to one, so that it
+moves, turns and grows with the body. The weights are a ridge regression on the shapes mavg and favg, and on no other; the
+same weights serve the left and the right. Without a file of landmarks, cargo runs the example that prints them.
+
+Printed for each joint: mean and 95th percentile of the error, in per cent of stature, with each shape left out in turn, with
+each pose left out, and with the two other builds left out where a lean or a stout one is measured. The standard deviation
+that is written is the root mean square of the first. Needs numpy.
+"""
+
+import json
+import pathlib
+import subprocess
+import sys
+
+import numpy as np
+
+PROJECT = pathlib.Path(__file__).resolve().parents[2]
+WEIGHTS = PROJECT / "subject/src/body/locate/weights.rs"
+SHAPES = ["mh_mavg", "mh_favg"]
+
+# Joint, its name in the truth (with .L and .R if there are two), ridge, and which landmarks: part, first, one past the last.
+# The ridge is in body scales squared: a weight of 1 costs as much as an error of its root.
+JOINTS = [
+    ("Head", "head_top", 1e-3, [("Head", 0, 7)]),
+    ("Throat", "neck", 3e-3, [("Head", 3, 13), ("Arm", 16, 22), ("OtherArm", 16, 22)]),
+    ("Shoulder", "shoulder", 3e-3, [("Arm", 10, 22), ("OtherArm", 16, 22), ("Leg", 23, 28), ("OtherLeg", 23, 28), ("Head", 3, 13)]),
+    ("Elbow", "elbow", 1e-3, [("Arm", 5, 16)]),
+    ("Wrist", "wrist", 3e-4, [("Arm", 0, 9)]),
+    ("Hip", "hip", 1e-3, [("Leg", 16, 28), ("OtherLeg", 16, 28), ("Arm", 16, 22), ("OtherArm", 16, 22), ("Head", 3, 13)]),
+    ("Knee", "knee", 1e-3, [("Leg", 8, 18)]),
+    ("Ankle", "ankle", 3e-4, [("Leg", 0, 10)]),
+]
+
+
+def landmarks(argv):
+    if len(argv) > 1:
+        lines = pathlib.Path(argv[1]).read_text().splitlines()
+    else:
+        command = ["cargo", "run", "--release", "-q", "-p", "mocapd-subject", "--example", "body_landmarks", "--", *SHAPES]
+        lines = subprocess.run(command, cwd=PROJECT, check=True, capture_output=True, text=True).stdout.splitlines()
+    bodies = [json.loads(line) for line in lines]
+    return [body for body in bodies if body["name"].startswith(tuple(SHAPES))]
+
+
+def samples(bodies, truth, spans):
+    """One a body and side: the landmarks, the joint (both in body scales), the shape, the pose, the build, stature over scale."""
+    for body in bodies:
+        joints = {name: np.array(at) / body["scale"] for name, at in body["joints"].items()}
+        wrist = np.array(body["halves"][0]["arm"][4])
+        first = min("LR", key=lambda side: np.linalg.norm(wrist - joints[f"wrist.{side}"]))
+        for half, side in ((0, first), (1, "LR".replace(first, ""))):
+            own, other = body["halves"][half], body["halves"][1 - half]
+            parts = {"Arm": own["arm"], "OtherArm": other["arm"], "Leg": own["leg"], "OtherLeg": other["leg"], "Head": body["head"]}
+            points = np.concatenate([parts[part][start:end] for part, start, end in spans])
+            target = joints.get(truth, joints.get(f"{truth}.{side}"))
+            words = body["name"].split("_")
+            yield points, target, words[1], words[2], body["build"], body["stature"] / body["scale"]
+
+
+def fit(points, targets, ridge, weights):
+    """Weights of landmarks that add up to one: pulled towards the one landmark that is nearest on average."""
+    distances = np.linalg.norm(points - targets[:, None], axis=2)
+    nearest = int(np.argmin(distances.mean(axis=0)))
+    relative = points - points[:, nearest : nearest + 1]
+    total = weights.sum()
+    gram = np.einsum("n,nkc,nlc->kl", weights, relative, relative) / total
+    right = np.einsum("n,nkc,nc->k", weights, relative, targets - points[:, nearest]) / total
+    found = np.linalg.solve(gram + ridge * np.eye(len(gram)), right)
+    found[nearest] = 0
+    found[nearest] = 1 - found.sum()
+    return found
+
+
+def errors(points, targets, found):
+    return np.linalg.norm(np.einsum("nkc,k->nc", points, found) - targets, axis=1)
+
+
+def left_out(points, targets, ridge, groups, weights):
+    found = np.zeros(len(targets))
+    for group in np.unique(groups):
+        out = groups == group
+        found[out] = errors(points[out], targets[out], fit(points[~out], targets[~out], ridge, weights[~out]))
+    return found
+
+
+def learn(bodies, truth, ridge, spans):
+    points, targets, shapes, poses, builds, statures = map(np.array, zip(*samples(bodies, truth, spans)))
+    # Poses that were made in more variants must not count more; resolutions of one body stay together.
+    key = np.array([f"{shape} {pose} {build}" for shape, pose, build in zip(shapes, poses, builds)])
+    names, inverse, counts = np.unique(key, return_inverse=True, return_counts=True)
+    weights = 1 / counts[inverse]
+    by_shape = left_out(points, targets, ridge, shapes, weights)
+    by_pose = left_out(points, targets, ridge, poses, weights)
+    by_build = left_out(points, targets, ridge, builds, weights)
+    left = [by_shape / statures, by_pose / statures, by_build / statures]
+    return fit(points, targets, ridge, weights), np.sqrt(np.mean(by_shape**2)), left
+
+
+def rust(name, spans, found, sigma):
+    lines = [f"pub(super) const {name.upper()}: Model = Model {{", f"    sigma: {sigma:.4f},", "    spans: &["]
+    at = 0
+    for part, start, end in spans:
+        weights = ", ".join(f"{weight:.5f}" for weight in found[at : at + end - start])
+        at += end - start
+        lines.append(f"        Span {{ part: Part::{part}, first: {start}, weights: &[{weights}] }},")
+    return "\n".join([*lines, "    ],", "};", ""])
+
+
+def main():
+    bodies = landmarks(sys.argv)
+    text = ["//! Written by `benches/subject/learn.py` from the shapes mavg and favg: change it there.", "", "use super::model::{Model, Part, Span};", ""]
+    print(f"{len(bodies)} meshes\n| joint | shape left out: mean / p95, %st | pose left out | build left out |\n|---|---|---|---|")
+    for name, truth, ridge, spans in JOINTS:
+        found, sigma, left = learn(bodies, truth, ridge, spans)
+        cells = [f"{np.mean(e) * 100:.2f} / {np.percentile(e, 95) * 100:.2f}" for e in left]
+        print(f"| {name.lower()} | {' | '.join(cells)} |")
+        # Rounded weights must still add up to one: what is missing goes to the greatest.
+        found = np.round(found, 5)
+        found[np.argmax(np.abs(found))] += 1 - found.sum()
+        text.append(rust(name, spans, found, sigma))
+    WEIGHTS.write_text("\n".join(text))
+    subprocess.run(["rustfmt", "--edition", "2024", str(WEIGHTS)], check=True)
+
+
+main()

@@ -1,0 +1,77 @@
+//! Prints the landmarks of meshes with known joints, one JSON object a line, for `benches/subject/learn.py`: of each mesh as
+//! it is, and of the same made leaner and stouter.
+//!
+//!     MOCAPD_BODIES=... cargo run --release -p mocapd-subject --example body_landmarks -- mh_mavg mh_favg
+#![expect(clippy::print_stdout, reason = "what an example is for")]
+
+use std::error::Error;
+use std::path::Path;
+
+use mocapd_subject::body::extremity::Extremities;
+use mocapd_subject::body::geodesic::{Adjacency, Graph, Workspace, distances};
+use mocapd_subject::body::locate::{Half, Landmarks, settle};
+use mocapd_subject::body::{Mesh, Refusal};
+use nalgebra::Vector3;
+use serde_json::{Value, json};
+
+mod girth;
+#[path = "../bodies/read.rs"]
+mod read;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let folder = std::env::var("MOCAPD_BODIES")
+        .map_err(|_| "set MOCAPD_BODIES to the folder of meshes with known joints")?;
+    let names: Vec<String> = std::env::args().skip(1).collect();
+    for path in read::all(Path::new(&folder))? {
+        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        if !names.iter().any(|start| name.starts_with(start)) {
+            continue;
+        }
+        let (mesh, truth) = read::body(&path)?;
+        let Some(joints) = truth.joints else { continue };
+        let near = |joint: &str| joints.get(joint).and_then(|at| nearest(&mesh, *at));
+        let ends = ["head_top", "mcp3.L", "mcp3.R", "toe.L", "toe.R"].map(near);
+        let [Some(head), Some(left), Some(right), Some(left_foot), Some(right_foot)] = ends else {
+            continue;
+        };
+        let ends = Extremities { head, hands: [left, right], feet: [left_foot, right_foot] };
+        for build in girth::BUILDS {
+            let mesh = girth::changed(&mesh, &ends, &build)?;
+            let Some(found) = landmarks(&mesh, &ends)? else { continue };
+            let half = |half: &Half| json!({"arm": points(&half.arm), "leg": points(&half.leg)});
+            let line = json!({
+                "name": truth.name,
+                "build": build.name,
+                "stature": truth.stature_m,
+                "joints": joints,
+                "scale": found.scale,
+                "halves": found.halves.each_ref().map(half),
+                "head": points(&found.head),
+            });
+            println!("{line}");
+        }
+    }
+    Ok(())
+}
+
+fn landmarks(mesh: &Mesh, ends: &Extremities) -> Result<Option<Landmarks>, Refusal> {
+    let graph = Graph::with_short_cuts(mesh, &Adjacency::new(mesh)?);
+    let mut workspace = Workspace::default();
+    let fields = ends.all().map(|end| distances(&graph, end, &mut workspace));
+    // Twice: from a knuckle the fingertips of the others were not known yet.
+    let once = settle(&graph, ends, fields, &mut workspace);
+    let [head, a, b, c, d] = once.vertices;
+    let ends = Extremities { head, hands: [a, b], feet: [c, d] };
+    let settled = settle(&graph, &ends, once.distances, &mut workspace);
+    Ok(Landmarks::new(mesh, &settled.fields()))
+}
+
+fn nearest(mesh: &Mesh, target: [f64; 3]) -> Option<u32> {
+    let way = |at: &[f64; 3]| (Vector3::from(*at) - Vector3::from(target)).norm();
+    let best = (0..).zip(&mesh.positions).min_by(|a, b| way(a.1).total_cmp(&way(b.1)))?;
+    Some(best.0)
+}
+
+fn points(points: &[Vector3<f64>]) -> Value {
+    points.iter().map(|at| json!([at.x, at.y, at.z])).collect()
+}

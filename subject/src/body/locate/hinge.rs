@@ -1,0 +1,92 @@
+//! Where a limb bends.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::section::{STEP, Sections, level};
+
+/// Distance between two places that are tried, in body scales.
+const TRY_EVERY: f64 = 0.004;
+/// At most so many places are tried; the windows hold some thirty.
+const MOST_TRIED: usize = 200;
+
+/// Where on a limb its middle joint is looked for.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Window {
+    /// The levels of the centre line that are taken, in body scales.
+    pub(super) line: [f64; 2],
+    /// The levels between which the joint is.
+    pub(super) joint: [f64; 2],
+    /// Where it is on average.
+    pub(super) prior: f64,
+    /// How much a distance from there costs: mean square of the two lines' misfit, over distance squared.
+    pub(super) weight: f64,
+}
+
+/// A bend that was found.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Bend {
+    /// Where, in body scales from the end of the limb.
+    pub(super) level: f64,
+    /// How sharply the cost rises to both sides: the second derivative, in the unit of [`Window::weight`].
+    pub(super) sharpness: f64,
+}
+
+/// Fits two straight lines that meet to the centre line, for each place where they might meet, and weighs the misfit
+/// against the place's distance from where the joint is on average.
+///
+/// A flexed limb has one place that fits. On a straight one all fit alike, and the average decides.
+pub(super) fn bend(sections: &Sections, window: &Window) -> Option<Bend> {
+    let points: Vec<(f64, Vector3<f64>)> = (0..)
+        .map(level)
+        .zip(&sections.centre)
+        .filter(|(at, _)| (window.line[0]..=window.line[1]).contains(at))
+        .map(|(at, centre)| (at, *centre))
+        .collect();
+    if points.len() < 6 {
+        return None;
+    }
+    let [low, high] = window.joint;
+    let tries = (((high - low) / TRY_EVERY).ceil().max(0.0) as usize).min(MOST_TRIED);
+    let place = |index: usize| low + index as f64 * TRY_EVERY;
+    let cost = |at: f64| misfit(&points, at) + window.weight * (at - window.prior).powi(2);
+    let costs: Vec<f64> = (0..tries).map(|index| cost(place(index))).collect();
+    let (best, _) = costs.iter().enumerate().min_by(|one, other| one.1.total_cmp(other.1))?;
+    let (offset, curvature) = vertex_of_parabola(&costs, best);
+    Some(Bend {
+        level: place(best) + TRY_EVERY * offset,
+        sharpness: curvature / (TRY_EVERY * TRY_EVERY),
+    })
+}
+
+/// Where between the neighbours of `index` the parabola through the three is least or greatest, in steps, and its second
+/// difference there. At an end of `values`, and where they are on a line, 0.
+pub(super) fn vertex_of_parabola(values: &[f64], index: usize) -> (f64, f64) {
+    let three = index.checked_sub(1).and_then(|before| values.get(before..before + 3));
+    let Some([before, at, after]) = three else { return (0.0, 0.0) };
+    let curvature = before - 2.0 * at + after;
+    if curvature.abs() < f64::EPSILON * at.abs() {
+        return (0.0, 0.0);
+    }
+    (((before - after) / (2.0 * curvature)).clamp(-1.0, 1.0), curvature)
+}
+
+/// Mean squared distance of the points from two lines that meet at `knot`, fitted by least squares.
+fn misfit(points: &[(f64, Vector3<f64>)], knot: f64) -> f64 {
+    let mut normal = Matrix3::zeros();
+    let mut right = Matrix3::zeros();
+    let mut square = 0.0;
+    // Relative to the first point, or far from the origin the digits would go.
+    let Some((_, origin)) = points.first().copied() else { return 0.0 };
+    for (at, point) in points {
+        let offset = (at - knot) / STEP;
+        let row = Vector3::new(1.0, offset.min(0.0), offset.max(0.0));
+        let point = point - origin;
+        normal += row * row.transpose();
+        right += row * point.transpose();
+        square += point.norm_squared();
+    }
+    let Some(cholesky) = normal.cholesky() else { return square / points.len() as f64 };
+    let solution = cholesky.solve(&right);
+    let explained = solution.component_mul(&right).sum();
+    (square - explained).max(0.0) / points.len() as f64
+}

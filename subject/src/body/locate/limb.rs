@@ -1,0 +1,128 @@
+//! The marks along a limb, in body scales from its end: what the landmarks are placed by.
+
+use super::hinge::{Bend, Window, bend, vertex_of_parabola};
+use super::section::{STEP, Sections, level};
+
+/// The middle of the ankle, from the end of the foot.
+const ANKLE: f64 = 0.13;
+/// The middle of the knee, from the end of the foot, on average.
+const KNEE: f64 = 0.343;
+/// How far the knee may be from there.
+const KNEE_REACH: f64 = 0.06;
+/// The groin, from the end of the foot.
+const GROIN: f64 = 0.558;
+/// The armpit, from the end of the hand, on average.
+const ARMPIT: f64 = 0.387;
+/// The same as a part of the way between the hands.
+const ARMPIT_OF_HANDS: f64 = 0.402;
+/// The armpit as the curve's widening has it is taken no farther than this from the average.
+const ARMPIT_REACH: f64 = 0.05;
+/// How much the widening counts, the way between the hands, and the average. Raised arms widen late, and stout ones early.
+const ARMPIT_WEIGHTS: [f64; 3] = [0.4, 0.3, 0.3];
+/// Where between wrist and armpit the elbow is on average.
+const ELBOW: f64 = 0.487;
+/// The levels of the upper arm, whose girth the widening is measured by: stout or lean, it is that of the trunk that counts.
+const UPPER_ARM: [f64; 2] = [0.28, 0.33];
+/// The curve round the arm is so much longer at the armpit than round the upper arm.
+const WIDENED: f64 = 1.6;
+/// Where the hand is thickest: nearer to its end than this.
+const HAND_ENDS: f64 = 0.13;
+/// The wrist is at most so far behind that.
+const WRIST_REACH: f64 = 0.11;
+/// A wrist is no farther from the end of the hand than this.
+const WRIST_MAX: f64 = 0.17;
+/// [`Window::weight`] of the elbow, whose centre line is straight on both sides.
+const ELBOW_WEIGHT: f64 = 1e-3;
+/// [`Window::weight`] of the knee: the calf alone bends the centre line.
+const KNEE_WEIGHT: f64 = 0.1;
+
+/// The marks of an arm or a leg.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Marks {
+    /// The narrowing behind hand or heel.
+    pub(super) narrow: f64,
+    /// Elbow or knee.
+    pub(super) hinge: f64,
+    /// Armpit or groin.
+    pub(super) root: f64,
+    /// [`Bend::sharpness`] of the hinge.
+    pub(super) sharpness: f64,
+}
+
+/// The marks of an arm: the wrist is where the curve is shortest behind the hand, be the hand open or a fist; the armpit
+/// where it has widened to a multiple of the upper arm's; the elbow where the centre line between them bends.
+///
+/// `hands` is the way between the hands, in body scales.
+pub(super) fn arm(sections: &Sections, hands: f64) -> Option<Marks> {
+    let perimeter = &sections.perimeter;
+    let within = |from: f64, to: f64| {
+        perimeter.iter().enumerate().filter(move |(index, _)| (from..to).contains(&level(*index)))
+    };
+    let (thickest, _) = within(0.0, HAND_ENDS).max_by(|one, other| one.1.total_cmp(other.1))?;
+    let behind = level(thickest) + STEP / 2.0;
+    let (least, _) =
+        within(behind, behind + WRIST_REACH).min_by(|one, other| one.1.total_cmp(other.1))?;
+    let narrow = (level(least) + STEP * vertex_of_parabola(perimeter, least).0).min(WRIST_MAX);
+    let upper: Vec<f64> = within(UPPER_ARM[0], UPPER_ARM[1]).map(|(_, length)| *length).collect();
+    let upper = upper.iter().sum::<f64>() / upper.len().max(1) as f64;
+    let widened = widens(perimeter, WIDENED * upper, narrow + 0.17).unwrap_or(ARMPIT);
+    let widened = widened.clamp(ARMPIT - ARMPIT_REACH, ARMPIT + ARMPIT_REACH);
+    let of_hands = ARMPIT_OF_HANDS * hands.clamp(0.8, 1.15);
+    let evidence = [widened, of_hands, ARMPIT];
+    let root = evidence.iter().zip(ARMPIT_WEIGHTS).map(|(at, weight)| at * weight).sum::<f64>();
+    let length = root - narrow;
+    let window = Window {
+        line: [narrow + 0.01, root - 0.03],
+        joint: [narrow + 0.3 * length, narrow + 0.7 * length],
+        prior: narrow + ELBOW * length,
+        weight: ELBOW_WEIGHT,
+    };
+    let Bend { level: hinge, sharpness } = bend(sections, &window)?;
+    Some(Marks { narrow, hinge, root, sharpness })
+}
+
+/// The marks of a leg: all but the knee at their average distances.
+pub(super) fn leg(sections: &Sections) -> Option<Marks> {
+    let window = Window {
+        line: [0.17, 0.53],
+        joint: [KNEE - KNEE_REACH, KNEE + KNEE_REACH],
+        prior: KNEE,
+        weight: KNEE_WEIGHT,
+    };
+    let Bend { level: hinge, sharpness } = bend(sections, &window)?;
+    Some(Marks { narrow: ANKLE, hinge, root: GROIN, sharpness })
+}
+
+/// The first level behind `from` where the curve is longer than `length`.
+fn widens(perimeter: &[f64], length: f64, from: f64) -> Option<f64> {
+    let mut pairs = perimeter.windows(2).enumerate().map(|(index, pair)| (index + 1, pair));
+    pairs.find_map(|(index, pair)| {
+        let [before, at] = pair else { return None };
+        if level(index) <= from || *at <= length {
+            return None;
+        }
+        let part = ((at - length) / (at - before).max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+        Some(level(index) - STEP * part)
+    })
+}
+
+/// How far elbows are from their average place on the arm, as a standard deviation in body scales.
+const ELBOW_VARIES: f64 = 0.012;
+/// How far knees are from theirs.
+const KNEE_VARIES: f64 = 0.008;
+
+/// How far along the arm the elbow may be off, as a standard deviation in body scales: as much as elbows vary on a straight
+/// arm, less the more sharply the arm bends.
+pub(super) fn elbow_spread(sharpness: f64) -> f64 {
+    spread(ELBOW_VARIES, ELBOW_WEIGHT, sharpness)
+}
+
+/// The same for a knee.
+pub(super) fn knee_spread(sharpness: f64) -> f64 {
+    spread(KNEE_VARIES, KNEE_WEIGHT, sharpness)
+}
+
+/// The prior alone has a sharpness of twice its weight, and costs are to each other as variances.
+fn spread(varies: f64, weight: f64, sharpness: f64) -> f64 {
+    varies * (2.0 * weight / sharpness.max(2.0 * weight)).sqrt()
+}
