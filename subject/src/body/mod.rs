@@ -14,10 +14,12 @@ pub mod read;
 pub mod reeb;
 mod refusal;
 pub mod repair;
+pub mod skeleton;
 mod unit;
 
 pub use joint::{Estimate, Joint, Joints, Side};
 pub use mesh::Mesh;
 pub use note::Note;
 pub use refusal::Refusal;
+pub use repair::Repaired;
 pub use unit::{Unit, UnitError};

@@ -1,0 +1,142 @@
+//! One skeleton out of the joints of several scans.
+
+use super::functional::{self, Centre};
+use super::json::{FORMAT, LIST_MAX, TEXT_MAX};
+use super::names::{BONES, joint_name, joints};
+use super::{Bone, Method, ScanJoints, Skeleton, SkeletonJoint};
+use crate::body::geometry::{distance, scale};
+use crate::body::{Estimate, Joint, Joints, Side};
+
+/// What no joint is known better than, in millimetres: scans are of skin. It keeps a scan that is too sure of itself from
+/// outweighing the others.
+const FLOOR_MM: f64 = 1.0;
+
+pub(super) fn combine(method: Method, scans: &[ScanJoints]) -> Option<Skeleton> {
+    let mut in_mm: Vec<Joints> = scans.iter().take(LIST_MAX).map(millimetres).collect();
+    let mut notes: Vec<String> = scans.iter().flat_map(|scan| scan.notes.iter().cloned()).collect();
+    let sides_told = in_mm.iter().all(|joints| joints.sides_told);
+    let centres = functional::centres(&in_mm, &mut notes);
+    let first = in_mm.first()?.clone();
+    let mut bones: Vec<Bone> = Vec::new();
+    for (name, parent, child) in BONES {
+        let of_scan = |joints: &Joints| length(joints, parent, child);
+        let lengths: Vec<(f64, f64)> = in_mm.iter().filter_map(of_scan).collect();
+        // A bone without its ends in the first scan could not be drawn.
+        if length(&first, parent, child).is_some() {
+            let mut bone = mean_bone(name, parent, child, &lengths);
+            if let Some(centre) = centres.iter().find(|centre| centre.child == child) {
+                bone.length_mm = round(centre.radius);
+                bone.uncertainty_mm = round(centre.radius_sigma);
+            }
+            bones.push(bone);
+        }
+    }
+    if in_mm.len() > 1 && !sides_told {
+        notes.push("left and right are not told in every scan: each pair of limbs has the mean of both sides".to_owned());
+        level_sides(&mut bones);
+    }
+    let joints = skeleton_joints(in_mm.first_mut()?, &centres);
+    notes.iter_mut().for_each(|note| *note = note.chars().take(TEXT_MAX).collect());
+    notes.retain(|note| !note.is_empty());
+    notes.truncate(LIST_MAX);
+    let sources = scans.iter().take(LIST_MAX).map(|scan| scan.source.clone()).collect();
+    let format = FORMAT.to_owned();
+    Some(Skeleton {
+        format,
+        version: 1,
+        method,
+        sources,
+        stature_mm: None,
+        sides_told,
+        joints,
+        bones,
+        notes,
+    })
+}
+
+fn millimetres(scan: &ScanJoints) -> Joints {
+    let mm = scan.unit.mm();
+    let convert = |(joint, estimate): (&Joint, &Estimate)| {
+        let position = scale(estimate.position, mm);
+        (*joint, Estimate { position, sigma: estimate.sigma * mm })
+    };
+    let estimates = scan.joints.estimates.iter().map(convert).collect();
+    Joints { estimates, sides_told: scan.joints.sides_told }
+}
+
+/// Distance of two joints, and its standard deviation.
+fn length(joints: &Joints, parent: Joint, child: Joint) -> Option<(f64, f64)> {
+    let (a, b) = (joints.estimates.get(&parent)?, joints.estimates.get(&child)?);
+    // Of an error in all directions, a third of the square lies along the bone.
+    let sigma = (a.sigma.powi(2) + b.sigma.powi(2)).sqrt() / 3_f64.sqrt();
+    Some((distance(a.position, b.position), sigma.max(FLOOR_MM)))
+}
+
+fn mean_bone(name: &str, parent: Joint, child: Joint, lengths: &[(f64, f64)]) -> Bone {
+    let n = lengths.len() as f64;
+    let weight: f64 = lengths.iter().map(|(_, sigma)| sigma.powi(-2)).sum();
+    let mean = lengths.iter().map(|(mm, sigma)| mm * sigma.powi(-2)).sum::<f64>() / weight;
+    let plain = lengths.iter().map(|(mm, _)| mm).sum::<f64>() / n;
+    let squares: f64 = lengths.iter().map(|(mm, _)| (mm - plain).powi(2)).sum();
+    let spread = (lengths.len() > 1).then(|| (squares / (n - 1.0)).sqrt());
+    // What is expected, or what was seen between scans, whichever is more.
+    let uncertainty = weight.powf(-0.5).max(spread.unwrap_or(0.0) / n.sqrt());
+    Bone {
+        name: name.to_owned(),
+        parent: joint_name(parent).to_owned(),
+        child: joint_name(child).to_owned(),
+        length_mm: round(mean),
+        uncertainty_mm: round(uncertainty),
+        spread_mm: spread.map(round),
+        scans: lengths.len() as u32,
+    }
+}
+
+/// Both bones of a pair become their mean.
+fn level_sides(bones: &mut [Bone]) {
+    let other = |name: &str| {
+        let (side, rest) = super::names::pair(name)?;
+        Some(format!("{}_{rest}", if side == 'l' { 'r' } else { 'l' }))
+    };
+    let sided = |name: &str| {
+        other(name).or_else(|| match name {
+            "throat_l_shoulder" => Some("throat_r_shoulder".to_owned()),
+            "throat_r_shoulder" => Some("throat_l_shoulder".to_owned()),
+            "pelvis_l_hip" => Some("pelvis_r_hip".to_owned()),
+            "pelvis_r_hip" => Some("pelvis_l_hip".to_owned()),
+            _ => None,
+        })
+    };
+    let before = bones.to_vec();
+    for bone in bones {
+        let twin = sided(&bone.name).and_then(|twin| before.iter().find(|b| b.name == twin));
+        if let Some(twin) = twin {
+            bone.length_mm = round((bone.length_mm + twin.length_mm) / 2.0);
+            bone.uncertainty_mm = round(bone.uncertainty_mm.max(twin.uncertainty_mm));
+            bone.spread_mm = bone.spread_mm.zip(twin.spread_mm).map(|(a, b)| a.max(b));
+        }
+    }
+}
+
+fn skeleton_joints(first: &mut Joints, centres: &[Centre]) -> Vec<SkeletonJoint> {
+    for centre in centres {
+        let estimate = Estimate { position: centre.in_first, sigma: centre.sigma };
+        first.estimates.insert(centre.joint, estimate);
+    }
+    let found = joints().filter_map(|joint| Some((joint, first.estimates.get(&joint)?)));
+    found
+        .map(|(joint, estimate)| SkeletonJoint {
+            name: joint_name(joint).to_owned(),
+            position_mm: estimate.position.map(round),
+            uncertainty_mm: round(estimate.sigma),
+        })
+        .collect()
+}
+
+/// To a tenth of a micrometre: numbers this short are read back to the last bit by every reader of JSON.
+fn round(mm: f64) -> f64 {
+    (mm * 1e4).round() / 1e4
+}
+
+/// Both sides.
+pub(super) const SIDES: [Side; 2] = [Side::Left, Side::Right];

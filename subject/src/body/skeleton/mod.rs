@@ -1,0 +1,151 @@
+//! What remains of scans: joints, bones, how sure each is, and what they are from, as JSON that a take can carry.
+
+mod combine;
+mod functional;
+mod json;
+mod names;
+#[cfg(test)]
+mod tests;
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+pub use self::json::{LEN_MAX, SkeletonError};
+pub use self::names::{BONES, joint_from_name, joint_name};
+use super::{Joints, Repaired, Unit};
+
+/// How the joints were found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Method {
+    /// As this crate does.
+    Default,
+    /// As Yu et al. 2008 print it.
+    Paper,
+}
+
+/// The file that a scan came from.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Source {
+    /// The file's name, without its folder.
+    pub name: String,
+    /// SHA-256 of its bytes, in hexadecimal.
+    pub sha256: String,
+    /// `m`, `cm` or `mm`.
+    pub unit: String,
+    /// Whether the unit was inferred from the size.
+    pub unit_inferred: bool,
+}
+
+impl Source {
+    /// Of a file's name and bytes, and what became of its mesh.
+    #[must_use]
+    pub fn new(name: &str, bytes: &[u8], repaired: &Repaired) -> Self {
+        let sha256 = Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+        let name = name.rsplit(['/', '\\']).next().unwrap_or(name);
+        let name = name.chars().filter(|c| !c.is_control()).take(json::TEXT_MAX).collect();
+        let (unit, unit_inferred) = (repaired.unit.to_string(), repaired.unit_inferred);
+        Self { name, sha256, unit, unit_inferred }
+    }
+}
+
+/// One joint, in the frame of the first source, turned as it was.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SkeletonJoint {
+    /// One of the 15 sites ([`joint_name`]).
+    pub name: String,
+    /// x, y, z in millimetres.
+    pub position_mm: [f64; 3],
+    /// Standard deviation of the distance to the true centre, in millimetres.
+    pub uncertainty_mm: f64,
+}
+
+/// A length that does not change with the pose, from one joint to the next.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Bone {
+    /// One of [`BONES`].
+    pub name: String,
+    /// The joint nearer to the pelvis.
+    pub parent: String,
+    /// The other joint.
+    pub child: String,
+    /// Over all scans, in millimetres.
+    pub length_mm: f64,
+    /// Standard deviation that is expected of it, in millimetres.
+    pub uncertainty_mm: f64,
+    /// Standard deviation between scans, in millimetres; null for one scan.
+    pub spread_mm: Option<f64>,
+    /// How many scans it is from.
+    pub scans: u32,
+}
+
+/// A subject's skeleton. Its schema is that of the fields, in their order, with `format` and `version` before them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Skeleton {
+    /// Always `mocapd-skeleton`.
+    pub format: String,
+    /// Always 1.
+    pub version: u32,
+    /// How the joints were found.
+    pub method: Method,
+    /// The scans, the first of which gives the frame of the joints.
+    pub sources: Vec<Source>,
+    /// Body height in millimetres, where it is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stature_mm: Option<f64>,
+    /// Whether `l_` is the subject's left. If not, the sides may be the wrong way round as a whole.
+    pub sides_told: bool,
+    /// Those that were found.
+    pub joints: Vec<SkeletonJoint>,
+    /// Those between joints that were found.
+    pub bones: Vec<Bone>,
+    /// What a reader should know.
+    pub notes: Vec<String>,
+}
+
+/// What one scan gives.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ScanJoints {
+    /// Where from.
+    pub source: Source,
+    /// The joints, in the mesh's frame and unit.
+    pub joints: Joints,
+    /// That unit.
+    pub unit: Unit,
+    /// Sentences for people.
+    pub notes: Vec<String>,
+}
+
+impl Skeleton {
+    /// The skeleton of one person out of one scan or several, in any poses; nothing of none.
+    ///
+    /// Lengths are means over the scans, each weighted with what is expected of its joints. Where the poses of several
+    /// scans differ enough, shoulders and hips are the centres that elbows and knees turned about (`functional`).
+    #[must_use]
+    pub fn new(method: Method, scans: &[ScanJoints]) -> Option<Self> {
+        combine::combine(method, scans)
+    }
+
+    /// Length of a pair of bones, such as `upper_arm`: the mean of both sides, and its uncertainty, in millimetres.
+    ///
+    /// Limbs differ by a per cent between sides, scans by more.
+    #[must_use]
+    pub fn symmetric_length_mm(&self, pair: &str) -> Option<(f64, f64)> {
+        let side = |side: char| {
+            let of = |bone: &&Bone| names::pair(&bone.name) == Some((side, pair));
+            self.bones.iter().find(of)
+        };
+        match (side('l'), side('r')) {
+            (Some(left), Some(right)) => {
+                let uncertainty = left.uncertainty_mm.hypot(right.uncertainty_mm) / 2.0;
+                Some(((left.length_mm + right.length_mm) / 2.0, uncertainty))
+            }
+            (Some(one), None) | (None, Some(one)) => Some((one.length_mm, one.uncertainty_mm)),
+            (None, None) => None,
+        }
+    }
+}
