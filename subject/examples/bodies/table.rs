@@ -23,7 +23,8 @@ pub(crate) fn print(
         let (mesh, truth) = read::body(path)?;
         let adjacency = Adjacency::new(&mesh)?;
         let mut workspace = Workspace::default();
-        let ends = find(&mesh, &Graph::with_short_cuts(&mesh, &adjacency), &mut workspace);
+        let graph = Graph::with_short_cuts(&mesh, &adjacency);
+        let ends = find(&mesh, &graph, &mut workspace);
         let whole_ms = fastest_ms(|| {
             let adjacency = Adjacency::new(&mesh)?;
             let graph = Graph::with_short_cuts(&mesh, &adjacency);
@@ -49,8 +50,8 @@ pub(crate) fn print(
                 let (misfit, sure) = (ends.misfit.rms, ends.confidence());
                 write!(
                     out,
-                    "{verdict}, misfit {misfit:.2}, margin {:.2}, sure {sure:.2}, out",
-                    ends.margin
+                    "{verdict}, told {:?}, misfit {misfit:.2}, margin {:.2}, sure {sure:.2}, out",
+                    ends.told, ends.margin
                 )?;
                 for part in ends.persistence {
                     write!(out, " {part:.3}")?;

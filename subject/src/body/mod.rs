@@ -14,6 +14,8 @@ pub mod read;
 pub mod reeb;
 mod refusal;
 pub mod repair;
+#[cfg(test)]
+mod shapes;
 pub mod skeleton;
 mod unit;
 

@@ -32,6 +32,14 @@ pub enum Refusal {
         /// How many stand out.
         found: usize,
     },
+    /// More ends stand out as far as limbs do than a body has.
+    #[error(
+        "{found} ends stand out like limbs, and a body has 5: scan one person, alone and without what is held"
+    )]
+    TooManyEnds {
+        /// How many stand out so far.
+        found: usize,
+    },
     /// Ends stand out, and the ways between them are not those of a body.
     #[error(
         "the ways between the ends are not those of a human body (misfit {misfit:.1}, at most {limit:.1}): \
@@ -69,6 +77,7 @@ impl Refusal {
             Self::BrokenMesh { .. } => "broken-mesh",
             Self::InPieces { .. } => "in-pieces",
             Self::TooFewEnds { .. } => "too-few-ends",
+            Self::TooManyEnds { .. } => "too-many-ends",
             Self::NotABody { .. } => "not-a-body",
             Self::Ambiguous { .. } => "ambiguous",
             Self::Contact { .. } => "contact",

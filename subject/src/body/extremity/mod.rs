@@ -4,9 +4,12 @@
 //! a few far-spread vertices, and how far each stands out is its persistence. Which is which follows from the ten
 //! distances between five of them, whose ratios hardly differ from person to person.
 
+mod candidates;
 mod cap;
 mod choice;
 mod find;
+mod inside;
+mod naming;
 mod peaks;
 mod roles;
 mod spread;
@@ -14,9 +17,9 @@ mod spread;
 #[cfg(test)]
 mod tests;
 
-pub use find::{Ends, find};
+pub use find::{Ends, Told, find};
 pub use peaks::Peak;
-pub use roles::{MISFIT_MAX, Misfit};
+pub use roles::{MISFIT_IN_CONTACT_MAX, MISFIT_MAX, Misfit};
 
 /// The ends of a body, as vertices of the mesh.
 ///

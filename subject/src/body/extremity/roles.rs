@@ -31,8 +31,12 @@ const PRIORS: [Prior; MEASURE_COUNT] = [
     prior(0.040, BETWEEN_SIDES),
 ];
 
-/// A naming of ends is taken for a body up to this root mean square of its measures' deviations.
+/// A naming of ends is taken for a body up to this root mean square of its measures' deviations. Free bodies have 0.8 at
+/// most, a lion and a horse 2.26.
 pub const MISFIT_MAX: f64 = 2.0;
+
+/// The same in contact, where much is allowed already: a lion and a horse have 1.97.
+pub const MISFIT_IN_CONTACT_MAX: f64 = 1.3;
 
 /// How far a naming of five ends is from a body.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,6 +46,8 @@ pub struct Misfit {
     pub measures: [f64; MEASURE_COUNT],
     /// The root mean square of the measures' deviations, in standard deviations.
     pub rms: f64,
+    /// The most that is taken for a body.
+    pub limit: f64,
 }
 
 /// Logarithms of ratios of the ways between five ends.
@@ -77,12 +83,51 @@ pub(crate) fn measures(ways: [[f64; 5]; 5]) -> [f64; MEASURE_COUNT] {
 }
 
 /// How far ends with such ways between them are from a body.
-pub(super) fn misfit(ways: [[f64; 5]; 5]) -> Misfit {
+pub(crate) fn misfit(ways: [[f64; 5]; 5]) -> Misfit {
     let measures = measures(ways);
     let squares = measures.iter().zip(&PRIORS).map(|(measure, prior)| {
         let deviation = (measure - prior.mean) / prior.sd;
         deviation * deviation
     });
     let rms = (squares.sum::<f64>() / MEASURE_COUNT as f64).sqrt();
-    Misfit { measures, rms }
+    Misfit { measures, rms, limit: MISFIT_MAX }
+}
+
+/// How much shorter than on a body a way may be where it leads through contact: two hands on the hips are half as far from
+/// each other as free ones.
+const SHORTENED: f64 = 0.4;
+
+/// Of each hand to each foot: the mean of the priors, in the same units, since all ten ways sum to none.
+const HAND_TO_FOOT: f64 =
+    -(2.0 * PRIORS[0].mean + 2.0 * PRIORS[1].mean + PRIORS[2].mean + PRIORS[3].mean) / 4.0;
+
+/// How far ends are from a body whose hands have grown to something: contact makes ways shorter, and never longer.
+///
+/// The unit is the way from head to feet, which no hand changes.
+pub(crate) fn misfit_in_contact(ways: [[f64; 5]; 5]) -> Misfit {
+    let measures = measures(ways);
+    let log = |from: usize, to: usize| ways[from][to].ln();
+    let unit = (log(0, 3) + log(0, 4)) / 2.0 - PRIORS[1].mean;
+    let strict = [
+        (log(3, 4) - unit - PRIORS[3].mean) / PRIORS[3].sd,
+        (measures[5] - PRIORS[5].mean) / PRIORS[5].sd,
+        (measures[4] - PRIORS[4].mean) / (2.0 * PRIORS[4].sd),
+    ];
+    let half = PRIORS[8].mean / 2.0;
+    let loose = [
+        (log(0, 1), PRIORS[0].mean),
+        (log(0, 2), PRIORS[0].mean),
+        (log(1, 2), PRIORS[2].mean),
+        (log(1, 3), HAND_TO_FOOT - half),
+        (log(2, 4), HAND_TO_FOOT - half),
+        (log(1, 4), HAND_TO_FOOT + half),
+        (log(2, 3), HAND_TO_FOOT + half),
+    ];
+    let loose = loose.map(|(way, prior)| {
+        let longer = way - unit - prior;
+        if longer > 0.0 { longer / BETWEEN_PEOPLE } else { longer / SHORTENED }
+    });
+    let squares = strict.iter().chain(&loose).map(|deviation| deviation * deviation);
+    let rms = (squares.sum::<f64>() / (strict.len() + loose.len()) as f64).sqrt();
+    Misfit { measures, rms, limit: MISFIT_IN_CONTACT_MAX }
 }

@@ -4,29 +4,15 @@ use super::choice::farthest;
 use crate::body::Mesh;
 use crate::body::geodesic::{Graph, Workspace, distances};
 
-/// Vertices that are far from each other, and the distances from each to all.
-#[derive(Debug, Clone)]
-pub(crate) struct Spread {
-    pub(crate) vertices: Vec<u32>,
-    pub(crate) fields: Vec<Vec<f64>>,
-}
-
-/// Up to `count` vertices by farthest-point sampling: each is the farthest along the surface from all before it.
-///
-/// The first is the farthest along the surface from the vertex that is farthest, straight, from the centroid of the area:
-/// it depends on the shape alone, not on where it stands or which vertex comes first.
-pub(crate) fn farthest_points(
-    mesh: &Mesh,
+/// The distances from up to `count` vertices by farthest-point sampling: each is the farthest from all before it, and the
+/// first is the farthest from `start`.
+pub(super) fn farthest_points(
     graph: &Graph,
+    start: u32,
     count: usize,
     workspace: &mut Workspace,
-) -> Spread {
-    let centre = area_centroid(mesh);
-    let from_centre: Vec<f64> = mesh.positions.iter().map(|at| distance(*at, centre)).collect();
-    let mut spread = Spread { vertices: Vec::new(), fields: Vec::new() };
-    // A vertex that no triangle uses is no part of the surface.
-    let on_surface = |vertex: u32| !graph.links(vertex).is_empty();
-    let Some(start) = farthest(&from_centre, on_surface) else { return spread };
+) -> Vec<Vec<f64>> {
+    let mut fields: Vec<Vec<f64>> = Vec::new();
     let mut nearest = distances(graph, start, workspace);
     for turn in 0..count {
         let Some(vertex) = farthest(&nearest, |_| true) else { break };
@@ -38,10 +24,9 @@ pub(crate) fn farthest_points(
                 *nearest = nearest.min(*far);
             }
         }
-        spread.vertices.push(vertex);
-        spread.fields.push(field);
+        fields.push(field);
     }
-    spread
+    fields
 }
 
 /// The centroid of the surface, each triangle weighted by its area.
@@ -62,7 +47,7 @@ pub(crate) fn area_centroid(mesh: &Mesh) -> [f64; 3] {
     if total > 0.0 { sum.map(|sum| sum / total) } else { [0.0; 3] }
 }
 
-pub(super) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
+pub(crate) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     let arm = minus(a, b);
     arm.iter().map(|part| part * part).sum::<f64>().sqrt()
 }

@@ -1,38 +1,11 @@
 //! Shapes whose ends are known, and shapes that are no bodies.
 
-use std::f64::consts::PI;
-
 use super::peaks::peaks;
 use super::roles::misfit;
 use super::*;
 use crate::body::Mesh;
 use crate::body::geodesic::{Adjacency, Graph, Workspace};
-
-/// A sphere of radius 1, in rows of latitude.
-fn sphere(rows: u32) -> Mesh {
-    let around = 2 * rows;
-    let ring = |row: u32| PI * f64::from(row) / f64::from(rows);
-    let mut positions = vec![[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]];
-    for row in 1..rows {
-        for column in 0..around {
-            let turn = PI * f64::from(column) / f64::from(rows);
-            let (down, level) = (ring(row).cos(), ring(row).sin());
-            positions.push([level * turn.cos(), level * turn.sin(), down]);
-        }
-    }
-    let at = |row: u32, column: u32| 2 + (row - 1) * around + column % around;
-    let mut triangles = Vec::new();
-    for column in 0..around {
-        triangles.push([0, at(1, column), at(1, column + 1)]);
-        triangles.push([1, at(rows - 1, column + 1), at(rows - 1, column)]);
-        for row in 1..rows - 1 {
-            let [a, b] = [at(row, column), at(row, column + 1)];
-            let [c, d] = [at(row + 1, column), at(row + 1, column + 1)];
-            triangles.extend([[a, c, d], [a, d, b]]);
-        }
-    }
-    Mesh { positions, triangles }
-}
+use crate::body::shapes::sphere;
 
 /// A sphere with spikes: every vertex pushed out, to `reach` in a direction, and by less about it.
 fn spiked(spikes: &[([f64; 3], f64)]) -> Mesh {

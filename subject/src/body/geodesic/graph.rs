@@ -50,7 +50,8 @@ impl Graph {
         Self::new(adjacency.vertex_count(), ways)
     }
 
-    fn new(vertex_count: usize, ways: Vec<([u32; 2], f64)>) -> Self {
+    /// A graph of any ways, each of which leads both there and back.
+    pub(crate) fn new(vertex_count: usize, ways: Vec<([u32; 2], f64)>) -> Self {
         let mut starts = vec![0_u32; vertex_count + 1];
         for end in ways.iter().flat_map(|(ends, _)| ends) {
             starts[*end as usize + 1] += 1;

@@ -4,40 +4,7 @@ use super::*;
 use crate::body::Mesh;
 use crate::body::geodesic::Adjacency;
 use crate::body::level::{Rings, cut};
-
-/// The surface of unit cubes at such places, and the height of each vertex over the ground.
-fn cubes(places: &[[i32; 3]]) -> Mesh {
-    let mut mesh = Mesh::default();
-    let mut known = std::collections::BTreeMap::new();
-    let full = |at: [i32; 3]| places.contains(&at);
-    for place in places {
-        for axis in 0..3 {
-            for side in [0, 1] {
-                let mut beside = *place;
-                beside[axis] += 2 * side - 1;
-                if full(beside) {
-                    continue;
-                }
-                let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-                let mut corner = |a: i32, b: i32| {
-                    let mut at = *place;
-                    at[axis] += side;
-                    at[u] += a;
-                    at[v] += b;
-                    *known.entry(at).or_insert_with(|| {
-                        mesh.positions.push(at.map(f64::from));
-                        mesh.positions.len() as u32 - 1
-                    })
-                };
-                let [a, b, c, d] = [corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)];
-                let two = [[a, b, c], [a, c, d]];
-                let turned = two.map(|[a, b, c]| if side == 1 { [a, b, c] } else { [a, c, b] });
-                mesh.triangles.extend(turned);
-            }
-        }
-    }
-    mesh
-}
+use crate::body::shapes::cubes;
 
 /// A body of cubes, head down at 0: neck and trunk up to 6, arms that fork off at 2 and climb to 5, legs from 6 to 10.
 fn body() -> Vec<[i32; 3]> {
