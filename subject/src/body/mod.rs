@@ -10,6 +10,7 @@ pub mod locate;
 mod mesh;
 mod note;
 pub mod paper;
+pub mod picture;
 pub mod read;
 pub mod reeb;
 mod refusal;
