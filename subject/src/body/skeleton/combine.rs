@@ -1,7 +1,7 @@
 //! One skeleton out of the joints of several scans.
 
 use super::functional::{self, Centre};
-use super::json::{FORMAT, LIST_MAX, TEXT_MAX};
+use super::json::{FORMAT, LENGTH_MAX_MM, LIST_MAX, POSITION_MAX_MM, TEXT_MAX, round};
 use super::names::{BONES, joint_name, joints};
 use super::{Bone, Method, ScanJoints, Skeleton, SkeletonJoint};
 use crate::body::geometry::{distance, scale};
@@ -11,25 +11,38 @@ use crate::body::{Estimate, Joint, Joints, Side};
 /// outweighing the others.
 const FLOOR_MM: f64 = 1.0;
 
+/// Bones: two joints in one place are none, and nobody has longer ones.
+const LENGTHS_MM: std::ops::RangeInclusive<f64> = FLOOR_MM..=LENGTH_MAX_MM;
+
 pub(super) fn combine(method: Method, scans: &[ScanJoints]) -> Option<Skeleton> {
     let mut in_mm: Vec<Joints> = scans.iter().take(LIST_MAX).map(millimetres).collect();
     let mut notes: Vec<String> = scans.iter().flat_map(|scan| scan.notes.iter().cloned()).collect();
+    let found: usize = scans.iter().map(|scan| scan.joints.estimates.len()).sum();
+    let usable: usize = in_mm.iter().map(|joints| joints.estimates.len()).sum();
+    if usable < found {
+        notes.push(format!("{} joints have no position that can be written", found - usable));
+    }
     let sides_told = in_mm.iter().all(|joints| joints.sides_told);
     let centres = functional::centres(&in_mm, &mut notes);
     let first = in_mm.first()?.clone();
     let mut bones: Vec<Bone> = Vec::new();
     for (name, parent, child) in BONES {
         let of_scan = |joints: &Joints| length(joints, parent, child);
-        let lengths: Vec<(f64, f64)> = in_mm.iter().filter_map(of_scan).collect();
-        // A bone without its ends in the first scan could not be drawn.
-        if length(&first, parent, child).is_some() {
-            let mut bone = mean_bone(name, parent, child, &lengths);
-            if let Some(centre) = centres.iter().find(|centre| centre.child == child) {
-                bone.length_mm = round(centre.radius);
-                bone.uncertainty_mm = round(centre.radius_sigma);
-            }
-            bones.push(bone);
+        let (lengths, odd): (Vec<_>, Vec<_>) =
+            in_mm.iter().filter_map(of_scan).partition(|(mm, _)| LENGTHS_MM.contains(mm));
+        if let Some((mm, _)) = odd.first() {
+            notes.push(format!("{name}: {mm:.0} mm is no length of a body: left out"));
         }
+        // A bone without its ends in the first scan could not be drawn.
+        if lengths.is_empty() || length(&first, parent, child).is_none() {
+            continue;
+        }
+        let mut bone = mean_bone(name, parent, child, &lengths);
+        if let Some(centre) = centres.iter().find(|centre| centre.child == child) {
+            bone.length_mm = round(centre.radius);
+            bone.uncertainty_mm = round(centre.radius_sigma);
+        }
+        bones.push(bone);
     }
     if in_mm.len() > 1 && !sides_told {
         notes.push("left and right are not told in every scan: each pair of limbs has the mean of both sides".to_owned());
@@ -58,9 +71,12 @@ fn millimetres(scan: &ScanJoints) -> Joints {
     let mm = scan.unit.mm();
     let convert = |(joint, estimate): (&Joint, &Estimate)| {
         let position = scale(estimate.position, mm);
-        (*joint, Estimate { position, sigma: estimate.sigma * mm })
+        (*joint, Estimate { position, sigma: (estimate.sigma * mm).clamp(0.0, LENGTH_MAX_MM) })
     };
-    let estimates = scan.joints.estimates.iter().map(convert).collect();
+    let usable = |(_, estimate): &(Joint, Estimate)| {
+        estimate.position.iter().all(|mm| mm.abs() <= POSITION_MAX_MM) && !estimate.sigma.is_nan()
+    };
+    let estimates = scan.joints.estimates.iter().map(convert).filter(usable).collect();
     Joints { estimates, sides_told: scan.joints.sides_told }
 }
 
@@ -131,11 +147,6 @@ fn skeleton_joints(first: &mut Joints, centres: &[Centre]) -> Vec<SkeletonJoint>
             uncertainty_mm: round(estimate.sigma),
         })
         .collect()
-}
-
-/// To a tenth of a micrometre: numbers this short are read back to the last bit by every reader of JSON.
-fn round(mm: f64) -> f64 {
-    (mm * 1e4).round() / 1e4
 }
 
 /// Both sides.

@@ -6,6 +6,7 @@
 use nalgebra::{Matrix4, Vector4};
 
 use super::combine::SIDES;
+use super::json::LENGTH_MAX_MM;
 use super::names::joint_name;
 use crate::body::geometry::{Point, add, cross, distance, dot, mean, norm, scale, sub, unit};
 use crate::body::{Joint, Joints, Side};
@@ -125,6 +126,9 @@ fn centre(scans: &[Joints], joint: Joint, child: Joint) -> Result<Centre, String
         ));
     }
     let fit = Fit::new(&views, prior, prior_sigma).ok_or("no sphere fits")?;
+    if !(fit.radius < LENGTH_MAX_MM && fit.radius_sigma < fit.radius) {
+        return Err("no sphere of a limb's size fits".to_owned());
+    }
     if fit.sigma > GAIN * prior_sigma {
         return Err("the poses lie too near to one plane".to_owned());
     }

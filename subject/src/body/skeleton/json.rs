@@ -13,9 +13,9 @@ pub(super) const LIST_MAX: usize = 100;
 /// Characters of a name or note at most.
 pub(super) const TEXT_MAX: usize = 300;
 /// Farthest from the origin of a scan, in millimetres.
-const POSITION_MAX_MM: f64 = 1e7;
+pub(super) const POSITION_MAX_MM: f64 = 1e9;
 /// Longest bone: more than the trunk of any person.
-const LENGTH_MAX_MM: f64 = 2000.0;
+pub(super) const LENGTH_MAX_MM: f64 = 2000.0;
 /// Statures of people.
 const STATURE_MM: std::ops::RangeInclusive<f64> = 300.0..=3000.0;
 
@@ -57,7 +57,21 @@ impl Skeleton {
             SkeletonError::Schema(text)
         })?;
         skeleton.check()?;
-        Ok(skeleton)
+        Ok(skeleton.rounded())
+    }
+
+    fn rounded(mut self) -> Self {
+        self.stature_mm = self.stature_mm.map(round);
+        for joint in &mut self.joints {
+            joint.position_mm = joint.position_mm.map(round);
+            joint.uncertainty_mm = round(joint.uncertainty_mm);
+        }
+        for bone in &mut self.bones {
+            bone.length_mm = round(bone.length_mm);
+            bone.uncertainty_mm = round(bone.uncertainty_mm);
+            bone.spread_mm = bone.spread_mm.map(round);
+        }
+        self
     }
 
     /// The document, with a line a value and a line end: what [`Self::from_json`] reads to the same skeleton, and that
@@ -116,7 +130,7 @@ impl Skeleton {
                 Some(known) => seen.push(known),
             }
             if !joint.position_mm.iter().all(|mm| mm.abs() <= POSITION_MAX_MM) {
-                return wrong("position_mm", "is more than 10 km from the origin");
+                return wrong("position_mm", "is more than 1000 km from the origin");
             }
             if !(0.0..=LENGTH_MAX_MM).contains(&joint.uncertainty_mm) {
                 return wrong("uncertainty_mm", "is not between 0 and 2000");
@@ -145,8 +159,8 @@ impl Skeleton {
         if !has(&bone.parent) || !has(&bone.child) {
             return wrong("name", "has an end that is not among the joints");
         }
-        if !(bone.length_mm > 0.0 && bone.length_mm <= LENGTH_MAX_MM) {
-            return wrong("length_mm", "is not between 0 and 2000");
+        if !(0.001..=LENGTH_MAX_MM).contains(&bone.length_mm) {
+            return wrong("length_mm", "is not between 0.001 and 2000");
         }
         if !(0.0..=LENGTH_MAX_MM).contains(&bone.uncertainty_mm) {
             return wrong("uncertainty_mm", "is not between 0 and 2000");
@@ -159,6 +173,11 @@ impl Skeleton {
         }
         Ok(())
     }
+}
+
+/// To a tenth of a micrometre: numbers this short are read back to the last bit by every reader of JSON.
+pub(super) fn round(mm: f64) -> f64 {
+    (mm * 1e4).round() / 1e4
 }
 
 fn is_text(text: &str) -> bool {

@@ -128,10 +128,40 @@ fn a_document_is_the_same_when_it_is_written_again() {
         assert_eq!(again.to_json(), text);
         assert!(text.starts_with("{\n  \"format\": \"mocapd-skeleton\",\n  \"version\": 1,"));
     }
+    // Numbers of others, however long, are written the same way ever after.
+    let text = one().to_json().replacen(
+        "\"uncertainty_mm\": 0.0",
+        "\"uncertainty_mm\": 0.30000000000000004441",
+        1,
+    );
+    let read = Skeleton::from_json(text.as_bytes()).unwrap();
+    assert!(
+        read.to_json().contains("\"uncertainty_mm\": 0.3,")
+            || read.to_json().contains("\"uncertainty_mm\": 0.3\n")
+    );
     for (name, a, b) in BONES {
         assert_eq!(joint_from_name(joint_name(a)), Some(a), "{name}");
         assert_eq!(joint_from_name(joint_name(b)), Some(b), "{name}");
     }
+}
+
+#[test]
+fn what_is_written_of_any_joints_can_be_read() {
+    let mut odd = joints(3, Pose::A);
+    let mut put = |joint: Joint, position: [f64; 3], sigma: f64| {
+        odd.estimates.insert(joint, crate::body::Estimate { position, sigma });
+    };
+    put(Joint::Head, [f64::NAN, 0.0, 0.0], 0.0);
+    put(Joint::Throat, [1e300, 0.0, 0.0], 0.0);
+    put(Joint::Knee(Side::Left), [0.0; 3], f64::INFINITY);
+    put(Joint::Ankle(Side::Left), [0.0; 3], f64::NAN);
+    put(Joint::Hip(Side::Right), [0.0; 3], 1.0);
+    put(Joint::Knee(Side::Right), [0.0; 3], 1.0);
+    let skeleton = Skeleton::new(Method::Default, &[scan(Pose::A, odd)]).unwrap();
+    assert_eq!(skeleton.joints.len(), 12);
+    assert!(skeleton.bones.iter().all(|bone| bone.name != "r_thigh"));
+    assert!(skeleton.notes.iter().any(|note| note.starts_with("3 joints have no position")));
+    assert_eq!(Skeleton::from_json(skeleton.to_json().as_bytes()), Ok(skeleton));
 }
 
 #[test]
