@@ -26,10 +26,10 @@ SHAPES = ["mh_mavg", "mh_favg"]
 # The ridge is in body scales squared: a weight of 1 costs as much as an error of its root.
 JOINTS = [
     ("Head", "head_top", 1e-3, [("Head", 0, 7)]),
-    ("Throat", "neck", 3e-3, [("Head", 3, 13), ("Arm", 16, 22), ("OtherArm", 16, 22)]),
+    ("Throat", "neck", 1e-2, [("Head", 3, 13), ("Arm", 16, 22), ("OtherArm", 16, 22)]),
     ("Shoulder", "shoulder", 3e-3, [("Arm", 10, 22), ("OtherArm", 16, 22), ("Leg", 23, 28), ("OtherLeg", 23, 28), ("Head", 3, 13)]),
     ("Elbow", "elbow", 1e-3, [("Arm", 5, 16)]),
-    ("Wrist", "wrist", 3e-4, [("Arm", 0, 9)]),
+    ("Wrist", "wrist", 1e-4, [("Arm", 0, 8)]),
     ("Hip", "hip", 1e-3, [("Leg", 16, 28), ("OtherLeg", 16, 28), ("Arm", 16, 22), ("OtherArm", 16, 22), ("Head", 3, 13)]),
     ("Knee", "knee", 1e-3, [("Leg", 8, 18)]),
     ("Ankle", "ankle", 3e-4, [("Leg", 0, 10)]),
@@ -110,6 +110,22 @@ def rust(name, spans, found, sigma):
     return "\n".join([*lines, "    ],", "};", ""])
 
 
+# Bone, its ends in the truth.
+BONES = [("UPPER_ARM", "shoulder", "elbow"), ("FOREARM", "elbow", "wrist"), ("THIGH", "hip", "knee"), ("SHANK", "knee", "ankle")]
+
+
+def bones(bodies):
+    """Mean lengths in body scales, each shape counted once."""
+    for name, near, far in BONES:
+        lengths = {}
+        for body in bodies:
+            at = {joint: np.array(position) / body["scale"] for joint, position in body["joints"].items()}
+            for side in "LR":
+                shape = body["name"].split("_")[1]
+                lengths.setdefault(shape, []).append(np.linalg.norm(at[f"{near}.{side}"] - at[f"{far}.{side}"]))
+        yield name, np.mean([np.mean(of_shape) for of_shape in lengths.values()])
+
+
 def main():
     bodies = landmarks(sys.argv)
     text = ["//! Written by `benches/subject/learn.py` from the shapes mavg and favg: change it there.", "", "use super::model::{Model, Part, Span};", ""]
@@ -122,6 +138,8 @@ def main():
         found = np.round(found, 5)
         found[np.argmax(np.abs(found))] += 1 - found.sum()
         text.append(rust(name, spans, found, sigma))
+    for name, length in bones(bodies):
+        text.append(f"pub(super) const {name}: f64 = {length:.4f};\n")
     WEIGHTS.write_text("\n".join(text))
     subprocess.run(["rustfmt", "--edition", "2024", str(WEIGHTS)], check=True)
 

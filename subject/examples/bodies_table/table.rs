@@ -34,18 +34,22 @@ pub(crate) fn joints(of: &str, groups: &[Group<'_>]) {
 
 /// Lengths, sides, midline and how honest the standard deviations are.
 pub(crate) fn totals(cases: &[&Case]) {
-    println!("| limb | length: mean error | within 10 % |\n|---|---|---|");
+    println!(
+        "| limb | length: mean error | too long by, in the mean | within 10 % |\n|---|---|---|---|"
+    );
     let lengths: Vec<(usize, f64)> = cases.iter().flat_map(|case| case.lengths()).collect();
     for (limb, name) in ["upper arm", "forearm", "thigh", "shank", "all"].iter().enumerate() {
-        let of_limb: Vec<f64> = lengths
+        let signed: Vec<f64> = lengths
             .iter()
             .filter(|(of, _)| *of == limb || limb == 4)
-            .map(|(_, e)| e.abs())
+            .map(|(_, error)| *error)
             .collect();
+        let of_limb: Vec<f64> = signed.iter().map(|error| error.abs()).collect();
         let within = of_limb.iter().filter(|error| **error <= 0.1).count();
         println!(
-            "| {name} | {:.1} % | {within} of {} ({:.1} %) |",
+            "| {name} | {:.1} % | {:.1} % | {within} of {} ({:.1} %) |",
             100.0 * mean(&of_limb),
+            100.0 * mean(&signed),
             of_limb.len(),
             100.0 * within as f64 / of_limb.len().max(1) as f64
         );

@@ -1,7 +1,7 @@
 //! The same body, leaner and stouter: bones stay, and with them the joints.
 
-use mocapd_subject::body::extremity::Extremities;
-use mocapd_subject::body::geodesic::{Adjacency, Graph, Workspace, distances};
+use mocapd_subject::body::extremity;
+use mocapd_subject::body::geodesic::{Adjacency, Graph, Workspace};
 use mocapd_subject::body::{Mesh, Refusal};
 use nalgebra::Vector3;
 
@@ -25,15 +25,15 @@ const BARE: f64 = 0.07;
 const FULL: f64 = 0.44;
 
 /// Moves the surface outwards, the more the farther it is from the ends of the body.
-pub(crate) fn changed(mesh: &Mesh, ends: &Extremities, build: &Build) -> Result<Mesh, Refusal> {
+pub(crate) fn changed(mesh: &Mesh, build: &Build) -> Result<Mesh, Refusal> {
     let graph = Graph::with_short_cuts(mesh, &Adjacency::new(mesh)?);
     let mut workspace = Workspace::default();
-    let fields = ends.all().map(|end| distances(&graph, end, &mut workspace));
-    let feet = fields[3][ends.feet[1] as usize];
+    let ends = extremity::find(mesh, &graph, &mut workspace)?;
+    let feet = ends.fields[3][ends.extremities.feet[1] as usize];
     let normals = smoothed(mesh, &normals(mesh));
     let mut changed = mesh.clone();
     for (vertex, position) in changed.positions.iter_mut().enumerate() {
-        let nearest = fields.iter().map(|field| field[vertex]).fold(f64::INFINITY, f64::min);
+        let nearest = ends.fields.iter().map(|field| field[vertex]).fold(f64::INFINITY, f64::min);
         let part = ((nearest / feet - BARE) / (FULL - BARE)).clamp(0.0, 1.0);
         let moved = Vector3::from(*position) + normals[vertex] * (build.thickness * feet * part);
         *position = moved.into();

@@ -7,8 +7,8 @@
 use std::error::Error;
 use std::path::Path;
 
-use mocapd_subject::body::extremity::Extremities;
-use mocapd_subject::body::geodesic::{Adjacency, Graph, Workspace, distances};
+use mocapd_subject::body::extremity;
+use mocapd_subject::body::geodesic::{Adjacency, Graph, Workspace};
 use mocapd_subject::body::locate::{Half, Landmarks, settle};
 use mocapd_subject::body::{Mesh, Refusal};
 use nalgebra::Vector3;
@@ -29,15 +29,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         let (mesh, truth) = read::body(&path)?;
         let Some(joints) = truth.joints else { continue };
-        let near = |joint: &str| joints.get(joint).and_then(|at| nearest(&mesh, *at));
-        let ends = ["head_top", "mcp3.L", "mcp3.R", "toe.L", "toe.R"].map(near);
-        let [Some(head), Some(left), Some(right), Some(left_foot), Some(right_foot)] = ends else {
-            continue;
-        };
-        let ends = Extremities { head, hands: [left, right], feet: [left_foot, right_foot] };
         for build in girth::BUILDS {
-            let mesh = girth::changed(&mesh, &ends, &build)?;
-            let Some(found) = landmarks(&mesh, &ends)? else { continue };
+            let mesh = girth::changed(&mesh, &build)?;
+            let Some(found) = landmarks(&mesh)? else { continue };
             let half = |half: &Half| json!({"arm": points(&half.arm), "leg": points(&half.leg)});
             let line = json!({
                 "name": truth.name,
@@ -54,22 +48,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-fn landmarks(mesh: &Mesh, ends: &Extremities) -> Result<Option<Landmarks>, Refusal> {
+fn landmarks(mesh: &Mesh) -> Result<Option<Landmarks>, Refusal> {
     let graph = Graph::with_short_cuts(mesh, &Adjacency::new(mesh)?);
     let mut workspace = Workspace::default();
-    let fields = ends.all().map(|end| distances(&graph, end, &mut workspace));
-    // Twice: from a knuckle the fingertips of the others were not known yet.
-    let once = settle(&graph, ends, fields, &mut workspace);
-    let [head, a, b, c, d] = once.vertices;
-    let ends = Extremities { head, hands: [a, b], feet: [c, d] };
-    let settled = settle(&graph, &ends, once.distances, &mut workspace);
+    // A build that is no body any more is not learned from.
+    let Ok(ends) = extremity::find(mesh, &graph, &mut workspace) else { return Ok(None) };
+    let settled = settle(&graph, &ends.extremities, ends.fields, &mut workspace);
     Ok(Landmarks::new(mesh, &settled.fields()))
-}
-
-fn nearest(mesh: &Mesh, target: [f64; 3]) -> Option<u32> {
-    let way = |at: &[f64; 3]| (Vector3::from(*at) - Vector3::from(target)).norm();
-    let best = (0..).zip(&mesh.positions).min_by(|a, b| way(a.1).total_cmp(&way(b.1)))?;
-    Some(best.0)
 }
 
 fn points(points: &[Vector3<f64>]) -> Value {

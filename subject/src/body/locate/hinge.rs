@@ -60,7 +60,7 @@ pub(super) fn bend(sections: &Sections, window: &Window) -> Option<Bend> {
 
 /// Where between the neighbours of `index` the parabola through the three is least or greatest, in steps, and its second
 /// difference there. At an end of `values`, and where they are on a line, 0.
-pub(super) fn vertex_of_parabola(values: &[f64], index: usize) -> (f64, f64) {
+fn vertex_of_parabola(values: &[f64], index: usize) -> (f64, f64) {
     let three = index.checked_sub(1).and_then(|before| values.get(before..before + 3));
     let Some([before, at, after]) = three else { return (0.0, 0.0) };
     let curvature = before - 2.0 * at + after;

@@ -96,11 +96,11 @@ fn along(arm: &Sections, at_arm: Marks, leg: &Sections, at_leg: Marks) -> Half {
     let Marks { narrow: w, hinge: e, root: a, .. } = at_arm;
     let (forearm, upper) = (e - w, a - e);
     let arm_levels: [f64; ARM_LANDMARKS] = [
-        w - 0.05,
-        w - 0.03,
+        w - 0.04,
         w - 0.02,
         w - 0.01,
         w,
+        w + 0.01,
         w + 0.02,
         w + 0.04,
         w + 0.5 * forearm,

@@ -1,6 +1,6 @@
 //! The marks along a limb, in body scales from its end: what the landmarks are placed by.
 
-use super::hinge::{Bend, Window, bend, vertex_of_parabola};
+use super::hinge::{Bend, Window, bend};
 use super::section::{STEP, Sections, level};
 
 /// The middle of the ankle, from the end of the foot.
@@ -20,7 +20,7 @@ const ARMPIT_REACH: f64 = 0.05;
 /// How much the widening counts, the way between the hands, and the average. Raised arms widen late, and stout ones early.
 const ARMPIT_WEIGHTS: [f64; 3] = [0.4, 0.3, 0.3];
 /// Where between wrist and armpit the elbow is on average.
-const ELBOW: f64 = 0.487;
+const ELBOW: f64 = 0.505;
 /// The levels of the upper arm, whose girth the widening is measured by: stout or lean, it is that of the trunk that counts.
 const UPPER_ARM: [f64; 2] = [0.28, 0.33];
 /// The curve round the arm is so much longer at the armpit than round the upper arm.
@@ -29,6 +29,9 @@ const WIDENED: f64 = 1.6;
 const HAND_ENDS: f64 = 0.13;
 /// The wrist is at most so far behind that.
 const WRIST_REACH: f64 = 0.11;
+/// At the wrist the curve is so much longer than where it is shortest, which is on the forearm: where exactly is hard to say
+/// of a lean one, and the hand ends on all at once.
+const HAND_ENDED: f64 = 1.2;
 /// A wrist is no farther from the end of the hand than this.
 const WRIST_MAX: f64 = 0.17;
 /// [`Window::weight`] of the elbow, whose centre line is straight on both sides.
@@ -39,7 +42,7 @@ const KNEE_WEIGHT: f64 = 0.1;
 /// The marks of an arm or a leg.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Marks {
-    /// The narrowing behind hand or heel.
+    /// The end of the hand, or the ankle.
     pub(super) narrow: f64,
     /// Elbow or knee.
     pub(super) hinge: f64,
@@ -49,7 +52,7 @@ pub(super) struct Marks {
     pub(super) sharpness: f64,
 }
 
-/// The marks of an arm: the wrist is where the curve is shortest behind the hand, be the hand open or a fist; the armpit
+/// The marks of an arm: the wrist is where the hand, open or a fist, has narrowed almost to the forearm; the armpit
 /// where it has widened to a multiple of the upper arm's; the elbow where the centre line between them bends.
 ///
 /// `hands` is the way between the hands, in body scales.
@@ -60,19 +63,19 @@ pub(super) fn arm(sections: &Sections, hands: f64) -> Option<Marks> {
     };
     let (thickest, _) = within(0.0, HAND_ENDS).max_by(|one, other| one.1.total_cmp(other.1))?;
     let behind = level(thickest) + STEP / 2.0;
-    let (least, _) =
+    let (least, shortest) =
         within(behind, behind + WRIST_REACH).min_by(|one, other| one.1.total_cmp(other.1))?;
-    let narrow = (level(least) + STEP * vertex_of_parabola(perimeter, least).0).min(WRIST_MAX);
+    let narrow = narrows(perimeter, HAND_ENDED * shortest, least).min(WRIST_MAX);
     let upper: Vec<f64> = within(UPPER_ARM[0], UPPER_ARM[1]).map(|(_, length)| *length).collect();
     let upper = upper.iter().sum::<f64>() / upper.len().max(1) as f64;
-    let widened = widens(perimeter, WIDENED * upper, narrow + 0.17).unwrap_or(ARMPIT);
+    let widened = widens(perimeter, WIDENED * upper, narrow + 0.18).unwrap_or(ARMPIT);
     let widened = widened.clamp(ARMPIT - ARMPIT_REACH, ARMPIT + ARMPIT_REACH);
     let of_hands = ARMPIT_OF_HANDS * hands.clamp(0.8, 1.15);
     let evidence = [widened, of_hands, ARMPIT];
     let root = evidence.iter().zip(ARMPIT_WEIGHTS).map(|(at, weight)| at * weight).sum::<f64>();
     let length = root - narrow;
     let window = Window {
-        line: [narrow + 0.01, root - 0.03],
+        line: [narrow + 0.02, root - 0.03],
         joint: [narrow + 0.3 * length, narrow + 0.7 * length],
         prior: narrow + ELBOW * length,
         weight: ELBOW_WEIGHT,
@@ -91,6 +94,20 @@ pub(super) fn leg(sections: &Sections) -> Option<Marks> {
     };
     let Bend { level: hinge, sharpness } = bend(sections, &window)?;
     Some(Marks { narrow: ANKLE, hinge, root: GROIN, sharpness })
+}
+
+/// The last level before that of `least` where the curve is longer than `length`.
+fn narrows(perimeter: &[f64], length: f64, least: usize) -> f64 {
+    let before = perimeter.iter().enumerate().take(least).rev();
+    let mut last = perimeter.get(least).copied().unwrap_or(length);
+    for (index, at) in before {
+        if *at > length {
+            let part = ((at - length) / (at - last).max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+            return level(index) + STEP * part;
+        }
+        last = *at;
+    }
+    level(least)
 }
 
 /// The first level behind `from` where the curve is longer than `length`.

@@ -4,13 +4,15 @@
 //! near a limb's own end the level-set curves go straight round the limb, whatever the pose.
 //!
 //! 1. [`settle`]: the ends are brought to where they are on every body.
-//! 2. The level-set curves of each field, and along each limb the marks that every limb has: the narrowing behind the hand,
+//! 2. The level-set curves of each field, and along each limb the marks that every limb has: the end of the hand,
 //!    the widening into the trunk, the bend of the centre line.
 //! 3. [`Landmarks`]: the middles of curves at fixed places between the marks.
 //! 4. A joint is a weighted mean of landmarks. The weights add up to one, so that the joint moves, turns and grows with
 //!    the body; `benches/subject/learn.py` learned them.
-//! 5. Left and right, by the feet.
+//! 5. Bones of the two sides are brought to one length, and that towards the average body's.
+//! 6. Left and right, by the feet.
 
+mod bones;
 mod ends;
 mod fields;
 mod hinge;

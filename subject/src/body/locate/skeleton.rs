@@ -4,9 +4,11 @@ use std::collections::BTreeMap;
 
 use nalgebra::Vector3;
 
+use super::bones::{self, Limbs};
 use super::model::Model;
 use super::sides::{self, Leg};
 use super::{Landmarks, limb, settle, weights};
+
 use crate::body::extremity::Extremities;
 use crate::body::geodesic::{Graph, Workspace};
 use crate::body::{Estimate, Joint, Joints, Mesh, Side};
@@ -33,33 +35,45 @@ pub fn locate(
 /// The joints among landmarks.
 #[must_use]
 pub fn joints(landmarks: &Landmarks) -> Joints {
-    let at = |model: &Model, side: usize| model.locate(landmarks, side);
-    let legs = [0, 1].map(|side| Leg {
-        hip: at(&weights::HIP, side),
-        knee: at(&weights::KNEE, side),
-        ankle: at(&weights::ANKLE, side),
-        toes: landmarks.halves[side].leg.get(TOES).copied().unwrap_or_default(),
-    });
-    let left = sides::left(legs);
+    let limbs = bones::settle([0, 1].map(|side| limbs(landmarks, side)));
+    let toes = [0, 1].map(|side| landmarks.halves[side].leg.get(TOES).copied().unwrap_or_default());
+    let left = sides::left([0, 1].map(|side| Leg {
+        hip: limbs[side].hip,
+        knee: limbs[side].knee,
+        ankle: limbs[side].ankle,
+        toes: toes[side],
+    }));
     let mut found = Found { scale: landmarks.scale, estimates: BTreeMap::new() };
-    let hips = (legs[0].hip + legs[1].hip) / 2.0;
     found.add(Joint::Head, weights::HEAD.locate_midline(landmarks), weights::HEAD.sigma);
     found.add(Joint::Throat, weights::THROAT.locate_midline(landmarks), weights::THROAT.sigma);
     // The errors of two hips are about as much the same as they are each one's own.
+    let hips = (limbs[0].hip + limbs[1].hip) / 2.0;
     found.add(Joint::Pelvis, hips, weights::HIP.sigma);
-    for (half, leg) in legs.iter().enumerate() {
+    for (half, limb) in limbs.iter().enumerate() {
         let side = if half == left.unwrap_or(0) { Side::Left } else { Side::Right };
-        let [elbow, knee] = landmarks.halves[half].sharpness;
-        found.add(Joint::Shoulder(side), at(&weights::SHOULDER, half), weights::SHOULDER.sigma);
-        found.add(Joint::Wrist(side), at(&weights::WRIST, half), weights::WRIST.sigma);
-        found.add(Joint::Hip(side), leg.hip, weights::HIP.sigma);
-        found.add(Joint::Ankle(side), leg.ankle, weights::ANKLE.sigma);
-        let along = limb::elbow_spread(elbow).hypot(weights::ELBOW.sigma);
-        found.add(Joint::Elbow(side), at(&weights::ELBOW, half), along);
-        let along = limb::knee_spread(knee).hypot(weights::KNEE.sigma);
-        found.add(Joint::Knee(side), leg.knee, along);
+        found.add(Joint::Shoulder(side), limb.shoulder, weights::SHOULDER.sigma);
+        found.add(Joint::Elbow(side), limb.elbow, limb.elbow_sigma);
+        found.add(Joint::Wrist(side), limb.wrist, weights::WRIST.sigma);
+        found.add(Joint::Hip(side), limb.hip, weights::HIP.sigma);
+        found.add(Joint::Knee(side), limb.knee, limb.knee_sigma);
+        found.add(Joint::Ankle(side), limb.ankle, weights::ANKLE.sigma);
     }
     Joints { estimates: found.estimates, sides_told: left.is_some() }
+}
+
+fn limbs(landmarks: &Landmarks, side: usize) -> Limbs {
+    let at = |model: &Model| model.locate(landmarks, side);
+    let [elbow, knee] = landmarks.halves[side].sharpness;
+    Limbs {
+        shoulder: at(&weights::SHOULDER),
+        elbow: at(&weights::ELBOW),
+        wrist: at(&weights::WRIST),
+        hip: at(&weights::HIP),
+        knee: at(&weights::KNEE),
+        ankle: at(&weights::ANKLE),
+        elbow_sigma: limb::elbow_spread(elbow).hypot(weights::ELBOW.sigma),
+        knee_sigma: limb::knee_spread(knee).hypot(weights::KNEE.sigma),
+    }
 }
 
 struct Found {
