@@ -8,7 +8,7 @@ use super::weights;
 ///
 /// Shoulder and hip lie deep, and their landmarks shift with the girth; elbow and knee lie on a bend. Of people of one
 /// stature, bones vary by 3 to 5 %, but forearms more.
-const AVERAGE_COUNTS: Counts = Counts { forearm: 0.0, upper_arm: 0.6, shank: 0.4, thigh: 0.6 };
+const AVERAGE_COUNTS: Counts = Counts { forearm: 0.0, upper_arm: 0.6, shank: 0.5, thigh: 0.6 };
 
 struct Counts {
     forearm: f64,
@@ -43,8 +43,12 @@ pub(super) fn settle(mut limbs: [Limbs; 2]) -> [Limbs; 2] {
     limbs.iter_mut().for_each(|limb| limb.shoulder = at(limb.elbow, limb.shoulder, length));
 
     let knees = limbs.map(|limb| limb.knee_sigma.powi(-2));
-    let lengths = limbs.map(|limb| (limb.knee - limb.ankle).norm());
-    let length = common(lengths, knees, weights::SHANK, counts.shank);
+    let shanks = limbs.map(|limb| (limb.knee - limb.ankle).norm());
+    let thighs = limbs.map(|limb| (limb.hip - limb.knee).norm());
+    // What part of the leg the shank is varies less than how long it is.
+    let leg = f64::midpoint(shanks[0] + thighs[0], shanks[1] + thighs[1]);
+    let average = leg * weights::SHANK / (weights::SHANK + weights::THIGH);
+    let length = common(shanks, knees, average, counts.shank);
     limbs.iter_mut().for_each(|limb| limb.knee = at(limb.ankle, limb.knee, length));
 
     let lengths = limbs.map(|limb| (limb.hip - limb.knee).norm());

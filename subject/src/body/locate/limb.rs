@@ -3,10 +3,16 @@
 use super::hinge::{Bend, Window, bend};
 use super::section::{STEP, Sections, level};
 
-/// The middle of the ankle, from the end of the foot.
-const ANKLE: f64 = 0.13;
-/// The middle of the knee, from the end of the foot, on average.
-const KNEE: f64 = 0.343;
+/// The middle of the ankle, from the end of the foot, on average.
+const ANKLE: f64 = 0.128;
+/// Where the curves come to the heel, from the end of the foot, on average.
+const HEEL: f64 = 0.119;
+/// The heel is taken no farther than this from there.
+const HEEL_REACH: f64 = 0.03;
+/// From there to the middle of the ankle.
+const HEEL_TO_ANKLE: f64 = 0.009;
+/// From there to the middle of the knee.
+const HEEL_TO_KNEE: f64 = 0.225;
 /// How far the knee may be from there.
 const KNEE_REACH: f64 = 0.06;
 /// The groin, from the end of the foot.
@@ -84,16 +90,33 @@ pub(super) fn arm(sections: &Sections, hands: f64) -> Option<Marks> {
     Some(Marks { narrow, hinge, root, sharpness })
 }
 
-/// The marks of a leg: all but the knee at their average distances.
+/// The marks of a leg. From the toes on, the curves come to the heel all at once, and are half-way between the thinnest of
+/// the foot and the thickest round the heel at a place that is as far from the ankle and the knee on everybody.
 pub(super) fn leg(sections: &Sections) -> Option<Marks> {
+    let heel =
+        heel(&sections.perimeter).unwrap_or(HEEL).clamp(HEEL - HEEL_REACH, HEEL + HEEL_REACH);
+    let knee = heel + HEEL_TO_KNEE;
     let window = Window {
         line: [0.17, 0.53],
-        joint: [KNEE - KNEE_REACH, KNEE + KNEE_REACH],
-        prior: KNEE,
+        joint: [knee - KNEE_REACH, knee + KNEE_REACH],
+        prior: knee,
         weight: KNEE_WEIGHT,
     };
     let Bend { level: hinge, sharpness } = bend(sections, &window)?;
-    Some(Marks { narrow: ANKLE, hinge, root: GROIN, sharpness })
+    let narrow = f64::midpoint(ANKLE, heel + HEEL_TO_ANKLE);
+    Some(Marks { narrow, hinge, root: GROIN, sharpness })
+}
+
+/// Where the curves come to the heel.
+fn heel(perimeter: &[f64]) -> Option<f64> {
+    let inside = |index: &usize, from: f64, to: f64| (from..to).contains(&level(*index));
+    let of = |index: &usize| perimeter.get(*index).copied().unwrap_or(0.0);
+    let by_length = |one: &usize, other: &usize| of(one).total_cmp(&of(other));
+    let all = || 0..perimeter.len();
+    let thickest = all().filter(|index| inside(index, 0.10, 0.19)).max_by(by_length)?;
+    let thinnest = all().filter(|index| inside(index, 0.05, level(thickest))).min_by(by_length)?;
+    let half = f64::midpoint(of(&thinnest), of(&thickest));
+    widens(perimeter.get(..=thickest)?, half, level(thinnest))
 }
 
 /// The last level before that of `least` where the curve is longer than `length`.

@@ -46,3 +46,17 @@ fn joints_in_one_place_stay_finite() {
     let [settled, _] = settle([limb, limb]);
     assert!(settled.shoulder.iter().chain(settled.elbow.iter()).all(|value| value.is_finite()));
 }
+
+#[test]
+fn a_knee_moves_to_where_it_parts_a_leg_of_any_length() {
+    let part = weights::SHANK / (weights::SHANK + weights::THIGH);
+    for scale in [0.8, 1.0, 1.3] {
+        let mut limb = limbs(0.1, 0.65);
+        limb.hip = Vector3::new(0.1, 0.03 + 0.47 * scale, 0.0);
+        limb.knee = Vector3::new(0.1, 0.03 + 0.47 * scale * (part - 0.04), 0.0);
+        let [settled, _] = settle([limb, limb]);
+        let before = (limb.knee - limb.ankle).norm() / 0.47 / scale;
+        let after = (settled.knee - settled.ankle).norm() / 0.47 / scale;
+        assert!((before - part + 0.04).abs() < 1e-9 && (after - part).abs() < 0.021, "{after}");
+    }
+}

@@ -114,6 +114,20 @@ fn the_marks_of_an_arm_are_where_it_narrows_bends_and_widens() {
 }
 
 #[test]
+fn the_marks_of_a_leg_move_with_the_heel_and_the_bend() {
+    let at = |heel: f64, bend: f64| {
+        let radius = move |along: f64| 0.025 + 0.015 * ((along - heel) / 0.01).tanh();
+        let (mesh, field) = tube(bend, 1.2, radius);
+        limb::leg(&sections(&mesh, &field)).unwrap()
+    };
+    let (near, far) = (at(0.11, 0.33), at(0.13, 0.33));
+    assert!((far.narrow - near.narrow - 0.01).abs() < 0.002, "{near:?} {far:?}");
+    assert!((near.hinge - 0.33).abs() < 0.015, "{near:?}");
+    let farther = at(0.11, 0.37);
+    assert!(farther.hinge - near.hinge > 0.012, "{near:?} {farther:?}");
+}
+
+#[test]
 fn a_field_of_nothing_has_no_bend() {
     let (mesh, field) = tube(LENGTH, 0.0, |_| RADIUS);
     let none = Window { line: [2.0, 3.0], ..window() };
