@@ -26,7 +26,7 @@ SHAPES = ["mh_mavg", "mh_favg"]
 # The ridge is in body scales squared: a weight of 1 costs as much as an error of its root.
 JOINTS = [
     ("Head", "head_top", 1e-3, [("Head", 0, 7)]),
-    ("Throat", "neck", 1e-2, [("Head", 3, 13), ("Arm", 16, 22), ("OtherArm", 16, 22)]),
+    ("Throat", "neck", 3e-3, [("Head", 3, 13), ("Arm", 16, 22), ("OtherArm", 16, 22)]),
     ("Shoulder", "shoulder", 3e-3, [("Arm", 10, 22), ("OtherArm", 16, 22), ("Leg", 23, 28), ("OtherLeg", 23, 28), ("Head", 3, 13)]),
     ("Elbow", "elbow", 1e-3, [("Arm", 5, 16)]),
     ("Wrist", "wrist", 1e-4, [("Arm", 0, 8)]),

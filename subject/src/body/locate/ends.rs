@@ -8,7 +8,7 @@ use crate::body::geodesic::{Graph, Workspace, distances, distances_from};
 const REACH: f64 = 0.15;
 
 /// The top of the head is no farther than this from the vertex that stands for the head, in the same share.
-const HEAD_REACH: f64 = 0.09;
+const HEAD_REACH: f64 = 0.14;
 /// Of the top is what is nearer to the limbs by less than this.
 const CROWN: f64 = 0.03;
 
