@@ -25,8 +25,8 @@ pub struct Settings {
 impl Settings {
     /// As (Yang et al. 2004) prints it, with its 1 read as a pixel.
     ///
-    /// Read as the distance of the outer eye corners it is twenty times as wide as features are apart, and vertices
-    /// between them overshoot by more than the face's own width.
+    /// Read as the distance of the outer eye corners it is twenty times as wide as features are apart: the points are met,
+    /// and the vertices between them end up a whole eyes' distance from where they belong.
     pub const PAPER: Self = Self { basis: Basis::PAPER, unit: Unit::Pixel };
 }
 

@@ -65,6 +65,8 @@ pub struct RadialMap<const D: usize, const K: usize> {
     rest: Option<Box<Self>>,
 }
 
+/// What may be missing at a node, as a share of the largest target: a thousandth of what anybody asks for.
+const NEGLIGIBLE: f64 = 1e-12;
 /// |r|: sharp, and so well conditioned that its own rounding does not count.
 const SHARP: Basis = Basis::Power { d: 0.0, m: 1, t: 0.5 };
 
@@ -84,7 +86,8 @@ impl<const D: usize, const K: usize> RadialMap<D, K> {
             std::array::from_fn(|axis| y[axis] - at[axis])
         };
         let missing: Vec<[f64; K]> = nodes.iter().zip(targets).map(missing).collect();
-        if missing.iter().flatten().any(|m| *m != 0.0) {
+        let largest = targets.iter().flatten().fold(0.0, |most: f64, y| most.max(y.abs()));
+        if missing.iter().flatten().any(|m| m.abs() > NEGLIGIBLE * largest) {
             map.rest = Some(Box::new(Self::solve(SHARP, nodes, &missing)?));
         }
         Ok(map)

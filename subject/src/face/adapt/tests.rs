@@ -175,6 +175,31 @@ fn vertices_between_the_features_come_nearer() {
     assert!(error(&fitted.vertices_px, 0..2) < error(&paper.vertices_px, 0..2));
 }
 
+/// Why the paper's d = 1 is no distance of eyes (docs/subject-face-model.md has these figures).
+#[test]
+fn a_basis_much_wider_than_features_are_apart_overshoots() {
+    let (model, camera, person) = turned_face();
+    let truth = camera.project(&person);
+    let seen = points(model, &camera, &person);
+    let given: Vec<_> = FeatureId::all().zip(&seen).map(|(id, p)| (id, [p[0], p[1]])).collect();
+    let io_px = camera.scale_px_per_mm * OUTER_EYES_MM;
+    let error = |vertices: &[[f64; 3]]| {
+        let off = |(v, t): (&[f64; 3], &[f64; 3])| (v[0] - t[0]).hypot(v[1] - t[1]);
+        100.0 * vertices.iter().zip(&truth).map(off).sum::<f64>() / truth.len() as f64 / io_px
+    };
+    let adapted = |d: f64| {
+        let settings = Settings { basis: Basis::Power { d, m: 1, t: 0.5 }, unit: Unit::OuterEyes };
+        adapt(model, &model.vertices, &camera, &given, settings, Depth::Model).unwrap()
+    };
+    let before = error(&camera.project(&model.vertices));
+    println!("not adapted: {before:.2} % io");
+    for d in [1.0, 0.5, 0.2, 0.1, 0.05, 1.0 / io_px, 0.0] {
+        println!("d = {d:.3} io: {:.2} % io", error(&adapted(d).vertices_px));
+    }
+    assert!(error(&adapted(1.0).vertices_px) > 10.0 * before);
+    assert!(error(&adapted(0.05).vertices_px) < 0.5 * before);
+}
+
 #[test]
 fn symmetry_gives_the_depths_of_pairs() {
     let (model, camera, person) = turned_face();
