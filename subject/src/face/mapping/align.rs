@@ -11,6 +11,8 @@ use super::Mapping;
 const LEAST: usize = 4;
 /// Markers nearer to one line than this share of their spread along it do not hold the turn around it.
 const FLAT: f64 = 1e-3;
+/// A thousand kilometres: products of four coordinates stay far within what a double holds.
+const MAX_COORDINATE_MM: f64 = 1e9;
 
 /// Whether the face may change its size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -32,8 +34,8 @@ pub enum AlignError {
     /// The markers that are there do not tell how the face is turned.
     #[error("the markers of this frame that the mapping has lie on one line")]
     Flat,
-    /// A coordinate that is infinite or no number.
-    #[error("marker {0:?} is at no finite place")]
+    /// A coordinate that is no number, or beyond a thousand kilometres.
+    #[error("marker {0:?} is at no place, or further away than 1e9 mm: check the unit")]
     NotFinite(String),
 }
 
@@ -71,7 +73,7 @@ impl Mapping {
         for entry in self.markers.iter().filter(|entry| entry.weight > 0.0) {
             let vertex = entry.place.vertex(features, vertices_mm.len());
             if let (Some(vertex), Some(at)) = (vertex, marker(&entry.label)) {
-                if !at.iter().chain(&vertices_mm[vertex]).all(|v| v.is_finite()) {
+                if !at.iter().chain(&vertices_mm[vertex]).all(|v| v.abs() < MAX_COORDINATE_MM) {
                     return Err(AlignError::NotFinite(entry.label.clone()));
                 }
                 pairs.push((entry.weight, Vector3::from(vertices_mm[vertex]), Vector3::from(at)));

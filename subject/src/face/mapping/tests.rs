@@ -77,6 +77,7 @@ fn markers_that_hold_nothing_are_refused() {
     assert_eq!(align(&|label| line.get(label).copied()), AlignError::Flat);
     assert_eq!(align(&|_| Some([1.0; 3])), AlignError::Flat);
     assert!(matches!(align(&|_| Some([f64::NAN, 0.0, 0.0])), AlignError::NotFinite(_)));
+    assert!(matches!(align(&|_| Some([0.0, 1e300, 0.0])), AlignError::NotFinite(_)));
 }
 
 #[test]

@@ -6,6 +6,11 @@ use thiserror::Error;
 mod tests;
 
 /// How yaw follows from where the eyes sit in the face.
+///
+/// On random heads of the [model](super::model) turned by up to 35 degrees, the mean error of the arcsine is 3.3 degrees and
+/// that of the printed rule 5.0, where the outline is places on the jaw as annotators mark them; where it is the edge of
+/// what is seen, which bulges on the far side, it is 4.8 and 2.8. A [fit](super::model::Model::fit_shape)
+/// of all points needs no outline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum YawRule {
     /// π · MC/PQ, as (Yang et al. 2004) has it. Near 0 it is 57 % too steep: on a cylinder MC/PQ is half the sine.
