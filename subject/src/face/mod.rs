@@ -4,6 +4,7 @@ pub mod adapt;
 pub mod fitted;
 pub mod mapping;
 pub mod model;
+pub mod find;
 pub mod photo;
 pub mod plane;
 pub mod pose;

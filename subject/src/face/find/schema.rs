@@ -1,0 +1,120 @@
+//! A face as one draws it: what the frame of a hypothesis is held against.
+
+/// Points of a patch across: from -1 to 1 eye distances, an eighth apart.
+pub(super) const ACROSS: usize = 17;
+/// Points of a patch down: from -0.5 (above the brows) to 1.5 (under the lip).
+pub(super) const DOWN: usize = 17;
+/// Between points, in eye distances.
+pub(super) const GRID: f32 = 0.125;
+
+/// The place of a patch's point in the face's frame.
+pub(super) fn place(i: usize) -> [f32; 2] {
+    [(i % ACROSS) as f32 * GRID - 1.0, (i / ACROSS) as f32 * GRID - 0.5]
+}
+
+use super::climb::Patch;
+
+/// Strokes of the drawing.
+pub(super) const STROKES: usize = 16;
+
+/// An ellipse with soft borders: x (both sides, unless 0), y, half axes, turn of the right one, and how much brighter it
+/// is than the skin around, in shares of the mouth's line.
+struct Stroke(f32, f32, f32, f32, f32, f32);
+
+/// What is darker and brighter than what is around it, in eye distances. Where things are is anthropometry (eyes 63 mm
+/// apart, mouth 50 mm wide and 70 mm below the eyes, the nose's base at 45 mm, brows at 17 mm); how dark they are was
+/// fitted to the faces that the weights were learned on (`benches/subject/find_weights.py`).
+const FACE: [Stroke; STROKES] = [
+    // Sockets, eyes, brows, forehead.
+    Stroke(0.46, -0.04, 0.36, 0.24, 0.0, -0.889),
+    Stroke(0.50, 0.00, 0.20, 0.10, 0.0, -0.505),
+    Stroke(0.50, -0.27, 0.36, 0.09, 0.10, -0.433),
+    Stroke(0.0, -0.50, 0.60, 0.12, 0.0, 0.880),
+    // The bridge and the ridge of the nose, its sides, its base.
+    Stroke(0.0, 0.05, 0.10, 0.25, 0.0, 0.716),
+    Stroke(0.0, 0.45, 0.10, 0.22, 0.0, 0.487),
+    Stroke(0.27, 0.58, 0.08, 0.12, 0.0, -0.391),
+    Stroke(0.0, 0.72, 0.26, 0.07, 0.0, -0.650),
+    // Cheeks, and the folds from the nose to the mouth.
+    Stroke(0.58, 0.45, 0.28, 0.22, 0.0, 0.857),
+    Stroke(0.45, 0.86, 0.08, 0.16, -0.4, -0.148),
+    // The line of the mouth, the shade under it, the chin.
+    Stroke(0.0, 1.08, 0.38, 0.07, 0.0, -1.0),
+    Stroke(0.0, 1.32, 0.24, 0.08, 0.0, -0.409),
+    Stroke(0.0, 1.52, 0.30, 0.14, 0.0, 0.297),
+    // What is beside the face: ears, the jaw's edge, temples.
+    Stroke(1.10, 0.30, 0.18, 0.60, 0.0, 0.026),
+    Stroke(0.95, 1.45, 0.28, 0.40, 0.5, -0.621),
+    Stroke(0.90, -0.15, 0.12, 0.20, 0.0, -0.134),
+];
+
+/// A drawn patch in the measure of [`Level::local`](super::level::Level), mean 0 and length 1.
+#[derive(Debug)]
+pub(super) struct Schema {
+    /// Brightness.
+    pub(super) bright: Vec<f32>,
+    /// Its slope downwards.
+    pub(super) slope: Vec<f32>,
+    /// Each stroke by itself.
+    pub(super) strokes: Vec<Patch>,
+}
+
+impl Schema {
+    /// Drawn once a photograph.
+    pub(super) fn new() -> Self {
+        let drawn = |strokes: &[Stroke]| {
+            let at = |[x, y]: [f32; 2]| strokes.iter().map(|stroke| stroke.brighter(x, y)).sum();
+            let values: Vec<f32> = (0..ACROSS * DOWN).map(|i| at(place(i))).collect();
+            Patch { bright: standard(&values), slope: standard(&slope(&values)) }
+        };
+        let Patch { bright, slope } = drawn(&FACE);
+        let strokes = FACE.chunks(1).map(drawn).collect();
+        Self { bright, slope, strokes }
+    }
+
+    /// Brightness at a place of the face's frame, between the patch's points; none outside.
+    pub(super) fn at(&self, x: f32, y: f32) -> Option<f32> {
+        let (column, line) = ((x + 1.0) / GRID, (y + 0.5) / GRID);
+        let inside = (0.0..=(ACROSS - 1) as f32).contains(&column)
+            && (0.0..=(DOWN - 1) as f32).contains(&line);
+        inside.then(|| {
+            let at = |i: usize| self.bright.get(i).copied().unwrap_or_default();
+            at((line.round() as usize) * ACROSS + column.round() as usize)
+        })
+    }
+}
+
+impl Stroke {
+    fn brighter(&self, x: f32, y: f32) -> f32 {
+        let Self(side, down, wide, high, turn, brighter) = *self;
+        let soft = |x: f32| {
+            let (dx, dy) = (x - side, y - down);
+            let (sin, cos) = turn.sin_cos();
+            let (dx, dy) = ((dx * cos + dy * sin) / wide, (dy * cos - dx * sin) / high);
+            (-(dx * dx + dy * dy)).exp()
+        };
+        if side == 0.0 { brighter * soft(x) } else { brighter * (soft(x) + soft(-x)) }
+    }
+}
+
+/// Differences of each point's lower and upper neighbours; zeros in the first and the last row.
+pub(super) fn slope(patch: &[f32]) -> Vec<f32> {
+    let mut out = vec![0.0; patch.len()];
+    let lower = patch.iter().skip(2 * ACROSS);
+    for ((out, upper), lower) in out.iter_mut().skip(ACROSS).zip(patch).zip(lower) {
+        *out = lower - upper;
+    }
+    out
+}
+
+/// With mean 0 and length 1.
+pub(super) fn standard(values: &[f32]) -> Vec<f32> {
+    let mean = values.iter().sum::<f32>() / values.len().max(1) as f32;
+    let length = values.iter().map(|value| (value - mean).powi(2)).sum::<f32>().sqrt();
+    values.iter().map(|value| (value - mean) / length.max(1e-6)).collect()
+}
+
+/// The cosine of two standard patches.
+pub(super) fn likeness(a: &[f32], b: &[f32]) -> f32 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
