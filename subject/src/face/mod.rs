@@ -5,6 +5,7 @@ pub mod fitted;
 pub mod mapping;
 pub mod model;
 pub mod find;
+pub mod paper;
 pub mod photo;
 pub mod plane;
 pub mod pose;
