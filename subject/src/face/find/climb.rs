@@ -2,10 +2,13 @@
 
 use super::Plane;
 use super::frame::Frame;
-use super::schema::{ACROSS, DOWN, Schema, likeness, place, slope, standard};
+use super::schema::{ACROSS, DOWN, Schema, place, slope, standard};
 
 /// How far a pass moves: shares of the eyes' distance, radians, and shares of lengths alike.
-const STEPS: [f32; 4] = [0.12, 0.08, 0.05, 0.03];
+const ROUGH_STEPS: [f32; 2] = [0.12, 0.08];
+const STEPS: [f32; 3] = [0.08, 0.05, 0.03];
+/// What does not fit this well after the rough passes is left as it is; faces fit twice as well.
+const PROMISE_MIN: f32 = 0.25;
 /// What the slopes' likeness counts beside the brightness'.
 const SLOPE_SHARE: f32 = 0.4;
 /// What frames that are stretched (logarithm, squared) and sheared (squared) lose: heads are rarely turned far.
@@ -35,30 +38,111 @@ impl Patch {
     }
 }
 
-/// The frame near `frame` that the drawn face fits best, and how well.
-pub(super) fn climb(local: &Plane, frame: Frame, schema: &Schema) -> (Frame, f32) {
-    let mut best = (frame, fit(local, &frame, schema));
+/// The frame near `frame` that the drawn face fits best.
+pub(super) fn climb(local: &Plane, frame: Frame, schema: &Schema) -> Frame {
+    let mut best = (frame, schema.half.fit(local, &frame));
+    for step in ROUGH_STEPS {
+        best = pass(best, step, |frame| schema.half.fit(local, frame));
+    }
+    if best.1 < PROMISE_MIN {
+        return best.0;
+    }
+    best.1 = schema.whole.fit(local, &best.0);
     for step in STEPS {
-        for change in 0..7_u8 {
-            for sign in [-step, step] {
-                let moved = moved(&best.0, change, sign);
-                let value = fit(local, &moved, schema);
-                if value > best.1 {
-                    best = (moved, value);
-                    break;
-                }
+        best = pass(best, step, |frame| schema.whole.fit(local, frame));
+    }
+    best.0
+}
+
+/// Each change once, to whichever side is better.
+fn pass(mut best: (Frame, f32), step: f32, fit: impl Fn(&Frame) -> f32) -> (Frame, f32) {
+    for change in 0..7_u8 {
+        for sign in [-step, step] {
+            let moved = moved(&best.0, change, sign);
+            let value = fit(&moved);
+            if value > best.1 {
+                best = (moved, value);
+                break;
             }
         }
     }
     best
 }
 
-fn fit(local: &Plane, frame: &Frame, schema: &Schema) -> f32 {
-    let patch = Patch::new(local, frame);
+/// What a frame loses for being stretched, sheared and turned.
+fn loss(frame: &Frame) -> f32 {
     let [stretch, shear] = frame.stretch_and_shear();
-    likeness(&patch.bright, &schema.bright) + SLOPE_SHARE * likeness(&patch.slope, &schema.slope)
-        - STRETCH_LOSS * stretch.ln().powi(2)
-        - SHEAR_LOSS * (shear * shear + frame.turn * frame.turn)
+    STRETCH_LOSS * stretch.ln().powi(2) + SHEAR_LOSS * (shear * shear + frame.turn * frame.turn)
+}
+
+/// A patch's points, and what is drawn there.
+#[derive(Debug)]
+pub(super) struct Drawing<const N: usize> {
+    /// In the face's frame, row by row.
+    points: [[f32; 2]; N],
+    /// Brightness, mean 0 and length 1.
+    bright: [f32; N],
+    /// Slopes downwards, mean 0 and length 1.
+    slope: [f32; N],
+    /// Points of a row.
+    across: usize,
+}
+
+/// A whole patch.
+pub(super) const WHOLE: usize = ACROSS * DOWN;
+/// Every other column of one: half of the work, and good enough for the rough passes.
+pub(super) const HALF: usize = ACROSS.div_ceil(2) * DOWN;
+
+impl<const N: usize> Drawing<N> {
+    /// Every `step`-th column of a patch.
+    pub(super) fn new(patch: &Patch, step: usize) -> Self {
+        let kept = || (0..WHOLE).filter(|i| (i % ACROSS).is_multiple_of(step));
+        let part = |values: &[f32]| {
+            let part: Vec<f32> = kept().filter_map(|i| values.get(i).copied()).collect();
+            filled(standard(&part))
+        };
+        Self {
+            points: filled(kept().map(place)),
+            bright: part(&patch.bright),
+            slope: part(&patch.slope),
+            across: ACROSS.div_ceil(step),
+        }
+    }
+
+    /// How well the drawing fits at a frame.
+    fn fit(&self, local: &Plane, frame: &Frame) -> f32 {
+        let mut raw = [0.0; N];
+        for (value, &[x, y]) in raw.iter_mut().zip(&self.points) {
+            let [x, y] = frame.at(x, y);
+            *value = local.sample(x, y);
+        }
+        let mut slopes = [0.0; N];
+        let lower = raw.iter().skip(2 * self.across);
+        for ((slope, upper), lower) in slopes.iter_mut().skip(self.across).zip(&raw).zip(lower) {
+            *slope = lower - upper;
+        }
+        cosine(&raw, &self.bright) + SLOPE_SHARE * cosine(&slopes, &self.slope) - loss(frame)
+    }
+}
+
+fn filled<T: Copy + Default, const N: usize>(values: impl IntoIterator<Item = T>) -> [T; N] {
+    let mut out = [T::default(); N];
+    for (place, value) in out.iter_mut().zip(values) {
+        *place = value;
+    }
+    out
+}
+
+/// The cosine of values, less their mean, and a standard patch.
+fn cosine<const N: usize>(values: &[f32; N], standard: &[f32; N]) -> f32 {
+    let (mut sum, mut squares, mut product) = (0.0, 0.0, 0.0);
+    for (value, with) in values.iter().zip(standard) {
+        sum += value;
+        squares += value * value;
+        product += value * with;
+    }
+    let square = squares - sum * sum / N as f32;
+    product / square.max(0.0).sqrt().max(1e-6)
 }
 
 fn moved(frame: &Frame, change: u8, by: f32) -> Frame {

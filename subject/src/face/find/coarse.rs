@@ -30,7 +30,7 @@ const EYES_PX: f32 = EYE_DISTANCE / 2.0 * 1.19;
 /// Places of a level that are looked at closer, best first.
 const PLACES_MAX: usize = 60;
 /// Taps below this share of the strongest are left out.
-const TAP_MIN: f32 = 0.25;
+const TAP_MIN: f32 = 0.3;
 
 /// A place where the drawn face fits.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -12,7 +12,7 @@ pub(super) fn place(i: usize) -> [f32; 2] {
     [(i % ACROSS) as f32 * GRID - 1.0, (i / ACROSS) as f32 * GRID - 0.5]
 }
 
-use super::climb::Patch;
+use super::climb::{Drawing, HALF, Patch, WHOLE};
 
 /// Strokes of the drawing.
 pub(super) const STROKES: usize = 16;
@@ -55,6 +55,10 @@ pub(super) struct Schema {
     pub(super) bright: Vec<f32>,
     /// Its slope downwards.
     pub(super) slope: Vec<f32>,
+    /// All of it, and half of it, for climbing.
+    pub(super) whole: Drawing<WHOLE>,
+    /// See above.
+    pub(super) half: Drawing<HALF>,
     /// Each stroke by itself.
     pub(super) strokes: Vec<Patch>,
 }
@@ -67,9 +71,10 @@ impl Schema {
             let values: Vec<f32> = (0..ACROSS * DOWN).map(|i| at(place(i))).collect();
             Patch { bright: standard(&values), slope: standard(&slope(&values)) }
         };
-        let Patch { bright, slope } = drawn(&FACE);
+        let patch = drawn(&FACE);
         let strokes = FACE.chunks(1).map(drawn).collect();
-        Self { bright, slope, strokes }
+        let (whole, half) = (Drawing::new(&patch, 1), Drawing::new(&patch, 2));
+        Self { whole, half, bright: patch.bright, slope: patch.slope, strokes }
     }
 
     /// Brightness at a place of the face's frame, between the patch's points; none outside.

@@ -101,7 +101,7 @@ fn overlap(a: &Found, b: &Found) -> bool {
 
 /// What a rough place becomes once it fits.
 fn hypothesis(level: &Level, rough: Frame, schema: &Schema, hues: Option<&Hues>) -> Hypothesis {
-    let (frame, _) = climb(&level.local, rough, schema);
+    let frame = climb(&level.local, rough, schema);
     let spots = darkest(level, frame.eyes());
     let grey = grey_scores(&level.local, &frame, &spots, schema);
     let colour = hues.map(|hues| hues.scores(level, &frame));
