@@ -1,10 +1,10 @@
 //! From a photograph to a wireframe of the face (Yang et al. 2004, and past it).
 
 pub mod adapt;
+pub mod find;
 pub mod fitted;
 pub mod mapping;
 pub mod model;
-pub mod find;
 pub mod paper;
 pub mod photo;
 pub mod plane;
