@@ -25,6 +25,7 @@ mod recover;
 mod run;
 mod stop;
 mod study;
+mod subject;
 mod usage;
 mod values;
 mod verify;
@@ -72,6 +73,9 @@ enum Command {
     Plot(plot::Plot),
     /// Repeat the study of Shi et al. 2012 on takes: its tables, figures, and bytes
     Study(study::Args),
+    /// Prepare a subject: a skeleton out of a body scan, a wireframe fitted to a photograph of the face
+    #[command(subcommand)]
+    Subject(subject::Subject),
     /// Ask a running service: status, arm, start, stop, mark, takes, events
     Ctl(ctl::Args),
     /// Look whether this machine can record, and say what to type where it cannot
@@ -114,6 +118,7 @@ pub(crate) fn run(cli: Cli) -> anyhow::Result<Outcome> {
         Command::Recover(args) => recover::run(&args),
         Command::Plot(plot) => plot::run(&plot),
         Command::Study(args) => study::run(&args),
+        Command::Subject(subject) => subject::run(&subject),
         Command::Ctl(args) => ctl::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Config(command) => config::run(&command),

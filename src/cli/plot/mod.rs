@@ -1,6 +1,6 @@
 //! `plot`: pictures of takes.
 
-mod picture;
+pub(crate) mod picture;
 mod pose;
 mod quality;
 mod sizes;

@@ -16,7 +16,7 @@ use crate::cli::{
 ///
 /// # Errors
 /// A usage error for an ending that is no picture's.
-pub(super) fn check_output(path: &Path) -> anyhow::Result<()> {
+pub(crate) fn check_output(path: &Path) -> anyhow::Result<()> {
     if !is(path, "svg") && !is(path, "png") {
         return Err(UsageError(format!(
             "{}: the ending tells the format: use .svg or .png",
@@ -35,7 +35,7 @@ fn is(path: &Path, ending: &str) -> bool {
 ///
 /// # Errors
 /// When it cannot be drawn or written.
-pub(super) fn write(path: &Path, svg: &str) -> anyhow::Result<()> {
+pub(crate) fn write(path: &Path, svg: &str) -> anyhow::Result<()> {
     if is(path, "png") { write_new(path, &png(svg)?) } else { write_new(path, svg.as_bytes()) }
 }
 

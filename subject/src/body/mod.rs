@@ -18,6 +18,7 @@ pub mod repair;
 #[cfg(test)]
 mod shapes;
 pub mod skeleton;
+pub mod survey;
 mod unit;
 
 pub use joint::{Estimate, Joint, Joints, Side};
@@ -25,4 +26,5 @@ pub use mesh::Mesh;
 pub use note::Note;
 pub use refusal::Refusal;
 pub use repair::Repaired;
+pub use survey::Survey;
 pub use unit::{Unit, UnitError};

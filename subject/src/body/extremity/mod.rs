@@ -17,6 +17,7 @@ mod spread;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use find::start;
 pub use find::{Ends, Told, find};
 pub use peaks::Peak;
 pub use roles::{MISFIT_IN_CONTACT_MAX, MISFIT_MAX, Misfit};

@@ -30,7 +30,7 @@ impl Grid {
         let mut size = [0; 3];
         for axis in 0..3 {
             let cells = (high[axis] - low[axis]) / step;
-            if !(cells < CELL_COUNT_MAX as f64) {
+            if cells.is_nan() || cells >= CELL_COUNT_MAX as f64 {
                 return None;
             }
             size[axis] = cells as usize + 4;

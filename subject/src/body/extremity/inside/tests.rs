@@ -73,8 +73,16 @@ fn a_needle_asks_for_no_memory() {
 
 #[test]
 fn the_frame_turns_with_the_body() {
-    let mesh =
-        cubes(&[[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0], [0, 1, 0], [1, 1, 0], [0, 0, 1], [0, 0, 2]]);
+    let mesh = cubes(&[
+        [0, 0, 0],
+        [1, 0, 0],
+        [2, 0, 0],
+        [3, 0, 0],
+        [0, 1, 0],
+        [1, 1, 0],
+        [0, 0, 1],
+        [0, 0, 2],
+    ]);
     let (sin, cos) = 0.7_f64.sin_cos();
     let mut turned = mesh.clone();
     for at in &mut turned.positions {

@@ -1,0 +1,157 @@
+//! `subject body`.
+
+use std::{
+    path::{Path, PathBuf},
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+};
+
+use anyhow::{Context, bail};
+use mocapd::outcome::{Outcome, UsageError};
+use mocapd_subject::body::{
+    Repaired, Survey, Unit, read, repair,
+    skeleton::{Method, ScanJoints, Skeleton, Source},
+};
+
+use super::picture;
+use crate::cli::{
+    output::{print, say},
+    paths,
+    plot::picture as pictures,
+    progress::Progress,
+    whole::{name, read_bounded, write_new},
+};
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Scans of one person, .obj, .ply, .stl or .off, each in any pose
+    #[arg(required = true, value_name = "SCAN")]
+    scans: Vec<PathBuf>,
+    /// The skeleton to write; it must not exist
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// The unit of the scans, m, cm or mm [default: what the file says, or what makes it a body]
+    #[arg(long, value_name = "UNIT", value_parser = unit)]
+    unit: Option<Unit>,
+    /// How joints are found: ours, or as Yu et al. 2008 print it
+    #[arg(long, value_enum, default_value_t = Chosen::Default)]
+    method: Chosen,
+    /// A picture of what was found in the first scan, .svg or .png; it must not exist
+    #[arg(long, value_name = "FILE")]
+    picture: Option<PathBuf>,
+    /// Print the skeleton as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Chosen {
+    Default,
+    Paper,
+}
+
+/// Most scans of one person: what a skeleton names as its sources.
+const SCANS_MAX: usize = 64;
+
+pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
+    if args.scans.len() > SCANS_MAX {
+        return Err(UsageError(format!(
+            "{} scans were given: {SCANS_MAX} are enough of anybody",
+            args.scans.len()
+        ))
+        .into());
+    }
+    args.output.as_deref().map(paths::check_output).transpose()?;
+    args.picture.as_deref().map(pictures::check_output).transpose()?;
+    let method = match args.method {
+        Chosen::Default => Method::Default,
+        Chosen::Paper => Method::Paper,
+    };
+    let counter = Arc::new(AtomicU64::new(0));
+    let progress = Progress::follow("finding joints", &counter, args.scans.len() as u64);
+    let mut scans = Vec::with_capacity(args.scans.len());
+    let mut first = None;
+    for path in &args.scans {
+        let (repaired, scan, survey) = survey(path, args.unit, method)?;
+        scans.push(scan);
+        first.get_or_insert((path, repaired, survey));
+        counter.fetch_add(1, Ordering::Relaxed);
+    }
+    drop(progress);
+    let skeleton = Skeleton::new(method, &scans).context("no scan was given")?;
+    if let (Some(output), Some((path, repaired, survey))) = (&args.picture, first) {
+        let survey = survey.with_levels(&repaired.mesh);
+        pictures::write(output, &picture::of(&name(path), &repaired, &survey, &skeleton))?;
+    }
+    if let Some(output) = &args.output {
+        write_new(output, skeleton.to_json().as_bytes())?;
+    }
+    print(&if args.json { skeleton.to_json() } else { table(&skeleton) })?;
+    Ok(Outcome::Done)
+}
+
+fn survey(
+    path: &Path,
+    unit: Option<Unit>,
+    method: Method,
+) -> anyhow::Result<(Repaired, ScanJoints, Survey)> {
+    let shown = path.display();
+    let bytes = read_bounded(path, read::BYTES_MAX)?;
+    let scan = read::read(&bytes, &name(path)).with_context(|| format!("cannot read {shown}"))?;
+    let repaired =
+        repair::repair(scan, unit).with_context(|| format!("{shown} is no body scan"))?;
+    for note in &repaired.notes {
+        say(&format!("{shown}: {note}"));
+    }
+    let survey = match Survey::new(&repaired.mesh, method) {
+        Ok(survey) => survey,
+        Err(refusal) => bail!("{shown}: no skeleton ({}): {refusal}", refusal.code()),
+    };
+    let mut notes: Vec<String> = repaired.notes.iter().map(ToString::to_string).collect();
+    if survey.in_contact {
+        notes.push("limbs touch: joints near the contact are less sure than told".to_owned());
+    }
+    if !survey.joints.sides_told {
+        notes.push("left and right could not be told: the sides may be exchanged".to_owned());
+    }
+    notes.iter().skip(repaired.notes.len()).for_each(|note| say(&format!("{shown}: {note}")));
+    let scan = ScanJoints {
+        source: Source::new(&name(path), &bytes, &repaired),
+        joints: survey.joints.clone(),
+        unit: repaired.unit,
+        notes,
+    };
+    Ok((repaired, scan, survey))
+}
+
+/// What people read.
+fn table(skeleton: &Skeleton) -> String {
+    let mut out = String::new();
+    if let Some(stature_mm) = skeleton.stature_mm {
+        out += &format!("stature {stature_mm:.0} mm\n");
+    }
+    let sides = if skeleton.sides_told { "" } else { " (l_ and r_ may be exchanged)" };
+    out += &format!("\nbone                 length mm   +- mm{sides}\n");
+    for bone in &skeleton.bones {
+        out += &format!("{:<20} {:>9.1} {:>7.1}", bone.name, bone.length_mm, bone.uncertainty_mm);
+        if let Some(spread_mm) = bone.spread_mm {
+            out += &format!("   spread {spread_mm:.1} mm over {} scans", bone.scans);
+        }
+        out.push('\n');
+    }
+    out += "\njoint                   x mm      y mm      z mm   +- mm\n";
+    for joint in &skeleton.joints {
+        let [x, y, z] = joint.position_mm;
+        out += &format!(
+            "{:<18} {x:>9.1} {y:>9.1} {z:>9.1} {:>7.1}\n",
+            joint.name, joint.uncertainty_mm
+        );
+    }
+    out
+}
+
+fn unit(text: &str) -> Result<Unit, String> {
+    Unit::from_name(text).ok_or_else(|| format!("'{text}' is not m, cm or mm"))
+}

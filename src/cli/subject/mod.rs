@@ -1,0 +1,19 @@
+//! `subject`: what is made of a subject before a capture.
+
+mod body;
+mod picture;
+
+use clap::Subcommand;
+use mocapd::outcome::Outcome;
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Subject {
+    /// Joint centres and limb lengths out of a body scan, or several of one person, in any pose
+    Body(body::Args),
+}
+
+pub(crate) fn run(subject: &Subject) -> anyhow::Result<Outcome> {
+    match subject {
+        Subject::Body(args) => body::run(args),
+    }
+}
