@@ -2,6 +2,9 @@
 //!
 //! Every seed is also run once, so that a target that fails on its own seeds shows without a fuzzer.
 
+#[path = "seeds/meshes.rs"]
+mod meshes;
+
 use std::{fs, io, path::Path};
 
 use mocapd_codec::{BlockReport, Rows, Settings, Tolerance};
@@ -33,6 +36,8 @@ fn main() -> io::Result<()> {
         ("read_file", mocapd_fuzz::read_file, files()),
         ("hear", mocapd_fuzz::hear, wires()),
         ("config", mocapd_fuzz::config, configs()),
+        ("read_mesh", mocapd_fuzz::read_mesh, meshes::files()),
+        ("read_skeleton", mocapd_fuzz::read_skeleton, meshes::skeletons()),
     ] {
         let folder = folder.join(target);
         fs::create_dir_all(&folder)?;

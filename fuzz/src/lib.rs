@@ -8,6 +8,7 @@ mod config;
 mod file;
 mod input;
 mod link;
+mod mesh;
 mod motion;
 mod range;
 mod take;
@@ -15,5 +16,6 @@ mod trips;
 
 pub use self::{
     blocks::decode_block, config::config, file::read_file, input::Input, link::hear,
-    range::range_coder, take::read_take, take::recover_take, trips::round_trip,
+    mesh::read_mesh, mesh::read_skeleton, range::range_coder, take::read_take, take::recover_take,
+    trips::round_trip,
 };

@@ -8,6 +8,7 @@ mod connect;
 mod decimate;
 mod edges;
 mod error;
+mod fans;
 mod pieces;
 mod spikes;
 #[cfg(test)]
