@@ -14,8 +14,8 @@ use crate::body::geodesic::{Graph, Workspace, distances};
 
 /// The edge of a cube, as a part of the square root of the surface's area: some 12 mm of an adult.
 const STEP: f64 = 1.0 / 110.0;
-/// The layers that are taken off, in cubes; a wrist is some five cubes thick.
-const LAYERS: [f64; 5] = [0.0, 0.6, 1.2, 1.8, 2.2];
+/// The layers that are taken off, in cubes: none, one, and two by steps that diagonals make; a wrist is some five thick.
+const LAYERS: [f64; 4] = [0.0, 1.0, 1.8, 2.2];
 
 /// Finds head, hands and feet of a body whose limbs touch; none if no layer taken off leaves a body.
 ///

@@ -31,6 +31,8 @@ impl Grid {
         for axis in 0..3 {
             let cells = (high[axis] - low[axis]) / step;
             if cells.is_nan() || cells >= CELL_COUNT_MAX as f64 {
+            // An empty mesh has no extent, and gives what is not finite.
+            if !cells.is_finite() || cells > CELL_COUNT_MAX as f64 {
                 return None;
             }
             size[axis] = cells as usize + 4;

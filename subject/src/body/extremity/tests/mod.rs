@@ -1,5 +1,7 @@
 //! Shapes whose ends are known, and shapes that are no bodies.
 
+mod bodies;
+
 use super::peaks::peaks;
 use super::roles::misfit;
 use super::*;
