@@ -16,6 +16,7 @@ of a picture count, for those are what a threshold has to hold off.
 
 import itertools
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -217,7 +218,8 @@ def logistic(scores, faces, weights, ridge):
 
 
 def weights(truth, work):
-    finder = [Path("target/release/examples/faces_found"), "scores"]
+    target = Path(os.environ.get("CARGO_TARGET_DIR", "target"))
+    finder = [target / "release/examples/faces_found", "scores"]
     done = subprocess.run(finder + [work / f"{name}.png" for name in truth], capture_output=True, text=True, check=True)
     grey, colour, kind, count, where = [], [], [], [], []
     rows = {}

@@ -29,6 +29,11 @@ const TURN: f32 = 0.25;
 const EYES_PX: f32 = EYE_DISTANCE / 2.0 * 1.19;
 /// Places of a level that are looked at closer, best first.
 const PLACES_MAX: usize = 60;
+/// The middle of a face is about this far below its eyes, upright or not.
+const MIDDLE_PX: usize = (EYES_PX * 0.4) as usize;
+/// What contrast is averaged over, in distances of the eyes, and what is added to it: noise, in deviations of around.
+const ENERGY_WIDTH: f32 = 0.6;
+const ENERGY_FLOOR: f32 = 0.3;
 /// Taps below this share of the strongest are left out.
 const TAP_MIN: f32 = 0.3;
 
@@ -63,12 +68,17 @@ impl Stencils {
     pub(super) fn places(&self, local: &Plane) -> Vec<Place> {
         let half = local.resized(local.width() / 2, local.height() / 2);
         let (width, height) = (half.width(), half.height());
+        // What is around a place by the size of a face: edges of signs and walls are steeper than any face's.
+        let contrast = half.map(|value| value * value).blurred(ENERGY_WIDTH * EYES_PX);
+        let weight = contrast.map(|square| 1.0 / (square.max(0.0).sqrt() + ENERGY_FLOOR));
         let mut best = vec![(f32::NEG_INFINITY, 0_usize); width * height];
         let mut sums = vec![0.0_f32; width];
         for (which, stencil) in self.0.iter().enumerate() {
             for (y, row) in best.chunks_exact_mut(width).enumerate() {
                 stencil.correlate(&half, y, &mut sums);
-                for (best, &sum) in row.iter_mut().zip(&sums) {
+                let weights = weight.row((y + MIDDLE_PX).min(height - 1));
+                for ((best, sum), weight) in row.iter_mut().zip(&sums).zip(weights) {
+                    let sum = sum * weight;
                     if sum > best.0 {
                         *best = (sum, which);
                     }

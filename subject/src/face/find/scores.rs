@@ -9,13 +9,17 @@ use super::schema::{ACROSS, STROKES, Schema, likeness};
 /// How many scores need no colours.
 pub const GREY_SCORES: usize = 9 + 2 * STROKES;
 
-/// Scores of one hypothesis that need no colours; what each is stands in [`grey_scores`].
+/// Scores of one hypothesis that need no colours: likeness to the whole drawn face (brightness, slope), symmetry (the
+/// same), how dark the eyes are (the lighter one, both), how little the frame is stretched, sheared and turned, and likeness
+/// to each stroke of the drawing (brightness, then slope).
 pub type GreyScores = [f32; GREY_SCORES];
 
 /// How many scores need colours.
 pub const COLOUR_SCORES: usize = 6;
 
-/// Scores of one hypothesis that need colours.
+/// Scores of one hypothesis that need colours: how like skin forehead, cheeks, nose and chin are, how even, how much
+/// redder the mouth is and how much less red the eyes are, how different it is around the face, and how like skin the mean
+/// is.
 pub type ColourScores = [f32; COLOUR_SCORES];
 
 /// All of one hypothesis.
@@ -27,9 +31,7 @@ pub struct Scores {
     pub colour: Option<ColourScores>,
 }
 
-/// Of a frame on a level: likeness to the whole drawn face (brightness, slope), symmetry (the same), how dark the eyes are
-/// (the lighter one, both), how little the frame is stretched, sheared and turned, and likeness to each stroke of the
-/// drawing (brightness, then slope).
+/// Of a frame on a level.
 pub(super) fn grey_scores(
     local: &Plane,
     frame: &Frame,
