@@ -23,7 +23,9 @@ const LEVEL_SIDE_MIN_PX: f32 = 29.0;
 /// Hypotheses that are kept; a photograph of leaves has about 2000.
 const HYPOTHESES_MAX: usize = 20_000;
 
-/// How sure a face must be: on the development photographs nothing else is.
+/// How sure a face must be: nothing else on the development photographs is. Of the pictures without a face that the
+/// weights were held against, coins with heads on them reach 0.31, a page of text 0.3, and no photograph more than 0.22.
+/// At 0.1 no further face of the development photographs is found, and two that are none.
 pub const SCORE_MIN: f64 = 0.3;
 
 /// Two eyes and a mouth, and what they score.
