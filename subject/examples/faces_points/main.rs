@@ -1,0 +1,67 @@
+//! How well the 53 points are found, as Markdown, on the photographs in the folder that `MOCAPD_FACES` names:
+//!
+//!     MOCAPD_FACES=../shared/faces cargo run --release -p mocapd-subject --example faces_points
+//!
+//! The arguments `development` and `reported` print one half only, `each` adds a line a face.
+
+mod data;
+mod table;
+
+use std::io::Write;
+
+use data::Truth;
+use mocapd_subject::face::points::{self, FacePoints, Rough};
+use table::{Row, Table};
+
+/// Standard deviation of the starting places, as a share of the distance of the outer eye corners.
+const DISTURBED_IO: f64 = 0.04;
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let mut out = std::io::stdout().lock();
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let asked = |word: &str| arguments.iter().any(|a| a == word);
+    let Some(folder) = std::env::var_os("MOCAPD_FACES") else {
+        writeln!(out, "MOCAPD_FACES is not set: it names the folder of the photographs")?;
+        return Ok(());
+    };
+    let faces = data::read(folder.as_ref())?;
+    for (half, development) in [("development", true), ("reported", false)] {
+        if asked("development") != asked("reported") && !asked(half) {
+            continue;
+        }
+        let mut table = Table::default();
+        let mut noise = data::Noise::new(1);
+        for face in faces.iter().filter(|f| f.development == development) {
+            let rough = disturbed(&face.truth, &mut noise);
+            let both =
+                [points::paper::find(&face.photo, &rough), points::find(&face.photo, &rough)?];
+            for (method, found) in ["paper", "default"].into_iter().zip(&both) {
+                let row = Row::of(face, found);
+                if asked("each") {
+                    writeln!(out, "{:22} {} {method:8} {row}", face.name, face.number)?;
+                }
+                table.add(face, method, row);
+            }
+            if let Some(folder) = std::env::var_os("OVERLAYS").filter(|_| development) {
+                data::overlay(face, &both[1], folder.as_ref())?;
+            }
+        }
+        writeln!(out, "\n### {half}, from disturbed eyes and mouths\n\n{table}")?;
+    }
+    Ok(())
+}
+
+fn disturbed(truth: &Truth, noise: &mut data::Noise) -> Rough {
+    let io = truth.io_px();
+    let mut near = |range: std::ops::Range<usize>| {
+        let [x, y] = truth.centre(range);
+        [x + DISTURBED_IO * io * noise.normal(), y + DISTURBED_IO * io * noise.normal()]
+    };
+    Rough { left_eye: near(36..42), right_eye: near(42..48), mouth: near(48..60) }
+}
+
+/// The points found, by their numbers in iBUG-68.
+fn ibug(found: &FacePoints, point: usize) -> Option<[f64; 2]> {
+    let id = mocapd_subject::face::model::FeatureId::from_ibug(point)?;
+    found.points.get(id.index()).map(|p| p.at)
+}

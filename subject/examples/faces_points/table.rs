@@ -1,0 +1,126 @@
+//! Errors of one face, and their table.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use mocapd_subject::face::points::FacePoints;
+
+use super::data::{Face, distance};
+use super::ibug;
+
+/// Errors in per cent of the distance of the outer eye corners, but for the yaw.
+pub(crate) struct Row {
+    all: f64,
+    eyes: f64,
+    brows: f64,
+    nose: f64,
+    mouth: f64,
+    outline: f64,
+    yaw_deg: Option<f64>,
+}
+
+impl Row {
+    pub(crate) fn of(face: &Face, found: &FacePoints) -> Row {
+        let io = face.truth.io_px();
+        let mean = |points: &mut dyn Iterator<Item = usize>| {
+            let errors: Vec<f64> = points
+                .filter_map(|i| Some(distance(ibug(found, i)?, face.truth.landmarks[i])))
+                .collect();
+            100.0 * errors.iter().sum::<f64>() / errors.len() as f64 / io
+        };
+        let mouth = || (48..60).chain([62, 66]);
+        Row {
+            all: mean(&mut (17..27).chain(31..48).chain(mouth())),
+            eyes: mean(&mut (36..48)),
+            brows: mean(&mut (17..27)),
+            nose: mean(&mut (31..36)),
+            mouth: mean(&mut mouth()),
+            outline: 100.0
+                * (0..17).map(|i| to_polygon(face.truth.landmarks[i], &found.outline)).sum::<f64>()
+                / 17.0
+                / io,
+            yaw_deg: face.truth.yaw_deg.zip(found.yaw_deg).map(|(t, f)| (t - f).abs()),
+        }
+    }
+}
+
+/// Distance of a point to a closed polygon.
+fn to_polygon(p: [f64; 2], polygon: &[[f64; 2]]) -> f64 {
+    let sides = polygon.iter().zip(polygon.iter().cycle().skip(1));
+    sides
+        .map(|(a, b)| {
+            let (x, y) = (b[0] - a[0], b[1] - a[1]);
+            let t = ((p[0] - a[0]) * x + (p[1] - a[1]) * y) / (x * x + y * y).max(1e-12);
+            let t = t.clamp(0.0, 1.0);
+            distance(p, [a[0] + t * x, a[1] + t * y])
+        })
+        .fold(f64::INFINITY, f64::min)
+}
+
+impl fmt::Display for Row {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Row { all, eyes, brows, nose, mouth, outline, yaw_deg } = self;
+        write!(
+            f,
+            "all {all:5.1}  eyes {eyes:5.1} brows {brows:5.1} nose {nose:5.1} mouth {mouth:5.1} outline {outline:5.1}"
+        )?;
+        yaw_deg.map_or(Ok(()), |yaw| write!(f, "  yaw {yaw:.1}"))
+    }
+}
+
+/// Rows by the kind of face and the method.
+#[derive(Default)]
+pub(crate) struct Table(BTreeMap<(&'static str, &'static str), Vec<Row>>);
+
+impl Table {
+    pub(crate) fn add(&mut self, face: &Face, method: &'static str, row: Row) {
+        let turned = face.truth.yaw_deg.map_or(0.0, f64::abs);
+        let kind = match (face.synthetic, turned) {
+            (false, ..20.0) => "photographs, yaw < 20",
+            (false, ..=35.0) => "photographs, yaw 20 to 35",
+            (false, _) => "photographs, yaw > 35",
+            (true, ..=35.0) => "synthetic, yaw to 35",
+            (true, _) => "synthetic, yaw > 35",
+        };
+        self.0.entry((kind, method)).or_default().push(row);
+    }
+}
+
+impl fmt::Display for Table {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            f,
+            "| faces | method | n | median | under 10 % | eyes | brows | nose | mouth | outline | yaw error |"
+        )?;
+        writeln!(f, "|---|---|---|---|---|---|---|---|---|---|---|")?;
+        for ((kind, method), rows) in &self.0 {
+            let median = |of: fn(&Row) -> f64| median(rows.iter().map(of).collect());
+            let under = rows.iter().filter(|r| r.all < 10.0).count() as f64 / rows.len() as f64;
+            let yaws: Vec<f64> = rows.iter().filter_map(|r| r.yaw_deg).collect();
+            let yaw = if yaws.is_empty() {
+                String::new()
+            } else {
+                format!("{:.1} ({})", yaws.iter().sum::<f64>() / yaws.len() as f64, yaws.len())
+            };
+            writeln!(
+                f,
+                "| {kind} | {method} | {} | {:.1} | {:.0} % | {:.1} | {:.1} | {:.1} | {:.1} | {:.1} | {yaw} |",
+                rows.len(),
+                median(|r| r.all),
+                100.0 * under,
+                median(|r| r.eyes),
+                median(|r| r.brows),
+                median(|r| r.nose),
+                median(|r| r.mouth),
+                median(|r| r.outline),
+            )?;
+        }
+        Ok(())
+    }
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let n = values.len();
+    if n == 0 { f64::NAN } else { (values[(n - 1) / 2] + values[n / 2]) / 2.0 }
+}

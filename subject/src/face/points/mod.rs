@@ -1,0 +1,103 @@
+//! The 53 points of a face (Yang et al. 2004, section 3): outline 12, brows 2 x 5, nose 5, eyes 2 x 6, mouth 14, each with
+//! a confidence. They are numbered as [`FeatureId`](crate::face::model::FeatureId) numbers them.
+//!
+//! [`find`] is the default: every feature is an outline that is moved and bent until brightness and redness agree with it,
+//! all of them are held together by the generic face in its pose, and the two take turns. [`paper::find`] is the paper's
+//! way, feature by feature. Both begin from a [`Rough`] face, and work in an upright crop of fixed size, so that no length
+//! depends on the photograph's.
+
+mod brow;
+mod chain;
+mod contour;
+mod crop;
+mod eye;
+mod maps;
+mod mouth;
+mod nose;
+mod outline;
+pub mod paper;
+mod search;
+mod shape;
+mod skin;
+#[cfg(test)]
+mod tests;
+
+use super::model::FeatureId;
+pub use chain::find;
+use crop::Crop;
+use search::Point;
+
+/// Where a face lies, roughly (pixels of the photograph): an error of a tenth of the eyes' distance is no harm.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rough {
+    /// Centre of the eye at the picture's left, which is the subject's right eye.
+    pub left_eye: [f64; 2],
+    /// Centre of the eye at the picture's right.
+    pub right_eye: [f64; 2],
+    /// Centre of the mouth.
+    pub mouth: [f64; 2],
+}
+
+/// One of the 53 points.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct FacePoint {
+    /// Pixels of the photograph.
+    pub at: [f64; 2],
+    /// 0 (a place that the rest of the face suggests) to 1 (seen clearly).
+    pub confidence: f64,
+}
+
+/// The points of one face.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FacePoints {
+    /// By [`FeatureId::index`].
+    pub points: [FacePoint; FeatureId::COUNT],
+    /// The whole outline of the face, a closed polygon (pixels of the photograph).
+    pub outline: Vec<[f64; 2]>,
+    /// Yaw, positive when the face turns to the right of the picture; none where the method finds no pose.
+    pub yaw_deg: Option<f64>,
+}
+
+impl Default for FacePoints {
+    fn default() -> Self {
+        FacePoints {
+            points: [FacePoint::default(); FeatureId::COUNT],
+            outline: Vec::new(),
+            yaw_deg: None,
+        }
+    }
+}
+
+impl FacePoints {
+    /// The points that were found at all, as [`Model::fit_shape`](super::model::Model::fit_shape) takes them: the
+    /// confidence is the weight.
+    #[must_use]
+    pub fn weighted(&self) -> Vec<(FeatureId, [f64; 2], f64)> {
+        FeatureId::all()
+            .zip(&self.points)
+            .filter(|(_, p)| p.confidence > 0.0)
+            .map(|(id, p)| (id, p.at, p.confidence))
+            .collect()
+    }
+
+    fn set(&mut self, index: usize, at: [f64; 2], confidence: f64) {
+        if let Some(point) = self.points.get_mut(index) {
+            *point = FacePoint { at, confidence };
+        }
+    }
+
+    /// Points of the crop by their numbers in iBUG-68.
+    fn put(&mut self, which: &[usize], at: &[Point], confidence: f64, crop: &Crop) {
+        for (i, p) in which.iter().zip(at) {
+            if let Some(id) = FeatureId::from_ibug(*i) {
+                self.set(id.index(), crop.to_photo(*p), confidence);
+            }
+        }
+    }
+}
+
+// The features' points by their numbers in iBUG-68, from the left of the picture.
+const BROWS: [[usize; 5]; 2] = [[17, 18, 19, 20, 21], [22, 23, 24, 25, 26]];
+const NOSE: [usize; 5] = [31, 32, 33, 34, 35];
+const EYES: [[usize; 6]; 2] = [[36, 37, 38, 39, 40, 41], [42, 43, 44, 45, 46, 47]];
+const MOUTH: [usize; 14] = [48, 49, 50, 51, 52, 53, 54, 55, 56, 57, 58, 59, 62, 66];
