@@ -2,19 +2,24 @@
 //!
 //!     MOCAPD_FACES=../shared/faces cargo run --release -p mocapd-subject --example faces_points
 //!
-//! The arguments `development` and `reported` print one half only, `each` adds a line a face.
+//! The arguments `development` and `reported` print one half only, `each` adds a line a face, and `offsets` prints where the
+//! annotators of the development half have the points, from where they were found: `OFFSETS_IO` of the default chain.
 
 mod data;
+mod offsets;
 mod table;
 
 use std::io::Write;
 
 use data::Truth;
 use mocapd_subject::face::points::{self, FacePoints, Rough};
+use offsets::Offsets;
 use table::{Row, Table};
 
 /// Standard deviation of the starting places, as a share of the distance of the outer eye corners.
 const DISTURBED_IO: f64 = 0.04;
+/// Disturbed starts of each face.
+const STARTS: usize = 3;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut out = std::io::stdout().lock();
@@ -24,6 +29,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         writeln!(out, "MOCAPD_FACES is not set: it names the folder of the photographs")?;
         return Ok(());
     };
+    let mut offsets = Offsets::default();
     let faces = data::read(folder.as_ref())?;
     for (half, development) in [("development", true), ("reported", false)] {
         if asked("development") != asked("reported") && !asked(half) {
@@ -32,21 +38,29 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let mut table = Table::default();
         let mut noise = data::Noise::new(1);
         for face in faces.iter().filter(|f| f.development == development) {
-            let rough = disturbed(&face.truth, &mut noise);
-            let both =
-                [points::paper::find(&face.photo, &rough), points::find(&face.photo, &rough)?];
-            for (method, found) in ["paper", "default"].into_iter().zip(&both) {
-                let row = Row::of(face, found);
-                if asked("each") {
-                    writeln!(out, "{:22} {} {method:8} {row}", face.name, face.number)?;
+            for start in 0..STARTS {
+                let rough = disturbed(&face.truth, &mut noise);
+                let both =
+                    [points::paper::find(&face.photo, &rough), points::find(&face.photo, &rough)?];
+                for (method, found) in ["paper", "default"].into_iter().zip(&both) {
+                    let row = Row::of(face, found);
+                    if asked("each") {
+                        writeln!(out, "{:22} {}.{start} {method:8} {row}", face.name, face.number)?;
+                    }
+                    table.add(face, method, row);
                 }
-                table.add(face, method, row);
-            }
-            if let Some(folder) = std::env::var_os("OVERLAYS").filter(|_| development) {
-                data::overlay(face, &both[1], folder.as_ref())?;
+                if development {
+                    offsets.add(face, &both[1]);
+                    if let Some(folder) = std::env::var_os("OVERLAYS") {
+                        data::overlay(face, &both[1], folder.as_ref())?;
+                    }
+                }
             }
         }
         writeln!(out, "\n### {half}, from disturbed eyes and mouths\n\n{table}")?;
+    }
+    if asked("offsets") {
+        writeln!(out, "{offsets}")?;
     }
     Ok(())
 }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use mocapd_subject::face::model::{FitOptions, Model};
 use mocapd_subject::face::points::FacePoints;
 
 use super::data::{Face, distance};
@@ -17,6 +18,8 @@ pub(crate) struct Row {
     mouth: f64,
     outline: f64,
     yaw_deg: Option<f64>,
+    /// The same of the generic face fitted to the points.
+    fitted_yaw_deg: Option<f64>,
 }
 
 impl Row {
@@ -39,9 +42,15 @@ impl Row {
                 * (0..17).map(|i| to_polygon(face.truth.landmarks[i], &found.outline)).sum::<f64>()
                 / 17.0
                 / io,
+            fitted_yaw_deg: face.truth.yaw_deg.zip(fitted_yaw(found)).map(|(t, f)| (t - f).abs()),
             yaw_deg: face.truth.yaw_deg.zip(found.yaw_deg).map(|(t, f)| (t - f).abs()),
         }
     }
+}
+
+fn fitted_yaw(found: &FacePoints) -> Option<f64> {
+    let fit = Model::generic().ok()?.fit_shape(&found.weighted(), &FitOptions::default()).ok()?;
+    Some(fit.camera.yaw_deg)
 }
 
 /// Distance of a point to a closed polygon.
@@ -59,12 +68,15 @@ fn to_polygon(p: [f64; 2], polygon: &[[f64; 2]]) -> f64 {
 
 impl fmt::Display for Row {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Row { all, eyes, brows, nose, mouth, outline, yaw_deg } = self;
+        let Row { all, eyes, brows, nose, mouth, outline, yaw_deg, fitted_yaw_deg } = self;
         write!(
             f,
             "all {all:5.1}  eyes {eyes:5.1} brows {brows:5.1} nose {nose:5.1} mouth {mouth:5.1} outline {outline:5.1}"
         )?;
-        yaw_deg.map_or(Ok(()), |yaw| write!(f, "  yaw {yaw:.1}"))
+        for yaw in [yaw_deg, fitted_yaw_deg].into_iter().flatten() {
+            write!(f, "  yaw {yaw:.1}")?;
+        }
+        Ok(())
     }
 }
 
@@ -90,21 +102,25 @@ impl fmt::Display for Table {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             f,
-            "| faces | method | n | median | under 10 % | eyes | brows | nose | mouth | outline | yaw error |"
+            "| faces | method | n | median | under 10 % | eyes | brows | nose | mouth | outline | yaw error | of the fit |"
         )?;
-        writeln!(f, "|---|---|---|---|---|---|---|---|---|---|---|")?;
+        writeln!(f, "|---|---|---|---|---|---|---|---|---|---|---|---|")?;
         for ((kind, method), rows) in &self.0 {
             let median = |of: fn(&Row) -> f64| median(rows.iter().map(of).collect());
             let under = rows.iter().filter(|r| r.all < 10.0).count() as f64 / rows.len() as f64;
-            let yaws: Vec<f64> = rows.iter().filter_map(|r| r.yaw_deg).collect();
-            let yaw = if yaws.is_empty() {
-                String::new()
-            } else {
-                format!("{:.1} ({})", yaws.iter().sum::<f64>() / yaws.len() as f64, yaws.len())
+            let mean = |of: fn(&Row) -> Option<f64>| {
+                let yaws: Vec<f64> = rows.iter().filter_map(of).collect();
+                let n = yaws.len();
+                if n == 0 {
+                    String::new()
+                } else {
+                    format!("{:.1} ({n})", yaws.iter().sum::<f64>() / n as f64)
+                }
             };
+            let (yaw, fitted) = (mean(|r| r.yaw_deg), mean(|r| r.fitted_yaw_deg));
             writeln!(
                 f,
-                "| {kind} | {method} | {} | {:.1} | {:.0} % | {:.1} | {:.1} | {:.1} | {:.1} | {:.1} | {yaw} |",
+                "| {kind} | {method} | {} | {:.1} | {:.0} % | {:.1} | {:.1} | {:.1} | {:.1} | {:.1} | {yaw} | {fitted} |",
                 rows.len(),
                 median(|r| r.all),
                 100.0 * under,

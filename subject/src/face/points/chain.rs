@@ -33,6 +33,35 @@ const FAINT: f64 = 0.2;
 /// Standard deviation of the yaw that the outline's asymmetry gives (degrees).
 const TURN_SD_DEG: f64 = 8.0;
 
+/// Where annotators of iBUG-68 have a point, from where this chain has it: in outer eye corners' distances, x to the right
+/// of the picture, y down. By the point's number on the subject's right; learned on the development photographs by
+/// `--example faces_points offsets`.
+const OFFSETS_IO: [(usize, [f64; 2]); 23] = [
+    (17, [0.036, 0.023]),
+    (18, [0.022, 0.013]),
+    (19, [-0.031, -0.025]),
+    (20, [0.007, -0.015]),
+    (21, [-0.018, -0.035]),
+    (31, [-0.004, 0.022]),
+    (32, [0.003, 0.012]),
+    (33, [0.000, 0.015]),
+    (36, [0.027, 0.037]),
+    (37, [0.001, 0.023]),
+    (38, [0.006, 0.027]),
+    (39, [-0.024, 0.020]),
+    (40, [0.013, 0.013]),
+    (41, [-0.004, 0.018]),
+    (48, [-0.012, -0.020]),
+    (49, [-0.033, 0.014]),
+    (50, [-0.021, 0.006]),
+    (51, [0.000, 0.022]),
+    (57, [0.000, -0.025]),
+    (58, [-0.014, 0.006]),
+    (59, [-0.050, -0.013]),
+    (62, [0.000, 0.022]),
+    (66, [0.000, 0.017]),
+];
+
 /// The 53 points of the face that `rough` points at.
 ///
 /// # Errors
@@ -192,8 +221,14 @@ fn collect(crop: &Crop, pose: &Pose<'_>, seen: &Seen, line: &[Ray]) -> FacePoint
     let p = pose.project();
     let mut points = FacePoints { yaw_deg: Some(pose.yaw_deg()), ..FacePoints::default() };
     let features: [&[usize]; 6] = [&EYES[0], &EYES[1], &BROWS[0], &BROWS[1], &NOSE, &MOUTH];
+    let at_annotators = |i: usize| {
+        let [x, y] = offset_io(i);
+        let size = pose.scale;
+        let narrow = pose.yaw_deg().to_radians().cos();
+        p.get(i).map(|p| [p[0] + size * narrow * x, p[1] + size * y])
+    };
     for (which, clear) in features.into_iter().zip(&seen.clear) {
-        let at: Vec<Point> = which.iter().filter_map(|i| p.get(*i).copied()).collect();
+        let at: Vec<Point> = which.iter().filter_map(|i| at_annotators(*i)).collect();
         points.put(which, &at, *clear, crop);
     }
     let mean = |a: usize, b: usize| (p[a][1] + p[b][1]) / 2.0;
@@ -215,4 +250,19 @@ fn middle(a: Point, b: Point) -> Point {
 
 fn pick<const N: usize>(p: &[Point], which: [usize; N]) -> [Point; N] {
     which.map(|i| p.get(i).copied().unwrap_or([0.0; 2]))
+}
+
+/// [`OFFSETS_IO`] of either half of the face, x to the right of the picture.
+fn offset_io(landmark: usize) -> Point {
+    let (right, sign) = match landmark {
+        22..=26 => (43 - landmark, -1.0),
+        34 | 35 => (66 - landmark, -1.0),
+        42..=45 => (81 - landmark, -1.0),
+        46 | 47 => (87 - landmark, -1.0),
+        52..=54 => (102 - landmark, -1.0),
+        55 | 56 => (114 - landmark, -1.0),
+        _ => (landmark, 1.0),
+    };
+    let found = OFFSETS_IO.iter().find(|(i, _)| *i == right);
+    found.map_or([0.0; 2], |(_, [x, y])| [sign * x, *y])
 }
