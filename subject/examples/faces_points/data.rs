@@ -32,6 +32,9 @@ pub(crate) struct Face {
 /// What is known of it.
 pub(crate) struct Truth {
     pub(crate) landmarks: Vec<[f64; 2]>,
+    /// Whether a rendered landmark is in front; all of a photograph's count. (The corners of the renders' mouths are vertices
+    /// within the mouth, which no picture shows.)
+    pub(crate) visible: Vec<bool>,
     /// Positive when the face turns to the right of the picture.
     pub(crate) yaw_deg: Option<f64>,
 }
@@ -73,8 +76,10 @@ pub(crate) fn read(folder: &Path) -> Result<Vec<Face>, Box<dyn std::error::Error
             let list = value.get("faces").unwrap_or(&value).as_array().cloned().unwrap_or_default();
             for (number, face) in list.iter().enumerate() {
                 let landmarks = serde_json::from_value(face[key].clone()).unwrap_or_default();
-                let truth = Truth { landmarks, yaw_deg: yaw(&name, face) };
-                if truth.landmarks.len() != 68 {
+                let visible =
+                    serde_json::from_value(face["visible"].clone()).unwrap_or(vec![true; 68]);
+                let truth = Truth { landmarks, visible, yaw_deg: yaw(&name, face) };
+                if truth.landmarks.len() != 68 || truth.visible.len() != 68 {
                     continue;
                 }
                 faces.push(Face {

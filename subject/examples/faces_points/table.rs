@@ -27,6 +27,7 @@ impl Row {
         let io = face.truth.io_px();
         let mean = |points: &mut dyn Iterator<Item = usize>| {
             let errors: Vec<f64> = points
+                .filter(|i| face.truth.visible[*i])
                 .filter_map(|i| Some(distance(ibug(found, i)?, face.truth.landmarks[i])))
                 .collect();
             100.0 * errors.iter().sum::<f64>() / errors.len() as f64 / io
