@@ -23,16 +23,13 @@ const EYE_SD: f64 = 1.8;
 const BROW_SD: f64 = 3.0;
 const NOSE_SD: f64 = 2.5;
 const MOUTH_SD: f64 = 2.5;
-const OUTLINE_SD: f64 = 6.0;
+const OUTLINE_SD: f64 = 9.0;
 /// The contrast (natural logarithm) from which a feature counts as clearly seen.
 const CLEAR: f64 = 0.2;
 /// The contrast from which a piece of the outline does: it adds colour to brightness.
 const CLEAR_OUTLINE: f64 = 0.5;
 /// The least share of that: what is not seen at all is still no farther away than it is looked for.
 const FAINT: f64 = 0.2;
-/// Standard deviation of the yaw that the outline's asymmetry gives (degrees).
-const TURN_SD_DEG: f64 = 8.0;
-
 /// Where annotators of iBUG-68 have a point, from where this chain has it: in outer eye corners' distances, x to the right
 /// of the picture, y down. By the point's number on the subject's right; learned on the development photographs by
 /// `--example faces_points offsets`.
@@ -78,10 +75,9 @@ pub fn find(photo: &Photo, rough: &Rough) -> Result<FacePoints, ModelError> {
     for (reach, sd) in ROUNDS {
         let unlike = unlike(&crop, &pose);
         let (targets, outlined) = around(&maps, &unlike, &pose, sd);
-        let turn = turn(&pose, &outlined);
         seen = look(&maps, &pose, reach);
         let all: Vec<Target> = seen.targets.iter().chain(&targets).copied().collect();
-        pose.fit(&all, turn, 4);
+        pose.fit(&all, Turn::UNKNOWN, 4);
         line = outlined;
     }
     Ok(collect(&crop, &pose, &seen, &line))
@@ -140,8 +136,8 @@ fn begin<'a>(crop: &Crop, maps: &Maps, frontal: &Pose<'a>, places: [Point; 3]) -
             let seen_turn = contour::turn_deg(&line, p[36], p[45]).unwrap_or(yaw);
             // The right yaw is the one that its own outline confirms; most heads look at the camera.
             let score =
-                gain - 0.4 * ((seen_turn - yaw) / 20.0).powi(2) - 0.15 * (yaw / 30.0).powi(2);
-            (score, yaw + 0.7 * (seen_turn - yaw), pose)
+                gain - 0.4 * ((seen_turn - yaw) / 20.0).powi(2) - 0.2 * (yaw / 30.0).powi(2);
+            (score, seen_turn, pose)
         })
         .collect();
     starts.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -151,8 +147,7 @@ fn begin<'a>(crop: &Crop, maps: &Maps, frontal: &Pose<'a>, places: [Point; 3]) -
         pose.fit(&seen.targets, Turn::UNKNOWN, 3);
         let weights = [1.0 / 3.0, 1.0 / 3.0, 0.5, 0.5, 0.6, 0.2];
         let features: f64 = seen.held.iter().zip(weights).map(|(s, w)| s * w).sum();
-        let total =
-            *score + features - 0.5 * misfit(pose, &seen.targets) - 0.1 / 30.0 * pose.strain();
+        let total = *score + features - misfit(pose, &seen.targets) - 0.1 / 30.0 * pose.strain();
         if total > best.0 {
             best = (total, *yaw);
         }
@@ -208,12 +203,6 @@ fn around(maps: &Maps, unlike: &Plane, pose: &Pose<'_>, sd: f64) -> (Vec<Target>
         })
         .collect();
     (targets, line)
-}
-
-fn turn(pose: &Pose<'_>, line: &[Ray]) -> Turn {
-    let p = pose.project();
-    contour::turn_deg(line, p[36], p[45])
-        .map_or(Turn::UNKNOWN, |yaw_deg| Turn { yaw_deg, sd_deg: TURN_SD_DEG })
 }
 
 /// The points of the fitted pose, in the photograph.
