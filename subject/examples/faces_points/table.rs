@@ -83,7 +83,11 @@ impl fmt::Display for Row {
 
 /// Rows by the kind of face and the method.
 #[derive(Default)]
-pub(crate) struct Table(BTreeMap<(&'static str, &'static str), Vec<Row>>);
+pub(crate) struct Table {
+    rows: BTreeMap<(&'static str, &'static str), Vec<Row>>,
+    /// Of each search by the default way.
+    pub(crate) spent_ms: Vec<f64>,
+}
 
 impl Table {
     pub(crate) fn add(&mut self, face: &Face, method: &'static str, row: Row) {
@@ -95,7 +99,7 @@ impl Table {
             (true, ..=35.0) => "synthetic, yaw to 35",
             (true, _) => "synthetic, yaw > 35",
         };
-        self.0.entry((kind, method)).or_default().push(row);
+        self.rows.entry((kind, method)).or_default().push(row);
     }
 }
 
@@ -106,7 +110,7 @@ impl fmt::Display for Table {
             "| faces | method | n | median | under 10 % | eyes | brows | nose | mouth | outline | yaw error | of the fit |"
         )?;
         writeln!(f, "|---|---|---|---|---|---|---|---|---|---|---|---|")?;
-        for ((kind, method), rows) in &self.0 {
+        for ((kind, method), rows) in &self.rows {
             let median = |of: fn(&Row) -> f64| median(rows.iter().map(of).collect());
             let under = rows.iter().filter(|r| r.all < 10.0).count() as f64 / rows.len() as f64;
             let mean = |of: fn(&Row) -> Option<f64>| {
@@ -132,7 +136,7 @@ impl fmt::Display for Table {
                 median(|r| r.outline),
             )?;
         }
-        Ok(())
+        writeln!(f, "\nMedian time of the default: {:.0} ms.", median(self.spent_ms.clone()))
     }
 }
 

@@ -38,6 +38,13 @@ pub struct Rough {
     pub mouth: [f64; 2],
 }
 
+impl From<&super::find::Found> for Rough {
+    fn from(found: &super::find::Found) -> Self {
+        let [left_eye, right_eye] = found.eyes;
+        Rough { left_eye, right_eye, mouth: found.mouth }
+    }
+}
+
 /// One of the 53 points.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct FacePoint {
