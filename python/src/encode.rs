@@ -56,7 +56,7 @@ pub(crate) fn encode<'py>(
         header.stretch_rows = whole::stretch_rows(&codec, rate_hz, n_rows, n_markers) as u32;
         header.check()?;
         let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
-        header.set_import_id(&bytes)?;
+        header.set_import_id(&bytes, None)?;
         drop(bytes);
         write(&motion, &header, threads)
     })?;

@@ -64,6 +64,7 @@ impl<R: Read + Seek> TakeFrames<R> {
             kind: *kind,
             text: text.clone(),
         };
+        info.subject.clone_from(&map.subject);
         info.events = map.events.iter().map(event).collect();
         // An event may be written behind the stretch of a later frame.
         info.events.sort_by_key(|event| event.frame);

@@ -10,7 +10,7 @@ use crate::{
     TakeError,
     index::IndexEntry,
     motion::Foreign,
-    record::{Channel, Clock, ClockLine, Event, Header, Ledger},
+    record::{Channel, Clock, ClockLine, Event, Header, Ledger, Subject},
 };
 
 /// A take without its samples.
@@ -29,6 +29,8 @@ pub struct TakeMap {
     pub longest_stretch: Option<u64>,
     /// The key stretches, at which a reader can start, in order of rows.
     pub keys: Vec<IndexEntry>,
+    /// Who was captured, where it says.
+    pub subject: Option<Subject>,
     /// The events, in order.
     pub events: Vec<Event>,
     /// The last ledger.
@@ -79,6 +81,7 @@ impl TakeMap {
             n_held: None,
             longest_stretch: None,
             keys: Vec::new(),
+            subject: None,
             events: Vec::new(),
             ledger: None,
             clock_lines: Vec::new(),

@@ -1,6 +1,9 @@
 //! Marker trajectories in memory: what importers produce, exporters consume and the simulator replays.
 
-use crate::{map::TakeMap, record::EventKind};
+use crate::{
+    map::TakeMap,
+    record::{EventKind, Subject},
+};
 
 /// A position in millimetres; a gap is [`GAP`].
 pub type Position = [f32; 3];
@@ -95,6 +98,8 @@ pub struct MotionInfo {
     pub up: UpAxis,
     /// Where they came from.
     pub source: Source,
+    /// Who was captured, where that is known.
+    pub subject: Option<Subject>,
     /// What else was there.
     pub foreign: Vec<Foreign>,
     /// What happened, in the order of the frames.

@@ -16,7 +16,7 @@ use crate::{
     chunk::Front,
     index::{Footer, IndexEntry},
     motion::Foreign,
-    record::{Channel, Clock, Event, Header, Ledger},
+    record::{Channel, Clock, Event, Header, Ledger, Subject},
     stretch::{Chain, Stretch},
 };
 
@@ -39,6 +39,8 @@ pub enum TakeEvent<'a> {
         /// Rows that the take has at least, up to its end.
         rows_min: u64,
     },
+    /// Who was captured.
+    Subject(Box<Subject>),
     /// An event.
     Event(Event),
     /// What was seen of the clocks.

@@ -153,13 +153,14 @@ pub struct WholeWriter<'a, W> {
 }
 
 impl<'a, W: Write> WholeWriter<'a, W> {
-    /// Writes the header, and what an importer kept beside trajectories.
+    /// Writes the header, the subject, and what an importer kept beside trajectories.
     ///
     /// # Errors
-    /// As [`TakeWriter::new`], [`TakeWriter::foreign`] and [`TakeWriter::event`].
+    /// As [`TakeWriter::new`], [`TakeWriter::subject`], [`TakeWriter::foreign`] and [`TakeWriter::event`].
     pub fn new(plan: &'a Plan<'a>, header: &Header, out: W) -> Result<Self, TakeError> {
         let mut take = TakeWriter::new(out, header)?;
         let info = &plan.motion.info;
+        info.subject.iter().try_for_each(|subject| take.subject(subject))?;
         info.foreign.iter().try_for_each(|part| take.foreign(part))?;
         for MotionEvent { frame, kind, text } in &info.events {
             let (row, kind, text) = (*frame, *kind, text.clone());

@@ -8,7 +8,7 @@ use crate::{
     foreign,
     index::{Footer, IndexEntry, index_payload},
     motion::Foreign,
-    record::{Channel, Clock, Event, Header, Ledger, MoreChannels, Record},
+    record::{Channel, Clock, Event, Header, Ledger, MoreChannels, Record, Subject},
     stretch::{RECORDED_MAX, ROWS_PASSED_MAX, Span, rows_max},
 };
 
@@ -53,6 +53,14 @@ impl<W: Write> TakeWriter<W> {
         chunk::put(&mut writer.scratch, Header::KIND, &header.to_payload()?)?;
         writer.flush_scratch()?;
         Ok(writer)
+    }
+
+    /// Who is captured: behind the header, once.
+    ///
+    /// # Errors
+    /// `Io`; `InvalidArgument` for more or longer documents than a take can hold.
+    pub fn subject(&mut self, subject: &Subject) -> Result<(), TakeError> {
+        self.record(subject)
     }
 
     /// Markers that appeared: appended to the channel table.

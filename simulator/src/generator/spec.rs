@@ -145,8 +145,7 @@ impl JumpSpec {
                 frames_missing: 0,
                 warnings: Vec::new(),
             },
-            foreign: Vec::new(),
-            events: Vec::new(),
+            ..MotionInfo::default()
         }
     }
 

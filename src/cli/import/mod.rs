@@ -65,7 +65,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if args.drop_foreign {
         header.settings.push(("drop_foreign".to_owned(), "true".to_owned()));
     }
-    header.set_import_id(&bytes)?;
+    header.set_import_id(&bytes, None)?;
     drop(bytes);
     let workers = args.threads.map_or_else(threads::default_workers, usize::from);
     let written = write(&motion, &header, workers, &args.output)?;

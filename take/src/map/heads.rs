@@ -10,7 +10,7 @@ use crate::{
     TakeError,
     chunk::{self, Front, MAGIC, MAY_SKIP, PAYLOAD_BYTES_MAX, types},
     index::{Footer, IndexEntry, parse_index},
-    record::{Clock, Event, Header, Ledger, MoreChannels, Record},
+    record::{Clock, Event, Header, Ledger, MoreChannels, Record, Subject},
     stretch::ROWS_PASSED_MAX,
 };
 
@@ -92,7 +92,12 @@ fn add(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) -> bool
             Ledger::from_payload(payload, offset).map(|ledger| map.ledger = Some(ledger))
         }
         types::CLOCK => Clock::from_payload(payload, offset).map(|clock| map.clock(&clock)),
-        // SUBJECT and MODEL, which this version does not read.
+        types::SUBJECT => match Subject::from_payload(payload, offset) {
+            // Of a newer version: a reader may go on without it.
+            Err(TakeError::Unsupported { .. }) => return true,
+            read => read.map(|subject| map.subject = Some(subject)),
+        },
+        // MODEL, which this version does not read.
         _ => return kind & MAY_SKIP != 0,
     };
     added.is_ok()

@@ -57,6 +57,7 @@ pub(super) fn scan(
                 map.n_rows = map.n_rows.max(rows_min);
             }
             TakeEvent::Footer(footer) => map.footer(footer.n_rows),
+            TakeEvent::Subject(subject) => map.subject = Some(*subject),
             TakeEvent::Event(event) => map.events.push(event),
             TakeEvent::Ledger(ledger) => map.ledger = Some(*ledger),
             TakeEvent::Clock(clock) => map.clock(&clock),

@@ -23,6 +23,8 @@ pub struct TakeBytes {
     pub events: u64,
     /// INDEX and FOOTER.
     pub index: u64,
+    /// SUBJECT.
+    pub subject: u64,
     /// FOREIGN.
     pub foreign: u64,
     /// What is damaged, unknown, or depends on what is damaged.
@@ -45,6 +47,7 @@ impl TakeBytes {
             TakeEvent::Ledger(_) => &mut self.ledgers,
             TakeEvent::Clock(_) => &mut self.clock,
             TakeEvent::Event(_) => &mut self.events,
+            TakeEvent::Subject(_) => &mut self.subject,
             TakeEvent::Foreign(_) => &mut self.foreign,
             TakeEvent::Index(_) | TakeEvent::Footer(_) => &mut self.index,
             TakeEvent::Unplaced { .. }
@@ -61,6 +64,7 @@ impl TakeBytes {
     pub fn sum(&self) -> u64 {
         let Self { header, blocks, lengths, time_line, framing, .. } = self;
         let stretches = header + blocks + lengths + time_line + framing;
-        stretches + self.ledgers + self.clock + self.events + self.index + self.foreign + self.other
+        let beside = self.events + self.subject + self.foreign + self.other;
+        stretches + self.ledgers + self.clock + self.index + beside
     }
 }

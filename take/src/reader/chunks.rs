@@ -6,7 +6,7 @@ use crate::{
     chunk::{Front, MAY_SKIP, types},
     foreign,
     index::{Footer, parse_index},
-    record::{Clock, Event, Header, Ledger, MoreChannels, Record},
+    record::{Clock, Event, Header, Ledger, MoreChannels, Record, Subject},
     stretch::{Chain, Placed},
 };
 
@@ -41,6 +41,8 @@ impl TakeReader {
             types::STRETCH => chain.place(payload).map(TakeEvent::from).map_err(|message| {
                 TakeError::Corrupt { what: "stretch", offset, message: message.to_owned() }
             }),
+            types::SUBJECT => Subject::from_payload(payload, offset)
+                .map(|subject| TakeEvent::Subject(Box::new(subject))),
             types::EVENT => Event::from_payload(payload, offset).map(TakeEvent::Event),
             types::LEDGER => {
                 Ledger::from_payload(payload, offset).map(|l| TakeEvent::Ledger(Box::new(l)))

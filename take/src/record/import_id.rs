@@ -3,21 +3,27 @@
 
 use sha2::{Digest, Sha256};
 
-use super::{Header, Record};
+use super::{Header, Record, Subject};
 use crate::TakeError;
 
 impl Header {
-    /// Makes `take_id` of everything else in this header and the bytes of the file that was imported,
-    /// as a UUID of version 8 (RFC 9562, 5.8). Call it when nothing else will change.
+    /// Makes `take_id` of everything else in this header, the bytes of the file that was imported, and the subject
+    /// where there is one, as a UUID of version 8 (RFC 9562, 5.8). Call it when nothing else will change.
     ///
     /// The header names program, resampler, versions, tolerance, file and settings: two imports have
     /// the same id when they are the same import. docs/take-format.md gives the steps.
     ///
     /// # Errors
     /// `InvalidArgument` when the header is larger than a take can hold.
-    pub fn set_import_id(&mut self, source: &[u8]) -> Result<(), TakeError> {
+    pub fn set_import_id(
+        &mut self,
+        source: &[u8],
+        subject: Option<&Subject>,
+    ) -> Result<(), TakeError> {
         self.take_id = [0; 16];
-        let hash = Sha256::new().chain_update(self.to_payload()?).chain_update(source).finalize();
+        let hash = Sha256::new().chain_update(self.to_payload()?).chain_update(source);
+        let subject = subject.map_or(Ok(Vec::new()), Subject::to_payload)?;
+        let hash = hash.chain_update(subject).finalize();
         self.take_id.iter_mut().zip(hash).for_each(|(byte, of_hash)| *byte = of_hash);
         self.take_id[6] = self.take_id[6] & 0x0f | 0x80;
         self.take_id[8] = self.take_id[8] & 0x3f | 0x80;
@@ -55,7 +61,7 @@ mod tests {
 
     fn id(header: &Header, source: &[u8]) -> [u8; 16] {
         let mut header = header.clone();
-        header.set_import_id(source).unwrap();
+        header.set_import_id(source, None).unwrap();
         header.take_id
     }
 
@@ -84,5 +90,9 @@ mod tests {
         for (i, other) in others.iter().enumerate() {
             assert!(*other != first && !others[..i].contains(other), "{i}: {other:02x?}");
         }
+        let mut of_anna = header();
+        let anna = Subject { name: "Anna".to_owned(), documents: Vec::new() };
+        of_anna.set_import_id(b"a", Some(&anna)).unwrap();
+        assert_ne!(of_anna.take_id, first);
     }
 }

@@ -9,6 +9,7 @@ mod header;
 mod import_id;
 mod ledger;
 mod stored;
+mod subject;
 
 use bincode::config::{Configuration, Limit, LittleEndian, Varint};
 
@@ -19,6 +20,7 @@ pub use event::{Event, EventKind};
 pub(crate) use header::MoreChannels;
 pub use header::{CODEC_VERSION, Channel, Device, Header, ImportSource};
 pub use ledger::{ClockFit, Ledger};
+pub use subject::{DOCUMENT_BYTES_MAX, DOCUMENTS_MAX, Document, Subject};
 
 use crate::TakeError;
 

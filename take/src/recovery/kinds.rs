@@ -12,6 +12,7 @@ pub enum Kind {
     Event,
     Ledger,
     Clock,
+    Subject,
     Foreign,
     Index,
     Footer,
@@ -21,13 +22,14 @@ pub enum Kind {
 
 impl Kind {
     /// Every kind.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Header,
         Self::Channels,
         Self::Stretch,
         Self::Event,
         Self::Ledger,
         Self::Clock,
+        Self::Subject,
         Self::Foreign,
         Self::Index,
         Self::Footer,
@@ -44,6 +46,7 @@ impl Kind {
             Some(types::EVENT) => Self::Event,
             Some(types::LEDGER) => Self::Ledger,
             Some(types::CLOCK) => Self::Clock,
+            Some(types::SUBJECT) => Self::Subject,
             Some(types::FOREIGN) => Self::Foreign,
             Some(types::INDEX) => Self::Index,
             Some(types::FOOTER) => Self::Footer,
@@ -61,6 +64,7 @@ impl Kind {
             Self::Event => "event",
             Self::Ledger => "ledger",
             Self::Clock => "clock",
+            Self::Subject => "subject",
             Self::Foreign => "foreign",
             Self::Index => "index",
             Self::Footer => "footer",

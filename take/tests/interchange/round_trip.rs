@@ -19,8 +19,7 @@ fn motion(names: &[String], positions_mm: Vec<Position>, rate_hz: f64, first_fra
                 .collect(),
             up: UpAxis::Y,
             source: Source { factor: 1.0, first_frame, ..Source::default() },
-            foreign: Vec::new(),
-            events: Vec::new(),
+            ..MotionInfo::default()
         },
         positions_mm,
     }

@@ -3,7 +3,7 @@
 use mocapd_codec::{BlockReport, Rows, Settings, Tolerance};
 use mocapd_take::{
     TakeWriter,
-    record::{Channel, Clock, ClockPoint, Device, Event, EventKind, Header, Ledger},
+    record::{Channel, Clock, ClockPoint, Device, Event, EventKind, Header, Ledger, Subject},
     stretch::{FrontWriter, NUMBERS, Span, put_block},
     timeline::{Causes, RowTime, Timeline, TimelineEncoder},
 };
@@ -49,11 +49,19 @@ fn header(settings: &Settings) -> Header {
     header
 }
 
+/// Who is captured in it.
+pub(crate) fn subject() -> Subject {
+    let mut subject = Subject { name: "Anna".to_owned(), documents: Vec::new() };
+    subject.set(Subject::SKELETON, br#"{"format":"mocapd-skeleton","bones":[]}"#.to_vec());
+    subject
+}
+
 /// The bytes of the take, coded with `kind`.
 pub(crate) fn take(kind: &str) -> Vec<u8> {
     let tolerance = Tolerance::from_mm(0.5).unwrap();
     let settings = Settings { kind: kind.parse().unwrap(), tolerance };
     let mut writer = TakeWriter::new(Vec::new(), &header(&settings)).unwrap();
+    writer.subject(&subject()).unwrap();
     let times = TimelineEncoder::new(1_000_000, 60.0);
     let mut front = FrontWriter::with_times(ROWS as u32, times);
     let mut encoder = settings.encoder();

@@ -62,6 +62,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
                 frames_missing: layout.frames_missing,
                 warnings,
             },
+            subject: None,
             foreign,
             events,
         },

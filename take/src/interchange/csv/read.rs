@@ -72,7 +72,7 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
                 warnings,
             },
             foreign,
-            events: Vec::new(),
+            ..MotionInfo::default()
         },
     })
 }

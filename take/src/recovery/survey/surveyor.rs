@@ -72,6 +72,7 @@ impl Surveyor {
             }
             TakeEvent::Event(_) => Fate::Kept(types::EVENT, None),
             TakeEvent::Clock(_) => Fate::Kept(types::CLOCK, None),
+            TakeEvent::Subject(_) => Fate::Kept(types::SUBJECT, None),
             TakeEvent::Foreign(_) => Fate::Kept(types::FOREIGN, None),
             TakeEvent::Ledger(ledger) => {
                 // One behind damage tells of more than is kept: the new one has what it said.
