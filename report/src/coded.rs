@@ -17,7 +17,8 @@ pub const SAMPLES_MAX: u64 = 100_000_000;
 /// A take in memory.
 #[derive(Debug, Clone)]
 pub struct Coded {
-    /// Its samples. Of what stands beside them, the rate, the markers and the number of frames are here.
+    /// Its samples. Of what stands beside them, the rate, the markers, the subject and the number of frames
+    /// are here.
     pub motion: Motion,
     /// By channel and row: whether the sample was kept, rather than interpolated.
     pub kept: Vec<Vec<bool>>,
@@ -52,6 +53,7 @@ impl Coded {
                     coded.settings = Some(settings);
                     decoder = Some(StretchDecoder::new(settings));
                 }
+                TakeEvent::Subject(subject) => coded.motion.info.subject = Some(*subject),
                 TakeEvent::Channels(more) => table.append(&more),
                 TakeEvent::Stretch(stretch) => {
                     let Some(decoder) = &mut decoder else { return Ok(()) };

@@ -8,6 +8,8 @@ pub mod butterworth;
 pub mod coded;
 pub mod column;
 pub mod derivative;
+pub mod labels;
+pub mod limbs;
 pub mod measures;
 pub mod phases;
 pub mod plot;

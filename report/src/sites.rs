@@ -2,17 +2,15 @@
 
 use mocapd_take::motion::Motion;
 
-use crate::column::Column;
+use crate::{column::Column, labels};
 
-/// What labels call a site, in small letters and figures only; the first name that is there is taken.
+/// What labels call a site, as [`labels::plain`] writes it; the first name that is there is taken.
 const PELVIS: &[&str] = &["pelvis", "hips", "root", "sacrum", "sacr", "midhip", "vsacral", "vsac"];
 /// Where there is no pelvis, the middle of these is: every marker of the first line that is there whole.
 const AROUND_PELVIS: &[&[&str]] =
     &[&["lasi", "rasi", "lpsi", "rpsi"], &["lasis", "rasis"], &["lasi", "rasi"], &["lhip", "rhip"]];
-const LEFT_FOOT: &[&str] =
-    &["lankle", "leftankle", "ankleleft", "lank", "leftfoot", "lfoot", "lheel", "lhee"];
-const RIGHT_FOOT: &[&str] =
-    &["rankle", "rightankle", "ankleright", "rank", "rightfoot", "rfoot", "rheel", "rhee"];
+const LEFT_FOOT: &[&str] = &["lankle", "lank", "lfoot", "lheel", "lhee"];
+const RIGHT_FOOT: &[&str] = &["rankle", "rank", "rfoot", "rheel", "rhee"];
 
 /// The sites by which the phases of a jump are told.
 #[derive(Debug, Clone, PartialEq)]
@@ -55,8 +53,7 @@ impl Sites {
 
 /// `CMU:L_Ankle` becomes `lankle`.
 fn plain(label: &str) -> String {
-    let site = label.rsplit_once(':').map_or(label, |(_, site)| site);
-    site.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
+    labels::plain(labels::split(label).1)
 }
 
 #[cfg(test)]
