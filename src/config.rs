@@ -40,7 +40,7 @@ pub use self::{
     surroundings::Surroundings,
     token::{Token, TokenError},
 };
-use crate::service::log::Level;
+use crate::{service::log::Level, subject::SubjectFiles};
 
 /// A configuration in which every value is possible, and all of them together.
 #[derive(Debug, Clone, PartialEq)]
@@ -51,6 +51,8 @@ pub struct Config {
     pub device: DeviceConfig,
     /// Where takes go, and how they are written.
     pub take: TakeConfig,
+    /// Who is captured.
+    pub subject: SubjectFiles,
     /// What is kept while no take is recorded.
     pub arm: ArmConfig,
     /// Who may ask and command the service, and where.

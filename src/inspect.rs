@@ -8,7 +8,7 @@ use mocapd_take::{
     frames::mended,
     loss::{Losses, LostRows},
     reader::{TakeBytes, pull},
-    record::{Channel, Clock, ClockLine, Event, Header, Ledger},
+    record::{Channel, Clock, ClockLine, Event, Header, Ledger, Subject},
     stretch::{Stretch, StretchDecoder},
     table::ChannelTable,
     timeline::{Causes, Timeline},
@@ -64,6 +64,8 @@ pub struct Summary {
     in_outage: bool,
     line_again: LineAgain,
     claims: Claims,
+    /// Who was captured.
+    pub subject: Option<Subject>,
     /// The events.
     pub events: Vec<Event>,
     /// What an importer kept: kind, and bytes as they were.
@@ -234,6 +236,7 @@ impl Summary {
             TakeEvent::Unplaced { missing_before, n_rows, rows_min } => {
                 self.add_unplaced(missing_before, n_rows, rows_min);
             }
+            TakeEvent::Subject(subject) => self.subject = Some(*subject),
             TakeEvent::Event(event) => self.events.push(event),
             TakeEvent::Ledger(ledger) => {
                 self.claims.ledger(&ledger, offset, self.samples(), self.damaged);

@@ -22,5 +22,6 @@ pub mod raw_log;
 pub mod record;
 pub mod rig;
 pub mod service;
+pub mod subject;
 pub mod threads;
 pub mod units;

@@ -8,6 +8,7 @@ use std::{
 
 use anyhow::bail;
 use mocapd_codec::Settings;
+use mocapd_take::record::Subject;
 
 use crate::{
     disk, files, header,
@@ -26,6 +27,8 @@ pub struct RecordOptions<'a> {
     pub take: &'a Path,
     /// Resampler and tolerance.
     pub codec: Settings,
+    /// Who is captured.
+    pub subject: Option<&'a Subject>,
     /// Stop after so long; `None` for a replay's end or `stop`.
     pub length: Option<Duration>,
     /// Bytes of the disk that stay free: a take that comes there is closed.
@@ -69,7 +72,8 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
 
     let file = files::create_new(options.take)?;
     files::sync_name(options.take);
-    let outcome = Pipeline::start(&config, &header, file).map(|(intake, pipeline)| {
+    let begun = Pipeline::start_of(&config, (&header, options.subject), file);
+    let outcome = begun.map(|(intake, pipeline)| {
         (options.started)(pipeline.progress());
         let rows_max = options.length.map(|length| units::frame_at(length, rate_hz));
         let time_max = options.length.map(|length| length + GRACE);

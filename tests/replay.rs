@@ -66,6 +66,7 @@ impl Simulated {
             keep_free_bytes: 0,
             take: &take,
             codec,
+            subject: None,
             length,
             stop: &AtomicBool::new(false),
             // A machine under load may be told that a frame is late.

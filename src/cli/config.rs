@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use anyhow::Context;
 use mocapd::{
     config::{
         self, CONFIG_PATH, Config, ConfigError, Overrides, Place, Problem, Token, TokenError,
@@ -80,6 +81,7 @@ fn check(args: &CheckArgs) -> anyhow::Result<Outcome> {
 
 fn found_good(args: &CheckArgs, config: &Config) -> anyhow::Result<Outcome> {
     let mut notes = config.notes();
+    config.subject.load().context("[subject]")?;
     if let Some(file) = &config.http.token_file {
         notes.extend(token_note(file)?);
     }

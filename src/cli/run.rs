@@ -73,9 +73,10 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let mut signals =
         Signals::new([SIGHUP, SIGINT, SIGTERM]).context("cannot watch for signals")?;
     make_directory(&config.take.directory)?;
+    let options = EngineOptions::load(&config)?;
     let log = Log::start(config.log_level, &config.rig_name, std::io::stderr)?;
     let heartbeat = Heartbeat::default();
-    let engine = Arc::new(Engine::start(EngineOptions::of(&config), &heartbeat)?);
+    let engine = Arc::new(Engine::start(options, &heartbeat)?);
     let control: Arc<dyn Control> = Arc::<Engine>::clone(&engine);
     let doors = Doors::open(&config, &control)?;
     let mut notifier = Notifier::default();
@@ -209,12 +210,17 @@ impl Running<'_> {
         for change in &changes {
             tracing::info!("{}: {}", change.key, change.when.words());
         }
-        if let Err(error) = make_directory(&config.take.directory) {
-            tracing::error!("the configuration stays as it was: {error:#}");
-            return;
-        }
+        let options = match make_directory(&config.take.directory)
+            .and_then(|()| EngineOptions::load(&config))
+        {
+            Ok(options) => options,
+            Err(error) => {
+                tracing::error!("the configuration stays as it was: {error:#}");
+                return;
+            }
+        };
         self.log.set_level(config.log_level);
-        self.engine.reload(EngineOptions::of(&config));
+        self.engine.reload(options);
         if let Err(error) = self.doors.reopen(&self.config, &config, &self.control) {
             tracing::error!("{error:#}");
             // Tried again the next time.

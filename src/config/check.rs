@@ -11,7 +11,10 @@ use super::{
     reader::{self, Reader},
     written::suggestion,
 };
-use crate::service::log::Level;
+use crate::{
+    service::log::Level,
+    subject::{NAME_BYTES_MAX, SubjectFiles},
+};
 
 /// Bytes of a Unix socket's path, without the 0 behind it: `sun_path` has 108 on Linux.
 const SOCKET_BYTES_MAX: usize = 107;
@@ -27,6 +30,7 @@ pub(super) fn check(reader: &mut Reader, surroundings: &Surroundings) -> Option<
     let rig_name = rig_name(reader, surroundings);
     let device = device(reader);
     let take = take(reader, surroundings);
+    let subject = subject(reader);
     let arm = arm(reader);
     let http = http(reader, surroundings);
     let trigger = trigger(reader);
@@ -37,6 +41,7 @@ pub(super) fn check(reader: &mut Reader, surroundings: &Surroundings) -> Option<
         rig_name: rig_name?,
         device: device?,
         take: take?,
+        subject,
         arm: arm?,
         http: http?,
         trigger: trigger?,
@@ -106,6 +111,17 @@ fn take(reader: &mut Reader, surroundings: &Surroundings) -> Option<TakeConfig> 
         reconnect: reconnect?,
         max_length,
     })
+}
+
+/// Its files are read when takes may need them.
+fn subject(reader: &mut Reader) -> SubjectFiles {
+    let name = reader.text(&SUBJECT_NAME, |text| {
+        let is_name =
+            (1..=NAME_BYTES_MAX).contains(&text.len()) && !text.contains(char::is_control);
+        if is_name { Ok(text.to_owned()) } else { Err(None) }
+    });
+    let skeleton = reader.path(&SUBJECT_SKELETON);
+    SubjectFiles { name, skeleton, face: reader.path(&SUBJECT_FACE) }
 }
 
 fn codec(reader: &mut Reader) -> Option<Settings> {

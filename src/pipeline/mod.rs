@@ -30,7 +30,7 @@ use std::sync::Arc;
 
 use anyhow::anyhow;
 use crossbeam_channel::{Receiver, bounded};
-use mocapd_take::record::Header;
+use mocapd_take::record::{Header, Subject};
 
 pub use counts::{Counts, PendingRows};
 pub use intake::Intake;
@@ -82,9 +82,22 @@ impl<W: TakeOutput> Pipeline<W> {
         header: &Header,
         output: W,
     ) -> anyhow::Result<(Intake, Self)> {
+        Self::start_of(config, (header, None), output)
+    }
+
+    /// The same, of a subject.
+    ///
+    /// # Errors
+    /// As [`start`](Self::start).
+    pub fn start_of(
+        config: &PipelineConfig,
+        (header, subject): (&Header, Option<&Subject>),
+        output: W,
+    ) -> anyhow::Result<(Intake, Self)> {
         let (answers, begun) = takes::answers();
         let times = (config.sync_every, config.keep_free_bytes);
-        let take = LiveTake::begin(output, header, answers, (Counts::default(), 0), times);
+        let opening = (header, subject);
+        let take = LiveTake::begin(output, opening, answers, (Counts::default(), 0), times);
         let take = take.map_err(|(error, _)| error)?;
         let (intake, mut pipeline, _) = Self::run(config, header, Some(take), None)?;
         pipeline.ended = Some(begun.ended);

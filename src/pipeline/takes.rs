@@ -4,7 +4,7 @@ use std::{sync::Arc, time::Duration};
 
 use anyhow::{Context, ensure};
 use crossbeam_channel::{Receiver, Sender, bounded};
-use mocapd_take::record::{Event, EventKind, Header};
+use mocapd_take::record::{Event, EventKind, Header, Subject};
 
 use super::{
     Written,
@@ -21,6 +21,8 @@ pub struct NewTake<W> {
     pub output: W,
     /// Its header, but for the channel table.
     pub header: Header,
+    /// Who is captured.
+    pub subject: Option<Arc<Subject>>,
     /// How much from before the request belongs to it, as far as it is held.
     pub pre_roll: Duration,
     /// When it was asked for, by the host's monotonic clock.

@@ -9,6 +9,7 @@ use std::{
 use mocapd_take::{
     chunk::{self, Front, types},
     index::Footer,
+    record::{Record, Subject},
 };
 use serde_json::Value;
 
@@ -148,6 +149,22 @@ fn info_and_verify() {
     infos.push(info("hurt.take"));
     folder.run(&["recover", "hurt.take", "-o", "recovered.take"]).with_code(3);
     infos.push(info("recovered.take"));
+    // One that carries its subject, and one whose skeleton is none.
+    folder.write("s.json", super::subjects::skeleton(&jump(1, 120.0, 1.0)));
+    folder.write("f.json", super::subjects::FACE);
+    let csv = "demo/jump-001.csv";
+    let subject = ["--subject", "S01", "--skeleton", "s.json", "--face", "f.json"];
+    let args = [&["import", csv, "-o", "subject.take"], &subject[..]].concat();
+    folder.run(&args).with_code(0);
+    infos.push(info("subject.take"));
+    let mut several = Subject::default();
+    several.set(Subject::SKELETON, b"{}".to_vec());
+    let bytes = folder.read("subject.take");
+    folder.write(
+        "no-skeleton.take",
+        super::verify::changed(&bytes, types::SUBJECT, |_| several.to_payload().unwrap()),
+    );
+    infos.push(info("no-skeleton.take"));
     check("`mocapd info`", &infos);
 
     // Names that scripts rely on.
@@ -170,7 +187,6 @@ fn info_and_verify() {
         assert!(!infos[0]["channels"][0][name].is_null(), "{name}");
     }
 
-    let csv = "demo/jump-001.csv";
     folder.run(&["import", csv, "-o", "again.take", "--tolerance", "1mm"]).with_code(0);
     let verify = |args: &[&str]| folder.run(&[&["verify", "--json"], args].concat()).json();
     // A footer that tells of other places, its checksum good.
@@ -181,6 +197,18 @@ fn info_and_verify() {
     folder.write("broken.take", broken);
     let other = folder.text(csv).replace("head", "crown");
     folder.write("other.csv", other);
+    // Labels that change places, a limb out of its band, and a bone that no marker is at.
+    let mut swapped = jump(1, 120.0, 2.0);
+    for row in 30..90 {
+        swapped.positions_mm.swap(row * 15 + 5, row * 15 + 8);
+    }
+    for row in 150..170 {
+        swapped.positions_mm[row * 15][2] += 300.0;
+    }
+    swapped.info.markers[14].label = "toe".to_owned();
+    folder.write_motion("swapped.csv", &swapped);
+    let args = ["import", "swapped.csv", "-o", "swapped.take", "--skeleton", "s.json"];
+    folder.run(&args).with_code(0);
     check(
         "`mocapd verify`",
         &[
@@ -190,6 +218,8 @@ fn info_and_verify() {
             verify(&[take]),
             verify(&["hurt.take"]),
             verify(&["broken.take"]),
+            verify(&["subject.take", "--skeleton"]),
+            verify(&["swapped.take", "--skeleton"]),
         ],
     );
 
@@ -224,10 +254,13 @@ fn doctor() {
 fn config_check() {
     let folder = Folder::new();
     // Every key that the page has, and one of each list.
-    let all = "[device]\nrate_hz = 240\n[take]\nmax_length = '1h'\n[http]\ntoken_file = 'token'\n\
-               allowed_hosts = ['rig.lab']\n[trigger]\nlisten = '0.0.0.0:8989'\nsend_to = ['10.0.0.1:8989']\n";
+    let all = "[device]\nrate_hz = 240\n[subject]\nname = 'S01'\nskeleton = 's.json'\nface = 'f.json'\n\
+               [take]\nmax_length = '1h'\n[http]\ntoken_file = 'token'\nallowed_hosts = ['rig.lab']\n\
+               [trigger]\nlisten = '0.0.0.0:8989'\nsend_to = ['10.0.0.1:8989']\n";
     folder.write("left.toml", all);
     folder.write("token", "0123456789abcdef\n");
+    folder.write("s.json", super::subjects::skeleton(&jump(1, 60.0, 1.0)));
+    folder.write("f.json", super::subjects::FACE);
     std::fs::set_permissions(folder.path("token"), std::fs::Permissions::from_mode(0o600)).unwrap();
     let checked = folder.run(&["config", "check", "left.toml", "--json"]).with_code(0);
     assert_eq!(checked.stderr, "");

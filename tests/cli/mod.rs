@@ -21,6 +21,7 @@ mod raw_logs;
 mod recording;
 mod recoveries;
 mod studies;
+mod subjects;
 mod troubled;
 mod unprivileged;
 mod verify;

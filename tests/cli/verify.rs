@@ -10,7 +10,7 @@ use super::{Folder, devices::Simulated};
 use crate::support::jump;
 
 /// A take again, with the payloads of the last chunk of `kind` changed and its checksum good.
-fn changed(take: &[u8], kind: u8, change: impl Fn(&[u8]) -> Vec<u8>) -> Vec<u8> {
+pub(super) fn changed(take: &[u8], kind: u8, change: impl Fn(&[u8]) -> Vec<u8>) -> Vec<u8> {
     let mut chunks = Vec::new();
     let mut rest = &take[chunk::MAGIC.len()..];
     while let Front::Whole { kind, payload, len } = chunk::front(rest) {

@@ -39,6 +39,7 @@ pub(super) fn new_take(motion: &Motion, pre_roll: Duration, seq: usize) -> NewTa
     NewTake {
         output: Vec::new(),
         header: header(motion),
+        subject: None,
         pre_roll,
         asked_ns: arrival_ns(motion, seq),
         notes: None,
@@ -256,9 +257,9 @@ fn a_disk_that_fails_ends_the_take_and_not_the_pipeline() {
     let mut seq = 0;
     for (room, fails) in [(0, true), (1500, true), (1 << 20, false)] {
         let take = new_take(&motion, Duration::ZERO, seq);
-        let NewTake { header, pre_roll, asked_ns, notes, keep_free_bytes, .. } = take;
+        let NewTake { header, subject, pre_roll, asked_ns, notes, keep_free_bytes, .. } = take;
         let output = Failing(room);
-        let take = NewTake { output, header, pre_roll, asked_ns, notes, keep_free_bytes };
+        let take = NewTake { output, header, subject, pre_roll, asked_ns, notes, keep_free_bytes };
         let begun = armed.takes.begin(take).unwrap();
         feed_all(&mut intake, &motion, seq..seq + 500);
         seq += 500;
@@ -303,10 +304,10 @@ fn frames_that_a_stalled_disk_costs_at_a_takes_end_are_on_its_ledger() {
     let (mut intake, pipeline, mut armed) = arm::<Shut>(&motion, PRE_ROLL);
     feed_all(&mut intake, &motion, 0..100);
     let gate = Shut::default();
-    let NewTake { header, pre_roll, asked_ns, notes, keep_free_bytes, .. } =
+    let NewTake { header, subject, pre_roll, asked_ns, notes, keep_free_bytes, .. } =
         new_take(&motion, Duration::ZERO, 100);
     let output = gate.clone();
-    let take = NewTake { output, header, pre_roll, asked_ns, notes, keep_free_bytes };
+    let take = NewTake { output, header, subject, pre_roll, asked_ns, notes, keep_free_bytes };
     let begun = armed.takes.begin(take).unwrap();
     feed_all(&mut intake, &motion, 100..300);
     begun.first.recv_timeout(Duration::from_secs(30)).unwrap();
@@ -334,11 +335,18 @@ fn frames_that_a_stalled_disk_costs_at_a_takes_end_are_on_its_ledger() {
     let summary = Summary::read(&output.1[..]).unwrap();
     assert_eq!((summary.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
     // What is held goes over that, too.
-    let NewTake { header, asked_ns, notes, keep_free_bytes, .. } =
+    let NewTake { header, subject, asked_ns, notes, keep_free_bytes, .. } =
         new_take(&motion, Duration::ZERO, seq);
     let pre_roll = Duration::from_secs(600);
-    let take =
-        NewTake { output: Shut::default(), header, pre_roll, asked_ns, notes, keep_free_bytes };
+    let take = NewTake {
+        output: Shut::default(),
+        header,
+        subject,
+        pre_roll,
+        asked_ns,
+        notes,
+        keep_free_bytes,
+    };
     feed_all(&mut intake, &motion, seq..seq + 100);
     let saved = armed.takes.save(take).unwrap();
     intake.tick(arrival_ns(&motion, seq + 100));

@@ -22,6 +22,7 @@ pub(crate) fn options(directory: &Path, device: &Path) -> EngineOptions {
     let uri: mocapd_drivers::uri::DeviceUri =
         format!("serial:{}", device.display()).parse().unwrap();
     EngineOptions {
+        subject: None,
         rig: "test".to_owned(),
         device: uri.to_string(),
         find_device: Arc::new(move || Ok(uri.clone())),

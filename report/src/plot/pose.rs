@@ -1,5 +1,7 @@
 //! Stick figures of several moments: original above, rebuilt below (figure 3 of Shi et al. 2012).
 
+mod lengths;
+
 use mocapd_take::motion::{Motion, UpAxis};
 use plotters::prelude::*;
 
@@ -11,6 +13,7 @@ use crate::{
     ReportError,
     coded::Coded,
     column::{Vector, distance, sample},
+    limbs::Limb,
 };
 
 /// Most moments that have room beside each other.
@@ -35,8 +38,10 @@ pub struct Pose<'a> {
     pub original: Option<&'a Motion>,
     /// The moments: rows, from 0.
     pub rows: &'a [usize],
-    /// Columns between which a line is drawn.
+    /// Columns between which a line is drawn, where there are no limbs.
     pub bones: &'a [[u16; 2]],
+    /// Limbs of a scanned skeleton: drawn instead, and their lengths told.
+    pub limbs: &'a [Limb],
 }
 
 /// How a body becomes lines on the sheet.
@@ -71,7 +76,8 @@ pub fn pose(wanted: &Pose<'_>) -> Result<String, ReportError> {
         ReportError::Nothing("no marker was seen at any of these moments: choose others".to_owned())
     })?;
     let n_rows = if wanted.original.is_some() { 2 } else { 1 };
-    let height = (HEAD + n_rows * ROW + FOOT) as u32;
+    let table = lengths::height(wanted.limbs.len());
+    let height = (HEAD + n_rows * ROW + FOOT + table) as u32;
     sheet((WIDTH, height), |area| {
         let title = format!("Moments of {}", shortened(wanted.name, 80));
         words(area, &title, (24, 26), TITLE, INK, Stand::Left)?;
@@ -82,7 +88,8 @@ pub fn pose(wanted: &Pose<'_>) -> Result<String, ReportError> {
             base += ROW;
         }
         strip(area, base, "rebuilt", motion, wanted, &view, BLUE)?;
-        times(area, base + ROW, wanted)
+        times(area, base + ROW, wanted)?;
+        lengths::table(area, base + ROW + FOOT, wanted)
     })
 }
 
@@ -171,9 +178,10 @@ fn strip(
             (x.round() as i32, y.round() as i32)
         };
         let points: std::collections::BTreeMap<usize, Vector> = seen(motion, row).collect();
-        for bone in wanted.bones {
-            let ends = bone.map(|column| points.get(&usize::from(column)));
-            if let [Some(&a), Some(&b)] = ends {
+        for ([a, b], limb) in lines(wanted) {
+            if let (Some(&a), Some(&b)) = (points.get(&a), points.get(&b)) {
+                let is_off = limb.is_some_and(|limb| limb.bone.is_off(distance(a, b)));
+                let colour = if is_off { VERMILION } else { colour };
                 let line = vec![place(a), place(b)];
                 area.draw(&PathElement::new(line, colour.stroke_width(2)))?;
             }
@@ -183,6 +191,13 @@ fn strip(
         }
     }
     Ok(())
+}
+
+/// The columns that are joined, and the limb that this is.
+fn lines<'a>(wanted: &Pose<'a>) -> impl Iterator<Item = ([usize; 2], Option<&'a Limb>)> {
+    let by_label = if wanted.limbs.is_empty() { wanted.bones } else { &[] };
+    let by_label = by_label.iter().map(|bone| (bone.map(usize::from), None));
+    by_label.chain(wanted.limbs.iter().map(|limb| (limb.ends, Some(limb))))
 }
 
 fn column_x(i: usize, n: usize) -> f64 {
@@ -216,7 +231,7 @@ fn caption(wanted: &Pose<'_>) -> String {
     if wanted.original.is_some() {
         words += "; below each moment: the largest distance of a marker, original to rebuilt";
     }
-    if wanted.bones.is_empty() {
+    if wanted.bones.is_empty() && wanted.limbs.is_empty() {
         words += "; no lines are known between these labels (--skeleton)";
     }
     let n = wanted.coded.motion.info.markers.len();

@@ -28,6 +28,7 @@ use super::{
     output::{print, print_json, say},
     paths,
     progress::Progress,
+    subject_args::SubjectArgs,
 };
 
 #[derive(Debug, clap::Args)]
@@ -39,6 +40,8 @@ pub(crate) struct Args {
     output: PathBuf,
     #[command(flatten)]
     codec: CodecArgs,
+    #[command(flatten)]
+    subject: SubjectArgs,
     /// Leave out what is not marker trajectories (analog channels, model outputs, foreign parameters)
     #[arg(long)]
     drop_foreign: bool,
@@ -53,6 +56,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let codec = args.codec.settings()?;
     paths::check_take_output(&args.output)?;
+    let subject = args.subject.load()?;
     let (mut motion, bytes) = read_motion_and_bytes(&args.file)?;
     let about_file = |words: &str| say(&format!("{}: {words}", args.file.display()));
     motion.info.source.warnings.iter().for_each(|warning| about_file(warning));
@@ -65,7 +69,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if args.drop_foreign {
         header.settings.push(("drop_foreign".to_owned(), "true".to_owned()));
     }
-    header.set_import_id(&bytes, None)?;
+    header.set_import_id(&bytes, subject.as_ref())?;
+    motion.info.subject = subject;
     drop(bytes);
     let workers = args.threads.map_or_else(threads::default_workers, usize::from);
     let written = write(&motion, &header, workers, &args.output)?;

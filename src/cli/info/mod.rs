@@ -1,6 +1,7 @@
 //! `info`: what is in a take.
 
 mod report;
+mod subject;
 mod words;
 
 use std::{io::BufReader, path::PathBuf};

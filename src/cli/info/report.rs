@@ -10,6 +10,7 @@ use mocapd_take::{
 };
 use serde::Serialize;
 
+use super::subject::SubjectReport;
 use crate::cli::{
     clock::ClockReport,
     damage::DamageReport,
@@ -30,6 +31,7 @@ pub(super) struct Report {
     pub(super) up_axis: Option<&'static str>,
     pub(super) device: Option<DeviceReport>,
     pub(super) source: Option<SourceReport>,
+    pub(super) subject: Option<SubjectReport>,
     pub(super) foreign_parts: Vec<ForeignReport>,
     pub(super) frames: u64,
     pub(super) seconds: f64,
@@ -89,6 +91,7 @@ pub(super) struct BytesReport {
     pub(super) ledgers: u64,
     pub(super) clock: u64,
     pub(super) events: u64,
+    pub(super) subject: u64,
     pub(super) foreign: u64,
     pub(super) other: u64,
 }
@@ -104,6 +107,7 @@ impl From<&TakeBytes> for BytesReport {
             ledgers: bytes.ledgers,
             clock: bytes.clock,
             events: bytes.events,
+            subject: bytes.subject,
             foreign: bytes.foreign,
             other: bytes.other,
         }
@@ -166,6 +170,7 @@ impl Report {
                 first_frame: source.first_frame,
                 warnings: source.warnings,
             }),
+            subject: summary.subject.as_ref().map(SubjectReport::new),
             foreign_parts: summary
                 .foreign
                 .iter()

@@ -24,6 +24,9 @@ pub(super) fn words(report: &Report) -> String {
         line("recovered", recovered);
     }
     origin(report, &mut line);
+    if let Some(subject) = &report.subject {
+        subject.words(&mut line);
+    }
     motion(report, &mut line);
     size(report, &mut line);
     for lost in damage::lines(&report.damage) {

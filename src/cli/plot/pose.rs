@@ -10,7 +10,11 @@ use mocapd::{
 use mocapd_report::plot::{Pose, pose};
 
 use super::{picture, skeleton};
-use crate::cli::whole::{name, read_coded};
+use crate::cli::{
+    limbs,
+    output::say,
+    whole::{name, read_coded},
+};
 
 /// Moments when none are asked for.
 const MOMENTS: usize = 8;
@@ -28,7 +32,8 @@ pub(crate) struct Args {
     /// The moments, up to 12 [default: eight, evenly spread]
     #[arg(long, value_name = "TIME,...", value_delimiter = ',', value_parser = units::duration)]
     at: Vec<Duration>,
-    /// Which markers are joined, where their labels do not tell: a line a bone, two labels and a comma between
+    /// What is drawn between markers [default: the take's skeleton, or what labels tell]: a skeleton.json, or a text with
+    /// a line a bone, two labels and a comma between
     #[arg(long, value_name = "FILE")]
     skeleton: Option<PathBuf>,
 }
@@ -59,16 +64,23 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let labels: Vec<String> =
         motion.info.markers.iter().map(|marker| marker.label.clone()).collect();
-    let bones = match &args.skeleton {
-        Some(path) => skeleton::read(path, &labels)?,
-        None => bones::bones(&labels),
-    };
+    let mut bones = bones::bones(&labels);
+    let mut limbs = None;
+    match &args.skeleton {
+        Some(path) if !skeleton::is_json(path)? => bones = skeleton::read(path, &labels)?,
+        path => limbs = limbs::of(motion, path.as_deref())?,
+    }
+    let limbs = limbs.map(|found| found.limbs).unwrap_or_default();
+    if limbs.is_empty() && args.skeleton.as_ref().is_some_and(|_| bones.is_empty()) {
+        say("no bone of the skeleton has a marker at both ends: nothing is drawn between markers");
+    }
     let wanted = Pose {
         name: &name(&args.take),
         coded: &coded,
         original: original.as_ref(),
         rows: &rows,
         bones: &bones,
+        limbs: &limbs,
     };
     picture::write(&args.output, &pose(&wanted)?)?;
     Ok(picture::outcome(&coded))

@@ -71,6 +71,7 @@ fn panel(path: &Path, tolerances_mm: &[f64]) -> anyhow::Result<SizePanel> {
     let (mut motion, coded) = read_samples(path)?;
     // What else a file holds would be in every take alike.
     motion.info.foreign.clear();
+    motion.info.subject = None;
     let n_frames = motion.n_frames();
     let samples = motion.positions_mm.iter().filter(|&&at| !is_gap(at)).count();
     let mut caption = format!(

@@ -8,6 +8,19 @@ use mocapd::{files, outcome::UsageError};
 /// Most bytes of such a file: tens of thousands of bones.
 const BYTES_MAX: u64 = 1 << 20;
 
+/// Whether it is a skeleton.json, and no such lines.
+///
+/// # Errors
+/// Why it cannot be read.
+pub(super) fn is_json(path: &Path) -> anyhow::Result<bool> {
+    let mut start = Vec::new();
+    files::open(path)?
+        .take(BYTES_MAX)
+        .read_to_end(&mut start)
+        .with_context(|| format!("cannot read {}", path.display()))?;
+    Ok(start.trim_ascii_start().first() == Some(&b'{'))
+}
+
 /// Reads `label,label` lines. Empty ones and those that begin with `#` are passed over.
 ///
 /// # Errors

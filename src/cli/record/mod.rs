@@ -23,6 +23,7 @@ use super::{
     output::{print, print_json, say},
     paths,
     stop::stop_on_signal,
+    subject_args::SubjectArgs,
     values,
 };
 
@@ -60,6 +61,8 @@ pub(crate) struct Args {
     raw: Option<PathBuf>,
     #[command(flatten)]
     codec: CodecArgs,
+    #[command(flatten)]
+    subject: SubjectArgs,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -75,6 +78,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         }
         paths::check_output(raw)?;
     }
+    let subject = args.subject.load()?;
     let stop = stop_on_signal()?;
     let raw = args.raw.as_deref();
     let (recorded, log) = raw::with_log(raw, &args.output, args.sync, |log| {
@@ -94,6 +98,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
             length: args.seconds,
             keep_free_bytes: args.keep_free,
             beside_bytes: beside.map(RawLog::file_bytes),
+            subject,
         };
         record_and_watch(rig, &args.output, codec, &limits, &stop)
     })?;

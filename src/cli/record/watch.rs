@@ -14,6 +14,7 @@ use mocapd::{
     rig::Rig,
 };
 use mocapd_codec::Settings;
+use mocapd_take::record::Subject;
 
 use crate::cli::{
     numbers::{bytes, thousands},
@@ -21,7 +22,7 @@ use crate::cli::{
     progress::Progress,
 };
 
-/// When a recording ends by itself.
+/// When a recording ends by itself, and whose it is.
 #[derive(Debug)]
 pub(crate) struct Limits {
     /// After so long.
@@ -30,6 +31,8 @@ pub(crate) struct Limits {
     pub(crate) keep_free_bytes: u64,
     /// Bytes of what grows beside the take, on its disk.
     pub(crate) beside_bytes: Option<Arc<AtomicU64>>,
+    /// Who is captured.
+    pub(crate) subject: Option<Subject>,
 }
 
 /// Records `rig` into `take`, showing how it goes.
@@ -63,6 +66,7 @@ pub(crate) fn record_and_watch(
     let mut options = RecordOptions {
         take,
         codec,
+        subject: limits.subject.as_ref(),
         length,
         keep_free_bytes,
         stop,

@@ -64,8 +64,14 @@ pub(super) fn all(trials: &[Trial], findings: &Findings) -> anyhow::Result<Vec<(
         let rows: Vec<usize> =
             (0..MOMENTS).map(|i| from.start + i * span / (MOMENTS - 1)).collect();
         let bones = bones::bones(&labels);
-        let wanted =
-            Pose { name: &trial.name, coded: &coded, original, rows: &rows, bones: &bones };
+        let wanted = Pose {
+            name: &trial.name,
+            coded: &coded,
+            original,
+            rows: &rows,
+            bones: &bones,
+            limbs: &[],
+        };
         figures.push(("figure-3.svg".to_owned(), pose(&wanted)?));
     }
     Ok(figures)

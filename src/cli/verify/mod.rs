@@ -2,6 +2,7 @@
 
 mod against;
 mod derivatives;
+mod limbs;
 
 use std::{
     io::BufReader,
@@ -17,6 +18,7 @@ pub(super) use self::against::AgainstReport;
 use self::{
     against::against,
     derivatives::{DerivativesReport, derivatives},
+    limbs::{LimbsReport, limbs_of},
 };
 use super::{
     damage::{self, DamageReport},
@@ -39,6 +41,9 @@ pub(crate) struct Args {
     /// With --against, tell the errors of velocities and accelerations behind a low-pass of this cutoff: 6Hz
     #[arg(long, value_name = "HZ", requires = "against", value_parser = units::frequency_hz)]
     cutoff: Option<f64>,
+    /// Hold the limbs' lengths against a skeleton.json, or against the take's own skeleton, and find labels that changed places
+    #[arg(long, value_name = "FILE", num_args = 0..=1)]
+    skeleton: Option<Option<PathBuf>>,
     /// Print one JSON document
     #[arg(long)]
     json: bool,
@@ -60,6 +65,7 @@ struct Report {
     clock: Option<ClockCheck>,
     against: Option<AgainstReport>,
     derivatives: Option<DerivativesReport>,
+    limbs: Option<LimbsReport>,
 }
 
 #[derive(Debug, Serialize)]
@@ -90,6 +96,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
             report.derivatives = Some(derivatives(&args.take, original, cutoff_hz)?);
         }
     }
+    if let Some(skeleton) = &args.skeleton {
+        report.limbs = Some(limbs_of(&args.take, skeleton.as_deref())?);
+    }
     if args.json {
         print_json(&report)?;
     } else {
@@ -117,7 +126,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         bail!("{} contradicts itself: {contradiction}", args.take.display());
     }
     let lost = summary.ledger.as_ref().is_some_and(Ledger::lost_anything);
-    Ok(Outcome::of(lost || !report.intact))
+    // Every sample is there, and some stand under another's name: like what was lost, it wants a look.
+    let swapped = report.limbs.as_ref().is_some_and(|limbs| !limbs.is_consistent());
+    Ok(Outcome::of(lost || !report.intact || swapped))
 }
 
 impl Report {
@@ -168,6 +179,7 @@ impl Report {
             clock,
             against: None,
             derivatives: None,
+            limbs: None,
         }
     }
 
@@ -197,6 +209,9 @@ impl Report {
         }
         if let Some(derivatives) = &self.derivatives {
             out += &derivatives.words();
+        }
+        if let Some(limbs) = &self.limbs {
+            out += &limbs.words();
         }
         out
     }

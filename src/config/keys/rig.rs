@@ -1,4 +1,4 @@
-//! Keys of what is recorded: the rig, its device, its takes.
+//! Keys of what is recorded: the rig, its device, its takes, their subject.
 
 use std::time::Duration;
 
@@ -183,4 +183,37 @@ pub static TAKE_MAX_LENGTH: Key = Key {
     why: "It is for a start that nobody stops.",
     when: When::Now,
     written: |config| config.take.max_length.and_then(duration),
+};
+
+/// `subject.name`.
+pub static SUBJECT_NAME: Key = Key {
+    path: "subject.name",
+    takes: Takes::Text("a name of at most 128 bytes"),
+    preset: Preset::Absent("\"S01\""),
+    what: "What the subject is called; every take of the service has it.",
+    why: "Where labels name several subjects, `S01:LKNE`, it says whose skeleton it is.",
+    when: When::NextTake,
+    written: |config| config.subject.name.as_deref().map(|name| json!(name)),
+};
+
+/// `subject.skeleton`.
+pub static SUBJECT_SKELETON: Key = Key {
+    path: "subject.skeleton",
+    takes: Takes::Text("the path of a file"),
+    preset: Preset::Absent("\"/srv/subjects/s01-skeleton.json\""),
+    what: "The skeleton.json that `mocapd subject body` made of a scan; every take carries it, and the dashboard draws it.",
+    why: "Limbs whose lengths are known show markers that changed places, also years later.",
+    when: When::NextTake,
+    written: |config| config.subject.skeleton.as_deref().and_then(path),
+};
+
+/// `subject.face`.
+pub static SUBJECT_FACE: Key = Key {
+    path: "subject.face",
+    takes: Takes::Text("the path of a file"),
+    preset: Preset::Absent("\"/srv/subjects/s01-face.json\""),
+    what: "The face.json that `mocapd subject face` made of a photograph; every take carries it.",
+    why: "Markers of a face are told apart by where they sit on it.",
+    when: When::NextTake,
+    written: |config| config.subject.face.as_deref().and_then(path),
 };

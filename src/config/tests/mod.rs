@@ -34,6 +34,10 @@ sync = "0s"
 keep_free = "1.5GB"
 reconnect = "5min"
 max_length = "90min"
+[subject]
+name = "S 01"
+skeleton = "/srv/subjects/s01.json"
+face = "faces/s01.json"
 [arm]
 at_start = false
 pre_roll = "1.25s"

@@ -8,7 +8,7 @@ use std::{
 use anyhow::Context;
 use mocapd_take::{
     TakeWriter,
-    record::{Channel, Event, EventKind, Header},
+    record::{Channel, Event, EventKind, Header, Subject},
     stretch::{NUMBERS, Span, put_moved},
 };
 
@@ -44,12 +44,16 @@ pub(in crate::pipeline) struct LiveTake<W> {
 impl<W: TakeOutput> LiveTake<W> {
     pub(in crate::pipeline) fn begin(
         output: W,
-        header: &Header,
+        (header, subject): (&Header, Option<&Subject>),
         answers: Answers<W>,
         (base, rows_before): (Counts, u64),
         (sync_every, keep_free_bytes): (Duration, u64),
     ) -> Result<Self, (anyhow::Error, Answers<W>)> {
-        let take = match TakeWriter::new(output, header).context("cannot write the take's header") {
+        let begun = TakeWriter::new(output, header).and_then(|mut take| {
+            subject.map_or(Ok(()), |subject| take.subject(subject))?;
+            Ok(take)
+        });
+        let take = match begun.context("cannot write the take's header") {
             Ok(take) => take,
             Err(error) => return Err((error, answers)),
         };

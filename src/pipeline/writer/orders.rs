@@ -62,7 +62,8 @@ impl<W: TakeOutput> Writer<W> {
         clocks: &mut ClockWriter,
         progress: &Progress,
     ) -> Option<LiveTake<W>> {
-        let NewTake { output, mut header, pre_roll, asked_ns, notes, keep_free_bytes } = new;
+        let NewTake { output, mut header, subject, pre_roll, asked_ns, notes, keep_free_bytes } =
+            new;
         let from = self.held.as_ref().map_or(0, |held| held.of_last(pre_roll, asked_ns));
         let first = self.held.as_ref().and_then(|held| held.from(from).next());
         let (base, rows_before, stretch) = match first {
@@ -77,7 +78,8 @@ impl<W: TakeOutput> Writer<W> {
         header.channels = self.table.iter().filter(known).map(|(_, c)| c.clone()).collect();
         progress.disk_full.store(false, Ordering::Relaxed);
         let times = (self.sync_every, keep_free_bytes);
-        let begun = LiveTake::begin(output, &header, answers, (base, rows_before), times);
+        let opening = (&header, subject.as_deref());
+        let begun = LiveTake::begin(output, opening, answers, (base, rows_before), times);
         let mut take = match begun {
             Ok(take) => take,
             Err((error, answers)) => {

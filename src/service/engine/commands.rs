@@ -332,7 +332,8 @@ impl Inner {
         });
         let id = header.take_id.iter().map(|byte| format!("{byte:02x}")).collect();
         let keep_free_bytes = options.keep_free_bytes;
-        let take = NewTake { output, header, pre_roll, asked_ns, notes, keep_free_bytes };
+        let subject = options.subject.clone();
+        let take = NewTake { output, header, subject, pre_roll, asked_ns, notes, keep_free_bytes };
         Ok(NewNamed { name, path, id, take })
     }
 }

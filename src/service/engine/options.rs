@@ -2,10 +2,11 @@
 
 use std::{fmt, path::PathBuf, sync::Arc, time::Duration};
 
-use anyhow::anyhow;
+use anyhow::{Context, anyhow};
 use jiff::Zoned;
 use mocapd_codec::Settings;
 use mocapd_drivers::{registry, uri::DeviceUri};
+use mocapd_take::record::Subject;
 
 use crate::config::{Config, DeviceChoice, NameParts, choose};
 
@@ -32,6 +33,8 @@ pub struct EngineOptions {
     pub directory: PathBuf,
     /// Names of takes that nobody named.
     pub name_take: NameTake,
+    /// Who is captured: stands in every take.
+    pub subject: Option<Arc<Subject>>,
     /// Resampler and tolerance.
     pub codec: Settings,
     /// Length of a stretch.
@@ -55,7 +58,16 @@ pub struct EngineOptions {
 }
 
 impl EngineOptions {
-    /// As a configuration has them.
+    /// As a configuration has them; who is captured is read from its files.
+    ///
+    /// # Errors
+    /// What is wrong with these files.
+    pub fn load(config: &Config) -> anyhow::Result<Self> {
+        let subject = config.subject.load().context("[subject]")?.map(Arc::new);
+        Ok(Self { subject, ..Self::of(config) })
+    }
+
+    /// As a configuration has them, without the subject.
     #[must_use]
     pub fn of(config: &Config) -> Self {
         let (choice, rig) = (config.device.uri.clone(), config.rig_name.clone());
@@ -79,6 +91,7 @@ impl EngineOptions {
                 let (begin, count) = (Zoned::now().datetime(), u64::from(count));
                 template.fill(&NameParts { begin, rig: &name, count })
             }),
+            subject: None,
             codec: config.take.codec,
             stretch: config.take.stretch,
             sync: config.take.sync,

@@ -1,0 +1,141 @@
+//! Who was captured, as `info` says it.
+
+use mocapd::subject::{
+    Face, Skeleton,
+    face::SourcePhoto,
+    skeleton::{ScannedBone, SourceScan},
+};
+use mocapd_take::record::Subject;
+use serde::Serialize;
+
+use crate::cli::numbers::{bytes, count};
+
+#[derive(Debug, Serialize)]
+pub(super) struct SubjectReport {
+    name: Option<String>,
+    skeleton: Option<SkeletonReport>,
+    face: Option<FaceReport>,
+    documents: Vec<DocumentReport>,
+    problems: Vec<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct SkeletonReport {
+    method: String,
+    stature_mm: Option<f64>,
+    sides_told: bool,
+    joints: usize,
+    sources: Vec<SourceScan>,
+    bones: Vec<ScannedBone>,
+}
+
+#[derive(Debug, Serialize)]
+struct FaceReport {
+    method: String,
+    source: Option<SourcePhoto>,
+    vertices: usize,
+    lines: usize,
+}
+
+#[derive(Debug, Serialize)]
+struct DocumentReport {
+    kind: String,
+    bytes: usize,
+}
+
+impl SubjectReport {
+    pub(super) fn new(subject: &Subject) -> Self {
+        let mut problems = Vec::new();
+        let mut told = |error: anyhow::Error| problems.push(format!("{error:#}"));
+        let skeleton = Skeleton::of_take(Some(subject)).unwrap_or_else(|error| {
+            told(error);
+            None
+        });
+        let face = Face::of_take(Some(subject)).unwrap_or_else(|error| {
+            told(error);
+            None
+        });
+        Self {
+            name: Some(subject.name.clone()).filter(|name| !name.is_empty()),
+            skeleton: skeleton.map(|found| SkeletonReport {
+                method: found.method,
+                stature_mm: found.stature_mm,
+                sides_told: found.sides_told,
+                joints: found.joints.len(),
+                sources: found.sources,
+                bones: found.bones,
+            }),
+            face: face.map(|found| FaceReport {
+                method: found.method,
+                source: found.source,
+                vertices: found.vertices_mm.len(),
+                lines: found.lines.len(),
+            }),
+            documents: subject
+                .documents
+                .iter()
+                .map(|document| DocumentReport {
+                    kind: document.kind.clone(),
+                    bytes: document.data.len(),
+                })
+                .collect(),
+            problems,
+        }
+    }
+
+    /// Lines of a word and what it is.
+    pub(super) fn words(&self, line: &mut impl FnMut(&str, &str)) {
+        if let Some(name) = &self.name {
+            line("subject", name);
+        }
+        if let Some(skeleton) = &self.skeleton {
+            skeleton.words(line);
+        }
+        if let Some(FaceReport { method, source, vertices, lines }) = &self.face {
+            let (vertices, lines) =
+                (count(*vertices as u64, "vertex"), count(*lines as u64, "line"));
+            let vertices = vertices.replace("vertexs", "vertices");
+            line("face", &format!("{vertices}, {lines}{}", by(method)));
+            if let Some(SourcePhoto { name, sha256 }) = source {
+                line("", &format!("from {name}, SHA-256 {sha256}"));
+            }
+        }
+        let ours = [Subject::SKELETON, Subject::FACE];
+        for other in self.documents.iter().filter(|document| !ours.contains(&&*document.kind)) {
+            line("subject", &format!("{}, {}", other.kind, bytes(other.bytes as u64)));
+        }
+        for problem in &self.problems {
+            line("subject", &format!("NOT READABLE: {problem}"));
+        }
+    }
+}
+
+impl SkeletonReport {
+    fn words(&self, line: &mut impl FnMut(&str, &str)) {
+        let stature = match self.stature_mm {
+            Some(mm) => format!("stature {mm:.0} mm, "),
+            None => String::new(),
+        };
+        let sides = if self.sides_told { "" } else { "; left and right could not be told" };
+        let (joints, bones) =
+            (count(self.joints as u64, "joint"), count(self.bones.len() as u64, "bone"));
+        line("skeleton", &format!("{stature}{joints}, {bones}{}{sides}", by(&self.method)));
+        for source in &self.sources {
+            line("", &format!("from {}, SHA-256 {}", source.name, source.sha256));
+        }
+        let width = self.bones.iter().map(|bone| bone.name.chars().count()).max().unwrap_or(0);
+        for bone in &self.bones {
+            let give = bone.uncertainty_mm.map_or_else(String::new, |mm| format!(" +- {mm:.0}"));
+            let spread = match bone.spread_mm {
+                Some(mm) => format!(", {mm:.1} mm apart in {} scans", bone.scans),
+                None => String::new(),
+            };
+            let length = format!("{:>6.0}{give} mm{spread}", bone.length_mm);
+            line("", &format!("{:<width$} {length}", bone.name));
+        }
+    }
+}
+
+fn by(method: &str) -> String {
+    if method.is_empty() { String::new() } else { format!(", method {method}") }
+}

@@ -1,0 +1,38 @@
+//! The skeleton that a take is held against, and its limbs, for `plot pose` and `verify`.
+
+use std::path::Path;
+
+use anyhow::Context;
+use mocapd::subject::{self, Skeleton};
+use mocapd_report::limbs::{Limb, limbs};
+use mocapd_take::motion::Motion;
+
+/// A skeleton, and the limbs of it whose ends are markers of a take.
+#[derive(Debug)]
+pub(super) struct TakeLimbs {
+    pub(super) skeleton: Skeleton,
+    pub(super) limbs: Vec<Limb>,
+    /// Columns of all markers of the subject.
+    pub(super) columns: Vec<usize>,
+}
+
+/// With the skeleton of a file, or else the take's own; `None` where there is none.
+///
+/// # Errors
+/// What is wrong with it.
+pub(super) fn of(motion: &Motion, file: Option<&Path>) -> anyhow::Result<Option<TakeLimbs>> {
+    let own = motion.info.subject.as_ref();
+    let skeleton = match file {
+        Some(path) => {
+            let read = subject::read(path).and_then(|data| Skeleton::parse(&data));
+            Some(read.with_context(|| format!("{}", path.display()))?)
+        }
+        None => Skeleton::of_take(own)?,
+    };
+    let Some(skeleton) = skeleton else { return Ok(None) };
+    let labels: Vec<&str> =
+        motion.info.markers.iter().map(|marker| marker.label.as_str()).collect();
+    let name = own.map_or("", |subject| subject.name.as_str());
+    let (limbs, columns) = limbs(&skeleton.to_bones(), &labels, name);
+    Ok(Some(TakeLimbs { skeleton, limbs, columns }))
+}

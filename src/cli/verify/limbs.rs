@@ -1,0 +1,211 @@
+//! Whether limbs keep their lengths, as docs/json.md has it, and for people.
+
+use std::path::Path;
+
+use anyhow::bail;
+use mocapd::outcome::UsageError;
+use mocapd_report::limbs::{Check, Limb, check};
+use mocapd_take::motion::Motion;
+use serde::Serialize;
+
+use crate::cli::{
+    limbs::{self, TakeLimbs},
+    numbers::count,
+    output::plain,
+    whole::read_coded,
+};
+
+/// Lines of what is only told, for people; the document has all.
+const OUTSIDE_SHOWN: usize = 20;
+
+#[derive(Debug, Serialize)]
+pub(super) struct LimbsReport {
+    method: String,
+    stature_mm: Option<f64>,
+    bones: Vec<BoneReport>,
+    bones_without_markers: Vec<String>,
+    swaps: Vec<SwapReport>,
+    outside: Vec<OutsideReport>,
+}
+
+#[derive(Debug, Serialize)]
+struct BoneReport {
+    name: String,
+    markers: [String; 2],
+    frames: u64,
+    scan_mm: f64,
+    uncertainty_mm: f64,
+    median_mm: f64,
+    ratio: f64,
+    off: bool,
+    spread_mm: f64,
+    band_mm: [f64; 2],
+    frames_outside: u64,
+}
+
+#[derive(Debug, Serialize)]
+struct SwapReport {
+    markers: [String; 2],
+    #[serde(flatten)]
+    when: When,
+    limbs: Vec<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct OutsideReport {
+    bone: String,
+    #[serde(flatten)]
+    when: When,
+    extreme_mm: f64,
+}
+
+/// The first and the last frame, and when they are.
+#[derive(Debug, Serialize)]
+struct When {
+    from_frame: u64,
+    to_frame: u64,
+    from_s: f64,
+    to_s: f64,
+}
+
+/// Measures a take's limbs, read whole, with the skeleton of a file or else its own.
+///
+/// # Errors
+/// That it cannot be read, that there is no skeleton, or that no marker is at a joint of it.
+pub(super) fn limbs_of(take: &Path, skeleton: Option<&Path>) -> anyhow::Result<LimbsReport> {
+    let coded = read_coded(take)?;
+    let Some(TakeLimbs { skeleton, limbs, columns }) = limbs::of(&coded.motion, skeleton)? else {
+        let message =
+            format!("{} carries no skeleton: name one, --skeleton skeleton.json", take.display());
+        return Err(UsageError(message).into());
+    };
+    if limbs.is_empty() {
+        bail!(
+            "no bone of the skeleton has a marker at both ends: its joints are called {}",
+            skeleton.joints.iter().map(|joint| joint.name.as_str()).collect::<Vec<_>>().join(", ")
+        );
+    }
+    let found = check(&coded.motion, &limbs, &columns);
+    let has_markers = |name: &str| limbs.iter().any(|limb| limb.bone.name == name);
+    let without = skeleton.bones.iter().map(|bone| bone.name.clone());
+    let mut report = LimbsReport::new(&coded.motion, &limbs, &found);
+    report.bones_without_markers = without.filter(|name| !has_markers(name)).collect();
+    report.method = skeleton.method;
+    report.stature_mm = skeleton.stature_mm;
+    Ok(report)
+}
+
+impl LimbsReport {
+    fn new(motion: &Motion, limbs: &[Limb], found: &Check) -> Self {
+        let label = |column: usize| {
+            motion.info.markers.get(column).map(|marker| marker.label.clone()).unwrap_or_default()
+        };
+        let name = |limb: usize| limbs.get(limb).map(|limb| limb.bone.name.clone());
+        let rate_hz = motion.info.rate_hz;
+        let when = |rows: &std::ops::Range<usize>| {
+            let (from, to) = (rows.start, rows.end.saturating_sub(1));
+            let seconds = |row: usize| (row as f64 / rate_hz * 1e6).round() * 1e-6;
+            When {
+                from_frame: from as u64,
+                to_frame: to as u64,
+                from_s: seconds(from),
+                to_s: seconds(to),
+            }
+        };
+        let bone = |(limb, of): (&Limb, &mocapd_report::limbs::Lengths)| BoneReport {
+            name: limb.bone.name.clone(),
+            markers: limb.ends.map(label),
+            frames: of.frames,
+            scan_mm: limb.bone.length_mm,
+            uncertainty_mm: limb.bone.uncertainty_mm,
+            median_mm: of.median_mm,
+            ratio: of.median_mm / limb.bone.length_mm,
+            off: of.frames > 0 && limb.bone.is_off(of.median_mm),
+            spread_mm: of.spread_mm,
+            band_mm: [of.band_middle_mm - of.band_half_mm, of.band_middle_mm + of.band_half_mm],
+            frames_outside: of.frames_outside,
+        };
+        let swap = |swap: &mocapd_report::limbs::Swap| SwapReport {
+            markers: swap.markers.map(label),
+            when: when(&swap.rows),
+            limbs: swap.limbs.iter().filter_map(|&limb| name(limb)).collect(),
+        };
+        let outside = |outside: &mocapd_report::limbs::Outside| OutsideReport {
+            bone: name(outside.limb).unwrap_or_default(),
+            when: when(&outside.rows),
+            extreme_mm: outside.extreme_mm,
+        };
+        Self {
+            method: String::new(),
+            stature_mm: None,
+            bones: limbs.iter().zip(&found.lengths).map(bone).collect(),
+            bones_without_markers: Vec::new(),
+            swaps: found.swaps.iter().map(swap).collect(),
+            outside: found.outside.iter().map(outside).collect(),
+        }
+    }
+
+    /// Whether labels are where they belong.
+    pub(super) fn is_consistent(&self) -> bool {
+        self.swaps.is_empty()
+    }
+
+    /// A table of the limbs, and what changed places.
+    pub(super) fn words(&self) -> String {
+        let mut out = format!(
+            "limbs, in the take and in the scan (mm):\n{:<20} {:>9} {:>8} {:>12} {:>7} {:>7} {:>16} {:>8}\n",
+            "bone", "frames", "median", "scan", "ratio", "spread", "own band", "outside"
+        );
+        for bone in &self.bones {
+            let scan = format!("{:.0} +- {:.0}", bone.scan_mm, bone.uncertainty_mm);
+            let band = format!("{:.0} to {:.0}", bone.band_mm[0], bone.band_mm[1]);
+            let note = if bone.off { "  OFF the scan's" } else { "" };
+            out += &format!(
+                "{:<20} {:>9} {:>8.1} {scan:>12} {:>7.3} {:>7.1} {band:>16} {:>8}{note}\n",
+                plain(&bone.name),
+                bone.frames,
+                bone.median_mm,
+                bone.ratio,
+                bone.spread_mm,
+                bone.frames_outside
+            );
+        }
+        if !self.bones_without_markers.is_empty() {
+            let names = self.bones_without_markers.join(", ");
+            out += &format!("without a marker at both ends: {}\n", plain(&names));
+        }
+        for SwapReport { markers: [a, b], when, limbs } in &self.swaps {
+            out += &format!(
+                "SWAPPED: {} and {}, {}: {} back in place with the labels exchanged\n",
+                plain(a),
+                plain(b),
+                when.words(),
+                plain(&limbs.join(", "))
+            );
+        }
+        if self.swaps.is_empty() {
+            out += "no two labels changed places, as far as limbs tell\n";
+        }
+        for outside in self.outside.iter().take(OUTSIDE_SHOWN) {
+            out += &format!(
+                "out of its band, and no exchange of labels mends it: {}, {}, {:.0} mm at most or least\n",
+                plain(&outside.bone),
+                outside.when.words(),
+                outside.extreme_mm
+            );
+        }
+        if let Some(more) = self.outside.len().checked_sub(OUTSIDE_SHOWN).filter(|&more| more > 0) {
+            out += &format!("and {} more such (--json has all)\n", count(more as u64, "time"));
+        }
+        out
+    }
+}
+
+impl When {
+    fn words(&self) -> String {
+        format!(
+            "{:.3} s to {:.3} s (frames {} to {})",
+            self.from_s, self.to_s, self.from_frame, self.to_frame
+        )
+    }
+}

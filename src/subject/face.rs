@@ -1,0 +1,68 @@
+//! `face.json`, as far as the house needs it: the wireframe.
+
+use anyhow::{Context, ensure};
+use mocapd_take::record::Subject;
+use serde::{Deserialize, Serialize};
+
+use super::check_kind;
+
+/// Vertices and lines: more than a document of 1 MiB can spell out.
+const PARTS_MAX: usize = 1 << 17;
+
+/// A photograph that a face was fitted to.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
+pub struct SourcePhoto {
+    /// Its file's name.
+    pub name: String,
+    /// The file's SHA-256, in hexadecimal digits.
+    pub sha256: String,
+}
+
+/// A wireframe that was fitted to a photograph.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct Face {
+    /// How it was fitted.
+    #[serde(default)]
+    pub method: String,
+    /// The photograph.
+    pub source: Option<SourcePhoto>,
+    /// Where each vertex is, in the face's own nominal millimetres.
+    #[serde(alias = "vertices")]
+    pub vertices_mm: Vec<[f64; 3]>,
+    /// Pairs of vertices that are joined.
+    pub lines: Vec<[usize; 2]>,
+}
+
+impl Face {
+    /// From the bytes of a document.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn parse(data: &[u8]) -> anyhow::Result<Self> {
+        const FORMAT: &str = "mocapd-face";
+        check_kind(data, FORMAT, "face")?;
+        let face: Self =
+            serde_json::from_slice(data).with_context(|| format!("a damaged {FORMAT}"))?;
+        let n = face.vertices_mm.len();
+        ensure!(
+            n <= PARTS_MAX && face.lines.len() <= PARTS_MAX,
+            "a damaged {FORMAT}: {n} vertices and {} lines are more than a face has ({PARTS_MAX})",
+            face.lines.len()
+        );
+        ensure!(
+            face.vertices_mm.iter().flatten().all(|value| value.is_finite())
+                && face.lines.iter().flatten().all(|&vertex| vertex < n),
+            "a damaged {FORMAT}: a line goes to a vertex that is not there"
+        );
+        Ok(face)
+    }
+
+    /// A take's own; `None` where it has none.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn of_take(subject: Option<&Subject>) -> anyhow::Result<Option<Self>> {
+        let document = subject.and_then(|subject| subject.document(Subject::FACE));
+        document.map(Self::parse).transpose().context("the take's face")
+    }
+}

@@ -1,0 +1,73 @@
+use std::fs;
+
+use super::*;
+
+const SKELETON: &str = r#"{"format":"mocapd-skeleton","version":1,"method":"default","sources":[{"name":"a.obj",
+"sha256":"00ff","unit":"m","unit_inferred":true}],"stature_mm":1750.5,"sides_told":true,"joints":[
+{"name":"l_shoulder","position_mm":[1,2,3],"uncertainty_mm":8},{"name":"l_elbow","position_mm":[1,2,3],"uncertainty_mm":7}],
+"bones":[{"name":"l_upper_arm","parent":"l_shoulder","child":"l_elbow","length_mm":300,"uncertainty_mm":6,"spread_mm":null,
+"scans":1}],"notes":[]}"#;
+const FACE: &str = r#"{"format":"mocapd-face","version":1,"vertices_mm":[[0,0,0],[1,2,3]],"lines":[[0,1]],"features":{}}"#;
+
+#[test]
+fn files_become_a_subject_byte_for_byte() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        fs::write(&path, text).unwrap();
+        Some(path)
+    };
+    let files = SubjectFiles {
+        name: Some("Anna".to_owned()),
+        skeleton: path("s.json", SKELETON),
+        face: path("f.json", FACE),
+    };
+    let subject = files.load().unwrap().unwrap();
+    assert_eq!(subject.name, "Anna");
+    assert_eq!(subject.document(Subject::SKELETON), Some(SKELETON.as_bytes()));
+    assert_eq!(subject.document(Subject::FACE), Some(FACE.as_bytes()));
+    let skeleton = Skeleton::of_take(Some(&subject)).unwrap().unwrap();
+    let bones = skeleton.to_bones();
+    assert_eq!((bones.len(), bones[0].length_mm, bones[0].uncertainty_mm), (1, 300.0, 6.0));
+    assert_eq!(Face::of_take(Some(&subject)).unwrap().unwrap().vertices_mm.len(), 2);
+    assert_eq!(SubjectFiles::default().load().unwrap(), None);
+    assert_eq!(Skeleton::of_take(None).unwrap(), None);
+
+    let refused = |files: SubjectFiles| format!("{:#}", files.load().unwrap_err());
+    let missing = Some(folder.path().join("none.json"));
+    let why = refused(SubjectFiles { skeleton: missing, ..Default::default() });
+    assert!(why.contains("none.json does not exist"), "{why}");
+    let why = refused(SubjectFiles { face: path("s.json", SKELETON), ..Default::default() });
+    assert!(why.contains("s.json") && why.contains("`mocapd subject face` makes one"), "{why}");
+    let why = refused(SubjectFiles { face: path("l", &" ".repeat(1 << 21)), ..Default::default() });
+    assert!(why.contains("more than 1 MiB"), "{why}");
+}
+
+#[test]
+fn what_is_no_skeleton_says_why() {
+    let refused = |text: &str| format!("{:#}", Skeleton::parse(text.as_bytes()).unwrap_err());
+    for (from, to, why) in [
+        ("mocapd-skeleton", "mocapd-face", "it says mocapd-face where mocapd-skeleton"),
+        ("\"version\":1", "\"version\":2", "this build reads 1: use a newer mocapd"),
+        ("\"length_mm\":300", "\"length_mm\":-3", "a length of -3 mm"),
+        ("\"child\":\"l_elbow\"", "\"child\":\"l_knee\"", "between l_shoulder and l_knee"),
+        ("\"name\":\"l_elbow\"", "\"name\":\"l_shoulder\"", "l_shoulder comes twice"),
+        ("\"length_mm\":300", "\"length_mm\":\"long\"", "a damaged mocapd-skeleton"),
+        ("{", "", "no JSON"),
+    ] {
+        let found = refused(&SKELETON.replacen(from, to, 1));
+        assert!(found.contains(why), "{found}");
+    }
+    for cut in (0..SKELETON.len() - 1).step_by(7) {
+        assert!(Skeleton::parse(&SKELETON.as_bytes()[..cut]).is_err(), "{cut}");
+    }
+}
+
+#[test]
+fn what_is_no_face_says_why() {
+    let refused = |text: &str| format!("{:#}", Face::parse(text.as_bytes()).unwrap_err());
+    assert!(refused(&FACE.replace("[[0,1]]", "[[0,2]]")).contains("a vertex that is not there"));
+    assert!(refused(&FACE.replace("[1,2,3]", "[1,2]")).contains("a damaged mocapd-face"));
+    assert!(refused(SKELETON).contains("it says mocapd-skeleton"));
+    assert!(refused("[]").contains("mocapd-face"));
+}

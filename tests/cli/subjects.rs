@@ -1,0 +1,316 @@
+//! Who is captured: carried by takes, shown, drawn, and held against what was recorded.
+
+use std::fmt::Write;
+
+use mocapd_simulator::{
+    device::DeviceSettings,
+    faults::Script,
+    generator::{BONES, JumpSpec, Rng, SITES},
+};
+use mocapd_take::{chunk::types, motion::Motion};
+use serde_json::Value;
+
+use super::{Folder, devices::Simulated};
+use crate::support::{jump, places};
+
+pub(super) const FACE: &str = r#"{"format":"mocapd-face","version":1,"method":"default","source":{"name":"a.jpg","sha256":"7f"},"vertices_mm":[[0,0,0],[9,0,0],[0,9,0]],
+"lines":[[0,1],[1,2]],"features":{"nose":0}}"#;
+
+fn distance(a: [f32; 3], b: [f32; 3]) -> f64 {
+    (0..3).map(|axis| f64::from(a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
+}
+
+/// The bones of a motion of 15 sites as a scan would have them: their median lengths, each off by a few per cent.
+pub(super) fn skeleton(motion: &Motion) -> String {
+    let mut joints = String::new();
+    for site in SITES {
+        let at = if joints.is_empty() { "" } else { "," };
+        write!(joints, r#"{at}{{"name":"{site}","position_mm":[0,0,0],"uncertainty_mm":9}}"#)
+            .unwrap();
+    }
+    let mut bones = String::new();
+    for (i, (parent, child)) in BONES.into_iter().enumerate() {
+        let length = |row: usize| distance(motion.frame(row)[parent], motion.frame(row)[child]);
+        let mut all: Vec<f64> =
+            (0..motion.n_frames()).map(length).filter(|mm| mm.is_finite()).collect();
+        all.sort_by(f64::total_cmp);
+        let scan_mm = all[all.len() / 2] * (1.0 + 0.03 * (i as f64).sin());
+        let (at, name) = (if i == 0 { "" } else { "," }, SITES[child]);
+        write!(
+            bones,
+            r#"{at}{{"name":"to_{name}","parent":"{}","child":"{name}","length_mm":{scan_mm:.1},"uncertainty_mm":12,"spread_mm":null,"scans":1}}"#,
+            SITES[parent]
+        )
+        .unwrap();
+    }
+    format!(
+        r#"{{"format":"mocapd-skeleton","version":1,"method":"default","sources":[{{"name":"scan.obj","sha256":"00ab","unit":"m","unit_inferred":true}}],"stature_mm":1712.5,"sides_told":true,"joints":[{joints}],"bones":[{bones}],"notes":[]}}"#
+    )
+}
+
+/// A folder with a jump, its skeleton and a face.
+fn folder(motion: &Motion) -> Folder {
+    let folder = Folder::new();
+    folder.write_motion("jump.csv", motion);
+    folder.write("s.json", skeleton(motion));
+    folder.write("f.json", FACE);
+    folder
+}
+
+const SUBJECT: [&str; 6] = ["--subject", "S 01", "--skeleton", "s.json", "--face", "f.json"];
+
+fn import(folder: &Folder, take: &str, more: &[&str]) {
+    let args = [&["import", "jump.csv", "-o", take], more].concat();
+    folder.run(&args).with_code(0);
+}
+
+#[test]
+fn imports_carry_it_and_info_shows_it() {
+    let folder = folder(&jump(2, 60.0, 2.0));
+    import(&folder, "with.take", &SUBJECT);
+    import(&folder, "again.take", &SUBJECT);
+    import(&folder, "without.take", &[]);
+    assert!(folder.read("with.take") == folder.read("again.take"), "the same import");
+    let with = folder.read("with.take");
+    let kinds: Vec<u8> = places(&with).into_iter().map(|place| place.0).take(2).collect();
+    assert_eq!(kinds, [types::HEADER, types::SUBJECT]);
+    let without = folder.read("without.take");
+    assert!(places(&without).iter().all(|place| place.0 != types::SUBJECT));
+    // Another subject is another import: the ids differ, which stand in the first 60 bytes.
+    assert!(with[..60] != without[..60]);
+    // The motion is the same, and so is what else reads it.
+    folder.run(&["verify", "with.take", "--against", "without.take"]).with_code(0);
+
+    let info = folder.run(&["info", "with.take", "--json"]).with_code(0).json();
+    let subject = &info["subject"];
+    assert_eq!((&subject["name"], &subject["problems"]), (&"S 01".into(), &Value::Array(vec![])));
+    assert_eq!(subject["skeleton"]["stature_mm"], 1712.5);
+    assert_eq!(subject["skeleton"]["sources"][0]["sha256"], "00ab");
+    assert_eq!(subject["skeleton"]["bones"].as_array().unwrap().len(), 14);
+    assert_eq!(subject["face"]["vertices"], 3);
+    assert_eq!(subject["documents"][1]["bytes"], FACE.len());
+    assert!(info["bytes"]["subject"].as_u64().unwrap() > 300);
+    let words = folder.run(&["info", "with.take"]).with_code(0).stdout;
+    for told in
+        ["subject    S 01", "stature 1712 mm, 15 joints, 14 bones", "SHA-256 00ab", "3 vertices"]
+    {
+        assert!(words.contains(told), "{told}: {words}");
+    }
+    assert_eq!(folder.run(&["info", "without.take", "--json"]).json()["subject"], Value::Null);
+
+    // It outlives damage elsewhere.
+    let mut hurt = with.clone();
+    let last = hurt.len() - 60;
+    hurt[last] ^= 1;
+    folder.write("hurt.take", &hurt);
+    folder.run(&["recover", "hurt.take", "-o", "mended.take"]);
+    let mended = folder.run(&["info", "mended.take", "--json"]).json();
+    assert_eq!(mended["subject"], *subject);
+}
+
+#[test]
+fn what_is_no_skeleton_or_face_is_refused_before_anything_is_written() {
+    let folder = folder(&jump(2, 60.0, 1.0));
+    folder.write("large.json", vec![b' '; (1 << 20) + 1]);
+    let refused = |more: &[&str]| {
+        folder.refuses(&[&["import", "jump.csv", "-o", "new.take"], more].concat(), 1)
+    };
+    assert!(refused(&["--skeleton", "none.json"]).contains("none.json does not exist"));
+    assert!(refused(&["--skeleton", "f.json"]).contains("mocapd subject body"));
+    assert!(refused(&["--face", "jump.csv"]).contains("no JSON of the format mocapd-face"));
+    assert!(refused(&["--face", "large.json"]).contains("more than 1 MiB"));
+    let long = "S".repeat(129);
+    folder.refuses(&["import", "jump.csv", "-o", "new.take", "--subject", &long], 2);
+    // Nor is a device opened for it.
+    let args = ["record", "-d", "serial:/dev/none", "-o", "new.take", "--skeleton", "f.json"];
+    assert!(folder.refuses(&args, 1).contains("mocapd subject body"));
+}
+
+#[test]
+fn recordings_carry_it() {
+    let folder = folder(&jump(3, 120.0, 2.0));
+    let device = Simulated::of(jump(3, 120.0, 1.0));
+    let uri = device.uri();
+    let args = [&["record", "-d", &uri, "-o", "live.take"], &SUBJECT[..]].concat();
+    folder.run(&args).with_code(0);
+    let kinds: Vec<u8> =
+        places(&folder.read("live.take")).into_iter().map(|place| place.0).take(2).collect();
+    assert_eq!(kinds, [types::HEADER, types::SUBJECT]);
+    let info = folder.run(&["info", "live.take", "--json"]).with_code(0).json();
+    assert_eq!(info["subject"]["skeleton"]["bones"].as_array().unwrap().len(), 14);
+    let verify = ["verify", "live.take", "--skeleton", "--json"];
+    let limbs = &folder.run(&verify).with_code(0).json()["limbs"];
+    assert_eq!(limbs["swaps"], Value::Array(vec![]), "{limbs}");
+}
+
+#[test]
+fn a_pose_has_the_skeletons_bones_and_their_lengths() {
+    let motion = jump(4, 60.0, 3.0);
+    let folder = folder(&motion);
+    import(&folder, "with.take", &SUBJECT);
+    import(&folder, "without.take", &[]);
+    let drawn = |args: &[&str]| {
+        let args = [&["plot", "pose"], args, &["-o", "new.svg", "--at", "1s,2s"]].concat();
+        let ran = folder.run(&args).with_code(0);
+        let svg = folder.text("new.svg");
+        std::fs::remove_file(folder.path("new.svg")).unwrap();
+        roxmltree::Document::parse(&svg).unwrap();
+        (svg, ran.stderr)
+    };
+    let (own, _) = drawn(&["with.take"]);
+    let (by_file, _) = drawn(&["without.take", "--skeleton", "s.json"]);
+    let (plain, _) = drawn(&["without.take"]);
+    let lines = |svg: &str| svg.matches("<polyline").count() + svg.matches("<line").count();
+    assert_eq!(lines(&own), lines(&by_file));
+    for name in ["to_l_elbow", "to_r_ankle", "to_head"] {
+        assert!(own.contains(name) && by_file.contains(name) && !plain.contains(name), "{name}");
+    }
+    // A skeleton of somebody else is red, in every bone and every row of the table.
+    let grown = skeleton(&motion).replace("\"length_mm\":", "\"length_mm\":9");
+    folder.write("grown.json", grown);
+    let red = |svg: &str| svg.matches("#D55E00").count();
+    let (other, _) = drawn(&["with.take", "--skeleton", "grown.json"]);
+    assert!(red(&other) >= 14 * 3 && red(&own) < 14, "{} and {}", red(&other), red(&own));
+}
+
+#[test]
+fn without_a_skeleton_or_joints_verify_says_what_to_do() {
+    let folder = folder(&jump(4, 60.0, 1.0));
+    import(&folder, "without.take", &[]);
+    let why = folder.refuses(&["verify", "without.take", "--skeleton"], 2);
+    assert!(why.contains("carries no skeleton"), "{why}");
+    let mut motion = jump(4, 60.0, 1.0);
+    motion.info.markers.iter_mut().enumerate().for_each(|(i, m)| m.label = format!("m{i}"));
+    folder.write_motion("unnamed.csv", &motion);
+    folder.run(&["import", "unnamed.csv", "-o", "unnamed.take"]).with_code(0);
+    let why = folder.refuses(&["verify", "unnamed.take", "--skeleton", "s.json"], 1);
+    assert!(why.contains("its joints are called head, throat"), "{why}");
+}
+
+/// Jumps of many styles at rates of rigs, walking and swinging arms: no frame of them is a swap.
+#[test]
+fn generated_jumps_have_no_swaps() {
+    let folder = Folder::new();
+    for (seed, rate_hz) in [(1, 120.0), (2, 60.0), (3, 240.0), (4, 100.0), (5, 60.0), (6, 120.0)] {
+        let spec = JumpSpec { seconds: Some(12.0), ..JumpSpec::new(seed, rate_hz) };
+        let motion = spec.generate().unwrap().motion;
+        folder.write("s.json", skeleton(&motion));
+        folder.write_motion("jump.csv", &motion);
+        let take = format!("{seed}.take");
+        folder.run(&["import", "jump.csv", "-o", &take]).with_code(0);
+        let found = folder.run(&["verify", &take, "--skeleton", "s.json", "--json"]).with_code(0);
+        let limbs = &found.json()["limbs"];
+        assert_eq!(limbs["swaps"], Value::Array(vec![]), "{seed}: {limbs}");
+        assert_eq!(limbs["bones"].as_array().unwrap().len(), 14);
+    }
+}
+
+#[test]
+fn swaps_in_a_take_are_told_with_their_markers_and_times() {
+    let (rate_hz, n_swaps) = (120.0, 20);
+    let spec = JumpSpec { seconds: Some(24.0), ..JumpSpec::new(7, rate_hz) };
+    let clean = spec.generate().unwrap().motion;
+    let mut swapped = clean.clone();
+    let mut rng = Rng::new(5);
+    let n = SITES.len();
+    let mut truth = Vec::new();
+    for i in 0..n_swaps {
+        let one = (rng.unit() * n as f64) as usize;
+        let other = (one + 1 + (rng.unit() * (n - 1) as f64) as usize) % n;
+        let from = 60 + i * 130;
+        let rows = from..from + 5 + (rng.unit() * 80.0) as usize;
+        for row in rows.clone() {
+            swapped.positions_mm.swap(row * n + one, row * n + other);
+        }
+        truth.push(([one.min(other), one.max(other)].map(|site| SITES[site]), rows));
+    }
+    let folder = folder(&swapped);
+    folder.write("s.json", skeleton(&clean));
+    import(&folder, "swapped.take", &["--skeleton", "s.json"]);
+    let ran = folder.run(&["verify", "swapped.take", "--skeleton", "--json"]).with_code(3);
+    let document = ran.json();
+    assert_eq!(
+        (&document["intact"], &document["contradictions"]),
+        (&true.into(), &Value::Array(vec![]))
+    );
+    let found = document["limbs"]["swaps"].as_array().unwrap();
+    let mut exact = 0;
+    for swap in found {
+        let number = |name: &str| swap[name].as_u64().unwrap() as usize;
+        let (from, to) = (number("from_frame"), number("to_frame"));
+        let pair = [0, 1].map(|i| swap["markers"][i].as_str().unwrap());
+        let of = truth.iter().find(|(truth, rows)| *truth == pair && rows.contains(&from));
+        let (_, rows) = of.unwrap_or_else(|| panic!("{swap} was never made"));
+        assert!(rows.contains(&to), "{swap} was {rows:?}");
+        exact += usize::from((from, to) == (rows.start, rows.end - 1));
+        let from_s = swap["from_s"].as_f64().unwrap();
+        assert!((from_s - from as f64 / rate_hz).abs() < 1e-6, "{swap}");
+    }
+    eprintln!("{} of {n_swaps} swaps found, {exact} to the frame", found.len());
+    // Left and right hip of a body that stands are as far from both knees: such a swap shows in no limb.
+    assert!(found.len() >= n_swaps - 3 && exact >= n_swaps - 5, "{found:#?}");
+    let words = folder.run(&["verify", "swapped.take", "--skeleton"]).with_code(3).stdout;
+    assert_eq!(words.matches("SWAPPED: ").count(), found.len(), "{words}");
+}
+
+/// The simulator's own fault, over a line and through the recorder.
+#[test]
+fn swaps_of_a_device_are_found() {
+    let script = "seed = 3\n[[fault]]\nkind = \"swaps\"\nevery_s = 0.5\nfor_s = 0.2\n";
+    let script = std::sync::Arc::new(Script::parse("swaps", script).unwrap());
+    let motion = jump(8, 120.0, 4.0);
+    let folder = folder(&motion);
+    let settings = DeviceSettings { faults: Some(script), ..DeviceSettings::default() };
+    let device = Simulated::start(motion, settings, None);
+    let args = ["record", "-d", &device.uri(), "-o", "live.take", "--skeleton", "s.json"];
+    folder.run(&args).with_code(0);
+    let ran = folder.run(&["verify", "live.take", "--skeleton", "--json"]).with_code(3);
+    let n = ran.json()["limbs"]["swaps"].as_array().unwrap().len();
+    // Eight were made, of any two markers.
+    assert!((5..=8).contains(&n), "{n}: {}", ran.stdout);
+}
+
+/// Recorded jumps, if there are any: measured bodies bend and bounce, and are no swaps.
+#[test]
+fn recorded_jumps_have_no_swaps() {
+    let Some(takes) = std::env::var_os("MOCAPD_TAKES") else {
+        eprintln!("passed over: MOCAPD_TAKES names no folder of recorded takes");
+        return;
+    };
+    let folder = Folder::new();
+    let mut n = 0;
+    for entry in std::fs::read_dir(takes).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_stem().unwrap().to_str().unwrap().to_owned();
+        if !name.starts_with("cmu_") || path.extension().is_none_or(|ending| ending != "csv") {
+            continue;
+        }
+        let bytes = std::fs::read(&path).unwrap();
+        let motion = mocapd_take::interchange::Format::Csv.read(&bytes).unwrap();
+        let take = format!("{name}.take");
+        // What these files call the throat is the neck, and what they have is in another order.
+        folder.write("s.json", skeleton(&in_order(&motion)));
+        folder.run(&["import", path.to_str().unwrap(), "-o", &take]).with_code(0);
+        let ran = folder.run(&["verify", &take, "--skeleton", "s.json", "--json"]).with_code(0);
+        let limbs = &ran.json()["limbs"];
+        assert_eq!(limbs["swaps"], Value::Array(vec![]), "{name}: {limbs}");
+        let outside = limbs["outside"].as_array().unwrap().len();
+        eprintln!("{name}: no swaps, {outside} times a limb out of its band");
+        n += 1;
+    }
+    assert!(n > 0, "MOCAPD_TAKES has no cmu_*.csv");
+}
+
+/// The same with its markers in the order of [`SITES`].
+fn in_order(motion: &Motion) -> Motion {
+    let column = |site: &&str| {
+        let name = if *site == "throat" { "neck" } else { site };
+        motion.info.markers.iter().position(|marker| marker.label == name).unwrap()
+    };
+    let columns: Vec<usize> = SITES.iter().map(column).collect();
+    let rows = 0..motion.n_frames();
+    let positions_mm = rows.flat_map(|row| columns.iter().map(move |&c| motion.frame(row)[c]));
+    let mut info = motion.info.clone();
+    info.markers = columns.iter().map(|&column| motion.info.markers[column].clone()).collect();
+    Motion { positions_mm: positions_mm.collect(), info }
+}
