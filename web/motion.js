@@ -11,6 +11,7 @@ export class Motion {
   labels = [];
   labelled = [];
   bones = [];
+  limbs = [];
   head = 0;
   nSeen = 0;
   raw = null;
@@ -23,6 +24,7 @@ export class Motion {
     this.n = this.labels.length;
     this.labelled = table.labelled;
     this.bones = table.bones.filter((pair) => pair.every((slot) => slot < this.n));
+    this.limbs = (table.limbs ?? []).filter((limb) => limb.ends.every((slot) => slot < this.n));
     this.upAxis = table.up_axis;
     /** Millimetres, z up: where each marker was seen last. */
     this.last = new Float32Array(3 * this.n).fill(NaN);
@@ -62,6 +64,15 @@ export class Motion {
       this.lastSeenMs[slot] = nowMs;
       for (let i = 0; i < 3; i += 1) this.last[3 * slot + i] = this.trail[into + i];
     }
+  }
+
+  /** The limbs, both of whose ends are seen, that are not as long as the subject's scan has them. */
+  limbsOff() {
+    return this.limbs.filter(({ ends: [a, b], length_mm, off_mm }) => {
+      if (!this.isSeen(a) || !this.isSeen(b)) return false;
+      const [p, q] = [a, b].map((slot) => this.last.subarray(3 * slot, 3 * slot + 3));
+      return Math.abs(Math.hypot(p[0] - q[0], p[1] - q[1], p[2] - q[2]) - length_mm) > off_mm;
+    });
   }
 
   isSeen(slot) {

@@ -112,6 +112,19 @@ function drawBones(ctx, motion, points, { colours }) {
     ctx.stroke();
   }
   ctx.setLineDash([]);
+  drawLimbsOff(ctx, motion, points, colours);
+}
+
+/** Limbs that are not as long as the scan has them: in another colour, and wider, so that shape says it, too. */
+function drawLimbsOff(ctx, motion, points, colours) {
+  ctx.beginPath();
+  for (const { ends: [a, b] } of motion.limbsOff()) {
+    ctx.moveTo(points[4 * a], points[4 * a + 1]);
+    ctx.lineTo(points[4 * b], points[4 * b + 1]);
+  }
+  ctx.strokeStyle = colours.off;
+  ctx.lineWidth = 6;
+  ctx.stroke();
 }
 
 /** A disc: known to the device. A square: not. A ring: not seen, at its last place. */

@@ -6,7 +6,7 @@ import { span } from "./format.js";
 import { installHands } from "./hands.js";
 import { FADE_MS, draw, pick } from "./scene.js";
 
-const COLOURS = ["panel", "text", "muted", "grid", "grid-main", "shadow", "trail", "bone", "marker", "stray", "chosen"];
+const COLOURS = ["panel", "text", "muted", "grid", "grid-main", "shadow", "trail", "bone", "off", "marker", "stray", "chosen"];
 /** How soon the eye is where the markers are, and how slowly it comes nearer again. */
 const FOLLOW_MS = 700;
 const SHRINK_MS = 6000;

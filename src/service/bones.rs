@@ -5,6 +5,15 @@
 
 use std::collections::HashMap;
 
+use mocapd_report::{
+    labels::{SubjectMarkers, subjects},
+    limbs::limbs,
+};
+use mocapd_take::record::Subject;
+
+use super::live::LiveLimb;
+use crate::subject::Skeleton;
+
 /// Lines of a marker set: what stands between `/` are names of one site, of which the first that is there is taken; `*`
 /// is both sides, one after the other.
 type Lines = [(&'static str, &'static str)];
@@ -120,24 +129,43 @@ const FAMILIES: [&Lines; 5] = [JOINTS, PLUG_IN_GAIT, HELEN_HAYES, ASF, BVH];
 /// meant. Each subject gets the marker set that explains most of its labels; no lines where none is known.
 #[must_use]
 pub fn bones(labels: &[String]) -> Vec<[u16; 2]> {
-    let mut subjects: Vec<(&str, HashMap<String, u16>)> = Vec::new();
-    let mut places: HashMap<&str, usize> = HashMap::new();
-    for (slot, label) in (0..=u16::MAX).zip(labels) {
-        let (subject, site) = label.rsplit_once(':').unwrap_or(("", label));
-        let place = *places.entry(subject).or_insert(subjects.len());
-        if place == subjects.len() {
-            subjects.push((subject, HashMap::new()));
+    // What a line can name is a slot of 16 bits.
+    let named = labels.iter().take(usize::from(u16::MAX) + 1).map(String::as_str);
+    subjects(named).iter().flat_map(of_subject).collect()
+}
+
+/// The limbs of the subject's skeleton between these slots. It was checked when it was read: here nothing is said of it.
+#[must_use]
+pub fn live_limbs(subject: Option<&Subject>, labels: &[String]) -> Vec<LiveLimb> {
+    let Ok(Some(skeleton)) = Skeleton::of_take(subject) else { return Vec::new() };
+    let named = &labels[..labels.len().min(usize::from(u16::MAX) + 1)];
+    let name = subject.map_or("", |subject| subject.name.as_str());
+    let (found, _) = limbs(&skeleton.to_bones(), named, name);
+    let slot = |column: usize| u16::try_from(column).unwrap_or_default();
+    let limb = |limb: &mocapd_report::limbs::Limb| LiveLimb {
+        ends: limb.ends.map(slot),
+        length_mm: limb.bone.length_mm,
+        off_mm: limb.bone.off_mm(),
+    };
+    found.iter().map(limb).collect()
+}
+
+/// Lines by label, and those of limbs that are not among them.
+#[must_use]
+pub fn with_limbs(mut bones: Vec<[u16; 2]>, limbs: &[LiveLimb]) -> Vec<[u16; 2]> {
+    for LiveLimb { ends: [a, b], .. } in limbs {
+        if !bones.contains(&[*a, *b]) && !bones.contains(&[*b, *a]) {
+            bones.push([*a, *b]);
         }
-        subjects[place].1.entry(plain(site)).or_insert(slot);
     }
-    subjects.iter().flat_map(|(_, slots)| of_subject(slots)).collect()
+    bones
 }
 
 /// The lines of the family that draws most of them.
-fn of_subject(slots: &HashMap<String, u16>) -> Vec<[u16; 2]> {
+fn of_subject(subject: &SubjectMarkers<'_>) -> Vec<[u16; 2]> {
     let mut best = Vec::new();
     for family in FAMILIES {
-        let lines = of_family(family, slots);
+        let lines = of_family(family, &subject.sites);
         if lines.len() > best.len() {
             best = lines;
         }
@@ -145,14 +173,15 @@ fn of_subject(slots: &HashMap<String, u16>) -> Vec<[u16; 2]> {
     best
 }
 
-fn of_family(family: &Lines, slots: &HashMap<String, u16>) -> Vec<[u16; 2]> {
+fn of_family(family: &Lines, slots: &HashMap<String, usize>) -> Vec<[u16; 2]> {
     let mut lines = Vec::new();
     for (from, to) in family {
         let sides: &[&str] =
             if from.contains('*') || to.contains('*') { &["l", "r"] } else { &[""] };
         for side in sides {
             let find = |names: &str| {
-                names.split('/').find_map(|name| slots.get(&name.replace('*', side)).copied())
+                let slot = names.split('/').find_map(|name| slots.get(&name.replace('*', side)))?;
+                u16::try_from(*slot).ok()
             };
             if let (Some(from), Some(to)) = (find(from), find(to))
                 && from != to
@@ -162,27 +191,6 @@ fn of_family(family: &Lines, slots: &HashMap<String, u16>) -> Vec<[u16; 2]> {
         }
     }
     lines
-}
-
-/// A label in small letters without what separates its words, and its side as one letter before it: `L.Shoulder`,
-/// `l_shoulder`, `LeftShoulder` and `Shoulder_L` are one.
-fn plain(label: &str) -> String {
-    let small = label.to_lowercase();
-    let words: Vec<&str> =
-        small.split(|c: char| !c.is_alphanumeric()).filter(|w| !w.is_empty()).collect();
-    let (side, words) = match words.as_slice() {
-        [rest @ .., last @ ("l" | "left" | "r" | "right")] if !rest.is_empty() => {
-            (&last[..1], rest)
-        }
-        all => ("", all),
-    };
-    let name = words.concat();
-    let name = match (name.strip_prefix("left"), name.strip_prefix("right")) {
-        (Some(rest), _) if !rest.is_empty() => format!("l{rest}"),
-        (_, Some(rest)) if !rest.is_empty() => format!("r{rest}"),
-        _ => name,
-    };
-    format!("{side}{name}")
 }
 
 #[cfg(test)]

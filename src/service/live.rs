@@ -32,6 +32,19 @@ pub struct LiveTable {
     pub rate_hz: f64,
     /// Pairs of slots between which a line is drawn.
     pub bones: Vec<[u16; 2]>,
+    /// Those of them that are limbs of the subject's skeleton.
+    pub limbs: Vec<LiveLimb>,
+}
+
+/// A limb of the subject's skeleton between two markers.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct LiveLimb {
+    /// The slots of the markers.
+    pub ends: [u16; 2],
+    /// How long the scan has it, in millimetres.
+    pub length_mm: f64,
+    /// How far the markers may be off that before somebody should look.
+    pub off_mm: f64,
 }
 
 /// One frame.

@@ -1,4 +1,6 @@
-use super::bones;
+use mocapd_take::record::Subject;
+
+use super::{bones, live_limbs, with_limbs};
 use mocapd_simulator::generator::{BONES, SITES};
 
 fn labels(names: &[&str]) -> Vec<String> {
@@ -168,4 +170,22 @@ fn slots_beyond_what_a_line_can_name_are_passed_over() {
     let mut many = vec!["u001".to_owned(); 65_535];
     many.extend(labels(&["l_hip", "l_knee"]));
     assert!(bones(&many).is_empty());
+}
+
+#[test]
+fn limbs_of_the_subjects_skeleton_come_with_their_lengths() {
+    let mut subject = Subject { name: "Ann".to_owned(), documents: Vec::new() };
+    let skeleton = r#"{"format":"mocapd-skeleton","version":1,"joints":[{"name":"l_hip"},{"name":"l_knee"},{"name":"l_ankle"}],
+"bones":[{"name":"l_thigh","parent":"l_hip","child":"l_knee","length_mm":400,"uncertainty_mm":9},
+{"name":"l_shank","parent":"l_knee","child":"l_ankle","length_mm":300,"uncertainty_mm":50}]}"#;
+    subject.set(Subject::SKELETON, skeleton.as_bytes().to_vec());
+    let two = labels(&["Bob:LHIP", "Bob:LKNE", "Ann:LANK", "Ann:LKNE", "Ann:LHJC"]);
+    let limbs = live_limbs(Some(&subject), &two);
+    let told: Vec<_> = limbs.iter().map(|limb| (limb.ends, limb.length_mm, limb.off_mm)).collect();
+    assert_eq!(told, [([4, 3], 400.0, 40.0), ([3, 2], 300.0, 50.0)]);
+    // No line is drawn twice, whichever way it goes.
+    assert_eq!(with_limbs(vec![[2, 3], [0, 1]], &limbs), [[2, 3], [0, 1], [4, 3]]);
+    assert!(live_limbs(None, &two).is_empty());
+    subject.set(Subject::SKELETON, b"{}".to_vec());
+    assert!(live_limbs(Some(&subject), &two).is_empty());
 }

@@ -10,14 +10,17 @@ use std::{
 };
 
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
-use mocapd_take::{motion::Position, record::Header};
+use mocapd_take::{
+    motion::Position,
+    record::{Header, Subject},
+};
 
 use super::{Inner, quality::Judgements};
 use crate::{
     pipeline::{Progress, TapHead, TapOut, lock},
     rig::monotonic_ns,
     service::{
-        bones::bones,
+        bones::{bones, live_limbs, with_limbs},
         live::{LiveFeed, LiveFrame, LiveMessage, LiveTable},
     },
 };
@@ -152,7 +155,8 @@ impl Hub {
         let offset_us = since_1970.unwrap_or_default().as_micros() as u64 - monotonic_ns() / 1000;
         while let Some(head) = session.tap.next(&mut self.positions) {
             if self.table.labels.len() != head.n_channels {
-                let table = table(session);
+                let subject = self.inner.core().options.subject.clone();
+                let table = table(session, subject.as_deref());
                 // A marker that has just appeared has no name before the writer has met it: it is shown then.
                 if table.labels.len() != self.table.labels.len() {
                     self.table = Arc::new(table);
@@ -172,11 +176,13 @@ impl Hub {
     }
 }
 
-fn table(session: &NewSession) -> LiveTable {
+fn table(session: &NewSession, subject: Option<&Subject>) -> LiveTable {
     let channels = lock(&session.progress.channels).clone();
     let labels: Vec<String> = channels.iter().map(|channel| channel.label.clone()).collect();
+    let limbs = live_limbs(subject, &labels);
     LiveTable {
-        bones: bones(&labels),
+        bones: with_limbs(bones(&labels), &limbs),
+        limbs,
         labels,
         labelled: channels.iter().map(|channel| channel.labelled).collect(),
         up_axis: session.header.up_axis,

@@ -74,3 +74,19 @@ test("without a marker that is seen there is no box", () => {
   motion.push(frame(NaN, NaN, NaN), 1);
   equal(motion.follow(1), null);
 });
+
+test("a limb that is not as long as the scan has it is told while both ends are seen", () => {
+  const motion = new Motion();
+  const limbs = [{ ends: [0, 1], length_mm: 300, off_mm: 30 }, { ends: [1, 2], length_mm: 200, off_mm: 20 }];
+  motion.setTable({
+    labels: ["a", "b"], labelled: [true, true], up_axis: 3, rate_hz: 120, bones: [[0, 1]], limbs,
+  });
+  equal(motion.limbs.length, 1, "a limb to a marker that is not there is left out");
+  motion.push(frame(0, 0, 0, 0, 0, 325), 1);
+  equal(motion.limbsOff(), []);
+  motion.push(frame(0, 0, 0, 0, 0, 331), 2);
+  equal(motion.limbsOff().length, 1);
+  motion.push(frame(0, 0, 0, NaN, NaN, NaN), 3);
+  equal(motion.limbsOff(), [], "nobody knows where the other end is");
+  equal(withTable(["a", "b"]).limbsOff(), [], "a service without a subject names none");
+});

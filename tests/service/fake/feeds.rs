@@ -105,5 +105,6 @@ fn table(n_markers: usize) -> Arc<LiveTable> {
         up_axis: 3,
         rate_hz: 120.0,
         bones: vec![[0, 1]],
+        limbs: Vec::new(),
     })
 }
