@@ -30,7 +30,6 @@ impl Grid {
         let mut size = [0; 3];
         for axis in 0..3 {
             let cells = (high[axis] - low[axis]) / step;
-            if cells.is_nan() || cells >= CELL_COUNT_MAX as f64 {
             // An empty mesh has no extent, and gives what is not finite.
             if !cells.is_finite() || cells > CELL_COUNT_MAX as f64 {
                 return None;
