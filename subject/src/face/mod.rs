@@ -2,6 +2,7 @@
 
 pub mod adapt;
 pub mod find;
+pub mod fit;
 pub mod fitted;
 pub mod mapping;
 pub mod model;

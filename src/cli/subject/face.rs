@@ -1,0 +1,163 @@
+//! `subject face`.
+
+use std::{
+    io::Cursor,
+    path::{Path, PathBuf},
+};
+
+use anyhow::{Context, anyhow, bail};
+use mocapd::outcome::{Outcome, UsageError};
+use mocapd_subject::face::{
+    Photo,
+    fit::{NoFace, fit},
+    fitted::{FittedFace, Method, Overlay, Source},
+    model::OUTER_EYES_MM,
+    photo::{BYTES_MAX, to_image},
+};
+use sha2::{Digest, Sha256};
+
+use crate::cli::{
+    numbers::count,
+    output::{print, say},
+    paths,
+    plot::picture,
+    whole::{name, read_bounded, write_new},
+};
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The photograph, .png, .jpg or .pnm
+    photo: PathBuf,
+    /// The face to write, as JSON; with several faces -2, -3 … before the ending; none may exist
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// The wireframe to write, as OBJ; numbered likewise
+    #[arg(long, value_name = "FILE")]
+    obj: Option<PathBuf>,
+    /// The photograph with points and wireframes drawn on it, .png; it must not exist
+    #[arg(long, value_name = "FILE")]
+    overlay: Option<PathBuf>,
+    /// The first wireframe from three sides, .svg or .png; it must not exist
+    #[arg(long, value_name = "FILE")]
+    views: Option<PathBuf>,
+    /// How faces are found: ours, or as Yang et al. 2004 print it
+    #[arg(long, value_enum, default_value_t = Chosen::Default)]
+    method: Chosen,
+    /// Take the largest face alone
+    #[arg(long)]
+    largest: bool,
+    /// Print the faces as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Chosen {
+    Default,
+    Paper,
+}
+
+pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
+    for path in [&args.output, &args.obj, &args.overlay].into_iter().flatten() {
+        paths::check_output(path)?;
+    }
+    args.views.as_deref().map(picture::check_output).transpose()?;
+    if let Some(path) = &args.overlay
+        && !path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("png"))
+    {
+        let message = format!("{}: an overlay is a PNG: use .png", path.display());
+        return Err(UsageError(message).into());
+    }
+    let shown = args.photo.display();
+    let bytes = read_bounded(&args.photo, BYTES_MAX)?;
+    let photo = Photo::from_bytes(&bytes).with_context(|| format!("cannot read {shown}"))?;
+    for note in &photo.notes {
+        say(&format!("{shown}: {note}"));
+    }
+    let source = Source {
+        name: name(&args.photo),
+        sha256: Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect(),
+        width: u32::try_from(photo.width())?,
+        height: u32::try_from(photo.height())?,
+    };
+    let method = match args.method {
+        Chosen::Default => Method::Default,
+        Chosen::Paper => Method::Paper,
+    };
+    let mut faces = match fit(&photo, &source, method) {
+        Ok(faces) => faces,
+        Err(error @ (NoFace::NotFound | NoFace::NotFitted(_))) => bail!("{shown}: {error}"),
+        Err(error) => return Err(error.into()),
+    };
+    if args.largest {
+        faces.sort_by(|a, b| b.camera.scale_px_per_mm.total_cmp(&a.camera.scale_px_per_mm));
+        faces.truncate(1);
+    }
+    write(args, &photo, &faces)?;
+    if args.json {
+        for face in &faces {
+            print(&face.to_json()?)?;
+        }
+    } else {
+        print(&table(&faces))?;
+    }
+    Ok(Outcome::Done)
+}
+
+fn write(args: &Args, photo: &Photo, faces: &[FittedFace]) -> anyhow::Result<()> {
+    for (number, face) in faces.iter().enumerate() {
+        if let Some(path) = &args.output {
+            write_new(&numbered(path, number), face.to_json()?.as_bytes())?;
+        }
+        if let Some(path) = &args.obj {
+            write_new(&numbered(path, number), face.to_obj().as_bytes())?;
+        }
+    }
+    if let Some(path) = &args.overlay {
+        let image = to_image(photo).context("the photograph has no pixels")?;
+        let mut png = Cursor::new(Vec::new());
+        Overlay::new(&image, faces)
+            .into_image()
+            .write_to(&mut png, image::ImageFormat::Png)
+            .map_err(|error| anyhow!("cannot draw {}: {error}", path.display()))?;
+        write_new(path, png.get_ref())?;
+    }
+    if let (Some(path), Some(face)) = (&args.views, faces.first()) {
+        picture::write(path, &face.to_svg())?;
+    }
+    Ok(())
+}
+
+/// `face.json`, `face-2.json`, and so on.
+fn numbered(path: &Path, number: usize) -> PathBuf {
+    if number == 0 {
+        return path.to_owned();
+    }
+    let mut name = path.file_stem().unwrap_or_default().to_owned();
+    name.push(format!("-{}", number + 1));
+    if let Some(ending) = path.extension() {
+        name.push(".");
+        name.push(ending);
+    }
+    path.with_file_name(name)
+}
+
+/// What people read.
+fn table(faces: &[FittedFace]) -> String {
+    let mut out = format!("{}\n", count(faces.len() as u64, "face"));
+    out += "face   eyes apart px   yaw deg   pitch deg   roll deg   points seen\n";
+    for (number, face) in faces.iter().enumerate() {
+        let camera = &face.camera;
+        let seen = face.points.iter().filter(|point| point.confidence > 0.0).count();
+        out += &format!(
+            "{:>4} {:>15.0} {:>9.1} {:>11.1} {:>10.1} {:>8} of 53\n",
+            number + 1,
+            camera.scale_px_per_mm * OUTER_EYES_MM,
+            camera.yaw_deg,
+            camera.pitch_deg,
+            camera.roll_deg,
+            seen
+        );
+    }
+    out
+}

@@ -1,0 +1,126 @@
+//! One photograph, from pixels to fitted wireframes: both chains, whole.
+
+use super::Photo;
+use super::adapt::{AdaptError, Depth, Settings, adapt};
+use super::find::{self, Found};
+use super::fitted::{FittedFace, Method, Point, Source};
+use super::model::{Camera, FeatureId, FitError, FitOptions, Model, ModelError, OUTER_EYES_MM};
+use super::paper;
+use super::points::{self, FacePoints, Rough};
+
+/// Faces of a photograph that are fitted at most, the surest of them: a class, or a team.
+pub const FACES_MAX: usize = 64;
+
+/// Why a photograph gives no face.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum NoFace {
+    /// Nothing in it looks like one.
+    #[error(
+        "no face was found: take a photograph from in front, of one person who fills a third of its height, in even light"
+    )]
+    NotFound,
+    /// Something does, but its points make no face.
+    #[error("a face was found, but not its parts ({0}): take a sharper photograph, from in front")]
+    NotFitted(String),
+    /// The program was built wrong.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+}
+
+/// Finds the faces of a photograph and fits the wireframe to each, the surest first.
+///
+/// # Errors
+/// [`NoFace`] where none was fitted.
+pub fn fit(photo: &Photo, source: &Source, method: Method) -> Result<Vec<FittedFace>, NoFace> {
+    let model = Model::generic()?;
+    let found: Vec<Found> = match method {
+        Method::Default => find::faces(photo, find::SCORE_MIN),
+        Method::Paper => paper::faces(photo).into_iter().map(|face| face.found).collect(),
+    };
+    let mut fitted = Vec::new();
+    let mut why = NoFace::NotFound;
+    for face in found.iter().take(FACES_MAX) {
+        let rough = Rough::from(face);
+        let one = match method {
+            Method::Default => {
+                by_default(model, &points::find(photo, &rough)?).map_err(NoFace::from)
+            }
+            Method::Paper => by_paper(model, face, &points::paper::find(photo, &rough)),
+        };
+        match one {
+            Ok((camera, points, vertices_mm)) => {
+                let source = source.clone();
+                fitted.push(FittedFace::new(model, method, source, camera, points, vertices_mm));
+            }
+            Err(reason) => why = reason,
+        }
+    }
+    if fitted.is_empty() { Err(why) } else { Ok(fitted) }
+}
+
+type Fit = (Camera, Vec<Point>, Vec<[f64; 3]>);
+
+/// Pose, shape and depth by the shape model; what was not seen is where the model has it.
+fn by_default(model: &Model, found: &FacePoints) -> Result<Fit, FitOrAdapt> {
+    let fit = model.fit_shape(&found.weighted(), &FitOptions::default())?;
+    let points: Vec<Point> = FeatureId::all()
+        .zip(&found.points)
+        .zip(&fit.points_px)
+        .map(|((id, seen), &[x, y, _])| {
+            let xy_px = if seen.confidence > 0.0 { seen.at } else { [x, y] };
+            Point { id, xy_px, confidence: seen.confidence }
+        })
+        .collect();
+    let nodes: Vec<_> = points.iter().map(|point| (point.id, point.xy_px)).collect();
+    let depths: Vec<f64> = fit.points_px.iter().map(|point| point[2]).collect();
+    let (camera, depth) = (fit.camera, Depth::Points(&depths));
+    let settings = Settings::default();
+    let adapted = adapt(model, &fit.vertices_mm, &camera, &nodes, settings, depth)?;
+    Ok((camera, points, adapted.vertices_mm))
+}
+
+/// The average face, turned as its outline says (Yang et al. 2004, sections 4 and 5); points that were not found are left
+/// to the others.
+fn by_paper(model: &Model, face: &Found, found: &FacePoints) -> Result<Fit, NoFace> {
+    let yaw_deg = found.yaw_deg.unwrap_or(0.0);
+    let corner = |ibug| {
+        let id = FeatureId::from_ibug(ibug)?;
+        found.points.get(id.index()).filter(|point| point.confidence > 0.0).map(|point| point.at)
+    };
+    let (Some(left), Some(right)) = (corner(36), corner(45)) else {
+        return Err(NoFace::NotFitted("the corners of the eyes".to_owned()));
+    };
+    let across = [right[0] - left[0], right[1] - left[1]];
+    let turned = yaw_deg.to_radians().cos().max(0.1);
+    let camera = Camera {
+        scale_px_per_mm: across[0].hypot(across[1]).max(1.0) / (OUTER_EYES_MM * turned),
+        yaw_deg,
+        pitch_deg: 0.0,
+        roll_deg: -face.roll_rad.to_degrees(),
+        origin_px: [(left[0] + right[0]) / 2.0, (left[1] + right[1]) / 2.0],
+    };
+    let points: Vec<Point> = FeatureId::all()
+        .zip(&found.points)
+        .filter(|(_, seen)| seen.confidence > 0.0)
+        .map(|(id, seen)| Point { id, xy_px: seen.at, confidence: seen.confidence })
+        .collect();
+    let nodes: Vec<_> = points.iter().map(|point| (point.id, point.xy_px)).collect();
+    let adapted = adapt(model, &model.vertices, &camera, &nodes, Settings::PAPER, Depth::Model);
+    let adapted = adapted.map_err(|error| NoFace::NotFitted(error.to_string()))?;
+    Ok((camera, points, adapted.vertices_mm))
+}
+
+/// What either step of the default may say.
+#[derive(Debug, thiserror::Error)]
+enum FitOrAdapt {
+    #[error(transparent)]
+    Fit(#[from] FitError),
+    #[error(transparent)]
+    Adapt(#[from] AdaptError),
+}
+
+impl From<FitOrAdapt> for NoFace {
+    fn from(error: FitOrAdapt) -> Self {
+        Self::NotFitted(error.to_string())
+    }
+}
