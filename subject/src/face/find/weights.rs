@@ -17,7 +17,7 @@ const GREY: ([f32; GREY_SCORES], f32) = (
         -4.644, 4.326, -1.387, 2.217, -1.042, -1.931, -3.905, -2.331, 8.463, -1.372, 0.077, 8.007,
         1.099, -1.651, 11.594, -1.954, 0.599,
     ],
-    -19.597,
+    -20.007,
 );
 /// What the sum of the others counts beside colours; theirs, in the order of [`Hues::scores`](super::hue::Hues::scores);
 /// and what is added.
