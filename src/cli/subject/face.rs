@@ -1,9 +1,6 @@
 //! `subject face`.
 
-use std::{
-    io::Cursor,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail};
 use mocapd::outcome::{Outcome, UsageError};
@@ -12,9 +9,8 @@ use mocapd_subject::face::{
     fit::{NoFace, fit},
     fitted::{FittedFace, Method, Overlay, Source},
     model::OUTER_EYES_MM,
-    photo::{BYTES_MAX, to_image},
+    photo::BYTES_MAX,
 };
-use sha2::{Digest, Sha256};
 
 use crate::cli::{
     numbers::count,
@@ -76,7 +72,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let source = Source {
         name: name(&args.photo),
-        sha256: Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect(),
+        sha256: photo.sha256.iter().map(|byte| format!("{byte:02x}")).collect(),
         width: u32::try_from(photo.width())?,
         height: u32::try_from(photo.height())?,
     };
@@ -114,13 +110,9 @@ fn write(args: &Args, photo: &Photo, faces: &[FittedFace]) -> anyhow::Result<()>
         }
     }
     if let Some(path) = &args.overlay {
-        let image = to_image(photo).context("the photograph has no pixels")?;
-        let mut png = Cursor::new(Vec::new());
-        Overlay::new(&image, faces)
-            .into_image()
-            .write_to(&mut png, image::ImageFormat::Png)
+        let png = Overlay::png(photo, faces)
             .map_err(|error| anyhow!("cannot draw {}: {error}", path.display()))?;
-        write_new(path, png.get_ref())?;
+        write_new(path, &png)?;
     }
     if let (Some(path), Some(face)) = (&args.views, faces.first()) {
         picture::write(path, &face.to_svg())?;

@@ -1,11 +1,14 @@
 //! Fitted faces on their photograph.
 
-use image::RgbImage;
+use std::io::Cursor;
+
 use image::imageops::{self, FilterType};
+use image::{ImageError, ImageFormat, Rgb, RgbImage};
 
 use super::FittedFace;
 use super::curves::{Curve, Part};
 use super::draw::{self, Ink};
+use crate::face::Photo;
 use crate::face::model::{FeatureId, OUTER_EYES_MM};
 
 /// Below this the lines would cover the face: small pictures are enlarged first.
@@ -39,6 +42,19 @@ impl Overlay {
         let mut overlay = Self { picture, enlarged: f64::from(factor) };
         faces.iter().for_each(|face| overlay.draw(face));
         overlay
+    }
+
+    /// Faces on the photograph that they were found in, as a PNG.
+    ///
+    /// # Errors
+    /// What the encoder says.
+    pub fn png(photo: &Photo, faces: &[FittedFace]) -> Result<Vec<u8>, ImageError> {
+        let (width, height) = (photo.width() as u32, photo.height() as u32);
+        let pixel = |x: u32, y: u32| Rgb(photo.rgb(x as isize, y as isize));
+        let drawn = Self::new(&RgbImage::from_fn(width, height, pixel), faces);
+        let mut png = Cursor::new(Vec::new());
+        drawn.picture.write_to(&mut png, ImageFormat::Png)?;
+        Ok(png.into_inner())
     }
 
     /// The picture.
