@@ -68,6 +68,10 @@ export class Live {
       this.stats.markers = this.motion.n;
       return this.onTable();
     }
+    if (message.kind === "face") {
+      this.motion.facePose = message.pose;
+      return;
+    }
     const nowMs = performance.now();
     this.motion.push(message, nowMs);
     this.lastFrameMs = nowMs;

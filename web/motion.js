@@ -12,6 +12,8 @@ export class Motion {
   labelled = [];
   bones = [];
   limbs = [];
+  face = null;
+  facePose = null;
   head = 0;
   nSeen = 0;
   raw = null;
@@ -25,6 +27,8 @@ export class Motion {
     this.labelled = table.labelled;
     this.bones = table.bones.filter((pair) => pair.every((slot) => slot < this.n));
     this.limbs = (table.limbs ?? []).filter((limb) => limb.ends.every((slot) => slot < this.n));
+    this.face = table.face ?? null;
+    this.facePose = null;
     this.upAxis = table.up_axis;
     /** Millimetres, z up: where each marker was seen last. */
     this.last = new Float32Array(3 * this.n).fill(NaN);
@@ -54,6 +58,7 @@ export class Motion {
     const n = Math.min(this.n, frame.positionsMm.length / 3);
     this.head = (this.head + 1) % TRAIL;
     this.raw = frame.positionsMm;
+    this.facePose = null;
     this.nSeen = 0;
     for (let slot = 0; slot < this.n; slot += 1) {
       const into = 3 * (this.head * this.n + slot);
@@ -73,6 +78,18 @@ export class Motion {
       const [p, q] = [a, b].map((slot) => this.last.subarray(3 * slot, 3 * slot + 3));
       return Math.abs(Math.hypot(p[0] - q[0], p[1] - q[1], p[2] - q[2]) - length_mm) > off_mm;
     });
+  }
+
+  /** The vertices of the face, z up, three numbers each; null while nobody knows where it is. */
+  facePlaced() {
+    if (!this.face || !this.facePose) return null;
+    const placed = new Float32Array(3 * this.face.vertices_mm.length);
+    const p = this.facePose;
+    this.face.vertices_mm.forEach(([x, y, z], vertex) => {
+      const [a, b, c] = [0, 4, 8].map((row) => p[row] * x + p[row + 1] * y + p[row + 2] * z + p[row + 3]);
+      upright(this.upAxis, a, b, c, placed, 3 * vertex);
+    });
+    return placed;
   }
 
   isSeen(slot) {

@@ -19,6 +19,7 @@ export function draw(ctx, camera, motion, view) {
   const points = projectAll(motion, project, view.nowMs);
   drawShadows(ctx, motion, project, points, view);
   if (view.options.trails) drawTrails(ctx, motion, project, view);
+  drawFace(ctx, motion, project, view);
   drawBones(ctx, motion, points, view);
   drawMarkers(ctx, motion, points, view);
   drawNames(ctx, motion, points, view);
@@ -93,6 +94,26 @@ function drawTrails(ctx, motion, project, { colours, chosen }) {
   ctx.strokeStyle = colours.chosen;
   ctx.lineWidth = 2.5;
   ctx.stroke();
+}
+
+/** The wireframe of the subject's face, where its markers say that it is. */
+function drawFace(ctx, motion, project, { colours }) {
+  const placed = motion.facePlaced();
+  if (!placed) return;
+  const [a, b] = [[0, 0, 0], [0, 0, 0]];
+  ctx.beginPath();
+  for (const [from, to] of motion.face.lines) {
+    const there = [[from, a], [to, b]].every(([vertex, at]) =>
+      project(placed[3 * vertex], placed[3 * vertex + 1], placed[3 * vertex + 2], at));
+    if (!there) continue;
+    ctx.moveTo(a[0], a[1]);
+    ctx.lineTo(b[0], b[1]);
+  }
+  ctx.globalAlpha = 0.7;
+  ctx.strokeStyle = colours.bone;
+  ctx.lineWidth = 1;
+  ctx.stroke();
+  ctx.globalAlpha = 1;
 }
 
 /** Whole where both ends are seen, dashed and faint where one is only remembered. */

@@ -41,6 +41,7 @@ function parseMessage(bytes) {
   if (bytes[0] === 1) {
     return { kind: "table", table: JSON.parse(new TextDecoder().decode(bytes.subarray(1))) };
   }
+  if (bytes[0] === 3) return parseFace(bytes);
   if (bytes[0] !== 2) return null;
   if (bytes.length < FRAME_HEAD || (bytes.length - FRAME_HEAD) % 12 !== 0) {
     throw new StreamError(`a frame of ${bytes.length} bytes: three floats a marker were expected`);
@@ -53,6 +54,12 @@ function parseMessage(bytes) {
     arrivalUnixUs: Number(view.getBigUint64(20, true)),
     positionsMm: new Float32Array(bytes.buffer, FRAME_HEAD),
   };
+}
+
+/** Where the face is: for each axis three factors of a vertex, and what is added. */
+function parseFace(bytes) {
+  if (bytes.length !== 4 + 48) throw new StreamError(`a face's place of ${bytes.length} bytes: twelve floats were expected`);
+  return { kind: "face", pose: new Float32Array(bytes.buffer, 4) };
 }
 
 /** Server-sent events: text cut anywhere in, events out. */

@@ -8,7 +8,7 @@ use mocapd::{
 };
 use mocapd_take::record::Subject;
 
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 pub(crate) struct SubjectArgs {
     /// What the subject is called; it stands in the take
     #[arg(long, value_name = "NAME")]
@@ -19,6 +19,9 @@ pub(crate) struct SubjectArgs {
     /// The subject's face, which the take carries: a face.json of `mocapd subject face`
     #[arg(long, value_name = "FILE")]
     face: Option<PathBuf>,
+    /// Which marker sits where on the face: a mapping of labels to vertices
+    #[arg(long, value_name = "FILE", requires = "face")]
+    face_markers: Option<PathBuf>,
 }
 
 impl SubjectArgs {
@@ -27,12 +30,11 @@ impl SubjectArgs {
     /// # Errors
     /// Which file is missing, too large, or is not what it should be; a usage error for a name that is too long.
     pub(crate) fn load(&self) -> anyhow::Result<Option<Subject>> {
-        let Self { subject, skeleton, face } = self;
-        if subject.as_ref().is_some_and(|name| name.len() > NAME_BYTES_MAX) {
+        let Self { subject, skeleton, face, face_markers } = self.clone();
+        if subject.as_ref().is_some_and(|name: &String| name.len() > NAME_BYTES_MAX) {
             let message = format!("--subject has more than {NAME_BYTES_MAX} bytes");
             return Err(UsageError(message).into());
         }
-        let (name, skeleton, face) = (subject.clone(), skeleton.clone(), face.clone());
-        SubjectFiles { name, skeleton, face }.load()
+        SubjectFiles { name: subject, skeleton, face, face_markers }.load()
     }
 }

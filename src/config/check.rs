@@ -121,7 +121,8 @@ fn subject(reader: &mut Reader) -> SubjectFiles {
         if is_name { Ok(text.to_owned()) } else { Err(None) }
     });
     let skeleton = reader.path(&SUBJECT_SKELETON);
-    SubjectFiles { name, skeleton, face: reader.path(&SUBJECT_FACE) }
+    let face = reader.path(&SUBJECT_FACE);
+    SubjectFiles { name, skeleton, face, face_markers: reader.path(&SUBJECT_FACE_MARKERS) }
 }
 
 fn codec(reader: &mut Reader) -> Option<Settings> {

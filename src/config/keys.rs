@@ -225,6 +225,7 @@ pub static KEYS: &[&Key] = &[
     &SUBJECT_NAME,
     &SUBJECT_SKELETON,
     &SUBJECT_FACE,
+    &SUBJECT_FACE_MARKERS,
     &ARM_AT_START,
     &ARM_PRE_ROLL,
     &ARM_INCLUDE_PRE_ROLL,

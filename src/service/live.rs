@@ -10,6 +10,8 @@ use std::{
 
 use crossbeam_channel::Receiver;
 
+use super::face::FacePose;
+
 /// One message of the live stream.
 #[derive(Debug, Clone, PartialEq)]
 pub enum LiveMessage {
@@ -34,6 +36,17 @@ pub struct LiveTable {
     pub bones: Vec<[u16; 2]>,
     /// Those of them that are limbs of the subject's skeleton.
     pub limbs: Vec<LiveLimb>,
+    /// The subject's face, where markers say where it is.
+    pub face: Option<LiveFace>,
+}
+
+/// The wireframe of a face.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct LiveFace {
+    /// Its vertices, in its own millimetres.
+    pub vertices_mm: Vec<[f32; 3]>,
+    /// Pairs of vertices that are joined.
+    pub lines: Vec<[usize; 2]>,
 }
 
 /// A limb of the subject's skeleton between two markers.
@@ -58,33 +71,53 @@ pub struct LiveFrame {
     pub arrival_unix_us: u64,
     /// In millimetres, by slot; NaN where the marker is not seen.
     pub positions_mm: Vec<[f32; 3]>,
+    /// Where the subject's face is, where its markers are seen.
+    pub face: Option<FacePose>,
 }
 
 impl LiveMessage {
     /// As it goes to a browser, little endian: u32 length of what follows, u8 kind. Kind 1, a table: JSON. Kind 2, a
     /// frame: three bytes of zero, u64 row, u64 ticks, u64 arrival in microseconds since 1970, then three f32 a marker
-    /// (NaN where it is not seen).
+    /// (NaN where it is not seen). Behind a frame kind 3, the place of the subject's face: three bytes of zero, then for
+    /// each axis three factors of a vertex and what is added, f32.
     pub fn put(&self, out: &mut Vec<u8>) {
-        let at = out.len();
-        out.extend_from_slice(&[0; 4]);
         match self {
-            Self::Table(table) => {
+            Self::Table(table) => message(out, |out| {
                 out.push(1);
                 // A table of strings and numbers is always JSON.
                 serde_json::to_writer(&mut *out, table.as_ref()).ok();
-            }
+            }),
             Self::Frame(frame) => {
-                out.extend_from_slice(&[2, 0, 0, 0]);
-                for number in [frame.row, frame.device_ticks, frame.arrival_unix_us] {
-                    out.extend_from_slice(&number.to_le_bytes());
-                }
-                for value in frame.positions_mm.iter().flatten() {
-                    out.extend_from_slice(&value.to_le_bytes());
+                message(out, |out| frame.put(out));
+                if let Some(face) = &frame.face {
+                    message(out, |out| {
+                        out.extend_from_slice(&[3, 0, 0, 0]);
+                        face.iter().flatten().for_each(|v| out.extend_from_slice(&v.to_le_bytes()));
+                    });
                 }
             }
         }
-        let len = (out.len() - at - 4) as u32;
-        out[at..at + 4].copy_from_slice(&len.to_le_bytes());
+    }
+}
+
+/// Its length, then what `put` puts.
+fn message(out: &mut Vec<u8>, put: impl FnOnce(&mut Vec<u8>)) {
+    let at = out.len();
+    out.extend_from_slice(&[0; 4]);
+    put(out);
+    let len = (out.len() - at - 4) as u32;
+    out[at..at + 4].copy_from_slice(&len.to_le_bytes());
+}
+
+impl LiveFrame {
+    fn put(&self, out: &mut Vec<u8>) {
+        out.extend_from_slice(&[2, 0, 0, 0]);
+        for number in [self.row, self.device_ticks, self.arrival_unix_us] {
+            out.extend_from_slice(&number.to_le_bytes());
+        }
+        for value in self.positions_mm.iter().flatten() {
+            out.extend_from_slice(&value.to_le_bytes());
+        }
     }
 }
 

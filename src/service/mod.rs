@@ -11,6 +11,7 @@
 pub mod bones;
 pub mod control;
 pub mod engine;
+pub mod face;
 pub mod http;
 pub mod live;
 pub mod log;

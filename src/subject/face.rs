@@ -1,6 +1,9 @@
 //! `face.json`, as far as the house needs it: the wireframe.
 
+use std::collections::BTreeMap;
+
 use anyhow::{Context, ensure};
+use mocapd_subject::face::mapping::Mapping;
 use mocapd_take::record::Subject;
 use serde::{Deserialize, Serialize};
 
@@ -31,6 +34,26 @@ pub struct Face {
     pub vertices_mm: Vec<[f64; 3]>,
     /// Pairs of vertices that are joined.
     pub lines: Vec<[usize; 2]>,
+    /// Vertices by name.
+    #[serde(default)]
+    pub features: BTreeMap<String, usize>,
+}
+
+/// Which marker sits where on the face, from the bytes of a document.
+///
+/// # Errors
+/// What is wrong with it.
+pub fn mapping(data: &[u8]) -> anyhow::Result<Mapping> {
+    let text = std::str::from_utf8(data).context("no UTF-8")?;
+    Ok(Mapping::from_json(text)?)
+}
+
+/// A subject's own; `None` where it has none.
+///
+/// # Errors
+/// What is wrong with it.
+pub fn mapping_of(subject: &Subject) -> anyhow::Result<Option<Mapping>> {
+    subject.document(Subject::FACE_MARKERS).map(mapping).transpose()
 }
 
 impl Face {

@@ -29,6 +29,8 @@ pub struct SubjectFiles {
     pub skeleton: Option<PathBuf>,
     /// A `face.json`.
     pub face: Option<PathBuf>,
+    /// Which marker sits where on the face.
+    pub face_markers: Option<PathBuf>,
 }
 
 impl SubjectFiles {
@@ -48,6 +50,16 @@ impl SubjectFiles {
             let data = read(path)?;
             Face::parse(&data).with_context(|| format!("{}", path.display()))?;
             subject.set(Subject::FACE, data);
+        }
+        if let Some(path) = &self.face_markers {
+            ensure!(
+                self.face.is_some(),
+                "{} says where markers sit on a face, and no face is given: give both",
+                path.display()
+            );
+            let data = read(path)?;
+            face::mapping(&data).with_context(|| format!("{}", path.display()))?;
+            subject.set(Subject::FACE_MARKERS, data);
         }
         Ok((!subject.is_empty()).then_some(subject))
     }

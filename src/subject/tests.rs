@@ -9,6 +9,9 @@ const SKELETON: &str = r#"{"format":"mocapd-skeleton","version":1,"method":"defa
 "scans":1}],"notes":[]}"#;
 const FACE: &str = r#"{"format":"mocapd-face","version":1,"vertices_mm":[[0,0,0],[1,2,3]],"lines":[[0,1]],"features":{}}"#;
 
+const MARKERS: &str =
+    r#"{"format":"mocapd-face-mapping","version":1,"markers":[{"label":"a","at":1}]}"#;
+
 #[test]
 fn files_become_a_subject_byte_for_byte() {
     let folder = tempfile::tempdir().unwrap();
@@ -21,11 +24,14 @@ fn files_become_a_subject_byte_for_byte() {
         name: Some("Anna".to_owned()),
         skeleton: path("s.json", SKELETON),
         face: path("f.json", FACE),
+        face_markers: path("m.json", MARKERS),
     };
     let subject = files.load().unwrap().unwrap();
     assert_eq!(subject.name, "Anna");
     assert_eq!(subject.document(Subject::SKELETON), Some(SKELETON.as_bytes()));
     assert_eq!(subject.document(Subject::FACE), Some(FACE.as_bytes()));
+    assert_eq!(subject.document(Subject::FACE_MARKERS), Some(MARKERS.as_bytes()));
+    assert_eq!(face::mapping_of(&subject).unwrap().unwrap().markers.len(), 1);
     let skeleton = Skeleton::of_take(Some(&subject)).unwrap().unwrap();
     let bones = skeleton.to_bones();
     assert_eq!((bones.len(), bones[0].length_mm, bones[0].uncertainty_mm), (1, 300.0, 6.0));
@@ -39,6 +45,14 @@ fn files_become_a_subject_byte_for_byte() {
     assert!(why.contains("none.json does not exist"), "{why}");
     let why = refused(SubjectFiles { face: path("s.json", SKELETON), ..Default::default() });
     assert!(why.contains("s.json") && why.contains("`mocapd subject face` makes one"), "{why}");
+    let why = refused(SubjectFiles { face_markers: path("m.json", MARKERS), ..Default::default() });
+    assert!(why.contains("no face is given"), "{why}");
+    let why = refused(SubjectFiles {
+        face: path("f.json", FACE),
+        face_markers: path("s.json", SKELETON),
+        ..Default::default()
+    });
+    assert!(why.contains("s.json: not a mapping of markers"), "{why}");
     let why = refused(SubjectFiles { face: path("l", &" ".repeat(1 << 21)), ..Default::default() });
     assert!(why.contains("more than 1 MiB"), "{why}");
 }

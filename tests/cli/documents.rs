@@ -254,13 +254,14 @@ fn doctor() {
 fn config_check() {
     let folder = Folder::new();
     // Every key that the page has, and one of each list.
-    let all = "[device]\nrate_hz = 240\n[subject]\nname = 'S01'\nskeleton = 's.json'\nface = 'f.json'\n\
+    let all = "[device]\nrate_hz = 240\n[subject]\nname = 'S01'\nskeleton = 's.json'\nface = 'f.json'\nface_markers = 'm.json'\n\
                [take]\nmax_length = '1h'\n[http]\ntoken_file = 'token'\nallowed_hosts = ['rig.lab']\n\
                [trigger]\nlisten = '0.0.0.0:8989'\nsend_to = ['10.0.0.1:8989']\n";
     folder.write("left.toml", all);
     folder.write("token", "0123456789abcdef\n");
     folder.write("s.json", super::subjects::skeleton(&jump(1, 60.0, 1.0)));
     folder.write("f.json", super::subjects::FACE);
+    folder.write("m.json", super::subjects::MARKERS);
     std::fs::set_permissions(folder.path("token"), std::fs::Permissions::from_mode(0o600)).unwrap();
     let checked = folder.run(&["config", "check", "left.toml", "--json"]).with_code(0);
     assert_eq!(checked.stderr, "");

@@ -21,7 +21,7 @@ mod raw_logs;
 mod recording;
 mod recoveries;
 mod studies;
-mod subjects;
+pub(crate) mod subjects;
 mod troubled;
 mod unprivileged;
 mod verify;

@@ -16,12 +16,15 @@ use crate::support::{jump, places};
 pub(super) const FACE: &str = r#"{"format":"mocapd-face","version":1,"method":"default","source":{"name":"a.jpg","sha256":"7f"},"vertices_mm":[[0,0,0],[9,0,0],[0,9,0]],
 "lines":[[0,1],[1,2]],"features":{"nose":0}}"#;
 
+/// Which marker sits where on it.
+pub(super) const MARKERS: &str = r#"{"format":"mocapd-face-mapping","version":1,"markers":[{"label":"head","at":"nose"},{"label":"throat","at":2}]}"#;
+
 fn distance(a: [f32; 3], b: [f32; 3]) -> f64 {
     (0..3).map(|axis| f64::from(a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
 }
 
 /// The bones of a motion of 15 sites as a scan would have them: their median lengths, each off by a few per cent.
-pub(super) fn skeleton(motion: &Motion) -> String {
+pub(crate) fn skeleton(motion: &Motion) -> String {
     let mut joints = String::new();
     for site in SITES {
         let at = if joints.is_empty() { "" } else { "," };

@@ -12,9 +12,10 @@ use mocapd::{
         status::State,
     },
 };
+use mocapd_take::record::Subject;
 
 use crate::{
-    cli::devices::Simulated,
+    cli::{devices::Simulated, subjects::skeleton},
     support::{dense, jump},
 };
 
@@ -58,6 +59,21 @@ pub(crate) fn room(change: impl FnOnce(&mut EngineOptions)) -> Room {
     Room { directory, device, engine }
 }
 
+/// A skeleton of 14 bones, and a face that four of the markers hold.
+fn subject() -> Arc<Subject> {
+    let mut subject = Subject { name: "S01".to_owned(), documents: Vec::new() };
+    subject.set(Subject::SKELETON, skeleton(&jump(1, 60.0, 1.0)).into_bytes());
+    let face = r#"{"format":"mocapd-face","version":1,"vertices_mm":[[0,0,0],[9,0,0],[0,9,0],[0,0,9]],"lines":[[0,1]]}"#;
+    subject.set(Subject::FACE, face.as_bytes().to_vec());
+    let marker = |(at, label): (usize, &str)| format!(r#"{{"label":"{label}","at":{at}}}"#);
+    let markers = ["head", "throat", "pelvis", "l_wrist"].into_iter().enumerate().map(marker);
+    let markers = markers.collect::<Vec<_>>().join(",");
+    let mapping =
+        format!(r#"{{"format":"mocapd-face-mapping","version":1,"markers":[{markers}]}}"#);
+    subject.set(Subject::FACE_MARKERS, mapping.into_bytes());
+    Arc::new(subject)
+}
+
 fn request() -> Request {
     Request::default()
 }
@@ -86,7 +102,7 @@ pub(crate) fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
 
 #[test]
 fn a_take_is_there_when_start_says_so_and_whole_when_stop_does() {
-    let Room { directory, device, engine } = room(|_| {});
+    let Room { directory, device, engine } = room(|options| options.subject = Some(subject()));
     assert_eq!(engine.status().state, State::Idle);
     let started = engine.start(&named("walk")).unwrap();
     assert_eq!(started.path, directory.path().join("walk.take"));
@@ -103,6 +119,7 @@ fn a_take_is_there_when_start_says_so_and_whole_when_stop_does() {
     let stopped = engine.stop(&request()).unwrap();
     let summary = read(&started.path);
     assert_eq!(stopped.bytes, started.path.metadata().unwrap().len());
+    assert_eq!(summary.subject.as_ref(), Some(&*subject()));
     assert_eq!(stopped.ledger.recorded, summary.ledger.as_ref().unwrap().recorded);
     assert!(stopped.ledger.closes && stopped.seconds > 0.7, "{stopped:?}");
     let mark = summary.events.iter().find(|event| event.text == "heel strike").unwrap();
@@ -214,8 +231,10 @@ fn the_take_is_finished_when_the_service_stops_and_when_its_time_is_up() {
 
 #[test]
 fn viewers_see_the_newest_frames_and_a_slow_one_costs_nothing() {
-    let Room { directory: _directory, device: _device, engine } =
-        room(|options| options.arm_at_start = true);
+    let Room { directory: _directory, device: _device, engine } = room(|options| {
+        options.arm_at_start = true;
+        options.subject = Some(subject());
+    });
     let (quick, slow) = (engine.live(), engine.live());
     let mut frames = 0;
     let mut tables = 0;
@@ -225,10 +244,12 @@ fn viewers_see_the_newest_frames_and_a_slow_one_costs_nothing() {
             LiveMessage::Table(table) => {
                 tables += 1;
                 assert_eq!(table.labels.len(), 15);
-                assert!(!table.bones.is_empty());
+                assert_eq!((table.bones.len(), table.limbs.len()), (14, 14));
+                assert_eq!(table.face.as_ref().unwrap().vertices_mm.len(), 4);
             }
             LiveMessage::Frame(frame) => {
                 assert_eq!(frame.positions_mm.len(), 15);
+                assert!(frame.face.is_some());
                 assert!(frame.row >= last);
                 last = frame.row;
                 frames += 1;

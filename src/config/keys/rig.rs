@@ -217,3 +217,14 @@ pub static SUBJECT_FACE: Key = Key {
     when: When::NextTake,
     written: |config| config.subject.face.as_deref().and_then(path),
 };
+
+/// `subject.face_markers`.
+pub static SUBJECT_FACE_MARKERS: Key = Key {
+    path: "subject.face_markers",
+    takes: Takes::Text("the path of a file"),
+    preset: Preset::Absent("\"/srv/subjects/face-markers.json\""),
+    what: "Which marker sits where on the `face`: labels, and the vertices of the wireframe; every take carries it, and the dashboard draws the face under the markers by it.",
+    why: "Sets of markers on faces have no names that everybody knows.",
+    when: When::NextTake,
+    written: |config| config.subject.face_markers.as_deref().and_then(path),
+};

@@ -38,6 +38,7 @@ max_length = "90min"
 name = "S 01"
 skeleton = "/srv/subjects/s01.json"
 face = "faces/s01.json"
+face_markers = "faces/markers.json"
 [arm]
 at_start = false
 pre_roll = "1.25s"

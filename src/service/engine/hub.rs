@@ -21,6 +21,7 @@ use crate::{
     rig::monotonic_ns,
     service::{
         bones::{bones, live_limbs, with_limbs},
+        face::FaceUnderMarkers,
         live::{LiveFeed, LiveFrame, LiveMessage, LiveTable},
     },
 };
@@ -65,6 +66,7 @@ pub(super) struct Hub {
     sessions: Receiver<NewSession>,
     session: Option<NewSession>,
     table: Arc<LiveTable>,
+    face: Option<FaceUnderMarkers>,
     positions: Vec<Position>,
 }
 
@@ -131,6 +133,7 @@ impl Hub {
             sessions,
             session: None,
             table: Arc::default(),
+            face: None,
             positions: Vec::new(),
         };
         (hub, sessions_in)
@@ -156,9 +159,11 @@ impl Hub {
         while let Some(head) = session.tap.next(&mut self.positions) {
             if self.table.labels.len() != head.n_channels {
                 let subject = self.inner.core().options.subject.clone();
-                let table = table(session, subject.as_deref());
+                let mut table = table(session, subject.as_deref());
                 // A marker that has just appeared has no name before the writer has met it: it is shown then.
                 if table.labels.len() != self.table.labels.len() {
+                    self.face = FaceUnderMarkers::new(subject.as_deref(), &table.labels);
+                    table.face = self.face.as_ref().map(FaceUnderMarkers::wireframe);
                     self.table = Arc::new(table);
                 }
                 self.positions.truncate(self.table.labels.len());
@@ -170,7 +175,8 @@ impl Hub {
             let TapHead { row, device_ticks, arrival_ns, .. } = head;
             let arrival_unix_us = offset_us + arrival_ns / 1000;
             let positions_mm = self.positions.clone();
-            let frame = LiveFrame { row, device_ticks, arrival_unix_us, positions_mm };
+            let face = self.face.as_ref().and_then(|face| face.pose(&positions_mm));
+            let frame = LiveFrame { row, device_ticks, arrival_unix_us, positions_mm, face };
             self.inner.viewers.show(&self.table, &Arc::new(frame));
         }
     }
@@ -183,6 +189,7 @@ fn table(session: &NewSession, subject: Option<&Subject>) -> LiveTable {
     LiveTable {
         bones: with_limbs(bones(&labels), &limbs),
         limbs,
+        face: None,
         labels,
         labelled: channels.iter().map(|channel| channel.labelled).collect(),
         up_axis: session.header.up_axis,

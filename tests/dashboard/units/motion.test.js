@@ -90,3 +90,15 @@ test("a limb that is not as long as the scan has it is told while both ends are 
   equal(motion.limbsOff(), [], "nobody knows where the other end is");
   equal(withTable(["a", "b"]).limbsOff(), [], "a service without a subject names none");
 });
+
+test("the face is where the last frame's markers say, and nowhere without them", () => {
+  const motion = new Motion();
+  const face = { vertices_mm: [[0, 0, 0], [1, 2, 3]], lines: [[0, 1]] };
+  motion.setTable({ labels: ["a"], labelled: [true], up_axis: 2, rate_hz: 120, bones: [], face });
+  motion.push(frame(0, 0, 0), 1);
+  equal(motion.facePlaced(), null);
+  motion.facePose = Float32Array.from([2, 0, 0, 10, 0, 2, 0, 20, 0, 0, 2, 30]);
+  equal([...motion.facePlaced()], [30, 10, 20, 36, 12, 24], "y is up");
+  motion.push(frame(0, 0, 0), 2);
+  equal(motion.facePlaced(), null, "a frame without a place has no face");
+});

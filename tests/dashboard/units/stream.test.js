@@ -41,6 +41,15 @@ test("a live stream is read, and a kind that is not known is passed over", () =>
   equal([third.row, third.positionsMm.length, rest.length], [8, 0, 0]);
 });
 
+test("the place of a face comes behind its frame", () => {
+  const body = new Uint8Array(52);
+  body[0] = 3;
+  new DataView(body.buffer).setFloat32(4 + 4 * 7, 1.5, true);
+  const [found] = read([message(body)]);
+  equal([found.kind, found.pose.length, found.pose[7]], ["face", 12, 1.5]);
+  throws(() => read([message(body.slice(0, 51))]), "twelve floats");
+});
+
 test("a live stream may be cut at every byte", () => {
   for (let cut = 0; cut <= whole.length; cut += 1) {
     const found = read([whole.slice(0, cut), whole.slice(cut)]);

@@ -71,6 +71,7 @@ impl Feeds {
             device_ticks: row * 10,
             arrival_unix_us: 1,
             positions_mm: vec![[row as f32, 2.0, f32::NAN]; n_markers],
+            face: None,
         });
         self.send(&LiveMessage::Frame(frame))
     }
@@ -106,5 +107,6 @@ fn table(n_markers: usize) -> Arc<LiveTable> {
         rate_hz: 120.0,
         bones: vec![[0, 1]],
         limbs: Vec::new(),
+        face: None,
     })
 }
