@@ -36,6 +36,7 @@ fn motion(n_frames: usize, n_markers: usize) -> Motion {
         source: Source { first_frame: 17, ..Source::default() },
         foreign: Vec::new(),
         events: Vec::new(),
+        subject: None,
     };
     Motion { info, positions_mm }
 }
