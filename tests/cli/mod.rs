@@ -17,6 +17,7 @@ mod imports;
 mod ndi;
 mod outputs;
 mod plots;
+mod preparing;
 mod raw_logs;
 mod recording;
 mod recoveries;

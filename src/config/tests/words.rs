@@ -45,9 +45,9 @@ fn unknown_keys_tell_the_nearest_one() {
         "unknown section [devices]: did you mean 'device'?",
     );
     refused(
-        "[subject]",
+        "[studio]",
         "line 1, column 2",
-        "there are rig, device, take, arm, http, trigger, log",
+        "there are rig, device, take, subject, arm, http, trigger, log",
     );
     refused(
         "device = 'auto'",

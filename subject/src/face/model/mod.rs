@@ -8,8 +8,6 @@ mod camera;
 mod feature;
 mod fit;
 mod parse;
-#[cfg(test)]
-mod recorded;
 mod shape;
 mod solve;
 mod start;

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::*;
+use crate::face::model::*;
 
 struct Face {
     name: String,
