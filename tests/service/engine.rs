@@ -238,6 +238,7 @@ fn viewers_see_the_newest_frames_and_a_slow_one_costs_nothing() {
     let (quick, slow) = (engine.live(), engine.live());
     let mut frames = 0;
     let mut tables = 0;
+    let mut with_face = 0;
     let mut last = 0;
     for _ in 0..60 {
         match quick.next(Duration::from_secs(10)).unwrap() {
@@ -249,7 +250,7 @@ fn viewers_see_the_newest_frames_and_a_slow_one_costs_nothing() {
             }
             LiveMessage::Frame(frame) => {
                 assert_eq!(frame.positions_mm.len(), 15);
-                assert!(frame.face.is_some());
+                with_face += usize::from(frame.face.is_some());
                 assert!(frame.row >= last);
                 last = frame.row;
                 frames += 1;
@@ -257,6 +258,8 @@ fn viewers_see_the_newest_frames_and_a_slow_one_costs_nothing() {
         }
     }
     assert_eq!((tables, frames), (1, 59));
+    // Markers are occluded now and then, and a face needs three of its four.
+    assert!(with_face > frames / 2, "{with_face} of {frames}");
     assert!(matches!(slow.next(Duration::ZERO), Some(LiveMessage::Table(_))));
     let mut newest = 0;
     while let Some(LiveMessage::Frame(frame)) = slow.next(Duration::ZERO) {

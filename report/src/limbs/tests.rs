@@ -128,7 +128,8 @@ fn a_marker_that_fell_off_is_no_swap() {
     assert_eq!(found.outside.len(), 1, "{:?}", found.outside);
     let outside = &found.outside[0];
     assert_eq!(bones()[outside.limb].name, "l_shank");
-    assert!((600..640).contains(&outside.rows.start) && outside.rows.end == 800, "{outside:?}");
+    // Pulled across the limb: it is a tenth longer, 462 mm, when the marker is off by 192 mm.
+    assert!((648..660).contains(&outside.rows.start) && outside.rows.end == 800, "{outside:?}");
     assert!(outside.extreme_mm > 550.0, "{outside:?}");
 }
 

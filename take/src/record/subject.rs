@@ -10,7 +10,7 @@ use bincode::{
     enc::Encoder,
     error::{DecodeError, EncodeError},
 };
-use flate2::{Compression, read::DeflateDecoder, write::DeflateEncoder};
+use flate2::{Compression, bufread::DeflateDecoder, write::DeflateEncoder};
 
 use super::Record;
 use crate::chunk::types;
@@ -127,6 +127,7 @@ fn inflate(deflated: &[u8], stated: u64) -> Result<Vec<u8>, &'static str> {
         return Err("a document of more than 1 MiB");
     }
     let mut data = Vec::new();
+    // From memory: no buffer of its own, which would be larger than most documents.
     DeflateDecoder::new(deflated)
         .take(stated + 1)
         .read_to_end(&mut data)
