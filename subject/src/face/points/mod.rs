@@ -1,5 +1,5 @@
 //! The 53 points of a face (Yang et al. 2004, section 3): outline 12, brows 2 x 5, nose 5, eyes 2 x 6, mouth 14, each with
-//! a confidence. They are numbered as [`FeatureId`](crate::face::model::FeatureId) numbers them.
+//! a confidence. They are numbered as [`FeatureId`] numbers them.
 //!
 //! [`find`] is the default: every feature is an outline that is moved and bent until brightness and redness agree with it,
 //! all of them are held together by the generic face in its pose, and the two take turns. [`paper::find`] is the paper's
