@@ -52,6 +52,9 @@ enum Chosen {
     Paper,
 }
 
+/// Ends that are told less surely than this want a look: arms that have grown to the trunk gave 0.14.
+const DOUBTED: f64 = 0.5;
+
 /// Most scans of one person: what a skeleton names as its sources.
 const SCANS_MAX: usize = 64;
 
@@ -112,6 +115,13 @@ fn survey(
     let mut notes: Vec<String> = repaired.notes.iter().map(ToString::to_string).collect();
     if survey.in_contact {
         notes.push("limbs touch: joints near the contact are less sure than told".to_owned());
+    }
+    if survey.confidence < DOUBTED {
+        notes.push(
+            "head, hands and feet are not told surely, as where limbs touch: look at the picture \
+             before you trust a joint"
+                .to_owned(),
+        );
     }
     if !survey.joints.sides_told {
         notes.push("left and right could not be told: the sides may be exchanged".to_owned());
