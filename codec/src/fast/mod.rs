@@ -12,6 +12,7 @@ mod decoder;
 mod encoder;
 mod levels;
 mod model;
+mod places;
 mod planes;
 mod read;
 mod reader;

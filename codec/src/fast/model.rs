@@ -27,7 +27,7 @@ pub(super) const ANCHOR: usize = 5;
 pub(super) const ORIGIN: usize = 6;
 
 /// Sums of magnitudes are cut to this: one jump must not decide for long.
-const MAX_MAGNITUDE: u32 = 255;
+pub(super) const MAX_MAGNITUDE: u32 = 255;
 
 /// Order of the Exp-Golomb code of larger magnitudes, by table.
 pub(super) const GOLOMB: [u32; TABLES] = [0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3, 2, 2, 0, 0];
@@ -88,7 +88,7 @@ pub(super) fn frequency(table: usize, symbol: usize) -> u16 {
 /// How large the residuals of one level were lately: an average of the sum over the axes, in 1/256,
 /// that forgets a quarter a row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Activity(u32);
+pub(super) struct Activity(pub(super) u32);
 
 impl Activity {
     /// What a key block starts with: more at wider strides.

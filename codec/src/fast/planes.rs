@@ -1,6 +1,7 @@
 //! Rows by axis, so that one instruction takes many rows: the rows of a level depend on wider levels only.
 
 use super::walk::Point;
+use crate::Position;
 
 /// Rows that are worked out together. What is worked out beyond the last row is not looked at.
 pub(super) const LANES: usize = 8;
@@ -80,4 +81,31 @@ pub(super) fn join(even: &[f32], odd: &[f32], n: usize, rows: &mut [f32]) {
 #[inline(always)]
 pub(super) fn lanes(plane: &[f32], n: usize) -> &[Lanes] {
     &plane.as_chunks().0[..n]
+}
+
+/// Puts the axes together; says whether any is not finite.
+#[inline(always)]
+pub(super) fn gather(x: &[f32], y: &[f32], z: &[f32], positions: &mut [Position]) -> bool {
+    let n = positions.len();
+    let (x, y, z) = (&x[..n], &y[..n], &z[..n]);
+    for (i, position) in positions.iter_mut().enumerate() {
+        *position = [x[i], y[i], z[i]];
+    }
+    let mut not_finite = false;
+    for i in 0..n {
+        not_finite |= !x[i].is_finite() | !y[i].is_finite() | !z[i].is_finite();
+    }
+    not_finite
+}
+
+/// Adds residuals to what was expected.
+#[inline(always)]
+pub(super) fn settle(steps: &[Point], step: f32, x: &mut [f32], y: &mut [f32], z: &mut [f32]) {
+    let n = steps.len();
+    let (x, y, z) = (&mut x[..n], &mut y[..n], &mut z[..n]);
+    for (i, steps) in steps.iter().enumerate() {
+        x[i] += steps[0] * step;
+        y[i] += steps[1] * step;
+        z[i] += steps[2] * step;
+    }
 }

@@ -3,14 +3,15 @@
 use super::{
     isa::Kernel,
     levels::LEAD,
-    model::{Activity, QUIET, QUIET_ROWS, WAKE},
-    planes::Planes,
-    reader::Reader,
+    model::{Activity, QUIET_ROWS},
+    places::{Fourfold, QUIET_PLACE, WAKE_PLACE, cut},
+    planes::{Planes, gather, settle},
+    reader::{Reader, SYMBOLS_FILLED},
     residual::{RESIDUALS, residual},
-    tans::{MORE, Tables},
+    tans::{MAGNITUDE, MORE, Tables},
     walk::{self, Channel, Grid, Point, Rows, Side},
 };
-use crate::{CodecError, DecodedRows, Position, block};
+use crate::{CodecError, DecodedRows, block};
 
 /// One channel of one block.
 pub(super) struct Decoding<'a, 'p> {
@@ -54,33 +55,6 @@ impl Kernel for Decoding<'_, '_> {
     }
 }
 
-/// Puts the axes together; says whether any is not finite.
-#[inline(always)]
-fn gather(x: &[f32], y: &[f32], z: &[f32], positions: &mut [Position]) -> bool {
-    let n = positions.len();
-    let (x, y, z) = (&x[..n], &y[..n], &z[..n]);
-    for (i, position) in positions.iter_mut().enumerate() {
-        *position = [x[i], y[i], z[i]];
-    }
-    let mut not_finite = false;
-    for i in 0..n {
-        not_finite |= !x[i].is_finite() | !y[i].is_finite() | !z[i].is_finite();
-    }
-    not_finite
-}
-
-/// Adds residuals to what was expected.
-#[inline(always)]
-fn settle(steps: &[Point], step: f32, x: &mut [f32], y: &mut [f32], z: &mut [f32]) {
-    let n = steps.len();
-    let (x, y, z) = (&mut x[..n], &mut y[..n], &mut z[..n]);
-    for (i, steps) in steps.iter().enumerate() {
-        x[i] += steps[0] * step;
-        y[i] += steps[1] * step;
-        z[i] += steps[2] * step;
-    }
-}
-
 struct Reading<'a, 'p> {
     tables: &'static Tables,
     reader: &'a mut Reader<'p>,
@@ -104,38 +78,49 @@ impl Side for Reading<'_, '_> {
         self.at = 0;
         // In registers while the level is read.
         let mut reader = *self.reader;
-        let mut recent = *activity;
+        let mut recent = Fourfold::from(*activity);
         let steps = &mut self.steps[..rows.count];
         steps.fill(Point::default());
         let mut i = 0;
         while i < steps.len() {
-            let mut table = recent.class();
+            reader.refill()?;
+            // Rows that what is there suffices for.
+            let mut filled_to = i + SYMBOLS_FILLED;
+            let mut place = recent.place();
             if recent.is_quiet() {
-                let zeros = reader.entry(self.tables, QUIET)? as usize % 64;
+                let zeros = reader.entry(self.tables, QUIET_PLACE)? as usize % 64;
                 i = (i + zeros).min(steps.len());
                 if zeros == QUIET_ROWS {
                     continue;
                 }
-                table = WAKE;
+                place = WAKE_PLACE;
+                filled_to = i + 1;
             }
-            let slot = steps.get_mut(i).ok_or(CodecError::Corrupt("a row beyond its level"))?;
-            let entry = reader.entry(self.tables, table)?;
-            let symbol = entry as usize % 64;
-            *slot = RESIDUALS[symbol];
-            // Not looked up: what is read next waits for it.
-            let mut magnitude = entry >> 6 & 3;
-            if entry & MORE != 0 {
-                magnitude = residual(&mut reader, symbol, table, slot)?;
+            loop {
+                let slot = steps.get_mut(i).ok_or(CodecError::Corrupt("a row beyond its level"))?;
+                let entry = reader.entry(self.tables, place)?;
+                let symbol = entry as usize % 64;
+                *slot = RESIDUALS[symbol];
+                // Not looked up: what is read next waits for it.
+                let mut magnitude = entry & MAGNITUDE;
+                if entry & MORE != 0 {
+                    magnitude = cut(residual(&mut reader, symbol, place, slot)?);
+                    filled_to = i + 1;
+                }
+                recent.push(magnitude);
+                // The last anchor may lie beyond the samples.
+                if let Some(kept) = self.kept.get_mut(rows.row(i) + self.origin - 1) {
+                    *kept = magnitude != 0;
+                }
+                i += 1;
+                if i >= filled_to || i >= steps.len() || recent.is_quiet() {
+                    break;
+                }
+                place = recent.place();
             }
-            recent.push(magnitude);
-            // The last anchor may lie beyond the samples.
-            if let Some(kept) = self.kept.get_mut(rows.row(i) + self.origin - 1) {
-                *kept = magnitude != 0;
-            }
-            i += 1;
         }
         *self.reader = reader;
-        *activity = recent;
+        *activity = recent.into();
         Ok(())
     }
 

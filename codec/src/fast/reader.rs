@@ -3,12 +3,15 @@
 use std::cmp::Ordering;
 
 use super::{
-    model::{STATE_BITS, STATES, TABLES},
-    tans::{Entry, Tables},
+    model::{STATE_BITS, STATES},
+    tans::{BASE_AT, Entry, SHIFT_AT, Tables},
 };
 use crate::CodecError;
 
 const CUT_SHORT: CodecError = CodecError::Truncated("the coded residuals");
+
+/// Symbols that can be read after a refill: [`STATE_BITS`] each, of 56.
+pub(super) const SYMBOLS_FILLED: usize = 56 / STATE_BITS as usize;
 
 /// Bytes before the payload, so that eight can be read at any place that is not beyond the start.
 pub(super) const PAD: usize = 16;
@@ -51,7 +54,7 @@ impl<'a> Reader<'a> {
 
     /// At least 56 bits are there afterwards.
     #[inline(always)]
-    fn refill(&mut self) -> Result<(), CodecError> {
+    pub(super) fn refill(&mut self) -> Result<(), CodecError> {
         let bytes = self.padded.get(self.bytes.wrapping_sub(8)..self.bytes).ok_or(CUT_SHORT)?;
         let next = bytes.first_chunk::<8>().map_or(0, |bytes| u64::from_le_bytes(*bytes));
         // What is below the filled bits is what comes next: to set it twice does no harm.
@@ -92,15 +95,17 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
-    /// The entry of the next symbol of a table.
+    /// The entry of the next symbol of the table at a place. At most [`STATE_BITS`] are read, which must be there.
     #[inline(always)]
-    pub(super) fn entry(&mut self, tables: &Tables, table: usize) -> Result<Entry, CodecError> {
-        let word = self.peek()?;
-        let entry = tables.entries[(table * STATES + self.state) % (TABLES * STATES)];
-        let width = entry >> 8 & 0x3f;
+    pub(super) fn entry(&mut self, tables: &Tables, place: usize) -> Result<Entry, CodecError> {
+        // Not cut to the table's size: the next entry would wait for that.
+        let at = place * STATES + self.state;
+        let entry = *tables.entries.get(at).ok_or(CodecError::Corrupt("a state beyond all"))?;
+        let shift = entry >> SHIFT_AT;
+        let base = entry >> BASE_AT & (STATES as u32 - 1);
         // In two steps: a shift by 64 is none.
-        self.state = (entry >> 16) as usize + (word >> 1 >> (63 - width)) as usize;
-        self.skip(width);
+        self.state = (u64::from(base) + (self.word >> 1 >> shift)) as usize;
+        self.skip(63 - shift);
         Ok(entry)
     }
 

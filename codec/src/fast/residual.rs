@@ -2,7 +2,8 @@
 
 use super::{
     MAX_ZEROS,
-    model::{GOLOMB, LOW_BITS},
+    model::{GOLOMB, LOW_BITS, TABLES},
+    places::{PLACES, table_at},
     reader::Reader,
     walk::Point,
 };
@@ -46,6 +47,21 @@ const fn axes() -> ([u8; 64], [u8; 64]) {
     (ones, larger)
 }
 
+/// What holds for each table, by its place.
+const fn by_place(of: [u32; TABLES]) -> [u32; PLACES] {
+    let mut by_place = [0; PLACES];
+    let mut place = 0;
+    while place < PLACES {
+        if let Some(table) = table_at(place) {
+            by_place[place] = of[table];
+        }
+        place += 1;
+    }
+    by_place
+}
+
+static GOLOMB_AT: [u32; PLACES] = by_place(GOLOMB);
+static LOW_BITS_AT: [u32; PLACES] = by_place(LOW_BITS);
 pub(super) static RESIDUALS: [Point; 64] = residuals();
 pub(super) static ONES: [u8; 64] = axes().0;
 pub(super) static LARGER: [u8; 64] = axes().1;
@@ -65,24 +81,24 @@ fn larger(reader: &mut Reader<'_>, order: u32) -> Result<i32, CodecError> {
     Ok(if value & 1 == 0 { magnitude } else { -magnitude })
 }
 
-/// Puts what is behind a symbol of a table, which there is, into the residual that it has without; gives the sum of
-/// the magnitudes.
+/// Puts what is behind a symbol of the table at a place, which there is, into the residual that it has without; gives
+/// the sum of the magnitudes.
 #[inline(always)]
 pub(super) fn residual(
     reader: &mut Reader<'_>,
     symbol: usize,
-    table: usize,
+    place: usize,
     steps: &mut Point,
 ) -> Result<u32, CodecError> {
-    if LOW_BITS[table] > 0 {
-        return wide_residual(reader, symbol, table, steps);
+    if LOW_BITS_AT[place % PLACES] > 0 {
+        return wide_residual(reader, symbol, place, steps);
     }
     let mut magnitude = u32::from(ONES[symbol % 64]);
     let mut axes = LARGER[symbol % 64];
     while axes != 0 {
         let axis = axes.trailing_zeros() as usize % 4;
         axes &= axes - 1;
-        let value = larger(reader, GOLOMB[table])?;
+        let value = larger(reader, GOLOMB_AT[place % PLACES])?;
         steps[axis] = value as f32;
         magnitude += value.unsigned_abs();
     }
@@ -94,10 +110,10 @@ pub(super) fn residual(
 fn wide_residual(
     reader: &mut Reader<'_>,
     symbol: usize,
-    table: usize,
+    place: usize,
     steps: &mut Point,
 ) -> Result<u32, CodecError> {
-    let low_bits = LOW_BITS[table];
+    let low_bits = LOW_BITS_AT[place % PLACES];
     let low = (reader.peek()? >> (64 - 3 * low_bits)) as i32;
     reader.skip(3 * low_bits);
     let mut magnitude = 0;
@@ -106,7 +122,7 @@ fn wide_residual(
             0 => 0,
             1 => 1,
             2 => -1,
-            _ => larger(reader, GOLOMB[table])?,
+            _ => larger(reader, GOLOMB_AT[place % PLACES])?,
         };
         let low = low >> (low_bits * (2 - axis as u32)) & ((1 << low_bits) - 1);
         let value = high * (1 << low_bits) + low - (1 << (low_bits - 1));

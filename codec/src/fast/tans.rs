@@ -7,15 +7,24 @@ use std::sync::LazyLock;
 
 use super::{
     model::{self, LOW_BITS, QUIET, STATE_BITS, STATES, SYMBOLS, TABLES},
+    places::{PLACES, table_at},
     residual::{LARGER, ONES},
 };
 
-/// A decoder's state: symbol in bits 0-5, how many of its axes are +-1 in 6-7, bits to read in 8-14, base of the next
-/// state in 16-31; bit 15 is set where there is more to read for the row.
+/// A decoder's state: symbol in bits 0-5, how many of its axes are +-1 in 8-9, base of the next state in 16-25, 63 less
+/// the bits to read in 26-31; bit 6 is set where there is more to read for the row.
+///
+/// What the next entry waits for is taken out in one step each.
 pub(super) type Entry = u32;
 
-/// Bit 15 of an entry.
-pub(super) const MORE: Entry = 1 << 15;
+/// Bit 6 of an entry.
+pub(super) const MORE: Entry = 1 << 6;
+/// Bits 8 and 9: a row's magnitude, as [`Activity`](super::model::Activity) counts, where there is no more to read.
+pub(super) const MAGNITUDE: Entry = 3 << 8;
+/// Where the base of the next state is.
+pub(super) const BASE_AT: u32 = 16;
+/// Where 63 less the bits to read are.
+pub(super) const SHIFT_AT: u32 = 26;
 
 /// How an encoder codes one symbol of one table.
 #[derive(Debug, Clone, Copy, Default)]
@@ -29,7 +38,8 @@ pub(super) struct Transition {
 /// All tables of the model, for both directions.
 #[derive(Debug)]
 pub(super) struct Tables {
-    pub(super) entries: Box<[Entry; TABLES * STATES]>,
+    /// By [place](super::places::table_at).
+    pub(super) entries: Box<[Entry; PLACES * STATES]>,
     pub(super) transitions: Box<[Transition; TABLES * SYMBOLS]>,
     /// Next states of the encoder, [`STATES`] to `2 * STATES - 1`.
     pub(super) states: Box<[u16; TABLES * STATES]>,
@@ -49,7 +59,7 @@ impl Tables {
 
     fn build() -> Self {
         let mut tables = Self {
-            entries: Box::new([0; TABLES * STATES]),
+            entries: Box::new([0; PLACES * STATES]),
             transitions: Box::new([Transition::default(); TABLES * SYMBOLS]),
             states: Box::new([0; TABLES * STATES]),
         };
@@ -92,8 +102,11 @@ impl Tables {
                 QUIET => (0, false),
                 _ => (ONES[symbol], LARGER[symbol] != 0 || LOW_BITS[table] > 0),
             };
-            let row = u32::from(ones) << 6 | if more { MORE } else { 0 };
-            self.entries[at + state] = (base as u32) << 16 | bits << 8 | row | symbol as u32;
+            let row = u32::from(ones) << 8 | if more { MORE } else { 0 };
+            let entry = (63 - bits) << SHIFT_AT | (base as u32) << BASE_AT | row | symbol as u32;
+            for place in (0..PLACES).filter(|&place| table_at(place) == Some(table)) {
+                self.entries[place * STATES + state] = entry;
+            }
             self.states[at + start[symbol] + x - counts[symbol]] = (STATES + state) as u16;
         }
     }
