@@ -1,21 +1,16 @@
-//! The threads: one that reads, and those that decode.
+//! The threads that decode: from coded stretches to rows.
 
-use std::{fs::File, io};
+use std::io;
 
 use crossbeam_channel::{Receiver, Sender};
 use mocapd_codec::Settings;
 use mocapd_take::{
-    TakeError, TakeEvent, TakeReader,
+    TakeError,
     motion::{GAP, Position},
-    reader::pull,
     stretch::{Span, Stretch, StretchDecoder},
 };
 
-/// Coded stretches that wait for a thread: the next, while it is busy with one.
-pub(super) const CODED_MAX: usize = 2;
-
-/// Pieces that wait for the reader of frames, a thread: enough that none waits while another's are read.
-pub(super) const PIECES_MAX: usize = 16;
+use super::jobs::Job;
 
 /// Samples of a piece: 200 kB, which stay in a processor's cache while their columns become rows.
 const PIECE_SAMPLES: usize = 1 << 14;
@@ -24,7 +19,7 @@ const PIECE_SAMPLES: usize = 1 << 14;
 pub(super) enum Coded {
     /// A stretch of the take.
     Stretch(OwnStretch),
-    /// What follows is another thread's.
+    /// What follows is another job's.
     Next,
     /// There are no more.
     End,
@@ -45,9 +40,9 @@ pub(super) enum Decoded {
 
 /// A stretch out of the reader's memory.
 pub(super) struct OwnStretch {
-    span: Span,
-    shared: Vec<u8>,
-    blocks: Vec<Vec<u8>>,
+    pub(super) span: Span,
+    pub(super) shared: Vec<u8>,
+    pub(super) blocks: Vec<Vec<u8>>,
 }
 
 /// Successive rows, frame by frame.
@@ -72,59 +67,25 @@ impl Rows {
     }
 }
 
-/// Reads a take to its end, and hands what lies from one key stretch to the next to one of `lines`, in turn. Ends early
-/// when nobody wants it any more.
-pub(super) fn read(mut file: File, mut reader: TakeReader, lines: &[Sender<Coded>]) {
-    let mut turn = 0;
-    let mut begun = false;
-    loop {
-        let message = match reader.next_event() {
-            Ok(Some(TakeEvent::Stretch(stretch))) if stretch.missing_before => Coded::Flaw,
-            Ok(Some(TakeEvent::Stretch(stretch))) if stretch.span.n_rows > 0 => {
-                if stretch.span.key && begun {
-                    if lines[turn].send(Coded::Next).is_err() {
-                        return;
-                    }
-                    turn = (turn + 1) % lines.len();
-                }
-                begun = true;
-                Coded::Stretch(OwnStretch {
-                    span: stretch.span,
-                    shared: stretch.shared.to_vec(),
-                    blocks: stretch.blocks.iter().map(|block| block.to_vec()).collect(),
-                })
-            }
-            // A file that is shorter than when it was opened has no footer any more.
-            Ok(Some(TakeEvent::End { finished, .. })) if finished => Coded::End,
-            Ok(Some(
-                TakeEvent::End { .. } | TakeEvent::Damaged { .. } | TakeEvent::Unplaced { .. },
-            )) => Coded::Flaw,
-            Ok(Some(_)) => continue,
-            Ok(None) => match pull(&mut file, &mut reader) {
-                Ok(()) => continue,
-                Err(error) => Coded::Failed(error),
-            },
-            Err(error) => Coded::Failed(error),
-        };
-        let last = !matches!(message, Coded::Stretch(_));
-        if lines[turn].send(message).is_err() || last {
-            return;
-        }
+/// Does one job after another, until nobody wants them any more.
+pub(super) fn work(codec: Settings, n_markers: usize, jobs: &Receiver<Job>) {
+    let mut decoder = StretchDecoder::new(codec);
+    for Job { coded, decoded } in jobs {
+        decode(&mut decoder, n_markers, &coded, &decoded);
     }
 }
 
 /// Decodes what comes, as rows, until nobody wants them any more.
-pub(super) fn decode(
-    codec: Settings,
+fn decode(
+    decoder: &mut StretchDecoder,
     n_markers: usize,
     coded: &Receiver<Coded>,
     decoded: &Sender<Decoded>,
 ) {
-    let mut decoder = StretchDecoder::new(codec);
     for coded in coded {
         let sent = match coded {
-            Coded::Stretch(stretch) => match decode_one(&mut decoder, &stretch) {
-                Ok(()) => send_rows(&decoder, stretch.span, n_markers, decoded),
+            Coded::Stretch(stretch) => match decode_one(decoder, &stretch) {
+                Ok(()) => send_rows(decoder, stretch.span, n_markers, decoded),
                 Err(_) => decoded.send(Decoded::Flaw).is_ok(),
             },
             Coded::Next => decoded.send(Decoded::Next).is_ok(),

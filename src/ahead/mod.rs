@@ -1,9 +1,10 @@
 //! A take as frames, decoded by several threads ahead of who reads them: what lies between two key stretches is decoded
-//! by one thread, and the next by the next, in turn.
+//! by one thread.
 //!
 //! Only for takes without a flaw: whoever knows what a damaged one is missing is [`TakeFrames`]. One that turns up later
 //! is an error, and [`Ahead::has_flaw`].
 
+mod jobs;
 mod lines;
 #[cfg(test)]
 mod tests;
@@ -21,7 +22,10 @@ use mocapd_take::{
     motion::{FrameSource, GAP, MotionInfo, Position},
 };
 
-use self::lines::{CODED_MAX, Coded, Decoded, PIECES_MAX, Rows, decode, read};
+use self::{
+    jobs::{Job, Jobs, coded_max, read},
+    lines::{Decoded, Rows, work},
+};
 use crate::threads;
 
 /// Most bytes that all threads may hold of what they decode.
@@ -35,9 +39,10 @@ const SAMPLE_BYTES: u64 = 24;
 pub struct Ahead {
     info: MotionInfo,
     take: Option<TakeMap>,
-    /// From each thread, in turn.
-    decoded: Vec<Receiver<Decoded>>,
-    turn: usize,
+    /// From each job, in order.
+    decoded: Receiver<Receiver<Decoded>>,
+    /// The one that is being read.
+    job: Option<Receiver<Decoded>>,
     current: Rows,
     next_row: u64,
     ended: bool,
@@ -66,36 +71,39 @@ impl Ahead {
         let (offset, reader) = frames.reader_at(first_row)?;
         let mut file = File::open(path)?;
         file.seek(SeekFrom::Start(offset))?;
-        let mut ahead = Self::with_threads(file, reader, info.clone(), frames.codec()?, n_threads)?;
+        let mut ahead = Self::with_threads(
+            (file, reader),
+            info.clone(),
+            frames.codec()?,
+            (n_threads, coded_max(samples)),
+        )?;
         ahead.next_row = first_row;
         ahead.take = frames.take().cloned();
         Ok(Some(ahead))
     }
 
     fn with_threads(
-        file: File,
-        reader: TakeReader,
+        (file, reader): (File, TakeReader),
         info: MotionInfo,
         codec: Settings,
-        n_threads: usize,
+        (n_threads, n_coded): (usize, usize),
     ) -> anyhow::Result<Self> {
-        let (mut to_lines, mut from_lines) = (Vec::new(), Vec::new());
+        // A job waits where every thread has one; and what came of jobs may wait for each thread.
+        let (to_do, jobs) = bounded::<Job>(1);
+        let (in_order, decoded) = bounded(n_threads);
+        let n_markers = info.markers.len();
         for index in 0..n_threads {
-            let (coded_in, coded) = bounded::<Coded>(CODED_MAX);
-            let (decoded_in, decoded) = bounded::<Decoded>(PIECES_MAX);
-            let n_markers = info.markers.len();
-            threads::spawn(&format!("mocapd-decode-{index}"), move || {
-                decode(codec, n_markers, &coded, &decoded_in);
-            })?;
-            to_lines.push(coded_in);
-            from_lines.push(decoded);
+            let jobs = jobs.clone();
+            let work = move || work(codec, n_markers, &jobs);
+            threads::spawn(&format!("mocapd-decode-{index}"), work)?;
         }
-        threads::spawn("mocapd-read", move || read(file, reader, &to_lines))?;
+        let jobs = Jobs { to_do, in_order, n_coded };
+        threads::spawn("mocapd-read", move || read(file, reader, &jobs))?;
         Ok(Self {
             info,
             take: None,
-            decoded: from_lines,
-            turn: 0,
+            decoded,
+            job: None,
             current: Rows::default(),
             next_row: 0,
             ended: false,
@@ -112,14 +120,17 @@ impl Ahead {
     /// Takes rows until some of them come at or after the next, or there are no more.
     fn advance(&mut self) -> io::Result<()> {
         while !self.ended && self.current.end_row() <= self.next_row {
-            let decoded = self.decoded.get(self.turn).and_then(|line| line.recv().ok());
+            if self.job.is_none() {
+                self.job = self.decoded.recv().ok();
+            }
+            let decoded = self.job.as_ref().and_then(|job| job.recv().ok());
             match decoded.unwrap_or_else(|| Decoded::Failed(io::Error::other("a thread failed"))) {
                 Decoded::Rows(rows) => self.current = rows,
                 Decoded::Flaw => {
                     self.has_flaw = true;
                     return Err(io::Error::new(io::ErrorKind::InvalidData, "the take has a flaw"));
                 }
-                Decoded::Next => self.turn = (self.turn + 1) % self.decoded.len().max(1),
+                Decoded::Next => self.job = None,
                 Decoded::End => self.ended = true,
                 Decoded::Failed(error) => return Err(error),
             }

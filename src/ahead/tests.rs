@@ -50,7 +50,7 @@ fn the_same_frames_for_any_number_of_threads() {
         for n_threads in [1, 2, 3, 9] {
             let file = File::open(&path).unwrap();
             let mut ahead =
-                Ahead::with_threads(file, TakeReader::new(), info.clone(), codec, n_threads)
+                Ahead::with_threads((file, TakeReader::new()), info.clone(), codec, (n_threads, 2))
                     .unwrap();
             assert!(rows(&mut ahead) == expected, "{kind}, {n_threads} threads");
             assert!(!ahead.has_flaw());
@@ -63,16 +63,21 @@ fn threads_end_when_nobody_wants_more() {
     let folder = tempfile::tempdir().unwrap();
     let path = take("fast", folder.path());
     let codec = open(&path).codec().unwrap();
-    // Its other end is gone: the reader returns instead of reading on.
-    let (coded_in, coded) = bounded(1);
-    drop(coded);
-    read(File::open(&path).unwrap(), TakeReader::new(), &[coded_in]);
-    // More coded stretches could come, but nobody takes the rows.
-    let (coded_in, coded) = bounded(CODED_MAX);
-    coded_in.send(Coded::Next).unwrap();
-    let (decoded_in, decoded) = bounded(1);
+    let read = |jobs: &Jobs| read(File::open(&path).unwrap(), TakeReader::new(), jobs);
+    // What comes of jobs is wanted no more: the reader returns instead of reading on.
+    let (to_do, jobs) = bounded(100);
+    let (in_order, decoded) = bounded(100);
     drop(decoded);
-    decode(codec, 70, &coded, &decoded_in);
+    read(&Jobs { to_do, in_order, n_coded: 2 });
+    assert!(jobs.is_empty());
+    // Its jobs are done, but nobody takes the rows: no thread waits.
+    let (to_do, jobs) = bounded(100);
+    let (in_order, decoded) = bounded(100);
+    let worker = threads::spawn("test", move || work(codec, 70, &jobs)).unwrap();
+    let taker = threads::spawn("test", move || decoded.iter().for_each(drop)).unwrap();
+    read(&Jobs { to_do, in_order, n_coded: 2 });
+    threads::join(worker).unwrap();
+    threads::join(taker).unwrap();
 }
 
 #[test]
@@ -90,7 +95,7 @@ fn stretches_that_fill_the_memory_are_read_by_one() {
     // A whole take in one stretch: 70 markers of 3200 rows are 5 MB a thread.
     let path = take("spline", folder.path());
     let ahead = Ahead::start(&path, &open(&path), 0, 1000).unwrap().unwrap();
-    assert_eq!(ahead.decoded.len() as u64, MEMORY_MAX / (70 * 3200 * SAMPLE_BYTES));
+    assert_eq!(ahead.decoded.capacity(), Some((MEMORY_MAX / (70 * 3200 * SAMPLE_BYTES)) as usize));
 }
 
 #[test]
