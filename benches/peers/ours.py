@@ -22,20 +22,21 @@ def find(path):
     return program
 
 
-def run(program, paths):
-    command = [str(program), "bench", "codec", *map(str, paths), "--json"]
+def run(program, path, resamplers=()):
+    """The answer for one take; of all resamplers, or of some."""
+    command = [str(program), "bench", "codec", str(path), "--json"]
+    for resampler in resamplers:
+        command += ["--resampler", resampler]
     answer = subprocess.run(command, capture_output=True, text=True, check=False)
     if answer.returncode != 0:
         raise RuntimeError(f"mocapd bench codec failed: {answer.stderr.strip()}")
     return json.loads(answer.stdout)
 
 
-def rows_of(answer, takes):
+def rows_of(answer, take):
     """The only place that knows the keys of mocapd's answer."""
     rows = []
-    by_name = {take.name: take for take in takes}
     for file in answer["files"]:
-        take = by_name[Path(file["file"]).stem]
         for result in file["results"]:
             row = {
                 "take": take.name,
@@ -53,14 +54,14 @@ def rows_of(answer, takes):
             # The lossless resampler has no tolerance and stands beside the others at each.
             tolerances = [float(result["tolerance_mm"])] if result["tolerance_mm"] else TOLERANCES_MM
             rows += [row | {"tolerance_mm": tolerance} for tolerance in tolerances]
-    return checked(rows, by_name)
+    return checked(rows, take)
 
 
 def charged(raw_bytes, result):
     return result["bytes"] if raw_bytes >= WHOLE_FILE_RAW_BYTES else result["block_bytes"]
 
 
-def checked(rows, takes):
+def checked(rows, take):
     """Refuses figures of another take or sample count, of a claim beyond its bound, and a dense that leaves cells out.
 
     A resampler that is in no claim may bound something else (a mean error): where it is beyond the tolerance it is
@@ -69,14 +70,14 @@ def checked(rows, takes):
     kept = []
     for row in rows:
         where = f"mocapd, {row['take']}, {row['resampler']}, {row['tolerance_mm']:g} mm"
-        if row["samples"] != takes[row["take"]].samples:
+        if row["samples"] != take.samples:
             raise AssertionError(f"{where}: {row['samples']} samples, {takes[row['take']].samples} read here")
         if row["max_error_mm"] <= row["tolerance_mm"]:
             kept.append(row)
         elif row["resampler"] in (DENSE, FAST, SPLINE):
             raise AssertionError(f"{where}: error {row['max_error_mm']} mm")
     dense = {cell(row) for row in kept if row["resampler"] == DENSE}
-    missing = {(name, tolerance) for name in takes for tolerance in TOLERANCES_MM} - dense
+    missing = {(take.name, tolerance) for tolerance in TOLERANCES_MM} - dense
     if missing:
         raise AssertionError(f"mocapd reported no dense figures for {sorted(missing)}")
     return kept

@@ -28,6 +28,16 @@ def seconds(work):
     return statistics.median(measured)
 
 
+def fastest(rounds, names):
+    """The rows of several rounds, each as fast as in its fastest: what else a machine does makes nothing faster."""
+    best = {}
+    for row in [row for rows in rounds for row in rows]:
+        kept = best.setdefault(tuple(row[name] for name in names), row)
+        for key in ("encode_mb_s", "decode_mb_s"):
+            kept[key] = max(kept[key], row[key])
+    return list(best.values())
+
+
 def speed_rows(take, rows):
     """Encode and decode MB/s of each timed codec at each tolerance of one take; `rows` as from sizes.rows_of."""
     timed = {codec.name: codec for codec in all_codecs() if codec.timed}
