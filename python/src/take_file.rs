@@ -12,10 +12,10 @@ use pyo3::{
 
 use crate::{
     errors::{Failure, detached},
-    read::read,
     source::Source,
     survey::survey,
     times::times,
+    window::Last,
 };
 
 /// A take that is open, by rows and columns.
@@ -23,6 +23,7 @@ use crate::{
 pub(crate) struct TakeFile {
     source: Source,
     map: TakeMap,
+    last: Last,
 }
 
 const EISDIR: i32 = 21;
@@ -217,7 +218,7 @@ impl TakeFile {
         let out = out
             .as_slice_mut()
             .map_err(|_| Failure::Value("the array must be contiguous, in C order".into()))?;
-        detached(py, || read(&self.source, &self.map, rows, &columns, threads, out))
+        detached(py, || self.last.read(&self.source, &self.map, rows, &columns, threads, out))
     }
 
     /// Of every column asked for, over the whole take: what [`SurveyOut`] has; and what could not be decoded.
@@ -255,7 +256,7 @@ impl TakeFile {
 impl TakeFile {
     fn of(py: Python<'_>, source: Source) -> PyResult<Self> {
         let map = detached(py, || Ok(TakeMap::open(&mut source.reader())?))?;
-        Ok(Self { source, map })
+        Ok(Self { source, map, last: Last::default() })
     }
 
     fn rows(&self, first: u64, stop: u64) -> Result<Range<u64>, Failure> {

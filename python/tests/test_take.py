@@ -1,4 +1,5 @@
 import uuid
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +49,32 @@ def test_any_part_is_that_part_of_the_whole(take, path):
         columns = [int(column) for column in random.choice(70, int(random.integers(1, 71)), replace=False)]
         part = take.read(start_frame=start, stop_frame=stop, markers=columns)
         np.testing.assert_array_equal(part, whole[start:stop][:, columns])
+
+
+def test_a_marker_after_another_is_what_it_is_alone(take, path):
+    """The markers that were decoded with the last ones are kept: what comes out of memory is what is in the file."""
+    whole = mocapd.open(path, threads=1).read()
+    random = np.random.default_rng(2)
+    for _ in range(12):
+        start, stop = sorted(int(frame) for frame in random.integers(0, 4201, 2))
+        for column in random.integers(0, 70, 6):
+            # The same frames, or some of them.
+            first, last = sorted(int(frame) for frame in random.integers(start, stop + 1, 2))
+            for a, b in ((start, stop), (first, last)):
+                part = take.read(start_frame=a, stop_frame=b, markers=[int(column)])
+                np.testing.assert_array_equal(part[:, 0], whole[a:b, column])
+
+
+def test_threads_of_a_program_may_read_at_once(take, path):
+    whole = mocapd.open(path, threads=1).read()
+
+    def read(column):
+        return [take.read(start_frame=first, stop_frame=first + 900, markers=[column]) for first in (0, 1200, 3000)]
+
+    with ThreadPoolExecutor(8) as pool:
+        for column, parts in zip(range(70), pool.map(read, range(70))):
+            for first, part in zip((0, 1200, 3000), parts):
+                np.testing.assert_array_equal(part[:, 0], whole[first : first + 900, column])
 
 
 def test_times_are_frames_at_or_after_them(take):
