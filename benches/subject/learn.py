@@ -1,25 +1,27 @@
-"""Learns where joints are among the landmarks, and writes subject/src/body/locate/weights.rs.
+"""Learns where joints are among the landmarks, and writes subject/src/body/locate/weights.rs; before that how thick a leg is
+round the knee (girth.py), for the landmarks are placed by it.
 
-    MOCAPD_BODIES=... python3 benches/subject/learn.py [LANDMARKS.jsonl]
+    MOCAPD_BODIES=... python3 benches/subject/learn.py
 
 A joint is a weighted mean of landmarks (subject/src/body/locate/landmark.rs) with weights that add up to one, so that it
 moves, turns and grows with the body. The weights are a ridge regression on the shapes mavg and favg, and on no other; the
-same weights serve the left and the right. Without a file of landmarks, cargo runs the example that prints them.
+same weights serve the left and the right.
 
 Printed for each joint: mean and 95th percentile of the error, in per cent of stature, with each shape left out in turn, with
-each pose left out, and with the two other builds left out where a lean or a stout one is measured. The standard deviation
-that is written is the root mean square of the first. Needs numpy.
+each pose left out, and with each build left out. The standard deviation that is written is sigma() of them. Needs numpy.
 """
 
 import json
 import pathlib
 import subprocess
-import sys
 
 import numpy as np
 
+import girth
+
 PROJECT = pathlib.Path(__file__).resolve().parents[2]
 WEIGHTS = PROJECT / "subject/src/body/locate/weights.rs"
+GIRTH = PROJECT / "subject/src/body/locate/girth_weights.rs"
 SHAPES = ["mh_mavg", "mh_favg"]
 
 # Joint, its name in the truth (with .L and .R if there are two), ridge, and which landmarks: part, first, one past the last.
@@ -36,14 +38,10 @@ JOINTS = [
 ]
 
 
-def landmarks(argv):
-    if len(argv) > 1:
-        lines = pathlib.Path(argv[1]).read_text().splitlines()
-    else:
-        command = ["cargo", "run", "--release", "-q", "-p", "mocapd-subject", "--example", "body_landmarks", "--", *SHAPES]
-        lines = subprocess.run(command, cwd=PROJECT, check=True, capture_output=True, text=True).stdout.splitlines()
-    bodies = [json.loads(line) for line in lines]
-    return [body for body in bodies if body["name"].startswith(tuple(SHAPES))]
+def landmarks():
+    command = ["cargo", "run", "--release", "-q", "-p", "mocapd-subject", "--example", "body_landmarks", "--", *SHAPES]
+    lines = subprocess.run(command, cwd=PROJECT, check=True, capture_output=True, text=True).stdout.splitlines()
+    return [json.loads(line) for line in lines]
 
 
 def samples(bodies, truth, spans):
@@ -97,7 +95,22 @@ def learn(bodies, truth, ridge, spans):
     by_pose = left_out(points, targets, ridge, poses, weights)
     by_build = left_out(points, targets, ridge, builds, weights)
     left = [by_shape / statures, by_pose / statures, by_build / statures]
-    return fit(points, targets, ridge, weights), np.sqrt(np.mean(by_shape**2)), left
+    return fit(points, targets, ridge, weights), sigma(by_shape, by_pose), left
+
+
+# Two shapes are one difference between people. Its square is, half of the time, less than this part of what it is in the mean
+# over many pairs: the median of chi-squared with one degree of freedom.
+ONE_DIFFERENCE = 0.455
+# Bones of people of one stature vary by some 4 %, which is 0.01 stature for the longest. About half of it is taken to show on
+# the surface.
+UNSEEN = 0.005
+
+
+def sigma(by_shape, by_pose):
+    """The standard deviation that is expected on another body: within a shape, between shapes, and what no two shapes show."""
+    within = np.mean(by_pose**2)
+    between = max(np.mean(by_shape**2) - within, 0) / ONE_DIFFERENCE
+    return np.sqrt(within + between + UNSEEN**2)
 
 
 def rust(name, spans, found, sigma):
@@ -111,7 +124,7 @@ def rust(name, spans, found, sigma):
 
 
 # Bone, its ends in the truth.
-BONES = [("UPPER_ARM", "shoulder", "elbow"), ("FOREARM", "elbow", "wrist"), ("THIGH", "hip", "knee"), ("SHANK", "knee", "ankle")]
+BONES = [("UPPER_ARM", "shoulder", "elbow"), ("THIGH", "hip", "knee")]
 
 
 def bones(bodies):
@@ -126,8 +139,14 @@ def bones(bodies):
         yield name, np.mean([np.mean(of_shape) for of_shape in lengths.values()])
 
 
+def write(path, text):
+    path.write_text(text)
+    subprocess.run(["rustfmt", "--edition", "2024", str(path)], check=True)
+
+
 def main():
-    bodies = landmarks(sys.argv)
+    write(GIRTH, girth.rust(*girth.learn(landmarks())))
+    bodies = landmarks()
     text = ["//! Written by `benches/subject/learn.py` from the shapes mavg and favg: change it there.", "", "use super::model::{Model, Part, Span};", ""]
     print(f"{len(bodies)} meshes\n| joint | shape left out: mean / p95, %st | pose left out | build left out |\n|---|---|---|---|")
     for name, truth, ridge, spans in JOINTS:
@@ -140,8 +159,7 @@ def main():
         text.append(rust(name, spans, found, sigma))
     for name, length in bones(bodies):
         text.append(f"pub(super) const {name}: f64 = {length:.4f};\n")
-    WEIGHTS.write_text("\n".join(text))
-    subprocess.run(["rustfmt", "--edition", "2024", str(WEIGHTS)], check=True)
+    write(WEIGHTS, "\n".join(text))
 
 
 main()

@@ -114,7 +114,9 @@ fn survey(
     };
     let mut notes: Vec<String> = repaired.notes.iter().map(ToString::to_string).collect();
     if survey.in_contact {
-        notes.push("limbs touch: joints near the contact are less sure than told".to_owned());
+        notes.push(
+            "limbs touch: joints near the contact are unsure, as told by their +- mm".to_owned(),
+        );
     }
     if survey.confidence < DOUBTED {
         notes.push(

@@ -1,5 +1,5 @@
 //! Prints the landmarks of meshes with known joints, one JSON object a line, for `benches/subject/learn.py`: of each mesh as
-//! it is, and of the same made leaner and stouter.
+//! it is, and of the same in other builds.
 //!
 //!     MOCAPD_BODIES=... cargo run --release -p mocapd-subject --example body_landmarks -- mh_mavg mh_favg
 #![expect(clippy::print_stdout, reason = "what an example is for")]
@@ -14,9 +14,11 @@ use mocapd_subject::body::{Mesh, Refusal};
 use nalgebra::Vector3;
 use serde_json::{Value, json};
 
-mod girth;
+mod bones;
+mod build;
 #[path = "../bodies/read.rs"]
 mod read;
+mod surface;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let folder = std::env::var("MOCAPD_BODIES")
@@ -29,10 +31,18 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         let (mesh, truth) = read::body(&path)?;
         let Some(joints) = truth.joints else { continue };
-        for build in girth::BUILDS {
-            let mesh = girth::changed(&mesh, &build)?;
+        for build in build::builds() {
+            let (mesh, joints) = build::changed(&mesh, &joints, &build)?;
             let Some(found) = landmarks(&mesh)? else { continue };
-            let half = |half: &Half| json!({"arm": points(&half.arm), "leg": points(&half.leg)});
+            let half = |half: &Half| {
+                let [_, leg] = &half.sections;
+                json!({
+                    "arm": points(&half.arm),
+                    "leg": points(&half.leg),
+                    "leg_line": points(&leg.centre),
+                    "leg_girth": leg.perimeter,
+                })
+            };
             let line = json!({
                 "name": truth.name,
                 "build": build.name,

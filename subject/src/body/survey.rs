@@ -2,9 +2,10 @@
 
 use super::extremity::{self, Extremities, Told};
 use super::geodesic::{Adjacency, Graph, Workspace};
+use super::locate::{Landmarks, joints, settle};
 use super::paper::{self, Paper};
 use super::skeleton::Method;
-use super::{Joints, Mesh, Refusal, locate};
+use super::{Joints, Mesh, Refusal};
 
 /// What a scan gives.
 #[derive(Debug, Clone)]
@@ -39,16 +40,13 @@ impl Survey {
         let mut workspace = Workspace::default();
         let ends = extremity::find(mesh, &graph, &mut workspace)?;
         let (extremities, confidence) = (ends.extremities, ends.confidence());
-        let in_contact = ends.told != Told::Freely;
-        let joints = locate::locate(mesh, &graph, &extremities, ends.fields, &mut workspace);
-        Ok(Self {
-            // An end that nobody reaches, or a limb without a middle: the surface is joined where a body is not.
-            joints: joints.ok_or(Refusal::Contact { handles: 0 })?,
-            extremities,
-            confidence,
-            in_contact,
-            levels: None,
-        })
+        let settled = settle(&graph, &extremities, ends.fields, &mut workspace);
+        // An end that nobody reaches, ways that contradict each other, or a limb without a middle: the surface is joined where
+        // a body is not.
+        let landmarks =
+            Landmarks::new(mesh, &settled.fields()).ok_or(Refusal::Contact { handles: 0 })?;
+        let in_contact = ends.told != Told::Freely || landmarks.touching.any();
+        Ok(Self { joints: joints(&landmarks), extremities, confidence, in_contact, levels: None })
     }
 
     fn by_paper(mesh: &Mesh) -> Result<Self, Refusal> {

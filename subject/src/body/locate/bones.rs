@@ -6,14 +6,13 @@ use super::weights;
 
 /// How much the length of the average body counts against the measured one.
 ///
-/// Shoulder and hip lie deep, and their landmarks shift with the girth; elbow and knee lie on a bend. Of people of one
-/// stature, bones vary by 3 to 5 %, but forearms more.
-const AVERAGE_COUNTS: Counts = Counts { forearm: 0.0, upper_arm: 0.6, shank: 0.5, thigh: 0.6 };
+/// Shoulder and hip lie deep, and their landmarks shift with the girth. Elbow and knee lie on a bend, whose place was weighed
+/// against the average already. A thigh is drawn half as far as is best for bodies near the average: it costs these little, and
+/// leaves others what they are.
+const AVERAGE_COUNTS: Counts = Counts { upper_arm: 0.6, thigh: 0.3 };
 
 struct Counts {
-    forearm: f64,
     upper_arm: f64,
-    shank: f64,
     thigh: f64,
 }
 
@@ -35,32 +34,31 @@ pub(super) fn settle(mut limbs: [Limbs; 2]) -> [Limbs; 2] {
     let counts = AVERAGE_COUNTS;
     let elbows = limbs.map(|limb| limb.elbow_sigma.powi(-2));
     let lengths = limbs.map(|limb| (limb.elbow - limb.wrist).norm());
-    let length = common(lengths, elbows, weights::FOREARM, counts.forearm);
+    let length = mean(lengths, elbows);
     limbs.iter_mut().for_each(|limb| limb.elbow = at(limb.wrist, limb.elbow, length));
 
     let lengths = limbs.map(|limb| (limb.shoulder - limb.elbow).norm());
-    let length = common(lengths, [1.0; 2], weights::UPPER_ARM, counts.upper_arm);
+    let length = drawn(mean(lengths, [1.0; 2]), weights::UPPER_ARM, counts.upper_arm);
     limbs.iter_mut().for_each(|limb| limb.shoulder = at(limb.elbow, limb.shoulder, length));
 
     let knees = limbs.map(|limb| limb.knee_sigma.powi(-2));
-    let shanks = limbs.map(|limb| (limb.knee - limb.ankle).norm());
-    let thighs = limbs.map(|limb| (limb.hip - limb.knee).norm());
-    // What part of the leg the shank is varies less than how long it is.
-    let leg = f64::midpoint(shanks[0] + thighs[0], shanks[1] + thighs[1]);
-    let average = leg * weights::SHANK / (weights::SHANK + weights::THIGH);
-    let length = common(shanks, knees, average, counts.shank);
+    let lengths = limbs.map(|limb| (limb.knee - limb.ankle).norm());
+    let length = mean(lengths, knees);
     limbs.iter_mut().for_each(|limb| limb.knee = at(limb.ankle, limb.knee, length));
 
     let lengths = limbs.map(|limb| (limb.hip - limb.knee).norm());
-    let length = common(lengths, [1.0; 2], weights::THIGH, counts.thigh);
+    let length = drawn(mean(lengths, [1.0; 2]), weights::THIGH, counts.thigh);
     limbs.iter_mut().for_each(|limb| limb.hip = at(limb.knee, limb.hip, length));
     limbs
 }
 
-/// The length of the bone of both sides: their mean by how sure each is, drawn to the average of all bodies.
-fn common([a, b]: [f64; 2], [sure_a, sure_b]: [f64; 2], average: f64, counts: f64) -> f64 {
-    let both = (a * sure_a + b * sure_b) / (sure_a + sure_b);
-    both + counts * (average - both)
+/// The length of the bone of both sides: their mean by how sure each is.
+fn mean([a, b]: [f64; 2], [sure_a, sure_b]: [f64; 2]) -> f64 {
+    (a * sure_a + b * sure_b) / (sure_a + sure_b)
+}
+
+fn drawn(length: f64, average: f64, counts: f64) -> f64 {
+    length + counts * (average - length)
 }
 
 /// The point so far from `from` as `length`, in the direction of `towards`.

@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::girth::Girth;
 use super::section::{STEP, Sections, level};
 
 /// Distance between two places that are tried, in body scales.
@@ -20,6 +21,9 @@ pub(super) struct Window {
     pub(super) prior: f64,
     /// How much a distance from there costs: mean square of the two lines' misfit, over distance squared.
     pub(super) weight: f64,
+    /// How thick the limb is round the joint, and how much it counts that it is not: mean square of the two lines' misfit, over
+    /// the misfit of the girth.
+    pub(super) girth: Option<(&'static Girth, f64)>,
 }
 
 /// A bend that was found.
@@ -32,9 +36,10 @@ pub(super) struct Bend {
 }
 
 /// Fits two straight lines that meet to the centre line, for each place where they might meet, and weighs the misfit
-/// against the place's distance from where the joint is on average.
+/// against how thick the limb is there, and the place's distance from where the joint is on average.
 ///
-/// A flexed limb has one place that fits. On a straight one all fit alike, and the average decides.
+/// A flexed limb has one place that fits. On a straight one all fit alike, and the girth decides; on one as thick everywhere,
+/// the average.
 pub(super) fn bend(sections: &Sections, window: &Window) -> Option<Bend> {
     let points: Vec<(f64, Vector3<f64>)> = (0..)
         .map(level)
@@ -48,7 +53,11 @@ pub(super) fn bend(sections: &Sections, window: &Window) -> Option<Bend> {
     let [low, high] = window.joint;
     let tries = (((high - low) / TRY_EVERY).ceil().max(0.0) as usize).min(MOST_TRIED);
     let place = |index: usize| low + index as f64 * TRY_EVERY;
-    let cost = |at: f64| misfit(&points, at) + window.weight * (at - window.prior).powi(2);
+    let of_girth = |at: f64| {
+        window.girth.map_or(0.0, |(girth, counts)| counts * girth.misfit(&sections.perimeter, at))
+    };
+    let cost =
+        |at: f64| misfit(&points, at) + window.weight * (at - window.prior).powi(2) + of_girth(at);
     let costs: Vec<f64> = (0..tries).map(|index| cost(place(index))).collect();
     let (best, _) = costs.iter().enumerate().min_by(|one, other| one.1.total_cmp(other.1))?;
     let (offset, curvature) = vertex_of_parabola(&costs, best);

@@ -3,8 +3,9 @@
 use nalgebra::Vector3;
 
 use super::limb::{Marks, arm, leg};
-use super::scale::body_scale;
+use super::scale::BodyScale;
 use super::section::Sections;
+use super::touching::Touching;
 use super::{FOOT, Fields, HAND, HEAD};
 use crate::body::Mesh;
 
@@ -35,6 +36,8 @@ pub struct Half {
     pub sharpness: [f64; 2],
     /// The marks of the arm, then the leg: narrowing, hinge, root, in body scales from the end.
     pub marks: [[f64; 3]; 2],
+    /// The level-set curves round the hand's end, and round the foot's.
+    pub sections: [Sections; 2],
 }
 
 /// The landmarks of a body, each the middle of a level-set curve, in body scales.
@@ -46,14 +49,17 @@ pub struct Landmarks {
     pub head: Vec<Vector3<f64>>,
     /// The body scale, in the mesh's unit: what all is to be multiplied by.
     pub scale: f64,
+    /// Which limbs touch something.
+    pub touching: Touching,
 }
 
 impl Landmarks {
-    /// Finds the landmarks of `mesh`. Nothing if the ends are no body's: a field that does not reach, or a limb without a
-    /// centre line.
+    /// Finds the landmarks of `mesh`. Nothing if the ends are no body's: a field that does not reach, ways between ends that
+    /// contradict each other, or a limb without a centre line.
     #[must_use]
     pub fn new(mesh: &Mesh, fields: &Fields<'_>) -> Option<Self> {
-        let scale = body_scale(fields)?;
+        let body_scale = BodyScale::new(fields)?;
+        let scale = body_scale.length;
         let hands = fields.between(HAND[0], HAND[1])? / scale;
         let not_arm = |vertex: usize| {
             HAND.iter()
@@ -74,11 +80,16 @@ impl Landmarks {
                 let own = share(fields.at(other_foot, vertex), fields.at(foot, vertex), scale);
                 own * not_arm(vertex)
             })?;
-            Some(along(&of_hand, arm(&of_hand, hands)?, &of_foot, leg(&of_foot)?))
+            let (at_arm, at_leg) = (arm(&of_hand, hands)?, leg(&of_foot)?);
+            Some(along(of_hand, at_arm, of_foot, at_leg))
         };
         let of_head = cut(fields.distances[HEAD], &not_arm)?;
+        let halves = [half(0)?, half(1)?];
+        let limbs = |limb: usize| halves.each_ref().map(|half| &half.sections[limb]);
+        let touching = Touching::new(body_scale, limbs(0), limbs(1));
         Some(Self {
-            halves: [half(0)?, half(1)?],
+            halves,
+            touching,
             head: HEAD_LEVELS.iter().map(|level| of_head.centre_at(*level)).collect(),
             scale,
         })
@@ -92,7 +103,7 @@ fn share(far: f64, near: f64, scale: f64) -> f64 {
     if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) }
 }
 
-fn along(arm: &Sections, at_arm: Marks, leg: &Sections, at_leg: Marks) -> Half {
+fn along(arm: Sections, at_arm: Marks, leg: Sections, at_leg: Marks) -> Half {
     let Marks { narrow: w, hinge: e, root: a, .. } = at_arm;
     let (forearm, upper) = (e - w, a - e);
     let arm_levels: [f64; ARM_LANDMARKS] = [
@@ -155,5 +166,6 @@ fn along(arm: &Sections, at_arm: Marks, leg: &Sections, at_leg: Marks) -> Half {
         leg: leg_levels.iter().map(|level| leg.centre_at(*level)).collect(),
         sharpness: [at_arm.sharpness, at_leg.sharpness],
         marks: [[w, e, a], [n, k, g]],
+        sections: [arm, leg],
     }
 }

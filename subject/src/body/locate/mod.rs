@@ -15,6 +15,8 @@
 mod bones;
 mod ends;
 mod fields;
+mod girth;
+mod girth_weights;
 mod hinge;
 mod landmark;
 mod limb;
@@ -23,6 +25,7 @@ mod scale;
 mod section;
 mod sides;
 mod skeleton;
+mod touching;
 mod weights;
 
 #[cfg(test)]
@@ -31,4 +34,6 @@ mod tests;
 pub use ends::{Settled, settle};
 pub use fields::{FOOT, Fields, HAND, HEAD};
 pub use landmark::{ARM_LANDMARKS, HEAD_LANDMARKS, Half, LEG_LANDMARKS, Landmarks};
+pub use section::Sections;
 pub use skeleton::{joints, locate};
+pub use touching::Touching;

@@ -11,11 +11,11 @@ pub(super) const LEVELS: usize = 180;
 
 /// The level-set curves round one end of the body, in body scales: level `i` is `(i + 1) * STEP` from the end.
 #[derive(Debug, Clone)]
-pub(super) struct Sections {
+pub struct Sections {
     /// Length of the whole curve at each level.
-    pub(super) perimeter: Vec<f64>,
+    pub perimeter: Vec<f64>,
     /// Where the curve's middle is, weighted by its length and by the weights of the vertices that it passes.
-    pub(super) centre: Vec<Vector3<f64>>,
+    pub centre: Vec<Vector3<f64>>,
 }
 
 #[derive(Clone, Copy, Default)]

@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use super::bones::{self, Limbs};
 use super::model::Model;
 use super::sides::{self, Leg};
-use super::{Landmarks, limb, settle, weights};
+use super::{Landmarks, Touching, limb, settle, weights};
 
 use crate::body::extremity::Extremities;
 use crate::body::geodesic::{Graph, Workspace};
@@ -15,6 +15,19 @@ use crate::body::{Estimate, Joint, Joints, Mesh, Side};
 
 /// A landmark in the front of the foot, behind the toes.
 const TOES: usize = 0;
+
+/// How far joints may be off besides, in body scales, where a limb touches something.
+struct InDoubt {
+    shoulder: f64,
+    elbow: f64,
+    hip: f64,
+    knee: f64,
+    scale: f64,
+}
+
+/// About the root mean squares of the errors on the shapes that were learned from, with limbs touching.
+const IN_DOUBT: InDoubt =
+    InDoubt { shoulder: 0.15, elbow: 0.05, hip: 0.06, knee: 0.07, scale: 0.02 };
 
 /// The joints of the body whose ends are known, in the frame and unit of `mesh`.
 ///
@@ -43,19 +56,31 @@ pub fn joints(landmarks: &Landmarks) -> Joints {
         ankle: limbs[side].ankle,
         toes: toes[side],
     }));
-    let mut found = Found { scale: landmarks.scale, estimates: BTreeMap::new() };
+    let Touching { arms, legs, scale } = landmarks.touching;
+    let mut found = Found {
+        scale: landmarks.scale,
+        doubt: if scale { IN_DOUBT.scale } else { 0.0 },
+        estimates: BTreeMap::new(),
+    };
     found.add(Joint::Head, weights::HEAD.locate_midline(landmarks), weights::HEAD.sigma);
     found.add(Joint::Throat, weights::THROAT.locate_midline(landmarks), weights::THROAT.sigma);
     // The errors of two hips are about as much the same as they are each one's own.
     let hips = (limbs[0].hip + limbs[1].hip) / 2.0;
-    found.add(Joint::Pelvis, hips, weights::HIP.sigma);
+    let in_doubt = |touches: bool, by: f64| if touches { by } else { 0.0 };
+    // Hips are told by arms too.
+    let of_hips = in_doubt(arms.contains(&true) || legs.contains(&true), IN_DOUBT.hip);
+    let hip_sigma = weights::HIP.sigma.hypot(of_hips);
+    found.add(Joint::Pelvis, hips, hip_sigma);
     for (half, limb) in limbs.iter().enumerate() {
         let side = if half == left.unwrap_or(0) { Side::Left } else { Side::Right };
-        found.add(Joint::Shoulder(side), limb.shoulder, weights::SHOULDER.sigma);
-        found.add(Joint::Elbow(side), limb.elbow, limb.elbow_sigma);
+        let of_arm = |sigma: f64, by: f64| sigma.hypot(in_doubt(arms[half], by));
+        let of_leg = |sigma: f64, by: f64| sigma.hypot(in_doubt(legs[half], by));
+        let shoulder = of_arm(weights::SHOULDER.sigma, IN_DOUBT.shoulder);
+        found.add(Joint::Shoulder(side), limb.shoulder, shoulder);
+        found.add(Joint::Elbow(side), limb.elbow, of_arm(limb.elbow_sigma, IN_DOUBT.elbow));
         found.add(Joint::Wrist(side), limb.wrist, weights::WRIST.sigma);
-        found.add(Joint::Hip(side), limb.hip, weights::HIP.sigma);
-        found.add(Joint::Knee(side), limb.knee, limb.knee_sigma);
+        found.add(Joint::Hip(side), limb.hip, hip_sigma);
+        found.add(Joint::Knee(side), limb.knee, of_leg(limb.knee_sigma, IN_DOUBT.knee));
         found.add(Joint::Ankle(side), limb.ankle, weights::ANKLE.sigma);
     }
     Joints { estimates: found.estimates, sides_told: left.is_some() }
@@ -78,6 +103,8 @@ fn limbs(landmarks: &Landmarks, side: usize) -> Limbs {
 
 struct Found {
     scale: f64,
+    /// How far any joint may be off because the scale is.
+    doubt: f64,
     estimates: BTreeMap<Joint, Estimate>,
 }
 
@@ -85,6 +112,7 @@ impl Found {
     /// Takes a joint in body scales.
     fn add(&mut self, joint: Joint, at: Vector3<f64>, sigma: f64) {
         let position = (at * self.scale).into();
-        self.estimates.insert(joint, Estimate { position, sigma: sigma * self.scale });
+        self.estimates
+            .insert(joint, Estimate { position, sigma: sigma.hypot(self.doubt) * self.scale });
     }
 }

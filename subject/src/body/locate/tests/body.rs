@@ -4,9 +4,11 @@ use nalgebra::{Rotation3, Vector3};
 
 use super::voxels::{Capsule, surface};
 use crate::body::extremity::Extremities;
+use crate::body::generate::{Options, Pose, body};
 use crate::body::geodesic::{Adjacency, Graph, Workspace, distances};
 use crate::body::locate::locate;
-use crate::body::{Joint, Joints, Mesh, Side};
+use crate::body::skeleton::Method;
+use crate::body::{Joint, Joints, Mesh, Side, Survey};
 
 type Point = Vector3<f64>;
 
@@ -153,4 +155,15 @@ fn ends_without_a_way_between_them_give_nothing() {
     assert!(found(&mesh, &apart).is_none());
     let same = Extremities { feet: [ends.feet[0]; 2], ..ends };
     assert!(found(&mesh, &same).is_none());
+}
+
+#[test]
+fn free_limbs_are_in_no_doubt_whoever_it_is_and_however_he_stands() {
+    for seed in 0..3 {
+        for pose in Pose::ALL {
+            let (mesh, _) = body(seed, pose, Options::default());
+            let survey = Survey::new(&mesh, Method::Default).unwrap();
+            assert!(!survey.in_contact, "{seed} {pose:?}");
+        }
+    }
 }

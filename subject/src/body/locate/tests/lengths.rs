@@ -48,15 +48,23 @@ fn joints_in_one_place_stay_finite() {
 }
 
 #[test]
-fn a_knee_moves_to_where_it_parts_a_leg_of_any_length() {
-    let part = weights::SHANK / (weights::SHANK + weights::THIGH);
-    for scale in [0.8, 1.0, 1.3] {
-        let mut limb = limbs(0.1, 0.65);
-        limb.hip = Vector3::new(0.1, 0.03 + 0.47 * scale, 0.0);
-        limb.knee = Vector3::new(0.1, 0.03 + 0.47 * scale * (part - 0.04), 0.0);
-        let [settled, _] = settle([limb, limb]);
-        let before = (limb.knee - limb.ankle).norm() / 0.47 / scale;
-        let after = (settled.knee - settled.ankle).norm() / 0.47 / scale;
-        assert!((before - part + 0.04).abs() < 1e-9 && (after - part).abs() < 0.021, "{after}");
-    }
+fn shanks_are_as_long_as_the_surer_knee_says_and_no_nearer_to_the_average() {
+    let (mut one, other) = (limbs(-0.1, 0.65), limbs(0.1, 0.65));
+    one.knee.y += 0.02;
+    let both = settle([one, other]).map(|limb| (limb.knee - limb.ankle).norm());
+    assert!((both[0] - 0.25).abs() < 1e-12 && (both[1] - 0.25).abs() < 1e-12, "{both:?}");
+    let mut unsure = other;
+    unsure.knee_sigma = 0.5;
+    let [surer, _] = settle([one, unsure]).map(|limb| (limb.knee - limb.ankle).norm());
+    assert!((surer - 0.26).abs() < 1e-4, "{surer}");
+}
+
+#[test]
+fn a_thigh_is_drawn_towards_the_average_by_less_than_half() {
+    let mut long = limbs(0.1, 0.65);
+    long.hip.y = 0.6;
+    let [settled, _] = settle([long, long]);
+    let (before, after) =
+        (0.33 - weights::THIGH, (settled.hip - settled.knee).norm() - weights::THIGH);
+    assert!(after > 0.5 * before && after < 0.9 * before, "{before} {after}");
 }

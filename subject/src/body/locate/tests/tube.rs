@@ -46,7 +46,7 @@ fn sections(mesh: &Mesh, field: &[f64]) -> Sections {
 }
 
 fn window() -> Window {
-    Window { line: [0.05, 0.55], joint: [0.15, 0.45], prior: 0.33, weight: 1e-3 }
+    Window { line: [0.05, 0.55], joint: [0.15, 0.45], prior: 0.33, weight: 1e-3, girth: None }
 }
 
 #[test]

@@ -1,0 +1,68 @@
+//! A joint told by how thick the limb is round it.
+
+use nalgebra::Vector3;
+
+use crate::body::locate::girth::PLACES;
+use crate::body::locate::girth_weights::KNEE;
+use crate::body::locate::hinge::{Window, bend};
+use crate::body::locate::section::{LEVELS, Sections, level};
+
+/// The lengths of curves of a straight leg as thick as legs are in the mean, with its knee so far from its end; `thicker`
+/// times as thick all along, and more so by `slope` a body scale.
+fn leg(knee: f64, thicker: f64, slope: f64) -> Sections {
+    let perimeter = |index: usize| {
+        let along = level(index) - knee;
+        let at = ((along + 0.12) / 0.012).clamp(0.0, (PLACES - 1) as f64);
+        let (below, part) = (at.floor() as usize, at.fract());
+        let above = (below + 1).min(PLACES - 1);
+        let log = KNEE.mean[below] + part * (KNEE.mean[above] - KNEE.mean[below]);
+        thicker * (log + slope * along).exp()
+    };
+    let centre = |index: usize| Vector3::new(0.0, 0.0, level(index));
+    Sections {
+        perimeter: (0..LEVELS).map(perimeter).collect(),
+        centre: (0..LEVELS).map(centre).collect(),
+    }
+}
+
+#[test]
+fn what_is_as_thick_as_the_mean_fits_at_its_knee_alone() {
+    let leg = leg(0.36, 1.0, 0.0);
+    assert!(KNEE.misfit(&leg.perimeter, 0.36) < 0.05);
+    for away in [-0.04, -0.02, 0.02, 0.04] {
+        assert!(KNEE.misfit(&leg.perimeter, 0.36 + away) > 0.5, "{away}");
+    }
+}
+
+#[test]
+fn thick_legs_and_tapered_ones_fit_as_well() {
+    for (thicker, slope) in [(1.5, 0.0), (0.7, 0.0), (1.0, 0.8), (1.3, -0.8)] {
+        let misfit = KNEE.misfit(&leg(0.36, thicker, slope).perimeter, 0.36);
+        assert!(misfit < 1.0, "{thicker} {slope}: {misfit}");
+    }
+}
+
+#[test]
+fn a_straight_legs_knee_is_where_its_girth_says_and_not_only_where_knees_are() {
+    for knee in [0.32, 0.344, 0.375] {
+        let window = Window {
+            line: [0.17, 0.53],
+            joint: [0.28, 0.41],
+            prior: 0.344,
+            weight: 0.05,
+            girth: Some((&KNEE, 1e-5)),
+        };
+        let found = bend(&leg(knee, 1.2, 0.3), &window).unwrap();
+        assert!(
+            (found.level - knee).abs() < 0.5 * (knee - 0.344).abs() + 0.004,
+            "{knee}: {}",
+            found.level
+        );
+    }
+}
+
+#[test]
+fn a_limb_of_no_curves_has_a_misfit_all_the_same() {
+    assert!(KNEE.misfit(&[], 0.3).is_finite());
+    assert!(KNEE.misfit(&[0.0; 4], 0.3).is_finite());
+}
