@@ -177,6 +177,45 @@ fn a_pose_has_the_skeletons_bones_and_their_lengths() {
 }
 
 #[test]
+fn a_pose_has_the_face_from_in_front() {
+    // The face looks along -y of the take, whose x points to its right; nothing says which way is up.
+    let folder = Folder::new();
+    folder.write(
+        "f.json",
+        r#"{"format":"mocapd-face","version":1,"vertices_mm":[[40,0,0],[-40,0,0],[0,60,0],[0,0,30]],
+"lines":[[0,1],[1,2],[2,0],[3,2]],"features":{}}"#,
+    );
+    folder.write(
+        "m.json",
+        r#"{"format":"mocapd-face-mapping","version":1,"markers":[{"label":"left","at":0},
+{"label":"right","at":1},{"label":"top","at":2},{"label":"nose","at":3}]}"#,
+    );
+    let mut csv = "frame,time_s".to_owned();
+    for marker in ["left", "right", "top", "nose"] {
+        write!(csv, ",{marker}.x,{marker}.y,{marker}.z").unwrap();
+    }
+    for frame in 0..60 {
+        write!(csv, "\n{frame},{},-40,0,5,40,0,5,0,0,65,0,-30,5", f64::from(frame) / 60.0).unwrap();
+    }
+    folder.write("a.csv", csv);
+    let subject = ["--face", "f.json", "--face-markers", "m.json"];
+    folder.run(&[&["import", "a.csv", "-o", "a.take"], &subject[..]].concat()).with_code(0);
+    folder.run(&["plot", "pose", "a.take", "-o", "a.svg", "--at", "0.5s"]).with_code(0);
+    let svg = folder.text("a.svg");
+    assert!(svg.contains("as it lies under the markers"), "{svg}");
+    let svg = roxmltree::Document::parse(&svg).unwrap();
+    let lines = svg.descendants().filter(|node| node.has_tag_name("polyline")).count();
+    assert!(lines >= 5, "four of the face and the floor: {lines}");
+    let circles = svg.descendants().filter(|node| node.has_tag_name("circle"));
+    let places: Vec<[i32; 2]> = circles
+        .map(|node| ["cx", "cy"].map(|name| node.attribute(name).unwrap().parse().unwrap()))
+        .collect();
+    let [left, right, top, nose] = places[..] else { panic!("{places:?}") };
+    assert!(left[0] > nose[0] && nose[0] > right[0], "its left is on the right: {places:?}");
+    assert!(top[1] < nose[1] && left[1] == right[1], "{places:?}");
+}
+
+#[test]
 fn without_a_skeleton_or_joints_verify_says_what_to_do() {
     let folder = folder(&jump(4, 60.0, 1.0));
     import(&folder, "without.take", &[]);

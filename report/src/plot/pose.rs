@@ -1,10 +1,12 @@
 //! Stick figures of several moments: original above, rebuilt below (figure 3 of Shi et al. 2012).
 
 mod lengths;
+mod view;
 
-use mocapd_take::motion::{Motion, UpAxis};
+use mocapd_take::motion::Motion;
 use plotters::prelude::*;
 
+use self::view::{View, middle};
 use super::canvas::{
     Area, BLUE, DIM, Drawn, GRID, INK, SMALL, Stand, TITLE, VERMILION, WORDS, sheet, shortened,
     words,
@@ -42,16 +44,10 @@ pub struct Pose<'a> {
     pub bones: &'a [[u16; 2]],
     /// Limbs of a scanned skeleton: drawn instead, and their lengths told.
     pub limbs: &'a [Limb],
-}
-
-/// How a body becomes lines on the sheet.
-struct View {
-    across: usize,
-    up: usize,
-    /// Units of the sheet to a millimetre.
-    scale: f64,
-    /// Lowest height of all, mm.
-    floor_mm: f64,
+    /// Lines of the subject's face where it lies under the markers, mm, for each moment; none where it has no face.
+    pub faces: &'a [Vec<[Vector; 2]>],
+    /// Where the face's own left and top are: it is looked at from in front.
+    pub front: Option<[Vector; 2]>,
 }
 
 /// Draws it as SVG.
@@ -93,63 +89,10 @@ pub fn pose(wanted: &Pose<'_>) -> Result<String, ReportError> {
     })
 }
 
-impl View {
-    fn of(wanted: &Pose<'_>) -> Option<Self> {
-        let motion = &wanted.coded.motion;
-        let up = match motion.info.up {
-            UpAxis::X => 0,
-            UpAxis::Y => 1,
-            UpAxis::Z => 2,
-            UpAxis::Unknown => tallest(wanted)?,
-        };
-        let moments: Vec<Vec<Vector>> =
-            wanted.rows.iter().map(|&row| seen(motion, row).map(|(_, at)| at).collect()).collect();
-        // From the side on which the body is seen best: where it goes, or else where it is wide.
-        let spread = |axis: usize| {
-            let values = moments.iter().flatten().map(|at| at[axis]);
-            let (low, high) = values.fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(v), h.max(v)));
-            high - low
-        };
-        let across =
-            (0..3).filter(|&axis| axis != up).max_by(|&a, &b| spread(a).total_cmp(&spread(b)))?;
-        let floor_mm = moments.iter().flatten().map(|at| at[up]).reduce(f64::min)?;
-        let high_mm = moments.iter().flatten().map(|at| at[up]).reduce(f64::max)?;
-        let wide_mm = moments
-            .iter()
-            .filter_map(|points| {
-                let middle = middle(points, across)?;
-                points.iter().map(|at| 2.0 * (at[across] - middle).abs()).reduce(f64::max)
-            })
-            .fold(1.0, f64::max);
-        let cell = f64::from(WIDTH - 120) / wanted.rows.len() as f64;
-        let scale =
-            ((f64::from(ROW) - 60.0) / (high_mm - floor_mm).max(1.0)).min(0.94 * cell / wide_mm);
-        Some(Self { across, up, scale, floor_mm })
-    }
-}
-
-/// The axis along which the markers of these moments lie farthest apart: a body is taller than wide.
-fn tallest(wanted: &Pose<'_>) -> Option<usize> {
-    let extent = |axis: usize| {
-        let of_row = |&row: &usize| {
-            let values = seen(&wanted.coded.motion, row).map(|(_, at)| at[axis]);
-            let (low, high) = values.fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(v), h.max(v)));
-            (high - low).max(0.0)
-        };
-        wanted.rows.iter().map(of_row).sum::<f64>()
-    };
-    (0..3).max_by(|&a, &b| extent(a).total_cmp(&extent(b)))
-}
-
 /// The markers that a frame has.
 fn seen(motion: &Motion, row: usize) -> impl Iterator<Item = (usize, Vector)> + '_ {
     let frame = motion.frame(row).iter().enumerate().take(MARKERS_MAX);
     frame.filter_map(|(marker, &position)| Some((marker, sample(position)?)))
-}
-
-fn middle(points: &[Vector], axis: usize) -> Option<f64> {
-    let values = || points.iter().map(|at| at[axis]);
-    Some(0.5 * (values().reduce(f64::min)? + values().reduce(f64::max)?))
 }
 
 fn strip(
@@ -173,10 +116,13 @@ fn strip(
         let Some(middle) = middle(&rebuilt, view.across) else { continue };
         let x0 = column_x(i, wanted.rows.len());
         let place = |at: Vector| {
-            let x = x0 + (at[view.across] - middle) * view.scale;
-            let y = f64::from(floor) - (at[view.up] - view.floor_mm) * view.scale;
+            let x = x0 + (view.across.of(at) - middle) * view.scale;
+            let y = f64::from(floor) - (view.up.of(at) - view.floor_mm) * view.scale;
             (x.round() as i32, y.round() as i32)
         };
+        for line in wanted.faces.get(i).into_iter().flatten() {
+            area.draw(&PathElement::new(line.map(place).to_vec(), DIM.mix(0.5).stroke_width(1)))?;
+        }
         let points: std::collections::BTreeMap<usize, Vector> = seen(motion, row).collect();
         for ([a, b], limb) in lines(wanted) {
             if let (Some(&a), Some(&b)) = (points.get(&a), points.get(&b)) {
@@ -231,7 +177,9 @@ fn caption(wanted: &Pose<'_>) -> String {
     if wanted.original.is_some() {
         words += "; below each moment: the largest distance of a marker, original to rebuilt";
     }
-    if wanted.bones.is_empty() && wanted.limbs.is_empty() {
+    if wanted.faces.iter().any(|lines| !lines.is_empty()) {
+        words += "; the subject's face as it lies under the markers";
+    } else if wanted.bones.is_empty() && wanted.limbs.is_empty() {
         words += "; no lines are known between these labels (--skeleton)";
     }
     let n = wanted.coded.motion.info.markers.len();

@@ -4,10 +4,14 @@ use std::{path::PathBuf, time::Duration};
 
 use mocapd::{
     outcome::{Outcome, UsageError},
-    service::bones,
+    service::{
+        bones,
+        face::{FacePose, FaceUnderMarkers},
+    },
     units,
 };
 use mocapd_report::plot::{Pose, pose};
+use mocapd_take::motion::Motion;
 
 use super::{picture, skeleton};
 use crate::cli::{
@@ -33,7 +37,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "TIME,...", value_delimiter = ',', value_parser = units::duration)]
     at: Vec<Duration>,
     /// What is drawn between markers [default: the take's skeleton, or what labels tell]: a skeleton.json, or a text with
-    /// a line a bone, two labels and a comma between
+    /// a line a bone, two labels and a comma between. A take's face is drawn wherever its markers are
     #[arg(long, value_name = "FILE")]
     skeleton: Option<PathBuf>,
 }
@@ -74,6 +78,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if limbs.is_empty() && args.skeleton.as_ref().is_some_and(|_| bones.is_empty()) {
         say("no bone of the skeleton has a marker at both ends: nothing is drawn between markers");
     }
+    let faces = Faces::of(motion, &labels, &rows);
     let wanted = Pose {
         name: &name(&args.take),
         coded: &coded,
@@ -81,7 +86,42 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         rows: &rows,
         bones: &bones,
         limbs: &limbs,
+        faces: &faces.lines,
+        front: faces.front,
     };
     picture::write(&args.output, &pose(&wanted)?)?;
     Ok(picture::outcome(&coded))
+}
+
+/// The take's face under its markers.
+#[derive(Default)]
+struct Faces {
+    /// The lines of each moment; none of one where too few markers are seen.
+    lines: Vec<Vec<[[f64; 3]; 2]>>,
+    /// Its own left and top at the first moment that has it.
+    front: Option<[[f64; 3]; 2]>,
+}
+
+impl Faces {
+    fn of(motion: &Motion, labels: &[String], rows: &[usize]) -> Self {
+        let subject = motion.info.subject.as_ref();
+        let Some(face) = FaceUnderMarkers::new(subject, labels) else { return Self::default() };
+        let wireframe = face.wireframe();
+        let poses: Vec<_> = rows.iter().map(|&row| face.pose(motion.frame(row))).collect();
+        let of_moment = |pose: &Option<FacePose>| {
+            let Some(pose) = pose else { return Vec::new() };
+            let at = |vertex: usize| {
+                let from = wireframe.vertices_mm[vertex].map(f64::from);
+                pose.map(|[x, y, z, add]| {
+                    let [x, y, z, add] = [x, y, z, add].map(f64::from);
+                    x * from[0] + y * from[1] + z * from[2] + add
+                })
+            };
+            wireframe.lines.iter().map(|line| line.map(at)).collect()
+        };
+        let lines = poses.iter().map(of_moment).collect();
+        let front = poses.iter().flatten().next();
+        let front = front.map(|pose| [0, 1].map(|own| pose.map(|row| f64::from(row[own]))));
+        Self { lines, front }
+    }
 }

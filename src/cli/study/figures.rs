@@ -71,6 +71,8 @@ pub(super) fn all(trials: &[Trial], findings: &Findings) -> anyhow::Result<Vec<(
             rows: &rows,
             bones: &bones,
             limbs: &[],
+            faces: &[],
+            front: None,
         };
         figures.push(("figure-3.svg".to_owned(), pose(&wanted)?));
     }
