@@ -7,6 +7,7 @@
 //! annotators of the development half have the points, from where they were found: `OFFSETS_IO` of the default chain.
 
 mod data;
+mod drawn;
 mod offsets;
 mod table;
 
@@ -32,9 +33,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         return Ok(());
     };
     let mut offsets = Offsets::default();
-    let faces = data::read(folder.as_ref())?;
-    for (half, development) in [("development", true), ("reported", false)] {
-        if asked("development") != asked("reported") && !asked(half) {
+    let (photographs, drawn) = (data::read(folder.as_ref())?, drawn::faces()?);
+    let halves = [
+        ("development", true, &photographs),
+        ("drawn", true, &drawn),
+        ("reported", false, &photographs),
+    ];
+    let all = !halves.iter().any(|(half, ..)| asked(half));
+    for (half, development, faces) in halves {
+        if !all && !asked(half) {
             continue;
         }
         let (mut disturbed_table, mut detected_table) = (Table::default(), Table::default());
@@ -65,7 +72,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                     table.add(face, method, row);
                 }
                 table.spent_ms.push(spent_ms);
-                if development && number < STARTS {
+                if half == "development" && number < STARTS {
                     offsets.add(face, &found);
                     if let Some(folder) = std::env::var_os("OVERLAYS") {
                         data::overlay(face, &found, folder.as_ref())?;

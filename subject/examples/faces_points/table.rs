@@ -17,6 +17,7 @@ pub(crate) struct Row {
     nose: f64,
     mouth: f64,
     outline: f64,
+    /// Found less true.
     yaw_deg: Option<f64>,
     /// The same of the generic face fitted to the points.
     fitted_yaw_deg: Option<f64>,
@@ -43,8 +44,8 @@ impl Row {
                 * (0..17).map(|i| to_polygon(face.truth.landmarks[i], &found.outline)).sum::<f64>()
                 / 17.0
                 / io,
-            fitted_yaw_deg: face.truth.yaw_deg.zip(fitted_yaw(found)).map(|(t, f)| (t - f).abs()),
-            yaw_deg: face.truth.yaw_deg.zip(found.yaw_deg).map(|(t, f)| (t - f).abs()),
+            fitted_yaw_deg: face.truth.yaw_deg.zip(fitted_yaw(found)).map(|(t, f)| f - t),
+            yaw_deg: face.truth.yaw_deg.zip(found.yaw_deg).map(|(t, f)| f - t),
         }
     }
 }
@@ -75,7 +76,7 @@ impl fmt::Display for Row {
             "all {all:5.1}  eyes {eyes:5.1} brows {brows:5.1} nose {nose:5.1} mouth {mouth:5.1} outline {outline:5.1}"
         )?;
         for yaw in [yaw_deg, fitted_yaw_deg].into_iter().flatten() {
-            write!(f, "  yaw {yaw:.1}")?;
+            write!(f, "  yaw {yaw:+.1}")?;
         }
         Ok(())
     }
@@ -119,7 +120,7 @@ impl fmt::Display for Table {
                 if n == 0 {
                     String::new()
                 } else {
-                    format!("{:.1} ({n})", yaws.iter().sum::<f64>() / n as f64)
+                    format!("{:.1} ({n})", yaws.iter().map(|y| y.abs()).sum::<f64>() / n as f64)
                 }
             };
             let (yaw, fitted) = (mean(|r| r.yaw_deg), mean(|r| r.fitted_yaw_deg));

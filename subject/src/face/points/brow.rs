@@ -4,28 +4,27 @@ use super::maps::{Maps, along, at, direction, up};
 use super::search::{Found, Motion, Point, search, shift, stretch, turn};
 
 /// The brow nearest to `start`, five points from the left of the picture, and above the upper lid `lid`.
-pub(crate) fn find(maps: &Maps, start: &[Point; 5], lid: [Point; 2], reach: f64) -> Found {
+pub(crate) fn find(maps: &Maps, start: &[Point; 5], lid: [Point; 2], reach: f64) -> Found<5> {
     let middle = start[2];
     let right = direction(start[0], start[4]);
     let n = up(right);
-    let arch = start.iter().enumerate().map(|(i, _)| {
+    let arch = std::array::from_fn(|i| {
         let t = i as f64 / 2.0 - 1.0;
         [n[0] * (1.0 - t * t), n[1] * (1.0 - t * t)]
     });
     let motion = |field, sd, reach, step| Motion { field, sd, reach, step };
     let motions = [
-        motion(shift(5, right), 4.0, 0.0, 0.0),
-        motion(shift(5, n), reach / 1.5, reach, 1.5),
+        motion(shift(right), 4.0, 0.0, 0.0),
+        motion(shift(n), reach / 1.5, reach, 1.5),
         motion(turn(start, middle), 0.1, 0.12, 0.06),
-        motion(arch.collect(), 1.5, 0.0, 0.0),
+        motion(arch, 1.5, 0.0, 0.0),
         motion(stretch(start, middle, [1.0, 0.3]), 0.08, 0.0, 0.0),
     ];
     search(start, &motions, |p| score(maps, p) - 0.06 * crowding(p, lid))
 }
 
 /// How much darker the band is than what lies above and below it.
-fn score(maps: &Maps, p: &[Point]) -> f64 {
-    let &[a, b, c, d, e] = p else { return 0.0 };
+fn score(maps: &Maps, &[a, b, c, d, e]: &[Point; 5]) -> f64 {
     let g = |p| at(&maps.coarse, p);
     let cap = |v: f64| v.clamp(-0.4, 0.8);
     let mut sum = 0.0;
@@ -49,7 +48,7 @@ fn score(maps: &Maps, p: &[Point]) -> f64 {
 const CLEARANCE: f64 = 8.0;
 
 /// How much nearer to the lid than that (pixels): a lid, or the rim of glasses, is a dark band too.
-fn crowding(p: &[Point], lid: [Point; 2]) -> f64 {
+fn crowding(p: &[Point; 5], lid: [Point; 2]) -> f64 {
     let height = (lid[0][1] + lid[1][1]) / 2.0;
     let lowest = p.iter().skip(1).take(3).map(|p| p[1]).fold(f64::NEG_INFINITY, f64::max);
     (lowest - (height - CLEARANCE)).max(0.0)

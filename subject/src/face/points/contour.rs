@@ -36,12 +36,9 @@ pub(crate) fn find(
     expected: &[f64],
     sd: f64,
 ) -> Vec<Ray> {
-    let ray = |k: usize| {
-        let a = (k % RAYS) as f64 / RAYS as f64 * std::f64::consts::TAU;
-        [a.cos(), a.sin()]
-    };
+    let rays = directions();
     let place = |k: usize, i: usize| {
-        let d = ray(k);
+        let d = rays.get(k).copied().unwrap_or_default();
         let r = (RADIUS_MIN + i) as f64;
         [centre[0] + r * d[0], centre[1] + r * d[1]]
     };
@@ -50,16 +47,19 @@ pub(crate) fn find(
         let off = ((RADIUS_MIN + i) as f64 - expected) / sd;
         HOLD * off * off
     };
-    // Gains of every ray and radius.
+    // Gains of every ray and radius, from what lies three pixels within and three beyond.
     let mut gain = vec![0.0_f64; RAYS * LENGTH];
-    for (k, row) in gain.chunks_mut(LENGTH).enumerate() {
-        let d = ray(k);
-        for (i, g) in row.iter_mut().enumerate() {
-            let p = place(k, i);
-            let (o, q) =
-                ([p[0] + 3.0 * d[0], p[1] + 3.0 * d[1]], [p[0] - 3.0 * d[0], p[1] - 3.0 * d[1]]);
-            let colour = at(unlike, o) - at(unlike, q);
-            let light = (at(&maps.fine, q) - at(&maps.fine, o)).clamp(-0.3, 0.5);
+    let mut seen = [[0.0_f64; 2]; LENGTH + 6];
+    for (k, (row, d)) in gain.chunks_mut(LENGTH).zip(&rays).enumerate() {
+        for (i, [colour, light]) in seen.iter_mut().enumerate() {
+            let r = (RADIUS_MIN + i) as f64 - 3.0;
+            let p = [centre[0] + r * d[0], centre[1] + r * d[1]];
+            *colour = f64::from(unlike.sample(0.5 * p[0] as f32, 0.5 * p[1] as f32));
+            *light = at(&maps.fine, p);
+        }
+        for (i, ((g, within), beyond)) in row.iter_mut().zip(&seen).zip(&seen[6..]).enumerate() {
+            let colour = beyond[0] - within[0];
+            let light = (within[1] - beyond[1]).clamp(-0.3, 0.5);
             // Hair and shadow are darker than the face, a bright background is not.
             *g = colour + 0.5 * light.max(-0.3 * light) - held(k, i);
         }
@@ -68,6 +68,14 @@ pub(crate) fn find(
         .into_iter()
         .map(|(k, i)| Ray { at: place(k, i), contrast: gain_at(&gain, k, i) + held(k, i) })
         .collect()
+}
+
+/// From the right of the picture clockwise.
+fn directions() -> [Point; RAYS] {
+    std::array::from_fn(|k| {
+        let (sin, cos) = (k as f64 / RAYS as f64 * std::f64::consts::TAU).sin_cos();
+        [cos, sin]
+    })
 }
 
 /// Radii that a ray may have.
@@ -116,32 +124,51 @@ fn best_path(gain: &[f64]) -> Vec<(usize, usize)> {
     path
 }
 
-/// Radius at which each ray leaves the polygon of `points` (its convex hull), in rays as of [`find`].
+/// Radius at which each ray leaves the convex hull of `points`, in rays as of [`find`].
 pub(crate) fn hull_radii(points: &[Point], centre: Point) -> Vec<f64> {
-    (0..RAYS)
-        .map(|k| {
-            let a = k as f64 / RAYS as f64 * std::f64::consts::TAU;
-            let d = [a.cos(), a.sin()];
-            // The farthest crossing of the ray with any chord of two points lies on the hull.
+    let hull = hull(points);
+    directions()
+        .into_iter()
+        .map(|d| {
             let mut far = 0.0_f64;
-            for (i, p) in points.iter().enumerate() {
-                for q in points.iter().skip(i + 1) {
-                    let (px, py) = (p[0] - centre[0], p[1] - centre[1]);
-                    let (ex, ey) = (q[0] - p[0], q[1] - p[1]);
-                    let det = d[0] * -ey + d[1] * ex;
-                    if det.abs() < 1e-9 {
-                        continue;
-                    }
-                    let t = (px * -ey + py * ex) / det;
-                    let s = (d[0] * py - d[1] * px) / det;
-                    if (0.0..=1.0).contains(&s) {
-                        far = far.max(t);
-                    }
+            for (p, q) in hull.iter().zip(hull.iter().cycle().skip(1)) {
+                let (px, py) = (p[0] - centre[0], p[1] - centre[1]);
+                let (ex, ey) = (q[0] - p[0], q[1] - p[1]);
+                let det = d[0] * -ey + d[1] * ex;
+                if det.abs() < 1e-9 {
+                    continue;
+                }
+                let t = (px * -ey + py * ex) / det;
+                let s = (d[0] * py - d[1] * px) / det;
+                if (0.0..=1.0).contains(&s) {
+                    far = far.max(t);
                 }
             }
             far
         })
         .collect()
+}
+
+/// The corners of the convex hull in their order (Andrew 1979).
+fn hull(points: &[Point]) -> Vec<Point> {
+    let mut sorted = points.to_vec();
+    sorted.sort_by(|a, b| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1])));
+    let chain = |points: &mut dyn Iterator<Item = &Point>| {
+        let mut chain: Vec<Point> = Vec::new();
+        for p in points {
+            while let [.., a, b] = chain.as_slice()
+                && (b[0] - a[0]) * (p[1] - a[1]) <= (b[1] - a[1]) * (p[0] - a[0])
+            {
+                chain.pop();
+            }
+            chain.push(*p);
+        }
+        chain.pop();
+        chain
+    };
+    let mut hull = chain(&mut sorted.iter());
+    hull.extend(chain(&mut sorted.iter().rev()));
+    hull
 }
 
 /// Yaw (degrees, positive when the face turns to the right of the picture) by the outline's asymmetry about the eyes:

@@ -2,6 +2,7 @@
 //! neighbours is in the crop's own pixels whatever the photograph's were.
 
 use super::Rough;
+use super::reduced::Reduced;
 use crate::face::{Photo, Plane};
 
 /// Width of the crop (pixels): 1.3 distances of the outer eye corners to either side.
@@ -16,9 +17,6 @@ pub(crate) const EYE_DISTANCE: f64 = 60.0;
 pub(crate) const IO: f64 = EYE_DISTANCE * 1.366;
 /// From the middle of the eyes to the middle of the mouth, in distances of the eye centres of a frontal face.
 const EYES_TO_MOUTH: f64 = 1.13;
-/// Samples a side that one pixel of the crop is the mean of, at most: a larger photograph than four to one is sampled
-/// more sparsely, which the smoothing that follows forgives.
-const SAMPLES_MAX: f64 = 4.0;
 
 /// An upright face of known size, and how to get back to the photograph.
 #[derive(Debug, Clone)]
@@ -45,19 +43,15 @@ impl Crop {
             if eyes > 1e-9 { [(r[0] - l[0]) / eyes, (r[1] - l[1]) / eyes] } else { [1.0, 0.0] };
         let blank = || Plane::filled(1, 1, 0.0);
         let mut crop = Crop { scale, origin: mid, axis, rgb: [blank(), blank(), blank()] };
-        let steps = scale.ceil().clamp(1.0, SAMPLES_MAX) as usize;
-        let offset = |i: usize| (i as f64 + 0.5) / steps as f64 - 0.5;
+        let corner = |x: usize, y: usize| crop.to_photo([x as f64, y as f64]);
+        let corners = [corner(0, 0), corner(WIDTH, 0), corner(0, HEIGHT), corner(WIDTH, HEIGHT)];
+        let source = Reduced::of(photo, corners, scale);
         let mut channels: [Vec<f32>; 3] =
             std::array::from_fn(|_| Vec::with_capacity(WIDTH * HEIGHT));
         for (y, x) in (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| (y, x))) {
-            let mut sum = [0.0_f32; 3];
-            for k in 0..steps * steps {
-                let u = [x as f64 + offset(k % steps), y as f64 + offset(k / steps)];
-                let value = bilinear(photo, crop.to_photo(u));
-                sum.iter_mut().zip(value).for_each(|(s, v)| *s += v);
-            }
-            for (channel, s) in channels.iter_mut().zip(sum) {
-                channel.push(s / (steps * steps) as f32);
+            let value = source.at(crop.to_photo([x as f64, y as f64]));
+            for (channel, v) in channels.iter_mut().zip(value) {
+                channel.push(v);
             }
         }
         crop.rgb = channels.map(|values| Plane::from_values(WIDTH, HEIGHT, values));
@@ -89,22 +83,4 @@ impl Crop {
             .map(|((r, g), b)| value([*r, *g, *b]));
         Plane::from_values(WIDTH, HEIGHT, values.collect())
     }
-}
-
-fn bilinear(photo: &Photo, p: [f64; 2]) -> [f32; 3] {
-    let x = p[0].clamp(0.0, (photo.width() - 1) as f64);
-    let y = p[1].clamp(0.0, (photo.height() - 1) as f64);
-    let (xi, yi) = (x as isize, y as isize);
-    let (fx, fy) = ((x - xi as f64) as f32, (y - yi as f64) as f32);
-    let (a, b) = (photo.rgb(xi, yi), photo.rgb(xi + 1, yi));
-    let (c, d) = (photo.rgb(xi, yi + 1), photo.rgb(xi + 1, yi + 1));
-    let mix = |a: u8, b: u8, t: f32| f32::from(a) + (f32::from(b) - f32::from(a)) * t;
-    let [a0, a1, a2] = a;
-    let [b0, b1, b2] = b;
-    let [c0, c1, c2] = c;
-    let [d0, d1, d2] = d;
-    [(a0, b0, c0, d0), (a1, b1, c1, d1), (a2, b2, c2, d2)].map(|(a, b, c, d)| {
-        let (top, bottom) = (mix(a, b, fx), mix(c, d, fx));
-        top + (bottom - top) * fy
-    })
 }

@@ -8,16 +8,16 @@ use super::search::{Found, Motion, Point, only, search, shift, stretch, turn};
 const STEPS: [f64; 7] = [0.12, 0.25, 0.38, 0.5, 0.62, 0.75, 0.88];
 
 /// The eye nearest to `start`; `reach` (pixels) is how far it may lie.
-pub(crate) fn find(maps: &Maps, start: &[Point; 6], reach: f64) -> Found {
+pub(crate) fn find(maps: &Maps, start: &[Point; 6], reach: f64) -> Found<6> {
     let middle = start.iter().fold([0.0; 2], |s, p| [s[0] + p[0] / 6.0, s[1] + p[1] / 6.0]);
     let right = direction(start[0], start[3]);
     let upwards = up(right);
     let motion = |field, sd, reach, step| Motion { field, sd, reach, step };
     let motions = [
-        motion(shift(6, right), reach / 1.5, reach, 2.0),
-        motion(shift(6, upwards), reach / 1.5, reach, 1.5),
-        motion(only(6, &[1, 2], upwards), 1.7, 3.0, 1.5),
-        motion(only(6, &[4, 5], upwards), 1.2, 0.0, 0.0),
+        motion(shift(right), reach / 1.5, reach, 2.0),
+        motion(shift(upwards), reach / 1.5, reach, 1.5),
+        motion(only(&[1, 2], upwards), 1.7, 3.0, 1.5),
+        motion(only(&[4, 5], upwards), 1.2, 0.0, 0.0),
         motion(stretch(start, middle, [1.0, 0.4]), 0.08, 0.08, 0.08),
         motion(turn(start, middle), 0.07, 0.0, 0.0),
     ];
@@ -25,8 +25,7 @@ pub(crate) fn find(maps: &Maps, start: &[Point; 6], reach: f64) -> Found {
 }
 
 /// Contrast of the lids, the corners and the inside (natural logarithm).
-fn score(maps: &Maps, p: &[Point]) -> f64 {
-    let &[a, b, c, d, e, f] = p else { return 0.0 };
+fn score(maps: &Maps, &[a, b, c, d, e, f]: &[Point; 6]) -> f64 {
     let right = direction(a, d);
     let n = up(right);
     let g = |p| at(&maps.fine, p);
@@ -43,7 +42,7 @@ fn score(maps: &Maps, p: &[Point]) -> f64 {
     let corners = cap(g(along(a, right, -3.5)) - g(along(a, right, 2.5)))
         + cap(g(along(d, right, 3.5)) - g(along(d, right, -2.5)));
     // The iris is darker than the white, or the skin, to its left and right: that tells an eye from a brow.
-    let width = (d[0] - a[0]).hypot(d[1] - a[1]);
+    let width = ((d[0] - a[0]).powi(2) + (d[1] - a[1]).powi(2)).sqrt();
     let middle = |s: f64| {
         let (u, l) = (cubic([a, b, c, d], 0.5 + s), cubic([a, f, e, d], 0.5 + s));
         [0.55 * u[0] + 0.45 * l[0], 0.55 * u[1] + 0.45 * l[1]]

@@ -1,6 +1,6 @@
 //! The channels of the crop that the features are looked for in.
 
-use super::crop::Crop;
+use super::crop::{Crop, HEIGHT, WIDTH};
 use super::search::Point;
 use crate::face::Plane;
 
@@ -16,19 +16,41 @@ pub(crate) struct Maps {
     pub(crate) coarse: Plane,
     /// Redness ln(R/G), the logarithm of the pseudo-hue's odds, smoothed by 1.8 px.
     pub(crate) red: Plane,
+    /// Brightness, ln(R/G) and ln(B/G) of every other pixel, as they are.
+    pub(crate) raw: [Plane; 3],
 }
 
 impl Maps {
     pub(crate) fn of(crop: &Crop) -> Maps {
         let luma = crop.plane(|[r, g, b]| (FLOOR + 0.299 * r + 0.587 * g + 0.114 * b).ln());
         let red = crop.plane(|[r, g, _]| ((FLOOR + r) / (FLOOR + g)).ln());
-        Maps { fine: luma.blurred(1.2), coarse: luma.blurred(2.5), red: red.blurred(1.8) }
+        let half = |plane: &Plane| {
+            Plane::from_fn(WIDTH / 2, HEIGHT / 2, |x, y| plane.get(2 * x as isize, 2 * y as isize))
+        };
+        let [_, green, blue] = &crop.rgb;
+        let blueness = half(blue).zip(&half(green), |b, g| ((FLOOR + b) / (FLOOR + g)).ln());
+        Maps {
+            fine: luma.blurred(1.2),
+            coarse: luma.blurred(2.5),
+            red: red.blurred(1.8),
+            raw: [half(&luma), half(&red), blueness],
+        }
     }
 }
 
-/// The value at a point.
+/// The value at a point of a plane of the crop's size, bilinear; beyond its border that of the border.
+#[inline]
 pub(crate) fn at(plane: &Plane, p: Point) -> f64 {
-    f64::from(plane.sample(p[0] as f32, p[1] as f32))
+    // As the plane's own sampling, with a size that is known here: this is where most of the time goes.
+    // In this order what is not a number becomes 0.
+    let held = |v: f64, size: usize| (v as f32).max(0.0).min((size - 2) as f32);
+    let (x, y) = (held(p[0], WIDTH), held(p[1], HEIGHT));
+    let (left, top) = (x as usize, y as usize);
+    let (fx, fy) = (x - left as f32, y - top as f32);
+    let from = top * WIDTH + left;
+    let Some(&[a, b, .., c, d]) = plane.values().get(from..from + WIDTH + 2) else { return 0.0 };
+    let (above, below) = (a + (b - a) * fx, c + (d - c) * fx);
+    f64::from(above + (below - above) * fy)
 }
 
 /// `p + k n`.
@@ -39,7 +61,7 @@ pub(crate) fn along(p: Point, n: Point, k: f64) -> Point {
 /// Unit vector from `a` to `b`; to the right where they are the same.
 pub(crate) fn direction(a: Point, b: Point) -> Point {
     let (x, y) = (b[0] - a[0], b[1] - a[1]);
-    let l = x.hypot(y);
+    let l = (x * x + y * y).sqrt();
     if l > 1e-9 { [x / l, y / l] } else { [1.0, 0.0] }
 }
 
@@ -49,6 +71,7 @@ pub(crate) fn up(d: Point) -> Point {
 }
 
 /// The point at `t` (0 to 1) of the cubic through four points at equal steps.
+#[inline]
 pub(crate) fn cubic(p: [Point; 4], t: f64) -> Point {
     let u = 3.0 * t;
     let w = [

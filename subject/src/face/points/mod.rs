@@ -16,6 +16,7 @@ mod mouth;
 mod nose;
 mod outline;
 pub mod paper;
+mod reduced;
 mod search;
 mod shape;
 mod skin;

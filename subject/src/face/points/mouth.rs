@@ -8,34 +8,34 @@ use super::search::{Found, Motion, Point, only, search, shift, stretch};
 const STEPS: [f64; 7] = [0.12, 0.25, 0.38, 0.5, 0.62, 0.75, 0.88];
 
 /// The mouth nearest to `start`.
-pub(crate) fn find(maps: &Maps, start: &[Point; 14], reach: f64) -> Found {
+pub(crate) fn find(maps: &Maps, start: &[Point; 14], reach: f64) -> Found<14> {
     let right = direction(start[0], start[6]);
     let n = up(right);
     let middle = [(start[0][0] + start[6][0]) / 2.0, (start[0][1] + start[6][1]) / 2.0];
     // The corners up and the middle where it is.
     let half = ((start[6][0] - start[0][0]).hypot(start[6][1] - start[0][1]) / 2.0).max(1.0);
-    let smile = start.iter().map(|p| {
+    let smile = start.map(|p| {
         let t = ((p[0] - middle[0]) * right[0] + (p[1] - middle[1]) * right[1]) / half;
         [n[0] * t * t, n[1] * t * t]
     });
     let motion = |field, sd, reach, step| Motion { field, sd, reach, step };
     let motions = [
-        motion(shift(14, right), reach / 1.5, 0.6 * reach, 3.0),
-        motion(shift(14, n), reach / 1.5, reach, 3.0),
+        motion(shift(right), reach / 1.5, 0.6 * reach, 3.0),
+        motion(shift(n), reach / 1.5, reach, 3.0),
         motion(stretch(start, middle, [1.0, 0.0]), 0.15, 0.2, 0.1),
         // The jaw: what opens the mouth.
-        motion(only(14, &[7, 8, 9, 10, 11, 13], n), 5.0, 9.0, 4.5),
-        motion(only(14, &[1, 2, 3, 4, 5], n), 2.0, 0.0, 0.0),
-        motion(only(14, &[7, 8, 9, 10, 11], n), 2.5, 0.0, 0.0),
-        motion(only(14, &[12], n), 1.5, 0.0, 0.0),
-        motion(only(14, &[13], n), 2.5, 0.0, 0.0),
-        motion(smile.collect(), 2.5, 0.0, 0.0),
+        motion(only(&[7, 8, 9, 10, 11, 13], n), 5.0, 9.0, 4.5),
+        motion(only(&[1, 2, 3, 4, 5], n), 2.0, 0.0, 0.0),
+        motion(only(&[7, 8, 9, 10, 11], n), 2.5, 0.0, 0.0),
+        motion(only(&[12], n), 1.5, 0.0, 0.0),
+        motion(only(&[13], n), 2.5, 0.0, 0.0),
+        motion(smile, 2.5, 0.0, 0.0),
     ];
     search(start, &motions, |p| score(maps, 2.0 * half, p))
 }
 
-fn score(maps: &Maps, width: f64, p: &[Point]) -> f64 {
-    let &[a, b, c, d, e, f, g, h, i, j, k, l, top, bottom] = p else { return 0.0 };
+fn score(maps: &Maps, width: f64, p: &[Point; 14]) -> f64 {
+    let &[a, b, c, d, e, f, g, h, i, j, k, l, top, bottom] = p;
     let right = direction(a, g);
     let n = up(right);
     let luma = |p| at(&maps.fine, p);
@@ -73,7 +73,7 @@ fn score(maps: &Maps, width: f64, p: &[Point]) -> f64 {
         inner += line.max(open * parted);
     }
     // A short line is easily dark all along: what counts is how much of it there is.
-    inner *= ((g[0] - a[0]).hypot(g[1] - a[1]) / width).clamp(0.5, 1.5);
+    inner *= (((g[0] - a[0]).powi(2) + (g[1] - a[1]).powi(2)).sqrt() / width).clamp(0.5, 1.5);
     let gap = ((bottom[0] - top[0]) * -n[0] + (bottom[1] - top[1]) * -n[1]).min(0.0);
     let corners = cap(luma(along(a, right, -4.0)) - luma(along(a, right, 2.0)))
         + cap(luma(along(g, right, 4.0)) - luma(along(g, right, -2.0)));

@@ -4,20 +4,19 @@ use super::maps::{Maps, along, at, direction, up};
 use super::search::{Found, Motion, Point, search, shift, stretch};
 
 /// The base of the nose nearest to `start`.
-pub(crate) fn find(maps: &Maps, start: &[Point; 5], reach: f64) -> Found {
+pub(crate) fn find(maps: &Maps, start: &[Point; 5], reach: f64) -> Found<5> {
     let right = direction(start[0], start[4]);
     let n = up(right);
     let motion = |field, sd, reach, step| Motion { field, sd, reach, step };
     let motions = [
-        motion(shift(5, right), reach / 1.5, 0.6 * reach, 2.0),
-        motion(shift(5, n), reach / 1.5, reach, 1.5),
+        motion(shift(right), reach / 1.5, 0.6 * reach, 2.0),
+        motion(shift(n), reach / 1.5, reach, 1.5),
         motion(stretch(start, start[2], [1.0, 1.0]), 0.1, 0.1, 0.1),
     ];
     search(start, &motions, |p| score(maps, p))
 }
 
-fn score(maps: &Maps, p: &[Point]) -> f64 {
-    let &[a, b, c, d, e] = p else { return 0.0 };
+fn score(maps: &Maps, &[a, b, c, d, e]: &[Point; 5]) -> f64 {
     let right = direction(a, e);
     let n = up(right);
     let g = |p| at(&maps.fine, p);

@@ -4,10 +4,10 @@
 pub(crate) type Point = [f64; 2];
 
 /// A way in which an outline may move.
-#[derive(Debug, Clone)]
-pub(crate) struct Motion {
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Motion<const N: usize> {
     /// Displacement of each point for an amount of 1.
-    pub(crate) field: Vec<Point>,
+    pub(crate) field: [Point; N],
     /// Standard deviation of the amount: what deviates costs `HOLD * (amount / sd)^2`.
     pub(crate) sd: f64,
     /// The largest amount that the coarse search tries, and its step; none where the step is 0.
@@ -19,11 +19,13 @@ pub(crate) struct Motion {
 const HOLD: f64 = 0.012;
 /// Halvings of the step in the refinement.
 const HALVINGS: u32 = 4;
+/// Steps of the coarse search to either side, at most.
+const STEPS_MAX: f64 = 16.0;
 
 /// The best outline, what it scored, and how much better it is than the one it started from.
-#[derive(Debug, Clone)]
-pub(crate) struct Found {
-    pub(crate) points: Vec<Point>,
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Found<const N: usize> {
+    pub(crate) points: [Point; N],
     pub(crate) score: f64,
     /// `score` less the cost of the deviation.
     pub(crate) held: f64,
@@ -31,28 +33,33 @@ pub(crate) struct Found {
 
 /// Moves `start` where `score` is highest: a grid over the motions that have a step, then one motion at a time with
 /// halving steps.
-pub(crate) fn search(
-    start: &[Point],
-    motions: &[Motion],
-    score: impl Fn(&[Point]) -> f64,
-) -> Found {
-    let place = |amounts: &[f64]| -> Vec<Point> {
-        let mut points = start.to_vec();
+pub(crate) fn search<const N: usize, const M: usize>(
+    start: &[Point; N],
+    motions: &[Motion<N>; M],
+    score: impl Fn(&[Point; N]) -> f64,
+) -> Found<N> {
+    let place = |amounts: &[f64; M]| {
+        let mut points = *start;
         for (amount, motion) in amounts.iter().zip(motions) {
-            for (p, d) in points.iter_mut().zip(&motion.field) {
-                p[0] += amount * d[0];
-                p[1] += amount * d[1];
+            if *amount != 0.0 {
+                for (p, d) in points.iter_mut().zip(&motion.field) {
+                    p[0] += amount * d[0];
+                    p[1] += amount * d[1];
+                }
             }
         }
         points
     };
-    let total = |amounts: &[f64]| -> f64 {
-        let hold: f64 = amounts.iter().zip(motions).map(|(a, m)| (a / m.sd).powi(2)).sum();
+    let total = |amounts: &[f64; M]| {
+        let hold: f64 = amounts.iter().zip(motions).map(|(a, m)| (a / m.sd) * (a / m.sd)).sum();
         score(&place(amounts)) - HOLD * hold
     };
-    let mut best = vec![0.0; motions.len()];
+    let sides = motions
+        .map(|m| if m.step > 0.0 { (m.reach / m.step).floor().min(STEPS_MAX) as u32 } else { 0 });
+    let mut best = [0.0; M];
     let mut best_score = total(&best);
-    for amounts in grid(motions) {
+    for place in 0..sides.iter().map(|n| 2 * n + 1).product() {
+        let amounts = grid(place, &sides, motions);
         let s = total(&amounts);
         if s > best_score {
             (best, best_score) = (amounts, s);
@@ -60,19 +67,18 @@ pub(crate) fn search(
     }
     let mut share = 1.0;
     for _ in 0..HALVINGS {
-        for _ in 0..2 {
-            for (i, motion) in motions.iter().enumerate() {
-                let step =
-                    share * if motion.step > 0.0 { motion.step / 2.0 } else { motion.sd / 2.0 };
-                for sign in [-1.0, 1.0] {
-                    let mut tried = best.clone();
-                    if let Some(a) = tried.get_mut(i) {
-                        *a += sign * step;
-                    }
-                    let s = total(&tried);
-                    if s > best_score {
-                        (best, best_score) = (tried, s);
-                    }
+        for i in (0..M).chain(0..M) {
+            let Some(motion) = motions.get(i) else { continue };
+            let step = share * if motion.step > 0.0 { motion.step } else { motion.sd } / 2.0;
+            for sign in [-1.0, 1.0] {
+                let mut tried = best;
+                if let Some(amount) = tried.get_mut(i) {
+                    *amount += sign * step;
+                }
+                let s = total(&tried);
+                if s > best_score {
+                    (best, best_score) = (tried, s);
+                    break;
                 }
             }
         }
@@ -82,45 +88,42 @@ pub(crate) fn search(
     Found { score: score(&points), held: best_score, points }
 }
 
-/// All amounts of the coarse search.
-fn grid(motions: &[Motion]) -> Vec<Vec<f64>> {
-    let mut all = vec![Vec::new()];
-    for motion in motions {
-        let n = if motion.step > 0.0 {
-            (motion.reach / motion.step).floor().min(16.0) as i32
-        } else {
-            0
-        };
-        all = all
-            .iter()
-            .flat_map(|amounts: &Vec<f64>| {
-                (-n..=n).map(|k| {
-                    let mut longer = amounts.clone();
-                    longer.push(f64::from(k) * motion.step);
-                    longer
-                })
-            })
-            .collect();
+/// The amounts at one place of the coarse search, counted through with the first motion fastest.
+fn grid<const N: usize, const M: usize>(
+    place: u32,
+    sides: &[u32; M],
+    motions: &[Motion<N>; M],
+) -> [f64; M] {
+    let mut rest = place;
+    let mut amounts = [0.0; M];
+    for ((amount, n), motion) in amounts.iter_mut().zip(sides).zip(motions) {
+        let count = 2 * n + 1;
+        *amount = (f64::from(rest % count) - f64::from(*n)) * motion.step;
+        rest /= count;
     }
-    all
+    amounts
 }
 
 /// All points alike.
-pub(crate) fn shift(n: usize, by: Point) -> Vec<Point> {
-    vec![by; n]
+pub(crate) fn shift<const N: usize>(by: Point) -> [Point; N] {
+    [by; N]
 }
 
 /// Away from `about`, by the amount as a share of the distance, in x and in y times `share`.
-pub(crate) fn stretch(points: &[Point], about: Point, share: Point) -> Vec<Point> {
-    points.iter().map(|p| [share[0] * (p[0] - about[0]), share[1] * (p[1] - about[1])]).collect()
+pub(crate) fn stretch<const N: usize>(
+    points: &[Point; N],
+    about: Point,
+    share: Point,
+) -> [Point; N] {
+    points.map(|p| [share[0] * (p[0] - about[0]), share[1] * (p[1] - about[1])])
 }
 
 /// Turned about `about` (radians).
-pub(crate) fn turn(points: &[Point], about: Point) -> Vec<Point> {
-    points.iter().map(|p| [-(p[1] - about[1]), p[0] - about[0]]).collect()
+pub(crate) fn turn<const N: usize>(points: &[Point; N], about: Point) -> [Point; N] {
+    points.map(|p| [-(p[1] - about[1]), p[0] - about[0]])
 }
 
 /// Only the points named, by `by`.
-pub(crate) fn only(n: usize, which: &[usize], by: Point) -> Vec<Point> {
-    (0..n).map(|i| if which.contains(&i) { by } else { [0.0; 2] }).collect()
+pub(crate) fn only<const N: usize>(which: &[usize], by: Point) -> [Point; N] {
+    std::array::from_fn(|i| if which.contains(&i) { by } else { [0.0; 2] })
 }

@@ -134,7 +134,7 @@ impl<'a> Pose<'a> {
     /// the modes' coefficients, which are of a standard normal distribution.
     pub(crate) fn fit(&mut self, targets: &[Target], turn: Turn, rounds: usize) {
         for _ in 0..rounds {
-            if self.step(targets, turn, 1.0).is_none() {
+            if self.step(targets, turn, self.coefficients.len()).is_none() {
                 return;
             }
         }
@@ -160,61 +160,59 @@ impl<'a> Pose<'a> {
                 }
             }
             // The shape is held, and so is the turn.
-            if pose.step(&targets, Turn { yaw_deg, sd_deg: 1.0 }, 1e4).is_none() {
+            if pose.step(&targets, Turn { yaw_deg, sd_deg: 1.0 }, 0).is_none() {
                 break;
             }
         }
         pose
     }
 
-    fn step(&mut self, targets: &[Target], turn: Turn, stiffness: f64) -> Option<()> {
-        let modes = &self.landmarks.modes;
-        let k = modes.len();
-        let n = POSE + k;
+    /// One step; `modes` of the shape's modes are free.
+    fn step(&mut self, targets: &[Target], turn: Turn, modes: usize) -> Option<()> {
+        let modes = self.landmarks.modes.get(..modes)?;
+        let n = POSE + modes.len();
         let mut a = DMatrix::<f64>::zeros(n, n);
         let mut b = DVector::<f64>::zeros(n);
         let third = self.rotation.row(0).transpose().cross(&self.rotation.row(1).transpose());
         let shape = self.shape();
-        let mut jx = DVector::<f64>::zeros(n);
-        let mut jy = DVector::<f64>::zeros(n);
+        let (mut jx, mut jy) = (vec![0.0; n], vec![0.0; n]);
         let s = self.scale;
+        let turned = s * self.rotation;
         for t in targets {
             let Some(v) = shape.get(t.landmark) else { continue };
             let q = self.rotation * v;
             let (qx, qy, qz) = (q.x, q.y, third.dot(v));
             // Small rotations about x, y and z, the scale's logarithm, the shift.
-            for (j, d) in [
+            let by = modes.iter().filter_map(|mode| mode.get(t.landmark)).map(|d| turned * d);
+            let pose = [
                 [0.0, -s * qz],
                 [s * qz, 0.0],
                 [-s * qy, s * qx],
                 [s * qx, s * qy],
                 [1.0, 0.0],
                 [0.0, 1.0],
-            ]
-            .into_iter()
-            .enumerate()
-            {
-                jx[j] = d[0];
-                jy[j] = d[1];
-            }
-            for (j, mode) in modes.iter().enumerate() {
-                let Some(d) = mode.get(t.landmark) else { continue };
-                let d = s * (self.rotation * d);
-                jx[POSE + j] = d.x;
-                jy[POSE + j] = d.y;
+            ];
+            let columns = pose.into_iter().chain(by.map(|d| [d.x, d.y]));
+            for ((x, y), column) in jx.iter_mut().zip(&mut jy).zip(columns) {
+                [*x, *y] = column;
             }
             // Beyond three deviations a target pulls no harder: it is likely to be something else.
             let (rx, ry) = (t.at[0] - s * qx - self.shift[0], t.at[1] - s * qy - self.shift[1]);
-            let far = rx.hypot(ry) / t.sd;
-            let w = if stiffness > 1.0 { 1.0 } else { 3.0 / far.max(3.0) } / (t.sd * t.sd);
-            a.ger(w, &jx, &jx, 1.0);
-            a.ger(w, &jy, &jy, 1.0);
-            b.axpy(w * rx, &jx, 1.0);
-            b.axpy(w * ry, &jy, 1.0);
+            let far = (rx * rx + ry * ry).sqrt() / t.sd;
+            let w = if modes.is_empty() { 1.0 } else { 3.0 / far.max(3.0) } / (t.sd * t.sd);
+            // The lower half, which is all that Cholesky reads.
+            for (j, (x, y)) in jx.iter().zip(&jy).enumerate() {
+                let (wx, wy) = (w * x, w * y);
+                b[j] += wx * rx + wy * ry;
+                let below = jx.iter().zip(&jy).skip(j);
+                for (cell, (x, y)) in a.column_mut(j).iter_mut().skip(j).zip(below) {
+                    *cell += wx * x + wy * y;
+                }
+            }
         }
-        for j in 0..k {
-            a[(POSE + j, POSE + j)] += stiffness;
-            b[POSE + j] -= stiffness * self.coefficients.get(j).copied().unwrap_or(0.0);
+        for (j, c) in self.coefficients.iter().take(modes.len()).enumerate() {
+            a[(POSE + j, POSE + j)] += 1.0;
+            b[POSE + j] -= c;
         }
         // A head is upright and looks at the camera, more or less.
         let yaw = self.rotation[(0, 2)].clamp(-1.0, 1.0).asin();
@@ -239,8 +237,8 @@ impl<'a> Pose<'a> {
         self.rotation = full.fixed_rows::<2>(0).into_owned();
         self.scale *= x[3].clamp(-0.3, 0.3).exp();
         self.shift = [self.shift[0] + x[4], self.shift[1] + x[5]];
-        for (j, c) in self.coefficients.iter_mut().enumerate() {
-            *c = (*c + x[POSE + j]).clamp(-3.0, 3.0);
+        for (c, by) in self.coefficients.iter_mut().zip(x.iter().skip(POSE)) {
+            *c = (*c + by).clamp(-3.0, 3.0);
         }
         Some(())
     }

@@ -12,10 +12,11 @@ mod mouth;
 mod nose;
 mod snake;
 
-use super::crop::{Crop, EYE_DISTANCE};
+use super::crop::{Crop, EYE_DISTANCE, HEIGHT, WIDTH};
+use super::maps::Maps;
 use super::outline::{self, Heights};
 use super::{BROWS, EYES, FacePoints, MOUTH, NOSE, Rough};
-use crate::face::Photo;
+use crate::face::{Photo, Plane};
 use boxes::Bounds;
 
 /// Confidence of a point whose step found nothing and fell back to a place in its box.
@@ -58,7 +59,8 @@ pub fn find(photo: &Photo, rough: &Rough) -> FacePoints {
     let centre = [(middle[0] + mouth_at[0]) / 2.0, (middle[1] + mouth_at[1]) / 2.0];
     let cheek = |eye: [f64; 2]| [eye[0], (eye[1] + mouth_at[1]) / 2.0];
     let skin = [cheek(left), cheek(right), [centre[0], middle[1] + 0.25 * EYE_DISTANCE]];
-    let unlike = super::skin::unlike(&crop, &skin);
+    let half = super::skin::unlike(&Maps::of(&crop), &skin);
+    let unlike = Plane::from_fn(WIDTH, HEIGHT, |x, y| half.sample(x as f32 / 2.0, y as f32 / 2.0));
     let line = contour::find(&unlike, &slope, centre);
     let heights = Heights { brows: brow_y, eyes: middle[1], nose: base_y, mouth: mouth_at[1] };
     for (id, at) in outline::twelve(&line, centre[0], &heights) {

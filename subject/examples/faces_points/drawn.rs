@@ -1,0 +1,56 @@
+//! Faces that are drawn: as many development faces as one likes, with the truth about them.
+
+use std::error::Error;
+
+use mocapd_subject::face::Photo;
+use mocapd_subject::face::model::{FeatureId, Model};
+use mocapd_subject::face::render::Scene;
+
+use super::data::{Face, Noise, Truth};
+
+/// How many.
+const FACES: u64 = 80;
+
+/// Faces of all shades, turned by up to 35 degrees and nodding by up to 15, with 25 to 110 pixels between the eyes.
+pub(crate) fn faces() -> Result<Vec<Face>, Box<dyn Error>> {
+    (0..FACES).map(face).collect()
+}
+
+fn face(seed: u64) -> Result<Face, Box<dyn Error>> {
+    let mut random = Noise::new(seed + 1);
+    let mut between = |low: f64, high: f64| low + (high - low) * random.uniform();
+    let (io_px, yaw) = (25.0 * between(0.0, 1.0).mul_add(1.48, 0.0).exp(), between(-35.0, 35.0));
+    let mut scene = Scene::portrait(1000 + seed, io_px, yaw);
+    for sitter in &mut scene.faces {
+        sitter.pitch_deg = between(-15.0, 15.0);
+        sitter.roll_deg = between(-10.0, 10.0);
+    }
+    let picture = scene.render()?;
+    let truth = picture.faces.first().ok_or("the scene has no face")?;
+    let model = Model::generic()?;
+    let vertex = |name: &str| {
+        let at = truth.vertices_px.get(*model.features.get(name)?)?;
+        Some([at[0], at[1]])
+    };
+    let landmark = |i: usize| match i {
+        0..=7 => vertex(&format!("right_jaw_{}", i + 1)),
+        8 => vertex("chin"),
+        9..=16 => vertex(&format!("left_jaw_{}", 17 - i)),
+        _ => FeatureId::from_ibug(i).map(|id| truth.at(id)),
+    };
+    let landmarks: Vec<_> = (0..68).map(landmark).collect();
+    let (w, h) = picture.image.dimensions();
+    let pixels = picture.image.pixels().map(|p| p.0).collect();
+    Ok(Face {
+        name: format!("drawn_{seed:03}"),
+        number: 0,
+        development: true,
+        synthetic: true,
+        photo: Photo::from_pixels(w as usize, h as usize, pixels)?,
+        truth: Truth {
+            visible: landmarks.iter().map(Option::is_some).collect(),
+            landmarks: landmarks.into_iter().map(Option::unwrap_or_default).collect(),
+            yaw_deg: Some(yaw),
+        },
+    })
+}
