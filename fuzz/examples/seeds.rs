@@ -2,6 +2,8 @@
 //!
 //! Every seed is also run once, so that a target that fails on its own seeds shows without a fuzzer.
 
+#[path = "seeds/faces.rs"]
+mod faces;
 #[path = "seeds/meshes.rs"]
 mod meshes;
 
@@ -38,6 +40,10 @@ fn main() -> io::Result<()> {
         ("config", mocapd_fuzz::config, configs()),
         ("read_mesh", mocapd_fuzz::read_mesh, meshes::files()),
         ("read_skeleton", mocapd_fuzz::read_skeleton, meshes::skeletons()),
+        ("read_photo", mocapd_fuzz::read_photo, faces::photos()),
+        ("read_face", mocapd_fuzz::read_face, faces::faces()),
+        ("read_mapping", mocapd_fuzz::read_mapping, faces::mappings()),
+        ("read_face_model", mocapd_fuzz::read_face_model, faces::models()),
     ] {
         let folder = folder.join(target);
         fs::create_dir_all(&folder)?;

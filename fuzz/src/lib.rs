@@ -5,6 +5,7 @@
 mod blocks;
 mod check;
 mod config;
+mod face;
 mod file;
 mod input;
 mod link;
@@ -15,7 +16,8 @@ mod take;
 mod trips;
 
 pub use self::{
-    blocks::decode_block, config::config, file::read_file, input::Input, link::hear,
+    blocks::decode_block, config::config, face::read_face, face::read_face_model,
+    face::read_mapping, face::read_photo, file::read_file, input::Input, link::hear,
     mesh::read_mesh, mesh::read_skeleton, range::range_coder, take::read_take, take::recover_take,
     trips::round_trip,
 };

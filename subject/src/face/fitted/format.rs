@@ -113,7 +113,7 @@ impl FittedFace {
             let what = format!("{} bytes, where {MAX_BYTES} is the most", text.len());
             return Err(FaceFileError::Value(what));
         }
-        let shape = |error: serde_json::Error| FaceFileError::Shape(error.to_string());
+        let shape = |error: serde_json::Error| FaceFileError::Shape(shortened(&error.to_string()));
         let head: Head = serde_json::from_str(text).map_err(shape)?;
         match (head.format.as_deref(), head.version) {
             (Some(FORMAT), Some(VERSION)) => {}
@@ -151,6 +151,17 @@ impl FittedFace {
             features: file.features,
         })
     }
+}
+
+/// A reason on one line: a reader of JSON quotes whatever names a file has.
+pub(in crate::face) fn shortened(reason: &str) -> String {
+    const CHARACTERS: usize = 200;
+    let printed = |c: char| if c.is_control() { ' ' } else { c };
+    let mut line: String = reason.chars().map(printed).take(CHARACTERS).collect();
+    if reason.chars().nth(CHARACTERS).is_some() {
+        line.push('…');
+    }
+    line
 }
 
 fn rounded(value: f64, per_unit: f64) -> f64 {

@@ -18,6 +18,7 @@ use super::model::{Camera, FeatureId, Model};
 
 pub use curves::{Curve, Part};
 pub use format::FaceFileError;
+pub(in crate::face) use format::shortened;
 pub use overlay::Overlay;
 
 /// The chain that found the points.

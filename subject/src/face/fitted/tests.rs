@@ -82,6 +82,21 @@ fn what_is_no_face_file_is_refused() {
 }
 
 #[test]
+fn a_reason_is_a_short_line_whatever_the_file_says() {
+    let long = "x\\n\\u0007".repeat(500);
+    for text in [
+        format!(r#"{{"format": "mocapd-face", "version": 1, "{long}": 0}}"#),
+        format!(r#"{{"format": "{long}", "version": 1}}"#),
+        "[".repeat(100_000),
+        r#"{"format": "mocapd-face", "version": 4294967296}"#.to_owned(),
+        r#"{"format": "mocapd-face", "version": 1, "vertices_mm": [[1e999, 0, 0]]}"#.to_owned(),
+    ] {
+        let reason = FittedFace::from_json(&text).unwrap_err().to_string();
+        assert!(reason.chars().count() < 300 && !reason.contains(char::is_control), "{reason:?}");
+    }
+}
+
+#[test]
 fn changed_bytes_give_an_error_or_a_face_that_holds() {
     let (_, face) = example();
     let good = face.to_json().unwrap().into_bytes();

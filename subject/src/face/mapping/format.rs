@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::{Mapping, Marker, Place};
+use crate::face::fitted::shortened;
 
 const FORMAT: &str = "mocapd-face-mapping";
 const VERSION: u32 = 1;
@@ -67,8 +68,8 @@ impl Mapping {
             let what = format!("{} bytes, where {MAX_BYTES} is the most", text.len());
             return Err(MappingError::Value(what));
         }
-        let file: File =
-            serde_json::from_str(text).map_err(|error| MappingError::Shape(error.to_string()))?;
+        let shape = |error: serde_json::Error| MappingError::Shape(shortened(&error.to_string()));
+        let file: File = serde_json::from_str(text).map_err(shape)?;
         if file.format != FORMAT || file.version != VERSION {
             let found = file.format.escape_debug().take(40).collect::<String>();
             return Err(MappingError::Kind(format!("{found:?}, version {}", file.version)));

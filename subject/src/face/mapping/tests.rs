@@ -118,3 +118,38 @@ fn mappings_are_written_and_read_and_refused() {
     }
     assert!(Mapping::from_json(&" ".repeat(1 << 20)).is_err());
 }
+
+#[test]
+fn a_reason_is_a_short_line_whatever_the_mapping_says() {
+    let long = "y\\t".repeat(2000);
+    let kind = r#"{"format": "mocapd-face-mapping", "version": 1, "#;
+    for text in [
+        format!(r#"{kind}"{long}": 1}}"#),
+        format!(r#"{kind}"markers": [{{"label": "a", "at": -1}}]}}"#),
+        format!(r#"{kind}"markers": [{{"label": "{long}", "at": 1}}]}}"#),
+        format!(r#"{kind}"markers": [{{"label": "a", "at": 1, "weight": 1e400}}]}}"#),
+        format!(r#"{kind}"markers": [{}]}}"#, r#"{"label": "a", "at": 1},"#.repeat(1200)),
+        "{".repeat(100_000),
+    ] {
+        let reason = Mapping::from_json(&text).unwrap_err().to_string();
+        assert!(reason.chars().count() < 300 && !reason.contains(char::is_control), "{reason:?}");
+    }
+}
+
+#[test]
+fn changed_bytes_give_a_reason_or_a_mapping_that_holds() {
+    let good = Mapping::singing_face().unwrap().to_json().unwrap().into_bytes();
+    let mut random = Random::new(5);
+    let mut read = 0;
+    for _ in 0..400 {
+        let mut bytes = good.clone();
+        let at = (random.uniform() * bytes.len() as f64) as usize;
+        bytes[at] = random.one_of(b"0123456789-.e,[]{}\"ax ");
+        if let Ok(mapping) = Mapping::from_json(&String::from_utf8(bytes).unwrap()) {
+            let again = Mapping::from_json(&mapping.to_json().unwrap()).unwrap();
+            assert_eq!(again.markers.len(), mapping.markers.len());
+            read += 1;
+        }
+    }
+    assert!(read > 20, "{read}");
+}

@@ -7,6 +7,7 @@ use thiserror::Error;
 
 use super::feature::FeatureId;
 use super::shape::{Anchor, Kind, Mode, Model};
+use crate::face::fitted::shortened;
 
 /// Far above any wireframe that is worth drawing; what the arithmetic of a fit costs grows with it.
 const MAX_VERTICES: usize = 20_000;
@@ -62,7 +63,7 @@ struct Words<'a> {
 
 impl<'a> Words<'a> {
     fn wrong(&self, what: impl Into<String>) -> ModelError {
-        ModelError { line: self.line, what: what.into() }
+        ModelError { line: self.line, what: shortened(&what.into()) }
     }
 
     fn text(&mut self, what: &str) -> Result<&'a str, ModelError> {

@@ -215,3 +215,24 @@ fn damaged_models_are_refused_with_their_line() {
         assert!(Model::parse(&text[..end]).is_err());
     }
 }
+
+#[test]
+fn a_reason_is_a_short_line_whatever_the_model_says() {
+    let word = "z\u{7}".repeat(3000);
+    for text in [
+        word.clone(),
+        format!("face-model {word}"),
+        format!("face-model 1\nvertices 1\n0 0 0 {word}\n"),
+        "face-model 1\nvertices 20000\n".to_owned(),
+        "face-model 1\nvertices 0\ntriangles 0\nfeatures 0\ncontours 12\nmodes 1\n".to_owned(),
+        "face-model 1\nvertices 1\n99999999999 0 0\n".to_owned(),
+        "face-model 1\nvertices 1\n0 0 0\ntriangles 1\n0 0 -1\n".to_owned(),
+    ] {
+        let reason = Model::parse(&text).unwrap_err().to_string();
+        assert!(reason.chars().count() < 300 && !reason.contains(char::is_control), "{reason:?}");
+    }
+    let text = include_str!("../../../data/face-model.txt");
+    let many = text.replacen("right_contour_top 9", "right_contour_top 99999999999", 1);
+    assert_ne!(many, text);
+    assert!(Model::parse(&many).is_err());
+}

@@ -147,3 +147,44 @@ fn print_colours_are_seen_in_the_frame() {
     bytes.extend([0xff, 0xd9]);
     assert_eq!(Jpeg::of(&bytes), Jpeg { components: 4, whole: true });
 }
+
+/// What a header promises is refused before room is made for it: the files below have a few hundred bytes.
+#[test]
+fn huge_and_tiny_pictures_are_refused_in_every_format() {
+    let bytes = encoded(&colourful(40, 40).into(), ImageFormat::Png);
+    let png = |width: u32, height: u32| {
+        let mut header = b"IHDR".to_vec();
+        header.extend(width.to_be_bytes());
+        header.extend(height.to_be_bytes());
+        header.extend(&bytes[24..29]);
+        header.extend(crc32(&header).to_be_bytes());
+        [&bytes[..12], &header, &bytes[33..]].concat()
+    };
+    let jpeg = |width: u16, height: u16| {
+        let mut bytes = encoded(&colourful(40, 40).into(), ImageFormat::Jpeg);
+        let frame = bytes.windows(2).position(|pair| pair == [0xff, 0xc0]).unwrap();
+        bytes[frame + 5..frame + 7].copy_from_slice(&height.to_be_bytes());
+        bytes[frame + 7..frame + 9].copy_from_slice(&width.to_be_bytes());
+        bytes
+    };
+    Photo::from_bytes(&png(40, 40)).unwrap();
+    for bytes in [png(60_000, 60_000), png(u32::MAX >> 1, 1000), jpeg(65_000, 65_000)] {
+        let found = Photo::from_bytes(&bytes);
+        // Some decoders say for themselves what they will not make room for.
+        let refused = matches!(found, Err(PhotoError::Large { .. } | PhotoError::Damaged { .. }));
+        assert!(refused, "{found:?}");
+    }
+    let found = Photo::from_bytes(&png(4, 4));
+    assert!(matches!(found, Err(PhotoError::Small { .. })), "{found:?}");
+    assert!(Photo::from_bytes(&jpeg(9, 3000)).is_err());
+}
+
+#[test]
+fn sixteen_bits_of_grey_are_reduced() {
+    let grey = DynamicImage::from(colourful(40, 40)).into_luma16();
+    for format in [ImageFormat::Png, ImageFormat::Pnm] {
+        let photo = Photo::from_bytes(&encoded(&grey.clone().into(), format)).unwrap();
+        assert!(photo.notes.contains(&Note::Reduced), "{format:?} {:?}", photo.notes);
+        assert!(photo.notes.contains(&Note::Grey), "{format:?} {:?}", photo.notes);
+    }
+}

@@ -1,0 +1,83 @@
+//! Small photographs in every format, and what is kept of a face.
+
+use mocapd_subject::face::{
+    fitted::{FittedFace, Method, Point, Source},
+    mapping::Mapping,
+    model::{FeatureId, Model},
+    render::{Picture, Scene},
+};
+
+/// A PNM of 8 and of 16 bits, a grey one, a text one, a cut one, and one that promises more than it has; a bitmap, which is
+/// refused. A fuzzer finds its way into PNG and JPEG by their signatures.
+pub(crate) fn photos() -> Vec<Vec<u8>> {
+    let pixels: Vec<u8> = (0..40 * 36 * 6).map(|i: usize| (i * i / 7 % 251) as u8).collect();
+    let with = |header: &str, bytes: usize| [header.as_bytes(), &pixels[..bytes]].concat();
+    let text: String = pixels[..32 * 32].iter().map(|value| format!("{value} ")).collect();
+    vec![
+        with("P6 40 36 255\n", 40 * 36 * 3),
+        with("P6 40 36 65535\n", 40 * 36 * 6),
+        with("P5 40 36 255\n", 40 * 36),
+        with("P5 36 40 1023\n", 40 * 36 * 2),
+        format!("P2 32 32 255\n{text}").into_bytes(),
+        with("P6 40 36 255\n", 40 * 36),
+        with("P6 6000 6000 255\n", 900),
+        with("P6 4 4 255\n", 48),
+        b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\0\x28\0\0\0\x24\x08\x02\0\0\0".to_vec(),
+        b"\xff\xd8\xff\xe0\0\x10JFIF\0\x01\x01\0\0\x01\0\x01\0\0\xff\xc0\0\x14\x08\0\x28\0\x24\x04\xff\xd9".to_vec(),
+        b"BM and so on".to_vec(),
+    ]
+}
+
+/// A drawn face as it is kept, and cut.
+pub(crate) fn faces() -> Vec<Vec<u8>> {
+    let (Ok(model), Ok(Picture { image, faces })) =
+        (Model::generic(), Scene::portrait(4, 70.0, 20.0).render())
+    else {
+        return Vec::new();
+    };
+    let (width, height) = image.dimensions();
+    let face = |method| {
+        let truth = faces.first()?;
+        let points = FeatureId::all().map(|id| Point { id, xy_px: truth.at(id), confidence: 0.5 });
+        let source = Source { name: "a.png".to_owned(), sha256: "0f".repeat(32), width, height };
+        let vertices = model.shape(&truth.coefficients);
+        let face = FittedFace::new(model, method, source, truth.camera, points.collect(), vertices);
+        face.to_json().ok().map(String::into_bytes)
+    };
+    let whole: Vec<_> = [Method::Default, Method::Paper].into_iter().filter_map(face).collect();
+    let cut = whole.iter().map(|json| json[..json.len() / 2].to_vec());
+    cut.chain(whole.clone()).collect()
+}
+
+/// The one that comes with mocapd, one with vertices by number, and one of a later version.
+pub(crate) fn mappings() -> Vec<Vec<u8>> {
+    let own = Mapping::singing_face().and_then(|mapping| mapping.to_json()).unwrap_or_default();
+    let kind = r#"{"format": "mocapd-face-mapping", "version": "#;
+    let markers =
+        r#", "markers": [{"label": "a", "at": 7}, {"label": "é", "at": "chin", "weight": 0.1}]}"#;
+    vec![
+        own.into_bytes(),
+        format!("{kind}1{markers}").into_bytes(),
+        format!("{kind}2{markers}").into_bytes(),
+    ]
+}
+
+/// A model of a pyramid that is all features, with two modes; and the same, cut in each of its parts.
+pub(crate) fn models() -> Vec<Vec<u8>> {
+    let mut text =
+        "face-model 1\nvertices 5\n0 0 900\n-4500 0 0\n4500 0 0\n0 3000 0\n0 -7000 100\n"
+            .to_owned();
+    text += "triangles 2\n0 1 4\n0 4 2\nfeatures 41\n";
+    let (outline, fixed): (Vec<_>, Vec<_>) = FeatureId::all().partition(|id| id.is_contour());
+    for (i, id) in fixed.iter().enumerate() {
+        text += &format!("{} {}\n", id.name(), i % 5);
+    }
+    text += "contours 12\n";
+    for (i, id) in outline.iter().enumerate() {
+        text += &format!("{} 2 {} 0 0.5 {} 1 0.0000\n", id.name(), i % 5, (i + 1) % 5);
+    }
+    text += "modes 2\nidentity 1 2 3 4 5 6 7 8 9 0 0 0 -5 -5 5\nexpression 0 0 0 9 0 0 -9 0 0 0 7 0 1 1 1\n";
+    let lines: Vec<&str> = text.lines().collect();
+    let cut = [1, 4, 9, 30, 55, 64].map(|n| lines[..n.min(lines.len())].join("\n").into_bytes());
+    cut.into_iter().chain([text.clone().into_bytes()]).collect()
+}

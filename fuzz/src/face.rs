@@ -1,0 +1,87 @@
+//! Bytes of anybody as a photograph, and as what is kept of a face.
+
+use mocapd_subject::face::{
+    Photo,
+    fitted::FittedFace,
+    mapping::Mapping,
+    model::{FeatureId, FitOptions, Model},
+    photo::BYTES_MAX,
+};
+
+/// Characters of a reason.
+const REASON_MAX: usize = 400;
+/// Vertices of a model that is also fitted: what a fit costs grows with them.
+const FITTED_VERTICES_MAX: usize = 2000;
+
+/// An error with a reason, or a photograph whose pixels are all there.
+pub fn read_photo(bytes: &[u8]) {
+    match Photo::from_bytes(bytes) {
+        Ok(photo) => {
+            assert!(bytes.len() <= BYTES_MAX);
+            assert_eq!(photo.pixels().len(), photo.width() * photo.height());
+        }
+        Err(error) => assert!(!error.to_string().is_empty()),
+    }
+}
+
+/// An error with a line of reason, or a face that can be drawn, and is the same when it is written out and read again.
+pub fn read_face(bytes: &[u8]) {
+    let Ok(text) = std::str::from_utf8(bytes) else { return };
+    let face = match FittedFace::from_json(text) {
+        Ok(face) => face,
+        Err(error) => return one_line(&error.to_string()),
+    };
+    assert!(face.triangles.as_flattened().iter().all(|&v| v < face.vertices_mm.len()));
+    face.to_obj();
+    face.to_svg();
+    // Numbers are rounded as they are written, and a scale may then be none.
+    if let Ok(written) = face.to_json() {
+        let again = FittedFace::from_json(&written).expect("what we write can be read");
+        assert_eq!(again.to_json().expect("as before"), written);
+    }
+}
+
+/// An error with a line of reason, or a mapping that is the same when it is written out and read again.
+pub fn read_mapping(bytes: &[u8]) {
+    let Ok(text) = std::str::from_utf8(bytes) else { return };
+    match Mapping::from_json(text) {
+        Ok(mapping) => {
+            let written = mapping.to_json().expect("what was read can be written");
+            let again = Mapping::from_json(&written).expect("what we write can be read");
+            assert_eq!(again.markers.len(), mapping.markers.len());
+            for (a, b) in again.markers.iter().zip(&mapping.markers) {
+                assert!((&a.label, &a.place) == (&b.label, &b.place));
+                assert!((a.weight - b.weight).abs() <= 1e-12 * b.weight.abs());
+            }
+        }
+        Err(error) => one_line(&error.to_string()),
+    }
+}
+
+/// An error with a line of reason, or a model that points can be fitted to: with a face, or a reason why there is none.
+pub fn read_face_model(bytes: &[u8]) {
+    let Ok(text) = std::str::from_utf8(bytes) else { return };
+    let model = match Model::parse(text) {
+        Ok(model) => model,
+        Err(error) => return one_line(&error.to_string()),
+    };
+    let n = model.vertices.len();
+    assert!(n <= text.len() && model.modes.len() <= text.len());
+    assert!(model.triangles.as_flattened().iter().chain(model.features.values()).all(|&v| v < n));
+    if n > FITTED_VERTICES_MAX {
+        return;
+    }
+    let own = FeatureId::all().filter_map(|id| {
+        let [x, y, _] = *model.vertices.get(*model.features.get(id.name())?)?;
+        Some((id, [100.0 + x, 100.0 - y], 1.0))
+    });
+    let options = FitOptions { modes: 4, steps: 2, ..FitOptions::default() };
+    match model.fit_shape(&own.collect::<Vec<_>>(), &options) {
+        Ok(fit) => assert_eq!(fit.vertices_mm.len(), n),
+        Err(error) => one_line(&error.to_string()),
+    }
+}
+
+fn one_line(text: &str) {
+    assert!(text.chars().count() < REASON_MAX && !text.contains(char::is_control), "{text:?}");
+}
