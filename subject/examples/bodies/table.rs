@@ -33,7 +33,7 @@ pub(crate) fn print(
         })?;
         let edges = Graph::along_edges(&mesh, &adjacency);
         let bare_ms = fastest_ms(|| {
-            std::hint::black_box(distances(&edges, 0, &mut workspace));
+            std::hint::black_box(distances(&edges, 0, &mut Workspace::default()));
             Ok::<_, Box<dyn std::error::Error>>(())
         })?;
         let euler = adjacency.euler_characteristic();

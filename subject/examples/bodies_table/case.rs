@@ -119,8 +119,7 @@ pub(crate) fn skeleton(mesh: &Mesh) -> Result<Joints, String> {
     let mut workspace = Workspace::default();
     let ends =
         extremity::find(mesh, &graph, &mut workspace).map_err(|reason| reason.code().to_owned())?;
-    locate(mesh, &graph, &ends.extremities, ends.fields, &mut workspace)
-        .ok_or_else(|| "no centre line".to_owned())
+    locate(mesh, &graph, ends, &mut workspace).ok_or_else(|| "no centre line".to_owned())
 }
 
 pub(crate) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {

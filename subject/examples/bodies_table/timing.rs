@@ -27,8 +27,8 @@ pub(crate) fn print(cases: &[Case]) {
             let Ok(adjacency) = Adjacency::new(&case.mesh) else { continue };
             joints.extend(of_joints(&case.mesh, &adjacency));
             let graph = Graph::along_edges(&case.mesh, &adjacency);
-            let mut workspace = Workspace::default();
-            bare.push(median_of_five(|| drop(black_box(distances(&graph, 0, &mut workspace)))));
+            let bare_run = || drop(black_box(distances(&graph, 0, &mut Workspace::default())));
+            bare.push(median_of_five(bare_run));
         }
         let meshes = whole.len();
         let (median, slowest) = (quantile(&mut whole, 0.5), quantile(&mut whole, 1.0));
@@ -46,8 +46,7 @@ fn of_joints(mesh: &Mesh, adjacency: &Adjacency) -> Option<f64> {
     let mut workspace = Workspace::default();
     let ends = extremity::find(mesh, &graph, &mut workspace).ok()?;
     Some(median_of_five(|| {
-        let fields = ends.fields.clone();
-        drop(black_box(locate(mesh, &graph, &ends.extremities, fields, &mut workspace)));
+        drop(black_box(locate(mesh, &graph, ends.clone(), &mut workspace)));
     }))
 }
 

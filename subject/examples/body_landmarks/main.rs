@@ -63,7 +63,7 @@ fn landmarks(mesh: &Mesh) -> Result<Option<Landmarks>, Refusal> {
     let mut workspace = Workspace::default();
     // A build that is no body any more is not learned from.
     let Ok(ends) = extremity::find(mesh, &graph, &mut workspace) else { return Ok(None) };
-    let settled = settle(&graph, &ends.extremities, ends.fields, &mut workspace);
+    let settled = settle(&graph, &ends.extremities, ends.fields, &ends.spread, &mut workspace);
     Ok(Landmarks::new(mesh, &settled.fields()))
 }
 

@@ -40,7 +40,7 @@ impl Survey {
         let mut workspace = Workspace::default();
         let ends = extremity::find(mesh, &graph, &mut workspace)?;
         let (extremities, confidence) = (ends.extremities, ends.confidence());
-        let settled = settle(&graph, &extremities, ends.fields, &mut workspace);
+        let settled = settle(&graph, &extremities, ends.fields, &ends.spread, &mut workspace);
         // An end that nobody reaches, ways that contradict each other, or a limb without a middle: the surface is joined where
         // a body is not.
         let landmarks =

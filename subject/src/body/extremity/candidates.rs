@@ -27,7 +27,9 @@ pub(crate) struct Candidate {
 pub(crate) struct StandingOut {
     /// The most persistent first.
     pub(crate) candidates: Vec<Candidate>,
-    /// The mean distance to the far-spread vertices.
+    /// The far-spread vertices, with the distances from each.
+    pub(crate) spread: Vec<(u32, Vec<f64>)>,
+    /// The mean distance to them.
     pub(crate) mean: Vec<f64>,
     /// The longest way that was seen.
     pub(crate) longest: f64,
@@ -35,12 +37,13 @@ pub(crate) struct StandingOut {
 
 /// Finds what stands out of the piece of `graph` that `start` is in.
 pub(crate) fn standing_out(graph: &Graph, start: u32, workspace: &mut Workspace) -> StandingOut {
-    let fields = farthest_points(graph, start, SPREAD_COUNT, workspace);
-    let finite = fields.iter().flatten().copied().filter(|far| far.is_finite());
+    let spread = farthest_points(graph, start, SPREAD_COUNT, workspace);
+    let fields = || spread.iter().map(|(_, field)| field);
+    let finite = fields().flatten().copied().filter(|far| far.is_finite());
     let longest = finite.fold(0.0, f64::max);
-    let count = fields.len().max(1) as f64;
+    let count = spread.len().max(1) as f64;
     let mean: Vec<f64> = (0..graph.vertex_count())
-        .map(|at| fields.iter().map(|field| field[at]).sum::<f64>() / count)
+        .map(|at| fields().map(|field| field[at]).sum::<f64>() / count)
         .collect();
     let mut candidates: Vec<Candidate> = Vec::new();
     for peak in peaks(graph, &mean) {
@@ -52,5 +55,5 @@ pub(crate) fn standing_out(graph: &Graph, start: u32, workspace: &mut Workspace)
             candidates.push(Candidate { peak, field: distances(graph, peak.vertex, workspace) });
         }
     }
-    StandingOut { candidates, mean, longest }
+    StandingOut { candidates, spread, mean, longest }
 }

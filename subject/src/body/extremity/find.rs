@@ -27,6 +27,9 @@ pub struct Ends {
     pub extremities: Extremities,
     /// The distances along the surface from each of [`Extremities::all`] to every vertex, in the mesh's unit.
     pub fields: [Vec<f64>; 5],
+    /// Vertices that lie far from each other, with the distances from each: fingertips and toes are often among them, and
+    /// what is measured once need not be again.
+    pub spread: Vec<(u32, Vec<f64>)>,
     /// By how much each of [`Extremities::all`] stands out, as a part of the longest way.
     pub persistence: [f64; 5],
     /// How they were told.
@@ -63,12 +66,12 @@ pub fn find(mesh: &Mesh, graph: &Graph, workspace: &mut Workspace) -> Result<End
     let standing = standing_out(graph, start, workspace);
     whole(graph, &standing.mean)?;
     let refusal = match name(&standing, misfit) {
-        Ok(named) => return Ok(on_surface(mesh, graph, &standing, named, Told::Freely, workspace)),
+        Ok(named) => return Ok(on_surface(mesh, graph, standing, named, Told::Freely, workspace)),
         Err(refusal @ Refusal::TooManyEnds { .. }) => return Err(refusal),
         Err(refusal) => refusal,
     };
     if let Ok(named) = name(&standing, misfit_in_contact) {
-        return Ok(on_surface(mesh, graph, &standing, named, Told::InContact, workspace));
+        return Ok(on_surface(mesh, graph, standing, named, Told::InContact, workspace));
     }
     // What the surface says of the ends is nearer to what the subject can mend than what a thinned inside says.
     inside::find(mesh, graph, workspace).ok_or(refusal)
@@ -77,7 +80,7 @@ pub fn find(mesh: &Mesh, graph: &Graph, workspace: &mut Workspace) -> Result<End
 fn on_surface(
     mesh: &Mesh,
     graph: &Graph,
-    standing: &StandingOut,
+    standing: StandingOut,
     ((misfit, ends), margin): (Naming, f64),
     told: Told,
     workspace: &mut Workspace,
@@ -90,6 +93,7 @@ fn on_surface(
     Ends {
         extremities: Extremities { head, hands: [a, b], feet: [c, d] },
         fields,
+        spread: standing.spread,
         persistence: ends.map(|end| candidates[end].peak.persistence / standing.longest),
         told,
         misfit,

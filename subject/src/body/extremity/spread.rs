@@ -4,15 +4,15 @@ use super::choice::farthest;
 use crate::body::Mesh;
 use crate::body::geodesic::{Graph, Workspace, distances};
 
-/// The distances from up to `count` vertices by farthest-point sampling: each is the farthest from all before it, and the
-/// first is the farthest from `start`.
+/// Up to `count` vertices by farthest-point sampling, with the distances from each: every one is the farthest from all
+/// before it, and the first is the farthest from `start`.
 pub(super) fn farthest_points(
     graph: &Graph,
     start: u32,
     count: usize,
     workspace: &mut Workspace,
-) -> Vec<Vec<f64>> {
-    let mut fields: Vec<Vec<f64>> = Vec::new();
+) -> Vec<(u32, Vec<f64>)> {
+    let mut fields = Vec::new();
     let mut nearest = distances(graph, start, workspace);
     for turn in 0..count {
         let Some(vertex) = farthest(&nearest, |_| true) else { break };
@@ -24,7 +24,7 @@ pub(super) fn farthest_points(
                 *nearest = nearest.min(*far);
             }
         }
-        fields.push(field);
+        fields.push((vertex, field));
     }
     fields
 }

@@ -130,6 +130,18 @@ proptest! {
         let both = distances_from(&graph, [(a, 0.0), (b, 0.0)], &mut workspace);
         prop_assert!(both.iter().zip(one.iter().zip(&other)).all(|(both, (a, b))| *both == a.min(*b)));
     }
+    #[test]
+    fn what_a_run_leaves_changes_nothing(seed: u64, sources in prop::collection::vec(0_u32..400, 1..6)) {
+        let mesh = sphere(16, seed);
+        let adjacency = Adjacency::new(&mesh).unwrap();
+        let mut used = Workspace::default();
+        for graph in [Graph::with_short_cuts(&mesh, &adjacency), Graph::along_edges(&mesh, &adjacency)] {
+            for source in &sources {
+                let fresh = distances(&graph, *source, &mut Workspace::default());
+                prop_assert_eq!(distances(&graph, *source, &mut used), fresh);
+            }
+        }
+    }
 }
 
 #[test]
@@ -164,4 +176,19 @@ fn broken_meshes_are_refused() {
     for mesh in cases {
         assert_eq!(Adjacency::new(&mesh).unwrap_err().code(), "broken-mesh");
     }
+}
+
+#[test]
+fn an_order_that_fits_nothing_costs_time_and_nothing_else() {
+    // A comb: to go along it, turn after turn, is more than turns may do.
+    let steps = 400_u32;
+    let ways: Vec<_> = (1..steps).map(|at| ([at - 1, at], 1.0)).collect();
+    let line = Graph::new(steps as usize, ways);
+    let shuffled = |at: u32| (at * 7919) % steps;
+    let ways = (1..steps).map(|at| ([shuffled(at - 1), shuffled(at)], 1.0)).collect();
+    let comb = Graph::new(steps as usize, ways);
+    let mut workspace = Workspace::default();
+    assert_eq!(distances(&line, 0, &mut workspace)[steps as usize - 1], f64::from(steps - 1));
+    let found = distances(&comb, shuffled(0), &mut workspace);
+    assert!((0..steps).all(|at| found[shuffled(at) as usize] == f64::from(at)));
 }

@@ -33,12 +33,14 @@ impl Settled {
 /// all of its top, which is flat: the farthest vertex of it changes with the triangles.
 ///
 /// A thumb becomes a fingertip and a heel a toe, whichever of them the search for ends came upon. `distances_from_ends` are
-/// those from [`Extremities::all`]; they are measured again only for an end that moves.
+/// those from [`Extremities::all`]; they are measured again only for an end that moves, and then only if where it moves
+/// is not among `known`: vertices with the distances from them.
 #[must_use]
 pub fn settle(
     graph: &Graph,
     extremities: &Extremities,
     distances_from_ends: [Vec<f64>; 5],
+    known: &[(u32, Vec<f64>)],
     workspace: &mut Workspace,
 ) -> Settled {
     let mut settled = Settled { vertices: extremities.all(), distances: distances_from_ends };
@@ -49,7 +51,11 @@ pub fn settle(
             settled.distances[end] = distances_from(graph, crown.iter().copied(), workspace);
         } else if to != settled.vertices[end] {
             settled.vertices[end] = to;
-            settled.distances[end] = distances(graph, to, workspace);
+            let known = known.iter().find(|(vertex, _)| *vertex == to);
+            settled.distances[end] = match known {
+                Some((_, field)) => field.clone(),
+                None => distances(graph, to, workspace),
+            };
         }
     }
     settled

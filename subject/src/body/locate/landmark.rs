@@ -21,6 +21,12 @@ const HEAD_LEVELS: [f64; HEAD_LANDMARKS] =
     [0.03, 0.06, 0.1, 0.14, 0.16, 0.18, 0.20, 0.22, 0.26, 0.30, 0.36, 0.42, 0.48];
 /// The surface within this of the end of a hand, in body scales, is arm and not trunk.
 const ARM_LENGTH: f64 = 0.40;
+/// The curves round a hand are looked at up to the middle of the chest, in body scales.
+const ARM_REACH: f64 = 0.6;
+/// Those round a foot up to the neck.
+const LEG_REACH: f64 = 0.96;
+/// Those round the crown down to the chest.
+const HEAD_REACH: f64 = 0.54;
 /// Where two limbs' shares of the surface meet, one fades into the other over this, in body scales: a triangle on the
 /// boundary would otherwise be all here or all there.
 const FADE: f64 = 0.04;
@@ -66,24 +72,24 @@ impl Landmarks {
                 .map(|hand| share(fields.at(*hand, vertex), ARM_LENGTH * scale, scale))
                 .product::<f64>()
         };
-        let cut = |field: &[f64], weight: &dyn Fn(usize) -> f64| {
+        let cut = |field: &[f64], reach: f64, weight: &dyn Fn(usize) -> f64| {
             let weights: Vec<f64> = (0..mesh.positions.len()).map(weight).collect();
-            Sections::new(mesh, field, &weights, scale)
+            Sections::new(mesh, field, &weights, scale, reach)
         };
         let half = |side: usize| {
             let [hand, other_hand] = [HAND[side], HAND[1 - side]];
-            let of_hand = cut(fields.distances[hand], &|vertex| {
+            let of_hand = cut(fields.distances[hand], ARM_REACH, &|vertex| {
                 share(fields.at(other_hand, vertex), fields.at(hand, vertex), scale)
             })?;
             let [foot, other_foot] = [FOOT[side], FOOT[1 - side]];
-            let of_foot = cut(fields.distances[foot], &|vertex| {
+            let of_foot = cut(fields.distances[foot], LEG_REACH, &|vertex| {
                 let own = share(fields.at(other_foot, vertex), fields.at(foot, vertex), scale);
                 own * not_arm(vertex)
             })?;
             let (at_arm, at_leg) = (arm(&of_hand, hands)?, leg(&of_foot)?);
             Some(along(of_hand, at_arm, of_foot, at_leg))
         };
-        let of_head = cut(fields.distances[HEAD], &not_arm)?;
+        let of_head = cut(fields.distances[HEAD], HEAD_REACH, &not_arm)?;
         let halves = [half(0)?, half(1)?];
         let limbs = |limb: usize| halves.each_ref().map(|half| &half.sections[limb]);
         let touching = Touching::new(body_scale, limbs(0), limbs(1));

@@ -36,13 +36,26 @@ impl Sections {
     /// Cuts `mesh` by `field` (mesh's unit, one value a vertex; infinite where the end cannot be reached): (3) and (4) of
     /// (Yu et al. 2008), with the points of a curve weighted by its length, so that the size of triangles does not matter.
     ///
-    /// `weights`, one a vertex, are 0 where the surface belongs to another limb. Nothing if no level has a curve.
-    pub(super) fn new(mesh: &Mesh, field: &[f64], weights: &[f64], scale: f64) -> Option<Self> {
+    /// `weights`, one a vertex, are 0 where the surface belongs to another limb. Levels farther than `reach` from the end,
+    /// in body scales, are not cut: there are no curves. Nothing if no level has a curve.
+    pub(super) fn new(
+        mesh: &Mesh,
+        field: &[f64],
+        weights: &[f64],
+        scale: f64,
+        reach: f64,
+    ) -> Option<Self> {
         let mut sums = vec![Sum::default(); LEVELS];
+        let end = ((reach / STEP).ceil() as usize).min(LEVELS);
+        let vertices = 0..mesh.positions.len();
+        let corners: Vec<Option<Corner>> =
+            vertices.map(|vertex| corner(mesh, field, weights, vertex, scale)).collect();
         for triangle in &mesh.triangles {
-            let corner = |vertex: u32| corner(mesh, field, weights, vertex as usize, scale);
+            let corner = |vertex: u32| corners.get(vertex as usize).copied().flatten();
             let [Some(a), Some(b), Some(c)] = triangle.map(corner) else { continue };
-            cut([a, b, c], &mut sums);
+            if a.level.min(b.level).min(c.level) < end as f64 {
+                cut([a, b, c], &mut sums[..end]);
+            }
         }
         let perimeter: Vec<f64> = sums.iter().map(|sum| sum.perimeter).collect();
         let mut found = sums.iter().filter(|sum| sum.weight > 0.0);

@@ -9,7 +9,7 @@ use super::model::Model;
 use super::sides::{self, Leg};
 use super::{Landmarks, Touching, limb, settle, weights};
 
-use crate::body::extremity::Extremities;
+use crate::body::extremity::Ends;
 use crate::body::geodesic::{Graph, Workspace};
 use crate::body::{Estimate, Joint, Joints, Mesh, Side};
 
@@ -31,17 +31,11 @@ const IN_DOUBT: InDoubt =
 
 /// The joints of the body whose ends are known, in the frame and unit of `mesh`.
 ///
-/// `distances_from_ends` are those from [`Extremities::all`] to each vertex, in the mesh's unit, along `graph`. Nothing
-/// is given if an end cannot be reached from another, or a limb has no centre line.
+/// `ends` are of the same mesh and graph. Nothing is given if an end cannot be reached from another, or a limb has no
+/// centre line.
 #[must_use]
-pub fn locate(
-    mesh: &Mesh,
-    graph: &Graph,
-    extremities: &Extremities,
-    distances_from_ends: [Vec<f64>; 5],
-    workspace: &mut Workspace,
-) -> Option<Joints> {
-    let settled = settle(graph, extremities, distances_from_ends, workspace);
+pub fn locate(mesh: &Mesh, graph: &Graph, ends: Ends, workspace: &mut Workspace) -> Option<Joints> {
+    let settled = settle(graph, &ends.extremities, ends.fields, &ends.spread, workspace);
     Some(joints(&Landmarks::new(mesh, &settled.fields())?))
 }
 

@@ -51,6 +51,7 @@ pub(in super::super) fn find(
     Some(Ends {
         extremities: Extremities { head, hands: [a, b], feet: [c, d] },
         fields: ends.map(|end| distances(graph, end, workspace)),
+        spread: Vec::new(),
         persistence,
         told: Told::Inside,
         misfit,

@@ -6,7 +6,7 @@ use super::voxels::{Capsule, surface};
 use crate::body::extremity::Extremities;
 use crate::body::generate::{Options, Pose, body};
 use crate::body::geodesic::{Adjacency, Graph, Workspace, distances};
-use crate::body::locate::locate;
+use crate::body::locate::{Landmarks, joints as joints_among, settle};
 use crate::body::skeleton::Method;
 use crate::body::{Joint, Joints, Mesh, Side, Survey};
 
@@ -92,7 +92,8 @@ fn found(mesh: &Mesh, ends: &Extremities) -> Option<Joints> {
     let graph = Graph::with_short_cuts(mesh, &Adjacency::new(mesh).ok()?);
     let mut workspace = Workspace::default();
     let fields = ends.all().map(|end| distances(&graph, end, &mut workspace));
-    locate(mesh, &graph, ends, fields, &mut workspace)
+    let settled = settle(&graph, ends, fields, &[], &mut workspace);
+    Some(joints_among(&Landmarks::new(mesh, &settled.fields())?))
 }
 
 #[test]

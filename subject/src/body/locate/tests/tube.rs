@@ -42,7 +42,7 @@ fn tube(knot: f64, angle: f64, radius: impl Fn(f64) -> f64) -> (Mesh, Vec<f64>) 
 }
 
 fn sections(mesh: &Mesh, field: &[f64]) -> Sections {
-    Sections::new(mesh, field, &vec![1.0; field.len()], 1.0).unwrap()
+    Sections::new(mesh, field, &vec![1.0; field.len()], 1.0, 0.9).unwrap()
 }
 
 fn window() -> Window {
@@ -64,9 +64,9 @@ fn a_curve_round_a_tube_is_its_circle() {
 #[test]
 fn a_surface_of_no_weight_has_no_middle() {
     let (mesh, field) = tube(LENGTH, 0.0, |_| RADIUS);
-    assert!(Sections::new(&mesh, &field, &vec![0.0; field.len()], 1.0).is_none());
+    assert!(Sections::new(&mesh, &field, &vec![0.0; field.len()], 1.0, 0.9).is_none());
     let nowhere = vec![f64::INFINITY; field.len()];
-    assert!(Sections::new(&mesh, &nowhere, &vec![1.0; field.len()], 1.0).is_none());
+    assert!(Sections::new(&mesh, &nowhere, &vec![1.0; field.len()], 1.0, 0.9).is_none());
 }
 
 #[test]
@@ -74,7 +74,7 @@ fn a_half_of_weight_moves_the_middle_into_it() {
     let (mesh, field) = tube(LENGTH, 0.0, |_| RADIUS);
     let weights: Vec<f64> =
         mesh.positions.iter().map(|at| f64::from(u8::from(at[1] > 0.0))).collect();
-    let sections = Sections::new(&mesh, &field, &weights, 1.0).unwrap();
+    let sections = Sections::new(&mesh, &field, &weights, 1.0, 0.9).unwrap();
     let half_circle = 2.0 * RADIUS / std::f64::consts::PI;
     assert!((sections.centre_at(0.3).y - half_circle).abs() < 0.1 * half_circle);
 }
