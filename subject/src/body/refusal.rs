@@ -61,7 +61,7 @@ pub enum Refusal {
     },
     /// Limbs touch, and the scan has grown together there.
     #[error(
-        "limbs touch and the scan has grown together there ({handles} loops): scan with limbs apart"
+        "limbs touch and the scan has grown together there ({handles} loops in the surface): scan with limbs apart"
     )]
     Contact {
         /// How many loops the surface has that a body has not.

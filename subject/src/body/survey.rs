@@ -2,10 +2,11 @@
 
 use super::extremity::{self, Extremities, Told};
 use super::geodesic::{Adjacency, Graph, Workspace};
-use super::locate::{Landmarks, joints, settle};
-use super::paper::{self, Paper};
+use super::locate::{self, Landmarks, settle};
+use super::paper;
+use super::plausible::Plausible;
 use super::skeleton::Method;
-use super::{Joints, Mesh, Refusal};
+use super::{Joint, Joints, Levels, Mesh, Note, Refusal, Side};
 
 /// What a scan gives.
 #[derive(Debug, Clone)]
@@ -18,8 +19,11 @@ pub struct Survey {
     pub confidence: f64,
     /// Whether limbs touch, so that ways along the surface may lead from one into another.
     pub in_contact: bool,
-    /// Level sets and Reeb graph of the distance from the head (Yu et al. 2008), where the surface has those of a body.
-    pub levels: Option<Paper>,
+    /// What whoever reads the joints should know.
+    pub notes: Vec<Note>,
+    /// Level sets and Reeb graph of the distance from the head (Yu et al. 2008): of the method that is built upon them,
+    /// and where [`Survey::with_levels`] asked for them.
+    pub levels: Option<Levels>,
 }
 
 impl Survey {
@@ -41,12 +45,20 @@ impl Survey {
         let ends = extremity::find(mesh, &graph, &mut workspace)?;
         let (extremities, confidence) = (ends.extremities, ends.confidence());
         let settled = settle(&graph, &extremities, ends.fields, &ends.spread, &mut workspace);
-        // An end that nobody reaches, ways that contradict each other, or a limb without a middle: the surface is joined where
-        // a body is not.
-        let landmarks =
-            Landmarks::new(mesh, &settled.fields()).ok_or(Refusal::Contact { handles: 0 })?;
-        let in_contact = ends.told != Told::Freely || landmarks.touching.any();
-        Ok(Self { joints: joints(&landmarks), extremities, confidence, in_contact, levels: None })
+        // An end that nobody reaches, ways that contradict each other, a limb without a middle, or a trunk longer than any:
+        // the surface is joined where a body is not.
+        let handles = usize::try_from((2 - adjacency.euler_characteristic()) / 2).unwrap_or(0);
+        let contact = Refusal::Contact { handles };
+        let landmarks = Landmarks::new(mesh, &settled.fields()).ok_or(contact)?;
+        let mut joints = locate::joints(&landmarks);
+        let mut notes = Vec::new();
+        match Plausible::of(&joints) {
+            Plausible::Whole => {}
+            Plausible::WithoutArms => notes.push(leave_out_arms(&mut joints)),
+            Plausible::Nothing => return Err(contact),
+        }
+        let in_contact = ends.told != Told::Freely || landmarks.touching.any() || !notes.is_empty();
+        Ok(Self { joints, extremities, confidence, in_contact, notes, levels: None })
     }
 
     fn by_paper(mesh: &Mesh) -> Result<Self, Refusal> {
@@ -59,7 +71,8 @@ impl Survey {
             extremities: paper.extremities,
             confidence: 1.0,
             in_contact: false,
-            levels: Some(paper),
+            notes: Vec::new(),
+            levels: Some(paper.into()),
         })
     }
 
@@ -67,8 +80,19 @@ impl Survey {
     #[must_use]
     pub fn with_levels(mut self, mesh: &Mesh) -> Self {
         if self.levels.is_none() {
-            self.levels = paper::joints(mesh, self.extremities.head, Some(self.extremities)).ok();
+            self.levels = Levels::new(mesh, &self.extremities);
         }
         self
     }
+}
+
+/// Takes out the joints that nothing tells of where arms have grown together with the trunk.
+fn leave_out_arms(joints: &mut Joints) -> Note {
+    for side in [Side::Left, Side::Right] {
+        joints.estimates.remove(&Joint::Shoulder(side));
+        joints.estimates.remove(&Joint::Elbow(side));
+    }
+    let text = "the arms touch the body, and are no arms by their lengths: shoulders and elbows are left out; scan \
+                with arms apart";
+    Note::new("arms-left-out", text)
 }

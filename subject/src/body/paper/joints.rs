@@ -9,7 +9,7 @@ use crate::body::reeb::{Reeb, Segments};
 use crate::body::{Estimate, Joint, Joints, Mesh, Refusal, Side};
 
 /// n of algorithm 2, which the paper does not give.
-const LEVEL_COUNT: u32 = 100;
+pub(crate) const LEVEL_COUNT: u32 = 100;
 /// A minimum nearer to an end of its segment than this part of it is no joint: the rings there are cut askew.
 const MARGIN: f64 = 0.1;
 

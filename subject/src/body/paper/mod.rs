@@ -12,4 +12,5 @@ mod minima;
 mod tests;
 
 pub use ends::{StopRule, extremity_points, head_by_symmetry};
+pub(crate) use joints::LEVEL_COUNT;
 pub use joints::{Paper, joints};

@@ -53,7 +53,7 @@ pub(super) fn draw(
         let x = left + WIDTH * s[0] * mm / longest;
         [x, TOP + HEIGHT * (1.0 - (s[1].clamp(bottom, 1.0) - bottom) / (1.0 - bottom))]
     };
-    for tick in ticks(bottom, 1.0, 4) {
+    for tick in ticks(bottom, 1.0, 6) {
         let y = at(&[0.0, tick])[1];
         sheet.line([left, y], [left + WIDTH, y], &format!("stroke=\"{GRID}\""));
         sheet.text(left - 6.0, y, &format!("{tick}"), 11.0, DIM, Stand::Right);
@@ -85,9 +85,14 @@ pub(super) fn draw(
     }
 }
 
-/// Where the joints are; names of the first curve above, of the second below.
+/// Width of a letter of the names, on average.
+const LETTER: f64 = 6.3;
+
+/// Where the joints are; names of the first curve above, of the second below. A name that would stand on the one before
+/// it stands beside it.
 fn marks(sheet: &mut Sheet, curve: &Curve, row: usize, [left, longest]: [f64; 2]) {
     let colour = colour(curve.part);
+    let mut taken = f64::NEG_INFINITY;
     for (distance, name) in curve.marks.iter().filter(|(distance, _)| *distance <= longest) {
         let x = left + WIDTH * distance / longest;
         let style = format!("stroke=\"{colour}\" stroke-width=\"1\" stroke-dasharray=\"4 3\"");
@@ -101,7 +106,15 @@ fn marks(sheet: &mut Sheet, curve: &Curve, row: usize, [left, longest]: [f64; 2]
             dx if dx > WIDTH - 24.0 => (x, Stand::Right),
             _ => (x, Stand::Middle),
         };
-        sheet.text(x, y, name, 11.0, colour, stand);
+        let width = LETTER * name.chars().count() as f64;
+        let begins = match stand {
+            Stand::Left => x,
+            Stand::Middle => x - width / 2.0,
+            Stand::Right => x - width,
+        };
+        let begins = begins.max(taken);
+        taken = begins + width + 4.0;
+        sheet.text(begins, y, name, 11.0, colour, Stand::Left);
     }
 }
 

@@ -10,6 +10,8 @@ pub(super) struct Label {
 
 /// Lines from one name to the next.
 const STEP: f64 = 17.0;
+/// Names are no longer than this: what lies beside them is left free.
+const COLUMN: f64 = 87.0;
 /// Names stay within these rows.
 const ROWS: [f64; 2] = [96.0, 736.0];
 
@@ -19,7 +21,7 @@ pub(super) fn draw(sheet: &mut Sheet, mut labels: Vec<Label>, [left, right]: [f6
     labels.sort_by(|a, b| a.at[0].total_cmp(&b.at[0]));
     let rest = labels.split_off(labels.len() / 2);
     for (mut column, edge, stand, inward) in
-        [(labels, left + 78.0, Stand::Right, 1.0), (rest, right - 78.0, Stand::Left, -1.0)]
+        [(labels, left + COLUMN, Stand::Right, 1.0), (rest, right - COLUMN, Stand::Left, -1.0)]
     {
         column.sort_by(|a, b| a.at[1].total_cmp(&b.at[1]));
         let heights = spread(&column.iter().map(|label| label.at[1]).collect::<Vec<f64>>());

@@ -1,7 +1,7 @@
 //! From what the methods give to what is drawn.
 
 use super::{Curve, Drawing, Line, Part, ReebNode};
-use crate::body::geometry::{Point, distance};
+use crate::body::geometry::{Point, distance, dot, sub};
 use crate::body::level::{Ring, Rings};
 use crate::body::reeb::{Reeb, Segments};
 use crate::body::skeleton::joint_name;
@@ -79,14 +79,33 @@ impl Drawing<'_> {
         };
         let mark = |joint: Joint| {
             let at = self.joints.estimates.get(&joint)?.position;
-            let nearest = points
-                .iter()
-                .zip(&far)
-                .min_by(|(p, _), (q, _)| distance(**p, at).total_cmp(&distance(**q, at)));
+            let far_off = |index: &usize| distance(points[*index], at);
+            let nearest = (0..points.len()).min_by(|a, b| far_off(a).total_cmp(&far_off(b)))?;
+            // A shoulder lies before the first ring that is the arm's alone: it is on no curve.
+            if beyond(points, nearest, at) {
+                return None;
+            }
             let name = joint_name(joint);
             let name = name.split_once('_').map_or(name, |(_, rest)| rest);
-            Some((*nearest?.1, name.to_owned()))
+            Some((*far.get(nearest)?, name.to_owned()))
         };
         Curve { part, samples, marks: joints.into_iter().filter_map(mark).collect() }
+    }
+}
+
+/// Points of a line that give its direction: single ones are not in line.
+const DIRECTION: usize = 4;
+
+/// Whether a point whose nearest is the first or the last of a line lies beyond it, and not beside it.
+fn beyond(line: &[Point], nearest: usize, at: Point) -> bool {
+    let behind = |end: Point, inward: Option<&Point>| {
+        inward.is_some_and(|inward| dot(sub(at, end), sub(*inward, end)) < 0.0)
+    };
+    match (nearest, line) {
+        (0, [first, ..]) => behind(*first, line.get(DIRECTION)),
+        (index, [.., last]) if index + 1 == line.len() => {
+            behind(*last, line.iter().rev().nth(DIRECTION))
+        }
+        _ => false,
     }
 }

@@ -13,7 +13,7 @@ const LEFT: f64 = 26.0;
 const WIDTH: f64 = 984.0;
 const ROWS: [f64; 2] = [90.0, 740.0];
 /// Room for names on either side of a body.
-const NAMES: f64 = 92.0;
+const NAMES: f64 = 102.0;
 /// Brightness from which a tone is laid, and the tone.
 const TONES: [(f64, &str); 6] = [
     (0.30, "#c9ced4"),

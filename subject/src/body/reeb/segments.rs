@@ -1,8 +1,14 @@
 //! A body in five: trunk with head, arms, legs.
 
 use super::Reeb;
-use crate::body::Refusal;
+use crate::body::extremity::Extremities;
 use crate::body::level::Rings;
+use crate::body::{Mesh, Refusal};
+
+/// From the end of a hand to the armpit, as a part of the way from there to the head.
+const ARM_REACH: f64 = 0.61;
+/// From the end of a foot to the crotch, as a part of the same.
+const LEG_REACH: f64 = 0.52;
 
 /// The five segments of a body, as rings of the distance from the head, each a centre line from the trunk outwards.
 ///
@@ -48,6 +54,48 @@ impl Segments {
             legs,
             trunk,
         })
+    }
+}
+
+impl Segments {
+    /// The rings on the ways from the head to the tips, where limbs touch and the graph says not where they begin: a limb
+    /// is what lies so near to its tip as limbs are long. `fields` are the distances from hands and feet, in this order.
+    #[must_use]
+    pub(crate) fn within_reach(
+        mesh: &Mesh,
+        reeb: &Reeb,
+        cut: &Rings,
+        extremities: &Extremities,
+        fields: &[Vec<f64>; 4],
+    ) -> Self {
+        let far = |tip: usize, vertex: u32| {
+            fields[tip].get(vertex as usize).copied().unwrap_or(f64::INFINITY)
+        };
+        let limb = |tip: usize| {
+            let part = if tip < 2 { ARM_REACH } else { LEG_REACH };
+            let reach = part * far(tip, extremities.head);
+            let mut way = upwards(reeb, cut, tip);
+            let near = |ring: &u32| {
+                let triangle = cut.rings[*ring as usize].triangle;
+                let corners = mesh.triangles.get(triangle as usize);
+                corners.is_some_and(|[vertex, ..]| far(tip, *vertex) <= reach)
+            };
+            let count = way.iter().rev().take_while(|ring| near(ring)).count();
+            let rest = way.split_off(way.len() - count);
+            (way, rest)
+        };
+        let [(_, one), (_, other), (trunk, left), (_, right)] = [0, 1, 2, 3].map(limb);
+        let begins = |limb: &[u32]| {
+            let first = limb.first().and_then(|ring| cut.rings.get(*ring as usize));
+            first.and_then(|ring| cut.values.get(ring.level as usize)).copied().unwrap_or(0.0)
+        };
+        Self {
+            armpits: [begins(&one), begins(&other)],
+            crotch: begins(&left),
+            arms: [one, other],
+            legs: [left, right],
+            trunk,
+        }
     }
 }
 

@@ -62,3 +62,30 @@ fn turning_moving_and_scaling_leaves_the_ends() {
         assert!((found.misfit.rms - whole.misfit.rms).abs() < 1e-6);
     }
 }
+
+/// What is left, how it is cut, and where.
+type Cut = (&'static str, fn([f64; 3], f64) -> [f64; 3], f64);
+
+#[test]
+fn a_part_of_a_body_is_refused() {
+    // What is not there is pressed into the plane where it was cut off, so that the surface stays closed.
+    let (mesh, joints) = body(5, Pose::A, Options { n_faces: 6000, turned: false });
+    let waist = at(&joints, Joint::Pelvis)[1] + 0.15;
+    let knee = at(&joints, Joint::Knee(Side::Left))[1];
+    let armpit = at(&joints, Joint::Shoulder(Side::Left))[0];
+    let cuts: [Cut; 4] = [
+        ("upper half", |[x, y, z], at| [x, y.max(at), z], waist),
+        ("lower half", |[x, y, z], at| [x, y.min(at), z], waist),
+        ("without shanks", |[x, y, z], at| [x, y.max(at), z], knee),
+        ("with one arm", |[x, y, z], at| [x.min(at), y, z], armpit),
+    ];
+    for (what, cut, place) in cuts {
+        let positions = mesh.positions.iter().map(|at| cut(*at, place)).collect();
+        let part = Mesh { positions, triangles: mesh.triangles.clone() };
+        let refusal = ends(&part).map(|found| found.misfit).expect_err(what);
+        assert!(
+            matches!(refusal.code(), "too-few-ends" | "not-a-body" | "ambiguous"),
+            "{what}: {refusal}"
+        );
+    }
+}

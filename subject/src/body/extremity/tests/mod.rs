@@ -60,6 +60,22 @@ fn a_star_is_not_a_body() {
 }
 
 #[test]
+fn an_animal_has_more_limbs_than_a_body() {
+    // Four legs, a neck with a head, and a tail.
+    let towards = [
+        [0.8, 0.4, -1.0],
+        [0.8, -0.4, -1.0],
+        [-0.8, 0.4, -1.0],
+        [-0.8, -0.4, -1.0],
+        [1.0, 0.0, 0.8],
+        [-1.0, 0.0, 0.5],
+    ];
+    let refusal = ends(&spiked(&towards.map(|towards| (towards, 4.0)))).unwrap_err();
+    assert_eq!(refusal, crate::body::Refusal::TooManyEnds { found: 6 });
+    assert!(refusal.to_string().contains("scan one person"), "{refusal}");
+}
+
+#[test]
 fn a_table_with_four_legs_and_nothing_else_has_too_few_ends() {
     let towards = [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]];
     let refusal = ends(&spiked(&towards.map(|towards| (towards, 4.0)))).unwrap_err();
