@@ -3,6 +3,7 @@
 use super::functional::{self, Centre};
 use super::json::{FORMAT, LENGTH_MAX_MM, LIST_MAX, POSITION_MAX_MM, TEXT_MAX, round};
 use super::names::{BONES, joint_name, joints};
+use super::stature::stature;
 use super::{Bone, Method, ScanJoints, Skeleton, SkeletonJoint};
 use crate::body::geometry::{distance, scale};
 use crate::body::{Estimate, Joint, Joints, Side};
@@ -48,6 +49,7 @@ pub(super) fn combine(method: Method, scans: &[ScanJoints]) -> Option<Skeleton> 
         notes.push("left and right are not told in every scan: each pair of limbs has the mean of both sides".to_owned());
         level_sides(&mut bones);
     }
+    let stature = stature(&bones).filter(|_| method == Method::Default);
     let joints = skeleton_joints(in_mm.first_mut()?, &centres);
     notes.iter_mut().for_each(|note| *note = note.chars().take(TEXT_MAX).collect());
     notes.retain(|note| !note.is_empty());
@@ -59,7 +61,8 @@ pub(super) fn combine(method: Method, scans: &[ScanJoints]) -> Option<Skeleton> 
         version: 1,
         method,
         sources,
-        stature_mm: None,
+        stature_mm: stature.map(|(mm, _)| round(mm)),
+        stature_uncertainty_mm: stature.map(|(_, mm)| round(mm)),
         sides_told,
         joints,
         bones,

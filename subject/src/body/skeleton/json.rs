@@ -17,7 +17,7 @@ pub(super) const POSITION_MAX_MM: f64 = 1e9;
 /// Longest bone: more than the trunk of any person.
 pub(super) const LENGTH_MAX_MM: f64 = 2000.0;
 /// Statures of people.
-const STATURE_MM: std::ops::RangeInclusive<f64> = 300.0..=3000.0;
+pub(super) const STATURE_MM: std::ops::RangeInclusive<f64> = 300.0..=3000.0;
 
 /// Why a document is no skeleton.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -62,6 +62,7 @@ impl Skeleton {
 
     fn rounded(mut self) -> Self {
         self.stature_mm = self.stature_mm.map(round);
+        self.stature_uncertainty_mm = self.stature_uncertainty_mm.map(round);
         for joint in &mut self.joints {
             joint.position_mm = joint.position_mm.map(round);
             joint.uncertainty_mm = round(joint.uncertainty_mm);
@@ -107,6 +108,9 @@ impl Skeleton {
         }
         if self.stature_mm.is_some_and(|mm| !STATURE_MM.contains(&mm)) {
             return wrong("stature_mm".to_owned(), "is not between 300 and 3000");
+        }
+        if self.stature_uncertainty_mm.is_some_and(|mm| !(0.0..=LENGTH_MAX_MM).contains(&mm)) {
+            return wrong("stature_uncertainty_mm".to_owned(), "is not between 0 and 2000");
         }
         self.check_joints()?;
         for (i, bone) in self.bones.iter().enumerate() {

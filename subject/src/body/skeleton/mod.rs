@@ -4,6 +4,7 @@ mod combine;
 mod functional;
 mod json;
 mod names;
+mod stature;
 #[cfg(test)]
 mod tests;
 
@@ -94,9 +95,13 @@ pub struct Skeleton {
     pub method: Method,
     /// The scans, the first of which gives the frame of the joints.
     pub sources: Vec<Source>,
-    /// Body height in millimetres, where it is known.
+    /// How tall the subject stands, in millimetres, out of the bones: whatever the pose. None where one is missing, and
+    /// of [`Method::Paper`], whose bones do not tell.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stature_mm: Option<f64>,
+    /// Standard deviation that is expected of it, in millimetres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stature_uncertainty_mm: Option<f64>,
     /// Whether `l_` is the subject's left. If not, the sides may be the wrong way round as a whole.
     pub sides_told: bool,
     /// Those that were found.

@@ -121,7 +121,8 @@ fn sides_that_are_not_told_are_levelled() {
 
 #[test]
 fn a_document_is_the_same_when_it_is_written_again() {
-    for skeleton in [one(), Skeleton { stature_mm: Some(1712.5), ..one() }] {
+    let unknown = Skeleton { stature_mm: None, stature_uncertainty_mm: None, ..one() };
+    for skeleton in [one(), Skeleton { stature_mm: Some(1712.5), ..one() }, unknown] {
         let text = skeleton.to_json();
         let again = Skeleton::from_json(text.as_bytes()).unwrap();
         assert_eq!(again, skeleton);
@@ -142,6 +143,25 @@ fn a_document_is_the_same_when_it_is_written_again() {
     for (name, a, b) in BONES {
         assert_eq!(joint_from_name(joint_name(a)), Some(a), "{name}");
         assert_eq!(joint_from_name(joint_name(b)), Some(b), "{name}");
+    }
+}
+
+#[test]
+fn stature_is_told_in_any_pose_and_not_without_a_bone() {
+    for pose in Pose::ALL {
+        let (mesh, joints) = body(3, Pose::Down, Options { n_faces: 500, turned: false });
+        let height = |at: &[f64; 3]| at[1];
+        let top = mesh.positions.iter().map(height).fold(f64::NEG_INFINITY, f64::max);
+        let sole = mesh.positions.iter().map(height).fold(f64::INFINITY, f64::min);
+        let of = |method, joints| Skeleton::new(method, &[scan(pose, joints)]).unwrap();
+        let skeleton = of(Method::Default, self::joints(3, pose));
+        let (mm, sigma_mm) =
+            skeleton.stature_mm.zip(skeleton.stature_uncertainty_mm).expect("a stature");
+        assert!((mm - 1000.0 * (top - sole)).abs() < 3.0 * sigma_mm, "{pose:?}: {mm}");
+        assert_eq!(of(Method::Paper, joints.clone()).stature_mm, None);
+        let mut legless = joints;
+        legless.estimates.remove(&Joint::Knee(Side::Left));
+        assert_eq!(of(Method::Default, legless).stature_mm, None);
     }
 }
 
@@ -181,6 +201,11 @@ fn a_foreign_document_is_refused_with_the_reason() {
         ("\"l_upper_arm\"", "\"l_wing\"", "is none of the 14 bones"),
         ("\"parent\": \"pelvis\"", "\"parent\": \"head\"", "`bones[0].parent`"),
         ("\"scans\": 1", "\"scans\": 2", "`bones[0].scans`"),
+        (
+            "\"stature_uncertainty_mm\": ",
+            "\"stature_uncertainty_mm\": -",
+            "`stature_uncertainty_mm`",
+        ),
         ("seen from above", "", "`notes`"),
     ] {
         let changed = text.replacen(from, to, 1);
