@@ -7,10 +7,9 @@ use std::path::PathBuf;
 use mocapd_subject::body::extremity::find;
 use mocapd_subject::body::geodesic::{Adjacency, Graph, Workspace};
 use mocapd_subject::body::paper::joints;
-use mocapd_subject::body::{Joint, Joints, Side};
 
-use crate::read::{self, Truth};
-use crate::score;
+use crate::read;
+use crate::score::{self, Limit};
 
 /// Prints on how many meshes the paper's own ends are right, and the errors of its joints in per cent of stature.
 pub(crate) fn print(
@@ -27,13 +26,13 @@ pub(crate) fn print(
         }
         known += 1;
         let own = joints(&mesh, 0, None).ok();
-        let own = own.and_then(|own| score::right(&mesh, &truth, &own.extremities));
+        let own = own.and_then(|own| score::right(&mesh, &truth, &own.extremities, Limit::ByJoint));
         right += i32::from(own == Some(true));
         let graph = Graph::with_short_cuts(&mesh, &Adjacency::new(&mesh)?);
         let Ok(ends) = find(&mesh, &graph, &mut Workspace::default()) else { continue };
         let Ok(paper) = joints(&mesh, 0, Some(ends.extremities)) else { continue };
         given += 1;
-        for (name, error) in apart(&paper.joints, &truth) {
+        for (name, error) in score::apart(&paper.joints, &truth) {
             errors.entry(name).or_default().push(100.0 * error / truth.stature_m);
         }
     }
@@ -51,36 +50,4 @@ pub(crate) fn print(
         )?;
     }
     Ok(())
-}
-
-/// The distance of each joint to the true one, the sides taken in the way that fits the hands and the feet, each, better.
-fn apart(found: &Joints, truth: &Truth) -> Vec<(&'static str, f64)> {
-    type Pair = (&'static str, fn(Side) -> Joint);
-    let arm: [Pair; 3] =
-        [("shoulder", Joint::Shoulder), ("elbow", Joint::Elbow), ("wrist", Joint::Wrist)];
-    let leg: [Pair; 3] = [("hip", Joint::Hip), ("knee", Joint::Knee), ("ankle", Joint::Ankle)];
-    let single = [("head_top", Joint::Head), ("neck", Joint::Throat), ("root", Joint::Pelvis)];
-    let known = |name: &str| truth.joints.as_ref().and_then(|known| known.get(name));
-    let pair = |(name, joint)| {
-        let at = found.estimates.get(&joint)?.position;
-        Some((name, score::distance(*known(name)?, at)))
-    };
-    let mut all: Vec<_> = single.into_iter().filter_map(pair).collect();
-    for limb in [arm, leg] {
-        let ways = [["L", "R"], ["R", "L"]].map(|sides| {
-            let mut errors = Vec::new();
-            for (name, joint) in limb {
-                for (side, letter) in [Side::Left, Side::Right].into_iter().zip(sides) {
-                    let Some(estimate) = found.estimates.get(&joint(side)) else { continue };
-                    let Some(at) = known(&format!("{name}.{letter}")) else { continue };
-                    errors.push((name, score::distance(*at, estimate.position)));
-                }
-            }
-            errors
-        });
-        let sum = |errors: &[(&str, f64)]| errors.iter().map(|(_, error)| error).sum::<f64>();
-        let [one, other] = ways;
-        all.extend(if sum(&one) <= sum(&other) { one } else { other });
-    }
-    all
 }

@@ -6,7 +6,8 @@ use std::path::PathBuf;
 use mocapd_subject::body::extremity::find;
 use mocapd_subject::body::geodesic::{Adjacency, Graph, Workspace};
 
-use crate::{read, score};
+use crate::read;
+use crate::score::{self, Limit};
 
 /// Prints mean and standard deviation of each measure over the two average shapes, from the meshes whose ends are named
 /// rightly, and how many are not.
@@ -23,8 +24,9 @@ pub(crate) fn print(
         }
         let graph = Graph::with_short_cuts(&mesh, &Adjacency::new(&mesh)?);
         let ends = find(&mesh, &graph, &mut Workspace::default());
-        let named =
-            ends.ok().filter(|ends| score::right(&mesh, &truth, &ends.extremities) == Some(true));
+        let named = ends.ok().filter(|ends| {
+            score::right(&mesh, &truth, &ends.extremities, Limit::ByJoint) == Some(true)
+        });
         match named {
             Some(ends) => rows.push(ends.misfit.measures),
             None => left_out += 1,

@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use mocapd_subject::body::extremity;
-use mocapd_subject::body::geodesic::{Adjacency, Graph, Workspace};
-use mocapd_subject::body::locate::locate;
-use mocapd_subject::body::{Joint, Joints, Mesh, Side};
+use mocapd_subject::body::skeleton::Method;
+use mocapd_subject::body::{Joint, Joints, Mesh, Side, Survey};
 
+use crate::paper::ByPaper;
 use crate::read::Truth;
+pub(crate) use crate::score::distance;
 
 /// The joints of a limb, from the trunk outwards, with their names in the truth.
 pub(crate) const KINDS: [&str; 6] = ["shoulder", "elbow", "wrist", "hip", "knee", "ankle"];
@@ -20,6 +20,8 @@ pub(crate) struct Case {
     pub(crate) truth: BTreeMap<String, [f64; 3]>,
     /// The joints, or why there are none.
     pub(crate) found: Result<Joints, String>,
+    /// What (Yu et al. 2008) give.
+    pub(crate) paper: ByPaper,
     /// Whether the sides of `found` had to be swapped to be those of the truth.
     pub(crate) swapped: bool,
 }
@@ -31,6 +33,7 @@ impl Case {
         let found = skeleton(&mesh);
         let mut case = Self {
             name: truth.name.clone(),
+            paper: ByPaper::measure(&mesh, truth),
             mesh,
             stature: truth.stature_m,
             truth: joints,
@@ -114,14 +117,6 @@ impl Case {
 
 /// The whole pipeline from a mesh in memory.
 pub(crate) fn skeleton(mesh: &Mesh) -> Result<Joints, String> {
-    let adjacency = Adjacency::new(mesh).map_err(|reason| reason.to_string())?;
-    let graph = Graph::with_short_cuts(mesh, &adjacency);
-    let mut workspace = Workspace::default();
-    let ends =
-        extremity::find(mesh, &graph, &mut workspace).map_err(|reason| reason.code().to_owned())?;
-    locate(mesh, &graph, ends, &mut workspace).ok_or_else(|| "no centre line".to_owned())
-}
-
-pub(crate) fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
-    (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
+    let survey = Survey::new(mesh, Method::Default).map_err(|reason| reason.code().to_owned())?;
+    Ok(survey.joints)
 }

@@ -11,8 +11,11 @@ use std::path::Path;
 mod case;
 mod group;
 mod invariance;
+mod paper;
 #[path = "../bodies/read.rs"]
 mod read;
+#[path = "../bodies/score.rs"]
+mod score;
 mod table;
 mod timing;
 
@@ -49,8 +52,12 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 fn report(cases: &[&Case]) {
-    table::joints("pose", &Group::by(cases, |case| pose_class(&case.name)));
-    table::joints("shape", &Group::by(cases, |case| group::shape(&case.name)));
+    let by_pose = Group::by(cases, |case| pose_class(&case.name));
+    let by_shape = Group::by(cases, |case| group::shape(&case.name));
+    table::joints("pose", &by_pose);
+    table::joints("shape", &by_shape);
+    paper::beside("pose", &by_pose);
+    paper::beside("shape", &by_shape);
     table::totals(cases);
     table::worst(cases);
 }
