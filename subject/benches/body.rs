@@ -4,8 +4,9 @@
 //!
 //! Bodies are generated, in the numbers of faces that the bars are for; where `MOCAPD_BODIES` names a folder of OBJ files,
 //! they are read from there. A round is one run of the whole method on each mesh, from adjacency to joints, and beside it
-//! one run of Dijkstra's method along the edges of the same mesh from one vertex: on a machine with other work, that one
-//! is slowed down as much, and the ratio stays.
+//! one run of Dijkstra's method along the edges of the same mesh from one vertex. What counts is the time of the
+//! processor: on a machine with other work, that of the wall says more of the others. They still share its caches, which
+//! slows down both runs, and leaves the ratio.
 
 #![expect(clippy::print_stdout, reason = "a tool that prints its result")]
 
@@ -14,7 +15,6 @@ use std::{
     fs,
     hint::black_box,
     path::{Path, PathBuf},
-    time::Instant,
 };
 
 use mocapd_subject::body::{
@@ -24,6 +24,7 @@ use mocapd_subject::body::{
     read::read,
     skeleton::Method,
 };
+use rustix::time::{ClockId, clock_gettime};
 
 /// Up to so many faces, a mesh is done within so many milliseconds.
 const BARS_MS: [(usize, f64); 3] = [(5_500, 10.0), (11_000, 20.0), (17_000, 40.0)];
@@ -63,24 +64,30 @@ fn row(name: &str, mesh: &Mesh, rounds: usize) -> Result<bool, Box<dyn Error>> {
     let (mut whole, mut bare) = (Vec::new(), Vec::new());
     let mut gives = String::new();
     for _ in 0..rounds.max(1) {
-        let begin = Instant::now();
+        let begin_ms = busy_ms();
         let survey = black_box(Survey::new(black_box(mesh), Method::Default));
-        whole.push(begin.elapsed().as_secs_f64() * 1e3);
+        whole.push(busy_ms() - begin_ms);
         gives = survey.map_or_else(|reason| reason.code().to_owned(), |_| "joints".to_owned());
-        let begin = Instant::now();
+        let begin_ms = busy_ms();
         black_box(distances(&edges, 0, &mut Workspace::default()));
-        bare.push(begin.elapsed().as_secs_f64() * 1e3);
+        bare.push(busy_ms() - begin_ms);
     }
     let (median_ms, fastest_ms) = median_and_least(&mut whole);
-    let (bare_ms, bare_fastest_ms) = median_and_least(&mut bare);
+    let (bare_ms, _) = median_and_least(&mut bare);
     let faces = mesh.triangles.len();
     let bar = BARS_MS.iter().find(|(most, _)| faces <= *most).map(|(_, ms)| *ms);
-    let ratio = fastest_ms / bare_fastest_ms;
+    let ratio = median_ms / bare_ms;
     let shown = bar.map_or_else(|| "-".to_owned(), |ms| format!("{ms:.0}"));
     println!(
         "| {name} | {faces} | {gives} | {median_ms:.2} | {fastest_ms:.2} | {shown} | {bare_ms:.3} | {ratio:.1} |"
     );
     Ok(bar.is_none_or(|ms| median_ms <= ms))
+}
+
+/// How long this thread has been on a processor.
+fn busy_ms() -> f64 {
+    let spent = clock_gettime(ClockId::ThreadCPUTime);
+    spent.tv_sec as f64 * 1e3 + spent.tv_nsec as f64 / 1e6
 }
 
 fn median_and_least(times: &mut [f64]) -> (f64, f64) {
