@@ -113,6 +113,7 @@ fn survey(
         Err(refusal) => bail!("{shown}: no skeleton ({}): {refusal}", refusal.code()),
     };
     let mut notes: Vec<String> = repaired.notes.iter().map(ToString::to_string).collect();
+    notes.extend(survey.notes.iter().map(ToString::to_string));
     if survey.in_contact {
         notes.push(
             "limbs touch: joints near the contact are unsure, as told by their +- mm".to_owned(),
@@ -142,7 +143,9 @@ fn survey(
 fn table(skeleton: &Skeleton) -> String {
     let mut out = String::new();
     if let Some(stature_mm) = skeleton.stature_mm {
-        out += &format!("stature {stature_mm:.0} mm\n");
+        let sigma = skeleton.stature_uncertainty_mm;
+        let sigma = sigma.map_or_else(String::new, |mm| format!(" +- {mm:.0}"));
+        out += &format!("stature {stature_mm:.0}{sigma} mm, out of the bones\n");
     }
     let sides = if skeleton.sides_told { "" } else { " (l_ and r_ may be exchanged)" };
     out += &format!("\nbone                 length mm   +- mm{sides}\n");
