@@ -71,7 +71,7 @@ def checked(rows, take):
     for row in rows:
         where = f"mocapd, {row['take']}, {row['resampler']}, {row['tolerance_mm']:g} mm"
         if row["samples"] != take.samples:
-            raise AssertionError(f"{where}: {row['samples']} samples, {takes[row['take']].samples} read here")
+            raise AssertionError(f"{where}: {row['samples']} samples, {take.samples} read here")
         if row["max_error_mm"] <= row["tolerance_mm"]:
             kept.append(row)
         elif row["resampler"] in (DENSE, FAST, SPLINE):

@@ -23,8 +23,7 @@ import takes as takes_  # noqa: E402
 import timings  # noqa: E402
 from families.registry import all_codecs  # noqa: E402
 
-
-# Rounds of the speeds of a take.
+# Rounds of the speeds of a take, of the resamplers that are in a claim; of the others there is one.
 ROUNDS = 3
 
 
@@ -61,7 +60,7 @@ def main():
     takes = [takes_.load(path) for path in paths]
     speeds, ours = [], []
     for path, take in zip(paths, takes):
-        said(f"speed: {take.name}")
+        said(f"mocapd and speeds: {take.name}")
         timed = not (options.no_speed or take.raw_bytes < bars_.SPEED_RAW_BYTES_MIN or take.filtered)
         theirs, answers = [], []
         # Last and one at a time, mocapd's right after the peers', take by take and in turn: a machine is slower now and

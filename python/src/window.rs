@@ -41,12 +41,14 @@ impl Last {
     ) -> Result<Vec<String>, Failure> {
         let together = together(map, columns);
         let bytes = (rows.end - rows.start) * together.len() as u64 * POSITION_BYTES;
-        // Two threads of a program may read at once: one of them takes the other's window for its own, or none.
-        let kept = self.0.try_lock();
-        let Ok(mut kept) = kept else { return read(source, map, rows, columns, threads, out) };
+        // Most of what was decoded is asked for, or it is more than is kept.
         if columns.is_empty() || 2 * columns.len() > together.len() || bytes > BYTES_MAX {
             return read(source, map, rows, columns, threads, out);
         }
+        // Another thread of the program reads: neither waits for the other.
+        let Ok(mut kept) = self.0.try_lock() else {
+            return read(source, map, rows, columns, threads, out);
+        };
         if !kept.as_ref().is_some_and(|window| window.has(&rows, columns)) {
             // Its memory is used again.
             let mut values = kept.take().map_or_else(Vec::new, |window| window.values);
