@@ -5,6 +5,7 @@
 //! clutter that has the colours of skin and wood. The same [`Scene`] gives the same pixels.
 
 mod clutter;
+mod extras;
 mod head;
 mod paint;
 mod random;
@@ -17,6 +18,7 @@ use thiserror::Error;
 
 use super::model::{Camera, FeatureId, Model, ModelError, OUTER_EYES_MM};
 
+pub use extras::Extras;
 pub(crate) use random::Random;
 
 /// What is to be drawn.
@@ -51,6 +53,8 @@ pub struct Sitter {
     pub eyes_px: [f64; 2],
     /// How many standard deviations the shape's modes are drawn with: 0 is the average face, 1 is anybody.
     pub variety: f64,
+    /// Glasses, beard, and such.
+    pub extras: Extras,
 }
 
 /// The truth about one face of a picture.
@@ -98,8 +102,16 @@ impl Scene {
         let side = |factor: f64| (factor * io_px).clamp(1.0, f64::from(Self::MAX_SIDE_PX)) as u32;
         let (width_px, height_px) = (side(4.0), side(4.6));
         let eyes_px = [2.0 * io_px, 2.0 * io_px];
-        let sitter =
-            Sitter { seed, io_px, yaw_deg, pitch_deg: 0.0, roll_deg: 0.0, eyes_px, variety: 0.8 };
+        let sitter = Sitter {
+            seed,
+            io_px,
+            yaw_deg,
+            pitch_deg: 0.0,
+            roll_deg: 0.0,
+            eyes_px,
+            variety: 0.8,
+            extras: Extras::default(),
+        };
         Self { width_px, height_px, faces: vec![sitter], noise: 3.0, seed }
     }
 
@@ -139,7 +151,9 @@ impl Sitter {
             self.variety,
         ];
         let most = f64::from(Scene::MAX_SIDE_PX);
-        numbers.iter().all(|v| v.abs() < 1e6) && (1.0..=most).contains(&self.io_px)
+        self.extras.is_finite()
+            && numbers.iter().all(|v| v.abs() < 1e6)
+            && (1.0..=most).contains(&self.io_px)
     }
 
     fn draw(&self, model: &Model, canvas: &mut raster::Canvas) -> Truth {
@@ -155,7 +169,8 @@ impl Sitter {
             origin_px: self.eyes_px,
         };
         let vertices_mm = model.shape(&coefficients);
-        head::draw(model, &vertices_mm, &camera, &paint::Look::new(&mut random), canvas);
+        let look = paint::Look::new(&mut random).with(self.extras);
+        head::draw(model, &vertices_mm, &camera, &look, canvas);
         let places = model.feature_points(&vertices_mm, &camera.rotation());
         Truth {
             camera,

@@ -1,5 +1,6 @@
 //! What a face's surface looks like: skin, lips, brows, eyes.
 
+use super::extras::Extras;
 use super::random::Random;
 use super::raster::{Colour, Spot, unit};
 use crate::face::model::Model;
@@ -24,6 +25,7 @@ const IRISES: [Colour; 4] =
 const CLOTHES: [Colour; 4] =
     [[0.03, 0.04, 0.12], [0.5, 0.5, 0.5], [0.2, 0.03, 0.03], [0.04, 0.10, 0.06]];
 const SCLERA: Colour = [0.72, 0.69, 0.66];
+const RIM: Colour = [0.03, 0.03, 0.03];
 /// Half the horizontal diameter of an iris, 11.7 mm in adults whatever their size.
 const IRIS_MM: f64 = 5.85;
 const PUPIL_MM: f64 = 2.0;
@@ -38,6 +40,7 @@ pub(super) struct Look {
     iris: Colour,
     lips: Colour,
     light: [f64; 3],
+    extras: Extras,
 }
 
 /// Where things are on the average face, seen from in front: paint stays with the skin as its shape changes.
@@ -59,7 +62,12 @@ impl Look {
         let light = unit([random.between(-0.7, 0.7), random.between(0.1, 0.8), 1.0]);
         let (hair, clothes, iris) =
             (random.one_of(&HAIRS), random.one_of(&CLOTHES), random.one_of(&IRISES));
-        Self { skin, hair, clothes, iris, lips, light }
+        Self { skin, hair, clothes, iris, lips, light, extras: Extras::default() }
+    }
+
+    /// The same person, with something on.
+    pub(super) fn with(self, extras: Extras) -> Self {
+        Self { light: extras.light.map_or(self.light, unit), extras, ..self }
     }
 
     /// A colour in this light.
@@ -91,7 +99,9 @@ impl Look {
             let reach = ((at[0] - nostril[0]) / 3.6).hypot((at[1] - nostril[1]) / 2.2);
             blend(self.skin.map(|c| c * 0.12), 0.9 * soft(2.0 * reach, 2.0));
         }
-        self.lit(colour, spot.normal)
+        let skin = 1.0 - (2.0 * inside(&pattern.lips, at) + 1.0).clamp(0.0, 1.0);
+        colour = mix(colour, self.hair, self.extras.hair(at) * skin);
+        self.lit(mix(colour, RIM, self.extras.rim(at)), spot.normal)
     }
 
     /// The eye between the lids.

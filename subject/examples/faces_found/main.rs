@@ -3,10 +3,15 @@
 //! `faces_found` prints the development photographs, on which weights and thresholds were chosen; `faces_found reported`
 //! the others; `faces_found scores FILE...` every hypothesis on any photographs, for `benches/subject/find_weights.py`.
 //!
+//! `faces_found drawn [FROM TO]` prints what is found on seeded pictures of drawn faces, and `faces_found draw FOLDER FROM
+//! TO` writes those.
+//!
 //! A face counts if its outer eye corners are 40 pixels apart and it is turned by 35 degrees at most, where that is
 //! known. It is found if both eyes are within 0.25 of that distance; what is found and is no face at all, counting or
 //! not, is false.
 #![expect(clippy::print_stdout, clippy::print_stderr, reason = "an example that prints a table")]
+
+mod drawn;
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -30,6 +35,7 @@ const DEVELOPMENT: [&str; 10] = [
 
 struct Face {
     eyes: [[f64; 2]; 2],
+    mouth: [f64; 2],
     io_px: f64,
     counts: bool,
 }
@@ -45,6 +51,18 @@ fn main() {
     let args: Vec<String> = std::env::args().skip(1).collect();
     if args.first().is_some_and(|first| first == "scores") {
         return args.iter().skip(1).for_each(|path| scores(Path::new(path)));
+    }
+    let seeds = |from: usize| {
+        let number = |i: usize, or| args.get(i).and_then(|text| text.parse().ok()).unwrap_or(or);
+        number(from, 0_u64)..number(from + 1, 200)
+    };
+    match args.first().map(String::as_str) {
+        Some("drawn") => return drawn::table(seeds(1)),
+        Some("draw") => {
+            let folder = args.get(1).map(PathBuf::from).unwrap_or_default();
+            return drawn::write(seeds(2), &folder);
+        }
+        _ => {}
     }
     let Some(folder) = std::env::var_os("MOCAPD_FACES").map(PathBuf::from) else {
         eprintln!("MOCAPD_FACES is not set: nothing to look at");
@@ -124,13 +142,15 @@ fn face(value: &Value) -> Option<Face> {
     }
     let points = value["landmarks"].as_array().or_else(|| value["dlib68"].as_array())?;
     let at = |i: usize, axis: usize| points.get(i).and_then(|point| point[axis].as_f64());
-    let mean = |from: usize, axis: usize| {
-        (from..from + 6).map(|i| at(i, axis)).sum::<Option<f64>>().map(|sum| sum / 6.0)
+    let mean = |from: usize, to: usize| {
+        let sum = |axis| (from..to).map(|i| at(i, axis)).sum::<Option<f64>>();
+        Some([sum(0)? / (to - from) as f64, sum(1)? / (to - from) as f64])
     };
-    let eyes = [[mean(36, 0)?, mean(36, 1)?], [mean(42, 0)?, mean(42, 1)?]];
+    let eyes = [mean(36, 42)?, mean(42, 48)?];
     let io_px = (at(45, 0)? - at(36, 0)?).hypot(at(45, 1)? - at(36, 1)?);
     let yaw = value["pose_deg"][1].as_f64().unwrap_or_default();
-    Some(Face { eyes, io_px, counts: io_px >= 40.0 && yaw.abs() <= 35.01 })
+    let mouth = mean(48, 60)?;
+    Some(Face { eyes, mouth, io_px, counts: io_px >= 40.0 && yaw.abs() <= 35.01 })
 }
 
 /// How many counting faces are found, and how many that are found are none.

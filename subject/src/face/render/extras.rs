@@ -1,0 +1,54 @@
+//! What hides parts of a face: glasses, a beard, hair over the forehead.
+
+/// What a sitter wears, and from where the light comes; none of it by default.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Extras {
+    /// Rims around the eyes, this thick.
+    pub rims_mm: f64,
+    /// How dense a beard is: 0 none, 1 no skin to be seen.
+    pub beard: f64,
+    /// How far hair falls below the hairline; the brows are 50 mm below it.
+    pub fringe_mm: f64,
+    /// Towards the light, in the camera's frame: to the picture's right, up, to the camera.
+    pub light: Option<[f64; 3]>,
+}
+
+/// Centre and half axes of the rim around an eye.
+const RIM: ([f64; 2], [f64; 2]) = ([33.0, -3.0], [24.0, 19.0]);
+const BRIDGE: ([f64; 2], f64) = ([0.0, 4.0], 9.0);
+const HAIRLINE_MM: f64 = 66.0;
+/// A beard grows below these: at the middle, and at the ears.
+const MOUSTACHE_MM: f64 = -47.0;
+const CHEEKS: (f64, f64) = (45.0, -30.0);
+
+impl Extras {
+    /// Whether all of it can be drawn.
+    pub(super) fn is_finite(&self) -> bool {
+        let lengths = [self.rims_mm, self.beard, self.fringe_mm];
+        lengths.iter().chain(self.light.iter().flatten()).all(|v| v.abs() < 1e3)
+    }
+
+    /// How much of a place on the average face is rim, 0 to 1.
+    pub(super) fn rim(&self, [x, y]: [f64; 2]) -> f64 {
+        if self.rims_mm <= 0.0 {
+            return 0.0;
+        }
+        let (middle, radii) = RIM;
+        let reach = ((x.abs() - middle[0]) / radii[0]).hypot((y - middle[1]) / radii[1]);
+        let ring = (reach - 1.0).abs() * radii[1];
+        let bridge = if x.abs() < BRIDGE.1 { (y - BRIDGE.0[1]).abs() } else { f64::INFINITY };
+        (self.rims_mm / 2.0 - ring.min(bridge) + 0.5).clamp(0.0, 1.0)
+    }
+
+    /// How much of it is hair, 0 to 1; lips are the caller's.
+    pub(super) fn hair(&self, [x, y]: [f64; 2]) -> f64 {
+        // A beard's upper edge sinks from the ears to the corners of the mouth, and a moustache lies under the nose.
+        let aside = (x.abs() / CHEEKS.0).min(1.5);
+        let edge =
+            if aside < 0.6 { MOUSTACHE_MM } else { CHEEKS.1 - 60.0 * (1.2 - aside).max(0.0) };
+        let beard = self.beard * ((edge - y) / 6.0).clamp(0.0, 1.0);
+        let ragged = HAIRLINE_MM - self.fringe_mm + 3.0 * (0.35 * x).sin() + 0.0015 * x * x;
+        let fringe = if self.fringe_mm > 0.0 { ((y - ragged) / 3.0).clamp(0.0, 1.0) } else { 0.0 };
+        beard.max(fringe).clamp(0.0, 1.0)
+    }
+}
