@@ -7,13 +7,16 @@ use super::schema::{ACROSS, DOWN, Schema, place, slope, standard};
 /// How far a pass moves: shares of the eyes' distance, radians, and shares of lengths alike.
 const ROUGH_STEPS: [f32; 2] = [0.12, 0.08];
 const STEPS: [f32; 3] = [0.08, 0.05, 0.03];
-/// What does not fit this well after the rough passes is left as it is; faces fit twice as well.
-const PROMISE_MIN: f32 = 0.25;
 /// What the slopes' likeness counts beside the brightness'.
 const SLOPE_SHARE: f32 = 0.4;
 /// What frames that are stretched (logarithm, squared) and sheared (squared) lose: heads are rarely turned far.
 const STRETCH_LOSS: f32 = 0.5;
 const SHEAR_LOSS: f32 = 0.4;
+/// What frames lose that were moved (in distances of the eyes, squared), scaled (logarithm, squared) and rolled (squared).
+const SHIFT_LOSS: f32 = 1.2;
+const SCALE_LOSS: f32 = 0.8;
+/// The same for the height alone (logarithm, squared): the mouth stays where the template has it, but for a tenth.
+const HEIGHT_LOSS: f32 = 4.0;
 
 /// The patch of a frame: brightness and slopes, standard.
 #[derive(Debug)]
@@ -40,18 +43,31 @@ impl Patch {
 
 /// The frame near `frame` that the drawn face fits best.
 pub(super) fn climb(local: &Plane, frame: Frame, schema: &Schema) -> Frame {
-    let mut best = (frame, schema.half.fit(local, &frame));
+    let rough = |moved: &Frame| schema.half.fit(local, moved) - departure(&frame, moved);
+    let mut best = (frame, rough(&frame));
     for step in ROUGH_STEPS {
-        best = pass(best, step, |frame| schema.half.fit(local, frame));
+        best = pass(best, step, rough);
     }
-    if best.1 < PROMISE_MIN {
-        return best.0;
-    }
-    best.1 = schema.whole.fit(local, &best.0);
+    let whole = |moved: &Frame| schema.whole.fit(local, moved) - departure(&frame, moved);
+    let mut best = (best.0, whole(&best.0));
     for step in STEPS {
-        best = pass(best, step, |frame| schema.whole.fit(local, frame));
+        best = pass(best, step, whole);
     }
     best.0
+}
+
+/// What a frame loses for being elsewhere than the template was. That saw more of the face: by themselves a brow is much
+/// like an eye, and the base of the nose like a mouth.
+fn departure(from: &Frame, to: &Frame) -> f32 {
+    let [dx, dy] = [to.origin[0] - from.origin[0], to.origin[1] - from.origin[1]];
+    let wide = from.eye_distance().max(1e-3);
+    let roll = |frame: &Frame| frame.across[1].atan2(frame.across[0]);
+    let height = |frame: &Frame| frame.down[0].hypot(frame.down[1]).max(1e-3);
+    let higher = (height(to) / height(from)).ln();
+    let scale = (to.eye_distance() / wide).max(1e-3).ln();
+    SHIFT_LOSS * (dx * dx + dy * dy) / (wide * wide)
+        + HEIGHT_LOSS * higher * higher
+        + SCALE_LOSS * (scale * scale + (roll(to) - roll(from)).powi(2))
 }
 
 /// Each change once, to whichever side is better.

@@ -4,53 +4,58 @@ use super::Photo;
 use super::frame::Frame;
 use super::level::Level;
 use super::scores::{COLOUR_SCORES, ColourScores};
-use crate::face::Plane;
 use crate::face::photo::illuminant;
 
 /// Added to channels before their ratios are taken: what is black has no hue.
 const BLACK: f32 = 6.0;
+/// Pixels that the light's colour is told from; evenly taken.
+const SAMPLES_MAX: usize = 1 << 14;
 /// Skin in ln(R/G), ln(B/G) once the light is taken off: mean, and the inverse of its covariance (xx, xy, yy).
 const SKIN: ([f32; 2], [f32; 3]) = ([0.32, -0.18], [30.0, 12.0, 30.0]);
 
 /// Ratios of the colours of a photograph: a light's colour adds to them, and a light's brightness does nothing.
 #[derive(Debug)]
-pub(super) struct Hues {
-    /// ln(R/G).
-    red: Plane,
-    /// ln(B/G).
-    blue: Plane,
-    /// What the light adds.
+pub(super) struct Hues<'a> {
+    photo: &'a Photo,
+    /// What the light adds to ln(R/G), ln(B/G).
     light: [f32; 2],
 }
 
-impl Hues {
-    /// Of a photograph at `width` by `height` pixels.
-    pub(super) fn new(photo: &Photo, width: usize, height: usize) -> Self {
-        let channel = |i: usize| {
-            photo
-                .plane(|rgb| f32::from(rgb.get(i).copied().unwrap_or_default()))
-                .resized(width, height)
-        };
-        let (red, green, blue) = (channel(0), channel(1), channel(2));
-        let samples = red.values().iter().zip(green.values()).zip(blue.values());
-        let light =
-            illuminant(samples.map(|((&r, &g), &b)| [r, g, b].map(f64::from))).map(|c| c as f32);
-        let ratio = |a: f32, b: f32| ((a + BLACK) / (b + BLACK)).ln();
-        let light = [ratio(light[0], light[1]), ratio(light[2], light[1])];
-        Self { red: red.zip(&green, ratio), blue: blue.zip(&green, ratio), light }
+impl<'a> Hues<'a> {
+    /// Of a photograph.
+    pub(super) fn new(photo: &'a Photo) -> Self {
+        let every = photo.pixels().len().div_ceil(SAMPLES_MAX).max(1);
+        let samples = photo.pixels().iter().step_by(every);
+        let light = illuminant(samples.map(|rgb| rgb.map(f64::from))).map(|c| c as f32);
+        Self { photo, light: ratios(light) }
+    }
+
+    /// Around a place of the photograph.
+    fn at(&self, [x, y]: [f64; 2], reach: isize) -> [f32; 2] {
+        let (x, y) = (x.round() as isize, y.round() as isize);
+        let step = (reach / 2).max(1);
+        let (mut sums, mut count) = ([0.0_f32; 3], 0.0_f32);
+        let mut dy = -reach;
+        while dy <= reach {
+            let mut dx = -reach;
+            while dx <= reach {
+                let rgb = self.photo.rgb(x + dx, y + dy).map(f32::from);
+                sums = std::array::from_fn(|i| {
+                    sums.get(i).copied().unwrap_or_default()
+                        + rgb.get(i).copied().unwrap_or_default()
+                });
+                count += 1.0;
+                dx += step;
+            }
+            dy += step;
+        }
+        ratios(sums.map(|sum| sum / count.max(1.0)))
     }
 
     /// Of a frame on a level.
     pub(super) fn scores(&self, level: &Level, frame: &Frame) -> ColourScores {
-        let (kx, ky) = (
-            self.red.width() as f32 / level.local.width() as f32,
-            self.red.height() as f32 / level.local.height() as f32,
-        );
-        let at = |x: f32, y: f32| {
-            let [x, y] = frame.at(x, y);
-            let (x, y) = ((x + 0.5) * kx - 0.5, (y + 0.5) * ky - 0.5);
-            [self.red.sample(x, y), self.blue.sample(x, y)]
-        };
+        let reach = (0.7 * level.shrink()).round() as isize;
+        let at = |x: f32, y: f32| self.at(level.on_photo(frame.at(x, y)), reach);
         let mean = |points: &[[f32; 2]]| {
             let sum = points.iter().fold([0.0, 0.0], |[r, b], &[x, y]| {
                 let [red, blue] = at(x, y);
@@ -85,6 +90,12 @@ impl Hues {
         let y = blue - 0.5 * self.light[1] - mean[1];
         (-0.5 * (xx * x * x + 2.0 * xy * x * y + yy * y * y)).exp()
     }
+}
+
+/// ln(R/G), ln(B/G).
+fn ratios([red, green, blue]: [f32; 3]) -> [f32; 2] {
+    let ratio = |a: f32, b: f32| ((a + BLACK) / (b + BLACK)).ln();
+    [ratio(red, green), ratio(blue, green)]
 }
 
 /// Where a face is skin, whoever's: forehead, cheeks, nose, chin.

@@ -1,21 +1,26 @@
-//! One size of the pyramid, on which the eyes of a face are [`EYE_DISTANCE`] apart, or up to 1.4 times as far.
+//! A place of the photograph, upright and small, on which the eyes of a face are about [`EYE_DISTANCE`] apart.
 
 use super::Plane;
+use super::frame::Frame;
+use super::octaves::Octaves;
 
-/// Pixels between the middles of the eyes, at the least: an iris has 2.6 then, and a lid line one.
+/// Pixels between the middles of the eyes: an iris has 2.6 then, and a lid line one.
 pub(super) const EYE_DISTANCE: f32 = 12.0;
-/// From one size to the next, smaller one.
-pub(super) const STEP: f32 = std::f32::consts::SQRT_2;
+/// Four distances of the eyes, and a little more; the eyes are above the middle.
+const SIZE_PX: (usize, usize) = (48, 52);
+const EYES_AT: [f32; 2] = [23.5, 20.5];
 /// Width of what brightness and contrast are taken off by: half the distance of the eyes.
 const LOCAL_PX: f32 = 7.0;
 /// Contrast, in grey levels, that is noise: added before it is divided by.
 const CONTRAST_FLOOR: f32 = 4.0;
 
-/// A size of the pyramid.
+/// A place that is looked at closer.
 #[derive(Debug)]
 pub(super) struct Level {
-    /// A pixel of this level, in pixels of the photograph.
-    pub(super) scale: [f32; 2],
+    /// One pixel to the right, on the photograph; down is square to it.
+    step: [f32; 2],
+    /// Where [`EYES_AT`] is on the photograph.
+    origin: [f32; 2],
     /// Brightness less that of around, divided by the contrast of around.
     pub(super) local: Plane,
     /// How much darker a spot of an eye's size is than what is around it, in the same measure.
@@ -23,23 +28,47 @@ pub(super) struct Level {
 }
 
 impl Level {
-    /// Of a grey photograph at `width` by `height` pixels.
-    pub(super) fn new(grey: &Plane, width: usize, height: usize) -> Self {
-        let small = grey.resized(width, height);
+    /// Around a frame on the photograph, and the frame on it; none where the frame has no size.
+    pub(super) fn new(octaves: &Octaves, frame: &Frame) -> Option<(Self, Frame)> {
+        let Frame { origin, across, down, turn } = *frame;
+        let shrink = down[0].hypot(down[1]) / EYE_DISTANCE;
+        let wide = across[0].hypot(across[1]);
+        if !(wide > 1e-3 && shrink > 1e-3) {
+            return None;
+        }
+        let step = across.map(|part| part * shrink / wide);
+        let (plane, done) = octaves.at(shrink)?;
+        let [ex, ey] = EYES_AT;
+        let mut small = Plane::filled(SIZE_PX.0, SIZE_PX.1, 0.0);
+        for (y, row) in small.values_mut().chunks_exact_mut(SIZE_PX.0).enumerate() {
+            for (x, value) in row.iter_mut().enumerate() {
+                let [px, py] = on(origin, step, x as f32 - ex, y as f32 - ey);
+                *value = plane.sample((px + 0.5) / done - 0.5, (py + 0.5) / done - 0.5);
+            }
+        }
         let local = localised(&small);
         let spots = local.blurred(3.2).zip(&local.blurred(1.2), |around, centre| around - centre);
-        let scale = [
-            grey.width() as f32 / small.width() as f32,
-            grey.height() as f32 / small.height() as f32,
-        ];
-        Self { scale, local, spots }
+        let square = shrink * shrink;
+        let inside = |[x, y]: [f32; 2]| {
+            [(x * step[0] + y * step[1]) / square, (y * step[0] - x * step[1]) / square]
+        };
+        let frame = Frame { origin: EYES_AT, across: inside(across), down: inside(down), turn };
+        Some((Self { step, origin, local, spots }, frame))
     }
 
     /// A place on this level, on the photograph.
     pub(super) fn on_photo(&self, [x, y]: [f32; 2]) -> [f64; 2] {
-        let out = |at: f32, scale: f32| f64::from((at + 0.5) * scale - 0.5);
-        [out(x, self.scale[0]), out(y, self.scale[1])]
+        on(self.origin, self.step, x - EYES_AT[0], y - EYES_AT[1]).map(f64::from)
     }
+
+    /// Pixels of the photograph along one of this level's.
+    pub(super) fn shrink(&self) -> f32 {
+        self.step[0].hypot(self.step[1])
+    }
+}
+
+fn on(origin: [f32; 2], step: [f32; 2], x: f32, y: f32) -> [f32; 2] {
+    [origin[0] + x * step[0] - y * step[1], origin[1] + x * step[1] + y * step[0]]
 }
 
 /// Brightness less that of around, divided by the contrast of around: light from one side goes.

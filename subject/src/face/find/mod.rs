@@ -1,24 +1,30 @@
 //! Where the faces of a photograph are: two eyes and a mouth each.
 //!
-//! A face of sixteen strokes is drawn once. Over a pyramid of sizes it is correlated with the photograph's brightness
-//! (less that of around, divided by the contrast of around) at seven rolls and turned aside; from the best places the
-//! frame of the face ([`Frame`]: eyes, mouth and turn) climbs to where the drawing fits best. There a handful of scores is
-//! taken: likeness to the drawing and to each of its strokes, symmetry, how dark the eyes are, how far the frame is from a
-//! frontal one, and with colours how like skin, how even and how different from around it is, and how red the lips. A
-//! logistic function weighs them. Without colours, or in coloured light, those that need no colours stand alone.
+//! Slopes of brightness, told in the contrast of around, are pooled over small cells (Dalal and Triggs 2005), and a template
+//! of what each cell of a face speaks for it is held against every place, at every size, five rolls, frontal and turned to
+//! both sides. The best places are refined between the steps of that search. There the frame of the face ([`Frame`]: eyes,
+//! mouth and turn) climbs to where a face of sixteen strokes fits best, and a handful of scores is taken: how well the
+//! template fits, likeness to the drawing and to each of its strokes, symmetry, how dark the eyes are, how far the frame is
+//! from a frontal one, and with colours how like skin, how even and how different from around it is, and how red the lips.
+//! A logistic function weighs them. Without colours, or in coloured light, those that need no colours stand alone.
 //!
 //! The template of (Yang et al. 2004, eq. 4) is what this grew from; it is measured everywhere instead of on blocks of skin,
 //! so that neither hair over a cheek nor a wall of skin's colour hides a face.
 
+mod cells;
 mod climb;
-mod coarse;
 mod eyes;
 mod frame;
 mod hue;
 mod level;
+mod octaves;
+mod place;
+mod scan;
 mod schema;
 mod scores;
 mod search;
+mod template;
+mod template_weights;
 #[cfg(test)]
 mod tests;
 mod weights;

@@ -26,26 +26,26 @@ struct Stroke(f32, f32, f32, f32, f32, f32);
 /// fitted to the faces that the weights were learned on (`benches/subject/find_weights.py`).
 const FACE: [Stroke; STROKES] = [
     // Sockets, eyes, brows, forehead.
-    Stroke(0.46, -0.04, 0.36, 0.24, 0.0, -0.888),
-    Stroke(0.50, 0.00, 0.20, 0.10, 0.0, -0.502),
-    Stroke(0.50, -0.27, 0.36, 0.09, 0.10, -0.434),
-    Stroke(0.0, -0.50, 0.60, 0.12, 0.0, 0.885),
+    Stroke(0.46, -0.04, 0.36, 0.24, 0.0, -0.657),
+    Stroke(0.50, 0.00, 0.20, 0.10, 0.0, -0.562),
+    Stroke(0.50, -0.27, 0.36, 0.09, 0.10, -0.155),
+    Stroke(0.0, -0.50, 0.60, 0.12, 0.0, 0.748),
     // The bridge and the ridge of the nose, its sides, its base.
-    Stroke(0.0, 0.05, 0.10, 0.25, 0.0, 0.721),
-    Stroke(0.0, 0.45, 0.10, 0.22, 0.0, 0.490),
-    Stroke(0.27, 0.58, 0.08, 0.12, 0.0, -0.396),
-    Stroke(0.0, 0.72, 0.26, 0.07, 0.0, -0.642),
+    Stroke(0.0, 0.05, 0.10, 0.25, 0.0, 0.588),
+    Stroke(0.0, 0.45, 0.10, 0.22, 0.0, 0.430),
+    Stroke(0.27, 0.58, 0.08, 0.12, 0.0, -0.339),
+    Stroke(0.0, 0.72, 0.26, 0.07, 0.0, -0.327),
     // Cheeks, and the folds from the nose to the mouth.
-    Stroke(0.58, 0.45, 0.28, 0.22, 0.0, 0.863),
-    Stroke(0.45, 0.86, 0.08, 0.16, -0.4, -0.148),
+    Stroke(0.58, 0.45, 0.28, 0.22, 0.0, 0.793),
+    Stroke(0.45, 0.86, 0.08, 0.16, -0.4, 0.057),
     // The line of the mouth, the shade under it, the chin.
     Stroke(0.0, 1.08, 0.38, 0.07, 0.0, -1.000),
-    Stroke(0.0, 1.32, 0.24, 0.08, 0.0, -0.404),
-    Stroke(0.0, 1.52, 0.30, 0.14, 0.0, 0.302),
+    Stroke(0.0, 1.32, 0.24, 0.08, 0.0, -0.067),
+    Stroke(0.0, 1.52, 0.30, 0.14, 0.0, 0.463),
     // What is beside the face: ears, the jaw's edge, temples.
-    Stroke(1.10, 0.30, 0.18, 0.60, 0.0, 0.030),
-    Stroke(0.95, 1.45, 0.28, 0.40, 0.5, -0.621),
-    Stroke(0.90, -0.15, 0.12, 0.20, 0.0, -0.131),
+    Stroke(1.10, 0.30, 0.18, 0.60, 0.0, -0.362),
+    Stroke(0.95, 1.45, 0.28, 0.40, 0.5, -0.657),
+    Stroke(0.90, -0.15, 0.12, 0.20, 0.0, -0.255),
 ];
 
 /// A drawn patch in the measure of [`Level::local`](super::level::Level), mean 0 and length 1.
@@ -75,17 +75,6 @@ impl Schema {
         let strokes = FACE.chunks(1).map(drawn).collect();
         let (whole, half) = (Drawing::new(&patch, 1), Drawing::new(&patch, 2));
         Self { whole, half, bright: patch.bright, slope: patch.slope, strokes }
-    }
-
-    /// Brightness at a place of the face's frame, between the patch's points; none outside.
-    pub(super) fn at(&self, x: f32, y: f32) -> Option<f32> {
-        let (column, line) = ((x + 1.0) / GRID, (y + 0.5) / GRID);
-        let inside = (0.0..=(ACROSS - 1) as f32).contains(&column)
-            && (0.0..=(DOWN - 1) as f32).contains(&line);
-        inside.then(|| {
-            let at = |i: usize| self.bright.get(i).copied().unwrap_or_default();
-            at((line.round() as usize) * ACROSS + column.round() as usize)
-        })
     }
 }
 

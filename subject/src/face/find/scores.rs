@@ -7,9 +7,9 @@ use super::frame::Frame;
 use super::schema::{ACROSS, STROKES, Schema, likeness};
 
 /// How many scores need no colours.
-pub const GREY_SCORES: usize = 9 + 2 * STROKES;
+pub const GREY_SCORES: usize = 10 + 2 * STROKES;
 
-/// Scores of one hypothesis that need no colours: likeness to the whole drawn face (brightness, slope), symmetry (the
+/// Scores of one hypothesis that need no colours: how well the zones' template fits, likeness to the whole drawn face (brightness, slope), symmetry (the
 /// same), how dark the eyes are (the lighter one, both), how little the frame is stretched, sheared and turned, and likeness
 /// to each stroke of the drawing (brightness, then slope).
 pub type GreyScores = [f32; GREY_SCORES];
@@ -36,6 +36,7 @@ pub(super) fn grey_scores(
     local: &Plane,
     frame: &Frame,
     eyes: &[Spot; 2],
+    fit: f32,
     schema: &Schema,
 ) -> GreyScores {
     let Patch { bright, slope: steep } = Patch::new(local, frame);
@@ -43,6 +44,7 @@ pub(super) fn grey_scores(
     let darker = eyes.iter().map(|spot| spot.darker);
     let mut scores = [0.0; GREY_SCORES];
     let whole = [
+        fit,
         likeness(&bright, &schema.bright),
         likeness(&steep, &schema.slope),
         likeness(&bright, &mirrored(&bright)),

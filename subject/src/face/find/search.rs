@@ -1,13 +1,16 @@
 //! From a photograph to weighed hypotheses, and from those to faces.
 
 use super::climb::climb;
-use super::coarse::Stencils;
 use super::eyes::darkest;
 use super::frame::Frame;
 use super::hue::Hues;
-use super::level::{EYE_DISTANCE, Level, STEP};
+use super::level::Level;
+use super::octaves::Octaves;
+use super::place::Place;
+use super::scan::places;
 use super::schema::Schema;
 use super::scores::{Scores, grey_scores};
+use super::template::Template;
 use super::weights;
 use super::{Found, Photo};
 use crate::face::photo::Colour;
@@ -18,14 +21,8 @@ const IO_OF_EYES: f64 = 1.43;
 /// grows with the root of what is beyond that.
 pub const IO_MIN_PX: f32 = 32.0;
 const FULL_SEARCH_PX: f32 = 1e6;
-/// The shorter side of the smallest level: eyes 12 pixels apart have 2.4 times that of room.
-const LEVEL_SIDE_MIN_PX: f32 = 29.0;
-/// Hypotheses that are kept; a photograph of leaves has about 2000.
-const HYPOTHESES_MAX: usize = 20_000;
-
-/// How sure a face must be: nothing else on the development photographs is. Of the pictures without a face that the
-/// weights were held against, coins with heads on them reach 0.31, a page of text 0.3, and no photograph more than 0.22.
-/// At 0.1 no further face of the development photographs is found, and two that are none.
+/// How sure a face must be: of the pictures without a face that the weights were held against none has a place that is
+/// surer, and what was held out of the development photographs and is no face is so once in fifteen.
 pub const SCORE_MIN: f64 = 0.3;
 
 /// Two eyes and a mouth, and what they score.
@@ -37,37 +34,22 @@ pub struct Hypothesis {
     pub scores: Scores,
 }
 
-/// Every pair of dark spots that passes for eyes, with the mouth that suits it best, in the order of the search.
+/// Every place that may be a face, and where the drawn face fits there best; the likeliest first.
 #[must_use]
 pub fn hypotheses(photo: &Photo) -> Vec<Hypothesis> {
-    let grey = photo.grey();
+    let size = (photo.width(), photo.height());
+    let octaves = Octaves::new(photo.grey());
     let schema = Schema::new();
-    let stencils = Stencils::new(&schema);
-    let area = (photo.width() * photo.height()) as f32;
-    let io_min = IO_MIN_PX * (area / FULL_SEARCH_PX).sqrt().max(1.0);
-    let mut shrink = io_min / IO_OF_EYES as f32 / EYE_DISTANCE;
-    let size = |shrink: f32| {
-        let side = |px: usize| ((px as f32 / shrink).round() as usize).max(1);
-        (side(photo.width()), side(photo.height()))
-    };
-    let hues = (photo.colour == Colour::Natural).then(|| {
-        let (width, height) = size(shrink * STEP);
-        Hues::new(photo, width, height)
-    });
-    let mut out = Vec::new();
-    let side = photo.width().min(photo.height()) as f32;
-    while side / shrink >= LEVEL_SIDE_MIN_PX && out.len() < HYPOTHESES_MAX {
-        let (width, height) = size(shrink);
-        let level = Level::new(&grey, width, height);
-        for place in stencils.places(&level.local) {
-            out.push(hypothesis(&level, place.frame, &schema, hues.as_ref()));
-            if out.len() >= HYPOTHESES_MAX {
-                break;
-            }
-        }
-        shrink *= STEP;
-    }
-    out
+    let io_min = IO_MIN_PX * ((size.0 * size.1) as f32 / FULL_SEARCH_PX).sqrt().max(1.0);
+    let hues = (photo.colour == Colour::Natural).then(|| Hues::new(photo));
+    let templates = Template::all();
+    places(&octaves, &templates, size, io_min / IO_OF_EYES as f32)
+        .iter()
+        .map(|place| place.refined(&octaves, &templates))
+        .filter_map(|place| {
+            hypothesis(&octaves, &place, &place.frame(&templates)?, &schema, hues.as_ref())
+        })
+        .collect()
 }
 
 /// The faces of a photograph, surest first: hypotheses at least `score_min` sure, of which none overlaps a surer one.
@@ -101,15 +83,22 @@ fn overlap(a: &Found, b: &Found) -> bool {
     (ax - bx).hypot(ay - by) < 0.9 * a.io_px.max(b.io_px)
 }
 
-/// What a rough place becomes once it fits.
-fn hypothesis(level: &Level, rough: Frame, schema: &Schema, hues: Option<&Hues>) -> Hypothesis {
+/// What a place becomes once the drawing fits.
+fn hypothesis(
+    octaves: &Octaves,
+    place: &Place,
+    frame: &Frame,
+    schema: &Schema,
+    hues: Option<&Hues<'_>>,
+) -> Option<Hypothesis> {
+    let (level, rough) = Level::new(octaves, frame)?;
     let frame = climb(&level.local, rough, schema);
-    let spots = darkest(level, frame.eyes());
-    let grey = grey_scores(&level.local, &frame, &spots, schema);
-    let colour = hues.map(|hues| hues.scores(level, &frame));
+    let spots = darkest(&level, frame.eyes());
+    let grey = grey_scores(&level.local, &frame, &spots, place.fit, schema);
+    let colour = hues.map(|hues| hues.scores(&level, &frame));
     let scores = Scores { grey, colour };
-    let found = on_photo(level, &frame, weights::score(&scores));
-    Hypothesis { found, scores }
+    let found = on_photo(&level, &frame, weights::score(&scores));
+    Some(Hypothesis { found, scores })
 }
 
 fn on_photo(level: &Level, frame: &Frame, score: f64) -> Found {

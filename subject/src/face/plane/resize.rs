@@ -3,6 +3,22 @@
 use super::Plane;
 
 impl Plane {
+    /// Half as wide and half as high, each pixel the mean of four; an odd last row or column is left out.
+    #[must_use]
+    pub fn halved(&self) -> Self {
+        let (width, height) = ((self.width / 2).max(1), (self.height / 2).max(1));
+        let mut out = Self::filled(width, height, 0.0);
+        for (y, to) in out.values.chunks_exact_mut(width).enumerate() {
+            let (upper, lower) = (self.row(2 * y), self.row((2 * y + 1).min(self.height - 1)));
+            let pairs = upper.chunks(2).zip(lower.chunks(2));
+            for (value, (above, below)) in to.iter_mut().zip(pairs) {
+                let count = above.len() + below.len();
+                *value = above.iter().chain(below).sum::<f32>() / count as f32;
+            }
+        }
+        out
+    }
+
     /// `width` by `height` pixels (1 at least). Smaller is the mean of what is covered, without aliasing; larger repeats
     /// with mixed borders. A point `x` of this plane lies at `(x + 0.5) * width / self.width() - 0.5` of the new one.
     #[must_use]

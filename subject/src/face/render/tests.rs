@@ -95,3 +95,52 @@ fn pictures_to_look_at() {
         picture.image.save(folder.join(format!("face-{seed}.png"))).unwrap();
     }
 }
+
+/// What is worn is where it is worn, and nowhere else.
+#[test]
+fn a_beard_is_on_the_chin_and_leaves_nose_and_lips() {
+    let mut chins = 0.0;
+    for seed in 0..8 {
+        let mut scene = Scene { noise: 0.0, ..Scene::portrait(seed, 90.0, 0.0) };
+        let plain = scene.render().unwrap();
+        scene.faces[0].extras = Extras { beard: 0.9, ..Extras::default() };
+        let worn = scene.render().unwrap();
+        let at = |name: &str| plain.faces[0].at(FeatureId::from_name(name).unwrap());
+        let change = |[x, y]: [f64; 2]| {
+            let light = |picture: &Picture| {
+                let pixel = picture.image[(x.round() as u32, y.round() as u32)].0;
+                pixel.map(f64::from).iter().sum::<f64>()
+            };
+            light(&worn) / light(&plain)
+        };
+        let (lip, below) = (at("mouth_inner_bottom"), at("mouth_bottom"));
+        let (nose, middle) = (at("nose_bottom"), (lip[1] + below[1]) / 2.0);
+        assert_eq!(change([nose[0], nose[1] - 6.0]), 1.0, "{seed}: the nose has none");
+        assert!((change([lip[0], middle]) - 1.0).abs() < 0.1, "{seed}: nor have the lips");
+        chins += change([below[0], below[1] + 14.0]) / 8.0;
+    }
+    // Hair is darker than skin, though not on everybody.
+    assert!(chins < 0.8, "{chins}");
+}
+
+#[test]
+fn rims_hide_the_cheek_beside_an_eye_and_a_fringe_the_brow() {
+    let (mut rims, mut fringe) = (0, 0);
+    let mut scene = Scene { noise: 0.0, ..Scene::portrait(1, 90.0, 0.0) };
+    let plain = scene.render().unwrap().image;
+    scene.faces[0].extras = Extras { rims_mm: 2.5, ..Extras::default() };
+    let rimmed = scene.render().unwrap().image;
+    scene.faces[0].extras = Extras { fringe_mm: 30.0, ..Extras::default() };
+    let fringed = scene.render().unwrap().image;
+    let eyes = scene.faces[0].eyes_px[1];
+    for (x, y, pixel) in plain.enumerate_pixels() {
+        let above = f64::from(y) < eyes - 24.0;
+        rims += usize::from(rimmed[(x, y)] != *pixel && !above);
+        fringe += usize::from(fringed[(x, y)] != *pixel && above);
+        assert!(rimmed[(x, y)] == *pixel || !above, "a rim at {x}, {y}");
+        assert!(fringed[(x, y)] == *pixel || above, "hair at {x}, {y}");
+    }
+    assert!(rims > 400 && fringe > 1000, "{rims} {fringe}");
+    scene.faces[0].extras.beard = f64::NAN;
+    assert_eq!(scene.render(), Err(RenderError::Sitter(0)));
+}
