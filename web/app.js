@@ -123,7 +123,9 @@ function showLive() {
 
 const live = new Live(motion, { onTable: () => view.retable(), onFrame: () => view.touch() });
 view.onDrawn = (nowMs) => live.drawn(nowMs);
+// For whoever looks at them in the browser's console.
 window.mocapdStats = live.stats;
+window.mocapdMotion = motion;
 
 new Events(({ kind }) => {
   look();

@@ -5,6 +5,8 @@ const OPENING = (36 * Math.PI) / 180;
 const NEAREST_MM = 100;
 const FARTHEST_MM = 200_000;
 const STEEPEST = 1.553;
+/** Of what is approached: a hand fills half of the view. */
+const RADIUS_MIN_MM = 120;
 
 /** Puts a position of the device into axes of which the third points up, right-handed as before. */
 export function upright(upAxis, x, y, z, out, at) {
@@ -73,7 +75,7 @@ export class Camera {
 
   /** Goes a part of the way (0 to 1) to where a box {low, high} fills a view of that shape. */
   approach(box, width, height, part) {
-    const radius = Math.max(250, 0.5 * Math.hypot(...box.high.map((high, i) => high - box.low[i])));
+    const radius = Math.max(RADIUS_MIN_MM, 0.5 * Math.hypot(...box.high.map((high, i) => high - box.low[i])));
     const opening = Math.min(OPENING, 2 * Math.atan(Math.tan(OPENING / 2) * (width / height)));
     const wanted = Math.min(FARTHEST_MM, (0.92 * radius) / Math.sin(opening / 2));
     this.distanceMm += (wanted - this.distanceMm) * part;

@@ -4,6 +4,8 @@ import { upright } from "./camera.js";
 
 /** Frames that a trail has: a second of some thirty. */
 export const TRAIL = 30;
+/** Markers higher above the floor than this many times their own size are looked at from near, without the floor. */
+const CLOSE_UP = 2;
 
 export class Motion {
   n = 0;
@@ -97,8 +99,9 @@ export class Motion {
   }
 
   /**
-   * A box about the markers that are seen and the floor beneath, without the outermost twentieth: a reflection at the
-   * far wall must not move the eye. It grows at once and shrinks by a part (0 to 1) a call, so that the view stays calm.
+   * A box about the markers that are seen, without those far away from all others: a reflection at the far wall must not
+   * move the eye. The floor beneath is in, but for a face or a hand high above it. It grows at once and shrinks by a part
+   * (0 to 1) a call, so that the view stays calm.
    */
   follow(shrink) {
     const now = { low: [0, 0, 0], high: [0, 0, 0] };
@@ -108,12 +111,12 @@ export class Motion {
         if (this.isSeen(slot)) values.push(this.last[3 * slot + axis]);
       }
       if (values.length === 0) return this.box;
-      values.sort((a, b) => a - b);
-      const cut = values.length >= 10 ? Math.ceil(values.length * 0.05) : 0;
-      now.low[axis] = values[cut];
-      now.high[axis] = values[values.length - 1 - cut];
+      [now.low[axis], now.high[axis]] = together(values);
     }
-    now.low[2] = Math.min(now.low[2], now.low[2] > -500 && now.low[2] < 2500 ? 0 : now.low[2]);
+    const size = Math.max(...now.high.map((high, axis) => high - now.low[axis]));
+    const height = now.low[2];
+    const isCloseUp = this.nSeen >= 4 && height > CLOSE_UP * size;
+    if (height > 0 && height < 2500 && !isCloseUp) now.low[2] = 0;
     if (!this.box) this.box = now;
     for (let i = 0; i < 3; i += 1) {
       const { low, high } = this.box;
@@ -122,4 +125,13 @@ export class Motion {
     }
     return this.box;
   }
+}
+
+/** The lowest and the highest of the values, without what lies more than half of the middle nine tenths' width beyond. */
+function together(values) {
+  values.sort((a, b) => a - b);
+  const cut = values.length >= 10 ? Math.ceil(values.length * 0.05) : 0;
+  const [low, high] = [values[cut], values[values.length - 1 - cut]];
+  const reach = (high - low) / 2;
+  return [values.find((value) => value >= low - reach), values.findLast((value) => value <= high + reach)];
 }

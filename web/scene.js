@@ -6,7 +6,9 @@ import { drawNames } from "./names.js";
 
 /** A marker that is not seen fades from its last place within this time, and is gone after it. */
 export const FADE_MS = 4000;
+/** A marker's radius, and its part of what is seen: those of a face are as small as they sit close. */
 const RADIUS_MM = 16;
+const RADIUS_PART = 1 / 80;
 const BANDS = 5;
 
 /** `view`: {width, height, options: {labels, trails}, chosen: slot or -1, colours, nowMs}. */
@@ -30,15 +32,21 @@ export function draw(ctx, camera, motion, view) {
 function projectAll(motion, project, nowMs) {
   const points = new Float32Array(4 * motion.n);
   const at = [0, 0, 0];
+  const radiusMm = Math.min(RADIUS_MM, RADIUS_PART * sizeMm(motion));
   for (let slot = 0; slot < motion.n; slot += 1) {
     const age = nowMs - motion.lastSeenMs[slot];
     const seen = motion.isSeen(slot) ? 1 : Math.max(0, 0.75 * (1 - age / FADE_MS));
     const [x, y, z] = motion.last.subarray(3 * slot, 3 * slot + 3);
     if (seen === 0 || !project(x, y, z, at)) continue;
-    const radius = Math.min(14, Math.max(2.8, (RADIUS_MM * project.scale) / at[2]));
+    const radius = Math.min(14, Math.max(2.8, (radiusMm * project.scale) / at[2]));
     points.set([at[0], at[1], radius, seen], 4 * slot);
   }
   return points;
+}
+
+/** The diagonal of the box that is looked at. */
+function sizeMm({ box }) {
+  return box ? Math.hypot(...box.high.map((high, axis) => high - box.low[axis])) : Infinity;
 }
 
 /** A dot on the floor below each marker tells how high it is. */

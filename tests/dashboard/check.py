@@ -19,6 +19,7 @@ from pathlib import Path
 
 import checks_page
 import checks_service
+import checks_subject
 from browser import Browser
 
 
@@ -29,6 +30,8 @@ def main():
     parser.add_argument("--pictures", type=Path, help="folder for what was seen; without it they are thrown away")
     parser.add_argument("--mocapd", type=Path, help="the daemon; without it only the page is tested")
     parser.add_argument("--mocapd-sim", type=Path, help="the simulated device")
+    parser.add_argument("--drawn-subject", type=Path, help="what the example drawn_subject of mocapd-subject wrote")
+    parser.add_argument("--takes", type=Path, help="recorded takes; without them there is no face with markers on it")
     parser.add_argument("--picture", type=Path, help="write the picture of the documentation there")
     parser.add_argument("--only", default="", help="checks whose name has this in it")
     args = parser.parse_args()
@@ -39,6 +42,9 @@ def main():
     checks = list(checks_page.CHECKS)
     if args.mocapd:
         checks += checks_service.checks(args.mocapd.resolve(), args.mocapd_sim.resolve(), args.picture)
+        if args.drawn_subject:
+            checks += checks_subject.checks(args.mocapd.resolve(), args.mocapd_sim.resolve(),
+                                            args.drawn_subject.resolve(), args.takes)
     passed, failed = 0, 0
     with tempfile.TemporaryDirectory(prefix="mocapd-dashboard-") as folder:
         pictures, downloads = args.pictures or Path(folder) / "pictures", Path(folder) / "downloads"

@@ -2,6 +2,7 @@
 
 import contextlib
 import hashlib
+import json
 import os
 import shutil
 import socket
@@ -13,6 +14,8 @@ from pathlib import Path
 
 #: What the page has to keep up with.
 MARKERS, RATE_HZ = 200, 120
+#: What the simulated device plays.
+JUMPS = ("--generate", "jump:3", "--seconds", "60", "--markers", MARKERS, "--rate", RATE_HZ, "--occlusion", "0.03")
 #: Shown some thirty times a second; a frame now and then may come a refresh later.
 DRAWN_HZ_MIN = 27
 #: From a frame's last byte at the host to the script in the browser.
@@ -22,23 +25,23 @@ DATA_PLANE = ("mocapd-rig", "mocapd-work", "mocapd-write")
 
 
 class Rig:
-    """A simulated device and the service that records it, in a folder of their own."""
+    """A simulated device and the service that records it, in a folder of their own. `motion` is what the device is told
+    to play, `subject` what stands in the service's [subject]."""
 
-    def __init__(self, mocapd, mocapd_sim, token=None):
+    def __init__(self, mocapd, mocapd_sim, token=None, motion=JUMPS, subject=None):
         self.mocapd, self.folder = mocapd, Path(tempfile.mkdtemp(prefix="rig-"))
         self.running = contextlib.ExitStack()
         try:
-            self._begin(mocapd_sim, token)
+            self._begin(mocapd_sim, token, motion, subject or {})
         except BaseException:
             self.close()
             raise
 
-    def _begin(self, mocapd_sim, token):
+    def _begin(self, mocapd_sim, token, motion, subject):
         self.takes = self.folder / "takes"
         self.takes.mkdir()
         line = self.folder / "line"
-        self._run([mocapd_sim, "serve", "--generate", "jump:3", "--seconds", "60", "--markers", str(MARKERS), "--rate",
-                   str(RATE_HZ), "--occlusion", "0.03", "--loop", f"--pty={line}"], "device")
+        self._run([mocapd_sim, "serve", *motion, "--loop", f"--pty={line}"], "device")
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             port = free.getsockname()[1]
@@ -57,6 +60,11 @@ listen = "127.0.0.1:{port}"
             secret.write_text(f"{token}\n")
             with config.open("a") as more:
                 more.write(f'token_file = "{secret}"\n')
+        if subject:
+            # A JSON string is one of TOML, too.
+            lines = [f"{key} = {json.dumps(str(value))}\n" for key, value in subject.items()]
+            with config.open("a") as more:
+                more.write("".join(["[subject]\n", *lines]))
         self.config, self.url = config, f"http://127.0.0.1:{port}/"
         until = time.monotonic() + 20
         while not line.exists():

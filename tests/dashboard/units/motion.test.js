@@ -69,6 +69,20 @@ test("the box leaves out a reflection far away, grows at once and shrinks slowly
   near(motion.follow(0.1).high[0], high - 0.1 * (high - 99.8), 1);
 });
 
+test("the topmost marker of a body is looked at, and a face without the floor far below it", () => {
+  const labels = Array.from({ length: 15 }, (_, i) => `m${i}`);
+  const body = withTable(labels);
+  body.push(frame(...labels.flatMap((_, i) => [0, 10 * (i % 3), i === 14 ? 1750 : 110 * i])), 1);
+  const { low, high } = body.follow(0);
+  equal([low[2], high[2]], [0, 1750]);
+  const face = withTable(labels);
+  face.push(frame(...labels.flatMap((_, i) => [15 * i, 8 * (i % 5), 1150 + 12 * (i % 7)])), 1);
+  equal(face.follow(0).low[2], 1150);
+  const stray = withTable(["a"]);
+  stray.push(frame(0, 0, 1150), 1);
+  equal(stray.follow(0).low[2], 0, "one marker has no size");
+});
+
 test("without a marker that is seen there is no box", () => {
   const motion = withTable(["a"]);
   motion.push(frame(NaN, NaN, NaN), 1);
