@@ -67,11 +67,19 @@ fn what_is_no_body_is_refused_with_a_reason() {
     let tetrahedron = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n";
     folder.write("solid.obj", tetrahedron);
     folder.write("nan.obj", tetrahedron.replace("v 1 0 0", "v nan 0 0"));
+    folder.write("short.stl", [0; 83]);
+    // What stood in one camera's view: up to the waist.
+    let mut half = body(7, Pose::A, Options { n_faces: 3000, turned: false }).0;
+    let is_low = |corner: &u32| half.positions[*corner as usize][1] < 0.9;
+    half.triangles = half.triangles.iter().copied().filter(|t| t.iter().all(is_low)).collect();
+    folder.write("half.obj", obj(&half));
     for (name, reason) in [
         ("empty.obj", "is empty"),
         ("words.ply", "words.ply"),
         ("solid.obj", "no skeleton"),
         ("nan.obj", "nan.obj"),
+        ("short.stl", "short.stl"),
+        ("half.obj", "part of the body is missing"),
     ] {
         let ran = folder.run(&["subject", "body", name, "-o", "s.json"]).with_code(1);
         assert!(ran.stderr.contains(reason), "{name}: {}", ran.stderr);
