@@ -1,72 +1,107 @@
-"""How thick a leg is round the knee: learns the mean and the ways in which legs differ, and writes
+"""How thick a leg is round the knee, and an arm round the wrist: learns the mean and the ways in which limbs differ, and writes
 subject/src/body/locate/girth_weights.rs. Part of learn.py."""
+
+import dataclasses
 
 import numpy as np
 
 STEP = 0.006  # section.rs
-FIRST, EVERY, PLACES, MODES = -0.12, 2 * STEP, 23, 6  # girth.rs
+EVERY = 2 * STEP  # girth.rs
 # Of the standard deviations of a whole profile's height and slope: more than any person's, so that they say nothing.
 HEIGHT, SLOPE = 0.5, 0.3
-# So much is left to chance at each place, in the logarithm of the girth.
+# So much is left to chance at each place, in the logarithm of the girth, or as a part of it.
 REST = 0.04
 
 
-def level_nearest(line, at):
-    """Where the centre line (levels x 3) passes nearest to a joint, as a level; looked for on the middle of the leg."""
+@dataclasses.dataclass
+class Place:
+    """Where on a limb the girth is looked at: levels from the joint, in body scales."""
+
+    name: str
+    limb: str
+    joint: str
+    within: tuple  # levels between which the joint is
+    first: float
+    places: int
+    modes: int
+    logarithm: bool
+
+
+PLACES = [
+    # From below the thickest of the calf to the middle of the thigh.
+    Place("KNEE", "leg", "knee", (0.2, 0.48), -0.12, 23, 6, True),
+    # From the middle of the hand to the thickest of the forearm.
+    Place("WRIST", "arm", "wrist", (0.06, 0.2), -0.036, 10, 4, False),
+]
+
+
+def level_nearest(line, at, within):
+    """Where the centre line (levels x 3) passes nearest to a joint, as a level, and how near; looked for between two levels."""
     levels = (np.arange(len(line)) + 1) * STEP
-    distances = np.where((levels > 0.2) & (levels < 0.48), np.linalg.norm(line - at, axis=1), np.inf)
+    distances = np.where((levels > within[0]) & (levels < within[1]), np.linalg.norm(line - at, axis=1), np.inf)
     best = int(np.argmin(distances))
     along = line[best + 1] - line[best - 1]
-    return levels[best] + np.clip((at - line[best]) @ along / (along @ along) * 2, -1, 1) * STEP
+    return levels[best] + np.clip((at - line[best]) @ along / (along @ along) * 2, -1, 1) * STEP, distances[best]
 
 
-def profiles(bodies):
-    """Logarithms of the girth round each true knee."""
+def profiles(bodies, place):
+    """The girth round each true joint, in body scales."""
     for body in bodies:
         for half in body["halves"]:
-            line, length = np.array(half["leg_line"]), np.array(half["leg_girth"])
-            knees = [np.array(body["joints"][f"knee.{side}"]) / body["scale"] for side in "LR"]
-            knee = min(knees, key=lambda knee: np.linalg.norm(line - knee, axis=1)[40:75].min())
-            at = level_nearest(line, knee) + FIRST + EVERY * np.arange(PLACES)
-            yield np.log(np.interp(at, (np.arange(len(length)) + 1) * STEP, length))
+            line, length = np.array(half[f"{place.limb}_line"]), np.array(half[f"{place.limb}_girth"])
+            joints = [np.array(body["joints"][f"{place.joint}.{side}"]) / body["scale"] for side in "LR"]
+            nearest, _ = min((level_nearest(line, joint, place.within) for joint in joints), key=lambda found: found[1])
+            at = nearest + place.first + EVERY * np.arange(place.places)
+            yield np.interp(at, (np.arange(len(length)) + 1) * STEP, length)
 
 
-def learn(bodies):
-    """The mean profile, and the modes scaled as girth.rs takes them: probabilistic principal components (Tipping and Bishop
-    1999), with height and slope of the profile left free."""
-    found = np.array(list(profiles(bodies)))
+def learn(bodies, place):
+    """The average girth, the mean profile, and the modes scaled as girth.rs takes them: probabilistic principal components
+    (Tipping and Bishop 1999), with height and slope of the profile left free."""
+    found = np.array(list(profiles(bodies, place)))
+    average = found.mean()
+    found = np.log(found) if place.logarithm else found / average
     mean = found.mean(axis=0)
-    level = np.ones(PLACES)
-    slope = np.arange(PLACES) - (PLACES - 1) / 2
+    level = np.ones(place.places)
+    slope = np.arange(place.places) - (place.places - 1) / 2
     slope /= slope.std()
     shapes = found - mean
     shapes -= shapes.mean(axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(np.cov(shapes.T))
-    most = vectors[:, 2 - MODES :] * np.sqrt(values[2 - MODES :])
+    most = vectors[:, 2 - place.modes :] * np.sqrt(values[2 - place.modes :])
     spread = most @ most.T + HEIGHT**2 * np.outer(level, level) + SLOPE**2 * np.outer(slope, slope)
     values, vectors = np.linalg.eigh(spread)
-    order = np.argsort(-values)[:MODES]
+    order = np.argsort(-values)[: place.modes]
     modes = (vectors * np.sqrt(np.maximum(values, 0) / (np.maximum(values, 0) + REST**2))).T[order]
     # Which way a mode points is nothing: the same on every machine.
-    modes *= np.sign(modes[np.arange(MODES), np.abs(modes).argmax(axis=1)])[:, None]
-    return mean, modes
+    modes *= np.sign(modes[np.arange(place.modes), np.abs(modes).argmax(axis=1)])[:, None]
+    return average, mean, modes
 
 
-def rust(mean, modes):
+def rust(bodies):
+    """The text of girth_weights.rs."""
     row = lambda values: ", ".join(f"{value:.5f}" for value in values)
-    return "\n".join(
-        [
-            "//! Written by `benches/subject/learn.py` from the shapes mavg and favg: change it there.",
+    lines = [
+        "//! Written by `benches/subject/learn.py` from the shapes mavg and favg: change it there.",
+        "",
+        "use super::girth::{Girth, Measure};",
+    ]
+    for place in PLACES:
+        average, mean, modes = learn(bodies, place)
+        kind = f"{place.name.capitalize()}Girth"
+        measure = "Measure::Logarithm" if place.logarithm else f"Measure::Length({average:.5f})"
+        lines += [
             "",
-            "use super::girth::Girth;",
+            f"pub(super) type {kind} = Girth<{place.places}, {place.modes}>;",
             "",
-            "pub(super) static KNEE: Girth = Girth {",
+            f"pub(super) static {place.name}: {kind} = Girth {{",
+            f"    first: {place.first},",
+            f"    measure: {measure},",
             f"    mean: [{row(mean)}],",
             "    modes: [",
             *(f"        [{row(mode)}]," for mode in modes),
             "    ],",
             f"    rest: {REST},",
             "};",
-            "",
         ]
-    )
+    return "\n".join([*lines, ""])

@@ -1,5 +1,5 @@
 """Learns where joints are among the landmarks, and writes subject/src/body/locate/weights.rs; before that how thick a leg is
-round the knee (girth.py), for the landmarks are placed by it.
+round the knee and an arm round the wrist (girth.py), for the landmarks are placed by it.
 
     MOCAPD_BODIES=... python3 benches/subject/learn.py
 
@@ -145,7 +145,7 @@ def write(path, text):
 
 
 def main():
-    write(GIRTH, girth.rust(*girth.learn(landmarks())))
+    write(GIRTH, girth.rust(landmarks()))
     bodies = landmarks()
     text = ["//! Written by `benches/subject/learn.py` from the shapes mavg and favg: change it there.", "", "use super::model::{Model, Part, Span};", ""]
     print(f"{len(bodies)} meshes\n| joint | shape left out: mean / p95, %st | pose left out | build left out |\n|---|---|---|---|")

@@ -35,10 +35,12 @@ fn main() -> Result<(), Box<dyn Error>> {
             let (mesh, joints) = build::changed(&mesh, &joints, &build)?;
             let Some(found) = landmarks(&mesh)? else { continue };
             let half = |half: &Half| {
-                let [_, leg] = &half.sections;
+                let [arm, leg] = &half.sections;
                 json!({
                     "arm": points(&half.arm),
                     "leg": points(&half.leg),
+                    "arm_line": points(&arm.centre),
+                    "arm_girth": arm.perimeter,
                     "leg_line": points(&leg.centre),
                     "leg_girth": leg.perimeter,
                 })

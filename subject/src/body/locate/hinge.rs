@@ -2,13 +2,9 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::girth::Girth;
+use super::girth_weights::KneeGirth;
+use super::least::{Least, least};
 use super::section::{STEP, Sections, level};
-
-/// Distance between two places that are tried, in body scales.
-const TRY_EVERY: f64 = 0.004;
-/// At most so many places are tried; the windows hold some thirty.
-const MOST_TRIED: usize = 200;
 
 /// Where on a limb its middle joint is looked for.
 #[derive(Debug, Clone, Copy)]
@@ -23,16 +19,7 @@ pub(super) struct Window {
     pub(super) weight: f64,
     /// How thick the limb is round the joint, and how much it counts that it is not: mean square of the two lines' misfit, over
     /// the misfit of the girth.
-    pub(super) girth: Option<(&'static Girth, f64)>,
-}
-
-/// A bend that was found.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Bend {
-    /// Where, in body scales from the end of the limb.
-    pub(super) level: f64,
-    /// How sharply the cost rises to both sides: the second derivative, in the unit of [`Window::weight`].
-    pub(super) sharpness: f64,
+    pub(super) girth: Option<(&'static KneeGirth, f64)>,
 }
 
 /// Fits two straight lines that meet to the centre line, for each place where they might meet, and weighs the misfit
@@ -40,7 +27,7 @@ pub(super) struct Bend {
 ///
 /// A flexed limb has one place that fits. On a straight one all fit alike, and the girth decides; on one as thick everywhere,
 /// the average.
-pub(super) fn bend(sections: &Sections, window: &Window) -> Option<Bend> {
+pub(super) fn bend(sections: &Sections, window: &Window) -> Option<Least> {
     let points: Vec<(f64, Vector3<f64>)> = (0..)
         .map(level)
         .zip(&sections.centre)
@@ -50,33 +37,12 @@ pub(super) fn bend(sections: &Sections, window: &Window) -> Option<Bend> {
     if points.len() < 6 {
         return None;
     }
-    let [low, high] = window.joint;
-    let tries = (((high - low) / TRY_EVERY).ceil().max(0.0) as usize).min(MOST_TRIED);
-    let place = |index: usize| low + index as f64 * TRY_EVERY;
     let of_girth = |at: f64| {
         window.girth.map_or(0.0, |(girth, counts)| counts * girth.misfit(&sections.perimeter, at))
     };
-    let cost =
-        |at: f64| misfit(&points, at) + window.weight * (at - window.prior).powi(2) + of_girth(at);
-    let costs: Vec<f64> = (0..tries).map(|index| cost(place(index))).collect();
-    let (best, _) = costs.iter().enumerate().min_by(|one, other| one.1.total_cmp(other.1))?;
-    let (offset, curvature) = vertex_of_parabola(&costs, best);
-    Some(Bend {
-        level: place(best) + TRY_EVERY * offset,
-        sharpness: curvature / (TRY_EVERY * TRY_EVERY),
+    least(window.joint, |at| {
+        misfit(&points, at) + window.weight * (at - window.prior).powi(2) + of_girth(at)
     })
-}
-
-/// Where between the neighbours of `index` the parabola through the three is least or greatest, in steps, and its second
-/// difference there. At an end of `values`, and where they are on a line, 0.
-fn vertex_of_parabola(values: &[f64], index: usize) -> (f64, f64) {
-    let three = index.checked_sub(1).and_then(|before| values.get(before..before + 3));
-    let Some([before, at, after]) = three else { return (0.0, 0.0) };
-    let curvature = before - 2.0 * at + after;
-    if curvature.abs() < f64::EPSILON * at.abs() {
-        return (0.0, 0.0);
-    }
-    (((before - after) / (2.0 * curvature)).clamp(-1.0, 1.0), curvature)
 }
 
 /// Mean squared distance of the points from two lines that meet at `knot`, fitted by least squares.

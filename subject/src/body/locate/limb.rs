@@ -1,8 +1,10 @@
 //! The marks along a limb, in body scales from its end: what the landmarks are placed by.
 
 use super::girth_weights;
-use super::hinge::{Bend, Window, bend};
+use super::hinge::{Window, bend};
+use super::least::Least;
 use super::section::{STEP, Sections, level};
+use super::wrist::wrist;
 
 /// The middle of the ankle, from the end of the foot, on average.
 const ANKLE: f64 = 0.128;
@@ -32,15 +34,6 @@ const ELBOW: f64 = 0.505;
 const UPPER_ARM: [f64; 2] = [0.28, 0.33];
 /// The curve round the arm is so much longer at the armpit than round the upper arm.
 const WIDENED: f64 = 1.6;
-/// Where the hand is thickest: nearer to its end than this.
-const HAND_ENDS: f64 = 0.13;
-/// The wrist is at most so far behind that.
-const WRIST_REACH: f64 = 0.11;
-/// At the wrist the curve is so much longer than where it is shortest, which is on the forearm: where exactly is hard to say
-/// of a lean one, and the hand ends on all at once.
-const HAND_ENDED: f64 = 1.2;
-/// A wrist is no farther from the end of the hand than this.
-const WRIST_MAX: f64 = 0.17;
 /// [`Window::weight`] of the elbow, whose centre line is straight on both sides.
 const ELBOW_WEIGHT: f64 = 1e-3;
 /// [`Window::weight`] of the knee: the calf alone bends the centre line. By it a misfit of 2e-5 is one of variance, and knees
@@ -52,18 +45,17 @@ const KNEE_GIRTH: f64 = 1e-5;
 /// The marks of an arm or a leg.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Marks {
-    /// The end of the hand, or the ankle.
+    /// The wrist, or the ankle.
     pub(super) narrow: f64,
     /// Elbow or knee.
     pub(super) hinge: f64,
     /// Armpit or groin.
     pub(super) root: f64,
-    /// [`Bend::sharpness`] of the hinge.
+    /// [`Least::sharpness`] of the hinge.
     pub(super) sharpness: f64,
 }
 
-/// The marks of an arm: the wrist is where the hand, open or a fist, has narrowed almost to the forearm; the armpit
-/// where it has widened to a multiple of the upper arm's; the elbow where the centre line between them bends.
+/// The marks of an arm: the wrist; the armpit, where the arm has widened to a multiple of the upper arm's; the elbow where the centre line between them bends.
 ///
 /// `hands` is the way between the hands, in body scales.
 pub(super) fn arm(sections: &Sections, hands: f64) -> Option<Marks> {
@@ -71,11 +63,7 @@ pub(super) fn arm(sections: &Sections, hands: f64) -> Option<Marks> {
     let within = |from: f64, to: f64| {
         perimeter.iter().enumerate().filter(move |(index, _)| (from..to).contains(&level(*index)))
     };
-    let (thickest, _) = within(0.0, HAND_ENDS).max_by(|one, other| one.1.total_cmp(other.1))?;
-    let behind = level(thickest) + STEP / 2.0;
-    let (least, shortest) =
-        within(behind, behind + WRIST_REACH).min_by(|one, other| one.1.total_cmp(other.1))?;
-    let narrow = narrows(perimeter, HAND_ENDED * shortest, least).min(WRIST_MAX);
+    let narrow = wrist(perimeter)?;
     let upper: Vec<f64> = within(UPPER_ARM[0], UPPER_ARM[1]).map(|(_, length)| *length).collect();
     let upper = upper.iter().sum::<f64>() / upper.len().max(1) as f64;
     let widened = widens(perimeter, WIDENED * upper, narrow + 0.18).unwrap_or(ARMPIT);
@@ -91,7 +79,7 @@ pub(super) fn arm(sections: &Sections, hands: f64) -> Option<Marks> {
         weight: ELBOW_WEIGHT,
         girth: None,
     };
-    let Bend { level: hinge, sharpness } = bend(sections, &window)?;
+    let Least { level: hinge, sharpness } = bend(sections, &window)?;
     Some(Marks { narrow, hinge, root, sharpness })
 }
 
@@ -108,7 +96,7 @@ pub(super) fn leg(sections: &Sections) -> Option<Marks> {
         weight: KNEE_WEIGHT,
         girth: Some((&girth_weights::KNEE, KNEE_GIRTH)),
     };
-    let Bend { level: hinge, sharpness } = bend(sections, &window)?;
+    let Least { level: hinge, sharpness } = bend(sections, &window)?;
     let narrow = f64::midpoint(ANKLE, heel + HEEL_TO_ANKLE);
     Some(Marks { narrow, hinge, root: GROIN, sharpness })
 }
@@ -123,20 +111,6 @@ fn heel(perimeter: &[f64]) -> Option<f64> {
     let thinnest = all().filter(|index| inside(index, 0.05, level(thickest))).min_by(by_length)?;
     let half = f64::midpoint(of(&thinnest), of(&thickest));
     widens(perimeter.get(..=thickest)?, half, level(thinnest))
-}
-
-/// The last level before that of `least` where the curve is longer than `length`.
-fn narrows(perimeter: &[f64], length: f64, least: usize) -> f64 {
-    let before = perimeter.iter().enumerate().take(least).rev();
-    let mut last = perimeter.get(least).copied().unwrap_or(length);
-    for (index, at) in before {
-        if *at > length {
-            let part = ((at - length) / (at - last).max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
-            return level(index) + STEP * part;
-        }
-        last = *at;
-    }
-    level(least)
 }
 
 /// The first level behind `from` where the curve is longer than `length`.

@@ -19,6 +19,7 @@ mod girth;
 mod girth_weights;
 mod hinge;
 mod landmark;
+mod least;
 mod limb;
 mod model;
 mod scale;
@@ -27,6 +28,7 @@ mod sides;
 mod skeleton;
 mod touching;
 mod weights;
+mod wrist;
 
 #[cfg(test)]
 mod tests;

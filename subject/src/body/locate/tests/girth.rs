@@ -1,20 +1,24 @@
 //! A joint told by how thick the limb is round it.
 
+use std::f64::consts::TAU;
+
 use nalgebra::Vector3;
 
-use crate::body::locate::girth::PLACES;
-use crate::body::locate::girth_weights::KNEE;
+use crate::body::locate::girth::Measure;
+use crate::body::locate::girth_weights::{KNEE, WRIST};
 use crate::body::locate::hinge::{Window, bend};
 use crate::body::locate::section::{LEVELS, Sections, level};
+use crate::body::locate::wrist::wrist;
 
 /// The lengths of curves of a straight leg as thick as legs are in the mean, with its knee so far from its end; `thicker`
 /// times as thick all along, and more so by `slope` a body scale.
 fn leg(knee: f64, thicker: f64, slope: f64) -> Sections {
+    let last = KNEE.mean.len() - 1;
     let perimeter = |index: usize| {
         let along = level(index) - knee;
-        let at = ((along + 0.12) / 0.012).clamp(0.0, (PLACES - 1) as f64);
+        let at = ((along + 0.12) / 0.012).clamp(0.0, last as f64);
         let (below, part) = (at.floor() as usize, at.fract());
-        let above = (below + 1).min(PLACES - 1);
+        let above = (below + 1).min(last);
         let log = KNEE.mean[below] + part * (KNEE.mean[above] - KNEE.mean[below]);
         thicker * (log + slope * along).exp()
     };
@@ -65,4 +69,30 @@ fn a_straight_legs_knee_is_where_its_girth_says_and_not_only_where_knees_are() {
 fn a_limb_of_no_curves_has_a_misfit_all_the_same() {
     assert!(KNEE.misfit(&[], 0.3).is_finite());
     assert!(KNEE.misfit(&[0.0; 4], 0.3).is_finite());
+}
+
+/// The length of the curve so far `along` the mean arm, with its wrist so far from its end.
+pub(super) fn arm_girth(along: f64, wrist: f64) -> f64 {
+    let Measure::Length(average) = WRIST.measure else { panic!("{WRIST:?}") };
+    let last = WRIST.mean.len() - 1;
+    let at = ((along - wrist - WRIST.first) / 0.012).clamp(0.0, last as f64);
+    let (below, part) = (at.floor() as usize, at.fract());
+    let above = (below + 1).min(last);
+    average * (WRIST.mean[below] + part * (WRIST.mean[above] - WRIST.mean[below]))
+}
+
+#[test]
+fn a_wrist_is_where_it_is_under_a_layer_of_fat_too() {
+    for (at, fat) in [(0.14, 0.0), (0.12, 0.0), (0.13, 0.004), (0.13, -0.002)] {
+        let curve = |index| arm_girth(level(index), at) + TAU * fat;
+        let perimeter: Vec<f64> = (0..LEVELS).map(curve).collect();
+        let found = wrist(&perimeter).unwrap();
+        assert!((found - at).abs() < 0.003, "{at} {fat}: {found}");
+    }
+}
+
+#[test]
+fn an_arm_without_curves_has_no_wrist() {
+    assert!(wrist(&[]).is_none());
+    assert!(wrist(&[0.0; LEVELS]).is_none_or(f64::is_finite));
 }

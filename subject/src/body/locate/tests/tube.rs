@@ -1,11 +1,15 @@
 //! Level-set curves and bends of a tube.
 
+use std::f64::consts::TAU;
+
 use nalgebra::Vector3;
 
 use crate::body::Mesh;
 use crate::body::locate::hinge::{Window, bend};
 use crate::body::locate::limb;
 use crate::body::locate::section::{LEVELS, Sections, level};
+
+use super::girth::arm_girth;
 
 const ROUND: usize = 24;
 const LENGTH: f64 = 0.6;
@@ -26,7 +30,7 @@ fn tube(knot: f64, angle: f64, radius: impl Fn(f64) -> f64) -> (Mesh, Vec<f64>) 
             -across.cross(&Vector3::y())
         };
         for step in 0..ROUND {
-            let (sin, cos) = (std::f64::consts::TAU * step as f64 / ROUND as f64).sin_cos();
+            let (sin, cos) = (TAU * step as f64 / ROUND as f64).sin_cos();
             let at = centre + (across * cos + Vector3::y() * sin) * radius(along);
             mesh.positions.push(at.into());
             field.push(along);
@@ -100,15 +104,11 @@ fn a_straight_tube_bends_where_limbs_do_on_average_and_less_surely() {
 
 #[test]
 fn the_marks_of_an_arm_are_where_it_narrows_bends_and_widens() {
-    // A hand, a wrist at 0.15, and a trunk from 0.39 on.
-    let radius = |along: f64| {
-        0.014 + 0.012 * ((along - 0.15) / 0.07).powi(2).min(1.0) + (along - 0.37).max(0.0)
-    };
+    // A hand and a forearm as they are in the mean with the wrist at 0.14, and a trunk from 0.39 on.
+    let radius = |along: f64| arm_girth(along, 0.14) / TAU + (along - 0.37).max(0.0);
     let (mesh, field) = tube(0.27, 0.9, radius);
     let marks = limb::arm(&sections(&mesh, &field), 0.96).unwrap();
-    // Where 0.014 has become 1.2 times that.
-    let ended = 0.15 - 0.07 * (0.2 * 0.014_f64 / 0.012).sqrt();
-    assert!((marks.narrow - ended).abs() < 0.004, "{marks:?}");
+    assert!((marks.narrow - 0.14).abs() < 0.004, "{marks:?}");
     assert!((marks.hinge - 0.27).abs() < 0.012, "{marks:?}");
     assert!((0.37..0.40).contains(&marks.root), "{marks:?}");
 }
