@@ -1,5 +1,5 @@
-"""How thick a leg is round the knee, and an arm round the wrist: learns the mean and the ways in which limbs differ, and writes
-subject/src/body/locate/girth_weights.rs. Part of learn.py."""
+"""How thick a leg is round the knee, and an arm round elbow and wrist: learns the mean and the ways in which limbs differ, and
+writes subject/src/body/locate/girth_weights.rs. Part of learn.py."""
 
 import dataclasses
 
@@ -30,6 +30,8 @@ class Place:
 PLACES = [
     # From below the thickest of the calf to the middle of the thigh.
     Place("KNEE", "leg", "knee", (0.2, 0.48), -0.12, 23, 6, True),
+    # From the thinner half of the forearm to the lower part of the upper arm.
+    Place("ELBOW", "arm", "elbow", (0.17, 0.36), -0.096, 14, 4, False),
     # From the middle of the hand to the thickest of the forearm.
     Place("WRIST", "arm", "wrist", (0.06, 0.2), -0.036, 10, 4, False),
 ]

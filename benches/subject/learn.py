@@ -1,5 +1,5 @@
 """Learns where joints are among the landmarks, and writes subject/src/body/locate/weights.rs; before that how thick a leg is
-round the knee and an arm round the wrist (girth.py), for the landmarks are placed by it.
+round the knee and an arm round elbow and wrist (girth.py), for the landmarks are placed by it.
 
     MOCAPD_BODIES=... python3 benches/subject/learn.py
 

@@ -11,6 +11,7 @@ use std::path::Path;
 mod case;
 mod group;
 mod invariance;
+mod limbs;
 mod paper;
 #[path = "../bodies/read.rs"]
 mod read;
@@ -21,6 +22,9 @@ mod timing;
 
 use case::Case;
 use group::{Group, is_development, pose_class};
+
+/// The title of what nothing was learned from.
+const REPORTED: &str = "Not learned from";
 
 fn main() -> Result<(), Box<dyn Error>> {
     let folder = std::env::var("MOCAPD_BODIES")
@@ -35,10 +39,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let (learned, reported): (Vec<&Case>, Vec<&Case>) =
         cases.iter().partition(|case| is_development(&case.name));
-    for (title, cases) in [("Not learned from", reported), ("Learned from", learned)] {
+    for (title, cases) in [(REPORTED, reported), ("Learned from", learned)] {
         if !cases.is_empty() {
             println!("## {title}\n");
             report(&cases);
+            if title == REPORTED {
+                limbs::within(&cases);
+            }
             println!();
         }
     }

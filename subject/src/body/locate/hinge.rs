@@ -2,7 +2,6 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::girth_weights::KneeGirth;
 use super::least::{Least, least};
 use super::section::{STEP, Sections, level};
 
@@ -17,17 +16,20 @@ pub(super) struct Window {
     pub(super) prior: f64,
     /// How much a distance from there costs: mean square of the two lines' misfit, over distance squared.
     pub(super) weight: f64,
-    /// How thick the limb is round the joint, and how much it counts that it is not: mean square of the two lines' misfit, over
-    /// the misfit of the girth.
-    pub(super) girth: Option<(&'static KneeGirth, f64)>,
+    /// How far from the joint the centre line is round and no corner: points within this count less.
+    pub(super) rounded: f64,
 }
 
 /// Fits two straight lines that meet to the centre line, for each place where they might meet, and weighs the misfit
 /// against how thick the limb is there, and the place's distance from where the joint is on average.
 ///
 /// A flexed limb has one place that fits. On a straight one all fit alike, and the girth decides; on one as thick everywhere,
-/// the average.
-pub(super) fn bend(sections: &Sections, window: &Window) -> Option<Least> {
+/// the average. `of_girth` is what a place costs by the girth, in the unit of the two lines' mean square.
+pub(super) fn bend(
+    sections: &Sections,
+    window: &Window,
+    of_girth: impl Fn(f64) -> f64,
+) -> Option<Least> {
     let points: Vec<(f64, Vector3<f64>)> = (0..)
         .map(level)
         .zip(&sections.centre)
@@ -37,31 +39,35 @@ pub(super) fn bend(sections: &Sections, window: &Window) -> Option<Least> {
     if points.len() < 6 {
         return None;
     }
-    let of_girth = |at: f64| {
-        window.girth.map_or(0.0, |(girth, counts)| counts * girth.misfit(&sections.perimeter, at))
-    };
     least(window.joint, |at| {
-        misfit(&points, at) + window.weight * (at - window.prior).powi(2) + of_girth(at)
+        let from_average = window.weight * (at - window.prior).powi(2);
+        misfit(&points, at, window.rounded) + from_average + of_girth(at)
     })
 }
 
-/// Mean squared distance of the points from two lines that meet at `knot`, fitted by least squares.
-fn misfit(points: &[(f64, Vector3<f64>)], knot: f64) -> f64 {
+/// Mean squared distance of the points from two lines that meet at `knot`, fitted by least squares. Points count the less the
+/// nearer they are to the knot: by a Gaussian whose standard deviation is `rounded`.
+fn misfit(points: &[(f64, Vector3<f64>)], knot: f64, rounded: f64) -> f64 {
     let mut normal = Matrix3::zeros();
     let mut right = Matrix3::zeros();
-    let mut square = 0.0;
+    let (mut square, mut total) = (0.0, 0.0);
     // Relative to the first point, or far from the origin the digits would go.
     let Some((_, origin)) = points.first().copied() else { return 0.0 };
     for (at, point) in points {
+        let counts =
+            if rounded > 0.0 { 1.0 - (-0.5 * ((at - knot) / rounded).powi(2)).exp() } else { 1.0 };
         let offset = (at - knot) / STEP;
         let row = Vector3::new(1.0, offset.min(0.0), offset.max(0.0));
         let point = point - origin;
-        normal += row * row.transpose();
-        right += row * point.transpose();
-        square += point.norm_squared();
+        normal += row * row.transpose() * counts;
+        right += row * point.transpose() * counts;
+        square += point.norm_squared() * counts;
+        total += counts;
     }
-    let Some(cholesky) = normal.cholesky() else { return square / points.len() as f64 };
+    // At least one point lies off the knot, for there are more than two.
+    let total = f64::max(total, f64::MIN_POSITIVE);
+    let Some(cholesky) = normal.cholesky() else { return square / total };
     let solution = cholesky.solve(&right);
     let explained = solution.component_mul(&right).sum();
-    (square - explained).max(0.0) / points.len() as f64
+    (square - explained).max(0.0) / total
 }

@@ -36,6 +36,11 @@ const UPPER_ARM: [f64; 2] = [0.28, 0.33];
 const WIDENED: f64 = 1.6;
 /// [`Window::weight`] of the elbow, whose centre line is straight on both sides.
 const ELBOW_WEIGHT: f64 = 1e-3;
+/// [`Window::rounded`] of the elbow. Where the middle of a long corner is taken for the line, the elbow is drawn to the middle of
+/// the arm.
+const ELBOW_ROUNDED: f64 = 0.015;
+/// How much the girth counts at the elbow, which changes little along an arm, and with the muscles.
+const ELBOW_GIRTH: f64 = 5e-7;
 /// [`Window::weight`] of the knee: the calf alone bends the centre line. By it a misfit of 2e-5 is one of variance, and knees
 /// are 0.02 from their average place.
 const KNEE_WEIGHT: f64 = 0.05;
@@ -77,9 +82,10 @@ pub(super) fn arm(sections: &Sections, hands: f64) -> Option<Marks> {
         joint: [narrow + 0.3 * length, narrow + 0.7 * length],
         prior: narrow + ELBOW * length,
         weight: ELBOW_WEIGHT,
-        girth: None,
+        rounded: ELBOW_ROUNDED,
     };
-    let Least { level: hinge, sharpness } = bend(sections, &window)?;
+    let of_girth = |at| ELBOW_GIRTH * girth_weights::ELBOW.misfit(perimeter, at);
+    let Least { level: hinge, sharpness } = bend(sections, &window, of_girth)?;
     Some(Marks { narrow, hinge, root, sharpness })
 }
 
@@ -94,9 +100,10 @@ pub(super) fn leg(sections: &Sections) -> Option<Marks> {
         joint: [knee - KNEE_REACH, knee + KNEE_REACH],
         prior: knee,
         weight: KNEE_WEIGHT,
-        girth: Some((&girth_weights::KNEE, KNEE_GIRTH)),
+        rounded: 0.0,
     };
-    let Least { level: hinge, sharpness } = bend(sections, &window)?;
+    let of_girth = |at| KNEE_GIRTH * girth_weights::KNEE.misfit(&sections.perimeter, at);
+    let Least { level: hinge, sharpness } = bend(sections, &window, of_girth)?;
     let narrow = f64::midpoint(ANKLE, heel + HEEL_TO_ANKLE);
     Some(Marks { narrow, hinge, root: GROIN, sharpness })
 }

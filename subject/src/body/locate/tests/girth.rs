@@ -54,9 +54,11 @@ fn a_straight_legs_knee_is_where_its_girth_says_and_not_only_where_knees_are() {
             joint: [0.28, 0.41],
             prior: 0.344,
             weight: 0.05,
-            girth: Some((&KNEE, 1e-5)),
+            rounded: 0.0,
         };
-        let found = bend(&leg(knee, 1.2, 0.3), &window).unwrap();
+        let leg = leg(knee, 1.2, 0.3);
+        let of_girth = |at| 1e-5 * KNEE.misfit(&leg.perimeter, at);
+        let found = bend(&leg, &window, of_girth).unwrap();
         assert!(
             (found.level - knee).abs() < 0.5 * (knee - 0.344).abs() + 0.004,
             "{knee}: {}",

@@ -50,7 +50,7 @@ fn sections(mesh: &Mesh, field: &[f64]) -> Sections {
 }
 
 fn window() -> Window {
-    Window { line: [0.05, 0.55], joint: [0.15, 0.45], prior: 0.33, weight: 1e-3, girth: None }
+    Window { line: [0.05, 0.55], joint: [0.15, 0.45], prior: 0.33, weight: 1e-3, rounded: 0.01 }
 }
 
 #[test]
@@ -87,7 +87,7 @@ fn a_half_of_weight_moves_the_middle_into_it() {
 fn the_bend_of_a_tube_is_found() {
     for angle in [0.4_f64, 0.8, 1.2] {
         let (mesh, field) = tube(0.25, angle, |_| RADIUS);
-        let found = bend(&sections(&mesh, &field), &window()).unwrap();
+        let found = bend(&sections(&mesh, &field), &window(), |_| 0.0).unwrap();
         assert!((found.level - 0.25).abs() < 0.012, "{angle}: {}", found.level);
     }
 }
@@ -96,8 +96,8 @@ fn the_bend_of_a_tube_is_found() {
 fn a_straight_tube_bends_where_limbs_do_on_average_and_less_surely() {
     let straight = tube(0.25, 0.0, |_| RADIUS);
     let bent = tube(0.25, 0.8, |_| RADIUS);
-    let found = bend(&sections(&straight.0, &straight.1), &window()).unwrap();
-    let surer = bend(&sections(&bent.0, &bent.1), &window()).unwrap();
+    let found = bend(&sections(&straight.0, &straight.1), &window(), |_| 0.0).unwrap();
+    let surer = bend(&sections(&bent.0, &bent.1), &window(), |_| 0.0).unwrap();
     assert!((found.level - window().prior).abs() < 1e-6, "{}", found.level);
     assert!(limb::elbow_spread(found.sharpness) > 2.0 * limb::elbow_spread(surer.sharpness));
 }
@@ -131,8 +131,8 @@ fn the_marks_of_a_leg_move_with_the_heel_and_the_bend() {
 fn a_field_of_nothing_has_no_bend() {
     let (mesh, field) = tube(LENGTH, 0.0, |_| RADIUS);
     let none = Window { line: [2.0, 3.0], ..window() };
-    assert!(bend(&sections(&mesh, &field), &none).is_none());
+    assert!(bend(&sections(&mesh, &field), &none, |_| 0.0).is_none());
     let none = Window { joint: [0.3, 0.2], ..window() };
-    assert!(bend(&sections(&mesh, &field), &none).is_none());
+    assert!(bend(&sections(&mesh, &field), &none, |_| 0.0).is_none());
     assert_eq!(sections(&mesh, &field).perimeter.len(), LEVELS);
 }
