@@ -69,6 +69,7 @@ fn joints_are_near_enough_on_bodies_that_nothing_was_learned_from() {
         };
         let right = score::right(&mesh, &truth, &found.extremities, Limit::ByJoint);
         assert!(right.unwrap(), "an end of {name} is not what it is called");
+        assert!(found.joints.estimates.contains_key(&Joint::Head), "{name} has no head");
         let apart = score::apart(&found.joints, &truth);
         let twelve =
             apart.iter().filter(|(joint, _)| !["head_top", "neck", "root"].contains(joint));

@@ -8,6 +8,10 @@ use super::plausible::Plausible;
 use super::skeleton::Method;
 use super::{Joint, Joints, Levels, Mesh, Note, Refusal, Side};
 
+/// A body narrows by this below its head, at least: whole ones do by 1.24 and more, as they are and in other builds, and those
+/// that are cut off above the throat do not.
+const NECK_NARROWS: f64 = 1.12;
+
 /// What a scan gives.
 #[derive(Debug, Clone)]
 pub struct Survey {
@@ -58,6 +62,9 @@ impl Survey {
             Plausible::Nothing => return Err(contact),
         }
         let in_contact = ends.told != Told::Freely || landmarks.touching.any() || !notes.is_empty();
+        if landmarks.narrows < NECK_NARROWS {
+            notes.push(leave_out_head(&mut joints));
+        }
         Ok(Self { joints, extremities, confidence, in_contact, notes, levels: None })
     }
 
@@ -95,4 +102,13 @@ fn leave_out_arms(joints: &mut Joints) -> Note {
     let text = "the arms touch the body, and are no arms by their lengths: shoulders and elbows are left out; scan \
                 with arms apart";
     Note::new("arms-left-out", text)
+}
+
+/// Takes out the joints of a head that is not there.
+fn leave_out_head(joints: &mut Joints) -> Note {
+    joints.estimates.remove(&Joint::Head);
+    joints.estimates.remove(&Joint::Throat);
+    let text = "nothing narrows to a neck below the head: the head is not in the scan, or hidden by hair or a hood; it is \
+                left out with the throat, and lengths may be off by some per cent; scan all of the body";
+    Note::new("head-left-out", text)
 }

@@ -3,6 +3,7 @@
 use nalgebra::Vector3;
 
 use super::limb::{Marks, arm, leg};
+use super::neck;
 use super::scale::BodyScale;
 use super::section::Sections;
 use super::touching::Touching;
@@ -57,6 +58,9 @@ pub struct Landmarks {
     pub scale: f64,
     /// Which limbs touch something.
     pub touching: Touching,
+    /// How much the body narrows below the head: the longest curve round the head over the shortest behind that, and 1
+    /// where that is no neck.
+    pub narrows: f64,
 }
 
 impl Landmarks {
@@ -96,6 +100,7 @@ impl Landmarks {
         Some(Self {
             halves,
             touching,
+            narrows: neck::narrows(&of_head.perimeter),
             head: HEAD_LEVELS.iter().map(|level| of_head.centre_at(*level)).collect(),
             scale,
         })

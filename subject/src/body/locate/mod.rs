@@ -22,6 +22,7 @@ mod landmark;
 mod least;
 mod limb;
 mod model;
+mod neck;
 mod scale;
 mod section;
 mod sides;

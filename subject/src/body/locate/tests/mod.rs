@@ -3,6 +3,7 @@
 mod body;
 mod girth;
 mod lengths;
+mod neck;
 mod parts;
 mod touching;
 mod tube;
