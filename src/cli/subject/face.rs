@@ -90,6 +90,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         faces.truncate(1);
     }
     write(args, &photo, &faces)?;
+    for (number, _) in faces.iter().enumerate().filter(|(_, face)| face.is_unsure()) {
+        say(&format!("{shown}: face {}: points may be off: look at the overlay", number + 1));
+    }
     if args.json {
         for face in &faces {
             print(&face.to_json()?)?;
@@ -137,18 +140,19 @@ fn numbered(path: &Path, number: usize) -> PathBuf {
 /// What people read.
 fn table(faces: &[FittedFace]) -> String {
     let mut out = format!("{}\n", count(faces.len() as u64, "face"));
-    out += "face   eyes apart px   yaw deg   pitch deg   roll deg   points seen\n";
+    out += "face   eyes apart px   yaw deg   pitch deg   roll deg   points seen   confidence\n";
     for (number, face) in faces.iter().enumerate() {
         let camera = &face.camera;
         let seen = face.points.iter().filter(|point| point.confidence > 0.0).count();
         out += &format!(
-            "{:>4} {:>15.0} {:>9.1} {:>11.1} {:>10.1} {:>8} of 53\n",
+            "{:>4} {:>15.0} {:>9.1} {:>11.1} {:>10.1} {:>8} of 53 {:>12}\n",
             number + 1,
             camera.scale_px_per_mm * OUTER_EYES_MM,
             camera.yaw_deg,
             camera.pitch_deg,
             camera.roll_deg,
-            seen
+            seen,
+            face.confidence.map_or("-".to_owned(), |sure| format!("{sure:.2}"))
         );
     }
     out

@@ -97,6 +97,41 @@ pub(crate) fn read(folder: &Path) -> Result<Vec<Face>, Box<dyn std::error::Error
     Ok(faces)
 }
 
+/// The development photographs' faces made smaller, to `io_px` pixels between the outer eye corners: most of the reported
+/// photographs' faces are small. Smaller ones are left out.
+pub(crate) fn reduced(faces: &[Face], io_px: f64) -> Result<Vec<Face>, Box<dyn std::error::Error>> {
+    let of = |face: &&Face| face.development && !face.synthetic && face.truth.io_px() > io_px;
+    faces.iter().filter(of).map(|face| smaller(face, io_px / face.truth.io_px())).collect()
+}
+
+fn smaller(face: &Face, by: f64) -> Result<Face, Box<dyn std::error::Error>> {
+    let (w, h) = (face.photo.width() as u32, face.photo.height() as u32);
+    let picture =
+        image::RgbImage::from_fn(w, h, |x, y| image::Rgb(face.photo.rgb(x as isize, y as isize)));
+    let (nw, nh) = ((f64::from(w) * by) as u32, (f64::from(h) * by) as u32);
+    let (nw, nh) = (nw.max(1), nh.max(1));
+    let filter = image::imageops::FilterType::Triangle;
+    let picture = image::imageops::resize(&picture, nw, nh, filter);
+    let share = [f64::from(nw) / f64::from(w), f64::from(nh) / f64::from(h)];
+    let moved = |p: &[f64; 2]| {
+        let to = |axis: usize| (p[axis] + 0.5) * share[axis] - 0.5;
+        [to(0), to(1)]
+    };
+    let pixels = picture.pixels().map(|p| p.0).collect();
+    Ok(Face {
+        name: format!("{}_small", face.name),
+        number: face.number,
+        development: true,
+        synthetic: false,
+        photo: Photo::from_pixels(nw as usize, nh as usize, pixels)?,
+        truth: Truth {
+            landmarks: face.truth.landmarks.iter().map(moved).collect(),
+            visible: face.truth.visible.clone(),
+            yaw_deg: face.truth.yaw_deg,
+        },
+    })
+}
+
 /// AFLW2000 counts yaw the other way round.
 fn yaw(name: &str, face: &serde_json::Value) -> Option<f64> {
     let yaw = face["pose_deg"].get(1)?.as_f64()?;

@@ -3,9 +3,12 @@
 //!     MOCAPD_FACES=../shared/faces cargo run --release -p mocapd-subject --example faces_points
 //!
 //! Two tables a half: from the true eyes and mouth disturbed by seeded noise, and from the faces that detection finds.
-//! The arguments `development` and `reported` print one half only, `each` adds a line a face, and `offsets` prints where the
+//! Beside the photographs there are the development ones made smaller, and two kinds of drawn faces.
+//! The arguments `development`, `small`, `drawn`, `worn` and `reported` print one of them only, `each` adds a line a face, and `offsets` prints where the
 //! annotators of the development half have the points, from where they were found: `OFFSETS_IO` of the default chain.
+//! `confidence` prints what the confidence of a face is learned from instead, of development and drawn faces.
 
+mod confidence;
 mod data;
 mod drawn;
 mod offsets;
@@ -21,6 +24,8 @@ use table::{Row, Table};
 
 /// Standard deviation of the starting places, as a share of the distance of the outer eye corners.
 const DISTURBED_IO: f64 = 0.04;
+/// What the development photographs' faces are made smaller to, once more.
+const SMALL_IO_PX: f64 = 24.0;
 /// Disturbed starts of each face.
 const STARTS: usize = 3;
 
@@ -33,10 +38,19 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         return Ok(());
     };
     let mut offsets = Offsets::default();
-    let (photographs, drawn) = (data::read(folder.as_ref())?, drawn::faces()?);
+    let photographs = data::read(folder.as_ref())?;
+    let small = data::reduced(&photographs, SMALL_IO_PX)?;
+    let (drawn, worn) = (drawn::faces()?, drawn::worn_faces()?);
+    if asked("confidence") {
+        let photographs = photographs.iter().filter(|f| f.development);
+        let learned_from: Vec<_> = photographs.chain(&small).chain(&drawn).chain(&worn).collect();
+        return confidence::print(&mut out, &learned_from);
+    }
     let halves = [
         ("development", true, &photographs),
+        ("small", true, &small),
         ("drawn", true, &drawn),
+        ("worn", true, &worn),
         ("reported", false, &photographs),
     ];
     let all = !halves.iter().any(|(half, ..)| asked(half));
@@ -103,10 +117,14 @@ fn detected(face: &data::Face) -> Option<Rough> {
 }
 
 fn disturbed(truth: &Truth, noise: &mut data::Noise) -> Rough {
+    disturbed_by(DISTURBED_IO, truth, noise)
+}
+
+fn disturbed_by(sd_io: f64, truth: &Truth, noise: &mut data::Noise) -> Rough {
     let io = truth.io_px();
     let mut near = |range: std::ops::Range<usize>| {
         let [x, y] = truth.centre(range);
-        [x + DISTURBED_IO * io * noise.normal(), y + DISTURBED_IO * io * noise.normal()]
+        [x + sd_io * io * noise.normal(), y + sd_io * io * noise.normal()]
     };
     Rough { left_eye: near(36..42), right_eye: near(42..48), mouth: near(48..60) }
 }

@@ -11,7 +11,7 @@ use super::ibug;
 
 /// Errors in per cent of the distance of the outer eye corners, but for the yaw.
 pub(crate) struct Row {
-    all: f64,
+    pub(crate) all: f64,
     eyes: f64,
     brows: f64,
     nose: f64,

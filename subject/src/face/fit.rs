@@ -41,16 +41,20 @@ pub fn fit(photo: &Photo, source: &Source, method: Method) -> Result<Vec<FittedF
     let mut why = NoFace::NotFound;
     for face in found.iter().take(FACES_MAX) {
         let rough = Rough::from(face);
+        let seen = match method {
+            Method::Default => points::find(photo, &rough)?,
+            Method::Paper => points::paper::find(photo, &rough),
+        };
         let one = match method {
-            Method::Default => {
-                by_default(model, &points::find(photo, &rough)?).map_err(NoFace::from)
-            }
-            Method::Paper => by_paper(model, face, &points::paper::find(photo, &rough)),
+            Method::Default => by_default(model, &seen).map_err(NoFace::from),
+            Method::Paper => by_paper(model, face, &seen),
         };
         match one {
             Ok((camera, points, vertices_mm)) => {
                 let source = source.clone();
-                fitted.push(FittedFace::new(model, method, source, camera, points, vertices_mm));
+                let mut one = FittedFace::new(model, method, source, camera, points, vertices_mm);
+                one.confidence = seen.confidence();
+                fitted.push(one);
             }
             Err(reason) => why = reason,
         }

@@ -48,6 +48,8 @@ struct File {
     pose_deg: Angles,
     scale_px_per_mm: f64,
     origin_px: [f64; 2],
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    confidence: Option<f64>,
     points: Vec<FilePoint>,
     vertices_mm: Vec<[f64; 3]>,
     lines: Vec<[usize; 2]>,
@@ -94,6 +96,7 @@ impl FittedFace {
             },
             scale_px_per_mm: rounded(self.camera.scale_px_per_mm, 1e6),
             origin_px: self.camera.origin_px.map(|v| rounded(v, 100.0)),
+            confidence: self.confidence.map(|v| rounded(v, 1000.0)),
             points: points.collect(),
             vertices_mm: self.vertices_mm.iter().map(|v| v.map(|x| rounded(x, 1000.0))).collect(),
             lines: self.lines(),
@@ -144,6 +147,7 @@ impl FittedFace {
         Ok(Self {
             method: file.method,
             camera,
+            confidence: file.confidence,
             points: points.collect(),
             source: file.source,
             vertices_mm: file.vertices_mm,
@@ -224,6 +228,10 @@ impl File {
                 format!("{} points, where there are {}", self.points.len(), FeatureId::COUNT);
             return Err(FaceFileError::Value(what));
         }
+        let mut all = self.points.iter().map(|point| point.confidence).chain(self.confidence);
+        if let Some(wrong) = all.find(|c| !(0.0..=1.0).contains(c)) {
+            return Err(FaceFileError::Value(format!("a confidence of {wrong}")));
+        }
         for (point, id) in self.points.iter().zip(FeatureId::all()) {
             if point.name != id.name() {
                 let found = point.name.escape_debug().take(40).collect::<String>();
@@ -231,9 +239,6 @@ impl File {
                     "point {found:?} where {} belongs",
                     id.name()
                 )));
-            }
-            if !(0.0..=1.0).contains(&point.confidence) {
-                return Err(FaceFileError::Value(format!("a confidence of {}", point.confidence)));
             }
         }
         Ok(())

@@ -65,6 +65,9 @@ pub struct FittedFace {
     pub source: Source,
     /// How the head stands in it.
     pub camera: Camera,
+    /// The probability, 0 to 1, that the points are off by less than a tenth of the outer eye corners' distance, on the
+    /// mean; none where the chain cannot tell.
+    pub confidence: Option<f64>,
     /// The 53 points, in their order.
     pub points: Vec<Point>,
     /// The wireframe, turned to look straight ahead, in the frame and nominal millimetres of [`Model`].
@@ -76,7 +79,10 @@ pub struct FittedFace {
 }
 
 impl FittedFace {
-    /// A face on the model's wireframe.
+    /// Below this confidence somebody should look at the points.
+    pub const SURE: f64 = 0.5;
+
+    /// A face on the model's wireframe, without a confidence.
     pub fn new(
         model: &Model,
         method: Method,
@@ -86,7 +92,13 @@ impl FittedFace {
         vertices_mm: Vec<[f64; 3]>,
     ) -> Self {
         let (triangles, features) = (model.triangles.clone(), model.features.clone());
-        Self { method, source, camera, points, vertices_mm, triangles, features }
+        let confidence = None;
+        Self { method, source, camera, confidence, points, vertices_mm, triangles, features }
+    }
+
+    /// Whether the points may be off: the confidence is known, and low.
+    pub fn is_unsure(&self) -> bool {
+        self.confidence.is_some_and(|confidence| confidence < Self::SURE)
     }
 
     /// The edges of the triangles, each once.

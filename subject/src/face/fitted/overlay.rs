@@ -16,6 +16,8 @@ const LEAST_IO_PX: f64 = 160.0;
 const MAX_SIDE_PX: u32 = 3000;
 const DARK: [u8; 3] = [0x10, 0x18, 0x28];
 const LIGHT: [u8; 3] = [0xff, 0xff, 0xff];
+/// The wireframe of a face whose points may be off.
+const UNSURE: [u8; 3] = [0xff, 0xa0, 0x20];
 /// Points that are less sure than this are drawn hollow.
 const SURE: f64 = 0.5;
 
@@ -72,6 +74,7 @@ impl Overlay {
         let width_px = (io_px / 110.0).clamp(1.0, 6.0);
         let vertices: Vec<_> =
             face.vertices_px().iter().map(|&[x, y, _]| self.place([x, y])).collect();
+        let net = if face.is_unsure() { UNSURE } else { LIGHT };
         let wire = |colour, opacity, width_px| Ink { colour, opacity, width_px };
         for [a, b] in face.facing_lines() {
             draw::line(
@@ -80,12 +83,7 @@ impl Overlay {
                 vertices[b],
                 wire(DARK, 0.35, 1.6 * width_px),
             );
-            draw::line(
-                &mut self.picture,
-                vertices[a],
-                vertices[b],
-                wire(LIGHT, 0.6, 0.7 * width_px),
-            );
+            draw::line(&mut self.picture, vertices[a], vertices[b], wire(net, 0.6, 0.7 * width_px));
         }
         for curve in Curve::all() {
             let at = |id: &FeatureId| face.points.get(id.index()).map(|p| self.place(p.xy_px));

@@ -40,6 +40,37 @@ fn what_is_written_is_read_again() {
 }
 
 #[test]
+fn a_confidence_is_kept_and_may_be_missing() {
+    let (_, mut face) = example();
+    assert_eq!(face.confidence, None);
+    let older = face.to_json().unwrap();
+    assert!(!FittedFace::from_json(&older).unwrap().is_unsure());
+    for (confidence, unsure) in [(0.0, true), (0.4996, true), (0.75, false), (1.0, false)] {
+        face.confidence = Some(confidence);
+        let again = FittedFace::from_json(&face.to_json().unwrap()).unwrap();
+        assert!((again.confidence.unwrap() - confidence).abs() < 0.000_51);
+        assert_eq!(face.is_unsure(), unsure, "{confidence}");
+    }
+    face.confidence = Some(1.2);
+    assert!(matches!(face.to_json(), Err(FaceFileError::Value(_))));
+}
+
+#[test]
+fn an_unsure_face_has_a_net_of_another_colour() {
+    let (photograph, mut face) = example();
+    let drawn =
+        |face: &FittedFace| Overlay::new(&photograph, std::slice::from_ref(face)).into_image();
+    let plain = drawn(&face);
+    face.confidence = Some(0.9);
+    assert_eq!(drawn(&face), plain);
+    face.confidence = Some(0.1);
+    // White lines have turned orange: less blue than they had.
+    let less_blue =
+        plain.pixels().zip(drawn(&face).pixels()).filter(|(a, b)| a[2] > b[2] + 40).count();
+    assert!(less_blue > 1000, "{less_blue}");
+}
+
+#[test]
 fn what_is_no_face_file_is_refused() {
     let (_, face) = example();
     let good: serde_json::Value = serde_json::from_str(&face.to_json().unwrap()).unwrap();
@@ -57,6 +88,7 @@ fn what_is_no_face_file_is_refused() {
         refused(&|v| v["points"][3]["confidence"] = 1.5.into()),
         FaceFileError::Value(_)
     ));
+    assert!(matches!(refused(&|v| v["confidence"] = (-0.5).into()), FaceFileError::Value(_)));
     assert!(matches!(refused(&|v| v["triangles"][7][1] = 100_000.into()), FaceFileError::Value(_)));
     assert!(matches!(
         refused(&|v| v["features"]["nose_tip"] = 5000.into()),

@@ -6,11 +6,15 @@
 //! way, feature by feature. Both begin from a [`Rough`] face, and work in an upright crop of fixed size, so that no length
 //! depends on the photograph's.
 
+mod annotators;
+mod begin;
 mod brow;
 mod chain;
+mod confidence;
 mod contour;
 mod crop;
 mod eye;
+mod look;
 mod maps;
 mod mouth;
 mod nose;
@@ -25,6 +29,7 @@ mod tests;
 
 use super::model::FeatureId;
 pub use chain::find;
+pub use confidence::Evidence;
 use crop::Crop;
 use search::Point;
 
@@ -80,6 +85,8 @@ pub struct FacePoints {
     pub outline: Vec<[f64; 2]>,
     /// Yaw, positive when the face turns to the right of the picture; none where the method finds no pose.
     pub yaw_deg: Option<f64>,
+    /// What the face as a whole is judged by; none from [`paper::find`].
+    pub evidence: Option<Evidence>,
 }
 
 impl Default for FacePoints {
@@ -88,11 +95,19 @@ impl Default for FacePoints {
             points: [FacePoint::default(); FeatureId::COUNT],
             outline: Vec::new(),
             yaw_deg: None,
+            evidence: None,
         }
     }
 }
 
 impl FacePoints {
+    /// How sure the face as a whole is, 0 to 1: the probability that its points are off by less than a tenth of the outer
+    /// eye corners' distance, on the mean. None from [`paper::find`], which has nothing to tell it by.
+    #[must_use]
+    pub fn confidence(&self) -> Option<f64> {
+        self.evidence.map(|evidence| evidence.confidence())
+    }
+
     /// The points that were found at all, as [`Model::fit_shape`](super::model::Model::fit_shape) takes them: the
     /// confidence is the weight.
     #[must_use]

@@ -125,6 +125,11 @@ impl<'a> Pose<'a> {
         self.rotation[(0, 2)].clamp(-1.0, 1.0).asin().to_degrees()
     }
 
+    /// How far the head nods (degrees).
+    pub(crate) fn nod_deg(&self) -> f64 {
+        self.rotation[(1, 2)].clamp(-1.0, 1.0).asin().to_degrees()
+    }
+
     /// Sum of the squared coefficients: how unusual the shape is.
     pub(crate) fn strain(&self) -> f64 {
         self.coefficients.iter().map(|c| c * c).sum()

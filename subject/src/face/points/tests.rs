@@ -1,9 +1,10 @@
 //! Faces that are drawn here: the generic face's landmarks, filled with the colours of skin, hair, eyes and lips.
 
 use super::shape::{Landmarks, Pose};
-use super::{FacePoints, Point, Rough, find, outline, paper};
+use super::{Evidence, FacePoints, Point, Rough, find, outline, paper};
 use crate::face::Photo;
 use crate::face::model::{FeatureId, Model};
+use crate::face::render::Scene;
 
 const SIDE: usize = 320;
 /// Distance of the outer eye corners in the picture.
@@ -136,6 +137,58 @@ fn a_turned_face_is_found_to_be_turned_that_way() {
     }
 }
 
+/// A rendered face, what it is begun from, and how sure it is: as it is, or with the mouth and the eye at the picture's left
+/// under flat patches.
+fn sureness(seed: u64, covered: bool) -> f64 {
+    let mut picture = Scene::portrait(seed, IO_PX, 5.0).render().unwrap();
+    let at = |i: usize| picture.faces[0].at(FeatureId::from_ibug(i).unwrap());
+    let centre = |which: &[usize]| {
+        let sum = which.iter().map(|i| at(*i)).fold([0.0, 0.0], |s, p| [s[0] + p[0], s[1] + p[1]]);
+        sum.map(|s| s / which.len() as f64)
+    };
+    let [left_eye, right_eye, mouth] =
+        [centre(&super::EYES[0]), centre(&super::EYES[1]), centre(&super::MOUTH)];
+    let (width, height) = picture.image.dimensions();
+    for (middle, half) in [(left_eye, [0.3, 0.3]), (mouth, [0.5, 0.3])] {
+        if covered {
+            let [x, y] = [0, 1].map(|axis| (middle[axis] - half[axis] * IO_PX) as u32);
+            let [w, h] = half.map(|half| (2.0 * half * IO_PX) as u32);
+            for (x, y) in (y..y + h).flat_map(|y| (x..x + w).map(move |x| (x, y))) {
+                picture.image.put_pixel(x, y, image::Rgb([150, 110, 90]));
+            }
+        }
+    }
+    let pixels = picture.image.pixels().map(|p| p.0).collect();
+    let photo = Photo::from_pixels(width as usize, height as usize, pixels).unwrap();
+    find(&photo, &Rough { left_eye, right_eye, mouth }).unwrap().confidence().unwrap()
+}
+
+#[test]
+fn a_face_is_sure_and_one_with_its_mouth_and_an_eye_covered_is_not() {
+    for seed in [4, 5, 6] {
+        let (open, covered) = (sureness(seed, false), sureness(seed, true));
+        assert!(open > 0.8, "seed {seed}: {open}");
+        assert!(covered < 0.5, "seed {seed}: {covered}");
+    }
+}
+
+#[test]
+fn confidence_is_a_share_whatever_the_evidence() {
+    let evidence = |v: f64| Evidence {
+        clear: v,
+        eyes: v,
+        brows: v,
+        nose: v,
+        mouth: v,
+        outline: v,
+        misfit: -v,
+        strain: -v,
+        nod_deg: -v,
+    };
+    let [worst, even, best] = [-1e9, 0.3, 1e9].map(|v| evidence(v).confidence());
+    assert!(0.0 < worst && worst < even && even < best && best < 1.0, "{worst} {even} {best}");
+}
+
 #[test]
 fn the_papers_way_finds_a_drawn_face_too() {
     let face = drawn(0.0, 2);
@@ -144,7 +197,7 @@ fn the_papers_way_finds_a_drawn_face_too() {
     assert!(error(&found, &face.landmarks, 17..27) < 8.0, "brows");
     assert!(error(&found, &face.landmarks, 48..68) < 9.0, "mouth");
     assert_eq!(found.weighted().len(), FeatureId::COUNT);
-    assert_eq!(found.yaw_deg, None);
+    assert_eq!((found.yaw_deg, found.confidence()), (None, None));
 }
 
 #[test]

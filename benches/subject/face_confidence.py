@@ -1,0 +1,80 @@
+"""What the confidence of a whole face has learned (`points/confidence.rs`): how much each piece of evidence counts.
+
+    MOCAPD_FACES=... cargo run --release -p mocapd-subject --example faces_points confidence > ROWS
+    python3 benches/subject/face_confidence.py ROWS
+
+Needs numpy. ROWS are development photographs and drawn faces, each begun from places more and less beside it and from where
+it is detected; no other photograph is opened. A face is good if its points are off by less than a tenth of the distance of
+the outer eye corners, on the mean. Photographs, the renders among them, count as much as all drawn faces together.
+A logistic regression by Newton's steps, with a normal prior on the weights of the standardised terms; terms whose weight has
+the wrong sign are left out, one after the other. Prints the constants in Rust, and what they are worth on faces that were
+left out (a tenth at a time).
+"""
+
+import sys
+
+import numpy as np
+
+BAD_PERCENT = 10
+NAMES = ["clear", "eyes", "brows", "nose", "mouth", "outline", "misfit", "strain", "nod"]
+# Whether more of it speaks for a face.
+SIGNS = np.array([1, 1, 1, 1, 1, 1, -1, -1, -1])
+RANGES = np.array([(0, 1), (0, 0.6), (0, 0.3), (0, 0.6), (0, 0.6), (0.2, 1), (0, 0.4), (0, 30), (0, 40)])
+PRIOR = 1.0
+
+
+def logistic(x, good, weight):
+    """Constant and weights of the columns of x; a column that would count the wrong way round has none."""
+    kept = list(range(x.shape[1]))
+    while True:
+        mean, sd = x[:, kept].mean(0), x[:, kept].std(0) + 1e-9
+        z = np.column_stack([np.ones(len(x)), (x[:, kept] - mean) / sd])
+        beta = np.zeros(z.shape[1])
+        prior = np.full(len(beta), PRIOR)
+        prior[0] = 0
+        for _ in range(50):
+            p = 1 / (1 + np.exp(-z @ beta))
+            gradient = z.T @ (weight * (good - p)) - prior * beta
+            hessian = z.T @ (z * (weight * p * (1 - p))[:, None]) + np.diag(prior)
+            beta += np.linalg.solve(hessian, gradient)
+        wrong = beta[1:] * SIGNS[kept]
+        if wrong.min() >= 0:
+            full = np.zeros(x.shape[1])
+            full[kept] = beta[1:] / sd
+            return beta[0] - full[kept] @ mean, full
+        kept.pop(int(wrong.argmin()))
+
+
+def area(sure, good):
+    """Share of pairs of a good and a bad face that are told apart."""
+    return np.mean(sure[good][:, None] > sure[~good][None, :])
+
+
+def main():
+    lines = [line.split(",") for line in open(sys.argv[1], encoding="utf-8") if line.count(",") == 2 + len(NAMES)]
+    name = np.array([line[0] for line in lines])
+    number = np.array([[float(v) for v in line[1:]] for line in lines])
+    good = number[:, 1] < BAD_PERCENT
+    x = np.clip(number[:, 2:], *RANGES.T)
+    drawn = np.array([n.startswith("drawn") for n in name])
+    weight = np.where(drawn, (~drawn).sum() / drawn.sum(), 1.0)
+    weight *= len(weight) / weight.sum()
+    constant, weights = logistic(x, good, weight)
+    print(f"const CONSTANT: f64 = {constant:.2f};")
+    for w, (low, high), what in zip(weights, RANGES, NAMES):
+        print(f"    Term {{ weight: {w:.3f}, low: {low:.1f}, high: {high:.1f} }}, // {what}")
+    # All starts of a face, and all faces of a photograph, are left out together.
+    tenth = {n: i % 10 for i, n in enumerate(sorted(set(name), key=lambda n: (n.startswith("drawn"), n)))}
+    tenths = np.array([tenth[n] for n in name])
+    sure = np.zeros(len(x))
+    for out in range(10):
+        c, w = logistic(x[tenths != out], good[tenths != out], weight[tenths != out])
+        sure[tenths == out] = 1 / (1 + np.exp(-(c + x[tenths == out] @ w)))
+    for what, part in [("all", good | True), ("photographs", ~drawn), ("drawn", drawn)]:
+        s, g = sure[part], good[part]
+        print(f"{what}: {len(g)} faces, {np.sum(~g)} bad; area {area(s, g):.3f}; below 0.5: "
+              f"{100 * np.mean(s[~g] < 0.5):.0f} % of the bad ones, {100 * np.mean(s[g] < 0.5):.0f} % of the good ones")
+
+
+if __name__ == "__main__":
+    main()
