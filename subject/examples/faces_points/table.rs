@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use mocapd_subject::face::fitted::FittedFace;
 use mocapd_subject::face::model::{FitOptions, Model};
 use mocapd_subject::face::points::FacePoints;
 
@@ -17,6 +18,8 @@ pub(crate) struct Row {
     nose: f64,
     mouth: f64,
     outline: f64,
+    /// Whether the method takes the face for a good one; a method that cannot tell takes them all.
+    sure: bool,
     /// Found less true.
     yaw_deg: Option<f64>,
     /// The same of the generic face fitted to the points.
@@ -45,6 +48,7 @@ impl Row {
                 / 17.0
                 / io,
             fitted_yaw_deg: face.truth.yaw_deg.zip(fitted_yaw(found)).map(|(t, f)| f - t),
+            sure: found.confidence().is_none_or(|confidence| confidence >= FittedFace::SURE),
             yaw_deg: face.truth.yaw_deg.zip(found.yaw_deg).map(|(t, f)| f - t),
         }
     }
@@ -70,11 +74,14 @@ fn to_polygon(p: [f64; 2], polygon: &[[f64; 2]]) -> f64 {
 
 impl fmt::Display for Row {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Row { all, eyes, brows, nose, mouth, outline, yaw_deg, fitted_yaw_deg } = self;
+        let Row { all, eyes, brows, nose, mouth, outline, sure, yaw_deg, fitted_yaw_deg } = self;
         write!(
             f,
             "all {all:5.1}  eyes {eyes:5.1} brows {brows:5.1} nose {nose:5.1} mouth {mouth:5.1} outline {outline:5.1}"
         )?;
+        if !sure {
+            write!(f, "  unsure")?;
+        }
         for yaw in [yaw_deg, fitted_yaw_deg].into_iter().flatten() {
             write!(f, "  yaw {yaw:+.1}")?;
         }
@@ -108,12 +115,22 @@ impl fmt::Display for Table {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             f,
-            "| faces | method | n | median | under 10 % | eyes | brows | nose | mouth | outline | yaw error | of the fit |"
+            "| faces | method | n | median | under 10 % | sure | of those | eyes | brows | nose | mouth | outline | yaw error | of the fit |"
         )?;
-        writeln!(f, "|---|---|---|---|---|---|---|---|---|---|---|---|")?;
+        writeln!(f, "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|")?;
         for ((kind, method), rows) in &self.rows {
             let median = |of: fn(&Row) -> f64| median(rows.iter().map(of).collect());
-            let under = rows.iter().filter(|r| r.all < 10.0).count() as f64 / rows.len() as f64;
+            let good = |r: &&Row| r.all < 10.0;
+            let share = |part: usize, of: usize| 100.0 * part as f64 / of as f64;
+            let under = share(rows.iter().filter(good).count(), rows.len());
+            let (sure, of_those) = if *method == "paper" {
+                Default::default()
+            } else {
+                let sure = rows.iter().filter(|r| r.sure);
+                let count = sure.clone().count();
+                let good = share(sure.filter(good).count(), count);
+                (format!("{:.0} %", share(count, rows.len())), format!("{good:.0} %"))
+            };
             let mean = |of: fn(&Row) -> Option<f64>| {
                 let yaws: Vec<f64> = rows.iter().filter_map(of).collect();
                 let n = yaws.len();
@@ -126,10 +143,10 @@ impl fmt::Display for Table {
             let (yaw, fitted) = (mean(|r| r.yaw_deg), mean(|r| r.fitted_yaw_deg));
             writeln!(
                 f,
-                "| {kind} | {method} | {} | {:.1} | {:.0} % | {:.1} | {:.1} | {:.1} | {:.1} | {:.1} | {yaw} | {fitted} |",
+                "| {kind} | {method} | {} | {:.1} | {:.0} % | {sure} | {of_those} | {:.1} | {:.1} | {:.1} | {:.1} | {:.1} | {yaw} | {fitted} |",
                 rows.len(),
                 median(|r| r.all),
-                100.0 * under,
+                under,
                 median(|r| r.eyes),
                 median(|r| r.brows),
                 median(|r| r.nose),

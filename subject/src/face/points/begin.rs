@@ -1,7 +1,6 @@
 //! Where the head turns, before anything else is known of it.
 
-use super::contour;
-use super::look::{look, misfit, trace, unlike};
+use super::look::{look, misfit, trace, turn_deg, unlike};
 use super::maps::Maps;
 use super::search::Point;
 use super::shape::{Pose, Turn};
@@ -10,9 +9,6 @@ use super::shape::{Pose, Turn};
 const YAWS_DEG: [f64; 5] = [-40.0, -20.0, 0.0, 20.0, 40.0];
 /// Of which so many are looked at in full: those whose outline fits best.
 const LOOKED_AT: usize = 3;
-/// How much further a head is turned than the edge of what is seen says, which bulges on the far side: measured on the
-/// drawn faces of `--example faces_points drawn`.
-const OUTLINE_TURN: f64 = 1.2;
 /// How far a feature is looked for (pixels of the crop), and how far the outline.
 const FIRST: (f64, f64) = (4.5, 14.0);
 /// The mouth may be lower than it was told to be, or higher (pixels of the crop): those are begun from last.
@@ -28,9 +24,7 @@ pub(super) fn begin<'a>(maps: &Maps, frontal: &Pose<'a>, places: [Point; 3]) -> 
         .map(|yaw| {
             let pose = frontal.turned(yaw, places);
             let (line, gain) = trace(maps, &unlike, &pose, sd);
-            let p = pose.project();
-            let seen_turn = contour::turn_deg(&line, p[36], p[45]);
-            let seen_turn = seen_turn.map_or(yaw, |turn| OUTLINE_TURN * turn);
+            let seen_turn = turn_deg(&line, &pose.project()).unwrap_or(yaw);
             // The right yaw is the one that its own outline confirms; most heads look at the camera.
             let score =
                 gain - 0.4 * ((seen_turn - yaw) / 20.0).powi(2) - 0.2 * (yaw / 30.0).powi(2);

@@ -2,7 +2,7 @@
 //! face, in one pose and one shape, has them.
 
 use super::contour::Ray;
-use super::look::{CLEAR_OUTLINE, FAINT, Seen, misfit};
+use super::look::{CLEAR_OUTLINE, FAINT, Seen, misfit, turn_deg};
 use super::shape::Pose;
 
 /// What the points of a face are judged by. Scores are contrasts (natural logarithms) less what the deviation costs.
@@ -26,6 +26,8 @@ pub struct Evidence {
     pub strain: f64,
     /// How far the head nods either way (degrees).
     pub nod_deg: f64,
+    /// How far the head's turn is from what the edge of what is seen says (degrees).
+    pub turn_off_deg: f64,
 }
 
 /// A term of the evidence: its weight, and the range that it is held to.
@@ -36,22 +38,23 @@ struct Term {
 }
 
 /// Learned by `benches/subject/face_confidence.py`, as all of these are.
-const CONSTANT: f64 = -10.34;
+const CONSTANT: f64 = -8.11;
 const TERMS: [Term; Evidence::COUNT] = [
-    Term { weight: 10.571, low: 0.0, high: 1.0 },
-    Term { weight: 2.962, low: 0.0, high: 0.6 },
-    Term { weight: 0.935, low: 0.0, high: 0.3 },
-    Term { weight: 0.151, low: 0.0, high: 0.6 },
-    Term { weight: 3.643, low: 0.0, high: 0.6 },
-    Term { weight: 4.352, low: 0.2, high: 1.0 },
-    Term { weight: -5.117, low: 0.0, high: 0.4 },
-    Term { weight: -0.177, low: 0.0, high: 30.0 },
-    Term { weight: -0.074, low: 0.0, high: 40.0 },
+    Term { weight: 8.893, low: 0.0, high: 1.0 },
+    Term { weight: 1.764, low: 0.0, high: 0.6 },
+    Term { weight: 1.851, low: 0.0, high: 0.3 },
+    Term { weight: 0.282, low: 0.0, high: 0.6 },
+    Term { weight: 2.910, low: 0.0, high: 0.6 },
+    Term { weight: 4.326, low: 0.2, high: 1.0 },
+    Term { weight: -5.460, low: 0.0, high: 0.4 },
+    Term { weight: -0.145, low: 0.0, high: 30.0 },
+    Term { weight: -0.061, low: 0.0, high: 40.0 },
+    Term { weight: -0.055, low: 0.0, high: 40.0 },
 ];
 
 impl Evidence {
     /// How many terms there are.
-    pub const COUNT: usize = 9;
+    pub const COUNT: usize = 10;
 
     pub(super) fn of(pose: &Pose<'_>, seen: &Seen, line: &[Ray]) -> Self {
         let held = |i: usize| seen.held.get(i).copied().unwrap_or_default();
@@ -68,14 +71,27 @@ impl Evidence {
             misfit: misfit(pose, &seen.targets),
             strain: pose.strain(),
             nod_deg: pose.nod_deg().abs(),
+            turn_off_deg: turn_deg(line, &pose.project())
+                .map_or(0.0, |t| (t - pose.yaw_deg()).abs()),
         }
     }
 
     /// In the order of the fields.
     #[must_use]
     pub fn terms(&self) -> [f64; Self::COUNT] {
-        let Self { clear, eyes, brows, nose, mouth, outline, misfit, strain, nod_deg } = *self;
-        [clear, eyes, brows, nose, mouth, outline, misfit, strain, nod_deg]
+        let Self {
+            clear,
+            eyes,
+            brows,
+            nose,
+            mouth,
+            outline,
+            misfit,
+            strain,
+            nod_deg,
+            turn_off_deg,
+        } = *self;
+        [clear, eyes, brows, nose, mouth, outline, misfit, strain, nod_deg, turn_off_deg]
     }
 
     /// Logarithm of the odds that the points are less than a tenth of the outer eye corners' distance off, on the mean.

@@ -184,6 +184,7 @@ fn confidence_is_a_share_whatever_the_evidence() {
         misfit: -v,
         strain: -v,
         nod_deg: -v,
+        turn_off_deg: -v,
     };
     let [worst, even, best] = [-1e9, 0.3, 1e9].map(|v| evidence(v).confidence());
     assert!(0.0 < worst && worst < even && even < best && best < 1.0, "{worst} {even} {best}");
