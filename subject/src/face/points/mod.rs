@@ -44,8 +44,8 @@ pub struct Rough {
     pub mouth: [f64; 2],
 }
 
-/// A detected mouth is often the base of the nose, which is 0.8 of the eyes' distance below them; no mouth is nearer than
-/// this (in their distance), nor this far aside in a face that is not turned too far.
+/// A detected mouth may be the base of the nose, which is 0.8 of the eyes' distance below them, often so by the paper's way;
+/// no mouth is nearer than this (in their distance), nor this far aside in a face that is not turned too far.
 const MOUTH_BELOW_MIN: f64 = 1.05;
 const MOUTH_ASIDE: f64 = 0.3;
 
