@@ -1,7 +1,7 @@
 //! What is found on photographs whose faces are known, in the folder that `MOCAPD_FACES` names.
 //!
 //! `faces_found` prints the development photographs, on which weights and thresholds were chosen; `faces_found reported`
-//! the others; `faces_found scores FILE...` every hypothesis on any photographs, for `benches/subject/find_weights.py`.
+//! the others; `faces_found looks FILE...` every hypothesis on any photographs, for `benches/subject/find_looks.py`.
 //!
 //! `faces_found drawn [FROM TO]` prints what is found on seeded pictures of drawn faces, and `faces_found draw FOLDER FROM
 //! TO` writes those.
@@ -13,6 +13,7 @@
 
 mod drawn;
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -49,8 +50,13 @@ struct Tally {
 
 fn main() {
     let args: Vec<String> = std::env::args().skip(1).collect();
-    if args.first().is_some_and(|first| first == "scores") {
-        return args.iter().skip(1).for_each(|path| scores(Path::new(path)));
+    if args.first().is_some_and(|first| first == "looks") {
+        for path in args.iter().skip(1) {
+            if let Err(error) = looks(Path::new(path)) {
+                eprintln!("{path}: {error}");
+            }
+        }
+        return;
     }
     let seeds = |from: usize| {
         let number = |i: usize, or| args.get(i).and_then(|text| text.parse().ok()).unwrap_or(or);
@@ -172,21 +178,22 @@ fn judge(truth: &[Face], found: &[Found]) -> (usize, usize) {
     (hits, wrong)
 }
 
-fn scores(path: &Path) {
-    let Ok(Ok(photo)) = std::fs::read(path).map(|bytes| Photo::from_bytes(&bytes)) else {
+/// Numbers as single-precision floats: how many hypotheses, then of each eyes, mouth, distance of the outer corners, score,
+/// and the bytes of its look.
+fn looks(path: &Path) -> std::io::Result<()> {
+    let mut out = std::io::stdout().lock();
+    let Ok(photo) = Photo::from_bytes(&std::fs::read(path)?) else {
         eprintln!("{}: not read", path.display());
-        return;
+        return out.write_all(&0_f32.to_le_bytes());
     };
-    for hypothesis in find::hypotheses(&photo) {
-        let Found { eyes: [left, right], mouth, io_px, score, .. } = hypothesis.found;
-        print!("{}", path.display());
-        for number in [left, right, mouth].iter().flatten().chain([&io_px, &score]) {
-            print!(",{number:.3}");
+    let all = find::hypotheses(&photo);
+    out.write_all(&(all.len() as f32).to_le_bytes())?;
+    for find::Hypothesis { found, look } in all {
+        let Found { eyes: [left, right], mouth, io_px, score, .. } = found;
+        for number in [left, right, mouth].into_iter().flatten().chain([io_px, score]) {
+            out.write_all(&(number as f32).to_le_bytes())?;
         }
-        let colour = hypothesis.scores.colour.iter().flatten();
-        for score in hypothesis.scores.grey.iter().chain(colour) {
-            print!(",{score:.4}");
-        }
-        println!();
+        out.write_all(&look)?;
     }
+    Ok(())
 }

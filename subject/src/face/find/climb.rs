@@ -2,7 +2,7 @@
 
 use super::Plane;
 use super::frame::Frame;
-use super::schema::{ACROSS, DOWN, Schema, place, slope, standard};
+use super::schema::{ACROSS, DOWN, Schema, place, standard};
 
 /// How far a pass moves: shares of the eyes' distance, radians, and shares of lengths alike.
 const ROUGH_STEPS: [f32; 2] = [0.12, 0.08];
@@ -17,29 +17,6 @@ const SHIFT_LOSS: f32 = 1.2;
 const SCALE_LOSS: f32 = 0.8;
 /// The same for the height alone (logarithm, squared): the mouth stays where the template has it, but for a tenth.
 const HEIGHT_LOSS: f32 = 4.0;
-
-/// The patch of a frame: brightness and slopes, standard.
-#[derive(Debug)]
-pub(super) struct Patch {
-    /// Brightness, mean 0 and length 1.
-    pub(super) bright: Vec<f32>,
-    /// Slopes downwards, mean 0 and length 1.
-    pub(super) slope: Vec<f32>,
-}
-
-impl Patch {
-    /// Of a frame on a level.
-    pub(super) fn new(local: &Plane, frame: &Frame) -> Self {
-        let raw: Vec<f32> = (0..ACROSS * DOWN)
-            .map(|i| {
-                let [x, y] = place(i);
-                let [x, y] = frame.at(x, y);
-                local.sample(x, y)
-            })
-            .collect();
-        Self { bright: standard(&raw), slope: standard(&slope(&raw)) }
-    }
-}
 
 /// The frame near `frame` that the drawn face fits best.
 pub(super) fn climb(local: &Plane, frame: Frame, schema: &Schema) -> Frame {
@@ -110,8 +87,8 @@ pub(super) const WHOLE: usize = ACROSS * DOWN;
 pub(super) const HALF: usize = ACROSS.div_ceil(2) * DOWN;
 
 impl<const N: usize> Drawing<N> {
-    /// Every `step`-th column of a patch.
-    pub(super) fn new(patch: &Patch, step: usize) -> Self {
+    /// Every `step`-th column of a patch: brightness, and its slope downwards.
+    pub(super) fn new(bright: &[f32], slope: &[f32], step: usize) -> Self {
         let kept = || (0..WHOLE).filter(|i| (i % ACROSS).is_multiple_of(step));
         let part = |values: &[f32]| {
             let part: Vec<f32> = kept().filter_map(|i| values.get(i).copied()).collect();
@@ -119,8 +96,8 @@ impl<const N: usize> Drawing<N> {
         };
         Self {
             points: filled(kept().map(place)),
-            bright: part(&patch.bright),
-            slope: part(&patch.slope),
+            bright: part(bright),
+            slope: part(slope),
             across: ACROSS.div_ceil(step),
         }
     }

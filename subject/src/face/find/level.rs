@@ -23,8 +23,6 @@ pub(super) struct Level {
     origin: [f32; 2],
     /// Brightness less that of around, divided by the contrast of around.
     pub(super) local: Plane,
-    /// How much darker a spot of an eye's size is than what is around it, in the same measure.
-    pub(super) spots: Plane,
 }
 
 impl Level {
@@ -47,13 +45,12 @@ impl Level {
             }
         }
         let local = localised(&small);
-        let spots = local.blurred(3.2).zip(&local.blurred(1.2), |around, centre| around - centre);
         let square = shrink * shrink;
         let inside = |[x, y]: [f32; 2]| {
             [(x * step[0] + y * step[1]) / square, (y * step[0] - x * step[1]) / square]
         };
         let frame = Frame { origin: EYES_AT, across: inside(across), down: inside(down), turn };
-        Some((Self { step, origin, local, spots }, frame))
+        Some((Self { step, origin, local }, frame))
     }
 
     /// A place on this level, on the photograph.
@@ -61,9 +58,12 @@ impl Level {
         on(self.origin, self.step, x - EYES_AT[0], y - EYES_AT[1]).map(f64::from)
     }
 
-    /// Pixels of the photograph along one of this level's.
-    pub(super) fn shrink(&self) -> f32 {
-        self.step[0].hypot(self.step[1])
+    /// A frame on this level, on the photograph.
+    pub(super) fn frame_on_photo(&self, frame: &Frame) -> Frame {
+        let way = |[x, y]: [f32; 2]| on([0.0; 2], self.step, x, y);
+        let [x, y] = frame.origin;
+        let origin = on(self.origin, self.step, x - EYES_AT[0], y - EYES_AT[1]);
+        Frame { origin, across: way(frame.across), down: way(frame.down), turn: frame.turn }
     }
 }
 

@@ -3,34 +3,32 @@
 //! Slopes of brightness, told in the contrast of around, are pooled over small cells (Dalal and Triggs 2005), and a template
 //! of what each cell of a face speaks for it is held against every place, at every size, five rolls, frontal and turned to
 //! both sides. The best places are refined between the steps of that search. There the frame of the face ([`Frame`]: eyes,
-//! mouth and turn) climbs to where a face of sixteen strokes fits best, and a handful of scores is taken: how well the
-//! template fits, likeness to the drawing and to each of its strokes, symmetry, how dark the eyes are, how far the frame is
-//! from a frontal one, and with colours how like skin, how even and how different from around it is, and how red the lips.
-//! A logistic function weighs them. Without colours, or in coloured light, those that need no colours stand alone.
+//! mouth and turn) climbs to where a face of sixteen strokes fits best. How it looks in that frame ([`Look`]) is what tells:
+//! a few hundred boosted trees of three questions each, about slopes, brightness and contrast of its cells, as in aggregated
+//! channel features (Dollar et al. 2014). No colours are asked about: grey photographs are as good as others.
 //!
 //! The template of (Yang et al. 2004, eq. 4) is what this grew from; it is measured everywhere instead of on blocks of skin,
 //! so that neither hair over a cheek nor a wall of skin's colour hides a face.
 
 mod cells;
 mod climb;
-mod eyes;
 mod frame;
-mod hue;
 mod level;
+mod look;
+mod look_trees;
 mod octaves;
 mod place;
 mod scan;
 mod schema;
-mod scores;
 mod search;
 mod template;
 mod template_weights;
 #[cfg(test)]
 mod tests;
-mod weights;
+mod verdict;
 
 pub use frame::Frame;
-pub use scores::{COLOUR_SCORES, ColourScores, GREY_SCORES, GreyScores, Scores};
+pub use look::{LOOK, Look};
 pub use search::{Hypothesis, IO_MIN_PX, SCORE_MIN, faces, hypotheses};
 
 use super::{Photo, Plane};
@@ -46,6 +44,6 @@ pub struct Found {
     pub roll_rad: f64,
     /// The distance of the outer eye corners, estimated from the irises'.
     pub io_px: f64,
-    /// 0 to 1: the share of what looks so that is a face, on what the scores were weighed with.
+    /// 0 to 1: the share of what looks so that is a face, on what the trees learned from.
     pub score: f64,
 }

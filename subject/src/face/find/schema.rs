@@ -12,7 +12,7 @@ pub(super) fn place(i: usize) -> [f32; 2] {
     [(i % ACROSS) as f32 * GRID - 1.0, (i / ACROSS) as f32 * GRID - 0.5]
 }
 
-use super::climb::{Drawing, HALF, Patch, WHOLE};
+use super::climb::{Drawing, HALF, WHOLE};
 
 /// Strokes of the drawing.
 pub(super) const STROKES: usize = 16;
@@ -23,7 +23,7 @@ struct Stroke(f32, f32, f32, f32, f32, f32);
 
 /// What is darker and brighter than what is around it, in eye distances. Where things are is anthropometry (eyes 63 mm
 /// apart, mouth 50 mm wide and 70 mm below the eyes, the nose's base at 45 mm, brows at 17 mm); how dark they are was
-/// fitted to the faces that the weights were learned on (`benches/subject/find_weights.py`).
+/// fitted to the faces that the template was learned on (`benches/subject/find_strokes.py`).
 const FACE: [Stroke; STROKES] = [
     // Sockets, eyes, brows, forehead.
     Stroke(0.46, -0.04, 0.36, 0.24, 0.0, -0.657),
@@ -48,33 +48,22 @@ const FACE: [Stroke; STROKES] = [
     Stroke(0.90, -0.15, 0.12, 0.20, 0.0, -0.255),
 ];
 
-/// A drawn patch in the measure of [`Level::local`](super::level::Level), mean 0 and length 1.
+/// The drawn face in the measure of [`Level::local`](super::level::Level), all of it, and half of it.
 #[derive(Debug)]
 pub(super) struct Schema {
-    /// Brightness.
-    pub(super) bright: Vec<f32>,
-    /// Its slope downwards.
-    pub(super) slope: Vec<f32>,
-    /// All of it, and half of it, for climbing.
+    /// For the last passes of a climb.
     pub(super) whole: Drawing<WHOLE>,
-    /// See above.
+    /// For the first ones.
     pub(super) half: Drawing<HALF>,
-    /// Each stroke by itself.
-    pub(super) strokes: Vec<Patch>,
 }
 
 impl Schema {
     /// Drawn once a photograph.
     pub(super) fn new() -> Self {
-        let drawn = |strokes: &[Stroke]| {
-            let at = |[x, y]: [f32; 2]| strokes.iter().map(|stroke| stroke.brighter(x, y)).sum();
-            let values: Vec<f32> = (0..ACROSS * DOWN).map(|i| at(place(i))).collect();
-            Patch { bright: standard(&values), slope: standard(&slope(&values)) }
-        };
-        let patch = drawn(&FACE);
-        let strokes = FACE.chunks(1).map(drawn).collect();
-        let (whole, half) = (Drawing::new(&patch, 1), Drawing::new(&patch, 2));
-        Self { whole, half, bright: patch.bright, slope: patch.slope, strokes }
+        let at = |[x, y]: [f32; 2]| FACE.iter().map(|stroke| stroke.brighter(x, y)).sum();
+        let bright: Vec<f32> = (0..ACROSS * DOWN).map(|i| at(place(i))).collect();
+        let slope = slope(&bright);
+        Self { whole: Drawing::new(&bright, &slope, 1), half: Drawing::new(&bright, &slope, 2) }
     }
 }
 
@@ -106,9 +95,4 @@ pub(super) fn standard(values: &[f32]) -> Vec<f32> {
     let mean = values.iter().sum::<f32>() / values.len().max(1) as f32;
     let length = values.iter().map(|value| (value - mean).powi(2)).sum::<f32>().sqrt();
     values.iter().map(|value| (value - mean) / length.max(1e-6)).collect()
-}
-
-/// The cosine of two standard patches.
-pub(super) fn likeness(a: &[f32], b: &[f32]) -> f32 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }

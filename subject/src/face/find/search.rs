@@ -1,19 +1,15 @@
 //! From a photograph to weighed hypotheses, and from those to faces.
 
 use super::climb::climb;
-use super::eyes::darkest;
 use super::frame::Frame;
-use super::hue::Hues;
 use super::level::Level;
+use super::look::{Look, look};
 use super::octaves::Octaves;
-use super::place::Place;
 use super::scan::places;
 use super::schema::Schema;
-use super::scores::{Scores, grey_scores};
 use super::template::Template;
-use super::weights;
+use super::verdict;
 use super::{Found, Photo};
-use crate::face::photo::Colour;
 
 /// Distance of the outer eye corners, in those of the irises' middles: 90 mm and 63 mm.
 const IO_OF_EYES: f64 = 1.43;
@@ -21,17 +17,17 @@ const IO_OF_EYES: f64 = 1.43;
 /// grows with the root of what is beyond that.
 pub const IO_MIN_PX: f32 = 32.0;
 const FULL_SEARCH_PX: f32 = 1e6;
-/// How sure a face must be: of the pictures without a face that the weights were held against none has a place that is
-/// surer, and what was held out of the development photographs and is no face is so once in fifteen.
-pub const SCORE_MIN: f64 = 0.3;
+/// How sure a face must be: of the pictures without a face that were held out while the trees were learned, one in a hundred
+/// has a place that is surer.
+pub const SCORE_MIN: f64 = 0.5;
 
 /// Two eyes and a mouth, and what they score.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Hypothesis {
     /// What would be found.
     pub found: Found,
-    /// What it is weighed by.
-    pub scores: Scores,
+    /// How it looks upright.
+    pub look: Look,
 }
 
 /// Every place that may be a face, and where the drawn face fits there best; the likeliest first.
@@ -41,14 +37,11 @@ pub fn hypotheses(photo: &Photo) -> Vec<Hypothesis> {
     let octaves = Octaves::new(photo.grey());
     let schema = Schema::new();
     let io_min = IO_MIN_PX * ((size.0 * size.1) as f32 / FULL_SEARCH_PX).sqrt().max(1.0);
-    let hues = (photo.colour == Colour::Natural).then(|| Hues::new(photo));
     let templates = Template::all();
     places(&octaves, &templates, size, io_min / IO_OF_EYES as f32)
         .iter()
         .map(|place| place.refined(&octaves, &templates))
-        .filter_map(|place| {
-            hypothesis(&octaves, &place, &place.frame(&templates)?, &schema, hues.as_ref())
-        })
+        .filter_map(|place| hypothesis(&octaves, &place.frame(&templates)?, &schema))
         .collect()
 }
 
@@ -84,21 +77,12 @@ fn overlap(a: &Found, b: &Found) -> bool {
 }
 
 /// What a place becomes once the drawing fits.
-fn hypothesis(
-    octaves: &Octaves,
-    place: &Place,
-    frame: &Frame,
-    schema: &Schema,
-    hues: Option<&Hues<'_>>,
-) -> Option<Hypothesis> {
+fn hypothesis(octaves: &Octaves, frame: &Frame, schema: &Schema) -> Option<Hypothesis> {
     let (level, rough) = Level::new(octaves, frame)?;
     let frame = climb(&level.local, rough, schema);
-    let spots = darkest(&level, frame.eyes());
-    let grey = grey_scores(&level.local, &frame, &spots, place.fit, schema);
-    let colour = hues.map(|hues| hues.scores(&level, &frame));
-    let scores = Scores { grey, colour };
-    let found = on_photo(&level, &frame, weights::score(&scores));
-    Some(Hypothesis { found, scores })
+    let look = look(octaves, &level.frame_on_photo(&frame));
+    let found = on_photo(&level, &frame, verdict::score(&look));
+    Some(Hypothesis { found, look })
 }
 
 fn on_photo(level: &Level, frame: &Frame, score: f64) -> Found {

@@ -38,7 +38,7 @@ impl Colour {
 }
 
 /// The light's colour, each channel 0 to 255: the 6-norm of what is neither black nor burnt out.
-pub(crate) fn illuminant(samples: impl Iterator<Item = [f64; 3]>) -> [f64; 3] {
+fn illuminant(samples: impl Iterator<Item = [f64; 3]>) -> [f64; 3] {
     let mut sums = [0.0; 3];
     let mut count = 0.0;
     for sample in samples.filter(|sample| sample.iter().all(|&channel| channel < 250.0)) {

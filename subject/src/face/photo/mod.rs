@@ -10,7 +10,6 @@ mod tests;
 use std::fmt;
 
 pub use colour::Colour;
-pub(crate) use colour::illuminant;
 pub use error::PhotoError;
 pub use read::{BYTES_MAX, PIXELS_MAX, SIDE_MIN_PX};
 

@@ -1,21 +1,15 @@
-"""What `face/find` has learned: how dark the strokes of the drawn face are, and how much each score counts.
+"""How dark the strokes of the drawn face of `face/find` are, and the pictures that its templates and trees learn from.
 
-    python3 benches/subject/find_weights.py $MOCAPD_FACES WORK          # pictures, hypotheses, weights
-    python3 benches/subject/find_weights.py $MOCAPD_FACES WORK strokes  # the strokes alone
+    python3 benches/subject/find_strokes.py $MOCAPD_FACES WORK
 
 Needs numpy, scipy, pillow, scikit-image and scikit-learn (whose own sample pictures are used), and
-`cargo build --release -p mocapd-subject --example faces_found`. WORK is a folder for pictures that are made.
+`cargo build --release -p mocapd-subject --example faces_found`. WORK is a folder for pictures that are made; where faces
+are on them is in WORK/truth.json. `find_template.py` and `find_looks.py` learn from these.
 
-The template of the search is learned by `find_template.py`, from the pictures that `strokes` writes; then the finder is
-built again, and the scores are weighed here.
-
-Learned on: the development photographs as they are and seven times turned, mirrored, made smaller (those of many small faces
-larger) and lit, blurred or noised otherwise; drawn faces, each of which counts less; the 100 faces and 100 other pieces of
-scikit-image's subset of LFW, three times as large, their eyes where the drawing fits best around the usual place; and,
-without any face, the sample pictures of scikit-image and scikit-learn. No other photograph of MOCAPD_FACES is
-opened. A hypothesis is a face if both eyes are within 0.2 of the outer eye corners' distance and the mouth within 0.3; it
-is left out below 0.4, and on faces turned by more than 50 degrees. Each face counts once; of what is none, the twelve surest
-of a picture count, for those are what a threshold has to hold off.
+Pictures: the development photographs as they are and seven times turned, mirrored, made smaller (those of many small faces
+larger) and lit, blurred or noised otherwise; drawn faces; the 100 faces and 100 other pieces of scikit-image's subset of
+LFW, three times as large, their eyes where the drawing fits best around the usual place; and, without any face, the sample
+pictures of scikit-image and scikit-learn. No other photograph of MOCAPD_FACES is opened.
 """
 
 import itertools
@@ -50,11 +44,10 @@ CHANGES = [
 ]
 # Faces of 17 to 28 pixels, on the photographs of many, are made this much larger.
 LARGER = 2.4
-# Pictures of the seeded renderer, and how much a face of theirs counts.
-DRAWN, DRAWN_COUNTS = (100000, 100240), 0.3
+# Pictures of the seeded renderer.
+DRAWN = (100000, 100240)
 # Where the eyes and the mouth are in LFW's pieces of 75 pixels, on most.
 LFW = [np.array([17.4, 25.4]), np.array([43.2, 24.2]), np.array([32.6, 55.5])]
-GREY, COLOUR, RIDGE = 42, 6, 3.0
 # Strokes as in find/schema.rs: side, down, wide, high, turn.
 STROKES = [
     (0.46, -0.04, 0.36, 0.24, 0), (0.5, 0, 0.2, 0.1, 0), (0.5, -0.27, 0.36, 0.09, 0.1), (0, -0.5, 0.6, 0.12, 0),
@@ -220,127 +213,11 @@ def best(local, points, drawn):
     return found[1]
 
 
-def label(row, faces):
-    """1 a face, 0 none, -1 neither; and which."""
-    out = (0, -1)
-    for i, face in enumerate(faces):
-        far = [np.hypot(*(row[2 * k : 2 * k + 2] - face["points"][k])) / face["io"] for k in range(3)]
-        if abs(face["yaw"]) > 50:
-            out = (-1, i) if max(far[:2]) < 1 else out
-        elif max(far[:2]) < 0.2 and far[2] < 0.3:
-            return (1, i)
-        elif max(far[:2]) < 0.4:
-            out = (-1, i)
-    return out
-
-
-def logistic(scores, faces, weights, ridge):
-    mean = np.average(scores, axis=0, weights=weights)
-    deviation = np.sqrt(np.average((scores - mean) ** 2, axis=0, weights=weights)) + 1e-6
-    columns = np.c_[(scores - mean) / deviation, np.ones(len(scores))]
-    found, penalty = np.zeros(columns.shape[1]), np.diag([ridge] * scores.shape[1] + [1e-9])
-    for _ in range(40):
-        p = 1 / (1 + np.exp(-columns @ found))
-        slope = columns.T @ (weights * (faces - p)) - penalty @ found
-        bend = (columns * (weights * p * (1 - p))[:, None]).T @ columns + penalty
-        found = found + np.linalg.solve(bend, slope)
-    plain = found[:-1] / deviation
-    return plain, found[-1] - plain @ mean
-
-
-class Rows:
-    """Every hypothesis on the pictures: scores, whether it is a face (-1: neither), what it counts, and where it is."""
-
-    def __init__(self, truth, work):
-        kept = work / "scores.csv"
-        if not kept.exists() or kept.stat().st_mtime < finder().stat().st_mtime:
-            kept.write_text(run([finder(), "scores"] + [work / f"{name}.png" for name in truth]))
-        by_name = {}
-        for line in kept.read_text().splitlines():
-            path, *numbers = line.split(",")
-            by_name.setdefault(Path(path).stem, []).append(np.array(numbers, float))
-        grey, colour, kind, count, where, which = [], [], [], [], [], []
-        for name, rows in by_name.items():
-            labels = [label(row, truth[name]) for row in rows]
-            for row, (is_face, one) in zip(rows, labels):
-                grey.append(row[8 : 8 + GREY])
-                colour.append(np.pad(row[8 + GREY :], (0, COLOUR - len(row[8 + GREY :]))))
-                kind.append(is_face)
-                once = DRAWN_COUNTS if name.startswith("drawn") else 1
-                count.append(once / labels.count((1, one)) if is_face == 1 else 1)
-                where.append(name)
-                which.append(one)
-        self.grey, self.colour, self.kind, self.count = map(np.array, (grey, colour, kind, count))
-        self.where, self.which = np.array(where), np.array(which)
-        self.coloured = np.abs(self.colour).sum(1) > 0
-
-    def hard(self, sums, part):
-        """Faces, and of what is none the surest of each picture."""
-        keep = (self.kind == 1) & part
-        for name in set(self.where[part]):
-            none = np.flatnonzero((self.where == name) & (self.kind == 0))
-            keep[none[np.argsort(-sums[none])[:12]]] = True
-        return keep
-
-    def learn(self, part):
-        keep = (self.kind >= 0) & part
-        for _ in range(3):
-            grey = logistic(self.grey[keep], self.kind[keep] == 1, self.count[keep], RIDGE)
-            sums = self.grey @ grey[0] + grey[1]
-            keep = self.hard(sums, part)
-        keep &= self.coloured
-        both = np.c_[sums, self.colour]
-        colour = logistic(both[keep], self.kind[keep] == 1, self.count[keep], 1.0)
-        return grey, colour, np.where(self.coloured, both @ colour[0] + colour[1], sums)
-
-
-def weights(truth, work):
-    rows = Rows(truth, work)
-    families = np.array([name.split("_v")[0] if not name.startswith("lfw") else name[:6] for name in rows.where])
-    fold = {family: i % 6 for i, family in enumerate(sorted(set(families)))}
-    fold = np.array([fold[family] for family in families])
-    held = np.zeros(len(families))
-    for i in range(6):
-        held[fold == i] = rows.learn(fold != i)[2][fold == i]
-    for kind in ("lfw", "drawn", "none", "synth", ""):
-        tell(rows, truth, held, kind)
-    grey, colour, sums = rows.learn(np.ones(len(fold), bool))
-    tell(rows, truth, sums, "")
-    print("GREY", grey[0].round(3).tolist(), round(grey[1], 3))
-    print("COLOUR", colour[0].round(3).tolist(), round(colour[1], 3))
-
-
-def tell(rows, truth, sums, kind):
-    """What is found of the faces that count, and what is false, at some thresholds, on pictures that were held out."""
-    others = ("lfw", "drawn", "none", "synth")
-    best, false, pictures = [], [], [n for n in truth if (n.startswith(kind) if kind else not n.startswith(others))]
-    for name in pictures:
-        here = np.flatnonzero(rows.where == name)
-        none = sums[here[rows.kind[here] == 0]]
-        false.append(none.max() if len(none) else -99)
-        for i, face in enumerate(truth[name]):
-            if face["io"] >= 33 and abs(face["yaw"]) <= 35.5:
-                mine = sums[here[(rows.kind[here] == 1) & (rows.which[here] == i)]]
-                best.append((mine.max() if len(mine) else -99, name))
-    found, false = np.array([b[0] for b in best]), np.array(false)
-    print(f"{kind or 'photographs':12} {len(found)} faces, never a hypothesis {np.mean(found < -98) if best else 0:.3f};", end="")
-    for score in (0.1, 0.2, 0.3, 0.5, 0.7):
-        at = np.log(score / (1 - score))
-        share = np.mean(found > at) if best else 0
-        print(f" at {score}: {share:.3f} found, {np.mean(false > at):.3f} of pictures with a false;", end="")
-    print()
-    if os.environ.get("WORST"):
-        print("  ", [(round(float(b), 1), n) for b, n in sorted(best)[:14]])
-        print("  ", sorted([(round(float(f), 1), n) for f, n in zip(false, pictures)])[-8:])
-
-
 def main(folder, work):
     work.mkdir(parents=True, exist_ok=True)
     truth = pictures(folder, work)
     strokes(truth, work)
     (work / "truth.json").write_text(json.dumps(truth, default=lambda array: array.tolist()))
-    if sys.argv[3:] != ["strokes"]:
-        weights(truth, work)
 
 
 main(Path(sys.argv[1]), Path(sys.argv[2]))

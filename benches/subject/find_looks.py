@@ -1,0 +1,195 @@
+"""The trees of `face/find` that tell a face from what only fits the template, as `find/look_trees.rs`.
+
+    python3 benches/subject/find_strokes.py $MOCAPD_FACES WORK                          # pictures with known faces
+    python3 benches/subject/heads/make.py DATA targets.npz WORK/heads 0 1900             # random heads
+    python3 benches/subject/find_looks.py WORK > subject/src/face/find/look_trees.rs
+    python3 benches/subject/find_looks.py WORK held                                      # what is found when held out
+
+Needs what those need, and `cargo build --release -p mocapd-subject --example faces_found`, which gives the looks of what
+the search proposes on every picture. Learned on: the pictures of `find_strokes.py`; random heads; the pictures without
+faces six times turned, scaled, lit and inverted; heads upside down. A look is a face if both eyes are within 0.2 of the
+outer eye corners' distance and the mouth within 0.3; it is left out below 0.45, on faces turned by more than 50 degrees,
+and where hair hides an eye. Each face counts once. Of what is none, the surest eight of a picture and eight others
+are learned from; then, once, the fifteen that the trees themselves are surest of.
+"""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+sys.path.insert(0, str(Path(__file__).parent / "heads"))
+import boost  # noqa: E402
+
+SCORES, LOOK, WIDE = 8, 1000, 10
+ROW = 4 * SCORES + LOOK
+MIRRORED = np.arange(LOOK).reshape(WIDE, WIDE, 10)[:, ::-1][..., [4, 3, 2, 1, 0, 7, 6, 5, 8, 9]].ravel()
+COUNTS = {"head": 1.0, "lfw": 1.0, "drawn": 0.3}
+ROUNDS, RATE, RIDGE, TRIED, FACES_SHARE = 300, 0.1, 5.0, 60, 0.15
+# The sum that half of what looks so is a face at: one picture in a hundred without faces has a place with more.
+ZERO, HELD = 0.3, 3
+UPSIDE_DOWN = 160
+
+
+def without_faces(work):
+    """Six more of each picture without faces, and heads upside down."""
+    random, folder = np.random.default_rng(5), work / "neg"
+    if folder.exists():
+        return
+    folder.mkdir()
+    for path in sorted(work.glob("none_*.png")):
+        if path.stem.endswith("_half"):
+            continue
+        image = Image.open(path).convert("RGB")
+        for i in range(6):
+            degrees = random.uniform(-180, 180) if i % 2 else random.uniform(-40, 40)
+            scale = random.uniform(0.35, 1.1) * min(1, 700 / max(image.size))
+            size = [max(60, int(side * scale)) for side in image.size]
+            turned = image.resize(size, Image.LANCZOS).rotate(degrees, Image.BICUBIC, expand=True)
+            wide, high = turned.size
+            turned = turned.crop((int(wide * 0.17), int(high * 0.17), int(wide * 0.83), int(high * 0.83)))
+            pixels = np.asarray(turned, float) / 255
+            pixels = 1 - pixels if i in (2, 3) else pixels
+            pixels = pixels ** np.exp(random.normal(0, 0.4))
+            pixels = pixels[:, ::-1] if i == 4 else pixels
+            Image.fromarray((255 * pixels.clip(0, 1)).astype("uint8")).save(folder / f"{path.stem}_n{i}.png")
+    for path in sorted((work / "heads").glob("*.png"))[:UPSIDE_DOWN]:
+        Image.open(path).transpose(Image.ROTATE_180).save(folder / f"up_{path.stem}.png")
+
+
+def looks(paths):
+    """Of each picture: where its hypotheses are, and how they look."""
+    finder = Path(os.environ.get("CARGO_TARGET_DIR", "target")) / "release/examples/faces_found"
+    for first in range(0, len(paths), 100):
+        part = [str(path) for path in paths[first : first + 100]]
+        told, at = subprocess.run([finder, "looks", *part], capture_output=True, check=True).stdout, 0
+        for _ in part:
+            count = int(np.frombuffer(told, "<f4", 1, at)[0])
+            rows = np.frombuffer(told, np.uint8, count * ROW, at + 4).reshape(count, ROW)
+            at += 4 + count * ROW
+            yield np.ascontiguousarray(rows[:, : 4 * SCORES]).view("<f4"), rows[:, 4 * SCORES :]
+
+
+def label(places, faces):
+    """1 a face, 0 none, -1 neither; and which."""
+    kind, which = np.zeros(len(places), int), np.full(len(places), -1)
+    for i, face in enumerate(faces):
+        far = np.hypot(*np.moveaxis(places[:, :6].reshape(-1, 3, 2) - np.array(face["points"]), 2, 0)) / face["io"]
+        good, near = (far[:, :2].max(1) < 0.2) & (far[:, 2] < 0.3), far[:, :2].max(1) < 0.45
+        if abs(face["yaw"]) > 50 or not all(face.get("shown", [True])):
+            near, good = far[:, :2].max(1) < (1 if abs(face["yaw"]) > 50 else 0.45), good & False
+        kind[near & (kind == 0)] = -1
+        kind[good], which[good | near] = 1, i
+    return kind, which
+
+
+class Rows:
+    """Every hypothesis: its look, whether it is a face, what it counts, and which picture it is of."""
+
+    def __init__(self, work):
+        truth = json.loads((work / "truth.json").read_text())
+        paths = [work / f"{name}.png" for name in truth] + sorted((work / "heads").glob("*.png")) + sorted((work / "neg").glob("*.png"))
+        self.faces = [truth.get(p.stem, []) if p.parent == work else heads(p) for p in paths]
+        self.source = ["none" if p.parent.name == "neg" else re.match("[a-z]+", p.stem)[0] for p in paths]
+        stems = [re.sub(r"^up_|_(v|n)\d$|_half$", "", p.stem) for p in paths]
+        family = sorted(set(stems))
+        look, kind, which, count, picture = [], [], [], [], []
+        for i, (places, seen) in enumerate(looks(paths)):
+            is_face, one = label(places, self.faces[i])
+            counts = [COUNTS.get(self.source[i], 1.5) / max(1, ((is_face == 1) & (one == k)).sum()) for k in one]
+            look.append(seen)
+            kind.append(is_face)
+            which.append(one)
+            count.append(np.where(is_face == 1, counts, 1.0))
+            picture.append(np.full(len(places), i))
+        self.look, self.kind, self.which, self.count, self.picture = map(np.concatenate, (look, kind, which, count, picture))
+        self.fold = np.array([family.index(stem) % HELD for stem in stems])[self.picture]
+
+    def chosen(self, part, sums, surest, others, random):
+        kept = [part[self.kind[part] == 1]]
+        for picture in np.unique(self.picture[part]):
+            none = part[(self.picture[part] == picture) & (self.kind[part] == 0)]
+            none = none[np.argsort(-sums[none], kind="stable")]
+            kept += [none[:surest], random.permutation(none[surest:])[:others]]
+        return np.unique(np.concatenate(kept))
+
+    def learn(self, part):
+        """Hypotheses come in the order of the template's fit: the surest of it are the first."""
+        random = np.random.default_rng(1)
+        kept = self.chosen(part, -np.arange(len(self.kind)), 8, 8, random)
+        for rounds in (ROUNDS // 2, ROUNDS):
+            faces, count = np.tile(self.kind[kept] == 1, 2), np.tile(self.count[kept], 2)
+            count = np.where(faces, count * len(count) / count[faces].sum() * FACES_SHARE, count)
+            rows = np.vstack([self.look[kept], self.look[kept][:, MIRRORED]])
+            found = boost.learn(rows, faces.astype(float), count, rounds, RATE, RIDGE, TRIED, np.random.default_rng(1))
+            if rounds != ROUNDS:
+                sums = np.zeros(len(self.kind))
+                sums[part] = self.sums(found, part)
+                kept = np.union1d(kept, self.chosen(part, sums, 15, 0, random))
+        return found
+
+    def sums(self, found, part):
+        return (boost.scores(self.look[part], *found) + boost.scores(self.look[part][:, MIRRORED], *found)) / 2 - ZERO
+
+
+def heads(path):
+    return json.loads(path.with_suffix(".json").read_text())["faces"] if path.parent.name == "heads" else []
+
+
+def tell(rows, sums):
+    """What is found of the faces that count, and what is false, at some sums, on pictures that were held out."""
+    best, false = {}, {}
+    for i, faces in enumerate(rows.faces):
+        here = np.flatnonzero(rows.picture == i)
+        none = sums[here[rows.kind[here] == 0]]
+        false.setdefault(rows.source[i], []).append(none.max(initial=-99))
+        for k, face in enumerate(faces):
+            if face["io"] >= 33 and abs(face["yaw"]) <= 35.5 and all(face.get("shown", [True])):
+                mine = sums[here[(rows.kind[here] == 1) & (rows.which[here] == k)]]
+                best.setdefault(rows.source[i], []).append(mine.max(initial=-99))
+    for name in sorted(false):
+        found, wrong = np.array(best.get(name, [])), np.array(false[name])
+        print(f"{name}: {len(found)} faces, never seen {(found < -98).sum()};", end="")
+        for limit in (-1, -0.5, 0, 0.5, 1):
+            print(f" at {limit}: {(found > limit).sum()} found, {(wrong > limit).mean():.3f};", end="")
+        print(" lowest", np.sort(found[found > -98])[:5].round(1).tolist())
+
+
+HEADER = """\
+//! What faces look like, learned by `benches/subject/find_looks.py`: trees of three questions each, boosted.
+//!
+//! A tree: which byte of a look is asked (the first question; the second ones after no and yes; four third ones), the
+//! largest byte that is a no, and what each of the eight ways through adds, in thousandths.
+
+/// Questions, limits and what they add.
+pub(super) type Tree = ([u16; 7], [u8; 7], [i16; 8]);
+
+/// In thousandths: what is added to the trees.
+pub(super) const BIAS: i32 = %d;
+
+#[rustfmt::skip]
+pub(super) const TREES: [Tree; %d] = ["""
+
+
+def main(work, held):
+    without_faces(work)
+    rows = Rows(work)
+    everything = np.arange(len(rows.kind))
+    if held:
+        sums = np.zeros(len(everything))
+        for k in range(HELD):
+            sums[rows.fold == k] = rows.sums(rows.learn(np.flatnonzero(rows.fold != k)), np.flatnonzero(rows.fold == k))
+        return tell(rows, sums)
+    bias, trees = rows.learn(everything)
+    print(HEADER % (round(1000 * (bias - ZERO)), len(trees)))
+    for asked, limits, leaves in trees:
+        print(f"    ({asked}, {limits}, {[round(1000 * leaf) for leaf in leaves]}),".replace("np.int64", ""))
+    print("];")
+
+
+main(Path(sys.argv[1]), sys.argv[2:] == ["held"])
