@@ -1,7 +1,8 @@
 """The trees of `face/find` that tell a face from what only fits the template, as `find/look_trees.rs`.
 
     python3 benches/subject/find_strokes.py $MOCAPD_FACES WORK                          # pictures with known faces
-    python3 benches/subject/heads/make.py DATA targets.npz WORK/heads 0 1900             # random heads
+    python3 benches/subject/heads/make.py DATA targets.npz WORK/heads 0 2000             # random heads
+    python3 benches/subject/find_align.py WORK > subject/src/face/find/align_weights.rs # then build again
     python3 benches/subject/find_looks.py WORK > subject/src/face/find/look_trees.rs
     python3 benches/subject/find_looks.py WORK held                                      # what is found when held out
 
@@ -31,7 +32,7 @@ ROW = 4 * SCORES + LOOK
 MIRRORED = np.arange(LOOK).reshape(WIDE, WIDE, 10)[:, ::-1][..., [4, 3, 2, 1, 0, 7, 6, 5, 8, 9]].ravel()
 COUNTS = {"head": 1.0, "lfw": 1.0, "drawn": 0.3}
 ROUNDS, RATE, RIDGE, TRIED, FACES_SHARE = 300, 0.1, 5.0, 60, 0.15
-# The sum that half of what looks so is a face at: one picture in a hundred without faces has a place with more.
+# The sum from which on it is a face: held out, no picture without faces has a place with more.
 ZERO, HELD = 0.3, 3
 UPSIDE_DOWN = 160
 
@@ -62,12 +63,12 @@ def without_faces(work):
         Image.open(path).transpose(Image.ROTATE_180).save(folder / f"up_{path.stem}.png")
 
 
-def looks(paths):
+def looks(paths, which="looks"):
     """Of each picture: where its hypotheses are, and how they look."""
     finder = Path(os.environ.get("CARGO_TARGET_DIR", "target")) / "release/examples/faces_found"
     for first in range(0, len(paths), 100):
         part = [str(path) for path in paths[first : first + 100]]
-        told, at = subprocess.run([finder, "looks", *part], capture_output=True, check=True).stdout, 0
+        told, at = subprocess.run([finder, which, *part], capture_output=True, check=True).stdout, 0
         for _ in part:
             count = int(np.frombuffer(told, "<f4", 1, at)[0])
             rows = np.frombuffer(told, np.uint8, count * ROW, at + 4).reshape(count, ROW)
@@ -92,9 +93,9 @@ class Rows:
     """Every hypothesis: its look, whether it is a face, what it counts, and which picture it is of."""
 
     def __init__(self, work):
-        truth = json.loads((work / "truth.json").read_text())
-        paths = [work / f"{name}.png" for name in truth] + sorted((work / "heads").glob("*.png")) + sorted((work / "neg").glob("*.png"))
-        self.faces = [truth.get(p.stem, []) if p.parent == work else heads(p) for p in paths]
+        paths, self.faces = pictures(work)
+        negatives = sorted((work / "neg").glob("*.png"))
+        paths, self.faces = paths + negatives, self.faces + [[] for _ in negatives]
         self.source = ["none" if p.parent.name == "neg" else re.match("[a-z]+", p.stem)[0] for p in paths]
         stems = [re.sub(r"^up_|_(v|n)\d$|_half$", "", p.stem) for p in paths]
         family = sorted(set(stems))
@@ -137,8 +138,12 @@ class Rows:
         return (boost.scores(self.look[part], *found) + boost.scores(self.look[part][:, MIRRORED], *found)) / 2 - ZERO
 
 
-def heads(path):
-    return json.loads(path.with_suffix(".json").read_text())["faces"] if path.parent.name == "heads" else []
+def pictures(work):
+    """Those that may have faces, and the faces."""
+    truth = json.loads((work / "truth.json").read_text())
+    heads = sorted((work / "heads").glob("*.png"))
+    known = [json.loads(path.with_suffix(".json").read_text())["faces"] for path in heads]
+    return [work / f"{name}.png" for name in truth] + heads, list(truth.values()) + known
 
 
 def tell(rows, sums):
@@ -188,8 +193,9 @@ def main(work, held):
     bias, trees = rows.learn(everything)
     print(HEADER % (round(1000 * (bias - ZERO)), len(trees)))
     for asked, limits, leaves in trees:
-        print(f"    ({asked}, {limits}, {[round(1000 * leaf) for leaf in leaves]}),".replace("np.int64", ""))
+        print(f"    ({list(map(int, asked))}, {list(map(int, limits))}, {[round(1000 * float(leaf)) for leaf in leaves]}),")
     print("];")
 
 
-main(Path(sys.argv[1]), sys.argv[2:] == ["held"])
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2:] == ["held"])

@@ -1,11 +1,10 @@
 """The template of `face/find`: what slopes at each place of a face speak for it, as `find/template_weights.rs`.
 
     python3 benches/subject/find_strokes.py $MOCAPD_FACES WORK  # pictures, and where faces are on them
-    python3 benches/subject/heads/make.py DATA targets.npz WORK/heads 0 1900  # random heads
     python3 benches/subject/find_template.py WORK > subject/src/face/find/template_weights.rs
 
 Needs what `find_strokes.py` needs, whose pictures it learns from: the development photographs as they are, the 100 faces and
-100 other pieces of scikit-image's subset of LFW, drawn faces, random heads, and pictures without faces. Two logistic functions, frontal
+100 other pieces of scikit-image's subset of LFW, drawn faces, and pictures without faces. Two logistic functions, frontal
 (symmetric) and turned, of four slopes in each of ten by ten cells. Each face is shifted, scaled and rolled a little, as
 far as the steps of the search are apart, and mirrored; of what is no face, the places that the template itself takes for
 one are added, twice.
@@ -26,7 +25,7 @@ SIZE = SIDE * SIDE * 4
 MIRRORED = np.arange(SIZE).reshape(SIDE, SIDE, 4)[:, ::-1][..., [1, 0, 2, 3]].ravel()
 ROLLS, STEP, RIDGE, ROUNDS = (0, -15, 15, -30, 30), 1.2, 1.0, 3
 # How often a face is shifted, and what it counts.
-KINDS = {"photo": (6, 1.0), "synth": (6, 0.3), "lfw": (6, 0.5), "drawn": (2, 0.15), "head": (1, 0.1)}
+KINDS = {"photo": (6, 1.0), "synth": (6, 0.3), "lfw": (6, 0.5), "drawn": (2, 0.15)}
 
 HEAD = """\
 //! What slopes at each place of a face speak for it: learned by `benches/subject/find_template.py` as a logistic function.
@@ -144,14 +143,10 @@ def main(work):
     random = np.random.default_rng(1)
     truth = json.loads((work / "truth.json").read_text())
     pictures, frontal, turned = [], [], []
-    for path in sorted((work / "heads").glob("*.json")):
-        faces = json.loads(path.read_text())["faces"]
-        # There is no telling where an eye is that hair hides.
-        truth["heads/" + path.stem] = [face for face in faces if all(face["shown"])]
     for name, faces in truth.items():
         if re.search(r"_v\d$|_half$", name):
             continue
-        kind = next((kind for kind in KINDS if Path(name).name.startswith(kind)), "none" if name.startswith("none") else "photo")
+        kind = next((kind for kind in KINDS if name.startswith(kind)), "none" if name.startswith("none") else "photo")
         image = Image.open(work / f"{name}.png").convert("L")
         # LFW's pieces were made three times as large.
         image = image.resize((25, 25), Image.BOX) if kind == "lfw" else image
@@ -164,7 +159,7 @@ def main(work):
                 continue
             left, right, mouth = face["points"]
             to_right = np.dot(mouth - (left + right) / 2, right - left)
-            to_right = face["yaw"] if kind in ("drawn", "head") else to_right
+            to_right = face["yaw"] if kind == "drawn" else to_right
             times, counts = KINDS[kind]
             for mirrored in [False, True] * times:
                 shift, scale = random.uniform(-0.1, 0.1, 2), math.exp(random.uniform(-0.1, 0.1))
@@ -174,7 +169,7 @@ def main(work):
                 if abs(face["yaw"]) > 18 and (to_right > 0) != mirrored:
                     turned.append((row, 2 * counts / times))
     none, places = [], []
-    others = [p for i, p in enumerate(pictures) if p[0] not in ("lfw", "drawn", "head") or not p[2] or (p[0] in ("drawn", "head") and i % 40 == 0)]
+    others = [p for i, p in enumerate(pictures) if p[0] not in ("lfw", "drawn") or not p[2] or (p[0] == "drawn" and i % 40 == 0)]
     templates = None
     for _ in range(ROUNDS):
         for kind, grey, faces in others:

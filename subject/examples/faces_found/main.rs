@@ -1,7 +1,8 @@
 //! What is found on photographs whose faces are known, in the folder that `MOCAPD_FACES` names.
 //!
 //! `faces_found` prints the development photographs, on which weights and thresholds were chosen; `faces_found reported`
-//! the others; `faces_found looks FILE...` every hypothesis on any photographs, for `benches/subject/find_looks.py`.
+//! the others; `faces_found looks FILE...` every hypothesis on any photographs, for
+//! `benches/subject/find_looks.py`, `faces_found rough FILE...` the same before its eyes are aligned, for `find_align.py`.
 //!
 //! `faces_found drawn [FROM TO]` prints what is found on seeded pictures of drawn faces, and `faces_found draw FOLDER FROM
 //! TO` writes those.
@@ -17,7 +18,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use mocapd_subject::face::find::{self, Found};
+use mocapd_subject::face::find::{self, Found, Hypothesis};
 use mocapd_subject::face::{Photo, paper};
 use serde_json::Value;
 
@@ -50,9 +51,15 @@ struct Tally {
 
 fn main() {
     let args: Vec<String> = std::env::args().skip(1).collect();
-    if args.first().is_some_and(|first| first == "looks") {
+    let hypotheses: Option<fn(&Photo) -> Vec<Hypothesis>> =
+        args.first().and_then(|first| match first.as_str() {
+            "looks" => Some(find::hypotheses as _),
+            "rough" => Some(find::rough_hypotheses as _),
+            _ => None,
+        });
+    if let Some(hypotheses) = hypotheses {
         for path in args.iter().skip(1) {
-            if let Err(error) = looks(Path::new(path)) {
+            if let Err(error) = looks(Path::new(path), hypotheses) {
                 eprintln!("{path}: {error}");
             }
         }
@@ -180,15 +187,15 @@ fn judge(truth: &[Face], found: &[Found]) -> (usize, usize) {
 
 /// Numbers as single-precision floats: how many hypotheses, then of each eyes, mouth, distance of the outer corners, score,
 /// and the bytes of its look.
-fn looks(path: &Path) -> std::io::Result<()> {
+fn looks(path: &Path, hypotheses: fn(&Photo) -> Vec<Hypothesis>) -> std::io::Result<()> {
     let mut out = std::io::stdout().lock();
     let Ok(photo) = Photo::from_bytes(&std::fs::read(path)?) else {
         eprintln!("{}: not read", path.display());
         return out.write_all(&0_f32.to_le_bytes());
     };
-    let all = find::hypotheses(&photo);
+    let all = hypotheses(&photo);
     out.write_all(&(all.len() as f32).to_le_bytes())?;
-    for find::Hypothesis { found, look } in all {
+    for Hypothesis { found, look } in all {
         let Found { eyes: [left, right], mouth, io_px, score, .. } = found;
         for number in [left, right, mouth].into_iter().flatten().chain([io_px, score]) {
             out.write_all(&(number as f32).to_le_bytes())?;

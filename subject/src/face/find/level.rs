@@ -53,11 +53,6 @@ impl Level {
         Some((Self { step, origin, local }, frame))
     }
 
-    /// A place on this level, on the photograph.
-    pub(super) fn on_photo(&self, [x, y]: [f32; 2]) -> [f64; 2] {
-        on(self.origin, self.step, x - EYES_AT[0], y - EYES_AT[1]).map(f64::from)
-    }
-
     /// A frame on this level, on the photograph.
     pub(super) fn frame_on_photo(&self, frame: &Frame) -> Frame {
         let way = |[x, y]: [f32; 2]| on([0.0; 2], self.step, x, y);

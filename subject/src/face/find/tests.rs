@@ -1,5 +1,10 @@
-use super::{Found, Frame, SCORE_MIN, faces};
+use super::align::aligned;
+use super::look::{look, mirrored};
+use super::octaves::Octaves;
+use super::{Found, Frame, LOOK, SCORE_MIN, faces};
 use crate::face::Photo;
+use crate::face::model::FeatureId;
+use crate::face::render::Scene;
 
 /// Numbers without a pattern, the same each time.
 fn noise(seed: u32) -> impl FnMut() -> f32 {
@@ -113,4 +118,58 @@ fn a_frame_and_its_inverse_are_each_others() {
 fn the_same_photograph_gives_the_same_faces() {
     let photo = drawn(40.0, 0.1, true);
     assert_eq!(faces(&photo, 0.0), faces(&photo, 0.0));
+}
+
+#[test]
+fn the_mirror_image_of_a_look_is_the_look_of_the_mirror_image() {
+    let photo = drawn(48.0, 0.2, false);
+    let mirrored_pixels = photo.pixels().chunks(240).flat_map(|row| row.iter().rev().copied());
+    let other = Photo::from_pixels(240, 240, mirrored_pixels.collect()).unwrap();
+    let frame = Frame { origin: [112.0, 99.0], across: [45.0, 6.0], down: [-5.0, 50.0], turn: 0.1 };
+    let back = Frame {
+        origin: [239.0 - 112.0, 99.0],
+        across: [45.0, -6.0],
+        down: [5.0, 50.0],
+        turn: -0.1,
+    };
+    let own = look(&Octaves::new(photo.grey()), &frame);
+    let of_other = look(&Octaves::new(other.grey()), &back);
+    assert_eq!(own.len(), LOOK);
+    assert_eq!(mirrored(&mirrored(&own)), own);
+    let off = mirrored(&own).iter().zip(&of_other).map(|(a, b)| a.abs_diff(*b)).max();
+    assert!(off <= Some(2), "{off:?}");
+}
+
+#[test]
+fn eyes_and_mouth_are_nearer_once_they_are_aligned() {
+    let (mut before, mut after) = (0.0, 0.0);
+    for seed in 0..8 {
+        let picture = Scene::portrait(seed, 80.0, 0.0).render().unwrap();
+        let size = (picture.image.width() as usize, picture.image.height() as usize);
+        let pixels = picture.image.pixels().map(|pixel| pixel.0).collect();
+        let octaves = Octaves::new(Photo::from_pixels(size.0, size.1, pixels).unwrap().grey());
+        let mean = |from: usize, to: usize| {
+            let points = (from..to).map(|i| picture.faces[0].at(FeatureId::from_ibug(i).unwrap()));
+            let sum = points.fold([0.0; 2], |sum, at| [sum[0] + at[0], sum[1] + at[1]]);
+            sum.map(|sum| (sum / (to - from) as f64) as f32)
+        };
+        let truth = [mean(36, 42), mean(42, 48), mean(48, 60)];
+        let apart = truth[1][0] - truth[0][0];
+        let far = |frame: &Frame| {
+            let [left, right] = frame.eyes();
+            let seen = [left, right, frame.at(0.0, Frame::MOUTH)];
+            let off = seen.iter().zip(&truth).map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1]));
+            off.sum::<f32>() / apart
+        };
+        let aside = if seed % 2 == 0 { 0.15 } else { -0.15 };
+        let rough = Frame {
+            origin: [(truth[0][0] + truth[1][0]) / 2.0 + aside * apart, truth[0][1]],
+            across: [apart, 0.0],
+            down: [0.0, 0.85 * (truth[2][1] - truth[0][1]) / Frame::MOUTH],
+            turn: 0.0,
+        };
+        before += far(&rough);
+        after += far(&aligned(&rough, &look(&octaves, &rough)));
+    }
+    assert!(after < 0.7 * before, "{after} of {before}");
 }
