@@ -10,6 +10,7 @@ use mocapd_subject::face::Photo;
 use mocapd_subject::face::adapt::{Depth, Settings, adapt};
 use mocapd_subject::face::find;
 use mocapd_subject::face::model::{FeatureId, FitOptions, Model};
+use mocapd_subject::face::points::{self, Rough};
 use mocapd_subject::face::render::Scene;
 use rustix::time::{ClockId, clock_gettime};
 
@@ -78,5 +79,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     let photo = Photo::from_pixels(image.width() as usize, image.height() as usize, pixels)?;
     let find = || Ok::<_, Infallible>(find::faces(&photo, find::SCORE_MIN));
     println!("finding on 0.25 megapixel {:?}", fastest(FIND_ROUNDS, find)?);
+    let chain = || {
+        let found = find::faces(&photo, find::SCORE_MIN);
+        found
+            .iter()
+            .map(|face| points::find(&photo, &Rough::from(face)))
+            .collect::<Result<Vec<_>, _>>()
+    };
+    println!("and the points of its {} {:?}", chain()?.len(), fastest(FIND_ROUNDS, chain)?);
     Ok(())
 }

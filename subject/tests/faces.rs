@@ -1,0 +1,121 @@
+//! The bars on photographs with known landmarks, from the folder that `MOCAPD_FACES` names: of those that were never looked at,
+//! as far as they are met. docs/subject-face.md says which are not.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+#![expect(clippy::print_stdout, reason = "a test that is passed over says why")]
+
+use std::path::{Path, PathBuf};
+
+use mocapd_subject::face::Photo;
+use mocapd_subject::face::find;
+use mocapd_subject::face::model::FeatureId;
+use mocapd_subject::face::points::{self, Rough};
+
+#[expect(dead_code, reason = "the example draws, too")]
+#[path = "../examples/faces_points/data.rs"]
+mod data;
+
+use data::{Face, Noise, distance};
+
+/// Of the distance of the outer eye corners.
+const PHOTOGRAPHS_MEDIAN_MOST: f64 = 0.06;
+const SYNTHETIC_MEDIAN_MOST: f64 = 0.05;
+/// How far the eyes and mouth are off that points are begun from.
+const DISTURBED_IO: f64 = 0.04;
+const STARTS: usize = 3;
+/// Photographs whose yaw is unknown count whole.
+const PHOTOGRAPHS_YAW_DEG: f64 = 20.0;
+const SYNTHETIC_YAW_DEG: f64 = 35.0;
+/// A face that is to be found is as large as this, and found so near.
+const FOUND_IO_PX: f64 = 40.0;
+const FOUND_NEAR_IO: f64 = 0.25;
+
+fn folder() -> Option<PathBuf> {
+    let folder = std::env::var_os("MOCAPD_FACES").map(PathBuf::from);
+    if folder.is_none() {
+        println!("passed over: MOCAPD_FACES names no folder of photographs with known landmarks");
+    }
+    folder
+}
+
+/// Faces that nothing was learned from, turned by less than this.
+fn reported(folder: &Path, synthetic: bool, yaw_deg: f64) -> Vec<Face> {
+    let mut faces = data::read(folder).unwrap();
+    faces.retain(|face| {
+        let turned = face.truth.yaw_deg.unwrap_or(0.0).abs();
+        !face.development && face.synthetic == synthetic && turned <= yaw_deg
+    });
+    assert!(!faces.is_empty(), "{} has no faces that count", folder.display());
+    faces
+}
+
+fn disturbed(face: &Face, noise: &mut Noise) -> Rough {
+    let off_px = DISTURBED_IO * face.truth.io_px();
+    let mut near = |range| face.truth.centre(range).map(|at| at + off_px * noise.normal());
+    Rough { left_eye: near(36..42), right_eye: near(42..48), mouth: near(48..60) }
+}
+
+/// Mean distance of the points that iBUG-68 has, too, in distances of the outer eye corners.
+fn error_io(face: &Face, rough: &Rough) -> f64 {
+    let found = points::find(&face.photo, rough).unwrap();
+    let off = |landmark: usize| {
+        let id = FeatureId::from_ibug(landmark)?;
+        let is_seen = face.truth.visible[landmark];
+        is_seen.then(|| distance(found.points[id.index()].at, face.truth.landmarks[landmark]))
+    };
+    // The bridge of the nose and the outline are no single places.
+    let off: Vec<f64> = (17..27).chain(31..68).filter_map(off).collect();
+    off.iter().sum::<f64>() / off.len() as f64 / face.truth.io_px()
+}
+
+fn median_error_io(faces: &[Face]) -> f64 {
+    let mut noise = Noise::new(1);
+    let mut errors = Vec::new();
+    for face in faces {
+        errors.extend((0..STARTS).map(|_| error_io(face, &disturbed(face, &mut noise))));
+    }
+    errors.sort_by(f64::total_cmp);
+    errors[errors.len() / 2]
+}
+
+#[test]
+fn points_of_photographs_are_near_enough() {
+    let Some(folder) = folder() else { return };
+    let median = median_error_io(&reported(&folder, false, PHOTOGRAPHS_YAW_DEG));
+    assert!(median <= PHOTOGRAPHS_MEDIAN_MOST, "median error {median} of the eyes' distance");
+}
+
+#[test]
+fn points_of_synthetic_faces_are_near_enough() {
+    let Some(folder) = folder() else { return };
+    let median = median_error_io(&reported(&folder, true, SYNTHETIC_YAW_DEG));
+    assert!(median <= SYNTHETIC_MEDIAN_MOST, "median error {median} of the eyes' distance");
+}
+
+#[test]
+fn most_faces_are_found() {
+    let Some(folder) = folder() else { return };
+    let mut faces = reported(&folder, false, SYNTHETIC_YAW_DEG);
+    faces.extend(reported(&folder, true, SYNTHETIC_YAW_DEG));
+    faces.retain(|face| face.truth.io_px() >= FOUND_IO_PX);
+    let is_found = |face: &&Face| {
+        let eyes = [face.truth.centre(36..42), face.truth.centre(42..48)];
+        let near_px = FOUND_NEAR_IO * face.truth.io_px();
+        let found = find::faces(&face.photo, find::SCORE_MIN);
+        found.iter().any(|found| (0..2).all(|eye| distance(found.eyes[eye], eyes[eye]) <= near_px))
+    };
+    let found = faces.iter().filter(is_found).count();
+    // The bar is nine tenths.
+    assert!(3 * found >= 2 * faces.len(), "{found} of {} faces are found", faces.len());
+}
+
+#[test]
+fn where_no_face_is_none_is_found() {
+    let Some(folder) = folder() else { return };
+    let mut pictures = 0;
+    for entry in std::fs::read_dir(folder.join("negative")).unwrap() {
+        let photo = Photo::from_bytes(&std::fs::read(entry.unwrap().path()).unwrap()).unwrap();
+        assert_eq!(find::faces(&photo, find::SCORE_MIN).len(), 0);
+        pictures += 1;
+    }
+    assert!(pictures > 0);
+}
