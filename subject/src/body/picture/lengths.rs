@@ -32,22 +32,25 @@ pub(super) fn draw(sheet: &mut Sheet, drawing: &Drawing<'_>) {
             sheet.circle([x + dx, TOP], 3.5, &style);
         }
     }
-    for (i, (words, left, right)) in ROWS.into_iter().enumerate() {
-        let y = TOP + 8.0 + ROW * (i + 1) as f64;
+    // Joints may have been left out, and what hangs on them with them.
+    let rows = ROWS
+        .into_iter()
+        .map(|(words, left, right)| (words, [left, right].map(|bone| length(drawing, bone))));
+    let mut y = TOP + 8.0 + ROW;
+    for (words, lengths) in rows.filter(|(_, lengths)| lengths.iter().any(Option::is_some)) {
         sheet.line(
             [LEFT, y - ROW / 2.0],
             [LEFT + 325.0, y - ROW / 2.0],
             &format!("stroke=\"{GRID}\""),
         );
         sheet.text(LEFT, y, words, 12.0, INK, Stand::Left);
-        for (x, bone) in columns.into_iter().zip([left, right]) {
-            let text = length(drawing, bone);
+        for (x, text) in columns.into_iter().zip(lengths) {
             if let Some(text) = text {
                 sheet.text(x, y, &text, 12.0, INK, Stand::Right);
             }
         }
+        y += ROW;
     }
-    let y = TOP + 8.0 + ROW * (ROWS.len() + 1) as f64;
     sheet.text(LEFT, y, "± one standard deviation that is expected", 11.0, DIM, Stand::Left);
 }
 
