@@ -98,7 +98,8 @@ class Quantised(Codec):
     def way_named(self, take, layout):
         return next(way for way in map(self.way, SHAPES) if way.name == layout)
 
-    def best(self, take, tolerance_mm):
+    def best(self, take, tolerance_mm, tuned=True):
+        # The steps are the bound's own: there is nothing to tune.
         slow = COMPRESSORS[self.name.removeprefix("q+delta+")][3]
         axis = tolerance_mm / np.sqrt(3)
         shapes = ranking(Key(take, axis)) if slow and not EXHAUSTIVE else SHAPES
