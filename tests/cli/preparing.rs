@@ -49,6 +49,12 @@ fn scans_of_one_person_become_a_skeleton_and_a_picture() {
     let thigh_mm = length_mm(&truth, Joint::Hip(Side::Left), Joint::Knee(Side::Left));
     let (found_mm, _) = skeleton.symmetric_length_mm("thigh").unwrap();
     assert!((found_mm / thigh_mm - 1.0).abs() < 0.25, "{found_mm} of {thigh_mm} mm");
+    // Nothing is written where no bone has a body's length, or two outputs are one file.
+    let ran =
+        folder.run(&["subject", "body", "a.obj", "--unit", "mm", "-o", "mm.json"]).with_code(1);
+    assert!(ran.stderr.contains("--unit"), "{}", ran.stderr);
+    assert!(!folder.path("mm.json").exists());
+    folder.run(&["subject", "body", "a.obj", "-o", "x.svg", "--picture", "x.svg"]).with_code(2);
     let picture = String::from_utf8(folder.read("p.svg")).unwrap();
     assert!(picture.contains("Reeb graph") && picture.contains("left knee"));
 

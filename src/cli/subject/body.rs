@@ -68,6 +68,13 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     args.output.as_deref().map(paths::check_output).transpose()?;
     args.picture.as_deref().map(pictures::check_output).transpose()?;
+    if let (Some(output), Some(drawing)) = (&args.output, &args.picture)
+        && paths::are_one(output, drawing)
+    {
+        let message =
+            format!("{}: the skeleton and its picture would be one file", output.display());
+        return Err(UsageError(message).into());
+    }
     let method = match args.method {
         Chosen::Default => Method::Default,
         Chosen::Paper => Method::Paper,
@@ -84,6 +91,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     drop(progress);
     let skeleton = Skeleton::new(method, &scans).context("no scan was given")?;
+    if skeleton.bones.is_empty() {
+        bail!("no bone has a length of a body: say in which --unit the scan is");
+    }
+    let from = scans.iter().map(|scan| scan.notes.len()).sum();
+    skeleton.notes.iter().skip(from).for_each(|note| say(note));
     if let (Some(output), Some((path, repaired, survey))) = (&args.picture, first) {
         let survey = survey.with_levels(&repaired.mesh);
         pictures::write(output, &picture::of(&name(path), &repaired, &survey, &skeleton))?;

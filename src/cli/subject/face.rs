@@ -64,6 +64,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         let message = format!("{}: an overlay is a PNG: use .png", path.display());
         return Err(UsageError(message).into());
     }
+    apart(args)?;
     let shown = args.photo.display();
     let bytes = read_bounded(&args.photo, BYTES_MAX)?;
     let photo = Photo::from_bytes(&bytes).with_context(|| format!("cannot read {shown}"))?;
@@ -85,9 +86,15 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         Err(error @ (NoFace::NotFound | NoFace::NotFitted(_))) => bail!("{shown}: {error}"),
         Err(error) => return Err(error.into()),
     };
+    faces.sort_by(|a, b| b.camera.scale_px_per_mm.total_cmp(&a.camera.scale_px_per_mm));
     if args.largest {
-        faces.sort_by(|a, b| b.camera.scale_px_per_mm.total_cmp(&a.camera.scale_px_per_mm));
         faces.truncate(1);
+    }
+    // The first were known before the photograph was read: all of them, or none is written.
+    for number in 1..faces.len() {
+        for path in [&args.output, &args.obj].into_iter().flatten() {
+            paths::check_output(&numbered(path, number))?;
+        }
     }
     write(args, &photo, &faces)?;
     for (number, _) in faces.iter().enumerate().filter(|(_, face)| face.is_unsure()) {
@@ -101,6 +108,19 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         print(&table(&faces))?;
     }
     Ok(Outcome::Done)
+}
+
+/// That no two outputs are one file.
+fn apart(args: &Args) -> anyhow::Result<()> {
+    let outputs = [&args.output, &args.obj, &args.overlay, &args.views];
+    let outputs: Vec<&PathBuf> = outputs.into_iter().flatten().collect();
+    for (i, one) in outputs.iter().enumerate() {
+        if outputs[..i].iter().any(|other| paths::are_one(one, other)) {
+            let message = format!("{}: two outputs would be one file", one.display());
+            return Err(UsageError(message).into());
+        }
+    }
+    Ok(())
 }
 
 fn write(args: &Args, photo: &Photo, faces: &[FittedFace]) -> anyhow::Result<()> {
@@ -140,13 +160,14 @@ fn numbered(path: &Path, number: usize) -> PathBuf {
 /// What people read.
 fn table(faces: &[FittedFace]) -> String {
     let mut out = format!("{}\n", count(faces.len() as u64, "face"));
-    out += "face   eyes apart px   yaw deg   pitch deg   roll deg   points seen   confidence\n";
+    out += "face     at x, y px   eye corners px   yaw deg   pitch deg   roll deg   points seen   confidence\n";
     for (number, face) in faces.iter().enumerate() {
         let camera = &face.camera;
         let seen = face.points.iter().filter(|point| point.confidence > 0.0).count();
         out += &format!(
-            "{:>4} {:>15.0} {:>9.1} {:>11.1} {:>10.1} {:>8} of 53 {:>12}\n",
+            "{:>4} {:>14} {:>16.0} {:>9.1} {:>11.1} {:>10.1} {:>7} of 53 {:>12}\n",
             number + 1,
+            format!("{:.0}, {:.0}", camera.origin_px[0], camera.origin_px[1]),
             camera.scale_px_per_mm * OUTER_EYES_MM,
             camera.yaw_deg,
             camera.pitch_deg,

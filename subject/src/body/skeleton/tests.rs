@@ -107,6 +107,34 @@ fn limbs_that_turn_tell_their_centres() {
 }
 
 #[test]
+fn scans_of_two_people_are_told_to_be() {
+    let of = |seed| scan(Pose::A, joints(seed, Pose::A));
+    let noted = |scans: &[ScanJoints]| {
+        let notes = Skeleton::new(Method::Default, scans).unwrap().notes;
+        notes.iter().any(|note| note.contains("of several people"))
+    };
+    assert!(!noted(&[of(3), scan(Pose::T, joints(3, Pose::T))]));
+    let mut tall = of(3);
+    tall.joints.estimates.values_mut().for_each(|estimate| {
+        estimate.position = estimate.position.map(|metres| 1.12 * metres);
+    });
+    assert!(noted(&[of(3), tall]));
+}
+
+#[test]
+fn a_stature_is_no_surer_than_bones_in_doubt() {
+    let mut joints = joints(3, Pose::A);
+    let sure = Skeleton::new(Method::Default, &[scan(Pose::A, joints.clone())]).unwrap();
+    for side in [Side::Left, Side::Right] {
+        joints.estimates.get_mut(&Joint::Hip(side)).unwrap().sigma = 0.2;
+    }
+    let doubted = Skeleton::new(Method::Default, &[scan(Pose::A, joints)]).unwrap();
+    assert_eq!(doubted.stature_mm, sure.stature_mm);
+    let (sure, doubted) = (sure.stature_uncertainty_mm, doubted.stature_uncertainty_mm);
+    assert!(doubted.unwrap() > 3.0 * sure.unwrap(), "{sure:?} {doubted:?}");
+}
+
+#[test]
 fn sides_that_are_not_told_are_levelled() {
     let mut scans = vec![scan(Pose::A, joints(3, Pose::A)), scan(Pose::T, joints(3, Pose::T))];
     let wrist = scans[1].joints.estimates.get_mut(&Joint::Wrist(Side::Left)).unwrap();
