@@ -38,7 +38,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let folder = args.next().ok_or("which folder? drawn_subject FOLDER [SEED]")?;
     let seed = match args.next() {
         Some(seed) => seed.to_str().ok_or("the seed is a number")?.parse()?,
-        None => 3,
+        None => 5,
     };
     let (mesh, _) = body(seed, Pose::A, Options { n_faces: N_FACES, turned: false });
     std::fs::write(Path::new(&folder).join("scan.obj"), obj(&mesh)?)?;
