@@ -4,6 +4,7 @@
 //! refused before it gets into a take.
 
 pub mod face;
+mod labels;
 pub mod skeleton;
 
 use std::{
@@ -14,7 +15,7 @@ use std::{
 use anyhow::{Context, bail, ensure};
 use mocapd_take::record::{DOCUMENT_BYTES_MAX, Subject};
 
-pub use self::{face::Face, skeleton::Skeleton};
+pub use self::{face::Face, labels::strangers, skeleton::Skeleton};
 use crate::files;
 
 /// Bytes of a subject's name: a line on a screen.

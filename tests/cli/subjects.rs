@@ -356,3 +356,25 @@ fn in_order(motion: &Motion) -> Motion {
     info.markers = columns.iter().map(|&column| motion.info.markers[column].clone()).collect();
     Motion { positions_mm: positions_mm.collect(), info }
 }
+
+#[test]
+fn a_skeleton_and_a_face_of_other_markers_are_told() {
+    let folder = Folder::new();
+    let motion = jump(1, 60.0, 0.5);
+    folder.write("s.json", skeleton(&motion));
+    folder.write("f.json", FACE);
+    folder.write("m.json", MARKERS.replace("head", "brow"));
+    folder.write_motion("jump.csv", &motion);
+    let with = ["--skeleton", "s.json", "--face", "f.json", "--face-markers", "m.json"];
+    let ran =
+        folder.run(&[&["import", "jump.csv", "-o", "a.take"], &with[..]].concat()).with_code(0);
+    assert!(!ran.stderr.contains("shows nothing"), "{}", ran.stderr);
+    assert!(ran.stderr.contains("1 of the 2 markers of the face"), "{}", ran.stderr);
+
+    let text = String::from_utf8(folder.read("jump.csv")).unwrap();
+    let strange =
+        SITES.iter().fold(text, |text, site| text.replace(site, &format!("x{}", site.len())));
+    folder.write("strange.csv", strange);
+    let ran = folder.run(&["import", "strange.csv", "-o", "b.take", "--skeleton", "s.json"]);
+    assert!(ran.with_code(0).stderr.contains("shows nothing"));
+}

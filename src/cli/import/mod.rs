@@ -13,6 +13,7 @@ use mocapd::{
     header,
     outcome::Outcome,
     pipeline::{Written, offline},
+    subject::strangers,
     threads,
 };
 use mocapd_codec::Settings;
@@ -69,6 +70,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if args.drop_foreign {
         header.settings.push(("drop_foreign".to_owned(), "true".to_owned()));
     }
+    let labels: Vec<String> =
+        motion.info.markers.iter().map(|marker| marker.label.clone()).collect();
+    strangers(subject.as_ref(), &labels).iter().for_each(|words| about_file(words));
     header.set_import_id(&bytes, subject.as_ref())?;
     motion.info.subject = subject;
     drop(bytes);
