@@ -1,13 +1,17 @@
-"""Where eyes and mouth are, by how a face looks in a rough frame, as `find/align_weights.rs`.
+"""Where eyes and mouth are, by how a face looks: `find/align_first.rs` and, learned on what that gives, `find/align_second.rs`.
 
-    python3 benches/subject/find_align.py WORK > subject/src/face/find/align_weights.rs
+    python3 benches/subject/find_align.py WORK first > subject/src/face/find/align_first.rs     # then build again
+    python3 benches/subject/find_align.py WORK second > subject/src/face/find/align_second.rs   # then build again
+    python3 benches/subject/find_align.py WORK second held       # or first: how far off they are when held out
 
-Needs what `find_looks.py` needs, and its pictures. A ridge regression from a look, and its mirror image, to how far eyes and
-mouth are from where the drawn face has them, in the face's own coordinates. Learned on what the search proposes within
-0.42 of the outer eye corners' distance (the mouth within 0.7) and at most 0.8 of the frame off; each face counts once, drawn
-ones 0.3. Faces turned by more than 47 degrees, or with an eye that hair hides, are left out.
+Needs what `find_looks.py` needs, and its pictures. Ridge regressions from a look, and its mirror image, to how far eyes and
+mouth are from where the template has them (first), or the first regression (second), in the face's own coordinates.
+Learned on what is proposed within 0.42 of the outer eye corners' distance (the mouth within 0.7) and at most 0.8 of the
+frame off; each face counts once, drawn ones 0.3. Faces turned by more than 47 degrees, or with an eye that hair hides, are
+left out.
 """
 
+import re
 import sys
 from pathlib import Path
 
@@ -16,24 +20,21 @@ import numpy as np
 from find_looks import LOOK, MIRRORED, looks, pictures
 
 RIDGE, UNIT = 10.0, 1e-6
+# What `faces_found` calls what each is learned on.
+STEPS = {"first": "rough", "second": "nearer"}
 MIDDLE = np.array([[-0.5, 0], [0.5, 0], [0, 1.1]])
 # In the mirror the eyes change sides.
 SIDES, SIGNS = np.array([2, 3, 0, 1, 4, 5]), np.array([-1, 1, -1, 1, -1, 1])
 
 HEADER = """\
-//! Where eyes and mouth are, by how a face looks: learned by `benches/subject/find_align.py` as a ridge regression.
+//! Where eyes and mouth are, by how a face looks: learned by `benches/subject/find_align.py` as the %s ridge regression.
 
-use super::look::LOOK;
+use super::align::Step;
 
-/// Weights are told in these: shares of the distance of the eyes for a byte.
-pub(super) const UNIT: f32 = 1e-6;
-
-/// What is added: x and y of the left eye, the right one, the mouth.
-pub(super) const ADDED: [f32; 6] = [%s];
-
-/// For each byte of a look, how it moves the same six.
 #[rustfmt::skip]
-pub(super) const WEIGHTS: [[i16; 6]; LOOK] = ["""
+pub(super) static STEP: Step = Step {
+    added: [%s],
+    weights: ["""
 
 
 def off(places, points):
@@ -45,34 +46,73 @@ def off(places, points):
     return (inside - MIDDLE).reshape(-1, 6)
 
 
-def main(work):
-    rows, moves, weights = [], [], []
-    paths, known = pictures(work)
-    for path, faces, (places, seen) in zip(paths, known, looks(paths, "rough")):
-        for face in faces:
-            if abs(face["yaw"]) > 47 or not all(face.get("shown", [True])):
-                continue
-            points = np.array(face["points"])
-            far = np.hypot(*np.moveaxis(places[:, :6].reshape(-1, 3, 2) - points, 2, 0)) / face["io"]
-            near = (far[:, :2].max(1) < 0.42) & (far[:, 2] < 0.7)
-            if near.any():
-                rows.append(seen[near])
-                moves.append(off(places[near], points))
-                weights.append(np.full(near.sum(), (0.3 if path.stem.startswith("drawn") else 1) / near.sum()))
-    rows, moves, weights = map(np.concatenate, (rows, moves, weights))
-    kept = np.abs(moves).max(1) <= 0.8
-    rows, moves, weights = rows[kept], moves[kept], np.tile(weights[kept], 2)
-    rows = np.vstack([rows, rows[:, MIRRORED]]).astype(np.float32) / 128
-    moves = np.vstack([moves, moves[:, SIDES] * SIGNS])
-    mean, shift = np.average(rows, axis=0, weights=weights), np.average(moves, axis=0, weights=weights)
-    columns = (rows - mean) * np.sqrt(weights)[:, None]
-    square = (columns.T @ columns).astype(float) + RIDGE * np.eye(LOOK)
-    found = np.linalg.solve(square, columns.T @ ((moves - shift) * np.sqrt(weights)[:, None]))
-    print(HEADER % ", ".join(f"{value:.4f}" for value in shift - mean @ found))
-    table = np.round(found / 128 / UNIT).astype(int).tolist()
+class Seen:
+    """What is proposed near a face: its look, how eyes and mouth are to be moved, what it counts, the face, its picture."""
+
+    def __init__(self, work, step):
+        look, moves, count, face, picture = [], [], [], [], []
+        self.paths, known = pictures(work)
+        for i, (path, faces, (places, seen)) in enumerate(zip(self.paths, known, looks(self.paths, STEPS[step]))):
+            for one in faces:
+                if abs(one["yaw"]) > 47 or not all(one.get("shown", [True])):
+                    continue
+                points = np.array(one["points"])
+                far = np.hypot(*np.moveaxis(places[:, :6].reshape(-1, 3, 2) - points, 2, 0)) / one["io"]
+                near = (far[:, :2].max(1) < 0.42) & (far[:, 2] < 0.7)
+                near[near] = np.abs(off(places[near], points)).max(1) <= 0.8
+                if near.any():
+                    look.append(seen[near])
+                    moves.append(off(places[near], points))
+                    count.append(np.full(near.sum(), (0.3 if path.stem.startswith("drawn") else 1) / near.sum()))
+                    face.append(np.full(near.sum(), len(face)))
+                    picture.append(np.full(near.sum(), i))
+        self.look, self.moves, self.count, self.face, self.picture = map(np.concatenate, (look, moves, count, face, picture))
+
+    def learn(self, part):
+        """What is added, and weights of the 1000 numbers of a look divided by 128."""
+        count = np.tile(self.count[part], 2)
+        rows = np.vstack([self.look[part], self.look[part][:, MIRRORED]]).astype(np.float32) / 128
+        moves = np.vstack([self.moves[part], self.moves[part][:, SIDES] * SIGNS])
+        mean, shift = np.average(rows, axis=0, weights=count), np.average(moves, axis=0, weights=count)
+        columns = (rows - mean) * np.sqrt(count)[:, None].astype(np.float32)
+        square = (columns.T @ columns).astype(float) + RIDGE * np.eye(LOOK)
+        found = np.linalg.solve(square, columns.T @ ((moves - shift) * np.sqrt(count)[:, None]))
+        return shift - mean @ found, found
+
+    def told(self, part, added, found):
+        own, other = (self.look[part][:, order] / 128 @ found + added for order in (np.arange(LOOK), MIRRORED))
+        return (own + other[:, SIDES] * SIGNS) / 2
+
+
+def held(seen):
+    """How far off eyes and mouth are before and after, where the picture was not learned from, in distances of the eyes."""
+    stems = [re.sub(r"_v\d$", "", path.stem) for path in seen.paths]
+    family = sorted(set(stems))
+    fold = np.array([family.index(stem) % 2 for stem in stems])[seen.picture]
+    after = seen.moves.copy()
+    for k in range(2):
+        after[fold == k] -= seen.told(fold == k, *seen.learn(fold != k))
+    kind = np.array([re.match("[a-z]+", path.stem)[0] for path in seen.paths])[seen.picture]
+    for name in ("head", "drawn", "aflw", "menpo", "obama", "synth", "lfpw", "dlib", "lfw"):
+        told = []
+        for moves in (seen.moves[kind == name], after[kind == name]):
+            far = np.hypot(*np.moveaxis(moves.reshape(-1, 3, 2), 2, 0))
+            told += [np.median(far[:, :2].max(1)), np.median(far[:, 2])]
+            told += [((far[:, :2].max(1) < 0.286) & (far[:, 2] < 0.43)).mean()]
+        print(name, (kind == name).sum(), "eyes %.3f, mouth %.3f, good %.3f; then %.3f, %.3f, %.3f" % tuple(told))
+
+
+def main(work, step, is_held):
+    seen = Seen(work, step)
+    if is_held:
+        return held(seen)
+    added, found = seen.learn(slice(None))
+    print(HEADER % (step, ", ".join(f"{value:.4f}" for value in added)))
+    table = np.round(found / 128 / UNIT).astype(int).clip(-32768, 32767).tolist()
     for i in range(0, LOOK, 5):
-        print("    " + ", ".join(map(str, table[i : i + 5])) + ",")
-    print("];")
+        print("        " + ", ".join(map(str, table[i : i + 5])) + ",")
+    print("    ],\n};")
 
 
-main(Path(sys.argv[1]))
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2], sys.argv[3:] == ["held"])

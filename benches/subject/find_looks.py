@@ -1,14 +1,16 @@
 """The trees of `face/find` that tell a face from what only fits the template, as `find/look_trees.rs`.
 
-    python3 benches/subject/find_strokes.py $MOCAPD_FACES WORK                          # pictures with known faces
-    python3 benches/subject/heads/make.py DATA targets.npz WORK/heads 0 2000             # random heads
-    python3 benches/subject/find_align.py WORK > subject/src/face/find/align_weights.rs # then build again
-    python3 benches/subject/find_looks.py WORK > subject/src/face/find/look_trees.rs
-    python3 benches/subject/find_looks.py WORK held                                      # what is found when held out
+    FIND=subject/src/face/find BUILD="cargo build --release --locked -p mocapd-subject --example faces_found"
+    $BUILD && python3 benches/subject/find_pictures.py $MOCAPD_FACES WORK              # pictures with known faces
+    python3 benches/subject/heads/make.py DATA targets.npz WORK/heads 0 2000           # random heads
+    python3 benches/subject/find_align.py WORK first > $FIND/align_first.rs && $BUILD
+    python3 benches/subject/find_align.py WORK second > $FIND/align_second.rs && $BUILD
+    python3 benches/subject/find_looks.py WORK > $FIND/look_trees.rs && $BUILD
+    python3 benches/subject/find_looks.py WORK held                                    # what is found when held out
 
-Needs what those need, and `cargo build --release -p mocapd-subject --example faces_found`, which gives the looks of what
-the search proposes on every picture. Learned on: the pictures of `find_strokes.py`; random heads; the pictures without
-faces six times turned, scaled, lit and inverted; heads upside down. A look is a face if both eyes are within 0.2 of the
+Needs what those need; `faces_found` gives the looks of what the search proposes on every picture. Seeded: the same twice.
+Learned on: the pictures of `find_pictures.py`; random heads; the pictures without faces six times turned, scaled, lit and
+inverted; heads upside down. A look is a face if both eyes are within 0.2 of the
 outer eye corners' distance and the mouth within 0.3; it is left out below 0.45, on faces turned by more than 50 degrees,
 and where hair hides an eye. Each face counts once. Of what is none, the surest eight of a picture and eight others
 are learned from; then, once, the fifteen that the trees themselves are surest of.
@@ -19,6 +21,7 @@ import os
 import re
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +35,7 @@ ROW = 4 * SCORES + LOOK
 MIRRORED = np.arange(LOOK).reshape(WIDE, WIDE, 10)[:, ::-1][..., [4, 3, 2, 1, 0, 7, 6, 5, 8, 9]].ravel()
 COUNTS = {"head": 1.0, "lfw": 1.0, "drawn": 0.3}
 ROUNDS, RATE, RIDGE, TRIED, FACES_SHARE = 300, 0.1, 5.0, 60, 0.15
-# The sum from which on it is a face: held out, no picture without faces has a place with more.
+# The sum from which on it is a face: held out, one in a hundred pictures without faces has a place with more.
 ZERO, HELD = 0.3, 3
 UPSIDE_DOWN = 160
 
@@ -66,14 +69,19 @@ def without_faces(work):
 def looks(paths, which="looks"):
     """Of each picture: where its hypotheses are, and how they look."""
     finder = Path(os.environ.get("CARGO_TARGET_DIR", "target")) / "release/examples/faces_found"
-    for first in range(0, len(paths), 100):
-        part = [str(path) for path in paths[first : first + 100]]
-        told, at = subprocess.run([finder, which, *part], capture_output=True, check=True).stdout, 0
-        for _ in part:
-            count = int(np.frombuffer(told, "<f4", 1, at)[0])
-            rows = np.frombuffer(told, np.uint8, count * ROW, at + 4).reshape(count, ROW)
-            at += 4 + count * ROW
-            yield np.ascontiguousarray(rows[:, : 4 * SCORES]).view("<f4"), rows[:, 4 * SCORES :]
+
+    def told(part):
+        return subprocess.run([finder, which, *map(str, part)], capture_output=True, check=True).stdout
+
+    parts = [paths[first : first + 50] for first in range(0, len(paths), 50)]
+    with ThreadPoolExecutor(2) as two:
+        for part, bytes_told in zip(parts, two.map(told, parts)):
+            at = 0
+            for _ in part:
+                count = int(np.frombuffer(bytes_told, "<f4", 1, at)[0])
+                rows = np.frombuffer(bytes_told, np.uint8, count * ROW, at + 4).reshape(count, ROW)
+                at += 4 + count * ROW
+                yield np.ascontiguousarray(rows[:, : 4 * SCORES]).view("<f4"), rows[:, 4 * SCORES :]
 
 
 def label(places, faces):

@@ -2,7 +2,8 @@
 //!
 //! `faces_found` prints the development photographs, on which weights and thresholds were chosen; `faces_found reported`
 //! the others; `faces_found looks FILE...` every hypothesis on any photographs, for
-//! `benches/subject/find_looks.py`, `faces_found rough FILE...` the same before its eyes are aligned, for `find_align.py`.
+//! `benches/subject/find_looks.py`, `faces_found rough FILE...` the same before its eyes are aligned, and `faces_found nearer
+//! FILE...` after the first of two steps, for `find_align.py`.
 //!
 //! `faces_found drawn [FROM TO]` prints what is found on seeded pictures of drawn faces, and `faces_found draw FOLDER FROM
 //! TO` writes those.
@@ -51,15 +52,15 @@ struct Tally {
 
 fn main() {
     let args: Vec<String> = std::env::args().skip(1).collect();
-    let hypotheses: Option<fn(&Photo) -> Vec<Hypothesis>> =
-        args.first().and_then(|first| match first.as_str() {
-            "looks" => Some(find::hypotheses as _),
-            "rough" => Some(find::rough_hypotheses as _),
-            _ => None,
-        });
-    if let Some(hypotheses) = hypotheses {
+    let steps = match args.first().map(String::as_str) {
+        Some("looks") => Some(usize::MAX),
+        Some("rough") => Some(0),
+        Some("nearer") => Some(1),
+        _ => None,
+    };
+    if let Some(steps) = steps {
         for path in args.iter().skip(1) {
-            if let Err(error) = looks(Path::new(path), hypotheses) {
+            if let Err(error) = looks(Path::new(path), steps) {
                 eprintln!("{path}: {error}");
             }
         }
@@ -187,13 +188,13 @@ fn judge(truth: &[Face], found: &[Found]) -> (usize, usize) {
 
 /// Numbers as single-precision floats: how many hypotheses, then of each eyes, mouth, distance of the outer corners, score,
 /// and the bytes of its look.
-fn looks(path: &Path, hypotheses: fn(&Photo) -> Vec<Hypothesis>) -> std::io::Result<()> {
+fn looks(path: &Path, steps: usize) -> std::io::Result<()> {
     let mut out = std::io::stdout().lock();
     let Ok(photo) = Photo::from_bytes(&std::fs::read(path)?) else {
         eprintln!("{}: not read", path.display());
         return out.write_all(&0_f32.to_le_bytes());
     };
-    let all = hypotheses(&photo);
+    let all = find::hypotheses_after(&photo, steps);
     out.write_all(&(all.len() as f32).to_le_bytes())?;
     for Hypothesis { found, look } in all {
         let Found { eyes: [left, right], mouth, io_px, score, .. } = found;

@@ -1,17 +1,32 @@
-//! From how a face looks in a rough frame to where its eyes and its mouth are: a linear regression, as each step of
-//! cascaded ones is (Xiong and De la Torre 2013).
+//! From how a face looks in a rough frame to where its eyes and its mouth are: linear regressions, one after the other,
+//! each learned on what the one before it leaves (Xiong and De la Torre 2013).
 
-use super::align_weights::{ADDED, UNIT, WEIGHTS};
+use super::align_first;
+use super::align_second;
 use super::frame::Frame;
-use super::look::{Look, mirrored};
+use super::look::{LOOK, Look, mirrored};
+
+/// One regression: x and y of the left eye, the right one, the mouth, in shares of the frame's distance of the eyes.
+pub(super) struct Step {
+    /// What is added.
+    pub(super) added: [f32; 6],
+    /// For each byte of a look, how it moves the same six, in units of [`UNIT`].
+    pub(super) weights: [[i16; 6]; LOOK],
+}
+
+/// The first sees the frame of the template, the second what the first has made of it.
+pub(super) static STEPS: [&Step; 2] = [&align_first::STEP, &align_second::STEP];
+
+/// Weights are told in these: shares of the distance of the eyes for a byte.
+const UNIT: f32 = 1e-6;
 
 /// A point is moved by at most this much, in distances of the eyes: what is farther off was no face.
 const FAR: f32 = 0.6;
 
 /// The frame with its eyes and its mouth where they look to be; turned as before.
-pub(super) fn aligned(frame: &Frame, look: &Look) -> Frame {
-    let own = told(look);
-    let [ax, ay, bx, by, mx, my] = told(&mirrored(look));
+pub(super) fn aligned(frame: &Frame, look: &Look, step: &Step) -> Frame {
+    let own = told(look, step);
+    let [ax, ay, bx, by, mx, my] = told(&mirrored(look), step);
     // In the mirror the eyes change sides.
     let other = [-bx, by, -ax, ay, -mx, my];
     let moves = own.iter().zip(other).map(|(own, other)| ((own + other) / 2.0).clamp(-FAR, FAR));
@@ -39,14 +54,14 @@ pub(super) fn aligned(frame: &Frame, look: &Look) -> Frame {
 }
 
 /// How far eyes and mouth are from the frame's, in its own coordinates.
-fn told(look: &Look) -> [f32; 6] {
+fn told(look: &Look, step: &Step) -> [f32; 6] {
     let mut sums = [0_i32; 6];
-    for (&byte, weights) in look.iter().zip(&WEIGHTS) {
+    for (&byte, weights) in look.iter().zip(&step.weights) {
         for (sum, &weight) in sums.iter_mut().zip(weights) {
             *sum += i32::from(byte) * i32::from(weight);
         }
     }
-    let mut out = ADDED;
+    let mut out = step.added;
     for (out, sum) in out.iter_mut().zip(sums) {
         *out += UNIT * sum as f32;
     }

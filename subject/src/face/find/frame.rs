@@ -52,25 +52,14 @@ impl Frame {
         [place(0), place(1)]
     }
 
-    /// Its height by its width (1 on a frontal face), and how far the mouth is from the middle of the eyes along the line
-    /// of the eyes, in units of the width a unit of height.
-    #[must_use]
-    pub fn stretch_and_shear(&self) -> [f32; 2] {
-        let square = (self.across[0].powi(2) + self.across[1].powi(2)).max(f32::MIN_POSITIVE);
-        let shear = (self.across[0] * self.down[0] + self.across[1] * self.down[1]) / square;
-        let turn = (self.across[0] * self.down[1] - self.across[1] * self.down[0]) / square;
-        [turn.max(1e-3), shear]
-    }
-
     /// The eyes: first the one at the picture's left.
     #[must_use]
     pub fn eyes(&self) -> [[f32; 2]; 2] {
         [self.at(-0.5, 0.0), self.at(0.5, 0.0)]
     }
+}
 
-    /// The distance of the eyes, in pixels.
-    #[must_use]
-    pub fn eye_distance(&self) -> f32 {
-        self.across[0].hypot(self.across[1])
-    }
+/// How long a way is. On a photograph nothing is so long that its square has no end, and this is much faster than `hypot`.
+pub(super) fn length([x, y]: [f32; 2]) -> f32 {
+    (x * x + y * y).sqrt()
 }

@@ -1,6 +1,6 @@
 //! How a face looks once it is upright: slopes by direction, brightness and contrast of its cells, in a byte each.
 
-use super::frame::Frame;
+use super::frame::{Frame, length};
 use super::octaves::Octaves;
 
 /// Cells along each side, a quarter of the distance of the eyes wide: two and a half distances in all.
@@ -35,7 +35,7 @@ pub type Look = Vec<u8>;
 
 /// Of the face that has this frame on the photograph.
 pub(super) fn look(octaves: &Octaves, frame: &Frame) -> Look {
-    let shrink = frame.down[0].hypot(frame.down[1]) * STEP;
+    let shrink = length(frame.down) * STEP;
     let Some((plane, done)) = octaves.at(shrink) else { return Vec::new() };
     let by = 1.0 / done;
     let mut root = [[0.0_f32; SAMPLES]; SAMPLES];

@@ -2,26 +2,25 @@
 //!
 //! Slopes of brightness, told in the contrast of around, are pooled over small cells (Dalal and Triggs 2005), and a template
 //! of what each cell of a face speaks for it is held against every place, at every size, five rolls, frontal and turned to
-//! both sides. The best places are refined between the steps of that search. There the frame of the face ([`Frame`]: eyes,
-//! mouth and turn) climbs to where a face of sixteen strokes fits best. How it looks in that frame ([`Look`]) tells where eyes
-//! and mouth are, by a linear regression (Xiong and De la Torre 2013), and how it looks with those, whether it is a face: a few hundred boosted trees of three questions each, about slopes, brightness and contrast of its cells, as in aggregated
-//! channel features (Dollar et al. 2014). No colours are asked about: grey photographs are as good as others.
+//! both sides. The best places are refined between the steps of that search, and give the frame of a face ([`Frame`]: eyes,
+//! mouth and turn). How it looks in that frame ([`Look`]) tells where eyes and mouth are, by two linear regressions, one
+//! after the other (Xiong and De la Torre 2013); how it looks with those tells whether it is a face: a few hundred boosted
+//! trees of three questions each, about slopes, brightness and contrast of its cells, as in aggregated channel features
+//! (Dollar et al. 2014). No colours are asked about: grey photographs are as good as others.
 //!
 //! The template of (Yang et al. 2004, eq. 4) is what this grew from; it is measured everywhere instead of on blocks of skin,
 //! so that neither hair over a cheek nor a wall of skin's colour hides a face.
 
 mod align;
-mod align_weights;
+mod align_first;
+mod align_second;
 mod cells;
-mod climb;
 mod frame;
-mod level;
 mod look;
 mod look_trees;
 mod octaves;
 mod place;
 mod scan;
-mod schema;
 mod search;
 mod template;
 mod template_weights;
@@ -31,7 +30,7 @@ mod verdict;
 
 pub use frame::Frame;
 pub use look::{LOOK, Look};
-pub use search::{Hypothesis, IO_MIN_PX, SCORE_MIN, faces, hypotheses, rough_hypotheses};
+pub use search::{Hypothesis, IO_MIN_PX, SCORE_MIN, faces, hypotheses, hypotheses_after};
 
 use super::{Photo, Plane};
 

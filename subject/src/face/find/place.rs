@@ -2,7 +2,7 @@
 
 use super::Plane;
 use super::cells::{CELL_PX, Cells};
-use super::frame::Frame;
+use super::frame::{Frame, length};
 use super::octaves::Octaves;
 use super::template::{EYES_PX, SIDE, Template, best_fit, eyes_of};
 
@@ -28,7 +28,7 @@ pub(super) struct Place {
 impl Place {
     /// The template's distance of the eyes, on the photograph.
     pub(super) fn eyes_px(&self) -> f32 {
-        EYES_PX * self.step[0].hypot(self.step[1])
+        EYES_PX * length(self.step)
     }
 
     /// The face of the template, on the photograph.
@@ -62,7 +62,7 @@ impl Place {
 
     /// The best fit within a cell each way.
     fn best_near(&self, octaves: &Octaves, templates: &[Template; 3]) -> Option<Self> {
-        let (plane, done) = octaves.at(self.step[0].hypot(self.step[1]))?;
+        let (plane, done) = octaves.at(length(self.step))?;
         let [ex, ey] = eyes_of(AROUND as f32, AROUND as f32);
         let mut crop = Plane::filled(CROP_PX, CROP_PX, 0.0);
         for (y, row) in crop.values_mut().chunks_exact_mut(CROP_PX).enumerate() {

@@ -2,6 +2,7 @@
 
 use super::Plane;
 use super::cells::{CELL_PX, Cells};
+use super::frame::length;
 use super::octaves::Octaves;
 use super::place::Place;
 use super::template::{EYES_PX, SIDE, Template, best_fit, eyes_of};
@@ -47,9 +48,9 @@ pub(super) fn places(
     let mut kept: Vec<Place> = Vec::new();
     for place in all {
         let near = |other: &Place| {
-            let [dx, dy] = [other.origin[0] - place.origin[0], other.origin[1] - place.origin[1]];
+            let apart = [other.origin[0] - place.origin[0], other.origin[1] - place.origin[1]];
             let (a, b) = (other.eyes_px(), place.eyes_px());
-            dx.hypot(dy) < APART * a.min(b) && a.max(b) < SAME_SIZE * a.min(b)
+            length(apart) < APART * a.min(b) && a.max(b) < SAME_SIZE * a.min(b)
         };
         if !kept.iter().any(near) {
             kept.push(place);

@@ -1,13 +1,10 @@
 //! From a photograph to weighed hypotheses, and from those to faces.
 
-use super::align::aligned;
-use super::climb::climb;
+use super::align::{STEPS, aligned};
 use super::frame::Frame;
-use super::level::Level;
 use super::look::{Look, look};
 use super::octaves::Octaves;
 use super::scan::places;
-use super::schema::Schema;
 use super::template::Template;
 use super::verdict;
 use super::{Found, Photo};
@@ -18,8 +15,8 @@ const IO_OF_EYES: f64 = 1.43;
 /// grows with the root of what is beyond that.
 pub const IO_MIN_PX: f32 = 32.0;
 const FULL_SEARCH_PX: f32 = 1e6;
-/// How sure a face must be: of the pictures without a face that were held out while the trees were learned, none has a place
-/// that is surer, and of the random heads in the same pictures one in two hundred has a false one.
+/// How sure a face must be: of the pictures without a face that were held out while the trees were learned, one in a hundred
+/// has a place that is surer, and of the random heads' pictures one in two hundred has a false one.
 pub const SCORE_MIN: f64 = 0.5;
 
 /// What fits less once it is refined is not looked at closer: of the faces learned from a hundredth, of all places two fifths.
@@ -37,23 +34,14 @@ pub struct Hypothesis {
 /// Every place that may be a face, with its eyes and its mouth where they look to be; the likeliest of the template first.
 #[must_use]
 pub fn hypotheses(photo: &Photo) -> Vec<Hypothesis> {
-    climbed(photo, |octaves, frame| {
-        let frame = aligned(frame, &look(octaves, frame));
-        hypothesis(octaves, &frame)
-    })
+    hypotheses_after(photo, STEPS.len())
 }
 
-/// The same as the drawn face fits best there: what [`hypotheses`] begins from.
+/// The same after fewer steps of the regression that moves eyes and mouth: after none, they are where the template has them.
 #[must_use]
-pub fn rough_hypotheses(photo: &Photo) -> Vec<Hypothesis> {
-    climbed(photo, hypothesis)
-}
-
-/// Frames on the photograph where the drawn face fits best.
-fn climbed(photo: &Photo, told: impl Fn(&Octaves, &Frame) -> Hypothesis) -> Vec<Hypothesis> {
+pub fn hypotheses_after(photo: &Photo, steps: usize) -> Vec<Hypothesis> {
     let size = (photo.width(), photo.height());
     let octaves = Octaves::new(photo.grey());
-    let schema = Schema::new();
     let io_min = IO_MIN_PX * ((size.0 * size.1) as f32 / FULL_SEARCH_PX).sqrt().max(1.0);
     let templates = Template::all();
     places(&octaves, &templates, size, io_min / IO_OF_EYES as f32)
@@ -61,9 +49,11 @@ fn climbed(photo: &Photo, told: impl Fn(&Octaves, &Frame) -> Hypothesis) -> Vec<
         .map(|place| place.refined(&octaves, &templates))
         .filter(|place| place.fit > REFINED_MIN)
         .filter_map(|place| {
-            let (level, rough) = Level::new(&octaves, &place.frame(&templates)?)?;
-            let frame = climb(&level.local, rough, &schema);
-            Some(told(&octaves, &level.frame_on_photo(&frame)))
+            let mut frame = place.frame(&templates)?;
+            for step in STEPS.iter().take(steps) {
+                frame = aligned(&frame, &look(&octaves, &frame), step);
+            }
+            Some(hypothesis(&octaves, &frame))
         })
         .collect()
 }

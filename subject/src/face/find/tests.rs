@@ -1,4 +1,4 @@
-use super::align::aligned;
+use super::align::{STEPS, aligned};
 use super::look::{look, mirrored};
 use super::octaves::Octaves;
 use super::{Found, Frame, LOOK, SCORE_MIN, faces};
@@ -169,7 +169,8 @@ fn eyes_and_mouth_are_nearer_once_they_are_aligned() {
             turn: 0.0,
         };
         before += far(&rough);
-        after += far(&aligned(&rough, &look(&octaves, &rough)));
+        let aligned = |frame: Frame, step| aligned(&frame, &look(&octaves, &frame), step);
+        after += far(&STEPS.into_iter().fold(rough, aligned));
     }
     assert!(after < 0.7 * before, "{after} of {before}");
 }

@@ -1,15 +1,15 @@
-"""How dark the strokes of the drawn face of `face/find` are, and the pictures that its templates and trees learn from.
+"""The pictures that the templates, regressions and trees of `face/find` learn from, and where faces are on them.
 
-    python3 benches/subject/find_strokes.py $MOCAPD_FACES WORK
+    python3 benches/subject/find_pictures.py $MOCAPD_FACES WORK
 
 Needs numpy, scipy, pillow, scikit-image and scikit-learn (whose own sample pictures are used), and
 `cargo build --release -p mocapd-subject --example faces_found`. WORK is a folder for pictures that are made; where faces
-are on them is in WORK/truth.json. `find_template.py` and `find_looks.py` learn from these.
+are on them is in WORK/truth.json. `find_template.py`, `find_align.py` and `find_looks.py` learn from these.
 
 Pictures: the development photographs as they are and seven times turned, mirrored, made smaller (those of many small faces
 larger) and lit, blurred or noised otherwise; drawn faces; the 100 faces and 100 other pieces of scikit-image's subset of
-LFW, three times as large, their eyes where the drawing fits best around the usual place; and, without any face, the sample
-pictures of scikit-image and scikit-learn. No other photograph of MOCAPD_FACES is opened.
+LFW, three times as large, their eyes where a face of sixteen strokes fits best around the usual place; and, without any
+face, the sample pictures of scikit-image and scikit-learn. No other photograph of MOCAPD_FACES is opened.
 """
 
 import itertools
@@ -48,7 +48,8 @@ LARGER = 2.4
 DRAWN = (100000, 100240)
 # Where the eyes and the mouth are in LFW's pieces of 75 pixels, on most.
 LFW = [np.array([17.4, 25.4]), np.array([43.2, 24.2]), np.array([32.6, 55.5])]
-# Strokes as in find/schema.rs: side, down, wide, high, turn.
+# Ellipses with soft borders, on both sides unless at 0, in distances of the eyes: side, down, half axes, turn. How dark
+# they are is fitted to the faces.
 STROKES = [
     (0.46, -0.04, 0.36, 0.24, 0), (0.5, 0, 0.2, 0.1, 0), (0.5, -0.27, 0.36, 0.09, 0.1), (0, -0.5, 0.6, 0.12, 0),
     (0, 0.05, 0.1, 0.25, 0), (0, 0.45, 0.1, 0.22, 0), (0.27, 0.58, 0.08, 0.12, 0), (0, 0.72, 0.26, 0.07, 0),
