@@ -92,7 +92,7 @@ fn points_of_synthetic_faces_are_near_enough() {
 }
 
 #[test]
-fn most_faces_are_found() {
+fn four_of_five_faces_are_found() {
     let Some(folder) = folder() else { return };
     let mut faces = reported(&folder, false, SYNTHETIC_YAW_DEG);
     faces.extend(reported(&folder, true, SYNTHETIC_YAW_DEG));
@@ -104,8 +104,8 @@ fn most_faces_are_found() {
         found.iter().any(|found| (0..2).all(|eye| distance(found.eyes[eye], eyes[eye]) <= near_px))
     };
     let found = faces.iter().filter(is_found).count();
-    // The bar is nine tenths.
-    assert!(3 * found >= 2 * faces.len(), "{found} of {} faces are found", faces.len());
+    // The bar is nine of ten, and what is reached 13 of 15.
+    assert!(5 * found >= 4 * faces.len(), "{found} of {} faces are found", faces.len());
 }
 
 #[test]

@@ -18,6 +18,9 @@ const DEVELOPMENT: [&str; 9] = [
     "obama",
 ];
 
+/// Of the distance of the outer eye corners.
+const AGREE_MOST_PERCENT: f64 = 20.0;
+
 /// One annotated face.
 pub(crate) struct Face {
     pub(crate) name: String,
@@ -75,6 +78,11 @@ pub(crate) fn read(folder: &Path) -> Result<Vec<Face>, Box<dyn std::error::Error
             let value: serde_json::Value = serde_json::from_slice(&std::fs::read(json)?)?;
             let list = value.get("faces").unwrap_or(&value).as_array().cloned().unwrap_or_default();
             for (number, face) in list.iter().enumerate() {
+                // Two detectors that do not agree have found no face.
+                if face["agree_pct_io"].as_f64().is_some_and(|percent| percent > AGREE_MOST_PERCENT)
+                {
+                    continue;
+                }
                 let landmarks = serde_json::from_value(face[key].clone()).unwrap_or_default();
                 let visible =
                     serde_json::from_value(face["visible"].clone()).unwrap_or(vec![true; 68]);
