@@ -1,5 +1,6 @@
 """The subject in the page: a scan's skeleton and a photograph's face under the markers of a simulated device."""
 
+import contextlib
 import json
 import subprocess
 import tempfile
@@ -50,15 +51,29 @@ def prepared(mocapd, *args):
     subprocess.run([mocapd, "subject", *args], check=True, capture_output=True)
 
 
+@contextlib.contextmanager
+def watched(browser, mocapd, mocapd_sim, motion, subject):
+    """The page of a service with a subject, armed; what was complained about, or said, fails the check."""
+    rig = Rig(mocapd, mocapd_sim, motion=motion, subject=subject)
+    try:
+        browser.open(rig.url)
+        browser.wait_state("armed", 20)
+        yield
+        assert browser.complaints() == []
+    except AssertionError as error:
+        raise AssertionError(f"{error}\n{rig.words()}") from error
+    finally:
+        browser.open("about:blank")
+        rig.close()
+
+
 def a_body(browser, log, mocapd, mocapd_sim, drawn_subject, folder):
     skeleton = folder / "skeleton.json"
     prepared(mocapd, "body", drawn_subject / "scan.obj", "-o", skeleton)
     lengths = {bone["name"]: bone["length_mm"] for bone in json.loads(skeleton.read_text())["bones"]}
     motion = ("--generate", "jump:3", "--seconds", 20, "--markers", 15, "--rate", 120)
-    rig = Rig(mocapd, mocapd_sim, motion=motion, subject={"name": "nobody", "skeleton": skeleton})
-    try:
-        browser.open(rig.url)
-        browser.wait_state("armed", 20)
+    subject = {"name": "nobody", "skeleton": skeleton}
+    with watched(browser, mocapd, mocapd_sim, motion, subject):
         browser.wait("the skeleton", "return mocapdMotion.limbs.length > 0")
         limbs = browser.js("return mocapdMotion.limbs.map((limb) => limb.length_mm)")
         assert len(limbs) >= 8 and all(min(abs(mm - of) for of in lengths.values()) < 0.1 for mm in limbs), (limbs, lengths)
@@ -67,25 +82,16 @@ def a_body(browser, log, mocapd, mocapd_sim, drawn_subject, folder):
         log(f"{len(limbs)} limbs, {browser.js('return mocapdMotion.limbsOff().length')} of another length")
         time.sleep(SETTLES_S)
         browser.picture("subject-body")
-        assert browser.complaints() == []
-    except AssertionError as error:
-        raise AssertionError(f"{error}\n{rig.words()}") from error
-    finally:
-        browser.open("about:blank")
-        rig.close()
 
 
 def a_face(browser, log, mocapd, mocapd_sim, drawn_subject, take, folder):
     face = folder / "face.json"
     prepared(mocapd, "face", drawn_subject / "portrait.png", "-o", face)
     subject = {"name": "singer", "face": face, "face_markers": MAPPING}
-    rig = Rig(mocapd, mocapd_sim, motion=(take,), subject=subject)
     # By number: what the page knows of a face are vertices.
     markers = [marker for marker in json.loads(MAPPING.read_text())["markers"]
                if isinstance(marker["at"], int) and marker["weight"] >= WEIGHT_MIN]
-    try:
-        browser.open(rig.url)
-        browser.wait_state("armed", 20)
+    with watched(browser, mocapd, mocapd_sim, (take,), subject):
         browser.wait("the face", "return mocapdMotion.facePlaced() !== null")
         off_mm = browser.js(OFF, [[marker["label"], marker["at"]] for marker in markers])
         mean_mm = sum(off_mm) / len(off_mm)
@@ -93,9 +99,3 @@ def a_face(browser, log, mocapd, mocapd_sim, drawn_subject, take, folder):
         assert len(off_mm) >= 8 and mean_mm < OFF_MM_MAX, off_mm
         time.sleep(SETTLES_S)
         browser.picture("subject-face")
-        assert browser.complaints() == []
-    except AssertionError as error:
-        raise AssertionError(f"{error}\n{rig.words()}") from error
-    finally:
-        browser.open("about:blank")
-        rig.close()
