@@ -60,7 +60,8 @@ pub(super) struct Marks {
     pub(super) sharpness: f64,
 }
 
-/// The marks of an arm: the wrist; the armpit, where the arm has widened to a multiple of the upper arm's; the elbow where the centre line between them bends.
+/// The marks of an arm: the wrist; the armpit, where the arm has widened to a multiple of the upper arm's; the elbow where the
+/// centre line between them bends.
 ///
 /// `hands` is the way between the hands, in body scales.
 pub(super) fn arm(sections: &Sections, hands: f64) -> Option<Marks> {
