@@ -13,8 +13,8 @@ use mocapd_subject::face::fitted::{FittedFace, Method, Overlay, Source};
 use mocapd_subject::face::model::FeatureId;
 use mocapd_subject::face::render::{Scene, Truth};
 
-const IO_PX: f64 = 100.0;
-const SEED: u64 = 21;
+const IO_PX: f64 = 70.0;
+const SEED: u64 = 2;
 const YAW_DEG: f64 = 12.0;
 const WIDTH_PX: u32 = 300;
 
@@ -28,8 +28,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         let mut picture = scene.render()?;
         if covered {
             let truth = picture.faces.first().ok_or("nobody sits there")?;
-            cover(&mut picture.image, truth, &[48, 54], [1.0, 0.6]);
-            cover(&mut picture.image, truth, &[36, 39], [0.45, 0.5]);
+            cover(&mut picture.image, truth, &[48, 54], [1.1, 0.35]);
+            cover(&mut picture.image, truth, &[36, 39], [0.25, 0.5]);
         }
         let face = fitted(&picture.image)?;
         let path = Path::new(&folder).join(format!("{name}.png"));

@@ -30,7 +30,7 @@ pub(crate) struct Args {
     /// The wireframe to write, as OBJ; numbered likewise
     #[arg(long, value_name = "FILE")]
     obj: Option<PathBuf>,
-    /// The photograph with points and wireframes drawn on it, .png; it must not exist
+    /// The photograph with points and wireframes drawn on it, .png, and numbers where there are several; it must not exist
     #[arg(long, value_name = "FILE")]
     overlay: Option<PathBuf>,
     /// The first wireframe from three sides, .svg or .png; it must not exist

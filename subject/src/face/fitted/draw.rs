@@ -1,5 +1,7 @@
 //! Lines and dots with smooth edges on a picture.
 
+use std::ops::Range;
+
 use image::{Rgb, RgbImage};
 
 /// What a stroke is painted with.
@@ -11,15 +13,32 @@ pub(super) struct Ink {
     pub(super) width_px: f64,
 }
 
-/// A straight line with round ends. What lies beyond the picture is left out.
-pub(super) fn line(picture: &mut RgbImage, from: [f64; 2], to: [f64; 2], ink: Ink) {
-    let along = [to[0] - from[0], to[1] - from[1]];
-    let length2 = (along[0] * along[0] + along[1] * along[1]).max(1e-12);
-    stroke(picture, [from, to], ink, |at| {
-        let d = [at[0] - from[0], at[1] - from[1]];
-        let t = ((d[0] * along[0] + d[1] * along[1]) / length2).clamp(0.0, 1.0);
-        (d[0] - t * along[0]).hypot(d[1] - t * along[1])
-    });
+/// Many straight lines with round ends as one stroke: where they meet, ink that is half transparent lies no thicker.
+pub(super) fn lines(picture: &mut RgbImage, lines: &[[[f64; 2]; 2]], ink: Ink) {
+    let lines = || lines.iter().filter(|line| line.iter().flatten().all(|v| v.is_finite()));
+    let ends = || lines().flatten();
+    let low = |axis: usize| ends().map(|end| end[axis]).fold(f64::INFINITY, f64::min);
+    let high = |axis: usize| ends().map(|end| end[axis]).fold(f64::NEG_INFINITY, f64::max);
+    let corners = [[low(0), low(1)], [high(0), high(1)]];
+    let Some(whole) = Patch::around(picture, corners, ink) else { return };
+    let width = whole.x.len();
+    let mut covered = vec![0_u8; width * whole.y.len()];
+    for &[from, to] in lines() {
+        let Some(patch) = Patch::around(picture, [from, to], ink) else { continue };
+        for y in patch.y {
+            for x in patch.x.clone() {
+                let share = ink.share(off_line([f64::from(x), f64::from(y)], from, to));
+                let at = (y - whole.y.start) as usize * width + (x - whole.x.start) as usize;
+                if let Some(most) = covered.get_mut(at) {
+                    *most = (*most).max((255.0 * share).round() as u8);
+                }
+            }
+        }
+    }
+    let places = whole.y.flat_map(|y| whole.x.clone().map(move |x| [x, y]));
+    for (place, share) in places.zip(covered).filter(|(_, share)| *share > 0) {
+        blend(picture, place, ink, f64::from(share) / 255.0);
+    }
 }
 
 /// A disc of `ink.width_px` across.
@@ -40,28 +59,58 @@ fn stroke(
     ink: Ink,
     distance: impl Fn([f64; 2]) -> f64,
 ) {
-    let reach = ink.width_px / 2.0 + 1.0;
-    if !corners.iter().flatten().all(|v| v.is_finite()) {
-        return;
-    }
-    let range = |axis: usize, side: u32| {
-        let low = corners[0][axis].min(corners[1][axis]) - reach;
-        let high = corners[0][axis].max(corners[1][axis]) + reach;
-        // `as` holds at 0 and at the largest what lies beyond.
-        (low.floor().max(0.0) as u32)..((high.ceil().max(0.0) as u32).saturating_add(1).min(side))
-    };
-    for y in range(1, picture.height()) {
-        for x in range(0, picture.width()) {
-            let off = distance([f64::from(x), f64::from(y)]);
-            let share =
-                ink.opacity * (ink.width_px / 2.0 + 0.5 - off).clamp(0.0, ink.width_px.min(1.0));
+    let Some(patch) = Patch::around(picture, corners, ink) else { return };
+    for y in patch.y {
+        for x in patch.x.clone() {
+            let share = ink.share(distance([f64::from(x), f64::from(y)]));
             if share > 0.0 {
-                let Rgb(under) = *picture.get_pixel(x, y);
-                let over = |i: usize| {
-                    f64::from(under[i]) + share * (f64::from(ink.colour[i]) - f64::from(under[i]))
-                };
-                picture.put_pixel(x, y, Rgb(std::array::from_fn(|i| over(i).round() as u8)));
+                blend(picture, [x, y], ink, share);
             }
         }
+    }
+}
+
+/// The pixels that ink can come to.
+struct Patch {
+    x: Range<u32>,
+    y: Range<u32>,
+}
+
+impl Patch {
+    /// Around two corners; none where they are no numbers.
+    fn around(picture: &RgbImage, corners: [[f64; 2]; 2], ink: Ink) -> Option<Self> {
+        let reach = ink.width_px / 2.0 + 1.0;
+        let range = |axis: usize, side: u32| {
+            let low = corners[0][axis].min(corners[1][axis]) - reach;
+            let high = corners[0][axis].max(corners[1][axis]) + reach;
+            // `as` holds at 0 and at the largest what lies beyond.
+            let end = (high.ceil().max(0.0) as u32).saturating_add(1).min(side);
+            (low.floor().max(0.0) as u32).min(end)..end
+        };
+        let finite = corners.iter().flatten().all(|v| v.is_finite());
+        finite.then(|| Self { x: range(0, picture.width()), y: range(1, picture.height()) })
+    }
+}
+
+impl Ink {
+    /// How much of a pixel so far from the middle of the stroke is covered, 0 to 1.
+    fn share(&self, off: f64) -> f64 {
+        (self.width_px / 2.0 + 0.5 - off).clamp(0.0, self.width_px.clamp(0.0, 1.0))
+    }
+}
+
+fn off_line(at: [f64; 2], from: [f64; 2], to: [f64; 2]) -> f64 {
+    let along = [to[0] - from[0], to[1] - from[1]];
+    let length2 = (along[0] * along[0] + along[1] * along[1]).max(1e-12);
+    let d = [at[0] - from[0], at[1] - from[1]];
+    let t = ((d[0] * along[0] + d[1] * along[1]) / length2).clamp(0.0, 1.0);
+    (d[0] - t * along[0]).hypot(d[1] - t * along[1])
+}
+
+fn blend(picture: &mut RgbImage, [x, y]: [u32; 2], ink: Ink, share: f64) {
+    let Some(Rgb(under)) = picture.get_pixel_mut_checked(x, y) else { return };
+    for (under, over) in under.iter_mut().zip(ink.colour) {
+        let by = ink.opacity * share * (f64::from(over) - f64::from(*under));
+        *under = (f64::from(*under) + by).round() as u8;
     }
 }

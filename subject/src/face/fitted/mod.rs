@@ -6,6 +6,7 @@
 mod curves;
 mod draw;
 mod format;
+mod number;
 mod obj;
 mod overlay;
 #[cfg(test)]

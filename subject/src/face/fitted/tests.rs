@@ -73,6 +73,87 @@ fn an_unsure_face_has_a_net_of_another_colour() {
     assert!(less_blue > 1000, "{less_blue}");
 }
 
+/// How far a pixel's brightness is from another's, of 255.
+fn apart(a: &Rgb<u8>, b: &Rgb<u8>) -> f64 {
+    let luma =
+        |p: &Rgb<u8>| 0.299 * f64::from(p[0]) + 0.587 * f64::from(p[1]) + 0.114 * f64::from(p[2]);
+    (luma(a) - luma(b)).abs()
+}
+
+#[test]
+fn a_net_is_seen_on_any_ground_in_pictures_of_any_size() {
+    let (photograph, mut face) = example();
+    // The orange of unsure lines, skin, white and black; the net alone.
+    face.points.clear();
+    for ground in [[255, 160, 32], [224, 172, 136], [255; 3], [0; 3]] {
+        for factor in [1, 6] {
+            let (width, height) = (factor * photograph.width(), factor * photograph.height());
+            let plain = image::RgbImage::from_pixel(width, height, Rgb(ground));
+            for confidence in [0.9, 0.1] {
+                let mut face = face.clone();
+                face.confidence = Some(confidence);
+                face.camera.scale_px_per_mm *= f64::from(factor);
+                face.camera.origin_px = face.camera.origin_px.map(|v| v * f64::from(factor));
+                let drawn = Overlay::new(&plain, &[face]).into_image();
+                let ground = Rgb(ground);
+                let seen = drawn.pixels().filter(|pixel| apart(pixel, &ground) > 60.0).count();
+                let share = seen as f64 / f64::from(drawn.width() * drawn.height());
+                assert!(share > 0.02, "{ground:?} x {factor}, {confidence}: {share:.4}");
+            }
+        }
+    }
+}
+
+#[test]
+fn several_faces_have_numbers_beside_them_and_one_has_none() {
+    let mut scene = Scene::portrait(4, 60.0, 0.0);
+    scene.width_px *= 2;
+    let mut other = scene.faces[0].clone();
+    other.eyes_px[0] += 240.0;
+    scene.faces.push(other);
+    let picture = scene.render().unwrap();
+    let (_, example) = example();
+    let faces: Vec<FittedFace> = picture
+        .faces
+        .iter()
+        .map(|truth| {
+            let mut face = example.clone();
+            face.camera = truth.camera;
+            face.points.iter_mut().for_each(|point| point.xy_px = truth.at(point.id));
+            face
+        })
+        .collect();
+    let drawn = |faces: &[FittedFace]| Overlay::new(&picture.image, faces).into_image();
+    let both = drawn(&faces);
+    let swapped = drawn(&[faces[1].clone(), faces[0].clone()]);
+    let alone = [drawn(&faces[..1]), drawn(&faces[1..])];
+    assert_eq!(both.dimensions(), alone[0].dimensions());
+    // What is on neither picture of one face is a number; those of the two faces change places with their order.
+    let wider = both.width() / picture.image.width();
+    let numbers = |drawn: &image::RgbImage| -> Vec<[u32; 2]> {
+        let is_new = |(x, y, pixel): &(u32, u32, &Rgb<u8>)| {
+            alone.iter().all(|one| apart(one.get_pixel(*x, *y), pixel) > 40.0)
+        };
+        drawn.enumerate_pixels().filter(is_new).map(|(x, y, _)| [x / wider, y / wider]).collect()
+    };
+    let found = numbers(&both);
+    assert!(found.len() > 200, "{}", found.len());
+    for truth in &picture.faces {
+        let [x, y] = truth.camera.origin_px;
+        let near = |at: &&[u32; 2]| {
+            let [dx, dy] = [f64::from(at[0]) - x, f64::from(at[1]) - y];
+            dx.abs() < 120.0 && dy.abs() < 160.0
+        };
+        assert!(found.iter().filter(near).count() > 100, "no number near {x:.0}, {y:.0}");
+    }
+    assert_ne!(both, swapped);
+    // Ten faces and more have two digits; a face beyond the picture has its number within.
+    let mut many = vec![faces[0].clone(); 12];
+    many[11].camera.origin_px = [-1e5, 9e5];
+    many[11].points.clear();
+    assert_ne!(drawn(&many), drawn(&many[..11]));
+}
+
 #[test]
 fn what_is_no_face_file_is_refused() {
     let (_, face) = example();
