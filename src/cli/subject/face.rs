@@ -176,5 +176,10 @@ fn table(faces: &[FittedFace]) -> String {
             face.confidence.map_or("-".to_owned(), |sure| format!("{sure:.2}"))
         );
     }
+    for (number, face) in faces.iter().enumerate() {
+        for note in &face.notes {
+            out += &format!("{:>4} points may be off: {note}\n", number + 1);
+        }
+    }
     out
 }

@@ -6,13 +6,15 @@
 //! Beside the photographs there are the development ones made smaller, and two kinds of drawn faces.
 //! The arguments `development`, `small`, `drawn`, `worn` and `reported` print one of them only, `each` adds a line a face, and `offsets` prints where the
 //! annotators of the development half have the points, from where they were found: `OFFSETS_IO` of the default chain.
-//! `confidence` prints what the confidence of a face is learned from instead, of development and drawn faces.
+//! `warned` prints how often the paper's points are said to contradict a face instead, on drawn faces, and `confidence`
+//! prints what the confidence of a face is learned from instead, of development and drawn faces.
 
 mod confidence;
 mod data;
 mod drawn;
 mod offsets;
 mod table;
+mod warned;
 
 use std::io::Write;
 
@@ -41,6 +43,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let photographs = data::read(folder.as_ref())?;
     let small = data::reduced(&photographs, SMALL_IO_PX)?;
     let (drawn, worn) = (drawn::faces()?, drawn::worn_faces()?);
+    if asked("warned") {
+        return warned::print(&mut out, &[("drawn", &drawn), ("worn", &worn)], asked("each"));
+    }
     if asked("confidence") {
         let photographs = photographs.iter().filter(|f| f.development);
         let learned_from: Vec<_> = photographs.chain(&small).chain(&drawn).chain(&worn).collect();

@@ -13,10 +13,10 @@ use super::ibug;
 /// Errors in per cent of the distance of the outer eye corners, but for the yaw.
 pub(crate) struct Row {
     pub(crate) all: f64,
-    eyes: f64,
-    brows: f64,
-    nose: f64,
-    mouth: f64,
+    pub(crate) eyes: f64,
+    pub(crate) brows: f64,
+    pub(crate) nose: f64,
+    pub(crate) mouth: f64,
     outline: f64,
     /// Whether the method takes the face for a good one; a method that cannot tell takes them all.
     sure: bool,

@@ -6,6 +6,7 @@ use super::find::{self, Found};
 use super::fitted::{FittedFace, Method, Point, Source};
 use super::model::{Camera, FeatureId, FitError, FitOptions, Model, ModelError, OUTER_EYES_MM};
 use super::paper;
+use super::plausible::Plausible;
 use super::points::{self, FacePoints, Rough};
 
 /// Faces of a photograph that are fitted at most, the surest of them: a class, or a team.
@@ -37,6 +38,8 @@ pub fn fit(photo: &Photo, source: &Source, method: Method) -> Result<Vec<FittedF
         Method::Default => find::faces(photo, find::SCORE_MIN),
         Method::Paper => paper::faces(photo).into_iter().map(|face| face.found).collect(),
     };
+    // The paper's chain has no confidence of its own: its points are held against a face's proportions.
+    let plausible = (method == Method::Paper).then(|| Plausible::of(model));
     let mut fitted = Vec::new();
     let mut why = NoFace::NotFound;
     for face in found.iter().take(FACES_MAX) {
@@ -54,6 +57,9 @@ pub fn fit(photo: &Photo, source: &Source, method: Method) -> Result<Vec<FittedF
                 let source = source.clone();
                 let mut one = FittedFace::new(model, method, source, camera, points, vertices_mm);
                 one.confidence = seen.confidence();
+                if let Some(plausible) = &plausible {
+                    one.notes = plausible.contradictions(&seen.points.map(|point| point.at));
+                }
                 fitted.push(one);
             }
             Err(reason) => why = reason,

@@ -9,6 +9,7 @@ pub mod model;
 pub mod paper;
 pub mod photo;
 pub mod plane;
+pub mod plausible;
 pub mod points;
 pub mod pose;
 pub mod render;

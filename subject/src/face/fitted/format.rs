@@ -15,6 +15,7 @@ const MAX_BYTES: usize = 1 << 20;
 const MAX_VERTICES: usize = 5000;
 const MAX_FEATURES: usize = 500;
 const MAX_NAME: usize = 255;
+const MAX_NOTES: usize = 50;
 /// A picture's coordinates and a head's millimetres are far within it.
 const MAX_COORDINATE: f64 = 1e6;
 
@@ -50,6 +51,8 @@ struct File {
     origin_px: [f64; 2],
     #[serde(default, skip_serializing_if = "Option::is_none")]
     confidence: Option<f64>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    notes: Vec<String>,
     points: Vec<FilePoint>,
     vertices_mm: Vec<[f64; 3]>,
     lines: Vec<[usize; 2]>,
@@ -97,6 +100,7 @@ impl FittedFace {
             scale_px_per_mm: rounded(self.camera.scale_px_per_mm, 1e6),
             origin_px: self.camera.origin_px.map(|v| rounded(v, 100.0)),
             confidence: self.confidence.map(|v| rounded(v, 1000.0)),
+            notes: self.notes.clone(),
             points: points.collect(),
             vertices_mm: self.vertices_mm.iter().map(|v| v.map(|x| rounded(x, 1000.0))).collect(),
             lines: self.lines(),
@@ -148,6 +152,7 @@ impl FittedFace {
             method: file.method,
             camera,
             confidence: file.confidence,
+            notes: file.notes,
             points: points.collect(),
             source: file.source,
             vertices_mm: file.vertices_mm,
@@ -183,12 +188,15 @@ impl File {
         if self.source.sha256.len() != 64 || !self.source.sha256.chars().all(hex) {
             return wrong("a sha256 that is not 64 hexadecimal digits in lower case".into());
         }
-        let names = self.features.keys().chain([&self.source.name]);
+        let names = self.features.keys().chain([&self.source.name]).chain(&self.notes);
         if names.into_iter().any(|name| name.len() > MAX_NAME || name.chars().any(char::is_control))
         {
             return wrong(format!(
                 "a name of more than {MAX_NAME} bytes, or with control characters"
             ));
+        }
+        if self.notes.len() > MAX_NOTES {
+            return wrong(format!("{} notes, where {MAX_NOTES} is the most", self.notes.len()));
         }
         if self.features.len() > MAX_FEATURES {
             return wrong(format!(

@@ -69,6 +69,8 @@ pub struct FittedFace {
     /// The probability, 0 to 1, that the points are off by less than a tenth of the outer eye corners' distance, on the
     /// mean; none where the chain cannot tell.
     pub confidence: Option<f64>,
+    /// What contradicts that the points are a face's, as phrases for people: lower case, without a dot at the end.
+    pub notes: Vec<String>,
     /// The 53 points, in their order.
     pub points: Vec<Point>,
     /// The wireframe, turned to look straight ahead, in the frame and nominal millimetres of [`Model`].
@@ -83,7 +85,7 @@ impl FittedFace {
     /// Below this confidence somebody should look at the points.
     pub const SURE: f64 = 0.5;
 
-    /// A face on the model's wireframe, without a confidence.
+    /// A face on the model's wireframe, without a confidence and notes.
     pub fn new(
         model: &Model,
         method: Method,
@@ -93,13 +95,22 @@ impl FittedFace {
         vertices_mm: Vec<[f64; 3]>,
     ) -> Self {
         let (triangles, features) = (model.triangles.clone(), model.features.clone());
-        let confidence = None;
-        Self { method, source, camera, confidence, points, vertices_mm, triangles, features }
+        Self {
+            method,
+            source,
+            camera,
+            confidence: None,
+            notes: Vec::new(),
+            points,
+            vertices_mm,
+            triangles,
+            features,
+        }
     }
 
-    /// Whether the points may be off: the confidence is known, and low.
+    /// Whether the points may be off: the confidence is known, and low, or something contradicts them.
     pub fn is_unsure(&self) -> bool {
-        self.confidence.is_some_and(|confidence| confidence < Self::SURE)
+        self.confidence.is_some_and(|confidence| confidence < Self::SURE) || !self.notes.is_empty()
     }
 
     /// The edges of the triangles, each once.

@@ -155,6 +155,20 @@ fn several_faces_have_numbers_beside_them_and_one_has_none() {
 }
 
 #[test]
+fn notes_are_kept_and_make_a_face_unsure() {
+    let (_, mut face) = example();
+    assert!(!face.is_unsure());
+    face.notes = vec!["the mouth lies low".to_owned()];
+    assert!(face.is_unsure());
+    let again = FittedFace::from_json(&face.to_json().unwrap()).unwrap();
+    assert_eq!(again.notes, face.notes);
+    face.notes = vec!["a\nb".to_owned()];
+    assert!(matches!(face.to_json(), Err(FaceFileError::Value(_))));
+    face.notes = vec!["a".to_owned(); 51];
+    assert!(matches!(face.to_json(), Err(FaceFileError::Value(_))));
+}
+
+#[test]
 fn what_is_no_face_file_is_refused() {
     let (_, face) = example();
     let good: serde_json::Value = serde_json::from_str(&face.to_json().unwrap()).unwrap();
