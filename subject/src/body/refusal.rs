@@ -60,13 +60,43 @@ pub enum Refusal {
         margin: f64,
     },
     /// Limbs touch, and the scan has grown together there.
-    #[error(
-        "limbs touch and the scan has grown together there ({handles} loops in the surface): scan with limbs apart"
-    )]
+    #[error("limbs touch and the scan has grown together there{}: scan with limbs apart", loops(.handles))]
     Contact {
         /// How many loops the surface has that a body has not.
         handles: usize,
     },
+    /// The published method finds other than five ends, on a body with its limbs free.
+    #[error(
+        "the published method finds {found} ends of this scan, whose limbs are apart, where a body has 5: it misses \
+         short ones, and counts what is between; use the default method"
+    )]
+    PaperEnds {
+        /// How many.
+        found: usize,
+    },
+    /// The published method takes another end for the head, on a body with its limbs free.
+    #[error(
+        "the published method takes the end of {taken} for the head: it tells the head by symmetry alone; use the \
+         default method"
+    )]
+    PaperHead {
+        /// Of what it is the end.
+        taken: &'static str,
+    },
+    /// The published method's level sets have not five parts, on a body with its limbs free.
+    #[error(
+        "the published method's level sets do not part into a trunk, arms and legs on this scan, though its limbs are \
+         apart: use the default method"
+    )]
+    PaperParts,
+}
+
+fn loops(handles: &usize) -> String {
+    match handles {
+        0 => String::new(),
+        1 => " (a loop in the surface)".to_owned(),
+        _ => format!(" ({handles} loops in the surface)"),
+    }
 }
 
 impl Refusal {
@@ -81,6 +111,9 @@ impl Refusal {
             Self::NotABody { .. } => "not-a-body",
             Self::Ambiguous { .. } => "ambiguous",
             Self::Contact { .. } => "contact",
+            Self::PaperEnds { .. } => "paper-ends",
+            Self::PaperHead { .. } => "paper-head",
+            Self::PaperParts => "paper-parts",
         }
     }
 }

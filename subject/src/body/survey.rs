@@ -72,7 +72,8 @@ impl Survey {
         let adjacency = Adjacency::new(mesh)?;
         let graph = Graph::along_edges(mesh, &adjacency);
         let start = extremity::start(mesh, &graph).ok_or(Refusal::TooFewEnds { found: 0 })?;
-        let paper = paper::joints(mesh, start, None)?;
+        let paper = paper::joints(mesh, start, None)
+            .map_err(|refusal| Self::why_not_by_paper(mesh, &adjacency, start, refusal))?;
         Ok(Self {
             joints: paper.joints.clone(),
             extremities: paper.extremities,
@@ -81,6 +82,21 @@ impl Survey {
             notes: Vec::new(),
             levels: Some(paper.into()),
         })
+    }
+
+    /// What is at fault where the published method refuses: the scan, as the better method sees it, or the method itself.
+    fn why_not_by_paper(
+        mesh: &Mesh,
+        adjacency: &Adjacency,
+        start: u32,
+        refusal: Refusal,
+    ) -> Refusal {
+        let handles = usize::try_from((2 - adjacency.euler_characteristic()) / 2).unwrap_or(0);
+        match Self::by_default(mesh) {
+            Err(of_scan) => of_scan,
+            Ok(found) if found.in_contact || handles > 0 => Refusal::Contact { handles },
+            Ok(found) => paper::reason(mesh, adjacency, start, refusal, &found.extremities),
+        }
     }
 
     /// Level sets and Reeb graph for a picture, where the method has none of its own; `mesh` is the one that was surveyed.

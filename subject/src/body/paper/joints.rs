@@ -61,14 +61,7 @@ pub fn joints(mesh: &Mesh, start: u32, known: Option<Extremities>) -> Result<Pap
     let mut workspace = Workspace::default();
     let extremities = match known {
         Some(known) => known,
-        None => {
-            let points = extremity_points(&graph, start, StopRule::Corrected, &mut workspace);
-            let ends: [u32; 5] = points
-                .try_into()
-                .map_err(|points: Vec<u32>| Refusal::TooFewEnds { found: points.len() })?;
-            let fields = ends.map(|end| distances(&graph, end, &mut workspace));
-            head_by_symmetry(ends, &fields)
-        }
+        None => ends(&graph, start, &mut workspace)?,
     };
     let field = distances(&graph, extremities.head, &mut workspace);
     let rings = cut(mesh, &adjacency, &field, even_levels(&field, LEVEL_COUNT));
@@ -101,6 +94,20 @@ pub fn joints(mesh: &Mesh, start: u32, known: Option<Extremities>) -> Result<Pap
     put(Joint::Pelvis, segments.trunk.last().map(|ring| mean(&rings, *ring)));
     put(Joint::Head, mesh.positions.get(extremities.head as usize).copied());
     Ok(Paper { joints, extremities, rings, reeb, segments })
+}
+
+/// The five ends, from the vertex `start` on.
+pub(super) fn ends(
+    graph: &Graph,
+    start: u32,
+    workspace: &mut Workspace,
+) -> Result<Extremities, Refusal> {
+    let points = extremity_points(graph, start, StopRule::Corrected, workspace);
+    let ends: [u32; 5] = points
+        .try_into()
+        .map_err(|points: Vec<u32>| Refusal::TooFewEnds { found: points.len() })?;
+    let fields = ends.map(|end| distances(graph, end, workspace));
+    Ok(head_by_symmetry(ends, &fields))
 }
 
 /// The two deepest minima inside a limb, (6), the nearer to the trunk first.

@@ -7,6 +7,7 @@
 mod ends;
 mod joints;
 mod minima;
+mod reason;
 
 #[cfg(test)]
 mod tests;
@@ -14,3 +15,4 @@ mod tests;
 pub use ends::{StopRule, extremity_points, head_by_symmetry};
 pub(crate) use joints::LEVEL_COUNT;
 pub use joints::{Paper, joints};
+pub(crate) use reason::reason;
