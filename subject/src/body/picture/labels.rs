@@ -10,22 +10,26 @@ pub(super) struct Label {
 
 /// Lines from one name to the next.
 const STEP: f64 = 17.0;
-/// Names are no longer than this: what lies beside them is left free.
-const COLUMN: f64 = 87.0;
 /// Names stay within these rows.
 const ROWS: [f64; 2] = [96.0, 736.0];
 
-/// Half of the names go to either margin, each at the height of its point or as near as there is room.
-pub(super) fn draw(sheet: &mut Sheet, mut labels: Vec<Label>, [left, right]: [f64; 2]) {
+/// Half of the names go to either margin, each at the height of its point or as near as there is room. None is longer than
+/// `column`: what lies beside them is left free.
+pub(super) fn draw(
+    sheet: &mut Sheet,
+    mut labels: Vec<Label>,
+    [left, right]: [f64; 2],
+    column: f64,
+) {
     labels.retain(|label| label.at.iter().all(|c| c.is_finite()));
     labels.sort_by(|a, b| a.at[0].total_cmp(&b.at[0]));
     let rest = labels.split_off(labels.len() / 2);
-    for (mut column, edge, stand, inward) in
-        [(labels, left + COLUMN, Stand::Right, 1.0), (rest, right - COLUMN, Stand::Left, -1.0)]
+    for (mut names, edge, stand, inward) in
+        [(labels, left + column, Stand::Right, 1.0), (rest, right - column, Stand::Left, -1.0)]
     {
-        column.sort_by(|a, b| a.at[1].total_cmp(&b.at[1]));
-        let heights = spread(&column.iter().map(|label| label.at[1]).collect::<Vec<f64>>());
-        for (label, y) in column.iter().zip(heights) {
+        names.sort_by(|a, b| a.at[1].total_cmp(&b.at[1]));
+        let heights = spread(&names.iter().map(|label| label.at[1]).collect::<Vec<f64>>());
+        for (label, y) in names.iter().zip(heights) {
             sheet.text(edge, y, &label.text, 11.5, INK, stand);
             let from = [edge + inward * 5.0, y];
             let knee = [edge + inward * 14.0, y];

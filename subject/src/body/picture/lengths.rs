@@ -36,6 +36,7 @@ pub(super) fn draw(sheet: &mut Sheet, drawing: &Drawing<'_>) {
     let rows = ROWS
         .into_iter()
         .map(|(words, left, right)| (words, [left, right].map(|bone| length(drawing, bone))));
+    let rows = [("stature", [stature(drawing), None])].into_iter().chain(rows);
     let mut y = TOP + 8.0 + ROW;
     for (words, lengths) in rows.filter(|(_, lengths)| lengths.iter().any(Option::is_some)) {
         sheet.line(
@@ -52,6 +53,13 @@ pub(super) fn draw(sheet: &mut Sheet, drawing: &Drawing<'_>) {
         y += ROW;
     }
     sheet.text(LEFT, y, "± one standard deviation that is expected", 11.0, DIM, Stand::Left);
+}
+
+fn stature(drawing: &Drawing<'_>) -> Option<String> {
+    let skeleton = drawing.skeleton?;
+    let sigma =
+        skeleton.stature_uncertainty_mm.map_or_else(String::new, |mm| format!(" ± {mm:.0}"));
+    Some(format!("{:.0}{sigma}", skeleton.stature_mm?))
 }
 
 /// From the skeleton, and from the joints where there is none.

@@ -8,6 +8,7 @@ mod chart;
 mod contour;
 mod labels;
 mod lengths;
+mod notes;
 mod reeb;
 mod shade;
 mod sheet;
@@ -82,7 +83,7 @@ pub struct Drawing<'a> {
     pub reeb_edges: Vec<(usize, usize, Part)>,
     /// In the mesh's frame and unit.
     pub joints: Joints,
-    /// Lengths are taken from it, where there is one.
+    /// Lengths, stature and notes are taken from it, where there is one.
     pub skeleton: Option<&'a Skeleton>,
     /// Circularity along arms, trunk and legs.
     pub curves: Vec<Curve>,
@@ -92,10 +93,11 @@ pub struct Drawing<'a> {
 const WIDTH: f64 = 1400.0;
 const HEIGHT: f64 = 1080.0;
 
-/// Draws it: a whole document, 1400 by 1080 units.
+/// Draws it: a whole document, 1400 by 1080 units, and higher where there are notes.
 #[must_use]
 pub fn svg(drawing: &Drawing<'_>) -> String {
-    let mut sheet = Sheet::new(WIDTH, HEIGHT);
+    let notes = drawing.skeleton.map_or_else(Vec::new, |skeleton| notes::lines(&skeleton.notes));
+    let mut sheet = Sheet::new(WIDTH, HEIGHT + notes::height(&notes));
     sheet.text(40.0, 38.0, drawing.title, 20.0, sheet::INK, Stand::Left);
     let upright = Upright::of(drawing);
     views::draw(&mut sheet, drawing, &upright);
@@ -107,6 +109,7 @@ pub fn svg(drawing: &Drawing<'_>) -> String {
     }
     let legend = "circularity h = 4π area / perimeter² of each level set (Yu et al. 2008, eq. 5); dashed: joints";
     sheet.text(WIDTH - 40.0, HEIGHT - 12.0, legend, 11.0, DIM, Stand::Right);
+    notes::draw(&mut sheet, &notes, HEIGHT);
     sheet.finish()
 }
 

@@ -2,8 +2,8 @@
 
 use super::{Curve, Drawing, Line, Part, ReebNode, contour, svg};
 use crate::body::generate::{Options, Pose, body};
-use crate::body::skeleton::joint_name;
-use crate::body::{Joints, Mesh, Side, Unit, extremity, geodesic, paper};
+use crate::body::skeleton::{Method, ScanJoints, Skeleton, Source, joint_name};
+use crate::body::{Joint, Joints, Mesh, Side, Unit, extremity, geodesic, paper};
 
 /// Every number of every attribute is finite, every element closed.
 fn sound(text: &str) {
@@ -48,6 +48,48 @@ fn a_body_is_drawn_with_all_that_is_known_of_it() {
 }
 
 #[test]
+fn stature_notes_and_unsure_joints_are_told() {
+    let (mesh, mut joints) = body(2, Pose::A, Options::default());
+    joints.estimates.values_mut().for_each(|estimate| estimate.sigma = 0.02);
+    let elbow = Joint::Elbow(Side::Left);
+    joints.estimates.get_mut(&elbow).unwrap().sigma = 0.14;
+    let scan = ScanJoints {
+        source: Source {
+            name: "a.obj".to_owned(),
+            sha256: "0".repeat(64),
+            unit: "m".to_owned(),
+            unit_inferred: true,
+        },
+        joints: joints.clone(),
+        unit: Unit::Metre,
+        notes: vec!["arms < trunk: shoulders are left out".to_owned(), "long ".repeat(50)],
+    };
+    let mut skeleton = Skeleton::new(Method::Default, &[scan]).unwrap();
+    let stature = (skeleton.stature_mm.unwrap(), skeleton.stature_uncertainty_mm.unwrap());
+    let with = |skeleton: &Skeleton| {
+        let skeleton = Some(skeleton);
+        svg(&Drawing { mesh: Some(&mesh), joints: joints.clone(), skeleton, ..Drawing::default() })
+    };
+    let text = with(&skeleton);
+    sound(&text);
+    assert!(text.contains(&format!(">{:.0} ± {:.0}</text>", stature.0, stature.1)), "stature");
+    assert!(text.contains(">• arms &lt; trunk: shoulders are left out</text>"));
+    assert!(text.contains("height=\"1165\""), "two lines of a note, one of the other");
+    assert!(text.contains(">left elbow ± 140</text>") && text.contains("hollow: more than 80 mm"));
+    // No circle is wider than that of 80 mm, in the scale that the bar of 200 or 500 mm shows.
+    let widest = text.split(" r=\"").skip(1).map(|r| r.split('"').next().unwrap());
+    let widest = widest.map(|r| r.parse::<f64>().unwrap()).fold(0.0, f64::max);
+    assert!(widest < 30.0, "{widest}");
+    // However many notes there are, the picture stays one that can be looked at.
+    skeleton.notes = vec!["much ".repeat(100); 64];
+    let text = with(&skeleton);
+    sound(&text);
+    assert!(text.contains("more notes stand in the skeleton") && text.contains("height=\"1"));
+    skeleton.notes.clear();
+    assert!(with(&skeleton).contains("height=\"1080\""));
+}
+
+#[test]
 fn curves_follow_the_limbs_and_joints_stand_in_their_order() {
     let (mesh, joints) = body(3, Pose::T, Options::default());
     let drawing = traced(&mesh, &joints);
@@ -66,7 +108,7 @@ fn curves_follow_the_limbs_and_joints_stand_in_their_order() {
     }) {
         let at = |joint| drawing.joints.estimates[&joint].position;
         let end = *line.points.last().unwrap();
-        let far = |side| crate::body::geometry::distance(end, at(crate::body::Joint::Wrist(side)));
+        let far = |side| crate::body::geometry::distance(end, at(Joint::Wrist(side)));
         let other = if side == Side::Left { Side::Right } else { Side::Left };
         assert!(far(side) < far(other));
     }

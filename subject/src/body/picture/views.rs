@@ -6,14 +6,17 @@ use super::sheet::{DIM, INK, Sheet, Stand};
 use super::view::{Fit, Upright, bounds};
 use super::{Drawing, Line, colour};
 use crate::body::geometry::Point;
-use crate::body::{Joint, Side};
+use crate::body::{Estimate, Joint, Side};
 
 /// Place of both views, side by side: left edge, and width; top and bottom.
 const LEFT: f64 = 26.0;
 const WIDTH: f64 = 984.0;
 const ROWS: [f64; 2] = [90.0, 740.0];
-/// Room for names on either side of a body.
-const NAMES: f64 = 102.0;
+/// Names are no longer than this, and with how unsure they are.
+const COLUMN: f64 = 87.0;
+const UNSURE_COLUMN: f64 = 122.0;
+/// From a body to its names.
+const BESIDE: f64 = 15.0;
 /// Brightness from which a tone is laid, and the tone.
 const TONES: [(f64, &str); 6] = [
     (0.30, "#c9ced4"),
@@ -24,6 +27,10 @@ const TONES: [(f64, &str); 6] = [
     (0.94, "#f7f8f9"),
 ];
 const RIM: &str = "#b4bac2";
+/// Circles of standard deviations.
+const UNSURE: &str = "#7b3294";
+/// Wider ones are not drawn: half a thigh.
+const WIDE_MM: f64 = 80.0;
 /// Rings that are drawn; more are thinned out.
 const RINGS_MAX: usize = 160;
 
@@ -33,16 +40,19 @@ pub(super) fn draw(sheet: &mut Sheet, drawing: &Drawing<'_>, upright: &Upright) 
     let Some(mesh) = drawing.mesh else { return };
     let looks: [Look; 2] = [Upright::front, Upright::side];
     let boxes = looks.map(|look| bounds(mesh.positions.iter().map(|&p| look(upright, p))));
+    let column = if anything_wide(drawing) { UNSURE_COLUMN } else { COLUMN };
+    // Room for names on either side of a body.
+    let names = column + BESIDE;
     // One scale for both, as large as both have room.
     let extent = |axis: usize| boxes.map(|[low, high]| (high[axis] - low[axis]).max(1e-9));
     let (widths, heights) = (extent(0), extent(1));
-    let per_unit = ((WIDTH - 4.0 * NAMES) / (widths[0] + widths[1]))
+    let per_unit = ((WIDTH - 4.0 * names) / (widths[0] + widths[1]))
         .min((ROWS[1] - ROWS[0]) / heights[0].max(heights[1]));
-    let spare = (WIDTH - 4.0 * NAMES - per_unit * (widths[0] + widths[1])) / 2.0;
+    let spare = (WIDTH - 4.0 * names - per_unit * (widths[0] + widths[1])) / 2.0;
     let mut left = LEFT;
     for (i, look) in looks.into_iter().enumerate() {
         let [low, high] = boxes[i];
-        let width = per_unit * widths[i] + 2.0 * NAMES + spare;
+        let width = per_unit * widths[i] + 2.0 * names + spare;
         let centre = [left + width / 2.0, (ROWS[0] + ROWS[1]) / 2.0];
         let middle = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0];
         let origin = [centre[0] - per_unit * middle[0], centre[1] + per_unit * middle[1]];
@@ -57,8 +67,8 @@ pub(super) fn draw(sheet: &mut Sheet, drawing: &Drawing<'_>, upright: &Upright) 
         sheet.text(centre[0], 66.0, title, 13.0, DIM, Stand::Middle);
         view.surface(sheet);
         // Names stand near the body, however slim it is.
-        let half = per_unit * widths[i] / 2.0 + NAMES;
-        view.joints(sheet, [centre[0] - half, centre[0] + half], i == 0);
+        let half = per_unit * widths[i] / 2.0 + names;
+        view.joints(sheet, [centre[0] - half, centre[0] + half], column, i == 0);
         left += width;
     }
     scale_bar(sheet, drawing, per_unit);
@@ -159,31 +169,36 @@ impl View<'_> {
         }
     }
 
-    /// Dots, with a circle of one standard deviation, and names in the margins.
-    fn joints(&self, sheet: &mut Sheet, margins: [f64; 2], front: bool) {
+    /// Dots, with a circle of one standard deviation, and names in the margins. A circle as wide as the body would hide it:
+    /// joints that are so unsure are hollow, and their names say how unsure.
+    fn joints(&self, sheet: &mut Sheet, margins: [f64; 2], column: f64, front: bool) {
         let mut names = Vec::new();
         for (&joint, estimate) in &self.drawing.joints.estimates {
             let at = self.at(estimate.position);
             let sigma = estimate.sigma * self.fit.per_unit;
-            let ring =
-                "fill=\"#7b3294\" fill-opacity=\"0.09\" stroke=\"#7b3294\" stroke-width=\"0.8\"";
-            if sigma > 0.5 {
-                sheet.circle(at, sigma, ring);
+            let ring = format!("fill=\"none\" stroke=\"{UNSURE}\" stroke-width=\"1\"");
+            if sigma > 0.5 && !is_wide(self.drawing, estimate) {
+                sheet.circle(at, sigma, &ring);
             }
             // The far side's names would cover the near side's.
             if front || !matches!(side(joint), Some(Side::Left)) {
-                names.push(Label { at, text: self.name(joint) });
+                let mut text = self.name(joint);
+                if is_wide(self.drawing, estimate) {
+                    text += &format!(" ± {:.0}", estimate.sigma * self.drawing.mm());
+                }
+                names.push(Label { at, text });
             }
         }
         for estimate in self.drawing.joints.estimates.values() {
             let at = self.at(estimate.position);
-            sheet.circle(
-                at,
-                3.6,
-                &format!("fill=\"{INK}\" stroke=\"#ffffff\" stroke-width=\"1.4\""),
-            );
+            let style = if is_wide(self.drawing, estimate) {
+                format!("fill=\"#ffffff\" stroke=\"{UNSURE}\" stroke-width=\"2\"")
+            } else {
+                format!("fill=\"{INK}\" stroke=\"#ffffff\" stroke-width=\"1.4\"")
+            };
+            sheet.circle(at, 3.6, &style);
         }
-        labels::draw(sheet, names, margins);
+        labels::draw(sheet, names, margins, column);
     }
 
     fn name(&self, joint: Joint) -> String {
@@ -197,6 +212,15 @@ impl View<'_> {
             None => name.to_owned(),
         }
     }
+}
+
+/// Whether a joint's circle would be too wide.
+fn is_wide(drawing: &Drawing<'_>, estimate: &Estimate) -> bool {
+    estimate.sigma * drawing.mm() > WIDE_MM
+}
+
+fn anything_wide(drawing: &Drawing<'_>) -> bool {
+    drawing.joints.estimates.values().any(|estimate| is_wide(drawing, estimate))
 }
 
 fn side(joint: Joint) -> Option<Side> {
@@ -220,6 +244,12 @@ fn scale_bar(sheet: &mut Sheet, drawing: &Drawing<'_>, per_unit: f64) {
     let style = format!("stroke=\"{INK}\" stroke-width=\"1.5\" fill=\"none\"");
     sheet.path(&[vec![[x, y - 4.0], [x, y], [end, y], [end, y - 4.0]]], false, &style);
     sheet.text(end + 8.0, y - 1.0, &format!("{mm} mm, both views"), 12.0, INK, Stand::Left);
-    let words = "circles: one standard deviation of a joint";
-    sheet.text(end + 140.0, y - 1.0, words, 12.0, DIM, Stand::Left);
+    let words = if anything_wide(drawing) {
+        format!(
+            "circles: one standard deviation of a joint; hollow: more than {WIDE_MM} mm, at its name"
+        )
+    } else {
+        "circles: one standard deviation of a joint".to_owned()
+    };
+    sheet.text(end + 140.0, y - 1.0, &words, 12.0, DIM, Stand::Left);
 }
