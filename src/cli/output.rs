@@ -14,6 +14,11 @@ pub(crate) fn say(line: &str) {
     writeln!(io::stderr(), "mocapd: {}", plain(line)).ok();
 }
 
+/// Lines for people on stderr, as they are: a table whose place on stdout is taken by data.
+pub(crate) fn tell(text: &str) {
+    io::stderr().write_all(text.as_bytes()).ok();
+}
+
 /// Data, on stdout. A reader that has seen enough (`| head`) is no failure.
 pub(crate) fn print(text: &str) -> anyhow::Result<()> {
     let mut stdout = io::stdout().lock();

@@ -76,11 +76,20 @@ fn folder(path: &Path) -> Option<Metadata> {
     folder.unwrap_or(Path::new(".")).metadata().ok()
 }
 
+/// Whether it stands for standard output, where a command has data for it.
+pub(super) fn is_stdout(path: &Path) -> bool {
+    path == Path::new("-")
+}
+
 /// Says early what creating a file at `path` would meet.
 ///
 /// # Errors
-/// That something is there already, or that nothing can be created in that folder.
+/// That something is there already, or that nothing can be created in that folder; a usage error for `-`, which is no file.
 pub(super) fn check_output(path: &Path) -> anyhow::Result<()> {
+    if is_stdout(path) {
+        let message = "- stands for standard output, which this is not written to: name a file (./- for one of that name)";
+        return Err(UsageError(message.to_owned()).into());
+    }
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     if let Some(folder) = folder.filter(|folder| !folder.exists()) {
         bail!("the folder {} does not exist: create it first", folder.display());

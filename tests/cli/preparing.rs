@@ -58,6 +58,13 @@ fn scans_of_one_person_become_a_skeleton_and_a_picture() {
     let picture = String::from_utf8(folder.read("p.svg")).unwrap();
     assert!(picture.contains("Reeb graph") && picture.contains("left knee"));
 
+    // A pipe has the skeleton alone, and people the table beside it; nothing is called -.
+    let ran = folder.run(&["subject", "body", "a.obj", "walk.obj", "-o", "-"]).with_code(0);
+    assert_eq!(ran.stdout.as_bytes(), folder.read("s.json"));
+    assert!(ran.stderr.contains("l_upper_arm") && !folder.path("-").exists(), "{}", ran.stderr);
+    let refused = ["subject", "body", "a.obj", "--picture", "-"];
+    folder.run(&refused).with_code(2);
+
     // What a take carries is what was written.
     folder.write_motion("jump.csv", &crate::support::jump(1, 60.0, 1.0));
     let import = ["import", "jump.csv", "-o", "t.take", "--skeleton", "s.json"];
@@ -121,6 +128,15 @@ fn a_photograph_becomes_a_face() {
 
     // Nothing is overwritten.
     folder.run(&args).with_code(1);
+
+    let ran = folder.run(&["subject", "face", "a.ppm", "--largest", "-o", "-"]).with_code(0);
+    assert_eq!(ran.stdout.trim_end().as_bytes(), folder.read("f.json").trim_ascii_end());
+    assert!(ran.stderr.contains("1 face\n"), "{}", ran.stderr);
+    for option in ["--overlay", "--obj", "--views"] {
+        let ran = folder.run(&["subject", "face", "a.ppm", option, "-"]).with_code(2);
+        assert!(ran.stderr.contains("-") && ran.stdout.is_empty(), "{}", ran.stderr);
+    }
+    assert!(!folder.path("-").exists());
 }
 
 #[test]

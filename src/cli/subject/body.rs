@@ -17,7 +17,7 @@ use mocapd_subject::body::{
 
 use super::picture;
 use crate::cli::{
-    output::{print, say},
+    output::{print, say, tell},
     paths,
     plot::picture as pictures,
     progress::Progress,
@@ -29,7 +29,7 @@ pub(crate) struct Args {
     /// Scans of one person, .obj, .ply, .stl or .off, each in any pose
     #[arg(required = true, value_name = "SCAN")]
     scans: Vec<PathBuf>,
-    /// The skeleton to write; it must not exist
+    /// The skeleton to write; it must not exist. - writes to standard output, and the table to standard error
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     /// The unit of the scans, m, cm or mm [default: what the file says, or what makes it a body]
@@ -66,9 +66,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         ))
         .into());
     }
-    args.output.as_deref().map(paths::check_output).transpose()?;
+    let to_stdout = args.output.as_deref().is_some_and(paths::is_stdout);
+    let output = args.output.as_deref().filter(|_| !to_stdout);
+    output.map(paths::check_output).transpose()?;
     args.picture.as_deref().map(pictures::check_output).transpose()?;
-    if let (Some(output), Some(drawing)) = (&args.output, &args.picture)
+    if let (Some(output), Some(drawing)) = (output, &args.picture)
         && paths::are_one(output, drawing)
     {
         let message =
@@ -96,14 +98,22 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let from = scans.iter().map(|scan| scan.notes.len()).sum();
     skeleton.notes.iter().skip(from).for_each(|note| say(note));
-    if let (Some(output), Some((path, repaired, survey))) = (&args.picture, first) {
+    if let (Some(drawing), Some((path, repaired, survey))) = (&args.picture, first) {
         let survey = survey.with_levels(&repaired.mesh);
-        pictures::write(output, &picture::of(&name(path), &repaired, &survey, &skeleton))?;
+        pictures::write(drawing, &picture::of(&name(path), &repaired, &survey, &skeleton))?;
     }
-    if let Some(output) = &args.output {
+    if let Some(output) = output {
         write_new(output, skeleton.to_json().as_bytes())?;
     }
-    print(&if args.json { skeleton.to_json() } else { table(&skeleton) })?;
+    match (args.json, to_stdout) {
+        (false, false) => print(&table(&skeleton))?,
+        (json, _) => {
+            print(&skeleton.to_json())?;
+            if !json {
+                tell(&table(&skeleton));
+            }
+        }
+    }
     Ok(Outcome::Done)
 }
 

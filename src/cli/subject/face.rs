@@ -14,7 +14,7 @@ use mocapd_subject::face::{
 
 use crate::cli::{
     numbers::count,
-    output::{print, say},
+    output::{print, say, tell},
     paths,
     plot::picture,
     whole::{name, read_bounded, write_new},
@@ -24,7 +24,8 @@ use crate::cli::{
 pub(crate) struct Args {
     /// The photograph, .png, .jpg or .pnm
     photo: PathBuf,
-    /// The face to write, as JSON; with several faces -2, -3 … before the ending; none may exist
+    /// The face to write, as JSON; with several faces -2, -3 … before the ending; none may exist. - writes a line a face to
+    /// standard output, and the table to standard error
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     /// The wireframe to write, as OBJ; numbered likewise
@@ -54,7 +55,9 @@ enum Chosen {
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    for path in [&args.output, &args.obj, &args.overlay].into_iter().flatten() {
+    let to_stdout = args.output.as_deref().is_some_and(paths::is_stdout);
+    let output = args.output.as_ref().filter(|_| !to_stdout);
+    for path in [output, args.obj.as_ref(), args.overlay.as_ref()].into_iter().flatten() {
         paths::check_output(path)?;
     }
     args.views.as_deref().map(picture::check_output).transpose()?;
@@ -92,20 +95,23 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     // The first were known before the photograph was read: all of them, or none is written.
     for number in 1..faces.len() {
-        for path in [&args.output, &args.obj].into_iter().flatten() {
+        for path in [output, args.obj.as_ref()].into_iter().flatten() {
             paths::check_output(&numbered(path, number))?;
         }
     }
-    write(args, &photo, &faces)?;
+    write(args, output, &photo, &faces)?;
     for (number, _) in faces.iter().enumerate().filter(|(_, face)| face.is_unsure()) {
         say(&format!("{shown}: face {}: points may be off: look at the overlay", number + 1));
     }
-    if args.json {
+    if args.json || to_stdout {
         for face in &faces {
-            print(&face.to_json()?)?;
+            print(&(face.to_json()? + "\n"))?;
         }
-    } else {
-        print(&table(&faces))?;
+    }
+    match (args.json, to_stdout) {
+        (false, false) => print(&table(&faces))?,
+        (false, true) => tell(&table(&faces)),
+        (true, _) => {}
     }
     Ok(Outcome::Done)
 }
@@ -123,9 +129,14 @@ fn apart(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn write(args: &Args, photo: &Photo, faces: &[FittedFace]) -> anyhow::Result<()> {
+fn write(
+    args: &Args,
+    output: Option<&PathBuf>,
+    photo: &Photo,
+    faces: &[FittedFace],
+) -> anyhow::Result<()> {
     for (number, face) in faces.iter().enumerate() {
-        if let Some(path) = &args.output {
+        if let Some(path) = output {
             write_new(&numbered(path, number), face.to_json()?.as_bytes())?;
         }
         if let Some(path) = &args.obj {
