@@ -14,6 +14,7 @@ use crate::{
     disk, files, header,
     pipeline::{Pipeline, PipelineConfig, Progress, Written},
     rig::{Ending, ReadOptions, Recording, Rig},
+    subject::strangers,
     units,
 };
 
@@ -69,6 +70,11 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
     header.stretch_rows = config.stretch_rows();
     header.settings = config.chosen();
     let (rate_hz, markers) = (config.rate_hz, config.channels.len());
+    let labels: Vec<String> = config.channels.iter().map(|c| c.label.clone()).collect();
+    // Who announces nobody yet may do so later.
+    if !labels.is_empty() {
+        strangers(options.subject, &labels).iter().for_each(|words| (options.say)(words));
+    }
 
     let file = files::create_new(options.take)?;
     files::sync_name(options.take);

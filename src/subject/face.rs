@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use anyhow::{Context, ensure};
-use mocapd_subject::face::mapping::Mapping;
+use anyhow::{Context, anyhow, ensure};
+use mocapd_subject::face::mapping::{Mapping, MappingError};
 use mocapd_take::record::Subject;
 use serde::{Deserialize, Serialize};
 
@@ -44,8 +44,14 @@ pub struct Face {
 /// # Errors
 /// What is wrong with it.
 pub fn mapping(data: &[u8]) -> anyhow::Result<Mapping> {
-    let text = std::str::from_utf8(data).context("no UTF-8")?;
-    Ok(Mapping::from_json(text)?)
+    const WHERE: &str =
+        "docs/subject-face-format.md has the format, subject/data/singing-face-mapping.json is one";
+    let text = std::str::from_utf8(data)
+        .with_context(|| format!("not a mapping of markers to a face ({WHERE}): no text"))?;
+    Mapping::from_json(text).map_err(|error| match error {
+        MappingError::Kind(_) | MappingError::Shape(_) => anyhow!("{error}; {WHERE}"),
+        MappingError::Value(_) => error.into(),
+    })
 }
 
 /// A subject's own; `None` where it has none.

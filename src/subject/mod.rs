@@ -14,6 +14,7 @@ use std::{
 
 use anyhow::{Context, bail, ensure};
 use mocapd_take::record::{DOCUMENT_BYTES_MAX, Subject};
+use serde_json::error::Category;
 
 pub use self::{face::Face, labels::strangers, skeleton::Skeleton};
 use crate::files;
@@ -93,13 +94,22 @@ struct Kind {
     version: u64,
 }
 
-/// Refuses JSON that is another document, or of a later version.
+/// Refuses what is no JSON, JSON that is another document, and one of a later version.
 fn check_kind(data: &[u8], format: &str, made_by: &str) -> anyhow::Result<()> {
-    let found: Kind =
-        serde_json::from_slice(data).with_context(|| format!("no JSON of the format {format}"))?;
+    let found: Kind = serde_json::from_slice(data).map_err(|error| {
+        let is = match error.classify() {
+            Category::Data => "it is no",
+            Category::Eof => "it is cut off, or no",
+            Category::Syntax | Category::Io => "it is no JSON, and so no",
+        };
+        let what = format!("{is} {format}, which `mocapd subject {made_by} -o` writes");
+        anyhow::Error::new(error).context(what)
+    })?;
     if found.format != format {
         let other = if found.format.is_empty() { "no format".to_owned() } else { found.format };
-        bail!("it says {other} where {format} is expected: `mocapd subject {made_by}` makes one");
+        bail!(
+            "it says {other} where {format} is expected, which `mocapd subject {made_by} -o` writes"
+        );
     }
     ensure!(
         found.version == 1,

@@ -44,7 +44,7 @@ fn files_become_a_subject_byte_for_byte() {
     let why = refused(SubjectFiles { skeleton: missing, ..Default::default() });
     assert!(why.contains("none.json does not exist"), "{why}");
     let why = refused(SubjectFiles { face: path("s.json", SKELETON), ..Default::default() });
-    assert!(why.contains("s.json") && why.contains("`mocapd subject face` makes one"), "{why}");
+    assert!(why.contains("s.json") && why.contains("`mocapd subject face -o` writes"), "{why}");
     let why = refused(SubjectFiles { face_markers: path("m.json", MARKERS), ..Default::default() });
     assert!(why.contains("no face is given"), "{why}");
     let why = refused(SubjectFiles {
@@ -67,7 +67,10 @@ fn what_is_no_skeleton_says_why() {
         ("\"child\":\"l_elbow\"", "\"child\":\"l_knee\"", "between l_shoulder and l_knee"),
         ("\"name\":\"l_elbow\"", "\"name\":\"l_shoulder\"", "l_shoulder comes twice"),
         ("\"length_mm\":300", "\"length_mm\":\"long\"", "a damaged mocapd-skeleton"),
-        ("{", "", "no JSON"),
+        ("{", "", "it is no mocapd-skeleton, which `mocapd subject body -o` writes"),
+        ("{", "no {", "it is no JSON, and so no mocapd-skeleton, which `mocapd subject body -o`"),
+        ("\"mocapd-skeleton\"", "7", "it is no mocapd-skeleton, which"),
+        ("\"format\":\"mocapd-skeleton\",", "", "it says no format where mocapd-skeleton"),
     ] {
         let found = refused(&SKELETON.replacen(from, to, 1));
         assert!(found.contains(why), "{found}");
@@ -83,5 +86,11 @@ fn what_is_no_face_says_why() {
     assert!(refused(&FACE.replace("[[0,1]]", "[[0,2]]")).contains("a vertex that is not there"));
     assert!(refused(&FACE.replace("[1,2,3]", "[1,2]")).contains("a damaged mocapd-face"));
     assert!(refused(SKELETON).contains("it says mocapd-skeleton"));
-    assert!(refused("[]").contains("mocapd-face"));
+    assert!(refused("[]").contains("mocapd-face is expected, which `mocapd subject face -o`"));
+    let cut = refused(&FACE[..40]);
+    assert!(cut.contains("cut off") && cut.contains("EOF while parsing"), "{cut}");
+    let binary = Face::parse(&[0xff; 9]).unwrap_err();
+    assert_eq!(binary.chain().count(), 2, "the parser's words are the cause: {binary:#}");
+    let binary = face::mapping(&[0xff; 9]).unwrap_err();
+    assert!(format!("{binary:#}").starts_with("not a mapping of markers"), "{binary:#}");
 }

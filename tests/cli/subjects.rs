@@ -120,7 +120,22 @@ fn what_is_no_skeleton_or_face_is_refused_before_anything_is_written() {
     };
     assert!(refused(&["--skeleton", "none.json"]).contains("none.json does not exist"));
     assert!(refused(&["--skeleton", "f.json"]).contains("mocapd subject body"));
-    assert!(refused(&["--face", "jump.csv"]).contains("no JSON of the format mocapd-face"));
+    let why = refused(&["--face", "jump.csv"]);
+    for part in
+        ["jump.csv: it is no JSON", "mocapd-face", "`mocapd subject face -o` writes", "line 1"]
+    {
+        assert!(why.contains(part), "{part}: {why}");
+    }
+    let why = refused(&["--face", "f.json", "--face-markers", "jump.csv"]);
+    assert!(why.contains("not a mapping of markers") && why.contains("singing-face"), "{why}");
+    folder.run(&["import", "jump.csv", "-o", "a.take"]).with_code(0);
+    folder.write("scan.ply", b"ply\nformat binary_little_endian 1.0\n\xff\xfe");
+    let drawn = |with: &str| {
+        let args = ["plot", "pose", "a.take", "-o", "p.svg", "--skeleton", with];
+        let why = folder.run(&args).stderr;
+        assert!(!folder.path("p.svg").exists() && why.contains("mocapd subject body"), "{why}");
+    };
+    ["f.json", "scan.ply", "jump.csv"].into_iter().for_each(drawn);
     assert!(refused(&["--face", "large.json"]).contains("more than 1 MiB"));
     let long = "S".repeat(129);
     folder.refuses(&["import", "jump.csv", "-o", "new.take", "--subject", &long], 2);
@@ -147,6 +162,23 @@ fn recordings_carry_it() {
 }
 
 #[test]
+fn recordings_of_other_markers_tell_so_when_they_begin() {
+    let motion = jump(3, 120.0, 0.5);
+    let folder = folder(&motion);
+    let of = |motion: Motion, take: &str| {
+        let device = Simulated::of(motion);
+        let args = ["record", "-d", &device.uri(), "-o", take, "--skeleton", "s.json"];
+        folder.run(&args).with_code(0).stderr
+    };
+    let same = of(motion.clone(), "same.take");
+    assert!(!same.contains("shows nothing"), "{same}");
+    let mut other = motion;
+    other.info.markers.iter_mut().enumerate().for_each(|(i, m)| m.label = format!("m{i}"));
+    let told = of(other, "other.take");
+    assert!(told.contains("no bone of the skeleton has a marker at both its ends"), "{told}");
+}
+
+#[test]
 fn a_pose_has_the_skeletons_bones_and_their_lengths() {
     let motion = jump(4, 60.0, 3.0);
     let folder = folder(&motion);
@@ -162,7 +194,11 @@ fn a_pose_has_the_skeletons_bones_and_their_lengths() {
     };
     let (own, _) = drawn(&["with.take"]);
     let (by_file, _) = drawn(&["without.take", "--skeleton", "s.json"]);
-    let (plain, _) = drawn(&["without.take"]);
+    let (plain, said) = drawn(&["without.take"]);
+    assert!(!said.contains("face"), "{said}");
+    // A face without a mapping is none that can be drawn: what names one is said.
+    let (_, said) = drawn(&["with.take"]);
+    assert!(said.contains("--face-markers") && said.contains("singing-face-mapping"), "{said}");
     let lines = |svg: &str| svg.matches("<polyline").count() + svg.matches("<line").count();
     assert_eq!(lines(&own), lines(&by_file));
     for name in ["to_l_elbow", "to_r_ankle", "to_head"] {
@@ -203,6 +239,14 @@ fn a_pose_has_the_face_from_in_front() {
     folder.run(&["plot", "pose", "a.take", "-o", "a.svg", "--at", "0.5s"]).with_code(0);
     let svg = folder.text("a.svg");
     assert!(svg.contains("as it lies under the markers"), "{svg}");
+    folder.write(
+        "few.json",
+        r#"{"format":"mocapd-face-mapping","version":1,"markers":[{"label":"left","at":0}]}"#,
+    );
+    let subject = ["--face", "f.json", "--face-markers", "few.json"];
+    folder.run(&[&["import", "a.csv", "-o", "few.take"], &subject[..]].concat()).with_code(0);
+    let ran = folder.run(&["plot", "pose", "few.take", "-o", "few.svg"]).with_code(0);
+    assert!(ran.stderr.contains("fewer markers of the face"), "{}", ran.stderr);
     let svg = roxmltree::Document::parse(&svg).unwrap();
     let lines = svg.descendants().filter(|node| node.has_tag_name("polyline")).count();
     assert!(lines >= 5, "four of the face and the floor: {lines}");

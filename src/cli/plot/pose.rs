@@ -11,7 +11,7 @@ use mocapd::{
     units,
 };
 use mocapd_report::plot::{Pose, pose};
-use mocapd_take::motion::Motion;
+use mocapd_take::{motion::Motion, record::Subject};
 
 use super::{picture, skeleton};
 use crate::cli::{
@@ -79,6 +79,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         say("no bone of the skeleton has a marker at both ends: nothing is drawn between markers");
     }
     let faces = Faces::of(motion, &labels, &rows);
+    if let Some(why) = faces.missing(motion) {
+        say(why);
+    }
     let wanted = Pose {
         name: &name(&args.take),
         coded: &coded,
@@ -103,6 +106,23 @@ struct Faces {
 }
 
 impl Faces {
+    /// Why a face that the take carries is not drawn; nothing where it is, or where there is none.
+    fn missing(&self, motion: &Motion) -> Option<&'static str> {
+        let subject = motion.info.subject.as_ref()?;
+        subject.document(Subject::FACE)?;
+        if subject.document(Subject::FACE_MARKERS).is_none() {
+            return Some(
+                "the take has a face, and nothing says which marker sits where on it, so it is not drawn: `import` and \
+                 `record` take such a mapping with --face-markers (docs/subject-face-format.md; \
+                 subject/data/singing-face-mapping.json is that of a public recording of a singing face)",
+            );
+        }
+        self.front.is_none().then_some(
+            "fewer markers of the face are seen at these moments than hold it: it is not drawn; its mapping is the file \
+             that --face-markers of `import` and `record` named",
+        )
+    }
+
     fn of(motion: &Motion, labels: &[String], rows: &[usize]) -> Self {
         let subject = motion.info.subject.as_ref();
         let Some(face) = FaceUnderMarkers::new(subject, labels) else { return Self::default() };

@@ -26,12 +26,24 @@ pub(super) fn is_json(path: &Path) -> anyhow::Result<bool> {
 /// # Errors
 /// A usage error with the line that is none, or names a marker that is not there.
 pub(super) fn read(path: &Path, labels: &[String]) -> anyhow::Result<Vec<[u16; 2]>> {
-    let mut text = String::new();
+    let mut bytes = Vec::new();
     files::open(path)?
         .take(BYTES_MAX)
-        .read_to_string(&mut text)
+        .read_to_end(&mut bytes)
         .with_context(|| format!("cannot read {}", path.display()))?;
-    bones(&text, labels).map_err(|why| UsageError(format!("{}, {why}", path.display())).into())
+    let text = String::from_utf8(bytes).with_context(|| {
+        format!(
+            "{}: it is no text: give what `mocapd subject body -o` writes, or a line `label,label` a bone",
+            path.display()
+        )
+    })?;
+    bones(&text, labels).map_err(|why| {
+        let message = format!(
+            "{}, {why}: write label,label for each bone, or give what `mocapd subject body -o` writes",
+            path.display()
+        );
+        UsageError(message).into()
+    })
 }
 
 fn bones(text: &str, labels: &[String]) -> Result<Vec<[u16; 2]>, String> {
@@ -43,16 +55,23 @@ fn bones(text: &str, labels: &[String]) -> Result<Vec<[u16; 2]>, String> {
         }
         let (a, b) = line
             .split_once(',')
-            .ok_or(format!("line {number}: '{line}' is no bone: write label,label"))?;
+            .ok_or_else(|| format!("line {number}: '{}' is no bone", shortened(line)))?;
         let column = |label: &str| {
             let found = labels.iter().position(|there| there == label.trim());
-            found
-                .and_then(|column| u16::try_from(column).ok())
-                .ok_or(format!("line {number}: no marker is called '{}'", label.trim()))
+            found.and_then(|column| u16::try_from(column).ok()).ok_or_else(|| {
+                format!("line {number}: no marker is called '{}'", shortened(label.trim()))
+            })
         };
         bones.push([column(a)?, column(b)?]);
     }
     Ok(bones)
+}
+
+/// As much of a foreign line as a message has room for.
+fn shortened(line: &str) -> String {
+    const CHARACTERS: usize = 60;
+    let rest = if line.chars().nth(CHARACTERS).is_some() { "…" } else { "" };
+    line.chars().take(CHARACTERS).collect::<String>() + rest
 }
 
 #[cfg(test)]
