@@ -18,10 +18,10 @@ import sys
 import numpy as np
 
 BAD_PERCENT = 10
-NAMES = ["clear", "eyes", "brows", "nose", "mouth", "outline", "misfit", "strain", "nod", "turn off"]
+NAMES = ["clear", "eyes", "brows", "nose", "mouth", "outline", "misfit", "strain", "nod", "turn off", "glance off"]
 # Whether more of it speaks for a face.
-SIGNS = np.array([1, 1, 1, 1, 1, 1, -1, -1, -1, -1])
-RANGES = np.array([(0, 1), (0, 0.6), (0, 0.3), (0, 0.6), (0, 0.6), (0.2, 1), (0, 0.4), (0, 30), (0, 40), (0, 40)])
+SIGNS = np.array([1, 1, 1, 1, 1, 1, -1, -1, -1, -1, -1])
+RANGES = np.array([(0, 1), (0, 0.6), (0, 0.3), (0, 0.6), (0, 0.6), (0.2, 1), (0, 0.4), (0, 30), (0, 40), (0, 40), (0, 12)])
 PRIOR = 1.0
 
 

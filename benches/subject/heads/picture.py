@@ -87,6 +87,10 @@ def photograph(person, background, io_px, at, pose, random):
         step = max(1, int(np.sqrt(texture.shape[0] * 0.7 / (FINER * io_px)))) if alpha_min == 0 else 1
         texture = np.ascontiguousarray(texture[::step, ::step])
         draw(project(points), -points[:, 2], uv, light, triangles, corners, texture, image, nearest, max(alpha_min, 0.02))
+    # The lips' inner edges are known in their middles only.
+    points = marks[[LANDMARKS.get(i, LANDMARKS[27]) for i in range(68)]]
+    column, row = np.clip(project(points).round().astype(int), 0, [[FINER * wide - 1, FINER * high - 1]]).T
+    visible = (nearest[row, column] > -points[:, 2] - HAIR_BEFORE) & [i in LANDMARKS for i in range(68)]
     shown = []
     for eye in (range(36, 42), range(42, 48)):
         lids = marks[[LANDMARKS[i] for i in eye]].mean(0)
@@ -96,7 +100,8 @@ def photograph(person, background, io_px, at, pose, random):
     landmarks = (project(marks) + 0.5) / FINER - 0.5
     mean = lambda a, b: landmarks[[LANDMARKS[i] for i in range(a, b)]].mean(0)
     a, b = landmarks[[LANDMARKS[36], LANDMARKS[45]]]
-    face = {"points": [mean(36, 42), mean(42, 48), mean(48, 60)], "io": float(np.hypot(*(b - a))), "yaw": float(pose[0]), "shown": shown}
+    face = {"points": [mean(36, 42), mean(42, 48), mean(48, 60)], "io": float(np.hypot(*(b - a))), "yaw": float(pose[0]), "shown": shown,
+            "landmarks": (project(points) + 0.5) / FINER - 0.5, "visible": visible.tolist(), "pose_deg": [pose[1], pose[0], pose[2]]}
     return image[..., :3], face
 
 

@@ -13,6 +13,7 @@ pub mod plausible;
 pub mod points;
 pub mod pose;
 pub mod render;
+mod slopes;
 
 pub use photo::{Photo, PhotoError};
 pub use plane::Plane;

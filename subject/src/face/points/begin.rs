@@ -1,51 +1,27 @@
-//! Where the head turns, before anything else is known of it.
+//! Where a face is begun from: the rough place first, then others that it may be meant for.
 
-use super::look::{look, misfit, trace, turn_deg, unlike};
-use super::maps::Maps;
+use super::Rough;
+use super::glance::{Glance, TOLD, Told};
 use super::search::Point;
-use super::shape::{Pose, Turn};
 
-/// Yaws that are begun from (degrees): a step is what the search of a feature bridges.
-const YAWS_DEG: [f64; 5] = [-40.0, -20.0, 0.0, 20.0, 40.0];
-/// Of which so many are looked at in full: those whose outline fits best.
-const LOOKED_AT: usize = 3;
-/// How far a feature is looked for (pixels of the crop), and how far the outline.
-const FIRST: (f64, f64) = (4.5, 14.0);
-/// The mouth may be lower than it was told to be, or higher (pixels of the crop): those are begun from last.
-const LOWER: [f64; 2] = [10.0, -8.0];
+/// Where the mouth may be instead, in distances of the eyes: lower, as where a nose was taken for it, or higher.
+const LOWER: [f64; 2] = [0.17, -0.13];
 
-/// The poses to begin from, the likeliest first. Eyes and mouth lie nearly in a plane and cannot tell where a head turns;
-/// the nose before them and the outline around them can.
-pub(super) fn begin<'a>(maps: &Maps, frontal: &Pose<'a>, places: [Point; 3]) -> Vec<Pose<'a>> {
-    let unlike = unlike(maps, frontal);
-    let (reach, sd) = FIRST;
-    let mut starts: Vec<(f64, f64, Pose<'a>)> = YAWS_DEG
-        .into_iter()
-        .map(|yaw| {
-            let pose = frontal.turned(yaw, places);
-            let (line, gain) = trace(maps, &unlike, &pose, sd);
-            let seen_turn = turn_deg(&line, &pose.project()).unwrap_or(yaw);
-            // The right yaw is the one that its own outline confirms; most heads look at the camera.
-            let score =
-                gain - 0.4 * ((seen_turn - yaw) / 20.0).powi(2) - 0.2 * (yaw / 30.0).powi(2);
-            (score, seen_turn, pose)
-        })
-        .collect();
-    starts.sort_by(|a, b| b.0.total_cmp(&a.0));
-    starts.truncate(LOOKED_AT);
-    for (score, _, pose) in &mut starts {
-        let seen = look(maps, pose, reach);
-        pose.fit(&seen.targets, Turn::UNKNOWN, 3);
-        let weights = [1.0 / 3.0, 1.0 / 3.0, 0.5, 0.5, 0.6, 0.2];
-        let features: f64 = seen.held.iter().zip(weights).map(|(s, w)| s * w).sum();
-        *score += features - misfit(pose, &seen.targets) - 0.1 / 30.0 * pose.strain();
-    }
-    starts.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let mut poses: Vec<_> = starts.iter().map(|(_, yaw, _)| frontal.turned(*yaw, places)).collect();
-    if let Some((_, yaw, _)) = starts.first() {
-        let [left, right, mouth] = places;
-        poses
-            .extend(LOWER.map(|by| frontal.turned(*yaw, [left, right, [mouth[0], mouth[1] + by]])));
-    }
-    poses
+/// Where else to begin: where the first glance has eyes and mouth, so that a second one is straight at them; and with the
+/// mouth elsewhere.
+pub(super) fn others(rough: &Rough, glance: &Glance, told: &Told) -> [Rough; 3] {
+    let at = |range: std::ops::Range<usize>| {
+        let part = || TOLD.iter().zip(told).filter(|(landmark, _)| range.contains(landmark));
+        let n = part().count().max(1) as f64;
+        let sum = part().fold([0.0; 2], |s: Point, (_, p)| [s[0] + p[0], s[1] + p[1]]);
+        glance.to_photo([sum[0] / n, sum[1] / n])
+    };
+    let again = Rough { left_eye: at(36..42), right_eye: at(42..48), mouth: at(48..60) };
+    let ([ax, ay], [bx, by]) = (rough.left_eye, rough.right_eye);
+    let [lower, higher] = LOWER.map(|by_eyes| {
+        let [x, y] = rough.mouth;
+        let mouth = [x - by_eyes * (by - ay), y + by_eyes * (bx - ax)];
+        Rough { mouth, ..*rough }
+    });
+    [again, lower, higher]
 }

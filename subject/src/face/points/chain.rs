@@ -1,21 +1,27 @@
-//! The default way to the points: the generic face says where every feature should lie, the picture says where it lies
-//! near there, and the two take turns.
+//! The default way to the points: a glance says where they lie, more or less. From there the generic face says where every
+//! feature should lie, the picture says where it lies near there, and the two take turns.
 
 use super::annotators::offset_io;
-use super::begin::begin;
+use super::begin;
 use super::contour::{self, Ray};
-use super::crop::{self, Crop};
+use super::crop;
+use super::glance::{Glance, TOLD, Told};
 use super::look::{self, CLEAR_OUTLINE, FAINT, Seen, middle};
 use super::maps::Maps;
 use super::outline::{self, Heights};
 use super::search::Point;
-use super::shape::{Landmarks, Pose, Target, Turn};
+use super::shape::{Landmarks, Pose, Target};
 use super::{BROWS, EYES, Evidence, FacePoints, MOUTH, NOSE, Rough};
 use crate::face::Photo;
 use crate::face::model::{Model, ModelError};
 
-/// How far a feature is looked for (pixels of the crop), and how far the outline, round by round.
-const ROUNDS: [(f64, f64); 2] = [(5.0, 10.0), (4.0, 7.0)];
+/// How far a feature is looked for (pixels of the crop), how far the outline, and how many turns they take.
+const REACH: f64 = 2.5;
+const OUTLINE_REACH: f64 = 7.0;
+const TURNS: usize = 2;
+/// Standard deviation of what a glance says, before and while it is compared with what is seen (pixels of the crop).
+const GLANCE_FIRST_SD: f64 = 3.0;
+const GLANCE_SD: f64 = 4.0;
 /// A face of this confidence is taken; a less sure one is begun from elsewhere too, and the surest counts.
 const SURE: f64 = 0.5;
 
@@ -25,26 +31,28 @@ const SURE: f64 = 0.5;
 /// None, unless the program was built with a damaged model ([`Model::generic`]).
 pub fn find(photo: &Photo, rough: &Rough) -> Result<FacePoints, ModelError> {
     let landmarks = Landmarks::of(Model::generic()?);
-    let crop = Crop::cut(photo, rough);
-    let maps = Maps::of(&crop);
-    let places = [rough.left_eye, rough.right_eye, rough.mouth].map(|p| crop.in_crop(p));
     let frontal = Pose::frontal(&landmarks, crop::IO, crop::EYES);
-    let mut best: Option<Attempt<'_>> = None;
-    for start in begin(&maps, &frontal, places) {
-        let attempt = Attempt::from(&maps, start);
-        let sure = attempt.evidence.confidence();
-        if best.as_ref().is_none_or(|best| sure > best.evidence.confidence()) {
-            best = Some(attempt);
-        }
-        if sure >= SURE {
+    let glance = Glance::at(photo, rough);
+    let told = glance.told();
+    let others = begin::others(rough, &glance, &told);
+    let mut best = Attempt::from(glance, &told, &frontal);
+    for rough in others {
+        if best.evidence.confidence() >= SURE {
             break;
         }
+        let glance = Glance::at(photo, &rough);
+        let told = glance.told();
+        let other = Attempt::from(glance, &told, &frontal);
+        if other.evidence.confidence() > best.evidence.confidence() {
+            best = other;
+        }
     }
-    Ok(best.map_or_else(FacePoints::default, |best| collect(&crop, best)))
+    Ok(collect(best))
 }
 
 /// Where one beginning leads.
 struct Attempt<'a> {
+    glance: Glance,
     pose: Pose<'a>,
     seen: Seen,
     line: Vec<Ray>,
@@ -52,24 +60,35 @@ struct Attempt<'a> {
 }
 
 impl<'a> Attempt<'a> {
-    fn from(maps: &Maps, mut pose: Pose<'a>) -> Self {
+    fn from(glance: Glance, told: &Told, frontal: &Pose<'a>) -> Self {
+        let targets = |sd: f64| {
+            TOLD.iter().zip(told).map(move |(landmark, at)| Target {
+                landmark: *landmark,
+                at: *at,
+                sd,
+            })
+        };
+        let mut pose = frontal.clone();
+        pose.fit(&targets(GLANCE_FIRST_SD).collect::<Vec<_>>(), 8);
+        let maps = Maps::of(glance.crop());
         let (mut seen, mut line) = (Seen::default(), Vec::new());
-        for (reach, sd) in ROUNDS {
-            let unlike = look::unlike(maps, &pose);
-            let (targets, outlined) = look::around(maps, &unlike, &pose, sd);
-            seen = look::look(maps, &pose, reach);
-            let all: Vec<Target> = seen.targets.iter().chain(&targets).copied().collect();
-            pose.fit(&all, Turn::UNKNOWN, 4);
+        for _ in 0..TURNS {
+            let unlike = look::unlike(&maps, &pose);
+            let (around, outlined) = look::around(&maps, &unlike, &pose, OUTLINE_REACH);
+            seen = look::look(&maps, &pose, REACH);
+            let seen = seen.targets.iter().chain(&around).copied();
+            pose.fit(&seen.chain(targets(GLANCE_SD)).collect::<Vec<_>>(), 4);
             line = outlined;
         }
-        let evidence = Evidence::of(&pose, &seen, &line);
-        Self { pose, seen, line, evidence }
+        let evidence = Evidence::of(&pose, &seen, &line, told);
+        Self { glance, pose, seen, line, evidence }
     }
 }
 
 /// The points of the fitted pose, in the photograph.
-fn collect(crop: &Crop, attempt: Attempt<'_>) -> FacePoints {
-    let Attempt { pose, seen, line, evidence } = attempt;
+fn collect(attempt: Attempt<'_>) -> FacePoints {
+    let Attempt { glance, pose, seen, line, evidence } = attempt;
+    let crop = glance.crop();
     let p = pose.project();
     let mut points = FacePoints {
         yaw_deg: Some(pose.yaw_deg()),

@@ -2,6 +2,7 @@
 //! face, in one pose and one shape, has them.
 
 use super::contour::Ray;
+use super::glance::{TOLD, Told};
 use super::look::{CLEAR_OUTLINE, FAINT, Seen, misfit, turn_deg};
 use super::shape::Pose;
 
@@ -28,6 +29,8 @@ pub struct Evidence {
     pub nod_deg: f64,
     /// How far the head's turn is from what the edge of what is seen says (degrees).
     pub turn_off_deg: f64,
+    /// Mean distance of the fitted face from what the first glance said (pixels of the crop).
+    pub glance_off: f64,
 }
 
 /// A term of the evidence: its weight, and the range that it is held to.
@@ -38,25 +41,26 @@ struct Term {
 }
 
 /// Learned by `benches/subject/face_confidence.py`, as all of these are.
-const CONSTANT: f64 = -8.11;
+const CONSTANT: f64 = -4.35;
 const TERMS: [Term; Evidence::COUNT] = [
-    Term { weight: 8.893, low: 0.0, high: 1.0 },
-    Term { weight: 1.764, low: 0.0, high: 0.6 },
-    Term { weight: 1.851, low: 0.0, high: 0.3 },
-    Term { weight: 0.282, low: 0.0, high: 0.6 },
-    Term { weight: 2.910, low: 0.0, high: 0.6 },
-    Term { weight: 4.326, low: 0.2, high: 1.0 },
-    Term { weight: -5.460, low: 0.0, high: 0.4 },
-    Term { weight: -0.145, low: 0.0, high: 30.0 },
-    Term { weight: -0.061, low: 0.0, high: 40.0 },
-    Term { weight: -0.055, low: 0.0, high: 40.0 },
+    Term { weight: 9.900, low: 0.0, high: 1.0 },
+    Term { weight: 3.060, low: 0.0, high: 0.6 },
+    Term { weight: 3.407, low: 0.0, high: 0.3 },
+    Term { weight: 0.000, low: 0.0, high: 0.6 },
+    Term { weight: 6.238, low: 0.0, high: 0.6 },
+    Term { weight: 1.276, low: 0.2, high: 1.0 },
+    Term { weight: -8.692, low: 0.0, high: 0.4 },
+    Term { weight: -0.176, low: 0.0, high: 30.0 },
+    Term { weight: -0.048, low: 0.0, high: 40.0 },
+    Term { weight: -0.117, low: 0.0, high: 40.0 },
+    Term { weight: -0.921, low: 0.0, high: 12.0 },
 ];
 
 impl Evidence {
     /// How many terms there are.
-    pub const COUNT: usize = 10;
+    pub const COUNT: usize = 11;
 
-    pub(super) fn of(pose: &Pose<'_>, seen: &Seen, line: &[Ray]) -> Self {
+    pub(super) fn of(pose: &Pose<'_>, seen: &Seen, line: &[Ray], told: &Told) -> Self {
         let held = |i: usize| seen.held.get(i).copied().unwrap_or_default();
         let clear = |ray: &Ray| (ray.contrast / CLEAR_OUTLINE).clamp(FAINT, 1.0);
         let counts = [6.0, 6.0, 5.0, 5.0, 5.0, 14.0];
@@ -73,6 +77,7 @@ impl Evidence {
             nod_deg: pose.nod_deg().abs(),
             turn_off_deg: turn_deg(line, &pose.project())
                 .map_or(0.0, |t| (t - pose.yaw_deg()).abs()),
+            glance_off: off(pose, told),
         }
     }
 
@@ -90,8 +95,21 @@ impl Evidence {
             strain,
             nod_deg,
             turn_off_deg,
+            glance_off,
         } = *self;
-        [clear, eyes, brows, nose, mouth, outline, misfit, strain, nod_deg, turn_off_deg]
+        [
+            clear,
+            eyes,
+            brows,
+            nose,
+            mouth,
+            outline,
+            misfit,
+            strain,
+            nod_deg,
+            turn_off_deg,
+            glance_off,
+        ]
     }
 
     /// Logarithm of the odds that the points are less than a tenth of the outer eye corners' distance off, on the mean.
@@ -105,4 +123,13 @@ impl Evidence {
     pub fn confidence(&self) -> f64 {
         1.0 / (1.0 + (-self.log_odds()).exp())
     }
+}
+
+/// Mean distance of the pose's landmarks from those told.
+fn off(pose: &Pose<'_>, told: &Told) -> f64 {
+    let p = pose.project();
+    let far = |(landmark, at): (&usize, &[f64; 2])| {
+        p.get(*landmark).map(|p| (p[0] - at[0]).hypot(p[1] - at[1]))
+    };
+    TOLD.iter().zip(told).filter_map(far).sum::<f64>() / TOLD.len() as f64
 }

@@ -14,6 +14,7 @@ mod confidence;
 mod contour;
 mod crop;
 mod eye;
+pub mod glance;
 mod look;
 mod maps;
 mod mouth;

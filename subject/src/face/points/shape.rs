@@ -49,20 +49,9 @@ impl Landmarks {
 
 /// Unknowns of the pose: rotation, scale, shift.
 const POSE: usize = 6;
-/// Standard deviation of pitch over photographs (radians).
+/// Standard deviations of yaw and pitch over photographs (radians).
+const TURN_SD_RAD: f64 = 0.6;
 const NOD_SD_RAD: f64 = 0.25;
-
-/// What is known of the yaw before the landmarks are looked at (degrees).
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Turn {
-    pub(crate) yaw_deg: f64,
-    pub(crate) sd_deg: f64,
-}
-
-impl Turn {
-    /// What photographs have.
-    pub(crate) const UNKNOWN: Turn = Turn { yaw_deg: 0.0, sd_deg: 34.0 };
-}
 
 /// Where a landmark was seen.
 #[derive(Debug, Clone, Copy)]
@@ -137,44 +126,17 @@ impl<'a> Pose<'a> {
 
     /// Fits pose and shape together to the targets, from this pose: Gauss-Newton steps on rotation, scale, shift and
     /// the modes' coefficients, which are of a standard normal distribution.
-    pub(crate) fn fit(&mut self, targets: &[Target], turn: Turn, rounds: usize) {
+    pub(crate) fn fit(&mut self, targets: &[Target], rounds: usize) {
         for _ in 0..rounds {
-            if self.step(targets, turn, self.coefficients.len()).is_none() {
+            if self.step(targets).is_none() {
                 return;
             }
         }
     }
 
-    /// The mean shape turned by `yaw_deg` so that the centres of eyes and mouth lie at `places`.
-    pub(crate) fn turned(&self, yaw_deg: f64, places: [[f64; 2]; 3]) -> Self {
-        let (s, c) = yaw_deg.to_radians().sin_cos();
-        let mut pose = self.clone();
-        pose.rotation = Matrix2x3::new(c, 0.0, s, 0.0, 1.0, 0.0);
-        for _ in 0..6 {
-            let p = pose.project();
-            let mut targets = Vec::new();
-            for (range, to) in [36..42, 42..48, 48..60].into_iter().zip(places) {
-                let from = centre(&p, range.clone());
-                for i in range {
-                    let at = p.get(i).copied().unwrap_or(from);
-                    targets.push(Target {
-                        landmark: i,
-                        at: [at[0] + to[0] - from[0], at[1] + to[1] - from[1]],
-                        sd: 4.0,
-                    });
-                }
-            }
-            // The shape is held, and so is the turn.
-            if pose.step(&targets, Turn { yaw_deg, sd_deg: 1.0 }, 0).is_none() {
-                break;
-            }
-        }
-        pose
-    }
-
-    /// One step; `modes` of the shape's modes are free.
-    fn step(&mut self, targets: &[Target], turn: Turn, modes: usize) -> Option<()> {
-        let modes = self.landmarks.modes.get(..modes)?;
+    /// One step.
+    fn step(&mut self, targets: &[Target]) -> Option<()> {
+        let modes = &self.landmarks.modes;
         let n = POSE + modes.len();
         let mut a = DMatrix::<f64>::zeros(n, n);
         let mut b = DVector::<f64>::zeros(n);
@@ -204,7 +166,7 @@ impl<'a> Pose<'a> {
             // Beyond three deviations a target pulls no harder: it is likely to be something else.
             let (rx, ry) = (t.at[0] - s * qx - self.shift[0], t.at[1] - s * qy - self.shift[1]);
             let far = (rx * rx + ry * ry).sqrt() / t.sd;
-            let w = if modes.is_empty() { 1.0 } else { 3.0 / far.max(3.0) } / (t.sd * t.sd);
+            let w = 3.0 / far.max(3.0) / (t.sd * t.sd);
             // The lower half, which is all that Cholesky reads.
             for (j, (x, y)) in jx.iter().zip(&jy).enumerate() {
                 let (wx, wy) = (w * x, w * y);
@@ -222,9 +184,8 @@ impl<'a> Pose<'a> {
         // A head is upright and looks at the camera, more or less.
         let yaw = self.rotation[(0, 2)].clamp(-1.0, 1.0).asin();
         let pitch = self.rotation[(1, 2)].clamp(-1.0, 1.0).asin();
-        let weight = turn.sd_deg.to_radians().powi(-2);
-        a[(1, 1)] += weight;
-        b[1] -= (yaw - turn.yaw_deg.to_radians()) * weight;
+        a[(1, 1)] += TURN_SD_RAD.powi(-2);
+        b[1] -= yaw * TURN_SD_RAD.powi(-2);
         a[(0, 0)] += NOD_SD_RAD.powi(-2);
         b[0] += pitch * NOD_SD_RAD.powi(-2);
         for j in 0..POSE {

@@ -20,11 +20,12 @@ struct Drawn {
 fn drawn(yaw_deg: f64, seed: u64) -> Drawn {
     let landmarks = Landmarks::of(Model::generic().unwrap());
     let eyes = [SIDE as f64 / 2.0, 120.0];
-    let frontal = Pose::frontal(&landmarks, IO_PX, eyes);
-    let p = frontal.project();
-    let places = [36..42, 42..48, 48..60].map(|r| super::shape::centre(&p, r));
-    let squeeze = |p: Point| [eyes[0] + (p[0] - eyes[0]) * yaw_deg.to_radians().cos(), p[1]];
-    let p = frontal.turned(yaw_deg, places.map(squeeze)).project();
+    let mut pose = Pose::frontal(&landmarks, IO_PX, eyes);
+    let (s, c) = yaw_deg.to_radians().sin_cos();
+    pose.rotation = nalgebra::Matrix2x3::new(c, 0.0, s, 0.0, 1.0, 0.0);
+    let middle = super::shape::centre(&pose.project(), 36..48);
+    pose.shift[0] += eyes[0] - middle[0];
+    let p = pose.project();
     let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
     let mut noise = move || {
         state ^= state << 13;
@@ -185,6 +186,7 @@ fn confidence_is_a_share_whatever_the_evidence() {
         strain: -v,
         nod_deg: -v,
         turn_off_deg: -v,
+        glance_off: -v,
     };
     let [worst, even, best] = [-1e9, 0.3, 1e9].map(|v| evidence(v).confidence());
     assert!(0.0 < worst && worst < even && even < best && best < 1.0, "{worst} {even} {best}");
