@@ -4,6 +4,7 @@ import numpy as np
 
 from parts import LANDMARKS, random_identity, texture
 from raster import normals
+from worn import worn
 
 # Which layer the eyes are.
 EYES = 3
@@ -12,7 +13,7 @@ EYES = 3
 class Person:
     """Layers of triangles with textures in head coordinates (decimetres, y up, z to the front), far ones first."""
 
-    def __init__(self, parts, random):
+    def __init__(self, parts, random, hard=False):
         base = random_identity(parts.head, parts.kept, parts.sliders, random)
         amounts = random.uniform(-0.1, 0.9, len(parts.expressions)) * (random.random(len(parts.expressions)) < 0.12)
         if random.random() < 0.3:
@@ -36,6 +37,8 @@ class Person:
         if random.random() < 0.3:
             for beard in parts.beards if random.random() < 0.6 else [pick(parts.beards)]:
                 self.part(beard, random, tint, 0.15)
+        if hard:
+            worn(self, parts, random, hair)
         if random.random() < 0.88:
             self.part(pick(parts.hair), random, tint, 0.3)
         if random.random() < 0.22:

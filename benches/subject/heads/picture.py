@@ -26,14 +26,14 @@ def turned(yaw, pitch, roll):
     return about_z @ about_x @ about_y
 
 
-def shades(layers, random):
+def shades(layers, random, hard):
     """Light of each layer's vertices: ambient (second-order harmonics of the sky), one or two lamps, their shadows."""
-    around = random.uniform(0.25, 0.9)
+    around = random.uniform(0.15, 0.7) if hard else random.uniform(0.25, 0.9)
     slope = random.normal(0, 0.35, 3) + [0, 0.25, 0.1]
     bend = random.normal(0, 0.12, (3, 3))
     lamps = []
     for _ in range(1 + (random.random() < 0.35)):
-        way = np.array([random.normal(0, 0.9), random.normal(0.5, 0.6), random.uniform(0.3, 1.3)])
+        way = np.array([random.normal(0, 1.2 if hard else 0.9), random.normal(0.5, 0.6), random.uniform(0.3, 1.3)])
         lamps.append((way / np.linalg.norm(way), random.uniform(0.2, 1.1), np.exp(random.normal(0, 0.07, 3))))
     solid = np.vstack([layer[0][layer[1]].reshape(-1, 3) for layer in layers if layer[5] < 0.1 or layer[5] > 0.25])
     out = []
@@ -70,7 +70,7 @@ def shades(layers, random):
     return result
 
 
-def photograph(person, background, io_px, at, pose, random):
+def photograph(person, background, io_px, at, pose, random, hard=False):
     """The picture (floats, 0 to 1) and the face on it. `at` is where the middle of the eyes is."""
     high, wide = background.shape[:2]
     way = turned(*pose)
@@ -83,7 +83,7 @@ def photograph(person, background, io_px, at, pose, random):
     image = np.zeros((FINER * high, FINER * wide, 4), np.float32)
     image[..., :3] = np.repeat(np.repeat(background, FINER, 0), FINER, 1)
     nearest = np.full(image.shape[:2], np.inf)
-    for (points, triangles, uv, corners, texture, alpha_min), light in zip(layers, shades(layers, random)):
+    for (points, triangles, uv, corners, texture, alpha_min), light in zip(layers, shades(layers, random, hard)):
         step = max(1, int(np.sqrt(texture.shape[0] * 0.7 / (FINER * io_px)))) if alpha_min == 0 else 1
         texture = np.ascontiguousarray(texture[::step, ::step])
         draw(project(points), -points[:, 2], uv, light, triangles, corners, texture, image, nearest, max(alpha_min, 0.02))
@@ -105,9 +105,11 @@ def photograph(person, background, io_px, at, pose, random):
     return image[..., :3], face
 
 
-def developed(image, random):
+def developed(image, random, hard=False):
     """Exposure, tone curve, coloured light, grey, blur, noise and JPEG: 8-bit pixels."""
     image = np.clip(image, 0, None)
+    if hard and random.random() < 0.4:
+        image = sorely(image, random)
     bright = np.percentile(image, 97)
     image = image * (random.uniform(0.75, 1.1) / max(bright, 0.05) if random.random() < 0.8 else 1)
     image = np.clip(image, 0, 1) ** np.exp(random.normal(0, 0.25))
@@ -127,6 +129,17 @@ def developed(image, random):
         picture.save(file, "JPEG", quality=int(random.uniform(40, 95)))
         picture = Image.open(io.BytesIO(file.getvalue())).convert("RGB")
     return picture
+
+
+def sorely(image, random):
+    """Too dark, too bright, or moved: what cameras do indoors."""
+    kind = random.random()
+    if kind < 0.5:
+        return image * random.uniform(0.2, 0.6)
+    if kind < 0.7:
+        return image * random.uniform(1.3, 2.2)
+    far, angle = random.uniform(0.5, 1.3), random.uniform(0, np.pi)
+    return gaussian_filter(image, (far * abs(np.sin(angle)), far * abs(np.cos(angle)), 0))
 
 
 def clutter(wide, high, pictures, random):
