@@ -128,8 +128,11 @@ impl fmt::Display for Table {
             } else {
                 let sure = rows.iter().filter(|r| r.sure);
                 let count = sure.clone().count();
-                let good = share(sure.filter(good).count(), count);
-                (format!("{:.0} %", share(count, rows.len())), format!("{good:.0} %"))
+                let of_those = match count {
+                    0 => String::new(),
+                    count => format!("{:.0} %", share(sure.filter(good).count(), count)),
+                };
+                (format!("{:.0} %", share(count, rows.len())), of_those)
             };
             let mean = |of: fn(&Row) -> Option<f64>| {
                 let yaws: Vec<f64> = rows.iter().filter_map(of).collect();

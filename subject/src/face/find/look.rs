@@ -2,6 +2,7 @@
 
 use super::frame::{Frame, length};
 use super::octaves::Octaves;
+use crate::face::slopes::{WAYS, ways};
 
 /// Cells along each side, a quarter of the distance of the eyes wide: two and a half distances in all.
 const SIDE: usize = 10;
@@ -16,8 +17,6 @@ const LEFT: f32 = -1.25;
 const TOP: f32 = -0.75;
 /// Between samples, in distances of the eyes.
 const STEP: f32 = 1.0 / 16.0;
-/// Directions of slopes, 45 degrees apart.
-const WAYS: usize = 8;
 /// What is told of a cell: its slopes, its brightness, its contrast.
 const PER_CELL: usize = WAYS + 2;
 /// Numbers of one look.
@@ -76,7 +75,6 @@ fn pooled(root: &[[f32; SAMPLES]; SAMPLES]) -> [[Sums; WIDE]; WIDE] {
             let after = row.get(x + 1).copied().unwrap_or(value);
             let of = |line: &[f32; SAMPLES]| line.get(x).copied().unwrap_or(value);
             let (dx, dy) = (after - before, of(lower) - of(upper));
-            let (flat, diagonal) = ways(dx, dy);
             let Some(cell) = cells.get_mut(y / CELL).and_then(|row| row.get_mut(x / CELL)) else {
                 continue;
             };
@@ -85,31 +83,14 @@ fn pooled(root: &[[f32; SAMPLES]; SAMPLES]) -> [[Sums; WIDE]; WIDE] {
                     *sum += by;
                 }
             };
-            add(flat.0, flat.1);
-            add(diagonal.0, diagonal.1);
+            for (way, by) in ways(dx, dy) {
+                add(way, by);
+            }
             add(WAYS, value);
             add(WAYS + 1, dx * dx + dy * dy);
         }
     }
     cells
-}
-
-/// A slope is the sum of its parts along the two nearest of eight directions.
-fn ways(dx: f32, dy: f32) -> ((usize, f32), (usize, f32)) {
-    let (wide, high) = (dx.abs(), dy.abs());
-    let flat = match (wide >= high, dx >= 0.0, dy >= 0.0) {
-        (true, true, _) => 0,
-        (false, _, true) => 2,
-        (true, false, _) => 4,
-        (false, _, false) => 6,
-    };
-    let diagonal = match (dx >= 0.0, dy >= 0.0) {
-        (true, true) => 1,
-        (false, true) => 3,
-        (false, false) => 5,
-        (true, false) => 7,
-    };
-    ((flat, (wide - high).abs()), (diagonal, std::f32::consts::SQRT_2 * wide.min(high)))
 }
 
 /// In the contrast of around, and in bytes.

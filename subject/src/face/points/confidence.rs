@@ -41,19 +41,19 @@ struct Term {
 }
 
 /// Learned by `benches/subject/face_confidence.py`, as all of these are.
-const CONSTANT: f64 = -4.35;
+const CONSTANT: f64 = -7.14;
 const TERMS: [Term; Evidence::COUNT] = [
-    Term { weight: 9.900, low: 0.0, high: 1.0 },
-    Term { weight: 3.060, low: 0.0, high: 0.6 },
-    Term { weight: 3.407, low: 0.0, high: 0.3 },
+    Term { weight: 9.635, low: 0.0, high: 1.0 },
+    Term { weight: 5.314, low: 0.0, high: 0.6 },
+    Term { weight: 3.151, low: 0.0, high: 0.3 },
     Term { weight: 0.000, low: 0.0, high: 0.6 },
-    Term { weight: 6.238, low: 0.0, high: 0.6 },
-    Term { weight: 1.276, low: 0.2, high: 1.0 },
-    Term { weight: -8.692, low: 0.0, high: 0.4 },
-    Term { weight: -0.176, low: 0.0, high: 30.0 },
-    Term { weight: -0.048, low: 0.0, high: 40.0 },
-    Term { weight: -0.117, low: 0.0, high: 40.0 },
-    Term { weight: -0.921, low: 0.0, high: 12.0 },
+    Term { weight: 7.235, low: 0.0, high: 0.6 },
+    Term { weight: 1.616, low: 0.2, high: 1.0 },
+    Term { weight: -6.889, low: 0.0, high: 0.4 },
+    Term { weight: -0.195, low: 0.0, high: 30.0 },
+    Term { weight: -0.074, low: 0.0, high: 40.0 },
+    Term { weight: -0.113, low: 0.0, high: 40.0 },
+    Term { weight: -0.205, low: 0.0, high: 12.0 },
 ];
 
 impl Evidence {
