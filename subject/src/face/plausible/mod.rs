@@ -3,7 +3,7 @@
 //!
 //! Nothing here is learned from photographs. A proportion's expected value and its standard deviation are those of the
 //! [model](super::model): each mode at one standard deviation, and an annotator's noise. What is further off than
-//! [`LIMIT_SD`] is said.
+//! `LIMIT_SD` is said.
 
 mod proportion;
 #[cfg(test)]
