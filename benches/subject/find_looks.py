@@ -31,7 +31,6 @@ sys.path.insert(0, str(Path(__file__).parent / "heads"))
 import boost  # noqa: E402
 
 SCORES, LOOK, WIDE = 8, 1000, 10
-ROW = 4 * SCORES + LOOK
 MIRRORED = np.arange(LOOK).reshape(WIDE, WIDE, 10)[:, ::-1][..., [4, 3, 2, 1, 0, 7, 6, 5, 8, 9]].ravel()
 COUNTS = {"head": 1.0, "lfw": 1.0, "drawn": 0.3}
 ROUNDS, RATE, RIDGE, TRIED, FACES_SHARE = 300, 0.1, 5.0, 60, 0.15
@@ -66,7 +65,7 @@ def without_faces(work):
         Image.open(path).transpose(Image.ROTATE_180).save(folder / f"up_{path.stem}.png")
 
 
-def looks(paths, which="looks"):
+def looks(paths, which="looks", length=LOOK):
     """Of each picture: where its hypotheses are, and how they look."""
     finder = Path(os.environ.get("CARGO_TARGET_DIR", "target")) / "release/examples/faces_found"
 
@@ -79,8 +78,9 @@ def looks(paths, which="looks"):
             at = 0
             for _ in part:
                 count = int(np.frombuffer(bytes_told, "<f4", 1, at)[0])
-                rows = np.frombuffer(bytes_told, np.uint8, count * ROW, at + 4).reshape(count, ROW)
-                at += 4 + count * ROW
+                row = 4 * SCORES + length
+                rows = np.frombuffer(bytes_told, np.uint8, count * row, at + 4).reshape(count, row)
+                at += 4 + count * row
                 yield np.ascontiguousarray(rows[:, : 4 * SCORES]).view("<f4"), rows[:, 4 * SCORES :]
 
 
@@ -175,18 +175,14 @@ def tell(rows, sums):
 
 HEADER = """\
 //! What faces look like, learned by `benches/subject/find_looks.py`: trees of three questions each, boosted.
-//!
-//! A tree: which byte of a look is asked (the first question; the second ones after no and yes; four third ones), the
-//! largest byte that is a no, and what each of the eight ways through adds, in thousandths.
 
-/// Questions, limits and what they add.
-pub(super) type Tree = ([u16; 7], [u8; 7], [i16; 8]);
+use super::verdict::Tree;
 
 /// In thousandths: what is added to the trees.
 pub(super) const BIAS: i32 = %d;
 
 #[rustfmt::skip]
-pub(super) const TREES: [Tree; %d] = ["""
+pub(super) static TREES: [Tree; %d] = ["""
 
 
 def main(work, held):

@@ -3,7 +3,8 @@
 //! `faces_found` prints the development photographs, on which weights and thresholds were chosen; `faces_found reported`
 //! the others; `faces_found looks FILE...` every hypothesis on any photographs, for
 //! `benches/subject/find_looks.py`, `faces_found rough FILE...` the same before its eyes are aligned, and `faces_found nearer
-//! FILE...` after the first of two steps, for `find_align.py`.
+//! FILE...` after the first of two steps, for `find_align.py`; `faces_found again FILE...` what is looked at a second time, for
+//! `find_again.py`.
 //!
 //! `faces_found drawn [FROM TO]` prints what is found on seeded pictures of drawn faces, and `faces_found draw FOLDER FROM
 //! TO` writes those.
@@ -52,15 +53,16 @@ struct Tally {
 
 fn main() {
     let args: Vec<String> = std::env::args().skip(1).collect();
-    let steps = match args.first().map(String::as_str) {
-        Some("looks") => Some(usize::MAX),
-        Some("rough") => Some(0),
-        Some("nearer") => Some(1),
+    let told: Option<fn(&Photo) -> Vec<Hypothesis>> = match args.first().map(String::as_str) {
+        Some("looks") => Some(find::hypotheses),
+        Some("rough") => Some(|photo| find::hypotheses_after(photo, 0)),
+        Some("nearer") => Some(|photo| find::hypotheses_after(photo, 1)),
+        Some("again") => Some(find::hypotheses_again),
         _ => None,
     };
-    if let Some(steps) = steps {
+    if let Some(told) = told {
         for path in args.iter().skip(1) {
-            if let Err(error) = looks(Path::new(path), steps) {
+            if let Err(error) = looks(Path::new(path), told) {
                 eprintln!("{path}: {error}");
             }
         }
@@ -188,13 +190,13 @@ fn judge(truth: &[Face], found: &[Found]) -> (usize, usize) {
 
 /// Numbers as single-precision floats: how many hypotheses, then of each eyes, mouth, distance of the outer corners, score,
 /// and the bytes of its look.
-fn looks(path: &Path, steps: usize) -> std::io::Result<()> {
+fn looks(path: &Path, told: fn(&Photo) -> Vec<Hypothesis>) -> std::io::Result<()> {
     let mut out = std::io::stdout().lock();
     let Ok(photo) = Photo::from_bytes(&std::fs::read(path)?) else {
         eprintln!("{}: not read", path.display());
         return out.write_all(&0_f32.to_le_bytes());
     };
-    let all = find::hypotheses_after(&photo, steps);
+    let all = told(&photo);
     out.write_all(&(all.len() as f32).to_le_bytes())?;
     for Hypothesis { found, look } in all {
         let Found { eyes: [left, right], mouth, io_px, score, .. } = found;

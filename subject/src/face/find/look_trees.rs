@@ -1,16 +1,12 @@
 //! What faces look like, learned by `benches/subject/find_looks.py`: trees of three questions each, boosted.
-//!
-//! A tree: which byte of a look is asked (the first question; the second ones after no and yes; four third ones), the
-//! largest byte that is a no, and what each of the eight ways through adds, in thousandths.
 
-/// Questions, limits and what they add.
-pub(super) type Tree = ([u16; 7], [u8; 7], [i16; 8]);
+use super::verdict::Tree;
 
 /// In thousandths: what is added to the trees.
 pub(super) const BIAS: i32 = -2097;
 
 #[rustfmt::skip]
-pub(super) const TREES: [Tree; 300] = [
+pub(super) static TREES: [Tree; 300] = [
     ([136, 236, 440, 136, 322, 445, 322], [19, 11, 3, 7, 11, 3, 15], [-107, -61, -73, 54, -62, 77, 30, 395]),
     ([240, 240, 956, 956, 956, 268, 268], [7, 3, 15, 19, 19, 143, 147], [-93, -56, -49, 71, 57, -87, 298, -46]),
     ([542, 333, 139, 272, 194, 429, 429], [7, 3, 103, 3, 11, 95, 91], [-94, -49, -36, 78, 46, -51, 220, 64]),

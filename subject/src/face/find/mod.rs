@@ -4,9 +4,10 @@
 //! of what each cell of a face speaks for it is held against every place, at every size, five rolls, frontal and turned to
 //! both sides. The best places are refined between the steps of that search, and give the frame of a face ([`Frame`]: eyes,
 //! mouth and turn). How it looks in that frame ([`Look`]) tells where eyes and mouth are, by two linear regressions, one
-//! after the other (Xiong and De la Torre 2013); how it looks with those tells whether it is a face: a few hundred boosted
+//! after the other (Xiong and De la Torre 2013); how it looks with those tells whether it may be a face: a few hundred boosted
 //! trees of three questions each, about slopes, brightness and contrast of its cells, as in aggregated channel features
-//! (Dollar et al. 2014). No colours are asked about: grey photographs are as good as others.
+//! (Dollar et al. 2014). What may be one is looked at again, where a glance (`points::glance`) has its landmarks: other
+//! trees ask how it looks there and around each of them. No colours are asked about: grey photographs are as good as others.
 //!
 //! The template of (Yang et al. 2004, eq. 4) is what this grew from; it is measured everywhere instead of on blocks of skin,
 //! so that neither hair over a cheek nor a wall of skin's colour hides a face.
@@ -20,8 +21,11 @@ mod look;
 mod look_trees;
 mod octaves;
 mod place;
+mod rough;
 mod scan;
 mod search;
+mod second;
+mod second_trees;
 mod template;
 mod template_weights;
 #[cfg(test)]
@@ -30,7 +34,10 @@ mod verdict;
 
 pub use frame::Frame;
 pub use look::{LOOK, Look};
-pub use search::{Hypothesis, IO_MIN_PX, SCORE_MIN, faces, hypotheses, hypotheses_after};
+pub use search::{
+    Hypothesis, IO_MIN_PX, SCORE_MIN, faces, hypotheses, hypotheses_after, hypotheses_again,
+};
+pub use second::SECOND;
 
 use super::{Photo, Plane};
 
