@@ -41,19 +41,19 @@ struct Term {
 }
 
 /// Learned by `benches/subject/face_confidence.py`, as all of these are.
-const CONSTANT: f64 = -7.14;
+const CONSTANT: f64 = -7.50;
 const TERMS: [Term; Evidence::COUNT] = [
-    Term { weight: 9.635, low: 0.0, high: 1.0 },
-    Term { weight: 5.314, low: 0.0, high: 0.6 },
-    Term { weight: 3.151, low: 0.0, high: 0.3 },
+    Term { weight: 10.130, low: 0.0, high: 1.0 },
+    Term { weight: 5.300, low: 0.0, high: 0.6 },
+    Term { weight: 2.754, low: 0.0, high: 0.3 },
     Term { weight: 0.000, low: 0.0, high: 0.6 },
-    Term { weight: 7.235, low: 0.0, high: 0.6 },
-    Term { weight: 1.616, low: 0.2, high: 1.0 },
-    Term { weight: -6.889, low: 0.0, high: 0.4 },
-    Term { weight: -0.195, low: 0.0, high: 30.0 },
-    Term { weight: -0.074, low: 0.0, high: 40.0 },
-    Term { weight: -0.113, low: 0.0, high: 40.0 },
-    Term { weight: -0.205, low: 0.0, high: 12.0 },
+    Term { weight: 7.352, low: 0.0, high: 0.6 },
+    Term { weight: 1.526, low: 0.2, high: 1.0 },
+    Term { weight: -7.045, low: 0.0, high: 0.4 },
+    Term { weight: -0.197, low: 0.0, high: 30.0 },
+    Term { weight: -0.071, low: 0.0, high: 40.0 },
+    Term { weight: -0.121, low: 0.0, high: 40.0 },
+    Term { weight: -0.175, low: 0.0, high: 12.0 },
 ];
 
 impl Evidence {
