@@ -1,17 +1,20 @@
-"""Pictures of animals and things, for `find_looks.py`: they have eyes and noses, and none of them is a face.
+"""Pictures of animals and things, for `find_again.py`: they have eyes and noses, and none of them is a face.
 
-    apt-get download tuxpaint-stamps-default && dpkg -x tuxpaint-stamps-default_*.deb STAMPS
-    python3 benches/subject/find_animals.py STAMPS/usr/share/tuxpaint/stamps WORK
+    apt-get download tuxpaint-stamps-default && dpkg -x tuxpaint-stamps-default_*.deb DEBIAN
+    python3 benches/subject/find_animals.py STAMPS WORK
 
-Needs numpy, scipy, pillow, and scikit-image and scikit-learn, whose pictures without faces are backgrounds. STAMPS are
-those of Tux Paint, version 2022.06.04 as Debian has it (GPL 2, Bill Kendrick and others), nearly all of them photographs
-that were cut out: 128 of animals, 184 of food, plants, tools, instruments, signs and vehicles. None of these shows a human
-face; people, clothes, feasts, coins, space and soldiers, among others, and all cartoons are left out. Seeded. A third of
-the stamps is on a third of the pictures, so that animals are held out with all pictures of them.
+Needs numpy, scipy, pillow, and scikit-image and scikit-learn, whose pictures without faces are backgrounds. STAMPS, which
+is DEBIAN/usr/share/tuxpaint/stamps, are those of Tux Paint, version 2022.06.04 as Debian has it (GPL 2, Bill Kendrick and
+others), nearly all of them photographs that were cut out: 128 of animals, 184 of food, plants, tools, instruments, signs and
+vehicles. None of these shows a human face; people, clothes, feasts, coins, space and soldiers, among others, and all
+cartoons are left out. Seeded. A third of the stamps is on a third of the pictures, and those whose names begin with the same
+word, which may be of the same animal or each other's mirror images, are in the same third: so animals are held out with all
+pictures of them.
 
 Writes WORK/animals/animalsK_NNNN.png: up to three stamps, each of any size, before what random heads are before, too.
 """
 
+import re
 import sys
 from pathlib import Path
 
@@ -30,11 +33,13 @@ WIDE, HIGH = 440, 380
 
 def stamps(folder, kinds):
     paths = [path for kind in kinds for path in sorted((folder / kind).rglob("*.png")) if "cartoon" not in path.parts]
-    return [[Image.open(path).convert("RGBA") for path in paths[third::THIRDS]] for third in range(THIRDS)]
+    words = [re.match("[A-Za-z]*", path.stem)[0].lower() for path in paths]
+    third = {word: i % THIRDS for i, word in enumerate(sorted(set(words)))}
+    return [[Image.open(path).convert("RGBA") for path, word in zip(paths, words) if third[word] == i] for i in range(THIRDS)]
 
 
 def stamped(image, stamp, random):
-    """An animal of 150 to 1100 pixels somewhere on the picture, mirrored, rolled and lit anyhow."""
+    """A stamp of 150 to 1100 pixels somewhere on the picture, mirrored, rolled and lit anyhow."""
     scale = np.exp(random.uniform(np.log(150), np.log(1100))) / max(stamp.size)
     scale = min(scale, 5)
     stamp = stamp.resize([max(8, int(side * scale)) for side in stamp.size], Image.BICUBIC)
@@ -53,6 +58,8 @@ def stamped(image, stamp, random):
 
 
 def main(folder, work):
+    if not folder.is_dir():
+        sys.exit(f"{folder} is no folder of stamps")
     animals, things, behind = stamps(folder, ANIMALS), stamps(folder, THINGS), backgrounds()
     work.mkdir(parents=True, exist_ok=True)
     for number in range(PICTURES):

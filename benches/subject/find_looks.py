@@ -34,7 +34,7 @@ SCORES, LOOK, WIDE = 8, 1000, 10
 MIRRORED = np.arange(LOOK).reshape(WIDE, WIDE, 10)[:, ::-1][..., [4, 3, 2, 1, 0, 7, 6, 5, 8, 9]].ravel()
 COUNTS = {"head": 1.0, "lfw": 1.0, "drawn": 0.3}
 ROUNDS, RATE, RIDGE, TRIED, FACES_SHARE = 300, 0.1, 5.0, 60, 0.15
-# The sum from which on it is a face: held out, one in a hundred pictures without faces has a place with more.
+# What is taken off the sum: held out, one in a hundred pictures without faces has a place with more.
 ZERO, HELD = 0.3, 3
 UPSIDE_DOWN = 160
 
@@ -61,7 +61,7 @@ def without_faces(work):
             pixels = pixels ** np.exp(random.normal(0, 0.4))
             pixels = pixels[:, ::-1] if i == 4 else pixels
             Image.fromarray((255 * pixels.clip(0, 1)).astype("uint8")).save(folder / f"{path.stem}_n{i}.png")
-    for path in sorted((work / "heads").glob("*.png"))[:UPSIDE_DOWN]:
+    for path in sorted((work / "heads").glob("head_*.png"))[:UPSIDE_DOWN]:
         Image.open(path).transpose(Image.ROTATE_180).save(folder / f"up_{path.stem}.png")
 
 
@@ -149,7 +149,7 @@ class Rows:
 def pictures(work):
     """Those that may have faces, and the faces."""
     truth = json.loads((work / "truth.json").read_text())
-    heads = sorted((work / "heads").glob("*.png"))
+    heads = sorted((work / "heads").glob("head_*.png"))
     known = [json.loads(path.with_suffix(".json").read_text())["faces"] for path in heads]
     return [work / f"{name}.png" for name in truth] + heads, list(truth.values()) + known
 

@@ -4,7 +4,8 @@
 
 Needs numpy, scipy, pillow, scikit-image and scikit-learn (whose own sample pictures are used), and
 `cargo build --release -p mocapd-subject --example faces_found`. WORK is a folder for pictures that are made; where faces
-are on them is in WORK/truth.json. `find_template.py`, `find_align.py` and `find_looks.py` learn from these.
+are on them is in WORK/truth.json. `find_template.py`, `find_align.py`, `find_looks.py` and `find_again.py` learn from
+these.
 
 Pictures: the development photographs as they are and seven times turned, mirrored, made smaller (those of many small faces
 larger) and lit, blurred or noised otherwise; drawn faces; the 100 faces and 100 other pieces of scikit-image's subset of
@@ -119,7 +120,7 @@ def pictures(folder, work):
         face = {"points": LFW, "io": 37.0, "yaw": 0.0}
         save(f"lfw_{i:03}", image.convert("RGB"), [face] if i < 100 else [])
     run([finder(), "draw", work, *map(str, DRAWN)])
-    for picture in sorted(work.glob("drawn_*.json")):
+    for picture in (work / f"drawn_{seed}.json" for seed in range(*DRAWN)):
         faces = json.loads(picture.read_text())["faces"]
         truth[picture.stem] = [dict(face, points=[np.array(p) for p in face["points"]]) for face in faces]
     others = [Path(skimage.__file__).parent / "data" / name for name in WITHOUT_FACES]

@@ -1,4 +1,4 @@
-"""Pictures of random heads, for `find_align.py`, `find_looks.py` and `face_glance.py`: lifelike ones, out of MakeHuman's shapes and photographed skins.
+"""Pictures of random heads, for `find_align.py`, `find_looks.py`, `find_again.py` and `face_glance.py`: lifelike ones, out of MakeHuman's shapes and photographed skins.
 
     python3 benches/subject/heads/make.py DATA targets.npz WORK FROM TO [YAW_MOST]
 

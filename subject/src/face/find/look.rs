@@ -29,7 +29,7 @@ const BRIGHT_BYTES: f32 = 40.0;
 const CONTRAST_BYTES: f32 = 40.0;
 const MIDDLE: f32 = 128.0;
 
-/// [`LOOK`] bytes: row by row, cell by cell, eight slopes from the right on clockwise, brightness, contrast.
+/// [`LOOK`] bytes, and more of a second look: row by row, cell by cell, eight slopes from the right on clockwise, brightness, contrast.
 pub type Look = Vec<u8>;
 
 /// Of the face that has this frame on the photograph.

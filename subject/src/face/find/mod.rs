@@ -44,14 +44,14 @@ use super::{Photo, Plane};
 /// A face: eyes, mouth and how sure they are. Coordinates are the photograph's, in pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Found {
-    /// The middles of the irises: first the one at the picture's left, which is the subject's right eye.
+    /// The middles of the eyes: first the one at the picture's left, which is the subject's right eye.
     pub eyes: [[f64; 2]; 2],
     /// The middle of the mouth.
     pub mouth: [f64; 2],
     /// The angle of the line through the eyes from the x axis, clockwise in the picture.
     pub roll_rad: f64,
-    /// The distance of the outer eye corners, estimated from the irises'.
+    /// The distance of the outer eye corners, estimated from the eyes'.
     pub io_px: f64,
-    /// 0 to 1: the share of what looks so that is a face, on what the trees learned from.
+    /// 0 to 1: the share of what looks so that is a face, on what the trees learned from, where faces counted two of five.
     pub score: f64,
 }

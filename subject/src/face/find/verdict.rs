@@ -13,7 +13,7 @@ pub(super) fn score(look: &Look) -> f64 {
     share(look_trees::BIAS + both / 2)
 }
 
-/// The same of a second look.
+/// The same of a second look, which is asked about as it is: its trees learned from mirror images as well.
 pub(super) fn second_score(look: &[u8]) -> f64 {
     share(second_trees::BIAS + sum(&second_trees::TREES, look))
 }

@@ -1,7 +1,9 @@
+mod again;
+
 use super::align::{STEPS, aligned};
 use super::look::{look, mirrored};
 use super::octaves::Octaves;
-use super::{Frame, LOOK, SCORE_MIN, SECOND, faces, hypotheses, hypotheses_again};
+use super::{Frame, LOOK, SCORE_MIN, faces};
 use crate::face::Photo;
 use crate::face::model::FeatureId;
 use crate::face::render::Scene;
@@ -17,7 +19,12 @@ fn noise(seed: u32) -> impl FnMut() -> f32 {
 
 /// Somebody before clutter, and the middles of eyes and mouth.
 fn drawn(seed: u64, io_px: f64, roll_deg: f64) -> (Photo, [[f64; 2]; 3]) {
-    let mut scene = Scene::portrait(seed, io_px, 0.0);
+    turned(seed, io_px, 0.0, roll_deg)
+}
+
+/// The same, turned to the right of the picture.
+fn turned(seed: u64, io_px: f64, yaw_deg: f64, roll_deg: f64) -> (Photo, [[f64; 2]; 3]) {
+    let mut scene = Scene::portrait(seed, io_px, yaw_deg);
     for sitter in &mut scene.faces {
         sitter.roll_deg = roll_deg;
     }
@@ -42,7 +49,7 @@ fn with(photo: &Photo, change: impl Fn([u8; 3]) -> [u8; 3]) -> Photo {
 #[test]
 fn a_drawn_face_is_found_at_any_size_and_roll_once() {
     let faces_drawn =
-        [(1, 44.0, 0.0), (2, 64.0, 0.0), (3, 130.0, 0.0), (4, 70.0, 20.0), (5, 70.0, -20.0)];
+        [(1, 44.0, 0.0), (2, 64.0, 0.0), (3, 130.0, 0.0), (4, 70.0, 26.0), (5, 70.0, -26.0)];
     for (seed, io_px, roll_deg) in faces_drawn {
         let (photo, [left, right, mouth]) = drawn(seed, io_px, roll_deg);
         for photo in [with(&photo, |[_, green, _]| [green; 3]), photo] {
@@ -65,9 +72,9 @@ fn a_drawn_face_is_found_at_any_size_and_roll_once() {
 fn upside_down_it_is_less_of_a_face() {
     let upright = drawn(6, 70.0, 0.0).0;
     let pixels: Vec<[u8; 3]> = upright.pixels().iter().rev().copied().collect();
-    let turned = Photo::from_pixels(upright.width(), upright.height(), pixels).unwrap();
+    let over = Photo::from_pixels(upright.width(), upright.height(), pixels).unwrap();
     let best = |photo: &Photo| faces(photo, 0.0).first().map_or(0.0, |found| found.score);
-    assert!(best(&turned) < best(&upright), "{} {}", best(&turned), best(&upright));
+    assert!(best(&over) < best(&upright), "{} {}", best(&over), best(&upright));
 }
 
 #[test]
@@ -149,15 +156,4 @@ fn eyes_and_mouth_are_nearer_once_they_are_aligned() {
         after += far(&STEPS.into_iter().fold(rough, aligned));
     }
     assert!(after < 0.7 * before, "{after} of {before}");
-}
-
-#[test]
-fn few_are_looked_at_again_and_those_whole() {
-    let photo = drawn(9, 60.0, 0.0).0;
-    let again = hypotheses_again(&photo);
-    assert!((1..hypotheses(&photo).len() / 2).contains(&again.len()), "{}", again.len());
-    for hypothesis in &again {
-        assert_eq!(hypothesis.look.len(), SECOND);
-        assert!((0.0..=1.0).contains(&hypothesis.found.score), "{hypothesis:?}");
-    }
 }
