@@ -14,8 +14,10 @@ use super::{connection::until, problem::Problem, state::Shared};
 ///
 /// A stream of messages, little endian: u32 length of what follows, u8 kind. Kind 1 is JSON: the markers, before the
 /// first frame and whenever they change. Kind 2 is a frame: three bytes of zero, u64 row, u64 device ticks, u64
-/// arrival in microseconds since 1970, then three f32 a marker in millimetres, NaN where it is not seen. A viewer that
-/// is too slow misses frames, and never the markers.
+/// arrival in microseconds since 1970, then three f32 a marker in millimetres, NaN where it is not seen. Kind 3 stands
+/// behind the frame that it belongs to, where the subject's face is seen: three bytes of zero, then for each axis three
+/// f32 that a vertex of the face is multiplied by, and one that is added. A viewer that is too slow misses frames, and
+/// never the markers.
 #[utoipa::path(get, path = "/v1/live", tag = "streams",
     responses((status = 200, description = "Messages, until the client closes", body = Vec<u8>,
         content_type = "application/octet-stream")))]
