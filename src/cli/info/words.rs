@@ -130,7 +130,7 @@ fn size(report: &Report, line: &mut impl FnMut(&str, &str)) {
         let blocks = report.bytes.blocks;
         let ratio = report.raw_bytes as f64 / blocks.max(1) as f64;
         let words = format!("{} of it are trajectories, {ratio:.1}:1", bytes(blocks));
-        line("", &format!("{words}; the rest is mostly what the file held beside them"));
+        line("", &format!("{words}; the rest is mostly the header and what was put beside them"));
     }
     if let (Some(sr1), Some(sr2)) = (report.sr1, report.sr2) {
         line("SR1, SR2", &format!("{sr1:.2}, {sr2:.2} (Shi et al. 2012, eq. 7 and 8)"));

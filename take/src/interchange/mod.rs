@@ -145,6 +145,8 @@ impl Format {
         let others =
             info.foreign.iter().filter(|part| own.is_none_or(|own| !part.kind.starts_with(own)));
         let mut left_out: Vec<String> = others.map(|part| part.kind.clone()).collect();
+        let documents = info.subject.iter().flat_map(|subject| &subject.documents);
+        left_out.extend(documents.map(|document| format!("the subject's {}", document.kind)));
         let events = match self {
             Self::C3d => info.events.len().saturating_sub(c3d::EVENTS_MAX),
             Self::Tsv
