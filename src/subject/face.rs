@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Context, anyhow, ensure};
-use mocapd_subject::face::mapping::{Mapping, MappingError};
+use mocapd_subject::face::mapping::{Mapping, MappingError, Marker, Place};
 use mocapd_take::record::Subject;
 use serde::{Deserialize, Serialize};
 
@@ -84,6 +84,37 @@ impl Face {
             "a damaged {FORMAT}: a line goes to a vertex that is not there"
         );
         Ok(face)
+    }
+
+    /// That the wireframe has every place where a marker sits: one that is nowhere would hold nothing, and nobody would know.
+    ///
+    /// # Errors
+    /// Which places it does not have, and which it has.
+    pub fn check_places(&self, mapping: &Mapping) -> anyhow::Result<()> {
+        const TOLD: usize = 5;
+        let n = self.vertices_mm.len();
+        let is_nowhere = |marker: &&Marker| marker.place.vertex(&self.features, n).is_none();
+        let nowhere: Vec<String> = mapping
+            .markers
+            .iter()
+            .filter(is_nowhere)
+            .map(|marker| match &marker.place {
+                Place::Feature(name) => format!("{} at {name:?}", marker.label),
+                Place::Vertex(index) => format!("{} at {index}", marker.label),
+            })
+            .collect();
+        let others = match nowhere.len().saturating_sub(TOLD) {
+            0 => String::new(),
+            more => format!(", and {more} more"),
+        };
+        let told: Vec<_> = nowhere.iter().take(TOLD).map(String::as_str).collect();
+        ensure!(
+            nowhere.is_empty(),
+            "places that the face does not have: {}{others}; it has vertices from 0 to {}, and the names under \"features\" in its file",
+            told.join(", "),
+            n.saturating_sub(1)
+        );
+        Ok(())
     }
 
     /// A take's own; `None` where it has none.

@@ -30,6 +30,11 @@ pub fn strangers(subject: Option<&Subject>, labels: &[String]) -> Vec<String> {
                 "{n_here} of the {} markers of the face are in the take, {FACE_MARKERS_MIN} are needed: it shows no face",
                 mapping.markers.len()
             ));
+        } else if n_here < mapping.markers.len() {
+            words.push(format!(
+                "{n_here} of the {} markers of the face are in the take: they alone hold it",
+                mapping.markers.len()
+            ));
         }
     }
     words

@@ -48,19 +48,20 @@ impl SubjectFiles {
             Skeleton::parse(&data).with_context(|| format!("{}", path.display()))?;
             subject.set(Subject::SKELETON, data);
         }
+        let mut wireframe = None;
         if let Some(path) = &self.face {
             let data = read(path)?;
-            Face::parse(&data).with_context(|| format!("{}", path.display()))?;
+            wireframe = Some(Face::parse(&data).with_context(|| format!("{}", path.display()))?);
             subject.set(Subject::FACE, data);
         }
         if let Some(path) = &self.face_markers {
-            ensure!(
-                self.face.is_some(),
-                "{} says where markers sit on a face, and no face is given: give both",
-                path.display()
-            );
+            let shown = path.display();
+            let Some(wireframe) = wireframe else {
+                bail!("{shown} says where markers sit on a face, and no face is given: give both");
+            };
             let data = read(path)?;
-            face::mapping(&data).with_context(|| format!("{}", path.display()))?;
+            let mapping = face::mapping(&data).with_context(|| format!("{shown}"))?;
+            wireframe.check_places(&mapping).with_context(|| format!("{shown}"))?;
             subject.set(Subject::FACE_MARKERS, data);
         }
         Ok((!subject.is_empty()).then_some(subject))

@@ -49,6 +49,19 @@ fn files_become_a_subject_byte_for_byte() {
     assert!(why.contains("no face is given"), "{why}");
     let why = refused(SubjectFiles {
         face: path("f.json", FACE),
+        face_markers: path("n.json", &MARKERS.replace("\"at\":1", "\"at\":2")),
+        ..Default::default()
+    });
+    assert!(why.contains("n.json: places that the face does not have: a at 2;"), "{why}");
+    assert!(why.contains("vertices from 0 to 1"), "{why}");
+    let why = refused(SubjectFiles {
+        face: path("f.json", FACE),
+        face_markers: path("n.json", &MARKERS.replace("\"at\":1", "\"at\":\"nose\"")),
+        ..Default::default()
+    });
+    assert!(why.contains("a at \"nose\""), "{why}");
+    let why = refused(SubjectFiles {
+        face: path("f.json", FACE),
         face_markers: path("s.json", SKELETON),
         ..Default::default()
     });

@@ -247,6 +247,18 @@ fn a_pose_has_the_face_from_in_front() {
     folder.run(&[&["import", "a.csv", "-o", "few.take"], &subject[..]].concat()).with_code(0);
     let ran = folder.run(&["plot", "pose", "few.take", "-o", "few.svg"]).with_code(0);
     assert!(ran.stderr.contains("fewer markers of the face"), "{}", ran.stderr);
+    let exported = folder.run(&["export", "a.take", "-o", "a.trc"]).with_code(0);
+    let said = "cannot hold, and so has not: the subject's face, the subject's face-markers";
+    assert!(exported.stderr.contains(said), "{}", exported.stderr);
+    folder.write("five.json", folder.text("m.json").replace("]}", r#",{"label":"chin","at":3}]}"#));
+    let subject = ["--face", "f.json", "--face-markers", "five.json"];
+    let ran = folder.run(&[&["import", "a.csv", "-o", "five.take"], &subject[..]].concat());
+    assert!(ran.with_code(0).stderr.contains("4 of the 5 markers of the face are in the take"));
+    folder.write("nowhere.json", folder.text("m.json").replace("\"at\":3", "\"at\":\"snout\""));
+    let subject = ["--face", "f.json", "--face-markers", "nowhere.json"];
+    let ran = folder.run(&[&["import", "a.csv", "-o", "no.take"], &subject[..]].concat());
+    let why = &ran.with_code(1).stderr;
+    assert!(why.contains("nowhere.json: places that the face does not have: nose at"), "{why}");
     let svg = roxmltree::Document::parse(&svg).unwrap();
     let lines = svg.descendants().filter(|node| node.has_tag_name("polyline")).count();
     assert!(lines >= 5, "four of the face and the floor: {lines}");
