@@ -137,6 +137,25 @@ fn a_photograph_becomes_a_face() {
         assert!(ran.stderr.contains("-") && ran.stdout.is_empty(), "{}", ran.stderr);
     }
     assert!(!folder.path("-").exists());
+    for (option, name) in [("-o", "x.obj"), ("--obj", "x.json")] {
+        let ran = folder.run(&["subject", "face", "a.ppm", option, name]).with_code(2);
+        assert!(ran.stderr.contains(name) && !folder.path(name).exists(), "{}", ran.stderr);
+    }
+}
+
+#[test]
+fn a_face_that_is_turned_far_is_said_to_be_guessed() {
+    let folder = Folder::new();
+    for (name, yaw_deg) in [("front", 5.0), ("side", 42.0)] {
+        let picture = Scene::portrait(3, 90.0, yaw_deg).render().unwrap();
+        let mut ppm =
+            format!("P6\n{} {}\n255\n", picture.image.width(), picture.image.height()).into_bytes();
+        ppm.extend_from_slice(picture.image.as_raw());
+        folder.write(&format!("{name}.ppm"), ppm);
+        let ran = folder.run(&["subject", "face", &format!("{name}.ppm")]).with_code(0);
+        let is_said = ran.stderr.contains("its far side is a guess");
+        assert_eq!(is_said, name == "side", "{} {}", ran.stdout, ran.stderr);
+    }
 }
 
 #[test]

@@ -17,7 +17,8 @@ pub const FACES_MAX: usize = 64;
 pub enum NoFace {
     /// Nothing in it looks like one.
     #[error(
-        "no face was found: take a photograph from in front, of one person who fills a third of its height, in even light"
+        "no face was found: take a photograph from in front, of one person who fills a third of its height, in even light, \
+         with 40 pixels or more between the outer corners of the eyes"
     )]
     NotFound,
     /// Something does, but its points make no face.

@@ -1,5 +1,7 @@
 //! `subject face`.
 
+mod words;
+
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail};
@@ -8,7 +10,6 @@ use mocapd_subject::face::{
     Photo,
     fit::{NoFace, fit},
     fitted::{FittedFace, Method, Overlay, Source},
-    model::OUTER_EYES_MM,
     photo::BYTES_MAX,
 };
 
@@ -67,6 +68,16 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         let message = format!("{}: an overlay is a PNG: use .png", path.display());
         return Err(UsageError(message).into());
     }
+    for (path, ending, instead) in [
+        (args.output.as_ref(), "obj", "the face is JSON: use .json, or --obj for the wireframe"),
+        (args.obj.as_ref(), "json", "the wireframe is OBJ: use .obj, or -o for the face"),
+    ] {
+        if let Some(path) =
+            path.filter(|path| path.extension().is_some_and(|is| is.eq_ignore_ascii_case(ending)))
+        {
+            return Err(UsageError(format!("{}: {instead}", path.display())).into());
+        }
+    }
     apart(args)?;
     let shown = args.photo.display();
     let bytes = read_bounded(&args.photo, BYTES_MAX)?;
@@ -90,7 +101,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         Err(error) => return Err(error.into()),
     };
     faces.sort_by(|a, b| b.camera.scale_px_per_mm.total_cmp(&a.camera.scale_px_per_mm));
-    if args.largest {
+    if args.largest && faces.len() > 1 {
+        say(&format!("{shown}: {} left out", count(faces.len() as u64 - 1, "smaller face")));
         faces.truncate(1);
     }
     // The first were known before the photograph was read: all of them, or none is written.
@@ -100,8 +112,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         }
     }
     write(args, output, &photo, &faces)?;
-    for (number, _) in faces.iter().enumerate().filter(|(_, face)| face.is_unsure()) {
-        say(&format!("{shown}: face {}: points may be off: look at the overlay", number + 1));
+    for words in words::doubts(&faces) {
+        say(&format!("{shown}: {words}"));
     }
     if args.json || to_stdout {
         for face in &faces {
@@ -109,8 +121,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         }
     }
     match (args.json, to_stdout) {
-        (false, false) => print(&table(&faces))?,
-        (false, true) => tell(&table(&faces)),
+        (false, false) => print(&words::table(&faces))?,
+        (false, true) => tell(&words::table(&faces)),
         (true, _) => {}
     }
     Ok(Outcome::Done)
@@ -166,31 +178,4 @@ fn numbered(path: &Path, number: usize) -> PathBuf {
         name.push(ending);
     }
     path.with_file_name(name)
-}
-
-/// What people read.
-fn table(faces: &[FittedFace]) -> String {
-    let mut out = format!("{}\n", count(faces.len() as u64, "face"));
-    out += "face     at x, y px   eye corners px   yaw deg   pitch deg   roll deg   points seen   confidence\n";
-    for (number, face) in faces.iter().enumerate() {
-        let camera = &face.camera;
-        let seen = face.points.iter().filter(|point| point.confidence > 0.0).count();
-        out += &format!(
-            "{:>4} {:>14} {:>16.0} {:>9.1} {:>11.1} {:>10.1} {:>7} of 53 {:>12}\n",
-            number + 1,
-            format!("{:.0}, {:.0}", camera.origin_px[0], camera.origin_px[1]),
-            camera.scale_px_per_mm * OUTER_EYES_MM,
-            camera.yaw_deg,
-            camera.pitch_deg,
-            camera.roll_deg,
-            seen,
-            face.confidence.map_or("-".to_owned(), |sure| format!("{sure:.2}"))
-        );
-    }
-    for (number, face) in faces.iter().enumerate() {
-        for note in &face.notes {
-            out += &format!("{:>4} points may be off: {note}\n", number + 1);
-        }
-    }
-    out
 }

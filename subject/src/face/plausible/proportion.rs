@@ -49,7 +49,7 @@ pub(super) const PROPORTIONS: [Proportion; 11] = [
         face.middle(MOUTH)[1]
     }),
     Proportion::new(
-        ["the mouth", "lies", "to the picture's right of the eyes' middle"],
+        ["the mouth", "lies", "beside the eyes' middle (to the picture's left where less than 0)"],
         Of::Part,
         |face| face.middle(MOUTH)[0],
     ),
@@ -57,7 +57,7 @@ pub(super) const PROPORTIONS: [Proportion; 11] = [
     Proportion::new(["the mouth", "is", "high"], Of::Pair, |face| face.down(LIPS)),
     Proportion::new(["the nose", "ends", "below the eyes"], Of::Part, |face| face.middle(NOSE)[1]),
     Proportion::new(
-        ["the nose", "ends", "to the picture's right of the eyes' middle"],
+        ["the nose", "ends", "beside the eyes' middle (to the picture's left where less than 0)"],
         Of::Part,
         |face| face.middle(NOSE)[0],
     ),

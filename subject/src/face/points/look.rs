@@ -18,7 +18,7 @@ const CLEAR: f64 = 0.2;
 /// The contrast from which a piece of the outline does: it adds colour to brightness.
 pub(super) const CLEAR_OUTLINE: f64 = 0.5;
 /// The least share of that: what is not seen at all is still no farther away than it is looked for.
-pub(super) const FAINT: f64 = 0.2;
+pub const FAINT: f64 = 0.2;
 
 /// How much further a head is turned than the edge of what is seen says, which bulges on the far side: measured on the
 /// drawn faces of `--example faces_points drawn`.

@@ -32,6 +32,7 @@ use super::model::FeatureId;
 pub use chain::find;
 pub use confidence::Evidence;
 use crop::Crop;
+pub use look::FAINT;
 use search::Point;
 
 /// Where a face lies, roughly (pixels of the photograph): an error of a tenth of the eyes' distance is no harm.
