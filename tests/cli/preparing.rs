@@ -122,6 +122,10 @@ fn a_photograph_becomes_a_face() {
     let mut off: Vec<f64> = face.points.iter().map(off).collect();
     off.sort_by(f64::total_cmp);
     assert!(off[off.len() / 2] < 0.1, "{off:?}");
+    // Hair is no forehead: it is as wide as the eyes, and more.
+    let hairline = face.points.iter().filter(|point| point.id.is_hairline());
+    let hairline: Vec<f64> = hairline.map(|point| point.xy_px[0]).collect();
+    assert!(hairline[1] - hairline[0] > 90.0, "{hairline:?}");
     assert_eq!(folder.read("o.png")[..4], *b"\x89PNG");
     assert!(folder.read("v.svg").starts_with(b"<svg"));
     assert!(folder.read("f.obj").starts_with(b"#"));

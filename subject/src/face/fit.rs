@@ -71,15 +71,17 @@ pub fn fit(photo: &Photo, source: &Source, method: Method) -> Result<Vec<FittedF
 
 type Fit = (Camera, Vec<Point>, Vec<[f64; 3]>);
 
-/// Pose, shape and depth by the shape model; what was not seen is where the model has it.
+/// Pose, shape and depth by the shape model; what was not seen is where the model has it. So is the hairline: what is seen up
+/// there is the border of hair, and would squeeze the forehead into it.
 fn by_default(model: &Model, found: &FacePoints) -> Result<Fit, FitOrAdapt> {
     let fit = model.fit_shape(&found.weighted(), &FitOptions::default())?;
     let points: Vec<Point> = FeatureId::all()
         .zip(&found.points)
         .zip(&fit.points_px)
         .map(|((id, seen), &[x, y, _])| {
-            let xy_px = if seen.confidence > 0.0 { seen.at } else { [x, y] };
-            Point { id, xy_px, confidence: seen.confidence }
+            let confidence = if id.is_hairline() { 0.0 } else { seen.confidence };
+            let xy_px = if confidence > 0.0 { seen.at } else { [x, y] };
+            Point { id, xy_px, confidence }
         })
         .collect();
     let nodes: Vec<_> = points.iter().map(|point| (point.id, point.xy_px)).collect();

@@ -29,7 +29,9 @@ impl FittedFace {
         );
         let pose = format!(
             "yaw {:.0}°  pitch {:.0}°  roll {:.0}°",
-            self.camera.yaw_deg, self.camera.pitch_deg, self.camera.roll_deg
+            whole(self.camera.yaw_deg),
+            whole(self.camera.pitch_deg),
+            whole(self.camera.roll_deg)
         );
         let right = width - 24.0;
         svg.push_str(&format!("<text x=\"{right}\" y=\"34\" font-size=\"13\" fill=\"#5b6778\" text-anchor=\"end\">in the photograph: {pose}</text>\n"));
@@ -144,4 +146,9 @@ fn escaped(text: &str) -> String {
         }
     }
     safe
+}
+
+/// Without a sign before nothing.
+fn whole(degrees: f64) -> f64 {
+    degrees.round() + 0.0
 }

@@ -119,6 +119,12 @@ impl FeatureId {
         TABLE[self.index()].1.map(Into::into)
     }
 
+    /// Whether it is one of the outline's two at the hairline.
+    #[must_use]
+    pub fn is_hairline(self) -> bool {
+        TABLE.get(self.index()).is_some_and(|(name, _)| name.ends_with("_contour_top"))
+    }
+
     /// Whether it lies on the outline, and is therefore no fixed place on the skin.
     pub fn is_contour(self) -> bool {
         self.index() < Self::CONTOUR
