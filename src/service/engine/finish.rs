@@ -56,7 +56,7 @@ impl Inner {
         if written.ledger.recorded == 0 && ending == "saved" {
             std::fs::remove_file(path).ok();
             let words = "nothing of that time is held: the device was away or sent nothing; ask for more seconds";
-            return Err(Refusal::new(RefusalKind::Device, words));
+            return Err(Refusal::new(RefusalKind::Conflict, words));
         }
         if written.ledger.recorded == 0 {
             // Only the header was written: an empty take helps nobody.
