@@ -14,6 +14,7 @@ mod kills;
 mod phases;
 mod pipeline;
 mod recovery;
+mod regression;
 mod replay;
 mod service;
 mod support;

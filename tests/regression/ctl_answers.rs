@@ -1,0 +1,1 @@
+//! Answers of `ctl` and `config check` name what is so.

@@ -1,0 +1,1 @@
+//! A limb that is cut off is left out, or its joints state how uncertain they are.

@@ -1,0 +1,1 @@
+//! Other C3D readers open what mocapd exports.

@@ -1,0 +1,1 @@
+//! A C3D whose residuals are all -1 keeps its samples.

@@ -1,0 +1,1 @@
+//! Noise is one estimate, the same everywhere.

@@ -1,0 +1,1 @@
+//! `verify --against` a file with nothing in common says so.

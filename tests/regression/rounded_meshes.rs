@@ -1,0 +1,1 @@
+//! Closed meshes with rounded or coincident vertices are accepted.

@@ -1,0 +1,1 @@
+//! A file that claims more than it holds costs neither memory nor time.

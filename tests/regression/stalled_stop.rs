@@ -1,0 +1,1 @@
+//! A take that is stopped in a stall does not contradict itself.

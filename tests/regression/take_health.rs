@@ -1,0 +1,1 @@
+//! A take keeps its health and how it ended, whatever is recorded after it.

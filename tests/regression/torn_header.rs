@@ -1,0 +1,1 @@
+//! A header that cannot be written leaves no file behind.

@@ -1,0 +1,1 @@
+//! A delayed trigger holds up no other.

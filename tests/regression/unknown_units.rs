@@ -1,0 +1,1 @@
+//! A unit that is unknown or misspelt is never taken for millimetres.

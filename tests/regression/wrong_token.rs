@@ -1,0 +1,1 @@
+//! A wrong token brings the form back, with the reason.
