@@ -4,6 +4,7 @@ mod analog_stride;
 mod control_characters;
 mod ctl_answers;
 mod cut_limbs;
+mod device_away;
 mod foreign_readers;
 mod idle_connections;
 mod negative_residuals;

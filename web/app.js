@@ -92,7 +92,7 @@ async function showTakes() {
 async function showQuality() {
   if (document.hidden || lost) return;
   try {
-    markers.show(await get("/v1/quality"));
+    markers.show(await get("/v1/quality"), document.body.dataset.frames === "none");
   } catch {
     // As above.
   }
@@ -102,9 +102,10 @@ async function showQuality() {
 function viewMessage() {
   if (lost) return "No connection";
   if (!status) return "Connecting";
-  if (status.state === "idle") return "Idle: arm to see the markers";
+  if (status.state === "idle") return status.device.presence === "absent" ? "No device" : "Idle: arm to see the markers";
   const { age_ms: ageMs, is_open: isOpen } = live.stats;
   if (ageMs < FROZEN_MS) return null;
+  if (status.device.presence === "absent") return "No device";
   if (status.state === "failed" && !Number.isFinite(ageMs)) return "Failed";
   if (!Number.isFinite(ageMs)) return isOpen ? "No frame yet" : "Connecting to the live view";
   return `No frame for ${span(ageMs / 1000).join(" ")}`;

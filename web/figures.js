@@ -13,12 +13,12 @@ export function figures(status) {
     tile("rate", "Frame rate", true, runs && rate(status)),
     tile("lost", "Frames lost", true, runs && lost(status)),
     tile("disk", "Disk", true, disk(status.disk)),
-    tile("ring", "Fullest ring", true, runs && ring(status.input)),
+    tile("ring", "Fullest ring", true, runs && ring(status)),
     tile("size", "Take", false, size(status.take)),
     tile("error", "Largest error", false, error(status.take)),
-    tile("ledger", "Ledger", false, ledger(status.take)),
+    tile("ledger", "Ledger", false, ledger(status)),
     tile("seen", "Samples seen", false, samples(status.take)),
-    tile("pre-roll", "Pre-roll", false, runs && preRoll(status.pre_roll)),
+    tile("pre-roll", "Pre-roll", false, runs && preRoll(status)),
     tile("delay", "Ring delay, p99", false, runs && delay(status, status.input.ring_latency_p99_us)),
     tile("jitter", "Jitter, p99", false, runs && jitter(status)),
     tile("outages", "Outages", false, runs && outages(status.device)),
@@ -51,13 +51,22 @@ export function causes(ledger) {
   return Object.entries(names).filter(([key]) => ledger[key] > 0).map(([key, name]) => `${count(ledger[key])} ${name}`);
 }
 
-function lost({ input, take }) {
-  const all = input.frames + input.lost;
+/** Frames lost, with those that were due since the device sent the last one: the ledger has them when it is back. */
+export function lostSoFar({ input, device }) {
+  return input.lost + (device.outage?.frames ?? 0);
+}
+
+function lost(status) {
+  const { input, take, device } = status;
+  const n = lostSoFar(status);
+  const all = input.frames + n;
   const why = take ? causes(take.ledger) : [];
+  if (device.outage) why.push(`${count(device.outage.frames)} in this outage`);
   const inTake = why.length > 0 ? `in the take: ${why.join(", ")}` : take ? "none in the take" : "since armed";
-  const found = { ...value(count(input.lost)), note: `of ${count(all)}; ${inTake}` };
-  if (input.lost === 0) return { ...found, ...ok("none") };
-  const share = input.lost / all;
+  const found = { ...value(count(n)), note: `of ${count(all)}; ${inTake}` };
+  if (device.outage) return { ...found, ...bad("no data") };
+  if (n === 0) return { ...found, ...ok("none") };
+  const share = n / all;
   const word = `${percent(share)} %`;
   return { ...found, ...(share < 0.001 ? watch(word) : bad(word)) };
 }
@@ -72,7 +81,8 @@ function disk({ free_bytes: free, keep_free_bytes: keep, left_s: left }) {
   return { ...found, ...(left < 3600 ? watch("make room") : ok("enough")) };
 }
 
-function ring({ ring_fill: fill }) {
+function ring({ input: { ring_fill: fill }, device }) {
+  if (device.outage) return { note: "nothing comes" };
   const found = { ...value(percent(fill), "%"), note: "full loses frames", fill };
   if (fill >= 0.8) return { ...found, ...bad("nearly full") };
   return { ...found, ...(fill >= 0.5 ? watch("filling") : ok("room")) };
@@ -90,10 +100,12 @@ function error(take) {
   return { ...value(take.max_error_mm.toFixed(3), "mm"), note: "of a sample, so far" };
 }
 
-function ledger(take) {
+function ledger({ take, device }) {
   if (!take) return NO_TAKE;
   const { contradictions, closes, recorded, frames_sent: sent } = take.ledger;
   const note = `${count(recorded)} of ${count(sent)}`;
+  // It closes over the frames that came; those that are due now are not on it yet.
+  if (device.outage) return { ...value("waits"), note: `${note}, and ${count(device.outage.frames)} missing`, ...bad("no data") };
   if (contradictions.length > 0) return { ...value("contradicts"), note: contradictions[0], ...bad("look") };
   return closes ? { ...value("closes"), note, ...ok("") } : { ...value("open"), note, ...watch("does not close") };
 }
@@ -104,15 +116,17 @@ function samples(take) {
   return { ...value(percent(present / announced), "%"), note: `${count(occluded)} occluded` };
 }
 
-function preRoll({ wanted_s: wanted, held_s: held, held_bytes: size, is_cut: isCut }) {
+function preRoll({ device, pre_roll: { wanted_s: wanted, held_s: held, held_bytes: size, is_cut: isCut } }) {
   if (wanted === 0) return { note: "none is wanted" };
   const found = { ...value(held.toFixed(1), "s"), note: `of ${short(wanted)} s; ${bytes(size).join(" ")}` };
+  if (device.outage) return { ...found, ...watch("no data") };
   if (isCut) return { ...found, ...watch("cut: memory") };
   return held >= 0.98 * wanted ? { ...found, ...ok("full") } : found;
 }
 
 /** What takes longer than a frame is worth a look. */
 function delay({ device }, us) {
+  if (device.outage) return { note: "nothing comes" };
   const found = { ...value(...micros(us)), note: "from the last byte" };
   return device.rate_hz > 0 && us > 1e6 / device.rate_hz ? { ...found, ...watch("late") } : found;
 }
@@ -120,9 +134,11 @@ function delay({ device }, us) {
 function jitter({ device, input }) {
   if (input.jitter_p99_us === 0) return { note: "not known yet" };
   const found = delay({ device }, input.jitter_p99_us);
+  if (device.outage) return found;
   return { ...found, note: `drift ${input.drift_ppm.toFixed(1)} ppm` };
 }
 
-function outages({ outages: n }) {
+function outages({ outages: n, outage, presence }) {
+  if (outage) return { ...value(count(n + 1)), note: "since armed", ...bad(presence === "silent" ? "silent now" : "away now") };
   return { ...value(count(n)), note: "since armed", ...(n === 0 ? ok("none") : watch("went away")) };
 }

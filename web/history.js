@@ -1,6 +1,7 @@
 // Two minutes of frame rate and losses.
 
 import { byId, colours, onTheme, setAttribute } from "./dom.js";
+import { lostSoFar } from "./figures.js";
 import { count } from "./format.js";
 
 export const SPAN_S = 120;
@@ -14,7 +15,8 @@ export class Past {
   /** At a time in seconds. What was lost is what came since the look before; a counter that fell began anew. */
   add(t, status) {
     const runs = status !== null && (status.state === "armed" || status.state === "recording");
-    const { lost = 0, measured_hz: hz = 0 } = status?.input ?? {};
+    const hz = status?.input.measured_hz ?? 0;
+    const lost = runs ? lostSoFar(status) : 0;
     const before = this.#lostBefore;
     // In the first seconds the rate is counted up, and is none yet.
     const isKnown = runs && status.input.frames >= 3 * (status.device.rate_hz || 0);

@@ -59,7 +59,8 @@ export class Markers {
 
   #heads = [];
 
-  show(quality) {
+  /** `isOld`: the device sends nothing, and this is how it was before. */
+  show(quality, isOld = false) {
     this.#quality = quality;
     const labels = new Set(quality.map(({ label }) => label));
     for (const [label, row] of this.#rows) {
@@ -70,7 +71,7 @@ export class Markers {
     for (const marker of quality) this.#fill(this.#rows.get(marker.label) ?? this.#make(marker.label), marker);
     this.#order();
     const weak = quality.filter((marker) => level(marker) !== "ok").length;
-    const words = weak === 0 ? "all well seen" : `${plural(weak, "marker")} to look at`;
+    const words = isOld ? "until the last frame" : weak === 0 ? "all well seen" : `${plural(weak, "marker")} to look at`;
     setText(byId("markers-count"), quality.length === 0 ? "none yet" : `${count(quality.length)} · ${words}`);
   }
 

@@ -195,6 +195,7 @@ impl Intake {
             self.open_first = Moment { device_ticks: frame.device_ticks, arrival_ns };
         }
         self.last_arrival_ns = arrival_ns;
+        self.progress.last_arrival_ns.store(arrival_ns, Ordering::Relaxed);
         self.push_row(RowTime {
             device_ticks: frame.device_ticks,
             arrival_10us: arrival_ns / 10_000,

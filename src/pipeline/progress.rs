@@ -38,6 +38,8 @@ pub struct Progress {
     pub outages: AtomicU64,
     /// It is away now.
     pub is_away: AtomicBool,
+    /// When the last recorded frame arrived, in nanoseconds of the monotonic clock; 0 before the first.
+    pub last_arrival_ns: AtomicU64,
     /// All channels so far, by slot: those that appeared, too.
     pub channels: Mutex<Vec<Channel>>,
     /// Bytes of the pre-roll.

@@ -68,6 +68,25 @@ pub struct DeviceStatus {
     pub obstacle: Option<String>,
     /// Times that it went away and came back since it was armed.
     pub outages: u32,
+    /// Whether it is absent and waited for: it is armed, or its take goes on, as soon as it is there.
+    #[serde(default)]
+    pub is_awaited: bool,
+    /// The time without frames, while it is armed or recorded and is `absent` or `silent`.
+    #[serde(default)]
+    pub outage: Option<OutageStatus>,
+}
+
+/// A device that should send frames and sends none: nothing that happens now is recorded.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, ToSchema)]
+pub struct OutageStatus {
+    /// Seconds since its last frame, or since it was armed where none came.
+    pub seconds: f64,
+    /// Frames that were due in that time, by the device's rate. A take that is being written misses them; its ledger
+    /// counts them when the device is back, or when the take ends.
+    pub frames: u64,
+    /// Seconds until the device is given up and the take ends; `None` while it is `silent`, which is waited for without
+    /// a limit.
+    pub ends_in_s: Option<f64>,
 }
 
 /// What came from the device since it was armed.

@@ -132,6 +132,7 @@ def refusals(browser, _log):
         browser.wait_state("idle")
         browser.wait("no figures", lambda: "–" in browser.text("tile-rate"))
         mock.set(presence="absent", obstacle="/dev/ttyUSB0 does not exist: is the device plugged in?")
+        browser.wait_state("absent")
         browser.wait("the obstacle", lambda: "is the device plugged in?" in browser.text("obstacle"))
         browser.click("arm")
         browser.wait("why not", lambda: browser.text("answer").startswith("Refused: the device is not there"))
@@ -140,6 +141,29 @@ def refusals(browser, _log):
         browser.wait_state("failed")
         assert "look at it, then arm again" in browser.text("what")
         browser.picture("failed-dark")
+
+
+@check("a device that is away is the loudest thing on the page, with what it costs and how it goes on")
+def device_away(browser, _log):
+    with Mock("--scenario", "recording") as mock:
+        browser.open(mock.url)
+        browser.wait_state("recording")
+        mock.set(presence="absent", obstacle="the device is away: plug it in or switch it on")
+        browser.wait_state("absent")
+        assert browser.text("state") == "No device" and "No device" in browser.js("return document.title")
+        browser.wait("the frames that are missing", lambda: "frames missing so far" in browser.text("what"))
+        for words in ("Recording waits: jump-006", "Recording resumes when the device is back"):
+            assert words in browser.text("what"), browser.text("what")
+        browser.wait("the time without data", lambda: "0:01" <= browser.text("timer") < "0:09")
+        assert browser.text("timer-what") == "without data" and browser.text("record") == "Stop"
+        green = """return [...document.querySelectorAll('.tile[data-level=ok]')].map((tile) => tile.id)"""
+        assert browser.js(green) == ["tile-disk"], browser.js(green)
+        mock.set(presence="streaming", obstacle=None)
+        browser.wait_state("recording")
+        assert browser.js("return document.getElementById('timer-what').hidden")
+        mock.set(presence="silent")
+        browser.wait_state("silent")
+        assert browser.text("state") == "No frames"
 
 
 @check("an order whose answer was lost is given again under the same id, and carried out once")
@@ -285,7 +309,7 @@ def readable(browser, _log):
     contrast, unnamed = (HERE / "contrast.js").read_text(), (HERE / "unnamed.js").read_text()
     for scheme in ("dark", "light"):
         browser.media(prefers_color_scheme=scheme)
-        for scenario in ("armed", "recording", "lossy", "absent", "failed"):
+        for scenario in ("armed", "recording", "lossy", "absent", "recording-absent", "failed"):
             with Mock("--scenario", scenario, "--markers", "39") as mock:
                 browser.open(mock.url)
                 browser.wait("the state", lambda: browser.state() != "waiting")
@@ -318,15 +342,16 @@ def phone(browser, _log):
 @check("colour is never alone: pictures as colour-blind people see them, and states that differ in lightness")
 def colours(browser, _log):
     lightness = {}
-    for scenario in ("armed", "recording", "failed"):
+    words_of = {"armed": "Armed", "recording": "Recording", "recording-absent": "No device", "failed": "Failed"}
+    for scenario, word in words_of.items():
         with Mock("--scenario", scenario) as mock:
             browser.open(mock.url)
-            browser.wait_state(scenario)
+            browser.wait_state(scenario.split("-")[-1])
             lightness[scenario] = browser.js("""const [r, g, b] = getComputedStyle(document.getElementById('hero'))
                 .backgroundColor.match(/[\\d.]+/g).map(Number); return 0.2126 * r + 0.7152 * g + 0.0722 * b""")
             words = browser.js("return [document.getElementById('state').textContent, document.title]")
-            assert words[0].lower() == scenario and words[0] in words[1], words
-            browser.wait("markers", lambda: scenario == "failed" or browser.stats()["frames"] > 40)
+            assert words[0] == word and word in words[1], words
+            browser.wait("markers", lambda: scenario not in ("armed", "recording") or browser.stats()["frames"] > 40)
             for vision in ("deuteranopia", "protanopia", "tritanopia", "achromatopsia"):
                 browser.devtools("Emulation.setEmulatedVisionDeficiency", type=vision)
                 browser.picture(f"{scenario}-{vision}")

@@ -102,7 +102,7 @@ class Handler(BaseHTTPRequestHandler):
                     rig.fail(body.pop("fail"))
                 if body.pop("log_out", False):
                     rig.cookie = secrets.token_hex(8)
-                rig.faults.update({key: value for key, value in body.items() if key in FAULTS})
+                rig.set_faults({key: value for key, value in body.items() if key in FAULTS})
             return self.answer(200, {})
         if not self.is_known():
             return self.answer(401, {"kind": "unauthorized", "message": "who is there? log in with the token"})
@@ -227,7 +227,7 @@ def main():
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--token", help="asked for before anything is told")
     parser.add_argument("--scenario", default="armed",
-                        choices=["idle", "armed", "recording", "lossy", "absent", "failed"])
+                        choices=["idle", "armed", "recording", "lossy", "absent", "silent", "armed-absent", "recording-absent", "failed"])
     args = parser.parse_args()
     Handler.rig, Handler.token = Rig(args.markers, args.rate, args.seed, args.scenario), args.token
     server = ThreadingHTTPServer(("127.0.0.1", args.port), Handler)

@@ -31,6 +31,7 @@ class Rig:
         self.state, self.failure, self.armed_at, self.take = "idle", None, None, None
         self.lost, self.causes, self.outages, self.last_look = 0, [0, 0, 0, 0], 0, time.time()
         self.faults = dict(FAULTS)
+        self.gone_at, self.missed_s = None, 0.0
         self.session, self.cookie = secrets.token_hex(4), secrets.token_hex(8)
         self.events, self.answers = [], {}
         now = int(time.time() * 1000)
@@ -51,8 +52,30 @@ class Rig:
         elif scenario == "failed":
             self.fail("the disk failed while jump-006 was written (EIO): the take holds 41.5 s; "
                       "look at the disk, then arm again")
-        elif scenario == "recording":
+        elif scenario in ("recording", "recording-absent"):
             self.start({"name": "jump-006"})
+        if scenario in ("armed-absent", "recording-absent"):
+            self.set_faults({"presence": "absent", "obstacle":
+                             "the device is away: plug it in or switch it on, and it goes on by itself"})
+        elif scenario == "silent":
+            self.set_faults({"presence": "silent"})
+
+    def set_faults(self, faults):
+        """A device that goes away counts the time from then on; one that comes back has had an outage."""
+        self.faults.update(faults)
+        is_gone = self.armed_at is not None and self.faults["presence"] != "streaming"
+        if is_gone and self.gone_at is None:
+            self.gone_at = time.time()
+        elif not is_gone and self.gone_at is not None:
+            self.missed_s += time.time() - self.gone_at
+            self.outages, self.gone_at = self.outages + 1, None
+
+    def outage(self):
+        if self.gone_at is None:
+            return None
+        seconds = time.time() - self.gone_at
+        ends = max(0.0, 60.0 - seconds) if self.faults["presence"] == "absent" else None
+        return {"seconds": seconds, "frames": int(seconds * self.rate_hz), "ends_in_s": ends}
 
     def event(self, kind, message):
         self.events.append({"number": len(self.events) + 1, "unix_ms": int(time.time() * 1000), "kind": kind,
@@ -91,7 +114,7 @@ class Rig:
     def disarm(self, _body=None):
         if self.state == "recording":
             raise Refused("conflict", "a take is being recorded: stop it first")
-        self.state, self.failure, self.armed_at = "idle", None, None
+        self.state, self.failure, self.armed_at, self.gone_at = "idle", None, None, None
         self.event("state", "idle")
 
     def start(self, body):
@@ -154,7 +177,7 @@ class Rig:
         take = self.take
         if take is None:
             return None
-        seconds = time.time() - take["started"] + take["held"]
+        seconds = (self.gone_at or time.time()) - take["started"] + take["held"]
         rows = int(seconds * self.rate_hz)
         raw = rows * len(self.body.labels) * 12
         return {"take_id": take["take_id"], "name": take["name"], "path": take["path"],
@@ -166,18 +189,21 @@ class Rig:
         self.step()
         faults, now, runs = self.faults, time.time(), self.armed_at is not None
         there = faults["presence"] != "absent"
+        # Who an armed device is stays known while it is away.
+        known = there or runs
         held = min(10.0, now - self.armed_at) if runs else 0.0
         wobble = self.draw.gauss(0, 0.02)
-        measured = (self.rate_hz * (0.982 if faults["lossy"] else 1) + wobble) if runs and there else 0.0
+        measured = (self.rate_hz * (0.982 if faults["lossy"] else 1) + wobble) if runs and faults["presence"] == "streaming" else 0.0
         return {
             "rig": "jump lab", "state": self.state, "failure": self.failure, "software": "mocapd mock",
             "uptime_s": now - self.born,
             "device": {"uri": "serial:/dev/ttyUSB0", "presence": "present" if there and not runs else faults["presence"],
-                       "model": "DVMC-8820" if there else "", "serial": "SIM-0001" if there else "",
-                       "firmware": "1.4" if there else "", "driver": "dvmc", "rate_hz": self.rate_hz if there else 0.0,
-                       "markers": len(self.body.labels) if there else 0, "obstacle": faults["obstacle"],
-                       "outages": self.outages},
-            "input": {"frames": int((now - self.armed_at) * self.rate_hz) if runs else 0, "lost": self.lost,
+                       "model": "DVMC-8820" if known else "", "serial": "SIM-0001" if known else "",
+                       "firmware": "1.4" if known else "", "driver": "dvmc", "rate_hz": self.rate_hz if known else 0.0,
+                       "markers": len(self.body.labels) if known else 0, "obstacle": faults["obstacle"],
+                       "outages": self.outages, "is_awaited": not there and runs, "outage": self.outage()},
+            "input": {"frames": int(((self.gone_at or now) - self.armed_at - self.missed_s) * self.rate_hz) if runs else 0,
+                      "lost": self.lost,
                       "measured_hz": measured, "ring_fill": (0.31 if faults["lossy"] else 0.02) if runs else 0.0,
                       "ring_latency_p99_us": 46 if runs else 0, "jitter_p99_us": 212 if runs else 0,
                       "drift_ppm": 11.8, "cpu_cores": 0.07 if runs else 0.0},

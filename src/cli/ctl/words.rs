@@ -89,26 +89,46 @@ pub(super) fn status(status: &Status) -> String {
 
 /// One line.
 pub(super) fn line(status: &Status) -> String {
-    let presence = status.device.presence.as_str();
-    // What sends nothing, or is not there, is worth more than a word among figures.
-    let missing = match status.state {
-        State::Idle => "",
-        _ if presence == "absent" => ", THE DEVICE IS ABSENT",
-        _ if presence == "silent" => ", THE DEVICE IS SILENT",
-        _ => "",
-    };
-    match &status.take {
+    let lost = thousands(status.input.lost);
+    let now = match &status.take {
         Some(take) => {
-            let lost = thousands(status.input.lost);
             let of = plain(&take.name);
-            format!(
-                "recording {of}, {:.1} s, {}, {lost} lost{missing}",
-                take.seconds,
-                bytes(take.bytes)
-            )
+            format!("recording {of}, {:.1} s, {}, {lost} lost", take.seconds, bytes(take.bytes))
         }
-        None => format!("{}{missing}", state(status.state)),
+        None => state(status.state).to_owned(),
+    };
+    match without_device(status) {
+        Some(missing) => format!("{missing}: {now}"),
+        None => now,
     }
+}
+
+/// That nothing which happens now is recorded, since when, what it costs, and how it goes on: before everything else
+/// on its line.
+fn without_device(status: &Status) -> Option<String> {
+    let device = &status.device;
+    let Some(outage) = device.outage else {
+        return match status.state {
+            State::Idle if device.is_awaited => {
+                Some("NO DEVICE, armed as soon as it is there".to_owned())
+            }
+            State::Failed if device.presence == "absent" => Some("NO DEVICE".to_owned()),
+            _ => None,
+        };
+    };
+    let what = if device.presence == "silent" { "NO FRAMES" } else { "NO DEVICE" };
+    let mut out = format!("{what} for {:.1} s", outage.seconds);
+    if status.take.is_some() {
+        let ends = outage.ends_in_s.map(|left_s| format!(" within {}", duration(left_s as u64)));
+        let missing = count(outage.frames, "frame");
+        out += &format!(
+            ", {missing} missing, recording resumes when it is back{}",
+            ends.unwrap_or_default()
+        );
+    } else {
+        out += ", nothing can be recorded before it is back";
+    }
+    Some(out)
 }
 
 fn duration(seconds: u64) -> String {

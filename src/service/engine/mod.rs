@@ -264,9 +264,17 @@ impl Status {
     /// In one line: what systemd shows.
     #[must_use]
     pub fn words(&self) -> String {
-        match (self.state, &self.take, &self.failure) {
-            (State::Failed, _, Some(failure)) => format!("failed: {failure}"),
-            (State::Recording, Some(take), _) => {
+        let outage = self.device.outage.map(|outage| {
+            let what = if self.device.presence == "silent" { "frames" } else { "device" };
+            format!("no {what} for {:.0} s", outage.seconds)
+        });
+        match (self.state, outage, &self.take, &self.failure) {
+            (State::Failed, _, _, Some(failure)) => format!("failed: {failure}"),
+            (State::Recording, Some(outage), Some(take), _) => {
+                format!("{outage}: recording {} waits", take.name)
+            }
+            (State::Armed, Some(outage), ..) => format!("{outage}: armed, and nothing comes"),
+            (State::Recording, None, Some(take), _) => {
                 format!("recording {}: {:.0} s", take.name, take.seconds)
             }
             (State::Armed, ..) => format!(

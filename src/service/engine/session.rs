@@ -60,6 +60,10 @@ pub(super) struct Session {
     pub(super) slots: usize,
     /// How much it was told to hold.
     pub(super) pre_roll: Duration,
+    /// How long a device that went away is waited for.
+    pub(super) reconnect: Duration,
+    /// When it was armed, in nanoseconds of the monotonic clock.
+    pub(super) armed_ns: u64,
     /// Ends it.
     pub(super) stop: Arc<AtomicBool>,
 }
@@ -95,8 +99,7 @@ impl Core {
     pub(super) fn away(&self) -> Option<String> {
         let session = self.session.as_ref()?;
         session.progress.is_away.load(Ordering::Relaxed).then(|| {
-            "the device is away: plug it in or switch it on, and it is armed again by itself"
-                .to_owned()
+            "the device is away: plug it in or switch it on, and it goes on by itself".to_owned()
         })
     }
 

@@ -3,19 +3,23 @@
 use std::{
     path::Path,
     sync::atomic::{AtomicU64, Ordering},
-    time::SystemTime,
+    time::{Duration, SystemTime},
 };
 
 use mocapd_take::record::Ledger;
 use rustix::fs::statvfs;
 
-use super::{Inner, session::Core};
+use super::{
+    Inner,
+    session::{Core, Session},
+};
 use crate::{
     header::SOFTWARE,
     pipeline::{HELD_MIN_BYTES, lock},
+    rig::monotonic_ns,
     service::status::{
-        DeviceStatus, DiskStatus, InputStatus, LedgerStatus, PreRollStatus, State, Status,
-        TakeStatus,
+        DeviceStatus, DiskStatus, InputStatus, LedgerStatus, OutageStatus, PreRollStatus, State,
+        Status, TakeStatus,
     },
 };
 
@@ -71,6 +75,8 @@ impl Inner {
                 markers: core.device.markers,
                 obstacle: core.device.obstacle.clone().or_else(|| core.away()),
                 outages: 0,
+                is_awaited: false,
+                outage: None,
             },
             input: InputStatus {
                 cpu_cores: f64::from_bits(get(&self.rates.cpu_cores)),
@@ -89,6 +95,7 @@ impl Inner {
                 left_s: None,
             },
         };
+        status.device.is_awaited = core.wanted && status.device.presence == "absent";
         core.tell_session(&mut status, measured_hz);
         drop(core);
         status.disk.free_bytes = get(&self.rates.free_bytes).checked_sub(1);
@@ -105,6 +112,11 @@ impl Core {
         let progress = &session.progress;
         status.device.outages = u32::try_from(get(&progress.outages)).unwrap_or(u32::MAX);
         status.device.markers = lock(&progress.channels).len();
+        status.device.outage = match status.device.presence.as_str() {
+            "absent" => Some(session.outage(Some(session.reconnect))),
+            "silent" => Some(session.outage(None)),
+            _ => None,
+        };
         let input = &mut status.input;
         input.frames = get(&progress.frames);
         input.lost = get(&progress.lost);
@@ -137,6 +149,19 @@ impl Core {
             max_error_mm: now.max_error_mm,
             ledger: (&now.ledger).into(),
         });
+    }
+}
+
+impl Session {
+    /// The time since the last frame. A device that is away is given up after `patience`.
+    fn outage(&self, patience: Option<Duration>) -> OutageStatus {
+        let since_ns = get(&self.progress.last_arrival_ns).max(self.armed_ns);
+        let seconds = monotonic_ns().saturating_sub(since_ns) as f64 * 1e-9;
+        OutageStatus {
+            seconds,
+            frames: (seconds * self.header.rate_hz) as u64,
+            ends_in_s: patience.map(|patience| (patience.as_secs_f64() - seconds).max(0.0)),
+        }
     }
 }
 

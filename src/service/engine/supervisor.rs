@@ -27,7 +27,7 @@ use crate::{
     header,
     pipeline::{Pipeline, PipelineConfig, PreRollConfig},
     raw_log::RawLog,
-    rig::{Ending, ReadOptions, Rig},
+    rig::{Ending, ReadOptions, Rig, monotonic_ns},
 };
 
 /// Between two looks at what is wanted.
@@ -281,6 +281,8 @@ impl Inner {
             seen: armed.seen,
             slots: config.channels.len() + config.reserve,
             pre_roll: options.pre_roll,
+            reconnect: options.reconnect,
+            armed_ns: monotonic_ns(),
             stop: Arc::clone(stop),
             header: header.clone(),
         };

@@ -68,7 +68,9 @@ mod tests {
     use serde_json::Value;
 
     use super::*;
-    use crate::service::status::{State as ServiceState, Status, TakeStatus, TakeSummary};
+    use crate::service::status::{
+        DeviceStatus, OutageStatus, State as ServiceState, Status, TakeStatus, TakeSummary,
+    };
 
     fn text(status: Status) -> String {
         let mut registry = Registry::with_prefix("mocapd");
@@ -97,7 +99,9 @@ mod tests {
 
     #[test]
     fn every_number_of_the_status_is_a_figure() {
+        let outage = OutageStatus { ends_in_s: Some(0.0), ..OutageStatus::default() };
         let full = Status {
+            device: DeviceStatus { outage: Some(outage), ..DeviceStatus::default() },
             take: Some(TakeStatus::default()),
             last_take: Some(TakeSummary::default()),
             disk: crate::service::status::DiskStatus {

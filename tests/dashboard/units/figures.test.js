@@ -78,6 +78,18 @@ test("the take has its size, error, ledger and samples, and without one they are
   equal(figure("ledger", { take: { ...TAKE, ledger: { ...LEDGER, closes: false } } }).level, "watch");
 });
 
+test("without a device no figure is green that depends on it, and what is missing counts as lost", () => {
+  const outage = { seconds: 10, frames: 1200, ends_in_s: 50 };
+  const change = { device: { presence: "absent", outage }, take: TAKE, state: "recording", input: { measured_hz: 0 } };
+  const found = (id) => figure(id, change);
+  equal([found("ledger").value, found("ledger").level], ["waits", "bad"]);
+  equal(says(found("lost")).slice(2), ["bad", "no data"]);
+  equal(found("lost").value.replace("\u202f", " "), "1 200");
+  equal(["rate", "outages"].map((id) => found(id).level), ["bad", "bad"]);
+  for (const id of ["ring", "delay", "jitter"]) equal(says(found(id)), ["–", "", "none", ""], id);
+  equal(found("pre-roll").level, "watch");
+});
+
 test("history counts what came since the look before, not what was there", () => {
   const past = new Past();
   const at = (t, lost, state = "armed") => past.add(t, { ...STATUS, state, input: { ...STATUS.input, measured_hz: 119, lost } });

@@ -1,10 +1,12 @@
 import { answerWords } from "/actions.js";
-import { describe, deviceLine, obstacle } from "/state.js";
+import { describe, deviceLine, obstacle, shownState } from "/state.js";
 import { facts, health, verdict } from "/takes.js";
 import { equal, isTrue, test } from "./harness.js";
 
 const DEVICE = { uri: "serial:/dev/ttyUSB0", presence: "streaming", model: "DVMC-8820", serial: "7", firmware: "1.4",
-  driver: "dvmc", rate_hz: 59.94, markers: 15, obstacle: null, outages: 0 };
+  driver: "dvmc", rate_hz: 59.94, markers: 15, obstacle: null, outages: 0, is_awaited: false, outage: null };
+const AWAY = { ...DEVICE, presence: "absent", is_awaited: true, outage: { seconds: 10, frames: 1599, ends_in_s: 50.4 } };
+const SILENT = { ...DEVICE, presence: "silent", outage: { seconds: 10, frames: 1599, ends_in_s: null } };
 const STATUS = { state: "armed", failure: null, device: DEVICE, take: null, last_take: null, pre_roll: { wanted_s: 10, held_s: 2.5 } };
 const LEDGER = { recorded: 98, closes: true };
 
@@ -28,19 +30,33 @@ test("a mark says where it is", () => {
 });
 
 test("the state says what matters in it", () => {
-  equal(describe(STATUS), "ready, 2.5 s held of 10 s");
-  equal(describe({ ...STATUS, device: { ...STATUS.device, presence: "absent" } }), "not ready: the device is away");
-  equal(describe({ ...STATUS, device: { ...STATUS.device, presence: "silent" } }), "not ready: the device sends nothing");
-  equal(describe({ ...STATUS, state: "failed", failure: "the disk is full: make room" }), "the disk is full: make room");
-  equal(describe({ ...STATUS, state: "recording", take: { name: "b" } }), "b");
-  equal(describe({ ...STATUS, state: "idle", last_take: { name: "c" } }), "last take: c");
-  equal(describe({ ...STATUS, state: "idle", device: { ...DEVICE, presence: "absent" } }), "the device is not there");
+  equal(describe(STATUS), ["ready, 2.5 s held of 10 s"]);
+  equal(describe({ ...STATUS, state: "failed", failure: "the disk is full: make room" }), ["the disk is full: make room"]);
+  equal(describe({ ...STATUS, state: "recording", take: { name: "b" } }), ["b"]);
+  equal(describe({ ...STATUS, state: "idle", last_take: { name: "c" } }), ["last take: c"]);
+});
+
+test("a device that is away or silent is the state, whatever the service does, unless that has failed", () => {
+  for (const state of ["idle", "armed", "recording"]) equal(shownState({ state, device: AWAY }), "absent", state);
+  for (const state of ["armed", "recording"]) equal(shownState({ state, device: SILENT }), "silent", state);
+  equal(shownState({ state: "failed", device: AWAY }), "failed");
+  for (const presence of ["streaming", "present"]) equal(shownState({ state: "armed", device: { ...DEVICE, presence } }), "armed");
+});
+
+test("without a device it is said what waits, what is missing so far, and how it goes on", () => {
+  const recording = { ...STATUS, state: "recording", take: { name: "b" } };
+  equal(describe({ ...recording, device: AWAY }).map((line) => line.replace("\u202f", " ")), ["Recording waits: b",
+    "1 599 frames missing so far", "Recording resumes when the device is back, or ends in 0:50"]);
+  equal(describe({ ...recording, device: SILENT })[2], "Recording resumes when the device sends again");
+  equal(describe({ ...STATUS, device: AWAY }), ["Armed: nothing can be recorded", "Ready again when the device is back"]);
+  equal(describe({ ...STATUS, state: "idle", device: { ...DEVICE, presence: "absent" } }), ["Idle"]);
+  const ended = { ...STATUS, state: "idle", device: { ...AWAY, outage: null }, last_take: { name: "b", ending: "device gone" } };
+  equal(describe(ended), ["b has ended: the device did not come back", "Armed as soon as the device is there"]);
 });
 
 test("what keeps the device away is said", () => {
   equal(obstacle(STATUS), null);
-  equal(obstacle({ ...STATUS, device: { ...DEVICE, presence: "silent" } }), "Device silent: it should stream and sends nothing");
-  equal(obstacle({ ...STATUS, device: { ...DEVICE, presence: "absent", obstacle: "busy" } }), "Device absent: busy");
+  equal(obstacle({ ...STATUS, device: { ...DEVICE, presence: "absent", obstacle: "busy" } }), "Busy");
   equal(deviceLine(DEVICE), "DVMC-8820 · 7 · firmware 1.4 · streaming · dvmc · serial:/dev/ttyUSB0 · 15 markers at 59.94 Hz");
 });
 

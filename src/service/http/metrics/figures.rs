@@ -145,7 +145,20 @@ impl Figures {
             markers,
         )?;
         let help = "Times that the device went away and came back since it was armed";
-        out.counter("device_outages", help, u64::from(device.outages))
+        out.counter("device_outages", help, u64::from(device.outages))?;
+        let help = "1 while the device is absent and waited for";
+        out.gauge("device_is_awaited", help, In::Numbers, flag(device.is_awaited))?;
+        let outage = device.outage.unwrap_or_default();
+        let help =
+            "Since the last frame, while the device should stream and does not; 0 while it does";
+        out.gauge("device_outage", help, In::Seconds, outage.seconds)?;
+        let help = "Frames that were due in that time";
+        out.gauge("device_outage_frames", help, In::Numbers, outage.frames as f64)?;
+        if let Some(ends_in_s) = outage.ends_in_s {
+            let help = "Until a device that is away is given up, and its take ends";
+            out.gauge("device_outage_ends_in", help, In::Seconds, ends_in_s)?;
+        }
+        Ok(())
     }
 
     fn input(&self, out: &mut Out<'_>) -> Result<(), Error> {

@@ -1,0 +1,63 @@
+//! A device that is away shows in the status and in `ctl status`, with what its absence costs so far.
+
+use std::{sync::Arc, time::Duration};
+
+use mocapd::{
+    heartbeat::Heartbeat,
+    service::{
+        control::{Control, Request},
+        engine::Engine,
+        http::{HttpOptions, HttpServer},
+        status::State,
+    },
+};
+
+use crate::{
+    cli::{Folder, devices::Simulated},
+    service::engine::{named, options, wait_until},
+    support::jump,
+};
+
+#[test]
+fn a_take_without_its_device_is_not_shown_as_a_recording_that_goes_well() {
+    let folder = Folder::new();
+    let link = folder.path("device");
+    let motion = jump(1, 120.0, 3.0);
+    let device = Simulated::endless_at(&link, "A", motion.clone());
+    let mut options = options(&folder.path(""), &link);
+    options.reconnect = Duration::from_secs(600);
+    let engine = Arc::new(Engine::start(options, &Heartbeat::default()).unwrap());
+    let socket = folder.path("rig.sock");
+    let options = HttpOptions { unix_socket: Some(socket.clone()), ..HttpOptions::default() };
+    let control: Arc<dyn Control> = Arc::<Engine>::clone(&engine);
+    let _server = HttpServer::start(options, control).unwrap();
+    let connect = format!("unix:{}", socket.display());
+    let ctl = |args: &[&str]| folder.run(&[&["ctl", "--connect", &connect], args].concat());
+
+    engine.start(&named("walk")).unwrap();
+    let status = engine.status();
+    assert_eq!((status.device.is_awaited, status.device.outage), (false, None));
+    device.unplug();
+    wait_until("the outage", || engine.status().device.presence == "absent");
+    wait_until("half a second of it", || {
+        engine.status().device.outage.is_some_and(|outage| outage.seconds > 0.5)
+    });
+    let status = engine.status();
+    let outage = status.device.outage.unwrap();
+    assert_eq!((status.state, status.device.is_awaited), (State::Recording, true));
+    assert_eq!(outage.frames, (outage.seconds * status.device.rate_hz) as u64);
+    assert!((590.0..600.0).contains(&outage.ends_in_s.unwrap()), "{outage:?}");
+    // What systemd shows, and the first line of `ctl status`, begin with it.
+    assert!(status.words().starts_with("no device for "), "{}", status.words());
+    let said = ctl(&["status"]).with_code(0).stdout;
+    assert!(said.starts_with("test: NO DEVICE for "), "{said}");
+    let json = ctl(&["status", "--json"]).with_code(0).json();
+    assert!(json["device"]["outage"]["frames"].as_u64().unwrap() >= outage.frames);
+
+    let _device = Simulated::endless_at(&link, "A", motion);
+    wait_until("its return", || engine.status().device.outage.is_none());
+    assert_eq!(engine.status().device.outages, 1);
+    assert!(ctl(&["status"]).stdout.starts_with("test: recording walk"));
+    let stopped = engine.stop(&Request::default()).unwrap();
+    assert!(stopped.ledger.unknown_after_disconnect >= 60, "{stopped:?}");
+}
