@@ -151,13 +151,11 @@ impl Summary {
     /// all of them are there.
     #[must_use]
     pub fn clock_apart(&self) -> Option<Apart> {
-        let stalled = |told: &String| told.contains("observations of the clocks");
-        let dropped = self.ledger.as_ref().is_some_and(|l| l.contradictions.iter().any(stalled));
-        // Nor does a take that was recovered have all that the line was laid through.
+        // A take that was recovered need not have all that the line was laid through.
         let recovered = self.header.as_ref().is_some_and(|header| {
             header.settings.iter().any(|(name, _)| name == mocapd_take::recovery::RECOVERED)
         });
-        if self.damaged || dropped || recovered { None } else { self.line_again.apart() }
+        if self.damaged || recovered { None } else { self.line_again.apart() }
     }
 
     /// How the clocks ran in the end, as far as the take tells.
@@ -172,7 +170,7 @@ impl Summary {
             probes: self.clock_probes,
             points: self.clock_points,
             residual_us: clock.jitter.residual_us as f64,
-            dropped: 0,
+            stored: self.clock_probes + self.clock_points,
         }
     }
 

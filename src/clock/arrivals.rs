@@ -33,7 +33,7 @@ impl Arrivals {
         &self.points[..self.n]
     }
 
-    /// Takes a frame in. Gives the point of a bin that it ended.
+    /// Takes a frame in. Gives the point of a bin that it ended, for [`keep`](Self::keep).
     pub(super) fn add(
         &mut self,
         frame: ClockPoint,
@@ -48,9 +48,9 @@ impl Arrivals {
         let age_us = open.since_us.saturating_sub(first_us);
         let bin_us = BINS_US.iter().find(|bin| age_us < bin.0).map_or(0, |bin| bin.1);
         if frame.host_us.saturating_sub(open.since_us) >= bin_us {
-            let closed = self.close();
+            let closed = open.earliest;
             self.open = Some(Open { since_us: frame.host_us, earliest: frame });
-            return closed;
+            return Some(closed);
         }
         let passed_s = seconds(frame.device_ticks, open.earliest.device_ticks, tick_hz);
         let passed_us = frame.host_us.wrapping_sub(open.earliest.host_us).cast_signed() as f64;
@@ -60,16 +60,19 @@ impl Arrivals {
         None
     }
 
-    /// Ends the bin that is open.
+    /// Ends the bin that is open, and gives its point.
     pub(super) fn close(&mut self) -> Option<ClockPoint> {
-        let Open { earliest, .. } = self.open.take()?;
+        self.open.take().map(|open| open.earliest)
+    }
+
+    /// The line is laid through this point, too.
+    pub(super) fn keep(&mut self, newest: ClockPoint) {
         let expired =
-            |point: &&ClockPoint| point.host_us.saturating_add(WINDOW_US) < earliest.host_us;
+            |point: &&ClockPoint| point.host_us.saturating_add(WINDOW_US) < newest.host_us;
         let old = self.points().iter().take_while(expired).count();
         self.drop_oldest(old.max(usize::from(self.n == POINTS_MAX)));
-        self.points[self.n] = earliest;
+        self.points[self.n] = newest;
         self.n += 1;
-        Some(earliest)
     }
 
     /// What came before this time no longer counts.

@@ -19,7 +19,7 @@ mod tests;
 
 pub use again::{Apart, LineAgain};
 pub use fit::{Bound, Burst, Line, fit};
-pub use model::{ClockEvent, ClockItem, ClockModel, ClockStatus};
+pub use model::{ClockEvent, ClockItem, ClockModel, ClockStatus, Store};
 pub use prober::Prober;
 
 /// What the line is made of is at most so old: over two minutes the oscillator of a device and that of a host

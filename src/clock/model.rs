@@ -22,6 +22,9 @@ pub enum ClockItem {
     Line(u32, ClockLine),
 }
 
+/// Takes what a take is to store; `false` when it cannot, and then the line is not laid through it either.
+pub type Store<'a> = dyn FnMut(ClockItem) -> bool + 'a;
+
 /// The device's clock did what clocks do not: a new segment begins.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum ClockEvent {
@@ -50,8 +53,8 @@ pub struct ClockStatus {
     pub points: u64,
     /// Root mean square distance of arrivals from the line, in microseconds.
     pub residual_us: f64,
-    /// Points and round trips that are not in the take, because the disk stalled.
-    pub dropped: u64,
+    /// Items that were stored by then: the line was laid through these, and through none that came later.
+    pub stored: u64,
 }
 
 impl ClockStatus {
@@ -117,7 +120,7 @@ impl ClockModel {
         &mut self,
         ticks: u64,
         arrival_ns: u64,
-        store: &mut dyn FnMut(ClockItem),
+        store: &mut Store<'_>,
     ) -> Option<ClockEvent> {
         let host_us = arrival_ns.div_ceil(1000);
         let before = self.last;
@@ -146,9 +149,7 @@ impl ClockModel {
         let drift_ppm = self.line.map_or(0.0, |line| line.drift_ppm);
         let point = ClockPoint { device_ticks: ticks, host_us };
         if let Some(closed) = self.arrivals.add(point, drift_ppm, self.tick_hz) {
-            self.points += 1;
-            store(ClockItem::Point(self.segment, closed));
-            self.lay();
+            self.keep(closed, store);
         }
         event
     }
@@ -159,13 +160,12 @@ impl ClockModel {
         ticks: u64,
         sent_ns: u64,
         answered_ns: u64,
-        store: &mut dyn FnMut(ClockItem),
+        store: &mut Store<'_>,
     ) -> Option<ClockEvent> {
         let sent_us = sent_ns / 1000;
         let answered_us = answered_ns.div_ceil(1000);
         let round_trip_us = answered_us.saturating_sub(sent_us);
         let probe = ClockProbe { sent_us, device_ticks: ticks, round_trip_us };
-        self.probes += 1;
         let mut event = None;
         let begun_us = *self.begun_us.get_or_insert(sent_us);
         if let Some(line) = self.line {
@@ -175,10 +175,8 @@ impl ClockModel {
             let (sent, answered) = (off(sent_ns), off(answered_ns));
             match self.judge.probe(&line, sent, answered, age_us, silent_us) {
                 Verdict::Fits => {}
-                Verdict::Odd => {
-                    store(ClockItem::Probe(self.segment, probe));
-                    return None;
-                }
+                // Left out of the line, and so of the take: whoever lays it again must not find it.
+                Verdict::Odd => return None,
                 Verdict::Jumped(by_us) => {
                     self.restart(store);
                     self.begun_us = Some(sent_us);
@@ -186,18 +184,26 @@ impl ClockModel {
                 }
             }
         }
-        store(ClockItem::Probe(self.segment, probe));
-        let drift_ppm = self.line.map_or(0.0, |line| line.drift_ppm);
-        self.bursts.add(probe, drift_ppm, self.tick_hz);
-        self.lay();
+        if store(ClockItem::Probe(self.segment, probe)) {
+            self.probes += 1;
+            let drift_ppm = self.line.map_or(0.0, |line| line.drift_ppm);
+            self.bursts.add(probe, drift_ppm, self.tick_hz);
+            self.lay();
+        }
         event
     }
 
     /// Lays the line through everything there is: at the end of a recording.
-    pub fn close(&mut self, store: &mut dyn FnMut(ClockItem)) {
+    pub fn close(&mut self, store: &mut Store<'_>) {
         if let Some(closed) = self.arrivals.close() {
+            self.keep(closed, store);
+        }
+    }
+
+    fn keep(&mut self, point: ClockPoint, store: &mut Store<'_>) {
+        if store(ClockItem::Point(self.segment, point)) {
             self.points += 1;
-            store(ClockItem::Point(self.segment, closed));
+            self.arrivals.keep(point);
             self.lay();
         }
     }
@@ -233,7 +239,7 @@ impl ClockModel {
             probes: self.probes,
             points: self.points,
             residual_us,
-            dropped: 0,
+            stored: 0,
         }
     }
 
@@ -268,18 +274,19 @@ impl ClockModel {
     }
 
     /// The device was away. Its clock may have gone on or not, and its way here may be another: a new segment.
-    pub fn rejoin(&mut self, store: &mut dyn FnMut(ClockItem)) {
+    pub fn rejoin(&mut self, store: &mut Store<'_>) {
         self.restart(store);
         self.last = None;
     }
 
     /// A new segment; what is known of the old one is in the take.
-    fn restart(&mut self, store: &mut dyn FnMut(ClockItem)) {
+    fn restart(&mut self, store: &mut Store<'_>) {
         // A clock that jumps with every frame leaves nothing worth storing.
         if self.line.is_some() {
             self.close(store);
         }
         if let Some(line) = self.line {
+            // A take that cannot have it has the segment without a line.
             store(ClockItem::Line(self.segment, line.stored()));
         }
         self.segment = self.segment.saturating_add(1);

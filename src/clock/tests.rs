@@ -146,7 +146,10 @@ impl World {
             let here = under_way.partition_point(|thing| thing.0 <= now_ns);
             for (_, ticks, ping) in under_way.drain(..here) {
                 let now = now_ns as u64;
-                let mut store = |item| items.push(item);
+                let mut store = |item| {
+                    items.push(item);
+                    true
+                };
                 let event = match ping {
                     Some(sent) if prober.answered(sent, now) => {
                         model.probe(ticks, sent, now, &mut store)
@@ -188,7 +191,10 @@ impl World {
                 }
             }
         }
-        model.close(&mut |item| items.push(item));
+        model.close(&mut |item| {
+            items.push(item);
+            true
+        });
         Run { model, items, events, errors }
     }
 }
@@ -351,7 +357,7 @@ fn a_single_wrong_time_is_left_out() {
     let mut model = ClockModel::new(1_000_000);
     for i in 0..1000_u64 {
         let wrong = if i == 700 { 5_000_000_000 } else { 0 };
-        let event = model.frame(i * 10_000 + wrong, i * 10_000_000, &mut |_| {});
+        let event = model.frame(i * 10_000 + wrong, i * 10_000_000, &mut |_| true);
         assert_eq!(event, None, "{i}");
     }
     let line = model.line().unwrap();
@@ -391,9 +397,9 @@ fn a_pong_that_lies_does_not_move_the_line() {
         let mut model = ClockModel::new(1_000_000);
         for i in 1..3000_u64 {
             let now_ns = 50_000_000_000 + i * 10_000_000;
-            model.frame(7_000_000 + i * 10_000, now_ns + 100_000, &mut |_| {});
+            model.frame(7_000_000 + i * 10_000, now_ns + 100_000, &mut |_| true);
             if i % 100 < 8 {
-                model.probe(wrong, now_ns, now_ns + 80_000, &mut |_| {});
+                model.probe(wrong, now_ns, now_ns + 80_000, &mut |_| true);
             }
         }
         let line = model.line().unwrap();
@@ -464,13 +470,13 @@ proptest! {
             };
             let later_ns = now_ns.saturating_add(trip_ns);
             if is_probe {
-                model.probe(ticks, now_ns, later_ns, &mut |_| {});
+                model.probe(ticks, now_ns, later_ns, &mut |_| true);
                 if prober.due(now_ns).is_some() {
                     prober.sent(now_ns);
                 }
                 prober.answered(now_ns, later_ns);
             } else {
-                model.frame(ticks, now_ns, &mut |_| {});
+                model.frame(ticks, now_ns, &mut |_| true);
             }
             if let Some(line) = model.line() {
                 prop_assert!(line.late_us.is_finite() && line.drift_ppm.abs() <= 20_000.0);
@@ -481,7 +487,7 @@ proptest! {
             prop_assert!(status.residual_us.is_finite());
             prop_assert!(fit.is_none_or(|fit| fit.drift_ppm.is_finite() && fit.residual_us.is_finite()));
         }
-        model.close(&mut |_| {});
+        model.close(&mut |_| true);
     }
 
     #[test]

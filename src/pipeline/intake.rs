@@ -171,7 +171,7 @@ impl Intake {
         self.end_silence(frame.device_ticks, arrival_ns, rejoins);
         // No frame is dropped for its time; but no line fits both sides of a jump.
         let event = self.clocks.frame(frame.device_ticks, arrival_ns);
-        self.clock_event(event, frame.device_ticks, arrival_ns);
+        self.clock_events(event, frame.device_ticks, arrival_ns);
         self.fill_row(frame);
         self.tap.offer(
             TapHead {

@@ -198,12 +198,19 @@ impl<W: TakeOutput> Writer<W> {
             take.tell(&progress);
             Ok(())
         });
-        if self.live.is_none() {
-            // Without a take there is nothing that could fail.
-            self.clocks.write::<W>(None, &counts.clock, false).ok();
-        }
+        self.observe();
         self.payload = payload;
         self.tell_held();
+    }
+
+    /// What was seen of the clocks up to the last stretch: into the take, and to what the next one needs.
+    fn observe(&mut self) {
+        let status = self.counts.clock;
+        self.on_take(|take, clocks| take.observe(clocks, &status));
+        if self.live.is_none() {
+            // Without a take there is nothing that could fail.
+            self.clocks.write::<W>(None, &status, false).ok();
+        }
     }
 
     /// What must stand in a take before stretch `stretch`.

@@ -6,49 +6,64 @@ use mocapd_take::record::{Event, EventKind};
 use super::Intake;
 use crate::clock::{ClockEvent, ClockItem, ClockModel, ClockStatus};
 
-/// Jumps that get an event of their own. More are a device without a clock: the segments count them.
+/// Jumps, and times that observations are left out, that get an event of their own. More jumps are a device without a
+/// clock: the segments count them.
 const EVENTS_MAX: u32 = 32;
 
 /// The model, and the way to the writer.
 #[derive(Debug)]
 pub(super) struct Clocks {
     model: ClockModel,
-    items: Sender<ClockItem>,
-    /// Items that found the writer's queue full.
-    dropped: u64,
+    outbox: Outbox,
     events: u32,
+}
+
+/// The way to the writer. What finds it full is in no take, and the line is not laid through it.
+#[derive(Debug)]
+struct Outbox {
+    items: Sender<ClockItem>,
+    sent: u64,
+    /// Something was refused, and the queue has not been empty since.
+    overflows: bool,
+    /// That is not reported yet.
+    overflowed: bool,
+}
+
+impl Outbox {
+    fn send(&mut self, item: ClockItem) -> bool {
+        self.overflows &= !self.items.is_empty();
+        let is_sent = self.items.try_send(item).is_ok();
+        self.sent += u64::from(is_sent);
+        self.overflowed |= !is_sent && !self.overflows;
+        self.overflows |= !is_sent;
+        is_sent
+    }
 }
 
 impl Clocks {
     pub(super) fn new(tick_hz: u64, items: Sender<ClockItem>) -> Self {
-        Self { model: ClockModel::new(tick_hz), items, dropped: 0, events: 0 }
+        let outbox = Outbox { items, sent: 0, overflows: false, overflowed: false };
+        Self { model: ClockModel::new(tick_hz), outbox, events: 0 }
     }
 
     pub(super) fn frame(&mut self, ticks: u64, arrival_ns: u64) -> Option<ClockEvent> {
-        let Self { model, items, dropped, .. } = self;
-        model.frame(ticks, arrival_ns, &mut |item| {
-            *dropped += u64::from(items.try_send(item).is_err());
-        })
+        self.model.frame(ticks, arrival_ns, &mut |item| self.outbox.send(item))
     }
 
     fn probe(&mut self, ticks: u64, sent_ns: u64, answered_ns: u64) -> Option<ClockEvent> {
-        let Self { model, items, dropped, .. } = self;
-        let store = &mut |item| *dropped += u64::from(items.try_send(item).is_err());
-        model.probe(ticks, sent_ns, answered_ns, store)
+        self.model.probe(ticks, sent_ns, answered_ns, &mut |item| self.outbox.send(item))
     }
 
     pub(super) fn rejoin(&mut self) {
-        let Self { model, items, dropped, .. } = self;
-        model.rejoin(&mut |item| *dropped += u64::from(items.try_send(item).is_err()));
+        self.model.rejoin(&mut |item| self.outbox.send(item));
     }
 
     pub(super) fn close(&mut self) {
-        let Self { model, items, dropped, .. } = self;
-        model.close(&mut |item| *dropped += u64::from(items.try_send(item).is_err()));
+        self.model.close(&mut |item| self.outbox.send(item));
     }
 
     pub(super) fn status(&self) -> ClockStatus {
-        ClockStatus { dropped: self.dropped, ..self.model.status() }
+        ClockStatus { stored: self.outbox.sent, ..self.model.status() }
     }
 }
 
@@ -57,7 +72,7 @@ impl Intake {
     /// clock.
     pub fn probe(&mut self, device_ticks: u64, sent_ns: u64, answered_ns: u64) {
         let event = self.clocks.probe(device_ticks, sent_ns, answered_ns);
-        self.clock_event(event, device_ticks, answered_ns);
+        self.clock_events(event, device_ticks, answered_ns);
     }
 
     /// Whether the clocks are in doubt, and round trips would help. Said once.
@@ -65,31 +80,33 @@ impl Intake {
         self.clocks.model.wants_probes()
     }
 
-    pub(super) fn clock_event(
+    /// What the last frame or pong brought to light.
+    pub(super) fn clock_events(
         &mut self,
         event: Option<ClockEvent>,
         device_ticks: u64,
         host_ns: u64,
     ) {
+        if std::mem::take(&mut self.clocks.outbox.overflowed) {
+            let text = "the disk stalls: observations of the clocks are left out of the take, and of its clock line";
+            self.clock_event(text.to_owned(), device_ticks, host_ns);
+        }
         let Some(event) = event else { return };
         self.counts.clock_jumps += u64::from(matches!(event, ClockEvent::WentBack(_)));
-        self.clocks.events += 1;
-        if self.clocks.events > EVENTS_MAX {
-            return;
-        }
         let what = match event {
             ClockEvent::WentBack(by_s) => format!("went back by {by_s:.3} s"),
             ClockEvent::Wrapped => "counts in 32 bits and began again at 0".to_owned(),
             ClockEvent::Jumped(by_s) if by_s >= 0.0 => format!("jumped ahead by {by_s:.3} s"),
             ClockEvent::Jumped(by_s) => format!("fell behind by {:.3} s", -by_s),
         };
-        self.event(Event {
-            kind: EventKind::Host,
-            row: 0,
-            device_ticks,
-            host_ns,
-            input: 0,
-            text: format!("the device's clock {what}"),
-        });
+        self.clock_event(format!("the device's clock {what}"), device_ticks, host_ns);
+    }
+
+    fn clock_event(&mut self, text: String, device_ticks: u64, host_ns: u64) {
+        self.clocks.events += 1;
+        if self.clocks.events <= EVENTS_MAX {
+            let kind = EventKind::Host;
+            self.event(Event { kind, row: 0, device_ticks, host_ns, input: 0, text });
+        }
     }
 }

@@ -15,11 +15,13 @@ use mocapd_take::{
 
 use crate::clock::{ClockItem, ClockStatus};
 
-/// Round trips, or points, that wait for a record at most: those of a minute are sixteen and twelve.
+/// Round trips, or points, that a record is written for, though none is due: those of a minute are sixteen and twelve.
+/// With all that can wait in the queue ([`CLOCK_ITEMS_MAX`](crate::pipeline::plan::CLOCK_ITEMS_MAX)) they are fewer than
+/// a record may hold.
 const HELD_MAX: usize = 256;
 
-/// Observations of each kind that a line is laid through, at most: a take that begins later has them, too. Those of
-/// two minutes are some thirty.
+/// Observations of each kind that a line is laid through, at most: 16 bursts of 8 round trips, and 48 points. A take
+/// that begins later has them, too.
 const RECENT_MAX: usize = 128;
 
 /// Segments that are told of one by one at the end: a device is plugged in again so often in a long day. The take
@@ -30,9 +32,17 @@ const LINES_MAX: usize = 256;
 const FIRST_AFTER: Duration = Duration::from_secs(8);
 
 /// Holds what comes until a record is written.
+///
+/// Observations come on a queue of their own, and are many seconds ahead of the stretches when the disk stalled. A status
+/// says how many of them it knows: with it no more than these are taken, so that a record has the line that its
+/// observations give.
 #[derive(Debug)]
 pub(super) struct ClockWriter {
     items: Receiver<ClockItem>,
+    /// How many were taken from there.
+    taken: u64,
+    /// As of the last of these.
+    status: ClockStatus,
     segment: u32,
     begun: Instant,
     probes: Vec<ClockProbe>,
@@ -50,6 +60,8 @@ impl ClockWriter {
         let (probes, points) = (Vec::with_capacity(HELD_MAX), Vec::with_capacity(HELD_MAX));
         Self {
             items,
+            taken: 0,
+            status: ClockStatus::default(),
             segment: 0,
             begun: Instant::now(),
             probes,
@@ -61,11 +73,10 @@ impl ClockWriter {
         }
     }
 
-    /// A take begins: what the line is laid through belongs into it, though it was seen before.
-    pub(super) fn begin(&mut self, status: &ClockStatus) {
-        // What came since the last look, which no take wants: without one nothing can fail.
-        self.write::<Vec<u8>>(None, status, false).ok();
-        self.enter(status.segment);
+    /// A take begins where the observations were taken up to: what the line is laid through belongs into it, though it
+    /// was seen before.
+    pub(super) fn begin(&mut self) {
+        self.enter(self.status.segment);
         self.begun = Instant::now();
         self.probes.clear();
         self.points.clear();
@@ -80,12 +91,13 @@ impl ClockWriter {
         Self::new(never())
     }
 
-    /// For a take beside the one that is written.
-    pub(super) fn beside(&self, status: &ClockStatus) -> Self {
+    /// For a take beside the one that is written, which ends where the observations were taken up to.
+    pub(super) fn beside(&self) -> Self {
         let mut beside = Self::idle();
-        beside.segment = status.segment;
+        (beside.taken, beside.status) = (self.taken, self.status);
+        beside.segment = self.status.segment;
         // Of the one before, nothing is to be said of this one.
-        if self.segment == status.segment {
+        if self.segment == beside.segment {
             beside.probes.extend(&self.recent_probes);
             beside.points.extend(&self.recent_points);
         }
@@ -100,20 +112,26 @@ impl ClockWriter {
         }
     }
 
-    /// Takes in what came, and writes it when a record is due, the segment is another one, or enough is held; without a
-    /// take, it keeps what the next one needs.
+    /// Takes in what came up to the moment of `status`, and writes it when a record is due, the segment is another one, or
+    /// enough is held; without a take, it keeps what the next one needs. An older status than the last one says nothing.
     pub(super) fn write<W: Write>(
         &mut self,
         mut take: Option<&mut TakeWriter<W>>,
         status: &ClockStatus,
         is_due: bool,
     ) -> anyhow::Result<()> {
-        while let Ok(item) = self.items.try_recv() {
+        if status.stored >= self.taken {
+            self.status = *status;
+        }
+        while self.taken < status.stored {
+            // What a status knows was sent before it.
+            let Ok(item) = self.items.try_recv() else { break };
+            self.taken += 1;
             let (ClockItem::Point(segment, _)
             | ClockItem::Probe(segment, _)
             | ClockItem::Line(segment, _)) = item;
             if segment != self.segment {
-                self.record(take.as_deref_mut(), status)?;
+                self.record(take.as_deref_mut())?;
                 self.enter(segment);
             }
             match item {
@@ -127,12 +145,10 @@ impl ClockWriter {
                 }
                 ClockItem::Line(_, line) => self.line = Some(line),
             }
-            if self.points.len().max(self.probes.len()) >= HELD_MAX {
-                self.record(take.as_deref_mut(), status)?;
-            }
         }
-        if is_due && self.begun.elapsed() >= FIRST_AFTER {
-            self.record(take, status)?;
+        let is_full = self.points.len().max(self.probes.len()) >= HELD_MAX;
+        if is_full || (is_due && self.begun.elapsed() >= FIRST_AFTER) {
+            self.record(take)?;
         }
         Ok(())
     }
@@ -144,7 +160,7 @@ impl ClockWriter {
         status: &ClockStatus,
     ) -> anyhow::Result<Vec<(u32, ClockLine)>> {
         self.write(Some(&mut *take), status, false)?;
-        self.record(Some(take), status)?;
+        self.record(Some(take))?;
         let last = status.line.map(|line| (status.segment, line));
         self.lines.extend(last);
         Ok(std::mem::take(&mut self.lines))
@@ -153,9 +169,8 @@ impl ClockWriter {
     fn record<W: Write>(
         &mut self,
         take: Option<&mut TakeWriter<W>>,
-        status: &ClockStatus,
     ) -> anyhow::Result<()> {
-        let ended = self.line.take();
+        let (ended, status) = (self.line.take(), self.status);
         let Some(take) = take else {
             self.probes.clear();
             self.points.clear();

@@ -13,6 +13,7 @@ use mocapd_take::{
 };
 
 use super::{TakeOutput, Written, clocks::ClockWriter, ledgers::Ledgers, room::Room};
+use crate::clock::ClockStatus;
 use crate::pipeline::{
     Counts, FirstRow, Progress, TakeEnd, TakeNow, lock,
     messages::{Moment, PartReport},
@@ -144,6 +145,15 @@ impl<W: TakeOutput> LiveTake<W> {
         self.base = Counts { ring_full: self.base.ring_full, ..*counts };
         self.rows_before = span.first_row;
         self.counts = counts.since(&self.base);
+    }
+
+    /// What was seen of the clocks up to this moment.
+    pub(super) fn observe(
+        &mut self,
+        clocks: &mut ClockWriter,
+        status: &ClockStatus,
+    ) -> anyhow::Result<()> {
+        clocks.write(Some(&mut self.take), status, false)
     }
 
     pub(super) fn ledger_and_sync(

@@ -15,6 +15,7 @@ use crate::pipeline::{
 impl<W: TakeOutput> Writer<W> {
     /// Everything that was ordered up to this boundary.
     pub(super) fn carry_out(&mut self, boundary: u64, end: &StretchEnd) {
+        self.observe();
         while let Some(order) = self.next_order.take().or_else(|| self.orders.try_recv().ok()) {
             if order.boundary > boundary {
                 // It came while the writer was here: its boundary is on the way.
@@ -27,7 +28,7 @@ impl<W: TakeOutput> Writer<W> {
                     self.end_take();
                     let progress = Arc::clone(&self.progress);
                     let mut clocks = std::mem::replace(&mut self.clocks, ClockWriter::idle());
-                    clocks.begin(&self.counts.clock);
+                    clocks.begin();
                     let asked_ns = take.asked_ns;
                     self.live = self.begin_take(*take, answers, end, &mut clocks, &progress);
                     self.clocks = clocks;
@@ -35,8 +36,7 @@ impl<W: TakeOutput> Writer<W> {
                 }
                 What::Save(take, answers) => {
                     // The take that is being written goes on beside it, and what others look at is that one's.
-                    let (mut clocks, progress) =
-                        (self.clocks.beside(&self.counts.clock), Progress::new(&[]));
+                    let (mut clocks, progress) = (self.clocks.beside(), Progress::new(&[]));
                     let saved = self.begin_take(*take, answers, end, &mut clocks, &progress);
                     if let Some(saved) = saved {
                         saved.end(&self.counts.in_rows(), &mut clocks);
