@@ -4,5 +4,5 @@ mod ctl;
 mod cycles;
 pub(crate) mod engine;
 pub(crate) mod fake;
-mod http;
+pub(crate) mod http;
 mod triggers;

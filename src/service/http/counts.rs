@@ -9,6 +9,8 @@ pub(super) struct Counts {
     pub(super) connections: AtomicU64,
     /// Closed at once, because there were too many.
     pub(super) connections_refused: AtomicU64,
+    /// Closed to make room for another one.
+    pub(super) connections_evicted: AtomicU64,
     /// Requests that reached a route, or found none.
     pub(super) requests: AtomicU64,
     /// Of these, answered with 400 or more.

@@ -3,7 +3,10 @@
 //! A page on another site can make a browser send us requests, and a name that it owns can be made to point here
 //! (DNS rebinding). The first shows in `Origin` and `Sec-Fetch-Site`, the second in `Host`.
 
-use std::net::{IpAddr, Ipv6Addr};
+use std::{
+    net::{IpAddr, Ipv6Addr},
+    sync::Arc,
+};
 
 use axum::{
     extract::{Request, State},
@@ -15,6 +18,7 @@ use axum::{
 use super::{
     connection::Via,
     counts::Counts,
+    places::Place,
     problem::{PROBLEM_JSON, Problem, ProblemKind},
     state::Shared,
 };
@@ -62,7 +66,11 @@ fn check(app: &Shared, request: &Request) -> Result<(), Box<Response>> {
     {
         return refuse(problem);
     }
-    if matches!(via, Some(Via::Unix)) || is_open(uri.path()) || app.auth.lets_in(headers) {
+    let is_authorized = matches!(via, Some(Via::Unix)) || app.auth.lets_in(headers);
+    if is_authorized && let Some(place) = request.extensions().get::<Arc<Place>>() {
+        place.authorize();
+    }
+    if is_authorized || is_open(uri.path()) {
         return Ok(());
     }
     let accepts = headers.get(header::ACCEPT).and_then(|accept| accept.to_str().ok());

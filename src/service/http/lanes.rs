@@ -15,8 +15,11 @@ const FILES: Size = Size { at_work: 2, in_line: 32 };
 /// Takes that are read to the end and decoded: a core's work for as long as it takes.
 const CHECKS: Size = Size { at_work: 1, in_line: 0 };
 
-/// Threads that the runtime may have for all of these.
+/// Threads that the runtime of a listener may have for all of these.
 pub(super) const THREADS: usize = COMMANDS.at_work + FILES.at_work + CHECKS.at_work;
+
+/// Requests that can be at work or in line at once; others are answered as soon as they have arrived.
+pub(super) const REQUESTS_MAX: usize = COMMANDS.all() + FILES.all() + CHECKS.all();
 
 #[derive(Debug, Clone, Copy)]
 struct Size {
@@ -24,7 +27,13 @@ struct Size {
     in_line: usize,
 }
 
-/// The lanes there are. What fills one keeps nobody from the others.
+impl Size {
+    const fn all(self) -> usize {
+        self.at_work + self.in_line
+    }
+}
+
+/// The lanes of one listener. What fills one keeps nobody from the others, and nobody from those of another listener.
 #[derive(Debug)]
 pub(super) struct Lanes {
     /// What changes something.
@@ -62,7 +71,7 @@ impl Lane {
     fn new(busy_with: &'static str, size: Size, time_max: Option<Duration>) -> Self {
         Self {
             busy_with,
-            places: Arc::new(Semaphore::new(size.at_work + size.in_line)),
+            places: Arc::new(Semaphore::new(size.all())),
             workers: Arc::new(Semaphore::new(size.at_work)),
             time_max,
         }

@@ -6,8 +6,8 @@
 //! TCP ─────────┘   time limits            Origin, token            └─► hub ◄── Control::events, live: a thread each
 //! ```
 //!
-//! All of it runs on one thread, `mocapd-http`, and on a bounded number of threads for what waits; the data plane
-//! knows nothing of it. docs/api.md has the routes and what is promised of them.
+//! Each listener has a thread of its own, `mocapd-socket` and `mocapd-tcp`, and a bounded number of threads for what
+//! waits, so that clients of one never wait for those of the other; the data plane knows nothing of it. docs/api.md has the routes and what is promised of them.
 
 mod assets;
 mod auth;
@@ -28,6 +28,7 @@ mod live;
 mod login;
 mod metrics;
 mod options;
+mod places;
 mod problem;
 mod range;
 mod reading;

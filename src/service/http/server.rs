@@ -1,4 +1,4 @@
-//! The thread that all of it runs on: started, and ended.
+//! The threads of the listeners: started, and ended.
 
 use std::{
     net::SocketAddr,
@@ -11,6 +11,7 @@ use std::{
 };
 
 use anyhow::Context;
+use axum::body::Bytes;
 use jiff::Timestamp;
 use tokio::{
     runtime::{Builder, Runtime},
@@ -23,30 +24,36 @@ use super::{
     counts::Counts,
     happenings::Happenings,
     lanes::{self, Lanes},
-    listen::{self, UnixDoor},
+    listen,
     options::HttpOptions,
+    places::Places,
     routes,
     show::Show,
-    state::{App, Shared},
+    state::App,
 };
 use crate::{
     service::control::{Control, EventFeed},
     threads,
 };
 
+/// Places of the Unix socket beyond `connections_max`: as many as requests can be carried out at once. Half of
+/// `connections_max` can be streams, so that at the worst as many hold connections that make room: whoever may open the
+/// socket always gets in.
+const UNIX_MORE: usize = lanes::REQUESTS_MAX;
+
 /// The HTTP API while it runs.
 #[derive(Debug)]
 pub struct HttpServer {
     stop: watch::Sender<bool>,
-    within: std::sync::mpsc::SyncSender<Duration>,
-    thread: Option<JoinHandle<()>>,
+    within: watch::Sender<Duration>,
+    threads: Vec<JoinHandle<()>>,
     hubs: Hubs,
     tcp: Option<SocketAddr>,
     remarks: Vec<String>,
 }
 
 impl HttpServer {
-    /// Listens, and answers from a thread of its own.
+    /// Listens, and answers from threads of its own.
     ///
     /// # Errors
     /// Options that are of no use or let everybody in; a socket or an address that cannot be had.
@@ -55,53 +62,63 @@ impl HttpServer {
         let remarks = options.remarks();
         let HttpOptions { unix_socket, tcp, token, allowed_hosts, connections_max, limits } =
             options;
-        let runtime = Builder::new_current_thread()
-            .enable_io()
-            .enable_time()
-            .max_blocking_threads(lanes::THREADS)
-            .thread_name("mocapd-http-job")
-            .build()
-            .context("cannot start the runtime of the HTTP API")?;
-        let inside = runtime.enter();
-        let unix = unix_socket.as_deref().map(listen::unix).transpose()?;
-        let tcp = tcp.map(listen::tcp).transpose()?;
-        let tcp_address = tcp.as_ref().map(tokio::net::TcpListener::local_addr).transpose()?;
-        drop(inside);
+        let unix = unix_socket.map(|path| Listening::new(|| listen::unix(&path))).transpose()?;
+        let tcp = tcp.map(|address| Listening::new(|| listen::tcp(address))).transpose()?;
+        let tcp_address = tcp.as_ref().map(|tcp| tcp.listener.local_addr()).transpose()?;
 
         let (stop, stopping) = watch::channel(false);
+        let (within, how_long) = watch::channel(Duration::ZERO);
         let counts = Arc::new(Counts::default());
         let run = format!("{:x}", Timestamp::now().as_millisecond());
         let feed = control.events();
-        let app = Arc::new(App {
-            control,
-            lanes: Lanes::new(limits.work),
-            auth: Auth::new(token.as_deref()),
-            counts: Arc::clone(&counts),
-            happenings: Happenings::new(run, Arc::clone(&counts)),
-            show: Show::new(Arc::clone(&counts)),
-            document: routes::openapi()?.into(),
-            limits,
-            allowed_hosts,
-            streams: Arc::new(Semaphore::new(connections_max.div_ceil(2))),
-            stopping: stopping.clone(),
-        });
-        let router = routes::router(&app);
-        let hubs = Hubs::start(&app, feed)?;
-        // Nothing is ever sent: that the other ends are gone is the message.
-        let (gone, alive) = watch::channel(());
-        let doorway = Doorway {
-            router,
-            limits,
-            counts,
-            places: Arc::new(Semaphore::new(connections_max)),
-            told: Doorway::told(),
-            stopping,
-            alive,
+        let happenings = Arc::new(Happenings::new(run, Arc::clone(&counts)));
+        let show = Arc::new(Show::new(Arc::clone(&counts)));
+        let auth = Arc::new(Auth::new(token.as_deref()));
+        let document: Bytes = routes::openapi()?.into();
+        let serving = |places: usize| {
+            let app = Arc::new(App {
+                control: Arc::clone(&control),
+                lanes: Lanes::new(limits.work),
+                auth: Arc::clone(&auth),
+                counts: Arc::clone(&counts),
+                happenings: Arc::clone(&happenings),
+                show: Arc::clone(&show),
+                document: document.clone(),
+                limits,
+                allowed_hosts: allowed_hosts.clone(),
+                streams: Arc::new(Semaphore::new(connections_max.div_ceil(2))),
+                stopping: stopping.clone(),
+            });
+            // Nothing is ever sent: that the other ends are gone is the message.
+            let (gone, alive) = watch::channel(());
+            let doorway = Doorway {
+                router: routes::router(&app),
+                limits,
+                counts: Arc::clone(&counts),
+                places: Places::new(places),
+                lingering: Doorway::lingering(),
+                stopping: stopping.clone(),
+                alive,
+            };
+            Serving { doorway, gone, how_long: how_long.clone() }
         };
-        let (within, how_long) = std::sync::mpsc::sync_channel(1);
-        let run = move || serve(runtime, doorway, unix, tcp, gone, &how_long);
-        let thread = Some(threads::spawn("mocapd-http", run)?);
-        Ok(Self { stop, within, thread, hubs, tcp: tcp_address, remarks })
+        let hubs = Hubs::start(&control, &happenings, &show, feed)?;
+        let mut server =
+            Self { stop, within, threads: Vec::with_capacity(2), hubs, tcp: tcp_address, remarks };
+        if let Some(Listening { runtime, listener }) = unix {
+            let serving = serving(connections_max + UNIX_MORE);
+            let run = move || {
+                let (listener, file) = listener.into_parts();
+                serving.run(runtime, |doorway| doorway.serve_unix(listener), file);
+            };
+            server.threads.push(threads::spawn("mocapd-socket", run)?);
+        }
+        if let Some(Listening { runtime, listener }) = tcp {
+            let serving = serving(connections_max);
+            let run = move || serving.run(runtime, |doorway| doorway.serve_tcp(listener), ());
+            server.threads.push(threads::spawn("mocapd-tcp", run)?);
+        }
+        Ok(server)
     }
 
     /// The TCP address that it listens on; the port is the one that was given for 0.
@@ -120,17 +137,16 @@ impl HttpServer {
     /// `within` at most.
     ///
     /// # Errors
-    /// When its thread panicked.
+    /// When one of its threads panicked.
     pub fn stop(mut self, within: Duration) -> anyhow::Result<()> {
         self.end(within)
     }
 
     fn end(&mut self, within: Duration) -> anyhow::Result<()> {
-        let Some(thread) = self.thread.take() else { return Ok(()) };
-        // It has ended already where it panicked, which `join` tells.
-        self.within.try_send(within).ok();
+        self.within.send_replace(within);
         self.stop.send_replace(true);
-        let joined = threads::join(thread);
+        // One that panicked has ended already, which `join` reports.
+        let joined = self.threads.drain(..).map(threads::join).fold(Ok(()), Result::and);
         self.hubs.stop().and(joined)
     }
 }
@@ -150,14 +166,20 @@ struct Hubs {
 }
 
 impl Hubs {
-    fn start(app: &Shared, feed: EventFeed) -> anyhow::Result<Self> {
+    fn start(
+        control: &Arc<dyn Control>,
+        happenings: &Arc<Happenings>,
+        show: &Arc<Show>,
+        feed: EventFeed,
+    ) -> anyhow::Result<Self> {
         let mut hubs = Self { stop: Arc::default(), threads: Vec::with_capacity(2) };
-        let (shared, stop) = (Arc::clone(app), Arc::clone(&hubs.stop));
-        let listen = move || shared.happenings.listen(&feed, &stop);
+        let (happenings, stop) = (Arc::clone(happenings), Arc::clone(&hubs.stop));
+        let listen = move || happenings.listen(&feed, &stop);
         hubs.threads.push(threads::spawn("mocapd-events", listen)?);
-        let (shared, stop) = (Arc::clone(app), Arc::clone(&hubs.stop));
-        let show = move || shared.show.run(shared.control.as_ref(), &stop);
-        hubs.threads.push(threads::spawn("mocapd-live", show)?);
+        let (show, stop) = (Arc::clone(show), Arc::clone(&hubs.stop));
+        let control = Arc::clone(control);
+        let run = move || show.run(control.as_ref(), &stop);
+        hubs.threads.push(threads::spawn("mocapd-live", run)?);
         Ok(hubs)
     }
 
@@ -174,32 +196,56 @@ impl Drop for Hubs {
     }
 }
 
-fn serve(
+/// A listener, and the runtime that it belongs to.
+struct Listening<L> {
     runtime: Runtime,
+    listener: L,
+}
+
+impl<L> Listening<L> {
+    fn new(listen: impl FnOnce() -> anyhow::Result<L>) -> anyhow::Result<Self> {
+        let runtime = Builder::new_current_thread()
+            .enable_io()
+            .enable_time()
+            .max_blocking_threads(lanes::THREADS)
+            .thread_name("mocapd-http-job")
+            .build()
+            .context("cannot start the runtime of the HTTP API")?;
+        let inside = runtime.enter();
+        let listener = listen()?;
+        drop(inside);
+        Ok(Self { runtime, listener })
+    }
+}
+
+/// What the thread of a listener works with.
+struct Serving {
     doorway: Doorway,
-    unix: Option<UnixDoor>,
-    tcp: Option<tokio::net::TcpListener>,
     gone: watch::Sender<()>,
-    how_long: &std::sync::mpsc::Receiver<Duration>,
-) {
-    let deadline = runtime.block_on(async move {
-        let mut stopping = doorway.stopping.clone();
-        let (unix, file) = unix.map(UnixDoor::into_parts).unzip();
-        if let Some(listener) = unix {
-            tokio::spawn(doorway.clone().serve_unix(listener));
-        }
-        if let Some(listener) = tcp {
-            tokio::spawn(doorway.clone().serve_tcp(listener));
-        }
-        drop(doorway);
-        // Its sender lives as long as the server: an error is the end as well.
-        stopping.wait_for(|&stopping| stopping).await.ok();
-        drop(file);
-        let within = how_long.try_recv().unwrap_or_default();
-        let deadline = Instant::now() + within;
-        tokio::time::timeout(within, gone.closed()).await.ok();
-        deadline
-    });
-    // Jobs that the service does not finish in time are left to themselves.
-    runtime.shutdown_timeout(deadline.saturating_duration_since(Instant::now()));
+    how_long: watch::Receiver<Duration>,
+}
+
+impl Serving {
+    /// Accepts until the server stops, drops `file`, and waits for connections as long as it may.
+    fn run<F: Future<Output = ()> + Send + 'static>(
+        self,
+        runtime: Runtime,
+        accept: impl FnOnce(Doorway) -> F,
+        file: impl Sized,
+    ) {
+        let Self { doorway, gone, how_long } = self;
+        let deadline = runtime.block_on(async move {
+            let mut stopping = doorway.stopping.clone();
+            tokio::spawn(accept(doorway));
+            // Its sender lives as long as the server: an error is the end as well.
+            stopping.wait_for(|&stopping| stopping).await.ok();
+            drop(file);
+            let within = *how_long.borrow();
+            let deadline = Instant::now() + within;
+            tokio::time::timeout(within, gone.closed()).await.ok();
+            deadline
+        });
+        // Jobs that the service does not finish in time are left to themselves.
+        runtime.shutdown_timeout(deadline.saturating_duration_since(Instant::now()));
+    }
 }

@@ -27,6 +27,10 @@ impl<S> StallGuard<S> {
         Self { stream, stall_max, deadline: Box::pin(sleep(stall_max)), is_waiting: false }
     }
 
+    pub(super) fn into_inner(self) -> S {
+        self.stream
+    }
+
     fn watch<T>(
         &mut self,
         cx: &mut Context<'_>,

@@ -11,20 +11,22 @@ use super::{
 };
 use crate::service::control::Control;
 
-/// The service, and what the server has around it.
+/// The service, and what the server has around it, for the requests of one listener. What can be used up is each
+/// listener's own, so that clients of one never wait for those of another.
 #[derive(Debug)]
 pub(super) struct App {
     pub(super) control: Arc<dyn Control>,
     pub(super) lanes: Lanes,
-    pub(super) auth: Auth,
+    pub(super) auth: Arc<Auth>,
     pub(super) counts: Arc<Counts>,
     pub(super) limits: TimeLimits,
     pub(super) allowed_hosts: Vec<String>,
-    pub(super) happenings: Happenings,
-    pub(super) show: Show,
+    pub(super) happenings: Arc<Happenings>,
+    pub(super) show: Arc<Show>,
     /// The API's description of itself.
     pub(super) document: Bytes,
-    /// Answers that go on for as long as the client likes: half of the connections, so that requests get through.
+    /// Answers that go on for as long as the client likes: half of the listener's connections, so that
+    /// requests get through.
     pub(super) streams: Arc<Semaphore>,
     /// Turns true when the server ends.
     pub(super) stopping: watch::Receiver<bool>,

@@ -98,13 +98,21 @@ fn a_body_that_does_not_come_is_a_timeout() {
 #[test]
 fn one_too_many_is_told_so_and_the_place_is_free_again_afterwards() {
     let served = hasty(4);
-    let held: Vec<_> = (0..4).map(|_| connect(served.at)).collect();
-    std::thread::sleep(Duration::from_millis(100));
+    served.fake.command_ms.store(1000, std::sync::atomic::Ordering::Relaxed);
+    let busy: Vec<_> = (0..4)
+        .map(|_| {
+            let mut stream = connect(served.at);
+            stream.write_all(&request("POST", "/v1/arm", &[], "{}")).unwrap();
+            stream
+        })
+        .collect();
+    std::thread::sleep(Duration::from_millis(200));
     let answer = get(served.at, "/v1/status");
     assert!(answer.refused(503, "unavailable").contains("too many connections"));
     assert_eq!(answer.header("retry-after"), Some("1"));
-    drop(held);
-    std::thread::sleep(Duration::from_millis(100));
+    for stream in &busy {
+        assert_eq!(Answer::parse(&until_closed(stream).1).status, 200);
+    }
     assert_eq!(get(served.at, "/v1/status").status, 200);
 }
 

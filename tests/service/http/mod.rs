@@ -1,6 +1,6 @@
 //! The HTTP API in front of a fake service, over real sockets.
 
-mod client;
+pub(crate) mod client;
 mod commands;
 mod connections;
 mod document;

@@ -227,6 +227,11 @@ impl Figures {
                 "Connections that were closed at once: there were too many",
                 &counts.connections_refused,
             ),
+            (
+                "http_connections_evicted",
+                "Connections without a request in progress that were closed to make room for others",
+                &counts.connections_evicted,
+            ),
             ("http_requests", "Requests to the API", &counts.requests),
             (
                 "http_requests_refused",

@@ -1,0 +1,283 @@
+//! The places of one listener: a bounded number of connections, and which of them makes room when all are taken.
+//!
+//! A connection that holds its place without doing anything useful must not keep others out. When every place is taken,
+//! a new connection takes the place of one that has never made an authorized request; where there is none, of one that
+//! is idle or still sending its request. A connection whose authorized request is being carried out is never closed.
+
+use std::{
+    cmp::Reverse,
+    collections::HashMap,
+    net::{IpAddr, Ipv6Addr},
+    pin::Pin,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    task::{Context, Poll},
+};
+
+use axum::body::{Body, Bytes};
+use hyper::body::{Body as HttpBody, Frame, SizeHint};
+use tokio::{sync::Notify, time::Instant};
+
+/// The other end of a connection, as far as connections are counted together.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(super) enum Peer {
+    /// A user of this machine, on the Unix socket. `None`: the kernel does not say.
+    User(Option<u32>),
+    /// An address. Of IPv6 the first 64 bits: a host has all of the others to itself.
+    Address(IpAddr),
+}
+
+impl Peer {
+    pub(super) fn of_address(address: IpAddr) -> Self {
+        Self::Address(match address.to_canonical() {
+            IpAddr::V6(address) => {
+                let network = u128::from(address) >> 64 << 64;
+                Ipv6Addr::from(network).into()
+            }
+            address => address,
+        })
+    }
+}
+
+/// The connections of one listener.
+#[derive(Debug)]
+pub(super) struct Places {
+    max: usize,
+    open: Mutex<Vec<Arc<Place>>>,
+}
+
+/// One connection's place.
+#[derive(Debug)]
+pub(super) struct Place {
+    peer: Peer,
+    standing: Mutex<Standing>,
+    evicted: Notify,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Standing {
+    /// A request of it was allowed, and not only one that everybody may make.
+    is_authorized: bool,
+    /// A request has arrived whole, and its answer is not finished.
+    is_busy: bool,
+    /// A request was answered, or is being answered.
+    has_answered: bool,
+    /// Since when it is neither busy nor evicted.
+    since: Instant,
+}
+
+/// A taken place, given back when it is dropped.
+#[derive(Debug)]
+pub(super) struct Taken {
+    places: Arc<Places>,
+    place: Arc<Place>,
+}
+
+impl Places {
+    pub(super) fn new(max: usize) -> Arc<Self> {
+        Arc::new(Self { max, open: Mutex::new(Vec::with_capacity(max)) })
+    }
+
+    /// A place for a connection of this peer. `None` when every other one is busy.
+    pub(super) fn take(self: &Arc<Self>, peer: Peer) -> Option<Taken> {
+        let mut open = self.lock();
+        if open.len() >= self.max {
+            // Its task hears of it a moment later: for so long one connection more than `max` is open.
+            let at = evictable(&open)?;
+            open.swap_remove(at).evicted.notify_one();
+        }
+        let standing = Standing {
+            is_authorized: false,
+            is_busy: false,
+            has_answered: false,
+            since: Instant::now(),
+        };
+        let place =
+            Arc::new(Place { peer, standing: Mutex::new(standing), evicted: Notify::new() });
+        open.push(Arc::clone(&place));
+        Some(Taken { places: Arc::clone(self), place })
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Vec<Arc<Place>>> {
+        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Which connection makes room: of the peer that holds most places that may be taken, the one that has held its place
+/// for longest.
+fn evictable(open: &[Arc<Place>]) -> Option<usize> {
+    let standings: Vec<Standing> = open.iter().map(|place| *place.lock()).collect();
+    let is_stranger = |standing: &Standing| !standing.is_authorized;
+    let only_strangers = standings.iter().any(is_stranger);
+    let candidates: Vec<usize> = (0..open.len())
+        .filter(|&at| match only_strangers {
+            true => is_stranger(&standings[at]),
+            false => !standings[at].is_busy,
+        })
+        .collect();
+    let mut held: HashMap<Peer, usize> = HashMap::new();
+    for &at in &candidates {
+        *held.entry(open[at].peer).or_default() += 1;
+    }
+    let rank = |at: usize| (held.get(&open[at].peer), Reverse(standings[at].since));
+    candidates.into_iter().max_by_key(|&at| rank(at))
+}
+
+impl Taken {
+    /// What routes see of it.
+    pub(super) fn place(&self) -> &Arc<Place> {
+        &self.place
+    }
+}
+
+impl Drop for Taken {
+    fn drop(&mut self) {
+        self.places.lock().retain(|place| !Arc::ptr_eq(place, &self.place));
+    }
+}
+
+impl Place {
+    /// A request was allowed that not everybody may make.
+    pub(super) fn authorize(&self) {
+        self.lock().is_authorized = true;
+    }
+
+    /// Resolves when another connection has taken the place.
+    pub(super) async fn evicted(&self) {
+        self.evicted.notified().await;
+    }
+
+    /// Whether a request was answered on this connection.
+    pub(super) fn has_answered(&self) -> bool {
+        self.lock().has_answered
+    }
+
+    /// The request with its progress noted here.
+    pub(super) fn request_body(self: &Arc<Self>, body: Body) -> Body {
+        if body.is_end_stream() {
+            self.lock().is_busy = true;
+            return body;
+        }
+        Body::new(Tracked { body, place: Arc::clone(self), direction: Direction::Request })
+    }
+
+    /// The answer with its progress noted here.
+    pub(super) fn response_body(self: &Arc<Self>, body: Body) -> Body {
+        self.lock().has_answered = true;
+        Body::new(Tracked { body, place: Arc::clone(self), direction: Direction::Response })
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Standing> {
+        self.standing.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Direction {
+    Request,
+    Response,
+}
+
+/// A body that notes in a place when it has arrived, or when it is sent.
+#[derive(Debug)]
+struct Tracked {
+    body: Body,
+    place: Arc<Place>,
+    direction: Direction,
+}
+
+impl HttpBody for Tracked {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        let polled = Pin::new(&mut self.body).poll_frame(cx);
+        let is_whole = matches!(polled, Poll::Ready(None)) || self.body.is_end_stream();
+        if is_whole && self.direction == Direction::Request {
+            self.place.lock().is_busy = true;
+        }
+        polled
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
+}
+
+impl Drop for Tracked {
+    fn drop(&mut self) {
+        if self.direction == Direction::Response {
+            let mut standing = self.place.lock();
+            standing.is_busy = false;
+            standing.since = Instant::now();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn address(last: u8) -> Peer {
+        Peer::of_address(IpAddr::from([192, 0, 2, last]))
+    }
+
+    fn is_evicted(taken: &Taken) -> bool {
+        !taken.places.lock().iter().any(|place| Arc::ptr_eq(place, &taken.place))
+    }
+
+    #[test]
+    fn strangers_make_room_and_most_of_all_those_of_one_peer() {
+        let places = Places::new(4);
+        let known = places.take(address(1)).unwrap();
+        known.place.authorize();
+        let single = places.take(address(2)).unwrap();
+        let crowd = [places.take(address(3)).unwrap(), places.take(address(3)).unwrap()];
+        let newcomer = places.take(address(4)).unwrap();
+        let evicted = [&known, &single, &crowd[0], &crowd[1], &newcomer].map(is_evicted);
+        assert_eq!(evicted, [false, false, true, false, false]);
+        // What was evicted gives nothing back that is not its own.
+        drop(crowd);
+        assert_eq!(places.lock().len(), 3);
+    }
+
+    #[test]
+    fn a_busy_connection_is_never_evicted_and_an_idle_one_is() {
+        let places = Places::new(2);
+        let taken: Vec<Taken> = (0..2).map(|_| places.take(address(1)).unwrap()).collect();
+        for taken in &taken {
+            taken.place.authorize();
+            drop(taken.place.request_body(Body::empty()));
+        }
+        assert!(places.take(address(2)).is_none());
+        drop(taken[1].place.response_body(Body::empty()));
+        let newcomer = places.take(address(2)).unwrap();
+        assert!(!is_evicted(&taken[0]) && is_evicted(&taken[1]) && !is_evicted(&newcomer));
+    }
+
+    #[test]
+    fn a_request_is_busy_when_its_body_is_whole() {
+        let places = Places::new(1);
+        let taken = places.take(address(1)).unwrap();
+        taken.place.authorize();
+        let mut body = taken.place.request_body(Body::from("{}"));
+        assert!(!taken.place.lock().is_busy);
+        let mut cx = Context::from_waker(std::task::Waker::noop());
+        assert!(Pin::new(&mut body).poll_frame(&mut cx).is_ready());
+        assert!(taken.place.lock().is_busy);
+    }
+
+    #[test]
+    fn a_host_of_ipv6_is_one_peer() {
+        let peer = |address: &str| Peer::of_address(address.parse().unwrap());
+        assert_eq!(peer("2001:db8::1"), peer("2001:db8::ffff:1"));
+        assert_ne!(peer("2001:db8::1"), peer("2001:db8:0:1::1"));
+        assert_eq!(peer("::ffff:192.0.2.1"), address(1));
+    }
+}
