@@ -141,4 +141,6 @@ pub struct TriggerConfig {
     pub send_to: Vec<SocketAddr>,
     /// Who is listened to; everybody when it is empty.
     pub allow_from: Vec<Network>,
+    /// The longest delay that a trigger may ask for.
+    pub delay_max: Duration,
 }

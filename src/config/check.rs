@@ -267,5 +267,11 @@ fn trigger(reader: &mut Reader) -> Option<TriggerConfig> {
         address => Ok(address),
     });
     let allow_from = reader.list(&TRIGGER_ALLOW_FROM, str::parse::<Network>);
-    Some(TriggerConfig { listen: listen?, send_to: send_to?, allow_from: allow_from? })
+    let delay_max = reader.time(&TRIGGER_DELAY_MAX);
+    Some(TriggerConfig {
+        listen: listen?,
+        send_to: send_to?,
+        allow_from: allow_from?,
+        delay_max: delay_max?,
+    })
 }

@@ -238,5 +238,6 @@ pub static KEYS: &[&Key] = &[
     &TRIGGER_LISTEN,
     &TRIGGER_SEND_TO,
     &TRIGGER_ALLOW_FROM,
+    &TRIGGER_DELAY_MAX,
     &LOG_LEVEL,
 ];

@@ -6,23 +6,22 @@ use std::{
         atomic::{AtomicBool, Ordering},
     },
     thread::JoinHandle,
-    time::{Duration, Instant, SystemTime},
+    time::{Duration, SystemTime},
 };
 
-use crossbeam_channel::{Receiver, RecvTimeoutError};
 use rustix::rand::{GetRandomFlags, getrandom};
 
 use super::{
     control::{Control, EventFeed, Mark, RefusalKind, Request, Start},
     status::ServiceEvent,
     trigger::{
-        Announcer, Listener, StopResult, TakeName, Trigger, first_packet_id,
-        socket::{self, Received, Teller},
+        self, Announcer, Listener, Received, StopResult, TakeName, Trigger, first_packet_id,
+        socket::{self, Questions, Queue, Teller},
     },
 };
 use crate::{config::TriggerConfig, threads};
 
-/// Between two looks at what happened, and whether it is over.
+/// Between two looks at what happened, and whether it is over. A trigger is carried out when it is due, without one.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
 /// The threads that hear and tell.
@@ -36,7 +35,7 @@ pub struct Triggers {
 #[derive(Debug)]
 struct Worker {
     control: Arc<dyn Control>,
-    triggers: Receiver<Received>,
+    triggers: Queue,
     events: EventFeed,
     announcer: Announcer,
     teller: Option<Teller>,
@@ -62,7 +61,7 @@ impl Triggers {
         getrandom(&mut mark, GetRandomFlags::empty())?;
         let mark = u64::from_le_bytes(mark);
         let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-        let (heard, triggers) = socket::channel();
+        let triggers = Queue::default();
         let stop = Arc::new(AtomicBool::new(false));
         let mut threads = Vec::new();
         if let Some(address) = config.listen {
@@ -74,14 +73,17 @@ impl Triggers {
                     ),
                 );
             }
-            let names = Arc::clone(control);
-            let exists = move |name: &str| names.take_path(name).is_ok();
-            let words = Arc::clone(control);
+            let (names, takes, words) =
+                (Arc::clone(control), Arc::clone(control), Arc::clone(control));
+            let questions = Questions {
+                exists: Box::new(move |name| names.take_path(name).is_ok()),
+                recording: Box::new(move || takes.status().take.map(|take| take.name)),
+            };
             let say = move |text: &str| words.tell("trigger", text);
-            let listener = Listener::new(config.allow_from.clone(), mark);
+            let listener = Listener::new(config.allow_from.clone(), config.delay_max, mark);
             let socket = socket::bind(address)?;
-            let stop = Arc::clone(&stop);
-            threads.push(socket::listen(socket, listener, exists, heard, say, stop)?);
+            let (queue, stop) = (triggers.clone(), Arc::clone(&stop));
+            threads.push(socket::listen(socket, listener, questions, queue, say, stop)?);
         }
         let teller = match config.send_to.is_empty() {
             true => None,
@@ -113,11 +115,8 @@ impl Triggers {
 impl Worker {
     fn run(mut self) {
         while !self.stop.load(Ordering::Relaxed) {
-            match self.triggers.recv_timeout(LOOK_EVERY) {
-                Ok(received) => self.carry_out(&received),
-                Err(RecvTimeoutError::Timeout) => {}
-                // Nobody listens: there is only to tell.
-                Err(RecvTimeoutError::Disconnected) => std::thread::sleep(LOOK_EVERY),
+            if let Some(received) = self.triggers.next(LOOK_EVERY) {
+                self.carry_out(&received);
             }
             self.announce();
         }
@@ -125,65 +124,58 @@ impl Worker {
         self.announce();
     }
 
-    fn carry_out(&mut self, Received { from, trigger }: &Received) {
-        let note = trigger.note(from.ip());
-        match trigger {
-            Trigger::Start(start) => {
-                self.wait(start.delay);
-                let name = start.name.as_ref().map(|name| name.text().to_owned());
-                let start = Start { name, notes: Some(note.clone()), ..Start::default() };
-                match self.control.start(&start) {
-                    Ok(started) => {
-                        self.control
-                            .tell("trigger", &format!("{note}: recording {}", started.name));
-                        self.triggered = Some(started.name);
-                    }
-                    Err(refusal) => {
-                        self.control.tell("trigger", &format!("{note}: not started: {refusal}"));
-                    }
-                }
+    fn carry_out(&mut self, received: &Received) {
+        let note = received.trigger.note(received.from.ip());
+        let words = match &received.trigger {
+            Trigger::Start(start) => self.start(start, &note),
+            Trigger::Stop(stop) => self.stop(stop, received, &note),
+            Trigger::Complete(_) => note,
+        };
+        self.control.tell("trigger", &words);
+    }
+
+    fn start(&mut self, start: &trigger::Start, note: &str) -> String {
+        let name = start.name.as_ref().map(|name| name.text().to_owned());
+        let start = Start { name, notes: Some(note.to_owned()), ..Start::default() };
+        match self.control.start(&start) {
+            Ok(started) => {
+                let words = format!("{note}: recording {}", started.name);
+                self.triggered = Some(started.name);
+                words
             }
-            Trigger::Stop(stop) => {
-                let recording = self.control.status().take.map(|take| take.name);
-                let Some(recording) = recording else {
-                    self.control.tell("trigger", &format!("{note}: no take is being recorded"));
-                    return;
-                };
-                if stop.name.as_ref().is_some_and(|name| name.text() != recording) {
-                    let words =
-                        format!("{note}: another take is being recorded, {recording}: it goes on");
-                    self.control.tell("trigger", &words);
-                    return;
-                }
-                self.wait(stop.delay);
-                if self.control.status().take.is_none_or(|take| take.name != recording) {
-                    self.control.tell("trigger", &format!("{note}: {recording} was over already"));
-                    return;
-                }
-                // A take that cannot be marked can be stopped.
-                self.control.mark(&Mark { text: note.clone(), ..Mark::default() }).ok();
-                let words = match self.control.stop(&Request::default()) {
-                    Ok(stopped) => format!("{note}: stopped {}", stopped.name),
-                    Err(refusal) if refusal.kind == RefusalKind::Conflict => {
-                        format!("{note}: it was over already")
-                    }
-                    Err(refusal) => format!("{note}: not stopped: {refusal}"),
-                };
-                self.control.tell("trigger", &words);
-            }
-            Trigger::Complete(_) => self.control.tell("trigger", &note),
+            Err(refusal) => format!("{note}: not started: {refusal}"),
         }
     }
 
-    /// A delay that was asked for, at most [`DELAY_MAX`](super::trigger::DELAY_MAX).
-    fn wait(&self, delay: Duration) {
-        let until = Instant::now() + delay;
-        while !self.stop.load(Ordering::Relaxed) {
-            let left = until.saturating_duration_since(Instant::now());
-            if left.is_zero() {
-                return;
+    fn stop(&self, stop: &trigger::Stop, received: &Received, note: &str) -> String {
+        let name = stop.name.as_ref().map(TakeName::text);
+        let was_recording = received.recording.as_deref();
+        let recording = self.control.status().take.map(|take| take.name);
+        let Some(recording) = recording.as_deref() else {
+            return match (self.triggers.cancel_starts(received.from, name), was_recording) {
+                (0, Some(was)) => format!("{note}: {was} was over already"),
+                (0, None) => format!("{note}: no take is being recorded"),
+                (n, _) => format!("{note}: starts that waited, now cancelled: {n}"),
+            };
+        };
+        if name.is_some_and(|name| name != recording) {
+            return match self.triggers.cancel_starts(received.from, name) {
+                0 => format!("{note}: another take is being recorded, {recording}: it goes on"),
+                n => format!("{note}: starts that waited, now cancelled: {n}"),
+            };
+        }
+        // Without a name the take is meant that was being recorded when the trigger came, and no later one.
+        if let Some(was) = was_recording.filter(|&was| name.is_none() && was != recording) {
+            return format!("{note}: {was} was over already");
+        }
+        // A take that cannot be marked can be stopped.
+        self.control.mark(&Mark { text: note.to_owned(), ..Mark::default() }).ok();
+        match self.control.stop(&Request::default()) {
+            Ok(stopped) => format!("{note}: stopped {}", stopped.name),
+            Err(refusal) if refusal.kind == RefusalKind::Conflict => {
+                format!("{note}: it was over already")
             }
-            std::thread::sleep(left.min(LOOK_EVERY));
+            Err(refusal) => format!("{note}: not stopped: {refusal}"),
         }
     }
 

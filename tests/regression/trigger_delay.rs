@@ -1,1 +1,222 @@
-//! A delayed trigger holds up no other.
+//! A trigger with a delay held up every later trigger, and what is announced to others, by up to a minute.
+
+use std::{
+    collections::HashMap,
+    net::{IpAddr, SocketAddr, UdpSocket},
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use mocapd::{
+    config::{Network, TriggerConfig},
+    service::{
+        control::{Control, Start},
+        trigger::{
+            DELAYED_OTHERS_MAX, Heard, Listener, Received, Refusal, Trigger, Waiting, parse,
+        },
+        triggered::Triggers,
+    },
+};
+
+use crate::service::fake::Fake;
+
+const DELAY_MAX: Duration = Duration::from_secs(5);
+
+/// Long enough for a loaded machine, and shorter than the delay that it must not wait for.
+const AT_ONCE: Duration = Duration::from_secs(3);
+
+fn datagram(element: &str, name: &str, delay_ms: u64, packet: u64) -> Vec<u8> {
+    format!(
+        "<{element}><Name VALUE=\"{name}\"/><Delay VALUE=\"{delay_ms}\"/><PacketID VALUE=\"{packet}\"/></{element}>"
+    )
+    .into_bytes()
+}
+
+/// The service's side in virtual time.
+struct Desk {
+    listener: Listener,
+    waiting: Waiting,
+    refused: HashMap<&'static str, usize>,
+    most_waiting: usize,
+}
+
+impl Desk {
+    fn new(allow_from: &[&str]) -> Self {
+        let networks = allow_from.iter().map(|text| text.parse::<Network>().unwrap()).collect();
+        Self {
+            listener: Listener::new(networks, DELAY_MAX, 7),
+            waiting: Waiting::default(),
+            refused: HashMap::new(),
+            most_waiting: 0,
+        }
+    }
+
+    fn hear(&mut self, from: IpAddr, bytes: &[u8], now: Duration) {
+        let heard = self.listener.hear(from, bytes, now, &|_| false);
+        let accepted = heard.and_then(|heard| {
+            let Heard::Trigger(trigger) = heard else { panic!("{heard:?}") };
+            let is_known = self.listener.is_known(from);
+            let from = SocketAddr::new(from, 8989);
+            self.waiting.push(Received { from, trigger, is_known, recording: None }, now)
+        });
+        let Err(refusal) = accepted else { return };
+        let why = match refusal {
+            Refusal::NotAllowed(_) => "not allowed",
+            Refusal::DelayTooLong { .. } => "too long",
+            Refusal::TooManyOfSender { .. } => "too many of one",
+            Refusal::TooMany(_) => "too many",
+            other => panic!("{other}"),
+        };
+        *self.refused.entry(why).or_default() += 1;
+    }
+}
+
+/// Two minutes: the known sender starts and stops a take every two seconds, beside so many hostile ones, each of which
+/// sends a datagram a second. Returns how late each stop was handed out.
+fn two_minutes(desk: &mut Desk, hostile: u8) -> Vec<Duration> {
+    let known = IpAddr::from([192, 0, 2, 1]);
+    let (mut late, mut sent) = (Vec::new(), HashMap::new());
+    for ms in 0..120_000_u64 {
+        let now = Duration::from_millis(ms);
+        if ms % 1000 == 0 {
+            for n in 0..hostile {
+                let (element, delay_ms) = match ms / 1000 % 3 {
+                    0 => ("CaptureStart", 60_000),
+                    1 => ("CaptureStart", 5000),
+                    _ => ("CaptureStop", 4000),
+                };
+                let bytes = datagram(element, "disturb", delay_ms, ms);
+                desk.hear(IpAddr::from([198, 51, 100, n]), &bytes, now);
+            }
+        }
+        match ms % 2000 {
+            300 => desk.hear(known, &datagram("CaptureStart", "walk", 33, ms), now),
+            1700 => {
+                sent.insert(ms, now);
+                desk.hear(known, &datagram("CaptureStop", "walk", 0, ms), now);
+            }
+            _ => {}
+        }
+        while let Some(due) = desk.waiting.take_due(now) {
+            if let Trigger::Stop(stop) = &due.trigger
+                && due.from.ip() == known
+            {
+                let sent = sent.remove(&stop.about.packet_id.unwrap()).unwrap();
+                late.push(now - sent);
+            }
+        }
+        desk.most_waiting = desk.most_waiting.max(desk.waiting.len());
+    }
+    assert!(sent.is_empty(), "stops that never came: {sent:?}");
+    late
+}
+
+#[test]
+fn every_stop_acts_at_once_beside_hostile_senders_in_virtual_time() {
+    let alone = two_minutes(&mut Desk::new(&[]), 0);
+    assert_eq!(alone, [Duration::ZERO; 60]);
+
+    let mut desk = Desk::new(&["192.0.2.1"]);
+    assert_eq!(two_minutes(&mut desk, 1), alone);
+    assert_eq!(desk.refused, HashMap::from([("not allowed", 120)]));
+
+    // Nobody is named: everybody is heard, and has one place.
+    let mut desk = Desk::new(&[]);
+    assert_eq!(two_minutes(&mut desk, 1), alone);
+    assert_eq!((desk.refused["too long"], desk.refused.get("too many")), (40, None));
+    assert!(desk.refused["too many of one"] > 40, "{:?}", desk.refused);
+    assert!(desk.most_waiting <= 2, "{}", desk.most_waiting);
+
+    let mut desk = Desk::new(&[]);
+    assert_eq!(two_minutes(&mut desk, 20), alone);
+    assert_eq!(desk.refused["too long"], 20 * 40);
+    assert!(desk.refused["too many"] > 0, "{:?}", desk.refused);
+    assert_eq!(desk.most_waiting, DELAYED_OTHERS_MAX);
+}
+
+/// Takes announced to `peer`, triggers heard at `at`.
+struct Served {
+    fake: Arc<Fake>,
+    triggers: Option<Triggers>,
+    peer: UdpSocket,
+    at: SocketAddr,
+    _folder: tempfile::TempDir,
+}
+
+impl Served {
+    fn start() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let fake = Fake::new(folder.path(), vec![0; 8]);
+        let peer = UdpSocket::bind("127.0.0.1:0").unwrap();
+        peer.set_read_timeout(Some(AT_ONCE)).unwrap();
+        let at = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+        let config = TriggerConfig {
+            listen: Some(at),
+            send_to: vec![peer.local_addr().unwrap()],
+            allow_from: Vec::new(),
+            delay_max: DELAY_MAX,
+        };
+        let control: Arc<dyn Control> = fake.clone();
+        let triggers = Triggers::open(&config, "test", &control).unwrap();
+        Self { fake, triggers, peer, at, _folder: folder }
+    }
+
+    fn send(&self, element: &str, name: &str, delay_ms: u64, packet: u64) {
+        self.peer.send_to(&datagram(element, name, delay_ms, packet), self.at).unwrap();
+    }
+
+    fn recording(&self) -> Option<String> {
+        self.fake.status().take.map(|take| take.name)
+    }
+
+    /// How long it takes until this take is being recorded, or none.
+    fn until_recording(&self, wanted: Option<&str>) -> Duration {
+        let began = Instant::now();
+        while self.recording().as_deref() != wanted {
+            assert!(began.elapsed() < AT_ONCE, "{:?} instead of {wanted:?}", self.recording());
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        began.elapsed()
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        if let Some(triggers) = self.triggers.take() {
+            triggers.close();
+        }
+    }
+}
+
+#[test]
+fn a_delayed_trigger_holds_up_neither_stops_nor_announcements() {
+    let served = Served::start();
+    served.send("CaptureStart", "later", 5000, 1);
+    // It has been heard when this one is, which comes behind it.
+    served.send("CaptureStart", "soon", 0, 2);
+    served.until_recording(Some("soon"));
+    served.send("CaptureStop", "soon", 0, 3);
+    served.until_recording(None);
+    // What others are to hear of leaves at once, too.
+    served.fake.start(&Start { name: Some("ours".to_owned()), ..Start::default() }).unwrap();
+    let mut bytes = [0; 4096];
+    let n = served.peer.recv(&mut bytes).unwrap();
+    let announced = parse(&bytes[..n]).unwrap();
+    assert_eq!(announced.name().unwrap().text(), "ours");
+}
+
+#[test]
+fn a_delay_is_kept_a_longer_one_is_refused_and_a_stop_cancels_it() {
+    let served = Served::start();
+    let sent = Instant::now();
+    served.send("CaptureStart", "refused", 5001, 1);
+    served.send("CaptureStart", "delayed", 150, 2);
+    served.until_recording(Some("delayed"));
+    assert!(sent.elapsed() >= Duration::from_millis(150), "{:?}", sent.elapsed());
+    served.send("CaptureStop", "delayed", 0, 3);
+    served.until_recording(None);
+    served.send("CaptureStart", "cancelled", 300, 4);
+    served.send("CaptureStop", "cancelled", 0, 5);
+    std::thread::sleep(Duration::from_millis(600));
+    assert_eq!(served.recording(), None);
+}

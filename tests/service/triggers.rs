@@ -34,6 +34,7 @@ fn another_program_starts_and_stops_takes_and_is_told_of_ours() {
         listen: Some(free),
         send_to: vec![peer.local_addr().unwrap()],
         allow_from: Vec::new(),
+        delay_max: Duration::from_secs(5),
     };
     let engine: Arc<dyn Control> = Arc::new(engine);
     let triggers = Triggers::open(&config, "test", &engine).unwrap().unwrap();

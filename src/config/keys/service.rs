@@ -5,7 +5,10 @@ use std::{net::SocketAddr, time::Duration};
 use serde_json::{Value as Json, json};
 
 use super::{Key, Preset, Takes, When};
-use crate::config::render::{duration, path, size};
+use crate::{
+    config::render::{duration, path, size},
+    service::trigger::DELAY_MAX,
+};
 
 const TEN_MINUTES: Duration = Duration::from_secs(600);
 
@@ -119,7 +122,7 @@ pub static HTTP_CONNECTIONS_MAX: Key = Key {
     path: "http.connections_max",
     takes: Takes::Whole { min: 1, max: 1024 },
     preset: Preset::Whole(64),
-    what: "Connections at once; the next one is refused.",
+    what: "Connections at once, each on the socket and over TCP; beyond it, the next one takes the place of one that asks nothing, or is refused.",
     why: "A dashboard needs a few, and a process has 1024 open files unless it is given more.",
     when: When::Restart,
     written: |config| Some(json!(config.http.connections_max)),
@@ -159,6 +162,17 @@ pub static TRIGGER_ALLOW_FROM: Key = Key {
     why: "Triggers carry no proof of who sent them: the address is all there is to go by.",
     when: When::Now,
     written: |config| texts(&config.trigger.allow_from),
+};
+
+/// `trigger.delay_max`.
+pub static TRIGGER_DELAY_MAX: Key = Key {
+    path: "trigger.delay_max",
+    takes: Takes::Time { min: Duration::ZERO, max: DELAY_MAX },
+    preset: Preset::Text("5s"),
+    what: "The longest delay that a trigger may ask for; one with a longer delay is refused and logged.",
+    why: "Programs delay a start by fractions of a second, so that several begin together; a minute serves nobody but who wants to disturb.",
+    when: When::Now,
+    written: |config| duration(config.trigger.delay_max),
 };
 
 /// `log.level`.

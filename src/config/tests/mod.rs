@@ -54,6 +54,7 @@ connections_max = 1
 listen = "0.0.0.0:8989"
 send_to = ["192.168.10.255:8989", "[fe80::1]:30"]
 allow_from = ["192.168.10.0/24", "::1"]
+delay_max = "1s"
 [log]
 level = "trace"
 "#;

@@ -20,21 +20,23 @@ pub enum Heard {
 #[derive(Debug)]
 pub struct Listener {
     allow_from: Vec<Network>,
+    delay_max: Duration,
     mark: u64,
     seen: Seen,
 }
 
 impl Listener {
-    /// Listens to these networks, or to everybody where there are none; `mark` is the [`Announcer`](super::Announcer)'s,
-    /// so that our own datagrams are known.
+    /// Listens to these networks, or to everybody where there are none, for delays of at most `delay_max`; `mark` is the
+    /// [`Announcer`](super::Announcer)'s, so that our own datagrams are known.
     #[must_use]
-    pub fn new(allow_from: Vec<Network>, mark: u64) -> Self {
-        Self { allow_from, mark, seen: Seen::default() }
+    pub fn new(allow_from: Vec<Network>, delay_max: Duration, mark: u64) -> Self {
+        Self { allow_from, delay_max, mark, seen: Seen::default() }
     }
 
-    /// Listens to others from now on.
-    pub fn allow(&mut self, allow_from: Vec<Network>) {
-        self.allow_from = allow_from;
+    /// Whether a sender is one of those that are named.
+    #[must_use]
+    pub fn is_known(&self, from: IpAddr) -> bool {
+        self.allow_from.iter().any(|allowed| allowed.contains(from.to_canonical()))
     }
 
     /// A datagram that came `now`, a time that only grows. `exists` says whether there is a take of a name: a start
@@ -50,9 +52,7 @@ impl Listener {
         exists: &dyn Fn(&str) -> bool,
     ) -> Result<Heard, Refusal> {
         let from = from.to_canonical();
-        let is_allowed = self.allow_from.is_empty()
-            || self.allow_from.iter().any(|allowed| allowed.contains(from));
-        if !is_allowed {
+        if !self.allow_from.is_empty() && !self.is_known(from) {
             return Err(Refusal::NotAllowed(from));
         }
         let trigger = parse(datagram)?;
@@ -61,6 +61,9 @@ impl Listener {
         }
         if self.seen.is_repeat(from, &trigger, datagram, now) {
             return Ok(Heard::Repeat);
+        }
+        if trigger.delay() > self.delay_max {
+            return Err(Refusal::DelayTooLong { found: trigger.delay(), max: self.delay_max });
         }
         if let Trigger::Start(start) = &trigger
             && let Some(name) = &start.name

@@ -10,6 +10,7 @@ mod parse;
 mod quiet;
 mod seen;
 pub mod socket;
+mod waiting;
 mod words;
 
 #[cfg(test)]
@@ -24,6 +25,7 @@ pub use self::{
     parse::{DATAGRAM_BYTES_MAX, DELAY_MAX, TEXT_BYTES_MAX, parse},
     quiet::Quiet,
     seen::{IDS_MAX, REMEMBERED, SENDERS_MAX},
+    waiting::{DELAYED_MAX, DELAYED_OTHERS_MAX, DUE_EACH_MAX, DUE_MAX, Received, Waiting},
     words::Refusal,
 };
 
@@ -107,6 +109,16 @@ impl Trigger {
         match self {
             Self::Start(start) => &start.about,
             Self::Stop(stop) | Self::Complete(stop) => &stop.about,
+        }
+    }
+
+    /// How long after the datagram it is to be carried out. A completion asks for nothing, and so waits for nothing.
+    #[must_use]
+    pub fn delay(&self) -> Duration {
+        match self {
+            Self::Start(start) => start.delay,
+            Self::Stop(stop) => stop.delay,
+            Self::Complete(_) => Duration::ZERO,
         }
     }
 

@@ -21,7 +21,7 @@ pub const TEXT_BYTES_MAX: usize = 1024;
 /// Elements that are kept beside those we know.
 const SAID_MAX: usize = 16;
 
-/// The longest lead time: more is a number of something else.
+/// The longest lead time that can be meant, and that `trigger.delay_max` can allow: more is a number of something else.
 pub const DELAY_MAX: Duration = Duration::from_secs(60);
 
 /// Letters of a found text that a refusal repeats.

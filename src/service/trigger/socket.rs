@@ -4,7 +4,7 @@ use std::{
     io,
     net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket},
     sync::{
-        Arc,
+        Arc, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicBool, Ordering},
     },
     thread::JoinHandle,
@@ -12,31 +12,95 @@ use std::{
 };
 
 use anyhow::{Context, anyhow};
-use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
+use crossbeam_channel::{Receiver, Sender, bounded};
 
-use super::{DATAGRAM_BYTES_MAX, Heard, Listener, Quiet, Trigger};
+use super::{DATAGRAM_BYTES_MAX, Heard, Listener, Quiet, Received, Refusal, Waiting};
 use crate::threads;
-
-/// Triggers that wait for the service. It takes one within milliseconds, and a laboratory sends one in seconds: when
-/// so many wait the service is stuck, and a start that comes out minutes later would start nothing that anybody meant.
-pub const TRIGGERS_MAX: usize = 16;
 
 /// How soon the thread sees that it is to stop.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
-/// A trigger of somebody.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Received {
-    /// Whose.
-    pub from: SocketAddr,
-    /// What it asks for.
-    pub trigger: Trigger,
+/// Accepted triggers, between the thread that hears them and the one that carries them out.
+#[derive(Debug, Clone)]
+pub struct Queue {
+    waiting: Arc<Mutex<Waiting>>,
+    /// One message at most: that the first deadline may be another one.
+    wake: Sender<()>,
+    woken: Receiver<()>,
+    begin: Instant,
 }
 
-/// Where triggers go, and where the service gets them.
-#[must_use]
-pub fn channel() -> (Sender<Received>, Receiver<Received>) {
-    bounded(TRIGGERS_MAX)
+impl Default for Queue {
+    fn default() -> Self {
+        let (wake, woken) = bounded(1);
+        Self { waiting: Arc::default(), wake, woken, begin: Instant::now() }
+    }
+}
+
+impl Queue {
+    /// The time that deadlines are compared with.
+    #[must_use]
+    pub fn now(&self) -> Duration {
+        self.begin.elapsed()
+    }
+
+    /// Accepts one that has just come.
+    ///
+    /// # Errors
+    /// Too many wait already.
+    pub fn push(&self, received: Received) -> Result<(), Refusal> {
+        self.lock().push(received, self.now())?;
+        // A message that is there already wakes as well.
+        self.wake.try_send(()).ok();
+        Ok(())
+    }
+
+    /// The next one that is due, as soon as it is, within `timeout`.
+    #[must_use]
+    pub fn next(&self, timeout: Duration) -> Option<Received> {
+        let end = self.now().saturating_add(timeout);
+        loop {
+            let now = self.now();
+            let next_due = {
+                let mut waiting = self.lock();
+                let due = waiting.take_due(now);
+                if due.is_some() {
+                    return due;
+                }
+                waiting.next_due()
+            };
+            if now >= end {
+                return None;
+            }
+            let until = next_due.map_or(end, |due| due.min(end));
+            // Woken, or it is time: what is due is looked up in either case.
+            self.woken.recv_timeout(until.saturating_sub(now)).ok();
+        }
+    }
+
+    /// As [`Waiting::cancel_starts`].
+    #[must_use]
+    pub fn cancel_starts(&self, from: SocketAddr, name: Option<&str>) -> usize {
+        self.lock().cancel_starts(from, name)
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Waiting> {
+        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// What the thread that hears triggers asks the service.
+pub struct Questions {
+    /// Whether there is a take of a name.
+    pub exists: Box<dyn Fn(&str) -> bool + Send>,
+    /// Which take is being recorded.
+    pub recording: Box<dyn Fn() -> Option<String> + Send>,
+}
+
+impl std::fmt::Debug for Questions {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Questions").finish_non_exhaustive()
+    }
 }
 
 /// Opens the socket.
@@ -63,40 +127,39 @@ pub fn bind(listen: SocketAddr) -> anyhow::Result<UdpSocket> {
     Ok(socket)
 }
 
-/// Hears triggers on a thread of its own until `stop`, or until nobody receives them any more. `exists` says whether
-/// there is a take of a name; `say` is told what is refused and what is lost, a few words at a time.
+/// Hears triggers on a thread of its own until `stop`. `say` is told what is refused, a few words at a time.
 ///
 /// # Errors
 /// When the system refuses the thread.
 pub fn listen(
     socket: UdpSocket,
     mut listener: Listener,
-    exists: impl Fn(&str) -> bool + Send + 'static,
-    triggers: Sender<Received>,
+    questions: Questions,
+    queue: Queue,
     mut say: impl FnMut(&str) + Send + 'static,
     stop: Arc<AtomicBool>,
 ) -> anyhow::Result<JoinHandle<()>> {
     threads::spawn("mocapd-trigger", move || {
-        let (begin, mut quiet) = (Instant::now(), Quiet::default());
+        let mut quiet = Quiet::default();
         let mut buffer = vec![0; DATAGRAM_BYTES_MAX];
         while !stop.load(Ordering::Relaxed) {
             let received = socket.recv_from(&mut buffer);
-            let now = begin.elapsed();
+            let now = queue.now();
             let words = match received {
                 Ok((n_bytes, from)) => {
                     let datagram = buffer.get(..n_bytes).unwrap_or_default();
-                    match listener.hear(from.ip(), datagram, now, &exists) {
-                        Ok(Heard::Repeat | Heard::Own) => continue,
-                        Ok(Heard::Trigger(trigger)) => {
-                            match triggers.try_send(Received { from, trigger }) {
-                                Ok(()) => continue,
-                                Err(TrySendError::Disconnected(_)) => return,
-                                Err(TrySendError::Full(lost)) => format!(
-                                    "{} from {from} is lost: {TRIGGERS_MAX} others wait already",
-                                    lost.trigger.element()
-                                ),
-                            }
-                        }
+                    let heard = listener.hear(from.ip(), datagram, now, &questions.exists);
+                    let accepted = heard.and_then(|heard| match heard {
+                        Heard::Repeat | Heard::Own => Ok(()),
+                        Heard::Trigger(trigger) => queue.push(Received {
+                            from,
+                            trigger,
+                            is_known: listener.is_known(from.ip()),
+                            recording: (questions.recording)(),
+                        }),
+                    });
+                    match accepted {
+                        Ok(()) => continue,
                         Err(refusal) => format!("a datagram from {from} is refused: {refusal}"),
                     }
                 }

@@ -31,6 +31,25 @@ pub enum Refusal {
         /// What is expected.
         wanted: &'static str,
     },
+    /// A delay above what is configured.
+    #[error("its Delay is {} ms: trigger.delay_max is {} ms", found.as_millis(), max.as_millis())]
+    DelayTooLong {
+        /// What it asks for.
+        found: std::time::Duration,
+        /// What is allowed.
+        max: std::time::Duration,
+    },
+    /// Its sender has too many that wait already.
+    #[error("{waiting} of {sender} wait already, and it is not in trigger.allow_from")]
+    TooManyOfSender {
+        /// How many.
+        waiting: usize,
+        /// Whose.
+        sender: IpAddr,
+    },
+    /// Too many wait already.
+    #[error("{0} others wait already")]
+    TooMany(usize),
     /// Of the name nothing can be kept.
     #[error("a take cannot be called \"{0}\": send another name")]
     Name(String),

@@ -121,7 +121,7 @@ fn packet(id: u64) -> String {
 
 #[test]
 fn repeats_do_nothing() {
-    let mut listener = Listener::new(Vec::new(), 1);
+    let mut listener = Listener::new(Vec::new(), DELAY_MAX, 1);
     let mut hear = |text: &str, from: &str, at_s| hear(&mut listener, text, from, at_s).unwrap();
     assert!(matches!(hear(&packet(5), "10.0.0.1", 0), Heard::Trigger(_)));
     assert_eq!(hear(&packet(5), "10.0.0.1", 1), Heard::Repeat);
@@ -169,7 +169,7 @@ fn what_is_remembered_is_bounded() {
 #[test]
 fn who_is_not_allowed_is_refused_before_anything_is_read() {
     let networks = ["10.0.0.0/24", "fe80::/10"].map(|text| text.parse().unwrap());
-    let mut listener = Listener::new(networks.into(), 1);
+    let mut listener = Listener::new(networks.into(), DELAY_MAX, 1);
     for from in ["10.0.0.1", "::ffff:10.0.0.2", "fe80::1"] {
         assert!(hear(&mut listener, &packet(1), from, 0).is_ok(), "{from}");
     }
@@ -181,7 +181,7 @@ fn who_is_not_allowed_is_refused_before_anything_is_read() {
 
 #[test]
 fn a_name_that_exists_is_refused_once_and_said() {
-    let mut listener = Listener::new(Vec::new(), 1);
+    let mut listener = Listener::new(Vec::new(), DELAY_MAX, 1);
     let old = start("<Name VALUE='old'/><PacketID VALUE='1'/>");
     let refusal = hear(&mut listener, &old, "10.0.0.1", 0).unwrap_err();
     assert_eq!(
@@ -205,7 +205,8 @@ fn our_own_come_back_and_do_nothing() {
         announcer.stop(&name, &StopResult::Success),
         announcer.complete(&name),
     ];
-    let (mut own, mut others) = (Listener::new(Vec::new(), 7), Listener::new(Vec::new(), 8));
+    let (mut own, mut others) =
+        (Listener::new(Vec::new(), DELAY_MAX, 7), Listener::new(Vec::new(), DELAY_MAX, 8));
     for (datagram, id) in sent.iter().zip(1..) {
         let hear = |listener: &mut Listener| {
             listener.hear(FROM, datagram, Duration::ZERO, &|_| false).unwrap()

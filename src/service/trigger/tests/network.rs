@@ -9,7 +9,7 @@ use std::{
 };
 
 use super::{
-    socket::{Received, TRIGGERS_MAX, Teller, bind, channel, listen},
+    socket::{Questions, Queue, Teller, bind, listen},
     *,
 };
 
@@ -18,7 +18,7 @@ const GIVE_UP: Duration = Duration::from_secs(20);
 
 struct Service {
     at: SocketAddr,
-    triggers: crossbeam_channel::Receiver<Received>,
+    triggers: Queue,
     said: crossbeam_channel::Receiver<String>,
     stop: Arc<AtomicBool>,
     thread: Option<std::thread::JoinHandle<()>>,
@@ -28,18 +28,20 @@ impl Service {
     fn start(mark: u64) -> Self {
         let socket = bind("127.0.0.1:0".parse().unwrap()).unwrap();
         let at = socket.local_addr().unwrap();
-        let (to_service, triggers) = channel();
+        let triggers = Queue::default();
         let (to_said, said) = crossbeam_channel::bounded(1000);
         let stop = Arc::new(AtomicBool::new(false));
-        let listener = Listener::new(Vec::new(), mark);
+        let listener = Listener::new(Vec::new(), DELAY_MAX, mark);
         let say = move |words: &str| to_said.send(words.to_owned()).unwrap();
-        let exists = |name: &str| name == "old";
-        let thread = listen(socket, listener, exists, to_service, say, Arc::clone(&stop)).unwrap();
+        let questions =
+            Questions { exists: Box::new(|name| name == "old"), recording: Box::new(|| None) };
+        let (queue, ending) = (triggers.clone(), Arc::clone(&stop));
+        let thread = listen(socket, listener, questions, queue, say, ending).unwrap();
         Self { at, triggers, said, stop, thread: Some(thread) }
     }
 
     fn next(&self) -> Received {
-        self.triggers.recv_timeout(GIVE_UP).unwrap()
+        self.triggers.next(GIVE_UP).unwrap()
     }
 
     fn end(mut self) {
@@ -94,25 +96,24 @@ fn refusals_are_said_a_few_at_a_time() {
 fn more_than_fit_are_lost_and_said() {
     let service = Service::start(7);
     let client = UdpSocket::bind("127.0.0.1:0").unwrap();
-    for id in 0..=TRIGGERS_MAX as u64 {
+    for id in 0..=DUE_EACH_MAX as u64 {
         client.send_to(packet(id).as_bytes(), service.at).unwrap();
     }
     let said = service.said.recv_timeout(GIVE_UP).unwrap();
-    assert!(said.contains("is lost: 16 others wait already"), "{said}");
-    assert_eq!(service.triggers.len(), TRIGGERS_MAX);
+    assert!(said.contains("4 of 127.0.0.1 wait already"), "{said}");
+    for _ in 0..DUE_EACH_MAX {
+        service.next();
+    }
+    assert_eq!(service.triggers.next(Duration::ZERO), None);
     service.end();
 }
 
 #[test]
-fn a_service_that_is_gone_ends_the_thread_and_a_port_that_is_taken_says_so() {
-    let mut service = Service::start(7);
+fn a_port_that_is_taken_says_so() {
+    let service = Service::start(7);
     let error = bind(service.at).unwrap_err().to_string();
     assert!(error.contains("another program does"), "{error}");
     let error = bind("192.0.2.1:0".parse().unwrap()).unwrap_err().to_string();
     assert!(error.contains("no interface has this address"), "{error}");
-    let (_, gone) = channel();
-    drop(std::mem::replace(&mut service.triggers, gone));
-    let client = UdpSocket::bind("127.0.0.1:0").unwrap();
-    client.send_to(packet(1).as_bytes(), service.at).unwrap();
-    service.thread.take().unwrap().join().unwrap();
+    service.end();
 }
