@@ -15,8 +15,8 @@ use super::{
     control::{Control, EventFeed, Mark, RefusalKind, Request, Start},
     status::ServiceEvent,
     trigger::{
-        self, Announcer, Listener, Received, StopResult, TakeName, Trigger, first_packet_id,
-        socket::{self, Questions, Queue, Teller},
+        self, Announcer, Listener, Queue, Received, StopResult, TakeName, Trigger, first_packet_id,
+        socket::{self, Questions, Teller},
     },
 };
 use crate::{config::TriggerConfig, threads};

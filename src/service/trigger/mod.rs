@@ -1,12 +1,13 @@
 //! Capture triggers: `<CaptureStart>` and `<CaptureStop>` in UDP datagrams, as motion capture programs send and
 //! hear them. docs/triggers.md has the bytes.
 //!
-//! All but [`socket`] is sans-io: a datagram's bytes and the time go in, a [`Trigger`] or a [`Refusal`] comes out.
+//! All but [`socket`] and [`Queue`] is sans-io: a datagram's bytes and the time go in, a [`Trigger`] or a [`Refusal`] comes out.
 
 mod encode;
 mod listener;
 mod name;
 mod parse;
+mod queue;
 mod quiet;
 mod seen;
 pub mod socket;
@@ -23,6 +24,7 @@ pub use self::{
     listener::{Heard, Listener},
     name::TakeName,
     parse::{DATAGRAM_BYTES_MAX, DELAY_MAX, TEXT_BYTES_MAX, parse},
+    queue::Queue,
     quiet::Quiet,
     seen::{IDS_MAX, REMEMBERED, SENDERS_MAX},
     waiting::{DELAYED_MAX, DELAYED_OTHERS_MAX, DUE_EACH_MAX, DUE_MAX, Received, Waiting},

@@ -4,90 +4,20 @@ use std::{
     io,
     net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket},
     sync::{
-        Arc, Mutex, MutexGuard, PoisonError,
+        Arc,
         atomic::{AtomicBool, Ordering},
     },
     thread::JoinHandle,
-    time::{Duration, Instant},
+    time::Duration,
 };
 
 use anyhow::{Context, anyhow};
-use crossbeam_channel::{Receiver, Sender, bounded};
 
-use super::{DATAGRAM_BYTES_MAX, Heard, Listener, Quiet, Received, Refusal, Waiting};
+use super::{DATAGRAM_BYTES_MAX, Heard, Listener, Queue, Quiet, Received};
 use crate::threads;
 
 /// How soon the thread sees that it is to stop.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
-
-/// Accepted triggers, between the thread that hears them and the one that carries them out.
-#[derive(Debug, Clone)]
-pub struct Queue {
-    waiting: Arc<Mutex<Waiting>>,
-    /// One message at most: that the first deadline may be another one.
-    wake: Sender<()>,
-    woken: Receiver<()>,
-    begin: Instant,
-}
-
-impl Default for Queue {
-    fn default() -> Self {
-        let (wake, woken) = bounded(1);
-        Self { waiting: Arc::default(), wake, woken, begin: Instant::now() }
-    }
-}
-
-impl Queue {
-    /// The time that deadlines are compared with.
-    #[must_use]
-    pub fn now(&self) -> Duration {
-        self.begin.elapsed()
-    }
-
-    /// Accepts one that has just come.
-    ///
-    /// # Errors
-    /// Too many wait already.
-    pub fn push(&self, received: Received) -> Result<(), Refusal> {
-        self.lock().push(received, self.now())?;
-        // A message that is there already wakes as well.
-        self.wake.try_send(()).ok();
-        Ok(())
-    }
-
-    /// The next one that is due, as soon as it is, within `timeout`.
-    #[must_use]
-    pub fn next(&self, timeout: Duration) -> Option<Received> {
-        let end = self.now().saturating_add(timeout);
-        loop {
-            let now = self.now();
-            let next_due = {
-                let mut waiting = self.lock();
-                let due = waiting.take_due(now);
-                if due.is_some() {
-                    return due;
-                }
-                waiting.next_due()
-            };
-            if now >= end {
-                return None;
-            }
-            let until = next_due.map_or(end, |due| due.min(end));
-            // Woken, or it is time: what is due is looked up in either case.
-            self.woken.recv_timeout(until.saturating_sub(now)).ok();
-        }
-    }
-
-    /// As [`Waiting::cancel_starts`].
-    #[must_use]
-    pub fn cancel_starts(&self, from: SocketAddr, name: Option<&str>) -> usize {
-        self.lock().cancel_starts(from, name)
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Waiting> {
-        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
 
 /// What the thread that hears triggers asks the service.
 pub struct Questions {

@@ -175,7 +175,7 @@ fn who_is_not_allowed_is_refused_before_anything_is_read() {
     }
     let refusal = hear(&mut listener, "garbage", "10.0.1.1", 0).unwrap_err();
     assert_eq!(refusal.to_string(), "10.0.1.1 is not in trigger.allow_from");
-    listener.allow(Vec::new());
+    let mut listener = Listener::new(Vec::new(), DELAY_MAX, 1);
     assert!(hear(&mut listener, &packet(1), "10.0.1.1", 0).is_ok());
 }
 

@@ -9,7 +9,7 @@ use std::{
 };
 
 use super::{
-    socket::{Questions, Queue, Teller, bind, listen},
+    socket::{Questions, Teller, bind, listen},
     *,
 };
 
