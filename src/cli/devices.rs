@@ -69,7 +69,7 @@ mod tests {
     fn says_what_is_sure_and_what_is_in_the_way() {
         let words = line(&adapter());
         assert!(words.starts_with("serial:/dev/ttyUSB0 "), "{words}");
-        assert!(words.contains("perhaps dvmc") && words.contains("FTDI FT232R\u{fffd}[2J\n"));
+        assert!(words.contains("perhaps dvmc") && words.contains("FTDI FT232R\\u{1b}[2J\n"));
         assert!(words.ends_with("\n    no permission\n"), "{words}");
         let sure = ListedDevice { certain: true, problem: None, ..adapter() };
         assert!(!line(&sure).contains("perhaps") && line(&sure).lines().count() == 1);

@@ -8,7 +8,7 @@ use clap::CommandFactory;
 use clap_complete::Shell;
 use mocapd::outcome::Outcome;
 
-use super::{Cli, output::print};
+use super::{Cli, output::print_exact};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Completions {
@@ -26,7 +26,7 @@ pub(crate) struct Pages {
 pub(crate) fn completions(args: &Completions) -> anyhow::Result<Outcome> {
     let mut text = Vec::new();
     clap_complete::generate(args.shell, &mut Cli::command(), "mocapd", &mut text);
-    print(&String::from_utf8_lossy(&text))?;
+    print_exact(&String::from_utf8_lossy(&text))?;
     Ok(Outcome::Done)
 }
 

@@ -12,6 +12,7 @@ use std::{
 
 use indicatif::{ProgressBar, ProgressStyle};
 use mocapd::threads;
+use mocapd_take::escape::visible;
 
 /// Follows a counter from a thread of its own until it is dropped.
 #[derive(Debug)]
@@ -41,7 +42,7 @@ impl Progress {
     /// Shows a line that `words` makes, for what has no known end.
     pub(crate) fn status(words: impl Fn() -> String + Send + 'static) -> Self {
         Self::start(ProgressBar::new_spinner, move |bar| {
-            bar.set_message(words());
+            bar.set_message(visible(&words()).into_owned());
             bar.tick();
         })
     }

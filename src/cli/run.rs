@@ -26,7 +26,7 @@ use signal_hook::{
     iterator::Signals,
 };
 
-use super::output::say;
+use super::output::{plain, say};
 
 /// Between two looks at signals, and at what systemd is told.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
@@ -147,7 +147,7 @@ impl Doors {
         if let Some(http) = self.http
             && let Err(error) = http.stop(CLIENTS_WITHIN)
         {
-            tracing::error!("{error:#}");
+            tracing::error!("{}", plain(&format!("{error:#}")));
         }
     }
 }
@@ -200,7 +200,9 @@ impl Running<'_> {
         self.notifier.reloading();
         match self.args.load() {
             Ok(config) => self.take_over(config),
-            Err(error) => tracing::error!("the configuration stays as it was: {error}"),
+            Err(error) => {
+                tracing::error!("the configuration stays as it was: {}", plain(&error.to_string()))
+            }
         }
         self.notifier.ready(&self.engine.status().words());
     }
@@ -215,14 +217,17 @@ impl Running<'_> {
         {
             Ok(options) => options,
             Err(error) => {
-                tracing::error!("the configuration stays as it was: {error:#}");
+                tracing::error!(
+                    "the configuration stays as it was: {}",
+                    plain(&format!("{error:#}"))
+                );
                 return;
             }
         };
         self.log.set_level(config.log_level);
         self.engine.reload(options);
         if let Err(error) = self.doors.reopen(&self.config, &config, &self.control) {
-            tracing::error!("{error:#}");
+            tracing::error!("{}", plain(&format!("{error:#}")));
             // Tried again the next time.
             config.trigger.listen = None;
         }

@@ -1,6 +1,10 @@
 //! What the service says while it runs: into the journal, with fields; on stderr where there is no journal.
 //!
 //! Who must not wait does not speak here: the reader's words go to the engine's watcher (`engine/events.rs`).
+//!
+//! Text from outside is escaped ([`mocapd_take::escape`]): on stderr by the layer that writes lines. The journal keeps the
+//! bytes of a field apart from others, so that nobody can forge an entry, but shows them as they are: what is logged with a
+//! text from outside is escaped where it is logged, too.
 
 mod gate;
 mod summaries;
@@ -8,9 +12,14 @@ mod summaries;
 use std::{fmt, io, str::FromStr, sync::Arc};
 
 use anyhow::Context;
+use mocapd_take::escape::visible;
 use tracing::level_filters::LevelFilter;
 use tracing_subscriber::{
-    Layer, Registry, fmt::MakeWriter, layer::SubscriberExt, util::SubscriberInitExt,
+    Layer, Registry,
+    field::MakeExt,
+    fmt::{MakeWriter, format},
+    layer::SubscriberExt,
+    util::SubscriberInitExt,
 };
 
 use self::gate::Gate;
@@ -131,7 +140,19 @@ fn lines<W>(writer: W) -> impl Layer<Registry> + Send + Sync
 where
     W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
 {
-    tracing_subscriber::fmt::layer().with_target(false).with_ansi(false).with_writer(writer)
+    // Any field, and above all the message, may quote a mark, a name, a device: one event stays one line.
+    let fields = format::debug_fn(|out, field, value| {
+        let text = format!("{value:?}");
+        match field.name() {
+            "message" => write!(out, "{}", visible(&text)),
+            name => write!(out, "{name}={}", visible(&text)),
+        }
+    });
+    tracing_subscriber::fmt::layer()
+        .with_target(false)
+        .with_ansi(false)
+        .fmt_fields(fields.delimited(" "))
+        .with_writer(writer)
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ use std::{thread::JoinHandle, time::Instant};
 
 use anyhow::Context;
 use crossbeam_channel::{RecvTimeoutError, Sender, bounded};
+use mocapd_take::escape::visible;
 use sd_notify::NotifyState;
 
 pub use crate::heartbeat::{Beat, Heartbeat, Who};
@@ -116,7 +117,7 @@ fn tell(states: &[NotifyState<'_>]) {
 
 /// What may stand in one assignment: a line break would begin another.
 fn one_line(words: &str) -> String {
-    let mut line: String = words.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
+    let mut line = visible(words).into_owned();
     let mut end = line.len().min(STATUS_BYTES_MAX);
     while !line.is_char_boundary(end) {
         end -= 1;

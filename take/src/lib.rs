@@ -4,6 +4,7 @@
 //! thread: bytes go to a [`std::io::Write`] and come from the caller.
 
 pub mod chunk;
+pub mod escape;
 pub mod foreign;
 pub mod frames;
 pub mod index;

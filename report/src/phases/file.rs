@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use mocapd_take::escape::from_cell;
+
 use super::Phase;
 use crate::ReportError;
 
@@ -43,7 +45,7 @@ pub fn parse(text: &str) -> Result<BTreeMap<String, Vec<(Phase, usize)>>, Report
         let frame = frame
             .parse()
             .map_err(|_| bad(number, format!("'{frame}' is no number of a frame, from 0")))?;
-        let phases = found.entry(file.to_owned()).or_default();
+        let phases = found.entry(from_cell(file).into_owned()).or_default();
         if phases.last().is_some_and(|&(_, before)| before >= frame) {
             return Err(bad(
                 number,

@@ -10,6 +10,7 @@ use clap::{Args, ValueEnum};
 use mocapd_simulator::device::LineDevice;
 use mocapd_simulator::line::{ServeOptions, serve};
 use mocapd_simulator::source::Generated;
+use mocapd_take::escape::visible;
 
 mod device;
 mod input;
@@ -154,5 +155,5 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
 
 /// A word on stderr. Nothing is lost when nobody reads it.
 fn say(text: &str) {
-    drop(writeln!(io::stderr(), "mocapd-sim: {text}"));
+    drop(writeln!(io::stderr(), "mocapd-sim: {}", visible(text)));
 }

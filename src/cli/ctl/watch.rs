@@ -5,7 +5,10 @@ use std::{sync::atomic::Ordering, time::Duration};
 use mocapd::{outcome::Outcome, service::status::Status};
 
 use super::{client::Client, orders::read, words};
-use crate::cli::{output::print, stop::stop_on_signal};
+use crate::cli::{
+    output::{print, print_exact},
+    stop::stop_on_signal,
+};
 
 const EVERY: Duration = Duration::from_secs(1);
 
@@ -18,7 +21,7 @@ pub(super) fn run(client: &Client, json: bool) -> anyhow::Result<Outcome> {
     loop {
         let document = client.get("/v1/status")?;
         if json {
-            print(&format!("{document}\n"))?;
+            print_exact(&format!("{document}\n"))?;
         } else {
             let status: Status = read(&document)?;
             print(&format!("{}\n", words::line(&status)))?;

@@ -36,7 +36,7 @@ use self::device::SimulatedDevice;
 use super::{
     export::write,
     numbers::{bytes, count, thousands},
-    output::{print, say},
+    output::{print, say, shown},
     record::{Limits, Report, record_and_watch},
     stop::stop_on_signal,
     values,
@@ -103,7 +103,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let exports = export(&take)?;
     print(&format!(
         "\nThe take lies at {0}\nSee what is in it:   mocapd info {0}\nOpen it elsewhere:   {exports}\n",
-        take.display(),
+        shown(&take),
     ))?;
     if let Some(losses) = report.losses() {
         say(&format!("not in the take: {losses}"));
@@ -170,7 +170,7 @@ fn export(take: &Path) -> anyhow::Result<String> {
         let mut frames = TakeFrames::open(BufReader::new(files::open(take)?))?;
         write(&mut frames, format, &path)?;
         let size = fs::metadata(&path).map_or(0, |meta| meta.len());
-        names.push(format!("{} ({})", path.display(), bytes(size)));
+        names.push(format!("{} ({})", shown(&path), bytes(size)));
     }
     Ok(names.join(", "))
 }

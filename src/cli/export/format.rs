@@ -15,6 +15,9 @@ pub(super) struct FormatArgs {
     /// Rows of a CSV file: `wide`, one a frame; `long`, one a sample that is present
     #[arg(long, value_name = "LAYOUT", default_value = "wide")]
     layout: Layout,
+    /// For csv: put an apostrophe before labels that a spreadsheet would calculate (=, +, -, @ at the beginning)
+    #[arg(long)]
+    for_spreadsheet: bool,
     /// Of Parquet a row a frame, with three columns a marker, instead of a row a sample
     #[arg(long)]
     wide: bool,
@@ -69,6 +72,9 @@ impl FormatArgs {
         if format != Format::Bids && (self.subject.is_some() || self.task.is_some()) {
             return usage("--subject and --task are for --format bids: other formats hold neither");
         }
+        if self.for_spreadsheet && format != Format::Csv {
+            return usage("--for-spreadsheet is for csv: leave it out");
+        }
         if self.wide && format != Format::Parquet {
             return usage("--wide is for .parquet: leave it out");
         }
@@ -78,6 +84,11 @@ impl FormatArgs {
             (_, Layout::Long) => usage("--layout long is for csv: other formats have one layout"),
             (format, Layout::Wide) => Ok(format),
         }
+    }
+
+    /// Whether labels are kept from being formulas.
+    pub(super) fn is_for_spreadsheet(&self) -> bool {
+        self.for_spreadsheet
     }
 
     /// What a BIDS dataset calls its files.

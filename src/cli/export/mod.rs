@@ -2,6 +2,7 @@
 
 mod format;
 mod part;
+mod spreadsheet;
 
 use std::{
     io::{BufReader, BufWriter, Write},
@@ -23,7 +24,7 @@ use mocapd_take::{
     motion::FrameSource,
 };
 
-use self::{format::FormatArgs, part::Part};
+use self::{format::FormatArgs, part::Part, spreadsheet::Guarded};
 use super::{output::say, paths, progress::Progress};
 
 /// What is written at once: so much that the calls into the system cost nothing beside the bytes.
@@ -64,6 +65,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         let _progress = Progress::follow("exporting", &counter, part.info().n_frames);
         if format == Format::Bids {
             write_folder(&mut part, &args.format.names(&args.take)?, &args.output)
+        } else if args.format.is_for_spreadsheet() {
+            write(&mut Guarded::new(&mut part), format, &args.output)
         } else {
             write(&mut part, format, &args.output)
         }

@@ -10,6 +10,7 @@ use serde::Serialize;
 use crate::cli::{
     codec_args::tolerance_mm,
     numbers::{bytes, count, thousands},
+    output::shown,
 };
 
 #[derive(Debug, Serialize)]
@@ -74,7 +75,7 @@ impl Report {
         };
         format!(
             "{}: {} of {}{gaps} at {} Hz, {} as float32, {} on disk ({:.1}:1), {bound}\n",
-            self.take.display(),
+            shown(&self.take),
             count(self.frames, "frame"),
             count(self.markers as u64, "marker"),
             self.rate_hz,

@@ -8,7 +8,10 @@ use std::{
 use mocapd::raw_log::{RawLog, RawLogged};
 use serde::Serialize;
 
-use crate::cli::{numbers::bytes, output::say};
+use crate::cli::{
+    numbers::bytes,
+    output::{say, shown},
+};
 
 /// What came of a log, as docs/json.md has it.
 #[derive(Debug, Serialize)]
@@ -46,7 +49,7 @@ impl RawLogReport {
     pub(crate) fn words(&self) -> String {
         let what = if self.lost() { "not every byte" } else { "every byte" };
         let [file, line] = [self.file_bytes, self.line_bytes].map(bytes);
-        format!("{}: {what} of the line, {line}, in a raw log of {file}\n", self.log.display())
+        format!("{}: {what} of the line, {line}, in a raw log of {file}\n", shown(&self.log))
     }
 
     /// What it has not, in one line; `None` when that is nothing.

@@ -12,6 +12,7 @@ use crate::cli::{
     codec_args::tolerance_mm,
     ledger::{LedgerReport, OutagesReport},
     numbers::{bytes, count, thousands},
+    output::shown,
 };
 
 #[derive(Debug, Serialize)]
@@ -161,7 +162,7 @@ impl Report {
         };
         format!(
             "{}: {} of {} at {} Hz, {} as float32, {} on disk ({:.1}:1), {bound}\n{}{}{}",
-            self.take.display(),
+            shown(&self.take),
             count(self.frames, "frame"),
             self.markers_in_words(),
             self.rate_hz,

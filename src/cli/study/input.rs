@@ -12,6 +12,7 @@ use mocapd_report::{
     phases::{self, Phase},
     study::Trial,
 };
+use mocapd_take::escape::to_cell;
 
 use crate::cli::{
     output::say,
@@ -71,7 +72,8 @@ pub(super) fn phases_csv(trials: &[Trial]) -> String {
     let mut out = "file,phase,first_frame\n".to_owned();
     for trial in trials {
         for part in trial.phases.iter().flatten() {
-            out += &format!("{},{},{}\n", trial.name, part.phase.name(), part.frames.start);
+            let name = to_cell(&trial.name);
+            out += &format!("{name},{},{}\n", part.phase.name(), part.frames.start);
         }
     }
     out

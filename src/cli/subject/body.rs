@@ -17,7 +17,7 @@ use mocapd_subject::body::{
 
 use super::picture;
 use crate::cli::{
-    output::{print, say, tell},
+    output::{print, print_exact, say, tell},
     paths,
     plot::picture as pictures,
     progress::Progress,
@@ -108,7 +108,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     match (args.json, to_stdout) {
         (false, false) => print(&table(&skeleton))?,
         (json, _) => {
-            print(&skeleton.to_json())?;
+            print_exact(&skeleton.to_json())?;
             if !json {
                 tell(&table(&skeleton));
             }

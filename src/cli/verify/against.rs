@@ -111,7 +111,7 @@ impl AgainstReport {
             self.rms_error_mm
         );
         for note in &self.notes {
-            out += &format!("  {note}\n");
+            out += &format!("  {}\n", plain(note));
         }
         if self.frames_lost > 0 {
             let frames = count(self.frames_lost, "frame");

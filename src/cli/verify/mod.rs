@@ -24,7 +24,7 @@ use super::{
     damage::{self, DamageReport},
     ledger::LedgerReport,
     numbers::count,
-    output::{plain, print, print_json, say},
+    output::{plain, print, print_json, say, shown},
     paths,
 };
 
@@ -187,7 +187,7 @@ impl Report {
         let state = if self.intact { "intact" } else { "NOT INTACT" };
         let mut out = format!(
             "{}: {state}, {}, {}, every checksum, every block and every ledger checked\n",
-            self.take.display(),
+            shown(&self.take),
             count(self.frames, "frame"),
             count(self.samples, "sample")
         );

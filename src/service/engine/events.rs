@@ -9,6 +9,7 @@ use std::{
 };
 
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
+use mocapd_take::escape::visible;
 
 use super::Inner;
 use crate::{
@@ -134,7 +135,9 @@ impl Inner {
         let about = (take.map(str::to_owned), notes.map(str::to_owned));
         self.events.tell(kind, message, state, about);
         let device = self.core().device.uri.clone();
-        let take = take.unwrap_or_default();
+        // Listeners get the text exactly, in JSON; the log shows it.
+        let [take, device, message] = [take.unwrap_or_default(), &device, message].map(visible);
+        let (take, device) = (take.as_ref(), device.as_ref());
         match kind {
             "failure" => tracing::error!(take, device, "{message}"),
             "warning" => tracing::warn!(take, device, "{message}"),

@@ -8,6 +8,8 @@ use std::{
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 
+use mocapd_take::escape::visible;
+
 use super::gate::{Gate, SUMMARY};
 use crate::threads;
 
@@ -49,7 +51,7 @@ fn run(gate: &Gate, stopped: &Receiver<()>) {
 
 fn sum_up(gate: &Gate, all: bool) {
     for (n, sample) in gate.left_out(Instant::now(), all) {
-        tracing::warn!(target: SUMMARY, left_out = n, "{n} more like this were left out: {sample}");
+        tracing::warn!(target: SUMMARY, left_out = n, "{n} more like this were left out: {}", visible(&sample));
     }
 }
 

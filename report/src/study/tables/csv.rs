@@ -2,6 +2,8 @@
 
 use std::collections::BTreeSet;
 
+use mocapd_take::escape::to_cell;
+
 use super::{number, paper};
 use crate::study::{Findings, Method, Piece, Results, Sum};
 
@@ -79,9 +81,10 @@ fn bytes(sum: &Sum) -> String {
 }
 
 fn quoted(name: &str) -> String {
-    if name.contains([',', '"', '\n']) {
+    let name = to_cell(name);
+    if name.contains([',', '"']) {
         format!("\"{}\"", name.replace('"', "\"\""))
     } else {
-        name.to_owned()
+        name.into_owned()
     }
 }

@@ -2,6 +2,8 @@
 
 use std::fmt::Write;
 
+use mocapd_take::escape::visible;
+
 use super::{Table, columns, figure, paper, ratio, short, verdicts};
 use crate::{
     phases::Phase,
@@ -62,7 +64,7 @@ fn takes(findings: &Findings) -> String {
                 Err(why) => format!("none: {why}"),
             };
             let Cells { frames, rate, markers } = cells(trial);
-            table.row([trial.name.clone(), frames, rate, markers, phases]);
+            table.row([visible(&trial.name).into_owned(), frames, rate, markers, phases]);
         }
         out += &table.markdown();
         out.push('\n');

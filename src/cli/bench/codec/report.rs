@@ -7,6 +7,7 @@ use mocapd_codec::Settings;
 use serde::Serialize;
 
 use super::measure::Subject;
+use crate::cli::output::plain;
 
 /// The document.
 #[derive(Debug, Default, Serialize)]
@@ -63,7 +64,7 @@ impl FileReport {
         format!(
             "{}: {} markers, {} frames at {} Hz, {} bytes of float32\n\
              {:20} {:>9} {:>10} {:>8} {:>7} {:>12} {:>10} {:>10}\n",
-            self.file,
+            plain(&self.file),
             self.markers,
             self.frames,
             self.rate_hz,

@@ -2,6 +2,8 @@
 
 use std::borrow::Cow;
 
+use crate::escape::to_cell;
+
 /// The cells of a line. A cell in quotes may hold commas, and quotes when they are doubled.
 pub(super) struct LineCells<'a> {
     rest: Option<&'a [u8]>,
@@ -42,13 +44,10 @@ impl<'a> Iterator for LineCells<'a> {
     }
 }
 
-/// A text as a cell: in quotes where it would not come back otherwise. Line ends become spaces: rows are lines.
+/// A text as a cell: in quotes where it would not come back otherwise, with escapes where it would not stay one line of
+/// text ([`crate::escape`]).
 pub(super) fn quote(text: &str) -> Cow<'_, str> {
-    let text = if text.contains(['\n', '\r']) {
-        Cow::Owned(text.replace(['\n', '\r'], " "))
-    } else {
-        Cow::Borrowed(text)
-    };
+    let text = to_cell(text);
     if text.contains([',', '"']) || text.trim() != text.as_ref() || text.starts_with('#') {
         return Cow::Owned(format!("\"{}\"", text.replace('"', "\"\"")));
     }

@@ -2,6 +2,7 @@
 
 use super::cells::LineCells;
 use super::{HEADER, long};
+use crate::escape::from_cell;
 use crate::interchange::InterchangeError;
 use crate::interchange::text::{self, Cells, Rows};
 use crate::interchange::units::{Millimetres, factor_or_warn};
@@ -137,7 +138,7 @@ impl Head {
                     ),
                 )
             })?;
-            labels.push(label.to_owned());
+            labels.push(from_cell(label).into_owned());
         }
         if lead == 0 && labels.is_empty() {
             return Err(malformed(

@@ -6,6 +6,7 @@ use std::collections::HashMap;
 use super::super::cells::LineCells;
 use super::super::read::{malformed, rate_from_times};
 use super::COLUMNS;
+use crate::escape::from_cell;
 use crate::interchange::InterchangeError;
 use crate::interchange::text::{self, Cells};
 use crate::interchange::units::Millimetres;
@@ -123,7 +124,7 @@ impl Data {
                 data.times.push((frame, time));
             }
             let column = *columns.entry(label.trim_ascii().to_vec()).or_insert_with_key(|label| {
-                data.labels.push(text::decode(label));
+                data.labels.push(from_cell(&text::decode(label)).into_owned());
                 data.labels.len() - 1
             });
             let mut position = position.iter().map(|cell| &cell[..]);

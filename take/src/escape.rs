@@ -1,0 +1,149 @@
+//! Text from outside (labels, marks, names, messages of other programs), made safe to show and to put into tables.
+//!
+//! A control character can begin a line of its own in a log, or command a terminal; a format character can turn the order
+//! of what stands beside it, or hide. All of them are escaped as Rust writes them: `\n`, `\u{1b}`, `\u{202e}`.
+
+use std::borrow::Cow;
+
+/// Whether a character is escaped: all control characters (C0, DEL, C1), separators of lines and paragraphs, and what is
+/// invisible and acts on its surroundings. U+200C and U+200D stay: Persian, Indic scripts and emoji are spelt with them.
+#[must_use]
+pub fn is_unsafe(c: char) -> bool {
+    c.is_control()
+        || matches!(c,
+            '\u{ad}' // soft hyphen
+            | '\u{61c}' // Arabic letter mark
+            | '\u{180e}' // Mongolian vowel separator
+            | '\u{200b}' // zero width space
+            | '\u{200e}' | '\u{200f}' // left-to-right and right-to-left mark
+            | '\u{2028}'..='\u{202e}' // line and paragraph separator, embeddings and overrides
+            | '\u{2060}'..='\u{206f}' // word joiner, invisible operators, isolates, deprecated controls
+            | '\u{feff}' // byte order mark
+            | '\u{fff9}'..='\u{fffb}' // interlinear annotation
+            | '\u{e0000}'..='\u{e007f}') // tags
+}
+
+/// A text on one line, with nothing in it that a terminal or a reader of a log would take for more than text.
+#[must_use]
+pub fn visible(text: &str) -> Cow<'_, str> {
+    escaped(text, is_unsafe)
+}
+
+/// The same of a text of several lines, which stay: every value in it was made [`visible`] by itself.
+#[must_use]
+pub fn visible_lines(text: &str) -> Cow<'_, str> {
+    escaped(text, |c| c != '\n' && is_unsafe(c))
+}
+
+fn escaped(text: &str, is_escaped: impl Fn(char) -> bool) -> Cow<'_, str> {
+    if !text.contains(&is_escaped) {
+        return Cow::Borrowed(text);
+    }
+    let mut out = String::with_capacity(text.len() + 16);
+    for c in text.chars() {
+        if is_escaped(c) {
+            match c {
+                '\n' | '\r' | '\t' => out.extend(c.escape_default()),
+                c => out.extend(c.escape_unicode()),
+            }
+        } else {
+            out.push(c);
+        }
+    }
+    Cow::Owned(out)
+}
+
+/// Before a number in an escape of a cell.
+const CELL_ESCAPE: &str = "\\u{";
+
+/// A text as part of a cell of a table, from which [`from_cell`] makes the same text again: what is unsafe becomes
+/// `\u{...}`, and the backslash of a `\u{` that stands in the text becomes `\u{5c}`.
+#[must_use]
+pub fn to_cell(text: &str) -> Cow<'_, str> {
+    if !text.contains(is_unsafe) && !text.contains(CELL_ESCAPE) {
+        return Cow::Borrowed(text);
+    }
+    let mut out = String::with_capacity(text.len() + 16);
+    for (at, c) in text.char_indices() {
+        if is_unsafe(c) || text[at..].starts_with(CELL_ESCAPE) {
+            out.extend(c.escape_unicode());
+        } else {
+            out.push(c);
+        }
+    }
+    Cow::Owned(out)
+}
+
+/// The text that [`to_cell`] made a cell of. What it does not write stays as it is, so that cells of other programs are
+/// left alone.
+#[must_use]
+pub fn from_cell(cell: &str) -> Cow<'_, str> {
+    if !cell.contains(CELL_ESCAPE) {
+        return Cow::Borrowed(cell);
+    }
+    let mut out = String::with_capacity(cell.len());
+    let mut rest = cell;
+    while let Some((before, after)) = rest.split_once(CELL_ESCAPE) {
+        out.push_str(before);
+        let found = after.split_once('}').and_then(|(digits, behind)| {
+            // No character needs more than six digits.
+            let digits = Some(digits).filter(|digits| (1..=6).contains(&digits.len()))?;
+            let c = u32::from_str_radix(digits, 16).ok().and_then(char::from_u32)?;
+            (is_unsafe(c) || c == '\\').then_some((c, behind))
+        });
+        rest = match found {
+            Some((c, behind)) => {
+                out.push(c);
+                behind
+            }
+            None => {
+                out.push_str(CELL_ESCAPE);
+                after
+            }
+        };
+    }
+    out.push_str(rest);
+    Cow::Owned(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn what_acts_is_escaped_and_what_is_text_is_not() {
+        for text in ["l_knee", "knié é", "膝", "می\u{200c}خواهم", "👩\u{200d}🔬", "C:\\take", "\\n"]
+        {
+            assert_eq!(visible(text), text);
+        }
+        assert_eq!(visible("a\nb\r\t\x1b[2J\x7f\u{9b}"), "a\\nb\\r\\t\\u{1b}[2J\\u{7f}\\u{9b}");
+        assert_eq!(
+            visible("x\u{202e}\u{2066}\u{200f}\u{2028}"),
+            "x\\u{202e}\\u{2066}\\u{200f}\\u{2028}"
+        );
+        assert_eq!(visible_lines("a\x1b\nb\r\n"), "a\\u{1b}\nb\\r\n");
+    }
+
+    #[test]
+    fn cells_of_others_are_left_alone() {
+        for cell in
+            ["\\u{41}", "\\u{}", "\\u{110000}", "\\u{+a}", "\\u{1b", "S01\\nose", "\\u{0000000a}"]
+        {
+            assert_eq!(from_cell(cell), cell);
+        }
+        assert_eq!(from_cell("\\u{1b}\\u{5c}u{1b}"), "\x1b\\u{1b}");
+    }
+
+    proptest! {
+        #[test]
+        fn cells_are_safe_and_come_back(
+            text in "([a-z\\\\u{}5c0-9\n\r\t\u{1b}\u{202e}\u{2028}é]|\\\\u\\{|\\PC|\\pC){0,12}"
+        ) {
+            let cell = to_cell(&text).into_owned();
+            prop_assert!(!cell.contains(is_unsafe), "{:?}", cell);
+            prop_assert_eq!(from_cell(&cell), text);
+        }
+    }
+}
