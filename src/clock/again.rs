@@ -6,16 +6,17 @@ use mocapd_take::record::{Clock, ClockLine, ClockPoint, ClockProbe};
 
 use super::{
     WINDOW_US,
-    fit::{Line, POINTS_MAX, fit},
+    fit::{Line, POINTS_MAX},
     probes::Bursts,
+    rounds::lines,
     seconds,
 };
 
 /// Round trips that are held: ten a second, which is the link's budget, over the window.
 const PROBES_MAX: usize = 1200;
 
-/// How far the two lines may lie apart, beside a quarter of the bound: which round trip of a burst was the best
-/// was told with the rate known then, and here with the last one.
+/// How far the two lines may lie apart, beside a quarter of the bound: in takes of the first versions, which round trip
+/// of a burst was the best was chosen with the rate known then, and not with the last one as here.
 const APART_US: f64 = 20.0;
 const APART_PPM: f64 = 2.0;
 
@@ -65,17 +66,18 @@ impl LineAgain {
         let points: Vec<ClockPoint> = self.points.iter().filter(counts).copied().collect();
         let mut bursts = Bursts::new();
         for &probe in &self.probes {
-            bursts.add(probe, stored_ppm, tick_hz);
+            bursts.add(probe);
         }
-        let Some((line, _)) = fit(&points, bursts.all(), tick_hz) else {
-            // A line of nothing.
-            return Some(Apart {
-                offset_us: f64::INFINITY,
-                drift_ppm: f64::INFINITY,
-                agrees: false,
-            });
-        };
-        Some(apart(&line, &stored, tick_hz))
+        // The choice between round trips may go on between a few lines: the stored one is the nearest.
+        let all = lines(&points, &bursts, stored_ppm, tick_hz);
+        let nearest = all.map(|line| apart(&line, &stored, tick_hz)).min_by(|a, b| {
+            let nearer = a.offset_us.abs().total_cmp(&b.offset_us.abs());
+            b.agrees.cmp(&a.agrees).then(nearer)
+        });
+        // A line of nothing.
+        let nothing =
+            Apart { offset_us: f64::INFINITY, drift_ppm: f64::INFINITY, agrees: false };
+        Some(nearest.unwrap_or(nothing))
     }
 }
 

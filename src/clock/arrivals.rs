@@ -75,12 +75,6 @@ impl Arrivals {
         self.n += 1;
     }
 
-    /// What came before this time no longer counts.
-    pub(super) fn forget_before(&mut self, host_us: u64) {
-        let old = self.points().iter().take_while(|point| point.host_us < host_us).count();
-        self.drop_oldest(old);
-    }
-
     fn drop_oldest(&mut self, n: usize) {
         self.points.copy_within(n..self.n, 0);
         self.n -= n;

@@ -14,6 +14,7 @@ mod judge;
 mod model;
 mod prober;
 mod probes;
+mod rounds;
 #[cfg(test)]
 mod tests;
 

@@ -4,9 +4,10 @@ use mocapd_take::record::{ClockFit, ClockJitter, ClockLine, ClockPoint, ClockPro
 
 use super::{
     arrivals::Arrivals,
-    fit::{Line, fit},
+    fit::Line,
     judge::{Judge, Verdict},
     probes::Bursts,
+    rounds::lines,
     seconds,
 };
 use crate::latency::Latency;
@@ -146,9 +147,8 @@ impl ClockModel {
             self.wants_probes |= self.judge.is_in_doubt();
         }
         self.last = Some((ticks, host_us));
-        let drift_ppm = self.line.map_or(0.0, |line| line.drift_ppm);
         let point = ClockPoint { device_ticks: ticks, host_us };
-        if let Some(closed) = self.arrivals.add(point, drift_ppm, self.tick_hz) {
+        if let Some(closed) = self.arrivals.add(point, self.drift_ppm(), self.tick_hz) {
             self.keep(closed, store);
         }
         event
@@ -186,8 +186,7 @@ impl ClockModel {
         }
         if store(ClockItem::Probe(self.segment, probe)) {
             self.probes += 1;
-            let drift_ppm = self.line.map_or(0.0, |line| line.drift_ppm);
-            self.bursts.add(probe, drift_ppm, self.tick_hz);
+            self.bursts.add(probe);
             self.lay();
         }
         event
@@ -249,15 +248,12 @@ impl ClockModel {
     }
 
     fn lay(&mut self) {
-        let laid = fit(self.arrivals.points(), self.bursts.all(), self.tick_hz);
-        if let Some((line, outdated)) = laid {
-            // Bursts that contradict the frames altogether stay: the next one may agree.
-            if (1..self.bursts.all().len()).contains(&outdated) {
-                self.bursts.forget(outdated);
-                self.arrivals.forget_before(self.bursts.all()[0].first_us);
-            }
-            self.line = Some(line);
-        }
+        let laid = lines(self.arrivals.points(), &self.bursts, self.drift_ppm(), self.tick_hz);
+        self.line = laid.last().or(self.line);
+    }
+
+    fn drift_ppm(&self) -> f64 {
+        self.line.map_or(0.0, |line| line.drift_ppm)
     }
 
     /// A clock that counts in 64 bits wraps in ten thousands of years; one of 32 bits does so in minutes.

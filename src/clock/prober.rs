@@ -6,7 +6,7 @@
 //! sendings and asks shortly before the next one.
 
 /// Round trips of a burst: as in LSL.
-const PROBES: u32 = 8;
+pub(super) const PROBES: u32 = 8;
 
 /// Between two bursts, in seconds: often at the start, so that there is a rate after four seconds and a good one
 /// after nine, then as often as a take can afford to store (some 50 bytes a burst). A full window holds four.
@@ -21,7 +21,7 @@ const SECOND_NS: u64 = 1_000_000_000;
 /// An answer that takes longer is no longer waited for.
 const ANSWER_NS: u64 = 500_000_000;
 
-/// A device that left so many without an answer is not asked again.
+/// A device that left so many without an answer is not asked again, until one comes after all: it was stalled.
 const UNANSWERED_MAX: u32 = 2 * PROBES;
 
 /// Pings that may still be answered.
@@ -147,6 +147,7 @@ impl Prober {
         };
         *ping = None;
         self.unanswered = 0;
+        self.off = false;
         // One that came late is as good a bound as any, but says nothing of when to ask.
         if self.waiting_since_ns == Some(sent_ns) {
             self.waiting_since_ns = None;
