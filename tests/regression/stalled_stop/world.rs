@@ -3,7 +3,7 @@
 use std::{
     io::{self, Write},
     sync::{Arc, Condvar, Mutex},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use mocapd::{
@@ -44,22 +44,11 @@ pub(super) enum Stalled {
     Device,
 }
 
-/// Which command comes around the stall.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Near {
-    Start,
-    SaveLast,
-    Stop,
-    /// Any, at any time.
-    None,
-}
-
 /// One run.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct World {
     pub(super) seed: u64,
     pub(super) stalled: Stalled,
-    pub(super) near: Near,
     /// When the stall begins and ends, in seconds.
     pub(super) stall_s: (f64, f64),
     pub(super) start_s: f64,
@@ -67,6 +56,10 @@ pub(super) struct World {
     pub(super) pre_roll_s: f64,
     pub(super) save_s: Option<f64>,
     pub(super) stop_s: f64,
+    /// Another take begins where that one ends, and ends with the run.
+    pub(super) splits: bool,
+    /// When the device's clock jumps ahead by 5 s.
+    pub(super) jump_s: Option<f64>,
     pub(super) drift_ppm: f64,
     /// The line sends what it has so often; at once when 0.
     pub(super) batch_ms: f64,
@@ -130,6 +123,14 @@ fn between(rng: &mut Seeded, from: f64, to: f64) -> f64 {
     from + (to - from) * (rng.next() as f64 / u64::MAX as f64)
 }
 
+#[derive(Debug, Clone, Copy)]
+enum Command {
+    /// With so many seconds from before it.
+    Start(f64),
+    SaveLast,
+    Stop,
+}
+
 /// What is under way to the host.
 enum Sent {
     Frame { seq: u32, device_ticks: u64 },
@@ -137,12 +138,11 @@ enum Sent {
 }
 
 impl World {
-    /// Each kind of stall at each command, in turn; the rest by the seed.
+    /// Each kind of stall around each command, in turn; the rest by the seed.
     pub(super) fn of(seed: u64) -> Self {
         let mut rng = Seeded::new(seed);
         let stalled =
             [Stalled::Disk, Stalled::Process, Stalled::Reader, Stalled::Device][seed as usize % 4];
-        let near = [Near::Start, Near::SaveLast, Near::Stop, Near::None][seed as usize / 4 % 4];
         let from_s = between(&mut rng, 1.0, 60.0);
         let to_s = from_s + between(&mut rng, 1.0, 30.0);
         // Shortly before it, in it, or shortly after it.
@@ -154,21 +154,23 @@ impl World {
         let earlier_s = between(&mut rng, 0.2, from_s.min(around_s));
         let later_s = to_s.max(around_s) + between(&mut rng, 0.5, 8.0);
         let any_s = between(&mut rng, earlier_s, later_s);
-        let (start_s, save_s, stop_s) = match near {
-            Near::Start => (around_s, None, later_s),
-            Near::SaveLast => (earlier_s, Some(around_s), later_s),
-            Near::Stop => (earlier_s, None, around_s),
-            Near::None => (earlier_s, Some(any_s), between(&mut rng, any_s, later_s)),
+        let jump_s = between(&mut rng, from_s - 1.0, later_s);
+        let (start_s, save_s, stop_s) = match seed / 4 % 4 {
+            0 => (around_s, None, later_s),
+            1 => (earlier_s, Some(around_s), later_s),
+            2 => (earlier_s, None, around_s),
+            _ => (earlier_s, Some(any_s), between(&mut rng, any_s, later_s)),
         };
         Self {
             seed,
             stalled,
-            near,
             stall_s: (from_s, to_s),
             start_s,
             pre_roll_s: [0.0, 0.0, 4.0][rng.below(3)],
             save_s,
             stop_s,
+            splits: rng.below(2) == 0,
+            jump_s: (rng.below(4) == 0).then_some(jump_s),
             drift_ppm: [-200.0, -37.0, 0.0, 200.0][rng.below(4)],
             batch_ms: [0.0, 1.0, 16.0][rng.below(3)],
             jitter_us: [30.0, 300.0, 3_000.0][rng.below(3)],
@@ -181,7 +183,9 @@ impl World {
 
     fn device_ticks(&self, host_ns: f64) -> u64 {
         let passed_s = (host_ns - BEGUN_NS) / SECOND_NS;
-        ((1_000.0 + passed_s / (1.0 + self.drift_ppm * 1e-6)) * TICK_HZ as f64) as u64
+        let jumped_s = if self.jump_s.is_some_and(|at_s| passed_s >= at_s) { 5.0 } else { 0.0 };
+        let device_s = 1_000.0 + passed_s / (1.0 + self.drift_ppm * 1e-6) + jumped_s;
+        (device_s * TICK_HZ as f64) as u64
     }
 
     /// When the stalled one goes on.
@@ -211,6 +215,23 @@ impl World {
             && (Self::at_ns(from_s)..Self::at_ns(to_s + catch_up_s)).contains(&now_ns)
     }
 
+    /// When the run ends.
+    fn end_s(&self) -> f64 {
+        self.stop_s.max(self.stall_s.1) + 2.0
+    }
+
+    fn commands(&self) -> Vec<(f64, Command)> {
+        let mut commands =
+            vec![(self.start_s, Command::Start(self.pre_roll_s)), (self.stop_s, Command::Stop)];
+        commands.extend(self.save_s.map(|save_s| (save_s, Command::SaveLast)));
+        if self.splits {
+            commands.push((self.stop_s, Command::Start(0.0)));
+        }
+        // A stop comes before the start at the same time.
+        commands.sort_by(|a, b| a.0.total_cmp(&b.0));
+        commands
+    }
+
     /// The takes that were closed, in the order in which they were.
     pub(super) fn run(&self) -> Vec<Ended> {
         let mut rng = Seeded::new(self.seed ^ 0x5eed);
@@ -219,8 +240,9 @@ impl World {
         let mut prober = Prober::new();
         let mut under_way: Vec<(f64, Sent)> = Vec::new();
         let (mut now_ns, mut in_order_ns, mut next_seq) = (BEGUN_NS, 0.0_f64, 0_u32);
-        let (mut live, mut saved, mut stopped) = (None, None, None);
-        let end_s = self.stop_s.max(self.stall_s.1) + 3.0;
+        let mut due = self.commands();
+        let (mut live, mut closed) = (None, Vec::new());
+        let end_s = self.end_s();
         while now_ns < Self::at_ns(end_s) {
             while let ready_ns = BEGUN_NS + f64::from(next_seq) / RATE_HZ * SECOND_NS
                 && ready_ns < now_ns + 2.0 * READ_NS
@@ -237,18 +259,23 @@ impl World {
             disk.stall(self.disk_stalls(now_ns));
 
             // Commands come on a thread of their own: with the process asleep, when that goes on.
-            let is_due = |s: f64| Self::at_ns(s) <= now_ns;
-            if live.is_none() && is_due(self.start_s) {
-                let take = new_take(&disk, self.pre_roll_s, now_ns);
-                live = Some(armed.takes.begin(take).unwrap());
-            }
-            if saved.is_none() && self.save_s.is_some_and(is_due) {
-                let take = new_take(&disk, 5.0, now_ns);
-                saved = Some((armed.takes.save(take).unwrap(), now_ns as u64));
-            }
-            if live.is_some() && stopped.is_none() && is_due(self.stop_s) {
-                armed.takes.end().unwrap();
-                stopped = Some(now_ns as u64);
+            while let Some(&(_, command)) = due.first().filter(|due| Self::at_ns(due.0) <= now_ns) {
+                due.remove(0);
+                match command {
+                    Command::Start(pre_roll_s) => {
+                        let take = || new_take(&disk, pre_roll_s, now_ns);
+                        live = Some(patiently(|| armed.takes.begin(take())));
+                    }
+                    Command::SaveLast => {
+                        let take = || new_take(&disk, 5.0, now_ns);
+                        let saved = patiently(|| armed.takes.save(take()));
+                        closed.push(("the saved take", saved, now_ns as u64));
+                    }
+                    Command::Stop => {
+                        patiently(|| armed.takes.end());
+                        closed.extend(live.take().map(|live| ("the take", live, now_ns as u64)));
+                    }
+                }
             }
 
             let here = under_way.partition_point(|sent| sent.0 <= now_ns);
@@ -284,17 +311,27 @@ impl World {
             }
         }
         disk.stall(false);
+        closed.extend(live.map(|live| ("the last take", live, now_ns as u64)));
         drop(intake);
-        let closed = [("the saved take", saved), ("the take", live.zip(stopped))];
-        let ended = closed.into_iter().filter_map(|(name, begun)| {
-            begun.map(|(begun, until_ns)| {
-                let (written, output) = end_of(&begun);
-                Ended { name, take: output.bytes, written, until_ns }
-            })
+        let ended = closed.iter().map(|(name, begun, until_ns)| {
+            let (written, output) = end_of(begun);
+            Ended { name, take: output.bytes, written, until_ns: *until_ns }
         });
         let ended = ended.collect();
         pipeline.join().unwrap();
         ended
+    }
+}
+
+/// The writer works in its own time, behind the virtual one.
+fn patiently<T>(mut order: impl FnMut() -> anyhow::Result<T>) -> T {
+    let since = Instant::now();
+    loop {
+        match order() {
+            Ok(done) => return done,
+            Err(error) => assert!(since.elapsed() < Duration::from_secs(30), "{error}"),
+        }
+        std::thread::yield_now();
     }
 }
 
@@ -341,4 +378,40 @@ fn give(intake: &mut Intake, seq: u32, device_ticks: u64, arrival_ns: u64) {
     let position_mm = [100.0 * at.sin() as f32, 100.0 * at.cos() as f32, 1500.0];
     let markers = [MarkerSample { position_mm, ..MarkerSample::default() }];
     intake.frame(&Frame { seq, device_ticks, timecode: None, markers: &markers }, arrival_ns);
+}
+
+/// Round trips that [`flooded`] measures: twice as many as wait for the writer.
+pub(super) const FLOOD: u64 = 2_048;
+
+/// A take whose disk stalls while more is observed of the clocks than can wait.
+pub(super) fn flooded() -> (Vec<u8>, Written) {
+    let disk = Arc::new(Disk::default());
+    let (mut intake, pipeline, mut armed) = arm();
+    let mut next_seq = 0;
+    let mut read = |intake: &mut Intake, n_frames: u32, trips: u64| {
+        for _ in 0..n_frames {
+            let at_ns = 1_000_000_000 + u64::from(next_seq) * 40_000_000;
+            let ticks = at_ns / 1000;
+            give(intake, next_seq, ticks, at_ns + 90_000);
+            for trip in 0..trips {
+                // Each tells a little more than the one before.
+                let asked_ns = at_ns + trip * 200_000;
+                intake.probe(ticks + trip * 200 + 50, asked_ns, asked_ns + 200_000 - trip * 1_000);
+            }
+            next_seq += 1;
+        }
+    };
+    read(&mut intake, 1, 0);
+    let begun = armed.takes.begin(new_take(&disk, 0.0, 1e9)).unwrap();
+    read(&mut intake, 50, 0);
+    begun.first.recv_timeout(Duration::from_secs(30)).unwrap();
+    disk.stall(true);
+    read(&mut intake, FLOOD as u32 / 8, 8);
+    disk.stall(false);
+    armed.takes.end().unwrap();
+    read(&mut intake, 1, 0);
+    let (written, output) = end_of(&begun);
+    drop(intake);
+    pipeline.join().unwrap();
+    (output.bytes, written)
 }
