@@ -75,8 +75,7 @@ impl LineAgain {
             b.agrees.cmp(&a.agrees).then(nearer)
         });
         // A line of nothing.
-        let nothing =
-            Apart { offset_us: f64::INFINITY, drift_ppm: f64::INFINITY, agrees: false };
+        let nothing = Apart { offset_us: f64::INFINITY, drift_ppm: f64::INFINITY, agrees: false };
         Some(nearest.unwrap_or(nothing))
     }
 }

@@ -4,8 +4,8 @@
 
 With the simulator's log (mocapd-sim serve --log), also says how far the stored line is from the truth.
 Exit code 1 when the two lines are further apart than 20 us and a quarter of the bound, or the rates than 2 ppm and
-a quarter of theirs: which round trip of a burst is the best one was told with the rate known then, and with the
-last one here.
+a quarter of theirs: the first recorders chose the best round trip of a burst with the rate known then, and here it is
+the last one.
 """
 
 import argparse
@@ -13,7 +13,7 @@ import csv
 import sys
 from pathlib import Path
 
-from take.clock import KIND, line_of, read_clock, signed
+from take.clock import KIND, lines_of, read_clock, signed
 from take.container import chunks
 
 
@@ -27,10 +27,14 @@ def main():
         sys.exit(f"{args.take}: it tells of no line")
     last = clocks[-1]
     ticks, host_ns, drift_ppb, bound = last.line
-    at, late_us, ppm = line_of(clocks)
-    passed_s = signed(at[0] - ticks) / last.tick_hz
-    stored_ns = host_ns + passed_s * (1e9 + drift_ppb)
-    apart_us = at[1] + late_us - stored_ns / 1e3
+
+    def apart(line):
+        at, late_us, ppm = line
+        passed_s = signed(at[0] - ticks) / last.tick_hz
+        stored_ns = host_ns + passed_s * (1e9 + drift_ppb)
+        return at[1] + late_us - stored_ns / 1e3, ppm
+
+    apart_us, ppm = min(map(apart, lines_of(clocks)), key=lambda found: abs(found[0]))
     n_probes = sum(len(clock.probes) for clock in clocks)
     n_points = sum(len(clock.points) for clock in clocks)
     print(f"{n_probes} round trips, {n_points} points, {last.segment + 1} segments")

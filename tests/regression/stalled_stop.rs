@@ -71,7 +71,8 @@ fn no_take_around_a_stall_contradicts_itself() {
 /// The shortest way to it: the disk stalls when the take is stopped, and round trips go on meanwhile.
 #[test]
 fn a_disk_that_stalls_at_the_stop_leaves_out_what_came_after_it() {
-    let world = World { stalled: Stalled::Disk, save_s: None, splits: false, jump_s: None, ..World::of(1) };
+    let world =
+        World { stalled: Stalled::Disk, save_s: None, splits: false, jump_s: None, ..World::of(1) };
     let world = World { start_s: 2.0, stall_s: (12.0, 30.0), stop_s: 12.5, ..world };
     let [ended] = &world.run()[..] else { panic!("{world:?}") };
     assert_eq!(contradictions(ended), [] as [String; 0]);

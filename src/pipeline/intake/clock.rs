@@ -18,7 +18,7 @@ pub(super) struct Clocks {
     events: u32,
 }
 
-/// The way to the writer. What finds it full is in no take, and the line is not laid through it.
+/// The way to the writer. An item that finds it full is in no take, and the line is not laid through it.
 #[derive(Debug)]
 struct Outbox {
     items: Sender<ClockItem>,

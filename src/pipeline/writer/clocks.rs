@@ -166,10 +166,7 @@ impl ClockWriter {
         Ok(std::mem::take(&mut self.lines))
     }
 
-    fn record<W: Write>(
-        &mut self,
-        take: Option<&mut TakeWriter<W>>,
-    ) -> anyhow::Result<()> {
+    fn record<W: Write>(&mut self, take: Option<&mut TakeWriter<W>>) -> anyhow::Result<()> {
         let (ended, status) = (self.line.take(), self.status);
         let Some(take) = take else {
             self.probes.clear();

@@ -15,6 +15,7 @@ RULED_OUT = 100.0
 BEYOND_US = 1.0
 NOISE_MIN_US = 3.0
 LATE_MAX_US = 10e6
+ROUNDS_MAX = 6
 
 
 def signed(value):
@@ -144,8 +145,9 @@ def lay(points, bursts, tick_hz):
     return at, low.most(ppm) + max(gap(ppm), 0) / 2, ppm
 
 
-def line_of(clocks):
-    """The line of the last segment, laid again from all that the take has of it."""
+def lines_of(clocks):
+    """The line of the last segment, laid again from all that the take has of it: through the best round trips at the
+    stored rate, then at the line's own, until these are the same. Mostly there is one; the stored line is one of them."""
     last = [clock for clock in clocks if clock.segment == clocks[-1].segment]
     tick_hz = last[0].tick_hz
     points = [point for clock in last for point in clock.points]
@@ -153,8 +155,19 @@ def line_of(clocks):
     newest = points[-1][1] if points else 0
     points = [point for point in points if point[1] + WINDOW_US >= newest]
     drift_ppm = last[-1].line[2] / 1e3 if last[-1].line else 0.0
-    bursts = bursts_of(probes, tick_hz, drift_ppm)
-    bursts = [burst for burst in bursts if burst[0] + WINDOW_US >= bursts[-1][0]]
+    chosen = None
+    for _ in range(ROUNDS_MAX):
+        bursts = bursts_of(probes, tick_hz, drift_ppm)
+        bursts = [burst for burst in bursts if burst[0] + WINDOW_US >= bursts[-1][0]]
+        if chosen == (chosen := [burst[1:3] for burst in bursts]):
+            return
+        line = newest_line(points, bursts, tick_hz)
+        yield line
+        drift_ppm = line[2]
+
+
+def newest_line(points, bursts, tick_hz):
+    """Without the oldest bursts, and what came before them, where no line keeps all bounds."""
     while bursts:
         line = lay(points, bursts, tick_hz)
         if line:

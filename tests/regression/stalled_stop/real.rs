@@ -45,8 +45,18 @@ enum Act {
 }
 
 const START: Act = Act::Command(&["start"]);
-const SAVE_LAST: Act = Act::Command(&["save-last", "5s"]);
+// Longer than any stall: of a device that stalled for so long nothing is held.
+const SAVE_LAST: Act = Act::Command(&["save-last", "40s"]);
 const STOP: Act = Act::Command(&["stop"]);
+
+const CONFIG: &str = "[http]
+socket = 'rig.sock'
+listen = ''
+[take]
+name = 'take-{count}'
+[arm]
+pre_roll = '60s'
+";
 
 /// Longer than any stall, and than `ctl` waits for an answer.
 const GIVE_UP: Duration = Duration::from_secs(90);
@@ -80,27 +90,26 @@ pub(super) fn stall(seed: u64) -> Vec<(String, Ran)> {
     };
     match stalled {
         Stalled::Device => {}
-        Stalled::Service => acts.extend([
-            (from_s, Act::Signal(Signal::STOP)),
-            (to_s, Act::Signal(Signal::CONT)),
-        ]),
+        Stalled::Service => {
+            acts.extend([(from_s, Act::Signal(Signal::STOP)), (to_s, Act::Signal(Signal::CONT))])
+        }
         #[cfg(feature = "fault-hooks")]
-        Stalled::Writer => acts.extend([
-            (from_s, Act::Signal(Signal::USR2)),
-            (to_s, Act::Signal(Signal::USR1)),
-        ]),
+        Stalled::Writer => {
+            acts.extend([(from_s, Act::Signal(Signal::USR2)), (to_s, Act::Signal(Signal::USR1))])
+        }
     }
     acts.sort_by(|a, b| a.0.total_cmp(&b.0));
     println!("{seed}: {stalled:?} for {for_s:.1} s from {from_s:.1} s on; {acts:?}");
 
     let folder = Folder::new();
-    folder.write("rig.toml", "[http]\nsocket = 'rig.sock'\nlisten = ''\n[take]\nname = 'take-{count}'\n");
+    folder.write("rig.toml", CONFIG);
     let device = device(stalled, from_s, for_s);
     let uri = device.uri();
     let run = ["run", "--config", "rig.toml", "--device", &uri, "--directory", "."];
     let service = folder.command(&run).env("MOCAPD_HANG", "writer").spawn().unwrap();
     let pid = Pid::from_child(&service);
-    let ctl = |args: &[&str]| folder.command(&[&["ctl", "--connect", "unix:rig.sock"], args].concat());
+    let ctl =
+        |args: &[&str]| folder.command(&[&["ctl", "--connect", "unix:rig.sock"], args].concat());
     let begun = Instant::now();
     let mut commands = Vec::new();
     for (at_s, act) in acts {
@@ -117,7 +126,8 @@ pub(super) fn stall(seed: u64) -> Vec<(String, Ran)> {
     kill_process(pid, Signal::TERM).unwrap();
     let ran = ended(service);
     assert!(matches!(ran.code, Some(0 | 3)), "{seed}: {ran:?}");
-    let takes = folder.content().into_keys().filter(|path| path.extension() == Some("take".as_ref()));
+    let takes =
+        folder.content().into_keys().filter(|path| path.extension() == Some("take".as_ref()));
     let verified = takes.map(|take| {
         let take = take.to_str().unwrap().to_owned();
         let ran = folder.run(&["verify", &take, "--json"]);
@@ -127,9 +137,11 @@ pub(super) fn stall(seed: u64) -> Vec<(String, Ran)> {
 }
 
 fn device(stalled: Stalled, at_s: f64, for_s: f64) -> Simulated {
-    let fault = format!("[[fault]]\nkind = 'stall'\nat_s = {at_s:.3}\nfor_s = {for_s:.3}\n");
-    let text = if stalled == Stalled::Device { fault.as_str() } else { "" };
-    let script = Arc::new(Script::parse("stall", text).unwrap());
+    let mut text = "seed = 1\n".to_owned();
+    if stalled == Stalled::Device {
+        text += &format!("[[fault]]\nkind = 'stall'\nat_s = {at_s:.3}\nfor_s = {for_s:.3}\n");
+    }
+    let script = Arc::new(Script::parse("stall", &text).unwrap());
     let faults = Some(Arc::clone(&script));
     let settings =
         DeviceSettings { looping: true, drift_ppm: 150.0, faults, ..DeviceSettings::default() };

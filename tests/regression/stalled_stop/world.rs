@@ -9,7 +9,9 @@ use std::{
 use mocapd::{
     clock::Prober,
     header,
-    pipeline::{Armed, Begun, Intake, NewTake, Pipeline, PipelineConfig, PreRollConfig, TakeOutput, Written},
+    pipeline::{
+        Armed, Begun, Intake, NewTake, Pipeline, PipelineConfig, PreRollConfig, TakeOutput, Written,
+    },
 };
 use mocapd_drivers::device::{Frame, MarkerSample};
 use mocapd_take::record::{Channel, Device, Header};
