@@ -7,9 +7,12 @@ use super::{
     probes::Bursts,
 };
 
-/// Rounds at most. One is mostly enough, because a rate hardly changes; where few round trips were held up, the choice
+/// Rounds at most. Two are mostly enough, because a rate hardly changes; where few round trips were held up, the choice
 /// can go on between two or three.
-const ROUNDS_MAX: usize = 6;
+const ROUNDS_MAX: usize = 8;
+
+/// A rate that is so near is the same: within a burst of half a second it is 0.005 us.
+const SAME_PPM: f64 = 0.01;
 
 /// The line through the best round trips at the rate `from_ppm`, then through the best ones at its own rate, and so on
 /// until these are the same: the last one is the line. From its rate on, the same lines come again: so it can be found
@@ -20,12 +23,13 @@ pub(super) fn lines(
     from_ppm: f64,
     tick_hz: f64,
 ) -> impl Iterator<Item = Line> {
-    let mut next = Some(bursts.best(from_ppm, tick_hz));
+    let mut next = Some((from_ppm, bursts.best(from_ppm, tick_hz)));
     (0..ROUNDS_MAX).map_while(move |_| {
-        let best = next.take()?;
+        let (ppm, best) = next.take()?;
         let (line, _) = fit(points, best.all(), tick_hz)?;
         let better = bursts.best(line.drift_ppm, tick_hz);
-        next = (!better.are_of(&best)).then_some(better);
+        let is_same = (line.drift_ppm - ppm).abs() < SAME_PPM && better.are_of(&best);
+        next = (!is_same).then_some((line.drift_ppm, better));
         Some(line)
     })
 }

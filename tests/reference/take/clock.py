@@ -15,7 +15,8 @@ RULED_OUT = 100.0
 BEYOND_US = 1.0
 NOISE_MIN_US = 3.0
 LATE_MAX_US = 10e6
-ROUNDS_MAX = 6
+ROUNDS_MAX = 8
+SAME_PPM = 0.01
 
 
 def signed(value):
@@ -155,15 +156,16 @@ def lines_of(clocks):
     newest = points[-1][1] if points else 0
     points = [point for point in points if point[1] + WINDOW_US >= newest]
     drift_ppm = last[-1].line[2] / 1e3 if last[-1].line else 0.0
-    chosen = None
+    chosen, before_ppm = None, None
     for _ in range(ROUNDS_MAX):
         bursts = bursts_of(probes, tick_hz, drift_ppm)
         bursts = [burst for burst in bursts if burst[0] + WINDOW_US >= bursts[-1][0]]
-        if chosen == (chosen := [burst[1:3] for burst in bursts]):
+        chosen_before, chosen = chosen, [burst[1:3] for burst in bursts]
+        if chosen == chosen_before and abs(drift_ppm - before_ppm) < SAME_PPM:
             return
         line = newest_line(points, bursts, tick_hz)
         yield line
-        drift_ppm = line[2]
+        before_ppm, drift_ppm = drift_ppm, line[2]
 
 
 def newest_line(points, bursts, tick_hz):
