@@ -8,7 +8,8 @@ use mocapd::{
         control::{FirstFrame, Mark, Marked, Request, SaveLast, Start, Started, Stopped},
         http::{Problem, ProblemKind, openapi},
         status::{
-            LedgerStatus, MarkerQuality, ServiceEvent, State, Status, TakeStatus, TakeSummary,
+            DeviceStatus, LedgerStatus, MarkerQuality, OutageStatus, ServiceEvent, State, Status,
+            TakeStatus, TakeSummary,
         },
     },
 };
@@ -85,7 +86,9 @@ fn the_document_has_the_routes_and_the_server_has_them_too() {
 
 /// One of each type, with all there is in it.
 fn examples() -> Vec<(&'static str, Value)> {
+    let outage = OutageStatus { ends_in_s: Some(1.0), ..OutageStatus::default() };
     let status = Status {
+        device: DeviceStatus { outage: Some(outage), ..DeviceStatus::default() },
         take: Some(TakeStatus::default()),
         last_take: Some(TakeSummary::default()),
         ..Status::default()
