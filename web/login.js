@@ -27,7 +27,7 @@ function ask() {
       try {
         await login(token.value);
       } catch (error) {
-        return setText(byId("login-answer"), error.message);
+        return setText(byId("login-answer"), error.kind === "unauthorized" ? "Wrong token." : error.message);
       }
       form.removeEventListener("submit", submit);
       dialog.removeEventListener("cancel", stay);

@@ -258,7 +258,7 @@ def token(browser, _log):
         browser.wait("the question", "return document.getElementById('login').open")
         browser.type("token", "wrong")
         browser.js("document.querySelector('#login-form button').click()")
-        browser.wait("that it is wrong", lambda: browser.text("login-answer") == "that is not the token")
+        browser.wait("that it is wrong", lambda: browser.text("login-answer") == "Wrong token.")
         browser.type("token", "0123456789abcdef\n")
         browser.wait("no question", "return !document.getElementById('login').open")
         before = browser.stats()["frames"]

@@ -239,12 +239,18 @@ def let_in(browser, mocapd, mocapd_sim):
         assert browser.driver.current_url.endswith("/login"), browser.driver.current_url
         assert browser.complaints() == []
         browser.picture("daemon-login")
+        # A wrong one brings the form again.
+        browser.driver.find_element("name", "token").send_keys("0123456789abcdee\n")
+        alert = "return document.querySelector('form [role=alert]')?.textContent"
+        assert browser.wait("that it is wrong", alert) == "Wrong token."
+        browser.picture("daemon-login-wrong")
+        browser.complaints()
         browser.driver.find_element("name", "token").send_keys(f"{token}\n")
         browser.wait_state("armed", 20)
         browser.driver.delete_all_cookies()
         browser.wait("the question", "return document.getElementById('login').open")
         browser.type("token", "0123456789abcdee\n")
-        browser.wait("that it is wrong", lambda: browser.text("login-answer").startswith("that is not the token"))
+        browser.wait("that it is wrong", lambda: browser.text("login-answer") == "Wrong token.")
         browser.type("token", f"{token}\n")
         browser.wait("no question", "return !document.getElementById('login').open")
         browser.wait_state("armed")

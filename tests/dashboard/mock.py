@@ -128,7 +128,7 @@ class Handler(BaseHTTPRequestHandler):
 
     def login(self, token):
         if token != self.token:
-            return self.answer(401, {"kind": "unauthorized", "message": "that is not the token"})
+            return self.answer(401, {"kind": "unauthorized", "message": "wrong token"})
         cookie = f"mocapd_session={self.rig.cookie}; Path=/; HttpOnly; SameSite=Strict"
         return self.answer(303, b"", extra=[("Set-Cookie", cookie), ("Location", "/")])
 

@@ -18,6 +18,7 @@ use axum::{
 use super::{
     connection::Via,
     counts::Counts,
+    pages,
     places::Place,
     problem::{PROBLEM_JSON, Problem, ProblemKind},
     state::Shared,
@@ -73,9 +74,8 @@ fn check(app: &Shared, request: &Request) -> Result<(), Box<Response>> {
     if is_authorized || is_open(uri.path()) {
         return Ok(());
     }
-    let accepts = headers.get(header::ACCEPT).and_then(|accept| accept.to_str().ok());
-    if request.method() == Method::GET && accepts.is_some_and(|types| types.contains("text/html")) {
-        return Err(Box::new(Redirect::to("/login").into_response()));
+    if request.method() == Method::GET && pages::is_wanted(headers) {
+        return Err(Box::new(Redirect::to(pages::LOGIN_PATH).into_response()));
     }
     let words = "a token is needed: send `Authorization: Bearer …`, or log in at /login";
     refuse(Problem::new(StatusCode::UNAUTHORIZED, ProblemKind::Unauthorized, words))
@@ -157,9 +157,12 @@ fn same_site(headers: &HeaderMap, host: Option<&Authority>) -> Result<(), Proble
     }
 }
 
-/// Makes every refusal a problem in JSON, and adds the headers that keep browsers to themselves.
+/// Makes every refusal a problem in JSON, or a page for a browser that shows it, and adds the headers that keep browsers
+/// to themselves.
 pub(super) async fn finish(State(app): State<Shared>, request: Request, next: Next) -> Response {
-    let is_api = request.uri().path().starts_with("/v1/");
+    let path = request.uri().path().to_owned();
+    let is_api = path.starts_with("/v1/");
+    let is_page = !is_api && pages::is_wanted(request.headers());
     Counts::add(&app.counts.requests, 1);
     let mut response = next.run(request).await;
     let status = response.status();
@@ -172,6 +175,13 @@ pub(super) async fn finish(State(app): State<Shared>, request: Request, next: Ne
             if let Some(allow) = allow {
                 response.headers_mut().insert(header::ALLOW, allow);
             }
+        }
+        if is_page && let Some(problem) = response.extensions().get::<Problem>() {
+            let page = pages::refusal(&path, problem).into_response();
+            let headers = response.headers_mut();
+            headers.remove(header::CONTENT_LENGTH);
+            headers.extend(page.headers().clone());
+            *response.body_mut() = page.into_body();
         }
     }
     let headers = response.headers_mut();

@@ -10,7 +10,7 @@ use axum::{
 
 use super::{
     auth::{COOKIE, SESSION_MAX},
-    body,
+    body, pages,
     problem::{Problem, ProblemKind},
     state::Shared,
 };
@@ -18,13 +18,11 @@ use super::{
 /// Before a wrong token is answered: guessing over one connection is slow, and connections are counted.
 const WRONG_TOKEN_WAIT: Duration = Duration::from_millis(500);
 
-const PAGE: &str = include_str!("login.html");
-
 /// A page that asks for the token
 #[utoipa::path(get, path = "/login", tag = "login",
     responses((status = 200, body = String, content_type = "text/html")), security(()))]
-pub(super) async fn page() -> Html<&'static str> {
-    Html(PAGE)
+pub(super) async fn page() -> Html<String> {
+    pages::login()
 }
 
 /// What the page sends.
@@ -37,28 +35,17 @@ pub(super) struct Login {
 
 /// Log a browser in
 ///
-/// Answers with a cookie that scripts cannot read and other sites' pages cannot use.
+/// Answers with a cookie that scripts cannot read and other sites' pages cannot use. A client that accepts HTML gets a
+/// refusal as the form again, with the reason.
 #[utoipa::path(post, path = "/login", tag = "login", security(()),
     request_body(content = inline(Login), content_type = "application/x-www-form-urlencoded"),
     responses((status = 303, description = "Logged in: to the dashboard"),
         (status = 401, description = "Not the token", body = Problem,
             content_type = "application/problem+json")))]
-pub(super) async fn login(State(app): State<Shared>, request: Request) -> Response {
-    let accepts = request.headers().get(header::ACCEPT).and_then(|value| value.to_str().ok());
-    let is_page = accepts.is_some_and(|accepts| accepts.contains("text/html"));
-    match log_in(&app, request).await {
-        Ok(response) => response,
-        // A browser without scripts shows what comes: the page again, and why.
-        Err(problem) if is_page && problem.kind == ProblemKind::Unauthorized => {
-            let page = PAGE
-                .replace("</form>", "</form>\n    <p role=\"alert\">That is not the token.</p>");
-            (StatusCode::UNAUTHORIZED, Html(page)).into_response()
-        }
-        Err(problem) => problem.into_response(),
-    }
-}
-
-async fn log_in(app: &Shared, request: Request) -> Result<Response, Problem> {
+pub(super) async fn login(
+    State(app): State<Shared>,
+    request: Request,
+) -> Result<Response, Problem> {
     let (parts, body) = request.into_parts();
     if !body::is_type(&parts.headers, "application/x-www-form-urlencoded") {
         return Err(Problem::new(
@@ -67,11 +54,11 @@ async fn log_in(app: &Shared, request: Request) -> Result<Response, Problem> {
             "send the form of /login",
         ));
     }
-    let form = body::read(body, &parts.headers, app).await?;
+    let form = body::read(body, &parts.headers, &app).await?;
     let said = token_of(&form).ok_or_else(|| Problem::invalid("the form has no field `token`"))?;
     if !app.auth.is_token(&said) {
         tokio::time::sleep(WRONG_TOKEN_WAIT).await;
-        let words = "that is not the token: it stands in the file that the configuration names";
+        let words = "wrong token: it stands in the file that the configuration names";
         return Err(Problem::new(StatusCode::UNAUTHORIZED, ProblemKind::Unauthorized, words));
     }
     let mut response = Redirect::to("/").into_response();

@@ -28,6 +28,7 @@ mod live;
 mod login;
 mod metrics;
 mod options;
+mod pages;
 mod places;
 mod problem;
 mod range;
