@@ -27,8 +27,8 @@ export function answerWords(what, answer, tookMs, rateHz) {
     const lost = Math.max(0, rows - ledger.recorded);
     const losses = lost > 0 ? `${plural(lost, "frame")} lost` : "no frame lost";
     const closes = ledger.closes ? "the ledger closes" : "the ledger does not close: verify the take";
-    const ending = answer.ending === "stopped" ? "" : ` It ended by itself: ${answer.ending}.`;
-    return `${answer.name} is on disk: ${running(seconds)}, ${count(rows)} rows, ${losses}, ${closes}.${ending}`;
+    const ending = ["stopped", "saved"].includes(answer.ending) ? "" : ` It ended by itself: ${answer.ending}.`;
+    return `${answer.name} is on disk: ${running(seconds)}, ${count(rows)} rows, ${losses}, ${closes}.${ending}${remarks}`;
   }
   if (what === "mark") {
     const at = rateHz > 0 ? ` (${running(answer.row / rateHz)})` : "";

@@ -80,7 +80,7 @@ fn check(args: &CheckArgs) -> anyhow::Result<Outcome> {
 }
 
 fn found_good(args: &CheckArgs, config: &Config) -> anyhow::Result<Outcome> {
-    let mut notes = config.notes();
+    let mut notes = config.warnings();
     config.subject.load().context("[subject]")?;
     if let Some(file) = &config.http.token_file {
         notes.extend(token_note(file)?);

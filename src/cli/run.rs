@@ -1,7 +1,7 @@
 //! `run`: the service, until it is told to stop.
 
 use std::{
-    path::{Path, PathBuf},
+    path::PathBuf,
     sync::Arc,
     time::{Duration, Instant},
 };
@@ -20,7 +20,6 @@ use mocapd::{
         triggered::Triggers,
     },
 };
-use rustix::fs::{Access, access};
 use signal_hook::{
     consts::{SIGHUP, SIGINT, SIGTERM},
     iterator::Signals,
@@ -72,12 +71,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     // Before anything is started: no signal is missed.
     let mut signals =
         Signals::new([SIGHUP, SIGINT, SIGTERM]).context("cannot watch for signals")?;
-    make_directory(&config.take.directory)?;
+    make_directory(&config)?;
     let options = EngineOptions::load(&config)?;
     let log = Log::start(config.log_level, &config.rig_name, std::io::stderr)?;
     let heartbeat = Heartbeat::default();
     let engine = Arc::new(Engine::start(options, &heartbeat)?);
     let control: Arc<dyn Control> = Arc::<Engine>::clone(&engine);
+    for warning in config.warnings() {
+        control.tell("warning", &warning);
+    }
     let doors = Doors::open(&config, &control)?;
     let mut notifier = Notifier::default();
     notifier.ready(&engine.status().words());
@@ -100,25 +102,13 @@ struct Doors {
 impl Doors {
     fn open(config: &Config, control: &Arc<dyn Control>) -> anyhow::Result<Self> {
         let mut options = http_options(&config.http)?;
-        if let Some(folder) = options.unix_socket.as_deref().and_then(Path::parent)
-            && options.tcp.is_some()
-            && !folder.as_os_str().is_empty()
-            && !folder.exists()
-        {
-            let words = "there is no Unix socket, because systemd has not made its folder";
-            let remedy = "set http.socket to another path, or to \"\" for none";
-            control.tell("warning", &format!("{words} {}: {remedy}", folder.display()));
+        if config.missing_socket_folder().is_some() {
             options.unix_socket = None;
         }
         let wanted = options.unix_socket.is_some() || options.tcp.is_some();
         let http = wanted.then(|| HttpServer::start(options, Arc::clone(control))).transpose()?;
-        if let Some(http) = &http {
-            for remark in http.remarks() {
-                control.tell("warning", remark);
-            }
-            if let Some(address) = http.tcp_address() {
-                control.tell("state", &format!("the dashboard is at http://{address}/"));
-            }
+        if let Some(address) = http.as_ref().and_then(HttpServer::tcp_address) {
+            control.tell("state", &format!("the dashboard is at http://{address}/"));
         }
         let triggers = Triggers::open(&config.trigger, &config.rig_name, control)?;
         Ok(Self { http, triggers })
@@ -212,9 +202,7 @@ impl Running<'_> {
         for change in &changes {
             tracing::info!("{}: {}", change.key, change.when.words());
         }
-        let options = match make_directory(&config.take.directory)
-            .and_then(|()| EngineOptions::load(&config))
-        {
+        let options = match make_directory(&config).and_then(|()| EngineOptions::load(&config)) {
             Ok(options) => options,
             Err(error) => {
                 tracing::error!(
@@ -226,6 +214,10 @@ impl Running<'_> {
         };
         self.log.set_level(config.log_level);
         self.engine.reload(options);
+        let known = self.config.warnings();
+        for warning in config.warnings().iter().filter(|warning| !known.contains(warning)) {
+            self.control.tell("warning", warning);
+        }
         if let Err(error) = self.doors.reopen(&self.config, &config, &self.control) {
             tracing::error!("{}", plain(&format!("{error:#}")));
             // Tried again the next time.
@@ -235,15 +227,12 @@ impl Running<'_> {
     }
 }
 
-fn make_directory(directory: &Path) -> anyhow::Result<()> {
+/// Makes the takes' folder where it does not exist: whether it can be written is known before anybody presses record.
+fn make_directory(config: &Config) -> anyhow::Result<()> {
+    config.check_takes_folder()?;
+    let directory = &config.take.directory;
     if directory.exists() {
-        // Told before anybody presses record.
-        return access(directory, Access::WRITE_OK | Access::EXEC_OK).with_context(|| {
-            format!(
-                "cannot write into the takes' folder {}: give it to the user that the service runs as, or name another one",
-                directory.display()
-            )
-        });
+        return Ok(());
     }
     std::fs::create_dir_all(directory)
         .with_context(|| format!("cannot make the takes' folder {}", directory.display()))?;

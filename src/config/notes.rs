@@ -1,11 +1,56 @@
-//! What is possible and still may surprise: told by `mocapd config check` and when the service starts.
+//! What is possible and still may surprise: `mocapd config check` and `mocapd run` warn of the same.
 
-use std::net::SocketAddr;
+use std::{net::SocketAddr, path::Path};
+
+use anyhow::Context;
+use rustix::fs::{Access, access};
 
 use super::Config;
 
 impl Config {
-    /// One line each.
+    /// What `mocapd config check` and `mocapd run` warn of, one line each: [`Config::notes`], and what this machine adds.
+    #[must_use]
+    pub fn warnings(&self) -> Vec<String> {
+        let mut warnings = self.notes();
+        if let Some(folder) = self.missing_socket_folder() {
+            warnings.push(format!(
+                "there is no Unix socket, because its folder {} does not exist: systemd makes it for the unit; \
+                 set http.socket to another path, or to \"\" for none",
+                folder.display()
+            ));
+        }
+        if let Err(error) = self.check_takes_folder() {
+            warnings.push(format!("{error:#}"));
+        }
+        warnings
+    }
+
+    /// The folder of the Unix socket, where it does not exist and the service goes on with TCP alone.
+    #[must_use]
+    pub fn missing_socket_folder(&self) -> Option<&Path> {
+        self.http.listen?;
+        let folder = self.http.socket.as_deref()?.parent()?;
+        (!folder.as_os_str().is_empty() && !folder.exists()).then_some(folder)
+    }
+
+    /// Whether this user can write into the takes' folder, or make it.
+    ///
+    /// # Errors
+    /// Why not, and what to do.
+    pub fn check_takes_folder(&self) -> anyhow::Result<()> {
+        let directory = self.take.directory.as_path();
+        let there = directory.ancestors().find(|folder| folder.exists());
+        // A relative path without a folder that exists is in this one.
+        let there = there.filter(|there| !there.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        access(there, Access::WRITE_OK | Access::EXEC_OK).with_context(|| {
+            format!(
+                "cannot write into the takes' folder {}: give it to the user that the service runs as, or name another one",
+                directory.display()
+            )
+        })
+    }
+
+    /// What the configuration itself says, one line each.
     #[must_use]
     pub fn notes(&self) -> Vec<String> {
         let mut notes = Vec::new();

@@ -185,6 +185,12 @@ pub struct Stopped {
     pub ending: String,
     /// What became of every frame.
     pub ledger: LedgerStatus,
+    /// Of `save-last`: seconds that were asked for and were not held; 0 where all of them were.
+    #[serde(default)]
+    pub short_by_s: f64,
+    /// What is said beside it: that less was held than asked for.
+    #[serde(default)]
+    pub remarks: Vec<String>,
 }
 
 /// A mark is in the take.

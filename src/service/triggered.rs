@@ -65,14 +65,6 @@ impl Triggers {
         let stop = Arc::new(AtomicBool::new(false));
         let mut threads = Vec::new();
         if let Some(address) = config.listen {
-            if config.allow_from.is_empty() {
-                control.tell(
-                    "warning",
-                    &format!(
-                        "triggers on {address} are taken from everybody: trigger.allow_from narrows it"
-                    ),
-                );
-            }
             let (names, takes, words) =
                 (Arc::clone(control), Arc::clone(control), Arc::clone(control));
             let questions = Questions {

@@ -2,7 +2,7 @@
 
 use std::{fs, os::unix::fs::PermissionsExt};
 
-use super::Folder;
+use super::{Folder, Ran};
 
 #[test]
 fn the_example_is_good() {
@@ -11,9 +11,15 @@ fn the_example_is_good() {
     assert_eq!(example.stderr, "");
     assert_eq!(example.stdout, include_str!("../../systemd/mocapd.toml"));
     folder.write("left.toml", &example.stdout);
-    let checked = folder.run(&["config", "check", "left.toml"]).with_code(0);
+    let check = |more: &[&str]| -> Ran {
+        let mut command = folder.command(&[&["config", "check", "left.toml"], more].concat());
+        // As the unit has it: without this folder there is a note that the socket has none.
+        command.env("RUNTIME_DIRECTORY", folder.path("."));
+        command.output().unwrap().into()
+    };
+    let checked = check(&[]).with_code(0);
     assert_eq!((checked.stdout.as_str(), checked.stderr.as_str()), ("left.toml is good\n", ""));
-    let json = folder.run(&["config", "check", "left.toml", "--json"]).with_code(0).json();
+    let json = check(&["--json"]).with_code(0).json();
     assert_eq!(json["config"]["rig"]["name"], "left");
     assert_eq!(json["config"]["take"]["tolerance"], "0.5mm");
     assert!(json["config"]["device"].get("rate_hz").is_none());
@@ -54,7 +60,7 @@ fn a_file_that_is_not_there_says_how_to_write_one() {
 #[test]
 fn notes_and_token_files() {
     let folder = Folder::new();
-    folder.write("left.toml", "[trigger]\nlisten = '0.0.0.0:8989'\n");
+    folder.write("left.toml", "[http]\nsocket = 'rig.sock'\n[trigger]\nlisten = '0.0.0.0:8989'\n");
     let ran = folder.run(&["config", "check", "left.toml"]).with_code(0);
     assert!(ran.stderr.starts_with("mocapd: note: trigger.allow_from is empty"), "{}", ran.stderr);
     assert_eq!(ran.stderr.lines().count(), 1);

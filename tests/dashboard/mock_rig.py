@@ -160,8 +160,10 @@ class Rig:
         self.takes.insert(0, take)
         self.event("take-saved", f"{name}: the last {seconds:.1f} s")
         return {"take_id": take["take_id"], "name": name, "path": f"/var/lib/mocapd/{name}.take",
-                "rows": int(seconds * self.rate_hz), "seconds": seconds, "bytes": take["bytes"], "ending": "stopped",
-                "ledger": self.ledger(int(seconds * self.rate_hz))}
+                "rows": int(seconds * self.rate_hz), "seconds": seconds, "bytes": take["bytes"], "ending": "saved",
+                "short_by_s": body["seconds"] - seconds, "ledger": self.ledger(int(seconds * self.rate_hz)),
+                "remarks": [f"{seconds:.1f} s were held, not the {body['seconds']:.1f} s that were asked for"]
+                if body["seconds"] > seconds + 0.1 else []}
 
     def ledger(self, rows):
         link, device, ring, other = self.causes

@@ -151,6 +151,7 @@ fn the_pre_roll_is_in_the_take_and_can_be_saved_after_the_fact() {
     let save = SaveLast { seconds: 3.0, name: Some("last".to_owned()), ..SaveLast::default() };
     let saved = engine.save_last(&save).unwrap();
     assert!((2.9..4.9).contains(&saved.seconds), "{saved:?}");
+    assert_eq!((saved.short_by_s, saved.remarks.len()), (0.0, 0));
     read(&saved.path);
     assert_eq!(engine.status().take.unwrap().name, "early", "it goes on");
     let stopped = engine.stop(&request()).unwrap();

@@ -80,6 +80,9 @@ pub(super) fn save_last(
 
 fn stopped(document: &Value, json: bool) -> anyhow::Result<Outcome> {
     let stopped: Stopped = tell(document, json, words::stopped)?;
+    for remark in &stopped.remarks {
+        say(remark);
+    }
     let losses = words::losses(&stopped.ledger);
     if let Some(losses) = &losses {
         say(&format!("{}: not in the take: {losses}", stopped.name));

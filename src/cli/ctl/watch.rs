@@ -24,7 +24,7 @@ pub(super) fn run(client: &Client, json: bool) -> anyhow::Result<Outcome> {
             print_exact(&format!("{document}\n"))?;
         } else {
             let status: Status = read(&document)?;
-            print(&format!("{}\n", words::line(&status)))?;
+            print(&format!("{}\n", words::watched(&status)))?;
         }
         for _ in 0..EVERY.as_millis() / LOOK.as_millis() {
             if stop.load(Ordering::Relaxed) {

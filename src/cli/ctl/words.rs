@@ -75,15 +75,7 @@ pub(super) fn status(status: &Status) -> String {
         )
         .ok();
     }
-    let free = status.disk.free_bytes.map_or("nobody knows how much is".to_owned(), bytes);
-    let left = status.disk.left_s.map(|left| format!(", enough for {}", duration(left)));
-    writeln!(
-        out,
-        "  disk      {free} free in {}{}",
-        plain(&status.disk.directory),
-        left.unwrap_or_default()
-    )
-    .ok();
+    writeln!(out, "  disk      {}, in {}", disk(status), plain(&status.disk.directory)).ok();
     out
 }
 
@@ -101,6 +93,30 @@ pub(super) fn line(status: &Status) -> String {
         Some(missing) => format!("{missing}: {now}"),
         None => now,
     }
+}
+
+/// One line of `status --watch`: with what can go wrong next while a device runs.
+pub(super) fn watched(status: &Status) -> String {
+    let mut out = line(status);
+    if !matches!(status.state, State::Armed | State::Recording) {
+        return out;
+    }
+    let (input, pre_roll) = (&status.input, &status.pre_roll);
+    if status.take.is_none() {
+        out += &format!(", {} lost", thousands(input.lost));
+    }
+    out += &format!(", {:.1} Hz", input.measured_hz);
+    if pre_roll.wanted_s > 0.0 {
+        out += &format!(", pre-roll {:.1} of {} s", pre_roll.held_s, pre_roll.wanted_s);
+    }
+    out + &format!(", disk {}", disk(status))
+}
+
+/// What is free, and for how long that is enough.
+fn disk(status: &Status) -> String {
+    let free = status.disk.free_bytes.map_or("unknown".to_owned(), bytes);
+    let left = status.disk.left_s.map(|left| format!(", enough for {}", duration(left)));
+    format!("{free} free{}", left.unwrap_or_default())
 }
 
 /// That nothing which happens now is recorded, since when, what it costs, and how it goes on: before everything else

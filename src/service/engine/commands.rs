@@ -200,6 +200,11 @@ impl Inner {
     fn end_take(&self, ending: &'static str) -> Result<Stopped, Refusal> {
         let mut core = self.core();
         let Some(take) = &mut core.take else {
+            // A take that failed is over, and the answer is what it came to.
+            if let Some(failure) = &core.failure {
+                let words = format!("no take is being recorded: {failure}");
+                return Err(Refusal::new(RefusalKind::Conflict, words));
+            }
             let before = core.last_take.as_ref().filter(|take| !take.ending.is_empty());
             let words = before.map_or_else(
                 || "no take is being recorded".to_owned(),
@@ -293,7 +298,10 @@ impl Inner {
                 std::fs::remove_file(&path).ok();
                 Err(Refusal::new(RefusalKind::Unavailable, words))
             }
-            Ok(end) => self.closed(end, &id, &name, &path, rate_hz, "saved"),
+            Ok(end) => {
+                let saved = self.closed(end, &id, &name, &path, rate_hz, "saved")?;
+                Ok(with_shortfall(saved, last))
+            }
         }
     }
 
@@ -419,6 +427,18 @@ impl Inner {
         self.viewers.close();
         self.changed.notify_all();
     }
+}
+
+/// More may be asked for than is held: the answer says by how much.
+fn with_shortfall(saved: Stopped, asked: Duration) -> Stopped {
+    /// A take ends at the frame that came last, and frames are rounded to rows.
+    const MARGIN_S: f64 = 0.1;
+    let (asked_s, held_s) = (asked.as_secs_f64(), saved.seconds);
+    if asked_s <= held_s + MARGIN_S {
+        return saved;
+    }
+    let remark = format!("{held_s:.1} s were held, not the {asked_s:.1} s that were asked for");
+    Stopped { short_by_s: asked_s - held_s, remarks: vec![remark], ..saved }
 }
 
 /// Takes begin at key stretches: what the take has of the time before is told when it is not what was asked for.

@@ -145,5 +145,7 @@ fn stopped(
         bytes: written.file_bytes,
         ending: ending.to_owned(),
         ledger: ledger.into(),
+        short_by_s: 0.0,
+        remarks: Vec::new(),
     }
 }

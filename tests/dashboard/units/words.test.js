@@ -25,6 +25,12 @@ test("an answer to stop says what was lost, whether the ledger closes, and that 
     "a is on disk: 0:01.7, 98 rows, no frame lost, the ledger does not close: verify the take. It ended by itself: disk full.");
 });
 
+test("an answer to save-last says that less was held, and that alone", () => {
+  const answer = { name: "a", rows: 98, seconds: 1.7, ending: "saved", ledger: LEDGER, remarks: ["1.7 s were held, not the 500.0 s that were asked for"] };
+  equal(answerWords("save-last", answer, 1, 60), "a is on disk: 0:01.7, 98 rows, no frame lost, the ledger closes. " +
+    "Note: 1.7 s were held, not the 500.0 s that were asked for.");
+});
+
 test("a mark says where it is", () => {
   equal(answerWords("mark", { row: 1200 }, 1, 120).replace("\u202f", " "), "Marked at row 1 200 (0:10.0).");
 });

@@ -186,6 +186,8 @@ impl Fake {
             bytes: self.take.len() as u64,
             ending: ending.to_owned(),
             ledger: ledger(self.lost.swap(0, Ordering::Relaxed)),
+            short_by_s: 0.0,
+            remarks: Vec::new(),
         })
     }
 }

@@ -110,6 +110,8 @@ fn examples() -> Vec<(&'static str, Value)> {
         bytes: 1,
         ending: String::new(),
         ledger: LedgerStatus::default(),
+        short_by_s: 1.0,
+        remarks: vec!["x".to_owned()],
     };
     let event = ServiceEvent {
         number: 1,
