@@ -10,11 +10,12 @@ export const COLUMNS = [
   { key: "visible", title: "Seen", sign: 1, hint: "of all frames, in percent" },
   { key: "gaps", title: "Gaps", sign: -1, hint: "times that it vanished" },
   { key: "longest_gap_s", title: "Longest", sign: -1, hint: "the longest gap, in seconds" },
-  { key: "still_sigma_mm", title: "Noise", sign: -1, hint: "standard deviation where it was stillest, in millimetres" },
+  { key: "noise_mm", title: "Noise", sign: -1, hint: "standard deviation of the noise on one axis, in millimetres: from fourth " +
+    "differences of frames that follow each other, still or moving; a dash where it cannot be told from motion or rounding" },
   { key: "swaps_suspected", title: "Swaps", sign: -1, hint: "times that it jumped to where another marker was" },
 ];
 /** Among equals, in this order. */
-const TIES = ["visible", "longest_gap_s", "swaps_suspected", "gaps", "still_sigma_mm", "label"];
+const TIES = ["visible", "longest_gap_s", "swaps_suspected", "gaps", "noise_mm", "label"];
 
 /** Compares two rows by a column, worse first; what is not known comes last. */
 function compare(a, b, { key, sign }) {
@@ -68,6 +69,8 @@ export class Markers {
       row.element.remove();
       this.#rows.delete(label);
     }
+    // Without one figure there is no column: what cannot be known is left out.
+    byId("markers-body").closest("table").classList.toggle("noiseless", quality.every(({ noise_mm: noise }) => noise === null));
     for (const marker of quality) this.#fill(this.#rows.get(marker.label) ?? this.#make(marker.label), marker);
     this.#order();
     const weak = quality.filter((marker) => level(marker) !== "ok").length;
@@ -128,9 +131,9 @@ export class Markers {
     setText(glyph, found === "ok" ? "" : GLYPHS[found]);
     setAttribute(glyph, "aria-label", { ok: null, watch: "look", bad: "badly seen" }[found]);
     setAttribute(button, "title", marker.labelled ? null : "the device does not know this marker");
-    const sigma = marker.still_sigma_mm;
+    const noise = marker.noise_mm;
     const texts = [`${percent(marker.visible)} %`, count(marker.gaps), `${short(marker.longest_gap_s)} s`,
-      sigma === null ? "–" : `${sigma.toFixed(2)} mm`, count(marker.swaps_suspected)];
+      noise === null ? "–" : `${short(noise)} mm`, count(marker.swaps_suspected)];
     cells.forEach((cell, i) => setText(cell, texts[i]));
   }
 }

@@ -11,6 +11,7 @@ pub mod derivative;
 pub mod labels;
 pub mod limbs;
 pub mod measures;
+pub mod noise;
 pub mod phases;
 pub mod plot;
 pub mod sites;

@@ -179,6 +179,7 @@ impl Intake {
                 device_ticks: frame.device_ticks,
                 arrival_ns,
                 n_channels: self.n_channels,
+                is_shown: false,
             },
             &self.row[..self.n_channels],
         );

@@ -224,8 +224,11 @@ pub struct MarkerQuality {
     pub gaps: u64,
     /// The longest, in seconds.
     pub longest_gap_s: f64,
-    /// Standard deviation of its distance from its mean where it was stillest over a second, in millimetres; `None`
-    /// while it never was still.
+    /// Standard deviation of its noise on one axis, in millimetres: of fourth differences over the last seconds, as
+    /// `mocapd plot quality` has it. `None` where it cannot be told from motion or rounding, or while too little is known.
+    #[serde(default)]
+    pub noise_mm: Option<f64>,
+    /// The same as `noise_mm`, under its former name.
     pub still_sigma_mm: Option<f64>,
     /// Times that it jumped to where another marker was.
     pub swaps_suspected: u64,

@@ -222,6 +222,6 @@ class Rig:
             rows.append({"label": label, "labelled": self.body.labelled[slot],
                          "visible": 1 - gap / period if runs_s else 0.0, "gaps": int(runs_s / period) if gap else 0,
                          "longest_gap_s": gap if runs_s > period else 0.0,
-                         "still_sigma_mm": None if slot % 17 == 5 else 0.08 + 0.02 * (slot % 5),
+                         "noise_mm": None if slot % 17 == 5 else 0.08 + 0.02 * (slot % 5),
                          "swaps_suspected": 2 if slot % 61 == 7 else 0})
         return rows

@@ -1,1 +1,102 @@
-//! Noise is one estimate, the same everywhere.
+//! Noise is one estimate, the same everywhere: that of fourth differences, on one axis.
+
+use mocapd::service::control::Control;
+use mocapd_codec::Settings;
+use mocapd_report::{
+    coded::Coded,
+    plot::{MarkerQuality, Quality},
+};
+use mocapd_take::motion::Motion;
+
+use crate::{
+    cli::devices::Simulated,
+    service::engine::{Room, room, wait_until},
+    support::{config, dense, jump, lossless, record},
+};
+
+const RATE_HZ: f64 = 240.0;
+
+/// Standard deviation of a marker's noise on one axis.
+fn noise_mm(marker: usize) -> f64 {
+    0.1 + 0.02 * marker as f64
+}
+
+/// Normal numbers from a seed.
+struct Normal(u64);
+
+impl Normal {
+    fn next(&mut self) -> f64 {
+        let uniform = |state: &mut u64| {
+            *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_041);
+            (*state >> 11) as f64 / (1_u64 << 53) as f64
+        };
+        (0..12).map(|_| uniform(&mut self.0)).sum::<f64>() - 6.0
+    }
+}
+
+/// Every second marker stands still, the others swing as an arm does while they walk; all with noise.
+fn noisy() -> Motion {
+    let mut motion = jump(1, RATE_HZ, 8.0);
+    let n_markers = motion.info.markers.len();
+    let mut normal = Normal(11);
+    for (i, position) in motion.positions_mm.iter_mut().enumerate() {
+        let (frame, marker) = (i / n_markers, i % n_markers);
+        let t = if marker % 2 == 0 { 0.0 } else { frame as f64 / RATE_HZ };
+        let phase = marker as f64;
+        let path = [900.0 * t, 150.0 * (6.0 * t + phase).sin(), 90.0 * (11.0 * t + phase).cos()];
+        *position = path.map(|at| (at + 100.0 * phase + noise_mm(marker) * normal.next()) as f32);
+    }
+    motion
+}
+
+/// What `plot quality` shows of a take.
+fn shown(motion: &Motion, settings: Settings, original: Option<&Motion>) -> Vec<Option<f64>> {
+    let take = record(motion, &config(motion, settings), 0..motion.n_frames()).1;
+    let coded = Coded::read(&take[..]).unwrap();
+    let all = MarkerQuality::all(&Quality { name: "noisy", coded: &coded, original });
+    all.into_iter().map(|marker| marker.noise_mm).collect()
+}
+
+#[track_caller]
+fn assert_near(found: &[Option<f64>], within: f64) {
+    assert_eq!(found.len(), 15);
+    for (marker, found) in found.iter().enumerate() {
+        let found = found.unwrap_or_else(|| panic!("marker {marker} has no figure"));
+        let off = found / noise_mm(marker) - 1.0;
+        assert!(off.abs() < within, "marker {marker}: {found} mm of {}", noise_mm(marker));
+    }
+}
+
+#[test]
+fn the_noise_of_a_take_is_that_of_its_markers_or_is_not_shown() {
+    let motion = noisy();
+    assert_near(&shown(&motion, lossless(), None), 0.1);
+    assert_near(&shown(&motion, dense(1.0), Some(&motion)), 0.1);
+    // What a tolerance of ten times the noise left of it is not the noise.
+    assert_eq!(shown(&motion, dense(1.0), None), [None; 15]);
+    // Beyond a fine tolerance it is still to be seen.
+    assert_near(&shown(&motion, dense(0.02), None), 0.1);
+}
+
+#[test]
+fn the_service_shows_the_same_figure_of_the_markers_that_come() {
+    let motion = noisy();
+    let device = Simulated::endless(motion);
+    let path = device.path.clone();
+    let Room { directory: _directory, device: _other, engine } = room(|options| {
+        let uri: mocapd_drivers::uri::DeviceUri =
+            format!("serial:{}", path.display()).parse().unwrap();
+        options.find_device = std::sync::Arc::new(move || Ok(uri.clone()));
+        options.arm_at_start = true;
+    });
+    let figures = || engine.quality().iter().map(|marker| marker.noise_mm).collect::<Vec<_>>();
+    wait_until("the noise of every marker", || {
+        let figures = figures();
+        figures.len() == 15 && figures.iter().all(Option::is_some)
+    });
+    let quality = engine.quality();
+    let figures: Vec<_> = quality.iter().map(|marker| marker.noise_mm).collect();
+    // Of a few seconds: each scatters by 8 %.
+    assert_near(&figures, 0.3);
+    assert!(quality.iter().all(|marker| marker.still_sigma_mm == marker.noise_mm));
+}

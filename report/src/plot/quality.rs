@@ -13,23 +13,20 @@ use super::{
 use crate::{
     ReportError,
     coded::Coded,
-    column::{Column, Vector, distance},
+    column::{Column, distance},
+    noise::noise_mm,
 };
 
 /// Most markers on a sheet; of more the worst are shown.
 const MARKERS_MAX: usize = 60;
 
-/// Fewest fourth differences that tell a marker's noise.
-const DIFFERENCES_MIN: usize = 16;
-
 const WIDTH: u32 = 1280;
 const HEAD: i32 = 100;
 const LINE: i32 = 19;
 const FOOT: i32 = 66;
-/// Where the strip of gaps and the two columns of bars are.
+/// Where the strip of gaps and the columns of bars are.
 const GAPS: (i32, i32) = (190, 640);
-const NOISE: (i32, i32) = (730, 940);
-const ERROR: (i32, i32) = (1030, 1240);
+const BARS: [(i32, i32); 2] = [(730, 940), (1030, 1240)];
 
 /// One marker.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -42,7 +39,8 @@ pub struct MarkerQuality {
     pub gaps: usize,
     /// Rows of the longest.
     pub longest_gap: usize,
-    /// Robust standard deviation of the noise on one axis, mm; none where runs are too short to tell.
+    /// Standard deviation of the noise on one axis, mm; none where nobody can tell ([`crate::noise`]), or where the take's
+    /// tolerance hides it.
     pub noise_mm: Option<f64>,
     /// The largest distance to the original, mm; none without one.
     pub max_error_mm: Option<f64>,
@@ -60,8 +58,7 @@ pub struct Quality<'a> {
 }
 
 impl MarkerQuality {
-    /// Of each marker of a take. A take within a tolerance has the noise of its reconstruction: the original's is
-    /// told where there is one.
+    /// Of each marker of a take; its noise is the original's where there is one.
     #[must_use]
     pub fn all(wanted: &Quality<'_>) -> Vec<Self> {
         let motion = &wanted.coded.motion;
@@ -81,7 +78,7 @@ impl MarkerQuality {
                     samples: ours.n_samples(),
                     gaps: gaps.len(),
                     longest_gap: gaps.iter().copied().max().unwrap_or(0),
-                    noise_mm: noise_mm(theirs.as_ref().unwrap_or(&ours)),
+                    noise_mm: noise_of(wanted, theirs.as_ref().unwrap_or(&ours)),
                     max_error_mm: apart,
                 }
             })
@@ -89,27 +86,19 @@ impl MarkerQuality {
     }
 }
 
-/// Robust standard deviation of fourth differences, per axis: motion is smooth enough to be gone from them, and
-/// white noise of one grows by the root of 70.
-fn noise_mm(column: &Column) -> Option<f64> {
-    let mut differences: Vec<f64> = Vec::new();
-    for run in column.runs() {
-        let samples: Vec<Vector> = column.0[run].iter().flatten().copied().collect();
-        for five in samples.windows(5) {
-            let fourth = |axis: usize| {
-                let [a, b, c, d, e] = std::array::from_fn(|i| five[i][axis]);
-                (a - 4.0 * b + 6.0 * c - 4.0 * d + e).abs()
-            };
-            differences.extend((0..3).map(fourth));
-        }
-    }
-    if differences.len() < DIFFERENCES_MIN {
-        return None;
-    }
-    let middle = differences.len() / 2;
-    let (_, median, _) = differences.select_nth_unstable_by(middle, f64::total_cmp);
-    // The median of the size of normal noise is 0.6745 of its standard deviation.
-    Some(*median / 0.674_489_750_196_081_7 / 70.0_f64.sqrt())
+/// By this factor the noise of a reconstruction must be larger than the tolerance. The error of a sample on one axis then has
+/// a standard deviation of at most `1 / (1.5 sqrt(3))` of it, which changes the figure by 7 % at most.
+const NOISE_OVER_TOLERANCE_MIN: f64 = 1.5;
+
+/// The noise of one marker: of the original where there is one; of a take within a tolerance only where the tolerance does
+/// not hide it.
+fn noise_of(wanted: &Quality<'_>, column: &Column) -> Option<f64> {
+    let noise_mm = noise_mm(column)?;
+    let tolerance_mm = match (wanted.original, wanted.coded.settings) {
+        (None, Some(settings)) if !settings.kind.is_lossless() => settings.tolerance.mm(),
+        _ => 0.0,
+    };
+    (noise_mm >= NOISE_OVER_TOLERANCE_MIN * tolerance_mm).then_some(noise_mm)
 }
 
 /// Draws it as SVG.
@@ -131,14 +120,7 @@ pub fn quality(wanted: &Quality<'_>) -> Result<String, ReportError> {
         let title = format!("Quality of {}", shortened(wanted.name, 80));
         words(area, &title, (24, 26), TITLE, INK, Stand::Left)?;
         words(area, &caption(wanted, &all, shown.len()), (24, 52), WORDS, DIM, Stand::Left)?;
-        let heads = [
-            (GAPS.0, "seen (blue), gaps (orange)"),
-            (NOISE.0, "noise, each axis (mm)"),
-            (ERROR.0, if wanted.original.is_some() { "largest error (mm)" } else { "" }),
-        ];
-        for (x, head) in heads {
-            words(area, head, (x, HEAD - 18), WORDS, INK, Stand::Left)?;
-        }
+        words(area, "seen (blue), gaps (orange)", (GAPS.0, HEAD - 18), WORDS, INK, Stand::Left)?;
         for (i, &marker) in shown.iter().enumerate() {
             let y = HEAD + LINE * i as i32 + LINE / 2;
             let label = shortened(&all[marker].label, 20);
@@ -148,11 +130,17 @@ pub fn quality(wanted: &Quality<'_>) -> Result<String, ReportError> {
         let base = HEAD + LINE * shown.len() as i32;
         let seconds = n_rows as f64 / motion.info.rate_hz.max(f64::MIN_POSITIVE);
         scale(area, GAPS, base, seconds, "time (s)")?;
-        let noise = shown.iter().map(|&marker| all[marker].noise_mm);
-        bars(area, NOISE, base, noise, BLUE, "mm")?;
-        if wanted.original.is_some() {
-            let errors = shown.iter().map(|&marker| all[marker].max_error_mm);
-            bars(area, ERROR, base, errors, VERMILION, "mm")?;
+        let values = |of: fn(&MarkerQuality) -> Option<f64>| {
+            shown.iter().map(|&marker| of(&all[marker])).collect::<Vec<_>>()
+        };
+        let noise = values(|marker| marker.noise_mm);
+        let errors = values(|marker| marker.max_error_mm);
+        let columns =
+            [("noise, each axis (mm)", noise, BLUE), ("largest error (mm)", errors, VERMILION)];
+        let known = columns.into_iter().filter(|(_, values, _)| values.iter().any(Option::is_some));
+        for (place, (head, values, colour)) in BARS.into_iter().zip(known) {
+            words(area, head, (place.0, HEAD - 18), WORDS, INK, Stand::Left)?;
+            bars(area, place, base, values.into_iter(), colour, "mm")?;
         }
         Ok(())
     })
@@ -243,38 +231,13 @@ fn caption(wanted: &Quality<'_>, all: &[MarkerQuality], n_shown: usize) -> Strin
     if n_shown < all.len() {
         words += &format!("; the {n_shown} with most gaps and noise");
     }
-    if wanted.original.is_none() && wanted.coded.settings.is_some_and(|s| !s.kind.is_lossless()) {
-        words += "; noise is what the tolerance left of it (--against)";
+    let is_lossy = wanted.coded.settings.is_some_and(|settings| !settings.kind.is_lossless());
+    if all.iter().any(|marker| marker.noise_mm.is_some()) {
+        words += "; noise is that of fourth differences";
+    } else if wanted.original.is_none() && is_lossy {
+        words += "; the tolerance hides the noise (--against shows it)";
+    } else {
+        words += "; the noise cannot be told from motion or rounding";
     }
     words
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn noise_is_that_of_white_noise_and_motion_has_none() {
-        let mut state = 7_u64;
-        let mut normal = || {
-            let mut sum = -6.0;
-            for _ in 0..12 {
-                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_041);
-                sum += (state >> 11) as f64 / (1_u64 << 53) as f64;
-            }
-            sum
-        };
-        let path = |i: usize| 500.0 * (i as f64 * 0.02).sin();
-        let noisy = Column(
-            (0..4000)
-                .map(|i| Some([path(i) + 0.3 * normal(), 0.3 * normal(), 0.3 * normal()]))
-                .collect(),
-        );
-        let found = noise_mm(&noisy).unwrap();
-        assert!((found - 0.3).abs() < 0.03, "{found}");
-        let smooth = Column((0..4000).map(|i| Some([path(i), 0.0, 0.0])).collect());
-        assert!(noise_mm(&smooth).unwrap() < 1e-3);
-        assert_eq!(noise_mm(&Column(vec![Some([0.0; 3]); 4])), None);
-        assert_eq!(noise_mm(&Column(vec![None; 400])), None);
-    }
 }

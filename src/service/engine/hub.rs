@@ -168,8 +168,8 @@ impl Hub {
                 }
                 self.positions.truncate(self.table.labels.len());
             }
-            lock(&self.inner.judgements).frame(head.arrival_ns, &self.positions);
-            if self.inner.viewers.is_empty() {
+            lock(&self.inner.judgements).frame(&head, &self.positions);
+            if !head.is_shown || self.inner.viewers.is_empty() {
                 continue;
             }
             let TapHead { row, device_ticks, arrival_ns, .. } = head;

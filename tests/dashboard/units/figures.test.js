@@ -117,9 +117,9 @@ test("the axis of rates holds the nominal rate and what was measured", () => {
 });
 
 const ROWS = [
-  { label: "m10", visible: 0.99, gaps: 3, longest_gap_s: 0.1, still_sigma_mm: null, swaps_suspected: 0 },
-  { label: "m9", visible: 0.4, gaps: 1, longest_gap_s: 5, still_sigma_mm: 0.2, swaps_suspected: 0 },
-  { label: "a", visible: 0.99, gaps: 9, longest_gap_s: 0.3, still_sigma_mm: 0.1, swaps_suspected: 2 },
+  { label: "m10", visible: 0.99, gaps: 3, longest_gap_s: 0.1, noise_mm: null, swaps_suspected: 0 },
+  { label: "m9", visible: 0.4, gaps: 1, longest_gap_s: 5, noise_mm: 0.2, swaps_suspected: 0 },
+  { label: "a", visible: 0.99, gaps: 9, longest_gap_s: 0.3, noise_mm: 0.1, swaps_suspected: 2 },
 ];
 const order = (key, isTurned) => sorted(ROWS, key, isTurned).map(({ label }) => label);
 
@@ -128,7 +128,7 @@ test("markers are sorted worst first by every column, and the other way round", 
   equal(order("gaps"), ["a", "m10", "m9"]);
   equal(order("longest_gap_s", true), ["m10", "a", "m9"]);
   equal(order("label"), ["a", "m9", "m10"]);
-  equal([order("still_sigma_mm"), order("still_sigma_mm", true)], [["m9", "a", "m10"], ["a", "m9", "m10"]], "unknown is last");
+  equal([order("noise_mm"), order("noise_mm", true)], [["m9", "a", "m10"], ["a", "m9", "m10"]], "unknown is last");
   equal(COLUMNS.map(({ key }) => order(key).length), [3, 3, 3, 3, 3, 3]);
   equal(ROWS.map(level), ["ok", "bad", "watch"]);
 });

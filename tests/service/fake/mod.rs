@@ -213,6 +213,7 @@ impl Control for Fake {
             label: label.to_owned(),
             labelled: true,
             visible: 0.98,
+            noise_mm: Some(0.05),
             still_sigma_mm: Some(0.05),
             ..MarkerQuality::default()
         };
