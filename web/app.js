@@ -4,7 +4,7 @@ import { Actions } from "./actions.js";
 import { get } from "./api.js";
 import { byId, setHidden, setText } from "./dom.js";
 import { Events } from "./events.js";
-import { span } from "./format.js";
+import { span, zone } from "./format.js";
 import { History } from "./history.js";
 import { installKeys, installTheme } from "./keys.js";
 import { Live } from "./live.js";
@@ -27,6 +27,7 @@ const FROZEN_MS = 1500;
 
 installTheme();
 installLogin();
+setText(byId("zone"), zone(-new Date().getTimezoneOffset(), Intl.DateTimeFormat().resolvedOptions().timeZone));
 
 const motion = new Motion();
 const view = new View(motion);

@@ -61,6 +61,14 @@ export function clock(unixMs) {
   return new Date(unixMs).toLocaleTimeString([], { hour12: false });
 }
 
+/** What times of day are: the offset from UTC in minutes, and the zone's name, where the browser knows it. */
+export function zone(offsetMin, name) {
+  const two = (n) => String(n).padStart(2, "0");
+  const size = Math.abs(offsetMin);
+  const offset = offsetMin === 0 ? "UTC" : `UTC${offsetMin < 0 ? "−" : "+"}${two(Math.floor(size / 60))}:${two(size % 60)}`;
+  return `Times of day are this browser's: ${offset}${name && name !== "UTC" ? ` (${name})` : ""}`;
+}
+
 /** Day and time, the day left out today. */
 export function when(unixMs, nowMs) {
   const time = clock(unixMs).slice(0, 5);

@@ -1,4 +1,4 @@
-import { bytes, count, micros, nextName, percent, percentile, plural, running, short, span } from "/format.js";
+import { bytes, count, micros, nextName, percent, percentile, plural, running, short, span, zone } from "/format.js";
 import { equal, isTrue, test } from "./harness.js";
 
 test("counts have groups of three", () => {
@@ -35,4 +35,10 @@ test("percentiles are values that were there", () => {
   const values = Array.from({ length: 100 }, (_, i) => 100 - i);
   equal([percentile(values, 0.95), percentile(values, 1), percentile([7], 0.5)], [95, 100, 7]);
   isTrue(Number.isNaN(percentile([], 0.5)), "nothing has no percentile");
+});
+
+test("the time zone has its offset, and its name where that is known", () => {
+  equal(zone(0, "UTC"), "Times of day are this browser's: UTC");
+  equal(zone(60, "Europe/Berlin"), "Times of day are this browser's: UTC+01:00 (Europe/Berlin)");
+  equal(zone(-210, undefined), "Times of day are this browser's: UTC−03:30");
 });
