@@ -222,8 +222,8 @@ fn describe(header: &Header, info: &mut MotionInfo) {
             unit: source.unit.clone(),
             factor: source.factor,
             first_frame: source.first_frame,
-            frames_missing: 0,
             warnings: source.warnings.clone(),
+            ..Source::default()
         },
         (None, device) => Source {
             format: device.as_ref().map(|d| d.driver.clone()).unwrap_or_default(),

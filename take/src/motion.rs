@@ -5,6 +5,8 @@ use crate::{
     record::{EventKind, Subject},
 };
 
+pub use crate::ambiguity::{Ambiguity, FrameLayout};
+
 /// A position in millimetres; a gap is [`GAP`].
 pub type Position = [f32; 3];
 
@@ -40,6 +42,25 @@ pub enum UpAxis {
     Z,
 }
 
+impl UpAxis {
+    /// `x`, `y` or `z`, where it is known.
+    #[must_use]
+    pub fn name(self) -> Option<&'static str> {
+        ["x", "y", "z"].get(self.index()?).copied()
+    }
+
+    /// 0, 1 or 2, where it is known.
+    #[must_use]
+    pub fn index(self) -> Option<usize> {
+        match self {
+            Self::Unknown => None,
+            Self::X => Some(0),
+            Self::Y => Some(1),
+            Self::Z => Some(2),
+        }
+    }
+}
+
 /// Where trajectories came from and what was done to them.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Source {
@@ -55,6 +76,8 @@ pub struct Source {
     pub frames_missing: u64,
     /// What was found wrong and how it was read all the same, one sentence each.
     pub warnings: Vec<String>,
+    /// What of them can be read in another way.
+    pub ambiguities: Vec<Ambiguity>,
 }
 
 /// What an importer found and we do not model, kept so that an exporter of the same format can give it back.

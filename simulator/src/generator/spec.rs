@@ -142,8 +142,7 @@ impl JumpSpec {
                 unit: "mm".to_owned(),
                 factor: 1.0,
                 first_frame: 1,
-                frames_missing: 0,
-                warnings: Vec::new(),
+                ..Source::default()
             },
             ..MotionInfo::default()
         }

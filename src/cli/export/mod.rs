@@ -15,13 +15,13 @@ use anyhow::Context;
 use mocapd::{
     ahead::Ahead,
     files::{self, NewFile, NewFolder},
-    outcome::Outcome,
+    outcome::{Outcome, UsageError},
     threads, units,
 };
 use mocapd_take::{
     TakeFrames,
-    interchange::{Format, bids},
-    motion::FrameSource,
+    interchange::{Direction, Format, Turned, bids},
+    motion::{FrameSource, UpAxis},
 };
 
 use self::{format::FormatArgs, part::Part, spreadsheet::Guarded};
@@ -40,6 +40,9 @@ pub(crate) struct Args {
     output: PathBuf,
     #[command(flatten)]
     format: FormatArgs,
+    /// Turn the take by a quarter so that this axis points up: x, y or z
+    #[arg(long, value_name = "AXIS", value_parser = axis)]
+    up: Option<UpAxis>,
     /// Leave out what is before this time: 10s, 500ms, 2min
     #[arg(long, value_name = "TIME", value_parser = units::duration, allow_hyphen_values = true)]
     from: Option<Duration>,
@@ -56,19 +59,36 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let file = files::open(&args.take)?;
     let mut frames = TakeFrames::open(BufReader::new(file)).with_context(reading)?;
     let range = part::range(frames.info(), frames.n_held(), args.from, args.to)?;
+    if args.up.is_some() && frames.info().up == UpAxis::Unknown {
+        return Err(UsageError(format!(
+            "{} does not say what is up, so that --up cannot turn it: import its file again with --up",
+            args.take.display()
+        ))
+        .into());
+    }
     let mut ahead = Ahead::start(&args.take, &frames, range.start, threads::default_workers())?;
     let mut left_out = Vec::new();
+    let mut not_turned = Vec::new();
     let mut export = |source: &mut dyn FrameSource| {
         let counter = Arc::new(AtomicU64::new(0));
         let mut part = Part::new(source, &range, Arc::clone(&counter));
-        left_out = format.leaves_out(part.info());
+        left_out = format.leaves_out(part.info(), args.up.is_some());
         let _progress = Progress::follow("exporting", &counter, part.info().n_frames);
+        let mut turned;
+        let frames: &mut dyn FrameSource = match args.up {
+            None => &mut part,
+            Some(up) => {
+                turned = Turned::new(&mut part, up).context("the take does not say what is up")?;
+                not_turned = turned.not_turned();
+                &mut turned
+            }
+        };
         if format == Format::Bids {
-            write_folder(&mut part, &args.format.names(&args.take)?, &args.output)
+            write_folder(frames, &args.format.names(&args.take)?, &args.output)
         } else if args.format.is_for_spreadsheet() {
-            write(&mut Guarded::new(&mut part), format, &args.output)
+            write(&mut Guarded::new(frames), format, &args.output)
         } else {
-            write(&mut part, format, &args.output)
+            write(frames, format, &args.output)
         }
     };
     let done = match &mut ahead {
@@ -91,11 +111,24 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         let output = args.output.display();
         say(&format!("{output} cannot hold, and so has not: {}", left_out.join(", ")));
     }
+    not_turned.retain(|_| format == Format::C3d);
+    if !not_turned.is_empty() {
+        say(&format!("{}: not turned: {}", args.output.display(), not_turned.join(", ")));
+    }
     let problems = frames.problems();
     for problem in problems {
         say(&format!("{}: {problem}", args.take.display()));
     }
     Ok(Outcome::of(!problems.is_empty()))
+}
+
+/// An axis that is to point up.
+fn axis(text: &str) -> Result<UpAxis, String> {
+    let direction: Direction = text.parse()?;
+    if direction.is_negative() {
+        return Err(format!("'{text}' points down: use x, y or z"));
+    }
+    Ok(direction.axis())
 }
 
 /// Writes a whole file under its own name, or none.

@@ -18,14 +18,24 @@ mod c3d;
 mod csv;
 #[cfg(feature = "full")]
 mod mcap;
+mod notes;
 mod npz;
+mod options;
+mod origin;
 #[cfg(feature = "full")]
 mod parquet;
 mod text;
 mod trc;
 mod tsv;
+mod turn;
+mod turned;
 mod units;
 mod xdf;
+
+pub use options::ReadOptions;
+pub use turn::Direction;
+pub use turned::Turned;
+pub use units::LengthUnit;
 
 /// A format by name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -120,11 +130,23 @@ impl Format {
     /// # Errors
     /// `Malformed` when there is nothing usable; `Unsupported` for a format that is written only.
     pub fn read(self, bytes: &[u8]) -> Result<Motion, InterchangeError> {
+        self.read_with(bytes, &ReadOptions::default())
+    }
+
+    /// Reads a whole file's bytes, with what is known beside them.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub fn read_with(
+        self,
+        bytes: &[u8],
+        options: &ReadOptions,
+    ) -> Result<Motion, InterchangeError> {
         match self {
-            Self::C3d => c3d::read(bytes),
-            Self::Trc => trc::read(bytes),
-            Self::Tsv => tsv::read(bytes),
-            Self::Csv | Self::CsvLong => csv::read(bytes),
+            Self::C3d => c3d::read(bytes, options),
+            Self::Trc => trc::read(bytes, options),
+            Self::Tsv => tsv::read(bytes, options),
+            Self::Csv | Self::CsvLong => csv::read(bytes, options),
             Self::Npz | Self::Xdf | Self::Bids | Self::Parquet | Self::ParquetWide | Self::Mcap => {
                 Err(InterchangeError::Unsupported(
                     "this format is written only: import c3d, trc, tsv or csv".to_owned(),
@@ -133,9 +155,9 @@ impl Format {
         }
     }
 
-    /// What of `info` a file of this format will not hold, in words.
+    /// What of `info` a file of this format will not hold, in words; `up_is_chosen` says that its reader knows what is up.
     #[must_use]
-    pub fn leaves_out(self, info: &MotionInfo) -> Vec<String> {
+    pub fn leaves_out(self, info: &MotionInfo, up_is_chosen: bool) -> Vec<String> {
         let own = match self {
             Self::C3d => Some("c3d/"),
             Self::Trc => Some("trc/"),
@@ -147,6 +169,9 @@ impl Format {
         let mut left_out: Vec<String> = others.map(|part| part.kind.clone()).collect();
         let documents = info.subject.iter().flat_map(|subject| &subject.documents);
         left_out.extend(documents.map(|document| format!("the subject's {}", document.kind)));
+        if let (false, Some(axis)) = (self.holds_up_axis() || up_is_chosen, info.up.name()) {
+            left_out.push(format!("the up axis ({axis})"));
+        }
         let events = match self {
             Self::C3d => info.events.len().saturating_sub(c3d::EVENTS_MAX),
             Self::Tsv
@@ -164,6 +189,16 @@ impl Format {
             n => left_out.push(format!("{n} events")),
         }
         left_out
+    }
+
+    /// Whether a file of it says which axis is up.
+    fn holds_up_axis(self) -> bool {
+        match self {
+            Self::C3d | Self::Npz | Self::Bids | Self::Parquet | Self::ParquetWide | Self::Mcap => {
+                true
+            }
+            Self::Trc | Self::Tsv | Self::Csv | Self::CsvLong | Self::Xdf => false,
+        }
     }
 
     /// Writes frames as they come, in bounded memory. The number of the first frame is

@@ -1,54 +1,239 @@
 //! Units of length, and how a stored number becomes millimetres.
 
-use std::cell::Cell;
+use std::{cell::Cell, fmt, str::FromStr};
 
-use crate::motion::{GAP, Position};
+use super::{ReadOptions, notes::Notes, turn::Turn};
+use crate::motion::{Ambiguity, GAP, Position, is_gap};
 
-/// Millimetres in one of the unit a source names: `mm`, `cm`, `m`, `in` and their spellings, in any case.
-pub(super) fn millimetres_per(unit: &str) -> Option<f64> {
-    let unit = unit.trim().to_ascii_lowercase();
-    Some(match unit.as_str() {
-        "mm" | "millimeter" | "millimetre" | "millimeters" | "millimetres" => 1.0,
-        "cm" | "centimeter" | "centimetre" | "centimeters" | "centimetres" => 10.0,
-        "m" | "meter" | "metre" | "meters" | "metres" => 1000.0,
-        "in" | "inch" | "inches" | "\"" => 25.4,
-        _ => return None,
-    })
+/// A unit of length.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LengthUnit {
+    /// µm
+    Micrometre,
+    /// mm
+    Millimetre,
+    /// cm
+    Centimetre,
+    /// dm
+    Decimetre,
+    /// m
+    Metre,
+    /// in
+    Inch,
+    /// ft
+    Foot,
 }
 
-/// The factor to millimetres of a unit as written, and the warning when it is not known.
-pub(super) fn factor_or_warn(unit: &str, warnings: &mut Vec<String>) -> f64 {
-    if let Some(factor) = millimetres_per(unit) {
-        return factor;
+/// Names as they are written in full, without accents: what is cut off behind two letters or more is known by its
+/// beginning, where only one unit begins so.
+const NAMES: [(&str, LengthUnit); 20] = [
+    ("micrometers", LengthUnit::Micrometre),
+    ("micrometres", LengthUnit::Micrometre),
+    ("microns", LengthUnit::Micrometre),
+    ("millimeters", LengthUnit::Millimetre),
+    ("millimetres", LengthUnit::Millimetre),
+    ("milimeters", LengthUnit::Millimetre),
+    ("milimetres", LengthUnit::Millimetre),
+    ("milimetros", LengthUnit::Millimetre),
+    ("millimetri", LengthUnit::Millimetre),
+    ("centimeters", LengthUnit::Centimetre),
+    ("centimetres", LengthUnit::Centimetre),
+    ("centimetros", LengthUnit::Centimetre),
+    ("decimeters", LengthUnit::Decimetre),
+    ("decimetres", LengthUnit::Decimetre),
+    ("meters", LengthUnit::Metre),
+    ("metres", LengthUnit::Metre),
+    ("metros", LengthUnit::Metre),
+    ("inches", LengthUnit::Inch),
+    ("feet", LengthUnit::Foot),
+    ("foot", LengthUnit::Foot),
+];
+
+impl LengthUnit {
+    /// Millimetres in one of it.
+    #[must_use]
+    pub fn mm(self) -> f64 {
+        match self {
+            Self::Micrometre => 1e-3,
+            Self::Millimetre => 1.0,
+            Self::Centimetre => 10.0,
+            Self::Decimetre => 100.0,
+            Self::Metre => 1000.0,
+            Self::Inch => 25.4,
+            Self::Foot => 304.8,
+        }
     }
-    warnings.push(if unit.is_empty() {
-        "No unit of length is stated; positions were read as millimetres.".to_owned()
-    } else {
-        format!("The unit of length `{unit}` is not known; positions were read as millimetres.")
-    });
-    1.0
+
+    /// By its sign or name as files have it: in any case, in the singular or plural, with brackets, cut short.
+    pub(super) fn from_file(text: &str) -> Option<Self> {
+        // Behind a zero stands what was in the writer's memory.
+        let text = text.split('\0').next().unwrap_or_default();
+        let plain = |c: char| match c {
+            'à'..='å' => 'a',
+            'è'..='ë' => 'e',
+            'ì'..='ï' => 'i',
+            'µ' | 'μ' => 'u',
+            other => other,
+        };
+        let text: String = text.to_lowercase().chars().map(plain).collect();
+        let text = text.trim_matches(|c: char| {
+            c.is_whitespace() || c.is_control() || "[](){}<>.,;:'".contains(c)
+        });
+        Some(match text {
+            "um" => Self::Micrometre,
+            "mm" | "mms" => Self::Millimetre,
+            "cm" | "cms" => Self::Centimetre,
+            "dm" => Self::Decimetre,
+            "m" | "ms" | "mtr" | "mtrs" => Self::Metre,
+            "in" | "ins" | "\"" => Self::Inch,
+            "ft" => Self::Foot,
+            // A thousandth of an inch to some.
+            "mil" | "mils" => return None,
+            _ if text.chars().count() < 2 => return None,
+            _ => {
+                let mut units =
+                    NAMES.iter().filter(|(name, _)| name.starts_with(text)).map(|(_, unit)| *unit);
+                let unit = units.next()?;
+                return units.all(|other| other == unit).then_some(unit);
+            }
+        })
+    }
+}
+
+impl fmt::Display for LengthUnit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Micrometre => "um",
+            Self::Millimetre => "mm",
+            Self::Centimetre => "cm",
+            Self::Decimetre => "dm",
+            Self::Metre => "m",
+            Self::Inch => "in",
+            Self::Foot => "ft",
+        })
+    }
+}
+
+impl FromStr for LengthUnit {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        Self::from_file(text).ok_or_else(|| {
+            format!("'{text}' is no unit of length: use mm, cm, dm, m, um, in or ft")
+        })
+    }
+}
+
+/// A file's unit: as given, or as it stands there.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct FileUnit {
+    /// As it stands in the file.
+    pub(super) stated: String,
+    /// To millimetres.
+    pub(super) factor: f64,
+    is_known: bool,
+    /// Whether the format means millimetres where it states nothing.
+    is_usually_mm: bool,
+}
+
+impl FileUnit {
+    /// The unit of a file. One that is given counts more than the file's own, which is noted.
+    pub(super) fn of(stated: &str, options: &ReadOptions, notes: &mut Notes) -> Self {
+        let of_file = LengthUnit::from_file(stated);
+        if let (Some(given), Some(of_file)) = (options.unit, of_file)
+            && given != of_file
+        {
+            notes.warnings.push(format!(
+                "The file states `{stated}` as its unit of length; {given} was taken, as asked."
+            ));
+        }
+        let unit = options.unit.or(of_file);
+        Self {
+            stated: stated.to_owned(),
+            factor: unit.map_or(1.0, LengthUnit::mm),
+            is_known: unit.is_some(),
+            is_usually_mm: false,
+        }
+    }
+
+    /// Of a format that means millimetres where it states nothing: noted only where the motion speaks against them.
+    pub(super) fn or_usually_millimetres(self) -> Self {
+        Self { is_usually_mm: self.stated.is_empty(), ..self }
+    }
+
+    /// Notes a unit that is not known, with what the positions span.
+    pub(super) fn judge(&self, positions: &[Position], n_markers: usize, notes: &mut Notes) {
+        if self.is_known {
+            return;
+        }
+        let unit =
+            Ambiguity::Unit { stated: self.stated.clone(), span: span(positions, n_markers) };
+        if !self.is_usually_mm || unit.is_in_doubt() {
+            notes.ambiguous(unit);
+        }
+    }
+}
+
+/// Most frames that are measured, evenly spread.
+const FRAMES_MEASURED: usize = 500;
+
+/// What the markers span: the largest extent along an axis of the markers of one frame, in the median over frames; of a
+/// single marker, or where frames have one each, of its whole path. 0 where there is nothing to measure.
+fn span(positions: &[Position], n_markers: usize) -> f64 {
+    let n_frames = positions.len().checked_div(n_markers).unwrap_or(0);
+    let step = n_frames.div_ceil(FRAMES_MEASURED).max(1);
+    let frames = || positions.chunks(n_markers.max(1)).step_by(step);
+    let mut spans: Vec<f64> = frames()
+        .filter(|frame| frame.iter().filter(|&&at| !is_gap(at)).count() > 1)
+        .map(|frame| extent(frame.iter().copied()))
+        .collect();
+    if spans.is_empty() {
+        return extent(frames().flatten().copied());
+    }
+    let middle = spans.len() / 2;
+    *spans.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// The largest extent along an axis.
+fn extent(positions: impl Iterator<Item = Position>) -> f64 {
+    let mut low = [f64::INFINITY; 3];
+    let mut high = [f64::NEG_INFINITY; 3];
+    for position in positions.filter(|&at| !is_gap(at)) {
+        for (axis, value) in position.into_iter().enumerate() {
+            low[axis] = low[axis].min(f64::from(value));
+            high[axis] = high[axis].max(f64::from(value));
+        }
+    }
+    low.iter().zip(high).map(|(low, high)| high - low).fold(0.0, f64::max)
 }
 
 /// From stored positions to millimetres: each coordinate is multiplied in f64 and rounded once to f32.
 #[derive(Debug)]
 pub(super) struct Millimetres {
-    pub(super) factor: f64,
+    factor: f64,
+    turn: Turn,
     not_finite: Cell<usize>,
 }
 
 impl Millimetres {
-    pub(super) fn new(factor: f64) -> Self {
-        Self { factor, not_finite: Cell::new(0) }
+    /// With a unit's factor, and turned as asked.
+    pub(super) fn new(factor: f64, options: &ReadOptions) -> Self {
+        Self { factor, turn: options.turn(), not_finite: Cell::new(0) }
     }
 
     /// A coordinate that is not finite, before or after, makes the sample a gap, and is counted.
     pub(super) fn position(&self, stored: [f64; 3]) -> Position {
-        let position = stored.map(|v| (v * self.factor) as f32);
+        let position = self.as_stored(stored);
         if position.iter().all(|v| v.is_finite()) {
             return position;
         }
         self.not_finite.set(self.not_finite.get() + 1);
         GAP
+    }
+
+    /// The same of coordinates that are no sample: whatever they are.
+    pub(super) fn as_stored(&self, stored: [f64; 3]) -> Position {
+        self.turn.of(stored.map(|v| (v * self.factor) as f32))
     }
 
     /// Says how many samples became gaps that way.
@@ -63,21 +248,40 @@ impl Millimetres {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::motion::is_gap;
 
     #[test]
     fn units_are_known_by_every_spelling() {
-        for (unit, factor) in
-            [("mm", 1.0), (" MM ", 1.0), ("cm", 10.0), ("Meters", 1000.0), ("in", 25.4)]
-        {
-            assert_eq!(millimetres_per(unit), Some(factor), "{unit}");
+        for (unit, factor) in [
+            ("mm", 1.0),
+            (" MM ", 1.0),
+            ("mm\0\0", 1.0),
+            ("[mm]", 1.0),
+            ("mill", 1.0),
+            ("Millimètres", 1.0),
+            ("cm", 10.0),
+            ("Centi", 10.0),
+            ("cm.", 10.0),
+            ("mete", 1000.0),
+            ("METRES", 1000.0),
+            ("metre\0x", 1000.0),
+            ("Meters", 1000.0),
+            ("in", 25.4),
+            ("inch", 25.4),
+            ("inche", 25.4),
+            ("feet", 304.8),
+            ("µm", 1e-3),
+            ("microm", 1e-3),
+        ] {
+            assert_eq!(LengthUnit::from_file(unit).map(LengthUnit::mm), Some(factor), "{unit}");
         }
-        assert_eq!(millimetres_per("furlong"), None);
+        for unit in ["furlong", "", " ", "mi", "mil", "e", "xm", "metersx", "m/s"] {
+            assert_eq!(LengthUnit::from_file(unit), None, "{unit}");
+        }
     }
 
     #[test]
     fn a_value_that_overflows_f32_is_a_gap() {
-        let metres = Millimetres::new(1000.0);
+        let metres = Millimetres::new(1000.0, &ReadOptions::default());
         let mut warnings = Vec::new();
         assert_eq!(metres.position([0.1, -0.2, 0.3]), [100.0, -200.0, 300.0]);
         metres.report(&mut warnings);
@@ -85,5 +289,15 @@ mod tests {
         assert!(is_gap(metres.position([1e38, 0.0, 0.0])));
         metres.report(&mut warnings);
         assert_eq!(warnings, ["1 samples are not finite; they are gaps."]);
+    }
+
+    #[test]
+    fn a_span_is_that_of_a_frame_or_of_a_path() {
+        let frame = |x: f32| [[x, 0.0, 0.0], [x, 1.8, 0.0], GAP];
+        let walk: Vec<Position> = (0..2000).flat_map(|i| frame(i as f32)).collect();
+        assert!((span(&walk, 3) - 1.8).abs() < 1e-6);
+        let path: Vec<Position> = (0..10).map(|i| [0.0, i as f32, 0.0]).collect();
+        assert!((span(&path, 1) - 9.0).abs() < 1e-9);
+        assert!(span(&[GAP; 4], 2).abs() < 1e-9 && span(&[], 0).abs() < 1e-9);
     }
 }

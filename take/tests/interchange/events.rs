@@ -175,7 +175,7 @@ fn more_than_a_group_holds_are_told_and_marks_come_first() {
     let mut events: Vec<_> = (0..300).map(|i| event(i, EventKind::Host, "noticed")).collect();
     events.insert(280, mark(279, &"m\u{e9}".repeat(200)));
     let source = motion(300, 1, events);
-    assert_eq!(Format::C3d.leaves_out(&source.info), ["46 events"]);
+    assert_eq!(Format::C3d.leaves_out(&source.info, false), ["46 events"]);
     let back = through(Format::C3d, &source).info.events;
     assert_eq!(back.len(), 255);
     let marks: Vec<_> = back.iter().filter(|event| event.kind == EventKind::Mark).collect();

@@ -133,10 +133,12 @@ fn unique(motion: &Motion) -> Vec<String> {
 }
 
 #[test]
-fn a_position_at_the_origin_is_no_gap_in_tsv() {
+fn a_position_at_the_origin_is_no_gap_in_tsv_and_trc() {
     let source = motion(&["a".to_owned()], vec![[0.0; 3], [1.0; 3], [-0.0; 3]], 100.0, 1);
-    let back = through(Format::Tsv, &source);
-    assert_eq!(back.positions_mm, [[1e-6, 0.0, 0.0], [1.0; 3], [1e-6, 0.0, 0.0]]);
+    for format in [Format::Tsv, Format::Trc] {
+        let back = through(format, &source);
+        assert_eq!(back.positions_mm, [[1e-6, 0.0, 0.0], [1.0; 3], [1e-6, 0.0, 0.0]]);
+    }
 }
 
 #[test]

@@ -64,10 +64,11 @@ fn real_takes_come_back_from_every_format() {
     }
 }
 
-/// Three zeros are a gap in QTM's files: a sample at the very origin is written a nanometre beside it.
+/// Three zeros are a gap in QTM's files, and may be one in TRC: a sample at the very origin is written a nanometre beside
+/// it.
 fn as_written(motion: &Motion, format: Format) -> Motion {
     let mut motion = motion.clone();
-    if format == Format::Tsv {
+    if matches!(format, Format::Tsv | Format::Trc) {
         for position in motion.positions_mm.iter_mut().filter(|position| **position == [0.0; 3]) {
             *position = [1e-6, 0.0, 0.0];
         }

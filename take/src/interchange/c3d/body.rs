@@ -2,6 +2,8 @@
 
 use super::columns::unordered;
 use super::foreign::{KeptSamples, kept_parameters};
+use super::gap_coordinates;
+use super::read::is_missing;
 use crate::motion::{GAP, MotionInfo, Position, is_gap};
 
 /// The fourth word of a missing sample.
@@ -21,7 +23,12 @@ pub(super) struct Body<'a> {
     analog: Option<KeptSamples<'a>>,
     residuals: Option<KeptSamples<'a>>,
     outputs: Option<KeptSamples<'a>>,
+    under_gaps: Option<KeptSamples<'a>>,
+    /// The place of each marker among those that have coordinates under gaps.
+    under_gaps_at: Vec<Option<usize>>,
     unsigned_analog: bool,
+    /// What is taken from the analog samples of each channel; empty for nothing.
+    pub(super) analog_offsets: Vec<f64>,
 }
 
 impl<'a> Body<'a> {
@@ -30,7 +37,17 @@ impl<'a> Body<'a> {
         let foreign = &info.foreign;
         let outputs = KeptSamples::model_outputs(foreign, first_frame);
         let n_markers = info.markers.len();
+        let under_gaps = KeptSamples::gap_coordinates(foreign, first_frame);
+        let mut under_gaps_at = vec![None; n_markers];
+        for (place, &marker) in under_gaps.iter().flat_map(|kept| &kept.points).enumerate() {
+            if let Some(at) = under_gaps_at.get_mut(marker) {
+                *at = Some(place);
+            }
+        }
         Self {
+            under_gaps,
+            under_gaps_at,
+            analog_offsets: Vec::new(),
             points: places(n_markers, outputs.as_ref().map_or(&[], |kept| &kept.points)),
             analog: KeptSamples::analog(foreign, first_frame),
             residuals: KeptSamples::residuals(foreign, first_frame)
@@ -62,6 +79,10 @@ impl<'a> Body<'a> {
             .outputs
             .as_mut()
             .and_then(|kept| kept.begin_frame().then(|| kept.next()).flatten());
+        let under_gaps = self
+            .under_gaps
+            .as_mut()
+            .and_then(|kept| kept.begin_frame().then(|| kept.next()).flatten());
         for &point in &self.points {
             let words = match point {
                 Point::Marker(index) => {
@@ -74,7 +95,11 @@ impl<'a> Body<'a> {
                             f32::from(word as i16)
                         })
                     });
-                    marker_words(position, fourth)
+                    let place = self.under_gaps_at.get(index).copied().flatten();
+                    let under_gap = under_gaps
+                        .zip(place)
+                        .and_then(|(kept, at)| gap_coordinates::words(kept, at));
+                    marker_words(position, fourth, under_gap)
                 }
                 Point::ModelOutput(index) => outputs
                     .and_then(|words| words.as_chunks::<4>().0.get(index))
@@ -91,14 +116,17 @@ impl<'a> Body<'a> {
         let wide = kept.width == 4;
         for _ in 0..ratio {
             match if present { kept.next() } else { None } {
-                Some(words) => words.iter().for_each(|&word| {
-                    let value = if wide {
+                Some(words) => words.iter().enumerate().for_each(|(channel, &word)| {
+                    let mut value = if wide {
                         f32::from_bits(unordered(word))
                     } else if unsigned {
                         word as f32
                     } else {
                         f32::from(word as i16)
                     };
+                    if let Some(offset) = self.analog_offsets.get(channel) {
+                        value = (f64::from(value) - offset) as f32;
+                    }
                     buffer.extend(value.to_le_bytes());
                 }),
                 None => buffer.extend(std::iter::repeat_n(0, 4 * n_channels)),
@@ -107,13 +135,14 @@ impl<'a> Body<'a> {
     }
 }
 
-/// A marker's four words. A fourth word that would say "missing" does not stand beside a position.
-fn marker_words(position: Position, fourth: Option<f32>) -> [f32; 4] {
+/// A marker's four words. A fourth word that would say "missing" does not stand beside a position; what a missing sample
+/// had for coordinates stands there again.
+fn marker_words(position: Position, fourth: Option<f32>, under_gap: Option<[f32; 4]>) -> [f32; 4] {
     if is_gap(position) {
-        return [0.0, 0.0, 0.0, MISSING];
+        return under_gap.unwrap_or([0.0, 0.0, 0.0, MISSING]);
     }
     let [x, y, z] = position;
-    [x, y, z, fourth.map_or(0.0, |word| if word < 0.0 { 0.0 } else { word })]
+    [x, y, z, fourth.filter(|&word| !is_missing(word)).unwrap_or(0.0)]
 }
 
 /// The points in order: model outputs at their own places, markers in between.

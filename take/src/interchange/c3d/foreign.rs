@@ -6,14 +6,17 @@
 //! | `c3d/analog` | analog samples |
 //! | `c3d/residuals` | the fourth word of the markers' samples, when one of them is not zero |
 //! | `c3d/model-outputs` | points that are not positions |
+//! | `c3d/gap-coordinates` | coordinates of samples that are marked as missing |
 
 use super::bytes::ByteOrder;
 use super::columns::{Columns, ordered, push_narrow, push_wide};
+use super::gap_coordinates;
 use super::header::{Header, HeaderEvent, MAX_EVENTS};
 use super::labels::Points;
 use super::parameters::Parameters;
 use super::read::Frames;
 use super::section::encode_records;
+use crate::interchange::turn::Turn;
 use crate::motion::{Foreign, Position, is_gap};
 
 /// Version of every layout here.
@@ -25,7 +28,9 @@ const ANALOG: &str = "c3d/analog";
 /// Kind of the fourth words.
 const RESIDUALS: &str = "c3d/residuals";
 /// Kind of the model outputs.
-const MODEL_OUTPUTS: &str = "c3d/model-outputs";
+pub(in crate::interchange) const MODEL_OUTPUTS: &str = "c3d/model-outputs";
+/// Kind of the coordinates under gaps.
+pub(super) const GAP_COORDINATES: &str = "c3d/gap-coordinates";
 
 /// Everything to keep.
 pub(super) fn keep(
@@ -52,13 +57,39 @@ pub(super) fn keep(
 
 /// The head that every block of samples has: version, width, number of columns or of what they make up, samples a
 /// frame and column, number of the first frame, number of frames.
-fn sample_head(frames: &Frames<'_>, width: u8, n_signals: usize, ratio: usize) -> Vec<u8> {
+pub(super) fn sample_head(
+    width: u8,
+    n_signals: usize,
+    ratio: usize,
+    first_frame: u64,
+    n_frames: usize,
+) -> Vec<u8> {
     let mut data = vec![VERSION, width];
     data.extend((n_signals as u32).to_le_bytes());
     data.extend((ratio as u32).to_le_bytes());
-    data.extend(frames.layout.first_frame.to_le_bytes());
-    data.extend((frames.layout.n_frames as u64).to_le_bytes());
+    data.extend(first_frame.to_le_bytes());
+    data.extend((n_frames as u64).to_le_bytes());
     data
+}
+
+/// The head of a block of all frames of a file.
+fn head_of(frames: &Frames<'_>, width: u8, n_signals: usize, ratio: usize) -> Vec<u8> {
+    sample_head(width, n_signals, ratio, frames.layout.first_frame, frames.layout.n_frames)
+}
+
+/// Turns what was kept of a file in space: the corners of force plates, and coordinates under gaps.
+pub(in crate::interchange) fn turn(foreign: &mut [Foreign], turn: Turn) {
+    let parameters = kept_parameters(foreign).map(|(header, mut parameters)| {
+        parameters.turn(turn);
+        Foreign { kind: PARAMETERS.to_owned(), data: parameters_data(&header, &parameters) }
+    });
+    let under_gaps = gap_coordinates::turned(foreign, turn);
+    for new in parameters.into_iter().chain(under_gaps) {
+        foreign
+            .iter_mut()
+            .filter(|part| part.kind == new.kind)
+            .for_each(|part| *part = new.clone());
+    }
 }
 
 fn parameters_data(header: &Header, parameters: &Parameters) -> Vec<u8> {
@@ -77,7 +108,7 @@ fn parameters_data(header: &Header, parameters: &Parameters) -> Vec<u8> {
 fn analog_data(frames: &Frames<'_>) -> Vec<u8> {
     let layout = frames.layout;
     let (n_channels, ratio) = (layout.n_channels(), layout.analog_ratio);
-    let mut data = sample_head(frames, layout.word_bytes() as u8, n_channels, ratio);
+    let mut data = head_of(frames, layout.word_bytes() as u8, n_channels, ratio);
     for channel in 0..n_channels {
         let places = (0..layout.n_frames * ratio).map(|sample| {
             (sample / ratio, 4 * layout.n_points + sample % ratio * n_channels + channel)
@@ -109,7 +140,7 @@ fn residual_data(frames: &Frames<'_>, points: &Points, positions: &[Position]) -
     if is_zero {
         return None;
     }
-    let mut data = sample_head(frames, layout.word_bytes() as u8, n_markers, 1);
+    let mut data = head_of(frames, layout.word_bytes() as u8, n_markers, 1);
     for (marker, &(point, _)) in points.markers.iter().enumerate() {
         let mut before = 0u32;
         let words = (0..layout.n_frames).map(|frame| {
@@ -132,7 +163,7 @@ fn residual_data(frames: &Frames<'_>, points: &Points, positions: &[Position]) -
 }
 
 fn output_data(frames: &Frames<'_>, points: &Points) -> Vec<u8> {
-    let mut data = sample_head(frames, 4, points.outputs.len(), 1);
+    let mut data = head_of(frames, 4, points.outputs.len(), 1);
     for &point in &points.outputs {
         data.extend((point as u32).to_le_bytes());
     }
@@ -160,8 +191,12 @@ pub(super) struct KeptSamples<'a> {
     pub(super) n_signals: usize,
     /// Samples a frame and signal.
     pub(super) ratio: usize,
-    /// Indices of the points, for model outputs.
+    /// Indices of the points, for model outputs; of the markers, for coordinates under gaps.
     pub(super) points: Vec<usize>,
+    /// Number of the first frame that was kept.
+    pub(super) first_frame: u64,
+    /// Frames that were kept.
+    pub(super) n_frames: usize,
     columns: Columns<'a>,
     /// Frames to come before the kept ones begin.
     wait: u64,
@@ -195,7 +230,22 @@ impl<'a> KeptSamples<'a> {
         let skip = first_frame.saturating_sub(kept_first).min(n_frames as u64) as usize;
         columns.skip(skip.saturating_mul(ratio));
         let wait = kept_first.saturating_sub(first_frame);
-        Some(Self { width: usize::from(width), n_signals, ratio, points, columns, wait })
+        Some(Self {
+            width: usize::from(width),
+            n_signals,
+            ratio,
+            points,
+            first_frame: kept_first,
+            n_frames,
+            columns,
+            wait,
+        })
+    }
+
+    /// The coordinates under gaps from a frame on.
+    pub(super) fn gap_coordinates(foreign: &'a [Foreign], first_frame: u64) -> Option<Self> {
+        Self::parse(foreign, GAP_COORDINATES, 4, true, first_frame)
+            .filter(|kept| kept.ratio == 1 && kept.width == 4)
     }
 
     /// The analog samples from a frame on.

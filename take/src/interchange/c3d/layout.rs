@@ -1,12 +1,16 @@
 //! Where the samples of a file are, and how many: settled between header, parameters and the bytes present.
 
 use super::bytes::ByteOrder;
+use super::frame_count::{FrameCount, FrameCounts};
 use super::header::{BLOCK, Header};
+use super::malformed;
 use super::parameters::Parameters;
-use crate::interchange::InterchangeError;
+use super::stride::{CANDIDATES_MAX, Candidate, Stride, by_size, choose, combine};
+use crate::interchange::{InterchangeError, notes::Notes};
+use crate::motion::{Ambiguity, FrameLayout};
 
-/// Largest value of a word: where a count is this, it may have been larger.
-const SATURATED: u64 = 65535;
+/// Most analog samples a frame: 255 channels at 4000 samples a frame, a microphone's rate beside one frame a second.
+const ANALOG_MAX: u64 = 255 * 4000;
 
 /// What the data section holds.
 #[derive(Debug, Clone, PartialEq)]
@@ -51,189 +55,249 @@ impl Layout {
         self.analog_per_frame.checked_div(self.analog_ratio).unwrap_or(0)
     }
 
-    /// Settles what header and parameters say of a file of `n_bytes` bytes.
+    /// Settles what header and parameters say of a file, and where they disagree, what its bytes say.
+    ///
+    /// # Errors
+    /// `Malformed` when the data begin nowhere, or when places disagree and no reading accounts for the bytes.
     pub(super) fn settle(
         header: &Header,
         parameters: &Parameters,
         order: ByteOrder,
-        n_bytes: usize,
-        warnings: &mut Vec<String>,
+        file: &[u8],
+        notes: &mut Notes,
     ) -> Result<Self, InterchangeError> {
-        let number = |group: &str, name: &str| parameters.number(group, name);
-        let n_points = agreed(
-            "number of points",
-            u64::from(header.n_points),
-            number("POINT", "USED").and_then(as_count),
-            warnings,
-        );
-        let data_start = data_start(
-            header,
-            number("POINT", "DATA_START").and_then(as_count),
-            n_bytes,
-            warnings,
-        )?;
-        let stated_scale = parameters
-            .get("POINT", "SCALE")
-            .and_then(|p| p.floats().first().copied())
-            .unwrap_or(header.scale);
+        let starts = data_starts(header, parameters, file.len())?;
+        let rate_hz = rate(header, parameters.number("POINT", "RATE"), &mut notes.warnings);
+        let stated = Stated::of(header, parameters, rate_hz);
+        let counts = FrameCounts::of(header, parameters);
+        let (chosen, n_candidates) = stated.choose(file, order, &starts, &counts)?;
+        let count = counts.of_stride(file, &chosen);
         let mut layout = Self {
             order,
-            n_points: n_points as usize,
-            analog_per_frame: usize::from(header.analog_per_frame),
-            analog_ratio: usize::from(header.analog_ratio),
-            float: stated_scale < 0.0,
-            scale: stated_scale.abs(),
+            n_points: chosen.n_points,
+            analog_per_frame: chosen.analog_per_frame,
+            analog_ratio: 0,
+            float: chosen.float,
+            scale: if stated.scale_is_usable() { stated.scale.abs() } else { 1.0 },
             n_frames: 0,
             frames_missing: 0,
-            first_frame: u64::from(header.first_frame),
-            rate_hz: rate(header, number("POINT", "RATE"), warnings),
-            data_start,
+            first_frame: counts.first_frame(&count),
+            rate_hz,
+            data_start: chosen.data_start,
         };
-        layout.check_analog(number("ANALOG", "USED").and_then(as_count), warnings);
-        layout.settle_frames(
-            header,
-            parameters,
-            n_bytes.saturating_sub(data_start),
-            stated_scale,
-            warnings,
-        );
+        layout.analog_ratio = stated.analog_ratio(layout.analog_per_frame, &mut notes.warnings);
+        if n_candidates > 1 {
+            let taken = FrameLayout {
+                points: layout.n_points as u64,
+                analog_per_frame: layout.analog_per_frame as u64,
+                data_offset: layout.data_start as u64,
+                integers: !layout.float,
+            };
+            notes.ambiguous(Ambiguity::FrameLayout { stated: stated.figures(&starts), taken });
+        }
+        counts.report(&count, &mut notes.warnings);
+        layout.take_frames(file, &count, &mut notes.warnings);
         Ok(layout)
     }
 
-    /// Compares the header's count of analog samples with the number of channels.
-    fn check_analog(&mut self, n_channels: Option<u64>, warnings: &mut Vec<String>) {
-        if self.analog_per_frame == 0 {
+    /// As many frames as are announced and present.
+    fn take_frames(&mut self, file: &[u8], count: &FrameCount, warnings: &mut Vec<String>) {
+        let available = file.len().saturating_sub(self.data_start);
+        let present = available.checked_div(self.frame_bytes()).unwrap_or(0);
+        self.n_frames = present.min(usize::try_from(count.n_frames).unwrap_or(usize::MAX));
+        if (self.n_frames as u64) < count.n_frames {
+            self.frames_missing = count.n_frames - self.n_frames as u64;
+            warnings
+                .push(format!("{} frames announced, {} present.", count.n_frames, self.n_frames));
             return;
         }
-        if self.analog_ratio == 0 || !self.analog_per_frame.is_multiple_of(self.analog_ratio) {
-            warnings.push(format!(
-                "The header announces {} analog samples a frame, {} for each channel; they were read as one sample \
-                 for each of {} channels.",
-                self.analog_per_frame, self.analog_ratio, self.analog_per_frame
-            ));
-            self.analog_ratio = 1;
+        let end = self.data_start + self.n_frames * self.frame_bytes();
+        let left = file.get(end..).unwrap_or(&[]);
+        if self.n_frames > 0 && left.len() >= BLOCK && left.iter().any(|&byte| byte != 0) {
+            warnings.push(format!("{} bytes behind the last frame were not read.", left.len()));
         }
-        if let Some(n_channels) = n_channels
-            && n_channels != self.n_channels() as u64
-        {
-            warnings.push(format!(
-                "ANALOG:USED is {n_channels}, the header has room for {} channels; the header counts.",
-                self.n_channels()
-            ));
+    }
+}
+
+/// What header and parameters state of a frame.
+struct Stated {
+    header_points: u64,
+    points_used: Option<u64>,
+    header_analog: u64,
+    header_ratio: u64,
+    channels_used: Option<u64>,
+    /// ANALOG:RATE over POINT:RATE, where that is a whole number.
+    rate_ratio: Option<u64>,
+    scale: f32,
+    header_scale: f32,
+}
+
+impl Stated {
+    fn of(header: &Header, parameters: &Parameters, rate_hz: f64) -> Self {
+        let number = |group: &str, name: &str| parameters.number(group, name);
+        let ratio = number("ANALOG", "RATE").map(|analog_hz| analog_hz / rate_hz);
+        let scale = parameters.get("POINT", "SCALE").and_then(|p| p.floats().first().copied());
+        let points_used = number("POINT", "USED").and_then(as_count);
+        Self {
+            header_points: u64::from(header.n_points),
+            points_used: points_used.map(|n| n.min(u64::from(u16::MAX))),
+            header_analog: u64::from(header.analog_per_frame),
+            header_ratio: u64::from(header.analog_ratio),
+            channels_used: number("ANALOG", "USED").and_then(as_count),
+            rate_ratio: ratio.and_then(near_whole),
+            scale: scale.unwrap_or(header.scale),
+            header_scale: header.scale,
         }
     }
 
-    /// Settles the number of frames: by the parameters made for it, by the header, and by the bytes present.
-    fn settle_frames(
-        &mut self,
-        header: &Header,
-        parameters: &Parameters,
-        available: usize,
-        stated_scale: f32,
-        warnings: &mut Vec<String>,
-    ) {
-        let announced = self.announced_frames(header, parameters, available, warnings);
-        if !(stated_scale.is_finite() && stated_scale != 0.0) {
-            self.scale = 1.0;
-            self.float = true;
-            let needed = (announced as usize).saturating_mul(self.frame_bytes());
-            self.float = needed <= available;
-            warnings.push(format!(
-                "POINT:SCALE is {stated_scale}; samples were read as {}.",
-                if self.float { "floats" } else { "integers with a factor of 1" }
-            ));
-        }
-        let present = available.checked_div(self.frame_bytes()).unwrap_or(0);
-        self.n_frames = present.min(usize::try_from(announced).unwrap_or(usize::MAX));
-        if announced == SATURATED
-            && self.is_saturated(header, parameters)
-            && present > self.n_frames
-        {
-            self.n_frames = present - (BLOCK - 1) / self.frame_bytes().max(1);
-            warnings.push(format!(
-                "The number of frames does not fit its 16-bit field; {} whole frames are present.",
-                self.n_frames
-            ));
-        } else if (self.n_frames as u64) < announced {
-            self.frames_missing = announced - self.n_frames as u64;
-            warnings.push(format!("{announced} frames announced, {} present.", self.n_frames));
-        }
+    fn scale_is_usable(&self) -> bool {
+        self.scale.is_finite() && self.scale != 0.0
     }
 
-    /// Whether nothing wider than 16 bits says how many frames there are.
-    fn is_saturated(&self, header: &Header, parameters: &Parameters) -> bool {
-        header.last_frame == u16::MAX
-            && parameters.get("POINT", "LONG_FRAMES").is_none()
-            && parameters.get("TRIAL", "ACTUAL_END_FIELD").is_none()
-    }
-
-    /// The number of frames that the file announces. Where several places disagree, the first that the bytes
-    /// present can hold, in the order: TRIAL fields, `LONG_FRAMES`, FRAMES, header.
-    fn announced_frames(
-        &mut self,
-        header: &Header,
-        parameters: &Parameters,
-        available: usize,
-        warnings: &mut Vec<String>,
-    ) -> u64 {
-        let field = |name: &str| match parameters.get("TRIAL", name)?.words()[..] {
-            [low] => Some(u64::from(low)),
-            [low, high, ..] => Some(u64::from(low) | u64::from(high) << 16),
-            [] => None,
-        };
-        let start = field("ACTUAL_START_FIELD");
-        let trial = start.zip(field("ACTUAL_END_FIELD")).and_then(|(s, e)| (e + 1).checked_sub(s));
-        let count = |name: &str| parameters.number("POINT", name).and_then(as_count);
-        let (first, last) = (u64::from(header.first_frame), u64::from(header.last_frame));
-        let stated = [
-            ("TRIAL:ACTUAL_END_FIELD", trial),
-            ("POINT:LONG_FRAMES", count("LONG_FRAMES")),
-            ("POINT:FRAMES", count("FRAMES")),
-            ("the header", (last + 1).checked_sub(first)),
-        ];
-        let fits = |n: u64| {
-            usize::try_from(n).is_ok_and(|n| n.saturating_mul(self.frame_bytes()) <= available)
-        };
-        let known = || stated.iter().filter_map(|&(place, n)| Some((place, n.filter(|&n| n > 0)?)));
-        let Some((place, n_frames)) = known().find(|&(_, n)| fits(n)).or_else(|| known().next())
-        else {
-            warnings.push("The number of frames is stated nowhere.".to_owned());
-            return 0;
-        };
-        for (other, n) in known() {
-            // A 16-bit field that says 65535, or the count modulo 65536, agrees as well as it can.
-            let agrees = n == n_frames
-                || n_frames > SATURATED && (n == SATURATED || n == n_frames & 0xFFFF)
-                || n_frames >= SATURATED && last == SATURATED && other == "the header";
-            if !agrees {
-                warnings.push(format!(
-                    "{other} says {n} frames, {place} {n_frames}; {n_frames} was taken."
-                ));
+    /// Analog samples a frame by every place that tells, the header first.
+    fn analog(&self) -> Vec<u64> {
+        let mut all = vec![self.header_analog];
+        if let Some(used) = self.channels_used {
+            let ratios = [Some(self.header_ratio), self.rate_ratio].into_iter().flatten();
+            let ratios: Vec<u64> = ratios.filter(|&ratio| ratio > 0).collect();
+            all.extend(ratios.iter().map(|ratio| used.saturating_mul(*ratio)));
+            if ratios.is_empty() {
+                all.push(used);
+            }
+            if used == self.header_analog {
+                // Some software writes the number of channels into the header.
+                all.extend(ratios.iter().map(|ratio| used.saturating_mul(*ratio)));
             }
         }
-        if let Some(start) = start
-            && trial == Some(n_frames)
-        {
-            self.first_frame = start;
-        }
-        n_frames
+        all.retain(|&n| n <= ANALOG_MAX);
+        all
     }
+
+    /// Whether samples are floats: by the sign of POINT:SCALE, and by the header's where that is another.
+    fn floats(&self) -> Vec<bool> {
+        if !self.scale_is_usable() {
+            return vec![true, false];
+        }
+        let other = Some(self.header_scale).filter(|scale| scale.is_finite() && *scale != 0.0);
+        let mut floats = vec![self.scale < 0.0];
+        floats.extend(other.map(|scale| scale < 0.0).filter(|float| *float != (self.scale < 0.0)));
+        floats
+    }
+
+    /// The reading that suits the file, and how many are stated.
+    fn choose(
+        &self,
+        file: &[u8],
+        order: ByteOrder,
+        starts: &[usize],
+        counts: &FrameCounts,
+    ) -> Result<(Stride, usize), InterchangeError> {
+        let points: Vec<u64> = self.points_used.into_iter().chain([self.header_points]).collect();
+        let strides = combine(&points, &self.analog(), &self.floats(), starts);
+        let candidate = |stride: Stride, n_frames: u64, is_stated: bool| {
+            Candidate::new(file, order, stride, n_frames, is_stated)
+        };
+        let mut candidates: Vec<Candidate> = strides
+            .iter()
+            .map(|&stride| candidate(stride, counts.of_stride(file, &stride).n_frames, true))
+            .collect();
+        let n_stated = candidates.len();
+        if !candidates.iter().any(Candidate::is_plausible) {
+            let mut more: Vec<(Stride, u64)> = Vec::new();
+            for n_frames in counts.all() {
+                for &stride in &strides {
+                    let sizes = by_size(file, stride, n_frames, self.channels_used);
+                    more.extend(sizes.map(|stride| (stride, n_frames)));
+                    more.dedup();
+                    more.truncate(CANDIDATES_MAX);
+                }
+            }
+            let more = more.into_iter().map(|(stride, n)| candidate(stride, n, false));
+            candidates.extend(more);
+        }
+        match (choose(&candidates), strides.first()) {
+            (Some(chosen), _) => {
+                let is_other = strides.first() != Some(&chosen.stride);
+                Ok((chosen.stride, n_stated.max(1 + usize::from(is_other))))
+            }
+            (None, Some(&only)) if n_stated == 1 => Ok((only, 1)),
+            _ => Err(malformed(
+                "byte 2",
+                format!(
+                    "{}; no reading of them accounts for the file's {} bytes of data, and in none do positions go on from \
+                     frame to frame: correct the header or the parameters, or export the file again",
+                    self.figures(starts),
+                    file.len().saturating_sub(starts.first().copied().unwrap_or(0))
+                ),
+            )),
+        }
+    }
+
+    /// Analog samples a frame and channel.
+    fn analog_ratio(&self, per_frame: usize, warnings: &mut Vec<String>) -> usize {
+        let per_frame = per_frame as u64;
+        if per_frame == 0 {
+            return usize::try_from(self.header_ratio).unwrap_or(0);
+        }
+        let used = self.channels_used;
+        let agrees = |ratio: u64| {
+            ratio > 0 && used.is_none_or(|used| used.checked_mul(ratio) == Some(per_frame))
+        };
+        let divides = |n: u64| n > 0 && per_frame.is_multiple_of(n);
+        let stated = [Some(self.header_ratio), self.rate_ratio];
+        let mut stated = stated.into_iter().flatten();
+        let ratio = stated
+            .find(|&ratio| agrees(ratio) && divides(ratio))
+            .or_else(|| Some(self.header_ratio).filter(|&ratio| divides(ratio)))
+            .or_else(|| used.filter(|&used| divides(used)).map(|used| per_frame / used))
+            .unwrap_or(1);
+        let n_channels = per_frame / ratio;
+        if used.is_some_and(|used| used != n_channels) || !divides(self.header_ratio) {
+            warnings.push(format!(
+                "{per_frame} analog samples a frame were read as {n_channels} channels of {ratio}: ANALOG:USED is {}, the \
+                 header says {} a channel.",
+                used.map_or_else(|| "missing".to_owned(), |used| used.to_string()),
+                self.header_ratio
+            ));
+        }
+        usize::try_from(ratio).unwrap_or(1)
+    }
+
+    /// All of it in words.
+    fn figures(&self, starts: &[usize]) -> String {
+        let or_none = |n: Option<u64>| n.map_or_else(|| "missing".to_owned(), |n| n.to_string());
+        let mut words = format!(
+            "points: POINT:USED {}, header {}; analog samples a frame: header {}, ANALOG:USED {} times {} by the header or {} \
+             by ANALOG:RATE over POINT:RATE",
+            or_none(self.points_used),
+            self.header_points,
+            self.header_analog,
+            or_none(self.channels_used),
+            self.header_ratio,
+            or_none(self.rate_ratio)
+        );
+        if self.floats().len() > 1 {
+            words += &format!("; scale: POINT:SCALE {}, header {}", self.scale, self.header_scale);
+        }
+        if starts.len() > 1 {
+            let blocks: Vec<String> =
+                starts.iter().map(|start| (start / BLOCK + 1).to_string()).collect();
+            words += &format!("; first block of the data: {}", blocks.join(" or "));
+        }
+        words
+    }
+}
+
+/// A ratio of two rates as a whole number, where it is one but for the rounding of rates to f32.
+fn near_whole(ratio: f64) -> Option<u64> {
+    let whole = ratio.round();
+    ((ratio - whole).abs() <= 1e-3 * whole && (1.0..65536.0).contains(&whole))
+        .then_some(whole as u64)
 }
 
 /// A count stored as a number: whole and not negative.
-fn as_count(value: f64) -> Option<u64> {
+pub(super) fn as_count(value: f64) -> Option<u64> {
     (0.0..4_294_967_296.0).contains(&value).then_some(value as u64)
-}
-
-/// The parameter's number where there is one, with a warning when the header has another.
-fn agreed(what: &str, header: u64, parameter: Option<u64>, warnings: &mut Vec<String>) -> u64 {
-    match parameter {
-        Some(parameter) if parameter != header => {
-            warnings.push(format!("The {what} is {parameter} by POINT:USED and {header} by the header; {parameter} was taken."));
-            parameter.min(u64::from(u16::MAX))
-        }
-        _ => header,
-    }
 }
 
 /// Frames a second: the parameter's, or the header's.
@@ -261,41 +325,30 @@ fn rate(header: &Header, parameter: Option<f64>, warnings: &mut Vec<String>) -> 
     }
 }
 
-/// Offset of the first frame: the header's, or the parameter's where the header's cannot be.
-fn data_start(
+/// Offsets at which the first frame may be: the header's, and the parameter's where that is another.
+fn data_starts(
     header: &Header,
-    parameter: Option<u64>,
+    parameters: &Parameters,
     n_bytes: usize,
-    warnings: &mut Vec<String>,
-) -> Result<usize, InterchangeError> {
+) -> Result<Vec<usize>, InterchangeError> {
     let offset = |block: u64| {
         usize::try_from(block.saturating_sub(1)).unwrap_or(usize::MAX).saturating_mul(BLOCK)
     };
     let possible =
         |block: &u64| *block > u64::from(header.parameter_block) && offset(*block) <= n_bytes;
     let stated = u64::from(header.data_block);
-    match (Some(stated).filter(possible), parameter.filter(possible)) {
-        (Some(block), other) => {
-            if other.is_some_and(|other| other != block) {
-                warnings.push(format!(
-                    "POINT:DATA_START is not the header's block {block}; the header counts."
-                ));
-            }
-            Ok(offset(block))
-        }
-        (None, Some(block)) => {
-            warnings.push(format!(
-                "The header's first data block, {stated}, cannot be; POINT:DATA_START {block} was taken."
-            ));
-            Ok(offset(block))
-        }
-        (None, None) => Err(InterchangeError::Malformed {
-            format: "c3d",
-            place: "byte 16".to_owned(),
-            message: format!(
+    let parameter = parameters.number("POINT", "DATA_START").and_then(as_count);
+    let mut starts: Vec<usize> =
+        [Some(stated), parameter].into_iter().flatten().filter(possible).map(offset).collect();
+    starts.dedup();
+    if starts.is_empty() {
+        return Err(malformed(
+            "byte 16",
+            format!(
                 "the data begin at block {stated}, the file has {}: it was cut off before its data",
                 n_bytes.div_ceil(BLOCK)
             ),
-        }),
+        ));
     }
+    Ok(starts)
 }

@@ -6,21 +6,26 @@
 
 use super::InterchangeError;
 
+mod analog;
 mod body;
 mod bytes;
 mod columns;
 mod events;
 mod foreign;
+mod frame_count;
+mod gap_coordinates;
 mod header;
 mod labels;
 mod layout;
 mod parameters;
 mod read;
 mod section;
+mod stride;
 mod subjects;
 mod write;
 
 pub(super) use events::EVENTS_MAX;
+pub(super) use foreign::{MODEL_OUTPUTS, turn};
 pub(super) use read::read;
 pub(super) use write::write;
 

@@ -3,17 +3,18 @@
 use super::bytes::ByteOrder;
 use super::events;
 use super::foreign;
+use super::gap_coordinates::GapCoordinates;
 use super::header::{BLOCK, Header};
 use super::labels::{Points, sort_points};
 use super::layout::Layout;
 use super::malformed;
 use super::parameters::Parameters;
-use crate::interchange::InterchangeError;
-use crate::interchange::units::{Millimetres, factor_or_warn};
-use crate::motion::{GAP, Motion, MotionInfo, Position, Source, UpAxis, is_gap};
+use crate::interchange::units::{FileUnit, Millimetres};
+use crate::interchange::{InterchangeError, ReadOptions, notes::Notes, origin};
+use crate::motion::{Ambiguity, GAP, Motion, MotionInfo, Position, Source, UpAxis, is_gap};
 
 /// Reads a whole file.
-pub(crate) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
+pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, InterchangeError> {
     let &[parameter_block, key, ..] = bytes else {
         return Err(malformed("byte 0", "the file is empty or cut off in its first bytes"));
     };
@@ -25,27 +26,34 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
             ),
         ));
     }
-    let mut warnings = Vec::new();
+    let mut notes = Notes::default();
     let section_start = usize::from(parameter_block).saturating_sub(1) * BLOCK;
-    let order = byte_order(bytes, section_start, &mut warnings);
+    let order = byte_order(bytes, section_start, &mut notes.warnings);
     let Some(header) = Header::parse(bytes, order) else {
         return Err(malformed(
             "byte 0",
             format!("expected a header of {BLOCK} bytes, found {}", bytes.len()),
         ));
     };
-    let parameters =
-        Parameters::parse(section(bytes, section_start, &header), order, &mut warnings);
-    let layout = Layout::settle(&header, &parameters, order, bytes.len(), &mut warnings)?;
-    let points = sort_points(&parameters, layout.n_points, &mut warnings);
-    let unit = parameters.text("POINT", "UNITS").unwrap_or_default();
-    let factor = factor_or_warn(&unit, &mut warnings);
+    let section = section(bytes, section_start, &header);
+    let mut parameters = Parameters::parse(section, order, &mut notes.warnings);
+    let layout = Layout::settle(&header, &parameters, order, bytes, &mut notes)?;
+    let points = sort_points(&parameters, layout.n_points, &mut notes.warnings);
+    let stated = parameters.text("POINT", "UNITS").unwrap_or_default();
+    let unit = FileUnit::of(&stated, options, &mut notes);
     let frames = Frames::new(bytes, &layout);
-    let millimetres = Millimetres::new(factor);
-    let positions_mm = read_positions(&frames, &points, &millimetres);
-    millimetres.report(&mut warnings);
-    warn_of_zeros(&positions_mm, &mut warnings);
-    let foreign = foreign::keep(&header, &parameters, &frames, &points, &positions_mm);
+    let millimetres = Millimetres::new(unit.factor, options);
+    let marks = FourthWords::of(&frames, &points, &mut notes);
+    let mut under_gaps = GapCoordinates::default();
+    let positions_mm = read_positions(&frames, &points, &millimetres, marks, &mut under_gaps);
+    millimetres.report(&mut notes.warnings);
+    under_gaps.note(&mut notes);
+    unit.judge(&positions_mm, points.markers.len(), &mut notes);
+    note_zeros(&positions_mm, points.markers.len(), &mut notes);
+    let up = options.up(up_axis(&parameters), &mut notes);
+    parameters.turn(options.turn());
+    let mut foreign = foreign::keep(&header, &parameters, &frames, &points, &positions_mm);
+    foreign.extend(under_gaps.into_foreign(layout.first_frame, layout.n_frames));
     let events =
         events::read(&parameters, layout.rate_hz, layout.first_frame, layout.n_frames as u64);
     Ok(Motion {
@@ -53,14 +61,15 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
             rate_hz: layout.rate_hz,
             n_frames: layout.n_frames as u64,
             markers: points.markers.into_iter().map(|(_, marker)| marker).collect(),
-            up: up_axis(&parameters),
+            up,
             source: Source {
                 format: "c3d".to_owned(),
-                unit,
-                factor,
+                unit: unit.stated,
+                factor: unit.factor,
                 first_frame: layout.first_frame,
                 frames_missing: layout.frames_missing,
-                warnings,
+                warnings: notes.warnings,
+                ambiguities: notes.ambiguities,
             },
             subject: None,
             foreign,
@@ -125,6 +134,13 @@ impl<'a> Frames<'a> {
         self.layout.order.word_at(self.frame(frame), 2 * word).unwrap_or(0)
     }
 
+    /// The coordinates as stored and the fourth word of a point.
+    fn point(&self, frame: usize, point: usize) -> ([f64; 3], f32) {
+        let n_bytes = 4 * self.layout.word_bytes();
+        let sample = self.frame(frame).get(n_bytes * point..n_bytes * (point + 1));
+        point_words(sample.unwrap_or(&[]), self.layout)
+    }
+
     /// What a coordinate is multiplied by before its unit counts.
     pub(super) fn scale(&self) -> f64 {
         if self.layout.float { 1.0 } else { f64::from(self.layout.scale) }
@@ -134,31 +150,67 @@ impl<'a> Frames<'a> {
 /// Whether a sample's fourth word says that it is missing: it is a 16-bit integer, and negative. In float files some
 /// software writes the -1 unsigned, as 65535.0: no residual and camera mask reach 32768, so these are missing, too.
 /// What stands at the origin with another fourth word is a position, as for the field's other readers.
-fn is_missing(fourth: f32) -> bool {
+pub(super) fn is_missing(fourth: f32) -> bool {
     fourth < 0.0 || (32_768.0..65_536.0).contains(&fourth)
 }
 
-/// The positions of all markers.
+/// What the fourth words of a file's markers say.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum FourthWords {
+    /// Which samples are missing.
+    Marks,
+    /// All say "missing", also where coordinates are: nothing.
+    Nothing,
+}
+
+impl FourthWords {
+    fn of(frames: &Frames<'_>, points: &Points, notes: &mut Notes) -> Self {
+        let mut samples = 0u64;
+        for frame in 0..frames.layout.n_frames {
+            for &(point, _) in &points.markers {
+                let (stored, fourth) = frames.point(frame, point);
+                if !is_missing(fourth) {
+                    return Self::Marks;
+                }
+                samples += u64::from(has_coordinates(stored));
+            }
+        }
+        if samples == 0 {
+            return Self::Marks;
+        }
+        notes.ambiguous(Ambiguity::FourthWords { samples });
+        Self::Nothing
+    }
+}
+
+/// Whether these are coordinates, and no filling for a missing sample.
+fn has_coordinates(stored: [f64; 3]) -> bool {
+    stored.iter().all(|v| v.is_finite()) && stored != [0.0; 3]
+}
+
+/// The positions of all markers, and the coordinates that stand where they are missing.
 fn read_positions(
     frames: &Frames<'_>,
     points: &Points,
     millimetres: &Millimetres,
+    marks: FourthWords,
+    under_gaps: &mut GapCoordinates,
 ) -> Vec<Position> {
     let layout = frames.layout;
     let mut positions = Vec::with_capacity(layout.n_frames * points.markers.len());
     let scale = frames.scale();
     for index in 0..layout.n_frames {
-        let frame = frames.frame(index);
-        for &(point, _) in &points.markers {
-            let start = 4 * layout.word_bytes() * point;
-            let sample = frame.get(start..start + 4 * layout.word_bytes()).unwrap_or(&[]);
-            let (stored, fourth) = point_words(sample, layout);
-            let position = if is_missing(fourth) {
-                GAP
-            } else {
-                millimetres.position(stored.map(|v| v * scale))
+        for (marker, &(point, _)) in points.markers.iter().enumerate() {
+            let (stored, fourth) = frames.point(index, point);
+            let scaled = stored.map(|v| v * scale);
+            let is_gap = match marks {
+                FourthWords::Marks => is_missing(fourth),
+                FourthWords::Nothing => !has_coordinates(stored),
             };
-            positions.push(position);
+            if is_gap && has_coordinates(stored) {
+                under_gaps.push(index, marker, millimetres.as_stored(scaled), fourth);
+            }
+            positions.push(if is_gap { GAP } else { millimetres.position(scaled) });
         }
     }
     positions
@@ -184,14 +236,18 @@ fn point_words(sample: &[u8], layout: &Layout) -> ([f64; 3], f32) {
     ([f64::NAN; 3], -1.0)
 }
 
-/// Some software leaves missing samples at the origin without marking them as missing.
-fn warn_of_zeros(positions: &[Position], warnings: &mut Vec<String>) {
-    let present = positions.iter().filter(|&&p| !is_gap(p)).count();
-    let zeros = positions.iter().filter(|&&p| p == [0.0; 3]).count();
-    if zeros > 0 {
-        warnings.push(format!(
-            "{zeros} of {present} samples are exactly at the origin and not marked as missing; they were kept as positions."
-        ));
+/// Some software leaves missing samples at the origin without marking them as missing. The format has a mark for them,
+/// so that others read positions there; they stay.
+fn note_zeros(positions: &[Position], n_markers: usize, notes: &mut Notes) {
+    let zeros = positions.iter().filter(|&&p| p == [0.0; 3]).count() as u64;
+    if zeros == 0 {
+        return;
+    }
+    if origin::missing(positions, n_markers).contains(&true) {
+        notes.ambiguous(Ambiguity::Origin { samples: zeros, gaps: false });
+    } else {
+        let present = positions.iter().filter(|&&p| !is_gap(p)).count();
+        notes.warnings.push(format!("{zeros} of {present} samples are exactly at the origin and not marked as missing; they were kept as positions."));
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::events::{EVENT, Entry};
 use super::parameters::{Group, Parameter, Parameters};
+use crate::interchange::turn::Turn;
 use crate::motion::UpAxis;
 
 /// Most strings that one dimension counts.
@@ -177,11 +178,44 @@ impl Parameters {
 
     /// Multiplies the floats of a parameter.
     pub(super) fn scale_floats(&mut self, group: &str, name: &str, factor: f64) {
+        self.map_floats(group, name, |floats| {
+            floats.iter().map(|&v| (f64::from(v) * factor) as f32).collect()
+        });
+    }
+
+    /// Turns what is a place in the laboratory: the corners of force plates.
+    pub(super) fn turn(&mut self, turn: Turn) {
+        self.map_floats("FORCE_PLATFORM", "CORNERS", |floats| {
+            let (corners, rest) = floats.as_chunks::<3>();
+            corners.iter().flat_map(|&corner| turn.of(corner)).chain(rest.iter().copied()).collect()
+        });
+    }
+
+    /// Puts as many other floats in the place of a parameter's.
+    fn map_floats(&mut self, group: &str, name: &str, map: impl Fn(&[f32]) -> Vec<f32>) {
         let Some(parameter) = self.get(group, name).filter(|p| p.kind == 4) else { return };
-        let scaled = parameter.floats().into_iter().map(|v| (f64::from(v) * factor) as f32);
-        let data = scaled.flat_map(f32::to_le_bytes).collect();
+        let data = map(&parameter.floats()).into_iter().flat_map(f32::to_le_bytes).collect();
         let dimensions = parameter.dimensions.clone();
         self.set(group, name, 4, dimensions, data);
+    }
+
+    /// Sets a list of floats, going on in NAME2, NAME3... where one parameter is full.
+    pub(super) fn set_float_list(&mut self, group: &str, name: &str, values: &[f32]) {
+        let values: Vec<[u8; 4]> = values.iter().map(|value| value.to_le_bytes()).collect();
+        self.set_list(group, name, 4, &values);
+    }
+
+    /// The same of words.
+    pub(super) fn set_word_list(&mut self, group: &str, name: &str, values: &[u16]) {
+        let values: Vec<[u8; 2]> = values.iter().map(|value| value.to_le_bytes()).collect();
+        self.set_list(group, name, 2, &values);
+    }
+
+    fn set_list<const N: usize>(&mut self, group: &str, name: &str, kind: i8, values: &[[u8; N]]) {
+        for (index, some) in values.chunks(MAX_STRINGS).enumerate() {
+            let name = if index == 0 { name.to_owned() } else { format!("{name}{}", index + 1) };
+            self.set(group, &name, kind, vec![some.len() as u8], some.concat());
+        }
     }
 
     /// Adds what readers expect of an ANALOG group when there are no analog samples.
@@ -241,7 +275,7 @@ impl Parameters {
         self.set(EVENT, "GENERIC_FLAGS", 1, vec![n], flags);
     }
 
-    /// Says which axes point right and up on a screen, where that is known and not said yet.
+    /// Says which axes point right and up on a screen, where that is known and not said yet, or said otherwise.
     pub(super) fn set_screen(&mut self, up: UpAxis) {
         let (right, up) = match up {
             UpAxis::Unknown => return,
@@ -249,7 +283,9 @@ impl Parameters {
             UpAxis::Y => ("+X", "+Y"),
             UpAxis::Z => ("+X", "+Z"),
         };
-        if self.get("POINT", "Y_SCREEN").is_none() {
+        let said = self.text("POINT", "Y_SCREEN").unwrap_or_default();
+        if !matches!(said.trim(), said if said.eq_ignore_ascii_case(up) || up.eq_ignore_ascii_case(&format!("+{said}")))
+        {
             self.set_text("POINT", "X_SCREEN", right);
             self.set_text("POINT", "Y_SCREEN", up);
         }

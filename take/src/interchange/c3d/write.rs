@@ -2,6 +2,7 @@
 
 use std::io::Write;
 
+use super::analog;
 use super::body::{Body, Point};
 use super::events;
 use super::foreign::kept_parameters;
@@ -26,7 +27,7 @@ pub(crate) fn write(
     let first_frame = info.source.first_frame;
     let mut body = Body::new(&info, first_frame);
     let (mut header, mut parameters) = kept_parameters(&info.foreign).unwrap_or_default();
-    fill_parameters(&mut parameters, &info, &body)?;
+    fill_parameters(&mut parameters, &info, &mut body)?;
     fill_header(&mut header, &parameters, &info, &body);
     out.write_all(&front(header, parameters)?)?;
     let mut row = vec![GAP; info.markers.len()];
@@ -46,13 +47,20 @@ pub(crate) fn write(
         }
     }
     expect_frames(info.n_frames, n_written)?;
-    // Beyond 16 bits some readers count frames by the length of the file: padding would be frames to them.
-    let block = if info.n_frames > u64::from(u16::MAX) { 1 } else { BLOCK };
+    let block = if is_counted_by_length(&info) { 1 } else { BLOCK };
     let end = (n_bytes + buffer.len()).next_multiple_of(block) - n_bytes;
     buffer.resize(end, 0);
     out.write_all(&buffer)?;
     out.flush()?;
     Ok(())
+}
+
+/// Whether some reader counts the frames by the length of the file, so that padding would be frames to it: ezc3d where
+/// POINT:FRAMES is 65535, which stands for every count that 16 bits do not hold; py-c3d where the first frame's number has
+/// more than 16 bits, of which it makes one too few and so reads a frame too many.
+fn is_counted_by_length(info: &MotionInfo) -> bool {
+    let max = u64::from(u16::MAX);
+    info.n_frames >= max || info.source.first_frame > max
 }
 
 /// The labels of all points.
@@ -74,7 +82,7 @@ fn labels(parameters: &Parameters, info: &MotionInfo, points: &[Point]) -> Vec<S
 fn fill_parameters(
     parameters: &mut Parameters,
     info: &MotionInfo,
-    body: &Body<'_>,
+    body: &mut Body<'_>,
 ) -> Result<(), InterchangeError> {
     let n_points = u16::try_from(body.n_points()).map_err(|_| {
         InterchangeError::Unsupported(format!(
@@ -92,7 +100,7 @@ fn fill_parameters(
     let kept_frames = parameters.number("POINT", "FRAMES");
     let whole = kept_frames.is_some_and(|n| n as u64 == info.n_frames.min(u64::from(u16::MAX)));
     let labels = labels(parameters, info, &body.points);
-    let descriptions = parameters.texts("POINT", "DESCRIPTIONS");
+    let mut descriptions = parameters.texts("POINT", "DESCRIPTIONS");
     parameters.set_word("POINT", "USED", n_points);
     parameters.set_float("POINT", "SCALE", -residual_scale(parameters, info.source.factor));
     parameters.set_float("POINT", "RATE", info.rate_hz as f32);
@@ -114,19 +122,19 @@ fn fill_parameters(
         ))
     })?;
     if descriptions.len() != labels.len() {
-        let empty = vec![String::new(); labels.len()];
-        // Empty texts are never too long.
-        parameters.set_texts("POINT", "DESCRIPTIONS", &empty).unwrap_or_default();
+        descriptions.resize(labels.len(), String::new());
+        // None is longer than what was read.
+        parameters.set_texts("POINT", "DESCRIPTIONS", &descriptions).unwrap_or_default();
     }
     parameters.set_screen(info.up);
     parameters.set_manufacturer();
     subjects::fill(parameters, &info.markers);
     events::fill(parameters, info, whole);
-    let (_, n_channels) = body.analog_shape();
+    let (ratio, n_channels) = body.analog_shape();
     if n_channels == 0 {
         parameters.set_no_analog();
     } else {
-        parameters.set_word("ANALOG", "USED", n_channels as u16);
+        body.analog_offsets = analog::complete(parameters, n_channels, ratio, info.rate_hz);
     }
     parameters.set_double_word("TRIAL", "ACTUAL_START_FIELD", first_frame(info));
     parameters.set_double_word("TRIAL", "ACTUAL_END_FIELD", last);

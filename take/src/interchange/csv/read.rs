@@ -1,36 +1,53 @@
 //! Bytes of a CSV file -> trajectories.
 
 use super::cells::LineCells;
-use super::{HEADER, long};
+use super::{HEADER, long, motive};
 use crate::escape::from_cell;
-use crate::interchange::InterchangeError;
 use crate::interchange::text::{self, Cells, Rows};
-use crate::interchange::units::{Millimetres, factor_or_warn};
+use crate::interchange::units::{FileUnit, Millimetres};
+use crate::interchange::{InterchangeError, ReadOptions, notes::Notes};
 use crate::motion::{Foreign, GAP, Motion, MotionInfo, Source, UpAxis};
 
 /// Share of the median interval by which another one may differ before the rate is called uneven.
 const EVEN: f64 = 0.01;
+/// Rate of a file of one frame that states none, as of a C3D file that states none.
+const RATE_OF_ONE_FRAME_HZ: f64 = 100.0;
 
 /// Reads a whole file.
-pub(crate) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
+pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, InterchangeError> {
     let mut lines = text::lines(bytes);
     let is_content = |line: &&(usize, &[u8])| {
         let line = line.1.trim_ascii();
         !line.is_empty() && !line.starts_with(b"#")
     };
-    if let Some((number, line)) = lines.find(|line| is_content(&line))
-        && long::is_long(line)
-    {
-        return long::read(bytes, number);
+    if let Some((number, line)) = lines.find(|line| is_content(&line)) {
+        if long::is_long(line) {
+            return long::read(bytes, number, options);
+        }
+        if motive::is_motive(line) {
+            return motive::read(bytes, options);
+        }
     }
-    let mut warnings = Vec::new();
+    let mut notes = Notes::default();
     let head = Head::parse(bytes)?;
-    let unit = head.value("units").unwrap_or_else(|| "mm".to_owned());
-    let factor = factor_or_warn(&unit, &mut warnings);
-    let data = read_rows(bytes, &head, factor, &mut warnings);
+    // What we write has no line of units: it is always millimetres.
+    let ours = if head.is_ours { "mm" } else { "" };
+    let unit = head.value("units").unwrap_or_else(|| ours.to_owned());
+    let unit = FileUnit::of(&unit, options, &mut notes).or_usually_millimetres();
+    let millimetres = Millimetres::new(unit.factor, options);
+    let data = read_rows(bytes, &head, &millimetres, &mut notes.warnings);
+    let of_file = match head.value("up").as_deref() {
+        Some("X" | "x") => UpAxis::X,
+        Some("Y" | "y") => UpAxis::Y,
+        Some("Z" | "z") => UpAxis::Z,
+        _ => UpAxis::Unknown,
+    };
+    let up = options.up(of_file, &mut notes);
+    let warnings = &mut notes.warnings;
     let rate_hz = match head.value("rate").and_then(|rate| text::number(rate.as_bytes())) {
         Some(rate) if rate.is_finite() && rate > 0.0 => rate,
-        _ => rate_from_times(&data.times, &data.frames, &mut warnings).ok_or_else(|| {
+        _ if data.rows.len() == 1 => rate_of_one_frame(warnings),
+        _ => rate_from_times(&data.times, &data.frames, warnings).ok_or_else(|| {
             malformed(
                 head.n_lines,
                 "the rate is not known: add a line `# rate=120` above the column names, or a column of rising times",
@@ -47,8 +64,10 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
     if !head.lines.is_empty() {
         foreign.push(Foreign { kind: HEADER.to_owned(), data: head.lines.clone() });
     }
+    let positions_mm = data.rows.into_rectangle(head.labels.len(), bytes.len(), "csv")?;
+    unit.judge(&positions_mm, head.labels.len(), &mut notes);
     Ok(Motion {
-        positions_mm: data.rows.into_rectangle(head.labels.len(), bytes.len(), "csv")?,
+        positions_mm,
         info: MotionInfo {
             rate_hz,
             n_frames,
@@ -58,19 +77,15 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
                 .enumerate()
                 .map(|(column, label)| text::marker(label, column))
                 .collect(),
-            up: match head.value("up").as_deref() {
-                Some("X" | "x") => UpAxis::X,
-                Some("Y" | "y") => UpAxis::Y,
-                Some("Z" | "z") => UpAxis::Z,
-                _ => UpAxis::Unknown,
-            },
+            up,
             source: Source {
                 format: "csv".to_owned(),
-                unit,
-                factor,
+                unit: unit.stated,
+                factor: unit.factor,
                 first_frame: data.frames.first().copied().unwrap_or(1),
                 frames_missing: announced.saturating_sub(n_frames),
-                warnings,
+                warnings: notes.warnings,
+                ambiguities: notes.ambiguities,
             },
             foreign,
             ..MotionInfo::default()
@@ -83,6 +98,8 @@ struct Head {
     /// `key=value` of the lines that begin with `#`.
     values: Vec<(String, String)>,
     labels: Vec<String>,
+    /// Whether the columns are named as we name them: `time_s`, `LABEL.x`.
+    is_ours: bool,
     frame_column: Option<usize>,
     time_column: Option<usize>,
     /// Columns before the first coordinate.
@@ -146,7 +163,19 @@ impl Head {
                 "expected the columns frame, time_s or time and markers, found none of them",
             ));
         }
-        Ok(Self { values, labels, frame_column, time_column, lead, n_lines: number, lines })
+        let is_ours = time_column
+            .is_some_and(|column| names.get(column).is_some_and(|name| name == "time_s"))
+            && names.get(lead).is_none_or(|first| first.ends_with(".x"));
+        Ok(Self {
+            values,
+            labels,
+            is_ours,
+            frame_column,
+            time_column,
+            lead,
+            n_lines: number,
+            lines,
+        })
     }
 
     /// The last value of a key.
@@ -176,9 +205,13 @@ struct Data {
     frames: Vec<u64>,
 }
 
-fn read_rows(bytes: &[u8], head: &Head, factor: f64, warnings: &mut Vec<String>) -> Data {
+fn read_rows(
+    bytes: &[u8],
+    head: &Head,
+    millimetres: &Millimetres,
+    warnings: &mut Vec<String>,
+) -> Data {
     let mut data = Data::default();
-    let millimetres = Millimetres::new(factor);
     let mut damaged = 0usize;
     let mut extra = 0usize;
     for (_, line) in text::lines(bytes).skip(head.n_lines) {
@@ -217,6 +250,12 @@ fn read_rows(bytes: &[u8], head: &Head, factor: f64, warnings: &mut Vec<String>)
         ));
     }
     data
+}
+
+/// What is taken where one frame tells no rate.
+pub(super) fn rate_of_one_frame(warnings: &mut Vec<String>) -> f64 {
+    warnings.push(format!("One frame tells no rate; {RATE_OF_ONE_FRAME_HZ} Hz was taken."));
+    RATE_OF_ONE_FRAME_HZ
 }
 
 /// Frames a second by the times of the rows: the median interval tells whether they are even, first and last time

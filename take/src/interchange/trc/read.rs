@@ -1,17 +1,20 @@
 //! Bytes of a TRC file -> trajectories.
 
 use super::HEADER;
-use crate::interchange::InterchangeError;
+use super::separator::Separator;
 use crate::interchange::text::{self, Rows};
-use crate::interchange::units::{Millimetres, factor_or_warn};
-use crate::motion::{Foreign, Marker, Motion, MotionInfo, Source};
+use crate::interchange::units::{FileUnit, Millimetres};
+use crate::interchange::{InterchangeError, ReadOptions, notes::Notes, origin};
+use crate::motion::{Ambiguity, Foreign, Marker, Motion, MotionInfo, Source, UpAxis};
 
 /// Reads a whole file.
-pub(crate) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
-    let mut warnings = Vec::new();
-    let head = Head::parse(bytes, &mut warnings)?;
-    let factor = factor_or_warn(&head.unit, &mut warnings);
-    let data = read_rows(bytes, head.labels_line, factor, &mut warnings);
+pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, InterchangeError> {
+    let mut notes = Notes::default();
+    let head = Head::parse(bytes, &mut notes.warnings)?;
+    let unit = FileUnit::of(&head.unit, options, &mut notes);
+    let millimetres = Millimetres::new(unit.factor, options);
+    let data = read_rows(bytes, &head, &millimetres, &mut notes.warnings);
+    let warnings = &mut notes.warnings;
     if let Some(announced) = head.n_frames
         && announced != data.rows.len() as u64
     {
@@ -28,19 +31,27 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
         .map(|column| text::marker(head.labels.get(column).map_or("", String::as_str), column))
         .collect();
     let n_frames = data.rows.len() as u64;
+    let mut positions_mm = data.rows.into_rectangle(width, bytes.len(), "trc")?;
+    let samples = origin::remove(&mut positions_mm, width);
+    if samples > 0 {
+        notes.ambiguous(Ambiguity::Origin { samples, gaps: true });
+    }
+    unit.judge(&positions_mm, width, &mut notes);
     Ok(Motion {
-        positions_mm: data.rows.into_rectangle(width, bytes.len(), "trc")?,
+        positions_mm,
         info: MotionInfo {
             rate_hz: head.rate_hz,
             n_frames,
             markers,
+            up: options.up(UpAxis::Unknown, &mut notes),
             source: Source {
                 format: "trc".to_owned(),
-                unit: head.unit,
-                factor,
+                unit: unit.stated,
+                factor: unit.factor,
                 first_frame: data.first_frame.unwrap_or(1),
                 frames_missing: head.n_frames.unwrap_or(0).saturating_sub(n_frames),
-                warnings,
+                warnings: notes.warnings,
+                ambiguities: notes.ambiguities,
             },
             foreign: vec![Foreign { kind: HEADER.to_owned(), data: head.lines }],
             ..MotionInfo::default()
@@ -55,6 +66,8 @@ struct Head {
     n_frames: Option<u64>,
     n_markers: Option<u64>,
     labels: Vec<String>,
+    /// What stands between the cells of a line.
+    separator: Separator,
     /// Number of the line with the labels.
     labels_line: usize,
     /// The lines above it, without line ends, each followed by LF.
@@ -113,6 +126,7 @@ impl Head {
                 "expected the rate under `DataRate`, a number above 0: mend the line and try again",
             ));
         };
+        let separator = Separator::of(labels);
         let count = |name: &str| text::whole_number(value(name)?.as_bytes());
         let n_markers = count("nummarkers");
         Ok(Self {
@@ -120,7 +134,8 @@ impl Head {
             unit: value("units").unwrap_or_default().to_owned(),
             n_frames: count("numframes"),
             n_markers,
-            labels: labels_of(labels, n_markers, warnings),
+            labels: labels_of(labels, separator, n_markers, warnings),
+            separator,
             labels_line,
             lines: kept,
         })
@@ -129,14 +144,30 @@ impl Head {
 
 /// The trimmed cells of a header line.
 fn cells(line: &[u8]) -> impl Iterator<Item = String> + '_ {
-    line.split(|&b| b == b'\t').map(|cell| text::decode(cell.trim_ascii()))
+    Separator::of(line).cells(line).map(|cell| text::decode(cell.trim_ascii()))
 }
 
-/// The labels: every three cells, or in every cell where as many follow each other as there are markers.
-fn labels_of(line: &[u8], n_markers: Option<u64>, warnings: &mut Vec<String>) -> Vec<String> {
+/// The labels: every three cells, or in every cell where as many follow each other as there are markers, or where cells
+/// cannot be empty.
+fn labels_of(
+    line: &[u8],
+    separator: Separator,
+    n_markers: Option<u64>,
+    warnings: &mut Vec<String>,
+) -> Vec<String> {
     let mut cells: Vec<String> = cells(line).skip(2).collect();
     while cells.last().is_some_and(String::is_empty) {
         cells.pop();
+    }
+    if separator == Separator::Spaces {
+        if n_markers.is_some_and(|n| n > 0 && n != cells.len() as u64) {
+            warnings.push(format!(
+                "Spaces separate the {} labels of {} markers: a label with a space counts as several.",
+                cells.len(),
+                n_markers.unwrap_or(0)
+            ));
+        }
+        return cells;
     }
     let between =
         cells.iter().enumerate().filter(|(index, cell)| index % 3 != 0 && !cell.is_empty()).count();
@@ -164,17 +195,27 @@ struct Data {
     first_frame: Option<u64>,
 }
 
-fn read_rows(bytes: &[u8], labels_line: usize, factor: f64, warnings: &mut Vec<String>) -> Data {
+fn read_rows(
+    bytes: &[u8],
+    head: &Head,
+    millimetres: &Millimetres,
+    warnings: &mut Vec<String>,
+) -> Data {
     let mut data = Data::default();
     let mut skipped = Skipped::default();
     let mut expected = None;
-    let millimetres = Millimetres::new(factor);
-    for (number, line) in text::lines(bytes).skip(labels_line) {
-        let mut cells = line.split(|&b| b == b'\t');
+    for (number, line) in text::lines(bytes).skip(head.labels_line) {
+        // A line without the separator of the labels has one of its own.
+        let separator =
+            if head.separator.is_in(line) { head.separator } else { Separator::of(line) };
+        let mut cells = separator.cells(line);
         let first = cells.next().unwrap_or(&[]);
         let Some(frame) = text::whole_number(first) else {
             // The line X1 Y1 Z1... and empty lines.
-            if !line.trim_ascii().is_empty() && !first.trim_ascii().is_empty() {
+            if !line.trim_ascii().is_empty()
+                && !first.trim_ascii().is_empty()
+                && !is_axes(separator, line)
+            {
                 skipped.line(number);
             }
             continue;
@@ -193,6 +234,15 @@ fn read_rows(bytes: &[u8], labels_line: usize, factor: f64, warnings: &mut Vec<S
     skipped.report(warnings);
     millimetres.report(warnings);
     data
+}
+
+/// Whether a line holds nothing but `X1 Y1 Z1 X2...`, three cells at least.
+fn is_axes(separator: Separator, line: &[u8]) -> bool {
+    let is_axis = |cell: &[u8]| match cell.trim_ascii().split_first() {
+        Some((axis, number)) => b"XYZxyz".contains(axis) && number.iter().all(u8::is_ascii_digit),
+        None => true,
+    };
+    separator.cells(line).nth(2).is_some() && separator.cells(line).all(is_axis)
 }
 
 /// What could not be read.

@@ -4,7 +4,7 @@ use std::io::Write;
 
 use super::HEADER;
 use crate::interchange::text::{self, column_labels, plain};
-use crate::interchange::{InterchangeError, expect_frames};
+use crate::interchange::{InterchangeError, expect_frames, origin::beside_origin};
 use crate::motion::{FrameSource, GAP, MotionInfo, is_gap};
 
 /// Writes a whole file: millimetres, LF, missing samples as empty cells, as many digits as bring back the f32.
@@ -29,7 +29,7 @@ pub(crate) fn write(
             if is_gap(position) {
                 line.extend(b"\t\t\t");
             } else {
-                let [x, y, z] = position;
+                let [x, y, z] = beside_origin(position);
                 write!(line, "{x}\t{y}\t{z}\t")?;
             }
         }

@@ -1,20 +1,23 @@
 //! A QTM text export -> trajectories.
 
 use super::HEADER;
-use crate::interchange::InterchangeError;
 use crate::interchange::text::{self, Rows};
-use crate::interchange::units::Millimetres;
-use crate::motion::{Foreign, GAP, Marker, Motion, MotionEvent, MotionInfo, Position, Source};
+use crate::interchange::units::{FileUnit, Millimetres};
+use crate::interchange::{InterchangeError, ReadOptions, notes::Notes};
+use crate::motion::{
+    Foreign, GAP, Marker, Motion, MotionEvent, MotionInfo, Position, Source, UpAxis,
+};
 use crate::record::EventKind;
 
 /// Reads a whole file.
-pub(crate) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
-    let mut warnings = Vec::new();
+pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, InterchangeError> {
+    let mut notes = Notes::default();
     let head = Head::parse(bytes)?;
     let mut rows = Rows::default();
     let mut width = head.labels.len();
     let mut damaged = 0usize;
-    let millimetres = Millimetres::new(1.0);
+    let unit = FileUnit::of("mm", options, &mut notes);
+    let millimetres = Millimetres::new(unit.factor, options);
     let mut first_frame = None;
     for (_, line) in text::lines(bytes).skip(head.n_lines) {
         if line.trim_ascii().is_empty() {
@@ -30,6 +33,8 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
         width = width
             .max(rows.read_row(&mut cells, &mut damaged, |stored| position(stored, &millimetres)));
     }
+    let up = options.up(UpAxis::Unknown, &mut notes);
+    let Notes { mut warnings, ambiguities } = notes;
     millimetres.report(&mut warnings);
     if damaged > 0 {
         warnings.push(format!("{damaged} samples have cells that are not numbers; they are gaps."));
@@ -55,13 +60,15 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Motion, InterchangeError> {
             rate_hz: head.rate_hz,
             n_frames,
             markers,
+            up,
             source: Source {
                 format: "tsv".to_owned(),
-                unit: "mm".to_owned(),
-                factor: 1.0,
+                unit: unit.stated,
+                factor: unit.factor,
                 first_frame,
                 frames_missing: head.n_frames.unwrap_or(0).saturating_sub(n_frames),
                 warnings,
+                ambiguities,
             },
             events,
             foreign: vec![Foreign { kind: HEADER.to_owned(), data: head.lines }],

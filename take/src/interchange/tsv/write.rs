@@ -4,11 +4,8 @@ use std::io::Write;
 
 use super::HEADER;
 use crate::interchange::text::{column_labels, plain, value_of};
-use crate::interchange::{InterchangeError, expect_frames};
-use crate::motion::{FrameSource, GAP, MotionInfo, Position, is_gap};
-
-/// What stands for a position at the very origin, where three zeros mean a missing sample: a nanometre beside it.
-const BESIDE_ORIGIN: Position = [1e-6, 0.0, 0.0];
+use crate::interchange::{InterchangeError, expect_frames, origin::beside_origin};
+use crate::motion::{FrameSource, GAP, MotionInfo, is_gap};
 
 /// Writes a whole file: millimetres, LF, missing samples as zeros, as many digits as bring back the f32. The numbers
 /// of the frames and their times stand before the positions when they say more than the line's place.
@@ -38,8 +35,7 @@ pub(crate) fn write(
             match position {
                 gap if is_gap(gap) => line.extend(b"0.000\t0.000\t0.000"),
                 position => {
-                    let origin = position == [0.0; 3];
-                    let [x, y, z] = if origin { BESIDE_ORIGIN } else { position };
+                    let [x, y, z] = beside_origin(position);
                     write!(line, "{x}\t{y}\t{z}")?;
                 }
             }

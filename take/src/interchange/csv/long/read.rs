@@ -4,13 +4,13 @@ use std::borrow::Cow;
 use std::collections::HashMap;
 
 use super::super::cells::LineCells;
-use super::super::read::{malformed, rate_from_times};
+use super::super::read::{malformed, rate_from_times, rate_of_one_frame};
 use super::COLUMNS;
 use crate::escape::from_cell;
-use crate::interchange::InterchangeError;
 use crate::interchange::text::{self, Cells};
-use crate::interchange::units::Millimetres;
-use crate::motion::{GAP, Marker, Motion, MotionInfo, Position, Source};
+use crate::interchange::units::{FileUnit, Millimetres};
+use crate::interchange::{InterchangeError, ReadOptions, notes::Notes};
+use crate::motion::{GAP, Marker, Motion, MotionInfo, Position, Source, UpAxis};
 
 /// Whether these are the names of the columns.
 pub(in crate::interchange) fn is_long(line: &[u8]) -> bool {
@@ -22,9 +22,13 @@ pub(in crate::interchange) fn is_long(line: &[u8]) -> bool {
 pub(in crate::interchange) fn read(
     bytes: &[u8],
     head_line: usize,
+    options: &ReadOptions,
 ) -> Result<Motion, InterchangeError> {
-    let mut warnings = Vec::new();
-    let millimetres = Millimetres::new(1.0);
+    let mut notes = Notes::default();
+    let unit = FileUnit::of("mm", options, &mut notes);
+    let up = options.up(UpAxis::Unknown, &mut notes);
+    let Notes { mut warnings, ambiguities } = notes;
+    let millimetres = Millimetres::new(unit.factor, options);
     let data = Data::read(bytes, head_line, &millimetres)?;
     data.report(&mut warnings);
     millimetres.report(&mut warnings);
@@ -58,13 +62,15 @@ pub(in crate::interchange) fn read(
             rate_hz,
             n_frames: last - first + 1,
             markers: data.labels.into_iter().map(marker).collect(),
+            up,
             source: Source {
                 format: "csv".to_owned(),
-                unit: "mm".to_owned(),
-                factor: 1.0,
+                unit: unit.stated,
+                factor: unit.factor,
                 first_frame: first,
                 frames_missing: 0,
                 warnings,
+                ambiguities,
             },
             ..MotionInfo::default()
         },
@@ -81,6 +87,9 @@ fn marker(label: String) -> Marker {
 /// Frames a second, by the frames that have samples and their times.
 fn rate(times: &[(u64, f64)], warnings: &mut Vec<String>) -> Option<f64> {
     let (numbers, times): (Vec<u64>, Vec<f64>) = times.iter().copied().unzip();
+    if numbers.len() == 1 {
+        return Some(rate_of_one_frame(warnings));
+    }
     if numbers.windows(2).all(|w| matches!(w, [a, b] if b - a == 1)) {
         return rate_from_times(&times, &numbers, warnings);
     }

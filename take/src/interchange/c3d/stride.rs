@@ -1,0 +1,276 @@
+//! How long a frame is, where header, parameters and the number of bytes disagree about it.
+//!
+//! The number of points is stated by POINT:USED and by the header, the number of analog samples a frame by the header
+//! and by ANALOG:USED times ANALOG:RATE over POINT:RATE. Every combination is a candidate. A candidate accounts for the
+//! bytes when its frames fill them up to the padding of the last block, and it is smooth when coordinates go on from
+//! frame to frame: a wrong stride reads another marker, or another coordinate, in every frame.
+
+use super::bytes::ByteOrder;
+use super::header::BLOCK;
+
+/// Most candidates that are compared: the places that state something give at most 2 * 2 * 2 * 8 of them, the file's
+/// size some more for short files, where several strides leave less than a block.
+pub(super) const CANDIDATES_MAX: usize = 256;
+/// Frames in a row that are looked at together, and how many such windows are spread over the file.
+const WINDOW_FRAMES: usize = 24;
+const WINDOWS: usize = 4;
+/// Points of a frame that are looked at, evenly spread.
+const POINTS: usize = 48;
+/// Largest roughness of motion: coordinates that change their velocity by a seventh of all they span in each frame are
+/// read at a wrong stride. Human motion at 10 Hz stays below a tenth.
+const ROUGHNESS_MAX: f64 = 0.15;
+/// A reading this many times as rough as the smoothest one is a wrong one: neighbouring markers of one body are near
+/// each other, so that a stride which is wrong by one point is only ten times as rough.
+const ROUGHER: f64 = 4.0;
+/// Roughness below which readings are equally smooth.
+const SMOOTH: f64 = 0.01;
+/// Larger coordinates, in the file's unit, are no positions: a thousand kilometres in mm.
+const COORDINATE_MAX: f64 = 1e6;
+/// Smaller ones are other numbers read as floats.
+const COORDINATE_MIN: f64 = 1e-30;
+
+/// One way to cut the data section into frames.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Stride {
+    /// Points a frame.
+    pub(super) n_points: usize,
+    /// Analog samples a frame, all channels together.
+    pub(super) analog_per_frame: usize,
+    /// Whether samples are floats.
+    pub(super) float: bool,
+    /// Offset of the first frame in the file.
+    pub(super) data_start: usize,
+}
+
+impl Stride {
+    /// Bytes of a frame.
+    pub(super) fn frame_bytes(&self) -> usize {
+        (4 * self.n_points + self.analog_per_frame) * if self.float { 4 } else { 2 }
+    }
+}
+
+/// How a number of frames fits the bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Fit {
+    /// They fill them, but for less than a block, or for zeros.
+    Exact,
+    /// More than a block is left.
+    Surplus,
+    /// There are fewer bytes.
+    Short,
+}
+
+/// How `n_frames` frames of a stride fit a file.
+pub(super) fn fit(file: &[u8], stride: &Stride, n_frames: u64) -> Fit {
+    let available = file.len().saturating_sub(stride.data_start);
+    let needed = usize::try_from(n_frames).unwrap_or(usize::MAX);
+    let needed = needed.saturating_mul(stride.frame_bytes());
+    match available.checked_sub(needed) {
+        None => Fit::Short,
+        Some(left) if left < BLOCK => Fit::Exact,
+        Some(_) => {
+            let rest = file.get(stride.data_start + needed..).unwrap_or(&[]);
+            if rest.iter().all(|&byte| byte == 0) { Fit::Exact } else { Fit::Surplus }
+        }
+    }
+}
+
+/// A stride with the frames that it gives, and how well it suits the file.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Candidate {
+    pub(super) stride: Stride,
+    fit: Fit,
+    /// `None` where there is nothing to judge by.
+    roughness: Option<f64>,
+    /// Whether a place in the file states it: else it follows from the number of bytes alone.
+    is_stated: bool,
+}
+
+impl Candidate {
+    pub(super) fn new(
+        file: &[u8],
+        order: ByteOrder,
+        stride: Stride,
+        n_frames: u64,
+        is_stated: bool,
+    ) -> Self {
+        let present = file.len().saturating_sub(stride.data_start);
+        let present = present.checked_div(stride.frame_bytes()).unwrap_or(0);
+        let n_read = present.min(usize::try_from(n_frames).unwrap_or(usize::MAX));
+        Self {
+            stride,
+            fit: fit(file, &stride, n_frames),
+            roughness: roughness(file, order, &stride, n_read),
+            is_stated,
+        }
+    }
+
+    /// Whether its frames fill the bytes.
+    pub(super) fn accounts(&self) -> bool {
+        self.fit == Fit::Exact
+    }
+
+    /// Whether coordinates go on from frame to frame, beside the smoothest reading of all.
+    fn is_smooth(&self, smoothest: f64) -> Option<bool> {
+        let roughness = self.roughness?;
+        Some(roughness <= ROUGHNESS_MAX && roughness <= (ROUGHER * smoothest).max(SMOOTH))
+    }
+
+    /// Whether nothing speaks against it, with no other reading to compare with.
+    pub(super) fn is_plausible(&self) -> bool {
+        self.accounts() && self.roughness.is_none_or(|roughness| roughness <= ROUGHNESS_MAX)
+    }
+
+    /// The order in which readings are taken; `None` for one that nothing speaks for.
+    fn tier(&self, smoothest: f64) -> Option<u8> {
+        match (self.accounts(), self.is_smooth(smoothest), self.is_stated) {
+            (true, Some(true), _) => Some(0),
+            (true, None, true) => Some(1),
+            (false, Some(true), true) => Some(2),
+            (true, Some(false), true) => Some(3),
+            _ => None,
+        }
+    }
+}
+
+/// The reading to take, of candidates in order of preference. `None` when none accounts for the bytes or keeps motion
+/// continuous.
+pub(super) fn choose(candidates: &[Candidate]) -> Option<Candidate> {
+    let smoothest = candidates.iter().filter_map(|candidate| candidate.roughness);
+    let smoothest = smoothest.fold(f64::INFINITY, f64::min);
+    let tier = candidates.iter().filter_map(|candidate| candidate.tier(smoothest)).min()?;
+    let mut best: Option<&Candidate> = None;
+    for candidate in candidates.iter().filter(|c| c.tier(smoothest) == Some(tier)) {
+        let rough = |candidate: &Candidate| candidate.roughness.unwrap_or(0.0);
+        let is_better = best
+            .is_none_or(|best| rough(candidate) < rough(best) / 2.0 && rough(best) > SMOOTH / 10.0);
+        if is_better {
+            best = Some(candidate);
+        }
+    }
+    best.copied()
+}
+
+/// Strides that leave less than a block of the bytes when there are `n_frames` frames of `n_points` points.
+pub(super) fn by_size(
+    file: &[u8],
+    of: Stride,
+    n_frames: u64,
+    n_channels: Option<u64>,
+) -> impl Iterator<Item = Stride> {
+    let available = file.len().saturating_sub(of.data_start);
+    let width = if of.float { 4 } else { 2 };
+    let n_frames = usize::try_from(n_frames).unwrap_or(usize::MAX).max(1);
+    let most = available / width / n_frames;
+    let least = (available.saturating_sub(BLOCK - 1)).div_ceil(width).div_ceil(n_frames);
+    let words = (least..=most).rev().take(CANDIDATES_MAX);
+    words.filter_map(move |words| {
+        let analog = words.checked_sub(4 * of.n_points)?;
+        let whole = match n_channels {
+            Some(0) => analog == 0,
+            Some(n) => usize::try_from(n).is_ok_and(|n| analog.is_multiple_of(n)),
+            None => true,
+        };
+        whole.then_some(Stride { analog_per_frame: analog, ..of })
+    })
+}
+
+/// Every combination of what the places in a file state, the preferred first, none twice.
+pub(super) fn combine(
+    points: &[u64],
+    analog: &[u64],
+    floats: &[bool],
+    starts: &[usize],
+) -> Vec<Stride> {
+    let mut all: Vec<Stride> = Vec::new();
+    for &data_start in starts {
+        for &float in floats {
+            for &n_points in points {
+                for &analog_per_frame in analog {
+                    let count = |n: u64| usize::try_from(n.min(1 << 32)).unwrap_or(usize::MAX);
+                    let stride = Stride {
+                        n_points: count(n_points),
+                        analog_per_frame: count(analog_per_frame),
+                        float,
+                        data_start,
+                    };
+                    if !all.contains(&stride) && all.len() < CANDIDATES_MAX {
+                        all.push(stride);
+                    }
+                }
+            }
+        }
+    }
+    all
+}
+
+/// How much the velocity of a coordinate changes from frame to frame, as a share of what coordinates span, in the mean
+/// (0: not at all; 1: by all of it), and the share of fourth words that are none. `None` where fewer than three frames
+/// in a row have positions, or all coordinates are the same.
+fn roughness(file: &[u8], order: ByteOrder, stride: &Stride, n_frames: usize) -> Option<f64> {
+    let word_bytes = if stride.float { 4 } else { 2 };
+    let word = |frame: usize, word: usize| {
+        let at = stride.data_start + frame * stride.frame_bytes() + word * word_bytes;
+        if stride.float {
+            order.float_at(file, at).map(f64::from)
+        } else {
+            order.word_at(file, at).map(|word| f64::from(word as i16))
+        }
+    };
+    let n_points = stride.n_points.min(POINTS);
+    let window = n_frames.min(WINDOW_FRAMES);
+    let n_windows = if n_frames > window { WINDOWS } else { 1 };
+    let is_none = |v: f64| {
+        !v.is_finite() || v.abs() > COORDINATE_MAX || (v != 0.0 && v.abs() < COORDINATE_MIN)
+    };
+    let mut values = Vec::new();
+    let mut changes = Vec::new();
+    let (mut fourth_words, mut odd_words, mut odd_changes) = (0usize, 0usize, 0usize);
+    for number in 0..n_windows {
+        let first = (n_frames - window) * number / (n_windows - 1).max(1);
+        for index in 0..n_points {
+            let point = index * stride.n_points.saturating_sub(1) / (n_points - 1).max(1);
+            let sample = |frame: usize| -> Option<[f64; 4]> {
+                let mut sample = [0.0; 4];
+                for (axis, value) in sample.iter_mut().enumerate() {
+                    *value = word(frame, 4 * point + axis)?;
+                }
+                (sample[..3] != [0.0; 3]).then_some(sample)
+            };
+            let mut before: [Option<[f64; 4]>; 2] = [None, None];
+            for frame in first..first + window {
+                let now = sample(frame);
+                if let Some([x, y, z, fourth]) = now {
+                    fourth_words += 1;
+                    odd_words += usize::from(is_none(fourth) || (stride.float && fourth < -1.0));
+                    values.extend([x, y, z].into_iter().filter(|&v| !is_none(v)));
+                }
+                if let ([Some(a), Some(b)], Some(c)) = (before, now) {
+                    for axis in 0..3 {
+                        let three = [a[axis], b[axis], c[axis]];
+                        if three.iter().any(|&v| is_none(v)) {
+                            odd_changes += 1;
+                        } else {
+                            changes.push((three[0] - 2.0 * three[1] + three[2]).abs());
+                        }
+                    }
+                }
+                before = [before[1], now];
+            }
+        }
+    }
+    let n_changes = changes.len() + odd_changes;
+    if n_changes == 0 {
+        return None;
+    }
+    values.sort_by(f64::total_cmp);
+    let share = |part: usize| values.get(part * values.len() / 20).copied().unwrap_or(0.0);
+    let span = share(19) - share(1);
+    if span <= 0.0 && odd_changes == 0 {
+        return None;
+    }
+    let rough: f64 =
+        changes.iter().map(|change| (change / span.max(f64::MIN_POSITIVE)).min(1.0)).sum();
+    let mean = (rough + odd_changes as f64) / n_changes as f64;
+    Some(mean + odd_words as f64 / fourth_words.max(1) as f64)
+}

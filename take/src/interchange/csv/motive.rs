@@ -1,0 +1,311 @@
+//! `OptiTrack` Motive's CSV export, format versions 1.2 and later.
+//!
+//! A line of names and values (`Format Version,1.23,...,Export Frame Rate,120.000000,...,Length Units,Meters,...`), an
+//! empty line, then lines that say of each column what it belongs to: the type (`Marker`, `Rigid Body`,
+//! `Rigid Body Marker`, `Bone`...), the name, the ID, the parent in later versions, and what it is (`Position`,
+//! `Rotation`, a quality); the line `Frame,Time (Seconds),X,Y,Z,...`; one line a frame, empty cells where nothing was
+//! seen. The first two cells of the lines about columns are empty or name the line (`Type`, `Name`, `ID`, `Parent`).
+//!
+//! Motive can write the markers of a rigid body twice: as measured (`Marker`), and as the solved body has them
+//! (`Rigid Body Marker`). The measured ones are read.
+
+use std::collections::HashSet;
+
+use super::HEADER;
+use super::cells::LineCells;
+use super::read::{malformed, rate_from_times, rate_of_one_frame};
+use crate::interchange::text::{self, Cells, Rows};
+use crate::interchange::units::{FileUnit, Millimetres};
+use crate::interchange::{InterchangeError, ReadOptions, notes::Notes};
+use crate::motion::{Foreign, GAP, Marker, Motion, MotionInfo, Source, UpAxis};
+
+/// Lines in which the head must end: more than any version has.
+const HEAD_LINES_MAX: usize = 32;
+
+/// Whether a file's first line is that of such an export.
+pub(super) fn is_motive(line: &[u8]) -> bool {
+    LineCells::new(line).next().is_some_and(|cell| cell.trim_ascii() == b"Format Version")
+}
+
+/// Reads a whole file.
+pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, InterchangeError> {
+    let mut notes = Notes::default();
+    let head = Head::parse(bytes)?;
+    let columns = head.columns(&mut notes.warnings)?;
+    let unit = FileUnit::of(head.value("Length Units").unwrap_or_default(), options, &mut notes);
+    let millimetres = Millimetres::new(unit.factor, options);
+    let data = Data::read(bytes, &head, &columns, &millimetres, &mut notes.warnings);
+    let number = |name: &str| head.value(name).and_then(|v| text::number(v.as_bytes()));
+    let usable = |rate: &f64| rate.is_finite() && *rate > 0.0;
+    let rate_hz = number("Export Frame Rate").or_else(|| number("Capture Frame Rate"));
+    let rate_hz = match rate_hz.filter(usable) {
+        Some(rate) => rate,
+        None if data.rows.len() == 1 => rate_of_one_frame(&mut notes.warnings),
+        None => {
+            rate_from_times(&data.times, &data.frames, &mut notes.warnings).ok_or_else(|| {
+                malformed(1, "expected `Export Frame Rate` and a number above 0, or rising times")
+            })?
+        }
+    };
+    let n_frames = data.rows.len() as u64;
+    let announced = head.value("Total Exported Frames");
+    let announced = announced.and_then(|n| text::whole_number(n.as_bytes())).unwrap_or(n_frames);
+    if announced != n_frames {
+        notes.warnings.push(format!("{announced} frames announced, {n_frames} present."));
+    }
+    let positions_mm = data.rows.into_rectangle(columns.len(), bytes.len(), "csv")?;
+    unit.judge(&positions_mm, columns.len(), &mut notes);
+    Ok(Motion {
+        positions_mm,
+        info: MotionInfo {
+            rate_hz,
+            n_frames,
+            markers: columns.into_iter().map(|column| column.marker).collect(),
+            up: options.up(UpAxis::Unknown, &mut notes),
+            source: Source {
+                format: "csv".to_owned(),
+                unit: unit.stated,
+                factor: unit.factor,
+                first_frame: data.frames.first().copied().unwrap_or(0),
+                frames_missing: announced.saturating_sub(n_frames),
+                warnings: notes.warnings,
+                ambiguities: notes.ambiguities,
+            },
+            foreign: vec![Foreign { kind: HEADER.to_owned(), data: head.lines }],
+            ..MotionInfo::default()
+        },
+    })
+}
+
+/// What a column belongs to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Owner {
+    /// A marker as it was measured, labelled or not.
+    Marker,
+    /// A marker as a solved body has it.
+    SolvedMarker,
+    /// A rigid body or a bone: its position is that of its pivot.
+    Body,
+    /// Force plates and other devices.
+    Other,
+}
+
+impl Owner {
+    fn of(kind: &str) -> Self {
+        match kind.to_ascii_lowercase().as_str() {
+            "marker" | "labeled marker" | "unlabeled marker" => Self::Marker,
+            "rigid body" | "bone" | "skeleton" | "asset" | "trained markerset" => Self::Body,
+            kind if kind.ends_with(" marker") => Self::SolvedMarker,
+            _ => Self::Other,
+        }
+    }
+}
+
+/// Three columns that become a marker.
+struct Column {
+    marker: Marker,
+    owner: Owner,
+    /// The columns of x, y and z.
+    cells: [usize; 3],
+}
+
+/// What stands above the data.
+struct Head {
+    /// Names and values of the first line, in turn.
+    values: Vec<String>,
+    types: Vec<String>,
+    names: Vec<String>,
+    /// `Position`, `Rotation`...
+    properties: Vec<String>,
+    /// `Frame`, `Time (Seconds)`, `X`...
+    axes: Vec<String>,
+    n_lines: usize,
+    lines: Vec<u8>,
+}
+
+impl Head {
+    fn parse(bytes: &[u8]) -> Result<Self, InterchangeError> {
+        let mut kept = Vec::new();
+        let mut rows: Vec<Vec<String>> = Vec::new();
+        for (number, line) in text::lines(bytes).take(HEAD_LINES_MAX) {
+            kept.extend_from_slice(line);
+            kept.push(b'\n');
+            let cells: Vec<String> =
+                LineCells::new(line).map(|cell| text::decode(cell.trim_ascii())).collect();
+            if cells.first().is_some_and(|cell| cell.eq_ignore_ascii_case("Frame")) {
+                return Self::of_rows(rows, cells, number, kept);
+            }
+            if cells.iter().any(|cell| !cell.is_empty()) {
+                rows.push(cells);
+            }
+        }
+        Err(malformed(
+            1,
+            "expected a line that begins with `Frame` among the first of Motive's export, found none",
+        ))
+    }
+
+    fn of_rows(
+        rows: Vec<Vec<String>>,
+        axes: Vec<String>,
+        n_lines: usize,
+        lines: Vec<u8>,
+    ) -> Result<Self, InterchangeError> {
+        let mut rows = rows.into_iter();
+        let values = rows.next().unwrap_or_default();
+        let rest: Vec<Vec<String>> = rows.collect();
+        let named = |name: &str| {
+            rest.iter().find(|row| {
+                row.iter().take(2).any(|cell| cell.trim_end_matches(':').eq_ignore_ascii_case(name))
+            })
+        };
+        // Without names of their own, lines come in this order; the last one says what a column is.
+        let types = named("Type").or(rest.first());
+        let names = named("Name").or(rest.get(1));
+        let (Some(types), Some(names), Some(properties)) = (types, names, rest.last()) else {
+            return Err(malformed(
+                n_lines,
+                "expected lines with the type, the name and the property of each column above this one",
+            ));
+        };
+        Ok(Self {
+            values,
+            types: types.clone(),
+            names: names.clone(),
+            properties: properties.clone(),
+            axes,
+            n_lines,
+            lines,
+        })
+    }
+
+    /// A value of the first line.
+    fn value(&self, name: &str) -> Option<&str> {
+        let pairs = self.values.chunks_exact(2);
+        let mut found =
+            pairs.filter(|pair| matches!(pair, [key, _] if key.eq_ignore_ascii_case(name)));
+        // A value with a comma in it shifts those behind it by one.
+        let shifted = || {
+            let at = self.values.iter().position(|cell| cell.eq_ignore_ascii_case(name))?;
+            self.values.get(at + 1)
+        };
+        found.next().and_then(|pair| pair.get(1)).or_else(shifted).map(String::as_str)
+    }
+
+    /// The positions among the columns, and a note of what is left out.
+    fn columns(&self, warnings: &mut Vec<String>) -> Result<Vec<Column>, InterchangeError> {
+        let cell = |row: &[String], at: usize| row.get(at).map_or("", String::as_str).to_owned();
+        let is = |row: &[String], at: usize, text: &str| {
+            row.get(at).is_some_and(|cell| cell.eq_ignore_ascii_case(text))
+        };
+        let mut columns: Vec<Column> = Vec::new();
+        let mut left_out = 0usize;
+        let mut at = 1;
+        while at < self.axes.len() {
+            let is_position = is(&self.properties, at, "Position")
+                && ["X", "Y", "Z"].iter().enumerate().all(|(i, axis)| is(&self.axes, at + i, axis));
+            let owner = Owner::of(&cell(&self.types, at));
+            if !is_position || owner == Owner::Other {
+                left_out += usize::from(!cell(&self.types, at).is_empty());
+                at += 1;
+                continue;
+            }
+            let name = cell(&self.names, at);
+            let is_labelled =
+                !name.is_empty() && !name.to_ascii_lowercase().starts_with("unlabeled");
+            let mut marker = text::marker(&name, columns.len());
+            marker.labelled &= is_labelled;
+            columns.push(Column { marker, owner, cells: [at, at + 1, at + 2] });
+            at += 3;
+        }
+        let measured: HashSet<String> = columns
+            .iter()
+            .filter(|column| column.owner == Owner::Marker)
+            .map(|column| column.marker.label.clone())
+            .collect();
+        let n_all = columns.len();
+        columns.retain(|column| {
+            column.owner != Owner::SolvedMarker || !measured.contains(&column.marker.label)
+        });
+        let n_twice = n_all - columns.len();
+        if n_twice > 0 {
+            warnings.push(format!(
+                "{n_twice} markers stand there twice, measured and as the solved body has them; the measured ones were read."
+            ));
+        }
+        let n_bodies = columns.iter().filter(|column| column.owner == Owner::Body).count();
+        if n_bodies > 0 {
+            warnings.push(format!(
+                "The positions of {n_bodies} rigid bodies or bones were read as markers of their names."
+            ));
+        }
+        if left_out > 0 {
+            warnings.push(format!(
+                "{left_out} columns that are no positions (rotations, qualities, devices) were left out."
+            ));
+        }
+        if columns.is_empty() {
+            return Err(malformed(
+                self.n_lines,
+                "expected columns with the positions of markers or bodies, found none: export them from Motive",
+            ));
+        }
+        Ok(columns)
+    }
+}
+
+/// The data as read.
+#[derive(Default)]
+struct Data {
+    rows: Rows,
+    times: Vec<f64>,
+    frames: Vec<u64>,
+}
+
+impl Data {
+    fn read(
+        bytes: &[u8],
+        head: &Head,
+        columns: &[Column],
+        millimetres: &Millimetres,
+        warnings: &mut Vec<String>,
+    ) -> Self {
+        let mut data = Self::default();
+        let mut damaged = 0usize;
+        for (_, line) in text::lines(bytes).skip(head.n_lines) {
+            if line.trim_ascii().is_empty() {
+                continue;
+            }
+            let cells: Vec<&[u8]> = line.split(|&b| b == b',').collect();
+            let cell = |at: usize| cells.get(at).copied().unwrap_or(&[]);
+            data.frames.extend(text::whole_number(cell(0)));
+            data.times.extend(text::number(cell(1)));
+            for column in columns {
+                let mut three = column.cells.iter().map(|&at| cell(at));
+                data.rows.push(match text::three_cells(&mut three) {
+                    Cells::Position(stored) => millimetres.position(stored),
+                    Cells::Empty => GAP,
+                    Cells::Damaged => {
+                        damaged += 1;
+                        GAP
+                    }
+                });
+            }
+            data.rows.end_row();
+        }
+        millimetres.report(warnings);
+        if damaged > 0 {
+            warnings
+                .push(format!("{damaged} samples have cells that are not numbers; they are gaps."));
+        }
+        let jumps =
+            data.frames.windows(2).filter(|w| matches!(w, [a, b] if a.checked_add(1) != Some(*b)));
+        let jumps = jumps.count();
+        if jumps > 0 {
+            warnings.push(format!(
+                "Frame numbers do not rise by one in {jumps} places; lines were taken as successive frames."
+            ));
+        }
+        data
+    }
+}

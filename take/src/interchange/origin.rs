@@ -1,0 +1,143 @@
+//! Samples exactly at the origin: some software writes `0 0 0` for a marker that it does not see.
+
+use crate::motion::{GAP, Position, is_gap};
+
+/// The origin.
+const ORIGIN: Position = [0.0; 3];
+/// What stands for it in files in which three zeros are a missing sample, or may be: a nanometre beside it.
+const BESIDE_ORIGIN: Position = [1e-6, 0.0, 0.0];
+/// A marker that comes nearer to the origin than so many of its usual steps passes through it.
+const STEPS: f64 = 10.0;
+
+/// Whether each sample stands for a missing one: it is exactly at the origin, other markers are elsewhere and move, and
+/// its own marker does not come from near there. A sample through which its marker passes is a position.
+pub(super) fn missing(positions: &[Position], n_markers: usize) -> Vec<bool> {
+    let mut missing = vec![false; positions.len()];
+    if !positions.contains(&ORIGIN) {
+        return missing;
+    }
+    let moves: Vec<bool> =
+        (0..n_markers).map(|marker| is_moving(positions, n_markers, marker)).collect();
+    for marker in 0..n_markers {
+        // Of a single marker nothing else tells that it moved away and came back.
+        let others_move = moves.iter().enumerate().any(|(other, moves)| other != marker && *moves);
+        if others_move || (n_markers == 1 && moves[0]) {
+            judge(positions, n_markers, marker, &mut missing);
+        }
+    }
+    missing
+}
+
+/// A position as it is written where three zeros may mean a missing sample.
+pub(super) fn beside_origin(position: Position) -> Position {
+    if position == ORIGIN { BESIDE_ORIGIN } else { position }
+}
+
+/// Makes gaps of them; how many.
+pub(super) fn remove(positions: &mut [Position], n_markers: usize) -> u64 {
+    let missing = missing(positions, n_markers);
+    let mut n_removed = 0;
+    for (position, _) in positions.iter_mut().zip(missing).filter(|(_, missing)| *missing) {
+        *position = GAP;
+        n_removed += 1;
+    }
+    n_removed
+}
+
+/// A marker's samples in order: frame and position.
+fn samples(
+    positions: &[Position],
+    n_markers: usize,
+    marker: usize,
+) -> impl Iterator<Item = (usize, Position)> {
+    let column = positions.iter().skip(marker).step_by(n_markers.max(1)).copied();
+    column.enumerate().filter(|&(_, at)| !is_gap(at))
+}
+
+/// Whether a marker has two different positions beside the origin.
+fn is_moving(positions: &[Position], n_markers: usize, marker: usize) -> bool {
+    let mut elsewhere =
+        samples(positions, n_markers, marker).map(|(_, at)| at).filter(|&at| at != ORIGIN);
+    let first = elsewhere.next();
+    elsewhere.any(|at| Some(at) != first)
+}
+
+/// Marks the runs of a marker at the origin that it does not come from, or go to, in steps.
+fn judge(positions: &[Position], n_markers: usize, marker: usize, missing: &mut [bool]) {
+    let all: Vec<(usize, Position)> = samples(positions, n_markers, marker).collect();
+    let mut steps: Vec<f64> = all
+        .windows(2)
+        .filter(|pair| pair.iter().all(|(_, at)| *at != ORIGIN))
+        .filter_map(|pair| Some(distance(pair.first()?.1, pair.last()?.1)))
+        .collect();
+    let middle = steps.len() / 2;
+    let usual = if steps.is_empty() {
+        0.0
+    } else {
+        *steps.select_nth_unstable_by(middle, f64::total_cmp).1
+    };
+    let is_near = |at: Option<&(usize, Position)>| {
+        at.is_some_and(|&(_, at)| distance(at, ORIGIN) <= STEPS * usual)
+    };
+    let mut start = 0;
+    while start < all.len() {
+        let run = all[start..].iter().take_while(|(_, at)| *at == ORIGIN).count();
+        if run == 0 {
+            start += 1;
+            continue;
+        }
+        let before = start.checked_sub(1).and_then(|before| all.get(before));
+        let after = all.get(start + run);
+        // A marker in motion is at the origin for a frame.
+        let passes = run == 1 && (is_near(before) || is_near(after));
+        for &(frame, _) in all.iter().skip(start).take(run).filter(|_| !passes) {
+            if let Some(place) = missing.get_mut(frame * n_markers + marker) {
+                *place = true;
+            }
+        }
+        start += run;
+    }
+}
+
+fn distance(a: Position, b: Position) -> f64 {
+    let squares = a.iter().zip(b).map(|(&a, b)| (f64::from(a) - f64::from(b)).powi(2));
+    squares.sum::<f64>().sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Marker 0 walks; marker 1 is `second`.
+    fn with(second: &[Position]) -> Vec<Position> {
+        second.iter().enumerate().flat_map(|(i, &at)| [[100.0 + i as f32, 5.0, 9.0], at]).collect()
+    }
+
+    fn removed(second: &[Position]) -> u64 {
+        remove(&mut with(second), 2)
+    }
+
+    #[test]
+    fn a_marker_at_the_origin_while_others_move_is_missing() {
+        let far = |x: f32| [500.0 + x, 1.0, 2.0];
+        assert_eq!(removed(&[far(0.0), ORIGIN, far(2.0), far(3.0)]), 1);
+        assert_eq!(removed(&[ORIGIN, ORIGIN, far(2.0), far(3.0)]), 2);
+        assert_eq!(removed(&[ORIGIN; 5]), 5);
+        assert_eq!(removed(&[far(0.0), far(1.0)]), 0);
+    }
+
+    #[test]
+    fn a_marker_that_passes_the_origin_is_there() {
+        let at = |x: f32| [x, 0.0, 0.0];
+        assert_eq!(removed(&[at(-2.0), at(-1.0), at(0.0), at(1.0), at(2.0)]), 0);
+        // Nothing moves: nothing tells.
+        assert_eq!(remove(&mut [ORIGIN, [1.0; 3], ORIGIN, [1.0; 3]], 2), 0);
+    }
+
+    #[test]
+    fn a_single_marker_that_jumps_there_is_missing() {
+        let mut path: Vec<Position> = (0..9).map(|i| [900.0 + i as f32, 0.0, 0.0]).collect();
+        path[4] = ORIGIN;
+        assert_eq!(remove(&mut path, 1), 1);
+    }
+}
