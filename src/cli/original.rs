@@ -4,7 +4,7 @@ use std::{io::Read, path::Path};
 
 use anyhow::{Context, ensure};
 use mocapd::files;
-use mocapd_take::motion::Motion;
+use mocapd_take::{interchange::ReadOptions, motion::Motion};
 
 use super::paths;
 
@@ -16,19 +16,30 @@ const RATE_HZ: std::ops::RangeInclusive<f64> = 0.001..=1e6;
 /// # Errors
 /// Why it cannot be read, or that there is nothing in it to make a take of.
 pub(super) fn read_motion(path: &Path) -> anyhow::Result<Motion> {
-    Ok(read_motion_and_bytes(path)?.0)
+    read_motion_with(path, &ReadOptions::default())
+}
+
+/// Reads a file of trajectories, with what is known beside it.
+///
+/// # Errors
+/// As [`read_motion`].
+pub(super) fn read_motion_with(path: &Path, options: &ReadOptions) -> anyhow::Result<Motion> {
+    Ok(read_motion_and_bytes(path, options)?.0)
 }
 
 /// The same, with the file's bytes.
 ///
 /// # Errors
 /// As [`read_motion`].
-pub(super) fn read_motion_and_bytes(path: &Path) -> anyhow::Result<(Motion, Vec<u8>)> {
+pub(super) fn read_motion_and_bytes(
+    path: &Path,
+    options: &ReadOptions,
+) -> anyhow::Result<(Motion, Vec<u8>)> {
     let format = paths::input_format(path)?;
     let mut bytes = Vec::new();
     let reading = || format!("cannot read {}", path.display());
     files::open(path)?.read_to_end(&mut bytes).with_context(reading)?;
-    let motion = format.read(&bytes).with_context(reading)?;
+    let motion = format.read_with(&bytes, options).with_context(reading)?;
     let name = path.display();
     let rate_hz = motion.info.rate_hz;
     ensure!(

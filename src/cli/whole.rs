@@ -9,9 +9,17 @@ use anyhow::{Context, bail};
 use mocapd::files::{self, NewFile};
 use mocapd_codec::Settings;
 use mocapd_report::coded::Coded;
-use mocapd_take::motion::Motion;
+use mocapd_take::{
+    TakeFrames,
+    interchange::ReadOptions,
+    motion::{FrameSource, Motion},
+};
 
-use super::{original::read_motion, output::say, paths};
+use super::{
+    original::{read_motion, read_motion_with},
+    output::say,
+    paths,
+};
 
 /// A take, with what it keeps. What is damaged in it is said, and is gaps.
 ///
@@ -36,6 +44,25 @@ pub(super) fn read_samples(path: &Path) -> anyhow::Result<(Motion, Option<Settin
         return Ok((coded.motion, coded.settings));
     }
     Ok((read_motion(path)?, None))
+}
+
+/// The samples of a take's original: a take, or a file of the field, read as the take was imported from it.
+///
+/// # Errors
+/// Why it, or the take, cannot be read.
+pub(super) fn read_original(take: &Path, original: &Path) -> anyhow::Result<Motion> {
+    if paths::is_take(original) {
+        return Ok(read_coded(original)?.motion);
+    }
+    let frames = TakeFrames::open(BufReader::new(files::open(take)?))
+        .with_context(|| format!("cannot read {}", take.display()))?;
+    read_motion_with(original, &read_options(&frames))
+}
+
+/// What a take's file was read with when it was imported.
+pub(super) fn read_options(take: &dyn FrameSource) -> ReadOptions {
+    let settings = take.take().map(|take| ReadOptions::from_settings(&take.header.settings));
+    settings.unwrap_or_default()
 }
 
 /// The name of a file without its folders.

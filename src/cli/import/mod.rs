@@ -11,22 +11,23 @@ use std::{
 use mocapd::{
     files::NewFile,
     header,
-    outcome::Outcome,
+    outcome::{Outcome, UsageError},
     pipeline::{Written, offline},
     subject::strangers,
     threads,
 };
 use mocapd_codec::Settings;
 use mocapd_take::{
-    motion::Motion,
+    interchange::{Direction, LengthUnit, ReadOptions},
+    motion::{Ambiguity, Motion},
     record::{Header, ImportSource},
 };
 
 use self::report::Report;
 use super::{
-    codec_args::CodecArgs,
+    codec_args::{CodecArgs, tolerance_mm},
     original::read_motion_and_bytes,
-    output::{print, print_json, say},
+    output::{plain, print, print_json, say},
     paths,
     progress::Progress,
     subject_args::SubjectArgs,
@@ -43,6 +44,13 @@ pub(crate) struct Args {
     codec: CodecArgs,
     #[command(flatten)]
     subject: SubjectArgs,
+    /// The unit of length in the file, where it states none or a wrong one: mm, cm, dm, m, um, in, ft
+    #[arg(long, value_name = "UNIT")]
+    unit: Option<LengthUnit>,
+    /// What points up in the file, where it does not say or says wrong: x, y, z, or -x, -y, -z, which turns the take so that
+    /// the axis points up
+    #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
+    up: Option<Direction>,
     /// Leave out what is not marker trajectories (analog channels, model outputs, foreign parameters)
     #[arg(long)]
     drop_foreign: bool,
@@ -58,7 +66,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let codec = args.codec.settings()?;
     paths::check_take_output(&args.output)?;
     let subject = args.subject.load()?;
-    let (mut motion, bytes) = read_motion_and_bytes(&args.file)?;
+    let options = ReadOptions { unit: args.unit, up: args.up };
+    let (mut motion, bytes) = read_motion_and_bytes(&args.file, &options)?;
+    check_unit(&motion, &args.file, tolerance_mm(&codec))?;
     let about_file = |words: &str| say(&format!("{}: {words}", args.file.display()));
     motion.info.source.warnings.iter().for_each(|warning| about_file(warning));
     let mut foreign_dropped = Vec::new();
@@ -67,6 +77,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         about_file(&format!("left out, as asked: {}", foreign_dropped.join(", ")));
     }
     let mut header = header_of(&motion, &args.file, &codec);
+    header.settings.extend(options.settings());
     if args.drop_foreign {
         header.settings.push(("drop_foreign".to_owned(), "true".to_owned()));
     }
@@ -88,6 +99,26 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         print(&report.words())?;
     }
     Ok(Outcome::of(motion.info.source.frames_missing > 0))
+}
+
+/// Refuses a tolerance that would leave nothing of the motion if the unit, which nothing states, is not millimetres.
+///
+/// # Errors
+/// A usage error that names `--unit`.
+fn check_unit(motion: &Motion, file: &Path, tolerance_mm: f64) -> anyhow::Result<()> {
+    let is_destroyed = |found: &&Ambiguity| found.is_destroyed_by(tolerance_mm);
+    let found = motion.info.source.ambiguities.iter().find(is_destroyed);
+    let Some(Ambiguity::Unit { stated, span }) = found else { return Ok(()) };
+    let why = match stated.as_str() {
+        "" => "no unit of length is stated".to_owned(),
+        unit => format!("the unit of length `{}` is not known", plain(unit)),
+    };
+    Err(UsageError(format!(
+        "{}: {why}, and the markers span {span:.4} of it, too little for millimetres within {tolerance_mm} mm: give --unit \
+         (mm, cm, m, in...), or --lossless to keep every bit as millimetres",
+        file.display()
+    ))
+    .into())
 }
 
 /// The header of a take made of a file, but for its id.

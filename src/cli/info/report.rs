@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use mocapd::inspect::{Summary, size_ratio};
 use mocapd_take::{
+    interchange::ReadOptions,
     reader::TakeBytes,
     record::{Event, Header},
     recovery::RECOVERED,
@@ -69,6 +70,9 @@ pub(super) struct SourceReport {
     pub(super) format: String,
     pub(super) file: String,
     pub(super) unit: String,
+    /// What was given as the unit instead, and as what is up.
+    pub(super) unit_given: Option<String>,
+    pub(super) up_given: Option<String>,
     pub(super) factor_to_mm: f64,
     pub(super) first_frame: u64,
     pub(super) warnings: Vec<String>,
@@ -137,6 +141,7 @@ pub(super) struct ChannelReport {
 impl Report {
     pub(super) fn new(take: &Path, summary: &Summary, header: &Header, file_bytes: u64) -> Self {
         let channels = summary.channels().iter().zip(&summary.per_channel);
+        let given = ReadOptions::from_settings(&header.settings);
         Self {
             take: take.to_owned(),
             finished: summary.finished,
@@ -166,6 +171,8 @@ impl Report {
                 format: source.format,
                 file: source.file,
                 unit: source.unit,
+                unit_given: given.unit.map(|unit| unit.to_string()),
+                up_given: given.up.map(|up| up.to_string()),
                 factor_to_mm: source.factor,
                 first_frame: source.first_frame,
                 warnings: source.warnings,

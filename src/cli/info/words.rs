@@ -65,10 +65,16 @@ fn origin(report: &Report, line: &mut impl FnMut(&str, &str)) {
         line("from", &device_line);
     }
     if let Some(source) = &report.source {
-        let unit = match source.unit.as_str() {
+        let mut unit = match source.unit.as_str() {
             "" => "no unit stated".to_owned(),
             unit => format!("in {unit}"),
         };
+        if let Some(given) = &source.unit_given {
+            unit += &format!(", read as {given}");
+        }
+        if let Some(given) = &source.up_given {
+            unit += &format!(", {given} up as given");
+        }
         let file_line = format!(
             "{} ({}, {unit}, first frame {})",
             source.file, source.format, source.first_frame

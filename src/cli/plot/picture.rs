@@ -9,7 +9,7 @@ use mocapd_take::motion::Motion;
 use crate::cli::{
     output::say,
     paths,
-    whole::{read_samples, write_new},
+    whole::{read_original, write_new},
 };
 
 /// Says early what writing there would meet.
@@ -44,7 +44,7 @@ pub(crate) fn write(path: &Path, svg: &str) -> anyhow::Result<()> {
 /// # Errors
 /// Why it cannot be read.
 pub(super) fn original(take: &Path, coded: &Coded, path: &Path) -> anyhow::Result<Motion> {
-    let (motion, _) = read_samples(path)?;
+    let motion = read_original(take, path)?;
     let labels = |motion: &Motion| -> Vec<String> {
         motion.info.markers.iter().map(|marker| marker.label.clone()).collect()
     };
