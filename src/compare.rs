@@ -1,8 +1,8 @@
 //! Every sample of one source of frames against another.
 
-use std::io;
+use std::{fmt, io};
 
-use mocapd_take::motion::{FrameSource, GAP, Position, is_gap};
+use mocapd_take::motion::{FrameSource, GAP, MotionInfo, Position, is_gap};
 
 /// What differs.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -35,19 +35,61 @@ pub struct Difference {
     pub max_error_by_marker_mm: Vec<f64>,
 }
 
+/// Why two sources of frames could not be compared.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum CompareError {
+    /// There is no frame that both have.
+    #[error(
+        "nothing to compare: no frame in common (the take has {take}, the original has {original})"
+    )]
+    NoFrameInCommon {
+        /// The take's frames.
+        take: FrameNumbers,
+        /// The original's frames.
+        original: FrameNumbers,
+    },
+    /// Reading one of them failed.
+    #[error(transparent)]
+    Io(#[from] io::Error),
+}
+
+/// Frames by their numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FrameNumbers {
+    /// Number of the first.
+    pub first: u64,
+    /// How many.
+    pub n: u64,
+}
+
+impl FrameNumbers {
+    fn of(info: &MotionInfo) -> Self {
+        Self { first: info.source.first_frame, n: info.n_frames }
+    }
+}
+
+impl fmt::Display for FrameNumbers {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.n {
+            0 => f.write_str("no frames"),
+            n => write!(f, "frames {} to {}", self.first, self.first.saturating_add(n - 1)),
+        }
+    }
+}
+
 /// Reads both to their ends.
 ///
 /// # Errors
-/// Whatever reading meets.
+/// `NoFrameInCommon`; `Io` for whatever reading meets.
 pub fn compare(
     mut take: impl FrameSource,
     mut original: impl FrameSource,
-) -> io::Result<Difference> {
+) -> Result<Difference, CompareError> {
     let (ours, theirs) = (take.info().clone(), original.info().clone());
     let n_markers = ours.markers.len().max(theirs.markers.len());
-    let label = |info: &mocapd_take::motion::MotionInfo, i: usize| {
-        info.markers.get(i).map(|marker| marker.label.clone())
-    };
+    let label =
+        |info: &MotionInfo, i: usize| info.markers.get(i).map(|marker| marker.label.clone());
     let mut difference = Difference {
         labels_differing: (0..n_markers)
             .filter(|&i| label(&ours, i) != label(&theirs, i))
@@ -109,6 +151,10 @@ pub fn compare(
             }
         }
         difference.frames += 1;
+    }
+    if difference.frames == 0 && (ours.n_frames > 0 || theirs.n_frames > 0) {
+        let (take, original) = (FrameNumbers::of(&ours), FrameNumbers::of(&theirs));
+        return Err(CompareError::NoFrameInCommon { take, original });
     }
     let only_one = |n: u64| n.saturating_sub(difference.frames);
     difference.frames_missing = only_one(ours.n_frames) + only_one(theirs.n_frames);

@@ -7,20 +7,30 @@ use mocapd::{
     compare::{Difference, compare},
     files,
 };
-use mocapd_take::{TakeFrames, motion::MotionFrames};
+use mocapd_take::{
+    TakeFrames,
+    interchange::ReadOptions,
+    motion::{Ambiguity, MotionFrames},
+};
 use serde::Serialize;
 
 use crate::cli::{
     numbers::{count, thousands},
-    original::read_motion,
+    original::read_motion_with,
     output::plain,
     paths,
+    whole::read_options,
 };
+
+/// Most labels that are listed for people; `--json` has all of them.
+const LABELS_LISTED_MAX: usize = 10;
 
 #[derive(Debug, Serialize)]
 pub(crate) struct AgainstReport {
     within_tolerance: bool,
     notes: Vec<String>,
+    /// Where the original can be read in another way than it was.
+    ambiguities: Vec<AmbiguityReport>,
     frames: u64,
     frames_missing: u64,
     frames_lost: u64,
@@ -34,6 +44,18 @@ pub(crate) struct AgainstReport {
     worst_frame: Option<u64>,
     worst_marker: Option<usize>,
     max_error_by_marker_mm: Vec<f64>,
+}
+
+#[derive(Debug, Serialize)]
+struct AmbiguityReport {
+    kind: &'static str,
+    words: String,
+}
+
+impl From<&Ambiguity> for AmbiguityReport {
+    fn from(found: &Ambiguity) -> Self {
+        Self { kind: found.kind(), words: found.to_string() }
+    }
 }
 
 /// Compares a take with a file of the field or another take.
@@ -51,12 +73,18 @@ pub(super) fn against(
     };
     let take_frames = open(take)?;
     let cut_off = take_frames.is_cut_off();
+    let mut ambiguities = Vec::new();
+    let mut notes = Vec::new();
     let (difference, exact) = if paths::is_take(original) {
         let original = open(original)?;
         let exact = original.tolerance_mm() == 0.0;
         (compare(take_frames, original), exact)
     } else {
-        (compare(take_frames, MotionFrames::new(&read_motion(original)?)), true)
+        let options = read_options(&take_frames);
+        let motion = read_motion_with(original, &options)?;
+        ambiguities.extend(motion.info.source.ambiguities.iter().map(AmbiguityReport::from));
+        notes.extend(note_of(&options));
+        (compare(take_frames, MotionFrames::new(&motion)), true)
     };
     let mut difference = difference.with_context(|| {
         format!("cannot compare {} with {}", take.display(), original.display())
@@ -65,7 +93,17 @@ pub(super) fn against(
         // What came behind the cut is lost, and no difference.
         difference.frames_lost += std::mem::take(&mut difference.frames_missing);
     }
-    Ok(AgainstReport::new(difference, tolerance_mm, exact))
+    notes.append(&mut difference.notes);
+    difference.notes = notes;
+    Ok(AgainstReport { ambiguities, ..AgainstReport::new(difference, tolerance_mm, exact) })
+}
+
+/// That the original was read with what the import was given.
+fn note_of(options: &ReadOptions) -> Option<String> {
+    let given: Vec<String> =
+        options.settings().iter().map(|(name, value)| format!("--{name} {value}")).collect();
+    (!given.is_empty())
+        .then(|| format!("the original was read as it was imported, with {}", given.join(" ")))
 }
 
 impl AgainstReport {
@@ -77,6 +115,7 @@ impl AgainstReport {
             beyond_stated,
             frames_lost: difference.frames_lost,
             notes: difference.notes,
+            ambiguities: Vec::new(),
             frames: difference.frames,
             frames_missing: difference.frames_missing,
             labels_differing: difference.labels_differing,
@@ -113,6 +152,12 @@ impl AgainstReport {
         for note in &self.notes {
             out += &format!("  {}\n", plain(note));
         }
+        for ambiguity in &self.ambiguities {
+            let words = plain(&ambiguity.words);
+            out += &format!(
+                "  the original can be read in another way, and was read as at import: {words}\n"
+            );
+        }
         if self.frames_lost > 0 {
             let frames = count(self.frames_lost, "frame");
             out += &format!("  not compared, the take lost them: {frames}\n");
@@ -129,8 +174,13 @@ impl AgainstReport {
             out += &format!("  a gap in one of the two only: {samples} samples\n");
         }
         if !self.labels_differing.is_empty() {
-            let labels = self.labels_differing.join(", ");
-            out += &format!("  labels differ: {}\n", plain(&labels));
+            let listed = self.labels_differing.len().min(LABELS_LISTED_MAX);
+            let labels = self.labels_differing[..listed].join(", ");
+            let more = match self.labels_differing.len() - listed {
+                0 => String::new(),
+                n => format!(" and {n} more"),
+            };
+            out += &format!("  labels differ: {}{more}\n", plain(&labels));
         }
         out
     }
