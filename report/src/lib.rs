@@ -16,6 +16,7 @@ pub mod phases;
 pub mod plot;
 pub mod sites;
 pub mod study;
+pub mod up;
 
 /// Why there is no report.
 #[derive(Debug, thiserror::Error)]

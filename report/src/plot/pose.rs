@@ -16,6 +16,7 @@ use crate::{
     coded::Coded,
     column::{Vector, distance, sample},
     limbs::Limb,
+    up::Up,
 };
 
 /// Most moments that have room beside each other.
@@ -48,6 +49,8 @@ pub struct Pose<'a> {
     pub faces: &'a [Vec<[Vector; 2]>],
     /// Where the face's own left and top are: it is looked at from in front.
     pub front: Option<[Vector; 2]>,
+    /// Which way is up.
+    pub up: Up,
 }
 
 /// Draws it as SVG.
@@ -117,7 +120,7 @@ fn strip(
         let x0 = column_x(i, wanted.rows.len());
         let place = |at: Vector| {
             let x = x0 + (view.across.of(at) - middle) * view.scale;
-            let y = f64::from(floor) - (view.up.of(at) - view.floor_mm) * view.scale;
+            let y = f64::from(floor) - (view.up.height(at) - view.floor_mm) * view.scale;
             (x.round() as i32, y.round() as i32)
         };
         for line in wanted.faces.get(i).into_iter().flatten() {

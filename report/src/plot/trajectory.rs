@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use mocapd_take::motion::{Motion, UpAxis};
+use mocapd_take::motion::Motion;
 use plotters::prelude::*;
 
 use super::{
@@ -16,6 +16,7 @@ use crate::{
     ReportError,
     coded::Coded,
     column::{Column, Vector, distance, runs},
+    up::Up,
 };
 
 /// Most rows of which every sample has a mark of its own; above it only the curve is drawn.
@@ -41,6 +42,8 @@ pub struct Trajectory<'a> {
     pub marker: usize,
     /// Rows, from 0.
     pub rows: (usize, usize),
+    /// Which way is up.
+    pub up: Up,
 }
 
 /// What is drawn, row by row.
@@ -67,7 +70,7 @@ pub fn trajectory(wanted: &Trajectory<'_>) -> Result<String, ReportError> {
         let (head, body) = area.split_vertically(HEAD);
         legend(&head, &path)?;
         let (left, right) = body.split_horizontally(LEFT);
-        in_space(&left, &path, wanted.coded.motion.info.up)?;
+        in_space(&left, &path, wanted.up)?;
         against_time(&right, &path, wanted)
     })
 }
@@ -169,7 +172,7 @@ fn legend(area: &Area<'_>, path: &Path) -> Drawn {
 }
 
 /// Seen from above at an angle, all axes at one scale.
-fn in_space(area: &Area<'_>, path: &Path, up: UpAxis) -> Drawn {
+fn in_space(area: &Area<'_>, path: &Path, up: Up) -> Drawn {
     let project = projection(up);
     let all = path.rebuilt.0.iter().flatten().copied().chain(path.originals().map(|(_, at)| at));
     let points: Vec<(f64, f64)> = all.map(project).collect();
@@ -216,16 +219,12 @@ fn in_space(area: &Area<'_>, path: &Path, up: UpAxis) -> Drawn {
 }
 
 /// From a point to the sheet: up is up, the other two axes go to the right, aslant.
-fn projection(up: UpAxis) -> impl Fn(Vector) -> (f64, f64) + Copy {
-    let (right, depth, height) = match up {
-        UpAxis::X => (1, 2, 0),
-        UpAxis::Y => (2, 0, 1),
-        UpAxis::Z | UpAxis::Unknown => (0, 1, 2),
-    };
+fn projection(up: Up) -> impl Fn(Vector) -> (f64, f64) + Copy {
+    let (right, depth) = ((up.axis + 1) % 3, (up.axis + 2) % 3);
     let ((turn_sin, turn_cos), (tilt_sin, tilt_cos)) =
         (35.0_f64.to_radians().sin_cos(), 25.0_f64.to_radians().sin_cos());
     move |at: Vector| {
-        let (a, b, c) = (at[right], at[depth], at[height]);
+        let (a, b, c) = (at[right], at[depth], up.height(at));
         let x = a * turn_cos + b * turn_sin;
         let away = b * turn_cos - a * turn_sin;
         (x, c * tilt_cos + away * tilt_sin)
@@ -308,12 +307,12 @@ mod tests {
 
     #[test]
     fn up_is_up_for_every_axis() {
-        for (up, axis) in [(UpAxis::X, 0), (UpAxis::Y, 1), (UpAxis::Z, 2)] {
-            let project = projection(up);
+        for (axis, sign) in [(0, 1.0), (1, 1.0), (2, 1.0), (2, -1.0)] {
+            let project = projection(Up { axis, sign });
             let mut unit = [0.0; 3];
-            unit[axis] = 1.0;
+            unit[axis] = sign;
             let (x, y) = project(unit);
-            assert!(x.abs() < 1e-12 && y > 0.5, "{up:?}");
+            assert!(x.abs() < 1e-12 && y > 0.5, "{axis} {sign}");
         }
     }
 }

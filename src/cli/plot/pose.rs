@@ -10,7 +10,10 @@ use mocapd::{
     },
     units,
 };
-use mocapd_report::plot::{Pose, pose};
+use mocapd_report::{
+    plot::{Pose, pose},
+    up::Up,
+};
 use mocapd_take::{motion::Motion, record::Subject};
 
 use super::{picture, skeleton};
@@ -63,8 +66,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         rows.push(row);
     }
     if rows.is_empty() {
-        let n = MOMENTS.min(n_frames);
-        rows.extend((0..n).map(|i| i * (n_frames - 1) / (n - 1).max(1)));
+        rows.extend(evenly_spread(n_frames));
     }
     let labels: Vec<String> =
         motion.info.markers.iter().map(|marker| marker.label.clone()).collect();
@@ -79,6 +81,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         say("no bone of the skeleton has a marker at both ends: nothing is drawn between markers");
     }
     let faces = Faces::of(motion, &labels, &rows);
+    let up = up(motion);
     if let Some(why) = faces.missing(motion) {
         say(why);
     }
@@ -91,9 +94,25 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         limbs: &limbs,
         faces: &faces.lines,
         front: faces.front,
+        up,
     };
     picture::write(&args.output, &pose(&wanted)?)?;
     Ok(picture::outcome(&coded))
+}
+
+/// The rows of the usual moments.
+fn evenly_spread(n_frames: usize) -> impl Iterator<Item = usize> {
+    let n = MOMENTS.min(n_frames);
+    (0..n).map(move |i| i * n_frames.saturating_sub(1) / n.saturating_sub(1).max(1))
+}
+
+/// Which way is up in every picture of a take, whatever part of it is drawn.
+pub(super) fn up(motion: &Motion) -> Up {
+    let labels: Vec<String> =
+        motion.info.markers.iter().map(|marker| marker.label.clone()).collect();
+    let rows: Vec<usize> = evenly_spread(motion.n_frames()).collect();
+    let front = Faces::of(motion, &labels, &rows).front;
+    Up::of(motion, front.map(|[_, top]| top))
 }
 
 /// The take's face under its markers.

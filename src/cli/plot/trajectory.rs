@@ -12,7 +12,7 @@ use mocapd_report::{
     plot::{Trajectory, trajectory},
 };
 
-use super::picture;
+use super::{picture, pose::up};
 use crate::cli::whole::{name, read_coded};
 
 #[derive(Debug, clap::Args)]
@@ -61,6 +61,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         original: original.as_ref(),
         marker,
         rows,
+        up: up(motion),
     };
     picture::write(&args.output, &trajectory(&wanted)?)?;
     Ok(picture::outcome(&coded))

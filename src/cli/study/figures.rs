@@ -39,13 +39,14 @@ pub(super) fn all(trials: &[Trial], findings: &Findings) -> anyhow::Result<Vec<(
     let labels: Vec<String> =
         trial.motion.info.markers.iter().map(|marker| marker.label.clone()).collect();
     let marker = wrist(&labels);
+    let up = mocapd_report::up::Up::of(&coded.motion, None);
     let mut moments = Vec::new();
     for part in trial.phases.iter().flatten() {
         let rows = (part.frames.start, part.frames.end);
         if !matches!(part.phase, Phase::Standing | Phase::Walking) {
             moments.push(part.frames.clone());
         }
-        let wanted = Trajectory { name: &trial.name, coded: &coded, original, marker, rows };
+        let wanted = Trajectory { name: &trial.name, coded: &coded, original, marker, rows, up };
         match trajectory(&wanted) {
             Ok(svg) => {
                 let name = part.phase.name().replace(' ', "-");
@@ -73,6 +74,7 @@ pub(super) fn all(trials: &[Trial], findings: &Findings) -> anyhow::Result<Vec<(
             limbs: &[],
             faces: &[],
             front: None,
+            up,
         };
         figures.push(("figure-3.svg".to_owned(), pose(&wanted)?));
     }

@@ -1,14 +1,12 @@
 //! Which way a body or a face is looked at, and how large it is drawn.
 
-use mocapd_take::motion::UpAxis;
-
 use super::{Pose, ROW, WIDTH, seen};
-use crate::column::Vector;
+use crate::{column::Vector, up::Up};
 
 /// How a body becomes lines on the sheet.
 pub(super) struct View {
     pub(super) across: Direction,
-    pub(super) up: Direction,
+    pub(super) up: Up,
     /// Units of the sheet to a millimetre.
     pub(super) scale: f64,
     /// Lowest height of all, mm.
@@ -39,13 +37,7 @@ impl View {
     pub(super) fn of(wanted: &Pose<'_>) -> Option<Self> {
         let motion = &wanted.coded.motion;
         let axis = |axis: usize| Direction { axis, sign: 1.0 };
-        let up = match (motion.info.up, wanted.front) {
-            (UpAxis::X, _) => axis(0),
-            (UpAxis::Y, _) => axis(1),
-            (UpAxis::Z, _) => axis(2),
-            (UpAxis::Unknown, Some([_, top])) => Direction::nearest(top, None)?,
-            (UpAxis::Unknown, None) => axis(tallest(wanted)?),
-        };
+        let up = wanted.up;
         let face =
             |moment: usize| wanted.faces.get(moment).into_iter().flatten().flatten().copied();
         let of_moment = |(moment, &row): (usize, &usize)| {
@@ -67,8 +59,8 @@ impl View {
                     .max_by(|&a, &b| spread(a).total_cmp(&spread(b)))?,
             ),
         };
-        let floor_mm = moments.iter().flatten().map(|&at| up.of(at)).reduce(f64::min)?;
-        let high_mm = moments.iter().flatten().map(|&at| up.of(at)).reduce(f64::max)?;
+        let floor_mm = moments.iter().flatten().map(|&at| up.height(at)).reduce(f64::min)?;
+        let high_mm = moments.iter().flatten().map(|&at| up.height(at)).reduce(f64::max)?;
         let wide_mm = moments
             .iter()
             .filter_map(|points| {
@@ -81,19 +73,6 @@ impl View {
             ((f64::from(ROW) - 60.0) / (high_mm - floor_mm).max(1.0)).min(0.94 * cell / wide_mm);
         Some(Self { across, up, scale, floor_mm })
     }
-}
-
-/// The axis along which the markers of these moments lie farthest apart: a body is taller than wide.
-fn tallest(wanted: &Pose<'_>) -> Option<usize> {
-    let extent = |axis: usize| {
-        let of_row = |&row: &usize| {
-            let values = seen(&wanted.coded.motion, row).map(|(_, at)| at[axis]);
-            let (low, high) = values.fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(v), h.max(v)));
-            (high - low).max(0.0)
-        };
-        wanted.rows.iter().map(of_row).sum::<f64>()
-    };
-    (0..3).max_by(|&a, &b| extent(a).total_cmp(&extent(b)))
 }
 
 pub(super) fn middle(points: &[Vector], along: Direction) -> Option<f64> {
