@@ -1,1 +1,133 @@
-//! TRC and CSV files of other programs are read as they mean it.
+//! TRC with zeros for what is missing, TRC between spaces and commas, Motive's CSV, and a CSV of one frame.
+
+use mocapd_take::{
+    interchange::Format,
+    motion::{Ambiguity, Motion, is_gap},
+};
+
+use crate::cli::Folder;
+
+fn labels(motion: &Motion) -> Vec<&str> {
+    motion.info.markers.iter().map(|marker| marker.label.as_str()).collect()
+}
+
+/// A TRC file of two markers and four frames, with something between its cells.
+fn trc(between: &str) -> String {
+    let head = "PathFileType 4 (X/Y/Z) walk.trc\n\
+        DataRate CameraRate NumFrames NumMarkers Units OrigDataRate OrigDataStartFrame OrigNumFrames\n\
+        100 100 4 2 mm 100 1 4\n";
+    let empty = if between == " " { "" } else { &between.repeat(2) };
+    let rows = (0..4).map(|i| format!("{} 0.0{i} {i}.5 100 1700 {} 200 900\n", i + 1, 300 + i));
+    let body = format!("Frame# Time HEAD{empty} KNEE{empty}\n")
+        + &if between == " " { "" } else { "  " }.repeat(1)
+        + "X1 Y1 Z1 X2 Y2 Z2\n\n"
+        + &rows.collect::<String>();
+    (head.to_owned() + &body).replace(' ', between)
+}
+
+#[test]
+fn zeros_in_a_trc_are_gaps_while_others_move() {
+    let text = trc("\t")
+        .replace("301\t200\t900", "0\t0\t0")
+        .replace("302\t200\t900", "0.000\t0.000\t0.000");
+    let motion = Format::Trc.read(text.as_bytes()).unwrap();
+    let gaps: Vec<bool> = (0..4).map(|frame| is_gap(motion.frame(frame)[1])).collect();
+    assert_eq!(gaps, [false, true, true, false]);
+    assert_eq!(motion.info.source.ambiguities, [Ambiguity::Origin { samples: 2, gaps: true }]);
+    assert_eq!(motion.frame(3), [[3.5, 100.0, 1700.0], [303.0, 200.0, 900.0]]);
+}
+
+#[test]
+fn trc_between_spaces_and_commas_is_that_between_tabs() {
+    let expected = Format::Trc.read(trc("\t").as_bytes()).unwrap();
+    assert_eq!(labels(&expected), ["HEAD", "KNEE"]);
+    assert_eq!(expected.info.source.warnings, [""; 0]);
+    for between in [",", ";", " ", "   "] {
+        let text =
+            if between.trim().is_empty() { trc(" ").replace(' ', between) } else { trc(between) };
+        let found = Format::Trc.read(text.as_bytes()).unwrap();
+        assert_eq!(found.info.source.warnings, [""; 0], "{text}");
+        assert_eq!(labels(&found), labels(&expected), "{text}");
+        assert_eq!(found.positions_mm, expected.positions_mm, "{text}");
+        assert_eq!(found.info.rate_hz, 100.0, "{text}");
+    }
+}
+
+/// Motive's export: rows that tell of the columns with or without names of their own.
+fn motive(is_named: bool, columns: &[[&str; 4]], rows: &[&str]) -> String {
+    let line = |lead: &str, field: usize| {
+        let cells: Vec<&str> = columns.iter().map(|column| column[field]).collect();
+        format!("{lead}{}\n", cells.join(","))
+    };
+    let lead = |name: &str| if is_named { format!(",{name},") } else { ",,".to_owned() };
+    "\u{FEFF}Format Version,1.23,Take Name,\"A, take\",Take Notes,,Capture Frame Rate,240.000000,Export Frame Rate,120.000000,\
+     Capture Start Time,2020-02-02 02.02.02.222 PM,Capture Start Frame,0,Total Frames in Take,3,Total Exported Frames,3,\
+     Rotation Type,Quaternion,Length Units,Meters,Coordinate Space,Global\r\n\r\n"
+        .to_owned()
+        + &line(&lead("Type"), 0)
+        + &line(&lead("Name"), 1)
+        + &line(&lead("ID"), 2).replace("R1", "\"1F,2\"")
+        + &if is_named { line(",Parent,", 2) } else { String::new() }
+        + &line(",,", 3)
+        + &line("Frame,Time (Seconds),", 3)
+            .replace("Rotation,Rotation,Rotation,Rotation", "X,Y,Z,W")
+            .replace("Position,Position,Position", "X,Y,Z")
+            .replace("Mean Marker Error", "")
+            .replace("Marker Quality", "")
+        + &rows.iter().map(|row| format!("{row}\r\n")).collect::<String>()
+}
+
+#[test]
+fn motive_exports_are_read() {
+    let three =
+        |kind: &'static str, name: &'static str| [[kind, name, "M1", "Position"]; 3].to_vec();
+    let mut columns = [["Rigid Body", "Wand", "R1", "Rotation"]; 4].to_vec();
+    columns.extend([["Rigid Body", "Wand", "R1", "Position"]; 3]);
+    columns.push(["Rigid Body", "Wand", "R1", "Mean Marker Error"]);
+    columns.extend(three("Rigid Body Marker", "Wand:Marker1"));
+    columns.push(["Rigid Body Marker", "Wand:Marker1", "M1", "Marker Quality"]);
+    columns.extend(three("Marker", "Wand:Marker1"));
+    columns.extend(three("Marker", "Unlabeled 1189"));
+    let rows = [
+        "7,0.000000,0,0,0,1,0.1,0.2,0.3,0.001,9,9,9,1,1.5,0.25,-0.5,,,",
+        "8,0.008333,0,0,0,1,0.1,0.2,0.3,0.001,9,9,9,1,,,,0.5,0.5,0.5",
+        "9,0.016667,,,,,,,,,,,,,1.6,0.25,-0.5,0.5,0.5,0.5",
+    ];
+    for is_named in [true, false] {
+        let motion = Format::Csv.read(motive(is_named, &columns, &rows).as_bytes()).unwrap();
+        assert_eq!(labels(&motion), ["Wand", "Wand:Marker1", "Unlabeled 1189"], "{is_named}");
+        let labelled: Vec<bool> = motion.info.markers.iter().map(|m| m.labelled).collect();
+        assert_eq!(labelled, [true, true, false]);
+        assert_eq!((motion.info.rate_hz, motion.n_frames()), (120.0, 3));
+        let source = &motion.info.source;
+        assert_eq!(
+            (source.unit.as_str(), source.factor, source.first_frame),
+            ("Meters", 1000.0, 7)
+        );
+        assert_eq!(motion.frame(0)[..2], [[100.0, 200.0, 300.0], [1500.0, 250.0, -500.0]]);
+        let gaps: Vec<bool> = motion.positions_mm.iter().map(|&at| is_gap(at)).collect();
+        assert_eq!(gaps, [false, false, true, false, true, false, true, false, false]);
+        // Twice there, a body's position, and what is left out: each is said.
+        assert_eq!(source.warnings.len(), 3, "{:?}", source.warnings);
+    }
+    let folder = Folder::new();
+    folder.write("motive.csv", motive(true, &columns, &rows));
+    folder.run(&["import", "motive.csv", "-o", "motive.take"]).with_code(0);
+    folder.run(&["verify", "motive.take", "--against", "motive.csv"]).with_code(0);
+}
+
+#[test]
+fn a_csv_of_one_frame_of_our_own_is_read() {
+    let folder = Folder::new();
+    folder.write("two.csv", "# rate=100\nframe,time_s,a.x,a.y,a.z\n4,0,1,2,3\n5,0.01,4,5,6\n");
+    folder.run(&["import", "two.csv", "-o", "two.take", "--lossless"]).with_code(0);
+    for layout in ["wide", "long"] {
+        let (csv, take) = (format!("{layout}.csv"), format!("{layout}.take"));
+        let export = ["export", "two.take", "-o", &csv, "--layout", layout, "--to", "0.01s"];
+        folder.run(&export).with_code(0);
+        folder.run(&["import", &csv, "-o", &take, "--lossless"]).with_code(0);
+        let info = folder.run(&["info", &take, "--json"]).with_code(0).json();
+        assert_eq!((&info["frames"], &info["source"]["first_frame"]), (&1.into(), &4.into()));
+        folder.run(&["verify", &take, "--against", &csv]).with_code(0);
+    }
+}

@@ -18,6 +18,10 @@ use mocapd_take::{
     timeline::Timeline,
 };
 
+/// C3D files built byte by byte, apart from the project's writer.
+#[path = "../../take/tests/interchange/c3d_file.rs"]
+pub(crate) mod c3d_file;
+
 /// Ticks a second of the test devices.
 pub(crate) const TICK_HZ: u64 = 1_000_000;
 
