@@ -8,13 +8,16 @@ use mocapd_take::{
     frames::mended,
     loss::{Losses, LostRows},
     reader::{TakeBytes, pull},
-    record::{Channel, Clock, ClockLine, Event, Header, Ledger, Subject},
+    record::{Channel, Clock, ClockLine, Event, Header, Ledger, Subject, TakeEnding},
     stretch::{Stretch, StretchDecoder},
     table::ChannelTable,
     timeline::{Causes, Timeline},
 };
 
-use crate::clock::{Apart, ClockStatus, LineAgain};
+use crate::{
+    clock::{Apart, ClockStatus, LineAgain},
+    health::TakeHealth,
+};
 
 mod claims;
 
@@ -51,6 +54,8 @@ pub struct Summary {
     pub rows: u64,
     /// The last ledger.
     pub ledger: Option<Ledger>,
+    /// How it ended, where it says.
+    pub ending: Option<TakeEnding>,
     /// The last that was said of the clocks, without what the line was laid through.
     pub clock: Option<Clock>,
     /// Round trips that are in the take.
@@ -147,6 +152,23 @@ impl Summary {
         self.claims.broken()
     }
 
+    /// How it is, in one word.
+    #[must_use]
+    pub fn health(&self) -> TakeHealth {
+        let clock_is_off = self.clock_apart().is_some_and(|apart| !apart.agrees);
+        if !self.contradictions().is_empty() || clock_is_off {
+            TakeHealth::Damaged
+        } else if !self.finished && self.damage().is_empty() {
+            // All that is missing is its end, and perhaps half a chunk before that.
+            TakeHealth::CutOff
+        } else if self.is_damaged() || !self.problems.is_empty() {
+            TakeHealth::Damaged
+        } else {
+            let ending = self.ending.as_ref();
+            self.ledger.as_ref().map_or(TakeHealth::Damaged, |l| TakeHealth::of_closed(l, ending))
+        }
+    }
+
     /// How far the clocks' line lies from what the stored observations give; `None` where there is no line, or not
     /// all of them are there.
     #[must_use]
@@ -240,6 +262,7 @@ impl Summary {
                 self.claims.ledger(&ledger, offset, self.samples(), self.damaged);
                 self.ledger = Some(*ledger);
             }
+            TakeEvent::Summary(summary) => self.ending = summary.ending,
             TakeEvent::Foreign(part) => {
                 self.foreign.push((part.kind, part.data.len() as u64));
             }

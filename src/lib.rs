@@ -11,6 +11,7 @@ pub mod doctor;
 pub mod fault_hooks;
 pub mod files;
 pub mod header;
+pub mod health;
 pub mod heartbeat;
 pub mod inspect;
 mod latency;

@@ -28,6 +28,7 @@ export function facts(take, nowMs) {
   if (take.seconds > 0) known.push(running(take.seconds));
   if (take.markers > 0) known.push(plural(take.markers, "marker"));
   known.push(bytes(take.bytes).join(" "), when(take.modified_unix_ms, nowMs));
+  if (take.ending) known.push(`ended: ${take.ending}`);
   return known.join(" · ");
 }
 

@@ -19,7 +19,7 @@ use mocapd_take::{
     chunk::{self, Front},
     interchange::Format,
     motion::{GAP, Marker, Motion, MotionFrames, MotionInfo, Source, UpAxis},
-    record::{Channel, Device, Event, EventKind, Header, Ledger},
+    record::{Channel, Device, EndingKind, Event, EventKind, Header, Ledger, SummaryRecord},
     stretch::{FrontWriter, Span, put_block},
     timeline::{Causes, RowTime, Timeline, TimelineEncoder},
 };
@@ -375,5 +375,7 @@ fn take(kind: &str, timed: bool) -> Vec<u8> {
         writer.stretch(span, &payload).expect("a stretch");
         first_row = span.end_row();
     }
-    writer.finish(&Ledger::default()).expect("a ledger").0
+    // Takes without a device are imports, which do not say how they ended.
+    let ending = timed.then(|| EndingKind::DiskFull.into());
+    writer.finish_with(&Ledger::default(), &SummaryRecord { ending }).expect("a ledger").0
 }

@@ -161,6 +161,12 @@ impl TakeFile {
         Ok(Some(out))
     }
 
+    /// How it ended as (kind, detail), or None where the take does not say.
+    fn ending(&self) -> Option<(String, String)> {
+        let ending = self.map.ending.as_ref()?;
+        Some((ending.kind.word().to_owned(), ending.detail.clone()))
+    }
+
     /// The events, each as a dict.
     fn events<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         let out = PyList::empty(py);

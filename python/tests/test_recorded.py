@@ -19,6 +19,7 @@ def test_it_is_what_info_says(program, recorded):
     assert take.header.software == info["software"] and take.header.created is not None
     assert take.header.device.driver == info["device"]["driver"]
     assert take.ledger.closes and take.ledger.recorded == take.n_frames
+    assert take.ending.kind == info["ending"] and take.ending.detail == (info["ending_detail"] or "")
     assert len(take.events) == len(info["events"])
     assert len(take.clock_lines) == len(info["clock"]["lines"])
 
@@ -49,6 +50,7 @@ def test_frames_have_both_clocks(recorded):
 def test_the_program_reads_what_is_written_here(program, path, motion, tmp_path):
     info = json.loads(run(program, "info", "--json", path))
     assert (info["frames"], info["markers"], info["problems"]) == (4200, 70, [])
+    assert info["ending"] is None and mocapd.open(path).ending is None
     assert info["max_error_mm"] <= 0.5 and info["ledger"]["closes"]
     run(program, "verify", path)
     run(program, "export", path, "-o", tmp_path / "t.csv")

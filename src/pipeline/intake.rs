@@ -13,7 +13,7 @@ use std::sync::{Arc, atomic::Ordering};
 use crossbeam_channel::Sender;
 use mocapd_drivers::device::{Frame, LinkCounters, Status};
 use mocapd_take::{
-    record::Event,
+    record::{Event, TakeEnding},
     timeline::{Causes, RowTime},
 };
 
@@ -344,6 +344,12 @@ impl Intake {
     pub(crate) fn tell_latency(&self, latency: &Latency) {
         let p99_ns = latency.quantile_ns(0.99);
         self.progress.ring_latency_p99_ns.store(p99_ns, Ordering::Relaxed);
+    }
+
+    /// Why there will be no more frames: a take that is open ends so.
+    pub fn ends(&self, ending: TakeEnding) {
+        // It ends once.
+        self.progress.ending.set(ending).ok();
     }
 
     /// No more frames: what is open is closed, and the take ends with the ledger.

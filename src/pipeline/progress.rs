@@ -5,7 +5,7 @@ use std::sync::{
     atomic::{AtomicBool, AtomicI64, AtomicU64},
 };
 
-use mocapd_take::record::{Channel, Ledger};
+use mocapd_take::record::{Channel, Ledger, TakeEnding};
 
 /// What other threads may look at while it runs. Counters only: the truth is in the ledger.
 #[derive(Debug, Default)]
@@ -48,6 +48,8 @@ pub struct Progress {
     pub held_ms: AtomicU64,
     /// Some of it went because of the bytes that it took.
     pub held_cut: AtomicBool,
+    /// Why the reading ended, once it has: how a take that is open then ends.
+    pub ending: OnceLock<TakeEnding>,
     /// The take that is being written. The writer and whoever watches meet here, and nobody else.
     pub take: Mutex<Option<TakeNow>>,
 }

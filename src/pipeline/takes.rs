@@ -4,7 +4,7 @@ use std::{sync::Arc, time::Duration};
 
 use anyhow::{Context, ensure};
 use crossbeam_channel::{Receiver, Sender, bounded};
-use mocapd_take::record::{Event, EventKind, Header, Subject};
+use mocapd_take::record::{EndingKind, Event, EventKind, Header, Subject};
 
 use super::{
     Written,
@@ -74,7 +74,7 @@ pub(super) struct Order<W> {
 #[derive(Debug)]
 pub(super) enum What<W> {
     Begin(Box<NewTake<W>>, Answers<W>),
-    End,
+    End(EndingKind),
     /// A take of all that is held, which is closed at once.
     Save(Box<NewTake<W>>, Answers<W>),
 }
@@ -121,8 +121,8 @@ impl<W> Takes<W> {
     ///
     /// # Errors
     /// As [`begin`](Self::begin).
-    pub fn end(&mut self) -> anyhow::Result<()> {
-        self.order(What::End, false)
+    pub fn end(&mut self, ending: EndingKind) -> anyhow::Result<()> {
+        self.order(What::End(ending), false)
     }
 
     /// Writes a take of what is held, and closes it.

@@ -16,7 +16,7 @@ use std::{
 
 use anyhow::{anyhow, bail};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
-use mocapd_take::record::Channel;
+use mocapd_take::record::{Channel, EndingKind, TakeEnding};
 
 pub(super) use self::live::LiveTake;
 pub(crate) use self::room::HELD_MIN_BYTES;
@@ -152,12 +152,23 @@ impl<W: TakeOutput> Writer<W> {
                 self.give_back();
                 if last {
                     if let Some(take) = self.live.take() {
-                        take.end(&self.counts, &mut self.clocks);
+                        let ending = self.ending();
+                        take.end(&self.counts, &mut self.clocks, ending);
                     }
                     return Ok(());
                 }
             }
         }
+    }
+
+    /// How a take ends that is open when the reading is over.
+    fn ending(&self) -> TakeEnding {
+        let ending = self.progress.ending.get().cloned().unwrap_or_default();
+        // Takes of the service are ended by orders; who stops its reader stops the service.
+        if ending.kind == EndingKind::Stopped && !self.for_one_take {
+            return EndingKind::ServiceStopped.into();
+        }
+        ending
     }
 
     /// The oldest stretch, which is complete: into the take, and to what is held.

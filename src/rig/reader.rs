@@ -10,7 +10,7 @@ use mocapd_drivers::{
     device::{Command, DeviceEvent, Hello, LinkBudget, LinkCounters, MarkerInfo, Pong, Status},
     transport::TransportError,
 };
-use mocapd_take::record::{Event, EventKind};
+use mocapd_take::record::{EndingKind, Event, EventKind, TakeEnding};
 
 use super::{ANSWER_WITHIN, Latency, Rig, TRIES, asked::Asked, monotonic_ns, refusal};
 use crate::{
@@ -103,6 +103,7 @@ impl Rig {
         let outcome = self.read_frames(&mut reader, options);
         let Reader { latency, outages, .. } = reader;
         intake.link(self.link_counters());
+        intake.ends(take_ending(&outcome, options));
         let counts = intake.finish();
         Ok(Recording { ending: outcome?, counts, ring_latency: latency, outages })
     }
@@ -308,6 +309,21 @@ impl Rig {
         reader.intake.tick(arrival_ns);
         Ok(())
     }
+}
+
+/// How a take ends that is open when the reading is over.
+fn take_ending(outcome: &anyhow::Result<Ending>, options: &ReadOptions<'_>) -> TakeEnding {
+    let kind = match outcome {
+        Ok(Ending::EndOfStream) => EndingKind::DeviceEnded,
+        Ok(Ending::Stopped) if options.stop.load(Ordering::Relaxed) => EndingKind::Stopped,
+        Ok(Ending::Stopped) => EndingKind::Length,
+        Ok(Ending::Disconnected) => EndingKind::DeviceGone,
+        Ok(Ending::DiskFull) => EndingKind::DiskFull,
+        // No take is open.
+        Ok(Ending::WriterFailed) => EndingKind::CutOff,
+        Err(error) => return TakeEnding::new(EndingKind::DeviceGone, format!("{error:#}")),
+    };
+    kind.into()
 }
 
 pub(super) struct Reader<'a> {

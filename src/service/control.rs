@@ -180,8 +180,8 @@ pub struct Stopped {
     pub seconds: f64,
     /// Bytes of the file.
     pub bytes: u64,
-    /// Why it ended: `stopped`, `disk full`, `device gone`, `device ended`, `length`, `service stopped`,
-    /// and `saved` of what the pre-roll held.
+    /// Why it ended, as it stands in the take: `stopped`, `disk full`, `device gone`, `device ended`, `length`,
+    /// `service stopped`, and `saved` of what the pre-roll held.
     pub ending: String,
     /// What became of every frame.
     pub ledger: LedgerStatus,

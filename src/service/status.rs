@@ -3,6 +3,8 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use crate::health::TakeHealth;
+
 /// What the service is doing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
@@ -183,18 +185,20 @@ pub struct TakeSummary {
     pub modified_unix_ms: i64,
     /// Whether it is being written.
     pub is_open: bool,
-    /// What is known of its content: `unknown` (not looked at), `complete`, `lossy` (complete, and its ledger tells of
-    /// loss), `damaged`, `cut off` (`mocapd recover` mends it), `unreadable`.
-    pub health: String,
+    /// What its two ends tell of its content: its header, its last ledger, and how it ended.
+    pub health: TakeHealth,
     /// Seconds; 0 while unknown.
     pub seconds: f64,
     /// Markers; 0 while unknown.
     pub markers: usize,
     /// 32 hexadecimal digits; empty while unknown.
     pub take_id: String,
-    /// Why it ended, as `stop` tells it; empty where this service did not record it.
+    /// Why it ended, as `stop` tells it; empty where the take does not say.
     #[serde(default)]
     pub ending: String,
+    /// More about that; mostly empty.
+    #[serde(default)]
+    pub ending_detail: String,
 }
 
 /// The disk of the takes' folder.

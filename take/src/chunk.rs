@@ -31,9 +31,12 @@ pub mod types {
     pub const INDEX: u8 = 0x8a;
     pub const FOOTER: u8 = 0x8b;
     pub const CLOCK: u8 = 0x8c;
+    pub const SUMMARY: u8 = 0x8d;
     /// Every type of version 1.
-    pub const ALL: [u8; 11] =
-        [HEADER, CHANNELS, STRETCH, EVENT, LEDGER, SUBJECT, MODEL, FOREIGN, INDEX, FOOTER, CLOCK];
+    pub const ALL: [u8; 12] = [
+        HEADER, CHANNELS, STRETCH, EVENT, LEDGER, SUBJECT, MODEL, FOREIGN, INDEX, FOOTER, CLOCK,
+        SUMMARY,
+    ];
 }
 
 /// Appends one chunk to `out`.

@@ -5,6 +5,7 @@
 
 mod ambiguity;
 pub mod chunk;
+pub mod ends;
 pub mod escape;
 pub mod foreign;
 pub mod frames;
@@ -24,6 +25,7 @@ mod varint;
 pub mod whole;
 pub mod writer;
 
+pub use ends::TakeEnds;
 pub use frames::{TakeFrames, read_motion};
 pub use map::TakeMap;
 pub use reader::{TakeEvent, TakeReader};

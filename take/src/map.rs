@@ -10,7 +10,7 @@ use crate::{
     TakeError,
     index::IndexEntry,
     motion::Foreign,
-    record::{Channel, Clock, ClockLine, Event, Header, Ledger, Subject},
+    record::{Channel, Clock, ClockLine, Event, Header, Ledger, Subject, TakeEnding},
 };
 
 /// A take without its samples.
@@ -35,6 +35,8 @@ pub struct TakeMap {
     pub events: Vec<Event>,
     /// The last ledger.
     pub ledger: Option<Ledger>,
+    /// How it ended, where it says: takes of earlier versions, imports, and takes that were cut off do not.
+    pub ending: Option<TakeEnding>,
     /// By segment of the device's clock, the last line of each that has one.
     pub clock_lines: Vec<(u32, ClockLine)>,
     /// Whether the take was closed in order: one without a footer was cut off.
@@ -84,6 +86,7 @@ impl TakeMap {
             subject: None,
             events: Vec::new(),
             ledger: None,
+            ending: None,
             clock_lines: Vec::new(),
             finished: false,
             damaged: false,

@@ -16,7 +16,7 @@ use crate::{
     chunk::Front,
     index::{Footer, IndexEntry},
     motion::Foreign,
-    record::{Channel, Clock, Event, Header, Ledger, Subject},
+    record::{Channel, Clock, Event, Header, Ledger, Subject, SummaryRecord},
     stretch::{Chain, Stretch},
 };
 
@@ -49,6 +49,8 @@ pub enum TakeEvent<'a> {
     Ledger(Box<Ledger>),
     /// What an importer kept.
     Foreign(Foreign),
+    /// What stands at the end of a take that was closed: how it ended.
+    Summary(SummaryRecord),
     /// The key stretches.
     Index(Vec<IndexEntry>),
     /// The take was finished.

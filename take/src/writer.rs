@@ -8,7 +8,7 @@ use crate::{
     foreign,
     index::{Footer, IndexEntry, index_payload},
     motion::Foreign,
-    record::{Channel, Clock, Event, Header, Ledger, MoreChannels, Record, Subject},
+    record::{Channel, Clock, Event, Header, Ledger, MoreChannels, Record, Subject, SummaryRecord},
     stretch::{RECORDED_MAX, ROWS_PASSED_MAX, Span, rows_max},
 };
 
@@ -129,8 +129,23 @@ impl<W: Write> TakeWriter<W> {
     ///
     /// # Errors
     /// `Io`, `InvalidArgument`.
-    pub fn finish(mut self, ledger: &Ledger) -> Result<(W, u64), TakeError> {
+    pub fn finish(self, ledger: &Ledger) -> Result<(W, u64), TakeError> {
+        self.finish_with(ledger, &SummaryRecord::default())
+    }
+
+    /// The same with a SUMMARY, unless that says nothing.
+    ///
+    /// # Errors
+    /// As [`finish`](Self::finish).
+    pub fn finish_with(
+        mut self,
+        ledger: &Ledger,
+        summary: &SummaryRecord,
+    ) -> Result<(W, u64), TakeError> {
         self.ledger(ledger)?;
+        if *summary != SummaryRecord::default() {
+            self.chunk(types::SUMMARY, &summary.to_payload()?)?;
+        }
         let index_offset = self.offset;
         self.chunk(types::INDEX, &index_payload(&self.index))?;
         let footer =

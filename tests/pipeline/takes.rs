@@ -6,7 +6,10 @@ use mocapd::{
     inspect::Summary,
     pipeline::{Armed, Begun, Intake, NewTake, Pipeline, PreRollConfig, TakeOutput, Written},
 };
-use mocapd_take::motion::{Motion, Position, is_gap};
+use mocapd_take::{
+    motion::{Motion, Position, is_gap},
+    record::EndingKind,
+};
 
 use crate::support::{TICK_HZ, chunks, config, crowd, dense, distance_mm, feed, jump, rows};
 
@@ -97,7 +100,7 @@ fn takes_begin_and_end_at_the_frame_that_comes_next() {
         let first = begun.first.recv_timeout(Duration::from_secs(30)).unwrap();
         assert_eq!(first.arrival_ns, arrival_ns(&motion, from));
         assert_eq!((first.row, first.device_ticks), (from as u64, from as u64 * 5000));
-        armed.takes.end().unwrap();
+        armed.takes.end(EndingKind::Stopped).unwrap();
         feed_all(&mut intake, &motion, to..=to);
         let (written, take) = ended(&begun);
         assert_has(&take, &motion, from..to);
@@ -117,7 +120,7 @@ fn a_take_begins_before_it_was_asked_for_as_far_as_it_is_held() {
     feed_all(&mut intake, &motion, 1203..1500);
     let first = begun.first.recv_timeout(Duration::from_secs(30)).unwrap();
     assert!((903..=1003).contains(&first.row), "{first:?}");
-    armed.takes.end().unwrap();
+    armed.takes.end(EndingKind::Stopped).unwrap();
     feed_all(&mut intake, &motion, 1500..1600);
     assert_has(&ended(&begun).1, &motion, first.row as usize..1500);
     // More than is held is what is held.
@@ -143,7 +146,7 @@ fn what_is_held_is_saved_after_the_fact_while_a_take_goes_on() {
     let first = 1000 - written.ledger.recorded as usize;
     assert!((600..=700).contains(&first), "{first}");
     assert_has(&take, &motion, first..1000);
-    armed.takes.end().unwrap();
+    armed.takes.end(EndingKind::Stopped).unwrap();
     feed_all(&mut intake, &motion, 1200..1201);
     assert_has(&ended(&begun).1, &motion, 800..1200);
     drop(intake);
@@ -160,7 +163,7 @@ fn each_take_has_the_loss_of_its_own_rows() {
     let begun = armed.takes.begin(new_take(&motion, Duration::ZERO, 300)).unwrap();
     feed_all(&mut intake, &motion, (300..600).filter(|seq| seq % 100 != 0 && seq % 100 != 99));
     feed_all(&mut intake, &motion, [598, 597]);
-    armed.takes.end().unwrap();
+    armed.takes.end(EndingKind::Stopped).unwrap();
     feed_all(&mut intake, &motion, 601..700);
     let (written, take) = ended(&begun);
     let ledger = &written.ledger;
@@ -201,7 +204,7 @@ fn markers_that_appeared_before_a_take_are_in_its_table_and_later_ones_when_they
     feed_n(&mut intake, 300..400, 120);
     feed_n(&mut intake, 400..500, 150);
     let rolled = armed.takes.save(new_take(&motion, Duration::from_secs(600), 500)).unwrap();
-    armed.takes.end().unwrap();
+    armed.takes.end(EndingKind::Stopped).unwrap();
     feed_n(&mut intake, 500..501, 150);
     for (take, n_rows) in [(ended(&begun).1, 200), (ended(&rolled).1, 500)] {
         assert_eq!(chunks(&take).labels.len(), 150);
@@ -222,7 +225,7 @@ fn memory_bounds_the_pre_roll_and_a_take_without_a_frame_is_no_error_of_the_pipe
     feed_all(&mut intake, &motion, 0..1500);
     let begun = armed.takes.begin(new_take(&motion, Duration::from_secs(600), 1500)).unwrap();
     intake.tick(arrival_ns(&motion, 1500));
-    armed.takes.end().unwrap();
+    armed.takes.end(EndingKind::Stopped).unwrap();
     intake.tick(arrival_ns(&motion, 1501));
     let (written, _) = ended(&begun);
     assert!(written.ledger.recorded < 1400, "{}", written.ledger.recorded);
@@ -263,7 +266,7 @@ fn a_disk_that_fails_ends_the_take_and_not_the_pipeline() {
         let begun = armed.takes.begin(take).unwrap();
         feed_all(&mut intake, &motion, seq..seq + 500);
         seq += 500;
-        armed.takes.end().unwrap();
+        armed.takes.end(EndingKind::Stopped).unwrap();
         feed_all(&mut intake, &motion, seq..seq + 1);
         seq += 1;
         let end = begun.ended.recv_timeout(Duration::from_secs(30)).unwrap();
@@ -322,7 +325,7 @@ fn frames_that_a_stalled_disk_costs_at_a_takes_end_are_on_its_ledger() {
             std::thread::sleep(Duration::from_millis(20));
         }
     }
-    armed.takes.end().unwrap();
+    armed.takes.end(EndingKind::Stopped).unwrap();
     intake.tick(arrival_ns(&motion, seq));
     *gate.0.lock().unwrap() = false;
     let (written, output) = begun.ended.recv_timeout(Duration::from_secs(60)).unwrap().unwrap();

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use mocapd::inspect::Summary;
 use mocapd_drivers::device::Status;
+use mocapd_take::record::EndingKind;
 
 use super::takes::{PRE_ROLL, arm, arrival_ns, ended, feed_all, new_take};
 use crate::support::{jump, rows};
@@ -34,7 +35,7 @@ fn a_take_that_begins_while_the_device_is_away_has_none_of_its_absence() {
         feed_all(&mut intake, &motion, 900..1200);
         let first = begun.first.recv_timeout(SOON).unwrap();
         assert_eq!(first.arrival_ns, arrival_ns(&motion, 900), "{when}");
-        armed.takes.end().unwrap();
+        armed.takes.end(EndingKind::Stopped).unwrap();
         feed_all(&mut intake, &motion, 1200..1201);
         let (written, take) = ended(&begun);
         let ledger = &written.ledger;
@@ -56,7 +57,7 @@ fn an_end_does_not_wait_for_a_device_that_is_away() {
     let begun = armed.takes.begin(new_take(&motion, Duration::ZERO, 0)).unwrap();
     feed_all(&mut intake, &motion, 0..300);
     intake.away(true);
-    armed.takes.end().unwrap();
+    armed.takes.end(EndingKind::Stopped).unwrap();
     intake.tick(arrival_ns(&motion, 400));
     let (written, take) = ended(&begun);
     let ledger = &written.ledger;
@@ -67,7 +68,7 @@ fn an_end_does_not_wait_for_a_device_that_is_away() {
     // Neither does one of a take that could not begin yet.
     let begun = armed.takes.begin(new_take(&motion, Duration::ZERO, 500)).unwrap();
     intake.tick(arrival_ns(&motion, 500));
-    armed.takes.end().unwrap();
+    armed.takes.end(EndingKind::Stopped).unwrap();
     intake.tick(arrival_ns(&motion, 600));
     assert_eq!(ended(&begun).0.ledger.recorded, 0);
     // What was counted once is not counted again when it is back.
@@ -113,7 +114,7 @@ fn a_pre_roll_does_not_reach_behind_an_absence() {
         let begun = armed.takes.begin(new_take(&motion, pre_roll, 3100)).unwrap();
         feed_all(&mut intake, &motion, 3100..3300);
         let first = begun.first.recv_timeout(SOON).unwrap();
-        armed.takes.end().unwrap();
+        armed.takes.end(EndingKind::Stopped).unwrap();
         feed_all(&mut intake, &motion, 3300..3301);
         let (written, take) = ended(&begun);
         let ledger = &written.ledger;
@@ -147,7 +148,7 @@ fn a_mark_that_nobody_waits_for_any_more_is_none() {
     let mark = armed.takes.mark("waited for", 2).unwrap();
     feed_all(&mut intake, &motion, 100..200);
     assert_eq!(mark.row.recv_timeout(SOON), Ok(100));
-    armed.takes.end().unwrap();
+    armed.takes.end(EndingKind::Stopped).unwrap();
     feed_all(&mut intake, &motion, 200..201);
     let summary = Summary::read(&ended(&begun).1[..]).unwrap();
     let texts: Vec<_> = summary.events.iter().map(|event| event.text.as_str()).collect();

@@ -88,6 +88,8 @@ def compare_counts(take, info):
         return f"SR1 {sr1}, mocapd has {info['sr1']}"
     if take.stated_mm != info["max_error_mm"]:
         return f"states {take.stated_mm} mm, mocapd has {info['max_error_mm']} mm"
+    if (take.ending[0] if take.ending else None) != info["ending"]:
+        return f"it ended: {take.ending}, mocapd has {info['ending']}"
     return None
 
 

@@ -47,6 +47,9 @@ def main():
     print(f"{take.header.resampler}, {take.header.tolerance_mm} mm, {take.header.rate_hz} Hz")
     print(f"{take.n_rows} rows, {len(take.channels)} channels, {samples} samples, {kept} kept")
     print(f"{len(take.times)} rows with a time; " + ("finished" if take.finished else "cut off"))
+    if take.ending:
+        name, detail = take.ending
+        print(f"it ended: {name}" + (f", {detail}" if detail else ""))
     print(f"{seconds:.2f} s, {seconds / max(samples, 1) * 1e6:.0f} us a sample")
     if args.raw:
         write_raw(take, args.raw)

@@ -3,6 +3,7 @@
 use std::{path::Path, sync::Arc, time::Duration};
 
 use mocapd::{
+    health::TakeHealth,
     heartbeat::Heartbeat,
     inspect::Summary,
     service::{
@@ -288,10 +289,10 @@ fn takes_that_a_kill_left_without_an_end_are_closed_when_the_service_starts() {
     assert!(read(&recovered).samples() > 0);
     assert_eq!(std::fs::read(&started.path).unwrap(), killed, "what was written stays as it is");
     let takes = engine.takes(9).unwrap();
-    let health = |name: &str| takes.iter().find(|take| take.name == name).unwrap().health.clone();
+    let health = |name: &str| takes.iter().find(|take| take.name == name).unwrap().health;
     assert_eq!(
         (health("killed"), health("killed.recovered")),
-        ("cut off".into(), "complete".into())
+        (TakeHealth::CutOff, TakeHealth::Complete)
     );
     assert_eq!(engine.take_path("../killed").unwrap_err().kind, RefusalKind::Invalid);
     assert_eq!(engine.take_path("none").unwrap_err().kind, RefusalKind::NotFound);
@@ -336,7 +337,7 @@ fn what_a_device_that_is_gone_did_not_send_is_on_the_ledger_of_the_take_that_end
     let ledger = read(&started.path).ledger.unwrap();
     assert_eq!(ledger.unknown_after_disconnect, stopped.ledger.unknown_after_disconnect);
     assert!(ledger.closes() && ledger.unknown_after_disconnect >= 140, "{ledger:?}");
-    assert_eq!(engine.takes(1).unwrap()[0].health, "lossy");
+    assert_eq!(engine.takes(1).unwrap()[0].health, TakeHealth::Lossy);
     // Nobody waits for a frame that cannot come.
     let asked = std::time::Instant::now();
     let refusal = engine.start(&named("next")).unwrap_err();

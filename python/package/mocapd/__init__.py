@@ -14,7 +14,7 @@ from importlib.metadata import version
 
 from ._arrays import compress, decompress, write_take
 from ._native import TakeError
-from ._records import ClockLine, Device, Event, Header, Ledger, LostFrames, Source, Times
+from ._records import ClockLine, Device, Ending, Event, Header, Ledger, LostFrames, Source, Times
 from ._take import Marker, MarkerSummary, Take, TakeWarning, open
 
 __version__ = version("mocapd")
@@ -22,6 +22,7 @@ __version__ = version("mocapd")
 __all__ = [
     "ClockLine",
     "Device",
+    "Ending",
     "Event",
     "Header",
     "Ledger",

@@ -102,6 +102,16 @@ class Ledger:
 
 
 @dataclass(frozen=True)
+class Ending:
+    """How a take ended."""
+
+    kind: str
+    """``stopped``, ``length``, ``device ended``, ``device gone``, ``disk full`` and others; docs/api.md has the list."""
+    detail: str
+    """More about it; mostly empty."""
+
+
+@dataclass(frozen=True)
 class Event:
     """Something that happened beside the motion."""
 

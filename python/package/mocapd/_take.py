@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from ._arrays import threads_of
 from ._native import TakeFile
-from ._records import ClockLine, Event, Header, Ledger, LostFrames, Times
+from ._records import ClockLine, Ending, Event, Header, Ledger, LostFrames, Times
 
 if TYPE_CHECKING:
     import pandas
@@ -135,6 +135,12 @@ class Take:
         """The account of every frame and sample; None where the take was cut off before the first one."""
         fields = self._file.ledger()
         return Ledger(**fields) if fields else None
+
+    @cached_property
+    def ending(self) -> Ending | None:
+        """How it ended; None where it does not say: imports, takes that were cut off, and those of earlier versions."""
+        ending = self._file.ending()
+        return Ending(*ending) if ending else None
 
     @cached_property
     def events(self) -> tuple[Event, ...]:

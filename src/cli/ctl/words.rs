@@ -70,7 +70,7 @@ pub(super) fn status(status: &Status) -> String {
             "  before    {}: {}, {}, ended: {}",
             plain(&take.name),
             bytes(take.bytes),
-            plain(&take.health),
+            take.health.word(),
             plain(&take.ending)
         )
         .ok();
@@ -200,11 +200,23 @@ pub(super) fn takes(takes: &[TakeSummary]) -> String {
     let mut out = String::new();
     for take in takes {
         let when = time(take.modified_unix_ms);
-        let health = if take.is_open { "being written" } else { take.health.as_str() };
-        let size = bytes(take.bytes);
-        writeln!(out, "{when}  {size:>10}  {:<13} {}", plain(health), plain(&take.name)).ok();
+        let health = if take.is_open { "being written" } else { take.health.word() };
+        let (size, name) = (bytes(take.bytes), plain(&take.name));
+        writeln!(out, "{when}  {size:>10}  {health:<13} {name}{}", ended(take)).ok();
     }
     out
+}
+
+/// Why a take ended, and nothing where that is unknown.
+fn ended(take: &TakeSummary) -> String {
+    let detail = match take.ending_detail.as_str() {
+        "" => String::new(),
+        detail => format!(": {}", plain(detail)),
+    };
+    match take.ending.as_str() {
+        "" => String::new(),
+        ending => format!("  ({}{detail})", plain(ending)),
+    }
 }
 
 /// In UTC, to the second.

@@ -7,7 +7,7 @@ mod words;
 use std::{io::BufReader, path::PathBuf};
 
 use anyhow::Context;
-use mocapd::{files, inspect::Summary, outcome::Outcome};
+use mocapd::{files, health::TakeHealth, inspect::Summary, outcome::Outcome};
 
 use self::{report::Report, words::words};
 use super::{
@@ -48,7 +48,5 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if !args.json && damage::is_recoverable(&summary) {
         say(&damage::recoverable(&args.take));
     }
-    let ledger = summary.ledger.as_ref();
-    let lost = ledger.is_some_and(|ledger| ledger.lost_anything() || !ledger.closes());
-    Ok(Outcome::of(lost || !report.problems.is_empty()))
+    Ok(Outcome::of(report.health != TakeHealth::Complete || !report.problems.is_empty()))
 }

@@ -2,7 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use mocapd::inspect::{Summary, size_ratio};
+use mocapd::{
+    health::TakeHealth,
+    inspect::{Summary, size_ratio},
+};
 use mocapd_take::{
     interchange::ReadOptions,
     reader::TakeBytes,
@@ -25,6 +28,9 @@ pub(super) struct Report {
     pub(super) problems: Vec<String>,
     pub(super) damage: Vec<DamageReport>,
     pub(super) recovered: Option<String>,
+    pub(super) health: TakeHealth,
+    pub(super) ending: Option<&'static str>,
+    pub(super) ending_detail: Option<String>,
     pub(super) software: String,
     pub(super) created: Option<String>,
     pub(super) resampler: String,
@@ -148,6 +154,9 @@ impl Report {
             problems: summary.problems.clone(),
             damage: DamageReport::all(summary.damage()),
             recovered: recovered(header),
+            health: summary.health(),
+            ending: summary.ending.as_ref().map(|ending| ending.kind.word()),
+            ending_detail: detail(summary),
             software: header.software.clone(),
             created: created(header),
             resampler: header.resampler.clone(),
@@ -223,6 +232,12 @@ impl Report {
     pub(super) fn not_closing(&self) -> Option<String> {
         self.ledger.as_ref()?.not_closing()
     }
+}
+
+/// More about how it ended, where there is more.
+fn detail(summary: &Summary) -> Option<String> {
+    let detail = &summary.ending.as_ref()?.detail;
+    (!detail.is_empty()).then(|| detail.clone())
 }
 
 /// When the take was begun, where that is known: an import has no time of its own.

@@ -23,6 +23,7 @@ pub(super) fn words(report: &Report) -> String {
     if let Some(recovered) = &report.recovered {
         line("recovered", recovered);
     }
+    line("health", &health(report));
     origin(report, &mut line);
     if let Some(subject) = &report.subject {
         subject.words(&mut line);
@@ -50,6 +51,18 @@ pub(super) fn words(report: &Report) -> String {
     markers(report, &mut out);
     let damaged = report.channels.iter().map(|c| (c.label.as_str(), c.frames_damaged));
     out.push_str(&damage::by_marker(&damaged.collect::<Vec<_>>()));
+    out
+}
+
+/// How it is and how it ended.
+fn health(report: &Report) -> String {
+    let mut out = report.health.word().to_owned();
+    if let Some(ending) = report.ending {
+        out += &format!("; it ended: {ending}");
+    }
+    if let Some(detail) = &report.ending_detail {
+        out += &format!(" ({detail})");
+    }
     out
 }
 

@@ -8,7 +8,7 @@ use std::{
 use anyhow::Context;
 use mocapd_take::{
     TakeWriter,
-    record::{Channel, Event, EventKind, Header, Subject},
+    record::{Channel, Event, EventKind, Header, Subject, SummaryRecord, TakeEnding},
     stretch::{NUMBERS, Span, put_moved},
 };
 
@@ -219,13 +219,13 @@ impl<W: TakeOutput> LiveTake<W> {
     }
 
     /// Closes it, with the counters at its end.
-    pub(super) fn end(mut self, counts: &Counts, clocks: &mut ClockWriter) {
+    pub(super) fn end(mut self, counts: &Counts, clocks: &mut ClockWriter, ending: TakeEnding) {
         self.counts = counts.since(&self.base);
         let ended = self.answers.ended.clone();
-        ended.try_send(self.finish(clocks)).ok();
+        ended.try_send(self.finish(clocks, ending)).ok();
     }
 
-    fn finish(mut self, clocks: &mut ClockWriter) -> TakeEnd<W> {
+    fn finish(mut self, clocks: &mut ClockWriter, ending: TakeEnding) -> TakeEnd<W> {
         let clock_lines = clocks.finish(&mut self.take, &self.counts.clock)?;
         let mut ledger = self.counts.ledger(true);
         if self.report.refused > 0 {
@@ -235,11 +235,13 @@ impl<W: TakeOutput> LiveTake<W> {
             ));
         }
         let closing = "cannot close the take";
-        let mut output = self.take.finish(&ledger).context(closing)?;
+        let summary = SummaryRecord { ending: Some(ending.clone()) };
+        let mut output = self.take.finish_with(&ledger, &summary).context(closing)?;
         output.0.release(output.1).context(closing)?;
         output.0.sync().context(closing)?;
         let written = Written {
             ledger,
+            ending,
             clock: self.counts.clock,
             clock_lines,
             disk: self.room.close(&output.0),

@@ -3,7 +3,7 @@
 use std::sync::{Arc, atomic::Ordering};
 
 use anyhow::anyhow;
-use mocapd_take::record::Channel;
+use mocapd_take::record::{Channel, EndingKind};
 
 use super::{TakeOutput, Writer, clocks::ClockWriter, live::LiveTake};
 use crate::pipeline::{
@@ -23,9 +23,9 @@ impl<W: TakeOutput> Writer<W> {
                 return;
             }
             match order.what {
-                What::End => self.end_take(),
+                What::End(ending) => self.end_take(ending),
                 What::Begin(take, answers) => {
-                    self.end_take();
+                    self.end_take(EndingKind::Stopped);
                     let progress = Arc::clone(&self.progress);
                     let mut clocks = std::mem::replace(&mut self.clocks, ClockWriter::idle());
                     clocks.begin();
@@ -39,16 +39,17 @@ impl<W: TakeOutput> Writer<W> {
                     let (mut clocks, progress) = (self.clocks.beside(), Progress::new(&[]));
                     let saved = self.begin_take(*take, answers, end, &mut clocks, &progress);
                     if let Some(saved) = saved {
-                        saved.end(&self.counts.in_rows(), &mut clocks);
+                        let ending = EndingKind::Saved.into();
+                        saved.end(&self.counts.in_rows(), &mut clocks, ending);
                     }
                 }
             }
         }
     }
 
-    fn end_take(&mut self) {
+    fn end_take(&mut self, ending: EndingKind) {
         if let Some(take) = self.live.take() {
-            take.end(&self.counts.in_rows(), &mut self.clocks);
+            take.end(&self.counts.in_rows(), &mut self.clocks, ending.into());
         }
         *lock(&self.progress.take) = None;
     }

@@ -5,7 +5,7 @@ use std::{
     io::{self, Write},
 };
 
-use mocapd_take::record::{ClockLine, Ledger};
+use mocapd_take::record::{ClockLine, Ledger, TakeEnding};
 use rustix::fs::{FallocateFlags, fallocate, fstatvfs};
 
 use super::DiskState;
@@ -78,6 +78,8 @@ impl TakeOutput for io::Sink {
 pub struct Written {
     /// The ledger as it stands in the take.
     pub ledger: Ledger,
+    /// How it ended, as it stands in the take.
+    pub ending: TakeEnding,
     /// How the clocks ran in the end.
     pub clock: ClockStatus,
     /// By segment, the line of each that had one.

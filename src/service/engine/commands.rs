@@ -7,7 +7,7 @@ use std::{
 };
 
 use crossbeam_channel::{RecvTimeoutError, after, select};
-use mocapd_take::record::{Event, EventKind};
+use mocapd_take::record::{EndingKind, Event, EventKind};
 
 use super::{Inner, names, session::OpenTake};
 use crate::{
@@ -174,7 +174,7 @@ impl Inner {
     /// No frame came: the take ends, and so does its file.
     fn begun_in_vain(&self) -> Refusal {
         let away = self.core().away();
-        let refused = self.end_take("stopped");
+        let refused = self.end_take(EndingKind::Stopped);
         match refused {
             // A frame came after all, and a moment too late.
             Ok(stopped) => Refusal::new(
@@ -192,12 +192,12 @@ impl Inner {
     pub(super) fn stop_take(
         &self,
         _command: &Command<'_>,
-        ending: &'static str,
+        ending: EndingKind,
     ) -> Result<Stopped, Refusal> {
         self.end_take(ending)
     }
 
-    fn end_take(&self, ending: &'static str) -> Result<Stopped, Refusal> {
+    fn end_take(&self, ending: EndingKind) -> Result<Stopped, Refusal> {
         let mut core = self.core();
         let Some(take) = &mut core.take else {
             // A take that failed is over, and the answer is what it came to.
@@ -220,7 +220,7 @@ impl Inner {
         // Without a session its end is on the way.
         if let Some(session) = &mut core.session
             && is_first
-            && let Err(error) = session.takes.end()
+            && let Err(error) = session.takes.end(ending)
         {
             if let Some(take) = &mut core.take {
                 take.ending = None;
@@ -299,7 +299,7 @@ impl Inner {
                 Err(Refusal::new(RefusalKind::Unavailable, words))
             }
             Ok(end) => {
-                let saved = self.closed(end, &id, &name, &path, rate_hz, "saved")?;
+                let saved = self.closed(end, &id, &name, &path, rate_hz)?;
                 Ok(with_shortfall(saved, last))
             }
         }
@@ -412,7 +412,7 @@ impl Inner {
         // A client's stop may be under way: then that one closes the take.
         let command = self.command_within(super::STOP_WITHIN);
         if command.is_ok() && self.core().take.is_some() {
-            drop(self.end_take("service stopped"));
+            drop(self.end_take(EndingKind::ServiceStopped));
         }
         drop(command);
         // Whoever has the command is still closing it: a disk that stalls is waited for.

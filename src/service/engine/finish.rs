@@ -2,10 +2,11 @@
 
 use std::{fs::File, path::Path};
 
-use mocapd_take::record::Ledger;
+use mocapd_take::record::EndingKind;
 
 use super::Inner;
 use crate::{
+    health::TakeHealth,
     pipeline::{TakeEnd, Written},
     service::{
         control::{Refusal, RefusalKind, Stopped},
@@ -21,8 +22,7 @@ impl Inner {
             return Err(Refusal::new(RefusalKind::Conflict, words));
         };
         self.changed.notify_all();
-        let ending = take.ending.unwrap_or("stopped");
-        self.closed(end, &take.id, &take.name, &take.path, take.rate_hz, ending)
+        self.closed(end, &take.id, &take.name, &take.path, take.rate_hz)
     }
 
     /// Nobody will tell what became of the take: the pipeline ended before it was begun there, or its writer is gone.
@@ -47,13 +47,13 @@ impl Inner {
         name: &str,
         path: &Path,
         rate_hz: f64,
-        ending: &str,
     ) -> Result<Stopped, Refusal> {
         let written = match end {
             Ok((written, _)) => written,
             Err(error) => return Err(self.broken(&error, name, path)),
         };
-        if written.ledger.recorded == 0 && ending == "saved" {
+        let ending = written.ending.kind;
+        if written.ledger.recorded == 0 && ending == EndingKind::Saved {
             std::fs::remove_file(path).ok();
             let words = "nothing of that time is held: the device was away or sent nothing; ask for more seconds";
             return Err(Refusal::new(RefusalKind::Conflict, words));
@@ -66,27 +66,30 @@ impl Inner {
             self.say_event("warning", &words, Some(name));
             return Err(Refusal::new(RefusalKind::Device, words));
         }
-        let stopped = stopped(&written, take_id, name, path, rate_hz, ending);
+        let stopped = stopped(&written, take_id, name, path, rate_hz);
         let summary = TakeSummary {
             name: name.to_owned(),
             bytes: written.file_bytes,
             modified_unix_ms: super::status::unix_ms(),
             is_open: false,
-            health: health(&written.ledger, ending).to_owned(),
+            health: TakeHealth::of_closed(&written.ledger, Some(&written.ending)),
             seconds: stopped.seconds,
             markers: self.core().device.markers,
             take_id: take_id.to_owned(),
-            ending: ending.to_owned(),
+            ending: ending.word().to_owned(),
+            ending_detail: written.ending.detail.clone(),
         };
         self.core().last_take = Some(summary);
         let lost = written.ledger.frames_lost();
         let words = format!(
-            "{name} is closed ({ending}): {:.1} s, {} bytes, {lost} frames lost",
-            stopped.seconds, stopped.bytes
+            "{name} is closed ({}): {:.1} s, {} bytes, {lost} frames lost",
+            ending.word(),
+            stopped.seconds,
+            stopped.bytes
         );
-        let kind = if ending == "saved" { "take-saved" } else { "take-stopped" };
+        let kind = if ending == EndingKind::Saved { "take-saved" } else { "take-stopped" };
         self.say_event(kind, &words, Some(name));
-        if ending == "disk full" {
+        if ending == EndingKind::DiskFull {
             let words = "the disk is full: no take is begun before something is deleted";
             self.say_event("warning", words, None);
         }
@@ -111,7 +114,7 @@ impl Inner {
         if core.take.is_none()
             && let Some(session) = &mut core.session
         {
-            session.takes.end().ok();
+            session.takes.end(EndingKind::CutOff).ok();
         }
         drop(core);
         self.changed.notify_all();
@@ -120,20 +123,7 @@ impl Inner {
     }
 }
 
-fn health(ledger: &Ledger, ending: &str) -> &'static str {
-    // What it did not send any more, nobody can count.
-    let is_whole = ledger.closes() && !ledger.lost_anything() && ending != "device gone";
-    if is_whole { "complete" } else { "lossy" }
-}
-
-fn stopped(
-    written: &Written,
-    take_id: &str,
-    name: &str,
-    path: &Path,
-    rate_hz: f64,
-    ending: &str,
-) -> Stopped {
+fn stopped(written: &Written, take_id: &str, name: &str, path: &Path, rate_hz: f64) -> Stopped {
     let ledger = &written.ledger;
     let rows = ledger.recorded + ledger.frames_lost();
     Stopped {
@@ -143,7 +133,7 @@ fn stopped(
         rows,
         seconds: rows as f64 / rate_hz,
         bytes: written.file_bytes,
-        ending: ending.to_owned(),
+        ending: written.ending.kind.word().to_owned(),
         ledger: ledger.into(),
         short_by_s: 0.0,
         remarks: Vec::new(),

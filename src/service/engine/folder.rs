@@ -1,32 +1,75 @@
 //! The takes in the service's folder.
 
 use std::{
-    fs::{self, File},
-    io::{Read, Seek, SeekFrom},
+    collections::{HashMap, HashSet},
+    fs::{self, File, Metadata},
+    os::unix::fs::MetadataExt,
     path::{Path, PathBuf},
     time::SystemTime,
 };
 
-use mocapd_take::{TakeEvent, TakeReader, index::Footer};
+use mocapd_take::{TakeEnds, TakeError};
 
 use super::{Inner, names};
-use crate::service::{
-    control::{Refusal, RefusalKind},
-    status::TakeSummary,
+use crate::{
+    health::TakeHealth,
+    pipeline::lock,
+    service::{
+        control::{Refusal, RefusalKind},
+        status::TakeSummary,
+    },
 };
-
-/// Bytes of a take that are read for what its header says: of hundreds of markers.
-const HEAD_BYTES: u64 = 64 << 10;
 
 /// Files of a folder that are looked at: more is no folder of takes.
 const FILES_MAX: usize = 100_000;
+
+/// Takes whose ends are remembered, some 300 bytes each: four times the longest list.
+const REMEMBERED_MAX: usize = 4000;
+
+/// What the ends of files said, by path.
+#[derive(Debug, Default)]
+pub(super) struct Remembered(HashMap<PathBuf, (Stamp, TakeSummary)>);
+
+/// A file that has the same ones holds the same bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Stamp {
+    device: u64,
+    inode: u64,
+    bytes: u64,
+    modified_ns: i128,
+}
+
+impl Stamp {
+    fn of(file: &Metadata) -> Self {
+        Self {
+            device: file.dev(),
+            inode: file.ino(),
+            bytes: file.len(),
+            modified_ns: i128::from(file.mtime()) * 1_000_000_000 + i128::from(file.mtime_nsec()),
+        }
+    }
+}
+
+impl Remembered {
+    fn get(&self, path: &Path, stamp: Stamp) -> Option<TakeSummary> {
+        let (known, summary) = self.0.get(path)?;
+        (*known == stamp).then(|| summary.clone())
+    }
+
+    fn add(&mut self, listed: Vec<(PathBuf, Stamp, TakeSummary)>) {
+        if self.0.len() + listed.len() > REMEMBERED_MAX {
+            let kept: HashSet<&PathBuf> = listed.iter().map(|(path, ..)| path).collect();
+            self.0.retain(|path, _| kept.contains(path));
+        }
+        self.0.extend(listed.into_iter().map(|(path, stamp, summary)| (path, (stamp, summary))));
+    }
+}
 
 impl Inner {
     pub(super) fn list_takes(&self, limit: usize) -> Result<Vec<TakeSummary>, Refusal> {
         let core = self.core();
         let directory = core.options.directory.clone();
         let open = core.take.as_ref().map(|take| take.path.clone());
-        let last = core.last_take.clone();
         drop(core);
         let cannot = |error: std::io::Error| {
             let words = format!("cannot read the folder {}: {error}", directory.display());
@@ -38,31 +81,28 @@ impl Inner {
             let is_take = path.extension().is_some_and(|extension| extension == "take");
             let Ok(file) = entry.metadata() else { continue };
             if is_take && file.is_file() {
-                found.push((file.modified().unwrap_or(SystemTime::UNIX_EPOCH), file.len(), path));
+                let modified = file.modified().unwrap_or(SystemTime::UNIX_EPOCH);
+                found.push((modified, Stamp::of(&file), path));
             }
         }
-        found.sort_by(|a, b| b.cmp(a));
+        found.sort_by(|(a, _, a_path), (b, _, b_path)| (b, b_path).cmp(&(a, a_path)));
         found.truncate(limit);
-        let summary = |(modified, bytes, path): (SystemTime, u64, PathBuf)| {
-            let since_1970 = modified.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-            let mut summary = TakeSummary {
-                name: path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
-                bytes,
-                modified_unix_ms: i64::try_from(since_1970.as_millis()).unwrap_or(i64::MAX),
-                is_open: open.as_ref() == Some(&path),
-                health: "unknown".to_owned(),
-                ..TakeSummary::default()
-            };
-            look_into(&path, &mut summary);
-            // What was counted while it was written is known better.
-            if let Some(last) = last.as_ref().filter(|last| last.take_id == summary.take_id) {
-                summary.health.clone_from(&last.health);
-                summary.seconds = last.seconds;
-                summary.ending.clone_from(&last.ending);
+        let mut new = Vec::new();
+        let mut summaries = Vec::with_capacity(found.len());
+        for (modified, stamp, path) in found {
+            if let Some(known) = lock(&self.remembered).get(&path, stamp) {
+                summaries.push(known);
+                continue;
             }
-            summary
-        };
-        Ok(found.into_iter().map(summary).collect())
+            let is_open = open.as_ref() == Some(&path);
+            let (summary, is_lasting) = look_into(&path, stamp.bytes, modified, is_open);
+            if is_lasting {
+                new.push((path, stamp, summary.clone()));
+            }
+            summaries.push(summary);
+        }
+        lock(&self.remembered).add(new);
+        Ok(summaries)
     }
 
     pub(super) fn path_of(&self, name: &str) -> Result<PathBuf, Refusal> {
@@ -76,45 +116,39 @@ impl Inner {
     }
 }
 
-/// What header and footer tell, without reading what lies between.
-fn look_into(path: &Path, summary: &mut TakeSummary) {
-    let Ok(mut file) = File::open(path) else { return };
-    let mut head = Vec::new();
-    if (&mut file).take(HEAD_BYTES).read_to_end(&mut head).is_err() {
-        return;
+/// What the two ends of a file tell, and whether that lasts as long as the file does not change.
+fn look_into(path: &Path, bytes: u64, modified: SystemTime, is_open: bool) -> (TakeSummary, bool) {
+    let since_1970 = modified.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    let mut summary = TakeSummary {
+        name: path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+        bytes,
+        modified_unix_ms: i64::try_from(since_1970.as_millis()).unwrap_or(i64::MAX),
+        is_open,
+        ..TakeSummary::default()
+    };
+    let read = File::open(path).map_err(TakeError::Io).and_then(|mut f| TakeEnds::read(&mut f));
+    let ends = match read {
+        Ok(ends) => ends,
+        // What a disk cannot read now, it may read the next time.
+        Err(TakeError::Io(_)) => return (summary, false),
+        Err(_) => {
+            summary.health = TakeHealth::Unreadable;
+            return (summary, !is_open);
+        }
+    };
+    let header = &ends.header;
+    summary.markers = header.channels.len();
+    summary.take_id = header.take_id.iter().map(|byte| format!("{byte:02x}")).collect();
+    if is_open {
+        return (summary, false);
     }
-    let mut rate_hz = 0.0;
-    let mut reader = TakeReader::new();
-    reader.push(&head);
-    while let Ok(Some(event)) = reader.next_event() {
-        if let TakeEvent::Header(header) = event {
-            rate_hz = header.rate_hz;
-            summary.markers = header.channels.len();
-            summary.take_id = header.take_id.iter().map(|byte| format!("{byte:02x}")).collect();
-            break;
+    summary.health = TakeHealth::of_ends(&ends);
+    if let Some(end) = &ends.end {
+        summary.seconds = end.footer.n_rows as f64 / header.rate_hz;
+        if let Some(ending) = &end.ending {
+            ending.kind.word().clone_into(&mut summary.ending);
+            summary.ending_detail.clone_from(&ending.detail);
         }
     }
-    if rate_hz == 0.0 {
-        summary.health = "unreadable".to_owned();
-        return;
-    }
-    if summary.is_open {
-        return;
-    }
-    match footer(&mut file, summary.bytes) {
-        Some(footer) => {
-            summary.health = "complete".to_owned();
-            summary.seconds = footer.n_rows as f64 / rate_hz;
-        }
-        None => summary.health = "cut off".to_owned(),
-    }
-}
-
-/// The footer, by its checksum.
-fn footer(file: &mut File, file_bytes: u64) -> Option<Footer> {
-    let at = file_bytes.checked_sub(Footer::CHUNK_BYTES as u64)?;
-    file.seek(SeekFrom::Start(at)).ok()?;
-    let mut chunk = [0; Footer::CHUNK_BYTES];
-    file.read_exact(&mut chunk).ok()?;
-    Footer::from_chunk(&chunk)
+    (summary, true)
 }

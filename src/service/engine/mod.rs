@@ -34,10 +34,13 @@ use std::{
     time::{Duration, Instant},
 };
 
+use mocapd_take::record::EndingKind;
+
 pub use self::options::{EngineOptions, FindDevice};
 use self::{
     answers::Answers,
     events::Events,
+    folder::Remembered,
     hub::{Hub, Viewers},
     quality::Judgements,
     session::{Core, Rates},
@@ -77,6 +80,8 @@ struct Inner {
     events: Events,
     viewers: Viewers,
     judgements: Mutex<Judgements>,
+    /// What the takes of the folder said of themselves.
+    remembered: Mutex<Remembered>,
     rates: Rates,
     stopping: AtomicBool,
     began: Instant,
@@ -99,6 +104,7 @@ impl Engine {
             events: Events::default(),
             viewers: Viewers::default(),
             judgements: Mutex::new(Judgements::default()),
+            remembered: Mutex::default(),
             rates: Rates::default(),
             stopping: AtomicBool::new(false),
             began: Instant::now(),
@@ -225,7 +231,7 @@ impl Control for Engine {
 
     fn stop(&self, request: &Request) -> Result<Stopped, Refusal> {
         self.inner.once("stop", request.request_id.as_deref(), |inner| {
-            inner.stop_take(&inner.command()?, "stopped")
+            inner.stop_take(&inner.command()?, EndingKind::Stopped)
         })
     }
 

@@ -13,6 +13,7 @@ use super::Inner;
 use crate::{
     files::{self, NewFile},
     header::SOFTWARE,
+    health::TakeHealth,
     service::status::TakeSummary,
 };
 
@@ -26,7 +27,7 @@ const RECOVERED: &str = "recovered";
 /// has no end, either.
 pub(super) fn cut_off(inner: &Inner) -> Vec<PathBuf> {
     let Ok(takes) = inner.list_takes(TAKES_MAX) else { return Vec::new() };
-    let is_cut_off = |take: &TakeSummary| take.health == "cut off" && take.bytes > 0;
+    let is_cut_off = |take: &TakeSummary| take.health == TakeHealth::CutOff && take.bytes > 0;
     let path = |take: TakeSummary| inner.path_of(&take.name).ok();
     let paths = takes.into_iter().filter(is_cut_off).filter_map(path);
     paths.filter(|path| !recovered_path(path).exists()).collect()

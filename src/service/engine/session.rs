@@ -12,7 +12,7 @@ use std::{
 
 use crossbeam_channel::Receiver;
 use mocapd_drivers::{device::Hello, registry::Candidate};
-use mocapd_take::record::Header;
+use mocapd_take::record::{EndingKind, Header};
 
 use super::options::EngineOptions;
 use crate::{
@@ -79,8 +79,8 @@ pub(super) struct OpenTake {
     pub(super) rate_hz: f64,
     pub(super) first: Option<FirstRow>,
     pub(super) ended: Receiver<TakeEnd<File>>,
-    /// Why it ends, when that is known before it has.
-    pub(super) ending: Option<&'static str>,
+    /// Why it was told to end, once it was.
+    pub(super) ending: Option<EndingKind>,
 }
 
 /// Figures that are measured now and then; f64 by their bits.

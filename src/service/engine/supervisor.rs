@@ -210,7 +210,8 @@ impl Inner {
         };
         let progress = Arc::clone(pipeline.progress());
         let read = rig.read(intake, &options);
-        self.close_session(read.as_ref().ok().map(|recording| recording.ending));
+        // No take begins here any more, and one that is written ends.
+        self.core().session = None;
         let joined = pipeline.join();
         let words = match (&read, &joined) {
             (_, Err(error)) => {
@@ -238,20 +239,6 @@ impl Inner {
         self.changed.notify_all();
         self.say_event("state", words, None);
         progress.frames.load(Ordering::Relaxed) > 0
-    }
-
-    /// The device is not read any more: no take begins here, and one that is written ends.
-    fn close_session(&self, ending: Option<Ending>) {
-        let why = match ending {
-            Some(Ending::EndOfStream) => "device ended",
-            _ if self.is_stopping() => "service stopped",
-            _ => "device gone",
-        };
-        let mut core = self.core();
-        core.session = None;
-        if let Some(take) = &mut core.take {
-            take.ending.get_or_insert(why);
-        }
     }
 
     fn begin_session(

@@ -6,6 +6,7 @@ use std::{
 };
 
 use crossbeam_channel::TryRecvError;
+use mocapd_take::record::EndingKind;
 
 use super::{Inner, session::Core, status::free_bytes};
 use crate::{
@@ -77,13 +78,13 @@ impl Inner {
 }
 
 impl Core {
-    fn why_over(&self) -> Option<&'static str> {
+    fn why_over(&self) -> Option<EndingKind> {
         let take = self.take.as_ref()?;
         if self.options.max_length.is_some_and(|max| take.begun.elapsed() >= max) {
-            return Some("length");
+            return Some(EndingKind::Length);
         }
         let session = self.session.as_ref()?;
-        session.progress.disk_full.load(Ordering::Relaxed).then_some("disk full")
+        session.progress.disk_full.load(Ordering::Relaxed).then_some(EndingKind::DiskFull)
     }
 
     /// Markers that came and went have used up the channels: without a take they can be forgotten.

@@ -13,7 +13,7 @@ use axum::{
     extract::{Path, State, rejection::PathRejection},
     http::StatusCode,
 };
-use mocapd_take::{TakeError, record::Ledger};
+use mocapd_take::TakeError;
 use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
 use utoipa::ToSchema;
@@ -26,6 +26,7 @@ use super::{
     takes::{self, unreadable},
 };
 use crate::{
+    health::TakeHealth,
     inspect::Summary,
     service::{control::Request, status::LedgerStatus},
 };
@@ -38,9 +39,11 @@ const TOLD_MAX: usize = 100;
 pub struct TakeCheck {
     /// Without `.take`.
     pub name: String,
-    /// `complete`, `lossy` (complete, and its ledger tells of loss), `damaged`, `cut off` (`mocapd recover` mends it),
-    /// `unreadable`.
-    pub health: String,
+    /// How it is, as the list has it, and `damaged` where what lies between its ends is.
+    pub health: TakeHealth,
+    /// Why it ended, as `stop` tells it; empty where the take does not say.
+    #[serde(default)]
+    pub ending: String,
     /// Bytes of the file.
     pub bytes: u64,
     /// Frames: rows, lost ones included.
@@ -125,7 +128,7 @@ fn check(name: String, bytes: u64, read: Result<Summary, TakeError>) -> Result<T
         Err(TakeError::Io(error)) => return Err(unreadable(&error)),
         Err(error) => {
             let problems = vec![error.to_string()];
-            return Ok(TakeCheck { problems, ..empty(name, bytes, "unreadable") });
+            return Ok(TakeCheck { problems, ..empty(name, bytes, TakeHealth::Unreadable) });
         }
     };
     let mut contradictions = summary.contradictions().to_vec();
@@ -141,21 +144,11 @@ fn check(name: String, bytes: u64, read: Result<Summary, TakeError>) -> Result<T
         contradictions.push("the ledger does not close".to_owned());
     }
     contradictions.truncate(TOLD_MAX);
-    let health = if !contradictions.is_empty() {
-        "damaged"
-    } else if !summary.finished && summary.damage().is_empty() {
-        // All that is missing is its end, and perhaps half a chunk before that.
-        "cut off"
-    } else if summary.is_damaged() || !summary.problems.is_empty() {
-        "damaged"
-    } else if ledger.is_some_and(Ledger::lost_anything) {
-        "lossy"
-    } else {
-        "complete"
-    };
     let header = summary.header.as_ref();
     let rate_hz = header.map_or(0.0, |header| header.rate_hz);
+    let ending = summary.ending.as_ref().map_or("", |ending| ending.kind.word());
     Ok(TakeCheck {
+        ending: ending.to_owned(),
         frames: summary.rows,
         seconds: if rate_hz > 0.0 { summary.rows as f64 / rate_hz } else { 0.0 },
         rate_hz,
@@ -166,14 +159,15 @@ fn check(name: String, bytes: u64, read: Result<Summary, TakeError>) -> Result<T
         problems: summary.problems.iter().take(TOLD_MAX).cloned().collect(),
         contradictions,
         ledger: ledger.map(LedgerStatus::from),
-        ..empty(name, bytes, health)
+        ..empty(name, bytes, summary.health())
     })
 }
 
-fn empty(name: String, bytes: u64, health: &str) -> TakeCheck {
+fn empty(name: String, bytes: u64, health: TakeHealth) -> TakeCheck {
     TakeCheck {
         name,
-        health: health.to_owned(),
+        health,
+        ending: String::new(),
         bytes,
         frames: 0,
         seconds: 0.0,

@@ -10,7 +10,7 @@ use crate::{
     TakeError,
     chunk::{self, Front, MAGIC, MAY_SKIP, PAYLOAD_BYTES_MAX, types},
     index::{Footer, IndexEntry, parse_index},
-    record::{Clock, Event, Header, Ledger, MoreChannels, Record, Subject},
+    record::{Clock, Event, Header, Ledger, MoreChannels, Record, Subject, SummaryRecord},
     stretch::ROWS_PASSED_MAX,
 };
 
@@ -96,6 +96,10 @@ fn add(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) -> bool
             // Of a newer version: a reader may go on without it.
             Err(TakeError::Unsupported { .. }) => return true,
             read => read.map(|subject| map.subject = Some(subject)),
+        },
+        types::SUMMARY => match SummaryRecord::from_payload(payload, offset) {
+            Err(TakeError::Unsupported { .. }) => return true,
+            read => read.map(|summary| map.ending = summary.ending),
         },
         // MODEL, which this version does not read.
         _ => return kind & MAY_SKIP != 0,

@@ -61,6 +61,7 @@ pub(super) fn scan(
             TakeEvent::Event(event) => map.events.push(event),
             TakeEvent::Ledger(ledger) => map.ledger = Some(*ledger),
             TakeEvent::Clock(clock) => map.clock(&clock),
+            TakeEvent::Summary(summary) => map.ending = summary.ending,
             TakeEvent::Damaged { offset, len, message, .. } => {
                 map.damaged = true;
                 table.damaged();

@@ -21,7 +21,7 @@ pub struct TakeBytes {
     pub clock: u64,
     /// EVENT.
     pub events: u64,
-    /// INDEX and FOOTER.
+    /// SUMMARY, INDEX and FOOTER.
     pub index: u64,
     /// SUBJECT.
     pub subject: u64,
@@ -49,7 +49,7 @@ impl TakeBytes {
             TakeEvent::Event(_) => &mut self.events,
             TakeEvent::Subject(_) => &mut self.subject,
             TakeEvent::Foreign(_) => &mut self.foreign,
-            TakeEvent::Index(_) | TakeEvent::Footer(_) => &mut self.index,
+            TakeEvent::Summary(_) | TakeEvent::Index(_) | TakeEvent::Footer(_) => &mut self.index,
             TakeEvent::Unplaced { .. }
             | TakeEvent::Skipped { .. }
             | TakeEvent::Damaged { .. }

@@ -6,7 +6,7 @@ use crate::{
     chunk::{Front, MAY_SKIP, types},
     foreign,
     index::{Footer, parse_index},
-    record::{Clock, Event, Header, Ledger, MoreChannels, Record, Subject},
+    record::{Clock, Event, Header, Ledger, MoreChannels, Record, Subject, SummaryRecord},
     stretch::{Chain, Placed},
 };
 
@@ -51,6 +51,7 @@ impl TakeReader {
                 Clock::from_payload(payload, offset).map(|c| TakeEvent::Clock(Box::new(c)))
             }
             types::FOREIGN => foreign::from_payload(payload, offset).map(TakeEvent::Foreign),
+            types::SUMMARY => SummaryRecord::from_payload(payload, offset).map(TakeEvent::Summary),
             types::INDEX => parse_index(payload, offset).map(TakeEvent::Index),
             types::FOOTER => Footer::from_payload(payload, offset)
                 .and_then(|footer| footer.check(chain.rows_believed_max(), offset))

@@ -14,7 +14,7 @@ const HEAD_BYTES_MAX: u64 = 6;
 const CRC_BYTES: usize = 4;
 
 /// Puts the head of the one chunk that `region` is right, if there is a type with which its CRC matches; says
-/// whether it did. Of eleven types one fits by chance in one of 4 * 10^8 damaged regions.
+/// whether it did. Of twelve types one fits by chance in one of 3.6 * 10^8 damaged regions.
 pub(crate) fn head(region: &mut [u8]) -> bool {
     let Some(payload_len) = payload_len(region.len() as u64) else { return false };
     let mut head = vec![0];

@@ -10,6 +10,7 @@ mod import_id;
 mod ledger;
 mod stored;
 mod subject;
+mod summary;
 
 use bincode::config::{Configuration, Limit, LittleEndian, Varint};
 
@@ -21,11 +22,12 @@ pub(crate) use header::MoreChannels;
 pub use header::{CODEC_VERSION, Channel, Device, Header, ImportSource};
 pub use ledger::{ClockFit, Ledger};
 pub use subject::{DOCUMENT_BYTES_MAX, DOCUMENTS_MAX, Document, Subject};
+pub use summary::{DETAIL_BYTES_MAX, EndingKind, SUMMARY_BYTES_MAX, SummaryRecord, TakeEnding};
 
 use crate::TakeError;
 
 /// Most bytes that decoding may claim: 10 000 labels of 255 bytes fit.
-const LIMIT_BYTES: usize = 4 << 20;
+pub(crate) const LIMIT_BYTES: usize = 4 << 20;
 
 type Config = Configuration<LittleEndian, Varint, Limit<LIMIT_BYTES>>;
 const CONFIG: Config = bincode::config::standard().with_little_endian().with_limit::<LIMIT_BYTES>();

@@ -14,6 +14,7 @@ pub enum Kind {
     Clock,
     Subject,
     Foreign,
+    Summary,
     Index,
     Footer,
     /// A type that this version does not write, or bytes that do not say what they were.
@@ -22,7 +23,7 @@ pub enum Kind {
 
 impl Kind {
     /// Every kind.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Header,
         Self::Channels,
         Self::Stretch,
@@ -31,6 +32,7 @@ impl Kind {
         Self::Clock,
         Self::Subject,
         Self::Foreign,
+        Self::Summary,
         Self::Index,
         Self::Footer,
         Self::Other,
@@ -48,6 +50,7 @@ impl Kind {
             Some(types::CLOCK) => Self::Clock,
             Some(types::SUBJECT) => Self::Subject,
             Some(types::FOREIGN) => Self::Foreign,
+            Some(types::SUMMARY) => Self::Summary,
             Some(types::INDEX) => Self::Index,
             Some(types::FOOTER) => Self::Footer,
             _ => Self::Other,
@@ -66,10 +69,17 @@ impl Kind {
             Self::Clock => "clock",
             Self::Subject => "subject",
             Self::Foreign => "foreign",
+            Self::Summary => "summary",
             Self::Index => "index",
             Self::Footer => "footer",
             Self::Other => "unknown",
         }
+    }
+
+    /// Whether it stands behind the last ledger of a take that was closed.
+    #[must_use]
+    pub(super) fn is_at_the_end(self) -> bool {
+        matches!(self, Self::Summary | Self::Index | Self::Footer)
     }
 
     /// Whether a recovery makes it anew, so that a damaged one costs nothing.

@@ -11,7 +11,7 @@ use crate::{
     TakeError, TakeReader, chunk,
     loss::{Losses, LostRows, Why},
     reader::{HEADER_DAMAGED, pull},
-    record::{Channel, Header, Ledger},
+    record::{Channel, Header, Ledger, TakeEnding},
     table::ChannelTable,
 };
 
@@ -30,6 +30,7 @@ pub struct Survey {
     header: Header,
     pub(super) pieces: Vec<Piece>,
     pub(super) ledger: Ledger,
+    pub(super) ending: Option<TakeEnding>,
     kinds: Kinds,
     table: ChannelTable,
     losses: Losses,
@@ -123,6 +124,12 @@ impl Survey {
     #[must_use]
     pub fn ledger(&self) -> &Ledger {
         &self.ledger
+    }
+
+    /// How the new take says that it ended: as the old one says, or that it was cut off.
+    #[must_use]
+    pub fn ending(&self) -> Option<&TakeEnding> {
+        self.ending.as_ref()
     }
 
     /// Whether it was closed in order: its last ledger is there, if not its footer.

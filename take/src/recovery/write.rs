@@ -7,7 +7,7 @@ use crate::{
     TakeError,
     chunk::{self, Front},
     reader::mend_head,
-    record::{Event, EventKind, Header},
+    record::{Event, EventKind, Header, SummaryRecord},
     stretch::{FrontWriter, NUMBERS, ROWS_PASSED_MAX, Span},
     timeline::{Timeline, TimelineEncoder},
     writer::TakeWriter,
@@ -74,7 +74,8 @@ impl Survey {
         if self.lost_anything() {
             take.event(&host_event(self.rows(), format!("recovered {told}")))?;
         }
-        let (mut output, written) = take.finish(self.ledger())?;
+        let summary = SummaryRecord { ending: self.ending.clone() };
+        let (mut output, written) = take.finish_with(self.ledger(), &summary)?;
         output.flush()?;
         Ok(written)
     }

@@ -70,6 +70,8 @@ test("takes say what is known of them and no more", () => {
   const take = { name: "a", bytes: 61_234, modified_unix_ms: 0, is_open: false, health: "unknown", seconds: 0, markers: 0 };
   isTrue(facts(take, 1e12).startsWith("61.2 kB"), "no length that is not known");
   isTrue(facts({ ...take, seconds: 5, markers: 1 }, 1e12).startsWith("0:05.0 · 1 marker · "), "length and markers");
+  isTrue(facts({ ...take, ending: "device gone" }, 1e12).includes(" · ended: device gone"), "how it ended");
+  isTrue(!facts({ ...take, ending: "" }, 1e12).includes("ended"), "no ending that is not known");
   equal(health({ ...take, is_open: true }), ["none", "being written"]);
   equal([health({ health: "cut off" })[0], health({ health: "from tomorrow" })], ["bad", ["watch", "from tomorrow"]]);
 });

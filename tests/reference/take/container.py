@@ -8,7 +8,7 @@ from .cursor import Cursor
 from .errors import Corrupt
 
 MAGIC = b"\x89TAK\r\n\x1a\n"
-HEADER, CHANNELS, STRETCH, FOOTER = 0x01, 0x02, 0x03, 0x8B
+HEADER, CHANNELS, STRETCH, FOOTER, SUMMARY = 0x01, 0x02, 0x03, 0x8B, 0x8D
 CODEC_VERSION = 6
 
 
@@ -121,6 +121,27 @@ def read_header(payload):
     if header.codec_version != CODEC_VERSION:
         raise Corrupt(f"blocks of version {header.codec_version}, not {CODEC_VERSION}")
     return header
+
+
+ENDINGS = ["stopped", "length", "device ended", "device gone", "disk full", "service stopped", "saved", "cut off",
+           "truncated", "unmounted"]  # fmt: skip
+
+
+def read_summary(payload):
+    """How the take ended, as (name, detail); None where it does not say."""
+    cursor = Cursor(payload)
+    if int.from_bytes(cursor.take(2), "little") != 1:
+        return None
+    ending = None
+    while cursor.left():
+        tag, content = cursor.varint(), cursor.take(cursor.varint())
+        if tag != 1 or content[:2] != b"\x01\x00":
+            continue
+        record = Record(content, 1)
+        kind, detail = record.unsigned(), record.string()
+        record.finish()
+        ending = (ENDINGS[kind - 1] if 1 <= kind <= len(ENDINGS) else f"kind {kind}", detail)
+    return ending
 
 
 def read_channels(payload):

@@ -1,6 +1,6 @@
 """Stretches in order: where they lie, when they were, and their blocks (docs/take-format.md, "STRETCH")."""
 
-from .container import CHANNELS, FOOTER, HEADER, STRETCH, chunks, read_channels, read_header
+from .container import CHANNELS, FOOTER, HEADER, STRETCH, SUMMARY, chunks, read_channels, read_header, read_summary
 from .cursor import Cursor
 from .dense import Dense
 from .errors import Corrupt
@@ -27,6 +27,7 @@ class Take:
         self.times = []  # (row, ticks, arrival in 10 us, timecode) of the recorded rows
         self.lost = []  # (first row, rows, causes)
         self.finished = False
+        self.ending = None  # (name, detail), where it says
         self.tracks = {}  # by channel: {row: (position, kept)}
         self.stated_mm = 0.0
 
@@ -133,6 +134,8 @@ def read_take(data):
             take.channels += read_channels(payload)
         elif kind == STRETCH:
             stretches.read(payload)
+        elif kind == SUMMARY:
+            take.ending = read_summary(payload)
         elif kind == FOOTER:
             take.finished = True
     if take.header is None:

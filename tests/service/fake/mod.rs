@@ -355,7 +355,6 @@ impl Control for Fake {
                 bytes: entry.metadata().map_or(0, |found| found.len()),
                 modified_unix_ms: 1,
                 is_open: open.as_deref() == Some(name),
-                health: "unknown".to_owned(),
                 ..TakeSummary::default()
             });
         }

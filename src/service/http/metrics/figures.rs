@@ -12,9 +12,12 @@ use prometheus_client::{
     registry::Unit,
 };
 
-use crate::service::{
-    http::counts::Counts,
-    status::{LedgerStatus, State, Status, TakeStatus, TakeSummary},
+use crate::{
+    health::TakeHealth,
+    service::{
+        http::counts::Counts,
+        status::{LedgerStatus, State, Status, TakeStatus, TakeSummary},
+    },
 };
 
 /// The figures at one time.
@@ -344,11 +347,11 @@ fn of_last_take(take: &TakeSummary, out: &mut Out<'_>) -> Result<(), Error> {
         In::Numbers,
         markers,
     )?;
-    let names = ["unknown", "complete", "lossy", "damaged", "cut off", "unreadable"];
+    let names = TakeHealth::ALL.map(TakeHealth::word);
     out.one_of(
         "last_take_health",
         "How the take before is: 1 for what is known",
         &names,
-        &take.health,
+        take.health.word(),
     )
 }

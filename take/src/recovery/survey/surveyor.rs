@@ -4,7 +4,7 @@ use super::{ChannelCount, Survey};
 use crate::{
     TakeError, TakeEvent, chunk, frames,
     loss::{Losses, Why},
-    record::{Channel, Header},
+    record::{Channel, EndingKind, Header, TakeEnding},
     recovery::{Piece, account::Account, kinds::Kind, kinds::Kinds},
     stretch::{Span, StretchDecoder},
     table::ChannelTable,
@@ -41,6 +41,7 @@ pub(super) struct Surveyor {
     pub(super) damaged: bool,
     pub(super) discarded_bytes: u64,
     pub(super) names_lost: bool,
+    pub(super) ending: Option<TakeEnding>,
     pub(super) closed: bool,
     pub(super) ended: bool,
 }
@@ -86,6 +87,11 @@ impl Surveyor {
                     Fate::Kept(types::LEDGER, None)
                 }
             }
+            TakeEvent::Summary(summary) => {
+                self.kinds.recovered(Kind::Summary);
+                self.ending = summary.ending;
+                Fate::Anew
+            }
             TakeEvent::Index(_) => {
                 self.kinds.recovered(Kind::Index);
                 Fate::Anew
@@ -101,9 +107,9 @@ impl Surveyor {
             TakeEvent::Skipped { kind } => Fate::Kept(kind, None),
             TakeEvent::Damaged { offset, len, kind, message } => {
                 self.problems.push(format!("{len} bytes at byte {offset}: {message}"));
-                // Behind the last ledger there is nothing but index and footer.
+                // Behind the last ledger there is nothing but summary, index and footer.
                 let kind = Kind::of(kind);
-                self.lose(if self.closed && !kind.is_made_anew() { Kind::Index } else { kind });
+                self.lose(if self.closed && !kind.is_at_the_end() { Kind::Index } else { kind });
                 self.table.damaged();
                 if self.header.is_some() {
                     self.hole.get_or_insert(self.pieces.len());
@@ -153,12 +159,16 @@ impl Surveyor {
         if !self.closed {
             self.problems.push("the take was cut off: its end is missing".to_owned());
         }
+        // A take that was cut off says nothing of its end; the recovered one says that.
+        let cut_off = || Some(TakeEnding::from(EndingKind::CutOff)).filter(|_| !self.closed);
+        let ending = self.ending.take().or_else(cut_off);
         let here: Vec<_> =
             self.losses.lost().iter().filter(|lost| lost.why == Why::Damaged).copied().collect();
         let mut survey = Survey {
             header,
             pieces: self.pieces,
             ledger: self.account.close(&here),
+            ending,
             kinds: self.kinds,
             table: self.table,
             losses: self.losses,
