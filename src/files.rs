@@ -2,6 +2,7 @@
 
 mod behind;
 mod folder;
+mod take_file;
 
 use std::{
     ffi::{OsStr, OsString},
@@ -18,7 +19,10 @@ use rustix::{
 };
 
 use self::behind::Behind;
-pub use self::folder::NewFolder;
+pub use self::{
+    folder::NewFolder,
+    take_file::{FileId, TakeFile},
+};
 
 /// Opens a file to read.
 ///

@@ -26,7 +26,11 @@ use mocapd_drivers::raw_log::{Entry, Record, put_head, put_record};
 
 pub use tap::Tap;
 
-use crate::{files, rig::monotonic_ns, threads};
+use crate::{
+    files::{self, FileId},
+    rig::monotonic_ns,
+    threads,
+};
 
 /// A block is handed over when it holds so much: the writes of a disk.
 const BLOCK_BYTES: usize = 64 << 10;
@@ -102,11 +106,16 @@ impl RawLog {
     /// When it does, or cannot be made.
     pub fn start(path: &Path, sync_every: Duration) -> anyhow::Result<Self> {
         let mut file = files::create_new(path)?;
+        let id = FileId::of(&file.metadata()?);
         files::sync_name(path);
         let mut head = Vec::new();
         put_head(&mut head);
         let name = path.display().to_string();
-        file.write_all(&head).with_context(|| format!("cannot write {name}"))?;
+        if let Err(error) = file.write_all(&head) {
+            // Half of a head is no log, and takes the name.
+            id.remove(path).ok();
+            return Err(error).with_context(|| format!("cannot write {name}"));
+        }
         let (full, blocks) = bounded(BLOCKS);
         let (free, emptied) = bounded(BLOCKS);
         for _ in 0..BLOCKS {

@@ -6,13 +6,15 @@ use std::{
     time::Duration,
 };
 
-use anyhow::bail;
+use anyhow::anyhow;
 use mocapd_codec::Settings;
 use mocapd_take::record::Subject;
 
 use crate::{
-    disk, files, header,
-    pipeline::{Pipeline, PipelineConfig, Progress, Written},
+    disk,
+    files::TakeFile,
+    header,
+    pipeline::{NothingRecorded, Pipeline, PipelineConfig, Progress, Written},
     rig::{Ending, ReadOptions, Recording, Rig},
     subject::strangers,
     units,
@@ -76,8 +78,8 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
         strangers(options.subject, &labels).iter().for_each(|words| (options.say)(words));
     }
 
-    let file = files::create_new(options.take)?;
-    files::sync_name(options.take);
+    let file = TakeFile::create(options.take)?;
+    let id = file.id();
     let begun = Pipeline::start_of(&config, (&header, options.subject), file);
     let outcome = begun.map(|(intake, pipeline)| {
         (options.started)(pipeline.progress());
@@ -93,35 +95,35 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
         let recording = rig.read(intake, &read);
         (recording, pipeline.finish())
     });
-    let nothing_recorded = || {
-        // Only the header was written: an empty take helps nobody.
-        std::fs::remove_file(options.take).ok();
-    };
     let name = options.take.display();
-    let ends_early = || format!("the take {name} ends early; what is in it can be read");
+    // Without a frame a take helps nobody.
+    let nothing_recorded = |error: anyhow::Error| match id.remove(options.take) {
+        Ok(()) => error,
+        Err(e) => error.context(format!("{name} holds nothing and cannot be removed ({e})")),
+    };
+    let ends_early = |error: anyhow::Error| {
+        if error.downcast_ref::<NothingRecorded>().is_some() {
+            return nothing_recorded(error);
+        }
+        error.context(format!("the take {name} ends early; what is in it can be read"))
+    };
     match outcome {
-        Err(error) => {
-            nothing_recorded();
-            Err(error)
-        }
-        Ok((Err(error), written)) => {
-            if written.is_ok_and(|(written, _)| written.ledger.recorded == 0) {
-                nothing_recorded();
-                return Err(error);
-            }
-            Err(error.context(ends_early()))
-        }
-        Ok((Ok(_), Err(error))) => Err(error.context(ends_early())),
+        Err(error) => Err(nothing_recorded(error)),
+        Ok((Err(error), written)) => Err(match written {
+            Ok((written, _)) if written.ledger.recorded == 0 => nothing_recorded(error),
+            Err(e) if e.downcast_ref::<NothingRecorded>().is_some() => nothing_recorded(error),
+            _ => ends_early(error),
+        }),
+        Ok((Ok(_), Err(error))) => Err(ends_early(error)),
         Ok((Ok(recording), Ok((written, _)))) => {
             if written.ledger.recorded == 0 {
-                nothing_recorded();
                 let why = match recording.ending {
                     Ending::Disconnected => "the device went away before its first frame",
                     Ending::DiskFull => "the disk is full: delete something",
                     Ending::Stopped => "it was stopped before the first frame came",
                     _ => "the device sent no frame: check that it is capturing",
                 };
-                bail!("nothing was recorded: {why}");
+                return Err(nothing_recorded(anyhow!("nothing was recorded: {why}")));
             }
             Ok(Recorded { written, recording, rate_hz, markers })
         }

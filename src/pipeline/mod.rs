@@ -38,7 +38,7 @@ pub use plan::{PipelineConfig, PreRollConfig};
 pub(crate) use progress::lock;
 pub use progress::{Progress, TakeNow};
 pub use seen::{Seen, SeenCounters};
-pub use takes::{Begun, FirstRow, NewTake, TakeEnd, Takes};
+pub use takes::{Begun, FirstRow, NewTake, NothingRecorded, TakeEnd, Takes};
 pub use tap::{TapHead, TapOut};
 pub(crate) use writer::HELD_MIN_BYTES;
 pub use writer::{DiskState, TakeOutput, Written};

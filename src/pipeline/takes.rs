@@ -44,7 +44,13 @@ pub struct FirstRow {
     pub row: u64,
 }
 
-/// What a take came to: itself, closed, or why it ends early (what was written before stays).
+/// Stands in the chain of errors of a take that failed before a frame was in it: its file helps nobody.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("nothing was recorded")]
+pub struct NothingRecorded;
+
+/// What a take came to: itself, closed, or why it ends early: what was written before stays, and is worth nothing where
+/// that is [`NothingRecorded`].
 pub type TakeEnd<W> = anyhow::Result<(Written, W)>;
 
 /// A take that is being written.

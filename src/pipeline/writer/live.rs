@@ -17,7 +17,7 @@ use crate::clock::ClockStatus;
 use crate::pipeline::{
     Counts, FirstRow, Progress, TakeEnd, TakeNow, lock,
     messages::{Moment, PartReport},
-    takes::Answers,
+    takes::{Answers, NothingRecorded},
 };
 
 /// From its header to its footer.
@@ -56,7 +56,7 @@ impl<W: TakeOutput> LiveTake<W> {
         });
         let take = match begun.context("cannot write the take's header") {
             Ok(take) => take,
-            Err(error) => return Err((error, answers)),
+            Err(error) => return Err((error.context(NothingRecorded), answers)),
         };
         Ok(Self {
             take,
@@ -215,6 +215,7 @@ impl<W: TakeOutput> LiveTake<W> {
         let written = self.take.bytes();
         // A disk that failed may fail here, too.
         self.take.get_mut().release(written).ok();
+        let error = failed(self.first.is_none(), error);
         self.answers.ended.try_send(Err(error)).ok();
     }
 
@@ -222,7 +223,9 @@ impl<W: TakeOutput> LiveTake<W> {
     pub(super) fn end(mut self, counts: &Counts, clocks: &mut ClockWriter, ending: TakeEnding) {
         self.counts = counts.since(&self.base);
         let ended = self.answers.ended.clone();
-        ended.try_send(self.finish(clocks, ending)).ok();
+        let is_nothing = self.first.is_none();
+        let end = self.finish(clocks, ending);
+        ended.try_send(end.map_err(|error| failed(is_nothing, error))).ok();
     }
 
     fn finish(mut self, clocks: &mut ClockWriter, ending: TakeEnding) -> TakeEnd<W> {
@@ -252,4 +255,9 @@ impl<W: TakeOutput> LiveTake<W> {
         };
         Ok((written, output.0))
     }
+}
+
+/// An error of a take, with what that is worth.
+fn failed(is_nothing: bool, error: anyhow::Error) -> anyhow::Error {
+    if is_nothing { error.context(NothingRecorded) } else { error }
 }

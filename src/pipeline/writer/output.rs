@@ -1,15 +1,12 @@
 //! What a take is written to, and what was written.
 
-use std::{
-    fs::File,
-    io::{self, Write},
-};
+use std::io::{self, Write};
 
 use mocapd_take::record::{ClockLine, Ledger, TakeEnding};
 use rustix::fs::{FallocateFlags, fallocate, fstatvfs};
 
 use super::DiskState;
-use crate::clock::ClockStatus;
+use crate::{clock::ClockStatus, files::TakeFile};
 
 /// What a take is written to.
 pub trait TakeOutput: Write + Send + 'static {
@@ -41,22 +38,22 @@ pub trait TakeOutput: Write + Send + 'static {
     }
 }
 
-impl TakeOutput for File {
+impl TakeOutput for TakeFile {
     fn sync(&mut self) -> io::Result<()> {
-        self.sync_data()
+        self.file().sync_data()
     }
 
     fn hold_back(&mut self, from: u64, bytes: u64) -> io::Result<()> {
-        Ok(fallocate(self, FallocateFlags::KEEP_SIZE, from, bytes)?)
+        Ok(fallocate(self.file(), FallocateFlags::KEEP_SIZE, from, bytes)?)
     }
 
     fn release(&mut self, bytes: u64) -> io::Result<()> {
         // The length is the file's already; blocks beyond it go.
-        self.set_len(bytes)
+        self.file().set_len(bytes)
     }
 
     fn free_bytes(&self) -> Option<u64> {
-        let disk = fstatvfs(self).ok()?;
+        let disk = fstatvfs(self.file()).ok()?;
         Some(disk.f_bavail.saturating_mul(disk.f_frsize))
     }
 }

@@ -1,7 +1,7 @@
 //! What people ask for, one thing at a time.
 
 use std::{
-    path::PathBuf,
+    path::{Path, PathBuf},
     sync::{MutexGuard, atomic::Ordering},
     time::{Duration, Instant},
 };
@@ -11,7 +11,9 @@ use mocapd_take::record::{EndingKind, Event, EventKind};
 
 use super::{Inner, names, session::OpenTake};
 use crate::{
-    disk, files, header,
+    disk,
+    files::{FileId, TakeFile},
+    header,
     pipeline::NewTake,
     rig::monotonic_ns,
     service::control::{
@@ -115,14 +117,14 @@ impl Inner {
         let new =
             self.new_take(start.name.as_deref(), start.notes.as_deref(), pre_roll, asked_ns)?;
         if let Err(refusal) = self.arm(command) {
-            new.discard();
+            discard(new.file, &new.path);
             return Err(refusal);
         }
-        let NewNamed { name, path, id, take } = new;
+        let NewNamed { name, path, file, id, take } = new;
         let mut core = self.core();
         let Some(session) = &mut core.session else {
             drop(core);
-            std::fs::remove_file(&path).ok();
+            discard(file, &path);
             return Err(gone());
         };
         let rate_hz = session.header.rate_hz;
@@ -131,7 +133,7 @@ impl Inner {
             Ok(begun) => begun,
             Err(error) => {
                 drop(core);
-                std::fs::remove_file(&path).ok();
+                discard(file, &path);
                 return Err(Refusal::new(RefusalKind::Unavailable, format!("{error:#}")));
             }
         };
@@ -139,6 +141,7 @@ impl Inner {
             id: id.clone(),
             name: name.clone(),
             path: path.clone(),
+            file,
             asked_unix_ms: super::status::unix_ms(),
             begun: Instant::now(),
             rate_hz,
@@ -278,11 +281,11 @@ impl Inner {
             return Err(Refusal::new(RefusalKind::Conflict, words));
         }
         let new = self.new_take(save.name.as_deref(), None, last, asked_ns)?;
-        let NewNamed { name, path, id, take } = new;
+        let NewNamed { name, path, file, id, take } = new;
         let mut core = self.core();
         let Some(session) = &mut core.session else {
             drop(core);
-            std::fs::remove_file(&path).ok();
+            discard(file, &path);
             return Err(gone());
         };
         let rate_hz = session.header.rate_hz;
@@ -295,11 +298,11 @@ impl Inner {
         });
         match ended {
             Err(words) => {
-                std::fs::remove_file(&path).ok();
+                discard(file, &path);
                 Err(Refusal::new(RefusalKind::Unavailable, words))
             }
             Ok(end) => {
-                let saved = self.closed(end, &id, &name, &path, rate_hz)?;
+                let saved = self.closed(end, &id, &name, (&path, file), rate_hz)?;
                 Ok(with_shortfall(saved, last))
             }
         }
@@ -327,9 +330,8 @@ impl Inner {
         }
         let header = header::new(&options.codec, 1.0)
             .map_err(|error| refused(RefusalKind::Internal, &error))?;
-        let output =
-            files::create_new(&path).map_err(|error| refused(RefusalKind::Disk, &error))?;
-        files::sync_name(&path);
+        let output = TakeFile::create(&path).map_err(|error| refused(RefusalKind::Disk, &error))?;
+        let file = output.id();
         let notes = notes.map(|text| Event {
             kind: EventKind::Mark,
             row: 0,
@@ -342,7 +344,7 @@ impl Inner {
         let keep_free_bytes = options.keep_free_bytes;
         let subject = options.subject.clone();
         let take = NewTake { output, header, subject, pre_roll, asked_ns, notes, keep_free_bytes };
-        Ok(NewNamed { name, path, id, take })
+        Ok(NewNamed { name, path, file, id, take })
     }
 }
 
@@ -350,15 +352,15 @@ impl Inner {
 struct NewNamed {
     name: String,
     path: PathBuf,
+    file: FileId,
     id: String,
-    take: NewTake<std::fs::File>,
+    take: NewTake<TakeFile>,
 }
 
-impl NewNamed {
-    /// It does not come to it: an empty file helps nobody.
-    fn discard(self) {
-        std::fs::remove_file(&self.path).ok();
-    }
+/// It does not come to it: an empty file helps nobody.
+fn discard(file: FileId, path: &Path) {
+    // A disk that failed may fail here, too, and the file is listed as unreadable then.
+    file.remove(path).ok();
 }
 
 impl super::session::Session {

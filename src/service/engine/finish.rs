@@ -1,13 +1,14 @@
 //! What a take came to.
 
-use std::{fs::File, path::Path};
+use std::path::Path;
 
 use mocapd_take::record::EndingKind;
 
 use super::Inner;
 use crate::{
+    files::{FileId, TakeFile},
     health::TakeHealth,
-    pipeline::{TakeEnd, Written},
+    pipeline::{NothingRecorded, TakeEnd, Written},
     service::{
         control::{Refusal, RefusalKind, Stopped},
         status::TakeSummary,
@@ -16,13 +17,13 @@ use crate::{
 
 impl Inner {
     /// The take that was recorded is closed, or cannot be.
-    pub(super) fn finish_take(&self, end: TakeEnd<File>) -> Result<Stopped, Refusal> {
+    pub(super) fn finish_take(&self, end: TakeEnd<TakeFile>) -> Result<Stopped, Refusal> {
         let Some(take) = self.core().take.take() else {
             let words = "the take was ended by somebody else: look at the status";
             return Err(Refusal::new(RefusalKind::Conflict, words));
         };
         self.changed.notify_all();
-        self.closed(end, &take.id, &take.name, &take.path, take.rate_hz)
+        self.closed(end, &take.id, &take.name, (&take.path, take.file), take.rate_hz)
     }
 
     /// Nobody will tell what became of the take: the pipeline ended before it was begun there, or its writer is gone.
@@ -34,7 +35,7 @@ impl Inner {
         }
         let take = self.core().take.take();
         if let Some(take) = take {
-            std::fs::remove_file(&take.path).ok();
+            take.file.remove(&take.path).ok();
         }
         let words = "the device went away before the take began: try again";
         Err(Refusal::new(RefusalKind::Device, words))
@@ -42,25 +43,25 @@ impl Inner {
 
     pub(super) fn closed(
         &self,
-        end: TakeEnd<File>,
+        end: TakeEnd<TakeFile>,
         take_id: &str,
         name: &str,
-        path: &Path,
+        (path, file): (&Path, FileId),
         rate_hz: f64,
     ) -> Result<Stopped, Refusal> {
         let written = match end {
             Ok((written, _)) => written,
-            Err(error) => return Err(self.broken(&error, name, path)),
+            Err(error) => return Err(self.broken(&error, name, (path, file))),
         };
         let ending = written.ending.kind;
         if written.ledger.recorded == 0 && ending == EndingKind::Saved {
-            std::fs::remove_file(path).ok();
+            file.remove(path).ok();
             let words = "nothing of that time is held: the device was away or sent nothing; ask for more seconds";
             return Err(Refusal::new(RefusalKind::Conflict, words));
         }
         if written.ledger.recorded == 0 {
             // Only the header was written: an empty take helps nobody.
-            std::fs::remove_file(path).ok();
+            file.remove(path).ok();
             let words =
                 format!("no frame came, so there is no take {name}: is the device capturing?");
             self.say_event("warning", &words, Some(name));
@@ -97,11 +98,13 @@ impl Inner {
     }
 
     /// The take could not be written to its end. What is in it stays.
-    fn broken(&self, error: &anyhow::Error, name: &str, path: &Path) -> Refusal {
-        let is_empty = path.metadata().is_ok_and(|file| file.len() == 0);
-        let words = if is_empty {
-            std::fs::remove_file(path).ok();
-            format!("the take {name} cannot be written: {error:#}")
+    fn broken(&self, error: &anyhow::Error, name: &str, (path, file): (&Path, FileId)) -> Refusal {
+        let words = if error.downcast_ref::<NothingRecorded>().is_some() {
+            let left = match file.remove(path) {
+                Ok(()) => format!("there is no take {name}"),
+                Err(e) => format!("{} holds nothing and cannot be removed ({e})", path.display()),
+            };
+            format!("{error:#}: {left}; look at the disk, and try again")
         } else {
             format!(
                 "the take {name} ends early: {error:#}; what is in it can be read, and `mocapd recover` closes it"

@@ -1,7 +1,6 @@
 //! What the engine's threads know together.
 
 use std::{
-    fs::File,
     path::PathBuf,
     sync::{
         Arc,
@@ -16,6 +15,7 @@ use mocapd_take::record::{EndingKind, Header};
 
 use super::options::EngineOptions;
 use crate::{
+    files::{FileId, TakeFile},
     pipeline::{FirstRow, Progress, SeenCounters, TakeEnd, Takes},
     service::status::TakeSummary,
 };
@@ -52,7 +52,7 @@ pub(super) struct KnownDevice {
 #[derive(Debug)]
 pub(super) struct Session {
     pub(super) number: u64,
-    pub(super) takes: Takes<File>,
+    pub(super) takes: Takes<TakeFile>,
     pub(super) progress: Arc<Progress>,
     pub(super) seen: SeenCounters,
     /// Of its takes, but for what is each one's own.
@@ -74,11 +74,12 @@ pub(super) struct OpenTake {
     pub(super) id: String,
     pub(super) name: String,
     pub(super) path: PathBuf,
+    pub(super) file: FileId,
     pub(super) asked_unix_ms: i64,
     pub(super) begun: Instant,
     pub(super) rate_hz: f64,
     pub(super) first: Option<FirstRow>,
-    pub(super) ended: Receiver<TakeEnd<File>>,
+    pub(super) ended: Receiver<TakeEnd<TakeFile>>,
     /// Why it was told to end, once it was.
     pub(super) ending: Option<EndingKind>,
 }

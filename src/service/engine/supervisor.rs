@@ -1,7 +1,6 @@
 //! The rig's thread: finds the device, arms the pipeline, reads, and begins again when that is over.
 
 use std::{
-    fs::File,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -24,6 +23,7 @@ use super::{
     session::{KnownDevice, Session},
 };
 use crate::{
+    files::TakeFile,
     header,
     pipeline::{Pipeline, PipelineConfig, PreRollConfig},
     raw_log::RawLog,
@@ -246,7 +246,7 @@ impl Inner {
         rig: &Rig,
         stop: &Arc<AtomicBool>,
         sessions: &Sender<NewSession>,
-    ) -> anyhow::Result<(crate::pipeline::Intake, Pipeline<File>)> {
+    ) -> anyhow::Result<(crate::pipeline::Intake, Pipeline<TakeFile>)> {
         let options = Arc::clone(&self.core().options);
         let pre_roll = PreRollConfig {
             time: options.pre_roll,
@@ -258,7 +258,7 @@ impl Inner {
             ..rig.pipeline_config(options.codec)
         };
         let header = header_of(rig, &config)?;
-        let (intake, pipeline, armed) = Pipeline::<File>::arm(&config, &header)?;
+        let (intake, pipeline, armed) = Pipeline::<TakeFile>::arm(&config, &header)?;
         let progress = Arc::clone(pipeline.progress());
         let number = self.sessions.fetch_add(1, Ordering::Relaxed) + 1;
         let session = Session {
