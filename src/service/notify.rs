@@ -189,7 +189,7 @@ mod tests {
         assert_eq!(said.len(), 6, "{said:?}");
         assert_eq!(said[0], "READY=1\nSTATUS=idle; the device is not there\n");
         assert_eq!(said[1], "STATUS=armed\n");
-        assert_eq!(said[2], "STATUS=recording READY=0 jump.take\n");
+        assert_eq!(said[2], "STATUS=recording\\nREADY=0\\tjump.take\n");
         let mut lines = said[3].lines();
         assert_eq!(lines.next(), Some("RELOADING=1"));
         let usec = lines.next().unwrap().strip_prefix("MONOTONIC_USEC=").unwrap();

@@ -86,8 +86,9 @@ pub fn from_cell(cell: &str) -> Cow<'_, str> {
     while let Some((before, after)) = rest.split_once(CELL_ESCAPE) {
         out.push_str(before);
         let found = after.split_once('}').and_then(|(digits, behind)| {
-            // No character needs more than six digits.
-            let digits = Some(digits).filter(|digits| (1..=6).contains(&digits.len()))?;
+            // No character needs more than six digits; a sign is none.
+            let is_digits = (1..=6).contains(&digits.len()) && !digits.starts_with('+');
+            let digits = Some(digits).filter(|_| is_digits)?;
             let c = u32::from_str_radix(digits, 16).ok().and_then(char::from_u32)?;
             (is_unsafe(c) || c == '\\').then_some((c, behind))
         });
