@@ -41,6 +41,10 @@ fn the_bounds_are_those_of_the_code() {
     for words in [
         format!("at most {} KiB", DATAGRAM_BYTES_MAX >> 10),
         format!("0 to {}", DELAY_MAX.as_millis()),
+        format!("| {DELAYED_MAX} of all of these senders | {DUE_MAX} in all |"),
+        format!(
+            "| 1 of each sender, {DELAYED_OTHERS_MAX} in all | {DUE_EACH_MAX} of each sender, {DUE_MAX} in all |"
+        ),
         format!("with {TEXT_BYTES_MAX} bytes each"),
         format!("Of each sender {IDS_MAX} numbers are remembered, and of {SENDERS_MAX} senders"),
         format!("cut after {} bytes", crate::config::NAME_BYTES_MAX),
