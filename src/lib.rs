@@ -16,6 +16,7 @@ pub mod heartbeat;
 pub mod inspect;
 mod latency;
 pub mod listing;
+pub mod local_time;
 pub mod outcome;
 pub mod pipeline;
 pub mod process;

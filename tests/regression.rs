@@ -7,6 +7,7 @@ mod cut_limbs;
 mod device_away;
 mod foreign_readers;
 mod idle_connections;
+mod local_time;
 mod negative_residuals;
 mod noise;
 mod nothing_to_compare;

@@ -26,7 +26,7 @@ const WORD_BYTES_MAX: usize = 64;
 /// What is filled in.
 #[derive(Debug, Clone, Copy)]
 pub struct NameParts<'a> {
-    /// `{date}` and `{time}`: when the take begins, on the clock of the wall.
+    /// `{date}` and `{time}`: when the take begins, in the time zone of this machine.
     pub begin: DateTime,
     /// `{rig}`.
     pub rig: &'a str,

@@ -17,12 +17,13 @@ use tracing::level_filters::LevelFilter;
 use tracing_subscriber::{
     Layer, Registry,
     field::MakeExt,
-    fmt::{MakeWriter, format},
+    fmt::{MakeWriter, format, time::FormatTime},
     layer::SubscriberExt,
     util::SubscriberInitExt,
 };
 
 use self::gate::Gate;
+use crate::local_time;
 
 /// Before the names of our fields in the journal: `MOCAPD_RIG`, `MOCAPD_TAKE`, `MOCAPD_DEVICE`.
 const PREFIX: &str = "MOCAPD";
@@ -136,6 +137,15 @@ fn journal(rig: &str) -> io::Result<tracing_journald::Layer> {
         .with_syslog_identifier("mocapd".to_owned()))
 }
 
+/// Before each line on stderr; the journal has its own.
+struct LocalTime;
+
+impl FormatTime for LocalTime {
+    fn format_time(&self, out: &mut format::Writer<'_>) -> fmt::Result {
+        out.write_str(&local_time::now())
+    }
+}
+
 fn lines<W>(writer: W) -> impl Layer<Registry> + Send + Sync
 where
     W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
@@ -149,6 +159,7 @@ where
         }
     });
     tracing_subscriber::fmt::layer()
+        .with_timer(LocalTime)
         .with_target(false)
         .with_ansi(false)
         .fmt_fields(fields.delimited(" "))

@@ -2,10 +2,12 @@
 
 use std::fmt::Write;
 
-use jiff::Timestamp;
-use mocapd::service::{
-    control::{Started, Stopped},
-    status::{LedgerStatus, State, Status, TakeSummary},
+use mocapd::{
+    local_time,
+    service::{
+        control::{Started, Stopped},
+        status::{LedgerStatus, State, Status, TakeSummary},
+    },
 };
 
 use crate::cli::{
@@ -219,10 +221,9 @@ fn ended(take: &TakeSummary) -> String {
     }
 }
 
-/// In UTC, to the second.
+/// In the time zone of this machine, to the second.
 pub(super) fn time(unix_ms: i64) -> String {
-    Timestamp::from_millisecond(unix_ms)
-        .map_or_else(|_| "?".to_owned(), |time| time.strftime("%Y-%m-%dT%H:%M:%SZ").to_string())
+    local_time::of_unix_ms(unix_ms).unwrap_or_else(|| "?".to_owned())
 }
 
 #[cfg(test)]
@@ -245,6 +246,6 @@ mod tests {
         let take = TakeSummary { name: "a\nb\x1b[2J".to_owned(), ..TakeSummary::default() };
         let said = takes(&[take]);
         assert_eq!(said.lines().count(), 1);
-        assert!(!said.contains('\x1b') && said.starts_with("1970-01-01T00:00:00Z"), "{said}");
+        assert!(!said.contains('\x1b') && said.starts_with(&time(0)), "{said}");
     }
 }

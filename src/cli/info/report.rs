@@ -33,6 +33,8 @@ pub(super) struct Report {
     pub(super) ending_detail: Option<String>,
     pub(super) software: String,
     pub(super) created: Option<String>,
+    #[serde(skip)]
+    pub(super) created_unix_ms: Option<i64>,
     pub(super) resampler: String,
     pub(super) tolerance_mm: f64,
     pub(super) up_axis: Option<&'static str>,
@@ -158,7 +160,8 @@ impl Report {
             ending: summary.ending.as_ref().map(|ending| ending.kind.word()),
             ending_detail: detail(summary),
             software: header.software.clone(),
-            created: created(header),
+            created: created_unix_ms(header).and_then(utc),
+            created_unix_ms: created_unix_ms(header),
             resampler: header.resampler.clone(),
             tolerance_mm: header.tolerance_mm,
             up_axis: match header.up_axis {
@@ -241,8 +244,11 @@ fn detail(summary: &Summary) -> Option<String> {
 }
 
 /// When the take was begun, where that is known: an import has no time of its own.
-fn created(header: &Header) -> Option<String> {
-    let unix_ms = Some(header.created_unix_ms).filter(|&unix_ms| unix_ms != 0)?;
+fn created_unix_ms(header: &Header) -> Option<i64> {
+    Some(header.created_unix_ms).filter(|&unix_ms| unix_ms != 0)
+}
+
+fn utc(unix_ms: i64) -> Option<String> {
     Some(jiff::Timestamp::from_millisecond(unix_ms).ok()?.to_string())
 }
 

@@ -2,6 +2,8 @@
 
 use std::fmt::Write;
 
+use mocapd::local_time;
+
 use super::report::Report;
 use crate::cli::{
     clock::ClockReport,
@@ -19,7 +21,8 @@ pub(super) fn words(report: &Report) -> String {
     };
     line("take", &report.take.display().to_string());
     let by = format!("by {}", report.software);
-    line("made", &report.created.as_ref().map_or(by.clone(), |created| format!("{created} {by}")));
+    let made = report.created_unix_ms.and_then(local_time::of_unix_ms);
+    line("made", &made.map_or(by.clone(), |made| format!("{made} {by}")));
     if let Some(recovered) = &report.recovered {
         line("recovered", recovered);
     }
