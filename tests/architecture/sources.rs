@@ -163,6 +163,20 @@ fn no_exception_outlives_its_reason() {
 }
 
 #[test]
+fn security_md_names_the_files_with_unsafe_code() {
+    let rule = RULES.iter().find(|rule| rule.words.contains(&"unsafe {")).unwrap();
+    let page = super::text(Path::new("SECURITY.md"));
+    let (_, section) = page.split_once("## Unsafe code").unwrap();
+    let (section, _) = section.split_once("\n## ").unwrap();
+    let rows = section.lines().filter_map(|line| line.strip_prefix("| `"));
+    let mut named: Vec<&str> = rows.filter_map(|row| row.split('`').next()).collect();
+    let mut allowed = rule.allowed.to_vec();
+    named.sort_unstable();
+    allowed.sort_unstable();
+    assert_eq!(named, allowed);
+}
+
+#[test]
 fn what_is_planted_is_found() {
     let spawn = RULES.iter().find(|rule| rule.words.contains(&"thread::spawn(")).unwrap();
     let found = |text| violations(spawn, Path::new("codec/src/lib.rs"), text).len();
