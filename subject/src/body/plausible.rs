@@ -47,12 +47,15 @@ impl Plausible {
     }
 }
 
-/// The length of a limb of three joints, the mean of both sides.
+/// The length of a limb of three joints: the mean of both sides, or that of the one that has all three.
 fn limb(joints: &Joints, [root, middle, end]: [fn(Side) -> Joint; 3]) -> Option<f64> {
     let of = |side: Side| {
         Some(way(joints, root(side), middle(side))? + way(joints, middle(side), end(side))?)
     };
-    Some(f64::midpoint(of(Side::Left)?, of(Side::Right)?))
+    match (of(Side::Left), of(Side::Right)) {
+        (Some(left), Some(right)) => Some(f64::midpoint(left, right)),
+        (one, other) => one.or(other),
+    }
 }
 
 fn way(joints: &Joints, from: Joint, to: Joint) -> Option<f64> {

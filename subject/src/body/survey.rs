@@ -61,7 +61,11 @@ impl Survey {
             Plausible::WithoutArms => notes.push(leave_out_arms(&mut joints)),
             Plausible::Nothing => return Err(contact),
         }
-        let in_contact = ends.told != Told::Freely || landmarks.touching.any() || !notes.is_empty();
+        let in_contact = ends.told >= Told::InContact
+            || landmarks.touching.any() || !notes.is_empty();
+        if landmarks.missing.as_flattened().iter().any(|part| *part > 0.0) {
+            notes.push(limbs_cut(landmarks.missing));
+        }
         if landmarks.narrows < NECK_NARROWS {
             notes.push(leave_out_head(&mut joints));
         }
@@ -118,6 +122,23 @@ fn leave_out_arms(joints: &mut Joints) -> Note {
     let text = "the arms touch the body, and are no arms by their lengths: shoulders and elbows are left out; scan \
                 with arms apart";
     Note::new("arms-left-out", text)
+}
+
+/// What is left out of limbs that end early.
+fn limbs_cut(missing: [[f64; 2]; 2]) -> Note {
+    let longest = |parts: [f64; 2]| 100.0 * parts[0].max(parts[1]);
+    let of = |name: &str, names: &str, parts: [f64; 2]| {
+        let name = if parts.iter().all(|part| *part > 0.0) { names } else { name };
+        (longest(parts) > 0.0).then(|| format!("{name} by {:.0} %", longest(parts)))
+    };
+    let [arms, legs] = missing;
+    let parts = [of("an arm", "both arms", arms), of("a leg", "both legs", legs)];
+    let parts = parts.into_iter().flatten().collect::<Vec<_>>().join(" and ");
+    let text = format!(
+        "part of a limb is not in the scan ({parts} of stature, about): joints that are missing with it are left out, \
+         those beside it are unsure; scan the whole body"
+    );
+    Note::new("limb-cut-off", text)
 }
 
 /// Takes out the joints of a head that is not there.

@@ -3,17 +3,22 @@
 use super::candidates::{StandingOut, standing_out};
 use super::choice::farthest;
 use super::naming::{MARGIN_MIN, Naming, name};
-use super::roles::{Misfit, misfit, misfit_in_contact};
+use super::roles::{Misfit, misfit, misfit_cut, misfit_in_contact};
 use super::spread::{area_centroid, distance};
 use super::{Extremities, cap, inside};
 use crate::body::geodesic::{Graph, Workspace, distances};
 use crate::body::{Mesh, Refusal};
+
+/// Whole bodies whose limbs are free have no greater misfit: 0.86 was seen.
+const FITS_WELL: f64 = 1.0;
 
 /// How ends were told, from the surest to the least sure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Told {
     /// By ways along the surface of a body whose limbs are free.
     Freely,
+    /// The same of a body of which a part of a limb is missing.
+    Cut,
     /// By ways along the surface, some of which are too short for a body: they lead from a hand into what it touches.
     InContact,
     /// By ways through the inside, with a layer taken off so that limbs that touch come apart.
@@ -65,9 +70,17 @@ pub fn find(mesh: &Mesh, graph: &Graph, workspace: &mut Workspace) -> Result<End
     let start = start(mesh, graph).ok_or(Refusal::TooFewEnds { found: 0 })?;
     let standing = standing_out(graph, start, workspace);
     whole(graph, &standing.mean)?;
-    let refusal = match name(&standing, misfit) {
+    let named = name(&standing, misfit);
+    if let Err(refusal @ Refusal::TooManyEnds { .. }) = named {
+        return Err(refusal);
+    }
+    // A whole body fits well. Where none does, a body without a part of a limb may, and tells its ends better.
+    let fits_well = named.as_ref().is_ok_and(|((misfit, _), _)| misfit.rms <= FITS_WELL);
+    if !fits_well && let Ok(cut) = name(&standing, misfit_cut) {
+        return Ok(on_surface(mesh, graph, standing, cut, Told::Cut, workspace));
+    }
+    let refusal = match named {
         Ok(named) => return Ok(on_surface(mesh, graph, standing, named, Told::Freely, workspace)),
-        Err(refusal @ Refusal::TooManyEnds { .. }) => return Err(refusal),
         Err(refusal) => refusal,
     };
     if let Ok(named) = name(&standing, misfit_in_contact) {

@@ -38,6 +38,13 @@ pub const MISFIT_MAX: f64 = 2.0;
 /// The same in contact, where much is allowed already: a lion and a horse have 1.97.
 pub const MISFIT_IN_CONTACT_MAX: f64 = 1.3;
 
+/// The same where one limb, or one of each pair, ends early and is thought to be as long as the other: free bodies, which
+/// have nothing missing, have 0.86 at most.
+const MISFIT_CUT_MAX: f64 = 1.0;
+
+/// A limb is thought to end early that is shorter than the other by so much of the mean way: more than poses make.
+const SHORTER_MIN: f64 = 0.05;
+
 /// How far a naming of five ends is from a body.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Misfit {
@@ -91,6 +98,37 @@ pub(crate) fn misfit(ways: [[f64; 5]; 5]) -> Misfit {
     });
     let rms = (squares.sum::<f64>() / MEASURE_COUNT as f64).sqrt();
     Misfit { measures, rms, limit: MISFIT_MAX }
+}
+
+/// How far ends are from a body of which a part of one limb, or of an arm and a leg, is missing: the shorter limb of a pair is
+/// thought to be as long as the other. The misfit is infinite where no limb is shorter.
+pub(crate) fn misfit_cut(ways: [[f64; 5]; 5]) -> Misfit {
+    let arms = completed(ways, [1, 2], [3, 4]);
+    let legs = completed(ways, [3, 4], [1, 2]);
+    let both = arms.and_then(|ways| completed(ways, [3, 4], [1, 2]));
+    let misfits = [arms, legs, both].into_iter().flatten().map(misfit);
+    let best = misfits.min_by(|one, other| one.rms.total_cmp(&other.rms));
+    let none = Misfit { rms: f64::INFINITY, ..misfit(ways) };
+    Misfit { limit: MISFIT_CUT_MAX, ..best.unwrap_or(none) }
+}
+
+/// The ways with the shorter of two limbs as long as the other; nothing if neither is shorter by enough, as seen from the head
+/// and from the other pair of ends.
+fn completed(ways: [[f64; 5]; 5], [a, b]: [usize; 2], others: [usize; 2]) -> Option<[[f64; 5]; 5]> {
+    let by_head = ways[0][a] - ways[0][b];
+    let by_others = others.iter().map(|other| ways[*other][a] - ways[*other][b]).sum::<f64>() / 2.0;
+    let mean = ways.as_flattened().iter().sum::<f64>() / 20.0;
+    let agree = by_head * by_others > 0.0;
+    if !agree || by_head.abs().min(by_others.abs()) < SHORTER_MIN * mean {
+        return None;
+    }
+    let (short, by) = (if by_head < 0.0 { a } else { b }, f64::midpoint(by_head, by_others).abs());
+    let mut longer = ways;
+    for other in (0..5).filter(|other| *other != short) {
+        longer[short][other] += by;
+        longer[other][short] += by;
+    }
+    Some(longer)
 }
 
 /// How much shorter than on a body a way may be where it leads through contact: two hands on the hips are half as far from

@@ -2,6 +2,7 @@
 //!
 //! Tests and benches need no scans with them, and no scan has joints that are known to the last digit.
 
+mod cut;
 mod field;
 mod figure;
 mod polygonise;
@@ -10,6 +11,7 @@ mod random;
 #[cfg(test)]
 mod tests;
 
+pub use cut::{Cut, Part, cut_limb};
 pub use pose::Pose;
 
 use self::figure::Figure;

@@ -27,28 +27,41 @@ pub(super) struct Limbs {
     pub(super) ankle: Vector3<f64>,
     pub(super) elbow_sigma: f64,
     pub(super) knee_sigma: f64,
+    /// Whether part of the arm is missing: its bones stay as they are, and the other arm's lengths are its own.
+    pub(super) arm_missing: bool,
+    /// The same of the leg.
+    pub(super) leg_missing: bool,
 }
 
 /// Moves joints along their bones, from the ends of the limbs inwards: what lies farther out is surer.
 pub(super) fn settle(mut limbs: [Limbs; 2]) -> [Limbs; 2] {
     let counts = AVERAGE_COUNTS;
-    let elbows = limbs.map(|limb| limb.elbow_sigma.powi(-2));
-    let lengths = limbs.map(|limb| (limb.elbow - limb.wrist).norm());
-    let length = mean(lengths, elbows);
-    limbs.iter_mut().for_each(|limb| limb.elbow = at(limb.wrist, limb.elbow, length));
+    let arms = limbs.map(|limb| if limb.arm_missing { 0.0 } else { 1.0 });
+    if arms != [0.0; 2] {
+        let elbows = [0, 1].map(|side| arms[side] * limbs[side].elbow_sigma.powi(-2));
+        let lengths = limbs.map(|limb| (limb.elbow - limb.wrist).norm());
+        let length = mean(lengths, elbows);
+        let whole = limbs.iter_mut().filter(|limb| !limb.arm_missing);
+        whole.for_each(|limb| limb.elbow = at(limb.wrist, limb.elbow, length));
 
-    let lengths = limbs.map(|limb| (limb.shoulder - limb.elbow).norm());
-    let length = drawn(mean(lengths, [1.0; 2]), weights::UPPER_ARM, counts.upper_arm);
-    limbs.iter_mut().for_each(|limb| limb.shoulder = at(limb.elbow, limb.shoulder, length));
+        let lengths = limbs.map(|limb| (limb.shoulder - limb.elbow).norm());
+        let length = drawn(mean(lengths, arms), weights::UPPER_ARM, counts.upper_arm);
+        let whole = limbs.iter_mut().filter(|limb| !limb.arm_missing);
+        whole.for_each(|limb| limb.shoulder = at(limb.elbow, limb.shoulder, length));
+    }
+    let legs = limbs.map(|limb| if limb.leg_missing { 0.0 } else { 1.0 });
+    if legs != [0.0; 2] {
+        let knees = [0, 1].map(|side| legs[side] * limbs[side].knee_sigma.powi(-2));
+        let lengths = limbs.map(|limb| (limb.knee - limb.ankle).norm());
+        let length = mean(lengths, knees);
+        let whole = limbs.iter_mut().filter(|limb| !limb.leg_missing);
+        whole.for_each(|limb| limb.knee = at(limb.ankle, limb.knee, length));
 
-    let knees = limbs.map(|limb| limb.knee_sigma.powi(-2));
-    let lengths = limbs.map(|limb| (limb.knee - limb.ankle).norm());
-    let length = mean(lengths, knees);
-    limbs.iter_mut().for_each(|limb| limb.knee = at(limb.ankle, limb.knee, length));
-
-    let lengths = limbs.map(|limb| (limb.hip - limb.knee).norm());
-    let length = drawn(mean(lengths, [1.0; 2]), weights::THIGH, counts.thigh);
-    limbs.iter_mut().for_each(|limb| limb.hip = at(limb.knee, limb.hip, length));
+        let lengths = limbs.map(|limb| (limb.hip - limb.knee).norm());
+        let length = drawn(mean(lengths, legs), weights::THIGH, counts.thigh);
+        let whole = limbs.iter_mut().filter(|limb| !limb.leg_missing);
+        whole.for_each(|limb| limb.hip = at(limb.knee, limb.hip, length));
+    }
     limbs
 }
 

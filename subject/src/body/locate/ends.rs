@@ -25,7 +25,11 @@ impl Settled {
     /// As the landmarks take them.
     #[must_use]
     pub fn fields(&self) -> Fields<'_> {
-        Fields { ends: self.vertices, distances: self.distances.each_ref().map(Vec::as_slice) }
+        Fields {
+            ends: self.vertices,
+            distances: self.distances.each_ref().map(Vec::as_slice),
+            missing: [0.0; 5],
+        }
     }
 }
 

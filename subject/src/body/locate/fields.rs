@@ -15,6 +15,9 @@ pub struct Fields<'a> {
     pub ends: [u32; 5],
     /// One distance a vertex, in the mesh's unit; infinite where there is no way.
     pub distances: [&'a [f64]; 5],
+    /// How much earlier than on a whole body the surface ends there, in the mesh's unit: 0 where nothing is missing. All
+    /// distances from such an end are longer by it, as if they led to where the limb would end.
+    pub missing: [f64; 5],
 }
 
 impl Fields<'_> {
@@ -23,13 +26,13 @@ impl Fields<'_> {
         self.distances
             .get(end)
             .and_then(|field| field.get(vertex))
-            .copied()
-            .unwrap_or(f64::INFINITY)
+            .map_or(f64::INFINITY, |distance| distance + self.missing.get(end).unwrap_or(&0.0))
     }
 
     /// How far two ends are from each other. Nothing if there is no way, or an end that is no vertex.
     pub(super) fn between(&self, one: usize, other: usize) -> Option<f64> {
         let vertex = *self.ends.get(other)? as usize;
-        Some(self.at(one, vertex)).filter(|distance| distance.is_finite())
+        let distance = self.at(one, vertex) + self.missing.get(other)?;
+        Some(distance).filter(|distance| distance.is_finite())
     }
 }

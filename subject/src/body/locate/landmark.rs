@@ -3,6 +3,7 @@
 use nalgebra::Vector3;
 
 use super::limb::{Marks, arm, leg};
+use super::missing;
 use super::neck;
 use super::scale::BodyScale;
 use super::section::Sections;
@@ -58,6 +59,8 @@ pub struct Landmarks {
     pub scale: f64,
     /// Which limbs touch something.
     pub touching: Touching,
+    /// How much of each arm and of each leg is missing, in body scales: 0 of whole ones.
+    pub missing: [[f64; 2]; 2],
     /// How much the body narrows below the head: the longest curve round the head over the shortest behind that, and 1
     /// where that is no neck.
     pub narrows: f64,
@@ -68,41 +71,93 @@ impl Landmarks {
     /// contradict each other, or a limb without a centre line.
     #[must_use]
     pub fn new(mesh: &Mesh, fields: &Fields<'_>) -> Option<Self> {
+        let by_ways = missing::by_ways(fields);
+        let curves = Curves::new(mesh, &Fields { missing: by_ways, ..*fields })?;
+        let toes = FOOT.map(|foot| {
+            let end = mesh.positions.get(fields.ends[foot] as usize);
+            Vector3::from(end.copied().unwrap_or_default()) / curves.scale.length
+        });
+        let (arms, legs) = (curves.arms.each_ref(), curves.legs.each_ref());
+        let missing = missing::by_shape(fields, by_ways, arms, legs, toes);
+        let fields = Fields { missing, ..*fields };
+        let curves = if missing == by_ways { curves } else { Curves::new(mesh, &fields)? };
+        Self::among(curves, &fields)
+    }
+
+    fn among(curves: Curves, fields: &Fields<'_>) -> Option<Self> {
+        let scale = curves.scale.length;
+        let hands = fields.between(HAND[0], HAND[1])? / scale;
+        let touching =
+            Touching::new(curves.scale, curves.arms.each_ref(), curves.legs.each_ref());
+        let missing = [HAND, FOOT].map(|pair| pair.map(|end| fields.missing[end] / scale));
+        let marks_of = |found: [Option<Marks>; 2], missing: [f64; 2]| {
+            let [one, other] = found;
+            match missing.map(|part| part > 0.0) {
+                [false, false] | [true, true] => Some([one?, other?]),
+                // Of a limb that ends early its marks cannot be told: they are as far from its end as the other's.
+                [true, false] => other.map(|marks| [marks; 2]),
+                [false, true] => one.map(|marks| [marks; 2]),
+            }
+        };
+        let at_arms = marks_of(curves.arms.each_ref().map(|of| arm(of, hands)), missing[0])?;
+        let at_legs = marks_of(curves.legs.each_ref().map(leg), missing[1])?;
+        let [arm, other_arm] = curves.arms;
+        let [leg, other_leg] = curves.legs;
+        Some(Self {
+            halves: [
+                along(arm, at_arms[0], leg, at_legs[0]),
+                along(other_arm, at_arms[1], other_leg, at_legs[1]),
+            ],
+            touching,
+            missing,
+            narrows: neck::narrows(&curves.head.perimeter),
+            head: HEAD_LEVELS.iter().map(|level| curves.head.centre_at(*level)).collect(),
+            scale,
+        })
+    }
+}
+
+/// The level-set curves of all five ends.
+struct Curves {
+    scale: BodyScale,
+    arms: [Sections; 2],
+    legs: [Sections; 2],
+    head: Sections,
+}
+
+impl Curves {
+    fn new(mesh: &Mesh, fields: &Fields<'_>) -> Option<Self> {
         let body_scale = BodyScale::new(fields)?;
         let scale = body_scale.length;
-        let hands = fields.between(HAND[0], HAND[1])? / scale;
         let not_arm = |vertex: usize| {
             HAND.iter()
                 .map(|hand| share(fields.at(*hand, vertex), ARM_LENGTH * scale, scale))
                 .product::<f64>()
         };
-        let cut = |field: &[f64], reach: f64, weight: &dyn Fn(usize) -> f64| {
-            let weights: Vec<f64> = (0..mesh.positions.len()).map(weight).collect();
-            Sections::new(mesh, field, &weights, scale, reach)
+        let cut = |end: usize, reach: f64, weight: &dyn Fn(usize) -> f64| {
+            let vertices = 0..mesh.positions.len();
+            let weights: Vec<f64> = vertices.clone().map(weight).collect();
+            let field: Vec<f64> = vertices.map(|vertex| fields.at(end, vertex)).collect();
+            Sections::new(mesh, &field, &weights, scale, reach)
         };
-        let half = |side: usize| {
+        let of_hand = |side: usize| {
             let [hand, other_hand] = [HAND[side], HAND[1 - side]];
-            let of_hand = cut(fields.distances[hand], ARM_REACH, &|vertex| {
+            cut(hand, ARM_REACH, &|vertex| {
                 share(fields.at(other_hand, vertex), fields.at(hand, vertex), scale)
-            })?;
+            })
+        };
+        let of_foot = |side: usize| {
             let [foot, other_foot] = [FOOT[side], FOOT[1 - side]];
-            let of_foot = cut(fields.distances[foot], LEG_REACH, &|vertex| {
+            cut(foot, LEG_REACH, &|vertex| {
                 let own = share(fields.at(other_foot, vertex), fields.at(foot, vertex), scale);
                 own * not_arm(vertex)
-            })?;
-            let (at_arm, at_leg) = (arm(&of_hand, hands)?, leg(&of_foot)?);
-            Some(along(of_hand, at_arm, of_foot, at_leg))
+            })
         };
-        let of_head = cut(fields.distances[HEAD], HEAD_REACH, &not_arm)?;
-        let halves = [half(0)?, half(1)?];
-        let limbs = |limb: usize| halves.each_ref().map(|half| &half.sections[limb]);
-        let touching = Touching::new(body_scale, limbs(0), limbs(1));
         Some(Self {
-            halves,
-            touching,
-            narrows: neck::narrows(&of_head.perimeter),
-            head: HEAD_LEVELS.iter().map(|level| of_head.centre_at(*level)).collect(),
-            scale,
+            scale: body_scale,
+            arms: [of_hand(0)?, of_hand(1)?],
+            legs: [of_foot(0)?, of_foot(1)?],
+            head: cut(HEAD, HEAD_REACH, &not_arm)?,
         })
     }
 }

@@ -21,6 +21,7 @@ mod hinge;
 mod landmark;
 mod least;
 mod limb;
+mod missing;
 mod model;
 mod neck;
 mod scale;

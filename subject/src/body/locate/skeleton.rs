@@ -29,6 +29,14 @@ struct InDoubt {
 const IN_DOUBT: InDoubt =
     InDoubt { shoulder: 0.15, elbow: 0.05, hip: 0.06, knee: 0.07, scale: 0.02 };
 
+/// How far the joints of a limb that ends early may be off along it, in body scales: what is missing is told by ways that
+/// change with the pose by 0.03, and where a stump ends by as much as it is thick.
+const OF_STUMP: f64 = 0.05;
+/// How far hip and shoulder of such a limb may be off, which landmarks of the trunk tell, too.
+const ROOT_OF_STUMP: f64 = 0.03;
+/// A joint is told where the limb goes on behind it by at least this, in body scales.
+const STUMP_LEAST: f64 = 0.03;
+
 /// The joints of the body whose ends are known, in the frame and unit of `mesh`.
 ///
 /// `ends` are of the same mesh and graph. Nothing is given if an end cannot be reached from another, or a limb has no
@@ -49,6 +57,7 @@ pub fn joints(landmarks: &Landmarks) -> Joints {
         knee: limbs[side].knee,
         ankle: limbs[side].ankle,
         toes: toes[side],
+        has_foot: landmarks.missing[1][side] <= 0.0,
     }));
     let Touching { arms, legs, scale } = landmarks.touching;
     let mut found = Found {
@@ -63,19 +72,38 @@ pub fn joints(landmarks: &Landmarks) -> Joints {
     let in_doubt = |touches: bool, by: f64| if touches { by } else { 0.0 };
     // Hips are told by arms too.
     let of_hips = in_doubt(arms.contains(&true) || legs.contains(&true), IN_DOUBT.hip);
-    let hip_sigma = weights::HIP.sigma.hypot(of_hips);
+    let missing = landmarks.missing;
+    let stump = |part: f64, by: f64| if part > 0.0 { by } else { 0.0 };
+    let of_stumps = missing[1].map(|part| stump(part, ROOT_OF_STUMP));
+    let hip_sigma = weights::HIP.sigma.hypot(of_hips).hypot(of_stumps[0].max(of_stumps[1]));
     found.add(Joint::Pelvis, hips, hip_sigma);
     for (half, limb) in limbs.iter().enumerate() {
         let side = if half == left.unwrap_or(0) { Side::Left } else { Side::Right };
         let of_arm = |sigma: f64, by: f64| sigma.hypot(in_doubt(arms[half], by));
         let of_leg = |sigma: f64, by: f64| sigma.hypot(in_doubt(legs[half], by));
+        let [arm, leg] = [missing[0][half], missing[1][half]];
+        let [[wrist, elbow, _], [ankle, knee, _]] = landmarks.halves[half].marks;
+        let is_there = |mark: f64, part: f64| part <= 0.0 || mark >= part + STUMP_LEAST;
         let shoulder = of_arm(weights::SHOULDER.sigma, IN_DOUBT.shoulder);
+        let shoulder = shoulder.hypot(stump(arm, ROOT_OF_STUMP));
         found.add(Joint::Shoulder(side), limb.shoulder, shoulder);
-        found.add(Joint::Elbow(side), limb.elbow, of_arm(limb.elbow_sigma, IN_DOUBT.elbow));
-        found.add(Joint::Wrist(side), limb.wrist, weights::WRIST.sigma);
+        if is_there(elbow, arm) {
+            let sigma = of_arm(limb.elbow_sigma, IN_DOUBT.elbow).hypot(stump(arm, OF_STUMP));
+            found.add(Joint::Elbow(side), limb.elbow, sigma);
+        }
+        if is_there(wrist, arm) {
+            let sigma = weights::WRIST.sigma.hypot(stump(arm, OF_STUMP));
+            found.add(Joint::Wrist(side), limb.wrist, sigma);
+        }
         found.add(Joint::Hip(side), limb.hip, hip_sigma);
-        found.add(Joint::Knee(side), limb.knee, of_leg(limb.knee_sigma, IN_DOUBT.knee));
-        found.add(Joint::Ankle(side), limb.ankle, weights::ANKLE.sigma);
+        if is_there(knee, leg) {
+            let sigma = of_leg(limb.knee_sigma, IN_DOUBT.knee).hypot(stump(leg, OF_STUMP));
+            found.add(Joint::Knee(side), limb.knee, sigma);
+        }
+        if is_there(ankle, leg) {
+            let sigma = weights::ANKLE.sigma.hypot(stump(leg, OF_STUMP));
+            found.add(Joint::Ankle(side), limb.ankle, sigma);
+        }
     }
     Joints { estimates: found.estimates, sides_told: left.is_some() }
 }
@@ -92,6 +120,8 @@ fn limbs(landmarks: &Landmarks, side: usize) -> Limbs {
         ankle: at(&weights::ANKLE),
         elbow_sigma: limb::elbow_spread(elbow).hypot(weights::ELBOW.sigma),
         knee_sigma: limb::knee_spread(knee).hypot(weights::KNEE.sigma),
+        arm_missing: landmarks.missing[0][side] > 0.0,
+        leg_missing: landmarks.missing[1][side] > 0.0,
     }
 }
 

@@ -13,13 +13,19 @@ const VARIES: f64 = 0.018;
 /// this stature is no surer than the bones are.
 const IN_DOUBT: f64 = 0.045;
 
+/// One side's bone is taken alone where it is so many times as sure as the other's.
+const SURER: f64 = 1.5;
+
 /// Stature and its standard deviation in millimetres; nothing where a bone is missing, or of nobody's size.
 pub(super) fn stature(bones: &[Bone]) -> Option<(f64, f64)> {
     let bone = |name: &str| bones.iter().find(|bone| bone.name == name);
     let alone = |name: &str| bone(name).map(|bone| [bone.length_mm, bone.uncertainty_mm]);
-    let mean = |a: &str, b: &str| {
-        let (a, b) = (alone(a)?, alone(b)?);
-        Some([f64::midpoint(a[0], b[0]), f64::midpoint(a[1], b[1])])
+    let mean = |a: &str, b: &str| match (alone(a), alone(b)) {
+        // Of a limb that is cut off the other side tells more than both.
+        (Some(a), Some(b)) if a[1] > SURER * b[1] => Some(b),
+        (Some(a), Some(b)) if b[1] > SURER * a[1] => Some(a),
+        (Some(a), Some(b)) => Some([f64::midpoint(a[0], b[0]), f64::midpoint(a[1], b[1])]),
+        (one, other) => one.or(other),
     };
     let way = [
         alone("head_throat")?,

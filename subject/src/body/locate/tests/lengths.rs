@@ -16,6 +16,8 @@ fn limbs(x: f64, elbow: f64) -> Limbs {
         ankle: at(0.03),
         elbow_sigma: 0.005,
         knee_sigma: 0.005,
+        arm_missing: false,
+        leg_missing: false,
     }
 }
 

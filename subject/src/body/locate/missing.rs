@@ -1,0 +1,174 @@
+//! Limbs that end too early: a foot or a hand that is not in the scan.
+//!
+//! Each limb is judged by itself before both sides are brought to one length: by how long it is beside the other one and
+//! beside the body, and by whether its end has the shape of a foot or a hand.
+
+use nalgebra::Vector3;
+
+use super::section::{STEP, Sections, level};
+use super::{FOOT, Fields, HAND, HEAD};
+
+/// How much shorter one arm is than the other on a whole body, at most, in body scales: 0.023 was seen, of poses in which one
+/// shoulder is raised. A hand has 0.108 of stature (Drillis and Contini 1966).
+const ARM_SHORTER: f64 = 0.05;
+/// The same where the end has not the shape of a hand.
+const HANDLESS_SHORTER: f64 = 0.03;
+/// The same of legs: 0.044 was seen, in lunges. A difference that is the legs' own is 0.003 of stature in the mean, and beyond
+/// 0.012 in one of a thousand people (Knutson 2005); a foot and what is below the ankle have 0.08 of the way along the skin.
+const LEG_SHORTER: f64 = 0.07;
+/// The same where the end has not the shape of a foot.
+const FOOTLESS_SHORTER: f64 = 0.02;
+/// How much shorter than of a whole body's proportion the way between the hands is where both are missing, as a logarithm:
+/// it is shorter by 0.12 at most on free bodies, and by 0.2 without hands.
+const HANDS_SHORTER: f64 = 0.17;
+/// What the ways lose with a hand or a foot that is cut off where it begins, in body scales.
+const END: f64 = 0.08;
+/// Ways between hands, and from the head to a foot, on an average body, in body scales: see `extremity::roles`.
+const HAND_TO_HAND: f64 = 0.945;
+const HEAD_TO_FOOT: f64 = 1.078;
+/// The sum of all ten ways.
+const ALL: f64 = 10.3;
+
+/// The longest curve round the heel is over that round the ankle behind it by at least this: the girth over heel and instep is
+/// 1.49 times the ankle's, with a standard deviation of 0.07 (ANSUR II, Gordon et al. 2014), and the curves go less
+/// obliquely. A shank or a thigh that is cut has 1.0 to 1.1.
+const HEEL_LEAST: f64 = 1.14;
+/// Where the heel is, in body scales from the end; and the ankle is at most so far behind it.
+const HEEL: [f64; 2] = [0.09, 0.19];
+const ANKLE_REACH: f64 = 0.08;
+/// The end of a foot lies off the line of the shank by at least so many of its radii: toes by 4 to 6, a heel by 2. The end of a
+/// shank that is cut lies within its own girth.
+const OFF_AXIS_LEAST: f64 = 1.6;
+/// The part of the leg that is taken for the shank, in body scales.
+const SHANK: [f64; 2] = [0.15, 0.25];
+/// The longest curve of a hand over that of the wrist, at least: a hand has 1.22 times the wrist's girth (ANSUR II), a fist
+/// 1.6 times, and curves round fingers that are apart are longer yet.
+const HAND_LEAST: f64 = 1.15;
+/// Where a hand is thickest, and how far behind that the wrist is at most.
+const HAND_AT: [f64; 2] = [0.03, 0.13];
+const WRIST_REACH: f64 = 0.09;
+
+/// What is missing at each end, in the mesh's unit, by the ways between ends alone.
+pub(super) fn by_ways(fields: &Fields<'_>) -> [f64; 5] {
+    let mut missing = [0.0; 5];
+    let Some(scale) = scale(fields) else { return missing };
+    for (pair, others, most) in [(HAND, FOOT, ARM_SHORTER), (FOOT, HAND, LEG_SHORTER)] {
+        let Some((short, by)) = shorter(fields, pair, others) else { continue };
+        if by.least > most * scale {
+            missing[short] = by.mean;
+        }
+    }
+    missing
+}
+
+/// The same, with the shape of the ends. `arms` and `legs` are the curves round them; the first leg is on the side of the first
+/// arm.
+pub(super) fn by_shape(
+    fields: &Fields<'_>,
+    by_ways: [f64; 5],
+    arms: [&Sections; 2],
+    legs: [&Sections; 2],
+    toes: [Vector3<f64>; 2],
+) -> [f64; 5] {
+    let mut missing = by_ways;
+    let Some(scale) = scale(fields) else { return missing };
+    let hands = arms.map(|arm| has_hand(&arm.perimeter));
+    let feet = [has_foot(legs[0], toes[0]), has_foot(legs[1], toes[1])];
+    let ends = [(HAND, FOOT, hands, HANDLESS_SHORTER), (FOOT, HAND, feet, FOOTLESS_SHORTER)];
+    for (pair, others, whole, most) in ends {
+        if pair.iter().any(|end| missing[*end] > 0.0) {
+            continue;
+        }
+        let one = shorter(fields, pair, others).filter(|(end, by)| {
+            let side = usize::from(*end == pair[1]);
+            !whole[side] && by.least > most * scale
+        });
+        if let Some((end, by)) = one {
+            missing[end] = by.mean;
+        }
+    }
+    let hands_near = match (fields.between(HAND[0], HAND[1]), legs_way(fields)) {
+        (Some(hands), Some(legs)) => {
+            (hands / HAND_TO_HAND).ln() - (legs / HEAD_TO_FOOT).ln() < -HANDS_SHORTER
+        }
+        _ => false,
+    };
+    let both = [(HAND, hands == [false; 2] && hands_near), (FOOT, feet == [false; 2])];
+    for (pair, _) in both.into_iter().filter(|(_, none)| *none) {
+        pair.into_iter().for_each(|end| missing[end] = f64::max(missing[end], END * scale));
+    }
+    missing
+}
+
+/// By how much a limb is shorter than its twin, in the mesh's unit.
+struct Shorter {
+    /// By the two measures' lesser: what no pose alone does to both.
+    least: f64,
+    mean: f64,
+}
+
+/// The shorter of two limbs: as seen from the head, and from the other pair of ends. Nothing if the two do not agree.
+fn shorter(fields: &Fields<'_>, [a, b]: [usize; 2], [c, d]: [usize; 2]) -> Option<(usize, Shorter)> {
+    let way = |one: usize, other: usize| fields.between(one, other);
+    let by_head = way(HEAD, a)? - way(HEAD, b)?;
+    // Both ends of the other pair together: each is nearer to one side.
+    let by_others = (way(c, a)? + way(d, a)? - way(c, b)? - way(d, b)?) / 2.0;
+    if by_head * by_others <= 0.0 {
+        return None;
+    }
+    let short = if by_head < 0.0 { a } else { b };
+    let (by_head, by_others) = (by_head.abs(), by_others.abs());
+    let by = Shorter { least: by_head.min(by_others), mean: f64::midpoint(by_head, by_others) };
+    Some((short, by))
+}
+
+/// The body scale, as long as ways that are missing let it be.
+fn scale(fields: &Fields<'_>) -> Option<f64> {
+    let mut all = 0.0;
+    for one in 0..5 {
+        for other in 0..one {
+            all += fields.between(one, other)?;
+        }
+    }
+    Some(all / ALL)
+}
+
+/// The mean way from the head to the feet.
+fn legs_way(fields: &Fields<'_>) -> Option<f64> {
+    let [a, b] = FOOT.map(|foot| fields.between(HEAD, foot));
+    Some(f64::midpoint(a?, b?))
+}
+
+fn has_hand(perimeter: &[f64]) -> bool {
+    bulge(perimeter, HAND_AT, WRIST_REACH) >= HAND_LEAST
+}
+
+/// Whether the leg has a heel, and ends off its shank's line.
+fn has_foot(leg: &Sections, toes: Vector3<f64>) -> bool {
+    bulge(&leg.perimeter, HEEL, ANKLE_REACH) >= HEEL_LEAST
+        || off_axis(leg, toes).is_some_and(|off| off >= OFF_AXIS_LEAST)
+}
+
+/// The most by which a curve between two levels is longer than one behind it, as a ratio.
+fn bulge(perimeter: &[f64], within: [f64; 2], reach: f64) -> f64 {
+    let reach = (reach / STEP) as usize;
+    let mut most: f64 = 1.0;
+    for (at, length) in perimeter.iter().enumerate() {
+        if (within[0]..within[1]).contains(&level(at)) {
+            let behind = perimeter[at..].iter().take(reach + 1).copied();
+            most = most.max(length / behind.fold(f64::INFINITY, f64::min).max(f64::MIN_POSITIVE));
+        }
+    }
+    most
+}
+
+/// How far the end lies off the line of the shank, in radii of the shank. Nothing where there is no line.
+fn off_axis(leg: &Sections, end: Vector3<f64>) -> Option<f64> {
+    let [low, high] = SHANK.map(|at| leg.centre_at(at));
+    let along = (high - low).try_normalize(0.0)?;
+    let offset = end - low;
+    let off = (offset - along * offset.dot(&along)).norm();
+    let middle = leg.perimeter.get((f64::midpoint(SHANK[0], SHANK[1]) / STEP) as usize)?;
+    let radius = middle / std::f64::consts::TAU;
+    (radius > 0.0).then(|| off / radius)
+}
