@@ -2,6 +2,7 @@
 
 mod behind;
 mod folder;
+mod sparse;
 mod take_file;
 
 use std::{
@@ -21,6 +22,7 @@ use rustix::{
 use self::behind::Behind;
 pub use self::{
     folder::NewFolder,
+    sparse::SparseFile,
     take_file::{FileId, TakeFile},
 };
 

@@ -1,13 +1,11 @@
 //! Reads a whole take and tells what is in it: the numbers behind `info` and `verify`.
 
-use std::io::Read;
-
 use mocapd_take::{
     TakeError, TakeEvent, TakeReader,
     chunk::MAGIC,
     frames::mended,
     loss::{Losses, LostRows},
-    reader::{TakeBytes, pull},
+    reader::{TakeBytes, TakeInput, pull},
     record::{Channel, Clock, ClockLine, Event, Header, Ledger, Subject, TakeEnding},
     stretch::{Stretch, StretchDecoder},
     table::ChannelTable,
@@ -102,7 +100,8 @@ impl Summary {
     ///
     /// # Errors
     /// `NotATake`, `Unsupported`, `Io`. Damage is a problem, not an error.
-    pub fn read(mut input: impl Read) -> Result<Self, TakeError> {
+    pub fn read(input: impl TakeInput) -> Result<Self, TakeError> {
+        let mut input = input.input();
         let mut summary = Self::default();
         let mut decoder = None;
         let mut reader = TakeReader::new();
@@ -264,7 +263,7 @@ impl Summary {
             }
             TakeEvent::Summary(summary) => self.ending = summary.ending,
             TakeEvent::Foreign(part) => {
-                self.foreign.push((part.kind, part.data.len() as u64));
+                self.foreign.push((part.kind, part.data_bytes));
             }
             TakeEvent::Clock(clock) => {
                 self.clock_probes += clock.probes.len() as u64;

@@ -4,7 +4,7 @@ use mocapd_codec::{ResamplerKind, Settings};
 use mocapd_take::{
     TakeError, TakeEvent,
     motion::{GAP, Motion},
-    reader::read_events,
+    reader::{TakeInput, read_events},
     stretch::StretchDecoder,
     table::ChannelTable,
 };
@@ -36,7 +36,7 @@ impl Coded {
     ///
     /// # Errors
     /// That it is no take, or larger than [`SAMPLES_MAX`].
-    pub fn read(take: impl std::io::Read) -> Result<Self, ReportError> {
+    pub fn read(take: impl TakeInput) -> Result<Self, ReportError> {
         let mut coded =
             Self { motion: Motion::default(), kept: vec![], settings: None, problems: vec![] };
         let mut table = ChannelTable::default();

@@ -1,8 +1,13 @@
 //! Chunks: {type, varint length, payload, CRC-32}, and finding the next one after damage.
 
+mod long;
 mod marks;
+mod resync;
 
-use self::marks::Marks;
+pub(crate) use self::{
+    long::{LongChunks, Search},
+    resync::{Next, resync},
+};
 use crate::{TakeError, varint};
 
 /// `0x89 T A K CR LF 0x1A LF`: any transfer in text mode breaks it.
@@ -11,8 +16,20 @@ pub const MAGIC: [u8; 8] = *b"\x89TAK\r\n\x1a\n";
 /// Longest payload. A stretch at the limits of docs/take-format.md, lossless, stays below it.
 pub const PAYLOAD_BYTES_MAX: u64 = 1 << 30;
 
-/// Longest candidate that [`resync`] hashes: about what the way over the marks costs.
-const HASHED_BYTES: usize = 2048;
+/// Longest chunk that a reader holds before it knows that the checksum matches. Every record is shorter, and a
+/// SUBJECT, too: eight documents of 1 MiB, which DEFLATE makes longer by at most five bytes in 16 KiB, and their names.
+/// A longer chunk is a STRETCH or a FOREIGN, or of a type that this version does not know.
+pub const CHUNK_HELD_MAX: u64 = (8 << 20) + (64 << 10);
+
+/// Most bytes of a file that a reader holds while it looks for the next chunk behind damage: half of them to find the
+/// end of whatever begins in the other half.
+pub const WINDOW_BYTES: usize = 16 << 20;
+
+/// Most bytes of type and length.
+pub(crate) const HEAD_BYTES_MAX: usize = 6;
+
+/// CRC-32.
+pub(crate) const CRC_BYTES: usize = 4;
 
 /// Bit 7 of the type: a reader that does not know the chunk may skip it.
 pub const MAY_SKIP: u8 = 0x80;
@@ -94,50 +111,46 @@ fn crc_matches(chunk: &[u8]) -> bool {
 
 /// The same without the CRC, for a chunk whose CRC was seen to match.
 pub(crate) fn split(bytes: &[u8]) -> Front<'_> {
-    let mut cursor = varint::Cursor::new(bytes);
-    let Some(kind) = cursor.byte() else { return Front::Short(1) };
-    let Some(payload_len) = cursor.varint() else {
-        // A varint of this format's lengths ends within five bytes.
-        return if bytes.len() < 6 { Front::Short(bytes.len() as u64 + 1) } else { Front::Damaged };
-    };
-    if payload_len > PAYLOAD_BYTES_MAX {
-        return Front::Damaged;
+    match head(bytes) {
+        Head::Short(wanted) => Front::Short(wanted),
+        Head::Bad => Front::Damaged,
+        Head::Of { kind, len, head_bytes } => {
+            let chunk = usize::try_from(len).ok().and_then(|len| bytes.get(..len));
+            match chunk.and_then(|chunk| chunk.get(head_bytes..chunk.len() - CRC_BYTES)) {
+                Some(payload) => {
+                    Front::Whole { kind, payload, len: head_bytes + payload.len() + CRC_BYTES }
+                }
+                None => Front::Short(len),
+            }
+        }
     }
-    let head_len = bytes.len() - cursor.rest().len();
-    let Some(payload) = cursor.take(payload_len).filter(|_| cursor.take(4).is_some()) else {
-        return Front::Short(head_len as u64 + payload_len + 4);
-    };
-    Front::Whole { kind, payload, len: head_len + payload.len() + 4 }
 }
 
-/// Offset of the next whole chunk of a known type at or after `from`, or `None` when there is none.
-///
-/// Every byte that may be a type is a candidate, and coded bytes are full of them, most with a length that
-/// fits. So the CRC of a long candidate is not hashed but computed from CRCs at marks: the work grows with
-/// the bytes, not with their product with the lengths. Bytes that hold nothing but long candidates are not
-/// a damaged take, and are given up.
-#[must_use]
-pub fn resync(bytes: &[u8], from: usize) -> Option<usize> {
-    let mut marks = Marks::new(bytes.get(from..)?);
-    let mut long_candidates_left = bytes.len() / 8 + (1 << 20);
-    for at in from..bytes.len() {
-        if !types::ALL.contains(&bytes[at]) {
-            continue;
+/// What type and length at the front of some bytes say.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Head {
+    /// The bytes end first; at least this many are needed.
+    Short(u64),
+    /// No chunk of version 1 begins so.
+    Bad,
+    /// A chunk of `len` bytes from its type to its CRC, of which type and length take `head_bytes`.
+    Of { kind: u8, len: u64, head_bytes: usize },
+}
+
+pub(crate) fn head(bytes: &[u8]) -> Head {
+    let mut cursor = varint::Cursor::new(bytes);
+    let Some(kind) = cursor.byte() else { return Head::Short(1) };
+    match cursor.varint() {
+        Some(payload_bytes) if payload_bytes > PAYLOAD_BYTES_MAX => Head::Bad,
+        Some(payload_bytes) => {
+            let head_bytes = bytes.len() - cursor.rest().len();
+            let len = head_bytes as u64 + payload_bytes + CRC_BYTES as u64;
+            Head::Of { kind, len, head_bytes }
         }
-        let Front::Whole { len, .. } = split(&bytes[at..]) else { continue };
-        let found = if len <= HASHED_BYTES {
-            crc_matches(&bytes[at..at + len])
-        } else {
-            long_candidates_left = long_candidates_left.checked_sub(1)?;
-            let crc_at = at + len - 4;
-            let crc = marks.crc(at - from, crc_at - from);
-            bytes[crc_at..].first_chunk::<4>().is_some_and(|stored| *stored == crc.to_le_bytes())
-        };
-        if found {
-            return Some(at);
-        }
+        // A varint of this format's lengths ends within five bytes.
+        None if bytes.len() < HEAD_BYTES_MAX => Head::Short(bytes.len() as u64 + 1),
+        None => Head::Bad,
     }
-    None
 }
 
 #[cfg(test)]
@@ -170,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn every_mutation_is_seen_and_the_next_chunk_found() {
+    fn every_mutation_is_seen() {
         let bytes = two();
         let Front::Whole { len, .. } = front(&bytes) else { panic!() };
         for at in 0..len {
@@ -178,30 +191,7 @@ mod tests {
                 let mut damaged = bytes.clone();
                 damaged[at] ^= flip;
                 assert!(!matches!(front(&damaged), Front::Whole { .. }), "{at} {flip}");
-                assert_eq!(resync(&damaged, 1), Some(len), "{at} {flip}");
             }
         }
-    }
-
-    /// Long chunks of bytes as random as coded ones are: every second candidate has a length that fits.
-    #[test]
-    fn the_next_chunk_is_found_behind_a_long_damaged_one() {
-        let mut noise = 1_u32;
-        let mut payload = |len: usize| {
-            let byte = |_| {
-                noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                (noise >> 24) as u8
-            };
-            (0..len).map(byte).collect::<Vec<u8>>()
-        };
-        let mut bytes = Vec::new();
-        put(&mut bytes, types::STRETCH, &payload(300_000)).unwrap();
-        let next = bytes.len();
-        for _ in 0..3 {
-            put(&mut bytes, types::STRETCH, &payload(2_000_000)).unwrap();
-        }
-        bytes[150_000] ^= 1;
-        assert_eq!(front(&bytes), Front::Damaged);
-        assert_eq!(resync(&bytes, 1), Some(next));
     }
 }

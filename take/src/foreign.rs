@@ -1,8 +1,11 @@
 //! FOREIGN: what an importer found and the take does not model, kept for the way back.
 
-use std::io::{Read, Write};
+use std::io::{BufReader, Read, Seek, SeekFrom, Write};
 
-use flate2::{Compression, bufread::DeflateDecoder, write::DeflateEncoder};
+use flate2::{
+    Compression, Decompress, FlushDecompress, Status, bufread::DeflateDecoder,
+    write::DeflateEncoder,
+};
 
 use crate::{TakeError, motion::Foreign, varint};
 
@@ -30,51 +33,186 @@ pub fn to_payload(foreign: &Foreign) -> Result<Vec<u8>, TakeError> {
     Ok(deflate.finish()?)
 }
 
-/// From the payload of a FOREIGN chunk at file offset `offset`.
-///
-/// # Errors
-/// `Corrupt` when the bytes are not such a payload.
-pub fn from_payload(payload: &[u8], offset: u64) -> Result<Foreign, TakeError> {
-    let corrupt = |message: &str| TakeError::Corrupt {
-        what: "foreign part",
-        offset,
-        message: message.to_owned(),
-    };
-    let mut cursor = varint::Cursor::new(payload);
+/// A foreign part as it stands in a take: its content is read by those who want it, [from the file](Self::read).
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ForeignPart {
+    /// What it is: `c3d/analog`.
+    pub kind: String,
+    /// Bytes of its content.
+    pub data_bytes: u64,
+    deflated_at: u64,
+    deflated_bytes: u64,
+    /// Of its chunk.
+    offset: u64,
+}
+
+impl ForeignPart {
+    /// Of the chunk at file offset `offset`, whose payload of `payload_bytes` begins at `payload_at` with `front`.
+    pub(crate) fn of_payload(
+        front: &[u8],
+        (payload_at, payload_bytes): (u64, u64),
+        offset: u64,
+    ) -> Result<Self, TakeError> {
+        let mut cursor = varint::Cursor::new(front);
+        let (kind, data_bytes) =
+            front_of(&mut cursor).map_err(|message| corrupt(offset, message))?;
+        let in_front = (front.len() - cursor.rest().len()) as u64;
+        Ok(Self {
+            kind: kind.to_owned(),
+            data_bytes,
+            deflated_at: payload_at + in_front,
+            deflated_bytes: payload_bytes.saturating_sub(in_front),
+            offset,
+        })
+    }
+
+    /// What is deflated.
+    pub(crate) fn deflated_at(&self) -> u64 {
+        self.deflated_at
+    }
+
+    /// Reads its content from the take that it was found in.
+    ///
+    /// # Errors
+    /// `Io`; `Corrupt` when the file is not the one that was read.
+    pub fn read(&self, input: &mut (impl Read + Seek)) -> Result<Foreign, TakeError> {
+        input.seek(SeekFrom::Start(self.deflated_at))?;
+        let deflated = BufReader::new(input.by_ref().take(self.deflated_bytes));
+        // Grows with what is really inflated: DEFLATE gives at most 1032 bytes a byte.
+        let mut data = Vec::new();
+        DeflateDecoder::new(deflated)
+            .take(self.data_bytes + 1)
+            .read_to_end(&mut data)
+            .map_err(|error| corrupt(self.offset, &format!("not DEFLATE: {error}")))?;
+        if data.len() as u64 != self.data_bytes {
+            return Err(corrupt(self.offset, ANOTHER_LENGTH));
+        }
+        Ok(Foreign { kind: self.kind.clone(), data })
+    }
+}
+
+const ANOTHER_LENGTH: &str = "another length than stated";
+
+/// Longest kind of a part whose chunk is too long to be held. Those that importers write have at most 20 bytes.
+const LONG_KIND_BYTES_MAX: u64 = 64;
+
+/// Bytes that kind and length of such a part take at most: two varints and the kind.
+pub(crate) const FRONT_BYTES: usize = 10 + LONG_KIND_BYTES_MAX as usize + 10;
+
+/// Whether the payload of a long FOREIGN chunk may begin with these bytes.
+pub(crate) fn may_begin_with(payload: &[u8]) -> bool {
+    front_of(&mut varint::Cursor::new(payload)).is_ok_and(|(kind, _)| {
+        let is_name = kind.bytes().all(|byte| byte.is_ascii_graphic());
+        is_name && (1..=LONG_KIND_BYTES_MAX).contains(&(kind.len() as u64))
+    })
+}
+
+/// Kind and length of the content.
+fn front_of<'a>(cursor: &mut varint::Cursor<'a>) -> Result<(&'a str, u64), &'static str> {
     let kind = cursor
         .varint()
         .and_then(|n| cursor.take(n))
         .and_then(|bytes| std::str::from_utf8(bytes).ok())
-        .ok_or_else(|| corrupt("no kind"))?;
-    let len = cursor.varint().ok_or_else(|| corrupt("no length"))?;
-    if len > DATA_BYTES_MAX {
-        return Err(corrupt("longer than a take can hold"));
+        .ok_or("no kind")?;
+    let len = cursor.varint().ok_or("no length")?;
+    if len > DATA_BYTES_MAX { Err("longer than a take can hold") } else { Ok((kind, len)) }
+}
+
+fn corrupt(offset: u64, message: &str) -> TakeError {
+    TakeError::Corrupt { what: "foreign part", offset, message: message.to_owned() }
+}
+
+/// What is inflated at once.
+const INFLATED_BYTES: usize = 1 << 13;
+
+/// Inflates a part to see whether it can be, and keeps nothing of it.
+#[derive(Debug)]
+pub(crate) struct Inflation {
+    inflater: Decompress,
+    stated_bytes: u64,
+    is_ended: bool,
+    message: Option<String>,
+}
+
+impl Inflation {
+    /// Of a part whose content has so many bytes.
+    pub(crate) fn new(stated_bytes: u64) -> Self {
+        Self { inflater: Decompress::new(false), stated_bytes, is_ended: false, message: None }
     }
-    // Grows with what is really inflated: DEFLATE gives at most 1032 bytes a byte.
-    let mut data = Vec::new();
-    DeflateDecoder::new(cursor.rest())
-        .take(len + 1)
-        .read_to_end(&mut data)
-        .map_err(|e| corrupt(&format!("not DEFLATE: {e}")))?;
-    if data.len() as u64 != len {
-        return Err(corrupt("another length than stated"));
+
+    /// The deflated bytes that come next.
+    pub(crate) fn push(&mut self, mut bytes: &[u8]) {
+        let mut inflated = [0; INFLATED_BYTES];
+        while !self.is_ended && self.message.is_none() {
+            let before = (self.inflater.total_in(), self.inflater.total_out());
+            match self.inflater.decompress(bytes, &mut inflated, FlushDecompress::None) {
+                Ok(status) => self.is_ended = status == Status::StreamEnd,
+                Err(error) => self.message = Some(format!("not DEFLATE: {error}")),
+            }
+            let taken = (self.inflater.total_in() - before.0) as usize;
+            let given = (self.inflater.total_out() - before.1) as usize;
+            bytes = bytes.get(taken..).unwrap_or_default();
+            if self.inflater.total_out() > self.stated_bytes {
+                self.message = Some(ANOTHER_LENGTH.to_owned());
+            }
+            if bytes.is_empty() && given < INFLATED_BYTES || taken == 0 && given == 0 {
+                return;
+            }
+        }
     }
-    Ok(Foreign { kind: kind.to_owned(), data })
+
+    /// All bytes of the part at file offset `offset` were pushed.
+    pub(crate) fn finish(self, offset: u64) -> Result<(), TakeError> {
+        match self.message {
+            Some(message) => Err(corrupt(offset, &message)),
+            None if !self.is_ended => Err(corrupt(offset, "not DEFLATE: it ends too early")),
+            None if self.inflater.total_out() != self.stated_bytes => {
+                Err(corrupt(offset, ANOTHER_LENGTH))
+            }
+            None => Ok(()),
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::io::Cursor;
+
     use super::*;
+
+    fn read(payload: &[u8]) -> Result<Foreign, TakeError> {
+        let len = payload.len() as u64;
+        let part = ForeignPart::of_payload(payload, (0, len), 0)?;
+        let mut inflation = Inflation::new(part.data_bytes);
+        payload[part.deflated_at() as usize..].chunks(7).for_each(|piece| inflation.push(piece));
+        inflation.finish(0)?;
+        part.read(&mut Cursor::new(payload))
+    }
 
     #[test]
     fn comes_back_and_damage_is_an_error() {
-        let part =
-            Foreign { kind: "c3d/analog".into(), data: (0..4000).map(|i| i as u8).collect() };
-        let payload = to_payload(&part).unwrap();
-        assert!(payload.len() < 600);
-        assert_eq!(from_payload(&payload, 8).unwrap(), part);
-        for cut in 0..payload.len() {
-            assert!(from_payload(&payload[..cut], 8).is_err(), "{cut}");
+        for len in [0, 5, 4000, 100_000] {
+            let part = Foreign {
+                kind: "c3d/analog".into(),
+                data: (0..len).map(|i: u64| (i * i / 3) as u8).collect(),
+            };
+            let payload = to_payload(&part).unwrap();
+            assert!(may_begin_with(&payload));
+            assert_eq!(read(&payload).unwrap(), part);
+            for cut in (0..payload.len()).step_by(1 + payload.len() / 500) {
+                assert!(read(&payload[..cut]).is_err(), "{cut} of {len}");
+            }
+        }
+    }
+
+    #[test]
+    fn another_length_than_stated_is_an_error() {
+        let part = Foreign { kind: "a".into(), data: vec![7; 300] };
+        let mut payload = to_payload(&part).unwrap();
+        assert_eq!(payload[2..4], [0xac, 0x02]);
+        for stated in [0xab, 0xad] {
+            payload[2] = stated;
+            assert!(read(&payload).is_err());
         }
     }
 }

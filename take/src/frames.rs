@@ -7,7 +7,9 @@ use mocapd_codec::Settings;
 use crate::{
     TakeError, TakeReader,
     map::TakeMap,
-    motion::{FrameSource, GAP, Motion, MotionEvent, MotionInfo, Position, Source, UpAxis},
+    motion::{
+        Foreign, FrameSource, GAP, Motion, MotionEvent, MotionInfo, Position, Source, UpAxis,
+    },
     record::{Event, Header},
     stretch::Span,
     stretches::TakeStretches,
@@ -16,7 +18,7 @@ use crate::{
 pub use crate::table::nameless;
 
 /// Most bytes of foreign parts that are held in memory.
-const FOREIGN_BYTES_MAX: usize = 1 << 28;
+const FOREIGN_BYTES_MAX: u64 = 1 << 28;
 
 /// Most samples of a take that [`read_motion`] holds: 3 GiB.
 const MOTION_SAMPLES_MAX: u64 = 1 << 28;
@@ -43,19 +45,32 @@ impl<R: Read + Seek> TakeFrames<R> {
     ///
     /// # Errors
     /// `NotATake`, `Unsupported`, `Io`.
-    pub fn open(mut input: R) -> Result<Self, TakeError> {
+    pub fn open(input: R) -> Result<Self, TakeError> {
+        Self::open_with(input, |_| true)
+    }
+
+    /// The same, with the content of those foreign parts only whose kind is `wanted`. The others are there, and empty.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn open_with(mut input: R, wanted: impl Fn(&str) -> bool) -> Result<Self, TakeError> {
         let mut info = MotionInfo::default();
         let mut problems = Vec::new();
-        let mut foreign_bytes = 0;
-        let map = TakeMap::scan(&mut input, |part| {
-            foreign_bytes += part.data.len();
+        let mut parts = Vec::new();
+        let map = TakeMap::scan(&mut input, |part| parts.push(part))?;
+        let mut foreign_bytes = 0_u64;
+        for part in parts {
+            if !wanted(&part.kind) {
+                info.foreign.push(Foreign { kind: part.kind, data: Vec::new() });
+                continue;
+            }
+            foreign_bytes = foreign_bytes.saturating_add(part.data_bytes);
             if foreign_bytes > FOREIGN_BYTES_MAX {
                 problems.push(format!("{}: more foreign data than a take can hold", part.kind));
             } else {
-                info.foreign.push(part);
+                info.foreign.push(part.read(&mut input)?);
             }
-            Ok(())
-        })?;
+        }
         describe(&map.header, &mut info);
         info.n_frames = map.n_rows;
         info.markers = map.channels.iter().map(Into::into).collect();

@@ -8,8 +8,8 @@ use std::io::{Read, Seek};
 
 use crate::{
     TakeError,
+    foreign::ForeignPart,
     index::IndexEntry,
-    motion::Foreign,
     record::{Channel, Clock, ClockLine, Event, Header, Ledger, Subject, TakeEnding},
 };
 
@@ -59,17 +59,17 @@ impl TakeMap {
         if let Some(map) = heads::walk(input)? {
             return Ok(map);
         }
-        Self::scan(input, |_| Ok(()))
+        Self::scan(input, |_| {})
     }
 
-    /// Of a take of which every chunk's checksum is looked at, and no sample decoded; its foreign parts are given
-    /// to `foreign`.
+    /// Of a take of which every chunk's checksum is looked at, and no sample decoded; `foreign` gets its foreign
+    /// parts, to be read where they are wanted.
     ///
     /// # Errors
-    /// `NotATake`, `Unsupported`, `Io`, and whatever `foreign` returns.
+    /// `NotATake`, `Unsupported`, `Io`.
     pub fn scan(
         input: &mut (impl Read + Seek),
-        foreign: impl FnMut(Foreign) -> Result<(), TakeError>,
+        foreign: impl FnMut(ForeignPart),
     ) -> Result<Self, TakeError> {
         scan::scan(input, foreign)
     }

@@ -1,21 +1,24 @@
 //! Reads a take, sans-io: bytes are pushed in, events come out; damage is an event, not the end.
 
+mod ahead;
 mod bytes;
 mod chunks;
+mod damage;
 mod io;
 mod mend;
+mod passing;
 
 pub use bytes::TakeBytes;
 
-pub use io::{pull, read_events, read_events_at};
+pub use io::{TakeInput, pull, read_events, read_events_at};
 pub(crate) use mend::head as mend_head;
 
-use self::chunks::is_one_other_chunk;
+use self::{ahead::Step, damage::Damage, passing::Passing};
 use crate::{
     TakeError, chunk,
-    chunk::Front,
+    chunk::{LongChunks, Search, WINDOW_BYTES},
+    foreign::ForeignPart,
     index::{Footer, IndexEntry},
-    motion::Foreign,
     record::{Channel, Clock, Event, Header, Ledger, Subject, SummaryRecord},
     stretch::{Chain, Stretch},
 };
@@ -48,7 +51,7 @@ pub enum TakeEvent<'a> {
     /// The ledger so far; the last one counts.
     Ledger(Box<Ledger>),
     /// What an importer kept.
-    Foreign(Foreign),
+    Foreign(ForeignPart),
     /// What stands at the end of a take that was closed: how it ended.
     Summary(SummaryRecord),
     /// The key stretches.
@@ -89,7 +92,13 @@ pub enum TakeEvent<'a> {
 /// What an ordinary reader says of a header that it cannot read.
 pub(crate) const HEADER_DAMAGED: &str = "its header is damaged, and nothing can be read without it; try `mocapd recover`, which can put one byte of it right";
 
-/// Turns bytes into [`TakeEvent`]s. Holds one chunk at a time (after damage, up to the rest of the file).
+/// A window, and a piece that was pushed when a byte of it was still missing.
+const PUSHED_MAX: usize = WINDOW_BYTES + io::READ_BYTES;
+
+/// Turns bytes into [`TakeEvent`]s. Holds one chunk at a time, after damage at most [`WINDOW_BYTES`](chunk::WINDOW_BYTES), whatever the file
+/// claims. Of chunks longer than [`CHUNK_HELD_MAX`](chunk::CHUNK_HELD_MAX) it holds a stretch, once it is known to be whole.
+///
+/// To know that it reads ahead, and [goes back](Self::goes_back_to): no chunk is read more than twice.
 #[derive(Debug, Default)]
 pub struct TakeReader {
     buffer: Vec<u8>,
@@ -102,6 +111,15 @@ pub struct TakeReader {
     /// After the header.
     chain: Option<Chain>,
     bytes: TakeBytes,
+    /// What is not a whole chunk, and behind which the next one is looked for.
+    damage: Option<Damage>,
+    /// A whole chunk that is too long to be held, on its way through.
+    passing: Option<Passing>,
+    /// Which long chunks are whole, as far as is known.
+    long: LongChunks,
+    /// The way ahead to know more of them.
+    search: Option<Search>,
+    goes_back_to: Option<u64>,
     /// Up to which byte there was nothing but the beginning of a header.
     header_cut_until: u64,
     seen_magic: bool,
@@ -131,10 +149,39 @@ impl TakeReader {
 
     /// Adds bytes of the file, in order, in pieces of any size.
     pub fn push(&mut self, bytes: &[u8]) {
-        self.buffer.drain(..self.used);
-        self.base += self.used as u64;
-        self.used = 0;
+        let done = self.done_with();
+        // So that each byte is moved a few times at most.
+        if done >= self.buffer.len() / 4 {
+            self.buffer.drain(..done);
+            self.base += done as u64;
+            self.used -= done;
+        }
+        let (held, wanted) = (self.buffer.capacity(), self.buffer.len() + bytes.len());
+        if wanted > held {
+            // A vector doubles: near the window it need not.
+            let grown = if held < WINDOW_BYTES { 2 * held } else { held / 4 * 5 };
+            let grown = if wanted > PUSHED_MAX { grown } else { grown.min(PUSHED_MAX) };
+            self.buffer.reserve_exact(grown.max(wanted) - self.buffer.len());
+        }
         self.buffer.extend_from_slice(bytes);
+    }
+
+    /// Where the bytes to push next begin, when it is not where the last ones ended: said once.
+    pub fn goes_back_to(&mut self) -> Option<u64> {
+        let offset = self.goes_back_to.take()?;
+        self.complete = false;
+        Some(offset)
+    }
+
+    /// Bytes at the front of the buffer that are not looked at again.
+    fn done_with(&self) -> usize {
+        match &self.damage {
+            // All of it is wanted, if it turns out to be one chunk whose head alone is damaged.
+            Some(damage) if !damage.is_far && self.search.is_none() => {
+                damage.offset.checked_sub(self.base).map_or(self.used, |at| at as usize)
+            }
+            _ => self.used,
+        }
     }
 
     /// No more bytes will come.
@@ -159,39 +206,32 @@ impl TakeReader {
         if self.ended {
             return Ok(None);
         }
-        let waiting = &self.buffer[self.used..];
-        if waiting.is_empty() && self.complete {
-            return self.end().map(Some);
-        }
-        if (waiting.len() as u64) < self.wanted && !self.complete {
-            return Ok(None);
-        }
-        match chunk::front(waiting) {
-            Front::Whole { kind, len, .. } => {
-                let start = self.used;
-                self.used += len;
-                self.wanted = 1;
-                self.interpret(kind, start, len).map(Some)
+        loop {
+            if self.goes_back_to.is_some() {
+                return Ok(None);
             }
-            Front::Short(wanted) if !self.complete => {
-                self.wanted = wanted;
-                Ok(None)
-            }
-            Front::Short(_) => {
-                let is_header = self.offset() == chunk::MAGIC.len() as u64;
-                let damage = self.skip_damage("the file ends inside a chunk");
-                if is_header {
-                    self.header_cut_until = self.offset();
+            if self.search.is_some() {
+                if !self.look_ahead() {
+                    return Ok(None);
                 }
-                Ok(Some(damage))
+            } else if self.passing.is_some() {
+                return if self.pass() { self.passed().map(Some) } else { Ok(None) };
+            } else if !self.complete && ((self.buffer.len() - self.used) as u64) < self.wanted {
+                return Ok(None);
+            } else if self.damage.is_some() {
+                if let Some(event) = self.find_next() {
+                    return Ok(Some(event));
+                }
+            } else if self.used == self.buffer.len() {
+                return if self.complete { self.end().map(Some) } else { Ok(None) };
+            } else {
+                match self.next_chunk() {
+                    Step::Chunk { kind, start, len } => {
+                        return self.interpret(kind, start, len).map(Some);
+                    }
+                    Step::Again => {}
+                }
             }
-            Front::Damaged if !self.complete => {
-                // The next whole chunk may be long and cut by the end of the buffer, and only its
-                // CRC tells it from noise: look again when all is there.
-                self.wanted = u64::MAX;
-                Ok(None)
-            }
-            Front::Damaged => Ok(Some(self.skip_damage("checksum does not match"))),
         }
     }
 
@@ -228,25 +268,5 @@ impl TakeReader {
             }));
         }
         Ok(TakeEvent::End { finished: self.seen_footer, bytes: self.bytes })
-    }
-
-    /// Steps over what is damaged, to the next whole chunk or the end; or makes it whole where that is proven.
-    fn skip_damage(&mut self, message: &str) -> TakeEvent<'static> {
-        let (offset, start) = (self.offset(), self.used);
-        self.used = chunk::resync(&self.buffer, self.used + 1).unwrap_or(self.buffer.len());
-        self.wanted = 1;
-        if mend::head(&mut self.buffer[start..self.used]) {
-            self.used = start;
-            return TakeEvent::Mended { offset };
-        }
-        let (len, message) = (self.offset() - offset, message.to_owned());
-        self.bytes.other += len;
-        let kind = self.buffer.get(start).copied().filter(|kind| chunk::types::ALL.contains(kind));
-        if !is_one_other_chunk(&self.buffer[start..self.used])
-            && let Some(chain) = &mut self.chain
-        {
-            chain.break_off();
-        }
-        TakeEvent::Damaged { offset, len, kind, message }
     }
 }

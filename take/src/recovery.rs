@@ -12,7 +12,7 @@ mod write;
 
 pub use self::{
     kinds::{Kind, KindCount},
-    start::{Mended, mend_start},
+    start::{Mended, MendedStart, mend_start},
     survey::{ChannelCount, Survey},
 };
 

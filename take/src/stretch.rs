@@ -9,6 +9,7 @@ mod moved;
 mod tests;
 
 pub(crate) use self::chain::{Chain, Placed};
+use self::front::Front;
 pub use self::{decoder::StretchDecoder, front::FrontWriter, moved::put_moved};
 use mocapd_codec::{GROUP_CHANNELS, ResamplerKind};
 
@@ -37,6 +38,10 @@ pub(crate) const ROWS_PASSED_MAX: u64 = 1 << 32;
 /// Most samples that one stretch may decode to: 400 MB of positions; with their flags, and what decoders of
 /// `dense` keep beside them, 1.5 GB.
 pub const SAMPLES_MAX: u64 = 1 << 25;
+
+/// Longest chunk of a stretch: of each sample the 12 bytes of a position, and 4 for whether it is there, for the lengths
+/// of blocks and for the times, which together take less.
+pub(crate) const BYTES_MAX: u64 = 16 * SAMPLES_MAX;
 
 /// Stretches are counted modulo this.
 pub const NUMBERS: u8 = 32;
@@ -124,6 +129,11 @@ impl Stretch<'_> {
         };
         self.blocks.iter().enumerate().filter_map(stated).max().unwrap_or(0)
     }
+}
+
+/// Whether the payload of a long stretch may begin with these bytes, so far as its front says.
+pub(crate) fn may_begin_with(payload: &[u8]) -> bool {
+    Front::may_begin_with(payload)
 }
 
 /// Whether runs are those of rows that were damaged before a recovery.

@@ -1,6 +1,8 @@
 //! Writes a take, chunk after chunk, never going back.
 
-use std::io::Write;
+use std::io::{Read, Write};
+
+use crc32fast::Hasher;
 
 use crate::{
     TakeError, chunk,
@@ -11,6 +13,9 @@ use crate::{
     record::{Channel, Clock, Event, Header, Ledger, MoreChannels, Record, Subject, SummaryRecord},
     stretch::{RECORDED_MAX, ROWS_PASSED_MAX, Span, rows_max},
 };
+
+/// Of a long chunk so much is copied at once.
+const COPIED_BYTES: u64 = 1 << 16;
 
 /// Appends chunks to anything that takes bytes.
 ///
@@ -78,6 +83,12 @@ impl<W: Write> TakeWriter<W> {
     /// `Io`; `InvalidArgument` when it has more rows than a reader would take, or too many were lost
     /// before it.
     pub fn stretch(&mut self, span: Span, payload: &[u8]) -> Result<(), TakeError> {
+        self.account(span)?;
+        self.chunk(types::STRETCH, payload)
+    }
+
+    /// A stretch comes next.
+    fn account(&mut self, span: Span) -> Result<(), TakeError> {
         check_rows(span.n_rows, self.rows_max)?;
         let passed = span.end_row().saturating_sub(self.n_rows);
         if passed > ROWS_PASSED_MAX {
@@ -89,7 +100,7 @@ impl<W: Write> TakeWriter<W> {
             self.index.push(IndexEntry { offset: self.offset, first_row: span.first_row });
         }
         self.n_rows = self.n_rows.max(span.end_row());
-        self.chunk(types::STRETCH, payload)
+        Ok(())
     }
 
     /// An event.
@@ -169,6 +180,34 @@ impl<W: Write> TakeWriter<W> {
     /// A chunk of another take that is no stretch, unchanged.
     pub(crate) fn copy(&mut self, kind: u8, payload: &[u8]) -> Result<(), TakeError> {
         self.chunk(kind, payload)
+    }
+
+    /// A whole chunk of `len` bytes of another take, however long, unchanged; says whether its CRC matches. What a
+    /// stretch spans is told.
+    pub(crate) fn copy_long(
+        &mut self,
+        span: Option<Span>,
+        mut chunk: impl Read,
+        len: u64,
+    ) -> Result<bool, TakeError> {
+        span.map_or(Ok(()), |span| self.account(span))?;
+        let mut crc = Hasher::new();
+        let mut left = len.saturating_sub(chunk::CRC_BYTES as u64);
+        while left > 0 {
+            self.scratch.clear();
+            let n = chunk.by_ref().take(left.min(COPIED_BYTES)).read_to_end(&mut self.scratch)?;
+            if n == 0 {
+                return Ok(false);
+            }
+            crc.update(&self.scratch);
+            left -= n as u64;
+            self.flush_scratch()?;
+        }
+        self.scratch.clear();
+        chunk.take(chunk::CRC_BYTES as u64).read_to_end(&mut self.scratch)?;
+        let matches = *self.scratch == crc.finalize().to_le_bytes();
+        self.flush_scratch()?;
+        Ok(matches)
     }
 
     fn record<R: Record>(&mut self, record: &R) -> Result<(), TakeError> {

@@ -29,7 +29,7 @@ fn frames(take: &[u8], row: u64) -> Vec<Vec<[u32; 3]>> {
 }
 
 fn scanned(take: &[u8]) -> TakeMap {
-    TakeMap::scan(&mut Cursor::new(take), |_| Ok(())).unwrap()
+    TakeMap::scan(&mut Cursor::new(take), |_| {}).unwrap()
 }
 
 /// The offset of the first byte of each chunk, and of the end.

@@ -1,1 +1,169 @@
 //! A file that claims more than it holds costs neither memory nor time.
+//!
+//! Each `cargo test` does it with half a gigabyte; docs/reliability.md has the command for more.
+
+use std::{
+    fs::File,
+    io::{Seek, SeekFrom, Write},
+    path::Path,
+    process::{Child, Command, Stdio},
+    time::{Duration, Instant},
+};
+
+use mocapd_simulator::generator::Rng;
+use mocapd_take::chunk::{MAGIC, types};
+use serde_json::Value;
+
+use crate::{
+    cli::{Folder, Ran},
+    support::{config, dense, jump, places, record},
+};
+
+/// Places that are damaged.
+const DAMAGED: usize = 20;
+
+/// What a file claims, by its holes.
+fn claimed_bytes() -> u64 {
+    let mib = std::env::var("MOCAPD_SPARSE_MIB").ok().and_then(|mib| mib.parse().ok());
+    mib.unwrap_or(512_u64) << 20
+}
+
+/// Address space of the program, which has libraries, stacks of threads and a binary with all that tests need in it: far
+/// less than the file claims.
+const ADDRESSES_KIB: u64 = 400 << 10;
+
+/// What it may have in memory at most.
+const RESIDENT_MAX_BYTES: u64 = 96 << 20;
+
+/// Thirty seconds of a recording, in stretches of half a second.
+fn recording() -> Vec<u8> {
+    let motion = jump(5, 60.0, 30.0);
+    record(&motion, &config(&motion, dense(0.5)), 0..motion.n_frames()).1
+}
+
+/// Writes `take` with holes in it, each within a chunk, seeded.
+fn write_sparse(path: &Path, take: &[u8], seed: u64) {
+    let mut rng = Rng::new(seed);
+    let mut numbers = |n: usize| (rng.next_u64() % n as u64) as usize;
+    let chunks: Vec<_> = places(take).into_iter().skip(1).map(|place| place.1).collect();
+    let mut place = |_| {
+        let chunk = &chunks[numbers(chunks.len())];
+        chunk.start + 1 + numbers(chunk.len() - 1)
+    };
+    let mut holes: Vec<usize> = (0..DAMAGED).map(&mut place).collect();
+    holes.sort_unstable();
+    let hole_bytes = claimed_bytes() / DAMAGED as u64;
+    let mut file = File::create(path).unwrap();
+    let mut from = 0;
+    for at in holes {
+        file.write_all(&take[from..at]).unwrap();
+        file.seek(SeekFrom::Current(hole_bytes as i64)).unwrap();
+        from = at;
+    }
+    file.write_all(&take[from..]).unwrap();
+}
+
+/// The program with little room, and the most memory that it was seen with.
+fn run(folder: &Folder, args: &[&str]) -> (Ran, u64) {
+    let child = limited(folder, args);
+    let resident = watch(&child, || false);
+    (child.wait_with_output().unwrap().into(), resident)
+}
+
+fn limited(folder: &Folder, args: &[&str]) -> Child {
+    let mut command = Command::new("sh");
+    let limit = format!("ulimit -v {ADDRESSES_KIB} && exec \"$0\" \"$@\"");
+    command.args(["-c", &limit, env!("CARGO_BIN_EXE_mocapd")]).args(args);
+    command.current_dir(folder.path(".")).env("MALLOC_ARENA_MAX", "2");
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command.spawn().unwrap()
+}
+
+/// Looks at a process until it ends or `is_done`.
+fn watch(child: &Child, mut is_done: impl FnMut() -> bool) -> u64 {
+    let status = format!("/proc/{}/status", child.id());
+    let mut most = 0;
+    loop {
+        let text = std::fs::read_to_string(&status).unwrap_or_default();
+        let kib = text.lines().find_map(|line| line.strip_prefix("VmHWM:")?.strip_suffix("kB"));
+        // A process that has ended has none.
+        let Some(kib) = kib.and_then(|kib| kib.trim().parse::<u64>().ok()) else { return most };
+        most = most.max(kib << 10);
+        if is_done() {
+            return most;
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
+
+fn assert_small(what: &str, resident: u64) {
+    println!("{what}: {} MiB in memory at most", resident >> 20);
+    assert!(resident < RESIDENT_MAX_BYTES, "{what}: {resident} bytes in memory");
+}
+
+#[test]
+fn holes_cost_no_memory_and_what_lies_between_them_is_found() {
+    let folder = Folder::new();
+    let take = recording();
+    folder.write("whole.take", &take);
+    let whole = folder.run(&["info", "whole.take", "--json"]).with_code(0).json();
+    write_sparse(&folder.path("holes.take"), &take, 11);
+    let (info, resident) = run(&folder, &["info", "holes.take", "--json"]);
+    assert_small("info", resident);
+    let info = info.with_code(3).json();
+    let n = |report: &Value, key: &str| report[key].as_u64().unwrap();
+    assert_eq!(n(&info, "frames"), n(&whole, "frames"));
+    let (verify, resident) = run(&folder, &["verify", "holes.take", "--json"]);
+    assert_small("verify", resident);
+    let verify = verify.with_code(3).json();
+    assert_eq!(n(&verify, "frames"), n(&whole, "frames"));
+    assert!(n(&verify, "samples") > 0);
+    let (export, resident) = run(&folder, &["export", "holes.take", "-o", "holes.csv"]);
+    assert_small("export", resident);
+    export.with_code(3);
+    assert_eq!(folder.text("holes.csv").lines().count() as u64, n(&whole, "frames") + 1);
+    let recover = ["recover", "holes.take", "-o", "again.take", "--json"];
+    let (recover, resident) = run(&folder, &recover);
+    assert_small("recover", resident);
+    let recover = recover.with_code(3).json();
+    // As much as without the holes, each of which is two cuts within a chunk.
+    assert_eq!(n(&recover, "samples"), n(&verify, "samples"));
+    let again = folder.run(&["verify", "again.take", "--json"]).json();
+    assert_eq!(
+        (&again["intact"], n(&again, "samples")),
+        (&Value::Bool(true), n(&verify, "samples"))
+    );
+}
+
+/// A whole header, and a hole: it killed the service, at each start again.
+#[test]
+fn the_service_starts_where_a_file_is_a_header_and_a_hole() {
+    let folder = Folder::new();
+    let take = recording();
+    let header = places(&take)[0].1.end;
+    std::fs::create_dir(folder.path("takes")).unwrap();
+    let path = folder.path("takes/hole.take");
+    let mut file = File::create(&path).unwrap();
+    file.write_all(&take[..header]).unwrap();
+    // A stretch that claims all that a chunk can, and none of it is there.
+    file.write_all(&[types::STRETCH, 0x80, 0x80, 0x80, 0x80, 0x04, 2]).unwrap();
+    file.set_len(claimed_bytes()).unwrap();
+    drop(file);
+    assert_eq!(take[..8], MAGIC);
+    folder.write(
+        "rig.toml",
+        "[device]\nuri = \"serial:nowhere\"\n[take]\ndirectory = \"takes\"\n[http]\nsocket = \"rig.sock\"\n",
+    );
+    let mut child = limited(&folder, &["run", "--config", "rig.toml"]);
+    let recovered = folder.path("takes/hole.recovered.take");
+    let begun = Instant::now();
+    let resident =
+        watch(&child, || recovered.exists() || begun.elapsed() > Duration::from_secs(120));
+    child.kill().ok();
+    let said: Ran = child.wait_with_output().unwrap().into();
+    assert!(recovered.exists(), "{}{}", said.stdout, said.stderr);
+    assert_small("the service", resident);
+    let name = "takes/hole.recovered.take";
+    let verify = folder.run(&["verify", name, "--json"]).with_code(0).json();
+    assert_eq!(verify["intact"], true);
+}

@@ -14,7 +14,7 @@ use std::{
 use anyhow::Context;
 use mocapd::{
     ahead::Ahead,
-    files::{self, NewFile, NewFolder},
+    files::{NewFile, NewFolder, SparseFile},
     outcome::{Outcome, UsageError},
     threads, units,
 };
@@ -56,8 +56,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     format.check_built()?;
     paths::check_output(&args.output)?;
     let reading = || format!("cannot read {}", args.take.display());
-    let file = files::open(&args.take)?;
-    let mut frames = TakeFrames::open(BufReader::new(file)).with_context(reading)?;
+    let file = SparseFile::open(&args.take)?;
+    let wanted = |kind: &str| format.gives_back(kind);
+    let mut frames = TakeFrames::open_with(BufReader::new(file), wanted).with_context(reading)?;
     let range = part::range(frames.info(), frames.n_held(), args.from, args.to)?;
     if args.up.is_some() && frames.info().up == UpAxis::Unknown {
         return Err(UsageError(format!(

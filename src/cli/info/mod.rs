@@ -7,7 +7,7 @@ mod words;
 use std::{io::BufReader, path::PathBuf};
 
 use anyhow::Context;
-use mocapd::{files, health::TakeHealth, inspect::Summary, outcome::Outcome};
+use mocapd::{files::SparseFile, health::TakeHealth, inspect::Summary, outcome::Outcome};
 
 use self::{report::Report, words::words};
 use super::{
@@ -26,8 +26,8 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let reading = || format!("cannot read {}", args.take.display());
-    let file = files::open(&args.take)?;
-    let file_bytes = file.metadata().with_context(reading)?.len();
+    let file = SparseFile::open(&args.take)?;
+    let file_bytes = file.len_bytes().with_context(reading)?;
     let summary = Summary::read(BufReader::new(file)).with_context(reading)?;
     let header = summary.header.as_ref().with_context(reading)?;
     let report = Report::new(&args.take, &summary, header, file_bytes);

@@ -3,7 +3,6 @@
 mod report;
 
 use std::{
-    fs::File,
     io::{self, BufWriter, Read, Seek, SeekFrom},
     path::PathBuf,
     sync::{
@@ -14,7 +13,7 @@ use std::{
 
 use anyhow::Context;
 use mocapd::{
-    files::{self, NewFile},
+    files::{NewFile, SparseFile},
     header::SOFTWARE,
     outcome::Outcome,
 };
@@ -43,8 +42,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     paths::check_take_output(&args.output)?;
     let name = args.take.display();
     let reading = || format!("cannot read {name}");
-    let file = files::open(&args.take)?;
-    let file_bytes = file.metadata().with_context(reading)?.len();
+    let file = SparseFile::open(&args.take)?;
+    let file_bytes = file.len_bytes().with_context(reading)?;
     let read = Arc::new(AtomicU64::new(0));
     // Once to look, once to copy.
     let progress = Progress::follow("recovering", &read, 2 * file_bytes);
@@ -87,7 +86,7 @@ fn of_start(mended: &Mended) -> String {
 /// A file, and how much of it was read.
 #[derive(Debug)]
 struct Counted {
-    file: File,
+    file: SparseFile,
     read: Arc<AtomicU64>,
 }
 

@@ -5,7 +5,7 @@ use std::{io::BufReader, path::Path};
 use anyhow::Context;
 use mocapd::{
     compare::{Difference, compare},
-    files,
+    files::SparseFile,
 };
 use mocapd_take::{
     TakeFrames,
@@ -68,7 +68,7 @@ pub(super) fn against(
     tolerance_mm: f64,
 ) -> anyhow::Result<AgainstReport> {
     let open = |path: &Path| {
-        TakeFrames::open(BufReader::new(files::open(path)?))
+        TakeFrames::open_with(BufReader::new(SparseFile::open(path)?), |_| false)
             .with_context(|| format!("cannot read {}", path.display()))
     };
     let take_frames = open(take)?;

@@ -10,7 +10,7 @@ use std::{
 };
 
 use anyhow::{Context, bail};
-use mocapd::{clock::Apart, files, inspect::Summary, outcome::Outcome, units};
+use mocapd::{clock::Apart, files::SparseFile, inspect::Summary, outcome::Outcome, units};
 use mocapd_take::record::{Header, Ledger};
 use serde::Serialize;
 
@@ -87,7 +87,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let Some(original) = args.against.as_ref().filter(|path| !paths::is_take(path)) {
         paths::input_format(original)?;
     }
-    let summary = Summary::read(BufReader::new(files::open(&args.take)?)).with_context(reading)?;
+    let summary =
+        Summary::read(BufReader::new(SparseFile::open(&args.take)?)).with_context(reading)?;
     let header = summary.header.as_ref().with_context(reading)?;
     let mut report = Report::new(&args.take, &summary, header);
     if let Some(original) = &args.against {

@@ -11,7 +11,7 @@ use mocapd_take::recovery::{Survey, mend_start};
 
 use super::Inner;
 use crate::{
-    files::{self, NewFile},
+    files::{NewFile, SparseFile},
     header::SOFTWARE,
     health::TakeHealth,
     service::status::TakeSummary,
@@ -61,7 +61,7 @@ pub(super) fn run(inner: &Arc<Inner>, takes: Vec<PathBuf>) {
 
 fn recover(path: &Path, output: &Path) -> anyhow::Result<String> {
     let reading = || format!("cannot read {}", path.display());
-    let (mut input, _) = mend_start(files::open(path)?).with_context(reading)?;
+    let (mut input, _) = mend_start(SparseFile::open(path)?).with_context(reading)?;
     let survey = Survey::read(&mut input).with_context(reading)?;
     let mut file = NewFile::create(output)?;
     survey.write(&mut input, BufWriter::new(&mut file), SOFTWARE)?;

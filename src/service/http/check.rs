@@ -1,7 +1,7 @@
 //! A take read to its end: whether it is what it says.
 
 use std::{
-    io::{self, BufReader, Read},
+    io::{self, BufReader, Read, Seek, SeekFrom},
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -119,6 +119,12 @@ impl<R: Read> Read for While<R> {
             return Err(io::Error::other("nobody waits for the check any more"));
         }
         self.input.read(buffer)
+    }
+}
+
+impl<R: Seek> Seek for While<R> {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.input.seek(to)
     }
 }
 

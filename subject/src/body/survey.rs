@@ -61,8 +61,8 @@ impl Survey {
             Plausible::WithoutArms => notes.push(leave_out_arms(&mut joints)),
             Plausible::Nothing => return Err(contact),
         }
-        let in_contact = ends.told >= Told::InContact
-            || landmarks.touching.any() || !notes.is_empty();
+        let in_contact =
+            ends.told >= Told::InContact || landmarks.touching.any() || !notes.is_empty();
         if landmarks.missing.as_flattened().iter().any(|part| *part > 0.0) {
             notes.push(limbs_cut(landmarks.missing));
         }

@@ -22,7 +22,6 @@ impl<'a> Marks<'a> {
         let Some(len) = end.checked_sub(start).filter(|_| end <= self.bytes.len()) else {
             return 0;
         };
-        // The CRC of two parts is the first one's, moved by the length of the second, xor the second's.
         self.crc_to(end) ^ moved(self.crc_to(start), len as u64)
     }
 
@@ -37,13 +36,16 @@ impl<'a> Marks<'a> {
     }
 }
 
-fn append(crc: u32, bytes: &[u8]) -> u32 {
+/// The CRC of some bytes and these behind them.
+pub(super) fn append(crc: u32, bytes: &[u8]) -> u32 {
     let mut hasher = Hasher::new_with_initial(crc);
     hasher.update(bytes);
     hasher.finalize()
 }
 
-fn moved(crc: u32, len: u64) -> u32 {
+/// What the CRC of some bytes adds to that of these and `len` more: the CRC of two parts is the first one's, moved, xor
+/// the second's.
+pub(super) fn moved(crc: u32, len: u64) -> u32 {
     let mut hasher = Hasher::new_with_initial(crc);
     hasher.combine(&Hasher::new_with_initial_len(0, len));
     hasher.finalize()

@@ -155,17 +155,21 @@ impl Format {
         }
     }
 
+    /// Whether a file of this format holds foreign parts of a kind: those that it was imported with.
+    #[must_use]
+    pub fn gives_back(self, kind: &str) -> bool {
+        match self {
+            Self::C3d => kind.starts_with("c3d/"),
+            Self::Trc => kind.starts_with("trc/"),
+            Self::Tsv => kind.starts_with("tsv/"),
+            _ => false,
+        }
+    }
+
     /// What of `info` a file of this format will not hold, in words; `up_is_chosen` says that its reader knows what is up.
     #[must_use]
     pub fn leaves_out(self, info: &MotionInfo, up_is_chosen: bool) -> Vec<String> {
-        let own = match self {
-            Self::C3d => Some("c3d/"),
-            Self::Trc => Some("trc/"),
-            Self::Tsv => Some("tsv/"),
-            _ => None,
-        };
-        let others =
-            info.foreign.iter().filter(|part| own.is_none_or(|own| !part.kind.starts_with(own)));
+        let others = info.foreign.iter().filter(|part| !self.gives_back(&part.kind));
         let mut left_out: Vec<String> = others.map(|part| part.kind.clone()).collect();
         let documents = info.subject.iter().flat_map(|subject| &subject.documents);
         left_out.extend(documents.map(|document| format!("the subject's {}", document.kind)));

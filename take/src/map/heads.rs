@@ -8,7 +8,7 @@ use crc32fast::Hasher;
 use super::TakeMap;
 use crate::{
     TakeError,
-    chunk::{self, Front, MAGIC, MAY_SKIP, PAYLOAD_BYTES_MAX, types},
+    chunk::{self, CHUNK_HELD_MAX, CRC_BYTES, Front, MAGIC, MAY_SKIP, PAYLOAD_BYTES_MAX, types},
     index::{Footer, IndexEntry, parse_index},
     record::{Clock, Event, Header, Ledger, MoreChannels, Record, Subject, SummaryRecord},
     stretch::ROWS_PASSED_MAX,
@@ -16,9 +16,6 @@ use crate::{
 
 /// How much is read at once: a few stretches of a recording, whose heads then cost no call each.
 const READ_BYTES: usize = 1 << 14;
-
-/// CRC-32.
-const CRC_BYTES: usize = 4;
 
 /// Type, and a length of at most five bytes.
 const HEAD_BYTES_MAX: u64 = 6;
@@ -186,8 +183,12 @@ impl<R: Read + Seek> Chunks<R> {
         Ok(stored == crc.finalize().to_le_bytes())
     }
 
-    /// The payload of the chunk of so many bytes here, if its checksum matches.
+    /// The payload of the chunk of so many bytes here, if its checksum matches. No record, and no index of a take of
+    /// months, is so long that it would not be held.
     fn payload(&mut self, chunk_bytes: u64) -> Result<Option<Vec<u8>>, TakeError> {
+        if chunk_bytes > CHUNK_HELD_MAX {
+            return Ok(None);
+        }
         let mut chunk = Vec::new();
         self.input.by_ref().take(chunk_bytes).read_to_end(&mut chunk)?;
         self.at += chunk.len() as u64;

@@ -5,9 +5,9 @@ use std::io::{Read, Seek, SeekFrom};
 use super::TakeMap;
 use crate::{
     TakeError, TakeEvent,
+    foreign::ForeignPart,
     frames::{damaged, mended},
     index::IndexEntry,
-    motion::Foreign,
     reader::read_events_at,
     stretch::Stretch,
     table::ChannelTable,
@@ -16,7 +16,7 @@ use crate::{
 
 pub(super) fn scan(
     input: &mut (impl Read + Seek),
-    mut foreign: impl FnMut(Foreign) -> Result<(), TakeError>,
+    mut foreign: impl FnMut(ForeignPart),
 ) -> Result<TakeMap, TakeError> {
     input.seek(SeekFrom::Start(0))?;
     let mut map: Option<TakeMap> = None;
@@ -44,7 +44,7 @@ pub(super) fn scan(
             return Ok(());
         };
         match event {
-            TakeEvent::Foreign(part) => return foreign(part),
+            TakeEvent::Foreign(part) => foreign(part),
             TakeEvent::Channels(more) => table.append(&more),
             TakeEvent::Stretch(stretch) => {
                 map.stretch(&stretch, offset);

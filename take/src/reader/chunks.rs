@@ -3,8 +3,8 @@
 use super::{TakeEvent, TakeReader};
 use crate::{
     TakeError, chunk,
-    chunk::{Front, MAY_SKIP, types},
-    foreign,
+    chunk::{CRC_BYTES, Front, MAY_SKIP, types},
+    foreign::{ForeignPart, Inflation},
     index::{Footer, parse_index},
     record::{Clock, Event, Header, Ledger, MoreChannels, Record, Subject, SummaryRecord},
     stretch::{Chain, Placed},
@@ -32,7 +32,7 @@ impl TakeReader {
             }
             self.bytes.other += len as u64;
             let message = format!("a chunk of type {kind:02x} before the header");
-            return Ok(damaged(offset, len, kind, message));
+            return Ok(damaged(offset, len as u64, kind, message));
         };
         let event = match kind {
             types::CHANNELS => {
@@ -50,8 +50,17 @@ impl TakeReader {
             types::CLOCK => {
                 Clock::from_payload(payload, offset).map(|c| TakeEvent::Clock(Box::new(c)))
             }
-            types::FOREIGN => foreign::from_payload(payload, offset).map(TakeEvent::Foreign),
             types::SUMMARY => SummaryRecord::from_payload(payload, offset).map(TakeEvent::Summary),
+            types::FOREIGN => {
+                let payload_at = offset + (len - CRC_BYTES - payload.len()) as u64;
+                let place = (payload_at, payload.len() as u64);
+                ForeignPart::of_payload(payload, place, offset).and_then(|part| {
+                    let mut inflation = Inflation::new(part.data_bytes);
+                    let from = (part.deflated_at() - payload_at) as usize;
+                    inflation.push(&payload[from..]);
+                    inflation.finish(offset).map(|()| TakeEvent::Foreign(part))
+                })
+            }
             types::INDEX => parse_index(payload, offset).map(TakeEvent::Index),
             types::FOOTER => Footer::from_payload(payload, offset)
                 .and_then(|footer| footer.check(chain.rows_believed_max(), offset))
@@ -63,12 +72,12 @@ impl TakeReader {
                     types::HEADER => "a second header".to_owned(),
                     _ => format!("chunk type {kind:02x} is unknown: use a newer mocapd"),
                 };
-                Ok(damaged(offset, len, kind, message))
+                Ok(damaged(offset, len as u64, kind, message))
             }
         };
         let event = event.unwrap_or_else(|error| match error {
             TakeError::Unsupported { .. } if kind & MAY_SKIP != 0 => TakeEvent::Skipped { kind },
-            error => damaged(offset, len, kind, error.to_string()),
+            error => damaged(offset, len as u64, kind, error.to_string()),
         });
         self.bytes.add(&event, len as u64);
         Ok(event)
@@ -76,9 +85,9 @@ impl TakeReader {
 }
 
 /// A chunk whose content is wrong.
-fn damaged(offset: u64, len: usize, kind: u8, message: String) -> TakeEvent<'static> {
+pub(super) fn damaged(offset: u64, len: u64, kind: u8, message: String) -> TakeEvent<'static> {
     let kind = Some(kind).filter(|kind| types::ALL.contains(kind));
-    TakeEvent::Damaged { offset, len: len as u64, kind, message }
+    TakeEvent::Damaged { offset, len, kind, message }
 }
 
 impl<'a> From<Placed<'a>> for TakeEvent<'a> {
@@ -90,14 +99,4 @@ impl<'a> From<Placed<'a>> for TakeEvent<'a> {
             }
         }
     }
-}
-
-/// Whether damaged bytes are one chunk by its own head, and no stretch: then none was among them. Bytes
-/// that are missing altogether leave pieces of two chunks, and no head fits these.
-pub(super) fn is_one_other_chunk(damaged: &[u8]) -> bool {
-    matches!(
-        chunk::split(damaged),
-        Front::Whole { kind, len, .. }
-            if len == damaged.len() && kind != types::STRETCH && types::ALL.contains(&kind)
-    )
 }

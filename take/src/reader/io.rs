@@ -1,18 +1,89 @@
 //! From anything that can be read to events.
 
-use std::io::Read;
+use std::{
+    fs::File,
+    io::{BufReader, Cursor, Read, Seek, SeekFrom},
+};
 
 use super::{TakeEvent, TakeReader};
-use crate::TakeError;
+use crate::{TakeError, recovery::MendedStart};
 
 /// How much is read at once.
-const READ_BYTES: usize = 1 << 16;
+pub(super) const READ_BYTES: usize = 1 << 16;
 
-/// Pushes the next bytes of `input` into `reader`, or tells it that there are no more.
+/// What a take can be read from, its bytes more than once: a file, or bytes in memory.
+pub trait TakeInput {
+    /// What reads it.
+    type Input: Read + Seek;
+
+    /// From its start.
+    fn input(self) -> Self::Input;
+}
+
+impl<'a> TakeInput for &'a [u8] {
+    type Input = Cursor<&'a [u8]>;
+
+    fn input(self) -> Self::Input {
+        Cursor::new(self)
+    }
+}
+
+impl<'a> TakeInput for &'a Vec<u8> {
+    type Input = Cursor<&'a [u8]>;
+
+    fn input(self) -> Self::Input {
+        Cursor::new(self)
+    }
+}
+
+impl<R: Read + Seek> TakeInput for &mut R {
+    type Input = Self;
+
+    fn input(self) -> Self {
+        self
+    }
+}
+
+impl TakeInput for File {
+    type Input = Self;
+
+    fn input(self) -> Self {
+        self
+    }
+}
+
+impl<R: Read + Seek> TakeInput for BufReader<R> {
+    type Input = Self;
+
+    fn input(self) -> Self {
+        self
+    }
+}
+
+impl<R: Read + Seek> TakeInput for MendedStart<R> {
+    type Input = Self;
+
+    fn input(self) -> Self {
+        self
+    }
+}
+
+impl<T: AsRef<[u8]>> TakeInput for Cursor<T> {
+    type Input = Self;
+
+    fn input(self) -> Self {
+        self
+    }
+}
+
+/// Pushes the next bytes of `input` into `reader`, from where it wants them, or tells it that there are no more.
 ///
 /// # Errors
 /// As [`TakeReader::next_event`], and `Io`.
-pub fn pull(input: &mut impl Read, reader: &mut TakeReader) -> Result<(), TakeError> {
+pub fn pull(input: &mut (impl Read + Seek), reader: &mut TakeReader) -> Result<(), TakeError> {
+    if let Some(offset) = reader.goes_back_to() {
+        input.seek(SeekFrom::Start(offset))?;
+    }
     let mut buffer = [0; READ_BYTES];
     let n = loop {
         match input.read(&mut buffer) {
@@ -33,7 +104,7 @@ pub fn pull(input: &mut impl Read, reader: &mut TakeReader) -> Result<(), TakeEr
 /// # Errors
 /// As [`TakeReader::next_event`], `Io`, and whatever `on_event` returns.
 pub fn read_events(
-    input: impl Read,
+    input: impl TakeInput,
     mut on_event: impl FnMut(TakeEvent<'_>) -> Result<(), TakeError>,
 ) -> Result<(), TakeError> {
     read_events_at(input, |_, event| on_event(event))
@@ -44,9 +115,10 @@ pub fn read_events(
 /// # Errors
 /// As [`read_events`].
 pub fn read_events_at(
-    mut input: impl Read,
+    input: impl TakeInput,
     mut on_event: impl FnMut(u64, TakeEvent<'_>) -> Result<(), TakeError>,
 ) -> Result<(), TakeError> {
+    let mut input = input.input();
     let mut reader = TakeReader::new();
     loop {
         // Events lie behind each other: one begins where the one before ends.

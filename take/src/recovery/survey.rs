@@ -3,14 +3,12 @@
 mod stretches;
 mod surveyor;
 
-use std::io::Read;
-
 use self::surveyor::Surveyor;
 use super::{KindCount, Piece, kinds::Kinds};
 use crate::{
     TakeError, TakeReader, chunk,
     loss::{Losses, LostRows, Why},
-    reader::{HEADER_DAMAGED, pull},
+    reader::{HEADER_DAMAGED, TakeInput, pull},
     record::{Channel, Header, Ledger, TakeEnding},
     table::ChannelTable,
 };
@@ -48,7 +46,8 @@ impl Survey {
     ///
     /// # Errors
     /// `NotATake` when there is no header, `Unsupported`, `Io`. Damage is no error.
-    pub fn read(mut input: impl Read) -> Result<Self, TakeError> {
+    pub fn read(input: impl TakeInput) -> Result<Self, TakeError> {
+        let mut input = input.input();
         let mut reader = TakeReader::new();
         let mut surveyor = Surveyor::default();
         let mut start = chunk::MAGIC.len() as u64;

@@ -5,7 +5,7 @@ use std::io::{Read, Seek, SeekFrom, Write};
 use super::{Piece, RECOVERED, Survey};
 use crate::{
     TakeError,
-    chunk::{self, Front},
+    chunk::{self, CHUNK_HELD_MAX, Front},
     reader::mend_head,
     record::{Event, EventKind, Header, SummaryRecord},
     stretch::{FrontWriter, NUMBERS, ROWS_PASSED_MAX, Span},
@@ -57,6 +57,12 @@ impl Survey {
         let mut bytes = Vec::new();
         for piece in &self.pieces {
             match piece {
+                Piece::Chunk { offset, len, span, .. } if *len > CHUNK_HELD_MAX => {
+                    input.seek(SeekFrom::Start(*offset))?;
+                    if !take.copy_long(*span, &mut input, *len)? {
+                        return Err(changed(*offset));
+                    }
+                }
                 Piece::Chunk { offset, len, kind, span } => {
                     read_chunk(&mut input, *offset, *len, &mut bytes)?;
                     let payload = payload(&mut bytes, *kind, *offset)?;
@@ -147,10 +153,11 @@ fn payload(bytes: &mut [u8], kind: u8, offset: u64) -> Result<&[u8], TakeError> 
         Front::Whole { kind: found, payload, len } if found == kind && len == bytes.len() => {
             Ok(payload)
         }
-        _ => Err(TakeError::Corrupt {
-            what: "chunk",
-            offset,
-            message: "the file changed while it was read".to_owned(),
-        }),
+        _ => Err(changed(offset)),
     }
+}
+
+fn changed(offset: u64) -> TakeError {
+    let message = "the file changed while it was read".to_owned();
+    TakeError::Corrupt { what: "chunk", offset, message }
 }

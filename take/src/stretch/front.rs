@@ -1,6 +1,6 @@
 //! What stands in front of a stretch's blocks: docs/take-format.md, "STRETCH".
 
-use super::{NUMBERS, RECORDED_MAX, ROWS_PASSED_MAX, Sizes, Span};
+use super::{NUMBERS, RECORDED_MAX, ROWS_MAX, ROWS_PASSED_MAX, Sizes, Span};
 use crate::{
     timeline::{Causes, Run, Timeline, TimelineEncoder, take_times},
     varint,
@@ -105,6 +105,26 @@ pub(crate) struct Front<'a> {
     pub(crate) sizes: Sizes,
 }
 
+impl Front<'_> {
+    /// Whether these may be the first bytes of a stretch of some length: what is cheap to see of them.
+    pub(super) fn may_begin_with(payload: &[u8]) -> bool {
+        let mut cursor = varint::Cursor::new(payload);
+        let Some(head) = cursor.byte() else { return false };
+        let shape = if head & PLAIN != 0 { Some(HAS_TIMES) } else { cursor.byte() };
+        let row = if head & KEY != 0 { cursor.varint() } else { Some(0) };
+        let Some((shape, _)) = shape.zip(row).filter(|(shape, _)| is_known(*shape)) else {
+            return false;
+        };
+        let listed = shape & ROWS_LISTED != 0;
+        !listed || cursor.varint().is_some_and(|n_rows| (1..=ROWS_MAX).contains(&n_rows))
+    }
+}
+
+fn is_known(shape: u8) -> bool {
+    shape <= HAS_TIMES | RUNS_LISTED | ROWS_LISTED | SHARED
+        && shape & (HAS_TIMES | RUNS_LISTED) != RUNS_LISTED
+}
+
 impl<'a> Front<'a> {
     /// The front of `cursor`: `stretch_rows` unless it lists others, at most `rows_max`. An error says what
     /// is wrong.
@@ -118,9 +138,7 @@ impl<'a> Front<'a> {
         let head = cursor.byte().ok_or(short)?;
         let shape = if head & PLAIN != 0 { HAS_TIMES } else { cursor.byte().ok_or(short)? };
         let key = head & KEY != 0;
-        if shape > HAS_TIMES | RUNS_LISTED | ROWS_LISTED | SHARED
-            || shape & (HAS_TIMES | RUNS_LISTED) == RUNS_LISTED
-        {
+        if !is_known(shape) {
             return Err("its shape is unknown: use a newer mocapd");
         }
         let from_row = if key { Some(cursor.varint().ok_or(short)?) } else { None };

@@ -19,6 +19,7 @@
 #[path = "../../../codec/tests/allocation/counting.rs"]
 mod counting;
 mod take;
+mod window;
 
 use std::{io::Cursor, ops::Range, time::Instant};
 

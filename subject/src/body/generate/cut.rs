@@ -146,9 +146,10 @@ fn cut_off(mesh: &Mesh, through: Point, normal: Point, capped: bool) -> Option<M
         }
     }
     let away = |edge: &(u32, u32)| (distance(crossing(*edge), through), *edge);
-    let first = joined.keys().map(away).min_by(|one, other| {
-        one.0.total_cmp(&other.0).then(one.1.cmp(&other.1))
-    })?;
+    let first = joined
+        .keys()
+        .map(away)
+        .min_by(|one, other| one.0.total_cmp(&other.0).then(one.1.cmp(&other.1)))?;
     let mut curve = HashSet::new();
     let mut next = vec![first.1];
     while let Some(edge) = next.pop() {

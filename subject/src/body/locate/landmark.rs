@@ -87,8 +87,7 @@ impl Landmarks {
     fn among(curves: Curves, fields: &Fields<'_>) -> Option<Self> {
         let scale = curves.scale.length;
         let hands = fields.between(HAND[0], HAND[1])? / scale;
-        let touching =
-            Touching::new(curves.scale, curves.arms.each_ref(), curves.legs.each_ref());
+        let touching = Touching::new(curves.scale, curves.arms.each_ref(), curves.legs.each_ref());
         let missing = [HAND, FOOT].map(|pair| pair.map(|end| fields.missing[end] / scale));
         let marks_of = |found: [Option<Marks>; 2], missing: [f64; 2]| {
             let [one, other] = found;

@@ -108,7 +108,11 @@ struct Shorter {
 }
 
 /// The shorter of two limbs: as seen from the head, and from the other pair of ends. Nothing if the two do not agree.
-fn shorter(fields: &Fields<'_>, [a, b]: [usize; 2], [c, d]: [usize; 2]) -> Option<(usize, Shorter)> {
+fn shorter(
+    fields: &Fields<'_>,
+    [a, b]: [usize; 2],
+    [c, d]: [usize; 2],
+) -> Option<(usize, Shorter)> {
     let way = |one: usize, other: usize| fields.between(one, other);
     let by_head = way(HEAD, a)? - way(HEAD, b)?;
     // Both ends of the other pair together: each is nearer to one side.
