@@ -13,7 +13,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::{Context, anyhow};
+use mocapd_drivers::plain_file::{self, NotAFile};
 use rustix::{
     fs::{AtFlags, CWD, Mode, OFlags, RenameFlags, linkat, openat, renameat_with},
     io::Errno,
@@ -29,19 +30,16 @@ pub use self::{
 /// Opens a file to read.
 ///
 /// # Errors
-/// That it is not there, is a folder, or may not be read: each says so.
+/// That it is not there, is a folder, a pipe or a device, or may not be read: each says so.
 pub fn open(path: &Path) -> anyhow::Result<File> {
-    let file = File::open(path).map_err(|error| match error.kind() {
-        io::ErrorKind::NotFound => anyhow!("{} does not exist", path.display()),
-        io::ErrorKind::PermissionDenied => {
+    plain_file::open(path).map_err(|error| match (NotAFile::why(&error), error.kind()) {
+        (Some(what), _) => anyhow!("{} is {what}", path.display()),
+        (None, io::ErrorKind::NotFound) => anyhow!("{} does not exist", path.display()),
+        (None, io::ErrorKind::PermissionDenied) => {
             anyhow!("no permission to read {}: try ls -l on it", path.display())
         }
-        _ => anyhow!("cannot open {}: {error}", path.display()),
-    })?;
-    if file.metadata().is_ok_and(|meta| meta.is_dir()) {
-        bail!("{} is a folder, not a file", path.display());
-    }
-    Ok(file)
+        (None, _) => anyhow!("cannot open {}: {error}", path.display()),
+    })
 }
 
 /// Creates a file that must not exist yet.

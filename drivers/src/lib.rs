@@ -32,6 +32,7 @@ pub mod device;
 mod dvmc;
 pub mod link;
 pub mod ndi;
+pub mod plain_file;
 pub mod raw_log;
 pub mod registry;
 pub mod transport;

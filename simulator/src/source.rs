@@ -1,10 +1,10 @@
 //! Where the motion comes from: a file by its ending, or the generator by name.
 
-use std::fs;
-use std::io::BufReader;
+use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
+use mocapd_drivers::plain_file;
 use mocapd_take::interchange::{Format, InterchangeError};
 use mocapd_take::motion::Motion;
 
@@ -66,11 +66,12 @@ pub fn read(path: &Path) -> Result<(Motion, Vec<String>), SourceError> {
     }
     let read = |source| SourceError::Read { path: owned(), source };
     let Some(format) = format.filter(|_| !is_take(path)) else {
-        let file = fs::File::open(path).map_err(read)?;
+        let file = plain_file::open(path).map_err(read)?;
         return mocapd_take::read_motion(BufReader::new(file))
             .map_err(|source| SourceError::Take { path: owned(), source });
     };
-    let bytes = fs::read(path).map_err(read)?;
+    let mut bytes = Vec::new();
+    plain_file::open(path).and_then(|mut file| file.read_to_end(&mut bytes)).map_err(read)?;
     let motion =
         format.read(&bytes).map_err(|source| SourceError::Interchange { path: owned(), source })?;
     let warnings = motion.info.source.warnings.clone();
@@ -134,7 +135,7 @@ mod tests {
             return;
         };
         let mut endings = std::collections::BTreeSet::new();
-        for entry in fs::read_dir(folder).unwrap() {
+        for entry in std::fs::read_dir(folder).unwrap() {
             let path = entry.unwrap().path();
             let Some(format) = Format::from_extension(&path) else { continue };
             let (motion, _) = read(&path).unwrap();

@@ -286,6 +286,28 @@ fn a_file_that_is_neither_motion_nor_log_is_told_for_what_it_is() {
 }
 
 /// The log of a recorder that was killed: two seconds less their end.
+/// A pipe that nobody writes to would be waited for, and a device need not end.
+#[test]
+fn what_is_no_file_is_refused_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    for ending in ["take", "csv", "toml"] {
+        let pipe = folder.path().join(format!("pipe.{ending}"));
+        assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        let device = folder.path().join(format!("device.{ending}"));
+        std::os::unix::fs::symlink("/dev/zero", &device).unwrap();
+        for (path, what) in [(pipe, "a pipe, not a file"), (device, "a device, not a file")] {
+            let path = path.to_str().unwrap();
+            let args = match ending {
+                "toml" => vec!["--generate", "jump", "--pty", "--faults", path],
+                _ => vec![path, "--pty"],
+            };
+            let (code, words) = ended(sim(&args).spawn().unwrap());
+            assert!(matches!(code, Some(1 | 2)), "{args:?}: {words}");
+            assert!(words.contains(what), "{args:?}: {words}");
+        }
+    }
+}
+
 #[test]
 fn a_log_without_its_end_is_played_once_and_the_device_goes_away() {
     let log =

@@ -26,7 +26,7 @@ use self::{
     jobs::{Job, Jobs, coded_max, read},
     lines::{Decoded, Rows, work},
 };
-use crate::threads;
+use crate::{files, threads};
 
 /// Most bytes that all threads may hold of what they decode.
 const MEMORY_MAX: u64 = 128 << 20;
@@ -69,7 +69,7 @@ impl Ahead {
             return Ok(None);
         }
         let (offset, reader) = frames.reader_at(first_row)?;
-        let mut file = File::open(path)?;
+        let mut file = files::open(path)?;
         file.seek(SeekFrom::Start(offset))?;
         let mut ahead = Self::with_threads(
             (file, reader),

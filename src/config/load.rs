@@ -1,10 +1,11 @@
 //! From a file, or a text, and what the command line overrides, to a checked configuration.
 
 use std::{
-    fs::File,
     io::{self, Read},
     path::Path,
 };
+
+use mocapd_drivers::plain_file;
 
 use super::{
     Config, ConfigError, PROBLEMS_MAX, Place, Problem, Surroundings, check,
@@ -51,7 +52,7 @@ impl Config {
             io::ErrorKind::NotFound => ConfigError::NotFound(file.to_owned()),
             _ => ConfigError::Unreadable { file: file.to_owned(), source },
         };
-        let opened = File::open(file).map_err(unreadable)?;
+        let opened = plain_file::open(file).map_err(unreadable)?;
         let mut bytes = Vec::new();
         opened.take(CONFIG_BYTES_MAX as u64 + 1).read_to_end(&mut bytes).map_err(unreadable)?;
         let name = file.display().to_string();

@@ -1,1 +1,79 @@
-//! A FIFO or a device in place of a file is refused at once.
+//! What is named as a file and is none, a pipe or a device, is refused at once instead of being waited for.
+
+use std::{
+    os::unix::{fs::symlink, net::UnixListener},
+    process::{Child, Command},
+    time::{Duration, Instant},
+};
+
+use crate::cli::{Folder, Ran};
+
+/// Far longer than a refusal takes on any machine: what waits for a pipe waits forever.
+const WITHIN: Duration = Duration::from_secs(60);
+
+/// Ends a program that would not end.
+fn ended(mut child: Child) -> Option<Ran> {
+    let begun = Instant::now();
+    while begun.elapsed() < WITHIN {
+        if child.try_wait().unwrap().is_some() {
+            return Some(child.wait_with_output().unwrap().into());
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    None
+}
+
+/// A folder where every ending leads to something else than a file.
+fn folder() -> (Folder, UnixListener) {
+    let folder = Folder::new();
+    for ending in ["take", "c3d", "csv", "toml", "json", "obj", "png", "token"] {
+        let made = Command::new("mkfifo").arg(folder.path(&format!("pipe.{ending}"))).status();
+        assert!(made.unwrap().success());
+        // Never to be read: it has no end.
+        symlink("/dev/zero", folder.path(&format!("device.{ending}"))).unwrap();
+        symlink("socket", folder.path(&format!("socket.{ending}"))).unwrap();
+    }
+    let listener = UnixListener::bind(folder.path("socket")).unwrap();
+    (folder, listener)
+}
+
+#[test]
+fn pipes_devices_and_sockets_are_refused_at_once() {
+    let (folder, _listener) = folder();
+    folder.write_motion("jump.csv", &crate::support::jump(1, 30.0, 1.0));
+    folder.run(&["import", "jump.csv", "-o", "jump.take"]).with_code(0);
+    for what in ["pipe", "device", "socket"] {
+        let named = |ending: &str| format!("{what}.{ending}");
+        let [take, c3d, csv, toml] = ["take", "c3d", "csv", "toml"].map(named);
+        let [json, obj, png, token] = ["json", "obj", "png", "token"].map(named);
+        let commands: [&[&str]; 17] = [
+            &["info", &take],
+            &["verify", &take],
+            &["verify", "jump.take", "--against", &take],
+            &["verify", "jump.take", "--against", &csv],
+            &["verify", "jump.take", "--skeleton", &json],
+            &["recover", &take, "-o", "new.take"],
+            &["export", &take, "-o", "new.csv"],
+            &["import", &c3d, "-o", "new.take"],
+            &["import", &csv, "-o", "new.take"],
+            &["import", "jump.csv", "-o", "new.take", "--skeleton", &json],
+            &["plot", "trajectory", &take, "-o", "new.svg"],
+            &["bench", "codec", &csv],
+            &["config", "check", &toml],
+            &["run", "--config", &toml],
+            &["subject", "body", &obj, "-o", "new.json"],
+            &["subject", "face", &png, "-o", "new.json"],
+            &["ctl", "--connect", "http://127.0.0.1:1", "--token-file", &token, "status"],
+        ];
+        for args in commands {
+            let ran = ended(folder.command(args).spawn().unwrap());
+            let Some(ran) = ran else { panic!("{args:?} did not end") };
+            assert!(matches!(ran.code, Some(1 | 2)), "{args:?}: {ran:?}");
+            let kind = format!("a {what}, not a file");
+            assert!(ran.stderr.contains(&kind), "{args:?}: {}", ran.stderr);
+        }
+    }
+    assert!(!folder.path("new.take").exists());
+}

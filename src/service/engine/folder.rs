@@ -2,12 +2,13 @@
 
 use std::{
     collections::{HashMap, HashSet},
-    fs::{self, File, Metadata},
+    fs::{self, Metadata},
     os::unix::fs::MetadataExt,
     path::{Path, PathBuf},
     time::SystemTime,
 };
 
+use mocapd_drivers::plain_file;
 use mocapd_take::{TakeEnds, TakeError};
 
 use super::{Inner, names};
@@ -126,7 +127,8 @@ fn look_into(path: &Path, bytes: u64, modified: SystemTime, is_open: bool) -> (T
         is_open,
         ..TakeSummary::default()
     };
-    let read = File::open(path).map_err(TakeError::Io).and_then(|mut f| TakeEnds::read(&mut f));
+    let read =
+        plain_file::open(path).map_err(TakeError::Io).and_then(|mut f| TakeEnds::read(&mut f));
     let ends = match read {
         Ok(ends) => ends,
         // What a disk cannot read now, it may read the next time.

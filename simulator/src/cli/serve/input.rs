@@ -1,11 +1,11 @@
 //! What the device plays: a motion, and what goes wrong with it.
 
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::Context;
+use mocapd_drivers::plain_file;
 use mocapd_simulator::faults::{SCRIPT_BYTES_MAX, Script};
 use mocapd_simulator::generator::{JumpSpec, Occlusion};
 use mocapd_simulator::source::{self, Generated, SourceError};
@@ -48,7 +48,7 @@ pub(super) fn motion(args: &ServeArgs) -> Result<Motion, Failure> {
 pub(super) fn script(args: &ServeArgs) -> Result<Option<Arc<Script>>, Failure> {
     let Some(path) = &args.faults else { return Ok(None) };
     let cannot_read = || format!("cannot read {}", path.display());
-    let file = File::open(path).with_context(cannot_read)?;
+    let file = plain_file::open(path).with_context(cannot_read)?;
     let mut text = String::new();
     // One byte more shows that it is too long.
     let at_most = SCRIPT_BYTES_MAX as u64 + 1;

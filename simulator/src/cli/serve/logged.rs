@@ -1,10 +1,10 @@
 //! `mocapd-sim serve LOG`: a raw log instead of a motion.
 
-use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
 use anyhow::Context;
+use mocapd_drivers::plain_file::{self, NotAFile};
 use mocapd_drivers::raw_log::MAGIC;
 use mocapd_simulator::device::LineDevice;
 use mocapd_simulator::logged::{LogDevice, LogDeviceError};
@@ -22,12 +22,15 @@ const HEAD_ALIKE: usize = 4;
 /// The file, when it is a log.
 pub(super) fn read(args: &ServeArgs) -> Result<Option<Vec<u8>>, Failure> {
     let Some(path) = &args.take else { return Ok(None) };
-    // What cannot be read is told with what it should have been.
-    let Ok(mut file) = File::open(path) else { return Ok(None) };
+    let mut file = match plain_file::open(path) {
+        Ok(file) => file,
+        Err(error) => match NotAFile::why(&error) {
+            Some(what) => return Err(anyhow::anyhow!("{} is {what}", path.display()).into()),
+            // What cannot be read is told with what it should have been.
+            None => return Ok(None),
+        },
+    };
     let cannot_read = || format!("cannot read {}", path.display());
-    if file.metadata().is_ok_and(|found| found.is_dir()) {
-        return Err(anyhow::anyhow!("{} is a folder, not a file", path.display()).into());
-    }
     let mut head = Vec::new();
     file.by_ref().take(MAGIC.len() as u64).read_to_end(&mut head).with_context(cannot_read)?;
     if head != MAGIC {

@@ -1,0 +1,105 @@
+//! Files that are read to their end: what has none is refused before anything waits for it.
+
+use std::{
+    fmt,
+    fs::{self, File, FileType},
+    io,
+    os::unix::fs::FileTypeExt,
+    path::Path,
+};
+
+use rustix::fs::{Mode, OFlags};
+
+/// What a path leads to that is no plain file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum NotAFile {
+    /// A directory.
+    Folder,
+    /// A FIFO: opening it waits for a writer, and it need not end.
+    Pipe,
+    /// A socket.
+    Socket,
+    /// A character or block device: it need not end either, and opening it may have effects of its own.
+    Device,
+}
+
+impl NotAFile {
+    fn of(kind: FileType) -> Option<Self> {
+        match kind {
+            _ if kind.is_dir() => Some(Self::Folder),
+            _ if kind.is_fifo() => Some(Self::Pipe),
+            _ if kind.is_socket() => Some(Self::Socket),
+            _ if kind.is_char_device() || kind.is_block_device() => Some(Self::Device),
+            _ => None,
+        }
+    }
+
+    /// Why a file was not opened, if it was for this.
+    #[must_use]
+    pub fn why(error: &io::Error) -> Option<Self> {
+        error.get_ref().and_then(|source| source.downcast_ref()).copied()
+    }
+}
+
+impl fmt::Display for NotAFile {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Folder => "a folder, not a file",
+            Self::Pipe => "a pipe, not a file: write what comes through it to a file first",
+            Self::Socket => "a socket, not a file",
+            Self::Device => "a device, not a file",
+        })
+    }
+}
+
+impl std::error::Error for NotAFile {}
+
+/// Opens a plain file to read, or what a link to one leads to. Never waits, whatever is there.
+///
+/// # Errors
+/// The system's; [`NotAFile`] as its source where something else is there.
+pub fn open(path: &Path) -> io::Result<File> {
+    // Before it is opened, which is not without effect on a device.
+    check(fs::metadata(path)?.file_type())?;
+    // It may have been replaced since: opening a pipe must not wait then, either.
+    let flags = OFlags::RDONLY | OFlags::CLOEXEC | OFlags::NONBLOCK | OFlags::NOCTTY;
+    let file = File::from(rustix::fs::open(path, flags, Mode::empty())?);
+    check(file.metadata()?.file_type())?;
+    Ok(file)
+}
+
+fn check(kind: FileType) -> io::Result<()> {
+    NotAFile::of(kind).map_or(Ok(()), |what| Err(io::Error::other(what)))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::{fs::symlink, net::UnixListener};
+
+    use super::*;
+
+    #[test]
+    fn what_is_no_plain_file_is_refused_at_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        fs::write(path("plain"), b"it").unwrap();
+        symlink("plain", path("link")).unwrap();
+        symlink("/dev/zero", path("device")).unwrap();
+        rustix::fs::mknodat(
+            rustix::fs::CWD,
+            path("pipe"),
+            rustix::fs::FileType::Fifo,
+            Mode::RUSR | Mode::WUSR,
+            0,
+        )
+        .unwrap();
+        let _listener = UnixListener::bind(path("socket")).unwrap();
+        let why = |name: &str| open(&path(name)).err().and_then(|error| NotAFile::why(&error));
+        assert_eq!(why("pipe"), Some(NotAFile::Pipe));
+        assert_eq!(why("socket"), Some(NotAFile::Socket));
+        assert_eq!(why("device"), Some(NotAFile::Device));
+        assert_eq!(why("."), Some(NotAFile::Folder));
+        assert_eq!(io::read_to_string(open(&path("link")).unwrap()).unwrap(), "it");
+        assert_eq!(open(&path("none")).unwrap_err().kind(), io::ErrorKind::NotFound);
+    }
+}
