@@ -95,16 +95,19 @@ fn observations_that_find_no_room_are_left_out_of_the_line_as_well() {
 #[test]
 #[ignore = "minutes: see the command above"]
 fn ten_stalls_in_real_time_leave_no_contradiction() {
-    let mut wrong = 0;
+    let (mut n_takes, mut wrong) = (0, 0);
     for seed in 0..10 {
-        for (take, ran) in real::stall(seed) {
+        let (story, takes) = real::stall(seed);
+        println!("{story}");
+        for (take, ran) in takes {
             let verified = ran.json();
             let apart_us = verified["clock"]["apart_us"].as_f64();
             let contradictions = verified["contradictions"].as_array().unwrap();
             println!("  {take}: verify {:?}, {apart_us:?} us apart, {contradictions:?}", ran.code);
             wrong += usize::from(!contradictions.is_empty() || ran.code == Some(1));
+            n_takes += 1;
         }
     }
-    println!("{wrong} takes contradict themselves");
-    assert_eq!(wrong, 0);
+    println!("{wrong} of {n_takes} takes contradict themselves");
+    assert!(n_takes >= 10 && wrong == 0, "{n_takes} {wrong}");
 }

@@ -74,9 +74,9 @@ fn seconds(rng: &mut Seeded, from: f64, to: f64) -> f64 {
     from + (to - from) * rng.below(1001) as f64 / 1e3
 }
 
-/// A service whose device, process or writer stalls around a start, a save-last or a stop: what `verify` says of each of
-/// its takes.
-pub(super) fn stall(seed: u64) -> Vec<(String, Ran)> {
+/// A service whose device, process or writer stalls around a start, a save-last or a stop: what happened, and what
+/// `verify` says of each of its takes.
+pub(super) fn stall(seed: u64) -> (String, Vec<(String, Ran)>) {
     let mut rng = Seeded::new(seed);
     let stalled = STALLED[seed as usize % STALLED.len()];
     let (from_s, for_s) = (seconds(&mut rng, 4.0, 12.0), seconds(&mut rng, 1.0, 30.0));
@@ -91,15 +91,15 @@ pub(super) fn stall(seed: u64) -> Vec<(String, Ran)> {
     match stalled {
         Stalled::Device => {}
         Stalled::Service => {
-            acts.extend([(from_s, Act::Signal(Signal::STOP)), (to_s, Act::Signal(Signal::CONT))])
+            acts.extend([(from_s, Act::Signal(Signal::STOP)), (to_s, Act::Signal(Signal::CONT))]);
         }
         #[cfg(feature = "fault-hooks")]
         Stalled::Writer => {
-            acts.extend([(from_s, Act::Signal(Signal::USR2)), (to_s, Act::Signal(Signal::USR1))])
+            acts.extend([(from_s, Act::Signal(Signal::USR2)), (to_s, Act::Signal(Signal::USR1))]);
         }
     }
     acts.sort_by(|a, b| a.0.total_cmp(&b.0));
-    println!("{seed}: {stalled:?} for {for_s:.1} s from {from_s:.1} s on; {acts:?}");
+    let mut story = format!("{seed}: {stalled:?} for {for_s:.1} s from {from_s:.1} s on; {acts:?}");
 
     let folder = Folder::new();
     folder.write("rig.toml", CONFIG);
@@ -122,7 +122,7 @@ pub(super) fn stall(seed: u64) -> Vec<(String, Ran)> {
     for (args, command) in commands {
         // One may be refused: a start that finds no disk for five seconds, and the stop after it.
         let ran = ended(command);
-        println!("  {args:?}: {:?} {}", ran.code, ran.stderr.trim_end());
+        story += &format!("\n  {args:?}: {:?} {}", ran.code, ran.stderr.trim_end());
     }
     kill_process(pid, Signal::TERM).unwrap();
     let ran = ended(service);
@@ -134,7 +134,7 @@ pub(super) fn stall(seed: u64) -> Vec<(String, Ran)> {
         let ran = folder.run(&["verify", &take, "--json"]);
         (take, ran)
     });
-    verified.collect()
+    (story, verified.collect())
 }
 
 fn device(stalled: Stalled, at_s: f64, for_s: f64) -> Simulated {
