@@ -14,7 +14,7 @@ use mocapd::{
     },
 };
 use mocapd_drivers::device::{Frame, MarkerSample};
-use mocapd_take::record::{Channel, Device, Header};
+use mocapd_take::record::{Channel, Device, EndingKind, Header};
 
 use crate::support::{Seeded, TICK_HZ, fast};
 
@@ -274,7 +274,7 @@ impl World {
                         closed.push(("the saved take", saved, now_ns as u64));
                     }
                     Command::Stop => {
-                        patiently(|| armed.takes.end());
+                        patiently(|| armed.takes.end(EndingKind::Stopped));
                         closed.extend(live.take().map(|live| ("the take", live, now_ns as u64)));
                     }
                 }
@@ -410,7 +410,7 @@ pub(super) fn flooded() -> (Vec<u8>, Written) {
     disk.stall(true);
     read(&mut intake, FLOOD as u32 / 8, 8);
     disk.stall(false);
-    armed.takes.end().unwrap();
+    armed.takes.end(EndingKind::Stopped).unwrap();
     read(&mut intake, 1, 0);
     let (written, output) = end_of(&begun);
     drop(intake);
