@@ -191,7 +191,7 @@ impl Running<'_> {
         match self.args.load() {
             Ok(config) => self.take_over(config),
             Err(error) => {
-                tracing::error!("the configuration stays as it was: {}", plain(&error.to_string()))
+                tracing::error!("the configuration stays as it was: {}", plain(&error.to_string()));
             }
         }
         self.notifier.ready(&self.engine.status().words());

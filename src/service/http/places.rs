@@ -33,7 +33,7 @@ impl Peer {
                 let network = u128::from(address) >> 64 << 64;
                 Ipv6Addr::from(network).into()
             }
-            address => address,
+            address @ IpAddr::V4(_) => address,
         })
     }
 }

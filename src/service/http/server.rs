@@ -75,7 +75,8 @@ impl HttpServer {
         let show = Arc::new(Show::new(Arc::clone(&counts)));
         let auth = Arc::new(Auth::new(token.as_deref()));
         let document: Bytes = routes::openapi()?.into();
-        let serving = |places: usize| {
+        let hubs = Hubs::start(&control, &happenings, &show, feed)?;
+        let serving = move |places: usize| {
             let app = Arc::new(App {
                 control: Arc::clone(&control),
                 lanes: Lanes::new(limits.work),
@@ -102,7 +103,6 @@ impl HttpServer {
             };
             Serving { doorway, gone, how_long: how_long.clone() }
         };
-        let hubs = Hubs::start(&control, &happenings, &show, feed)?;
         let mut server =
             Self { stop, within, threads: Vec::with_capacity(2), hubs, tcp: tcp_address, remarks };
         if let Some(Listening { runtime, listener }) = unix {
