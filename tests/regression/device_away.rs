@@ -61,3 +61,17 @@ fn a_take_without_its_device_is_not_shown_as_a_recording_that_goes_well() {
     let stopped = engine.stop(&Request::default()).unwrap();
     assert!(stopped.ledger.unknown_after_disconnect >= 60, "{stopped:?}");
 }
+
+#[test]
+fn a_service_that_waits_for_its_device_says_so() {
+    let folder = Folder::new();
+    let mut options = options(&folder.path(""), &folder.path("device"));
+    options.arm_at_start = true;
+    let engine = Engine::start(options, &Heartbeat::default()).unwrap();
+    wait_until("the device is missed", || engine.status().device.obstacle.is_some());
+    let status = engine.status();
+    assert_eq!((status.state, status.device.presence.as_str()), (State::Idle, "absent"));
+    assert_eq!((status.device.is_awaited, status.device.outage), (true, None));
+    engine.disarm(&Request::default()).unwrap();
+    assert!(!engine.status().device.is_awaited);
+}
