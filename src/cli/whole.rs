@@ -46,17 +46,21 @@ pub(super) fn read_samples(path: &Path) -> anyhow::Result<(Motion, Option<Settin
     Ok((read_motion(path)?, None))
 }
 
-/// The samples of a take's original: a take, or a file of the field, read as the take was imported from it.
+/// The samples of a take's original: a take, with what that was coded with, or a file of the field, read as the take was
+/// imported from it.
 ///
 /// # Errors
 /// Why it, or the take, cannot be read.
-pub(super) fn read_original(take: &Path, original: &Path) -> anyhow::Result<Motion> {
+pub(super) fn read_original(
+    take: &Path,
+    original: &Path,
+) -> anyhow::Result<(Motion, Option<Settings>)> {
     if paths::is_take(original) {
-        return Ok(read_coded(original)?.motion);
+        return read_samples(original);
     }
     let frames = TakeFrames::open(BufReader::new(files::open(take)?))
         .with_context(|| format!("cannot read {}", take.display()))?;
-    read_motion_with(original, &read_options(&frames))
+    Ok((read_motion_with(original, &read_options(&frames))?, None))
 }
 
 /// What a take's file was read with when it was imported.

@@ -50,10 +50,19 @@ fn noisy() -> Motion {
 }
 
 /// What `plot quality` shows of a take.
-fn shown(motion: &Motion, settings: Settings, original: Option<&Motion>) -> Vec<Option<f64>> {
+fn shown(
+    motion: &Motion,
+    settings: Settings,
+    original: Option<(&Motion, Option<Settings>)>,
+) -> Vec<Option<f64>> {
     let take = record(motion, &config(motion, settings), 0..motion.n_frames()).1;
     let coded = Coded::read(&take[..]).unwrap();
-    let all = MarkerQuality::all(&Quality { name: "noisy", coded: &coded, original });
+    let all = MarkerQuality::all(&Quality {
+        name: "noisy",
+        coded: &coded,
+        original: original.map(|(motion, _)| motion),
+        original_settings: original.and_then(|(_, settings)| settings),
+    });
     all.into_iter().map(|marker| marker.noise_mm).collect()
 }
 
@@ -71,7 +80,8 @@ fn assert_near(found: &[Option<f64>], within: f64) {
 fn the_noise_of_a_take_is_that_of_its_markers_or_is_not_shown() {
     let motion = noisy();
     assert_near(&shown(&motion, lossless(), None), 0.1);
-    assert_near(&shown(&motion, dense(1.0), Some(&motion)), 0.1);
+    assert_near(&shown(&motion, dense(1.0), Some((&motion, None))), 0.1);
+    assert_eq!(shown(&motion, dense(1.0), Some((&motion, Some(dense(1.0))))), [None; 15]);
     // What a tolerance of ten times the noise left of it is not the noise.
     assert_eq!(shown(&motion, dense(1.0), None), [None; 15]);
     // Beyond a fine tolerance it is still to be seen.

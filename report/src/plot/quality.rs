@@ -1,5 +1,6 @@
 //! Marker by marker: where its gaps are, how noisy it is, and how far the take lies from it.
 
+use mocapd_codec::Settings;
 use mocapd_take::motion::Motion;
 use plotters::prelude::*;
 
@@ -55,6 +56,8 @@ pub struct Quality<'a> {
     pub coded: &'a Coded,
     /// What it was made of, where that is there: noise is then the original's, too.
     pub original: Option<&'a Motion>,
+    /// What the original itself was coded with, where it is a take.
+    pub original_settings: Option<Settings>,
 }
 
 impl MarkerQuality {
@@ -90,15 +93,20 @@ impl MarkerQuality {
 /// a standard deviation of at most `1 / (1.5 sqrt(3))` of it, which changes the figure by 7 % at most.
 const NOISE_OVER_TOLERANCE_MIN: f64 = 1.5;
 
-/// The noise of one marker: of the original where there is one; of a take within a tolerance only where the tolerance does
-/// not hide it.
+/// The noise of one marker; of a take within a tolerance only where the tolerance does not hide it.
 fn noise_of(wanted: &Quality<'_>, column: &Column) -> Option<f64> {
     let noise_mm = noise_mm(column)?;
-    let tolerance_mm = match (wanted.original, wanted.coded.settings) {
-        (None, Some(settings)) if !settings.kind.is_lossless() => settings.tolerance.mm(),
-        _ => 0.0,
+    (noise_mm >= NOISE_OVER_TOLERANCE_MIN * tolerance_mm(wanted)).then_some(noise_mm)
+}
+
+/// The tolerance of the samples that the noise is of; 0 where they are as they came.
+fn tolerance_mm(wanted: &Quality<'_>) -> f64 {
+    let settings = match wanted.original {
+        Some(_) => wanted.original_settings,
+        None => wanted.coded.settings,
     };
-    (noise_mm >= NOISE_OVER_TOLERANCE_MIN * tolerance_mm).then_some(noise_mm)
+    let lossy = settings.filter(|settings| !settings.kind.is_lossless());
+    lossy.map_or(0.0, |settings| settings.tolerance.mm())
 }
 
 /// Draws it as SVG.
@@ -231,11 +239,10 @@ fn caption(wanted: &Quality<'_>, all: &[MarkerQuality], n_shown: usize) -> Strin
     if n_shown < all.len() {
         words += &format!("; the {n_shown} with most gaps and noise");
     }
-    let is_lossy = wanted.coded.settings.is_some_and(|settings| !settings.kind.is_lossless());
     if all.iter().any(|marker| marker.noise_mm.is_some()) {
-        words += "; noise is that of fourth differences";
-    } else if wanted.original.is_none() && is_lossy {
-        words += "; the tolerance hides the noise (--against shows it)";
+        words += "; noise from fourth differences";
+    } else if tolerance_mm(wanted) > 0.0 {
+        words += "; the tolerance hides the noise: --against the original shows it";
     } else {
         words += "; the noise cannot be told from motion or rounding";
     }

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use mocapd::outcome::{Outcome, UsageError};
+use mocapd_codec::Settings;
 use mocapd_report::{coded::Coded, plot::png};
 use mocapd_take::motion::Motion;
 
@@ -39,12 +40,16 @@ pub(crate) fn write(path: &Path, svg: &str) -> anyhow::Result<()> {
     if is(path, "png") { write_new(path, &png(svg)?) } else { write_new(path, svg.as_bytes()) }
 }
 
-/// What the take was made of.
+/// What the take was made of, and what that itself was coded with where it is a take.
 ///
 /// # Errors
 /// Why it cannot be read.
-pub(super) fn original(take: &Path, coded: &Coded, path: &Path) -> anyhow::Result<Motion> {
-    let motion = read_original(take, path)?;
+pub(super) fn original(
+    take: &Path,
+    coded: &Coded,
+    path: &Path,
+) -> anyhow::Result<(Motion, Option<Settings>)> {
+    let (motion, settings) = read_original(take, path)?;
     let labels = |motion: &Motion| -> Vec<String> {
         motion.info.markers.iter().map(|marker| marker.label.clone()).collect()
     };
@@ -60,7 +65,7 @@ pub(super) fn original(take: &Path, coded: &Coded, path: &Path) -> anyhow::Resul
             coded.motion.n_frames()
         ));
     }
-    Ok(motion)
+    Ok((motion, settings))
 }
 
 /// A picture of a damaged take shows what is left of it.

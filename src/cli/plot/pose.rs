@@ -49,7 +49,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     picture::check_output(&args.output)?;
     let coded = read_coded(&args.take)?;
     let original = args.against.as_ref().map(|path| picture::original(&args.take, &coded, path));
-    let original = original.transpose()?;
+    let original = original.transpose()?.map(|(motion, _)| motion);
     let motion = &coded.motion;
     let n_frames = motion.n_frames();
     let mut rows = Vec::with_capacity(args.at.len());

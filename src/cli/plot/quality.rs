@@ -25,7 +25,12 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let coded = read_coded(&args.take)?;
     let original = args.against.as_ref().map(|path| picture::original(&args.take, &coded, path));
     let original = original.transpose()?;
-    let wanted = Quality { name: &name(&args.take), coded: &coded, original: original.as_ref() };
+    let wanted = Quality {
+        name: &name(&args.take),
+        coded: &coded,
+        original: original.as_ref().map(|(motion, _)| motion),
+        original_settings: original.as_ref().and_then(|(_, settings)| *settings),
+    };
     picture::write(&args.output, &quality(&wanted)?)?;
     Ok(picture::outcome(&coded))
 }

@@ -40,7 +40,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     picture::check_output(&args.output)?;
     let coded = read_coded(&args.take)?;
     let original = args.against.as_ref().map(|path| picture::original(&args.take, &coded, path));
-    let original = original.transpose()?;
+    let original = original.transpose()?.map(|(motion, _)| motion);
     let motion = &coded.motion;
     let row = |time: Duration| {
         usize::try_from(units::frame_at(time, motion.info.rate_hz)).unwrap_or(usize::MAX)

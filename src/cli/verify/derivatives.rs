@@ -66,7 +66,7 @@ pub(super) fn derivatives(
     cutoff_hz: f64,
 ) -> anyhow::Result<DerivativesReport> {
     let coded = read_coded(take)?;
-    let original = read_original(take, original)?;
+    let (original, _) = read_original(take, original)?;
     let found = by_marker(&coded.motion, &original, cutoff_hz).map_err(|error| match error {
         ReportError::InvalidArgument(why) => UsageError(why).into(),
         other => anyhow::Error::from(other),
