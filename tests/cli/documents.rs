@@ -209,6 +209,10 @@ fn info_and_verify() {
     folder.write_motion("swapped.csv", &swapped);
     let args = ["import", "swapped.csv", "-o", "swapped.take", "--skeleton", "s.json"];
     folder.run(&args).with_code(0);
+    // A file that can be read in more than one way.
+    let head = "PathFileType\nDataRate\tNumFrames\tNumMarkers\tUnits\n100\t2\t2\tmm\nFrame#\tTime\ta\t\t\tb\n";
+    folder.write("zeros.trc", format!("{head}1\t0\t1\t2\t3\t9\t9\t9\n2\t0.01\t2\t2\t3\t0\t0\t0\n"));
+    folder.run(&["import", "zeros.trc", "-o", "zeros.take"]).with_code(0);
     check(
         "`mocapd verify`",
         &[
@@ -220,6 +224,7 @@ fn info_and_verify() {
             verify(&["broken.take"]),
             verify(&["subject.take", "--skeleton"]),
             verify(&["swapped.take", "--skeleton"]),
+            verify(&["zeros.take", "--against", "zeros.trc"]),
         ],
     );
 

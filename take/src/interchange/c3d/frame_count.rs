@@ -3,7 +3,7 @@
 use super::header::{BLOCK, Header};
 use super::layout::as_count;
 use super::parameters::Parameters;
-use super::stride::{Fit, Stride, fit};
+use super::stride::{FileBytes, Fit, Stride};
 
 /// Largest value of a word: where a count is this, it may have been larger.
 const SATURATED: u64 = 65535;
@@ -87,17 +87,17 @@ impl FrameCounts {
 
     /// The count for frames of a stride: the most trusted one that accounts for the bytes, else the most trusted one
     /// that they can hold, else the most trusted one.
-    pub(super) fn of_stride(&self, file: &[u8], stride: &Stride) -> FrameCount {
+    pub(super) fn of_stride(&self, file: &FileBytes<'_>, stride: &Stride) -> FrameCount {
         let fits = |wanted: &dyn Fn(Fit) -> bool| {
-            self.stated.iter().find(|&&(_, n)| wanted(fit(file, stride, n)))
+            self.stated.iter().find(|&&(_, n)| wanted(file.fit(stride, n)))
         };
         let found = fits(&|fit| fit == Fit::Exact);
         let is_saturated = self.is_narrow && self.header_last == SATURATED;
         if found.is_none() && is_saturated {
-            let present = file.len().saturating_sub(stride.data_start);
-            let present = present.checked_div(stride.frame_bytes()).unwrap_or(0);
             // What the padding of the last block has room for may be no frames.
-            let n_frames = present.saturating_sub((BLOCK - 1) / stride.frame_bytes().max(1)) as u64;
+            let n_frames =
+                file.present(stride).saturating_sub((BLOCK - 1) / stride.frame_bytes().max(1))
+                    as u64;
             if self.stated.iter().all(|&(_, n)| n < n_frames) {
                 return FrameCount { n_frames, place: Some(Place::Size) };
             }

@@ -5,7 +5,7 @@ use super::frame_count::{FrameCount, FrameCounts};
 use super::header::{BLOCK, Header};
 use super::malformed;
 use super::parameters::Parameters;
-use super::stride::{CANDIDATES_MAX, Candidate, Stride, by_size, choose, combine};
+use super::stride::{CANDIDATES_MAX, Candidate, FileBytes, Stride, by_size, choose, combine};
 use crate::interchange::{InterchangeError, notes::Notes};
 use crate::motion::{Ambiguity, FrameLayout};
 
@@ -63,10 +63,11 @@ impl Layout {
         header: &Header,
         parameters: &Parameters,
         order: ByteOrder,
-        file: &[u8],
+        bytes: &[u8],
         notes: &mut Notes,
     ) -> Result<Self, InterchangeError> {
-        let starts = data_starts(header, parameters, file.len())?;
+        let file = &FileBytes::new(bytes);
+        let starts = data_starts(header, parameters, bytes.len())?;
         let rate_hz = rate(header, parameters.number("POINT", "RATE"), &mut notes.warnings);
         let stated = Stated::of(header, parameters, rate_hz);
         let counts = FrameCounts::of(header, parameters);
@@ -96,7 +97,7 @@ impl Layout {
             notes.ambiguous(Ambiguity::FrameLayout { stated: stated.figures(&starts), taken });
         }
         counts.report(&count, &mut notes.warnings);
-        layout.take_frames(file, &count, &mut notes.warnings);
+        layout.take_frames(bytes, &count, &mut notes.warnings);
         Ok(layout)
     }
 
@@ -187,7 +188,7 @@ impl Stated {
     /// The reading that suits the file, and how many are stated.
     fn choose(
         &self,
-        file: &[u8],
+        file: &FileBytes<'_>,
         order: ByteOrder,
         starts: &[usize],
         counts: &FrameCounts,
@@ -227,7 +228,7 @@ impl Stated {
                     "{}; no reading of them accounts for the file's {} bytes of data, and in none do positions go on from \
                      frame to frame: correct the header or the parameters, or export the file again",
                     self.figures(starts),
-                    file.len().saturating_sub(starts.first().copied().unwrap_or(0))
+                    file.bytes.len().saturating_sub(starts.first().copied().unwrap_or(0))
                 ),
             )),
         }

@@ -60,17 +60,37 @@ pub(super) enum Fit {
     Short,
 }
 
-/// How `n_frames` frames of a stride fit a file.
-pub(super) fn fit(file: &[u8], stride: &Stride, n_frames: u64) -> Fit {
-    let available = file.len().saturating_sub(stride.data_start);
-    let needed = usize::try_from(n_frames).unwrap_or(usize::MAX);
-    let needed = needed.saturating_mul(stride.frame_bytes());
-    match available.checked_sub(needed) {
-        None => Fit::Short,
-        Some(left) if left < BLOCK => Fit::Exact,
-        Some(_) => {
-            let rest = file.get(stride.data_start + needed..).unwrap_or(&[]);
-            if rest.iter().all(|&byte| byte == 0) { Fit::Exact } else { Fit::Surplus }
+/// A file, and where its zeros at the end begin: found once, however many strides are tried.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct FileBytes<'a> {
+    pub(super) bytes: &'a [u8],
+    filled: usize,
+}
+
+impl<'a> FileBytes<'a> {
+    pub(super) fn new(bytes: &'a [u8]) -> Self {
+        let filled = bytes.iter().rposition(|&byte| byte != 0).map_or(0, |last| last + 1);
+        Self { bytes, filled }
+    }
+
+    /// Bytes from the first frame on.
+    pub(super) fn available(&self, stride: &Stride) -> usize {
+        self.bytes.len().saturating_sub(stride.data_start)
+    }
+
+    /// Whole frames that are there.
+    pub(super) fn present(&self, stride: &Stride) -> usize {
+        self.available(stride).checked_div(stride.frame_bytes()).unwrap_or(0)
+    }
+
+    /// How many frames of a stride fit.
+    pub(super) fn fit(&self, stride: &Stride, n_frames: u64) -> Fit {
+        let needed = usize::try_from(n_frames).unwrap_or(usize::MAX);
+        let needed = needed.saturating_mul(stride.frame_bytes());
+        match self.available(stride).checked_sub(needed) {
+            None => Fit::Short,
+            Some(left) if left < BLOCK || stride.data_start + needed >= self.filled => Fit::Exact,
+            Some(_) => Fit::Surplus,
         }
     }
 }
@@ -88,19 +108,17 @@ pub(super) struct Candidate {
 
 impl Candidate {
     pub(super) fn new(
-        file: &[u8],
+        file: &FileBytes<'_>,
         order: ByteOrder,
         stride: Stride,
         n_frames: u64,
         is_stated: bool,
     ) -> Self {
-        let present = file.len().saturating_sub(stride.data_start);
-        let present = present.checked_div(stride.frame_bytes()).unwrap_or(0);
-        let n_read = present.min(usize::try_from(n_frames).unwrap_or(usize::MAX));
+        let n_read = file.present(&stride).min(usize::try_from(n_frames).unwrap_or(usize::MAX));
         Self {
             stride,
-            fit: fit(file, &stride, n_frames),
-            roughness: roughness(file, order, &stride, n_read),
+            fit: file.fit(&stride, n_frames),
+            roughness: roughness(file.bytes, order, &stride, n_read),
             is_stated,
         }
     }
@@ -153,12 +171,12 @@ pub(super) fn choose(candidates: &[Candidate]) -> Option<Candidate> {
 
 /// Strides that leave less than a block of the bytes when there are `n_frames` frames of `n_points` points.
 pub(super) fn by_size(
-    file: &[u8],
+    file: &FileBytes<'_>,
     of: Stride,
     n_frames: u64,
     n_channels: Option<u64>,
-) -> impl Iterator<Item = Stride> {
-    let available = file.len().saturating_sub(of.data_start);
+) -> impl Iterator<Item = Stride> + use<> {
+    let available = file.available(&of);
     let width = if of.float { 4 } else { 2 };
     let n_frames = usize::try_from(n_frames).unwrap_or(usize::MAX).max(1);
     let most = available / width / n_frames;
