@@ -32,7 +32,7 @@ pub(crate) struct Args {
     /// The skeleton to write; it must not exist. - writes to standard output, and the table to standard error
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// The unit of the scans, m, cm or mm [default: what the file says, or what makes it a body]
+    /// The unit of the scans, m, cm, mm or in [default: what the file says, or what makes it a body]
     #[arg(long, value_name = "UNIT", value_parser = unit)]
     unit: Option<Unit>,
     /// How joints are found: ours, or as Yu et al. 2008 print it
@@ -135,6 +135,7 @@ fn survey(
         Err(refusal) => bail!("{shown}: no skeleton ({}): {refusal}", refusal.code()),
     };
     let mut notes: Vec<String> = repaired.notes.iter().map(ToString::to_string).collect();
+    notes.extend(repaired.unit_ambiguity(survey.body_scale).iter().map(ToString::to_string));
     notes.extend(survey.notes.iter().map(ToString::to_string));
     if survey.in_contact {
         notes.push(
@@ -190,5 +191,5 @@ fn table(skeleton: &Skeleton) -> String {
 }
 
 fn unit(text: &str) -> Result<Unit, String> {
-    Unit::from_name(text).ok_or_else(|| format!("'{text}' is not m, cm or mm"))
+    Unit::from_name(text).ok_or_else(|| format!("'{text}' is not m, cm, mm or in"))
 }

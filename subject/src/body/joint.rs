@@ -51,4 +51,7 @@ pub struct Joints {
     pub estimates: BTreeMap<Joint, Estimate>,
     /// Whether left is left. If not, the sides may be the wrong way round as a whole.
     pub sides_told: bool,
+    /// Relative standard deviation of all lengths together, beside what each joint's own says: 0 where nothing doubts the
+    /// body's size.
+    pub size_sigma: f64,
 }

@@ -19,6 +19,7 @@ mod refusal;
 pub mod repair;
 #[cfg(test)]
 mod shapes;
+mod size;
 pub mod skeleton;
 pub mod survey;
 mod unit;

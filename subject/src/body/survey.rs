@@ -6,11 +6,14 @@ use super::locate::{self, Landmarks, settle};
 use super::paper;
 use super::plausible::Plausible;
 use super::skeleton::Method;
-use super::{Joint, Joints, Levels, Mesh, Note, Refusal, Side};
+use super::{Joint, Joints, Levels, Mesh, Note, Refusal, Side, size};
 
 /// A body narrows by this below its head, at least: whole ones do by 1.24 and more, as they are and in other builds, and those
 /// that are cut off above the throat do not.
 const NECK_NARROWS: f64 = 1.12;
+
+const HEAD_UNSURE: &str = "the head bends below what was taken for its top, which may be the forehead or a temple: its +- \
+                           mm is larger; scan with the head upright and bare";
 
 /// What a scan gives.
 #[derive(Debug, Clone)]
@@ -23,6 +26,8 @@ pub struct Survey {
     pub confidence: f64,
     /// Whether limbs touch, so that ways along the surface may lead from one into another.
     pub in_contact: bool,
+    /// About the stature, in the mesh's unit, whatever the pose; nothing of [`Method::Paper`].
+    pub body_scale: Option<f64>,
     /// What whoever reads the joints should know.
     pub notes: Vec<Note>,
     /// Level sets and Reeb graph of the distance from the head (Yu et al. 2008): of the method that is built upon them,
@@ -48,16 +53,25 @@ impl Survey {
         let mut workspace = Workspace::default();
         let ends = extremity::find(mesh, &graph, &mut workspace)?;
         let (extremities, confidence) = (ends.extremities, ends.confidence());
+        let margin = ends.margin;
         let settled = settle(&graph, &extremities, ends.fields, &ends.spread, &mut workspace);
         // An end that nobody reaches, ways that contradict each other, a limb without a middle, or a trunk longer than any:
         // the surface is joined where a body is not.
         let handles = usize::try_from((2 - adjacency.euler_characteristic()) / 2).unwrap_or(0);
         let contact = Refusal::Contact { handles };
         let landmarks = Landmarks::new(mesh, &settled.fields()).ok_or(contact)?;
+        // Where limbs are short or touch, a hand with its wrist is taken for the head with its neck.
+        if ends.told != Told::Freely && !landmarks.neck.may_be_a_head() {
+            return Err(Refusal::Ambiguous { margin });
+        }
         let mut joints = locate::joints(&landmarks);
         let mut notes = Vec::new();
         match Plausible::of(&joints) {
             Plausible::Whole => {}
+            // Contact does not explain it, but a limb that was taken for another does.
+            Plausible::WithoutArms if ends.told == Told::Cut => {
+                return Err(Refusal::Ambiguous { margin });
+            }
             Plausible::WithoutArms => notes.push(leave_out_arms(&mut joints)),
             Plausible::Nothing => return Err(contact),
         }
@@ -66,10 +80,19 @@ impl Survey {
         if landmarks.missing.as_flattened().iter().any(|part| *part > 0.0) {
             notes.push(limbs_cut(landmarks.missing));
         }
-        if landmarks.narrows < NECK_NARROWS {
+        let by_contact = in_contact || handles > 0;
+        let scale = landmarks.scale;
+        if let Some(by) = size::too_short(mesh, scale, by_contact) {
+            notes.push(size::doubt(&mut joints, scale, by));
+        }
+        if landmarks.head_is_bent() {
+            notes.push(Note::new("head-unsure", HEAD_UNSURE));
+        }
+        if landmarks.neck.narrows() < NECK_NARROWS {
             notes.push(leave_out_head(&mut joints));
         }
-        Ok(Self { joints, extremities, confidence, in_contact, notes, levels: None })
+        let body_scale = Some(scale);
+        Ok(Self { joints, extremities, confidence, in_contact, body_scale, notes, levels: None })
     }
 
     fn by_paper(mesh: &Mesh) -> Result<Self, Refusal> {
@@ -83,6 +106,7 @@ impl Survey {
             extremities: paper.extremities,
             confidence: 1.0,
             in_contact: false,
+            body_scale: None,
             notes: Vec::new(),
             levels: Some(paper.into()),
         })

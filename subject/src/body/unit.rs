@@ -2,8 +2,8 @@
 
 use std::fmt;
 
-use super::Mesh;
 use super::geometry::{distance, mean};
+use super::{Mesh, Note};
 
 /// A unit of length that scans come in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -14,6 +14,8 @@ pub enum Unit {
     Centimetre,
     /// mm.
     Millimetre,
+    /// in: never inferred, since no size of a body tells it from centimetres.
+    Inch,
 }
 
 /// Largest distance between two points of a body, in millimetres: from a child of 0.7 m that crouches to a man of 2.2 m
@@ -21,7 +23,7 @@ pub enum Unit {
 const EXTENT_MM: std::ops::RangeInclusive<f64> = 400.0..=3000.0;
 
 impl Unit {
-    const ALL: [Self; 3] = [Self::Metre, Self::Centimetre, Self::Millimetre];
+    const INFERRED: [Self; 3] = [Self::Metre, Self::Centimetre, Self::Millimetre];
 
     /// Millimetres in one of it.
     #[must_use]
@@ -30,6 +32,7 @@ impl Unit {
             Self::Metre => 1000.0,
             Self::Centimetre => 10.0,
             Self::Millimetre => 1.0,
+            Self::Inch => 25.4,
         }
     }
 
@@ -44,6 +47,7 @@ impl Unit {
             "mm" | "millimeter" | "millimeters" | "millimetre" | "millimetres" => {
                 Some(Self::Millimetre)
             }
+            "in" | "inch" | "inches" => Some(Self::Inch),
             _ => None,
         }
     }
@@ -67,7 +71,7 @@ impl Unit {
     pub fn infer(mesh: &Mesh) -> Result<Self, UnitError> {
         let extent = extent(mesh);
         let fits = |unit: &Self| EXTENT_MM.contains(&(extent * unit.mm()));
-        Self::ALL.into_iter().find(fits).ok_or(UnitError { extent })
+        Self::INFERRED.into_iter().find(fits).ok_or(UnitError { extent })
     }
 
     /// Whether the mesh has the size of a body in this unit.
@@ -77,12 +81,31 @@ impl Unit {
     }
 }
 
+/// Statures from a child of 1.2 m to a man of 2.2 m.
+const STATURE_MM: std::ops::RangeInclusive<f64> = 1200.0..=2200.0;
+
+/// What a reader should know of a unit that was inferred: a scan in inches has the size of a small child in centimetres.
+/// `stature` is in the mesh's own unit.
+pub(crate) fn ambiguity(inferred: Unit, stature: f64) -> Option<Note> {
+    let [taken, inches] = [inferred, Unit::Inch].map(|unit| stature * unit.mm());
+    if inferred != Unit::Centimetre || !STATURE_MM.contains(&inches) {
+        return None;
+    }
+    let text = format!(
+        "taken as cm the subject is some {:.0} cm tall, as inches {:.0} cm: state which it is, --unit cm or --unit in",
+        taken / 10.0,
+        inches / 10.0
+    );
+    Some(Note::new("unit-ambiguous", text))
+}
+
 impl fmt::Display for Unit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Metre => "m",
             Self::Centimetre => "cm",
             Self::Millimetre => "mm",
+            Self::Inch => "in",
         })
     }
 }
@@ -90,7 +113,7 @@ impl fmt::Display for Unit {
 /// A mesh that is of no body's size.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[error(
-    "the mesh is {extent:.4} across, which is a body's size in neither m, cm nor mm: state its unit, or export it in one of these"
+    "the mesh is {extent:.4} across, which is a body's size in neither m, cm nor mm: state its unit (--unit), or export it in one of these"
 )]
 pub struct UnitError {
     /// Largest extent, in the mesh's own unit.

@@ -43,7 +43,7 @@ impl Default for Options {
 pub fn body(seed: u64, pose: Pose, options: Options) -> (Mesh, Joints) {
     let figure = Figure::new(&mut Random::new(seed), pose);
     let mut mesh = polygonise::surface(&figure.field, options.n_faces);
-    let mut joints = Joints { estimates: figure.joints, sides_told: true };
+    let mut joints = Joints { estimates: figure.joints, sides_told: true, size_sigma: 0.0 };
     if options.turned {
         let turn = Turn::random(&mut Random::new(seed ^ 0x7475_726e));
         mesh.positions.iter_mut().for_each(|p| *p = turn.of(*p));

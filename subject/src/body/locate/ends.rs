@@ -9,6 +9,10 @@ const REACH: f64 = 0.15;
 
 /// The top of the head is no farther than this from the vertex that stands for the head, in the same share.
 const HEAD_REACH: f64 = 0.14;
+/// Where the highest of that lies in its outer part, the top is looked for again around it, at most so many times.
+const HEAD_STEPS: usize = 3;
+/// The outer part begins at this share of the reach.
+const HEAD_EDGE: f64 = 0.8;
 /// Of the top is what is nearer to the limbs by less than this.
 const CROWN: f64 = 0.03;
 
@@ -19,6 +23,8 @@ pub struct Settled {
     pub vertices: [u32; 5],
     /// One distance a vertex for each end, in the mesh's unit; for the head from all of its top.
     pub distances: [Vec<f64>; 5],
+    /// Those from the head's top as it was first found, where it was moved since.
+    pub first_head: Option<Vec<f64>>,
 }
 
 impl Settled {
@@ -28,6 +34,7 @@ impl Settled {
         Fields {
             ends: self.vertices,
             distances: self.distances.each_ref().map(Vec::as_slice),
+            first_head: self.first_head.as_deref(),
             missing: [0.0; 5],
         }
     }
@@ -47,9 +54,16 @@ pub fn settle(
     known: &[(u32, Vec<f64>)],
     workspace: &mut Workspace,
 ) -> Settled {
-    let mut settled = Settled { vertices: extremities.all(), distances: distances_from_ends };
+    let vertices = extremities.all();
+    let mut settled = Settled { vertices, distances: distances_from_ends, first_head: None };
     let moved = farthest(&settled.fields());
-    let crown = crown(&settled.fields());
+    let around = top_of_head(graph, &settled.fields(), workspace);
+    let crown_of = |around: &[f64]| crown(&settled.fields(), around);
+    let first = crown_of(&settled.distances[HEAD]);
+    let crown = around.as_deref().map_or_else(|| first.clone(), crown_of);
+    if around.is_some() && !first.is_empty() {
+        settled.first_head = Some(distances_from(graph, first, workspace));
+    }
     for (end, to) in moved.into_iter().enumerate() {
         if end == HEAD && !crown.is_empty() {
             settled.distances[end] = distances_from(graph, crown.iter().copied(), workspace);
@@ -65,15 +79,39 @@ pub fn settle(
     settled
 }
 
+/// The mean distance of a vertex from the ends of the limbs.
+fn from_limbs(fields: &Fields<'_>, at: u32) -> f64 {
+    (1..5).map(|end| fields.at(end, at as usize)).sum::<f64>() / 4.0
+}
+
+/// The distances from the vertex of the head that is farthest from the limbs, where it is not near the one that stands for
+/// the head: a forehead, or a temple.
+fn top_of_head(
+    graph: &Graph,
+    fields: &Fields<'_>,
+    workspace: &mut Workspace,
+) -> Option<Vec<f64>> {
+    let reach = HEAD_REACH * fields.between(FOOT[0], FOOT[1])?;
+    let mut moved: Option<Vec<f64>> = None;
+    for _ in 0..HEAD_STEPS {
+        let around = moved.as_deref().unwrap_or(fields.distances[HEAD]);
+        let near = (0_u32..).zip(around).filter(|(_, way)| **way < reach);
+        let ways = near.map(|(at, way)| (from_limbs(fields, at), at, *way));
+        let best = ways.max_by(|one, other| one.0.total_cmp(&other.0).then(other.1.cmp(&one.1)));
+        // Only a top at the edge of what was looked at may go on behind it.
+        let Some((_, top, _)) = best.filter(|(_, _, way)| *way > HEAD_EDGE * reach) else { break };
+        moved = Some(distances(graph, top, workspace));
+    }
+    moved
+}
+
 /// The vertices of the head's top, each with how much less far from the limbs it is than the farthest. The distances from
 /// there go on with no step from how far the limbs are, so that it hardly matters which vertices are taken.
-fn crown(fields: &Fields<'_>) -> Vec<(u32, f64)> {
+fn crown(fields: &Fields<'_>, around: &[f64]) -> Vec<(u32, f64)> {
     let Some(feet) = fields.between(FOOT[0], FOOT[1]) else { return Vec::new() };
-    let limbs = |at: u32| (1..5).map(|end| fields.at(end, at as usize)).sum::<f64>() / 4.0;
-    let near =
-        || (0_u32..).zip(fields.distances[HEAD]).filter(|(_, way)| **way < HEAD_REACH * feet);
-    let most = near().map(|(at, _)| limbs(at)).fold(0.0, f64::max);
-    let starts = near().map(|(at, _)| (at, most - limbs(at)));
+    let near = || (0_u32..).zip(around).filter(|(_, way)| **way < HEAD_REACH * feet);
+    let most = near().map(|(at, _)| from_limbs(fields, at)).fold(0.0, f64::max);
+    let starts = near().map(|(at, _)| (at, most - from_limbs(fields, at)));
     starts.filter(|(_, start)| *start < CROWN * feet).collect()
 }
 

@@ -15,6 +15,8 @@ pub struct Fields<'a> {
     pub ends: [u32; 5],
     /// One distance a vertex, in the mesh's unit; infinite where there is no way.
     pub distances: [&'a [f64]; 5],
+    /// The distances from the head's top as it was first found, where it was moved since. The neck is looked for by these.
+    pub first_head: Option<&'a [f64]>,
     /// How much earlier than on a whole body the surface ends there, in the mesh's unit: 0 where nothing is missing. All
     /// distances from such an end are longer by it, as if they led to where the limb would end.
     pub missing: [f64; 5],

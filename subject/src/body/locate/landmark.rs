@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::limb::{Marks, arm, leg};
 use super::missing;
-use super::neck;
+use super::neck::Neck;
 use super::scale::BodyScale;
 use super::section::Sections;
 use super::touching::Touching;
@@ -21,6 +21,10 @@ pub const HEAD_LANDMARKS: usize = 13;
 /// From the crown down, in body scales.
 const HEAD_LEVELS: [f64; HEAD_LANDMARKS] =
     [0.03, 0.06, 0.1, 0.14, 0.16, 0.18, 0.20, 0.22, 0.26, 0.30, 0.36, 0.42, 0.48];
+/// The head's middle line is looked at between these landmarks: below the top, and at the neck.
+const HEAD_LINE: [usize; 2] = [0, 6];
+/// Its ends are as far from each other as it is long, or at least by this part: 0.78 on whole bodies.
+const HEAD_STRAIGHT_LEAST: f64 = 0.7;
 /// The surface within this of the end of a hand, in body scales, is arm and not trunk.
 const ARM_LENGTH: f64 = 0.40;
 /// The curves round a hand are looked at up to the middle of the chest, in body scales.
@@ -61,9 +65,8 @@ pub struct Landmarks {
     pub touching: Touching,
     /// How much of each arm and of each leg is missing, in body scales: 0 of whole ones.
     pub missing: [[f64; 2]; 2],
-    /// How much the body narrows below the head: the longest curve round the head over the shortest behind that, and 1
-    /// where that is no neck.
-    pub narrows: f64,
+    /// The girths of head and neck.
+    pub neck: Neck,
 }
 
 impl Landmarks {
@@ -109,10 +112,21 @@ impl Landmarks {
             ],
             touching,
             missing,
-            narrows: neck::narrows(&curves.head.perimeter),
+            neck: curves.neck,
             head: HEAD_LEVELS.iter().map(|level| curves.head.centre_at(*level)).collect(),
             scale,
         })
+    }
+}
+
+impl Landmarks {
+    /// Whether the head's middle line bends so much that what was taken for the top may be the forehead or a temple.
+    #[must_use]
+    pub fn head_is_bent(&self) -> bool {
+        let [top, neck] = HEAD_LINE;
+        let ends = self.head.get(top).zip(self.head.get(neck));
+        let along = HEAD_LEVELS[neck] - HEAD_LEVELS[top];
+        ends.is_some_and(|(top, neck)| (top - neck).norm() < HEAD_STRAIGHT_LEAST * along)
     }
 }
 
@@ -122,6 +136,7 @@ struct Curves {
     arms: [Sections; 2],
     legs: [Sections; 2],
     head: Sections,
+    neck: Neck,
 }
 
 impl Curves {
@@ -133,11 +148,14 @@ impl Curves {
                 .map(|hand| share(fields.at(*hand, vertex), ARM_LENGTH * scale, scale))
                 .product::<f64>()
         };
+        let curves = |field: &[f64], reach: f64, weight: &dyn Fn(usize) -> f64| {
+            let weights: Vec<f64> = (0..mesh.positions.len()).map(weight).collect();
+            Sections::new(mesh, field, &weights, scale, reach)
+        };
         let cut = |end: usize, reach: f64, weight: &dyn Fn(usize) -> f64| {
             let vertices = 0..mesh.positions.len();
-            let weights: Vec<f64> = vertices.clone().map(weight).collect();
             let field: Vec<f64> = vertices.map(|vertex| fields.at(end, vertex)).collect();
-            Sections::new(mesh, &field, &weights, scale, reach)
+            curves(&field, reach, weight)
         };
         let of_hand = |side: usize| {
             let [hand, other_hand] = [HAND[side], HAND[1 - side]];
@@ -152,11 +170,17 @@ impl Curves {
                 own * not_arm(vertex)
             })
         };
+        let head = cut(HEAD, HEAD_REACH, &not_arm)?;
+        let first_head = match fields.first_head {
+            Some(field) => &curves(field, HEAD_REACH, &not_arm)?,
+            None => &head,
+        };
         Some(Self {
+            neck: Neck::new(&first_head.perimeter),
             scale: body_scale,
             arms: [of_hand(0)?, of_hand(1)?],
             legs: [of_foot(0)?, of_foot(1)?],
-            head: cut(HEAD, HEAD_REACH, &not_arm)?,
+            head,
         })
     }
 }

@@ -44,6 +44,10 @@ const SHANK: [f64; 2] = [0.15, 0.25];
 /// The longest curve of a hand over that of the wrist, at least: a hand has 1.22 times the wrist's girth (ANSUR II), a fist
 /// 1.6 times, and curves round fingers that are apart are longer yet.
 const HAND_LEAST: f64 = 1.15;
+/// A hand that has so much is open, and plain to see.
+const PLAIN_HAND: f64 = 1.5;
+/// An arm without a hand has less.
+const NO_HAND: f64 = 1.08;
 /// Where a hand is thickest, and how far behind that the wrist is at most.
 const HAND_AT: [f64; 2] = [0.03, 0.13];
 const WRIST_REACH: f64 = 0.09;
@@ -85,6 +89,14 @@ pub(super) fn by_shape(
         });
         if let Some((end, by)) = one {
             missing[end] = by.mean;
+        }
+    }
+    // One hand that is plainly a hand, and none on the other arm: whatever the pose makes of the ways.
+    let bulges = arms.map(|arm| bulge(&arm.perimeter, HAND_AT, WRIST_REACH));
+    for (side, end) in HAND.into_iter().enumerate() {
+        let whole = HAND.iter().all(|hand| missing[*hand] <= 0.0);
+        if whole && bulges[side] < NO_HAND && bulges[1 - side] > PLAIN_HAND {
+            missing[end] = END * scale;
         }
     }
     let hands_near = match (fields.between(HAND[0], HAND[1]), legs_way(fields)) {

@@ -38,6 +38,7 @@ mod tests;
 pub use ends::{Settled, settle};
 pub use fields::{FOOT, Fields, HAND, HEAD};
 pub use landmark::{ARM_LANDMARKS, HEAD_LANDMARKS, Half, LEG_LANDMARKS, Landmarks};
+pub use neck::Neck;
 pub use section::Sections;
 pub use skeleton::{joints, locate};
 pub use touching::Touching;

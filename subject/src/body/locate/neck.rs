@@ -9,15 +9,47 @@ const NECK_ENDS: f64 = 0.24;
 /// No neck is thicker: 0.38 at most, as they are and in other builds.
 const NECK_MOST: f64 = 0.5;
 
-/// The longest curve round the head over the shortest behind that, up to the shoulders. On what is left of a neck the curves
-/// only grow, or go round shoulders and arms, and it is 1.
-pub(super) fn narrows(perimeter: &[f64]) -> f64 {
-    let within = |from: f64, to: f64| {
-        perimeter.iter().enumerate().filter(move |(index, _)| (from..to).contains(&level(*index)))
-    };
-    let longest = within(HEAD[0], HEAD[1]).max_by(|one, other| one.1.total_cmp(other.1));
-    let Some((at, longest)) = longest else { return 1.0 };
-    let shortest = within(level(at), NECK_ENDS).map(|(_, length)| *length);
-    let shortest = shortest.fold(*longest, f64::min);
-    if shortest > NECK_MOST { 1.0 } else { longest / shortest.max(f64::MIN_POSITIVE) }
+/// No head has less girth: heads have 0.325 of stature, with a standard deviation of 0.012 (ANSUR II, Gordon et al. 2014),
+/// hands 0.13, and curves that go round spread fingers 0.25.
+const HEAD_LEAST: f64 = 0.27;
+/// No neck is thinner behind a head of less than [`HEAD_STOUT`]: necks have 0.21 of stature, and 0.018; wrists 0.10, and
+/// stout ones 0.14.
+const NECK_LEAST: f64 = 0.16;
+/// No hand is this thick.
+const HEAD_STOUT: f64 = 0.36;
+
+/// The curves round the head and behind it, in body scales.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Neck {
+    /// The longest round the head.
+    pub head: f64,
+    /// The shortest behind that, up to the shoulders.
+    pub neck: f64,
+}
+
+impl Neck {
+    /// The longest curve round the head over the shortest behind it. On what is left of a neck the curves only grow, or go
+    /// round shoulders and arms, and it is 1.
+    #[must_use]
+    pub fn narrows(self) -> f64 {
+        if self.neck > NECK_MOST { 1.0 } else { self.head / self.neck.max(f64::MIN_POSITIVE) }
+    }
+
+    /// Whether this may be a head, and is no hand and no stump that was taken for one.
+    #[must_use]
+    pub fn may_be_a_head(self) -> bool {
+        let is_thin = self.head < HEAD_LEAST || (self.neck < NECK_LEAST && self.head < HEAD_STOUT);
+        !is_thin
+    }
+
+    pub(super) fn new(perimeter: &[f64]) -> Self {
+        let within = |from: f64, to: f64| {
+            let at = perimeter.iter().enumerate();
+            at.filter(move |(index, _)| (from..to).contains(&level(*index)))
+        };
+        let longest = within(HEAD[0], HEAD[1]).max_by(|one, other| one.1.total_cmp(other.1));
+        let Some((at, longest)) = longest else { return Self { head: 0.0, neck: 0.0 } };
+        let shortest = within(level(at), NECK_ENDS).map(|(_, length)| *length);
+        Self { head: *longest, neck: shortest.fold(*longest, f64::min) }
+    }
 }

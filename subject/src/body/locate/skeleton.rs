@@ -29,6 +29,10 @@ struct InDoubt {
 const IN_DOUBT: InDoubt =
     InDoubt { shoulder: 0.15, elbow: 0.05, hip: 0.06, knee: 0.07, scale: 0.02 };
 
+/// How far the top of the head may be off where its middle line bends: from there to the forehead or a temple it is a quarter
+/// of the head's girth, 0.08 of stature, at most.
+const BENT_HEAD: f64 = 0.05;
+
 /// How far the joints of a limb that ends early may be off along it, in body scales: what is missing is told by ways that
 /// change with the pose by 0.03, and where a stump ends by as much as it is thick.
 const OF_STUMP: f64 = 0.05;
@@ -65,7 +69,9 @@ pub fn joints(landmarks: &Landmarks) -> Joints {
         doubt: if scale { IN_DOUBT.scale } else { 0.0 },
         estimates: BTreeMap::new(),
     };
-    found.add(Joint::Head, weights::HEAD.locate_midline(landmarks), weights::HEAD.sigma);
+    let of_top = if landmarks.head_is_bent() { BENT_HEAD } else { 0.0 };
+    let head_sigma = weights::HEAD.sigma.hypot(of_top);
+    found.add(Joint::Head, weights::HEAD.locate_midline(landmarks), head_sigma);
     found.add(Joint::Throat, weights::THROAT.locate_midline(landmarks), weights::THROAT.sigma);
     // The errors of two hips are about as much the same as they are each one's own.
     let hips = (limbs[0].hip + limbs[1].hip) / 2.0;
@@ -105,7 +111,7 @@ pub fn joints(landmarks: &Landmarks) -> Joints {
             found.add(Joint::Ankle(side), limb.ankle, sigma);
         }
     }
-    Joints { estimates: found.estimates, sides_told: left.is_some() }
+    Joints { estimates: found.estimates, sides_told: left.is_some(), size_sigma: 0.0 }
 }
 
 fn limbs(landmarks: &Landmarks, side: usize) -> Limbs {

@@ -19,7 +19,7 @@ pub use error::RepairError;
 
 use super::geometry::{Point, cross, dot, norm, sub};
 use super::read::Scan;
-use super::unit::extent;
+use super::unit::{self, extent};
 use super::{Mesh, Note, Unit};
 
 /// Faces above which a surface is made coarser: joints move less than what a scanner's noise moves them (Yu et al. 2008
@@ -41,6 +41,16 @@ pub struct Repaired {
     pub genus: usize,
     /// What was found and done, of the file, too.
     pub notes: Vec<Note>,
+}
+
+impl Repaired {
+    /// Whether the unit that was inferred may be another, by how tall the subject is in the mesh's own unit
+    /// ([`Survey::body_scale`](super::Survey::body_scale)), or else by how large the mesh is.
+    #[must_use]
+    pub fn unit_ambiguity(&self, stature: Option<f64>) -> Option<Note> {
+        let stature = || stature.unwrap_or_else(|| extent(&self.mesh));
+        if self.unit_inferred { unit::ambiguity(self.unit, stature()) } else { None }
+    }
 }
 
 /// Repairs a scan. `unit` is what its user states; otherwise it is what the file tells, or inferred.

@@ -63,7 +63,9 @@ pub(super) fn combine(method: Method, scans: &[ScanJoints]) -> Option<Skeleton> 
         notes.push("left and right are not told in every scan: each pair of limbs has the mean of both sides".to_owned());
         level_sides(&mut bones);
     }
-    let stature = stature(&bones).filter(|_| method == Method::Default);
+    // The surest scan has the most weight in every bone.
+    let size_sigma = in_mm.iter().map(|joints| joints.size_sigma).fold(f64::INFINITY, f64::min);
+    let stature = stature(&bones, size_sigma).filter(|_| method == Method::Default);
     let joints = skeleton_joints(in_mm.first_mut()?, &centres);
     notes.iter_mut().for_each(|note| *note = note.chars().take(TEXT_MAX).collect());
     notes.retain(|note| !note.is_empty());
@@ -94,7 +96,7 @@ fn millimetres(scan: &ScanJoints) -> Joints {
         estimate.position.iter().all(|mm| mm.abs() <= POSITION_MAX_MM) && !estimate.sigma.is_nan()
     };
     let estimates = scan.joints.estimates.iter().map(convert).filter(usable).collect();
-    Joints { estimates, sides_told: scan.joints.sides_told }
+    Joints { estimates, ..scan.joints.clone() }
 }
 
 /// Distance of two joints, and its standard deviation.
@@ -102,7 +104,8 @@ fn length(joints: &Joints, parent: Joint, child: Joint) -> Option<(f64, f64)> {
     let (a, b) = (joints.estimates.get(&parent)?, joints.estimates.get(&child)?);
     // Of an error in all directions, a third of the square lies along the bone.
     let sigma = (a.sigma.powi(2) + b.sigma.powi(2)).sqrt() / 3_f64.sqrt();
-    Some((distance(a.position, b.position), sigma.max(FLOOR_MM)))
+    let length = distance(a.position, b.position);
+    Some((length, sigma.max(FLOOR_MM).hypot(joints.size_sigma * length)))
 }
 
 /// How much longer the longest is than the shortest.

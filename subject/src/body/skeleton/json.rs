@@ -103,7 +103,7 @@ impl Skeleton {
                 return wrong(format!("sources[{i}].sha256"), "has not 64 hexadecimal digits");
             }
             if Unit::from_name(&source.unit).is_none_or(|unit| unit.to_string() != source.unit) {
-                return wrong(format!("sources[{i}].unit"), "is not m, cm or mm");
+                return wrong(format!("sources[{i}].unit"), "is not m, cm, mm or in");
             }
         }
         if self.stature_mm.is_some_and(|mm| !STATURE_MM.contains(&mm)) {

@@ -33,7 +33,7 @@ pub struct Source {
     pub name: String,
     /// SHA-256 of its bytes, in hexadecimal.
     pub sha256: String,
-    /// `m`, `cm` or `mm`.
+    /// `m`, `cm`, `mm` or `in`.
     pub unit: String,
     /// Whether the unit was inferred from the size.
     pub unit_inferred: bool,

@@ -16,8 +16,9 @@ const IN_DOUBT: f64 = 0.045;
 /// One side's bone is taken alone where it is so many times as sure as the other's.
 const SURER: f64 = 1.5;
 
-/// Stature and its standard deviation in millimetres; nothing where a bone is missing, or of nobody's size.
-pub(super) fn stature(bones: &[Bone]) -> Option<(f64, f64)> {
+/// Stature and its standard deviation in millimetres; nothing where a bone is missing, or of nobody's size. `size_sigma` is
+/// what is expected of all bones together, as a part of them: it does not become less by their number.
+pub(super) fn stature(bones: &[Bone], size_sigma: f64) -> Option<(f64, f64)> {
     let bone = |name: &str| bones.iter().find(|bone| bone.name == name);
     let alone = |name: &str| bone(name).map(|bone| [bone.length_mm, bone.uncertainty_mm]);
     let mean = |a: &str, b: &str| match (alone(a), alone(b)) {
@@ -35,6 +36,6 @@ pub(super) fn stature(bones: &[Bone]) -> Option<(f64, f64)> {
     ];
     let stature_mm = STATURE_OF_BONES * way.iter().map(|[length, _]| length).sum::<f64>();
     let of_bones = way.iter().map(|[_, sigma]| sigma.powi(2)).sum::<f64>().sqrt() / stature_mm;
-    let sigma = if of_bones > IN_DOUBT { of_bones } else { VARIES };
+    let sigma = if of_bones > IN_DOUBT { of_bones } else { VARIES }.hypot(size_sigma);
     STATURE_MM.contains(&stature_mm).then_some((stature_mm, sigma * stature_mm))
 }

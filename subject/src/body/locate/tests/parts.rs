@@ -12,7 +12,7 @@ fn leg(x: f64, flexion: f64) -> Leg {
     let knee = hip + Vector3::new(0.0, 0.4 * flexion.sin(), -0.4 * flexion.cos());
     // The shank hangs straight down, the foot points forwards.
     let ankle = knee - Vector3::z() * 0.4;
-    Leg { hip, knee, ankle, toes: ankle + Vector3::new(0.02 * x, 0.2, -0.05) }
+    Leg { hip, knee, ankle, toes: ankle + Vector3::new(0.02 * x, 0.2, -0.05), has_foot: true }
 }
 
 #[test]
@@ -32,6 +32,11 @@ fn feet_that_contradict_each_other_tell_nothing() {
     let mut no_foot = [forwards, leg(0.1, 0.0)];
     no_foot.iter_mut().for_each(|leg| leg.toes = leg.ankle);
     assert_eq!(left(no_foot), None);
+    // One foot alone tells; none does not.
+    let mut stump = backwards;
+    stump.has_foot = false;
+    assert_eq!(left([forwards, stump]), Some(0));
+    assert_eq!(left([Leg { has_foot: false, ..forwards }, stump]), None);
 }
 
 #[test]

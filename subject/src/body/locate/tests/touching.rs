@@ -20,6 +20,7 @@ fn scale(change: impl Fn(&mut [[f64; 5]; 5])) -> Option<BodyScale> {
     let mut ways = WAYS;
     change(&mut ways);
     BodyScale::new(&Fields {
+        first_head: None,
         missing: [0.0; 5],
         ends: [0, 1, 2, 3, 4],
         distances: ways.each_ref().map(<[f64; 5]>::as_slice),
