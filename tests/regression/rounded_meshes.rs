@@ -1,1 +1,54 @@
-//! Closed meshes with rounded or coincident vertices are accepted.
+//! A closed body stays a body when its vertices are rounded, or lie in one place.
+
+use mocapd_subject::body::{
+    Mesh, Survey,
+    generate::{Options, Pose, body},
+    read::{Format, Scan},
+    repair::{RepairError, Repaired, repair},
+    skeleton::Method,
+};
+
+fn repaired(mesh: Mesh) -> Result<Repaired, RepairError> {
+    repair(Scan { mesh, format: Format::Obj, unit: None, notes: Vec::new() }, None)
+}
+
+fn rounded(mesh: &Mesh, decimals: i32) -> Mesh {
+    let unit = 10_f64.powi(decimals);
+    let mut mesh = mesh.clone();
+    mesh.positions.as_flattened_mut().iter_mut().for_each(|c| *c = (*c * unit).round() / unit);
+    mesh
+}
+
+#[test]
+fn rounding_the_vertices_refuses_no_body() {
+    let poses = [(1, Pose::A, 5000), (2, Pose::Squat, 40_000), (3, Pose::Walk, 20_000)];
+    for (seed, pose, n_faces) in poses {
+        let (mesh, _) = body(seed, pose, Options { n_faces, turned: true });
+        for decimals in [2, 3, 4, 5] {
+            let rounded = rounded(&mesh, decimals);
+            let found = repaired(rounded.clone()).unwrap();
+            assert_eq!(found.genus, 0, "{pose:?} in {decimals} decimals");
+            // What hangs together is not taken apart, wherever it lies.
+            assert_eq!(found.mesh, rounded, "{pose:?} in {decimals} decimals");
+            if decimals > 2 {
+                Survey::new(&found.mesh, Method::Default).unwrap();
+            }
+        }
+    }
+}
+
+#[test]
+fn lips_that_touch_stay_apart() {
+    let (mut mesh, _) = body(4, Pose::Down, Options { n_faces: 6000, turned: false });
+    // Two triangles that share nothing, corner on corner: an upper lip upon a lower one.
+    let upper = mesh.triangles[100];
+    let far = |corners: &[u32; 3]| corners.iter().all(|corner| !upper.contains(corner));
+    let lower = *mesh.triangles[400..].iter().find(|corners| far(corners)).unwrap();
+    for (one, other) in upper.into_iter().zip([lower[0], lower[2], lower[1]]) {
+        mesh.positions[one as usize] = mesh.positions[other as usize];
+    }
+    let found = repaired(mesh.clone()).unwrap();
+    assert_eq!(found.genus, 0);
+    assert_eq!(found.mesh, mesh);
+    assert!(found.notes.iter().all(|note| note.code == "unit-inferred"), "{:?}", found.notes);
+}
