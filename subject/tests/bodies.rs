@@ -6,6 +6,8 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use mocapd_subject::body::read::{Format, Scan};
+use mocapd_subject::body::repair::repair;
 use mocapd_subject::body::skeleton::Method;
 use mocapd_subject::body::{Joint, Mesh, Side, Survey};
 use nalgebra::{Rotation3, Vector3};
@@ -109,6 +111,59 @@ fn length_errors(found: &Survey, truth: &Truth) -> Vec<f64> {
     let sides = [(Side::Left, "L"), (Side::Right, "R")];
     let of_side = |(side, letter)| bones.map(|bone| length(side, letter, bone));
     sides.into_iter().flat_map(of_side).collect()
+}
+
+/// A head is no farther off than so many of its standard deviations, and a stature.
+const SIGMAS_MOST: f64 = 3.0;
+/// Limbs have grown together with the trunk, which the ways across make shorter than it is.
+const TUCKED: &str = "contact_mavg_tuck";
+
+#[test]
+fn heads_and_statures_are_as_sure_as_they_say() {
+    let Some(paths) = bodies(&[&["mh_", "contact_", "smpl_"][..], &STAND_INS].concat()) else {
+        return;
+    };
+    let mut tucked = 0;
+    for path in paths.into_iter().filter(|path| !path.to_string_lossy().contains("_5k")) {
+        let (mesh, truth) = read::body(&path).unwrap();
+        let Ok(found) = survey(&mesh) else { continue };
+        let name = &truth.name;
+        let estimates = &found.joints.estimates;
+        let known = truth.joints.as_ref().and_then(|known| known.get("head_top"));
+        if let Some((at, known)) = estimates.get(&Joint::Head).zip(known) {
+            let error = distance(at.position, *known);
+            assert!(error < SIGMAS_MOST * at.sigma, "head of {name}: {error} at {}", at.sigma);
+        }
+        if name.starts_with(TUCKED) {
+            // A fifth too short and more, where contact alone would say six per cent.
+            assert!(found.joints.size_sigma > 0.15, "{}", found.joints.size_sigma);
+            assert!(found.notes.iter().any(|note| note.code == "size-unsure"));
+            tucked += 1;
+        }
+        if !name.starts_with("contact_") {
+            assert!(found.notes.is_empty() && found.joints.size_sigma == 0.0, "{name}: {:?}", found.notes);
+        }
+    }
+    assert!(tucked > 0);
+}
+
+#[test]
+fn rounding_refuses_no_body() {
+    let Some(paths) = bodies(&["mh_", "contact_", "faust_", "smpl_", "mhr_"]) else { return };
+    // Every third: what is left out are the same bodies in other resolutions, for the most part.
+    for path in paths.into_iter().step_by(3) {
+        let (mesh, truth) = read::body(&path).unwrap();
+        let accepted = |mesh: Mesh| {
+            let scan = Scan { mesh, format: Format::Obj, unit: None, notes: Vec::new() };
+            let repaired = repair(scan, None).map_err(|error| error.to_string())?;
+            survey(&repaired.mesh).map(|found| found.joints.estimates.len())
+        };
+        let Ok(whole) = accepted(mesh.clone()) else { continue };
+        let mut rounded = mesh;
+        let round = |c: &mut f64| *c = (*c * 1000.0).round() / 1000.0;
+        rounded.positions.as_flattened_mut().iter_mut().for_each(round);
+        assert_eq!(accepted(rounded), Ok(whole), "{}", truth.name);
+    }
 }
 
 #[test]

@@ -60,8 +60,7 @@ impl Survey {
         let handles = usize::try_from((2 - adjacency.euler_characteristic()) / 2).unwrap_or(0);
         let contact = Refusal::Contact { handles };
         let landmarks = Landmarks::new(mesh, &settled.fields()).ok_or(contact)?;
-        // Where limbs are short or touch, a hand with its wrist is taken for the head with its neck.
-        if ends.told != Told::Freely && !landmarks.neck.may_be_a_head() {
+        if ends.told != Told::Freely && !landmarks.ends_may_be_right() {
             return Err(Refusal::Ambiguous { margin });
         }
         let mut joints = locate::joints(&landmarks);

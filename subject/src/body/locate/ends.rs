@@ -12,7 +12,7 @@ const HEAD_REACH: f64 = 0.14;
 /// Where the highest of that lies in its outer part, the top is looked for again around it, at most so many times.
 const HEAD_STEPS: usize = 3;
 /// The outer part begins at this share of the reach.
-const HEAD_EDGE: f64 = 0.8;
+const HEAD_EDGE: f64 = 0.5;
 /// Of the top is what is nearer to the limbs by less than this.
 const CROWN: f64 = 0.03;
 

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::limb::{Marks, arm, leg};
 use super::missing;
-use super::neck::Neck;
+use super::neck::{self, Neck};
 use super::scale::BodyScale;
 use super::section::Sections;
 use super::touching::Touching;
@@ -120,6 +120,14 @@ impl Landmarks {
 }
 
 impl Landmarks {
+    /// Whether head and hands have the girths of such. Where a limb is short or touches something, a hand with its wrist fits
+    /// for a head with its neck by the ways between them, and the head for a hand.
+    #[must_use]
+    pub fn ends_may_be_right(&self) -> bool {
+        let hands = self.halves.iter().all(|half| neck::may_be_a_hand(&half.sections[0].perimeter));
+        hands && self.neck.may_be_a_head()
+    }
+
     /// Whether the head's middle line bends so much that what was taken for the top may be the forehead or a temple.
     #[must_use]
     pub fn head_is_bent(&self) -> bool {

@@ -8,14 +8,14 @@ use nalgebra::Vector3;
 use super::section::{STEP, Sections, level};
 use super::{FOOT, Fields, HAND, HEAD};
 
-/// How much shorter one arm is than the other on a whole body, at most, in body scales: 0.023 was seen, of poses in which one
-/// shoulder is raised. A hand has 0.108 of stature (Drillis and Contini 1966).
-const ARM_SHORTER: f64 = 0.05;
-/// The same where the end has not the shape of a hand.
+/// How much shorter one arm is than the other on a whole body, at most, in body scales: less, in any pose. A hand has 0.108 of stature (Drillis and Contini 1966).
+/// What has the shape of a hand at its end is left whole up to this.
+const ARM_SHORTER: f64 = 0.08;
+/// The same where the end has not the shape of a hand: 0.023 was seen, and hands that are cut off have 0.06 and more.
 const HANDLESS_SHORTER: f64 = 0.03;
-/// The same of legs: 0.044 was seen, in lunges. A difference that is the legs' own is 0.003 of stature in the mean, and beyond
+/// The same of legs: 0.044 was seen, in lunges, and a knee that bends sharply shortens the way over it by more. A difference that is the legs' own is 0.003 of stature in the mean, and beyond
 /// 0.012 in one of a thousand people (Knutson 2005); a foot and what is below the ankle have 0.08 of the way along the skin.
-const LEG_SHORTER: f64 = 0.07;
+const LEG_SHORTER: f64 = 0.1;
 /// The same where the end has not the shape of a foot.
 const FOOTLESS_SHORTER: f64 = 0.02;
 /// How much shorter than of a whole body's proportion the way between the hands is where both are missing, as a logarithm:

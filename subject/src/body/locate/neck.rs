@@ -18,6 +18,18 @@ const NECK_LEAST: f64 = 0.16;
 /// No hand is this thick.
 const HEAD_STOUT: f64 = 0.36;
 
+/// No curve round a hand is longer, in body scales, however its fingers are spread: 0.255 was seen of stout ones. One round a
+/// head is.
+const HAND_MOST: f64 = 0.30;
+/// Where a hand ends on a body with its fist closed, in body scales.
+const HAND_ENDS: f64 = 0.10;
+
+/// Whether the curves round an arm's end may be those of a hand or of what is left of an arm, and not of a head.
+pub(super) fn may_be_a_hand(perimeter: &[f64]) -> bool {
+    let curves = perimeter.iter().enumerate().filter(|(index, _)| level(*index) < HAND_ENDS);
+    curves.map(|(_, length)| *length).fold(0.0, f64::max) <= HAND_MOST
+}
+
 /// The curves round the head and behind it, in body scales.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Neck {

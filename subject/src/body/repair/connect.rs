@@ -63,7 +63,7 @@ fn take_out(mesh: &mut Mesh) -> usize {
 
 /// The side on the other side of each side, or [`NONE`]; and how many edges have too many.
 ///
-/// Where more than two triangles meet, those go together that bend least: a sheet goes on as it came.
+/// Where more than two triangles meet, those go together that face the same way and bend least: a sheet goes on as it came.
 pub(super) fn pair_up(mesh: &Mesh) -> (Vec<u32>, usize) {
     let edges = edges::sorted(&mesh.triangles);
     let mut across = vec![NONE; edges.len()];
@@ -92,10 +92,12 @@ fn flattest(mesh: &Mesh, sides: &[u32]) -> Option<(usize, usize)> {
         let (normal_i, normal_j) = (normal(mesh, sides[i]), normal(mesh, sides[j]));
         let [from_i, _] = edges::ends(&mesh.triangles, sides[i]);
         let [from_j, _] = edges::ends(&mesh.triangles, sides[j]);
-        // Two triangles that pass the edge in the same direction face opposite ways.
-        let agreement = dot(normal_i, normal_j) * if from_i == from_j { -1.0 } else { 1.0 };
-        if best.is_none_or(|(_, least)| agreement > least) {
-            best = Some(((i, j), agreement));
+        // Two triangles that pass the edge in the same direction face opposite ways. Where sheets touch, one of this and one
+        // of that are as flat as two of one sheet: those that face the same way come first.
+        let same_way = from_i != from_j;
+        let agreement = dot(normal_i, normal_j) * if same_way { 1.0 } else { -1.0 };
+        if best.is_none_or(|(_, most)| (same_way, agreement) > most) {
+            best = Some(((i, j), (same_way, agreement)));
         }
     }
     best.map(|(pair, _)| pair)

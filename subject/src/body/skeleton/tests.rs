@@ -188,7 +188,10 @@ fn stature_is_told_in_any_pose_and_not_without_a_bone() {
         assert!((mm - 1000.0 * (top - sole)).abs() < 3.0 * sigma_mm, "{pose:?}: {mm}");
         assert_eq!(of(Method::Paper, joints.clone()).stature_mm, None);
         let mut legless = joints;
+        // One leg tells as much as both; without either there is none.
         legless.estimates.remove(&Joint::Knee(Side::Left));
+        assert!(of(Method::Default, legless.clone()).stature_mm.is_some());
+        legless.estimates.remove(&Joint::Knee(Side::Right));
         assert_eq!(of(Method::Default, legless).stature_mm, None);
     }
 }
@@ -221,7 +224,7 @@ fn a_foreign_document_is_refused_with_the_reason() {
         ("\"version\": 1", "\"version\": 2", "`version` is not 1"),
         ("\"version\": 1", "\"version\": 1, \"more\": 2", "unknown field `more`"),
         ("\"default\"", "\"magic\"", "unknown variant"),
-        ("\"unit\": \"m\"", "\"unit\": \"M\"", "`sources[0].unit` is not m, cm or mm"),
+        ("\"unit\": \"m\"", "\"unit\": \"M\"", "`sources[0].unit` is not m, cm, mm or in"),
         ("A.obj", "", "`sources[0].name`"),
         ("\"name\": \"throat\"", "\"name\": \"head\"", "`joints[1].name` stands twice"),
         ("\"name\": \"throat\"", "\"name\": \"neck\"", "`joints[1].name` is none of the 15"),

@@ -177,6 +177,41 @@ fn the_unit_is_that_of_a_body() {
 }
 
 #[test]
+fn inches_are_not_taken_for_centimetres_without_a_word() {
+    use crate::body::Survey;
+    use crate::body::skeleton::Method;
+    let ambiguity = |factor: f64| {
+        let mut scaled = clean();
+        scaled.positions.as_flattened_mut().iter_mut().for_each(|c| *c *= factor);
+        let found = repaired(scaled).unwrap();
+        let survey = Survey::new(&found.mesh, Method::Default).unwrap();
+        (found.unit, found.unit_ambiguity(survey.body_scale).map(|note| note.code))
+    };
+    let inches = Unit::Inch.mm() / 1000.0;
+    assert_eq!(ambiguity(1.0 / inches), (Unit::Centimetre, Some("unit-ambiguous")));
+    for factor in [1.0, 100.0, 1000.0] {
+        assert_eq!(ambiguity(factor).1, None, "{factor}");
+    }
+}
+
+#[test]
+fn a_soup_that_was_rounded_hangs_together_again() {
+    for (seed, pose) in [(1, Pose::Squat), (2, Pose::Sit)] {
+        let mesh = body(seed, pose, Options { n_faces: 40_000, turned: true }).0;
+        let mut soup = Mesh::default();
+        for corners in &mesh.triangles {
+            let first = soup.positions.len() as u32;
+            let round = |c: f64| (c * 1000.0).round() / 1000.0;
+            soup.positions.extend(corners.map(|at| mesh.positions[at as usize].map(round)));
+            soup.triangles.push([first, first + 1, first + 2]);
+        }
+        let found = repaired(soup).unwrap();
+        assert_eq!(euler(&found.mesh), 2, "{pose:?}");
+        assert!((volume(&found.mesh) / volume(&mesh) - 1.0).abs() < 0.01, "{pose:?}");
+    }
+}
+
+#[test]
 fn whatever_happens_to_a_surface_what_comes_back_is_closed() {
     let mesh = body(3, Pose::Down, Options { n_faces: 2000, turned: false }).0;
     let (mut mended, mut state) = (0, 7);
