@@ -1,7 +1,9 @@
 //! Files that are never overwritten: live takes under their own name, everything else beside it first.
 
 mod behind;
+mod file_state;
 mod folder;
+mod mounts;
 mod sparse;
 mod take_file;
 
@@ -22,6 +24,7 @@ use rustix::{
 
 use self::behind::Behind;
 pub use self::{
+    file_state::{Displaced, FileState, Settled},
     folder::NewFolder,
     sparse::SparseFile,
     take_file::{FileId, TakeFile},

@@ -37,6 +37,11 @@ impl fmt::Display for UsageError {
 
 impl std::error::Error for UsageError {}
 
+/// What was asked for was done, and data was lost: exit code 3 instead of 1.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct DataLostError(pub String);
+
 /// Exit codes: 0 done, 1 failed, 2 usage or refused input value, 3 done but data was lost.
 #[must_use]
 pub fn exit_code(result: &anyhow::Result<Outcome>) -> ExitCode {
@@ -44,6 +49,7 @@ pub fn exit_code(result: &anyhow::Result<Outcome>) -> ExitCode {
         Ok(Outcome::Done) => 0,
         Ok(Outcome::DataLost) => 3,
         Err(error) if error.downcast_ref::<UsageError>().is_some() => 2,
+        Err(error) if error.downcast_ref::<DataLostError>().is_some() => 3,
         Err(_) => 1,
     })
 }

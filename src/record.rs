@@ -12,7 +12,7 @@ use mocapd_take::record::Subject;
 
 use crate::{
     disk,
-    files::TakeFile,
+    files::{Settled, TakeFile},
     header,
     pipeline::{NothingRecorded, Pipeline, PipelineConfig, Progress, Written},
     rig::{Ending, ReadOptions, Recording, Rig},
@@ -51,6 +51,8 @@ pub struct Recorded {
     pub written: Written,
     /// What the reader saw.
     pub recording: Recording,
+    /// Where the take is now.
+    pub file: Settled,
     /// Rows a second.
     pub rate_hz: f64,
     /// Markers announced at the start.
@@ -89,7 +91,7 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
             stop: options.stop,
             rows_max,
             time_max,
-            ends_when_full: true,
+            for_one_take: true,
             say: options.say,
         };
         let recording = rig.read(intake, &read);
@@ -115,7 +117,7 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
             _ => ends_early(error),
         }),
         Ok((Ok(_), Err(error))) => Err(ends_early(error)),
-        Ok((Ok(recording), Ok((written, _)))) => {
+        Ok((Ok(recording), Ok((written, mut file)))) => {
             if written.ledger.recorded == 0 {
                 let why = match recording.ending {
                     Ending::Disconnected => "the device went away before its first frame",
@@ -125,7 +127,7 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
                 };
                 return Err(nothing_recorded(anyhow!("nothing was recorded: {why}")));
             }
-            Ok(Recorded { written, recording, rate_hz, markers })
+            Ok(Recorded { written, recording, file: file.settle(), rate_hz, markers })
         }
     }
 }

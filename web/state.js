@@ -47,6 +47,12 @@ export function obstacle({ device: { obstacle: words } }) {
   return words ? words.charAt(0).toUpperCase() + words.slice(1) : null;
 }
 
+/** What others did to the file of the take that is recorded, and what to do, or null. Pure. */
+export function fileNotice({ take }) {
+  const words = take?.file_notice;
+  return words ? words.charAt(0).toUpperCase() + words.slice(1) : null;
+}
+
 /** One line about the device. Pure. */
 export function deviceLine({ presence, model, serial, firmware, driver, uri, rate_hz: rateHz, markers }) {
   const parts = [model || "no device", serial, firmware && `firmware ${firmware}`, presence, driver, uri];
@@ -74,6 +80,9 @@ export class Hero {
     this.#state(shown, WORDS[shown] ?? shown, describe(status));
     setText(byId("rig"), status.rig);
     setText(byId("device"), deviceLine(status.device));
+    const notice = fileNotice(status);
+    setHidden(byId("file-notice"), notice === null);
+    setText(byId("file-notice"), notice ?? "");
     const words = obstacle(status);
     setHidden(byId("obstacle"), words === null);
     setText(byId("obstacle"), words ?? "");
@@ -85,6 +94,7 @@ export class Hero {
     this.#lost = { why, sinceMs };
     document.body.dataset.link = "lost";
     setHidden(byId("obstacle"), true);
+    setHidden(byId("file-notice"), true);
     this.#tick();
   }
 

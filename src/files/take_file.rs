@@ -3,9 +3,14 @@
 use std::{
     fs::{File, Metadata},
     io::{self, Write},
-    os::unix::fs::MetadataExt,
+    os::{fd::AsRawFd, unix::fs::MetadataExt},
     path::{Path, PathBuf},
+    time::{Duration, Instant},
 };
+
+use anyhow::Context;
+
+use super::{Displaced, FileState, NewFile, Settled, mounts, own_link};
 
 /// Which file something is, whatever it is called.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -36,12 +41,23 @@ impl FileId {
     }
 }
 
+/// Between two looks at what others did to the file: often enough to notice it within a second.
+const LOOK_EVERY: Duration = Duration::from_millis(400);
+
+/// Names that are tried for the copy of a take that was removed.
+const COPIES_MAX: u32 = 100;
+
 /// A new take's file.
 #[derive(Debug)]
 pub struct TakeFile {
-    pub(super) file: File,
+    file: File,
     path: PathBuf,
     id: FileId,
+    /// How the kernel showed it when it was created.
+    link: Option<PathBuf>,
+    written: u64,
+    looked: Option<Instant>,
+    state: FileState,
 }
 
 impl TakeFile {
@@ -53,7 +69,8 @@ impl TakeFile {
         let file = super::create_new(path)?;
         let id = FileId::of(&file.metadata()?);
         super::sync_name(path);
-        Ok(Self { file, path: path.to_owned(), id })
+        let (path, link) = (path.to_owned(), own_link(&file).read_link().ok());
+        Ok(Self { file, path, id, link, written: 0, looked: None, state: FileState::InPlace })
     }
 
     /// Which file it is.
@@ -68,16 +85,111 @@ impl TakeFile {
         &self.file
     }
 
-    /// The name that it was created under.
+    /// What others have done to it; looks now and then only.
+    pub fn look(&mut self) -> FileState {
+        if self.looked.is_none_or(|last| last.elapsed() >= LOOK_EVERY) {
+            self.look_now();
+        }
+        self.state
+    }
+
+    /// The same, at once.
+    pub fn look_now(&mut self) -> FileState {
+        self.looked = Some(Instant::now());
+        // What was cut off does not come back, and what follows would lie behind a hole.
+        if self.state != FileState::Truncated {
+            self.state = self.found().unwrap_or(self.state);
+        }
+        self.state
+    }
+
+    /// `None` where nobody can tell.
+    fn found(&self) -> Option<FileState> {
+        let found = self.file.metadata().ok()?;
+        if found.len() < self.written {
+            return Some(FileState::Truncated);
+        }
+        if found.nlink() == 0 {
+            return Some(FileState::Removed);
+        }
+        if self.id.is_at(&self.path) {
+            return Some(FileState::InPlace);
+        }
+        // Its name is as it was, and leads elsewhere: something is mounted over it.
+        let is_covered = self.link.is_some() && own_link(&self.file).read_link().ok() == self.link;
+        if is_covered || !mounts::is_mounted(&self.file) {
+            return Some(FileState::Unmounted);
+        }
+        Some(FileState::Renamed)
+    }
+
+    /// More about it where it is not in its place, as of the last look.
     #[must_use]
-    pub fn path(&self) -> &Path {
-        &self.path
+    pub fn displaced(&self) -> Option<Displaced> {
+        if self.state == FileState::InPlace {
+            return None;
+        }
+        let found = self.file.metadata().map_or(0, |found| found.len());
+        Some(Displaced {
+            state: self.state,
+            created_as: self.path.clone(),
+            now_at: self.name_now(),
+            open_at: format!("/proc/{}/fd/{}", std::process::id(), self.file.as_raw_fd()).into(),
+            bytes: (found, self.written),
+        })
+    }
+
+    /// Its name, where one leads to it.
+    fn name_now(&self) -> Option<PathBuf> {
+        if self.id.is_at(&self.path) {
+            return Some(self.path.clone());
+        }
+        own_link(&self.file).read_link().ok().filter(|path| self.id.is_at(path))
+    }
+
+    /// Where it is, now that the take has ended: one that was removed is copied, as long as it is open.
+    pub fn settle(&mut self) -> Settled {
+        let state = self.look_now();
+        let displaced = self.displaced();
+        let mut settled = Settled { state, path: self.name_now(), displaced, problem: None };
+        if state == FileState::Removed {
+            match self.save_copy() {
+                Ok(path) => settled.path = Some(path),
+                Err(error) => settled.problem = Some(format!("{error:#}")),
+            }
+        }
+        settled
+    }
+
+    /// Beside the name that it had, under a free one. The kernel gives no name back to a file that has lost its last.
+    fn save_copy(&self) -> anyhow::Result<PathBuf> {
+        let stem = self.path.file_stem().unwrap_or_default().to_string_lossy();
+        let name = |count: u32| match count {
+            1 => format!("{stem}.saved.take"),
+            _ => format!("{stem}.saved-{count}.take"),
+        };
+        let mut names = (1..COPIES_MAX).map(|count| self.path.with_file_name(name(count)));
+        let free = names.find(|path| path.symlink_metadata().is_err());
+        let path = free.context("every name for a copy is taken")?;
+        let mut input = File::open(own_link(&self.file)).context("cannot be opened again")?;
+        let mut copy = NewFile::create(&path)?;
+        io::copy(&mut input, &mut copy)
+            .with_context(|| format!("cannot write {}", path.display()))?;
+        copy.keep()?;
+        Ok(path)
     }
 }
 
 impl Write for TakeFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.file.write(bytes)
+        // Behind a cut there would be a hole, and the file as long as ever.
+        if self.file.metadata()?.len() < self.written {
+            self.state = FileState::Truncated;
+            return Err(io::Error::other("another program cut the file short"));
+        }
+        let n_bytes = self.file.write(bytes)?;
+        self.written += n_bytes as u64;
+        Ok(n_bytes)
     }
 
     fn flush(&mut self) -> io::Result<()> {
@@ -104,5 +216,64 @@ mod tests {
         take.id().remove(&other).unwrap();
         assert!(!other.exists());
         take.id().remove(&other).unwrap();
+    }
+
+    #[test]
+    fn what_others_do_is_noticed_and_what_was_written_is_kept() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = dir.path().join("takes");
+        std::fs::create_dir(&folder).unwrap();
+        let path = folder.join("a.take");
+        let mut take = TakeFile::create(&path).unwrap();
+        take.write_all(b"one").unwrap();
+        assert_eq!((take.look_now(), take.displaced()), (FileState::InPlace, None));
+
+        // Renamed, alone and with its folder; and back.
+        let other = folder.join("b.take");
+        std::fs::rename(&path, &other).unwrap();
+        assert_eq!(take.look_now(), FileState::Renamed);
+        assert_eq!(take.displaced().unwrap().now_at.as_ref(), Some(&other));
+        let moved = dir.path().join("moved");
+        std::fs::rename(&folder, &moved).unwrap();
+        take.write_all(b"two").unwrap();
+        let settled = take.settle();
+        assert_eq!((settled.state, settled.path), (FileState::Renamed, Some(moved.join("b.take"))));
+        std::fs::rename(&moved, &folder).unwrap();
+        std::fs::rename(&other, &path).unwrap();
+        assert_eq!(take.look_now(), FileState::InPlace);
+
+        // Removed: by its name, though another file has that; then with its folder.
+        std::fs::remove_file(&path).unwrap();
+        std::fs::write(&path, b"another").unwrap();
+        take.write_all(b"three").unwrap();
+        assert_eq!(take.look_now(), FileState::Removed);
+        let open_at = take.displaced().unwrap().open_at;
+        assert_eq!(std::fs::read(open_at).unwrap(), b"onetwothree");
+        for name in ["a.saved.take", "a.saved-2.take"] {
+            let settled = take.settle();
+            assert_eq!(settled.path, Some(folder.join(name)));
+            assert_eq!(std::fs::read(folder.join(name)).unwrap(), b"onetwothree");
+        }
+        assert_eq!(std::fs::read(&path).unwrap(), b"another");
+        std::fs::remove_dir_all(&folder).unwrap();
+        let settled = take.settle();
+        assert_eq!((settled.state, &settled.path), (FileState::Removed, &None));
+        assert!(settled.problem.is_some());
+    }
+
+    #[test]
+    fn nothing_is_written_behind_a_cut() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.take");
+        let mut take = TakeFile::create(&path).unwrap();
+        take.write_all(b"something").unwrap();
+        File::options().write(true).open(&path).unwrap().set_len(4).unwrap();
+        take.write_all(b"more").unwrap_err();
+        assert_eq!(take.look_now(), FileState::Truncated);
+        assert_eq!(take.displaced().unwrap().bytes, (4, 9));
+        assert_eq!(std::fs::read(&path).unwrap(), b"some");
+        // It stays so, though the file may become as long again.
+        File::options().write(true).open(&path).unwrap().set_len(40).unwrap();
+        assert_eq!(take.look_now(), FileState::Truncated);
     }
 }

@@ -32,8 +32,11 @@ use super::{
     ring::{RingIn, Sample, TimelineItem},
     tap::{TapHead, TapIn},
 };
-use crate::heartbeat::{Beat, Who};
-use crate::latency::Latency;
+use crate::{
+    files::{Displaced, FileState},
+    heartbeat::{Beat, Who},
+    latency::Latency,
+};
 
 /// No slot: the channel pool was used up when the marker appeared.
 const NO_SLOT: u32 = u32::MAX;
@@ -329,6 +332,18 @@ impl Intake {
     #[must_use]
     pub fn is_disk_full(&self) -> bool {
         self.progress.disk_full.load(Ordering::Relaxed)
+    }
+
+    /// What others did to the take's file.
+    #[must_use]
+    pub fn file_state(&self) -> FileState {
+        self.progress.file_state()
+    }
+
+    /// More about that, while it is not in its place.
+    #[must_use]
+    pub fn displaced(&self) -> Option<Displaced> {
+        self.progress.displaced()
     }
 
     /// The device went away, or is back.

@@ -2,10 +2,12 @@
 
 use std::sync::{
     Arc, Mutex, MutexGuard, OnceLock, PoisonError,
-    atomic::{AtomicBool, AtomicI64, AtomicU64},
+    atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU64, Ordering},
 };
 
 use mocapd_take::record::{Channel, Ledger, TakeEnding};
+
+use crate::files::{Displaced, FileState};
 
 /// What other threads may look at while it runs. Counters only: the truth is in the ledger.
 #[derive(Debug, Default)]
@@ -48,6 +50,9 @@ pub struct Progress {
     pub held_ms: AtomicU64,
     /// Some of it went because of the bytes that it took.
     pub held_cut: AtomicBool,
+    /// What others did to the take's file, by its code; and more about that.
+    file_state: AtomicU8,
+    displaced: Mutex<Option<Displaced>>,
     /// Why the reading ended, once it has: how a take that is open then ends.
     pub ending: OnceLock<TakeEnding>,
     /// The take that is being written. The writer and whoever watches meet here, and nobody else.
@@ -57,6 +62,24 @@ pub struct Progress {
 impl Progress {
     pub(super) fn new(channels: &[Channel]) -> Self {
         Self { channels: Mutex::new(channels.to_vec()), ..Self::default() }
+    }
+
+    /// What others did to the file of the take that is being written, or was written last.
+    #[must_use]
+    pub fn file_state(&self) -> FileState {
+        FileState::from_code(self.file_state.load(Ordering::Relaxed))
+    }
+
+    /// More about that, while it is not in its place.
+    #[must_use]
+    pub fn displaced(&self) -> Option<Displaced> {
+        lock(&self.displaced).clone()
+    }
+
+    /// First the words, then what makes others look for them.
+    pub(super) fn set_file_state(&self, state: FileState, displaced: Option<Displaced>) {
+        *lock(&self.displaced) = displaced;
+        self.file_state.store(state.code(), Ordering::Release);
     }
 }
 

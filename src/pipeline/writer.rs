@@ -37,6 +37,10 @@ use crate::heartbeat::Beat;
 /// How often the writer looks what waits, though it is to sync with every stretch.
 const LOOK_AT_MOST: Duration = Duration::from_millis(50);
 
+/// How often the writer looks at the file when nothing is to be written: with the time between two of these looks, what
+/// others do to it is noticed within a second.
+const LOOK_AT_FILE: Duration = Duration::from_millis(450);
+
 /// How long to wait for parts after a worker failed.
 const GIVE_UP_AFTER: Duration = Duration::from_secs(2);
 
@@ -124,16 +128,19 @@ impl<W: TakeOutput> Writer<W> {
         });
         loop {
             beat.moved();
-            match self.parts.recv_timeout(self.sync_every.clamp(LOOK_AT_MOST, GIVE_UP_AFTER)) {
+            let sync_after = self.sync_every.clamp(LOOK_AT_MOST, GIVE_UP_AFTER);
+            match self.parts.recv_timeout(sync_after.min(LOOK_AT_FILE)) {
                 Ok(part) => {
                     silent_since = Instant::now();
                     self.assemblies.add(part);
                 }
                 Err(RecvTimeoutError::Timeout) => {
                     beat.at_disk();
+                    let is_silent = silent_since.elapsed() >= sync_after;
                     self.on_take(|take, _| {
                         take.look_at_disk(&progress);
-                        take.sync_what_waits()
+                        take.look_at_file(&progress);
+                        if is_silent { take.sync_what_waits() } else { Ok(()) }
                     });
                     let failed = progress.failed.load(Ordering::Relaxed);
                     let has_no_take = self.for_one_take && self.live.is_none();
@@ -253,8 +260,13 @@ impl<W: TakeOutput> Writer<W> {
         &mut self,
         work: impl FnOnce(&mut LiveTake<W>, &mut ClockWriter) -> anyhow::Result<()>,
     ) {
-        let Some(take) = &mut self.live else { return };
+        // One that was cut short is told to end; until then nothing is written to it.
+        let Some(take) = self.live.as_mut().filter(|take| !take.is_cut_short()) else { return };
         let Err(error) = work(take, &mut self.clocks) else { return };
+        take.look_at_file(&self.progress);
+        if take.is_cut_short() {
+            return;
+        }
         if self.for_one_take {
             self.progress.failed.store(true, Ordering::Relaxed);
         }

@@ -1,6 +1,7 @@
 //! The reader: from Start to the end of the stream, every byte into the protocol, every frame into the rings.
 
 use std::{
+    cell::Cell,
     sync::atomic::{AtomicBool, Ordering},
     time::Duration,
 };
@@ -15,6 +16,7 @@ use mocapd_take::record::{EndingKind, Event, EventKind, TakeEnding};
 use super::{ANSWER_WITHIN, Latency, Rig, TRIES, asked::Asked, monotonic_ns, refusal};
 use crate::{
     clock::Prober,
+    files::FileState,
     pipeline::{Counts, Intake},
 };
 
@@ -33,8 +35,9 @@ pub struct ReadOptions<'a> {
     pub rows_max: Option<u64>,
     /// Stop after so long by the host's clock, too: frames may come slowly, or not at all.
     pub time_max: Option<Duration>,
-    /// Whether a disk that is full ends it, or only the take.
-    pub ends_when_full: bool,
+    /// Whether it is there for one take: what ends the take ends the reading, and what others do to the take's file is
+    /// said.
+    pub for_one_take: bool,
     /// Told, in words, what people should know while it runs.
     pub say: &'a dyn Fn(&str),
 }
@@ -50,6 +53,10 @@ pub enum Ending {
     Disconnected,
     /// So little was left of the disk that the take was closed.
     DiskFull,
+    /// Another program cut the take short.
+    Truncated,
+    /// The take's file system was unmounted.
+    Unmounted,
     /// The take can no longer be written.
     WriterFailed,
 }
@@ -118,21 +125,19 @@ impl Rig {
             return Ok(Ending::Stopped);
         }
         let started_ns = monotonic_ns();
+        let told = Cell::new(FileState::InPlace);
         let is_over = |reader: &Reader<'_>| {
+            tell_file(reader.intake, options, &told);
             let time_max = options.time_max.map(|max| max.as_nanos() as u64);
             options.stop.load(Ordering::Relaxed)
-                || (options.ends_when_full && reader.intake.is_disk_full())
+                || end_of_take(reader.intake, options).is_some()
                 || options.rows_max.is_some_and(|max| reader.intake.next_row() >= max)
                 || time_max.is_some_and(|max| monotonic_ns() - started_ns > max)
         };
         loop {
-            let is_full = |intake: &Intake| options.ends_when_full && intake.is_disk_full();
-            let or_full = |ending, intake: &Intake| match is_full(intake) {
-                true => Ending::DiskFull,
-                false => ending,
-            };
+            let or_end = |ending, intake: &Intake| end_of_take(intake, options).unwrap_or(ending);
             let ending = match self.read_until_gone(reader, options, &is_over)? {
-                Ending::Stopped => or_full(Ending::Stopped, reader.intake),
+                Ending::Stopped => or_end(Ending::Stopped, reader.intake),
                 ending => ending,
             };
             if ending != Ending::Disconnected {
@@ -141,7 +146,7 @@ impl Rig {
             reader.intake.event(host_event("the device was disconnected"));
             reader.intake.away(true);
             if !self.reconnect(reader, options, &is_over) {
-                return Ok(or_full(Ending::Disconnected, reader.intake));
+                return Ok(or_end(Ending::Disconnected, reader.intake));
             }
             reader.intake.away(false);
             reader.outages += 1;
@@ -311,6 +316,27 @@ impl Rig {
     }
 }
 
+/// What ends a reading that is there for one take, as the writer sees it.
+fn end_of_take(intake: &Intake, options: &ReadOptions<'_>) -> Option<Ending> {
+    match intake.file_state() {
+        _ if !options.for_one_take => None,
+        FileState::Truncated => Some(Ending::Truncated),
+        FileState::Unmounted => Some(Ending::Unmounted),
+        _ => intake.is_disk_full().then_some(Ending::DiskFull),
+    }
+}
+
+/// Says once what others did to the file; how it ends a take is said with the end.
+fn tell_file(intake: &Intake, options: &ReadOptions<'_>, told: &Cell<FileState>) {
+    let state = intake.file_state();
+    if !options.for_one_take || state == told.replace(state) || state.ends_take() {
+        return;
+    }
+    if let Some(displaced) = intake.displaced() {
+        (options.say)(&displaced.words());
+    }
+}
+
 /// How a take ends that is open when the reading is over.
 fn take_ending(outcome: &anyhow::Result<Ending>, options: &ReadOptions<'_>) -> TakeEnding {
     let kind = match outcome {
@@ -319,6 +345,8 @@ fn take_ending(outcome: &anyhow::Result<Ending>, options: &ReadOptions<'_>) -> T
         Ok(Ending::Stopped) => EndingKind::Length,
         Ok(Ending::Disconnected) => EndingKind::DeviceGone,
         Ok(Ending::DiskFull) => EndingKind::DiskFull,
+        Ok(Ending::Truncated) => EndingKind::Truncated,
+        Ok(Ending::Unmounted) => EndingKind::Unmounted,
         // No take is open.
         Ok(Ending::WriterFailed) => EndingKind::CutOff,
         Err(error) => return TakeEnding::new(EndingKind::DeviceGone, format!("{error:#}")),

@@ -9,6 +9,7 @@ use super::{
     live::LiveFeed,
     status::{LedgerStatus, MarkerQuality, ServiceEvent, Status, TakeSummary},
 };
+use crate::files::FileState;
 
 /// The service as the HTTP API, the triggers and the signals see it.
 ///
@@ -171,9 +172,13 @@ pub struct Stopped {
     pub take_id: String,
     /// Its name, without `.take`.
     pub name: String,
-    /// Its file.
+    /// Its file, where it is now: another program may have renamed it, or removed it, and what was recorded was saved
+    /// beside it.
     #[schema(value_type = String)]
     pub path: PathBuf,
+    /// What others did to the file while it was recorded.
+    #[serde(default)]
+    pub file: FileState,
     /// Rows: the frames recorded and those lost between them.
     pub rows: u64,
     /// Seconds that they make.
@@ -181,14 +186,14 @@ pub struct Stopped {
     /// Bytes of the file.
     pub bytes: u64,
     /// Why it ended, as it stands in the take: `stopped`, `disk full`, `device gone`, `device ended`, `length`,
-    /// `service stopped`, and `saved` of what the pre-roll held.
+    /// `service stopped`, `truncated` or `unmounted` by somebody else, and `saved` of what the pre-roll held.
     pub ending: String,
     /// What became of every frame.
     pub ledger: LedgerStatus,
     /// Of `save-last`: seconds that were asked for and were not held; 0 where all of them were.
     #[serde(default)]
     pub short_by_s: f64,
-    /// What is said beside it: that less was held than asked for.
+    /// What is said beside it: that less was held than asked for, or that the file is not where it was begun.
     #[serde(default)]
     pub remarks: Vec<String>,
 }
@@ -234,6 +239,8 @@ pub enum RefusalKind {
     Device,
     /// The disk is full, or failed.
     Disk,
+    /// The take has ended, and no name leads to its file any more.
+    Vanished,
     /// The service is stopping, or too busy: try again.
     Unavailable,
     /// A fault of this program.

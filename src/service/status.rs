@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::health::TakeHealth;
+use crate::{files::FileState, health::TakeHealth};
 
 /// What the service is doing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
@@ -150,6 +150,12 @@ pub struct TakeStatus {
     pub max_error_mm: f64,
     /// What became of its frames so far.
     pub ledger: LedgerStatus,
+    /// What others did to its file.
+    #[serde(default)]
+    pub file: FileState,
+    /// The same in words, and what to do; `None` while it is in its place.
+    #[serde(default)]
+    pub file_notice: Option<String>,
 }
 
 /// A ledger in numbers; docs/take-format.md gives each one's meaning.

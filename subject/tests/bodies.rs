@@ -141,7 +141,11 @@ fn heads_and_statures_are_as_sure_as_they_say() {
             tucked += 1;
         }
         if !name.starts_with("contact_") {
-            assert!(found.notes.is_empty() && found.joints.size_sigma == 0.0, "{name}: {:?}", found.notes);
+            assert!(
+                found.notes.is_empty() && found.joints.size_sigma == 0.0,
+                "{name}: {:?}",
+                found.notes
+            );
         }
     }
     assert!(tucked > 0);

@@ -166,6 +166,12 @@ impl<W: Write> TakeWriter<W> {
         Ok((self.out, self.offset))
     }
 
+    /// The output, with nothing more written: what is on disk stays a take that was cut off.
+    #[must_use]
+    pub fn abandon(self) -> W {
+        self.out
+    }
+
     /// Bytes written.
     #[must_use]
     pub fn bytes(&self) -> u64 {

@@ -26,9 +26,10 @@ impl Service {
     pub(crate) fn start(folder: &Folder, device: &Simulated, take: &str, shell: &str) -> Self {
         let socket = folder.path("rig.sock");
         let config = format!(
-            "[device]\nuri = '{}'\n[take]\ndirectory = 'takes'\nkeep_free = '0B'\n{take}\n\
-             [http]\nsocket = '{}'\n",
+            "[device]\nuri = '{}'\n[take]\ndirectory = '{}'\nkeep_free = '0B'\n{take}\n\
+             [http]\nlisten = ''\nsocket = '{}'\n",
             device.uri(),
+            folder.path("takes").display(),
             socket.display()
         );
         folder.write("rig.toml", config);
@@ -38,12 +39,16 @@ impl Service {
             .current_dir(folder.path(""))
             .stdin(Stdio::null())
             .stdout(Stdio::null())
-            .stderr(Stdio::null())
+            .stderr(std::fs::File::create(folder.path("rig.log")).unwrap())
             .spawn()
             .unwrap();
         let mut service = Self { child, socket };
         service.wait_until("the device", |status| status["state"] == "armed");
         service
+    }
+
+    pub(crate) fn pid(&self) -> u32 {
+        self.child.id()
     }
 
     /// Status and document of an answer; `None` where nobody answers.
@@ -75,7 +80,8 @@ impl Service {
         let begun = Instant::now();
         loop {
             if let Some(ended) = self.child.try_wait().unwrap() {
-                panic!("the service ended: {ended}");
+                let log = std::fs::read_to_string(self.socket.with_extension("log"));
+                panic!("the service ended: {ended}: {log:?}");
             }
             if let Some((_, status)) = self.ask("GET /v1/status", "")
                 && is_so(&status)

@@ -1,1 +1,193 @@
-//! A take that is removed, renamed, truncated or unmounted while it is recorded is reported.
+//! A take that is removed, renamed, cut short or unmounted while it is recorded is no success, and nothing is lost
+//! that can be kept.
+
+use std::{fs, path::PathBuf, process::Command};
+
+use rustix::process::Signal;
+use serde_json::Value;
+
+use crate::{
+    cli::{
+        Folder,
+        devices::{Recorder, Simulated},
+        service::Service,
+    },
+    support::jump,
+};
+
+/// A folder with one in it for the take, and a device that never ends.
+fn rig() -> (Folder, Simulated) {
+    let folder = Folder::new();
+    fs::create_dir(folder.path("in")).unwrap();
+    (folder, Simulated::endless(jump(1, 120.0, 1.0)))
+}
+
+/// Records `in/a.take`, does something to it, waits until that was said, and ends the recording as people do.
+fn record(folder: &Folder, device: &Simulated, change: impl FnOnce(&Folder)) -> Value {
+    let mut recorder = Recorder::start(folder, device, "in/a.take", &["--json"]);
+    change(folder);
+    recorder.hears("/fd/");
+    recorder.signal(Signal::INT);
+    recorder.wait().with_code(3).json()
+}
+
+#[test]
+fn record_goes_on_in_a_take_that_was_removed_and_saves_it() {
+    let (folder, device) = rig();
+    let report = record(&folder, &device, |folder| {
+        fs::remove_file(folder.path("in/a.take")).unwrap();
+    });
+    assert_eq!((&report["file_state"], &report["ending"]), (&"removed".into(), &"stopped".into()));
+    assert_eq!(report["file_path"], "in/a.saved.take");
+    folder.run(&["verify", "in/a.saved.take"]).with_code(0);
+    let info = folder.run(&["info", "in/a.saved.take", "--json"]).with_code(0).json();
+    assert_eq!(info["ledger"]["recorded"], report["frames"]);
+    assert!(info["ending_detail"].as_str().unwrap().contains("removed"), "{info}");
+    assert!(!folder.path("in/a.take").exists());
+}
+
+#[test]
+fn record_goes_on_in_a_take_that_was_renamed_with_its_folder() {
+    let (folder, device) = rig();
+    let report = record(&folder, &device, |folder| {
+        fs::rename(folder.path("in"), folder.path("out")).unwrap();
+    });
+    assert_eq!(report["file_state"], "renamed");
+    let path = PathBuf::from(report["file_path"].as_str().unwrap());
+    assert!(path.ends_with("out/a.take") && path.exists(), "{}", path.display());
+    folder.run(&["verify", "out/a.take"]).with_code(0);
+}
+
+#[test]
+fn record_says_when_a_take_is_lost_with_its_folder() {
+    let (folder, device) = rig();
+    let report = record(&folder, &device, |folder| {
+        fs::remove_dir_all(folder.path("in")).unwrap();
+    });
+    let told = (&report["file_state"], &report["file_path"]);
+    assert_eq!(told, (&"removed".into(), &Value::Null));
+    assert!(folder.content().is_empty(), "no folder is made again");
+}
+
+#[test]
+fn record_ends_a_take_that_was_cut_short() {
+    let (folder, device) = rig();
+    let mut recorder = Recorder::start(&folder, &device, "in/a.take", &["--json"]);
+    let file = fs::File::options().write(true).open(folder.path("in/a.take")).unwrap();
+    file.set_len(100).unwrap();
+    let report = recorder.wait().with_code(3).json();
+    assert_eq!(
+        (&report["file_state"], &report["ending"]),
+        (&"truncated".into(), &"truncated".into())
+    );
+    assert_eq!((&report["file_bytes"], &report["ledger"]["closes"]), (&100.into(), &false.into()));
+    assert_eq!(folder.read("in/a.take").len(), 100, "nothing is written behind the cut");
+}
+
+/// On a tmpfs in a name space of its own: with root, or where users may have one.
+#[expect(clippy::print_stderr, reason = "a test that is skipped says why")]
+#[test]
+fn record_ends_a_take_whose_file_system_goes_away() {
+    let (folder, device) = rig();
+    let unshared = |script: &str| {
+        let mut command = Command::new("unshare");
+        command.args(["--map-root-user", "--mount", "sh", "-c", script]);
+        command.current_dir(folder.path(""));
+        command.env("mocapd", env!("CARGO_BIN_EXE_mocapd")).env("device", device.uri());
+        command.output()
+    };
+    let mount = "mount -t tmpfs tmpfs in";
+    if !unshared(mount).is_ok_and(|output| output.status.success()) {
+        eprintln!("skipped: no file system can be mounted here (unshare --map-root-user --mount)");
+        return;
+    }
+    for (name, change) in [("gone", "umount -l in"), ("covered", mount)] {
+        let script = format!(
+            "{mount} || exit 99
+            exec 9< in
+            $mocapd record --device $device -o in/a.take --keep-free 0 --seconds 60s --json > {name}.json &
+            until [ -s in/a.take ]; do sleep 0.05; done
+            {change} || exit 98
+            wait $!
+            code=$?
+            cp /proc/self/fd/9/a.take {name}.take
+            exit $code"
+        );
+        let ran = unshared(&script).unwrap();
+        assert_eq!(ran.status.code(), Some(3), "{name}: {}", String::from_utf8_lossy(&ran.stderr));
+        let report: Value = serde_json::from_str(&folder.text(&format!("{name}.json"))).unwrap();
+        assert_eq!(
+            (&report["file_state"], &report["ending"], &report["file_path"]),
+            (&"unmounted".into(), &"unmounted".into(), &Value::Null)
+        );
+        // It is whole on the file system that went away.
+        let take = format!("{name}.take");
+        folder.run(&["verify", &take]).with_code(0);
+        assert_eq!(folder.run(&["info", &take, "--json"]).json()["ending"], "unmounted");
+    }
+}
+
+#[test]
+fn the_service_says_where_a_take_is_that_was_removed_or_renamed() {
+    let (folder, device) = rig();
+    let mut service = Service::start(&folder, &device, "", "");
+    let place = |name: &str| folder.path(&format!("takes/{name}.take"));
+    let recording = |service: &Service, name: &str| {
+        let (status, started) = service.post("/v1/start", &format!(r#"{{"name": "{name}"}}"#));
+        assert_eq!(status, 200, "{started}");
+    };
+
+    recording(&service, "removed");
+    fs::remove_file(place("removed")).unwrap();
+    let status = service.wait_until("the notice", |status| status["take"]["file"] == "removed");
+    let notice = status["take"]["file_notice"].as_str().unwrap();
+    let open_at = format!("/proc/{}/fd/", service.pid());
+    assert!(notice.contains(&open_at), "{notice}");
+    let (status, stopped) = service.post("/v1/stop", "{}");
+    assert_eq!((status, &stopped["file"]), (200, &"removed".into()), "{stopped}");
+    assert_eq!(stopped["path"], place("removed.saved").to_str().unwrap());
+    folder.run(&["verify", "takes/removed.saved.take"]).with_code(0);
+
+    recording(&service, "renamed");
+    fs::rename(place("renamed"), place("other")).unwrap();
+    service.wait_until("the notice", |status| status["take"]["file"] == "renamed");
+    let takes = service.get("/v1/takes");
+    let open = takes.as_array().unwrap().iter().find(|take| take["name"] == "other").unwrap();
+    assert_eq!(open["is_open"], true, "{takes}");
+    let socket = format!("unix:{}", folder.path("rig.sock").display());
+    let ran = folder.run(&["ctl", "--connect", &socket, "stop", "--json"]).with_code(3);
+    assert_eq!(ran.json()["path"], place("other").to_str().unwrap());
+    folder.run(&["verify", "takes/other.take"]).with_code(0);
+
+    // What nobody can save stays open, and is no success.
+    recording(&service, "lost");
+    fs::rename(folder.path("takes"), folder.path("old")).unwrap();
+    fs::remove_dir_all(folder.path("old")).unwrap();
+    let (status, problem) = service.post("/v1/stop", "{}");
+    assert_eq!((status, &problem["kind"]), (410, &"vanished".into()), "{problem}");
+    let message = problem["message"].as_str().unwrap();
+    let from = message.find(&open_at).unwrap();
+    let open_at = message[from..].split(' ').next().unwrap();
+    folder.write("saved.take", fs::read(open_at).unwrap());
+    folder.run(&["verify", "saved.take"]).with_code(0);
+    assert_eq!(service.get("/v1/status")["state"], "failed");
+}
+
+#[test]
+fn the_service_ends_a_take_that_was_cut_short() {
+    let (folder, device) = rig();
+    let mut service = Service::start(&folder, &device, "", "");
+    service.post("/v1/start", r#"{"name": "short"}"#);
+    let file = fs::File::options().write(true).open(folder.path("takes/short.take")).unwrap();
+    file.set_len(150).unwrap();
+    let status = service.wait_until("the end", |status| status["take"].is_null());
+    let last = &status["last_take"];
+    assert_eq!((&last["ending"], &last["bytes"]), (&"truncated".into(), &150.into()), "{last}");
+    assert_ne!(last["health"], "complete");
+    assert_eq!(service.post("/v1/stop", "{}").0, 409);
+    assert_eq!(file.metadata().unwrap().len(), 150, "nothing is written behind the cut");
+    // The next one is none the worse for it.
+    assert_eq!(service.post("/v1/start", r#"{"name": "next"}"#).0, 200);
+    let (status, stopped) = service.post("/v1/stop", "{}");
+    assert_eq!((status, &stopped["file"]), (200, &"in_place".into()), "{stopped}");
+}

@@ -12,7 +12,7 @@ use hyper::{
 };
 use hyper_util::rt::TokioIo;
 use mocapd::{
-    outcome::UsageError,
+    outcome::{DataLostError, UsageError},
     service::http::{Problem, ProblemKind},
 };
 use serde_json::Value;
@@ -146,6 +146,9 @@ impl Client {
         }
         if problem.kind == ProblemKind::Invalid {
             return Err(UsageError(problem.message).into());
+        }
+        if problem.kind == ProblemKind::Vanished {
+            return Err(DataLostError(problem.message).into());
         }
         Err(anyhow!(problem.message))
     }

@@ -2,6 +2,7 @@
 
 use anyhow::Context;
 use mocapd::{
+    files::FileState,
     listing::ListedDevice,
     outcome::Outcome,
     service::{
@@ -87,7 +88,8 @@ fn stopped(document: &Value, json: bool) -> anyhow::Result<Outcome> {
     if let Some(losses) = &losses {
         say(&format!("{}: not in the take: {losses}", stopped.name));
     }
-    Ok(Outcome::of(losses.is_some() || !is_whole(&stopped.ledger)))
+    let is_displaced = stopped.file != FileState::InPlace;
+    Ok(Outcome::of(losses.is_some() || !is_whole(&stopped.ledger) || is_displaced))
 }
 
 fn is_whole(ledger: &LedgerStatus) -> bool {

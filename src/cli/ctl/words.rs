@@ -62,6 +62,9 @@ pub(super) fn status(status: &Status) -> String {
             take.seconds
         )
         .ok();
+        if let Some(notice) = &take.file_notice {
+            writeln!(out, "            {}", plain(notice)).ok();
+        }
         if let Some(losses) = losses(&take.ledger) {
             writeln!(out, "            not in the take: {losses}").ok();
         }

@@ -7,6 +7,7 @@ mod watch;
 use std::{path::PathBuf, time::Duration};
 
 use mocapd::{
+    files::FileState,
     outcome::{Outcome, UsageError},
     raw_log::RawLog,
     rig::{Ending, Rig},
@@ -116,6 +117,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if is_full {
         say(&report.disk_full());
     }
+    if let Some(words) = recorded.file.words() {
+        say(&words);
+    }
     if let Some(outages) = report.outages() {
         say(&outages);
     }
@@ -127,7 +131,13 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let ledger = &recorded.written.ledger;
     let was_away = disconnected || recorded.recording.outages > 0;
+    let is_displaced = recorded.file.state != FileState::InPlace;
     Ok(Outcome::of(
-        ledger.lost_anything() || !ledger.closes() || was_away || is_full || report.log_lost(),
+        ledger.lost_anything()
+            || !ledger.closes()
+            || was_away
+            || is_full
+            || is_displaced
+            || report.log_lost(),
     ))
 }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use mocapd::{inspect::size_ratio, process, record::Recorded, rig::Ending};
+use mocapd::{files::FileState, inspect::size_ratio, process, record::Recorded, rig::Ending};
 use mocapd_codec::Settings;
 use serde::{Deserialize, Serialize};
 
@@ -19,6 +19,8 @@ use crate::cli::{
 pub(crate) struct Report {
     take: PathBuf,
     ending: &'static str,
+    file_state: FileState,
+    file_path: Option<PathBuf>,
     frames: u64,
     seconds: f64,
     markers: usize,
@@ -73,8 +75,12 @@ impl Report {
                 Ending::Stopped => "stopped",
                 Ending::Disconnected => "disconnected",
                 Ending::DiskFull => "disk full",
+                Ending::Truncated => "truncated",
+                Ending::Unmounted => "unmounted",
                 Ending::WriterFailed => "writer failed",
             },
+            file_state: recorded.file.state,
+            file_path: recorded.file.path.clone(),
             frames: written.ledger.recorded,
             seconds: written.ledger.frames_sent as f64 / recorded.rate_hz,
             markers: recorded.markers,

@@ -8,16 +8,19 @@ use std::{
 use anyhow::Context;
 use mocapd_take::{
     TakeWriter,
-    record::{Channel, Event, EventKind, Header, Subject, SummaryRecord, TakeEnding},
+    record::{Channel, EndingKind, Event, EventKind, Header, Subject, SummaryRecord, TakeEnding},
     stretch::{NUMBERS, Span, put_moved},
 };
 
 use super::{TakeOutput, Written, clocks::ClockWriter, ledgers::Ledgers, room::Room};
-use crate::clock::ClockStatus;
-use crate::pipeline::{
-    Counts, FirstRow, Progress, TakeEnd, TakeNow, lock,
-    messages::{Moment, PartReport},
-    takes::{Answers, NothingRecorded},
+use crate::{
+    clock::ClockStatus,
+    files::FileState,
+    pipeline::{
+        Counts, FirstRow, Progress, TakeEnd, TakeNow, lock,
+        messages::{Moment, PartReport},
+        takes::{Answers, NothingRecorded},
+    },
 };
 
 /// From its header to its footer.
@@ -40,6 +43,8 @@ pub(in crate::pipeline) struct LiveTake<W> {
     last_sync: Option<Instant>,
     ledgers: Ledgers,
     room: Room,
+    /// What others did to the file.
+    file_state: FileState,
 }
 
 impl<W: TakeOutput> LiveTake<W> {
@@ -75,6 +80,7 @@ impl<W: TakeOutput> LiveTake<W> {
             last_sync: None,
             ledgers: Ledgers::default(),
             room: Room::new(keep_free_bytes),
+            file_state: FileState::InPlace,
         })
     }
 
@@ -167,6 +173,7 @@ impl<W: TakeOutput> LiveTake<W> {
             self.take.ledger(&self.counts.ledger(false)).context("cannot write the ledger")?;
         }
         self.look_at_disk(progress);
+        self.look_at_file(progress);
         let is_due = self.last_sync.is_none_or(|last| last.elapsed() >= self.sync_every);
         // Somebody waits for the first row.
         if is_due || (self.first.is_some() && !self.first_told) {
@@ -178,6 +185,20 @@ impl<W: TakeOutput> LiveTake<W> {
     pub(super) fn look_at_disk(&mut self, progress: &Progress) {
         let written = self.take.bytes();
         self.room.look(self.take.get_mut(), written, progress, Instant::now());
+    }
+
+    /// Tells others when the file is not what it was at the last look.
+    pub(super) fn look_at_file(&mut self, progress: &Progress) {
+        let state = self.take.get_mut().look();
+        if state != self.file_state {
+            self.file_state = state;
+            progress.set_file_state(state, self.take.get_mut().displaced());
+        }
+    }
+
+    /// Whether another program cut the file short: the rest would lie behind a hole.
+    pub(super) fn is_cut_short(&self) -> bool {
+        self.file_state == FileState::Truncated
     }
 
     pub(super) fn sync_what_waits(&mut self) -> anyhow::Result<()> {
@@ -228,7 +249,18 @@ impl<W: TakeOutput> LiveTake<W> {
         ended.try_send(end.map_err(|error| failed(is_nothing, error))).ok();
     }
 
-    fn finish(mut self, clocks: &mut ClockWriter, ending: TakeEnding) -> TakeEnd<W> {
+    fn finish(mut self, clocks: &mut ClockWriter, mut ending: TakeEnding) -> TakeEnd<W> {
+        self.file_state = self.take.get_mut().look_now();
+        match self.file_state {
+            FileState::Truncated => return Ok(self.finish_cut_short()),
+            FileState::Removed if ending.detail.is_empty() => {
+                "its file was removed while it was recorded".clone_into(&mut ending.detail);
+            }
+            FileState::Renamed if ending.detail.is_empty() => {
+                "its file was renamed while it was recorded".clone_into(&mut ending.detail);
+            }
+            _ => {}
+        }
         let clock_lines = clocks.finish(&mut self.take, &self.counts.clock)?;
         let mut ledger = self.counts.ledger(true);
         if self.report.refused > 0 {
@@ -254,6 +286,31 @@ impl<W: TakeOutput> LiveTake<W> {
             max_error_mm: self.report.max_error_mm,
         };
         Ok((written, output.0))
+    }
+
+    /// Nothing more is written: what is left of the file is a take that was cut off.
+    fn finish_cut_short(mut self) -> (Written, W) {
+        let displaced = self.take.get_mut().displaced();
+        let (found, written) = displaced.map_or((0, self.take.bytes()), |file| file.bytes);
+        let detail = format!("cut short from {written} to {found} bytes by another program");
+        let mut ledger = self.counts.ledger(false);
+        // What was recorded is not what is there.
+        ledger.contradictions.push(format!("the file was {detail}"));
+        let mut output = self.take.abandon();
+        // A file system that keeps what was held for the rest gives it back when the file is closed.
+        output.release(found).ok();
+        let written = Written {
+            ledger,
+            ending: TakeEnding::new(EndingKind::Truncated, detail),
+            clock: self.counts.clock,
+            clock_lines: Vec::new(),
+            disk: self.room.close(&output),
+            file_bytes: found,
+            samples: self.report.samples,
+            kept: self.report.kept,
+            max_error_mm: self.report.max_error_mm,
+        };
+        (written, output)
     }
 }
 

@@ -6,10 +6,13 @@ use anyhow::anyhow;
 use mocapd_take::record::{Channel, EndingKind};
 
 use super::{TakeOutput, Writer, clocks::ClockWriter, live::LiveTake};
-use crate::pipeline::{
-    Progress, lock,
-    messages::StretchEnd,
-    takes::{Answers, NewTake, What},
+use crate::{
+    files::FileState,
+    pipeline::{
+        Progress, lock,
+        messages::StretchEnd,
+        takes::{Answers, NewTake, What},
+    },
 };
 
 impl<W: TakeOutput> Writer<W> {
@@ -78,6 +81,7 @@ impl<W: TakeOutput> Writer<W> {
         header.created_unix_ms -= (before_ns / 1_000_000).cast_signed();
         header.channels = self.table.iter().filter(known).map(|(_, c)| c.clone()).collect();
         progress.disk_full.store(false, Ordering::Relaxed);
+        progress.set_file_state(FileState::InPlace, None);
         let times = (self.sync_every, keep_free_bytes);
         let opening = (&header, subject.as_deref());
         let begun = LiveTake::begin(output, opening, answers, (base, rows_before), times);

@@ -6,7 +6,10 @@ use mocapd_take::record::{ClockLine, Ledger, TakeEnding};
 use rustix::fs::{FallocateFlags, fallocate, fstatvfs};
 
 use super::DiskState;
-use crate::{clock::ClockStatus, files::TakeFile};
+use crate::{
+    clock::ClockStatus,
+    files::{Displaced, FileState, TakeFile},
+};
 
 /// What a take is written to.
 pub trait TakeOutput: Write + Send + 'static {
@@ -36,6 +39,21 @@ pub trait TakeOutput: Write + Send + 'static {
     fn free_bytes(&self) -> Option<u64> {
         None
     }
+
+    /// What others have done to it; at most a moment old.
+    fn look(&mut self) -> FileState {
+        FileState::InPlace
+    }
+
+    /// The same, as of now.
+    fn look_now(&mut self) -> FileState {
+        FileState::InPlace
+    }
+
+    /// More about that, where something was done.
+    fn displaced(&self) -> Option<Displaced> {
+        None
+    }
 }
 
 impl TakeOutput for TakeFile {
@@ -48,8 +66,21 @@ impl TakeOutput for TakeFile {
     }
 
     fn release(&mut self, bytes: u64) -> io::Result<()> {
-        // The length is the file's already; blocks beyond it go.
-        self.file().set_len(bytes)
+        // The length is the file's already; blocks beyond it go. One that was cut short stays as short.
+        let found = self.file().metadata()?.len();
+        self.file().set_len(bytes.min(found))
+    }
+
+    fn look(&mut self) -> FileState {
+        Self::look(self)
+    }
+
+    fn look_now(&mut self) -> FileState {
+        Self::look_now(self)
+    }
+
+    fn displaced(&self) -> Option<Displaced> {
+        Self::displaced(self)
     }
 
     fn free_bytes(&self) -> Option<u64> {

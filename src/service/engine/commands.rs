@@ -12,7 +12,7 @@ use mocapd_take::record::{EndingKind, Event, EventKind};
 use super::{Inner, names, session::OpenTake};
 use crate::{
     disk,
-    files::{FileId, TakeFile},
+    files::{FileId, FileState, TakeFile},
     header,
     pipeline::NewTake,
     rig::monotonic_ns,
@@ -142,6 +142,7 @@ impl Inner {
             name: name.clone(),
             path: path.clone(),
             file,
+            file_told: FileState::InPlace,
             asked_unix_ms: super::status::unix_ms(),
             begun: Instant::now(),
             rate_hz,
@@ -150,6 +151,7 @@ impl Inner {
             ending: None,
         };
         core.failure = None;
+        core.kept_open = None;
         core.take = Some(take);
         drop(core);
         let first = select! {

@@ -6,7 +6,7 @@ use mocapd_take::record::EndingKind;
 
 use super::Inner;
 use crate::{
-    files::{FileId, TakeFile},
+    files::{FileId, FileState, Settled, TakeFile},
     health::TakeHealth,
     pipeline::{NothingRecorded, TakeEnd, Written},
     service::{
@@ -49,8 +49,8 @@ impl Inner {
         (path, file): (&Path, FileId),
         rate_hz: f64,
     ) -> Result<Stopped, Refusal> {
-        let written = match end {
-            Ok((written, _)) => written,
+        let (written, mut output) = match end {
+            Ok(end) => end,
             Err(error) => return Err(self.broken(&error, name, (path, file))),
         };
         let ending = written.ending.kind;
@@ -67,13 +67,24 @@ impl Inner {
             self.say_event("warning", &words, Some(name));
             return Err(Refusal::new(RefusalKind::Device, words));
         }
-        let stopped = stopped(&written, take_id, name, path, rate_hz);
+        let settled = output.settle();
+        if let Some(words) = settled.words() {
+            self.say_event("warning", &words, Some(name));
+        }
+        // What it is called now is what it can be asked for by.
+        let stem = settled.path.as_deref().and_then(Path::file_stem);
+        let name = &stem.map_or(name.to_owned(), |stem| stem.to_string_lossy().into_owned());
+        let stopped = stopped(&written, take_id, name, &settled, rate_hz);
         let summary = TakeSummary {
             name: name.to_owned(),
             bytes: written.file_bytes,
             modified_unix_ms: super::status::unix_ms(),
             is_open: false,
-            health: TakeHealth::of_closed(&written.ledger, Some(&written.ending)),
+            health: match settled.state {
+                _ if settled.path.is_none() => TakeHealth::Unknown,
+                FileState::Truncated => TakeHealth::CutOff,
+                _ => TakeHealth::of_closed(&written.ledger, Some(&written.ending)),
+            },
             seconds: stopped.seconds,
             markers: self.core().device.markers,
             take_id: take_id.to_owned(),
@@ -81,6 +92,9 @@ impl Inner {
             ending_detail: written.ending.detail.clone(),
         };
         self.core().last_take = Some(summary);
+        if settled.path.is_none() {
+            return Err(self.vanished(name, &settled, output));
+        }
         let lost = written.ledger.frames_lost();
         let words = format!(
             "{name} is closed ({}): {:.1} s, {} bytes, {lost} frames lost",
@@ -95,6 +109,27 @@ impl Inner {
             self.say_event("warning", words, None);
         }
         Ok(stopped)
+    }
+
+    /// The take has ended, and no name leads to its file.
+    fn vanished(&self, name: &str, settled: &Settled, file: TakeFile) -> Refusal {
+        let mut words = settled.words().unwrap_or_default();
+        let mut core = self.core();
+        // A file system that was unmounted waits for the file to be closed.
+        if settled.state != FileState::Unmounted
+            && let Some(displaced) = &settled.displaced
+        {
+            let open_at = displaced.open_at.display();
+            words += &format!(
+                "; it stays open until the next take begins or the service ends: cp {open_at} NEW.take"
+            );
+            core.kept_open = Some(file);
+        }
+        core.failure = Some(words.clone());
+        drop(core);
+        self.changed.notify_all();
+        self.say_event("failure", &words, Some(name));
+        Refusal::new(RefusalKind::Vanished, words)
     }
 
     /// The take could not be written to its end. What is in it stays.
@@ -126,19 +161,20 @@ impl Inner {
     }
 }
 
-fn stopped(written: &Written, take_id: &str, name: &str, path: &Path, rate_hz: f64) -> Stopped {
+fn stopped(written: &Written, take_id: &str, name: &str, file: &Settled, rate_hz: f64) -> Stopped {
     let ledger = &written.ledger;
     let rows = ledger.recorded + ledger.frames_lost();
     Stopped {
         take_id: take_id.to_owned(),
         name: name.to_owned(),
-        path: path.to_owned(),
+        path: file.path.clone().unwrap_or_default(),
+        file: file.state,
         rows,
         seconds: rows as f64 / rate_hz,
         bytes: written.file_bytes,
         ending: written.ending.kind.word().to_owned(),
         ledger: ledger.into(),
         short_by_s: 0.0,
-        remarks: Vec::new(),
+        remarks: file.words().into_iter().collect(),
     }
 }

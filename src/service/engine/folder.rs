@@ -13,6 +13,7 @@ use mocapd_take::{TakeEnds, TakeError};
 
 use super::{Inner, names};
 use crate::{
+    files::FileId,
     health::TakeHealth,
     pipeline::lock,
     service::{
@@ -34,8 +35,7 @@ pub(super) struct Remembered(HashMap<PathBuf, (Stamp, TakeSummary)>);
 /// A file that has the same ones holds the same bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Stamp {
-    device: u64,
-    inode: u64,
+    file: FileId,
     bytes: u64,
     modified_ns: i128,
 }
@@ -43,8 +43,7 @@ struct Stamp {
 impl Stamp {
     fn of(file: &Metadata) -> Self {
         Self {
-            device: file.dev(),
-            inode: file.ino(),
+            file: FileId::of(file),
             bytes: file.len(),
             modified_ns: i128::from(file.mtime()) * 1_000_000_000 + i128::from(file.mtime_nsec()),
         }
@@ -70,7 +69,8 @@ impl Inner {
     pub(super) fn list_takes(&self, limit: usize) -> Result<Vec<TakeSummary>, Refusal> {
         let core = self.core();
         let directory = core.options.directory.clone();
-        let open = core.take.as_ref().map(|take| take.path.clone());
+        // By what it is: its name may be another one by now.
+        let open = core.take.as_ref().map(|take| take.file);
         drop(core);
         let cannot = |error: std::io::Error| {
             let words = format!("cannot read the folder {}: {error}", directory.display());
@@ -95,7 +95,7 @@ impl Inner {
                 summaries.push(known);
                 continue;
             }
-            let is_open = open.as_ref() == Some(&path);
+            let is_open = open == Some(stamp.file);
             let (summary, is_lasting) = look_into(&path, stamp.bytes, modified, is_open);
             if is_lasting {
                 new.push((path, stamp, summary.clone()));

@@ -15,7 +15,7 @@ use mocapd_take::record::{EndingKind, Header};
 
 use super::options::EngineOptions;
 use crate::{
-    files::{FileId, TakeFile},
+    files::{FileId, FileState, TakeFile},
     pipeline::{FirstRow, Progress, SeenCounters, TakeEnd, Takes},
     service::status::TakeSummary,
 };
@@ -33,6 +33,8 @@ pub(super) struct Core {
     /// While recording.
     pub(super) take: Option<OpenTake>,
     pub(super) last_take: Option<TakeSummary>,
+    /// The file of a take that was removed and could not be saved: people can copy it from /proc until the next begins.
+    pub(super) kept_open: Option<TakeFile>,
 }
 
 /// What is known of the device, whether it is there or not.
@@ -80,6 +82,8 @@ pub(super) struct OpenTake {
     pub(super) rate_hz: f64,
     pub(super) first: Option<FirstRow>,
     pub(super) ended: Receiver<TakeEnd<TakeFile>>,
+    /// What was said of its file last.
+    pub(super) file_told: FileState,
     /// Why it was told to end, once it was.
     pub(super) ending: Option<EndingKind>,
 }
@@ -113,6 +117,7 @@ impl Core {
             session: None,
             take: None,
             last_take: None,
+            kept_open: None,
         }
     }
 }

@@ -148,6 +148,8 @@ impl Core {
             },
             max_error_mm: now.max_error_mm,
             ledger: (&now.ledger).into(),
+            file: progress.file_state(),
+            file_notice: progress.displaced().map(|displaced| displaced.words()),
         });
     }
 }

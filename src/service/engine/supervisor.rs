@@ -205,7 +205,7 @@ impl Inner {
             stop: &stop,
             rows_max: None,
             time_max: None,
-            ends_when_full: false,
+            for_one_take: false,
             say: &say,
         };
         let progress = Arc::clone(pipeline.progress());
@@ -233,7 +233,9 @@ impl Inner {
                     self.fail("the data plane failed: see the log");
                     "the data plane failed"
                 }
-                Ending::Stopped | Ending::DiskFull => "disarmed",
+                Ending::Stopped | Ending::DiskFull | Ending::Truncated | Ending::Unmounted => {
+                    "disarmed"
+                }
             },
         };
         self.changed.notify_all();

@@ -10,6 +10,7 @@ use mocapd_take::record::EndingKind;
 
 use super::{Inner, session::Core, status::free_bytes};
 use crate::{
+    files::FileState,
     heartbeat::{Beat, Who},
     process,
 };
@@ -52,6 +53,7 @@ impl Inner {
     /// Takes whose length, disk, device or writer is over. Not while somebody carries out a command: that one will tell.
     fn end_what_is_over(&self) {
         let Ok(command) = self.command.try_lock() else { return };
+        self.warn_of_file();
         let core = self.core();
         let why = core.why_over();
         let ended = core.take.as_ref().map(|take| take.ended.try_recv());
@@ -77,6 +79,28 @@ impl Inner {
     }
 }
 
+impl Inner {
+    /// Says once what others did to the take's file; how that ends a take is said with its end.
+    fn warn_of_file(&self) {
+        let mut core = self.core();
+        let Some(progress) = core.session.as_ref().map(|session| Arc::clone(&session.progress))
+        else {
+            return;
+        };
+        let Some(take) = &mut core.take else { return };
+        let state = progress.file_state();
+        let is_new = std::mem::replace(&mut take.file_told, state) != state;
+        let name = take.name.clone();
+        drop(core);
+        if is_new
+            && !state.ends_take()
+            && let Some(displaced) = progress.displaced()
+        {
+            self.say_event("warning", &displaced.words(), Some(&name));
+        }
+    }
+}
+
 impl Core {
     fn why_over(&self) -> Option<EndingKind> {
         let take = self.take.as_ref()?;
@@ -84,6 +108,11 @@ impl Core {
             return Some(EndingKind::Length);
         }
         let session = self.session.as_ref()?;
+        match session.progress.file_state() {
+            FileState::Truncated => return Some(EndingKind::Truncated),
+            FileState::Unmounted => return Some(EndingKind::Unmounted),
+            _ => {}
+        }
         session.progress.disk_full.load(Ordering::Relaxed).then_some(EndingKind::DiskFull)
     }
 

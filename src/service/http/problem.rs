@@ -39,6 +39,8 @@ pub enum ProblemKind {
     Device,
     /// The disk is full, or failed.
     Disk,
+    /// The take has ended, and no name leads to its file any more: the message says where it can be copied from.
+    Vanished,
     /// The service is stopping, or too busy: try again.
     Unavailable,
     /// A fault of this program.
@@ -116,6 +118,7 @@ impl From<Refusal> for Problem {
             // To the client the service is what stands before the device.
             RefusalKind::Device => (StatusCode::BAD_GATEWAY, ProblemKind::Device),
             RefusalKind::Disk => (StatusCode::INSUFFICIENT_STORAGE, ProblemKind::Disk),
+            RefusalKind::Vanished => (StatusCode::GONE, ProblemKind::Vanished),
             RefusalKind::Unavailable => (StatusCode::SERVICE_UNAVAILABLE, ProblemKind::Unavailable),
             RefusalKind::Internal => (StatusCode::INTERNAL_SERVER_ERROR, ProblemKind::Internal),
         };

@@ -83,7 +83,9 @@ fn main() -> Result<(), Box<dyn Error>> {
             *count.entry(if seed.is_some() { kind } else { "whole bodies" }).or_default() += 1;
         }
     }
-    println!("{count:?}; {wrong} cuts leave a joint more than 10 % of stature off at less than 3 %");
+    println!(
+        "{count:?}; {wrong} cuts leave a joint more than 10 % of stature off at less than 3 %"
+    );
     Ok(())
 }
 

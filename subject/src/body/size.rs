@@ -55,8 +55,8 @@ fn from_end(joint: Joint) -> f64 {
 fn volume(mesh: &Mesh) -> f64 {
     let origin = mesh.positions.first().copied().unwrap_or_default();
     let of = |corners: &[u32; 3]| {
-        let [a, b, c] =
-            corners.map(|at| sub(mesh.positions.get(at as usize).copied().unwrap_or(origin), origin));
+        let [a, b, c] = corners
+            .map(|at| sub(mesh.positions.get(at as usize).copied().unwrap_or(origin), origin));
         dot(a, cross(b, c)) / 6.0
     };
     mesh.triangles.iter().map(of).sum::<f64>().max(0.0)

@@ -1,5 +1,5 @@
 import { answerWords } from "/actions.js";
-import { describe, deviceLine, obstacle, shownState } from "/state.js";
+import { describe, deviceLine, fileNotice, obstacle, shownState } from "/state.js";
 import { facts, health, verdict } from "/takes.js";
 import { equal, isTrue, test } from "./harness.js";
 
@@ -64,6 +64,12 @@ test("what keeps the device away is said", () => {
   equal(obstacle(STATUS), null);
   equal(obstacle({ ...STATUS, device: { ...DEVICE, presence: "absent", obstacle: "busy" } }), "Busy");
   equal(deviceLine(DEVICE), "DVMC-8820 · 7 · firmware 1.4 · streaming · dvmc · serial:/dev/ttyUSB0 · 15 markers at 59.94 Hz");
+});
+
+test("a file that others touch is said", () => {
+  equal(fileNotice({ take: null }), null);
+  equal(fileNotice({ take: { file: "in_place", file_notice: null } }), null);
+  equal(fileNotice({ take: { file: "removed", file_notice: "the take a was removed" } }), "The take a was removed");
 });
 
 test("takes say what is known of them and no more", () => {

@@ -13,6 +13,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use mocapd::files::FileState;
 use mocapd::service::{
     control::{
         Control, EventFeed, FirstFrame, Mark, Marked, Refusal, RefusalKind, Request, SaveLast,
@@ -186,6 +187,7 @@ impl Fake {
             bytes: self.take.len() as u64,
             ending: ending.to_owned(),
             ledger: ledger(self.lost.swap(0, Ordering::Relaxed)),
+            file: FileState::InPlace,
             short_by_s: 0.0,
             remarks: Vec::new(),
         })

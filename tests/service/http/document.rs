@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use mocapd::{
+    files::FileState,
     listing::ListedDevice,
     service::{
         control::{FirstFrame, Mark, Marked, Request, SaveLast, Start, Started, Stopped},
@@ -110,6 +111,7 @@ fn examples() -> Vec<(&'static str, Value)> {
         bytes: 1,
         ending: String::new(),
         ledger: LedgerStatus::default(),
+        file: FileState::Renamed,
         short_by_s: 1.0,
         remarks: vec!["x".to_owned()],
     };

@@ -86,11 +86,7 @@ fn from_limbs(fields: &Fields<'_>, at: u32) -> f64 {
 
 /// The distances from the vertex of the head that is farthest from the limbs, where it is not near the one that stands for
 /// the head: a forehead, or a temple.
-fn top_of_head(
-    graph: &Graph,
-    fields: &Fields<'_>,
-    workspace: &mut Workspace,
-) -> Option<Vec<f64>> {
+fn top_of_head(graph: &Graph, fields: &Fields<'_>, workspace: &mut Workspace) -> Option<Vec<f64>> {
     let reach = HEAD_REACH * fields.between(FOOT[0], FOOT[1])?;
     let mut moved: Option<Vec<f64>> = None;
     for _ in 0..HEAD_STEPS {

@@ -1,0 +1,125 @@
+//! What others do to a file while it is written.
+
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// What became of the file of a take while it was written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum FileState {
+    /// Its name leads to it, and it is as long as what was written.
+    #[default]
+    InPlace,
+    /// It has no name any more; its folder may be gone, too.
+    Removed,
+    /// It, or a folder above it, has another name.
+    Renamed,
+    /// Another program cut it short.
+    Truncated,
+    /// Its file system was unmounted, or another one was mounted over it.
+    Unmounted,
+}
+
+impl FileState {
+    /// All of them, by their place in an atomic number.
+    const ALL: [Self; 5] =
+        [Self::InPlace, Self::Removed, Self::Renamed, Self::Truncated, Self::Unmounted];
+
+    /// Whether a take that is written there ends for it: the others can be written on.
+    #[must_use]
+    pub fn ends_take(self) -> bool {
+        matches!(self, Self::Truncated | Self::Unmounted)
+    }
+
+    pub(crate) fn code(self) -> u8 {
+        self as u8
+    }
+
+    pub(crate) fn from_code(code: u8) -> Self {
+        Self::ALL.get(usize::from(code)).copied().unwrap_or_default()
+    }
+}
+
+/// A file that is not where it was created, or not what was written.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Displaced {
+    /// What happened.
+    pub state: FileState,
+    /// The name that it was created under.
+    pub created_as: PathBuf,
+    /// The name that it has now, where that is known.
+    pub now_at: Option<PathBuf>,
+    /// Where everybody who may can open it, as long as this process has it open.
+    pub open_at: PathBuf,
+    /// Bytes that it has, and bytes that were written.
+    pub bytes: (u64, u64),
+}
+
+impl Displaced {
+    /// What happened and what to do, while the take is recorded.
+    #[must_use]
+    pub fn words(&self) -> String {
+        let Self { created_as, open_at, bytes: (found, written), .. } = self;
+        let (take, open_at) = (created_as.display(), open_at.display());
+        match self.state {
+            FileState::InPlace => format!("the take {take} is in its place again"),
+            FileState::Removed => format!(
+                "the take {take} was removed while it is recorded; the recording goes on in {open_at}, and a copy is saved when it ends, where its folder is still there. To save it before: cp {open_at} NEW.take"
+            ),
+            FileState::Renamed => format!(
+                "the take {take} was renamed while it is recorded; the recording goes on in {}, which is open as {open_at}. To copy it before it ends: cp {open_at} NEW.take",
+                self.now_at
+                    .as_ref()
+                    .map_or("a file of unknown name".into(), |p| p.to_string_lossy())
+            ),
+            FileState::Truncated => format!(
+                "the take {take} was cut short by another program, from {written} to {found} bytes: it ends here; `mocapd recover {take} -o NEW.take` makes a take of what is left, if its header is"
+            ),
+            FileState::Unmounted => format!(
+                "the file system of the take {take} was unmounted, or another one was mounted over it: the take ends here, and is whole on that file system"
+            ),
+        }
+    }
+}
+
+/// Where the file of a take that has ended is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Settled {
+    /// What happened to it.
+    pub state: FileState,
+    /// Where it is now: a copy of one that was removed. `None` where no name leads to it.
+    pub path: Option<PathBuf>,
+    /// More about a file that is not in its place.
+    pub displaced: Option<Displaced>,
+    /// Why one that was removed could not be copied.
+    pub problem: Option<String>,
+}
+
+impl Settled {
+    /// What happened, in words; `None` when nothing did.
+    #[must_use]
+    pub fn words(&self) -> Option<String> {
+        let displaced = self.displaced.as_ref()?;
+        let take = displaced.created_as.display();
+        Some(match (self.state, &self.path, &self.problem) {
+            (FileState::Removed, Some(copy), _) => format!(
+                "the take {take} was removed while it was recorded; what was recorded is saved as {}",
+                copy.display()
+            ),
+            (FileState::Removed, None, problem) => format!(
+                "the take {take} was removed while it was recorded, and could not be saved: {}",
+                problem.as_deref().unwrap_or("no reason is known")
+            ),
+            (FileState::Renamed, Some(path), _) => format!(
+                "the take {take} was renamed while it was recorded: it is {}",
+                path.display()
+            ),
+            (FileState::Renamed, None, _) => format!(
+                "the take {take} was renamed while it was recorded: it has a name that is not known"
+            ),
+            _ => displaced.words(),
+        })
+    }
+}
