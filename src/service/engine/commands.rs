@@ -434,15 +434,18 @@ impl Inner {
 }
 
 /// More may be asked for than is held: the answer says by how much.
-fn with_shortfall(saved: Stopped, asked: Duration) -> Stopped {
+fn with_shortfall(mut saved: Stopped, asked: Duration) -> Stopped {
     /// A take ends at the frame that came last, and frames are rounded to rows.
     const MARGIN_S: f64 = 0.1;
     let (asked_s, held_s) = (asked.as_secs_f64(), saved.seconds);
     if asked_s <= held_s + MARGIN_S {
         return saved;
     }
-    let remark = format!("{held_s:.1} s were held, not the {asked_s:.1} s that were asked for");
-    Stopped { short_by_s: asked_s - held_s, remarks: vec![remark], ..saved }
+    saved.short_by_s = asked_s - held_s;
+    saved
+        .remarks
+        .push(format!("{held_s:.1} s were held, not the {asked_s:.1} s that were asked for"));
+    saved
 }
 
 /// Takes begin at key stretches: what the take has of the time before is told when it is not what was asked for.
