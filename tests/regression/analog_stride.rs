@@ -200,6 +200,18 @@ fn a_cut_file_is_read_as_far_as_it_goes_whether_its_figures_agree_or_not() {
 }
 
 #[test]
+fn a_cut_file_whose_header_alone_claims_analog_samples_is_read_by_its_motion() {
+    let frame = |frame| (0..POINTS).flat_map(move |p| position(frame, p).into_iter().chain([0.0]));
+    let frames = (0..FRAMES).map(|i| frame(i).collect()).collect();
+    let mut bytes = C3dFile::new(POINTS, frames).bytes();
+    put(&mut bytes, Order::Intel, HEADER_ANALOG, 8);
+    bytes.truncate(bytes.len() - 20 * 16 * POINTS);
+    let motion = read(&bytes);
+    assert_eq!((motion.n_frames(), is_noted(&motion)), (FRAMES - 20, true));
+    assert_eq!(motion.frame(39)[4], position(39, 4));
+}
+
+#[test]
 fn verify_says_that_the_file_can_be_read_in_another_way() {
     let folder = Folder::new();
     let mut bytes = file(Order::Intel, -1.0, CHANNELS, TRUE);

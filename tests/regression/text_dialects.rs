@@ -19,7 +19,7 @@ fn trc(between: &str) -> String {
     let empty = if between == " " { "" } else { &between.repeat(2) };
     let rows = (0..4).map(|i| format!("{} 0.0{i} {i}.5 100 1700 {} 200 900\n", i + 1, 300 + i));
     let body = format!("Frame# Time HEAD{empty} KNEE{empty}\n")
-        + &if between == " " { "" } else { "  " }.repeat(1)
+        + if between == " " { "" } else { "  " }
         + "X1 Y1 Z1 X2 Y2 Z2\n\n"
         + &rows.collect::<String>();
     (head.to_owned() + &body).replace(' ', between)

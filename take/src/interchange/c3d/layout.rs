@@ -215,6 +215,14 @@ impl Stated {
             }
             let more = more.into_iter().map(|(stride, n)| candidate(stride, n, false));
             candidates.extend(more);
+            // A file that says nothing of channels may have none, whatever its header says.
+            let none = strides.iter().map(|&stride| Stride { analog_per_frame: 0, ..stride });
+            let none = none.filter(|stride| !strides.contains(stride));
+            candidates.extend(
+                none.map(|stride| {
+                    candidate(stride, counts.of_stride(file, &stride).n_frames, true)
+                }),
+            );
         }
         match (choose(&candidates), strides.first()) {
             (Some(chosen), _) => {
