@@ -108,7 +108,9 @@ fn motive_exports_are_read() {
         let gaps: Vec<bool> = motion.positions_mm.iter().map(|&at| is_gap(at)).collect();
         assert_eq!(gaps, [false, false, true, false, true, false, true, false, false]);
         // Twice there, a body's position, and what is left out: each is said.
+        let said = |start: &str| source.warnings.iter().any(|warning| warning.starts_with(start));
         assert_eq!(source.warnings.len(), 3, "{:?}", source.warnings);
+        assert!(said("1 markers") && said("6 columns"), "{:?}", source.warnings);
     }
     let folder = Folder::new();
     folder.write("motive.csv", motive(true, &columns, &rows));

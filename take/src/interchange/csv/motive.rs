@@ -206,7 +206,9 @@ impl Head {
                 && ["X", "Y", "Z"].iter().enumerate().all(|(i, axis)| is(&self.axes, at + i, axis));
             let owner = Owner::of(&cell(&self.types, at));
             if !is_position || owner == Owner::Other {
-                left_out += usize::from(!cell(&self.types, at).is_empty());
+                // The name of the line itself stands above the times.
+                let is_time = at == 1 && cell(&self.axes, at).starts_with("Time");
+                left_out += usize::from(!is_time && !cell(&self.types, at).is_empty());
                 at += 1;
                 continue;
             }
