@@ -85,7 +85,6 @@ fn record_ends_a_take_that_was_cut_short() {
 }
 
 /// On a tmpfs in a name space of its own: with root, or where users may have one.
-#[expect(clippy::print_stderr, reason = "a test that is skipped says why")]
 #[test]
 fn record_ends_a_take_whose_file_system_goes_away() {
     let (folder, device) = rig();
