@@ -11,7 +11,10 @@ use mocapd_take::{
 use numpy::{PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::{prelude::*, types::PyBytes};
 
-use crate::errors::{Failure, detached};
+use crate::{
+    errors::Failure,
+    wait::{Cancel, abandonable},
+};
 
 /// What a take says wrote it.
 const SOFTWARE: &str = concat!("mocapd-python ", env!("CARGO_PKG_VERSION"));
@@ -46,19 +49,23 @@ pub(crate) fn encode<'py>(
     let values = positions
         .as_slice()
         .map_err(|_| Failure::Value("the array must be contiguous, in C order".into()))?;
-    let take = detached(py, || {
-        let kind = resampler.parse()?;
-        let tolerance = Tolerance::from_mm(tolerance_mm.unwrap_or(Tolerance::MAX_MM))?;
-        let mut header = header(&Settings { kind, tolerance }, rate_hz, up_axis.min(3));
-        let motion = motion(values, n_rows, labels, rate_hz)?;
+    let settings = Settings {
+        kind: resampler.parse().map_err(Failure::from)?,
+        tolerance: Tolerance::from_mm(tolerance_mm.unwrap_or(Tolerance::MAX_MM))
+            .map_err(Failure::from)?,
+    };
+    let motion = py.detach(|| motion(values, n_rows, labels, rate_hz))?;
+    let take = abandonable(py, move |cancel| {
+        let mut header = header(&settings, rate_hz, up_axis.min(3));
         header.channels = whole::channels(&motion.info.markers);
         let codec = header.codec()?;
         header.stretch_rows = whole::stretch_rows(&codec, rate_hz, n_rows, n_markers) as u32;
         header.check()?;
-        let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+        let values = motion.positions_mm.as_flattened().iter();
+        let bytes: Vec<u8> = values.flat_map(|value| value.to_le_bytes()).collect();
         header.set_import_id(&bytes, None)?;
         drop(bytes);
-        write(&motion, &header, threads)
+        write(&motion, &header, threads, cancel)
     })?;
     Ok(PyBytes::new(py, &take))
 }
@@ -120,12 +127,18 @@ fn motion(
 }
 
 /// As many parts at a time as there are threads: the bytes are the same for any number.
-fn write(motion: &Motion, header: &Header, threads: usize) -> Result<Vec<u8>, Failure> {
+fn write(
+    motion: &Motion,
+    header: &Header,
+    threads: usize,
+    cancel: &Cancel,
+) -> Result<Vec<u8>, Failure> {
     let plan = Plan::new(motion, header)?;
     let mut take = WholeWriter::new(&plan, header, Vec::new())?;
     let mut encoders: Vec<_> = (0..threads.max(1)).map(|_| plan.encoder()).collect();
     let parts: Vec<Part> = plan.parts().collect();
     for parts in parts.chunks(encoders.len()) {
+        cancel.check()?;
         let coded: Vec<Coded> = thread::scope(|scope| {
             let work = encoders.iter_mut().zip(parts);
             let threads: Vec<_> =

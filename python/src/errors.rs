@@ -1,11 +1,12 @@
 //! Errors as Python has them, by what the caller can do about them. No panic gets past here.
 
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
 
 use mocapd_codec::CodecError;
 use pyo3::{
-    PyErr, PyResult, Python,
-    exceptions::{PyException, PyValueError},
+    PyErr, Python,
+    exceptions::{PyException, PyOSError, PyValueError},
+    types::PyAnyMethods,
 };
 
 pyo3::create_exception!(
@@ -20,6 +21,8 @@ pyo3::create_exception!(
 pub(crate) enum Failure {
     Take(mocapd_take::TakeError),
     Value(String),
+    /// What is there is not a file: the number of the error and why.
+    NotAFile(i32, &'static str),
     Internal,
 }
 
@@ -43,28 +46,45 @@ impl From<std::io::Error> for Failure {
 
 impl From<Failure> for PyErr {
     fn from(failure: Failure) -> Self {
+        Python::attach(|py| failure.of(py, None))
+    }
+}
+
+impl Failure {
+    /// Of the take at `path`, which the words begin with; bytes have no path.
+    pub(crate) fn of(self, py: Python<'_>, path: Option<&Path>) -> PyErr {
         use mocapd_take::TakeError::{Codec, InvalidArgument, Io};
-        match failure {
-            Failure::Value(message)
-            | Failure::Take(
-                InvalidArgument(message) | Codec(CodecError::InvalidArgument(message)),
-            ) => PyValueError::new_err(message),
-            // OSError, and what of it the number says: FileNotFoundError, PermissionError.
-            Failure::Take(Io(error)) => error.into(),
-            Failure::Take(error) => TakeError::new_err(error.to_string()),
-            Failure::Internal => TakeError::new_err(
-                "a fault of mocapd itself, told on standard error: please report it, with the take",
-            ),
+        let named = |message: String| match path {
+            Some(path) => format!("{}: {message}", path.display()),
+            None => message,
+        };
+        match self {
+            Self::Value(message)
+            | Self::Take(InvalidArgument(message) | Codec(CodecError::InvalidArgument(message))) => {
+                PyValueError::new_err(message)
+            }
+            Self::NotAFile(code, why) => os_error(code, why.to_owned(), path),
+            Self::Take(Io(error)) => match error.raw_os_error() {
+                Some(code) => {
+                    let words = py.import("os").and_then(|os| os.call_method1("strerror", (code,)));
+                    let words = words.and_then(|words| words.extract());
+                    os_error(code, words.unwrap_or_else(|_| error.to_string()), path)
+                }
+                None => error.into(),
+            },
+            Self::Take(error) => TakeError::new_err(named(error.to_string())),
+            Self::Internal => TakeError::new_err(named(
+                "a fault of mocapd itself, told on standard error: please report it, with the take"
+                    .to_owned(),
+            )),
         }
     }
 }
 
-/// Runs `work` without holding the interpreter, so that other threads of Python run on.
-pub(crate) fn detached<T: Send>(
-    py: Python<'_>,
-    work: impl FnOnce() -> Result<T, Failure> + Send,
-) -> PyResult<T> {
-    let work = AssertUnwindSafe(work);
-    let outcome = py.detach(|| catch_unwind(work).unwrap_or(Err(Failure::Internal)));
-    Ok(outcome?)
+/// OSError, and what of it the number says: FileNotFoundError, PermissionError.
+fn os_error(code: i32, words: String, path: Option<&Path>) -> PyErr {
+    match path {
+        Some(path) => PyOSError::new_err((code, words, path.to_string_lossy().into_owned())),
+        None => PyOSError::new_err((code, words)),
+    }
 }

@@ -9,6 +9,7 @@ mod source;
 mod survey;
 mod take_file;
 mod times;
+mod wait;
 mod window;
 
 /// `mocapd._native`.

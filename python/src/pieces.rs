@@ -48,12 +48,13 @@ pub(crate) struct Walk {
     /// Decoded, and reaching into what comes next.
     current: Option<Span>,
     told: usize,
+    source: Source,
 }
 
 impl Walk {
     pub(crate) fn new(source: &Source, map: &TakeMap, groups: Vec<usize>) -> Result<Self, Failure> {
         let stretches = TakeStretches::new(source.reader(), map)?.with_groups(groups)?;
-        Ok(Self { stretches, current: None, told: 0 })
+        Ok(Self { stretches, current: None, told: 0, source: source.clone() })
     }
 
     /// Gives every stretch that has some of the rows to `each`: those of them that it has, and where the first
@@ -74,6 +75,7 @@ impl Walk {
                     break;
                 }
             }
+            self.source.check()?;
             match self.stretches.next_stretch()? {
                 Some(span) => self.current = Some(span),
                 None => {

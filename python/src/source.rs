@@ -1,26 +1,66 @@
 //! A take's bytes, wherever they are, read by several threads at their own places.
 
 use std::{
-    fs::File,
+    fs::{File, FileType, OpenOptions},
     io::{self, Read, Seek, SeekFrom},
     path::Path,
     sync::Arc,
 };
 
-/// A file that is open, or bytes.
+use crate::{errors::Failure, wait::Cancel};
+
+/// What is read for somebody who may not want it any more.
 #[derive(Debug, Clone)]
-pub(crate) enum Source {
-    File(Arc<File>),
-    Bytes(Arc<[u8]>),
+pub(crate) struct Source {
+    bytes: Bytes,
+    cancel: Cancel,
 }
 
+/// A file that is open, or bytes.
+#[derive(Debug, Clone)]
+enum Bytes {
+    File(Arc<File>),
+    Memory(Arc<[u8]>),
+}
+
+/// What the system says of a folder, and of an argument that cannot be meant.
+const EISDIR: i32 = 21;
+#[cfg(unix)]
+const EINVAL: i32 = 22;
+
 impl Source {
-    pub(crate) fn open(path: &Path) -> io::Result<Self> {
-        let file = File::open(path)?;
-        if file.metadata()?.is_dir() {
-            return Err(io::ErrorKind::IsADirectory.into());
+    /// Opens a plain file. Never waits, whatever is there.
+    pub(crate) fn open(path: &Path) -> Result<Self, Failure> {
+        if path.as_os_str().as_encoded_bytes().contains(&0) {
+            let shown = path.to_string_lossy().replace('\0', "\\0");
+            return Err(Failure::Value(format!("{shown}: a path has no zero byte")));
         }
-        Ok(Self::File(Arc::new(file)))
+        // Before it is opened, which is not without effect on a device, and again when it is: it may have been replaced.
+        check(std::fs::metadata(path)?.file_type())?;
+        let mut options = OpenOptions::new();
+        options.read(true);
+        #[cfg(unix)]
+        std::os::unix::fs::OpenOptionsExt::custom_flags(
+            &mut options,
+            libc::O_NONBLOCK | libc::O_NOCTTY,
+        );
+        let file = options.open(path)?;
+        check(file.metadata()?.file_type())?;
+        Ok(Self { bytes: Bytes::File(Arc::new(file)), cancel: Cancel::default() })
+    }
+
+    pub(crate) fn of_bytes(bytes: &[u8]) -> Self {
+        Self { bytes: Bytes::Memory(Arc::from(bytes)), cancel: Cancel::default() }
+    }
+
+    /// The same, read as long as it is not cancelled.
+    pub(crate) fn until(&self, cancel: &Cancel) -> Self {
+        Self { bytes: self.bytes.clone(), cancel: cancel.clone() }
+    }
+
+    /// Whether somebody wants it still.
+    pub(crate) fn check(&self) -> io::Result<()> {
+        self.cancel.check()
     }
 
     /// A place of its own, at the start.
@@ -29,11 +69,40 @@ impl Source {
     }
 
     fn len(&self) -> io::Result<u64> {
-        match self {
-            Self::File(file) => Ok(file.metadata()?.len()),
-            Self::Bytes(bytes) => Ok(bytes.len() as u64),
+        match &self.bytes {
+            Bytes::File(file) => Ok(file.metadata()?.len()),
+            Bytes::Memory(bytes) => Ok(bytes.len() as u64),
         }
     }
+}
+
+fn check(kind: FileType) -> Result<(), Failure> {
+    match not_a_file(kind) {
+        Some((code, what)) => Err(Failure::NotAFile(code, what)),
+        None => Ok(()),
+    }
+}
+
+/// What is no plain file: the number of the error that it makes, and what it is.
+#[cfg(unix)]
+fn not_a_file(kind: FileType) -> Option<(i32, &'static str)> {
+    use std::os::unix::fs::FileTypeExt;
+    match kind {
+        _ if kind.is_dir() => Some((EISDIR, "a folder, not a file")),
+        _ if kind.is_fifo() => {
+            Some((EINVAL, "a pipe, not a file: write what comes through it to a file first"))
+        }
+        _ if kind.is_socket() => Some((EINVAL, "a socket, not a file")),
+        _ if kind.is_char_device() || kind.is_block_device() => {
+            Some((EINVAL, "a device, not a file"))
+        }
+        _ => None,
+    }
+}
+
+#[cfg(not(unix))]
+fn not_a_file(kind: FileType) -> Option<(i32, &'static str)> {
+    kind.is_dir().then_some((EISDIR, "a folder, not a file"))
 }
 
 /// A place in a [`Source`].
@@ -45,9 +114,10 @@ pub(crate) struct Reader {
 
 impl Read for Reader {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let n = match &self.source {
-            Source::File(file) => read_at(file, buffer, self.at)?,
-            Source::Bytes(bytes) => {
+        self.source.check()?;
+        let n = match &self.source.bytes {
+            Bytes::File(file) => read_at(file, buffer, self.at)?,
+            Bytes::Memory(bytes) => {
                 let at = usize::try_from(self.at).unwrap_or(usize::MAX);
                 bytes.get(at..).unwrap_or_default().read(buffer)?
             }

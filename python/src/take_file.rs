@@ -1,20 +1,20 @@
 //! `TakeFile`: a take that is open, as `mocapd.Take` uses it.
 
-use std::{ops::Range, path::PathBuf, sync::Arc};
+use std::{ops::Range, path::PathBuf};
 
 use mocapd_take::{TakeMap, record::EventKind, timeline::Causes};
 use numpy::{IntoPyArray, PyArray1, PyReadwriteArray3, PyUntypedArrayMethods};
 use pyo3::{
-    exceptions::PyOSError,
     prelude::*,
     types::{PyBytes, PyDict, PyList},
 };
 
 use crate::{
-    errors::{Failure, detached},
+    errors::Failure,
     source::Source,
     survey::survey,
-    times::times,
+    times::{lost, times},
+    wait::detached,
     window::Last,
 };
 
@@ -22,19 +22,14 @@ use crate::{
 #[pyclass(frozen, module = "mocapd._native")]
 pub(crate) struct TakeFile {
     source: Source,
+    path: Option<PathBuf>,
     map: TakeMap,
     last: Last,
 }
 
-const EISDIR: i32 = 21;
-
-/// Device ticks, arrivals in nanoseconds, and whether a row was recorded; then lost rows as (first, count, cause).
-type TimesOut<'py> = (
-    Bound<'py, PyArray1<u64>>,
-    Bound<'py, PyArray1<u64>>,
-    Bound<'py, PyArray1<bool>>,
-    Vec<(u64, u64, String)>,
-);
+/// Device ticks, arrivals in nanoseconds, and whether a row was recorded.
+type TimesOut<'py> =
+    (Bound<'py, PyArray1<u64>>, Bound<'py, PyArray1<u64>>, Bound<'py, PyArray1<bool>>);
 
 /// By column: samples, gaps, knots, the largest stated error in millimetres, and the rows of the knots.
 type SurveyOut<'py> = Vec<(u64, u64, u64, f64, Bound<'py, PyArray1<i64>>)>;
@@ -43,21 +38,15 @@ type SurveyOut<'py> = Vec<(u64, u64, u64, f64, Bound<'py, PyArray1<i64>>)>;
 impl TakeFile {
     #[new]
     fn open(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
-        let open = || Source::open(&path);
-        let source = py.detach(open).map_err(|error| {
-            // With its number it becomes FileNotFoundError and the like; EISDIR is what Linux says of a folder.
-            let code = error.raw_os_error().unwrap_or(EISDIR);
-            let words = error.to_string();
-            let words = words.split(" (os error").next().unwrap_or_default().to_owned();
-            PyOSError::new_err((code, words, path.to_string_lossy().into_owned()))
-        })?;
-        Self::of(py, source)
+        let opened = py.detach(|| Source::open(&path));
+        let source = opened.map_err(|failure| failure.of(py, Some(&path)))?;
+        Self::of(py, source, Some(path))
     }
 
     /// A take in memory.
     #[staticmethod]
     fn from_bytes(py: Python<'_>, bytes: &Bound<'_, PyBytes>) -> PyResult<Self> {
-        Self::of(py, Source::Bytes(Arc::from(bytes.as_bytes())))
+        Self::of(py, Source::of_bytes(bytes.as_bytes()), None)
     }
 
     #[getter]
@@ -75,9 +64,19 @@ impl TakeFile {
         self.map.finished
     }
 
+    /// What is missing or damaged, but that the end is missing: that is said by [`cut_off`](Self::cut_off).
     #[getter]
     fn problems(&self) -> Vec<String> {
-        self.map.problems.clone()
+        let mut problems = self.map.problems.clone();
+        problems.truncate(problems.len() - usize::from(self.cut_off().is_some()));
+        problems
+    }
+
+    /// That the end is missing, in words; None of a take that was closed in order.
+    #[getter]
+    fn cut_off(&self) -> Option<&str> {
+        // What a scan says last.
+        self.map.problems.last().filter(|_| !self.map.finished).map(String::as_str)
     }
 
     /// The header as a dict.
@@ -224,7 +223,7 @@ impl TakeFile {
         let out = out
             .as_slice_mut()
             .map_err(|_| Failure::Value("the array must be contiguous, in C order".into()))?;
-        detached(py, || self.last.read(&self.source, &self.map, rows, &columns, threads, out))
+        self.detached(py, |source| self.last.read(source, &self.map, rows, &columns, threads, out))
     }
 
     /// Of every column asked for, over the whole take: what [`SurveyOut`] has; and what could not be decoded.
@@ -237,7 +236,7 @@ impl TakeFile {
     ) -> PyResult<(SurveyOut<'py>, Vec<String>)> {
         self.check(&columns)?;
         let (found, problems) =
-            detached(py, || survey(&self.source, &self.map, &columns, with_knots, threads))?;
+            self.detached(py, |source| survey(source, &self.map, &columns, with_knots, threads))?;
         let out = found.into_iter().map(|column| {
             let knots = column.knots.into_pyarray(py);
             (column.samples, column.gaps, column.n_knots, column.max_error_mm, knots)
@@ -248,21 +247,35 @@ impl TakeFile {
     /// Of the rows from `first` to before `stop`: what [`TimesOut`] has; the arrays are empty for an import.
     fn times<'py>(&self, py: Python<'py>, first: u64, stop: u64) -> PyResult<TimesOut<'py>> {
         let rows = self.rows(first, stop)?;
-        let found = detached(py, || times(&self.source, &self.map, &rows))?;
-        let lost = found.lost.into_iter().map(|(first, n, causes)| (first, n, words(causes)));
+        let found = self.detached(py, |source| times(source, &self.map, &rows))?;
         Ok((
             found.device_ticks.into_pyarray(py),
             found.arrival_ns.into_pyarray(py),
             found.recorded.into_pyarray(py),
-            lost.collect(),
         ))
+    }
+
+    /// Runs of rows that are not in the take, each as first, count, cause: however many they are of.
+    fn lost(&self, py: Python<'_>) -> PyResult<Vec<(u64, u64, String)>> {
+        let found = self.detached(py, |source| lost(source, &self.map))?;
+        Ok(found.into_iter().map(|(first, n, causes)| (first, n, words(causes))).collect())
     }
 }
 
 impl TakeFile {
-    fn of(py: Python<'_>, source: Source) -> PyResult<Self> {
-        let map = detached(py, || Ok(TakeMap::open(&mut source.reader())?))?;
-        Ok(Self { source, map, last: Last::default() })
+    fn of(py: Python<'_>, source: Source, path: Option<PathBuf>) -> PyResult<Self> {
+        let map = detached(py, path.as_deref(), |cancel| {
+            Ok(TakeMap::open(&mut source.until(cancel).reader())?)
+        })?;
+        Ok(Self { source, path, map, last: Last::default() })
+    }
+
+    fn detached<T: Send>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&Source) -> Result<T, Failure> + Send,
+    ) -> PyResult<T> {
+        detached(py, self.path.as_deref(), |cancel| work(&self.source.until(cancel)))
     }
 
     fn rows(&self, first: u64, stop: u64) -> Result<Range<u64>, Failure> {

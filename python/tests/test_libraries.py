@@ -1,3 +1,4 @@
+import importlib.metadata
 import sys
 
 import numpy as np
@@ -29,5 +30,6 @@ def test_pandas_has_a_column_an_axis(path):
 @pytest.mark.parametrize("name", ["pandas", "xarray"])
 def test_without_the_library_it_says_what_to_install(path, monkeypatch, name):
     monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(ImportError, match=rf"pip install 'mocapd\[{name}\]'"):
+    assert name in importlib.metadata.metadata("mocapd").get_all("Provides-Extra")
+    with pytest.raises(ImportError, match=rf"pip install '\./python\[{name}\]'"):
         getattr(mocapd.open(path), f"to_{name}")()

@@ -15,6 +15,12 @@ from ._native import TakeError, TakeFile, encode
 # The rate that `compress` states: with it a decoder can start every 1000 frames.
 _NOMINAL_HZ = 100.0
 
+# From time lapse to ballistics, as `mocapd import` takes them.
+_RATES_HZ = (0.001, 1e6)
+
+# Most samples that are given at once: 12 GiB. A few bytes of a damaged take can claim years of lost frames.
+SAMPLES_MAX = 1 << 30
+
 _UP_AXES = {None: 0, "x": 1, "y": 2, "z": 3}
 
 
@@ -96,12 +102,15 @@ def decompress(data: bytes, *, threads: int | None = None) -> npt.NDArray[np.flo
     Raises
     ------
     TakeError
-        For bytes that are no take, or that are damaged or cut off: nothing of them is given then.
+        For bytes that are no take, or that are damaged or cut off: nothing of them is given then; and for a take
+        of more than 2^30 samples, which :func:`mocapd.open` reads in parts.
         :func:`mocapd.open` reads as much of a damaged file as can be.
     """
     take = TakeFile.from_bytes(bytes(data))
     columns = list(range(len(take.labels)))
-    problems = take.problems
+    problems = take.problems + [take.cut_off] * (take.cut_off is not None)
+    if take.n_rows * max(len(columns), 1) > SAMPLES_MAX:
+        raise TakeError(f"{take.n_rows} frames of {len(columns)} markers are more than fit at once: write the bytes to a file")
     if not problems:
         out = np.empty((take.n_rows, len(columns), 3), dtype=np.float32)
         problems = take.read_into(out, 0, columns, threads_of(threads))
@@ -153,8 +162,9 @@ def write_take(
         raise ValueError(f"{len(labels)} labels for {array.shape[1]} markers: give one a marker")
     if up_axis not in _UP_AXES:
         raise ValueError(f"up_axis={up_axis!r}: use 'x', 'y', 'z' or None")
-    if not (np.isfinite(rate_hz) and rate_hz > 0):
-        raise ValueError(f"a take cannot run at {rate_hz} Hz")
+    slowest_hz, fastest_hz = _RATES_HZ
+    if not slowest_hz <= rate_hz <= fastest_hz:
+        raise ValueError(f"a rate of {rate_hz} Hz: a take runs at {slowest_hz:g} to {fastest_hz:g} Hz")
     named = [(label or f"u{column + 1:03}", bool(label)) for column, label in enumerate(labels)]
     tolerance = _tolerance(tolerance_mm, resampler)
     to = Path(path)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Union
 import numpy as np
 import numpy.typing as npt
 
-from ._arrays import threads_of
+from ._arrays import SAMPLES_MAX, threads_of
 from ._native import TakeFile
 from ._records import ClockLine, Ending, Event, Header, Ledger, LostFrames, Times
 
@@ -24,8 +24,11 @@ if TYPE_CHECKING:
 Positions = npt.NDArray[np.float32]
 MarkerKey = Union[str, int]
 
-# Most samples that are read at once: 12 GiB. A few bytes of a damaged take can claim years of lost frames.
-_SAMPLES_MAX = 1 << 30
+# The times of a frame weigh as much as so many samples.
+_TIMES_AS_SAMPLES = 4
+
+# The package is installed from its folder: no registry has it.
+_NEEDS = "{0} needs {1}: pip install {1}, or pip install './python[{1}]' in mocapd's folder"
 
 
 class TakeWarning(UserWarning):
@@ -91,6 +94,8 @@ class Take:
         self.problems: list[str] = []
         """What is missing or damaged, as far as was read."""
         self._warn(self._file.problems)
+        if self._file.cut_off is not None:
+            self._warn_cut_off(self._file.cut_off)
 
     # -- what it is ----------------------------------------------------------------------------------------
 
@@ -191,10 +196,9 @@ class Take:
         KeyError
             For a marker that is not in the take.
         ValueError
-            For a time that is none, or more than 2^30 samples at once.
+            For a time that is none, an end before the start, or more than 2^30 samples at once.
         """
-        first = self._frame(start_s, start_frame, 0)
-        stop = max(first, self._frame(stop_s, stop_frame, self.n_frames))
+        first, stop = self._range(start_s, stop_s, start_frame, stop_frame)
         columns = self._columns(markers)
         return self._read(first, stop, columns)
 
@@ -252,15 +256,22 @@ class Take:
         return [knots for *_, knots in found]
 
     def times(self, start_s: float | None = None, stop_s: float | None = None) -> Times:
-        """When frames were, by the device's clock and by the host's, where the take has them."""
-        first, stop = self._frame(start_s, None, 0), self._frame(stop_s, None, self.n_frames)
-        stop = max(first, stop)
+        """When frames were, by the device's clock and by the host's, where the take has them.
+
+        Raises
+        ------
+        ValueError
+            For a time that is none, an end before the start, or more than 2^28 frames at once.
+        """
+        first, stop = self._range(start_s, stop_s)
+        # Five arrays of eight bytes a frame.
+        self._check_size(stop - first, _TIMES_AS_SAMPLES)
         frame = np.arange(first, stop, dtype=np.int64)
         nominal_s = frame / self.rate_hz
         device = self.header.device
         if device is None:
             return Times(frame, nominal_s, None, None, None, None)
-        ticks, arrival_ns, recorded, _ = self._file.times(first, stop)
+        ticks, arrival_ns, recorded = self._file.times(first, stop)
         device_s = np.where(recorded, ticks / float(max(device.tick_hz, 1)), np.nan)
         host_s = np.where(recorded, arrival_ns / 1e9, np.nan)
         return Times(frame, nominal_s, device_s, host_s, ticks, recorded)
@@ -270,7 +281,7 @@ class Take:
         """Frames that are not in the take, with their causes. Where a frame is there and a marker NaN, the marker
         was not seen.
         """
-        return tuple(LostFrames(*lost) for lost in self._file.times(0, self.n_frames)[3])
+        return tuple(LostFrames(*lost) for lost in self._file.lost())
 
     # -- to other libraries --------------------------------------------------------------------------------
 
@@ -285,12 +296,12 @@ class Take:
         Raises
         ------
         ImportError
-            Without xarray: ``pip install mocapd[xarray]``.
+            Without xarray, which ``pip install './python[xarray]'`` brings.
         """
         try:
             import xarray
         except ImportError as error:
-            raise ImportError("to_xarray() needs xarray: pip install 'mocapd[xarray]'") from error
+            raise ImportError(_NEEDS.format("to_xarray()", "xarray")) from error
         values, columns, time_s = self._part(start_s, stop_s, markers)
         attributes = {"units": "mm", "rate_hz": self.rate_hz, "tolerance_mm": self.header.tolerance_mm}
         return xarray.DataArray(
@@ -316,12 +327,12 @@ class Take:
         Raises
         ------
         ImportError
-            Without pandas: ``pip install mocapd[pandas]``.
+            Without pandas, which ``pip install './python[pandas]'`` brings.
         """
         try:
             import pandas
         except ImportError as error:
-            raise ImportError("to_pandas() needs pandas: pip install 'mocapd[pandas]'") from error
+            raise ImportError(_NEEDS.format("to_pandas()", "pandas")) from error
         values, columns, time_s = self._part(start_s, stop_s, markers)
         names = [(self.labels[column], axis) for column in columns for axis in "xyz"]
         return pandas.DataFrame(
@@ -335,16 +346,12 @@ class Take:
     def _part(
         self, start_s: float | None, stop_s: float | None, markers: Sequence[MarkerKey] | MarkerKey | None
     ) -> tuple[Positions, list[int], npt.NDArray[np.float64]]:
-        first = self._frame(start_s, None, 0)
-        stop = max(first, self._frame(stop_s, None, self.n_frames))
+        first, stop = self._range(start_s, stop_s)
         columns = self._columns(markers)
         return self._read(first, stop, columns), columns, np.arange(first, stop) / self.rate_hz
 
     def _read(self, first: int, stop: int, columns: list[int]) -> Positions:
-        if (stop - first) * len(columns) > _SAMPLES_MAX:
-            raise ValueError(
-                f"{stop - first} frames of {len(columns)} markers are more than fit at once: give start_s and stop_s"
-            )
+        self._check_size(stop - first, len(columns))
         if "positions" in self.__dict__:
             return self.positions[first:stop, columns]
         out = np.empty((stop - first, len(columns), 3), dtype=np.float32)
@@ -356,12 +363,31 @@ class Take:
             if problem in self.problems:
                 continue
             self.problems.append(problem)
-            if "cut off" in problem:
-                problem += (
-                    f"; {self.n_frames} frames ({self.n_frames / self.rate_hz:.3f} s) are here. "
-                    "`mocapd recover` makes a whole take of them"
-                )
             warnings.warn(f"{self.path}: {problem}", TakeWarning, stacklevel=4)
+
+    def _warn_cut_off(self, problem: str) -> None:
+        self.problems.append(problem)
+        here = f"{self.n_frames} frames ({self.n_frames / self.rate_hz:.3f} s) are here"
+        hint = "`mocapd recover` makes a whole take of them"
+        warnings.warn(f"{self.path}: {problem}; {here}. {hint}", TakeWarning, stacklevel=4)
+
+    def _range(
+        self, start_s: float | None, stop_s: float | None, start_frame: int | None = None, stop_frame: int | None = None
+    ) -> tuple[int, int]:
+        """The frames from one end to before the other."""
+        first = self._frame(start_s, start_frame, 0)
+        stop = self._frame(stop_s, stop_frame, self.n_frames)
+        # Beyond the take its end stands for both, and they are compared as they were given.
+        for start, end in ((start_s, stop_s), (start_frame, stop_frame), (first, stop)):
+            if start is not None and end is not None and end < start:
+                raise ValueError(f"a part from {start} to {end}: its end lies before its start")
+        return first, stop
+
+    def _check_size(self, n_frames: int, n_markers: int) -> None:
+        if n_frames * max(n_markers, 1) > SAMPLES_MAX:
+            raise ValueError(
+                f"{n_frames} frames of {n_markers} markers are more than fit at once: give start_s and stop_s"
+            )
 
     def _frame(self, time_s: float | None, frame: int | None, default: int) -> int:
         if time_s is not None and frame is not None:

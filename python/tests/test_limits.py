@@ -1,0 +1,179 @@
+"""What claims too much, makes no sense, or has to be interrupted: an exception, and Python lives on."""
+
+import os
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import time
+import zlib
+
+import numpy as np
+import pytest
+
+import mocapd
+
+STRETCH = 0x03
+
+
+def varint(value):
+    out = bytearray()
+    while value >= 0x80:
+        out.append(value & 0x7F | 0x80)
+        value >>= 7
+    out.append(value)
+    return bytes(out)
+
+
+def chunk(kind, payload):
+    body = bytes([kind]) + varint(len(payload)) + payload
+    return body + zlib.crc32(body).to_bytes(4, "little")
+
+
+def string(text):
+    return bytes([len(text)]) + text.encode()
+
+
+def header():
+    """HEADER of a recording at 120 Hz of two markers, after docs/take-format.md."""
+    device = b"".join(string(text) for text in ("dvmc", "", "", "", "")) + bytes([100, 0])
+    channels = b"\x03M00\x21" + b"1"
+    payload = (
+        struct.pack("<H", 2) + string("tests") + bytes(16) + b"\x00" + string("dense") + b"\x06"
+        + struct.pack("<dd", 0.5, 120.0) + b"\x03" + b"\x01" + device + b"\x00"
+        + bytes([len(channels)]) + channels + bytes([60]) + b"\x00"
+    )  # fmt: skip
+    return b"\x89TAK\r\n\x1a\n" + chunk(0x01, payload)
+
+
+@pytest.fixture
+def years_lost(tmp_path):
+    """A recording whose one stretch has no frames, and says that 2^32 were lost before it."""
+    # Key, number 0; a time line, with runs and rows listed; from row 0, no rows; one run of lost rows, all damaged.
+    stretch = bytes([0x01, 0x07]) + varint(0) + varint(0) + varint(1) + varint(2**33 | 1) + b"\x08"
+    to = tmp_path / "lost.take"
+    to.write_bytes(header() + chunk(STRETCH, stretch))
+    return to
+
+
+def test_years_of_lost_frames_are_one_run(years_lost):
+    with pytest.warns(mocapd.TakeWarning):
+        take = mocapd.open(years_lost)
+    assert take.n_frames == 2**32 and take.labels == ("M00", "M01")
+    assert take.lost == (mocapd.LostFrames(0, 2**32, "damaged"),)
+    for refused in (take.times, take.read, lambda: take[:], lambda: take.positions, take.to_xarray, take.to_pandas):
+        with pytest.raises(ValueError, match="at once"):
+            refused()
+    with pytest.raises((ValueError, mocapd.TakeError)):
+        mocapd.decompress(years_lost.read_bytes())
+    assert take.times(1000, 1001).frame.size == 120
+    assert np.isnan(take.read(1000, 1001, 0)).all()
+    assert take.summary["M00"].n_samples == 0
+
+
+def test_an_end_before_the_start_is_refused(path):
+    take = mocapd.open(path)
+    for wrong in (
+        lambda: take.read(5, 4),
+        lambda: take.read(start_frame=5, stop_frame=4),
+        lambda: take.read(5.0, stop_frame=4),
+        lambda: take.read(5000, 4000),
+        lambda: take.times(5, 4),
+        lambda: take["M00"].read(5, 4),
+        lambda: take.to_pandas(5, 4),
+        lambda: take.to_xarray(5, 4),
+    ):
+        with pytest.raises(ValueError, match="before"):
+            wrong()
+    # Beyond the end there is nothing, and an empty part is a part.
+    assert len(take.read(4000, 5000)) == 0
+    assert len(take.read(5, 5)) == 0
+    assert len(take[5:4]) == 0
+
+
+def test_errors_name_the_file(tmp_path, path):
+    no_take = tmp_path / "no.take"
+    no_take.write_bytes(b"nothing")
+    with pytest.raises(mocapd.TakeError, match="no.take"):
+        mocapd.open(no_take)
+    data = bytearray(path.read_bytes())
+    data[20] ^= 1
+    data[30] ^= 1
+    hurt = tmp_path / "header.take"
+    hurt.write_bytes(data)
+    with pytest.raises(mocapd.TakeError, match="header.take"):
+        mocapd.open(hurt)
+    with pytest.raises(FileNotFoundError) as caught:
+        mocapd.open(tmp_path / "none.take")
+    assert caught.value.filename == str(tmp_path / "none.take")
+
+
+def test_a_path_with_a_zero_byte_is_no_path(motion, labels):
+    with pytest.raises(ValueError):
+        mocapd.open("a\0b.take")
+    with pytest.raises(ValueError):
+        mocapd.write_take("a\0b.take", motion, labels, 120.0)
+
+
+def test_rates_that_no_device_has_are_refused(tmp_path, motion, labels):
+    for rate_hz in (1e300, 1e7, 1e-4, 0.0, -1.0, float("inf"), float("nan")):
+        with pytest.raises(ValueError, match="Hz"):
+            mocapd.write_take(tmp_path / "rate.take", motion[:100], labels, rate_hz)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names")
+def test_what_is_no_file_is_refused_at_once(tmp_path):
+    os.mkfifo(tmp_path / "pipe.take")
+    os.symlink("/dev/zero", tmp_path / "device.take")
+    listener = socket.socket(socket.AF_UNIX)
+    listener.bind(str(tmp_path / "socket.take"))
+    for what in ("pipe", "device", "socket"):
+        code = "import mocapd, sys\ntry: mocapd.open(sys.argv[1])\nexcept OSError as e: print(e)"
+        ran = subprocess.run(
+            [sys.executable, "-c", code, tmp_path / f"{what}.take"], capture_output=True, text=True, timeout=60
+        )
+        assert f"a {what}, not a file" in ran.stdout, ran
+    listener.close()
+    with pytest.raises(IsADirectoryError):
+        mocapd.open(tmp_path)
+
+
+def interrupted(code, *args):
+    """Seconds from Ctrl-C to the end of a program that has begun."""
+    program = subprocess.Popen(
+        [sys.executable, "-c", code, *map(str, args)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert program.stdout.readline() == "begins\n"
+    time.sleep(0.5)
+    assert program.poll() is None, program.stderr.read()
+    begun = time.monotonic()
+    program.send_signal(signal.SIGINT)
+    try:
+        _, words = program.communicate(timeout=30)
+    except subprocess.TimeoutExpired:
+        program.kill()
+        program.communicate()
+        pytest.fail("Ctrl-C was not answered within 30 s")
+    assert "KeyboardInterrupt" in words, words
+    return time.monotonic() - begun
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are sent as POSIX has them")
+def test_ctrl_c_ends_what_takes_long(path, tmp_path):
+    # A hundred gigabytes to look through, none of which take room.
+    data = path.read_bytes()
+    long = tmp_path / "long.take"
+    long.write_bytes(data[: len(data) // 2])
+    os.truncate(long, 100 << 30)
+    opening = "import mocapd, sys\nprint('begins', flush=True)\nmocapd.open(sys.argv[1])"
+    coding = (
+        "import mocapd, numpy\n"
+        "array = numpy.cumsum(numpy.random.default_rng(1).normal(0, 3, (120_000, 100, 3)), 0, numpy.float32)\n"
+        "print('begins', flush=True)\n"
+        "mocapd.compress(array, 0.01, threads=1)"
+    )
+    # With what it takes to end Python, on a machine that has other things to do; it is 0.3 s on one that has not.
+    for code in (opening, coding):
+        assert interrupted(code, long) < 5
