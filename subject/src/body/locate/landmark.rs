@@ -90,8 +90,10 @@ impl Landmarks {
     fn among(curves: Curves, fields: &Fields<'_>) -> Option<Self> {
         let scale = curves.scale.length;
         let hands = fields.between(HAND[0], HAND[1])? / scale;
-        let touching = Touching::new(curves.scale, curves.arms.each_ref(), curves.legs.each_ref());
         let missing = [HAND, FOOT].map(|pair| pair.map(|end| fields.missing[end] / scale));
+        // The curves of a limb that ends early say nothing of what it touches.
+        let arms = whole(&curves.arms, missing[0]);
+        let touching = Touching::new(curves.scale, arms, whole(&curves.legs, missing[1]));
         let marks_of = |found: [Option<Marks>; 2], missing: [f64; 2]| {
             let [one, other] = found;
             match missing.map(|part| part > 0.0) {
@@ -191,6 +193,11 @@ impl Curves {
             head,
         })
     }
+}
+
+/// The curves of limbs that do not end early.
+fn whole(curves: &[Sections; 2], missing: [f64; 2]) -> [Option<&Sections>; 2] {
+    [0, 1].map(|side| curves.get(side).filter(|_| missing[side] <= 0.0))
 }
 
 /// 1 where `far` is well beyond `near`, 0 where it is well before, and between them in between.

@@ -25,15 +25,20 @@ pub struct Touching {
 }
 
 impl Touching {
-    pub(super) fn new(scale: BodyScale, arms: [&Sections; 2], legs: [&Sections; 2]) -> Self {
+    /// By the curves round each limb; none of one that ends early.
+    pub(super) fn new(
+        scale: BodyScale,
+        arms: [Option<&Sections>; 2],
+        legs: [Option<&Sections>; 2],
+    ) -> Self {
         // Only feet that are too near to each other make the way between them too short for all others; and where it is too
         // long for them, the others lead across arms.
         let feet = scale.disagrees() && scale.feet_to_all < 1.0;
         let across = scale.disagrees() && !feet;
         Self {
-            arms: arms.map(|arm| across || widening(arm, ARM) > ARM_MOST),
+            arms: arms.map(|arm| across || arm.is_some_and(|arm| widening(arm, ARM) > ARM_MOST)),
             // What one leg touches is most often the other.
-            legs: [feet || legs.iter().any(|leg| widening(leg, LEG) > LEG_MOST); 2],
+            legs: [feet || legs.into_iter().flatten().any(|leg| widening(leg, LEG) > LEG_MOST); 2],
             scale: scale.disagrees(),
         }
     }

@@ -39,7 +39,7 @@ fn a_free_body_is_in_no_doubt() {
     let scale = scale(|_| ()).unwrap();
     assert!((scale.length - 1.0).abs() < 0.03, "{scale:?}");
     let (arm, leg) = (limb(|at| 0.1 + 0.2 * at), limb(|at| 0.1 + 0.5 * at));
-    let touching = Touching::new(scale, [&arm, &arm], [&leg, &leg]);
+    let touching = Touching::new(scale, [Some(&arm), Some(&arm)], [Some(&leg), Some(&leg)]);
     assert!(!touching.any(), "{touching:?}");
 }
 
@@ -47,7 +47,7 @@ fn a_free_body_is_in_no_doubt() {
 fn an_arm_whose_curves_go_round_the_trunk_is_in_doubt_and_the_other_is_not() {
     let (free, leg) = (limb(|at| 0.1 + 0.2 * at), limb(|at| 0.1 + 0.5 * at));
     let grown = limb(|at| if at < 0.25 { 0.12 } else { 0.8 });
-    let touching = Touching::new(scale(|_| ()).unwrap(), [&free, &grown], [&leg, &leg]);
+    let touching = Touching::new(scale(|_| ()).unwrap(), [Some(&free), Some(&grown)], [Some(&leg), Some(&leg)]);
     assert_eq!((touching.arms, touching.legs, touching.scale), ([false, true], [false; 2], false));
 }
 
@@ -71,7 +71,7 @@ fn legs_that_touch_are_in_doubt_and_leave_the_scale_to_the_rest() {
     };
     let found = scale(change).unwrap();
     let limb = limb(|_| 0.2);
-    let touching = Touching::new(found, [&limb, &limb], [&limb, &limb]);
+    let touching = Touching::new(found, [Some(&limb), Some(&limb)], [Some(&limb), Some(&limb)]);
     assert!(touching.scale && touching.legs == [true; 2], "{found:?} {touching:?}");
     assert!((found.length - 1.0).abs() < 0.04, "{found:?}");
 }
