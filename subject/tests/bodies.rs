@@ -128,11 +128,14 @@ fn heads_and_statures_are_as_sure_as_they_say() {
         let (mesh, truth) = read::body(&path).unwrap();
         let Ok(found) = survey(&mesh) else { continue };
         let name = &truth.name;
-        let estimates = &found.joints.estimates;
         let known = truth.joints.as_ref().and_then(|known| known.get("head_top"));
-        if let Some((at, known)) = estimates.get(&Joint::Head).zip(known) {
-            let error = distance(at.position, *known);
-            assert!(error < SIGMAS_MOST * at.sigma, "head of {name}: {error} at {}", at.sigma);
+        // Rounding leads the search for the top of a stout one into its face.
+        let other = (name.contains("mheavy")).then(|| survey(&rounded(&mesh)).ok()).flatten();
+        for found in [Some(&found), other.as_ref()].into_iter().flatten() {
+            if let Some((at, known)) = found.joints.estimates.get(&Joint::Head).zip(known) {
+                let error = distance(at.position, *known);
+                assert!(error < SIGMAS_MOST * at.sigma, "head of {name}: {error} at {}", at.sigma);
+            }
         }
         if name.starts_with(TUCKED) {
             // A fifth too short and more, where contact alone would say six per cent.
@@ -163,11 +166,16 @@ fn rounding_refuses_no_body() {
             survey(&repaired.mesh).map(|found| found.joints.estimates.len())
         };
         let Ok(whole) = accepted(mesh.clone()) else { continue };
-        let mut rounded = mesh;
-        let round = |c: &mut f64| *c = (*c * 1000.0).round() / 1000.0;
-        rounded.positions.as_flattened_mut().iter_mut().for_each(round);
-        assert_eq!(accepted(rounded), Ok(whole), "{}", truth.name);
+        assert_eq!(accepted(rounded(&mesh)), Ok(whole), "{}", truth.name);
     }
+}
+
+/// To the millimetre.
+fn rounded(mesh: &Mesh) -> Mesh {
+    let mut rounded = mesh.clone();
+    let round = |c: &mut f64| *c = (*c * 1000.0).round() / 1000.0;
+    rounded.positions.as_flattened_mut().iter_mut().for_each(round);
+    rounded
 }
 
 #[test]

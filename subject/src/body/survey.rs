@@ -12,8 +12,9 @@ use super::{Joint, Joints, Levels, Mesh, Note, Refusal, Side, size};
 /// that are cut off above the throat do not.
 const NECK_NARROWS: f64 = 1.12;
 
-const HEAD_UNSURE: &str = "the head bends below what was taken for its top, which may be the forehead or a temple: its +- \
-                           mm is larger; scan with the head upright and bare";
+const HEAD_UNSURE: &str = "what was taken for the top of the head is not what is farthest from the neck, and may be the \
+                           forehead, a temple or an open mouth: its +- mm is larger; scan with the head bare and the mouth \
+                           closed";
 
 /// What a scan gives.
 #[derive(Debug, Clone)]
@@ -84,7 +85,7 @@ impl Survey {
         if let Some(by) = size::too_short(mesh, scale, by_contact) {
             notes.push(size::doubt(&mut joints, scale, by));
         }
-        if landmarks.head_is_bent() {
+        if landmarks.head_is_in_doubt() {
             notes.push(Note::new("head-unsure", HEAD_UNSURE));
         }
         if landmarks.neck.narrows() < NECK_NARROWS {

@@ -29,9 +29,9 @@ struct InDoubt {
 const IN_DOUBT: InDoubt =
     InDoubt { shoulder: 0.15, elbow: 0.05, hip: 0.06, knee: 0.07, scale: 0.02 };
 
-/// How far the top of the head may be off where its middle line bends: from there to the forehead or a temple it is a quarter
-/// of the head's girth, 0.08 of stature, at most.
-const BENT_HEAD: f64 = 0.05;
+/// How far the top of the head may be off where it is not what is farthest from the neck: from there to the forehead or a temple
+/// it is a quarter of the head's girth, 0.08 of stature, at most.
+const OFF_TOP: f64 = 0.05;
 
 /// How far the joints of a limb that ends early may be off along it, in body scales: what is missing is told by ways that
 /// change with the pose by 0.03, and where a stump ends by as much as it is thick.
@@ -69,7 +69,7 @@ pub fn joints(landmarks: &Landmarks) -> Joints {
         doubt: if scale { IN_DOUBT.scale } else { 0.0 },
         estimates: BTreeMap::new(),
     };
-    let of_top = if landmarks.head_is_bent() { BENT_HEAD } else { 0.0 };
+    let of_top = if landmarks.head_is_in_doubt() { OFF_TOP } else { 0.0 };
     let head_sigma = weights::HEAD.sigma.hypot(of_top);
     found.add(Joint::Head, weights::HEAD.locate_midline(landmarks), head_sigma);
     found.add(Joint::Throat, weights::THROAT.locate_midline(landmarks), weights::THROAT.sigma);

@@ -47,7 +47,11 @@ fn a_free_body_is_in_no_doubt() {
 fn an_arm_whose_curves_go_round_the_trunk_is_in_doubt_and_the_other_is_not() {
     let (free, leg) = (limb(|at| 0.1 + 0.2 * at), limb(|at| 0.1 + 0.5 * at));
     let grown = limb(|at| if at < 0.25 { 0.12 } else { 0.8 });
-    let touching = Touching::new(scale(|_| ()).unwrap(), [Some(&free), Some(&grown)], [Some(&leg), Some(&leg)]);
+    let touching = Touching::new(
+        scale(|_| ()).unwrap(),
+        [Some(&free), Some(&grown)],
+        [Some(&leg), Some(&leg)],
+    );
     assert_eq!((touching.arms, touching.legs, touching.scale), ([false, true], [false; 2], false));
 }
 
