@@ -29,7 +29,7 @@ fn rounding_the_vertices_refuses_no_body() {
             let found = repaired(rounded.clone()).unwrap();
             assert_eq!(found.genus, 0, "{pose:?} in {decimals} decimals");
             // What hangs together is not taken apart, wherever it lies.
-            assert_eq!(found.mesh, rounded, "{pose:?} in {decimals} decimals");
+            assert!(found.mesh == rounded, "{pose:?} in {decimals} decimals");
             if decimals > 2 {
                 Survey::new(&found.mesh, Method::Default).unwrap();
             }
@@ -43,12 +43,17 @@ fn lips_that_touch_stay_apart() {
     // Two triangles that share nothing, corner on corner: an upper lip upon a lower one.
     let upper = mesh.triangles[100];
     let far = |corners: &[u32; 3]| corners.iter().all(|corner| !upper.contains(corner));
-    let lower = *mesh.triangles[400..].iter().find(|corners| far(corners)).unwrap();
+    let way = |corners: &[u32; 3]| {
+        let [a, b] = [upper[0], corners[0]].map(|corner| mesh.positions[corner as usize]);
+        (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>()
+    };
+    let apart = mesh.triangles.iter().filter(|corners| far(corners));
+    let lower = *apart.min_by(|one, other| way(one).total_cmp(&way(other))).unwrap();
     for (one, other) in upper.into_iter().zip([lower[0], lower[2], lower[1]]) {
         mesh.positions[one as usize] = mesh.positions[other as usize];
     }
     let found = repaired(mesh.clone()).unwrap();
     assert_eq!(found.genus, 0);
-    assert_eq!(found.mesh, mesh);
+    assert!(found.mesh == mesh, "{:?}", found.notes);
     assert!(found.notes.iter().all(|note| note.code == "unit-inferred"), "{:?}", found.notes);
 }
