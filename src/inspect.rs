@@ -5,6 +5,7 @@ use mocapd_take::{
     chunk::MAGIC,
     frames::mended,
     loss::{Losses, LostRows},
+    problems::Problems,
     reader::{TakeBytes, TakeInput, pull},
     record::{Channel, Clock, ClockLine, Event, Header, Ledger, Subject, TakeEnding},
     stretch::{Stretch, StretchDecoder},
@@ -121,7 +122,7 @@ impl Summary {
         let lost = summary.losses.finish();
         summary.lose(lost);
         if !summary.finished {
-            summary.problems.push("the take was cut off: its end is missing".to_owned());
+            summary.problems.note("the take was cut off: its end is missing".to_owned());
         }
         Ok(summary)
     }
@@ -246,7 +247,7 @@ impl Summary {
                 self.header = Some(*header);
             }
             TakeEvent::Channels(more) => self.add_channels(&more),
-            TakeEvent::Mended { offset } => self.problems.push(mended(offset)),
+            TakeEvent::Mended { offset } => self.problems.note(mended(offset)),
             TakeEvent::Stretch(stretch) => {
                 if let Some(decoder) = decoder {
                     self.add_stretch(&stretch, offset, decoder);
@@ -280,7 +281,7 @@ impl Summary {
                 self.check_rows(footer.n_rows);
             }
             TakeEvent::Damaged { offset, len, message, .. } => {
-                self.problems.push(format!("{len} bytes at byte {offset}: {message}"));
+                self.problems.note(format!("{len} bytes at byte {offset}: {message}"));
                 self.damage_told = true;
                 self.damaged = true;
                 self.table.damaged();
@@ -320,7 +321,7 @@ impl Summary {
     fn check_rows(&mut self, n_rows: u64) {
         if n_rows != self.rows {
             self.problems
-                .push(format!("the footer tells of {n_rows} frames, {} were found", self.rows));
+                .note(format!("the footer tells of {n_rows} frames, {} were found", self.rows));
         }
         if self.damaged {
             self.rows = self.rows.max(n_rows);
@@ -346,9 +347,9 @@ impl Summary {
     fn add_unplaced(&mut self, missing_before: bool, n_rows: u32, rows_min: u64) {
         let from = self.rows;
         if missing_before && !std::mem::take(&mut self.damage_told) {
-            self.problems.push(format!("stretches from frame {from} on are missing"));
+            self.problems.note(format!("stretches from frame {from} on are missing"));
         }
-        self.problems.push(format!(
+        self.problems.note(format!(
             "a stretch of {n_rows} frames, from frame {from} or later: it depends on a damaged one"
         ));
         self.damaged = true;
@@ -361,7 +362,7 @@ impl Summary {
         self.damaged |= stretch.missing_before;
         self.claims.key(span, offset);
         if stretch.missing_before && !std::mem::take(&mut self.damage_told) {
-            self.problems.push(format!("stretches before frame {} are missing", span.first_row));
+            self.problems.note(format!("stretches before frame {} are missing", span.first_row));
         }
         if let Some(timeline) = &stretch.timeline {
             self.add_outages(timeline);
@@ -385,7 +386,7 @@ impl Summary {
         self.rows = self.rows.max(end);
         if let Some(reason) = refused {
             let frames = format!("frames {} to {}", span.first_row, end.saturating_sub(1));
-            self.problems.push(format!("the stretch of {frames}: {reason}"));
+            self.problems.note(format!("the stretch of {frames}: {reason}"));
             self.damaged = true;
             return;
         }
@@ -439,7 +440,7 @@ impl Summary {
     /// A stretch has samples of so many channels at least: those without an entry in the table get one.
     fn name_channels(&mut self, n_channels: usize) {
         let Some(renamed) = self.table.stated(n_channels) else { return };
-        self.problems.push(renamed.to_string());
+        self.problems.note(renamed.to_string());
         let late = self.late();
         let at = renamed.first.min(self.per_channel.len());
         self.per_channel.splice(at..at, std::iter::repeat_n(late, renamed.inserted));

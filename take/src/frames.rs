@@ -10,6 +10,7 @@ use crate::{
     motion::{
         Foreign, FrameSource, GAP, Motion, MotionEvent, MotionInfo, Position, Source, UpAxis,
     },
+    problems::Problems,
     record::{Event, Header},
     stretch::Span,
     stretches::TakeStretches,
@@ -159,7 +160,8 @@ impl<R: Read + Seek> TakeFrames<R> {
     fn advance(&mut self) -> Result<(), TakeError> {
         self.current = None;
         let span = self.stretches.next_stretch();
-        self.problems.append(&mut self.stretches.take_problems());
+        let found = self.stretches.take_problems();
+        found.into_iter().for_each(|problem| self.problems.note(problem));
         match span? {
             Some(span) if span.n_rows > 0 => {
                 self.current = Some(span);

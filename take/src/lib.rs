@@ -14,6 +14,7 @@ pub mod interchange;
 pub mod loss;
 pub mod map;
 pub mod motion;
+pub mod problems;
 pub mod reader;
 pub mod record;
 pub mod recovery;

@@ -9,6 +9,7 @@ use crate::{
     frames::{damaged, mended},
     index::IndexEntry,
     map::TakeMap,
+    problems::Problems,
     reader::pull,
     record::Header,
     stretch::{Span, StretchDecoder},
@@ -116,7 +117,7 @@ impl<R: Read + Seek> TakeStretches<R> {
                     let span = stretch.span;
                     if stretch.missing_before && !std::mem::take(&mut self.damage_told) {
                         self.problems
-                            .push(format!("stretches before frame {} are missing", span.first_row));
+                            .note(format!("stretches before frame {} are missing", span.first_row));
                     }
                     if span.n_rows == 0 {
                         // Rows were lost, at the end of the take as a rule.
@@ -136,7 +137,7 @@ impl<R: Read + Seek> TakeStretches<R> {
                             Err(error) => error.to_string(),
                         }
                     };
-                    self.problems.push(format!(
+                    self.problems.note(format!(
                         "the stretch of {} frames from frame {} on {problem}",
                         span.n_rows, span.first_row
                     ));
@@ -144,20 +145,20 @@ impl<R: Read + Seek> TakeStretches<R> {
                 Some(TakeEvent::Unplaced { missing_before, n_rows, .. }) => {
                     let from = self.read_to;
                     if missing_before && !std::mem::take(&mut self.damage_told) {
-                        self.problems.push(format!("stretches from frame {from} on are missing"));
+                        self.problems.note(format!("stretches from frame {from} on are missing"));
                     }
-                    self.problems.push(format!(
+                    self.problems.note(format!(
                         "a stretch of {n_rows} frames, from frame {from} or later, depends on a damaged stretch"
                     ));
                 }
                 Some(TakeEvent::Damaged { offset, len, message, .. }) => {
                     self.damage_told = true;
                     if self.tells_damage {
-                        self.problems.push(damaged(offset, len, &message));
+                        self.problems.note(damaged(offset, len, &message));
                     }
                 }
                 Some(TakeEvent::Mended { offset }) if self.tells_damage => {
-                    self.problems.push(mended(offset));
+                    self.problems.note(mended(offset));
                 }
                 Some(TakeEvent::End { .. }) => self.ended = true,
                 Some(_) => {}

@@ -85,7 +85,8 @@ pub(crate) fn named(name: &str) -> Start {
 
 /// A whole take that nothing is wrong with.
 pub(crate) fn read(path: &Path) -> Summary {
-    let summary = Summary::read(std::fs::File::open(path).unwrap()).unwrap();
+    let summary =
+        Summary::read(std::io::BufReader::new(std::fs::File::open(path).unwrap())).unwrap();
     assert_eq!((summary.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
     assert!(summary.ledger.as_ref().unwrap().finished);
     summary
@@ -107,7 +108,7 @@ fn a_take_is_there_when_start_says_so_and_whole_when_stop_does() {
     assert_eq!(engine.status().state, State::Idle);
     let started = engine.start(&named("walk")).unwrap();
     assert_eq!(started.path, directory.path().join("walk.take"));
-    let half = Summary::read(std::fs::File::open(&started.path).unwrap()).unwrap();
+    let half = Summary::read(&std::fs::read(&started.path).unwrap()).unwrap();
     assert!(half.samples() > 0, "its first frames are in the file");
     let status = engine.status();
     assert_eq!((status.state, status.device.presence.as_str()), (State::Recording, "streaming"));

@@ -8,6 +8,7 @@ use crate::{
     foreign::ForeignPart,
     frames::{damaged, mended},
     index::IndexEntry,
+    problems::Problems,
     reader::read_events_at,
     stretch::Stretch,
     table::ChannelTable,
@@ -36,9 +37,9 @@ pub(super) fn scan(
                 }
                 TakeEvent::Damaged { offset, len, message, .. } => {
                     damaged_before = true;
-                    before.push(damaged(offset, len, &message));
+                    before.note(damaged(offset, len, &message));
                 }
-                TakeEvent::Mended { offset } => before.push(mended(offset)),
+                TakeEvent::Mended { offset } => before.note(mended(offset)),
                 _ => {}
             }
             return Ok(());
@@ -49,7 +50,7 @@ pub(super) fn scan(
             TakeEvent::Stretch(stretch) => {
                 map.stretch(&stretch, offset);
                 if let Some(renamed) = table.stated(stretch.stated_channels()) {
-                    map.problems.push(renamed.to_string());
+                    map.problems.note(renamed.to_string());
                 }
             }
             TakeEvent::Unplaced { rows_min, .. } => {
@@ -65,12 +66,13 @@ pub(super) fn scan(
             TakeEvent::Damaged { offset, len, message, .. } => {
                 map.damaged = true;
                 table.damaged();
-                map.problems.push(damaged(offset, len, &message));
+                map.problems.note(damaged(offset, len, &message));
             }
-            TakeEvent::Mended { offset } => map.problems.push(mended(offset)),
+            TakeEvent::Mended { offset } => map.problems.note(mended(offset)),
             TakeEvent::End { finished, .. } => {
                 map.finished = finished;
                 if !finished {
+                    // Always, and last: whoever opens a take looks for it there.
                     map.problems.push("the take was cut off: its end is missing".to_owned());
                 }
             }
@@ -111,7 +113,7 @@ impl TakeMap {
     fn footer(&mut self, n_rows: u64) {
         if n_rows != self.n_rows {
             let found = self.n_rows;
-            self.problems.push(format!("the footer tells of {n_rows} frames, {found} were found"));
+            self.problems.note(format!("the footer tells of {n_rows} frames, {found} were found"));
         }
         if self.damaged {
             self.n_rows = self.n_rows.max(n_rows);

@@ -34,7 +34,7 @@ impl TakeReader {
                 match self.long.is_whole(self.offset()) {
                     None => self.search = Some(Search::new(self.offset(), true)),
                     Some(false) if self.long.is_cut(self.offset() + len) => {
-                        self.damage = begin_damage(CUT)
+                        self.damage = begin_damage(CUT);
                     }
                     Some(false) => self.damage = begin_damage(WRONG),
                     Some(true) if kind == types::STRETCH && len <= stretch::BYTES_MAX => {

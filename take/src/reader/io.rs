@@ -1,9 +1,6 @@
 //! From anything that can be read to events.
 
-use std::{
-    fs::File,
-    io::{BufReader, Cursor, Read, Seek, SeekFrom},
-};
+use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
 
 use super::{TakeEvent, TakeReader};
 use crate::{TakeError, recovery::MendedStart};
@@ -37,14 +34,6 @@ impl<'a> TakeInput for &'a Vec<u8> {
 }
 
 impl<R: Read + Seek> TakeInput for &mut R {
-    type Input = Self;
-
-    fn input(self) -> Self {
-        self
-    }
-}
-
-impl TakeInput for File {
     type Input = Self;
 
     fn input(self) -> Self {

@@ -13,6 +13,10 @@ use crate::{
     table::ChannelTable,
 };
 
+/// Most chunks that a recovery copies, each of which takes up to 64 bytes of memory until it is: four days of the shortest
+/// stretches, 50 ms, and half a gigabyte. A file that has more was made so.
+const PIECES_MAX: usize = 1 << 23;
+
 /// A channel, over the whole take.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct ChannelCount {
@@ -57,6 +61,11 @@ impl Survey {
                 continue;
             };
             let fate = surveyor.event(event)?;
+            if surveyor.pieces.len() > PIECES_MAX {
+                return Err(TakeError::InvalidArgument(format!(
+                    "it has more than {PIECES_MAX} chunks, which is more than a recovery can hold"
+                )));
+            }
             let end = reader.offset();
             surveyor.chunk(start, end - start, fate);
             start = end;

@@ -3,6 +3,7 @@
 use super::{ChannelCount, surveyor::Fate, surveyor::Surveyor};
 use crate::{
     chunk,
+    problems::Problems,
     recovery::{Piece, kinds::Kind},
     stretch::{NUMBERS, Stretch},
 };
@@ -25,7 +26,7 @@ impl Surveyor {
         if let Some(reason) = refused {
             let last = span.end_row().saturating_sub(1);
             let frames = format!("frames {} to {last}", span.first_row);
-            self.problems.push(format!("the stretch of {frames}: {reason}"));
+            self.problems.note(format!("the stretch of {frames}: {reason}"));
             self.lose(Kind::Stretch);
             self.losses.at_least(span.end_row());
             return Fate::Discarded;
@@ -59,7 +60,7 @@ impl Surveyor {
         let renamed = self.table.stated(n_channels);
         let at = if n_channels >= self.table.channels().len() { self.hole.take() } else { None };
         let Some(renamed) = renamed else { return };
-        self.problems.push(renamed.to_string());
+        self.problems.note(renamed.to_string());
         self.names_lost = true;
         let first = renamed.first.min(self.per_channel.len());
         let new = std::iter::repeat_n(ChannelCount::default(), renamed.inserted);

@@ -4,6 +4,7 @@ use super::{ChannelCount, Survey};
 use crate::{
     TakeError, TakeEvent, chunk, frames,
     loss::{Losses, Why},
+    problems::Problems,
     record::{Channel, EndingKind, Header, TakeEnding},
     recovery::{Piece, account::Account, kinds::Kind, kinds::Kinds},
     stretch::{Span, StretchDecoder},
@@ -64,7 +65,7 @@ impl Surveyor {
             TakeEvent::Stretch(stretch) => self.stretch(&stretch),
             TakeEvent::Unplaced { n_rows, rows_min, .. } => {
                 let from = self.losses.end_row();
-                self.problems.push(format!(
+                self.problems.note(format!(
                     "a stretch of {n_rows} frames, from frame {from} or later: it depends on a damaged one"
                 ));
                 self.lose(Kind::Stretch);
@@ -106,7 +107,7 @@ impl Surveyor {
             }
             TakeEvent::Skipped { kind } => Fate::Kept(kind, None),
             TakeEvent::Damaged { offset, len, kind, message } => {
-                self.problems.push(format!("{len} bytes at byte {offset}: {message}"));
+                self.problems.note(format!("{len} bytes at byte {offset}: {message}"));
                 // Behind the last ledger there is nothing but summary, index and footer.
                 let kind = Kind::of(kind);
                 self.lose(if self.closed && !kind.is_at_the_end() { Kind::Index } else { kind });
@@ -117,7 +118,7 @@ impl Surveyor {
                 Fate::Discarded
             }
             TakeEvent::Mended { offset } => {
-                self.problems.push(frames::mended(offset));
+                self.problems.note(frames::mended(offset));
                 Fate::None
             }
             TakeEvent::End { .. } => {
@@ -157,7 +158,7 @@ impl Surveyor {
             self.pieces.push(Piece::Lost { first_row: end_row, rows, number: self.next_number });
         }
         if !self.closed {
-            self.problems.push("the take was cut off: its end is missing".to_owned());
+            self.problems.note("the take was cut off: its end is missing".to_owned());
         }
         // A take that was cut off says nothing of its end; the recovered one says that.
         let cut_off = || Some(TakeEnding::from(EndingKind::CutOff)).filter(|_| !self.closed);
