@@ -86,7 +86,6 @@ const RULES: &[Rule] = &[
             "src/",
             "take/src/reader/io.rs",
             "drivers/src/plain_file.rs",
-            "simulator/src/source.rs",
             "simulator/src/cli/",
             "simulator/src/pty/line.rs",
             "simulator/src/gadget/",
