@@ -32,8 +32,8 @@ fn claimed_bytes() -> u64 {
 /// less than the file claims.
 const ADDRESSES_KIB: u64 = 400 << 10;
 
-/// What it may have in memory at most.
-const RESIDENT_MAX_BYTES: u64 = 96 << 20;
+/// What it may have in memory at most, all of it: the decoders of fifteen markers take next to nothing.
+const RESIDENT_MAX_BYTES: u64 = 64 << 20;
 
 /// Thirty seconds of a recording, in stretches of half a second.
 fn recording() -> Vec<u8> {
@@ -96,6 +96,7 @@ fn watch(child: &Child, mut is_done: impl FnMut() -> bool) -> u64 {
     }
 }
 
+#[expect(clippy::print_stdout, reason = "the documented command says what was measured")]
 fn assert_small(what: &str, resident: u64) {
     println!("{what}: {} MiB in memory at most", resident >> 20);
     assert!(resident < RESIDENT_MAX_BYTES, "{what}: {resident} bytes in memory");
