@@ -108,7 +108,7 @@ impl Landmarks {
         };
         let at_arms = marks_of(curves.arms.each_ref().map(|of| arm(of, hands)), missing[0])?;
         let at_legs = marks_of(curves.legs.each_ref().map(leg), missing[1])?;
-        let from_top = curves.from_top();
+        let from_top = curves.below_top();
         let [arm, other_arm] = curves.arms;
         let [leg, other_leg] = curves.legs;
         Some(Self {
@@ -205,7 +205,7 @@ impl Curves {
 
 impl Curves {
     /// How far the head's first landmark is from the place on the head that is farthest from the neck.
-    fn from_top(&self) -> f64 {
+    fn below_top(&self) -> f64 {
         let neck = self.head.centre_at(HEAD_LEVELS[NECK]);
         let first = self.head.centre_at(HEAD_LEVELS[0]);
         let way = |at: &&Vector3<f64>| (*at - neck).norm();
