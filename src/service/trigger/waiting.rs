@@ -39,7 +39,9 @@ pub struct Received {
 }
 
 impl Received {
-    fn sender(&self) -> IpAddr {
+    /// Its address, by which senders are told apart.
+    #[must_use]
+    pub fn sender(&self) -> IpAddr {
         self.from.ip().to_canonical()
     }
 }
@@ -74,12 +76,12 @@ impl Waiting {
             alike().filter(|entry| !is_delayed || entry.received.is_known == is_known).count();
         let own = alike().filter(|entry| entry.received.sender() == sender).count();
         let (all_max, own_max) = match (is_delayed, is_known) {
-            (false, true) => (DUE_MAX, DUE_MAX),
-            (false, false) => (DUE_MAX, DUE_EACH_MAX),
-            (true, true) => (DELAYED_MAX, DELAYED_MAX),
-            (true, false) => (DELAYED_OTHERS_MAX, 1),
+            (false, true) => (DUE_MAX, None),
+            (false, false) => (DUE_MAX, Some(DUE_EACH_MAX)),
+            (true, true) => (DELAYED_MAX, None),
+            (true, false) => (DELAYED_OTHERS_MAX, Some(1)),
         };
-        if own >= own_max {
+        if own_max.is_some_and(|max| own >= max) {
             return Err(Refusal::TooManyOfSender { waiting: own, sender });
         }
         if all >= all_max {
@@ -184,7 +186,21 @@ mod tests {
         for _ in 0..DELAYED_MAX {
             push(start(100, true, 1)).unwrap();
         }
-        assert!(push(start(100, true, 1)).is_err());
+        assert_eq!(push(start(100, true, 1)), Err(Refusal::TooMany(DELAYED_MAX)));
+    }
+
+    #[test]
+    fn a_known_sender_has_no_limit_of_its_own() {
+        for (delay_ms, max) in [(0, DUE_MAX), (1, DELAYED_MAX)] {
+            let mut waiting = Waiting::default();
+            for _ in 0..max {
+                waiting.push(start(1, true, delay_ms), Duration::ZERO).unwrap();
+            }
+            for sender in [1, 2] {
+                let refused = waiting.push(start(sender, true, delay_ms), Duration::ZERO);
+                assert_eq!(refused, Err(Refusal::TooMany(max)));
+            }
+        }
     }
 
     #[test]

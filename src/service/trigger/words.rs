@@ -39,7 +39,7 @@ pub enum Refusal {
         /// What is allowed.
         max: std::time::Duration,
     },
-    /// Its sender has too many that wait already.
+    /// Its sender, which is not in `trigger.allow_from`, has too many that wait already.
     #[error("{waiting} of {sender} wait already, and it is not in trigger.allow_from")]
     TooManyOfSender {
         /// How many.
@@ -48,7 +48,7 @@ pub enum Refusal {
         sender: IpAddr,
     },
     /// Too many wait already.
-    #[error("{0} others wait already")]
+    #[error("{0} triggers wait already")]
     TooMany(usize),
     /// Of the name nothing can be kept.
     #[error("a take cannot be called \"{0}\": send another name")]
