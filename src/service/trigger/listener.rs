@@ -73,4 +73,10 @@ impl Listener {
         }
         Ok(Heard::Trigger(trigger))
     }
+
+    /// A trigger out of this datagram found no place in the queue. Its repeats are then the sender's next attempts, and
+    /// must not pass for repeats of one that was carried out.
+    pub fn forget(&mut self, from: IpAddr, trigger: &Trigger, datagram: &[u8]) {
+        self.seen.forget(from.to_canonical(), trigger, datagram);
+    }
 }

@@ -25,6 +25,19 @@ enum Identity {
     Bytes(u64),
 }
 
+impl Identity {
+    fn of(trigger: &Trigger, datagram: &[u8]) -> Self {
+        match trigger.about().packet_id {
+            Some(id) => Self::Packet(trigger.element(), id),
+            None => {
+                let mut hasher = DefaultHasher::new();
+                datagram.hash(&mut hasher);
+                Self::Bytes(hasher.finish())
+            }
+        }
+    }
+}
+
 /// 64 senders of 64 numbers, 40 bytes each: 160 kB at most.
 #[derive(Debug, Default)]
 pub(super) struct Seen {
@@ -32,7 +45,7 @@ pub(super) struct Seen {
 }
 
 impl Seen {
-    /// Whether it is a repeat; it is remembered in any case.
+    /// Whether it is a repeat; it is remembered in any case, until it is [forgotten](Self::forget).
     pub(super) fn is_repeat(
         &mut self,
         from: IpAddr,
@@ -40,14 +53,7 @@ impl Seen {
         datagram: &[u8],
         now: Duration,
     ) -> bool {
-        let identity = match trigger.about().packet_id {
-            Some(id) => Identity::Packet(trigger.element(), id),
-            None => {
-                let mut hasher = DefaultHasher::new();
-                datagram.hash(&mut hasher);
-                Identity::Bytes(hasher.finish())
-            }
-        };
+        let identity = Identity::of(trigger, datagram);
         self.make_room(from, now);
         let heard = self.senders.entry(from).or_insert_with(|| VecDeque::with_capacity(IDS_MAX));
         if let Some(known) = heard.iter_mut().find(|(known, _)| *known == identity) {
@@ -59,6 +65,14 @@ impl Seen {
         }
         heard.push_back((identity, now));
         false
+    }
+
+    /// Forgets a datagram that was not accepted: the next one like it is no repeat.
+    pub(super) fn forget(&mut self, from: IpAddr, trigger: &Trigger, datagram: &[u8]) {
+        let identity = Identity::of(trigger, datagram);
+        if let Some(heard) = self.senders.get_mut(&from) {
+            heard.retain(|(known, _)| *known != identity);
+        }
     }
 
     fn make_room(&mut self, from: IpAddr, now: Duration) {

@@ -81,12 +81,18 @@ pub fn listen(
                     let heard = listener.hear(from.ip(), datagram, now, &questions.exists);
                     let accepted = heard.and_then(|heard| match heard {
                         Heard::Repeat | Heard::Own => Ok(()),
-                        Heard::Trigger(trigger) => queue.push(Received {
-                            from,
-                            trigger,
-                            is_known: listener.is_known(from.ip()),
-                            recording: (questions.recording)(),
-                        }),
+                        Heard::Trigger(trigger) => {
+                            let pushed = queue.push(Received {
+                                from,
+                                trigger: trigger.clone(),
+                                is_known: listener.is_known(from.ip()),
+                                recording: (questions.recording)(),
+                            });
+                            if pushed.is_err() {
+                                listener.forget(from.ip(), &trigger, datagram);
+                            }
+                            pushed
+                        }
                     });
                     match accepted {
                         Ok(()) => continue,

@@ -117,3 +117,33 @@ fn a_port_that_is_taken_says_so() {
     assert!(error.contains("no interface has this address"), "{error}");
     service.end();
 }
+
+#[test]
+fn a_trigger_that_found_no_place_acts_when_it_is_repeated() {
+    let service = Service::start(7);
+    let sender = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let numbered =
+        |packet: u64| format!("<CaptureStart><PacketID VALUE='{packet}'/></CaptureStart>");
+    // Without a number it is known by its bytes.
+    let unnumbered = "<CaptureStop RESULT='SUCCESS'/>".to_owned();
+    for late in [numbered(100), unnumbered] {
+        // No one takes them out: places are used up, and the next one is refused.
+        for packet in 0..DUE_EACH_MAX as u64 {
+            let packet = packet + 10 * late.len() as u64;
+            sender.send_to(numbered(packet).as_bytes(), service.at).unwrap();
+        }
+        sender.send_to(late.as_bytes(), service.at).unwrap();
+        service.said.recv_timeout(GIVE_UP).unwrap();
+        for _ in 0..DUE_EACH_MAX {
+            service.next();
+        }
+        // The sender repeats it, twice: one acts.
+        for _ in 0..2 {
+            sender.send_to(late.as_bytes(), service.at).unwrap();
+        }
+        let acted = service.triggers.next(Duration::from_secs(5)).expect("the repeat acts");
+        assert_eq!(acted.trigger, parse(late.as_bytes()).unwrap());
+        assert_eq!(service.triggers.next(Duration::from_millis(50)), None);
+    }
+    service.end();
+}
