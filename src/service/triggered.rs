@@ -1,6 +1,7 @@
 //! Capture triggers at work: those that are heard start and stop takes, and our starts and stops are told.
 
 use std::{
+    net::IpAddr,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -39,9 +40,15 @@ struct Worker {
     events: EventFeed,
     announcer: Announcer,
     teller: Option<Teller>,
-    /// The take that another program started: it need not be told of it.
-    triggered: Option<String>,
+    /// The take that another program started, which need not be told of it.
+    triggered: Option<Triggered>,
     stop: Arc<AtomicBool>,
+}
+
+#[derive(Debug)]
+struct Triggered {
+    take: String,
+    by: IpAddr,
 }
 
 impl Triggers {
@@ -119,20 +126,20 @@ impl Worker {
     fn carry_out(&mut self, received: &Received) {
         let note = received.trigger.note(received.from.ip());
         let words = match &received.trigger {
-            Trigger::Start(start) => self.start(start, &note),
+            Trigger::Start(start) => self.start(start, received.sender(), &note),
             Trigger::Stop(stop) => self.stop(stop, received, &note),
             Trigger::Complete(_) => note,
         };
         self.control.tell("trigger", &words);
     }
 
-    fn start(&mut self, start: &trigger::Start, note: &str) -> String {
+    fn start(&mut self, start: &trigger::Start, by: IpAddr, note: &str) -> String {
         let name = start.name.as_ref().map(|name| name.text().to_owned());
         let start = Start { name, notes: Some(note.to_owned()), ..Start::default() };
         match self.control.start(&start) {
             Ok(started) => {
                 let words = format!("{note}: recording {}", started.name);
-                self.triggered = Some(started.name);
+                self.triggered = Some(Triggered { take: started.name, by });
                 words
             }
             Err(refusal) => format!("{note}: not started: {refusal}"),
@@ -156,9 +163,19 @@ impl Worker {
                 n => format!("{note}: starts that waited, now cancelled: {n}"),
             };
         }
-        // Without a name the take is meant that was being recorded when the trigger came, and no later one.
-        if let Some(was) = was_recording.filter(|&was| name.is_none() && was != recording) {
-            return format!("{note}: {was} was over already");
+        // Without a name the take is meant that was being recorded when the trigger came, and no later one. Where there
+        // was none, its sender can only mean a start of its own, which came before it and was not carried out yet.
+        match was_recording.filter(|_| name.is_none()) {
+            Some(was) if was != recording => return format!("{note}: {was} was over already"),
+            None if name.is_none() && !self.is_started_by(recording, received.sender()) => {
+                return match self.triggers.cancel_starts(received.from, name) {
+                    0 => format!(
+                        "{note}: no take was being recorded when it came: {recording} goes on"
+                    ),
+                    n => format!("{note}: starts that waited, now cancelled: {n}"),
+                };
+            }
+            _ => {}
         }
         // A take that cannot be marked can be stopped.
         self.control.mark(&Mark { text: note.to_owned(), ..Mark::default() }).ok();
@@ -171,10 +188,14 @@ impl Worker {
         }
     }
 
+    fn is_started_by(&self, take: &str, sender: IpAddr) -> bool {
+        self.triggered.as_ref().is_some_and(|started| started.take == take && started.by == sender)
+    }
+
     fn announce(&mut self) {
         while let Some(event) = self.events.next(Duration::ZERO) {
             let Some(name) = event.take.as_deref() else { continue };
-            if self.triggered.as_deref() == Some(name) {
+            if self.triggered.as_ref().is_some_and(|started| started.take == name) {
                 continue;
             }
             for datagram in self.datagrams(&event, name) {

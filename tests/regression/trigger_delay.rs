@@ -140,7 +140,7 @@ struct Served {
     triggers: Option<Triggers>,
     peer: UdpSocket,
     at: SocketAddr,
-    _folder: tempfile::TempDir,
+    folder: tempfile::TempDir,
 }
 
 impl Served {
@@ -158,7 +158,7 @@ impl Served {
         };
         let control: Arc<dyn Control> = fake.clone();
         let triggers = Triggers::open(&config, "test", &control).unwrap();
-        Self { fake, triggers, peer, at, _folder: folder }
+        Self { fake, triggers, peer, at, folder }
     }
 
     fn send(&self, element: &str, name: &str, delay_ms: u64, packet: u64) {
@@ -219,4 +219,29 @@ fn a_delay_is_kept_a_longer_one_is_refused_and_a_stop_cancels_it() {
     served.send("CaptureStop", "cancelled", 0, 5);
     std::thread::sleep(Duration::from_millis(600));
     assert_eq!(served.recording(), None);
+}
+
+#[test]
+fn a_stop_without_a_name_that_came_before_a_take_ends_it_only_for_its_own_sender() {
+    const STOP: &[u8] = b"<CaptureStop><Delay VALUE=\"200\"/><PacketID VALUE=\"1\"/></CaptureStop>";
+    let named_stop_ms = 800;
+    let served = Served::start();
+    // Nothing is being recorded yet.
+    let stranger = UdpSocket::bind("127.0.0.2:0").unwrap();
+    stranger.send_to(STOP, served.at).unwrap();
+    let sent = Instant::now();
+    served.send("CaptureStop", "walk", named_stop_ms, 2);
+    served.send("CaptureStart", "walk", 0, 3);
+    served.until_recording(Some("walk"));
+    // It lasts until its own stop, and not until the one that came before it from elsewhere.
+    served.until_recording(None);
+    assert!(sent.elapsed() >= Duration::from_millis(named_stop_ms), "{:?}", sent.elapsed());
+    // The sender of the start may send its stop before the start is carried out.
+    served.peer.send_to(STOP, served.at).unwrap();
+    served.send("CaptureStart", "own", 0, 4);
+    let began = Instant::now();
+    while !served.folder.path().join("own.take").exists() {
+        assert!(began.elapsed() < AT_ONCE, "its sender's stop ends it");
+        std::thread::sleep(Duration::from_millis(2));
+    }
 }

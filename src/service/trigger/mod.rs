@@ -56,7 +56,8 @@ pub struct Start {
 /// `<CaptureStop>` and `<CaptureComplete>`.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Stop {
-    /// Which take is meant: a take of another name is to go on. `None` means whichever runs.
+    /// Which take is meant: a take of another name is to go on. `None` means the one that
+    /// is being recorded when it comes, or else one that its sender has started.
     pub name: Option<TakeName>,
     /// How it ended at the sender; `None` where it does not say.
     pub result: Option<StopResult>,
