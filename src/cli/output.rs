@@ -7,7 +7,7 @@ use std::{
 };
 
 use anyhow::Context;
-use mocapd_take::escape::{visible, visible_lines};
+use mocapd_take::escape::{is_unsafe, visible, visible_lines};
 use serde::Serialize;
 
 /// One line of words, on stderr.
@@ -27,7 +27,7 @@ pub(crate) fn print(text: &str) -> anyhow::Result<()> {
     print_exact(&visible_lines(text))
 }
 
-/// Data for programs, on stdout, as it is. A reader that has seen enough (`| head`) is no failure.
+/// Data for programs, on stdout, as it is; JSON goes through [`print_json_text`]. A reader that has seen enough (`| head`) is no failure.
 pub(crate) fn print_exact(text: &str) -> anyhow::Result<()> {
     let mut stdout = io::stdout().lock();
     match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
@@ -38,7 +38,34 @@ pub(crate) fn print_exact(text: &str) -> anyhow::Result<()> {
 
 /// One JSON document and a line end, on stdout.
 pub(crate) fn print_json(value: &impl Serialize) -> anyhow::Result<()> {
-    print_exact(&(serde_json::to_string_pretty(value)? + "\n"))
+    print_json_text(&serde_json::to_string_pretty(value)?)
+}
+
+/// One text of JSON and a line end, on stdout, which may be a terminal.
+pub(crate) fn print_json_text(text: &str) -> anyhow::Result<()> {
+    print_exact(&format!("{}\n", json_visible(text.trim_end_matches('\n'))))
+}
+
+/// A text of JSON that means exactly the same, without a character that a terminal would obey: those in strings become
+/// `\uXXXX`, in two halves above U+FFFF. Outside strings JSON has no such characters but white space, where tabs and
+/// carriage returns become spaces.
+fn json_visible(text: &str) -> Cow<'_, str> {
+    let is_escaped = |c: char| c != '\n' && is_unsafe(c);
+    if !text.contains(is_escaped) {
+        return Cow::Borrowed(text);
+    }
+    let mut out = String::with_capacity(text.len() + 16);
+    for c in text.chars() {
+        match c {
+            '\t' | '\r' => out.push(' '),
+            c if is_escaped(c) => {
+                let mut units = [0; 2];
+                out.extend(c.encode_utf16(&mut units).iter().map(|unit| format!("\\u{unit:04x}")));
+            }
+            c => out.push(c),
+        }
+    }
+    Cow::Owned(out)
 }
 
 /// A text from a file, a device or the system on one line, with nothing that a terminal would obey.
@@ -60,5 +87,21 @@ mod tests {
         assert_eq!(plain("l_knee"), "l_knee");
         assert_eq!(plain("knie é"), "knie é");
         assert_eq!(plain("a\nb\x1b[2Jc\n"), "a\\nb\\u{1b}[2Jc");
+    }
+
+    #[test]
+    fn json_is_safe_to_show_and_means_the_same() {
+        let mut every: Vec<char> = (0..=0x2100).filter_map(char::from_u32).collect();
+        every.extend((0xe000..=0xffff).chain(0x1_f600..0x1_f610).filter_map(char::from_u32));
+        every.extend((0xe_0000..=0xe_0100).filter_map(char::from_u32));
+        let text: String = every.into_iter().collect();
+        let value = serde_json::json!({ "a": [text.clone(), 1.5], (text): null });
+        for json in [value.to_string(), serde_json::to_string_pretty(&value).unwrap()] {
+            let shown = json_visible(&json);
+            assert!(!shown.contains(|c| c != '\n' && is_unsafe(c)));
+            assert_eq!(serde_json::from_str::<serde_json::Value>(&shown).unwrap(), value);
+        }
+        assert_eq!(json_visible("\"\u{9b}\u{202e}\u{e0001}\""), "\"\\u009b\\u202e\\udb40\\udc01\"");
+        assert_eq!(json_visible("{\r\n\t\"a\": 1}"), "{ \n \"a\": 1}");
     }
 }

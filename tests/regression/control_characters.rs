@@ -90,6 +90,9 @@ fn a_mark_is_one_line_of_the_log() {
     let mut service = Service::start(&folder, &device, &[]);
     ctl(&folder, &["start", "--name", "walk", "--notes", HOSTILE]).with_code(0);
     ctl(&folder, &["mark", HOSTILE]).with_code(0);
+    events_are_exact_and_command_no_terminal(&folder);
+    let watched = ctl(&folder, &["status", "--json"]).with_code(0);
+    assert_eq!(unsafe_characters(&watched.stdout), [], "{watched:?}");
     let stopped = ctl(&folder, &["stop"]);
     assert!(matches!(stopped.code, Some(0 | 3)), "{stopped:?}");
     service.end();
@@ -100,6 +103,30 @@ fn a_mark_is_one_line_of_the_log() {
     // The take has it exactly.
     let take = read(&folder.path("takes/walk.take"));
     assert!(take.events.iter().any(|event| event.text == HOSTILE), "{:?}", take.events);
+}
+
+fn events_are_exact_and_command_no_terminal(folder: &Folder) {
+    folder.write("events", "");
+    let events = File::options().append(true).open(folder.path("events")).unwrap();
+    let mut follow = folder.command(&["ctl", "--connect", "unix:rig.sock", "events", "--json"]);
+    let follow = follow.stdout(events).stderr(Stdio::null()).spawn().unwrap();
+    // Ended however this ends.
+    let _follow = Service { child: follow };
+    let began = Instant::now();
+    let line = loop {
+        // It hears what happens once it is connected.
+        ctl(folder, &["mark", HOSTILE]).with_code(0);
+        let text = folder.text("events");
+        if let Some(line) = text.lines().find(|line| line.contains("forged") && line.ends_with('}'))
+        {
+            break line.to_owned();
+        }
+        assert!(began.elapsed() < Duration::from_secs(20), "{text:?}");
+        std::thread::sleep(Duration::from_millis(20));
+    };
+    assert_eq!(unsafe_characters(&line), [], "{line:?}");
+    let event: serde_json::Value = serde_json::from_str(&line).unwrap();
+    assert!(event["message"].as_str().unwrap().contains(HOSTILE), "{line:?}");
 }
 
 #[test]
@@ -128,8 +155,9 @@ fn names_of_files_and_labels_command_no_terminal() {
         }
     }
     // JSON escapes in its own way, and is exact.
-    let report = folder.run(&["info", &name, "--json"]).with_code(0).json();
-    assert_eq!(report["channels"][0]["label"], HOSTILE);
+    let ran = folder.run(&["info", &name, "--json"]).with_code(0);
+    assert_eq!(unsafe_characters(&ran.stdout), [], "{ran:?}");
+    assert_eq!(ran.json()["channels"][0]["label"], HOSTILE);
 }
 
 #[test]

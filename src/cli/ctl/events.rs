@@ -11,7 +11,7 @@ use super::{
     client::{Client, Lost},
     words,
 };
-use crate::cli::output::{plain, print, print_exact, say};
+use crate::cli::output::{plain, print, print_json_text, say};
 
 /// Longer than the service is silent: it sends a sign of life every 15 s.
 const SILENT: Duration = Duration::from_secs(45);
@@ -50,8 +50,8 @@ pub(super) fn follow(client: &Client, json: bool) -> anyhow::Result<Outcome> {
 
 fn tell(event: &Event, json: bool) -> anyhow::Result<()> {
     if json {
-        // Exact, as all JSON; that has no control characters of its own.
-        return print_exact(&format!("{}\n", event.data.replace(char::is_control, " ")));
+        // An event is one line: a line end in it can only stand between two values.
+        return print_json_text(&event.data.replace('\n', " "));
     }
     if let Ok(happened) = serde_json::from_str::<ServiceEvent>(&event.data) {
         let (kind, message) = (plain(&happened.kind), plain(&happened.message));

@@ -6,7 +6,7 @@ use mocapd::{outcome::Outcome, service::status::Status};
 
 use super::{client::Client, orders::read, words};
 use crate::cli::{
-    output::{print, print_exact},
+    output::{print, print_json_text},
     stop::stop_on_signal,
 };
 
@@ -21,7 +21,7 @@ pub(super) fn run(client: &Client, json: bool) -> anyhow::Result<Outcome> {
     loop {
         let document = client.get("/v1/status")?;
         if json {
-            print_exact(&format!("{document}\n"))?;
+            print_json_text(&document.to_string())?;
         } else {
             let status: Status = read(&document)?;
             print(&format!("{}\n", words::watched(&status)))?;

@@ -17,7 +17,7 @@ use mocapd_subject::body::{
 
 use super::picture;
 use crate::cli::{
-    output::{print, print_exact, say, tell},
+    output::{print, print_json_text, say, tell},
     paths,
     plot::picture as pictures,
     progress::Progress,
@@ -108,7 +108,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     match (args.json, to_stdout) {
         (false, false) => print(&table(&skeleton))?,
         (json, _) => {
-            print_exact(&skeleton.to_json())?;
+            print_json_text(&skeleton.to_json())?;
             if !json {
                 tell(&table(&skeleton));
             }

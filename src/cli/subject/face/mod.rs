@@ -15,7 +15,7 @@ use mocapd_subject::face::{
 
 use crate::cli::{
     numbers::count,
-    output::{print, print_exact, say, tell},
+    output::{print, print_json_text, say, tell},
     paths,
     plot::picture,
     whole::{name, read_bounded, write_new},
@@ -117,7 +117,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     if args.json || to_stdout {
         for face in &faces {
-            print_exact(&(face.to_json()? + "\n"))?;
+            print_json_text(&face.to_json()?)?;
         }
     }
     match (args.json, to_stdout) {
