@@ -123,7 +123,8 @@ impl Doorway {
     }
 
     async fn serve<S: Stream>(mut self, stream: S, via: Via, taken: &Taken) {
-        let io = TokioIo::new(StallGuard::new(stream, self.limits.stall));
+        let io =
+            TokioIo::new(StallGuard::new(stream, Arc::clone(taken.place()), self.limits.stall));
         let router = self.router.clone();
         let place = Arc::clone(taken.place());
         let service = service_fn(move |request: Request<Incoming>| {

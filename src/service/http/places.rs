@@ -2,7 +2,8 @@
 //!
 //! A connection that holds its place without doing anything useful must not keep others out. When every place is taken,
 //! a new connection takes the place of one that has never made an authorized request; where there is none, of one that
-//! is idle or still sending its request. A connection whose authorized request is being carried out is never closed.
+//! is idle or still sending its request. A connection whose authorized request is being carried out, or whose answer the
+//! kernel has not taken yet, is never closed.
 
 use std::{
     cmp::Reverse,
@@ -57,8 +58,10 @@ pub(super) struct Place {
 struct Standing {
     /// A request of it was allowed, and not only one that everybody may make.
     is_authorized: bool,
-    /// A request has arrived whole, and its answer is not finished.
+    /// A request has arrived whole, and its answer is not sent.
     is_busy: bool,
+    /// The answer is written to hyper's buffer, which drops a body with its last bytes unsent.
+    is_flushing: bool,
     /// A request was answered, or is being answered.
     has_answered: bool,
     /// Since when it is neither busy nor evicted.
@@ -88,6 +91,7 @@ impl Places {
         let standing = Standing {
             is_authorized: false,
             is_busy: false,
+            is_flushing: false,
             has_answered: false,
             since: Instant::now(),
         };
@@ -154,7 +158,7 @@ impl Place {
     /// The request with its progress noted here.
     pub(super) fn request_body(self: &Arc<Self>, body: Body) -> Body {
         if body.is_end_stream() {
-            self.lock().is_busy = true;
+            self.arrived();
             return body;
         }
         Body::new(Tracked { body, place: Arc::clone(self), direction: Direction::Request })
@@ -164,6 +168,23 @@ impl Place {
     pub(super) fn response_body(self: &Arc<Self>, body: Body) -> Body {
         self.lock().has_answered = true;
         Body::new(Tracked { body, place: Arc::clone(self), direction: Direction::Response })
+    }
+
+    /// Everything that was written to the connection is with the kernel.
+    pub(super) fn flushed(&self) {
+        let mut standing = self.lock();
+        if standing.is_flushing {
+            standing.is_flushing = false;
+            standing.is_busy = false;
+            standing.since = Instant::now();
+        }
+    }
+
+    /// A request is there to its end. An answer that is still being sent then belongs to the one before it.
+    fn arrived(&self) {
+        let mut standing = self.lock();
+        standing.is_busy = true;
+        standing.is_flushing = false;
     }
 
     fn lock(&self) -> MutexGuard<'_, Standing> {
@@ -177,7 +198,7 @@ enum Direction {
     Response,
 }
 
-/// A body that notes in a place when it has arrived, or when it is sent.
+/// A body that notes in a place when it has arrived, or when it is written.
 #[derive(Debug)]
 struct Tracked {
     body: Body,
@@ -196,7 +217,7 @@ impl HttpBody for Tracked {
         let polled = Pin::new(&mut self.body).poll_frame(cx);
         let is_whole = matches!(polled, Poll::Ready(None)) || self.body.is_end_stream();
         if is_whole && self.direction == Direction::Request {
-            self.place.lock().is_busy = true;
+            self.place.arrived();
         }
         polled
     }
@@ -213,9 +234,7 @@ impl HttpBody for Tracked {
 impl Drop for Tracked {
     fn drop(&mut self) {
         if self.direction == Direction::Response {
-            let mut standing = self.place.lock();
-            standing.is_busy = false;
-            standing.since = Instant::now();
+            self.place.lock().is_flushing = true;
         }
     }
 }
@@ -257,6 +276,9 @@ mod tests {
         }
         assert!(places.take(address(2)).is_none());
         drop(taken[1].place.response_body(Body::empty()));
+        assert!(places.take(address(2)).is_none(), "its answer is not sent");
+        taken[0].place.flushed();
+        taken[1].place.flushed();
         let newcomer = places.take(address(2)).unwrap();
         assert!(!is_evicted(&taken[0]) && is_evicted(&taken[1]) && !is_evicted(&newcomer));
     }
