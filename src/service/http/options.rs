@@ -115,18 +115,6 @@ impl HttpOptions {
         }
         Ok(())
     }
-
-    /// What the administrator should hear about these.
-    pub(super) fn remarks(&self) -> Vec<String> {
-        let mut remarks = Vec::new();
-        if let Some(address) = self.tcp.filter(|address| !address.ip().is_loopback()) {
-            remarks.push(format!(
-                "the HTTP API listens on {address}, which others on the network can reach: the token is \
-                 all that keeps them out, and it travels unencrypted"
-            ));
-        }
-        remarks
-    }
 }
 
 fn has_port(host: &str) -> bool {
@@ -146,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn the_network_needs_a_token_and_hears_a_remark() {
+    fn the_network_needs_a_token() {
         let refused = on("0.0.0.0:7060", None).check().unwrap_err().to_string();
         assert!(refused.contains("no token"), "{refused}");
         assert!(on("[::]:7060", None).check().is_err());
@@ -156,8 +144,6 @@ mod tests {
         assert!(on("0.0.0.0:7060", Some("0123456789abc def")).check().is_err(), "a blank");
         let open = on("0.0.0.0:7060", Some("0123456789abcdef"));
         assert!(open.check().is_ok());
-        assert_eq!(open.remarks().len(), 1);
-        assert!(on("127.0.0.1:7060", None).remarks().is_empty());
         assert!(!format!("{open:?}").contains("0123456789"), "{open:?}");
     }
 

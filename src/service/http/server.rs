@@ -49,7 +49,6 @@ pub struct HttpServer {
     threads: Vec<JoinHandle<()>>,
     hubs: Hubs,
     tcp: Option<SocketAddr>,
-    remarks: Vec<String>,
 }
 
 impl HttpServer {
@@ -59,7 +58,6 @@ impl HttpServer {
     /// Options that are of no use or let everybody in; a socket or an address that cannot be had.
     pub fn start(options: HttpOptions, control: Arc<dyn Control>) -> anyhow::Result<Self> {
         options.check()?;
-        let remarks = options.remarks();
         let HttpOptions { unix_socket, tcp, token, allowed_hosts, connections_max, limits } =
             options;
         let unix = unix_socket.map(|path| Listening::new(|| listen::unix(&path))).transpose()?;
@@ -104,7 +102,7 @@ impl HttpServer {
             Serving { doorway, gone, how_long: how_long.clone() }
         };
         let mut server =
-            Self { stop, within, threads: Vec::with_capacity(2), hubs, tcp: tcp_address, remarks };
+            Self { stop, within, threads: Vec::with_capacity(2), hubs, tcp: tcp_address };
         if let Some(Listening { runtime, listener }) = unix {
             let serving = serving(connections_max + UNIX_MORE);
             let run = move || {
@@ -125,12 +123,6 @@ impl HttpServer {
     #[must_use]
     pub fn tcp_address(&self) -> Option<SocketAddr> {
         self.tcp
-    }
-
-    /// What whoever started it should hear.
-    #[must_use]
-    pub fn remarks(&self) -> &[String] {
-        &self.remarks
     }
 
     /// Lets nobody in any more, lets requests that are being carried out finish, ends streams, and returns after

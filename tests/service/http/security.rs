@@ -131,8 +131,7 @@ fn the_network_is_not_listened_to_without_a_token() {
     };
     let refused = start(None).unwrap_err().to_string();
     assert!(refused.contains("no token"), "{refused}");
-    let server = start(Some(TOKEN)).unwrap();
-    assert!(server.remarks()[0].contains("the token is all"), "{:?}", server.remarks());
+    assert!(start(Some(TOKEN)).is_ok());
 }
 
 #[test]
