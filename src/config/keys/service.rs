@@ -7,7 +7,7 @@ use serde_json::{Value as Json, json};
 use super::{Key, Preset, Takes, When};
 use crate::{
     config::render::{duration, path, size},
-    service::trigger::DELAY_MAX,
+    service::{http::CONNECTIONS_MAX, trigger::DELAY_MAX},
 };
 
 const TEN_MINUTES: Duration = Duration::from_secs(600);
@@ -120,10 +120,10 @@ pub static HTTP_ALLOWED_HOSTS: Key = Key {
 /// `http.connections_max`.
 pub static HTTP_CONNECTIONS_MAX: Key = Key {
     path: "http.connections_max",
-    takes: Takes::Whole { min: 1, max: 1024 },
+    takes: Takes::Whole { min: 1, max: CONNECTIONS_MAX as u64 },
     preset: Preset::Whole(64),
     what: "Connections at once, each on the socket and over TCP; beyond it, the next one takes the place of one that asks nothing, or is refused.",
-    why: "A dashboard needs a few, and a process has 1024 open files unless it is given more.",
+    why: "A dashboard needs a few. With 256, connections and their downloads use 889 of the 1024 descriptors that a process has unless it is given more, and takes keep the others.",
     when: When::Restart,
     written: |config| Some(json!(config.http.connections_max)),
 };

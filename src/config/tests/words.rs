@@ -101,7 +101,9 @@ fn wrong_types_and_units_say_what_was_found_and_what_to_write() {
     refused("[device]\nuri = '/dev/ttyUSB0'", "line 2", "serial:/dev/ttyUSB0");
     refused("[rig]\nname = 'a/b'", "line 2", "letters, digits");
     refused("[log]\nlevel = 'warning'", "line 2", "did you mean 'warn'?");
-    refused("[http]\nconnections_max = 0", "line 2", "1 to 1024");
+    refused("[http]\nconnections_max = 0", "line 2", "1 to 256");
+    // More could use up the descriptors that takes need.
+    refused("[http]\nconnections_max = 257", "line 2", "1 to 256");
     refused("[http]\nconnections_max = 1.0", "line 2", "a whole number");
     refused("[http]\nconnections_max = 99999999999999999999", "line 2", "");
     refused("[http]\nlisten = 'localhost:7060'", "line 2", "write 127.0.0.1:7060 or [::1]:7060");

@@ -17,6 +17,7 @@ use tokio::{
     io::{AsyncRead, AsyncReadExt, AsyncWrite},
     net::{TcpListener, UnixListener},
     sync::{OwnedSemaphorePermit, Semaphore, watch},
+    task::yield_now,
     time::{sleep, timeout},
 };
 use tower_service::Service;
@@ -36,7 +37,7 @@ const HEADERS_MAX: usize = 64;
 
 /// Connections that were refused or evicted and are read until their end closes, at once. Closed with bytes unread, the
 /// kernel sends a reset, which may overtake the answer; beyond this bound that risk is taken.
-const LINGER_MAX: usize = 32;
+pub(super) const LINGER_MAX: usize = 32;
 
 /// For such a one to read its answer and to close.
 const LINGER_TIME_MAX: Duration = Duration::from_secs(1);
@@ -83,6 +84,7 @@ impl Doorway {
                 Ok((stream, _)) => {
                     let user = stream.peer_cred().map(|peer| peer.uid());
                     self.admit(stream, Via::Unix, Peer::User(user.ok()));
+                    yield_now().await;
                 }
                 Err(_) => sleep(ACCEPT_AGAIN).await,
             }
@@ -102,12 +104,15 @@ impl Doorway {
                         // It was reset before it was accepted.
                         Err(_) => Counts::add(&self.counts.connections_refused, 1),
                     }
+                    yield_now().await;
                 }
                 Err(_) => sleep(ACCEPT_AGAIN).await,
             }
         }
     }
 
+    /// Callers yield behind it: a connection that made room closes before the next one is accepted, so that a rush of
+    /// them holds one descriptor more than there are places.
     fn admit<S: Stream>(&self, stream: S, via: Via, peer: Peer) {
         let Some(taken) = self.places.take(peer) else {
             Counts::add(&self.counts.connections_refused, 1);

@@ -42,7 +42,7 @@ mod takes;
 
 pub use self::{
     check::TakeCheck,
-    options::{HttpOptions, TimeLimits},
+    options::{CONNECTIONS_MAX, HttpOptions, TimeLimits},
     problem::{Problem, ProblemKind},
     routes::openapi,
     server::HttpServer,

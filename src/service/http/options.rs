@@ -4,12 +4,29 @@ use std::{net::SocketAddr, path::PathBuf, time::Duration};
 
 use anyhow::{bail, ensure};
 
+use super::{connection::LINGER_MAX, server::UNIX_MORE};
+
 /// Bytes of a token at least: 16 random characters are beyond guessing over a network.
 pub(super) const TOKEN_BYTES_MIN: usize = 16;
 
-/// Connections at once, each on the Unix socket and on TCP, where nobody says: a studio's browsers and scripts, each
-/// with a few, and room for those that never finish a request. Each costs 50 KB at most.
-const CONNECTIONS_MAX: usize = 256;
+/// Connections at once at most, each on the Unix socket and on TCP: a studio's browsers and scripts, each with a few, and
+/// room for those that never finish a request. Each costs 50 KB at most. Connections must leave descriptors for takes.
+pub const CONNECTIONS_MAX: usize = 256;
+
+/// Descriptors that a process may open unless it is given more: Linux' and systemd's soft limit.
+const DESCRIPTORS: usize = 1024;
+
+/// Descriptors for everything but connections: the device, the take and its folder, the journal, timers and listeners
+/// are some 40, and each of the 14 threads of the listeners opens a few files.
+const DESCRIPTORS_ELSEWHERE: usize = 128;
+
+/// Of each of two listeners: its connections, a file for each that is a download (half of them), those that are being
+/// turned away, and one that has just made room; of the socket its further places.
+const DESCRIPTORS_OF_CONNECTIONS: usize =
+    2 * (CONNECTIONS_MAX + CONNECTIONS_MAX.div_ceil(2) + LINGER_MAX + 1) + UNIX_MORE;
+
+// 2 * (256 + 128 + 32 + 1) + 55 + 128 = 1017.
+const _: () = assert!(DESCRIPTORS_OF_CONNECTIONS + DESCRIPTORS_ELSEWHERE <= DESCRIPTORS);
 
 /// Where the service is spoken to, and by whom.
 #[derive(Clone)]
@@ -90,7 +107,11 @@ impl HttpOptions {
             self.unix_socket.is_some() || self.tcp.is_some(),
             "the HTTP API has neither a socket nor an address: give one, or leave it out"
         );
-        ensure!(self.connections_max > 0, "0 connections let nobody in: give 1 or more");
+        ensure!(
+            (1..=CONNECTIONS_MAX).contains(&self.connections_max),
+            "{} connections at once: give 1 to {CONNECTIONS_MAX}",
+            self.connections_max
+        );
         if let Some(token) = &self.token {
             ensure!(
                 token.len() >= TOKEN_BYTES_MIN && token.bytes().all(|byte| byte.is_ascii_graphic()),
@@ -145,6 +166,15 @@ mod tests {
         let open = on("0.0.0.0:7060", Some("0123456789abcdef"));
         assert!(open.check().is_ok());
         assert!(!format!("{open:?}").contains("0123456789"), "{open:?}");
+    }
+
+    #[test]
+    fn connections_leave_descriptors_for_takes() {
+        let with = |connections_max| {
+            HttpOptions { connections_max, ..on("127.0.0.1:1", None) }.check().is_ok()
+        };
+        let found = [0, 1, CONNECTIONS_MAX, CONNECTIONS_MAX + 1].map(with);
+        assert_eq!(found, [false, true, true, false]);
     }
 
     #[test]

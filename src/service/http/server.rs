@@ -39,7 +39,7 @@ use crate::{
 /// Places of the Unix socket beyond `connections_max`: as many as requests can be carried out at once. Half of
 /// `connections_max` can be streams, so that at the worst as many hold connections that make room: whoever may open the
 /// socket always gets in.
-const UNIX_MORE: usize = lanes::REQUESTS_MAX;
+pub(super) const UNIX_MORE: usize = lanes::REQUESTS_MAX;
 
 /// The HTTP API while it runs.
 #[derive(Debug)]
