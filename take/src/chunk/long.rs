@@ -121,8 +121,8 @@ impl Search {
 
     /// What was found.
     pub(crate) fn finish(mut self) -> LongChunks {
+        // They were found in the order of their ends, and one may begin within another.
         self.whole.sort_unstable();
-        self.whole.dedup();
         let (to, end) =
             if self.is_answered { (self.from + 1, None) } else { (u64::MAX, Some(self.at)) };
         LongChunks { from: self.from, to, whole: self.whole, end }
@@ -162,7 +162,13 @@ impl Search {
                 continue;
             };
             match what {
-                What::Front => self.follow(at, true, rest),
+                What::Front => {
+                    // A chunk that was followed more than once ends here as often; the next one is followed once.
+                    while self.stops.peek() == Some(&Reverse(Stop { at, what })) {
+                        self.stops.pop();
+                    }
+                    self.follow(at, true, rest);
+                }
                 What::Crc { start: chunk, crc_before, in_step } => {
                     let crc = self.crc ^ moved(crc_before, at - chunk);
                     if rest.first_chunk::<CRC_BYTES>() == Some(&crc.to_le_bytes()) {
@@ -173,9 +179,11 @@ impl Search {
         }
     }
 
-    /// A whole chunk.
+    /// A whole chunk: it is found once as a candidate, and once as what follows a whole one. The two stops are next to
+    /// each other.
     fn found(&mut self, chunk: u64, end: u64, in_step: bool) {
-        if end - chunk > CHUNK_HELD_MAX && self.whole.len() < FOUND_MAX {
+        let is_known = self.whole.last() == Some(&chunk);
+        if end - chunk > CHUNK_HELD_MAX && !is_known && self.whole.len() < FOUND_MAX {
             self.whole.push(chunk);
         }
         self.is_answered = in_step && chunk == self.from;
@@ -213,4 +221,47 @@ fn next_candidate(bytes: &[u8], from: usize) -> usize {
         }
     }
     bytes.len()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::VecDeque;
+
+    use super::*;
+    use crate::chunk;
+
+    /// A FOREIGN of zeros that is just too long to be held.
+    fn long_chunk() -> Vec<u8> {
+        let mut payload = vec![1, b'a', 0];
+        payload.resize(CHUNK_HELD_MAX as usize, 0);
+        let mut chunk = Vec::new();
+        chunk::put(&mut chunk, types::FOREIGN, &payload).unwrap();
+        chunk
+    }
+
+    /// Each of them would be followed once for every one before it, if a match were counted as often as it is found:
+    /// after 362 chunks 65 703 matches would have filled the list.
+    #[test]
+    fn each_of_many_long_chunks_behind_damage_is_found_once() {
+        const CHUNKS: usize = 400;
+        let chunk = long_chunk();
+        let mut search = Search::new(0, false);
+        let mut waiting = VecDeque::from([0_u8; 100]);
+        let (mut offsets, mut at, mut stops_max) = (Vec::new(), waiting.len() as u64, 0);
+        for number in 0..CHUNKS {
+            offsets.push(at);
+            at += chunk.len() as u64;
+            waiting.extend(&chunk);
+            let done = search.push(waiting.make_contiguous(), number + 1 == CHUNKS);
+            waiting.drain(..done);
+            stops_max = stops_max.max(search.stops.len());
+        }
+        let found = search.whole.len();
+        let long = search.finish();
+        let missed = offsets.iter().position(|&offset| long.is_whole(offset) != Some(true));
+        assert_eq!((missed, found), (None, CHUNKS));
+        // The chunk that is followed as a candidate and as what follows a whole one.
+        assert!(stops_max <= 2, "{stops_max}");
+        assert_eq!(long.is_whole(offsets[1] + 1), Some(false));
+    }
 }
