@@ -4,9 +4,12 @@ mod long;
 mod marks;
 mod resync;
 
+#[cfg(test)]
+pub(crate) use self::marks::HASHED_BYTES;
 pub(crate) use self::{
     long::{LongChunks, Search},
-    resync::{Next, resync},
+    marks::Marks,
+    resync::{Next, front_by_marks, resync},
 };
 use crate::{TakeError, varint};
 
@@ -106,7 +109,7 @@ pub fn front(bytes: &[u8]) -> Front<'_> {
 fn crc_matches(chunk: &[u8]) -> bool {
     chunk
         .split_last_chunk::<4>()
-        .is_some_and(|(body, crc)| crc32fast::hash(body).to_le_bytes() == *crc)
+        .is_some_and(|(body, crc)| marks::append(0, body).to_le_bytes() == *crc)
 }
 
 /// The same without the CRC, for a chunk whose CRC was seen to match.

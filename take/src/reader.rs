@@ -16,7 +16,7 @@ pub(crate) use mend::head as mend_head;
 use self::{ahead::Step, damage::Damage, passing::Passing};
 use crate::{
     TakeError, chunk,
-    chunk::{LongChunks, Search, WINDOW_BYTES},
+    chunk::{LongChunks, Marks, Search, WINDOW_BYTES},
     foreign::ForeignPart,
     index::{Footer, IndexEntry},
     record::{Channel, Clock, Event, Header, Ledger, Subject, SummaryRecord},
@@ -102,6 +102,8 @@ const PUSHED_MAX: usize = WINDOW_BYTES + io::READ_BYTES;
 #[derive(Debug, Default)]
 pub struct TakeReader {
     buffer: Vec<u8>,
+    /// CRCs of what is in `buffer`.
+    marks: Marks,
     /// Bytes at the front of `buffer` that are done with.
     used: usize,
     /// File offset of the front of `buffer`.
@@ -153,6 +155,7 @@ impl TakeReader {
         // So that each byte is moved a few times at most.
         if done >= self.buffer.len() / 4 {
             self.buffer.drain(..done);
+            self.marks.drain(done);
             self.base += done as u64;
             self.used -= done;
         }

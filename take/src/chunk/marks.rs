@@ -5,39 +5,80 @@ use crc32fast::Hasher;
 /// Bytes from mark to mark: 1/64 of the bytes in memory, and at most as many hashed at either end.
 const STEP: usize = 256;
 
-/// CRCs of the bytes up to every mark, as far as they were asked for.
-pub(super) struct Marks<'a> {
-    bytes: &'a [u8],
-    /// `crcs[i]` is the CRC of the first `i * STEP` bytes.
+/// CRCs of the bytes up to every mark, as far as they were asked for. They move with the bytes and are kept for as long as
+/// those are held: each byte is hashed once on the way to its mark, however many candidates stand before it.
+#[derive(Debug)]
+pub(crate) struct Marks {
+    /// Where the first mark stands in the bytes that are held.
+    first: usize,
+    /// `crcs[i]` is the CRC of the bytes from some place at or before the first mark up to `first + i * STEP`; never empty.
     crcs: Vec<u32>,
 }
 
-impl<'a> Marks<'a> {
-    pub(super) fn new(bytes: &'a [u8]) -> Self {
-        Self { bytes, crcs: vec![0] }
+impl Default for Marks {
+    fn default() -> Self {
+        Self { first: 0, crcs: vec![0] }
+    }
+}
+
+impl Marks {
+    /// The first `n` bytes are not held any more.
+    pub(crate) fn drain(&mut self, n: usize) {
+        self.forget(n);
+        self.first -= n;
     }
 
-    /// The CRC of `bytes[start..end]`. An empty or impossible part has the CRC of nothing, 0.
-    pub(super) fn crc(&mut self, start: usize, end: usize) -> u32 {
-        let Some(len) = end.checked_sub(start).filter(|_| end <= self.bytes.len()) else {
+    /// What stands before `at` has changed, or will.
+    pub(crate) fn forget(&mut self, at: usize) {
+        let gone = at.saturating_sub(self.first).div_ceil(STEP);
+        if gone < self.crcs.len() {
+            self.crcs.drain(..gone);
+            self.first += gone * STEP;
+        } else {
+            // None was asked for behind it.
+            *self = Self { first: at, ..Self::default() };
+        }
+    }
+
+    /// The CRC of `bytes[start..end]`, of all that are held. An empty or impossible part has the CRC of nothing, 0. Bytes
+    /// before the first mark are hashed.
+    pub(super) fn crc(&mut self, bytes: &[u8], start: usize, end: usize) -> u32 {
+        if start > end || end > bytes.len() {
             return 0;
-        };
-        self.crc_to(end) ^ moved(self.crc_to(start), len as u64)
+        }
+        let marked = self.first.clamp(start, end);
+        let before = append(0, &bytes[start..marked]);
+        if marked == end {
+            return before;
+        }
+        let crc =
+            self.crc_to(bytes, end) ^ moved(self.crc_to(bytes, marked), (end - marked) as u64);
+        if marked == start { crc } else { crc ^ moved(before, (end - marked) as u64) }
     }
 
-    fn crc_to(&mut self, end: usize) -> u32 {
-        let mark = end / STEP;
+    /// Up to `end`, which is not before the first mark.
+    fn crc_to(&mut self, bytes: &[u8], end: usize) -> u32 {
+        let mark = (end - self.first) / STEP;
         while self.crcs.len() <= mark {
             let last = self.crcs.len() - 1;
-            let crc = append(self.crcs[last], &self.bytes[last * STEP..(last + 1) * STEP]);
+            let at = self.first + last * STEP;
+            let crc = append(self.crcs[last], &bytes[at..at + STEP]);
             self.crcs.push(crc);
         }
-        append(self.crcs[mark], &self.bytes[mark * STEP..end])
+        append(self.crcs[mark], &bytes[self.first + mark * STEP..end])
     }
+}
+
+#[cfg(test)]
+thread_local! {
+    /// Bytes that this thread has hashed.
+    pub(crate) static HASHED_BYTES: std::cell::Cell<u64> = const { std::cell::Cell::new(0) };
 }
 
 /// The CRC of some bytes and these behind them.
 pub(super) fn append(crc: u32, bytes: &[u8]) -> u32 {
+    #[cfg(test)]
+    HASHED_BYTES.set(HASHED_BYTES.get() + bytes.len() as u64);
     let mut hasher = Hasher::new_with_initial(crc);
     hasher.update(bytes);
     hasher.finalize()
@@ -55,17 +96,57 @@ pub(super) fn moved(crc: u32, len: u64) -> u32 {
 mod tests {
     use super::*;
 
-    #[test]
-    fn every_part_has_the_crc_that_hashing_gives() {
-        let bytes: Vec<u8> = (0..3000_u32).map(|i| (i * i / 7) as u8).collect();
-        let mut marks = Marks::new(&bytes);
-        let places = [0, 1, 255, 256, 257, 511, 512, 1000, 2047, 2048, 2999, 3000];
-        for start in places {
-            for end in places.into_iter().filter(|&end| end >= start) {
+    fn bytes() -> Vec<u8> {
+        (0..3000_u32).map(|i| (i * i / 7) as u8).collect()
+    }
+
+    const PLACES: [usize; 13] = [0, 1, 99, 100, 255, 256, 257, 511, 512, 1000, 2047, 2999, 3000];
+
+    fn check(marks: &mut Marks, bytes: &[u8]) {
+        for start in PLACES.into_iter().filter(|&start| start <= bytes.len()) {
+            for end in PLACES.into_iter().filter(|&end| (start..=bytes.len()).contains(&end)) {
                 let hashed = crc32fast::hash(&bytes[start..end]);
-                assert_eq!(marks.crc(start, end), hashed, "{start}..{end}");
+                assert_eq!(marks.crc(bytes, start, end), hashed, "{start}..{end}");
             }
         }
-        assert_eq!(marks.crc(5, 3001), 0);
+    }
+
+    #[test]
+    fn every_part_has_the_crc_that_hashing_gives() {
+        let bytes = bytes();
+        let mut marks = Marks::default();
+        check(&mut marks, &bytes);
+        assert_eq!(marks.crc(&bytes, 5, 3001), 0);
+        assert_eq!(marks.crc(&bytes, 6, 5), 0);
+    }
+
+    #[test]
+    fn marks_move_with_the_bytes_and_forget_those_that_changed() {
+        for first in PLACES {
+            for second in PLACES.into_iter().filter(|second| first + second <= 3000) {
+                for asked in PLACES {
+                    let mut bytes = bytes();
+                    let mut marks = Marks::default();
+                    marks.crc(&bytes, 0, asked);
+                    bytes.drain(..first);
+                    marks.drain(first);
+                    marks.crc(&bytes, 0, asked.min(bytes.len()));
+                    bytes[..second].fill(9);
+                    marks.forget(second);
+                    check(&mut marks, &bytes);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn what_was_hashed_is_not_hashed_again() {
+        let bytes = bytes();
+        let mut marks = Marks::default();
+        marks.crc(&bytes, 0, 3000);
+        marks.drain(700);
+        let before = HASHED_BYTES.get();
+        marks.crc(&bytes[700..], 100, 2300);
+        assert!(HASHED_BYTES.get() - before < 2 * STEP as u64);
     }
 }

@@ -1,6 +1,6 @@
 //! The next chunk behind damage, in the part of a file that is in memory.
 
-use super::{CRC_BYTES, Head, crc_matches, head, long, marks::Marks, types};
+use super::{CRC_BYTES, Front, Head, crc_matches, head, long, marks::Marks, split, types};
 
 /// Longest candidate that is hashed: about what the way over the marks costs.
 const HASHED_BYTES: usize = 2048;
@@ -20,19 +20,20 @@ pub(crate) enum Next {
     Unknown(usize),
 }
 
-/// Looks for a whole chunk at or after `from`. `complete`: the file ends where the bytes do. `is_whole` says of a place
-/// whether a long chunk that begins there is whole, if that is known.
+/// Looks for a whole chunk at or after `from`. `complete`: the file ends where the bytes do. `is_long_whole` says of a
+/// place whether a long chunk that begins there is whole, if that is known.
 ///
 /// Every byte that may be a type is a candidate, and coded bytes are full of them, most with a length that fits. So the
 /// CRC of a long candidate is not hashed but computed from CRCs at marks: the work grows with the bytes, not with their
-/// product with the lengths.
+/// product with the lengths. `marks` are those of the bytes, and outlive the search: the next one, behind a small chunk,
+/// meets the same bytes.
 pub(crate) fn resync(
     bytes: &[u8],
+    marks: &mut Marks,
     from: usize,
     complete: bool,
-    is_whole: impl Fn(usize) -> Option<bool>,
+    is_long_whole: impl Fn(usize) -> Option<bool>,
 ) -> Next {
-    let mut marks = Marks::new(bytes.get(from..).unwrap_or_default());
     let mut at = from;
     while let Some(&kind) = bytes.get(at) {
         if kind == 0 {
@@ -40,13 +41,13 @@ pub(crate) fn resync(
             continue;
         }
         if types::ALL.contains(&kind) {
-            match look(bytes, at, from, &mut marks) {
+            match look(bytes, at, marks) {
                 Candidate::Whole => return Next::At(at),
                 Candidate::No => {}
                 Candidate::Short if complete => {}
                 Candidate::Short => return Next::Until(at),
                 Candidate::Long if complete => {}
-                Candidate::Long => match is_whole(at) {
+                Candidate::Long => match is_long_whole(at) {
                     Some(true) => return Next::At(at),
                     Some(false) => {}
                     None if long::may_be_one(&bytes[at..]) => return Next::Unknown(at),
@@ -69,7 +70,7 @@ enum Candidate {
     Long,
 }
 
-fn look(bytes: &[u8], at: usize, from: usize, marks: &mut Marks<'_>) -> Candidate {
+fn look(bytes: &[u8], at: usize, marks: &mut Marks) -> Candidate {
     let len = match head(&bytes[at..]) {
         Head::Bad => return Candidate::No,
         Head::Short(_) => return Candidate::Short,
@@ -80,14 +81,25 @@ fn look(bytes: &[u8], at: usize, from: usize, marks: &mut Marks<'_>) -> Candidat
         let is_long = len > super::CHUNK_HELD_MAX;
         return if is_long { Candidate::Long } else { Candidate::Short };
     };
-    let is_whole = if end - at <= HASHED_BYTES {
-        crc_matches(&bytes[at..end])
-    } else {
-        let crc_at = end - CRC_BYTES;
-        let crc = marks.crc(at - from, crc_at - from);
-        bytes[crc_at..].first_chunk::<4>().is_some_and(|stored| *stored == crc.to_le_bytes())
-    };
-    if is_whole { Candidate::Whole } else { Candidate::No }
+    if is_whole(bytes, at, end, marks) { Candidate::Whole } else { Candidate::No }
+}
+
+/// The same as [`front`](super::front) of `bytes[at..]`, with the marks of `bytes`.
+pub(crate) fn front_by_marks<'a>(bytes: &'a [u8], at: usize, marks: &mut Marks) -> Front<'a> {
+    match split(&bytes[at..]) {
+        Front::Whole { len, .. } if !is_whole(bytes, at, at + len, marks) => Front::Damaged,
+        front => front,
+    }
+}
+
+/// Whether the CRC of the chunk that is `bytes[at..end]` matches.
+fn is_whole(bytes: &[u8], at: usize, end: usize, marks: &mut Marks) -> bool {
+    if end - at <= HASHED_BYTES {
+        return crc_matches(&bytes[at..end]);
+    }
+    let crc_at = end - CRC_BYTES;
+    let crc = marks.crc(bytes, at, crc_at);
+    bytes[crc_at..].first_chunk::<CRC_BYTES>() == Some(&crc.to_le_bytes())
 }
 
 /// How many zeros these bytes begin with: no type is zero, and files with holes have gigabytes of them.
@@ -103,7 +115,7 @@ mod tests {
     use crate::chunk::{Front, front, put};
 
     fn next(bytes: &[u8]) -> Next {
-        resync(bytes, 1, true, |_| None)
+        resync(bytes, &mut Marks::default(), 1, true, |_| None)
     }
 
     #[test]
@@ -142,9 +154,9 @@ mod tests {
         assert_eq!(front(&bytes), Front::Damaged);
         assert_eq!(next(&bytes), Next::At(found));
         // With its end not there yet, nothing behind its beginning is judged.
-        let Next::Until(at) = resync(&bytes[..found + 1000], 1, false, |_| Some(false)) else {
-            panic!("the end of the next chunk is not there")
-        };
+        let marks = &mut Marks::default();
+        let found_part = resync(&bytes[..found + 1000], marks, 1, false, |_| Some(false));
+        let Next::Until(at) = found_part else { panic!("the end of the next chunk is not there") };
         assert!(at <= found);
     }
 

@@ -55,7 +55,7 @@ impl TakeReader {
         }
         let from = self.used + usize::from(self.offset() == offset);
         let is_whole = |at: usize| self.long.is_whole(self.base + at as u64);
-        match chunk::resync(&self.buffer, from, self.complete, is_whole) {
+        match chunk::resync(&self.buffer, &mut self.marks, from, self.complete, is_whole) {
             Next::At(at) => return self.end_damage(at),
             Next::Until(at) if self.complete => return self.end_damage(at),
             Next::Until(at) => {
@@ -84,6 +84,7 @@ impl TakeReader {
         if !damage.is_far && len <= CHUNK_HELD_MAX {
             let start = (offset - self.base) as usize;
             if mend::head(&mut self.buffer[start..at]) {
+                self.marks.forget(at);
                 self.used = start;
                 return Some(TakeEvent::Mended { offset });
             }

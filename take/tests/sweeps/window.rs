@@ -188,6 +188,27 @@ fn heads_that_mean_nothing_everywhere_cost_time_in_proportion() {
 }
 
 #[test]
+fn small_chunks_between_heads_that_mean_nothing_cost_time_in_proportion() {
+    let take = take::take("dense");
+    let whole = found(&take);
+    // Whole by its checksum, and not an event.
+    let mut empty = Vec::new();
+    chunk::put(&mut empty, types::EVENT, &[]).unwrap();
+    for claimed in [64 << 10, 8 << 20] {
+        let pair = [head(types::STRETCH, claimed), empty.clone()].concat();
+        let n_pairs = (MIB / 2) / pair.len();
+        let mut middle = pair.repeat(n_pairs);
+        middle.resize(middle.len() + claimed as usize, 0);
+        let (damaged, at) = with(&take, &middle);
+        let read = found(&damaged);
+        assert_eq!(read.damaged.len(), 2 * n_pairs + 1);
+        assert_eq!(read.damaged[0], (at, (pair.len() - empty.len()) as u64));
+        assert_eq!(read.stretches.last(), whole.stretches.last());
+        assert_eq!(read.finished, whole.finished);
+    }
+}
+
+#[test]
 fn a_long_chunk_is_passed_over_where_it_is_whole_and_found_behind_damage() {
     let take = take::take("dense");
     let data = noise(2, 20 * MIB);
