@@ -1,6 +1,7 @@
 //! What the bytes of a take are for.
 
 use super::TakeEvent;
+use crate::chunk::types;
 
 /// Bytes by purpose: together all that were read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -49,7 +50,10 @@ impl TakeBytes {
             TakeEvent::Event(_) => &mut self.events,
             TakeEvent::Subject(_) => &mut self.subject,
             TakeEvent::Foreign(_) => &mut self.foreign,
-            TakeEvent::Summary(_) | TakeEvent::Index(_) | TakeEvent::Footer(_) => &mut self.index,
+            TakeEvent::Summary(_)
+            | TakeEvent::Index(_)
+            | TakeEvent::Skipped { kind: types::INDEX }
+            | TakeEvent::Footer(_) => &mut self.index,
             TakeEvent::Unplaced { .. }
             | TakeEvent::Skipped { .. }
             | TakeEvent::Damaged { .. }

@@ -8,6 +8,13 @@ use crate::{
     foreign::{self, ForeignPart, Inflation},
 };
 
+/// Whether one may be so long and is not read: what this version does not know, and an index, which repeats what the
+/// stretches themselves say. No other record is so long.
+fn may_be_skipped(kind: u8) -> bool {
+    let is_read = types::ALL.contains(&kind) && ![types::MODEL, types::INDEX].contains(&kind);
+    kind & MAY_SKIP != 0 && !is_read
+}
+
 /// One of them.
 #[derive(Debug)]
 pub(super) struct Passing {
@@ -86,10 +93,7 @@ impl TakeReader {
             Some(part) => part.and_then(|(part, inflation)| {
                 inflation.finish(offset).map(|()| TakeEvent::Foreign(part))
             }),
-            // Key stretches of months, if it is an index: its entries are seen again from the stretches themselves.
-            None if kind & MAY_SKIP != 0 && kind != types::SUBJECT => {
-                Ok(TakeEvent::Skipped { kind })
-            }
+            None if may_be_skipped(kind) => Ok(TakeEvent::Skipped { kind }),
             None => {
                 if kind == types::STRETCH {
                     chain.break_off();

@@ -209,6 +209,33 @@ fn small_chunks_between_heads_that_mean_nothing_cost_time_in_proportion() {
 }
 
 #[test]
+fn a_long_record_is_damaged_and_what_is_unknown_is_skipped() {
+    let take = take::take("dense");
+    for kind in types::ALL.into_iter().chain([0x7f, 0xf1]) {
+        let mut long = Vec::new();
+        chunk::put(&mut long, kind, &vec![0; 9 * MIB]).unwrap();
+        let (with_long, at) = with(&take, &long);
+        let read = found(&with_long);
+        let is_skipped = [types::MODEL, types::INDEX, 0xf1].contains(&kind);
+        let (damaged, skipped) = match is_skipped {
+            true => (vec![], vec![kind]),
+            false => (vec![(at, long.len() as u64)], vec![]),
+        };
+        assert_eq!((read.damaged, read.skipped), (damaged, skipped), "type {kind:02x}");
+
+        // An index that is copied would tell the offsets of another file.
+        let survey = Survey::read(&with_long).unwrap();
+        let mut recovered = Vec::new();
+        survey.write(Cursor::new(&with_long), &mut recovered, "sweeps").unwrap();
+        let is_copied = is_skipped && kind != types::INDEX;
+        let again = found(&recovered);
+        assert_eq!(again.damaged, [], "type {kind:02x}");
+        assert_eq!(again.skipped.len(), usize::from(is_copied), "type {kind:02x}");
+        assert!(again.finished);
+    }
+}
+
+#[test]
 fn a_long_chunk_is_passed_over_where_it_is_whole_and_found_behind_damage() {
     let take = take::take("dense");
     let data = noise(2, 20 * MIB);

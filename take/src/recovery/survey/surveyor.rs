@@ -93,7 +93,8 @@ impl Surveyor {
                 self.ending = summary.ending;
                 Fate::Anew
             }
-            TakeEvent::Index(_) => {
+            // One that is too long to be held tells the old offsets as well.
+            TakeEvent::Index(_) | TakeEvent::Skipped { kind: types::INDEX } => {
                 self.kinds.recovered(Kind::Index);
                 Fate::Anew
             }
