@@ -73,6 +73,10 @@ impl TakeEnd {
         let Some(footer) = Footer::from_chunk(&bytes) else { return Ok(None) };
         let mut end = Self { footer, ledger: None, ending: None };
         let ledger_at = footer.ledger_offset;
+        // Nothing follows a footer, and no file is so long that every offset could be gone to.
+        if ledger_at >= at {
+            return Ok(Some(end));
+        }
         let Some(chunk) = Chunk::read(input, ledger_at, types::LEDGER, RECORD_BYTES_MAX)? else {
             return Ok(Some(end));
         };
@@ -189,6 +193,39 @@ mod tests {
             let expected = whole.end.clone().unwrap();
             assert!(end.ledger.is_none() || end.ledger == expected.ledger, "{at}");
             assert!(end.ending.is_none() || end.ending == expected.ending, "{at}");
+        }
+    }
+
+    /// As a file is, none of whose offsets is beyond what is signed.
+    struct File(Cursor<Vec<u8>>);
+
+    impl Read for File {
+        fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
+            self.0.read(bytes)
+        }
+    }
+
+    impl Seek for File {
+        fn seek(&mut self, to: SeekFrom) -> std::io::Result<u64> {
+            match to {
+                SeekFrom::Start(at) if i64::try_from(at).is_err() => {
+                    Err(std::io::ErrorKind::InvalidInput.into())
+                }
+                to => self.0.seek(to),
+            }
+        }
+    }
+
+    #[test]
+    fn a_footer_that_tells_of_a_ledger_behind_itself_has_none() {
+        let bytes = take(2, 0, Some(EndingKind::DiskFull.into()));
+        let footer_at = bytes.len() - Footer::CHUNK_BYTES;
+        for ledger_offset in [footer_at as u64, bytes.len() as u64, i64::MAX as u64 + 1, u64::MAX] {
+            let mut changed = bytes[..footer_at].to_vec();
+            let footer = Footer { index_offset: u64::MAX, ledger_offset, n_rows: 0 };
+            chunk::put(&mut changed, types::FOOTER, &footer.to_payload()).unwrap();
+            let ends = TakeEnds::read(&mut File(Cursor::new(changed))).unwrap();
+            assert_eq!(ends.end, Some(TakeEnd { footer, ledger: None, ending: None }));
         }
     }
 }
