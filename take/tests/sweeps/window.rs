@@ -236,6 +236,20 @@ fn a_long_record_is_damaged_and_what_is_unknown_is_skipped() {
 }
 
 #[test]
+fn that_a_take_was_cut_off_is_said_behind_any_number_of_problems() {
+    let take = take::take("dense");
+    let mut empty = Vec::new();
+    chunk::put(&mut empty, types::EVENT, &[]).unwrap();
+    let mut cut = chunk::MAGIC.to_vec();
+    chunks(&take)[..5].iter().for_each(|chunk| cut.extend_from_slice(chunk));
+    let last = |take: &[u8]| Survey::read(take).unwrap().problems().last().cloned();
+    let expected = last(&cut);
+    assert!(expected.is_some());
+    cut.extend(empty.repeat(10_100));
+    assert_eq!(last(&cut), expected);
+}
+
+#[test]
 fn a_long_chunk_is_passed_over_where_it_is_whole_and_found_behind_damage() {
     let take = take::take("dense");
     let data = noise(2, 20 * MIB);

@@ -159,7 +159,8 @@ impl Surveyor {
             self.pieces.push(Piece::Lost { first_row: end_row, rows, number: self.next_number });
         }
         if !self.closed {
-            self.problems.note("the take was cut off: its end is missing".to_owned());
+            // Always, and last, however many there are before it.
+            self.problems.push("the take was cut off: its end is missing".to_owned());
         }
         // A take that was cut off says nothing of its end; the recovered one says that.
         let cut_off = || Some(TakeEnding::from(EndingKind::CutOff)).filter(|_| !self.closed);
