@@ -27,9 +27,17 @@ impl FileId {
     }
 
     /// Whether the name leads to it.
-    #[must_use]
-    pub fn is_at(self, path: &Path) -> bool {
-        path.symlink_metadata().is_ok_and(|found| Self::of(&found) == self)
+    ///
+    /// # Errors
+    /// Why that cannot be known: only a name that does not exist is known to lead nowhere.
+    pub fn is_at(self, path: &Path) -> io::Result<bool> {
+        match path.symlink_metadata() {
+            Ok(found) => Ok(Self::of(&found) == self),
+            Err(error) => match error.kind() {
+                io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => Ok(false),
+                _ => Err(error),
+            },
+        }
     }
 
     /// Takes the name away from it; a file of somebody else that has the name by now keeps it.
@@ -37,7 +45,7 @@ impl FileId {
     /// # Errors
     /// The disk's.
     pub fn remove(self, path: &Path) -> io::Result<()> {
-        if self.is_at(path) { std::fs::remove_file(path) } else { Ok(()) }
+        if self.is_at(path)? { std::fs::remove_file(path) } else { Ok(()) }
     }
 }
 
@@ -85,6 +93,21 @@ impl TakeFile {
         &self.file
     }
 
+    /// Gives back the blocks beyond so many bytes, and half a write that failed. A file that was cut short stays as short.
+    ///
+    /// # Errors
+    /// The disk's.
+    pub fn release(&mut self, bytes: u64) -> io::Result<()> {
+        let found = self.file.metadata()?.len();
+        let left = bytes.min(found);
+        self.file.set_len(left)?;
+        // Nobody else did that.
+        if found >= self.written {
+            self.written = self.written.min(left);
+        }
+        Ok(())
+    }
+
     /// What others have done to it; looks now and then only.
     pub fn look(&mut self) -> FileState {
         if self.looked.is_none_or(|last| last.elapsed() >= LOOK_EVERY) {
@@ -103,7 +126,7 @@ impl TakeFile {
         self.state
     }
 
-    /// `None` where nobody can tell.
+    /// `None` where that cannot be known.
     fn found(&self) -> Option<FileState> {
         let found = self.file.metadata().ok()?;
         if found.len() < self.written {
@@ -112,11 +135,18 @@ impl TakeFile {
         if found.nlink() == 0 {
             return Some(FileState::Removed);
         }
-        if self.id.is_at(&self.path) {
+        if self.id.is_at(&self.path).ok()? {
             return Some(FileState::InPlace);
         }
-        // Its name is as it was, and leads elsewhere: something is mounted over it.
-        let is_covered = self.link.is_some() && own_link(&self.file).read_link().ok() == self.link;
+        let link = own_link(&self.file).read_link().ok();
+        // Without a symbolic link: one that leads elsewhere by now is not the file's.
+        if let Some(link) = &link
+            && self.id.is_at(link).ok()?
+        {
+            return Some(FileState::Renamed);
+        }
+        // Its own name is as it was, and leads elsewhere: something is mounted over it.
+        let is_covered = link.is_some() && link == self.link;
         if is_covered || !mounts::is_mounted(&self.file) {
             return Some(FileState::Unmounted);
         }
@@ -141,10 +171,13 @@ impl TakeFile {
 
     /// Its name, where one leads to it.
     fn name_now(&self) -> Option<PathBuf> {
-        if self.id.is_at(&self.path) {
+        // Where that cannot be known now, it is where it was at the last look.
+        let was_there = self.state == FileState::InPlace;
+        if self.id.is_at(&self.path).unwrap_or(was_there) {
             return Some(self.path.clone());
         }
-        own_link(&self.file).read_link().ok().filter(|path| self.id.is_at(path))
+        let link = own_link(&self.file).read_link().ok();
+        link.filter(|path| self.id.is_at(path).unwrap_or(false))
     }
 
     /// Where it is, now that the take has ended: one that was removed is copied, as long as it is open.
@@ -210,7 +243,7 @@ mod tests {
         let other = dir.path().join("b.take");
         std::fs::rename(&path, &other).unwrap();
         std::fs::write(&path, b"somebody else's").unwrap();
-        assert!(take.id().is_at(&other) && !take.id().is_at(&path));
+        assert!(take.id().is_at(&other).unwrap() && !take.id().is_at(&path).unwrap());
         take.id().remove(&path).unwrap();
         assert!(path.exists(), "it is another file");
         take.id().remove(&other).unwrap();
@@ -262,6 +295,60 @@ mod tests {
     }
 
     #[test]
+    fn a_folder_that_is_reached_through_another_link_is_not_unmounted() {
+        let dir = tempfile::tempdir().unwrap();
+        let (real, other) = (dir.path().join("real"), dir.path().join("other"));
+        std::fs::create_dir(&real).unwrap();
+        std::fs::create_dir(&other).unwrap();
+        let link = dir.path().join("takes");
+        let point_to = |folder: &Path| {
+            std::fs::remove_file(&link).ok();
+            std::os::unix::fs::symlink(folder, &link).unwrap();
+        };
+        point_to(&real);
+        let mut take = TakeFile::create(&link.join("a.take")).unwrap();
+        point_to(&other);
+        assert_eq!(take.look_now(), FileState::Renamed);
+        assert_eq!(take.displaced().unwrap().now_at, Some(real.join("a.take")));
+        assert_eq!(take.settle().path, Some(real.join("a.take")));
+        point_to(&real);
+        assert_eq!(take.look_now(), FileState::InPlace);
+    }
+
+    /// As of a network file system that does not answer, or a folder that may not be searched for a while.
+    #[test]
+    fn what_cannot_be_known_changes_nothing() {
+        let dir = tempfile::tempdir().unwrap();
+        let real = dir.path().join("real");
+        std::fs::create_dir(&real).unwrap();
+        let link = dir.path().join("takes");
+        std::os::unix::fs::symlink(&real, &link).unwrap();
+        let path = link.join("a.take");
+        let mut take = TakeFile::create(&path).unwrap();
+        // A link to itself: neither "not found" nor "no folder".
+        std::fs::remove_file(&link).unwrap();
+        std::os::unix::fs::symlink(&link, &link).unwrap();
+        take.id().is_at(&path).unwrap_err();
+        take.id().remove(&path).unwrap_err();
+        assert_eq!(take.look_now(), FileState::InPlace);
+        let settled = take.settle();
+        assert_eq!((settled.state, settled.path), (FileState::InPlace, Some(path)));
+    }
+
+    #[test]
+    fn half_a_write_is_taken_back_without_a_cut() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.take");
+        let mut take = TakeFile::create(&path).unwrap();
+        take.write_all(b"chunk and ha").unwrap();
+        take.release(5).unwrap();
+        assert_eq!(take.look_now(), FileState::InPlace);
+        std::fs::remove_file(&path).unwrap();
+        let saved = take.settle().path.unwrap();
+        assert_eq!(std::fs::read(saved).unwrap(), b"chunk");
+    }
+
+    #[test]
     fn nothing_is_written_behind_a_cut() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.take");
@@ -269,6 +356,7 @@ mod tests {
         take.write_all(b"something").unwrap();
         File::options().write(true).open(&path).unwrap().set_len(4).unwrap();
         take.write_all(b"more").unwrap_err();
+        take.release(9).unwrap();
         assert_eq!(take.look_now(), FileState::Truncated);
         assert_eq!(take.displaced().unwrap().bytes, (4, 9));
         assert_eq!(std::fs::read(&path).unwrap(), b"some");
