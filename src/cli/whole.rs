@@ -6,7 +6,7 @@ use std::{
 };
 
 use anyhow::{Context, bail};
-use mocapd::files::{self, NewFile};
+use mocapd::files::{self, NewFile, SparseFile};
 use mocapd_codec::Settings;
 use mocapd_report::coded::Coded;
 use mocapd_take::{
@@ -26,7 +26,7 @@ use super::{
 /// # Errors
 /// Why it cannot be read.
 pub(super) fn read_coded(path: &Path) -> anyhow::Result<Coded> {
-    let file = BufReader::new(files::open(path)?);
+    let file = BufReader::new(SparseFile::open(path)?);
     let coded = Coded::read(file).with_context(|| format!("cannot read {}", path.display()))?;
     for problem in &coded.problems {
         say(&format!("{}: {problem}", path.display()));
@@ -58,7 +58,7 @@ pub(super) fn read_original(
     if paths::is_take(original) {
         return read_samples(original);
     }
-    let frames = TakeFrames::open(BufReader::new(files::open(take)?))
+    let frames = TakeFrames::open(BufReader::new(SparseFile::open(take)?))
         .with_context(|| format!("cannot read {}", take.display()))?;
     Ok((read_motion_with(original, &read_options(&frames))?, None))
 }

@@ -26,7 +26,13 @@ impl SparseFile {
     /// # Errors
     /// As [`open`](super::open).
     pub fn open(path: &Path) -> anyhow::Result<Self> {
-        Ok(Self { file: super::open(path)?, at: 0, hole: 0..0, data: 0..0 })
+        super::open(path).map(Self::of)
+    }
+
+    /// A file that is open, from its beginning.
+    #[must_use]
+    pub fn of(file: File) -> Self {
+        Self { file, at: 0, hole: 0..0, data: 0..0 }
     }
 
     /// How long it is, holes included.

@@ -15,7 +15,7 @@ use mocapd_take::chunk::{MAGIC, types};
 use serde_json::Value;
 
 use crate::{
-    cli::{Folder, Ran},
+    cli::{Folder, Ran, devices::Simulated, service::Service},
     support::{config, dense, jump, places, record},
 };
 
@@ -167,4 +167,25 @@ fn the_service_starts_where_a_file_is_a_header_and_a_hole() {
     let name = "takes/hole.recovered.take";
     let verify = folder.run(&["verify", name, "--json"]).with_code(0).json();
     assert_eq!(verify["intact"], true);
+}
+
+/// Bytes that a process has read from files and sockets.
+fn read_bytes(pid: u32) -> u64 {
+    let io = std::fs::read_to_string(format!("/proc/{pid}/io")).unwrap();
+    io.lines().find_map(|line| line.strip_prefix("rchar: ")).unwrap().parse().unwrap()
+}
+
+#[test]
+fn the_service_verifies_a_take_without_reading_its_holes() {
+    let folder = Folder::new();
+    let device = Simulated::endless(jump(1, 120.0, 1.0));
+    let service = Service::start(&folder, &device, "", "");
+    let take = recording();
+    write_sparse(&folder.path("takes/holes.take"), &take, 11);
+    let before = read_bytes(service.pid());
+    let (status, check) = service.post("/v1/takes/holes/verify", "{}");
+    assert_eq!((status, &check["health"]), (200, &"damaged".into()), "{check}");
+    let read = read_bytes(service.pid()) - before;
+    // What the device sends and the service looks at meanwhile is read, too.
+    assert!(read < claimed_bytes() / 8, "{read} bytes were read");
 }

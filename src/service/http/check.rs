@@ -26,6 +26,7 @@ use super::{
     takes::{self, unreadable},
 };
 use crate::{
+    files::SparseFile,
     health::TakeHealth,
     inspect::Summary,
     service::{control::Request, status::LedgerStatus},
@@ -89,7 +90,7 @@ pub(super) async fn verify(
             let words = format!("{asked} is being recorded: stop it first");
             return Err(Problem::new(StatusCode::CONFLICT, ProblemKind::Conflict, words));
         }
-        let input = While { input: take.file, gone: flag, stopping };
+        let input = While { input: SparseFile::of(take.file), gone: flag, stopping };
         check(asked, take.len, Summary::read(BufReader::new(input)))
     };
     let checked = app.lanes.checks.run(work).await?;
