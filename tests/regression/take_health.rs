@@ -139,5 +139,10 @@ fn a_device_that_went_away_and_a_recorder_that_was_killed_are_in_the_take() {
         assert_eq!(takes[name], json!(expected), "{name}");
         assert_eq!(told_by_info(&folder, name), json!(expected), "{name}");
     }
-    folder.run(&["info", "gone.take"]).with_code(3);
+    for name in ["gone", "copied"] {
+        let take = format!("{name}.take");
+        folder.run(&["info", &take]).with_code(3);
+        let verified = folder.run(&["verify", &take, "--json"]).with_code(3).json();
+        assert_eq!(json!([verified["health"], verified["ending"]]), takes[name], "{verified}");
+    }
 }

@@ -10,7 +10,9 @@ use std::{
 };
 
 use anyhow::{Context, bail};
-use mocapd::{clock::Apart, files::SparseFile, inspect::Summary, outcome::Outcome, units};
+use mocapd::{
+    clock::Apart, files::SparseFile, health::TakeHealth, inspect::Summary, outcome::Outcome, units,
+};
 use mocapd_take::record::{Header, Ledger};
 use serde::Serialize;
 
@@ -53,6 +55,9 @@ pub(crate) struct Args {
 struct Report {
     take: PathBuf,
     intact: bool,
+    health: TakeHealth,
+    /// Why it ended, where it says.
+    ending: Option<&'static str>,
     ledger_closes: Option<bool>,
     problems: Vec<String>,
     contradictions: Vec<String>,
@@ -126,10 +131,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let Some(contradiction) = report.contradictions.first() {
         bail!("{} contradicts itself: {contradiction}", args.take.display());
     }
-    let lost = summary.ledger.as_ref().is_some_and(Ledger::lost_anything);
     // Every sample is there, and some stand under another's name: like what was lost, it wants a look.
     let swapped = report.limbs.as_ref().is_some_and(|limbs| !limbs.is_consistent());
-    Ok(Outcome::of(lost || !report.intact || swapped))
+    Ok(Outcome::of(report.health != TakeHealth::Complete || !report.intact || swapped))
 }
 
 impl Report {
@@ -163,6 +167,8 @@ impl Report {
         Self {
             take: take.to_owned(),
             intact: problems.is_empty(),
+            health: summary.health(),
+            ending: summary.ending.as_ref().map(|ending| ending.kind.word()),
             ledger_closes,
             problems,
             contradictions,
@@ -186,9 +192,11 @@ impl Report {
 
     fn words(&self) -> String {
         let state = if self.intact { "intact" } else { "NOT INTACT" };
+        let ending = self.ending.map_or_else(String::new, |ending| format!(" ({ending})"));
         let mut out = format!(
-            "{}: {state}, {}, {}, every checksum, every block and every ledger checked\n",
+            "{}: {state}, {}{ending}, {}, {}, every checksum, every block and every ledger checked\n",
             shown(&self.take),
+            self.health.word(),
             count(self.frames, "frame"),
             count(self.samples, "sample")
         );
