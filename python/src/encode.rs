@@ -13,11 +13,14 @@ use pyo3::{prelude::*, types::PyBytes};
 
 use crate::{
     errors::Failure,
-    wait::{Cancel, abandonable},
+    wait::{Cancel, abandonable, detached},
 };
 
 /// What a take says wrote it.
 const SOFTWARE: &str = concat!("mocapd-python ", env!("CARGO_PKG_VERSION"));
+
+/// Positions that are looked at and copied between two questions whether to go on: about a millisecond of work.
+const POSITIONS_AT_ONCE: usize = 1 << 16;
 
 /// Most markers of a take: their ids have 16 bits.
 const MARKERS_MAX: usize = 1 << 16;
@@ -54,7 +57,7 @@ pub(crate) fn encode<'py>(
         tolerance: Tolerance::from_mm(tolerance_mm.unwrap_or(Tolerance::MAX_MM))
             .map_err(Failure::from)?,
     };
-    let motion = py.detach(|| motion(values, n_rows, labels, rate_hz))?;
+    let motion = detached(py, None, |cancel| motion(values, n_rows, labels, rate_hz, cancel))?;
     let take = abandonable(py, move |cancel| {
         let mut header = header(&settings, rate_hz, up_axis.min(3));
         header.channels = whole::channels(&motion.info.markers);
@@ -101,18 +104,25 @@ fn motion(
     n_rows: usize,
     labels: Vec<(String, bool)>,
     rate_hz: f64,
+    cancel: &Cancel,
 ) -> Result<Motion, Failure> {
     let (positions, _) = values.as_chunks::<3>();
     let is_half = |position: &Position| {
         let missing = position.iter().filter(|value| value.is_nan()).count();
         (missing != 0 && missing != 3) || position.iter().any(|value| value.is_infinite())
     };
-    if let Some(place) = positions.iter().position(is_half) {
-        let (row, column) = (place / labels.len(), place % labels.len());
-        return Err(Failure::Value(format!(
-            "frame {row}, marker {column} is {:?}: a sample is three finite numbers, a gap three NaN",
-            positions[place]
-        )));
+    let mut positions_mm = Vec::with_capacity(positions.len());
+    for part in positions.chunks(POSITIONS_AT_ONCE) {
+        cancel.check()?;
+        if let Some(at) = part.iter().position(is_half) {
+            let place = positions_mm.len() + at;
+            let (row, column) = (place / labels.len(), place % labels.len());
+            return Err(Failure::Value(format!(
+                "frame {row}, marker {column} is {:?}: a sample is three finite numbers, a gap three NaN",
+                part[at]
+            )));
+        }
+        positions_mm.extend_from_slice(part);
     }
     let marker = |(label, labelled): (String, bool)| Marker { label, labelled };
     Ok(Motion {
@@ -122,7 +132,7 @@ fn motion(
             markers: labels.into_iter().map(marker).collect(),
             ..MotionInfo::default()
         },
-        positions_mm: positions.to_vec(),
+        positions_mm,
     })
 }
 
@@ -141,8 +151,11 @@ fn write(
         cancel.check()?;
         let coded: Vec<Coded> = thread::scope(|scope| {
             let work = encoders.iter_mut().zip(parts);
-            let threads: Vec<_> =
-                work.map(|(encoder, &part)| scope.spawn(move || encoder.encode(part))).collect();
+            let threads: Vec<_> = work
+                .map(|(encoder, &part)| {
+                    thread::Builder::new().spawn_scoped(scope, move || encoder.encode(part))
+                })
+                .collect::<Result<_, _>>()?;
             let done = threads.into_iter().map(|thread| thread.join());
             done.map(|coded| Ok(coded.map_err(|_| Failure::Internal)??))
                 .collect::<Result<_, Failure>>()

@@ -118,7 +118,9 @@ pub(crate) fn on_threads<P: Send, T: Send>(
         worker()?
     } else {
         thread::scope(|scope| {
-            let threads: Vec<_> = (0..threads.min(n)).map(|_| scope.spawn(worker)).collect();
+            let threads: Vec<_> = (0..threads.min(n))
+                .map(|_| thread::Builder::new().spawn_scoped(scope, worker))
+                .collect::<Result<_, _>>()?;
             let mut all = Vec::new();
             for thread in threads {
                 all.extend(thread.join().map_err(|_| Failure::Internal)??);

@@ -45,7 +45,9 @@ pub(crate) fn detached<T: Send>(
     thread::scope(|scope| {
         let (done, outcome) = channel();
         let cancelled = cancel.clone();
-        scope.spawn(move || done.send(caught(|| work(&cancelled))).ok());
+        thread::Builder::new()
+            .spawn_scoped(scope, move || done.send(caught(|| work(&cancelled))).ok())
+            .map_err(Failure::from)?;
         let (outcome, interrupted) = wait(py, outcome, &cancel);
         let outcome = match interrupted {
             // What it borrows must be let go of first.

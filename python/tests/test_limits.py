@@ -177,3 +177,19 @@ def test_ctrl_c_ends_what_takes_long(path, tmp_path):
     # With what it takes to end Python, on a machine that has other things to do; it is 0.3 s on one that has not.
     for code in (opening, coding):
         assert interrupted(code, long) < 5
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="others round the size of a stack in their own way")
+def test_where_no_thread_can_be_made_there_is_an_exception(path):
+    # No address space has room for such a stack.
+    code = (
+        "import mocapd, numpy, sys\n"
+        "for work in (lambda: mocapd.open(sys.argv[1]), lambda: mocapd.compress(numpy.zeros((9, 1, 3), numpy.float32), 1)):\n"
+        "    try: work()\n"
+        "    except OSError as e: print(type(e).__name__)"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", code, path],
+        capture_output=True, text=True, timeout=60, env={**os.environ, "RUST_MIN_STACK": str(1 << 60)},
+    )  # fmt: skip
+    assert (ran.stdout.split(), ran.returncode) == (["BlockingIOError"] * 2, 0), ran
