@@ -133,3 +133,20 @@ fn a_csv_of_one_frame_of_our_own_is_read() {
         folder.run(&["verify", &take, "--against", &csv]).with_code(0);
     }
 }
+
+#[test]
+fn samples_of_a_long_csv_before_the_first_and_behind_the_last_time_are_kept() {
+    let head = "frame,time_s,label,x_mm,y_mm,z_mm\n";
+    let rows =
+        "2,,a,2,0,0\n3,,a,3,0,0\n4,0.04,a,4,0,0\n5,0.05,a,5,0,0\n6,0.06,a,6,0,0\n8,,a,8,0,0\n";
+    let read = |rows: &str| Format::Csv.read(format!("{head}{rows}").as_bytes());
+    let motion = read(rows).unwrap();
+    assert_eq!((motion.n_frames(), motion.info.source.first_frame), (7, 2));
+    assert_eq!((motion.info.rate_hz, motion.info.n_frames), (100.0, 7));
+    let x: Vec<f32> = motion.positions_mm.iter().map(|at| at[0]).filter(|x| !x.is_nan()).collect();
+    assert_eq!(x, [2.0, 3.0, 4.0, 5.0, 6.0, 8.0]);
+    // One time among several frames tells no rate; of one frame none is needed.
+    read("4,0.04,a,4,0,0\n5,,a,5,0,0\n").unwrap_err();
+    assert_eq!(read("4,,a,4,0,0\n").unwrap().n_frames(), 1);
+    read("").unwrap_err();
+}

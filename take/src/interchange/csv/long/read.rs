@@ -32,7 +32,7 @@ pub(in crate::interchange) fn read(
     let data = Data::read(bytes, head_line, &millimetres)?;
     data.report(&mut warnings);
     millimetres.report(&mut warnings);
-    let (Some(&(first, _)), Some(&(last, _))) = (data.times.first(), data.times.last()) else {
+    let Some((first, last)) = data.frames() else {
         return Err(malformed(head_line, "expected a line for each sample, found none"));
     };
     let n_markers = data.labels.len();
@@ -46,13 +46,14 @@ pub(in crate::interchange) fn read(
         );
         return Err(malformed(head_line, &message));
     };
-    let rate_hz = rate(&data.times, &mut warnings).ok_or_else(|| {
+    let rate_hz = rate(&data.times, first == last, &mut warnings).ok_or_else(|| {
         malformed(head_line, "the rate is not known: expected times that rise with the frames")
     })?;
     let mut positions_mm = vec![GAP; total];
     for (frame, column, position) in data.samples {
-        let place = (frame - first) as usize * n_markers + column;
-        if let Some(place) = positions_mm.get_mut(place) {
+        let row = frame.checked_sub(first).and_then(|row| usize::try_from(row).ok());
+        let place = row.and_then(|row| row.checked_mul(n_markers)?.checked_add(column));
+        if let Some(place) = place.and_then(|place| positions_mm.get_mut(place)) {
             *place = position;
         }
     }
@@ -84,12 +85,12 @@ fn marker(label: String) -> Marker {
     Marker { labelled: !numbered, label }
 }
 
-/// Frames a second, by the frames that have samples and their times.
-fn rate(times: &[(u64, f64)], warnings: &mut Vec<String>) -> Option<f64> {
-    let (numbers, times): (Vec<u64>, Vec<f64>) = times.iter().copied().unzip();
-    if numbers.len() == 1 {
+/// Frames a second, by the frames that have times.
+fn rate(times: &[(u64, f64)], is_one_frame: bool, warnings: &mut Vec<String>) -> Option<f64> {
+    if is_one_frame {
         return Some(rate_of_one_frame(warnings));
     }
+    let (numbers, times): (Vec<u64>, Vec<f64>) = times.iter().copied().unzip();
     if numbers.windows(2).all(|w| matches!(w, [a, b] if b - a == 1)) {
         return rate_from_times(&times, &numbers, warnings);
     }
@@ -104,7 +105,7 @@ fn rate(times: &[(u64, f64)], warnings: &mut Vec<String>) -> Option<f64> {
 struct Data {
     labels: Vec<String>,
     samples: Vec<(u64, usize, Position)>,
-    /// The frames that have a sample and their times, in order.
+    /// The frames that have a time, in order.
     times: Vec<(u64, f64)>,
     damaged: usize,
     twice: usize,
@@ -152,6 +153,16 @@ impl Data {
         places.sort_unstable();
         data.twice = places.windows(2).filter(|w| matches!(w, [a, b] if a == b)).count();
         Ok(data)
+    }
+
+    /// The first and the last frame that have a time or a sample.
+    fn frames(&self) -> Option<(u64, u64)> {
+        let timed = self.times.iter().map(|&(frame, _)| frame);
+        let frames = timed.chain(self.samples.iter().map(|&(frame, ..)| frame));
+        frames.fold(None, |found, frame| {
+            let (first, last) = found.unwrap_or((frame, frame));
+            Some((frame.min(first), frame.max(last)))
+        })
     }
 
     fn report(&self, warnings: &mut Vec<String>) {
