@@ -53,6 +53,49 @@ fn trc_between_spaces_and_commas_is_that_between_tabs() {
     }
 }
 
+#[test]
+fn a_row_between_spaces_that_lacks_a_marker_is_a_gap() {
+    // HEAD is not seen in the third frame: no cells stand there, and those of KNEE would be its own.
+    let text = trc(" ").replace("2.5 100 1700 302", "   302");
+    let motion = Format::Trc.read(text.as_bytes()).unwrap();
+    assert_eq!(labels(&motion), ["HEAD", "KNEE"]);
+    let gaps: Vec<bool> = motion.positions_mm.iter().map(|&at| is_gap(at)).collect();
+    assert_eq!(gaps, [false, false, false, false, true, true, false, false]);
+    assert_eq!(motion.info.source.warnings.len(), 1, "{:?}", motion.info.source.warnings);
+    // Where the figures disagree, rows tell; where no row has the cells of all markers, nothing does.
+    for markers in ["3", "0"] {
+        let text = text.replace("100 100 4 2 mm", &format!("100 100 4 {markers} mm"));
+        let found = Format::Trc.read(text.as_bytes()).unwrap();
+        assert_eq!(found.frame(3), motion.frame(3));
+        assert!(is_gap(found.frame(2)[0]));
+    }
+    let short = (0..4).fold(trc(" "), |text, i| text.replace(&format!(" {i}.5 100 1700"), "   "));
+    Format::Trc.read(short.as_bytes()).unwrap_err();
+    // A label with a space in it does not move the others to markers that are not theirs.
+    let named = Format::Trc.read(trc(" ").replace("HEAD", "L HEAD").as_bytes()).unwrap();
+    assert_eq!(labels(&named), ["u001", "u002"]);
+    assert_eq!(named.frame(3), motion.frame(3));
+}
+
+#[test]
+fn a_line_without_the_separator_of_the_others_is_a_gap() {
+    for between in ["\t", ",", ";"] {
+        let row = |i: usize| format!("{} 0.0{i} {i}.5 100 1700 {} 200 900", i + 1, 300 + i);
+        let text = trc(between).replace(&row(2).replace(' ', between), "3 0.02 302 200 900");
+        let motion = Format::Trc.read(text.as_bytes()).unwrap();
+        let gaps: Vec<bool> = motion.positions_mm.iter().map(|&at| is_gap(at)).collect();
+        assert_eq!(gaps, [false, false, false, false, true, true, false, false], "{between}");
+        assert_eq!(motion.info.source.warnings.len(), 1, "{:?}", motion.info.source.warnings);
+    }
+    // All rows between spaces below labels between tabs are a file that is consistent in itself.
+    let expected = Format::Trc.read(trc("\t").as_bytes()).unwrap();
+    let (head, rows) =
+        trc("\t").split_once("\n1\t").map(|(a, b)| (a.to_owned(), b.to_owned())).unwrap();
+    let text = head + "\n1 " + &rows.replace('\t', " ");
+    let found = Format::Trc.read(text.as_bytes()).unwrap();
+    assert_eq!(found.positions_mm, expected.positions_mm);
+}
+
 /// Motive's export: rows that tell of the columns with or without names of their own.
 fn motive(is_named: bool, columns: &[[&str; 4]], rows: &[&str]) -> String {
     let line = |lead: &str, field: usize| {

@@ -6,6 +6,7 @@
 //! In an unlabelled cloud no label stands, `NumMarkers` is 0 and lines differ in length.
 
 mod read;
+mod rows;
 mod separator;
 mod write;
 

@@ -1,8 +1,9 @@
 //! Bytes of a TRC file -> trajectories.
 
 use super::HEADER;
+use super::rows::read_rows;
 use super::separator::Separator;
-use crate::interchange::text::{self, Rows};
+use crate::interchange::text;
 use crate::interchange::units::{FileUnit, Millimetres};
 use crate::interchange::{InterchangeError, ReadOptions, notes::Notes, origin};
 use crate::motion::{Ambiguity, Foreign, Marker, Motion, MotionInfo, Source, UpAxis};
@@ -13,14 +14,27 @@ pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
     let head = Head::parse(bytes, &mut notes.warnings)?;
     let unit = FileUnit::of(&head.unit, options, &mut notes);
     let millimetres = Millimetres::new(unit.factor, options);
-    let data = read_rows(bytes, &head, &millimetres, &mut notes.warnings);
+    let data = read_rows(bytes, &head, &millimetres, &mut notes.warnings)?;
     let warnings = &mut notes.warnings;
     if let Some(announced) = head.n_frames
         && announced != data.rows.len() as u64
     {
         warnings.push(format!("{announced} frames announced, {} present.", data.rows.len()));
     }
-    let width = data.width.max(head.labels.len());
+    // A label with a space in it counts as several where spaces separate them.
+    let n_labels = match (data.separator, head.n_markers) {
+        (Separator::Byte(_), Some(n)) if n > 0 => usize::try_from(n).unwrap_or(usize::MAX),
+        _ => data.width,
+    };
+    let mut labels = head.labels;
+    if head.separator == Separator::Spaces && !labels.is_empty() && labels.len() != n_labels {
+        warnings.push(format!(
+            "Spaces separate {} labels of {n_labels} markers: which is whose is not known, and markers are numbered.",
+            labels.len()
+        ));
+        labels.clear();
+    }
+    let width = data.width.max(labels.len());
     if head.n_markers.is_some_and(|n| n > 0 && n != width as u64) {
         warnings.push(format!(
             "NumMarkers is {}, the file has columns for {width} markers.",
@@ -28,7 +42,7 @@ pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
         ));
     }
     let markers: Vec<Marker> = (0..width)
-        .map(|column| text::marker(head.labels.get(column).map_or("", String::as_str), column))
+        .map(|column| text::marker(labels.get(column).map_or("", String::as_str), column))
         .collect();
     let n_frames = data.rows.len() as u64;
     let mut positions_mm = data.rows.into_rectangle(width, bytes.len(), "trc")?;
@@ -60,16 +74,16 @@ pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
 }
 
 /// What stands above the data.
-struct Head {
+pub(super) struct Head {
     rate_hz: f64,
     unit: String,
     n_frames: Option<u64>,
-    n_markers: Option<u64>,
-    labels: Vec<String>,
-    /// What stands between the cells of a line.
-    separator: Separator,
+    pub(super) n_markers: Option<u64>,
+    pub(super) labels: Vec<String>,
+    /// What stands between the labels.
+    pub(super) separator: Separator,
     /// Number of the line with the labels.
-    labels_line: usize,
+    pub(super) labels_line: usize,
     /// The lines above it, without line ends, each followed by LF.
     lines: Vec<u8>,
 }
@@ -160,13 +174,6 @@ fn labels_of(
         cells.pop();
     }
     if separator == Separator::Spaces {
-        if n_markers.is_some_and(|n| n > 0 && n != cells.len() as u64) {
-            warnings.push(format!(
-                "Spaces separate the {} labels of {} markers: a label with a space counts as several.",
-                cells.len(),
-                n_markers.unwrap_or(0)
-            ));
-        }
         return cells;
     }
     let between =
@@ -186,105 +193,7 @@ fn labels_of(
     cells
 }
 
-/// The data as read.
-#[derive(Default)]
-struct Data {
-    rows: Rows,
-    /// Markers of the widest row.
-    width: usize,
-    first_frame: Option<u64>,
-}
-
-fn read_rows(
-    bytes: &[u8],
-    head: &Head,
-    millimetres: &Millimetres,
-    warnings: &mut Vec<String>,
-) -> Data {
-    let mut data = Data::default();
-    let mut skipped = Skipped::default();
-    let mut expected = None;
-    for (number, line) in text::lines(bytes).skip(head.labels_line) {
-        // A line without the separator of the labels has one of its own.
-        let separator =
-            if head.separator.is_in(line) { head.separator } else { Separator::of(line) };
-        let mut cells = separator.cells(line);
-        let first = cells.next().unwrap_or(&[]);
-        let Some(frame) = text::whole_number(first) else {
-            // The line X1 Y1 Z1... and empty lines.
-            if !line.trim_ascii().is_empty()
-                && !first.trim_ascii().is_empty()
-                && !is_axes(separator, line)
-            {
-                skipped.line(number);
-            }
-            continue;
-        };
-        if expected.is_some_and(|expected| expected != frame) {
-            skipped.jumps += 1;
-        }
-        expected = Some(frame.saturating_add(1));
-        data.first_frame.get_or_insert(frame);
-        cells.next();
-        let columns = data
-            .rows
-            .read_row(&mut cells, &mut skipped.cells, |stored| millimetres.position(stored));
-        data.width = data.width.max(columns);
-    }
-    skipped.report(warnings);
-    millimetres.report(warnings);
-    data
-}
-
-/// Whether a line holds nothing but `X1 Y1 Z1 X2...`, three cells at least.
-fn is_axes(separator: Separator, line: &[u8]) -> bool {
-    let is_axis = |cell: &[u8]| match cell.trim_ascii().split_first() {
-        Some((axis, number)) => b"XYZxyz".contains(axis) && number.iter().all(u8::is_ascii_digit),
-        None => true,
-    };
-    separator.cells(line).nth(2).is_some() && separator.cells(line).all(is_axis)
-}
-
-/// What could not be read.
-#[derive(Default)]
-struct Skipped {
-    first_line: usize,
-    lines: usize,
-    cells: usize,
-    jumps: usize,
-}
-
-impl Skipped {
-    fn line(&mut self, number: usize) {
-        if self.lines == 0 {
-            self.first_line = number;
-        }
-        self.lines += 1;
-    }
-
-    fn report(&self, warnings: &mut Vec<String>) {
-        if self.lines > 0 {
-            warnings.push(format!(
-                "{} lines do not begin with a frame number and were left out, the first is line {}.",
-                self.lines, self.first_line
-            ));
-        }
-        if self.cells > 0 {
-            warnings.push(format!(
-                "{} samples have cells that are not numbers; they are gaps.",
-                self.cells
-            ));
-        }
-        if self.jumps > 0 {
-            warnings.push(format!(
-                "Frame numbers do not rise by one in {} places; lines were taken as successive frames.",
-                self.jumps
-            ));
-        }
-    }
-}
-
-fn malformed(place: &str, message: &str) -> InterchangeError {
+pub(super) fn malformed(place: &str, message: &str) -> InterchangeError {
     InterchangeError::Malformed {
         format: "trc",
         place: place.to_owned(),
