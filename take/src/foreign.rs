@@ -10,7 +10,7 @@ use flate2::{
 use crate::{TakeError, motion::Foreign, varint};
 
 /// Longest foreign part: a C3D file's analog section at the format's own limits stays below it.
-const DATA_BYTES_MAX: u64 = 1 << 28;
+pub(crate) const DATA_BYTES_MAX: u64 = 1 << 28;
 
 /// The payload of a FOREIGN chunk.
 ///

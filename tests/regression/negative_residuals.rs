@@ -87,6 +87,28 @@ fn coordinates_under_gaps_come_back_to_the_bit() {
 }
 
 #[test]
+fn coordinates_under_gaps_are_kept_in_as_many_bytes_as_they_need() {
+    // Twenty markers, two runs under gaps in each of them, among two thousand frames.
+    let (n_frames, n_markers) = (2000, 20);
+    let is_under = |frame: usize, marker: usize| frame % 1000 == 7 * marker || frame == marker;
+    let frame = |frame: usize| {
+        let marker = |marker: usize| {
+            let fourth = if is_under(frame, marker) { -1.0 } else { 0.0 };
+            [frame as f32, marker as f32, 1000.5, fourth]
+        };
+        (0..n_markers).flat_map(marker).collect()
+    };
+    let bytes = C3dFile::new(n_markers, (0..n_frames).map(frame).collect()).bytes();
+    let motion = Format::C3d.read(&bytes).unwrap();
+    let n_under: usize =
+        (0..n_frames).map(|f| (0..n_markers).filter(|&m| is_under(f, m)).count()).sum();
+    let kept = motion.info.foreign.iter().find(|part| part.kind == "c3d/gap-coordinates").unwrap();
+    assert!(kept.data.len() <= 40 * n_under + 16 * n_markers, "{} bytes", kept.data.len());
+    let n_words = 4 * n_frames * n_markers;
+    assert_eq!(words(&write(&motion), n_words), words(&bytes, n_words));
+}
+
+#[test]
 fn coordinates_under_gaps_are_scaled_and_turned_with_the_others() {
     for order in [Order::Intel, Order::Dec, Order::Mips] {
         let frames = vec![vec![10.0, 20.0, 30.0, 0.0], vec![11.0, 21.0, 31.0, -1.0]];

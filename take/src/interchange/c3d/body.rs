@@ -2,7 +2,7 @@
 
 use super::columns::unordered;
 use super::foreign::{KeptSamples, kept_parameters};
-use super::gap_coordinates;
+use super::gap_coordinates::KeptCoordinates;
 use super::read::is_missing;
 use crate::motion::{GAP, MotionInfo, Position, is_gap};
 
@@ -23,9 +23,9 @@ pub(super) struct Body<'a> {
     analog: Option<KeptSamples<'a>>,
     residuals: Option<KeptSamples<'a>>,
     outputs: Option<KeptSamples<'a>>,
-    under_gaps: Option<KeptSamples<'a>>,
-    /// The place of each marker among those that have coordinates under gaps.
-    under_gaps_at: Vec<Option<usize>>,
+    under_gaps: Option<KeptCoordinates<'a>>,
+    /// The words under the gaps of the frame under way, for each marker; all `None` between frames.
+    under_gap: Vec<Option<[f32; 4]>>,
     unsigned_analog: bool,
     /// What is taken from the analog samples of each channel; empty for nothing.
     pub(super) analog_offsets: Vec<f64>,
@@ -37,16 +37,9 @@ impl<'a> Body<'a> {
         let foreign = &info.foreign;
         let outputs = KeptSamples::model_outputs(foreign, first_frame);
         let n_markers = info.markers.len();
-        let under_gaps = KeptSamples::gap_coordinates(foreign, first_frame);
-        let mut under_gaps_at = vec![None; n_markers];
-        for (place, &marker) in under_gaps.iter().flat_map(|kept| &kept.points).enumerate() {
-            if let Some(at) = under_gaps_at.get_mut(marker) {
-                *at = Some(place);
-            }
-        }
         Self {
-            under_gaps,
-            under_gaps_at,
+            under_gaps: KeptCoordinates::parse(foreign, first_frame),
+            under_gap: vec![None; n_markers],
             analog_offsets: Vec::new(),
             points: places(n_markers, outputs.as_ref().map_or(&[], |kept| &kept.points)),
             analog: KeptSamples::analog(foreign, first_frame),
@@ -79,10 +72,11 @@ impl<'a> Body<'a> {
             .outputs
             .as_mut()
             .and_then(|kept| kept.begin_frame().then(|| kept.next()).flatten());
-        let under_gaps = self
-            .under_gaps
-            .as_mut()
-            .and_then(|kept| kept.begin_frame().then(|| kept.next()).flatten());
+        for (marker, words) in self.under_gaps.iter_mut().flat_map(KeptCoordinates::next_frame) {
+            if let Some(place) = self.under_gap.get_mut(marker) {
+                *place = Some(words);
+            }
+        }
         for &point in &self.points {
             let words = match point {
                 Point::Marker(index) => {
@@ -95,10 +89,7 @@ impl<'a> Body<'a> {
                             f32::from(word as i16)
                         })
                     });
-                    let place = self.under_gaps_at.get(index).copied().flatten();
-                    let under_gap = under_gaps
-                        .zip(place)
-                        .and_then(|(kept, at)| gap_coordinates::words(kept, at));
+                    let under_gap = self.under_gap.get_mut(index).and_then(Option::take);
                     marker_words(position, fourth, under_gap)
                 }
                 Point::ModelOutput(index) => outputs

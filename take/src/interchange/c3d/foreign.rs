@@ -20,7 +20,7 @@ use crate::interchange::turn::Turn;
 use crate::motion::{Foreign, Position, is_gap};
 
 /// Version of every layout here.
-const VERSION: u8 = 1;
+pub(super) const VERSION: u8 = 1;
 /// Kind of the parameters.
 const PARAMETERS: &str = "c3d/parameters";
 /// Kind of the analog samples.
@@ -57,7 +57,7 @@ pub(super) fn keep(
 
 /// The head that every block of samples has: version, width, number of columns or of what they make up, samples a
 /// frame and column, number of the first frame, number of frames.
-pub(super) fn sample_head(
+fn sample_head(
     width: u8,
     n_signals: usize,
     ratio: usize,
@@ -191,12 +191,8 @@ pub(super) struct KeptSamples<'a> {
     pub(super) n_signals: usize,
     /// Samples a frame and signal.
     pub(super) ratio: usize,
-    /// Indices of the points, for model outputs; of the markers, for coordinates under gaps.
+    /// Indices of the points, for model outputs.
     pub(super) points: Vec<usize>,
-    /// Number of the first frame that was kept.
-    pub(super) first_frame: u64,
-    /// Frames that were kept.
-    pub(super) n_frames: usize,
     columns: Columns<'a>,
     /// Frames to come before the kept ones begin.
     wait: u64,
@@ -230,22 +226,7 @@ impl<'a> KeptSamples<'a> {
         let skip = first_frame.saturating_sub(kept_first).min(n_frames as u64) as usize;
         columns.skip(skip.saturating_mul(ratio));
         let wait = kept_first.saturating_sub(first_frame);
-        Some(Self {
-            width: usize::from(width),
-            n_signals,
-            ratio,
-            points,
-            first_frame: kept_first,
-            n_frames,
-            columns,
-            wait,
-        })
-    }
-
-    /// The coordinates under gaps from a frame on.
-    pub(super) fn gap_coordinates(foreign: &'a [Foreign], first_frame: u64) -> Option<Self> {
-        Self::parse(foreign, GAP_COORDINATES, 4, true, first_frame)
-            .filter(|kept| kept.ratio == 1 && kept.width == 4)
+        Some(Self { width: usize::from(width), n_signals, ratio, points, columns, wait })
     }
 
     /// The analog samples from a frame on.

@@ -53,7 +53,7 @@ pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
     let up = options.up(up_axis(&parameters), &mut notes);
     parameters.turn(options.turn());
     let mut foreign = foreign::keep(&header, &parameters, &frames, &points, &positions_mm);
-    foreign.extend(under_gaps.into_foreign(layout.first_frame, layout.n_frames));
+    foreign.extend(under_gaps.into_foreign(layout.first_frame, &mut notes.warnings));
     let events =
         events::read(&parameters, layout.rate_hz, layout.first_frame, layout.n_frames as u64);
     Ok(Motion {
