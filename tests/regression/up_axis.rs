@@ -1,6 +1,11 @@
 //! Exports say that they leave the up axis out, and turn when asked; pictures agree about what is up.
 
-use crate::{cli::Folder, support::jump};
+use mocapd_take::interchange::{Format, ReadOptions};
+
+use crate::{
+    cli::Folder,
+    support::{c3d_file::C3dFile, jump},
+};
 
 /// The third column of coordinates of a CSV file's first marker.
 fn column(csv: &str, axis: usize) -> Vec<f32> {
@@ -60,6 +65,23 @@ fn what_is_up_can_be_given_at_import() {
     let turned: Vec<f32> = column(&plain, 2).iter().map(|v| -v).collect();
     assert_eq!(column(&folder.text("down.csv"), 2), turned);
     assert_eq!(column(&folder.text("down.csv"), 0), column(&plain, 0));
+}
+
+#[test]
+fn model_outputs_that_do_not_turn_are_said() {
+    let warnings = |outputs: &[&str], up: &str| {
+        let frames = vec![vec![1.0, 2.0, 3.0, 0.0, 4.0, 5.0, 6.0, 0.0]; 5];
+        let mut file = C3dFile::new(2, frames);
+        file.texts(1, "LABELS", &["HEAD", "Knee"]);
+        file.texts(1, "ANGLES", outputs);
+        let options = ReadOptions { up: up.parse().ok(), ..ReadOptions::default() };
+        let motion = Format::C3d.read_with(&file.bytes(), &options).unwrap();
+        motion.info.source.warnings
+    };
+    let says = |warnings: &[String]| warnings.iter().any(|w| w.contains("c3d/model-outputs"));
+    assert!(says(&warnings(&["Knee"], "-z")));
+    // Nothing turns, or there are none.
+    assert!(!says(&warnings(&["Knee"], "z")) && !says(&warnings(&["None"], "-z")));
 }
 
 #[test]

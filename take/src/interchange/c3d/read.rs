@@ -54,6 +54,13 @@ pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
     parameters.turn(options.turn());
     let mut foreign = foreign::keep(&header, &parameters, &frames, &points, &positions_mm);
     foreign.extend(under_gaps.into_foreign(layout.first_frame, &mut notes.warnings));
+    if !options.turn().is_none() && !points.outputs.is_empty() {
+        notes.warnings.push(format!(
+            "{} model outputs ({}) were not given that half a turn: some are in space, some are angles.",
+            points.outputs.len(),
+            foreign::MODEL_OUTPUTS
+        ));
+    }
     let events =
         events::read(&parameters, layout.rate_hz, layout.first_frame, layout.n_frames as u64);
     Ok(Motion {
