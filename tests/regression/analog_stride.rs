@@ -211,6 +211,83 @@ fn a_cut_file_whose_header_alone_claims_analog_samples_is_read_by_its_motion() {
     assert_eq!(motion.frame(39)[4], position(39, 4));
 }
 
+/// What the points and the analog samples of an honest file are.
+#[derive(Debug, Clone, Copy)]
+enum Content {
+    Moving,
+    Still,
+    Missing,
+    /// Markers that jump about.
+    Restless,
+}
+
+/// A file whose figures agree: points, channels, samples a frame and channel, frames.
+fn honest(content: Content, shape: [usize; 4], is_slow: bool) -> Vec<u8> {
+    let [n_points, n_channels, ratio, n_frames] = shape;
+    let frame = |frame: usize| {
+        let mut words = Vec::new();
+        for point in 0..n_points {
+            let jump = (frame * 7919 + point * 104_729) % 1009;
+            let [x, y, z] = match content {
+                Content::Moving => position(frame, point),
+                Content::Still => position(0, point),
+                Content::Missing => [0.0; 3],
+                Content::Restless => position(frame, point).map(|v| v + 3.0 * jump as f32),
+            };
+            words.extend([x, y, z, if matches!(content, Content::Missing) { -1.0 } else { 0.0 }]);
+        }
+        words.extend((0..n_channels * ratio).map(|sample| {
+            // A force plate under a standing person, which is smoother than any marker.
+            let slow = 400.0 + (frame * n_channels * ratio + sample) as f32 / 10.0;
+            if is_slow { slow } else { analog(frame, sample) }
+        }));
+        words
+    };
+    let frames = (0..n_frames).map(frame).collect();
+    let mut file = C3dFile { analog: (n_channels, ratio), ..C3dFile::new(n_points, frames) };
+    file.words(1, "FRAMES", &[n_frames as u16]);
+    file.records.extend(file.group(2, "ANALOG"));
+    file.words(2, "USED", &[n_channels as u16]);
+    file.floats(2, "RATE", &[100.0 * ratio as f32]);
+    file.bytes()
+}
+
+#[test]
+fn an_honest_file_that_was_cut_off_keeps_its_stride() {
+    let contents = [Content::Moving, Content::Still, Content::Missing, Content::Restless];
+    let shapes = [[1, 1, 1], [1, 6, 10], [2, 1, 100], [5, 3, 10], [9, 0, 0]];
+    let data_start =
+        |bytes: &[u8]| (usize::from(u16::from_le_bytes([bytes[16], bytes[17]])) - 1) * 512;
+    for (content, [points, channels, ratio], n_frames, is_slow) in contents
+        .into_iter()
+        .flat_map(|content| shapes.map(|shape| (content, shape)))
+        .flat_map(|(content, shape)| [3, 40].map(|n_frames| (content, shape, n_frames)))
+        .flat_map(|(content, shape, n)| [true, false].map(|is_slow| (content, shape, n, is_slow)))
+    {
+        let bytes = honest(content, [points, channels, ratio, n_frames], is_slow);
+        let whole = read(&bytes);
+        assert!(!is_noted(&whole), "{content:?}, {points} points, {channels} times {ratio}");
+        let frame_bytes = 4 * (4 * points + channels * ratio);
+        for n_present in 1..n_frames {
+            for more in [0, frame_bytes / 2] {
+                let cut = &bytes[..data_start(&bytes) + n_present * frame_bytes + more];
+                let motion = read(cut);
+                let what = format!(
+                    "{content:?}, {points} points, {channels} times {ratio}, slow {is_slow}, {n_present} of {n_frames}"
+                );
+                assert_eq!(motion.n_frames(), n_present, "{what}");
+                assert!(!is_noted(&motion), "{what}");
+                let expected = &whole.positions_mm[..n_present * points];
+                let bits = |at: &[f32; 3]| at.map(f32::to_bits);
+                assert!(
+                    motion.positions_mm.iter().map(bits).eq(expected.iter().map(bits)),
+                    "{what}"
+                );
+            }
+        }
+    }
+}
+
 #[test]
 fn verify_says_that_the_file_can_be_read_in_another_way() {
     let folder = Folder::new();

@@ -77,6 +77,34 @@ fn as_written(motion: &Motion, format: Format) -> Motion {
 }
 
 #[test]
+fn real_c3d_files_that_were_cut_off_keep_their_stride() {
+    let Some(folder) = std::env::var_os("MOCAPD_TAKES") else {
+        eprintln!("skipped: MOCAPD_TAKES is not set");
+        return;
+    };
+    for (name, n_markers, n_frames, ..) in TAKES.into_iter().filter(|t| t.0.ends_with("c3d")) {
+        let Some(whole) = take(name) else { return };
+        let path = std::path::Path::new(&folder).join(name);
+        let bytes = std::fs::read(path).expect("read a moment ago");
+        let word = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
+        let start = (usize::from(word(16)) - 1) * 512;
+        // As many bytes a frame as whole frames leave less than a block.
+        let frame_bytes = (bytes.len() - start) / n_frames as usize / 2 * 2;
+        let few = (1..=24).chain((25..n_frames as usize).step_by(n_frames as usize / 12));
+        for n_present in few {
+            let cut = Format::C3d.read(&bytes[..start + n_present * frame_bytes + frame_bytes / 2]);
+            let cut = cut.expect("a usable file");
+            assert_eq!(cut.info.markers.len(), n_markers, "{name}, {n_present} frames");
+            assert_eq!(cut.n_frames(), n_present, "{name}");
+            for (found, expected) in cut.positions_mm.iter().zip(&whole.positions_mm) {
+                let same = found.map(f32::to_bits) == expected.map(f32::to_bits);
+                assert!(same || is_gap(*found) && is_gap(*expected), "{name}, {n_present} frames");
+            }
+        }
+    }
+}
+
+#[test]
 fn unlabelled_points_and_model_outputs_of_a_vicon_file() {
     let Some(motion) = take("walk_159p_unlabelled_120hz.c3d") else { return };
     assert_eq!(motion.info.markers.iter().filter(|m| !m.labelled).count(), 42);

@@ -161,13 +161,10 @@ impl Stated {
         if let Some(used) = self.channels_used {
             let ratios = [Some(self.header_ratio), self.rate_ratio].into_iter().flatten();
             let ratios: Vec<u64> = ratios.filter(|&ratio| ratio > 0).collect();
+            // Also where the header says another number: some software writes that of the channels there.
             all.extend(ratios.iter().map(|ratio| used.saturating_mul(*ratio)));
             if ratios.is_empty() {
                 all.push(used);
-            }
-            if used == self.header_analog {
-                // Some software writes the number of channels into the header.
-                all.extend(ratios.iter().map(|ratio| used.saturating_mul(*ratio)));
             }
         }
         all.retain(|&n| n <= ANALOG_MAX);
@@ -203,6 +200,14 @@ impl Stated {
             .map(|&stride| candidate(stride, counts.of_stride(file, &stride).n_frames, true))
             .collect();
         let n_stated = candidates.len();
+        let only = match candidates.as_slice() {
+            &[only] => Some(only),
+            _ => None,
+        };
+        if let Some(only) = only.filter(Candidate::is_uncontradicted) {
+            return Ok((only.stride, 1));
+        }
+        let cut_off = only.filter(Candidate::is_short);
         if !candidates.iter().any(Candidate::is_plausible) {
             let mut more: Vec<(Stride, u64)> = Vec::new();
             for n_frames in counts.all() {
@@ -215,16 +220,21 @@ impl Stated {
             }
             let more = more.into_iter().map(|(stride, n)| candidate(stride, n, false));
             candidates.extend(more);
-            // A file that says nothing of channels may have none, whatever its header says.
-            let none = strides.iter().map(|&stride| Stride { analog_per_frame: 0, ..stride });
-            let none = none.filter(|stride| !strides.contains(stride));
-            candidates.extend(
-                none.map(|stride| {
+            if self.channels_used.is_none_or(|used| used == 0) {
+                // A file that says nothing of channels may have none, whatever its header says.
+                let none = strides.iter().map(|&stride| Stride { analog_per_frame: 0, ..stride });
+                let none = none.filter(|stride| !strides.contains(stride));
+                candidates.extend(none.map(|stride| {
                     candidate(stride, counts.of_stride(file, &stride).n_frames, true)
-                }),
-            );
+                }));
+            }
         }
-        match (choose(&candidates), strides.first()) {
+        let chosen = choose(&candidates).filter(|chosen| {
+            cut_off.is_none_or(|stated| {
+                chosen.is_much_smoother(&stated) && chosen.begins_smoothly(file, order)
+            })
+        });
+        match (chosen, strides.first()) {
             (Some(chosen), _) => {
                 let is_other = strides.first() != Some(&chosen.stride);
                 Ok((chosen.stride, n_stated.max(1 + usize::from(is_other))))

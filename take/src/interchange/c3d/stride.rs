@@ -136,7 +136,37 @@ impl Candidate {
 
     /// Whether nothing speaks against it, with no other reading to compare with.
     pub(super) fn is_plausible(&self) -> bool {
-        self.accounts() && self.roughness.is_none_or(|roughness| roughness <= ROUGHNESS_MAX)
+        self.accounts() && self.may_be_motion()
+    }
+
+    /// Whether there are fewer bytes than its frames need.
+    pub(super) fn is_short(&self) -> bool {
+        self.fit == Fit::Short
+    }
+
+    /// Whether nothing speaks against the only reading that is stated: it accounts for the bytes, or the file is only
+    /// shorter and motion goes on. A few frames tell nothing of motion, markers may jump, and analog samples be smooth.
+    pub(super) fn is_uncontradicted(&self) -> bool {
+        self.accounts() || self.is_short() && self.may_be_motion()
+    }
+
+    /// Whether coordinates go on from frame to frame, or are too few to tell.
+    fn may_be_motion(&self) -> bool {
+        self.roughness.is_none_or(|roughness| roughness <= ROUGHNESS_MAX)
+    }
+
+    /// Whether coordinates go on so much better than in another reading that the other one is wrong.
+    pub(super) fn is_much_smoother(&self, other: &Self) -> bool {
+        let measured = self.roughness.zip(other.roughness);
+        measured.is_some_and(|(roughness, other)| ROUGHER * roughness < other)
+    }
+
+    /// Whether coordinates go on from the first frame, which is a frame in every reading: where a wrong one finds smooth
+    /// analog samples everywhere else, it does not.
+    pub(super) fn begins_smoothly(&self, file: &FileBytes<'_>, order: ByteOrder) -> bool {
+        let roughness =
+            roughness(file.bytes, order, &self.stride, file.present(&self.stride).min(3));
+        roughness.is_some_and(|roughness| roughness <= ROUGHNESS_MAX)
     }
 
     /// The order in which readings are taken; `None` for one that nothing speaks for.
