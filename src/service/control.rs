@@ -7,9 +7,9 @@ use utoipa::ToSchema;
 
 use super::{
     live::LiveFeed,
-    status::{LedgerStatus, MarkerQuality, ServiceEvent, Status, TakeSummary},
+    status::{LedgerStatus, MarkerQuality, ServiceEvent, Status, TakeStatus, TakeSummary},
 };
-use crate::files::FileState;
+use crate::files::{FileId, FileState};
 
 /// The service as the HTTP API, the triggers and the signals see it.
 ///
@@ -69,6 +69,9 @@ pub trait Control: Send + Sync + std::fmt::Debug + 'static {
     /// # Errors
     /// There is no such take.
     fn take_path(&self, name: &str) -> Result<PathBuf, Refusal>;
+
+    /// The take that is being recorded, where it is this file, whatever that is called. Never waits.
+    fn live_take(&self, file: FileId) -> Option<TakeStatus>;
 
     /// Says something to everybody who listens: an event of this kind.
     fn tell(&self, _kind: &str, _message: &str) {}

@@ -51,9 +51,9 @@ use super::{
         Stopped,
     },
     live::LiveFeed,
-    status::{MarkerQuality, State, Status, TakeSummary},
+    status::{MarkerQuality, State, Status, TakeStatus, TakeSummary},
 };
-use crate::{heartbeat::Heartbeat, pipeline::lock, threads};
+use crate::{files::FileId, heartbeat::Heartbeat, pipeline::lock, threads};
 
 /// How long a command waits for the one before it: as long as that may take with a disk that stalls.
 const COMMAND_WITHIN: Duration = Duration::from_secs(60);
@@ -251,6 +251,13 @@ impl Control for Engine {
 
     fn take_path(&self, name: &str) -> Result<PathBuf, Refusal> {
         self.inner.path_of(name)
+    }
+
+    fn live_take(&self, file: FileId) -> Option<TakeStatus> {
+        let core = self.inner.core();
+        let id = core.take.as_ref().filter(|take| take.file == file)?.id.clone();
+        drop(core);
+        self.inner.status().take.filter(|take| take.take_id == id)
     }
 
     fn tell(&self, kind: &str, message: &str) {

@@ -17,7 +17,10 @@ use super::{
     problem::{Problem, ProblemKind},
     state::Shared,
 };
-use crate::service::{control::Control, status::TakeSummary};
+use crate::{
+    files::FileId,
+    service::{control::Control, status::TakeSummary},
+};
 
 /// Takes that are listed where nobody says how many, and at most.
 const LIMIT: usize = 100;
@@ -84,7 +87,7 @@ pub(super) fn open(control: &dyn Control, name: &str) -> Result<OpenTake, Proble
         return Err(not_there());
     }
     // Asked behind the metadata: a take that ends in between has all of these bytes on disk.
-    let growing = control.status().take.filter(|take| take.name == name);
+    let growing = control.live_take(FileId::of(&found));
     let tag = format!(
         "\"{:x}-{:x}-{:x}\"",
         found.len(),

@@ -13,7 +13,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd::files::FileState;
+use mocapd::files::{FileId, FileState};
 use mocapd::service::{
     control::{
         Control, EventFeed, FirstFrame, Mark, Marked, Refusal, RefusalKind, Request, SaveLast,
@@ -363,6 +363,11 @@ impl Control for Fake {
         takes.sort_by(|a, b| b.name.cmp(&a.name));
         takes.truncate(limit);
         Ok(takes)
+    }
+
+    fn live_take(&self, file: FileId) -> Option<TakeStatus> {
+        let take = self.status().take?;
+        file.is_at(Path::new(&take.path)).unwrap().then_some(take)
     }
 
     fn take_path(&self, name: &str) -> Result<PathBuf, Refusal> {
