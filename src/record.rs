@@ -12,9 +12,9 @@ use mocapd_take::record::Subject;
 
 use crate::{
     disk,
-    files::{Settled, TakeFile},
+    files::{FileState, Settled, TakeFile},
     header,
-    pipeline::{NothingRecorded, Pipeline, PipelineConfig, Progress, Written},
+    pipeline::{NothingRecorded, Pipeline, PipelineConfig, Progress, TakeFailed, Written},
     rig::{Ending, ReadOptions, Recording, Rig},
     subject::strangers,
     units,
@@ -103,20 +103,19 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
         Ok(()) => error,
         Err(e) => error.context(format!("{name} holds nothing and cannot be removed ({e})")),
     };
-    let ends_early = |error: anyhow::Error| {
-        if error.downcast_ref::<NothingRecorded>().is_some() {
-            return nothing_recorded(error);
-        }
-        error.context(format!("the take {name} ends early; what is in it can be read"))
-    };
+    let is_nothing = |failed: &TakeFailed<TakeFile>| failed.error.is::<NothingRecorded>();
     match outcome {
         Err(error) => Err(nothing_recorded(error)),
         Ok((Err(error), written)) => Err(match written {
             Ok((written, _)) if written.ledger.recorded == 0 => nothing_recorded(error),
-            Err(e) if e.downcast_ref::<NothingRecorded>().is_some() => nothing_recorded(error),
-            _ => ends_early(error),
+            Ok((_, mut file)) => ends_early(options.take, error, Some(&mut file)),
+            Err(failed) if is_nothing(&failed) => nothing_recorded(error),
+            Err(mut failed) => ends_early(options.take, error, failed.output.as_deref_mut()),
         }),
-        Ok((Ok(_), Err(error))) => Err(ends_early(error)),
+        Ok((Ok(_), Err(failed))) if is_nothing(&failed) => Err(nothing_recorded(failed.error)),
+        Ok((Ok(_), Err(mut failed))) => {
+            Err(ends_early(options.take, failed.error, failed.output.as_deref_mut()))
+        }
         Ok((Ok(recording), Ok((written, mut file)))) => {
             if written.ledger.recorded == 0 {
                 let why = match recording.ending {
@@ -129,5 +128,42 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
             }
             Ok(Recorded { written, recording, file: file.settle(), rate_hz, markers })
         }
+    }
+}
+
+/// Says where a take is that could not be recorded to its end, and saves one that was removed.
+fn ends_early(take: &Path, error: anyhow::Error, file: Option<&mut TakeFile>) -> anyhow::Error {
+    let take = take.display();
+    let settled = file.map(TakeFile::settle);
+    let words = match settled.as_ref().and_then(Settled::words) {
+        Some(words) => format!("the take {take} ends early; {words}"),
+        None if settled.is_some_and(|file| file.state == FileState::InPlace) => {
+            format!("the take {take} ends early; what is in it can be read")
+        }
+        None => format!("the take {take} ends early"),
+    };
+    error.context(words)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+
+    use super::*;
+
+    #[test]
+    fn a_take_that_was_removed_is_saved_when_the_device_fails() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.take");
+        let mut file = TakeFile::create(&path).unwrap();
+        file.write_all(b"frames").unwrap();
+        let error = || anyhow!("the device fails");
+        let said = ends_early(&path, error(), Some(&mut file)).to_string();
+        assert!(said.contains("can be read"), "{said}");
+        std::fs::remove_file(&path).unwrap();
+        let said = ends_early(&path, error(), Some(&mut file)).to_string();
+        let saved = dir.path().join("a.saved.take");
+        assert!(said.contains("a.saved.take") && !said.contains("can be read"), "{said}");
+        assert_eq!(std::fs::read(saved).unwrap(), b"frames");
     }
 }

@@ -1,6 +1,6 @@
 //! Named threads, and panics that become errors.
 
-use std::thread::{Builder, JoinHandle};
+use std::thread::{Builder, JoinHandle, scope};
 
 use anyhow::{Context, anyhow};
 
@@ -16,6 +16,17 @@ pub fn spawn<T: Send + 'static>(
         .name(name.to_owned())
         .spawn(work)
         .with_context(|| format!("cannot start the thread {name}"))
+}
+
+/// Does some work on a named thread and something else meanwhile; one after the other where the system refuses a thread.
+/// Ends when both are done.
+pub fn beside(name: &str, work: impl FnOnce() + Send + Copy, meanwhile: impl FnOnce()) {
+    scope(|scope| {
+        if Builder::new().name(name.to_owned()).spawn_scoped(scope, work).is_err() {
+            work();
+        }
+        meanwhile();
+    });
 }
 
 /// Waits for a thread.

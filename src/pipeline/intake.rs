@@ -334,6 +334,12 @@ impl Intake {
         self.progress.disk_full.load(Ordering::Relaxed)
     }
 
+    /// How often the state of the take's file, or the name that it has, became another one.
+    #[must_use]
+    pub fn file_changes(&self) -> u32 {
+        self.progress.file_changes()
+    }
+
     /// What others did to the take's file.
     #[must_use]
     pub fn file_state(&self) -> FileState {

@@ -38,7 +38,7 @@ pub use plan::{PipelineConfig, PreRollConfig};
 pub(crate) use progress::lock;
 pub use progress::{Progress, TakeNow};
 pub use seen::{Seen, SeenCounters};
-pub use takes::{Begun, FirstRow, NewTake, NothingRecorded, TakeEnd, Takes};
+pub use takes::{Begun, FirstRow, NewTake, NothingRecorded, TakeEnd, TakeFailed, Takes};
 pub use tap::{TapHead, TapOut};
 pub(crate) use writer::HELD_MIN_BYTES;
 pub use writer::{DiskState, TakeOutput, Written};
@@ -178,14 +178,18 @@ impl<W: TakeOutput> Pipeline<W> {
     /// Waits until everything that the finished `Intake` took in is on disk, the ledger included.
     ///
     /// # Errors
-    /// The writer's: what was written before stays a readable take. A pipeline that was armed has nothing to give.
-    pub fn finish(mut self) -> anyhow::Result<(Written, W)> {
+    /// The writer's, with the output: what was written before stays a readable take. A pipeline that was armed has
+    /// nothing to give.
+    pub fn finish(mut self) -> TakeEnd<W> {
         let ended = self.ended.take();
         let ran = self.join();
         // The take's own account comes first: it says what went wrong with it.
         match ended.and_then(|ended| ended.try_recv().ok()) {
             Some(end) => end,
-            None => Err(ran.err().unwrap_or_else(|| anyhow!("no take was written"))),
+            None => {
+                let error = ran.err().unwrap_or_else(|| anyhow!("no take was written"));
+                Err(TakeFailed::without_output(error))
+            }
         }
     }
 

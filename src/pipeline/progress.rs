@@ -2,7 +2,7 @@
 
 use std::sync::{
     Arc, Mutex, MutexGuard, OnceLock, PoisonError,
-    atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU64, Ordering},
+    atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU32, AtomicU64, Ordering},
 };
 
 use mocapd_take::record::{Channel, Ledger, TakeEnding};
@@ -53,6 +53,7 @@ pub struct Progress {
     /// What others did to the take's file, by its code; and more about that.
     file_state: AtomicU8,
     displaced: Mutex<Option<Displaced>>,
+    file_changes: AtomicU32,
     /// Why the reading ended, once it has: how a take that is open then ends.
     pub ending: OnceLock<TakeEnding>,
     /// The take that is being written. The writer and whoever watches meet here, and nobody else.
@@ -80,6 +81,13 @@ impl Progress {
     pub(super) fn set_file_state(&self, state: FileState, displaced: Option<Displaced>) {
         *lock(&self.displaced) = displaced;
         self.file_state.store(state.code(), Ordering::Release);
+        self.file_changes.fetch_add(1, Ordering::Release);
+    }
+
+    /// How often the file's state, or the name that it has, became another one.
+    #[must_use]
+    pub fn file_changes(&self) -> u32 {
+        self.file_changes.load(Ordering::Acquire)
     }
 }
 

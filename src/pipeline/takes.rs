@@ -1,6 +1,6 @@
 //! Takes of a pipeline that runs: begun, ended, and saved from its pre-roll, without the device noticing.
 
-use std::{sync::Arc, time::Duration};
+use std::{fmt, sync::Arc, time::Duration};
 
 use anyhow::{Context, ensure};
 use crossbeam_channel::{Receiver, Sender, bounded};
@@ -49,9 +49,40 @@ pub struct FirstRow {
 #[error("nothing was recorded")]
 pub struct NothingRecorded;
 
-/// What a take came to: itself, closed, or why it ends early: what was written before stays, and is worth nothing where
-/// that is [`NothingRecorded`].
-pub type TakeEnd<W> = anyhow::Result<(Written, W)>;
+/// What a take came to: itself, closed, or why it ends early.
+pub type TakeEnd<W> = Result<(Written, W), TakeFailed<W>>;
+
+/// A take that ends early: what was written before stays, and is worth nothing where that is [`NothingRecorded`].
+pub struct TakeFailed<W> {
+    /// Why.
+    pub error: anyhow::Error,
+    /// What was written to, as it is; `None` where nothing of a take is in it.
+    pub output: Option<Box<W>>,
+}
+
+impl<W> TakeFailed<W> {
+    pub(crate) fn without_output(error: anyhow::Error) -> Self {
+        Self { error, output: None }
+    }
+}
+
+impl<W> fmt::Debug for TakeFailed<W> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Debug::fmt(&self.error, f)
+    }
+}
+
+impl<W> fmt::Display for TakeFailed<W> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(&self.error, f)
+    }
+}
+
+impl<W> std::error::Error for TakeFailed<W> {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        self.error.source()
+    }
+}
 
 /// A take that is being written.
 #[derive(Debug)]

@@ -125,7 +125,7 @@ impl Rig {
             return Ok(Ending::Stopped);
         }
         let started_ns = monotonic_ns();
-        let told = Cell::new(FileState::InPlace);
+        let told = Cell::new(reader.intake.file_changes());
         let is_over = |reader: &Reader<'_>| {
             tell_file(reader.intake, options, &told);
             let time_max = options.time_max.map(|max| max.as_nanos() as u64);
@@ -327,9 +327,10 @@ fn end_of_take(intake: &Intake, options: &ReadOptions<'_>) -> Option<Ending> {
 }
 
 /// Says once what others did to the file; how it ends a take is said with the end.
-fn tell_file(intake: &Intake, options: &ReadOptions<'_>, told: &Cell<FileState>) {
-    let state = intake.file_state();
-    if !options.for_one_take || state == told.replace(state) || state.ends_take() {
+fn tell_file(intake: &Intake, options: &ReadOptions<'_>, told: &Cell<u32>) {
+    let changes = intake.file_changes();
+    let is_said = changes == told.replace(changes);
+    if !options.for_one_take || is_said || intake.file_state().ends_take() {
         return;
     }
     if let Some(displaced) = intake.displaced() {

@@ -244,6 +244,8 @@ pub enum RefusalKind {
     Disk,
     /// The take has ended, and no name leads to its file any more.
     Vanished,
+    /// The take has ended by itself, and data was lost: its file was cut short or its file system unmounted.
+    DataLost,
     /// The service is stopping, or too busy: try again.
     Unavailable,
     /// A fault of this program.

@@ -2,7 +2,10 @@
 //!
 //! Started by anything else, nobody is told, and nothing fails for it.
 
-use std::{thread::JoinHandle, time::Instant};
+use std::{
+    thread::JoinHandle,
+    time::{Duration, Instant},
+};
 
 use anyhow::Context;
 use crossbeam_channel::{RecvTimeoutError, Sender, bounded};
@@ -109,6 +112,12 @@ impl Drop for Pings {
     }
 }
 
+/// Stopping takes so much longer, from now on, whatever the unit's `TimeoutStopSec=` says.
+pub(super) fn extend_stop(by: Duration) {
+    let usec = u32::try_from(by.as_micros()).unwrap_or(u32::MAX);
+    tell(&[NotifyState::ExtendTimeoutUsec(usec)]);
+}
+
 fn tell(states: &[NotifyState<'_>]) {
     if let Err(error) = sd_notify::notify(states) {
         tracing::warn!("systemd is not told: {error}");
@@ -180,13 +189,14 @@ mod tests {
         notifier.reloading();
         notifier.ready("idle");
         notifier.stopping(&format!("finishing {}", "ä".repeat(400)));
+        extend_stop(Duration::from_secs(25));
     }
 
     #[test]
     fn systemd_is_told_of_a_life() {
         let (said, status) = told("a_life", None);
         assert!(status.success());
-        assert_eq!(said.len(), 6, "{said:?}");
+        assert_eq!(said.len(), 7, "{said:?}");
         assert_eq!(said[0], "READY=1\nSTATUS=idle; the device is not there\n");
         assert_eq!(said[1], "STATUS=armed\n");
         assert_eq!(said[2], "STATUS=recording\\nREADY=0\\tjump.take\n");
@@ -197,6 +207,7 @@ mod tests {
         assert_eq!(said[4], "READY=1\nSTATUS=idle\n");
         assert!(said[5].starts_with("STOPPING=1\nSTATUS=finishing ää"));
         assert!(said[5].len() < STATUS_BYTES_MAX + 30, "cut: {}", said[5].len());
+        assert_eq!(said[6], "EXTEND_TIMEOUT_USEC=25000000\n");
     }
 
     /// Moves for a second, hangs for one, and moves again.

@@ -153,6 +153,15 @@ impl<W: Write> TakeWriter<W> {
         ledger: &Ledger,
         summary: &SummaryRecord,
     ) -> Result<(W, u64), TakeError> {
+        self.close(ledger, summary)?;
+        Ok((self.out, self.offset))
+    }
+
+    /// The same, and keeps the output: nothing more may be written.
+    ///
+    /// # Errors
+    /// As [`finish`](Self::finish).
+    pub fn close(&mut self, ledger: &Ledger, summary: &SummaryRecord) -> Result<(), TakeError> {
         self.ledger(ledger)?;
         if *summary != SummaryRecord::default() {
             self.chunk(types::SUMMARY, &summary.to_payload()?)?;
@@ -163,7 +172,7 @@ impl<W: Write> TakeWriter<W> {
             Footer { index_offset, ledger_offset: self.ledger_offset, n_rows: self.n_rows };
         self.chunk(types::FOOTER, &footer.to_payload())?;
         self.out.flush()?;
-        Ok((self.out, self.offset))
+        Ok(())
     }
 
     /// The output, with nothing more written: what is on disk stays a take that was cut off.

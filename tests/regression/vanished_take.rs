@@ -183,10 +183,81 @@ fn the_service_ends_a_take_that_was_cut_short() {
     let last = &status["last_take"];
     assert_eq!((&last["ending"], &last["bytes"]), (&"truncated".into(), &150.into()), "{last}");
     assert_ne!(last["health"], "complete");
-    assert_eq!(service.post("/v1/stop", "{}").0, 409);
+    let (status, problem) = service.post("/v1/stop", "{}");
+    assert_eq!((status, &problem["kind"]), (409, &"data_lost".into()), "{problem}");
+    let socket = format!("unix:{}", folder.path("rig.sock").display());
+    folder.run(&["ctl", "--connect", &socket, "stop"]).with_code(3);
     assert_eq!(file.metadata().unwrap().len(), 150, "nothing is written behind the cut");
     // The next one is none the worse for it.
     assert_eq!(service.post("/v1/start", r#"{"name": "next"}"#).0, 200);
     let (status, stopped) = service.post("/v1/stop", "{}");
     assert_eq!((status, &stopped["file"]), (200, &"in_place".into()), "{stopped}");
+    assert_eq!(service.post("/v1/stop", "{}").1["kind"], "conflict");
+}
+
+#[test]
+fn a_renamed_take_is_live_under_the_name_that_it_has() {
+    let (folder, device) = rig();
+    let mut service = Service::start(&folder, &device, "", "");
+    let place = |name: &str| folder.path(&format!("takes/{name}.take"));
+    assert_eq!(service.post("/v1/start", r#"{"name": "a"}"#).0, 200);
+    let names_it = |name: &str| {
+        let name = format!("/{name}.take");
+        move |status: &Value| {
+            status["take"]["file_notice"].as_str().is_some_and(|notice| notice.contains(&name))
+        }
+    };
+    fs::rename(place("a"), place("b")).unwrap();
+    service.wait_until("the notice", names_it("b"));
+    let verify = |name: &str| service.post(&format!("/v1/takes/{name}/verify"), "{}");
+    let (status, problem) = verify("b");
+    assert_eq!((status, &problem["kind"]), (409, &"conflict".into()), "{problem}");
+    // Another file that has the name by now is not being recorded.
+    fs::write(place("a"), b"another").unwrap();
+    let (status, check) = verify("a");
+    assert_eq!((status, &check["health"]), (200, &"unreadable".into()), "{check}");
+    fs::rename(place("b"), place("c")).unwrap();
+    service.wait_until("the new notice", names_it("c"));
+    let (status, stopped) = service.post("/v1/stop", "{}");
+    assert_eq!((status, &stopped["name"]), (200, &"c".into()), "{stopped}");
+    assert_eq!(stopped["path"], place("c").to_str().unwrap());
+}
+
+/// No file of the process grows beyond 12 KiB, and that is an error instead of a signal.
+const LIMITED: &str = "trap '' XFSZ; ulimit -f 24";
+
+#[test]
+fn a_removed_take_is_saved_when_its_disk_fails_later() {
+    let (folder, device) = rig();
+    let mut service = Service::start(&folder, &device, "lossless = true", LIMITED);
+    assert_eq!(service.post("/v1/start", r#"{"name": "a"}"#).0, 200);
+    fs::remove_file(folder.path("takes/a.take")).unwrap();
+    let status = service.wait_until("the end", |status| status["state"] == "failed");
+    let failure = status["failure"].as_str().unwrap();
+    assert!(failure.contains("a.saved.take"), "{failure}");
+    let info = folder.run(&["info", "takes/a.saved.take", "--json"]).with_code(3).json();
+    assert!(info["frames"].as_u64().unwrap() > 0, "{info}");
+    drop(service);
+
+    let script = format!(
+        "{LIMITED}; exec \"$mocapd\" record --device \"$device\" -o in/b.take --lossless --keep-free 0"
+    );
+    let mut record = Command::new("sh")
+        .args(["-c", &script])
+        .env("mocapd", env!("CARGO_BIN_EXE_mocapd"))
+        .env("device", device.uri())
+        .current_dir(folder.path(""))
+        .stderr(fs::File::create(folder.path("record.log")).unwrap())
+        .spawn()
+        .unwrap();
+    while fs::metadata(folder.path("in/b.take")).map_or(0, |file| file.len()) == 0 {
+        assert_eq!(record.try_wait().unwrap(), None, "{}", folder.text("record.log"));
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    fs::remove_file(folder.path("in/b.take")).unwrap();
+    assert_eq!(record.wait().unwrap().code(), Some(1));
+    let said = folder.text("record.log");
+    assert!(said.contains("b.saved.take"), "{said}");
+    let info = folder.run(&["info", "in/b.saved.take", "--json"]).with_code(3).json();
+    assert!(info["frames"].as_u64().unwrap() > 0, "{info}");
 }

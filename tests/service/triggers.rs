@@ -81,3 +81,55 @@ fn another_program_starts_and_stops_takes_and_is_told_of_ours() {
     assert!(matches!(heard(), Trigger::Complete(_)));
     triggers.close();
 }
+
+/// Others know a take by the name that it was started with.
+#[test]
+fn a_take_that_was_renamed_is_announced_under_its_first_name() {
+    let Room { directory, device: _device, engine } = room(|options| options.arm_at_start = true);
+    wait_until("the device", || engine.status().state == State::Armed);
+    let peer = UdpSocket::bind("127.0.0.1:0").unwrap();
+    peer.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    let free = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let config = TriggerConfig {
+        listen: Some(free),
+        send_to: vec![peer.local_addr().unwrap()],
+        allow_from: Vec::new(),
+        delay_max: Duration::from_secs(5),
+    };
+    let engine: Arc<dyn Control> = Arc::new(engine);
+    let events = engine.events();
+    let triggers = Triggers::open(&config, "test", &engine).unwrap().unwrap();
+    let rename = |from: &str, to: &str| {
+        let path = |name: &str| directory.path().join(format!("{name}.take"));
+        std::fs::rename(path(from), path(to)).unwrap();
+    };
+    // One that the peer started: it need not be told, whatever the file is called by now.
+    peer.send_to(&datagram("CaptureStart", "theirs", 7), free).unwrap();
+    wait_until("the take", || engine.status().take.is_some_and(|take| take.rows > 0));
+    rename("theirs", "moved");
+    wait_until("the start", || {
+        events.next(Duration::from_millis(10)).is_some_and(|event| event.kind == "trigger")
+    });
+    assert_eq!(engine.stop(&Request::default()).unwrap().name, "moved");
+    // One of ours.
+    engine.start(&named("ours")).unwrap();
+    rename("ours", "elsewhere");
+    assert_eq!(engine.stop(&Request::default()).unwrap().name, "elsewhere");
+    assert_eq!(engine.status().last_take.unwrap().name, "elsewhere");
+    let heard = || {
+        let mut bytes = [0; 4096];
+        let n = peer.recv(&mut bytes).unwrap();
+        parse(&bytes[..n]).unwrap()
+    };
+    let is_ours = |name: &str| assert_eq!(name, "ours");
+    match heard() {
+        Trigger::Start(start) => is_ours(start.name.as_ref().unwrap().text()),
+        other => panic!("{other:?}"),
+    }
+    match heard() {
+        Trigger::Stop(stop) => is_ours(stop.name.as_ref().unwrap().text()),
+        other => panic!("{other:?}"),
+    }
+    assert!(matches!(heard(), Trigger::Complete(_)));
+    triggers.close();
+}

@@ -147,7 +147,7 @@ impl Client {
         if problem.kind == ProblemKind::Invalid {
             return Err(UsageError(problem.message).into());
         }
-        if problem.kind == ProblemKind::Vanished {
+        if matches!(problem.kind, ProblemKind::Vanished | ProblemKind::DataLost) {
             return Err(DataLostError(problem.message).into());
         }
         Err(anyhow!(problem.message))

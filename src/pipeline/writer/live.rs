@@ -1,6 +1,7 @@
 //! The take that is being written.
 
 use std::{
+    path::PathBuf,
     sync::atomic::Ordering,
     time::{Duration, Instant},
 };
@@ -8,7 +9,10 @@ use std::{
 use anyhow::Context;
 use mocapd_take::{
     TakeWriter,
-    record::{Channel, EndingKind, Event, EventKind, Header, Subject, SummaryRecord, TakeEnding},
+    record::{
+        Channel, ClockLine, EndingKind, Event, EventKind, Header, Ledger, Subject, SummaryRecord,
+        TakeEnding,
+    },
     stretch::{NUMBERS, Span, put_moved},
 };
 
@@ -19,7 +23,7 @@ use crate::{
     pipeline::{
         Counts, FirstRow, Progress, TakeEnd, TakeNow, lock,
         messages::{Moment, PartReport},
-        takes::{Answers, NothingRecorded},
+        takes::{Answers, NothingRecorded, TakeFailed},
     },
 };
 
@@ -43,8 +47,9 @@ pub(in crate::pipeline) struct LiveTake<W> {
     last_sync: Option<Instant>,
     ledgers: Ledgers,
     room: Room,
-    /// What others did to the file.
+    /// What others did to the file, and the name that it has for that.
     file_state: FileState,
+    file_at: Option<PathBuf>,
 }
 
 impl<W: TakeOutput> LiveTake<W> {
@@ -81,6 +86,7 @@ impl<W: TakeOutput> LiveTake<W> {
             ledgers: Ledgers::default(),
             room: Room::new(keep_free_bytes),
             file_state: FileState::InPlace,
+            file_at: None,
         })
     }
 
@@ -190,9 +196,15 @@ impl<W: TakeOutput> LiveTake<W> {
     /// Tells others when the file is not what it was at the last look.
     pub(super) fn look_at_file(&mut self, progress: &Progress) {
         let state = self.take.get_mut().look();
-        if state != self.file_state {
-            self.file_state = state;
-            progress.set_file_state(state, self.take.get_mut().displaced());
+        if state == FileState::InPlace && state == self.file_state {
+            return;
+        }
+        let displaced = self.take.get_mut().displaced();
+        let at = displaced.as_ref().and_then(|displaced| displaced.now_at.clone());
+        // It may be renamed again.
+        if state != self.file_state || at != self.file_at {
+            (self.file_state, self.file_at) = (state, at);
+            progress.set_file_state(state, displaced);
         }
     }
 
@@ -232,21 +244,25 @@ impl<W: TakeOutput> LiveTake<W> {
     }
 
     /// What was held for the rest is nobody's: the part that was written stays.
-    pub(super) fn give_up(mut self, error: anyhow::Error) {
+    pub(super) fn give_up(self, error: anyhow::Error) {
+        let ended = self.answers.ended.clone();
+        ended.try_send(Err(self.failed(error))).ok();
+    }
+
+    fn failed(mut self, error: anyhow::Error) -> TakeFailed<W> {
         let written = self.take.bytes();
         // A disk that failed may fail here, too.
         self.take.get_mut().release(written).ok();
-        let error = failed(self.first.is_none(), error);
-        self.answers.ended.try_send(Err(error)).ok();
+        // Without a frame it is worth nothing.
+        let error = if self.first.is_none() { error.context(NothingRecorded) } else { error };
+        TakeFailed { error, output: Some(Box::new(self.take.abandon())) }
     }
 
     /// Closes it, with the counters at its end.
     pub(super) fn end(mut self, counts: &Counts, clocks: &mut ClockWriter, ending: TakeEnding) {
         self.counts = counts.since(&self.base);
         let ended = self.answers.ended.clone();
-        let is_nothing = self.first.is_none();
-        let end = self.finish(clocks, ending);
-        ended.try_send(end.map_err(|error| failed(is_nothing, error))).ok();
+        ended.try_send(self.finish(clocks, ending)).ok();
     }
 
     fn finish(mut self, clocks: &mut ClockWriter, mut ending: TakeEnding) -> TakeEnd<W> {
@@ -261,6 +277,32 @@ impl<W: TakeOutput> LiveTake<W> {
             }
             _ => {}
         }
+        let (ledger, clock_lines) = match self.close(clocks, &ending) {
+            Ok(closed) => closed,
+            Err(error) => return Err(self.failed(error)),
+        };
+        let file_bytes = self.take.bytes();
+        let output = self.take.abandon();
+        let written = Written {
+            ledger,
+            ending,
+            clock: self.counts.clock,
+            clock_lines,
+            disk: self.room.close(&output),
+            file_bytes,
+            samples: self.report.samples,
+            kept: self.report.kept,
+            max_error_mm: self.report.max_error_mm,
+        };
+        Ok((written, output))
+    }
+
+    /// Writes its end.
+    fn close(
+        &mut self,
+        clocks: &mut ClockWriter,
+        ending: &TakeEnding,
+    ) -> anyhow::Result<(Ledger, Vec<(u32, ClockLine)>)> {
         let clock_lines = clocks.finish(&mut self.take, &self.counts.clock)?;
         let mut ledger = self.counts.ledger(true);
         if self.report.refused > 0 {
@@ -271,21 +313,11 @@ impl<W: TakeOutput> LiveTake<W> {
         }
         let closing = "cannot close the take";
         let summary = SummaryRecord { ending: Some(ending.clone()) };
-        let mut output = self.take.finish_with(&ledger, &summary).context(closing)?;
-        output.0.release(output.1).context(closing)?;
-        output.0.sync().context(closing)?;
-        let written = Written {
-            ledger,
-            ending,
-            clock: self.counts.clock,
-            clock_lines,
-            disk: self.room.close(&output.0),
-            file_bytes: output.1,
-            samples: self.report.samples,
-            kept: self.report.kept,
-            max_error_mm: self.report.max_error_mm,
-        };
-        Ok((written, output.0))
+        self.take.close(&ledger, &summary).context(closing)?;
+        let file_bytes = self.take.bytes();
+        self.take.get_mut().release(file_bytes).context(closing)?;
+        self.take.get_mut().sync().context(closing)?;
+        Ok((ledger, clock_lines))
     }
 
     /// Nothing more is written: what is left of the file is a take that was cut off.
@@ -312,9 +344,4 @@ impl<W: TakeOutput> LiveTake<W> {
         };
         (written, output)
     }
-}
-
-/// An error of a take, with what that is worth.
-fn failed(is_nothing: bool, error: anyhow::Error) -> anyhow::Error {
-    if is_nothing { error.context(NothingRecorded) } else { error }
 }

@@ -11,7 +11,7 @@ use crate::{
     pipeline::{
         Progress, lock,
         messages::StretchEnd,
-        takes::{Answers, NewTake, What},
+        takes::{Answers, NewTake, TakeFailed, What},
     },
 };
 
@@ -88,7 +88,7 @@ impl<W: TakeOutput> Writer<W> {
         let mut take = match begun {
             Ok(take) => take,
             Err((error, answers)) => {
-                answers.ended.try_send(Err(error)).ok();
+                answers.ended.try_send(Err(TakeFailed::without_output(error))).ok();
                 return None;
             }
         };

@@ -12,13 +12,15 @@ use mocapd_take::record::{EndingKind, Event, EventKind};
 use super::{Inner, names, session::OpenTake};
 use crate::{
     disk,
-    files::{FileId, FileState, TakeFile},
+    files::{FileId, TakeFile},
     header,
     pipeline::NewTake,
     rig::monotonic_ns,
-    service::control::{
-        FirstFrame, Marked, Refusal, RefusalKind, SaveLast, Start, Started, Stopped,
+    service::{
+        control::{FirstFrame, Marked, Refusal, RefusalKind, SaveLast, Start, Started, Stopped},
+        notify,
     },
+    threads,
 };
 
 /// How long a device may take to be opened and started.
@@ -29,6 +31,12 @@ const FIRST_WITHIN: Duration = Duration::from_secs(5);
 
 /// How long a take may take to be closed: a disk that stalls for half a minute is waited for.
 const CLOSED_WITHIN: Duration = Duration::from_secs(40);
+
+/// How long the copy of a take that was removed may take when the service stops: 30 GB at 50 MB a second.
+const COPIED_WITHIN: Duration = Duration::from_secs(600);
+
+/// Between two requests for more time to stop in.
+const EXTEND_EVERY: Duration = Duration::from_secs(10);
 
 /// How long the reader may take to place a mark.
 const MARKED_WITHIN: Duration = Duration::from_secs(1);
@@ -142,7 +150,7 @@ impl Inner {
             name: name.clone(),
             path: path.clone(),
             file,
-            file_told: FileState::InPlace,
+            file_told: session.progress.file_changes(),
             asked_unix_ms: super::status::unix_ms(),
             begun: Instant::now(),
             rate_hz,
@@ -151,7 +159,7 @@ impl Inner {
             ending: None,
         };
         core.failure = None;
-        core.kept_open = None;
+        core.data_lost = None;
         core.take = Some(take);
         drop(core);
         let first = select! {
@@ -161,9 +169,14 @@ impl Inner {
         let Some(first) = first else {
             return Err(self.begun_in_vain());
         };
-        if let Some(take) = &mut self.core().take {
+        let mut core = self.core();
+        if let Some(take) = &mut core.take {
             take.first = Some(first);
         }
+        let kept_open = std::mem::take(&mut core.kept_open);
+        drop(core);
+        // A large file without a name takes its time to close.
+        drop(kept_open);
         let notes = start.notes.as_deref().filter(|notes| !notes.is_empty());
         self.say_noted("take-started", &format!("recording {name}"), Some(&name), notes);
         let before_request_s = asked_ns.saturating_sub(first.arrival_ns) as f64 * 1e-9;
@@ -205,6 +218,10 @@ impl Inner {
     fn end_take(&self, ending: EndingKind) -> Result<Stopped, Refusal> {
         let mut core = self.core();
         let Some(take) = &mut core.take else {
+            if let Some(words) = &core.data_lost {
+                let words = format!("no take is being recorded: {words}");
+                return Err(Refusal::new(RefusalKind::DataLost, words));
+            }
             // A take that failed is over, and the answer is what it came to.
             if let Some(failure) = &core.failure {
                 let words = format!("no take is being recorded: {failure}");
@@ -293,6 +310,7 @@ impl Inner {
         let rate_hz = session.header.rate_hz;
         let take = NewTake { header: session.header_of_take(&take), ..take };
         let saved = session.takes.save(take);
+        let _closing = self.closing(&mut core);
         drop(core);
         let ended = saved.map_err(|error| format!("{error:#}")).and_then(|begun| {
             let late = "the disk has not taken the take yet";
@@ -408,6 +426,26 @@ impl Inner {
         Err(Refusal::new(RefusalKind::Exists, words))
     }
 
+    /// Another thread may still be closing a take: a disk that stalls is waited for, and a copy as long as it takes.
+    fn wait_until_closed(&self) {
+        let begun = Instant::now();
+        let mut extended: Option<Instant> = None;
+        loop {
+            let core = self.core();
+            let (is_open, is_closing) = (core.take.is_some(), core.closing > 0);
+            drop(core);
+            let within = if is_closing { COPIED_WITHIN } else { CLOSED_WITHIN };
+            if !(is_open || is_closing) || begun.elapsed() >= within {
+                return;
+            }
+            if extended.is_none_or(|last| last.elapsed() >= EXTEND_EVERY) {
+                notify::extend_stop(2 * EXTEND_EVERY + super::STOP_WITHIN);
+                extended = Some(Instant::now());
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
     /// Finishes what is being recorded, and tells everybody that it is over.
     pub(super) fn shut_down(&self) {
         if self.stopping.swap(true, Ordering::SeqCst) {
@@ -415,15 +453,14 @@ impl Inner {
         }
         // A client's stop may be under way: then that one closes the take.
         let command = self.command_within(super::STOP_WITHIN);
-        if command.is_ok() && self.core().take.is_some() {
-            drop(self.end_take(EndingKind::ServiceStopped));
-        }
+        let is_mine = command.is_ok() && self.core().take.is_some();
+        let close = || {
+            if is_mine {
+                drop(self.end_take(EndingKind::ServiceStopped));
+            }
+        };
+        threads::beside("mocapd-close", close, || self.wait_until_closed());
         drop(command);
-        // Whoever has the command is still closing it: a disk that stalls is waited for.
-        let until = Instant::now() + CLOSED_WITHIN;
-        while self.core().take.is_some() && Instant::now() < until {
-            std::thread::sleep(Duration::from_millis(20));
-        }
         if let Some(session) = &self.core().session {
             session.stop.store(true, Ordering::Relaxed);
         }

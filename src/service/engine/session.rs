@@ -15,10 +15,13 @@ use mocapd_take::record::{EndingKind, Header};
 
 use super::options::EngineOptions;
 use crate::{
-    files::{FileId, FileState, TakeFile},
+    files::{FileId, TakeFile},
     pipeline::{FirstRow, Progress, SeenCounters, TakeEnd, Takes},
     service::status::TakeSummary,
 };
+
+/// Removed files that are kept open: as many as may vanish one after the other, and few, for each fills the disk.
+pub(super) const KEPT_OPEN_MAX: usize = 4;
 
 /// The state. What `State` calls it follows from this.
 #[derive(Debug)]
@@ -33,8 +36,13 @@ pub(super) struct Core {
     /// While recording.
     pub(super) take: Option<OpenTake>,
     pub(super) last_take: Option<TakeSummary>,
-    /// The file of a take that was removed and could not be saved: people can copy it from /proc until the next begins.
-    pub(super) kept_open: Option<TakeFile>,
+    /// Takes that are not recorded any more and still being closed or copied.
+    pub(super) closing: u32,
+    /// How the last take lost data, where a program that asks to stop it has to learn of that.
+    pub(super) data_lost: Option<String>,
+    /// The files of takes that were removed and could not be saved: they can be copied from /proc until the next take
+    /// has begun. At most [`KEPT_OPEN_MAX`].
+    pub(super) kept_open: Vec<TakeFile>,
 }
 
 /// What is known of the device, whether it is there or not.
@@ -82,8 +90,8 @@ pub(super) struct OpenTake {
     pub(super) rate_hz: f64,
     pub(super) first: Option<FirstRow>,
     pub(super) ended: Receiver<TakeEnd<TakeFile>>,
-    /// What was said of its file last.
-    pub(super) file_told: FileState,
+    /// How many changes of its file have been reported.
+    pub(super) file_told: u32,
     /// Why it was told to end, once it was.
     pub(super) ending: Option<EndingKind>,
 }
@@ -117,7 +125,9 @@ impl Core {
             session: None,
             take: None,
             last_take: None,
-            kept_open: None,
+            closing: 0,
+            data_lost: None,
+            kept_open: Vec::new(),
         }
     }
 }

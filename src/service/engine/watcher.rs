@@ -88,12 +88,12 @@ impl Inner {
             return;
         };
         let Some(take) = &mut core.take else { return };
-        let state = progress.file_state();
-        let is_new = std::mem::replace(&mut take.file_told, state) != state;
+        let changes = progress.file_changes();
+        let is_new = std::mem::replace(&mut take.file_told, changes) != changes;
         let name = take.name.clone();
         drop(core);
         if is_new
-            && !state.ends_take()
+            && !progress.file_state().ends_take()
             && let Some(displaced) = progress.displaced()
         {
             self.say_event("warning", &displaced.words(), Some(&name));

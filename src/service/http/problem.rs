@@ -41,6 +41,8 @@ pub enum ProblemKind {
     Disk,
     /// The take has ended, and no name leads to its file any more: the message says where it can be copied from.
     Vanished,
+    /// The take has ended by itself, and data was lost: its file was cut short or its file system unmounted.
+    DataLost,
     /// The service is stopping, or too busy: try again.
     Unavailable,
     /// A fault of this program.
@@ -119,6 +121,7 @@ impl From<Refusal> for Problem {
             RefusalKind::Device => (StatusCode::BAD_GATEWAY, ProblemKind::Device),
             RefusalKind::Disk => (StatusCode::INSUFFICIENT_STORAGE, ProblemKind::Disk),
             RefusalKind::Vanished => (StatusCode::GONE, ProblemKind::Vanished),
+            RefusalKind::DataLost => (StatusCode::CONFLICT, ProblemKind::DataLost),
             RefusalKind::Unavailable => (StatusCode::SERVICE_UNAVAILABLE, ProblemKind::Unavailable),
             RefusalKind::Internal => (StatusCode::INTERNAL_SERVER_ERROR, ProblemKind::Internal),
         };
