@@ -62,7 +62,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let (mut count, mut wrong) = (BTreeMap::<&str, u32>::new(), 0);
     for (at, body) in bodies.iter().enumerate() {
-        for seed in (0..=cuts).map(|cut| cut.checked_sub(1).map(|cut| first + at as u64 * cuts + cut)) {
+        for seed in
+            (0..=cuts).map(|cut| cut.checked_sub(1).map(|cut| first + at as u64 * cuts + cut))
+        {
             let (mesh, what) = match seed.map(|seed| cut_limb(&body.mesh, &body.truth, seed)) {
                 None => (body.mesh.clone(), "whole".to_owned()),
                 Some(None) => {

@@ -143,11 +143,7 @@ fn shorter(
 
 /// By how much the first of two limbs is shorter than the second, in the mesh's unit: as seen from the head, and from the other
 /// pair of ends.
-fn shorter_by(
-    fields: &Fields<'_>,
-    [a, b]: [usize; 2],
-    [c, d]: [usize; 2],
-) -> Option<[f64; 2]> {
+fn shorter_by(fields: &Fields<'_>, [a, b]: [usize; 2], [c, d]: [usize; 2]) -> Option<[f64; 2]> {
     let way = |one: usize, other: usize| fields.between(one, other);
     let by_head = way(HEAD, b)? - way(HEAD, a)?;
     // Both ends of the other pair together: each is nearer to one side.

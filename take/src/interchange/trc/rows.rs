@@ -98,7 +98,7 @@ fn separator_of_rows(bytes: &[u8], head: &Head) -> Separator {
 }
 
 /// How many markers rows between spaces have: no cell is empty there, so that the row of a frame in which a marker is
-/// missing is shorter, and does not tell which one. As NumMarkers or the labels say, whichever more rows agree with.
+/// missing is shorter, and does not tell which one. As `NumMarkers` or the labels say, whichever more rows agree with.
 /// `None` where neither does: points of an unlabelled cloud are nobody's, and rows differ in length.
 ///
 /// # Errors
