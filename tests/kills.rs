@@ -51,8 +51,8 @@ const WAYS: [(&[&str], u64); 4] = [
     (&["--resampler", "fast"], 1000),
 ];
 
-/// What a machine that does other things beside this may add: it runs the recorder's threads late. Beyond that, and
-/// how late frames came by their arrival times, nothing is allowed.
+/// What a machine that does other things beside this may add: it runs the recorder's threads late. Beyond that,
+/// how late frames came by their arrival times and how long the disk took for a sync, nothing is allowed.
 const LATE: Duration = Duration::from_millis(500);
 
 fn motion() -> Motion {
@@ -107,6 +107,8 @@ struct Cost {
     late_ms: f64,
     /// How long a thread that sleeps for 1 ms at a time was not run, in the last second before the kill, at most.
     stall_ms: f64,
+    /// How long the disk took for a sync of another file beside the take, at most: no stretch is written meanwhile.
+    sync_ms: f64,
     frames: usize,
     samples: usize,
     max_error_mm: f64,
@@ -118,7 +120,7 @@ fn kill(motion: &Motion, folder: &Path, seed: u64) -> Cost {
     let (options, may_lose_ms) = WAYS[seed as usize % WAYS.len()];
     let take = folder.join(format!("{seed}.take"));
     let log = Log::default();
-    let stall_ms;
+    let (stall_ms, sync_ms);
     let killed_ns = {
         let settings = DeviceSettings {
             looping: true,
@@ -141,7 +143,11 @@ fn kill(motion: &Motion, folder: &Path, seed: u64) -> Cost {
         let uri = format!("serial:{}", path.recv().unwrap().display());
         let mut recorder = Recorder::start(&uri, &take, options);
         recorder.wait_for(&take);
-        stall_ms = sleep_and_watch(KILLED_WITHIN.mul_f64(rng.unit()));
+        let until = Instant::now() + KILLED_WITHIN.mul_f64(rng.unit());
+        (stall_ms, sync_ms) = thread::scope(|scope| {
+            let syncs = scope.spawn(|| sync_and_watch(folder, until));
+            (sleep_and_watch(until), syncs.join().unwrap())
+        });
         let killed_ns = recorder.kill();
         // Frames on their way are in the log, too.
         sleep(Duration::from_millis(20));
@@ -151,9 +157,10 @@ fn kill(motion: &Motion, folder: &Path, seed: u64) -> Cost {
     };
     let cost = Cost {
         stall_ms,
+        sync_ms,
         ..check(motion, &std::fs::read(&take).unwrap(), &log.frames(), killed_ns, seed)
     };
-    let machine_ms = cost.late_ms.max(cost.stall_ms);
+    let machine_ms = cost.late_ms.max(cost.stall_ms) + cost.sync_ms;
     let most_ms = may_lose_ms as f64 + machine_ms + LATE.as_secs_f64() * 1e3;
     assert!(cost.lost_ms <= most_ms, "seed {seed}: {cost:?}");
     std::fs::remove_file(&take).ok();
@@ -161,10 +168,9 @@ fn kill(motion: &Motion, folder: &Path, seed: u64) -> Cost {
 }
 
 /// Sleeps so long; says how long it was not run in the last second, in milliseconds.
-fn sleep_and_watch(time: Duration) -> f64 {
-    let begun = Instant::now();
+fn sleep_and_watch(until: Instant) -> f64 {
     let mut stall_ms: f64 = 0.0;
-    while let Some(left) = time.checked_sub(begun.elapsed()).filter(|left| !left.is_zero()) {
+    while let Some(left) = until.checked_duration_since(Instant::now()).filter(|t| !t.is_zero()) {
         let before = Instant::now();
         sleep(left.min(Duration::from_millis(1)));
         if left < Duration::from_secs(1) {
@@ -172,6 +178,20 @@ fn sleep_and_watch(time: Duration) -> f64 {
         }
     }
     stall_ms
+}
+
+/// Syncs a file of its own until then, ten times a second; says how long it took at most, in milliseconds.
+fn sync_and_watch(folder: &Path, until: Instant) -> f64 {
+    let mut file = tempfile::tempfile_in(folder).unwrap();
+    let mut sync_ms: f64 = 0.0;
+    while Instant::now() < until {
+        let before = Instant::now();
+        file.write_all(&[0; 512]).unwrap();
+        file.sync_data().unwrap();
+        sync_ms = sync_ms.max(before.elapsed().as_secs_f64() * 1e3);
+        sleep(Duration::from_millis(100).min(until.saturating_duration_since(Instant::now())));
+    }
+    sync_ms
 }
 
 fn check(
