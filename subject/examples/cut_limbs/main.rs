@@ -1,9 +1,9 @@
 //! Cuts limbs off bodies, and asks whether a joint is trusted that is far off: the bar of `docs/subject-body.md`.
 //!
-//!     MOCAPD_BODIES=... cargo run --release -p mocapd-subject --example cut_limbs [-- CUTS_A_BODY [PART_OF_A_NAME]]
+//!     MOCAPD_BODIES=... cargo run --release -p mocapd-subject --example cut_limbs [-- CUTS_A_BODY [FIRST_SEED [PART_OF_A_NAME]]]
 //!
 //! Twenty cuts of each of ten bodies: generated ones, and where `MOCAPD_BODIES` names a folder, every other is from there.
-//! With a part of a name, all bodies that have it are taken. A line is printed for each body as it is, and for each cut.
+//! Bodies and cuts are drawn from the first seed (0 where none is given) onwards. With a part of a name, all bodies that have it are taken. A line is printed for each body as it is, and for each cut.
 #![expect(clippy::print_stdout, reason = "what an example is for")]
 
 use std::collections::BTreeMap;
@@ -37,8 +37,12 @@ fn main() -> Result<(), Box<dyn Error>> {
         Some(number) => number.parse()?,
         None => CUTS,
     };
-    let part = std::env::args().nth(2);
-    let mut bodies = generated();
+    let first = match std::env::args().nth(2) {
+        Some(seed) => seed.parse()?,
+        None => 0,
+    };
+    let part = std::env::args().nth(3);
+    let mut bodies = generated(first);
     if let Ok(folder) = std::env::var("MOCAPD_BODIES") {
         let scans = scans(Path::new(&folder))?;
         match &part {
@@ -47,7 +51,8 @@ fn main() -> Result<(), Box<dyn Error>> {
             None => {
                 let every = (scans.len() / (BODIES / 2)).max(1);
                 bodies.truncate(BODIES / 2);
-                bodies.extend(scans.into_iter().step_by(every));
+                let skipped = (first % every as u64) as usize;
+                bodies.extend(scans.into_iter().skip(skipped).step_by(every));
             }
         }
     }
@@ -57,7 +62,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let (mut count, mut wrong) = (BTreeMap::<&str, u32>::new(), 0);
     for (at, body) in bodies.iter().enumerate() {
-        for seed in (0..=cuts).map(|cut| cut.checked_sub(1).map(|cut| at as u64 * cuts + cut)) {
+        for seed in
+            (0..=cuts).map(|cut| cut.checked_sub(1).map(|cut| first + at as u64 * cuts + cut))
+        {
             let (mesh, what) = match seed.map(|seed| cut_limb(&body.mesh, &body.truth, seed)) {
                 None => (body.mesh.clone(), "whole".to_owned()),
                 Some(None) => {
@@ -89,10 +96,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-fn generated() -> Vec<Body> {
+fn generated(first: u64) -> Vec<Body> {
     let poses = [Pose::A, Pose::Down, Pose::Walk, Pose::Sit, Pose::Squat];
     let each = (0..BODIES).map(|at| {
-        let (seed, pose) = (at as u64, poses[at % poses.len()]);
+        let (seed, pose) = (first + at as u64, poses[at % poses.len()]);
         let (mesh, truth) = body(seed, pose, Options::default());
         let upright = body(seed, Pose::A, Options { n_faces: 500, turned: false }).1;
         let stature = upright.estimates[&Joint::Head].position[1];

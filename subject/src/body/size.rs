@@ -10,10 +10,10 @@ use super::{Estimate, Joint, Joints, Mesh, Note};
 /// The cube root of a body's volume over its body scale: of an adult of 1.72 m and 24 kg/m^2 at a density of 1.0, 0.241 of
 /// stature, which is 0.98 of the scale.
 const VOLUME_ROOT: f64 = 0.235;
-/// In contact a body that is stouter than that by more, as a logarithm, is in doubt: by a weight of 1.27 times the mean, which
-/// one in six adults exceeds.
+/// In contact a body that is stouter than that by more, as a logarithm, is in doubt: by a weight of 1.27 times the mean, a
+/// body mass index above 30.
 const STOUT_IN_CONTACT: f64 = 0.08;
-/// Without a sign of contact: a body mass index above 50, which one adult in some hundreds exceeds.
+/// Without a sign of contact: a body mass index above 50.
 const STOUT: f64 = 0.25;
 
 /// By how much the body may be taller than its ways say, as a part of them; nothing where its volume is that of its size.

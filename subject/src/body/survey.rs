@@ -12,6 +12,10 @@ use super::{Joint, Joints, Levels, Mesh, Note, Refusal, Side, size};
 /// that are cut off above the throat do not.
 const NECK_NARROWS: f64 = 1.12;
 
+/// How far a wrist may be off besides where its arm is none by its length, in body scales: half a hand (0.108, Drillis and Contini
+/// 1966), for whether the hand is there cannot be told from ways that lead through contact.
+const WRIST_OF_NO_ARM: f64 = 0.054;
+
 const HEAD_UNSURE: &str = "what was taken for the top of the head is not what is farthest from the neck, and may be the \
                            forehead, a temple or an open mouth: its +- mm is larger; scan with the head bare and the mouth \
                            closed";
@@ -64,6 +68,9 @@ impl Survey {
         if ends.told != Told::Freely && !landmarks.ends_may_be_right() {
             return Err(Refusal::Ambiguous { margin });
         }
+        if ends.told == Told::Cut && !landmarks.limbs_may_be_cut() {
+            return Err(Refusal::Ambiguous { margin });
+        }
         let mut joints = locate::joints(&landmarks);
         let mut notes = Vec::new();
         match Plausible::of(&joints) {
@@ -72,7 +79,9 @@ impl Survey {
             Plausible::WithoutArms if ends.told == Told::Cut => {
                 return Err(Refusal::Ambiguous { margin });
             }
-            Plausible::WithoutArms => notes.push(leave_out_arms(&mut joints)),
+            Plausible::WithoutArms => {
+                notes.push(leave_out_arms(&mut joints, landmarks.scale));
+            }
             Plausible::Nothing => return Err(contact),
         }
         let in_contact =
@@ -80,7 +89,8 @@ impl Survey {
         if landmarks.missing.as_flattened().iter().any(|part| *part > 0.0) {
             notes.push(limbs_cut(landmarks.missing));
         }
-        let by_contact = in_contact || handles > 0;
+        // Arms of another length than most people's are no sign of contact by themselves.
+        let by_contact = ends.told >= Told::InContact || landmarks.touching.any() || handles > 0;
         let scale = landmarks.scale;
         if let Some(by) = size::too_short(mesh, scale, by_contact) {
             notes.push(size::doubt(&mut joints, scale, by));
@@ -138,10 +148,13 @@ impl Survey {
 }
 
 /// Takes out the joints that nothing tells of where arms have grown together with the trunk.
-fn leave_out_arms(joints: &mut Joints) -> Note {
+fn leave_out_arms(joints: &mut Joints, scale: f64) -> Note {
     for side in [Side::Left, Side::Right] {
         joints.estimates.remove(&Joint::Shoulder(side));
         joints.estimates.remove(&Joint::Elbow(side));
+        if let Some(wrist) = joints.estimates.get_mut(&Joint::Wrist(side)) {
+            wrist.sigma = wrist.sigma.hypot(WRIST_OF_NO_ARM * scale);
+        }
     }
     let text = "the arms touch the body, and are no arms by their lengths: shoulders and elbows are left out; scan \
                 with arms apart";

@@ -1,6 +1,6 @@
 //! A solid as a field: below zero within, above zero outside, near the distance in between.
 
-use crate::body::geometry::{Point, add, distance, dot, scale, sub};
+use crate::body::geometry::{Point, add, distance, dot, scale, sub, unit};
 
 /// A ball that grows or shrinks on its way from one end to the other, and that may be flattened.
 #[derive(Debug, Clone, Copy)]
@@ -73,6 +73,19 @@ impl Field {
             }
         }
         nearest
+    }
+
+    /// The outermost point at either end of each capsule, where no other capsule covers it, with the radius there.
+    pub(super) fn tips(&self) -> impl Iterator<Item = (Point, f64)> {
+        let of = |capsule: &Capsule| {
+            let [from, to] = capsule.ends;
+            let along = unit(sub(to, from));
+            let [back, front] = capsule.radii;
+            [(add(from, scale(along, -back)), back), (add(to, scale(along, front)), front)]
+        };
+        let ends = self.capsules.iter().flat_map(of);
+        // Blending moves the surface out by a quarter of the blend at most: what lies deeper is covered.
+        ends.filter(|(tip, _)| self.at(*tip) > -self.blend / 2.0)
     }
 
     /// Two corners of a box that holds it, with the width of a blend to spare.

@@ -7,7 +7,7 @@ use std::collections::HashMap;
 
 use super::field::Field;
 use crate::body::Mesh;
-use crate::body::geometry::{Point, cross, dot, sub};
+use crate::body::geometry::{Point, cross, distance, dot, sub};
 
 /// Cells of the lattice at most: memory for it stays below 100 MB.
 const CELLS_MAX: f64 = 2e6;
@@ -16,14 +16,17 @@ const CELL_OF_ONE_FACE: f64 = 2.6;
 /// No corner of the lattice is nearer to the surface than this share of a cell: a vertex of the surface beside it would
 /// make needles.
 const CLEARANCE: f64 = 0.12;
-/// Lattices that are tried where limbs grow together in one, or come off.
-const TRIES: usize = 8;
+/// Lattices that are tried where limbs grow together in one, or come off, or an end slips between its corners: at 5000 faces
+/// a cell is about 5 cm, and a foot 5 to 7 cm across.
+const TRIES: usize = 32;
 
 /// A closed surface without handles, of about so many faces.
 pub(super) fn surface(field: &Field, n_faces: usize) -> Mesh {
     let n_faces = n_faces.clamp(500, 200_000) as f64;
     let mut cell = CELL_OF_ONE_FACE / n_faces.sqrt();
     let mut mesh = Mesh::default();
+    // A lattice that is coarser than a foot has no better one.
+    let mut first_ball = None;
     for round in 0..2 + TRIES {
         let shift = round as f64 * 0.137;
         mesh = Lattice::new(field, cell, shift).surface();
@@ -31,13 +34,15 @@ pub(super) fn surface(field: &Field, n_faces: usize) -> Mesh {
         // The number of faces goes with the square of what is cut.
         let settled = (found / n_faces - 1.0).abs() < 0.05;
         if settled && is_ball(&mesh) {
-            break;
+            if has_tips(&mesh, field) {
+                return mesh;
+            }
+            first_ball.get_or_insert_with(|| mesh.clone());
         }
-        if !settled {
-            cell *= (found.max(1.0) / n_faces).sqrt();
-        }
+        // Shifts alone go along one diagonal, so that the next lattice is a little finer, too.
+        cell *= if settled { 0.995 } else { (found.max(1.0) / n_faces).sqrt() };
     }
-    mesh
+    first_ball.unwrap_or(mesh)
 }
 
 /// One piece, and Euler's number of a ball. All edges are of two triangles, whatever the field.
@@ -60,6 +65,12 @@ fn is_ball(mesh: &Mesh) -> bool {
         }
     }
     pieces == 1 && 2 * n == mesh.triangles.len() + 4
+}
+
+/// Whether every tip of the solid is within its own radius of a vertex: toes that fall between corners of the lattice are not in
+/// the mesh, without leaving a piece.
+fn has_tips(mesh: &Mesh, field: &Field) -> bool {
+    field.tips().all(|(tip, radius)| mesh.positions.iter().any(|at| distance(*at, tip) < radius))
 }
 
 struct Lattice {

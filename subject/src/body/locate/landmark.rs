@@ -26,6 +26,9 @@ const NECK: usize = 6;
 /// The head's first landmark, which lies 0.03 below what was taken for its top, is no farther than this from what is farthest
 /// from the neck: 0.038 was seen of heads whose top was found, and 0.074 of one that was off by 8 % of stature.
 const FROM_TOP_MOST: f64 = 0.055;
+/// No more than this of a limb is missing, in body scales: an arm has 0.44 of stature with its hand, a leg 0.53 (Drillis and
+/// Contini 1966), and what is left of less than 0.04 does not stand out.
+const MISSING_MOST: f64 = 0.40;
 /// The surface within this of the end of a hand, in body scales, is arm and not trunk.
 const ARM_LENGTH: f64 = 0.40;
 /// The curves round a hand are looked at up to the middle of the chest, in body scales.
@@ -108,7 +111,7 @@ impl Landmarks {
         };
         let at_arms = marks_of(curves.arms.each_ref().map(|of| arm(of, hands)), missing[0])?;
         let at_legs = marks_of(curves.legs.each_ref().map(leg), missing[1])?;
-        let from_top = curves.below_top();
+        let from_top = curves.off_top();
         let [arm, other_arm] = curves.arms;
         let [leg, other_leg] = curves.legs;
         Some(Self {
@@ -133,6 +136,14 @@ impl Landmarks {
     pub fn ends_may_be_right(&self) -> bool {
         let hands = self.halves.iter().all(|half| neck::may_be_a_hand(&half.sections[0].perimeter));
         hands && self.neck.may_be_a_head()
+    }
+
+    /// Whether what is missing may be, of ends that fit a body by ways only if a part of a limb is missing: there is such a part,
+    /// and something is left of the limb. Otherwise an end was taken for another.
+    #[must_use]
+    pub fn limbs_may_be_cut(&self) -> bool {
+        let parts = self.missing.as_flattened();
+        parts.iter().any(|part| *part > 0.0) && parts.iter().all(|part| *part <= MISSING_MOST)
     }
 
     /// Whether what was taken for the top may be the forehead, a temple or an open mouth.
@@ -205,7 +216,7 @@ impl Curves {
 
 impl Curves {
     /// How far the head's first landmark is from the place on the head that is farthest from the neck.
-    fn below_top(&self) -> f64 {
+    fn off_top(&self) -> f64 {
         let neck = self.head.centre_at(HEAD_LEVELS[NECK]);
         let first = self.head.centre_at(HEAD_LEVELS[0]);
         let way = |at: &&Vector3<f64>| (*at - neck).norm();

@@ -29,24 +29,26 @@ const HEAD_TO_FOOT: f64 = 1.078;
 /// The sum of all ten ways.
 const ALL: f64 = 10.3;
 
-/// The longest curve round the heel is over that round the ankle behind it by at least this: the girth over heel and instep is
-/// 1.49 times the ankle's, with a standard deviation of 0.07 (ANSUR II, Gordon et al. 2014), and the curves go less
-/// obliquely. A shank or a thigh that is cut has 1.0 to 1.1.
+/// The longest curve round the heel over the shortest round the ankle behind it, at least. Chosen between measured ends: of
+/// whole feet nearly all have 1.22 to 1.9, of shanks and thighs that are cut nearly all 1.00 to 1.10.
 const HEEL_LEAST: f64 = 1.14;
 /// Where the heel is, in body scales from the end; and the ankle is at most so far behind it.
 const HEEL: [f64; 2] = [0.09, 0.19];
 const ANKLE_REACH: f64 = 0.08;
-/// The end of a foot lies off the line of the shank by at least so many of its radii: toes by 4 to 6, a heel by 2. The end of a
-/// shank that is cut lies within its own girth.
-const OFF_AXIS_LEAST: f64 = 1.6;
+/// How far the end of a foot lies off the line of the shank, in radii of the shank: whole feet have 2.1 to 5, mostly over 2.8.
+/// The end of a stump lies within its own girth, whatever the curves are: then there is no foot.
+const WITHIN_GIRTH: f64 = 1.0;
+/// An end that lies off by so much is a foot without a heel's bulge, too. The slant of a cut alone, of 40 degrees, gives 0.84; with a
+/// leg that bends, or a part of the heel left, 2.5 was seen once, and 3.6 and more where the cut left the toes.
+const OFF_AXIS_LEAST: f64 = 2.5;
 /// The part of the leg that is taken for the shank, in body scales.
 const SHANK: [f64; 2] = [0.15, 0.25];
-/// The longest curve of a hand over that of the wrist, at least: a hand has 1.22 times the wrist's girth (ANSUR II), a fist
-/// 1.6 times, and curves round fingers that are apart are longer yet.
+/// The longest curve of a hand over that of the wrist, at least. Chosen between measured ends: open hands have 1.6 to 2.9, fists
+/// of generated bodies 1.0 to 1.4 and tell little, arms that are cut 1.00 to 1.04.
 const HAND_LEAST: f64 = 1.15;
-/// A hand that has so much is open, and plain to see.
+/// A hand that has so much is open: no fist of a generated body but few have it.
 const PLAIN_HAND: f64 = 1.5;
-/// An arm without a hand has less.
+/// An arm without a hand has less: 1.04 was seen.
 const NO_HAND: f64 = 1.08;
 /// Where a hand is thickest, and how far behind that the wrist is at most.
 const HAND_AT: [f64; 2] = [0.03, 0.13];
@@ -91,11 +93,14 @@ pub(super) fn by_shape(
             missing[end] = by.mean;
         }
     }
-    // One hand that is plainly a hand, and none on the other arm: whatever the pose makes of the ways.
+    // One hand that is plainly a hand, and none on the other arm: then a pose that hides part of the difference from one of the
+    // two measures is allowed for, and their mean counts.
     let bulges = arms.map(|arm| bulge(&arm.perimeter, HAND_AT, WRIST_REACH));
     for (side, end) in HAND.into_iter().enumerate() {
         let whole = HAND.iter().all(|hand| missing[*hand] <= 0.0);
-        if whole && bulges[side] < NO_HAND && bulges[1 - side] > PLAIN_HAND {
+        let by = shorter_by(fields, [end, HAND[1 - side]], FOOT);
+        let is_shorter = by.is_some_and(|[a, b]| f64::midpoint(a, b) > END / 2.0 * scale);
+        if whole && is_shorter && bulges[side] < NO_HAND && bulges[1 - side] > PLAIN_HAND {
             missing[end] = END * scale;
         }
     }
@@ -123,12 +128,10 @@ struct Shorter {
 fn shorter(
     fields: &Fields<'_>,
     [a, b]: [usize; 2],
-    [c, d]: [usize; 2],
+    others: [usize; 2],
 ) -> Option<(usize, Shorter)> {
-    let way = |one: usize, other: usize| fields.between(one, other);
-    let by_head = way(HEAD, a)? - way(HEAD, b)?;
-    // Both ends of the other pair together: each is nearer to one side.
-    let by_others = (way(c, a)? + way(d, a)? - way(c, b)? - way(d, b)?) / 2.0;
+    // Negative where the first is shorter.
+    let [by_head, by_others] = shorter_by(fields, [a, b], others)?.map(|by| -by);
     if by_head * by_others <= 0.0 {
         return None;
     }
@@ -136,6 +139,16 @@ fn shorter(
     let (by_head, by_others) = (by_head.abs(), by_others.abs());
     let by = Shorter { least: by_head.min(by_others), mean: f64::midpoint(by_head, by_others) };
     Some((short, by))
+}
+
+/// By how much the first of two limbs is shorter than the second, in the mesh's unit: as seen from the head, and from the other
+/// pair of ends.
+fn shorter_by(fields: &Fields<'_>, [a, b]: [usize; 2], [c, d]: [usize; 2]) -> Option<[f64; 2]> {
+    let way = |one: usize, other: usize| fields.between(one, other);
+    let by_head = way(HEAD, b)? - way(HEAD, a)?;
+    // Both ends of the other pair together: each is nearer to one side.
+    let by_others = (way(c, b)? + way(d, b)? - way(c, a)? - way(d, a)?) / 2.0;
+    Some([by_head, by_others])
 }
 
 /// The body scale, as long as ways that are missing let it be.
@@ -159,10 +172,13 @@ fn has_hand(perimeter: &[f64]) -> bool {
     bulge(perimeter, HAND_AT, WRIST_REACH) >= HAND_LEAST
 }
 
-/// Whether the leg has a heel, and ends off its shank's line.
+/// Whether the leg has a heel and ends outside its shank's girth, or ends far outside.
 fn has_foot(leg: &Sections, toes: Vector3<f64>) -> bool {
-    bulge(&leg.perimeter, HEEL, ANKLE_REACH) >= HEEL_LEAST
-        || off_axis(leg, toes).is_some_and(|off| off >= OFF_AXIS_LEAST)
+    let heel = bulge(&leg.perimeter, HEEL, ANKLE_REACH) >= HEEL_LEAST;
+    match off_axis(leg, toes) {
+        Some(off) => off >= OFF_AXIS_LEAST || heel && off >= WITHIN_GIRTH,
+        None => heel,
+    }
 }
 
 /// The most by which a curve between two levels is longer than one behind it, as a ratio.

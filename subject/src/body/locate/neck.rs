@@ -9,11 +9,11 @@ const NECK_ENDS: f64 = 0.24;
 /// No neck is thicker: 0.38 at most, as they are and in other builds.
 const NECK_MOST: f64 = 0.5;
 
-/// No head has less girth: heads have 0.325 of stature, with a standard deviation of 0.012 (ANSUR II, Gordon et al. 2014),
-/// hands 0.13, and curves that go round spread fingers 0.25.
+/// No head has less girth: the means are 0.33 of stature of men and 0.34 of women (ANSUR II, Gordon et al. 2014), those of hands
+/// 0.12 and 0.11; curves that go round spread fingers have up to 0.25, measured.
 const HEAD_LEAST: f64 = 0.27;
-/// No neck is thinner behind a head of less than [`HEAD_STOUT`]: necks have 0.21 of stature, and 0.018; wrists 0.10, and
-/// stout ones 0.14.
+/// No neck is thinner behind a head of less than [`HEAD_STOUT`]: the means are 0.23 of stature of men and 0.20 of women, of
+/// wrists 0.10 (ANSUR II); stout wrists of measured bodies have 0.14.
 const NECK_LEAST: f64 = 0.16;
 /// No hand is this thick.
 const HEAD_STOUT: f64 = 0.36;

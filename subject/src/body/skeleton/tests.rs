@@ -177,7 +177,7 @@ fn a_document_is_the_same_when_it_is_written_again() {
 #[test]
 fn stature_is_told_in_any_pose_and_not_without_a_bone() {
     for pose in Pose::ALL {
-        let (mesh, joints) = body(3, Pose::Down, Options { n_faces: 500, turned: false });
+        let (mesh, joints) = body(3, Pose::Down, Options { n_faces: 5000, turned: false });
         let height = |at: &[f64; 3]| at[1];
         let top = mesh.positions.iter().map(height).fold(f64::NEG_INFINITY, f64::max);
         let sole = mesh.positions.iter().map(height).fold(f64::INFINITY, f64::min);
