@@ -95,7 +95,7 @@ pub(crate) const HEADER_DAMAGED: &str = "its header is damaged, and nothing can 
 /// A window, and a piece that was pushed when a byte of it was still missing.
 const PUSHED_MAX: usize = WINDOW_BYTES + io::READ_BYTES;
 
-/// Turns bytes into [`TakeEvent`]s. Holds one chunk at a time, after damage at most [`WINDOW_BYTES`](chunk::WINDOW_BYTES), whatever the file
+/// Turns bytes into [`TakeEvent`]s. Holds one chunk at a time, after damage at most [`WINDOW_BYTES`], whatever the file
 /// claims. Of chunks longer than [`CHUNK_HELD_MAX`](chunk::CHUNK_HELD_MAX) it holds a stretch, once it is known to be whole.
 ///
 /// To know that it reads ahead, and [goes back](Self::goes_back_to): no chunk is read more than twice.
