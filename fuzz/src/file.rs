@@ -21,8 +21,8 @@ pub fn read_file(bytes: &[u8]) {
     let Ok(motion) = format.read(file) else { return };
     let positions = size_of_val(&motion.positions_mm[..]);
     assert!(positions <= file.len() * EARNED, "{positions} bytes of positions from {}", file.len());
-    let foreign: usize = motion.info.foreign.iter().map(|part| part.data.len()).sum();
-    assert!(foreign <= 2 * file.len() + 1024, "{foreign} bytes kept from {}", file.len());
+    let foreign: u64 = motion.info.foreign.iter().map(|part| part.data.len()).sum();
+    assert!(foreign <= 2 * file.len() as u64 + 1024, "{foreign} bytes kept from {}", file.len());
     assert!(motion.info.markers.is_empty() || motion.n_frames() as u64 == motion.info.n_frames);
     let mut written = Vec::new();
     // The rate of a CSV is that of its times: one frame has none.

@@ -1,13 +1,13 @@
 //! FOREIGN: what an importer found and the take does not model, kept for the way back.
 
-use std::io::{BufReader, Read, Seek, SeekFrom, Write};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
 
 use flate2::{
     Compression, Decompress, FlushDecompress, Status, bufread::DeflateDecoder,
     write::DeflateEncoder,
 };
 
-use crate::{TakeError, motion::Foreign, varint};
+use crate::{TakeError, content::Spool, motion::Foreign, varint};
 
 /// Longest foreign part: a C3D file's analog section at the format's own limits stays below it.
 pub(crate) const DATA_BYTES_MAX: u64 = 1 << 28;
@@ -17,7 +17,7 @@ pub(crate) const DATA_BYTES_MAX: u64 = 1 << 28;
 /// # Errors
 /// `InvalidArgument` when the part is too long; `Io` never happens in memory.
 pub fn to_payload(foreign: &Foreign) -> Result<Vec<u8>, TakeError> {
-    if foreign.data.len() as u64 > DATA_BYTES_MAX {
+    if foreign.data.len() > DATA_BYTES_MAX {
         return Err(TakeError::InvalidArgument(format!(
             "{} of {} bytes is longer than a take can hold; import with --drop-foreign",
             foreign.kind,
@@ -27,9 +27,9 @@ pub fn to_payload(foreign: &Foreign) -> Result<Vec<u8>, TakeError> {
     let mut out = Vec::new();
     varint::put(&mut out, foreign.kind.len() as u64);
     out.extend_from_slice(foreign.kind.as_bytes());
-    varint::put(&mut out, foreign.data.len() as u64);
+    varint::put(&mut out, foreign.data.len());
     let mut deflate = DeflateEncoder::new(out, Compression::best());
-    deflate.write_all(&foreign.data)?;
+    io::copy(&mut foreign.data.reader(), &mut deflate)?;
     Ok(deflate.finish()?)
 }
 
@@ -75,16 +75,24 @@ impl ForeignPart {
     ///
     /// # Errors
     /// `Io`; `Corrupt` when the file is not the one that was read.
-    pub fn read(&self, input: &mut (impl Read + Seek)) -> Result<Foreign, TakeError> {
+    pub(crate) fn read(
+        &self,
+        input: &mut (impl Read + Seek),
+        spool: &mut Spool,
+    ) -> Result<Foreign, TakeError> {
         input.seek(SeekFrom::Start(self.deflated_at))?;
         let deflated = BufReader::new(input.by_ref().take(self.deflated_bytes));
-        // Grows with what is really inflated: DEFLATE gives at most 1032 bytes a byte.
-        let mut data = Vec::new();
-        DeflateDecoder::new(deflated)
-            .take(self.data_bytes + 1)
-            .read_to_end(&mut data)
-            .map_err(|error| corrupt(self.offset, &format!("not DEFLATE: {error}")))?;
-        if data.len() as u64 != self.data_bytes {
+        let mut inflated = DeflateDecoder::new(deflated);
+        let data =
+            spool.put(&mut inflated, self.data_bytes).map_err(|error| match error.kind() {
+                io::ErrorKind::InvalidInput
+                | io::ErrorKind::InvalidData
+                | io::ErrorKind::UnexpectedEof => {
+                    corrupt(self.offset, &format!("not DEFLATE: {error}"))
+                }
+                _ => error.into(),
+            })?;
+        if data.len() != self.data_bytes {
             return Err(corrupt(self.offset, ANOTHER_LENGTH));
         }
         Ok(Foreign { kind: self.kind.clone(), data })
@@ -186,7 +194,7 @@ mod tests {
         let mut inflation = Inflation::new(part.data_bytes);
         payload[part.deflated_at() as usize..].chunks(7).for_each(|piece| inflation.push(piece));
         inflation.finish(0)?;
-        part.read(&mut Cursor::new(payload))
+        part.read(&mut Cursor::new(payload), &mut Spool::default())
     }
 
     #[test]
@@ -194,7 +202,7 @@ mod tests {
         for len in [0, 5, 4000, 100_000] {
             let part = Foreign {
                 kind: "c3d/analog".into(),
-                data: (0..len).map(|i: u64| (i * i / 3) as u8).collect(),
+                data: (0..len).map(|i: u64| (i * i / 3) as u8).collect::<Vec<_>>().into(),
             };
             let payload = to_payload(&part).unwrap();
             assert!(may_begin_with(&payload));
@@ -207,7 +215,7 @@ mod tests {
 
     #[test]
     fn another_length_than_stated_is_an_error() {
-        let part = Foreign { kind: "a".into(), data: vec![7; 300] };
+        let part = Foreign { kind: "a".into(), data: vec![7; 300].into() };
         let mut payload = to_payload(&part).unwrap();
         assert_eq!(payload[2..4], [0xac, 0x02]);
         for stated in [0xab, 0xad] {

@@ -6,6 +6,7 @@ use mocapd_codec::Settings;
 
 use crate::{
     TakeError, TakeReader,
+    content::{Content, Spool},
     map::TakeMap,
     motion::{
         Foreign, FrameSource, GAP, Motion, MotionEvent, MotionInfo, Position, Source, UpAxis,
@@ -18,7 +19,7 @@ use crate::{
 
 pub use crate::table::nameless;
 
-/// Most bytes of foreign parts that are held in memory.
+/// Most bytes of foreign parts, in memory and in a temporary file.
 const FOREIGN_BYTES_MAX: u64 = 1 << 28;
 
 /// Most samples of a take that [`read_motion`] holds: 3 GiB.
@@ -60,16 +61,17 @@ impl<R: Read + Seek> TakeFrames<R> {
         let mut parts = Vec::new();
         let map = TakeMap::scan(&mut input, |part| parts.push(part))?;
         let mut foreign_bytes = 0_u64;
+        let mut spool = Spool::default();
         for part in parts {
             if !wanted(&part.kind) {
-                info.foreign.push(Foreign { kind: part.kind, data: Vec::new() });
+                info.foreign.push(Foreign { kind: part.kind, data: Content::default() });
                 continue;
             }
             foreign_bytes = foreign_bytes.saturating_add(part.data_bytes);
             if foreign_bytes > FOREIGN_BYTES_MAX {
                 problems.push(format!("{}: more foreign data than a take can hold", part.kind));
             } else {
-                info.foreign.push(part.read(&mut input)?);
+                info.foreign.push(part.read(&mut input, &mut spool)?);
             }
         }
         describe(&map.header, &mut info);

@@ -5,6 +5,7 @@
 
 mod ambiguity;
 pub mod chunk;
+pub mod content;
 pub mod ends;
 pub mod escape;
 pub mod foreign;

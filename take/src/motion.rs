@@ -1,6 +1,7 @@
 //! Marker trajectories in memory: what importers produce, exporters consume and the simulator replays.
 
 use crate::{
+    content::Content,
     map::TakeMap,
     record::{EventKind, Subject},
 };
@@ -81,12 +82,12 @@ pub struct Source {
 }
 
 /// What an importer found and we do not model, kept so that an exporter of the same format can give it back.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Foreign {
     /// Which format and part: `c3d/parameters`, `c3d/analog`, `c3d/residuals`, `c3d/model-outputs`, `trc/header`...
     pub kind: String,
     /// The bytes, in the layout that docs/take-format.md gives for that kind.
-    pub data: Vec<u8>,
+    pub data: Content,
 }
 
 /// Something that happened beside the motion: a mark, a trigger, a word of the device or the host.

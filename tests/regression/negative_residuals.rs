@@ -33,7 +33,7 @@ fn write(motion: &Motion) -> Vec<u8> {
 }
 
 /// The words of the data section.
-fn words(file: &[u8], n: usize) -> Vec<u32> {
+pub(super) fn words(file: &[u8], n: usize) -> Vec<u32> {
     let start = (usize::from(u16::from_le_bytes([file[16], file[17]])) - 1) * 512;
     file[start..].as_chunks().0.iter().take(n).map(|&b| u32::from_le_bytes(b)).collect()
 }
@@ -103,7 +103,7 @@ fn coordinates_under_gaps_are_kept_in_as_many_bytes_as_they_need() {
     let n_under: usize =
         (0..n_frames).map(|f| (0..n_markers).filter(|&m| is_under(f, m)).count()).sum();
     let kept = motion.info.foreign.iter().find(|part| part.kind == "c3d/gap-coordinates").unwrap();
-    assert!(kept.data.len() <= 40 * n_under + 16 * n_markers, "{} bytes", kept.data.len());
+    assert!(kept.data.len() <= (40 * n_under + 16 * n_markers) as u64, "{} bytes", kept.data.len());
     let n_words = 4 * n_frames * n_markers;
     assert_eq!(words(&write(&motion), n_words), words(&bytes, n_words));
 }
@@ -119,7 +119,7 @@ fn coordinates_under_gaps_are_scaled_and_turned_with_the_others() {
             |bytes: &[u8]| words(bytes, 8).into_iter().map(f32::from_bits).collect::<Vec<_>>();
         assert_eq!(floats(&write(&motion)), [50.0, 100.0, 150.0, 0.0, 55.0, 105.0, 155.0, -1.0]);
         let mut frames = MotionFrames::new(&motion);
-        let mut turned = Turned::new(&mut frames, UpAxis::Y).unwrap();
+        let mut turned = Turned::new(&mut frames, UpAxis::Y).unwrap().unwrap();
         let mut bytes = Vec::new();
         Format::C3d.write(&mut turned, &mut bytes).unwrap();
         assert_eq!(floats(&bytes), [50.0, 150.0, -100.0, 0.0, 55.0, 155.0, -105.0, -1.0]);

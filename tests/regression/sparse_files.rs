@@ -1,4 +1,4 @@
-//! A file that claims more than it holds costs neither memory nor time.
+//! A file that claims more than it holds costs neither memory nor time, and one that holds much no memory.
 //!
 //! Each `cargo test` does it with half a gigabyte; docs/reliability.md has the command for more.
 
@@ -14,9 +14,10 @@ use mocapd_simulator::generator::Rng;
 use mocapd_take::chunk::{MAGIC, types};
 use serde_json::Value;
 
+use super::negative_residuals::words;
 use crate::{
     cli::{Folder, Ran, devices::Simulated, service::Service},
-    support::{config, dense, jump, places, record},
+    support::{c3d_file::C3dFile, config, dense, jump, places, record},
 };
 
 /// Places that are damaged.
@@ -134,6 +135,60 @@ fn holes_cost_no_memory_and_what_lies_between_them_is_found() {
         (&again["intact"], n(&again, "samples")),
         (&Value::Bool(true), n(&verify, "samples"))
     );
+}
+
+/// A file with more analog samples than the program may hold: 5 points, of which one is no marker and one has residuals,
+/// and at times coordinates under gaps.
+fn file_with_analog_samples() -> C3dFile {
+    const ANALOG: (usize, usize) = (64, 100);
+    let n_frames = (3 * RESIDENT_MAX_BYTES as usize / 2).div_ceil(ANALOG.0 * ANALOG.1 * 4);
+    let frame = |frame: usize| {
+        let i = frame as f32;
+        let fourth = if frame % 8 > 5 { -1.0 } else { i };
+        let mut words = vec![i, 2.0, 1000.5, 0.0, -i, 40.0, 30.0, fourth];
+        words.extend([90.0, i, 5.0, 0.0, 1.0, 2.0, i, 0.0, 4.0, i, 3.0, 0.0]);
+        words.extend((0..ANALOG.0 * ANALOG.1).map(|sample| (frame / 50 + sample % 64) as f32));
+        words
+    };
+    let mut file = C3dFile::new(5, (0..n_frames).map(frame).collect());
+    file.analog = ANALOG;
+    file.texts(1, "LABELS", &["A", "B", "Knee", "C", "D"]);
+    file.texts(1, "ANGLES", &["Knee"]);
+    file.texts(1, "Y_SCREEN", &["+Z"]);
+    file.records.extend(file.group(2, "ANALOG"));
+    file.words(2, "USED", &[ANALOG.0 as u16]);
+    file.floats(2, "RATE", &[100.0 * ANALOG.1 as f32]);
+    file
+}
+
+#[test]
+fn what_a_source_had_beside_markers_is_exported_as_a_stream() {
+    let folder = Folder::new();
+    let file = file_with_analog_samples();
+    let n_frames = file.frames.len();
+    let n_words = n_frames * file.frames[0].len();
+    folder.write("a.c3d", file.bytes());
+    drop(file);
+    folder.run(&["import", "a.c3d", "-o", "a.take", "--lossless"]).with_code(0);
+    let source = words(&folder.read("a.c3d"), n_words);
+    let (export, resident) = run(&folder, &["export", "a.take", "-o", "b.c3d"]);
+    assert_small("export with analog samples", resident);
+    export.with_code(0);
+    assert!(words(&folder.read("b.c3d"), n_words) == source, "the words are not the same");
+    // From the middle on, and turned.
+    let part = ["export", "a.take", "-o", "c.c3d", "--from", "0.5s", "--up", "y"];
+    let (export, resident) = run(&folder, &part);
+    assert_small("export of a part, turned", resident);
+    export.with_code(0);
+    // Of each frame the points were turned, and the analog samples not.
+    let frame_words = n_words / n_frames;
+    let part = words(&folder.read("c.c3d"), n_words - 50 * frame_words);
+    let analog = |words: &[u32]| -> Vec<u32> {
+        words.chunks(frame_words).flat_map(|frame| &frame[20..]).copied().collect()
+    };
+    assert_eq!(part.len(), n_words - 50 * frame_words);
+    assert!(analog(&part) == analog(&source[50 * frame_words..]), "analog samples differ");
+    assert_ne!(part[..20], source[50 * frame_words..][..20]);
 }
 
 /// A whole header, and a hole: it killed the service, at each start again.

@@ -79,7 +79,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         let frames: &mut dyn FrameSource = match args.up {
             None => &mut part,
             Some(up) => {
-                turned = Turned::new(&mut part, up).context("the take does not say what is up")?;
+                turned = Turned::new(&mut part, up)?.context("the take does not say what is up")?;
                 not_turned = turned.not_turned();
                 &mut turned
             }

@@ -88,6 +88,16 @@ pub(super) fn marker(label: &str, column: usize) -> Marker {
     Marker { label: label.to_owned(), labelled: true }
 }
 
+/// Most bytes of header lines that are given back: as many markers as a C3D file has, with labels of 60 bytes.
+const HEADER_BYTES_MAX: u64 = 1 << 22;
+
+/// The header lines that an importer kept as `kind`; none where there are none, or more than any header has.
+pub(super) fn kept_header(info: &MotionInfo, kind: &str) -> std::io::Result<Vec<u8>> {
+    let part = info.foreign.iter().find(|part| part.kind == kind);
+    let lines = part.map(|part| part.data.to_vec(HEADER_BYTES_MAX)).transpose()?.flatten();
+    Ok(lines.unwrap_or_default())
+}
+
 /// A name for each column: the marker's label; `#2`, `#3`... is added where a column before it has that name.
 pub(super) fn column_labels(info: &MotionInfo) -> Vec<String> {
     let mut taken = HashSet::new();

@@ -21,15 +21,17 @@ impl std::fmt::Debug for Turned<'_> {
 
 impl<'a> Turned<'a> {
     /// With `up` up; `None` when the source does not say what is up.
-    #[must_use]
-    pub fn new(frames: &'a mut dyn FrameSource, up: UpAxis) -> Option<Self> {
+    ///
+    /// # Errors
+    /// Those of reading what the source keeps of C3D, and of writing it turned.
+    pub fn new(frames: &'a mut dyn FrameSource, up: UpAxis) -> std::io::Result<Option<Self>> {
         let mut info = frames.info().clone();
-        let turn = Turn::between(info.up, up)?;
+        let Some(turn) = Turn::between(info.up, up) else { return Ok(None) };
         info.up = up;
         if !turn.is_none() {
-            c3d::turn(&mut info.foreign, turn);
+            c3d::turn(&mut info.foreign, turn)?;
         }
-        Some(Self { frames, info, turn })
+        Ok(Some(Self { frames, info, turn }))
     }
 
     /// What is given as it was, although it may lie in space.

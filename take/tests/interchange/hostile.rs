@@ -17,8 +17,12 @@ fn survive(format: Format, bytes: &[u8]) {
         "{positions} bytes of positions from {} bytes",
         bytes.len()
     );
-    let foreign: usize = motion.info.foreign.iter().map(|f| f.data.len()).sum();
-    assert!(foreign <= 2 * bytes.len() + 1024, "{foreign} bytes kept from {} bytes", bytes.len());
+    let foreign: u64 = motion.info.foreign.iter().map(|f| f.data.len()).sum();
+    assert!(
+        foreign <= 2 * bytes.len() as u64 + 1024,
+        "{foreign} bytes kept from {} bytes",
+        bytes.len()
+    );
     assert!(motion.info.markers.is_empty() || motion.n_frames() as u64 == motion.info.n_frames);
     // Refusing is fine: labels may have become too long.
     drop(Format::Npz.write(&mut MotionFrames::new(&motion), &mut std::io::sink()));

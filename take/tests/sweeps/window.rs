@@ -290,7 +290,7 @@ fn a_long_chunk_is_passed_over_where_it_is_whole_and_found_behind_damage() {
     // Its content is there for those who want it, and a recovery copies it.
     let frames = TakeFrames::open(Cursor::new(&with_long[..])).unwrap();
     let kept = &mocapd_take::motion::FrameSource::info(&frames).foreign;
-    assert_eq!(kept[0], Foreign { kind: "c3d/analog".to_owned(), data });
+    assert_eq!(kept[0], Foreign { kind: "c3d/analog".to_owned(), data: data.into() });
     let mut recovered = Vec::new();
     let survey = Survey::read(&with_long).unwrap();
     survey.write(Cursor::new(&with_long), &mut recovered, "sweeps").unwrap();

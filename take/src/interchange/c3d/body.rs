@@ -1,5 +1,7 @@
 //! The frames of a C3D file to be written.
 
+use std::io;
+
 use super::columns::unordered;
 use super::foreign::{KeptSamples, kept_parameters};
 use super::gap_coordinates::KeptCoordinates;
@@ -33,23 +35,26 @@ pub(super) struct Body<'a> {
 
 impl<'a> Body<'a> {
     /// For frames from number `first_frame` on.
-    pub(super) fn new(info: &'a MotionInfo, first_frame: u64) -> Self {
+    ///
+    /// # Errors
+    /// Those of reading what was kept.
+    pub(super) fn new(info: &'a MotionInfo, first_frame: u64) -> io::Result<Self> {
         let foreign = &info.foreign;
-        let outputs = KeptSamples::model_outputs(foreign, first_frame);
+        let outputs = KeptSamples::model_outputs(foreign, first_frame)?;
         let n_markers = info.markers.len();
-        Self {
-            under_gaps: KeptCoordinates::parse(foreign, first_frame),
+        Ok(Self {
+            under_gaps: KeptCoordinates::parse(foreign, first_frame)?,
             under_gap: vec![None; n_markers],
             analog_offsets: Vec::new(),
             points: places(n_markers, outputs.as_ref().map_or(&[], |kept| &kept.points)),
-            analog: KeptSamples::analog(foreign, first_frame),
-            residuals: KeptSamples::residuals(foreign, first_frame)
+            analog: KeptSamples::analog(foreign, first_frame)?,
+            residuals: KeptSamples::residuals(foreign, first_frame)?
                 .filter(|kept| kept.n_signals == n_markers),
             outputs,
-            unsigned_analog: kept_parameters(foreign)
+            unsigned_analog: kept_parameters(foreign)?
                 .and_then(|(_, parameters)| parameters.text("ANALOG", "FORMAT"))
                 .is_some_and(|format| format.eq_ignore_ascii_case("UNSIGNED")),
-        }
+        })
     }
 
     /// Points a frame, model outputs included.
@@ -63,27 +68,27 @@ impl<'a> Body<'a> {
     }
 
     /// Appends a frame.
-    pub(super) fn push_frame(&mut self, row: &[Position], buffer: &mut Vec<u8>) {
-        let residuals = self.residuals.as_mut().and_then(|kept| {
-            let wide = kept.width == 4;
-            kept.begin_frame().then(|| kept.next()).flatten().map(|words| (words, wide))
-        });
-        let outputs = self
-            .outputs
-            .as_mut()
-            .and_then(|kept| kept.begin_frame().then(|| kept.next()).flatten());
-        for (marker, words) in self.under_gaps.iter_mut().flat_map(KeptCoordinates::next_frame) {
-            if let Some(place) = self.under_gap.get_mut(marker) {
-                *place = Some(words);
+    ///
+    /// # Errors
+    /// Those of reading what was kept.
+    pub(super) fn push_frame(&mut self, row: &[Position], buffer: &mut Vec<u8>) -> io::Result<()> {
+        let is_wide = self.residuals.as_ref().is_some_and(|kept| kept.width == 4);
+        let residuals = self.residuals.as_mut().map(KeptSamples::next_frame).transpose()?.flatten();
+        let outputs = self.outputs.as_mut().map(KeptSamples::next_frame).transpose()?.flatten();
+        if let Some(kept) = &mut self.under_gaps {
+            for &(marker, words) in kept.next_frame()? {
+                if let Some(place) = self.under_gap.get_mut(marker) {
+                    *place = Some(words);
+                }
             }
         }
         for &point in &self.points {
             let words = match point {
                 Point::Marker(index) => {
                     let position = row.get(index).copied().unwrap_or(GAP);
-                    let fourth = residuals.and_then(|(words, wide)| {
+                    let fourth = residuals.and_then(|words| {
                         let &word = words.get(index)?;
-                        Some(if wide {
+                        Some(if is_wide {
                             f32::from_bits(unordered(word))
                         } else {
                             f32::from(word as i16)
@@ -102,11 +107,11 @@ impl<'a> Body<'a> {
         }
         let (ratio, n_channels) = self.analog_shape();
         let unsigned = self.unsigned_analog;
-        let Some(kept) = self.analog.as_mut() else { return };
+        let Some(kept) = self.analog.as_mut() else { return Ok(()) };
         let present = kept.begin_frame();
         let wide = kept.width == 4;
         for _ in 0..ratio {
-            match if present { kept.next() } else { None } {
+            match if present { kept.next()? } else { None } {
                 Some(words) => words.iter().enumerate().for_each(|(channel, &word)| {
                     let mut value = if wide {
                         f32::from_bits(unordered(word))
@@ -123,6 +128,7 @@ impl<'a> Body<'a> {
                 None => buffer.extend(std::iter::repeat_n(0, 4 * n_channels)),
             }
         }
+        Ok(())
     }
 }
 

@@ -5,6 +5,13 @@
 //! (the first to 0, modulo 2^16 or 2^32), zigzagged, and the bytes of the differences are stored plane by plane:
 //! the highest bytes of all samples, then the next lower ones.
 
+use std::{io, ops::Range};
+
+use crate::content::{Content, ContentSlice};
+
+/// Most columns: four words each of as many points as 16 bits count, the most of a C3D frame. Analog channels are fewer.
+const COLUMNS_MAX: usize = 4 * u16::MAX as usize;
+
 /// The bits of a float as an integer of the same order: smooth signals have small differences.
 pub(super) fn ordered(bits: u32) -> u32 {
     if bits >> 31 == 1 { !bits } else { bits | 1 << 31 }
@@ -23,9 +30,8 @@ pub(super) fn push_wide(out: &mut Vec<u8>, samples: impl ExactSizeIterator<Item 
     let mut before = 0u32;
     let (_, planes) = out.split_at_mut(start);
     for (index, sample) in samples.enumerate() {
-        let difference = sample.wrapping_sub(before) as i32;
+        let zigzag = zigzag_wide(before, sample);
         before = sample;
-        let zigzag = (difference << 1 ^ difference >> 31) as u32;
         for (plane, byte) in zigzag.to_be_bytes().into_iter().enumerate() {
             if let Some(place) = planes.get_mut(plane * n_samples + index) {
                 *place = byte;
@@ -53,62 +59,145 @@ pub(super) fn push_narrow(out: &mut Vec<u8>, samples: impl ExactSizeIterator<Ite
     }
 }
 
+/// A column of 32-bit samples that is written over another of the same length, some samples at a time.
+#[derive(Debug)]
+pub(super) struct WideColumn {
+    zigzags: Vec<u32>,
+    before: u32,
+    written: usize,
+}
+
+impl WideColumn {
+    /// Samples that are written at once.
+    const SAMPLES: usize = 1 << 12;
+
+    pub(super) const fn new() -> Self {
+        Self { zigzags: Vec::new(), before: 0, written: 0 }
+    }
+
+    /// Adds a sample.
+    pub(super) fn push(&mut self, sample: u32) {
+        self.zigzags.push(zigzag_wide(self.before, sample));
+        self.before = sample;
+    }
+
+    /// Whether it is time to write.
+    pub(super) fn is_full(&self) -> bool {
+        self.zigzags.len() >= Self::SAMPLES
+    }
+
+    /// Writes what was added to its place in a column of `n_samples` that begins at byte `from`.
+    pub(super) fn write(
+        &mut self,
+        data: &mut Content,
+        from: u64,
+        n_samples: usize,
+    ) -> io::Result<()> {
+        for plane in 0..size_of::<u32>() {
+            let bytes = self.zigzags.iter().map(|zigzag| zigzag.to_be_bytes()[plane]);
+            let at = from + (plane * n_samples + self.written) as u64;
+            data.write_at(at, &bytes.collect::<Vec<u8>>())?;
+        }
+        self.written += self.zigzags.len();
+        self.zigzags.clear();
+        Ok(())
+    }
+}
+
+/// What is stored of a 32-bit sample that follows `before`.
+fn zigzag_wide(before: u32, sample: u32) -> u32 {
+    let difference = sample.wrapping_sub(before) as i32;
+    (difference << 1 ^ difference >> 31) as u32
+}
+
 /// Columns of equal length, read one sample of each at a time.
 #[derive(Debug)]
 pub(super) struct Columns<'a> {
-    data: &'a [u8],
+    data: ContentSlice<'a>,
     width: usize,
     n_samples: usize,
     next: usize,
     before: Vec<u32>,
+    block: Block,
+}
+
+/// The bytes of some samples: of each plane of each column as many.
+#[derive(Debug)]
+struct Block {
+    bytes: Vec<u8>,
+    /// Samples that fit.
+    samples: usize,
+    /// Those that it holds.
+    held: Range<usize>,
 }
 
 impl<'a> Columns<'a> {
-    /// `n_columns` columns of `n_samples` samples of `width` bytes (2 or 4); `None` when the data is not that long.
+    /// `n_columns` columns of `n_samples` samples of `width` bytes (2 or 4), of which at most `room` bytes are held, and at
+    /// least one sample; `None` when the data is not that long, or is of more columns than a C3D file has words in a frame.
     pub(super) fn new(
-        data: &'a [u8],
+        data: ContentSlice<'a>,
         width: usize,
         n_columns: usize,
         n_samples: usize,
+        room: usize,
     ) -> Option<Self> {
         let expected = n_columns.checked_mul(n_samples)?.checked_mul(width)?;
         // Columns without samples would earn memory for `before` from nothing.
         let n_columns = if n_samples == 0 { 0 } else { n_columns };
-        (data.len() == expected).then(|| Self {
+        let n_planes = n_columns.checked_mul(width)?;
+        let samples = (room / n_planes.max(1)).clamp(1, n_samples.max(1));
+        (data.len() == expected as u64 && n_columns <= COLUMNS_MAX).then(|| Self {
             data,
             width,
             n_samples,
             next: 0,
             before: vec![0; n_columns],
+            block: Block { bytes: Vec::new(), samples, held: 0..0 },
         })
     }
 
     /// The next sample of every column; `None` after the last.
-    pub(super) fn next(&mut self) -> Option<&[u32]> {
+    pub(super) fn next(&mut self) -> io::Result<Option<&[u32]>> {
         if self.next >= self.n_samples {
-            return None;
+            return Ok(None);
         }
+        if !self.block.held.contains(&self.next) {
+            self.read_block()?;
+        }
+        let n_held = self.block.held.len();
+        let place = self.next - self.block.held.start;
         let mask = if self.width == 2 { 0xFFFF } else { u32::MAX };
-        for (column, before) in self.before.iter_mut().enumerate() {
-            let mut zigzag = 0u32;
-            let first = column * self.width * self.n_samples + self.next;
-            for plane in 0..self.width {
-                zigzag = zigzag << 8 | u32::from(*self.data.get(first + plane * self.n_samples)?);
-            }
+        let columns = self.block.bytes.chunks_exact(self.width * n_held);
+        for (before, planes) in self.before.iter_mut().zip(columns) {
+            let bytes = planes.iter().skip(place).step_by(n_held);
+            let zigzag = bytes.fold(0u32, |word, &byte| word << 8 | u32::from(byte));
             let difference = zigzag >> 1 ^ (zigzag & 1).wrapping_neg();
             *before = before.wrapping_add(difference) & mask;
         }
         self.next += 1;
-        Some(&self.before)
+        Ok(Some(&self.before))
+    }
+
+    /// Reads the samples from the next on.
+    fn read_block(&mut self) -> io::Result<()> {
+        let n_held = self.block.samples.min(self.n_samples - self.next);
+        let n_planes = self.before.len() * self.width;
+        self.block.bytes.resize(n_planes * n_held, 0);
+        for (plane, bytes) in self.block.bytes.chunks_exact_mut(n_held).enumerate() {
+            self.data.read_at((plane * self.n_samples + self.next) as u64, bytes)?;
+        }
+        self.block.held = self.next..self.next + n_held;
+        Ok(())
     }
 
     /// Passes over samples.
-    pub(super) fn skip(&mut self, n_samples: usize) {
+    pub(super) fn skip(&mut self, n_samples: usize) -> io::Result<()> {
         for _ in 0..n_samples {
-            if self.next().is_none() {
-                return;
+            if self.next()?.is_none() {
+                break;
             }
         }
+        Ok(())
     }
 }
 
@@ -119,29 +208,31 @@ mod tests {
 
     proptest! {
         #[test]
-        fn wide_columns_come_back(rows in proptest::collection::vec(any::<[u32; 3]>(), 0..40)) {
+        fn wide_columns_come_back(rows in proptest::collection::vec(any::<[u32; 3]>(), 0..40), room in 0usize..100) {
             let mut data = Vec::new();
             for column in 0..3 {
                 push_wide(&mut data, rows.iter().map(|row| ordered(row[column])));
             }
-            let mut columns = Columns::new(&data, 4, 3, rows.len()).expect("as long as announced");
+            let data = Content::from(data);
+            let mut columns = Columns::new(data.as_slice(), 4, 3, rows.len(), room).expect("as long as announced");
             for row in &rows {
-                let found: Vec<u32> = columns.next().expect("a row").iter().map(|&v| unordered(v)).collect();
+                let found: Vec<u32> = columns.next().unwrap().expect("a row").iter().map(|&v| unordered(v)).collect();
                 prop_assert_eq!(&found[..], &row[..]);
             }
-            prop_assert!(columns.next().is_none());
+            prop_assert!(columns.next().unwrap().is_none());
         }
 
         #[test]
-        fn narrow_columns_come_back(rows in proptest::collection::vec(any::<[u16; 2]>(), 1..40), skip in 0usize..3) {
+        fn narrow_columns_come_back(rows in proptest::collection::vec(any::<[u16; 2]>(), 1..40), skip in 0usize..3, room in 0usize..100) {
             let mut data = Vec::new();
             for column in 0..2 {
                 push_narrow(&mut data, rows.iter().map(|row| row[column]));
             }
-            let mut columns = Columns::new(&data, 2, 2, rows.len()).expect("as long as announced");
-            columns.skip(skip);
+            let data = Content::from(data);
+            let mut columns = Columns::new(data.as_slice(), 2, 2, rows.len(), room).expect("as long as announced");
+            columns.skip(skip).unwrap();
             for row in rows.iter().skip(skip) {
-                let found: Vec<u16> = columns.next().expect("a row").iter().map(|&v| v as u16).collect();
+                let found: Vec<u16> = columns.next().unwrap().expect("a row").iter().map(|&v| v as u16).collect();
                 prop_assert_eq!(&found[..], &row[..]);
             }
         }
@@ -155,7 +246,8 @@ mod tests {
 
     #[test]
     fn a_wrong_length_is_refused() {
-        assert!(Columns::new(&[0; 7], 4, 1, 2).is_none());
-        assert!(Columns::new(&[], 4, usize::MAX, 2).is_none());
+        let data = Content::from(vec![0; 7]);
+        assert!(Columns::new(data.as_slice(), 4, 1, 2, 8).is_none());
+        assert!(Columns::new(Content::default().as_slice(), 4, usize::MAX, 2, 8).is_none());
     }
 }

@@ -8,6 +8,8 @@
 //! | `c3d/model-outputs` | points that are not positions |
 //! | `c3d/gap-coordinates` | coordinates of samples that are marked as missing |
 
+use std::io;
+
 use super::bytes::ByteOrder;
 use super::columns::{Columns, ordered, push_narrow, push_wide};
 use super::gap_coordinates;
@@ -16,8 +18,14 @@ use super::labels::Points;
 use super::parameters::Parameters;
 use super::read::Frames;
 use super::section::encode_records;
+use crate::content::ContentSlice;
 use crate::interchange::turn::Turn;
 use crate::motion::{Foreign, Position, is_gap};
+
+/// Bytes of samples that are held of a part: of 64 channels of floats 4096 samples each, read 4 kB at a time.
+const BLOCK_BYTES: usize = 1 << 20;
+/// Most bytes of the parameters: 255 blocks of 512 bytes in a C3D file; what a turn or a version to come adds is far less.
+const PARAMETERS_BYTES_MAX: u64 = 1 << 20;
 
 /// Version of every layout here.
 pub(super) const VERSION: u8 = 1;
@@ -41,7 +49,8 @@ pub(super) fn keep(
     positions: &[Position],
 ) -> Vec<Foreign> {
     let mut kept = Vec::new();
-    let mut push = |kind: &str, data: Vec<u8>| kept.push(Foreign { kind: kind.to_owned(), data });
+    let mut push =
+        |kind: &str, data: Vec<u8>| kept.push(Foreign { kind: kind.to_owned(), data: data.into() });
     push(PARAMETERS, parameters_data(header, parameters));
     if frames.layout.analog_per_frame > 0 {
         push(ANALOG, analog_data(frames));
@@ -78,18 +87,20 @@ fn head_of(frames: &Frames<'_>, width: u8, n_signals: usize, ratio: usize) -> Ve
 }
 
 /// Turns what was kept of a file in space: the corners of force plates, and coordinates under gaps.
-pub(in crate::interchange) fn turn(foreign: &mut [Foreign], turn: Turn) {
-    let parameters = kept_parameters(foreign).map(|(header, mut parameters)| {
+pub(in crate::interchange) fn turn(foreign: &mut [Foreign], turn: Turn) -> io::Result<()> {
+    let parameters = kept_parameters(foreign)?.map(|(header, mut parameters)| {
         parameters.turn(turn);
-        Foreign { kind: PARAMETERS.to_owned(), data: parameters_data(&header, &parameters) }
+        let data = parameters_data(&header, &parameters).into();
+        Foreign { kind: PARAMETERS.to_owned(), data }
     });
-    let under_gaps = gap_coordinates::turned(foreign, turn);
+    let under_gaps = gap_coordinates::turned(foreign, turn)?;
     for new in parameters.into_iter().chain(under_gaps) {
         foreign
             .iter_mut()
             .filter(|part| part.kind == new.kind)
             .for_each(|part| *part = new.clone());
     }
+    Ok(())
 }
 
 fn parameters_data(header: &Header, parameters: &Parameters) -> Vec<u8> {
@@ -182,6 +193,40 @@ fn output_data(frames: &Frames<'_>, points: &Points) -> Vec<u8> {
     data
 }
 
+/// What stands in front of a block of samples.
+#[derive(Debug)]
+struct SampleHead {
+    width: usize,
+    n_signals: usize,
+    ratio: usize,
+    first_frame: u64,
+    n_frames: usize,
+}
+
+impl SampleHead {
+    /// `None` for a version or width that is not known, and for more signals than a C3D file has.
+    fn parse(head: &[u8; 26]) -> Option<Self> {
+        let &[VERSION, width @ (2 | 4), ..] = head else { return None };
+        let dword =
+            |at: usize| Some(u32::from_le_bytes(head.get(at..at + 4)?.try_into().ok()?) as usize);
+        let qword = |at: usize| Some(u64::from_le_bytes(head.get(at..at + 8)?.try_into().ok()?));
+        Some(Self {
+            width: usize::from(width),
+            n_signals: dword(2).filter(|&n| n <= usize::from(u16::MAX))?,
+            ratio: dword(6)?,
+            first_frame: qword(10)?,
+            n_frames: usize::try_from(qword(18)?).ok()?,
+        })
+    }
+
+    /// The columns, of which each signal has `n`; `None` where they have another length.
+    fn columns<'a>(&self, data: ContentSlice<'a>, n: usize) -> Option<Columns<'a>> {
+        let n_columns = self.n_signals.checked_mul(n)?;
+        let n_samples = self.n_frames.checked_mul(self.ratio)?;
+        Columns::new(data, self.width, n_columns, n_samples, BLOCK_BYTES)
+    }
+}
+
 /// Samples that were kept, read frame after frame.
 #[derive(Debug)]
 pub(super) struct KeptSamples<'a> {
@@ -207,42 +252,42 @@ impl<'a> KeptSamples<'a> {
         columns: usize,
         indexed: bool,
         first_frame: u64,
-    ) -> Option<Self> {
-        let data = &foreign.iter().find(|f| f.kind == kind)?.data;
-        let (head, rest) = data.split_first_chunk::<26>()?;
-        let &[VERSION, width @ (2 | 4), ..] = head else { return None };
-        let dword =
-            |at: usize| Some(u32::from_le_bytes(head.get(at..at + 4)?.try_into().ok()?) as usize);
-        let qword = |at: usize| Some(u64::from_le_bytes(head.get(at..at + 8)?.try_into().ok()?));
-        let (n_signals, ratio) = (dword(2)?, dword(6)?);
-        let (kept_first, n_frames) = (qword(10)?, usize::try_from(qword(18)?).ok()?);
-        let n_indices = if indexed { n_signals } else { 0 };
-        let (indices, rest) = rest.split_at_checked(n_indices.checked_mul(4)?)?;
-        let points =
-            indices.as_chunks().0.iter().map(|&b| u32::from_le_bytes(b) as usize).collect();
-        let n_columns = n_signals.checked_mul(columns)?;
-        let mut columns =
-            Columns::new(rest, usize::from(width), n_columns, n_frames.checked_mul(ratio)?)?;
+    ) -> io::Result<Option<Self>> {
+        let Some(part) = foreign.iter().find(|part| part.kind == kind) else { return Ok(None) };
+        let Some((head, rest)) = part.data.as_slice().split_array()? else { return Ok(None) };
+        let Some(head) = SampleHead::parse(&head) else { return Ok(None) };
+        let n_indices = if indexed { head.n_signals } else { 0 };
+        let Some((indices, rest)) = rest.split_at(4 * n_indices as u64) else { return Ok(None) };
+        let Some(mut columns) = head.columns(rest, columns) else { return Ok(None) };
+        let mut points = vec![0; n_indices * 4];
+        indices.read_at(0, &mut points)?;
+        let points = points.as_chunks().0.iter().map(|&b| u32::from_le_bytes(b) as usize).collect();
+        let SampleHead { width, n_signals, ratio, first_frame: kept_first, n_frames } = head;
         let skip = first_frame.saturating_sub(kept_first).min(n_frames as u64) as usize;
-        columns.skip(skip.saturating_mul(ratio));
+        columns.skip(skip.saturating_mul(ratio))?;
         let wait = kept_first.saturating_sub(first_frame);
-        Some(Self { width: usize::from(width), n_signals, ratio, points, columns, wait })
+        Ok(Some(Self { width, n_signals, ratio, points, columns, wait }))
     }
 
     /// The analog samples from a frame on.
-    pub(super) fn analog(foreign: &'a [Foreign], first_frame: u64) -> Option<Self> {
-        Self::parse(foreign, ANALOG, 1, false, first_frame).filter(|kept| kept.ratio > 0)
+    pub(super) fn analog(foreign: &'a [Foreign], first_frame: u64) -> io::Result<Option<Self>> {
+        let kept = Self::parse(foreign, ANALOG, 1, false, first_frame)?;
+        Ok(kept.filter(|kept| kept.ratio > 0))
     }
 
     /// The fourth words from a frame on.
-    pub(super) fn residuals(foreign: &'a [Foreign], first_frame: u64) -> Option<Self> {
-        Self::parse(foreign, RESIDUALS, 1, false, first_frame).filter(|kept| kept.ratio == 1)
+    pub(super) fn residuals(foreign: &'a [Foreign], first_frame: u64) -> io::Result<Option<Self>> {
+        let kept = Self::parse(foreign, RESIDUALS, 1, false, first_frame)?;
+        Ok(kept.filter(|kept| kept.ratio == 1))
     }
 
     /// The model outputs from a frame on.
-    pub(super) fn model_outputs(foreign: &'a [Foreign], first_frame: u64) -> Option<Self> {
-        Self::parse(foreign, MODEL_OUTPUTS, 4, true, first_frame)
-            .filter(|kept| kept.ratio == 1 && kept.width == 4)
+    pub(super) fn model_outputs(
+        foreign: &'a [Foreign],
+        first_frame: u64,
+    ) -> io::Result<Option<Self>> {
+        let kept = Self::parse(foreign, MODEL_OUTPUTS, 4, true, first_frame)?;
+        Ok(kept.filter(|kept| kept.ratio == 1 && kept.width == 4))
     }
 
     /// Goes on to the next frame; whether one is kept for it.
@@ -254,15 +299,25 @@ impl<'a> KeptSamples<'a> {
         true
     }
 
+    /// Goes on to the next frame, of one sample of every column, if one is kept for it.
+    pub(super) fn next_frame(&mut self) -> io::Result<Option<&[u32]>> {
+        if self.begin_frame() { self.next() } else { Ok(None) }
+    }
+
     /// The next sample of every column, as stored in columns.
-    pub(super) fn next(&mut self) -> Option<&[u32]> {
+    pub(super) fn next(&mut self) -> io::Result<Option<&[u32]>> {
         self.columns.next()
     }
 }
 
 /// The header fields and parameters that were kept.
-pub(super) fn kept_parameters(foreign: &[Foreign]) -> Option<(Header, Parameters)> {
-    let data = &foreign.iter().find(|f| f.kind == PARAMETERS)?.data;
+pub(super) fn kept_parameters(foreign: &[Foreign]) -> io::Result<Option<(Header, Parameters)>> {
+    let part = foreign.iter().find(|part| part.kind == PARAMETERS);
+    let data = part.map(|part| part.data.to_vec(PARAMETERS_BYTES_MAX)).transpose()?.flatten();
+    Ok(data.and_then(|data| parse_parameters(&data)))
+}
+
+fn parse_parameters(data: &[u8]) -> Option<(Header, Parameters)> {
     let (&[VERSION, gap_low, gap_high, n_events], mut rest) = data.split_first_chunk::<4>()? else {
         return None;
     };

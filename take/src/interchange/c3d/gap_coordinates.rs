@@ -3,8 +3,11 @@
 //! They are kept in runs (`docs/foreign.md`): a file in which each marker is missing for a moment has few of them,
 //! however long it is.
 
-use super::columns::{Columns, ordered, push_wide, unordered};
+use std::io::{self, Read};
+
+use super::columns::{Columns, WideColumn, ordered, push_wide, unordered};
 use super::foreign::{GAP_COORDINATES, VERSION};
+use crate::content::ContentSlice;
 use crate::foreign::DATA_BYTES_MAX;
 use crate::interchange::{notes::Notes, turn::Turn};
 use crate::motion::{Ambiguity, Foreign, Position};
@@ -15,6 +18,10 @@ const HEAD_BYTES: usize = 13;
 const MARKER_BYTES: usize = 12;
 /// Bytes of a run: its first frame, counted from the first of all, and its frames.
 const RUN_BYTES: usize = 16;
+/// Most markers: as many points as a C3D file has.
+const MARKERS_MAX: u32 = u16::MAX as u32;
+/// Bytes of words that are held of all markers: of 64 markers 1024 samples each.
+const BLOCK_BYTES: usize = 1 << 20;
 /// Words of a sample: coordinates in millimetres, and the fourth word.
 const WORDS: usize = 4;
 
@@ -59,7 +66,7 @@ impl GapCoordinates {
             ));
             return None;
         }
-        Some(Foreign { kind: GAP_COORDINATES.to_owned(), data: self.encode(first_frame) })
+        Some(Foreign { kind: GAP_COORDINATES.to_owned(), data: self.encode(first_frame).into() })
     }
 
     /// Bytes of the part, of samples in order.
@@ -109,127 +116,211 @@ pub(super) struct KeptCoordinates<'a> {
     /// Number of the frame to come.
     next: u64,
     markers: Vec<KeptMarker<'a>>,
+    /// Those of the frame that came last.
+    found: Vec<(usize, Words)>,
 }
 
 /// Those of a marker.
 #[derive(Debug)]
 struct KeptMarker<'a> {
     index: usize,
-    /// The runs to come, as they are stored, the one under way first.
-    runs: &'a [[u8; RUN_BYTES]],
+    runs: Runs<'a>,
+    /// The run under way.
+    run: Option<Run>,
     columns: Columns<'a>,
+    /// Where in the part its words begin, and how many samples it has.
+    words_from: u64,
+    n_samples: usize,
 }
 
 impl<'a> KeptCoordinates<'a> {
     /// Those of a take, from frame number `from` on. `None` where there are none, or none that can be read.
-    pub(super) fn parse(foreign: &'a [Foreign], from: u64) -> Option<Self> {
-        let data = &foreign.iter().find(|part| part.kind == GAP_COORDINATES)?.data;
-        let (&[VERSION], rest) = data.split_first_chunk()? else { return None };
-        let (&first_frame, rest) = rest.split_first_chunk()?;
-        let (&n_markers, mut rest) = rest.split_first_chunk()?;
+    pub(super) fn parse(foreign: &'a [Foreign], from: u64) -> io::Result<Option<Self>> {
+        let Some(part) = foreign.iter().find(|part| part.kind == GAP_COORDINATES) else {
+            return Ok(None);
+        };
+        let Some(mut kept) = Self::parse_part(part.data.as_slice())? else { return Ok(None) };
+        kept.next = from;
+        let before = from.saturating_sub(kept.first_frame);
+        kept.markers.iter_mut().try_for_each(|marker| marker.pass(before))?;
+        Ok(Some(kept))
+    }
+
+    fn parse_part(data: ContentSlice<'a>) -> io::Result<Option<Self>> {
+        let Some(([VERSION], rest)) = data.split_array()? else { return Ok(None) };
+        let Some((first_frame, rest)) = rest.split_array()? else { return Ok(None) };
+        let Some((n_markers, mut rest)) = rest.split_array()? else { return Ok(None) };
         let first_frame = u64::from_le_bytes(first_frame);
+        let n_markers = u32::from_le_bytes(n_markers);
+        if n_markers > MARKERS_MAX {
+            return Ok(None);
+        }
+        let room = BLOCK_BYTES / (n_markers as usize).max(1);
         let mut markers = Vec::new();
-        for _ in 0..u32::from_le_bytes(n_markers) {
-            let (marker, after) = KeptMarker::parse(rest)?;
+        for _ in 0..n_markers {
+            let Some((marker, after)) = KeptMarker::parse(rest, room)? else { return Ok(None) };
             markers.push(marker);
             rest = after;
         }
-        let mut kept = Self { first_frame, next: from, markers };
-        let before = from.saturating_sub(first_frame);
-        kept.markers.iter_mut().for_each(|marker| marker.pass(before));
-        rest.is_empty().then_some(kept)
+        let kept = Self { first_frame, next: first_frame, markers, found: Vec::new() };
+        Ok((rest.len() == 0).then_some(kept))
     }
 
     /// Goes on to the next frame: for each marker that has any, its index and words.
-    pub(super) fn next_frame(&mut self) -> impl Iterator<Item = (usize, Words)> {
+    pub(super) fn next_frame(&mut self) -> io::Result<&[(usize, Words)]> {
+        self.found.clear();
         let frame = self.next.checked_sub(self.first_frame);
         self.next = self.next.saturating_add(1);
-        self.markers.iter_mut().filter_map(move |marker| Some((marker.index, marker.at(frame?)?)))
+        if let Some(frame) = frame {
+            for marker in &mut self.markers {
+                if let Some(words) = marker.at(frame)? {
+                    self.found.push((marker.index, words));
+                }
+            }
+        }
+        Ok(&self.found)
     }
 }
 
 impl<'a> KeptMarker<'a> {
-    /// A marker, and what follows it.
-    fn parse(data: &'a [u8]) -> Option<(Self, &'a [u8])> {
-        let (&index, rest) = data.split_first_chunk()?;
-        let (&n_runs, rest) = rest.split_first_chunk()?;
-        let n_runs = usize::try_from(u64::from_le_bytes(n_runs)).ok()?;
-        let (runs, rest) = rest.split_at_checked(n_runs.checked_mul(RUN_BYTES)?)?;
-        let runs = runs.as_chunks().0;
-        let (mut n_samples, mut end) = (0usize, 0u64);
-        for run in runs {
-            let (first, n_frames) = run_of(run);
-            if first < end {
-                return None;
-            }
-            end = first.checked_add(n_frames)?;
-            n_samples = n_samples.checked_add(usize::try_from(n_frames).ok()?)?;
-        }
-        let n_bytes = n_samples.checked_mul(size_of::<Words>())?;
-        let (columns, rest) = rest.split_at_checked(n_bytes)?;
-        let columns = Columns::new(columns, size_of::<f32>(), WORDS, n_samples)?;
-        Some((Self { index: u32::from_le_bytes(index) as usize, runs, columns }, rest))
+    /// A marker, of whose words at most `room` bytes are held, and what follows it.
+    fn parse(data: ContentSlice<'a>, room: usize) -> io::Result<Option<(Self, ContentSlice<'a>)>> {
+        let Some((index, rest)) = data.split_array()? else { return Ok(None) };
+        let Some((n_runs, rest)) = rest.split_array()? else { return Ok(None) };
+        let n_bytes = u64::from_le_bytes(n_runs).checked_mul(RUN_BYTES as u64);
+        let Some((runs, rest)) = n_bytes.and_then(|n| rest.split_at(n)) else { return Ok(None) };
+        let runs = Runs { stored: runs };
+        let Some(n_samples) = runs.n_samples()? else { return Ok(None) };
+        let n_bytes = n_samples.checked_mul(size_of::<Words>());
+        let Some((words, rest)) = n_bytes.and_then(|n| rest.split_at(n as u64)) else {
+            return Ok(None);
+        };
+        let columns = Columns::new(words, size_of::<f32>(), WORDS, n_samples, room);
+        let Some(columns) = columns else { return Ok(None) };
+        let index = u32::from_le_bytes(index) as usize;
+        let words_from = words.from();
+        Ok(Some((Self { index, runs, run: None, columns, words_from, n_samples }, rest)))
     }
 
     /// Leaves out what is before a frame, counted from the first.
-    fn pass(&mut self, frame: u64) {
-        for run in self.runs {
-            let (first, n_frames) = run_of(run);
-            let n_before = frame.saturating_sub(first).min(n_frames);
-            self.columns.skip(usize::try_from(n_before).unwrap_or(usize::MAX));
-        }
+    fn pass(&mut self, frame: u64) -> io::Result<()> {
+        let mut n_before = 0;
+        self.runs.each(|run| n_before += frame.saturating_sub(run.first).min(run.n_frames))?;
+        self.columns.skip(usize::try_from(n_before).unwrap_or(usize::MAX))
     }
 
     /// The words of a frame, counted from the first. Frames come in order.
-    fn at(&mut self, frame: u64) -> Option<Words> {
-        while let Some((run, after)) = self.runs.split_first() {
-            let (first, n_frames) = run_of(run);
-            if frame < first {
-                return None;
+    fn at(&mut self, frame: u64) -> io::Result<Option<Words>> {
+        loop {
+            let run = match self.run {
+                Some(run) => run,
+                None => match self.runs.next()? {
+                    Some(run) => *self.run.insert(run),
+                    None => return Ok(None),
+                },
+            };
+            if frame < run.first {
+                return Ok(None);
             }
-            if frame - first < n_frames {
+            if frame - run.first < run.n_frames {
                 return self.next();
             }
-            self.runs = after;
+            self.run = None;
         }
-        None
     }
 
     /// The words of the next sample.
-    fn next(&mut self) -> Option<Words> {
-        let words: &[u32; WORDS] = self.columns.next()?.first_chunk()?;
-        Some(words.map(|word| f32::from_bits(unordered(word))))
+    fn next(&mut self) -> io::Result<Option<Words>> {
+        let words = self.columns.next()?.and_then(|words| words.first_chunk::<WORDS>());
+        Ok(words.map(|words| words.map(|word| f32::from_bits(unordered(word)))))
     }
 }
 
-/// First frame and number of frames.
-fn run_of(run: &[u8; RUN_BYTES]) -> (u64, u64) {
-    let word = |at: usize| run.get(at..).and_then(<[u8]>::first_chunk).copied();
-    (
-        u64::from_le_bytes(word(0).unwrap_or_default()),
-        u64::from_le_bytes(word(8).unwrap_or_default()),
-    )
+/// Frames of a marker that follow each other.
+#[derive(Debug, Clone, Copy)]
+struct Run {
+    /// Counted from the first of all.
+    first: u64,
+    n_frames: u64,
 }
 
-/// Turns what a part keeps; `None` for a part that cannot be read.
-pub(super) fn turned(foreign: &[Foreign], turn: Turn) -> Option<Foreign> {
-    let kept = KeptCoordinates::parse(foreign, 0)?;
-    let mut turned = GapCoordinates::default();
+impl Run {
+    fn parse(stored: &[u8; RUN_BYTES]) -> Self {
+        let word = |at: usize| stored.get(at..).and_then(<[u8]>::first_chunk).copied();
+        let word = |at: usize| u64::from_le_bytes(word(at).unwrap_or_default());
+        Self { first: word(0), n_frames: word(8) }
+    }
+}
+
+/// The runs of a marker, as they are stored.
+#[derive(Debug, Clone, Copy)]
+struct Runs<'a> {
+    stored: ContentSlice<'a>,
+}
+
+impl Runs<'_> {
+    /// The next, if there is one.
+    fn next(&mut self) -> io::Result<Option<Run>> {
+        let Some((run, rest)) = self.stored.split_array()? else { return Ok(None) };
+        self.stored = rest;
+        Ok(Some(Run::parse(&run)))
+    }
+
+    /// All to come, in order.
+    fn each(&self, mut each: impl FnMut(Run)) -> io::Result<()> {
+        let mut stored = self.stored.reader();
+        let mut run = [0; RUN_BYTES];
+        for _ in 0..self.stored.len() / RUN_BYTES as u64 {
+            stored.read_exact(&mut run)?;
+            each(Run::parse(&run));
+        }
+        Ok(())
+    }
+
+    /// Frames of all; `None` where they are not in order.
+    fn n_samples(&self) -> io::Result<Option<usize>> {
+        let mut counted = Some((0usize, 0u64));
+        self.each(|Run { first, n_frames }| {
+            counted = counted.filter(|&(_, end)| first >= end).and_then(|(n_samples, _)| {
+                let n_samples = n_samples.checked_add(usize::try_from(n_frames).ok()?)?;
+                Some((n_samples, first.checked_add(n_frames)?))
+            });
+        })?;
+        Ok(counted.map(|(n_samples, _)| n_samples))
+    }
+}
+
+/// Turns what a part keeps; `None` for a part that cannot be read. What is where in it stays.
+pub(super) fn turned(foreign: &[Foreign], turn: Turn) -> io::Result<Option<Foreign>> {
+    let Some(kept) = KeptCoordinates::parse(foreign, 0)? else { return Ok(None) };
+    let Some(part) = foreign.iter().find(|part| part.kind == GAP_COORDINATES) else {
+        return Ok(None);
+    };
+    let mut data = part.data.copy()?;
     for mut marker in kept.markers {
-        for run in marker.runs {
-            let (first, n_frames) = run_of(run);
-            for frame in first..first + n_frames {
-                let [x, y, z, fourth] = marker.next()?;
-                turned.push(usize::try_from(frame).ok()?, marker.index, turn.of([x, y, z]), fourth);
+        let mut columns = [const { WideColumn::new() }; WORDS];
+        let n_samples = marker.n_samples;
+        for sample in 0..n_samples {
+            let Some([x, y, z, fourth]) = marker.next()? else { return Ok(None) };
+            let [x, y, z] = turn.of([x, y, z]);
+            for (column, word) in columns.iter_mut().zip([x, y, z, fourth]) {
+                column.push(ordered(word.to_bits()));
+            }
+            if columns[0].is_full() || sample + 1 == n_samples {
+                for (index, column) in columns.iter_mut().enumerate() {
+                    let from = marker.words_from + (index * size_of::<f32>() * n_samples) as u64;
+                    column.write(&mut data, from, n_samples)?;
+                }
             }
         }
     }
-    turned.into_foreign(kept.first_frame, &mut Vec::new())
+    Ok(Some(Foreign { kind: GAP_COORDINATES.to_owned(), data }))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::motion::UpAxis;
 
     fn part(samples: &[Sample]) -> Foreign {
         let kept = GapCoordinates(samples.to_vec()).into_foreign(100, &mut Vec::new());
@@ -246,9 +337,9 @@ mod tests {
         let samples = samples.map(|(frame, marker)| sample(frame, marker));
         let foreign = [part(&samples)];
         for from in 95..115 {
-            let mut kept = KeptCoordinates::parse(&foreign, from).expect("a part");
+            let mut kept = KeptCoordinates::parse(&foreign, from).unwrap().expect("a part");
             for number in from..115 {
-                let found: Vec<_> = kept.next_frame().collect();
+                let found = kept.next_frame().unwrap();
                 let here = samples.iter().filter(|&&(frame, ..)| frame as u64 + 100 == number);
                 let expected: Vec<_> = here.map(|&(_, marker, words)| (marker, words)).collect();
                 assert_eq!(found, expected, "frame {number}, from {from}");
@@ -259,20 +350,38 @@ mod tests {
     #[test]
     fn a_part_that_is_damaged_is_not_read() {
         let whole = part(&[sample(0, 1), sample(1, 1), sample(5, 2)]);
-        for n_bytes in 0..whole.data.len() {
-            let cut = Foreign { data: whole.data[..n_bytes].to_vec(), ..whole.clone() };
-            assert!(KeptCoordinates::parse(&[cut], 0).is_none(), "{n_bytes}");
+        let bytes = whole.data.to_vec(u64::MAX).unwrap().expect("few");
+        for n_bytes in 0..bytes.len() {
+            let cut = Foreign { data: bytes[..n_bytes].to_vec().into(), ..whole.clone() };
+            assert!(KeptCoordinates::parse(&[cut], 0).unwrap().is_none(), "{n_bytes}");
         }
-        for at in 0..whole.data.len() {
+        for at in 0..bytes.len() {
             for bits in [1, 0x80, 0xFF] {
-                let mut foreign = [whole.clone()];
-                foreign[0].data[at] ^= bits;
-                if let Some(mut kept) = KeptCoordinates::parse(&foreign, 100) {
-                    (0..9).for_each(|_| assert!(kept.next_frame().count() <= 2));
+                let mut damaged = bytes.clone();
+                damaged[at] ^= bits;
+                let foreign = [Foreign { data: damaged.into(), ..whole.clone() }];
+                if let Some(mut kept) = KeptCoordinates::parse(&foreign, 100).unwrap() {
+                    (0..9).for_each(|_| assert!(kept.next_frame().unwrap().len() <= 2));
                 }
-                turned(&foreign, Turn::NONE);
+                turned(&foreign, Turn::NONE).unwrap();
             }
         }
+    }
+
+    #[test]
+    fn is_turned_in_its_place() {
+        let samples: Vec<_> = (0..3000).map(|i| sample(i + i / 7, i % 2)).collect();
+        let quarter = Turn::between(UpAxis::Y, UpAxis::Z).expect("two axes");
+        let turned_samples: Vec<_> = samples
+            .iter()
+            .map(|&(frame, marker, [x, y, z, fourth])| {
+                let [x, y, z] = quarter.of([x, y, z]);
+                (frame, marker, [x, y, z, fourth])
+            })
+            .collect();
+        assert_ne!(part(&samples), part(&turned_samples));
+        let turned = turned(&[part(&samples)], quarter).unwrap().expect("a part");
+        assert_eq!(turned, part(&turned_samples));
     }
 
     #[test]

@@ -25,8 +25,8 @@ pub(crate) fn write(
 ) -> Result<(), InterchangeError> {
     let info = frames.info().clone();
     let first_frame = info.source.first_frame;
-    let mut body = Body::new(&info, first_frame);
-    let (mut header, mut parameters) = kept_parameters(&info.foreign).unwrap_or_default();
+    let mut body = Body::new(&info, first_frame)?;
+    let (mut header, mut parameters) = kept_parameters(&info.foreign)?.unwrap_or_default();
     fill_parameters(&mut parameters, &info, &mut body)?;
     fill_header(&mut header, &parameters, &info, &body);
     out.write_all(&front(header, parameters)?)?;
@@ -39,7 +39,7 @@ pub(crate) fn write(
         if n_written > info.n_frames {
             break;
         }
-        body.push_frame(&row, &mut buffer);
+        body.push_frame(&row, &mut buffer)?;
         if buffer.len() >= BUFFER_BYTES {
             out.write_all(&buffer)?;
             n_bytes = (n_bytes + buffer.len()) % BLOCK;

@@ -62,7 +62,7 @@ pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
     }
     let mut foreign = Vec::new();
     if !head.lines.is_empty() {
-        foreign.push(Foreign { kind: HEADER.to_owned(), data: head.lines.clone() });
+        foreign.push(Foreign { kind: HEADER.to_owned(), data: head.lines.clone().into() });
     }
     let positions_mm = data.rows.into_rectangle(head.labels.len(), bytes.len(), "csv")?;
     unit.judge(&positions_mm, head.labels.len(), &mut notes);

@@ -67,7 +67,7 @@ pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
                 warnings: notes.warnings,
                 ambiguities: notes.ambiguities,
             },
-            foreign: vec![Foreign { kind: HEADER.to_owned(), data: head.lines }],
+            foreign: vec![Foreign { kind: HEADER.to_owned(), data: head.lines.into() }],
             ..MotionInfo::default()
         },
     })

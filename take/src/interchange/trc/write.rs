@@ -48,7 +48,7 @@ fn write_head(
     first_frame: u64,
 ) -> Result<(), InterchangeError> {
     let n_markers = info.markers.len();
-    let kept = info.foreign.iter().find(|f| f.kind == HEADER).map_or(&[][..], |f| &f.data);
+    let kept = &text::kept_header(info, HEADER)?[..];
     let name =
         text::lines(kept).map(|(_, line)| line).find(|line| line.starts_with(b"PathFileType"));
     line.extend(name.unwrap_or(b"PathFileType\t4\t(X/Y/Z)\tmocapd.trc"));

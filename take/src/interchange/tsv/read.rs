@@ -71,7 +71,7 @@ pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
                 ambiguities,
             },
             events,
-            foreign: vec![Foreign { kind: HEADER.to_owned(), data: head.lines }],
+            foreign: vec![Foreign { kind: HEADER.to_owned(), data: head.lines.into() }],
             ..MotionInfo::default()
         },
     })

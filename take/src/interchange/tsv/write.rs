@@ -3,7 +3,7 @@
 use std::io::Write;
 
 use super::HEADER;
-use crate::interchange::text::{column_labels, plain, value_of};
+use crate::interchange::text::{column_labels, kept_header, plain, value_of};
 use crate::interchange::{InterchangeError, expect_frames, origin::beside_origin};
 use crate::motion::{FrameSource, GAP, MotionInfo, is_gap};
 
@@ -54,7 +54,7 @@ fn write_head(
     info: &MotionInfo,
     numbered: bool,
 ) -> Result<(), InterchangeError> {
-    let kept = info.foreign.iter().find(|f| f.kind == HEADER).map_or(&[][..], |f| &f.data);
+    let kept = &kept_header(info, HEADER)?[..];
     let original =
         |name: &str, else_: &str| value_of(kept, name).unwrap_or_else(|| else_.to_owned());
     writeln!(line, "NO_OF_FRAMES\t{}", info.n_frames)?;

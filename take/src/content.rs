@@ -1,0 +1,303 @@
+//! The bytes of a foreign part: in memory, or in a temporary file where they are many.
+
+use std::{
+    fs::File,
+    io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write},
+    path::PathBuf,
+    sync::{Arc, Mutex, PoisonError},
+};
+
+/// Bytes of all foreign parts of a take that are held in memory; the others lie in a temporary file. Parameters and header
+/// lines, which every take of a C3D or TRC file has, are a few kB, and the analog data of a short trial a few hundred.
+const HELD_BYTES_MAX: u64 = 8 << 20;
+
+/// Bytes that are compared or copied at once.
+const BLOCK_BYTES: usize = 1 << 16;
+
+/// The bytes of a foreign part.
+#[derive(Debug, Clone)]
+pub struct Content(Place);
+
+#[derive(Debug, Clone)]
+enum Place {
+    Memory(Vec<u8>),
+    /// `len` bytes of a file, from byte `from` on.
+    File {
+        file: Arc<Mutex<File>>,
+        from: u64,
+        len: u64,
+    },
+}
+
+impl Content {
+    /// How many there are.
+    #[must_use]
+    pub fn len(&self) -> u64 {
+        match &self.0 {
+            Place::Memory(bytes) => bytes.len() as u64,
+            Place::File { len, .. } => *len,
+        }
+    }
+
+    /// Whether there are none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// All of them, if there are at most `max`.
+    ///
+    /// # Errors
+    /// Those of reading the temporary file.
+    pub fn to_vec(&self, max: u64) -> io::Result<Option<Vec<u8>>> {
+        if self.len() > max {
+            return Ok(None);
+        }
+        let mut bytes = vec![0; self.len() as usize];
+        self.read_at(0, &mut bytes)?;
+        Ok(Some(bytes))
+    }
+
+    /// Reads those from byte `at` on.
+    ///
+    /// # Errors
+    /// `UnexpectedEof` where there are fewer; those of reading the temporary file.
+    pub fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()> {
+        let end = at.checked_add(bytes.len() as u64).filter(|&end| end <= self.len());
+        let end = end.ok_or(io::ErrorKind::UnexpectedEof)?;
+        match &self.0 {
+            Place::Memory(held) => {
+                let held = held.get(at as usize..end as usize);
+                bytes.copy_from_slice(held.ok_or(io::ErrorKind::UnexpectedEof)?);
+                Ok(())
+            }
+            Place::File { file, from, .. } => {
+                let mut file = file.lock().unwrap_or_else(PoisonError::into_inner);
+                file.seek(SeekFrom::Start(from + at))?;
+                file.read_exact(bytes)
+            }
+        }
+    }
+
+    /// All of them, from the first.
+    pub(crate) fn reader(&self) -> impl BufRead {
+        BufReader::with_capacity(BLOCK_BYTES, ContentReader { content: self, at: 0 })
+    }
+
+    /// All of them, to be taken apart.
+    pub(crate) fn as_slice(&self) -> ContentSlice<'_> {
+        ContentSlice { content: self, from: 0, len: self.len() }
+    }
+
+    /// A copy that can be [overwritten](Self::write_at): a clone of bytes in a file shares them.
+    pub(crate) fn copy(&self) -> io::Result<Self> {
+        match &self.0 {
+            Place::Memory(_) => Ok(self.clone()),
+            Place::File { .. } => Spool::default().write(&mut self.reader(), self.len()),
+        }
+    }
+
+    /// Overwrites those from byte `at` on.
+    pub(crate) fn write_at(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
+        let end = at.checked_add(bytes.len() as u64).filter(|&end| end <= self.len());
+        let end = end.ok_or(io::ErrorKind::UnexpectedEof)?;
+        match &mut self.0 {
+            Place::Memory(held) => {
+                let held = held.get_mut(at as usize..end as usize);
+                held.ok_or(io::ErrorKind::UnexpectedEof)?.copy_from_slice(bytes);
+                Ok(())
+            }
+            Place::File { file, from, .. } => {
+                let mut file = file.lock().unwrap_or_else(PoisonError::into_inner);
+                file.seek(SeekFrom::Start(*from + at))?;
+                file.write_all(bytes)
+            }
+        }
+    }
+}
+
+impl Default for Content {
+    fn default() -> Self {
+        Vec::new().into()
+    }
+}
+
+impl From<Vec<u8>> for Content {
+    fn from(bytes: Vec<u8>) -> Self {
+        Self(Place::Memory(bytes))
+    }
+}
+
+/// By their bytes, wherever they lie; bytes that cannot be read are equal to none.
+impl PartialEq for Content {
+    fn eq(&self, other: &Self) -> bool {
+        if let (Place::Memory(a), Place::Memory(b)) = (&self.0, &other.0) {
+            return a == b;
+        }
+        let [mut a, mut b] = [[0; BLOCK_BYTES]; 2];
+        self.len() == other.len()
+            && (0..self.len()).step_by(BLOCK_BYTES).all(|at| {
+                let n = (self.len() - at).min(BLOCK_BYTES as u64) as usize;
+                let (a, b) = (&mut a[..n], &mut b[..n]);
+                self.read_at(at, a).is_ok() && other.read_at(at, b).is_ok() && a == b
+            })
+    }
+}
+
+struct ContentReader<'a> {
+    content: &'a Content,
+    at: u64,
+}
+
+impl Read for ContentReader<'_> {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        let n = (self.content.len() - self.at).min(bytes.len() as u64);
+        self.content.read_at(self.at, &mut bytes[..n as usize])?;
+        self.at += n;
+        Ok(n as usize)
+    }
+}
+
+/// A range of a content, as `&[u8]` is one of bytes in memory.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ContentSlice<'a> {
+    content: &'a Content,
+    from: u64,
+    len: u64,
+}
+
+impl<'a> ContentSlice<'a> {
+    /// How many bytes it has.
+    pub(crate) fn len(&self) -> u64 {
+        self.len
+    }
+
+    /// Where in its content it begins.
+    pub(crate) fn from(&self) -> u64 {
+        self.from
+    }
+
+    /// The first `at` bytes, and the others; `None` where there are fewer.
+    pub(crate) fn split_at(self, at: u64) -> Option<(Self, Self)> {
+        let rest = self.len.checked_sub(at)?;
+        Some((Self { len: at, ..self }, Self { from: self.from + at, len: rest, ..self }))
+    }
+
+    /// Reads the first `N` bytes, and says what follows; `None` where there are fewer.
+    pub(crate) fn split_array<const N: usize>(self) -> io::Result<Option<([u8; N], Self)>> {
+        let Some((_, rest)) = self.split_at(N as u64) else { return Ok(None) };
+        let mut bytes = [0; N];
+        self.read_at(0, &mut bytes)?;
+        Ok(Some((bytes, rest)))
+    }
+
+    /// Reads the bytes from its byte `at` on.
+    pub(crate) fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()> {
+        self.content.read_at(self.from.saturating_add(at), bytes)
+    }
+
+    /// All of it, from its first byte.
+    pub(crate) fn reader(self) -> impl BufRead + use<'a> {
+        let reader = ContentReader { content: self.content, at: self.from };
+        BufReader::with_capacity(BLOCK_BYTES, reader.take(self.len))
+    }
+}
+
+/// Where the foreign parts of a take are put: the first in memory, the others in one temporary file.
+#[derive(Debug, Default)]
+pub(crate) struct Spool {
+    held_bytes: u64,
+    file: Option<Arc<Mutex<File>>>,
+    file_bytes: u64,
+}
+
+impl Spool {
+    /// Puts what `input` gives, which should be `len` bytes, and is never more than one byte more.
+    pub(crate) fn put(&mut self, input: &mut impl Read, len: u64) -> io::Result<Content> {
+        let held_bytes = self.held_bytes.saturating_add(len);
+        if held_bytes > HELD_BYTES_MAX {
+            return self.write(input, len);
+        }
+        // Grows with what really comes: a few damaged bytes claim any length.
+        let mut bytes = Vec::new();
+        input.take(len + 1).read_to_end(&mut bytes)?;
+        self.held_bytes = held_bytes;
+        Ok(bytes.into())
+    }
+
+    fn write(&mut self, input: &mut impl Read, len: u64) -> io::Result<Content> {
+        let file = match &self.file {
+            Some(file) => Arc::clone(file),
+            None => Arc::clone(self.file.insert(Arc::new(Mutex::new(temporary_file()?)))),
+        };
+        let from = self.file_bytes;
+        let mut writer = file.lock().unwrap_or_else(PoisonError::into_inner);
+        writer.seek(SeekFrom::Start(from))?;
+        let len = io::copy(&mut input.take(len.saturating_add(1)), &mut *writer)?;
+        drop(writer);
+        self.file_bytes += len;
+        Ok(Content(Place::File { file, from, len }))
+    }
+}
+
+/// A file without a name, which is gone with the process. In `$TMPDIR`, or in `/var/tmp`, which is on a disk where `/tmp` is
+/// often memory.
+fn temporary_file() -> io::Result<File> {
+    let chosen = std::env::var_os("TMPDIR").filter(|dir| !dir.is_empty()).map(PathBuf::from);
+    let on_disk = || Some(PathBuf::from("/var/tmp")).filter(|dir| dir.is_dir());
+    let dir = chosen.or_else(on_disk).unwrap_or_else(std::env::temp_dir);
+    tempfile::tempfile_in(&dir).map_err(|error| {
+        let message = format!(
+            "no temporary file in {} for what the take keeps of its source ({error}): set TMPDIR to a folder with room",
+            dir.display()
+        );
+        io::Error::new(error.kind(), message)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn bytes(len: u64) -> Vec<u8> {
+        (0..len).map(|i| (i * i / 7) as u8).collect()
+    }
+
+    #[test]
+    fn is_the_same_in_memory_and_in_a_file() {
+        let mut spool = Spool::default();
+        let lengths = [0, 5, 70_000, HELD_BYTES_MAX, 0, HELD_BYTES_MAX + 3];
+        for len in lengths {
+            let content = spool.put(&mut &bytes(len)[..], len).unwrap();
+            let is_in_file = matches!(content.0, Place::File { .. });
+            assert_eq!(is_in_file, len >= HELD_BYTES_MAX, "{len}");
+            assert_eq!(content, bytes(len).into());
+            assert_eq!(content.to_vec(len).unwrap().unwrap(), bytes(len));
+            let mut read = Vec::new();
+            content.reader().read_to_end(&mut read).unwrap();
+            assert_eq!(read, bytes(len));
+            assert!(content.read_at(len, &mut [0]).is_err());
+            assert!(len == 0 || content.to_vec(len - 1).unwrap().is_none());
+        }
+    }
+
+    #[test]
+    fn a_copy_is_written_alone() {
+        let mut spool = Spool { held_bytes: HELD_BYTES_MAX, ..Spool::default() };
+        for content in [spool.put(&mut &bytes(300)[..], 300).unwrap(), bytes(300).into()] {
+            let mut copy = content.copy().unwrap();
+            copy.write_at(298, &[1, 2]).unwrap();
+            assert!(copy.write_at(299, &[1, 2]).is_err());
+            assert_eq!(content, bytes(300).into());
+            assert_eq!(copy.to_vec(300).unwrap().unwrap()[298..], [1, 2]);
+        }
+    }
+
+    #[test]
+    fn one_byte_more_than_announced_is_noticed() {
+        for held_bytes in [0, HELD_BYTES_MAX] {
+            let mut spool = Spool { held_bytes, ..Spool::default() };
+            assert_eq!(spool.put(&mut &[7; 100][..], 10).unwrap().len(), 11);
+        }
+    }
+}
