@@ -4,6 +4,7 @@ mod behind;
 mod file_state;
 mod folder;
 mod mounts;
+mod scratch;
 mod sparse;
 mod take_file;
 
@@ -26,6 +27,7 @@ use self::behind::Behind;
 pub use self::{
     file_state::{Displaced, FileState, Settled},
     folder::NewFolder,
+    scratch::scratch,
     sparse::SparseFile,
     take_file::{FileId, TakeFile},
 };

@@ -1,15 +1,32 @@
-//! The bytes of a foreign part: in memory, or in a temporary file where they are many.
+//! The bytes of a foreign part: in memory, or in a scratch file where they are many.
 
 use std::{
-    fs::File,
-    io::{self, BufRead, BufReader, Read, Seek, SeekFrom, Write},
-    path::PathBuf,
-    sync::{Arc, Mutex, PoisonError},
+    fmt::Debug,
+    io::{self, BufRead, BufReader, Read},
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
 };
 
-/// Bytes of all foreign parts of a take that are held in memory; the others lie in a temporary file. Parameters and header
+/// Bytes of all foreign parts of a take that are held in memory; the others lie in a scratch file. Parameters and header
 /// lines, which every take of a C3D or TRC file has, are a few kB, and the analog data of a short trial a few hundred.
 const HELD_BYTES_MAX: u64 = 8 << 20;
+
+/// A temporary file, which the caller provides: this crate opens none.
+pub trait ScratchFile: Debug + Send + Sync {
+    /// Reads the bytes from `at` on, which were written.
+    ///
+    /// # Errors
+    /// Those of the file.
+    fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()>;
+
+    /// Writes bytes from `at` on; the file grows as it must.
+    ///
+    /// # Errors
+    /// Those of the file: a full disk, for one.
+    fn write_at(&self, at: u64, bytes: &[u8]) -> io::Result<()>;
+}
 
 /// Bytes that are compared or copied at once.
 const BLOCK_BYTES: usize = 1 << 16;
@@ -22,8 +39,8 @@ pub struct Content(Place);
 enum Place {
     Memory(Vec<u8>),
     /// `len` bytes of a file, from byte `from` on.
-    File {
-        file: Arc<Mutex<File>>,
+    Scratch {
+        scratch: Arc<Scratch>,
         from: u64,
         len: u64,
     },
@@ -35,7 +52,7 @@ impl Content {
     pub fn len(&self) -> u64 {
         match &self.0 {
             Place::Memory(bytes) => bytes.len() as u64,
-            Place::File { len, .. } => *len,
+            Place::Scratch { len, .. } => *len,
         }
     }
 
@@ -48,7 +65,7 @@ impl Content {
     /// All of them, if there are at most `max`.
     ///
     /// # Errors
-    /// Those of reading the temporary file.
+    /// Those of the scratch file.
     pub fn to_vec(&self, max: u64) -> io::Result<Option<Vec<u8>>> {
         if self.len() > max {
             return Ok(None);
@@ -61,7 +78,7 @@ impl Content {
     /// Reads those from byte `at` on.
     ///
     /// # Errors
-    /// `UnexpectedEof` where there are fewer; those of reading the temporary file.
+    /// `UnexpectedEof` where there are fewer; those of the scratch file.
     pub fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()> {
         let end = at.checked_add(bytes.len() as u64).filter(|&end| end <= self.len());
         let end = end.ok_or(io::ErrorKind::UnexpectedEof)?;
@@ -71,11 +88,7 @@ impl Content {
                 bytes.copy_from_slice(held.ok_or(io::ErrorKind::UnexpectedEof)?);
                 Ok(())
             }
-            Place::File { file, from, .. } => {
-                let mut file = file.lock().unwrap_or_else(PoisonError::into_inner);
-                file.seek(SeekFrom::Start(from + at))?;
-                file.read_exact(bytes)
-            }
+            Place::Scratch { scratch, from, .. } => scratch.file.read_at(from + at, bytes),
         }
     }
 
@@ -93,7 +106,7 @@ impl Content {
     pub(crate) fn copy(&self) -> io::Result<Self> {
         match &self.0 {
             Place::Memory(_) => Ok(self.clone()),
-            Place::File { .. } => Spool::default().write(&mut self.reader(), self.len()),
+            Place::Scratch { scratch, len, .. } => scratch.put(&mut self.reader(), *len),
         }
     }
 
@@ -107,11 +120,7 @@ impl Content {
                 held.ok_or(io::ErrorKind::UnexpectedEof)?.copy_from_slice(bytes);
                 Ok(())
             }
-            Place::File { file, from, .. } => {
-                let mut file = file.lock().unwrap_or_else(PoisonError::into_inner);
-                file.seek(SeekFrom::Start(*from + at))?;
-                file.write_all(bytes)
-            }
+            Place::Scratch { scratch, from, .. } => scratch.file.write_at(*from + at, bytes),
         }
     }
 }
@@ -203,20 +212,61 @@ impl<'a> ContentSlice<'a> {
     }
 }
 
-/// Where the foreign parts of a take are put: the first in memory, the others in one temporary file.
-#[derive(Debug, Default)]
-pub(crate) struct Spool {
-    held_bytes: u64,
-    file: Option<Arc<Mutex<File>>>,
-    file_bytes: u64,
+/// A scratch file that contents are appended to.
+#[derive(Debug)]
+struct Scratch {
+    file: Arc<dyn ScratchFile>,
+    /// Where the next content begins.
+    end: AtomicU64,
 }
 
-impl Spool {
+impl Scratch {
+    /// Puts what `input` gives, but never more than one byte more than `len`.
+    fn put(self: &Arc<Self>, input: &mut impl Read, len: u64) -> io::Result<Content> {
+        let from = self.end.fetch_add(len.saturating_add(1), Ordering::Relaxed);
+        let mut input = input.take(len.saturating_add(1));
+        let mut block = vec![0; BLOCK_BYTES];
+        let mut written = 0;
+        loop {
+            let n = match input.read(&mut block) {
+                Ok(0) => break,
+                Ok(n) => n,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                Err(error) => return Err(error),
+            };
+            self.file.write_at(from + written, &block[..n])?;
+            written += n as u64;
+        }
+        Ok(Content(Place::Scratch { scratch: Arc::clone(self), from, len: written }))
+    }
+}
+
+/// Where the foreign parts of a take are put: the first in memory, the others in a scratch file.
+#[derive(Debug)]
+pub(crate) struct Spool<F> {
+    new_scratch: F,
+    held_bytes: u64,
+    scratch: Option<Arc<Scratch>>,
+}
+
+impl<F: Fn() -> io::Result<Arc<dyn ScratchFile>>> Spool<F> {
+    /// With a scratch file that is made when it is needed.
+    pub(crate) fn new(new_scratch: F) -> Self {
+        Self { new_scratch, held_bytes: 0, scratch: None }
+    }
+
     /// Puts what `input` gives, which should be `len` bytes, and is never more than one byte more.
     pub(crate) fn put(&mut self, input: &mut impl Read, len: u64) -> io::Result<Content> {
         let held_bytes = self.held_bytes.saturating_add(len);
         if held_bytes > HELD_BYTES_MAX {
-            return self.write(input, len);
+            let scratch = match &self.scratch {
+                Some(scratch) => scratch,
+                None => {
+                    let file = (self.new_scratch)()?;
+                    self.scratch.insert(Arc::new(Scratch { file, end: AtomicU64::new(0) }))
+                }
+            };
+            return scratch.put(input, len);
         }
         // Grows with what really comes: a few damaged bytes claim any length.
         let mut bytes = Vec::new();
@@ -224,40 +274,36 @@ impl Spool {
         self.held_bytes = held_bytes;
         Ok(bytes.into())
     }
-
-    fn write(&mut self, input: &mut impl Read, len: u64) -> io::Result<Content> {
-        let file = match &self.file {
-            Some(file) => Arc::clone(file),
-            None => Arc::clone(self.file.insert(Arc::new(Mutex::new(temporary_file()?)))),
-        };
-        let from = self.file_bytes;
-        let mut writer = file.lock().unwrap_or_else(PoisonError::into_inner);
-        writer.seek(SeekFrom::Start(from))?;
-        let len = io::copy(&mut input.take(len.saturating_add(1)), &mut *writer)?;
-        drop(writer);
-        self.file_bytes += len;
-        Ok(Content(Place::File { file, from, len }))
-    }
-}
-
-/// A file without a name, which is gone with the process. In `$TMPDIR`, or in `/var/tmp`, which is on a disk where `/tmp` is
-/// often memory.
-fn temporary_file() -> io::Result<File> {
-    let chosen = std::env::var_os("TMPDIR").filter(|dir| !dir.is_empty()).map(PathBuf::from);
-    let on_disk = || Some(PathBuf::from("/var/tmp")).filter(|dir| dir.is_dir());
-    let dir = chosen.or_else(on_disk).unwrap_or_else(std::env::temp_dir);
-    tempfile::tempfile_in(&dir).map_err(|error| {
-        let message = format!(
-            "no temporary file in {} for what the take keeps of its source ({error}): set TMPDIR to a folder with room",
-            dir.display()
-        );
-        io::Error::new(error.kind(), message)
-    })
 }
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Mutex;
+
     use super::*;
+
+    #[derive(Debug, Default)]
+    struct MemoryScratch(Mutex<Vec<u8>>);
+
+    impl ScratchFile for MemoryScratch {
+        fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()> {
+            bytes.copy_from_slice(&self.0.lock().unwrap()[at as usize..][..bytes.len()]);
+            Ok(())
+        }
+
+        fn write_at(&self, at: u64, bytes: &[u8]) -> io::Result<()> {
+            let mut file = self.0.lock().unwrap();
+            let end = at as usize + bytes.len();
+            let len = file.len().max(end);
+            file.resize(len, 0);
+            file[at as usize..end].copy_from_slice(bytes);
+            Ok(())
+        }
+    }
+
+    fn memory_scratch() -> io::Result<Arc<dyn ScratchFile>> {
+        Ok(Arc::new(MemoryScratch::default()))
+    }
 
     fn bytes(len: u64) -> Vec<u8> {
         (0..len).map(|i| (i * i / 7) as u8).collect()
@@ -265,11 +311,11 @@ mod tests {
 
     #[test]
     fn is_the_same_in_memory_and_in_a_file() {
-        let mut spool = Spool::default();
+        let mut spool = Spool::new(memory_scratch);
         let lengths = [0, 5, 70_000, HELD_BYTES_MAX, 0, HELD_BYTES_MAX + 3];
         for len in lengths {
             let content = spool.put(&mut &bytes(len)[..], len).unwrap();
-            let is_in_file = matches!(content.0, Place::File { .. });
+            let is_in_file = matches!(content.0, Place::Scratch { .. });
             assert_eq!(is_in_file, len >= HELD_BYTES_MAX, "{len}");
             assert_eq!(content, bytes(len).into());
             assert_eq!(content.to_vec(len).unwrap().unwrap(), bytes(len));
@@ -283,7 +329,7 @@ mod tests {
 
     #[test]
     fn a_copy_is_written_alone() {
-        let mut spool = Spool { held_bytes: HELD_BYTES_MAX, ..Spool::default() };
+        let mut spool = Spool { held_bytes: HELD_BYTES_MAX, ..Spool::new(memory_scratch) };
         for content in [spool.put(&mut &bytes(300)[..], 300).unwrap(), bytes(300).into()] {
             let mut copy = content.copy().unwrap();
             copy.write_at(298, &[1, 2]).unwrap();
@@ -296,7 +342,7 @@ mod tests {
     #[test]
     fn one_byte_more_than_announced_is_noticed() {
         for held_bytes in [0, HELD_BYTES_MAX] {
-            let mut spool = Spool { held_bytes, ..Spool::default() };
+            let mut spool = Spool { held_bytes, ..Spool::new(memory_scratch) };
             assert_eq!(spool.put(&mut &[7; 100][..], 10).unwrap().len(), 11);
         }
     }

@@ -1,13 +1,21 @@
 //! FOREIGN: what an importer found and the take does not model, kept for the way back.
 
-use std::io::{self, BufReader, Read, Seek, SeekFrom};
+use std::{
+    io::{self, BufReader, Read, Seek, SeekFrom},
+    sync::Arc,
+};
 
 use flate2::{
     Compression, Decompress, FlushDecompress, Status, bufread::DeflateDecoder,
     write::DeflateEncoder,
 };
 
-use crate::{TakeError, content::Spool, motion::Foreign, varint};
+use crate::{
+    TakeError,
+    content::{ScratchFile, Spool},
+    motion::Foreign,
+    varint,
+};
 
 /// Longest foreign part: a C3D file's analog section at the format's own limits stays below it.
 pub(crate) const DATA_BYTES_MAX: u64 = 1 << 28;
@@ -78,7 +86,7 @@ impl ForeignPart {
     pub(crate) fn read(
         &self,
         input: &mut (impl Read + Seek),
-        spool: &mut Spool,
+        spool: &mut Spool<impl Fn() -> io::Result<Arc<dyn ScratchFile>>>,
     ) -> Result<Foreign, TakeError> {
         input.seek(SeekFrom::Start(self.deflated_at))?;
         let deflated = BufReader::new(input.by_ref().take(self.deflated_bytes));
@@ -194,7 +202,7 @@ mod tests {
         let mut inflation = Inflation::new(part.data_bytes);
         payload[part.deflated_at() as usize..].chunks(7).for_each(|piece| inflation.push(piece));
         inflation.finish(0)?;
-        part.read(&mut Cursor::new(payload), &mut Spool::default())
+        part.read(&mut Cursor::new(payload), &mut Spool::new(|| unreachable!("few bytes")))
     }
 
     #[test]

@@ -1,12 +1,15 @@
 //! A take as frames: what exporters, `verify` and the simulator read.
 
-use std::io::{Read, Seek};
+use std::{
+    io::{self, Read, Seek},
+    sync::Arc,
+};
 
 use mocapd_codec::Settings;
 
 use crate::{
     TakeError, TakeReader,
-    content::{Content, Spool},
+    content::{Content, ScratchFile, Spool},
     map::TakeMap,
     motion::{
         Foreign, FrameSource, GAP, Motion, MotionEvent, MotionInfo, Position, Source, UpAxis,
@@ -19,7 +22,7 @@ use crate::{
 
 pub use crate::table::nameless;
 
-/// Most bytes of foreign parts, in memory and in a temporary file.
+/// Most bytes of foreign parts, in memory and in a scratch file.
 const FOREIGN_BYTES_MAX: u64 = 1 << 28;
 
 /// Most samples of a take that [`read_motion`] holds: 3 GiB.
@@ -43,25 +46,31 @@ pub struct TakeFrames<R> {
 }
 
 impl<R: Read + Seek> TakeFrames<R> {
-    /// Reads the take once without decoding it, for its channel table and its number of rows.
+    /// Reads the take once without decoding it, for its channel table and its number of rows. Its foreign parts are named
+    /// in [`info`](FrameSource::info), and empty.
     ///
     /// # Errors
     /// `NotATake`, `Unsupported`, `Io`.
     pub fn open(input: R) -> Result<Self, TakeError> {
-        Self::open_with(input, |_| true)
+        Self::open_with(input, |_| false, || Err(io::ErrorKind::Unsupported.into()))
     }
 
-    /// The same, with the content of those foreign parts only whose kind is `wanted`. The others are there, and empty.
+    /// The same, with the content of those foreign parts whose kind is `wanted`: beyond 8 MiB in the file that
+    /// `new_scratch` makes.
     ///
     /// # Errors
-    /// As [`open`](Self::open).
-    pub fn open_with(mut input: R, wanted: impl Fn(&str) -> bool) -> Result<Self, TakeError> {
+    /// As [`open`](Self::open); `Io` of the scratch file, too.
+    pub fn open_with(
+        mut input: R,
+        wanted: impl Fn(&str) -> bool,
+        new_scratch: impl Fn() -> io::Result<Arc<dyn ScratchFile>>,
+    ) -> Result<Self, TakeError> {
         let mut info = MotionInfo::default();
         let mut problems = Vec::new();
         let mut parts = Vec::new();
         let map = TakeMap::scan(&mut input, |part| parts.push(part))?;
         let mut foreign_bytes = 0_u64;
-        let mut spool = Spool::default();
+        let mut spool = Spool::new(new_scratch);
         for part in parts {
             if !wanted(&part.kind) {
                 info.foreign.push(Foreign { kind: part.kind, data: Content::default() });
@@ -183,13 +192,13 @@ impl<R: Read + Seek> FrameSource for TakeFrames<R> {
         &self.info
     }
 
-    fn next_frame(&mut self, row: &mut [Position]) -> std::io::Result<bool> {
+    fn next_frame(&mut self, row: &mut [Position]) -> io::Result<bool> {
         let at = self.next_row;
         if at >= self.info.n_frames {
             return Ok(false);
         }
         while !self.ended && self.current.is_none_or(|span| span.end_row() <= at) {
-            self.advance().map_err(std::io::Error::other)?;
+            self.advance().map_err(io::Error::other)?;
         }
         row.fill(GAP);
         if let Some(span) =

@@ -14,7 +14,7 @@ use std::{
 use anyhow::Context;
 use mocapd::{
     ahead::Ahead,
-    files::{NewFile, NewFolder, SparseFile},
+    files::{self, NewFile, NewFolder, SparseFile},
     outcome::{Outcome, UsageError},
     threads, units,
 };
@@ -58,7 +58,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let reading = || format!("cannot read {}", args.take.display());
     let file = SparseFile::open(&args.take)?;
     let wanted = |kind: &str| format.gives_back(kind);
-    let mut frames = TakeFrames::open_with(BufReader::new(file), wanted).with_context(reading)?;
+    let mut frames = TakeFrames::open_with(BufReader::new(file), wanted, files::scratch)
+        .with_context(reading)?;
     let range = part::range(frames.info(), frames.n_held(), args.from, args.to)?;
     if args.up.is_some() && frames.info().up == UpAxis::Unknown {
         return Err(UsageError(format!(

@@ -68,7 +68,7 @@ pub(super) fn against(
     tolerance_mm: f64,
 ) -> anyhow::Result<AgainstReport> {
     let open = |path: &Path| {
-        TakeFrames::open_with(BufReader::new(SparseFile::open(path)?), |_| false)
+        TakeFrames::open(BufReader::new(SparseFile::open(path)?))
             .with_context(|| format!("cannot read {}", path.display()))
     };
     let take_frames = open(take)?;

@@ -1,12 +1,18 @@
 //! Files that claim more than they hold, and chunks that are longer than what is held: memory is a window, a file is
 //! read at most twice, and every whole chunk is found.
 
-use std::io::{Cursor, Read, Seek, SeekFrom};
+use std::{
+    fs::File,
+    io::{self, Cursor, Read, Seek, SeekFrom},
+    os::unix::fs::FileExt,
+    sync::Arc,
+};
 
 use mocapd_codec::{BlockReport, ResamplerKind, Rows, Settings, Tolerance};
 use mocapd_take::{
     TakeError, TakeEvent, TakeFrames, TakeMap, TakeReader, TakeWriter,
     chunk::{self, CHUNK_HELD_MAX, WINDOW_BYTES, types},
+    content::ScratchFile,
     motion::Foreign,
     reader::{pull, read_events},
     record::{Channel, Header, Ledger},
@@ -22,6 +28,20 @@ const HELD_MAX: usize = 2 * WINDOW_BYTES + (8 << 20);
 
 const MIB: usize = 1 << 20;
 
+/// A temporary file for what is not held.
+#[derive(Debug)]
+struct Scratch(File);
+
+impl ScratchFile for Scratch {
+    fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()> {
+        self.0.read_exact_at(bytes, at)
+    }
+
+    fn write_at(&self, at: u64, bytes: &[u8]) -> io::Result<()> {
+        self.0.write_all_at(bytes, at)
+    }
+}
+
 /// A file that counts what is read of it.
 struct Counted<'a> {
     file: Cursor<&'a [u8]>,
@@ -29,7 +49,7 @@ struct Counted<'a> {
 }
 
 impl Read for Counted<'_> {
-    fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
         let n = self.file.read(bytes)?;
         self.read += n;
         Ok(n)
@@ -37,7 +57,7 @@ impl Read for Counted<'_> {
 }
 
 impl Seek for Counted<'_> {
-    fn seek(&mut self, to: SeekFrom) -> std::io::Result<u64> {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         self.file.seek(to)
     }
 }
@@ -288,7 +308,8 @@ fn a_long_chunk_is_passed_over_where_it_is_whole_and_found_behind_damage() {
     }
 
     // Its content is there for those who want it, and a recovery copies it.
-    let frames = TakeFrames::open(Cursor::new(&with_long[..])).unwrap();
+    let scratch = || Ok(Arc::new(Scratch(tempfile::tempfile()?)) as Arc<dyn ScratchFile>);
+    let frames = TakeFrames::open_with(Cursor::new(&with_long[..]), |_| true, scratch).unwrap();
     let kept = &mocapd_take::motion::FrameSource::info(&frames).foreign;
     assert_eq!(kept[0], Foreign { kind: "c3d/analog".to_owned(), data: data.into() });
     let mut recovered = Vec::new();

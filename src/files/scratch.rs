@@ -1,0 +1,37 @@
+//! A temporary file for what is too much for memory.
+
+use std::{fs::File, io, os::unix::fs::FileExt, path::PathBuf, sync::Arc};
+
+use mocapd_take::content::ScratchFile;
+
+#[derive(Debug)]
+struct Scratch(File);
+
+impl ScratchFile for Scratch {
+    fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()> {
+        self.0.read_exact_at(bytes, at)
+    }
+
+    fn write_at(&self, at: u64, bytes: &[u8]) -> io::Result<()> {
+        self.0.write_all_at(bytes, at)
+    }
+}
+
+/// A file without a name, which is gone with the process. In `$TMPDIR`, or in `/var/tmp`, which is on a disk where `/tmp` is
+/// often memory.
+///
+/// # Errors
+/// That there can be none, and what to do.
+pub fn scratch() -> io::Result<Arc<dyn ScratchFile>> {
+    let chosen = std::env::var_os("TMPDIR").filter(|dir| !dir.is_empty()).map(PathBuf::from);
+    let on_disk = || Some(PathBuf::from("/var/tmp")).filter(|dir| dir.is_dir());
+    let dir = chosen.or_else(on_disk).unwrap_or_else(std::env::temp_dir);
+    let file = tempfile::tempfile_in(&dir).map_err(|error| {
+        let message = format!(
+            "no temporary file in {} for what the take keeps of its source ({error}): set TMPDIR to a folder with room",
+            dir.display()
+        );
+        io::Error::new(error.kind(), message)
+    })?;
+    Ok(Arc::new(Scratch(file)))
+}
