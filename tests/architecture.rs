@@ -1,6 +1,7 @@
 //! What ARCHITECTURE.md says of the source, held against the source.
 
 mod dependencies;
+mod profiles;
 mod sources;
 
 use std::{

@@ -27,6 +27,8 @@ use mocapd_take::{
     motion::{Motion, MotionFrames},
 };
 
+use mocapd_testkit::recorded::RecordedData;
+
 use crate::support::{chunks, dense, jump, lossless};
 
 struct Simulated {
@@ -173,11 +175,8 @@ fn a_clock_that_drifts_on_a_line_that_sends_in_batches_is_followed() {
 
 #[test]
 fn a_real_run_is_recorded_at_its_own_rate_and_ten_times_faster() {
-    let Some(folder) = std::env::var_os("MOCAPD_TAKES") else {
-        eprintln!("skipped: MOCAPD_TAKES is not set");
-        return;
-    };
-    let file = std::fs::read(PathBuf::from(folder).join("treadmill_run_44m_200hz.trc")).unwrap();
+    let Some(folder) = RecordedData::Takes.folder() else { return };
+    let file = std::fs::read(folder.join("treadmill_run_44m_200hz.trc")).unwrap();
     let motion = Format::Trc.read(&file).unwrap();
     for speed in [1.0, 10.0] {
         let settings = DeviceSettings { speed, ..DeviceSettings::default() };

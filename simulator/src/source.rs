@@ -111,6 +111,8 @@ impl FromStr for Generated {
 
 #[cfg(test)]
 mod tests {
+    use mocapd_testkit::recorded::RecordedData;
+
     use super::*;
     use crate::device::{Device, DeviceSettings};
     use crate::generator::JumpSpec;
@@ -130,10 +132,7 @@ mod tests {
 
     #[test]
     fn recorded_motions_of_every_ending_become_devices() {
-        let Some(folder) = std::env::var_os("MOCAPD_TAKES") else {
-            eprintln!("skipped: MOCAPD_TAKES is not set");
-            return;
-        };
+        let Some(folder) = RecordedData::Takes.folder() else { return };
         let mut endings = std::collections::BTreeSet::new();
         for entry in std::fs::read_dir(folder).unwrap() {
             let path = entry.unwrap().path();

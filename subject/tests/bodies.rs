@@ -1,15 +1,15 @@
 //! The bars on bodies with known joints, from the folder that `MOCAPD_BODIES` names: of the shapes that nothing was learned
 //! from, and what must not change where the body does not.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-#![expect(clippy::print_stdout, reason = "a test that is passed over says why")]
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use mocapd_subject::body::read::{Format, Scan};
 use mocapd_subject::body::repair::repair;
 use mocapd_subject::body::skeleton::Method;
 use mocapd_subject::body::{Joint, Mesh, Side, Survey};
+use mocapd_testkit::recorded::RecordedData;
 use nalgebra::{Rotation3, Vector3};
 
 #[path = "../examples/bodies/read.rs"]
@@ -37,16 +37,13 @@ const NINETY_FIFTH_MOST: f64 = 0.05;
 /// The part of the limbs whose length is within 10 %.
 const LENGTHS_LEAST: f64 = 0.95;
 
-/// The meshes whose names begin with one of `starts`; nothing, and the reason printed, where no folder is given.
+/// The meshes whose names begin with one of `starts`; nothing where no folder is given.
 fn bodies(starts: &[&str]) -> Option<Vec<PathBuf>> {
-    let Ok(folder) = std::env::var("MOCAPD_BODIES") else {
-        println!("passed over: MOCAPD_BODIES names no folder of meshes with known joints");
-        return None;
-    };
+    let folder = RecordedData::Bodies.folder()?;
     let name = |path: &PathBuf| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let mut found = read::all(Path::new(&folder)).unwrap();
+    let mut found = read::all(&folder).unwrap();
     found.retain(|path| starts.iter().any(|start| name(path).starts_with(start)));
-    assert!(!found.is_empty(), "{folder} holds no meshes called {starts:?}");
+    assert!(!found.is_empty(), "{} holds no meshes called {starts:?}", folder.display());
     Some(found)
 }
 

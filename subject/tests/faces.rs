@@ -1,13 +1,13 @@
 //! The bars on photographs with known landmarks, from the folder that `MOCAPD_FACES` names, that nothing was learned from.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-#![expect(clippy::print_stdout, reason = "a test that is passed over says why")]
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use mocapd_subject::face::Photo;
 use mocapd_subject::face::find::{self, Found};
 use mocapd_subject::face::model::{FeatureId, FitOptions, Model};
 use mocapd_subject::face::points::{self, Rough};
+use mocapd_testkit::recorded::RecordedData;
 
 #[expect(dead_code, reason = "the example draws, too")]
 #[path = "../examples/faces_points/data.rs"]
@@ -34,14 +34,6 @@ const FOUND_NEAR_IO: f64 = 0.25;
 const FOUND_SHARE: f64 = 0.9;
 /// The bar is a half; a twentieth is reached.
 const FALSE_PER_PHOTOGRAPH_MOST: f64 = 0.15;
-
-fn folder() -> Option<PathBuf> {
-    let folder = std::env::var_os("MOCAPD_FACES").map(PathBuf::from);
-    if folder.is_none() {
-        println!("passed over: MOCAPD_FACES names no folder of photographs with known landmarks");
-    }
-    folder
-}
 
 /// Faces that nothing was learned from, turned by less than this.
 fn reported(folder: &Path, synthetic: bool, yaw_deg: f64) -> Vec<Face> {
@@ -110,7 +102,7 @@ fn yaw_errors_deg(faces: &[Face]) -> [f64; 2] {
 
 #[test]
 fn points_of_photographs_are_near_enough() {
-    let Some(folder) = folder() else { return };
+    let Some(folder) = RecordedData::Faces.folder() else { return };
     let (median, good) = median_and_good_share(&reported(&folder, false, PHOTOGRAPHS_YAW_DEG));
     assert!(median <= PHOTOGRAPHS_MEDIAN_MOST, "median error {median} of the eyes' distance");
     assert!(good >= GOOD_SHARE, "{good} of the faces are good");
@@ -118,7 +110,7 @@ fn points_of_photographs_are_near_enough() {
 
 #[test]
 fn points_of_synthetic_faces_are_near_enough() {
-    let Some(folder) = folder() else { return };
+    let Some(folder) = RecordedData::Faces.folder() else { return };
     let (median, good) = median_and_good_share(&reported(&folder, true, SYNTHETIC_YAW_DEG));
     assert!(median <= SYNTHETIC_MEDIAN_MOST, "median error {median} of the eyes' distance");
     assert!(good >= GOOD_SHARE, "{good} of the faces are good");
@@ -126,7 +118,7 @@ fn points_of_synthetic_faces_are_near_enough() {
 
 #[test]
 fn heads_are_turned_as_they_are_found_to_be() {
-    let Some(folder) = folder() else { return };
+    let Some(folder) = RecordedData::Faces.folder() else { return };
     for is_synthetic in [false, true] {
         let errors = yaw_errors_deg(&reported(&folder, is_synthetic, SYNTHETIC_YAW_DEG));
         assert!(errors.iter().all(|deg| *deg <= YAW_ERROR_MOST_DEG), "{errors:?} degrees");
@@ -141,7 +133,7 @@ fn is_near(found: &Found, face: &Face) -> bool {
 
 #[test]
 fn nine_of_ten_faces_are_found() {
-    let Some(folder) = folder() else { return };
+    let Some(folder) = RecordedData::Faces.folder() else { return };
     let mut faces = reported(&folder, false, SYNTHETIC_YAW_DEG);
     faces.extend(reported(&folder, true, SYNTHETIC_YAW_DEG));
     faces.retain(|face| face.truth.io_px() >= FOUND_IO_PX);
@@ -155,7 +147,7 @@ fn nine_of_ten_faces_are_found() {
 
 #[test]
 fn few_photographs_have_a_face_where_none_is() {
-    let Some(folder) = folder() else { return };
+    let Some(folder) = RecordedData::Faces.folder() else { return };
     // However they are turned, and however small.
     let mut faces = reported(&folder, false, f64::INFINITY);
     faces.extend(reported(&folder, true, f64::INFINITY));
@@ -171,7 +163,7 @@ fn few_photographs_have_a_face_where_none_is() {
 
 #[test]
 fn where_no_face_is_none_is_found() {
-    let Some(folder) = folder() else { return };
+    let Some(folder) = RecordedData::Faces.folder() else { return };
     let mut pictures = 0;
     for entry in std::fs::read_dir(folder.join("negative")).unwrap() {
         let photo = Photo::from_bytes(&std::fs::read(entry.unwrap().path()).unwrap()).unwrap();

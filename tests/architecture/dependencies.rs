@@ -79,7 +79,7 @@ fn written(page: &str) -> Graph {
         .collect()
 }
 
-/// Normal, dev and build dependencies alike.
+/// Normal, dev and build dependencies alike, but for what tests share.
 fn found(metadata: &Value) -> Graph {
     let packages = metadata["packages"].as_array().unwrap();
     let name_of = |value: &Value| value["name"].as_str().unwrap().to_owned();
@@ -89,7 +89,10 @@ fn found(metadata: &Value) -> Graph {
         .iter()
         .map(|package| {
             let dependencies = package["dependencies"].as_array().unwrap();
-            let names = dependencies.iter().map(name_of).filter(|name| ours.contains(name));
+            let is_for_tests =
+                |other: &Value| other["name"] == "mocapd-testkit" && other["kind"] == "dev";
+            let products = dependencies.iter().filter(|&other| !is_for_tests(other));
+            let names = products.map(name_of).filter(|name| ours.contains(name));
             (short(&name_of(package)), names.map(|name| short(&name)).collect())
         })
         .collect()

@@ -8,6 +8,7 @@ use mocapd_simulator::{
     generator::{BONES, JumpSpec, Rng, SITES},
 };
 use mocapd_take::{chunk::types, motion::Motion};
+use mocapd_testkit::recorded::RecordedData;
 use serde_json::Value;
 
 use super::{Folder, devices::Simulated};
@@ -371,10 +372,7 @@ fn swaps_of_a_device_are_found() {
 /// Recorded jumps, if there are any: measured bodies bend and bounce, and are no swaps.
 #[test]
 fn recorded_jumps_have_no_swaps() {
-    let Some(takes) = std::env::var_os("MOCAPD_TAKES") else {
-        eprintln!("passed over: MOCAPD_TAKES names no folder of recorded takes");
-        return;
-    };
+    let Some(takes) = RecordedData::Takes.folder() else { return };
     let folder = Folder::new();
     let mut n = 0;
     for entry in std::fs::read_dir(takes).unwrap() {

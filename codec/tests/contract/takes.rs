@@ -1,5 +1,7 @@
 //! Real takes, where the folder in `MOCAPD_TAKES` has them.
 
+use mocapd_testkit::recorded::RecordedData;
+
 use super::{Channel, cut, decode_and_check, encode, settings};
 
 /// The CSV takes: `time` and then x, y, z of each marker in millimetres, all present.
@@ -20,11 +22,8 @@ fn csv_channels(text: &str) -> Vec<Channel> {
 
 #[test]
 fn real_jumps_keep_the_bound_and_compress() {
-    let Some(folder) = std::env::var_os("MOCAPD_TAKES") else {
-        eprintln!("skipped: MOCAPD_TAKES is not set");
-        return;
-    };
-    let path = std::path::Path::new(&folder).join("cmu_13_32_forward_jump_15joints_120hz.csv");
+    let Some(folder) = RecordedData::Takes.folder() else { return };
+    let path = folder.join("cmu_13_32_forward_jump_15joints_120hz.csv");
     let channels = csv_channels(&std::fs::read_to_string(&path).unwrap());
     assert_eq!(channels.len(), 15);
     let n_rows = channels[0].present.len();
@@ -54,11 +53,8 @@ fn real_jumps_keep_the_bound_and_compress() {
 /// Equation 8 of (Shi et al. 2012) on a real forward jump at 60 Hz; falls only where knots are wasted.
 #[test]
 fn the_published_measure_on_a_real_jump() {
-    let Some(folder) = std::env::var_os("MOCAPD_TAKES") else {
-        eprintln!("skipped: MOCAPD_TAKES is not set");
-        return;
-    };
-    let path = std::path::Path::new(&folder).join("cmu_13_32_forward_jump_15joints_60hz.csv");
+    let Some(folder) = RecordedData::Takes.folder() else { return };
+    let path = folder.join("cmu_13_32_forward_jump_15joints_60hz.csv");
     let channels = csv_channels(&std::fs::read_to_string(&path).unwrap());
     let n_rows = channels[0].present.len();
     for (tolerance, expected) in [(0.5, 0.75), (1.0, 1.2), (5.0, 3.1), (10.0, 4.8), (20.0, 5.8)] {

@@ -1,6 +1,6 @@
 //! Importers and exporters together: generated files of every dialect, round trips, hostile bytes, real takes.
 
-#![expect(clippy::expect_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+#![expect(clippy::expect_used, clippy::panic, reason = "helpers of tests")]
 
 mod c3d;
 mod c3d_file;

@@ -2,6 +2,7 @@
 
 use mocapd_take::interchange::Format;
 use mocapd_take::motion::{Motion, MotionFrames, is_gap};
+use mocapd_testkit::recorded::RecordedData;
 
 use crate::assert_same_samples;
 
@@ -24,11 +25,8 @@ const TAKES: [(&str, usize, u64, f64, usize, u64); 13] = [
 ];
 
 fn take(name: &str) -> Option<Motion> {
-    let Some(folder) = std::env::var_os("MOCAPD_TAKES") else {
-        eprintln!("skipped: MOCAPD_TAKES is not set");
-        return None;
-    };
-    let path = std::path::Path::new(&folder).join(name);
+    let folder = RecordedData::Takes.folder()?;
+    let path = folder.join(name);
     let bytes = std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     Some(
         Format::from_extension(&path).expect("a known ending").read(&bytes).expect("a usable file"),
@@ -78,13 +76,10 @@ fn as_written(motion: &Motion, format: Format) -> Motion {
 
 #[test]
 fn real_c3d_files_that_were_cut_off_keep_their_stride() {
-    let Some(folder) = std::env::var_os("MOCAPD_TAKES") else {
-        eprintln!("skipped: MOCAPD_TAKES is not set");
-        return;
-    };
+    let Some(folder) = RecordedData::Takes.folder() else { return };
     for (name, n_markers, n_frames, ..) in TAKES.into_iter().filter(|t| t.0.ends_with("c3d")) {
         let Some(whole) = take(name) else { return };
-        let path = std::path::Path::new(&folder).join(name);
+        let path = folder.join(name);
         let bytes = std::fs::read(path).expect("read a moment ago");
         let word = |at: usize| u16::from_le_bytes([bytes[at], bytes[at + 1]]);
         let start = (usize::from(word(16)) - 1) * 512;

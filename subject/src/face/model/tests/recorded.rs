@@ -1,6 +1,6 @@
 //! The model on annotated faces that are not the project's: how much of a face it can tell, given good points.
 
-use std::path::Path;
+use mocapd_testkit::recorded::RecordedData;
 
 use crate::face::model::*;
 
@@ -11,13 +11,10 @@ struct Face {
     yaw_deg: f64,
 }
 
-/// Faces whose pose is known, from `MOCAPD_FACES`; none, with a word, where it is not set.
+/// Faces whose pose is known, from `MOCAPD_FACES`; none where there are none.
 fn faces(folder: &str, prefix: &str, yaw_sense: f64) -> Vec<Face> {
-    let Some(root) = std::env::var_os("MOCAPD_FACES") else {
-        println!("passed over: MOCAPD_FACES names no folder");
-        return Vec::new();
-    };
-    let mut paths: Vec<_> = std::fs::read_dir(Path::new(&root).join(folder))
+    let Some(root) = RecordedData::Faces.folder() else { return Vec::new() };
+    let mut paths: Vec<_> = std::fs::read_dir(root.join(folder))
         .unwrap()
         .map(|entry| entry.unwrap().path())
         .filter(|path| path.extension().is_some_and(|e| e == "json"))

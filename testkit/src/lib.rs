@@ -1,0 +1,3 @@
+//! What the tests of several crates share. Tests, benchmarks, examples and fuzz targets depend on it, and no product does.
+
+pub mod recorded;

@@ -1,0 +1,16 @@
+//! What the fuzz targets are built with is what the workspace is built with.
+
+use toml::{Table, Value};
+
+/// The profile for development of a manifest.
+fn development(manifest: &str) -> Value {
+    let manifest: Table = toml::from_str(&super::text(manifest)).unwrap();
+    manifest["profile"]["dev"].clone()
+}
+
+/// A crate that is not a member of the workspace has a profile of its own. Where the two differ in anything, cargo builds
+/// every dependency once more.
+#[test]
+fn the_fuzz_targets_take_what_the_workspace_has_built() {
+    assert_eq!(development("fuzz/Cargo.toml"), development("Cargo.toml"));
+}
