@@ -41,7 +41,7 @@ pub fn to_payload(foreign: &Foreign) -> Result<Vec<u8>, TakeError> {
     Ok(deflate.finish()?)
 }
 
-/// A foreign part as it stands in a take: its content is read by those who want it, [from the file](Self::read).
+/// A foreign part as it stands in a take: [`TakeFrames::open_with`](crate::TakeFrames::open_with) reads its content.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ForeignPart {
     /// What it is: `c3d/analog`.
