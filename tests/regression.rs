@@ -2,6 +2,7 @@
 
 mod analog_stride;
 mod control_characters;
+mod crafted_takes;
 mod ctl_answers;
 mod cut_limbs;
 mod device_away;

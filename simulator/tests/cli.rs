@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 
 use mocapd_drivers::device::{Command as Say, DeviceEvent, Protocol};
 use mocapd_drivers::link::HostLink;
-use mocapd_drivers::transport::Transport;
 use mocapd_drivers::transport::serial::SerialTransport;
+use mocapd_drivers::transport::{Transport, TransportError};
 use rustix::process::{Pid, Signal, kill_process};
 
 fn sim(args: &[&str]) -> Command {
@@ -52,9 +52,23 @@ fn ended(mut child: Child) -> (Option<i32>, String) {
     (status.code(), words)
 }
 
+/// Opens a line. One that was just closed may be busy for a moment: what another test starts has it open, too, between its
+/// fork and its exec.
+fn open(path: &str) -> SerialTransport {
+    let give_up = Instant::now() + Duration::from_secs(5);
+    loop {
+        match SerialTransport::open(Path::new(path), None) {
+            Err(TransportError::Busy { .. }) if Instant::now() < give_up => {
+                std::thread::sleep(Duration::from_millis(10));
+            }
+            opened => return opened.unwrap(),
+        }
+    }
+}
+
 /// Records until the end of stream, and counts frames.
 fn record(path: &str) -> u64 {
-    let mut port = SerialTransport::open(Path::new(path), None).unwrap();
+    let mut port = open(path);
     let mut link = HostLink::new();
     let mut bytes = Vec::new();
     link.command(Say::Identify, &mut bytes);
@@ -222,7 +236,7 @@ fn a_raw_log_is_the_device_that_it_is_of() {
     assert!(words.contains("give --pty=LINK"), "{words}");
 
     let (child, path) = started(&[log, "--pty", "--speed", "10", "--once"]);
-    let mut port = SerialTransport::open(Path::new(&path), None).unwrap();
+    let mut port = open(&path);
     let mut link = HostLink::new();
     let (mut n_frames, mut at_end, mut greeted) = (0, false, false);
     let say = |port: &mut SerialTransport, commands: &[Say]| {
@@ -316,7 +330,7 @@ fn a_log_without_its_end_is_played_once_and_the_device_goes_away() {
     let path = folder.path().join("cut.rawlog");
     std::fs::write(&path, &log[..log.len() - 200]).unwrap();
     let (child, line) = started(&[path.to_str().unwrap(), "--pty", "--speed", "20"]);
-    let mut port = SerialTransport::open(Path::new(&line), None).unwrap();
+    let mut port = open(&line);
     let mut link = HostLink::new();
     let mut bytes = Vec::new();
     for command in [Say::Stop, Say::Identify, Say::Ping { host_ns: 42 }] {
@@ -346,7 +360,7 @@ fn a_signal_that_comes_twice_is_one_and_a_later_one_ends_it_at_once() {
     let args = ["--generate", "jump", "--pty", "--rate", "1000", "--loop"];
     for (pause_ms, code) in [(100, Some(0)), (700, Some(130))] {
         let (child, path) = started(&args);
-        let mut port = SerialTransport::open(Path::new(&path), None).unwrap();
+        let mut port = open(&path);
         let mut bytes = Vec::new();
         HostLink::new().command(Say::Start { line_bytes_per_s: 0 }, &mut bytes);
         port.write_all(&bytes).unwrap();

@@ -6,6 +6,10 @@ use crate::{
     varint,
 };
 
+/// Bytes of the shortest chunk of a stretch: type, length, a head of two bytes, CRC. It is less than what stands in front of
+/// the first one.
+const STRETCH_BYTES_MIN: u64 = 8;
+
 /// One key stretch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct IndexEntry {
@@ -37,7 +41,7 @@ pub fn parse_index(payload: &[u8], offset: u64) -> Result<Vec<IndexEntry>, TakeE
     let corrupt = || TakeError::Corrupt {
         what: "index",
         offset,
-        message: "its entries do not fill it".into(),
+        message: "its entries do not fill it, or make no sense".into(),
     };
     let mut cursor = varint::Cursor::new(payload);
     let count = cursor.varint().ok_or_else(corrupt)?;
@@ -47,6 +51,10 @@ pub fn parse_index(payload: &[u8], offset: u64) -> Result<Vec<IndexEntry>, TakeE
         let (Some(by), Some(rows)) = (cursor.varint(), cursor.varint()) else {
             return Err(corrupt());
         };
+        // So that an index costs no more memory than twice the stretches that it tells of.
+        if by < STRETCH_BYTES_MIN {
+            return Err(corrupt());
+        }
         before = IndexEntry {
             offset: before.offset.wrapping_add(by),
             first_row: before.first_row.wrapping_add(rows),

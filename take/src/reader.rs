@@ -112,6 +112,8 @@ pub struct TakeReader {
     wanted: u64,
     /// After the header.
     chain: Option<Chain>,
+    /// Entries of the channel table so far.
+    n_channels: usize,
     bytes: TakeBytes,
     /// What is not a whole chunk, and behind which the next one is looked for.
     damage: Option<Damage>,

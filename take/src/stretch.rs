@@ -46,8 +46,14 @@ pub(crate) const BYTES_MAX: u64 = 16 * SAMPLES_MAX;
 /// Stretches are counted modulo this.
 pub const NUMBERS: u8 = 32;
 
-/// Most groups: marker ids have 16 bits.
-const GROUPS_MAX: usize = (1 << 16) / GROUP_CHANNELS;
+/// Most channels of a take: marker ids have 16 bits.
+pub const CHANNELS_MAX: usize = 1 << 16;
+
+/// Most groups of channels.
+const GROUPS_MAX: usize = CHANNELS_MAX / GROUP_CHANNELS;
+
+/// Most runs of one stretch: a writer has at most two a recorded row, and eight times as many are 24 MB.
+pub(crate) const RUNS_MAX: u64 = 16 * RECORDED_MAX;
 
 /// Most rows of one stretch of a take coded with `kind`.
 #[must_use]

@@ -14,7 +14,9 @@ use crate::{
     TakeError, TakeWriter,
     motion::{Marker, Motion, MotionEvent},
     record::{Channel, Event, Header, Ledger},
-    stretch::{FrontWriter, LIVE_ROWS_MAX, NUMBERS, ROWS_MAX, SAMPLES_MAX, Span, put_block},
+    stretch::{
+        CHANNELS_MAX, FrontWriter, LIVE_ROWS_MAX, NUMBERS, ROWS_MAX, SAMPLES_MAX, Span, put_block,
+    },
     timeline::Timeline,
 };
 
@@ -77,11 +79,17 @@ impl<'a> Plan<'a> {
     /// For `motion` and the settings in `header`.
     ///
     /// # Errors
-    /// `InvalidArgument` for more samples than a stretch of that resampler can hold; `Codec` when it refuses
+    /// `InvalidArgument` for more markers than a take has, and for more samples than a stretch of that resampler can hold;
+    /// `Codec` when it refuses
     /// (`spline:exhaustive` on a long take).
     pub fn new(motion: &'a Motion, header: &Header) -> Result<Self, TakeError> {
         let codec = header.codec()?;
         let (n_rows, n_markers) = (motion.n_frames(), motion.info.markers.len());
+        if n_markers > CHANNELS_MAX {
+            return Err(TakeError::InvalidArgument(format!(
+                "a take has at most {CHANNELS_MAX} markers, and these are {n_markers}"
+            )));
+        }
         let stretch_rows = stretch_rows(&codec, header.rate_hz, n_rows, n_markers);
         if stretch_rows as u64 > ROWS_MAX || (stretch_rows * n_markers) as u64 > SAMPLES_MAX {
             return Err(TakeError::InvalidArgument(format!(

@@ -65,10 +65,15 @@ fn write_sparse(path: &Path, take: &[u8], seed: u64) {
 }
 
 /// The program with little room, and the most memory that it was seen with.
-fn run(folder: &Folder, args: &[&str]) -> (Ran, u64) {
+pub(super) fn run(folder: &Folder, args: &[&str]) -> (Ran, u64) {
     let child = limited(folder, args);
-    let resident = watch(&child, || false);
-    (child.wait_with_output().unwrap().into(), resident)
+    let pid = child.id();
+    // What it says may be more than a pipe holds.
+    std::thread::scope(|scope| {
+        let said = scope.spawn(|| child.wait_with_output().unwrap());
+        let resident = watch(pid, || false);
+        (said.join().unwrap().into(), resident)
+    })
 }
 
 fn limited(folder: &Folder, args: &[&str]) -> Child {
@@ -81,8 +86,8 @@ fn limited(folder: &Folder, args: &[&str]) -> Child {
 }
 
 /// Looks at a process until it ends or `is_done`.
-fn watch(child: &Child, mut is_done: impl FnMut() -> bool) -> u64 {
-    let status = format!("/proc/{}/status", child.id());
+fn watch(pid: u32, mut is_done: impl FnMut() -> bool) -> u64 {
+    let status = format!("/proc/{pid}/status");
     let mut most = 0;
     loop {
         let text = std::fs::read_to_string(&status).unwrap_or_default();
@@ -98,7 +103,7 @@ fn watch(child: &Child, mut is_done: impl FnMut() -> bool) -> u64 {
 }
 
 #[expect(clippy::print_stdout, reason = "the documented command says what was measured")]
-fn assert_small(what: &str, resident: u64) {
+pub(super) fn assert_small(what: &str, resident: u64) {
     println!("{what}: {} MiB in memory at most", resident >> 20);
     assert!(resident < RESIDENT_MAX_BYTES, "{what}: {resident} bytes in memory");
 }
@@ -214,7 +219,7 @@ fn the_service_starts_where_a_file_is_a_header_and_a_hole() {
     let recovered = folder.path("takes/hole.recovered.take");
     let begun = Instant::now();
     let resident =
-        watch(&child, || recovered.exists() || begun.elapsed() > Duration::from_secs(120));
+        watch(child.id(), || recovered.exists() || begun.elapsed() > Duration::from_secs(120));
     child.kill().ok();
     let said: Ran = child.wait_with_output().unwrap().into();
     assert!(recovered.exists(), "{}{}", said.stdout, said.stderr);

@@ -8,6 +8,7 @@ use mocapd::subject::{
 use mocapd_take::record::Subject;
 use serde::Serialize;
 
+use super::words::LABEL_COLUMNS_MAX;
 use crate::cli::numbers::{bytes, count};
 
 #[derive(Debug, Serialize)]
@@ -123,7 +124,8 @@ impl SkeletonReport {
         for source in &self.sources {
             line("", &format!("from {}, SHA-256 {}", source.name, source.sha256));
         }
-        let width = self.bones.iter().map(|bone| bone.name.chars().count()).max().unwrap_or(0);
+        let names = self.bones.iter().map(|bone| bone.name.chars().count());
+        let width = names.max().unwrap_or(0).min(LABEL_COLUMNS_MAX);
         for bone in &self.bones {
             let give = bone.uncertainty_mm.map_or_else(String::new, |mm| format!(" +- {mm:.0}"));
             let spread = match bone.spread_mm {

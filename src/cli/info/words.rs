@@ -159,13 +159,21 @@ fn size(report: &Report, line: &mut impl FnMut(&str, &str)) {
     }
 }
 
+/// Columns of the terminal that labels are given at most; a longer one moves its own line.
+pub(super) const LABEL_COLUMNS_MAX: usize = 64;
+
 fn markers(report: &Report, out: &mut String) {
     let label = |channel: &super::report::ChannelReport| {
         let note = if channel.labelled { "" } else { " (unlabelled)" };
         format!("{}{note}", plain(&channel.label))
     };
     let labels: Vec<String> = report.channels.iter().map(label).collect();
-    let width = labels.iter().map(|label| label.chars().count()).max().unwrap_or(0).max(6);
+    let width = labels
+        .iter()
+        .map(|label| label.chars().count())
+        .max()
+        .unwrap_or(0)
+        .clamp(6, LABEL_COLUMNS_MAX);
     let (samples, knots, error) = ("samples", "knots", "max error mm");
     writeln!(out, "{:<width$} {samples:>10} {:>6} {knots:>10} {error:>13}", "marker", "gaps").ok();
     for (label, channel) in labels.iter().zip(&report.channels) {

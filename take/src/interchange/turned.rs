@@ -29,7 +29,7 @@ impl<'a> Turned<'a> {
         let Some(turn) = Turn::between(info.up, up) else { return Ok(None) };
         info.up = up;
         if !turn.is_none() {
-            c3d::turn(&mut info.foreign, turn)?;
+            c3d::turn(&mut info.foreign, info.markers.len(), turn)?;
         }
         Ok(Some(Self { frames, info, turn }))
     }

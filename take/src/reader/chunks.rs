@@ -7,6 +7,7 @@ use crate::{
     foreign::{ForeignPart, Inflation},
     index::{Footer, parse_index},
     record::{Clock, Event, Header, Ledger, MoreChannels, Record, Subject, SummaryRecord},
+    stretch::CHANNELS_MAX,
     stretch::{Chain, Placed},
 };
 
@@ -28,6 +29,7 @@ impl TakeReader {
                 header.check()?;
                 self.chain = Some(Chain::of(&header)?);
                 self.bytes.header += len as u64;
+                self.n_channels = header.channels.len();
                 return Ok(TakeEvent::Header(Box::new(header)));
             }
             self.bytes.other += len as u64;
@@ -36,7 +38,15 @@ impl TakeReader {
         };
         let event = match kind {
             types::CHANNELS => {
-                MoreChannels::from_payload(payload, offset).map(|more| TakeEvent::Channels(more.0))
+                MoreChannels::from_payload(payload, offset).and_then(|MoreChannels(more)| {
+                    let n_channels = self.n_channels + more.len();
+                    if n_channels > CHANNELS_MAX {
+                        let message = "there are more channels than marker ids".to_owned();
+                        return Err(TakeError::Corrupt { what: "channel table", offset, message });
+                    }
+                    self.n_channels = n_channels;
+                    Ok(TakeEvent::Channels(more))
+                })
             }
             types::STRETCH => chain.place(payload).map(TakeEvent::from).map_err(|message| {
                 TakeError::Corrupt { what: "stretch", offset, message: message.to_owned() }

@@ -4,7 +4,10 @@
 //! little else: stored whole they would be a tenth of it. docs/take-format.md gives the bytes.
 
 use super::{Channel, LIMIT_BYTES};
-use crate::varint::{self, Cursor};
+use crate::{
+    stretch::CHANNELS_MAX,
+    varint::{self, Cursor},
+};
 
 /// Most bytes that a label takes over from the one before: what a nibble can say.
 const MAX_SHARED: usize = 15;
@@ -69,6 +72,9 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Channel>, &'static str> {
     let mut channels: Vec<Channel> = Vec::new();
     let mut claimed = 0_u64;
     while !bytes.is_empty() {
+        if channels.len() == CHANNELS_MAX {
+            return Err("there are more than 65536 markers");
+        }
         let before = match channels.last() {
             Some(last) => Before {
                 label: last.label.as_bytes(),

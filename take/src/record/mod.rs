@@ -12,7 +12,10 @@ mod stored;
 mod subject;
 mod summary;
 
-use bincode::config::{Configuration, Limit, LittleEndian, Varint};
+use bincode::{
+    config::{Configuration, Limit, LittleEndian, Varint},
+    error::DecodeError,
+};
 
 pub use clock::{
     CLOCK_ENTRIES_MAX, Clock, ClockBound, ClockJitter, ClockLine, ClockPoint, ClockProbe,
@@ -59,8 +62,12 @@ pub trait Record: bincode::Encode + bincode::Decode<()> {
         }
         // The limit counts what decoding claims, which is more than the bytes: ask the decoder.
         bincode::decode_from_slice::<Self, _>(&body, CONFIG).map_err(|e| {
+            let why = match e {
+                DecodeError::Other(why) => why.to_owned(),
+                e => e.to_string(),
+            };
             TakeError::InvalidArgument(format!(
-                "{} is larger than a take can hold: {e}",
+                "{} is larger than a take can hold: {why}",
                 Self::NAME
             ))
         })?;

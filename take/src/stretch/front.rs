@@ -1,6 +1,6 @@
 //! What stands in front of a stretch's blocks: docs/take-format.md, "STRETCH".
 
-use super::{NUMBERS, RECORDED_MAX, ROWS_MAX, ROWS_PASSED_MAX, Sizes, Span};
+use super::{NUMBERS, RECORDED_MAX, ROWS_MAX, ROWS_PASSED_MAX, RUNS_MAX, Sizes, Span};
 use crate::{
     timeline::{Causes, Run, Timeline, TimelineEncoder, take_times},
     varint,
@@ -203,11 +203,13 @@ impl Front<'_> {
 }
 
 fn take_runs(cursor: &mut varint::Cursor<'_>) -> Option<Vec<Run>> {
+    let n_runs = cursor.varint().filter(|&n| n <= RUNS_MAX)?;
     let mut runs = Vec::new();
-    for _ in 0..cursor.varint()? {
+    for _ in 0..n_runs {
         let head = cursor.varint()?;
         let lost = if head & 1 == 1 { Some(Causes(cursor.byte()?)) } else { None };
-        runs.push(Run { rows: head >> 1, lost });
+        let rows = Some(head >> 1).filter(|&rows| rows > 0)?;
+        runs.push(Run { rows, lost });
     }
     Some(runs)
 }

@@ -43,7 +43,7 @@ impl<'a> Body<'a> {
         let outputs = KeptSamples::model_outputs(foreign, first_frame)?;
         let n_markers = info.markers.len();
         Ok(Self {
-            under_gaps: KeptCoordinates::parse(foreign, first_frame)?,
+            under_gaps: KeptCoordinates::parse(foreign, n_markers, first_frame)?,
             under_gap: vec![None; n_markers],
             analog_offsets: Vec::new(),
             points: places(n_markers, outputs.as_ref().map_or(&[], |kept| &kept.points)),

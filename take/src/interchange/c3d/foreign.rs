@@ -87,13 +87,17 @@ fn head_of(frames: &Frames<'_>, width: u8, n_signals: usize, ratio: usize) -> Ve
 }
 
 /// Turns what was kept of a file in space: the corners of force plates, and coordinates under gaps.
-pub(in crate::interchange) fn turn(foreign: &mut [Foreign], turn: Turn) -> io::Result<()> {
+pub(in crate::interchange) fn turn(
+    foreign: &mut [Foreign],
+    n_markers: usize,
+    turn: Turn,
+) -> io::Result<()> {
     let parameters = kept_parameters(foreign)?.map(|(header, mut parameters)| {
         parameters.turn(turn);
         let data = parameters_data(&header, &parameters).into();
         Foreign { kind: PARAMETERS.to_owned(), data }
     });
-    let under_gaps = gap_coordinates::turned(foreign, turn)?;
+    let under_gaps = gap_coordinates::turned(foreign, n_markers, turn)?;
     for new in parameters.into_iter().chain(under_gaps) {
         foreign
             .iter_mut()

@@ -18,8 +18,6 @@ const HEAD_BYTES: usize = 13;
 const MARKER_BYTES: usize = 12;
 /// Bytes of a run: its first frame, counted from the first of all, and its frames.
 const RUN_BYTES: usize = 16;
-/// Most markers: as many points as a C3D file has.
-const MARKERS_MAX: u32 = u16::MAX as u32;
 /// Bytes of words that are held of all markers: of 64 markers 1024 samples each.
 const BLOCK_BYTES: usize = 1 << 20;
 /// Words of a sample: coordinates in millimetres, and the fourth word.
@@ -134,31 +132,42 @@ struct KeptMarker<'a> {
 }
 
 impl<'a> KeptCoordinates<'a> {
-    /// Those of a take, from frame number `from` on. `None` where there are none, or none that can be read.
-    pub(super) fn parse(foreign: &'a [Foreign], from: u64) -> io::Result<Option<Self>> {
+    /// Those of a take of `n_markers`, from frame number `from` on. `None` where there are none, or none that can be read.
+    pub(super) fn parse(
+        foreign: &'a [Foreign],
+        n_markers: usize,
+        from: u64,
+    ) -> io::Result<Option<Self>> {
         let Some(part) = foreign.iter().find(|part| part.kind == GAP_COORDINATES) else {
             return Ok(None);
         };
-        let Some(mut kept) = Self::parse_part(part.data.as_slice())? else { return Ok(None) };
+        let Some(mut kept) = Self::parse_part(part.data.as_slice(), n_markers)? else {
+            return Ok(None);
+        };
         kept.next = from;
         let before = from.saturating_sub(kept.first_frame);
         kept.markers.iter_mut().try_for_each(|marker| marker.pass(before))?;
         Ok(Some(kept))
     }
 
-    fn parse_part(data: ContentSlice<'a>) -> io::Result<Option<Self>> {
+    fn parse_part(data: ContentSlice<'a>, n_columns: usize) -> io::Result<Option<Self>> {
         let Some(([VERSION], rest)) = data.split_array()? else { return Ok(None) };
         let Some((first_frame, rest)) = rest.split_array()? else { return Ok(None) };
         let Some((n_markers, mut rest)) = rest.split_array()? else { return Ok(None) };
         let first_frame = u64::from_le_bytes(first_frame);
         let n_markers = u32::from_le_bytes(n_markers);
-        if n_markers > MARKERS_MAX {
+        if n_markers as usize > n_columns {
             return Ok(None);
         }
         let room = BLOCK_BYTES / (n_markers as usize).max(1);
         let mut markers = Vec::new();
         for _ in 0..n_markers {
             let Some((marker, after)) = KeptMarker::parse(rest, room)? else { return Ok(None) };
+            let is_next =
+                markers.last().is_none_or(|last: &KeptMarker<'_>| last.index < marker.index);
+            if !is_next || marker.index >= n_columns {
+                return Ok(None);
+            }
             markers.push(marker);
             rest = after;
         }
@@ -291,8 +300,12 @@ impl Runs<'_> {
 }
 
 /// Turns what a part keeps; `None` for a part that cannot be read. What is where in it stays.
-pub(super) fn turned(foreign: &[Foreign], turn: Turn) -> io::Result<Option<Foreign>> {
-    let Some(kept) = KeptCoordinates::parse(foreign, 0)? else { return Ok(None) };
+pub(super) fn turned(
+    foreign: &[Foreign],
+    n_markers: usize,
+    turn: Turn,
+) -> io::Result<Option<Foreign>> {
+    let Some(kept) = KeptCoordinates::parse(foreign, n_markers, 0)? else { return Ok(None) };
     let Some(part) = foreign.iter().find(|part| part.kind == GAP_COORDINATES) else {
         return Ok(None);
     };
@@ -337,7 +350,7 @@ mod tests {
         let samples = samples.map(|(frame, marker)| sample(frame, marker));
         let foreign = [part(&samples)];
         for from in 95..115 {
-            let mut kept = KeptCoordinates::parse(&foreign, from).unwrap().expect("a part");
+            let mut kept = KeptCoordinates::parse(&foreign, 8, from).unwrap().expect("a part");
             for number in from..115 {
                 let found = kept.next_frame().unwrap();
                 let here = samples.iter().filter(|&&(frame, ..)| frame as u64 + 100 == number);
@@ -353,19 +366,27 @@ mod tests {
         let bytes = whole.data.to_vec(u64::MAX).unwrap().expect("few");
         for n_bytes in 0..bytes.len() {
             let cut = Foreign { data: bytes[..n_bytes].to_vec().into(), ..whole.clone() };
-            assert!(KeptCoordinates::parse(&[cut], 0).unwrap().is_none(), "{n_bytes}");
+            assert!(KeptCoordinates::parse(&[cut], 8, 0).unwrap().is_none(), "{n_bytes}");
         }
         for at in 0..bytes.len() {
             for bits in [1, 0x80, 0xFF] {
                 let mut damaged = bytes.clone();
                 damaged[at] ^= bits;
                 let foreign = [Foreign { data: damaged.into(), ..whole.clone() }];
-                if let Some(mut kept) = KeptCoordinates::parse(&foreign, 100).unwrap() {
+                if let Some(mut kept) = KeptCoordinates::parse(&foreign, 8, 100).unwrap() {
                     (0..9).for_each(|_| assert!(kept.next_frame().unwrap().len() <= 2));
                 }
-                turned(&foreign, Turn::NONE).unwrap();
+                turned(&foreign, 8, Turn::NONE).unwrap();
             }
         }
+    }
+
+    #[test]
+    fn a_part_of_more_markers_than_the_take_has_is_not_read() {
+        let foreign = [part(&[sample(0, 1), sample(0, 4)])];
+        assert!(KeptCoordinates::parse(&foreign, 5, 0).unwrap().is_some());
+        assert!(KeptCoordinates::parse(&foreign, 4, 0).unwrap().is_none());
+        assert!(KeptCoordinates::parse(&foreign, 1, 0).unwrap().is_none());
     }
 
     #[test]
@@ -380,7 +401,7 @@ mod tests {
             })
             .collect();
         assert_ne!(part(&samples), part(&turned_samples));
-        let turned = turned(&[part(&samples)], quarter).unwrap().expect("a part");
+        let turned = turned(&[part(&samples)], 2, quarter).unwrap().expect("a part");
         assert_eq!(turned, part(&turned_samples));
     }
 
