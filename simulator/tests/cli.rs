@@ -214,6 +214,7 @@ fn scripts_of_faults_are_refused_in_words_and_played() {
         "faults: {n_frames} frames sent whole, 0 damaged and {lost} lost ({lost} by lost-frames); \
          what happened: lost-frames in {lost} frames\n"
     );
+    let said = format!("\nmocapd-sim: {said}");
     assert!(lost > 5 && words.contains(&said), "{words}");
     let log = std::fs::read_to_string(&log).unwrap();
     assert!(log.starts_with(

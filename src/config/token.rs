@@ -28,12 +28,12 @@ pub struct Token(String);
 #[non_exhaustive]
 pub enum TokenError {
     /// There is none, or it cannot be read.
-    #[error("cannot read the token file {}: {source}; make one with `(umask 077; openssl rand -hex 32 > {})`", .file.display(), .file.display())]
+    #[error("cannot read the token file {}: {error}; make one with `(umask 077; openssl rand -hex 32 > {})`", .file.display(), .file.display())]
     Unreadable {
         /// The file.
         file: PathBuf,
-        /// Why.
-        source: io::Error,
+        /// Why; it is in the message, and so no source of its own.
+        error: io::Error,
     },
     /// It is a folder, a pipe, a device.
     #[error("the token file {} is no plain file", .0.display())]
@@ -77,7 +77,7 @@ impl Token {
 
     /// The same for a service that runs as another user, as far as this one may read it.
     fn read_as(file: &Path, user: u32) -> Result<Self, TokenError> {
-        let unreadable = |source| TokenError::Unreadable { file: file.to_owned(), source };
+        let unreadable = |error| TokenError::Unreadable { file: file.to_owned(), error };
         // A pipe that nobody writes to would be waited for.
         let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::CLOEXEC;
         let mut opened =

@@ -127,7 +127,9 @@ fn odd_takes_give_pictures_or_reasons() {
     drawn(&folder, &["quality", "gaps.take"]);
     assert!(refuses(&["trajectory", "gaps.take"], 1).contains("nothing to draw"));
     assert!(refuses(&["pose", "gaps.take"], 1).contains("no marker was seen"));
-    assert!(refuses(&["trajectory", "half.take", "--marker", "m<9>&"], 2).contains("was 'm<"));
+    assert!(
+        refuses(&["trajectory", "half.take", "--marker", "m<9>&"], 2).contains("did you mean 'm<")
+    );
     assert!(refuses(&["trajectory", "half.take", "--from", "9s"], 2).contains("3.000 s"));
     assert!(refuses(&["pose", "half.take", "--at", "1h"], 2).contains("earlier moment"));
     let thirteen = vec!["1s"; 13].join(",");

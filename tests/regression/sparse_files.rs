@@ -180,6 +180,12 @@ fn what_a_source_had_beside_markers_is_exported_as_a_stream() {
     assert_small("export with analog samples", resident);
     export.with_code(0);
     assert!(words(&folder.read("b.c3d"), n_words) == source, "the words are not the same");
+    // Without room for the rest, it is said where there is none, and the take is not blamed.
+    let mut command = Command::new(env!("CARGO_BIN_EXE_mocapd"));
+    command.args(["export", "a.take", "-o", "d.c3d"]).env("TMPDIR", folder.path("nowhere"));
+    command.current_dir(folder.path("."));
+    let line = folder.refused(command, 1);
+    assert!(line.contains("no room for a temporary file in") && line.contains("TMPDIR"), "{line}");
     // From the middle on, and turned.
     let part = ["export", "a.take", "-o", "c.c3d", "--from", "0.5s", "--up", "y"];
     let (export, resident) = run(&folder, &part);

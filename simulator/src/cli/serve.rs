@@ -146,10 +146,11 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
             "the log is over, and has no end of stream: the cable is pulled; serve it again for another recording",
         );
     }
-    say(&match log {
+    let summary = match log {
         Some(_) => summary::of_log(&sent),
         None => summary::of_motion(&sent, args.protocol),
-    });
+    };
+    summary.lines().for_each(say);
     Ok(())
 }
 

@@ -119,8 +119,11 @@ pub(super) fn watched(status: &Status) -> String {
 
 /// What is free, and for how long that is enough.
 fn disk(status: &Status) -> String {
-    let free = status.disk.free_bytes.map_or("unknown".to_owned(), bytes);
-    let left = status.disk.left_s.map(|left| format!(", enough for {}", duration(left)));
+    // What is not known lasts for a time that is not known either; the end of a full disk is what a take has reserved.
+    let Some(free_bytes) = status.disk.free_bytes else { return "unknown free".to_owned() };
+    let free = bytes(free_bytes);
+    let left = status.disk.left_s.filter(|_| free_bytes > 0);
+    let left = left.map(|left| format!(", enough for {}", duration(left)));
     format!("{free} free{}", left.unwrap_or_default())
 }
 

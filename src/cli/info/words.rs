@@ -36,9 +36,13 @@ pub(super) fn words(report: &Report) -> String {
     for lost in damage::lines(&report.damage) {
         line("lost", &lost);
     }
+    // Frames are numbered as in the file that was imported, and in what is exported.
+    let first_frame = report.source.as_ref().map_or(1, |source| source.first_frame);
     for event in &report.events {
-        let frame = thousands(event.frame);
-        line("event", &format!("at frame {frame}: {} {}", event.kind, event.text));
+        let frame = thousands(first_frame.saturating_add(event.frame));
+        let time_s = event.frame as f64 / report.rate_hz;
+        let what = format!("at frame {frame}, {time_s:.3} s: {} {}", event.kind, event.text);
+        line("event", &what);
     }
     if let Some(ledger) = &report.ledger {
         let imported = report.source.is_some();

@@ -11,6 +11,7 @@ use mocapd_report::{
     column::{Column, distance},
     plot::{Trajectory, trajectory},
 };
+use mocapd_take::interchange::column_labels;
 
 use super::{picture, pose::up};
 use crate::cli::whole::{name, read_coded};
@@ -71,12 +72,16 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
 fn marker(coded: &Coded, label: Option<&str>) -> anyhow::Result<usize> {
     let markers = &coded.motion.info.markers;
     if let Some(label) = label {
-        return markers.iter().position(|marker| marker.label == label).ok_or_else(|| {
-            let nearest = markers.iter().map(|marker| marker.label.as_str());
-            let nearest = nearest.max_by(|a, b| {
+        // As exports call them: of several with one label the second is `LABEL#2`.
+        let names = column_labels(&coded.motion.info);
+        let named = names.iter().position(|name| name == label);
+        let labelled = || markers.iter().position(|marker| marker.label == label);
+        return named.or_else(labelled).ok_or_else(|| {
+            let nearest = names.iter().max_by(|a, b| {
                 strsim::jaro_winkler(a, label).total_cmp(&strsim::jaro_winkler(b, label))
             });
-            let meant = nearest.map_or_else(String::new, |label| format!(": was '{label}' meant?"));
+            let meant =
+                nearest.map_or_else(String::new, |label| format!(": did you mean '{label}'?"));
             UsageError(format!("no marker is called '{label}'{meant}")).into()
         });
     }

@@ -33,6 +33,7 @@ mod units;
 mod xdf;
 
 pub use options::ReadOptions;
+pub use text::column_labels;
 pub use turn::Direction;
 pub use turned::Turned;
 pub use units::LengthUnit;

@@ -99,7 +99,8 @@ pub(super) fn kept_header(info: &MotionInfo, kind: &str) -> std::io::Result<Vec<
 }
 
 /// A name for each column: the marker's label; `#2`, `#3`... is added where a column before it has that name.
-pub(super) fn column_labels(info: &MotionInfo) -> Vec<String> {
+#[must_use]
+pub fn column_labels(info: &MotionInfo) -> Vec<String> {
     let mut taken = HashSet::new();
     let mut next_number = HashMap::new();
     let mut names = Vec::with_capacity(info.markers.len());

@@ -14,7 +14,7 @@ fn runs(sent: &SentLog) -> String {
     format!("{starts} {}", if starts == 1 { "run" } else { "runs" })
 }
 
-/// The account: what was produced is what comes after it.
+/// The account, and what faults did of it, on a line of its own: what was produced is what comes after it.
 pub(super) fn of_motion(sent: &SentLog, spoken: Spoken) -> String {
     let SentLog { total, frames_sent, bytes_sent, .. } = sent;
     let runs = runs(sent);
@@ -34,7 +34,7 @@ pub(super) fn of_motion(sent: &SentLog, spoken: Spoken) -> String {
         said.push_str(&format!(", {unasked} after the last request (on no recorder's account)"));
     }
     if let Some(faults) = &sent.faults {
-        said = format!("{said}\nmocapd-sim: {}", faults.words());
+        said = format!("{said}\n{}", faults.words());
     }
     said
 }

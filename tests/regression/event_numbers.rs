@@ -1,0 +1,27 @@
+//! The frame of an event has one number: in `info` as in the file that was imported, and in what is exported.
+
+use mocapd_take::interchange::Format;
+
+use crate::{cli::Folder, support::jump};
+
+#[test]
+fn info_numbers_the_frame_of_an_event_as_the_files_do() {
+    let folder = Folder::new();
+    let mut motion = jump(1, 100.0, 1.0);
+    motion.info.source.first_frame = 695;
+    let mut tsv = Vec::new();
+    let event = mocapd_take::motion::MotionEvent {
+        frame: 40,
+        kind: mocapd_take::record::EventKind::Mark,
+        text: "toe off".to_owned(),
+    };
+    motion.info.events.push(event);
+    Format::Tsv.write(&mut mocapd_take::motion::MotionFrames::new(&motion), &mut tsv).unwrap();
+    assert!(String::from_utf8_lossy(&tsv).contains("EVENT\ttoe off\t735\t0.4"));
+    folder.write("a.tsv", tsv);
+    folder.run(&["import", "a.tsv", "-o", "a.take"]).with_code(0);
+    let said = folder.run(&["info", "a.take"]).with_code(0).stdout;
+    assert!(said.contains("at frame 735, 0.400 s: mark toe off"), "{said}");
+    folder.run(&["export", "a.take", "-o", "b.tsv"]).with_code(0);
+    assert!(folder.text("b.tsv").contains("EVENT\ttoe off\t735\t0.4"));
+}
