@@ -10,6 +10,7 @@ mod event_numbers;
 mod foreign_readers;
 mod idle_connections;
 mod local_time;
+mod lossy_exports;
 mod negative_residuals;
 mod noise;
 mod nothing_to_compare;

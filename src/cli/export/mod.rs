@@ -22,10 +22,11 @@ use mocapd_take::{
     TakeFrames,
     interchange::{Direction, Format, Turned, bids},
     motion::{FrameSource, UpAxis},
+    record::Ledger,
 };
 
 use self::{format::FormatArgs, part::Part, spreadsheet::Guarded};
-use super::{output::say, paths, progress::Progress};
+use super::{numbers::count, output::say, paths, progress::Progress};
 
 /// What is written at once: so much that the calls into the system cost nothing beside the bytes.
 const BUFFER_BYTES: usize = 1 << 20;
@@ -116,6 +117,16 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     not_turned.retain(|_| format == Format::C3d);
     if !not_turned.is_empty() {
         say(&format!("{}: not turned: {}", args.output.display(), not_turned.join(", ")));
+    }
+    let n_lost = frames.take().and_then(|take| take.ledger.as_ref()).map_or(0, Ledger::frames_lost);
+    if n_lost > 0 {
+        // No other program can tell them from markers that were hidden.
+        say(&format!(
+            "{}: {} of the take were lost while it was recorded; those within {} are gaps there, as hidden markers are",
+            args.take.display(),
+            count(n_lost, "frame"),
+            args.output.display()
+        ));
     }
     let problems = frames.problems();
     for problem in problems {
