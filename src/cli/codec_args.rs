@@ -16,7 +16,8 @@ pub(crate) struct CodecArgs {
     /// Keep every bit; the same as --resampler lossless
     #[arg(long, conflicts_with_all = ["tolerance", "resampler"])]
     lossless: bool,
-    /// dense, fast, lossless, spline[:worst-sample|:exhaustive], sync[:worst-sample|:exhaustive]
+    /// dense, fast or lossless; of whole takes (import, bench codec) also spline[:worst-sample|:exhaustive] and
+    /// sync[:worst-sample|:exhaustive]
     #[arg(long, value_name = "NAME", default_value = "dense", value_parser = str::parse::<ResamplerKind>)]
     resampler: ResamplerKind,
 }

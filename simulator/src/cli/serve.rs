@@ -76,7 +76,7 @@ pub(super) struct ServeArgs {
     ///
     /// Its columns: run, seq, `device_ticks`, present, dropped (it never left the device), `host_ns`, the
     /// host's monotonic clock at `device_ticks`, and unasked: an NDI system's frame after the last request; with
-    /// --faults also fate, again and faults.
+    /// --faults also fate, again, faults and frames.
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
     /// Length of the generated motion (default: one jump); of a file, only its beginning.
