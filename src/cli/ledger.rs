@@ -123,7 +123,7 @@ impl LedgerReport {
         for (n, what) in [
             (self.lost_in_host.other, "lost in the host: other"),
             (self.unknown_after_disconnect, "unknown after the disconnect"),
-            (self.duplicates, "duplicates, not recorded again"),
+            (self.duplicates, "came again or too late, not recorded"),
         ] {
             if n > 0 {
                 line(n, what);
