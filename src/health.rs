@@ -49,9 +49,14 @@ impl TakeHealth {
     /// Of a take that was closed and is not damaged.
     #[must_use]
     pub fn of_closed(ledger: &Ledger, ending: Option<&TakeEnding>) -> Self {
-        // What a device that is gone did not send any more, nobody can count.
-        let is_gone = ending.is_some_and(|ending| ending.kind == EndingKind::DeviceGone);
-        let is_whole = ledger.closes() && !ledger.lost_anything() && !is_gone;
+        // What a device that is gone did not send any more, and what stood behind a cut, nobody can count.
+        let is_cut_short = ending.is_some_and(|ending| {
+            matches!(
+                ending.kind,
+                EndingKind::DeviceGone | EndingKind::CutOff | EndingKind::Truncated
+            )
+        });
+        let is_whole = ledger.closes() && !ledger.lost_anything() && !is_cut_short;
         if is_whole { Self::Complete } else { Self::Lossy }
     }
 

@@ -142,6 +142,8 @@ def test_what_is_no_file_is_refused_at_once(tmp_path):
 
 def interrupted(code, *args):
     """Seconds from Ctrl-C to the end of a program that has begun."""
+    # What is started in the background may have been told to ignore it.
+    code = f"import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n{code}"
     program = subprocess.Popen(
         [sys.executable, "-c", code, *map(str, args)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )

@@ -133,8 +133,8 @@ fn a_device_that_went_away_and_a_recorder_that_was_killed_are_in_the_take() {
         ("gone", ["lossy", "device gone"]),
         ("copied", ["lossy", "device gone"]),
         ("killed", ["cut off", ""]),
-        ("recovered", ["complete", "cut off"]),
-        ("again", ["complete", "cut off"]),
+        ("recovered", ["lossy", "cut off"]),
+        ("again", ["lossy", "cut off"]),
     ] {
         assert_eq!(takes[name], json!(expected), "{name}");
         assert_eq!(told_by_info(&folder, name), json!(expected), "{name}");

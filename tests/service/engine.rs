@@ -293,7 +293,7 @@ fn takes_that_a_kill_left_without_an_end_are_closed_when_the_service_starts() {
     let health = |name: &str| takes.iter().find(|take| take.name == name).unwrap().health;
     assert_eq!(
         (health("killed"), health("killed.recovered")),
-        (TakeHealth::CutOff, TakeHealth::Complete)
+        (TakeHealth::CutOff, TakeHealth::Lossy)
     );
     assert_eq!(engine.take_path("../killed").unwrap_err().kind, RefusalKind::Invalid);
     assert_eq!(engine.take_path("none").unwrap_err().kind, RefusalKind::NotFound);
