@@ -1,6 +1,7 @@
 //! Every defect that was found in use, a module a symptom: each test failed before its fix.
 
 mod analog_stride;
+mod closed_terminal;
 mod control_characters;
 mod crafted_takes;
 mod ctl_answers;
