@@ -193,3 +193,23 @@ fn samples_of_a_long_csv_before_the_first_and_behind_the_last_time_are_kept() {
     assert_eq!(read("4,,a,4,0,0\n").unwrap().n_frames(), 1);
     read("").unwrap_err();
 }
+
+#[test]
+fn a_csv_whose_missing_markers_are_zeros_is_pointed_out() {
+    let rows: String = (0..20)
+        .map(|i| {
+            let a = if i % 7 == 3 { "0,0,0".to_owned() } else { format!("{},500,900", 100 + i) };
+            format!("{i},{},{a},{},2,3\n", f64::from(i) / 100.0, 50 + i)
+        })
+        .collect();
+    let csv = format!("frame,time_s,a.x,a.y,a.z,b.x,b.y,b.z\n{rows}");
+    let motion = Format::Csv.read(csv.as_bytes()).unwrap();
+    assert_eq!(
+        motion.info.source.ambiguities,
+        [Ambiguity::Origin { samples: 3, gaps: false }],
+        "{:?}",
+        motion.info.source.warnings
+    );
+    // They stay: our own format has another word for a gap.
+    assert_eq!(motion.frame(3)[0], [0.0; 3]);
+}

@@ -1,6 +1,7 @@
 //! Samples exactly at the origin: some software writes `0 0 0` for a marker that it does not see.
 
-use crate::motion::{GAP, Position, is_gap};
+use super::notes::Notes;
+use crate::motion::{Ambiguity, GAP, Position, is_gap};
 
 /// The origin.
 const ORIGIN: Position = [0.0; 3];
@@ -43,6 +44,21 @@ pub(super) fn remove(positions: &mut [Position], n_markers: usize) -> u64 {
         n_removed += 1;
     }
     n_removed
+}
+
+/// Some software leaves missing samples at the origin without marking them as missing. Where a
+/// format has a mark for them others read positions there; they stay, with a note.
+pub(super) fn note_zeros(positions: &[Position], n_markers: usize, notes: &mut Notes) {
+    let zeros = positions.iter().filter(|&&p| p == [0.0; 3]).count() as u64;
+    if zeros == 0 {
+        return;
+    }
+    if missing(positions, n_markers).contains(&true) {
+        notes.ambiguous(Ambiguity::Origin { samples: zeros, gaps: false });
+    } else {
+        let present = positions.iter().filter(|&&p| !is_gap(p)).count();
+        notes.warnings.push(format!("{zeros} of {present} samples are exactly at the origin and not marked as missing; they were kept as positions."));
+    }
 }
 
 /// A marker's samples in order: frame and position.

@@ -11,7 +11,7 @@ use super::malformed;
 use super::parameters::Parameters;
 use crate::interchange::units::{FileUnit, Millimetres};
 use crate::interchange::{InterchangeError, ReadOptions, notes::Notes, origin};
-use crate::motion::{Ambiguity, GAP, Motion, MotionInfo, Position, Source, UpAxis, is_gap};
+use crate::motion::{Ambiguity, GAP, Motion, MotionInfo, Position, Source, UpAxis};
 
 /// Reads a whole file.
 pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, InterchangeError> {
@@ -49,7 +49,7 @@ pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
     millimetres.report(&mut notes.warnings);
     under_gaps.note(&mut notes);
     unit.judge(&positions_mm, points.markers.len(), &mut notes);
-    note_zeros(&positions_mm, points.markers.len(), &mut notes);
+    origin::note_zeros(&positions_mm, points.markers.len(), &mut notes);
     let up = options.up(up_axis(&parameters), &mut notes);
     parameters.turn(options.turn());
     let mut foreign = foreign::keep(&header, &parameters, &frames, &points, &positions_mm);
@@ -241,21 +241,6 @@ fn point_words(sample: &[u8], layout: &Layout) -> ([f64; 3], f32) {
         }
     }
     ([f64::NAN; 3], -1.0)
-}
-
-/// Some software leaves missing samples at the origin without marking them as missing. The format has a mark for them,
-/// so that others read positions there; they stay.
-fn note_zeros(positions: &[Position], n_markers: usize, notes: &mut Notes) {
-    let zeros = positions.iter().filter(|&&p| p == [0.0; 3]).count() as u64;
-    if zeros == 0 {
-        return;
-    }
-    if origin::missing(positions, n_markers).contains(&true) {
-        notes.ambiguous(Ambiguity::Origin { samples: zeros, gaps: false });
-    } else {
-        let present = positions.iter().filter(|&&p| !is_gap(p)).count();
-        notes.warnings.push(format!("{zeros} of {present} samples are exactly at the origin and not marked as missing; they were kept as positions."));
-    }
 }
 
 /// The axis that points up on a screen, where the file says so and it is a positive one.

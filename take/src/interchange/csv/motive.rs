@@ -16,7 +16,7 @@ use super::cells::LineCells;
 use super::read::{malformed, rate_from_times, rate_of_one_frame};
 use crate::interchange::text::{self, Cells, Rows};
 use crate::interchange::units::{FileUnit, Millimetres};
-use crate::interchange::{InterchangeError, ReadOptions, notes::Notes};
+use crate::interchange::{InterchangeError, ReadOptions, notes::Notes, origin};
 use crate::motion::{Foreign, GAP, Marker, Motion, MotionInfo, Source, UpAxis};
 
 /// Lines in which the head must end: more than any version has.
@@ -55,6 +55,7 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
     }
     let positions_mm = data.rows.into_rectangle(columns.len(), bytes.len(), "csv")?;
     unit.judge(&positions_mm, columns.len(), &mut notes);
+    origin::note_zeros(&positions_mm, columns.len(), &mut notes);
     Ok(Motion {
         positions_mm,
         info: MotionInfo {

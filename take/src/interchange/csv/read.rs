@@ -5,7 +5,7 @@ use super::{HEADER, long, motive};
 use crate::escape::from_cell;
 use crate::interchange::text::{self, Cells, Rows};
 use crate::interchange::units::{FileUnit, Millimetres};
-use crate::interchange::{InterchangeError, ReadOptions, notes::Notes};
+use crate::interchange::{InterchangeError, ReadOptions, notes::Notes, origin};
 use crate::motion::{Foreign, GAP, Motion, MotionInfo, Source, UpAxis};
 
 /// Share of the median interval by which another one may differ before the rate is called uneven.
@@ -66,6 +66,7 @@ pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
     }
     let positions_mm = data.rows.into_rectangle(head.labels.len(), bytes.len(), "csv")?;
     unit.judge(&positions_mm, head.labels.len(), &mut notes);
+    origin::note_zeros(&positions_mm, head.labels.len(), &mut notes);
     Ok(Motion {
         positions_mm,
         info: MotionInfo {
