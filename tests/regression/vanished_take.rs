@@ -188,6 +188,9 @@ fn the_service_ends_a_take_that_was_cut_short() {
     let socket = format!("unix:{}", folder.path("rig.sock").display());
     folder.run(&["ctl", "--connect", &socket, "stop"]).with_code(3);
     assert_eq!(file.metadata().unwrap().len(), 150, "nothing is written behind the cut");
+    let log = folder.text("rig.log");
+    let closed = log.lines().find(|line| line.contains("short is closed")).unwrap();
+    assert!(closed.contains("all frames behind the cut are lost"), "{closed}");
     // The next one is none the worse for it.
     assert_eq!(service.post("/v1/start", r#"{"name": "next"}"#).0, 200);
     let (status, stopped) = service.post("/v1/stop", "{}");

@@ -112,9 +112,14 @@ impl Inner {
         if settled.path.is_none() {
             return Err(self.vanished(name, &settled, output));
         }
-        let lost = written.ledger.frames_lost();
+        // The ledger counts what was written, and that is not in the file any more.
+        let lost = if ending == EndingKind::Truncated || settled.state == FileState::Truncated {
+            "all frames behind the cut are lost: `mocapd recover` keeps those before it".to_owned()
+        } else {
+            format!("{} frames lost", written.ledger.frames_lost())
+        };
         let words = format!(
-            "{name_now} is closed ({}): {:.1} s, {} bytes, {lost} frames lost",
+            "{name_now} is closed ({}): {:.1} s, {} bytes, {lost}",
             ending.word(),
             stopped.seconds,
             stopped.bytes
