@@ -91,7 +91,7 @@ fn a_unit_that_is_given_is_taken_kept_and_used_again() {
     folder.refuses(&["import", "a.c3d", "-o", "c.take", "--unit", "furlong"], 2);
     // A CSV file without a unit means millimetres, unless its motion is too small for them.
     let row = |i: usize, mm: f32| {
-        format!("{},0,0,{},0,0,{}\n", i as f32 / 100.0, 0.01 * i as f32 / mm, 1800.0 / mm)
+        format!("{},0,0,{},0,0,{}\n", i as f32 / 100.0, 0.01 * (i + 1) as f32 / mm, 1800.0 / mm)
     };
     for (mm, code) in [(1.0, 0), (1000.0, 2)] {
         let rows: String = (0..20).map(|i| row(i, mm)).collect();
