@@ -20,9 +20,6 @@ use crate::{
     units,
 };
 
-/// Frames that are on their way when the time is up still come.
-const GRACE: Duration = Duration::from_secs(1);
-
 /// What to record, and how to tell people.
 #[expect(missing_debug_implementations, reason = "closures have none")]
 pub struct RecordOptions<'a> {
@@ -86,11 +83,10 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
     let outcome = begun.map(|(intake, pipeline)| {
         (options.started)(pipeline.progress());
         let rows_max = options.length.map(|length| units::frame_at(length, rate_hz));
-        let time_max = options.length.map(|length| length + GRACE);
         let read = ReadOptions {
             stop: options.stop,
             rows_max,
-            time_max,
+            length: options.length,
             for_one_take: true,
             say: options.say,
         };

@@ -17,6 +17,7 @@ mod noise;
 mod nothing_to_compare;
 mod repeated_labels;
 mod rounded_meshes;
+mod silent_device;
 mod sparse_files;
 mod special_files;
 mod stalled_stop;

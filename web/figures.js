@@ -47,7 +47,7 @@ function rate({ input, device }) {
 /** Where a take is being written its ledger knows the causes. */
 export function causes(ledger) {
   const names = { lost_on_link: "on the link", dropped_by_device: "by the device", lost_ring_full: "ring full",
-    lost_other: "otherwise", unknown_after_disconnect: "while it was away" };
+    lost_other: "otherwise", unknown_after_disconnect: "while it was away or silent" };
   return Object.entries(names).filter(([key]) => ledger[key] > 0).map(([key, name]) => `${count(ledger[key])} ${name}`);
 }
 

@@ -54,8 +54,10 @@ impl OutagesReport {
     pub(crate) fn words(&self) -> Option<String> {
         let away = count(u64::from(self.count), "time");
         let frames = count(self.frames, "frame");
-        let words =
-            format!("the device was away {away}, {:.3} s of the take: {frames}", self.seconds);
+        let words = format!(
+            "the device was away or silent {away}, {:.3} s of the take: {frames}",
+            self.seconds
+        );
         (self.frames > 0).then_some(words)
     }
 }
@@ -71,6 +73,41 @@ struct ClockReport {
     drift_ppm: f64,
     residual_us: f64,
 }
+
+/// What is not in a take, by cause: frames, and samples of markers beyond the channel pool.
+#[derive(Debug, Default)]
+pub(crate) struct Losses {
+    pub(crate) lost_on_link: u64,
+    pub(crate) dropped_by_device: u64,
+    pub(crate) lost_ring_full: u64,
+    pub(crate) lost_other: u64,
+    pub(crate) unknown_after_disconnect: u64,
+    pub(crate) markers_dropped: u64,
+}
+
+impl Losses {
+    /// In one line; `None` when all is in it.
+    pub(crate) fn words(&self) -> Option<String> {
+        let parts = [
+            (self.lost_on_link, "lost on the link"),
+            (self.dropped_by_device, "dropped by the device"),
+            (self.lost_ring_full, "lost in the host because a ring was full"),
+            (self.lost_other, "lost in the host"),
+            (self.unknown_after_disconnect, UNKNOWN),
+        ];
+        let frames = parts.iter().filter(|part| part.0 > 0);
+        let mut said: Vec<String> =
+            frames.map(|&(n, what)| format!("{} {what}", count(n, "frame"))).collect();
+        if self.markers_dropped > 0 {
+            let samples = count(self.markers_dropped, "sample");
+            said.push(format!("{samples} of markers beyond the channel pool"));
+        }
+        (!said.is_empty()).then(|| said.join(", "))
+    }
+}
+
+/// Nobody knows whether the device produced these frames.
+const UNKNOWN: &str = "unknown: the device was away or silent";
 
 impl LedgerReport {
     pub(crate) fn new(ledger: &Ledger) -> Self {
@@ -105,6 +142,14 @@ impl LedgerReport {
         }
     }
 
+    pub(crate) fn recorded(&self) -> u64 {
+        self.recorded
+    }
+
+    pub(crate) fn frames_sent(&self) -> u64 {
+        self.frames_sent
+    }
+
     /// As an account that adds up before the reader's eyes.
     pub(crate) fn words(&self) -> String {
         let mut out = String::from(if self.finished {
@@ -122,7 +167,7 @@ impl LedgerReport {
         line(self.lost_in_host.ring_full, "lost in the host: a ring was full");
         for (n, what) in [
             (self.lost_in_host.other, "lost in the host: other"),
-            (self.unknown_after_disconnect, "unknown after the disconnect"),
+            (self.unknown_after_disconnect, UNKNOWN),
             (self.duplicates, "came again or too late, not recorded"),
         ] {
             if n > 0 {
@@ -156,21 +201,15 @@ impl LedgerReport {
 
     /// What is not in the take, in one line; `None` when all is.
     pub(crate) fn losses(&self) -> Option<String> {
-        let parts = [
-            (self.lost_on_link, "lost on the link"),
-            (self.dropped_by_device, "dropped by the device"),
-            (self.lost_in_host.ring_full, "lost in the host because a ring was full"),
-            (self.lost_in_host.other, "lost in the host"),
-            (self.unknown_after_disconnect, "unknown after the disconnect"),
-        ];
-        let frames = parts.iter().filter(|part| part.0 > 0);
-        let mut said: Vec<String> =
-            frames.map(|&(n, what)| format!("{} {what}", count(n, "frame"))).collect();
-        if self.markers_dropped > 0 {
-            let samples = count(self.markers_dropped, "sample");
-            said.push(format!("{samples} of markers beyond the channel pool"));
+        Losses {
+            lost_on_link: self.lost_on_link,
+            dropped_by_device: self.dropped_by_device,
+            lost_ring_full: self.lost_in_host.ring_full,
+            lost_other: self.lost_in_host.other,
+            unknown_after_disconnect: self.unknown_after_disconnect,
+            markers_dropped: self.markers_dropped,
         }
-        (!said.is_empty()).then(|| said.join(", "))
+        .words()
     }
 
     /// Why it does not close, in one line; `None` when it does.

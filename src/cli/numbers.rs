@@ -18,6 +18,15 @@ pub(crate) fn count(n: u64, what: &str) -> String {
     format!("{} {what}{}", thousands(n), if n == 1 { "" } else { "s" })
 }
 
+/// `12 345 frames`, or `300 of 12 345 frames` where some of the rows are empty.
+pub(crate) fn frames_of(recorded: u64, rows: u64) -> String {
+    if recorded < rows {
+        format!("{} of {}", thousands(recorded), count(rows, "frame"))
+    } else {
+        count(rows, "frame")
+    }
+}
+
 /// `1.3 MB`.
 pub(crate) fn bytes(n: u64) -> String {
     match n {
@@ -38,6 +47,8 @@ mod tests {
         assert_eq!(thousands(1_234_567), "1 234 567");
         assert_eq!(count(1, "marker"), "1 marker");
         assert_eq!(count(1200, "frame"), "1 200 frames");
+        assert_eq!(frames_of(1200, 1200), "1 200 frames");
+        assert_eq!(frames_of(300, 1200), "300 of 1 200 frames");
         assert_eq!(bytes(999), "999 B");
         assert_eq!(bytes(1_250_000), "1.2 MB");
     }

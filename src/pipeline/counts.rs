@@ -42,7 +42,8 @@ pub struct Counts {
     pub link: LinkCounters,
     /// The device's last report, of all its frames: those before an outage too.
     pub status: Option<Status>,
-    /// Frames that the device's counter told of when it was last started, which its reports leave out.
+    /// Frames that its reports leave out: those that its counter told of when it was last started, and those that were due
+    /// in a silence and not produced.
     pub reports_from: u64,
     /// Of the rows missing before its first frame since then, those that its reports tell of too: it had begun.
     pub told_twice: u64,
@@ -89,7 +90,9 @@ impl Counts {
 
     /// The device reports on itself. `early`: before its first frame after an outage, by which alone its account can
     /// be joined to the one before.
-    pub(super) fn status(&mut self, status: Status, early: bool) {
+    ///
+    /// Whether all that it produced is in the rows.
+    pub(super) fn status(&mut self, status: Status, early: bool) -> bool {
         let reports_from = if early { self.seen() } else { self.reports_from };
         let mut frames_produced = status.frames_produced.saturating_add(reports_from);
         if !early {
@@ -103,6 +106,7 @@ impl Counts {
             frames_dropped: status.frames_dropped.saturating_add(self.dropped_before),
             ..status
         });
+        frames_produced <= self.seen()
     }
 
     /// So many rows are missing for the time that the device was away. How many of them its reports tell of too is
@@ -111,6 +115,17 @@ impl Counts {
         self.lost_in_outages += rows;
         self.outages += u32::from(rows > 0);
         self.told_twice = rows;
+    }
+
+    /// So many rows were due in a silence that lasts, by the host's clock.
+    pub(super) fn lost_to_silence(&mut self, rows: u64) {
+        self.lost_in_outages += rows;
+        self.outages += u32::from(rows > 0);
+    }
+
+    /// So many of these were never produced: the device's reports leave them out.
+    pub(super) fn not_produced(&mut self, rows: u64) {
+        self.reports_from += rows;
     }
 
     /// The device is started again after an outage, and its reports with it.

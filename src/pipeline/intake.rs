@@ -90,6 +90,10 @@ pub struct Intake {
     begins_then: Option<Boundary>,
     /// Rows of the absence that lasts, which takes that ended meanwhile have already.
     rows_away: u64,
+    /// The host's monotonic time, as it was told last.
+    now_ns: u64,
+    /// The device was asked to stop, or should have, then: no frames are due from there on.
+    due_until_ns: Option<u64>,
     finished: bool,
     desk: DeskIn,
     tap: TapIn,
@@ -151,6 +155,8 @@ impl Intake {
             rejoining: false,
             begins_then: None,
             rows_away: 0,
+            now_ns: 0,
+            due_until_ns: None,
             finished: false,
             desk,
             tap,
@@ -159,6 +165,7 @@ impl Intake {
 
     /// One frame, at the host's monotonic time of its last byte.
     pub fn frame(&mut self, frame: &Frame<'_>, arrival_ns: u64) {
+        self.now_ns = arrival_ns;
         self.look_at_desk(arrival_ns);
         let rejoins = self.rejoining;
         // Its frames came before whoever waited for it was told.
@@ -213,6 +220,7 @@ impl Intake {
     /// The host's monotonic time, told also when nothing arrives: a stretch that stays open because frames
     /// come slowly, or no more, goes to disk all the same.
     pub fn tick(&mut self, now_ns: u64) {
+        self.now_ns = now_ns;
         self.beat.moved();
         self.look_at_desk(now_ns);
         if self.open_rows > 0 && now_ns.saturating_sub(self.open_since_ns) > self.open_ns_max {
@@ -273,7 +281,7 @@ impl Intake {
     /// Ends the open stretch; the next one is a short key stretch, so that what begins there is on disk soon.
     fn cut(&mut self, boundary: Boundary, now_ns: u64) {
         self.close_stretch();
-        if self.is_away && !boundary.begins {
+        if !boundary.begins {
             self.count_absence(now_ns);
         }
         self.close_pending();
@@ -285,7 +293,17 @@ impl Intake {
 
     /// The device's report on itself.
     pub fn status(&mut self, status: Status, last: bool) {
-        self.counts.status(status, self.rejoining);
+        if last && !self.rejoining {
+            // Its last word on what was due by the host's clock alone.
+            let told = status.frames_produced.saturating_add(self.counts.reports_from);
+            let not_produced = self.counts.seen().saturating_sub(told).min(self.rows_away);
+            self.rows_away -= not_produced;
+            self.counts.not_produced(not_produced);
+        }
+        let is_accounted = self.counts.status(status, self.rejoining);
+        if is_accounted && !self.rejoining {
+            self.silences.account(self.now_ns);
+        }
         self.counts.ended |= last;
     }
 
@@ -367,6 +385,11 @@ impl Intake {
         self.progress.ring_latency_p99_ns.store(p99_ns, Ordering::Relaxed);
     }
 
+    /// The device was told to stop, or should have been done, at `host_ns`: that no frame comes after it is no loss.
+    pub fn no_frames_due_after(&mut self, host_ns: u64) {
+        self.due_until_ns.get_or_insert(host_ns);
+    }
+
     /// Why there will be no more frames: a take that is open ends so.
     pub fn ends(&self, ending: TakeEnding) {
         // It ends once.
@@ -384,6 +407,7 @@ impl Intake {
             return;
         }
         self.clocks.close();
+        self.count_absence(self.now_ns);
         if let Some(status) = self.counts.status {
             let unseen = status.frames_produced.saturating_sub(self.counts.seen());
             if unseen > UNSEEN_MAX {

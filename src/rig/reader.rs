@@ -26,6 +26,9 @@ const SILENCE: Duration = Duration::from_secs(3);
 /// How long to wait for the end of the stream after Stop.
 const STOP_WITHIN: Duration = Duration::from_secs(2);
 
+/// Frames that are on their way when the time is up still come.
+const GRACE_NS: u64 = 1_000_000_000;
+
 /// When to stop, and what to tell.
 #[expect(missing_debug_implementations, reason = "a closure has none")]
 pub struct ReadOptions<'a> {
@@ -33,8 +36,9 @@ pub struct ReadOptions<'a> {
     pub stop: &'a AtomicBool,
     /// Stop after so many rows.
     pub rows_max: Option<u64>,
-    /// Stop after so long by the host's clock, too: frames may come slowly, or not at all.
-    pub time_max: Option<Duration>,
+    /// Stop after so long by the host's clock, too, and a moment for frames that are on their way: they may come slowly,
+    /// or not at all.
+    pub length: Option<Duration>,
     /// Whether it is there for one take: what ends the take ends the reading, and what others do to the take's file is
     /// said.
     pub for_one_take: bool,
@@ -106,6 +110,7 @@ impl Rig {
             started_again: 0,
             outages: 0,
             notes: Vec::new(),
+            due_until_ns: None,
         };
         let outcome = self.read_frames(&mut reader, options);
         let Reader { latency, outages, .. } = reader;
@@ -125,14 +130,17 @@ impl Rig {
             return Ok(Ending::Stopped);
         }
         let started_ns = monotonic_ns();
+        let length_ns = options.length.map(|length| length.as_nanos() as u64);
+        reader.due_until_ns = length_ns.map(|length_ns| started_ns.saturating_add(length_ns));
         let told = Cell::new(reader.intake.file_changes());
         let is_over = |reader: &Reader<'_>| {
             tell_file(reader.intake, options, &told);
-            let time_max = options.time_max.map(|max| max.as_nanos() as u64);
             options.stop.load(Ordering::Relaxed)
                 || end_of_take(reader.intake, options).is_some()
                 || options.rows_max.is_some_and(|max| reader.intake.next_row() >= max)
-                || time_max.is_some_and(|max| monotonic_ns() - started_ns > max)
+                || reader
+                    .due_until_ns
+                    .is_some_and(|due_ns| monotonic_ns() > due_ns.saturating_add(GRACE_NS))
         };
         loop {
             let or_end = |ending, intake: &Intake| end_of_take(intake, options).unwrap_or(ending);
@@ -182,9 +190,11 @@ impl Rig {
                 told_silent = false;
                 reader.asked = None;
             } else if !told_silent && now_ns - last_frame_ns > SILENCE.as_nanos() as u64 {
-                (options.say)(
-                    "no frame for 3 s: is the device capturing? Still waiting; Ctrl-C finishes the take",
-                );
+                (options.say)(if options.for_one_take {
+                    "no frame for 3 s: is the device capturing? Still waiting; Ctrl-C finishes the take"
+                } else {
+                    "no frame for 3 s: is the device capturing? Still waiting"
+                });
                 told_silent = true;
             }
             if told_silent && stop_said_ns.is_none() {
@@ -238,6 +248,8 @@ impl Rig {
                             return Ok(Ending::Stopped);
                         }
                     }
+                    let due_until_ns = reader.due_until_ns.map_or(now_ns, |due| due.min(now_ns));
+                    reader.intake.no_frames_due_after(due_until_ns);
                     stop_said_ns = Some(now_ns);
                     reader.no_longer_asking();
                 }
@@ -373,6 +385,8 @@ pub(super) struct Reader<'a> {
     outages: u32,
     /// What people should be told.
     notes: Vec<String>,
+    /// When the time is up, by the host's monotonic clock.
+    due_until_ns: Option<u64>,
 }
 
 impl Reader<'_> {

@@ -69,9 +69,14 @@ impl Rig {
         }
         let gone_ns = monotonic_ns();
         (options.say)(&format!(
-            "{} is gone: plug it in again within {} s, and the take goes on; Ctrl-C finishes it",
+            "{} is gone: plug it in again within {} s, and {}",
             self.uri,
-            (self.patience.as_secs_f64() * 10.0).round() / 10.0
+            (self.patience.as_secs_f64() * 10.0).round() / 10.0,
+            if options.for_one_take {
+                "the take goes on; Ctrl-C finishes it"
+            } else {
+                "recording goes on"
+            }
         ));
         let mut obstacle = Obstacle { words: String::new(), since_ns: gone_ns, told: true };
         let mut watch = UsbWatch::new();
@@ -84,9 +89,8 @@ impl Rig {
             };
             let wait = match self.attempt(reader, options, &give_up) {
                 Attempt::Back => {
-                    let gone_s = (monotonic_ns() - gone_ns) as f64 * 1e-9;
-                    let words = format!("the device is back after {gone_s:.1} s");
-                    (options.say)(&words);
+                    // How long it was away its first frame tells.
+                    (options.say)("the device is back");
                     return true;
                 }
                 Attempt::Absent(words) => {

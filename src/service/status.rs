@@ -180,6 +180,22 @@ pub struct LedgerStatus {
     pub contradictions: Vec<String>,
 }
 
+impl LedgerStatus {
+    /// Frames that the device produced and the take does not have, as far as is known.
+    #[must_use]
+    pub fn frames_lost(&self) -> u64 {
+        [
+            self.lost_on_link,
+            self.dropped_by_device,
+            self.lost_ring_full,
+            self.lost_other,
+            self.unknown_after_disconnect,
+        ]
+        .iter()
+        .fold(0, |sum, &n| sum.saturating_add(n))
+    }
+}
+
 /// A take that is there.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct TakeSummary {

@@ -65,7 +65,8 @@ impl Simulated {
         Self::serve_at(None, device, baud)
     }
 
-    fn serve_at(
+    /// The same, at a path that is known before.
+    pub(crate) fn serve_at(
         link: Option<PathBuf>,
         mut device: impl LineDevice + Send + 'static,
         baud: Option<u32>,

@@ -182,3 +182,48 @@ fn drops_that_are_told_late_contradict_nothing() {
         pipeline.join().unwrap();
     }
 }
+
+/// 300 frames, a silence of 200, and a stop in it. The counter stands still in the silence, goes on, or goes on and
+/// frames of it come late; the device says nothing meanwhile, or that it produced none.
+#[test]
+fn a_take_that_ends_in_a_silence_has_what_was_due_in_it_and_the_next_one_has_none_of_it() {
+    let motion = jump(27, 100.0, 20.0);
+    for (goes_on, accounted) in [(true, false), (false, false), (false, true)] {
+        let (mut intake, pipeline, mut armed) = arm(&motion, PRE_ROLL);
+        let begun = armed.takes.begin(new_take(&motion, Duration::ZERO, 0)).unwrap();
+        feed_all(&mut intake, &motion, 0..300);
+        intake.tick(arrival_ns(&motion, 400));
+        if accounted {
+            let (frames_produced, frames_dropped) = (300, 0);
+            intake.status(Status { frames_produced, frames_dropped, ..Status::default() }, false);
+        }
+        armed.takes.end(EndingKind::Stopped).unwrap();
+        intake.tick(arrival_ns(&motion, 500));
+        let (written, take) = ended(&begun);
+        let ledger = &written.ledger;
+        let lost = if accounted { 99 } else { 200 };
+        assert_eq!((ledger.recorded, ledger.unknown_after_disconnect), (300, lost), "{ledger:?}");
+        assert!(ledger.closes() && ledger.lost_anything(), "{ledger:?}");
+        let summary = Summary::read(&take[..]).unwrap();
+        assert_eq!((summary.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
+        let event = summary.events.last().unwrap();
+        assert_eq!(event.text, "no frame came for 2.010 s");
+        // The next take begins in the silence.
+        let begun = armed.takes.begin(new_take(&motion, Duration::ZERO, 600)).unwrap();
+        intake.tick(arrival_ns(&motion, 600));
+        let resumed = if goes_on { 700 } else { 300 };
+        feed_all(&mut intake, &motion, resumed..resumed + 100);
+        let frames_produced = resumed as u64 + 100;
+        intake.status(Status { frames_produced, ..Status::default() }, true);
+        drop(intake);
+        let (written, take) = ended(&begun);
+        let ledger = &written.ledger;
+        // What no take has, 500 to 700, is the loss of the one that was open then.
+        let lost = if goes_on { 200 } else { 0 };
+        assert_eq!((ledger.recorded, ledger.frames_lost()), (100, lost), "{ledger:?}");
+        assert!(ledger.closes(), "{ledger:?}");
+        let summary = Summary::read(&take[..]).unwrap();
+        assert_eq!((summary.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
+        pipeline.join().unwrap();
+    }
+}

@@ -11,7 +11,8 @@ use mocapd::{
 };
 
 use crate::cli::{
-    numbers::{bytes, count, thousands},
+    ledger::Losses,
+    numbers::{bytes, count, frames_of, thousands},
     output::plain,
 };
 
@@ -44,7 +45,7 @@ pub(super) fn status(status: &Status) -> String {
     let lost = thousands(input.lost);
     writeln!(
         out,
-        "  input     {}, {lost} lost, {:.1} Hz",
+        "  input     {}, {lost} lost since it was armed, {:.1} Hz",
         count(input.frames, "frame"),
         input.measured_hz
     )
@@ -86,10 +87,9 @@ pub(super) fn status(status: &Status) -> String {
 
 /// One line.
 pub(super) fn line(status: &Status) -> String {
-    let lost = thousands(status.input.lost);
     let now = match &status.take {
         Some(take) => {
-            let of = plain(&take.name);
+            let (of, lost) = (plain(&take.name), thousands(take.ledger.frames_lost()));
             format!("recording {of}, {:.1} s, {}, {lost} lost", take.seconds, bytes(take.bytes))
         }
         None => state(status.state).to_owned(),
@@ -108,7 +108,7 @@ pub(super) fn watched(status: &Status) -> String {
     }
     let (input, pre_roll) = (&status.input, &status.pre_roll);
     if status.take.is_none() {
-        out += &format!(", {} lost", thousands(input.lost));
+        out += &format!(", {} lost since it was armed", thousands(input.lost));
     }
     out += &format!(", {:.1} Hz", input.measured_hz);
     if pre_roll.wanted_s > 0.0 {
@@ -173,32 +173,22 @@ pub(super) fn started(started: &Started) -> String {
 
 pub(super) fn stopped(stopped: &Stopped) -> String {
     let path = stopped.path.display().to_string();
-    let frames = count(stopped.ledger.recorded, "frame");
+    let frames = frames_of(stopped.ledger.recorded, stopped.rows);
     let (size, ending) = (bytes(stopped.bytes), plain(&stopped.ending));
     format!("{}: {frames}, {:.1} s, {size}; it ended: {ending}\n", plain(&path), stopped.seconds)
 }
 
 /// What a ledger tells of loss, in one line.
 pub(super) fn losses(ledger: &LedgerStatus) -> Option<String> {
-    let lost = [
-        (ledger.lost_on_link, "lost on the link"),
-        (ledger.dropped_by_device, "dropped by the device"),
-        (ledger.lost_ring_full, "lost in the host, a ring was full"),
-        (ledger.lost_other, "lost in the host"),
-        (ledger.unknown_after_disconnect, "unknown, the device was away"),
-    ];
-    let mut said: Vec<String> = lost
-        .iter()
-        .filter(|(n, _)| *n > 0)
-        .map(|&(n, how)| format!("{} {how}", count(n, "frame")))
-        .collect();
-    if ledger.markers_dropped > 0 {
-        said.push(format!(
-            "{} of markers without a channel",
-            count(ledger.markers_dropped, "sample")
-        ));
+    Losses {
+        lost_on_link: ledger.lost_on_link,
+        dropped_by_device: ledger.dropped_by_device,
+        lost_ring_full: ledger.lost_ring_full,
+        lost_other: ledger.lost_other,
+        unknown_after_disconnect: ledger.unknown_after_disconnect,
+        markers_dropped: ledger.markers_dropped,
     }
-    (!said.is_empty()).then(|| said.join("; "))
+    .words()
 }
 
 pub(super) fn takes(takes: &[TakeSummary]) -> String {
@@ -243,7 +233,7 @@ mod tests {
             LedgerStatus { lost_on_link: 1, markers_dropped: 1200, ..LedgerStatus::default() };
         assert_eq!(
             losses(&ledger).unwrap(),
-            "1 frame lost on the link; 1 200 samples of markers without a channel"
+            "1 frame lost on the link, 1 200 samples of markers beyond the channel pool"
         );
     }
 

@@ -226,6 +226,11 @@ impl Report {
         }
     }
 
+    /// Frames in the take, by its ledger.
+    pub(super) fn frames_recorded(&self) -> Option<u64> {
+        self.ledger.as_ref().map(LedgerReport::recorded)
+    }
+
     /// What was lost before it reached the take, in one line.
     pub(super) fn losses(&self) -> Option<String> {
         self.ledger.as_ref()?.losses()

@@ -9,7 +9,7 @@ use crate::cli::{
     clock::ClockReport,
     damage,
     ledger::LedgerReport,
-    numbers::{bytes, count, thousands},
+    numbers::{bytes, count, frames_of, thousands},
     output::plain,
 };
 
@@ -111,7 +111,8 @@ fn origin(report: &Report, line: &mut impl FnMut(&str, &str)) {
 
 fn motion(report: &Report, line: &mut impl FnMut(&str, &str)) {
     let up = report.up_axis.map_or(String::new(), |axis| format!(", {axis} is up"));
-    let frames = count(report.frames, "frame");
+    let recorded = report.frames_recorded().unwrap_or(report.frames);
+    let frames = frames_of(recorded, report.frames);
     let markers = count(report.markers as u64, "marker");
     line(
         "motion",

@@ -11,7 +11,7 @@ use crate::cli::{
     clock::ClockReport,
     codec_args::tolerance_mm,
     ledger::{LedgerReport, OutagesReport},
-    numbers::{bytes, count, thousands},
+    numbers::{bytes, count, frames_of, thousands},
     output::shown,
 };
 
@@ -169,7 +169,7 @@ impl Report {
         format!(
             "{}: {} of {} at {} Hz, {} as float32, {} on disk ({:.1}:1), {bound}\n{}{}{}",
             shown(&self.take),
-            count(self.frames, "frame"),
+            frames_of(self.frames, self.ledger.frames_sent()),
             self.markers_in_words(),
             self.rate_hz,
             bytes(self.raw_bytes),

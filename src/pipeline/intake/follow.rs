@@ -13,14 +13,23 @@ impl Intake {
     pub(super) fn follow(&mut self, frame: &Frame<'_>) -> bool {
         match self.axis.step(frame.seq, frame.device_ticks) {
             Step::Next { missing } => {
-                self.counts.not_received += u64::from(missing);
-                self.pending.add(u64::from(missing), Causes::NOT_RECEIVED);
+                // A take that ended in a silence has what was due in it.
+                let counted = std::mem::take(&mut self.rows_away);
+                let missing = u64::from(missing);
+                self.counts.not_produced(counted.saturating_sub(missing));
+                let new = missing.saturating_sub(counted);
+                self.counts.not_received += new;
+                self.pending.add(new, Causes::NOT_RECEIVED);
             }
             Step::Again => {
                 self.counts.duplicates += 1;
                 return false;
             }
-            Step::Jump => self.counts.counter_jumps += 1,
+            Step::Jump => {
+                self.counts.counter_jumps += 1;
+                let counted = std::mem::take(&mut self.rows_away);
+                self.counts.not_produced(counted);
+            }
         }
         true
     }
@@ -68,18 +77,8 @@ impl Intake {
         self.pending.add(new, causes);
     }
 
-    /// A take ends while the device is away: what was due since its last frame, by the host's clock, is that take's
-    /// loss, and stands in it.
-    pub(super) fn count_absence(&mut self, now_ns: u64) {
-        let due = self.due(self.silences.until_ns(now_ns) as f64 * 1e-9);
-        let new = due.saturating_sub(self.rows_away);
-        self.rows_away += new;
-        self.counts.lost_to_outage(new);
-        self.pending.add(new, Causes::DISCONNECTED);
-    }
-
     /// How many frames fit between two that are so far apart.
-    fn due(&self, silent_s: f64) -> u64 {
+    pub(super) fn due(&self, silent_s: f64) -> u64 {
         ((silent_s * self.rate_hz).round() as u64).saturating_sub(1).min(UNSEEN_MAX)
     }
 }

@@ -204,7 +204,7 @@ impl Inner {
         let options = ReadOptions {
             stop: &stop,
             rows_max: None,
-            time_max: None,
+            length: None,
             for_one_take: false,
             say: &say,
         };

@@ -51,7 +51,7 @@ pub(crate) fn replugged() -> Measured {
     let acted = recorder.said("is gone: plug it in again", PATIENCE)? - pulled;
     sleep(Duration::from_secs(1));
     let plugged = simulator.plug(&controller)?;
-    let back = recorder.said("the device is back after", PATIENCE)? - plugged;
+    let back = recorder.said("the device is back", PATIENCE)? - plugged;
     ensure!(back < BACK_WITHIN, "recorded again after {} ms", back.as_millis());
     sleep(Duration::from_secs(2));
     recorder.interrupt()?;

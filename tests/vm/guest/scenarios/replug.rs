@@ -41,7 +41,7 @@ fn pull_and_plug(simulator: Simulator, take: &str) -> Measured {
     let acted = recorder.said("is gone: plug it in again", PATIENCE)? - pulled;
     sleep(WHILE);
     let plugged = simulator.plug(&controller)?;
-    let back = recorder.said("the device is back after", PATIENCE)? - plugged;
+    let back = recorder.said("the device is back", PATIENCE)? - plugged;
     sleep(WHILE);
     let account = ended(recorder, take)?;
     let sent = simulator.stop()?;
@@ -100,7 +100,7 @@ pub(crate) fn without_udev() -> Measured {
         let plugged = simulator.plug(&controller)?;
         // Without udev nobody sets permissions either: this stands in for a machine that has its own way.
         open_to_all("PLUG3")?;
-        let back = recorder.said("the device is back after", PATIENCE)? - plugged;
+        let back = recorder.said("the device is back", PATIENCE)? - plugged;
         ensure!(acted < ACTED_WITHIN, "acted on after {} ms", acted.as_millis());
         ensure!(back < BACK_WITHIN, "recorded again after {} ms", back.as_millis());
         Ok(format!("recorded again {} ms after the replug", back.as_millis()))
@@ -133,7 +133,7 @@ fn cut_power(plug_in: impl Fn() -> anyhow::Result<Simulator>, take: &str) -> Mea
     let cut = Instant::now();
     simulator.kill()?;
     let simulator = plug_in()?;
-    let away_s = (recorder.said("the device is back after", PATIENCE)? - cut).as_secs_f64();
+    let away_s = (recorder.said("the device is back", PATIENCE)? - cut).as_secs_f64();
     sleep(WHILE);
     let account = ended(recorder, take)?;
     // The device's counter says nothing of the time between: the take keeps it by the host's clock.
