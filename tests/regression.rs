@@ -10,6 +10,7 @@ mod device_away;
 mod event_numbers;
 mod foreign_readers;
 mod idle_connections;
+mod lines_and_frames;
 mod local_time;
 mod lossy_exports;
 mod negative_residuals;

@@ -28,6 +28,13 @@ pub enum Ambiguity {
         /// 0 where nothing can be measured.
         span: f64,
     },
+    /// The unit of length that the file states makes of its markers something too small or too large to be captured.
+    StatedUnit {
+        /// As it stands in the file.
+        stated: String,
+        /// What the markers span in it, and how far they are from the origin, whichever is more: in millimetres.
+        span_mm: f64,
+    },
     /// Places in the file disagree about what a frame holds.
     FrameLayout {
         /// What they state.
@@ -57,6 +64,11 @@ pub enum Ambiguity {
 /// Markers that span more than this in whatever unit are measured in millimetres: 500 cm are more than a body with all
 /// its reach, and so are 500 inches or feet; half a metre is the smallest set of markers that is larger than a head.
 const SPAN_OF_MILLIMETRES: f64 = 500.0;
+/// Markers that are all so near to each other and to the origin are not in the unit that is stated: metres that are called
+/// millimetres are within 10, and a volume for fingers is calibrated with a wand of 50 mm and more.
+const STATED_TOO_SMALL_MM: f64 = 25.0;
+/// Neither are those that are so far: the largest outdoor volumes are some 100 m.
+const STATED_TOO_LARGE_MM: f64 = 1e6;
 /// A tolerance may be such a part of what markers span: of a body of 1.8 m that is 1.8 mm.
 const TOLERANCE_OF_SPAN: f64 = 1e-3;
 
@@ -64,13 +76,21 @@ impl Ambiguity {
     /// Whether it is a unit that may well not be millimetres: the markers span too little for that.
     #[must_use]
     pub fn is_in_doubt(&self) -> bool {
-        matches!(self, Self::Unit { span, .. } if *span > 0.0 && *span < SPAN_OF_MILLIMETRES)
+        match self {
+            Self::Unit { span, .. } => *span > 0.0 && *span < SPAN_OF_MILLIMETRES,
+            Self::StatedUnit { span_mm, .. } => {
+                *span_mm > STATED_TOO_LARGE_MM || (*span_mm > 0.0 && *span_mm < STATED_TOO_SMALL_MM)
+            }
+            _ => false,
+        }
     }
 
     /// Whether samples that are kept within a tolerance would be destroyed, were the unit not millimetres.
     #[must_use]
     pub fn is_destroyed_by(&self, tolerance_mm: f64) -> bool {
-        let Self::Unit { span, .. } = self else { return false };
+        let (Self::Unit { span, .. } | Self::StatedUnit { span_mm: span, .. }) = self else {
+            return false;
+        };
         self.is_in_doubt() && tolerance_mm > TOLERANCE_OF_SPAN * span
     }
 
@@ -79,6 +99,7 @@ impl Ambiguity {
     pub fn kind(&self) -> &'static str {
         match self {
             Self::Unit { .. } => "unit",
+            Self::StatedUnit { .. } => "stated_unit",
             Self::FrameLayout { .. } => "frame_layout",
             Self::FourthWords { .. } => "fourth_words",
             Self::CoordinatesUnderGaps { .. } => "coordinates_under_gaps",
@@ -100,6 +121,11 @@ impl fmt::Display for Ambiguity {
                     "; positions were read as millimetres, in which the markers span {span:.4} mm."
                 )
             }
+            Self::StatedUnit { stated, span_mm } => write!(
+                f,
+                "The unit of length is `{stated}`, in which all markers are within {span_mm:.4} mm: hardly what was captured; \
+                 if it is another, give it with --unit."
+            ),
             Self::FrameLayout { stated, taken } => {
                 let FrameLayout { points, analog_per_frame, data_offset, integers } = taken;
                 let kind = if *integers { "integers" } else { "floats" };

@@ -70,7 +70,7 @@ fn more_markers_than_a_take_has_are_refused_by_an_import() {
     let folder = Folder::new();
     let csv = |n: usize| {
         let labels: Vec<_> = (0..n).map(|i| format!("{i}.x,{i}.y,{i}.z")).collect();
-        let row = vec!["1,2,3"; n].join(",");
+        let row = vec!["100,200,300"; n].join(",");
         format!("frame,time_s,{}\n1,0,{row}\n2,0.01,{row}\n", labels.join(","))
     };
     folder.write("most.csv", csv(CHANNELS_MAX));
@@ -89,7 +89,9 @@ fn a_label_as_long_as_a_book_is_shown() {
     let label = "L".repeat(70_000);
     folder.write(
         "a.csv",
-        format!("frame,time_s,{label}.x,{label}.y,{label}.z\n1,0,1,2,3\n2,0.01,1,2,3\n"),
+        format!(
+            "frame,time_s,{label}.x,{label}.y,{label}.z\n1,0,100,200,300\n2,0.01,100,200,300\n"
+        ),
     );
     folder.run(&["import", "a.csv", "-o", "a.take"]).with_code(0);
     let ran = folder.run(&["info", "a.take"]).with_code(0);

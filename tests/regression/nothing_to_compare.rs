@@ -14,7 +14,7 @@ fn motion(first_frame: u64, n_frames: u64, n_markers: usize, prefix: &str) -> Mo
         source: Source { factor: 1.0, first_frame, ..Source::default() },
         ..MotionInfo::default()
     };
-    Motion { info, positions_mm: vec![[1.0, 2.0, 3.0]; n_frames as usize * n_markers] }
+    Motion { info, positions_mm: vec![[100.0, 200.0, 300.0]; n_frames as usize * n_markers] }
 }
 
 #[test]

@@ -101,21 +101,31 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     Ok(Outcome::of(motion.info.source.frames_missing > 0))
 }
 
-/// Refuses a tolerance that would leave nothing of the motion if the unit, which nothing states, is not millimetres.
+/// Refuses a tolerance that would leave nothing of the motion if the unit, which nothing states or which is unlikely, is
+/// another one.
 ///
 /// # Errors
 /// A usage error that names `--unit`.
 fn check_unit(motion: &Motion, file: &Path, tolerance_mm: f64) -> anyhow::Result<()> {
     let is_destroyed = |found: &&Ambiguity| found.is_destroyed_by(tolerance_mm);
     let found = motion.info.source.ambiguities.iter().find(is_destroyed);
-    let Some(Ambiguity::Unit { stated, span }) = found else { return Ok(()) };
-    let why = match stated.as_str() {
-        "" => "no unit of length is stated".to_owned(),
-        unit => format!("the unit of length `{}` is not known", plain(unit)),
+    let why = match found {
+        Some(Ambiguity::Unit { stated, span }) => {
+            let unit = match stated.as_str() {
+                "" => "no unit of length is stated".to_owned(),
+                unit => format!("the unit of length `{}` is not known", plain(unit)),
+            };
+            format!("{unit}, and the markers span {span:.4} of it")
+        }
+        Some(Ambiguity::StatedUnit { stated, span_mm }) => format!(
+            "the unit of length is stated as `{}`, in which all markers are within {span_mm:.4} mm",
+            plain(stated)
+        ),
+        _ => return Ok(()),
     };
     Err(UsageError(format!(
-        "{}: {why}, and the markers span {span:.4} of it, too little for millimetres within {tolerance_mm} mm: give --unit \
-         (mm, cm, m, in...), or --lossless to keep every bit as millimetres",
+        "{}: {why}, too little for millimetres within {tolerance_mm} mm: give --unit (mm, cm, m, in...), or --lossless to \
+         keep every bit as it is read",
         file.display()
     ))
     .into())

@@ -16,6 +16,7 @@ mod about;
 pub mod bids;
 mod c3d;
 mod csv;
+mod line_frames;
 #[cfg(feature = "full")]
 mod mcap;
 mod notes;

@@ -9,6 +9,15 @@ use crate::motion::{GAP, Marker, MotionInfo, Position};
 /// Positions a byte of text may claim: a short row next to a wide one must not earn unbounded memory.
 pub(super) const MAX_POSITIONS_PER_BYTE: usize = 4;
 
+/// Said of a file whose last number may lack digits.
+pub(super) const CUT_OFF: &str =
+    "The file ends within its last line; the sample whose number may be cut off there is a gap.";
+
+/// Most frames of so many markers that so many bytes may mean.
+pub(super) fn frames_max(n_bytes: usize, n_markers: usize) -> usize {
+    n_bytes.saturating_mul(MAX_POSITIONS_PER_BYTE) / n_markers.max(1)
+}
+
 /// The lines of a text with their 1-based numbers, without a byte order mark and without line ends (LF or CRLF).
 pub(super) fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
     let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
@@ -39,6 +48,36 @@ pub(super) fn whole_number(cell: &[u8]) -> Option<u64> {
     let value = number(cell)?;
     (value.fract() == 0.0 && (0.0..=9_007_199_254_740_992.0).contains(&value))
         .then_some(value as u64)
+}
+
+/// Digits behind the point.
+pub(super) fn decimals(cell: &[u8]) -> usize {
+    let point = cell.iter().position(|&b| b == b'.');
+    let behind = point.and_then(|point| cell.get(point + 1..)).unwrap_or(&[]);
+    behind.iter().take_while(|b| b.is_ascii_digit()).count()
+}
+
+/// Whether the last number of a text was cut off: no line end stands behind it, and every other number of its column has
+/// more digits behind the point. `cells` are those of a line; lines from `first_line` on are compared.
+pub(super) fn ends_within_a_number<'a, I: Iterator<Item = &'a [u8]>>(
+    bytes: &'a [u8],
+    first_line: usize,
+    cells: impl Fn(&'a [u8]) -> I,
+) -> bool {
+    if bytes.ends_with(b"\n") {
+        return false;
+    }
+    let mut lines = lines(bytes).skip(first_line.saturating_sub(1)).map(|(_, line)| line);
+    let Some(last) = lines.by_ref().last() else { return false };
+    let Some((column, cut)) = cells(last).enumerate().last() else { return false };
+    let others = self::lines(bytes).skip(first_line.saturating_sub(1));
+    let others = others.filter(|(_, line)| !std::ptr::eq(line.as_ptr(), last.as_ptr()));
+    let fewest = others
+        .filter_map(|(_, line)| cells(line).nth(column))
+        .filter(|cell| number(cell).is_some())
+        .map(|cell| decimals(cell.trim_ascii()))
+        .min();
+    number(cut).is_some() && fewest.is_some_and(|fewest| decimals(cut.trim_ascii()) < fewest)
 }
 
 /// What three cells of a row say.
@@ -182,6 +221,31 @@ impl Rows {
         }
         self.end_row();
         column
+    }
+
+    /// The position of a column in the last row becomes a gap.
+    pub(super) fn drop_cut(&mut self, column: usize) {
+        let n_before = self.ends.len().checked_sub(2).and_then(|row| self.ends.get(row));
+        let place = n_before.copied().unwrap_or(0).saturating_add(column);
+        if let Some(cut) = self.positions.get_mut(place) {
+            *cut = GAP;
+        }
+    }
+
+    /// Puts empty rows before rows, as many as are told for each.
+    pub(super) fn put_empty(&mut self, before: &[u64]) {
+        if before.is_empty() {
+            return;
+        }
+        let mut start = 0;
+        let mut ends = Vec::with_capacity(self.ends.len());
+        for (index, &end) in self.ends.iter().enumerate() {
+            let n_empty = before.get(index).copied().unwrap_or(0);
+            ends.extend((0..n_empty).map(|_| start));
+            ends.push(end);
+            start = end;
+        }
+        self.ends = ends;
     }
 
     /// Number of rows.

@@ -132,6 +132,8 @@ pub(super) struct FileUnit {
     /// To millimetres.
     pub(super) factor: f64,
     is_known: bool,
+    /// Whether it was given, and the file's own does not count.
+    is_given: bool,
     /// Whether the format means millimetres where it states nothing.
     is_usually_mm: bool,
 }
@@ -152,6 +154,7 @@ impl FileUnit {
             stated: stated.to_owned(),
             factor: unit.map_or(1.0, LengthUnit::mm),
             is_known: unit.is_some(),
+            is_given: options.unit.is_some(),
             is_usually_mm: false,
         }
     }
@@ -161,9 +164,23 @@ impl FileUnit {
         Self { is_usually_mm: self.stated.is_empty(), ..self }
     }
 
-    /// Notes a unit that is not known, with what the positions span.
+    /// Notes a unit that is not known, with what the positions span, and one that the file states and that they speak
+    /// against.
     pub(super) fn judge(&self, positions: &[Position], n_markers: usize, notes: &mut Notes) {
+        if self.is_given {
+            return;
+        }
         if self.is_known {
+            if positions.len() < STATED_JUDGED_FRAMES_MIN * n_markers {
+                return;
+            }
+            let unit = Ambiguity::StatedUnit {
+                stated: self.stated.clone(),
+                span_mm: span(positions, n_markers).max(farthest(positions, n_markers)),
+            };
+            if unit.is_in_doubt() {
+                notes.ambiguous(unit);
+            }
             return;
         }
         let unit =
@@ -173,6 +190,9 @@ impl FileUnit {
         }
     }
 }
+
+/// A stated unit is believed of fewer frames: they are no capture, but an example or a pose.
+const STATED_JUDGED_FRAMES_MIN: usize = 50;
 
 /// Most frames that are measured, evenly spread.
 const FRAMES_MEASURED: usize = 500;
@@ -192,6 +212,15 @@ fn span(positions: &[Position], n_markers: usize) -> f64 {
     }
     let middle = spans.len() / 2;
     *spans.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// The largest distance from the origin along an axis.
+fn farthest(positions: &[Position], n_markers: usize) -> f64 {
+    let n_frames = positions.len().checked_div(n_markers).unwrap_or(0);
+    let step = n_frames.div_ceil(FRAMES_MEASURED).max(1);
+    let sampled = positions.chunks(n_markers.max(1)).step_by(step).flatten();
+    let coordinates = sampled.filter(|&&at| !is_gap(at)).flatten();
+    coordinates.map(|&value| f64::from(value).abs()).fold(0.0, f64::max)
 }
 
 /// The largest extent along an axis.

@@ -169,7 +169,7 @@ fn no_markers_are_no_columns() {
 #[test]
 fn rates_come_back_from_the_times_of_a_csv() {
     for rate_hz in [60.0, 60.0002, 119.88, 120.0, 1000.0 / 3.0, 1000.0] {
-        let source = motion(&["a".to_owned()], vec![[1.0, 2.0, 3.0]; 500], rate_hz, 1);
+        let source = motion(&["a".to_owned()], vec![[100.0, 200.0, 300.0]; 500], rate_hz, 1);
         let back = through(Format::Csv, &source).info;
         assert!((back.rate_hz - rate_hz).abs() <= 1e-9 * rate_hz, "{} for {rate_hz}", back.rate_hz);
         assert_eq!(back.source.warnings, [""; 0]);

@@ -7,11 +7,17 @@ use crate::escape::to_cell;
 /// The cells of a line. A cell in quotes may hold commas, and quotes when they are doubled.
 pub(super) struct LineCells<'a> {
     rest: Option<&'a [u8]>,
+    separator: u8,
 }
 
 impl<'a> LineCells<'a> {
     pub(super) fn new(line: &'a [u8]) -> Self {
-        Self { rest: Some(line) }
+        Self::between(b',', line)
+    }
+
+    /// Where something else than commas stands between them.
+    pub(super) fn between(separator: u8, line: &'a [u8]) -> Self {
+        Self { rest: Some(line), separator }
     }
 }
 
@@ -21,7 +27,7 @@ impl<'a> Iterator for LineCells<'a> {
     fn next(&mut self) -> Option<Self::Item> {
         let rest = self.rest?;
         let Some(quoted) = rest.strip_prefix(b"\"") else {
-            let end = rest.iter().position(|&b| b == b',');
+            let end = rest.iter().position(|&b| b == self.separator);
             self.rest = end.and_then(|end| rest.get(end + 1..));
             return Some(Cow::Borrowed(rest.get(..end.unwrap_or(rest.len())).unwrap_or(rest)));
         };
@@ -34,8 +40,8 @@ impl<'a> Iterator for LineCells<'a> {
                 cell.push(b'"');
             } else {
                 let after = quoted.get(index + 1..).unwrap_or(&[]);
-                self.rest =
-                    after.iter().position(|&b| b == b',').and_then(|comma| after.get(comma + 1..));
+                let end = after.iter().position(|&b| b == self.separator);
+                self.rest = end.and_then(|end| after.get(end + 1..));
                 return Some(Cow::Owned(cell));
             }
         }

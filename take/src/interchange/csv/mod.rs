@@ -1,6 +1,7 @@
 //! Comma separated values: what `export` writes, the `time,head_x,head_y,head_z,...` dialect, and Motive's export.
 
 mod cells;
+mod dialect;
 pub(super) mod long;
 mod motive;
 mod read;

@@ -13,8 +13,9 @@ use std::collections::HashSet;
 
 use super::HEADER;
 use super::cells::LineCells;
-use super::read::{malformed, rate_from_times, rate_of_one_frame};
-use crate::interchange::text::{self, Cells, Rows};
+use super::read::{malformed, rate_of_one_frame};
+use crate::interchange::line_frames::LineFrames;
+use crate::interchange::text::{self, CUT_OFF, Cells, Rows};
 use crate::interchange::units::{FileUnit, Millimetres};
 use crate::interchange::{InterchangeError, ReadOptions, notes::Notes, origin};
 use crate::motion::{Foreign, GAP, Marker, Motion, MotionInfo, Source, UpAxis};
@@ -34,19 +35,23 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
     let columns = head.columns(&mut notes.warnings)?;
     let unit = FileUnit::of(head.value("Length Units").unwrap_or_default(), options, &mut notes);
     let millimetres = Millimetres::new(unit.factor, options);
-    let data = Data::read(bytes, &head, &columns, &millimetres, &mut notes.warnings);
+    let mut data = Data::read(bytes, &head, &columns, &millimetres, &mut notes.warnings);
     let number = |name: &str| head.value(name).and_then(|v| text::number(v.as_bytes()));
     let usable = |rate: &f64| rate.is_finite() && *rate > 0.0;
     let rate_hz = number("Export Frame Rate").or_else(|| number("Capture Frame Rate"));
-    let rate_hz = match rate_hz.filter(usable) {
-        Some(rate) => rate,
+    let frames_max = text::frames_max(bytes.len(), columns.len());
+    let placed = data.lines.place(rate_hz.filter(usable), frames_max, &mut notes.warnings);
+    let rate_hz = match placed.rate_hz {
+        Some(rate_hz) => rate_hz,
         None if data.rows.len() == 1 => rate_of_one_frame(&mut notes.warnings),
         None => {
-            rate_from_times(&data.times, &data.frames, &mut notes.warnings).ok_or_else(|| {
-                malformed(1, "expected `Export Frame Rate` and a number above 0, or rising times")
-            })?
+            return Err(malformed(
+                1,
+                "expected `Export Frame Rate` and a number above 0, or rising times",
+            ));
         }
     };
+    data.rows.put_empty(&placed.missing_before);
     let n_frames = data.rows.len() as u64;
     let announced = head.value("Total Exported Frames");
     let announced = announced.and_then(|n| text::whole_number(n.as_bytes())).unwrap_or(n_frames);
@@ -67,7 +72,7 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
                 format: "csv".to_owned(),
                 unit: unit.stated,
                 factor: unit.factor,
-                first_frame: data.frames.first().copied().unwrap_or(0),
+                first_frame: data.lines.first().unwrap_or(0),
                 frames_missing: announced.saturating_sub(n_frames),
                 warnings: notes.warnings,
                 ambiguities: notes.ambiguities,
@@ -261,8 +266,7 @@ impl Head {
 #[derive(Default)]
 struct Data {
     rows: Rows,
-    times: Vec<f64>,
-    frames: Vec<u64>,
+    lines: LineFrames,
 }
 
 impl Data {
@@ -275,14 +279,15 @@ impl Data {
     ) -> Self {
         let mut data = Self::default();
         let mut damaged = 0usize;
+        let mut n_cells = 0;
         for (_, line) in text::lines(bytes).skip(head.n_lines) {
             if line.trim_ascii().is_empty() {
                 continue;
             }
             let cells: Vec<&[u8]> = line.split(|&b| b == b',').collect();
+            n_cells = cells.len();
             let cell = |at: usize| cells.get(at).copied().unwrap_or(&[]);
-            data.frames.extend(text::whole_number(cell(0)));
-            data.times.extend(text::number(cell(1)));
+            data.lines.line(cell(0), cell(1));
             for column in columns {
                 let mut three = column.cells.iter().map(|&at| cell(at));
                 data.rows.push(match text::three_cells(&mut three) {
@@ -296,18 +301,17 @@ impl Data {
             }
             data.rows.end_row();
         }
+        let is_short = !bytes.ends_with(b"\n") && n_cells < head.axes.len();
+        let split = |line| <[u8]>::split(line, |&b: &u8| b == b',');
+        if is_short || text::ends_within_a_number(bytes, head.n_lines + 1, split) {
+            let cut = columns.iter().position(|column| column.cells.contains(&(n_cells - 1)));
+            cut.into_iter().for_each(|column| data.rows.drop_cut(column));
+            warnings.push(CUT_OFF.to_owned());
+        }
         millimetres.report(warnings);
         if damaged > 0 {
             warnings
                 .push(format!("{damaged} samples have cells that are not numbers; they are gaps."));
-        }
-        let jumps =
-            data.frames.windows(2).filter(|w| matches!(w, [a, b] if a.checked_add(1) != Some(*b)));
-        let jumps = jumps.count();
-        if jumps > 0 {
-            warnings.push(format!(
-                "Frame numbers do not rise by one in {jumps} places; lines were taken as successive frames."
-            ));
         }
         data
     }

@@ -1,20 +1,21 @@
 //! Bytes of a CSV file -> trajectories.
 
 use super::cells::LineCells;
+use super::dialect::with_commas;
 use super::{HEADER, long, motive};
 use crate::escape::from_cell;
-use crate::interchange::text::{self, Cells, Rows};
+use crate::interchange::line_frames::LineFrames;
+use crate::interchange::text::{self, CUT_OFF, Cells, Rows};
 use crate::interchange::units::{FileUnit, Millimetres};
 use crate::interchange::{InterchangeError, ReadOptions, notes::Notes, origin};
 use crate::motion::{Foreign, GAP, Motion, MotionInfo, Source, UpAxis};
 
-/// Share of the median interval by which another one may differ before the rate is called uneven.
-const EVEN: f64 = 0.01;
 /// Rate of a file of one frame that states none, as of a C3D file that states none.
 const RATE_OF_ONE_FRAME_HZ: f64 = 100.0;
 
 /// Reads a whole file.
 pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, InterchangeError> {
+    let bytes = &*with_commas(bytes);
     let mut lines = text::lines(bytes);
     let is_content = |line: &&(usize, &[u8])| {
         let line = line.1.trim_ascii();
@@ -35,7 +36,7 @@ pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
     let unit = head.value("units").unwrap_or_else(|| ours.to_owned());
     let unit = FileUnit::of(&unit, options, &mut notes).or_usually_millimetres();
     let millimetres = Millimetres::new(unit.factor, options);
-    let data = read_rows(bytes, &head, &millimetres, &mut notes.warnings);
+    let mut data = read_rows(bytes, &head, &millimetres, &mut notes.warnings);
     let of_file = match head.value("up").as_deref() {
         Some("X" | "x") => UpAxis::X,
         Some("Y" | "y") => UpAxis::Y,
@@ -44,16 +45,21 @@ pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
     };
     let up = options.up(of_file, &mut notes);
     let warnings = &mut notes.warnings;
-    let rate_hz = match head.value("rate").and_then(|rate| text::number(rate.as_bytes())) {
-        Some(rate) if rate.is_finite() && rate > 0.0 => rate,
-        _ if data.rows.len() == 1 => rate_of_one_frame(warnings),
-        _ => rate_from_times(&data.times, &data.frames, warnings).ok_or_else(|| {
-            malformed(
+    let stated = head.value("rate").and_then(|rate| text::number(rate.as_bytes()));
+    let stated = stated.filter(|rate| rate.is_finite() && *rate > 0.0);
+    let frames_max = text::frames_max(bytes.len(), head.labels.len());
+    let placed = data.lines.place(stated, frames_max, warnings);
+    let rate_hz = match placed.rate_hz {
+        Some(rate_hz) => rate_hz,
+        None if data.rows.len() == 1 => rate_of_one_frame(warnings),
+        None => {
+            return Err(malformed(
                 head.n_lines,
                 "the rate is not known: add a line `# rate=120` above the column names, or a column of rising times",
-            )
-        })?,
+            ));
+        }
     };
+    data.rows.put_empty(&placed.missing_before);
     let n_frames = data.rows.len() as u64;
     let announced = head.value("frames").and_then(|n| text::whole_number(n.as_bytes()));
     let announced = announced.unwrap_or(n_frames);
@@ -83,7 +89,7 @@ pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
                 format: "csv".to_owned(),
                 unit: unit.stated,
                 factor: unit.factor,
-                first_frame: data.frames.first().copied().unwrap_or(1),
+                first_frame: data.lines.first().unwrap_or(1),
                 frames_missing: announced.saturating_sub(n_frames),
                 warnings: notes.warnings,
                 ambiguities: notes.ambiguities,
@@ -202,8 +208,7 @@ fn label_of(columns: &[String]) -> Option<&str> {
 #[derive(Default)]
 struct Data {
     rows: Rows,
-    times: Vec<f64>,
-    frames: Vec<u64>,
+    lines: LineFrames,
 }
 
 fn read_rows(
@@ -215,19 +220,29 @@ fn read_rows(
     let mut data = Data::default();
     let mut damaged = 0usize;
     let mut extra = 0usize;
-    for (_, line) in text::lines(bytes).skip(head.n_lines) {
+    let mut n_cells = 0;
+    let is_open = !bytes.ends_with(b"\n");
+    let mut lines = text::lines(bytes).skip(head.n_lines).peekable();
+    while let Some((_, line)) = lines.next() {
         if line.trim_ascii().is_empty() || line.starts_with(b"#") {
             continue;
         }
+        n_cells = line.split(|&b| b == b',').count();
+        if is_open && lines.peek().is_none() && n_cells <= head.lead && !head.labels.is_empty() {
+            // Not even its number and time are known to be whole.
+            break;
+        }
         let mut cells = line.split(|&b| b == b',');
+        let (mut number, mut time) = (&[][..], &[][..]);
         for column in 0..head.lead {
             let cell = cells.next().unwrap_or(&[]);
             if Some(column) == head.frame_column {
-                data.frames.extend(text::whole_number(cell));
+                number = cell;
             } else if Some(column) == head.time_column {
-                data.times.extend(text::number(cell));
+                time = cell;
             }
         }
+        data.lines.line(number, time);
         for _ in &head.labels {
             data.rows.push(match text::three_cells(&mut cells) {
                 Cells::Position(position) => millimetres.position(position),
@@ -240,6 +255,14 @@ fn read_rows(
         }
         extra += usize::from(cells.any(|cell| !cell.trim_ascii().is_empty()));
         data.rows.end_row();
+    }
+    let is_short = is_open && n_cells < head.lead + 3 * head.labels.len();
+    let cells = |line| <[u8]>::split(line, |&b: &u8| b == b',');
+    if is_short || text::ends_within_a_number(bytes, head.n_lines + 1, cells) {
+        if n_cells > head.lead {
+            data.rows.drop_cut((n_cells - head.lead - 1) / 3);
+        }
+        warnings.push(CUT_OFF.to_owned());
     }
     millimetres.report(warnings);
     if damaged > 0 {
@@ -257,40 +280,6 @@ fn read_rows(
 pub(super) fn rate_of_one_frame(warnings: &mut Vec<String>) -> f64 {
     warnings.push(format!("One frame tells no rate; {RATE_OF_ONE_FRAME_HZ} Hz was taken."));
     RATE_OF_ONE_FRAME_HZ
-}
-
-/// Frames a second by the times of the rows: the median interval tells whether they are even, first and last time
-/// give the rate. Times are often rounded, so a whole number of millionths of a hertz is preferred where it fits.
-pub(super) fn rate_from_times(
-    times: &[f64],
-    frames: &[u64],
-    warnings: &mut Vec<String>,
-) -> Option<f64> {
-    let mut intervals: Vec<f64> =
-        times.windows(2).filter_map(|w| Some(w.get(1)? - w.first()?)).collect();
-    intervals.sort_by(f64::total_cmp);
-    let median = *intervals.get(intervals.len() / 2)?;
-    if !(median.is_finite() && median > 0.0) {
-        return None;
-    }
-    let uneven = intervals.iter().filter(|&&i| (i - median).abs() > EVEN * median + 2e-6).count();
-    if uneven > 0 {
-        warnings.push(format!(
-            "{uneven} of {} intervals differ from the median of {median} s; frames were taken as even.",
-            intervals.len()
-        ));
-        return Some(1.0 / median);
-    }
-    let steps = match (frames.first(), frames.last()) {
-        (Some(first), Some(last)) if last > first && frames.len() == times.len() => {
-            (last - first) as f64
-        }
-        _ => intervals.len() as f64,
-    };
-    let rate = steps / (times.last()? - times.first()?);
-    let rounded = (rate * 1e6).round() / 1e6;
-    let usable = if (rounded - rate).abs() <= 1e-9 * rate { rounded } else { rate };
-    (usable.is_finite() && usable > 0.0).then_some(usable)
 }
 
 pub(super) fn malformed(line: usize, message: &str) -> InterchangeError {

@@ -14,8 +14,11 @@ pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
     let head = Head::parse(bytes, &mut notes.warnings)?;
     let unit = FileUnit::of(&head.unit, options, &mut notes);
     let millimetres = Millimetres::new(unit.factor, options);
-    let data = read_rows(bytes, &head, &millimetres, &mut notes.warnings)?;
+    let mut data = read_rows(bytes, &head, &millimetres, &mut notes.warnings)?;
     let warnings = &mut notes.warnings;
+    let frames_max = text::frames_max(bytes.len(), data.width);
+    let placed = data.lines.place(Some(head.rate_hz), frames_max, warnings);
+    data.rows.put_empty(&placed.missing_before);
     if let Some(announced) = head.n_frames
         && announced != data.rows.len() as u64
     {
@@ -62,7 +65,7 @@ pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
                 format: "trc".to_owned(),
                 unit: unit.stated,
                 factor: unit.factor,
-                first_frame: data.first_frame.unwrap_or(1),
+                first_frame: data.lines.first().unwrap_or(1),
                 frames_missing: head.n_frames.unwrap_or(0).saturating_sub(n_frames),
                 warnings: notes.warnings,
                 ambiguities: notes.ambiguities,

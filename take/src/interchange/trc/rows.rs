@@ -3,7 +3,8 @@
 use super::read::{Head, malformed};
 use super::separator::Separator;
 use crate::interchange::InterchangeError;
-use crate::interchange::text::{self, Rows};
+use crate::interchange::line_frames::LineFrames;
+use crate::interchange::text::{self, CUT_OFF, Rows};
 use crate::interchange::units::Millimetres;
 
 /// Cells in front of the positions: frame number and time.
@@ -14,7 +15,7 @@ pub(super) struct Data {
     pub(super) rows: Rows,
     /// Markers of the widest row.
     pub(super) width: usize,
-    pub(super) first_frame: Option<u64>,
+    pub(super) lines: LineFrames,
     /// What stands between the cells of a row.
     pub(super) separator: Separator,
 }
@@ -34,28 +35,27 @@ pub(super) fn read_rows(
     let mut data = Data {
         rows: Rows::default(),
         width: exact_width.unwrap_or(0),
-        first_frame: None,
+        lines: LineFrames::default(),
         separator,
     };
     let mut skipped = Skipped::default();
-    let mut expected = None;
-    for (number, line) in text::lines(bytes).skip(head.labels_line) {
-        let Some(frame) = frame_number(line, separator) else {
+    let mut n_cells = 0;
+    for (at, line) in text::lines(bytes).skip(head.labels_line) {
+        if frame_number(line, separator).is_none() {
             // The line X1 Y1 Z1... and empty lines.
             let own = Separator::of(line);
             let is_empty = own.cells(line).next().is_none_or(|cell| cell.trim_ascii().is_empty());
             if !is_empty && !is_axes(own, line) {
-                skipped.line(number);
+                skipped.line(at);
             }
             continue;
-        };
-        if expected.is_some_and(|expected| expected != frame) {
-            skipped.jumps += 1;
         }
-        expected = Some(frame.saturating_add(1));
-        data.first_frame.get_or_insert(frame);
+        let mut lead = separator.cells(line);
+        let (number, time) = (lead.next().unwrap_or(&[]), lead.next().unwrap_or(&[]));
+        data.lines.line(number, time);
+        n_cells = separator.cells(line).count();
         if !is_aligned(line, separator, exact_width) {
-            skipped.row(number);
+            skipped.row(at);
             data.rows.end_row();
             continue;
         }
@@ -64,6 +64,11 @@ pub(super) fn read_rows(
             .rows
             .read_row(&mut cells, &mut skipped.cells, |stored| millimetres.position(stored));
         data.width = data.width.max(columns);
+    }
+    let cells = |line| separator.cells(line);
+    if n_cells > LEAD_CELLS && text::ends_within_a_number(bytes, head.labels_line + 1, cells) {
+        data.rows.drop_cut((n_cells - LEAD_CELLS - 1) / 3);
+        warnings.push(CUT_OFF.to_owned());
     }
     skipped.report(warnings);
     millimetres.report(warnings);
@@ -171,7 +176,6 @@ struct Skipped {
     first_row: usize,
     rows: usize,
     cells: usize,
-    jumps: usize,
 }
 
 impl Skipped {
@@ -208,12 +212,6 @@ impl Skipped {
             warnings.push(format!(
                 "{} samples have cells that are not numbers; they are gaps.",
                 self.cells
-            ));
-        }
-        if self.jumps > 0 {
-            warnings.push(format!(
-                "Frame numbers do not rise by one in {} places; lines were taken as successive frames.",
-                self.jumps
             ));
         }
     }

@@ -54,8 +54,11 @@ pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
     let first_frame = first_frame.unwrap_or(1);
     let mut events = head.events(first_frame, n_frames);
     events.sort_by_key(|event| event.frame);
+    let positions_mm = rows.into_rectangle(width, bytes.len(), "tsv")?;
+    let mut notes = Notes { warnings, ambiguities };
+    unit.judge(&positions_mm, width, &mut notes);
     Ok(Motion {
-        positions_mm: rows.into_rectangle(width, bytes.len(), "tsv")?,
+        positions_mm,
         info: MotionInfo {
             rate_hz: head.rate_hz,
             n_frames,
@@ -67,8 +70,8 @@ pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
                 factor: unit.factor,
                 first_frame,
                 frames_missing: head.n_frames.unwrap_or(0).saturating_sub(n_frames),
-                warnings,
-                ambiguities,
+                warnings: notes.warnings,
+                ambiguities: notes.ambiguities,
             },
             events,
             foreign: vec![Foreign { kind: HEADER.to_owned(), data: head.lines.into() }],

@@ -4,10 +4,11 @@ use std::borrow::Cow;
 use std::collections::HashMap;
 
 use super::super::cells::LineCells;
-use super::super::read::{malformed, rate_from_times, rate_of_one_frame};
+use super::super::read::{malformed, rate_of_one_frame};
 use super::COLUMNS;
 use crate::escape::from_cell;
-use crate::interchange::text::{self, Cells};
+use crate::interchange::line_frames::{Rounding, rate_of};
+use crate::interchange::text::{self, CUT_OFF, Cells};
 use crate::interchange::units::{FileUnit, Millimetres};
 use crate::interchange::{InterchangeError, ReadOptions, notes::Notes};
 use crate::motion::{GAP, Marker, Motion, MotionInfo, Position, Source, UpAxis};
@@ -46,9 +47,14 @@ pub(in crate::interchange) fn read(
         );
         return Err(malformed(head_line, &message));
     };
-    let rate_hz = rate(&data.times, first == last, &mut warnings).ok_or_else(|| {
-        malformed(head_line, "the rate is not known: expected times that rise with the frames")
-    })?;
+    let rate_hz = match data.rate_hz() {
+        _ if first == last => rate_of_one_frame(&mut warnings),
+        Some(rate_hz) => rate_hz,
+        None => {
+            let message = "the rate is not known: expected times that rise with the frames";
+            return Err(malformed(head_line, message));
+        }
+    };
     let mut positions_mm = vec![GAP; total];
     for (frame, column, position) in data.samples {
         let row = frame.checked_sub(first).and_then(|row| usize::try_from(row).ok());
@@ -57,6 +63,8 @@ pub(in crate::interchange) fn read(
             *place = position;
         }
     }
+    let mut notes = Notes { warnings, ambiguities };
+    unit.judge(&positions_mm, n_markers, &mut notes);
     Ok(Motion {
         positions_mm,
         info: MotionInfo {
@@ -70,8 +78,8 @@ pub(in crate::interchange) fn read(
                 factor: unit.factor,
                 first_frame: first,
                 frames_missing: 0,
-                warnings,
-                ambiguities,
+                warnings: notes.warnings,
+                ambiguities: notes.ambiguities,
             },
             ..MotionInfo::default()
         },
@@ -85,21 +93,6 @@ fn marker(label: String) -> Marker {
     Marker { labelled: !numbered, label }
 }
 
-/// Frames a second, by the frames that have times.
-fn rate(times: &[(u64, f64)], is_one_frame: bool, warnings: &mut Vec<String>) -> Option<f64> {
-    if is_one_frame {
-        return Some(rate_of_one_frame(warnings));
-    }
-    let (numbers, times): (Vec<u64>, Vec<f64>) = times.iter().copied().unzip();
-    if numbers.windows(2).all(|w| matches!(w, [a, b] if b - a == 1)) {
-        return rate_from_times(&times, &numbers, warnings);
-    }
-    let rate = (numbers.last()? - numbers.first()?) as f64 / (times.last()? - times.first()?);
-    let rounded = (rate * 1e6).round() / 1e6;
-    let usable = if (rounded - rate).abs() <= 1e-9 * rate { rounded } else { rate };
-    (usable.is_finite() && usable > 0.0).then_some(usable)
-}
-
 /// The data as read.
 #[derive(Default)]
 struct Data {
@@ -107,8 +100,10 @@ struct Data {
     samples: Vec<(u64, usize, Position)>,
     /// The frames that have a time, in order.
     times: Vec<(u64, f64)>,
+    rounding: Rounding,
     damaged: usize,
     twice: usize,
+    is_cut_off: bool,
 }
 
 impl Data {
@@ -119,10 +114,13 @@ impl Data {
     ) -> Result<Self, InterchangeError> {
         let mut data = Self::default();
         let mut columns: HashMap<Vec<u8>, usize> = HashMap::new();
+        let (mut n_cells, mut last_has_sample) = (COLUMNS.len(), false);
         for (number, line) in text::lines(bytes).skip(head_line) {
             if line.trim_ascii().is_empty() || line.starts_with(b"#") {
                 continue;
             }
+            n_cells = LineCells::new(line).count();
+            last_has_sample = false;
             let mut cells = LineCells::new(line);
             let mut next = || cells.next().unwrap_or(Cow::Borrowed(&[]));
             let (frame, time, label) = (next(), next(), next());
@@ -130,8 +128,9 @@ impl Data {
             let frame = text::whole_number(&frame).ok_or_else(|| {
                 malformed(number, "expected the number of a frame in the first cell")
             })?;
-            if let Some(time) = text::number(&time) {
-                data.times.push((frame, time));
+            if let Some(seconds) = text::number(&time) {
+                data.times.push((frame, seconds));
+                data.rounding.add(&time);
             }
             let column = *columns.entry(label.trim_ascii().to_vec()).or_insert_with_key(|label| {
                 data.labels.push(from_cell(&text::decode(label)).into_owned());
@@ -141,10 +140,17 @@ impl Data {
             match text::three_cells(&mut position) {
                 Cells::Position(stored) => {
                     data.samples.push((frame, column, millimetres.position(stored)));
+                    last_has_sample = true;
                 }
                 Cells::Empty => {}
                 Cells::Damaged => data.damaged += 1,
             }
+        }
+        let cells = |line| <[u8]>::split(line, |&b: &u8| b == b',');
+        let is_short = !bytes.ends_with(b"\n") && n_cells < COLUMNS.len();
+        data.is_cut_off = is_short || text::ends_within_a_number(bytes, head_line + 1, cells);
+        if data.is_cut_off && last_has_sample {
+            data.samples.pop();
         }
         data.times.sort_by_key(|&(frame, _)| frame);
         data.times.dedup_by_key(|&mut (frame, _)| frame);
@@ -153,6 +159,12 @@ impl Data {
         places.sort_unstable();
         data.twice = places.windows(2).filter(|w| matches!(w, [a, b] if a == b)).count();
         Ok(data)
+    }
+
+    /// Frames a second, by the frames that have times.
+    fn rate_hz(&self) -> Option<f64> {
+        let ((first, from_s), (last, to_s)) = (*self.times.first()?, *self.times.last()?);
+        rate_of((last - first) as f64, to_s - from_s, self.rounding)
     }
 
     /// The first and the last frame that have a time or a sample.
@@ -166,6 +178,9 @@ impl Data {
     }
 
     fn report(&self, warnings: &mut Vec<String>) {
+        if self.is_cut_off {
+            warnings.push(CUT_OFF.to_owned());
+        }
         if self.damaged > 0 {
             warnings.push(format!(
                 "{} samples have cells that are not numbers; they are gaps.",
