@@ -183,6 +183,7 @@ fn the_service_ends_a_take_that_was_cut_short() {
     let last = &status["last_take"];
     assert_eq!((&last["ending"], &last["bytes"]), (&"truncated".into(), &150.into()), "{last}");
     assert_ne!(last["health"], "complete");
+    assert_eq!(&service.get("/v1/takes")[0], last, "the list says the same");
     let (status, problem) = service.post("/v1/stop", "{}");
     assert_eq!((status, &problem["kind"]), (409, &"data_lost".into()), "{problem}");
     let socket = format!("unix:{}", folder.path("rig.sock").display());

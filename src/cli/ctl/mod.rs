@@ -73,7 +73,7 @@ enum Order {
         #[arg(long)]
         name: Option<String>,
     },
-    /// List the takes in the service's folder, newest first
+    /// List the takes in the service's folder, newest first: when each was last written, size, health, name, why it ended
     Takes {
         /// How many at most
         #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u16).range(1..=1000))]

@@ -115,7 +115,7 @@ fn check_unit(motion: &Motion, file: &Path, tolerance_mm: f64) -> anyhow::Result
                 "" => "no unit of length is stated".to_owned(),
                 unit => format!("the unit of length `{}` is not known", plain(unit)),
             };
-            format!("{unit}, and the markers span {span:.4} of it")
+            format!("{unit}, and the markers span {span:.4} in it")
         }
         Some(Ambiguity::StatedUnit { stated, span_mm }) => format!(
             "the unit of length is stated as `{}`, in which all markers are within {span_mm:.4} mm",

@@ -6,11 +6,11 @@ use mocapd_take::record::EndingKind;
 
 use super::{
     Inner,
+    folder::summary_of,
     session::{Core, KEPT_OPEN_MAX},
 };
 use crate::{
     files::{FileId, FileState, Settled, TakeFile},
-    health::TakeHealth,
     pipeline::{NothingRecorded, TakeEnd, TakeFailed, Written},
     service::{
         control::{Refusal, RefusalKind, Stopped},
@@ -82,22 +82,20 @@ impl Inner {
         let stem = settled.path.as_deref().and_then(Path::file_stem);
         let name_now = stem.map_or(name.to_owned(), |stem| stem.to_string_lossy().into_owned());
         let stopped = stopped(&written, take_id, &name_now, &settled, rate_hz);
-        let summary = TakeSummary {
+        // As the list has it; where no name leads to it, as it was written.
+        let listed = settled.path.as_deref().and_then(summary_of);
+        let mut summary = listed.unwrap_or_else(|| TakeSummary {
             name: name_now.clone(),
             bytes: written.file_bytes,
             modified_unix_ms: super::status::unix_ms(),
-            is_open: false,
-            health: match settled.state {
-                _ if settled.path.is_none() => TakeHealth::Unknown,
-                FileState::Truncated => TakeHealth::CutOff,
-                _ => TakeHealth::of_closed(&written.ledger, Some(&written.ending)),
-            },
             seconds: stopped.seconds,
             markers: self.core().device.markers,
             take_id: take_id.to_owned(),
-            ending: ending.word().to_owned(),
-            ending_detail: written.ending.detail.clone(),
-        };
+            ..TakeSummary::default()
+        });
+        // A take that was cut short has no place for it.
+        ending.word().clone_into(&mut summary.ending);
+        summary.ending_detail.clone_from(&written.ending.detail);
         let has_lost = settled.path.is_none()
             || settled.state.ends_take()
             || matches!(ending, EndingKind::Truncated | EndingKind::Unmounted);

@@ -71,6 +71,7 @@ impl Inner {
         let directory = core.options.directory.clone();
         // By what it is: its name may be another one by now.
         let open = core.take.as_ref().map(|take| take.file);
+        let last = core.last_take.clone();
         drop(core);
         let cannot = |error: std::io::Error| {
             let words = format!("cannot read the folder {}: {error}", directory.display());
@@ -103,6 +104,16 @@ impl Inner {
             summaries.push(summary);
         }
         lock(&self.remembered).add(new);
+        // Why the newest ended is known, also where it could not be written.
+        for summary in &mut summaries {
+            if let Some(last) = last.as_ref().filter(|last| last.take_id == summary.take_id)
+                && summary.ending.is_empty()
+                && !summary.is_open
+            {
+                summary.ending.clone_from(&last.ending);
+                summary.ending_detail.clone_from(&last.ending_detail);
+            }
+        }
         Ok(summaries)
     }
 
@@ -115,6 +126,13 @@ impl Inner {
         }
         Err(Refusal::new(RefusalKind::NotFound, format!("there is no take called {name}")))
     }
+}
+
+/// What the two ends of a file that is closed tell; `None` where it is not there.
+pub(super) fn summary_of(path: &Path) -> Option<TakeSummary> {
+    let file = path.symlink_metadata().ok().filter(Metadata::is_file)?;
+    let modified = file.modified().unwrap_or(SystemTime::UNIX_EPOCH);
+    Some(look_into(path, file.len(), modified, false).0)
 }
 
 /// What the two ends of a file tell, and whether that lasts as long as the file does not change.
