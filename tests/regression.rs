@@ -16,6 +16,7 @@ mod lossy_exports;
 mod negative_residuals;
 mod noise;
 mod nothing_to_compare;
+mod places_of_damage;
 mod repeated_labels;
 mod rounded_meshes;
 mod silent_device;

@@ -68,6 +68,12 @@ impl Losses {
         self.end_row
     }
 
+    /// The row after the last stretch, decoded or not, as far as is known.
+    #[must_use]
+    pub fn rows_min(&self) -> u64 {
+        self.end_row.max(self.rows_min)
+    }
+
     /// What is lost, in order.
     #[must_use]
     pub fn lost(&self) -> &[LostRows] {

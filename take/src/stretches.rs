@@ -27,6 +27,8 @@ pub struct TakeStretches<R> {
     decoder: StretchDecoder,
     /// Rows before this one were read: a stretch that has some of them comes twice.
     read_to: u64,
+    /// Stretches whose rows nobody knows reach to this row at least.
+    unplaced_to: u64,
     timeline: Option<Timeline>,
     /// Damaged chunks are told here, because the map was made without reading them.
     tells_damage: bool,
@@ -50,6 +52,7 @@ impl<R: Read + Seek> TakeStretches<R> {
             reader: TakeReader::new(),
             decoder: StretchDecoder::new(map.header.codec()?),
             read_to: 0,
+            unplaced_to: 0,
             timeline: None,
             tells_damage: map.n_held.is_none(),
             damage_told: false,
@@ -142,13 +145,14 @@ impl<R: Read + Seek> TakeStretches<R> {
                         span.n_rows, span.first_row
                     ));
                 }
-                Some(TakeEvent::Unplaced { missing_before, n_rows, .. }) => {
-                    let from = self.read_to;
+                Some(TakeEvent::Unplaced { missing_before, n_rows, rows_min }) => {
+                    let from = self.read_to.max(self.unplaced_to);
+                    self.unplaced_to = from.max(rows_min);
                     if missing_before && !std::mem::take(&mut self.damage_told) {
                         self.problems.note(format!("stretches from frame {from} on are missing"));
                     }
                     self.problems.note(format!(
-                        "a stretch of {n_rows} frames, from frame {from} or later, depends on a damaged stretch"
+                        "a stretch of {n_rows} frames, from frame {from} or later: it depends on a damaged one"
                     ));
                 }
                 Some(TakeEvent::Damaged { offset, len, message, .. }) => {

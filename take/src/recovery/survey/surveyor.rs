@@ -64,7 +64,7 @@ impl Surveyor {
             }
             TakeEvent::Stretch(stretch) => self.stretch(&stretch),
             TakeEvent::Unplaced { n_rows, rows_min, .. } => {
-                let from = self.losses.end_row();
+                let from = self.losses.rows_min();
                 self.problems.note(format!(
                     "a stretch of {n_rows} frames, from frame {from} or later: it depends on a damaged one"
                 ));

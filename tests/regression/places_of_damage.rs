@@ -1,0 +1,35 @@
+//! Damage that costs the stretches behind it: `info`, `verify`, `export` and `recover` name the same places.
+
+use crate::{
+    cli::{
+        Folder,
+        devices::{Recorder, Simulated},
+    },
+    support::jump,
+};
+
+#[test]
+fn every_command_names_the_same_places() {
+    let folder = Folder::new();
+    let device = Simulated::of(jump(5, 120.0, 6.0));
+    Recorder::start(&folder, &device, "a.take", &[]).wait().with_code(0);
+    let mut bytes = folder.read("a.take");
+    let middle = bytes.len() / 2;
+    bytes[middle..middle + 40].iter_mut().for_each(|byte| *byte ^= 0x55);
+    folder.write("bad.take", bytes);
+    let places = |args: &[&str]| {
+        let said = folder.run(args).with_code(3).stderr;
+        let lines = said.lines().filter(|line| line.contains("frames, from frame"));
+        lines.map(str::to_owned).collect::<Vec<_>>()
+    };
+    let expected = places(&["info", "bad.take"]);
+    assert!(expected.len() > 2, "{expected:?}");
+    assert!(expected.windows(2).all(|pair| pair[0] != pair[1]), "{expected:?}");
+    for args in [
+        &["verify", "bad.take"][..],
+        &["export", "bad.take", "-o", "bad.csv"],
+        &["recover", "bad.take", "-o", "new.take"],
+    ] {
+        assert_eq!(places(args), expected, "{args:?}");
+    }
+}
