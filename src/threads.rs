@@ -1,8 +1,43 @@
 //! Named threads, and panics that become errors.
 
-use std::thread::{Builder, JoinHandle, scope};
+use std::{
+    convert::Infallible,
+    thread::{Builder, JoinHandle, scope},
+};
 
 use anyhow::{Context, anyhow};
+use crossbeam_channel::{Receiver, Sender, TryRecvError, bounded};
+
+/// Tells threads to end, when it is dropped.
+#[derive(Debug)]
+pub struct Stopper(
+    #[expect(dead_code, reason = "that it is gone is the message")] Sender<Infallible>,
+);
+
+/// Whether a [`Stopper`] is gone.
+#[derive(Debug, Clone)]
+pub struct Stopped(Receiver<Infallible>);
+
+/// A stop that threads can wait for beside other things.
+#[must_use]
+pub fn stop() -> (Stopper, Stopped) {
+    let (stopper, stopped) = bounded(0);
+    (Stopper(stopper), Stopped(stopped))
+}
+
+impl Stopped {
+    /// Whether it is time to end.
+    #[must_use]
+    pub fn is_stopped(&self) -> bool {
+        self.0.try_recv() == Err(TryRecvError::Disconnected)
+    }
+
+    /// To wait for beside others: nothing ever comes, until it is closed.
+    #[must_use]
+    pub fn channel(&self) -> &Receiver<Infallible> {
+        &self.0
+    }
+}
 
 /// Starts a named thread.
 ///

@@ -1,12 +1,9 @@
 //! `run`: the service, until it is told to stop.
 
-use std::{
-    path::PathBuf,
-    sync::Arc,
-    time::{Duration, Instant},
-};
+use std::{path::PathBuf, sync::Arc, time::Duration};
 
 use anyhow::Context;
+use crossbeam_channel::{Receiver, RecvTimeoutError, bounded};
 use mocapd::{
     config::{CONFIG_PATH, Config, ConfigError, HttpConfig, Overrides, Token},
     heartbeat::Heartbeat,
@@ -19,6 +16,7 @@ use mocapd::{
         notify::Notifier,
         triggered::Triggers,
     },
+    threads,
 };
 use signal_hook::{
     consts::{SIGHUP, SIGINT, SIGTERM},
@@ -27,9 +25,11 @@ use signal_hook::{
 
 use super::output::{plain, say};
 
-/// Between two looks at signals, and at what systemd is told.
-const LOOK_EVERY: Duration = Duration::from_millis(50);
+/// Between two lines of status that systemd is told.
 const TELL_EVERY: Duration = Duration::from_secs(1);
+
+/// Signals that wait: one of each kind and more; the kernel keeps one of each kind beside them.
+const SIGNALS_MAX: usize = 4;
 
 /// How long clients are waited for when the service stops: their takes are closed by then.
 const CLIENTS_WITHIN: Duration = Duration::from_secs(1);
@@ -69,8 +69,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     #[cfg(feature = "fault-hooks")]
     mocapd::fault_hooks::install()?;
     // Before anything is started: no signal is missed.
-    let mut signals =
-        Signals::new([SIGHUP, SIGINT, SIGTERM]).context("cannot watch for signals")?;
+    let signals = signals()?;
     make_directory(&config)?;
     let options = EngineOptions::load(&config)?;
     let log = Log::start(config.log_level, &config.rig_name, std::io::stderr)?;
@@ -85,12 +84,28 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     notifier.ready(&engine.status().words());
     let pings = Notifier::watch(&heartbeat)?;
     let mut running = Running { args, config, log, engine, control, doors, notifier };
-    let outcome = running.until_stopped(&mut signals);
+    let outcome = running.until_stopped(&signals);
     running.notifier.stopping("finishing the take");
     running.engine.stop_service();
     running.doors.close();
     drop(pings);
     outcome.map(|()| Outcome::Done)
+}
+
+/// Signals, as they come.
+fn signals() -> anyhow::Result<Receiver<i32>> {
+    let mut signals =
+        Signals::new([SIGHUP, SIGINT, SIGTERM]).context("cannot watch for signals")?;
+    let (heard, come) = bounded(SIGNALS_MAX);
+    threads::spawn("mocapd-signal", move || {
+        for signal in signals.forever() {
+            // Nobody listens any more: the program ends.
+            if heard.send(signal).is_err() {
+                return;
+            }
+        }
+    })?;
+    Ok(come)
 }
 
 /// Ways in.
@@ -165,23 +180,21 @@ struct Running<'a> {
 }
 
 impl Running<'_> {
-    fn until_stopped(&mut self, signals: &mut Signals) -> anyhow::Result<()> {
-        let mut told = Instant::now();
+    fn until_stopped(&mut self, signals: &Receiver<i32>) -> anyhow::Result<()> {
         loop {
-            for signal in signals.pending() {
-                match signal {
-                    SIGHUP => self.reload(),
-                    _ => return Ok(()),
+            match signals.recv_timeout(TELL_EVERY) {
+                Ok(SIGHUP) => self.reload(),
+                Ok(_) => return Ok(()),
+                Err(RecvTimeoutError::Timeout) => {
+                    self.notifier.status(&self.engine.status().words());
+                }
+                Err(RecvTimeoutError::Disconnected) => {
+                    anyhow::bail!("nobody watches for signals any more: this is a bug in mocapd")
                 }
             }
             if self.engine.has_died() {
                 anyhow::bail!("a thread of the service has ended: this is a bug in mocapd");
             }
-            if told.elapsed() >= TELL_EVERY {
-                told = Instant::now();
-                self.notifier.status(&self.engine.status().words());
-            }
-            std::thread::sleep(LOOK_EVERY);
         }
     }
 

@@ -62,6 +62,11 @@ impl<T: Copy> RingOut<T> {
         self.0.try_pop()
     }
 
+    /// Whether nothing comes any more: the other end is gone, and what it pushed was taken.
+    pub(super) fn is_over(&self) -> bool {
+        !self.0.write_is_held() && self.0.is_empty()
+    }
+
     /// Fills the front of `items`; gives how many there were.
     pub(super) fn pop_slice(&mut self, items: &mut [T]) -> usize {
         self.0.pop_slice(items)

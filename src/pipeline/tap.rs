@@ -92,6 +92,12 @@ impl TapOut {
         self.positions.pop_slice(positions);
         Some(head)
     }
+
+    /// Whether no frame comes any more.
+    #[must_use]
+    pub fn is_over(&self) -> bool {
+        self.heads.is_over()
+    }
 }
 
 #[cfg(test)]

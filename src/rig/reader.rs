@@ -255,7 +255,7 @@ impl Rig {
                 }
                 Some(said) if now_ns - said > STOP_WITHIN.as_nanos() as u64 => {
                     (options.say)(
-                        "the device does not confirm the stop: the take ends with its last frame",
+                        "the device does not confirm the stop: what it sent last may be missing",
                     );
                     return Ok(Ending::Stopped);
                 }

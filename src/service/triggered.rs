@@ -2,14 +2,12 @@
 
 use std::{
     net::IpAddr,
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
+    sync::Arc,
     thread::JoinHandle,
     time::{Duration, SystemTime},
 };
 
+use crossbeam_channel::{after, never, select};
 use rustix::rand::{GetRandomFlags, getrandom};
 
 use super::{
@@ -17,19 +15,20 @@ use super::{
     status::ServiceEvent,
     trigger::{
         self, Announcer, Listener, Queue, Received, StopResult, TakeName, Trigger, first_packet_id,
-        socket::{self, Questions, Teller},
+        socket::{self, Hearing, Questions, Teller},
     },
 };
-use crate::{config::TriggerConfig, threads};
-
-/// Between two looks at what happened, and whether it is over. A trigger is carried out when it is due, without one.
-const LOOK_EVERY: Duration = Duration::from_millis(20);
+use crate::{
+    config::TriggerConfig,
+    threads::{self, Stopped, Stopper},
+};
 
 /// The threads that hear and tell.
 #[derive(Debug)]
 pub struct Triggers {
-    stop: Arc<AtomicBool>,
-    threads: Vec<JoinHandle<()>>,
+    hearing: Option<Hearing>,
+    stopper: Stopper,
+    worker: JoinHandle<()>,
 }
 
 /// Who carries out what is heard.
@@ -42,7 +41,7 @@ struct Worker {
     teller: Option<Teller>,
     /// The take that another program started, which need not be told of it.
     triggered: Option<Triggered>,
-    stop: Arc<AtomicBool>,
+    stopped: Stopped,
 }
 
 #[derive(Debug)]
@@ -69,8 +68,8 @@ impl Triggers {
         let mark = u64::from_le_bytes(mark);
         let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
         let triggers = Queue::default();
-        let stop = Arc::new(AtomicBool::new(false));
-        let mut threads = Vec::new();
+        let (stopper, stopped) = threads::stop();
+        let mut hearing = None;
         if let Some(address) = config.listen {
             let (names, takes, words) =
                 (Arc::clone(control), Arc::clone(control), Arc::clone(control));
@@ -81,8 +80,7 @@ impl Triggers {
             let say = move |text: &str| words.tell("trigger", text);
             let listener = Listener::new(config.allow_from.clone(), config.delay_max, mark);
             let socket = socket::bind(address)?;
-            let (queue, stop) = (triggers.clone(), Arc::clone(&stop));
-            threads.push(socket::listen(socket, listener, questions, queue, say, stop)?);
+            hearing = Some(socket::listen(socket, listener, questions, triggers.clone(), say)?);
         }
         let teller = match config.send_to.is_empty() {
             true => None,
@@ -95,32 +93,50 @@ impl Triggers {
             announcer: Announcer::new(rig, mark, first_packet_id(now.as_secs())),
             teller,
             triggered: None,
-            stop: Arc::clone(&stop),
+            stopped,
         };
-        threads.push(threads::spawn("mocapd-triggered", move || worker.run())?);
-        Ok(Some(Self { stop, threads }))
+        let worker = threads::spawn("mocapd-triggered", move || worker.run())?;
+        Ok(Some(Self { hearing, stopper, worker }))
     }
 
     /// Hears and tells no more.
     pub fn close(self) {
-        self.stop.store(true, Ordering::Relaxed);
-        for thread in self.threads {
-            // A thread that panicked has told so already.
-            drop(thread.join());
-        }
+        drop(self.hearing);
+        drop(self.stopper);
+        // A thread that panicked has told so already.
+        drop(self.worker.join());
     }
 }
 
 impl Worker {
     fn run(mut self) {
-        while !self.stop.load(Ordering::Relaxed) {
-            if let Some(received) = self.triggers.next(LOOK_EVERY) {
-                self.carry_out(&received);
+        while !self.stopped.is_stopped() {
+            match self.triggers.take_due() {
+                Some(received) => self.carry_out(&received),
+                None => self.wait(),
             }
             self.announce();
         }
         // The end of the take that was finished when the service stopped.
         self.announce();
+    }
+
+    /// Until a trigger comes or is due, something happens, or it is over.
+    fn wait(&mut self) {
+        let due = self.triggers.due_in().map_or_else(never, after);
+        let event = select! {
+            recv(self.events.events) -> event => event,
+            recv(self.triggers.woken()) -> _ => return,
+            recv(due) -> _ => return,
+            recv(self.stopped.channel()) -> _ => return,
+        };
+        match event {
+            Ok(event) => self.announce_event(&event),
+            // The service ends: nothing more happens, and this thread is told to end soon.
+            Err(_) => {
+                self.stopped.channel().recv().ok();
+            }
+        }
     }
 
     fn carry_out(&mut self, received: &Received) {
@@ -194,15 +210,19 @@ impl Worker {
 
     fn announce(&mut self) {
         while let Some(event) = self.events.next(Duration::ZERO) {
-            let Some(name) = event.take.as_deref() else { continue };
-            if self.triggered.as_ref().is_some_and(|started| started.take == name) {
-                continue;
-            }
-            for datagram in self.datagrams(&event, name) {
-                let failed = self.teller.as_ref().map(|teller| teller.tell(&datagram));
-                for words in failed.unwrap_or_default() {
-                    self.control.tell("warning", &words);
-                }
+            self.announce_event(&event);
+        }
+    }
+
+    fn announce_event(&mut self, event: &ServiceEvent) {
+        let Some(name) = event.take.as_deref() else { return };
+        if self.triggered.as_ref().is_some_and(|started| started.take == name) {
+            return;
+        }
+        for datagram in self.datagrams(event, name) {
+            let failed = self.teller.as_ref().map(|teller| teller.tell(&datagram));
+            for words in failed.unwrap_or_default() {
+                self.control.tell("warning", &words);
             }
         }
     }

@@ -5,4 +5,5 @@ mod cycles;
 pub(crate) mod engine;
 pub(crate) mod fake;
 pub(crate) mod http;
+mod idle;
 mod triggers;

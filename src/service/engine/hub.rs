@@ -140,15 +140,27 @@ impl Hub {
     }
 
     pub(super) fn run(mut self) {
-        while !self.inner.is_stopping() {
-            while let Ok(session) = self.sessions.try_recv() {
-                *lock(&self.inner.judgements) = Judgements::new(session.header.rate_hz);
-                self.session = Some(session);
-                self.table = Arc::default();
+        // Without a session there is nothing to look at. Whoever begins sessions is gone when the service stops.
+        while let Ok(session) = self.sessions.recv() {
+            self.begin(session);
+            while self.session.as_ref().is_some_and(|session| !session.tap.is_over()) {
+                if self.inner.is_stopping() {
+                    return;
+                }
+                if let Ok(session) = self.sessions.try_recv() {
+                    self.begin(session);
+                }
+                self.show_frames();
+                std::thread::sleep(LOOK_EVERY);
             }
-            self.show_frames();
-            std::thread::sleep(LOOK_EVERY);
+            self.session = None;
         }
+    }
+
+    fn begin(&mut self, session: NewSession) {
+        *lock(&self.inner.judgements) = Judgements::new(session.header.rate_hz);
+        self.session = Some(session);
+        self.table = Arc::default();
     }
 
     fn show_frames(&mut self) {

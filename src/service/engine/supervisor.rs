@@ -20,7 +20,7 @@ use mocapd_take::record::Header;
 use super::{
     EngineOptions, Inner,
     hub::NewSession,
-    session::{KnownDevice, Session},
+    session::{Core, KnownDevice, Session},
 };
 use crate::{
     files::TakeFile,
@@ -29,9 +29,6 @@ use crate::{
     raw_log::RawLog,
     rig::{Ending, ReadOptions, Rig, monotonic_ns},
 };
-
-/// Between two looks at what is wanted.
-const LOOK_EVERY: Duration = Duration::from_millis(50);
 
 /// Between two looks for a device that is not there or does not answer.
 const TRY_EVERY: Duration = Duration::from_millis(500);
@@ -44,18 +41,13 @@ const SESSION_AT_LEAST: Duration = Duration::from_secs(1);
 
 /// Until the service ends.
 pub(super) fn run(inner: &Arc<Inner>, sessions: &Sender<NewSession>) {
-    let mut looked: Option<Instant> = None;
     let mut watch = UsbWatch::new();
     while !inner.is_stopping() {
         if !inner.core().wanted {
-            if looked.is_none_or(|last| last.elapsed() >= PRESENCE_EVERY) {
-                inner.look_for_device();
-                looked = Some(Instant::now());
-            }
-            inner.wait(LOOK_EVERY);
+            inner.look_for_device();
+            inner.wait_while(PRESENCE_EVERY, |core| !core.wanted);
             continue;
         }
-        looked = None;
         let begun = Instant::now();
         match inner.open() {
             Ok((rig, log)) => {
@@ -83,10 +75,11 @@ impl Inner {
         self.stopping.load(Ordering::Relaxed)
     }
 
-    /// Until something changed, or so long.
-    pub(super) fn wait(&self, at_most: Duration) {
+    /// While something is so that whoever changes it notifies of, and the service is not stopping, or so long.
+    pub(super) fn wait_while(&self, at_most: Duration, is_so: impl Fn(&Core) -> bool) {
         let core = self.core();
-        drop(self.changed.wait_timeout(core, at_most));
+        let goes_on = |core: &mut Core| is_so(core) && !self.is_stopping();
+        drop(self.changed.wait_timeout_while(core, at_most, goes_on));
     }
 
     fn look_for_device(&self) {

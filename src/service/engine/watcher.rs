@@ -37,7 +37,13 @@ pub(super) fn run(inner: &Arc<Inner>) {
         }
         inner.end_what_is_over();
         rates.look(inner, beat.as_ref());
-        inner.wait(LOOK_EVERY);
+        // Without a session only the disk changes.
+        let is_idle = inner.core().session.is_none();
+        if is_idle {
+            inner.wait_while(RATES_EVERY, |core| core.session.is_none());
+        } else {
+            inner.wait_while(LOOK_EVERY, |_| true);
+        }
     }
     inner.tell_what_was_said();
 }

@@ -2,26 +2,23 @@
 
 use std::{
     collections::VecDeque,
-    sync::{
-        Arc, Mutex, PoisonError,
-        atomic::{AtomicBool, Ordering},
-    },
-    time::Duration,
+    sync::{Arc, Mutex, PoisonError},
 };
 
+use crossbeam_channel::select;
 use tokio::sync::broadcast;
 
 use super::counts::Counts;
-use crate::service::{control::EventFeed, status::ServiceEvent};
+use crate::{
+    service::{control::EventFeed, status::ServiceEvent},
+    threads::Stopped,
+};
 
 /// Events that are kept for those who come back: an hour of a busy session, some hundred kilobytes.
 const KEPT_MAX: usize = 512;
 
 /// Events that a listener may be behind before it loses the oldest.
 const BEHIND_MAX: usize = 128;
-
-/// Between looks whether the server ends.
-const LOOK: Duration = Duration::from_millis(100);
 
 /// The hub. Events are told apart by their numbers: a gap in them is what somebody missed, wherever it was lost.
 #[derive(Debug)]
@@ -39,13 +36,16 @@ impl Happenings {
         Self { run, kept, sender: broadcast::Sender::new(BEHIND_MAX), counts }
     }
 
-    /// Listens until `stop`: the work of a thread of its own. The feed was opened before, so that nothing is missed.
-    pub(super) fn listen(&self, feed: &EventFeed, stop: &AtomicBool) {
-        while !stop.load(Ordering::Relaxed) {
-            match feed.next(LOOK) {
-                Some(event) => self.tell(event),
-                // A feed that ended answers at once, for ever.
-                None => std::thread::sleep(Duration::from_millis(1)),
+    /// Listens until it is stopped, or the feed ends: the work of a thread of its own. The feed was opened before, so that
+    /// nothing is missed.
+    pub(super) fn listen(&self, feed: &EventFeed, stopped: &Stopped) {
+        loop {
+            select! {
+                recv(feed.events) -> event => match event {
+                    Ok(event) => self.tell(event),
+                    Err(_) => return,
+                },
+                recv(stopped.channel()) -> _ => return,
             }
             Counts::add(&self.counts.events_missed, feed.missed());
         }

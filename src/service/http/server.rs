@@ -2,10 +2,7 @@
 
 use std::{
     net::SocketAddr,
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
+    sync::Arc,
     thread::JoinHandle,
     time::{Duration, Instant},
 };
@@ -33,7 +30,7 @@ use super::{
 };
 use crate::{
     service::control::{Control, EventFeed},
-    threads,
+    threads::{self, Stopper},
 };
 
 /// Places of the Unix socket beyond `connections_max`: as many as requests can be carried out at once. Half of
@@ -153,7 +150,7 @@ impl Drop for HttpServer {
 /// The threads that listen to the service for everybody.
 #[derive(Debug)]
 struct Hubs {
-    stop: Arc<AtomicBool>,
+    stopper: Option<Stopper>,
     threads: Vec<JoinHandle<()>>,
 }
 
@@ -164,19 +161,19 @@ impl Hubs {
         show: &Arc<Show>,
         feed: EventFeed,
     ) -> anyhow::Result<Self> {
-        let mut hubs = Self { stop: Arc::default(), threads: Vec::with_capacity(2) };
-        let (happenings, stop) = (Arc::clone(happenings), Arc::clone(&hubs.stop));
-        let listen = move || happenings.listen(&feed, &stop);
+        let (stopper, stopped) = threads::stop();
+        let mut hubs = Self { stopper: Some(stopper), threads: Vec::with_capacity(2) };
+        let (happenings, is_stopped) = (Arc::clone(happenings), stopped.clone());
+        let listen = move || happenings.listen(&feed, &is_stopped);
         hubs.threads.push(threads::spawn("mocapd-events", listen)?);
-        let (show, stop) = (Arc::clone(show), Arc::clone(&hubs.stop));
-        let control = Arc::clone(control);
-        let run = move || show.run(control.as_ref(), &stop);
+        let (show, control) = (Arc::clone(show), Arc::clone(control));
+        let run = move || show.run(control.as_ref(), &stopped);
         hubs.threads.push(threads::spawn("mocapd-live", run)?);
         Ok(hubs)
     }
 
     fn stop(&mut self) -> anyhow::Result<()> {
-        self.stop.store(true, Ordering::Relaxed);
+        drop(self.stopper.take());
         self.threads.drain(..).map(threads::join).fold(Ok(()), Result::and)
     }
 }

@@ -9,20 +9,23 @@ use std::{
 };
 
 use axum::body::Bytes;
-use crossbeam_channel::{Receiver, Sender, bounded};
+use crossbeam_channel::{Receiver, Sender, bounded, select};
 use tokio::sync::broadcast;
 
 use super::counts::Counts;
-use crate::service::{
-    control::Control,
-    live::{LiveFeed, LiveMessage},
+use crate::{
+    service::{
+        control::Control,
+        live::{LiveFeed, LiveMessage},
+    },
+    threads::Stopped,
 };
 
 /// Messages that a viewer may be behind: a quarter of a second. A frame of 200 markers has 2.4 KB, and is held once
 /// for all viewers.
 const BEHIND_MAX: usize = 8;
 
-/// Between looks whether there are viewers, and whether the server ends.
+/// Between looks whether there still are viewers, and whether the server ends, where no frame comes.
 const LOOK: Duration = Duration::from_millis(100);
 
 /// Markers, as they go to a viewer.
@@ -59,20 +62,22 @@ impl Show {
         Self { sender: broadcast::Sender::new(BEHIND_MAX), table, is_over, wake, woken, counts }
     }
 
-    /// Looks while anybody does, until `stop`: the work of a thread of its own.
-    pub(super) fn run(&self, control: &dyn Control, stop: &AtomicBool) {
-        while !stop.load(Ordering::Relaxed) && !self.is_over() {
+    /// Looks while anybody does, until it is stopped: the work of a thread of its own.
+    pub(super) fn run(&self, control: &dyn Control, stopped: &Stopped) {
+        while !stopped.is_stopped() && !self.is_over() {
             if self.sender.receiver_count() == 0 {
-                // Woken early or not: it looks again.
-                self.woken.recv_timeout(LOOK).ok();
+                select! {
+                    recv(self.woken) -> _ => {}
+                    recv(stopped.channel()) -> _ => return,
+                }
                 continue;
             }
-            self.show(&control.live(), stop);
+            self.show(&control.live(), stopped);
         }
     }
 
-    fn show(&self, feed: &LiveFeed, stop: &AtomicBool) {
-        while self.sender.receiver_count() > 0 && !stop.load(Ordering::Relaxed) {
+    fn show(&self, feed: &LiveFeed, stopped: &Stopped) {
+        while self.sender.receiver_count() > 0 && !stopped.is_stopped() {
             let asked = Instant::now();
             match feed.next(LOOK) {
                 Some(message) => self.put(&message),

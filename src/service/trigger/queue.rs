@@ -45,27 +45,22 @@ impl Queue {
         Ok(())
     }
 
-    /// The next one that is due, as soon as it is, within `timeout`.
+    /// The next one that is due now.
     #[must_use]
-    pub fn next(&self, timeout: Duration) -> Option<Received> {
-        let end = self.now().saturating_add(timeout);
-        loop {
-            let now = self.now();
-            let next_due = {
-                let mut waiting = self.lock();
-                let due = waiting.take_due(now);
-                if due.is_some() {
-                    return due;
-                }
-                waiting.next_due()
-            };
-            if now >= end {
-                return None;
-            }
-            let until = next_due.map_or(end, |due| due.min(end));
-            // Woken, or it is time: what is due is looked up in either case.
-            self.woken.recv_timeout(until.saturating_sub(now)).ok();
-        }
+    pub fn take_due(&self) -> Option<Received> {
+        self.lock().take_due(self.now())
+    }
+
+    /// How long until the next one that waits is due; `None` when none waits.
+    #[must_use]
+    pub fn due_in(&self) -> Option<Duration> {
+        Some(self.lock().next_due()?.saturating_sub(self.now()))
+    }
+
+    /// Something comes when what is due next may be something else.
+    #[must_use]
+    pub fn woken(&self) -> &Receiver<()> {
+        &self.woken
     }
 
     /// As [`Waiting::cancel_starts`].

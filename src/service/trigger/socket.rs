@@ -3,21 +3,41 @@
 use std::{
     io,
     net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket},
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
+    os::fd::OwnedFd,
     thread::JoinHandle,
     time::Duration,
 };
 
 use anyhow::{Context, anyhow};
+use rustix::{
+    event::{PollFd, PollFlags, poll},
+    io::Errno,
+    pipe::{PipeFlags, pipe_with},
+};
 
 use super::{DATAGRAM_BYTES_MAX, Heard, Listener, Queue, Quiet, Received};
 use crate::threads;
 
-/// How soon the thread sees that it is to stop.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+/// A network that is down is down for a while.
+const TRY_AGAIN_AFTER: Duration = Duration::from_millis(100);
+
+/// Hears triggers until it is dropped.
+#[derive(Debug)]
+pub struct Hearing {
+    stop: Option<OwnedFd>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Drop for Hearing {
+    fn drop(&mut self) {
+        // Its other end is readable then.
+        drop(self.stop.take());
+        if let Some(thread) = self.thread.take() {
+            // A thread that panicked has told so already.
+            drop(thread.join());
+        }
+    }
+}
 
 /// What the thread that hears triggers asks the service.
 pub struct Questions {
@@ -53,26 +73,27 @@ pub fn bind(listen: SocketAddr) -> anyhow::Result<UdpSocket> {
         ),
         _ => anyhow!("cannot hear triggers on {listen}: {error}"),
     })?;
-    socket.set_read_timeout(Some(LOOK_EVERY)).context("a socket takes no time limit")?;
+    // It is waited for beside the stop, and a datagram that is not whole is none.
+    socket.set_nonblocking(true).context("a socket cannot be read without waiting")?;
     Ok(socket)
 }
 
-/// Hears triggers on a thread of its own until `stop`. `say` is told what is refused, a few words at a time.
+/// Hears triggers on a thread of its own until what it returns is dropped. `say` is told what is refused, a few words at a time.
 ///
 /// # Errors
-/// When the system refuses the thread.
+/// When the system refuses the thread or a pipe.
 pub fn listen(
     socket: UdpSocket,
     mut listener: Listener,
     questions: Questions,
     queue: Queue,
     mut say: impl FnMut(&str) + Send + 'static,
-    stop: Arc<AtomicBool>,
-) -> anyhow::Result<JoinHandle<()>> {
-    threads::spawn("mocapd-trigger", move || {
+) -> anyhow::Result<Hearing> {
+    let (stopped, stop) = pipe_with(PipeFlags::CLOEXEC).context("cannot open a pipe")?;
+    let thread = threads::spawn("mocapd-trigger", move || {
         let mut quiet = Quiet::default();
         let mut buffer = vec![0; DATAGRAM_BYTES_MAX];
-        while !stop.load(Ordering::Relaxed) {
+        while comes(&socket, &stopped) {
             let received = socket.recv_from(&mut buffer);
             let now = queue.now();
             let words = match received {
@@ -101,8 +122,7 @@ pub fn listen(
                 }
                 Err(error) if is_idle(&error) => continue,
                 Err(error) => {
-                    // A network that is down is down for a while.
-                    std::thread::sleep(LOOK_EVERY);
+                    std::thread::sleep(TRY_AGAIN_AFTER);
                     format!("cannot hear triggers: {error}")
                 }
             };
@@ -110,7 +130,22 @@ pub fn listen(
                 say(&words);
             }
         }
-    })
+    })?;
+    Ok(Hearing { stop: Some(stop), thread: Some(thread) })
+}
+
+/// Waits for a datagram. `false`: it is time to end.
+fn comes(socket: &UdpSocket, stopped: &OwnedFd) -> bool {
+    let mut fds = [PollFd::new(socket, PollFlags::IN), PollFd::new(stopped, PollFlags::IN)];
+    match poll(&mut fds, None) {
+        Ok(_) => fds[1].revents().is_empty(),
+        Err(Errno::INTR) => true,
+        // Without memory it is tried again, like a network that is down.
+        Err(_) => {
+            std::thread::sleep(TRY_AGAIN_AFTER);
+            true
+        }
+    }
 }
 
 fn is_idle(error: &io::Error) -> bool {

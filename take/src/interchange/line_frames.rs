@@ -99,7 +99,7 @@ impl LineFrames {
         let by_number = self.steps_by_number(warnings);
         let by_time = self.steps_by_time(stated_hz, by_number.as_deref(), warnings);
         let rate_hz = stated_hz.or_else(|| {
-            let steps = by_time.as_deref().map(|steps| steps.iter().sum::<u64>() as f64);
+            let steps = by_time.as_deref().map(|steps| steps.iter().map(|&step| step as f64).sum());
             let steps = steps.unwrap_or(self.times.len().saturating_sub(1) as f64);
             rate_of(steps, self.times.last()? - self.times.first()?, self.rounding)
         });

@@ -2,14 +2,11 @@
 
 use std::{
     net::{SocketAddr, UdpSocket},
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
+    time::Instant,
 };
 
 use super::{
-    socket::{Questions, Teller, bind, listen},
+    socket::{Hearing, Questions, Teller, bind, listen},
     *,
 };
 
@@ -20,8 +17,21 @@ struct Service {
     at: SocketAddr,
     triggers: Queue,
     said: crossbeam_channel::Receiver<String>,
-    stop: Arc<AtomicBool>,
-    thread: Option<std::thread::JoinHandle<()>>,
+    hearing: Hearing,
+}
+
+/// The next one that is due, as soon as it is, within `timeout`.
+fn next(triggers: &Queue, timeout: Duration) -> Option<Received> {
+    let until = Instant::now() + timeout;
+    loop {
+        let due = triggers.take_due();
+        let left = until.saturating_duration_since(Instant::now());
+        if due.is_some() || left.is_zero() {
+            return due;
+        }
+        let wait = triggers.due_in().unwrap_or(left).min(left);
+        triggers.woken().recv_timeout(wait).ok();
+    }
 }
 
 impl Service {
@@ -30,23 +40,20 @@ impl Service {
         let at = socket.local_addr().unwrap();
         let triggers = Queue::default();
         let (to_said, said) = crossbeam_channel::bounded(1000);
-        let stop = Arc::new(AtomicBool::new(false));
         let listener = Listener::new(Vec::new(), DELAY_MAX, mark);
         let say = move |words: &str| to_said.send(words.to_owned()).unwrap();
         let questions =
             Questions { exists: Box::new(|name| name == "old"), recording: Box::new(|| None) };
-        let (queue, ending) = (triggers.clone(), Arc::clone(&stop));
-        let thread = listen(socket, listener, questions, queue, say, ending).unwrap();
-        Self { at, triggers, said, stop, thread: Some(thread) }
+        let hearing = listen(socket, listener, questions, triggers.clone(), say).unwrap();
+        Self { at, triggers, said, hearing }
     }
 
     fn next(&self) -> Received {
-        self.triggers.next(GIVE_UP).unwrap()
+        next(&self.triggers, GIVE_UP).unwrap()
     }
 
-    fn end(mut self) {
-        self.stop.store(true, Ordering::Relaxed);
-        self.thread.take().unwrap().join().unwrap();
+    fn end(self) {
+        drop(self.hearing);
     }
 }
 
@@ -104,7 +111,7 @@ fn more_than_fit_are_lost_and_said() {
     for _ in 0..DUE_EACH_MAX {
         service.next();
     }
-    assert_eq!(service.triggers.next(Duration::ZERO), None);
+    assert_eq!(next(&service.triggers, Duration::ZERO), None);
     service.end();
 }
 
@@ -141,9 +148,9 @@ fn a_trigger_that_found_no_place_acts_when_it_is_repeated() {
         for _ in 0..2 {
             sender.send_to(late.as_bytes(), service.at).unwrap();
         }
-        let acted = service.triggers.next(Duration::from_secs(5)).expect("the repeat acts");
+        let acted = next(&service.triggers, Duration::from_secs(5)).expect("the repeat acts");
         assert_eq!(acted.trigger, parse(late.as_bytes()).unwrap());
-        assert_eq!(service.triggers.next(Duration::from_millis(50)), None);
+        assert_eq!(next(&service.triggers, Duration::from_millis(50)), None);
     }
     service.end();
 }
