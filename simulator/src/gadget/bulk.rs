@@ -1,7 +1,7 @@
 //! The vendor interface with its bulk pair.
 
 use std::io;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use bytes::{Bytes, BytesMut};
 use rustix::io::Errno;
@@ -28,6 +28,10 @@ const SENDS: u32 = 8;
 /// Transfers that wait for commands, and the bytes of each: a command has 16.
 const RECEIVES: u32 = 4;
 const RECEIVE_BYTES: usize = 4096;
+
+/// How long the kernel may take to take back transfers that were cancelled: dummy_hcd does so with its next frame, of a
+/// millisecond; a busy emulated machine is late.
+const CANCELLED_WITHIN: Duration = Duration::from_millis(500);
 
 /// Full speed has packets of 64 bytes, the others have multiples of it.
 const PACKET_BYTES: usize = 64;
@@ -84,10 +88,22 @@ impl Bulk {
     /// When the host is not there, or the controller cannot stall.
     pub fn stall(&mut self) -> io::Result<()> {
         self.to_host.cancel()?;
-        match self.to_host.control()?.halt() {
-            // How FunctionFS says that it did.
-            Err(error) if error.raw_os_error() == Some(Errno::BADMSG.raw_os_error()) => Ok(()),
-            outcome => outcome,
+        let asked = Instant::now();
+        loop {
+            match self.to_host.control()?.halt() {
+                // How FunctionFS says that it did.
+                Err(error) if error.raw_os_error() == Some(Errno::BADMSG.raw_os_error()) => {
+                    return Ok(());
+                }
+                // A transfer that was cancelled is still being taken back.
+                Err(error)
+                    if error.kind() == io::ErrorKind::WouldBlock
+                        && asked.elapsed() < CANCELLED_WITHIN =>
+                {
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+                outcome => return outcome,
+            }
         }
     }
 
