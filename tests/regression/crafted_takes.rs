@@ -97,3 +97,20 @@ fn a_label_as_long_as_a_book_is_shown() {
     let ran = folder.run(&["info", "a.take"]).with_code(0);
     assert!(ran.stdout.contains(&label));
 }
+
+#[test]
+fn a_ledger_that_tells_of_more_than_is_there_is_counted_again() {
+    let folder = Folder::new();
+    let mut writer = TakeWriter::new(Vec::new(), &header()).unwrap();
+    let span = Span { first_row: 0, n_rows: 0, key: true, number: 0 };
+    writer.stretch(span, &[1 | 4, 1 | 2 | 4, 0, 0, 0]).unwrap();
+    let n = 388;
+    let ledger = Ledger { finished: true, frames_sent: n, recorded: n, ..Ledger::default() };
+    folder.write("a.take", writer.finish(&ledger).unwrap().0);
+    folder.run(&["verify", "a.take"]).with_code(1);
+    let ran = folder.run(&["recover", "a.take", "-o", "b.take"]).with_code(3);
+    assert!(ran.stderr.contains("388"), "{}", ran.stderr);
+    // What is left does not contradict itself.
+    let verify = folder.run(&["verify", "b.take", "--json"]).with_code(3).json();
+    assert_eq!(verify["contradictions"], serde_json::json!([]), "{verify}");
+}

@@ -43,6 +43,8 @@ pub struct Survey {
     discarded_bytes: u64,
     finished: bool,
     names_lost: bool,
+    /// Its ledger tells of other frames or samples than are there, and nothing is damaged.
+    contradicted: bool,
 }
 
 impl Survey {
@@ -164,6 +166,7 @@ impl Survey {
         let lost = |count: &KindCount| count.discarded > 0 && !count.kind.is_made_anew();
         !self.finished
             || self.names_lost
+            || self.contradicted
             || self.rows_damaged() > 0
             || self.kinds.all().iter().any(lost)
     }

@@ -5,7 +5,7 @@ use crate::{
     TakeError, TakeEvent, chunk, frames,
     loss::{Losses, Why},
     problems::Problems,
-    record::{Channel, EndingKind, Header, TakeEnding},
+    record::{Channel, EndingKind, Header, Ledger, TakeEnding},
     recovery::{Piece, account::Account, kinds::Kind, kinds::Kinds},
     stretch::{Span, StretchDecoder},
     table::ChannelTable,
@@ -182,12 +182,23 @@ impl Surveyor {
             discarded_bytes: self.discarded_bytes,
             finished: self.closed,
             names_lost: self.names_lost,
+            contradicted: false,
         };
         // Where nothing is lost, nothing is counted again.
         if let Some(ledger) = self.account.last().filter(|ledger| ledger.finished)
             && !survey.lost_anything()
         {
-            survey.ledger = ledger.clone();
+            let counted = |ledger: &Ledger| (ledger.recorded, ledger.samples_present);
+            let (told, found) = (counted(ledger), counted(&survey.ledger));
+            if told == found {
+                survey.ledger = ledger.clone();
+            } else {
+                survey.contradicted = true;
+                survey.problems.push(format!(
+                    "its ledger tells of {} frames and {} samples, in the file are {} and {}: it is counted again",
+                    told.0, told.1, found.0, found.1
+                ));
+            }
         }
         Ok(survey)
     }
