@@ -11,7 +11,7 @@ mod silence;
 use std::sync::{Arc, atomic::Ordering};
 
 use crossbeam_channel::Sender;
-use mocapd_drivers::device::{Frame, LinkCounters, Status};
+use mocapd_drivers::device::{Frame, LinkCounters, MarkerInfo, Status};
 use mocapd_take::{
     record::{Event, TakeEnding},
     timeline::{Causes, RowTime},
@@ -54,6 +54,8 @@ pub struct Intake {
     slot_of_id: Vec<u32>,
     /// By slot, as announced.
     labels: Vec<String>,
+    /// Markers of the device's table that came since the last frame.
+    announced: Vec<MarkerInfo>,
     n_channels: usize,
     /// The row being put together, by slot.
     row: Vec<Sample>,
@@ -128,6 +130,7 @@ impl Intake {
             beat: config.heartbeat.beat(Who::Reader)?,
             slot_of_id,
             labels,
+            announced: Vec::new(),
             n_channels: config.channels.len(),
             row: vec![Sample::default(); plan.n_slots],
             room: 0,
@@ -166,6 +169,9 @@ impl Intake {
     /// One frame, at the host's monotonic time of its last byte.
     pub fn frame(&mut self, frame: &Frame<'_>, arrival_ns: u64) {
         self.now_ns = arrival_ns;
+        if !self.announced.is_empty() {
+            self.bind_announced();
+        }
         self.look_at_desk(arrival_ns);
         let rejoins = self.rejoining;
         // Its frames came before whoever waited for it was told.

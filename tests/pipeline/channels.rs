@@ -159,3 +159,48 @@ fn a_table_that_is_announced_again_opens_no_channel() {
     assert!(written.ledger.closes());
     assert_eq!(chunks(&take).labels.len(), 15);
 }
+
+/// A device that is plugged in again may number its markers in another way, in a table of several messages.
+#[test]
+fn names_that_change_their_numbers_keep_their_channels() {
+    let motion = jump(7, 100.0, 4.0);
+    let n = motion.info.markers.len();
+    let label = |column: usize| motion.info.markers[column].label.clone();
+    for (turn, per_message) in [(1, n), (n - 1, n), (3, 2), (n / 2, 1)] {
+        let (mut intake, pipeline) = start(&config(&motion, lossless()), Vec::new());
+        for seq in 0..400 {
+            // From 200 on the marker of a column has another id.
+            let id = |column: usize| if seq < 200 { column } else { (column + turn) % n };
+            if seq == 200 {
+                let infos: Vec<MarkerInfo> = (0..n)
+                    .map(|column| MarkerInfo {
+                        id: id(column) as u16,
+                        label: label(column),
+                        labelled: true,
+                    })
+                    .collect();
+                infos.chunks(per_message).for_each(|message| intake.announce(message));
+            }
+            let markers: Vec<MarkerSample> = samples(motion.frame(seq))
+                .into_iter()
+                .map(|marker| MarkerSample { id: id(usize::from(marker.id)) as u16, ..marker })
+                .collect();
+            while intake.is_full() {
+                std::thread::yield_now();
+            }
+            feed_samples(&mut intake, 100.0, seq, &markers);
+        }
+        intake.finish();
+        let (written, take) = pipeline.finish().unwrap();
+        assert_eq!((written.ledger.markers_dropped, written.ledger.recorded), (0, 400));
+        assert_eq!(chunks(&take).labels.len(), n, "{turn}: {:?}", chunks(&take).labels);
+        for (seq, row) in rows(&take).0.iter().enumerate() {
+            for (column, (a, b)) in row.iter().zip(motion.frame(seq)).enumerate() {
+                assert!(
+                    is_gap(*a) == is_gap(*b) && (is_gap(*a) || a == b),
+                    "{turn}: {seq} {column}: {a:?} {b:?}"
+                );
+            }
+        }
+    }
+}

@@ -29,7 +29,7 @@ const SENDS: u32 = 8;
 const RECEIVES: u32 = 4;
 const RECEIVE_BYTES: usize = 4096;
 
-/// How long the kernel may take to take back transfers that were cancelled: dummy_hcd does so with its next frame, of a
+/// How long the kernel may take to take back transfers that were cancelled: `dummy_hcd` does so with its next frame, of a
 /// millisecond; a busy emulated machine is late.
 const CANCELLED_WITHIN: Duration = Duration::from_millis(500);
 
