@@ -7,6 +7,7 @@ mod mounts;
 mod scratch;
 mod sparse;
 mod take_file;
+mod text;
 
 use std::{
     ffi::{OsStr, OsString},
@@ -30,6 +31,7 @@ pub use self::{
     scratch::scratch,
     sparse::SparseFile,
     take_file::{FileId, TakeFile},
+    text::{path_as_text, path_as_text_or_null},
 };
 
 /// Opens a file to read.

@@ -13,6 +13,7 @@ mod idle_connections;
 mod lines_and_frames;
 mod local_time;
 mod lossy_exports;
+mod names_of_takes;
 mod negative_residuals;
 mod noise;
 mod nothing_to_compare;

@@ -60,6 +60,11 @@ pub(crate) fn recoverable(take: &Path) -> String {
     format!("{name}: `mocapd recover {name} -o NEW.take` makes a whole take of what is there")
 }
 
+/// That a take of which nothing is known to be lost may lack what came after its end.
+pub(crate) fn ended_early(take: &Path, ending: &str) -> String {
+    format!("{}: it ended early ({ending}): what came then is not in it", take.display())
+}
+
 /// Which frames are lost, a line each.
 pub(crate) fn lines(damage: &[DamageReport]) -> Vec<String> {
     let mut lines: Vec<String> = damage.iter().take(TOLD_MAX).map(DamageReport::words).collect();

@@ -9,7 +9,7 @@ use super::{
     live::LiveFeed,
     status::{LedgerStatus, MarkerQuality, ServiceEvent, Status, TakeStatus, TakeSummary},
 };
-use crate::files::{FileId, FileState};
+use crate::files::{FileId, FileState, path_as_text};
 
 /// The service as the HTTP API, the triggers and the signals see it.
 ///
@@ -149,6 +149,7 @@ pub struct Started {
     pub name: String,
     /// Its file.
     #[schema(value_type = String)]
+    #[serde(serialize_with = "path_as_text")]
     pub path: PathBuf,
     /// Its first frame, which is on disk.
     pub first_frame: FirstFrame,
@@ -178,6 +179,7 @@ pub struct Stopped {
     /// Its file, where it is now: another program may have renamed it, or removed it, and what was recorded was saved
     /// beside it.
     #[schema(value_type = String)]
+    #[serde(serialize_with = "path_as_text")]
     pub path: PathBuf,
     /// What others did to the file while it was recorded.
     #[serde(default)]

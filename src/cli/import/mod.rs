@@ -8,6 +8,7 @@ use std::{
     sync::{Arc, atomic::AtomicU64},
 };
 
+use anyhow::Context;
 use mocapd::{
     files::NewFile,
     header,
@@ -88,7 +89,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     motion.info.subject = subject;
     drop(bytes);
     let workers = args.threads.map_or_else(threads::default_workers, usize::from);
-    let written = write(&motion, &header, workers, &args.output)?;
+    let written = write(&motion, &header, workers, &args.output)
+        .with_context(|| format!("cannot write {}", args.output.display()))?;
     if written.samples == 0 {
         about_file("every sample is missing: the take holds gaps only");
     }

@@ -15,6 +15,7 @@ use crate::cli::{
 
 #[derive(Debug, Serialize)]
 pub(super) struct Report {
+    #[serde(serialize_with = "mocapd::files::path_as_text")]
     take: PathBuf,
     frames: u64,
     frames_missing: u64,

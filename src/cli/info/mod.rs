@@ -45,6 +45,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let Some(why) = report.not_closing() {
         say(&format!("{}: {why}", args.take.display()));
     }
+    if report.health == TakeHealth::Lossy
+        && report.losses().is_none()
+        && let Some(ending) = &report.ending
+    {
+        say(&damage::ended_early(&args.take, ending));
+    }
     if !args.json && damage::is_recoverable(&summary) {
         say(&damage::recoverable(&args.take));
     }

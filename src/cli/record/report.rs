@@ -17,9 +17,11 @@ use crate::cli::{
 
 #[derive(Debug, Serialize)]
 pub(crate) struct Report {
+    #[serde(serialize_with = "mocapd::files::path_as_text")]
     take: PathBuf,
     ending: &'static str,
     file_state: FileState,
+    #[serde(serialize_with = "mocapd::files::path_as_text_or_null")]
     file_path: Option<PathBuf>,
     frames: u64,
     seconds: f64,

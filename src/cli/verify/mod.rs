@@ -53,6 +53,7 @@ pub(crate) struct Args {
 
 #[derive(Debug, Serialize)]
 struct Report {
+    #[serde(serialize_with = "mocapd::files::path_as_text")]
     take: PathBuf,
     intact: bool,
     health: TakeHealth,
@@ -119,6 +120,12 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     if let Some(why) = summary.ledger.as_ref().and_then(|l| LedgerReport::new(l).not_closing()) {
         say(&format!("{}: {why}", args.take.display()));
+    }
+    if report.health == TakeHealth::Lossy
+        && !summary.ledger.as_ref().is_some_and(Ledger::lost_anything)
+        && let Some(ending) = report.ending
+    {
+        say(&damage::ended_early(&args.take, ending));
     }
     if !args.json && damage::is_recoverable(&summary) {
         say(&damage::recoverable(&args.take));

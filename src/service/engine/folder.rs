@@ -118,11 +118,15 @@ impl Inner {
     }
 
     pub(super) fn path_of(&self, name: &str) -> Result<PathBuf, Refusal> {
-        let name = names::checked(name)?;
-        let path = self.core().options.directory.join(format!("{name}.take"));
-        // A link could lead out of the folder.
-        if path.symlink_metadata().is_ok_and(|file| file.is_file()) {
-            return Ok(path);
+        let name = names::checked_as_it_is(name)?;
+        let directory = self.core().options.directory.clone();
+        // The name as the list has it, else as a file's.
+        for name in [Some(name), names::without_ending(name)].into_iter().flatten() {
+            let path = directory.join(format!("{name}.take"));
+            // A link could lead out of the folder.
+            if path.symlink_metadata().is_ok_and(|file| file.is_file()) {
+                return Ok(path);
+            }
         }
         Err(Refusal::new(RefusalKind::NotFound, format!("there is no take called {name}")))
     }

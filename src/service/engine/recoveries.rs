@@ -9,7 +9,7 @@ use std::{
 use anyhow::Context;
 use mocapd_take::recovery::{Survey, mend_start};
 
-use super::Inner;
+use super::{Inner, folder::summary_of};
 use crate::{
     files::{NewFile, SparseFile},
     header::SOFTWARE,
@@ -23,18 +23,31 @@ const TAKES_MAX: usize = 64;
 /// Stands behind the name of a take that was closed again, and a dot before it.
 const RECOVERED: &str = "recovered";
 
+/// Recoveries of takes of one name: more are somebody's game.
+const RECOVERED_MAX: u32 = 100;
+
 /// Takes that are cut off, and have not been closed again. To be asked before a take is begun: one that is being written
 /// has no end, either.
 pub(super) fn cut_off(inner: &Inner) -> Vec<PathBuf> {
     let Ok(takes) = inner.list_takes(TAKES_MAX) else { return Vec::new() };
     let is_cut_off = |take: &TakeSummary| take.health == TakeHealth::CutOff && take.bytes > 0;
-    let path = |take: TakeSummary| inner.path_of(&take.name).ok();
-    let paths = takes.into_iter().filter(is_cut_off).filter_map(path);
-    paths.filter(|path| !recovered_path(path).exists()).collect()
+    let takes = takes.into_iter().filter(is_cut_off);
+    let with_path = |take: TakeSummary| Some((inner.path_of(&take.name).ok()?, take.take_id));
+    let is_recovered = |(path, take_id): &(PathBuf, String)| {
+        recovered_paths(path).map_while(|path| summary_of(&path)).any(|it| it.take_id == *take_id)
+    };
+    let open = takes.filter_map(with_path).filter(|take| !is_recovered(take));
+    open.map(|(path, _)| path).collect()
 }
 
-fn recovered_path(path: &Path) -> PathBuf {
-    path.with_extension(format!("{RECOVERED}.take"))
+/// Where a recovery of it may be: another take of its name may have been recovered before.
+fn recovered_paths(path: &Path) -> impl Iterator<Item = PathBuf> {
+    (1..=RECOVERED_MAX).map(|number| {
+        path.with_extension(match number {
+            1 => format!("{RECOVERED}.take"),
+            _ => format!("{RECOVERED}-{number}.take"),
+        })
+    })
 }
 
 /// Closes them, each beside itself: what was written is not touched.
@@ -44,7 +57,8 @@ pub(super) fn run(inner: &Arc<Inner>, takes: Vec<PathBuf>) {
             return;
         }
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let output = recovered_path(&path);
+        let output = recovered_paths(&path).find(|path| path.symlink_metadata().is_err());
+        let Some(output) = output else { continue };
         match recover(&path, &output) {
             Ok(losses) => {
                 let to = output.file_stem().unwrap_or_default().to_string_lossy();
