@@ -48,9 +48,9 @@ impl Config {
     /// # Errors
     /// That it cannot be read, or everything that is wrong with it.
     pub fn load(file: &Path, overrides: &Overrides) -> Result<Self, ConfigError> {
-        let unreadable = |source: io::Error| match source.kind() {
+        let unreadable = |error: io::Error| match error.kind() {
             io::ErrorKind::NotFound => ConfigError::NotFound(file.to_owned()),
-            _ => ConfigError::Unreadable { file: file.to_owned(), source },
+            _ => ConfigError::Unreadable { file: file.to_owned(), error },
         };
         let opened = plain_file::open(file).map_err(unreadable)?;
         let mut bytes = Vec::new();

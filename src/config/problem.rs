@@ -40,12 +40,12 @@ pub enum ConfigError {
     #[error("{} does not exist: write one with `mocapd config example > {}`", .0.display(), .0.display())]
     NotFound(PathBuf),
     /// It cannot be read.
-    #[error("cannot read {}: {source}", .file.display())]
+    #[error("cannot read {}: {error}", .file.display())]
     Unreadable {
         /// The file.
         file: PathBuf,
-        /// Why.
-        source: std::io::Error,
+        /// Why; it is in the message, and so no source of its own.
+        error: std::io::Error,
     },
     /// Something in it cannot be meant.
     #[error("{}", Refused(.name, .problems, *.more))]

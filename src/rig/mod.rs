@@ -175,7 +175,11 @@ impl Rig {
 
     fn set_rate_unless(&mut self, rate_hz: f64, give_up: &dyn Fn() -> bool) -> anyhow::Result<()> {
         let rate_mhz = (rate_hz * 1000.0).round();
-        ensure!((1.0..=4e9).contains(&rate_mhz), "cannot run a device at {rate_hz} Hz");
+        ensure!(
+            (1.0..=4e9).contains(&rate_mhz),
+            "cannot run a device at {rate_hz} Hz: {}",
+            rates(&self.hello)
+        );
         let answer = self.ask(Command::SetRate(rate_mhz as u32), give_up, |event| match event {
             DeviceEvent::RateSet(set) => Some(Ok(set)),
             DeviceEvent::Refused(budget) => Some(Err(budget)),

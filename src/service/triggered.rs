@@ -14,7 +14,8 @@ use super::{
     control::{Control, EventFeed, Mark, RefusalKind, Request, Start},
     status::ServiceEvent,
     trigger::{
-        self, Announcer, Listener, Queue, Received, StopResult, TakeName, Trigger, first_packet_id,
+        self, Announcer, Listener, Queue, Quiet, Received, StopResult, TakeName, Trigger,
+        first_packet_id,
         socket::{self, Hearing, Questions, Teller},
     },
 };
@@ -41,7 +42,18 @@ struct Worker {
     teller: Option<Teller>,
     /// The take that another program started, which need not be told of it.
     triggered: Option<Triggered>,
+    /// Of triggers that change nothing: their sender can send a thousand a second.
+    quiet: Quiet,
     stopped: Stopped,
+}
+
+/// What became of a trigger, in words.
+#[derive(Debug)]
+enum Outcome {
+    /// A take began, or ended.
+    Acted(String),
+    /// All is as it was.
+    Nothing(String),
 }
 
 #[derive(Debug)]
@@ -93,6 +105,7 @@ impl Triggers {
             announcer: Announcer::new(rig, mark, first_packet_id(now.as_secs())),
             teller,
             triggered: None,
+            quiet: Quiet::default(),
             stopped,
         };
         let worker = threads::spawn("mocapd-triggered", move || worker.run())?;
@@ -141,66 +154,74 @@ impl Worker {
 
     fn carry_out(&mut self, received: &Received) {
         let note = received.trigger.note(received.from.ip());
-        let words = match &received.trigger {
+        let outcome = match &received.trigger {
             Trigger::Start(start) => self.start(start, received.sender(), &note),
             Trigger::Stop(stop) => self.stop(stop, received, &note),
-            Trigger::Complete(_) => note,
+            Trigger::Complete(_) => Outcome::Nothing(note),
         };
-        self.control.tell("trigger", &words);
+        let words = match outcome {
+            Outcome::Acted(words) => Some(words),
+            Outcome::Nothing(words) => self.quiet.say(&words, self.triggers.now()),
+        };
+        if let Some(words) = words {
+            self.control.tell("trigger", &words);
+        }
     }
 
-    fn start(&mut self, start: &trigger::Start, by: IpAddr, note: &str) -> String {
+    fn start(&mut self, start: &trigger::Start, by: IpAddr, note: &str) -> Outcome {
         let name = start.name.as_ref().map(|name| name.text().to_owned());
         let start = Start { name, notes: Some(note.to_owned()), ..Start::default() };
         match self.control.start(&start) {
             Ok(started) => {
                 let words = format!("{note}: recording {}", started.name);
                 self.triggered = Some(Triggered { take: started.name, by });
-                words
+                Outcome::Acted(words)
             }
-            Err(refusal) => format!("{note}: not started: {refusal}"),
+            Err(refusal) => Outcome::Nothing(format!("{note}: not started: {refusal}")),
         }
     }
 
-    fn stop(&self, stop: &trigger::Stop, received: &Received, note: &str) -> String {
+    fn stop(&self, stop: &trigger::Stop, received: &Received, note: &str) -> Outcome {
         let name = stop.name.as_ref().map(TakeName::text);
         let was_recording = received.recording.as_deref();
         let recording = self.control.status().take.map(|take| take.name);
+        // A stop that means no take that is being recorded can mean a start that waits.
+        let of_waiting = |otherwise: String| match self.triggers.cancel_starts(received.from, name)
+        {
+            0 => Outcome::Nothing(format!("{note}: {otherwise}")),
+            n => Outcome::Acted(format!("{note}: starts that waited, now cancelled: {n}")),
+        };
         let Some(recording) = recording.as_deref() else {
-            return match (self.triggers.cancel_starts(received.from, name), was_recording) {
-                (0, Some(was)) => format!("{note}: {was} was over already"),
-                (0, None) => format!("{note}: no take is being recorded"),
-                (n, _) => format!("{note}: starts that waited, now cancelled: {n}"),
-            };
+            return of_waiting(match was_recording {
+                Some(was) => format!("{was} was over already"),
+                None => "no take is being recorded".to_owned(),
+            });
         };
         if name.is_some_and(|name| name != recording) {
-            return match self.triggers.cancel_starts(received.from, name) {
-                0 => format!("{note}: another take is being recorded, {recording}: it goes on"),
-                n => format!("{note}: starts that waited, now cancelled: {n}"),
-            };
+            return of_waiting(format!("another take is being recorded, {recording}: it goes on"));
         }
         // Without a name the take is meant that was being recorded when the trigger came, and no later one. Where there
         // was none, its sender can only mean a start of its own, which came before it and was not carried out yet.
         match was_recording.filter(|_| name.is_none()) {
-            Some(was) if was != recording => return format!("{note}: {was} was over already"),
+            Some(was) if was != recording => {
+                return Outcome::Nothing(format!("{note}: {was} was over already"));
+            }
             None if name.is_none() && !self.is_started_by(recording, received.sender()) => {
-                return match self.triggers.cancel_starts(received.from, name) {
-                    0 => format!(
-                        "{note}: no take was being recorded when it came: {recording} goes on"
-                    ),
-                    n => format!("{note}: starts that waited, now cancelled: {n}"),
-                };
+                let goes_on =
+                    format!("no take was being recorded when it came: {recording} goes on");
+                return of_waiting(goes_on);
             }
             _ => {}
         }
         // A take that cannot be marked can be stopped.
         self.control.mark(&Mark { text: note.to_owned(), ..Mark::default() }).ok();
         match self.control.stop(&Request::default()) {
-            Ok(stopped) => format!("{note}: stopped {}", stopped.name),
+            Ok(stopped) => Outcome::Acted(format!("{note}: stopped {}", stopped.name)),
             Err(refusal) if refusal.kind == RefusalKind::Conflict => {
-                format!("{note}: it was over already")
+                Outcome::Nothing(format!("{note}: it was over already"))
             }
-            Err(refusal) => format!("{note}: not stopped: {refusal}"),
+            // The take may have ended, and with a loss: whoever reads the log must not miss it.
+            Err(refusal) => Outcome::Acted(format!("{note}: not stopped: {refusal}")),
         }
     }
 

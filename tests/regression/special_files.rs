@@ -72,7 +72,7 @@ fn pipes_devices_and_sockets_are_refused_at_once() {
             let Some(ran) = ran else { panic!("{args:?} did not end") };
             assert!(matches!(ran.code, Some(1 | 2)), "{args:?}: {ran:?}");
             let kind = format!("a {what}, not a file");
-            assert!(ran.stderr.contains(&kind), "{args:?}: {}", ran.stderr);
+            assert_eq!(ran.stderr.matches(&kind).count(), 1, "{args:?}: {}", ran.stderr);
         }
     }
     assert!(!folder.path("new.take").exists());

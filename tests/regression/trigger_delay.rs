@@ -245,3 +245,32 @@ fn a_stop_without_a_name_that_came_before_a_take_ends_it_only_for_its_own_sender
         std::thread::sleep(Duration::from_millis(2));
     }
 }
+
+#[test]
+fn a_flood_of_triggers_that_change_nothing_is_a_few_lines_of_the_log() {
+    let served = Served::start();
+    served.send("CaptureStart", "walk", 0, 1);
+    served.until_recording(Some("walk"));
+    for packet in 0..200 {
+        served.send("CaptureStart", "other", 0, 2 + 3 * packet);
+        served.send("CaptureStop", "another", 0, 3 + 3 * packet);
+        served.send("CaptureComplete", "another", 0, 4 + 3 * packet);
+        // No more at once than a socket's buffer holds.
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    // On a loaded machine what has come may still wait: of so many from one sender, the last may be refused.
+    let began = Instant::now();
+    for packet in 1000.. {
+        let mut told = served.fake.told.lock().unwrap().clone().into_iter();
+        if told.any(|(_, words)| words.ends_with("stopped walk")) {
+            break;
+        }
+        assert!(began.elapsed() < AT_ONCE, "the log tells of the stop");
+        served.send("CaptureStop", "walk", 0, packet);
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    let told = served.fake.told.lock().unwrap();
+    let of_nothing = told.iter().filter(|(_, words)| words.contains("other")).count();
+    // Those of the socket and of the worker: five each, and one more for each ten seconds that this may have lasted.
+    assert!((1..=14).contains(&of_nothing), "{of_nothing}: {told:?}");
+}

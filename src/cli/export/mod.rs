@@ -61,7 +61,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let wanted = |kind: &str| format.gives_back(kind);
     let mut frames = TakeFrames::open_with(BufReader::new(file), wanted, files::scratch)
         .with_context(reading)?;
-    let range = part::range(frames.info(), frames.n_held(), args.from, args.to)?;
+    let range = part::range(frames.info(), frames.n_held(), args.from, args.to)
+        .with_context(|| args.take.display().to_string())?;
     if args.up.is_some() && frames.info().up == UpAxis::Unknown {
         return Err(UsageError(format!(
             "{} does not say what is up, so that --up cannot turn it: import its file again with --up",

@@ -41,6 +41,8 @@ pub(crate) struct Fake {
     lost: AtomicU64,
     /// Commands that were carried out, not answered from memory.
     pub(crate) carried_out: AtomicU64,
+    /// What it was given to tell: the kind, and the words.
+    pub(crate) told: Mutex<Vec<(String, String)>>,
 }
 
 #[derive(Debug, Default)]
@@ -85,6 +87,7 @@ impl Fake {
             command_ms: AtomicU64::new(0),
             lost: AtomicU64::new(0),
             carried_out: AtomicU64::new(0),
+            told: Mutex::default(),
         })
     }
 
@@ -206,6 +209,10 @@ fn ledger(lost_on_link: u64) -> LedgerStatus {
 }
 
 impl Control for Fake {
+    fn tell(&self, kind: &str, message: &str) {
+        self.told.lock().unwrap().push((kind.to_owned(), message.to_owned()));
+    }
+
     fn status(&self) -> Status {
         self.status_of(&self.lock())
     }
