@@ -74,7 +74,7 @@ pub static TAKE_DIRECTORY: Key = Key {
         words: "`$STATE_DIRECTORY` where it is set, as systemd does; else `\".\"`",
         example: "\"/var/lib/mocapd\"",
     },
-    what: "The folder that takes are created in; it is made when it is not there.",
+    what: "The folder that takes are created in; where there is none at the start, it is made.",
     why: "Under systemd it is the one folder that the service may write to.",
     when: When::NextTake,
     written: |config| path(&config.take.directory),
