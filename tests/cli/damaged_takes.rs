@@ -78,7 +78,7 @@ fn a_cut_take_is_read_as_far_as_it_goes() {
         assert_eq!(folder.run(&["info", "bad.take", "--json"]).with_code(3).json()["frames"], 0);
         folder.run(&["verify", "bad.take"]).with_code(3);
         let line = folder.refuses(&["export", "bad.take", "-o", "new.csv"], 1);
-        assert_eq!(line, "the take holds no frames: there is nothing to export");
+        assert_eq!(line, "bad.take: the take holds no frames: there is nothing to export");
     }
 }
 
