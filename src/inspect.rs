@@ -13,10 +13,8 @@ use mocapd_take::{
     timeline::{Causes, Timeline},
 };
 
-use crate::{
-    clock::{Apart, ClockStatus, LineAgain},
-    health::TakeHealth,
-};
+use crate::health::TakeHealth;
+use mocapd_acquire::clock::{Apart, ClockStatus, LineAgain};
 
 mod claims;
 

@@ -97,16 +97,6 @@ pub fn size_bytes(text: &str) -> Result<u64, String> {
     Ok(bytes.round() as u64)
 }
 
-/// The first frame at or after `time`, and so the number of frames before it. A time that is a frame's own
-/// but for its last digits is that frame's: 0.07 s at 100 Hz are 7.000000000000001 frames in binary.
-#[must_use]
-pub fn frame_at(time: Duration, rate_hz: f64) -> u64 {
-    let frame = time.as_secs_f64() * rate_hz;
-    let nearest = frame.round();
-    let close = (frame - nearest).abs() <= 1e-9 * frame.max(1.0);
-    if close { nearest as u64 } else { frame.ceil() as u64 }
-}
-
 /// `240`, `240Hz`, `1kHz`; 1 to 10 000 Hz.
 ///
 /// # Errors
@@ -179,23 +169,5 @@ mod tests {
             assert!(frequency_hz(text).is_err(), "{text}");
         }
         assert_eq!(frequency_hz("0.5Hz"), Ok(0.5));
-    }
-
-    #[test]
-    fn a_frames_own_time_is_that_frame() {
-        // 0.07 * 100 is 7.000000000000001 in binary.
-        for (ms, rate_hz, frame) in [
-            (0, 120.0, 0),
-            (70, 100.0, 7),
-            (71, 100.0, 8),
-            (1, 59.94, 1),
-            (3_600_000, 120.0, 432_000),
-        ] {
-            assert_eq!(frame_at(Duration::from_millis(ms), rate_hz), frame, "{ms} ms");
-        }
-        for frame in 0..1000 {
-            let time = Duration::from_secs_f64(f64::from(frame) / 59.94);
-            assert_eq!(frame_at(time, 59.94), u64::from(frame as u32));
-        }
     }
 }

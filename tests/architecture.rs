@@ -27,6 +27,7 @@ fn product_sources() -> Vec<PathBuf> {
         "codec/src",
         "take/src",
         "drivers/src",
+        "acquire/src",
         "simulator/src",
         "report/src",
         "subject/src",

@@ -21,7 +21,8 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd::{inspect::Summary, rig::monotonic_ns};
+use mocapd::inspect::Summary;
+use mocapd_acquire::host_clock::monotonic_ns;
 use mocapd_simulator::{
     device::{Device, DeviceSettings},
     generator::{JumpSpec, Occlusion, Rng},

@@ -15,7 +15,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd::{
+use mocapd_acquire::{
     header,
     pipeline::{Intake, Pipeline, PipelineConfig, TakeOutput},
 };

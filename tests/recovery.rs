@@ -43,12 +43,13 @@ fn recording(codec: mocapd_codec::Settings) -> Vec<u8> {
 fn import(seconds: f64) -> Vec<u8> {
     let motion = jump(4, 60.0, seconds);
     let codec = dense(0.5);
-    let mut header = mocapd::header::of_import(&codec, 60.0);
-    header.channels = mocapd::header::channels(&motion.info.markers);
+    let mut header = mocapd_acquire::header::of_import(&codec, 60.0);
+    header.channels = mocapd_acquire::header::channels(&motion.info.markers);
     header.stretch_rows = 600;
     let counter = std::sync::Arc::default();
     let written =
-        mocapd::pipeline::offline::write_take(&motion, &header, 1, &counter, Vec::new()).unwrap();
+        mocapd_acquire::pipeline::offline::write_take(&motion, &header, 1, &counter, Vec::new())
+            .unwrap();
     written.1
 }
 

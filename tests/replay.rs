@@ -10,8 +10,8 @@ use std::{
     time::Duration,
 };
 
-use mocapd::{
-    compare::compare,
+use mocapd::compare::compare;
+use mocapd_acquire::{
     record::{RecordOptions, Recorded, record},
     rig::{Ending, Rig},
 };

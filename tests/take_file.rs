@@ -182,7 +182,7 @@ fn newer_parts_are_skipped_or_refused_as_their_type_says() {
 #[test]
 fn a_newer_header_is_refused_with_its_version() {
     let (motion, _) = take();
-    let header = mocapd::header::new(&dense(1.0), motion.info.rate_hz).unwrap();
+    let header = mocapd_acquire::header::new(&dense(1.0), motion.info.rate_hz).unwrap();
     let mut payload = header.to_payload().unwrap();
     payload[0] = 9;
     let mut take = chunk::MAGIC.to_vec();
@@ -213,8 +213,8 @@ fn what_is_no_take_is_said_to_be_none() {
 #[test]
 fn hostile_sizes_cost_no_memory() {
     let (motion, _) = take();
-    let mut header = mocapd::header::new(&dense(1.0), motion.info.rate_hz).unwrap();
-    header.channels = mocapd::header::channels(&motion.info.markers);
+    let mut header = mocapd_acquire::header::new(&dense(1.0), motion.info.rate_hz).unwrap();
+    header.channels = mocapd_acquire::header::channels(&motion.info.markers);
     let mut front = chunk::MAGIC.to_vec();
     chunk::put(&mut front, Header::KIND, &header.to_payload().unwrap()).unwrap();
     // A stretch that claims 2^60 rows, one that claims 4 M rows of many channels, a chunk of 1 GiB.

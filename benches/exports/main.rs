@@ -19,7 +19,8 @@ use std::{
 };
 
 use anyhow::{Context, bail, ensure};
-use mocapd::{header, pipeline::offline, threads, units};
+use mocapd::units;
+use mocapd_acquire::{header, pipeline::offline, threads};
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_simulator::generator::{JumpSpec, Occlusion};
 use mocapd_take::motion::Motion;

@@ -26,7 +26,7 @@ use self::{
     jobs::{Job, Jobs, coded_max, read},
     lines::{Decoded, Rows, work},
 };
-use crate::{files, threads};
+use mocapd_acquire::{files, threads};
 
 /// Most bytes that all threads may hold of what they decode.
 const MEMORY_MAX: u64 = 128 << 20;

@@ -5,7 +5,7 @@ use mocapd_simulator::generator::{JumpSpec, Occlusion};
 use mocapd_take::motion::is_gap;
 
 use super::*;
-use crate::{header, pipeline::offline};
+use mocapd_acquire::{header, pipeline::offline};
 
 /// A take of several key stretches and two groups of channels.
 fn take(kind: &str, folder: &Path) -> PathBuf {

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use mocapd::clock::ClockStatus;
+use mocapd_acquire::clock::ClockStatus;
 use mocapd_take::record::{ClockJitter, ClockLine};
 use serde::Serialize;
 

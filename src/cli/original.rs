@@ -3,7 +3,7 @@
 use std::{io::Read, path::Path};
 
 use anyhow::{Context, ensure};
-use mocapd::files;
+use mocapd_acquire::files;
 use mocapd_take::{interchange::ReadOptions, motion::Motion};
 
 use super::paths;

@@ -3,7 +3,8 @@
 use std::{fs::Metadata, os::unix::fs::MetadataExt, path::Path};
 
 use anyhow::bail;
-use mocapd::{files::NewFile, outcome::UsageError};
+use mocapd::outcome::UsageError;
+use mocapd_acquire::files::NewFile;
 use mocapd_take::interchange::Format;
 
 /// The format of a file to read, by its ending.

@@ -11,7 +11,7 @@ use std::{
 };
 
 use indicatif::{ProgressBar, ProgressStyle};
-use mocapd::threads;
+use mocapd_acquire::threads;
 use mocapd_take::escape::visible;
 
 /// Follows a counter from a thread of its own until it is dropped.

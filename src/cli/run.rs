@@ -6,7 +6,6 @@ use anyhow::Context;
 use crossbeam_channel::{Receiver, RecvTimeoutError, bounded};
 use mocapd::{
     config::{CONFIG_PATH, Config, ConfigError, HttpConfig, Overrides, Token},
-    heartbeat::Heartbeat,
     outcome::{Outcome, UsageError},
     service::{
         control::Control,
@@ -16,8 +15,8 @@ use mocapd::{
         notify::Notifier,
         triggered::Triggers,
     },
-    threads,
 };
+use mocapd_acquire::{heartbeat::Heartbeat, threads};
 use signal_hook::{
     consts::{SIGHUP, SIGINT, SIGTERM},
     iterator::Signals,
@@ -67,7 +66,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         error => anyhow::Error::from(error),
     })?;
     #[cfg(feature = "fault-hooks")]
-    mocapd::fault_hooks::install()?;
+    mocapd_acquire::fault_hooks::install()?;
     // Before anything is started: no signal is missed.
     let signals = signals()?;
     make_directory(&config)?;

@@ -10,7 +10,7 @@ use std::{
 };
 
 use anyhow::Context;
-use mocapd::threads;
+use mocapd_acquire::threads;
 use signal_hook::{
     consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM},
     flag,

@@ -6,7 +6,7 @@ use std::{
 };
 
 use anyhow::{Context, bail};
-use mocapd::files::{self, NewFile, SparseFile};
+use mocapd_acquire::files::{self, NewFile, SparseFile};
 use mocapd_codec::Settings;
 use mocapd_report::coded::Coded;
 use mocapd_take::{

@@ -7,7 +7,7 @@ use std::{
 };
 
 use super::Finding;
-use crate::latency::Latency;
+use mocapd_acquire::latency::Latency;
 
 const SOURCE: &str = "/sys/devices/system/clocksource/clocksource0/current_clocksource";
 

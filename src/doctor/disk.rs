@@ -10,7 +10,7 @@ use std::{
 use rustix::fs::{statfs, statvfs};
 
 use super::Finding;
-use crate::{latency::Latency, pipeline::HELD_MIN_BYTES};
+use mocapd_acquire::{latency::Latency, pipeline::HELD_MIN_BYTES};
 
 /// What is written to see how fast that goes: enough to be past a cache's first answer, little enough for a card.
 const WRITTEN_BYTES: usize = 32 << 20;

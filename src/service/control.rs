@@ -9,7 +9,7 @@ use super::{
     live::LiveFeed,
     status::{LedgerStatus, MarkerQuality, ServiceEvent, Status, TakeStatus, TakeSummary},
 };
-use crate::files::{FileId, FileState, path_as_text};
+use mocapd_acquire::files::{FileId, FileState, path_as_text};
 
 /// The service as the HTTP API, the triggers and the signals see it.
 ///

@@ -12,8 +12,8 @@ use crossbeam_channel::{RecvTimeoutError, Sender, bounded};
 use mocapd_take::escape::visible;
 use sd_notify::NotifyState;
 
-pub use crate::heartbeat::{Beat, Heartbeat, Who};
-use crate::threads;
+pub use mocapd_acquire::heartbeat::{Beat, Heartbeat, Who};
+use mocapd_acquire::threads;
 
 /// Longer words are cut: `systemctl status` has one line for them.
 const STATUS_BYTES_MAX: usize = 512;

@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::{files::FileState, health::TakeHealth};
+use crate::health::TakeHealth;
+use mocapd_acquire::files::FileState;
 
 /// What the service is doing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]

@@ -19,10 +19,8 @@ use super::{
         socket::{self, Hearing, Questions, Teller},
     },
 };
-use crate::{
-    config::TriggerConfig,
-    threads::{self, Stopped, Stopper},
-};
+use crate::config::TriggerConfig;
+use mocapd_acquire::threads::{self, Stopped, Stopper};
 
 /// The threads that hear and tell.
 #[derive(Debug)]

@@ -17,7 +17,7 @@ use mocapd_take::record::{DOCUMENT_BYTES_MAX, Subject};
 use serde_json::error::Category;
 
 pub use self::{face::Face, labels::strangers, skeleton::Skeleton};
-use crate::files;
+use mocapd_acquire::files;
 
 /// Bytes of a subject's name: a line on a screen.
 pub const NAME_BYTES_MAX: usize = 128;

@@ -1,5 +1,7 @@
 //! Marker trajectories in memory: what importers produce, exporters consume and the simulator replays.
 
+use std::time::Duration;
+
 use crate::{
     content::Content,
     map::TakeMap,
@@ -18,6 +20,16 @@ pub const GAP: Position = [f32::NAN; 3];
 #[must_use]
 pub fn is_gap(position: Position) -> bool {
     position.iter().any(|v| !v.is_finite())
+}
+
+/// The first frame at or after `time`, and so the number of frames before it. A time that is a frame's own
+/// but for its last digits is that frame's: 0.07 s at 100 Hz are 7.000000000000001 frames in binary.
+#[must_use]
+pub fn frame_at(time: Duration, rate_hz: f64) -> u64 {
+    let frame = time.as_secs_f64() * rate_hz;
+    let nearest = frame.round();
+    let close = (frame - nearest).abs() <= 1e-9 * frame.max(1.0);
+    if close { nearest as u64 } else { frame.ceil() as u64 }
 }
 
 /// One marker.
@@ -224,5 +236,28 @@ impl FrameSource for MotionFrames<'_> {
         row.copy_from_slice(self.motion.frame(self.next));
         self.next += 1;
         Ok(true)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_frames_own_time_is_that_frame() {
+        // 0.07 * 100 is 7.000000000000001 in binary.
+        for (ms, rate_hz, frame) in [
+            (0, 120.0, 0),
+            (70, 100.0, 7),
+            (71, 100.0, 8),
+            (1, 59.94, 1),
+            (3_600_000, 120.0, 432_000),
+        ] {
+            assert_eq!(frame_at(Duration::from_millis(ms), rate_hz), frame, "{ms} ms");
+        }
+        for frame in 0..1000 {
+            let time = Duration::from_secs_f64(f64::from(frame) / 59.94);
+            assert_eq!(frame_at(time, 59.94), u64::from(frame as u32));
+        }
     }
 }

@@ -18,11 +18,11 @@ const RULES: &[Rule] = &[
         allowed: &["src/cli/demo", "src/cli/bench", "simulator/src/"],
     },
     Rule {
-        says: "every thread has a name, and src/ alone starts threads, but for the one of `mocapd-sim` that waits for signals",
+        says: "every thread has a name, and acquire and the service start threads, but for the one of `mocapd-sim` that waits for signals",
         words: &["thread::Builder", "thread::{Builder", "thread::scope"],
         allowed: &[
-            "src/threads.rs",
-            "src/pipeline/offline/jobs.rs",
+            "acquire/src/threads.rs",
+            "acquire/src/pipeline/offline/jobs.rs",
             "simulator/src/cli/serve/stop.rs",
         ],
     },
@@ -32,7 +32,7 @@ const RULES: &[Rule] = &[
         allowed: &[],
     },
     Rule {
-        says: "clocks are read in src/, on the simulated line, and where a transport waits",
+        says: "clocks are read in acquire, in src/, on the simulated line, and where a transport waits",
         words: &[
             "Instant::now",
             "SystemTime::now",
@@ -41,6 +41,7 @@ const RULES: &[Rule] = &[
             "thread::sleep",
         ],
         allowed: &[
+            "acquire/src/",
             "src/",
             "simulator/src/line/",
             "simulator/src/gadget/",
@@ -65,7 +66,7 @@ const RULES: &[Rule] = &[
         // plane, which meets it in one place: once a stretch, in the writer.
         allowed: &[
             "drivers/src/transport/memory.rs",
-            "src/pipeline/progress.rs",
+            "acquire/src/pipeline/progress.rs",
             "src/service/engine/",
             "src/service/http/",
             "src/service/log/gate.rs",
@@ -82,6 +83,7 @@ const RULES: &[Rule] = &[
         words: &["fs::", "{fs,", "net::", "env::"],
         // What is read whole is opened by one function, which the program and the simulator share.
         allowed: &[
+            "acquire/src/",
             "src/",
             "drivers/src/plain_file.rs",
             "simulator/src/cli/",
@@ -93,12 +95,16 @@ const RULES: &[Rule] = &[
     Rule {
         says: "files are created in files.rs, and its folder, which never overwrite one; what the simulator writes is new, too",
         words: &["File::create", "File::create_new", "OpenOptions", "fs::write(", "fs::rename("],
-        allowed: &["src/files", "simulator/src/cli/serve.rs", "simulator/src/cli/generate.rs"],
+        allowed: &[
+            "acquire/src/files",
+            "simulator/src/cli/serve.rs",
+            "simulator/src/cli/generate.rs",
+        ],
     },
     Rule {
         says: "a crate that could be replaced is named in one room",
         words: &["ringbuf"],
-        allowed: &["src/pipeline/ring.rs"],
+        allowed: &["acquire/src/pipeline/ring.rs"],
     },
     Rule {
         says: "async lives in the HTTP API, and in the client that asks it",
@@ -191,7 +197,10 @@ fn what_is_planted_is_found() {
     let at =
         |path: &str| violations(simulator, Path::new(path), "use mocapd_simulator::pty;").len();
     assert_eq!((at("src/cli/demo.rs"), at("src/cli/bench/device.rs")), (0, 0));
-    assert_eq!((at("src/rig/mod.rs"), at("src/cli/record.rs"), at("take/src/lib.rs")), (1, 1, 1));
+    assert_eq!(
+        (at("acquire/src/rig/mod.rs"), at("src/cli/record.rs"), at("take/src/lib.rs")),
+        (1, 1, 1)
+    );
 }
 
 /// One line for each place where a word of the rule stands and may not.

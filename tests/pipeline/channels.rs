@@ -88,7 +88,8 @@ fn markers_that_appear_may_need_another_group() {
 #[test]
 fn beyond_the_pool_samples_are_dropped_and_counted() {
     let motion = jump(2, 100.0, 0.5);
-    let config = mocapd::pipeline::PipelineConfig { reserve: 1, ..config(&motion, dense(0.5)) };
+    let config =
+        mocapd_acquire::pipeline::PipelineConfig { reserve: 1, ..config(&motion, dense(0.5)) };
     let (mut intake, pipeline) = start(&config, Vec::new());
     for seq in 0..50 {
         let mut markers = samples(motion.frame(seq));
@@ -128,7 +129,8 @@ fn a_device_that_announces_nothing_is_recorded_all_the_same() {
 #[test]
 fn an_id_that_stands_for_another_marker_is_not_stored_under_the_old_name() {
     let motion = jump(4, 100.0, 1.0);
-    let config = mocapd::pipeline::PipelineConfig { reserve: 0, ..config(&motion, dense(0.5)) };
+    let config =
+        mocapd_acquire::pipeline::PipelineConfig { reserve: 0, ..config(&motion, dense(0.5)) };
     let (mut intake, pipeline) = start(&config, Vec::new());
     for seq in 0..100 {
         if seq == 40 {

@@ -1,13 +1,16 @@
 //! What a take tells of the clocks.
 
-use mocapd::clock::fit;
+use mocapd_acquire::clock::fit;
 use mocapd_drivers::device::Frame;
 use mocapd_take::record::Event;
 
 use crate::support::{TICK_HZ, chunks, config, dense, jump, samples, start};
 
 /// Records 120 frames a second; `ticks` gives each one's device time, by its true time in microseconds.
-fn record(seconds: u64, ticks: impl Fn(u64) -> u64) -> (Vec<u8>, mocapd::pipeline::Written) {
+fn record(
+    seconds: u64,
+    ticks: impl Fn(u64) -> u64,
+) -> (Vec<u8>, mocapd_acquire::pipeline::Written) {
     let motion = jump(8, 120.0, 2.0);
     let (mut intake, pipeline) = start(&config(&motion, dense(1.0)), Vec::new());
     for seq in 0..120 * seconds {

@@ -6,7 +6,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd::pipeline::{PipelineConfig, TakeOutput};
+use mocapd_acquire::pipeline::{PipelineConfig, TakeOutput};
 use mocapd_take::motion::is_gap;
 
 use crate::support::{Seeded, config, dense, feed, jump, rows, start};

@@ -73,7 +73,7 @@ fn the_time_line_and_the_framing_of_a_minute_are_small() {
 
 #[test]
 fn a_take_of_an_older_development_version_is_refused_in_words() {
-    let mut header = mocapd::header::new(&dense(1.0), 60.0).unwrap();
+    let mut header = mocapd_acquire::header::new(&dense(1.0), 60.0).unwrap();
     header.codec_version = 1;
     let mut take = mocapd_take::chunk::MAGIC.to_vec();
     mocapd_take::chunk::put(&mut take, Header::KIND, &header.to_payload().unwrap()).unwrap();

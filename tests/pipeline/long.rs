@@ -7,7 +7,7 @@ use std::{
 };
 
 use crossbeam_channel::{Receiver, bounded};
-use mocapd::pipeline::{Intake, TakeOutput};
+use mocapd_acquire::pipeline::{Intake, TakeOutput};
 use mocapd_drivers::device::{Frame, MarkerSample};
 use mocapd_simulator::generator::{JumpSpec, Occlusion};
 

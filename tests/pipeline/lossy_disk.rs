@@ -7,7 +7,7 @@ use std::{
     time::Duration,
 };
 
-use mocapd::pipeline::{PipelineConfig, TakeOutput};
+use mocapd_acquire::pipeline::{PipelineConfig, TakeOutput};
 use mocapd_codec::Settings;
 use mocapd_take::motion::{Motion, Position, is_gap};
 

@@ -43,7 +43,8 @@ fn every_sample_is_within_the_tolerance_and_every_gap_in_place() {
 fn the_bytes_do_not_depend_on_the_number_of_threads() {
     let motion = crowd(2, 200.0, 12.0);
     let blocks = |workers| {
-        let config = mocapd::pipeline::PipelineConfig { workers, ..config(&motion, fast(1.0)) };
+        let config =
+            mocapd_acquire::pipeline::PipelineConfig { workers, ..config(&motion, fast(1.0)) };
         let found = chunks(&record(&motion, &config, 0..motion.n_frames()).1);
         (found.keys, found.timelines, found.blocks)
     };
@@ -82,7 +83,7 @@ fn the_time_line_keeps_ticks_and_arrivals() {
 #[test]
 fn a_stretch_a_row_hands_every_group_from_worker_to_worker_and_none_is_forgotten() {
     let motion = jump(5, 1000.0, 20.0);
-    let config = mocapd::pipeline::PipelineConfig {
+    let config = mocapd_acquire::pipeline::PipelineConfig {
         workers: 5,
         stretch: std::time::Duration::ZERO,
         ..config(&motion, dense(1.0))

@@ -1,6 +1,6 @@
 //! A device that goes away and comes back.
 
-use mocapd::pipeline::Intake;
+use mocapd_acquire::pipeline::Intake;
 use mocapd_drivers::device::{Frame, Status};
 use mocapd_take::{
     motion::{Motion, is_gap},

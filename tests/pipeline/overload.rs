@@ -6,7 +6,7 @@ use std::{
 };
 
 use crossbeam_channel::{Receiver, bounded};
-use mocapd::pipeline::{PipelineConfig, TakeOutput};
+use mocapd_acquire::pipeline::{PipelineConfig, TakeOutput};
 use mocapd_simulator::generator::JumpSpec;
 use mocapd_take::{
     TakeFrames,
@@ -53,7 +53,7 @@ fn a_stall_of_thirty_seconds_loses_nothing_and_a_longer_one_only_whole_frames() 
     let (mut intake, pipeline) =
         start(&config(&motion, dense(1.0)), Gated { gate, writes: 0, bytes: Vec::new() });
     // Faster than real time: the rings must be emptied before a loss can mean a full queue.
-    let has_room_within_a_second = |intake: &mut mocapd::pipeline::Intake| {
+    let has_room_within_a_second = |intake: &mut mocapd_acquire::pipeline::Intake| {
         let since = Instant::now();
         while intake.is_full() && since.elapsed() < Duration::from_secs(1) {
             std::thread::sleep(Duration::from_millis(1));

@@ -2,9 +2,9 @@
 
 use std::{io, time::Duration};
 
-use mocapd::{
-    inspect::Summary,
-    pipeline::{Armed, Begun, Intake, NewTake, Pipeline, PreRollConfig, TakeOutput, Written},
+use mocapd::inspect::Summary;
+use mocapd_acquire::pipeline::{
+    Armed, Begun, Intake, NewTake, Pipeline, PreRollConfig, TakeOutput, Written,
 };
 use mocapd_take::{
     motion::{Motion, Position, is_gap},
@@ -18,7 +18,7 @@ pub(super) const PRE_ROLL: PreRollConfig =
 
 pub(super) fn header(motion: &Motion) -> mocapd_take::record::Header {
     let config = config(motion, dense(1.0));
-    let mut header = mocapd::header::new(&config.codec, config.rate_hz).unwrap();
+    let mut header = mocapd_acquire::header::new(&config.codec, config.rate_hz).unwrap();
     header.stretch_rows = config.stretch_rows();
     header.device = Some(mocapd_take::record::Device { tick_hz: TICK_HZ, ..Default::default() });
     header

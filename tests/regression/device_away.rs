@@ -2,15 +2,13 @@
 
 use std::{sync::Arc, time::Duration};
 
-use mocapd::{
-    heartbeat::Heartbeat,
-    service::{
-        control::{Control, Request},
-        engine::Engine,
-        http::{HttpOptions, HttpServer},
-        status::State,
-    },
+use mocapd::service::{
+    control::{Control, Request},
+    engine::Engine,
+    http::{HttpOptions, HttpServer},
+    status::State,
 };
+use mocapd_acquire::heartbeat::Heartbeat;
 
 use crate::{
     cli::{Folder, devices::Simulated},

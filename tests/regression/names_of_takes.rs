@@ -3,10 +3,10 @@
 use std::{ffi::OsStr, fs, os::unix::ffi::OsStrExt};
 
 use mocapd::{
-    heartbeat::Heartbeat,
     service::control::{Control, Request},
     service::engine::Engine,
 };
+use mocapd_acquire::heartbeat::Heartbeat;
 
 use crate::{
     cli::{Folder, devices::Simulated, service::Service},

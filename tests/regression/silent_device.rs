@@ -4,12 +4,12 @@ use std::{path::PathBuf, sync::Arc};
 
 use mocapd::{
     health::TakeHealth,
-    heartbeat::Heartbeat,
     service::{
         control::{Control, Request},
         engine::Engine,
     },
 };
+use mocapd_acquire::heartbeat::Heartbeat;
 use mocapd_simulator::{
     device::{Device, DeviceSettings},
     faults::{FaultyDevice, Script},

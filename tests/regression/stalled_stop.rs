@@ -8,7 +8,8 @@
 mod real;
 mod world;
 
-use mocapd::{clock::Apart, inspect::Summary};
+use mocapd::inspect::Summary;
+use mocapd_acquire::clock::Apart;
 
 use self::world::{Ended, Stalled, World};
 use crate::support::chunks;

@@ -2,13 +2,11 @@
 
 use std::{fs, path::Path, time::Duration};
 
-use mocapd::{
-    heartbeat::Heartbeat,
-    service::{
-        control::{Control, Request},
-        engine::Engine,
-    },
+use mocapd::service::{
+    control::{Control, Request},
+    engine::Engine,
 };
+use mocapd_acquire::heartbeat::Heartbeat;
 use mocapd_take::chunk::{self, types};
 use serde_json::{Value, json};
 

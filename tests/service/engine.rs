@@ -4,7 +4,6 @@ use std::{path::Path, sync::Arc, time::Duration};
 
 use mocapd::{
     health::TakeHealth,
-    heartbeat::Heartbeat,
     inspect::Summary,
     service::{
         control::{Control, Mark, RefusalKind, Request, SaveLast, Start},
@@ -13,6 +12,7 @@ use mocapd::{
         status::State,
     },
 };
+use mocapd_acquire::heartbeat::Heartbeat;
 use mocapd_take::record::Subject;
 
 use crate::{

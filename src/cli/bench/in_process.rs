@@ -2,7 +2,7 @@
 
 use std::{io, time::Instant};
 
-use mocapd::{
+use mocapd_acquire::{
     header,
     pipeline::{Pipeline, PipelineConfig},
 };

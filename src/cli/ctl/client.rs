@@ -240,7 +240,7 @@ fn token(path: &Path) -> anyhow::Result<String> {
     use std::io::Read;
 
     let mut text = String::new();
-    let read = mocapd::files::open(path)?.take(TOKEN_BYTES_MAX).read_to_string(&mut text);
+    let read = mocapd_acquire::files::open(path)?.take(TOKEN_BYTES_MAX).read_to_string(&mut text);
     read.with_context(|| format!("cannot read {}", path.display()))?;
     let token = text.trim();
     if token.is_empty() || !token.bytes().all(|byte| byte.is_ascii_graphic()) {

@@ -8,7 +8,7 @@ use std::{
 
 use anyhow::{Context, bail};
 use hyper::{Method, body::Bytes};
-use mocapd::files::NewFile;
+use mocapd_acquire::files::NewFile;
 use serde::Serialize;
 
 use super::client::Client;

@@ -2,7 +2,6 @@
 
 use anyhow::Context;
 use mocapd::{
-    files::FileState,
     listing::ListedDevice,
     outcome::Outcome,
     service::{
@@ -10,6 +9,7 @@ use mocapd::{
         status::{LedgerStatus, Status, TakeSummary},
     },
 };
+use mocapd_acquire::files::FileState;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 

@@ -10,7 +10,7 @@ use std::{
 };
 
 use anyhow::{Context, anyhow};
-use mocapd::threads;
+use mocapd_acquire::threads;
 use mocapd_simulator::{
     device::{Device, SentLog},
     pty::{PtyError, ServeOptions, serve_pty},

@@ -13,12 +13,14 @@ use std::{
 use anyhow::{Context, ensure};
 use mocapd::{
     compare::compare,
-    files,
     inspect::Summary,
     outcome::{Outcome, UsageError},
+    units,
+};
+use mocapd_acquire::{
+    files,
     record::Recorded,
     rig::{Ending, Rig},
-    units,
 };
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_drivers::uri::{DeviceUri, Location};

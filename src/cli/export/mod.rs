@@ -14,9 +14,12 @@ use std::{
 use anyhow::Context;
 use mocapd::{
     ahead::Ahead,
-    files::{self, NewFile, NewFolder, SparseFile},
     outcome::{Outcome, UsageError},
-    threads, units,
+    units,
+};
+use mocapd_acquire::{
+    files::{self, NewFile, NewFolder, SparseFile},
+    threads,
 };
 use mocapd_take::{
     TakeFrames,

@@ -11,10 +11,10 @@ use std::{
 };
 
 use anyhow::ensure;
-use mocapd::{outcome::UsageError, units::frame_at};
+use mocapd::outcome::UsageError;
 use mocapd_take::{
     TakeMap,
-    motion::{FrameSource, MotionInfo, Position},
+    motion::{FrameSource, MotionInfo, Position, frame_at},
 };
 
 /// Most lost frames that are written unasked into a file that has fewer others: four hours at 1000 Hz. The

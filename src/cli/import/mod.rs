@@ -10,11 +10,13 @@ use std::{
 
 use anyhow::Context;
 use mocapd::{
+    outcome::{Outcome, UsageError},
+    subject::strangers,
+};
+use mocapd_acquire::{
     files::NewFile,
     header,
-    outcome::{Outcome, UsageError},
     pipeline::{Written, offline},
-    subject::strangers,
     threads,
 };
 use mocapd_codec::Settings;

@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use mocapd::{inspect::size_ratio, pipeline::Written};
+use mocapd::inspect::size_ratio;
+use mocapd_acquire::pipeline::Written;
 use mocapd_codec::Settings;
 use mocapd_take::motion::Motion;
 use serde::Serialize;
@@ -15,7 +16,7 @@ use crate::cli::{
 
 #[derive(Debug, Serialize)]
 pub(super) struct Report {
-    #[serde(serialize_with = "mocapd::files::path_as_text")]
+    #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
     take: PathBuf,
     frames: u64,
     frames_missing: u64,

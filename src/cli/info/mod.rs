@@ -7,7 +7,8 @@ mod words;
 use std::{io::BufReader, path::PathBuf};
 
 use anyhow::Context;
-use mocapd::{files::SparseFile, health::TakeHealth, inspect::Summary, outcome::Outcome};
+use mocapd::{health::TakeHealth, inspect::Summary, outcome::Outcome};
+use mocapd_acquire::files::SparseFile;
 
 use self::{report::Report, words::words};
 use super::{

@@ -23,7 +23,7 @@ use crate::cli::{
 
 #[derive(Debug, Serialize)]
 pub(super) struct Report {
-    #[serde(serialize_with = "mocapd::files::path_as_text")]
+    #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
     pub(super) take: PathBuf,
     pub(super) finished: bool,
     pub(super) problems: Vec<String>,

@@ -14,7 +14,10 @@ use mocapd_report::{
     plot::{Pose, pose},
     up::Up,
 };
-use mocapd_take::{motion::Motion, record::Subject};
+use mocapd_take::{
+    motion::{Motion, frame_at},
+    record::Subject,
+};
 
 use super::{picture, skeleton};
 use crate::cli::{
@@ -54,7 +57,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let n_frames = motion.n_frames();
     let mut rows = Vec::with_capacity(args.at.len());
     for &at in &args.at {
-        let row = usize::try_from(units::frame_at(at, motion.info.rate_hz)).unwrap_or(usize::MAX);
+        let row = usize::try_from(frame_at(at, motion.info.rate_hz)).unwrap_or(usize::MAX);
         if row >= n_frames {
             return Err(UsageError(format!(
                 "the take has {:.3} s, and {:.3} s were asked for: choose an earlier moment",

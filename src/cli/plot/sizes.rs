@@ -10,9 +10,9 @@ use std::{
 
 use mocapd::{
     outcome::{Outcome, UsageError},
-    pipeline::offline,
-    threads, units,
+    units,
 };
+use mocapd_acquire::{pipeline::offline, threads};
 use mocapd_codec::{ResamplerKind, Settings, SplineVariant, Tolerance};
 use mocapd_report::plot::{SizeLine, SizePanel, sizes};
 use mocapd_take::motion::{Motion, is_gap};

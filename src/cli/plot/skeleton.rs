@@ -3,7 +3,8 @@
 use std::{io::Read, path::Path};
 
 use anyhow::Context;
-use mocapd::{files, outcome::UsageError};
+use mocapd::outcome::UsageError;
+use mocapd_acquire::files;
 
 /// Most bytes of such a file: tens of thousands of bones.
 const BYTES_MAX: u64 = 1 << 20;

@@ -11,7 +11,7 @@ use mocapd_report::{
     column::{Column, distance},
     plot::{Trajectory, trajectory},
 };
-use mocapd_take::interchange::column_labels;
+use mocapd_take::{interchange::column_labels, motion::frame_at};
 
 use super::{picture, pose::up};
 use crate::cli::whole::{name, read_coded};
@@ -43,9 +43,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let original = args.against.as_ref().map(|path| picture::original(&args.take, &coded, path));
     let original = original.transpose()?.map(|(motion, _)| motion);
     let motion = &coded.motion;
-    let row = |time: Duration| {
-        usize::try_from(units::frame_at(time, motion.info.rate_hz)).unwrap_or(usize::MAX)
-    };
+    let row =
+        |time: Duration| usize::try_from(frame_at(time, motion.info.rate_hz)).unwrap_or(usize::MAX);
     let rows = (args.from.map_or(0, row), args.to.map_or(motion.n_frames(), row));
     if rows.0 >= rows.1.min(motion.n_frames()) {
         return Err(UsageError(format!(

@@ -7,11 +7,13 @@ mod watch;
 use std::{path::PathBuf, time::Duration};
 
 use mocapd::{
-    files::FileState,
     outcome::{Outcome, UsageError},
+    units,
+};
+use mocapd_acquire::{
+    files::FileState,
     raw_log::RawLog,
     rig::{Ending, Rig},
-    units,
 };
 use mocapd_drivers::{registry::OpenError, uri::DeviceUri};
 

@@ -5,7 +5,7 @@ use std::{
     time::Duration,
 };
 
-use mocapd::raw_log::{RawLog, RawLogged};
+use mocapd_acquire::raw_log::{RawLog, RawLogged};
 use serde::Serialize;
 
 use crate::cli::{

@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use mocapd::{files::FileState, inspect::size_ratio, process, record::Recorded, rig::Ending};
+use mocapd::{inspect::size_ratio, process};
+use mocapd_acquire::{files::FileState, record::Recorded, rig::Ending};
 use mocapd_codec::Settings;
 use serde::{Deserialize, Serialize};
 
@@ -17,11 +18,11 @@ use crate::cli::{
 
 #[derive(Debug, Serialize)]
 pub(crate) struct Report {
-    #[serde(serialize_with = "mocapd::files::path_as_text")]
+    #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
     take: PathBuf,
     ending: &'static str,
     file_state: FileState,
-    #[serde(serialize_with = "mocapd::files::path_as_text_or_null")]
+    #[serde(serialize_with = "mocapd_acquire::files::path_as_text_or_null")]
     file_path: Option<PathBuf>,
     frames: u64,
     seconds: f64,

@@ -9,7 +9,8 @@ use std::{
     time::Duration,
 };
 
-use mocapd::{
+use mocapd::subject::strangers;
+use mocapd_acquire::{
     record::{RecordOptions, Recorded, record},
     rig::Rig,
 };
@@ -44,7 +45,7 @@ pub(crate) fn record_and_watch(
     stop: &AtomicBool,
 ) -> anyhow::Result<Recorded> {
     let mut watching = None;
-    let mut started = |progress: &Arc<mocapd::pipeline::Progress>| {
+    let mut started = |progress: &Arc<mocapd_acquire::pipeline::Progress>| {
         let progress = Arc::clone(progress);
         if let Some(beside) = &limits.beside_bytes {
             // Nobody set it before: the pipeline is this recording's.
@@ -63,6 +64,12 @@ pub(crate) fn record_and_watch(
         }));
     };
     let &Limits { length, keep_free_bytes, .. } = limits;
+    let channels = rig.pipeline_config(codec).channels;
+    let labels: Vec<String> = channels.into_iter().map(|channel| channel.label).collect();
+    // A device that announces no marker yet may do so later.
+    if !labels.is_empty() {
+        strangers(limits.subject.as_ref(), &labels).iter().for_each(|words| say(words));
+    }
     let mut options = RecordOptions {
         take,
         codec,
@@ -90,7 +97,7 @@ fn disk_left(left_s: u64) -> String {
 }
 
 /// How the clocks run, once that is known.
-fn clock(progress: &mocapd::pipeline::Progress) -> String {
+fn clock(progress: &mocapd_acquire::pipeline::Progress) -> String {
     let p99_us = progress.jitter_p99_us.load(Ordering::Relaxed);
     if p99_us == 0 {
         return String::new();

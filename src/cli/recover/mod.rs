@@ -12,10 +12,10 @@ use std::{
 };
 
 use anyhow::Context;
-use mocapd::{
+use mocapd::outcome::Outcome;
+use mocapd_acquire::{
     files::{NewFile, SparseFile},
     header::SOFTWARE,
-    outcome::Outcome,
 };
 use mocapd_take::recovery::{Mended, Survey, mend_start};
 

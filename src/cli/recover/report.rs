@@ -15,9 +15,9 @@ use crate::cli::{
 
 #[derive(Debug, Serialize)]
 pub(super) struct Report {
-    #[serde(serialize_with = "mocapd::files::path_as_text")]
+    #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
     take: PathBuf,
-    #[serde(serialize_with = "mocapd::files::path_as_text")]
+    #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
     output: PathBuf,
     lost: bool,
     finished: bool,

@@ -7,7 +7,8 @@ use std::{
 };
 
 use anyhow::Context;
-use mocapd::{files, outcome::UsageError};
+use mocapd::outcome::UsageError;
+use mocapd_acquire::files;
 use mocapd_report::{
     phases::{self, Phase},
     study::Trial,

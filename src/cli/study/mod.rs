@@ -13,9 +13,9 @@ use std::{
 use anyhow::{Context, anyhow, bail};
 use mocapd::{
     outcome::{Outcome, UsageError},
-    pipeline::offline,
-    threads, units,
+    units,
 };
+use mocapd_acquire::{pipeline::offline, threads};
 use mocapd_codec::{Settings, Tolerance};
 use mocapd_report::study::{Coder, Findings, Options, Trial, measure, tables, work};
 use mocapd_take::motion::Motion;

@@ -3,10 +3,8 @@
 use std::{io::BufReader, path::Path};
 
 use anyhow::Context;
-use mocapd::{
-    compare::{Difference, compare},
-    files::SparseFile,
-};
+use mocapd::compare::{Difference, compare};
+use mocapd_acquire::files::SparseFile;
 use mocapd_take::{
     TakeFrames,
     interchange::ReadOptions,

@@ -10,9 +10,8 @@ use std::{
 };
 
 use anyhow::{Context, bail};
-use mocapd::{
-    clock::Apart, files::SparseFile, health::TakeHealth, inspect::Summary, outcome::Outcome, units,
-};
+use mocapd::{health::TakeHealth, inspect::Summary, outcome::Outcome, units};
+use mocapd_acquire::{clock::Apart, files::SparseFile};
 use mocapd_take::record::{Header, Ledger};
 use serde::Serialize;
 
@@ -53,7 +52,7 @@ pub(crate) struct Args {
 
 #[derive(Debug, Serialize)]
 struct Report {
-    #[serde(serialize_with = "mocapd::files::path_as_text")]
+    #[serde(serialize_with = "mocapd_acquire::files::path_as_text")]
     take: PathBuf,
     intact: bool,
     health: TakeHealth,

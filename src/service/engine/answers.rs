@@ -3,10 +3,8 @@
 use std::{any::Any, collections::VecDeque, sync::Arc};
 
 use super::Inner;
-use crate::{
-    pipeline::lock,
-    service::control::{Refusal, RefusalKind},
-};
+use crate::service::control::{Refusal, RefusalKind};
+use mocapd_acquire::pipeline::lock;
 
 /// Answers that are remembered: a client repeats a request within seconds, and nobody asks hundreds of times a second.
 const ANSWERS_MAX: usize = 256;

@@ -10,16 +10,16 @@ use crossbeam_channel::{RecvTimeoutError, after, select};
 use mocapd_take::record::{EndingKind, Event, EventKind};
 
 use super::{Inner, names, session::OpenTake};
-use crate::{
+use crate::service::{
+    control::{FirstFrame, Marked, Refusal, RefusalKind, SaveLast, Start, Started, Stopped},
+    notify,
+};
+use mocapd_acquire::{
     disk,
     files::{FileId, TakeFile},
     header,
+    host_clock::monotonic_ns,
     pipeline::NewTake,
-    rig::monotonic_ns,
-    service::{
-        control::{FirstFrame, Marked, Refusal, RefusalKind, SaveLast, Start, Started, Stopped},
-        notify,
-    },
     threads,
 };
 

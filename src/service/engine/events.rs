@@ -12,13 +12,11 @@ use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use mocapd_take::escape::visible;
 
 use super::Inner;
-use crate::{
-    pipeline::lock,
-    service::{
-        control::EventFeed,
-        status::{ServiceEvent, State},
-    },
+use crate::service::{
+    control::EventFeed,
+    status::{ServiceEvent, State},
 };
+use mocapd_acquire::pipeline::lock;
 
 /// Events that wait for a listener; one that takes none for so many loses the oldest.
 const WAITING_MAX: usize = 256;

@@ -9,13 +9,13 @@ use super::{
     folder::summary_of,
     session::{Core, KEPT_OPEN_MAX},
 };
-use crate::{
+use crate::service::{
+    control::{Refusal, RefusalKind, Stopped},
+    status::TakeSummary,
+};
+use mocapd_acquire::{
     files::{FileId, FileState, Settled, TakeFile},
     pipeline::{NothingRecorded, TakeEnd, TakeFailed, Written},
-    service::{
-        control::{Refusal, RefusalKind, Stopped},
-        status::TakeSummary,
-    },
 };
 
 impl Inner {
@@ -263,7 +263,7 @@ mod tests {
         super::{Engine, EngineOptions},
         *,
     };
-    use crate::heartbeat::Heartbeat;
+    use mocapd_acquire::heartbeat::Heartbeat;
 
     /// One that has no device.
     fn engine(directory: &Path) -> Engine {

@@ -13,14 +13,13 @@ use mocapd_take::{TakeEnds, TakeError};
 
 use super::{Inner, names};
 use crate::{
-    files::FileId,
     health::TakeHealth,
-    pipeline::lock,
     service::{
         control::{Refusal, RefusalKind},
         status::TakeSummary,
     },
 };
+use mocapd_acquire::{files::FileId, pipeline::lock};
 
 /// Files of a folder that are looked at: more is no folder of takes.
 const FILES_MAX: usize = 100_000;

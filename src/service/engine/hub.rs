@@ -16,14 +16,14 @@ use mocapd_take::{
 };
 
 use super::{Inner, quality::Judgements};
-use crate::{
+use crate::service::{
+    bones::{bones, live_limbs, with_limbs},
+    face::FaceUnderMarkers,
+    live::{LiveFeed, LiveFrame, LiveMessage, LiveTable},
+};
+use mocapd_acquire::{
+    host_clock::monotonic_ns,
     pipeline::{Progress, TapHead, TapOut, lock},
-    rig::monotonic_ns,
-    service::{
-        bones::{bones, live_limbs, with_limbs},
-        face::FaceUnderMarkers,
-        live::{LiveFeed, LiveFrame, LiveMessage, LiveTable},
-    },
 };
 
 /// Between two looks at the tap: it holds a quarter of a second.

@@ -53,7 +53,7 @@ use super::{
     live::LiveFeed,
     status::{MarkerQuality, State, Status, TakeStatus, TakeSummary},
 };
-use crate::{files::FileId, heartbeat::Heartbeat, pipeline::lock, threads};
+use mocapd_acquire::{files::FileId, heartbeat::Heartbeat, pipeline::lock, threads};
 
 /// How long a command waits for the one before it: as long as that may take with a disk that stalls.
 const COMMAND_WITHIN: Duration = Duration::from_secs(60);

@@ -4,10 +4,8 @@ use mocapd_report::{column::sample, noise::NoiseEstimator};
 use mocapd_take::motion::{Position, is_gap};
 
 use super::Inner;
-use crate::{
-    pipeline::{TapHead, lock},
-    service::status::MarkerQuality,
-};
+use crate::service::status::MarkerQuality;
+use mocapd_acquire::pipeline::{TapHead, lock};
 
 /// Between two figures of the noise: the median of a window is not for every frame.
 const NOISE_EVERY_NS: u64 = 1_000_000_000;

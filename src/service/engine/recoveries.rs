@@ -10,11 +10,10 @@ use anyhow::Context;
 use mocapd_take::recovery::{Survey, mend_start};
 
 use super::{Inner, folder::summary_of};
-use crate::{
+use crate::{health::TakeHealth, service::status::TakeSummary};
+use mocapd_acquire::{
     files::{NewFile, SparseFile},
     header::SOFTWARE,
-    health::TakeHealth,
-    service::status::TakeSummary,
 };
 
 /// Takes that are looked at: those of a bad day. Older ones are `mocapd recover`'s.

@@ -14,10 +14,10 @@ use mocapd_drivers::{device::Hello, registry::Candidate};
 use mocapd_take::record::{EndingKind, Header};
 
 use super::options::EngineOptions;
-use crate::{
+use crate::service::status::TakeSummary;
+use mocapd_acquire::{
     files::{FileId, TakeFile},
     pipeline::{FirstRow, Progress, SeenCounters, TakeEnd, Takes},
-    service::status::TakeSummary,
 };
 
 /// Removed files that are kept open: as many as may vanish one after the other, and few, for each fills the disk.

@@ -13,14 +13,14 @@ use super::{
     Inner,
     session::{Core, Session},
 };
-use crate::{
+use crate::service::status::{
+    DeviceStatus, DiskStatus, InputStatus, LedgerStatus, OutageStatus, PreRollStatus, State,
+    Status, TakeStatus,
+};
+use mocapd_acquire::{
     header::SOFTWARE,
+    host_clock::monotonic_ns,
     pipeline::{HELD_MIN_BYTES, lock},
-    rig::monotonic_ns,
-    service::status::{
-        DeviceStatus, DiskStatus, InputStatus, LedgerStatus, OutageStatus, PreRollStatus, State,
-        Status, TakeStatus,
-    },
 };
 
 pub(super) fn unix_ms() -> i64 {

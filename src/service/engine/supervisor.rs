@@ -22,12 +22,13 @@ use super::{
     hub::NewSession,
     session::{Core, KnownDevice, Session},
 };
-use crate::{
+use mocapd_acquire::{
     files::TakeFile,
     header,
+    host_clock::monotonic_ns,
     pipeline::{Pipeline, PipelineConfig, PreRollConfig},
     raw_log::RawLog,
-    rig::{Ending, ReadOptions, Rig, monotonic_ns},
+    rig::{Ending, ReadOptions, Rig},
 };
 
 /// Between two looks for a device that is not there or does not answer.
@@ -241,7 +242,7 @@ impl Inner {
         rig: &Rig,
         stop: &Arc<AtomicBool>,
         sessions: &Sender<NewSession>,
-    ) -> anyhow::Result<(crate::pipeline::Intake, Pipeline<TakeFile>)> {
+    ) -> anyhow::Result<(mocapd_acquire::pipeline::Intake, Pipeline<TakeFile>)> {
         let options = Arc::clone(&self.core().options);
         let pre_roll = PreRollConfig {
             time: options.pre_roll,

@@ -9,10 +9,10 @@ use crossbeam_channel::TryRecvError;
 use mocapd_take::record::EndingKind;
 
 use super::{Inner, session::Core, status::free_bytes};
-use crate::{
+use crate::process;
+use mocapd_acquire::{
     files::FileState,
     heartbeat::{Beat, Who},
-    process,
 };
 
 /// Between two looks.
@@ -127,7 +127,8 @@ impl Core {
         self.take.is_none()
             && self.session.as_ref().is_some_and(|session| {
                 !session.stop.load(Ordering::Relaxed)
-                    && crate::pipeline::lock(&session.progress.channels).len() >= session.slots
+                    && mocapd_acquire::pipeline::lock(&session.progress.channels).len()
+                        >= session.slots
             })
     }
 }

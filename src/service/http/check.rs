@@ -26,11 +26,11 @@ use super::{
     takes::{self, unreadable},
 };
 use crate::{
-    files::SparseFile,
     health::TakeHealth,
     inspect::Summary,
     service::{control::Request, status::LedgerStatus},
 };
+use mocapd_acquire::files::SparseFile;
 
 /// Problems and contradictions that are told each: a badly damaged take has one a stretch.
 const TOLD_MAX: usize = 100;

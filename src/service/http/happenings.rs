@@ -9,10 +9,8 @@ use crossbeam_channel::select;
 use tokio::sync::broadcast;
 
 use super::counts::Counts;
-use crate::{
-    service::{control::EventFeed, status::ServiceEvent},
-    threads::Stopped,
-};
+use crate::service::{control::EventFeed, status::ServiceEvent};
+use mocapd_acquire::threads::Stopped;
 
 /// Events that are kept for those who come back: an hour of a busy session, some hundred kilobytes.
 const KEPT_MAX: usize = 512;

@@ -28,10 +28,8 @@ use super::{
     show::Show,
     state::App,
 };
-use crate::{
-    service::control::{Control, EventFeed},
-    threads::{self, Stopper},
-};
+use crate::service::control::{Control, EventFeed};
+use mocapd_acquire::threads::{self, Stopper};
 
 /// Places of the Unix socket beyond `connections_max`: as many as requests can be carried out at once. Half of
 /// `connections_max` can be streams, so that at the worst as many hold connections that make room: whoever may open the

@@ -13,13 +13,11 @@ use crossbeam_channel::{Receiver, Sender, bounded, select};
 use tokio::sync::broadcast;
 
 use super::counts::Counts;
-use crate::{
-    service::{
-        control::Control,
-        live::{LiveFeed, LiveMessage},
-    },
-    threads::Stopped,
+use crate::service::{
+    control::Control,
+    live::{LiveFeed, LiveMessage},
 };
+use mocapd_acquire::threads::Stopped;
 
 /// Messages that a viewer may be behind: a quarter of a second. A frame of 200 markers has 2.4 KB, and is held once
 /// for all viewers.

@@ -17,10 +17,8 @@ use super::{
     problem::{Problem, ProblemKind},
     state::Shared,
 };
-use crate::{
-    files::FileId,
-    service::{control::Control, status::TakeSummary},
-};
+use crate::service::{control::Control, status::TakeSummary};
+use mocapd_acquire::files::FileId;
 
 /// Takes that are listed where nobody says how many, and at most.
 const LIMIT: usize = 100;

@@ -11,7 +11,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use mocapd_take::escape::visible;
 
 use super::gate::{Gate, SUMMARY};
-use crate::threads;
+use mocapd_acquire::threads;
 
 /// How often what was left out is looked at.
 const SUM_UP_EVERY: Duration = Duration::from_secs(5);

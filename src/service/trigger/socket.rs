@@ -16,7 +16,7 @@ use rustix::{
 };
 
 use super::{DATAGRAM_BYTES_MAX, Heard, Listener, Queue, Quiet, Received};
-use crate::threads;
+use mocapd_acquire::threads;
 
 /// A network that is down is down for a while.
 const TRY_AGAIN_AFTER: Duration = Duration::from_millis(100);

@@ -6,7 +6,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd::{
+use mocapd_acquire::{
     clock::Prober,
     header,
     pipeline::{

@@ -13,7 +13,6 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd::files::{FileId, FileState};
 use mocapd::service::{
     control::{
         Control, EventFeed, FirstFrame, Mark, Marked, Refusal, RefusalKind, Request, SaveLast,
@@ -22,6 +21,7 @@ use mocapd::service::{
     live::LiveFeed,
     status::{LedgerStatus, MarkerQuality, State, Status, TakeStatus, TakeSummary},
 };
+use mocapd_acquire::files::{FileId, FileState};
 
 use self::feeds::Feeds;
 

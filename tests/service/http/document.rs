@@ -3,7 +3,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use mocapd::{
-    files::FileState,
     listing::ListedDevice,
     service::{
         control::{FirstFrame, Mark, Marked, Request, SaveLast, Start, Started, Stopped},
@@ -14,6 +13,7 @@ use mocapd::{
         },
     },
 };
+use mocapd_acquire::files::FileState;
 use serde_json::{Value, json};
 
 use super::{

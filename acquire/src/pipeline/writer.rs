@@ -19,7 +19,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use mocapd_take::record::{Channel, EndingKind, TakeEnding};
 
 pub(super) use self::live::LiveTake;
-pub(crate) use self::room::HELD_MIN_BYTES;
+pub use self::room::HELD_MIN_BYTES;
 use self::{assembly::Assemblies, clocks::ClockWriter, held::Held};
 pub use self::{
     output::{TakeOutput, Written},

@@ -109,6 +109,6 @@ pub struct TakeNow {
 }
 
 /// The state behind a lock, whatever became of who held it last: a count or a name is never half written.
-pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

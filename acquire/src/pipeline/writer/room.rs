@@ -11,7 +11,7 @@ use super::TakeOutput;
 use crate::pipeline::Progress;
 
 /// Held back at least: a ledger, an index of days and a few stretches.
-pub(crate) const HELD_MIN_BYTES: u64 = 4 << 20;
+pub const HELD_MIN_BYTES: u64 = 4 << 20;
 
 /// Held back for so much time: what is in memory when the disk was stalled, and what comes until the device stops.
 const HELD_S: f64 = 60.0;

@@ -28,7 +28,7 @@ pub use tap::Tap;
 
 use crate::{
     files::{self, FileId},
-    rig::monotonic_ns,
+    host_clock::monotonic_ns,
     threads,
 };
 

@@ -8,7 +8,8 @@ use mocapd_drivers::{
     transport::{Transport, TransportError, usb::UsbWatch},
 };
 
-use super::{ReadOptions, Rig, monotonic_ns, reader::Reader};
+use super::{ReadOptions, Rig, reader::Reader};
+use crate::host_clock::monotonic_ns;
 
 /// How often it is looked for where udev does not tell: twenty looks in the two seconds within which a device
 /// that is back is recorded again.

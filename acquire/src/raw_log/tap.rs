@@ -9,7 +9,7 @@ use mocapd_drivers::{
 };
 
 use super::{BLOCK_BYTES, BLOCK_CAPACITY_BYTES, Block, Totals, put};
-use crate::rig::monotonic_ns;
+use crate::host_clock::monotonic_ns;
 
 /// A block that holds anything is handed over after so long: what a killed recorder loses of its log.
 const BLOCK_NS_MAX: u64 = 100_000_000;

@@ -61,7 +61,8 @@ pub struct TakeFailed<W> {
 }
 
 impl<W> TakeFailed<W> {
-    pub(crate) fn without_output(error: anyhow::Error) -> Self {
+    /// A take that failed before anything of it was written.
+    pub fn without_output(error: anyhow::Error) -> Self {
         Self { error, output: None }
     }
 }

@@ -16,19 +16,10 @@ use mocapd_drivers::{
     uri::DeviceUri,
 };
 use mocapd_take::record::{Channel, Device};
-use rustix::time::{ClockId, clock_gettime};
 
-pub use crate::latency::Latency;
 pub use reader::{Ending, ReadOptions, Recording};
 
-use crate::{pipeline::PipelineConfig, raw_log::Tap};
-
-/// The host's monotonic clock, in nanoseconds: the one a simulator on the same machine reads, too.
-#[must_use]
-pub fn monotonic_ns() -> u64 {
-    let now = clock_gettime(ClockId::Monotonic);
-    now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
-}
+use crate::{host_clock::monotonic_ns, pipeline::PipelineConfig, raw_log::Tap};
 
 /// How much is read from a device at once: more than a pty or a USB serial driver gives.
 const READ_BYTES: usize = 64 << 10;

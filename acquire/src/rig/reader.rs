@@ -13,10 +13,12 @@ use mocapd_drivers::{
 };
 use mocapd_take::record::{EndingKind, Event, EventKind, TakeEnding};
 
-use super::{ANSWER_WITHIN, Latency, Rig, TRIES, asked::Asked, monotonic_ns, refusal};
+use super::{ANSWER_WITHIN, Rig, TRIES, asked::Asked, refusal};
 use crate::{
     clock::Prober,
     files::FileState,
+    host_clock::monotonic_ns,
+    latency::Latency,
     pipeline::{Counts, Intake},
 };
 

@@ -8,7 +8,7 @@ use std::{
 
 use anyhow::anyhow;
 use mocapd_codec::Settings;
-use mocapd_take::record::Subject;
+use mocapd_take::{motion::frame_at, record::Subject};
 
 use crate::{
     disk,
@@ -16,8 +16,6 @@ use crate::{
     header,
     pipeline::{NothingRecorded, Pipeline, PipelineConfig, Progress, TakeFailed, Written},
     rig::{Ending, ReadOptions, Recording, Rig},
-    subject::strangers,
-    units,
 };
 
 /// What to record, and how to tell people.
@@ -71,18 +69,13 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
     header.stretch_rows = config.stretch_rows();
     header.settings = config.chosen();
     let (rate_hz, markers) = (config.rate_hz, config.channels.len());
-    let labels: Vec<String> = config.channels.iter().map(|c| c.label.clone()).collect();
-    // Who announces nobody yet may do so later.
-    if !labels.is_empty() {
-        strangers(options.subject, &labels).iter().for_each(|words| (options.say)(words));
-    }
 
     let file = TakeFile::create(options.take)?;
     let id = file.id();
     let begun = Pipeline::start_of(&config, (&header, options.subject), file);
     let outcome = begun.map(|(intake, pipeline)| {
         (options.started)(pipeline.progress());
-        let rows_max = options.length.map(|length| units::frame_at(length, rate_hz));
+        let rows_max = options.length.map(|length| frame_at(length, rate_hz));
         let read = ReadOptions {
             stop: options.stop,
             rows_max,

@@ -35,13 +35,11 @@ use mocapd_take::record::{Header, Subject};
 pub use counts::{Counts, PendingRows};
 pub use intake::Intake;
 pub use plan::{PipelineConfig, PreRollConfig};
-pub(crate) use progress::lock;
-pub use progress::{Progress, TakeNow};
+pub use progress::{Progress, TakeNow, lock};
 pub use seen::{Seen, SeenCounters};
 pub use takes::{Begun, FirstRow, NewTake, NothingRecorded, TakeEnd, TakeFailed, Takes};
 pub use tap::{TapHead, TapOut};
-pub(crate) use writer::HELD_MIN_BYTES;
-pub use writer::{DiskState, TakeOutput, Written};
+pub use writer::{DiskState, HELD_MIN_BYTES, TakeOutput, Written};
 
 use self::{
     group::Group,

@@ -1,0 +1,10 @@
+//! The clock that arrivals are stamped with.
+
+use rustix::time::{ClockId, clock_gettime};
+
+/// The host's monotonic clock, in nanoseconds: the one a simulator on the same machine reads, too.
+#[must_use]
+pub fn monotonic_ns() -> u64 {
+    let now = clock_gettime(ClockId::Monotonic);
+    now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
+}
