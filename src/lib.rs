@@ -3,14 +3,4 @@
 
 pub mod ahead;
 pub mod compare;
-pub mod config;
-pub mod doctor;
-pub mod health;
-pub mod inspect;
-pub mod listing;
-pub mod local_time;
 pub mod outcome;
-pub mod process;
-pub mod service;
-pub mod subject;
-pub mod units;

@@ -28,6 +28,7 @@ fn product_sources() -> Vec<PathBuf> {
         "take/src",
         "drivers/src",
         "acquire/src",
+        "service/src",
         "simulator/src",
         "report/src",
         "subject/src",

@@ -21,8 +21,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd::inspect::Summary;
-use mocapd_acquire::host_clock::monotonic_ns;
+use mocapd_acquire::{host_clock::monotonic_ns, inspect::Summary};
 use mocapd_simulator::{
     device::{Device, DeviceSettings},
     generator::{JumpSpec, Occlusion, Rng},

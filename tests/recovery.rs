@@ -2,7 +2,7 @@
 
 use std::io::Cursor;
 
-use mocapd::inspect::Summary;
+use mocapd_acquire::inspect::Summary;
 use mocapd_drivers::device::MarkerSample;
 use mocapd_simulator::generator::Rng;
 use mocapd_take::{

@@ -19,9 +19,9 @@ use std::{
 };
 
 use anyhow::{Context, bail, ensure};
-use mocapd::units;
 use mocapd_acquire::{header, pipeline::offline, threads};
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
+use mocapd_service::units;
 use mocapd_simulator::generator::{JumpSpec, Occlusion};
 use mocapd_take::motion::Motion;
 

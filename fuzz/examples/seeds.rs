@@ -244,9 +244,9 @@ fn wires() -> Vec<Vec<u8>> {
 
 /// The example, every key of it with its default or what it may be, and some of what people write instead.
 fn configs() -> Vec<Vec<u8>> {
-    let example = mocapd::config::example();
+    let example = mocapd_service::config::example();
     let mut given = String::new();
-    for key in mocapd::config::keys::KEYS {
+    for key in mocapd_service::config::keys::KEYS {
         // A section may stand once only.
         given.push_str(&format!("{} = {}\n", key.path, key.example()));
     }

@@ -1,6 +1,6 @@
 //! Bytes of anybody as a configuration.
 
-use mocapd::config::{Config, Overrides, PROBLEMS_MAX, Surroundings};
+use mocapd_service::config::{Config, Overrides, PROBLEMS_MAX, Surroundings};
 
 /// Reasons of a bounded number and length, each on its line; or a configuration that is the same when it is written
 /// out and read again, and of which nothing has changed then.

@@ -1,8 +1,9 @@
 //! `--tolerance`, `--lossless`, `--resampler`: the same on every command that codes.
 
 use clap::Args;
-use mocapd::{outcome::UsageError, units};
+use mocapd::outcome::UsageError;
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
+use mocapd_service::units;
 
 /// Five to fifteen times the noise of an optical rig, and 2.5 times smaller files than a tenth of a
 /// millimetre.

@@ -3,11 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use mocapd::{
-    config::{
-        self, CONFIG_PATH, Config, ConfigError, Overrides, Place, Problem, Token, TokenError,
-    },
-    outcome::{Outcome, UsageError},
+use mocapd::outcome::{Outcome, UsageError};
+use mocapd_service::config::{
+    self, CONFIG_PATH, Config, ConfigError, Overrides, Place, Problem, Token, TokenError,
 };
 use rustix::process::geteuid;
 use serde::Serialize;

@@ -2,7 +2,7 @@
 
 use std::{fmt::Write, path::Path};
 
-use mocapd::inspect::Summary;
+use mocapd_acquire::inspect::Summary;
 use mocapd_take::loss::{LostRows, Why};
 use serde::Serialize;
 

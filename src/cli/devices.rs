@@ -1,9 +1,7 @@
 //! `devices`: what is attached, which driver claims it, or why it cannot be opened.
 
-use mocapd::{
-    listing::{self, ListedDevice},
-    outcome::Outcome,
-};
+use mocapd::outcome::Outcome;
+use mocapd_acquire::listing::{self, ListedDevice};
 
 use super::output::{plain, print, print_json};
 

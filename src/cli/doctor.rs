@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 
 use anyhow::bail;
-use mocapd::{
+use mocapd::outcome::Outcome;
+use mocapd_service::{
     doctor::{self, Finding, Verdict},
-    outcome::Outcome,
     units,
 };
 use serde::Serialize;

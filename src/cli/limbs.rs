@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use anyhow::Context;
-use mocapd::subject::{self, Skeleton};
 use mocapd_report::limbs::{Limb, limbs};
+use mocapd_service::subject::{self, Skeleton};
 use mocapd_take::motion::Motion;
 
 /// A skeleton, and the limbs of it whose ends are markers of a take.

@@ -4,19 +4,17 @@ use std::{path::PathBuf, sync::Arc, time::Duration};
 
 use anyhow::Context;
 use crossbeam_channel::{Receiver, RecvTimeoutError, bounded};
-use mocapd::{
-    config::{CONFIG_PATH, Config, ConfigError, HttpConfig, Overrides, Token},
-    outcome::{Outcome, UsageError},
-    service::{
-        control::Control,
-        engine::{Engine, EngineOptions},
-        http::{HttpOptions, HttpServer},
-        log::Log,
-        notify::Notifier,
-        triggered::Triggers,
-    },
-};
+use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{heartbeat::Heartbeat, threads};
+use mocapd_service::{
+    config::{CONFIG_PATH, Config, ConfigError, HttpConfig, Overrides, Token},
+    control::Control,
+    engine::{Engine, EngineOptions},
+    http::{HttpOptions, HttpServer},
+    log::Log,
+    notify::Notifier,
+    triggered::Triggers,
+};
 use signal_hook::{
     consts::{SIGHUP, SIGINT, SIGTERM},
     iterator::Signals,

@@ -2,10 +2,8 @@
 
 use std::path::PathBuf;
 
-use mocapd::{
-    outcome::UsageError,
-    subject::{NAME_BYTES_MAX, SubjectFiles},
-};
+use mocapd::outcome::UsageError;
+use mocapd_service::subject::{NAME_BYTES_MAX, SubjectFiles};
 use mocapd_take::record::Subject;
 
 #[derive(Debug, Clone, clap::Args)]

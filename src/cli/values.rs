@@ -2,7 +2,7 @@
 
 use std::{ops::RangeInclusive, time::Duration};
 
-use mocapd::units;
+use mocapd_service::units;
 
 /// The length of something that is to be made: more than nothing.
 ///

@@ -2,9 +2,9 @@
 
 use std::{io, time::Duration};
 
-use mocapd::inspect::Summary;
-use mocapd_acquire::pipeline::{
-    Armed, Begun, Intake, NewTake, Pipeline, PreRollConfig, TakeOutput, Written,
+use mocapd_acquire::{
+    inspect::Summary,
+    pipeline::{Armed, Begun, Intake, NewTake, Pipeline, PreRollConfig, TakeOutput, Written},
 };
 use mocapd_take::{
     motion::{Motion, Position, is_gap},

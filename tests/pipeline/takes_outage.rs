@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use mocapd::inspect::Summary;
+use mocapd_acquire::inspect::Summary;
 use mocapd_drivers::device::Status;
 use mocapd_take::record::EndingKind;
 

@@ -2,13 +2,13 @@
 
 use std::{sync::Arc, time::Duration};
 
-use mocapd::service::{
+use mocapd_acquire::heartbeat::Heartbeat;
+use mocapd_service::{
     control::{Control, Request},
     engine::Engine,
     http::{HttpOptions, HttpServer},
     status::State,
 };
-use mocapd_acquire::heartbeat::Heartbeat;
 
 use crate::{
     cli::{Folder, devices::Simulated},

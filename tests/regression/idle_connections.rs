@@ -9,7 +9,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd::service::http::{HttpOptions, HttpServer, TimeLimits};
+use mocapd_service::http::{HttpOptions, HttpServer, TimeLimits};
 
 use crate::service::{
     fake::Fake,

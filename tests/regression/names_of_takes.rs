@@ -2,11 +2,11 @@
 
 use std::{ffi::OsStr, fs, os::unix::ffi::OsStrExt};
 
-use mocapd::{
-    service::control::{Control, Request},
-    service::engine::Engine,
-};
 use mocapd_acquire::heartbeat::Heartbeat;
+use mocapd_service::{
+    control::{Control, Request},
+    engine::Engine,
+};
 
 use crate::{
     cli::{Folder, devices::Simulated, service::Service},

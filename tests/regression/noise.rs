@@ -1,11 +1,11 @@
 //! Noise is one estimate, the same everywhere: that of fourth differences, on one axis.
 
-use mocapd::service::control::Control;
 use mocapd_codec::Settings;
 use mocapd_report::{
     coded::Coded,
     plot::{MarkerQuality, Quality},
 };
+use mocapd_service::control::Control;
 use mocapd_take::motion::Motion;
 
 use crate::{

@@ -2,14 +2,11 @@
 
 use std::{path::PathBuf, sync::Arc};
 
-use mocapd::{
-    health::TakeHealth,
-    service::{
-        control::{Control, Request},
-        engine::Engine,
-    },
+use mocapd_acquire::{health::TakeHealth, heartbeat::Heartbeat};
+use mocapd_service::{
+    control::{Control, Request},
+    engine::Engine,
 };
-use mocapd_acquire::heartbeat::Heartbeat;
 use mocapd_simulator::{
     device::{Device, DeviceSettings},
     faults::{FaultyDevice, Script},

@@ -8,8 +8,7 @@
 mod real;
 mod world;
 
-use mocapd::inspect::Summary;
-use mocapd_acquire::clock::Apart;
+use mocapd_acquire::{clock::Apart, inspect::Summary};
 
 use self::world::{Ended, Stalled, World};
 use crate::support::chunks;

@@ -2,11 +2,11 @@
 
 use std::{fs, path::Path, time::Duration};
 
-use mocapd::service::{
+use mocapd_acquire::heartbeat::Heartbeat;
+use mocapd_service::{
     control::{Control, Request},
     engine::Engine,
 };
-use mocapd_acquire::heartbeat::Heartbeat;
 use mocapd_take::chunk::{self, types};
 use serde_json::{Value, json};
 

@@ -7,15 +7,11 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd::{
+use mocapd_service::{
     config::{Network, TriggerConfig},
-    service::{
-        control::{Control, Start},
-        trigger::{
-            DELAYED_OTHERS_MAX, Heard, Listener, Received, Refusal, Trigger, Waiting, parse,
-        },
-        triggered::Triggers,
-    },
+    control::{Control, Start},
+    trigger::{DELAYED_OTHERS_MAX, Heard, Listener, Received, Refusal, Trigger, Waiting, parse},
+    triggered::Triggers,
 };
 
 use crate::service::fake::Fake;

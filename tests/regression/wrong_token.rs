@@ -1,6 +1,6 @@
 //! A wrong token in the browser brings the form again; programs get the problem in JSON.
 
-use mocapd::service::http::{HttpOptions, HttpServer};
+use mocapd_service::http::{HttpOptions, HttpServer};
 
 use crate::service::{
     fake::Fake,

@@ -10,7 +10,7 @@ use std::{
     time::Duration,
 };
 
-use mocapd::service::{
+use mocapd_service::{
     http::{HttpOptions, HttpServer},
     status::State,
 };

@@ -9,7 +9,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd::service::control::{Control, Request};
+use mocapd_service::control::{Control, Request};
 
 use super::engine::{Room, named, read, room, wait_until};
 

@@ -2,17 +2,13 @@
 
 use std::{path::Path, sync::Arc, time::Duration};
 
-use mocapd::{
-    health::TakeHealth,
-    inspect::Summary,
-    service::{
-        control::{Control, Mark, RefusalKind, Request, SaveLast, Start},
-        engine::{Engine, EngineOptions},
-        live::LiveMessage,
-        status::State,
-    },
+use mocapd_acquire::{health::TakeHealth, heartbeat::Heartbeat, inspect::Summary};
+use mocapd_service::{
+    control::{Control, Mark, RefusalKind, Request, SaveLast, Start},
+    engine::{Engine, EngineOptions},
+    live::LiveMessage,
+    status::State,
 };
-use mocapd_acquire::heartbeat::Heartbeat;
 use mocapd_take::record::Subject;
 
 use crate::{

@@ -2,14 +2,12 @@
 
 use std::{net::UdpSocket, sync::Arc, time::Duration};
 
-use mocapd::{
+use mocapd_service::{
     config::TriggerConfig,
-    service::{
-        control::{Control, Request},
-        status::State,
-        trigger::{Trigger, parse},
-        triggered::Triggers,
-    },
+    control::{Control, Request},
+    status::State,
+    trigger::{Trigger, parse},
+    triggered::Triggers,
 };
 
 use super::engine::{Room, named, read, room, wait_until};

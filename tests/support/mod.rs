@@ -2,9 +2,9 @@
 
 use std::{io::Cursor, ops::Range};
 
-use mocapd::inspect::Summary;
 use mocapd_acquire::{
     header,
+    inspect::Summary,
     pipeline::{Counts, Intake, Pipeline, PipelineConfig, TakeOutput, Written},
 };
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};

@@ -2,10 +2,8 @@
 
 use std::{sync::atomic::Ordering, time::Duration};
 
-use mocapd::{
-    outcome::{Outcome, UsageError},
-    units,
-};
+use mocapd::outcome::{Outcome, UsageError};
+use mocapd_service::units;
 use mocapd_simulator::{
     device::{Device, DeviceSettings},
     generator::{JumpSpec, SAMPLES_MAX},

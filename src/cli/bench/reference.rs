@@ -3,8 +3,8 @@
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use mocapd::process;
 use mocapd_drivers::{device::Command, registry, uri::DeviceUri};
+use mocapd_service::process;
 
 /// Reads a device for `length` and throws the bytes away: the processor time, in percent of one core,
 /// that the line alone costs.

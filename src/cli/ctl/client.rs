@@ -11,10 +11,8 @@ use hyper::{
     header,
 };
 use hyper_util::rt::TokioIo;
-use mocapd::{
-    outcome::{DataLostError, UsageError},
-    service::http::{Problem, ProblemKind},
-};
+use mocapd::outcome::{DataLostError, UsageError};
+use mocapd_service::http::{Problem, ProblemKind};
 use serde_json::Value;
 use tokio::{
     io::{AsyncRead, AsyncWrite},

@@ -4,7 +4,8 @@ use std::time::Duration;
 
 use anyhow::bail;
 use hyper::{Method, body::Bytes};
-use mocapd::{outcome::Outcome, service::status::ServiceEvent};
+use mocapd::outcome::Outcome;
+use mocapd_service::status::ServiceEvent;
 use serde_json::Value;
 
 use super::{

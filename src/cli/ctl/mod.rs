@@ -53,7 +53,7 @@ enum Order {
         #[arg(long)]
         notes: Option<String>,
         /// How much of what came before belongs to the take; without it as configured
-        #[arg(long, value_name = "TIME", value_parser = mocapd::units::duration)]
+        #[arg(long, value_name = "TIME", value_parser = mocapd_service::units::duration)]
         pre_roll: Option<Duration>,
     },
     /// End the take; done when its ledger would survive a power cut. Exit code 3 when frames were lost

@@ -1,15 +1,12 @@
 //! One question or order each, and what is said of the answer.
 
 use anyhow::Context;
-use mocapd::{
-    listing::ListedDevice,
-    outcome::Outcome,
-    service::{
-        control::{Marked, Started, Stopped},
-        status::{LedgerStatus, Status, TakeSummary},
-    },
+use mocapd::outcome::Outcome;
+use mocapd_acquire::{files::FileState, listing::ListedDevice};
+use mocapd_service::{
+    control::{Marked, Started, Stopped},
+    status::{LedgerStatus, Status, TakeSummary},
 };
-use mocapd_acquire::files::FileState;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 

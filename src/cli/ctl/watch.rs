@@ -2,7 +2,8 @@
 
 use std::{sync::atomic::Ordering, time::Duration};
 
-use mocapd::{outcome::Outcome, service::status::Status};
+use mocapd::outcome::Outcome;
+use mocapd_service::status::Status;
 
 use super::{client::Client, orders::read, words};
 use crate::cli::{

@@ -2,12 +2,10 @@
 
 use std::fmt::Write;
 
-use mocapd::{
+use mocapd_service::{
+    control::{Started, Stopped},
     local_time,
-    service::{
-        control::{Started, Stopped},
-        status::{LedgerStatus, State, Status, TakeSummary},
-    },
+    status::{LedgerStatus, State, Status, TakeSummary},
 };
 
 use crate::cli::{

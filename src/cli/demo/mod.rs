@@ -13,17 +13,17 @@ use std::{
 use anyhow::{Context, ensure};
 use mocapd::{
     compare::compare,
-    inspect::Summary,
     outcome::{Outcome, UsageError},
-    units,
 };
 use mocapd_acquire::{
     files,
+    inspect::Summary,
     record::Recorded,
     rig::{Ending, Rig},
 };
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_drivers::uri::{DeviceUri, Location};
+use mocapd_service::units;
 use mocapd_simulator::{
     device::{Device, DeviceSettings, SentLog},
     generator::JumpSpec,

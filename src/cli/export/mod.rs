@@ -15,12 +15,12 @@ use anyhow::Context;
 use mocapd::{
     ahead::Ahead,
     outcome::{Outcome, UsageError},
-    units,
 };
 use mocapd_acquire::{
     files::{self, NewFile, NewFolder, SparseFile},
     threads,
 };
+use mocapd_service::units;
 use mocapd_take::{
     TakeFrames,
     interchange::{Direction, Format, Turned, bids},

@@ -9,10 +9,7 @@ use std::{
 };
 
 use anyhow::Context;
-use mocapd::{
-    outcome::{Outcome, UsageError},
-    subject::strangers,
-};
+use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{
     files::NewFile,
     header,
@@ -20,6 +17,7 @@ use mocapd_acquire::{
     threads,
 };
 use mocapd_codec::Settings;
+use mocapd_service::subject::strangers;
 use mocapd_take::{
     interchange::{Direction, LengthUnit, ReadOptions},
     motion::{Ambiguity, Motion},

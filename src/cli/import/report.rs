@@ -2,8 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use mocapd::inspect::size_ratio;
-use mocapd_acquire::pipeline::Written;
+use mocapd_acquire::{inspect::size_ratio, pipeline::Written};
 use mocapd_codec::Settings;
 use mocapd_take::motion::Motion;
 use serde::Serialize;

@@ -7,8 +7,8 @@ mod words;
 use std::{io::BufReader, path::PathBuf};
 
 use anyhow::Context;
-use mocapd::{health::TakeHealth, inspect::Summary, outcome::Outcome};
-use mocapd_acquire::files::SparseFile;
+use mocapd::outcome::Outcome;
+use mocapd_acquire::{files::SparseFile, health::TakeHealth, inspect::Summary};
 
 use self::{report::Report, words::words};
 use super::{

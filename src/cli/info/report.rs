@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use mocapd::{
+use mocapd_acquire::{
     health::TakeHealth,
     inspect::{Summary, size_ratio},
 };

@@ -1,6 +1,6 @@
 //! Who was captured, as `info` says it.
 
-use mocapd::subject::{
+use mocapd_service::subject::{
     Face, Skeleton,
     face::SourcePhoto,
     skeleton::{ScannedBone, SourceScan},

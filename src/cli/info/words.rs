@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use mocapd::local_time;
+use mocapd_service::local_time;
 
 use super::report::Report;
 use crate::cli::{

@@ -2,17 +2,15 @@
 
 use std::{path::PathBuf, time::Duration};
 
-use mocapd::{
-    outcome::{Outcome, UsageError},
-    service::{
-        bones,
-        face::{FacePose, FaceUnderMarkers},
-    },
-    units,
-};
+use mocapd::outcome::{Outcome, UsageError};
 use mocapd_report::{
     plot::{Pose, pose},
     up::Up,
+};
+use mocapd_service::{
+    bones,
+    face::{FacePose, FaceUnderMarkers},
+    units,
 };
 use mocapd_take::{
     motion::{Motion, frame_at},

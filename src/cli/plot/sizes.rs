@@ -8,13 +8,11 @@ use std::{
     },
 };
 
-use mocapd::{
-    outcome::{Outcome, UsageError},
-    units,
-};
+use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{pipeline::offline, threads};
 use mocapd_codec::{ResamplerKind, Settings, SplineVariant, Tolerance};
 use mocapd_report::plot::{SizeLine, SizePanel, sizes};
+use mocapd_service::units;
 use mocapd_take::motion::{Motion, is_gap};
 
 use super::picture;

@@ -2,15 +2,13 @@
 
 use std::{path::PathBuf, time::Duration};
 
-use mocapd::{
-    outcome::{Outcome, UsageError},
-    units,
-};
+use mocapd::outcome::{Outcome, UsageError};
 use mocapd_report::{
     coded::Coded,
     column::{Column, distance},
     plot::{Trajectory, trajectory},
 };
+use mocapd_service::units;
 use mocapd_take::{interchange::column_labels, motion::frame_at};
 
 use super::{picture, pose::up};

@@ -6,16 +6,14 @@ mod watch;
 
 use std::{path::PathBuf, time::Duration};
 
-use mocapd::{
-    outcome::{Outcome, UsageError},
-    units,
-};
+use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{
     files::FileState,
     raw_log::RawLog,
     rig::{Ending, Rig},
 };
 use mocapd_drivers::{registry::OpenError, uri::DeviceUri};
+use mocapd_service::units;
 
 pub(crate) use self::{
     report::{LatencyReport, ProcessReport, Report},

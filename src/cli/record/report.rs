@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use mocapd::{inspect::size_ratio, process};
-use mocapd_acquire::{files::FileState, record::Recorded, rig::Ending};
+use mocapd_acquire::{files::FileState, inspect::size_ratio, record::Recorded, rig::Ending};
 use mocapd_codec::Settings;
+use mocapd_service::process;
 use serde::{Deserialize, Serialize};
 
 use super::raw::RawLogReport;

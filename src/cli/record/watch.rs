@@ -9,12 +9,12 @@ use std::{
     time::Duration,
 };
 
-use mocapd::subject::strangers;
 use mocapd_acquire::{
     record::{RecordOptions, Recorded, record},
     rig::Rig,
 };
 use mocapd_codec::Settings;
+use mocapd_service::subject::strangers;
 use mocapd_take::record::Subject;
 
 use crate::cli::{

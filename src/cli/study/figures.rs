@@ -1,7 +1,6 @@
 //! Figures 2 and 3 of the paper on the first trial that has phases, and table 1 as a figure.
 
 use anyhow::anyhow;
-use mocapd::service::bones;
 use mocapd_codec::{Settings, Tolerance};
 use mocapd_report::{
     ReportError,
@@ -10,6 +9,7 @@ use mocapd_report::{
     plot::{Pose, Trajectory, by_phase, pose, trajectory},
     study::{Coder, Findings, Method, Trial},
 };
+use mocapd_service::bones;
 
 use super::InMemory;
 

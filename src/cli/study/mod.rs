@@ -11,13 +11,11 @@ use std::{
 };
 
 use anyhow::{Context, anyhow, bail};
-use mocapd::{
-    outcome::{Outcome, UsageError},
-    units,
-};
+use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{pipeline::offline, threads};
 use mocapd_codec::{Settings, Tolerance};
 use mocapd_report::study::{Coder, Findings, Options, Trial, measure, tables, work};
+use mocapd_service::units;
 use mocapd_take::motion::Motion;
 
 use self::report::Report;

@@ -10,8 +10,9 @@ use std::{
 };
 
 use anyhow::{Context, bail};
-use mocapd::{health::TakeHealth, inspect::Summary, outcome::Outcome, units};
-use mocapd_acquire::{clock::Apart, files::SparseFile};
+use mocapd::outcome::Outcome;
+use mocapd_acquire::{clock::Apart, files::SparseFile, health::TakeHealth, inspect::Summary};
+use mocapd_service::units;
 use mocapd_take::record::{Header, Ledger};
 use serde::Serialize;
 

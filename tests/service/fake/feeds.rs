@@ -6,7 +6,7 @@ use std::sync::{
 };
 
 use crossbeam_channel::{Sender, bounded};
-use mocapd::service::{
+use mocapd_service::{
     control::EventFeed,
     live::{LiveFeed, LiveFrame, LiveMessage, LiveTable},
     status::{ServiceEvent, State},

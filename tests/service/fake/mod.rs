@@ -13,7 +13,8 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd::service::{
+use mocapd_acquire::files::{FileId, FileState};
+use mocapd_service::{
     control::{
         Control, EventFeed, FirstFrame, Mark, Marked, Refusal, RefusalKind, Request, SaveLast,
         Start, Started, Stopped,
@@ -21,7 +22,6 @@ use mocapd::service::{
     live::LiveFeed,
     status::{LedgerStatus, MarkerQuality, State, Status, TakeStatus, TakeSummary},
 };
-use mocapd_acquire::files::{FileId, FileState};
 
 use self::feeds::Feeds;
 

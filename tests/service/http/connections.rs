@@ -6,7 +6,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd::service::http::HttpOptions;
+use mocapd_service::http::HttpOptions;
 
 use super::{
     client::{Answer, connect, get, request},

@@ -2,18 +2,15 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use mocapd::{
-    listing::ListedDevice,
-    service::{
-        control::{FirstFrame, Mark, Marked, Request, SaveLast, Start, Started, Stopped},
-        http::{Problem, ProblemKind, openapi},
-        status::{
-            DeviceStatus, LedgerStatus, MarkerQuality, OutageStatus, ServiceEvent, State, Status,
-            TakeStatus, TakeSummary,
-        },
+use mocapd_acquire::{files::FileState, listing::ListedDevice};
+use mocapd_service::{
+    control::{FirstFrame, Mark, Marked, Request, SaveLast, Start, Started, Stopped},
+    http::{Problem, ProblemKind, openapi},
+    status::{
+        DeviceStatus, LedgerStatus, MarkerQuality, OutageStatus, ServiceEvent, State, Status,
+        TakeStatus, TakeSummary,
     },
 };
-use mocapd_acquire::files::FileState;
 use serde_json::{Value, json};
 
 use super::{

@@ -9,7 +9,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd::service::http::{HttpOptions, HttpServer};
+use mocapd_service::http::{HttpOptions, HttpServer};
 
 use super::{
     client::{Answer, connect, post, request},

@@ -6,7 +6,7 @@ use std::{
     time::Duration,
 };
 
-use mocapd::service::http::HttpOptions;
+use mocapd_service::http::HttpOptions;
 
 use super::{
     client::{connect, get, request},

@@ -14,7 +14,7 @@ mod takes;
 
 use std::{net::SocketAddr, sync::Arc, time::Duration};
 
-use mocapd::service::http::{HttpOptions, HttpServer, TimeLimits};
+use mocapd_service::http::{HttpOptions, HttpServer, TimeLimits};
 
 use super::fake::Fake;
 use crate::support::{config, dense, jump, record};

@@ -29,7 +29,7 @@ fn words_in_quotes(text: &str) -> impl Iterator<Item = &str> {
 
 #[test]
 fn the_page_has_every_route_and_its_examples_are_answered() {
-    let document: Value = serde_json::from_str(&mocapd::service::http::openapi().unwrap()).unwrap();
+    let document: Value = serde_json::from_str(&mocapd_service::http::openapi().unwrap()).unwrap();
     let described = document["paths"].as_object().unwrap().iter().flat_map(|(path, item)| {
         let methods = item.as_object().unwrap().keys();
         methods.map(move |method| format!("{} {path}", method.to_uppercase()))
@@ -84,7 +84,7 @@ fn the_refusal_on_the_page_is_the_one_that_comes() {
 }
 
 fn document_kinds() -> Vec<String> {
-    let document: Value = serde_json::from_str(&mocapd::service::http::openapi().unwrap()).unwrap();
+    let document: Value = serde_json::from_str(&mocapd_service::http::openapi().unwrap()).unwrap();
     let kinds = &document["components"]["schemas"]["ProblemKind"];
     let one_of = kinds["oneOf"].as_array().map(|kinds| {
         kinds.iter().flat_map(|kind| kind["enum"].as_array().unwrap().clone()).collect()

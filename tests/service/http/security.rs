@@ -1,6 +1,6 @@
 //! Who may do what, from where, under which name.
 
-use mocapd::service::http::{HttpOptions, HttpServer};
+use mocapd_service::http::{HttpOptions, HttpServer};
 
 use super::{
     client::{ask, exchange, get, post, request},

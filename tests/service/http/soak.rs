@@ -15,7 +15,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd::service::{
+use mocapd_service::{
     control::{Control, Request},
     http::HttpServer,
 };

@@ -6,7 +6,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd::service::{http::HttpOptions, status::State};
+use mocapd_service::{http::HttpOptions, status::State};
 
 use super::{
     client::{Answer, connect, get, request, unchunked},

@@ -157,7 +157,7 @@ fn nothing_else_of_the_disk_can_be_had() {
 
 #[test]
 fn a_reader_that_stops_costs_a_place_and_no_memory() {
-    let options = mocapd::service::http::HttpOptions {
+    let options = mocapd_service::http::HttpOptions {
         limits: super::short(),
         connections_max: 8,
         ..super::local()

@@ -7,8 +7,7 @@ use std::{
 };
 
 use anyhow::ensure;
-use mocapd::inspect::Summary;
-use mocapd_acquire::pipeline::offline;
+use mocapd_acquire::{inspect::Summary, pipeline::offline};
 use mocapd_codec::Settings;
 use mocapd_take::{
     TakeEvent,

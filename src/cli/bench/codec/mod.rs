@@ -5,8 +5,9 @@ mod report;
 
 use std::path::PathBuf;
 
-use mocapd::{outcome::Outcome, units};
+use mocapd::outcome::Outcome;
 use mocapd_codec::{ResamplerKind, Settings, SplineVariant, Tolerance};
+use mocapd_service::units;
 
 use self::{
     measure::{Subject, measure},

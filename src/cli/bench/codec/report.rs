@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use mocapd::inspect::{Summary, size_ratio};
+use mocapd_acquire::inspect::{Summary, size_ratio};
 use mocapd_codec::Settings;
 use serde::Serialize;
 

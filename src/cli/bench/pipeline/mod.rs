@@ -7,7 +7,8 @@ mod report;
 use std::{path::PathBuf, sync::atomic::Ordering, time::Duration};
 
 use anyhow::{bail, ensure};
-use mocapd::{outcome::Outcome, units};
+use mocapd::outcome::Outcome;
+use mocapd_service::units;
 
 use self::{
     over_pty::over_pty,

@@ -8,9 +8,9 @@ use std::{
 };
 
 use anyhow::{Context, bail, ensure};
-use mocapd::process;
 use mocapd_codec::{ResamplerKind, Settings};
 use mocapd_drivers::uri::{DeviceUri, Location};
+use mocapd_service::process;
 use serde::Deserialize;
 
 use super::{super::reference::bare_read_cpu_percent, Args, report::PtyRun};

@@ -1,0 +1,528 @@
+//! What people ask for, one thing at a time.
+
+use std::{
+    path::{Path, PathBuf},
+    sync::{MutexGuard, atomic::Ordering},
+    time::{Duration, Instant},
+};
+
+use crossbeam_channel::{RecvTimeoutError, after, select};
+use mocapd_acquire::{
+    disk,
+    files::{FileId, TakeFile},
+    header,
+    host_clock::monotonic_ns,
+    pipeline::NewTake,
+    threads,
+};
+use mocapd_take::record::{EndingKind, Event, EventKind};
+
+use super::{Inner, names, session::OpenTake};
+use crate::{
+    control::{FirstFrame, Marked, Refusal, RefusalKind, SaveLast, Start, Started, Stopped},
+    notify,
+};
+
+/// How long a device may take to be opened and started.
+const ARMED_WITHIN: Duration = Duration::from_secs(10);
+
+/// How long the first frame may take to be on disk.
+const FIRST_WITHIN: Duration = Duration::from_secs(5);
+
+/// How long a take may take to be closed: a disk that stalls for half a minute is waited for.
+const CLOSED_WITHIN: Duration = Duration::from_secs(40);
+
+/// How long the copy of a take that was removed may take when the service stops: 30 GB at 50 MB a second.
+const COPIED_WITHIN: Duration = Duration::from_secs(600);
+
+/// Between two requests for more time to stop in.
+const EXTEND_EVERY: Duration = Duration::from_secs(10);
+
+/// How long the reader may take to place a mark.
+const MARKED_WITHIN: Duration = Duration::from_secs(1);
+
+/// Longest text of a mark and of notes, in bytes.
+const TEXT_BYTES_MAX: usize = 1024;
+
+/// Names that are tried for a take that nobody named.
+const NAMES_MAX: u32 = 10_000;
+
+/// The right to carry out a command.
+type Command<'a> = MutexGuard<'a, ()>;
+
+impl Inner {
+    /// Makes the device run.
+    pub(super) fn arm(&self, _command: &Command<'_>) -> Result<(), Refusal> {
+        let until = Instant::now() + ARMED_WITHIN;
+        let mut core = self.core();
+        core.failure = None;
+        core.wanted = true;
+        core.device.obstacle = None;
+        self.changed.notify_all();
+        loop {
+            if self.is_stopping() {
+                return Err(stopping());
+            }
+            // One that is being ended is none.
+            let runs = |s: &super::session::Session| !s.stop.load(Ordering::Relaxed);
+            if core.session.as_ref().is_some_and(runs) {
+                return Ok(());
+            }
+            if let Some(obstacle) = &core.device.obstacle {
+                let words = format!("{obstacle}; the device is armed as soon as it is there");
+                return Err(Refusal::new(RefusalKind::Device, words));
+            }
+            if Instant::now() >= until {
+                let words = "the device does not start: look at the status, and try again";
+                return Err(Refusal::new(RefusalKind::Device, words));
+            }
+            let waited = self.changed.wait_timeout(core, Duration::from_millis(50));
+            core = waited.unwrap_or_else(std::sync::PoisonError::into_inner).0;
+        }
+    }
+
+    pub(super) fn disarm(&self, _command: &Command<'_>) -> Result<(), Refusal> {
+        let until = Instant::now() + ARMED_WITHIN;
+        let mut core = self.core();
+        if let Some(take) = &core.take {
+            let words = format!("the take {} is being recorded: stop it first", take.name);
+            return Err(Refusal::new(RefusalKind::Conflict, words));
+        }
+        core.wanted = false;
+        core.failure = None;
+        while let Some(session) = &core.session {
+            session.stop.store(true, Ordering::Relaxed);
+            if Instant::now() >= until {
+                let words = "the device does not stop: look at the status";
+                return Err(Refusal::new(RefusalKind::Device, words));
+            }
+            let waited = self.changed.wait_timeout(core, Duration::from_millis(50));
+            core = waited.unwrap_or_else(std::sync::PoisonError::into_inner).0;
+        }
+        Ok(())
+    }
+
+    pub(super) fn start_take(
+        &self,
+        command: &Command<'_>,
+        start: &Start,
+    ) -> Result<Started, Refusal> {
+        let asked_ns = monotonic_ns();
+        let core = self.core();
+        if let Some(take) = &core.take {
+            let words = format!("the take {} is being recorded: stop it first", take.name);
+            return Err(Refusal::new(RefusalKind::Conflict, words));
+        }
+        let pre_roll = match start.pre_roll_s {
+            None => core.options.include_pre_roll,
+            Some(s) => seconds(s, "pre_roll_s")?,
+        };
+        let away = core.away();
+        drop(core);
+        if let Some(words) = away {
+            return Err(Refusal::new(RefusalKind::Device, words));
+        }
+        let new =
+            self.new_take(start.name.as_deref(), start.notes.as_deref(), pre_roll, asked_ns)?;
+        if let Err(refusal) = self.arm(command) {
+            discard(new.file, &new.path);
+            return Err(refusal);
+        }
+        let NewNamed { name, path, file, id, take } = new;
+        let mut core = self.core();
+        let Some(session) = &mut core.session else {
+            drop(core);
+            discard(file, &path);
+            return Err(gone());
+        };
+        let rate_hz = session.header.rate_hz;
+        let take = NewTake { header: session.header_of_take(&take), ..take };
+        let begun = match session.takes.begin(take) {
+            Ok(begun) => begun,
+            Err(error) => {
+                drop(core);
+                discard(file, &path);
+                return Err(Refusal::new(RefusalKind::Unavailable, format!("{error:#}")));
+            }
+        };
+        let take = OpenTake {
+            id: id.clone(),
+            name: name.clone(),
+            path: path.clone(),
+            file,
+            file_told: session.progress.file_changes(),
+            asked_unix_ms: super::status::unix_ms(),
+            begun: Instant::now(),
+            rate_hz,
+            first: None,
+            ended: begun.ended.clone(),
+            ending: None,
+        };
+        core.failure = None;
+        core.data_lost = None;
+        core.take = Some(take);
+        drop(core);
+        let first = select! {
+            recv(begun.first) -> first => first.ok(),
+            recv(after(FIRST_WITHIN)) -> _ => None,
+        };
+        let Some(first) = first else {
+            return Err(self.begun_in_vain());
+        };
+        let mut core = self.core();
+        if let Some(take) = &mut core.take {
+            take.first = Some(first);
+        }
+        let kept_open = std::mem::take(&mut core.kept_open);
+        drop(core);
+        // A large file without a name takes its time to close.
+        drop(kept_open);
+        let notes = start.notes.as_deref().filter(|notes| !notes.is_empty());
+        self.say_noted("take-started", &format!("recording {name}"), Some(&name), notes);
+        let before_request_s = asked_ns.saturating_sub(first.arrival_ns) as f64 * 1e-9;
+        let remarks = pre_roll_remark(pre_roll, before_request_s).into_iter().collect();
+        let first_frame = FirstFrame {
+            device_ticks: first.device_ticks,
+            arrival_ns: first.arrival_ns,
+            before_request_s,
+        };
+        Ok(Started { take_id: id, name, path, first_frame, remarks })
+    }
+
+    /// No frame came: the take ends, and so does its file.
+    fn begun_in_vain(&self) -> Refusal {
+        let away = self.core().away();
+        let refused = self.end_take(EndingKind::Stopped);
+        match refused {
+            // A frame came after all, and a moment too late.
+            Ok(stopped) => Refusal::new(
+                RefusalKind::Device,
+                format!(
+                    "no frame was on disk within {} s: is the device capturing? What came is in {}",
+                    FIRST_WITHIN.as_secs(),
+                    stopped.path.display()
+                ),
+            ),
+            Err(refusal) => away.map_or(refusal, |words| Refusal::new(RefusalKind::Device, words)),
+        }
+    }
+
+    pub(super) fn stop_take(
+        &self,
+        _command: &Command<'_>,
+        ending: EndingKind,
+    ) -> Result<Stopped, Refusal> {
+        self.end_take(ending)
+    }
+
+    fn end_take(&self, ending: EndingKind) -> Result<Stopped, Refusal> {
+        let mut core = self.core();
+        let Some(take) = &mut core.take else {
+            if let Some(words) = &core.data_lost {
+                let words = format!("no take is being recorded: {words}");
+                return Err(Refusal::new(RefusalKind::DataLost, words));
+            }
+            // A take that failed is over, and the answer is what it came to.
+            if let Some(failure) = &core.failure {
+                let words = format!("no take is being recorded: {failure}");
+                return Err(Refusal::new(RefusalKind::Conflict, words));
+            }
+            let before = core.last_take.as_ref().filter(|take| !take.ending.is_empty());
+            let words = before.map_or_else(
+                || "no take is being recorded".to_owned(),
+                |take| {
+                    format!("no take is being recorded: {} has ended ({})", take.name, take.ending)
+                },
+            );
+            return Err(Refusal::new(RefusalKind::Conflict, words));
+        };
+        let is_first = take.ending.is_none();
+        take.ending.get_or_insert(ending);
+        let ended = take.ended.clone();
+        // Without a session its end is on the way.
+        if let Some(session) = &mut core.session
+            && is_first
+            && let Err(error) = session.takes.end(ending)
+        {
+            if let Some(take) = &mut core.take {
+                take.ending = None;
+            }
+            return Err(Refusal::new(RefusalKind::Unavailable, format!("{error:#}")));
+        }
+        drop(core);
+        match ended.recv_timeout(CLOSED_WITHIN) {
+            Ok(end) => self.finish_take(end),
+            Err(RecvTimeoutError::Disconnected) => self.finish_unanswered(),
+            Err(RecvTimeoutError::Timeout) => Err(Refusal::new(
+                RefusalKind::Unavailable,
+                "the disk has not taken the end of the take yet: it is closed as soon as it does; look at the status",
+            )),
+        }
+    }
+
+    pub(super) fn mark_take(&self, text: &str) -> Result<Marked, Refusal> {
+        check_text(text, "a mark")?;
+        let core = self.core();
+        let (Some(session), Some(take)) = (&core.session, &core.take) else {
+            let words = "no take is being recorded: nothing to mark";
+            return Err(Refusal::new(RefusalKind::Conflict, words));
+        };
+        let name = take.name.clone();
+        let Some(rows_before) = take.first.map(|first| first.row) else {
+            let words = "the take has no frame yet: mark it when it has begun";
+            return Err(Refusal::new(RefusalKind::Conflict, words));
+        };
+        let row = session.takes.mark(text, monotonic_ns());
+        drop(core);
+        let row =
+            row.map_err(|error| Refusal::new(RefusalKind::Unavailable, format!("{error:#}")))?;
+        let row = row.row.recv_timeout(MARKED_WITHIN).map_err(|_| {
+            let words = "the mark was not placed in time: the device is away or the host too slow";
+            Refusal::new(RefusalKind::Unavailable, words)
+        })?;
+        self.say_event("mark", if text.is_empty() { "a mark" } else { text }, Some(&name));
+        Ok(Marked { row: row.saturating_sub(rows_before) })
+    }
+
+    pub(super) fn save_held(
+        &self,
+        _command: &Command<'_>,
+        save: &SaveLast,
+    ) -> Result<Stopped, Refusal> {
+        let asked_ns = monotonic_ns();
+        let last = seconds(save.seconds, "seconds")?;
+        if last.is_zero() {
+            let words = "seconds is 0: nothing would be saved";
+            return Err(Refusal::new(RefusalKind::Invalid, words));
+        }
+        if self.core().session.is_none() {
+            let words = "not armed: nothing is held";
+            return Err(Refusal::new(RefusalKind::Conflict, words));
+        }
+        let new = self.new_take(save.name.as_deref(), None, last, asked_ns)?;
+        let NewNamed { name, path, file, id, take } = new;
+        let mut core = self.core();
+        let Some(session) = &mut core.session else {
+            drop(core);
+            discard(file, &path);
+            return Err(gone());
+        };
+        let rate_hz = session.header.rate_hz;
+        let take = NewTake { header: session.header_of_take(&take), ..take };
+        let saved = session.takes.save(take);
+        let _closing = self.closing(&mut core);
+        drop(core);
+        let ended = saved.map_err(|error| format!("{error:#}")).and_then(|begun| {
+            let late = "the disk has not taken the take yet";
+            begun.ended.recv_timeout(CLOSED_WITHIN).map_err(|_| late.to_owned())
+        });
+        match ended {
+            Err(words) => {
+                discard(file, &path);
+                Err(Refusal::new(RefusalKind::Unavailable, words))
+            }
+            Ok(end) => {
+                let saved = self.closed(end, &id, &name, (&path, file), rate_hz)?;
+                Ok(with_shortfall(saved, last))
+            }
+        }
+    }
+
+    /// A file for a take, whose name is nobody's yet.
+    fn new_take(
+        &self,
+        name: Option<&str>,
+        notes: Option<&str>,
+        pre_roll: Duration,
+        asked_ns: u64,
+    ) -> Result<NewNamed, Refusal> {
+        if self.is_stopping() {
+            return Err(stopping());
+        }
+        let options = std::sync::Arc::clone(&self.core().options);
+        let refused = |kind, error: &anyhow::Error| Refusal::new(kind, format!("{error:#}"));
+        let (name, path) = self.free_name(name, &options)?;
+        disk::check_room(&path, options.keep_free_bytes)
+            .map_err(|error| refused(RefusalKind::Disk, &error))?;
+        let notes = notes.filter(|notes| !notes.is_empty());
+        if let Some(notes) = notes {
+            check_text(notes, "notes")?;
+        }
+        let header = header::new(&options.codec, 1.0)
+            .map_err(|error| refused(RefusalKind::Internal, &error))?;
+        let output = TakeFile::create(&path).map_err(|error| refused(RefusalKind::Disk, &error))?;
+        let file = output.id();
+        let notes = notes.map(|text| Event {
+            kind: EventKind::Mark,
+            row: 0,
+            device_ticks: 0,
+            host_ns: asked_ns,
+            input: 0,
+            text: text.to_owned(),
+        });
+        let id = header.take_id.iter().map(|byte| format!("{byte:02x}")).collect();
+        let keep_free_bytes = options.keep_free_bytes;
+        let subject = options.subject.clone();
+        let take = NewTake { output, header, subject, pre_roll, asked_ns, notes, keep_free_bytes };
+        Ok(NewNamed { name, path, file, id, take })
+    }
+}
+
+/// A take that has a name and a file.
+struct NewNamed {
+    name: String,
+    path: PathBuf,
+    file: FileId,
+    id: String,
+    take: NewTake<TakeFile>,
+}
+
+/// It does not come to it: an empty file helps nobody.
+fn discard(file: FileId, path: &Path) {
+    // A disk that failed may fail here, too, and the file is listed as unreadable then.
+    file.remove(path).ok();
+}
+
+impl super::session::Session {
+    /// The header of its takes, with what is this one's own.
+    fn header_of_take<W>(&self, take: &NewTake<W>) -> mocapd_take::record::Header {
+        mocapd_take::record::Header {
+            take_id: take.header.take_id,
+            created_unix_ms: take.header.created_unix_ms,
+            ..self.header.clone()
+        }
+    }
+}
+
+impl Inner {
+    fn free_name(
+        &self,
+        name: Option<&str>,
+        options: &super::EngineOptions,
+    ) -> Result<(String, PathBuf), Refusal> {
+        let path = |name: &str| options.directory.join(format!("{name}.take"));
+        let is_free = |path: &PathBuf| path.symlink_metadata().is_err();
+        if let Some(name) = name {
+            let name = names::checked(name)?;
+            let path = path(name);
+            if !is_free(&path) {
+                let words = format!("a take called {name} exists: choose another name");
+                return Err(Refusal::new(RefusalKind::Exists, words));
+            }
+            return Ok((name.to_owned(), path));
+        }
+        for count in 1..NAMES_MAX {
+            let name = (options.name_take)(count);
+            let name = names::checked(&name)?.to_owned();
+            // A template without a count gets one when it has to.
+            let counted = format!("{name}-{count}");
+            let name = if count == 1 || is_free(&path(&name)) { name } else { counted };
+            let path = path(&name);
+            if is_free(&path) {
+                return Ok((name, path));
+            }
+        }
+        let words = "every name that the configuration gives is taken: name the take";
+        Err(Refusal::new(RefusalKind::Exists, words))
+    }
+
+    /// Another thread may still be closing a take: a disk that stalls is waited for, and a copy as long as it takes.
+    fn wait_until_closed(&self) {
+        let begun = Instant::now();
+        let mut extended: Option<Instant> = None;
+        loop {
+            let core = self.core();
+            let (is_open, is_closing) = (core.take.is_some(), core.closing > 0);
+            drop(core);
+            let within = if is_closing { COPIED_WITHIN } else { CLOSED_WITHIN };
+            if !(is_open || is_closing) || begun.elapsed() >= within {
+                return;
+            }
+            if extended.is_none_or(|last| last.elapsed() >= EXTEND_EVERY) {
+                notify::extend_stop(2 * EXTEND_EVERY + super::STOP_WITHIN);
+                extended = Some(Instant::now());
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    /// Finishes what is being recorded, and tells everybody that it is over.
+    pub(super) fn shut_down(&self) {
+        if self.stopping.swap(true, Ordering::SeqCst) {
+            return;
+        }
+        // A client's stop may be under way: then that one closes the take.
+        let command = self.command_within(super::STOP_WITHIN);
+        let is_mine = command.is_ok() && self.core().take.is_some();
+        let close = || {
+            if is_mine {
+                drop(self.end_take(EndingKind::ServiceStopped));
+            }
+        };
+        threads::beside("mocapd-close", close, || self.wait_until_closed());
+        drop(command);
+        if let Some(session) = &self.core().session {
+            session.stop.store(true, Ordering::Relaxed);
+        }
+        self.core().wanted = false;
+        self.viewers.close();
+        self.changed.notify_all();
+    }
+}
+
+/// More may be asked for than is held: the answer says by how much.
+fn with_shortfall(mut saved: Stopped, asked: Duration) -> Stopped {
+    /// A take ends at the frame that came last, and frames are rounded to rows.
+    const MARGIN_S: f64 = 0.1;
+    let (asked_s, held_s) = (asked.as_secs_f64(), saved.seconds);
+    if asked_s <= held_s + MARGIN_S {
+        return saved;
+    }
+    saved.short_by_s = asked_s - held_s;
+    saved
+        .remarks
+        .push(format!("{held_s:.1} s were held, not the {asked_s:.1} s that were asked for"));
+    saved
+}
+
+/// Takes begin at key stretches: what the take has of the time before is told when it is not what was asked for.
+fn pre_roll_remark(asked: Duration, before_request_s: f64) -> Option<String> {
+    /// Keys are a second apart while armed.
+    const USUAL_S: f64 = 1.6;
+    let asked_s = asked.as_secs_f64();
+    if asked_s > before_request_s + 0.1 {
+        return Some(format!(
+            "{before_request_s:.1} s of pre-roll were held, not the {asked_s:.1} s that were asked for"
+        ));
+    }
+    (asked_s > 0.0 && before_request_s > asked_s + USUAL_S).then(|| {
+        format!(
+            "the take begins {before_request_s:.1} s before the request, not {asked_s:.1} s: takes begin at key stretches, which are 10 s apart in what was recorded before"
+        )
+    })
+}
+
+fn seconds(value: f64, what: &str) -> Result<Duration, Refusal> {
+    const SECONDS_MAX: f64 = 3600.0;
+    if (0.0..=SECONDS_MAX).contains(&value) {
+        return Ok(Duration::from_secs_f64(value));
+    }
+    let words = format!("{what} is {value}: it must be 0 to {SECONDS_MAX} s");
+    Err(Refusal::new(RefusalKind::Invalid, words))
+}
+
+fn check_text(text: &str, what: &str) -> Result<(), Refusal> {
+    if text.len() <= TEXT_BYTES_MAX && !text.contains('\0') {
+        return Ok(());
+    }
+    let words = format!("{what} has at most {TEXT_BYTES_MAX} bytes and no NUL");
+    Err(Refusal::new(RefusalKind::Invalid, words))
+}
+
+fn stopping() -> Refusal {
+    Refusal::new(RefusalKind::Unavailable, "the service is stopping")
+}
+
+fn gone() -> Refusal {
+    Refusal::new(RefusalKind::Device, "the device has just gone away: try again")
+}

@@ -1,0 +1,333 @@
+//! What a take came to.
+
+use std::path::Path;
+
+use mocapd_acquire::{
+    files::{FileId, FileState, Settled, TakeFile},
+    pipeline::{NothingRecorded, TakeEnd, TakeFailed, Written},
+};
+use mocapd_take::record::EndingKind;
+
+use super::{
+    Inner,
+    folder::summary_of,
+    session::{Core, KEPT_OPEN_MAX},
+};
+use crate::{
+    control::{Refusal, RefusalKind, Stopped},
+    status::TakeSummary,
+};
+
+impl Inner {
+    /// The take that was recorded is closed, or cannot be.
+    pub(super) fn finish_take(&self, end: TakeEnd<TakeFile>) -> Result<Stopped, Refusal> {
+        let mut core = self.core();
+        let Some(take) = core.take.take() else {
+            let words = "the take was ended by somebody else: look at the status";
+            return Err(Refusal::new(RefusalKind::Conflict, words));
+        };
+        let _closing = self.closing(&mut core);
+        drop(core);
+        self.changed.notify_all();
+        self.closed(end, &take.id, &take.name, (&take.path, take.file), take.rate_hz)
+    }
+
+    /// Nobody will tell what became of the take: the pipeline ended before it was begun there, or its writer is gone.
+    pub(super) fn finish_unanswered(&self) -> Result<Stopped, Refusal> {
+        let path = self.core().take.as_ref().map(|take| take.path.clone());
+        let is_empty = path.and_then(|path| path.metadata().ok()).is_some_and(|f| f.len() == 0);
+        if !is_empty {
+            let error = anyhow::anyhow!("the writer is gone");
+            return self.finish_take(Err(TakeFailed::without_output(error)));
+        }
+        let take = self.core().take.take();
+        if let Some(take) = take {
+            take.file.remove(&take.path).ok();
+        }
+        let words = "the device went away before the take began: try again";
+        Err(Refusal::new(RefusalKind::Device, words))
+    }
+
+    pub(super) fn closed(
+        &self,
+        end: TakeEnd<TakeFile>,
+        take_id: &str,
+        name: &str,
+        (path, file): (&Path, FileId),
+        rate_hz: f64,
+    ) -> Result<Stopped, Refusal> {
+        let (written, mut output) = match end {
+            Ok(end) => end,
+            Err(failed) => return Err(self.broken(failed, name, (path, file))),
+        };
+        let ending = written.ending.kind;
+        if written.ledger.recorded == 0 && ending == EndingKind::Saved {
+            file.remove(path).ok();
+            let words = "nothing of that time is held: the device was away or sent nothing; ask for more seconds";
+            return Err(Refusal::new(RefusalKind::Conflict, words));
+        }
+        if written.ledger.recorded == 0 {
+            // Only the header was written: an empty take helps nobody.
+            file.remove(path).ok();
+            let words =
+                format!("no frame came, so there is no take {name}: is the device capturing?");
+            self.say_event("warning", &words, Some(name));
+            return Err(Refusal::new(RefusalKind::Device, words));
+        }
+        let settled = output.settle();
+        if let Some(words) = settled.words() {
+            self.say_event("warning", &words, Some(name));
+        }
+        // What it is called now is what it can be asked for by. Events have the name that it was announced with.
+        let stem = settled.path.as_deref().and_then(Path::file_stem);
+        let name_now = stem.map_or(name.to_owned(), |stem| stem.to_string_lossy().into_owned());
+        let stopped = stopped(&written, take_id, &name_now, &settled, rate_hz);
+        // As the list has it; where no name leads to it, as it was written.
+        let listed = settled.path.as_deref().and_then(summary_of);
+        let mut summary = listed.unwrap_or_else(|| TakeSummary {
+            name: name_now.clone(),
+            bytes: written.file_bytes,
+            modified_unix_ms: super::status::unix_ms(),
+            seconds: stopped.seconds,
+            markers: self.core().device.markers,
+            take_id: take_id.to_owned(),
+            ..TakeSummary::default()
+        });
+        // A take that was cut short has no place for it.
+        ending.word().clone_into(&mut summary.ending);
+        summary.ending_detail.clone_from(&written.ending.detail);
+        let has_lost = settled.path.is_none()
+            || settled.state.ends_take()
+            || matches!(ending, EndingKind::Truncated | EndingKind::Unmounted);
+        let lost = || {
+            let ended = || format!("the take {name_now} has ended ({})", ending.word());
+            settled.words().unwrap_or_else(ended)
+        };
+        let mut core = self.core();
+        core.last_take = Some(summary);
+        core.data_lost = has_lost.then(lost);
+        drop(core);
+        if settled.path.is_none() {
+            return Err(self.vanished(name, &settled, output));
+        }
+        // The ledger counts what was written, and that is not in the file any more.
+        let lost = if ending == EndingKind::Truncated || settled.state == FileState::Truncated {
+            "all frames behind the cut are lost: `mocapd recover` keeps those before it".to_owned()
+        } else {
+            format!("{} frames lost", written.ledger.frames_lost())
+        };
+        let words = format!(
+            "{name_now} is closed ({}): {:.1} s, {} bytes, {lost}",
+            ending.word(),
+            stopped.seconds,
+            stopped.bytes
+        );
+        let kind = if ending == EndingKind::Saved { "take-saved" } else { "take-stopped" };
+        self.say_event(kind, &words, Some(name));
+        if ending == EndingKind::DiskFull {
+            let words = "the disk is full: no take is begun before something is deleted";
+            self.say_event("warning", words, None);
+        }
+        Ok(stopped)
+    }
+
+    /// The take has ended, and no name leads to its file.
+    fn vanished(&self, name: &str, settled: &Settled, file: TakeFile) -> Refusal {
+        let words = self.keep_open(settled, file);
+        let mut core = self.core();
+        core.failure = Some(words.clone());
+        core.data_lost = Some(words.clone());
+        drop(core);
+        self.changed.notify_all();
+        self.say_event("failure", &words, Some(name));
+        Refusal::new(RefusalKind::Vanished, words)
+    }
+
+    /// Keeps a file open that no name leads to, where that helps, and says so.
+    fn keep_open(&self, settled: &Settled, file: TakeFile) -> String {
+        let words = settled.words().unwrap_or_default();
+        // A file system that was unmounted waits for the file to be closed.
+        let displaced = settled.displaced.as_ref();
+        let Some(displaced) = displaced.filter(|_| settled.state != FileState::Unmounted) else {
+            return words;
+        };
+        let mut core = self.core();
+        let is_full = core.kept_open.len() == KEPT_OPEN_MAX;
+        let oldest = is_full.then(|| core.kept_open.remove(0));
+        core.kept_open.push(file);
+        drop(core);
+        if let Some(oldest) = oldest {
+            let left = oldest.displaced().map(|oldest| oldest.created_as.display().to_string());
+            let words = format!(
+                "{KEPT_OPEN_MAX} removed takes are kept open: the oldest is given up, {}",
+                left.unwrap_or_default()
+            );
+            // A large file without a name takes its time to close.
+            drop(oldest);
+            self.say_event("warning", &words, None);
+        }
+        let open_at = displaced.open_at.display();
+        format!(
+            "{words}; it stays open until the next take has begun or the service ends: cp {open_at} NEW.take"
+        )
+    }
+
+    /// The take could not be written to its end. What is in it stays.
+    fn broken(
+        &self,
+        failed: TakeFailed<TakeFile>,
+        name: &str,
+        (path, file): (&Path, FileId),
+    ) -> Refusal {
+        let TakeFailed { error, output } = failed;
+        let words = if error.is::<NothingRecorded>() {
+            let left = match file.remove(path) {
+                Ok(()) => format!("there is no take {name}"),
+                Err(e) => format!("{} holds nothing and cannot be removed ({e})", path.display()),
+            };
+            format!("{error:#}: {left}; look at the disk, and try again")
+        } else {
+            format!("the take {name} ends early: {error:#}; {}", self.left_of(output))
+        };
+        let mut core = self.core();
+        core.failure = Some(words.clone());
+        // The pipeline goes on without a take, and its pre-roll with keys as often as that needs. A save that failed
+        // leaves the take beside it alone.
+        if core.take.is_none()
+            && let Some(session) = &mut core.session
+        {
+            session.takes.end(EndingKind::CutOff).ok();
+        }
+        drop(core);
+        self.changed.notify_all();
+        self.say_event("failure", &words, Some(name));
+        Refusal::new(RefusalKind::Disk, words)
+    }
+}
+
+impl Inner {
+    /// What is left of a take that could not be written to its end, and where.
+    fn left_of(&self, output: Option<Box<TakeFile>>) -> String {
+        let recover = "`mocapd recover` closes it";
+        let Some(mut file) = output else { return format!("of what is in it, {recover}") };
+        let settled = file.settle();
+        match (settled.words(), &settled.path) {
+            (None, _) => format!("what is in it can be read, and {recover}"),
+            (Some(words), Some(_)) => format!("{words}, and {recover}"),
+            (Some(_), None) => self.keep_open(&settled, *file),
+        }
+    }
+
+    /// Until what this returns is dropped, the service does not end: a take that was removed is copied.
+    pub(super) fn closing(&self, core: &mut Core) -> Closing<'_> {
+        core.closing += 1;
+        Closing(self)
+    }
+}
+
+/// A take is being closed.
+pub(super) struct Closing<'a>(&'a Inner);
+
+impl Drop for Closing<'_> {
+    fn drop(&mut self) {
+        self.0.core().closing -= 1;
+        self.0.changed.notify_all();
+    }
+}
+
+fn stopped(written: &Written, take_id: &str, name: &str, file: &Settled, rate_hz: f64) -> Stopped {
+    let ledger = &written.ledger;
+    let rows = ledger.recorded + ledger.frames_lost();
+    Stopped {
+        take_id: take_id.to_owned(),
+        name: name.to_owned(),
+        path: file.path.clone().unwrap_or_default(),
+        file: file.state,
+        rows,
+        seconds: rows as f64 / rate_hz,
+        bytes: written.file_bytes,
+        ending: written.ending.kind.word().to_owned(),
+        ledger: ledger.into(),
+        short_by_s: 0.0,
+        remarks: file.words().into_iter().collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{sync::Arc, time::Duration};
+
+    use mocapd_codec::{ResamplerKind, Settings, Tolerance};
+
+    use super::{
+        super::{Engine, EngineOptions},
+        *,
+    };
+    use mocapd_acquire::heartbeat::Heartbeat;
+
+    /// One that has no device.
+    fn engine(directory: &Path) -> Engine {
+        let options = EngineOptions {
+            rig: "test".to_owned(),
+            device: "none".to_owned(),
+            find_device: Arc::new(|| Err(anyhow::anyhow!("there is none"))),
+            rate_hz: None,
+            raw_log: false,
+            directory: directory.to_owned(),
+            name_take: Arc::new(|count| format!("take-{count}")),
+            subject: None,
+            codec: Settings {
+                kind: ResamplerKind::Dense,
+                tolerance: Tolerance::from_mm(1.0).unwrap(),
+            },
+            stretch: Duration::from_millis(500),
+            sync: Duration::from_millis(500),
+            keep_free_bytes: 0,
+            reconnect: Duration::ZERO,
+            max_length: None,
+            arm_at_start: false,
+            pre_roll: Duration::ZERO,
+            include_pre_roll: Duration::ZERO,
+            memory_max_bytes: 1 << 20,
+        };
+        Engine::start(options, &Heartbeat::default()).unwrap()
+    }
+
+    #[test]
+    fn the_service_does_not_end_while_a_take_is_copied() {
+        let dir = tempfile::tempdir().unwrap();
+        let engine = engine(dir.path());
+        let mut core = engine.inner.core();
+        let closing = engine.inner.closing(&mut core);
+        drop(core);
+        std::thread::scope(|scope| {
+            let stopped = scope.spawn(|| engine.stop_service());
+            std::thread::sleep(Duration::from_millis(200));
+            assert!(!stopped.is_finished());
+            drop(closing);
+        });
+        assert_eq!(engine.inner.core().closing, 0);
+    }
+
+    #[test]
+    fn a_few_removed_takes_are_kept_open() {
+        let dir = tempfile::tempdir().unwrap();
+        let engine = engine(dir.path());
+        let mut places = Vec::new();
+        for number in 0..=KEPT_OPEN_MAX {
+            let folder = dir.path().join(number.to_string());
+            std::fs::create_dir(&folder).unwrap();
+            let mut file = TakeFile::create(&folder.join("a.take")).unwrap();
+            std::fs::remove_dir_all(&folder).unwrap();
+            let settled = file.settle();
+            assert_eq!((settled.state, &settled.path), (FileState::Removed, &None));
+            places.push(settled.displaced.as_ref().unwrap().created_as.clone());
+            let refusal = engine.inner.vanished("a", &settled, file);
+            assert_eq!(refusal.kind, RefusalKind::Vanished);
+        }
+        let core = engine.inner.core();
+        let kept = core.kept_open.iter().map(|file| file.displaced().unwrap().created_as);
+        assert_eq!(kept.collect::<Vec<_>>(), places[1..], "the oldest is given up");
+        drop(core);
+    }
+}

@@ -1,0 +1,174 @@
+//! The takes in the service's folder.
+
+use std::{
+    collections::{HashMap, HashSet},
+    fs::{self, Metadata},
+    os::unix::fs::MetadataExt,
+    path::{Path, PathBuf},
+    time::SystemTime,
+};
+
+use mocapd_acquire::{files::FileId, health::TakeHealth, pipeline::lock};
+use mocapd_drivers::plain_file;
+use mocapd_take::{TakeEnds, TakeError};
+
+use super::{Inner, names};
+use crate::{
+    control::{Refusal, RefusalKind},
+    status::TakeSummary,
+};
+
+/// Files of a folder that are looked at: more is no folder of takes.
+const FILES_MAX: usize = 100_000;
+
+/// Takes whose ends are remembered, some 300 bytes each: four times the longest list.
+const REMEMBERED_MAX: usize = 4000;
+
+/// What the ends of files said, by path.
+#[derive(Debug, Default)]
+pub(super) struct Remembered(HashMap<PathBuf, (Stamp, TakeSummary)>);
+
+/// A file that has the same ones holds the same bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Stamp {
+    file: FileId,
+    bytes: u64,
+    modified_ns: i128,
+}
+
+impl Stamp {
+    fn of(file: &Metadata) -> Self {
+        Self {
+            file: FileId::of(file),
+            bytes: file.len(),
+            modified_ns: i128::from(file.mtime()) * 1_000_000_000 + i128::from(file.mtime_nsec()),
+        }
+    }
+}
+
+impl Remembered {
+    fn get(&self, path: &Path, stamp: Stamp) -> Option<TakeSummary> {
+        let (known, summary) = self.0.get(path)?;
+        (*known == stamp).then(|| summary.clone())
+    }
+
+    fn add(&mut self, listed: Vec<(PathBuf, Stamp, TakeSummary)>) {
+        if self.0.len() + listed.len() > REMEMBERED_MAX {
+            let kept: HashSet<&PathBuf> = listed.iter().map(|(path, ..)| path).collect();
+            self.0.retain(|path, _| kept.contains(path));
+        }
+        self.0.extend(listed.into_iter().map(|(path, stamp, summary)| (path, (stamp, summary))));
+    }
+}
+
+impl Inner {
+    pub(super) fn list_takes(&self, limit: usize) -> Result<Vec<TakeSummary>, Refusal> {
+        let core = self.core();
+        let directory = core.options.directory.clone();
+        // By what it is: its name may be another one by now.
+        let open = core.take.as_ref().map(|take| take.file);
+        let last = core.last_take.clone();
+        drop(core);
+        let cannot = |error: std::io::Error| {
+            let words = format!("cannot read the folder {}: {error}", directory.display());
+            Refusal::new(RefusalKind::Disk, words)
+        };
+        let mut found = Vec::new();
+        for entry in fs::read_dir(&directory).map_err(cannot)?.take(FILES_MAX).flatten() {
+            let path = entry.path();
+            let is_take = path.extension().is_some_and(|extension| extension == "take");
+            let Ok(file) = entry.metadata() else { continue };
+            if is_take && file.is_file() {
+                let modified = file.modified().unwrap_or(SystemTime::UNIX_EPOCH);
+                found.push((modified, Stamp::of(&file), path));
+            }
+        }
+        found.sort_by(|(a, _, a_path), (b, _, b_path)| (b, b_path).cmp(&(a, a_path)));
+        found.truncate(limit);
+        let mut new = Vec::new();
+        let mut summaries = Vec::with_capacity(found.len());
+        for (modified, stamp, path) in found {
+            if let Some(known) = lock(&self.remembered).get(&path, stamp) {
+                summaries.push(known);
+                continue;
+            }
+            let is_open = open == Some(stamp.file);
+            let (summary, is_lasting) = look_into(&path, stamp.bytes, modified, is_open);
+            if is_lasting {
+                new.push((path, stamp, summary.clone()));
+            }
+            summaries.push(summary);
+        }
+        lock(&self.remembered).add(new);
+        // Why the newest ended is known, also where it could not be written.
+        for summary in &mut summaries {
+            if let Some(last) = last.as_ref().filter(|last| last.take_id == summary.take_id)
+                && summary.ending.is_empty()
+                && !summary.is_open
+            {
+                summary.ending.clone_from(&last.ending);
+                summary.ending_detail.clone_from(&last.ending_detail);
+            }
+        }
+        Ok(summaries)
+    }
+
+    pub(super) fn path_of(&self, name: &str) -> Result<PathBuf, Refusal> {
+        let name = names::checked_as_it_is(name)?;
+        let directory = self.core().options.directory.clone();
+        // The name as the list has it, else as a file's.
+        for name in [Some(name), names::without_ending(name)].into_iter().flatten() {
+            let path = directory.join(format!("{name}.take"));
+            // A link could lead out of the folder.
+            if path.symlink_metadata().is_ok_and(|file| file.is_file()) {
+                return Ok(path);
+            }
+        }
+        Err(Refusal::new(RefusalKind::NotFound, format!("there is no take called {name}")))
+    }
+}
+
+/// What the two ends of a file that is closed tell; `None` where it is not there.
+pub(super) fn summary_of(path: &Path) -> Option<TakeSummary> {
+    let file = path.symlink_metadata().ok().filter(Metadata::is_file)?;
+    let modified = file.modified().unwrap_or(SystemTime::UNIX_EPOCH);
+    Some(look_into(path, file.len(), modified, false).0)
+}
+
+/// What the two ends of a file tell, and whether that lasts as long as the file does not change.
+fn look_into(path: &Path, bytes: u64, modified: SystemTime, is_open: bool) -> (TakeSummary, bool) {
+    let since_1970 = modified.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    let mut summary = TakeSummary {
+        name: path.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+        bytes,
+        modified_unix_ms: i64::try_from(since_1970.as_millis()).unwrap_or(i64::MAX),
+        is_open,
+        ..TakeSummary::default()
+    };
+    let read =
+        plain_file::open(path).map_err(TakeError::Io).and_then(|mut f| TakeEnds::read(&mut f));
+    let ends = match read {
+        Ok(ends) => ends,
+        // What a disk cannot read now, it may read the next time.
+        Err(TakeError::Io(_)) => return (summary, false),
+        Err(_) => {
+            summary.health = TakeHealth::Unreadable;
+            return (summary, !is_open);
+        }
+    };
+    let header = &ends.header;
+    summary.markers = header.channels.len();
+    summary.take_id = header.take_id.iter().map(|byte| format!("{byte:02x}")).collect();
+    if is_open {
+        return (summary, false);
+    }
+    summary.health = TakeHealth::of_ends(&ends);
+    if let Some(end) = &ends.end {
+        summary.seconds = end.footer.n_rows as f64 / header.rate_hz;
+        if let Some(ending) = &end.ending {
+            ending.kind.word().clone_into(&mut summary.ending);
+            summary.ending_detail.clone_from(&ending.detail);
+        }
+    }
+    (summary, true)
+}

@@ -1,0 +1,210 @@
+//! The hub's thread: from the pipeline's tap to people's eyes.
+
+use std::{
+    collections::VecDeque,
+    sync::{
+        Arc, Mutex, Weak,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::{Duration, SystemTime},
+};
+
+use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
+use mocapd_acquire::{
+    host_clock::monotonic_ns,
+    pipeline::{Progress, TapHead, TapOut, lock},
+};
+use mocapd_take::{
+    motion::Position,
+    record::{Header, Subject},
+};
+
+use super::{Inner, quality::Judgements};
+use crate::{
+    bones::{bones, live_limbs, with_limbs},
+    face::FaceUnderMarkers,
+    live::{LiveFeed, LiveFrame, LiveMessage, LiveTable},
+};
+
+/// Between two looks at the tap: it holds a quarter of a second.
+const LOOK_EVERY: Duration = Duration::from_millis(8);
+
+/// Messages that wait for a viewer: a tenth of a second. Later ones are newer, so these are dropped first.
+const WAITING_MAX: usize = 4;
+
+/// Viewers: connections are bounded by whoever lets them in, and this is beyond that.
+const VIEWERS_MAX: usize = 64;
+
+/// A pipeline that was armed.
+#[derive(Debug)]
+pub(super) struct NewSession {
+    pub(super) tap: TapOut,
+    pub(super) progress: Arc<Progress>,
+    pub(super) header: Header,
+}
+
+/// Who looks.
+#[derive(Debug, Default)]
+pub(super) struct Viewers {
+    all: Mutex<VecDeque<Viewer>>,
+    closed: Arc<AtomicBool>,
+}
+
+#[derive(Debug)]
+struct Viewer {
+    messages: Sender<LiveMessage>,
+    oldest: Receiver<LiveMessage>,
+    /// The other end: gone when the viewer is.
+    feed: Weak<()>,
+    table: Option<Arc<LiveTable>>,
+}
+
+/// What it works with.
+#[derive(Debug)]
+pub(super) struct Hub {
+    inner: Arc<Inner>,
+    sessions: Receiver<NewSession>,
+    session: Option<NewSession>,
+    table: Arc<LiveTable>,
+    face: Option<FaceUnderMarkers>,
+    positions: Vec<Position>,
+}
+
+impl Viewers {
+    pub(super) fn add(&self) -> LiveFeed {
+        let (messages, feed) = bounded(WAITING_MAX);
+        let alive = Arc::new(());
+        let viewer =
+            Viewer { messages, oldest: feed.clone(), feed: Arc::downgrade(&alive), table: None };
+        let mut all = lock(&self.all);
+        if all.len() == VIEWERS_MAX {
+            all.pop_front();
+        }
+        all.push_back(viewer);
+        LiveFeed { messages: feed, closed: Arc::clone(&self.closed), _alive: alive }
+    }
+
+    pub(super) fn close(&self) {
+        self.closed.store(true, Ordering::Relaxed);
+        lock(&self.all).clear();
+    }
+
+    fn show(&self, table: &Arc<LiveTable>, frame: &Arc<LiveFrame>) {
+        lock(&self.all).retain_mut(|viewer| viewer.show(table, frame));
+    }
+
+    fn is_empty(&self) -> bool {
+        lock(&self.all).is_empty()
+    }
+}
+
+impl Viewer {
+    /// `false` when it is gone.
+    fn show(&mut self, table: &Arc<LiveTable>, frame: &Arc<LiveFrame>) -> bool {
+        if self.feed.strong_count() == 0 {
+            return false;
+        }
+        let knows = self.table.as_ref().is_some_and(|known| Arc::ptr_eq(known, table));
+        if !knows {
+            // Frames of another table are of no use to it.
+            while self.oldest.try_recv().is_ok() {}
+            if self.messages.try_send(LiveMessage::Table(Arc::clone(table))).is_ok() {
+                self.table = Some(Arc::clone(table));
+            }
+        }
+        let frame = LiveMessage::Frame(Arc::clone(frame));
+        if let Err(TrySendError::Full(frame)) = self.messages.try_send(frame) {
+            // Its table is still there: then it has not begun to read.
+            match self.oldest.try_recv() {
+                Ok(LiveMessage::Table(_)) => self.table = None,
+                _ => drop(self.messages.try_send(frame)),
+            }
+        }
+        true
+    }
+}
+
+impl Hub {
+    pub(super) fn new(inner: &Arc<Inner>) -> (Self, Sender<NewSession>) {
+        // One that is over is followed by the next: two wait at most.
+        let (sessions_in, sessions) = bounded(2);
+        let hub = Self {
+            inner: Arc::clone(inner),
+            sessions,
+            session: None,
+            table: Arc::default(),
+            face: None,
+            positions: Vec::new(),
+        };
+        (hub, sessions_in)
+    }
+
+    pub(super) fn run(mut self) {
+        // Without a session there is nothing to look at. Whoever begins sessions is gone when the service stops.
+        while let Ok(session) = self.sessions.recv() {
+            self.begin(session);
+            while self.session.as_ref().is_some_and(|session| !session.tap.is_over()) {
+                if self.inner.is_stopping() {
+                    return;
+                }
+                if let Ok(session) = self.sessions.try_recv() {
+                    self.begin(session);
+                }
+                self.show_frames();
+                std::thread::sleep(LOOK_EVERY);
+            }
+            self.session = None;
+        }
+    }
+
+    fn begin(&mut self, session: NewSession) {
+        *lock(&self.inner.judgements) = Judgements::new(session.header.rate_hz);
+        self.session = Some(session);
+        self.table = Arc::default();
+    }
+
+    fn show_frames(&mut self) {
+        let Some(session) = &mut self.session else { return };
+        // A monotonic time in microseconds since 1970.
+        let since_1970 = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
+        let offset_us = since_1970.unwrap_or_default().as_micros() as u64 - monotonic_ns() / 1000;
+        while let Some(head) = session.tap.next(&mut self.positions) {
+            if self.table.labels.len() != head.n_channels {
+                let subject = self.inner.core().options.subject.clone();
+                let mut table = table(session, subject.as_deref());
+                // A marker that has just appeared has no name before the writer has met it: it is shown then.
+                if table.labels.len() != self.table.labels.len() {
+                    self.face = FaceUnderMarkers::new(subject.as_deref(), &table.labels);
+                    table.face = self.face.as_ref().map(FaceUnderMarkers::wireframe);
+                    self.table = Arc::new(table);
+                }
+                self.positions.truncate(self.table.labels.len());
+            }
+            lock(&self.inner.judgements).frame(&head, &self.positions);
+            if !head.is_shown || self.inner.viewers.is_empty() {
+                continue;
+            }
+            let TapHead { row, device_ticks, arrival_ns, .. } = head;
+            let arrival_unix_us = offset_us + arrival_ns / 1000;
+            let positions_mm = self.positions.clone();
+            let face = self.face.as_ref().and_then(|face| face.pose(&positions_mm));
+            let frame = LiveFrame { row, device_ticks, arrival_unix_us, positions_mm, face };
+            self.inner.viewers.show(&self.table, &Arc::new(frame));
+        }
+    }
+}
+
+fn table(session: &NewSession, subject: Option<&Subject>) -> LiveTable {
+    let channels = lock(&session.progress.channels).clone();
+    let labels: Vec<String> = channels.iter().map(|channel| channel.label.clone()).collect();
+    let limbs = live_limbs(subject, &labels);
+    LiveTable {
+        bones: with_limbs(bones(&labels), &limbs),
+        limbs,
+        face: None,
+        labels,
+        labelled: channels.iter().map(|channel| channel.labelled).collect(),
+        up_axis: session.header.up_axis,
+        rate_hz: session.header.rate_hz,
+    }
+}

@@ -1,0 +1,303 @@
+//! The engine: one rig under supervision, and one take at a time.
+//!
+//! ```text
+//! mocapd-rig     opens the device, arms the pipeline, reads; waits for a device that is away
+//! mocapd-hub     shows frames to viewers, and judges markers
+//! mocapd-watch   ends takes whose time, disk or device is over; tells what happened
+//! callers        start, stop, mark: one command at a time
+//! ```
+//!
+//! The state is a value behind a lock that is held for moments: neither a disk nor a device is waited for under it.
+
+mod answers;
+mod commands;
+mod events;
+mod finish;
+mod folder;
+mod hub;
+mod names;
+mod options;
+mod quality;
+mod recoveries;
+mod session;
+mod status;
+mod supervisor;
+mod watcher;
+
+use std::{
+    path::PathBuf,
+    sync::{
+        Arc, Condvar, Mutex, MutexGuard,
+        atomic::{AtomicBool, AtomicU64},
+    },
+    thread::JoinHandle,
+    time::{Duration, Instant},
+};
+
+use mocapd_acquire::{files::FileId, heartbeat::Heartbeat, pipeline::lock, threads};
+use mocapd_take::record::EndingKind;
+
+pub use self::options::{EngineOptions, FindDevice};
+use self::{
+    answers::Answers,
+    events::Events,
+    folder::Remembered,
+    hub::{Hub, Viewers},
+    quality::Judgements,
+    session::{Core, Rates},
+};
+use super::{
+    control::{
+        Control, EventFeed, Mark, Marked, Refusal, RefusalKind, Request, SaveLast, Start, Started,
+        Stopped,
+    },
+    live::LiveFeed,
+    status::{MarkerQuality, State, Status, TakeStatus, TakeSummary},
+};
+
+/// How long a command waits for the one before it: as long as that may take with a disk that stalls.
+const COMMAND_WITHIN: Duration = Duration::from_secs(60);
+
+/// How long the service takes to stop at most: systemd kills it later.
+const STOP_WITHIN: Duration = Duration::from_secs(5);
+
+/// The service without its doors.
+#[derive(Debug)]
+pub struct Engine {
+    inner: Arc<Inner>,
+    threads: Mutex<Vec<JoinHandle<()>>>,
+}
+
+/// What its threads share.
+#[derive(Debug)]
+struct Inner {
+    core: Mutex<Core>,
+    /// Told when `core` changed in a way that somebody may wait for.
+    changed: Condvar,
+    /// Held by the command that is being carried out.
+    command: Mutex<()>,
+    answers: Mutex<Answers>,
+    events: Events,
+    viewers: Viewers,
+    judgements: Mutex<Judgements>,
+    /// What the takes of the folder said of themselves.
+    remembered: Mutex<Remembered>,
+    rates: Rates,
+    stopping: AtomicBool,
+    began: Instant,
+    heartbeat: Heartbeat,
+    sessions: AtomicU64,
+}
+
+impl Engine {
+    /// Starts its threads. The device is opened when it is armed.
+    ///
+    /// # Errors
+    /// When a thread cannot be started.
+    pub fn start(options: EngineOptions, heartbeat: &Heartbeat) -> anyhow::Result<Self> {
+        let arm_at_start = options.arm_at_start;
+        let inner = Arc::new(Inner {
+            core: Mutex::new(Core::new(options)),
+            changed: Condvar::new(),
+            command: Mutex::new(()),
+            answers: Mutex::new(Answers::default()),
+            events: Events::default(),
+            viewers: Viewers::default(),
+            judgements: Mutex::new(Judgements::default()),
+            remembered: Mutex::default(),
+            rates: Rates::default(),
+            stopping: AtomicBool::new(false),
+            began: Instant::now(),
+            heartbeat: heartbeat.clone(),
+            sessions: AtomicU64::new(0),
+        });
+        lock(&inner.core).wanted = arm_at_start;
+        let cut_off = recoveries::cut_off(&inner);
+        let (hub, sessions) = Hub::new(&inner);
+        let supervised = Arc::clone(&inner);
+        let watched = Arc::clone(&inner);
+        let mut threads = Vec::new();
+        if !cut_off.is_empty() {
+            let inner = Arc::clone(&inner);
+            let run = move || recoveries::run(&inner, cut_off);
+            // It ends by itself, or when the service does.
+            drop(threads::spawn("mocapd-recover", run)?);
+        }
+        threads.extend([
+            threads::spawn("mocapd-hub", move || hub.run())?,
+            threads::spawn("mocapd-rig", move || supervisor::run(&supervised, &sessions))?,
+            threads::spawn("mocapd-watch", move || watcher::run(&watched))?,
+        ]);
+        Ok(Self { inner, threads: Mutex::new(threads) })
+    }
+
+    /// Takes over other options: from the next take on, or the next time that it is armed.
+    pub fn reload(&self, options: EngineOptions) {
+        let mut core = lock(&self.inner.core);
+        core.options = Arc::new(options);
+        drop(core);
+        self.inner.say_event("state", "the configuration was read again", None);
+    }
+
+    /// Finishes the take, stops the device, and ends the threads.
+    pub fn stop_service(&self) {
+        self.inner.shut_down();
+        let until = Instant::now() + STOP_WITHIN;
+        for thread in lock(&self.threads).drain(..) {
+            while !thread.is_finished() && Instant::now() < until {
+                std::thread::sleep(Duration::from_millis(5));
+            }
+            if thread.is_finished() {
+                // A thread that panicked has told so already.
+                drop(thread.join());
+            }
+        }
+    }
+
+    /// Whether a thread of it has ended though nobody stopped it: nothing works any more then.
+    #[must_use]
+    pub fn has_died(&self) -> bool {
+        let stopping = self.inner.is_stopping();
+        !stopping && lock(&self.threads).iter().any(JoinHandle::is_finished)
+    }
+}
+
+impl Drop for Engine {
+    fn drop(&mut self) {
+        self.stop_service();
+    }
+}
+
+impl Inner {
+    fn core(&self) -> MutexGuard<'_, Core> {
+        lock(&self.core)
+    }
+
+    /// The right to carry out a command.
+    fn command(&self) -> Result<MutexGuard<'_, ()>, Refusal> {
+        self.command_within(COMMAND_WITHIN)
+    }
+
+    fn command_within(&self, at_most: Duration) -> Result<MutexGuard<'_, ()>, Refusal> {
+        let until = Instant::now() + at_most;
+        loop {
+            match self.command.try_lock() {
+                Ok(guard) => return Ok(guard),
+                Err(std::sync::TryLockError::Poisoned(poisoned)) => {
+                    return Ok(poisoned.into_inner());
+                }
+                Err(std::sync::TryLockError::WouldBlock) if Instant::now() < until => {
+                    std::thread::sleep(Duration::from_millis(2));
+                }
+                Err(std::sync::TryLockError::WouldBlock) => {
+                    return Err(Refusal::new(
+                        RefusalKind::Unavailable,
+                        "another command is still being carried out: wait, and look at the status",
+                    ));
+                }
+            }
+        }
+    }
+}
+
+impl Control for Engine {
+    fn status(&self) -> Status {
+        self.inner.status()
+    }
+
+    fn quality(&self) -> Vec<MarkerQuality> {
+        self.inner.quality()
+    }
+
+    fn arm(&self, request: &Request) -> Result<Status, Refusal> {
+        self.inner.once("arm", request.request_id.as_deref(), |inner| {
+            inner.arm(&inner.command()?)?;
+            Ok(inner.status())
+        })
+    }
+
+    fn disarm(&self, request: &Request) -> Result<Status, Refusal> {
+        self.inner.once("disarm", request.request_id.as_deref(), |inner| {
+            inner.disarm(&inner.command()?)?;
+            Ok(inner.status())
+        })
+    }
+
+    fn start(&self, start: &Start) -> Result<Started, Refusal> {
+        self.inner.once("start", start.request_id.as_deref(), |inner| {
+            inner.start_take(&inner.command()?, start)
+        })
+    }
+
+    fn stop(&self, request: &Request) -> Result<Stopped, Refusal> {
+        self.inner.once("stop", request.request_id.as_deref(), |inner| {
+            inner.stop_take(&inner.command()?, EndingKind::Stopped)
+        })
+    }
+
+    fn mark(&self, mark: &Mark) -> Result<Marked, Refusal> {
+        self.inner.once("mark", mark.request_id.as_deref(), |inner| inner.mark_take(&mark.text))
+    }
+
+    fn save_last(&self, save: &SaveLast) -> Result<Stopped, Refusal> {
+        self.inner.once("save_last", save.request_id.as_deref(), |inner| {
+            inner.save_held(&inner.command()?, save)
+        })
+    }
+
+    fn takes(&self, limit: usize) -> Result<Vec<TakeSummary>, Refusal> {
+        self.inner.list_takes(limit)
+    }
+
+    fn take_path(&self, name: &str) -> Result<PathBuf, Refusal> {
+        self.inner.path_of(name)
+    }
+
+    fn live_take(&self, file: FileId) -> Option<TakeStatus> {
+        let core = self.inner.core();
+        let id = core.take.as_ref().filter(|take| take.file == file)?.id.clone();
+        drop(core);
+        self.inner.status().take.filter(|take| take.take_id == id)
+    }
+
+    fn tell(&self, kind: &str, message: &str) {
+        self.inner.say_event(kind, message, None);
+    }
+
+    fn events(&self) -> EventFeed {
+        self.inner.events.subscribe()
+    }
+
+    fn live(&self) -> LiveFeed {
+        self.inner.viewers.add()
+    }
+}
+
+impl Status {
+    /// In one line: what systemd shows.
+    #[must_use]
+    pub fn words(&self) -> String {
+        let outage = self.device.outage.map(|outage| {
+            let what = if self.device.presence == "silent" { "frames" } else { "device" };
+            format!("no {what} for {:.0} s", outage.seconds)
+        });
+        match (self.state, outage, &self.take, &self.failure) {
+            (State::Failed, _, _, Some(failure)) => format!("failed: {failure}"),
+            (State::Recording, Some(outage), Some(take), _) => {
+                format!("{outage}: recording {} waits", take.name)
+            }
+            (State::Armed, Some(outage), ..) => format!("{outage}: armed, and nothing comes"),
+            (State::Recording, None, Some(take), _) => {
+                format!("recording {}: {:.0} s", take.name, take.seconds)
+            }
+            (State::Armed, ..) => format!(
+                "armed: {} {}, {} markers at {} Hz",
+                self.device.model, self.device.serial, self.device.markers, self.device.rate_hz
+            ),
+            _ => match &self.device.obstacle {
+                Some(obstacle) => format!("idle: {obstacle}"),
+                None => format!("idle: the device is {}", self.device.presence),
+            },
+        }
+    }
+}

@@ -1,0 +1,199 @@
+//! What the frames of the tap tell of a marker: its noise, and whether it changed places with another.
+
+use mocapd_acquire::pipeline::{TapHead, lock};
+use mocapd_report::{column::sample, noise::NoiseEstimator};
+use mocapd_take::motion::{Position, is_gap};
+
+use super::Inner;
+use crate::status::MarkerQuality;
+
+/// Between two figures of the noise: the median of a window is not for every frame.
+const NOISE_EVERY_NS: u64 = 1_000_000_000;
+
+/// Fourth differences that a figure is of, the newest: it scatters by 4 %. At 36 a burst of the tap, and four of these a
+/// second, they are of the last 11 seconds, and take 12 KB a marker.
+const NOISE_DIFFERENCES: usize = 1536;
+
+/// A marker that is where another was a frame ago, as near as this, in millimetres: what it moved in a thirtieth of a
+/// second at a walk.
+const SWAPPED_MM: f64 = 40.0;
+
+/// And was so far from it then, in millimetres: nearer, nobody could tell.
+const APART_MM: f64 = 120.0;
+
+/// By slot.
+#[derive(Debug, Default)]
+pub(super) struct Judgements {
+    rate_hz: f64,
+    markers: Vec<Judged>,
+    /// Positions of the last frame that was shown.
+    before: Vec<Position>,
+    /// The row of the last frame.
+    last_row: Option<u64>,
+    noise_ns: u64,
+}
+
+#[derive(Debug, Clone)]
+struct Judged {
+    noise: NoiseEstimator,
+    noise_mm: Option<f64>,
+    swaps: u64,
+}
+
+impl Default for Judged {
+    fn default() -> Self {
+        Self { noise: NoiseEstimator::new(NOISE_DIFFERENCES), noise_mm: None, swaps: 0 }
+    }
+}
+
+impl Judgements {
+    pub(super) fn new(rate_hz: f64) -> Self {
+        Self { rate_hz, ..Self::default() }
+    }
+
+    /// A frame of the tap.
+    pub(super) fn frame(&mut self, head: &TapHead, positions: &[Position]) {
+        self.markers.resize_with(positions.len(), Judged::default);
+        // Between two bursts, and where frames were lost, samples do not follow each other.
+        if self.last_row.is_none_or(|last| head.row != last + 1) {
+            self.markers.iter_mut().for_each(|marker| marker.noise.end_run());
+        }
+        self.last_row = Some(head.row);
+        for (marker, &position) in self.markers.iter_mut().zip(positions) {
+            marker.noise.push(sample(position));
+        }
+        if head.arrival_ns.saturating_sub(self.noise_ns) >= NOISE_EVERY_NS {
+            self.noise_ns = head.arrival_ns;
+            self.markers.iter_mut().for_each(|marker| marker.noise_mm = marker.noise.noise_mm());
+        }
+        if head.is_shown {
+            self.find_swaps(positions);
+            self.before.clear();
+            self.before.extend_from_slice(positions);
+        }
+    }
+
+    /// Two that are each where the other was.
+    fn find_swaps(&mut self, positions: &[Position]) {
+        if self.before.len() != positions.len() {
+            return;
+        }
+        for (slot, &now) in positions.iter().enumerate() {
+            let was = self.before[slot];
+            // Most markers end here: they moved little.
+            if is_gap(now) || is_gap(was) || apart_mm(now, was) < APART_MM {
+                continue;
+            }
+            let other = (0..positions.len()).find(|&other| {
+                other != slot
+                    && apart_mm(now, self.before[other]) < SWAPPED_MM
+                    && (is_gap(positions[other]) || apart_mm(positions[other], was) < SWAPPED_MM)
+            });
+            self.markers[slot].swaps += u64::from(other.is_some());
+        }
+    }
+}
+
+/// Infinite where one of them is not seen.
+fn apart_mm(a: Position, b: Position) -> f64 {
+    let squares = a.iter().zip(b).map(|(&a, b)| (f64::from(a) - f64::from(b)).powi(2));
+    let apart = squares.sum::<f64>().sqrt();
+    if apart.is_nan() { f64::INFINITY } else { apart }
+}
+
+impl Inner {
+    pub(super) fn quality(&self) -> Vec<MarkerQuality> {
+        let core = self.core();
+        let Some(session) = &core.session else { return Vec::new() };
+        let (progress, seen) = (session.progress.clone(), session.seen.clone());
+        drop(core);
+        let channels = lock(&progress.channels).clone();
+        let judgements = lock(&self.judgements);
+        let of_slot = |(slot, channel): (usize, mocapd_take::record::Channel)| {
+            let seen = seen.get(slot).unwrap_or_default();
+            let judged = judgements.markers.get(slot);
+            let noise_mm = judged.and_then(|judged| judged.noise_mm);
+            MarkerQuality {
+                label: channel.label,
+                labelled: channel.labelled,
+                visible: seen.present as f64 / seen.rows.max(1) as f64,
+                gaps: seen.gaps,
+                longest_gap_s: seen.longest_gap as f64 / judgements.rate_hz.max(1e-3),
+                noise_mm,
+                still_sigma_mm: noise_mm,
+                swaps_suspected: judged.map_or(0, |judged| judged.swaps),
+            }
+        };
+        channels.into_iter().enumerate().map(of_slot).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RATE_HZ: u64 = 240;
+
+    /// Bursts of the tap for 12 s, and one frame in eight between them.
+    fn judged(position: impl Fn(u64) -> Vec<Position>) -> Vec<Judged> {
+        let mut judgements = Judgements::new(RATE_HZ as f64);
+        for row in 0..12 * RATE_HZ {
+            let is_shown = row % 8 == 0;
+            if is_shown || row % 60 < 16 {
+                let arrival_ns = 1_000_000_000 + row * 1_000_000_000 / RATE_HZ;
+                let head = TapHead { row, arrival_ns, is_shown, ..TapHead::default() };
+                judgements.frame(&head, &position(row));
+            }
+        }
+        judgements.markers
+    }
+
+    /// A normal number: the same for the same arguments.
+    fn normal(seed: u64, row: u64) -> f32 {
+        let mut state =
+            seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ row.wrapping_mul(0xD1B5_4A32_D192_ED03);
+        let mut sum = -6.0;
+        for _ in 0..12 {
+            state ^= state >> 29;
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_041);
+            sum += (state >> 40) as f32 / (1_u32 << 24) as f32;
+        }
+        sum
+    }
+
+    #[test]
+    fn noise_is_known_of_still_and_of_moving_markers() {
+        let noisy = |seed: u64, row: u64, noise_mm: f32, centre: [f32; 3]| {
+            let axis = |axis: usize| centre[axis] + noise_mm * normal(3 * seed + axis as u64, row);
+            [axis(0), axis(1), axis(2)]
+        };
+        let markers = judged(|row| {
+            let t = row as f32 / RATE_HZ as f32;
+            let swings = [800.0 * t, 200.0 * (6.0 * t).sin(), 900.0 + 80.0 * (12.0 * t).cos()];
+            vec![
+                noisy(1, row, 0.05, [500.0, 5.0, 7.0]),
+                noisy(2, row, 0.3, swings),
+                [1.0, 2.0, 3.0],
+                [f32::NAN; 3],
+            ]
+        });
+        for (marker, noise_mm) in markers.iter().zip([0.05, 0.3]) {
+            let found = marker.noise_mm.unwrap();
+            assert!((found / noise_mm - 1.0).abs() < 0.1, "{found} of {noise_mm}");
+        }
+        assert_eq!((markers[2].noise_mm, markers[3].noise_mm), (None, None));
+        assert!(markers.iter().all(|marker| marker.swaps == 0));
+    }
+
+    #[test]
+    fn two_that_change_places_are_suspected_and_fast_ones_are_not() {
+        let markers = judged(|row| {
+            let step = row as f32 / 8.0;
+            let (a, b) = ([0.0, step, 0.0], [400.0, 0.0, step]);
+            let fast = [step * 150.0, 2000.0, 0.0];
+            if row < 320 { vec![a, b, fast] } else { vec![b, a, fast] }
+        });
+        let swaps: Vec<_> = markers.iter().map(|marker| marker.swaps).collect();
+        assert_eq!(swaps, [1, 1, 0]);
+    }
+}

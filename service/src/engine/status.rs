@@ -1,0 +1,210 @@
+//! How things stand, put together from the state and the data plane's counters.
+
+use std::{
+    path::Path,
+    sync::atomic::{AtomicU64, Ordering},
+    time::{Duration, SystemTime},
+};
+
+use mocapd_acquire::{
+    header::SOFTWARE,
+    host_clock::monotonic_ns,
+    pipeline::{HELD_MIN_BYTES, lock},
+};
+use mocapd_take::record::Ledger;
+use rustix::fs::statvfs;
+
+use super::{
+    Inner,
+    session::{Core, Session},
+};
+use crate::status::{
+    DeviceStatus, DiskStatus, InputStatus, LedgerStatus, OutageStatus, PreRollStatus, State,
+    Status, TakeStatus,
+};
+
+pub(super) fn unix_ms() -> i64 {
+    let since_1970 = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    i64::try_from(since_1970.as_millis()).unwrap_or(i64::MAX)
+}
+
+impl Core {
+    pub(super) fn state(&self) -> State {
+        match (&self.failure, &self.take, &self.session) {
+            (_, Some(_), _) => State::Recording,
+            (Some(_), None, _) => State::Failed,
+            (None, None, Some(_)) => State::Armed,
+            (None, None, None) => State::Idle,
+        }
+    }
+
+    fn presence(&self, measured_hz: f64, measured_in: u64) -> &'static str {
+        match &self.session {
+            Some(session) if session.progress.is_away.load(Ordering::Relaxed) => "absent",
+            Some(session) if measured_hz == 0.0 && measured_in == session.number => "silent",
+            Some(_) => "streaming",
+            None if self.device.present => "present",
+            None => "absent",
+        }
+    }
+}
+
+fn get(n: &AtomicU64) -> u64 {
+    n.load(Ordering::Relaxed)
+}
+
+impl Inner {
+    pub(super) fn status(&self) -> Status {
+        let measured_hz = f64::from_bits(get(&self.rates.frames_hz));
+        let core = self.core();
+        let options = &core.options;
+        let mut status = Status {
+            rig: options.rig.clone(),
+            state: core.state(),
+            failure: core.failure.clone(),
+            software: SOFTWARE.to_owned(),
+            uptime_s: self.began.elapsed().as_secs_f64(),
+            device: DeviceStatus {
+                uri: core.device.uri.clone(),
+                presence: core.presence(measured_hz, get(&self.rates.session)).to_owned(),
+                model: core.device.hello.model.clone(),
+                serial: core.device.hello.serial.clone(),
+                firmware: core.device.hello.firmware.clone(),
+                driver: core.device.driver.clone(),
+                rate_hz: f64::from(core.device.hello.rate_mhz) / 1000.0,
+                markers: core.device.markers,
+                obstacle: core.device.obstacle.clone().or_else(|| core.away()),
+                outages: 0,
+                is_awaited: false,
+                outage: None,
+            },
+            input: InputStatus {
+                cpu_cores: f64::from_bits(get(&self.rates.cpu_cores)),
+                ..InputStatus::default()
+            },
+            pre_roll: PreRollStatus {
+                wanted_s: options.pre_roll.as_secs_f64(),
+                ..PreRollStatus::default()
+            },
+            take: None,
+            last_take: core.last_take.clone(),
+            disk: DiskStatus {
+                directory: options.directory.display().to_string(),
+                free_bytes: None,
+                keep_free_bytes: options.keep_free_bytes,
+                left_s: None,
+            },
+        };
+        status.device.is_awaited = core.wanted && status.device.presence == "absent";
+        core.tell_session(&mut status, measured_hz);
+        drop(core);
+        status.disk.free_bytes = get(&self.rates.free_bytes).checked_sub(1);
+        if status.disk.left_s.is_none() {
+            status.disk.left_s = estimated_left_s(&status);
+        }
+        status
+    }
+}
+
+impl Core {
+    fn tell_session(&self, status: &mut Status, measured_hz: f64) {
+        let Some(session) = &self.session else { return };
+        let progress = &session.progress;
+        status.device.outages = u32::try_from(get(&progress.outages)).unwrap_or(u32::MAX);
+        status.device.markers = lock(&progress.channels).len();
+        status.device.outage = match status.device.presence.as_str() {
+            "absent" => Some(session.outage(Some(session.reconnect))),
+            "silent" => Some(session.outage(None)),
+            _ => None,
+        };
+        let input = &mut status.input;
+        input.frames = get(&progress.frames);
+        input.lost = get(&progress.lost);
+        input.measured_hz = measured_hz;
+        input.ring_fill = get(&progress.ring_fill_permille) as f64 / 1000.0;
+        input.ring_latency_p99_us = get(&progress.ring_latency_p99_ns).div_ceil(1000);
+        input.jitter_p99_us = get(&progress.jitter_p99_us);
+        input.drift_ppm = progress.drift_ppb.load(Ordering::Relaxed) as f64 / 1e3;
+        status.pre_roll.wanted_s = session.pre_roll.as_secs_f64();
+        status.pre_roll.held_s = get(&progress.held_ms) as f64 / 1e3;
+        status.pre_roll.held_bytes = get(&progress.held_bytes);
+        status.pre_roll.is_cut = progress.held_cut.load(Ordering::Relaxed);
+        let Some(take) = &self.take else { return };
+        let left_s = get(&progress.disk_left_s);
+        status.disk.left_s = (left_s != u64::MAX && left_s > 0).then_some(left_s);
+        let now = lock(&progress.take).clone().unwrap_or_default();
+        status.take = Some(TakeStatus {
+            take_id: take.id.clone(),
+            name: take.name.clone(),
+            path: take.path.display().to_string(),
+            started_unix_ms: take.asked_unix_ms,
+            rows: now.rows,
+            seconds: now.rows as f64 / take.rate_hz,
+            bytes: now.bytes,
+            durable_bytes: now.durable_bytes,
+            ratio: match now.bytes {
+                0 => 0.0,
+                bytes => (now.samples * 12) as f64 / bytes as f64,
+            },
+            max_error_mm: now.max_error_mm,
+            ledger: (&now.ledger).into(),
+            file: progress.file_state(),
+            file_notice: progress.displaced().map(|displaced| displaced.words()),
+        });
+    }
+}
+
+impl Session {
+    /// The time since the last frame. A device that is away is given up after `patience`.
+    fn outage(&self, patience: Option<Duration>) -> OutageStatus {
+        let since_ns = get(&self.progress.last_arrival_ns).max(self.armed_ns);
+        let seconds = monotonic_ns().saturating_sub(since_ns) as f64 * 1e-9;
+        OutageStatus {
+            seconds,
+            frames: (seconds * self.header.rate_hz) as u64,
+            ends_in_s: patience.map(|patience| (patience.as_secs_f64() - seconds).max(0.0)),
+        }
+    }
+}
+
+/// What a disk may be slow to tell.
+pub(super) fn free_bytes(directory: &Path) -> Option<u64> {
+    let disk = statvfs(directory).ok()?;
+    Some(disk.f_bavail.saturating_mul(disk.f_frsize))
+}
+
+/// Before a take has a rate, what the pre-roll takes tells it.
+fn estimated_left_s(status: &Status) -> Option<u64> {
+    let held = &status.pre_roll;
+    if held.held_s < 2.0 || held.held_bytes == 0 {
+        return None;
+    }
+    let bytes_per_s = held.held_bytes as f64 / held.held_s;
+    // What closing a take needs is not for its frames.
+    let kept = status.disk.keep_free_bytes.saturating_add(HELD_MIN_BYTES);
+    let spare = status.disk.free_bytes?.saturating_sub(kept);
+    Some((spare as f64 / bytes_per_s) as u64)
+}
+
+impl From<&Ledger> for LedgerStatus {
+    fn from(ledger: &Ledger) -> Self {
+        Self {
+            finished: ledger.finished,
+            closes: ledger.closes(),
+            frames_sent: ledger.frames_sent,
+            recorded: ledger.recorded,
+            lost_on_link: ledger.lost_on_link,
+            dropped_by_device: ledger.dropped_by_device,
+            lost_ring_full: ledger.lost_ring_full,
+            lost_other: ledger.lost_other,
+            duplicates: ledger.duplicates,
+            unknown_after_disconnect: ledger.unknown_after_disconnect,
+            samples_announced: ledger.samples_announced,
+            samples_present: ledger.samples_present,
+            samples_occluded: ledger.samples_occluded,
+            samples_not_finite: ledger.samples_not_finite,
+            markers_dropped: ledger.markers_dropped,
+            contradictions: ledger.contradictions.clone(),
+        }
+    }
+}

@@ -1,0 +1,329 @@
+//! The rig's thread: finds the device, arms the pipeline, reads, and begins again when that is over.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use crossbeam_channel::Sender;
+use jiff::Zoned;
+use mocapd_acquire::{
+    files::TakeFile,
+    header,
+    host_clock::monotonic_ns,
+    pipeline::{Pipeline, PipelineConfig, PreRollConfig},
+    raw_log::RawLog,
+    rig::{Ending, ReadOptions, Rig},
+};
+use mocapd_drivers::{
+    registry::{self, Candidate},
+    transport::usb::UsbWatch,
+    uri::{DeviceUri, Location},
+};
+use mocapd_take::record::Header;
+
+use super::{
+    EngineOptions, Inner,
+    hub::NewSession,
+    session::{Core, KnownDevice, Session},
+};
+
+/// Between two looks for a device that is not there or does not answer.
+const TRY_EVERY: Duration = Duration::from_millis(500);
+
+/// Between two looks whether an idle device is attached.
+const PRESENCE_EVERY: Duration = Duration::from_secs(2);
+
+/// A device that ends its stream at once, again and again, is started no oftener.
+const SESSION_AT_LEAST: Duration = Duration::from_secs(1);
+
+/// Until the service ends.
+pub(super) fn run(inner: &Arc<Inner>, sessions: &Sender<NewSession>) {
+    let mut watch = UsbWatch::new();
+    while !inner.is_stopping() {
+        if !inner.core().wanted {
+            inner.look_for_device();
+            inner.wait_while(PRESENCE_EVERY, |core| !core.wanted);
+            continue;
+        }
+        let begun = Instant::now();
+        match inner.open() {
+            Ok((rig, log)) => {
+                let has_frames = inner.run_session(rig, sessions);
+                if has_frames {
+                    inner.finish_log(log);
+                } else {
+                    discard(log);
+                }
+                let rest = SESSION_AT_LEAST.saturating_sub(begun.elapsed());
+                if inner.core().wanted && !inner.is_stopping() {
+                    std::thread::sleep(rest);
+                }
+            }
+            Err(error) => {
+                inner.met(&format!("{error:#}"));
+                watch.wait(TRY_EVERY);
+            }
+        }
+    }
+}
+
+impl Inner {
+    pub(super) fn is_stopping(&self) -> bool {
+        self.stopping.load(Ordering::Relaxed)
+    }
+
+    /// While something is so that whoever changes it notifies of, and the service is not stopping, or so long.
+    pub(super) fn wait_while(&self, at_most: Duration, is_so: impl Fn(&Core) -> bool) {
+        let core = self.core();
+        let goes_on = |core: &mut Core| is_so(core) && !self.is_stopping();
+        drop(self.changed.wait_timeout_while(core, at_most, goes_on));
+    }
+
+    fn look_for_device(&self) {
+        let find = Arc::clone(&self.core().options.find_device);
+        let found = find();
+        let present = found.as_ref().is_ok_and(is_attached);
+        let mut core = self.core();
+        let changed = core.device.present != present;
+        core.device.present = present;
+        core.device.obstacle = found.err().map(|error| format!("{error:#}"));
+        drop(core);
+        if changed {
+            let what =
+                if present { "the device is attached" } else { "the device is not attached" };
+            self.say_event("device", what, None);
+        }
+    }
+
+    /// Something is in the way of arming: told once.
+    fn met(&self, words: &str) {
+        let mut core = self.core();
+        let is_new = core.device.obstacle.as_deref() != Some(words);
+        core.device.obstacle = Some(words.to_owned());
+        core.device.present = false;
+        drop(core);
+        self.changed.notify_all();
+        if is_new {
+            self.say_event("warning", words, None);
+        }
+    }
+
+    fn open(&self) -> anyhow::Result<(Rig, Option<RawLog>)> {
+        let core = self.core();
+        let (options, identity) = (Arc::clone(&core.options), core.device.identity.clone());
+        let known = core.device.uri.clone();
+        drop(core);
+        let uri = (options.find_device)()?;
+        let log = options.raw_log.then(|| begin_log(&options)).transpose()?;
+        let opened = self.open_logged(&uri, identity.filter(|_| uri.to_string() == known), &log);
+        let mut rig = match opened {
+            Ok(rig) => rig,
+            Err(error) => {
+                discard(log);
+                return Err(error);
+            }
+        };
+        if let Some(rate_hz) = options.rate_hz
+            && let Err(error) = rig.set_rate(rate_hz)
+        {
+            drop(rig);
+            discard(log);
+            return Err(error);
+        }
+        rig.wait_for_replug(options.reconnect);
+        rig.risk_at_most(options.stretch, options.sync);
+        let mut core = self.core();
+        core.device = KnownDevice {
+            uri: uri.to_string(),
+            present: true,
+            obstacle: None,
+            hello: rig.hello().clone(),
+            driver: rig.family().to_owned(),
+            markers: rig.markers().len(),
+            identity: Some(rig.identity().clone()),
+        };
+        drop(core);
+        Ok((rig, log))
+    }
+
+    fn open_logged(
+        &self,
+        uri: &DeviceUri,
+        identity: Option<Candidate>,
+        log: &Option<RawLog>,
+    ) -> anyhow::Result<Rig> {
+        let tap = log.as_ref().map(RawLog::tap);
+        match identity {
+            Some(identity) => Rig::open_again(uri, &identity, tap),
+            None => Rig::open_logged(uri, tap),
+        }
+    }
+
+    /// The device is not read any more.
+    fn finish_log(&self, log: Option<RawLog>) {
+        let Some(log) = log else { return };
+        let name = log.path().display().to_string();
+        match log.finish() {
+            Ok(logged) if logged.is_whole() => {}
+            Ok(logged) => self.say_event(
+                "warning",
+                &format!(
+                    "{} bytes of the line are not in the raw log {name}",
+                    logged.missing_bytes
+                ),
+                None,
+            ),
+            Err(error) => {
+                self.say_event("warning", &format!("the raw log {name}: {error:#}"), None);
+            }
+        }
+    }
+
+    /// Whether a frame came.
+    fn run_session(&self, rig: Rig, sessions: &Sender<NewSession>) -> bool {
+        let stop = Arc::new(AtomicBool::new(false));
+        let (intake, pipeline) = match self.begin_session(&rig, &stop, sessions) {
+            Ok(begun) => begun,
+            Err(error) => {
+                self.met(&format!("{error:#}"));
+                return false;
+            }
+        };
+        self.say_event("state", "armed", None);
+        let say = |words: &str| self.events.say(words);
+        let options = ReadOptions {
+            stop: &stop,
+            rows_max: None,
+            length: None,
+            for_one_take: false,
+            say: &say,
+        };
+        let progress = Arc::clone(pipeline.progress());
+        let read = rig.read(intake, &options);
+        // No take begins here any more, and one that is written ends.
+        self.core().session = None;
+        let joined = pipeline.join();
+        let words = match (&read, &joined) {
+            (_, Err(error)) => {
+                self.fail(&format!("{error:#}"));
+                "the data plane failed"
+            }
+            (Err(error), _) => {
+                self.met(&format!("{error:#}"));
+                "the device cannot be read"
+            }
+            (Ok(recording), _) => match recording.ending {
+                Ending::EndOfStream => {
+                    // A replay that is over: it is not begun again by itself.
+                    self.core().wanted = false;
+                    "the device has ended its stream"
+                }
+                Ending::Disconnected => "the device is gone",
+                Ending::WriterFailed => {
+                    self.fail("the data plane failed: see the log");
+                    "the data plane failed"
+                }
+                Ending::Stopped | Ending::DiskFull | Ending::Truncated | Ending::Unmounted => {
+                    "disarmed"
+                }
+            },
+        };
+        self.changed.notify_all();
+        self.say_event("state", words, None);
+        progress.frames.load(Ordering::Relaxed) > 0
+    }
+
+    fn begin_session(
+        &self,
+        rig: &Rig,
+        stop: &Arc<AtomicBool>,
+        sessions: &Sender<NewSession>,
+    ) -> anyhow::Result<(mocapd_acquire::pipeline::Intake, Pipeline<TakeFile>)> {
+        let options = Arc::clone(&self.core().options);
+        let pre_roll = PreRollConfig {
+            time: options.pre_roll,
+            bytes_max: usize::try_from(options.memory_max_bytes).unwrap_or(usize::MAX),
+        };
+        let config = PipelineConfig {
+            pre_roll: Some(pre_roll),
+            heartbeat: self.heartbeat.clone(),
+            ..rig.pipeline_config(options.codec)
+        };
+        let header = header_of(rig, &config)?;
+        let (intake, pipeline, armed) = Pipeline::<TakeFile>::arm(&config, &header)?;
+        let progress = Arc::clone(pipeline.progress());
+        let number = self.sessions.fetch_add(1, Ordering::Relaxed) + 1;
+        let session = Session {
+            number,
+            takes: armed.takes,
+            progress: Arc::clone(&progress),
+            seen: armed.seen,
+            slots: config.channels.len() + config.reserve,
+            pre_roll: options.pre_roll,
+            reconnect: options.reconnect,
+            armed_ns: monotonic_ns(),
+            stop: Arc::clone(stop),
+            header: header.clone(),
+        };
+        // The hub forgets the one before: it looks here in every round.
+        sessions.try_send(NewSession { tap: armed.tap, progress, header }).ok();
+        let mut core = self.core();
+        core.session = Some(session);
+        // What was asked while it was being armed.
+        if !core.wanted || self.is_stopping() {
+            stop.store(true, Ordering::Relaxed);
+        }
+        drop(core);
+        self.changed.notify_all();
+        Ok((intake, pipeline))
+    }
+
+    /// The data plane failed: somebody has to look.
+    pub(super) fn fail(&self, words: &str) {
+        self.core().failure = Some(words.to_owned());
+        self.changed.notify_all();
+        self.say_event("failure", words, None);
+    }
+}
+
+/// A log of the line, named by the time.
+fn begin_log(options: &EngineOptions) -> anyhow::Result<RawLog> {
+    let now = Zoned::now().strftime("%Y-%m-%d_%H%M%S%.3f");
+    let name = format!("{now}_{}.rawlog", options.rig);
+    RawLog::start(&options.directory.join(name), options.sync)
+}
+
+/// A log of a device that was not there helps nobody.
+fn discard(log: Option<RawLog>) {
+    let Some(log) = log else { return };
+    let path = log.path().to_owned();
+    drop(log.finish());
+    std::fs::remove_file(path).ok();
+}
+
+fn header_of(rig: &Rig, config: &PipelineConfig) -> anyhow::Result<Header> {
+    let mut header = header::new(&config.codec, config.rate_hz)?;
+    header.up_axis = rig.hello().up_axis.min(3);
+    header.device = Some(rig.device_record());
+    header.channels.clone_from(&config.channels);
+    header.stretch_rows = config.stretch_rows();
+    header.settings = config.chosen();
+    Ok(header)
+}
+
+/// Whether something is at the place, without opening it.
+fn is_attached(uri: &DeviceUri) -> bool {
+    match &uri.location {
+        Location::Serial { path, .. } => path.exists(),
+        Location::Usb { vid, pid, serial } => registry::devices().is_ok_and(|listed| {
+            listed.iter().any(|device| {
+                device.candidate.usb_ids == Some((*vid, *pid))
+                    && (serial.is_none() || device.candidate.serial == *serial)
+            })
+        }),
+    }
+}

@@ -1,0 +1,173 @@
+//! The watcher's thread: takes that end by themselves, figures that need two looks, and words of other threads.
+
+use std::{
+    sync::{Arc, atomic::Ordering},
+    time::{Duration, Instant},
+};
+
+use crossbeam_channel::TryRecvError;
+use mocapd_acquire::{
+    files::FileState,
+    heartbeat::{Beat, Who},
+};
+use mocapd_take::record::EndingKind;
+
+use super::{Inner, session::Core, status::free_bytes};
+use crate::process;
+
+/// Between two looks.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+
+/// Between two figures of a rate.
+const RATES_EVERY: Duration = Duration::from_secs(1);
+
+/// Until the service ends.
+pub(super) fn run(inner: &Arc<Inner>) {
+    // Without it nobody would know that this thread hangs; with sixty others it is not needed.
+    let beat = inner.heartbeat.beat(Who::Supervisor).ok();
+    let mut rates = Measured::default();
+    while !inner.is_stopping() {
+        if let Some(beat) = &beat {
+            beat.moved();
+        }
+        inner.tell_what_was_said();
+        // A take that ends by itself is waited for, and its disk may stall.
+        if let Some(beat) = &beat {
+            beat.at_disk();
+        }
+        inner.end_what_is_over();
+        rates.look(inner, beat.as_ref());
+        // Without a session only the disk changes.
+        let is_idle = inner.core().session.is_none();
+        if is_idle {
+            inner.wait_while(RATES_EVERY, |core| core.session.is_none());
+        } else {
+            inner.wait_while(LOOK_EVERY, |_| true);
+        }
+    }
+    inner.tell_what_was_said();
+}
+
+impl Inner {
+    fn tell_what_was_said(&self) {
+        while let Some(words) = self.events.said() {
+            let take = self.core().take.as_ref().map(|take| take.name.clone());
+            self.say_event("device", &words, take.as_deref());
+        }
+    }
+
+    /// Takes whose length, disk, device or writer is over. Not while somebody carries out a command: that one will tell.
+    fn end_what_is_over(&self) {
+        let Ok(command) = self.command.try_lock() else { return };
+        self.warn_of_file();
+        let core = self.core();
+        let why = core.why_over();
+        let ended = core.take.as_ref().map(|take| take.ended.try_recv());
+        let exhausted = core.is_exhausted();
+        drop(core);
+        // What there is to say stands in the events.
+        match (ended, why) {
+            (Some(Ok(end)), _) => drop(self.finish_take(end)),
+            (Some(Err(TryRecvError::Disconnected)), _) => drop(self.finish_unanswered()),
+            (_, Some(why)) => drop(self.stop_take(&command, why)),
+            _ => {}
+        }
+        if exhausted {
+            self.say_event(
+                "warning",
+                "every channel of the reserve is used by markers that appeared: the pre-roll begins anew",
+                None,
+            );
+            if let Some(session) = &self.core().session {
+                session.stop.store(true, Ordering::Relaxed);
+            }
+        }
+    }
+}
+
+impl Inner {
+    /// Says once what others did to the take's file; how that ends a take is said with its end.
+    fn warn_of_file(&self) {
+        let mut core = self.core();
+        let Some(progress) = core.session.as_ref().map(|session| Arc::clone(&session.progress))
+        else {
+            return;
+        };
+        let Some(take) = &mut core.take else { return };
+        let changes = progress.file_changes();
+        let is_new = std::mem::replace(&mut take.file_told, changes) != changes;
+        let name = take.name.clone();
+        drop(core);
+        if is_new
+            && !progress.file_state().ends_take()
+            && let Some(displaced) = progress.displaced()
+        {
+            self.say_event("warning", &displaced.words(), Some(&name));
+        }
+    }
+}
+
+impl Core {
+    fn why_over(&self) -> Option<EndingKind> {
+        let take = self.take.as_ref()?;
+        if self.options.max_length.is_some_and(|max| take.begun.elapsed() >= max) {
+            return Some(EndingKind::Length);
+        }
+        let session = self.session.as_ref()?;
+        match session.progress.file_state() {
+            FileState::Truncated => return Some(EndingKind::Truncated),
+            FileState::Unmounted => return Some(EndingKind::Unmounted),
+            _ => {}
+        }
+        session.progress.disk_full.load(Ordering::Relaxed).then_some(EndingKind::DiskFull)
+    }
+
+    /// Markers that came and went have used up the channels: without a take they can be forgotten.
+    fn is_exhausted(&self) -> bool {
+        self.take.is_none()
+            && self.session.as_ref().is_some_and(|session| {
+                !session.stop.load(Ordering::Relaxed)
+                    && mocapd_acquire::pipeline::lock(&session.progress.channels).len()
+                        >= session.slots
+            })
+    }
+}
+
+/// Counters at the last look.
+#[derive(Debug, Default)]
+struct Measured {
+    last: Option<(Instant, u64, u64, f64)>,
+}
+
+impl Measured {
+    fn look(&mut self, inner: &Inner, beat: Option<&Beat>) {
+        if self.last.is_some_and(|(at, ..)| at.elapsed() < RATES_EVERY) {
+            return;
+        }
+        let now = Instant::now();
+        let core = inner.core();
+        let session = core.session.as_ref();
+        let number = session.map_or(0, |session| session.number);
+        let frames = session.map_or(0, |s| s.progress.frames.load(Ordering::Relaxed));
+        let directory = core.options.directory.clone();
+        drop(core);
+        if let Some(beat) = beat {
+            beat.at_disk();
+        }
+        let free_bytes = free_bytes(&directory).map_or(0, |bytes| bytes.saturating_add(1));
+        inner.rates.free_bytes.store(free_bytes, Ordering::Relaxed);
+        let cpu_s = process::usage(None).map_or(0.0, |usage| usage.cpu_s);
+        if let Some((at, session, before, cpu_before_s)) = self.last {
+            let passed_s = now.duration_since(at).as_secs_f64();
+            let is_same = session == number;
+            let came = if is_same { frames.saturating_sub(before) } else { frames };
+            inner.rates.session.store(if is_same { number } else { 0 }, Ordering::Relaxed);
+            let put = |to: &std::sync::atomic::AtomicU64, rate: f64| {
+                to.store(rate.to_bits(), Ordering::Relaxed);
+            };
+            put(&inner.rates.frames_hz, came as f64 / passed_s);
+            put(&inner.rates.cpu_cores, (cpu_s - cpu_before_s).max(0.0) / passed_s);
+        }
+        self.last = Some((now, number, frames, cpu_s));
+    }
+}

@@ -1,0 +1,140 @@
+//! Bodies of requests: JSON, small, soon.
+
+use axum::{
+    body::{Body, to_bytes},
+    extract::{FromRequest, Request},
+    http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header},
+};
+use serde::de::DeserializeOwned;
+
+use super::{
+    problem::{Problem, ProblemKind},
+    state::Shared,
+};
+use crate::control::{self, Mark, SaveLast, Start};
+
+/// Bytes of a body at most: the longest note that anybody types, many times over.
+const BODY_BYTES_MAX: usize = 64 << 10;
+
+/// Of a request's id, as a header can carry it.
+const ID_BYTES_MAX: usize = 64;
+
+const IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key");
+
+/// A request with an id, by which the service knows one that it carried out already.
+pub(super) trait Identified: DeserializeOwned {
+    fn request_id(&mut self) -> &mut Option<String>;
+}
+
+macro_rules! identified {
+    ($($request:ty),*) => {$(
+        impl Identified for $request {
+            fn request_id(&mut self) -> &mut Option<String> {
+                &mut self.request_id
+            }
+        }
+    )*};
+}
+
+identified!(control::Request, Start, Mark, SaveLast);
+
+/// A JSON object as the body, or nothing, which is an empty object.
+#[derive(Debug)]
+pub(super) struct Asked<T>(pub(super) T);
+
+impl<T: Identified> FromRequest<Shared> for Asked<T> {
+    type Rejection = Problem;
+
+    async fn from_request(request: Request, app: &Shared) -> Result<Self, Problem> {
+        let (parts, body) = request.into_parts();
+        // What a form on another site can send is never of this type.
+        if !is_type(&parts.headers, "application/json") {
+            return Err(Problem::new(
+                StatusCode::UNSUPPORTED_MEDIA_TYPE,
+                ProblemKind::UnsupportedMediaType,
+                "send `content-type: application/json`, with or without a body",
+            ));
+        }
+        let bytes = read(body, &parts.headers, app).await?;
+        // serde would take a list for an object whose names were left out.
+        let mut asked: T = match bytes.trim_ascii().first() {
+            None if bytes.is_empty() => parse(b"{}")?,
+            Some(b'{') => parse(&bytes)?,
+            _ => return Err(Problem::invalid("the body is no JSON object")),
+        };
+        let id = asked.request_id();
+        let key = parts.headers.get(IDEMPOTENCY_KEY).map(key_of).transpose()?;
+        match (key, id.as_deref()) {
+            (Some(key), Some(id)) if key != id => {
+                return Err(Problem::invalid("Idempotency-Key and request_id differ: send one"));
+            }
+            (Some(key), _) => *id = Some(key),
+            (None, _) => {}
+        }
+        if id.as_deref().is_some_and(|id| !is_request_id(id)) {
+            let words =
+                format!("a request's id has 1 to {ID_BYTES_MAX} printable ASCII characters");
+            return Err(Problem::invalid(words));
+        }
+        Ok(Self(asked))
+    }
+}
+
+fn parse<T: DeserializeOwned>(text: &[u8]) -> Result<T, Problem> {
+    serde_json::from_slice(text)
+        .map_err(|error| Problem::invalid(format!("the body is not what is asked for: {error}")))
+}
+
+/// The header's value, with or without the quotes that its draft has it in.
+fn key_of(value: &HeaderValue) -> Result<String, Problem> {
+    let text = value.to_str().unwrap_or_default();
+    let key = text.strip_prefix('"').and_then(|text| text.strip_suffix('"')).unwrap_or(text);
+    if key.is_empty() {
+        return Err(Problem::invalid("Idempotency-Key is empty, or not of ASCII characters"));
+    }
+    Ok(key.to_owned())
+}
+
+fn is_request_id(id: &str) -> bool {
+    (1..=ID_BYTES_MAX).contains(&id.len()) && id.bytes().all(|byte| (b' '..=b'~').contains(&byte))
+}
+
+/// Whether the body is said to be of this type; parameters may follow.
+pub(super) fn is_type(headers: &HeaderMap, wanted: &str) -> bool {
+    let said = headers.get(header::CONTENT_TYPE).and_then(|said| said.to_str().ok());
+    said.is_some_and(|said| {
+        said.split(';').next().unwrap_or_default().trim().eq_ignore_ascii_case(wanted)
+    })
+}
+
+/// The whole body, within its bound and its time.
+pub(super) async fn read(
+    body: Body,
+    headers: &HeaderMap,
+    app: &Shared,
+) -> Result<axum::body::Bytes, Problem> {
+    let too_large = || {
+        let words = format!("the body is larger than {BODY_BYTES_MAX} bytes");
+        Problem::new(StatusCode::PAYLOAD_TOO_LARGE, ProblemKind::TooLarge, words)
+    };
+    let said =
+        headers.get(header::CONTENT_LENGTH).and_then(|said| said.to_str().ok()?.parse().ok());
+    if said.is_some_and(|said: u64| said > BODY_BYTES_MAX as u64) {
+        return Err(too_large());
+    }
+    match tokio::time::timeout(app.limits.body, to_bytes(body, BODY_BYTES_MAX)).await {
+        Ok(Ok(bytes)) => Ok(bytes),
+        Ok(Err(error)) if is_over_limit(&error) => Err(too_large()),
+        Ok(Err(_)) => Err(Problem::invalid("the body ended early, or its chunks are none")),
+        Err(_) => Err(Problem::new(
+            StatusCode::REQUEST_TIMEOUT,
+            ProblemKind::Timeout,
+            format!("the body did not come within {} s", app.limits.body.as_secs_f64()),
+        )),
+    }
+}
+
+fn is_over_limit(error: &axum::Error) -> bool {
+    std::error::Error::source(error)
+        .is_some_and(<dyn std::error::Error>::is::<http_body_util::LengthLimitError>)
+}

@@ -1,0 +1,29 @@
+//! The service: between takes nobody watches a terminal.
+//!
+//! ```text
+//! Control      what people and programs can ask for: status, arm, start, stop, mark
+//!   ▲   ▲  ▲
+//!   │   │  └── HTTP API, dashboard     own thread, async; never touches the data plane
+//!   │   └───── capture triggers        own thread
+//!   └───────── signals, systemd
+//! ```
+//!
+//! [`config`] is what it is told to do, [`engine`] does it, and [`doctor`] says what of the machine is in its way.
+
+pub mod bones;
+pub mod config;
+pub mod control;
+pub mod doctor;
+pub mod engine;
+pub mod face;
+pub mod http;
+pub mod live;
+pub mod local_time;
+pub mod log;
+pub mod notify;
+pub mod process;
+pub mod status;
+pub mod subject;
+pub mod trigger;
+pub mod triggered;
+pub mod units;

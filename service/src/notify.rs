@@ -1,0 +1,272 @@
+//! What systemd is told: that the service runs, how it is, and that its data plane moves.
+//!
+//! Started by anything else, nobody is told, and nothing fails for it.
+
+use std::{
+    thread::JoinHandle,
+    time::{Duration, Instant},
+};
+
+use anyhow::Context;
+use crossbeam_channel::{RecvTimeoutError, Sender, bounded};
+use mocapd_take::escape::visible;
+use sd_notify::NotifyState;
+
+pub use mocapd_acquire::heartbeat::{Beat, Heartbeat, Who};
+use mocapd_acquire::threads;
+
+/// Longer words are cut: `systemctl status` has one line for them.
+const STATUS_BYTES_MAX: usize = 512;
+
+/// Tells the service manager that started this process, if one did.
+#[derive(Debug, Clone, Default)]
+pub struct Notifier {
+    status: String,
+}
+
+impl Notifier {
+    /// Supervision runs: what waits for this unit may go on. `status` says how the device is, which need not be there.
+    pub fn ready(&mut self, status: &str) {
+        self.status = one_line(status);
+        tell(&[NotifyState::Ready, NotifyState::Status(&self.status)]);
+    }
+
+    /// How it is, in words. The same words are said once.
+    pub fn status(&mut self, status: &str) {
+        let status = one_line(status);
+        if status != self.status {
+            tell(&[NotifyState::Status(&status)]);
+            self.status = status;
+        }
+    }
+
+    /// The configuration is read again, from now until [`ready`](Self::ready).
+    pub fn reloading(&mut self) {
+        self.status = "reading the configuration again".to_owned();
+        match NotifyState::monotonic_usec_now() {
+            Ok(now) => tell(&[NotifyState::Reloading, now, NotifyState::Status(&self.status)]),
+            Err(_) => tell(&[NotifyState::Reloading, NotifyState::Status(&self.status)]),
+        }
+    }
+
+    /// It ends; `status` says what is still done: a take is finished.
+    pub fn stopping(&mut self, status: &str) {
+        self.status = one_line(status);
+        tell(&[NotifyState::Stopping, NotifyState::Status(&self.status)]);
+    }
+
+    /// Pings the watchdog, on a thread of its own and for as long as what this gives is kept, while every thread in
+    /// `heartbeat` moves. `None` when nobody waits for pings.
+    ///
+    /// # Errors
+    /// When the thread cannot be started.
+    pub fn watch(heartbeat: &Heartbeat) -> anyhow::Result<Option<Pings>> {
+        let Some(watchdog) = sd_notify::watchdog_enabled().filter(|time| !time.is_zero()) else {
+            return Ok(None);
+        };
+        // A thread that hangs is noticed after half the time, and no ping follows. Two looks fit into that half.
+        let (limit, every) = (watchdog / 2, watchdog / 4);
+        let heartbeat = heartbeat.clone();
+        let (stop, stopped) = bounded::<()>(1);
+        let thread = threads::spawn("mocapd-notify", move || {
+            let mut watch = heartbeat.watch(Instant::now());
+            let mut has_told = false;
+            loop {
+                match watch.overdue(Instant::now(), limit) {
+                    None => {
+                        tell(&[NotifyState::Watchdog]);
+                        has_told = false;
+                    }
+                    Some(overdue) if !has_told => {
+                        tracing::error!(
+                            "{overdue}: the watchdog is not pinged, and restarts the service"
+                        );
+                        tell(&[NotifyState::Status(&format!("{overdue}"))]);
+                        has_told = true;
+                    }
+                    Some(_) => {}
+                }
+                if stopped.recv_timeout(every) != Err(RecvTimeoutError::Timeout) {
+                    return;
+                }
+            }
+        })
+        .context("the watchdog cannot be served")?;
+        Ok(Some(Pings { stop: Some(stop), thread: Some(thread) }))
+    }
+}
+
+/// Serves the watchdog until it is dropped.
+#[derive(Debug)]
+pub struct Pings {
+    stop: Option<Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Drop for Pings {
+    fn drop(&mut self) {
+        drop(self.stop.take());
+        if let Some(thread) = self.thread.take() {
+            drop(thread.join());
+        }
+    }
+}
+
+/// Stopping takes so much longer, from now on, whatever the unit's `TimeoutStopSec=` says.
+pub(super) fn extend_stop(by: Duration) {
+    let usec = u32::try_from(by.as_micros()).unwrap_or(u32::MAX);
+    tell(&[NotifyState::ExtendTimeoutUsec(usec)]);
+}
+
+fn tell(states: &[NotifyState<'_>]) {
+    if let Err(error) = sd_notify::notify(states) {
+        tracing::warn!("systemd is not told: {error}");
+    }
+}
+
+/// What may stand in one assignment: a line break would begin another.
+fn one_line(words: &str) -> String {
+    let mut line = visible(words).into_owned();
+    let mut end = line.len().min(STATUS_BYTES_MAX);
+    while !line.is_char_boundary(end) {
+        end -= 1;
+    }
+    line.truncate(end);
+    line
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{
+        os::unix::net::UnixDatagram,
+        path::Path,
+        process::{Command, ExitStatus},
+        time::Duration,
+    };
+
+    use super::*;
+
+    /// What a process of its own, in which `scene` is played, tells a socket that is not systemd's. The environment
+    /// belongs to a whole process, and the tests share one.
+    fn told(scene: &str, watchdog_usec: Option<u64>) -> (Vec<String>, ExitStatus) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("notify");
+        let socket = UnixDatagram::bind(&path).unwrap();
+        socket.set_read_timeout(Some(Duration::from_millis(20))).unwrap();
+        let mut child = child(scene, &path);
+        if let Some(usec) = watchdog_usec {
+            child.env("WATCHDOG_USEC", usec.to_string());
+        }
+        let mut child = child.spawn().unwrap();
+        let (mut messages, mut buffer) = (Vec::new(), [0; 4096]);
+        loop {
+            // Looked at before the read: what it said before it ended is there by then.
+            let ended = child.try_wait().unwrap();
+            while let Ok(n) = socket.recv(&mut buffer) {
+                messages.push(String::from_utf8(buffer[..n].to_vec()).unwrap());
+            }
+            if let Some(status) = ended {
+                return (messages, status);
+            }
+        }
+    }
+
+    fn child(scene: &str, socket: &Path) -> Command {
+        let mut child = Command::new(std::env::current_exe().unwrap());
+        child.args(["--exact", &format!("notify::tests::{scene}"), "--ignored"]);
+        child.env_remove("WATCHDOG_USEC").env_remove("WATCHDOG_PID").env("NOTIFY_SOCKET", socket);
+        child
+    }
+
+    #[test]
+    #[ignore = "played in a process of its own, by the test below"]
+    fn a_life() {
+        let mut notifier = Notifier::default();
+        notifier.ready("idle; the device is not there");
+        notifier.status("armed");
+        notifier.status("armed");
+        notifier.status("recording\nREADY=0\tjump.take");
+        notifier.reloading();
+        notifier.ready("idle");
+        notifier.stopping(&format!("finishing {}", "ä".repeat(400)));
+        extend_stop(Duration::from_secs(25));
+    }
+
+    #[test]
+    fn systemd_is_told_of_a_life() {
+        let (said, status) = told("a_life", None);
+        assert!(status.success());
+        assert_eq!(said.len(), 7, "{said:?}");
+        assert_eq!(said[0], "READY=1\nSTATUS=idle; the device is not there\n");
+        assert_eq!(said[1], "STATUS=armed\n");
+        assert_eq!(said[2], "STATUS=recording\\nREADY=0\\tjump.take\n");
+        let mut lines = said[3].lines();
+        assert_eq!(lines.next(), Some("RELOADING=1"));
+        let usec = lines.next().unwrap().strip_prefix("MONOTONIC_USEC=").unwrap();
+        assert!(usec.parse::<u64>().unwrap() > 0);
+        assert_eq!(said[4], "READY=1\nSTATUS=idle\n");
+        assert!(said[5].starts_with("STOPPING=1\nSTATUS=finishing ää"));
+        assert!(said[5].len() < STATUS_BYTES_MAX + 30, "cut: {}", said[5].len());
+        assert_eq!(said[6], "EXTEND_TIMEOUT_USEC=25000000\n");
+    }
+
+    /// Moves for a second, hangs for one, and moves again.
+    #[test]
+    #[ignore = "played in a process of its own, by the test below"]
+    fn a_reader_that_hangs() {
+        let heartbeat = Heartbeat::default();
+        let (reader, idle) = (heartbeat.beat(Who::Reader).unwrap(), heartbeat.beat(Who::Worker));
+        let idle = idle.unwrap();
+        idle.idle();
+        let pings = Notifier::watch(&heartbeat).unwrap().expect("the watchdog is on");
+        let move_for_a_second = || {
+            for _ in 0..50 {
+                reader.moved();
+                std::thread::sleep(Duration::from_millis(20));
+            }
+        };
+        move_for_a_second();
+        tell(&[NotifyState::Custom("X_HANGS=1")]);
+        std::thread::sleep(Duration::from_secs(1));
+        tell(&[NotifyState::Custom("X_MOVES=1")]);
+        move_for_a_second();
+        drop(pings);
+        tell(&[NotifyState::Custom("X_ENDED=1")]);
+        std::thread::sleep(Duration::from_millis(300));
+    }
+
+    #[test]
+    fn the_watchdog_is_pinged_only_while_the_reader_moves() {
+        let (said, status) = told("a_reader_that_hangs", Some(400_000));
+        assert!(status.success());
+        let at = |what: &str| {
+            let found = said.iter().position(|message| message.starts_with(what));
+            found.unwrap_or_else(|| panic!("no {what} in {said:?}"))
+        };
+        let pings = |messages: &[String]| messages.iter().filter(|m| *m == "WATCHDOG=1\n").count();
+        let (hangs, complains, moves, ended) =
+            (at("X_HANGS"), at("STATUS=the reader"), at("X_MOVES"), at("X_ENDED"));
+        // Every 100 ms, on a machine that may be busy.
+        assert!(pings(&said[..hangs]) >= 3, "{said:?}");
+        assert!(hangs < complains && complains < moves, "{said:?}");
+        assert_eq!(pings(&said[complains..moves]), 0, "{said:?}");
+        assert!(pings(&said[moves..ended]) >= 3, "{said:?}");
+        assert_eq!(pings(&said[ended..]), 0, "{said:?}");
+    }
+
+    #[test]
+    #[ignore = "played in a process of its own, by the test below"]
+    fn no_watchdog() {
+        assert!(Notifier::watch(&Heartbeat::default()).unwrap().is_none());
+    }
+
+    #[test]
+    fn nobody_is_pinged_who_does_not_wait_for_it() {
+        for usec in [None, Some(0)] {
+            let (said, status) = told("no_watchdog", usec);
+            assert!(status.success() && said.is_empty(), "{said:?}");
+        }
+        // And without a socket nothing fails.
+        a_life();
+    }
+}

@@ -1,0 +1,201 @@
+//! Triggers on the network: a thread that hears them, and a sender.
+
+use std::{
+    io,
+    net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket},
+    os::fd::OwnedFd,
+    thread::JoinHandle,
+    time::Duration,
+};
+
+use anyhow::{Context, anyhow};
+use mocapd_acquire::threads;
+use rustix::{
+    event::{PollFd, PollFlags, poll},
+    io::Errno,
+    pipe::{PipeFlags, pipe_with},
+};
+
+use super::{DATAGRAM_BYTES_MAX, Heard, Listener, Queue, Quiet, Received};
+
+/// A network that is down is down for a while.
+const TRY_AGAIN_AFTER: Duration = Duration::from_millis(100);
+
+/// Hears triggers until it is dropped.
+#[derive(Debug)]
+pub struct Hearing {
+    stop: Option<OwnedFd>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Drop for Hearing {
+    fn drop(&mut self) {
+        // Its other end is readable then.
+        drop(self.stop.take());
+        if let Some(thread) = self.thread.take() {
+            // A thread that panicked has told so already.
+            drop(thread.join());
+        }
+    }
+}
+
+/// What the thread that hears triggers asks the service.
+pub struct Questions {
+    /// Whether there is a take of a name.
+    pub exists: Box<dyn Fn(&str) -> bool + Send>,
+    /// Which take is being recorded.
+    pub recording: Box<dyn Fn() -> Option<String> + Send>,
+}
+
+impl std::fmt::Debug for Questions {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Questions").finish_non_exhaustive()
+    }
+}
+
+/// Opens the socket.
+///
+/// # Errors
+/// Why not, and what helps.
+pub fn bind(listen: SocketAddr) -> anyhow::Result<UdpSocket> {
+    let socket = UdpSocket::bind(listen).map_err(|error| match error.kind() {
+        io::ErrorKind::AddrInUse => anyhow!(
+            "cannot hear triggers on {listen}: another program does; `ss -ulpn` shows which, or choose another port"
+        ),
+        io::ErrorKind::PermissionDenied => anyhow!(
+            "cannot hear triggers on {listen}: ports below 1024 need CAP_NET_BIND_SERVICE; \
+             give it in the unit (AmbientCapabilities=), or choose another port"
+        ),
+        io::ErrorKind::AddrNotAvailable => anyhow!(
+            "cannot hear triggers on {listen}: no interface has this address; `ip address` shows them, \
+             or use 0.0.0.0:{}",
+            listen.port()
+        ),
+        _ => anyhow!("cannot hear triggers on {listen}: {error}"),
+    })?;
+    // It is waited for beside the stop, and a datagram that is not whole is none.
+    socket.set_nonblocking(true).context("a socket cannot be read without waiting")?;
+    Ok(socket)
+}
+
+/// Hears triggers on a thread of its own until what it returns is dropped. `say` is told what is refused, a few words at a time.
+///
+/// # Errors
+/// When the system refuses the thread or a pipe.
+pub fn listen(
+    socket: UdpSocket,
+    mut listener: Listener,
+    questions: Questions,
+    queue: Queue,
+    mut say: impl FnMut(&str) + Send + 'static,
+) -> anyhow::Result<Hearing> {
+    let (stopped, stop) = pipe_with(PipeFlags::CLOEXEC).context("cannot open a pipe")?;
+    let thread = threads::spawn("mocapd-trigger", move || {
+        let mut quiet = Quiet::default();
+        let mut buffer = vec![0; DATAGRAM_BYTES_MAX];
+        while comes(&socket, &stopped) {
+            let received = socket.recv_from(&mut buffer);
+            let now = queue.now();
+            let words = match received {
+                Ok((n_bytes, from)) => {
+                    let datagram = buffer.get(..n_bytes).unwrap_or_default();
+                    let heard = listener.hear(from.ip(), datagram, now, &questions.exists);
+                    let accepted = heard.and_then(|heard| match heard {
+                        Heard::Repeat | Heard::Own => Ok(()),
+                        Heard::Trigger(trigger) => {
+                            let pushed = queue.push(Received {
+                                from,
+                                trigger: trigger.clone(),
+                                is_known: listener.is_known(from.ip()),
+                                recording: (questions.recording)(),
+                            });
+                            if pushed.is_err() {
+                                listener.forget(from.ip(), &trigger, datagram);
+                            }
+                            pushed
+                        }
+                    });
+                    match accepted {
+                        Ok(()) => continue,
+                        Err(refusal) => format!("a datagram from {from} is refused: {refusal}"),
+                    }
+                }
+                Err(error) if is_idle(&error) => continue,
+                Err(error) => {
+                    std::thread::sleep(TRY_AGAIN_AFTER);
+                    format!("cannot hear triggers: {error}")
+                }
+            };
+            if let Some(words) = quiet.say(&words, now) {
+                say(&words);
+            }
+        }
+    })?;
+    Ok(Hearing { stop: Some(stop), thread: Some(thread) })
+}
+
+/// Waits for a datagram. `false`: it is time to end.
+fn comes(socket: &UdpSocket, stopped: &OwnedFd) -> bool {
+    let mut fds = [PollFd::new(socket, PollFlags::IN), PollFd::new(stopped, PollFlags::IN)];
+    match poll(&mut fds, None) {
+        Ok(_) => fds[1].revents().is_empty(),
+        Err(Errno::INTR) => true,
+        // Without memory it is tried again, like a network that is down.
+        Err(_) => {
+            std::thread::sleep(TRY_AGAIN_AFTER);
+            true
+        }
+    }
+}
+
+fn is_idle(error: &io::Error) -> bool {
+    use io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
+    matches!(error.kind(), WouldBlock | TimedOut | Interrupted)
+}
+
+/// Sends datagrams, to broadcast addresses too.
+#[derive(Debug)]
+pub struct Teller {
+    to: Vec<SocketAddr>,
+    ipv4: Option<UdpSocket>,
+    ipv6: Option<UdpSocket>,
+}
+
+impl Teller {
+    /// For these addresses.
+    ///
+    /// # Errors
+    /// When the system gives no socket.
+    pub fn new(to: Vec<SocketAddr>) -> anyhow::Result<Self> {
+        let socket = |wanted: bool, any: IpAddr| {
+            let open = || -> io::Result<UdpSocket> {
+                let socket = UdpSocket::bind((any, 0))?;
+                // Nobody waits for a network card: what it cannot take is lost, and told.
+                socket.set_nonblocking(true)?;
+                if any.is_ipv4() {
+                    socket.set_broadcast(true)?;
+                }
+                Ok(socket)
+            };
+            wanted.then(open).transpose().context("cannot open a socket for triggers")
+        };
+        let ipv4 = socket(to.iter().any(SocketAddr::is_ipv4), Ipv4Addr::UNSPECIFIED.into())?;
+        let ipv6 = socket(to.iter().any(SocketAddr::is_ipv6), Ipv6Addr::UNSPECIFIED.into())?;
+        Ok(Self { to, ipv4, ipv6 })
+    }
+
+    /// Sends one to all of them. Returns what could not be sent, a line each.
+    #[must_use]
+    pub fn tell(&self, datagram: &[u8]) -> Vec<String> {
+        let mut failed = Vec::new();
+        for to in &self.to {
+            let Some(socket) = (if to.is_ipv4() { &self.ipv4 } else { &self.ipv6 }) else {
+                continue;
+            };
+            if let Err(error) = socket.send_to(datagram, to) {
+                failed.push(format!("a trigger could not be sent to {to}: {error}"));
+            }
+        }
+        failed
+    }
+}

@@ -1,0 +1,263 @@
+//! Capture triggers at work: those that are heard start and stop takes, and our starts and stops are told.
+
+use std::{
+    net::IpAddr,
+    sync::Arc,
+    thread::JoinHandle,
+    time::{Duration, SystemTime},
+};
+
+use crossbeam_channel::{after, never, select};
+use mocapd_acquire::threads::{self, Stopped, Stopper};
+use rustix::rand::{GetRandomFlags, getrandom};
+
+use super::{
+    control::{Control, EventFeed, Mark, RefusalKind, Request, Start},
+    status::ServiceEvent,
+    trigger::{
+        self, Announcer, Listener, Queue, Quiet, Received, StopResult, TakeName, Trigger,
+        first_packet_id,
+        socket::{self, Hearing, Questions, Teller},
+    },
+};
+use crate::config::TriggerConfig;
+
+/// The threads that hear and tell.
+#[derive(Debug)]
+pub struct Triggers {
+    hearing: Option<Hearing>,
+    stopper: Stopper,
+    worker: JoinHandle<()>,
+}
+
+/// Who carries out what is heard.
+#[derive(Debug)]
+struct Worker {
+    control: Arc<dyn Control>,
+    triggers: Queue,
+    events: EventFeed,
+    announcer: Announcer,
+    teller: Option<Teller>,
+    /// The take that another program started, which need not be told of it.
+    triggered: Option<Triggered>,
+    /// Of triggers that change nothing: their sender can send a thousand a second.
+    quiet: Quiet,
+    stopped: Stopped,
+}
+
+/// What became of a trigger, in words.
+#[derive(Debug)]
+enum Outcome {
+    /// A take began, or ended.
+    Acted(String),
+    /// All is as it was.
+    Nothing(String),
+}
+
+#[derive(Debug)]
+struct Triggered {
+    take: String,
+    by: IpAddr,
+}
+
+impl Triggers {
+    /// As configured; `None` where nothing is to be heard or told.
+    ///
+    /// # Errors
+    /// When the address cannot be listened on, or the system gives no thread or socket.
+    pub fn open(
+        config: &TriggerConfig,
+        rig: &str,
+        control: &Arc<dyn Control>,
+    ) -> anyhow::Result<Option<Self>> {
+        if config.listen.is_none() && config.send_to.is_empty() {
+            return Ok(None);
+        }
+        let mut mark = [0; 8];
+        getrandom(&mut mark, GetRandomFlags::empty())?;
+        let mark = u64::from_le_bytes(mark);
+        let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+        let triggers = Queue::default();
+        let (stopper, stopped) = threads::stop();
+        let mut hearing = None;
+        if let Some(address) = config.listen {
+            let (names, takes, words) =
+                (Arc::clone(control), Arc::clone(control), Arc::clone(control));
+            let questions = Questions {
+                exists: Box::new(move |name| names.take_path(name).is_ok()),
+                recording: Box::new(move || takes.status().take.map(|take| take.name)),
+            };
+            let say = move |text: &str| words.tell("trigger", text);
+            let listener = Listener::new(config.allow_from.clone(), config.delay_max, mark);
+            let socket = socket::bind(address)?;
+            hearing = Some(socket::listen(socket, listener, questions, triggers.clone(), say)?);
+        }
+        let teller = match config.send_to.is_empty() {
+            true => None,
+            false => Some(Teller::new(config.send_to.clone())?),
+        };
+        let worker = Worker {
+            control: Arc::clone(control),
+            triggers,
+            events: control.events(),
+            announcer: Announcer::new(rig, mark, first_packet_id(now.as_secs())),
+            teller,
+            triggered: None,
+            quiet: Quiet::default(),
+            stopped,
+        };
+        let worker = threads::spawn("mocapd-triggered", move || worker.run())?;
+        Ok(Some(Self { hearing, stopper, worker }))
+    }
+
+    /// Hears and tells no more.
+    pub fn close(self) {
+        drop(self.hearing);
+        drop(self.stopper);
+        // A thread that panicked has told so already.
+        drop(self.worker.join());
+    }
+}
+
+impl Worker {
+    fn run(mut self) {
+        while !self.stopped.is_stopped() {
+            match self.triggers.take_due() {
+                Some(received) => self.carry_out(&received),
+                None => self.wait(),
+            }
+            self.announce();
+        }
+        // The end of the take that was finished when the service stopped.
+        self.announce();
+    }
+
+    /// Until a trigger comes or is due, something happens, or it is over.
+    fn wait(&mut self) {
+        let due = self.triggers.due_in().map_or_else(never, after);
+        let event = select! {
+            recv(self.events.events) -> event => event,
+            recv(self.triggers.woken()) -> _ => return,
+            recv(due) -> _ => return,
+            recv(self.stopped.channel()) -> _ => return,
+        };
+        match event {
+            Ok(event) => self.announce_event(&event),
+            // The service ends: nothing more happens, and this thread is told to end soon.
+            Err(_) => {
+                self.stopped.channel().recv().ok();
+            }
+        }
+    }
+
+    fn carry_out(&mut self, received: &Received) {
+        let note = received.trigger.note(received.from.ip());
+        let outcome = match &received.trigger {
+            Trigger::Start(start) => self.start(start, received.sender(), &note),
+            Trigger::Stop(stop) => self.stop(stop, received, &note),
+            Trigger::Complete(_) => Outcome::Nothing(note),
+        };
+        let words = match outcome {
+            Outcome::Acted(words) => Some(words),
+            Outcome::Nothing(words) => self.quiet.say(&words, self.triggers.now()),
+        };
+        if let Some(words) = words {
+            self.control.tell("trigger", &words);
+        }
+    }
+
+    fn start(&mut self, start: &trigger::Start, by: IpAddr, note: &str) -> Outcome {
+        let name = start.name.as_ref().map(|name| name.text().to_owned());
+        let start = Start { name, notes: Some(note.to_owned()), ..Start::default() };
+        match self.control.start(&start) {
+            Ok(started) => {
+                let words = format!("{note}: recording {}", started.name);
+                self.triggered = Some(Triggered { take: started.name, by });
+                Outcome::Acted(words)
+            }
+            Err(refusal) => Outcome::Nothing(format!("{note}: not started: {refusal}")),
+        }
+    }
+
+    fn stop(&self, stop: &trigger::Stop, received: &Received, note: &str) -> Outcome {
+        let name = stop.name.as_ref().map(TakeName::text);
+        let was_recording = received.recording.as_deref();
+        let recording = self.control.status().take.map(|take| take.name);
+        // A stop that means no take that is being recorded can mean a start that waits.
+        let of_waiting = |otherwise: String| match self.triggers.cancel_starts(received.from, name)
+        {
+            0 => Outcome::Nothing(format!("{note}: {otherwise}")),
+            n => Outcome::Acted(format!("{note}: starts that waited, now cancelled: {n}")),
+        };
+        let Some(recording) = recording.as_deref() else {
+            return of_waiting(match was_recording {
+                Some(was) => format!("{was} was over already"),
+                None => "no take is being recorded".to_owned(),
+            });
+        };
+        if name.is_some_and(|name| name != recording) {
+            return of_waiting(format!("another take is being recorded, {recording}: it goes on"));
+        }
+        // Without a name the take is meant that was being recorded when the trigger came, and no later one. Where there
+        // was none, its sender can only mean a start of its own, which came before it and was not carried out yet.
+        match was_recording.filter(|_| name.is_none()) {
+            Some(was) if was != recording => {
+                return Outcome::Nothing(format!("{note}: {was} was over already"));
+            }
+            None if name.is_none() && !self.is_started_by(recording, received.sender()) => {
+                let goes_on =
+                    format!("no take was being recorded when it came: {recording} goes on");
+                return of_waiting(goes_on);
+            }
+            _ => {}
+        }
+        // A take that cannot be marked can be stopped.
+        self.control.mark(&Mark { text: note.to_owned(), ..Mark::default() }).ok();
+        match self.control.stop(&Request::default()) {
+            Ok(stopped) => Outcome::Acted(format!("{note}: stopped {}", stopped.name)),
+            Err(refusal) if refusal.kind == RefusalKind::Conflict => {
+                Outcome::Nothing(format!("{note}: it was over already"))
+            }
+            // The take may have ended, and with a loss: whoever reads the log must not miss it.
+            Err(refusal) => Outcome::Acted(format!("{note}: not stopped: {refusal}")),
+        }
+    }
+
+    fn is_started_by(&self, take: &str, sender: IpAddr) -> bool {
+        self.triggered.as_ref().is_some_and(|started| started.take == take && started.by == sender)
+    }
+
+    fn announce(&mut self) {
+        while let Some(event) = self.events.next(Duration::ZERO) {
+            self.announce_event(&event);
+        }
+    }
+
+    fn announce_event(&mut self, event: &ServiceEvent) {
+        let Some(name) = event.take.as_deref() else { return };
+        if self.triggered.as_ref().is_some_and(|started| started.take == name) {
+            return;
+        }
+        for datagram in self.datagrams(event, name) {
+            let failed = self.teller.as_ref().map(|teller| teller.tell(&datagram));
+            for words in failed.unwrap_or_default() {
+                self.control.tell("warning", &words);
+            }
+        }
+    }
+
+    fn datagrams(&mut self, event: &ServiceEvent, name: &str) -> Vec<Vec<u8>> {
+        let Some(name) = TakeName::of(name) else { return Vec::new() };
+        let Self { announcer, teller: Some(_), .. } = self else { return Vec::new() };
+        match event.kind.as_str() {
+            "take-started" => {
+                vec![announcer.start(&name, event.notes.as_deref().unwrap_or_default())]
+            }
+            "take-stopped" => {
+                vec![announcer.stop(&name, &StopResult::Success), announcer.complete(&name)]
+            }
+            "failure" => vec![announcer.stop(&name, &StopResult::Fail)],
+            _ => Vec::new(),
+        }
+    }
+}
