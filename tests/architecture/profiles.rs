@@ -12,5 +12,9 @@ fn development(manifest: &str) -> Value {
 /// every dependency once more.
 #[test]
 fn the_fuzz_targets_take_what_the_workspace_has_built() {
-    assert_eq!(development("fuzz/Cargo.toml"), development("Cargo.toml"));
+    let mut workspace = development("Cargo.toml");
+    // The fuzz targets do without the command line: cargo warns of a profile for a crate that is not there.
+    let packages = workspace["package"].as_table_mut().unwrap();
+    assert!(packages.remove("mocapd").is_some());
+    assert_eq!(development("fuzz/Cargo.toml"), workspace);
 }
