@@ -8,7 +8,6 @@
 )]
 
 mod ahead;
-mod architecture;
 mod cli;
 mod kills;
 mod phases;

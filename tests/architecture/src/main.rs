@@ -1,0 +1,64 @@
+//! Prints the structure's figures, by crate: `cargo run -p mocapd-architecture -- [--all] [CHECKOUT]`.
+//!
+//! With `--all` it names every function over a limit, and every circle of files.
+
+#![expect(clippy::print_stdout, reason = "it is a report")]
+
+use std::{collections::BTreeMap, fs, io, path::PathBuf};
+
+use mocapd_architecture::{cycles, product_sources, root, structure};
+
+fn main() -> io::Result<()> {
+    let arguments = std::env::args().skip(1);
+    let (flags, folders): (Vec<_>, Vec<_>) = arguments.partition(|argument| argument == "--all");
+    let tells_all = !flags.is_empty();
+    let root = folders.first().map_or_else(root, PathBuf::from);
+    let read =
+        |path: PathBuf| Ok((path.display().to_string(), fs::read_to_string(root.join(path))?));
+    let sources = product_sources(&root).into_iter().map(read).collect::<io::Result<Vec<_>>>()?;
+    println!(
+        "crate               files  under 60   code lines  over 80 lines  over 6 values  circles"
+    );
+    let mut sum = [0; 6];
+    for (name, figures) in structure::figures(&sources) {
+        let circles = cycles::cycles(&cycles::graph(&files_of(&sources, &name)));
+        let row = [
+            figures.files,
+            figures.small_files,
+            figures.code_lines,
+            figures.long_functions.len(),
+            figures.wide_functions.len(),
+            circles.len(),
+        ];
+        print_row(&name, row);
+        for (sum, value) in sum.iter_mut().zip(row) {
+            *sum += value;
+        }
+        if tells_all {
+            for line in figures.long_functions.iter().chain(&figures.wide_functions) {
+                println!("    {line}");
+            }
+            for circle in circles {
+                println!("    circle of {}: {}", circle.len(), circle.join(" "));
+            }
+        }
+    }
+    print_row("sum", sum);
+    Ok(())
+}
+
+fn print_row(name: &str, row: [usize; 6]) {
+    let [files, small, lines, long, wide, circles] = row;
+    println!("{name:18}{files:7}{small:10}{lines:13}{long:15}{wide:15}{circles:9}");
+}
+
+/// The files of one crate, by their path below its `src`.
+fn files_of(sources: &[(String, String)], name: &str) -> BTreeMap<String, String> {
+    let files = sources.iter().filter(|(path, _)| structure::crate_of(path) == name);
+    files
+        .map(|(path, text)| {
+            let (_, below) = path.split_once("src/").unwrap_or_default();
+            (below.to_owned(), text.clone())
+        })
+        .collect()
+}
