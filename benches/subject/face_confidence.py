@@ -1,6 +1,6 @@
 """What the confidence of a whole face has learned (`points/confidence.rs`): how much each piece of evidence counts.
 
-    MOCAPD_FACES=... cargo run --release -p mocapd-subject --example faces_points confidence > ROWS
+    MOCAPD_FACES=... cargo run --release -p mocapd-face --example faces_points confidence > ROWS
     python3 benches/subject/face_confidence.py ROWS
 
 Needs numpy. ROWS are development photographs and drawn faces, each begun from places more and less beside it and from where

@@ -1,9 +1,9 @@
-"""Where the landmarks of a face lie at first sight: `subject/data/face-glance.bin`, three linear regressions.
+"""Where the landmarks of a face lie at first sight: `subject/face/data/face-glance.bin`, three linear regressions.
 
     python3 benches/subject/heads/make.py DATA targets.npz HEADS 0 5000             # random heads
     python3 benches/subject/heads/make.py DATA targets.npz HEADS 10000 10500 80     # turned ones
-    cargo build --release --locked -p mocapd-subject --example face_glance
-    python3 benches/subject/face_glance.py HEADS subject/data/face-glance.bin
+    cargo build --release --locked -p mocapd-face --example face_glance
+    python3 benches/subject/face_glance.py HEADS subject/face/data/face-glance.bin
     python3 benches/subject/face_glance.py HEADS held                                # how far off when held out
 
 Needs numpy; `face_glance` tells how each head looks, begun from eyes and mouth disturbed four times. Ridge regressions (Xiong and

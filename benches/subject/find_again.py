@@ -3,8 +3,8 @@
     python3 benches/subject/heads/make.py DATA targets.npz WORK/heads 2000 5000        # random heads, harder ones
     python3 benches/subject/find_animals.py STAMPS WORK                                # pictures of animals and things
     python3 benches/subject/find_photographs.py RESOURCES WORK                         # whole photographs without faces
-    cargo build --release --locked -p mocapd-subject --example faces_found
-    python3 benches/subject/find_again.py WORK > subject/src/face/find/second_trees.rs # then build again
+    cargo build --release --locked -p mocapd-face --example faces_found
+    python3 benches/subject/find_again.py WORK > subject/face/src/find/second_trees.rs # then build again
     python3 benches/subject/find_again.py WORK held [MORE...]                          # what is found when held out
 
 Needs what `find_looks.py` needs, its pictures (`find_pictures.py`, heads/make.py, what it made itself of those without

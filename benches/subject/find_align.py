@@ -1,7 +1,7 @@
 """Where eyes and mouth are, by how a face looks: `find/align_first.rs` and, learned on what that gives, `find/align_second.rs`.
 
-    python3 benches/subject/find_align.py WORK first > subject/src/face/find/align_first.rs     # then build again
-    python3 benches/subject/find_align.py WORK second > subject/src/face/find/align_second.rs   # then build again
+    python3 benches/subject/find_align.py WORK first > subject/face/src/find/align_first.rs     # then build again
+    python3 benches/subject/find_align.py WORK second > subject/face/src/find/align_second.rs   # then build again
     python3 benches/subject/find_align.py WORK second held       # or first: how far off they are when held out
 
 Needs what `find_looks.py` needs, and its pictures. Ridge regressions from a look, and its mirror image, to how far eyes and

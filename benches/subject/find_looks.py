@@ -1,6 +1,6 @@
 """The trees of `face/find` that tell a face from what only fits the template, as `find/look_trees.rs`.
 
-    FIND=subject/src/face/find BUILD="cargo build --release --locked -p mocapd-subject --example faces_found"
+    FIND=subject/face/src/find BUILD="cargo build --release --locked -p mocapd-face --example faces_found"
     $BUILD && python3 benches/subject/find_pictures.py $MOCAPD_FACES WORK              # pictures with known faces
     python3 benches/subject/heads/make.py DATA targets.npz WORK/heads 0 2000           # random heads
     python3 benches/subject/find_align.py WORK first > $FIND/align_first.rs && $BUILD

@@ -3,7 +3,7 @@
     python3 benches/subject/find_pictures.py $MOCAPD_FACES WORK
 
 Needs numpy, scipy, pillow, scikit-image and scikit-learn (whose own sample pictures are used), and
-`cargo build --release -p mocapd-subject --example faces_found`. WORK is a folder for pictures that are made; where faces
+`cargo build --release -p mocapd-face --example faces_found`. WORK is a folder for pictures that are made; where faces
 are on them is in WORK/truth.json. `find_template.py`, `find_align.py`, `find_looks.py` and `find_again.py` learn from
 these.
 

@@ -1,7 +1,7 @@
 """The template of `face/find`: what slopes at each place of a face speak for it, as `find/template_weights.rs`.
 
     python3 benches/subject/find_pictures.py $MOCAPD_FACES WORK  # pictures, and where faces are on them
-    python3 benches/subject/find_template.py WORK > subject/src/face/find/template_weights.rs
+    python3 benches/subject/find_template.py WORK > subject/face/src/find/template_weights.rs
 
 Needs what `find_pictures.py` needs, whose pictures it learns from: the development photographs as they are, the 100 faces and
 100 other pieces of scikit-image's subset of LFW, drawn faces, and pictures without faces. Two logistic functions, frontal

@@ -1,5 +1,5 @@
 """How thick a leg is round the knee, and an arm round elbow and wrist: learns the mean and the ways in which limbs differ, and
-writes subject/src/body/locate/girth_weights.rs. Part of learn.py."""
+writes subject/body/src/locate/girth_weights.rs. Part of learn.py."""
 
 import dataclasses
 

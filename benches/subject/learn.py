@@ -1,9 +1,9 @@
-"""Learns where joints are among the landmarks, and writes subject/src/body/locate/weights.rs; before that how thick a leg is
+"""Learns where joints are among the landmarks, and writes subject/body/src/locate/weights.rs; before that how thick a leg is
 round the knee and an arm round elbow and wrist (girth.py), for the landmarks are placed by it.
 
     MOCAPD_BODIES=... python3 benches/subject/learn.py
 
-A joint is a weighted mean of landmarks (subject/src/body/locate/landmark.rs) with weights that add up to one, so that it
+A joint is a weighted mean of landmarks (subject/body/src/locate/landmark.rs) with weights that add up to one, so that it
 moves, turns and grows with the body. The weights are a ridge regression on the shapes mavg and favg, and on no other; the
 same weights serve the left and the right.
 
@@ -20,8 +20,8 @@ import numpy as np
 import girth
 
 PROJECT = pathlib.Path(__file__).resolve().parents[2]
-WEIGHTS = PROJECT / "subject/src/body/locate/weights.rs"
-GIRTH = PROJECT / "subject/src/body/locate/girth_weights.rs"
+WEIGHTS = PROJECT / "subject/body/src/locate/weights.rs"
+GIRTH = PROJECT / "subject/body/src/locate/girth_weights.rs"
 SHAPES = ["mh_mavg", "mh_favg"]
 
 # Joint, its name in the truth (with .L and .R if there are two), ridge, and which landmarks: part, first, one past the last.
@@ -39,7 +39,7 @@ JOINTS = [
 
 
 def landmarks():
-    command = ["cargo", "run", "--release", "-q", "-p", "mocapd-subject", "--example", "body_landmarks", "--", *SHAPES]
+    command = ["cargo", "run", "--release", "-q", "-p", "mocapd-body", "--example", "body_landmarks", "--", *SHAPES]
     lines = subprocess.run(command, cwd=PROJECT, check=True, capture_output=True, text=True).stdout.splitlines()
     return [json.loads(line) for line in lines]
 

@@ -3,7 +3,7 @@
     python3 benches/subject/skin.py $MOCAPD_FACES
 
 Needs numpy and pillow. Skin is what lies inside the outline of a face's landmarks (jaw and brows) and outside of its eyes,
-brows and lips. Every face counts the same, however large it is. What is printed stands in subject/src/face/paper/skin.rs.
+brows and lips. Every face counts the same, however large it is. What is printed stands in subject/face/src/paper/skin.rs.
 """
 
 import json

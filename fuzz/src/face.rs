@@ -1,6 +1,6 @@
 //! Bytes of anybody as a photograph, and as what is kept of a face.
 
-use mocapd_subject::face::{
+use mocapd_face::{
     Photo,
     fitted::FittedFace,
     mapping::Mapping,

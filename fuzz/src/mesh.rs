@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use mocapd_subject::body::{
+use mocapd_body::{
     Unit,
     read::read,
     repair::{FACES_KEPT_MAX, repair},

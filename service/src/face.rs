@@ -2,8 +2,8 @@
 
 use std::collections::HashMap;
 
+use mocapd_face::mapping::{Mapping, Scaling};
 use mocapd_report::labels;
-use mocapd_subject::face::mapping::{Mapping, Scaling};
 use mocapd_take::{motion::Position, record::Subject};
 
 use super::live::LiveFace;

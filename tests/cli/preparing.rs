@@ -2,14 +2,12 @@
 
 use std::fmt::Write;
 
-use mocapd_subject::{
-    body::{
-        Joint, Joints, Mesh, Side,
-        generate::{Options, Pose, body},
-        skeleton::Skeleton,
-    },
-    face::{fitted::FittedFace, render::Scene},
+use mocapd_body::{
+    Joint, Joints, Mesh, Side,
+    generate::{Options, Pose, body},
+    skeleton::Skeleton,
 };
+use mocapd_face::{fitted::FittedFace, render::Scene};
 
 use super::Folder;
 
@@ -115,7 +113,7 @@ fn a_photograph_becomes_a_face() {
     let face = String::from_utf8(folder.read("f.json")).unwrap();
     let face = FittedFace::from_json(&face).unwrap();
     let truth = &picture.faces[0];
-    let off = |point: &mocapd_subject::face::fitted::Point| {
+    let off = |point: &mocapd_face::fitted::Point| {
         let [x, y] = truth.at(point.id);
         (point.xy_px[0] - x).hypot(point.xy_px[1] - y) / 90.0
     };

@@ -30,7 +30,7 @@ def main():
     parser.add_argument("--pictures", type=Path, help="folder for what was seen; without it they are thrown away")
     parser.add_argument("--mocapd", type=Path, help="the daemon; without it only the page is tested")
     parser.add_argument("--mocapd-sim", type=Path, help="the simulated device")
-    parser.add_argument("--drawn-subject", type=Path, help="what the example drawn_subject of mocapd-subject wrote")
+    parser.add_argument("--drawn-subject", type=Path, help="what the example drawn_subject of mocapd-testkit wrote")
     parser.add_argument("--takes", type=Path, help="recorded takes; without them there is no face with markers on it")
     parser.add_argument("--picture", type=Path, help="write the picture of the documentation there")
     parser.add_argument("--only", default="", help="checks whose name has this in it")

@@ -1,6 +1,6 @@
 //! A limb that is cut off is left out, or its joints state how uncertain they are.
 
-use mocapd_subject::body::{
+use mocapd_body::{
     Joint, Joints, Mesh, Refusal, Side, Survey,
     generate::{Cut, Options, Part, Pose, body, cut_limb},
     read::{Format, Scan},
@@ -35,7 +35,7 @@ fn far_and_sure(survey: &Survey, truth: &Joints, stature: f64) -> Vec<(Joint, f6
     };
     let errors = |swapped: bool| {
         let found = survey.joints.estimates.iter();
-        let error = move |(joint, found): (&Joint, &mocapd_subject::body::Estimate)| {
+        let error = move |(joint, found): (&Joint, &mocapd_body::Estimate)| {
             let joint = if swapped { of(*joint) } else { *joint };
             let [a, b] = [truth.estimates[&joint].position, found.position];
             let error = (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt();

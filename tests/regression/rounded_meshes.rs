@@ -1,6 +1,6 @@
 //! A closed body stays a body when its vertices are rounded, or lie in one place.
 
-use mocapd_subject::body::{
+use mocapd_body::{
     Mesh, Survey,
     generate::{Options, Pose, body},
     read::{Format, Scan},

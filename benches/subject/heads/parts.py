@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "subject/data/build"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "subject/face/data/build"))
 from decimate import mirror_of  # noqa: E402
 from features import LANDMARKS, LID_RING, complete  # noqa: E402
 from people import Head, expressions, random_identity, sliders  # noqa: E402

@@ -1,6 +1,6 @@
 //! Small photographs in every format, and what is kept of a face.
 
-use mocapd_subject::face::{
+use mocapd_face::{
     fitted::{FittedFace, Method, Point, Source},
     mapping::Mapping,
     model::{FeatureId, Model},

@@ -1,6 +1,6 @@
 //! Small meshes in every format, and skeletons.
 
-use mocapd_subject::body::{
+use mocapd_body::{
     Joints, Mesh, Repaired, Unit,
     generate::{Options, Pose, body},
     skeleton::{Method, ScanJoints, Skeleton, Source},

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Context, anyhow, ensure};
-use mocapd_subject::face::mapping::{Mapping, MappingError, Marker, Place};
+use mocapd_face::mapping::{Mapping, MappingError, Marker, Place};
 use mocapd_take::record::Subject;
 use serde::{Deserialize, Serialize};
 
@@ -44,8 +44,7 @@ pub struct Face {
 /// # Errors
 /// What is wrong with it.
 pub fn mapping(data: &[u8]) -> anyhow::Result<Mapping> {
-    const WHERE: &str =
-        "docs/subject-face-format.md has the format, subject/data/singing-face-mapping.json is one";
+    const WHERE: &str = "docs/subject-face-format.md has the format, subject/face/data/singing-face-mapping.json is one";
     let text = std::str::from_utf8(data)
         .with_context(|| format!("not a mapping of markers to a face ({WHERE}): no text"))?;
     Mapping::from_json(text).map_err(|error| match error {

@@ -134,7 +134,7 @@ impl Faces {
             return Some(
                 "the take has a face, and nothing says which marker sits where on it, so it is not drawn: `import` and \
                  `record` take such a mapping with --face-markers (docs/subject-face-format.md; \
-                 subject/data/singing-face-mapping.json is that of a public recording of a singing face)",
+                 subject/face/data/singing-face-mapping.json is that of a public recording of a singing face)",
             );
         }
         self.front.is_none().then_some(

@@ -10,7 +10,7 @@ use std::{
 
 use anyhow::{Context, bail};
 use mocapd::outcome::{Outcome, UsageError};
-use mocapd_subject::body::{
+use mocapd_body::{
     Repaired, Survey, Unit, read, repair,
     skeleton::{Method, ScanJoints, Skeleton, Source},
 };

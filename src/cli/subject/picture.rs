@@ -1,6 +1,6 @@
 //! What a picture of a scan shows, out of what was found.
 
-use mocapd_subject::body::{
+use mocapd_body::{
     Repaired, Survey,
     picture::{Drawing, svg},
     skeleton::{Method, Skeleton},

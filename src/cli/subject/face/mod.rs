@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail};
 use mocapd::outcome::{Outcome, UsageError};
-use mocapd_subject::face::{
+use mocapd_face::{
     Photo,
     fit::{NoFace, fit},
     fitted::{FittedFace, Method, Overlay, Source},

@@ -1,6 +1,6 @@
 //! What `subject face` says of the faces that it fitted.
 
-use mocapd_subject::face::{fitted::FittedFace, model::OUTER_EYES_MM, points::FAINT};
+use mocapd_face::{fitted::FittedFace, model::OUTER_EYES_MM, points::FAINT};
 
 use crate::cli::numbers::count;
 

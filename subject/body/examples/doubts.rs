@@ -1,0 +1,41 @@
+//! Counts the doubts and refusals of whole generated bodies, in every pose: none of them is due.
+//!
+//!     cargo run --release -p mocapd-body --example doubts [-- FIRST_SEED LAST_SEED]
+//!
+//! A line is printed for each body that is refused or gets a note, and a line of counts for each pose.
+#![expect(clippy::print_stdout, reason = "what an example is for")]
+
+use std::collections::BTreeMap;
+use std::error::Error;
+
+use mocapd_body::Survey;
+use mocapd_body::generate::{Options, Pose, body};
+use mocapd_body::skeleton::Method;
+
+/// Seeds that no threshold was chosen on.
+const SEEDS: [u64; 2] = [100, 160];
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let mut seeds = SEEDS;
+    for (given, seed) in std::env::args().skip(1).zip(&mut seeds) {
+        *seed = given.parse()?;
+    }
+    for pose in Pose::ALL {
+        let mut count = BTreeMap::<&str, u32>::new();
+        for seed in seeds[0]..=seeds[1] {
+            let (mesh, _) = body(seed, pose, Options::default());
+            let codes = match Survey::new(&mesh, Method::Default) {
+                Ok(survey) => survey.notes.iter().map(|note| note.code).collect(),
+                Err(refusal) => vec!["refused", refusal.code()],
+            };
+            if !codes.is_empty() {
+                println!("{pose:?} {seed}: {}", codes.join(", "));
+            }
+            for code in if codes.is_empty() { vec!["no doubt"] } else { codes } {
+                *count.entry(code).or_default() += 1;
+            }
+        }
+        println!("{pose:?}: {count:?}");
+    }
+    Ok(())
+}

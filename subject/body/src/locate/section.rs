@@ -1,0 +1,151 @@
+//! The level-set curves of a distance field, all at once.
+
+use nalgebra::Vector3;
+
+use crate::Mesh;
+
+/// Distance between two levels, in body scales.
+pub(super) const STEP: f64 = 0.006;
+/// How many levels there are: up to 1.08 body scales from the end, which is past the other end of the trunk.
+pub(super) const LEVELS: usize = 180;
+
+/// The level-set curves round one end of the body, in body scales: level `i` is `(i + 1) * STEP` from the end.
+#[derive(Debug, Clone)]
+pub struct Sections {
+    /// Length of the whole curve at each level.
+    pub perimeter: Vec<f64>,
+    /// Where the curve's middle is, weighted by its length and by the weights of the vertices that it passes.
+    pub centre: Vec<Vector3<f64>>,
+}
+
+#[derive(Clone, Copy, Default)]
+struct Sum {
+    perimeter: f64,
+    weight: f64,
+    moment: Vector3<f64>,
+}
+
+#[derive(Clone, Copy)]
+struct Corner {
+    level: f64,
+    weight: f64,
+    position: Vector3<f64>,
+}
+
+impl Sections {
+    /// Cuts `mesh` by `field` (mesh's unit, one value a vertex; infinite where the end cannot be reached): (3) and (4) of
+    /// (Yu et al. 2008), with the points of a curve weighted by its length, so that the size of triangles does not matter.
+    ///
+    /// `weights`, one a vertex, are 0 where the surface belongs to another limb. Levels farther than `reach` from the end,
+    /// in body scales, are not cut: there are no curves. Nothing if no level has a curve.
+    pub(super) fn new(
+        mesh: &Mesh,
+        field: &[f64],
+        weights: &[f64],
+        scale: f64,
+        reach: f64,
+    ) -> Option<Self> {
+        let mut sums = vec![Sum::default(); LEVELS];
+        let end = ((reach / STEP).ceil() as usize).min(LEVELS);
+        let vertices = 0..mesh.positions.len();
+        let corners: Vec<Option<Corner>> =
+            vertices.map(|vertex| corner(mesh, field, weights, vertex, scale)).collect();
+        for triangle in &mesh.triangles {
+            let corner = |vertex: u32| corners.get(vertex as usize).copied().flatten();
+            let [Some(a), Some(b), Some(c)] = triangle.map(corner) else { continue };
+            if a.level.min(b.level).min(c.level) < end as f64 {
+                cut([a, b, c], &mut sums[..end]);
+            }
+        }
+        let perimeter: Vec<f64> = sums.iter().map(|sum| sum.perimeter).collect();
+        let mut found = sums.iter().filter(|sum| sum.weight > 0.0);
+        let mut last = found.next().map(|sum| sum.moment / sum.weight)?;
+        let centre: Vec<Vector3<f64>> = sums
+            .iter()
+            .map(|sum| {
+                // A level without a curve takes the one before: nothing may fall to the origin.
+                if sum.weight > 0.0 {
+                    last = sum.moment / sum.weight;
+                }
+                last
+            })
+            .collect();
+        Some(Self {
+            perimeter: smoothed(&perimeter, &[1.0, 2.0, 3.0, 2.0, 1.0]),
+            centre: smoothed(&centre, &[1.0, 2.0, 1.0]),
+        })
+    }
+
+    /// The middle of the curve at `level`, in body scales; between two levels, between their middles.
+    pub(super) fn centre_at(&self, level: f64) -> Vector3<f64> {
+        let at = (level / STEP - 1.0).clamp(0.0, (LEVELS - 1) as f64 - 1e-9);
+        let (below, part) = (at.floor() as usize, at.fract());
+        match self.centre.get(below..below + 2) {
+            Some([low, high]) => low.lerp(high, part),
+            _ => Vector3::zeros(),
+        }
+    }
+}
+
+/// Where level `index` is, in body scales.
+pub(super) fn level(index: usize) -> f64 {
+    (index + 1) as f64 * STEP
+}
+
+fn corner(
+    mesh: &Mesh,
+    field: &[f64],
+    weights: &[f64],
+    vertex: usize,
+    scale: f64,
+) -> Option<Corner> {
+    let position = Vector3::from(*mesh.positions.get(vertex)?) / scale;
+    let level = field.get(vertex)? / (scale * STEP);
+    let weight = *weights.get(vertex)?;
+    level.is_finite().then_some(Corner { level, weight, position })
+}
+
+/// Adds the pieces of the curves in one triangle: one for each whole number in `(least, greatest]` of its corners.
+fn cut(mut corners: [Corner; 3], sums: &mut [Sum]) {
+    corners.sort_by(|one, other| one.level.total_cmp(&other.level));
+    let [low, middle, high] = corners;
+    // The first level is 1, at index 0.
+    let first = low.level.floor().max(0.0) as usize;
+    let end = (high.level.floor().max(0.0) as usize).min(sums.len());
+    for (index, sum) in sums.iter_mut().enumerate().take(end).skip(first) {
+        let at = (index + 1) as f64;
+        let from = between(low, high, at);
+        let to =
+            if middle.level < at { between(middle, high, at) } else { between(low, middle, at) };
+        let length = (from.0 - to.0).norm();
+        let weight = length * f64::midpoint(from.1, to.1);
+        sum.perimeter += length;
+        sum.weight += weight;
+        sum.moment += (from.0 + to.0) * (weight / 2.0);
+    }
+}
+
+/// The point of the side from `low` to `high` where the field is `level`, and its weight.
+fn between(low: Corner, high: Corner, level: f64) -> (Vector3<f64>, f64) {
+    let span = high.level - low.level;
+    let part = if span > 0.0 { ((level - low.level) / span).clamp(0.0, 1.0) } else { 0.0 };
+    (low.position.lerp(&high.position, part), low.weight + (high.weight - low.weight) * part)
+}
+
+/// `values` under a symmetric kernel of odd length; beyond the ends the end value goes on.
+fn smoothed<T>(values: &[T], kernel: &[f64]) -> Vec<T>
+where
+    T: Copy + std::ops::Add<Output = T> + std::ops::Mul<f64, Output = T>,
+{
+    let (reach, total) = (kernel.len() / 2, kernel.iter().sum::<f64>());
+    let at = |index: usize| values.get(index.clamp(reach, values.len() + reach - 1) - reach);
+    (0..values.len())
+        .filter_map(|index| {
+            let mut terms = kernel.iter().enumerate().filter_map(|(offset, weight)| {
+                at(index + offset).map(|value| *value * (weight / total))
+            });
+            let first = terms.next()?;
+            Some(terms.fold(first, |sum, term| sum + term))
+        })
+        .collect()
+}

@@ -1,0 +1,170 @@
+//! A whole body of capsules.
+
+use nalgebra::{Rotation3, Vector3};
+
+use super::voxels::{Capsule, surface};
+use crate::extremity::Extremities;
+use crate::generate::{Options, Pose, body};
+use crate::geodesic::{Adjacency, Graph, Workspace, distances};
+use crate::locate::{Landmarks, joints as joints_among, settle};
+use crate::skeleton::Method;
+use crate::{Joint, Joints, Mesh, Side, Survey};
+
+type Point = Vector3<f64>;
+
+const STATURE: f64 = 1.72;
+
+/// Somebody who looks along z, head along y: the left is at positive x. The left elbow and the left knee bend.
+fn joints() -> Vec<(Joint, Point)> {
+    let both = |joint: fn(Side) -> Joint, [x, y, z]: [f64; 3]| {
+        [(joint(Side::Left), Point::new(x, y, z)), (joint(Side::Right), Point::new(-x, y, z))]
+    };
+    let mut joints = vec![
+        (Joint::Elbow(Side::Left), Point::new(0.40, 1.26, 0.0)),
+        (Joint::Wrist(Side::Left), Point::new(0.52, 1.30, 0.22)),
+        (Joint::Elbow(Side::Right), Point::new(-0.40, 1.26, 0.0)),
+        (Joint::Wrist(Side::Right), Point::new(-0.58, 1.14, 0.14)),
+        (Joint::Knee(Side::Left), Point::new(0.12, 0.64, 0.32)),
+        (Joint::Ankle(Side::Left), Point::new(0.13, 0.26, 0.12)),
+        (Joint::Knee(Side::Right), Point::new(-0.14, 0.49, 0.02)),
+        (Joint::Ankle(Side::Right), Point::new(-0.16, 0.08, 0.0)),
+    ];
+    joints.extend(both(Joint::Shoulder, [0.18, 1.40, 0.0]));
+    joints.extend(both(Joint::Hip, [0.10, 0.90, 0.0]));
+    joints
+}
+
+fn capsules() -> Vec<Capsule> {
+    let joints = joints();
+    let at = |joint: Joint| joints.iter().find(|(name, _)| *name == joint).unwrap().1;
+    let mut body = vec![
+        (Point::new(0.0, 1.62, 0.02), Point::new(0.0, 1.66, 0.02), 0.085, 0.085),
+        (Point::new(0.0, 1.40, 0.0), Point::new(0.0, 1.62, 0.02), 0.055, 0.055),
+        (Point::new(0.07, 1.30, 0.0), Point::new(0.05, 1.02, 0.0), 0.11, 0.10),
+        (Point::new(-0.07, 1.30, 0.0), Point::new(-0.05, 1.02, 0.0), 0.11, 0.10),
+        (Point::new(0.06, 0.97, 0.0), Point::new(-0.06, 0.97, 0.0), 0.11, 0.11),
+    ];
+    for side in [Side::Left, Side::Right] {
+        let [shoulder, elbow, wrist] =
+            [Joint::Shoulder(side), Joint::Elbow(side), Joint::Wrist(side)].map(at);
+        let [hip, knee, ankle] = [Joint::Hip(side), Joint::Knee(side), Joint::Ankle(side)].map(at);
+        let hand = wrist + (wrist - elbow).normalize() * 0.09;
+        let toes = ankle + Point::new(0.0, -0.04, 0.17);
+        body.extend([
+            (Point::new(0.0, 1.38, 0.0), shoulder, 0.07, 0.06),
+            (shoulder, elbow, 0.055, 0.042),
+            (elbow, wrist, 0.042, 0.028),
+            (hand, wrist + (hand - wrist) * 0.6, 0.042, 0.045),
+            (wrist, hand, 0.028, 0.04),
+            (hip, knee, 0.085, 0.055),
+            (knee, ankle, 0.055, 0.038),
+            (ankle - Point::new(0.0, 0.02, 0.02), toes, 0.042, 0.03),
+        ]);
+    }
+    body
+}
+
+/// The vertices that are farthest out in the directions of the ends.
+fn ends(mesh: &Mesh) -> Extremities {
+    let joints = joints();
+    let at = |joint: Joint| joints.iter().find(|(name, _)| *name == joint).unwrap().1;
+    let farthest = |from: Point, to: Point| {
+        let way = |vertex: &[f64; 3]| {
+            let at = Point::from(*vertex) - to;
+            at.dot(&(to - from).normalize()) - 2.0 * (at.norm() - 0.15).max(0.0)
+        };
+        let all = (0..).zip(&mesh.positions);
+        all.max_by(|one, other| way(one.1).total_cmp(&way(other.1))).unwrap().0
+    };
+    let hand = |side| farthest(at(Joint::Elbow(side)), at(Joint::Wrist(side)));
+    let foot = |side| {
+        let ankle = at(Joint::Ankle(side));
+        farthest(ankle, ankle + Point::z() * 0.1)
+    };
+    Extremities {
+        head: farthest(Point::zeros(), Point::new(0.0, 1.7, 0.0)),
+        hands: [hand(Side::Left), hand(Side::Right)],
+        feet: [foot(Side::Left), foot(Side::Right)],
+    }
+}
+
+fn found(mesh: &Mesh, ends: &Extremities) -> Option<Joints> {
+    let graph = Graph::with_short_cuts(mesh, &Adjacency::new(mesh).ok()?);
+    let mut workspace = Workspace::default();
+    let fields = ends.all().map(|end| distances(&graph, end, &mut workspace));
+    let settled = settle(&graph, ends, fields, &[], &mut workspace);
+    Some(joints_among(&Landmarks::new(mesh, &settled.fields())?))
+}
+
+#[test]
+fn joints_of_a_body_of_capsules_are_found_on_their_sides() {
+    let mesh = surface(&capsules());
+    let found = found(&mesh, &ends(&mesh)).unwrap();
+    assert!(found.sides_told);
+    assert_eq!(found.estimates.len(), 15);
+    let mut errors: Vec<(f64, Joint)> = joints()
+        .into_iter()
+        .map(|(joint, at)| {
+            let position = Point::from(found.estimates[&joint].position);
+            ((position - at).norm() / STATURE, joint)
+        })
+        .collect();
+    errors.sort_by(|one, other| other.0.total_cmp(&one.0));
+    let mean = errors.iter().map(|error| error.0).sum::<f64>() / errors.len() as f64;
+    // A body of capsules is nobody: no muscles, no heels, hips in the middle of thighs.
+    assert!(mean < 0.025 && errors[0].0 < 0.06, "{mean} {errors:?}");
+    assert!(found.estimates.values().all(|one| (0.002..0.1).contains(&one.sigma)));
+}
+
+#[test]
+fn joints_turn_and_grow_with_the_body() {
+    let mesh = surface(&capsules());
+    let ends = ends(&mesh);
+    let turn = Rotation3::from_euler_angles(0.4, 2.0, -1.1);
+    let place = |at: [f64; 3]| (turn * Point::from(at)) * 1000.0 + Point::new(5e3, -2e4, 7.0);
+    let positions = mesh.positions.iter().map(|at| place(*at).into()).collect();
+    let turned = Mesh { positions, triangles: mesh.triangles.clone() };
+    let (before, after) = (found(&mesh, &ends).unwrap(), found(&turned, &ends).unwrap());
+    assert_eq!(before.sides_told, after.sides_told);
+    for (joint, estimate) in &before.estimates {
+        let apart = Point::from(after.estimates[joint].position) - place(estimate.position);
+        assert!(apart.norm() / 1000.0 < 1e-6 * STATURE, "{joint:?} {apart}");
+        assert!((after.estimates[joint].sigma / 1000.0 - estimate.sigma).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn the_first_hand_may_be_either() {
+    let mesh = surface(&capsules());
+    let Extremities { head, hands: [a, b], feet: [c, d] } = ends(&mesh);
+    let one = found(&mesh, &Extremities { head, hands: [a, b], feet: [c, d] }).unwrap();
+    let other = found(&mesh, &Extremities { head, hands: [b, a], feet: [d, c] }).unwrap();
+    for (joint, estimate) in &one.estimates {
+        let apart = Point::from(other.estimates[joint].position) - Point::from(estimate.position);
+        assert!(apart.norm() < 1e-9, "{joint:?}");
+    }
+}
+
+#[test]
+fn ends_without_a_way_between_them_give_nothing() {
+    let mut mesh = surface(&capsules());
+    let ends = ends(&mesh);
+    let head = Extremities { head: u32::MAX, ..ends };
+    assert!(found(&mesh, &head).is_none());
+    mesh.positions.push([9.0; 3]);
+    let apart = Extremities { head: mesh.positions.len() as u32 - 1, ..ends };
+    assert!(found(&mesh, &apart).is_none());
+    let same = Extremities { feet: [ends.feet[0]; 2], ..ends };
+    assert!(found(&mesh, &same).is_none());
+}
+
+#[test]
+fn free_limbs_are_in_no_doubt_whoever_it_is_and_however_he_stands() {
+    for seed in 0..3 {
+        for pose in Pose::ALL {
+            let (mesh, _) = body(seed, pose, Options::default());
+            let survey = Survey::new(&mesh, Method::Default).unwrap();
+            assert!(!survey.in_contact, "{seed} {pose:?}");
+        }
+    }
+}

@@ -1,0 +1,138 @@
+//! Level-set curves and bends of a tube.
+
+use std::f64::consts::TAU;
+
+use nalgebra::Vector3;
+
+use crate::Mesh;
+use crate::locate::hinge::{Window, bend};
+use crate::locate::limb;
+use crate::locate::section::{LEVELS, Sections, level};
+
+use super::girth::arm_girth;
+
+const ROUND: usize = 24;
+const LENGTH: f64 = 0.6;
+const RADIUS: f64 = 0.03;
+
+/// A tube of [`LENGTH`] that turns by `angle` at `knot`, with the way along it from its start.
+fn tube(knot: f64, angle: f64, radius: impl Fn(f64) -> f64) -> (Mesh, Vec<f64>) {
+    let rings = 200;
+    let (mut mesh, mut field) = (Mesh::default(), Vec::new());
+    for ring in 0..=rings {
+        let along = LENGTH * f64::from(ring) / f64::from(rings);
+        let behind = (along - knot).max(0.0);
+        let centre = Vector3::new(behind * angle.sin(), 0.0, along - behind + behind * angle.cos());
+        let across = Vector3::new(centre.z, 0.0, -centre.x).cross(&Vector3::y()).normalize();
+        let across = if behind > 0.0 {
+            Vector3::new(angle.cos(), 0.0, -angle.sin())
+        } else {
+            -across.cross(&Vector3::y())
+        };
+        for step in 0..ROUND {
+            let (sin, cos) = (TAU * step as f64 / ROUND as f64).sin_cos();
+            let at = centre + (across * cos + Vector3::y() * sin) * radius(along);
+            mesh.positions.push(at.into());
+            field.push(along);
+            if ring > 0 {
+                let (a, b) = (step as u32, ((step + 1) % ROUND) as u32);
+                let (low, high) = ((ring as u32 - 1) * ROUND as u32, ring as u32 * ROUND as u32);
+                mesh.triangles.push([low + a, low + b, high + b]);
+                mesh.triangles.push([low + a, high + b, high + a]);
+            }
+        }
+    }
+    (mesh, field)
+}
+
+fn sections(mesh: &Mesh, field: &[f64]) -> Sections {
+    Sections::new(mesh, field, &vec![1.0; field.len()], 1.0, 0.9).unwrap()
+}
+
+fn window() -> Window {
+    Window { line: [0.05, 0.55], joint: [0.15, 0.45], prior: 0.33, weight: 1e-3, rounded: 0.01 }
+}
+
+#[test]
+fn a_curve_round_a_tube_is_its_circle() {
+    let (mesh, field) = tube(LENGTH, 0.0, |_| RADIUS);
+    let sections = sections(&mesh, &field);
+    let circle = 2.0 * ROUND as f64 * RADIUS * (std::f64::consts::PI / ROUND as f64).sin();
+    for index in 5..95 {
+        assert!((sections.perimeter[index] - circle).abs() < 1e-3 * circle, "level {index}");
+        let middle = sections.centre_at(level(index));
+        assert!((middle - Vector3::new(0.0, 0.0, level(index))).norm() < 1e-9, "level {index}");
+    }
+}
+
+#[test]
+fn a_surface_of_no_weight_has_no_middle() {
+    let (mesh, field) = tube(LENGTH, 0.0, |_| RADIUS);
+    assert!(Sections::new(&mesh, &field, &vec![0.0; field.len()], 1.0, 0.9).is_none());
+    let nowhere = vec![f64::INFINITY; field.len()];
+    assert!(Sections::new(&mesh, &nowhere, &vec![1.0; field.len()], 1.0, 0.9).is_none());
+}
+
+#[test]
+fn a_half_of_weight_moves_the_middle_into_it() {
+    let (mesh, field) = tube(LENGTH, 0.0, |_| RADIUS);
+    let weights: Vec<f64> =
+        mesh.positions.iter().map(|at| f64::from(u8::from(at[1] > 0.0))).collect();
+    let sections = Sections::new(&mesh, &field, &weights, 1.0, 0.9).unwrap();
+    let half_circle = 2.0 * RADIUS / std::f64::consts::PI;
+    assert!((sections.centre_at(0.3).y - half_circle).abs() < 0.1 * half_circle);
+}
+
+#[test]
+fn the_bend_of_a_tube_is_found() {
+    for angle in [0.4_f64, 0.8, 1.2] {
+        let (mesh, field) = tube(0.25, angle, |_| RADIUS);
+        let found = bend(&sections(&mesh, &field), &window(), |_| 0.0).unwrap();
+        assert!((found.level - 0.25).abs() < 0.012, "{angle}: {}", found.level);
+    }
+}
+
+#[test]
+fn a_straight_tube_bends_where_limbs_do_on_average_and_less_surely() {
+    let straight = tube(0.25, 0.0, |_| RADIUS);
+    let bent = tube(0.25, 0.8, |_| RADIUS);
+    let found = bend(&sections(&straight.0, &straight.1), &window(), |_| 0.0).unwrap();
+    let surer = bend(&sections(&bent.0, &bent.1), &window(), |_| 0.0).unwrap();
+    assert!((found.level - window().prior).abs() < 1e-6, "{}", found.level);
+    assert!(limb::elbow_spread(found.sharpness) > 2.0 * limb::elbow_spread(surer.sharpness));
+}
+
+#[test]
+fn the_marks_of_an_arm_are_where_it_narrows_bends_and_widens() {
+    // A hand and a forearm as they are in the mean with the wrist at 0.14, and a trunk from 0.39 on.
+    let radius = |along: f64| arm_girth(along, 0.14) / TAU + (along - 0.37).max(0.0);
+    let (mesh, field) = tube(0.27, 0.9, radius);
+    let marks = limb::arm(&sections(&mesh, &field), 0.96).unwrap();
+    assert!((marks.narrow - 0.14).abs() < 0.004, "{marks:?}");
+    assert!((marks.hinge - 0.27).abs() < 0.012, "{marks:?}");
+    assert!((0.37..0.40).contains(&marks.root), "{marks:?}");
+}
+
+#[test]
+fn the_marks_of_a_leg_move_with_the_heel_and_the_bend() {
+    let at = |heel: f64, bend: f64| {
+        let radius = move |along: f64| 0.025 + 0.015 * ((along - heel) / 0.01).tanh();
+        let (mesh, field) = tube(bend, 1.2, radius);
+        limb::leg(&sections(&mesh, &field)).unwrap()
+    };
+    let (near, far) = (at(0.11, 0.33), at(0.13, 0.33));
+    assert!((far.narrow - near.narrow - 0.01).abs() < 0.002, "{near:?} {far:?}");
+    assert!((near.hinge - 0.33).abs() < 0.015, "{near:?}");
+    let farther = at(0.11, 0.37);
+    assert!(farther.hinge - near.hinge > 0.012, "{near:?} {farther:?}");
+}
+
+#[test]
+fn a_field_of_nothing_has_no_bend() {
+    let (mesh, field) = tube(LENGTH, 0.0, |_| RADIUS);
+    let none = Window { line: [2.0, 3.0], ..window() };
+    assert!(bend(&sections(&mesh, &field), &none, |_| 0.0).is_none());
+    let none = Window { joint: [0.3, 0.2], ..window() };
+    assert!(bend(&sections(&mesh, &field), &none, |_| 0.0).is_none());
+    assert_eq!(sections(&mesh, &field).perimeter.len(), LEVELS);
+}

@@ -1,0 +1,111 @@
+//! From what the methods give to what is drawn.
+
+use super::{Curve, Drawing, Line, Part, ReebNode};
+use crate::geometry::{Point, distance, dot, sub};
+use crate::level::{Ring, Rings};
+use crate::reeb::{Reeb, Segments};
+use crate::skeleton::joint_name;
+use crate::{Joint, Side};
+
+impl Drawing<'_> {
+    /// Takes over the level sets, the Reeb graph, and centre line and circularity of each segment; joints have to be
+    /// there before, since they say which arm is which, and are marked on the curves.
+    pub fn trace(&mut self, rings: &Rings, reeb: &Reeb, segments: &Segments) {
+        let mut parts = vec![(Part::Trunk, &segments.trunk)];
+        for (side, arm) in self.told_apart(rings, &segments.arms, Joint::Wrist) {
+            parts.push((Part::Arm(side), arm));
+        }
+        for (side, leg) in self.told_apart(rings, &segments.legs, Joint::Ankle) {
+            parts.push((Part::Leg(side), leg));
+        }
+        // What belongs to none of the segments, such as an ear, is the trunk's.
+        let mut part_of = vec![Part::Trunk; rings.rings.len()];
+        for (part, indices) in parts {
+            for &index in indices {
+                if let Some(of) = part_of.get_mut(index as usize) {
+                    *of = part;
+                }
+            }
+            let along: Vec<&Ring> =
+                indices.iter().filter_map(|&index| rings.rings.get(index as usize)).collect();
+            let points: Vec<Point> = along.iter().map(|ring| ring.centroid).collect();
+            self.curves.push(self.curve(part, &along, &points));
+            self.centre_lines.push(Line { part, points });
+        }
+        for (ring, &part) in rings.rings.iter().zip(&part_of) {
+            self.rings.push(Line { part, points: ring.points.clone() });
+            let value = rings.values.get(ring.level as usize).copied().unwrap_or_default();
+            self.reeb_nodes.push(ReebNode { position: ring.centroid, value });
+        }
+        self.reeb_edges.extend(reeb.arcs().map(|[from, to]| {
+            // An arc has the colour of its end, so that limbs begin at the trunk.
+            let part = part_of.get(to as usize).copied().unwrap_or(Part::Trunk);
+            (from as usize, to as usize, part)
+        }));
+    }
+
+    /// Both limbs with the side whose last joint they end nearer to.
+    fn told_apart<'a>(
+        &self,
+        rings: &Rings,
+        limbs: &'a [Vec<u32>; 2],
+        end: fn(Side) -> Joint,
+    ) -> [(Side, &'a Vec<u32>); 2] {
+        let far = |limb: &[u32], side: Side| {
+            let joint = self.joints.estimates.get(&end(side))?;
+            let ring = rings.rings.get(*limb.last()? as usize)?;
+            Some(distance(ring.centroid, joint.position))
+        };
+        let [a, b] = limbs;
+        let sum =
+            |left: &[u32], right: &[u32]| Some(far(left, Side::Left)? + far(right, Side::Right)?);
+        match (sum(a, b), sum(b, a)) {
+            (Some(as_is), Some(crossed)) if crossed < as_is => [(Side::Left, b), (Side::Right, a)],
+            _ => [(Side::Left, a), (Side::Right, b)],
+        }
+    }
+
+    /// Circularity over the length of the centre line.
+    fn curve(&self, part: Part, along: &[&Ring], points: &[Point]) -> Curve {
+        let mut far = vec![0.0];
+        for pair in points.windows(2) {
+            far.push(far.last().copied().unwrap_or(0.0) + distance(pair[0], pair[1]));
+        }
+        let samples = far.iter().zip(along).map(|(far, ring)| [*far, ring.circularity()]).collect();
+        let joints: Vec<Joint> = match part {
+            Part::Trunk => vec![Joint::Throat, Joint::Pelvis],
+            Part::Arm(side) => vec![Joint::Shoulder(side), Joint::Elbow(side), Joint::Wrist(side)],
+            Part::Leg(side) => vec![Joint::Hip(side), Joint::Knee(side), Joint::Ankle(side)],
+        };
+        let mark = |joint: Joint| {
+            let at = self.joints.estimates.get(&joint)?.position;
+            let far_off = |index: &usize| distance(points[*index], at);
+            let nearest = (0..points.len()).min_by(|a, b| far_off(a).total_cmp(&far_off(b)))?;
+            // A shoulder lies before the first ring that is the arm's alone: it is on no curve.
+            if beyond(points, nearest, at) {
+                return None;
+            }
+            let name = joint_name(joint);
+            let name = name.split_once('_').map_or(name, |(_, rest)| rest);
+            Some((*far.get(nearest)?, name.to_owned()))
+        };
+        Curve { part, samples, marks: joints.into_iter().filter_map(mark).collect() }
+    }
+}
+
+/// Points of a line that give its direction: single ones are not in line.
+const DIRECTION: usize = 4;
+
+/// Whether a point whose nearest is the first or the last of a line lies beyond it, and not beside it.
+fn beyond(line: &[Point], nearest: usize, at: Point) -> bool {
+    let behind = |end: Point, inward: Option<&Point>| {
+        inward.is_some_and(|inward| dot(sub(at, end), sub(*inward, end)) < 0.0)
+    };
+    match (nearest, line) {
+        (0, [first, ..]) => behind(*first, line.get(DIRECTION)),
+        (index, [.., last]) if index + 1 == line.len() => {
+            behind(*last, line.iter().rev().nth(DIRECTION))
+        }
+        _ => false,
+    }
+}

@@ -1,0 +1,255 @@
+//! The body from the front and from its right: shaded, with level sets, centre lines and joints.
+
+use super::labels::{self, Label};
+use super::shade::Shade;
+use super::sheet::{DIM, INK, Sheet, Stand};
+use super::view::{Fit, Upright, bounds};
+use super::{Drawing, Line, colour};
+use crate::geometry::Point;
+use crate::{Estimate, Joint, Side};
+
+/// Place of both views, side by side: left edge, and width; top and bottom.
+const LEFT: f64 = 26.0;
+const WIDTH: f64 = 984.0;
+const ROWS: [f64; 2] = [90.0, 740.0];
+/// Names are no longer than this, and with how unsure they are.
+const COLUMN: f64 = 87.0;
+const UNSURE_COLUMN: f64 = 122.0;
+/// From a body to its names.
+const BESIDE: f64 = 15.0;
+/// Brightness from which a tone is laid, and the tone.
+const TONES: [(f64, &str); 6] = [
+    (0.30, "#c9ced4"),
+    (0.50, "#d5d9de"),
+    (0.64, "#dfe2e6"),
+    (0.76, "#e8eaed"),
+    (0.86, "#f0f1f3"),
+    (0.94, "#f7f8f9"),
+];
+const RIM: &str = "#b4bac2";
+/// Circles of standard deviations.
+const UNSURE: &str = "#7b3294";
+/// Wider ones are not drawn: half a thigh.
+const WIDE_MM: f64 = 80.0;
+/// Rings that are drawn; more are thinned out.
+const RINGS_MAX: usize = 160;
+
+type Look = fn(&Upright, Point) -> Point;
+
+pub(super) fn draw(sheet: &mut Sheet, drawing: &Drawing<'_>, upright: &Upright) {
+    let Some(mesh) = drawing.mesh else { return };
+    let looks: [Look; 2] = [Upright::front, Upright::side];
+    let boxes = looks.map(|look| bounds(mesh.positions.iter().map(|&p| look(upright, p))));
+    let column = if anything_wide(drawing) { UNSURE_COLUMN } else { COLUMN };
+    // Room for names on either side of a body.
+    let names = column + BESIDE;
+    // One scale for both, as large as both have room.
+    let extent = |axis: usize| boxes.map(|[low, high]| (high[axis] - low[axis]).max(1e-9));
+    let (widths, heights) = (extent(0), extent(1));
+    let per_unit = ((WIDTH - 4.0 * names) / (widths[0] + widths[1]))
+        .min((ROWS[1] - ROWS[0]) / heights[0].max(heights[1]));
+    let spare = (WIDTH - 4.0 * names - per_unit * (widths[0] + widths[1])) / 2.0;
+    let mut left = LEFT;
+    for (i, look) in looks.into_iter().enumerate() {
+        let [low, high] = boxes[i];
+        let width = per_unit * widths[i] + 2.0 * names + spare;
+        let centre = [left + width / 2.0, (ROWS[0] + ROWS[1]) / 2.0];
+        let middle = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0];
+        let origin = [centre[0] - per_unit * middle[0], centre[1] + per_unit * middle[1]];
+        let fit = Fit { per_unit, origin };
+        let view = View { drawing, upright, look, fit };
+        let title = match (i, drawing.joints.sides_told) {
+            (0, true) => "front",
+            (1, true) => "from the right",
+            (0, false) => "front or back (sides not told)",
+            _ => "from one side (sides not told)",
+        };
+        sheet.text(centre[0], 66.0, title, 13.0, DIM, Stand::Middle);
+        view.surface(sheet);
+        // Names stand near the body, however slim it is.
+        let half = per_unit * widths[i] / 2.0 + names;
+        view.joints(sheet, [centre[0] - half, centre[0] + half], column, i == 0);
+        left += width;
+    }
+    scale_bar(sheet, drawing, per_unit);
+}
+
+struct View<'a> {
+    drawing: &'a Drawing<'a>,
+    upright: &'a Upright,
+    look: Look,
+    fit: Fit,
+}
+
+impl View<'_> {
+    fn at(&self, p: Point) -> [f64; 2] {
+        self.fit.at((self.look)(self.upright, p))
+    }
+
+    /// On the paper, and how near.
+    fn seen(&self, p: Point) -> Point {
+        let looked = (self.look)(self.upright, p);
+        let [x, y] = self.fit.at(looked);
+        [x, y, looked[2] * self.fit.per_unit]
+    }
+
+    fn surface(&self, sheet: &mut Sheet) {
+        let Some(mesh) = self.drawing.mesh else { return };
+        let seen: Vec<Point> = mesh.positions.iter().map(|&p| self.seen(p)).collect();
+        let [low, high] = bounds(seen.iter().copied());
+        if !low.iter().chain(&high).all(|c| c.is_finite()) {
+            return;
+        }
+        let shade = Shade::new(mesh, &seen, low, high);
+        let place = |loops: Vec<Vec<[f64; 2]>>| -> Vec<Vec<[f64; 2]>> {
+            let to_paper =
+                |p: [f64; 2]| [0, 1].map(|k| shade.corner[k] + (p[k] + 0.5) * shade.cell);
+            loops.into_iter().map(|l| l.into_iter().map(to_paper).collect()).collect()
+        };
+        let outline = place(super::contour::loops(&shade.cover, shade.size, 0.5));
+        let style =
+            format!("fill=\"{RIM}\" fill-rule=\"evenodd\" stroke=\"#8a919b\" stroke-width=\"1\"");
+        sheet.path(&outline, true, &style);
+        for (level, tone) in TONES {
+            let lit = place(super::contour::loops(&shade.light, shade.size, level));
+            sheet.path(&lit, true, &format!("fill=\"{tone}\" fill-rule=\"evenodd\""));
+        }
+        self.rings(sheet, &shade);
+        self.centre_lines(sheet);
+    }
+
+    /// The nearer half of each ring, part by part.
+    fn rings(&self, sheet: &mut Sheet, shade: &Shade) {
+        let rings = &self.drawing.rings;
+        let step = rings.len().div_ceil(RINGS_MAX).max(1);
+        let mut parts: Vec<_> = rings.iter().map(|ring| ring.part).collect();
+        parts.sort_unstable();
+        parts.dedup();
+        for part in parts {
+            let mut pieces = Vec::new();
+            // Thinned out part by part: rings of both legs take turns.
+            for ring in rings.iter().filter(|ring| ring.part == part).step_by(step) {
+                let mut piece: Vec<[f64; 2]> = Vec::new();
+                let around = ring.points.iter().chain(ring.points.first());
+                for p in around.map(|&p| self.seen(p)) {
+                    // Two units of paper: less than the thickness of a wrist.
+                    if shade.sees(p, 2.0) {
+                        let far = |last: &[f64; 2]| (last[0] - p[0]).hypot(last[1] - p[1]) > 0.7;
+                        if piece.last().is_none_or(far) {
+                            piece.push([p[0], p[1]]);
+                        }
+                    } else {
+                        pieces.push(std::mem::take(&mut piece));
+                    }
+                }
+                pieces.push(piece);
+            }
+            let colour = colour(part);
+            let style = format!(
+                "fill=\"none\" stroke=\"{colour}\" stroke-width=\"0.7\" stroke-opacity=\"0.75\""
+            );
+            sheet.path(&pieces, false, &style);
+        }
+    }
+
+    fn centre_lines(&self, sheet: &mut Sheet) {
+        let lines = |line: &Line| vec![line.points.iter().map(|&p| self.at(p)).collect()];
+        let round = "fill=\"none\" stroke-linecap=\"round\" stroke-linejoin=\"round\"";
+        for line in &self.drawing.centre_lines {
+            sheet.path(
+                &lines(line),
+                false,
+                &format!("{round} stroke=\"#ffffff\" stroke-width=\"4\""),
+            );
+        }
+        for line in &self.drawing.centre_lines {
+            let colour = colour(line.part);
+            let style = format!("{round} stroke=\"{colour}\" stroke-width=\"2\"");
+            sheet.path(&lines(line), false, &style);
+        }
+    }
+
+    /// Dots, with a circle of one standard deviation, and names in the margins. A circle as wide as the body would hide it:
+    /// joints that are so unsure are hollow, and their names say how unsure.
+    fn joints(&self, sheet: &mut Sheet, margins: [f64; 2], column: f64, front: bool) {
+        let mut names = Vec::new();
+        for (&joint, estimate) in &self.drawing.joints.estimates {
+            let at = self.at(estimate.position);
+            let sigma = estimate.sigma * self.fit.per_unit;
+            let ring = format!("fill=\"none\" stroke=\"{UNSURE}\" stroke-width=\"1\"");
+            if sigma > 0.5 && !is_wide(self.drawing, estimate) {
+                sheet.circle(at, sigma, &ring);
+            }
+            // The far side's names would cover the near side's.
+            if front || !matches!(side(joint), Some(Side::Left)) {
+                let mut text = self.name(joint);
+                if is_wide(self.drawing, estimate) {
+                    text += &format!(" ± {:.0}", estimate.sigma * self.drawing.mm());
+                }
+                names.push(Label { at, text });
+            }
+        }
+        for estimate in self.drawing.joints.estimates.values() {
+            let at = self.at(estimate.position);
+            let style = if is_wide(self.drawing, estimate) {
+                format!("fill=\"#ffffff\" stroke=\"{UNSURE}\" stroke-width=\"2\"")
+            } else {
+                format!("fill=\"{INK}\" stroke=\"#ffffff\" stroke-width=\"1.4\"")
+            };
+            sheet.circle(at, 3.6, &style);
+        }
+        labels::draw(sheet, names, margins, column);
+    }
+
+    fn name(&self, joint: Joint) -> String {
+        let name = crate::skeleton::joint_name(joint);
+        let told = self.drawing.joints.sides_told;
+        match name.split_once('_') {
+            Some(("l", rest)) if told => format!("left {rest}"),
+            Some(("r", rest)) if told => format!("right {rest}"),
+            Some(("l", rest)) => format!("{rest} A"),
+            Some((_, rest)) => format!("{rest} B"),
+            None => name.to_owned(),
+        }
+    }
+}
+
+/// Whether a joint's circle would be too wide.
+fn is_wide(drawing: &Drawing<'_>, estimate: &Estimate) -> bool {
+    estimate.sigma * drawing.mm() > WIDE_MM
+}
+
+fn anything_wide(drawing: &Drawing<'_>) -> bool {
+    drawing.joints.estimates.values().any(|estimate| is_wide(drawing, estimate))
+}
+
+fn side(joint: Joint) -> Option<Side> {
+    match joint {
+        Joint::Shoulder(side)
+        | Joint::Elbow(side)
+        | Joint::Wrist(side)
+        | Joint::Hip(side)
+        | Joint::Knee(side)
+        | Joint::Ankle(side) => Some(side),
+        Joint::Head | Joint::Throat | Joint::Pelvis => None,
+    }
+}
+
+fn scale_bar(sheet: &mut Sheet, drawing: &Drawing<'_>, per_unit: f64) {
+    let per_mm = per_unit / drawing.mm();
+    let length = [50.0, 100.0, 200.0, 500.0, 1000.0];
+    let Some(mm) = length.into_iter().find(|mm| mm * per_mm > 50.0) else { return };
+    let (x, y) = (LEFT + 20.0, ROWS[1] + 24.0);
+    let end = x + mm * per_mm;
+    let style = format!("stroke=\"{INK}\" stroke-width=\"1.5\" fill=\"none\"");
+    sheet.path(&[vec![[x, y - 4.0], [x, y], [end, y], [end, y - 4.0]]], false, &style);
+    sheet.text(end + 8.0, y - 1.0, &format!("{mm} mm, both views"), 12.0, INK, Stand::Left);
+    let words = if anything_wide(drawing) {
+        format!(
+            "circles: one standard deviation of a joint; hollow: more than {WIDE_MM} mm, at its name"
+        )
+    } else {
+        "circles: one standard deviation of a joint".to_owned()
+    };
+    sheet.text(end + 140.0, y - 1.0, &words, 12.0, DIM, Stand::Left);
+}

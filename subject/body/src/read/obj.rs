@@ -1,0 +1,75 @@
+//! Wavefront OBJ: lines of `v x y z` and `f v/vt/vn ...`; what else there is does not change the surface.
+
+use super::surface::{Surface, put_corner};
+use super::{Format, ReadError, text};
+use crate::{Note, Unit};
+
+/// Reads a whole file. Indices count from 1, or backwards from the last vertex so far where they are negative. A vertex
+/// may be named before it stands.
+pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
+    let mut surface = Surface::new(Format::Obj);
+    let mut corners = Vec::new();
+    let mut joined = Vec::new();
+    let mut curved = 0_usize;
+    for (number, line) in text::lines(text::without_mark(bytes)) {
+        if surface.unit.is_none() && line.first() == Some(&b'#') {
+            surface.unit = Unit::from_comment(line);
+        }
+        let line = text::before_comment(line);
+        // A backslash at the end: the line goes on in the next.
+        if let Some(front) = line.trim_ascii_end().strip_suffix(b"\\") {
+            joined.extend_from_slice(front);
+            joined.push(b' ');
+            continue;
+        }
+        let whole;
+        let line = if joined.is_empty() {
+            line
+        } else {
+            joined.extend_from_slice(line);
+            whole = std::mem::take(&mut joined);
+            &whole
+        };
+        let mut words = text::words(line);
+        match words.next() {
+            Some(b"v") => surface.vertex(text::position(&mut words).ok_or_else(|| {
+                malformed(
+                    number,
+                    format!("expected `v` and three numbers, found {}", text::quote(line)),
+                )
+            })?)?,
+            Some(b"f") => {
+                corners.clear();
+                for word in words {
+                    let index = index(word, surface.n_vertices()).ok_or_else(|| {
+                        malformed(
+                            number,
+                            format!("expected the index of a vertex, found {}", text::quote(word)),
+                        )
+                    })?;
+                    put_corner(&mut corners, index)?;
+                }
+                surface.face(&corners)?;
+            }
+            Some(b"curv" | b"curv2" | b"surf") => curved += 1,
+            _ => {}
+        }
+    }
+    if curved > 0 {
+        let text = format!("{curved} curved surfaces are no triangles: left out");
+        surface.notes.push(Note::new("curved-surfaces", text));
+    }
+    Ok(surface)
+}
+
+/// `7`, `7/1`, `7//3`, `7/1/3` or `-1`, as an index from 0. Zero is none.
+fn index(word: &[u8], n_vertices: usize) -> Option<u32> {
+    let vertex = word.split(|&b| b == b'/').next()?;
+    let given = text::whole(vertex)?;
+    let index = if given < 0 { (n_vertices as i64).checked_add(given)? } else { given - 1 };
+    u32::try_from(index).ok()
+}
+
+fn malformed(line: usize, reason: String) -> ReadError {
+    ReadError::malformed(Format::Obj, format!("line {line}"), reason)
+}

@@ -1,0 +1,163 @@
+//! What the readers fill: vertices and faces, within limits, and checked at the end.
+
+use super::polygon::{EARS_MAX, triangulate};
+use super::{FACES_MAX, Format, ReadError, Scan, VERTICES_MAX};
+use crate::{Mesh, Note, Unit};
+
+/// Beyond this, in any unit, is no scan; and within, no square of a distance overflows.
+const COORDINATE_MAX: f64 = 1e9;
+/// Corners of one face: those of as many triangles as are read.
+const CORNERS_MAX: usize = FACES_MAX + 2;
+/// Of the vertices, how many may be no numbers, before the file is taken for damaged. Scanners leave single ones.
+const NOT_FINITE_SHARE_MAX: f64 = 0.01;
+
+/// Puts one more corner to a face that is being read; there is an end to it.
+pub(super) fn put_corner(corners: &mut Vec<u32>, index: u32) -> Result<(), ReadError> {
+    if corners.len() >= CORNERS_MAX {
+        let found = corners.len() + 1;
+        return Err(ReadError::TooLarge { what: "corners of a face", found, limit: CORNERS_MAX });
+    }
+    corners.push(index);
+    Ok(())
+}
+
+/// A mesh in the making.
+#[derive(Debug)]
+pub(super) struct Surface {
+    format: Format,
+    positions: Vec<[f64; 3]>,
+    triangles: Vec<[u32; 3]>,
+    /// Corners of faces with more than three, one after the other, and how many each has. They are cut when all vertices
+    /// are known.
+    polygons: (Vec<u32>, Vec<u32>),
+    /// Triangles there will be.
+    n_faces: usize,
+    /// What a comment said.
+    pub(super) unit: Option<Unit>,
+    pub(super) notes: Vec<Note>,
+}
+
+impl Surface {
+    pub(super) fn new(format: Format) -> Self {
+        Self {
+            format,
+            positions: Vec::new(),
+            triangles: Vec::new(),
+            polygons: (Vec::new(), Vec::new()),
+            n_faces: 0,
+            unit: None,
+            notes: Vec::new(),
+        }
+    }
+
+    pub(super) fn n_vertices(&self) -> usize {
+        self.positions.len()
+    }
+
+    pub(super) fn vertex(&mut self, position: [f64; 3]) -> Result<(), ReadError> {
+        if self.positions.len() >= VERTICES_MAX {
+            let found = VERTICES_MAX + 1;
+            return Err(ReadError::TooLarge { what: "vertices", found, limit: VERTICES_MAX });
+        }
+        self.positions.push(position);
+        Ok(())
+    }
+
+    /// A face of three or more corners; vertices may come later. Fewer corners are no face, and pass.
+    pub(super) fn face(&mut self, corners: &[u32]) -> Result<(), ReadError> {
+        self.n_faces += corners.len().saturating_sub(2);
+        if self.n_faces > FACES_MAX {
+            let found = self.n_faces;
+            return Err(ReadError::TooLarge { what: "faces", found, limit: FACES_MAX });
+        }
+        match *corners {
+            [] | [_] | [_, _] => {}
+            [a, b, c] => self.triangles.push([a, b, c]),
+            _ => {
+                self.polygons.0.extend_from_slice(corners);
+                self.polygons.1.push(corners.len() as u32);
+            }
+        }
+        Ok(())
+    }
+
+    /// Every index is of a vertex, every position finite, every face a triangle.
+    pub(super) fn finish(mut self) -> Result<Scan, ReadError> {
+        let n = self.positions.len();
+        let corners = self.triangles.as_flattened().iter().chain(&self.polygons.0);
+        if let Some(index) = corners.copied().find(|&index| index as usize >= n) {
+            let reason = format!(
+                "names vertex {}, there are {n}: cut off or damaged, export the scan again",
+                u64::from(index) + 1
+            );
+            return Err(ReadError::malformed(self.format, "a face", reason));
+        }
+        self.cut_polygons();
+        if self.triangles.is_empty() {
+            return Err(ReadError::NoSurface { format: self.format, vertices: n });
+        }
+        self.drop_not_finite()?;
+        let Self { format, positions, triangles, unit, notes, .. } = self;
+        Ok(Scan { mesh: Mesh { positions, triangles }, format, unit, notes })
+    }
+
+    fn cut_polygons(&mut self) {
+        let (corners, sizes) = std::mem::take(&mut self.polygons);
+        let mut rest = &corners[..];
+        let positions = &self.positions;
+        for &size in &sizes {
+            let (polygon, after) = rest.split_at((size as usize).min(rest.len()));
+            triangulate(polygon, |corner| positions[corner as usize], &mut self.triangles);
+            rest = after;
+        }
+        if !sizes.is_empty() {
+            let n = sizes.len();
+            self.notes.push(Note::new(
+                "polygons",
+                format!("{n} faces of more than three corners were cut into triangles"),
+            ));
+        }
+        let large = sizes.iter().filter(|&&size| size as usize > EARS_MAX).count();
+        if large > 0 {
+            let text =
+                format!("{large} of them have more than {EARS_MAX} corners, and were cut as fans");
+            self.notes.push(Note::new("fans", text));
+        }
+    }
+
+    /// Takes away vertices that are no positions, with their faces: they leave holes, which can be closed.
+    fn drop_not_finite(&mut self) -> Result<(), ReadError> {
+        let usable = |p: &[f64; 3]| p.iter().all(|c| c.abs() <= COORDINATE_MAX);
+        let vertices = self.positions.len();
+        let found = self.positions.iter().filter(|p| !usable(p)).count();
+        if found == 0 {
+            return Ok(());
+        }
+        if found as f64 > NOT_FINITE_SHARE_MAX * vertices as f64 {
+            return Err(ReadError::NotFinite { found, vertices });
+        }
+        let mut kept = 0;
+        let moved: Vec<Option<u32>> = self
+            .positions
+            .iter()
+            .map(|p| {
+                let index = usable(p).then_some(kept);
+                kept += u32::from(index.is_some());
+                index
+            })
+            .collect();
+        let of = |corner: u32| moved.get(corner as usize).copied().flatten();
+        let before = self.triangles.len();
+        self.triangles =
+            self.triangles.iter().filter_map(|&[a, b, c]| Some([of(a)?, of(b)?, of(c)?])).collect();
+        self.positions.retain(usable);
+        let faces = before - self.triangles.len();
+        let text =
+            format!("{found} vertices are no finite positions: left out with their {faces} faces");
+        self.notes.push(Note::new("not-finite", text));
+        if self.triangles.is_empty() {
+            return Err(ReadError::NotFinite { found, vertices });
+        }
+        Ok(())
+    }
+}

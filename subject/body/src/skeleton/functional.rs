@@ -1,0 +1,195 @@
+//! Centres that limbs turn about, out of several poses.
+//!
+//! Seen from the trunk, an elbow moves on a sphere about the shoulder, and a knee about the hip. A surface shows neither
+//! centre, and every pose shows another part of the sphere.
+
+use nalgebra::{Matrix4, Vector4};
+
+use super::combine::SIDES;
+use super::json::LENGTH_MAX_MM;
+use super::names::joint_name;
+use crate::geometry::{Point, add, cross, distance, dot, mean, norm, scale, sub, unit};
+use crate::{Joint, Joints, Side};
+
+/// Scans that are needed.
+const SCANS_MIN: usize = 3;
+/// Largest angle between two directions of the limb that is needed, in degrees.
+const SWING_MIN_DEGREES: f64 = 40.0;
+/// What an elbow or knee is not seen better than from the trunk, in millimetres: the trunk bends.
+const FLOOR_MM: f64 = 8.0;
+/// Steps of the fit: it settles within five.
+const STEPS: usize = 20;
+/// A centre is taken when it is surer than what one scan gives, by this factor.
+const GAIN: f64 = 0.8;
+
+/// A centre that was found.
+#[derive(Debug)]
+pub(super) struct Centre {
+    /// Shoulder or hip.
+    pub(super) joint: Joint,
+    /// Elbow or knee.
+    pub(super) child: Joint,
+    /// In the frame of the first scan, in millimetres.
+    pub(super) in_first: Point,
+    pub(super) sigma: f64,
+    /// Length of the bone, in millimetres.
+    pub(super) radius: f64,
+    pub(super) radius_sigma: f64,
+}
+
+/// Shoulders and hips that several poses tell better than each of them; `notes` say why the others are not told so.
+pub(super) fn centres(scans: &[Joints], notes: &mut Vec<String>) -> Vec<Centre> {
+    if scans.len() < 2 {
+        return Vec::new();
+    }
+    if !scans.iter().all(|scan| scan.sides_told) {
+        notes.push("no functional centres: left and right are not told in every scan".to_owned());
+        return Vec::new();
+    }
+    let mut centres = Vec::new();
+    for side in SIDES {
+        for (joint, child) in
+            [(Joint::Shoulder(side), Joint::Elbow(side)), (Joint::Hip(side), Joint::Knee(side))]
+        {
+            let name = joint_name(joint);
+            match centre(scans, joint, child) {
+                Ok(centre) => {
+                    notes.push(format!(
+                        "{name}: the centre that {} turned about",
+                        joint_name(child)
+                    ));
+                    centres.push(centre);
+                }
+                Err(reason) => notes.push(format!("{name}: no functional centre, {reason}")),
+            }
+        }
+    }
+    centres
+}
+
+/// Origin at the throat, y up the trunk, x to the left, z forward.
+struct Trunk {
+    origin: Point,
+    axes: [Point; 3],
+}
+
+impl Trunk {
+    fn of(scan: &Joints) -> Option<Self> {
+        let at = |joint: Joint| scan.estimates.get(&joint).map(|estimate| estimate.position);
+        let origin = at(Joint::Throat)?;
+        let hips = [at(Joint::Hip(Side::Left))?, at(Joint::Hip(Side::Right))?];
+        let up = unit(sub(origin, mean(hips)?));
+        let across = sub(hips[0], hips[1]);
+        let left = unit(sub(across, scale(up, dot(across, up))));
+        (norm(up) > 0.0 && norm(left) > 0.0)
+            .then(|| Self { origin, axes: [left, up, cross(left, up)] })
+    }
+
+    fn inward(&self, p: Point) -> Point {
+        self.axes.map(|axis| dot(axis, sub(p, self.origin)))
+    }
+
+    fn outward(&self, p: Point) -> Point {
+        let parts = [0, 1, 2].map(|k| scale(self.axes[k], p[k]));
+        add(self.origin, add(parts[0], add(parts[1], parts[2])))
+    }
+}
+
+/// What a scan shows, in its trunk's frame: the joint and the child, each with its uncertainty.
+struct View {
+    joint: (Point, f64),
+    child: (Point, f64),
+}
+
+fn centre(scans: &[Joints], joint: Joint, child: Joint) -> Result<Centre, String> {
+    let first = scans.first().and_then(Trunk::of).ok_or("the first scan has no trunk")?;
+    let view = |scan: &Joints| {
+        let trunk = Trunk::of(scan)?;
+        let of = |joint: Joint| {
+            let estimate = scan.estimates.get(&joint)?;
+            Some((trunk.inward(estimate.position), estimate.sigma.hypot(FLOOR_MM)))
+        };
+        Some(View { joint: of(joint)?, child: of(child)? })
+    };
+    let views: Vec<View> = scans.iter().filter_map(view).collect();
+    if views.len() < SCANS_MIN {
+        return Err(format!("{} scans show it, {SCANS_MIN} are needed", views.len()));
+    }
+    let n = views.len() as f64;
+    let prior = mean(views.iter().map(|view| view.joint.0)).ok_or("no scan shows it")?;
+    // What is wrong with one scan's estimate is wrong with the next one's: their mean is hardly surer than one of them.
+    let prior_sigma = views.iter().map(|view| view.joint.1).sum::<f64>() / n;
+    let degrees = swing(&views, prior).to_degrees();
+    if degrees < SWING_MIN_DEGREES {
+        return Err(format!(
+            "the poses turn it by {degrees:.0} degrees, {SWING_MIN_DEGREES} are needed"
+        ));
+    }
+    let fit = Fit::new(&views, prior, prior_sigma).ok_or("no sphere fits")?;
+    if !(fit.radius < LENGTH_MAX_MM && fit.radius_sigma < fit.radius) {
+        return Err("no sphere of a limb's size fits".to_owned());
+    }
+    if fit.sigma > GAIN * prior_sigma {
+        return Err("the poses lie too near to one plane".to_owned());
+    }
+    Ok(Centre {
+        joint,
+        child,
+        in_first: first.outward(fit.centre),
+        sigma: fit.sigma,
+        radius: fit.radius,
+        radius_sigma: fit.radius_sigma,
+    })
+}
+
+/// Largest angle between two directions, in radians.
+fn swing(views: &[View], from: Point) -> f64 {
+    let directions: Vec<Point> = views.iter().map(|view| unit(sub(view.child.0, from))).collect();
+    let pairs = directions.iter().enumerate().flat_map(|(i, a)| {
+        directions.iter().skip(i + 1).map(|b| dot(*a, *b).clamp(-1.0, 1.0).acos())
+    });
+    pairs.fold(0.0, f64::max)
+}
+
+/// A sphere through the children, whose centre is expected near the estimates: Gauss and Newton's least squares in the
+/// centre and the radius.
+struct Fit {
+    centre: Point,
+    sigma: f64,
+    radius: f64,
+    radius_sigma: f64,
+}
+
+impl Fit {
+    fn new(views: &[View], prior: Point, prior_sigma: f64) -> Option<Self> {
+        let n = views.len() as f64;
+        let mut centre = prior;
+        let mut radius = views.iter().map(|view| distance(view.child.0, prior)).sum::<f64>() / n;
+        // One of three directions has a third of the square.
+        let stiffness = 3.0 / prior_sigma.powi(2);
+        let mut inverse = Matrix4::zeros();
+        for _ in 0..STEPS {
+            let offset = sub(prior, centre);
+            let mut normal =
+                Matrix4::from_diagonal(&Vector4::new(stiffness, stiffness, stiffness, 0.0));
+            let mut right = Vector4::new(offset[0], offset[1], offset[2], 0.0) * stiffness;
+            for view in views {
+                let (p, sigma) = view.child;
+                let toward = unit(sub(centre, p));
+                let row = Vector4::new(toward[0], toward[1], toward[2], -1.0);
+                let weight = 3.0 / sigma.powi(2);
+                normal += row * row.transpose() * weight;
+                right += row * (weight * (radius - distance(centre, p)));
+            }
+            inverse = normal.try_inverse()?;
+            let step: Vector4<f64> = inverse * right;
+            centre = add(centre, [step[0], step[1], step[2]]);
+            radius += step[3];
+        }
+        let sigma = (inverse[(0, 0)] + inverse[(1, 1)] + inverse[(2, 2)]).sqrt();
+        let radius_sigma = inverse[(3, 3)].sqrt();
+        let finite =
+            sigma.is_finite() && radius.is_finite() && centre.iter().all(|c| c.is_finite());
+        (finite && radius > 0.0).then_some(Self { centre, sigma, radius, radius_sigma })
+    }
+}

@@ -1,0 +1,91 @@
+//! How long the arithmetic of a face takes: `cargo run --release -p mocapd-face --example face_speed`.
+//!
+//! The time that the processor spent on it, of many rounds the least: what else the machine does only ever adds.
+
+use std::convert::Infallible;
+use std::error::Error;
+use std::time::Duration;
+
+use mocapd_face::Photo;
+use mocapd_face::adapt::{Depth, Settings, adapt};
+use mocapd_face::find;
+use mocapd_face::model::{FeatureId, FitOptions, Model};
+use mocapd_face::points::{self, Rough};
+use mocapd_face::render::Scene;
+use rustix::time::{ClockId, clock_gettime};
+
+const ROUNDS: usize = 300;
+const FIND_ROUNDS: usize = 30;
+/// Sides of a photograph of a quarter of a megapixel.
+const QUARTER_PX: (u32, u32) = (560, 448);
+
+/// What this thread has had of the processor.
+fn spent() -> Duration {
+    let spent = clock_gettime(ClockId::ThreadCPUTime);
+    Duration::new(spent.tv_sec.unsigned_abs(), spent.tv_nsec as u32)
+}
+
+fn fastest<T, E>(rounds: usize, mut work: impl FnMut() -> Result<T, E>) -> Result<Duration, E> {
+    let mut best = Duration::MAX;
+    for _ in 0..rounds {
+        let begin = spent();
+        let result = std::hint::black_box(work()?);
+        best = best.min(spent().saturating_sub(begin));
+        drop(result);
+    }
+    Ok(best)
+}
+
+#[expect(clippy::print_stdout, reason = "an example prints")]
+fn main() -> Result<(), Box<dyn Error>> {
+    let model = Model::generic()?;
+    let picture = Scene::portrait(3, 80.0, 20.0).render()?;
+    let Some(truth) = picture.faces.first() else {
+        return Err("the scene has no face".into());
+    };
+    let weighted: Vec<_> = FeatureId::all().map(|id| (id, truth.at(id), 1.0)).collect();
+    let points: Vec<_> = FeatureId::all().map(|id| (id, truth.at(id))).collect();
+    let options = FitOptions::default();
+    let fit = model.fit_shape(&weighted, &options)?;
+    let depths: Vec<_> = fit.points_px.iter().map(|p| p[2]).collect();
+    println!(
+        "{} vertices, {} points, {} modes",
+        model.vertices.len(),
+        points.len(),
+        model.modes.len()
+    );
+    println!(
+        "fit of pose and shape    {:?}",
+        fastest(ROUNDS, || model.fit_shape(&weighted, &options))?
+    );
+    let carry =
+        |settings, depth| adapt(model, &fit.vertices_mm, &fit.camera, &points, settings, depth);
+    println!(
+        "adaptation, as printed   {:?}",
+        fastest(ROUNDS, || carry(Settings::PAPER, Depth::Model))?
+    );
+    println!(
+        "adaptation, default      {:?}",
+        fastest(ROUNDS, || carry(Settings::default(), Depth::Model))?
+    );
+    println!(
+        "adaptation, with depths  {:?}",
+        fastest(ROUNDS, || carry(Settings::default(), Depth::Points(&depths)))?
+    );
+    let mut scene = Scene::portrait(3, 80.0, 20.0);
+    (scene.width_px, scene.height_px) = QUARTER_PX;
+    let image = scene.render()?.image;
+    let pixels = image.pixels().map(|pixel| pixel.0).collect();
+    let photo = Photo::from_pixels(image.width() as usize, image.height() as usize, pixels)?;
+    let find = || Ok::<_, Infallible>(find::faces(&photo, find::SCORE_MIN));
+    println!("finding on 0.25 megapixel {:?}", fastest(FIND_ROUNDS, find)?);
+    let chain = || {
+        let found = find::faces(&photo, find::SCORE_MIN);
+        found
+            .iter()
+            .map(|face| points::find(&photo, &Rough::from(face)))
+            .collect::<Result<Vec<_>, _>>()
+    };
+    println!("and the points of its {} {:?}", chain()?.len(), fastest(FIND_ROUNDS, chain)?);
+    Ok(())
+}

@@ -1,0 +1,159 @@
+mod again;
+
+use super::align::{STEPS, aligned};
+use super::look::{look, mirrored};
+use super::octaves::Octaves;
+use super::{Frame, LOOK, SCORE_MIN, faces};
+use crate::Photo;
+use crate::model::FeatureId;
+use crate::render::Scene;
+
+/// Numbers without a pattern, the same each time.
+fn noise(seed: u32) -> impl FnMut() -> f32 {
+    let mut state = seed;
+    move || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 8) as f32 / (1 << 24) as f32
+    }
+}
+
+/// Somebody before clutter, and the middles of eyes and mouth.
+fn drawn(seed: u64, io_px: f64, roll_deg: f64) -> (Photo, [[f64; 2]; 3]) {
+    turned(seed, io_px, 0.0, roll_deg)
+}
+
+/// The same, turned to the right of the picture.
+fn turned(seed: u64, io_px: f64, yaw_deg: f64, roll_deg: f64) -> (Photo, [[f64; 2]; 3]) {
+    let mut scene = Scene::portrait(seed, io_px, yaw_deg);
+    for sitter in &mut scene.faces {
+        sitter.roll_deg = roll_deg;
+    }
+    let picture = scene.render().unwrap();
+    let size = (picture.image.width() as usize, picture.image.height() as usize);
+    let pixels = picture.image.pixels().map(|pixel| pixel.0).collect();
+    let mean = |from: usize, to: usize| {
+        let points = (from..to).map(|i| picture.faces[0].at(FeatureId::from_ibug(i).unwrap()));
+        let sum = points.fold([0.0; 2], |sum, at| [sum[0] + at[0], sum[1] + at[1]]);
+        sum.map(|sum| sum / (to - from) as f64)
+    };
+    let photo = Photo::from_pixels(size.0, size.1, pixels).unwrap();
+    (photo, [mean(36, 42), mean(42, 48), mean(48, 60)])
+}
+
+/// A photograph as it is, without its colours, or otherwise changed.
+fn with(photo: &Photo, change: impl Fn([u8; 3]) -> [u8; 3]) -> Photo {
+    let pixels = photo.pixels().iter().copied().map(change).collect();
+    Photo::from_pixels(photo.width(), photo.height(), pixels).unwrap()
+}
+
+#[test]
+fn a_drawn_face_is_found_at_any_size_and_roll_once() {
+    let faces_drawn =
+        [(1, 44.0, 0.0), (2, 64.0, 0.0), (3, 130.0, 0.0), (4, 70.0, 26.0), (5, 70.0, -26.0)];
+    for (seed, io_px, roll_deg) in faces_drawn {
+        let (photo, [left, right, mouth]) = drawn(seed, io_px, roll_deg);
+        for photo in [with(&photo, |[_, green, _]| [green; 3]), photo] {
+            let all = faces(&photo, SCORE_MIN);
+            assert_eq!(all.len(), 1, "{seed} {io_px} {roll_deg}: {all:?}");
+            let found = all[0];
+            let pairs = [(found.eyes[0], left), (found.eyes[1], right), (found.mouth, mouth)];
+            for (seen, truth) in pairs {
+                let off = (seen[0] - truth[0]).hypot(seen[1] - truth[1]) / io_px;
+                assert!(off < 0.12, "{seed} {io_px} {roll_deg}: {off} of {found:?}");
+            }
+            let roll_rad = (right[1] - left[1]).atan2(right[0] - left[0]);
+            assert!((found.roll_rad - roll_rad).abs() < 0.12, "{found:?}");
+            assert!((found.io_px / io_px - 1.0).abs() < 0.2, "{found:?}");
+        }
+    }
+}
+
+#[test]
+fn upside_down_it_is_less_of_a_face() {
+    let upright = drawn(6, 70.0, 0.0).0;
+    let pixels: Vec<[u8; 3]> = upright.pixels().iter().rev().copied().collect();
+    let over = Photo::from_pixels(upright.width(), upright.height(), pixels).unwrap();
+    let best = |photo: &Photo| faces(photo, 0.0).first().map_or(0.0, |found| found.score);
+    assert!(best(&over) < best(&upright), "{} {}", best(&over), best(&upright));
+}
+
+#[test]
+fn noise_and_nothing_have_no_faces() {
+    let mut noise = noise(3);
+    let mut grain = || (noise() * 255.0) as u8;
+    let noisy = (0..200 * 160).map(|_| [grain(), grain(), grain()]).collect();
+    assert_eq!(faces(&Photo::from_pixels(200, 160, noisy).unwrap(), SCORE_MIN), []);
+    for (width, height) in [(32, 32), (32, 400), (33, 35), (300, 40)] {
+        let flat = Photo::from_pixels(width, height, vec![[200, 150, 130]; width * height]);
+        assert_eq!(faces(&flat.unwrap(), SCORE_MIN), []);
+    }
+}
+
+#[test]
+fn a_frame_and_its_inverse_are_each_others() {
+    for turn in [0.0, 0.2, -0.3] {
+        let frame = Frame { origin: [40.0, 30.0], across: [20.0, 4.0], down: [-3.0, 24.0], turn };
+        for (x, y) in [(0.0, 0.0), (-0.5, 0.0), (0.6, 1.1), (-0.8, -0.4)] {
+            let [px, py] = frame.at(x, y);
+            let [bx, by] = frame.inside([px, py]);
+            assert!((bx - x).abs() < 1e-4 && (by - y).abs() < 1e-4, "{turn} {x} {y}");
+        }
+        // However far it is turned, the eyes are where they are.
+        assert_eq!(frame.at(0.5, 0.0), [50.0, 32.0]);
+    }
+}
+
+#[test]
+fn the_same_photograph_gives_the_same_faces() {
+    let photo = drawn(7, 60.0, 6.0).0;
+    assert_eq!(faces(&photo, 0.0), faces(&photo, 0.0));
+}
+
+#[test]
+fn the_mirror_image_of_a_look_is_the_look_of_the_mirror_image() {
+    let photo = drawn(8, 60.0, 11.0).0;
+    let mirrored_pixels = photo.pixels().chunks(photo.width()).flat_map(|row| row.iter().rev());
+    let pixels = mirrored_pixels.copied().collect();
+    let other = Photo::from_pixels(photo.width(), photo.height(), pixels).unwrap();
+    let frame = Frame { origin: [112.0, 99.0], across: [45.0, 6.0], down: [-5.0, 50.0], turn: 0.1 };
+    let back = Frame {
+        origin: [photo.width() as f32 - 1.0 - 112.0, 99.0],
+        across: [45.0, -6.0],
+        down: [5.0, 50.0],
+        turn: -0.1,
+    };
+    let own = look(&Octaves::new(photo.grey()), &frame);
+    let of_other = look(&Octaves::new(other.grey()), &back);
+    assert_eq!(own.len(), LOOK);
+    assert_eq!(mirrored(&mirrored(&own)), own);
+    let off = mirrored(&own).iter().zip(&of_other).map(|(a, b)| a.abs_diff(*b)).max();
+    assert!(off <= Some(2), "{off:?}");
+}
+
+#[test]
+fn eyes_and_mouth_are_nearer_once_they_are_aligned() {
+    let (mut before, mut after) = (0.0, 0.0);
+    for seed in 0..8 {
+        let (photo, truth) = drawn(seed, 80.0, 0.0);
+        let octaves = Octaves::new(photo.grey());
+        let truth = truth.map(|at| at.map(|v| v as f32));
+        let apart = truth[1][0] - truth[0][0];
+        let far = |frame: &Frame| {
+            let [left, right] = frame.eyes();
+            let seen = [left, right, frame.at(0.0, Frame::MOUTH)];
+            let off = seen.iter().zip(&truth).map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1]));
+            off.sum::<f32>() / apart
+        };
+        let aside = if seed % 2 == 0 { 0.15 } else { -0.15 };
+        let rough = Frame {
+            origin: [(truth[0][0] + truth[1][0]) / 2.0 + aside * apart, truth[0][1]],
+            across: [apart, 0.0],
+            down: [0.0, 0.85 * (truth[2][1] - truth[0][1]) / Frame::MOUTH],
+            turn: 0.0,
+        };
+        before += far(&rough);
+        let aligned = |frame: Frame, step| aligned(&frame, &look(&octaves, &frame), step);
+        after += far(&STEPS.into_iter().fold(rough, aligned));
+    }
+    assert!(after < 0.7 * before, "{after} of {before}");
+}

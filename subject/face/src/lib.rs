@@ -1,0 +1,23 @@
+//! A photograph of a face becomes a wireframe fitted to it (Yang et al. 2004, and past it).
+//!
+//! It is made before a capture, once a subject, and knows nothing of takes: a take carries it as plain data. Faces are
+//! found by linear weights and trees learned from a few photographs and many drawn heads; the scripts are in
+//! `benches/subject`.
+
+pub mod adapt;
+pub mod find;
+pub mod fit;
+pub mod fitted;
+pub mod mapping;
+pub mod model;
+pub mod paper;
+pub mod photo;
+pub mod plane;
+pub mod plausible;
+pub mod points;
+pub mod pose;
+pub mod render;
+mod slopes;
+
+pub use photo::{Photo, PhotoError};
+pub use plane::Plane;

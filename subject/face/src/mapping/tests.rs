@@ -1,0 +1,155 @@
+use super::*;
+use crate::model::{Camera, Model};
+use crate::render::Random;
+
+fn moved(vertices: &[[f64; 3]]) -> Vec<[f64; 3]> {
+    // A similarity of its own: turned, 1.07 times as large, elsewhere. Project flips y; twice is none.
+    let camera = Camera {
+        scale_px_per_mm: 1.07,
+        yaw_deg: 70.0,
+        pitch_deg: -30.0,
+        roll_deg: 100.0,
+        origin_px: [0.0; 2],
+    };
+    camera.project(vertices).into_iter().map(|[x, y, z]| [x - 14.0, 900.0 - y, z + 250.0]).collect()
+}
+
+#[test]
+fn a_similarity_is_found_as_it_was() {
+    let model = Model::generic().unwrap();
+    let mapping = Mapping::singing_face().unwrap();
+    let there = moved(&model.vertices);
+    let place = |label: &str| {
+        let marker = mapping.markers.iter().find(|marker| marker.label == label)?;
+        Some(there[marker.place.vertex(&model.features, there.len())?])
+    };
+    let found = mapping.align(&model.vertices, &model.features, place, Scaling::Free).unwrap();
+    assert!((found.scale - 1.07).abs() < 1e-9 && found.rms_mm < 1e-9, "{found:?}");
+    for (a, b) in found.apply(&model.vertices).iter().flatten().zip(there.iter().flatten()) {
+        assert!((a - b).abs() < 1e-8, "{a} {b}");
+    }
+    // With the size fixed to another, the rest is as near as it can be.
+    let fixed = mapping.align(&model.vertices, &model.features, place, Scaling::Fixed).unwrap();
+    assert_eq!(fixed.scale, 1.0);
+    assert!(fixed.rms_mm > 1.0 && fixed.rms_mm < 10.0, "{fixed:?}");
+}
+
+#[test]
+fn noise_and_missing_markers_move_it_little() {
+    let model = Model::generic().unwrap();
+    let mapping = Mapping::singing_face().unwrap();
+    let there = moved(&model.vertices);
+    let mut random = Random::new(11);
+    let noisy: BTreeMap<String, [f64; 3]> = mapping
+        .markers
+        .iter()
+        .filter_map(|marker| {
+            let vertex = marker.place.vertex(&model.features, there.len())?;
+            Some((marker.label.clone(), there[vertex].map(|v| v + 1.5 * random.normal())))
+        })
+        .filter(|(label, _)| !label.starts_with("section1-"))
+        .collect();
+    let place = |label: &str| noisy.get(label).copied();
+    let found = mapping.align(&model.vertices, &model.features, place, Scaling::Free).unwrap();
+    let off =
+        |(a, b): (&[f64; 3], &[f64; 3])| (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>().sqrt();
+    let worst = found.apply(&model.vertices).iter().zip(&there).map(off).fold(0.0, f64::max);
+    assert!(worst < 5.0, "{worst} mm");
+}
+
+#[test]
+fn markers_that_hold_nothing_are_refused() {
+    let model = Model::generic().unwrap();
+    let mapping = Mapping::singing_face().unwrap();
+    let align = |marker: &dyn Fn(&str) -> Option<[f64; 3]>| {
+        mapping.align(&model.vertices, &model.features, marker, Scaling::Free).unwrap_err()
+    };
+    assert_eq!(align(&|_| None), AlignError::TooFew(0));
+    let mut along = 0.0;
+    let line: BTreeMap<_, _> = mapping
+        .markers
+        .iter()
+        .map(|marker| {
+            along += 1.0;
+            (marker.label.clone(), [along, 2.0 * along, 3.0])
+        })
+        .collect();
+    assert_eq!(align(&|label| line.get(label).copied()), AlignError::Flat);
+    assert_eq!(align(&|_| Some([1.0; 3])), AlignError::Flat);
+    assert!(matches!(align(&|_| Some([f64::NAN, 0.0, 0.0])), AlignError::NotFinite(_)));
+    assert!(matches!(align(&|_| Some([0.0, 1e300, 0.0])), AlignError::NotFinite(_)));
+}
+
+#[test]
+fn the_mapping_of_the_singing_face_fits_the_generic_face() {
+    let model = Model::generic().unwrap();
+    let mapping = Mapping::singing_face().unwrap();
+    let vertex = |label: &str| {
+        let marker = mapping.markers.iter().find(|marker| marker.label == label).unwrap();
+        model.vertices[marker.place.vertex(&model.features, model.vertices.len()).unwrap()]
+    };
+    for marker in &mapping.markers {
+        vertex(&marker.label);
+    }
+    // The nose's tip is in front; what is left of the face is left of the face.
+    assert!(vertex("section7-2")[2] > vertex("section7-1")[2]);
+    for (left, right) in
+        [("section1-2", "section2-2"), ("section8-1", "section9-1"), ("section11-1", "section12-1")]
+    {
+        assert!(vertex(left)[0] > 5.0 && vertex(right)[0] < -5.0, "{left} {right}");
+    }
+}
+
+#[test]
+fn mappings_are_written_and_read_and_refused() {
+    let mapping = Mapping::singing_face().unwrap();
+    let text = mapping.to_json().unwrap();
+    assert_eq!(Mapping::from_json(&text).unwrap(), mapping);
+    for (from, to) in [
+        ("mocapd-face-mapping", "mocapd-face"),
+        ("\"version\": 1", "\"version\": 2"),
+        ("\"label\"", "\"name\""),
+        ("section7-2", "section7-1"),
+        ("section7-2", ""),
+        ("\"weight\": ", "\"weight\": -"),
+    ] {
+        assert!(text.contains(from), "{from}");
+        assert!(Mapping::from_json(&text.replacen(from, to, 1)).is_err(), "{from} {to}");
+    }
+    assert!(Mapping::from_json(&" ".repeat(1 << 20)).is_err());
+}
+
+#[test]
+fn a_reason_is_a_short_line_whatever_the_mapping_says() {
+    let long = "y\\t".repeat(2000);
+    let kind = r#"{"format": "mocapd-face-mapping", "version": 1, "#;
+    for text in [
+        format!(r#"{kind}"{long}": 1}}"#),
+        format!(r#"{kind}"markers": [{{"label": "a", "at": -1}}]}}"#),
+        format!(r#"{kind}"markers": [{{"label": "{long}", "at": 1}}]}}"#),
+        format!(r#"{kind}"markers": [{{"label": "a", "at": 1, "weight": 1e400}}]}}"#),
+        format!(r#"{kind}"markers": [{}]}}"#, r#"{"label": "a", "at": 1},"#.repeat(1200)),
+        "{".repeat(100_000),
+    ] {
+        let reason = Mapping::from_json(&text).unwrap_err().to_string();
+        assert!(reason.chars().count() < 300 && !reason.contains(char::is_control), "{reason:?}");
+    }
+}
+
+#[test]
+fn changed_bytes_give_a_reason_or_a_mapping_that_holds() {
+    let good = Mapping::singing_face().unwrap().to_json().unwrap().into_bytes();
+    let mut random = Random::new(5);
+    let mut read = 0;
+    for _ in 0..400 {
+        let mut bytes = good.clone();
+        let at = (random.uniform() * bytes.len() as f64) as usize;
+        bytes[at] = random.one_of(b"0123456789-.e,[]{}\"ax ");
+        if let Ok(mapping) = Mapping::from_json(&String::from_utf8(bytes).unwrap()) {
+            let again = Mapping::from_json(&mapping.to_json().unwrap()).unwrap();
+            assert_eq!(again.markers.len(), mapping.markers.len());
+            read += 1;
+        }
+    }
+    assert!(read > 20, "{read}");
+}

@@ -1,0 +1,123 @@
+use super::*;
+use crate::model::{Camera, Model};
+use crate::render::Random;
+
+/// The outline of an upright cylinder of radius 100 around the origin, turned in the picture by `roll`, and its eyes
+/// painted at `side` radians left and right of a middle that is turned by `yaw`.
+fn cylinder(yaw_deg: f64, roll_deg: f64) -> ([f64; 2], [f64; 2], Vec<[f64; 2]>) {
+    let (sin, cos) = roll_deg.to_radians().sin_cos();
+    // Counter-clockwise in a picture whose y points down.
+    let rolled = |[x, y]: [f64; 2]| [300.0 + cos * x + sin * y, 200.0 - sin * x + cos * y];
+    let eye = |side: f64| rolled([100.0 * (yaw_deg.to_radians() + side).sin(), -10.0]);
+    let outline = [[-100.0, -150.0], [100.0, -150.0], [100.0, 150.0], [-100.0, 150.0]];
+    (eye(-0.3), eye(0.3), outline.map(rolled).to_vec())
+}
+
+#[test]
+fn on_a_cylinder_the_arcsine_is_right() {
+    for roll in [-25.0, 0.0, 13.0] {
+        for yaw in [-40.0, -20.0, 0.0, 10.0, 35.0] {
+            let (left, right, outline) = cylinder(yaw, roll);
+            let line = EyeLine::new(left, right, &outline).unwrap();
+            assert!((line.roll_deg - roll).abs() < 1e-9, "{line:?}");
+            // The middle of a chord is nearer to the axis than its arc's middle, by the cosine of half its width.
+            let expected = (yaw.to_radians().sin() * 0.3f64.cos()).asin().to_degrees();
+            assert!((line.yaw_deg(YawRule::Arcsine) - expected).abs() < 1e-9, "{yaw}: {line:?}");
+        }
+    }
+}
+
+#[test]
+fn the_printed_rule_is_as_printed() {
+    let line = EyeLine::new(
+        [90.0, 0.0],
+        [130.0, 0.0],
+        &[[0.0, -50.0], [200.0, -50.0], [200.0, 60.0], [0.0, 60.0]],
+    );
+    let line = line.unwrap();
+    assert_eq!((line.left_px, line.right_px), ([0.0, 0.0], [200.0, 0.0]));
+    assert_eq!(line.offset, 0.05);
+    assert!((line.yaw_deg(YawRule::Printed) - 9.0).abs() < 1e-12);
+    assert!((line.yaw_deg(YawRule::Arcsine) - 0.1f64.asin().to_degrees()).abs() < 1e-12);
+}
+
+#[test]
+fn the_crossings_nearest_to_the_eyes_count() {
+    // A face with an ear that the outline runs around.
+    let outline = [
+        [0.0, -50.0],
+        [200.0, -50.0],
+        [200.0, 30.0],
+        [220.0, 30.0],
+        [220.0, -20.0],
+        [240.0, -20.0],
+        [240.0, 60.0],
+        [0.0, 60.0],
+    ];
+    let line = EyeLine::new([80.0, 0.0], [120.0, 0.0], &outline).unwrap();
+    assert_eq!((line.left_px[0], line.right_px[0]), (0.0, 200.0));
+}
+
+#[test]
+fn eyes_outside_of_the_face_are_refused() {
+    let outline = [[0.0, -50.0], [200.0, -50.0], [200.0, 60.0], [0.0, 60.0]];
+    assert_eq!(EyeLine::new([5.0, 5.0], [5.0, 5.0], &outline), Err(PoseError::Eyes));
+    assert_eq!(EyeLine::new([5.0, f64::NAN], [9.0, 5.0], &outline), Err(PoseError::Eyes));
+    assert_eq!(EyeLine::new([300.0, 0.0], [340.0, 0.0], &outline), Err(PoseError::Outline));
+    assert_eq!(EyeLine::new([50.0, 90.0], [90.0, 90.0], &outline), Err(PoseError::Outline));
+    assert_eq!(EyeLine::new([50.0, 0.0], [90.0, 0.0], &[]), Err(PoseError::Outline));
+}
+
+/// Mean errors of both rules on random heads turned by up to 35 degrees, with an outline of the caller's.
+fn errors_deg(outline: impl Fn(&Model, &Camera, &[[f64; 3]]) -> Vec<[f64; 2]>) -> [f64; 2] {
+    let model = Model::generic().unwrap();
+    let mut random = Random::new(21);
+    let mut errors = [0.0; 2];
+    let rounds = 100;
+    for _ in 0..rounds {
+        let coefficients: Vec<f64> = model.modes.iter().map(|_| random.normal()).collect();
+        let camera = Camera {
+            scale_px_per_mm: 1.5,
+            yaw_deg: random.between(-35.0, 35.0),
+            pitch_deg: 0.0,
+            roll_deg: random.between(-20.0, 20.0),
+            origin_px: [300.0, 300.0],
+        };
+        let vertices = model.shape(&coefficients);
+        let at = |name: &str| {
+            let [x, y, _] = camera.project(&vertices)[model.features[name]];
+            [x, y]
+        };
+        let outline = outline(model, &camera, &vertices);
+        let line = EyeLine::new(at("right_eye_outer"), at("left_eye_outer"), &outline).unwrap();
+        assert!((line.roll_deg - camera.roll_deg).abs() < 4.0, "{line:?} {camera:?}");
+        for (error, rule) in errors.iter_mut().zip([YawRule::Printed, YawRule::Arcsine]) {
+            *error += (line.yaw_deg(rule) - camera.yaw_deg).abs() / f64::from(rounds);
+        }
+    }
+    errors
+}
+
+/// Which rule is nearer depends on what the outline is: places on the jaw, as annotators mark them, or the edge of what is
+/// seen, which bulges on the far side.
+#[test]
+fn each_rule_has_its_outline() {
+    let annotated = errors_deg(|model, camera, vertices| {
+        let side = |side: &str| (1..=8).map(|i| format!("{side}_jaw_{i}")).collect::<Vec<_>>();
+        let names =
+            side("right").into_iter().chain(["chin".into()]).chain(side("left").into_iter().rev());
+        let mut jaw: Vec<[f64; 3]> = names.map(|name| vertices[model.features[&name]]).collect();
+        // The jaw's points end at the height of the eyes: on, straight up.
+        let up = |[x, y, z]: [f64; 3]| [x, y + 60.0, z];
+        let ends = [up(jaw[jaw.len() - 1]), up(jaw[0])];
+        jaw.extend(ends);
+        camera.project(&jaw).into_iter().map(|[x, y, _]| [x, y]).collect()
+    });
+    let seen = errors_deg(|model, camera, vertices| {
+        let points = camera.project(&model.feature_points(vertices, &camera.rotation()));
+        (0..6).chain((6..12).rev()).map(|i| [points[i][0], points[i][1]]).collect()
+    });
+    println!("printed and arcsine: {annotated:.2?} degrees on places, {seen:.2?} on edges");
+    assert!(annotated[1] < annotated[0] && seen[0] < seen[1], "{annotated:?} {seen:?}");
+    assert!(annotated[1] < 4.0 && seen[0] < 4.0, "{annotated:?} {seen:?}");
+}

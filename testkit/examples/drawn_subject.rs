@@ -1,0 +1,48 @@
+//! A scan and a portrait of somebody who does not exist, to try a subject's preparation with.
+//!
+//! `cargo run --release -p mocapd-testkit --example drawn_subject FOLDER [SEED]` writes `scan.obj` (metres, arms away from
+//! the body) and `portrait.png` into a folder.
+
+use std::error::Error;
+use std::fmt::Write;
+use std::path::Path;
+
+use mocapd_body::{
+    Mesh,
+    generate::{Options, Pose, body},
+};
+use mocapd_face::render::Scene;
+
+/// Between the outer corners of the eyes: as large as a portrait that fills a screen.
+const IO_PX: f64 = 120.0;
+
+/// Triangles of the scan: a fifth of what a scanner gives.
+const N_FACES: usize = 10_000;
+
+fn obj(mesh: &Mesh) -> Result<String, std::fmt::Error> {
+    let mut text = String::new();
+    for [x, y, z] in &mesh.positions {
+        writeln!(text, "v {x} {y} {z}")?;
+    }
+    for corners in &mesh.triangles {
+        let [a, b, c] = corners.map(|corner| corner + 1);
+        writeln!(text, "f {a} {b} {c}")?;
+    }
+    Ok(text)
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let mut args = std::env::args_os().skip(1);
+    let folder = args.next().ok_or("which folder? drawn_subject FOLDER [SEED]")?;
+    let seed = match args.next() {
+        Some(seed) => seed.to_str().ok_or("the seed is a number")?.parse()?,
+        None => 5,
+    };
+    let (mesh, _) = body(seed, Pose::A, Options { n_faces: N_FACES, turned: false });
+    std::fs::write(Path::new(&folder).join("scan.obj"), obj(&mesh)?)?;
+    Scene::portrait(seed, IO_PX, 0.0)
+        .render()?
+        .image
+        .save(Path::new(&folder).join("portrait.png"))?;
+    Ok(())
+}
