@@ -1,6 +1,21 @@
 //! The contract of every resampler: one group of channels over one stretch in, one block out, and back.
 
-use crate::{CodecError, Position};
+use crate::Position;
+
+/// An error of the codec.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum CodecError {
+    /// The block's bytes cannot have come from the encoder: bit rot, or another format.
+    #[error("corrupt block: {0}")]
+    Corrupt(&'static str),
+    /// The block ends before its samples do.
+    #[error("block cut short: {0}")]
+    Truncated(&'static str),
+    /// The caller asked for something that has no answer; the message says what would.
+    #[error("{0}")]
+    InvalidArgument(String),
+}
 
 /// Most channels of a group: those that are coded together.
 ///

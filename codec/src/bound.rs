@@ -1,22 +1,59 @@
-//! The promise of a block: how far it lies from its samples, measured and then stated in six bits.
+//! How far a reconstruction may lie from its samples, and how far it does: measured, and stated in six bits.
 
-use crate::Position;
+use crate::{CodecError, Position};
+
+/// Largest Euclidean distance in 3D, in millimetres, between a sample and its reconstruction.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+pub struct Tolerance(f64);
+
+impl Tolerance {
+    /// The smallest tolerance: below it a float32 position has no digits left to save at room scale.
+    pub const MIN_MM: f64 = 1e-4;
+    /// The largest: beyond a kilometre it is a typing error.
+    pub const MAX_MM: f64 = 1e6;
+
+    /// # Errors
+    /// `InvalidArgument` when `mm` is not finite or outside `MIN_MM..=MAX_MM`.
+    pub fn from_mm(mm: f64) -> Result<Self, CodecError> {
+        if mm.is_finite() && (Self::MIN_MM..=Self::MAX_MM).contains(&mm) {
+            return Ok(Self(mm));
+        }
+        Err(CodecError::InvalidArgument(format!(
+            "a tolerance of {mm} mm is outside {} mm to {} m; for exact samples use --lossless",
+            Self::MIN_MM,
+            Self::MAX_MM / 1000.0
+        )))
+    }
+
+    /// In millimetres.
+    #[must_use]
+    pub fn mm(self) -> f64 {
+        self.0
+    }
+}
 
 /// Steps of the stated bound.
 pub(crate) const STATED_STEPS: u8 = 63;
 
-/// Euclidean distance in f64, in millimetres.
-pub(crate) fn distance_mm(a: Position, b: Position) -> f64 {
-    squares(a, b).sqrt()
+/// One value per axis.
+pub(crate) type Vector = [f64; 3];
+
+/// Exact: every f32 is an f64.
+#[inline(always)]
+pub(crate) fn widen(position: Position) -> Vector {
+    position.map(f64::from)
 }
 
-/// The square of the distance.
-pub(crate) fn squares(a: Position, b: Position) -> f64 {
-    let square = |axis: usize| {
-        let d = f64::from(a[axis]) - f64::from(b[axis]);
-        d * d
-    };
-    square(0) + square(1) + square(2)
+/// The square of the distance, each step of it in this order: the same on every machine.
+#[inline(always)]
+pub(crate) fn squared_distance(a: Vector, b: Vector) -> f64 {
+    let [x, y, z] = std::array::from_fn(|axis| a[axis] - b[axis]);
+    x * x + y * y + z * z
+}
+
+/// Euclidean distance in f64, in millimetres.
+pub(crate) fn distance_mm(a: Position, b: Position) -> f64 {
+    squared_distance(widen(a), widen(b)).sqrt()
 }
 
 /// The bound that a step states, in millimetres.

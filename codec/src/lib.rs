@@ -46,22 +46,22 @@ mod block;
 mod bound;
 mod coding;
 mod dense;
-mod error;
 mod fast;
 mod frame;
 mod lossless;
-mod raw;
 mod settings;
 mod spline;
-mod sync;
 
-pub use block::{BlockDecoder, BlockEncoder, BlockReport, DecodedRows, GROUP_CHANNELS, Rows};
+pub use block::{
+    BlockDecoder, BlockEncoder, BlockReport, CodecError, DecodedRows, GROUP_CHANNELS, Rows,
+};
+pub use bound::Tolerance;
 pub use coding::range;
 #[cfg(feature = "training")]
 pub use dense::training;
-pub use error::CodecError;
 pub use frame::stated_channels;
-pub use settings::{ResamplerKind, Settings, SplineVariant, Tolerance};
+pub use settings::{ResamplerKind, Settings};
+pub use spline::SplineVariant;
 
 /// The version of the block format: the one that this crate writes, and the only one it reads.
 ///

@@ -2,9 +2,11 @@
 
 use crate::{
     BlockReport, CodecError, DecodedRows, Rows,
-    coding::bytes::Bytes,
-    frame::{PayloadDecoder, PayloadEncoder},
-    raw::{Histories, Raw},
+    coding::{
+        bytes::Bytes,
+        columns::{Histories, Raw},
+    },
+    frame::{Payload, PayloadDecoder, PayloadEncoder},
 };
 
 /// Encoder and decoder of one group: the last bit patterns of each channel.
@@ -20,13 +22,18 @@ impl Lossless {
             self.histories.resize(n_channels, Histories::default());
         }
     }
+}
 
-    fn reserve(&mut self, n_channels: usize, n_rows: usize) {
+/// Empty blocks leave the histories as they are: a marker is found again not far from where it was lost.
+impl Payload for Lossless {
+    const EXACT: bool = true;
+
+    fn prepare(&mut self, n_channels: usize, n_rows: usize) {
         self.grow(n_channels);
         self.raw.reserve(n_rows);
     }
 
-    fn forget(&mut self) {
+    fn reset(&mut self) {
         self.histories.fill(Histories::default());
     }
 }
@@ -34,22 +41,9 @@ impl Lossless {
 impl PayloadEncoder for Lossless {
     type Decoder = Self;
 
-    const EXACT: bool = true;
-
     fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
         n_channels * Raw::max_bytes(n_rows)
     }
-
-    fn prepare(&mut self, n_channels: usize, n_rows: usize) {
-        self.reserve(n_channels, n_rows);
-    }
-
-    fn reset(&mut self) {
-        self.forget();
-    }
-
-    /// A marker is found again not far from where it was lost.
-    fn break_off(&mut self) {}
 
     fn encode(
         &mut self,
@@ -61,7 +55,7 @@ impl PayloadEncoder for Lossless {
         self.grow(channels.len());
         let channels = channels.iter().zip(&mut self.histories).zip(reports);
         for ((rows, history), report) in channels.filter(|(_, report)| report.samples > 0) {
-            self.raw.write_after(history, *rows, out);
+            self.raw.write(*rows, history, out);
             report.kept = report.samples;
         }
         Ok(())
@@ -69,19 +63,6 @@ impl PayloadEncoder for Lossless {
 }
 
 impl PayloadDecoder for Lossless {
-    const EXACT: bool = true;
-
-    #[cfg(debug_assertions)]
-    fn prepare(&mut self, n_channels: usize, n_rows: usize) {
-        self.reserve(n_channels, n_rows);
-    }
-
-    fn reset(&mut self) {
-        self.forget();
-    }
-
-    fn break_off(&mut self) {}
-
     fn decode(
         &mut self,
         payload: &[u8],
@@ -92,7 +73,7 @@ impl PayloadDecoder for Lossless {
         let mut input = Bytes::new(payload);
         for (rows, history) in channels.iter_mut().zip(&mut self.histories) {
             if rows.has_samples() {
-                self.raw.read_after(history, &mut input, rows)?;
+                self.raw.read(&mut input, history, rows)?;
             }
         }
         input.finish()

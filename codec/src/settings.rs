@@ -1,63 +1,15 @@
-//! Which resampler, and how far a reconstruction may lie from its sample.
+//! Which resampler, and what it is asked for.
 
 use std::{fmt, str::FromStr};
 
 use crate::{
-    BlockDecoder, BlockEncoder, CodecError, Rows,
+    BlockDecoder, BlockEncoder, CodecError, Rows, SplineVariant, Tolerance,
     dense::{DenseDecoder, DenseEncoder},
     fast::{FastDecoder, FastEncoder},
     frame::{self, FramedDecoder, FramedEncoder, PayloadEncoder},
     lossless::Lossless,
-    spline::Spline,
-    sync::{self, Sync},
+    spline::{self, Spline},
 };
-
-/// Largest Euclidean distance in 3D, in millimetres, between a sample and its reconstruction.
-#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
-pub struct Tolerance(f64);
-
-impl Tolerance {
-    /// The smallest tolerance: below it a float32 position has no digits left to save at room scale.
-    pub const MIN_MM: f64 = 1e-4;
-    /// The largest: beyond a kilometre it is a typing error.
-    pub const MAX_MM: f64 = 1e6;
-
-    /// # Errors
-    /// `InvalidArgument` when `mm` is not finite or outside `MIN_MM..=MAX_MM`.
-    pub fn from_mm(mm: f64) -> Result<Self, CodecError> {
-        if mm.is_finite() && (Self::MIN_MM..=Self::MAX_MM).contains(&mm) {
-            return Ok(Self(mm));
-        }
-        Err(CodecError::InvalidArgument(format!(
-            "a tolerance of {mm} mm is outside {} mm to {} m; for exact samples use --lossless",
-            Self::MIN_MM,
-            Self::MAX_MM / 1000.0
-        )))
-    }
-
-    /// In millimetres.
-    #[must_use]
-    pub fn mm(self) -> f64 {
-        self.0
-    }
-}
-
-/// How `spline` picks the next knot: the two readings of step 2 of (Shi et al. 2012, 2.3).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
-#[non_exhaustive]
-pub enum SplineVariant {
-    /// Insert the sample whose current error is largest.
-    #[default]
-    WorstSample,
-    /// Try every sample; insert the one that leaves the smallest sum of squared errors.
-    Exhaustive,
-}
-
-impl SplineVariant {
-    /// Longest run that [`Exhaustive`](Self::Exhaustive) takes, in samples: its work grows with the
-    /// third power of the run, to some seconds a channel at this length. Longer runs are refused.
-    pub const EXHAUSTIVE_MAX_RUN_ROWS: usize = 1024;
-}
 
 /// The resamplers. [`Display`](fmt::Display) writes and [`FromStr`] reads the name that a container of
 /// blocks stores: `dense`, `fast`, `lossless`, `spline:worst-sample`...
@@ -144,47 +96,41 @@ impl Settings {
     /// Without a key block it is as behind a key block without samples; so is a new decoder.
     #[must_use]
     pub fn encoder(&self) -> Box<dyn BlockEncoder> {
-        let tolerance = self.tolerance;
+        let within = self.tolerance;
         match self.kind {
-            ResamplerKind::Dense => framed(DenseEncoder::new(tolerance), self.dense(), tolerance),
-            ResamplerKind::Fast => framed(FastEncoder::new(tolerance), self.fast(), tolerance),
-            ResamplerKind::Lossless => framed(Lossless::default(), Lossless::default(), tolerance),
-            ResamplerKind::Spline(variant) => {
-                framed(self.spline(variant), self.spline(variant), tolerance)
+            ResamplerKind::Dense => {
+                framed(DenseEncoder::new(within), DenseDecoder::new(within), within)
             }
-            ResamplerKind::Sync(_) => framed(self.sync(), self.sync(), tolerance),
+            ResamplerKind::Fast => {
+                framed(FastEncoder::new(within), FastDecoder::new(within), within)
+            }
+            ResamplerKind::Lossless => framed(Lossless::default(), Lossless::default(), within),
+            ResamplerKind::Spline(variant) => framed(
+                Spline::asynchronous(within, variant),
+                Spline::asynchronous(within, variant),
+                within,
+            ),
+            ResamplerKind::Sync(_) => {
+                framed(Spline::synchronous(within), Spline::synchronous(within), within)
+            }
         }
     }
 
     /// A new decoder for one group of channels. It may move to another thread between two blocks.
     #[must_use]
     pub fn decoder(&self) -> Box<dyn BlockDecoder> {
-        let tolerance = self.tolerance;
+        let within = self.tolerance;
         match self.kind {
-            ResamplerKind::Dense => Box::new(FramedDecoder::new(self.dense(), tolerance)),
-            ResamplerKind::Fast => Box::new(FramedDecoder::new(self.fast(), tolerance)),
-            ResamplerKind::Lossless => Box::new(FramedDecoder::new(Lossless::default(), tolerance)),
+            ResamplerKind::Dense => Box::new(FramedDecoder::new(DenseDecoder::new(within), within)),
+            ResamplerKind::Fast => Box::new(FramedDecoder::new(FastDecoder::new(within), within)),
+            ResamplerKind::Lossless => Box::new(FramedDecoder::new(Lossless::default(), within)),
             ResamplerKind::Spline(variant) => {
-                Box::new(FramedDecoder::new(self.spline(variant), tolerance))
+                Box::new(FramedDecoder::new(Spline::asynchronous(within, variant), within))
             }
-            ResamplerKind::Sync(_) => Box::new(FramedDecoder::new(self.sync(), tolerance)),
+            ResamplerKind::Sync(_) => {
+                Box::new(FramedDecoder::new(Spline::synchronous(within), within))
+            }
         }
-    }
-
-    fn dense(&self) -> DenseDecoder {
-        DenseDecoder::new(self.tolerance)
-    }
-
-    fn fast(&self) -> FastDecoder {
-        FastDecoder::new(self.tolerance)
-    }
-
-    fn spline(&self, variant: SplineVariant) -> Spline {
-        Spline::new(self.tolerance, variant)
-    }
-
-    fn sync(&self) -> Sync {
-        Sync::new(self.tolerance)
     }
 
     /// What all channels of a stretch share, coded: `sync`'s key times; empty for every other kind.
@@ -194,7 +140,7 @@ impl Settings {
     /// when a run is too long for the exhaustive variant.
     pub fn plan(&self, channels: &[Rows<'_>]) -> Result<Vec<u8>, CodecError> {
         match self.kind {
-            ResamplerKind::Sync(variant) => sync::plan(channels, self.tolerance, variant),
+            ResamplerKind::Sync(variant) => spline::plan(channels, self.tolerance, variant),
             _ => Ok(Vec::new()),
         }
     }
@@ -204,8 +150,7 @@ impl Settings {
     #[must_use]
     pub fn max_block_bytes(&self, n_channels: usize, n_rows: usize) -> usize {
         let most = match self.kind {
-            ResamplerKind::Spline(_) => frame::max_block_bytes::<Spline>,
-            ResamplerKind::Sync(_) => frame::max_block_bytes::<Sync>,
+            ResamplerKind::Spline(_) | ResamplerKind::Sync(_) => frame::max_block_bytes::<Spline>,
             ResamplerKind::Dense => frame::max_block_bytes::<DenseEncoder>,
             ResamplerKind::Fast => frame::max_block_bytes::<FastEncoder>,
             ResamplerKind::Lossless => frame::max_block_bytes::<Lossless>,

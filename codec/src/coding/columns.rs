@@ -1,12 +1,99 @@
-//! Three columns of integers as packed differences: a channel of `lossless`, and a raw one of any kind.
+//! The samples of a channel bit by bit: three columns of integers as packed differences.
+//!
+//! What `lossless` writes for every channel, and every other kind for one that it cannot code. The integers
+//! are the float32 bit patterns in the order of the numbers.
 //!
 //! One head byte: bits 0-1, 2-3 and 4-5 are the difference order (0, 1 or 2) of x, y and z. Then per
 //! column: while fewer earlier values are known than the order asks for, a zigzag varint of the
-//! difference of the highest order possible; then groups ([`bitpack`](super::bitpack)) of zigzag
-//! differences.
+//! difference of the highest order possible; then groups of zigzag differences, each group at the width of
+//! its widest member: one byte of width (0 to 64), then `len * width` bits, least significant bit first.
 
-use super::{bitpack, bytes, zigzag};
-use crate::CodecError;
+use super::bytes::{Bytes, varint_len, write_varint};
+use crate::{CodecError, DecodedRows, Rows};
+
+/// The last bit patterns of a channel, by axis.
+pub(crate) type Histories = [History; 3];
+
+/// Memory for the samples of one channel of one block.
+#[derive(Debug, Default)]
+pub(crate) struct Raw {
+    columns: [Vec<i64>; 3],
+}
+
+/// Order-preserving, so that neighbouring floats are neighbouring integers, across zero as well.
+fn to_ordered(value: f32) -> i64 {
+    let bits = value.to_bits() as i32;
+    i64::from(bits ^ (bits >> 31 & i32::MAX))
+}
+
+fn from_ordered(ordered: i64) -> Option<f32> {
+    let bits = i32::try_from(ordered).ok()?;
+    let value = f32::from_bits((bits ^ (bits >> 31 & i32::MAX)) as u32);
+    value.is_finite().then_some(value)
+}
+
+impl Raw {
+    /// Most bytes of so many samples.
+    pub(crate) fn max_bytes(samples: usize) -> usize {
+        // Order 0 needs no varints and at most 32 bits a value, and the smallest order is taken.
+        1 + 3 * (4 * samples + samples.div_ceil(GROUP_LEN))
+    }
+
+    /// Room for so many samples.
+    pub(crate) fn reserve(&mut self, n_rows: usize) {
+        for column in &mut self.columns {
+            column.reserve(n_rows.saturating_sub(column.len()));
+        }
+    }
+
+    /// Appends a channel's samples, as differences from what was written with this history before.
+    pub(crate) fn write(&mut self, rows: Rows<'_>, history: &mut Histories, out: &mut Vec<u8>) {
+        for (axis, column) in self.columns.iter_mut().enumerate() {
+            column.clear();
+            let samples =
+                rows.positions().iter().zip(rows.present()).filter(|(_, present)| **present);
+            column.extend(samples.map(|(position, _)| to_ordered(position[axis])));
+        }
+        let orders: [usize; 3] =
+            std::array::from_fn(|axis| smallest_order(&self.columns[axis], history[axis]));
+        out.push((orders[0] | orders[1] << 2 | orders[2] << 4) as u8);
+        for ((column, history), order) in self.columns.iter().zip(history).zip(orders) {
+            write_column(column, history, order, out);
+        }
+    }
+
+    /// Fills the present rows with what [`write`](Self::write) wrote, and says that all of them were kept.
+    ///
+    /// Nothing is allocated for values that `input` does not hold.
+    pub(crate) fn read(
+        &mut self,
+        input: &mut Bytes<'_>,
+        history: &mut Histories,
+        rows: &mut DecodedRows,
+    ) -> Result<(), CodecError> {
+        let n = rows.present.iter().filter(|&&p| p).count();
+        let head = input.byte("the head of the columns")?;
+        if head >> 6 != 0 {
+            return Err(CodecError::Corrupt("unknown flags of columns"));
+        }
+        for (axis, (column, history)) in self.columns.iter_mut().zip(history).enumerate() {
+            let order = usize::from(head >> (2 * axis) & 3);
+            if order > MAX_ORDER {
+                return Err(CodecError::Corrupt("a difference of order 3"));
+            }
+            read_column(input, n, history, order, column)?;
+        }
+        let present = rows.positions.iter_mut().zip(&rows.present).filter(|(_, p)| **p);
+        for (at, (position, _)) in present.enumerate() {
+            for (value, column) in position.iter_mut().zip(&self.columns) {
+                *value =
+                    from_ordered(column[at]).ok_or(CodecError::Corrupt("a value not finite"))?;
+            }
+        }
+        rows.kept.copy_from_slice(&rows.present);
+        Ok(())
+    }
+}
 
 /// Highest difference order.
 const MAX_ORDER: usize = 2;
@@ -34,45 +121,6 @@ impl History {
     }
 }
 
-/// Most bytes of three columns of `n` values, each of which fits 32 bits.
-pub(crate) fn max_bytes_32(n: usize) -> usize {
-    // Order 0 needs no varints and at most 32 bits a value, and the smallest order is taken.
-    1 + 3 * (4 * n + n.div_ceil(bitpack::GROUP_LEN))
-}
-
-/// Appends three columns.
-pub(crate) fn write(columns: &[Vec<i64>; 3], history: &mut [History; 3], out: &mut Vec<u8>) {
-    let orders: [usize; 3] =
-        std::array::from_fn(|axis| smallest_order(&columns[axis], history[axis]));
-    out.push((orders[0] | orders[1] << 2 | orders[2] << 4) as u8);
-    for axis in 0..3 {
-        write_column(&columns[axis], &mut history[axis], orders[axis], out);
-    }
-}
-
-/// Reads three columns of `n` values into `columns`.
-///
-/// Nothing is allocated for values that `input` does not hold.
-pub(crate) fn read(
-    input: &mut bytes::Bytes<'_>,
-    n: usize,
-    history: &mut [History; 3],
-    columns: &mut [Vec<i64>; 3],
-) -> Result<(), CodecError> {
-    let head = input.byte("the head of the columns")?;
-    if head >> 6 != 0 {
-        return Err(CodecError::Corrupt("unknown flags of columns"));
-    }
-    for (axis, (column, history)) in columns.iter_mut().zip(history).enumerate() {
-        let order = usize::from(head >> (2 * axis) & 3);
-        if order > MAX_ORDER {
-            return Err(CodecError::Corrupt("a difference of order 3"));
-        }
-        read_column(input, n, history, order, column)?;
-    }
-    Ok(())
-}
-
 /// The lowest of equals, because it suffers least from a gap.
 fn smallest_order(column: &[i64], history: History) -> usize {
     (0..=MAX_ORDER).min_by_key(|&order| column_bytes(column, history, order)).unwrap_or(0)
@@ -84,16 +132,16 @@ fn column_bytes(column: &[i64], mut history: History, order: usize) -> usize {
     let mut size = 0;
     for &value in head {
         let residual = value.wrapping_sub(history.predict(history.known.min(order)));
-        size += bytes::varint_len(zigzag::encode(residual));
+        size += varint_len(zigzag(residual));
         history.push(value);
     }
-    for group in rest.chunks(bitpack::GROUP_LEN) {
+    for group in rest.chunks(GROUP_LEN) {
         let mut union = 0;
         for &value in group {
-            union |= zigzag::encode(value.wrapping_sub(history.predict(order)));
+            union |= zigzag(value.wrapping_sub(history.predict(order)));
             history.push(value);
         }
-        size += bitpack::group_bytes(group.len(), bitpack::width_of(union));
+        size += group_bytes(group.len(), width_of(union));
     }
     size
 }
@@ -102,23 +150,23 @@ fn write_column(column: &[i64], history: &mut History, order: usize, out: &mut V
     let (head, rest) = column.split_at(order.saturating_sub(history.known).min(column.len()));
     for &value in head {
         let residual = value.wrapping_sub(history.predict(history.known.min(order)));
-        bytes::write_varint(zigzag::encode(residual), out);
+        write_varint(zigzag(residual), out);
         history.push(value);
     }
-    for group in rest.chunks(bitpack::GROUP_LEN) {
-        let mut codes = [0; bitpack::GROUP_LEN];
+    for group in rest.chunks(GROUP_LEN) {
+        let mut codes = [0; GROUP_LEN];
         let mut union = 0;
         for (code, &value) in codes.iter_mut().zip(group) {
-            *code = zigzag::encode(value.wrapping_sub(history.predict(order)));
+            *code = zigzag(value.wrapping_sub(history.predict(order)));
             union |= *code;
             history.push(value);
         }
-        bitpack::pack(&codes[..group.len()], bitpack::width_of(union), out);
+        pack(&codes[..group.len()], width_of(union), out);
     }
 }
 
 fn read_column(
-    input: &mut bytes::Bytes<'_>,
+    input: &mut Bytes<'_>,
     n: usize,
     history: &mut History,
     order: usize,
@@ -127,22 +175,162 @@ fn read_column(
     column.clear();
     let head = order.saturating_sub(history.known).min(n);
     for _ in 0..head {
-        let residual = zigzag::decode(input.varint("a first value")?);
+        let residual = unzigzag(input.varint("a first value")?);
         let value = history.predict(history.known.min(order)).wrapping_add(residual);
         history.push(value);
         column.push(value);
     }
     let mut left = n - head;
     while left > 0 {
-        let len = left.min(bitpack::GROUP_LEN);
-        let mut codes = [0; bitpack::GROUP_LEN];
-        bitpack::unpack(input, &mut codes[..len])?;
+        let len = left.min(GROUP_LEN);
+        let mut codes = [0; GROUP_LEN];
+        unpack(input, &mut codes[..len])?;
         for &code in &codes[..len] {
-            let value = history.predict(order).wrapping_add(zigzag::decode(code));
+            let value = history.predict(order).wrapping_add(unzigzag(code));
             history.push(value);
             column.push(value);
         }
         left -= len;
     }
     Ok(())
+}
+
+/// Signed to unsigned, small magnitudes first: 0, -1, 1, -2, 2, ...
+const fn zigzag(value: i64) -> u64 {
+    ((value << 1) ^ (value >> 63)) as u64
+}
+
+const fn unzigzag(code: u64) -> i64 {
+    (code >> 1) as i64 ^ -((code & 1) as i64)
+}
+
+/// Values of one group; the last group of a column may be shorter.
+const GROUP_LEN: usize = 32;
+
+const GROUP_BYTES: usize = GROUP_LEN * 8;
+
+/// Bits that the widest member needs, given the bitwise or of all members.
+const fn width_of(union: u64) -> u32 {
+    64 - union.leading_zeros()
+}
+
+/// Bytes of a group, its width byte included.
+const fn group_bytes(len: usize, width: u32) -> usize {
+    1 + (len * width as usize).div_ceil(8)
+}
+
+/// Appends one group of at most [`GROUP_LEN`] values, none wider than `width` bits.
+fn pack(values: &[u64], width: u32, out: &mut Vec<u8>) {
+    out.push(width as u8);
+    if width == 0 {
+        return;
+    }
+    let mut packed = [0_u8; GROUP_BYTES];
+    let mut words = packed.as_chunks_mut::<8>().0.iter_mut();
+    let (mut word, mut filled) = (0_u64, 0_u32);
+    let mut flush = |word: u64| {
+        if let Some(slot) = words.next() {
+            *slot = word.to_le_bytes();
+        }
+    };
+    for &value in values {
+        word |= value << filled;
+        filled += width;
+        if filled >= 64 {
+            flush(word);
+            filled -= 64;
+            word = if filled == 0 { 0 } else { value >> (width - filled) };
+        }
+    }
+    flush(word);
+    out.extend_from_slice(&packed[..(values.len() * width as usize).div_ceil(8)]);
+}
+
+/// Reads one group into all of `values`, which is at most [`GROUP_LEN`] long.
+fn unpack(input: &mut Bytes<'_>, values: &mut [u64]) -> Result<(), CodecError> {
+    let width = u32::from(input.byte("the width of a group")?);
+    if width > 64 {
+        return Err(CodecError::Corrupt("a group wider than 64 bits"));
+    }
+    let bits = input.take((values.len() * width as usize).div_ceil(8), "a group of values")?;
+    // Nine spare bytes, so that a window of nine never leaves the array.
+    let mut padded = [0_u8; GROUP_BYTES + 9];
+    padded[..bits.len()].copy_from_slice(bits);
+    let mask = if width == 64 { u64::MAX } else { (1 << width) - 1 };
+    for (i, value) in values.iter_mut().enumerate() {
+        let at = i * width as usize;
+        let window = &padded[at / 8..at / 8 + 9];
+        let mut low = [0_u8; 8];
+        low.copy_from_slice(&window[..8]);
+        let shift = at % 8;
+        let mut word = u64::from_le_bytes(low) >> shift;
+        if shift != 0 {
+            word |= u64::from(window[8]) << (64 - shift);
+        }
+        *value = word & mask;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn zigzag_round_trips_in_order_of_magnitude() {
+        for (code, value) in [0, -1, 1, -2, 2].into_iter().enumerate() {
+            assert_eq!(zigzag(value), code as u64);
+        }
+        for value in [i64::MIN, i64::MIN + 1, -77, 0, 1 << 40, i64::MAX] {
+            assert_eq!(unzigzag(zigzag(value)), value);
+        }
+    }
+
+    #[test]
+    fn every_width_and_length_round_trips() {
+        let mut seed = 1_u64;
+        for width in 0..=64 {
+            for len in [1, 2, 31, 32] {
+                let values: Vec<u64> = (0..len)
+                    .map(|_| {
+                        seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+                        if width == 0 { 0 } else { seed >> (64 - width) }
+                    })
+                    .collect();
+                let mut out = Vec::new();
+                pack(&values, width, &mut out);
+                assert_eq!(out.len(), group_bytes(len, width));
+                let mut input = Bytes::new(&out);
+                let mut back = vec![0; len];
+                unpack(&mut input, &mut back).unwrap();
+                assert_eq!(back, values, "width {width}");
+                assert!(input.is_empty());
+            }
+        }
+    }
+
+    #[test]
+    fn a_width_of_65_is_corrupt() {
+        let mut back = [0; 4];
+        assert!(matches!(
+            unpack(&mut Bytes::new(&[65, 0]), &mut back),
+            Err(CodecError::Corrupt(_))
+        ));
+    }
+
+    #[test]
+    fn the_map_keeps_order_and_every_bit() {
+        let values = [f32::MIN, -1.0, -f32::MIN_POSITIVE, -1e-45, -0.0, 0.0, 1e-45, 1.0, f32::MAX];
+        for pair in values.windows(2) {
+            assert!(to_ordered(pair[0]) < to_ordered(pair[1]), "{pair:?}");
+        }
+        assert_eq!(to_ordered(-0.0) + 1, to_ordered(0.0));
+        for value in values {
+            assert_eq!(from_ordered(to_ordered(value)).unwrap().to_bits(), value.to_bits());
+        }
+        for value in [f32::INFINITY, f32::NEG_INFINITY, f32::NAN] {
+            assert_eq!(from_ordered(to_ordered(value)), None);
+        }
+        assert_eq!(from_ordered(1 << 40), None);
+    }
 }

@@ -31,7 +31,7 @@ impl Encoding<'_, '_> {
     /// As [`bound::distance_mm`], without its root: that keeps the order.
     #[inline(always)]
     fn squares(&self, sample: Position, units: [f64; 3]) -> f64 {
-        bound::squares(self.grid.position(units), sample)
+        bound::squared_distance(bound::widen(self.grid.position(units)), bound::widen(sample))
     }
 
     /// As [`squares`](Self::squares), of some of the rows ahead.

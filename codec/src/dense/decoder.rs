@@ -10,7 +10,7 @@ use super::{
 use crate::{
     CodecError, DecodedRows, GROUP_CHANNELS, Tolerance,
     coding::range::{BinaryCoder, RangeDecoder},
-    frame::PayloadDecoder,
+    frame::{Payload, PayloadDecoder},
 };
 
 /// The decoder of one group.
@@ -27,8 +27,7 @@ impl DenseDecoder {
     }
 }
 
-impl PayloadDecoder for DenseDecoder {
-    #[cfg(debug_assertions)]
+impl Payload for DenseDecoder {
     fn prepare(&mut self, n_channels: usize, n_rows: usize) {
         self.group.prepare(n_channels, n_rows);
         self.present.reserve((n_channels * n_rows).saturating_sub(self.present.len()));
@@ -41,7 +40,9 @@ impl PayloadDecoder for DenseDecoder {
     fn break_off(&mut self) {
         self.group.break_off();
     }
+}
 
+impl PayloadDecoder for DenseDecoder {
     fn decode(
         &mut self,
         payload: &[u8],

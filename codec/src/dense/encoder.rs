@@ -11,7 +11,7 @@ use super::{
 use crate::{
     BlockReport, CodecError, GROUP_CHANNELS, Rows, Tolerance,
     coding::range::{BinaryCoder, RangeEncoder},
-    frame::PayloadEncoder,
+    frame::{Payload, PayloadEncoder},
 };
 
 /// The odds of a block that is stored raw as a whole, in 2^-16.
@@ -60,14 +60,7 @@ fn largest(rows: Rows<'_>) -> Option<f32> {
     some.then(|| f32::from_bits(bits))
 }
 
-impl PayloadEncoder for DenseEncoder {
-    type Decoder = DenseDecoder;
-
-    fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
-        // Stored raw: the samples, and the end of the range coder.
-        n_channels * n_rows * 12 + 8
-    }
-
+impl Payload for DenseEncoder {
     fn prepare(&mut self, n_channels: usize, n_rows: usize) {
         self.group.prepare(n_channels, n_rows);
     }
@@ -78,6 +71,15 @@ impl PayloadEncoder for DenseEncoder {
 
     fn break_off(&mut self) {
         self.group.break_off();
+    }
+}
+
+impl PayloadEncoder for DenseEncoder {
+    type Decoder = DenseDecoder;
+
+    fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
+        // Stored raw: the samples, and the end of the range coder.
+        n_channels * n_rows * 12 + 8
     }
 
     fn encode(

@@ -6,7 +6,7 @@ use super::{
 };
 use crate::{
     BlockReport, CodecError, Rows, Tolerance,
-    frame::{PayloadEncoder, count_finite},
+    frame::{Payload, PayloadEncoder, count_finite},
 };
 
 /// The kinds of rows.

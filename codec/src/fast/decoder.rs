@@ -1,57 +1,46 @@
-//! The decoder of a group.
+//! The decoder of a group: from bits to points.
 
 use super::{
-    Mode,
-    isa::Isa,
-    read::Decoding,
-    reader::Reader,
-    step,
-    tans::Tables,
-    walk::{self, Channel, Grid, Point},
+    Group, MAX_ZEROS, Mode, max_payload_bytes,
+    model::{
+        Activity, Fourfold, GOLOMB, LOW_BITS, PLACES, QUIET_PLACE, QUIET_ROWS, SYMBOLS, TABLES,
+        WAKE_PLACE, axes, axis_code, cut, table_at,
+    },
+    planes::{Planes, Point, gather},
+    tans::{Entry, MAGNITUDE, MORE, PAD, Reader, SYMBOLS_FILLED, Tables},
+    walk::{self, Channel, Grid, LEAD, Rows, Side},
 };
 use crate::{
-    CodecError, DecodedRows, Tolerance, coding::bytes::Bytes, frame::PayloadDecoder, raw::Raw,
+    CodecError, DecodedRows, Tolerance, block,
+    coding::{
+        bytes::Bytes,
+        columns::Histories,
+        isa::{Isa, Kernel},
+    },
+    frame::{Payload, PayloadDecoder},
 };
 
 /// The decoder of a group of channels.
 #[derive(Debug)]
 pub(crate) struct FastDecoder {
-    tolerance_mm: f64,
-    tables: &'static Tables,
-    isa: Isa,
-    channels: Vec<Channel>,
+    group: Group,
     grid: Grid,
     steps: Vec<Point>,
     padded: Vec<u8>,
-    modes: Vec<Mode>,
-    raw: Raw,
 }
 
 impl FastDecoder {
-    /// Nothing is allocated yet.
     pub(crate) fn new(tolerance: Tolerance) -> Self {
         Self::with_isa(tolerance, Isa::detect())
     }
 
     pub(super) fn with_isa(tolerance: Tolerance, isa: Isa) -> Self {
-        Self {
-            tolerance_mm: tolerance.mm(),
-            tables: Tables::get(),
-            isa,
-            channels: Vec::new(),
-            grid: Grid::default(),
-            steps: Vec::new(),
-            padded: Vec::new(),
-            modes: Vec::new(),
-            raw: Raw::default(),
-        }
+        let group = Group::new(tolerance, isa);
+        Self { group, grid: Grid::default(), steps: Vec::new(), padded: Vec::new() }
     }
 
     fn grow(&mut self, n_channels: usize, n_rows: usize) {
-        if self.channels.len() < n_channels {
-            self.channels.resize(n_channels, Channel::NEW);
-            self.modes.resize(n_channels, Mode::default());
-        }
+        self.group.grow(n_channels);
         let room = walk::room(n_rows);
         if self.steps.len() < room {
             self.steps.resize(room, Point::default());
@@ -60,22 +49,23 @@ impl FastDecoder {
     }
 }
 
-impl PayloadDecoder for FastDecoder {
-    #[cfg(debug_assertions)]
+impl Payload for FastDecoder {
     fn prepare(&mut self, n_channels: usize, n_rows: usize) {
-        self.padded.reserve(super::reader::PAD + super::max_payload_bytes(n_channels, n_rows));
-        self.raw.reserve(n_rows);
+        self.padded.reserve(PAD + max_payload_bytes(n_channels, n_rows));
+        self.group.raw.reserve(n_rows);
         self.grow(n_channels, n_rows);
     }
 
     fn reset(&mut self) {
-        self.channels.fill(Channel::NEW);
+        self.group.reset();
     }
 
     fn break_off(&mut self) {
-        self.channels.iter_mut().for_each(|channel| channel.known = 0);
+        self.group.break_off();
     }
+}
 
+impl PayloadDecoder for FastDecoder {
     fn decode(
         &mut self,
         payload: &[u8],
@@ -84,44 +74,294 @@ impl PayloadDecoder for FastDecoder {
     ) -> Result<(), CodecError> {
         let n_rows = channels.first().map_or(0, |rows| rows.present.len());
         self.grow(channels.len(), n_rows);
-        self.modes.fill(Mode::default());
+        self.group.modes.fill(Mode::default());
         Reader::pad(payload, &mut self.padded);
         let mut reader = Reader::new(&self.padded)?;
         if reader.flag()? {
             let mut input = Bytes::new(payload);
-            for (mode, rows) in self.modes.iter_mut().zip(channels.iter()) {
+            for (mode, rows) in self.group.modes.iter_mut().zip(channels.iter()) {
                 if rows.has_samples() {
                     *mode = Mode::read(&mut input)?;
                 }
             }
-            for (mode, rows) in self.modes.iter().zip(channels.iter_mut()) {
+            for (mode, rows) in self.group.modes.iter().zip(channels.iter_mut()) {
                 if *mode == Mode::RAW && rows.has_samples() {
-                    self.raw.read(&mut input, rows)?;
+                    self.group.raw.read(&mut input, &mut Histories::default(), rows)?;
                 }
             }
             reader.leave(payload.len() - input.rest().len());
         }
         let coded = |(rows, mode): (&DecodedRows, &Mode)| *mode != Mode::RAW && rows.has_samples();
-        if channels.iter().zip(&self.modes).any(coded) {
+        if channels.iter().zip(&self.group.modes).any(coded) {
             reader.read_state()?;
         }
-        for ((rows, channel), mode) in channels.iter_mut().zip(&mut self.channels).zip(&self.modes)
+        for ((rows, channel), mode) in
+            channels.iter_mut().zip(&mut self.group.channels).zip(&self.group.modes)
         {
             if *mode == Mode::RAW || !rows.has_samples() {
                 channel.known = 0;
                 continue;
             }
-            self.isa.run(Decoding {
-                tables: self.tables,
+            self.group.isa.run(Decoding {
+                tables: self.group.tables,
                 reader: &mut reader,
                 channel,
                 rows,
                 grid: &mut self.grid,
                 steps: &mut self.steps,
-                step: step(self.tolerance_mm, *mode),
-                cap: walk::error_cap(self.tolerance_mm),
+                step: mode.step(self.group.tolerance_mm),
+                cap: walk::error_cap(self.group.tolerance_mm),
             })?;
         }
         reader.finish()
     }
+}
+
+/// One channel of one block.
+struct Decoding<'a, 'p> {
+    tables: &'static Tables,
+    reader: &'a mut Reader<'p>,
+    channel: &'a mut Channel,
+    rows: &'a mut DecodedRows,
+    grid: &'a mut Grid,
+    steps: &'a mut [Point],
+    step: f32,
+    cap: f32,
+}
+
+impl Kernel for Decoding<'_, '_> {
+    type Output = Result<(), CodecError>;
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let Self { tables, reader, channel, rows, grid, steps, step, cap } = self;
+        let DecodedRows { positions, present, kept, .. } = rows;
+        let mut end = 0;
+        for run in block::runs(present) {
+            if run.start != 0 {
+                channel.known = 0;
+            }
+            end = run.end;
+            let origin = usize::from(channel.known == 0);
+            let n = run.len();
+            let kept = &mut kept[run.clone()];
+            let mut side = Reading { tables, reader, steps, kept, at: 0, step, origin };
+            walk::run(&mut side, channel, grid, n, cap)?;
+            let [x, y, z] = grid.known.axes(LEAD + 1 - origin);
+            if gather(x, y, z, &mut positions[run]) {
+                return Err(CodecError::Corrupt("a position beyond every coordinate"));
+            }
+        }
+        if end != present.len() {
+            channel.known = 0;
+        }
+        Ok(())
+    }
+}
+
+struct Reading<'a, 'p> {
+    tables: &'static Tables,
+    reader: &'a mut Reader<'p>,
+    /// Residuals of the level, in steps.
+    steps: &'a mut [Point],
+    kept: &'a mut [bool],
+    at: usize,
+    step: f32,
+    /// 1 where row 0 is a row of the run.
+    origin: usize,
+}
+
+impl Side for Reading<'_, '_> {
+    #[inline(always)]
+    fn enter(
+        &mut self,
+        _level: usize,
+        rows: Rows,
+        activity: &mut Activity,
+    ) -> Result<(), CodecError> {
+        self.at = 0;
+        // In registers while the level is read.
+        let mut reader = *self.reader;
+        let mut recent = Fourfold::from(*activity);
+        let steps = &mut self.steps[..rows.count];
+        steps.fill(Point::default());
+        let mut i = 0;
+        while i < steps.len() {
+            reader.refill()?;
+            // Rows that what is there suffices for.
+            let mut filled_to = i + SYMBOLS_FILLED;
+            let mut place = recent.place();
+            if recent.is_quiet() {
+                let zeros = reader.entry(self.tables, QUIET_PLACE)? as usize % 64;
+                i = (i + zeros).min(steps.len());
+                if zeros == QUIET_ROWS {
+                    continue;
+                }
+                place = WAKE_PLACE;
+                filled_to = i + 1;
+            }
+            loop {
+                let slot = steps.get_mut(i).ok_or(CodecError::Corrupt("a row beyond its level"))?;
+                let entry = reader.entry(self.tables, place)?;
+                let symbol = entry as usize % 64;
+                *slot = RESIDUALS[symbol];
+                // Not looked up: what is read next waits for it.
+                let mut magnitude = entry & MAGNITUDE;
+                if entry & MORE != 0 {
+                    magnitude = cut(residual(&mut reader, entry, place, slot)?);
+                    filled_to = i + 1;
+                }
+                recent.push(magnitude);
+                // The last anchor may lie beyond the samples.
+                if let Some(kept) = self.kept.get_mut(rows.row(i) + self.origin - 1) {
+                    *kept = magnitude != 0;
+                }
+                i += 1;
+                if i >= filled_to || i >= steps.len() || recent.is_quiet() {
+                    break;
+                }
+                place = recent.place();
+            }
+        }
+        *self.reader = reader;
+        *activity = recent.into();
+        Ok(())
+    }
+
+    #[inline(always)]
+    fn settle(&mut self, _row: usize, prediction: Point) -> Point {
+        let steps = self.steps[self.at];
+        self.at += 1;
+        std::array::from_fn(|i| prediction[i] + steps[i] * self.step)
+    }
+
+    #[inline(always)]
+    fn settle_level(&mut self, _level: usize, count: usize, rows: &mut Planes) {
+        let [x, y, z] = &mut rows.0;
+        settle(&self.steps[..count], self.step, x, y, z);
+    }
+
+    #[inline(always)]
+    fn leave(&mut self, _level: usize, _rows: Rows, _activity: &mut Activity) {}
+}
+
+/// Adds residuals to what was expected.
+#[inline(always)]
+fn settle(steps: &[Point], step: f32, x: &mut [f32], y: &mut [f32], z: &mut [f32]) {
+    let n = steps.len();
+    let (x, y, z) = (&mut x[..n], &mut y[..n], &mut z[..n]);
+    for (i, steps) in steps.iter().enumerate() {
+        x[i] += steps[0] * step;
+        y[i] += steps[1] * step;
+        z[i] += steps[2] * step;
+    }
+}
+
+/// Residual of the axes of a symbol; a larger one stands as 0.
+static RESIDUALS: [Point; SYMBOLS] = {
+    let mut table = [[0.0; 4]; SYMBOLS];
+    let mut symbol = 0;
+    while symbol < SYMBOLS {
+        let mut axis = 0;
+        while axis < 3 {
+            table[symbol][axis] = [0.0, 1.0, -1.0, 0.0][axis_code(symbol, axis)];
+            axis += 1;
+        }
+        symbol += 1;
+    }
+    table
+};
+
+/// The axes of a symbol that are larger, a bit each.
+static LARGER: [u8; SYMBOLS] = {
+    let mut table = [0; SYMBOLS];
+    let mut symbol = 0;
+    while symbol < SYMBOLS {
+        table[symbol] = axes(symbol).1;
+        symbol += 1;
+    }
+    table
+};
+
+/// What holds for each table, by its place.
+const fn by_place(of: [u32; TABLES]) -> [u32; PLACES] {
+    let mut by_place = [0; PLACES];
+    let mut place = 0;
+    while place < PLACES {
+        if let Some(table) = table_at(place) {
+            by_place[place] = of[table];
+        }
+        place += 1;
+    }
+    by_place
+}
+
+static GOLOMB_AT: [u32; PLACES] = by_place(GOLOMB);
+static LOW_BITS_AT: [u32; PLACES] = by_place(LOW_BITS);
+
+/// One magnitude of 2 and more, with its sign.
+#[inline(always)]
+fn larger(reader: &mut Reader<'_>, order: u32) -> Result<i32, CodecError> {
+    let word = reader.peek()?;
+    let zeros = word.leading_zeros();
+    if zeros > MAX_ZEROS {
+        return Err(CodecError::Corrupt("a residual too large"));
+    }
+    let width = zeros + 1 + order;
+    let value = (word << zeros >> (63 - width)) as u32;
+    reader.skip(zeros + width + 1);
+    let magnitude = ((value >> 1) - (1 << order) + 2) as i32;
+    Ok(if value & 1 == 0 { magnitude } else { -magnitude })
+}
+
+/// Puts what is behind the symbol of an entry of the table at a place, which there is, into the residual that it has
+/// without; gives the sum of the magnitudes.
+#[inline(always)]
+fn residual(
+    reader: &mut Reader<'_>,
+    entry: Entry,
+    place: usize,
+    steps: &mut Point,
+) -> Result<u32, CodecError> {
+    let symbol = entry as usize % SYMBOLS;
+    if LOW_BITS_AT[place % PLACES] > 0 {
+        return wide_residual(reader, symbol, place, steps);
+    }
+    let mut magnitude = (entry & MAGNITUDE) >> 8;
+    let mut axes = LARGER[symbol];
+    while axes != 0 {
+        let axis = axes.trailing_zeros() as usize % 4;
+        axes &= axes - 1;
+        let value = larger(reader, GOLOMB_AT[place % PLACES])?;
+        steps[axis] = value as f32;
+        magnitude += value.unsigned_abs();
+    }
+    Ok(magnitude)
+}
+
+/// The same with low bits, which stand before the larger magnitudes.
+#[inline(always)]
+fn wide_residual(
+    reader: &mut Reader<'_>,
+    symbol: usize,
+    place: usize,
+    steps: &mut Point,
+) -> Result<u32, CodecError> {
+    let low_bits = LOW_BITS_AT[place % PLACES];
+    let low = (reader.peek()? >> (64 - 3 * low_bits)) as i32;
+    reader.skip(3 * low_bits);
+    let mut magnitude = 0;
+    for (axis, steps) in steps[..3].iter_mut().enumerate() {
+        let high = match axis_code(symbol, axis) {
+            0 => 0,
+            1 => 1,
+            2 => -1,
+            _ => larger(reader, GOLOMB_AT[place % PLACES])?,
+        };
+        let low = low >> (low_bits * (2 - axis as u32)) & ((1 << low_bits) - 1);
+        let value = high * (1 << low_bits) + low - (1 << (low_bits - 1));
+        *steps = value as f32;
+        magnitude += value.unsigned_abs();
+    }
+    Ok(magnitude)
 }

@@ -1,44 +1,123 @@
 //! The encoder of a group: the choices that the format leaves open.
 
 use super::{
-    FastDecoder, Mode,
-    coding::{Coding, Emitting, Outcome, Work},
-    isa::Isa,
-    step,
-    tans::Tables,
-    walk::Channel,
-    writer::Writer,
+    FastDecoder, Group, Mode,
+    choice::{Choosing, Residuals, Rule, Targets},
+    tans::{Ops, Tables, Writer},
+    walk::{self, Channel, Grid},
 };
-use crate::{BlockReport, CodecError, Rows, Tolerance, frame::PayloadEncoder, raw::Raw};
+use crate::{
+    BlockReport, CodecError, Rows, Tolerance,
+    coding::{
+        columns::{Histories, Raw},
+        isa::{Isa, Kernel},
+    },
+    frame::{Payload, PayloadEncoder},
+};
+
+/// Memory for one channel of one block.
+#[derive(Debug, Default)]
+struct Work {
+    grid: Grid,
+    targets: Targets,
+    residuals: Residuals,
+    ops: Ops,
+    bytes: Vec<u8>,
+    room: usize,
+}
+
+impl Work {
+    fn prepare(&mut self, n_rows: usize) {
+        let room = walk::room(n_rows);
+        if self.room < room {
+            self.room = room;
+            self.grid.grow(room);
+            self.targets.grow(room);
+            self.residuals.grow(room);
+            self.ops.grow(room);
+            self.bytes.resize(self.ops.max_bytes() + 8, 0);
+        }
+    }
+}
+
+/// One channel of one block: fills `work.ops`.
+struct Coding<'a> {
+    channel: &'a mut Channel,
+    rows: Rows<'a>,
+    work: &'a mut Work,
+    tolerance_mm: f64,
+    step: f32,
+}
+
+impl Kernel for Coding<'_> {
+    /// None when a residual is too large.
+    type Output = Option<Outcome>;
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let Self { channel, rows, work: Work { grid, targets, residuals, ops, .. }, .. } = self;
+        ops.clear();
+        let rule = Rule::new(self.tolerance_mm, self.step);
+        let cap = walk::error_cap(self.tolerance_mm);
+        let mut side = Choosing::new(rule, targets, residuals, ops);
+        let mut end = 0;
+        for run in rows.runs() {
+            if run.start != 0 {
+                channel.known = 0;
+            }
+            end = run.end;
+            let samples = &rows.positions()[run];
+            side.begin(samples, usize::from(channel.known == 0));
+            walk::run(&mut side, channel, grid, samples.len(), cap).ok()?;
+            if side.out_of_reach {
+                return None;
+            }
+        }
+        if end != rows.len() {
+            channel.known = 0;
+        }
+        Some(Outcome { max_error_mm: side.max_error_mm(), kept: side.kept })
+    }
+}
+
+/// What became of a channel.
+struct Outcome {
+    max_error_mm: f64,
+    kept: u32,
+}
+
+/// Writes what [`Coding`] found.
+struct Emitting<'a> {
+    writer: &'a mut Writer,
+    tables: &'static Tables,
+    ops: &'a Ops,
+    bytes: &'a mut [u8],
+}
+
+impl Kernel for Emitting<'_> {
+    /// Bytes written.
+    type Output = usize;
+
+    #[inline(always)]
+    fn run(self) -> usize {
+        self.writer.ops(self.tables, self.ops, self.bytes)
+    }
+}
 
 /// The encoder of a group of channels.
 #[derive(Debug)]
 pub(crate) struct FastEncoder {
-    tolerance_mm: f64,
-    tables: &'static Tables,
-    isa: Isa,
-    channels: Vec<Channel>,
-    modes: Vec<Mode>,
+    group: Group,
     work: Work,
-    raw: Raw,
 }
 
 impl FastEncoder {
-    /// Nothing is allocated yet.
     pub(crate) fn new(tolerance: Tolerance) -> Self {
         Self::with_isa(tolerance, Isa::detect())
     }
 
     pub(super) fn with_isa(tolerance: Tolerance, isa: Isa) -> Self {
-        Self {
-            tolerance_mm: tolerance.mm(),
-            tables: Tables::get(),
-            isa,
-            channels: Vec::new(),
-            modes: Vec::new(),
-            work: Work::default(),
-            raw: Raw::default(),
-        }
+        Self { group: Group::new(tolerance, isa), work: Work::default() }
     }
 
     /// Codes one channel; `false` leaves everything as it was.
@@ -50,28 +129,24 @@ impl FastEncoder {
         writer: &mut Writer,
         out: &mut Vec<u8>,
     ) -> bool {
+        let Self { group: Group { tolerance_mm, tables, isa, channels, modes, .. }, work } = self;
+        let tolerance_mm = *tolerance_mm;
         for mode in Mode::STEPS {
-            let mut channel = self.channels[i].clone();
-            let outcome = self.isa.run(Coding {
-                channel: &mut channel,
-                rows,
-                work: &mut self.work,
-                tolerance_mm: self.tolerance_mm,
-                step: step(self.tolerance_mm, mode),
-            });
+            let mut channel = channels[i].clone();
+            let step = mode.step(tolerance_mm);
+            let outcome = isa.run(Coding { channel: &mut channel, rows, work, tolerance_mm, step });
             let Some(Outcome { max_error_mm, kept }) = outcome else { return false };
-            if max_error_mm <= self.tolerance_mm {
+            if max_error_mm <= tolerance_mm {
                 let mut next = *writer;
-                let Work { ops, bytes, .. } = &mut self.work;
-                let tables = self.tables;
-                let length = self.isa.run(Emitting { writer: &mut next, tables, ops, bytes });
+                let Work { ops, bytes, .. } = work;
+                let length = isa.run(Emitting { writer: &mut next, tables, ops, bytes });
                 if length > Raw::max_bytes(report.samples as usize) {
                     return false;
                 }
-                out.extend_from_slice(&self.work.bytes[..length]);
+                out.extend_from_slice(&work.bytes[..length]);
                 *writer = next;
-                self.channels[i] = channel;
-                self.modes[i] = mode;
+                channels[i] = channel;
+                modes[i] = mode;
                 report.kept = kept;
                 report.max_error_mm = max_error_mm;
                 return true;
@@ -81,28 +156,27 @@ impl FastEncoder {
     }
 }
 
+impl Payload for FastEncoder {
+    fn prepare(&mut self, n_channels: usize, n_rows: usize) {
+        self.group.grow(n_channels);
+        self.group.raw.reserve(n_rows);
+        self.work.prepare(n_rows);
+    }
+
+    fn reset(&mut self) {
+        self.group.reset();
+    }
+
+    fn break_off(&mut self) {
+        self.group.break_off();
+    }
+}
+
 impl PayloadEncoder for FastEncoder {
     type Decoder = FastDecoder;
 
     fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
         super::max_payload_bytes(n_channels, n_rows)
-    }
-
-    fn prepare(&mut self, n_channels: usize, n_rows: usize) {
-        if self.channels.len() < n_channels {
-            self.channels.resize(n_channels, Channel::NEW);
-            self.modes.resize(n_channels, Mode::default());
-        }
-        self.work.prepare(n_rows);
-        self.raw.reserve(n_rows);
-    }
-
-    fn reset(&mut self) {
-        self.channels.fill(Channel::NEW);
-    }
-
-    fn break_off(&mut self) {
-        self.channels.iter_mut().for_each(|channel| channel.known = 0);
     }
 
     fn encode(
@@ -118,29 +192,30 @@ impl PayloadEncoder for FastEncoder {
         let mut coded = false;
         // The decoder reads from the end: the first channel comes last.
         for (i, (rows, report)) in channels.iter().zip(reports.iter_mut()).enumerate().rev() {
-            self.modes[i] = Mode::default();
+            self.group.modes[i] = Mode::default();
             if report.samples == 0 {
-                self.channels[i].known = 0;
+                self.group.channels[i].known = 0;
                 continue;
             }
-            if !self.channel(i, *rows, report, &mut writer, out) {
-                self.modes[i] = Mode::RAW;
-                self.channels[i].known = 0;
+            if self.channel(i, *rows, report, &mut writer, out) {
+                coded = true;
+            } else {
+                self.group.modes[i] = Mode::RAW;
+                self.group.channels[i].known = 0;
                 report.kept = report.samples;
                 report.max_error_mm = 0.0;
             }
-            coded |= self.modes[i] != Mode::RAW;
         }
-        let plain = self.modes[..channels.len()].iter().all(|mode| *mode == Mode::default());
+        let Group { modes, raw, .. } = &mut self.group;
+        let plain = modes[..channels.len()].iter().all(|mode| *mode == Mode::default());
         writer.finish(coded, !plain, out);
         if !plain {
             let behind = out.len();
-            let sampled = || {
-                channels.iter().zip(&self.modes).zip(reports.iter()).filter(|(_, r)| r.samples > 0)
-            };
+            let sampled =
+                || channels.iter().zip(&*modes).zip(reports.iter()).filter(|(_, r)| r.samples > 0);
             out.extend(sampled().map(|((_, mode), _)| mode.0));
             for ((rows, _), _) in sampled().filter(|((_, mode), _)| **mode == Mode::RAW) {
-                self.raw.write(*rows, out);
+                raw.write(*rows, &mut Histories::default(), out);
             }
             // Written last, read first.
             out[start..].rotate_left(behind - start);

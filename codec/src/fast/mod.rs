@@ -4,32 +4,26 @@
 //! A block is a group of channels over one stretch. Each run of samples is coded level by level: an
 //! anchor every 32 rows, then halving strides, each row predicted from the four nearest rows of the
 //! wider strides. A row whose prediction lies inside the ball costs next to nothing.
+//!
+//! From the ground up: [`model`], the distributions and their choice; [`planes`], rows by axis; [`tans`], from
+//! symbols to bits and back; [`walk`], the order of the rows and what each is expected from; [`choice`], what
+//! an encoder makes of a row; [`decoder`] and [`encoder`].
 
-mod anchors;
-mod choose;
-mod coding;
+mod choice;
 mod decoder;
 mod encoder;
-mod levels;
 mod model;
-mod places;
 mod planes;
-mod read;
-mod reader;
-mod residual;
-mod side;
 mod tans;
-mod targets;
 #[cfg(test)]
 mod tests;
 mod walk;
-mod writer;
 
 pub(crate) use self::{decoder::FastDecoder, encoder::FastEncoder};
+use self::{tans::Tables, walk::Channel};
 use crate::{
-    CodecError,
-    coding::{bytes::Bytes, isa},
-    raw::Raw,
+    CodecError, Tolerance,
+    coding::{bytes::Bytes, columns::Raw, isa::Isa},
 };
 
 /// 2/sqrt(3), less 2^-9 for the float32 rounding of the reconstruction: the step's cube lies inside
@@ -58,15 +52,56 @@ impl Mode {
             _ => Err(CodecError::Corrupt("an unknown mode of a channel")),
         }
     }
-}
 
-/// The step of a mode, in millimetres.
-fn step(tolerance_mm: f64, mode: Mode) -> f32 {
-    (tolerance_mm * STEP_PER_TOLERANCE / f64::from(1_u32 << mode.0)) as f32
+    /// The step, in millimetres.
+    fn step(self, tolerance_mm: f64) -> f32 {
+        (tolerance_mm * STEP_PER_TOLERANCE / f64::from(1_u32 << self.0)) as f32
+    }
 }
 
 /// Most bytes of a payload of so many channels and rows.
 fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
     // Per channel the mode and the samples; then state, flag and end mark.
     n_channels * (1 + Raw::max_bytes(n_rows)) + 16
+}
+
+/// What encoder and decoder of a group of channels both follow.
+#[derive(Debug)]
+struct Group {
+    tolerance_mm: f64,
+    tables: &'static Tables,
+    isa: Isa,
+    channels: Vec<Channel>,
+    /// Of the block.
+    modes: Vec<Mode>,
+    raw: Raw,
+}
+
+impl Group {
+    /// Nothing is allocated yet.
+    fn new(tolerance: Tolerance, isa: Isa) -> Self {
+        Self {
+            tolerance_mm: tolerance.mm(),
+            tables: Tables::get(),
+            isa,
+            channels: Vec::new(),
+            modes: Vec::new(),
+            raw: Raw::default(),
+        }
+    }
+
+    fn grow(&mut self, n_channels: usize) {
+        if self.channels.len() < n_channels {
+            self.channels.resize(n_channels, Channel::NEW);
+            self.modes.resize(n_channels, Mode::default());
+        }
+    }
+
+    fn reset(&mut self) {
+        self.channels.fill(Channel::NEW);
+    }
+
+    fn break_off(&mut self) {
+        self.channels.iter_mut().for_each(|channel| channel.known = 0);
+    }
 }

@@ -27,7 +27,7 @@ pub(super) const ANCHOR: usize = 5;
 pub(super) const ORIGIN: usize = 6;
 
 /// Sums of magnitudes are cut to this: one jump must not decide for long.
-pub(super) const MAX_MAGNITUDE: u32 = 255;
+const MAX_MAGNITUDE: u32 = 255;
 
 /// Order of the Exp-Golomb code of larger magnitudes, by table.
 pub(super) const GOLOMB: [u32; TABLES] = [0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3, 2, 2, 0, 0];
@@ -61,19 +61,30 @@ const QUIET_FREQUENCIES: [u16; QUIET_ROWS + 1] =
 /// As [`FREQUENCIES`], for a row that is not zero after zero rows.
 const WAKE_FREQUENCIES: [u16; 10] = [0, 120, 18, 2, 7, 2, 1, 1, 1, 6];
 
-/// Kinds of symbols: by the number of axes that are larger, then by those of +-1.
-const fn kind(symbol: usize) -> usize {
+/// The code of an axis of a row symbol: 0, +1, -1, larger.
+pub(super) const fn axis_code(symbol: usize, axis: usize) -> usize {
+    symbol >> (4 - 2 * axis) & 3
+}
+
+/// How many axes of a row symbol are +-1, and a bit for each that is larger, x lowest.
+pub(super) const fn axes(symbol: usize) -> (u8, u8) {
     let (mut ones, mut larger) = (0, 0);
     let mut axis = 0;
     while axis < 3 {
-        match symbol >> (2 * axis) & 3 {
+        match axis_code(symbol, axis) {
             0 => {}
-            3 => larger += 1,
+            3 => larger |= 1 << axis,
             _ => ones += 1,
         }
         axis += 1;
     }
-    [0, 4, 7, 9][larger] + ones
+    (ones, larger)
+}
+
+/// Kinds of symbols: by the number of axes that are larger, then by those of +-1.
+fn kind(symbol: usize) -> usize {
+    let (ones, larger) = axes(symbol);
+    [0, 4, 7, 9][larger.count_ones() as usize] + usize::from(ones)
 }
 
 /// Frequency of a symbol of a table.
@@ -88,7 +99,7 @@ pub(super) fn frequency(table: usize, symbol: usize) -> u16 {
 /// How large the residuals of one level were lately: an average of the sum over the axes, in 1/256,
 /// that forgets a quarter a row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Activity(pub(super) u32);
+pub(super) struct Activity(u32);
 
 impl Activity {
     /// What a key block starts with: more at wider strides.
@@ -122,6 +133,68 @@ impl Activity {
     }
 }
 
+// Where a decoder finds the table of the next row: what it waits for most.
+
+/// Places of tables in a decoder's memory: by the leading zeros of four times an [`Activity`].
+pub(super) const PLACES: usize = 32;
+/// Place of [`QUIET`]: an activity of nothing has no table of its own, and its leading zeros are not looked up.
+pub(super) const QUIET_PLACE: usize = 30;
+/// Place of [`WAKE`].
+pub(super) const WAKE_PLACE: usize = 31;
+
+/// The table at a place. The lowest class is at several, no activity is so large that it comes to the first.
+pub(super) const fn table_at(place: usize) -> Option<usize> {
+    match place {
+        QUIET_PLACE => Some(QUIET),
+        WAKE_PLACE => Some(WAKE),
+        28.. => Some(0),
+        14.. => Some(27 - place),
+        _ => None,
+    }
+}
+
+/// An activity as a decoder keeps it while it reads: four times as much, so that the table of the next row waits for
+/// nothing but a sum and its leading zeros.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Fourfold(u32);
+
+impl Fourfold {
+    #[inline(always)]
+    pub(super) fn is_quiet(self) -> bool {
+        self.0 < 4
+    }
+
+    /// Place of the table of the next row, where it is not quiet.
+    #[inline(always)]
+    pub(super) fn place(self) -> usize {
+        self.0.leading_zeros() as usize
+    }
+
+    /// As [`Activity::push`], with the magnitude in 1/256, cut already.
+    #[inline(always)]
+    pub(super) fn push(&mut self, magnitude: u32) {
+        self.0 = (self.0 >> 2) * 3 + magnitude;
+    }
+}
+
+impl From<Activity> for Fourfold {
+    fn from(activity: Activity) -> Self {
+        Self(activity.0 << 2)
+    }
+}
+
+impl From<Fourfold> for Activity {
+    fn from(fourfold: Fourfold) -> Self {
+        Self(fourfold.0 >> 2)
+    }
+}
+
+/// A sum of magnitudes as [`Fourfold::push`] takes it.
+#[inline(always)]
+pub(super) fn cut(magnitude: u32) -> u32 {
+    magnitude.min(MAX_MAGNITUDE) << 8
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -146,5 +219,35 @@ mod tests {
         }
         assert!(activity.is_quiet());
         assert_eq!(activity.class(), 0);
+    }
+
+    #[test]
+    fn a_decoder_finds_the_table_that_the_encoder_took() {
+        let mut activity = Activity::NEW[ORIGIN];
+        let mut fourfold = Fourfold::from(activity);
+        let mut magnitude = 1_u32;
+        for row in 0..20_000_u32 {
+            // Now large, now small, and nothing for long.
+            magnitude = magnitude.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let magnitude = if row % 500 > 400 { 0 } else { magnitude >> (magnitude % 32) };
+            activity.push(magnitude);
+            fourfold.push(cut(magnitude));
+            assert_eq!(activity, Activity::from(fourfold), "row {row}");
+            assert_eq!(activity.is_quiet(), fourfold.is_quiet(), "row {row}");
+            if !activity.is_quiet() {
+                assert_eq!(Some(activity.class()), table_at(fourfold.place()), "row {row}");
+            }
+        }
+    }
+
+    #[test]
+    fn every_class_has_a_place() {
+        for activity in Activity::NEW.into_iter().take(LEVELS) {
+            let place = Fourfold::from(activity).place();
+            assert_eq!(table_at(place), Some(activity.class()));
+        }
+        let found: Vec<_> = (0..PLACES).filter_map(table_at).collect();
+        assert!((0..CLASSES).all(|class| found.contains(&class)));
+        assert_eq!((table_at(QUIET_PLACE), table_at(WAKE_PLACE)), (Some(QUIET), Some(WAKE)));
     }
 }

@@ -1,7 +1,9 @@
 //! Rows by axis, so that one instruction takes many rows: the rows of a level depend on wider levels only.
 
-use super::walk::Point;
 use crate::Position;
+
+/// x, y, z and a lane that stays zero.
+pub(super) type Point = [f32; 4];
 
 /// Rows that are worked out together. What is worked out beyond the last row is not looked at.
 pub(super) const LANES: usize = 8;
@@ -32,6 +34,24 @@ impl Planes {
     pub(super) fn set(&mut self, i: usize, point: Point) {
         for (plane, value) in self.0.iter_mut().zip(point) {
             plane[i] = value;
+        }
+    }
+
+    /// Some rows, side by side.
+    #[inline(always)]
+    pub(super) fn rows<const N: usize>(&self, first: usize) -> [[f32; N]; 3] {
+        let mut rows = [[0.0; N]; 3];
+        for (rows, plane) in rows.iter_mut().zip(&self.0) {
+            rows.copy_from_slice(&plane[first..first + N]);
+        }
+        rows
+    }
+
+    /// The same, to put.
+    #[inline(always)]
+    pub(super) fn put<const N: usize>(&mut self, first: usize, rows: [[f32; N]; 3]) {
+        for (plane, rows) in self.0.iter_mut().zip(rows) {
+            plane[first..first + N].copy_from_slice(&rows);
         }
     }
 
@@ -98,14 +118,10 @@ pub(super) fn gather(x: &[f32], y: &[f32], z: &[f32], positions: &mut [Position]
     not_finite
 }
 
-/// Adds residuals to what was expected.
+/// Puts the axes apart.
 #[inline(always)]
-pub(super) fn settle(steps: &[Point], step: f32, x: &mut [f32], y: &mut [f32], z: &mut [f32]) {
-    let n = steps.len();
-    let (x, y, z) = (&mut x[..n], &mut y[..n], &mut z[..n]);
-    for (i, steps) in steps.iter().enumerate() {
-        x[i] += steps[0] * step;
-        y[i] += steps[1] * step;
-        z[i] += steps[2] * step;
+pub(super) fn scatter(samples: &[Position], x: &mut [f32], y: &mut [f32], z: &mut [f32]) {
+    for (((sample, x), y), z) in samples.iter().zip(x).zip(y).zip(z) {
+        [*x, *y, *z] = *sample;
     }
 }

@@ -1,9 +1,10 @@
 use proptest::{collection::vec, prelude::*};
 
-use super::{FastDecoder, FastEncoder, isa::Isa, max_payload_bytes, reader::Reader};
+use super::{FastDecoder, FastEncoder, max_payload_bytes, tans::Reader};
 use crate::{
     BlockReport, CodecError, DecodedRows, Position, Rows, Tolerance,
-    frame::{PayloadDecoder, PayloadEncoder},
+    coding::isa::Isa,
+    frame::{Payload, PayloadDecoder, PayloadEncoder},
 };
 
 /// A channel's samples, a gap where none.

@@ -3,15 +3,16 @@
 //! A resampler codes payloads only; [`FramedEncoder`] and [`FramedDecoder`] turn it into the public
 //! contract.
 
-mod decoder;
-mod encoder;
 mod presence;
 
 use std::fmt;
 
-pub(crate) use self::{decoder::FramedDecoder, encoder::FramedEncoder};
+use self::presence::Presence;
 use crate::{
-    BlockReport, CodecError, DecodedRows, GROUP_CHANNELS, Position, Rows, coding::bytes::Bytes,
+    BlockDecoder, BlockEncoder, BlockReport, CodecError, DecodedRows, GROUP_CHANNELS, Position,
+    Rows, Tolerance, bound,
+    bound::STATED_STEPS,
+    coding::bytes::{Bytes, write_varint},
 };
 
 /// Bit 7 of the head byte: the presence section follows.
@@ -20,30 +21,33 @@ const HAS_GAPS: u8 = 0x80;
 /// Bit 6 of the head byte: the number of channels follows.
 const HAS_CHANNELS: u8 = 0x40;
 
-/// A resampler's encoder: payloads without the frame around them.
-pub(crate) trait PayloadEncoder: Send + fmt::Debug {
-    /// Its other half.
-    type Decoder: PayloadDecoder;
-
+/// Either half of a resampler: payloads without the frame around them.
+pub(crate) trait Payload: Send + fmt::Debug {
     /// Whether its payloads are bit-exact: the stated bound is then 0.
     const EXACT: bool = false;
+
+    /// As [`BlockEncoder::prepare`]. A kind that works on whole takes has nothing to prepare.
+    fn prepare(&mut self, _n_channels: usize, _n_rows: usize) {}
+
+    /// Forgets all state.
+    fn reset(&mut self) {}
+
+    /// A stretch passed without any sample of the group: no row of it may be used for prediction.
+    fn break_off(&mut self) {}
+}
+
+/// A resampler's encoder.
+pub(crate) trait PayloadEncoder: Payload {
+    /// Its other half.
+    type Decoder: PayloadDecoder;
 
     /// Most bytes of a payload of so many channels and rows.
     fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize;
 
-    /// As [`BlockEncoder::prepare`](crate::BlockEncoder::prepare).
-    fn prepare(&mut self, n_channels: usize, n_rows: usize);
-
-    /// Forgets all state.
-    fn reset(&mut self);
-
-    /// A stretch passed without any sample of the group: no row of it may be used for prediction.
-    fn break_off(&mut self);
-
     /// Appends the payload of a block with at least one sample, all of them finite. Fills `reports`,
     /// one a channel, where the frame has set `samples`; every error in them is within the tolerance:
     /// samples that cannot be coded so are stored as they are. There are never fewer channels than in
-    /// the payload before, but after [`reset`](Self::reset); new ones come behind the others.
+    /// the payload before, but after [`reset`](Payload::reset); new ones come behind the others.
     fn encode(
         &mut self,
         channels: &[Rows<'_>],
@@ -54,20 +58,7 @@ pub(crate) trait PayloadEncoder: Send + fmt::Debug {
 }
 
 /// A resampler's decoder.
-pub(crate) trait PayloadDecoder: Send + fmt::Debug {
-    /// As [`PayloadEncoder::EXACT`].
-    const EXACT: bool = false;
-
-    /// As [`PayloadEncoder::prepare`].
-    #[cfg(debug_assertions)]
-    fn prepare(&mut self, n_channels: usize, n_rows: usize);
-
-    /// Forgets all state.
-    fn reset(&mut self);
-
-    /// As [`PayloadEncoder::break_off`].
-    fn break_off(&mut self);
-
+pub(crate) trait PayloadDecoder: Payload {
     /// Fills `positions` and `kept` of `channels`, whose `present` is set and whose other rows are
     /// zero. At least one sample is present. The payload must end where its samples do.
     fn decode(
@@ -116,5 +107,308 @@ pub(crate) fn count_finite(rows: Rows<'_>) -> Result<usize, CodecError> {
             "row {row} is present but {:?} is not finite; mark such rows absent",
             rows.positions()[row]
         ))),
+    }
+}
+
+/// What both sides follow from block to block.
+#[derive(Debug)]
+struct State<P> {
+    payload: P,
+    presence: Presence,
+    tolerance: Tolerance,
+    /// Channels of the block before.
+    n_channels: usize,
+    /// After an error only a key block is in step with the other side.
+    lost: bool,
+}
+
+impl<P: Payload> State<P> {
+    fn new(payload: P, tolerance: Tolerance) -> Self {
+        Self { payload, presence: Presence::NEW, tolerance, n_channels: 0, lost: false }
+    }
+
+    /// Before a key block.
+    fn reset(&mut self) {
+        self.payload.reset();
+        self.presence.reset();
+        self.n_channels = 0;
+        self.lost = false;
+    }
+
+    /// An empty block.
+    fn pass_empty(&mut self) {
+        self.payload.break_off();
+        self.presence.skip();
+    }
+}
+
+/// A resampler's encoder with the frame around it.
+#[derive(Debug)]
+pub(crate) struct FramedEncoder<E: PayloadEncoder> {
+    state: State<E>,
+    /// Debug builds decode every block they write.
+    #[cfg(debug_assertions)]
+    twin: (FramedDecoder<E::Decoder>, Vec<DecodedRows>),
+}
+
+impl<E: PayloadEncoder> FramedEncoder<E> {
+    #[cfg_attr(
+        not(debug_assertions),
+        expect(unused_variables, clippy::needless_pass_by_value, reason = "the twin is for debug")
+    )]
+    pub(crate) fn new(payload: E, decoder: E::Decoder, tolerance: Tolerance) -> Self {
+        Self {
+            state: State::new(payload, tolerance),
+            #[cfg(debug_assertions)]
+            twin: (FramedDecoder::new(decoder, tolerance), Vec::new()),
+        }
+    }
+
+    /// Sets the samples of the reports; gives the channels up to the last one that has any.
+    fn count(
+        channels: &[Rows<'_>],
+        least: usize,
+        reports: &mut [BlockReport],
+    ) -> Result<usize, CodecError> {
+        let argument = |message| Err(CodecError::InvalidArgument(message));
+        if !(least..=GROUP_CHANNELS).contains(&channels.len()) {
+            return argument(format!(
+                "a block of {} channels: give {least} to {GROUP_CHANNELS}",
+                channels.len()
+            ));
+        }
+        if reports.len() != channels.len() {
+            return argument(format!("{} channels, {} reports", channels.len(), reports.len()));
+        }
+        let mut n_sampled = 0;
+        for (i, (rows, report)) in channels.iter().zip(reports).enumerate() {
+            if rows.len() != channels[0].len() {
+                return argument(format!(
+                    "a channel of {} rows beside one of {}: give the same stretch of each",
+                    rows.len(),
+                    channels[0].len()
+                ));
+            }
+            let samples = count_finite(*rows).map_err(|error| {
+                CodecError::InvalidArgument(format!("channel {i} of the group: {error}"))
+            })?;
+            *report = BlockReport { samples: samples as u32, ..BlockReport::default() };
+            if samples > 0 {
+                n_sampled = i + 1;
+            }
+        }
+        Ok(n_sampled)
+    }
+
+    /// Appends a block with samples.
+    fn encode_samples(
+        &mut self,
+        channels: &[Rows<'_>],
+        shared: &[u8],
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+    ) -> Result<(), CodecError> {
+        let head_at = out.len();
+        out.push(0);
+        if channels.len() != self.state.n_channels {
+            out[head_at] |= HAS_CHANNELS;
+            write_varint(channels.len() as u64, out);
+            self.state.n_channels = channels.len();
+        }
+        let n_rows = channels[0].len();
+        if reports.iter().any(|report| (report.samples as usize) < n_rows) {
+            out[head_at] |= HAS_GAPS;
+            self.state.presence.write(channels, out);
+        } else {
+            self.state.presence.all_present(channels.len(), n_rows);
+        }
+        self.state.payload.encode(channels, shared, out, reports)?;
+        let max_error_mm = reports.iter().map(|report| report.max_error_mm).fold(0.0, f64::max);
+        let step = bound::stated_step(max_error_mm, self.state.tolerance.mm());
+        debug_assert!(step.is_some() && !(E::EXACT && step != Some(0)), "{max_error_mm} mm");
+        out[head_at] |= step.ok_or(CodecError::Corrupt("an error over the tolerance"))?;
+        Ok(())
+    }
+
+    #[cfg(debug_assertions)]
+    fn check(
+        &mut self,
+        block: &[u8],
+        (channels, shared, key): (&[Rows<'_>], &[u8], bool),
+        reports: &[BlockReport],
+    ) {
+        let (twin, decoded) = &mut self.twin;
+        let outcome = twin.decode(block, shared, channels[0].len(), key, decoded);
+        debug_assert!(outcome.is_ok(), "an encoded block does not decode: {outcome:?}");
+        for (i, (rows, report)) in channels.iter().zip(reports).enumerate() {
+            let Some(decoded) = decoded.get(i) else {
+                debug_assert_eq!(report.samples, 0, "channel {i} is left out");
+                continue;
+            };
+            debug_assert_eq!(decoded.present, rows.present());
+            let worst = (0..rows.len())
+                .filter_map(|row| Some(bound::distance_mm(rows.get(row)?, decoded.positions[row])))
+                .fold(0.0, f64::max);
+            debug_assert!(worst == report.max_error_mm, "{worst} decoded, {report:?} reported");
+            debug_assert_eq!(decoded.kept.iter().filter(|&&k| k).count(), report.kept as usize);
+        }
+    }
+}
+
+impl<E: PayloadEncoder> BlockEncoder for FramedEncoder<E> {
+    fn prepare(&mut self, n_channels: usize, n_rows: usize) {
+        self.state.payload.prepare(n_channels, n_rows);
+        #[cfg(debug_assertions)]
+        {
+            let (twin, decoded) = &mut self.twin;
+            twin.prepare(n_channels, n_rows, decoded);
+        }
+    }
+
+    fn encode(
+        &mut self,
+        channels: &[Rows<'_>],
+        shared: &[u8],
+        key: bool,
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+    ) -> Result<(), CodecError> {
+        let least = if key { 1 } else { self.state.n_channels.max(1) };
+        let n_sampled = Self::count(channels, least, reports)?;
+        if key {
+            self.state.reset();
+        }
+        if self.state.lost {
+            return Err(CodecError::InvalidArgument(
+                "an earlier block failed: go on with a key block".to_owned(),
+            ));
+        }
+        let start = out.len();
+        if n_sampled == 0 {
+            self.state.pass_empty();
+        } else {
+            let n = n_sampled.max(self.state.n_channels);
+            self.encode_samples(&channels[..n], shared, out, &mut reports[..n]).inspect_err(
+                |_| {
+                    out.truncate(start);
+                    self.state.lost = true;
+                },
+            )?;
+        }
+        #[cfg(debug_assertions)]
+        self.check(&out[start..], (channels, shared, key), reports);
+        Ok(())
+    }
+}
+
+/// A resampler's decoder with the frame around it.
+#[derive(Debug)]
+pub(crate) struct FramedDecoder<D> {
+    state: State<D>,
+    /// Memory of channels that a block does not have.
+    spare: Vec<DecodedRows>,
+}
+
+impl<D: PayloadDecoder> FramedDecoder<D> {
+    pub(crate) fn new(payload: D, tolerance: Tolerance) -> Self {
+        Self { state: State::new(payload, tolerance), spare: Vec::new() }
+    }
+
+    /// Allocates what blocks of up to so many channels and rows will ever need.
+    #[cfg(debug_assertions)]
+    fn prepare(&mut self, n_channels: usize, n_rows: usize, out: &mut Vec<DecodedRows>) {
+        self.state.payload.prepare(n_channels, n_rows);
+        self.fit(n_channels, n_rows, out);
+        self.fit(0, n_rows, out);
+    }
+
+    /// So many channels of so many rows, of which nothing is said yet.
+    fn fit(&mut self, n_channels: usize, n_rows: usize, out: &mut Vec<DecodedRows>) {
+        self.spare.extend(out.drain(n_channels.min(out.len())..));
+        while out.len() < n_channels {
+            out.push(self.spare.pop().unwrap_or_default());
+        }
+        out.iter_mut().for_each(|rows| rows.reuse(n_rows));
+    }
+
+    fn decode_samples(
+        &mut self,
+        block: &[u8],
+        shared: &[u8],
+        n_rows: usize,
+        out: &mut Vec<DecodedRows>,
+    ) -> Result<(), CodecError> {
+        if n_rows == 0 {
+            return Err(CodecError::Corrupt("a block with bytes but without rows"));
+        }
+        let mut input = Bytes::new(block);
+        let head = input.byte("the head byte")?;
+        let more = head & HAS_CHANNELS != 0;
+        if more {
+            let n = usize::try_from(input.varint("the number of channels")?).unwrap_or(usize::MAX);
+            if n <= self.state.n_channels || n > GROUP_CHANNELS {
+                return Err(CodecError::Corrupt("a number of channels that cannot be"));
+            }
+            self.state.n_channels = n;
+        } else if self.state.n_channels == 0 {
+            return Err(CodecError::Corrupt("a first block without its number of channels"));
+        }
+        self.fit(self.state.n_channels, n_rows, out);
+        if head & HAS_GAPS != 0 {
+            self.state.presence.read(&mut input, out)?;
+            out.iter_mut().for_each(DecodedRows::blank_absent);
+            if !out.iter().any(DecodedRows::has_samples) {
+                return Err(CodecError::Corrupt("a block with bytes but without samples"));
+            }
+        } else {
+            out.iter_mut().for_each(|rows| rows.present.fill(true));
+            self.state.presence.all_present(self.state.n_channels, n_rows);
+        }
+        if more && !out.last().is_some_and(DecodedRows::has_samples) {
+            return Err(CodecError::Corrupt("a last channel without samples"));
+        }
+        let step = head & STATED_STEPS;
+        if D::EXACT && step != 0 {
+            return Err(CodecError::Corrupt("a lossless block that states an error"));
+        }
+        let max_error_mm = bound::stated_mm(step, self.state.tolerance.mm());
+        out.iter_mut().for_each(|rows| rows.max_error_mm = max_error_mm);
+        self.state.payload.decode(input.rest(), shared, out)
+    }
+}
+
+impl<D: PayloadDecoder> BlockDecoder for FramedDecoder<D> {
+    fn decode(
+        &mut self,
+        block: &[u8],
+        shared: &[u8],
+        n_rows: usize,
+        key: bool,
+        out: &mut Vec<DecodedRows>,
+    ) -> Result<(), CodecError> {
+        self.fit(0, 0, out);
+        if key {
+            self.state.reset();
+        }
+        if self.state.lost {
+            return Err(CodecError::Corrupt("an earlier block failed: start again at a key block"));
+        }
+        if block.is_empty() {
+            self.skip(false);
+            return Ok(());
+        }
+        let outcome = self.decode_samples(block, shared, n_rows, out);
+        if outcome.is_err() {
+            self.state.lost = true;
+            self.fit(0, 0, out);
+        }
+        outcome
+    }
+
+    fn skip(&mut self, key: bool) {
+        if key {
+            self.state.reset();
+        }
+        self.state.pass_empty();
     }
 }

@@ -4,8 +4,28 @@
 //! diagonally dominant by a factor of two. So only the moments within [`REACH`] knots are solved again,
 //! and the rest is the same to the last bit that an f64 can tell.
 
-use super::natural::{Knot, Moments, Vector, widen};
-use crate::{Position, SplineVariant};
+use super::natural::{Knot, Moments, RunFit};
+use crate::{
+    CodecError, Position, Tolerance,
+    bound::{squared_distance, widen},
+};
+
+/// How `spline` picks the next knot: the two readings of step 2 of (Shi et al. 2012, 2.3).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+#[non_exhaustive]
+pub enum SplineVariant {
+    /// Insert the sample whose current error is largest.
+    #[default]
+    WorstSample,
+    /// Try every sample; insert the one that leaves the smallest sum of squared errors.
+    Exhaustive,
+}
+
+impl SplineVariant {
+    /// Longest run that [`Exhaustive`](Self::Exhaustive) takes, in samples: its work grows with the
+    /// third power of the run, to some seconds a channel at this length. Longer runs are refused.
+    pub const EXHAUSTIVE_MAX_RUN_ROWS: usize = 1024;
+}
 
 /// 2^-64 of a change is left at this distance.
 const REACH: usize = 64;
@@ -120,13 +140,8 @@ fn misfit(samples: &[Position], knots: &[Knot], moments: &Moments, interval: usi
     misfit
 }
 
-fn squared_distance(a: Vector, b: Vector) -> f64 {
-    let [x, y, z] = std::array::from_fn(|axis| a[axis] - b[axis]);
-    x * x + y * y + z * z
-}
-
 /// The rows of a run to keep, in order, so that the f64 spline through them is within `tolerance_mm`.
-pub(super) fn knots(samples: &[Position], tolerance_mm: f64, variant: SplineVariant) -> Vec<usize> {
+fn knots(samples: &[Position], tolerance_mm: f64, variant: SplineVariant) -> Vec<usize> {
     if samples.len() <= 2 {
         return (0..samples.len()).collect();
     }
@@ -142,6 +157,26 @@ pub(super) fn knots(samples: &[Position], tolerance_mm: f64, variant: SplineVari
         };
         greedy.insert(next.unwrap_or(worst.row));
     }
+}
+
+/// The kept rows of one run, counted from its first, proven on the float32 reconstruction.
+pub(super) fn resample_run(
+    samples: &[Position],
+    tolerance: Tolerance,
+    variant: SplineVariant,
+    fit: &mut RunFit,
+) -> Result<(), CodecError> {
+    let longest = SplineVariant::EXHAUSTIVE_MAX_RUN_ROWS;
+    if variant == SplineVariant::Exhaustive && samples.len() > longest {
+        return Err(CodecError::InvalidArgument(format!(
+            "the exhaustive search takes runs of at most {longest} samples, and here is one of {}: \
+             use :worst-sample, or a shorter part of the take",
+            samples.len()
+        )));
+    }
+    fit.start(knots(samples, tolerance.mm(), variant));
+    fit.prove(samples, tolerance.mm());
+    Ok(())
 }
 
 #[cfg(test)]

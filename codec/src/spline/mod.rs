@@ -1,62 +1,169 @@
-//! The published method: asynchronous greedy knots on a natural cubic spline (Shi et al. 2012).
+//! The published methods on a natural cubic spline (Shi et al. 2012).
 //!
-//! Offline: a block is meant to be a whole take, so that runs are cut by gaps only.
+//! `spline`: asynchronous greedy knots, each channel's own. Offline: a block is meant to be a whole take, so
+//! that runs are cut by gaps only. `sync`, its rival: one set of key times for all channels (equations 5 and
+//! 7). A channel keeps its samples at the key times, and both ends of each of its runs; the key times travel
+//! outside the block, once for all channels.
 
 mod greedy;
+mod key_times;
 mod natural;
-mod payload;
-mod proof;
 
-pub(crate) use self::{payload::Spline, proof::RunFit};
-use crate::{CodecError, Position, SplineVariant, Tolerance, coding::bytes::Bytes};
+pub use self::greedy::SplineVariant;
+pub(crate) use self::key_times::plan;
+use self::{greedy::resample_run, natural::RunFit};
+use crate::{
+    BlockReport, CodecError, DecodedRows, Position, Rows, Tolerance, block,
+    bound::widen,
+    coding::{
+        bytes::{Bytes, write_varint},
+        columns::{Histories, Raw},
+    },
+    frame::{Payload, PayloadDecoder, PayloadEncoder},
+};
 
 /// The byte before a channel that is coded.
-pub(crate) const CODED: u8 = 0;
+const CODED: u8 = 0;
 
 /// The byte before a channel that is stored as it is.
-pub(crate) const RAW: u8 = 1;
+const RAW: u8 = 1;
 
-/// Reads the byte before a channel.
-pub(crate) fn is_raw(input: &mut Bytes<'_>) -> Result<bool, CodecError> {
-    match input.byte("the mode of a channel")? {
-        CODED => Ok(false),
-        RAW => Ok(true),
-        _ => Err(CodecError::Corrupt("an unknown mode of a channel")),
+/// Bytes of a stored position: three little-endian float32.
+const POSITION_BYTES: usize = 12;
+
+/// Most bytes of a channel's knots: a position and two bytes of its time a sample.
+const fn max_bytes(samples: usize) -> usize {
+    (POSITION_BYTES + 2) * samples
+}
+
+/// Which rows a channel keeps.
+#[derive(Debug)]
+enum Times {
+    /// Its own knots.
+    Own(SplineVariant),
+    /// The key times of the stretch, one flag a row.
+    Shared(Vec<bool>),
+}
+
+/// Encoder and decoder of one group; there is no state between blocks.
+#[derive(Debug)]
+pub(crate) struct Spline {
+    tolerance: Tolerance,
+    times: Times,
+    fit: RunFit,
+    raw: Raw,
+}
+
+impl Spline {
+    fn new(tolerance: Tolerance, times: Times) -> Self {
+        Self { tolerance, times, fit: RunFit::default(), raw: Raw::default() }
+    }
+
+    /// The method `spline`.
+    pub(crate) fn asynchronous(tolerance: Tolerance, variant: SplineVariant) -> Self {
+        Self::new(tolerance, Times::Own(variant))
+    }
+
+    /// The method `sync`.
+    pub(crate) fn synchronous(tolerance: Tolerance) -> Self {
+        Self::new(tolerance, Times::Shared(Vec::new()))
+    }
+
+    /// Takes the key times of the stretch, if they are shared.
+    fn begin(&mut self, shared: &[u8], n_rows: usize) -> Result<(), CodecError> {
+        match &mut self.times {
+            Times::Own(_) => Ok(()),
+            Times::Shared(keys) => key_times::read(shared, n_rows, keys),
+        }
+    }
+
+    /// Appends the knots of one channel; `false` when these do not keep the tolerance.
+    fn write(
+        &mut self,
+        rows: Rows<'_>,
+        out: &mut Vec<u8>,
+        report: &mut BlockReport,
+    ) -> Result<bool, CodecError> {
+        for run in rows.runs() {
+            let samples = &rows.positions()[run.clone()];
+            match &self.times {
+                Times::Own(variant) => {
+                    resample_run(samples, self.tolerance, *variant, &mut self.fit)?;
+                    write_times(&self.fit, samples.len(), out);
+                }
+                Times::Shared(keys) => {
+                    self.fit.start(key_times::kept_rows(&keys[run]));
+                    self.fit.measure(samples);
+                }
+            }
+            if self.fit.max_error_mm > self.tolerance.mm() {
+                return Ok(false);
+            }
+            for value in self.fit.rows().flat_map(|row| samples[row]) {
+                out.extend_from_slice(&value.to_le_bytes());
+            }
+            report.kept += self.fit.rows().len() as u32;
+            report.max_error_mm = report.max_error_mm.max(self.fit.max_error_mm);
+        }
+        Ok(true)
+    }
+
+    fn read(&mut self, input: &mut Bytes<'_>, rows: &mut DecodedRows) -> Result<(), CodecError> {
+        let DecodedRows { positions, present, kept, .. } = rows;
+        for run in block::runs(present) {
+            match &self.times {
+                Times::Own(_) => read_times(input, run.len(), &mut self.fit)?,
+                Times::Shared(keys) => self.fit.start(key_times::kept_rows(&keys[run.clone()])),
+            }
+            for (_, position) in &mut self.fit.knots {
+                *position = widen(read_position(input)?);
+            }
+            self.fit.rebuild(run.len());
+            if !self.fit.rebuilt.iter().flatten().all(|v| v.is_finite()) {
+                return Err(CodecError::Corrupt("a spline that is not finite"));
+            }
+            positions[run.clone()].copy_from_slice(&self.fit.rebuilt);
+            self.fit.rows().for_each(|row| kept[run.start + row] = true);
+        }
+        Ok(())
     }
 }
 
-/// Bytes of a stored position: three little-endian float32.
-pub(crate) const POSITION_BYTES: usize = 12;
-
-/// The kept rows of one run, counted from its first, proven on the float32 reconstruction.
-pub(crate) fn resample_run(
-    samples: &[Position],
-    tolerance: Tolerance,
-    variant: SplineVariant,
-    fit: &mut RunFit,
-) -> Result<(), CodecError> {
-    let longest = SplineVariant::EXHAUSTIVE_MAX_RUN_ROWS;
-    if variant == SplineVariant::Exhaustive && samples.len() > longest {
-        return Err(CodecError::InvalidArgument(format!(
-            "the exhaustive search takes runs of at most {longest} samples, and here is one of {}: \
-             use :worst-sample, or a shorter part of the take",
-            samples.len()
-        )));
+/// Appends which rows of a run are its inner knots.
+fn write_times(fit: &RunFit, len: usize, out: &mut Vec<u8>) {
+    if len <= 2 {
+        return;
     }
-    fit.start(greedy::knots(samples, tolerance.mm(), variant));
-    fit.prove(samples, tolerance.mm());
+    let inner = fit.rows().len() - 2;
+    write_varint(inner as u64, out);
+    let mut next = 1;
+    for row in fit.rows().skip(1).take(inner) {
+        write_varint((row - next) as u64, out);
+        next = row + 1;
+    }
+}
+
+/// Starts a run of `len` rows with its knots.
+fn read_times(input: &mut Bytes<'_>, len: usize, fit: &mut RunFit) -> Result<(), CodecError> {
+    fit.start([0, len - 1].into_iter().take(len));
+    if len <= 2 {
+        return Ok(());
+    }
+    let inner = input.varint("the number of knots")?;
+    if inner > len as u64 - 2 {
+        return Err(CodecError::Corrupt("more knots than samples"));
+    }
+    let mut next = 1;
+    for _ in 0..inner {
+        let row = key_times::read_row(input, "the time of a knot", next..len - 1)?
+            .ok_or(CodecError::Corrupt("a knot beyond its run"))?;
+        fit.insert(row);
+        next = row + 1;
+    }
     Ok(())
 }
 
-/// Appends a position.
-pub(crate) fn write_position(position: Position, out: &mut Vec<u8>) {
-    for value in position {
-        out.extend_from_slice(&value.to_le_bytes());
-    }
-}
-
-/// Reads a position.
-pub(crate) fn read_position(input: &mut Bytes<'_>) -> Result<Position, CodecError> {
+fn read_position(input: &mut Bytes<'_>) -> Result<Position, CodecError> {
     let (values, _) = input.take(POSITION_BYTES, "the position of a knot")?.as_chunks::<4>();
     let mut position = [0.0; 3];
     for (axis, &value) in position.iter_mut().zip(values) {
@@ -68,16 +175,62 @@ pub(crate) fn read_position(input: &mut Bytes<'_>) -> Result<Position, CodecErro
     Err(CodecError::Corrupt("a knot that is not finite"))
 }
 
-/// Puts a rebuilt run in its place, which is as long as the run.
-pub(crate) fn place_run(
-    fit: &RunFit,
-    positions: &mut [Position],
-    kept: &mut [bool],
-) -> Result<(), CodecError> {
-    if !fit.rebuilt().iter().flatten().all(|v| v.is_finite()) {
-        return Err(CodecError::Corrupt("a spline that is not finite"));
+impl Payload for Spline {}
+
+impl PayloadEncoder for Spline {
+    type Decoder = Self;
+
+    fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
+        n_channels * (1 + max_bytes(n_rows).max(Raw::max_bytes(n_rows)))
     }
-    positions.copy_from_slice(fit.rebuilt());
-    fit.rows().for_each(|row| kept[row] = true);
-    Ok(())
+
+    fn encode(
+        &mut self,
+        channels: &[Rows<'_>],
+        shared: &[u8],
+        out: &mut Vec<u8>,
+        reports: &mut [BlockReport],
+    ) -> Result<(), CodecError> {
+        let n_rows = channels.first().map_or(0, Rows::len);
+        self.begin(shared, n_rows).map_err(|error| {
+            CodecError::InvalidArgument(format!(
+                "{error}: pass what Settings::plan gave for the same {n_rows} rows"
+            ))
+        })?;
+        for (rows, report) in channels.iter().zip(reports).filter(|(_, r)| r.samples > 0) {
+            let start = out.len();
+            out.push(CODED);
+            let is_within = self.write(*rows, out, report)?;
+            let samples = report.samples;
+            // Not where raw would merely be smaller: the knots are what is studied. Of a plan of other samples,
+            // the bound stands all the same.
+            if !is_within || out.len() - start - 1 > max_bytes(samples as usize) {
+                out.truncate(start);
+                out.push(RAW);
+                self.raw.write(*rows, &mut Histories::default(), out);
+                *report = BlockReport { samples, kept: samples, max_error_mm: 0.0 };
+            }
+        }
+        Ok(())
+    }
+}
+
+impl PayloadDecoder for Spline {
+    fn decode(
+        &mut self,
+        payload: &[u8],
+        shared: &[u8],
+        channels: &mut [DecodedRows],
+    ) -> Result<(), CodecError> {
+        self.begin(shared, channels.first().map_or(0, |rows| rows.present.len()))?;
+        let mut input = Bytes::new(payload);
+        for rows in channels.iter_mut().filter(|rows| rows.has_samples()) {
+            match input.byte("the mode of a channel")? {
+                CODED => self.read(&mut input, rows)?,
+                RAW => self.raw.read(&mut input, &mut Histories::default(), rows)?,
+                _ => return Err(CodecError::Corrupt("an unknown mode of a channel")),
+            }
+        }
+        input.finish()
+    }
 }

@@ -5,30 +5,25 @@
 //! chapter IV). Only additions, multiplications and divisions in f64, in this order: the same on every
 //! CPU.
 
-use crate::Position;
-
-/// One value per axis.
-pub(crate) type Vector = [f64; 3];
+use crate::{
+    Position,
+    bound::{self, Vector, widen},
+};
 
 /// Second derivatives at the knots, and the memory to find them.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Moments {
+pub(super) struct Moments {
     values: Vec<Vector>,
     /// Forward sweep of the Thomas algorithm: upper diagonal and right-hand side, divided.
     sweep: Vec<(f64, Vector)>,
 }
 
 /// A knot: its row within the run, and its position.
-pub(crate) type Knot = (usize, Vector);
-
-/// Exact: every f32 is an f64.
-pub(crate) fn widen(position: Position) -> Vector {
-    position.map(f64::from)
-}
+pub(super) type Knot = (usize, Vector);
 
 impl Moments {
     /// Moments of the whole spline, zero at both ends.
-    pub(crate) fn solve(&mut self, knots: &[Knot]) {
+    pub(super) fn solve(&mut self, knots: &[Knot]) {
         self.values.clear();
         self.values.resize(knots.len(), [0.0; 3]);
         if let Some(last) = knots.len().checked_sub(1) {
@@ -37,18 +32,18 @@ impl Moments {
     }
 
     /// Makes room for a knot at `index`, to be solved for next.
-    pub(crate) fn insert(&mut self, index: usize) {
+    pub(super) fn insert(&mut self, index: usize) {
         self.values.insert(index, [0.0; 3]);
     }
 
     /// Takes over a part of another spline's moments.
-    pub(crate) fn copy_from(&mut self, other: &Self, part: std::ops::RangeInclusive<usize>) {
+    pub(super) fn copy_from(&mut self, other: &Self, part: std::ops::RangeInclusive<usize>) {
         self.values.clear();
         self.values.extend_from_slice(&other.values[part]);
     }
 
     /// Solves for the knots strictly between `low` and `high`, whose own moments stay.
-    pub(crate) fn solve_between(&mut self, knots: &[Knot], low: usize, high: usize) {
+    pub(super) fn solve_between(&mut self, knots: &[Knot], low: usize, high: usize) {
         let (mut upper, mut right) = (0.0, self.values[low]);
         self.sweep.clear();
         for i in low + 1..high {
@@ -71,7 +66,7 @@ impl Moments {
 
     /// The spline at `row`, which lies between the knots `interval` and `interval + 1`.
     /// At a knot this is the knot's position, to the bit.
-    pub(crate) fn at(&self, knots: &[Knot], interval: usize, row: usize) -> Vector {
+    pub(super) fn at(&self, knots: &[Knot], interval: usize, row: usize) -> Vector {
         let [(x0, y0), (x1, y1)] = [knots[interval], knots[interval + 1]];
         let [m0, m1] = [self.values[interval], self.values[interval + 1]];
         let h = (x1 - x0) as f64;
@@ -84,7 +79,7 @@ impl Moments {
 /// Rebuilds a run from its knots, as float32: what every decoder gives.
 ///
 /// The first knot is row 0 and the last the run's last row; rows of `run` in between are written.
-pub(crate) fn rebuild(knots: &[Knot], moments: &mut Moments, run: &mut [Position]) {
+pub(super) fn rebuild(knots: &[Knot], moments: &mut Moments, run: &mut [Position]) {
     if let [(_, only)] = knots {
         run.fill(only.map(|v| v as f32));
         return;
@@ -94,6 +89,76 @@ pub(crate) fn rebuild(knots: &[Knot], moments: &mut Moments, run: &mut [Position
         let (from, to) = (pair[0].0, pair[1].0);
         for (row, position) in (from..=to).zip(&mut run[from..]) {
             *position = moments.at(knots, interval, row).map(|v| v as f32);
+        }
+    }
+}
+
+/// One run: its knots and what a decoder makes of them. Reused from run to run.
+#[derive(Debug, Clone, Default)]
+pub(super) struct RunFit {
+    /// The kept rows, in order.
+    pub(super) knots: Vec<Knot>,
+    moments: Moments,
+    /// What the decoder gives.
+    pub(super) rebuilt: Vec<Position>,
+    /// Of the last measurement.
+    pub(super) max_error_mm: f64,
+}
+
+impl RunFit {
+    /// Starts with the given rows, in order.
+    pub(super) fn start(&mut self, rows: impl IntoIterator<Item = usize>) {
+        self.knots.clear();
+        self.knots.extend(rows.into_iter().map(|row| (row, [0.0; 3])));
+        self.max_error_mm = 0.0;
+    }
+
+    /// Keeps one more row, wherever it lies.
+    pub(super) fn insert(&mut self, row: usize) {
+        let index = self.knots.partition_point(|&(knot, _)| knot < row);
+        self.knots.insert(index, (row, [0.0; 3]));
+    }
+
+    /// The kept rows.
+    pub(super) fn rows(&self) -> impl ExactSizeIterator<Item = usize> {
+        self.knots.iter().map(|&(row, _)| row)
+    }
+
+    /// Rebuilds all `len` rows of the run.
+    pub(super) fn rebuild(&mut self, len: usize) {
+        self.rebuilt.resize(len, [0.0; 3]);
+        rebuild(&self.knots, &mut self.moments, &mut self.rebuilt);
+    }
+
+    /// Rebuilds the run from its kept samples and measures it; gives the row that is off the most, the
+    /// first of equals.
+    pub(super) fn measure(&mut self, samples: &[Position]) -> usize {
+        for (row, position) in &mut self.knots {
+            *position = widen(samples[*row]);
+        }
+        self.rebuild(samples.len());
+        let (mut worst, mut at) = (0.0, 0);
+        for (row, (&a, &b)) in self.rebuilt.iter().zip(samples).enumerate() {
+            let error = bound::distance_mm(a, b);
+            // An overflow to infinity less infinity is the worst of all.
+            let error = if error.is_nan() { f64::INFINITY } else { error };
+            if error > worst {
+                (worst, at) = (error, row);
+            }
+        }
+        self.max_error_mm = worst;
+        at
+    }
+
+    /// Inserts the worst sample until the float32 reconstruction is within `tolerance_mm`.
+    pub(super) fn prove(&mut self, samples: &[Position], tolerance_mm: f64) {
+        loop {
+            let worst = self.measure(samples);
+            // A knot is rebuilt to the bit, so that this ends with every sample kept at the latest.
+            if self.max_error_mm <= tolerance_mm {
+                return;
+            }
+            self.insert(worst);
         }
     }
 }

@@ -1,8 +1,107 @@
-//! One channel's presence over one stretch: what is known of it, what it is expected from, and its bits.
+//! Which samples of a group are present.
+//!
+//! Most channels of most stretches go on as they were: one cheap bit each. Those that do not get a bit
+//! a page of rows, then a part of a page, and a row only where something changes; expected from the channel's
+//! own last rows and from the channel before it, because markers of one body are hidden together, and an
+//! unlabelled one that is lost here goes on as another there.
 
 use std::ops::Range;
 
-use crate::coding::range::{BinaryCoder, Bit};
+use crate::{
+    CodecError, DecodedRows, GROUP_CHANNELS, Rows,
+    coding::{
+        bytes::{Bytes, MAX_VARINT_BYTES, write_varint},
+        range::{BinaryCoder, Bit, RangeDecoder, RangeEncoder},
+    },
+};
+
+/// Follows a group from block to block. A new one is as behind a key stretch without samples.
+#[derive(Debug)]
+pub(super) struct Presence {
+    models: Models,
+    states: [State; GROUP_CHANNELS],
+}
+
+impl Presence {
+    pub(super) const NEW: Self =
+        Self { models: Models::NEW, states: [State::ABSENT; GROUP_CHANNELS] };
+
+    /// Before a key block.
+    pub(super) fn reset(&mut self) {
+        *self = Self { models: Models::NEW, states: [State::PRESENT; GROUP_CHANNELS] };
+    }
+
+    /// An empty block: no channel has a sample, for however many rows.
+    pub(super) fn skip(&mut self) {
+        for state in &mut self.states {
+            *state = State { changed: state.changed, ..State::ABSENT };
+        }
+    }
+
+    /// A block of which every sample is present.
+    pub(super) fn all_present(&mut self, n_channels: usize, n_rows: usize) {
+        for state in &mut self.states[..n_channels] {
+            state.changed = 1 + u8::from(!state.is_present());
+            state.pass(true, n_rows);
+        }
+        self.leave_out_from(n_channels);
+    }
+
+    /// Channels that a block does not have have no sample in it.
+    fn leave_out_from(&mut self, n_channels: usize) {
+        self.states[n_channels..].fill(State::ABSENT);
+    }
+
+    /// Appends the section of a block.
+    pub(super) fn write(&mut self, channels: &[Rows<'_>], out: &mut Vec<u8>) {
+        let start = out.len();
+        let mut coder = RangeEncoder::new(out, usize::MAX);
+        let mut beside = None;
+        for (state, rows) in self.states.iter_mut().zip(channels) {
+            let before = state.is_present();
+            self.models.channel(&mut coder, state, beside, &mut rows.present());
+            beside = Some(Beside { present: rows.present(), before });
+        }
+        let fits = coder.finish();
+        debug_assert!(fits);
+        self.leave_out_from(channels.len());
+        let coded = out.len();
+        write_varint((coded - start) as u64, out);
+        // Known last, read first.
+        out[start..].rotate_left(coded - start);
+    }
+
+    /// Fills `present` of the channels of a block, each with the same number of rows.
+    pub(super) fn read(
+        &mut self,
+        input: &mut Bytes<'_>,
+        channels: &mut [DecodedRows],
+    ) -> Result<(), CodecError> {
+        let len = input.varint("the length of the presence section")?;
+        let len = usize::try_from(len).unwrap_or(usize::MAX);
+        let mut coder = RangeDecoder::new(input.take(len, "the presence section")?);
+        let mut before = true;
+        for (i, state) in self.states.iter_mut().enumerate().take(channels.len()) {
+            let (done, rest) = channels.split_at_mut(i);
+            let beside = done.last().map(|rows| Beside { present: &rows.present, before });
+            before = state.is_present();
+            self.models.channel(&mut coder, state, beside, &mut &mut rest[0].present[..]);
+        }
+        coder.finish()?;
+        self.leave_out_from(channels.len());
+        if channels.iter().all(|rows| !rows.present.contains(&false)) {
+            return Err(CodecError::Corrupt("a presence section of a block that needs none"));
+        }
+        Ok(())
+    }
+}
+
+/// Most bytes of a section.
+pub(super) fn max_bytes(n_channels: usize, n_rows: usize) -> usize {
+    let pieces = n_rows.div_ceil(PAGE) + n_rows.div_ceil(PART);
+    // No bit costs more than 11: its odds are at least 2^-11. Twelve leave room for their rounding.
+    MAX_VARINT_BYTES + 5 + n_channels * (1 + pieces + n_rows) * 12 / 8
+}
 
 /// Classes of how long a state has lasted.
 const AGES: usize = 7;
@@ -12,22 +111,22 @@ const LONG: u8 = 61;
 
 /// What was seen of a channel up to a stretch.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct State {
+struct State {
     /// Its last four rows, the newest lowest.
-    pub(super) last: u8,
+    last: u8,
     /// How many rows it has been as in the newest, up to [`LONG`].
-    pub(super) age: u8,
+    age: u8,
     /// Whether it changed in the block before: 0 there was none, 1 no, 2 yes.
-    pub(super) changed: u8,
+    changed: u8,
 }
 
 impl State {
     /// Behind a key.
-    pub(super) const PRESENT: Self = Self { last: 0b1111, age: LONG, changed: 0 };
+    const PRESENT: Self = Self { last: 0b1111, age: LONG, changed: 0 };
     /// Behind rows without a sample.
-    pub(super) const ABSENT: Self = Self { last: 0, age: LONG, changed: 0 };
+    const ABSENT: Self = Self { last: 0, age: LONG, changed: 0 };
 
-    pub(super) fn is_present(self) -> bool {
+    fn is_present(self) -> bool {
         self.last & 1 == 1
     }
 
@@ -44,7 +143,7 @@ impl State {
     }
 
     /// So many rows alike.
-    pub(super) fn pass(&mut self, present: bool, n_rows: usize) {
+    fn pass(&mut self, present: bool, n_rows: usize) {
         let Some(more) = n_rows.checked_sub(1) else { return };
         self.push(present);
         self.age = more.saturating_add(self.age.into()).min(LONG.into()) as u8;
@@ -63,10 +162,10 @@ impl State {
 
 /// The channel before one, over the same rows.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Beside<'a> {
-    pub(super) present: &'a [bool],
+struct Beside<'a> {
+    present: &'a [bool],
     /// In the row before.
-    pub(super) before: bool,
+    before: bool,
 }
 
 impl Beside<'_> {
@@ -87,15 +186,15 @@ impl Beside<'_> {
 
 /// Rows of a page, and of its parts. Most of a channel that comes and goes is still long runs of the same:
 /// a page without a change is one bit, and a part of another page one.
-pub(super) const PAGE: usize = 64;
-pub(super) const PART: usize = 8;
+const PAGE: usize = 64;
+const PART: usize = 8;
 
 /// By the newest row, how long that has lasted, and the class of the channel beside.
 type ByPlace = [Bit; 2 * AGES * 3];
 
 /// The adaptive bits.
 #[derive(Debug)]
-pub(super) struct Models {
+struct Models {
     /// By what the channel did in the block before.
     changes: [Bit; 3],
     pages: ByPlace,
@@ -107,7 +206,7 @@ pub(super) struct Models {
 }
 
 impl Models {
-    pub(super) const NEW: Self = Self {
+    const NEW: Self = Self {
         changes: [Bit::NEW; 3],
         pages: [Bit::NEW; 2 * AGES * 3],
         parts: [Bit::NEW; 2 * AGES * 3],
@@ -116,7 +215,7 @@ impl Models {
     };
 
     /// One channel over one stretch, the same for both sides.
-    pub(super) fn channel<C: BinaryCoder>(
+    fn channel<C: BinaryCoder>(
         &mut self,
         coder: &mut C,
         state: &mut State,
@@ -210,7 +309,7 @@ fn split(rows: Range<usize>, piece: usize) -> impl Iterator<Item = Range<usize>>
 }
 
 /// The rows of a channel: what an encoder has, or what a decoder will have.
-pub(super) trait Flags {
+trait Flags {
     fn len(&self) -> usize;
     /// Nothing that a decoder relies on.
     fn get(&self, row: usize) -> bool;

@@ -1,9 +1,15 @@
 //! The key times K that all channels of a stretch share.
 
+use std::ops::Range;
+
+use super::{
+    greedy::{SplineVariant, resample_run},
+    natural::RunFit,
+};
 use crate::{
-    CodecError, Rows, SplineVariant, Tolerance,
+    CodecError, Rows, Tolerance,
     coding::bytes::{Bytes, write_varint},
-    frame, spline,
+    frame,
 };
 
 /// The union of all channels' knots (Shi et al. 2012, section 2.1), and more until every channel's
@@ -17,7 +23,7 @@ pub(crate) fn plan(
 ) -> Result<Vec<u8>, CodecError> {
     let n_rows = channels.first().map_or(0, Rows::len);
     let mut keys = vec![false; n_rows];
-    let mut fit = spline::RunFit::default();
+    let mut fit = RunFit::default();
     for rows in channels {
         if rows.len() != n_rows {
             return Err(CodecError::InvalidArgument(format!(
@@ -28,7 +34,7 @@ pub(crate) fn plan(
         frame::count_finite(*rows)?;
         for run in rows.runs() {
             let samples = &rows.positions()[run.clone()];
-            spline::resample_run(samples, tolerance, variant, &mut fit)?;
+            resample_run(samples, tolerance, variant, &mut fit)?;
             let last = samples.len() - 1;
             fit.rows().filter(|&row| row != 0 && row != last).for_each(|row| {
                 keys[run.start + row] = true;
@@ -50,10 +56,10 @@ pub(crate) fn plan(
 /// Adds the worst sample's row until the run's spline through K holds; tells whether it had to.
 fn add_missing(
     rows: Rows<'_>,
-    run: std::ops::Range<usize>,
+    run: Range<usize>,
     tolerance: Tolerance,
     keys: &mut [bool],
-    fit: &mut spline::RunFit,
+    fit: &mut RunFit,
 ) -> bool {
     let keys = &mut keys[run.clone()];
     fit.start(kept_rows(keys));
@@ -67,7 +73,7 @@ fn add_missing(
 }
 
 /// The kept rows of a run: its keys and both its ends.
-pub(crate) fn kept_rows(run_keys: &[bool]) -> impl Iterator<Item = usize> {
+pub(super) fn kept_rows(run_keys: &[bool]) -> impl Iterator<Item = usize> {
     let last = run_keys.len().wrapping_sub(1);
     run_keys
         .iter()
@@ -86,17 +92,24 @@ fn write(keys: &[bool]) -> Vec<u8> {
     out
 }
 
+/// Reads how many of some rows come before the next one; none where these are not enough.
+pub(super) fn read_row(
+    input: &mut Bytes<'_>,
+    what: &'static str,
+    rows: Range<usize>,
+) -> Result<Option<usize>, CodecError> {
+    let skipped = usize::try_from(input.varint(what)?).unwrap_or(usize::MAX);
+    Ok(skipped.checked_add(rows.start).filter(|row| rows.contains(row)))
+}
+
 /// Fills `keys`, one flag a row.
-pub(crate) fn read(shared: &[u8], n_rows: usize, keys: &mut Vec<bool>) -> Result<(), CodecError> {
+pub(super) fn read(shared: &[u8], n_rows: usize, keys: &mut Vec<bool>) -> Result<(), CodecError> {
     keys.clear();
     keys.resize(n_rows, false);
     let mut input = Bytes::new(shared);
     let mut next = 0;
     while !input.is_empty() {
-        let delta = usize::try_from(input.varint("a key time")?).unwrap_or(usize::MAX);
-        let row = delta
-            .checked_add(next)
-            .filter(|&row| row < n_rows)
+        let row = read_row(&mut input, "a key time", next..n_rows)?
             .ok_or(CodecError::Corrupt("a key time beyond the block's rows"))?;
         keys[row] = true;
         next = row + 1;

@@ -27,10 +27,9 @@
 //! # Ok::<(), mocapd_codec::CodecError>(())
 //! ```
 
-mod decoder;
-mod encoder;
+use std::hint::select_unpredictable;
 
-pub use self::{decoder::RangeDecoder, encoder::RangeEncoder};
+use crate::CodecError;
 
 /// The range is refilled below this.
 const TOP: u32 = 1 << 24;
@@ -118,10 +117,165 @@ fn split_range(range: u32, probability: u32) -> u32 {
     ((u64::from(range) * u64::from(probability)) >> 16) as u32
 }
 
+/// Appends to a vector, at most `limit` bytes.
+#[derive(Debug)]
+pub struct RangeEncoder<'a> {
+    out: &'a mut Vec<u8>,
+    start: usize,
+    limit: usize,
+    overflow: bool,
+    low: u64,
+    range: u32,
+    /// The last byte not written yet because a carry may still reach it; the first is always 0 and dropped.
+    held: Option<u8>,
+    /// Bytes of 0xff between `held` and `low`.
+    pending: usize,
+}
+
+impl<'a> RangeEncoder<'a> {
+    /// Appends to `out`, at most `limit` bytes.
+    pub fn new(out: &'a mut Vec<u8>, limit: usize) -> Self {
+        let start = out.len();
+        Self { out, start, limit, overflow: false, low: 0, range: u32::MAX, held: None, pending: 0 }
+    }
+
+    fn emit(&mut self, byte: u8) {
+        if self.out.len() - self.start < self.limit {
+            self.out.push(byte);
+        } else {
+            self.overflow = true;
+        }
+    }
+
+    fn shift_low(&mut self) {
+        if self.low < 0xff00_0000 || self.low > u64::from(u32::MAX) {
+            let carry = (self.low >> 32) as u8;
+            if let Some(held) = self.held {
+                self.emit(held.wrapping_add(carry));
+            }
+            // The very first byte has nothing before it, and no carry: low + range starts below 2^32.
+            for _ in 0..std::mem::take(&mut self.pending) {
+                self.emit(0xff_u8.wrapping_add(carry));
+            }
+            self.held = Some((self.low >> 24) as u8);
+        } else {
+            self.pending += 1;
+        }
+        self.low = (self.low & 0x00ff_ffff) << 8;
+    }
+
+    /// After every eighth bit's worth of decisions, about.
+    #[cold]
+    fn refill(&mut self) {
+        while self.range < TOP {
+            self.range <<= 8;
+            self.shift_low();
+        }
+    }
+
+    /// Writes what is held; gives `false` when the limit was passed, and then the bytes are of no use.
+    #[must_use]
+    pub fn finish(mut self) -> bool {
+        // Of all values in the range the one with most trailing zeros, which are then dropped.
+        let last = self.low + u64::from(self.range) - 1;
+        for zeros in (0..=32).rev() {
+            let value = last >> zeros << zeros;
+            if value >= self.low {
+                self.low = value;
+                break;
+            }
+        }
+        for _ in 0..5 {
+            self.shift_low();
+        }
+        let kept = self.out[self.start..].iter().rposition(|&b| b != 0).map_or(0, |i| i + 1);
+        self.out.truncate(self.start + kept);
+        !self.overflow
+    }
+}
+
+impl BinaryCoder for RangeEncoder<'_> {
+    #[inline(always)]
+    fn split(&mut self, probability: u32, bit: bool) -> bool {
+        let bound = split_range(self.range, probability);
+        self.low += u64::from(if bit { bound } else { 0 });
+        self.range = if bit { self.range - bound } else { bound };
+        if self.range < TOP {
+            self.refill();
+        }
+        bit
+    }
+}
+
+/// Reads a slice, and zeros after it: any bytes give bits.
+#[derive(Debug)]
+pub struct RangeDecoder<'a> {
+    rest: &'a [u8],
+    code: u32,
+    range: u32,
+}
+
+impl<'a> RangeDecoder<'a> {
+    /// At the first bit.
+    #[must_use]
+    pub fn new(bytes: &'a [u8]) -> Self {
+        let mut decoder = Self { rest: bytes, code: 0, range: u32::MAX };
+        for _ in 0..4 {
+            decoder.shift();
+        }
+        decoder
+    }
+
+    fn shift(&mut self) {
+        let byte = match self.rest.split_first() {
+            Some((&first, rest)) => {
+                self.rest = rest;
+                first
+            }
+            None => 0,
+        };
+        self.code = self.code << 8 | u32::from(byte);
+    }
+
+    /// After every eighth bit's worth of decisions, about.
+    #[cold]
+    fn refill(&mut self) {
+        while self.range < TOP {
+            self.range <<= 8;
+            self.shift();
+        }
+    }
+
+    /// All bytes must have been needed.
+    ///
+    /// # Errors
+    /// `Corrupt` when some were not: the encoder wrote something else.
+    pub fn finish(self) -> Result<(), CodecError> {
+        if self.rest.is_empty() {
+            return Ok(());
+        }
+        Err(CodecError::Corrupt("bytes after the payload"))
+    }
+}
+
+impl BinaryCoder for RangeDecoder<'_> {
+    #[inline(always)]
+    fn split(&mut self, probability: u32, _bit: bool) -> bool {
+        let bound = split_range(self.range, probability);
+        let bit = self.code >= bound;
+        // Without a branch: the bit is what nobody knows.
+        self.code = select_unpredictable(bit, self.code.wrapping_sub(bound), self.code);
+        self.range = select_unpredictable(bit, self.range - bound, bound);
+        if self.range < TOP {
+            self.refill();
+        }
+        bit
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::CodecError;
 
     /// Skews from even odds to near certainty, so that carries and runs of 0xff occur.
     fn bits(seed: u64, n: usize) -> Vec<bool> {
