@@ -39,8 +39,6 @@ impl Payload for Lossless {
 }
 
 impl PayloadEncoder for Lossless {
-    type Decoder = Self;
-
     fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
         n_channels * Raw::max_bytes(n_rows)
     }

@@ -4,9 +4,9 @@ use std::{fmt, str::FromStr};
 
 use crate::{
     BlockDecoder, BlockEncoder, CodecError, Rows, SplineVariant, Tolerance,
-    dense::{DenseDecoder, DenseEncoder},
-    fast::{FastDecoder, FastEncoder},
-    frame::{self, FramedDecoder, FramedEncoder, PayloadEncoder},
+    dense::Dense,
+    fast::Fast,
+    frame::{self, FramedDecoder, FramedEncoder, PayloadDecoder, PayloadEncoder},
     lossless::Lossless,
     spline::{self, Spline},
 };
@@ -96,39 +96,37 @@ impl Settings {
     /// Without a key block it is as behind a key block without samples; so is a new decoder.
     #[must_use]
     pub fn encoder(&self) -> Box<dyn BlockEncoder> {
-        let within = self.tolerance;
         match self.kind {
-            ResamplerKind::Dense => {
-                framed(DenseEncoder::new(within), DenseDecoder::new(within), within)
+            ResamplerKind::Dense => self.framed(Dense::new),
+            ResamplerKind::Fast => self.framed(Fast::new),
+            ResamplerKind::Lossless => self.framed(|_| Lossless::default()),
+            ResamplerKind::Spline(variant) => {
+                self.framed(|tolerance| Spline::asynchronous(tolerance, variant))
             }
-            ResamplerKind::Fast => {
-                framed(FastEncoder::new(within), FastDecoder::new(within), within)
-            }
-            ResamplerKind::Lossless => framed(Lossless::default(), Lossless::default(), within),
-            ResamplerKind::Spline(variant) => framed(
-                Spline::asynchronous(within, variant),
-                Spline::asynchronous(within, variant),
-                within,
-            ),
-            ResamplerKind::Sync(_) => {
-                framed(Spline::synchronous(within), Spline::synchronous(within), within)
-            }
+            ResamplerKind::Sync(_) => self.framed(Spline::synchronous),
         }
+    }
+
+    fn framed<P>(&self, payload: impl Fn(Tolerance) -> P) -> Box<dyn BlockEncoder>
+    where
+        P: PayloadEncoder + PayloadDecoder + 'static,
+    {
+        Box::new(FramedEncoder::new(payload, self.tolerance))
     }
 
     /// A new decoder for one group of channels. It may move to another thread between two blocks.
     #[must_use]
     pub fn decoder(&self) -> Box<dyn BlockDecoder> {
-        let within = self.tolerance;
+        let tolerance = self.tolerance;
         match self.kind {
-            ResamplerKind::Dense => Box::new(FramedDecoder::new(DenseDecoder::new(within), within)),
-            ResamplerKind::Fast => Box::new(FramedDecoder::new(FastDecoder::new(within), within)),
-            ResamplerKind::Lossless => Box::new(FramedDecoder::new(Lossless::default(), within)),
+            ResamplerKind::Dense => Box::new(FramedDecoder::new(Dense::new(tolerance), tolerance)),
+            ResamplerKind::Fast => Box::new(FramedDecoder::new(Fast::new(tolerance), tolerance)),
+            ResamplerKind::Lossless => Box::new(FramedDecoder::new(Lossless::default(), tolerance)),
             ResamplerKind::Spline(variant) => {
-                Box::new(FramedDecoder::new(Spline::asynchronous(within, variant), within))
+                Box::new(FramedDecoder::new(Spline::asynchronous(tolerance, variant), tolerance))
             }
             ResamplerKind::Sync(_) => {
-                Box::new(FramedDecoder::new(Spline::synchronous(within), within))
+                Box::new(FramedDecoder::new(Spline::synchronous(tolerance), tolerance))
             }
         }
     }
@@ -151,18 +149,10 @@ impl Settings {
     pub fn max_block_bytes(&self, n_channels: usize, n_rows: usize) -> usize {
         let most = match self.kind {
             ResamplerKind::Spline(_) | ResamplerKind::Sync(_) => frame::max_block_bytes::<Spline>,
-            ResamplerKind::Dense => frame::max_block_bytes::<DenseEncoder>,
-            ResamplerKind::Fast => frame::max_block_bytes::<FastEncoder>,
+            ResamplerKind::Dense => frame::max_block_bytes::<Dense>,
+            ResamplerKind::Fast => frame::max_block_bytes::<Fast>,
             ResamplerKind::Lossless => frame::max_block_bytes::<Lossless>,
         };
         most(n_channels, n_rows)
     }
-}
-
-fn framed<E: PayloadEncoder + 'static>(
-    encoder: E,
-    decoder: E::Decoder,
-    tolerance: Tolerance,
-) -> Box<dyn BlockEncoder> {
-    Box::new(FramedEncoder::new(encoder, decoder, tolerance))
 }

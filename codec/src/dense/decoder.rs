@@ -1,48 +1,18 @@
 //! The half that only follows.
 
 use super::{
-    ahead::Sites,
-    code::Points,
-    encoder::STORED,
-    lattice::{Fineness, Grid, Point},
-    walk::{Batch, Group, Question, Side},
+    Dense, STORED,
+    level::Side,
+    level_prediction::Batch,
+    points::{Fineness, Grid, Points},
 };
 use crate::{
-    CodecError, DecodedRows, GROUP_CHANNELS, Tolerance,
+    CodecError, DecodedRows, GROUP_CHANNELS,
     coding::range::{BinaryCoder, RangeDecoder},
-    frame::{Payload, PayloadDecoder},
+    frame::PayloadDecoder,
 };
 
-/// The decoder of one group.
-#[derive(Debug)]
-pub(crate) struct DenseDecoder {
-    group: Group,
-    /// The presence of the block's channels: the walk reads it while the rows are filled.
-    present: Vec<bool>,
-}
-
-impl DenseDecoder {
-    pub(crate) fn new(tolerance: Tolerance) -> Self {
-        Self { group: Group::new(Grid::new(tolerance)), present: Vec::new() }
-    }
-}
-
-impl Payload for DenseDecoder {
-    fn prepare(&mut self, n_channels: usize, n_rows: usize) {
-        self.group.prepare(n_channels, n_rows);
-        self.present.reserve((n_channels * n_rows).saturating_sub(self.present.len()));
-    }
-
-    fn reset(&mut self) {
-        self.group.reset();
-    }
-
-    fn break_off(&mut self) {
-        self.group.break_off();
-    }
-}
-
-impl PayloadDecoder for DenseDecoder {
+impl PayloadDecoder for Dense {
     fn decode(
         &mut self,
         payload: &[u8],
@@ -50,32 +20,38 @@ impl PayloadDecoder for DenseDecoder {
         channels: &mut [DecodedRows],
     ) -> Result<(), CodecError> {
         let n_rows = channels.first().map_or(0, |rows| rows.present.len());
-        self.present.clear();
-        channels.iter().for_each(|rows| self.present.extend_from_slice(&rows.present));
         let n_channels = channels.len().min(GROUP_CHANNELS);
-        let mut side =
-            Decoding { channels, grid: self.group.grid, coder: RangeDecoder::new(payload) };
+        let group = &mut self.group;
+        let coder = RangeDecoder::new(payload);
+        let mut side = Decoding { channels, grid: group.grid, coder };
         if side.coder.split(STORED, false) {
-            self.group.reset();
+            group.reset();
             for channel in 0..n_channels {
                 side.stored(channel)?;
             }
             return side.coder.finish();
         }
-        let mut present: [Option<&[bool]>; GROUP_CHANNELS] = [None; GROUP_CHANNELS];
-        for (channel, rows) in self.present.chunks_exact(n_rows.max(1)).enumerate().take(n_channels)
-        {
-            present[channel] = Some(rows);
-            if rows.contains(&true) {
+        // Out of their rows while the others of these are filled.
+        let mut flags = [const { Vec::new() }; GROUP_CHANNELS];
+        let mut is_raw = [false; GROUP_CHANNELS];
+        for channel in 0..n_channels {
+            if side.channels[channel].has_samples() {
                 let fineness: Option<Fineness> = Some(Fineness::Normal);
-                if self.group.storage(&mut side.coder, channel, fineness).is_none() {
-                    side.stored(channel)?;
-                    present[channel] = None;
-                }
+                is_raw[channel] = group.storage(&mut side.coder, channel, fineness).is_none();
             }
+            if is_raw[channel] {
+                side.stored(channel)?;
+            }
+            flags[channel] = std::mem::take(&mut side.channels[channel].present);
         }
-        self.group.block(&mut side, n_rows, &present[..n_channels])?;
-        side.coder.finish()
+        let present: [Option<&[bool]>; GROUP_CHANNELS] =
+            std::array::from_fn(|channel| (!is_raw[channel]).then_some(&flags[channel][..]));
+        group.block(&mut side, n_rows, &present[..n_channels])?;
+        let Decoding { channels, coder, .. } = side;
+        for (rows, present) in channels.iter_mut().zip(flags) {
+            rows.present = present;
+        }
+        coder.finish()
     }
 }
 
@@ -110,34 +86,6 @@ impl<'a> Side for Decoding<'a> {
 
     fn coder(&mut self) -> &mut RangeDecoder<'a> {
         &mut self.coder
-    }
-
-    #[inline(always)]
-    fn choose(&mut self, _question: Question) -> Point {
-        [0; 3]
-    }
-
-    fn start(
-        &mut self,
-        _channel: usize,
-        _row: usize,
-        _step: i64,
-        _ways: &[Point],
-    ) -> (usize, Point) {
-        (0, [0; 3])
-    }
-
-    #[inline(always)]
-    fn ahead(&mut self, _channel: usize, _sites: &Sites) {}
-
-    #[inline(always)]
-    fn outside<const N: usize>(
-        &mut self,
-        _channel: usize,
-        _batch: Batch,
-        _predictions: &Points<N>,
-    ) -> u32 {
-        0
     }
 
     #[inline(always)]

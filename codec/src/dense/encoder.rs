@@ -1,51 +1,15 @@
 //! The coding half of a group: what is stored raw, the walk, and the proof.
 
-use super::{
-    DenseDecoder,
-    ahead::ROOM,
-    choice::Encoding,
-    code::TOGETHER,
-    lattice::{Grid, UNITS_PER_TOLERANCE},
-    walk::Group,
-};
+use super::{Dense, STORED, candidates::Encoding};
+#[cfg(feature = "training")]
+use super::{Tolerance, tally::Tally};
+#[cfg(feature = "training")]
+use crate::frame::{Payload, count_finite};
 use crate::{
-    BlockReport, CodecError, GROUP_CHANNELS, Rows, Tolerance,
+    BlockReport, CodecError, GROUP_CHANNELS, Rows,
     coding::range::{BinaryCoder, RangeEncoder},
-    frame::{Payload, PayloadEncoder},
+    frame::PayloadEncoder,
 };
-
-/// The odds of a block that is stored raw as a whole, in 2^-16.
-pub(super) const STORED: u32 = 65536 - 8;
-
-/// The encoder of one group.
-#[derive(Debug)]
-pub(crate) struct DenseEncoder {
-    group: Group,
-}
-
-impl DenseEncoder {
-    pub(crate) fn new(tolerance: Tolerance) -> Self {
-        Self { group: Group::new(Grid::new(tolerance)) }
-    }
-
-    #[cfg(feature = "training")]
-    pub(crate) fn tally(&self) -> &super::training::Tally {
-        &self.group.model.tally
-    }
-}
-
-/// Of the f64 numbers, the largest whose root is not over the tolerance.
-fn largest_square(grid: Grid) -> f64 {
-    let tolerance_mm = grid.unit_mm * UNITS_PER_TOLERANCE as f64;
-    let mut squares = tolerance_mm * tolerance_mm;
-    while squares.sqrt() > tolerance_mm {
-        squares = squares.next_down();
-    }
-    while squares.next_up().sqrt() <= tolerance_mm {
-        squares = squares.next_up();
-    }
-    squares
-}
 
 /// The largest coordinate of a channel, which are finite; none when it has no samples.
 fn largest(rows: Rows<'_>) -> Option<f32> {
@@ -60,23 +24,7 @@ fn largest(rows: Rows<'_>) -> Option<f32> {
     some.then(|| f32::from_bits(bits))
 }
 
-impl Payload for DenseEncoder {
-    fn prepare(&mut self, n_channels: usize, n_rows: usize) {
-        self.group.prepare(n_channels, n_rows);
-    }
-
-    fn reset(&mut self) {
-        self.group.reset();
-    }
-
-    fn break_off(&mut self) {
-        self.group.break_off();
-    }
-}
-
-impl PayloadEncoder for DenseEncoder {
-    type Decoder = DenseDecoder;
-
+impl PayloadEncoder for Dense {
     fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
         // Stored raw: the samples, and the end of the range coder.
         n_channels * n_rows * 12 + 8
@@ -93,17 +41,8 @@ impl PayloadEncoder for DenseEncoder {
         // What is larger is stored raw.
         let limit = reports.iter().map(|report| report.samples as usize * 12).sum();
         let n_rows = channels.first().map_or(0, Rows::len);
-        let mut side = Encoding {
-            channels,
-            grid: self.group.grid,
-            coder: RangeEncoder::new(out, limit),
-            reports,
-            allowed: largest_square(self.group.grid),
-            squares: [0.0; GROUP_CHANNELS],
-            samples: [[0.0; ROOM]; 3],
-            expected: [0.0; TOGETHER],
-            off: [[0.0; ROOM]; 3],
-        };
+        let group = &mut self.group;
+        let mut side = Encoding::new(channels, group.grid, RangeEncoder::new(out, limit), reports);
         side.coder.split(STORED, false);
         let mut present: [Option<&[bool]>; GROUP_CHANNELS] = [None; GROUP_CHANNELS];
         for (channel, rows) in channels.iter().enumerate() {
@@ -111,38 +50,26 @@ impl PayloadEncoder for DenseEncoder {
                 present[channel] = Some(rows.present());
                 continue;
             };
-            let fineness = side.grid.fineness(max_mm);
-            if self.group.storage(&mut side.coder, channel, fineness).is_some() {
+            let fineness = group.grid.fineness(max_mm);
+            if group.storage(&mut side.coder, channel, fineness).is_some() {
                 present[channel] = Some(rows.present());
             } else {
                 store(&mut side.coder, *rows);
                 side.reports[channel].kept = side.reports[channel].samples;
             }
         }
-        let coded = self.group.block(&mut side, n_rows, &present[..channels.len()]);
-        let Encoding { coder, reports, squares, allowed, .. } = side;
-        for (report, squares) in reports.iter_mut().zip(squares) {
-            report.max_error_mm = squares.sqrt();
+        let coded = group.block(&mut side, n_rows, &present[..channels.len()]);
+        if !side.finish() || coded.is_err() {
+            out.truncate(start);
+            self.store_all(channels, out, reports);
         }
-        let within = squares.iter().all(|&squares| squares <= allowed);
-        if coder.finish() && coded.is_ok() && within {
-            return Ok(());
-        }
-        self.store_all(channels, start, out, reports);
         Ok(())
     }
 }
 
-impl DenseEncoder {
+impl Dense {
     /// A block that says less than its samples take: as they are, and everything forgotten.
-    fn store_all(
-        &mut self,
-        channels: &[Rows<'_>],
-        start: usize,
-        out: &mut Vec<u8>,
-        reports: &mut [BlockReport],
-    ) {
-        out.truncate(start);
+    fn store_all(&mut self, channels: &[Rows<'_>], out: &mut Vec<u8>, reports: &mut [BlockReport]) {
         self.group.reset();
         let mut coder = RangeEncoder::new(out, usize::MAX);
         coder.split(STORED, true);
@@ -163,4 +90,39 @@ fn store(coder: &mut impl BinaryCoder, rows: Rows<'_>) {
             coder.plain(u64::from(coordinate.to_bits()), 32);
         }
     }
+}
+
+/// Codes a group's channels in key blocks of `stretch_rows` rows and gives what the contexts saw.
+///
+/// # Errors
+/// `InvalidArgument` as [`BlockEncoder::encode`](crate::BlockEncoder::encode).
+#[cfg(feature = "training")]
+pub fn tally(
+    tolerance: Tolerance,
+    channels: &[Rows<'_>],
+    stretch_rows: usize,
+) -> Result<Tally, CodecError> {
+    let mut encoder = Dense::new(tolerance);
+    let mut bytes = 0;
+    let n_rows = channels.first().map_or(0, Rows::len);
+    for first in (0..n_rows).step_by(stretch_rows.max(1)) {
+        let last = (first + stretch_rows).min(n_rows);
+        let part = |rows: &Rows<'_>| -> Result<_, CodecError> {
+            Ok((rows.positions()[first..last].to_vec(), rows.present()[first..last].to_vec()))
+        };
+        let parts = channels.iter().map(part).collect::<Result<Vec<_>, _>>()?;
+        let rows = parts.iter().map(|(positions, present)| Rows::new(positions, present));
+        let rows = rows.collect::<Result<Vec<_>, _>>()?;
+        let report = |rows: &Rows<'_>| -> Result<_, CodecError> {
+            Ok(BlockReport { samples: count_finite(*rows)? as u32, ..BlockReport::default() })
+        };
+        let mut reports = rows.iter().map(report).collect::<Result<Vec<_>, _>>()?;
+        encoder.reset();
+        let mut out = Vec::new();
+        encoder.encode(&rows, &[], &mut out, &mut reports)?;
+        bytes += out.len();
+    }
+    let mut tally = encoder.group.channels.model.tally;
+    tally.bytes = bytes;
+    Ok(tally)
 }

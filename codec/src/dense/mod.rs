@@ -1,41 +1,76 @@
 //! The smallest files: asynchronous dyadic cubic resampling of a group of channels, context-coded.
 //!
-//! docs/codec.md, `dense`, specifies it; [`walk`] is the order, [`row`] the syntax, [`weave`] and
-//! [`lengths`] what the markers of a group say of one another.
+//! docs/codec.md, `dense`, specifies it. From the ground up:
+//!
+//! - [`points`], fixed point, and the lattices that residuals lie on
+//! - [`contexts`], what bits are expected by, and [`model`], their odds
+//! - [`level_prediction`], where time puts the rows of a level; [`track`], what is known of a channel
+//! - [`cross_channel`], what the residuals of other channels say; [`segment_lengths`] and [`distance_correction`],
+//!   what the distances to other channels say
+//! - [`first_row`] and [`residual`], the syntax of a row
+//! - [`level`], the rows of one level; [`walk`], the order of all rows of a group
+//! - [`candidates`], an encoder's choice among lattice points; [`encoder`] and [`decoder`]
 
-mod ahead;
-mod anchor;
-mod choice;
-mod classes;
-mod code;
-mod corners;
-mod covary;
+mod candidates;
+mod contexts;
+mod cross_channel;
 mod decoder;
+mod distance_correction;
 mod encoder;
-mod lattice;
-mod layout;
-mod lengths;
-mod logistic;
+mod first_row;
+mod level;
+mod level_prediction;
 mod model;
-mod origin;
-mod prior;
-mod pulls;
-mod row;
-mod segments;
-mod solve;
-mod taps;
+mod points;
+mod residual;
+mod segment_lengths;
+#[cfg(feature = "training")]
+mod tally;
 #[cfg(test)]
 mod tests;
 mod track;
-#[cfg(feature = "training")]
-pub mod training;
 mod walk;
-mod weave;
 
-pub(crate) use self::{decoder::DenseDecoder, encoder::DenseEncoder};
+use self::{points::Grid, walk::Group};
+use crate::{Tolerance, coding::isa::Isa, frame::Payload};
 
 /// Rows of a span: its last row must be known before its first is final.
 const SPAN: usize = 64;
 
 /// Dyadic levels below the anchor: strides 32 to 1.
 const LEVELS: usize = SPAN.ilog2() as usize;
+
+/// The odds of a block that is stored raw as a whole, in 2^-16.
+const STORED: u32 = 65536 - 8;
+
+/// Encoder and decoder of one group.
+#[derive(Debug)]
+pub(crate) struct Dense {
+    group: Group,
+}
+
+impl Dense {
+    pub(crate) fn new(tolerance: Tolerance) -> Self {
+        Self { group: Group::new(Grid::new(tolerance), Isa::detect()) }
+    }
+}
+
+impl Payload for Dense {
+    fn prepare(&mut self, n_channels: usize, n_rows: usize) {
+        self.group.prepare(n_channels, n_rows);
+    }
+
+    fn reset(&mut self) {
+        self.group.reset();
+    }
+
+    fn break_off(&mut self) {
+        self.group.break_off();
+    }
+}
+
+/// For the tool that makes the first odds.
+#[cfg(feature = "training")]
+pub mod training {
+    pub use super::{encoder::tally, tally::Tally};
+}

@@ -1,11 +1,10 @@
 //! What an error in mid-block leaves behind.
 
 use super::{
-    ahead::Sites,
-    code::Points,
-    lattice::{Grid, Point},
-    track::MEMORY,
-    walk::{Batch, Group, Question, Side},
+    level::{Question, Side},
+    level_prediction::{Batch, MEMORY, Sites},
+    points::{Grid, Point, Points},
+    walk::Group,
 };
 use crate::{
     CodecError, Tolerance,
@@ -46,11 +45,7 @@ impl<'a> Side for Scripted<'a> {
         })
     }
 
-    fn start(&mut self, _: usize, _: usize, _: i64, _: &[Point]) -> (usize, Point) {
-        (0, [0; 3])
-    }
-
-    fn ahead(&mut self, channel: usize, sites: &Sites) {
+    fn begin(&mut self, channel: usize, sites: &Sites) {
         self.next = (channel, *sites);
     }
 
@@ -77,7 +72,7 @@ fn block(
 
 #[test]
 fn a_key_forgets_what_an_error_in_mid_block_left() {
-    let group = || Group::new(Grid::new(Tolerance::from_mm(0.5).unwrap()));
+    let group = || Group::new(Grid::new(Tolerance::from_mm(0.5).unwrap()), Isa::detect());
     let mut fresh = group();
     let wanted = [block(&mut fresh, 128, None).unwrap(), block(&mut fresh, 128, None).unwrap()];
     // Of a whole span, and of one that ends early: its last row has another place in the span.
@@ -98,9 +93,8 @@ fn a_key_forgets_what_an_error_in_mid_block_left() {
 
 #[test]
 fn both_instruction_sets_give_the_same_bytes() {
-    let group = || Group::new(Grid::new(Tolerance::from_mm(0.5).unwrap()));
-    let (mut wide, mut plain) = (group(), group());
-    (plain.isa, plain.weave.isa) = (Isa::plain(), Isa::plain());
+    let grid = Grid::new(Tolerance::from_mm(0.5).unwrap());
+    let (mut wide, mut plain) = (Group::new(grid, Isa::detect()), Group::new(grid, Isa::plain()));
     for n_rows in [128, 100, 7, 128] {
         let (wide, plain) = (block(&mut wide, n_rows, None), block(&mut plain, n_rows, None));
         assert!(wide.is_ok() && wide == plain, "{n_rows} rows");

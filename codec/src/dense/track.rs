@@ -1,17 +1,10 @@
 //! What is known of one channel: its rows of this block, the last ones before it, and its activity.
 
 use super::{
-    SPAN,
-    ahead::PADDED,
-    anchor::Anchor,
-    code::{Points, copy},
-    lattice::{Fineness, Point},
-    layout::KINDS,
-    walk::Batch,
+    contexts::KINDS,
+    level_prediction::{AnchorErrors, Batch, MEMORY, PADDED},
+    points::{Fineness, Point, Points, copy, integers},
 };
-
-/// Rows before the block that predictions look at.
-pub(super) const MEMORY: usize = 64;
 
 /// Magnitudes count up to this.
 const MAX_MAGNITUDE: u32 = 900;
@@ -28,26 +21,6 @@ pub(super) struct End {
     pub(super) point: Point,
     /// A later run has been found to go on from here.
     pub(super) taken: bool,
-}
-
-/// A vector for every row of a span, by axis and [`slot`].
-#[derive(Debug, Clone)]
-pub(super) struct SpanPoints(pub(super) [[f64; PADDED]; 3]);
-
-/// The magnitudes of a channel in a span; zero where there is nothing.
-#[derive(Debug, Clone)]
-pub(super) struct SpanMarks(pub(super) [u64; PADDED]);
-
-impl Default for SpanMarks {
-    fn default() -> Self {
-        Self([0; PADDED])
-    }
-}
-
-impl Default for SpanPoints {
-    fn default() -> Self {
-        Self([[f64::NAN; PADDED]; 3])
-    }
 }
 
 /// The coded magnitudes of a row with their signs, and the sum of them as neighbours count them.
@@ -85,30 +58,22 @@ pub(super) fn marked_weight(marks: u64) -> i32 {
     (marks >> 48) as i32
 }
 
-/// The place of a row (1 to 64 of a span) where the rows of a level lie side by side: the end of a whole
-/// span, stride 32, stride 16, and so on.
-pub(super) fn slot(row: usize) -> usize {
-    let odd_half = (SPAN + row) >> (row.trailing_zeros() + 1);
-    if row == SPAN { 0 } else { odd_half % SPAN }
-}
-
 /// One channel. Rows are indices into these lists, the block's first being [`MEMORY`].
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Track {
     /// NaN where nothing is known: what comes of it is NaN, too.
     pub(super) points: Vec<[f64; 3]>,
-    /// The points of the current span by axis and [`slot`]: the rows of a level side by side. NaN as above.
-    pub(super) span: SpanPoints,
-    /// The magnitudes of the rows of the current span by [`slot`], as [`marked`] takes them.
-    pub(super) marks: SpanMarks,
+    /// The points of the current span by axis and place in it: the rows of a level side by side. NaN as above.
+    pub(super) span: [[f64; PADDED]; 3],
+    /// The magnitudes of the rows of the current span by place, as [`marked`] takes them; zero where there is nothing.
+    pub(super) marks: [u64; PADDED],
     /// Zero where nothing is known.
     pub(super) steps: Vec<Steps>,
-    pub(super) known: Vec<bool>,
     /// First row of the run that the row before the current span belongs to.
     pub(super) run_start: usize,
     /// Averages of the magnitudes, in 1/256, by kind: by axis, and of the sums.
     pub(super) activity: [[i32; 4]; KINDS],
-    pub(super) anchor: Anchor,
+    pub(super) anchor_errors: AnchorErrors,
     pub(super) end: Option<End>,
     pub(super) fineness: Fineness,
     /// The last two choices of how to store the channel: 0 not yet, 1 no, 2 yes.
@@ -117,25 +82,39 @@ pub(super) struct Track {
 }
 
 impl Track {
+    pub(super) fn new() -> Self {
+        Self {
+            points: Vec::new(),
+            span: [[f64::NAN; PADDED]; 3],
+            marks: [0; PADDED],
+            steps: Vec::new(),
+            run_start: 0,
+            activity: Default::default(),
+            anchor_errors: AnchorErrors::default(),
+            end: None,
+            fineness: Fineness::default(),
+            was_raw: 0,
+            was_fine: 0,
+        }
+    }
+
     /// Room for blocks of so many rows.
     pub(super) fn prepare(&mut self, n_rows: usize) {
         let rows = MEMORY + n_rows;
         self.points.reserve(rows.saturating_sub(self.points.len()));
         self.steps.reserve(rows.saturating_sub(self.steps.len()));
-        self.known.reserve(rows.saturating_sub(self.known.len()));
     }
 
     pub(super) fn reset(&mut self) {
         self.forget();
         self.activity = Default::default();
-        self.anchor = Anchor::default();
+        self.anchor_errors = AnchorErrors::default();
         self.end = None;
         (self.was_raw, self.was_fine) = (0, 0);
     }
 
     /// The rows so far are not known.
     pub(super) fn forget(&mut self) {
-        self.known.fill(false);
         self.steps.fill(Steps::default());
         self.points.fill([f64::NAN; 3]);
     }
@@ -146,8 +125,12 @@ impl Track {
         self.points.resize(MEMORY + n_rows, [f64::NAN; 3]);
         self.steps.resize(MEMORY, Steps::default());
         self.steps.resize(MEMORY + n_rows, Steps::default());
-        self.known.resize(MEMORY, false);
-        self.known.resize(MEMORY + n_rows, false);
+    }
+
+    /// A span begins.
+    pub(super) fn begin_span(&mut self) {
+        self.span = [[f64::NAN; PADDED]; 3];
+        self.marks = [0; PADDED];
     }
 
     /// The block of so many rows is over.
@@ -156,9 +139,12 @@ impl Track {
         self.points.truncate(MEMORY);
         self.steps.copy_within(n_rows.., 0);
         self.steps.truncate(MEMORY);
-        self.known.copy_within(n_rows.., 0);
-        self.known.truncate(MEMORY);
         self.run_start = self.run_start.saturating_sub(n_rows);
+    }
+
+    /// Whether a row is present and has been decoded.
+    pub(super) fn is_known(&self, row: usize) -> bool {
+        !self.points[row][0].is_nan()
     }
 
     /// Coded magnitudes of the row so many rows before; zero before `start`.
@@ -169,20 +155,14 @@ impl Track {
 
     /// A known row.
     pub(super) fn point(&self, row: usize) -> Point {
-        self.at(row).map(|units| units as i64)
+        integers(self.points[row])
     }
 
-    /// A row, NaN where it is not known.
-    pub(super) fn at(&self, row: usize) -> [f64; 3] {
-        self.points[row]
-    }
-
-    /// Stores the points of some rows, the first of which has the place `slot` in the span. That they are
-    /// known is asked only where runs begin, and said there.
+    /// Stores the points of some rows.
     #[inline(always)]
-    pub(super) fn settle<const N: usize>(&mut self, batch: Batch, slot: usize, points: &Points<N>) {
-        for (span, axis) in self.span.0.iter_mut().zip(points) {
-            copy(axis, &mut span[slot..], batch.n);
+    pub(super) fn settle<const N: usize>(&mut self, batch: Batch, points: &Points<N>) {
+        for (span, axis) in self.span.iter_mut().zip(points) {
+            copy(axis, &mut span[batch.slot..], batch.n);
         }
         let [x, y, z] = points;
         for i in 0..batch.n.min(N) {
@@ -191,19 +171,20 @@ impl Track {
         }
     }
 
-    /// Remembers the magnitudes of a row that was moved, and gives them. Of others nothing is known so far, and that is what
-    /// zeros say.
+    /// Remembers the magnitudes of a row that was moved, and gives them. Of others nothing is known so far, and that
+    /// is what zeros say.
     #[inline(always)]
     pub(super) fn keep(
         &mut self,
-        (row, slot): (usize, usize),
+        row: usize,
+        slot: usize,
         steps: Point,
         activity: &mut [i32; 4],
     ) -> Steps {
         let steps = steps.map(|step| step.clamp(-MAX_ACTIVITY, MAX_ACTIVITY) as i32);
         let short = Steps::new(steps.map(|step| step.clamp(-MAX_STEP, MAX_STEP) as i16));
         self.steps[row] = short;
-        self.marks.0[slot] = short.marks();
+        self.marks[slot] = short.marks();
         let [x, y, z] = steps.map(i32::abs);
         follow(activity, [x, y, z, x + y + z]);
         short

@@ -2,90 +2,17 @@
 
 use super::{
     LEVELS, SPAN,
-    ahead::{Ahead, Sites},
-    code::Points,
-    lattice::{Fineness, Grid, Lattice, Point},
-    layout as is,
-    layout::ORIGIN,
-    lengths::Lengths,
-    model::Model,
-    origin,
-    pulls::Pulls,
-    row,
-    track::{End, MEMORY, SpanMarks, SpanPoints, Track},
-    weave::Weave,
+    contexts::{FINE, INTERPOLATED, RAW},
+    first_row::{self, Origins},
+    level::{Channels, Side, Start},
+    level_prediction::{Decoded, MEMORY, Sites},
+    points::{Fineness, Grid, Lattice, Point},
+    track::{End, Track},
 };
 use crate::{
-    CodecError,
+    CodecError, block,
     coding::{isa::Isa, range::BinaryCoder},
 };
-
-/// What an encoder is asked before a residual is coded.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Question {
-    /// Among the rows ahead.
-    pub(super) place: usize,
-    /// In units, whole.
-    pub(super) prediction: [f64; 3],
-    /// Of the row.
-    pub(super) kind: usize,
-    pub(super) lattice: Lattice,
-    pub(super) fineness: Fineness,
-    /// Averages of the magnitudes in 1/256, by axis.
-    pub(super) activity: [i32; 3],
-    /// Nothing is predicted from the row.
-    pub(super) last_level: bool,
-}
-
-/// Encoder or decoder.
-pub(super) trait Side {
-    type Coder: BinaryCoder;
-    fn coder(&mut self) -> &mut Self::Coder;
-    /// The lattice steps to code for a row outside; all zero to stay at the prediction.
-    fn choose(&mut self, question: Question) -> Point;
-    /// Which of the candidates a first row is coded from, and the steps from there. Ignored, too.
-    fn start(&mut self, channel: usize, row: usize, step: i64, ways: &[Point]) -> (usize, Point);
-    /// Which rows come next.
-    fn ahead(&mut self, channel: usize, sites: &Sites);
-    /// Of some of them, a bit each, those whose sample is not within the tolerance of the prediction. A decoder's
-    /// answer is ignored.
-    fn outside<const N: usize>(
-        &mut self,
-        channel: usize,
-        batch: Batch,
-        predictions: &Points<N>,
-    ) -> u32;
-    /// The points of some rows are known, in units; of those that are kept a bit is set.
-    fn settle<const N: usize>(
-        &mut self,
-        channel: usize,
-        batch: Batch,
-        points: &Points<N>,
-        kept: u32,
-    );
-}
-
-/// A few rows of one level, as rows of a track.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Batch {
-    pub(super) first: usize,
-    pub(super) step: usize,
-    /// [`TOGETHER`](super::code::TOGETHER) at most.
-    pub(super) n: usize,
-    /// The place of the first among the rows ahead.
-    pub(super) from: usize,
-}
-
-impl Batch {
-    pub(super) fn at(&self, i: usize) -> usize {
-        self.first + i * self.step
-    }
-
-    /// As a row of the block.
-    pub(super) fn row(&self, i: usize) -> usize {
-        self.at(i) - MEMORY
-    }
-}
 
 /// A run of present rows within a span, as rows of a track.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -96,58 +23,36 @@ struct Run {
     end: usize,
 }
 
-/// Everything that a group of channels remembers.
+/// A group of channels.
 #[derive(Debug)]
 pub(super) struct Group {
     pub(super) grid: Grid,
-    pub(super) tracks: Vec<Track>,
-    pub(super) model: Model,
-    pub(super) weave: Weave,
-    pub(super) lengths: Lengths,
-    pub(super) ahead: Box<Ahead>,
-    pub(super) pulls: Box<Pulls>,
-    pub(super) isa: Isa,
+    pub(super) channels: Channels,
     runs: Vec<Run>,
     /// Rows since the key block.
     first_row: u64,
 }
 
 impl Group {
-    pub(super) fn new(grid: Grid) -> Self {
-        Self {
-            grid,
-            tracks: Vec::new(),
-            model: Model::new(),
-            weave: Weave::new(),
-            lengths: Lengths::new(),
-            ahead: Box::new(Ahead::new()),
-            pulls: Box::new(Pulls::new()),
-            isa: Isa::detect(),
-            runs: Vec::new(),
-            first_row: 0,
-        }
+    pub(super) fn new(grid: Grid, isa: Isa) -> Self {
+        Self { grid, channels: Channels::new(isa), runs: Vec::new(), first_row: 0 }
     }
 
     pub(super) fn prepare(&mut self, n_channels: usize, n_rows: usize) {
-        if self.tracks.len() < n_channels {
-            self.tracks.resize_with(n_channels, Track::default);
-        }
-        self.tracks.iter_mut().for_each(|track| track.prepare(n_rows));
+        self.channels.grow(n_channels);
+        self.channels.tracks.iter_mut().for_each(|track| track.prepare(n_rows));
         // Runs are at least a row long and a row apart.
         self.runs.reserve((n_channels * SPAN.div_ceil(2)).saturating_sub(self.runs.len()));
     }
 
     pub(super) fn reset(&mut self) {
-        self.tracks.iter_mut().for_each(Track::reset);
-        self.model.reset();
-        self.weave.reset();
-        self.lengths.reset();
+        self.channels.reset();
         self.first_row = 0;
     }
 
     /// The rows before the next block are not known.
     pub(super) fn break_off(&mut self) {
-        self.tracks.iter_mut().for_each(Track::forget);
+        self.channels.tracks.iter_mut().for_each(Track::forget);
     }
 
     /// Codes the rows of a block, `present` by channel; `None` for a channel that is stored raw.
@@ -157,18 +62,15 @@ impl Group {
         n_rows: usize,
         present: &[Option<&[bool]>],
     ) -> Result<(), CodecError> {
-        let n = present.len();
-        if self.tracks.len() < n {
-            self.tracks.resize_with(n, Track::default);
-        }
-        self.tracks.iter_mut().for_each(|track| track.begin(n_rows));
+        self.channels.grow(present.len());
+        self.channels.tracks.iter_mut().for_each(|track| track.begin(n_rows));
         let mut before = MEMORY - 1;
         while before + 1 < MEMORY + n_rows {
             let last = (before + SPAN).min(MEMORY + n_rows - 1);
-            self.span(side, (before, last), present)?;
+            self.span(side, before, last, present)?;
             before = last;
         }
-        self.tracks.iter_mut().for_each(|track| track.finish(n_rows));
+        self.channels.tracks.iter_mut().for_each(|track| track.finish(n_rows));
         self.first_row += n_rows as u64;
         Ok(())
     }
@@ -177,25 +79,39 @@ impl Group {
     fn span<S: Side>(
         &mut self,
         side: &mut S,
-        (before, last): (usize, usize),
+        before: usize,
+        last: usize,
         present: &[Option<&[bool]>],
     ) -> Result<(), CodecError> {
         let n = present.len();
-        self.weave.begin(n);
-        for (channel, track) in self.tracks[..n].iter_mut().enumerate() {
-            track.span = SpanPoints::default();
-            track.marks = SpanMarks::default();
-            if track.known[before] {
-                self.weave.place(channel, track.at(before));
-            }
+        let Channels { tracks, cross_channel, .. } = &mut self.channels;
+        cross_channel.begin(n);
+        for (channel, track) in tracks[..n].iter_mut().enumerate() {
+            track.begin_span();
+            // Nowhere, where that is not known.
+            cross_channel.place(channel, track.points[before]);
         }
-        self.find_runs((before, last), present);
+        self.find_runs(before, last, present);
         let mut runs = std::mem::take(&mut self.runs);
         let walked = self.walk(side, &mut runs, before, present);
         self.runs = runs;
         walked?;
-        self.weave.end(n);
+        self.channels.cross_channel.end(n);
         Ok(())
+    }
+
+    /// All runs of the span, by first row, then channel.
+    fn find_runs(&mut self, before: usize, last: usize, present: &[Option<&[bool]>]) {
+        self.runs.clear();
+        for (channel, present) in present.iter().enumerate() {
+            let Some(present) = present else { continue };
+            let goes_on = self.channels.tracks[channel].is_known(before);
+            for run in block::runs(&present[before + 1 - MEMORY..=last - MEMORY]) {
+                let zero = before + 1 + run.start - usize::from(goes_on && run.start == 0);
+                self.runs.push(Run { zero, channel, end: before + run.end });
+            }
+        }
+        self.runs.sort_unstable();
     }
 
     /// All rows of some runs.
@@ -209,10 +125,9 @@ impl Group {
         let mut looked_around = 0_u64;
         for &run in &*runs {
             if run.zero > before {
-                self.origin(side, run.channel, (run.zero, before), present)?;
-                self.tracks[run.channel].known[run.zero] = true;
+                self.origin(side, run, before, present)?;
             } else {
-                let track = &mut self.tracks[run.channel];
+                let track = &mut self.channels.tracks[run.channel];
                 track.run_start = track.run_start.max((before + 1).saturating_sub(MEMORY));
             }
             if looked_around >> run.channel & 1 == 0 {
@@ -222,131 +137,88 @@ impl Group {
             if run.end > run.zero {
                 self.anchor(side, run, before)?;
             }
-            let track = &mut self.tracks[run.channel];
-            track.known[run.end] = true;
+            let track = &mut self.channels.tracks[run.channel];
             let row = self.first_row + (run.end - MEMORY) as u64;
             track.end = Some(End { row, point: track.point(run.end), taken: false });
         }
         // Now by channel, so that the references of a row are there before it.
         runs.sort_unstable_by_key(|run| (run.channel, run.zero));
-        for stride in (0..LEVELS).rev().map(|bit| 1 << bit) {
-            self.level(side, runs, stride, before)?;
-        }
-        for run in &*runs {
-            let track = &mut self.tracks[run.channel];
-            track.known[run.zero..=run.end].fill(true);
-            // A run that begins in this span starts with its own first row.
-            if run.zero > before {
-                track.run_start = run.zero;
+        for bit in (0..LEVELS).rev() {
+            for run in &*runs {
+                let sites = Sites::level(1 << bit, self.decoded(run, before), before);
+                if sites.n > 0 {
+                    self.channels.level.sites = sites;
+                    self.channels.code(side, run.channel, INTERPOLATED + bit)?;
+                }
             }
+        }
+        // A run that begins in this span starts with its own first row.
+        for run in runs.iter().filter(|run| run.zero > before) {
+            self.channels.tracks[run.channel].run_start = run.zero;
         }
         Ok(())
     }
 
-    /// All runs of the span, by first row, then channel.
-    fn find_runs(&mut self, (before, last): (usize, usize), present: &[Option<&[bool]>]) {
-        self.runs.clear();
-        for (channel, present) in present.iter().enumerate() {
-            let Some(present) = present else { continue };
-            let goes_on = self.tracks[channel].known[before];
-            let rows = &present[before + 1 - MEMORY..=last - MEMORY];
-            // Most often there is no gap.
-            if rows.iter().fold(true, |all, &row| all & row) {
-                let zero = if goes_on { before } else { before + 1 };
-                self.runs.push(Run { zero, channel, end: last });
-                continue;
-            }
-            let mut row = before + 1;
-            while row <= last {
-                if !present[row - MEMORY] {
-                    row += 1;
-                    continue;
-                }
-                let zero = if goes_on && row == before + 1 { before } else { row };
-                while row < last && present[row + 1 - MEMORY] {
-                    row += 1;
-                }
-                self.runs.push(Run { zero, channel, end: row });
-                row += 2;
-            }
-        }
-        self.runs.sort_unstable();
+    fn decoded(&self, run: &Run, before: usize) -> Decoded {
+        let Run { zero, channel, end } = *run;
+        let start = if zero > before { zero } else { self.channels.tracks[channel].run_start };
+        Decoded { start, zero, end }
     }
 
     /// Where the channel is among the others, and what follows from it.
     fn look_around(&mut self, channel: usize, n: usize, before: usize) {
-        let track = &self.tracks[channel];
-        if !self.weave.has_place(channel) && track.known[before + 1] {
-            self.weave.place(channel, track.at(before + 1));
+        let Channels { tracks, cross_channel, segments, .. } = &mut self.channels;
+        if !cross_channel.has_place(channel) {
+            cross_channel.place(channel, tracks[channel].points[before + 1]);
         }
-        self.weave.find_near(channel, self.grid.unit_mm);
-        let weave = &self.weave;
-        self.lengths.choose(channel, |k| weave.nearness(channel, k));
-        self.weave.solve(channel, n);
-    }
-
-    /// The rows of one level, by channel.
-    fn level<S: Side>(
-        &mut self,
-        side: &mut S,
-        runs: &[Run],
-        stride: usize,
-        before: usize,
-    ) -> Result<(), CodecError> {
-        for run in runs {
-            let start = self.start_of(run, before);
-            self.ahead.sites = Sites::level(stride, (start, run.zero, run.end), before);
-            if self.ahead.sites.n == 0 {
-                continue;
-            }
-            self.rows(side, run.channel, 4 + stride.ilog2() as usize)?;
-        }
-        Ok(())
-    }
-
-    fn start_of(&self, run: &Run, before: usize) -> usize {
-        if run.zero > before { run.zero } else { self.tracks[run.channel].run_start }
+        cross_channel.find_near(channel, self.grid.unit_mm);
+        segments.choose(channel, |k| cross_channel.nearness(channel, k));
+        cross_channel.solve(channel, n);
     }
 
     /// The first row of a run.
     fn origin<S: Side>(
         &mut self,
         side: &mut S,
-        channel: usize,
-        (at, before): (usize, usize),
+        run: Run,
+        before: usize,
         present: &[Option<&[bool]>],
     ) -> Result<(), CodecError> {
-        let found = origin::Ways::find(&self.tracks, channel, at, self.first_row, present);
-        let step = self.tracks[channel].fineness.step(Lattice::Cubic);
-        let (choice, steps) = side.start(channel, at - MEMORY, step, found.points());
-        let choice = found.code(side.coder(), &mut self.model, choice);
-        if let Some(end) = found.taken(choice).and_then(|k| self.tracks[k].end.as_mut()) {
+        let Run { zero: at, channel, .. } = run;
+        let Channels { tracks, model, .. } = &mut self.channels;
+        let origins = Origins::find(tracks, channel, at, self.first_row, present);
+        let step = tracks[channel].fineness.step(Lattice::Cubic);
+        let Start { candidate, steps } = side.start(channel, at - MEMORY, step, origins.points());
+        let candidate = origins.code(side.coder(), model, candidate);
+        if let Some(end) = origins.taken(candidate).and_then(|k| tracks[k].end.as_mut()) {
             end.taken = true;
         }
-        let steps = row::origin(side.coder(), &mut self.model, found.class(choice), steps)?;
-        let from = found.points()[choice];
+        let class = origins.class(candidate);
+        let steps = first_row::residual(side.coder(), model, class, steps)?;
+        let from = origins.points()[candidate];
         let point: Point =
             std::array::from_fn(|axis| from[axis].wrapping_add(steps[axis].wrapping_mul(step)));
-        self.settle_first(side, (channel, at, before), ORIGIN, (point, steps))
+        let sites = Sites::anchor(Decoded { start: at, zero: at, end: at }, before);
+        self.channels.settle_first(side, channel, &sites, point, steps)
     }
 
     /// The last row of a run within the span.
     fn anchor<S: Side>(&mut self, side: &mut S, run: Run, before: usize) -> Result<(), CodecError> {
+        let decoded = self.decoded(&run, before);
         let (channel, rows) = (run.channel, run.end - run.zero);
-        let start = self.start_of(&run, before);
-        let track = &self.tracks[channel];
+        let track = &self.channels.tracks[channel];
         let known = |back: usize| track.point(run.zero - back);
-        let (expected, guesses) = track.anchor.guess(known, run.zero - start, rows);
+        let (expected, guesses) = track.anchor_errors.guess(known, run.zero - decoded.start, rows);
         let kind = match rows {
             17.. => 1,
             5.. => 2,
             _ => 3,
         };
-        self.ahead.guessed(Sites::anchor((start, run.zero, run.end), before), expected);
-        self.rows(side, channel, kind)?;
-        let track = &mut self.tracks[channel];
+        self.channels.level.guessed(Sites::anchor(decoded, before), expected);
+        self.channels.code(side, channel, kind)?;
+        let track = &mut self.channels.tracks[channel];
         let point = track.point(run.end);
-        track.anchor.score(&guesses, point);
+        track.anchor_errors.score(&guesses, point);
         Ok(())
     }
 
@@ -357,17 +229,16 @@ impl Group {
         channel: usize,
         fineness: Option<Fineness>,
     ) -> Option<Fineness> {
-        if self.tracks.len() <= channel {
-            self.tracks.resize_with(channel + 1, Track::default);
-        }
-        let track = &mut self.tracks[channel];
-        let raw = self.model.single(coder, is::RAW.at(track.was_raw), fineness.is_none());
+        self.channels.grow(channel + 1);
+        let Channels { tracks, model, .. } = &mut self.channels;
+        let track = &mut tracks[channel];
+        let raw = model.single(coder, RAW.at(track.was_raw), fineness.is_none());
         track.was_raw = 1 + usize::from(raw);
         if raw {
             return None;
         }
         let fine = fineness == Some(Fineness::Fine);
-        let fine = self.model.single(coder, is::FINE.at(track.was_fine), fine);
+        let fine = model.single(coder, FINE.at(track.was_fine), fine);
         track.was_fine = 1 + usize::from(fine);
         track.fineness = if fine { Fineness::Fine } else { Fineness::Normal };
         Some(track.fineness)

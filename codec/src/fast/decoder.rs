@@ -1,7 +1,7 @@
 //! The decoder of a group: from bits to points.
 
 use super::{
-    Group, MAX_ZEROS, Mode, max_payload_bytes,
+    Fast, MAX_ZEROS, Mode,
     model::{
         Activity, Fourfold, GOLOMB, LOW_BITS, PLACES, QUIET_PLACE, QUIET_ROWS, SYMBOLS, TABLES,
         WAKE_PLACE, axes, axis_code, cut, table_at,
@@ -11,61 +11,28 @@ use super::{
     walk::{self, Channel, Grid, LEAD, Rows, Side},
 };
 use crate::{
-    CodecError, DecodedRows, Tolerance, block,
-    coding::{
-        bytes::Bytes,
-        columns::Histories,
-        isa::{Isa, Kernel},
-    },
-    frame::{Payload, PayloadDecoder},
+    CodecError, DecodedRows, block,
+    coding::{bytes::Bytes, columns::Histories, isa::Kernel},
+    frame::PayloadDecoder,
 };
 
-/// The decoder of a group of channels.
-#[derive(Debug)]
-pub(crate) struct FastDecoder {
-    group: Group,
-    grid: Grid,
-    steps: Vec<Point>,
+/// Memory for one block, and for one channel of it.
+#[derive(Debug, Default)]
+pub(super) struct Work {
     padded: Vec<u8>,
+    steps: Vec<Point>,
 }
 
-impl FastDecoder {
-    pub(crate) fn new(tolerance: Tolerance) -> Self {
-        Self::with_isa(tolerance, Isa::detect())
-    }
-
-    pub(super) fn with_isa(tolerance: Tolerance, isa: Isa) -> Self {
-        let group = Group::new(tolerance, isa);
-        Self { group, grid: Grid::default(), steps: Vec::new(), padded: Vec::new() }
-    }
-
-    fn grow(&mut self, n_channels: usize, n_rows: usize) {
-        self.group.grow(n_channels);
-        let room = walk::room(n_rows);
+impl Work {
+    pub(super) fn grow(&mut self, room: usize, payload_bytes: usize) {
+        self.padded.reserve((PAD + payload_bytes).saturating_sub(self.padded.len()));
         if self.steps.len() < room {
             self.steps.resize(room, Point::default());
-            self.grid.grow(room);
         }
     }
 }
 
-impl Payload for FastDecoder {
-    fn prepare(&mut self, n_channels: usize, n_rows: usize) {
-        self.padded.reserve(PAD + max_payload_bytes(n_channels, n_rows));
-        self.group.raw.reserve(n_rows);
-        self.grow(n_channels, n_rows);
-    }
-
-    fn reset(&mut self) {
-        self.group.reset();
-    }
-
-    fn break_off(&mut self) {
-        self.group.break_off();
-    }
-}
-
-impl PayloadDecoder for FastDecoder {
+impl PayloadDecoder for Fast {
     fn decode(
         &mut self,
         payload: &[u8],
@@ -74,43 +41,43 @@ impl PayloadDecoder for FastDecoder {
     ) -> Result<(), CodecError> {
         let n_rows = channels.first().map_or(0, |rows| rows.present.len());
         self.grow(channels.len(), n_rows);
-        self.group.modes.fill(Mode::default());
-        Reader::pad(payload, &mut self.padded);
-        let mut reader = Reader::new(&self.padded)?;
+        self.decoding.grow(walk::room(n_rows), payload.len());
+        self.modes.fill(Mode::default());
+        Reader::pad(payload, &mut self.decoding.padded);
+        let mut reader = Reader::new(&self.decoding.padded)?;
         if reader.flag()? {
             let mut input = Bytes::new(payload);
-            for (mode, rows) in self.group.modes.iter_mut().zip(channels.iter()) {
+            for (mode, rows) in self.modes.iter_mut().zip(channels.iter()) {
                 if rows.has_samples() {
                     *mode = Mode::read(&mut input)?;
                 }
             }
-            for (mode, rows) in self.group.modes.iter().zip(channels.iter_mut()) {
+            for (mode, rows) in self.modes.iter().zip(channels.iter_mut()) {
                 if *mode == Mode::RAW && rows.has_samples() {
-                    self.group.raw.read(&mut input, &mut Histories::default(), rows)?;
+                    self.raw.read(&mut input, &mut Histories::default(), rows)?;
                 }
             }
             reader.leave(payload.len() - input.rest().len());
         }
         let coded = |(rows, mode): (&DecodedRows, &Mode)| *mode != Mode::RAW && rows.has_samples();
-        if channels.iter().zip(&self.group.modes).any(coded) {
+        if channels.iter().zip(&self.modes).any(coded) {
             reader.read_state()?;
         }
-        for ((rows, channel), mode) in
-            channels.iter_mut().zip(&mut self.group.channels).zip(&self.group.modes)
+        for ((rows, channel), mode) in channels.iter_mut().zip(&mut self.channels).zip(&self.modes)
         {
             if *mode == Mode::RAW || !rows.has_samples() {
                 channel.known = 0;
                 continue;
             }
-            self.group.isa.run(Decoding {
-                tables: self.group.tables,
+            self.isa.run(Decoding {
+                tables: self.tables,
                 reader: &mut reader,
                 channel,
                 rows,
                 grid: &mut self.grid,
-                steps: &mut self.steps,
-                step: mode.step(self.group.tolerance_mm),
-                cap: walk::error_cap(self.group.tolerance_mm),
+                steps: &mut self.decoding.steps,
+                step: mode.step(self.tolerance_mm),
+                cap: walk::error_cap(self.tolerance_mm),
             })?;
         }
         reader.finish()

@@ -1,24 +1,23 @@
 //! The encoder of a group: the choices that the format leaves open.
 
 use super::{
-    FastDecoder, Group, Mode,
+    Fast, Mode,
     choice::{Choosing, Residuals, Rule, Targets},
     tans::{Ops, Tables, Writer},
     walk::{self, Channel, Grid},
 };
 use crate::{
-    BlockReport, CodecError, Rows, Tolerance,
+    BlockReport, CodecError, Rows,
     coding::{
         columns::{Histories, Raw},
-        isa::{Isa, Kernel},
+        isa::Kernel,
     },
     frame::{Payload, PayloadEncoder},
 };
 
 /// Memory for one channel of one block.
 #[derive(Debug, Default)]
-struct Work {
-    grid: Grid,
+pub(super) struct Work {
     targets: Targets,
     residuals: Residuals,
     ops: Ops,
@@ -27,11 +26,9 @@ struct Work {
 }
 
 impl Work {
-    fn prepare(&mut self, n_rows: usize) {
-        let room = walk::room(n_rows);
+    pub(super) fn grow(&mut self, room: usize) {
         if self.room < room {
             self.room = room;
-            self.grid.grow(room);
             self.targets.grow(room);
             self.residuals.grow(room);
             self.ops.grow(room);
@@ -44,6 +41,7 @@ impl Work {
 struct Coding<'a> {
     channel: &'a mut Channel,
     rows: Rows<'a>,
+    grid: &'a mut Grid,
     work: &'a mut Work,
     tolerance_mm: f64,
     step: f32,
@@ -55,7 +53,8 @@ impl Kernel for Coding<'_> {
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        let Self { channel, rows, work: Work { grid, targets, residuals, ops, .. }, .. } = self;
+        let Self { channel, rows, grid, work, .. } = self;
+        let Work { targets, residuals, ops, .. } = work;
         ops.clear();
         let rule = Rule::new(self.tolerance_mm, self.step);
         let cap = walk::error_cap(self.tolerance_mm);
@@ -104,22 +103,7 @@ impl Kernel for Emitting<'_> {
     }
 }
 
-/// The encoder of a group of channels.
-#[derive(Debug)]
-pub(crate) struct FastEncoder {
-    group: Group,
-    work: Work,
-}
-
-impl FastEncoder {
-    pub(crate) fn new(tolerance: Tolerance) -> Self {
-        Self::with_isa(tolerance, Isa::detect())
-    }
-
-    pub(super) fn with_isa(tolerance: Tolerance, isa: Isa) -> Self {
-        Self { group: Group::new(tolerance, isa), work: Work::default() }
-    }
-
+impl Fast {
     /// Codes one channel; `false` leaves everything as it was.
     fn channel(
         &mut self,
@@ -129,12 +113,13 @@ impl FastEncoder {
         writer: &mut Writer,
         out: &mut Vec<u8>,
     ) -> bool {
-        let Self { group: Group { tolerance_mm, tables, isa, channels, modes, .. }, work } = self;
+        let Self { isa, tables, tolerance_mm, grid, encoding: work, .. } = self;
         let tolerance_mm = *tolerance_mm;
         for mode in Mode::STEPS {
-            let mut channel = channels[i].clone();
+            let mut channel = self.channels[i].clone();
             let step = mode.step(tolerance_mm);
-            let outcome = isa.run(Coding { channel: &mut channel, rows, work, tolerance_mm, step });
+            let outcome =
+                isa.run(Coding { channel: &mut channel, rows, grid, work, tolerance_mm, step });
             let Some(Outcome { max_error_mm, kept }) = outcome else { return false };
             if max_error_mm <= tolerance_mm {
                 let mut next = *writer;
@@ -145,8 +130,8 @@ impl FastEncoder {
                 }
                 out.extend_from_slice(&work.bytes[..length]);
                 *writer = next;
-                channels[i] = channel;
-                modes[i] = mode;
+                self.channels[i] = channel;
+                self.modes[i] = mode;
                 report.kept = kept;
                 report.max_error_mm = max_error_mm;
                 return true;
@@ -156,27 +141,10 @@ impl FastEncoder {
     }
 }
 
-impl Payload for FastEncoder {
-    fn prepare(&mut self, n_channels: usize, n_rows: usize) {
-        self.group.grow(n_channels);
-        self.group.raw.reserve(n_rows);
-        self.work.prepare(n_rows);
-    }
-
-    fn reset(&mut self) {
-        self.group.reset();
-    }
-
-    fn break_off(&mut self) {
-        self.group.break_off();
-    }
-}
-
-impl PayloadEncoder for FastEncoder {
-    type Decoder = FastDecoder;
-
+impl PayloadEncoder for Fast {
     fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
-        super::max_payload_bytes(n_channels, n_rows)
+        // Per channel the mode and the samples; then state, flag and end mark.
+        n_channels * (1 + Raw::max_bytes(n_rows)) + 16
     }
 
     fn encode(
@@ -192,21 +160,21 @@ impl PayloadEncoder for FastEncoder {
         let mut coded = false;
         // The decoder reads from the end: the first channel comes last.
         for (i, (rows, report)) in channels.iter().zip(reports.iter_mut()).enumerate().rev() {
-            self.group.modes[i] = Mode::default();
+            self.modes[i] = Mode::default();
             if report.samples == 0 {
-                self.group.channels[i].known = 0;
+                self.channels[i].known = 0;
                 continue;
             }
             if self.channel(i, *rows, report, &mut writer, out) {
                 coded = true;
             } else {
-                self.group.modes[i] = Mode::RAW;
-                self.group.channels[i].known = 0;
+                self.modes[i] = Mode::RAW;
+                self.channels[i].known = 0;
                 report.kept = report.samples;
                 report.max_error_mm = 0.0;
             }
         }
-        let Group { modes, raw, .. } = &mut self.group;
+        let Self { modes, raw, .. } = self;
         let plain = modes[..channels.len()].iter().all(|mode| *mode == Mode::default());
         writer.finish(coded, !plain, out);
         if !plain {

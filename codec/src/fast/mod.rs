@@ -19,11 +19,14 @@ mod tans;
 mod tests;
 mod walk;
 
-pub(crate) use self::{decoder::FastDecoder, encoder::FastEncoder};
-use self::{tans::Tables, walk::Channel};
+use self::{
+    tans::Tables,
+    walk::{Channel, Grid},
+};
 use crate::{
     CodecError, Tolerance,
     coding::{bytes::Bytes, columns::Raw, isa::Isa},
+    frame::{Payload, PayloadEncoder},
 };
 
 /// 2/sqrt(3), less 2^-9 for the float32 rounding of the reconstruction: the step's cube lies inside
@@ -59,15 +62,9 @@ impl Mode {
     }
 }
 
-/// Most bytes of a payload of so many channels and rows.
-fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
-    // Per channel the mode and the samples; then state, flag and end mark.
-    n_channels * (1 + Raw::max_bytes(n_rows)) + 16
-}
-
-/// What encoder and decoder of a group of channels both follow.
+/// Encoder and decoder of a group of channels.
 #[derive(Debug)]
-struct Group {
+pub(crate) struct Fast {
     tolerance_mm: f64,
     tables: &'static Tables,
     isa: Isa,
@@ -75,11 +72,18 @@ struct Group {
     /// Of the block.
     modes: Vec<Mode>,
     raw: Raw,
+    grid: Grid,
+    encoding: encoder::Work,
+    decoding: decoder::Work,
 }
 
-impl Group {
+impl Fast {
     /// Nothing is allocated yet.
-    fn new(tolerance: Tolerance, isa: Isa) -> Self {
+    pub(crate) fn new(tolerance: Tolerance) -> Self {
+        Self::with_isa(tolerance, Isa::detect())
+    }
+
+    fn with_isa(tolerance: Tolerance, isa: Isa) -> Self {
         Self {
             tolerance_mm: tolerance.mm(),
             tables: Tables::get(),
@@ -87,14 +91,33 @@ impl Group {
             channels: Vec::new(),
             modes: Vec::new(),
             raw: Raw::default(),
+            grid: Grid::default(),
+            encoding: encoder::Work::default(),
+            decoding: decoder::Work::default(),
         }
     }
 
-    fn grow(&mut self, n_channels: usize) {
+    fn grow(&mut self, n_channels: usize, n_rows: usize) {
         if self.channels.len() < n_channels {
             self.channels.resize(n_channels, Channel::NEW);
             self.modes.resize(n_channels, Mode::default());
         }
+        self.grid.grow(walk::room(n_rows));
+    }
+}
+
+impl Payload for Fast {
+    fn prepare(&mut self, n_channels: usize, n_rows: usize) {
+        self.grow(n_channels, n_rows);
+        self.raw.reserve(n_rows);
+        self.encoding.grow(walk::room(n_rows));
+    }
+
+    #[cfg(debug_assertions)]
+    fn prepare_decoder(&mut self, n_channels: usize, n_rows: usize) {
+        self.grow(n_channels, n_rows);
+        self.raw.reserve(n_rows);
+        self.decoding.grow(walk::room(n_rows), Self::max_payload_bytes(n_channels, n_rows));
     }
 
     fn reset(&mut self) {

@@ -1,6 +1,6 @@
 use proptest::{collection::vec, prelude::*};
 
-use super::{FastDecoder, FastEncoder, max_payload_bytes, tans::Reader};
+use super::{Fast, tans::Reader};
 use crate::{
     BlockReport, CodecError, DecodedRows, Position, Rows, Tolerance,
     coding::isa::Isa,
@@ -11,8 +11,8 @@ use crate::{
 type Track = Vec<Option<Position>>;
 
 struct Pair {
-    encoder: FastEncoder,
-    decoder: FastDecoder,
+    encoder: Fast,
+    decoder: Fast,
     tolerance_mm: f64,
 }
 
@@ -20,8 +20,8 @@ impl Pair {
     fn new(tolerance_mm: f64, isa: Isa) -> Self {
         let tolerance = Tolerance::from_mm(tolerance_mm).unwrap();
         Self {
-            encoder: FastEncoder::with_isa(tolerance, isa),
-            decoder: FastDecoder::with_isa(tolerance, isa),
+            encoder: Fast::with_isa(tolerance, isa),
+            decoder: Fast::with_isa(tolerance, isa),
             tolerance_mm,
         }
     }
@@ -56,7 +56,7 @@ impl Pair {
         assert_eq!(payload[..3], [7; 3]);
         let payload = payload.split_off(3);
         let n_rows = group.iter().map(Vec::len).max().unwrap_or(0);
-        assert!(payload.len() <= max_payload_bytes(group.len(), n_rows));
+        assert!(payload.len() <= Fast::max_payload_bytes(group.len(), n_rows));
         let mut decoded = blank(group);
         self.decoder.decode(&payload, &[], &mut decoded).unwrap();
         for ((track, rows), report) in group.iter().zip(&decoded).zip(&reports) {
@@ -181,7 +181,7 @@ proptest! {
                 }
             }
             for bytes in [&bad[..], &good[..cut.index(good.len() + 1)], &noise[..]] {
-                let mut decoder = FastDecoder::new(Tolerance::from_mm(tolerance).unwrap());
+                let mut decoder = Fast::new(Tolerance::from_mm(tolerance).unwrap());
                 let mut decoded = blank(block);
                 if decoder.decode(bytes, &[], &mut decoded).is_ok() {
                     let mut all = decoded.iter().flat_map(|rows| rows.positions.iter().flatten());

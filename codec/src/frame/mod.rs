@@ -29,6 +29,12 @@ pub(crate) trait Payload: Send + fmt::Debug {
     /// As [`BlockEncoder::prepare`]. A kind that works on whole takes has nothing to prepare.
     fn prepare(&mut self, _n_channels: usize, _n_rows: usize) {}
 
+    /// The same for blocks to decode.
+    #[cfg(debug_assertions)]
+    fn prepare_decoder(&mut self, n_channels: usize, n_rows: usize) {
+        self.prepare(n_channels, n_rows);
+    }
+
     /// Forgets all state.
     fn reset(&mut self) {}
 
@@ -38,9 +44,6 @@ pub(crate) trait Payload: Send + fmt::Debug {
 
 /// A resampler's encoder.
 pub(crate) trait PayloadEncoder: Payload {
-    /// Its other half.
-    type Decoder: PayloadDecoder;
-
     /// Most bytes of a payload of so many channels and rows.
     fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize;
 
@@ -144,23 +147,20 @@ impl<P: Payload> State<P> {
 
 /// A resampler's encoder with the frame around it.
 #[derive(Debug)]
-pub(crate) struct FramedEncoder<E: PayloadEncoder> {
+pub(crate) struct FramedEncoder<E> {
     state: State<E>,
     /// Debug builds decode every block they write.
     #[cfg(debug_assertions)]
-    twin: (FramedDecoder<E::Decoder>, Vec<DecodedRows>),
+    twin: (FramedDecoder<E>, Vec<DecodedRows>),
 }
 
-impl<E: PayloadEncoder> FramedEncoder<E> {
-    #[cfg_attr(
-        not(debug_assertions),
-        expect(unused_variables, clippy::needless_pass_by_value, reason = "the twin is for debug")
-    )]
-    pub(crate) fn new(payload: E, decoder: E::Decoder, tolerance: Tolerance) -> Self {
+impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
+    /// Around a payload, of which debug builds need two.
+    pub(crate) fn new(payload: impl Fn(Tolerance) -> E, tolerance: Tolerance) -> Self {
         Self {
-            state: State::new(payload, tolerance),
+            state: State::new(payload(tolerance), tolerance),
             #[cfg(debug_assertions)]
-            twin: (FramedDecoder::new(decoder, tolerance), Vec::new()),
+            twin: (FramedDecoder::new(payload(tolerance), tolerance), Vec::new()),
         }
     }
 
@@ -255,7 +255,7 @@ impl<E: PayloadEncoder> FramedEncoder<E> {
     }
 }
 
-impl<E: PayloadEncoder> BlockEncoder for FramedEncoder<E> {
+impl<E: PayloadEncoder + PayloadDecoder> BlockEncoder for FramedEncoder<E> {
     fn prepare(&mut self, n_channels: usize, n_rows: usize) {
         self.state.payload.prepare(n_channels, n_rows);
         #[cfg(debug_assertions)]
@@ -317,7 +317,7 @@ impl<D: PayloadDecoder> FramedDecoder<D> {
     /// Allocates what blocks of up to so many channels and rows will ever need.
     #[cfg(debug_assertions)]
     fn prepare(&mut self, n_channels: usize, n_rows: usize, out: &mut Vec<DecodedRows>) {
-        self.state.payload.prepare(n_channels, n_rows);
+        self.state.payload.prepare_decoder(n_channels, n_rows);
         self.fit(n_channels, n_rows, out);
         self.fit(0, n_rows, out);
     }

@@ -178,8 +178,6 @@ fn read_position(input: &mut Bytes<'_>) -> Result<Position, CodecError> {
 impl Payload for Spline {}
 
 impl PayloadEncoder for Spline {
-    type Decoder = Self;
-
     fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
         n_channels * (1 + max_bytes(n_rows).max(Raw::max_bytes(n_rows)))
     }

@@ -1,24 +1,24 @@
-//! Where a run may have come from.
+//! The first row of a run: where it may have come from, and its residual.
 //!
-//! Its own channel's last sample, moved as the nearest marker moved since; the last samples of other
-//! channels whose runs have ended and not been taken up: unlabelled markers change channels; or, at
-//! worst, where another marker is.
+//! It may have come from its own channel's last sample, moved as the nearest marker moved since; from the last
+//! samples of other channels whose runs have ended and not been taken up: unlabelled markers change channels; or, at
+//! worst, from where another marker is.
 
 use super::{
-    lattice::Point,
-    layout as is,
-    layout::CANDIDATES,
+    contexts::{CANDIDATES, MAX_EXPONENT, ORIGIN_EXPONENT, ORIGIN_NONE, ORIGIN_OWN, ORIGIN_RANK},
+    level_prediction::MEMORY,
     model::Model,
-    track::{MEMORY, Track},
+    points::Point,
+    track::Track,
 };
-use crate::coding::range::BinaryCoder;
+use crate::{CodecError, bound::squared_distance, coding::range::BinaryCoder};
 
 /// Rows after which the end of another channel's run is forgotten.
 const FORGOTTEN_ROWS: u64 = 200;
 
 /// Candidates for a first row: the nearby one (always there) first, then the own, then the ends.
 #[derive(Debug)]
-pub(super) struct Ways {
+pub(super) struct Origins {
     points: [Point; CANDIDATES + 2],
     n: usize,
     own: Option<u64>,
@@ -26,7 +26,7 @@ pub(super) struct Ways {
     n_ends: usize,
 }
 
-impl Ways {
+impl Origins {
     pub(super) fn find(
         tracks: &[Track],
         channel: usize,
@@ -41,7 +41,7 @@ impl Ways {
             ends: [0; CANDIDATES],
             n_ends: 0,
         };
-        if let Some(before) = tracks[..channel].iter().rev().find(|track| track.known[at]) {
+        if let Some(before) = tracks[..channel].iter().rev().find(|track| track.is_known(at)) {
             found.points[0] = before.point(at);
         }
         let now = first_row + (at - MEMORY) as u64;
@@ -50,7 +50,7 @@ impl Ways {
             found.n = 2;
             found.own = Some(now - end.row);
         }
-        found.find_ends(tracks, channel, (now, first_row), present);
+        found.find_ends(tracks, channel, now, first_row, present);
         for i in 0..found.n_ends {
             found.points[found.n] = tracks[found.ends[i]].end.map_or([0; 3], |end| end.point);
             found.n += 1;
@@ -63,7 +63,8 @@ impl Ways {
         &mut self,
         tracks: &[Track],
         channel: usize,
-        (now, first_row): (u64, u64),
+        now: u64,
+        first_row: u64,
         present: &[Option<&[bool]>],
     ) {
         let mut rows = [0; CANDIDATES];
@@ -75,7 +76,7 @@ impl Ways {
             if end.taken || goes_on || end.row >= now || end.row + FORGOTTEN_ROWS <= now {
                 continue;
             }
-            let place = (0..self.n_ends).find(|&i| end.row > rows[i]).unwrap_or(self.n_ends);
+            let place = rows[..self.n_ends].partition_point(|&row| row >= end.row);
             if place == CANDIDATES {
                 continue;
             }
@@ -100,16 +101,15 @@ impl Ways {
         let first_end = self.n - self.n_ends;
         if let Some(age) = self.own {
             let class = age.max(1).ilog2().min(7) as usize;
-            if model.single(coder, is::ORIGIN_OWN.at(class), choice == 1) {
+            if model.single(coder, ORIGIN_OWN.at(class), choice == 1) {
                 return 1;
             }
         }
-        if self.n_ends == 0 || model.single(coder, is::ORIGIN_NONE.at(0), choice == 0) {
+        if self.n_ends == 0 || model.single(coder, ORIGIN_NONE.at(0), choice == 0) {
             return 0;
         }
-        let rank = (0..self.n_ends - 1).find(|&rank| {
-            model.single(coder, is::ORIGIN_RANK.at(rank), choice == first_end + rank)
-        });
+        let rank = (0..self.n_ends - 1)
+            .find(|&rank| model.single(coder, ORIGIN_RANK.at(rank), choice == first_end + rank));
         first_end + rank.unwrap_or(self.n_ends - 1)
     }
 
@@ -136,19 +136,45 @@ fn moved(tracks: &[Track], channel: usize, at: usize, point: Point, rows: u64) -
     };
     let mut best = (f64::INFINITY, point);
     for (k, track) in tracks.iter().enumerate() {
-        if k == channel || !track.known[at] || !track.known[then] {
+        if k == channel || !track.is_known(at) || !track.is_known(then) {
             continue;
         }
         let (old, new) = (track.point(then), track.point(at));
-        let square = |axis: usize| {
-            let off = old[axis].wrapping_sub(point[axis]) as f64;
-            off * off
-        };
-        let squares = square(0) + square(1) + square(2);
+        let off = |axis: usize| old[axis].wrapping_sub(point[axis]) as f64;
+        let squares = squared_distance([off(0), off(1), off(2)], [0.0; 3]);
         if squares < best.0 {
             let axes = |axis: usize| point[axis].wrapping_add(new[axis]).wrapping_sub(old[axis]);
             best = (squares, std::array::from_fn(axes));
         }
     }
     best.1
+}
+
+/// The residual of a first row: it has nothing around it but the way it was found.
+pub(super) fn residual(
+    coder: &mut impl BinaryCoder,
+    model: &mut Model,
+    way: usize,
+    steps: Point,
+) -> Result<Point, CodecError> {
+    let mut decoded = [0; 3];
+    for (axis, decoded) in decoded.iter_mut().enumerate() {
+        let value = steps[axis].unsigned_abs() + 1;
+        let wanted = value.ilog2() as usize;
+        let mut exponent = 0;
+        let context = |i: usize| ORIGIN_EXPONENT.at((way * 3 + axis) * 48 + i);
+        while model.single(coder, context(exponent), wanted > exponent) {
+            exponent += 1;
+            if exponent > MAX_EXPONENT {
+                return Err(CodecError::Corrupt("a first row beyond every coordinate"));
+            }
+        }
+        let low = coder.plain(value, exponent as u32);
+        let length = ((1 << exponent) + low - 1) as i64;
+        *decoded = length;
+        if length > 0 && coder.plain(u64::from(steps[axis] < 0), 1) == 1 {
+            *decoded = -length;
+        }
+    }
+    Ok(decoded)
 }

@@ -1,12 +1,7 @@
 //! What the contexts saw and what each decision cost, for `benches/lab`. Only with the feature `training`: a codec that embeds this crate does not pay for it.
 
-use super::{
-    DenseEncoder,
-    layout::{self as is, KINDS, N_CONTEXTS, N_MIXERS},
-};
-use crate::{
-    BlockReport, CodecError, Rows, Tolerance,
-    frame::{Payload, PayloadEncoder, count_finite},
+use super::contexts::{
+    KINDS, MIX_EXPONENT, MIX_LONGER, MIX_MOVING, MIX_NONZERO, MIX_SIGN, N_CONTEXTS, N_MIXERS,
 };
 
 /// The kinds of rows.
@@ -64,12 +59,12 @@ impl Tally {
                 .map(move |kind| (name, Some(KIND_NAMES[kind]), self.mixed_bits[first + kind]))
         };
         let sum = |from: usize, to: usize| self.mixed_bits[from..to].iter().sum();
-        let mut lengths: Vec<_> = by_kind("moved", is::MIX_MOVING)
-            .chain(by_kind("not zero", is::MIX_NONZERO))
-            .chain(by_kind("sign", is::MIX_SIGN))
+        let mut lengths: Vec<_> = by_kind("moved", MIX_MOVING)
+            .chain(by_kind("not zero", MIX_NONZERO))
+            .chain(by_kind("sign", MIX_SIGN))
             .collect();
-        lengths.push(("length", None, sum(is::MIX_LONGER, is::MIX_EXPONENT)));
-        lengths.push(("exponent", None, sum(is::MIX_EXPONENT, N_MIXERS)));
+        lengths.push(("length", None, sum(MIX_LONGER, MIX_EXPONENT)));
+        lengths.push(("exponent", None, sum(MIX_EXPONENT, N_MIXERS)));
         let single = self.single_bits.iter().sum::<f64>();
         lengths.push(("parity, mantissa, first rows", None, single));
         let modelled = lengths.iter().map(|(.., bits)| bits).sum::<f64>();
@@ -113,36 +108,4 @@ impl Tally {
 fn cost(probability: i32, bit: bool) -> f64 {
     let p = f64::from(if bit { probability } else { 65536 - probability });
     16.0 - p.log2()
-}
-
-/// Codes a group's channels in key blocks of `stretch_rows` rows and gives what the contexts saw.
-///
-/// # Errors
-/// `InvalidArgument` as [`BlockEncoder::encode`](crate::BlockEncoder::encode).
-pub fn tally(
-    tolerance: Tolerance,
-    channels: &[Rows<'_>],
-    stretch_rows: usize,
-) -> Result<Tally, CodecError> {
-    let mut encoder = DenseEncoder::new(tolerance);
-    let mut bytes = 0;
-    let n_rows = channels.first().map_or(0, Rows::len);
-    for first in (0..n_rows).step_by(stretch_rows.max(1)) {
-        let last = (first + stretch_rows).min(n_rows);
-        let part = |rows: &Rows<'_>| -> Result<_, CodecError> {
-            Ok((rows.positions()[first..last].to_vec(), rows.present()[first..last].to_vec()))
-        };
-        let parts = channels.iter().map(part).collect::<Result<Vec<_>, _>>()?;
-        let rows = parts.iter().map(|(positions, present)| Rows::new(positions, present));
-        let rows = rows.collect::<Result<Vec<_>, _>>()?;
-        let report = |rows: &Rows<'_>| -> Result<_, CodecError> {
-            Ok(BlockReport { samples: count_finite(*rows)? as u32, ..BlockReport::default() })
-        };
-        let mut reports = rows.iter().map(report).collect::<Result<Vec<_>, _>>()?;
-        encoder.reset();
-        let mut out = Vec::new();
-        encoder.encode(&rows, &[], &mut out, &mut reports)?;
-        bytes += out.len();
-    }
-    Ok(Tally { bytes, ..encoder.tally().clone() })
 }

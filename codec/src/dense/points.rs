@@ -6,7 +6,6 @@
 //! packings, lattices and groups, chapter 4). The second needs 0.9 bits less for a long vector, the first
 //! has more points close to zero.
 
-use super::code::Points;
 use crate::{Position, Tolerance};
 
 /// Units per tolerance. A power of two: the unit is then exact in f64.
@@ -21,6 +20,18 @@ pub(super) const MAX_DECODED: f64 = (1_i64 << 41) as f64;
 /// A point on the grid, in units.
 pub(super) type Point = [i64; 3];
 
+/// Points of some rows by axis, in units.
+pub(super) type Points<const N: usize> = [[f64; N]; 3];
+
+/// Rows side by side.
+pub(super) const LANES: usize = 4;
+
+/// A known point, whole as it is.
+#[inline(always)]
+pub(super) fn integers(units: [f64; 3]) -> Point {
+    units.map(|units| units as i64)
+}
+
 /// The grid of one tolerance.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Grid {
@@ -31,6 +42,10 @@ pub(super) struct Grid {
 impl Grid {
     pub(super) fn new(tolerance: Tolerance) -> Self {
         Self { unit_mm: tolerance.mm() / UNITS_PER_TOLERANCE as f64 }
+    }
+
+    pub(super) fn tolerance_mm(&self) -> f64 {
+        self.unit_mm * UNITS_PER_TOLERANCE as f64
     }
 
     /// What the decoder gives for a point.
@@ -144,4 +159,37 @@ pub(super) fn floor(value: f64) -> f64 {
 #[inline(always)]
 pub(super) fn round(value: f64) -> f64 {
     floor(value + 0.5)
+}
+
+/// Stores some rows side by side; there is room.
+#[inline(always)]
+pub(super) fn put(values: &mut [f64], first: usize, lanes: [f64; LANES]) {
+    if let Some(values) = values[first..].first_chunk_mut() {
+        *values = lanes;
+    }
+}
+
+/// Some rows side by side; the lanes are long enough.
+#[inline(always)]
+pub(super) fn lanes<T: Copy + Default, const N: usize>(values: &[T], first: usize) -> [T; N] {
+    let mut lanes = [T::default(); N];
+    lanes.copy_from_slice(&values[first..first + N]);
+    lanes
+}
+
+/// Copies the first `n` of some values to where there is room for all.
+#[inline(always)]
+pub(super) fn copy<T: Copy, const N: usize>(values: &[T; N], out: &mut [T], n: usize) {
+    match out.first_chunk_mut() {
+        // Most often: one store.
+        Some(out) if n == N => *out = *values,
+        Some(out) => {
+            for i in 0..N {
+                if i < n {
+                    out[i] = values[i];
+                }
+            }
+        }
+        None => {}
+    }
 }

@@ -1,0 +1,378 @@
+//! An encoder's choice: which lattice point is coded, of the candidates around the sample, by what each costs.
+
+use super::{
+    contexts::KINDS,
+    distance_correction::TOGETHER,
+    level::{Question, Side, Start},
+    level_prediction::{Batch, MEMORY, ROOM, Sites},
+    points::{Fineness, Grid, Lattice, Point, Points, floor, lanes},
+};
+use crate::{
+    BlockReport, GROUP_CHANNELS, Rows,
+    bound::{squared_distance, widen},
+    coding::range::RangeEncoder,
+};
+
+/// An encoder at work on one block.
+pub(super) struct Encoding<'a, 'r> {
+    channels: &'a [Rows<'a>],
+    grid: Grid,
+    pub(super) coder: RangeEncoder<'a>,
+    pub(super) reports: &'r mut [BlockReport],
+    /// The largest square whose root is within the tolerance, and the largest so far by channel.
+    allowed: f64,
+    squares: [f64; GROUP_CHANNELS],
+    /// The samples of the rows of the level, by axis; of some of them, the squares of where they are expected.
+    samples: [[f32; ROOM]; 3],
+    expected: [f64; TOGETHER],
+    /// Of the rows of the level, how far the samples are from where they are expected, in units.
+    off: [[f64; ROOM]; 3],
+}
+
+impl<'a, 'r> Encoding<'a, 'r> {
+    pub(super) fn new(
+        channels: &'a [Rows<'a>],
+        grid: Grid,
+        coder: RangeEncoder<'a>,
+        reports: &'r mut [BlockReport],
+    ) -> Self {
+        Self {
+            channels,
+            grid,
+            coder,
+            reports,
+            allowed: largest_square(grid.tolerance_mm()),
+            squares: [0.0; GROUP_CHANNELS],
+            samples: [[0.0; ROOM]; 3],
+            expected: [0.0; TOGETHER],
+            off: [[0.0; ROOM]; 3],
+        }
+    }
+
+    /// Ends the block and states the errors; `false` when the bytes are of no use.
+    pub(super) fn finish(self) -> bool {
+        for (report, squares) in self.reports.iter_mut().zip(self.squares) {
+            report.max_error_mm = squares.sqrt();
+        }
+        self.coder.finish() && self.squares.iter().all(|&squares| squares <= self.allowed)
+    }
+
+    /// The squares of how far some of the rows of the level are from their samples, if they are there.
+    #[inline(always)]
+    fn squares<const N: usize>(&self, batch: Batch, units: &Points<N>) -> [f64; N] {
+        let positions = self.grid.positions(units);
+        let [x, y, z] = &self.samples;
+        let samples: [[f32; N]; 3] =
+            [lanes(x, batch.from), lanes(y, batch.from), lanes(z, batch.from)];
+        let mut squares = [0.0; N];
+        for i in 0..N {
+            let x = f64::from(positions[0][i]) - f64::from(samples[0][i]);
+            let y = f64::from(positions[1][i]) - f64::from(samples[1][i]);
+            let z = f64::from(positions[2][i]) - f64::from(samples[2][i]);
+            squares[i] = x * x + y * y + z * z;
+        }
+        squares
+    }
+
+    /// Of the lattice points around the sample that are inside the ball, the one with the fewest bits, and
+    /// the nearer one the more is predicted from it.
+    #[inline(always)]
+    fn search(&self, question: &Question) -> Point {
+        let Question { prediction, lattice, fineness, place, .. } = *question;
+        let reach = Reach::of(lattice, fineness);
+        let (mut off, mut activity) = ([0.0; AXES], [0.0; AXES]);
+        for axis in 0..3 {
+            off[axis] = self.off[axis][place] * reach.per_step;
+            activity[axis] = f64::from(question.activity[axis]) / 256.0;
+        }
+        let miss = if question.last_level { LAST_MISS } else { MISS[question.kind] };
+        let sample = self.samples.each_ref().map(|axis| axis[place]);
+        let step = fineness.step(lattice) as f64;
+        let is_inside = |steps: [f64; 3]| {
+            let point = std::array::from_fn(|axis| prediction[axis] + steps[axis] * step);
+            squared_distance(widen(self.grid.position(point)), widen(sample)) <= self.allowed
+        };
+        let cell = Cell { off, activity, miss, reach };
+        let steps = match lattice {
+            Lattice::Cubic => cell.cheapest::<1, CORNERS>(is_inside),
+            Lattice::Centred => cell.cheapest::<2, { 2 * CORNERS }>(is_inside),
+        };
+        steps.map(|steps| steps as i64)
+    }
+}
+
+/// Of the f64 numbers, the largest whose root is not over the tolerance.
+fn largest_square(tolerance_mm: f64) -> f64 {
+    let mut squares = tolerance_mm * tolerance_mm;
+    while squares.sqrt() > tolerance_mm {
+        squares = squares.next_down();
+    }
+    while squares.next_up().sqrt() <= tolerance_mm {
+        squares = squares.next_up();
+    }
+    squares
+}
+
+/// What a miss costs against the bits of the steps, by kind of row: the more rows are predicted from it, the
+/// more; and where none is. Found by trying.
+const MISS: [f64; KINDS] = [20.0, 20.0, 20.0, 20.0, 0.1, 5.0, 10.0, 20.0, 20.0, 20.0];
+const LAST_MISS: f64 = 0.1;
+
+impl<'a> Side for Encoding<'a, '_> {
+    type Coder = RangeEncoder<'a>;
+
+    fn coder(&mut self) -> &mut RangeEncoder<'a> {
+        &mut self.coder
+    }
+
+    #[inline(always)]
+    fn choose(&mut self, question: Question) -> Point {
+        self.search(&question)
+    }
+
+    fn start(&mut self, channel: usize, row: usize, step: i64, origins: &[Point]) -> Start {
+        let units = self.grid.units(self.channels[channel].positions()[row]);
+        let steps_from = |from: &Point| -> Point {
+            std::array::from_fn(|axis| {
+                ((units[axis] - from[axis] as f64) / step as f64).round() as i64
+            })
+        };
+        // Half bits: an exponent, as many bits again, and a sign; and the rank.
+        let cost = |steps: &Point| -> u64 {
+            let axis = |step: &i64| {
+                let value = step.unsigned_abs() * 2 + 1;
+                u64::from(value.ilog2()) * 4 + (value >> (value.ilog2().max(1) - 1) & 1) * 2
+            };
+            steps.iter().map(axis).sum()
+        };
+        let ranked = origins.iter().enumerate().map(|(rank, from)| {
+            let start = Start { candidate: rank, steps: steps_from(from) };
+            let rank_cost = if rank == 0 { 2 + origins.len() as u64 } else { rank as u64 };
+            (cost(&start.steps) + rank_cost, start)
+        });
+        ranked.min_by_key(|&(cost, start)| (cost, start.candidate)).unwrap_or_default().1
+    }
+
+    #[inline(always)]
+    fn begin(&mut self, channel: usize, sites: &Sites) {
+        let rows = self.channels[channel].positions();
+        for i in 0..sites.n.min(ROOM) {
+            let sample = rows[sites.at(i) - MEMORY];
+            for (axis, coordinate) in self.samples.iter_mut().zip(sample) {
+                axis[i] = coordinate;
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn outside<const N: usize>(
+        &mut self,
+        _channel: usize,
+        batch: Batch,
+        predictions: &Points<N>,
+    ) -> u32 {
+        let squares = self.squares(batch, predictions);
+        self.expected[..N].copy_from_slice(&squares);
+        for (axis, off) in self.off.iter_mut().enumerate() {
+            let samples: [f32; N] = lanes(&self.samples[axis], batch.from);
+            let off = &mut off[batch.from..batch.from + N];
+            for i in 0..N {
+                off[i] = f64::from(samples[i]) / self.grid.unit_mm - predictions[axis][i];
+            }
+        }
+        let mut bits = 0;
+        for (i, squares) in squares.into_iter().enumerate() {
+            bits |= u32::from(squares > self.allowed) << i;
+        }
+        bits
+    }
+
+    #[inline(always)]
+    fn settle<const N: usize>(
+        &mut self,
+        channel: usize,
+        batch: Batch,
+        points: &Points<N>,
+        kept: u32,
+    ) {
+        // What is not moved was measured when it was expected.
+        let mut squares = [0.0; N];
+        if kept == 0 {
+            squares.copy_from_slice(&self.expected[..N]);
+        } else {
+            squares = self.squares(batch, points);
+        }
+        let most = &mut self.squares[channel];
+        for square in &squares[..batch.n] {
+            *most = most.max(*square);
+        }
+        self.reports[channel].kept += kept.count_ones();
+    }
+}
+
+/// Axes side by side: three, and one to fill the lanes.
+const AXES: usize = 4;
+/// Of the cell that a sample is in.
+const CORNERS: usize = 8;
+
+/// How far the points of a lattice that come into question are from a sample.
+#[derive(Debug, Clone, Copy)]
+struct Reach {
+    /// Steps per unit.
+    per_step: f64,
+    /// The largest square, in steps, and a little; and one over it.
+    limit: f64,
+    per_limit: f64,
+}
+
+impl Reach {
+    const fn new(step: i64) -> Self {
+        let radius = 256.0 / step as f64;
+        let limit = radius * radius * 1.01;
+        Self { per_step: 1.0 / step as f64, limit, per_limit: 1.0 / limit }
+    }
+
+    #[inline(always)]
+    fn of(lattice: Lattice, fineness: Fineness) -> &'static Self {
+        const fn all(fineness: Fineness) -> [Reach; 2] {
+            [Reach::new(fineness.step(Lattice::Cubic)), Reach::new(fineness.step(Lattice::Centred))]
+        }
+        static ALL: [[Reach; 2]; 2] = [all(Fineness::Normal), all(Fineness::Fine)];
+        &ALL[usize::from(fineness == Fineness::Fine)][usize::from(lattice == Lattice::Centred)]
+    }
+}
+
+/// The cell of a lattice that a sample is in.
+#[derive(Debug)]
+struct Cell<'a> {
+    /// By axis: from where the row is expected to the sample, in steps.
+    off: [f64; AXES],
+    /// What the magnitudes have lately been on average.
+    activity: [f64; AXES],
+    /// What a miss as far as can be costs, in bits.
+    miss: f64,
+    reach: &'a Reach,
+}
+
+impl Cell<'_> {
+    /// The steps to the cheapest corner that `is_inside`, the first of equals; 0 0 0 where none is. Of a lattice of
+    /// one kind of points, any, or of two, all even and all odd.
+    #[inline(always)]
+    fn cheapest<const KINDS: usize, const N: usize>(
+        &self,
+        is_inside: impl Fn([f64; 3]) -> bool,
+    ) -> [f64; 3] {
+        let (mut slope, mut first) = ([0.0; AXES], [0.0; AXES]);
+        for axis in 0..AXES {
+            first[axis] = 0.6 / (self.activity[axis] + 0.3);
+            slope[axis] = 1.44 / (self.activity[axis] + 0.35);
+        }
+        let mut costs = [f64::INFINITY; N];
+        let mut around = [Around::default(); KINDS];
+        if KINDS == 1 {
+            around[0] = Around::new::<false>(0.0, &self.off, &slope, &first);
+        } else {
+            around[0] = Around::new::<true>(0.0, &self.off, &slope, &first);
+            around[1] = Around::new::<true>(1.0, &self.off, &slope, &[0.0; AXES]);
+        }
+        let price = self.miss * self.reach.per_limit;
+        for (around, costs) in around.iter().zip(costs.chunks_exact_mut(CORNERS)) {
+            around.price(price, self.reach.limit, costs);
+        }
+        loop {
+            let (cost, corner) = cheapest(&costs);
+            if cost == f64::INFINITY {
+                return [0.0; 3];
+            }
+            let steps = around[corner / CORNERS % KINDS].corner(corner % CORNERS);
+            if is_inside(steps) {
+                return steps;
+            }
+            costs[corner % N] = f64::INFINITY;
+        }
+    }
+}
+
+/// What the axes of the lattice points on both sides of the sample say.
+#[derive(Debug, Clone, Copy, Default)]
+struct Around {
+    /// Below the sample and above it, whole numbers.
+    steps: [[f64; AXES]; 2],
+    /// The squares of their distances from the sample, in steps.
+    squares: [[f64; AXES]; 2],
+    bits: [[f64; AXES]; 2],
+}
+
+impl Around {
+    /// Of the points whose coordinates are all `odd` or all even, or of any; a magnitude costs `slope` for each
+    /// step, and `first` for the first one.
+    #[inline(always)]
+    fn new<const CENTRED: bool>(
+        odd: f64,
+        off: &[f64; AXES],
+        slope: &[f64; AXES],
+        first: &[f64; AXES],
+    ) -> Self {
+        let mut around = Self::default();
+        for side in 0..2 {
+            for axis in 0..AXES {
+                let (steps, magnitude) = if CENTRED {
+                    let below = 2.0 * floor((off[axis] - odd) * 0.5) + odd;
+                    let steps = below + 2.0 * side as f64;
+                    (steps, floor((steps.abs() + 1.0) * 0.5))
+                } else {
+                    let steps = floor(off[axis]) + side as f64;
+                    (steps, steps.abs())
+                };
+                let miss = steps - off[axis];
+                let bits = magnitude * slope[axis] + first[axis];
+                around.steps[side][axis] = steps;
+                around.squares[side][axis] = miss * miss;
+                around.bits[side][axis] = if magnitude == 0.0 { 0.0 } else { bits };
+            }
+        }
+        around
+    }
+
+    /// What the corners cost: x changes from one to the next, then y, then z.
+    #[inline(always)]
+    fn price(&self, price: f64, limit: f64, costs: &mut [f64]) {
+        let of = |values: &[[f64; AXES]; 2], axis: usize| [values[0][axis], values[1][axis]];
+        let [x, y, z] = [0, 1, 2].map(|axis| (of(&self.squares, axis), of(&self.bits, axis)));
+        for (k, costs) in costs.chunks_exact_mut(4).enumerate().take(2) {
+            let mut squares = [0.0; 4];
+            for (lane, squares) in squares.iter_mut().enumerate() {
+                *squares = x.0[lane & 1] + y.0[lane >> 1] + z.0[k];
+            }
+            for (lane, cost) in costs.iter_mut().enumerate() {
+                let bits = squares[lane] * price + x.1[lane & 1] + y.1[lane >> 1] + z.1[k];
+                *cost = if squares[lane] <= limit { bits } else { f64::INFINITY };
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn corner(&self, corner: usize) -> [f64; 3] {
+        [0, 1, 2].map(|axis| self.steps[corner >> axis & 1][axis])
+    }
+}
+
+/// The smallest of some costs, a multiple of four, and which it is: the first of equals.
+#[inline(always)]
+fn cheapest(costs: &[f64]) -> (f64, usize) {
+    let (mut least, mut places) = ([f64::INFINITY; 4], [0; 4]);
+    for (place, costs) in costs.chunks_exact(4).enumerate() {
+        for lane in 0..4 {
+            let better = costs[lane] < least[lane];
+            least[lane] = if better { costs[lane] } else { least[lane] };
+            places[lane] = if better { place } else { places[lane] };
+        }
+    }
+    let mut best = (least[0], 4 * places[0]);
+    for lane in 1..4 {
+        let own = (least[lane], 4 * places[lane] + lane);
+        let better = own.0 < best.0 || own.0 == best.0 && own.1 < best.1;
+        best = if better { own } else { best };
+    }
+    best
+}

@@ -1,0 +1,308 @@
+//! The rows of one level and run: what the other channels say of them, their residuals, and what is learnt from them.
+//!
+//! The same code encodes and decodes: what both sides do differently is behind [`Side`].
+
+use super::{
+    contexts::{INTERPOLATED, ORIGIN},
+    cross_channel::{CrossChannel, class_of},
+    distance_correction::{DistanceCorrection, TOGETHER},
+    level_prediction::{Batch, LevelPrediction, Sites},
+    model::Model,
+    points::{Fineness, LANES, Lattice, Point, Points, in_range, lanes},
+    residual::{self, Near, Residual},
+    segment_lengths::SegmentLengths,
+    track::{Steps, Track, follow},
+};
+use crate::{
+    CodecError,
+    coding::{
+        isa::{Isa, Kernel},
+        range::BinaryCoder,
+    },
+};
+
+/// What an encoder is asked before a residual is coded.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Question {
+    /// Among the rows of the level.
+    pub(super) place: usize,
+    /// In units, whole.
+    pub(super) prediction: [f64; 3],
+    /// Of the row.
+    pub(super) kind: usize,
+    pub(super) lattice: Lattice,
+    pub(super) fineness: Fineness,
+    /// Averages of the magnitudes in 1/256, by axis.
+    pub(super) activity: [i32; 3],
+    /// Nothing is predicted from the row.
+    pub(super) last_level: bool,
+}
+
+/// What a first row is coded from: one of the candidates, and the steps from there.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Start {
+    pub(super) candidate: usize,
+    pub(super) steps: Point,
+}
+
+/// Encoder or decoder. What a decoder answers where it is asked for a choice is ignored.
+pub(super) trait Side {
+    type Coder: BinaryCoder;
+
+    fn coder(&mut self) -> &mut Self::Coder;
+
+    /// The lattice steps to code for a row outside; all zero to stay at the prediction.
+    #[inline(always)]
+    fn choose(&mut self, _question: Question) -> Point {
+        [0; 3]
+    }
+
+    /// How a first row is coded, in steps so large.
+    fn start(&mut self, _channel: usize, _row: usize, _step: i64, _origins: &[Point]) -> Start {
+        Start::default()
+    }
+
+    /// Which rows come next.
+    #[inline(always)]
+    fn begin(&mut self, _channel: usize, _sites: &Sites) {}
+
+    /// Of some of them, a bit each, those whose sample is not within the tolerance of the prediction.
+    #[inline(always)]
+    fn outside<const N: usize>(
+        &mut self,
+        _channel: usize,
+        _batch: Batch,
+        _predictions: &Points<N>,
+    ) -> u32 {
+        0
+    }
+
+    /// The points of some rows are known, in units; of those that are kept a bit is set.
+    fn settle<const N: usize>(
+        &mut self,
+        channel: usize,
+        batch: Batch,
+        points: &Points<N>,
+        kept: u32,
+    );
+}
+
+/// Strides 1, 2 and 4, which are off by little.
+const FINE: std::ops::Range<usize> = INTERPOLATED..INTERPOLATED + 3;
+
+/// Everything that a group remembers of its channels, and what their rows are coded with.
+#[derive(Debug)]
+pub(super) struct Channels {
+    pub(super) tracks: Vec<Track>,
+    pub(super) model: Model,
+    pub(super) cross_channel: CrossChannel,
+    pub(super) segments: SegmentLengths,
+    correction: Box<DistanceCorrection>,
+    pub(super) level: Box<LevelPrediction>,
+    isa: Isa,
+}
+
+impl Channels {
+    pub(super) fn new(isa: Isa) -> Self {
+        Self {
+            tracks: Vec::new(),
+            model: Model::new(),
+            cross_channel: CrossChannel::new(isa),
+            segments: SegmentLengths::new(),
+            correction: Box::new(DistanceCorrection::new()),
+            level: Box::new(LevelPrediction::new()),
+            isa,
+        }
+    }
+
+    pub(super) fn grow(&mut self, n_channels: usize) {
+        if self.tracks.len() < n_channels {
+            self.tracks.resize_with(n_channels, Track::new);
+        }
+    }
+
+    pub(super) fn reset(&mut self) {
+        self.tracks.iter_mut().for_each(Track::reset);
+        self.model.reset();
+        self.cross_channel.reset();
+        self.segments.reset();
+        self.correction.reset();
+    }
+
+    /// Stores a first row, which is moved by some steps.
+    pub(super) fn settle_first<S: Side>(
+        &mut self,
+        side: &mut S,
+        channel: usize,
+        sites: &Sites,
+        point: Point,
+        steps: Point,
+    ) -> Result<(), CodecError> {
+        let batch = sites.batch(0, 1);
+        side.begin(channel, sites);
+        let track = &mut self.tracks[channel];
+        let mut activity = track.activity[ORIGIN];
+        track.keep(batch.first, batch.slot, steps, &mut activity);
+        track.activity[ORIGIN] = activity;
+        self.settle(side, channel, batch, &point.map(|units| [units as f64; 1]), 1)
+    }
+
+    /// Codes the rows of the [`level`](Self::level): of anchors it is known where time alone puts them.
+    pub(super) fn code<S: Side>(
+        &mut self,
+        side: &mut S,
+        channel: usize,
+        kind: usize,
+    ) -> Result<(), CodecError> {
+        let isa = self.isa;
+        if FINE.contains(&kind) {
+            isa.run(Level::<S, TOGETHER, false> { channels: self, side, channel, kind })
+        } else {
+            isa.run(Level::<S, LANES, true> { channels: self, side, channel, kind })
+        }
+    }
+
+    /// The marks of the references, summed, at some rows that lie side by side.
+    #[inline(always)]
+    fn referred<const N: usize>(&self, channel: usize, class: usize, slot: usize) -> [u64; N] {
+        let found = self.cross_channel.references(class, channel);
+        let marks = |k: usize| -> [u64; N] { lanes(&self.tracks[k].marks, slot) };
+        if found.n == 0 && channel > 0 {
+            return marks(channel - 1).map(|marks| 2 * marks);
+        }
+        let mut sums = [0; N];
+        for &k in &found.channels[..found.n] {
+            for (sum, marks) in sums.iter_mut().zip(marks(k)) {
+                *sum += marks;
+            }
+        }
+        sums
+    }
+
+    /// Stores the points of some rows, of which those are kept whose bit is set.
+    #[inline(always)]
+    fn settle<S: Side, const N: usize>(
+        &mut self,
+        side: &mut S,
+        channel: usize,
+        batch: Batch,
+        points: &Points<N>,
+        kept: u32,
+    ) -> Result<(), CodecError> {
+        if !in_range(points, batch.n) {
+            return Err(CodecError::Corrupt("a position beyond every coordinate"));
+        }
+        self.tracks[channel].settle(batch, points);
+        side.settle(channel, batch, points, kept);
+        Ok(())
+    }
+
+    /// Codes some of the rows of the level, `N` at most.
+    #[inline(always)]
+    fn batch<S: Side, const N: usize, const FAR: bool>(
+        &mut self,
+        side: &mut S,
+        channel: usize,
+        kind: usize,
+        batch: Batch,
+    ) -> Result<(), CodecError> {
+        let Batch { from, slot, .. } = batch;
+        let referred = self.referred::<N>(channel, class_of(kind), slot);
+        let Self { tracks, model, segments, correction, level, isa, .. } = self;
+        let mut points = correction.correct::<N, FAR>(channel, kind, level, segments, tracks, from);
+        let outside = side.outside(channel, batch, &points);
+        let sites = level.sites;
+        let track = &mut tracks[channel];
+        let mut activity = track.activity[kind];
+        let mut kept = 0;
+        let only = |steps: Steps| if sites.stride > 0 { steps } else { Steps::default() };
+        // What is right of a row is left of the next, and what is before it was the row itself.
+        let mut left = track.steps[sites.neighbours(from).0];
+        let mut before = only(track.steps_from(sites.run.start, batch.first, 2 * sites.stride));
+        let mut before_that =
+            only(track.steps_from(sites.run.start, batch.first, 4 * sites.stride));
+        for i in 0..batch.n.min(N) {
+            let at = batch.at(i);
+            let right = only(track.steps[(at + sites.stride).min(sites.run.end)]);
+            let references = referred[i];
+            let near = Near { kind, left, right, before, before_that, references, activity };
+            left = right;
+            before_that = before;
+            before = Steps::default();
+            let lattice = Lattice::of(&activity);
+            let mut steps = [0; 3];
+            if outside >> i & 1 == 1 {
+                let [x, y, z, _] = activity;
+                steps = side.choose(Question {
+                    place: from + i,
+                    prediction: points.each_ref().map(|axis| axis[i]),
+                    kind,
+                    lattice,
+                    fineness: track.fineness,
+                    activity: [x, y, z],
+                    last_level: kind == 4 || (kind < 4 && at == sites.run.zero + 1),
+                });
+            }
+            let moved = steps != [0; 3];
+            if !residual::moving(side.coder(), model, &near, level.bends[from + i], moved) {
+                follow(&mut activity, [0; 4]);
+                continue;
+            }
+            let hints = &level.hints(from + i);
+            let coder = side.coder();
+            let coded = isa.run(Residual { coder, model, near: &near, hints, lattice, steps })?;
+            let step = track.fineness.step(lattice);
+            for (axis, steps) in points.iter_mut().zip(coded.steps) {
+                axis[i] = (axis[i] as i64).wrapping_add(steps.wrapping_mul(step)) as f64;
+            }
+            kept |= 1 << i;
+            before = track.keep(at, slot + i, coded.magnitudes, &mut activity);
+            let expected = level.prediction.each_ref().map(|axis| axis[from + i]);
+            correction.score(channel, kind, i, expected, points.each_ref().map(|axis| axis[i]));
+        }
+        track.activity[kind] = activity;
+        self.cross_channel.remember(channel, batch, &self.level, &points);
+        self.settle(side, channel, batch, &points, kept)
+    }
+}
+
+/// Codes the rows of a level, so many together.
+#[derive(Debug)]
+struct Level<'a, S, const N: usize, const FAR: bool> {
+    channels: &'a mut Channels,
+    side: &'a mut S,
+    channel: usize,
+    kind: usize,
+}
+
+impl<S: Side, const N: usize, const FAR: bool> Kernel for Level<'_, S, N, FAR> {
+    type Output = Result<(), CodecError>;
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let Self { channels, side, channel, kind } = self;
+        let class = class_of(kind);
+        side.begin(channel, &channels.level.sites);
+        if kind >= INTERPOLATED {
+            channels.level.interpolate(&channels.tracks[channel].points);
+        }
+        channels.cross_channel.correct(class, channel, &mut channels.level);
+        channels.segments.expect(&channels.level.sites, &channels.tracks, channel);
+        channels.correction.begin(channel, kind);
+        let sites = channels.level.sites;
+        for first in (0..sites.n).step_by(N) {
+            channels.batch::<S, N, FAR>(side, channel, kind, sites.batch(first, N))?;
+        }
+        if FAR {
+            channels.segments.learn(&channels.level.sites, &channels.tracks, channel);
+        }
+        if class == 0 {
+            channels.cross_channel.learn_anchor(channel, sites.slot);
+        }
+        // The last level is between no other rows.
+        if kind != INTERPOLATED {
+            channels.segments.remember(&channels.level.sites, &channels.tracks, channel);
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,268 @@
+//! The syntax of one row between others: what it is expected by, and the bits of its residual.
+
+use super::{
+    contexts::{
+        EXPONENT_EXPECTED, EXPONENT_REFERENCES, EXPONENTS, KINDS, LONGER_EXPECTED, LONGER_NEAR,
+        LONGER_REFERENCES, MAX_EXPONENT, MIX_EXPONENT, MIX_LONGER, MIX_MOVING, MIX_NONZERO,
+        MIX_SIGN, MOVING_EXPECTED, MOVING_REFERENCES, NEXT_BIT, NONZERO_EXPECTED,
+        NONZERO_REFERENCES, ODD, SIGN_REFERENCES, SIGN_SIDE, TOP_BIT, UNARY, eight, sign, six,
+        thirty_two,
+    },
+    level_prediction::Hints,
+    model::Model,
+    points::{Lattice, Point},
+    track::{Steps, magnitude, marked, marked_weight},
+};
+use crate::{
+    CodecError,
+    coding::{isa::Kernel, range::BinaryCoder},
+};
+
+/// How much the magnitudes around a row count in what is expected of its own, in 1/256: the format has them so.
+const OF_ACTIVITY: i32 = 115;
+const OF_BEFORE: i32 = 51;
+const OF_BEFORE_THAT: i32 = 26;
+const OF_NEIGHBOURS: i32 = 20;
+const OF_REFERENCES: i32 = 26;
+
+/// What is around a row, as far as it says whether the row is moved.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Near {
+    pub(super) kind: usize,
+    /// Coded magnitudes: nearest rows before and after of coarser levels, the row of the same level
+    /// before, and the one before that.
+    pub(super) left: Steps,
+    pub(super) right: Steps,
+    pub(super) before: Steps,
+    pub(super) before_that: Steps,
+    /// The sum of the references' marks.
+    pub(super) references: u64,
+    /// Of the kind, as [`Track::activity`](super::track::Track::activity).
+    pub(super) activity: [i32; 4],
+}
+
+/// Codes whether a row is moved: whether its residual is not zero on all axes.
+#[inline(always)]
+pub(super) fn moving(
+    coder: &mut impl BinaryCoder,
+    model: &mut Model,
+    near: &Near,
+    bend: u8,
+    moved: bool,
+) -> bool {
+    let Near { kind, left, right, before, before_that, .. } = *near;
+    let activity = near.activity[3];
+    let references = marked_weight(near.references);
+    let expectation = ((activity * OF_ACTIVITY) >> 8)
+        + i32::from(before.weight) * OF_BEFORE
+        + i32::from(before_that.weight) * OF_BEFORE_THAT
+        + (i32::from(left.weight) + i32::from(right.weight)) * OF_NEIGHBOURS
+        + references * OF_REFERENCES;
+    let contexts = [
+        MOVING_REFERENCES.at((kind * 6 + six(references)) * 8 + eight(activity)),
+        MOVING_EXPECTED.at((kind * 32 + thirty_two(expectation)) * 3 + usize::from(bend)),
+    ];
+    model.mixed(coder, contexts, MIX_MOVING + kind, moved)
+}
+
+/// Codes the residual of a row that is moved, in lattice steps, which are not zero on all axes.
+#[derive(Debug)]
+pub(super) struct Residual<'a, C> {
+    pub(super) coder: &'a mut C,
+    pub(super) model: &'a mut Model,
+    pub(super) near: &'a Near,
+    pub(super) hints: &'a Hints,
+    pub(super) lattice: Lattice,
+    pub(super) steps: Point,
+}
+
+/// What was coded.
+#[derive(Debug)]
+pub(super) struct Coded {
+    pub(super) steps: Point,
+    pub(super) magnitudes: Point,
+}
+
+impl<C: BinaryCoder> Kernel for Residual<'_, C> {
+    type Output = Result<Coded, CodecError>;
+
+    #[inline(always)]
+    fn run(mut self) -> Self::Output {
+        let centred = self.lattice == Lattice::Centred;
+        let context = ODD.at(self.near.kind);
+        let odd = centred && self.model.single(self.coder, context, self.steps[0] & 1 != 0);
+        let form = Form { centred, odd };
+        let mut magnitudes = form.magnitudes(self.steps);
+        let mut some = false;
+        for (axis, magnitude) in magnitudes.iter_mut().enumerate() {
+            let certain = odd || axis == 2 && !some;
+            *magnitude = self.axis(Axis { axis, form, some, certain }, *magnitude)?;
+            some |= *magnitude != 0;
+        }
+        Ok(Coded { steps: form.steps(magnitudes), magnitudes })
+    }
+}
+
+/// How the steps of a residual are turned into magnitudes.
+#[derive(Debug, Clone, Copy)]
+struct Form {
+    centred: bool,
+    odd: bool,
+}
+
+impl Form {
+    #[inline(always)]
+    fn number(self) -> usize {
+        match (self.centred, self.odd) {
+            (false, _) => 0,
+            (true, true) => 1,
+            (true, false) => 2,
+        }
+    }
+
+    #[inline(always)]
+    fn magnitudes(self, steps: Point) -> Point {
+        match (self.centred, self.odd) {
+            (false, _) => steps,
+            (true, false) => steps.map(|step| step / 2),
+            (true, true) => steps.map(|step| (step.abs() + 1) / 2 * step.signum()),
+        }
+    }
+
+    #[inline(always)]
+    fn steps(self, coded: Point) -> Point {
+        match (self.centred, self.odd) {
+            (false, _) => coded,
+            (true, false) => coded.map(|coded| coded * 2),
+            (true, true) => coded.map(|coded| coded * 2 - coded.signum()),
+        }
+    }
+}
+
+/// One axis of a residual.
+#[derive(Debug, Clone, Copy)]
+struct Axis {
+    axis: usize,
+    form: Form,
+    /// Whether an axis before it is not zero.
+    some: bool,
+    /// Whether it is sure not to be zero.
+    certain: bool,
+}
+
+/// The classes that a magnitude is coded in.
+#[derive(Debug, Clone, Copy)]
+struct Classes {
+    kind: usize,
+    form: usize,
+    near: usize,
+    referred: usize,
+    active: usize,
+    expected: usize,
+}
+
+impl<C: BinaryCoder> Residual<'_, C> {
+    #[inline(always)]
+    fn axis(
+        &mut self,
+        Axis { axis, form, some, certain }: Axis,
+        wanted: i64,
+    ) -> Result<i64, CodecError> {
+        let Near { kind, left, right, before, references, activity, .. } = *self.near;
+        let last = sign(before.axes[axis]);
+        let [left, right, before] =
+            [left, right, before].map(|row| magnitude(row.axes[axis].into()));
+        let references = marked(references, axis);
+        let expectation = ((activity[axis] * OF_ACTIVITY) >> 8)
+            + before * OF_BEFORE
+            + (left + right) * OF_NEIGHBOURS
+            + references * OF_REFERENCES;
+        let classes = Classes {
+            kind,
+            form: form.number(),
+            near: six(before.max(left).max(right)),
+            referred: six(references),
+            active: eight(activity[axis]),
+            expected: thirty_two(expectation),
+        };
+        let Classes { referred, active, expected, .. } = classes;
+        if !certain {
+            let order = usize::from(axis > 0)
+                + usize::from(axis > 0 && some)
+                + 3 * usize::from(form.centred);
+            let contexts = [
+                NONZERO_REFERENCES.at(((kind * 6 + referred) * 8 + active) * 6 + order),
+                NONZERO_EXPECTED.at((kind * 32 + expected) * 6 + order),
+            ];
+            if !self.model.mixed(self.coder, contexts, MIX_NONZERO + kind, wanted != 0) {
+                return Ok(0);
+            }
+        }
+        let contexts = [
+            SIGN_REFERENCES.at(kind * 9 + self.hints.references_side[axis] * 3 + last),
+            SIGN_SIDE.at(kind * 9 + self.hints.side[axis] * 3 + last),
+        ];
+        let negative = self.model.mixed(self.coder, contexts, MIX_SIGN + kind, wanted < 0);
+        let beyond_one = self.longer(classes, wanted.unsigned_abs().saturating_sub(1))?;
+        let length = 1 + beyond_one as i64;
+        Ok(if negative { -length } else { length })
+    }
+
+    /// A magnitude less one: unary at first, then Exp-Golomb.
+    #[inline(always)]
+    fn longer(&mut self, classes: Classes, value: u64) -> Result<u64, CodecError> {
+        let Classes { kind, form, near, referred, active, expected } = classes;
+        for i in 0..UNARY {
+            let contexts = [
+                LONGER_NEAR.at((kind * UNARY + i) * 6 + near),
+                LONGER_REFERENCES.at(((form * UNARY + i) * 6 + referred) * 8 + active),
+                LONGER_EXPECTED.at((form * 32 + expected) * UNARY + i),
+            ];
+            if !self.model.mixed(self.coder, contexts, MIX_LONGER + i.min(2), value > i as u64) {
+                return Ok(i as u64);
+            }
+        }
+        let rest = value.wrapping_sub(UNARY as u64).wrapping_add(1);
+        let wanted = rest.checked_ilog2().unwrap_or(0) as usize;
+        let mut exponent = 0;
+        loop {
+            let i = exponent.min(EXPONENTS - 1);
+            let contexts = [
+                EXPONENT_REFERENCES.at((i * 6 + referred) * 8 + active),
+                EXPONENT_EXPECTED.at(expected * EXPONENTS + i),
+            ];
+            let mixer = MIX_EXPONENT + exponent.min(6);
+            if !self.model.mixed(self.coder, contexts, mixer, wanted > exponent) {
+                break;
+            }
+            exponent += 1;
+            if exponent > MAX_EXPONENT {
+                return Err(CodecError::Corrupt("a residual beyond every coordinate"));
+            }
+        }
+        Ok(self.mantissa(expected, exponent, rest) - 1 + UNARY as u64)
+    }
+
+    /// The bits below the highest: two of them adaptive.
+    #[inline(always)]
+    fn mantissa(&mut self, expected: usize, exponent: usize, rest: u64) -> u64 {
+        let class = exponent.min(EXPONENTS - 1);
+        let mut value = 1;
+        let mut left = exponent;
+        if left > 0 {
+            left -= 1;
+            let context = TOP_BIT.at(class * 32 + expected);
+            value = value << 1
+                | u64::from(self.model.single(self.coder, context, rest >> left & 1 == 1));
+        }
+        if left > 0 {
+            left -= 1;
+            let context = NEXT_BIT.at(class * 2 + (value & 1) as usize);
+            value = value << 1
+                | u64::from(self.model.single(self.coder, context, rest >> left & 1 == 1));
+        }
+        value << left | self.coder.plain(rest, left as u32)
+    }
+}
+
+const _: () = assert!(KINDS == 10);
