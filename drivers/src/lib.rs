@@ -28,8 +28,9 @@
 //! # Ok::<(), mocapd_drivers::link::EncodeError>(())
 //! ```
 
+mod bytes;
 pub mod device;
-mod dvmc;
+mod family;
 pub mod link;
 pub mod ndi;
 pub mod plain_file;

@@ -1,3 +1,5 @@
 //! What the tests of several crates share. Tests, benchmarks, examples and fuzz targets depend on it, and no product does.
 
+pub mod memory;
+pub mod random;
 pub mod recorded;

@@ -1,10 +1,8 @@
 use std::sync::mpsc;
 
 use crossbeam_channel::{Receiver, Sender};
-use mocapd_drivers::{
-    raw_log::records,
-    transport::{Transport, memory},
-};
+use mocapd_drivers::{raw_log::records, transport::Transport};
+use mocapd_testkit::memory;
 
 use super::*;
 

@@ -1,7 +1,7 @@
 //! The envelope of every message: `{version, type, payload, CRC-32}`, COBS, a closing 0x00.
 
-use super::limits::{ENVELOPE_BYTES, LINK_VERSION};
-use crate::device::LinkCounters;
+use super::{ENVELOPE_BYTES, LINK_VERSION};
+use crate::{bytes::Wire, device::LinkCounters};
 
 /// What became of a message whose checksum was right.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -40,11 +40,8 @@ impl Framer {
     }
 
     /// A whole message at once.
-    pub(super) fn write(&mut self, kind: u8, payload: &[&[u8]], out: &mut Vec<u8>) {
-        let message = self.open(kind);
-        for part in payload {
-            message.extend_from_slice(part);
-        }
+    pub(super) fn write(&mut self, kind: u8, payload: impl Wire, out: &mut Vec<u8>) {
+        payload.put(self.open(kind));
         self.close(out);
     }
 }

@@ -1,14 +1,15 @@
 //! From a line of which nothing is known to a device whose tools are enabled.
 
 use super::{
-    bauds::{BAUD_AT_RESET, BAUDS},
-    exchange::{MS, Outcome},
-    host::{NdiHost, State, Task},
-    identity::{has_bx2, hello, value, what},
-    request::{checked, plain},
-    strays, tools,
+    frame::{BX_REQUEST, BX2_REQUEST, STRAYS_MAX, TOOLS_MAX},
+    host::{MS, NdiHost, Outcome, State, Task},
+    message::{BAUD_AT_RESET, BAUDS, checked, code, plain},
+    strays,
 };
-use crate::transport::turns::Order;
+use crate::{
+    device::{Hello, MarkerInfo},
+    transport::turns::Order,
+};
 
 /// How a device is looked for: `INIT:` at a speed, or a break (`None`). A device that is where a
 /// power-on leaves it answers the first; a break sets one back that another program left at any
@@ -44,9 +45,6 @@ const CHECK_MS: u64 = 500;
 
 /// Characters of an answer that an error quotes.
 const SAID_CHARS: usize = 40;
-
-/// The error of what does not fit the mode the device is in.
-const WRONG_MODE: u8 = 0x0C;
 
 /// How long device and adapter need for a new speed.
 const SETTLE_NS: u64 = 100 * MS;
@@ -116,7 +114,7 @@ impl NdiHost {
         match (task, outcome) {
             (Task::Seek(_), Outcome::Text("OKAY")) => self.faster(self.ceiling),
             // It tracks for a host that was killed.
-            (Task::Seek(_), Outcome::Refused(WRONG_MODE)) if self.rounds == 0 => {
+            (Task::Seek(_), Outcome::Refused(code::WRONG_MODE)) if self.rounds == 0 => {
                 self.rounds += 1;
                 self.ask_checked(Task::Release, "TSTOP:");
             }
@@ -168,7 +166,7 @@ impl NdiHost {
                 };
                 self.ask_checked(Task::List(FREE), "PHSR:01");
             }
-            (Task::List(kind), Outcome::Text(text)) => match tools::handles(text) {
+            (Task::List(kind), Outcome::Text(text)) => match handles(text) {
                 Some(handles) => self.listed(kind, handles),
                 None => {
                     let said: String = text.chars().take(SAID_CHARS).collect();
@@ -181,7 +179,7 @@ impl NdiHost {
             (Task::Info(handle), _) => {
                 // A tool that is not described is known by its port.
                 let info = if let Outcome::Text(text) = outcome { text } else { "" };
-                self.table.push(tools::marker(handle, info, &self.table));
+                self.table.push(marker(handle, info, &self.table));
                 self.next_handle(ENABLED);
             }
             (Task::Free(_), Outcome::Text(_)) => self.next_handle(FREE),
@@ -248,8 +246,8 @@ impl NdiHost {
         (hello.rate_min_mhz, hello.rate_max_mhz) = (hello.rate_mhz, hello.rate_mhz);
         // BX2 has a clock in nanoseconds; the clock of BX is the frame number.
         hello.tick_hz = if self.bx2 { 1_000_000_000 } else { u64::from(frame_mhz) };
-        hello.markers_max = self.table.len() as u16 + super::seen::STRAYS_MAX as u16;
-        self.poll = if self.bx2 { plain(super::gbf::REQUEST) } else { checked(super::bx::REQUEST) };
+        hello.markers_max = self.table.len() as u16 + STRAYS_MAX as u16;
+        self.poll = if self.bx2 { plain(BX2_REQUEST) } else { checked(BX_REQUEST) };
         self.state = State::Ready;
         self.farewell(false);
     }
@@ -264,4 +262,119 @@ impl NdiHost {
     }
 }
 
-const _: () = assert!(strays::FIRST_ID as usize >= super::seen::TOOLS_MAX);
+const _: () = assert!(strays::FIRST_ID as usize >= TOOLS_MAX);
+
+/// What a request was to do, for people.
+fn what(task: Task) -> String {
+    match task {
+        Task::Free(handle) => format!("free port {handle:02X}"),
+        Task::Initialize(handle) => format!("initialize the tool in port {handle:02X}"),
+        Task::Enable(handle) => format!("enable the tool in port {handle:02X}"),
+        _ => "list its ports".to_owned(),
+    }
+}
+
+/// The answer to `VER:0`: the first line is the model, others name serial number and firmware.
+fn hello(text: &str) -> Hello {
+    let field = |name: &str| {
+        let found = text.lines().find_map(|line| line.trim().strip_prefix(name));
+        found.unwrap_or_default().trim().to_owned()
+    };
+    Hello {
+        model: text.lines().next().unwrap_or_default().trim().to_owned(),
+        serial: field("NDI S/N:"),
+        firmware: field("Freeze Tag:"),
+        ..Hello::default()
+    }
+}
+
+/// `G.003.005`: `BX2` came with the Vega's third revision.
+fn has_bx2(revision: &str) -> bool {
+    let mut parts = revision.split('.');
+    let family = parts.next().unwrap_or_default();
+    let major: u32 = parts.next().and_then(|major| major.parse().ok()).unwrap_or(0);
+    family >= "G" && major >= 3
+}
+
+/// The value in `Name=value`.
+fn value<'a>(outcome: Outcome<'a>) -> Option<&'a str> {
+    match outcome {
+        Outcome::Text(text) => text.split_once('=').map(|(_, value)| value.trim()),
+        Outcome::Refused(_) | Outcome::Silence => None,
+    }
+}
+
+/// Handles in an answer to `PHSR`: a count, then a handle and a status each; `None` when it is none.
+fn handles(text: &str) -> Option<Vec<u8>> {
+    let (count, mut rest) = hex_byte(text)?;
+    let mut handles = Vec::with_capacity(usize::from(count));
+    for _ in 0..count {
+        let (handle, after) = hex_byte(rest)?;
+        // Three digits of port status.
+        rest = after.get(3..)?;
+        handles.push(handle);
+    }
+    rest.is_empty().then_some(handles)
+}
+
+fn hex_byte(text: &str) -> Option<(u8, &str)> {
+    let (digits, rest) = text.split_at_checked(2)?;
+    Some((u8::from_str_radix(digits, 16).ok()?, rest))
+}
+
+/// A tool as a marker, from the answer to `PHINF:hh0005`: its part number, or its serial number
+/// where it has none, or its port.
+///
+/// The answer: tool type (8), manufacturer (12), revision (3), serial number (8), port status (2),
+/// part number (20).
+fn marker(handle: u8, info: &str, others: &[MarkerInfo]) -> MarkerInfo {
+    let field = |from: usize, to: usize| {
+        let field = info.get(from..to).unwrap_or_default();
+        field.chars().filter(|c| !c.is_control()).collect::<String>().trim().to_owned()
+    };
+    let (serial, part) = (field(23, 31), field(33, 53));
+    let port = format!("port {handle:02X}");
+    let no_serial = serial.bytes().all(|byte| byte == b'0');
+    let names = match (part.is_empty(), no_serial) {
+        (false, false) => [part.clone(), format!("{part} {serial}"), format!("{part} {port}")],
+        (false, true) => [part.clone(), format!("{part} {port}"), port],
+        (true, false) => [serial.clone(), format!("{serial} {port}"), port],
+        (true, true) => [port.clone(), port.clone(), port],
+    };
+    let is_new = |name: &&String| others.iter().all(|other| other.label != **name);
+    let label = names.iter().find(is_new).unwrap_or(&names[2]).clone();
+    MarkerInfo { id: u16::from(handle), label, labelled: true }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn handles_of_an_answer() {
+        assert_eq!(handles("00"), Some(vec![]));
+        assert_eq!(handles("020A00103010"), Some(vec![0x0A, 0x03]));
+        for bad in ["", "0", "01", "010A", "010A0100", "xx", "ZZ0A001", "01\u{e9}A001"] {
+            assert_eq!(handles(bad), None, "{bad}");
+        }
+    }
+
+    #[test]
+    fn tools_get_names_of_their_own() {
+        let info =
+            |serial: &str, part: &str| format!("02000000NDI         001{serial}31{part:<20}");
+        let mut table: Vec<MarkerInfo> = Vec::new();
+        for (handle, serial, part, label) in [
+            (1, "00000000", "8700449", "8700449"),
+            (2, "3A2B1C00", "8700449", "8700449 3A2B1C00"),
+            (3, "3A2B1C00", "8700449", "8700449 port 03"),
+            (4, "12345678", "", "12345678"),
+            (5, "00000000", "", "port 05"),
+        ] {
+            let marker = marker(handle, &info(serial, part), &table);
+            assert_eq!((marker.id, marker.label.as_str()), (u16::from(handle), label));
+            table.push(marker);
+        }
+        assert_eq!(marker(0xFE, "UNOCCUPIED", &table).label, "port FE");
+    }
+}

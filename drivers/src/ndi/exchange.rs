@@ -1,17 +1,14 @@
 //! One request at a time: said, answered, damaged, said again.
 
 use super::{
-    errors,
-    host::{NdiHost, Owed, State, Task},
-    reply::Look,
-    tracking::NOT_TRACKING,
+    frame::{read_bx, read_bx2},
+    host::{Asked, Drain, MS, NdiHost, Outcome, Owed, State, Task},
+    message::{self, Look, code},
 };
 use crate::{
     device::DeviceEvent,
     transport::turns::{Order, Request},
 };
-
-pub(super) const MS: u64 = 1_000_000;
 
 /// How long a line has to be silent after damage before the next request: more than the 16 ms for
 /// which an adapter may hold the rest of an answer back.
@@ -34,33 +31,6 @@ const TRIES: u32 = 3;
 /// Polls in a row without a good answer after which the device counts as switched off or reset:
 /// half a second, beyond what any damage to single answers lasts.
 const POLLS_LOST_MAX: u32 = 5;
-
-/// What became of a request.
-#[derive(Debug, Clone, Copy)]
-pub(super) enum Outcome<'a> {
-    Text(&'a str),
-    Refused(u8),
-    Silence,
-}
-
-/// A request that was sent and not answered.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Asked {
-    pub(super) task: Task,
-    request: Request,
-    /// After so long without a byte it counts as silence.
-    patience_ns: u64,
-    tries: u32,
-    /// When it was sent, or its last byte came.
-    active_ns: u64,
-}
-
-/// After damage.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Drain {
-    since_ns: u64,
-    last_byte_ns: u64,
-}
 
 impl NdiHost {
     /// Sends a request; its answer goes to the task.
@@ -109,7 +79,7 @@ impl NdiHost {
 
     /// The request failed for good: what the device said, and what to do.
     pub(super) fn fail_refused(&mut self, what: &str, code: u8) {
-        let words = errors::words(code);
+        let words = message::advice(code);
         self.fail(format!("the NDI system cannot {what} (ERROR{code:02X}): {words}"));
     }
 
@@ -182,7 +152,7 @@ impl NdiHost {
             Look::NotYet => {}
             Look::Damaged => self.damaged(now_ns),
             Look::Binary(range) => {
-                let read = if self.bx2 { super::gbf::read } else { super::bx::read };
+                let read = if self.bx2 { read_bx2 } else { read_bx };
                 if task == Task::Poll && read(self.reply.get(range), &mut self.seen).is_some() {
                     self.counters.messages += 1;
                     self.asked = None;
@@ -196,7 +166,7 @@ impl NdiHost {
                 // Answers are ASCII, and the copy is of a rare one.
                 let text = String::from_utf8_lossy(self.reply.get(range)).into_owned();
                 self.counters.messages += 1;
-                match errors::code(&text) {
+                match message::error_code(&text) {
                     Some(code) => self.refused(task, code, on_event),
                     None => {
                         self.asked = None;
@@ -209,7 +179,7 @@ impl NdiHost {
 
     /// A request may have been damaged on its way: it is said again before its refusal counts.
     fn refused(&mut self, task: Task, code: u8, on_event: &mut dyn FnMut(DeviceEvent<'_>)) {
-        let for_good = task == Task::Poll && code == NOT_TRACKING;
+        let for_good = task == Task::Poll && code == code::WRONG_MODE;
         if !for_good && self.asked.is_some_and(|asked| asked.tries < TRIES) {
             self.send(0);
         } else {

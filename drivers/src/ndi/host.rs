@@ -1,12 +1,9 @@
 //! The host's end: what it knows of the device, and what it was asked for.
 
 use super::{
-    bauds::{BAUD_AT_RESET, at_most},
-    exchange::{Asked, Drain, MS},
-    pace::Pace,
-    reply::ReplyBuffer,
-    run::Run,
-    seen::Seen,
+    frame::{STRAYS_MAX, Seen, TOOLS_MAX},
+    message::{BAUD_AT_RESET, ReplyBuffer, at_most},
+    run::{Pace, Run},
     strays::Strays,
 };
 use crate::{
@@ -19,6 +16,8 @@ use crate::{
         turns::{Desk, Request, TurnTransport, desk},
     },
 };
+
+pub(super) const MS: u64 = 1_000_000;
 
 /// The highest speed that is asked for when the URI gives none: what common adapters and the
 /// systems since the Polaris Spectra carry.
@@ -54,6 +53,33 @@ pub(super) enum Task {
     Start,
     Poll,
     Stop,
+}
+
+/// What became of a request.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Outcome<'a> {
+    Text(&'a str),
+    Refused(u8),
+    Silence,
+}
+
+/// A request that was sent and not answered.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Asked {
+    pub(super) task: Task,
+    pub(super) request: Request,
+    /// After so long without a byte it counts as silence.
+    pub(super) patience_ns: u64,
+    pub(super) tries: u32,
+    /// When it was sent, or its last byte came.
+    pub(super) active_ns: u64,
+}
+
+/// After damage.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Drain {
+    pub(super) since_ns: u64,
+    pub(super) last_byte_ns: u64,
 }
 
 /// What the device is doing, as far as is known.
@@ -147,7 +173,7 @@ impl NdiHost {
             pace: Pace::default(),
             seen: Seen::new(),
             strays: Strays::new(),
-            samples: Vec::with_capacity(super::seen::TOOLS_MAX + super::seen::STRAYS_MAX),
+            samples: Vec::with_capacity(TOOLS_MAX + STRAYS_MAX),
             run: Run::default(),
         }
     }

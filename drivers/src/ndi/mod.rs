@@ -3,65 +3,36 @@
 //! The device answers, and never speaks unasked. [`NdiHost`] therefore leaves requests on a
 //! [desk](crate::transport::turns); who reads the line carries them out.
 
-mod assign;
-mod bauds;
+mod assignment;
 mod bring_up;
-mod bx;
-mod carries;
-mod crc;
-mod cursor;
-mod errors;
 mod exchange;
-mod gbf;
+mod frame;
 mod host;
-mod identity;
-mod pace;
-mod reply;
-mod request;
+mod message;
 mod run;
-mod seen;
 mod strays;
-mod tools;
 mod tracking;
 
-pub use bauds::{BAUD_AT_RESET, BAUDS};
-pub use crc::crc16;
 pub use host::{BAUD_MAX_DEFAULT, NdiHost};
+pub use message::{BAUD_AT_RESET, BAUDS, RequestLine, code, crc16, put_binary, put_text};
 
 use crate::{
-    device::Protocol,
-    registry::{Candidate, Claim, Family},
+    family::{Claim, Family},
     transport::turns::desk,
     uri::Location,
 };
 
-/// The family.
-#[derive(Debug)]
-pub(crate) struct Ndi;
-
-impl Family for Ndi {
-    fn name(&self) -> &'static str {
-        "ndi"
-    }
-
-    fn description(&self) -> &'static str {
-        "NDI Polaris and Vega systems, over the Combined API on a serial line"
-    }
-
-    fn claims(&self, candidate: &Candidate) -> Claim {
-        let says_so =
-            [&candidate.product, &candidate.manufacturer].into_iter().flatten().any(|text| {
-                let text = text.to_ascii_lowercase();
-                text.contains("northern digital") || text.starts_with("ndi ")
-            });
-        match candidate.location {
-            Location::Serial { .. } if says_so => Claim::Certain,
-            Location::Serial { .. } => Claim::Possible,
-            Location::Usb { .. } => Claim::No,
+pub(crate) const FAMILY: Family = Family {
+    name: "ndi",
+    claims: |candidate| {
+        let is_ndi = |name: &str| name.contains("northern digital") || name.starts_with("ndi ");
+        match (candidate.is_serial(), candidate.is_called(is_ndi)) {
+            (true, true) => Claim::Certain,
+            (true, false) => Claim::Possible,
+            (false, _) => Claim::No,
         }
-    }
-
-    fn protocol(&self, location: &Location) -> Box<dyn Protocol> {
+    },
+    protocol: |location| {
         let asked_for = match location {
             Location::Serial { baud, .. } => *baud,
             Location::Usb { .. } => None,
@@ -69,5 +40,5 @@ impl Family for Ndi {
         // A desk for the time before there is a line: nobody takes its orders.
         let (desk, _) = desk();
         Box::new(NdiHost::new(desk, asked_for.unwrap_or(BAUD_MAX_DEFAULT)))
-    }
-}
+    },
+};

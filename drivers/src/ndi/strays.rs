@@ -9,8 +9,8 @@
 //! next that appears.
 
 use super::{
-    assign::Assignment,
-    seen::{STRAYS_MAX, Seen},
+    assignment::Assignment,
+    frame::{STRAYS_MAX, Seen},
 };
 use crate::device::MarkerSample;
 

@@ -1,18 +1,17 @@
-//! Frames: asked for one by one, numbered as the device numbers them.
+//! Frames: asked for one by one, numbered as the device numbers them, over a line that may be too slow for all.
 
 use super::{
-    exchange::Outcome,
-    host::{NdiHost, State, Task},
-    request::checked,
+    frame::{bx_block_bytes, bx2_block_bytes},
+    host::{NdiHost, Outcome, State, Task},
+    message::{BAUDS, checked, code},
     run::Counted,
 };
-use crate::device::{DeviceEvent, Frame};
+use crate::{
+    device::{DeviceEvent, Frame, LinkBudget},
+    link::link_budget,
+};
 
-/// The error of a poll after which the device is not tracking any more, and of a start when it is.
-pub(super) const NOT_TRACKING: u8 = 0x0C;
-
-/// The error of everything after a reset, and what a reset says.
-const NOT_INITIALIZED: u8 = 0x10;
+/// What a reset says.
 const RESET: &str = "RESET";
 
 /// How long an answer to a poll may pause or be late: many times what a device needs.
@@ -47,7 +46,7 @@ impl NdiHost {
     ) {
         match (task, outcome) {
             // It may have heard an earlier one, whose answer was lost.
-            (Task::Start, Outcome::Text(_) | Outcome::Refused(NOT_TRACKING)) => {
+            (Task::Start, Outcome::Text(_) | Outcome::Refused(code::WRONG_MODE)) => {
                 self.state = State::Tracking;
                 self.farewell(true);
                 let rate_hz = f64::from(self.hello.rate_mhz) / 1000.0;
@@ -60,15 +59,15 @@ impl NdiHost {
                 }
                 self.next_poll();
             }
-            (Task::Poll, Outcome::Refused(NOT_TRACKING)) | (Task::Stop, Outcome::Text(_)) => {
+            (Task::Poll, Outcome::Refused(code::WRONG_MODE)) | (Task::Stop, Outcome::Text(_)) => {
                 self.stopped(on_event);
             }
             // It says that it was not tracking, or cannot stop: no frame comes either way.
             (Task::Stop, Outcome::Refused(_)) => self.stopped(on_event),
-            (Task::Poll, Outcome::Refused(code)) if code != NOT_INITIALIZED => {
+            (Task::Poll, Outcome::Refused(error)) if error != code::NOT_INITIALIZED => {
                 self.polls_lost += 1;
                 if self.polls_lost >= 3 {
-                    self.fail_refused("give its frames", code);
+                    self.fail_refused("give its frames", error);
                 } else {
                     self.ask(Task::Poll, self.poll, POLL_MS, self.desk.now_ns() + REFUSED_PAUSE_NS);
                 }
@@ -142,4 +141,92 @@ impl NdiHost {
             on_event(DeviceEvent::Note(&words));
         }
     }
+}
+
+/// Bytes of a binary answer around its block.
+const AROUND_BYTES: usize = 6 + 2;
+
+impl NdiHost {
+    /// What the tools need, before any stray was seen.
+    fn budget(&self) -> LinkBudget {
+        let bytes = self.answer_bytes(0);
+        link_budget(
+            bytes,
+            self.hello.rate_mhz,
+            self.hello.rate_max_mhz,
+            line_bytes_per_s(self.baud),
+        )
+    }
+
+    fn answer_bytes(&self, strays: usize) -> usize {
+        let tools = self.table.len();
+        AROUND_BYTES
+            + if self.bx2 { bx2_block_bytes(tools, strays) } else { bx_block_bytes(tools, strays) }
+    }
+
+    /// A poll and its answer take turns on the line, so both count.
+    fn bytes_a_frame(&self, strays: usize) -> u64 {
+        (self.poll.as_bytes().len() + self.answer_bytes(strays)) as u64
+    }
+
+    /// Why a start is refused, and what to do.
+    fn refusal(&self) -> String {
+        let needed = self.budget().needed_bytes_per_s;
+        format!("the line is too slow for the NDI system: {}", self.limits(0, needed))
+    }
+
+    /// Words for a line that does not carry every frame with what was just seen; said once a run.
+    fn too_slow(&mut self) -> Option<String> {
+        let strays = self.seen.strays.len() + self.seen.strays_beyond;
+        let needed = self.needed_bytes_per_s(strays);
+        if needed <= line_bytes_per_s(self.baud) || !self.run.says_slow() {
+            return None;
+        }
+        Some(format!(
+            "the line is too slow for every frame of the NDI system: {}. The frames that are not fetched in \
+             time count as dropped by the device, and strays may change their numbers",
+            self.limits(strays, needed)
+        ))
+    }
+
+    fn needed_bytes_per_s(&self, strays: usize) -> u64 {
+        (self.bytes_a_frame(strays) * u64::from(self.hello.rate_mhz)).div_ceil(1000)
+    }
+
+    fn limits(&self, strays: usize, needed: u64) -> String {
+        let tools = self.table.len();
+        let most_hz = line_bytes_per_s(self.baud) as f64 / self.bytes_a_frame(strays) as f64;
+        let rate_hz = f64::from(self.hello.rate_mhz) / 1000.0;
+        let needed = needed.max(self.needed_bytes_per_s(strays));
+        let enough = BAUDS.iter().find(|(baud, _)| line_bytes_per_s(*baud) >= needed);
+        let advice = match enough {
+            Some((baud, _)) if self.baud >= BAUDS[self.asked_for].0 => {
+                format!("write @{baud} behind the port in the device's URI")
+            }
+            Some(_) => {
+                "system or line take no higher speed: use another adapter, show it fewer markers, or lower its \
+                 frame rate"
+                    .to_owned()
+            }
+            None => "no speed is enough: show it fewer markers, or lower its frame rate".to_owned(),
+        };
+        let seen = [(tools, "tool"), (strays, "stray marker")];
+        let seen: Vec<_> =
+            seen.iter().filter(|(n, _)| *n > 0).map(|(n, what)| counted(*n, what)).collect();
+        let seen = if seen.is_empty() { "frames".to_owned() } else { seen.join(" and ") };
+        format!(
+            "{seen} over {} baud come at most {most_hz:.1} times a second, and it runs at {rate_hz} Hz; {advice}",
+            self.baud
+        )
+    }
+}
+
+/// Ten bits a byte: start, eight of data, stop.
+fn line_bytes_per_s(baud: u32) -> u64 {
+    u64::from(baud) / 10
+}
+
+fn counted(n: usize, what: &str) -> String {
+    let plural = if n == 1 { "" } else { "s" };
+    format!("{n} {what}{plural}")
 }

@@ -14,8 +14,7 @@ use serialport::{SerialPort, TTYPort};
 use super::{
     READ_TIMEOUT, Transport, TransportError, WRITE_TIMEOUT,
     access::{holder, permission_remedy},
-    descriptor::descriptor,
-    low_latency,
+    tty,
 };
 
 /// The speed of a line whose URI gives none: the highest that the common USB adapters (FT232R,
@@ -62,7 +61,7 @@ impl SerialTransport {
                 break;
             }
         }
-        let fd = descriptor(&port);
+        let fd = tty::descriptor(&port);
         // serialport waits for room and then writes blocking: a device that takes half of a command
         // would hold us for ever.
         rustix::fs::fcntl_setfl(fd, OFlags::NONBLOCK).map_err(|error| TransportError::Io {
@@ -70,7 +69,7 @@ impl SerialTransport {
             action: "setting it up",
             source: error.into(),
         })?;
-        let low_latency = low_latency::set(fd);
+        let low_latency = tty::set_low_latency(fd);
         let limited = has_own_speed || baud.is_some();
         Ok(Self { port, path: path.to_owned(), baud: baud_rate, limited, low_latency })
     }

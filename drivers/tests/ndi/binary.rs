@@ -1,6 +1,7 @@
 //! Frames, written byte by byte.
 
 use mocapd_drivers::device::Command;
+use mocapd_testkit::random::Random;
 
 use super::script::{Script, binary, text};
 
@@ -213,13 +214,7 @@ fn a_device_that_left_tracking_by_itself_has_ended() {
 #[test]
 fn any_block_may_come_under_a_good_checksum() {
     for (bx2, good) in [(true, bx2_block(&[frame_item(5, 0, 0)])), (false, bx_block(5))] {
-        let (mut state, mut turn) = (0x9E37_79B9_7F4A_7C15_u64, 0);
-        let mut dice = move |n: usize| {
-            state ^= state << 13;
-            state ^= state >> 7;
-            state ^= state << 17;
-            (state >> 20) as usize % n
-        };
+        let (mut random, mut turn) = (Random::new(1), 0);
         let mut script = Script::new(move |request| {
             if request.starts_with(b"APIREV") && !bx2 {
                 return Some(text("D.001.007"));
@@ -230,14 +225,17 @@ fn any_block_may_come_under_a_good_checksum() {
             turn += 1;
             let mut block = good.clone();
             if turn % 3 > 0 {
-                for _ in 0..=dice(4) {
-                    let at = dice(block.len());
-                    match dice(5) {
+                for _ in 0..=random.below(4) {
+                    let at = random.below(block.len());
+                    match random.below(5) {
                         0 => block[at] = 0xFF,
-                        1 => block[at] = dice(256) as u8,
+                        1 => block[at] = random.byte(),
                         2 => block.truncate(at + 1),
-                        3 => block.insert(at, dice(256) as u8),
-                        _ => block.extend((0..dice(300)).map(|_| dice(256) as u8)),
+                        3 => block.insert(at, random.byte()),
+                        _ => {
+                            let n = random.below(300);
+                            block.extend(random.bytes(n));
+                        }
                     }
                 }
             }

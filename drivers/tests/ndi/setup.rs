@@ -2,7 +2,8 @@
 
 use mocapd_drivers::device::{Command, MarkerInfo, Protocol};
 use mocapd_drivers::ndi::NdiHost;
-use mocapd_drivers::transport::{Transport, memory, turns::desk};
+use mocapd_drivers::transport::{Transport, turns::desk};
+use mocapd_testkit::memory;
 
 use super::script::{Script, text};
 

@@ -3,15 +3,12 @@
 //! A delta is to the marker before it *in the same frame*, so that a lost frame costs itself alone.
 
 use super::{
-    encode::has_position,
-    position::{micrometres, millimetres},
+    super::{DELTA_UM_MAX, RUN_MARKERS_MAX},
+    has_position, micrometres, millimetres,
 };
 use crate::{
+    bytes::{Cursor, Wire},
     device::MarkerSample,
-    link::{
-        cursor::Cursor,
-        limits::{DELTA_UM_MAX, RUN_MARKERS_MAX},
-    },
 };
 
 /// Stands where a x delta would, and says that three i32 follow: the one i24 that no delta uses.
@@ -52,7 +49,7 @@ pub(super) fn put(markers: &[MarkerSample], residuals: bool, message: &mut Vec<u
     let mut last_um = [0; 3];
     for run in runs(markers) {
         let first_id = run.first().map_or(0, |marker| marker.id);
-        message.extend_from_slice(&first_id.to_le_bytes());
+        first_id.put(message);
         message.push(run.len() as u8);
         for eight in run.chunks(8) {
             let bits = eight
@@ -91,8 +88,8 @@ pub(super) fn get(
     // The lowest id that the next run may start at; 65536 when there is none.
     let mut id_min = 0;
     while left > 0 {
-        let first_id = u32::from(cursor.u16()?);
-        let len = usize::from(cursor.u8()?);
+        let first_id = u32::from(cursor.get::<u16>()?);
+        let len = usize::from(cursor.get::<u8>()?);
         let id_end = first_id + len as u32;
         if len == 0 || len > left || first_id < id_min || id_end > 1 << 16 {
             return None;
@@ -125,7 +122,7 @@ fn get_run(
         };
         if present {
             if residuals {
-                marker.residual_10um = cursor.u8()?;
+                marker.residual_10um = cursor.get()?;
             }
             *last_um = get_position(cursor, *last_um)?;
             marker.position_mm = millimetres(*last_um);

@@ -1,19 +1,14 @@
 //! Frames on the wire: one header, and the markers in one of three forms.
 
 mod compact;
-mod decode;
-mod encode;
-mod plain;
-mod position;
-
-pub(super) use decode::get_frame;
-pub(super) use encode::put_frame;
 
 use super::{
-    kind,
-    limits::{
-        ENVELOPE_BYTES, FRAME_HEADER_BYTES_MAX, MARKER_BYTES_MAX, RUN_MARKERS_MAX, wire_bytes,
-    },
+    ENVELOPE_BYTES, EncodeError, FRAME_HEADER_BYTES_MAX, MARKER_BYTES_MAX, MARKERS_MAX,
+    RUN_MARKERS_MAX, envelope::Framer, messages::kind, wire_bytes,
+};
+use crate::{
+    bytes::{Cursor, Wire},
+    device::{Frame, MarkerSample},
 };
 
 /// Set in a frame's flags when a timecode follows the header.
@@ -70,6 +65,231 @@ pub const fn frame_bytes_in_volume(form: FrameForm, n_markers: usize) -> usize {
                 + if rest > 0 { 3 + rest.div_ceil(8) } else { 0 };
             let positions = n_markers * (1 + 3 * 3);
             wire_bytes(ENVELOPE_BYTES + FRAME_HEADER_BYTES_MAX + run_headers + positions)
+        }
+    }
+}
+
+/// Writes `frame` to `out` in the wanted form, or in the one that can say it.
+pub(super) fn put_frame(
+    framer: &mut Framer,
+    wanted: FrameForm,
+    frame: &Frame<'_>,
+    out: &mut Vec<u8>,
+) -> Result<(), EncodeError> {
+    let n = checked_count(frame.markers)?;
+    let residuals =
+        frame.markers.iter().any(|marker| has_position(marker) && marker.residual_10um > 0);
+    let form = form_that_fits(wanted, frame.markers, residuals);
+    let message = framer.open(form.kind());
+    frame.seq.put(message);
+    frame.device_ticks.put(message);
+    let timecode_flag = if frame.timecode.is_some() { TIMECODE } else { 0 };
+    message.push(timecode_flag | if residuals { RESIDUALS } else { 0 });
+    n.put(message);
+    if let Some(timecode) = frame.timecode {
+        message.extend_from_slice(&timecode);
+    }
+    match form {
+        FrameForm::Float => put_plain(frame.markers, residuals, message, |position_mm| {
+            position_mm.map(f32::to_le_bytes)
+        }),
+        FrameForm::Micrometres => put_plain(frame.markers, residuals, message, |position_mm| {
+            // Every position fits: form_that_fits saw to it.
+            micrometres(position_mm).unwrap_or_default().map(i32::to_le_bytes)
+        }),
+        FrameForm::Compact => compact::put(frame.markers, residuals, message),
+    }
+    framer.close(out);
+    Ok(())
+}
+
+/// A position that is not finite is none: it travels as occluded.
+fn has_position(marker: &MarkerSample) -> bool {
+    !marker.occluded && marker.position_mm.iter().all(|mm| mm.is_finite())
+}
+
+fn checked_count(markers: &[MarkerSample]) -> Result<u16, EncodeError> {
+    if markers.len() > MARKERS_MAX {
+        return Err(EncodeError::TooManyMarkers { found: markers.len(), max: MARKERS_MAX });
+    }
+    for pair in markers.windows(2) {
+        if let [previous, next] = pair
+            && previous.id >= next.id
+        {
+            return Err(EncodeError::IdsNotAscending { previous: previous.id, id: next.id });
+        }
+    }
+    Ok(markers.len() as u16)
+}
+
+fn form_that_fits(wanted: FrameForm, markers: &[MarkerSample], residuals: bool) -> FrameForm {
+    if wanted == FrameForm::Float {
+        return FrameForm::Float;
+    }
+    let all_fit = markers
+        .iter()
+        .all(|marker| !has_position(marker) || micrometres(marker.position_mm).is_some());
+    if !all_fit {
+        FrameForm::Float
+    } else if wanted == FrameForm::Compact
+        && compact::markers_bytes(markers, residuals) <= plain_bytes(markers, residuals)
+    {
+        FrameForm::Compact
+    } else {
+        FrameForm::Micrometres
+    }
+}
+
+/// Reads a frame into `markers`, and counts into `not_finite` the positions that were none.
+/// `kind` is one of the three of frames.
+pub(super) fn get_frame<'a>(
+    kind: u8,
+    payload: &[u8],
+    markers: &'a mut Vec<MarkerSample>,
+    not_finite: &mut u64,
+) -> Option<Frame<'a>> {
+    let mut cursor = Cursor::new(payload);
+    let (seq, device_ticks) = (cursor.get()?, cursor.get()?);
+    let (flags, n) = (cursor.get::<u8>()?, usize::from(cursor.get::<u16>()?));
+    if flags & !(TIMECODE | RESIDUALS) != 0 || n > MARKERS_MAX {
+        return None;
+    }
+    let timecode = if flags & TIMECODE != 0 { Some(cursor.array::<4>()?) } else { None };
+    let residuals = flags & RESIDUALS != 0;
+    markers.clear();
+    match kind {
+        kind::FRAME_FLOAT => {
+            get_plain(&mut cursor, n, residuals, markers, |axes| axes.map(f32::from_le_bytes))?;
+        }
+        kind::FRAME_MICROMETRES => get_plain(&mut cursor, n, residuals, markers, |axes| {
+            millimetres(axes.map(i32::from_le_bytes))
+        })?,
+        _ => compact::get(&mut cursor, n, residuals, markers)?,
+    }
+    cursor.end(())?;
+    if kind == kind::FRAME_FLOAT {
+        *not_finite += occlude_not_finite(markers);
+    }
+    Some(Frame { seq, device_ticks, timecode, markers })
+}
+
+fn occlude_not_finite(markers: &mut [MarkerSample]) -> u64 {
+    let mut count = 0;
+    for marker in markers {
+        if !marker.position_mm.iter().all(|mm| mm.is_finite()) {
+            *marker = MarkerSample { id: marker.id, occluded: true, ..MarkerSample::default() };
+            count += 1;
+        }
+    }
+    count
+}
+
+// The two forms in which every marker stands for itself: `{id, flags, [residual], x, y, z}`.
+
+const HEAD_BYTES: usize = 2 + 1;
+
+/// Bytes that [`put_plain`] appends.
+fn plain_bytes(markers: &[MarkerSample], residuals: bool) -> usize {
+    let present = markers.iter().filter(|marker| has_position(marker)).count();
+    markers.len() * HEAD_BYTES + present * (12 + usize::from(residuals))
+}
+
+fn put_plain(
+    markers: &[MarkerSample],
+    residuals: bool,
+    message: &mut Vec<u8>,
+    coordinates: impl Fn([f32; 3]) -> [[u8; 4]; 3],
+) {
+    for marker in markers {
+        let present = has_position(marker);
+        marker.id.put(message);
+        message.push(if present { 0 } else { OCCLUDED });
+        if present {
+            if residuals {
+                message.push(marker.residual_10um);
+            }
+            message.extend_from_slice(coordinates(marker.position_mm).as_flattened());
+        }
+    }
+}
+
+/// Appends `n` markers to `markers`.
+#[inline]
+fn get_plain(
+    cursor: &mut Cursor<'_>,
+    n: usize,
+    residuals: bool,
+    markers: &mut Vec<MarkerSample>,
+    coordinates: impl Fn([[u8; 4]; 3]) -> [f32; 3],
+) -> Option<()> {
+    let mut previous = None;
+    for _ in 0..n {
+        let [id_0, id_1, flags] = cursor.array::<HEAD_BYTES>()?;
+        let id = u16::from_le_bytes([id_0, id_1]);
+        // `None` is below every id.
+        if flags & !OCCLUDED != 0 || previous >= Some(id) {
+            return None;
+        }
+        previous = Some(id);
+        let mut marker =
+            MarkerSample { id, occluded: flags & OCCLUDED != 0, ..MarkerSample::default() };
+        if !marker.occluded {
+            if residuals {
+                marker.residual_10um = cursor.get()?;
+            }
+            let [x, y, z] = [cursor.array::<4>()?, cursor.array::<4>()?, cursor.array::<4>()?];
+            marker.position_mm = coordinates([x, y, z]);
+        }
+        markers.push(marker);
+    }
+    Some(())
+}
+
+/// To the nearest micrometre, halves away from zero. `None` when a coordinate is outside i32.
+#[inline]
+fn micrometres(position_mm: [f32; 3]) -> Option<[i32; 3]> {
+    let [x, y, z] = position_mm.map(|mm| {
+        // A f32 times 1000 is exact in f64, and so is the half added: truncation rounds rightly.
+        let um = f64::from(mm) * 1000.0;
+        (um + 0.5f64.copysign(um)) as i64
+    });
+    Some([i32::try_from(x).ok()?, i32::try_from(y).ok()?, i32::try_from(z).ok()?])
+}
+
+/// The f32 nearest to it.
+#[inline]
+fn millimetres(position_um: [i32; 3]) -> [f32; 3] {
+    position_um.map(|um| (f64::from(um) / 1000.0) as f32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rounds_to_the_nearest_micrometre() {
+        assert_eq!(micrometres([0.0005, -0.0005, 0.000_499]), Some([1, -1, 0]));
+        assert_eq!(micrometres([1234.567, -0.0, 1e-30]), Some([1_234_567, 0, 0]));
+        assert_eq!(
+            micrometres([2_147_483.5, -2_147_483.5, 0.0]),
+            Some([2_147_483_500, -2_147_483_500, 0])
+        );
+    }
+
+    #[test]
+    fn says_when_a_coordinate_does_not_fit() {
+        assert_eq!(micrometres([2_147_484.0, 0.0, 0.0]), None);
+        assert_eq!(micrometres([0.0, 0.0, -3.0e38]), None);
+    }
+
+    #[test]
+    fn comes_back_within_half_a_micrometre_where_f32_can_hold_it() {
+        for mm in [0.0f32, 0.001, 999.999, -4321.1235, 8000.0005] {
+            let back = millimetres(micrometres([mm; 3]).unwrap())[0];
+            assert!(
+                (back - mm).abs() <= 0.0005 + mm.abs() * f32::EPSILON,
+                "{mm} came back as {back}"
+            );
         }
     }
 }

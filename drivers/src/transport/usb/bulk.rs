@@ -1,34 +1,27 @@
 //! One bulk endpoint in each direction as a byte stream, with transfers queued ahead of the reader.
 
-mod error;
-mod queue;
-mod sending;
-
 use std::{
     collections::VecDeque,
+    fs,
     path::PathBuf,
+    thread,
     time::{Duration, Instant},
 };
 
 use nusb::{
     Endpoint, MaybeFuture,
-    transfer::{Bulk, Out, TransferError},
+    transfer::{Buffer, Bulk, Out, TransferError},
 };
 
-use self::queue::Queue;
-use super::{UsbDevice, find::find, memory, pair, words};
-use crate::transport::{READ_TIMEOUT, Transport, TransportError};
+use super::{
+    device::{UsbDevice, find, open_error},
+    pair,
+    queue::{CANCEL_WITHIN, PAUSE, Queue, TRANSFER_BYTES, TRANSFERS},
+};
+use crate::transport::{READ_TIMEOUT, Transport, TransportError, WRITE_TIMEOUT};
 
-/// Transfers that wait for the device: while one is read, the controller fills the others.
-pub const TRANSFERS: usize = 8;
-
-/// Bytes of one: a multiple of every packet size there is (1024 and less). Eight of them hold what high
-/// speed carries in 6 ms (40 MB/s), a scheduler's delay; a device whose frames end a transfer each is not
-/// held up before eight frames wait. Together 256 KiB, a 64th of the kernel's default limit.
-pub const TRANSFER_BYTES: usize = 32 << 10;
-
-/// Transfers without which there is no queue: one is filled while the other is read.
-const TRANSFERS_MIN: usize = 2;
+/// `ENOMEM`: the kernel's limit for transfers is used up.
+const ENOMEM: u32 = 12;
 
 /// A device that stalls so often within that time is not mended by clearing, whatever comes in between.
 const STALLS_MAX: usize = 32;
@@ -57,12 +50,29 @@ struct Opened {
 impl Opened {
     /// A transfer that failed may be noise on the cable, or the first sign of a pulled one.
     fn is_attached(&self) -> bool {
-        let address = std::fs::read_to_string(self.sysfs.join("devnum"));
+        let address = fs::read_to_string(self.sysfs.join("devnum"));
         address.is_ok_and(|address| address == self.address)
     }
 
     fn is_gone(&self) -> TransportError {
         TransportError::Disconnected { device: self.name.clone() }
+    }
+
+    fn failure(&self, action: &'static str, error: TransferError) -> TransportError {
+        match error {
+            TransferError::Unknown(ENOMEM) => {
+                TransportError::Unsupported(out_of_memory(&self.name, limit_mib()))
+            }
+            TransferError::Disconnected => self.is_gone(),
+            _ => TransportError::Io { device: self.name.clone(), action, source: error.into() },
+        }
+    }
+
+    fn stalled(&self) -> TransportError {
+        TransportError::Unsupported(format!(
+            "{} stalls again each time it is cleared: unplug it, plug it in again, and check its firmware",
+            self.name
+        ))
     }
 }
 
@@ -77,7 +87,7 @@ impl UsbTransport {
         let (info, device) = find(vid, pid, serial)?;
         let name = device.location().to_string();
         let address = format!("{}\n", info.device_address());
-        let failed = |error| words::open_error(&device, error);
+        let failed = |error| open_error(&device, error);
         let opened = info.open().wait().map_err(failed)?;
         let configuration =
             opened.active_configuration().map_err(|error| strange(&device, &error.to_string()))?;
@@ -85,9 +95,8 @@ impl UsbTransport {
         let interface = opened.detach_and_claim_interface(pair.interface).wait().map_err(failed)?;
         let rx = interface.endpoint(pair.device_to_host).map_err(failed)?;
         let tx = interface.endpoint(pair.host_to_device).map_err(failed)?;
-        let received = Queue::start(rx).ok_or_else(|| {
-            TransportError::Unsupported(memory::words(&name, memory::limit_mib()))
-        })?;
+        let received = Queue::start(rx)
+            .ok_or_else(|| TransportError::Unsupported(out_of_memory(&name, limit_mib())))?;
         let device = Opened { name, sysfs: device.sysfs, address };
         Ok(Self {
             received,
@@ -144,7 +153,7 @@ impl Transport for UsbTransport {
     }
 
     fn write_all(&mut self, bytes: &[u8]) -> Result<(), TransportError> {
-        sending::send(&mut self.tx, &self.device, bytes)
+        send(&mut self.tx, &self.device, bytes)
     }
 
     fn line_bytes_per_s(&self) -> Option<u64> {
@@ -167,4 +176,107 @@ fn strange(device: &UsbDevice, found: &str) -> TransportError {
         "{} is no device that this build reads: {found}; check that it is the right one, and its firmware",
         device.location()
     ))
+}
+
+// Commands to the device.
+
+/// Tries for one command: after a stall that was cleared, or noise.
+const TRIES: u32 = 4;
+
+fn send(tx: &mut Endpoint<Bulk, Out>, device: &Opened, bytes: &[u8]) -> Result<(), TransportError> {
+    for part in bytes.chunks(TRANSFER_BYTES) {
+        send_transfer(tx, device, part)?;
+    }
+    // Without a packet that is not full the device would wait for the rest of the transfer.
+    let packet_bytes = tx.max_packet_size().max(1);
+    if !bytes.is_empty() && bytes.len().is_multiple_of(packet_bytes) {
+        send_transfer(tx, device, &[])?;
+    }
+    Ok(())
+}
+
+fn send_transfer(
+    tx: &mut Endpoint<Bulk, Out>,
+    device: &Opened,
+    bytes: &[u8],
+) -> Result<(), TransportError> {
+    for left in (0..TRIES).rev() {
+        let mut buffer = Buffer::new(bytes.len());
+        buffer.extend_from_slice(bytes);
+        tx.submit(buffer);
+        let Some(done) = tx.wait_next_complete(WRITE_TIMEOUT) else {
+            return Err(give_up(tx, device));
+        };
+        match done.status {
+            Ok(()) => return Ok(()),
+            Err(TransferError::Stall) if left > 0 => {
+                tx.clear_halt().wait().map_err(|_| device.is_gone())?;
+            }
+            Err(TransferError::Stall) => return Err(device.stalled()),
+            Err(TransferError::Fault | TransferError::Cancelled)
+                if left > 0 && device.is_attached() =>
+            {
+                thread::sleep(PAUSE);
+            }
+            Err(TransferError::Fault | TransferError::Cancelled) => return Err(device.is_gone()),
+            Err(error) => return Err(device.failure("writing", error)),
+        }
+    }
+    Err(device.is_gone())
+}
+
+/// The device takes no bytes.
+fn give_up(tx: &mut Endpoint<Bulk, Out>, device: &Opened) -> TransportError {
+    tx.cancel_all();
+    while tx.pending() > 0 {
+        if tx.wait_next_complete(CANCEL_WITHIN).is_none() {
+            return device.is_gone();
+        }
+    }
+    TransportError::Stuck { device: device.name.clone() }
+}
+
+// The kernel's limit on what all USB transfers of all programs may hold in memory.
+
+const PARAMETER: &str = "/sys/module/usbcore/parameters/usbfs_memory_mb";
+
+/// The limit in MiB; `None` where there is none (0), or it cannot be read.
+fn limit_mib() -> Option<u64> {
+    parse_limit(&fs::read_to_string(PARAMETER).ok()?)
+}
+
+fn parse_limit(text: &str) -> Option<u64> {
+    text.trim().parse().ok().filter(|mib| *mib > 0)
+}
+
+/// Why there is no memory for transfers, and what to type.
+fn out_of_memory(device: &str, limit_mib: Option<u64>) -> String {
+    let limit = limit_mib.map_or_else(String::new, |mib| format!(", {mib} MiB for all programs,"));
+    let raised = limit_mib.unwrap_or(16).saturating_mul(4).max(64);
+    format!(
+        "no memory for USB transfers with {device}: the kernel's limit{limit} is used up, and {TRANSFERS} \
+         transfers of {} KiB are needed; close other programs that use USB, or type \
+         `echo {raised} | sudo tee {PARAMETER}`",
+        TRANSFER_BYTES >> 10
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reads_the_kernels_parameter() {
+        assert_eq!(parse_limit("16\n"), Some(16));
+        assert_eq!(parse_limit("0\n"), None, "no limit");
+        assert_eq!(parse_limit("many"), None);
+    }
+
+    #[test]
+    fn says_what_to_type() {
+        let words = out_of_memory("usb:1209:0001:A", Some(16));
+        assert!(words.contains("usb:1209:0001:A") && words.contains("16 MiB"), "{words}");
+        assert!(words.contains(&format!("`echo 64 | sudo tee {PARAMETER}`")), "{words}");
+        assert!(out_of_memory("x", Some(u64::MAX)).contains("echo 1844"));
+    }
 }

@@ -1,13 +1,13 @@
 //! USB: what is attached, one bulk pair as a byte stream, and word of what is plugged in.
 
 mod bulk;
-mod find;
-mod memory;
+mod device;
 mod pair;
+mod queue;
 mod watch;
-mod words;
 
-pub use bulk::{TRANSFER_BYTES, TRANSFERS, UsbTransport};
-pub use find::{UsbDevice, devices};
+pub use bulk::UsbTransport;
+pub(crate) use device::usb_access;
+pub use device::{UsbDevice, devices};
+pub use queue::{TRANSFER_BYTES, TRANSFERS};
 pub use watch::UsbWatch;
-pub(crate) use words::usb_access;

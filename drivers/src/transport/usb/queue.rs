@@ -11,17 +11,26 @@ use nusb::{
     transfer::{Buffer, Bulk, Completion, In, TransferError},
 };
 
-use super::{TRANSFER_BYTES, TRANSFERS, TRANSFERS_MIN};
+/// Transfers that wait for the device: while one is read, the controller fills the others.
+pub const TRANSFERS: usize = 8;
+
+/// Bytes of one: a multiple of every packet size there is (1024 and less). Eight of them hold what high
+/// speed carries in 6 ms (40 MB/s), a scheduler's delay; a device whose frames end a transfer each is not
+/// held up before eight frames wait. Together 256 KiB, a 64th of the kernel's default limit.
+pub const TRANSFER_BYTES: usize = 32 << 10;
+
+/// Transfers without which there is no queue: one is filled while the other is read.
+const TRANSFERS_MIN: usize = 2;
 
 /// Failures in a row that are mended: noise does not come four times in 10 ms, and a pulled cable must be
 /// told within 100 ms.
 const FAILURES_MAX: u32 = 4;
 
 /// Between a failure and the next try: some microframes.
-const PAUSE: Duration = Duration::from_millis(3);
+pub(super) const PAUSE: Duration = Duration::from_millis(3);
 
 /// How long cancelled transfers may take to come back; the kernel's do so at once.
-const CANCEL_WITHIN: Duration = Duration::from_millis(500);
+pub(super) const CANCEL_WITHIN: Duration = Duration::from_millis(500);
 
 /// The transfers of an endpoint: each is with the kernel, holds bytes to be read, or is at rest.
 #[derive(Debug)]

@@ -117,6 +117,8 @@ impl Assignment {
 
 #[cfg(test)]
 mod tests {
+    use mocapd_testkit::random::Random;
+
     use super::*;
 
     /// The least sum there is, by trying everything.
@@ -135,17 +137,12 @@ mod tests {
 
     #[test]
     fn no_other_pairing_costs_less() {
-        let mut dice = 0x5EED_u64;
-        let mut below = |n: u64| {
-            dice ^= dice << 13;
-            dice ^= dice >> 7;
-            dice ^= dice << 17;
-            dice % n
-        };
+        let mut random = Random::new(0x5EED);
         let mut assignment = Assignment::new(5, 6);
         for _ in 0..2000 {
-            let (n_rows, n_columns) = (below(6) as usize, below(7) as usize);
-            let mut cost = || if below(4) == 0 { f64::INFINITY } else { below(50) as f64 };
+            let (n_rows, n_columns) = (random.below(6), random.below(7));
+            let mut cost =
+                || if random.one_in(4) { f64::INFINITY } else { random.below(50) as f64 };
             let costs: Vec<Vec<f64>> =
                 (0..n_rows).map(|_| (0..n_columns).map(|_| cost()).collect()).collect();
             let alone = 30.0;

@@ -1,4 +1,4 @@
-//! Two ends in one process, for tests: what one writes, the other reads.
+//! A line in one process: what one end writes, the other reads.
 
 use std::{
     collections::VecDeque,
@@ -6,7 +6,7 @@ use std::{
     time::Instant,
 };
 
-use super::{READ_TIMEOUT, Transport, TransportError, WRITE_TIMEOUT};
+use mocapd_drivers::transport::{READ_TIMEOUT, Transport, TransportError, WRITE_TIMEOUT};
 
 const NAME: &str = "memory";
 

@@ -1,0 +1,152 @@
+//! The payloads of everything but frames, both ways.
+
+use super::{EncodeError, LABEL_BYTES_MAX, MARKERS_MAX, TEXT_BYTES_MAX};
+use crate::{
+    bytes::{Cursor, Wire, record},
+    device::{Command, Hello, LinkBudget, MarkerInfo, Pong, Status, Trigger},
+};
+
+/// The type byte of every message.
+pub(super) mod kind {
+    pub(in crate::link) const HELLO: u8 = 0x01;
+    pub(in crate::link) const MARKERS: u8 = 0x02;
+    pub(in crate::link) const FRAME_FLOAT: u8 = 0x10;
+    pub(in crate::link) const FRAME_MICROMETRES: u8 = 0x11;
+    pub(in crate::link) const FRAME_COMPACT: u8 = 0x12;
+    pub(in crate::link) const TRIGGER: u8 = 0x20;
+    pub(in crate::link) const STATUS: u8 = 0x21;
+    pub(in crate::link) const END_OF_STREAM: u8 = 0x22;
+    pub(in crate::link) const PONG: u8 = 0x30;
+    pub(in crate::link) const STARTED: u8 = 0x31;
+    pub(in crate::link) const REFUSED: u8 = 0x32;
+    pub(in crate::link) const RATE_SET: u8 = 0x33;
+
+    pub(in crate::link) const IDENTIFY: u8 = 0x80;
+    pub(in crate::link) const START: u8 = 0x81;
+    pub(in crate::link) const STOP: u8 = 0x82;
+    pub(in crate::link) const SET_RATE: u8 = 0x83;
+    pub(in crate::link) const PING: u8 = 0x84;
+}
+
+const LABELLED: u8 = 1;
+
+record!(Status { frames_produced, frames_dropped, temperature_c_100 });
+record!(Trigger { device_ticks, input, kind });
+record!(Pong { host_ns, device_ticks });
+record!(LinkBudget { needed_bytes_per_s, available_bytes_per_s, rate_fits_mhz });
+
+/// What makes a Hello unusable: the same rule for the side that writes and the side that reads.
+fn hello_fault(hello: &Hello) -> Option<&'static str> {
+    if hello.tick_hz == 0 {
+        Some("tick_hz is 0; a clock must tick")
+    } else if hello.rate_mhz == 0 {
+        Some("rate_mhz is 0; give the rate that Start would run at")
+    } else if !(hello.rate_min_mhz..=hello.rate_max_mhz).contains(&hello.rate_mhz) {
+        Some("rate_mhz is outside rate_min_mhz..=rate_max_mhz")
+    } else if hello.up_axis > 3 {
+        Some("up_axis is none of 0 (unknown), 1 (x), 2 (y), 3 (z)")
+    } else if usize::from(hello.markers_max) > MARKERS_MAX {
+        Some("markers_max is above the link's 10000")
+    } else {
+        None
+    }
+}
+
+fn put_text(
+    what: &'static str,
+    text: &str,
+    bytes_max: usize,
+    out: &mut Vec<u8>,
+) -> Result<(), EncodeError> {
+    match u8::try_from(text.len()) {
+        Ok(n) if text.len() <= bytes_max && !text.contains(char::is_control) => {
+            out.push(n);
+            out.extend_from_slice(text.as_bytes());
+            Ok(())
+        }
+        _ => Err(EncodeError::Text { what, text: text.to_owned(), bytes_max }),
+    }
+}
+
+pub(super) fn put_hello(hello: &Hello, out: &mut Vec<u8>) -> Result<(), EncodeError> {
+    if let Some(fault) = hello_fault(hello) {
+        return Err(EncodeError::Hello(fault));
+    }
+    for rate_mhz in [hello.rate_mhz, hello.rate_min_mhz, hello.rate_max_mhz] {
+        rate_mhz.put(out);
+    }
+    hello.tick_hz.put(out);
+    hello.up_axis.put(out);
+    hello.markers_max.put(out);
+    hello.n_frames.put(out);
+    put_text("model", &hello.model, TEXT_BYTES_MAX, out)?;
+    put_text("serial", &hello.serial, TEXT_BYTES_MAX, out)?;
+    put_text("firmware", &hello.firmware, TEXT_BYTES_MAX, out)
+}
+
+/// Replaces `hello` by that of a message, in its memory. It is worth nothing after `None`.
+pub(super) fn get_hello(payload: &[u8], hello: &mut Hello) -> Option<()> {
+    let mut cursor = Cursor::new(payload);
+    for rate_mhz in [&mut hello.rate_mhz, &mut hello.rate_min_mhz, &mut hello.rate_max_mhz] {
+        *rate_mhz = cursor.get()?;
+    }
+    hello.tick_hz = cursor.get()?;
+    hello.up_axis = cursor.get()?;
+    hello.markers_max = cursor.get()?;
+    hello.n_frames = cursor.get()?;
+    for text in [&mut hello.model, &mut hello.serial, &mut hello.firmware] {
+        cursor.text(TEXT_BYTES_MAX)?.clone_into(text);
+    }
+    cursor.end(()).filter(|()| hello_fault(hello).is_none())
+}
+
+/// Bytes that a marker takes in a Markers message.
+pub(super) fn marker_info_bytes(marker: &MarkerInfo) -> usize {
+    2 + 1 + 1 + marker.label.len()
+}
+
+pub(super) fn put_marker_info(marker: &MarkerInfo, out: &mut Vec<u8>) -> Result<(), EncodeError> {
+    marker.id.put(out);
+    out.push(if marker.labelled { LABELLED } else { 0 });
+    put_text("label", &marker.label, LABEL_BYTES_MAX, out)
+}
+
+/// Writes the markers of a message over the first ones of `markers`, in their memory, and gives
+/// them. Those behind are of no meaning; they stay for the memory of their labels.
+pub(super) fn get_markers<'a>(
+    payload: &[u8],
+    markers: &'a mut Vec<MarkerInfo>,
+) -> Option<&'a [MarkerInfo]> {
+    let mut cursor = Cursor::new(payload);
+    let n = usize::from(cursor.get::<u16>()?);
+    if n > MARKERS_MAX {
+        return None;
+    }
+    for index in 0..n {
+        let (id, flags) = (cursor.get()?, cursor.get::<u8>()?);
+        let label = cursor.text(LABEL_BYTES_MAX)?;
+        if flags & !LABELLED != 0 {
+            return None;
+        }
+        let labelled = flags & LABELLED != 0;
+        if let Some(marker) = markers.get_mut(index) {
+            (marker.id, marker.labelled) = (id, labelled);
+            label.clone_into(&mut marker.label);
+        } else {
+            markers.push(MarkerInfo { id, label: label.to_owned(), labelled });
+        }
+    }
+    cursor.end(markers.get(..n)?)
+}
+
+/// `None` for a type that is no command, `Some(None)` for one whose payload cannot be one.
+pub(super) fn get_command(kind: u8, payload: &[u8]) -> Option<Option<Command>> {
+    Some(match kind {
+        kind::IDENTIFY => Wire::whole(payload).map(|()| Command::Identify),
+        kind::START => Wire::whole(payload).map(|n| Command::Start { line_bytes_per_s: n }),
+        kind::STOP => Wire::whole(payload).map(|()| Command::Stop),
+        kind::SET_RATE => Wire::whole(payload).map(Command::SetRate),
+        kind::PING => Wire::whole(payload).map(|host_ns| Command::Ping { host_ns }),
+        _ => return None,
+    })
+}

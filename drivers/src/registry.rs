@@ -1,0 +1,343 @@
+//! The device families, what is attached, and how to open it.
+
+use std::path::Path;
+
+use serialport::SerialPortType;
+
+pub use crate::family::{Candidate, Claim, Family};
+use crate::{
+    device::Protocol,
+    link, ndi,
+    transport::{
+        Access, Transport, TransportError, access,
+        serial::SerialTransport,
+        usb::{self, UsbDevice, UsbTransport},
+    },
+    uri::{DeviceUri, Location},
+};
+
+/// Every family. A new one is a folder and a line here.
+pub static FAMILIES: &[Family] = &[link::FAMILY, ndi::FAMILY];
+
+/// The family that is surest; of two that are equally sure, the first.
+#[must_use]
+pub fn family_of(candidate: &Candidate) -> Option<(&'static Family, Claim)> {
+    let mut surest: Option<(&'static Family, Claim)> = None;
+    for family in FAMILIES {
+        let claim = (family.claims)(candidate);
+        if claim > surest.map_or(Claim::No, |(_, claim)| claim) {
+            surest = Some((family, claim));
+        }
+    }
+    surest
+}
+
+/// A device that is attached.
+#[derive(Debug)]
+pub struct Listed {
+    /// What it says of itself.
+    pub candidate: Candidate,
+    /// The family that is surest of it, and how sure.
+    pub family: Option<(&'static str, Claim)>,
+    /// Whether it can be opened, and if not, what helps.
+    pub access: Access,
+}
+
+/// Serial ports, then USB devices that are no serial port. None of them is opened.
+///
+/// # Errors
+/// `Io` when the system's lists cannot be read.
+pub fn devices() -> Result<Vec<Listed>, TransportError> {
+    let serial = serial_candidates()?;
+    let usb = usb::devices()?;
+    let mut listed = Vec::new();
+    for device in &usb {
+        if !serial.iter().any(|port| is_port_of(port, device)) {
+            listed.push(list(usb_candidate(device), usb::usb_access(device)));
+        }
+    }
+    let ports = serial.into_iter().map(|candidate| {
+        let access = match &candidate.location {
+            Location::Serial { path, .. } => access(path),
+            Location::Usb { .. } => Access::Accessible,
+        };
+        list(candidate, access)
+    });
+    Ok(ports.chain(listed).collect())
+}
+
+/// The serial ports, by name.
+fn serial_candidates() -> Result<Vec<Candidate>, TransportError> {
+    const SYSFS: &str = "/sys/class/tty";
+    // Without this folder serialport panics.
+    if !Path::new(SYSFS).exists() {
+        return Ok(Vec::new());
+    }
+    let mut ports = serialport::available_ports().map_err(|error| TransportError::Io {
+        device: SYSFS.to_owned(),
+        action: "listing serial ports",
+        source: error.into(),
+    })?;
+    ports.sort_by(|a, b| a.port_name.cmp(&b.port_name));
+    Ok(ports
+        .into_iter()
+        .map(|port| {
+            let location = Location::Serial { path: port.port_name.into(), baud: None };
+            match port.port_type {
+                SerialPortType::UsbPort(usb) => Candidate {
+                    location,
+                    usb_ids: Some((usb.vid, usb.pid)),
+                    serial: usb.serial_number,
+                    manufacturer: usb.manufacturer,
+                    product: usb.product,
+                },
+                _ => Candidate::at(location),
+            }
+        })
+        .collect())
+}
+
+fn usb_candidate(device: &UsbDevice) -> Candidate {
+    let UsbDevice { vid, pid, serial, manufacturer, product, .. } = device.clone();
+    Candidate {
+        location: device.location(),
+        usb_ids: Some((vid, pid)),
+        serial,
+        manufacturer,
+        product,
+    }
+}
+
+fn is_port_of(port: &Candidate, device: &UsbDevice) -> bool {
+    port.usb_ids == Some((device.vid, device.pid)) && port.serial == device.serial
+}
+
+fn list(candidate: Candidate, access: Access) -> Listed {
+    let family = family_of(&candidate).map(|(family, claim)| (family.name, claim));
+    Listed { candidate, family, access }
+}
+
+/// A device, open, and what it speaks.
+#[derive(Debug)]
+pub struct OpenedDevice {
+    /// Its bytes.
+    pub transport: Box<dyn Transport>,
+    /// Their meaning.
+    pub protocol: Box<dyn Protocol>,
+    /// The family's name.
+    pub family: &'static str,
+    /// Which device it is, to be found again by after a replug.
+    pub identity: Candidate,
+}
+
+/// Why a device was not opened.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum OpenError {
+    /// `?driver=` names no family.
+    #[error("no driver is called '{name}': use one of {}", family_names())]
+    UnknownDriver {
+        /// The name.
+        name: String,
+    },
+    /// No family claims the device.
+    #[error(
+        "no driver claims {location}: if you know what it speaks, add ?driver=NAME with one of {}",
+        family_names()
+    )]
+    Unclaimed {
+        /// The device.
+        location: String,
+    },
+    /// The transport could not be opened.
+    #[error(transparent)]
+    Transport(#[from] TransportError),
+}
+
+/// Opens a device. Nothing is written to it.
+///
+/// # Errors
+/// `UnknownDriver`, `Unclaimed`, and why the transport could not be opened.
+pub fn open(uri: &DeviceUri) -> Result<OpenedDevice, OpenError> {
+    open_through(uri, &mut |_, line| line)
+}
+
+/// The same, with something between the line and the protocol: `wrap` gets the family's name and the line.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_through(
+    uri: &DeviceUri,
+    wrap: &mut dyn FnMut(&'static str, Box<dyn Transport>) -> Box<dyn Transport>,
+) -> Result<OpenedDevice, OpenError> {
+    let named = uri.driver.as_deref().map(family_named).transpose()?;
+    let transport = open_transport(&uri.location)?;
+    let identity = candidate_at(&uri.location);
+    let unclaimed = || OpenError::Unclaimed { location: uri.location.to_string() };
+    let family = match named {
+        Some(family) => family,
+        None => family_of(&identity).ok_or_else(unclaimed)?.0,
+    };
+    let mut protocol = (family.protocol)(&uri.location);
+    let transport = protocol.attach(wrap(family.name, transport));
+    Ok(OpenedDevice { transport, protocol, family: family.name, identity })
+}
+
+/// Opens a device that went away, wherever it is now: a replug may give a port another name.
+///
+/// # Errors
+/// Why its transport could not be opened.
+pub fn open_again(
+    uri: &DeviceUri,
+    identity: &Candidate,
+) -> Result<Box<dyn Transport>, TransportError> {
+    open_transport(&place_now(&uri.location, identity))
+}
+
+/// Where a device is now that was seen before.
+#[must_use]
+pub fn find_again(uri: &DeviceUri, identity: &Candidate) -> DeviceUri {
+    DeviceUri { location: place_now(&uri.location, identity), driver: uri.driver.clone() }
+}
+
+/// A USB device is the one with its serial number, whatever else of its kind is attached by now.
+fn place_now(location: &Location, identity: &Candidate) -> Location {
+    match location {
+        Location::Usb { vid, pid, serial } => {
+            let serial = identity.serial.clone().or_else(|| serial.clone());
+            Location::Usb { vid: *vid, pid: *pid, serial }
+        }
+        Location::Serial { path, baud } if identity.serial.is_some() && !path.exists() => {
+            let ports = serial_candidates().unwrap_or_default().into_iter();
+            let mut same = ports.filter(|port| is_same(port, identity));
+            match (same.next().map(|port| port.location), same.next()) {
+                (Some(Location::Serial { path, .. }), None) => {
+                    Location::Serial { path, baud: *baud }
+                }
+                _ => location.clone(),
+            }
+        }
+        Location::Serial { .. } => location.clone(),
+    }
+}
+
+fn is_same(port: &Candidate, identity: &Candidate) -> bool {
+    (port.usb_ids, &port.serial) == (identity.usb_ids, &identity.serial)
+}
+
+fn family_named(name: &str) -> Result<&'static Family, OpenError> {
+    let found = FAMILIES.iter().find(|family| family.name.eq_ignore_ascii_case(name));
+    found.ok_or_else(|| OpenError::UnknownDriver { name: name.to_owned() })
+}
+
+fn family_names() -> String {
+    FAMILIES.iter().map(|family| family.name).collect::<Vec<_>>().join(", ")
+}
+
+fn open_transport(location: &Location) -> Result<Box<dyn Transport>, TransportError> {
+    match location {
+        Location::Serial { path, baud } => Ok(Box::new(SerialTransport::open(path, *baud)?)),
+        Location::Usb { vid, pid, serial } => {
+            Ok(Box::new(UsbTransport::open(*vid, *pid, serial.as_deref())?))
+        }
+    }
+}
+
+/// What is known of the device at a place: a link to a port is the port.
+fn candidate_at(location: &Location) -> Candidate {
+    let unknown = || Candidate::at(location.clone());
+    let path = match location {
+        Location::Serial { path, .. } => path,
+        Location::Usb { vid, pid, serial } => {
+            let same = usb::devices().unwrap_or_default().into_iter().find(|device| {
+                (device.vid, device.pid) == (*vid, *pid)
+                    && (serial.is_none() || device.serial == *serial)
+            });
+            return same.as_ref().map_or_else(unknown, usb_candidate);
+        }
+    };
+    let Ok(real_path) = path.canonicalize() else {
+        return unknown();
+    };
+    let ports = serial_candidates().unwrap_or_default();
+    let is_here = |port: &&Candidate| matches!(&port.location, Location::Serial { path, .. } if *path == real_path);
+    let Some(mut found) = ports.iter().find(is_here).cloned() else { return unknown() };
+    if ports.iter().filter(|port| is_same(port, &found)).count() > 1 {
+        // The ports of one adapter, or adapters that were never numbered: the serial number tells nothing.
+        found.serial = None;
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_unique_and_fit_into_a_uri() {
+        for (index, family) in FAMILIES.iter().enumerate() {
+            assert!(
+                family.name.bytes().all(|byte| byte.is_ascii_lowercase() || byte.is_ascii_digit())
+            );
+            assert!(FAMILIES[..index].iter().all(|other| other.name != family.name));
+        }
+    }
+
+    #[test]
+    fn a_device_that_names_itself_is_certain_and_a_bare_port_is_possible() {
+        let port = Candidate::at("serial:/dev/ttyUSB0".parse::<DeviceUri>().unwrap().location);
+        assert_eq!(family_of(&port).unwrap().1, Claim::Possible);
+        let named = Candidate { product: Some("DVMC-8820".to_owned()), ..port.clone() };
+        assert_eq!(family_of(&named).unwrap().1, Claim::Certain);
+        let adapter = Candidate { product: Some("NDI Host USB Converter".to_owned()), ..named };
+        let (family, claim) = family_of(&adapter).unwrap();
+        assert_eq!((family.name, claim), ("ndi", Claim::Certain));
+        let mouse = Candidate {
+            product: Some("Optical Mouse".to_owned()),
+            ..Candidate::at(Location::Usb { vid: 0x046d, pid: 0xc077, serial: None })
+        };
+        assert!(family_of(&mouse).is_none());
+    }
+
+    #[test]
+    fn listing_works_with_and_without_a_usb_stack() {
+        for listed in devices().unwrap() {
+            assert!(listed.candidate.location.to_string().contains(':'), "{listed:?}");
+        }
+    }
+
+    #[test]
+    fn an_adapter_is_listed_once() {
+        let device = UsbDevice {
+            vid: 0x0403,
+            pid: 0x6001,
+            serial: Some("A1".to_owned()),
+            manufacturer: None,
+            product: None,
+            node: "/dev/bus/usb/001/002".into(),
+            sysfs: "/sys/bus/usb/devices/1-1".into(),
+        };
+        let port = Candidate {
+            location: Location::Serial { path: "/dev/ttyUSB0".into(), baud: None },
+            ..usb_candidate(&device)
+        };
+        assert!(is_port_of(&port, &device));
+        let other = UsbDevice { serial: Some("A2".to_owned()), ..device };
+        assert!(!is_port_of(&port, &other));
+    }
+
+    fn error_of(uri: &str) -> String {
+        open(&uri.parse().unwrap()).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn says_what_to_do() {
+        assert!(error_of("serial:/dev/null?driver=vicon").contains("use one of dvmc"));
+        // A name in capitals is found: what is wrong is the port.
+        assert!(error_of("serial:/dev/null?driver=NDI").starts_with("/dev/null"));
+        assert!(error_of("usb:1209:0001:none").contains("mocapd devices"));
+        assert!(error_of("serial:/dev/mocapd-none").contains("mocapd devices"));
+        assert!(error_of("serial:/etc/hostname").contains("no serial port"));
+        assert!(error_of("serial:/dev/null").starts_with("/dev/null"));
+    }
+}

@@ -1,0 +1,292 @@
+//! Which USB devices are attached, which of them is meant, and what the system says against opening it.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use nusb::{DeviceInfo, ErrorKind, MaybeFuture};
+
+use crate::{
+    transport::{Access, TransportError, access::group_remedy},
+    uri::Location,
+};
+
+const SYSFS: &str = "/sys/bus/usb/devices";
+
+/// A USB device, as it describes itself.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct UsbDevice {
+    /// Vendor.
+    pub vid: u16,
+    /// Product.
+    pub pid: u16,
+    /// Serial number: the identity that lasts across replugs.
+    pub serial: Option<String>,
+    /// Who made it.
+    pub manufacturer: Option<String>,
+    /// What it is.
+    pub product: Option<String>,
+    /// The file that opens it, `/dev/bus/usb/BUS/ADDRESS`; another one after each replug.
+    pub node: PathBuf,
+    /// The kernel's folder for it.
+    pub sysfs: PathBuf,
+}
+
+impl From<&DeviceInfo> for UsbDevice {
+    fn from(device: &DeviceInfo) -> Self {
+        let (bus, address) = (device.busnum(), device.device_address());
+        Self {
+            vid: device.vendor_id(),
+            pid: device.product_id(),
+            serial: device.serial_number().map(str::to_owned),
+            manufacturer: device.manufacturer_string().map(str::to_owned),
+            product: device.product_string().map(str::to_owned),
+            node: format!("/dev/bus/usb/{bus:03}/{address:03}").into(),
+            sysfs: device.sysfs_path().to_owned(),
+        }
+    }
+}
+
+impl UsbDevice {
+    /// What a URI calls it.
+    #[must_use]
+    pub fn location(&self) -> Location {
+        Location::Usb { vid: self.vid, pid: self.pid, serial: self.serial.clone() }
+    }
+}
+
+/// What is attached. A machine without a USB stack (a container) has no devices.
+///
+/// # Errors
+/// `Io` when the stack is there and cannot be read.
+pub fn devices() -> Result<Vec<UsbDevice>, TransportError> {
+    Ok(infos()?.iter().map(UsbDevice::from).collect())
+}
+
+fn infos() -> Result<Vec<DeviceInfo>, TransportError> {
+    if !Path::new(SYSFS).exists() {
+        return Ok(Vec::new());
+    }
+    let found = nusb::list_devices().wait().map_err(|error| TransportError::Io {
+        device: SYSFS.to_owned(),
+        action: "listing USB devices",
+        source: error.into(),
+    })?;
+    Ok(found.collect())
+}
+
+/// The one device that is meant.
+///
+/// # Errors
+/// `NotFound`; `Unsupported` where several are meant alike; `Io`.
+pub(super) fn find(
+    vid: u16,
+    pid: u16,
+    serial: Option<&str>,
+) -> Result<(DeviceInfo, UsbDevice), TransportError> {
+    let kind =
+        infos()?.into_iter().filter(|info| (info.vendor_id(), info.product_id()) == (vid, pid));
+    let mut kind: Vec<_> = kind.map(|info| (UsbDevice::from(&info), info)).collect();
+    let seen: Vec<UsbDevice> = kind.iter().map(|(device, _)| device.clone()).collect();
+    let chosen = choose(&Wanted { vid, pid, serial }, &seen)?;
+    let (device, info) = kind.swap_remove(chosen);
+    Ok((info, device))
+}
+
+struct Wanted<'a> {
+    vid: u16,
+    pid: u16,
+    serial: Option<&'a str>,
+}
+
+/// Which of the devices of one kind is meant.
+fn choose(wanted: &Wanted<'_>, kind: &[UsbDevice]) -> Result<usize, TransportError> {
+    let &Wanted { vid, pid, serial } = wanted;
+    let name = Location::Usb { vid, pid, serial: serial.map(str::to_owned) };
+    let is_meant = |device: &UsbDevice| serial.is_none_or(|s| device.serial.as_deref() == Some(s));
+    let mut meant = kind.iter().enumerate().filter(|(_, device)| is_meant(device));
+    let names = || {
+        let names: Vec<_> = kind.iter().map(|device| device.location().to_string()).collect();
+        names.join(", ")
+    };
+    match (meant.next(), meant.next()) {
+        (Some((index, _)), None) => Ok(index),
+        (None, _) if kind.is_empty() => Err(TransportError::NotFound { device: name.to_string() }),
+        (None, _) => Err(TransportError::NotFound {
+            device: format!("{name} (attached of its kind: {})", names()),
+        }),
+        (Some(_), Some(_)) if serial.is_some() => Err(TransportError::Unsupported(format!(
+            "more than one device calls itself {name}: unplug all but one"
+        ))),
+        (Some(_), Some(_)) => Err(TransportError::Unsupported(format!(
+            "more than one device is {name}: name one with its serial number: {}",
+            names()
+        ))),
+    }
+}
+
+/// `EPERM`: a control group, not the file's permissions, keeps the device from us.
+const EPERM: u32 = 1;
+
+/// What opening would meet, found out without opening.
+pub(crate) fn usb_access(device: &UsbDevice) -> Access {
+    let name = device.location().to_string();
+    if !device.node.exists() {
+        return Access::Refused(TransportError::NotFound { device: name });
+    }
+    let want = rustix::fs::Access::READ_OK | rustix::fs::Access::WRITE_OK;
+    if rustix::fs::access(&device.node, want).is_err() {
+        let remedy = remedy(device);
+        return Access::Refused(TransportError::PermissionDenied { device: name, remedy });
+    }
+    if is_claimed(&device.sysfs) {
+        let holder = holder(&device.node);
+        return Access::Refused(TransportError::Busy { device: name, holder });
+    }
+    Access::Accessible
+}
+
+pub(super) fn open_error(device: &UsbDevice, error: nusb::Error) -> TransportError {
+    let name = device.location().to_string();
+    match (error.kind(), error.os_error()) {
+        (ErrorKind::PermissionDenied, Some(EPERM)) => {
+            let remedy = "add `DeviceAllow=char-usb_device rw` to the systemd unit".to_owned();
+            TransportError::PermissionDenied { device: name, remedy }
+        }
+        (ErrorKind::PermissionDenied, _) => {
+            TransportError::PermissionDenied { device: name, remedy: remedy(device) }
+        }
+        (ErrorKind::Busy, _) => TransportError::Busy { device: name, holder: holder(&device.node) },
+        // It went between the listing and the opening.
+        (ErrorKind::Disconnected, _) => TransportError::NotFound { device: name },
+        _ => TransportError::Io { device: name, action: "opening it", source: error.into() },
+    }
+}
+
+/// The group to join where a rule gives the device to one; the rule where none does.
+fn remedy(device: &UsbDevice) -> String {
+    group_remedy(&device.node).unwrap_or_else(|| {
+        format!(
+            "put the line `{}` into /etc/udev/rules.d/60-mocapd-rig.rules, type `sudo udevadm control \
+             --reload; sudo usermod -aG dialout $USER`, log in again, and plug the device in again",
+            udev_line(device.vid, device.pid)
+        )
+    })
+}
+
+/// The rule that lets the group `dialout` open such a device, and whoever sits at the machine.
+fn udev_line(vid: u16, pid: u16) -> String {
+    format!(
+        r#"SUBSYSTEM=="usb", ATTR{{idVendor}}=="{vid:04x}", ATTR{{idProduct}}=="{pid:04x}", GROUP="dialout", MODE="0660", TAG+="uaccess""#
+    )
+}
+
+/// Whether a program has claimed an interface: its driver is then `usbfs`.
+fn is_claimed(sysfs: &Path) -> bool {
+    let interfaces = fs::read_dir(sysfs).into_iter().flatten().flatten();
+    interfaces
+        .filter(|entry| entry.file_name().as_encoded_bytes().contains(&b':'))
+        .filter_map(|entry| fs::read_link(entry.path().join("driver")).ok())
+        .any(|driver| driver.ends_with("usbfs"))
+}
+
+/// A program that has the device's file open, as `name (process 1234)`; of other users' programs only
+/// root can tell.
+fn holder(node: &Path) -> Option<String> {
+    let processes = fs::read_dir("/proc").ok()?.flatten();
+    let own = std::process::id();
+    for process in processes {
+        let name = process.file_name();
+        let Some(id) = name.to_str().and_then(|name| name.parse::<u32>().ok()) else { continue };
+        let files = fs::read_dir(process.path().join("fd")).into_iter().flatten().flatten();
+        if id != own && files.into_iter().any(|file| is_link_to(&file.path(), node)) {
+            let comm = fs::read_to_string(process.path().join("comm")).unwrap_or_default();
+            return Some(format!("{} (process {id})", comm.trim()));
+        }
+    }
+    None
+}
+
+fn is_link_to(link: &Path, node: &Path) -> bool {
+    fs::read_link(link).is_ok_and(|target| target == node)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn device(serial: Option<&str>) -> UsbDevice {
+        UsbDevice {
+            vid: 0x1209,
+            pid: 1,
+            serial: serial.map(str::to_owned),
+            manufacturer: None,
+            product: None,
+            node: "/dev/bus/usb/001/002".into(),
+            sysfs: "/sys/bus/usb/devices/1-1".into(),
+        }
+    }
+
+    fn chosen(serial: Option<&str>, kind: &[UsbDevice]) -> Result<usize, String> {
+        choose(&Wanted { vid: 0x1209, pid: 1, serial }, kind).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn one_is_chosen_by_its_serial_number_or_because_it_is_alone() {
+        let two = [device(Some("A")), device(Some("B"))];
+        assert_eq!(chosen(Some("B"), &two), Ok(1));
+        assert_eq!(chosen(None, &two[..1]), Ok(0));
+        let error = chosen(None, &two).unwrap_err();
+        assert!(error.contains("usb:1209:0001:A, usb:1209:0001:B"), "{error}");
+        let error = chosen(Some("A"), &[device(Some("A")), device(Some("A"))]).unwrap_err();
+        assert!(error.contains("unplug all but one"), "{error}");
+    }
+
+    #[test]
+    fn a_device_with_another_serial_number_is_named() {
+        let error = chosen(Some("A"), &[device(Some("B"))]).unwrap_err();
+        assert!(error.contains("usb:1209:0001:A"), "{error}");
+        assert!(error.contains("attached of its kind: usb:1209:0001:B"), "{error}");
+        let error = chosen(Some("A"), &[]).unwrap_err();
+        assert!(error.contains("mocapd devices") && !error.contains("kind"), "{error}");
+    }
+
+    fn at(node: &Path) -> UsbDevice {
+        UsbDevice {
+            pid: 0x000a,
+            node: node.to_owned(),
+            sysfs: "/sys/bus/usb/devices/none".into(),
+            ..device(Some("A"))
+        }
+    }
+
+    #[test]
+    fn a_device_that_no_rule_knows_gets_its_rule() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let remedy = remedy(&at(file.path()));
+        let line = r#"`SUBSYSTEM=="usb", ATTR{idVendor}=="1209", ATTR{idProduct}=="000a", GROUP="dialout", MODE="0660", TAG+="uaccess"`"#;
+        assert!(remedy.contains(line), "{remedy}");
+    }
+
+    #[test]
+    fn a_device_that_is_gone_is_not_found() {
+        let gone = at(Path::new("/dev/bus/usb/999/999"));
+        let Access::Refused(error) = usb_access(&gone) else { panic!("accessible") };
+        assert!(matches!(error, TransportError::NotFound { .. }), "{error}");
+    }
+
+    #[test]
+    fn interfaces_that_a_program_holds_are_seen() {
+        let folder = tempfile::tempdir().unwrap();
+        let interface = folder.path().join("1-1:1.0");
+        fs::create_dir(&interface).unwrap();
+        assert!(!is_claimed(folder.path()));
+        let driver = interface.join("driver");
+        std::os::unix::fs::symlink("/sys/bus/usb/drivers/cdc_acm", &driver).unwrap();
+        assert!(!is_claimed(folder.path()), "a kernel driver gives way");
+        fs::remove_file(&driver).unwrap();
+        std::os::unix::fs::symlink("/sys/bus/usb/drivers/usbfs", &driver).unwrap();
+        assert!(is_claimed(folder.path()));
+    }
+}
