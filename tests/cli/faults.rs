@@ -112,8 +112,9 @@ fn ledger_agrees(played: &Played, expect: &Expect, told: &str) {
     // The totals say what the lines say.
     let totals = played.sent.faults.as_ref().unwrap();
     let with = |fate| played.fates.iter().filter(|f| f.fate == fate).count() as u64;
-    assert_eq!((totals.whole, totals.late), (with(Fate::Whole), with(Fate::Late)));
-    assert_eq!((totals.damaged, totals.lost), (with(Fate::Damaged), with(Fate::Lost)));
+    for fate in [Fate::Whole, Fate::Late, Fate::Damaged, Fate::Lost] {
+        assert_eq!(totals.of(fate), with(fate), "{}", fate.name());
+    }
     assert_eq!(with(Fate::Waiting), 0);
     let unexplained = played.fates.iter().filter(|f| {
         matches!(f.fate, Fate::Damaged | Fate::Lost | Fate::Late) && f.faults.is_empty()

@@ -14,7 +14,9 @@ mod strays;
 mod tracking;
 
 pub use host::{BAUD_MAX_DEFAULT, NdiHost};
-pub use message::{BAUD_AT_RESET, BAUDS, RequestLine, code, crc16, put_binary, put_text};
+pub use message::{
+    BAUD_AT_RESET, BAUDS, ReceivedRequest, RequestLine, code, crc16, put_binary, put_text,
+};
 
 use crate::{
     family::{Claim, Family},

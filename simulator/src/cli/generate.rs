@@ -11,8 +11,7 @@ use mocapd_simulator::generator::{JumpSet, JumpSpec};
 use mocapd_take::interchange::Format;
 use mocapd_take::motion::MotionFrames;
 
-use super::Failure;
-use super::values::length_mm;
+use super::{Failure, length_mm};
 
 #[derive(Debug, Args)]
 pub(super) struct GenerateArgs {

@@ -1,11 +1,14 @@
 //! The command line.
 
-mod generate;
-mod manual;
-mod serve;
-mod values;
+use std::io::Write;
+use std::path::PathBuf;
 
-use clap::{Parser, Subcommand};
+use anyhow::Context;
+use clap::{CommandFactory, Parser, Subcommand};
+use clap_complete::Shell;
+
+mod generate;
+mod serve;
 
 /// A simulated motion-capture device: replays recorded or generated motion.
 #[derive(Debug, Parser)]
@@ -28,10 +31,10 @@ enum Command {
     Generate(generate::GenerateArgs),
     /// Print what a shell needs to complete this command line
     #[command(hide = true)]
-    Completions(manual::Completions),
+    Completions(Completions),
     /// Write the pages of the manual, replacing those that are there
     #[command(hide = true)]
-    Man(manual::Pages),
+    Man(Pages),
 }
 
 /// What ended the program, and the exit code that says so.
@@ -58,7 +61,94 @@ pub(crate) fn run(cli: &Cli) -> Result<(), Failure> {
     match &cli.command {
         Command::Serve(args) => serve::run(args),
         Command::Generate(args) => generate::run(args),
-        Command::Completions(args) => manual::completions(args),
-        Command::Man(args) => manual::pages(args),
+        Command::Completions(args) => completions(args),
+        Command::Man(args) => pages(args),
+    }
+}
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Completions {
+    /// The shell
+    shell: Shell,
+}
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Pages {
+    /// Folder for them, which exists
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+fn completions(args: &Completions) -> Result<(), Failure> {
+    let mut text = Vec::new();
+    clap_complete::generate(args.shell, &mut Cli::command(), "mocapd-sim", &mut text);
+    Ok(std::io::stdout().write_all(&text)?)
+}
+
+fn pages(args: &Pages) -> Result<(), Failure> {
+    clap_mangen::generate_to(Cli::command(), &args.out)
+        .with_context(|| format!("cannot write pages to {}", args.out.display()))?;
+    Ok(())
+}
+
+/// A length in millimetres: `0.05mm`, `50um`, `1cm`; a bare number is millimetres.
+pub(super) fn length_mm(text: &str) -> Result<f64, String> {
+    with_unit(text, &[("mm", 1.0), ("um", 1e-3), ("cm", 10.0), ("", 1.0)], "0.05mm")
+}
+
+/// A duration in seconds: `10s`, `500ms`, `2min`; a bare number is seconds.
+pub(super) fn seconds(text: &str) -> Result<f64, String> {
+    let units = [("min", 60.0), ("ms", 1e-3), ("s", 1.0), ("", 1.0)];
+    let value = with_unit(text, &units, "10s")?;
+    if value > 0.0 { Ok(value) } else { Err("it must be more than 0".to_owned()) }
+}
+
+fn with_unit(text: &str, units: &[(&str, f64)], example: &str) -> Result<f64, String> {
+    let said = || format!("'{text}' is no such value, write it like {example}");
+    let (number, factor) = units
+        .iter()
+        .find_map(|(unit, factor)| text.strip_suffix(unit).map(|number| (number, factor)))
+        .ok_or_else(said)?;
+    let number: f64 = number.trim().parse().map_err(|_| said())?;
+    if number.is_finite() && number >= 0.0 { Ok(number * factor) } else { Err(said()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    #[test]
+    fn every_subcommand_has_a_page() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(pages(&Pages { out: folder.path().to_owned() }).is_ok());
+        let visible = Cli::command();
+        let visible = visible.get_subcommands().filter(|sub| !sub.is_hide_set());
+        let mut names: Vec<_> =
+            visible.map(|sub| format!("mocapd-sim-{}.1", sub.get_name())).collect();
+        names.push("mocapd-sim.1".to_owned());
+        names.sort();
+        let found = fs::read_dir(folder.path()).unwrap();
+        let mut found: Vec<_> =
+            found.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        found.sort();
+        assert_eq!(found, names);
+        let serve = fs::read_to_string(folder.path().join("mocapd-sim-serve.1")).unwrap();
+        assert!(serve.replace('\\', "").contains("--faults"));
+    }
+
+    #[test]
+    fn units_are_understood() {
+        assert_eq!(length_mm("0.5mm"), Ok(0.5));
+        assert_eq!(length_mm("50 um"), Ok(0.05));
+        assert_eq!(length_mm("0"), Ok(0.0));
+        assert_eq!(seconds("500ms"), Ok(0.5));
+        assert_eq!(seconds("2min"), Ok(120.0));
+        assert_eq!(seconds("10"), Ok(10.0));
+        for bad in ["", "mm", "-1", "NaN", "1e999", "inf s", "5 parsec"] {
+            assert!(length_mm(bad).is_err() && seconds(bad).is_err(), "{bad}");
+        }
+        assert!(seconds("0s").is_err());
     }
 }

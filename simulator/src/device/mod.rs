@@ -3,12 +3,9 @@
 //! Times are nanoseconds of one monotonic clock, whichever the caller has.
 
 mod clock;
-mod line_device;
 mod log;
 mod outbox;
-mod rates;
 mod settings;
-mod table;
 mod talk;
 
 #[cfg(test)]
@@ -19,17 +16,18 @@ use std::sync::Arc;
 use mocapd_drivers::device::{
     Command, Frame, Hello, LinkCounters, MarkerInfo, MarkerSample, Status,
 };
-use mocapd_drivers::link::{DeviceLink, MARKERS_MAX, frame_bytes_max};
-use mocapd_take::motion::{Motion, Position, UpAxis};
+use mocapd_drivers::link::{DeviceLink, LABEL_BYTES_MAX, MARKERS_MAX, frame_bytes_max};
+use mocapd_take::motion::{Marker, Motion, Position, UpAxis, is_gap};
 
 use clock::DeviceClock;
-pub use line_device::LineDevice;
-pub use log::{SentCounters, SentFrame, SentLog};
+pub use log::{Fate, FaultTotals, FrameFate, Parts, SentCounters, SentFrame, SentLog};
 pub(crate) use outbox::Outbox;
-pub(crate) use rates::Rates;
 pub use settings::{DeviceError, DeviceSettings, RATE_MHZ, TICK_HZ};
+pub(crate) use settings::{Rates, frame_after_ns};
 
-use crate::faults::{Parts, SourceFaults};
+pub use crate::line::LineDevice;
+
+use crate::faults::SourceFaults;
 use crate::replay::Replay;
 
 const SECOND_NS: u64 = 1_000_000_000;
@@ -96,7 +94,7 @@ impl Device {
         let clock = DeviceClock::new(settings.drift_ppm)?;
         let faults = settings.faults.clone();
         let faults = faults.map(|script| SourceFaults::new(script, found));
-        let (table, warnings) = table::announce(&motion.info.markers);
+        let (table, warnings) = announce(&motion.info.markers);
         let hello = Hello {
             model: "mocapd-sim".to_owned(),
             serial: settings.serial.clone(),
@@ -167,71 +165,6 @@ impl Device {
         self.run.is_some()
     }
 
-    /// Whether a run has ended and its end of stream was queued, with no Start or Identify since.
-    #[must_use]
-    pub fn has_ended(&self) -> bool {
-        self.run.is_none() && self.owed_end.is_none() && self.end_said
-    }
-
-    /// What it sent so far.
-    #[must_use]
-    pub fn log(&self) -> SentLog {
-        self.outbox.completed(&self.log)
-    }
-
-    /// Keeps a [`SentFrame`] for every frame from now on; [`take_frames`](Self::take_frames) takes them away.
-    pub fn keep_frame_log(&mut self) {
-        self.settings.log_frames = true;
-    }
-
-    /// Takes the logged frames away.
-    pub fn take_frames(&mut self) -> Vec<SentFrame> {
-        std::mem::take(&mut self.log.frames)
-    }
-
-    /// The bytes that the line should carry next.
-    #[must_use]
-    pub fn pending(&self) -> &[u8] {
-        self.outbox.pending()
-    }
-
-    /// The line took the first `n` pending bytes.
-    pub fn sent(&mut self, n: usize) {
-        self.outbox.sent(n);
-    }
-
-    /// Bytes from the host, in pieces of any size.
-    pub fn on_bytes(&mut self, bytes: &[u8], now_ns: u64) {
-        self.clock.begin(now_ns);
-        let mut commands = std::mem::take(&mut self.commands);
-        self.link.push(bytes, &mut |command| commands.push(command));
-        for command in commands.drain(..) {
-            self.obey(command, now_ns);
-        }
-        self.commands = commands;
-    }
-
-    /// Does what is due. Gives the time of the next thing that will be; `u64::MAX` when only the host can
-    /// cause one.
-    pub fn poll(&mut self, now_ns: u64) -> u64 {
-        self.clock.begin(now_ns);
-        let next_ns = loop {
-            let Some(run) = self.run else { break u64::MAX };
-            let next_ns = self.frame_time_ns(&run);
-            if !self.settings.looping && self.log.run.frames_produced >= self.hello.n_frames {
-                self.end();
-                self.finished = true;
-                break u64::MAX;
-            }
-            if next_ns > now_ns {
-                break next_ns.min(self.report(run, now_ns));
-            }
-            self.produce(next_ns);
-        };
-        self.say_end();
-        next_ns
-    }
-
     fn report(&mut self, mut run: Run, now_ns: u64) -> u64 {
         if run.status_ns <= now_ns {
             let status = self.status();
@@ -243,10 +176,8 @@ impl Device {
     }
 
     fn frame_time_ns(&self, run: &Run) -> u64 {
-        let after = u128::from(self.log.run.frames_produced) * 1000 * u128::from(SECOND_NS)
-            / u128::from(self.hello.rate_mhz.max(1));
-        let after_ns = self.clock.caller_ns(u64::try_from(after).unwrap_or(u64::MAX));
-        run.start_ns.saturating_add(after_ns)
+        let after_ns = frame_after_ns(self.log.run.frames_produced, self.hello.rate_mhz);
+        run.start_ns.saturating_add(self.clock.caller_ns(after_ns))
     }
 
     fn ticks(&self, at_ns: u64) -> u64 {
@@ -320,11 +251,9 @@ impl Device {
         if let Some(faults) = &mut self.faults {
             seq = faults.counter(seq, since_ns);
             faults.positions(since_ns, &mut self.row);
-        }
-        if let Some(faults) = &mut self.faults {
             faults.stamped(since_ns);
         }
-        let present = table::list(&self.table, &self.row, &mut self.samples);
+        let present = list(&self.table, &self.row, &mut self.samples);
         self.add_ghosts(since_ns);
         let device_ticks = self.ticks(at_ns);
         let frame = Frame { seq, device_ticks, timecode: None, markers: &self.samples };
@@ -345,18 +274,120 @@ impl Device {
             }
         }
         if self.settings.log_frames {
-            let run = self.log.starts;
-            let host_ns = at_ns;
-            let unasked = false;
             self.log.frames.push(SentFrame {
-                run,
+                run: self.log.starts,
                 seq,
                 device_ticks,
                 present,
                 dropped,
-                unasked,
-                host_ns,
+                unasked: false,
+                host_ns: at_ns,
             });
         }
     }
+}
+
+impl LineDevice for Device {
+    fn on_bytes(&mut self, bytes: &[u8], now_ns: u64) {
+        self.clock.begin(now_ns);
+        let mut commands = std::mem::take(&mut self.commands);
+        self.link.push(bytes, &mut |command| commands.push(command));
+        for command in commands.drain(..) {
+            self.obey(command, now_ns);
+        }
+        self.commands = commands;
+    }
+
+    fn poll(&mut self, now_ns: u64) -> u64 {
+        self.clock.begin(now_ns);
+        let next_ns = loop {
+            let Some(run) = self.run else { break u64::MAX };
+            let next_ns = self.frame_time_ns(&run);
+            if !self.settings.looping && self.log.run.frames_produced >= self.hello.n_frames {
+                self.end();
+                self.finished = true;
+                break u64::MAX;
+            }
+            if next_ns > now_ns {
+                break next_ns.min(self.report(run, now_ns));
+            }
+            self.produce(next_ns);
+        };
+        self.say_end();
+        next_ns
+    }
+
+    fn pending(&self) -> &[u8] {
+        self.outbox.pending()
+    }
+
+    fn sent(&mut self, n: usize) {
+        self.outbox.sent(n);
+    }
+
+    fn has_ended(&self) -> bool {
+        self.run.is_none() && self.owed_end.is_none() && self.end_said
+    }
+
+    fn log(&self) -> SentLog {
+        self.outbox.completed(&self.log)
+    }
+
+    fn keep_frame_log(&mut self) {
+        self.settings.log_frames = true;
+    }
+
+    fn take_frames(&mut self) -> Vec<SentFrame> {
+        std::mem::take(&mut self.log.frames)
+    }
+}
+
+// The marker table: columns of a motion as ids and labels of a device.
+
+/// One entry a column, its id the column, and what had to be changed in the labels.
+///
+/// Unlabelled slots are announced with a temporary id and no name.
+fn announce(markers: &[Marker]) -> (Vec<MarkerInfo>, Vec<String>) {
+    let mut warnings = Vec::new();
+    let table = (0u16..)
+        .zip(markers)
+        .map(|(id, marker)| {
+            let label = if marker.labelled { marker.label.as_str() } else { "" };
+            let sayable = sayable(label);
+            if sayable != label {
+                warnings.push(format!(
+                    "label '{}' cannot travel on the link, sent as '{sayable}'",
+                    label.escape_debug()
+                ));
+            }
+            MarkerInfo { id, label: sayable, labelled: marker.labelled }
+        })
+        .collect();
+    (table, warnings)
+}
+
+/// Without control characters, cut to what the link carries.
+fn sayable(label: &str) -> String {
+    let clean: String = label.chars().map(|c| if c.is_control() { '_' } else { c }).collect();
+    let end = (0..=clean.len().min(LABEL_BYTES_MAX)).rev().find(|i| clean.is_char_boundary(*i));
+    clean.get(..end.unwrap_or(0)).unwrap_or_default().to_owned()
+}
+
+/// Fills `samples` with one frame, and counts the positions in it.
+///
+/// A labelled marker without a position is listed as occluded; an unlabelled one is not listed, as nobody can
+/// say that it still exists.
+fn list(table: &[MarkerInfo], row: &[Position], samples: &mut Vec<MarkerSample>) -> u32 {
+    samples.clear();
+    let mut present = 0;
+    for (marker, &position_mm) in table.iter().zip(row) {
+        let occluded = is_gap(position_mm);
+        if !occluded {
+            present += 1;
+            samples.push(MarkerSample { id: marker.id, position_mm, ..MarkerSample::default() });
+        } else if marker.labelled {
+            samples.push(MarkerSample { id: marker.id, occluded, ..MarkerSample::default() });
+        }
+    }
+    present
 }

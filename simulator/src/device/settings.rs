@@ -1,10 +1,13 @@
-//! What a simulated device is told, and why it may refuse to be one.
+//! What a simulated device is told, the rates that come of it, and why it may refuse to be one.
 
 use std::sync::Arc;
 
 use mocapd_drivers::link::FrameForm;
+use mocapd_take::motion::Motion;
 
+use super::SECOND_NS;
 use crate::faults::Script;
+use crate::replay::Replay;
 
 /// The rates a simulated device runs at, in millihertz: 1 Hz to 10 kHz.
 pub const RATE_MHZ: std::ops::RangeInclusive<u32> = 1_000..=10_000_000;
@@ -114,4 +117,65 @@ pub enum DeviceError {
     /// A text that the link cannot carry.
     #[error(transparent)]
     Encode(#[from] mocapd_drivers::link::EncodeError),
+}
+
+/// Rates in millihertz that fit each other.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Rates {
+    /// Of the recording.
+    recorded_mhz: u32,
+    /// Of the recording, times the speed: the rate at which every recorded frame is played as it is. `None` when
+    /// the device cannot run at it, and another one was asked for.
+    native_mhz: Option<u32>,
+    /// The one to begin with.
+    pub(crate) rate_mhz: u32,
+    /// The speed in thousandths.
+    speed_milli: u64,
+}
+
+impl Rates {
+    pub(crate) fn new(motion: &Motion, settings: &DeviceSettings) -> Result<Self, DeviceError> {
+        let found_hz = motion.info.rate_hz;
+        let recorded_mhz = to_mhz(found_hz).ok_or(DeviceError::MotionRate { found_hz })?;
+        let speed = settings.speed;
+        if !(0.001..=1000.0).contains(&speed) {
+            return Err(DeviceError::Speed { found: speed });
+        }
+        let speed_milli = (speed * 1000.0).round() as u64;
+        let faster = |rate_mhz: u32| {
+            let product_hz = f64::from(rate_mhz) * speed_milli as f64 / 1e6;
+            let rate_hz = f64::from(rate_mhz) / 1000.0;
+            to_mhz(product_hz).ok_or(DeviceError::Product { rate_hz, speed, product_hz })
+        };
+        let (native_mhz, rate_mhz) = match settings.rate_hz {
+            None => faster(recorded_mhz).map(|native| (Some(native), native))?,
+            Some(found_hz) => {
+                let asked = to_mhz(found_hz).ok_or(DeviceError::Rate { found_hz })?;
+                (faster(recorded_mhz).ok(), faster(asked)?)
+            }
+        };
+        Ok(Self { recorded_mhz, native_mhz, rate_mhz, speed_milli })
+    }
+
+    /// The motion at a rate that the device can run at.
+    pub(crate) fn replay(&self, motion: Arc<Motion>, rate_mhz: u32) -> Replay {
+        let recorded = u64::from(self.recorded_mhz) * self.speed_milli;
+        let resampled = || {
+            Replay::resampled(Arc::clone(&motion), recorded, u64::from(rate_mhz) * 1000)
+                .filter(|_| Some(rate_mhz) != self.native_mhz)
+        };
+        resampled().unwrap_or_else(|| Replay::native(motion))
+    }
+}
+
+/// To the nearest millihertz, when a device can run at it.
+fn to_mhz(rate_hz: f64) -> Option<u32> {
+    let mhz = (rate_hz * 1000.0).round();
+    (f64::from(*RATE_MHZ.start())..=f64::from(*RATE_MHZ.end())).contains(&mhz).then_some(mhz as u32)
+}
+
+/// When a frame is due after the first, by the device's clock.
+pub(crate) fn frame_after_ns(number: u64, rate_mhz: u32) -> u64 {
+    let after = u128::from(number) * 1000 * u128::from(SECOND_NS) / u128::from(rate_mhz.max(1));
+    u64::try_from(after).unwrap_or(u64::MAX)
 }

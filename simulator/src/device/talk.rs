@@ -5,8 +5,7 @@ use std::sync::Arc;
 use mocapd_drivers::device::{Command, LinkBudget, Pong};
 use mocapd_drivers::link::{DeviceLink, frame_bytes_in_volume, frame_bytes_max, link_budget};
 
-use super::{Device, RATE_MHZ, Run, SECOND_NS, SentCounters};
-use crate::replay::Replay;
+use super::{Device, LineDevice, RATE_MHZ, Run, SECOND_NS, SentCounters};
 
 impl Device {
     /// Queues the end of stream that is owed, as soon as there is room.
@@ -124,13 +123,7 @@ impl Device {
 
     pub(super) fn adopt_rate(&mut self, rate_mhz: u32) {
         let motion = Arc::clone(self.replay.motion());
-        let recorded = u64::from(self.rates.recorded_mhz) * self.rates.speed_milli;
-        self.replay = if Some(rate_mhz) == self.rates.native_mhz {
-            Replay::native(motion)
-        } else {
-            Replay::resampled(Arc::clone(&motion), recorded, u64::from(rate_mhz) * 1000)
-                .unwrap_or_else(|| Replay::native(motion))
-        };
+        self.replay = self.rates.replay(motion, rate_mhz);
         self.hello.rate_mhz = rate_mhz;
         self.hello.n_frames = if self.settings.looping { 0 } else { self.replay.n_frames() };
         let frame_bytes = frame_bytes_max(usize::from(self.hello.markers_max));

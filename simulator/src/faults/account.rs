@@ -7,9 +7,8 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 
 use mocapd_drivers::link::WIRE_BYTES_MAX;
 
-use super::fate::{Fate, FaultTotals, FrameFate};
 use super::kinds::{Kind, Kinds};
-use crate::device::SentFrame;
+use crate::device::{Fate, FaultTotals, FrameFate, SentFrame};
 
 /// Entries of frames whose fate is open: 18 minutes at 240 Hz, and 25 MB. Only a device that stalls for longer has more,
 /// and all but those in its queue are dropped by then: of these, the ones in a row share an entry, and a line of the log.
@@ -278,8 +277,9 @@ mod tests {
         assert_eq!(numbers, expected, "what hits a frame is a function of its number");
         account.close();
         let totals = account.totals();
-        assert_eq!((totals.whole, totals.damaged), (u64::from(waiting + 10), 0));
-        assert_eq!(totals.dropped, u64::from(day - 10 - waiting));
+        assert_eq!(totals.of(Fate::Whole), u64::from(waiting + 10));
+        assert_eq!(totals.of(Fate::Damaged), 0);
+        assert_eq!(totals.of(Fate::Dropped), u64::from(day - 10 - waiting));
         // Every frame stands in the log, once.
         let mut next = 0;
         for fate in account.take_frames() {

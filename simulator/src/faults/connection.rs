@@ -1,9 +1,8 @@
 //! What goes wrong with the connection: when nothing is handed over, and when there is none.
 
-use super::fault::Fault;
-use super::kinds::Kind;
-use super::parts::Parts;
+use super::kinds::{Fault, Kind};
 use super::script::{Script, nanoseconds};
+use crate::device::Parts;
 use crate::line::Batch;
 
 /// The state of the connection at a time.

@@ -3,11 +3,10 @@
 use std::sync::Arc;
 
 use super::connection::{Connection, State};
-use super::fate::FrameFate;
 use super::kinds::Kind;
 use super::script::Script;
 use super::wire::Wire;
-use crate::device::{Device, LineDevice, SentFrame, SentLog};
+use crate::device::{Device, FrameFate, LineDevice, SentFrame, SentLog};
 
 /// A [`Device`] whose script has its way with it, sans-io as the device is.
 ///

@@ -5,16 +5,9 @@
 //! keys.
 
 mod account;
-mod check;
 mod connection;
 mod device;
-mod expect;
-mod fate;
-mod fault;
-mod keys;
 mod kinds;
-mod nearest;
-mod parts;
 mod script;
 mod source;
 mod wire;
@@ -22,12 +15,8 @@ mod wire;
 #[cfg(test)]
 mod tests;
 
+pub use crate::device::{Fate, FaultTotals, FrameFate, Parts};
 pub use device::FaultyDevice;
-pub use expect::{Agreement, Expect};
-pub use fate::{Fate, FaultTotals, FrameFate};
-pub use fault::Fault;
-pub use keys::{KINDS, Key, KindKeys, TIME_MAX_S, WINDOW};
-pub use kinds::{Kind, Kinds};
-pub use parts::Parts;
-pub use script::{FAULTS_MAX, SCRIPT_BYTES_MAX, Script, ScriptError, Windowed};
+pub use kinds::{Fault, KINDS, Key, Kind, KindKeys, Kinds, TIME_MAX_S, WINDOW};
+pub use script::{Agreement, Expect, FAULTS_MAX, SCRIPT_BYTES_MAX, Script, ScriptError, Windowed};
 pub(crate) use source::SourceFaults;

@@ -8,10 +8,9 @@ use std::sync::Arc;
 use mocapd_drivers::device::{MarkerInfo, MarkerSample};
 use mocapd_take::motion::{GAP, Position, is_gap};
 
-use super::fault::Fault;
-use super::kinds::Kind;
-use super::parts::Parts;
+use super::kinds::{Fault, Kind};
 use super::script::{Script, nanoseconds};
+use crate::device::Parts;
 use crate::generator::Rng;
 
 /// Ghosts stay within so much of the origin on each axis: a volume's size.
@@ -118,16 +117,16 @@ impl SourceFaults {
                 Fault::Swaps { every_s, for_s } => {
                     let (time_ns, every_ns) = (since_ns - windowed.from_ns, nanoseconds(every_s));
                     if time_ns % every_ns.max(1) < nanoseconds(for_s) && row.len() > 1 {
-                        let mut rng = self.rng(index, time_ns / every_ns.max(1));
-                        let one = below(&mut rng, row.len());
-                        let other = below(&mut rng, row.len() - 1);
+                        let mut rng = stream(&self.script, index, time_ns / every_ns.max(1));
+                        let one = rng.below(row.len());
+                        let other = rng.below(row.len() - 1);
                         row.swap(one, if other >= one { other + 1 } else { other });
                         self.parts.add(Kind::Swaps, 1);
                     }
                 }
                 Fault::OcclusionStorm { part, gap_s } => {
                     let slot = (since_ns - windowed.from_ns) / nanoseconds(gap_s).max(1);
-                    let mut rng = self.rng(index, slot);
+                    let mut rng = stream(&self.script, index, slot);
                     let mut hides = false;
                     for position in row.iter_mut() {
                         if rng.unit() < part {
@@ -148,7 +147,7 @@ impl SourceFaults {
         let before = samples.len();
         for (index, windowed) in self.script.faults.iter().enumerate() {
             let Fault::Ghosts { count } = windowed.fault else { continue };
-            let mut rng = self.rng(index, since_ns / GHOST_STAYS_NS);
+            let mut rng = stream(&self.script, index, since_ns / GHOST_STAYS_NS);
             for id in (id..).take(usize::from(count)) {
                 let mut axis = || rng.between(-GHOST_RANGE_MM, GHOST_RANGE_MM) as f32;
                 let position_mm = [axis(), axis(), axis()];
@@ -179,17 +178,9 @@ impl SourceFaults {
         self.ahead = 0;
         self.told_ghosts = false;
     }
-
-    fn rng(&self, fault: usize, index: u64) -> Rng {
-        stream(&self.script, fault, index)
-    }
 }
 
 /// The random numbers of one fault at one place.
 pub(super) fn stream(script: &Script, fault: usize, index: u64) -> Rng {
     Rng::stream(script.seed.wrapping_add((fault as u64 + 1) << 32), index)
-}
-
-pub(super) fn below(rng: &mut Rng, n: usize) -> usize {
-    ((rng.unit() * n as f64) as usize).min(n.saturating_sub(1))
 }

@@ -10,12 +10,10 @@ use mocapd_drivers::device::{DeviceEvent, Protocol};
 use mocapd_drivers::link::HostLink;
 
 use super::account::Account;
-use super::fault::Fault;
-use super::kinds::{Kind, Kinds};
-use super::parts::Parts;
+use super::kinds::{Fault, Kind, Kinds};
 use super::script::Script;
-use super::source::{below, stream};
-use crate::device::SentFrame;
+use super::source::stream;
+use crate::device::{Parts, SentFrame};
 
 /// Damaged bytes that wait for the line before no more are asked of the device: a pty of the kernel holds as many.
 const OUT_BYTES_MAX: usize = 64 << 10;
@@ -238,7 +236,7 @@ impl Wire {
             let before = std::mem::take(&mut now);
             for byte in before {
                 if rng.unit() < rate {
-                    how(byte, below(&mut rng, 8), &mut now);
+                    how(byte, rng.below(8), &mut now);
                     touched.add(Kinds::of(windowed.fault.kind()));
                 } else {
                     now.push(byte);

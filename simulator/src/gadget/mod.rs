@@ -4,17 +4,18 @@
 //! [`Bulk`] is the device of `docs/link-protocol.md` section 6: one vendor interface with a bulk pair. [`Serial`] is a
 //! CDC-ACM port.
 
-mod bulk;
-mod controller;
-mod error;
-mod serial;
-
-use usb_gadget::{Class, Config, Gadget, Id, RegGadget, Strings, function::Handle};
+use std::io::{self, ErrorKind};
+use std::path::Path;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 pub use bulk::{Bulk, INTERFACE_PROTOCOL, INTERFACE_SUBCLASS};
-use controller::Controller;
-pub use error::GadgetError;
 pub use serial::Serial;
+use usb_gadget::{
+    Class, Config, Gadget, Id, RegGadget, Strings, Udc, function::Handle, registered, udcs,
+};
+
+mod bulk;
+mod serial;
 
 /// The vendor of pid.codes, whose products 0001 to 0010 anybody may use for tests.
 pub const VENDOR_ID: u16 = 0x1209;
@@ -62,10 +63,164 @@ impl Plugged {
         let strings = Strings::new(MANUFACTURER, PRODUCT, serial);
         let mut gadget = Gadget::new(Class::INTERFACE_SPECIFIC, id, strings)
             .with_config(Config::new("mocapd link").with_function(function));
-        gadget.name = Some(controller::gadget_name());
+        gadget.name = Some(gadget_name());
         let made = gadget.register().map_err(GadgetError::making)?;
         made.bind(Some(controller.udc()))
             .map_err(|source| GadgetError::Bind { controller: controller.name(), source })?;
         Ok(Self { _gadget: made, _controller: controller })
+    }
+}
+
+/// How gadgets of ours are called in configfs, before the process that made them.
+const NAME: &str = "mocapd-sim-";
+
+/// A controller that was free.
+#[derive(Debug)]
+struct Controller(Udc);
+
+impl Controller {
+    /// The one of that name, or the first that is free, by name.
+    fn choose(wanted: Option<&str>) -> Result<Self, GadgetError> {
+        let mut all = udcs().unwrap_or_default();
+        if all.is_empty() {
+            return Err(GadgetError::NoController);
+        }
+        remove_leftovers();
+        all.sort_by_key(|udc| udc.name().to_owned());
+        let names: Vec<_> = all.iter().map(|udc| udc.name().to_string_lossy()).collect();
+        let found = names.join(", ");
+        if let Some(name) = wanted
+            && !names.iter().any(|known| known == name)
+        {
+            return Err(GadgetError::NoSuchController { name: name.to_owned(), found });
+        }
+        let is_meant = |udc: &Udc| wanted.is_none_or(|name| udc.name() == name);
+        let is_free = |udc: &Udc| udc.function().is_ok_and(|gadget| gadget.is_none());
+        let free = all.iter().find(|udc| is_meant(udc) && is_free(udc)).cloned();
+        free.map(Self).ok_or(GadgetError::ControllerBusy { found })
+    }
+
+    fn udc(&self) -> &Udc {
+        &self.0
+    }
+
+    fn name(&self) -> String {
+        self.0.name().to_string_lossy().into_owned()
+    }
+}
+
+/// A name for a gadget of this process.
+fn gadget_name() -> String {
+    static MADE: AtomicU32 = AtomicU32::new(0);
+    format!("{NAME}{}-{}", std::process::id(), MADE.fetch_add(1, Ordering::Relaxed))
+}
+
+/// A simulator that was killed could not take its gadget away.
+fn remove_leftovers() {
+    for gadget in registered().unwrap_or_default() {
+        let name = gadget.name().to_string_lossy().into_owned();
+        let process = name.strip_prefix(NAME).and_then(|rest| rest.split('-').next());
+        let is_left = process.is_some_and(|process| !Path::new("/proc").join(process).exists());
+        if is_left && gadget.remove().is_err() {
+            // Then its controller counts as taken, and the error says so.
+        }
+    }
+}
+
+/// What can go wrong with a gadget.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum GadgetError {
+    /// The machine cannot be a USB device.
+    #[error(
+        "this machine has no USB device controller: use one that has, such as a Raspberry Pi Zero \
+         (docs/hardware-in-the-loop.md), or load a made-up one with `sudo modprobe dummy_hcd`"
+    )]
+    NoController,
+    /// All of them are taken, or the one asked for is.
+    #[error(
+        "no USB device controller is free ({found}): stop the other gadget, or name another one with --udc"
+    )]
+    ControllerBusy {
+        /// Their names.
+        found: String,
+    },
+    /// There is none of that name.
+    #[error("no USB device controller is called '{name}': this machine has {found}")]
+    NoSuchController {
+        /// As it was given.
+        name: String,
+        /// Their names.
+        found: String,
+    },
+    /// Not a name.
+    #[error("'{found}' is no serial number: give 1 to 32 letters, digits, '-', '_' or '.'")]
+    SerialNumber {
+        /// As it was given.
+        found: String,
+    },
+    /// configfs belongs to root.
+    #[error("only root may make a USB gadget: run it with sudo")]
+    NotRoot,
+    /// A kernel's part is not there.
+    #[error("the kernel's USB gadget parts are not there: type `{remedy}`")]
+    NotThere {
+        /// What to type.
+        remedy: &'static str,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The kernel did not take the gadget.
+    #[error("making the USB gadget failed")]
+    Make(#[source] io::Error),
+    /// The controller did not take the gadget.
+    #[error("the USB device controller {controller} does not take the gadget")]
+    Bind {
+        /// Its name.
+        controller: String,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// It failed while it was served.
+    #[error(transparent)]
+    Line(#[from] crate::line::LineError),
+}
+
+impl GadgetError {
+    /// Why configfs or `FunctionFS` did not do what was asked.
+    pub(super) fn making(source: io::Error) -> Self {
+        let says = |part: &str| source.to_string().contains(part);
+        let remedy = match source.kind() {
+            ErrorKind::PermissionDenied => return Self::NotRoot,
+            ErrorKind::NotFound if says("configfs is not mounted") => {
+                "sudo mount -t configfs none /sys/kernel/config"
+            }
+            ErrorKind::NotFound if says("usb_gadget") => "sudo modprobe libcomposite",
+            // A function that no module knows, or a file system that no module knows.
+            ErrorKind::NotFound => "sudo modprobe -a usb_f_fs usb_f_acm",
+            _ if source.raw_os_error() == Some(rustix::io::Errno::NODEV.raw_os_error()) => {
+                "sudo modprobe -a usb_f_fs usb_f_acm"
+            }
+            _ => return Self::Make(source),
+        };
+        Self::NotThere { remedy, source }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_missing_part_has_its_command() {
+        let words = |kind, text| GadgetError::making(io::Error::new(kind, text)).to_string();
+        let no_mount = words(ErrorKind::NotFound, "configfs is not mounted");
+        assert!(no_mount.contains("mount -t configfs"), "{no_mount}");
+        let no_module = words(ErrorKind::NotFound, "usb_gadget not found in configfs");
+        assert!(no_module.contains("modprobe libcomposite"), "{no_module}");
+        assert!(words(ErrorKind::PermissionDenied, "").contains("sudo"));
+        let no_filesystem = GadgetError::making(io::Error::from_raw_os_error(19)).to_string();
+        assert!(no_filesystem.contains("usb_f_fs"), "{no_filesystem}");
+        assert!(matches!(GadgetError::making(ErrorKind::OutOfMemory.into()), GadgetError::Make(_)));
     }
 }

@@ -1,4 +1,4 @@
-//! Vectors, and a sine that gives the same bits on every machine.
+//! Vectors, a sine that gives the same bits on every machine, and keyed curves.
 
 /// A point or direction: x forward, y left, z up; metres.
 pub(super) type V3 = [f64; 3];
@@ -75,6 +75,69 @@ pub(super) fn smooth_step(x: f64) -> f64 {
     x * x * x * (10.0 + x * (6.0 * x - 15.0))
 }
 
+// Keyed curves: quintic pieces that meet with the same value, velocity and acceleration.
+
+/// What a curve does at one time: value, velocity and acceleration in the curve's own unit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Key {
+    pub(super) time_s: f64,
+    pub(super) value: f64,
+    pub(super) velocity: f64,
+    pub(super) acceleration: f64,
+}
+
+/// A curve through keys: twice continuously differentiable, constant before the first and after the last.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Curve {
+    keys: Vec<Key>,
+}
+
+impl Curve {
+    /// A curve that rests at a value from a time on.
+    pub(super) fn resting(time_s: f64, value: f64) -> Self {
+        let mut curve = Self::default();
+        curve.rest(time_s, value);
+        curve
+    }
+
+    /// A key at rest. Times must ascend: a key before the last one is moved just behind it.
+    pub(super) fn rest(&mut self, time_s: f64, value: f64) {
+        self.pass(Key { time_s, value, velocity: 0.0, acceleration: 0.0 });
+    }
+
+    /// A key passed in motion.
+    pub(super) fn pass(&mut self, mut key: Key) {
+        if let Some(last) = self.keys.last() {
+            key.time_s = key.time_s.max(last.time_s + 1e-3);
+        }
+        self.keys.push(key);
+    }
+
+    /// The value at a time.
+    pub(super) fn at(&self, time_s: f64) -> f64 {
+        let next = self.keys.partition_point(|k| k.time_s <= time_s);
+        match (next.checked_sub(1).and_then(|i| self.keys.get(i)), self.keys.get(next)) {
+            (Some(a), Some(b)) => quintic(a, b, time_s),
+            (Some(k), None) | (None, Some(k)) => k.value,
+            (None, None) => 0.0,
+        }
+    }
+}
+
+/// The quintic Hermite piece between two keys.
+fn quintic(a: &Key, b: &Key, time_s: f64) -> f64 {
+    let h = b.time_s - a.time_s;
+    let x = (time_s - a.time_s) / h;
+    let (va, vb) = (a.velocity * h, b.velocity * h);
+    let (aa, ab) = (a.acceleration * h * h, b.acceleration * h * h);
+    let d = b.value - a.value;
+    let c2 = 0.5 * aa;
+    let c3 = 10.0 * d - 6.0 * va - 4.0 * vb - 1.5 * aa + 0.5 * ab;
+    let c4 = -15.0 * d + 8.0 * va + 7.0 * vb + 1.5 * aa - ab;
+    let c5 = 6.0 * d - 3.0 * va - 3.0 * vb - 0.5 * aa + 0.5 * ab;
+    a.value + x * (va + x * (c2 + x * (c3 + x * (c4 + x * c5))))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -86,5 +149,24 @@ mod tests {
             let (s, c) = sin_cos(x);
             assert!((s - x.sin()).abs() < 1e-14 && (c - x.cos()).abs() < 1e-14, "{x}");
         }
+    }
+
+    #[test]
+    fn keys_are_met_with_their_derivatives() {
+        let mut curve = Curve::resting(0.0, 1.0);
+        curve.pass(Key { time_s: 0.5, value: 2.0, velocity: 3.0, acceleration: -9.81 });
+        curve.rest(1.25, 0.5);
+        let e = 1e-4;
+        for side in [-1.0, 1.0] {
+            let (y0, y1, y2) =
+                (curve.at(0.5), curve.at(0.5 + side * e), curve.at(0.5 + 2.0 * side * e));
+            let velocity = side * (4.0 * y1 - 3.0 * y0 - y2) / (2.0 * e);
+            let acceleration = (y2 - 2.0 * y1 + y0) / (e * e);
+            assert!((y0 - 2.0).abs() < 1e-12);
+            assert!((velocity - 3.0).abs() < 1e-3, "{velocity}");
+            assert!((acceleration + 9.81).abs() < 0.1, "{acceleration}");
+        }
+        assert_eq!(curve.at(-1.0), 1.0);
+        assert_eq!(curve.at(9.0), 0.5);
     }
 }

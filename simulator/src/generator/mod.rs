@@ -5,18 +5,12 @@
 //! length stays in a volume of about 6 m. Nothing depends on the machine: a seed gives the same bits everywhere.
 
 mod body;
-mod cluster;
-mod curve;
 mod geometry;
 mod plan;
 mod rng;
-mod sensor;
-mod set;
 mod spec;
-mod style;
 mod subject;
 mod trial;
-mod walk;
 
 #[cfg(test)]
 mod tests;
@@ -25,8 +19,10 @@ use mocapd_take::motion::Motion;
 
 pub use body::{BONES, SITES};
 pub use rng::Rng;
-pub use set::{JumpSet, SUBJECTS_MAX};
-pub use spec::{GenerateError, JumpSpec, MARKERS_MAX, Occlusion, RATE_HZ, SAMPLES_MAX, TRIALS_MAX};
+pub use spec::{
+    GenerateError, JumpSet, JumpSpec, MARKERS_MAX, Occlusion, RATE_HZ, SAMPLES_MAX, SUBJECTS_MAX,
+    TRIALS_MAX,
+};
 
 /// What part of a trial a frame belongs to, as Shi et al. 2012 divide it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -1,13 +1,12 @@
-//! What to generate, and the loop that does it.
+//! What to generate, the loop that does it, what a camera system adds to the truth, and sets of trials as a study has them.
 
-use mocapd_take::motion::{Marker, Motion, MotionInfo, Position, Source, UpAxis};
+use mocapd_take::motion::{GAP, Marker, Motion, MotionInfo, Position, Source, UpAxis};
 
 use super::body::SITES;
-use super::geometry::{V3, add, scale};
+use super::geometry::{V3, add, scale, sin_cos};
 use super::rng::Rng;
-use super::sensor::{self, Wobble};
 use super::subject::Subject;
-use super::{Jump, cluster};
+use super::{Jump, body};
 
 /// The rates that can be generated, Hz.
 pub const RATE_HZ: std::ops::RangeInclusive<f64> = 1.0..=10_000.0;
@@ -91,7 +90,7 @@ impl JumpSpec {
         // What the cameras add is another one's in every trial; markers sit where they sat.
         let noise_seed =
             self.seed ^ u64::from(self.first_trial).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-        let stuck = cluster::stick(self.n_markers.saturating_sub(SITES.len()), self.seed);
+        let stuck = body::stick(self.n_markers.saturating_sub(SITES.len()), self.seed);
         let labels =
             SITES.iter().map(|s| (*s).to_owned()).chain(stuck.iter().map(|s| s.label.clone()));
         let labels: Vec<String> = labels.take(self.n_markers).collect();
@@ -99,7 +98,7 @@ impl JumpSpec {
             .zip(&labels)
             .map(|(i, label)| {
                 let mut rng = Rng::stream(noise_seed, 0x2_0000 + i);
-                let wobble = Wobble::new(self.wobble_mm, sensor::softness(label), &mut rng);
+                let wobble = Wobble::new(self.wobble_mm, softness(label), &mut rng);
                 (rng, wobble)
             })
             .collect();
@@ -109,7 +108,7 @@ impl JumpSpec {
             let moment = subject.at(time_s);
             let truth = |i: usize| match i.checked_sub(SITES.len()) {
                 None => moment.sites[i],
-                Some(extra) => cluster::place(&stuck[extra], &moment.sites, &moment.lateral),
+                Some(extra) => body::place_stuck(&stuck[extra], &moment.sites, &moment.lateral),
             };
             for (i, (rng, wobble)) in sensors.iter_mut().enumerate() {
                 let mut at_mm = scale(truth(i), 1000.0);
@@ -117,14 +116,14 @@ impl JumpSpec {
                     at_mm = add(at_mm, wobble.at(moment.since_impact_s));
                 }
                 if self.noise_mm > 0.0 {
-                    at_mm = add(at_mm, sensor::noise(self.noise_mm, rng));
+                    at_mm = add(at_mm, noise(self.noise_mm, rng));
                 }
                 positions_mm.push(to_position(at_mm));
             }
         }
         if let Some(occlusion) = &self.occlusion {
             for marker in 0..self.n_markers {
-                sensor::occlude(&mut positions_mm, self.n_markers, marker, self, occlusion);
+                occlude(&mut positions_mm, self.n_markers, marker, self, occlusion);
             }
         }
         let phases = subject.phases(self.rate_hz, n_frames);
@@ -199,4 +198,193 @@ pub enum GenerateError {
         /// The most there may be.
         max: u64,
     },
+}
+
+/// How soft tissue shakes after the feet touch down.
+///
+/// A damped oscillation. Its frequency and decay are plausible choices, not measurements: 7 to 12 Hz, gone within
+/// half a second.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Wobble {
+    frequency_hz: f64,
+    decay_s: f64,
+    amplitude_mm: V3,
+}
+
+impl Wobble {
+    /// `softness` scales it: 1 at the thigh, less where bone is close.
+    pub(super) fn new(wobble_mm: f64, softness: f64, rng: &mut Rng) -> Self {
+        let aside = rng.between(-0.35, 0.35);
+        let ahead = rng.between(-0.5, 0.5);
+        let size = wobble_mm * softness * rng.between(0.8, 1.2);
+        Self {
+            frequency_hz: rng.between(7.0, 12.0),
+            decay_s: rng.between(0.06, 0.10),
+            amplitude_mm: [size * ahead, size * aside, -size],
+        }
+    }
+
+    /// The displacement so long after the impact, millimetres.
+    pub(super) fn at(&self, since_s: f64) -> V3 {
+        // x^2 e^(2 - 2x) rises from nothing with no kick and is 1 at x = 1; e^-y as 1 / (its series), so that
+        // no C library has a say in the last bit.
+        let x = since_s / self.decay_s;
+        if !(0.0..14.0).contains(&x) {
+            return [0.0; 3];
+        }
+        let (mut series, mut term) = (1.0, 1.0);
+        for k in 1..=90 {
+            term *= 2.0 * x / f64::from(k);
+            series += term;
+        }
+        let envelope = x * x * 7.389_056_098_930_65 / series;
+        let (sin, _) = sin_cos(2.0 * std::f64::consts::PI * self.frequency_hz * since_s);
+        self.amplitude_mm.map(|a| a * envelope * sin)
+    }
+}
+
+/// How soft the tissue under a marker is, by its label.
+pub(super) fn softness(label: &str) -> f64 {
+    const SOFT: [(&str, f64); 8] = [
+        ("thigh", 1.0),
+        ("shank", 0.7),
+        ("pelvis", 0.6),
+        ("trunk", 0.6),
+        ("hip", 0.6),
+        ("shoulder", 0.5),
+        ("knee", 0.4),
+        ("upper_arm", 0.4),
+    ];
+    SOFT.iter().find(|(part, _)| label.contains(part)).map_or(0.25, |(_, softness)| *softness)
+}
+
+/// White noise of one marker: the same standard deviation on every axis.
+pub(super) fn noise(noise_mm: f64, rng: &mut Rng) -> V3 {
+    [0; 3].map(|_| noise_mm * rng.normal())
+}
+
+/// Takes samples out of one marker's column: exactly the asked part of them, in gaps of random length.
+///
+/// Gap lengths are skewed: many short, few up to three times the mean.
+pub(super) fn occlude(
+    positions: &mut [Position],
+    n_markers: usize,
+    marker: usize,
+    spec: &JumpSpec,
+    occlusion: &Occlusion,
+) {
+    let n_frames = positions.len() / n_markers.max(1);
+    let mut rng = Rng::stream(spec.seed, 0x3_0000 + marker as u64);
+    let wanted = (occlusion.fraction * n_frames as f64).round() as usize;
+    let mut gaps = Vec::new();
+    let mut left = wanted.min(n_frames);
+    while left > 0 {
+        let u = rng.unit();
+        let length = (3.0 * occlusion.mean_gap_s * u * u * spec.rate_hz).ceil().max(1.0) as usize;
+        gaps.push(length.min(left));
+        left -= length.min(left);
+    }
+    // The samples that stay are cut at as many random places, and a gap goes into every cut.
+    let kept = n_frames - wanted.min(n_frames);
+    let mut cuts: Vec<usize> =
+        gaps.iter().map(|_| (rng.unit() * (kept + 1) as f64) as usize).collect();
+    cuts.sort_unstable();
+    let mut taken = 0;
+    for (cut, gap) in cuts.iter().zip(&gaps) {
+        for frame in cut + taken..cut + taken + gap {
+            if let Some(position) = positions.get_mut(frame * n_markers + marker) {
+                *position = GAP;
+            }
+        }
+        taken += gap;
+    }
+}
+
+/// The most subjects of a set.
+pub const SUBJECTS_MAX: u32 = 1000;
+
+/// Jumps dealt to subjects as evenly as they go: 326 to 10 are 33 for the first six and 32 for the others.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct JumpSet {
+    /// How each jump is seen; its seed is the set's, and says who the subjects are.
+    pub spec: JumpSpec,
+    n_subjects: u32,
+    n_jumps: u32,
+}
+
+impl JumpSet {
+    /// Subjects differ in stature (1.60 to 1.92 m) and style, jumps of one subject by a few per cent.
+    ///
+    /// # Errors
+    /// When a number is out of its range; the message names it and the range.
+    pub fn new(spec: JumpSpec, n_subjects: u32, n_jumps: u32) -> Result<Self, GenerateError> {
+        for (what, value, high) in
+            [("subjects", n_subjects, SUBJECTS_MAX), ("jumps", n_jumps, TRIALS_MAX)]
+        {
+            let (value, high) = (f64::from(value), f64::from(high));
+            if !(1.0..=high).contains(&value) {
+                return Err(GenerateError::OutOfRange { what, value, low: 1.0, high });
+            }
+        }
+        Ok(Self { spec, n_subjects, n_jumps })
+    }
+
+    /// Each jump in turn, by its subject and trial, both from 1: a whole trial each.
+    pub fn jumps(&self) -> impl Iterator<Item = (u32, u32, Result<Jump, GenerateError>)> {
+        let Self { spec, n_subjects, n_jumps } = *self;
+        (0..n_subjects).flat_map(move |subject| {
+            let n_trials = n_jumps / n_subjects + u32::from(subject < n_jumps % n_subjects);
+            let seed = Rng::stream(spec.seed, 0x4_0000 + u64::from(subject)).next_u64();
+            (0..n_trials).map(move |first_trial| {
+                let spec = JumpSpec { seed, first_trial, ..spec };
+                (subject + 1, first_trial + 1, spec.generate())
+            })
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn set(n_subjects: u32, n_jumps: u32) -> Vec<(u32, u32, Jump)> {
+        let set = JumpSet::new(JumpSpec::new(1, 30.0), n_subjects, n_jumps).unwrap();
+        set.jumps().map(|(subject, trial, jump)| (subject, trial, jump.unwrap())).collect()
+    }
+
+    #[test]
+    fn jumps_are_dealt_evenly_and_none_is_another() {
+        let jumps = set(3, 8);
+        let who: Vec<(u32, u32)> =
+            jumps.iter().map(|(subject, trial, _)| (*subject, *trial)).collect();
+        assert_eq!(who, [(1, 1), (1, 2), (1, 3), (2, 1), (2, 2), (2, 3), (3, 1), (3, 2)]);
+        for (i, (_, _, a)) in jumps.iter().enumerate() {
+            assert_eq!(a.phases.len(), 7, "each is one whole trial");
+            assert!(
+                jumps[..i].iter().all(|(_, _, b)| b.motion.positions_mm != a.motion.positions_mm)
+            );
+        }
+    }
+
+    #[test]
+    fn a_subject_keeps_its_bones_and_subjects_differ() {
+        let jumps = set(2, 4);
+        let thigh_mm = |jump: &Jump| {
+            let [hip, knee] = [9, 10].map(|site| jump.motion.frame(0)[site].map(f64::from));
+            (0..3).map(|axis| (hip[axis] - knee[axis]).powi(2)).sum::<f64>().sqrt()
+        };
+        let lengths: Vec<f64> = jumps.iter().map(|(_, _, jump)| thigh_mm(jump)).collect();
+        assert!((lengths[0] - lengths[1]).abs() < 1.0 && (lengths[2] - lengths[3]).abs() < 1.0);
+        assert!((lengths[0] - lengths[2]).abs() > 1.0, "{lengths:?}");
+    }
+
+    #[test]
+    fn the_first_trial_is_the_one_that_was_always_there() {
+        let spec = JumpSpec::new(7, 60.0);
+        assert_eq!(spec.first_trial, 0);
+        let again = JumpSpec { first_trial: 3, ..spec };
+        assert_ne!(spec.generate().unwrap().phases, again.generate().unwrap().phases);
+        assert!(JumpSpec { first_trial: TRIALS_MAX + 1, ..spec }.generate().is_err());
+        assert!(JumpSet::new(spec, 0, 1).is_err() && JumpSet::new(spec, 1, 0).is_err());
+    }
 }

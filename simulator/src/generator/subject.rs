@@ -3,8 +3,8 @@
 use super::Phase;
 use super::body::{Body, SITES};
 use super::geometry::{V3, sin_cos};
+use super::plan::Style;
 use super::rng::Rng;
-use super::style::Style;
 use super::trial::Trial;
 
 /// By how much the drifts of a subject's next trial are later, seconds: no multiple of their periods.

@@ -7,9 +7,7 @@ use std::time::Duration;
 
 use rustix::time::{ClockId, clock_gettime};
 
-use super::batch::Batch;
-use super::drain::{Drain, LOOK};
-use super::pace::Pace;
+use super::pace::{Batch, Pace};
 use super::{Line, LineError};
 use crate::device::{LineDevice, SentLog};
 
@@ -271,5 +269,33 @@ impl Server<'_> {
             }
         }
         Ok(())
+    }
+}
+
+/// How long the host may read nothing before it counts as gone.
+const PATIENCE_NS: u64 = 1_000_000_000;
+
+/// Between two looks.
+const LOOK: Duration = Duration::from_millis(5);
+
+/// Watches the bytes that are left for the host.
+#[derive(Debug, Default)]
+struct Drain {
+    left: Option<u64>,
+    progress_ns: u64,
+    empty_looks: u32,
+}
+
+impl Drain {
+    /// `left` are all bytes between the device and the host. `true` when it is time to hang up.
+    fn is_over(&mut self, left: u64, now_ns: u64) -> bool {
+        if self.left != Some(left) {
+            self.left = Some(left);
+            self.progress_ns = now_ns;
+        }
+        // The kernel hands bytes from one buffer to the next on its own time, and counts only the last one:
+        // nothing must be there for some looks running.
+        self.empty_looks = if left == 0 { self.empty_looks + 1 } else { 0 };
+        self.empty_looks > 4 || now_ns.saturating_sub(self.progress_ns) > PATIENCE_NS
     }
 }

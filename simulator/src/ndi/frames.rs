@@ -1,22 +1,18 @@
 //! Frames whose time comes, and requests that fetch them.
 
+use mocapd_drivers::ndi::{code, put_binary, put_text};
 use mocapd_take::motion::{Position, is_gap};
 
 use super::{
     NdiDevice,
-    report::{self, Moment, Wanted, bx2},
-    request::INVALID,
-    setup::WRONG_MODE,
+    report::{Moment, Wanted, bx2},
 };
-use crate::device::{SentCounters, SentFrame};
+use crate::device::{SentCounters, SentFrame, frame_after_ns};
 
 const SECOND_NS: u64 = 1_000_000_000;
 
 /// `TSTART:80` sets the frame counter back.
 const RESET_COUNTER: &str = "80";
-
-/// Errors of options.
-const PARAMETERS: u8 = 0x07;
 
 /// How long the last frame of a motion can be had beyond its time: a line that is slow still gets to it.
 const LAST_FRAME_NS: u64 = SECOND_NS;
@@ -75,9 +71,7 @@ impl NdiDevice {
         let n_frames = self.replay.n_frames().max(1);
         while let Some(start_ns) = self.tracking.start_ns {
             let produced = self.log.run.frames_produced;
-            let after = u128::from(produced) * 1000 * u128::from(SECOND_NS)
-                / u128::from(self.rates.rate_mhz.max(1));
-            let next_ns = start_ns.saturating_add(u64::try_from(after).unwrap_or(u64::MAX));
+            let next_ns = start_ns.saturating_add(frame_after_ns(produced, self.rates.rate_mhz));
             if next_ns > now_ns {
                 return next_ns;
             }
@@ -179,11 +173,11 @@ impl NdiDevice {
         // Frames that were due before the command can be had by it.
         self.produce_until(now_ns);
         let answer = match name {
-            "TSTART" if self.is_running() => Err(WRONG_MODE),
+            "TSTART" if self.is_running() => Err(code::WRONG_MODE),
             "TSTART" => self.start(args),
             _ if !self.is_running() => {
                 self.tracking.told = true;
-                Err(WRONG_MODE)
+                Err(code::WRONG_MODE)
             }
             "TSTOP" => {
                 self.end_run();
@@ -193,15 +187,15 @@ impl NdiDevice {
             "TX" => mode(args).map(|mode| {
                 let first = self.fetch(false);
                 let text = self.moment().tx(mode);
-                self.outbox.put(first, |out| report::text(&text, out));
+                self.outbox.put(first, |out| put_text(&text, out));
                 String::new()
             }),
             "BX" => mode(args).map(|mode| {
                 let first = self.fetch(false);
                 self.put_binary(first, &self.moment().bx(mode))
             }),
-            "BX2" if !self.settings.bx2 => Err(INVALID),
-            _ => Wanted::of(args).ok_or(PARAMETERS).map(|wanted| self.bx2(wanted)),
+            "BX2" if !self.settings.bx2 => Err(code::INVALID_COMMAND),
+            _ => Wanted::of(args).ok_or(code::PARAMETERS).map(|wanted| self.bx2(wanted)),
         };
         if answer.is_err() {
             self.log.refused += u64::from(name == "TSTART");
@@ -213,7 +207,7 @@ impl NdiDevice {
         match args {
             "" => {}
             RESET_COUNTER => self.tracking.counted_from = self.log.total.frames_produced,
-            _ => return Err(PARAMETERS),
+            _ => return Err(code::PARAMETERS),
         }
         self.log.starts += 1;
         self.log.run = SentCounters::default();
@@ -247,12 +241,16 @@ impl NdiDevice {
     }
 
     fn put_binary(&mut self, is_frame: bool, block: &[u8]) -> String {
-        self.outbox.put(is_frame, |out| report::binary(block, out));
+        self.outbox.put(is_frame, |out| put_binary(block, out));
         String::new()
     }
 }
 
 /// Reply options, four digits; transforms and status when there are none.
 fn mode(args: &str) -> Result<u16, u8> {
-    if args.is_empty() { Ok(1) } else { u16::from_str_radix(args, 16).map_err(|_| PARAMETERS) }
+    if args.is_empty() {
+        Ok(1)
+    } else {
+        u16::from_str_radix(args, 16).map_err(|_| code::PARAMETERS)
+    }
 }

@@ -6,28 +6,22 @@
 //! last frame of a motion that does not loop was fetched the system leaves tracking, and refuses to give
 //! frames: so a host sees the end.
 
+use std::sync::Arc;
+
+use frames::Tracking;
+use mocapd_drivers::ndi::{BAUD_AT_RESET, ReceivedRequest, RequestLine, put_text};
+use mocapd_take::motion::{Marker, Motion};
+use setup::Ports;
+
+use crate::device::{DeviceError, DeviceSettings, LineDevice, Outbox, Rates, SentFrame, SentLog};
+use crate::replay::Replay;
+
 mod frames;
-mod ports;
 mod report;
-mod request;
-mod settings;
 mod setup;
 
 #[cfg(test)]
 mod tests;
-
-use std::sync::Arc;
-
-use mocapd_drivers::ndi::BAUD_AT_RESET;
-use mocapd_take::motion::{Marker, Motion};
-
-pub use settings::{NdiError, NdiSettings, STRAYS_MAX, TOOLS_MAX};
-
-use crate::device::{DeviceError, DeviceSettings, LineDevice, Outbox, Rates, SentFrame, SentLog};
-use crate::replay::Replay;
-use frames::Tracking;
-use ports::Ports;
-use request::Line;
 
 /// Labels that an error names.
 const LABELS_NAMED: usize = 8;
@@ -42,7 +36,7 @@ pub struct NdiDevice {
     replay: Replay,
     rates: Rates,
     ports: Ports,
-    line: Line,
+    line: RequestLine,
     outbox: Outbox,
     initialized: bool,
     baud: u32,
@@ -95,20 +89,14 @@ impl NdiDevice {
         };
         let rates = Rates::new(&motion, &rated)?;
         let n_columns = markers.len();
-        let recorded = u64::from(rates.recorded_mhz) * rates.speed_milli;
-        let replay = if rates.native_mhz == Some(rates.rate_mhz) {
-            Replay::native(motion)
-        } else {
-            Replay::resampled(Arc::clone(&motion), recorded, u64::from(rates.rate_mhz) * 1000)
-                .unwrap_or_else(|| Replay::native(motion))
-        };
+        let replay = rates.replay(motion, rates.rate_mhz);
         let mut outbox = Outbox::default();
         outbox.resize(0, rates.rate_mhz, None);
         Ok(Self {
             replay,
             rates,
             ports: Ports::new(tools, n_columns),
-            line: Line::default(),
+            line: RequestLine::default(),
             outbox,
             initialized: false,
             baud: BAUD_AT_RESET,
@@ -147,16 +135,17 @@ impl NdiDevice {
         self.ports.reset();
     }
 
-    fn answer(&mut self, name: &str, args: &str, now_ns: u64) {
+    fn answer(&mut self, request: Result<ReceivedRequest, u8>, now_ns: u64) {
         if !self.outbox.has_room(0) {
             self.log.answers_dropped += 1;
             return;
         }
-        let reported = self.report(name, args, now_ns);
-        let Some(answer) = reported.or_else(|| Some(self.obey(name, args))) else { return };
+        let answer = request.and_then(|ReceivedRequest { name, args }| {
+            self.report(&name, &args, now_ns).unwrap_or_else(|| self.obey(&name, &args))
+        });
         let said = answer.unwrap_or_else(|code| format!("ERROR{code:02X}"));
         if !said.is_empty() {
-            self.outbox.put(false, |out| report::text(&said, out));
+            self.outbox.put(false, |out| put_text(&said, out));
         }
     }
 }
@@ -184,27 +173,18 @@ impl LineDevice for NdiDevice {
     fn on_bytes(&mut self, bytes: &[u8], now_ns: u64) {
         self.epoch_ns.get_or_insert(now_ns);
         for byte in bytes {
-            match self.line.push(*byte) {
-                None => {}
-                Some(Ok((name, args))) => self.answer(&name, &args, now_ns),
-                Some(Err(code)) => {
-                    let said = format!("ERROR{code:02X}");
-                    if self.outbox.has_room(0) {
-                        self.outbox.put(false, |out| report::text(&said, out));
-                    } else {
-                        self.log.answers_dropped += 1;
-                    }
-                }
+            if let Some(request) = self.line.push(*byte) {
+                self.answer(request, now_ns);
             }
         }
     }
 
     fn on_break(&mut self, _: u64) {
         self.set_up_anew();
-        self.line.clear();
+        self.line = RequestLine::default();
         self.outbox.discard();
         (self.baud, self.baud_after) = (BAUD_AT_RESET, None);
-        self.outbox.put(false, |out| report::text("RESET", out));
+        self.outbox.put(false, |out| put_text("RESET", out));
     }
 
     fn poll(&mut self, now_ns: u64) -> u64 {
@@ -246,4 +226,74 @@ impl LineDevice for NdiDevice {
     fn take_frames(&mut self) -> Vec<SentFrame> {
         std::mem::take(&mut self.log.frames)
     }
+}
+
+/// Tools that can be plugged in; the rest of the handles are for tools that a host loads.
+pub const TOOLS_MAX: usize = 32;
+
+/// Stray markers in one answer: `BX` counts them in a byte.
+pub const STRAYS_MAX: usize = 255;
+
+/// How the system plays its motion.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NdiSettings {
+    /// Serial number it gives.
+    pub serial: String,
+    /// Resample to this rate, Hz; `None` for the recorded one.
+    pub rate_hz: Option<f64>,
+    /// Times faster than it was recorded, 0.001 to 1000, to the nearest 0.001.
+    pub speed: f64,
+    /// Begin again after the last frame, and never end.
+    pub looping: bool,
+    /// Labels of the markers that are tools, plugged in in this order; all others are strays.
+    pub tools: Vec<String>,
+    /// Whether it knows `BX2`, as systems since the Vega do.
+    pub bx2: bool,
+    /// The highest speed that `COMM` may set, in baud.
+    pub baud_max: u32,
+}
+
+impl Default for NdiSettings {
+    fn default() -> Self {
+        Self {
+            serial: "SIM0001".to_owned(),
+            rate_hz: None,
+            speed: 1.0,
+            looping: false,
+            tools: Vec::new(),
+            bx2: true,
+            baud_max: 1_228_739,
+        }
+    }
+}
+
+/// Why a motion cannot be an NDI system.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum NdiError {
+    /// A tool that is not there.
+    #[error("no marker is called '{label}': name one of {known}")]
+    NoSuchTool {
+        /// As it was given.
+        label: String,
+        /// What there is: the first labels, and how many more.
+        known: String,
+    },
+    /// More than can be plugged in.
+    #[error("{found} tools are more than the {TOOLS_MAX} that can be plugged in: name fewer")]
+    TooManyTools {
+        /// As given.
+        found: usize,
+    },
+    /// More than an answer counts.
+    #[error(
+        "{found} stray markers are more than the {STRAYS_MAX} of an answer: choose a file with fewer"
+    )]
+    TooManyStrays {
+        /// In the motion.
+        found: usize,
+    },
+    /// The motion makes no device of any kind.
+    #[error(transparent)]
+    Device(#[from] DeviceError),
 }

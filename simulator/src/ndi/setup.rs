@@ -1,21 +1,8 @@
-//! Commands that are not about frames.
+//! Commands that are not about frames, and the port handles that most of them are about.
 
-use mocapd_drivers::ndi::{BAUD_AT_RESET, BAUDS};
+use mocapd_drivers::ndi::{BAUD_AT_RESET, BAUDS, code};
 
-use super::{NdiDevice, ports::PAGE_BYTES, request::INVALID};
-
-/// Errors, as `ERRORxx` has them.
-const COMM_FAILED: u8 = 0x06;
-const PARAMETERS: u8 = 0x07;
-const INVALID_PORT: u8 = 0x08;
-const INVALID_PRIORITY: u8 = 0x09;
-pub(super) const WRONG_MODE: u8 = 0x0C;
-const NO_TOOL: u8 = 0x0D;
-const NOT_INITIALIZED_PORT: u8 = 0x0E;
-const NOT_INITIALIZED: u8 = 0x10;
-const OUT_OF_RANGE: u8 = 0x23;
-const ALL_TAKEN: u8 = 0x2D;
-const NO_SUCH_HANDLE: u8 = 0x2B;
+use super::NdiDevice;
 
 /// The answer when there is nothing to say.
 const OKAY: &str = "OKAY";
@@ -31,10 +18,10 @@ impl NdiDevice {
     /// The answer to a command, without its checksum, or the error's number.
     pub(super) fn obey(&mut self, name: &str, args: &str) -> Result<String, u8> {
         if !self.initialized && !ALWAYS.contains(&name) {
-            return Err(NOT_INITIALIZED);
+            return Err(code::NOT_INITIALIZED);
         }
         if self.is_running() && SETUP_ONLY.contains(&name) {
-            return Err(WRONG_MODE);
+            return Err(code::WRONG_MODE);
         }
         match name {
             "INIT" => {
@@ -50,7 +37,7 @@ impl NdiDevice {
             "ECHO" => Ok(args.to_owned()),
             "BEEP" => match args.parse() {
                 Ok(1..=9) => Ok("1".to_owned()),
-                _ => Err(OUT_OF_RANGE),
+                _ => Err(code::OUT_OF_RANGE),
             },
             "VER" => self.version(args),
             "APIREV" => Ok(if self.settings.bx2 { "G.003.005" } else { "D.001.007" }.to_owned()),
@@ -59,17 +46,23 @@ impl NdiDevice {
             "SET" => self.set(args),
             "COMM" => self.comm(args),
             "PHSR" => self.list(args),
-            "PHRQ" => self.ports.request().map(|handle| format!("{handle:02X}")).ok_or(ALL_TAKEN),
-            "PHF" => self.ports.free(handle(args)?).then(|| OKAY.to_owned()).ok_or(NO_SUCH_HANDLE),
+            "PHRQ" => self
+                .ports
+                .request()
+                .map(|handle| format!("{handle:02X}"))
+                .ok_or(code::ALL_PORTS_TAKEN),
+            "PHF" => {
+                self.ports.free(handle(args)?).then(|| OKAY.to_owned()).ok_or(code::NO_SUCH_HANDLE)
+            }
             "PVWR" => self.write_rom(args),
             "PINIT" => self.initialize(handle(args)?),
             "PENA" => self.enable(args),
             "PDIS" => {
-                self.ports.get(handle(args)?).ok_or(INVALID_PORT)?.enabled = false;
+                self.ports.get(handle(args)?).ok_or(code::INVALID_PORT)?.enabled = false;
                 Ok(OKAY.to_owned())
             }
             "PHINF" => self.info(args),
-            _ => Err(INVALID),
+            _ => Err(code::INVALID_COMMAND),
         }
     }
 
@@ -81,7 +74,7 @@ impl NdiDevice {
                  Freeze Tag: mocapd-sim {firmware}\nFreeze Date : 01/01/26\n",
                 self.settings.serial
             )),
-            _ => Err(OUT_OF_RANGE),
+            _ => Err(code::OUT_OF_RANGE),
         }
     }
 
@@ -102,34 +95,34 @@ impl NdiDevice {
             "Param.Tracking.Track Frequency" => {
                 Ok(("2".to_owned(), "1;3;0;2;;Tracked frames: every third, second, or each"))
             }
-            _ => Err(OUT_OF_RANGE),
+            _ => Err(code::OUT_OF_RANGE),
         }
     }
 
     /// What is set already may be set; anything else is out of range.
     fn set(&self, args: &str) -> Result<String, u8> {
-        let (name, value) = args.split_once('=').ok_or(PARAMETERS)?;
+        let (name, value) = args.split_once('=').ok_or(code::PARAMETERS)?;
         let (known, _) = self.parameter(name)?;
-        if known == value { Ok(OKAY.to_owned()) } else { Err(OUT_OF_RANGE) }
+        if known == value { Ok(OKAY.to_owned()) } else { Err(code::OUT_OF_RANGE) }
     }
 
     /// `bdddh`: speed, data bits with parity and stop bits, handshake.
     fn comm(&mut self, args: &str) -> Result<String, u8> {
-        let digit = args.chars().next().ok_or(PARAMETERS)?;
-        let (baud, _) = BAUDS.into_iter().find(|(_, d)| *d == digit).ok_or(COMM_FAILED)?;
+        let digit = args.chars().next().ok_or(code::PARAMETERS)?;
+        let (baud, _) = BAUDS.into_iter().find(|(_, d)| *d == digit).ok_or(code::COMM_FAILED)?;
         match args.get(1..) {
             Some("0000" | "0001") if baud <= self.settings.baud_max => {
                 self.baud_after = Some(baud);
                 Ok(OKAY.to_owned())
             }
-            Some(rest) if rest.len() == 4 => Err(COMM_FAILED),
-            _ => Err(PARAMETERS),
+            Some(rest) if rest.len() == 4 => Err(code::COMM_FAILED),
+            _ => Err(code::PARAMETERS),
         }
     }
 
     /// Handles: all (0), to be freed (1), not initialized (2), not enabled (3), enabled (4).
     fn list(&self, args: &str) -> Result<String, u8> {
-        let wanted = |port: &&super::ports::Port| match args {
+        let wanted = |port: &&Port| match args {
             "00" | "" => true,
             "02" => !port.initialized,
             "03" => port.initialized && !port.enabled,
@@ -137,7 +130,7 @@ impl NdiDevice {
             _ => false,
         };
         if !["", "00", "01", "02", "03", "04"].contains(&args) {
-            return Err(PARAMETERS);
+            return Err(code::PARAMETERS);
         }
         let ports: Vec<_> = self.ports.iter().filter(wanted).collect();
         let mut text = format!("{:02X}", ports.len());
@@ -149,22 +142,22 @@ impl NdiDevice {
 
     /// `hhaaaa` and 64 bytes in hexadecimal.
     fn write_rom(&mut self, args: &str) -> Result<String, u8> {
-        let port = self.ports.get(handle(args)?).ok_or(INVALID_PORT)?;
+        let port = self.ports.get(handle(args)?).ok_or(code::INVALID_PORT)?;
         let address = args.get(2..6).and_then(|a| usize::from_str_radix(a, 16).ok());
         let digits = args.get(6..).filter(|digits| digits.len() == 2 * PAGE_BYTES);
-        let (Some(address), Some(digits)) = (address, digits) else { return Err(PARAMETERS) };
+        let (Some(address), Some(digits)) = (address, digits) else { return Err(code::PARAMETERS) };
         let mut page = [0; PAGE_BYTES];
         for (at, byte) in page.iter_mut().enumerate() {
-            let two = digits.get(2 * at..2 * at + 2).ok_or(PARAMETERS)?;
-            *byte = u8::from_str_radix(two, 16).map_err(|_| PARAMETERS)?;
+            let two = digits.get(2 * at..2 * at + 2).ok_or(code::PARAMETERS)?;
+            *byte = u8::from_str_radix(two, 16).map_err(|_| code::PARAMETERS)?;
         }
-        if port.write(address, &page) { Ok(OKAY.to_owned()) } else { Err(OUT_OF_RANGE) }
+        if port.write(address, &page) { Ok(OKAY.to_owned()) } else { Err(code::OUT_OF_RANGE) }
     }
 
     fn initialize(&mut self, handle: u8) -> Result<String, u8> {
-        let port = self.ports.get(handle).ok_or(INVALID_PORT)?;
+        let port = self.ports.get(handle).ok_or(code::INVALID_PORT)?;
         if !port.written {
-            return Err(NO_TOOL);
+            return Err(code::NO_TOOL);
         }
         port.initialized = true;
         Ok(OKAY.to_owned())
@@ -172,22 +165,22 @@ impl NdiDevice {
 
     /// `hhm`: the priority is static, dynamic or button box.
     fn enable(&mut self, args: &str) -> Result<String, u8> {
-        let port = self.ports.get(handle(args)?).ok_or(INVALID_PORT)?;
+        let port = self.ports.get(handle(args)?).ok_or(code::INVALID_PORT)?;
         match args.get(2..) {
             Some("S" | "D" | "B") if port.initialized => {
                 port.enabled = true;
                 Ok(OKAY.to_owned())
             }
-            Some("S" | "D" | "B") => Err(NOT_INITIALIZED_PORT),
-            _ => Err(INVALID_PRIORITY),
+            Some("S" | "D" | "B") => Err(code::PORT_NOT_INITIALIZED),
+            _ => Err(code::INVALID_PRIORITY),
         }
     }
 
     fn info(&mut self, args: &str) -> Result<String, u8> {
-        let port = self.ports.get(handle(args)?).ok_or(INVALID_PORT)?;
+        let port = self.ports.get(handle(args)?).ok_or(code::INVALID_PORT)?;
         let mode = match args.get(2..) {
             Some("") | None => 1,
-            Some(digits) => u16::from_str_radix(digits, 16).map_err(|_| PARAMETERS)?,
+            Some(digits) => u16::from_str_radix(digits, 16).map_err(|_| code::PARAMETERS)?,
         };
         let (handle, status, part) = (port.handle, port.status(), &port.part_number);
         let mut text = String::new();
@@ -209,6 +202,130 @@ impl NdiDevice {
 }
 
 fn handle(args: &str) -> Result<u8, u8> {
-    let digits = args.get(..2).ok_or(PARAMETERS)?;
-    u8::from_str_radix(digits, 16).map_err(|_| PARAMETERS)
+    let digits = args.get(..2).ok_or(code::PARAMETERS)?;
+    u8::from_str_radix(digits, 16).map_err(|_| code::PARAMETERS)
+}
+
+/// Bytes of a tool's definition: sixteen pages of 64.
+const ROM_BYTES: usize = 1024;
+
+/// Bytes that `PVWR` writes at once.
+pub(super) const PAGE_BYTES: usize = 64;
+
+/// Where a definition has the part number, and how long it is.
+const PART_NUMBER: std::ops::Range<usize> = 592..612;
+
+/// Handles that a host may ask for beside the tools that are plugged in.
+const LOADED_MAX: usize = 32;
+
+/// One handle.
+#[derive(Debug, Clone)]
+pub(super) struct Port {
+    pub(super) handle: u8,
+    /// The column of the motion that the tool is; `None` when it is never seen.
+    pub(super) column: Option<usize>,
+    pub(super) part_number: String,
+    pub(super) initialized: bool,
+    pub(super) enabled: bool,
+    /// The definition that a host loaded; `None` for a tool that is plugged in.
+    rom: Option<Box<[u8; ROM_BYTES]>>,
+    pub(super) written: bool,
+}
+
+impl Port {
+    /// Bits: occupied (1), initialized (16), enabled (32).
+    pub(super) fn status(&self) -> u32 {
+        1 | u32::from(self.initialized) << 4 | u32::from(self.enabled) << 5
+    }
+
+    /// `false` when the page lies outside the definition, or the tool is plugged in.
+    pub(super) fn write(&mut self, address: usize, page: &[u8; PAGE_BYTES]) -> bool {
+        let Some(rom) = &mut self.rom else { return false };
+        let Some(place) = rom.get_mut(address..).and_then(|rest| rest.get_mut(..PAGE_BYTES)) else {
+            return false;
+        };
+        place.copy_from_slice(page);
+        self.written = true;
+        let text = rom.get(PART_NUMBER).unwrap_or_default();
+        let printable = text.iter().take_while(|byte| (b' '..=b'~').contains(*byte));
+        self.part_number = printable.map(|byte| char::from(*byte)).collect();
+        true
+    }
+}
+
+/// All handles, in ascending order.
+#[derive(Debug)]
+pub(super) struct Ports {
+    ports: Vec<Port>,
+    n_columns: usize,
+}
+
+impl Ports {
+    /// Tools that are plugged in: their part numbers and columns.
+    pub(super) fn new(tools: Vec<(String, usize)>, n_columns: usize) -> Self {
+        let port = |(handle, (part_number, column))| Port {
+            handle,
+            column: Some(column),
+            part_number,
+            initialized: false,
+            enabled: false,
+            rom: None,
+            written: true,
+        };
+        Self { ports: (1..).zip(tools).map(port).collect(), n_columns }
+    }
+
+    /// As after power-on: what was loaded is gone.
+    pub(super) fn reset(&mut self) {
+        self.ports.retain(|port| port.rom.is_none());
+        for port in &mut self.ports {
+            (port.initialized, port.enabled) = (false, false);
+        }
+    }
+
+    pub(super) fn get(&mut self, handle: u8) -> Option<&mut Port> {
+        self.ports.iter_mut().find(|port| port.handle == handle)
+    }
+
+    pub(super) fn iter(&self) -> impl Iterator<Item = &Port> {
+        self.ports.iter()
+    }
+
+    pub(super) fn enabled(&self) -> impl Iterator<Item = &Port> {
+        self.ports.iter().filter(|port| port.enabled)
+    }
+
+    /// A handle for a tool that will be loaded: the first marker that is no tool yet plays it.
+    pub(super) fn request(&mut self) -> Option<u8> {
+        let loaded = self.ports.iter().filter(|port| port.rom.is_some()).count();
+        if loaded >= LOADED_MAX {
+            return None;
+        }
+        let handle = (0x0A..=0xFE).find(|handle| self.ports.iter().all(|p| p.handle != *handle))?;
+        let column = (0..self.n_columns)
+            .find(|column| self.ports.iter().all(|port| port.column != Some(*column)));
+        self.ports.push(Port {
+            handle,
+            column,
+            part_number: String::new(),
+            initialized: false,
+            enabled: false,
+            rom: Some(Box::new([0; ROM_BYTES])),
+            written: false,
+        });
+        self.ports.sort_by_key(|port| port.handle);
+        Some(handle)
+    }
+
+    /// `false` when there is no such handle. A tool that is plugged in keeps its own.
+    pub(super) fn free(&mut self, handle: u8) -> bool {
+        let before = self.ports.len();
+        self.ports.retain(|port| port.handle != handle || port.rom.is_none());
+        before > self.ports.len() || self.ports.iter().any(|port| port.handle == handle)
+    }
+
+    /// Whether the marker of a column is reported as a tool.
+    pub(super) fn is_tool(&self, column: usize) -> bool {
+        self.enabled().any(|port| port.column == Some(column))
+    }
 }

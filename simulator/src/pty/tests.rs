@@ -23,7 +23,7 @@ fn jump(rate_hz: f64, seconds: f64, n_markers: usize) -> Motion {
 
 /// A device on a thread of its own.
 struct Served {
-    path: std::path::PathBuf,
+    path: PathBuf,
     stop: Arc<AtomicBool>,
     thread: JoinHandle<Result<SentLog, PtyError>>,
 }
@@ -199,12 +199,12 @@ fn a_paced_line_is_no_faster_than_its_baud_rate() {
 fn the_log_names_every_frame() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("sent.csv");
-    let log = Box::new(std::fs::File::create(&path).unwrap());
+    let log = Box::new(fs::File::create(&path).unwrap());
     let options = ServeOptions { log: Some(log), once: true, ..ServeOptions::default() };
     let served = serve_in_background(jump(500.0, 0.1, 15), DeviceSettings::default(), options);
     let host = Host::record(&served.path);
     served.thread.join().unwrap().unwrap();
-    let text = std::fs::read_to_string(&path).unwrap();
+    let text = fs::read_to_string(&path).unwrap();
     let lines: Vec<_> = text.lines().collect();
     assert_eq!(
         (lines[0], lines.len(), host.frames.len()),
@@ -219,16 +219,16 @@ fn links_replace_dead_links_only() {
     let link = folder.path().join("rig");
     let line = PtyLine::open(Some(&link)).unwrap();
     assert_eq!(line.path(), link);
-    assert!(std::fs::read_link(&link).unwrap().starts_with("/dev/pts"));
+    assert!(fs::read_link(&link).unwrap().starts_with("/dev/pts"));
     let second = PtyLine::open(Some(&link)).unwrap_err();
     assert!(matches!(second, PtyError::LinkExists { .. }), "{second}");
     drop(line);
-    assert!(std::fs::symlink_metadata(&link).is_err(), "the link outlived its pty");
+    assert!(fs::symlink_metadata(&link).is_err(), "the link outlived its pty");
     std::os::unix::fs::symlink("/dev/pts/999999", &link).unwrap();
     drop(PtyLine::open(Some(&link)).unwrap());
-    std::fs::write(&link, "precious").unwrap();
+    fs::write(&link, "precious").unwrap();
     assert!(matches!(PtyLine::open(Some(&link)), Err(PtyError::LinkExists { .. })));
-    assert_eq!(std::fs::read_to_string(&link).unwrap(), "precious");
+    assert_eq!(fs::read_to_string(&link).unwrap(), "precious");
     let nowhere = PtyLine::open(Some(&folder.path().join("no/such/rig"))).unwrap_err();
     assert!(matches!(nowhere, PtyError::Link { .. }), "{nowhere}");
 }

@@ -14,8 +14,8 @@ use mocapd_drivers::{
     link::HostLink,
 };
 use mocapd_simulator::{
-    device::{Device, DeviceSettings, LineDevice, SentLog},
-    faults::{Fate, FaultyDevice, FrameFate, Kind, Script},
+    device::{Device, DeviceSettings, LineDevice, SentFrame, SentLog},
+    faults::{Fate, FaultyDevice, FrameFate, KINDS, Kind, Kinds, Script},
     pty::{PtyLine, ServeOptions, serve},
 };
 use mocapd_take::motion::Motion;
@@ -102,7 +102,7 @@ pub(super) fn play(folder: &Folder, script: &Script) -> Played {
 fn fates(log: &str) -> Vec<FrameFate> {
     let mut lines = log.lines();
     assert_eq!(lines.next(), Some(FrameFate::CSV_HEADER));
-    lines.map(|line| FrameFate::from_csv(line).unwrap_or_else(|| panic!("{line}"))).collect()
+    lines.map(|line| fate_of(line).unwrap_or_else(|| panic!("{line}"))).collect()
 }
 
 /// What each frame of the log held.
@@ -142,4 +142,30 @@ fn said_in_virtual_time(script: &Script) -> Vec<Vec<MarkerSample>> {
         });
     }
     frames
+}
+
+/// A line of the log file; `None` for another.
+fn fate_of(line: &str) -> Option<FrameFate> {
+    use Fate::{Damaged, Discarded, Dropped, Late, Lost, Unasked, Waiting, Whole};
+    let mut cells = line.split(',');
+    let mut cell = || cells.next();
+    let frame = SentFrame {
+        run: cell()?.parse().ok()?,
+        seq: cell()?.parse().ok()?,
+        device_ticks: cell()?.parse().ok()?,
+        present: cell()?.parse().ok()?,
+        dropped: cell()? == "1",
+        host_ns: cell()?.parse().ok()?,
+        unasked: cell()? == "1",
+    };
+    let name = cell()?;
+    let fates = [Whole, Late, Unasked, Damaged, Lost, Dropped, Discarded, Waiting];
+    let fate = fates.into_iter().find(|fate| fate.name() == name)?;
+    let again = cell()?.parse().ok()?;
+    let mut faults = Kinds::default();
+    for name in cell()?.split('+').filter(|name| !name.is_empty()) {
+        faults.add(Kinds::of(KINDS.iter().find(|keys| keys.name == name)?.kind));
+    }
+    let frames = cell()?.parse().ok()?;
+    Some(FrameFate { frame, frames, fate, again, faults })
 }

@@ -7,21 +7,18 @@ use std::time::Duration;
 
 use anyhow::Context;
 use clap::{Args, ValueEnum};
-use mocapd_simulator::device::LineDevice;
+use line::LineArgs;
+use mocapd_simulator::device::{LineDevice, SentLog};
 use mocapd_simulator::line::{ServeOptions, serve};
 use mocapd_simulator::source::Generated;
 use mocapd_take::escape::visible;
 
+use super::{Failure, length_mm, seconds};
+
 mod device;
 mod input;
 mod line;
-mod logged;
 mod stop;
-mod summary;
-
-use super::Failure;
-use super::values::{length_mm, seconds};
-use line::LineArgs;
 
 #[derive(Debug, Args)]
 pub(super) struct ServeArgs {
@@ -116,9 +113,9 @@ enum Wire {
 
 pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
     let stop = stop::on_signal()?;
-    let log = logged::read(args)?;
+    let log = input::log(args)?;
     let (mut device, what): (Box<dyn LineDevice>, String) = match &log {
-        Some(log) => logged::device(args, log)?,
+        Some(log) => input::log_device(args, log)?,
         None => device::device(args, input::motion(args)?, input::script(args)?)?,
     };
     let (mut line, name) = args.line.open(&args.serial)?;
@@ -147,8 +144,8 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
         );
     }
     let summary = match log {
-        Some(_) => summary::of_log(&sent),
-        None => summary::of_motion(&sent, args.protocol),
+        Some(_) => summary_of_log(&sent),
+        None => summary_of_motion(&sent, args.protocol),
     };
     summary.lines().for_each(say);
     Ok(())
@@ -157,4 +154,39 @@ pub(super) fn run(args: &ServeArgs) -> Result<(), Failure> {
 /// A word on stderr. Nothing is lost when nobody reads it.
 fn say(text: &str) {
     drop(writeln!(io::stderr(), "mocapd-sim: {}", visible(text)));
+}
+
+/// Of a log, which has bytes and knows no frames.
+fn summary_of_log(sent: &SentLog) -> String {
+    format!("{}: {} bytes of the log sent", runs(sent), sent.bytes_sent)
+}
+
+fn runs(sent: &SentLog) -> String {
+    let starts = sent.starts;
+    format!("{starts} {}", if starts == 1 { "run" } else { "runs" })
+}
+
+/// The account, and what faults did of it, on a line of its own: what was produced is what comes after it.
+fn summary_of_motion(sent: &SentLog, spoken: Spoken) -> String {
+    let SentLog { total, frames_sent, bytes_sent, .. } = sent;
+    let runs = runs(sent);
+    let why = match spoken {
+        Spoken::Dvmc => "its queue was full",
+        Spoken::Ndi => "not fetched before the next",
+    };
+    let mut said = format!(
+        "{runs}: {} frames produced, {frames_sent} sent in {bytes_sent} bytes, {} dropped by the device \
+         ({why}), {} never taken",
+        total.frames_produced,
+        total.frames_dropped,
+        sent.frames_waiting + sent.frames_discarded
+    );
+    if spoken == Spoken::Ndi {
+        let unasked = total.frames_unasked;
+        said.push_str(&format!(", {unasked} after the last request (on no recorder's account)"));
+    }
+    if let Some(faults) = &sent.faults {
+        said = format!("{said}\n{}", faults.words());
+    }
+    said
 }

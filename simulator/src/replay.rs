@@ -1,10 +1,8 @@
 //! Recorded motion at another rate, frame by frame: nothing is kept but the recording.
 
-mod interpolate;
-
 use std::sync::Arc;
 
-use mocapd_take::motion::{Motion, Position};
+use mocapd_take::motion::{GAP, Motion, Position, is_gap};
 
 /// A recording, stepped through in fractions of its own frames.
 ///
@@ -59,32 +57,70 @@ impl Replay {
         if part == 0 {
             row.extend_from_slice(self.motion.frame(before));
         } else {
-            interpolate::between(&self.motion, before, part as f64 / den as f64, row);
+            between(&self.motion, before, part as f64 / den as f64, row);
         }
     }
+}
 
-    /// All frames at once, at the rate they then have.
-    #[must_use]
-    pub fn to_motion(&self, rate_hz: f64) -> Motion {
-        let mut out = Motion { info: self.motion.info.clone(), positions_mm: Vec::new() };
-        let mut row = Vec::new();
-        for index in 0..self.n_frames() {
-            self.frame(index, &mut row);
-            out.positions_mm.extend_from_slice(&row);
-        }
-        out.info.rate_hz = rate_hz;
-        out.info.n_frames = self.n_frames();
-        out
+/// Appends every marker between frame `before` and the next one; `part` in (0, 1) of the way.
+fn between(motion: &Motion, before: usize, part: f64, row: &mut Vec<Position>) {
+    let here = motion.frame(before);
+    let next = motion.frame(before + 1);
+    let earlier = before.checked_sub(1).map_or(&[][..], |i| motion.frame(i));
+    let later = motion.frame(before + 2);
+    for (marker, &p1) in here.iter().enumerate() {
+        let get = |frame: &[Position]| frame.get(marker).copied().filter(|p| !is_gap(*p));
+        row.push(match get(next) {
+            Some(p2) if !is_gap(p1) => cubic(get(earlier), p1, p2, get(later), part),
+            _ => GAP,
+        });
     }
+}
+
+/// The cubic between `p1` and `p2` whose slopes are the neighbours' chords.
+///
+/// Catmull and Rom, "A class of local interpolating splines", 1974; Hermite form. At the end of a run the slope
+/// is that of the piece itself: a parabola there, a line where both ends are.
+fn cubic(
+    p0: Option<Position>,
+    p1: Position,
+    p2: Position,
+    p3: Option<Position>,
+    x: f64,
+) -> Position {
+    let mut out = [0.0; 3];
+    for (axis, value) in out.iter_mut().enumerate() {
+        let at = |p: Position| f64::from(p[axis]);
+        let (a, b) = (at(p1), at(p2));
+        let from = p0.map_or(b - a, |p| 0.5 * (b - at(p)));
+        let to = p3.map_or(b - a, |p| 0.5 * (at(p) - a));
+        let d = b - a;
+        let (c2, c3) = (3.0 * d - 2.0 * from - to, from + to - 2.0 * d);
+        *value = (a + x * (from + x * (c2 + x * c3))) as f32;
+    }
+    out
 }
 
 #[cfg(test)]
 mod tests {
+    use crate::generator::JumpSpec;
     use mocapd_take::motion::{GAP, Marker, MotionInfo, is_gap};
     use proptest::prelude::*;
 
     use super::*;
-    use crate::generator::JumpSpec;
+
+    /// All frames at once, at the rate they then have.
+    fn to_motion(replay: &Replay, rate_hz: f64) -> Motion {
+        let mut out = Motion { info: replay.motion.info.clone(), positions_mm: Vec::new() };
+        let mut row = Vec::new();
+        for index in 0..replay.n_frames() {
+            replay.frame(index, &mut row);
+            out.positions_mm.extend_from_slice(&row);
+        }
+        out.info.rate_hz = rate_hz;
+        out.info.n_frames = replay.n_frames();
+        out
+    }
 
     fn line(samples: &[Position]) -> Arc<Motion> {
         let markers = vec![Marker { label: "m".to_owned(), labelled: true }];
@@ -108,15 +144,15 @@ mod tests {
             assert_eq!(row, motion.frame(k));
         }
         // Down again by the same factor: the recording.
-        let up = Arc::new(replay.to_motion(240.0));
-        let down = Replay::resampled(up, 240_000, 60_000).unwrap().to_motion(60.0);
+        let up = Arc::new(to_motion(&replay, 240.0));
+        let down = to_motion(&Replay::resampled(up, 240_000, 60_000).unwrap(), 60.0);
         assert_eq!(down, *motion);
     }
 
     #[test]
     fn smooth_motion_between_frames_is_met() {
         let fine = Arc::new(JumpSpec::new(2, 480.0).clean().generate().unwrap().motion);
-        let coarse = Replay::resampled(Arc::clone(&fine), 480, 120).unwrap().to_motion(120.0);
+        let coarse = to_motion(&Replay::resampled(Arc::clone(&fine), 480, 120).unwrap(), 120.0);
         let again = Replay::resampled(Arc::new(coarse), 120, 480).unwrap();
         let mut row = Vec::new();
         let mut worst = 0.0f32;
