@@ -93,6 +93,15 @@ pub fn runs(present: impl Iterator<Item = bool>) -> impl Iterator<Item = Range<u
     })
 }
 
+/// The middle value, the upper one of two; `None` of none.
+pub(crate) fn median(values: &mut [f64]) -> Option<f64> {
+    let middle = values.len() / 2;
+    if values.is_empty() {
+        return None;
+    }
+    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

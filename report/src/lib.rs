@@ -4,7 +4,6 @@
 //! Nothing here opens a file, prints, reads a clock or starts a thread: trajectories and the bytes of takes come
 //! from the caller, and text, tables and pictures go back.
 
-pub mod butterworth;
 pub mod coded;
 pub mod column;
 pub mod derivative;

@@ -3,7 +3,6 @@
 //! A limb keeps its length however fast it moves. So a length that changes tells of labels that changed places
 //! ([`swaps`]), or of a marker that slid.
 
-mod body;
 pub mod lengths;
 pub mod swaps;
 
@@ -11,7 +10,7 @@ use std::collections::HashMap;
 
 use mocapd_take::motion::Motion;
 
-use self::body::Body;
+use self::lengths::Body;
 pub use self::{
     lengths::{Lengths, Outside},
     swaps::Swap,

@@ -8,7 +8,7 @@
 
 use std::ops::Range;
 
-use super::body::{Body, Pair};
+use super::lengths::{Body, Pair};
 use crate::column::distance;
 
 /// Two markers that come close change labels before anything shows: so far back the crossing is looked for, s. So long

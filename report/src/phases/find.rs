@@ -7,8 +7,8 @@ use mocapd_take::motion::{Motion, UpAxis};
 
 use super::Phase;
 use crate::{
-    butterworth::Butterworth,
     column::{Column, Vector},
+    derivative::Butterworth,
     sites::Sites,
 };
 

@@ -1,12 +1,14 @@
 //! The phases of a jump, as (Shi et al. 2012) divide it: found from the pelvis and the feet, or given by a file.
 
-mod file;
 mod find;
 
-pub use self::{
-    file::parse,
-    find::{NoJump, find},
-};
+use std::collections::BTreeMap;
+
+use mocapd_take::escape::from_cell;
+
+use crate::ReportError;
+
+pub use self::find::{NoJump, find};
 
 /// What a part of a trial is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -79,4 +81,83 @@ pub fn parts(starts: &[(Phase, usize)], n_frames: usize) -> Vec<Part> {
         .map(|(&(phase, from), to)| Part { phase, frames: from.min(n_frames)..to.min(n_frames) })
         .filter(|part| !part.frames.is_empty())
         .collect()
+}
+
+/// Its first line.
+const HEAD: &str = "file,phase,first_frame";
+
+/// By file name without its folder, each phase and its first frame, from 0. Empty lines and those that begin with
+/// `#` are passed over.
+///
+/// # Errors
+/// `InvalidArgument` with the line that cannot be read, and what it should be.
+pub fn parse(text: &str) -> Result<BTreeMap<String, Vec<(Phase, usize)>>, ReportError> {
+    let lines = text.lines().zip(1..).map(|(line, number)| (line.trim(), number));
+    let mut lines = lines.filter(|(line, _)| !line.is_empty() && !line.starts_with('#'));
+    let bad = |number: u32, what: String| {
+        ReportError::InvalidArgument(format!("line {number} of the phases: {what}"))
+    };
+    match lines.next() {
+        Some((HEAD, _)) => {}
+        Some((line, number)) => {
+            return Err(bad(number, format!("expected '{HEAD}', found '{line}'")));
+        }
+        None => return Err(bad(1, format!("expected '{HEAD}', found nothing"))),
+    }
+    let mut found: BTreeMap<String, Vec<(Phase, usize)>> = BTreeMap::new();
+    for (line, number) in lines {
+        // Names may have commas: the two columns behind them have none.
+        let mut cells = line.rsplitn(3, ',').map(str::trim);
+        let (frame, phase, file) = (cells.next(), cells.next(), cells.next());
+        let (Some(frame), Some(phase), Some(file)) = (frame, phase, file) else {
+            return Err(bad(
+                number,
+                format!("expected a file, a phase and a frame, found '{line}'"),
+            ));
+        };
+        let names = || Phase::ALL.map(Phase::name).join(", ");
+        let phase = Phase::of_name(phase)
+            .ok_or_else(|| bad(number, format!("no phase is called '{phase}': use {}", names())))?;
+        let frame = frame
+            .parse()
+            .map_err(|_| bad(number, format!("'{frame}' is no number of a frame, from 0")))?;
+        let phases = found.entry(from_cell(file).into_owned()).or_default();
+        if phases.last().is_some_and(|&(_, before)| before >= frame) {
+            return Err(bad(
+                number,
+                format!("the phases of {file} are not in the order of their frames"),
+            ));
+        }
+        phases.push((phase, frame));
+    }
+    Ok(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_and_their_phases() {
+        let text = "# by hand\nfile,phase,first_frame\na.c3d,swings,10\na.c3d,last swing,40\n\nb, c.csv,walking,0\n";
+        let found = parse(text).unwrap();
+        assert_eq!(found["a.c3d"], [(Phase::Swings, 10), (Phase::LastSwing, 40)]);
+        assert_eq!(found["b, c.csv"], [(Phase::Walking, 0)]);
+    }
+
+    #[test]
+    fn nonsense_is_told_with_its_line() {
+        let head = "file,phase,first_frame\n";
+        for (text, words) in [
+            ("", "line 1"),
+            ("a,b\n", "line 1"),
+            (&format!("{head}a.c3d,10\n"), "line 2"),
+            (&format!("{head}a.c3d,dive,10\n"), "use standing, swings"),
+            (&format!("{head}a.c3d,swings,-1\n"), "'-1' is no number"),
+            (&format!("{head}a.c3d,swings,9\na.c3d,take-off,9\n"), "line 3"),
+        ] {
+            let error = parse(text).unwrap_err().to_string();
+            assert!(error.contains(words), "{text}: {error}");
+        }
+    }
 }

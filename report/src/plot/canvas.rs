@@ -1,9 +1,16 @@
 //! What all pictures share: the sheet, its letters and its colours.
 
+use std::{ops::Range, sync::Arc};
+
 use plotters::{
-    coord::Shift,
+    chart::ChartContext,
+    coord::{Shift, types::RangedCoordf64},
     prelude::*,
     style::text_anchor::{HPos, Pos, VPos},
+};
+use resvg::{
+    tiny_skia::{Pixmap, Transform},
+    usvg::{Options, Tree, fontdb},
 };
 
 use crate::ReportError;
@@ -45,32 +52,35 @@ pub(super) fn sheet(
     Ok(text)
 }
 
-/// Where words stand at their point.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Stand {
-    Left,
-    Middle,
-    Right,
+/// How words look, and what of them is at their point.
+#[derive(Clone, Copy)]
+pub(super) struct Letters {
+    size: u32,
+    colour: RGBColor,
+    anchor: HPos,
+}
+
+/// Words that begin at their point.
+pub(super) fn left_aligned(size: u32, colour: RGBColor) -> Letters {
+    Letters { size, colour, anchor: HPos::Left }
+}
+
+/// Words about their point.
+pub(super) fn centred(size: u32, colour: RGBColor) -> Letters {
+    Letters { size, colour, anchor: HPos::Center }
+}
+
+/// Words that end at their point.
+pub(super) fn right_aligned(size: u32, colour: RGBColor) -> Letters {
+    Letters { size, colour, anchor: HPos::Right }
 }
 
 /// Words at half their height, `at` in units of the area.
-pub(super) fn words(
-    area: &Area<'_>,
-    text: &str,
-    at: (i32, i32),
-    size: u32,
-    colour: RGBColor,
-    stand: Stand,
-) -> Drawn {
-    let horizontal = match stand {
-        Stand::Left => HPos::Left,
-        Stand::Middle => HPos::Center,
-        Stand::Right => HPos::Right,
-    };
+pub(super) fn words(area: &Area<'_>, text: &str, at: (i32, i32), letters: Letters) -> Drawn {
     let style = TextStyle {
-        font: (FONT, size).into_font(),
-        color: colour.to_backend_color(),
-        pos: Pos::new(horizontal, VPos::Center),
+        font: (FONT, letters.size).into_font(),
+        color: letters.colour.to_backend_color(),
+        pos: Pos::new(letters.anchor, VPos::Center),
     };
     Ok(area.draw(&Text::new(plain(text), at, style))?)
 }
@@ -93,6 +103,106 @@ pub(super) fn shortened(text: &str, letters: usize) -> String {
     format!("{head}…{tail}")
 }
 
+pub(super) type Chart<'a, 'b> =
+    ChartContext<'b, SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+
+/// What the axes of a panel say.
+#[derive(Debug, Clone)]
+pub(super) struct Axes<'a> {
+    pub(super) x: Range<f64>,
+    pub(super) y: Range<f64>,
+    /// With its unit; empty for an axis whose figures stand below another panel.
+    pub(super) x_words: &'a str,
+    pub(super) y_words: &'a str,
+    pub(super) margins: [u32; 4],
+}
+
+/// Axes, their grid and figures. Margins: top, right, bottom, left.
+pub(super) fn panel<'a, 'b>(
+    area: &'b Area<'a>,
+    axes: &Axes<'_>,
+) -> Result<Chart<'a, 'b>, Box<dyn std::error::Error>> {
+    let [top, right, bottom, left] = axes.margins;
+    let has_x = !axes.x_words.is_empty();
+    let mut chart = ChartBuilder::on(area)
+        .margin_top(top)
+        .margin_right(right)
+        .margin_bottom(bottom)
+        .margin_left(left)
+        .x_label_area_size(if has_x { 42 } else { 6 })
+        .y_label_area_size(66)
+        .build_cartesian_2d(axes.x.clone(), axes.y.clone())?;
+    let (height, width) =
+        (chart.plotting_area().dim_in_pixel().1, chart.plotting_area().dim_in_pixel().0);
+    let (x_span, y_span) = (axes.x.end - axes.x.start, axes.y.end - axes.y.start);
+    chart
+        .configure_mesh()
+        .axis_style(GRID)
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(GRID)
+        .x_labels((width / 70).clamp(2, 12) as usize)
+        .y_labels((height / 32).clamp(2, 10) as usize)
+        .x_desc(axes.x_words)
+        .y_desc(axes.y_words)
+        .x_label_formatter(&|value| if has_x { tick(*value, x_span) } else { String::new() })
+        .y_label_formatter(&|value| tick(*value, y_span))
+        .label_style((FONT, WORDS).into_font().color(&INK))
+        .axis_desc_style((FONT, WORDS).into_font().color(&INK))
+        .draw()?;
+    Ok(chart)
+}
+
+/// A figure with as many digits as tell the marks of an axis apart.
+pub(super) fn tick(value: f64, span: f64) -> String {
+    let digits = (1.0 - span.abs().max(1e-12).log10()).ceil().clamp(0.0, 9.0) as usize;
+    let text = format!("{value:.digits$}");
+    let zero = text.trim_start_matches('-').chars().all(|c| c == '0' || c == '.');
+    if zero { text.trim_start_matches('-').to_owned() } else { text }
+}
+
+/// From the smallest to the largest finite value, with a little air; 0 to 1 where there is none.
+pub(super) fn range(values: impl Iterator<Item = f64>) -> Range<f64> {
+    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+    for value in values.filter(|value| value.is_finite()) {
+        (low, high) = (low.min(value), high.max(value));
+    }
+    if low > high {
+        return 0.0..1.0;
+    }
+    let air = (0.06 * (high - low)).max(1e-6 * high.abs().max(low.abs())).max(1e-3);
+    low - air..high + air
+}
+
+/// Pixels to a unit of the SVG: sharp on paper and on dense screens.
+const SCALE: f32 = 2.0;
+
+/// Most pixels of a picture: 400 MB.
+const PIXELS_MAX: f32 = 1e8;
+
+/// Turns an SVG into a PNG.
+///
+/// # Errors
+/// `Drawing` when the SVG cannot be read, or is too large.
+pub fn png(svg: &str) -> Result<Vec<u8>, ReportError> {
+    let bad = |error: &dyn std::fmt::Display| ReportError::Drawing(error.to_string());
+    let mut fonts = fontdb::Database::new();
+    for font in [dejavu::sans::regular(), dejavu::sans::bold()] {
+        fonts.load_font_data(font.to_vec());
+    }
+    fonts.set_sans_serif_family("DejaVu Sans");
+    let options = Options { fontdb: Arc::new(fonts), ..Options::default() };
+    let tree = Tree::from_str(svg, &options).map_err(|error| bad(&error))?;
+    let size = tree.size();
+    let (width, height) = (size.width() * SCALE, size.height() * SCALE);
+    if width * height > PIXELS_MAX {
+        return Err(bad(&"the picture is too large for pixels: use .svg"));
+    }
+    let mut pixels = Pixmap::new(width.ceil() as u32, height.ceil() as u32)
+        .ok_or_else(|| bad(&"the picture has no size"))?;
+    resvg::render(&tree, Transform::from_scale(SCALE, SCALE), &mut pixels.as_mut());
+    pixels.encode_png().map_err(|error| bad(&error))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -100,11 +210,11 @@ mod tests {
     #[test]
     fn hostile_names_are_drawn_all_the_same() {
         let svg = sheet((100, 40), |area| {
-            words(area, "a<b>&\"\u{1}\n", (5, 20), WORDS, INK, Stand::Left)
+            words(area, "a<b>&\"\u{1}\n", (5, 20), left_aligned(WORDS, INK))
         });
         let svg = svg.unwrap();
         assert!(!svg.contains("a<b>") && svg.contains("a&lt;b&gt;&amp;"), "{svg}");
-        assert!(super::super::png(&svg).is_ok());
+        assert!(png(&svg).is_ok());
     }
 
     #[test]
@@ -112,5 +222,61 @@ mod tests {
         assert_eq!(shortened("l_knee", 10), "l_knee");
         assert_eq!(shortened("a_very_long_name_indeed", 11), "a_ver…ndeed");
         assert_eq!(shortened("éèàùâêîôû", 5), "éè…ôû");
+    }
+}
+
+#[cfg(test)]
+mod tests_of_chart {
+    use super::*;
+
+    #[test]
+    fn figures_have_the_digits_that_matter() {
+        assert_eq!(tick(0.30000000000000004, 1.0), "0.3");
+        assert_eq!(tick(1250.0, 3000.0), "1250");
+        assert_eq!(tick(-0.0, 0.5), "0.00");
+        assert_eq!(tick(0.004, 0.01), "0.004");
+    }
+
+    #[test]
+    fn a_range_has_a_length_whatever_is_in_it() {
+        for values in
+            [&[][..], &[5.0], &[5.0, 5.0], &[f64::NAN, f64::INFINITY], &[1e9, 1e9], &[-2.0, 3.0]]
+        {
+            let range = range(values.iter().copied());
+            assert!(range.end > range.start && range.start.is_finite() && range.end.is_finite());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests_of_png {
+    use super::*;
+
+    /// How many pixels of a PNG are not white, by its decoded bytes.
+    fn inked(svg: &str) -> usize {
+        let pixels = Pixmap::decode_png(&png(svg).unwrap()).unwrap();
+        pixels.pixels().iter().filter(|pixel| pixel.red() < 128 && pixel.alpha() > 0).count()
+    }
+
+    #[test]
+    fn words_are_drawn_without_a_font_on_the_machine() {
+        let svg = |text: &str| {
+            format!(
+                "<svg width='200' height='40' xmlns='http://www.w3.org/2000/svg'>\
+                 <rect width='200' height='40' fill='white'/>\
+                 <text x='5' y='25' font-family='Nowhere, sans-serif' font-size='20'>{text}</text></svg>"
+            )
+        };
+        assert_eq!(inked(&svg("")), 0);
+        assert!(inked(&svg("mm/s")) > 200);
+        // Also what is not Latin.
+        assert!(inked(&svg("λ° ж")) > 200);
+    }
+
+    #[test]
+    fn what_is_no_picture_is_refused() {
+        assert!(png("<svg").is_err());
+        let large = "<svg width='99999' height='99999' xmlns='http://www.w3.org/2000/svg'></svg>";
+        assert!(png(large).unwrap_err().to_string().contains("use .svg"));
     }
 }

@@ -4,8 +4,6 @@
 //! green; a shape or a dash always stands beside a colour.
 
 mod canvas;
-mod chart;
-mod png;
 mod pose;
 mod quality;
 mod sizes;
@@ -13,7 +11,7 @@ mod study;
 mod trajectory;
 
 pub use self::{
-    png::png,
+    canvas::png,
     pose::{Pose, pose},
     quality::{MarkerQuality, Quality, quality},
     sizes::{SizeLine, SizePanel, sizes},

@@ -1,20 +1,16 @@
 //! Stick figures of several moments: original above, rebuilt below (figure 3 of Shi et al. 2012).
 
-mod lengths;
-mod view;
-
 use mocapd_take::motion::Motion;
 use plotters::prelude::*;
 
-use self::view::{View, middle};
 use super::canvas::{
-    Area, BLUE, DIM, Drawn, GRID, INK, SMALL, Stand, TITLE, VERMILION, WORDS, sheet, shortened,
-    words,
+    Area, BLUE, DIM, Drawn, GRID, INK, SMALL, TITLE, VERMILION, WORDS, centred, left_aligned,
+    sheet, shortened, words,
 };
 use crate::{
     ReportError,
     coded::Coded,
-    column::{Vector, distance, sample},
+    column::{Vector, distance, median, sample},
     limbs::Limb,
     up::Up,
 };
@@ -75,20 +71,22 @@ pub fn pose(wanted: &Pose<'_>) -> Result<String, ReportError> {
         ReportError::Nothing("no marker was seen at any of these moments: choose others".to_owned())
     })?;
     let n_rows = if wanted.original.is_some() { 2 } else { 1 };
-    let table = lengths::height(wanted.limbs.len());
+    let table = limbs_height(wanted.limbs.len());
     let height = (HEAD + n_rows * ROW + FOOT + table) as u32;
     sheet((WIDTH, height), |area| {
         let title = format!("Moments of {}", shortened(wanted.name, 80));
-        words(area, &title, (24, 26), TITLE, INK, Stand::Left)?;
-        words(area, &caption(wanted), (24, 52), WORDS, DIM, Stand::Left)?;
+        words(area, &title, (24, 26), left_aligned(TITLE, INK))?;
+        words(area, &caption(wanted), (24, 52), left_aligned(WORDS, DIM))?;
         let mut base = HEAD;
         if let Some(original) = wanted.original {
-            strip(area, base, "original", original, wanted, &view, INK)?;
+            let strip = Strip { name: "original", motion: original, colour: INK };
+            draw_strip(area, base, strip, wanted, &view)?;
             base += ROW;
         }
-        strip(area, base, "rebuilt", motion, wanted, &view, BLUE)?;
+        let strip = Strip { name: "rebuilt", motion, colour: BLUE };
+        draw_strip(area, base, strip, wanted, &view)?;
         times(area, base + ROW, wanted)?;
-        lengths::table(area, base + ROW + FOOT, wanted)
+        limbs_table(area, base + ROW + FOOT, wanted)
     })
 }
 
@@ -98,21 +96,27 @@ fn seen(motion: &Motion, row: usize) -> impl Iterator<Item = (usize, Vector)> + 
     frame.filter_map(|(marker, &position)| Some((marker, sample(position)?)))
 }
 
-fn strip(
+/// Poses of one motion beside each other.
+struct Strip<'a> {
+    name: &'a str,
+    motion: &'a Motion,
+    colour: RGBColor,
+}
+
+fn draw_strip(
     area: &Area<'_>,
     top: i32,
-    name: &str,
-    motion: &Motion,
+    strip: Strip<'_>,
     wanted: &Pose<'_>,
     view: &View,
-    colour: RGBColor,
 ) -> Drawn {
+    let Strip { name, motion, colour } = strip;
     let floor = top + ROW - 24;
     area.draw(&PathElement::new(
         vec![(24, floor), (WIDTH as i32 - 24, floor)],
         GRID.stroke_width(2),
     ))?;
-    words(area, name, (24, top + 20), WORDS, INK, Stand::Left)?;
+    words(area, name, (24, top + 20), left_aligned(WORDS, INK))?;
     for (i, &row) in wanted.rows.iter().enumerate() {
         // Both strips are laid about the rebuilt body, so that they can be compared by eye.
         let rebuilt: Vec<Vector> = seen(&wanted.coded.motion, row).map(|(_, at)| at).collect();
@@ -159,7 +163,7 @@ fn times(area: &Area<'_>, top: i32, wanted: &Pose<'_>) -> Drawn {
     for (i, &row) in wanted.rows.iter().enumerate() {
         let x = column_x(i, wanted.rows.len()).round() as i32;
         let time_s = row as f64 / motion.info.rate_hz.max(f64::MIN_POSITIVE);
-        words(area, &format!("{time_s:.2} s"), (x, top + 2), WORDS, INK, Stand::Middle)?;
+        words(area, &format!("{time_s:.2} s"), (x, top + 2), centred(WORDS, INK))?;
         let none = seen(motion, row).next().is_none();
         let line = match wanted.original {
             _ if none => "no marker seen".to_owned(),
@@ -170,7 +174,7 @@ fn times(area: &Area<'_>, top: i32, wanted: &Pose<'_>) -> Drawn {
                 apart.reduce(f64::max).map_or_else(String::new, |mm| format!("{mm:.2} mm"))
             }
         };
-        words(area, &line, (x, top + 24), SMALL, VERMILION, Stand::Middle)?;
+        words(area, &line, (x, top + 24), centred(SMALL, VERMILION))?;
     }
     Ok(())
 }
@@ -190,4 +194,127 @@ fn caption(wanted: &Pose<'_>) -> String {
         words += &format!("; the first {MARKERS_MAX} of {n} markers");
     }
     words
+}
+
+/// Limbs in a line, and the lines that have room.
+const ACROSS: usize = 4;
+const LINES_MAX: usize = 8;
+const LINE: i32 = 22;
+const LIMBS_HEAD: i32 = 34;
+
+/// How much of the sheet so many limbs need.
+fn limbs_height(n_limbs: usize) -> i32 {
+    match n_limbs.div_ceil(ACROSS).min(LINES_MAX) {
+        0 => 0,
+        n => LIMBS_HEAD + n as i32 * LINE + 14,
+    }
+}
+
+fn limbs_table(area: &Area<'_>, top: i32, wanted: &Pose<'_>) -> Drawn {
+    if wanted.limbs.is_empty() {
+        return Ok(());
+    }
+    let title = "limbs, median of the take / scan (mm); red: off by more than a tenth and than the scan's uncertainty";
+    words(area, title, (24, top + 14), left_aligned(SMALL, DIM))?;
+    let cell = (WIDTH as i32 - 48) / ACROSS as i32;
+    for (i, limb) in wanted.limbs.iter().take(ACROSS * LINES_MAX).enumerate() {
+        let at = (24 + (i % ACROSS) as i32 * cell, top + LIMBS_HEAD + (i / ACROSS) as i32 * LINE);
+        let bone = &limb.bone;
+        let scan = format!("{:.0} ± {:.0}", bone.length_mm, bone.uncertainty_mm);
+        let (length, colour) = match median_mm(limb, wanted) {
+            Some(mm) => (format!("{mm:.0}"), if bone.is_off(mm) { VERMILION } else { INK }),
+            None => ("not seen".to_owned(), DIM),
+        };
+        let line = format!("{}  {length} / {scan}", shortened(&bone.name, 22));
+        words(area, &line, at, left_aligned(WORDS, colour))?;
+    }
+    Ok(())
+}
+
+/// Over the whole take.
+fn median_mm(limb: &Limb, wanted: &Pose<'_>) -> Option<f64> {
+    let motion = &wanted.coded.motion;
+    let length = |row: usize| {
+        let ends = limb.ends.map(|end| motion.frame(row).get(end).copied().and_then(sample));
+        Some(distance(ends[0]?, ends[1]?))
+    };
+    let mut all: Vec<f64> = (0..motion.n_frames()).filter_map(length).collect();
+    median(&mut all)
+}
+
+/// How a body becomes lines on the sheet.
+struct View {
+    across: Direction,
+    up: Up,
+    /// Units of the sheet to a millimetre.
+    scale: f64,
+    /// Lowest height of all, mm.
+    floor_mm: f64,
+}
+
+/// An axis, or the other way along it.
+#[derive(Clone, Copy)]
+struct Direction {
+    axis: usize,
+    sign: f64,
+}
+
+impl Direction {
+    /// The axis that a direction is nearest to, but for one.
+    fn nearest(direction: Vector, but: Option<usize>) -> Option<Self> {
+        let axes = (0..3).filter(|&axis| Some(axis) != but);
+        let axis = axes.max_by(|&a, &b| direction[a].abs().total_cmp(&direction[b].abs()))?;
+        Some(Self { axis, sign: direction[axis].signum() })
+    }
+
+    fn of(self, at: Vector) -> f64 {
+        self.sign * at[self.axis]
+    }
+}
+
+impl View {
+    fn of(wanted: &Pose<'_>) -> Option<Self> {
+        let motion = &wanted.coded.motion;
+        let axis = |axis: usize| Direction { axis, sign: 1.0 };
+        let up = wanted.up;
+        let face =
+            |moment: usize| wanted.faces.get(moment).into_iter().flatten().flatten().copied();
+        let of_moment = |(moment, &row): (usize, &usize)| {
+            let markers = seen(motion, row).map(|(_, at)| at);
+            markers.chain(face(moment)).collect()
+        };
+        let moments: Vec<Vec<Vector>> = wanted.rows.iter().enumerate().map(of_moment).collect();
+        // From the side on which the body is seen best: where it goes, or else where it is wide.
+        let spread = |axis: usize| {
+            let values = moments.iter().flatten().map(|at| at[axis]);
+            let (low, high) = values.fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(v), h.max(v)));
+            high - low
+        };
+        let across = match wanted.front {
+            Some([left, _]) => Direction::nearest(left, Some(up.axis))?,
+            None => axis(
+                (0..3)
+                    .filter(|&axis| axis != up.axis)
+                    .max_by(|&a, &b| spread(a).total_cmp(&spread(b)))?,
+            ),
+        };
+        let floor_mm = moments.iter().flatten().map(|&at| up.height(at)).reduce(f64::min)?;
+        let high_mm = moments.iter().flatten().map(|&at| up.height(at)).reduce(f64::max)?;
+        let wide_mm = moments
+            .iter()
+            .filter_map(|points| {
+                let middle = middle(points, across)?;
+                points.iter().map(|&at| 2.0 * (across.of(at) - middle).abs()).reduce(f64::max)
+            })
+            .fold(1.0, f64::max);
+        let cell = f64::from(WIDTH - 120) / wanted.rows.len() as f64;
+        let scale =
+            ((f64::from(ROW) - 60.0) / (high_mm - floor_mm).max(1.0)).min(0.94 * cell / wide_mm);
+        Some(Self { across, up, scale, floor_mm })
+    }
+}
+
+fn middle(points: &[Vector], along: Direction) -> Option<f64> {
+    let values = || points.iter().map(|&at| along.of(at));
+    Some(0.5 * (values().reduce(f64::min)? + values().reduce(f64::max)?))
 }

@@ -4,12 +4,9 @@ use mocapd_codec::Settings;
 use mocapd_take::motion::Motion;
 use plotters::prelude::*;
 
-use super::{
-    canvas::{
-        Area, BLUE, DIM, Drawn, GRID, INK, ORANGE, SMALL, Stand, TITLE, VERMILION, WORDS, sheet,
-        shortened, words,
-    },
-    chart::tick,
+use super::canvas::{
+    Area, BLUE, DIM, Drawn, GRID, INK, ORANGE, SMALL, TITLE, VERMILION, WORDS, centred,
+    left_aligned, right_aligned, sheet, shortened, tick, words,
 };
 use crate::{
     ReportError,
@@ -21,13 +18,20 @@ use crate::{
 /// Most markers on a sheet; of more the worst are shown.
 const MARKERS_MAX: usize = 60;
 
+/// From the left edge of a column to its right one, in units of the sheet.
+#[derive(Clone, Copy)]
+struct Span {
+    left: i32,
+    right: i32,
+}
+
 const WIDTH: u32 = 1280;
 const HEAD: i32 = 100;
 const LINE: i32 = 19;
 const FOOT: i32 = 66;
 /// Where the strip of gaps and the columns of bars are.
-const GAPS: (i32, i32) = (190, 640);
-const BARS: [(i32, i32); 2] = [(730, 940), (1030, 1240)];
+const GAPS: Span = Span { left: 190, right: 640 };
+const BARS: [Span; 2] = [Span { left: 730, right: 940 }, Span { left: 1030, right: 1240 }];
 
 /// One marker.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -126,13 +130,18 @@ pub fn quality(wanted: &Quality<'_>) -> Result<String, ReportError> {
     let height = (HEAD + LINE * shown.len() as i32 + FOOT) as u32;
     sheet((WIDTH, height), |area| {
         let title = format!("Quality of {}", shortened(wanted.name, 80));
-        words(area, &title, (24, 26), TITLE, INK, Stand::Left)?;
-        words(area, &caption(wanted, &all, shown.len()), (24, 52), WORDS, DIM, Stand::Left)?;
-        words(area, "seen (blue), gaps (orange)", (GAPS.0, HEAD - 18), WORDS, INK, Stand::Left)?;
+        words(area, &title, (24, 26), left_aligned(TITLE, INK))?;
+        words(area, &caption(wanted, &all, shown.len()), (24, 52), left_aligned(WORDS, DIM))?;
+        words(
+            area,
+            "seen (blue), gaps (orange)",
+            (GAPS.left, HEAD - 18),
+            left_aligned(WORDS, INK),
+        )?;
         for (i, &marker) in shown.iter().enumerate() {
             let y = HEAD + LINE * i as i32 + LINE / 2;
             let label = shortened(&all[marker].label, 20);
-            words(area, &label, (GAPS.0 - 12, y), SMALL, INK, Stand::Right)?;
+            words(area, &label, (GAPS.left - 12, y), right_aligned(SMALL, INK))?;
             presence(area, &Column::of(motion, marker), y)?;
         }
         let base = HEAD + LINE * shown.len() as i32;
@@ -147,7 +156,7 @@ pub fn quality(wanted: &Quality<'_>) -> Result<String, ReportError> {
             [("noise, each axis (mm)", noise, BLUE), ("largest error (mm)", errors, VERMILION)];
         let known = columns.into_iter().filter(|(_, values, _)| values.iter().any(Option::is_some));
         for (place, (head, values, colour)) in BARS.into_iter().zip(known) {
-            words(area, head, (place.0, HEAD - 18), WORDS, INK, Stand::Left)?;
+            words(area, head, (place.left, HEAD - 18), left_aligned(WORDS, INK))?;
             bars(area, place, base, values.into_iter(), colour, "mm")?;
         }
         Ok(())
@@ -170,12 +179,12 @@ fn shown(all: &[MarkerQuality]) -> Vec<usize> {
 
 fn presence(area: &Area<'_>, column: &Column, y: i32) -> Drawn {
     let n = column.0.len().max(1) as f64;
-    let width = f64::from(GAPS.1 - GAPS.0);
-    let x = |row: usize| GAPS.0 + (row as f64 / n * width).round() as i32;
+    let width = f64::from(GAPS.right - GAPS.left);
+    let x = |row: usize| GAPS.left + (row as f64 / n * width).round() as i32;
     let bar = |from: i32, to: i32, half: i32, colour: RGBColor| {
         Rectangle::new([(from, y - half), (to.max(from + 1), y + half)], colour.filled())
     };
-    area.draw(&bar(GAPS.0, GAPS.1, 5, BLUE))?;
+    area.draw(&bar(GAPS.left, GAPS.right, 5, BLUE))?;
     // A gap is never thinner than it can be seen; those that share a pixel are one.
     let mut drawn_to = i32::MIN;
     for gap in crate::column::runs(column.0.iter().map(Option::is_none)) {
@@ -190,7 +199,7 @@ fn presence(area: &Area<'_>, column: &Column, y: i32) -> Drawn {
 
 fn bars(
     area: &Area<'_>,
-    place: (i32, i32),
+    place: Span,
     base: i32,
     values: impl Iterator<Item = Option<f64>> + Clone,
     colour: RGBColor,
@@ -198,16 +207,16 @@ fn bars(
 ) -> Drawn {
     let most = values.clone().flatten().fold(0.0, f64::max);
     let most = if most > 0.0 { most } else { 1.0 };
-    let width = f64::from(place.1 - place.0);
+    let width = f64::from(place.right - place.left);
     for (i, value) in values.enumerate() {
         let y = HEAD + LINE * i as i32 + LINE / 2;
         let Some(value) = value else {
-            words(area, "-", (place.0 + 4, y), SMALL, DIM, Stand::Left)?;
+            words(area, "-", (place.left + 4, y), left_aligned(SMALL, DIM))?;
             continue;
         };
-        let to = place.0 + (value / most * width).round() as i32;
+        let to = place.left + (value / most * width).round() as i32;
         area.draw(&Rectangle::new(
-            [(place.0, y - 5), (to.max(place.0 + 1), y + 5)],
+            [(place.left, y - 5), (to.max(place.left + 1), y + 5)],
             colour.filled(),
         ))?;
     }
@@ -215,15 +224,15 @@ fn bars(
 }
 
 /// A line with its beginning, middle and end.
-fn scale(area: &Area<'_>, (left, right): (i32, i32), y: i32, most: f64, unit: &str) -> Drawn {
+fn scale(area: &Area<'_>, Span { left, right }: Span, y: i32, most: f64, unit: &str) -> Drawn {
     let y = y + 6;
     area.draw(&PathElement::new(vec![(left, y), (right, y)], GRID.stroke_width(2)))?;
     for part in [0.0, 0.5, 1.0] {
         let x = left + (part * f64::from(right - left)).round() as i32;
         area.draw(&PathElement::new(vec![(x, y), (x, y + 5)], DIM.stroke_width(1)))?;
-        words(area, &tick(part * most, 0.5 * most), (x, y + 16), SMALL, INK, Stand::Middle)?;
+        words(area, &tick(part * most, 0.5 * most), (x, y + 16), centred(SMALL, INK))?;
     }
-    words(area, unit, (left + (right - left) / 2, y + 36), SMALL, DIM, Stand::Middle)
+    words(area, unit, (left + (right - left) / 2, y + 36), centred(SMALL, DIM))
 }
 
 fn caption(wanted: &Quality<'_>, all: &[MarkerQuality], n_shown: usize) -> String {

@@ -6,8 +6,8 @@ use plotters::{
 };
 
 use super::canvas::{
-    Area, BLUE, DIM, Drawn, FONT, GREEN, GRID, INK, PURPLE, Stand, TITLE, VERMILION, WORDS, sheet,
-    shortened, words,
+    Area, BLUE, DIM, Drawn, FONT, GREEN, GRID, INK, PURPLE, TITLE, VERMILION, WORDS, left_aligned,
+    sheet, shortened, words,
 };
 use crate::ReportError;
 
@@ -80,8 +80,8 @@ fn draw(
     tolerances_mm: std::ops::Range<f64>,
     bytes: std::ops::Range<f64>,
 ) -> Drawn {
-    words(area, &shortened(&panel.name, 56), (24, 26), TITLE, INK, Stand::Left)?;
-    words(area, &shortened(&panel.caption, 84), (24, 50), WORDS, DIM, Stand::Left)?;
+    words(area, &shortened(&panel.name, 56), (24, 26), left_aligned(TITLE, INK))?;
+    words(area, &shortened(&panel.caption, 84), (24, 50), left_aligned(WORDS, DIM))?;
     let decades = |range: &std::ops::Range<f64>| -> Vec<f64> {
         let ticks = (-5..12).flat_map(|i| [1.0, 2.0, 5.0].map(|digit| digit * 10_f64.powi(i)));
         ticks.filter(|tick| (0.999 * range.start..=1.001 * range.end).contains(tick)).collect()
@@ -129,7 +129,7 @@ fn draw(
     for (((x, end_y), name, colour), y) in ends.into_iter().zip(heights) {
         let (x, end_y, y) = (x - origin.0, end_y - origin.1, y - origin.1);
         area.draw(&PathElement::new(vec![(x + 5, end_y), (x + 14, y)], GRID))?;
-        words(area, &name, (x + 17, y), WORDS, colour, Stand::Left)?;
+        words(area, &name, (x + 17, y), left_aligned(WORDS, colour))?;
     }
     Ok(())
 }

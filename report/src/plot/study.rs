@@ -4,10 +4,9 @@ use plotters::prelude::*;
 
 use super::{
     canvas::{
-        Area, BLUE, DIM, Drawn, GREEN, GRID, INK, ORANGE, PURPLE, SKY, Stand, TITLE, VERMILION,
-        WORDS, sheet, words,
+        Area, Axes, BLUE, DIM, Drawn, GREEN, GRID, INK, ORANGE, PURPLE, SKY, TITLE, VERMILION,
+        WORDS, left_aligned, panel, sheet, words,
     },
-    chart::{Axes, panel},
     sizes::spread,
 };
 use crate::{
@@ -37,9 +36,9 @@ pub fn by_phase(findings: &Findings) -> Result<String, ReportError> {
     let most = all().map(|point| point.1).fold(1.0, f64::max);
     let widest = all().map(|point| point.0).fold(1.0, f64::max);
     sheet(SIZE, |area| {
-        words(area, "SR2 by phase and tolerance", (24, 26), TITLE, INK, Stand::Left)?;
+        words(area, "SR2 by phase and tolerance", (24, 26), left_aligned(TITLE, INK))?;
         let caption = "Stored items, a position and a time one each: original to asynchronous resampling (Shi et al. 2012, 8)";
-        words(area, caption, (24, 52), WORDS, DIM, Stand::Left)?;
+        words(area, caption, (24, 52), left_aligned(WORDS, DIM))?;
         let (_, body) = area.split_vertically(66);
         for (area, (title, lines)) in body
             .split_evenly((1, 2))
@@ -65,7 +64,7 @@ fn lines(tolerances_mm: &[f64], sr2: impl Fn(Piece, f64) -> Option<f64>) -> Vec<
 }
 
 fn draw(area: &Area<'_>, title: &str, lines: &[Line], widest: f64, most: f64) -> Drawn {
-    words(area, title, (90, 14), WORDS, INK, Stand::Left)?;
+    words(area, title, (90, 14), left_aligned(WORDS, INK))?;
     let axes = Axes {
         x: 0.0..widest * 1.02,
         y: 0.0..most * 1.05,
@@ -87,7 +86,7 @@ fn draw(area: &Area<'_>, title: &str, lines: &[Line], widest: f64, most: f64) ->
     for (((x, end_y), name, colour), y) in ends.into_iter().zip(heights) {
         let (x, end_y, y) = (x - origin.0, end_y - origin.1, y - origin.1);
         area.draw(&PathElement::new(vec![(x + 5, end_y), (x + 14, y)], GRID))?;
-        words(area, name, (x + 17, y), WORDS, colour, Stand::Left)?;
+        words(area, name, (x + 17, y), left_aligned(WORDS, colour))?;
     }
     Ok(())
 }

@@ -6,11 +6,9 @@ use std::ops::Range;
 use mocapd_take::motion::Motion;
 use plotters::prelude::*;
 
-use super::{
-    canvas::{
-        Area, BLUE, DIM, Drawn, INK, SMALL, Stand, TITLE, VERMILION, WORDS, sheet, shortened, words,
-    },
-    chart::{Axes, panel, range},
+use super::canvas::{
+    Area, Axes, BLUE, DIM, Drawn, INK, SMALL, TITLE, VERMILION, WORDS, centred, left_aligned,
+    panel, range, sheet, shortened, words,
 };
 use crate::{
     ReportError,
@@ -65,8 +63,8 @@ pub fn trajectory(wanted: &Trajectory<'_>) -> Result<String, ReportError> {
     let label = &wanted.coded.motion.info.markers[wanted.marker].label;
     sheet(SIZE, |area| {
         let title = format!("{} of {}", shortened(label, 40), shortened(wanted.name, 60));
-        words(area, &title, (24, 26), TITLE, INK, Stand::Left)?;
-        words(area, &path.caption(wanted), (24, 52), WORDS, DIM, Stand::Left)?;
+        words(area, &title, (24, 26), left_aligned(TITLE, INK))?;
+        words(area, &path.caption(wanted), (24, 52), left_aligned(WORDS, DIM))?;
         let (head, body) = area.split_vertically(HEAD);
         legend(&head, &path)?;
         let (left, right) = body.split_horizontally(LEFT);
@@ -159,16 +157,16 @@ fn legend(area: &Area<'_>, path: &Path) -> Drawn {
     let mut x = SIZE.0 as i32 - 470;
     if path.original.is_some() && path.is_marked {
         area.draw(&Circle::new((x, y), 4, DIM.stroke_width(1)))?;
-        words(area, "original samples", (x + 12, y), WORDS, INK, Stand::Left)?;
+        words(area, "original samples", (x + 12, y), left_aligned(WORDS, INK))?;
     }
     x += 170;
     if path.is_marked {
         area.draw(&Circle::new((x, y), 4, VERMILION.filled()))?;
-        words(area, "kept samples", (x + 12, y), WORDS, INK, Stand::Left)?;
+        words(area, "kept samples", (x + 12, y), left_aligned(WORDS, INK))?;
     }
     x += 142;
     area.draw(&PathElement::new(vec![(x - 8, y), (x + 12, y)], BLUE.stroke_width(2)))?;
-    words(area, "rebuilt curve", (x + 20, y), WORDS, INK, Stand::Left)
+    words(area, "rebuilt curve", (x + 20, y), left_aligned(WORDS, INK))
 }
 
 /// Seen from above at an angle, all axes at one scale.
@@ -188,7 +186,7 @@ fn in_space(area: &Area<'_>, path: &Path, up: Up) -> Drawn {
         let py = top + 0.5 * room_y - (y - mid_y) * scale;
         (px.round() as i32, py.round() as i32)
     };
-    words(area, "in space", (40, 18), WORDS, INK, Stand::Left)?;
+    words(area, "in space", (40, 18), left_aligned(WORDS, INK))?;
     for (_, at) in path.originals() {
         area.draw(&Circle::new(place(at), 4, DIM.stroke_width(1)))?;
     }
@@ -203,7 +201,7 @@ fn in_space(area: &Area<'_>, path: &Path, up: Up) -> Drawn {
     let bar_mm = round_length(0.25 * room_x / scale);
     let (bar, base) = ((bar_mm * scale).round() as i32, height as i32 - 36);
     area.draw(&PathElement::new(vec![(170, base), (170 + bar, base)], INK.stroke_width(3)))?;
-    words(area, &format!("{bar_mm} mm"), (170, base + 18), WORDS, INK, Stand::Left)?;
+    words(area, &format!("{bar_mm} mm"), (170, base + 18), left_aligned(WORDS, INK))?;
     let corner = (74, base - 8);
     for (axis, name) in ["x", "y", "z"].iter().enumerate() {
         let mut unit = [0.0; 3];
@@ -213,7 +211,7 @@ fn in_space(area: &Area<'_>, path: &Path, up: Up) -> Drawn {
             (corner.0 + ((x - ox) * length) as i32, corner.1 - ((y - oy) * length) as i32)
         };
         area.draw(&PathElement::new(vec![corner, end(34.0)], DIM.stroke_width(1)))?;
-        words(area, name, end(46.0), SMALL, DIM, Stand::Middle)?;
+        words(area, name, end(46.0), centred(SMALL, DIM))?;
     }
     Ok(())
 }
@@ -289,7 +287,7 @@ fn against_time(area: &Area<'_>, path: &Path, wanted: &Trajectory<'_>) -> Drawn 
         let (x, y) = chart.backend_coord(&(times.start, mm));
         let base = areas[3].get_base_pixel();
         let at = (x - base.0 + 8, y - base.1 - 9);
-        words(&areas[3], &format!("tolerance {mm} mm"), at, SMALL, VERMILION, Stand::Left)?;
+        words(&areas[3], &format!("tolerance {mm} mm"), at, left_aligned(SMALL, VERMILION))?;
     }
     Ok(())
 }

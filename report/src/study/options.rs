@@ -3,33 +3,7 @@
 use mocapd_codec::{ResamplerKind, Settings, SplineVariant};
 use mocapd_take::motion::Motion;
 
-use crate::phases::{Part, Phase};
-
-/// A stretch of a trial that is looked at on its own.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Piece {
-    /// A phase, cut out and resampled on its own: table 1.
-    Phase(Phase),
-    /// A phase inside the trial: what the whole trial's resampling keeps in it.
-    Within(Phase),
-    /// The trial.
-    Whole,
-    /// So many frames from its first on: table 2.
-    First(usize),
-}
-
-impl Piece {
-    /// As tables say it.
-    #[must_use]
-    pub fn name(self) -> String {
-        match self {
-            Self::Phase(phase) => phase.name().to_owned(),
-            Self::Within(phase) => format!("{} inside the trial", phase.name()),
-            Self::Whole => "whole".to_owned(),
-            Self::First(frames) => format!("first {frames}"),
-        }
-    }
-}
+use crate::phases::Part;
 
 /// A resampler, and the reading of the published method.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]

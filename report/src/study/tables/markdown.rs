@@ -4,10 +4,10 @@ use std::fmt::Write;
 
 use mocapd_take::escape::visible;
 
-use super::{Table, columns, figure, paper, ratio, short, verdicts};
+use super::{Table, columns, figure, ratio, short, verdicts};
 use crate::{
     phases::Phase,
-    study::{EXHAUSTIVE_FRAMES_MAX, Findings, Method, Piece},
+    study::{EXHAUSTIVE_FRAMES_MAX, Findings, Method, Piece, paper},
 };
 
 /// Trials are listed one by one up to here.

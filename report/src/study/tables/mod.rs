@@ -1,18 +1,17 @@
 //! What a study found, as tables: Markdown for people, CSV for programs.
 
-mod csv;
 mod markdown;
-mod verdicts;
 
-use std::fmt::Write;
+use std::{collections::BTreeSet, fmt::Write};
 
-use super::{Findings, Method, Piece, Sum, paper};
+use mocapd_take::escape::to_cell;
 
-pub use self::{
-    csv::{csv, trials_csv},
-    markdown::markdown,
-    verdicts::{Verdict, verdicts},
+use crate::{
+    phases::Phase,
+    study::{Findings, Method, Piece, Results, Sum, paper},
 };
+
+pub use self::markdown::markdown;
 
 /// A table with a heading.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -76,4 +75,198 @@ fn number(value: Option<f64>) -> String {
         write!(out, "{value:.6}").ok();
     }
     out
+}
+
+const COUNTS: &str = "rows,samples,kept,key_rows,sr1,sr2";
+
+/// All trials together, and what the paper has.
+#[must_use]
+pub fn csv(findings: &Findings) -> String {
+    let mut out = format!(
+        "piece,resampler,tolerance_mm,pieces,async_wins,{COUNTS},paper_sr2,raw_bytes,file_bytes,ratio,max_error_mm\n"
+    );
+    let cells = findings.trials.iter().flat_map(|trial| &trial.cells);
+    let keys: BTreeSet<(Piece, Method)> = cells.map(|cell| (cell.piece, cell.method)).collect();
+    for (piece, method) in keys {
+        for tolerance_mm in tolerances(findings, piece) {
+            let Some(sum) = findings.sum(piece, method, tolerance_mm) else { continue };
+            let is_published = method == Method::WorstSample || method == Method::Exhaustive;
+            let paper = paper::sr2(piece, tolerance_mm).filter(|_| is_published);
+            let Sum { n, wins, max_error_mm, .. } = sum;
+            out += &format!(
+                "{},{},{tolerance_mm},{n},{wins},{},{},{},{},{}\n",
+                piece.name(),
+                method.name(),
+                counts(&sum),
+                number(paper),
+                bytes(&sum),
+                number(sum.ratio()),
+                number(Some(max_error_mm)),
+            );
+        }
+    }
+    out
+}
+
+/// Each trial by itself.
+#[must_use]
+pub fn trials_csv(findings: &Findings) -> String {
+    let mut out =
+        format!("file,piece,resampler,tolerance_mm,{COUNTS},raw_bytes,file_bytes,max_error_mm\n");
+    for Results { name, cells, .. } in &findings.trials {
+        for cell in cells {
+            let sum = Sum { counts: cell.counts, file_bytes: cell.file_bytes, ..Sum::default() };
+            out += &format!(
+                "{},{},{},{},{},{},{}\n",
+                quoted(name),
+                cell.piece.name(),
+                cell.method.name(),
+                cell.tolerance_mm,
+                counts(&sum),
+                bytes(&sum),
+                number(Some(cell.max_error_mm)),
+            );
+        }
+    }
+    out
+}
+
+fn tolerances(findings: &Findings, piece: Piece) -> Vec<f64> {
+    match piece {
+        Piece::First(_) => findings.prefix_tolerances_mm.clone(),
+        _ => findings.tolerances_mm.clone(),
+    }
+}
+
+fn counts(sum: &Sum) -> String {
+    let c = &sum.counts;
+    let (sr1, sr2) = (number(c.sr1()), number(c.sr2()));
+    format!("{},{},{},{},{sr1},{sr2}", c.rows, c.samples, c.kept, c.key_rows)
+}
+
+/// What was not coded on its own has no bytes of its own.
+fn bytes(sum: &Sum) -> String {
+    let raw = 12 * sum.counts.samples;
+    if sum.file_bytes == 0 { format!("{raw},") } else { format!("{raw},{}", sum.file_bytes) }
+}
+
+fn quoted(name: &str) -> String {
+    let name = to_cell(name);
+    if name.contains([',', '"']) {
+        format!("\"{}\"", name.replace('"', "\"\""))
+    } else {
+        name.into_owned()
+    }
+}
+
+/// One claim.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Verdict {
+    /// The claim.
+    pub claim: &'static str,
+    /// Whether it holds at every tolerance; `None` where the takes cannot tell.
+    pub holds: Option<bool>,
+    /// Where it does not, or with which figures it does.
+    pub words: String,
+}
+
+/// All claims, in the order of the paper.
+#[must_use]
+pub fn verdicts(findings: &Findings) -> Vec<Verdict> {
+    vec![lowest(findings), highest(findings), rising(findings), asynchronous_wins(findings)]
+}
+
+/// SR2 by phase at a tolerance, of the phases that are there.
+fn by_phase(findings: &Findings, tolerance_mm: f64) -> Vec<(Phase, f64)> {
+    let sr2 = |phase: Phase| {
+        let sum = findings.sum(Piece::Phase(phase), Method::WorstSample, tolerance_mm)?;
+        Some((phase, sum.counts.sr2()?))
+    };
+    Phase::ALL.into_iter().filter(|&phase| phase != Phase::Standing).filter_map(sr2).collect()
+}
+
+/// A claim about the order of the phases, tolerance by tolerance.
+fn order(
+    findings: &Findings,
+    claim: &'static str,
+    choose: impl Fn(&[(Phase, f64)]) -> Option<(Phase, f64)>,
+    expected: &[Phase],
+) -> Verdict {
+    let mut words = Vec::new();
+    let mut holds = None;
+    for &mm in &findings.tolerances_mm {
+        let phases = by_phase(findings, mm);
+        let can_tell = phases.len() > 1 && phases.iter().any(|(phase, _)| expected.contains(phase));
+        if let Some((phase, sr2)) = choose(&phases).filter(|_| can_tell) {
+            let is_so = expected.contains(&phase);
+            holds = Some(holds.unwrap_or(true) && is_so);
+            words.push(format!("{mm} mm: {} ({sr2:.2})", phase.name()));
+        }
+    }
+    Verdict { claim, holds, words: words.join(", ") }
+}
+
+fn lowest(findings: &Findings) -> Verdict {
+    order(
+        findings,
+        "the take-off compresses least",
+        |phases| phases.iter().copied().min_by(|a, b| a.1.total_cmp(&b.1)),
+        &[Phase::TakeOff],
+    )
+}
+
+fn highest(findings: &Findings) -> Verdict {
+    order(
+        findings,
+        "walking or settling compresses most",
+        |phases| phases.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1)),
+        &[Phase::Walking, Phase::Settling],
+    )
+}
+
+fn rising(findings: &Findings) -> Verdict {
+    let mut falls = Vec::new();
+    let mut compared = false;
+    let phases = Phase::ALL.map(Piece::Phase);
+    for piece in phases.into_iter().chain([Piece::Whole]) {
+        for pair in findings.tolerances_mm.windows(2) {
+            let sr2 = |mm| findings.sum(piece, Method::WorstSample, mm)?.counts.sr2();
+            if let (Some(a), Some(b)) = (sr2(pair[0]), sr2(pair[1])) {
+                compared = true;
+                if b < a {
+                    falls.push(format!(
+                        "{}: {a:.2} at {} mm, {b:.2} at {} mm",
+                        piece.name(),
+                        pair[0],
+                        pair[1]
+                    ));
+                }
+            }
+        }
+    }
+    Verdict {
+        claim: "a larger tolerance compresses more",
+        holds: compared.then_some(falls.is_empty()),
+        words: if falls.is_empty() {
+            "in every phase, and as a whole".to_owned()
+        } else {
+            falls.join("; ")
+        },
+    }
+}
+
+fn asynchronous_wins(findings: &Findings) -> Verdict {
+    let mut words = Vec::new();
+    let mut holds = None;
+    for &mm in &findings.tolerances_mm {
+        if let Some(sum) = findings.sum(Piece::Whole, Method::WorstSample, mm) {
+            holds = Some(holds.unwrap_or(true) && sum.wins == sum.n);
+            words.push(format!("{mm} mm: {} of {} trials", sum.wins, sum.n));
+        }
+    }
+    Verdict {
+        claim: "asynchronous resampling needs fewer items than synchronous (10)",
+        holds,
+        words: words.join(", "),
+    }
 }

@@ -163,7 +163,7 @@ impl FittedFace {
 }
 
 /// A reason on one line: a reader of JSON quotes whatever names a file has.
-pub(in crate) fn shortened(reason: &str) -> String {
+pub(crate) fn shortened(reason: &str) -> String {
     const CHARACTERS: usize = 200;
     let printed = |c: char| if c.is_control() { ' ' } else { c };
     let mut line: String = reason.chars().map(printed).take(CHARACTERS).collect();

@@ -19,7 +19,7 @@ use super::model::{Camera, FeatureId, Model};
 
 pub use curves::{Curve, Part};
 pub use format::FaceFileError;
-pub(in crate) use format::shortened;
+pub(crate) use format::shortened;
 pub use overlay::Overlay;
 
 /// The chain that found the points.
