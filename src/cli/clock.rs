@@ -6,7 +6,7 @@ use mocapd_acquire::clock::ClockStatus;
 use mocapd_take::record::{ClockJitter, ClockLine};
 use serde::Serialize;
 
-use super::numbers::count;
+use super::values::count;
 
 #[derive(Debug, Serialize)]
 pub(crate) struct ClockReport {

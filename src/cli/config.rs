@@ -12,8 +12,8 @@ use serde::Serialize;
 use serde_json::{Map, Value};
 
 use super::{
-    numbers::count,
     output::{plain, print, print_json, say},
+    values::count,
 };
 
 #[derive(Debug, clap::Subcommand)]

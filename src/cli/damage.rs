@@ -7,8 +7,8 @@ use mocapd_take::loss::{LostRows, Why};
 use serde::Serialize;
 
 use super::{
-    numbers::{count, thousands},
     output::plain,
+    values::{count, thousands},
 };
 
 /// Ranges that are told one by one; more of them are summed up.

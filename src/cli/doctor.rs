@@ -11,9 +11,9 @@ use mocapd_service::{
 use serde::Serialize;
 
 use super::{
-    numbers::count,
     output::{plain, print, print_json},
     record::KEEP_FREE,
+    values::count,
 };
 
 #[derive(Debug, clap::Args)]

@@ -6,8 +6,8 @@ use mocapd_take::record::Ledger;
 use serde::Serialize;
 
 use super::{
-    numbers::{count, thousands},
     output::plain,
+    values::{count, thousands},
 };
 
 #[derive(Debug, Serialize)]

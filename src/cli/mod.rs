@@ -2,7 +2,6 @@
 
 mod bench;
 mod clock;
-mod codec_args;
 mod config;
 mod ctl;
 mod damage;
@@ -15,19 +14,16 @@ mod info;
 mod ledger;
 mod limbs;
 mod manual;
-mod numbers;
 mod original;
 mod output;
 mod paths;
 mod plot;
-mod progress;
 mod record;
 mod recover;
 mod run;
 mod stop;
 mod study;
 mod subject;
-mod subject_args;
 mod usage;
 mod values;
 mod verify;

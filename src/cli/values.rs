@@ -2,6 +2,9 @@
 
 use std::{ops::RangeInclusive, time::Duration};
 
+use clap::Args;
+use mocapd::outcome::UsageError;
+use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_service::units;
 
 /// The length of something that is to be made: more than nothing.
@@ -46,6 +49,98 @@ pub(super) fn sync(text: &str) -> Result<Duration, String> {
     Err(format!("syncs '{text}' apart are too few: give 0s to 60s"))
 }
 
+/// `12 345 678`: digits in threes.
+pub(crate) fn thousands(n: u64) -> String {
+    let digits = n.to_string();
+    let mut out = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            out.push(' ');
+        }
+        out.push(digit);
+    }
+    out
+}
+
+/// `1 marker`, `12 345 markers`.
+pub(crate) fn count(n: u64, what: &str) -> String {
+    format!("{} {what}{}", thousands(n), if n == 1 { "" } else { "s" })
+}
+
+/// `12 345 frames`, or `300 of 12 345 frames` where some of the rows are empty.
+pub(crate) fn frames_of(recorded: u64, rows: u64) -> String {
+    if recorded < rows {
+        format!("{} of {}", thousands(recorded), count(rows, "frame"))
+    } else {
+        count(rows, "frame")
+    }
+}
+
+/// `1.3 MB`.
+pub(crate) fn bytes(n: u64) -> String {
+    match n {
+        0..10_000 => format!("{} B", thousands(n)),
+        10_000..1_000_000 => format!("{:.1} kB", n as f64 / 1e3),
+        1_000_000..1_000_000_000 => format!("{:.1} MB", n as f64 / 1e6),
+        _ => format!("{:.2} GB", n as f64 / 1e9),
+    }
+}
+
+/// Five to fifteen times the noise of an optical rig, and 2.5 times smaller files than a tenth of a
+/// millimetre.
+const DEFAULT_TOLERANCE_MM: f64 = 0.5;
+
+#[derive(Debug, Args)]
+pub(crate) struct CodecArgs {
+    /// Largest distance between a sample and its reconstruction: 0.5mm, 100um, 2cm [default: 0.5mm]
+    #[arg(long, value_name = "LENGTH", value_parser = units::tolerance, allow_hyphen_values = true)]
+    tolerance: Option<Tolerance>,
+    /// Keep every bit; the same as --resampler lossless
+    #[arg(long, conflicts_with_all = ["tolerance", "resampler"])]
+    lossless: bool,
+    /// dense, fast or lossless; of whole takes (import, bench codec) also spline[:worst-sample|:exhaustive] and
+    /// sync[:worst-sample|:exhaustive]
+    #[arg(long, value_name = "NAME", default_value = "dense", value_parser = str::parse::<ResamplerKind>)]
+    resampler: ResamplerKind,
+}
+
+impl CodecArgs {
+    /// For samples that are all there.
+    ///
+    /// # Errors
+    /// A usage error when a tolerance is given to a resampler that has none.
+    pub(crate) fn settings(&self) -> anyhow::Result<Settings> {
+        let kind = if self.lossless { ResamplerKind::Lossless } else { self.resampler };
+        if kind.is_lossless() && self.tolerance.is_some() {
+            let message = "lossless keeps every bit and has no tolerance: leave --tolerance out";
+            return Err(UsageError(message.to_owned()).into());
+        }
+        let tolerance = self.tolerance.map_or(Tolerance::from_mm(DEFAULT_TOLERANCE_MM), Ok)?;
+        Ok(Settings { kind, tolerance })
+    }
+
+    /// For a device, whose samples are coded as they come.
+    ///
+    /// # Errors
+    /// A usage error for a resampler that needs the whole take.
+    pub(crate) fn live_settings(&self) -> anyhow::Result<Settings> {
+        let settings = self.settings()?;
+        if settings.kind.is_live() {
+            return Ok(settings);
+        }
+        Err(UsageError(format!(
+            "{} works on whole takes: record with dense, fast or lossless, then export and import with it",
+            settings.kind
+        ))
+        .into())
+    }
+}
+
+/// What a report says of the bound: 0 where every bit is kept.
+pub(crate) fn tolerance_mm(codec: &Settings) -> f64 {
+    if codec.kind.is_lossless() { 0.0 } else { codec.tolerance.mm() }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -61,5 +156,22 @@ mod tests {
         for text in ["0", "0s", "-0", "-1s", "1e-12s", "nan"] {
             assert!(length(text).is_err(), "{text}");
         }
+    }
+}
+
+#[cfg(test)]
+mod tests_of_numbers {
+    use super::*;
+
+    #[test]
+    fn numbers_for_people() {
+        assert_eq!(thousands(0), "0");
+        assert_eq!(thousands(1_234_567), "1 234 567");
+        assert_eq!(count(1, "marker"), "1 marker");
+        assert_eq!(count(1200, "frame"), "1 200 frames");
+        assert_eq!(frames_of(1200, 1200), "1 200 frames");
+        assert_eq!(frames_of(300, 1200), "300 of 1 200 frames");
+        assert_eq!(bytes(999), "999 B");
+        assert_eq!(bytes(1_250_000), "1.2 MB");
     }
 }

@@ -1,18 +1,27 @@
 //! `events`: followed, and taken up again where the connection broke.
 
-use std::time::Duration;
+use std::{
+    io::Write,
+    path::{Path, PathBuf},
+    time::Duration,
+};
 
-use anyhow::bail;
+use anyhow::{Context, bail};
 use hyper::{Method, body::Bytes};
 use mocapd::outcome::Outcome;
+use mocapd_acquire::files::NewFile;
 use mocapd_service::status::ServiceEvent;
+use serde::Serialize;
 use serde_json::Value;
 
 use super::{
     client::{Client, Lost},
     words,
 };
-use crate::cli::output::{plain, print, print_json_text, say};
+use crate::cli::{
+    output::{plain, print, print_json_text, say},
+    values,
+};
 
 /// Longer than the service is silent: it sends a sign of life every 15 s.
 const SILENT: Duration = Duration::from_secs(45);
@@ -113,6 +122,54 @@ impl Events {
     }
 }
 
+/// A service whose disk stalls sends nothing for half a minute at most.
+const SILENT_DISK: Duration = Duration::from_secs(60);
+
+#[derive(Debug, Serialize)]
+pub(super) struct Report {
+    take: String,
+    output: PathBuf,
+    bytes: u64,
+}
+
+pub(super) fn download(
+    client: &Client,
+    name: &str,
+    output: Option<&Path>,
+) -> anyhow::Result<Report> {
+    // What would be another folder's file here is no name there either.
+    let here = PathBuf::from(format!("{}.take", name.replace('/', "_")));
+    let output = output.map_or(here, Path::to_owned);
+    let path = format!("/v1/takes/{}/download", encoded(name));
+    let mut answer = client.open(&Method::GET, &path, &[], Bytes::new())?;
+    let announced = answer.len();
+    let mut file = NewFile::create(&output)?;
+    let mut bytes = 0;
+    while let Some(piece) = answer.next(SILENT_DISK)? {
+        bytes += piece.len() as u64;
+        file.write_all(&piece).with_context(|| format!("cannot write {}", output.display()))?;
+    }
+    if let Some(announced) = announced.filter(|&announced| announced != bytes) {
+        bail!("{bytes} of {announced} bytes came: try again");
+    }
+    file.keep()?;
+    say(&format!("{}: {}", output.display(), values::bytes(bytes)));
+    Ok(Report { take: name.to_owned(), output, bytes })
+}
+
+/// As it stands in a path.
+fn encoded(name: &str) -> String {
+    let mut out = String::with_capacity(name.len());
+    for byte in name.bytes() {
+        if byte.is_ascii_alphanumeric() || b"-_.~".contains(&byte) {
+            out.push(char::from(byte));
+        } else {
+            out += &format!("%{byte:02X}");
+        }
+    }
+    out
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -132,5 +189,16 @@ mod tests {
             assert_eq!(found, expected, "pieces of {size}");
         }
         assert!(Events::default().push(&vec![b'x'; EVENT_BYTES_MAX + 1]).is_err());
+    }
+}
+
+#[cfg(test)]
+mod tests_of_download {
+    use super::*;
+
+    #[test]
+    fn names_in_paths() {
+        assert_eq!(encoded("jump-001"), "jump-001");
+        assert_eq!(encoded("a b/../é%"), "a%20b%2F..%2F%C3%A9%25");
     }
 }

@@ -1,19 +1,28 @@
 //! `ctl`: asks a running service, and tells what it answers.
 
 mod client;
-mod download;
 mod events;
-mod orders;
-mod target;
-mod watch;
 mod words;
 
-use std::{path::PathBuf, time::Duration};
+use std::{path::PathBuf, sync::atomic::Ordering, time::Duration};
 
+use anyhow::Context;
 use mocapd::outcome::Outcome;
+use mocapd_acquire::{files::FileState, listing::ListedDevice};
+use mocapd_service::{
+    control::{Marked, Started, Stopped},
+    status::{LedgerStatus, Status, TakeSummary},
+};
+use serde::de::DeserializeOwned;
+use serde_json::{Value, json};
 
-use self::{client::Client, target::Target};
-use super::{output::print_json, values};
+use self::client::{Client, Target};
+use crate::cli::{
+    devices,
+    output::{print, print_json, print_json_text, say},
+    stop::stop_on_signal,
+    values,
+};
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -97,29 +106,149 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let target = Target::find(args.connect.as_deref())?;
     let client = Client::new(target, args.token_file.as_deref())?;
     match &args.order {
-        Order::Status { watch: true } => watch::run(&client, args.json),
-        Order::Status { watch: false } => orders::status(&client, args.json),
-        Order::Arm => orders::state(&client, "/v1/arm", args.json),
-        Order::Disarm => orders::state(&client, "/v1/disarm", args.json),
+        Order::Status { watch: true } => watch(&client, args.json),
+        Order::Status { watch: false } => status(&client, args.json),
+        Order::Arm => state(&client, "/v1/arm", args.json),
+        Order::Disarm => state(&client, "/v1/disarm", args.json),
         Order::Start { name, notes, pre_roll } => {
             let (name, notes) = (name.as_deref(), notes.as_deref());
             let pre_roll_s = pre_roll.map(|pre_roll| pre_roll.as_secs_f64());
-            orders::start(&client, name, notes, pre_roll_s, args.json)
+            start(&client, name, notes, pre_roll_s, args.json)
         }
-        Order::Stop => orders::stop(&client, args.json),
-        Order::Mark { text } => orders::mark(&client, text, args.json),
+        Order::Stop => stop(&client, args.json),
+        Order::Mark { text } => mark(&client, text, args.json),
         Order::SaveLast { length, name } => {
-            orders::save_last(&client, name.as_deref(), length.as_secs_f64(), args.json)
+            save_last(&client, name.as_deref(), length.as_secs_f64(), args.json)
         }
-        Order::Takes { limit } => orders::takes(&client, *limit, args.json),
-        Order::Devices => orders::devices(&client, args.json),
+        Order::Takes { limit } => takes(&client, *limit, args.json),
+        Order::Devices => devices(&client, args.json),
         Order::Events => events::follow(&client, args.json),
         Order::Download { name, output } => {
-            let report = download::run(&client, name, output.as_deref())?;
+            let report = events::download(&client, name, output.as_deref())?;
             if args.json {
                 print_json(&report)?;
             }
             Ok(Outcome::Done)
+        }
+    }
+}
+
+/// What a document means; a service of another version may say other things.
+fn read<T: DeserializeOwned>(document: &Value) -> anyhow::Result<T> {
+    T::deserialize(document).context("the service answered what this version does not know")
+}
+
+fn tell<T: DeserializeOwned>(
+    document: &Value,
+    json: bool,
+    words: impl FnOnce(&T) -> String,
+) -> anyhow::Result<T> {
+    if json {
+        print_json(document)?;
+        return read(document);
+    }
+    let answer = read(document)?;
+    print(&words(&answer))?;
+    Ok(answer)
+}
+
+fn status(client: &Client, json: bool) -> anyhow::Result<Outcome> {
+    tell(&client.get("/v1/status")?, json, words::status)?;
+    Ok(Outcome::Done)
+}
+
+fn state(client: &Client, path: &str, json: bool) -> anyhow::Result<Outcome> {
+    let document = client.order(path, json!({}))?;
+    tell::<Status>(&document, json, |status| format!("{}\n", words::state(status.state)))?;
+    Ok(Outcome::Done)
+}
+
+fn start(
+    client: &Client,
+    name: Option<&str>,
+    notes: Option<&str>,
+    pre_roll_s: Option<f64>,
+    json: bool,
+) -> anyhow::Result<Outcome> {
+    let body = json!({"name": name, "notes": notes, "pre_roll_s": pre_roll_s});
+    let started: Started = tell(&client.order("/v1/start", body)?, json, words::started)?;
+    for remark in &started.remarks {
+        say(remark);
+    }
+    Ok(Outcome::Done)
+}
+
+fn stop(client: &Client, json: bool) -> anyhow::Result<Outcome> {
+    let document = client.order("/v1/stop", json!({}))?;
+    stopped(&document, json)
+}
+
+fn save_last(
+    client: &Client,
+    name: Option<&str>,
+    seconds: f64,
+    json: bool,
+) -> anyhow::Result<Outcome> {
+    let document = client.order("/v1/save-last", json!({"name": name, "seconds": seconds}))?;
+    stopped(&document, json)
+}
+
+fn stopped(document: &Value, json: bool) -> anyhow::Result<Outcome> {
+    let stopped: Stopped = tell(document, json, words::stopped)?;
+    for remark in &stopped.remarks {
+        say(remark);
+    }
+    let losses = words::losses(&stopped.ledger);
+    if let Some(losses) = &losses {
+        say(&format!("{}: not in the take: {losses}", stopped.name));
+    }
+    let is_displaced = stopped.file != FileState::InPlace;
+    Ok(Outcome::of(losses.is_some() || !is_whole(&stopped.ledger) || is_displaced))
+}
+
+fn is_whole(ledger: &LedgerStatus) -> bool {
+    ledger.finished && ledger.closes
+}
+
+fn mark(client: &Client, text: &str, json: bool) -> anyhow::Result<Outcome> {
+    let document = client.order("/v1/mark", json!({"text": text}))?;
+    tell::<Marked>(&document, json, |marked| format!("marked at frame {}\n", marked.row))?;
+    Ok(Outcome::Done)
+}
+
+fn takes(client: &Client, limit: u16, json: bool) -> anyhow::Result<Outcome> {
+    let document = client.get(&format!("/v1/takes?limit={limit}"))?;
+    tell::<Vec<TakeSummary>>(&document, json, |takes| words::takes(takes))?;
+    Ok(Outcome::Done)
+}
+
+fn devices(client: &Client, json: bool) -> anyhow::Result<Outcome> {
+    let document = client.get("/v1/devices")?;
+    tell::<Vec<ListedDevice>>(&document, json, |listed| devices::words(listed))?;
+    Ok(Outcome::Done)
+}
+
+const EVERY: Duration = Duration::from_secs(1);
+
+/// Between looks whether it was Ctrl-C.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// A line every second.
+fn watch(client: &Client, json: bool) -> anyhow::Result<Outcome> {
+    let stop = stop_on_signal()?;
+    loop {
+        let document = client.get("/v1/status")?;
+        if json {
+            print_json_text(&document.to_string())?;
+        } else {
+            let status: Status = read(&document)?;
+            print(&format!("{}\n", words::watched(&status)))?;
+        }
+        for _ in 0..EVERY.as_millis() / LOOK.as_millis() {
+            if stop.load(Ordering::Relaxed) {
+                return Ok(Outcome::Done);
+            }
+            std::thread::sleep(LOOK);
         }
     }
 }

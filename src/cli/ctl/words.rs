@@ -10,8 +10,8 @@ use mocapd_service::{
 
 use crate::cli::{
     ledger::Losses,
-    numbers::{bytes, count, frames_of, thousands},
     output::plain,
+    values::{bytes, count, frames_of, thousands},
 };
 
 pub(super) fn state(state: State) -> &'static str {

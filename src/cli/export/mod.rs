@@ -29,7 +29,7 @@ use mocapd_take::{
 };
 
 use self::{format::FormatArgs, part::Part, spreadsheet::Guarded};
-use super::{numbers::count, output::say, paths, progress::Progress};
+use super::{output::Progress, output::say, paths, values::count};
 
 /// What is written at once: so much that the calls into the system cost nothing beside the bytes.
 const BUFFER_BYTES: usize = 1 << 20;

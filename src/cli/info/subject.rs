@@ -9,7 +9,7 @@ use mocapd_take::record::Subject;
 use serde::Serialize;
 
 use super::words::LABEL_COLUMNS_MAX;
-use crate::cli::numbers::{bytes, count};
+use crate::cli::values::{bytes, count};
 
 #[derive(Debug, Serialize)]
 pub(super) struct SubjectReport {

@@ -9,8 +9,8 @@ use crate::cli::{
     clock::ClockReport,
     damage,
     ledger::LedgerReport,
-    numbers::{bytes, count, frames_of, thousands},
     output::plain,
+    values::{bytes, count, frames_of, thousands},
 };
 
 /// A paragraph of facts, the ledger, and a table of the markers.

@@ -1,8 +1,14 @@
 //! `plot pose`.
 
-use std::{path::PathBuf, time::Duration};
+use std::{
+    io::Read,
+    path::{Path, PathBuf},
+    time::Duration,
+};
 
+use anyhow::Context;
 use mocapd::outcome::{Outcome, UsageError};
+use mocapd_acquire::files;
 use mocapd_report::{
     plot::{Pose, pose},
     up::Up,
@@ -17,7 +23,7 @@ use mocapd_take::{
     record::Subject,
 };
 
-use super::{picture, skeleton};
+use crate::cli::plot;
 use crate::cli::{
     limbs,
     output::say,
@@ -47,9 +53,9 @@ pub(crate) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    picture::check_output(&args.output)?;
+    plot::check_output(&args.output)?;
     let coded = read_coded(&args.take)?;
-    let original = args.against.as_ref().map(|path| picture::original(&args.take, &coded, path));
+    let original = args.against.as_ref().map(|path| plot::original(&args.take, &coded, path));
     let original = original.transpose()?.map(|(motion, _)| motion);
     let motion = &coded.motion;
     let n_frames = motion.n_frames();
@@ -74,7 +80,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let mut bones = bones::bones(&labels);
     let mut limbs = None;
     match &args.skeleton {
-        Some(path) if !skeleton::is_json(path)? => bones = skeleton::read(path, &labels)?,
+        Some(path) if !is_json(path)? => bones = read_bones(path, &labels)?,
         path => limbs = limbs::of(motion, path.as_deref())?,
     }
     let limbs = limbs.map(|found| found.limbs).unwrap_or_default();
@@ -97,8 +103,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         front: faces.front,
         up,
     };
-    picture::write(&args.output, &pose(&wanted)?)?;
-    Ok(picture::outcome(&coded))
+    plot::write(&args.output, &pose(&wanted)?)?;
+    Ok(plot::outcome(&coded))
 }
 
 /// The rows of the usual moments.
@@ -163,5 +169,91 @@ impl Faces {
         let front = poses.iter().flatten().next();
         let front = front.map(|pose| [0, 1].map(|own| pose.map(|row| f64::from(row[own]))));
         Self { lines, front }
+    }
+}
+
+/// Most bytes of such a file: tens of thousands of bones.
+const BYTES_MAX: u64 = 1 << 20;
+
+/// Whether it is a skeleton.json, and no such lines.
+///
+/// # Errors
+/// Why it cannot be read.
+fn is_json(path: &Path) -> anyhow::Result<bool> {
+    let mut start = Vec::new();
+    files::open(path)?
+        .take(BYTES_MAX)
+        .read_to_end(&mut start)
+        .with_context(|| format!("cannot read {}", path.display()))?;
+    Ok(start.trim_ascii_start().first() == Some(&b'{'))
+}
+
+/// Reads `label,label` lines. Empty ones and those that begin with `#` are passed over.
+///
+/// # Errors
+/// A usage error with the line that is none, or names a marker that is not there.
+fn read_bones(path: &Path, labels: &[String]) -> anyhow::Result<Vec<[u16; 2]>> {
+    let mut bytes = Vec::new();
+    files::open(path)?
+        .take(BYTES_MAX)
+        .read_to_end(&mut bytes)
+        .with_context(|| format!("cannot read {}", path.display()))?;
+    let text = String::from_utf8(bytes).with_context(|| {
+        format!(
+            "{}: it is no text: give what `mocapd subject body -o` writes, or a line `label,label` a bone",
+            path.display()
+        )
+    })?;
+    bones(&text, labels).map_err(|why| {
+        let message = format!(
+            "{}, {why}: write label,label for each bone, or give what `mocapd subject body -o` writes",
+            path.display()
+        );
+        UsageError(message).into()
+    })
+}
+
+fn bones(text: &str, labels: &[String]) -> Result<Vec<[u16; 2]>, String> {
+    let mut bones = Vec::new();
+    for (line, number) in text.lines().zip(1..) {
+        let line = line.trim();
+        if line.is_empty() || line.starts_with('#') {
+            continue;
+        }
+        let (a, b) = line
+            .split_once(',')
+            .ok_or_else(|| format!("line {number}: '{}' is no bone", shortened(line)))?;
+        let column = |label: &str| {
+            let found = labels.iter().position(|there| there == label.trim());
+            found.and_then(|column| u16::try_from(column).ok()).ok_or_else(|| {
+                format!("line {number}: no marker is called '{}'", shortened(label.trim()))
+            })
+        };
+        bones.push([column(a)?, column(b)?]);
+    }
+    Ok(bones)
+}
+
+/// As much of a foreign line as a message has room for.
+fn shortened(line: &str) -> String {
+    const CHARACTERS: usize = 60;
+    let rest = if line.chars().nth(CHARACTERS).is_some() { "…" } else { "" };
+    line.chars().take(CHARACTERS).collect::<String>() + rest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bones_by_label() {
+        let labels = ["hip", "knee", "ankle"].map(str::to_owned);
+        assert_eq!(bones("# leg\nhip, knee\n\nknee,ankle\n", &labels), Ok(vec![[0, 1], [1, 2]]));
+        assert!(bones("hip knee\n", &labels).unwrap_err().contains("line 1"));
+        assert!(
+            bones("hip,knee\nhip,toe\n", &labels)
+                .unwrap_err()
+                .contains("line 2: no marker is called 'toe'")
+        );
     }
 }

@@ -15,11 +15,11 @@ use mocapd_report::plot::{SizeLine, SizePanel, sizes};
 use mocapd_service::units;
 use mocapd_take::motion::{Motion, is_gap};
 
-use super::picture;
+use crate::cli::plot;
 use crate::cli::{
     import::header_of,
-    numbers::count,
-    progress::Progress,
+    output::Progress,
+    values::count,
     whole::{name, read_samples},
 };
 
@@ -46,7 +46,7 @@ pub(crate) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    picture::check_output(&args.output)?;
+    plot::check_output(&args.output)?;
     if args.files.len() > 6 {
         let n = args.files.len();
         return Err(UsageError(format!("{n} takes were given: six have room on a sheet")).into());
@@ -61,7 +61,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     for path in &args.files {
         panels.push(panel(path, &tolerances_mm)?);
     }
-    picture::write(&args.output, &sizes(&panels)?)?;
+    plot::write(&args.output, &sizes(&panels)?)?;
     Ok(Outcome::Done)
 }
 

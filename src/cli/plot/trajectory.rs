@@ -11,7 +11,8 @@ use mocapd_report::{
 use mocapd_service::units;
 use mocapd_take::{interchange::column_labels, motion::frame_at};
 
-use super::{picture, pose::up};
+use super::pose::up;
+use crate::cli::plot;
 use crate::cli::whole::{name, read_coded};
 
 #[derive(Debug, clap::Args)]
@@ -36,9 +37,9 @@ pub(crate) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    picture::check_output(&args.output)?;
+    plot::check_output(&args.output)?;
     let coded = read_coded(&args.take)?;
-    let original = args.against.as_ref().map(|path| picture::original(&args.take, &coded, path));
+    let original = args.against.as_ref().map(|path| plot::original(&args.take, &coded, path));
     let original = original.transpose()?.map(|(motion, _)| motion);
     let motion = &coded.motion;
     let row =
@@ -61,8 +62,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         rows,
         up: up(motion),
     };
-    picture::write(&args.output, &trajectory(&wanted)?)?;
-    Ok(picture::outcome(&coded))
+    plot::write(&args.output, &trajectory(&wanted)?)?;
+    Ok(plot::outcome(&coded))
 }
 
 /// The column of a label, or of the marker that goes the longest way.

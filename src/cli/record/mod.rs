@@ -20,12 +20,12 @@ pub(crate) use self::{
     watch::{Limits, record_and_watch},
 };
 use super::{
-    codec_args::CodecArgs,
     output::{print, print_json, say},
     paths,
     stop::stop_on_signal,
-    subject_args::SubjectArgs,
+    subject::SubjectArgs,
     values,
+    values::CodecArgs,
 };
 
 /// What stays free of the disk: a system that has nothing left does not even log why.

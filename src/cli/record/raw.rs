@@ -9,8 +9,8 @@ use mocapd_acquire::raw_log::{RawLog, RawLogged};
 use serde::Serialize;
 
 use crate::cli::{
-    numbers::bytes,
     output::{say, shown},
+    values::bytes,
 };
 
 /// What came of a log, as docs/json.md has it.

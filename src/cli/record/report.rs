@@ -10,10 +10,10 @@ use serde::{Deserialize, Serialize};
 use super::raw::RawLogReport;
 use crate::cli::{
     clock::ClockReport,
-    codec_args::tolerance_mm,
     ledger::{LedgerReport, OutagesReport},
-    numbers::{bytes, count, frames_of, thousands},
     output::shown,
+    values::tolerance_mm,
+    values::{bytes, count, frames_of, thousands},
 };
 
 #[derive(Debug, Serialize)]

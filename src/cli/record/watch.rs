@@ -18,9 +18,9 @@ use mocapd_service::subject::strangers;
 use mocapd_take::record::Subject;
 
 use crate::cli::{
-    numbers::{bytes, thousands},
+    output::Progress,
     output::say,
-    progress::Progress,
+    values::{bytes, thousands},
 };
 
 /// When a recording ends by itself, and whose it is.

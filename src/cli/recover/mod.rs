@@ -21,9 +21,9 @@ use mocapd_take::recovery::{Mended, Survey, mend_start};
 
 use self::report::Report;
 use super::{
+    output::Progress,
     output::{print, print_json, say},
     paths,
-    progress::Progress,
 };
 
 #[derive(Debug, clap::Args)]

@@ -9,8 +9,8 @@ use super::Args;
 use crate::cli::{
     damage::{self, DamageReport},
     ledger::LedgerReport,
-    numbers::{bytes, count, thousands},
     output::plain,
+    values::{bytes, count, thousands},
 };
 
 #[derive(Debug, Serialize)]

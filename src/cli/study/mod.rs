@@ -1,29 +1,36 @@
 //! `study`: the tables and figures of Shi et al. 2012, on takes that are given.
 
-mod figures;
-mod input;
 mod report;
 
 use std::{
+    collections::BTreeMap,
     fs,
+    io::Read,
     path::{Path, PathBuf},
     sync::{Arc, atomic::AtomicU64},
 };
 
 use anyhow::{Context, anyhow, bail};
 use mocapd::outcome::{Outcome, UsageError};
-use mocapd_acquire::{pipeline::offline, threads};
+use mocapd_acquire::{files, pipeline::offline, threads};
 use mocapd_codec::{Settings, Tolerance};
-use mocapd_report::study::{Coder, Findings, Options, Trial, measure, tables, work};
+use mocapd_report::{
+    phases::{self, Phase},
+    study::{Coder, Findings, Options, Trial, measure, tables, work},
+};
 use mocapd_service::units;
-use mocapd_take::motion::Motion;
+use mocapd_take::{escape::to_cell, motion::Motion};
 
 use self::report::Report;
 use super::{
     import::header_of,
+    output::Progress,
     output::{print, print_json},
-    progress::Progress,
     whole::write_new,
+};
+use crate::cli::{
+    output::say,
+    whole::{name, read_samples},
 };
 
 /// Most samples of all takes together: they are in memory at once, 1.2 GB.
@@ -61,7 +68,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let Some(out) = args.out.as_deref().filter(|out| out.symlink_metadata().is_ok()) {
         bail!("{} exists and is not overwritten: choose another name or move it", out.display());
     }
-    let trials = input::trials(&args.files, args.phases.as_deref())?;
+    let trials = trials(&args.files, args.phases.as_deref())?;
     let samples: usize = trials.iter().map(|trial| trial.motion.positions_mm.len()).sum();
     if samples > SAMPLES_MAX {
         return Err(UsageError(format!(
@@ -144,9 +151,69 @@ fn write_out(out: &Path, trials: &[Trial], findings: &Findings) -> anyhow::Resul
     write("study.md", &tables::markdown(findings))?;
     write("study.csv", &tables::csv(findings))?;
     write("trials.csv", &tables::trials_csv(findings))?;
-    write("phases.csv", &input::phases_csv(trials))?;
-    for (name, svg) in figures::all(trials, findings)? {
+    write("phases.csv", &phases_csv(trials))?;
+    for (name, svg) in report::figures(trials, findings)? {
         write(&name, &svg)?;
     }
     Ok(())
+}
+
+/// Most bytes of a file of phases: a hundred thousand trials.
+const PHASES_BYTES_MAX: u64 = 1 << 26;
+
+type Given = BTreeMap<String, Vec<(Phase, usize)>>;
+
+/// Reads every file, and finds its phases where `given` does not say them.
+///
+/// # Errors
+/// The first file that cannot be read; a usage error for phases of files that are not there.
+pub(super) fn trials(paths: &[PathBuf], given: Option<&Path>) -> anyhow::Result<Vec<Trial>> {
+    let given = given.map(read_phases).transpose()?.unwrap_or_default();
+    let names: Vec<String> = paths.iter().map(|path| name(path)).collect();
+    if let Some(stranger) = given.keys().find(|file| !names.contains(file)) {
+        return Err(UsageError(format!(
+            "the phases tell of {stranger}, which is not among the files: add it, or take its lines out"
+        ))
+        .into());
+    }
+    paths.iter().zip(names).map(|(path, name)| trial(path, name, &given)).collect()
+}
+
+fn trial(path: &Path, name: String, given: &Given) -> anyhow::Result<Trial> {
+    let (motion, settings) = read_samples(path)?;
+    if let Some(settings) = settings.filter(|settings| !settings.kind.is_lossless()) {
+        say(&format!(
+            "{}: a take within {} mm: its reconstruction is studied, not its original",
+            path.display(),
+            settings.tolerance.mm()
+        ));
+    }
+    let starts = match given.get(&name) {
+        Some(starts) => Ok(starts.clone()),
+        None => phases::find(&motion).map_err(|none| none.0),
+    };
+    if let Err(why) = &starts {
+        say(&format!("{}: no phases, only the whole is studied: {why}", path.display()));
+    }
+    let phases = starts.map(|starts| phases::parts(&starts, motion.n_frames()));
+    Ok(Trial { name, motion, phases })
+}
+
+fn read_phases(path: &Path) -> anyhow::Result<Given> {
+    let reading = || format!("cannot read {}", path.display());
+    let mut text = String::new();
+    files::open(path)?.take(PHASES_BYTES_MAX).read_to_string(&mut text).with_context(reading)?;
+    phases::parse(&text).map_err(|error| UsageError(format!("{}: {error}", path.display())).into())
+}
+
+/// The phases that were used, in the form in which they can be given.
+pub(super) fn phases_csv(trials: &[Trial]) -> String {
+    let mut out = "file,phase,first_frame\n".to_owned();
+    for trial in trials {
+        for part in trial.phases.iter().flatten() {
+            let name = to_cell(&trial.name);
+            out += &format!("{name},{},{}\n", part.phase.name(), part.frames.start);
+        }
+    }
+    out
 }

@@ -11,16 +11,16 @@ use std::{
 use anyhow::{Context, bail};
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_body::{
-    Repaired, Survey, Unit, read, repair,
+    Repaired, Survey, Unit,
+    picture::{Drawing, svg},
+    read, repair,
     skeleton::{Method, ScanJoints, Skeleton, Source},
 };
 
-use super::picture;
 use crate::cli::{
+    output::Progress,
     output::{print, print_json_text, say, tell},
-    paths,
-    plot::picture as pictures,
-    progress::Progress,
+    paths, plot,
     whole::{name, read_bounded, write_new},
 };
 
@@ -69,7 +69,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let to_stdout = args.output.as_deref().is_some_and(paths::is_stdout);
     let output = args.output.as_deref().filter(|_| !to_stdout);
     output.map(paths::check_output).transpose()?;
-    args.picture.as_deref().map(pictures::check_output).transpose()?;
+    args.picture.as_deref().map(plot::check_output).transpose()?;
     if let (Some(output), Some(drawing)) = (output, &args.picture)
         && paths::are_one(output, drawing)
     {
@@ -100,7 +100,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     skeleton.notes.iter().skip(from).for_each(|note| say(note));
     if let (Some(drawing), Some((path, repaired, survey))) = (&args.picture, first) {
         let survey = survey.with_levels(&repaired.mesh);
-        pictures::write(drawing, &picture::of(&name(path), &repaired, &survey, &skeleton))?;
+        plot::write(drawing, &picture(&name(path), &repaired, &survey, &skeleton))?;
     }
     if let Some(output) = output {
         write_new(output, skeleton.to_json().as_bytes())?;
@@ -192,4 +192,25 @@ fn table(skeleton: &Skeleton) -> String {
 
 fn unit(text: &str) -> Result<Unit, String> {
     Unit::from_name(text).ok_or_else(|| format!("'{text}' is not m, cm, mm or in"))
+}
+
+/// The picture, as SVG. `survey` has the levels where the surface has those of a body.
+fn picture(name: &str, repaired: &Repaired, survey: &Survey, skeleton: &Skeleton) -> String {
+    let method = match skeleton.method {
+        Method::Default => "default method",
+        Method::Paper => "as Yu et al. 2008",
+    };
+    let title = format!("{name}, {method}");
+    let mut drawing = Drawing {
+        title: &title,
+        mesh: Some(&repaired.mesh),
+        unit: Some(repaired.unit),
+        joints: survey.joints.clone(),
+        skeleton: Some(skeleton),
+        ..Drawing::default()
+    };
+    if let Some(levels) = &survey.levels {
+        drawing.trace(&levels.rings, &levels.reeb, &levels.segments);
+    }
+    svg(&drawing)
 }

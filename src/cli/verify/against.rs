@@ -13,10 +13,10 @@ use mocapd_take::{
 use serde::Serialize;
 
 use crate::cli::{
-    numbers::{count, thousands},
     original::read_motion_with,
     output::plain,
     paths,
+    values::{count, thousands},
     whole::read_options,
 };
 

@@ -10,8 +10,8 @@ use serde::Serialize;
 
 use crate::cli::{
     limbs::{self, TakeLimbs},
-    numbers::count,
     output::plain,
+    values::count,
     whole::read_coded,
 };
 

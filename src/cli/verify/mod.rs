@@ -25,9 +25,9 @@ use self::{
 use super::{
     damage::{self, DamageReport},
     ledger::LedgerReport,
-    numbers::count,
     output::{plain, print, print_json, say, shown},
     paths,
+    values::count,
 };
 
 /// Among the problems of a take.

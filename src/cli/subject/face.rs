@@ -1,7 +1,5 @@
 //! `subject face`.
 
-mod words;
-
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail};
@@ -10,14 +8,15 @@ use mocapd_face::{
     Photo,
     fit::{NoFace, fit},
     fitted::{FittedFace, Method, Overlay, Source},
+    model::OUTER_EYES_MM,
     photo::BYTES_MAX,
+    points::FAINT,
 };
 
 use crate::cli::{
-    numbers::count,
     output::{print, print_json_text, say, tell},
-    paths,
-    plot::picture,
+    paths, plot,
+    values::count,
     whole::{name, read_bounded, write_new},
 };
 
@@ -61,7 +60,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     for path in [output, args.obj.as_ref(), args.overlay.as_ref()].into_iter().flatten() {
         paths::check_output(path)?;
     }
-    args.views.as_deref().map(picture::check_output).transpose()?;
+    args.views.as_deref().map(plot::check_output).transpose()?;
     if let Some(path) = &args.overlay
         && !path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("png"))
     {
@@ -112,7 +111,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         }
     }
     write(args, output, &photo, &faces)?;
-    for words in words::doubts(&faces) {
+    for words in doubts(&faces) {
         say(&format!("{shown}: {words}"));
     }
     if args.json || to_stdout {
@@ -121,8 +120,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         }
     }
     match (args.json, to_stdout) {
-        (false, false) => print(&words::table(&faces))?,
-        (false, true) => tell(&words::table(&faces)),
+        (false, false) => print(&table(&faces))?,
+        (false, true) => tell(&table(&faces)),
         (true, _) => {}
     }
     Ok(Outcome::Done)
@@ -161,7 +160,7 @@ fn write(
         write_new(path, &png)?;
     }
     if let (Some(path), Some(face)) = (&args.views, faces.first()) {
-        picture::write(path, &face.to_svg())?;
+        plot::write(path, &face.to_svg())?;
     }
     Ok(())
 }
@@ -178,4 +177,52 @@ fn numbered(path: &Path, number: usize) -> PathBuf {
         name.push(ending);
     }
     path.with_file_name(name)
+}
+
+/// Beyond this a face hides so much of itself that the points of two photographs of three were off (docs/subject-face.md).
+const YAW_SEEN_DEG: f64 = 35.0;
+
+/// What is to be looked at.
+pub(super) fn doubts(faces: &[FittedFace]) -> Vec<String> {
+    let mut words = Vec::new();
+    for (number, face) in faces.iter().enumerate() {
+        let number = number + 1;
+        if face.is_unsure() {
+            words.push(format!("face {number}: points may be off: look at the overlay"));
+        }
+        let yaw_deg = face.camera.yaw_deg.abs();
+        if yaw_deg > YAW_SEEN_DEG {
+            words.push(format!(
+                "face {number} is turned by {yaw_deg:.0} degrees: beyond {YAW_SEEN_DEG:.0} its far side is a guess"
+            ));
+        }
+    }
+    words
+}
+
+/// What people read.
+pub(super) fn table(faces: &[FittedFace]) -> String {
+    let mut out = format!("{}\n", count(faces.len() as u64, "face"));
+    out += "face     at x, y px   eye corners px   yaw deg   pitch deg   roll deg   points seen   confidence\n";
+    for (number, face) in faces.iter().enumerate() {
+        let camera = &face.camera;
+        let seen = face.points.iter().filter(|point| point.confidence > FAINT).count();
+        out += &format!(
+            "{:>4} {:>14} {:>16.0} {:>9.1} {:>11.1} {:>10.1} {:>7} of 53 {:>12}\n",
+            number + 1,
+            format!("{:.0}, {:.0}", camera.origin_px[0], camera.origin_px[1]),
+            camera.scale_px_per_mm * OUTER_EYES_MM,
+            camera.yaw_deg,
+            camera.pitch_deg,
+            camera.roll_deg,
+            seen,
+            face.confidence.map_or("-".to_owned(), |sure| format!("{sure:.2}"))
+        );
+    }
+    for (number, face) in faces.iter().enumerate() {
+        for note in &face.notes {
+            out += &format!("{:>4} points may be off: {note}\n", number + 1);
+        }
+    }
+    out
 }

@@ -1,16 +1,18 @@
 //! `demo`: a simulated device through the whole of mocapd, with nothing plugged in.
 
-mod device;
-
 use std::{
     fs,
     io::BufReader,
     path::{Path, PathBuf},
-    sync::Arc,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread::JoinHandle,
     time::Duration,
 };
 
-use anyhow::{Context, ensure};
+use anyhow::{Context, anyhow, ensure};
 use mocapd::{
     compare::compare,
     outcome::{Outcome, UsageError},
@@ -20,6 +22,7 @@ use mocapd_acquire::{
     inspect::Summary,
     record::Recorded,
     rig::{Ending, Rig},
+    threads,
 };
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_drivers::uri::{DeviceUri, Location};
@@ -27,6 +30,7 @@ use mocapd_service::units;
 use mocapd_simulator::{
     device::{Device, DeviceSettings, SentLog},
     generator::JumpSpec,
+    pty::{PtyError, ServeOptions, serve_pty},
 };
 use mocapd_take::{
     TakeFrames,
@@ -34,14 +38,13 @@ use mocapd_take::{
     motion::{Motion, MotionFrames},
 };
 
-use self::device::SimulatedDevice;
 use super::{
     export::write,
-    numbers::{bytes, count, thousands},
     output::{print, say, shown},
     record::{Limits, Report, record_and_watch},
     stop::stop_on_signal,
     values,
+    values::{bytes, count, thousands},
     verify::AgainstReport,
 };
 
@@ -175,4 +178,38 @@ fn export(take: &Path) -> anyhow::Result<String> {
         names.push(format!("{} ({})", shown(&path), bytes(size)));
     }
     Ok(names.join(", "))
+}
+
+/// Runs until it is stopped.
+pub(super) struct SimulatedDevice {
+    stop: Arc<AtomicBool>,
+    thread: JoinHandle<Result<SentLog, PtyError>>,
+    /// What a host opens.
+    pub(super) path: PathBuf,
+}
+
+impl SimulatedDevice {
+    pub(super) fn start(mut device: Device) -> anyhow::Result<Self> {
+        let stop = Arc::new(AtomicBool::new(false));
+        let (path_in, path) = crossbeam_channel::bounded(1);
+        let stopped = Arc::clone(&stop);
+        let thread = threads::spawn("mocapd-sim", move || {
+            serve_pty(&mut device, None, ServeOptions::default(), &stopped, |path| {
+                path_in.send(path.to_owned()).ok();
+            })
+        })?;
+        match path.recv() {
+            Ok(path) => Ok(Self { stop, thread, path }),
+            Err(_) => Err(match threads::join(thread)? {
+                Err(error) => anyhow!(error).context("cannot simulate a device"),
+                Ok(_) => anyhow!("the simulated device ended at once"),
+            }),
+        }
+    }
+
+    /// What it says it sent.
+    pub(super) fn stop(self) -> anyhow::Result<SentLog> {
+        self.stop.store(true, Ordering::Relaxed);
+        threads::join(self.thread)?.context("the simulated device failed")
+    }
 }

@@ -1,0 +1,323 @@
+//! `bench codec`: sizes, errors and speeds of every resampler on files of one's own.
+
+use std::{
+    path::{Path, PathBuf},
+    sync::atomic::AtomicU64,
+    time::{Duration, Instant},
+};
+
+use anyhow::ensure;
+use mocapd::outcome::Outcome;
+use mocapd_acquire::{
+    inspect::{Summary, size_ratio},
+    pipeline::offline,
+};
+use mocapd_codec::{ResamplerKind, Settings, SplineVariant, Tolerance};
+use mocapd_service::units;
+use mocapd_take::{
+    TakeEvent,
+    motion::{Motion, is_gap},
+    reader::read_events,
+    stretch::StretchDecoder,
+};
+use serde::Serialize;
+
+use crate::cli::{
+    import::header_of,
+    original::read_motion,
+    output::{plain, print, print_json, say},
+};
+
+/// What the tables of docs/benchmarks.md are made for.
+const TOLERANCES_MM: [f64; 6] = [0.1, 0.5, 1.0, 5.0, 10.0, 20.0];
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// .c3d, .trc, .tsv (QTM) or .csv files; their marker trajectories alone are coded
+    #[arg(required = true)]
+    files: Vec<PathBuf>,
+    /// A resampler; may be given several times [default: dense, fast, lossless, spline, sync]
+    #[arg(long = "resampler", value_name = "NAME", value_parser = str::parse::<ResamplerKind>)]
+    resamplers: Vec<ResamplerKind>,
+    /// A tolerance; may be given several times [default: 0.1 0.5 1 5 10 20 mm]
+    #[arg(long = "tolerance", value_name = "LENGTH", value_parser = units::tolerance)]
+    tolerances: Vec<Tolerance>,
+    /// Measurements of each speed, of 20 ms or one run at least; the median counts
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=20))]
+    repeats: u8,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
+    let mut report = Report::default();
+    let settings = all_settings(args)?;
+    for file in &args.files {
+        let mut motion = read_motion(file)?;
+        motion.info.foreign.clear();
+        let subject = Subject { file, motion: &motion };
+        let mut about = FileReport::new(&subject);
+        if !args.json {
+            print(&about.head())?;
+        }
+        for codec in &settings {
+            // An exhaustive search that a long run refuses is no reason to stop.
+            match measure(&subject, codec, args.repeats) {
+                Ok(result) => {
+                    if !args.json {
+                        print(&result.line())?;
+                    }
+                    about.results.push(result);
+                }
+                Err(error) => say(&format!("{}: {}: {error:#}", file.display(), codec.kind)),
+            }
+        }
+        report.files.push(about);
+    }
+    if args.json {
+        print_json(&report)?;
+    }
+    Ok(Outcome::of(false))
+}
+
+/// Lossless once, everything else at every tolerance.
+fn all_settings(args: &Args) -> anyhow::Result<Vec<Settings>> {
+    let mut resamplers = args.resamplers.clone();
+    if resamplers.is_empty() {
+        resamplers = vec![
+            ResamplerKind::Dense,
+            ResamplerKind::Fast,
+            ResamplerKind::Lossless,
+            ResamplerKind::Spline(SplineVariant::WorstSample),
+            ResamplerKind::Sync(SplineVariant::WorstSample),
+        ];
+    }
+    let mut tolerances = args.tolerances.clone();
+    if tolerances.is_empty() {
+        tolerances = TOLERANCES_MM.into_iter().map(Tolerance::from_mm).collect::<Result<_, _>>()?;
+    }
+    let mut settings = Vec::new();
+    for kind in resamplers {
+        let n = if kind.is_lossless() { 1 } else { tolerances.len() };
+        settings.extend(tolerances[..n].iter().map(|&tolerance| Settings { kind, tolerance }));
+    }
+    Ok(settings)
+}
+
+/// What is coded.
+#[derive(Debug, Clone, Copy)]
+struct Subject<'a> {
+    file: &'a Path,
+    motion: &'a Motion,
+}
+
+impl Subject<'_> {
+    /// Samples present.
+    fn samples(&self) -> u64 {
+        self.motion.positions_mm.iter().filter(|&&position| !is_gap(position)).count() as u64
+    }
+}
+
+/// Codes, decodes and compares, then measures both `repeats` times, on one thread.
+fn measure(subject: &Subject<'_>, codec: &Settings, repeats: u8) -> anyhow::Result<Measured> {
+    let header = header_of(subject.motion, subject.file, codec);
+    let mut take = Vec::new();
+    let encode = median_time(repeats, || {
+        take.clear();
+        offline::write_take(subject.motion, &header, 1, &AtomicU64::new(0), &mut take)?;
+        Ok(())
+    })?;
+    let summary = Summary::read(&take[..])?;
+    ensure!(summary.problems.is_empty(), "{}", summary.problems.join("; "));
+    let mut worst_mm = 0.0_f64;
+    let mut samples = 0;
+    decode(&take, |decoder, first_row| {
+        let (found, error_mm) = compare(decoder, subject.motion, first_row);
+        samples += found;
+        worst_mm = worst_mm.max(error_mm);
+    })?;
+    ensure!(
+        samples as u64 == subject.samples(),
+        "{samples} samples came back of {}",
+        subject.samples()
+    );
+    let decode = median_time(repeats, || decode(&take, |_, _| ()))?;
+    Ok(Measured::new(codec, &summary, take.len() as u64, worst_mm, (encode, decode)))
+}
+
+/// A measurement is at least so long: short against it are the clock's steps and the scheduler's.
+const LEAST: Duration = Duration::from_millis(20);
+
+/// The median of some measurements, each the mean of as many runs as it takes; after one that is not
+/// measured.
+fn median_time(
+    repeats: u8,
+    mut run: impl FnMut() -> anyhow::Result<()>,
+) -> anyhow::Result<Duration> {
+    let started = Instant::now();
+    run()?;
+    let first = started.elapsed().max(Duration::from_nanos(1));
+    let runs = (LEAST.as_secs_f64() / first.as_secs_f64()).round().max(1.0) as u32;
+    let mut times = Vec::new();
+    for _ in 0..repeats.max(1) {
+        let started = Instant::now();
+        for _ in 0..runs {
+            run()?;
+        }
+        times.push(started.elapsed() / runs);
+    }
+    times.sort_unstable();
+    Ok(times[times.len() / 2])
+}
+
+/// Decodes a take from its bytes to float32; `found` is told the first row of each stretch.
+fn decode(take: &[u8], mut found: impl FnMut(&StretchDecoder, usize)) -> anyhow::Result<()> {
+    let mut decoder = None;
+    read_events(take, |event| {
+        match event {
+            TakeEvent::Header(header) => decoder = Some(StretchDecoder::new(header.codec()?)),
+            TakeEvent::Stretch(stretch) => {
+                if let Some(decoder) = &mut decoder {
+                    decoder.decode(&stretch)?;
+                    found(decoder, stretch.span.first_row as usize);
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    })?;
+    Ok(())
+}
+
+/// Samples of a decoded stretch that were there, and the largest error.
+fn compare(decoder: &StretchDecoder, motion: &Motion, first_row: usize) -> (usize, f64) {
+    let n_markers = motion.info.markers.len();
+    let (mut samples, mut worst_mm) = (0, 0.0_f64);
+    for (channel, rows) in decoder.rows().enumerate().take(n_markers) {
+        let Some(rows) = rows else { continue };
+        for (row, &decoded) in rows.positions.iter().enumerate() {
+            let original = motion.positions_mm[(first_row + row) * n_markers + channel];
+            if rows.present[row] && !is_gap(original) {
+                samples += 1;
+                let square =
+                    |axis: usize| (f64::from(decoded[axis]) - f64::from(original[axis])).powi(2);
+                worst_mm = worst_mm.max((square(0) + square(1) + square(2)).sqrt());
+            }
+        }
+    }
+    (samples, worst_mm)
+}
+
+/// The document.
+#[derive(Debug, Default, Serialize)]
+struct Report {
+    files: Vec<FileReport>,
+}
+
+/// One file.
+#[derive(Debug, Serialize)]
+struct FileReport {
+    file: String,
+    rate_hz: f64,
+    frames: u64,
+    markers: usize,
+    samples: u64,
+    raw_bytes: u64,
+    results: Vec<Measured>,
+}
+
+/// One setting on one file.
+#[derive(Debug, Serialize)]
+struct Measured {
+    resampler: String,
+    tolerance_mm: f64,
+    /// The file, everything included.
+    bytes: u64,
+    /// The blocks and the time line alone.
+    block_bytes: u64,
+    kept: u64,
+    ratio: f64,
+    bits_per_scalar: f64,
+    max_error_mm: f64,
+    encode_mb_s: f64,
+    decode_mb_s: f64,
+}
+
+impl FileReport {
+    fn new(subject: &Subject<'_>) -> Self {
+        let info = &subject.motion.info;
+        let samples = subject.samples();
+        Self {
+            file: subject.file.display().to_string(),
+            rate_hz: info.rate_hz,
+            frames: subject.motion.n_frames() as u64,
+            markers: info.markers.len(),
+            samples,
+            raw_bytes: 12 * samples,
+            results: Vec::new(),
+        }
+    }
+
+    /// The heading of its lines.
+    fn head(&self) -> String {
+        format!(
+            "{}: {} markers, {} frames at {} Hz, {} bytes of float32\n\
+             {:20} {:>9} {:>10} {:>8} {:>7} {:>12} {:>10} {:>10}\n",
+            plain(&self.file),
+            self.markers,
+            self.frames,
+            self.rate_hz,
+            self.raw_bytes,
+            "resampler",
+            "tolerance",
+            "bytes",
+            "ratio",
+            "bits",
+            "max error",
+            "encode",
+            "decode"
+        )
+    }
+}
+
+impl Measured {
+    fn new(
+        codec: &Settings,
+        summary: &Summary,
+        bytes: u64,
+        max_error_mm: f64,
+        (encode, decode): (Duration, Duration),
+    ) -> Self {
+        let raw_bytes = summary.raw_bytes();
+        let speed = |took: Duration| raw_bytes as f64 / 1e6 / took.as_secs_f64().max(1e-9);
+        Self {
+            resampler: codec.kind.to_string(),
+            tolerance_mm: if codec.kind.is_lossless() { 0.0 } else { codec.tolerance.mm() },
+            bytes,
+            block_bytes: summary.bytes.blocks + summary.bytes.lengths + summary.bytes.time_line,
+            kept: summary.knots(),
+            ratio: size_ratio(summary.samples(), bytes),
+            bits_per_scalar: bytes as f64 * 8.0 / (3 * summary.samples()).max(1) as f64,
+            max_error_mm,
+            encode_mb_s: speed(encode),
+            decode_mb_s: speed(decode),
+        }
+    }
+
+    /// One line of the table.
+    fn line(&self) -> String {
+        let tolerance = format!("{} mm", self.tolerance_mm);
+        format!(
+            "{:20} {:>9} {:>10} {:>8.2} {:>7.3} {:>9.4} mm {:>5.0} MB/s {:>5.0} MB/s\n",
+            self.resampler,
+            tolerance,
+            self.bytes,
+            self.ratio,
+            self.bits_per_scalar,
+            self.max_error_mm,
+            self.encode_mb_s,
+            self.decode_mb_s
+        )
+    }
+}

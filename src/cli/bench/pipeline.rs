@@ -1,0 +1,369 @@
+//! `bench pipeline`: simulator -> pty -> record -> disk, each in a process of its own, and the pipeline
+//! alone; each figure the median of the runs, with a reference from the same run beside it.
+
+use std::{
+    io::{self, BufRead, BufReader},
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+    sync::atomic::Ordering,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context, bail, ensure};
+use mocapd::outcome::Outcome;
+use mocapd_acquire::{
+    header,
+    pipeline::{Pipeline, PipelineConfig},
+};
+use mocapd_codec::{ResamplerKind, Settings};
+use mocapd_drivers::{
+    device::{DeviceEvent, Frame, MarkerSample, Protocol},
+    link::{DeviceLink, FrameForm, HostLink},
+    uri::{DeviceUri, Location},
+};
+use mocapd_service::{process, units};
+use mocapd_simulator::device::TICK_HZ;
+use mocapd_take::motion::{Motion, is_gap};
+use serde::{Deserialize, Serialize};
+
+use super::{bare_read_cpu_percent, copy_gb_per_s, device, median};
+use crate::cli::{
+    output::{print, print_json, say},
+    record::{LatencyReport, ProcessReport},
+    stop::stop_on_signal,
+    values,
+    values::{CodecArgs, tolerance_mm},
+};
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Markers of the simulated device
+    #[arg(long, value_name = "N", default_value = "200", value_parser = clap::value_parser!(u16).range(1..=10_000))]
+    markers: u16,
+    /// Its frame rate: 240, 240Hz, 1kHz
+    #[arg(long, value_name = "HZ", default_value = "1000Hz", value_parser = units::rate_hz,
+          allow_hyphen_values = true)]
+    rate: f64,
+    /// Length of each recording: 10s, 500ms, 2min
+    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = values::length,
+          allow_hyphen_values = true)]
+    seconds: Duration,
+    /// Runs; the medians are told
+    #[arg(long, value_name = "N", default_value = "5", value_parser = clap::value_parser!(u16).range(1..=99))]
+    runs: u16,
+    /// Folder where the takes are written; they are removed again
+    #[arg(long, value_name = "DIR", default_value = ".")]
+    dir: PathBuf,
+    #[command(flatten)]
+    codec: CodecArgs,
+    /// Print one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+/// Length of the in-process motion: long enough to be past the start, short enough for memory.
+const IN_PROCESS_S: f64 = 10.0;
+
+pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
+    let codec = args.codec.live_settings()?;
+    ensure!(args.dir.is_dir(), "{} is no folder: create it first", args.dir.display());
+    device::check(args.markers, args.rate, args.seconds.as_secs_f64().max(IN_PROCESS_S))?;
+    let stop = stop_on_signal()?;
+    let motion = device::motion(args.markers.into(), args.rate, IN_PROCESS_S)?;
+    let wire = wire(&motion)?;
+    let mut alone = Vec::new();
+    let mut pty = Vec::new();
+    for run in 1..=args.runs {
+        if !args.json {
+            say(&format!("recording {} s, {run} of {}", args.seconds.as_secs_f64(), args.runs));
+        }
+        alone.push(run_in_process(&motion, &wire, codec)?);
+        pty.push(over_pty(args, &codec)?);
+        if stop.load(Ordering::Relaxed) {
+            bail!("interrupted after {run} of {} runs: nothing is told", args.runs);
+        }
+    }
+    let report = Report {
+        markers: args.markers,
+        rate_hz: args.rate,
+        seconds: args.seconds.as_secs_f64(),
+        runs: args.runs,
+        resampler: codec.kind.to_string(),
+        tolerance_mm: tolerance_mm(&codec),
+        cores: std::thread::available_parallelism().map_or(1, usize::from),
+        pty,
+        in_process: InProcessReport {
+            wire_bytes: alone.first().map_or(0, |run| run.wire_bytes),
+            frames_lost: alone.iter().map(|run| run.frames_lost).sum(),
+            times_real_time: alone.iter().map(|run| run.times_real_time).collect(),
+            copy_gb_per_s: alone.iter().map(|run| run.copy_gb_per_s).collect(),
+        },
+    };
+    if args.json {
+        print_json(&report)?;
+    } else {
+        print(&report.words())?;
+    }
+    Ok(Outcome::of(report.lost_anything()))
+}
+
+/// What one run gave.
+#[derive(Debug, Clone)]
+struct InProcessRun {
+    times_real_time: f64,
+    copy_gb_per_s: f64,
+    wire_bytes: u64,
+    frames_lost: u64,
+}
+
+/// The frames of `motion` as they would come over the wire.
+fn wire(motion: &Motion) -> anyhow::Result<Vec<u8>> {
+    let mut link = DeviceLink::new();
+    let mut out = Vec::new();
+    for index in 0..motion.n_frames() {
+        let markers: Vec<_> = motion.frame(index).iter().enumerate().map(sample).collect();
+        let ticks = (index as f64 * TICK_HZ as f64 / motion.info.rate_hz).round() as u64;
+        let frame =
+            Frame { seq: index as u32, device_ticks: ticks, timecode: None, markers: &markers };
+        link.frame(FrameForm::Float, &frame, &mut out)?;
+    }
+    Ok(out)
+}
+
+fn sample((column, &position_mm): (usize, &[f32; 3])) -> MarkerSample {
+    let occluded = is_gap(position_mm);
+    MarkerSample { id: column as u16, occluded, position_mm, ..MarkerSample::default() }
+}
+
+/// Feeds `wire` as fast as the rings take it: a full ring is waited for here, not a loss.
+fn run_in_process(motion: &Motion, wire: &[u8], codec: Settings) -> anyhow::Result<InProcessRun> {
+    let copy_gb_per_s = copy_gb_per_s(wire);
+    let rate_hz = motion.info.rate_hz;
+    let config =
+        PipelineConfig::new(codec, rate_hz, TICK_HZ, header::channels(&motion.info.markers));
+    let mut header = header::new(&codec, rate_hz)?;
+    header.channels.clone_from(&config.channels);
+    let (mut intake, pipeline) = Pipeline::start(&config, &header, io::sink())?;
+    let mut link = HostLink::new();
+    let started = Instant::now();
+    // As a pty gives them.
+    for bytes in wire.chunks(4095) {
+        link.push(bytes, &mut |event| {
+            if let DeviceEvent::Frame(frame) = event {
+                while intake.is_full() {
+                    std::thread::yield_now();
+                }
+                intake.frame(&frame, started.elapsed().as_nanos() as u64);
+            }
+        });
+    }
+    intake.link(link.counters());
+    intake.finish();
+    let (written, _) = pipeline.finish()?;
+    let seconds = started.elapsed().as_secs_f64();
+    Ok(InProcessRun {
+        times_real_time: motion.n_frames() as f64 / rate_hz / seconds,
+        copy_gb_per_s,
+        wire_bytes: wire.len() as u64,
+        frames_lost: motion.n_frames() as u64 - written.ledger.recorded,
+    })
+}
+
+/// What `record --json` says, as far as it is needed here.
+#[derive(Debug, Deserialize)]
+struct RecordJson {
+    frames: u64,
+    seconds: f64,
+    raw_bytes: u64,
+    file_bytes: u64,
+    max_error_mm: f64,
+    ring_latency_us: LatencyReport,
+    process: ProcessReport,
+    ledger: LedgerJson,
+}
+
+#[derive(Debug, Deserialize)]
+struct LedgerJson {
+    closes: bool,
+    frames_sent: u64,
+}
+
+/// How long the bare loop reads.
+const BARE_READ: Duration = Duration::from_secs(5);
+
+/// A child that does not outlive its measurement.
+struct Simulator(Child);
+
+impl Drop for Simulator {
+    fn drop(&mut self) {
+        self.0.kill().ok();
+        self.0.wait().ok();
+    }
+}
+
+/// A take that is gone when it was measured.
+struct Scratch(PathBuf);
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        std::fs::remove_file(&self.0).ok();
+    }
+}
+
+fn over_pty(args: &Args, codec: &Settings) -> anyhow::Result<PtyRun> {
+    let own = std::env::current_exe().context("cannot find the program itself")?;
+    let (simulator, uri) = simulate(&own, args)?;
+    let bare_read = bare_read_cpu_percent(&uri, BARE_READ.min(args.seconds))?;
+    let simulator_usage = || process::usage(Some(simulator.0.id())).unwrap_or_default();
+    let before = simulator_usage();
+    let take = Scratch(args.dir.join(format!(".mocapd-bench-{}.take", std::process::id())));
+    let recorded = record(&own, &uri, &take.0, codec)?;
+    let after = simulator_usage();
+    let percent = |cpu_s: f64| 100.0 * cpu_s / recorded.seconds;
+    Ok(PtyRun {
+        frames_sent: recorded.ledger.frames_sent,
+        frames_recorded: recorded.frames,
+        ledger_closes: recorded.ledger.closes,
+        record_cpu_percent: percent(recorded.process.cpu_s),
+        record_peak_memory_mb: recorded.process.peak_memory_bytes as f64 / 1e6,
+        bare_read_cpu_percent: bare_read,
+        simulator_cpu_percent: percent(after.cpu_s - before.cpu_s),
+        ring_latency_us: recorded.ring_latency_us,
+        ratio: recorded.raw_bytes as f64 / recorded.file_bytes.max(1) as f64,
+        max_error_mm: recorded.max_error_mm,
+    })
+}
+
+/// Starts the device, and reads from it where it is.
+fn simulate(own: &Path, args: &Args) -> anyhow::Result<(Simulator, DeviceUri)> {
+    let spawned = Command::new(own)
+        .args(["bench", "device", "--markers", &args.markers.to_string()])
+        .args(["--rate", &args.rate.to_string()])
+        .args(["--seconds", &args.seconds.as_secs_f64().to_string()])
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .spawn()
+        .context("cannot start the simulated device")?;
+    let mut simulator = Simulator(spawned);
+    let stdout = simulator.0.stdout.take().context("the simulated device has no output")?;
+    let mut path = String::new();
+    BufReader::new(stdout).read_line(&mut path)?;
+    let path = path.trim();
+    ensure!(!path.is_empty(), "the simulated device did not start");
+    let location = Location::Serial { path: path.into(), baud: None };
+    Ok((simulator, DeviceUri { location, driver: None }))
+}
+
+fn record(
+    own: &Path,
+    uri: &DeviceUri,
+    take: &Path,
+    codec: &Settings,
+) -> anyhow::Result<RecordJson> {
+    let output = Command::new(own)
+        .args(["record", "--json", "--device", &uri.to_string(), "--output"])
+        .arg(take)
+        .args(codec_words(codec))
+        .stdin(Stdio::null())
+        .output()
+        .context("cannot start the recording")?;
+    if output.stdout.is_empty() {
+        let said = String::from_utf8_lossy(&output.stderr);
+        let said = said.trim().trim_start_matches("mocapd: ");
+        bail!("the recording failed with {}: {said}", output.status);
+    }
+    serde_json::from_slice(&output.stdout).context("the recording's report cannot be read")
+}
+
+fn codec_words(codec: &Settings) -> Vec<String> {
+    match codec.kind {
+        ResamplerKind::Lossless => vec!["--lossless".to_owned()],
+        kind => {
+            vec![format!("--resampler={kind}"), format!("--tolerance={}mm", codec.tolerance.mm())]
+        }
+    }
+}
+
+#[derive(Debug, Clone, Serialize)]
+struct PtyRun {
+    frames_sent: u64,
+    frames_recorded: u64,
+    ledger_closes: bool,
+    record_cpu_percent: f64,
+    record_peak_memory_mb: f64,
+    bare_read_cpu_percent: f64,
+    simulator_cpu_percent: f64,
+    ring_latency_us: LatencyReport,
+    ratio: f64,
+    max_error_mm: f64,
+}
+
+#[derive(Debug, Serialize)]
+struct InProcessReport {
+    wire_bytes: u64,
+    frames_lost: u64,
+    times_real_time: Vec<f64>,
+    copy_gb_per_s: Vec<f64>,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    markers: u16,
+    rate_hz: f64,
+    seconds: f64,
+    runs: u16,
+    resampler: String,
+    tolerance_mm: f64,
+    cores: usize,
+    pty: Vec<PtyRun>,
+    in_process: InProcessReport,
+}
+
+impl Report {
+    /// Whether anything was lost that should not be.
+    fn lost_anything(&self) -> bool {
+        let lost = self.pty.iter().any(|run| run.frames_recorded < run.frames_sent);
+        lost || self.in_process.frames_lost > 0
+    }
+
+    fn words(&self) -> String {
+        let of = |figure: fn(&PtyRun) -> f64| median(self.pty.iter().map(figure));
+        let sent: u64 = self.pty.iter().map(|run| run.frames_sent).sum();
+        let recorded: u64 = self.pty.iter().map(|run| run.frames_recorded).sum();
+        let open = self.pty.iter().filter(|run| !run.ledger_closes).count();
+        let alone = &self.in_process;
+        format!(
+            "{} markers at {} Hz, {} s, {} {} mm, {} cores; medians of {} runs\n\
+             over a pty to disk\n\
+             \x20 frames lost                   {:>9}   of {sent} sent; ledgers that do not close: {open}\n\
+             \x20 record, processor             {:>9.1} % of one core; reference: {:.1} % for reading the line alone\n\
+             \x20 simulator, processor          {:>9.1} % of one core\n\
+             \x20 record, peak memory           {:>9.1} MB\n\
+             \x20 last byte of a frame to rings {:>9.1} us at p99; p50 {:.1} us, max {:.1} us\n\
+             \x20 ratio, max error              {:>9.1} :1, {:.4} mm\n\
+             in one process, no pty, {:.1} MB of frames\n\
+             \x20 speed                         {:>9.1} times real time; reference: {:.1} GB/s for copying the frames; {} frames lost\n",
+            self.markers,
+            self.rate_hz,
+            self.seconds,
+            self.resampler,
+            self.tolerance_mm,
+            self.cores,
+            self.runs,
+            sent.saturating_sub(recorded),
+            of(|run| run.record_cpu_percent),
+            of(|run| run.bare_read_cpu_percent),
+            of(|run| run.simulator_cpu_percent),
+            of(|run| run.record_peak_memory_mb),
+            of(|run| run.ring_latency_us.p99),
+            of(|run| run.ring_latency_us.p50),
+            of(|run| run.ring_latency_us.max),
+            of(|run| run.ratio),
+            of(|run| run.max_error_mm),
+            alone.wire_bytes as f64 / 1e6,
+            median(alone.times_real_time.iter().copied()),
+            median(alone.copy_gb_per_s.iter().copied()),
+            alone.frames_lost,
+        )
+    }
+}
