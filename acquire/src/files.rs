@@ -1,37 +1,28 @@
 //! Files that are never overwritten: live takes under their own name, everything else beside it first.
 
-mod behind;
 mod file_state;
-mod folder;
-mod mounts;
-mod scratch;
+mod new_file;
 mod sparse;
 mod take_file;
-mod text;
 
 use std::{
-    ffi::{OsStr, OsString},
     fs::{File, OpenOptions},
-    io::{self, Write},
-    os::fd::AsRawFd,
+    io,
+    os::{fd::AsRawFd, unix::fs::FileExt},
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
-use anyhow::{Context, anyhow};
+use anyhow::anyhow;
 use mocapd_drivers::plain_file::{self, NotAFile};
-use rustix::{
-    fs::{AtFlags, CWD, Mode, OFlags, RenameFlags, linkat, openat, renameat_with},
-    io::Errno,
-};
+use mocapd_take::content::ScratchFile;
+use serde::{Serialize, Serializer};
 
-use self::behind::Behind;
 pub use self::{
     file_state::{Displaced, FileState, Settled},
-    folder::NewFolder,
-    scratch::scratch,
+    new_file::{NewFile, NewFolder},
     sparse::SparseFile,
     take_file::{FileId, TakeFile},
-    text::{path_as_text, path_as_text_or_null},
 };
 
 /// Opens a file to read.
@@ -87,151 +78,63 @@ fn exists(path: &Path) -> anyhow::Error {
     anyhow!("{} exists and is not overwritten: choose another name or move it", path.display())
 }
 
-/// A file that gets its name only when it is complete. Dropped before, it is removed; where the file system
-/// knows files without a name, it is gone as well when the process is killed.
-#[derive(Debug)]
-pub struct NewFile {
-    file: Option<File>,
-    behind: Behind,
-    /// The name that it has until then, if any.
-    hidden: Option<PathBuf>,
-    path: PathBuf,
-}
-
-impl NewFile {
-    /// Creates a file without a name in the folder of `path`, or a hidden one.
-    ///
-    /// # Errors
-    /// That `path` exists, or that nothing can be created there.
-    pub fn create(path: &Path) -> anyhow::Result<Self> {
-        if path.symlink_metadata().is_ok() {
-            return Err(exists(path));
-        }
-        let name =
-            path.file_name().with_context(|| format!("{} is no file name", path.display()))?;
-        if let Some(file) = without_a_name(path)? {
-            return Ok(Self::new(file, None, path));
-        }
-        let hidden = path.with_file_name(hidden_name(name));
-        let created = OpenOptions::new().write(true).create_new(true).open(&hidden);
-        let file = created.map_err(|error| cannot_create(path, &error))?;
-        Ok(Self::new(file, Some(hidden), path))
-    }
-
-    fn new(file: File, hidden: Option<PathBuf>, path: &Path) -> Self {
-        Self { file: Some(file), behind: Behind::default(), hidden, path: path.to_owned() }
-    }
-
-    /// Gives it its name. Nothing that appeared there meanwhile is overwritten.
-    ///
-    /// # Errors
-    /// That a file of that name appeared, or the disk's.
-    pub fn keep(mut self) -> anyhow::Result<()> {
-        let Some(file) = self.file.take() else { return Ok(()) };
-        let synced = self.behind.finish().and_then(|()| file.sync_all());
-        synced.with_context(|| format!("cannot write {}", self.path.display()))?;
-        let named = match &self.hidden {
-            None => linkat(CWD, own_link(&file), CWD, &self.path, AtFlags::SYMLINK_FOLLOW),
-            Some(hidden) => {
-                match renameat_with(CWD, hidden, CWD, &self.path, RenameFlags::NOREPLACE) {
-                    // Some network file systems know no such rename: a link refuses to overwrite, too.
-                    Err(Errno::INVAL | Errno::NOSYS) => {
-                        linkat(CWD, hidden, CWD, &self.path, AtFlags::empty())
-                    }
-                    other => other,
-                }
-            }
-        };
-        match named {
-            Err(Errno::EXIST) => Err(exists(&self.path)),
-            Ok(()) => {
-                sync_name(&self.path);
-                Ok(())
-            }
-            other => other.with_context(|| format!("cannot name {}", self.path.display())),
-        }
-    }
-}
-
-impl Write for NewFile {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let Some(file) = &mut self.file else { return Err(io::ErrorKind::BrokenPipe.into()) };
-        let n_bytes = file.write(bytes)?;
-        self.behind.wrote(file, n_bytes)?;
-        Ok(n_bytes)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.file.as_mut().map_or(Ok(()), Write::flush)
-    }
-}
-
-impl Drop for NewFile {
-    fn drop(&mut self) {
-        // After `keep` it is gone already, or a second link to the kept file.
-        if let Some(hidden) = &self.hidden {
-            std::fs::remove_file(hidden).ok();
-        }
-    }
-}
-
-/// What something is called until it is complete.
-fn hidden_name(name: &OsStr) -> OsString {
-    let mut hidden = OsString::from(".");
-    hidden.push(name);
-    hidden.push(format!(".{}.part", std::process::id()));
-    hidden
-}
-
-/// A file without a name in the folder of `path`; `None` where there are none.
-fn without_a_name(path: &Path) -> anyhow::Result<Option<File>> {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    let flags = OFlags::WRONLY | OFlags::TMPFILE | OFlags::CLOEXEC;
-    match openat(CWD, folder.unwrap_or(Path::new(".")), flags, Mode::from_raw_mode(0o666)) {
-        Ok(file) => {
-            let file = File::from(file);
-            // Without /proc it could never be named.
-            Ok(own_link(&file).exists().then_some(file))
-        }
-        // Network file systems, and kernels that take the flag for a folder to be opened.
-        Err(Errno::OPNOTSUPP | Errno::ISDIR | Errno::INVAL) => Ok(None),
-        Err(error) => Err(cannot_create(path, &error.into())),
-    }
-}
-
 /// Where the kernel shows an open file as a link.
 fn own_link(file: &File) -> PathBuf {
     PathBuf::from(format!("/proc/self/fd/{}", file.as_raw_fd()))
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
+/// For `serialize_with`.
+///
+/// # Errors
+/// The serializer's.
+pub fn path_as_text<S: Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(&path.to_string_lossy())
+}
 
-    #[test]
-    fn appears_whole_or_not_at_all() {
-        let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("a.take");
-        let mut dropped = NewFile::create(&path).unwrap();
-        dropped.write_all(b"half").unwrap();
-        drop(dropped);
-        assert_eq!(dir.path().read_dir().unwrap().count(), 0);
+/// The same of one that may be missing.
+///
+/// # Errors
+/// The serializer's.
+pub fn path_as_text_or_null<S: Serializer>(
+    path: &Option<PathBuf>,
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    path.as_deref().map(Path::to_string_lossy).serialize(serializer)
+}
 
-        let mut kept = NewFile::create(&path).unwrap();
-        kept.write_all(b"whole").unwrap();
-        kept.keep().unwrap();
-        assert_eq!(std::fs::read(&path).unwrap(), b"whole");
-        assert_eq!(dir.path().read_dir().unwrap().count(), 1);
+#[derive(Debug)]
+struct Scratch {
+    file: File,
+    dir: PathBuf,
+}
+
+impl ScratchFile for Scratch {
+    fn read_at(&self, at: u64, bytes: &mut [u8]) -> io::Result<()> {
+        self.file.read_exact_at(bytes, at)
     }
 
-    #[test]
-    fn nothing_is_overwritten() {
-        let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("a.take");
-        let late = NewFile::create(&path).unwrap();
-        std::fs::write(&path, b"mine").unwrap();
-        assert!(NewFile::create(&path).unwrap_err().to_string().contains("not overwritten"));
-        assert!(late.keep().unwrap_err().to_string().contains("not overwritten"));
-        assert_eq!(std::fs::read(&path).unwrap(), b"mine");
+    fn write_at(&self, at: u64, bytes: &[u8]) -> io::Result<()> {
+        self.file.write_all_at(bytes, at).map_err(|error| failed(&self.dir, &error))
     }
+}
+
+/// A file without a name, which is gone with the process. In `$TMPDIR`, or in `/var/tmp`, which is on a disk where `/tmp` is
+/// often memory.
+///
+/// # Errors
+/// That there can be none, and what to do.
+pub fn scratch() -> io::Result<Arc<dyn ScratchFile>> {
+    let chosen = std::env::var_os("TMPDIR").filter(|dir| !dir.is_empty()).map(PathBuf::from);
+    let on_disk = || Some(PathBuf::from("/var/tmp")).filter(|dir| dir.is_dir());
+    let dir = chosen.or_else(on_disk).unwrap_or_else(std::env::temp_dir);
+    let file = tempfile::tempfile_in(&dir).map_err(|error| failed(&dir, &error))?;
+    Ok(Arc::new(Scratch { file, dir }))
+}
+
+fn failed(dir: &Path, error: &io::Error) -> io::Error {
+    let message = format!(
+        "no room for a temporary file in {} with what the take keeps of its source ({error}): set TMPDIR to another folder",
+        dir.display()
+    );
+    io::Error::new(error.kind(), message)
 }

@@ -4,9 +4,6 @@
 //! lock-free rings and a pool of resamplers to a writer. [`record`] is both together for one take.
 
 pub mod clock;
-pub mod disk;
-#[cfg(feature = "fault-hooks")]
-pub mod fault_hooks;
 pub mod files;
 pub mod header;
 pub mod health;

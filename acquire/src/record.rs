@@ -11,10 +11,11 @@ use mocapd_codec::Settings;
 use mocapd_take::{motion::frame_at, record::Subject};
 
 use crate::{
-    disk,
     files::{FileState, Settled, TakeFile},
     header,
-    pipeline::{NothingRecorded, Pipeline, PipelineConfig, Progress, TakeFailed, Written},
+    pipeline::{
+        NothingRecorded, Pipeline, PipelineConfig, Progress, TakeFailed, Written, check_room,
+    },
     rig::{Ending, ReadOptions, Recording, Rig},
 };
 
@@ -59,7 +60,7 @@ pub struct Recorded {
 /// # Errors
 /// When nothing was recorded (no take is left behind then), or the take could not be written to its end.
 pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recorded> {
-    disk::check_room(options.take, options.keep_free_bytes)?;
+    check_room(options.take, options.keep_free_bytes)?;
     let keep_free_bytes = options.keep_free_bytes;
     let config = PipelineConfig { keep_free_bytes, ..rig.pipeline_config(options.codec) };
     let mut header = header::new(&options.codec, config.rate_hz)?;

@@ -64,7 +64,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         error => anyhow::Error::from(error),
     })?;
     #[cfg(feature = "fault-hooks")]
-    mocapd_acquire::fault_hooks::install()?;
+    mocapd_acquire::heartbeat::fault_hooks::install()?;
     // Before anything is started: no signal is missed.
     let signals = signals()?;
     make_directory(&config)?;

@@ -7,8 +7,7 @@ use mocapd_take::record::{Clock, ClockLine, ClockPoint, ClockProbe};
 use super::{
     WINDOW_US,
     fit::{Line, POINTS_MAX},
-    probes::Bursts,
-    rounds::lines,
+    observations::{Bursts, lines},
     seconds,
 };
 

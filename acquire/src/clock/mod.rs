@@ -8,13 +8,10 @@
 //! Sans-io: times and ticks go in. Nothing here allocates after it was made, or reads a clock.
 
 mod again;
-mod arrivals;
 mod fit;
-mod judge;
 mod model;
+mod observations;
 mod prober;
-mod probes;
-mod rounds;
 #[cfg(test)]
 mod tests;
 

@@ -532,7 +532,7 @@ proptest! {
     ) {
         let point = |(device_ticks, host_us)| ClockPoint { device_ticks, host_us };
         let points: Vec<_> = points.into_iter().map(point).collect();
-        let mut bursts = probes::Bursts::new();
+        let mut bursts = observations::Bursts::new();
         for (sent_us, device_ticks, round_trip_us) in probes {
             bursts.add(ClockProbe { sent_us, device_ticks, round_trip_us });
         }

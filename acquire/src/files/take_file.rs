@@ -10,7 +10,7 @@ use std::{
 
 use anyhow::Context;
 
-use super::{Displaced, FileState, NewFile, Settled, mounts, own_link};
+use super::{Displaced, FileState, NewFile, Settled, file_state::is_mounted, own_link};
 
 /// Which file something is, whatever it is called.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -147,7 +147,7 @@ impl TakeFile {
         }
         // Its own name is as it was, and leads elsewhere: something is mounted over it.
         let is_covered = link.is_some() && link == self.link;
-        if is_covered || !mounts::is_mounted(&self.file) {
+        if is_covered || !is_mounted(&self.file) {
             return Some(FileState::Unmounted);
         }
         Some(FileState::Renamed)

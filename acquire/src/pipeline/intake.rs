@@ -1,12 +1,9 @@
 //! The reader's end: a frame goes into every ring, or into none and onto the account.
 
 mod axis;
-mod channels;
 mod clock;
-mod follow;
-mod pending;
+mod losses;
 mod rows;
-mod silence;
 
 use std::sync::{Arc, atomic::Ordering};
 
@@ -18,10 +15,9 @@ use mocapd_take::{
 };
 
 use self::{
-    axis::{Axis, Step},
+    axis::Axis,
     clock::Clocks,
-    pending::Pending,
-    silence::Silences,
+    losses::{Pending, Silences},
 };
 use super::{
     Counts, PipelineConfig, Progress,

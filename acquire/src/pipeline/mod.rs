@@ -12,6 +12,7 @@
 
 mod counts;
 mod desk;
+mod disk;
 mod group;
 mod intake;
 mod messages;
@@ -20,10 +21,8 @@ mod plan;
 mod pool;
 mod progress;
 mod ring;
-mod seen;
 mod takes;
 mod tap;
-mod timeline;
 mod writer;
 
 use std::sync::Arc;
@@ -33,13 +32,13 @@ use crossbeam_channel::{Receiver, bounded};
 use mocapd_take::record::{Header, Subject};
 
 pub use counts::{Counts, PendingRows};
+pub use disk::{DiskState, HELD_MIN_BYTES, TakeOutput, check_room};
+pub use group::{Seen, SeenCounters};
 pub use intake::Intake;
 pub use plan::{PipelineConfig, PreRollConfig};
 pub use progress::{Progress, TakeNow, lock};
-pub use seen::{Seen, SeenCounters};
-pub use takes::{Begun, FirstRow, NewTake, NothingRecorded, TakeEnd, TakeFailed, Takes};
+pub use takes::{Begun, FirstRow, NewTake, NothingRecorded, TakeEnd, TakeFailed, Takes, Written};
 pub use tap::{TapHead, TapOut};
-pub use writer::{DiskState, HELD_MIN_BYTES, TakeOutput, Written};
 
 use self::{
     group::Group,

@@ -1,21 +1,21 @@
 //! Codes trajectories that are already in memory on several threads: the import path.
 
-mod jobs;
-
 use std::{
+    collections::VecDeque,
     io::Write,
+    panic::{AssertUnwindSafe, catch_unwind},
     sync::atomic::{AtomicU64, Ordering},
+    thread::Builder,
 };
 
-use anyhow::Context;
+use anyhow::{Context, anyhow};
+use crossbeam_channel::bounded;
+pub use mocapd_take::whole::stretch_rows;
 use mocapd_take::{
     motion::Motion,
     record::Header,
     whole::{Coded, Part, Plan, WholeWriter},
 };
-
-pub use self::jobs::in_order;
-pub use mocapd_take::whole::stretch_rows;
 
 use super::{Written, messages::PartReport};
 
@@ -50,4 +50,121 @@ pub fn write_take<W: Write>(
     let PartReport { samples, kept, max_error_mm, .. } = report;
     let written = Written { ledger, file_bytes, samples, kept, max_error_mm, ..Written::default() };
     Ok((written, out))
+}
+
+/// Parts handed out a worker before the oldest of them is back: enough that nobody waits for an uneven
+/// one, and all that is ever in memory.
+const AHEAD: usize = 4;
+
+/// Gives each part to one of `n_workers` threads, each with a function of its own from `worker`, and the
+/// results to `done`, in the order of the parts, on this thread.
+///
+/// # Errors
+/// The first of the workers', or that of `done`.
+pub fn in_order<P, T, W>(
+    parts: impl IntoIterator<Item = P>,
+    n_workers: usize,
+    worker: impl Fn() -> W + Sync,
+    mut done: impl FnMut(&P, T) -> anyhow::Result<()>,
+) -> anyhow::Result<()>
+where
+    P: Send,
+    T: Send,
+    W: FnMut(&P) -> anyhow::Result<T>,
+{
+    let n_workers = n_workers.max(1);
+    let ahead = AHEAD * n_workers;
+    let mut parts = parts.into_iter();
+    let lost = || anyhow!("a resampler thread failed");
+    std::thread::scope(|scope| {
+        // In here, so that they are closed when this function returns, and the threads end.
+        let (jobs_in, jobs) = bounded::<(usize, P)>(ahead);
+        let (results_in, results) = bounded(ahead);
+        for index in 0..n_workers {
+            let (jobs, results_in, worker) = (jobs.clone(), results_in.clone(), &worker);
+            Builder::new().name(format!("mocapd-work-{index}")).spawn_scoped(scope, move || {
+                let mut work = worker();
+                while let Ok((number, part)) = jobs.recv() {
+                    let result = catch_unwind(AssertUnwindSafe(|| work(&part)));
+                    let result = result.unwrap_or_else(|_| Err(lost()));
+                    if results_in.send((number, part, result)).is_err() {
+                        return;
+                    }
+                }
+            })?;
+        }
+        drop(results_in);
+        // From the oldest part that is not done to the newest that was handed out.
+        let mut out: VecDeque<Option<(P, T)>> = VecDeque::with_capacity(ahead);
+        let mut n_done = 0;
+        loop {
+            while out.len() < ahead
+                && let Some(part) = parts.next()
+            {
+                jobs_in.send((n_done + out.len(), part)).map_err(|_| lost())?;
+                out.push_back(None);
+            }
+            if out.is_empty() {
+                return Ok(());
+            }
+            let (number, part, result) = results.recv().map_err(|_| lost())?;
+            out[number - n_done] = Some((part, result?));
+            while let Some(Some((part, result))) = out.front_mut().map(Option::take) {
+                done(&part, result)?;
+                out.pop_front();
+                n_done += 1;
+            }
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn results_come_in_order_and_none_is_far_ahead() {
+        for n_workers in [1, 3, 8] {
+            let mut next = 0;
+            let worker = || {
+                |part: &u64| {
+                    std::thread::sleep(Duration::from_micros(part * 7919 % 300));
+                    Ok(part * part)
+                }
+            };
+            in_order(0..200, n_workers, worker, |part, square| {
+                assert_eq!((*part, square), (next, next * next));
+                next += 1;
+                Ok(())
+            })
+            .unwrap();
+            assert_eq!(next, 200);
+        }
+    }
+
+    #[test]
+    fn an_error_and_a_panic_end_it() {
+        for bad in [0, 5, 199] {
+            let refuse = || {
+                move |part: &u64| {
+                    if *part == bad { Err(anyhow!("part {part}")) } else { Ok(()) }
+                }
+            };
+            let error = in_order(0..200, 2, refuse, |_, ()| Ok(())).unwrap_err();
+            assert_eq!(error.to_string(), format!("part {bad}"));
+            let fall = || {
+                move |part: &u64| {
+                    assert_ne!(*part, bad);
+                    Ok(())
+                }
+            };
+            let error = in_order(0..200, 2, fall, |_, ()| Ok(())).unwrap_err();
+            assert!(error.to_string().contains("thread failed"), "{error}");
+        }
+        let full = |part: &u64, ()| if *part == 9 { Err(anyhow!("full")) } else { Ok(()) };
+        let worker = || |_: &u64| Ok(());
+        assert_eq!(in_order(0..200, 2, worker, full).unwrap_err().to_string(), "full");
+    }
 }

@@ -4,12 +4,15 @@ use std::{fmt, sync::Arc, time::Duration};
 
 use anyhow::{Context, ensure};
 use crossbeam_channel::{Receiver, Sender, bounded};
-use mocapd_take::record::{EndingKind, Event, EventKind, Header, Subject};
+use mocapd_take::record::{
+    ClockLine, EndingKind, Event, EventKind, Header, Ledger, Subject, TakeEnding,
+};
 
 use super::{
-    Written,
+    DiskState,
     desk::{Boundary, Desk, MarkOrder},
 };
+use crate::clock::ClockStatus;
 
 /// Orders that wait for the writer: one at a time is asked for, and may wait for a disk.
 const ORDERS_MAX: usize = 4;
@@ -48,6 +51,29 @@ pub struct FirstRow {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("nothing was recorded")]
 pub struct NothingRecorded;
+
+/// What was written in the end.
+#[derive(Debug, Clone, Default)]
+pub struct Written {
+    /// The ledger as it stands in the take.
+    pub ledger: Ledger,
+    /// How it ended, as it stands in the take.
+    pub ending: TakeEnding,
+    /// How the clocks ran in the end.
+    pub clock: ClockStatus,
+    /// By segment, the line of each that had one.
+    pub clock_lines: Vec<(u32, ClockLine)>,
+    /// What was left of the disk.
+    pub disk: DiskState,
+    /// Bytes of the file.
+    pub file_bytes: u64,
+    /// Samples in it.
+    pub samples: u64,
+    /// Of these, kept ones.
+    pub kept: u64,
+    /// The largest error that an encoder measured, in millimetres.
+    pub max_error_mm: f64,
+}
 
 /// What a take came to: itself, closed, or why it ends early.
 pub type TakeEnd<W> = Result<(Written, W), TakeFailed<W>>;

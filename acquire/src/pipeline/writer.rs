@@ -1,15 +1,11 @@
 //! The writer thread: parts become stretches, stretches go into the take, or wait for one.
 
-mod assembly;
 mod clocks;
 mod held;
-mod ledgers;
 mod live;
-mod orders;
-mod output;
-mod room;
 
 use std::{
+    collections::VecDeque,
     sync::{Arc, atomic::Ordering},
     time::{Duration, Instant},
 };
@@ -19,20 +15,15 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use mocapd_take::record::{Channel, EndingKind, TakeEnding};
 
 pub(super) use self::live::LiveTake;
-pub use self::room::HELD_MIN_BYTES;
-use self::{assembly::Assemblies, clocks::ClockWriter, held::Held};
-pub use self::{
-    output::{TakeOutput, Written},
-    room::DiskState,
-};
+use self::{clocks::ClockWriter, held::Held};
 use super::{
-    Counts, Progress, lock,
+    Counts, Progress, TakeOutput, lock,
     messages::{Control, FromReader, Part, PartReport, StretchEnd},
     plan::Plan,
     pool::Wakes,
-    takes::Order,
+    takes::{Answers, NewTake, Order, TakeFailed, What},
 };
-use crate::heartbeat::Beat;
+use crate::{files::FileState, heartbeat::Beat};
 
 /// How often the writer looks what waits, though it is to sync with every stretch.
 const LOOK_AT_MOST: Duration = Duration::from_millis(50);
@@ -298,5 +289,212 @@ impl<W: TakeOutput> Writer<W> {
             drop(buffers_back[part.group].try_send(part.bytes));
             wakes.wake(part.group);
         });
+    }
+}
+
+impl<W: TakeOutput> Writer<W> {
+    /// Everything that was ordered up to this boundary.
+    pub(super) fn carry_out(&mut self, boundary: u64, end: &StretchEnd) {
+        self.observe();
+        while let Some(order) = self.next_order.take().or_else(|| self.orders.try_recv().ok()) {
+            if order.boundary > boundary {
+                // It came while the writer was here: its boundary is on the way.
+                self.next_order = Some(order);
+                return;
+            }
+            match order.what {
+                What::End(ending) => self.end_take(ending),
+                What::Begin(take, answers) => {
+                    self.end_take(EndingKind::Stopped);
+                    let progress = Arc::clone(&self.progress);
+                    let mut clocks = std::mem::replace(&mut self.clocks, ClockWriter::idle());
+                    clocks.begin();
+                    let asked_ns = take.asked_ns;
+                    self.live = self.begin_take(*take, answers, end, &mut clocks, &progress);
+                    self.clocks = clocks;
+                    self.on_take(|take, _| take.asked_here(end.span.first_row, asked_ns));
+                }
+                What::Save(take, answers) => {
+                    // The take that is being written goes on beside it, and what others look at is that one's.
+                    let (mut clocks, progress) = (self.clocks.beside(), Progress::new(&[]));
+                    let saved = self.begin_take(*take, answers, end, &mut clocks, &progress);
+                    if let Some(saved) = saved {
+                        let ending = EndingKind::Saved.into();
+                        saved.end(&self.counts.in_rows(), &mut clocks, ending);
+                    }
+                }
+            }
+        }
+    }
+
+    fn end_take(&mut self, ending: EndingKind) {
+        if let Some(take) = self.live.take() {
+            take.end(&self.counts.in_rows(), &mut self.clocks, ending.into());
+        }
+        *lock(&self.progress.take) = None;
+    }
+
+    /// A take that has what is held of the last `pre_roll`. What failed is told to whoever waits for it.
+    fn begin_take(
+        &self,
+        new: NewTake<W>,
+        answers: Answers<W>,
+        end: &StretchEnd,
+        clocks: &mut ClockWriter,
+        progress: &Progress,
+    ) -> Option<LiveTake<W>> {
+        let NewTake { output, mut header, subject, pre_roll, asked_ns, notes, keep_free_bytes } =
+            new;
+        let from = self.held.as_ref().map_or(0, |held| held.of_last(pre_roll, asked_ns));
+        let first = self.held.as_ref().and_then(|held| held.from(from).next());
+        let (base, rows_before, stretch) = match first {
+            // The row after the stretch before: rows lost before it are its own.
+            Some(held) => (held.before.in_rows(), held.before.in_rows().seen(), held.stretch),
+            None => (self.counts.in_rows(), end.span.first_row, u64::MAX),
+        };
+        let known = |(since, _): &&(u64, Channel)| *since <= stretch;
+        // Its first row is older than the wish for it.
+        let before_ns = first.map_or(0, |held| asked_ns.saturating_sub(held.first.arrival_ns));
+        header.created_unix_ms -= (before_ns / 1_000_000).cast_signed();
+        header.channels = self.table.iter().filter(known).map(|(_, c)| c.clone()).collect();
+        progress.disk_full.store(false, Ordering::Relaxed);
+        progress.set_file_state(FileState::InPlace, None);
+        let times = (self.sync_every, keep_free_bytes);
+        let opening = (&header, subject.as_deref());
+        let begun = LiveTake::begin(output, opening, answers, (base, rows_before), times);
+        let mut take = match begun {
+            Ok(take) => take,
+            Err((error, answers)) => {
+                answers.ended.try_send(Err(TakeFailed::without_output(error))).ok();
+                return None;
+            }
+        };
+        take.reserve(self.payload.capacity());
+        let wrote = notes.map_or(Ok(()), |event| take.event(&event));
+        let held =
+            wrote.and_then(|()| self.write_held(&mut take, (from, stretch), clocks, progress));
+        match held {
+            Ok(()) => Some(take),
+            Err(error) => {
+                take.give_up(error);
+                None
+            }
+        }
+    }
+
+    fn write_held(
+        &self,
+        take: &mut LiveTake<W>,
+        (from, first): (usize, u64),
+        clocks: &mut ClockWriter,
+        progress: &Progress,
+    ) -> anyhow::Result<()> {
+        take.look_at_disk(progress);
+        let Some(held) = &self.held else { return Ok(()) };
+        if first == u64::MAX {
+            return Ok(());
+        }
+        let mut channels = self.table.iter().filter(|(since, _)| *since > first).peekable();
+        let mut events = held.events().filter(|(stretch, _)| *stretch >= first).peekable();
+        for stretch in held.from(from) {
+            if progress.disk_full.load(Ordering::Relaxed) {
+                return Err(anyhow!("the disk is full: delete something"));
+            }
+            while let Some((_, channel)) = channels.next_if(|(since, _)| *since <= stretch.stretch)
+            {
+                take.channel(channel)?;
+            }
+            while let Some((_, event)) = events.next_if(|(at, _)| *at <= stretch.stretch) {
+                take.event(event)?;
+            }
+            let (payload, report) = (&stretch.payload, &stretch.report);
+            take.stretch(stretch.span, stretch.first, payload, report, &stretch.after)?;
+        }
+        channels.try_for_each(|(_, channel)| take.channel(channel))?;
+        events.try_for_each(|(_, event)| take.event(event))?;
+        take.ledger_and_sync(clocks, progress)?;
+        take.tell(progress);
+        Ok(())
+    }
+}
+
+/// One stretch.
+#[derive(Debug)]
+pub(super) struct Assembly {
+    pub(super) stretch: u64,
+    pub(super) end: StretchEnd,
+    /// By group; the time line's is the last.
+    slots: Vec<Option<Part>>,
+    missing: usize,
+}
+
+impl Assembly {
+    /// The time line's part and the channels' parts, in order, of a complete stretch.
+    pub(super) fn parts(&self) -> Option<(&Part, impl Iterator<Item = &Part>)> {
+        let mut present = self.slots.iter().flatten();
+        Some((present.next_back()?, present))
+    }
+}
+
+/// The stretches that are coded and not yet written, oldest first.
+#[derive(Debug)]
+pub(super) struct Assemblies {
+    waiting: VecDeque<Assembly>,
+    spare: Vec<Vec<Option<Part>>>,
+    next_stretch: u64,
+    plan: Plan,
+}
+
+impl Assemblies {
+    pub(super) fn new(plan: &Plan) -> Self {
+        // No group can be further ahead than it has buffers.
+        let most = plan.buffers_per_group() + 1;
+        let n_groups = plan.n_groups() + 1;
+        let empty = || (0..n_groups).map(|_| None).collect();
+        Self {
+            waiting: VecDeque::with_capacity(most),
+            spare: (0..most).map(|_| empty()).collect(),
+            next_stretch: 0,
+            plan: plan.clone(),
+        }
+    }
+
+    pub(super) fn add(&mut self, part: Part) {
+        let at = (part.stretch - self.next_stretch) as usize;
+        let n_groups = self.plan.n_groups() + 1;
+        while self.waiting.len() <= at {
+            self.waiting.push_back(Assembly {
+                stretch: self.next_stretch + self.waiting.len() as u64,
+                end: part.end,
+                slots: self.spare.pop().unwrap_or_else(|| (0..n_groups).map(|_| None).collect()),
+                missing: usize::MAX,
+            });
+        }
+        let assembly = &mut self.waiting[at];
+        if assembly.missing == usize::MAX {
+            assembly.end = part.end;
+            assembly.missing = self.plan.groups_of(part.end.n_channels) + 1;
+        }
+        let group = part.group;
+        assembly.missing -= 1;
+        assembly.slots[group] = Some(part);
+    }
+
+    /// The oldest stretch.
+    pub(super) fn front(&self) -> Option<&Assembly> {
+        self.waiting.front()
+    }
+
+    /// When the oldest stretch is complete: whether it is the take's last.
+    pub(super) fn front_last(&self) -> Option<bool> {
+        self.front().filter(|front| front.missing == 0).map(|front| front.end.last)
+    }
+
+    /// Drops the oldest stretch and gives its parts away.
+    pub(super) fn pop_front(&mut self, mut give: impl FnMut(Part)) {
+        let Some(mut front) = self.waiting.pop_front() else { return };
+        front.slots.iter_mut().filter_map(Option::take).for_each(&mut give);
+        self.spare.push(front.slots);
+        self.next_stretch += 1;
     }
 }

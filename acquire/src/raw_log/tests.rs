@@ -88,7 +88,7 @@ impl Write for Disk {
     }
 }
 
-impl write::LogOutput for Disk {
+impl LogOutput for Disk {
     fn sync(&mut self) -> io::Result<()> {
         self.synced.send(std::mem::take(&mut self.unsynced)).unwrap();
         Ok(())
@@ -99,12 +99,12 @@ impl write::LogOutput for Disk {
 fn logged(
     room: usize,
     sync_every: Duration,
-) -> (mpsc::Receiver<usize>, impl Fn(usize), impl FnOnce() -> write::Written) {
+) -> (mpsc::Receiver<usize>, impl Fn(usize), impl FnOnce() -> Written) {
     let (told, synced) = mpsc::sync_channel(100);
     let (full, blocks) = bounded(BLOCKS);
     let (free, emptied) = bounded(BLOCKS);
     let disk = Disk { room, unsynced: 0, synced: told };
-    let work = move || write::write(disk, &AtomicU64::new(0), sync_every, &blocks, &free);
+    let work = move || write(disk, &AtomicU64::new(0), sync_every, &blocks, &free);
     let thread = threads::spawn("test", work).unwrap();
     let hand_over = full.clone();
     let put = move |n: usize| {

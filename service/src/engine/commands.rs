@@ -8,11 +8,10 @@ use std::{
 
 use crossbeam_channel::{RecvTimeoutError, after, select};
 use mocapd_acquire::{
-    disk,
     files::{FileId, TakeFile},
     header,
     host_clock::monotonic_ns,
-    pipeline::NewTake,
+    pipeline::{NewTake, check_room},
     threads,
 };
 use mocapd_take::record::{EndingKind, Event, EventKind};
@@ -342,7 +341,7 @@ impl Inner {
         let options = std::sync::Arc::clone(&self.core().options);
         let refused = |kind, error: &anyhow::Error| Refusal::new(kind, format!("{error:#}"));
         let (name, path) = self.free_name(name, &options)?;
-        disk::check_room(&path, options.keep_free_bytes)
+        check_room(&path, options.keep_free_bytes)
             .map_err(|error| refused(RefusalKind::Disk, &error))?;
         let notes = notes.filter(|notes| !notes.is_empty());
         if let Some(notes) = notes {

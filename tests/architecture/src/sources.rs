@@ -22,7 +22,7 @@ const RULES: &[Rule] = &[
         words: &["thread::Builder", "thread::{Builder", "thread::scope"],
         allowed: &[
             "acquire/src/threads.rs",
-            "acquire/src/pipeline/offline/jobs.rs",
+            "acquire/src/pipeline/offline.rs",
             "simulator/src/cli/serve/stop.rs",
         ],
     },

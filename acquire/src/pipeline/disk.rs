@@ -1,14 +1,106 @@
-//! Room on the disk: some is held back, so that a take can be closed on a disk that others fill, and what is left is
+//! What a take is written to, and room for it on the disk: some is held back, so that a take can be closed on a disk that others fill, and what is left is
 //! watched, so that it is closed before nothing works any more.
 
 use std::{
-    io,
+    io::{self, Write},
+    path::Path,
     sync::atomic::Ordering,
     time::{Duration, Instant},
 };
 
-use super::TakeOutput;
-use crate::pipeline::Progress;
+use anyhow::bail;
+use rustix::fs::{FallocateFlags, fallocate, fstatvfs, statvfs};
+
+use super::Progress;
+use crate::files::{Displaced, FileState, TakeFile};
+
+/// What a take is written to.
+pub trait TakeOutput: Write + Send + 'static {
+    /// Makes everything written so far survive a power cut.
+    ///
+    /// # Errors
+    /// The device's.
+    fn sync(&mut self) -> io::Result<()>;
+
+    /// Makes sure that so many bytes can be written from an offset on, whatever others write to the disk meanwhile.
+    ///
+    /// # Errors
+    /// `StorageFull`, `QuotaExceeded` when there is no such room; `Unsupported` where none can be held back.
+    fn hold_back(&mut self, _from: u64, _bytes: u64) -> io::Result<()> {
+        Err(io::ErrorKind::Unsupported.into())
+    }
+
+    /// Gives back what was held and is not needed: the output has so many bytes.
+    ///
+    /// # Errors
+    /// The device's.
+    fn release(&mut self, _bytes: u64) -> io::Result<()> {
+        Ok(())
+    }
+
+    /// Bytes that the disk has left, for whoever may write there; `None` where nobody can tell.
+    fn free_bytes(&self) -> Option<u64> {
+        None
+    }
+
+    /// What others have done to it; at most a moment old.
+    fn look(&mut self) -> FileState {
+        FileState::InPlace
+    }
+
+    /// The same, as of now.
+    fn look_now(&mut self) -> FileState {
+        FileState::InPlace
+    }
+
+    /// More about that, where something was done.
+    fn displaced(&self) -> Option<Displaced> {
+        None
+    }
+}
+
+impl TakeOutput for TakeFile {
+    fn sync(&mut self) -> io::Result<()> {
+        self.file().sync_data()
+    }
+
+    fn hold_back(&mut self, from: u64, bytes: u64) -> io::Result<()> {
+        Ok(fallocate(self.file(), FallocateFlags::KEEP_SIZE, from, bytes)?)
+    }
+
+    fn release(&mut self, bytes: u64) -> io::Result<()> {
+        Self::release(self, bytes)
+    }
+
+    fn look(&mut self) -> FileState {
+        Self::look(self)
+    }
+
+    fn look_now(&mut self) -> FileState {
+        Self::look_now(self)
+    }
+
+    fn displaced(&self) -> Option<Displaced> {
+        Self::displaced(self)
+    }
+
+    fn free_bytes(&self) -> Option<u64> {
+        let disk = fstatvfs(self.file()).ok()?;
+        Some(disk.f_bavail.saturating_mul(disk.f_frsize))
+    }
+}
+
+impl TakeOutput for Vec<u8> {
+    fn sync(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl TakeOutput for io::Sink {
+    fn sync(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
 
 /// Held back at least: a ledger, an index of days and a few stretches.
 pub const HELD_MIN_BYTES: u64 = 4 << 20;
@@ -152,6 +244,32 @@ impl Room {
 
 fn is_full(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
+}
+
+/// Makes sure that a take can be begun at `path` without taking what has to stay free.
+///
+/// # Errors
+/// How much is free, how much must be, and what to do.
+pub fn check_room(path: &Path, keep_free_bytes: u64) -> anyhow::Result<()> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    // What cannot be told is not held against it: creating the file will tell.
+    let Ok(disk) = statvfs(folder.unwrap_or(Path::new("."))) else { return Ok(()) };
+    let free_bytes = disk.f_bavail.saturating_mul(disk.f_frsize);
+    if free_bytes < keep_free_bytes.saturating_add(HELD_MIN_BYTES) {
+        bail!(
+            "the disk is nearly full: {:.0} MB are free for {}, and {:.0} MB have to stay free (--keep-free, take.keep_free) beside {:.0} MB \
+             to close a take in: delete something, or record to another disk",
+            mb(free_bytes),
+            path.display(),
+            mb(keep_free_bytes),
+            mb(HELD_MIN_BYTES)
+        );
+    }
+    Ok(())
+}
+
+fn mb(bytes: u64) -> f64 {
+    bytes as f64 / 1e6
 }
 
 #[cfg(test)]

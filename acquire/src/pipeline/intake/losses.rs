@@ -1,0 +1,256 @@
+//! What is missing between two frames: by the counter, by the clock in a silence, and until it is on the time line.
+
+use mocapd_drivers::device::Frame;
+use mocapd_take::{
+    record::{Event, EventKind},
+    timeline::Causes,
+};
+
+use super::{Intake, UNSEEN_MAX, axis::Step};
+use crate::pipeline::{counts::PendingRows, plan::RUNS_MAX};
+
+impl Intake {
+    /// `false` for a frame that was seen before.
+    pub(super) fn follow(&mut self, frame: &Frame<'_>) -> bool {
+        match self.axis.step(frame.seq, frame.device_ticks) {
+            Step::Next { missing } => {
+                // A take that ended in a silence has what was due in it.
+                let counted = std::mem::take(&mut self.rows_away);
+                let missing = u64::from(missing);
+                self.counts.not_produced(counted.saturating_sub(missing));
+                let new = missing.saturating_sub(counted);
+                self.counts.not_received += new;
+                self.pending.add(new, Causes::NOT_RECEIVED);
+            }
+            Step::Again => {
+                self.counts.duplicates += 1;
+                return false;
+            }
+            Step::Jump => {
+                self.counts.counter_jumps += 1;
+                let counted = std::mem::take(&mut self.rows_away);
+                self.counts.not_produced(counted);
+            }
+        }
+        true
+    }
+
+    /// The device went away, is back, and was told to start again: its reports count from there, and what is missing
+    /// until its next frame was lost to the outage.
+    pub fn rejoin(&mut self) {
+        self.rejoining = true;
+        self.clocks.rejoin();
+        self.counts.rejoin();
+    }
+
+    /// The first frame after an outage.
+    pub(super) fn end_outage(&mut self, frame: &Frame<'_>, arrival_ns: u64) {
+        self.rejoining = false;
+        let silent_s = self.silences.until_ns(arrival_ns) as f64 * 1e-9;
+        let (missing, causes, how, why) = match self.axis.rejoin(frame.seq, frame.device_ticks) {
+            Some(missing) => {
+                let causes = Causes::NOT_RECEIVED.union(Causes::DISCONNECTED);
+                (u64::from(missing), causes, "goes on", "are missing by its counter")
+            }
+            // Its counter tells nothing of the time between; the host's clock does, so that the take keeps time.
+            None => {
+                let due = self.due(silent_s);
+                (due, Causes::DISCONNECTED, "began anew", "were due by the host's clock")
+            }
+        };
+        let new = missing.saturating_sub(std::mem::take(&mut self.rows_away));
+        // At the first row that there is again.
+        let row = self.next_row + self.pending.rows() + new;
+        let event = Event {
+            kind: EventKind::Host,
+            row,
+            device_ticks: frame.device_ticks,
+            host_ns: arrival_ns,
+            input: 0,
+            text: format!(
+                "the device is back after {silent_s:.3} s, and {how}: {missing} frames {why}"
+            ),
+        };
+        self.event_at(row, event);
+        self.counts.reports_from = self.counts.seen() + new;
+        self.counts.lost_to_outage(new);
+        self.counts.told_twice = missing;
+        self.pending.add(new, causes);
+    }
+
+    /// How many frames fit between two that are so far apart.
+    pub(super) fn due(&self, silent_s: f64) -> u64 {
+        ((silent_s * self.rate_hz).round() as u64).saturating_sub(1).min(UNSEEN_MAX)
+    }
+}
+
+/// A silence so long is an event.
+const SILENCE_S: f64 = 1.0;
+
+/// Or so many frames' time, at a low rate.
+const SILENCE_FRAMES: f64 = 10.0;
+
+/// Silences that get an event. More are a device that stutters: the time line has each of its frames.
+const EVENTS_MAX: u32 = 256;
+
+/// When the last frame came, and how often it took long.
+#[derive(Debug)]
+pub(super) struct Silences {
+    longest_ns: u64,
+    last_arrival_ns: Option<u64>,
+    /// When the device said last that it had produced no more than came.
+    accounted_ns: u64,
+    n_events: u32,
+}
+
+impl Silences {
+    pub(super) fn new(rate_hz: f64) -> Self {
+        let longest_ns = (SILENCE_S.max(SILENCE_FRAMES / rate_hz) * 1e9) as u64;
+        Self { longest_ns, last_arrival_ns: None, accounted_ns: 0, n_events: 0 }
+    }
+
+    /// How long no frame had come until now; none had come before the first.
+    pub(super) fn until_ns(&self, arrival_ns: u64) -> u64 {
+        self.last_arrival_ns.map_or(0, |last_ns| arrival_ns.saturating_sub(last_ns))
+    }
+
+    /// The device says that all its frames have come.
+    pub(super) fn account(&mut self, now_ns: u64) {
+        self.accounted_ns = now_ns;
+    }
+
+    /// Of [`until_ns`](Self::until_ns), the time after the device's last word.
+    pub(super) fn unaccounted_ns(&self, now_ns: u64) -> u64 {
+        self.until_ns(now_ns).min(now_ns.saturating_sub(self.accounted_ns))
+    }
+
+    /// How long no frame has come, where that is long.
+    pub(super) fn lasts(&mut self, now_ns: u64) -> Option<f64> {
+        let silent_ns = self.until_ns(now_ns);
+        if silent_ns < self.longest_ns || self.n_events == EVENTS_MAX {
+            return None;
+        }
+        self.n_events += 1;
+        Some(silent_ns as f64 * 1e-9)
+    }
+
+    fn frame(&mut self, arrival_ns: u64) -> Option<f64> {
+        let lasted = self.lasts(arrival_ns);
+        self.last_arrival_ns = Some(arrival_ns);
+        lasted
+    }
+}
+
+impl Intake {
+    /// A frame arrived. `is_told`: why it took long is told elsewhere.
+    pub(super) fn end_silence(&mut self, device_ticks: u64, arrival_ns: u64, is_told: bool) {
+        if let Some(silent_s) = self.silences.frame(arrival_ns)
+            && !is_told
+        {
+            self.silence_event(silent_s, device_ticks, arrival_ns);
+        }
+    }
+
+    /// A take ends: what was due since the last frame, by the host's clock, is that take's loss, and stands in it, when
+    /// the device is away or has been silent for long.
+    pub(super) fn count_absence(&mut self, now_ns: u64) {
+        let until_ns = self.due_until_ns.map_or(now_ns, |due_ns| due_ns.min(now_ns));
+        let silent_ns = if self.is_away {
+            self.silences.until_ns(until_ns)
+        } else if let Some(silent_s) = self.silences.lasts(until_ns) {
+            self.silence_event(silent_s, 0, until_ns);
+            self.silences.unaccounted_ns(until_ns)
+        } else {
+            return;
+        };
+        // Its last word tells of every frame.
+        if self.counts.ended {
+            return;
+        }
+        let new = self.due(silent_ns as f64 * 1e-9).saturating_sub(self.rows_away);
+        self.rows_away += new;
+        if self.is_away {
+            self.counts.lost_to_outage(new);
+        } else {
+            self.counts.lost_to_silence(new);
+        }
+        self.pending.add(new, Causes::DISCONNECTED);
+    }
+
+    fn silence_event(&mut self, silent_s: f64, device_ticks: u64, host_ns: u64) {
+        let text = format!("no frame came for {silent_s:.3} s");
+        self.event(Event { kind: EventKind::Host, row: 0, device_ticks, host_ns, input: 0, text });
+    }
+}
+
+/// A short list of runs, in place.
+#[derive(Debug, Default)]
+pub(super) struct Pending {
+    runs: [(u64, Causes); RUNS_MAX],
+    n_runs: usize,
+    rows: u64,
+    counted: PendingRows,
+}
+
+impl Pending {
+    pub(super) fn add(&mut self, rows: u64, causes: Causes) {
+        if rows == 0 {
+            return;
+        }
+        self.rows += rows;
+        let counted = if causes.contains(Causes::DISCONNECTED) {
+            &mut self.counted.in_outages
+        } else if causes.contains(Causes::RING_FULL) {
+            &mut self.counted.ring_full
+        } else {
+            &mut self.counted.not_received
+        };
+        *counted += rows;
+        match self.runs[..self.n_runs].last_mut() {
+            Some(last) if last.1 == causes || self.n_runs == RUNS_MAX => {
+                last.0 += rows;
+                last.1 = last.1.union(causes);
+            }
+            _ => {
+                self.runs[self.n_runs] = (rows, causes);
+                self.n_runs += 1;
+            }
+        }
+    }
+
+    pub(super) fn rows(&self) -> u64 {
+        self.rows
+    }
+
+    /// The same, by what counted them.
+    pub(super) fn counted(&self) -> PendingRows {
+        self.counted
+    }
+
+    /// The runs, oldest first; none are left.
+    pub(super) fn drain(&mut self) -> impl Iterator<Item = (u64, Causes)> + use<> {
+        let runs = std::mem::take(&mut self.runs);
+        self.rows = 0;
+        self.counted = PendingRows::default();
+        runs.into_iter().take(std::mem::take(&mut self.n_runs))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn runs_merge_and_nothing_is_lost() {
+        let mut pending = Pending::default();
+        for i in 0..40 {
+            let causes = if i % 2 == 0 { Causes::NOT_RECEIVED } else { Causes::RING_FULL };
+            pending.add(3, causes);
+        }
+        assert_eq!((pending.rows(), pending.n_runs), (120, RUNS_MAX));
+        let runs: Vec<_> = pending.drain().collect();
+        assert_eq!(runs.iter().map(|run| run.0).sum::<u64>(), 120);
+        assert_eq!(runs[7].1, Causes::NOT_RECEIVED.union(Causes::RING_FULL));
+        assert_eq!((pending.rows(), pending.n_runs), (0, 0));
+    }
+}
