@@ -17,7 +17,7 @@ use std::{
 
 use mocapd_acquire::{
     header,
-    pipeline::{Intake, Pipeline, PipelineConfig, TakeOutput},
+    pipeline::{Intake, NewTake, Pipeline, PipelineConfig, TakeOutput},
 };
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_drivers::{
@@ -136,7 +136,8 @@ fn the_sample_path_does_not_allocate_after_the_start() {
         header.channels.clone_from(&config.channels);
         let stretches = Arc::new(AtomicU64::new(0));
         let (mut intake, pipeline) =
-            Pipeline::start(&config, &header, CountingSink(Arc::clone(&stretches))).unwrap();
+            Pipeline::start(&config, NewTake::new(CountingSink(Arc::clone(&stretches)), header))
+                .unwrap();
         let mut link = HostLink::new();
 
         feed(&mut link, &mut intake, &warm_up);

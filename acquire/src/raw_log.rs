@@ -357,6 +357,10 @@ impl Transport for Tapped {
         self.line.describe()
     }
 
+    fn is_low_latency(&self) -> bool {
+        self.line.is_low_latency()
+    }
+
     fn stalls_cleared(&self) -> u64 {
         self.line.stalls_cleared()
     }

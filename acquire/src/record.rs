@@ -14,7 +14,7 @@ use crate::{
     files::{FileState, Settled, TakeFile},
     header,
     pipeline::{
-        NothingRecorded, Pipeline, PipelineConfig, Progress, TakeFailed, Written, check_room,
+        NewTake, NothingRecorded, Pipeline, Progress, TakeFailed, TakeOutput, Written, check_room,
     },
     rig::{Ending, ReadOptions, Recording, Rig},
 };
@@ -61,8 +61,7 @@ pub struct Recorded {
 /// When nothing was recorded (no take is left behind then), or the take could not be written to its end.
 pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recorded> {
     check_room(options.take, options.keep_free_bytes)?;
-    let keep_free_bytes = options.keep_free_bytes;
-    let config = PipelineConfig { keep_free_bytes, ..rig.pipeline_config(options.codec) };
+    let config = rig.pipeline_config(options.codec);
     let mut header = header::new(&options.codec, config.rate_hz)?;
     header.up_axis = rig.hello().up_axis.min(3);
     header.device = Some(rig.device_record());
@@ -73,7 +72,12 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
 
     let file = TakeFile::create(options.take)?;
     let id = file.id();
-    let begun = Pipeline::start_of(&config, (&header, options.subject), file);
+    let take = NewTake {
+        subject: options.subject.cloned().map(Arc::new),
+        keep_free_bytes: options.keep_free_bytes,
+        ..NewTake::new(file, header)
+    };
+    let begun = Pipeline::start(&config, take);
     let outcome = begun.map(|(intake, pipeline)| {
         (options.started)(pipeline.progress());
         let rows_max = options.length.map(|length| frame_at(length, rate_hz));
@@ -93,12 +97,12 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
         Ok(()) => error,
         Err(e) => error.context(format!("{name} holds nothing and cannot be removed ({e})")),
     };
-    let is_nothing = |failed: &TakeFailed<TakeFile>| failed.error.is::<NothingRecorded>();
+    let is_nothing = |failed: &TakeFailed| failed.error.is::<NothingRecorded>();
     match outcome {
         Err(error) => Err(nothing_recorded(error)),
         Ok((Err(error), written)) => Err(match written {
             Ok((written, _)) if written.ledger.recorded == 0 => nothing_recorded(error),
-            Ok((_, mut file)) => ends_early(options.take, error, Some(&mut file)),
+            Ok((_, mut file)) => ends_early(options.take, error, Some(&mut *file)),
             Err(failed) if is_nothing(&failed) => nothing_recorded(error),
             Err(mut failed) => ends_early(options.take, error, failed.output.as_deref_mut()),
         }),
@@ -122,9 +126,13 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
 }
 
 /// Says where a take is that could not be recorded to its end, and saves one that was removed.
-fn ends_early(take: &Path, error: anyhow::Error, file: Option<&mut TakeFile>) -> anyhow::Error {
+fn ends_early(
+    take: &Path,
+    error: anyhow::Error,
+    file: Option<&mut (dyn TakeOutput + 'static)>,
+) -> anyhow::Error {
     let take = take.display();
-    let settled = file.map(TakeFile::settle);
+    let settled = file.map(TakeOutput::settle);
     let words = match settled.as_ref().and_then(Settled::words) {
         Some(words) => format!("the take {take} ends early; {words}"),
         None if settled.is_some_and(|file| file.state == FileState::InPlace) => {

@@ -3,12 +3,16 @@
 use std::{path::PathBuf, sync::Arc, time::Duration};
 
 use mocapd_acquire::files::{FileId, FileState, path_as_text};
+use mocapd_take::record::EndingKind;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::{
     live::LiveFeed,
-    status::{LedgerStatus, MarkerQuality, ServiceEvent, Status, TakeStatus, TakeSummary},
+    status::{
+        LedgerStatus, MarkerQuality, ServiceEvent, ServiceEventKind, Status, TakeStatus,
+        TakeSummary, ending_word,
+    },
 };
 
 /// The service as the HTTP API, the triggers and the signals see it.
@@ -74,7 +78,7 @@ pub trait Control: Send + Sync + std::fmt::Debug + 'static {
     fn live_take(&self, file: FileId) -> Option<TakeStatus>;
 
     /// Says something to everybody who listens: an event of this kind.
-    fn tell(&self, _kind: &str, _message: &str) {}
+    fn tell(&self, _kind: ServiceEventKind, _message: &str) {}
 
     /// What happens from now on.
     fn events(&self) -> EventFeed;
@@ -192,7 +196,9 @@ pub struct Stopped {
     pub bytes: u64,
     /// Why it ended, as it stands in the take: `stopped`, `disk full`, `device gone`, `device ended`, `length`,
     /// `service stopped`, `truncated` or `unmounted` by somebody else, and `saved` of what the pre-roll held.
-    pub ending: String,
+    #[serde(with = "ending_word")]
+    #[schema(value_type = String)]
+    pub ending: Option<EndingKind>,
     /// What became of every frame.
     pub ledger: LedgerStatus,
     /// Of `save-last`: seconds that were asked for and were not held; 0 where all of them were.

@@ -1,6 +1,9 @@
 //! How things stand, as the API, the dashboard and `ctl` tell it. Units stand in the names.
 
+use std::fmt;
+
 use mocapd_acquire::{files::FileState, health::TakeHealth};
+use mocapd_take::record::EndingKind;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -17,6 +20,27 @@ pub enum State {
     Recording,
     /// A take could not be written to its end, or the data plane failed: `failure` says why.
     Failed,
+}
+
+/// Whether the device is there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Presence {
+    /// It is not there, or away.
+    #[default]
+    Absent,
+    /// It said who it is.
+    Present,
+    /// It sends frames.
+    Streaming,
+    /// It should stream and sends nothing.
+    Silent,
+}
+
+impl fmt::Display for Presence {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
+    }
 }
 
 /// Everything at one time.
@@ -52,7 +76,8 @@ pub struct DeviceStatus {
     /// Where it is looked for.
     pub uri: String,
     /// `absent`, `present` (it said who it is), `streaming`, `silent` (it should stream and sends nothing).
-    pub presence: String,
+    #[schema(value_type = String)]
+    pub presence: Presence,
     /// Its model; empty before it said so, and so are the following.
     pub model: String,
     /// Its serial number.
@@ -215,8 +240,9 @@ pub struct TakeSummary {
     /// 32 hexadecimal digits; empty while unknown.
     pub take_id: String,
     /// Why it ended, as `stop` tells it; empty where the take does not say.
-    #[serde(default)]
-    pub ending: String,
+    #[serde(default, with = "ending_word")]
+    #[schema(value_type = String)]
+    pub ending: Option<EndingKind>,
     /// More about that; mostly empty.
     #[serde(default)]
     pub ending_detail: String,
@@ -259,6 +285,39 @@ pub struct MarkerQuality {
     pub swaps_suspected: u64,
 }
 
+/// What kind of thing happened.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ServiceEventKind {
+    /// The service does something else now.
+    State,
+    /// The device said something, or something happened to it.
+    Device,
+    /// A take has begun.
+    TakeStarted,
+    /// It has ended.
+    TakeStopped,
+    /// What the pre-roll held was saved.
+    TakeSaved,
+    /// A mark was put into the take.
+    Mark,
+    /// Something that somebody may have to look at.
+    Warning,
+    /// A take could not be written to its end, or the data plane failed.
+    Failure,
+    /// A trigger came.
+    Trigger,
+    /// What a later version tells.
+    #[serde(other)]
+    Other,
+}
+
+impl fmt::Display for ServiceEventKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
+    }
+}
+
 /// Something happened.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ServiceEvent {
@@ -267,7 +326,8 @@ pub struct ServiceEvent {
     /// Milliseconds since 1970.
     pub unix_ms: i64,
     /// `state`, `device`, `take-started`, `take-stopped`, `take-saved`, `mark`, `warning`, `failure`, `trigger`.
-    pub kind: String,
+    #[schema(value_type = String)]
+    pub kind: ServiceEventKind,
     /// One line for people.
     pub message: String,
     /// The state after it.
@@ -277,4 +337,24 @@ pub struct ServiceEvent {
     /// The notes of a take that has started.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub notes: Option<String>,
+}
+
+/// An ending by its word; empty where it is not known.
+pub(crate) mod ending_word {
+    use mocapd_take::record::EndingKind;
+    use serde::{Deserialize, Deserializer, Serializer};
+
+    pub(crate) fn serialize<S: Serializer>(
+        ending: &Option<EndingKind>,
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(ending.map_or("", EndingKind::word))
+    }
+
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<Option<EndingKind>, D::Error> {
+        let word = String::deserialize(deserializer)?;
+        Ok((!word.is_empty()).then(|| EndingKind::from_word(&word)))
+    }
 }

@@ -13,7 +13,7 @@ use rustix::rand::{GetRandomFlags, getrandom};
 
 use super::{
     control::{Control, EventFeed, Mark, RefusalKind, Request, Start},
-    status::ServiceEvent,
+    status::{ServiceEvent, ServiceEventKind},
     trigger::{
         self, Announcer, Listener, Queue, Quiet, Received, StopResult, TakeName, Trigger,
         first_packet_id,
@@ -87,7 +87,7 @@ impl Triggers {
                 exists: Box::new(move |name| names.take_path(name).is_ok()),
                 recording: Box::new(move || takes.status().take.map(|take| take.name)),
             };
-            let say = move |text: &str| words.tell("trigger", text);
+            let say = move |text: &str| words.tell(ServiceEventKind::Trigger, text);
             let listener = Listener::new(config.allow_from.clone(), config.delay_max, mark);
             let socket = socket::bind(address)?;
             hearing = Some(socket::listen(socket, listener, questions, triggers.clone(), say)?);
@@ -162,7 +162,7 @@ impl Worker {
             Outcome::Nothing(words) => self.quiet.say(&words, self.triggers.now()),
         };
         if let Some(words) = words {
-            self.control.tell("trigger", &words);
+            self.control.tell(ServiceEventKind::Trigger, &words);
         }
     }
 
@@ -241,7 +241,7 @@ impl Worker {
         for datagram in self.datagrams(event, name) {
             let failed = self.teller.as_ref().map(|teller| teller.tell(&datagram));
             for words in failed.unwrap_or_default() {
-                self.control.tell("warning", &words);
+                self.control.tell(ServiceEventKind::Warning, &words);
             }
         }
     }
@@ -249,14 +249,14 @@ impl Worker {
     fn datagrams(&mut self, event: &ServiceEvent, name: &str) -> Vec<Vec<u8>> {
         let Some(name) = TakeName::of(name) else { return Vec::new() };
         let Self { announcer, teller: Some(_), .. } = self else { return Vec::new() };
-        match event.kind.as_str() {
-            "take-started" => {
+        match event.kind {
+            ServiceEventKind::TakeStarted => {
                 vec![announcer.start(&name, event.notes.as_deref().unwrap_or_default())]
             }
-            "take-stopped" => {
+            ServiceEventKind::TakeStopped => {
                 vec![announcer.stop(&name, &StopResult::Success), announcer.complete(&name)]
             }
-            "failure" => vec![announcer.stop(&name, &StopResult::Fail)],
+            ServiceEventKind::Failure => vec![announcer.stop(&name, &StopResult::Fail)],
             _ => Vec::new(),
         }
     }

@@ -13,6 +13,7 @@ use mocapd_service::{
     http::{HttpOptions, HttpServer},
     log::Log,
     notify::Notifier,
+    status::ServiceEventKind,
     triggered::Triggers,
 };
 use signal_hook::{
@@ -74,7 +75,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let engine = Arc::new(Engine::start(options, &heartbeat)?);
     let control: Arc<dyn Control> = Arc::<Engine>::clone(&engine);
     for warning in config.warnings() {
-        control.tell("warning", &warning);
+        control.tell(ServiceEventKind::Warning, &warning);
     }
     let doors = Doors::open(&config, &control)?;
     let mut notifier = Notifier::default();
@@ -120,7 +121,8 @@ impl Doors {
         let wanted = options.unix_socket.is_some() || options.tcp.is_some();
         let http = wanted.then(|| HttpServer::start(options, Arc::clone(control))).transpose()?;
         if let Some(address) = http.as_ref().and_then(HttpServer::tcp_address) {
-            control.tell("state", &format!("the dashboard is at http://{address}/"));
+            control
+                .tell(ServiceEventKind::State, &format!("the dashboard is at http://{address}/"));
         }
         let triggers = Triggers::open(&config.trigger, &config.rig_name, control)?;
         Ok(Self { http, triggers })
@@ -226,7 +228,7 @@ impl Running<'_> {
         self.engine.reload(options);
         let known = self.config.warnings();
         for warning in config.warnings().iter().filter(|warning| !known.contains(warning)) {
-            self.control.tell("warning", warning);
+            self.control.tell(ServiceEventKind::Warning, warning);
         }
         if let Err(error) = self.doors.reopen(&self.config, &config, &self.control) {
             tracing::error!("{}", plain(&format!("{error:#}")));

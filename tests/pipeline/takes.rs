@@ -4,14 +4,16 @@ use std::{io, time::Duration};
 
 use mocapd_acquire::{
     inspect::Summary,
-    pipeline::{Armed, Begun, Intake, NewTake, Pipeline, PreRollConfig, TakeOutput, Written},
+    pipeline::{Armed, Intake, NewTake, Pipeline, PreRollConfig, TakeHandle, TakeOutput, Written},
 };
 use mocapd_take::{
     motion::{Motion, Position, is_gap},
     record::EndingKind,
 };
 
-use crate::support::{TICK_HZ, chunks, config, crowd, dense, distance_mm, feed, jump, rows};
+use crate::support::{
+    TICK_HZ, chunks, config, crowd, dense, distance_mm, feed, jump, output_of, rows,
+};
 
 pub(super) const PRE_ROLL: PreRollConfig =
     PreRollConfig { time: Duration::from_secs(5), bytes_max: 64 << 20 };
@@ -24,10 +26,7 @@ pub(super) fn header(motion: &Motion) -> mocapd_take::record::Header {
     header
 }
 
-pub(super) fn arm<W: TakeOutput>(
-    motion: &Motion,
-    pre_roll: PreRollConfig,
-) -> (Intake, Pipeline<W>, Armed<W>) {
+pub(super) fn arm(motion: &Motion, pre_roll: PreRollConfig) -> (Intake, Pipeline, Armed) {
     let mut config = config(motion, dense(1.0));
     config.pre_roll = Some(pre_roll);
     Pipeline::arm(&config, &header(motion)).unwrap()
@@ -38,16 +37,9 @@ pub(super) fn arrival_ns(motion: &Motion, seq: usize) -> u64 {
     5_000_000 + (seq as f64 * 1e9 / motion.info.rate_hz).round() as u64
 }
 
-pub(super) fn new_take(motion: &Motion, pre_roll: Duration, seq: usize) -> NewTake<Vec<u8>> {
-    NewTake {
-        output: Vec::new(),
-        header: header(motion),
-        subject: None,
-        pre_roll,
-        asked_ns: arrival_ns(motion, seq),
-        notes: None,
-        keep_free_bytes: 0,
-    }
+pub(super) fn new_take(motion: &Motion, pre_roll: Duration, seq: usize) -> NewTake {
+    let asked_ns = arrival_ns(motion, seq);
+    NewTake { pre_roll, asked_ns, ..NewTake::new(Vec::new(), header(motion)) }
 }
 
 pub(super) fn feed_all(
@@ -63,8 +55,13 @@ pub(super) fn feed_all(
     }
 }
 
-pub(super) fn ended(begun: &Begun<Vec<u8>>) -> (Written, Vec<u8>) {
-    begun.ended.recv_timeout(Duration::from_secs(30)).unwrap().unwrap()
+pub(super) fn ended(begun: &TakeHandle) -> (Written, Vec<u8>) {
+    end_of(begun)
+}
+
+fn end_of<W: TakeOutput>(begun: &TakeHandle) -> (Written, W) {
+    let (written, output) = begun.ended.recv_timeout(Duration::from_secs(60)).unwrap().unwrap();
+    (written, output_of(output))
 }
 
 /// The take has exactly these frames of `motion`, and says nothing that is not so.
@@ -187,8 +184,7 @@ fn markers_that_appeared_before_a_take_are_in_its_table_and_later_ones_when_they
     let mut config = config(&motion, dense(1.0));
     config.channels.truncate(100);
     config.pre_roll = Some(PRE_ROLL);
-    let (mut intake, pipeline, mut armed) =
-        Pipeline::<Vec<u8>>::arm(&config, &header(&motion)).unwrap();
+    let (mut intake, pipeline, mut armed) = Pipeline::arm(&config, &header(&motion)).unwrap();
     let feed_n = |intake: &mut Intake, seqs: std::ops::Range<usize>, n: usize| {
         for seq in seqs {
             let all = crate::support::samples(motion.frame(seq));
@@ -256,13 +252,11 @@ fn a_disk_that_fails_ends_the_take_and_not_the_pipeline() {
         }
     }
     let motion = jump(17, 100.0, 20.0);
-    let (mut intake, pipeline, mut armed) = arm::<Failing>(&motion, PRE_ROLL);
+    let (mut intake, pipeline, mut armed) = arm(&motion, PRE_ROLL);
     let mut seq = 0;
     for (room, fails) in [(0, true), (1500, true), (1 << 20, false)] {
-        let take = new_take(&motion, Duration::ZERO, seq);
-        let NewTake { header, subject, pre_roll, asked_ns, notes, keep_free_bytes, .. } = take;
-        let output = Failing(room);
-        let take = NewTake { output, header, subject, pre_roll, asked_ns, notes, keep_free_bytes };
+        let output = Box::new(Failing(room));
+        let take = NewTake { output, ..new_take(&motion, Duration::ZERO, seq) };
         let begun = armed.takes.begin(take).unwrap();
         feed_all(&mut intake, &motion, seq..seq + 500);
         seq += 500;
@@ -304,13 +298,11 @@ impl TakeOutput for Shut {
 #[test]
 fn frames_that_a_stalled_disk_costs_at_a_takes_end_are_on_its_ledger() {
     let motion = jump(18, 1000.0, 80.0);
-    let (mut intake, pipeline, mut armed) = arm::<Shut>(&motion, PRE_ROLL);
+    let (mut intake, pipeline, mut armed) = arm(&motion, PRE_ROLL);
     feed_all(&mut intake, &motion, 0..100);
     let gate = Shut::default();
-    let NewTake { header, subject, pre_roll, asked_ns, notes, keep_free_bytes, .. } =
-        new_take(&motion, Duration::ZERO, 100);
-    let output = gate.clone();
-    let take = NewTake { output, header, subject, pre_roll, asked_ns, notes, keep_free_bytes };
+    let output = Box::new(gate.clone());
+    let take = NewTake { output, ..new_take(&motion, Duration::ZERO, 100) };
     let begun = armed.takes.begin(take).unwrap();
     feed_all(&mut intake, &motion, 100..300);
     begun.first.recv_timeout(Duration::from_secs(30)).unwrap();
@@ -328,7 +320,7 @@ fn frames_that_a_stalled_disk_costs_at_a_takes_end_are_on_its_ledger() {
     armed.takes.end(EndingKind::Stopped).unwrap();
     intake.tick(arrival_ns(&motion, seq));
     *gate.0.lock().unwrap() = false;
-    let (written, output) = begun.ended.recv_timeout(Duration::from_secs(60)).unwrap().unwrap();
+    let (written, output) = end_of::<Shut>(&begun);
     let ledger = &written.ledger;
     assert!(ledger.closes() && ledger.finished, "{ledger:?}");
     assert_eq!(ledger.recorded + ledger.lost_ring_full, seq as u64 - 100, "{ledger:?}");
@@ -338,22 +330,12 @@ fn frames_that_a_stalled_disk_costs_at_a_takes_end_are_on_its_ledger() {
     let summary = Summary::read(&output.1[..]).unwrap();
     assert_eq!((summary.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
     // What is held goes over that, too.
-    let NewTake { header, subject, asked_ns, notes, keep_free_bytes, .. } =
-        new_take(&motion, Duration::ZERO, seq);
-    let pre_roll = Duration::from_secs(600);
-    let take = NewTake {
-        output: Shut::default(),
-        header,
-        subject,
-        pre_roll,
-        asked_ns,
-        notes,
-        keep_free_bytes,
-    };
+    let output = Box::new(Shut::default());
+    let take = NewTake { output, ..new_take(&motion, Duration::from_secs(600), seq) };
     feed_all(&mut intake, &motion, seq..seq + 100);
     let saved = armed.takes.save(take).unwrap();
     intake.tick(arrival_ns(&motion, seq + 100));
-    let (written, output) = saved.ended.recv_timeout(Duration::from_secs(60)).unwrap().unwrap();
+    let (written, output) = end_of::<Shut>(&saved);
     assert!(written.ledger.closes(), "{:?}", written.ledger);
     let summary = Summary::read(&output.1[..]).unwrap();
     assert_eq!((summary.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));

@@ -7,7 +7,7 @@ use mocapd_service::{
     control::{Control, Request},
     engine::Engine,
     http::{HttpOptions, HttpServer},
-    status::State,
+    status::{Presence, State},
 };
 
 use crate::{
@@ -36,7 +36,7 @@ fn a_take_without_its_device_is_not_shown_as_a_recording_that_goes_well() {
     let status = engine.status();
     assert_eq!((status.device.is_awaited, status.device.outage), (false, None));
     device.unplug();
-    wait_until("the outage", || engine.status().device.presence == "absent");
+    wait_until("the outage", || engine.status().device.presence == Presence::Absent);
     wait_until("half a second of it", || {
         engine.status().device.outage.is_some_and(|outage| outage.seconds > 0.5)
     });
@@ -68,7 +68,7 @@ fn a_service_that_waits_for_its_device_says_so() {
     let engine = Engine::start(options, &Heartbeat::default()).unwrap();
     wait_until("the device is missed", || engine.status().device.obstacle.is_some());
     let status = engine.status();
-    assert_eq!((status.state, status.device.presence.as_str()), (State::Idle, "absent"));
+    assert_eq!((status.state, status.device.presence), (State::Idle, Presence::Absent));
     assert_eq!((status.device.is_awaited, status.device.outage), (true, None));
     engine.disarm(&Request::default()).unwrap();
     assert!(!engine.status().device.is_awaited);

@@ -6,6 +6,7 @@ use mocapd_acquire::{health::TakeHealth, heartbeat::Heartbeat};
 use mocapd_service::{
     control::{Control, Request},
     engine::Engine,
+    status::Presence,
 };
 use mocapd_simulator::{
     device::{Device, DeviceSettings},
@@ -65,7 +66,7 @@ fn the_service_says_the_same_of_its_take() {
     wait_until("two seconds of silence", || {
         engine.status().device.outage.is_some_and(|outage| outage.seconds > 2.0)
     });
-    assert_eq!(engine.status().device.presence, "silent");
+    assert_eq!(engine.status().device.presence, Presence::Silent);
     let stopped = engine.stop(&Request::default()).unwrap();
     assert!(stopped.ledger.unknown_after_disconnect >= 240, "{stopped:?}");
     let listed = engine.takes(2).unwrap();

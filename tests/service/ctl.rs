@@ -12,7 +12,7 @@ use std::{
 
 use mocapd_service::{
     http::{HttpOptions, HttpServer},
-    status::State,
+    status::{ServiceEventKind, State},
 };
 use serde_json::Value;
 
@@ -127,7 +127,12 @@ fn events_are_followed() {
     let told = std::thread::scope(|scope| {
         scope.spawn(|| {
             while !done.load(Ordering::Relaxed) {
-                rig.fake.feeds.tell("mark", "take off".to_owned(), State::Recording, None);
+                rig.fake.feeds.tell(
+                    ServiceEventKind::Mark,
+                    "take off".to_owned(),
+                    State::Recording,
+                    None,
+                );
                 std::thread::sleep(Duration::from_millis(50));
             }
         });

@@ -7,7 +7,7 @@ use mocapd_service::{
     control::{Control, Mark, RefusalKind, Request, SaveLast, Start},
     engine::{Engine, EngineOptions},
     live::LiveMessage,
-    status::State,
+    status::{Presence, State},
 };
 use mocapd_take::record::Subject;
 
@@ -107,7 +107,7 @@ fn a_take_is_there_when_start_says_so_and_whole_when_stop_does() {
     let half = Summary::read(&std::fs::read(&started.path).unwrap()).unwrap();
     assert!(half.samples() > 0, "its first frames are in the file");
     let status = engine.status();
-    assert_eq!((status.state, status.device.presence.as_str()), (State::Recording, "streaming"));
+    assert_eq!((status.state, status.device.presence), (State::Recording, Presence::Streaming));
     assert_eq!(status.take.unwrap().name, "walk");
     assert_eq!(engine.start(&named("other")).unwrap_err().kind, RefusalKind::Conflict);
     assert_eq!(engine.disarm(&request()).unwrap_err().kind, RefusalKind::Conflict);
@@ -197,7 +197,7 @@ fn a_device_that_is_absent_is_waited_for_and_one_that_comes_back_goes_on_in_the_
     let started = engine.start(&named("unplugged")).unwrap();
     std::thread::sleep(Duration::from_millis(300));
     device.unplug();
-    wait_until("the outage", || engine.status().device.presence == "absent");
+    wait_until("the outage", || engine.status().device.presence == Presence::Absent);
     assert_eq!(engine.status().state, State::Recording);
     let _device = Simulated::endless_at(&link, "A", motion);
     wait_until("its return", || engine.status().device.outages == 1);
@@ -327,7 +327,7 @@ fn what_a_device_that_is_gone_did_not_send_is_on_the_ledger_of_the_take_that_end
     let started = engine.start(&named("cut")).unwrap();
     std::thread::sleep(Duration::from_millis(300));
     device.unplug();
-    wait_until("the absence", || engine.status().device.presence == "absent");
+    wait_until("the absence", || engine.status().device.presence == Presence::Absent);
     assert!(engine.status().device.obstacle.unwrap().starts_with("the device is away"));
     std::thread::sleep(Duration::from_millis(1200));
     let stopped = engine.stop(&request()).unwrap();

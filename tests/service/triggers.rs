@@ -5,7 +5,7 @@ use std::{net::UdpSocket, sync::Arc, time::Duration};
 use mocapd_service::{
     config::TriggerConfig,
     control::{Control, Request},
-    status::State,
+    status::{ServiceEventKind, State},
     trigger::{Trigger, parse},
     triggered::Triggers,
 };
@@ -60,7 +60,9 @@ fn another_program_starts_and_stops_takes_and_is_told_of_ours() {
     let events = engine.events();
     say(&datagram("CaptureStart", "../Trial 01", 10));
     wait_until("the refusal", || {
-        events.next(Duration::from_millis(10)).is_some_and(|event| event.kind == "trigger")
+        events
+            .next(Duration::from_millis(10))
+            .is_some_and(|event| event.kind == ServiceEventKind::Trigger)
     });
     assert_eq!(engine.status().state, State::Armed);
     // Ours.
@@ -106,7 +108,9 @@ fn a_take_that_was_renamed_is_announced_under_its_first_name() {
     wait_until("the take", || engine.status().take.is_some_and(|take| take.rows > 0));
     rename("theirs", "moved");
     wait_until("the start", || {
-        events.next(Duration::from_millis(10)).is_some_and(|event| event.kind == "trigger")
+        events
+            .next(Duration::from_millis(10))
+            .is_some_and(|event| event.kind == ServiceEventKind::Trigger)
     });
     assert_eq!(engine.stop(&Request::default()).unwrap().name, "moved");
     // One of ours.

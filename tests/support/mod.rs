@@ -1,11 +1,13 @@
 //! What several test modules need: generated motion, a pipeline in memory, and takes read back.
 
-use std::{io::Cursor, ops::Range};
+use std::{any::Any, io::Cursor, marker::PhantomData, ops::Range};
 
 use mocapd_acquire::{
     header,
     inspect::Summary,
-    pipeline::{Counts, Intake, Pipeline, PipelineConfig, TakeOutput, Written},
+    pipeline::{
+        Counts, Intake, NewTake, Pipeline, PipelineConfig, TakeFailed, TakeOutput, Written,
+    },
 };
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_drivers::device::{Frame, MarkerSample};
@@ -88,13 +90,27 @@ pub(crate) fn config(motion: &Motion, codec: Settings) -> PipelineConfig {
     PipelineConfig::new(codec, motion.info.rate_hz, TICK_HZ, channels)
 }
 
-pub(crate) fn start<W: TakeOutput>(config: &PipelineConfig, output: W) -> (Intake, Pipeline<W>) {
+/// A pipeline that writes one take to something of this type.
+pub(crate) struct Recording<W>(Pipeline, PhantomData<W>);
+
+impl<W: TakeOutput> Recording<W> {
+    pub(crate) fn finish(self) -> Result<(Written, W), TakeFailed> {
+        self.0.finish().map(|(written, output)| (written, output_of(output)))
+    }
+}
+
+pub(crate) fn output_of<W: TakeOutput>(output: Box<dyn TakeOutput>) -> W {
+    *(output as Box<dyn Any>).downcast().unwrap()
+}
+
+pub(crate) fn start<W: TakeOutput>(config: &PipelineConfig, output: W) -> (Intake, Recording<W>) {
     let mut header = header::new(&config.codec, config.rate_hz).unwrap();
     header.channels.clone_from(&config.channels);
     header.stretch_rows = config.stretch_rows();
     header.device =
         Some(mocapd_take::record::Device { tick_hz: config.tick_hz, ..Default::default() });
-    Pipeline::start(config, &header, output).unwrap()
+    let (intake, pipeline) = Pipeline::start(config, NewTake::new(output, header)).unwrap();
+    (intake, Recording(pipeline, PhantomData))
 }
 
 /// Records the frames of `motion` that `wanted` names, in that order, waiting for full rings.

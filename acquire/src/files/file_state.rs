@@ -85,7 +85,7 @@ impl Displaced {
 }
 
 /// Where the file of a take that has ended is.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Settled {
     /// What happened to it.
     pub state: FileState,

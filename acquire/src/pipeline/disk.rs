@@ -2,6 +2,8 @@
 //! watched, so that it is closed before nothing works any more.
 
 use std::{
+    any::Any,
+    fmt,
     io::{self, Write},
     path::Path,
     sync::atomic::Ordering,
@@ -12,10 +14,10 @@ use anyhow::bail;
 use rustix::fs::{FallocateFlags, fallocate, fstatvfs, statvfs};
 
 use super::Progress;
-use crate::files::{Displaced, FileState, TakeFile};
+use crate::files::{Displaced, FileState, Settled, TakeFile};
 
 /// What a take is written to.
-pub trait TakeOutput: Write + Send + 'static {
+pub trait TakeOutput: Any + Write + Send {
     /// Makes everything written so far survive a power cut.
     ///
     /// # Errors
@@ -57,6 +59,17 @@ pub trait TakeOutput: Write + Send + 'static {
     fn displaced(&self) -> Option<Displaced> {
         None
     }
+
+    /// Where it is, now that the take has ended.
+    fn settle(&mut self) -> Settled {
+        Settled::default()
+    }
+}
+
+impl fmt::Debug for dyn TakeOutput {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("TakeOutput")
+    }
 }
 
 impl TakeOutput for TakeFile {
@@ -82,6 +95,10 @@ impl TakeOutput for TakeFile {
 
     fn displaced(&self) -> Option<Displaced> {
         Self::displaced(self)
+    }
+
+    fn settle(&mut self) -> Settled {
+        Self::settle(self)
     }
 
     fn free_bytes(&self) -> Option<u64> {
@@ -158,9 +175,9 @@ impl Room {
     }
 
     /// Looks, now and then, when the take has so many bytes.
-    pub(super) fn look<W: TakeOutput>(
+    pub(super) fn look(
         &mut self,
-        output: &mut W,
+        output: &mut dyn TakeOutput,
         written: u64,
         progress: &Progress,
         now: Instant,
@@ -206,12 +223,12 @@ impl Room {
     }
 
     /// The take is closed, and what it held is given back.
-    pub(super) fn close<W: TakeOutput>(&mut self, output: &W) -> DiskState {
+    pub(super) fn close(&mut self, output: &dyn TakeOutput) -> DiskState {
         self.state.free_bytes = output.free_bytes();
         self.state
     }
 
-    fn hold<W: TakeOutput>(&mut self, output: &mut W, written: u64) {
+    fn hold(&mut self, output: &mut dyn TakeOutput, written: u64) {
         let ahead = HELD_MIN_BYTES.max((self.bytes_per_s * HELD_S) as u64);
         // Half of it is enough to be there at any time: the rest spares a call each second.
         if self.state.is_full || !self.can_hold || self.held_to >= written + ahead / 2 {

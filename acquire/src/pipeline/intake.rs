@@ -7,7 +7,6 @@ mod rows;
 
 use std::sync::{Arc, atomic::Ordering};
 
-use crossbeam_channel::Sender;
 use mocapd_drivers::device::{Frame, LinkCounters, MarkerInfo, Status};
 use mocapd_take::{
     record::{Event, TakeEnding},
@@ -21,7 +20,7 @@ use self::{
 };
 use super::{
     Counts, PipelineConfig, Progress,
-    desk::{Boundary, DeskIn},
+    commands::{Command, Mailbox, TAKE_COMMANDS_MAX, TakeCommand},
     messages::{Control, Moment, ToWriter},
     plan::Plan,
     pool::Feed,
@@ -43,7 +42,7 @@ pub struct Intake {
     rings: Vec<RingIn<Sample>>,
     timeline: RingIn<TimelineItem>,
     feed: Feed,
-    control: Sender<Control>,
+    to_writer: ToWriter,
     progress: Arc<Progress>,
     beat: Beat,
     /// By marker id; `NO_SLOT` where none.
@@ -84,8 +83,8 @@ pub struct Intake {
     is_away: bool,
     /// The device is back after an outage, and its first frame has not come.
     rejoining: bool,
-    /// A take is to begin with that frame.
-    begins_then: Option<Boundary>,
+    /// A take is to begin with that frame: a device's absence before it is none of the take's.
+    begins_then: Option<TakeCommand>,
     /// Rows of the absence that lasts, which takes that ended meanwhile have already.
     rows_away: u64,
     /// The host's monotonic time, as it was told last.
@@ -93,7 +92,7 @@ pub struct Intake {
     /// The device was asked to stop, or should have, then: no frames are due from there on.
     due_until_ns: Option<u64>,
     finished: bool,
-    desk: DeskIn,
+    mailbox: Mailbox,
     tap: TapIn,
 }
 
@@ -101,16 +100,24 @@ pub struct Intake {
 /// is a contradiction, not loss.
 const UNSEEN_MAX: u64 = 1 << 30;
 
+/// What the reader holds of what it shares with other threads.
+pub(super) struct ReaderEnds {
+    pub(super) rings: Vec<RingIn<Sample>>,
+    pub(super) timeline: RingIn<TimelineItem>,
+    pub(super) feed: Feed,
+    pub(super) to_writer: ToWriter,
+    pub(super) mailbox: Mailbox,
+    pub(super) tap: TapIn,
+    pub(super) progress: Arc<Progress>,
+}
+
 impl Intake {
     pub(super) fn new(
         config: &PipelineConfig,
         plan: &Plan,
-        (rings, timeline): (Vec<RingIn<Sample>>, RingIn<TimelineItem>),
-        feed: Feed,
-        to_writer: ToWriter,
-        progress: Arc<Progress>,
-        (desk, tap): (DeskIn, TapIn),
+        ends: ReaderEnds,
     ) -> anyhow::Result<Self> {
+        let ReaderEnds { rings, timeline, feed, to_writer, mailbox, tap, progress } = ends;
         let mut slot_of_id = vec![NO_SLOT; usize::from(u16::MAX) + 1];
         for (slot, channel) in config.channels.iter().enumerate() {
             slot_of_id[usize::from(channel.marker_id)] = slot as u32;
@@ -121,7 +128,6 @@ impl Intake {
             rings,
             timeline,
             feed,
-            control: to_writer.control,
             progress,
             beat: config.heartbeat.beat(Who::Reader)?,
             slot_of_id,
@@ -149,7 +155,8 @@ impl Intake {
             open_first: Moment::default(),
             last_arrival_ns: 0,
             counts: Counts::default(),
-            clocks: Clocks::new(config.tick_hz, to_writer.clock),
+            clocks: Clocks::new(config.tick_hz, to_writer.clock.clone()),
+            to_writer,
             is_away: false,
             rejoining: false,
             begins_then: None,
@@ -157,7 +164,7 @@ impl Intake {
             now_ns: 0,
             due_until_ns: None,
             finished: false,
-            desk,
+            mailbox,
             tap,
         })
     }
@@ -168,11 +175,11 @@ impl Intake {
         if !self.announced.is_empty() {
             self.bind_announced();
         }
-        self.look_at_desk(arrival_ns);
+        self.execute_commands(arrival_ns);
         let rejoins = self.rejoining;
         // Its frames came before whoever waited for it was told.
-        if !rejoins && let Some(boundary) = self.begins_then.take() {
-            self.cut(boundary, arrival_ns);
+        if !rejoins && let Some(begin) = self.begins_then.take() {
+            self.cut(begin, arrival_ns);
         }
         if rejoins {
             self.end_outage(frame, arrival_ns);
@@ -224,7 +231,7 @@ impl Intake {
     pub fn tick(&mut self, now_ns: u64) {
         self.now_ns = now_ns;
         self.beat.moved();
-        self.look_at_desk(now_ns);
+        self.execute_commands(now_ns);
         if self.open_rows > 0 && now_ns.saturating_sub(self.open_since_ns) > self.open_ns_max {
             self.close_stretch();
         }
@@ -244,24 +251,35 @@ impl Intake {
         let event = Event { row, ..event };
         // The queue is full only when the disk has stalled through a thousand events.
         self.counts.events_dropped += u64::from(
-            self.control.try_send(Control::Event(self.feed.next_stretch(), event)).is_err(),
+            self.to_writer
+                .control
+                .try_send(Control::Event(self.feed.next_stretch(), event))
+                .is_err(),
         );
     }
 
     /// What other threads want of the reader.
-    fn look_at_desk(&mut self, now_ns: u64) {
-        while let Some(mark) = self.desk.mark() {
-            self.event(mark.event);
-            // Whoever asked may have gone.
-            mark.row.try_send(self.next_row).ok();
+    fn execute_commands(&mut self, now_ns: u64) {
+        if self.mailbox.is_empty() {
+            return;
         }
-        if let Some(boundary) = self.desk.boundary() {
-            // What is ordered later is done with it: an end does not wait for a device.
-            self.begins_then = None;
-            if boundary.begins && (self.is_away || self.rejoining) {
-                self.begins_then = Some(boundary);
-            } else {
-                self.cut(boundary, now_ns);
+        // While the writer has as much to do as it takes on, commands wait in the mailbox.
+        while self.to_writer.commands.len() < TAKE_COMMANDS_MAX
+            && let Some(command) = self.mailbox.next()
+        {
+            match command {
+                Command::Mark(mark) if mark.is_wanted() => {
+                    self.event(mark.event);
+                    // Whoever asked may have gone.
+                    mark.row.try_send(self.next_row).ok();
+                }
+                Command::Mark(_) => {}
+                Command::Take(begin @ TakeCommand::Begin(..))
+                    if self.begins_then.is_none() && (self.is_away || self.rejoining) =>
+                {
+                    self.begins_then = Some(begin);
+                }
+                Command::Take(command) => self.cut(command, now_ns),
             }
         }
     }
@@ -270,7 +288,7 @@ impl Intake {
     /// none of them.
     fn part_from_outage(&mut self, now_ns: u64) {
         match self.begins_then.take() {
-            Some(boundary) => self.cut(boundary, now_ns),
+            Some(begin) => self.cut(begin, now_ns),
             None if self.pending.rows() > 0 => {
                 self.close_stretch();
                 self.close_pending();
@@ -280,15 +298,27 @@ impl Intake {
         }
     }
 
-    /// Ends the open stretch; the next one is a short key stretch, so that what begins there is on disk soon.
-    fn cut(&mut self, boundary: Boundary, now_ns: u64) {
+    /// Ends the open stretch, and has the writer carry out a command between it and the next one, which is a short key
+    /// stretch, so that what begins there is on disk soon.
+    fn cut(&mut self, command: TakeCommand, now_ns: u64) {
         self.close_stretch();
-        if !boundary.begins {
+        if !matches!(command, TakeCommand::Begin(..)) {
             self.count_absence(now_ns);
         }
         self.close_pending();
-        self.end_boundary(boundary.number);
-        self.key_every = if boundary.recording { self.key_rows } else { self.armed_key_rows };
+        let boundary = self.feed.next_stretch();
+        // A take that waits for its device is begun and done with: an end does not wait.
+        for command in self.begins_then.take().into_iter().chain([command]) {
+            match command {
+                // While a take is written, key stretches may be rarer.
+                TakeCommand::Begin(..) => self.key_every = self.key_rows,
+                TakeCommand::End(_) => self.key_every = self.armed_key_rows,
+                TakeCommand::Save(..) => {}
+            }
+            // Without a writer there is nobody to carry it out, and whoever asked is told by that.
+            self.to_writer.commands.try_send((boundary, command)).ok();
+        }
+        self.end_boundary();
         self.next_key_row = self.next_row;
         self.open_limit = self.first_stretch_rows;
     }

@@ -9,6 +9,7 @@ use mocapd_take::{
 
 use super::{
     Counts,
+    commands::{TAKE_COMMANDS_MAX, TakeCommand},
     plan::{CLOCK_ITEMS_MAX, CONTROL_MAX},
 };
 use crate::clock::ClockItem;
@@ -27,8 +28,6 @@ pub(super) struct StretchEnd {
     /// Its first recorded row, and when the last one arrived.
     pub(super) first: Moment,
     pub(super) last_arrival_ns: u64,
-    /// Not 0: no stretch but a boundary between two, the one of this number. Takes begin and end there.
-    pub(super) boundary: u64,
     /// Channels that have rows in it: the first so many slots.
     pub(super) n_channels: usize,
     /// No other follows.
@@ -105,6 +104,8 @@ impl Control {
 pub(super) struct ToWriter {
     pub(super) control: Sender<Control>,
     pub(super) clock: Sender<ClockItem>,
+    /// With the number of the boundary that they are carried out at.
+    pub(super) commands: Sender<(u64, TakeCommand)>,
 }
 
 /// The writer's ends of them.
@@ -112,13 +113,17 @@ pub(super) struct ToWriter {
 pub(super) struct FromReader {
     pub(super) control: Receiver<Control>,
     pub(super) clock: Receiver<ClockItem>,
+    pub(super) commands: Receiver<(u64, TakeCommand)>,
 }
 
 /// Bounded queues from the reader to the writer.
 pub(super) fn reader_to_writer() -> (ToWriter, FromReader) {
     let (control_in, control) = bounded(CONTROL_MAX);
     let (clock_in, clock) = bounded(CLOCK_ITEMS_MAX);
-    (ToWriter { control: control_in, clock: clock_in }, FromReader { control, clock })
+    // One more: a take that waited for its device, and the command that overtook it.
+    let (commands_in, commands) = bounded(TAKE_COMMANDS_MAX + 1);
+    let to_writer = ToWriter { control: control_in, clock: clock_in, commands: commands_in };
+    (to_writer, FromReader { control, clock, commands })
 }
 
 /// A marker that appeared.

@@ -10,8 +10,8 @@
 //! and a worker sleeps (inside the channel that wakes it). From frames to blocks nothing allocates after
 //! [`Pipeline::start`]. Every queue is bounded; `plan.rs` holds the arithmetic.
 
+mod commands;
 mod counts;
-mod desk;
 mod disk;
 mod group;
 mod intake;
@@ -21,83 +21,67 @@ mod plan;
 mod pool;
 mod progress;
 mod ring;
-mod takes;
 mod tap;
 mod writer;
 
 use std::sync::Arc;
 
 use anyhow::anyhow;
-use crossbeam_channel::{Receiver, bounded};
-use mocapd_take::record::{Header, Subject};
+use crossbeam_channel::bounded;
+use mocapd_take::record::Header;
 
+pub use commands::{
+    FirstRow, NewTake, NothingRecorded, TakeEnd, TakeFailed, TakeHandle, Takes, Written,
+};
 pub use counts::{Counts, PendingRows};
 pub use disk::{DiskState, HELD_MIN_BYTES, TakeOutput, check_room};
 pub use group::{Seen, SeenCounters};
 pub use intake::Intake;
 pub use plan::{PipelineConfig, PreRollConfig};
 pub use progress::{Progress, TakeNow, lock};
-pub use takes::{Begun, FirstRow, NewTake, NothingRecorded, TakeEnd, TakeFailed, Takes, Written};
 pub use tap::{TapHead, TapOut};
 
 use self::{
     group::Group,
+    intake::ReaderEnds,
     plan::Plan,
     pool::Pool,
-    writer::{LiveTake, Sources, Writer},
+    writer::{LiveTake, Writer},
 };
 use crate::{heartbeat::Who, threads};
 
 /// The running threads behind an [`Intake`].
 #[derive(Debug)]
-pub struct Pipeline<W> {
+pub struct Pipeline {
     pool: Pool,
     writer: std::thread::JoinHandle<anyhow::Result<()>>,
     progress: Arc<Progress>,
     /// Of a pipeline for one take.
-    ended: Option<Receiver<TakeEnd<W>>>,
+    take: Option<TakeHandle>,
 }
 
 /// What a pipeline that takes are begun and ended in has beside its threads.
 #[derive(Debug)]
-pub struct Armed<W> {
+pub struct Armed {
     /// Asks for takes.
-    pub takes: Takes<W>,
+    pub takes: Takes,
     /// Frames to look at.
     pub tap: TapOut,
     /// How well each marker is seen.
     pub seen: SeenCounters,
 }
 
-impl<W: TakeOutput> Pipeline<W> {
+impl Pipeline {
     /// Allocates everything, writes the header and starts the threads: all frames go into one take.
     ///
     /// # Errors
     /// When the header cannot be written, a thread cannot be started, or the resampler is not a live one.
-    pub fn start(
-        config: &PipelineConfig,
-        header: &Header,
-        output: W,
-    ) -> anyhow::Result<(Intake, Self)> {
-        Self::start_of(config, (header, None), output)
-    }
-
-    /// The same, of a subject.
-    ///
-    /// # Errors
-    /// As [`start`](Self::start).
-    pub fn start_of(
-        config: &PipelineConfig,
-        (header, subject): (&Header, Option<&Subject>),
-        output: W,
-    ) -> anyhow::Result<(Intake, Self)> {
-        let (answers, begun) = takes::answers();
-        let times = (config.sync_every, config.keep_free_bytes);
-        let opening = (header, subject);
-        let take = LiveTake::begin(output, opening, answers, (Counts::default(), 0), times);
-        let take = take.map_err(|(error, _)| error)?;
-        let (intake, mut pipeline, _) = Self::run(config, header, Some(take), None)?;
-        pipeline.ended = Some(begun.ended);
+    pub fn start(config: &PipelineConfig, take: NewTake) -> anyhow::Result<(Intake, Self)> {
+        let (reply, handle) = commands::reply();
+        let header = take.header.clone();
+        let take = LiveTake::begin(take, &reply, Counts::default(), 0, config.sync_every)?;
+        let (intake, mut pipeline, _) = Self::run(config, &header, Some(take), None)?;
+        pipeline.take = Some(handle);
         Ok((intake, pipeline))
     }
 
@@ -106,10 +90,7 @@ impl<W: TakeOutput> Pipeline<W> {
     ///
     /// # Errors
     /// As [`start`](Self::start).
-    pub fn arm(
-        config: &PipelineConfig,
-        header: &Header,
-    ) -> anyhow::Result<(Intake, Self, Armed<W>)> {
+    pub fn arm(config: &PipelineConfig, header: &Header) -> anyhow::Result<(Intake, Self, Armed)> {
         let seen = SeenCounters::new(config.channels.len() + config.reserve);
         Self::run(config, header, None, Some(seen))
     }
@@ -117,9 +98,9 @@ impl<W: TakeOutput> Pipeline<W> {
     fn run(
         config: &PipelineConfig,
         header: &Header,
-        take: Option<LiveTake<W>>,
+        take: Option<LiveTake>,
         seen: Option<SeenCounters>,
-    ) -> anyhow::Result<(Intake, Self, Armed<W>)> {
+    ) -> anyhow::Result<(Intake, Self, Armed)> {
         let plan = Plan::new(config)?;
         let progress = Arc::new(Progress::new(&config.channels));
         let writer_beat = config.heartbeat.beat(Who::Writer)?;
@@ -127,32 +108,31 @@ impl<W: TakeOutput> Pipeline<W> {
         let (parts_in, parts) = bounded(plan.parts_max());
         let (to_writer, from_reader) = messages::reader_to_writer();
         let mut groups = Vec::new();
-        let mut producers = Vec::new();
+        let mut rings = Vec::new();
         for index in 0..plan.n_groups() {
-            let (group, group_producers) = Group::channels(&plan, index, seen.clone());
+            let (group, group_rings) = Group::channels(&plan, index, seen.clone());
             groups.push(group);
-            producers.extend(group_producers);
+            rings.extend(group_rings);
         }
-        let (timeline_group, timeline_producer) = Group::timeline(&plan, header);
+        let (timeline_group, timeline) = Group::timeline(&plan, header);
         groups.push(timeline_group);
 
         let buffers_back = groups.iter().map(Group::buffers_back).collect();
         let pool = Pool::start(&plan, groups, &parts_in, &progress, &config.heartbeat)?;
-        let (desk, desk_in) = desk::desk();
+        let (takes, mailbox) = commands::mailbox();
         let (tap_in, tap) = tap::tap(plan.n_slots);
-        let (takes, orders) = takes::takes(desk);
-        let intake = Intake::new(
-            config,
-            &plan,
-            (producers, timeline_producer),
-            pool.feed(),
+        let ends = ReaderEnds {
+            rings,
+            timeline,
+            feed: pool.feed(),
             to_writer,
-            Arc::clone(&progress),
-            (desk_in, tap_in),
-        )?;
-        let sources = Sources { parts, from_reader, orders };
-        let (wakes, channels) = (pool.wakes(), &config.channels);
-        let mut writer = Writer::new(&plan, channels, sources, buffers_back, wakes, &progress);
+            mailbox,
+            tap: tap_in,
+            progress: Arc::clone(&progress),
+        };
+        let intake = Intake::new(config, &plan, ends)?;
+        let mut writer =
+            Writer::new(&plan, parts, from_reader, buffers_back, pool.wakes(), &progress);
         if let Some(take) = take {
             writer.for_take(take);
         }
@@ -163,7 +143,7 @@ impl<W: TakeOutput> Pipeline<W> {
             written
         })?;
         let armed = Armed { takes, tap, seen: seen.unwrap_or_default() };
-        Ok((intake, Self { pool, writer, progress, ended: None }, armed))
+        Ok((intake, Self { pool, writer, progress, take: None }, armed))
     }
 
     /// What can be seen while it runs.
@@ -177,17 +157,14 @@ impl<W: TakeOutput> Pipeline<W> {
     /// # Errors
     /// The writer's, with the output: what was written before stays a readable take. A pipeline that was armed has
     /// nothing to give.
-    pub fn finish(mut self) -> TakeEnd<W> {
-        let ended = self.ended.take();
+    pub fn finish(mut self) -> TakeEnd {
+        let take = self.take.take();
         let ran = self.join();
         // The take's own account comes first: it says what went wrong with it.
-        match ended.and_then(|ended| ended.try_recv().ok()) {
-            Some(end) => end,
-            None => {
-                let error = ran.err().unwrap_or_else(|| anyhow!("no take was written"));
-                Err(TakeFailed::without_output(error))
-            }
-        }
+        take.and_then(|take| take.ended.try_recv().ok()).unwrap_or_else(|| {
+            let error = ran.err().unwrap_or_else(|| anyhow!("no take was written"));
+            Err(TakeFailed::without_output(error))
+        })
     }
 
     /// Waits until everything that the finished `Intake` took in is where it belongs.

@@ -36,8 +36,6 @@ pub struct PipelineConfig {
     pub key_every: Duration,
     /// Time between syncs to disk.
     pub sync_every: Duration,
-    /// Bytes of the disk that stay free: a take that comes there is to end.
-    pub keep_free_bytes: u64,
     /// What is kept in memory beside what is written.
     pub pre_roll: Option<PreRollConfig>,
     /// Where its threads say that they move.
@@ -68,7 +66,6 @@ impl PipelineConfig {
             first_stretch: Duration::from_millis(100),
             key_every: Duration::from_secs(10),
             sync_every: SYNC_EVERY,
-            keep_free_bytes: 0,
             pre_roll: None,
             heartbeat: Heartbeat::default(),
         }

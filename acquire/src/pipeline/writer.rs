@@ -17,11 +17,12 @@ use mocapd_take::record::{Channel, EndingKind, TakeEnding};
 pub(super) use self::live::LiveTake;
 use self::{clocks::ClockWriter, held::Held};
 use super::{
-    Counts, Progress, TakeOutput, lock,
+    Counts, NewTake, Progress, TakeFailed,
+    commands::{Reply, TakeCommand},
+    lock,
     messages::{Control, FromReader, Part, PartReport, StretchEnd},
     plan::Plan,
     pool::Wakes,
-    takes::{Answers, NewTake, Order, TakeFailed, What},
 };
 use crate::{files::FileState, heartbeat::Beat};
 
@@ -37,12 +38,12 @@ const GIVE_UP_AFTER: Duration = Duration::from_secs(2);
 
 /// Owns the take file.
 #[derive(Debug)]
-pub(super) struct Writer<W> {
+pub(super) struct Writer {
     parts: Receiver<Part>,
     control: Receiver<Control>,
-    orders: Receiver<Order<W>>,
-    /// Read from `orders`, but its boundary has not come.
-    next_order: Option<Order<W>>,
+    commands: Receiver<(u64, TakeCommand)>,
+    /// Read from `commands`, but its boundary has not come.
+    next_command: Option<(u64, TakeCommand)>,
     clocks: ClockWriter,
     /// Read from `control`, but its stretch is not written yet.
     waiting: Option<Control>,
@@ -57,35 +58,28 @@ pub(super) struct Writer<W> {
     table: Vec<(u64, Channel)>,
     sync_every: Duration,
     held: Option<Held>,
-    live: Option<LiveTake<W>>,
+    live: Option<LiveTake>,
     /// The pipeline is there for one take, and has failed when that has.
     for_one_take: bool,
 }
 
-/// What a writer hears from.
-pub(super) struct Sources<W> {
-    pub(super) parts: Receiver<Part>,
-    pub(super) from_reader: FromReader,
-    pub(super) orders: Receiver<Order<W>>,
-}
-
-impl<W: TakeOutput> Writer<W> {
+impl Writer {
     pub(super) fn new(
         plan: &Plan,
-        channels: &[Channel],
-        sources: Sources<W>,
+        parts: Receiver<Part>,
+        from_reader: FromReader,
         buffers_back: Vec<Sender<Vec<u8>>>,
         wakes: Wakes,
         progress: &Arc<Progress>,
     ) -> Self {
         let mut table = Vec::with_capacity(plan.n_slots);
-        table.extend(channels.iter().map(|channel| (0, channel.clone())));
+        table.extend(lock(&progress.channels).iter().map(|channel| (0, channel.clone())));
         Self {
-            parts: sources.parts,
-            control: sources.from_reader.control,
-            orders: sources.orders,
-            next_order: None,
-            clocks: ClockWriter::new(sources.from_reader.clock),
+            parts,
+            control: from_reader.control,
+            commands: from_reader.commands,
+            next_command: None,
+            clocks: ClockWriter::new(from_reader.clock),
             waiting: None,
             buffers_back,
             wakes,
@@ -102,7 +96,7 @@ impl<W: TakeOutput> Writer<W> {
     }
 
     /// Writes this take from the first stretch on, and nothing else.
-    pub(super) fn for_take(&mut self, mut take: LiveTake<W>) {
+    pub(super) fn for_take(&mut self, mut take: LiveTake) {
         take.reserve(self.payload.capacity());
         self.live = Some(take);
         self.for_one_take = true;
@@ -184,9 +178,15 @@ impl<W: TakeOutput> Writer<W> {
         let before = self.counts;
         self.counts = timeline.counts.unwrap_or(self.counts);
         self.take_in_control(stretch);
-        match end.boundary {
-            0 => self.place(stretch, &end, &report, before),
-            number => self.carry_out(number, &end),
+        match self.command_at(stretch) {
+            None => self.place(stretch, &end, &report, before),
+            Some(command) => {
+                self.observe();
+                self.execute(command, &end);
+                while let Some(command) = self.command_at(stretch) {
+                    self.execute(command, &end);
+                }
+            }
         }
         self.tell_clock();
     }
@@ -218,7 +218,7 @@ impl<W: TakeOutput> Writer<W> {
         self.on_take(|take, clocks| take.observe(clocks, &status));
         if self.live.is_none() {
             // Without a take there is nothing that could fail.
-            self.clocks.write::<W>(None, &status, false).ok();
+            self.clocks.write::<Vec<u8>>(None, &status, false).ok();
         }
     }
 
@@ -249,7 +249,7 @@ impl<W: TakeOutput> Writer<W> {
     /// Something with the take, if there is one. After an error there is none.
     fn on_take(
         &mut self,
-        work: impl FnOnce(&mut LiveTake<W>, &mut ClockWriter) -> anyhow::Result<()>,
+        work: impl FnOnce(&mut LiveTake, &mut ClockWriter) -> anyhow::Result<()>,
     ) {
         // One that was cut short is told to end; until then nothing is written to it.
         let Some(take) = self.live.as_mut().filter(|take| !take.is_cut_short()) else { return };
@@ -292,36 +292,34 @@ impl<W: TakeOutput> Writer<W> {
     }
 }
 
-impl<W: TakeOutput> Writer<W> {
-    /// Everything that was ordered up to this boundary.
-    pub(super) fn carry_out(&mut self, boundary: u64, end: &StretchEnd) {
-        self.observe();
-        while let Some(order) = self.next_order.take().or_else(|| self.orders.try_recv().ok()) {
-            if order.boundary > boundary {
-                // It came while the writer was here: its boundary is on the way.
-                self.next_order = Some(order);
-                return;
+impl Writer {
+    /// The next command whose boundary is this stretch, or came before it.
+    fn command_at(&mut self, stretch: u64) -> Option<TakeCommand> {
+        let next = self.next_command.take().or_else(|| self.commands.try_recv().ok());
+        // What came while the writer was on its way here has its boundary behind this stretch.
+        self.next_command = next;
+        self.next_command.take_if(|(at, _)| *at <= stretch).map(|(_, command)| command)
+    }
+
+    fn execute(&mut self, command: TakeCommand, end: &StretchEnd) {
+        match command {
+            TakeCommand::End(ending) => self.end_take(ending),
+            TakeCommand::Begin(take, reply) => {
+                self.end_take(EndingKind::Stopped);
+                let progress = Arc::clone(&self.progress);
+                let mut clocks = std::mem::replace(&mut self.clocks, ClockWriter::idle());
+                clocks.begin();
+                let asked_ns = take.asked_ns;
+                self.live = self.begin_take(*take, &reply, end, &mut clocks, &progress);
+                self.clocks = clocks;
+                self.on_take(|take, _| take.asked_here(end.span.first_row, asked_ns));
             }
-            match order.what {
-                What::End(ending) => self.end_take(ending),
-                What::Begin(take, answers) => {
-                    self.end_take(EndingKind::Stopped);
-                    let progress = Arc::clone(&self.progress);
-                    let mut clocks = std::mem::replace(&mut self.clocks, ClockWriter::idle());
-                    clocks.begin();
-                    let asked_ns = take.asked_ns;
-                    self.live = self.begin_take(*take, answers, end, &mut clocks, &progress);
-                    self.clocks = clocks;
-                    self.on_take(|take, _| take.asked_here(end.span.first_row, asked_ns));
-                }
-                What::Save(take, answers) => {
-                    // The take that is being written goes on beside it, and what others look at is that one's.
-                    let (mut clocks, progress) = (self.clocks.beside(), Progress::new(&[]));
-                    let saved = self.begin_take(*take, answers, end, &mut clocks, &progress);
-                    if let Some(saved) = saved {
-                        let ending = EndingKind::Saved.into();
-                        saved.end(&self.counts.in_rows(), &mut clocks, ending);
-                    }
+            TakeCommand::Save(take, reply) => {
+                // The take that is being written goes on beside it, and what others look at is that one's.
+                let (mut clocks, progress) = (self.clocks.beside(), Progress::new(&[]));
+                let saved = self.begin_take(*take, &reply, end, &mut clocks, &progress);
+                if let Some(saved) = saved {
+                    saved.end(&self.counts.in_rows(), &mut clocks, EndingKind::Saved.into());
                 }
             }
         }
@@ -337,15 +335,13 @@ impl<W: TakeOutput> Writer<W> {
     /// A take that has what is held of the last `pre_roll`. What failed is told to whoever waits for it.
     fn begin_take(
         &self,
-        new: NewTake<W>,
-        answers: Answers<W>,
+        mut new: NewTake,
+        reply: &Reply,
         end: &StretchEnd,
         clocks: &mut ClockWriter,
         progress: &Progress,
-    ) -> Option<LiveTake<W>> {
-        let NewTake { output, mut header, subject, pre_roll, asked_ns, notes, keep_free_bytes } =
-            new;
-        let from = self.held.as_ref().map_or(0, |held| held.of_last(pre_roll, asked_ns));
+    ) -> Option<LiveTake> {
+        let from = self.held.as_ref().map_or(0, |held| held.of_last(new.pre_roll, new.asked_ns));
         let first = self.held.as_ref().and_then(|held| held.from(from).next());
         let (base, rows_before, stretch) = match first {
             // The row after the stretch before: rows lost before it are its own.
@@ -354,26 +350,20 @@ impl<W: TakeOutput> Writer<W> {
         };
         let known = |(since, _): &&(u64, Channel)| *since <= stretch;
         // Its first row is older than the wish for it.
-        let before_ns = first.map_or(0, |held| asked_ns.saturating_sub(held.first.arrival_ns));
-        header.created_unix_ms -= (before_ns / 1_000_000).cast_signed();
-        header.channels = self.table.iter().filter(known).map(|(_, c)| c.clone()).collect();
+        let before_ns = first.map_or(0, |held| new.asked_ns.saturating_sub(held.first.arrival_ns));
+        new.header.created_unix_ms -= (before_ns / 1_000_000).cast_signed();
+        new.header.channels = self.table.iter().filter(known).map(|(_, c)| c.clone()).collect();
         progress.disk_full.store(false, Ordering::Relaxed);
         progress.set_file_state(FileState::InPlace, None);
-        let times = (self.sync_every, keep_free_bytes);
-        let opening = (&header, subject.as_deref());
-        let begun = LiveTake::begin(output, opening, answers, (base, rows_before), times);
-        let mut take = match begun {
+        let mut take = match LiveTake::begin(new, reply, base, rows_before, self.sync_every) {
             Ok(take) => take,
-            Err((error, answers)) => {
-                answers.ended.try_send(Err(TakeFailed::without_output(error))).ok();
+            Err(error) => {
+                reply.ended.try_send(Err(TakeFailed::without_output(error))).ok();
                 return None;
             }
         };
         take.reserve(self.payload.capacity());
-        let wrote = notes.map_or(Ok(()), |event| take.event(&event));
-        let held =
-            wrote.and_then(|()| self.write_held(&mut take, (from, stretch), clocks, progress));
-        match held {
+        match self.write_held(&mut take, from, stretch, clocks, progress) {
             Ok(()) => Some(take),
             Err(error) => {
                 take.give_up(error);
@@ -384,8 +374,9 @@ impl<W: TakeOutput> Writer<W> {
 
     fn write_held(
         &self,
-        take: &mut LiveTake<W>,
-        (from, first): (usize, u64),
+        take: &mut LiveTake,
+        from: usize,
+        first: u64,
         clocks: &mut ClockWriter,
         progress: &Progress,
     ) -> anyhow::Result<()> {

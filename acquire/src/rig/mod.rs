@@ -149,7 +149,7 @@ impl Rig {
             serial: self.hello.serial.clone(),
             firmware: self.hello.firmware.clone(),
             tick_hz: self.hello.tick_hz,
-            low_latency: self.transport.describe().contains("low latency"),
+            low_latency: self.transport.is_low_latency(),
         }
     }
 

@@ -57,6 +57,11 @@ pub trait Transport: Send + Debug {
     /// The device and the line's settings, for people.
     fn describe(&self) -> String;
 
+    /// Whether the kernel gives bytes on as soon as it has them, because it was asked to.
+    fn is_low_latency(&self) -> bool {
+        false
+    }
+
     /// How often the device stalled and was cleared; what was on its way then may be lost.
     fn stalls_cleared(&self) -> u64 {
         0

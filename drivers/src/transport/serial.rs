@@ -156,6 +156,10 @@ impl Transport for SerialTransport {
         self.limited.then_some(u64::from(self.baud) / BITS_PER_BYTE)
     }
 
+    fn is_low_latency(&self) -> bool {
+        self.low_latency
+    }
+
     fn describe(&self) -> String {
         let latency = if self.low_latency { ", low latency" } else { "" };
         format!("serial line {} at {} baud{latency}", self.device(), self.baud)

@@ -230,6 +230,10 @@ impl Transport for TurnTransport {
     fn describe(&self) -> String {
         self.line.describe()
     }
+
+    fn is_low_latency(&self) -> bool {
+        self.line.is_low_latency()
+    }
 }
 
 impl Drop for TurnTransport {

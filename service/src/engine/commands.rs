@@ -1,25 +1,29 @@
 //! What people ask for, one thing at a time.
 
 use std::{
-    path::{Path, PathBuf},
+    path::PathBuf,
     sync::{MutexGuard, atomic::Ordering},
     time::{Duration, Instant},
 };
 
-use crossbeam_channel::{RecvTimeoutError, after, select};
+use crossbeam_channel::{Receiver, RecvTimeoutError};
 use mocapd_acquire::{
-    files::{FileId, TakeFile},
+    files::TakeFile,
     header,
     host_clock::monotonic_ns,
-    pipeline::{NewTake, check_room},
+    pipeline::{FirstRow, NewTake, check_room},
     threads,
 };
 use mocapd_take::record::{EndingKind, Event, EventKind};
 
-use super::{Inner, names, session::OpenTake};
+use super::{
+    Inner, names,
+    session::{NamedTake, OpenTake},
+};
 use crate::{
     control::{FirstFrame, Marked, Refusal, RefusalKind, SaveLast, Start, Started, Stopped},
     notify,
+    status::ServiceEventKind,
 };
 
 /// How long a device may take to be opened and started.
@@ -84,8 +88,7 @@ impl Inner {
         let until = Instant::now() + ARMED_WITHIN;
         let mut core = self.core();
         if let Some(take) = &core.take {
-            let words = format!("the take {} is being recorded: stop it first", take.name);
-            return Err(Refusal::new(RefusalKind::Conflict, words));
+            return Err(is_recorded(take));
         }
         core.wanted = false;
         core.failure = None;
@@ -109,8 +112,7 @@ impl Inner {
         let asked_ns = monotonic_ns();
         let core = self.core();
         if let Some(take) = &core.take {
-            let words = format!("the take {} is being recorded: stop it first", take.name);
-            return Err(Refusal::new(RefusalKind::Conflict, words));
+            return Err(is_recorded(take));
         }
         let pre_roll = match start.pre_roll_s {
             None => core.options.include_pre_roll,
@@ -121,52 +123,12 @@ impl Inner {
         if let Some(words) = away {
             return Err(Refusal::new(RefusalKind::Device, words));
         }
-        let new =
-            self.new_take(start.name.as_deref(), start.notes.as_deref(), pre_roll, asked_ns)?;
-        if let Err(refusal) = self.arm(command) {
-            discard(new.file, &new.path);
-            return Err(refusal);
-        }
-        let NewNamed { name, path, file, id, take } = new;
-        let mut core = self.core();
-        let Some(session) = &mut core.session else {
-            drop(core);
-            discard(file, &path);
-            return Err(gone());
-        };
-        let rate_hz = session.header.rate_hz;
-        let take = NewTake { header: session.header_of_take(&take), ..take };
-        let begun = match session.takes.begin(take) {
-            Ok(begun) => begun,
-            Err(error) => {
-                drop(core);
-                discard(file, &path);
-                return Err(Refusal::new(RefusalKind::Unavailable, format!("{error:#}")));
-            }
-        };
-        let take = OpenTake {
-            id: id.clone(),
-            name: name.clone(),
-            path: path.clone(),
-            file,
-            file_told: session.progress.file_changes(),
-            asked_unix_ms: super::status::unix_ms(),
-            begun: Instant::now(),
-            rate_hz,
-            first: None,
-            ended: begun.ended.clone(),
-            ending: None,
-        };
-        core.failure = None;
-        core.data_lost = None;
-        core.take = Some(take);
-        drop(core);
-        let first = select! {
-            recv(begun.first) -> first => first.ok(),
-            recv(after(FIRST_WITHIN)) -> _ => None,
-        };
-        let Some(first) = first else {
-            return Err(self.begun_in_vain());
+        let (name, notes) = (start.name.as_deref(), start.notes.as_deref());
+        let (named, take) = self.new_take(name, notes, pre_roll, asked_ns)?;
+        let begun = self.arm(command).and_then(|()| self.begin_take(&named, take));
+        let first = begun.inspect_err(|_| named.discard())?;
+        let Ok(first) = first.recv_timeout(FIRST_WITHIN) else {
+            return Err(self.begun_in_vain(command));
         };
         let mut core = self.core();
         if let Some(take) = &mut core.take {
@@ -176,8 +138,10 @@ impl Inner {
         drop(core);
         // A large file without a name takes its time to close.
         drop(kept_open);
-        let notes = start.notes.as_deref().filter(|notes| !notes.is_empty());
-        self.say_noted("take-started", &format!("recording {name}"), Some(&name), notes);
+        let NamedTake { id, name, path, .. } = named;
+        let notes = notes.filter(|notes| !notes.is_empty());
+        let kind = ServiceEventKind::TakeStarted;
+        self.say_noted(kind, &format!("recording {name}"), Some(&name), notes);
         let before_request_s = asked_ns.saturating_sub(first.arrival_ns) as f64 * 1e-9;
         let remarks = pre_roll_remark(pre_roll, before_request_s).into_iter().collect();
         let first_frame = FirstFrame {
@@ -188,10 +152,31 @@ impl Inner {
         Ok(Started { take_id: id, name, path, first_frame, remarks })
     }
 
+    /// From now on it is being recorded. Gives where its first row is told.
+    fn begin_take(&self, named: &NamedTake, take: NewTake) -> Result<Receiver<FirstRow>, Refusal> {
+        let mut core = self.core();
+        let Some(session) = &mut core.session else { return Err(gone()) };
+        let begun = session.takes.begin(session.with_header(take)).map_err(|e| busy(&e))?;
+        let take = OpenTake {
+            named: named.clone(),
+            file_told: session.progress.file_changes(),
+            asked_unix_ms: super::status::unix_ms(),
+            begun: Instant::now(),
+            rate_hz: session.header.rate_hz,
+            first: None,
+            ended: begun.ended,
+            ending: None,
+        };
+        core.failure = None;
+        core.data_lost = None;
+        core.take = Some(take);
+        Ok(begun.first)
+    }
+
     /// No frame came: the take ends, and so does its file.
-    fn begun_in_vain(&self) -> Refusal {
+    fn begun_in_vain(&self, command: &Command<'_>) -> Refusal {
         let away = self.core().away();
-        let refused = self.end_take(EndingKind::Stopped);
+        let refused = self.stop_take(command, EndingKind::Stopped);
         match refused {
             // A frame came after all, and a moment too late.
             Ok(stopped) => Refusal::new(
@@ -206,15 +191,12 @@ impl Inner {
         }
     }
 
+    /// Ends the take, by the right to carry out a command.
     pub(super) fn stop_take(
         &self,
         _command: &Command<'_>,
         ending: EndingKind,
     ) -> Result<Stopped, Refusal> {
-        self.end_take(ending)
-    }
-
-    fn end_take(&self, ending: EndingKind) -> Result<Stopped, Refusal> {
         let mut core = self.core();
         let Some(take) = &mut core.take else {
             if let Some(words) = &core.data_lost {
@@ -226,12 +208,10 @@ impl Inner {
                 let words = format!("no take is being recorded: {failure}");
                 return Err(Refusal::new(RefusalKind::Conflict, words));
             }
-            let before = core.last_take.as_ref().filter(|take| !take.ending.is_empty());
+            let before = core.last_take.as_ref().and_then(|take| Some((&take.name, take.ending?)));
             let words = before.map_or_else(
                 || "no take is being recorded".to_owned(),
-                |take| {
-                    format!("no take is being recorded: {} has ended ({})", take.name, take.ending)
-                },
+                |(name, ending)| format!("no take is being recorded: {name} has ended ({ending})"),
             );
             return Err(Refusal::new(RefusalKind::Conflict, words));
         };
@@ -246,7 +226,7 @@ impl Inner {
             if let Some(take) = &mut core.take {
                 take.ending = None;
             }
-            return Err(Refusal::new(RefusalKind::Unavailable, format!("{error:#}")));
+            return Err(busy(&error));
         }
         drop(core);
         match ended.recv_timeout(CLOSED_WITHIN) {
@@ -266,20 +246,23 @@ impl Inner {
             let words = "no take is being recorded: nothing to mark";
             return Err(Refusal::new(RefusalKind::Conflict, words));
         };
-        let name = take.name.clone();
+        let name = take.named.name.clone();
         let Some(rows_before) = take.first.map(|first| first.row) else {
             let words = "the take has no frame yet: mark it when it has begun";
             return Err(Refusal::new(RefusalKind::Conflict, words));
         };
         let row = session.takes.mark(text, monotonic_ns());
         drop(core);
-        let row =
-            row.map_err(|error| Refusal::new(RefusalKind::Unavailable, format!("{error:#}")))?;
+        let row = row.map_err(|error| busy(&error))?;
         let row = row.row.recv_timeout(MARKED_WITHIN).map_err(|_| {
             let words = "the mark was not placed in time: the device is away or the host too slow";
             Refusal::new(RefusalKind::Unavailable, words)
         })?;
-        self.say_event("mark", if text.is_empty() { "a mark" } else { text }, Some(&name));
+        self.say_event(
+            ServiceEventKind::Mark,
+            if text.is_empty() { "a mark" } else { text },
+            Some(&name),
+        );
         Ok(Marked { row: row.saturating_sub(rows_before) })
     }
 
@@ -298,33 +281,24 @@ impl Inner {
             let words = "not armed: nothing is held";
             return Err(Refusal::new(RefusalKind::Conflict, words));
         }
-        let new = self.new_take(save.name.as_deref(), None, last, asked_ns)?;
-        let NewNamed { name, path, file, id, take } = new;
+        let (named, take) = self.new_take(save.name.as_deref(), None, last, asked_ns)?;
         let mut core = self.core();
-        let Some(session) = &mut core.session else {
-            drop(core);
-            discard(file, &path);
-            return Err(gone());
+        let saved = match &mut core.session {
+            Some(session) => {
+                let saved = session.takes.save(session.with_header(take));
+                saved.map(|saved| (saved.ended, session.header.rate_hz)).map_err(|e| busy(&e))
+            }
+            None => Err(gone()),
         };
-        let rate_hz = session.header.rate_hz;
-        let take = NewTake { header: session.header_of_take(&take), ..take };
-        let saved = session.takes.save(take);
         let _closing = self.closing(&mut core);
         drop(core);
-        let ended = saved.map_err(|error| format!("{error:#}")).and_then(|begun| {
-            let late = "the disk has not taken the take yet";
-            begun.ended.recv_timeout(CLOSED_WITHIN).map_err(|_| late.to_owned())
+        let late =
+            |_| Refusal::new(RefusalKind::Unavailable, "the disk has not taken the take yet");
+        let end = saved.and_then(|(ended, rate_hz)| {
+            Ok((ended.recv_timeout(CLOSED_WITHIN).map_err(late)?, rate_hz))
         });
-        match ended {
-            Err(words) => {
-                discard(file, &path);
-                Err(Refusal::new(RefusalKind::Unavailable, words))
-            }
-            Ok(end) => {
-                let saved = self.closed(end, &id, &name, (&path, file), rate_hz)?;
-                Ok(with_shortfall(saved, last))
-            }
-        }
+        let (end, rate_hz) = end.inspect_err(|_| named.discard())?;
+        Ok(with_shortfall(self.closed(end, &named, rate_hz)?, last))
     }
 
     /// A file for a take, whose name is nobody's yet.
@@ -334,7 +308,7 @@ impl Inner {
         notes: Option<&str>,
         pre_roll: Duration,
         asked_ns: u64,
-    ) -> Result<NewNamed, Refusal> {
+    ) -> Result<(NamedTake, NewTake), Refusal> {
         if self.is_stopping() {
             return Err(stopping());
         }
@@ -360,40 +334,17 @@ impl Inner {
             text: text.to_owned(),
         });
         let id = header.take_id.iter().map(|byte| format!("{byte:02x}")).collect();
-        let keep_free_bytes = options.keep_free_bytes;
-        let subject = options.subject.clone();
-        let take = NewTake { output, header, subject, pre_roll, asked_ns, notes, keep_free_bytes };
-        Ok(NewNamed { name, path, file, id, take })
+        let take = NewTake {
+            subject: options.subject.clone(),
+            pre_roll,
+            asked_ns,
+            notes,
+            keep_free_bytes: options.keep_free_bytes,
+            ..NewTake::new(output, header)
+        };
+        Ok((NamedTake { id, name, path, file }, take))
     }
-}
 
-/// A take that has a name and a file.
-struct NewNamed {
-    name: String,
-    path: PathBuf,
-    file: FileId,
-    id: String,
-    take: NewTake<TakeFile>,
-}
-
-/// It does not come to it: an empty file helps nobody.
-fn discard(file: FileId, path: &Path) {
-    // A disk that failed may fail here, too, and the file is listed as unreadable then.
-    file.remove(path).ok();
-}
-
-impl super::session::Session {
-    /// The header of its takes, with what is this one's own.
-    fn header_of_take<W>(&self, take: &NewTake<W>) -> mocapd_take::record::Header {
-        mocapd_take::record::Header {
-            take_id: take.header.take_id,
-            created_unix_ms: take.header.created_unix_ms,
-            ..self.header.clone()
-        }
-    }
-}
-
-impl Inner {
     fn free_name(
         &self,
         name: Option<&str>,
@@ -452,10 +403,10 @@ impl Inner {
         }
         // A client's stop may be under way: then that one closes the take.
         let command = self.command_within(super::STOP_WITHIN);
-        let is_mine = command.is_ok() && self.core().take.is_some();
+        let is_mine = command.as_ref().ok().filter(|_| self.core().take.is_some());
         let close = || {
-            if is_mine {
-                drop(self.end_take(EndingKind::ServiceStopped));
+            if let Some(command) = is_mine {
+                drop(self.stop_take(command, EndingKind::ServiceStopped));
             }
         };
         threads::beside("mocapd-close", close, || self.wait_until_closed());
@@ -516,6 +467,16 @@ fn check_text(text: &str, what: &str) -> Result<(), Refusal> {
     }
     let words = format!("{what} has at most {TEXT_BYTES_MAX} bytes and no NUL");
     Err(Refusal::new(RefusalKind::Invalid, words))
+}
+
+fn is_recorded(take: &OpenTake) -> Refusal {
+    let words = format!("the take {} is being recorded: stop it first", take.named.name);
+    Refusal::new(RefusalKind::Conflict, words)
+}
+
+/// The pipeline has not yet done what it was asked before.
+fn busy(error: &anyhow::Error) -> Refusal {
+    Refusal::new(RefusalKind::Unavailable, format!("{error:#}"))
 }
 
 fn stopping() -> Refusal {

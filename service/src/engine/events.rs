@@ -15,7 +15,7 @@ use mocapd_take::escape::visible;
 use super::Inner;
 use crate::{
     control::EventFeed,
-    status::{ServiceEvent, State},
+    status::{ServiceEvent, ServiceEventKind, State},
 };
 
 /// Events that wait for a listener; one that takes none for so many loses the oldest.
@@ -81,7 +81,7 @@ impl Events {
 
     fn tell(
         &self,
-        kind: &str,
+        kind: ServiceEventKind,
         message: &str,
         state: State,
         (take, notes): (Option<String>, Option<String>),
@@ -91,7 +91,7 @@ impl Events {
         let event = Arc::new(ServiceEvent {
             number: listeners.number,
             unix_ms: super::status::unix_ms(),
-            kind: kind.to_owned(),
+            kind,
             message: message.to_owned(),
             state,
             take,
@@ -117,14 +117,14 @@ impl Listener {
 
 impl Inner {
     /// Tells an event, and logs it. Not from the reader's thread, and not with the state locked.
-    pub(super) fn say_event(&self, kind: &str, message: &str, take: Option<&str>) {
+    pub(super) fn say_event(&self, kind: ServiceEventKind, message: &str, take: Option<&str>) {
         self.say_noted(kind, message, take, None);
     }
 
     /// The same, with the notes of a take.
     pub(super) fn say_noted(
         &self,
-        kind: &str,
+        kind: ServiceEventKind,
         message: &str,
         take: Option<&str>,
         notes: Option<&str>,
@@ -137,8 +137,8 @@ impl Inner {
         let [take, device, message] = [take.unwrap_or_default(), &device, message].map(visible);
         let (take, device) = (take.as_ref(), device.as_ref());
         match kind {
-            "failure" => tracing::error!(take, device, "{message}"),
-            "warning" => tracing::warn!(take, device, "{message}"),
+            ServiceEventKind::Failure => tracing::error!(take, device, "{message}"),
+            ServiceEventKind::Warning => tracing::warn!(take, device, "{message}"),
             _ => tracing::info!(take, device, "{message}"),
         }
     }

@@ -3,24 +3,24 @@
 use std::path::Path;
 
 use mocapd_acquire::{
-    files::{FileId, FileState, Settled, TakeFile},
-    pipeline::{NothingRecorded, TakeEnd, TakeFailed, Written},
+    files::{FileState, Settled},
+    pipeline::{NothingRecorded, TakeEnd, TakeFailed, TakeOutput, Written},
 };
 use mocapd_take::record::EndingKind;
 
 use super::{
     Inner,
     folder::summary_of,
-    session::{Core, KEPT_OPEN_MAX},
+    session::{Core, KEPT_OPEN_MAX, NamedTake},
 };
 use crate::{
     control::{Refusal, RefusalKind, Stopped},
-    status::TakeSummary,
+    status::{ServiceEventKind, TakeSummary},
 };
 
 impl Inner {
     /// The take that was recorded is closed, or cannot be.
-    pub(super) fn finish_take(&self, end: TakeEnd<TakeFile>) -> Result<Stopped, Refusal> {
+    pub(super) fn finish_take(&self, end: TakeEnd) -> Result<Stopped, Refusal> {
         let mut core = self.core();
         let Some(take) = core.take.take() else {
             let words = "the take was ended by somebody else: look at the status";
@@ -29,122 +29,123 @@ impl Inner {
         let _closing = self.closing(&mut core);
         drop(core);
         self.changed.notify_all();
-        self.closed(end, &take.id, &take.name, (&take.path, take.file), take.rate_hz)
+        self.closed(end, &take.named, take.rate_hz)
     }
 
     /// Nobody will tell what became of the take: the pipeline ended before it was begun there, or its writer is gone.
     pub(super) fn finish_unanswered(&self) -> Result<Stopped, Refusal> {
-        let path = self.core().take.as_ref().map(|take| take.path.clone());
+        let path = self.core().take.as_ref().map(|take| take.named.path.clone());
         let is_empty = path.and_then(|path| path.metadata().ok()).is_some_and(|f| f.len() == 0);
         if !is_empty {
             let error = anyhow::anyhow!("the writer is gone");
             return self.finish_take(Err(TakeFailed::without_output(error)));
         }
-        let take = self.core().take.take();
-        if let Some(take) = take {
-            take.file.remove(&take.path).ok();
+        if let Some(take) = self.core().take.take() {
+            take.named.discard();
         }
         let words = "the device went away before the take began: try again";
         Err(Refusal::new(RefusalKind::Device, words))
     }
 
+    /// A take was written to its end, or not.
     pub(super) fn closed(
         &self,
-        end: TakeEnd<TakeFile>,
-        take_id: &str,
-        name: &str,
-        (path, file): (&Path, FileId),
+        end: TakeEnd,
+        take: &NamedTake,
         rate_hz: f64,
     ) -> Result<Stopped, Refusal> {
-        let (written, mut output) = match end {
-            Ok(end) => end,
-            Err(failed) => return Err(self.broken(failed, name, (path, file))),
-        };
-        let ending = written.ending.kind;
-        if written.ledger.recorded == 0 && ending == EndingKind::Saved {
-            file.remove(path).ok();
-            let words = "nothing of that time is held: the device was away or sent nothing; ask for more seconds";
-            return Err(Refusal::new(RefusalKind::Conflict, words));
-        }
+        let (written, mut output) = end.map_err(|failed| self.broken(failed, take))?;
         if written.ledger.recorded == 0 {
-            // Only the header was written: an empty take helps nobody.
-            file.remove(path).ok();
-            let words =
-                format!("no frame came, so there is no take {name}: is the device capturing?");
-            self.say_event("warning", &words, Some(name));
-            return Err(Refusal::new(RefusalKind::Device, words));
+            return Err(self.empty(written.ending.kind, take));
         }
+        let name = &take.name;
         let settled = output.settle();
         if let Some(words) = settled.words() {
-            self.say_event("warning", &words, Some(name));
+            self.say_event(ServiceEventKind::Warning, &words, Some(name));
         }
-        // What it is called now is what it can be asked for by. Events have the name that it was announced with.
-        let stem = settled.path.as_deref().and_then(Path::file_stem);
-        let name_now = stem.map_or(name.to_owned(), |stem| stem.to_string_lossy().into_owned());
-        let stopped = stopped(&written, take_id, &name_now, &settled, rate_hz);
-        // As the list has it; where no name leads to it, as it was written.
-        let listed = settled.path.as_deref().and_then(summary_of);
-        let mut summary = listed.unwrap_or_else(|| TakeSummary {
-            name: name_now.clone(),
-            bytes: written.file_bytes,
-            modified_unix_ms: super::status::unix_ms(),
-            seconds: stopped.seconds,
-            markers: self.core().device.markers,
-            take_id: take_id.to_owned(),
-            ..TakeSummary::default()
-        });
-        // A take that was cut short has no place for it.
-        ending.word().clone_into(&mut summary.ending);
-        summary.ending_detail.clone_from(&written.ending.detail);
-        let has_lost = settled.path.is_none()
-            || settled.state.ends_take()
-            || matches!(ending, EndingKind::Truncated | EndingKind::Unmounted);
-        let lost = || {
-            let ended = || format!("the take {name_now} has ended ({})", ending.word());
-            settled.words().unwrap_or_else(ended)
-        };
-        let mut core = self.core();
-        core.last_take = Some(summary);
-        core.data_lost = has_lost.then(lost);
-        drop(core);
+        let stopped = stopped(&written, take, &settled, rate_hz);
+        self.remember(&written, &settled, &stopped);
         if settled.path.is_none() {
             return Err(self.vanished(name, &settled, output));
         }
+        let ending = written.ending.kind;
         // The ledger counts what was written, and that is not in the file any more.
         let lost = if ending == EndingKind::Truncated || settled.state == FileState::Truncated {
             "all frames behind the cut are lost: `mocapd recover` keeps those before it".to_owned()
         } else {
             format!("{} frames lost", written.ledger.frames_lost())
         };
-        let words = format!(
-            "{name_now} is closed ({}): {:.1} s, {} bytes, {lost}",
-            ending.word(),
-            stopped.seconds,
-            stopped.bytes
-        );
-        let kind = if ending == EndingKind::Saved { "take-saved" } else { "take-stopped" };
+        let Stopped { name: name_now, seconds, bytes, .. } = &stopped;
+        let words =
+            format!("{name_now} is closed ({ending}): {seconds:.1} s, {bytes} bytes, {lost}");
+        let kind = match ending {
+            EndingKind::Saved => ServiceEventKind::TakeSaved,
+            _ => ServiceEventKind::TakeStopped,
+        };
         self.say_event(kind, &words, Some(name));
         if ending == EndingKind::DiskFull {
             let words = "the disk is full: no take is begun before something is deleted";
-            self.say_event("warning", words, None);
+            self.say_event(ServiceEventKind::Warning, words, None);
         }
         Ok(stopped)
     }
 
+    /// Only the header was written: an empty take helps nobody.
+    fn empty(&self, ending: EndingKind, take: &NamedTake) -> Refusal {
+        take.discard();
+        if ending == EndingKind::Saved {
+            let words = "nothing of that time is held: the device was away or sent nothing; ask for more seconds";
+            return Refusal::new(RefusalKind::Conflict, words);
+        }
+        let name = &take.name;
+        let words = format!("no frame came, so there is no take {name}: is the device capturing?");
+        self.say_event(ServiceEventKind::Warning, &words, Some(name));
+        Refusal::new(RefusalKind::Device, words)
+    }
+
+    /// What the status tells of it from now on.
+    fn remember(&self, written: &Written, settled: &Settled, stopped: &Stopped) {
+        let ending = &written.ending;
+        // As the list has it; where no name leads to it, as it was written.
+        let listed = settled.path.as_deref().and_then(summary_of);
+        let mut summary = listed.unwrap_or_else(|| TakeSummary {
+            name: stopped.name.clone(),
+            bytes: written.file_bytes,
+            modified_unix_ms: super::status::unix_ms(),
+            seconds: stopped.seconds,
+            markers: self.core().device.markers,
+            take_id: stopped.take_id.clone(),
+            ..TakeSummary::default()
+        });
+        // A take that was cut short has no place for it.
+        summary.ending = Some(ending.kind);
+        summary.ending_detail.clone_from(&ending.detail);
+        let has_lost = settled.path.is_none()
+            || settled.state.ends_take()
+            || matches!(ending.kind, EndingKind::Truncated | EndingKind::Unmounted);
+        let lost = || {
+            let ended = || format!("the take {} has ended ({})", stopped.name, ending.kind);
+            settled.words().unwrap_or_else(ended)
+        };
+        let mut core = self.core();
+        core.last_take = Some(summary);
+        core.data_lost = has_lost.then(lost);
+    }
+
     /// The take has ended, and no name leads to its file.
-    fn vanished(&self, name: &str, settled: &Settled, file: TakeFile) -> Refusal {
+    fn vanished(&self, name: &str, settled: &Settled, file: Box<dyn TakeOutput>) -> Refusal {
         let words = self.keep_open(settled, file);
         let mut core = self.core();
         core.failure = Some(words.clone());
         core.data_lost = Some(words.clone());
         drop(core);
         self.changed.notify_all();
-        self.say_event("failure", &words, Some(name));
+        self.say_event(ServiceEventKind::Failure, &words, Some(name));
         Refusal::new(RefusalKind::Vanished, words)
     }
 
     /// Keeps a file open that no name leads to, where that helps, and says so.
-    fn keep_open(&self, settled: &Settled, file: TakeFile) -> String {
+    fn keep_open(&self, settled: &Settled, file: Box<dyn TakeOutput>) -> String {
         let words = settled.words().unwrap_or_default();
         // A file system that was unmounted waits for the file to be closed.
         let displaced = settled.displaced.as_ref();
@@ -164,7 +165,7 @@ impl Inner {
             );
             // A large file without a name takes its time to close.
             drop(oldest);
-            self.say_event("warning", &words, None);
+            self.say_event(ServiceEventKind::Warning, &words, None);
         }
         let open_at = displaced.open_at.display();
         format!(
@@ -173,12 +174,8 @@ impl Inner {
     }
 
     /// The take could not be written to its end. What is in it stays.
-    fn broken(
-        &self,
-        failed: TakeFailed<TakeFile>,
-        name: &str,
-        (path, file): (&Path, FileId),
-    ) -> Refusal {
+    fn broken(&self, failed: TakeFailed, take: &NamedTake) -> Refusal {
+        let NamedTake { name, path, file, .. } = take;
         let TakeFailed { error, output } = failed;
         let words = if error.is::<NothingRecorded>() {
             let left = match file.remove(path) {
@@ -200,21 +197,21 @@ impl Inner {
         }
         drop(core);
         self.changed.notify_all();
-        self.say_event("failure", &words, Some(name));
+        self.say_event(ServiceEventKind::Failure, &words, Some(name));
         Refusal::new(RefusalKind::Disk, words)
     }
 }
 
 impl Inner {
     /// What is left of a take that could not be written to its end, and where.
-    fn left_of(&self, output: Option<Box<TakeFile>>) -> String {
+    fn left_of(&self, output: Option<Box<dyn TakeOutput>>) -> String {
         let recover = "`mocapd recover` closes it";
         let Some(mut file) = output else { return format!("of what is in it, {recover}") };
         let settled = file.settle();
         match (settled.words(), &settled.path) {
             (None, _) => format!("what is in it can be read, and {recover}"),
             (Some(words), Some(_)) => format!("{words}, and {recover}"),
-            (Some(_), None) => self.keep_open(&settled, *file),
+            (Some(_), None) => self.keep_open(&settled, file),
         }
     }
 
@@ -235,18 +232,20 @@ impl Drop for Closing<'_> {
     }
 }
 
-fn stopped(written: &Written, take_id: &str, name: &str, file: &Settled, rate_hz: f64) -> Stopped {
+fn stopped(written: &Written, take: &NamedTake, file: &Settled, rate_hz: f64) -> Stopped {
     let ledger = &written.ledger;
     let rows = ledger.recorded + ledger.frames_lost();
+    // What it is called now is what it can be asked for by. Events have the name that it was announced with.
+    let stem = file.path.as_deref().and_then(Path::file_stem);
     Stopped {
-        take_id: take_id.to_owned(),
-        name: name.to_owned(),
+        take_id: take.id.clone(),
+        name: stem.map_or(take.name.clone(), |stem| stem.to_string_lossy().into_owned()),
         path: file.path.clone().unwrap_or_default(),
         file: file.state,
         rows,
         seconds: rows as f64 / rate_hz,
         bytes: written.file_bytes,
-        ending: written.ending.kind.word().to_owned(),
+        ending: Some(written.ending.kind),
         ledger: ledger.into(),
         short_by_s: 0.0,
         remarks: file.words().into_iter().collect(),
@@ -263,7 +262,7 @@ mod tests {
         super::{Engine, EngineOptions},
         *,
     };
-    use mocapd_acquire::heartbeat::Heartbeat;
+    use mocapd_acquire::{files::TakeFile, heartbeat::Heartbeat};
 
     /// One that has no device.
     fn engine(directory: &Path) -> Engine {
@@ -322,7 +321,7 @@ mod tests {
             let settled = file.settle();
             assert_eq!((settled.state, &settled.path), (FileState::Removed, &None));
             places.push(settled.displaced.as_ref().unwrap().created_as.clone());
-            let refusal = engine.inner.vanished("a", &settled, file);
+            let refusal = engine.inner.vanished("a", &settled, Box::new(file));
             assert_eq!(refusal.kind, RefusalKind::Vanished);
         }
         let core = engine.inner.core();

@@ -66,7 +66,7 @@ impl Inner {
         let core = self.core();
         let directory = core.options.directory.clone();
         // By what it is: its name may be another one by now.
-        let open = core.take.as_ref().map(|take| take.file);
+        let open = core.take.as_ref().map(|take| take.named.file);
         let last = core.last_take.clone();
         drop(core);
         let cannot = |error: std::io::Error| {
@@ -103,10 +103,10 @@ impl Inner {
         // Why the newest ended is known, also where it could not be written.
         for summary in &mut summaries {
             if let Some(last) = last.as_ref().filter(|last| last.take_id == summary.take_id)
-                && summary.ending.is_empty()
+                && summary.ending.is_none()
                 && !summary.is_open
             {
-                summary.ending.clone_from(&last.ending);
+                summary.ending = last.ending;
                 summary.ending_detail.clone_from(&last.ending_detail);
             }
         }
@@ -166,7 +166,7 @@ fn look_into(path: &Path, bytes: u64, modified: SystemTime, is_open: bool) -> (T
     if let Some(end) = &ends.end {
         summary.seconds = end.footer.n_rows as f64 / header.rate_hz;
         if let Some(ending) = &end.ending {
-            ending.kind.word().clone_into(&mut summary.ending);
+            summary.ending = Some(ending.kind);
             summary.ending_detail.clone_from(&ending.detail);
         }
     }

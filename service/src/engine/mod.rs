@@ -52,7 +52,7 @@ use super::{
         Stopped,
     },
     live::LiveFeed,
-    status::{MarkerQuality, State, Status, TakeStatus, TakeSummary},
+    status::{MarkerQuality, Presence, ServiceEventKind, State, Status, TakeStatus, TakeSummary},
 };
 
 /// How long a command waits for the one before it: as long as that may take with a disk that stalls.
@@ -136,7 +136,7 @@ impl Engine {
         let mut core = lock(&self.inner.core);
         core.options = Arc::new(options);
         drop(core);
-        self.inner.say_event("state", "the configuration was read again", None);
+        self.inner.say_event(ServiceEventKind::State, "the configuration was read again", None);
     }
 
     /// Finishes the take, stops the device, and ends the threads.
@@ -255,12 +255,12 @@ impl Control for Engine {
 
     fn live_take(&self, file: FileId) -> Option<TakeStatus> {
         let core = self.inner.core();
-        let id = core.take.as_ref().filter(|take| take.file == file)?.id.clone();
+        let id = core.take.as_ref().filter(|take| take.named.file == file)?.named.id.clone();
         drop(core);
         self.inner.status().take.filter(|take| take.take_id == id)
     }
 
-    fn tell(&self, kind: &str, message: &str) {
+    fn tell(&self, kind: ServiceEventKind, message: &str) {
         self.inner.say_event(kind, message, None);
     }
 
@@ -278,7 +278,7 @@ impl Status {
     #[must_use]
     pub fn words(&self) -> String {
         let outage = self.device.outage.map(|outage| {
-            let what = if self.device.presence == "silent" { "frames" } else { "device" };
+            let what = if self.device.presence == Presence::Silent { "frames" } else { "device" };
             format!("no {what} for {:.0} s", outage.seconds)
         });
         match (self.state, outage, &self.take, &self.failure) {

@@ -15,7 +15,7 @@ use mocapd_acquire::{
 use mocapd_take::recovery::{Survey, mend_start};
 
 use super::{Inner, folder::summary_of};
-use crate::status::TakeSummary;
+use crate::status::{ServiceEventKind, TakeSummary};
 
 /// Takes that are looked at: those of a bad day. Older ones are `mocapd recover`'s.
 const TAKES_MAX: usize = 64;
@@ -63,11 +63,11 @@ pub(super) fn run(inner: &Arc<Inner>, takes: Vec<PathBuf>) {
             Ok(losses) => {
                 let to = output.file_stem().unwrap_or_default().to_string_lossy();
                 let words = format!("the take {name} was cut off, and is closed as {to}: {losses}");
-                inner.say_event("warning", &words, Some(&name));
+                inner.say_event(ServiceEventKind::Warning, &words, Some(&name));
             }
             Err(error) => {
                 let words = format!("the take {name} is cut off and cannot be closed: {error:#}");
-                inner.say_event("warning", &words, Some(&name));
+                inner.say_event(ServiceEventKind::Warning, &words, Some(&name));
             }
         }
     }

@@ -11,8 +11,8 @@ use std::{
 
 use crossbeam_channel::Receiver;
 use mocapd_acquire::{
-    files::{FileId, TakeFile},
-    pipeline::{FirstRow, Progress, SeenCounters, TakeEnd, Takes},
+    files::FileId,
+    pipeline::{FirstRow, NewTake, Progress, SeenCounters, TakeEnd, TakeOutput, Takes},
 };
 use mocapd_drivers::{device::Hello, registry::Candidate};
 use mocapd_take::record::{EndingKind, Header};
@@ -42,7 +42,7 @@ pub(super) struct Core {
     pub(super) data_lost: Option<String>,
     /// The files of takes that were removed and could not be saved: they can be copied from /proc until the next take
     /// has begun. At most [`KEPT_OPEN_MAX`].
-    pub(super) kept_open: Vec<TakeFile>,
+    pub(super) kept_open: Vec<Box<dyn TakeOutput>>,
 }
 
 /// What is known of the device, whether it is there or not.
@@ -62,7 +62,7 @@ pub(super) struct KnownDevice {
 #[derive(Debug)]
 pub(super) struct Session {
     pub(super) number: u64,
-    pub(super) takes: Takes<TakeFile>,
+    pub(super) takes: Takes,
     pub(super) progress: Arc<Progress>,
     pub(super) seen: SeenCounters,
     /// Of its takes, but for what is each one's own.
@@ -78,18 +78,41 @@ pub(super) struct Session {
     pub(super) stop: Arc<AtomicBool>,
 }
 
-/// A take that is being written.
-#[derive(Debug)]
-pub(super) struct OpenTake {
+impl Session {
+    /// A take with the header of this session's, but for what is its own.
+    pub(super) fn with_header(&self, take: NewTake) -> NewTake {
+        let Header { take_id, created_unix_ms, .. } = take.header;
+        NewTake { header: Header { take_id, created_unix_ms, ..self.header.clone() }, ..take }
+    }
+}
+
+/// A take by its name and its file.
+#[derive(Debug, Clone)]
+pub(super) struct NamedTake {
+    /// 32 hexadecimal digits.
     pub(super) id: String,
     pub(super) name: String,
     pub(super) path: PathBuf,
     pub(super) file: FileId,
+}
+
+impl NamedTake {
+    /// It does not come to it: an empty file helps nobody.
+    pub(super) fn discard(&self) {
+        // A disk that failed may fail here, too, and the file is listed as unreadable then.
+        self.file.remove(&self.path).ok();
+    }
+}
+
+/// A take that is being written.
+#[derive(Debug)]
+pub(super) struct OpenTake {
+    pub(super) named: NamedTake,
     pub(super) asked_unix_ms: i64,
     pub(super) begun: Instant,
     pub(super) rate_hz: f64,
     pub(super) first: Option<FirstRow>,
-    pub(super) ended: Receiver<TakeEnd<TakeFile>>,
+    pub(super) ended: Receiver<TakeEnd>,
     /// How many changes of its file have been reported.
     pub(super) file_told: u32,
     /// Why it was told to end, once it was.

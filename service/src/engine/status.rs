@@ -19,8 +19,8 @@ use super::{
     session::{Core, Session},
 };
 use crate::status::{
-    DeviceStatus, DiskStatus, InputStatus, LedgerStatus, OutageStatus, PreRollStatus, State,
-    Status, TakeStatus,
+    DeviceStatus, DiskStatus, InputStatus, LedgerStatus, OutageStatus, PreRollStatus, Presence,
+    State, Status, TakeStatus,
 };
 
 pub(super) fn unix_ms() -> i64 {
@@ -38,13 +38,15 @@ impl Core {
         }
     }
 
-    fn presence(&self, measured_hz: f64, measured_in: u64) -> &'static str {
+    fn presence(&self, measured_hz: f64, measured_in: u64) -> Presence {
         match &self.session {
-            Some(session) if session.progress.is_away.load(Ordering::Relaxed) => "absent",
-            Some(session) if measured_hz == 0.0 && measured_in == session.number => "silent",
-            Some(_) => "streaming",
-            None if self.device.present => "present",
-            None => "absent",
+            Some(session) if session.progress.is_away.load(Ordering::Relaxed) => Presence::Absent,
+            Some(session) if measured_hz == 0.0 && measured_in == session.number => {
+                Presence::Silent
+            }
+            Some(_) => Presence::Streaming,
+            None if self.device.present => Presence::Present,
+            None => Presence::Absent,
         }
     }
 }
@@ -66,7 +68,7 @@ impl Inner {
             uptime_s: self.began.elapsed().as_secs_f64(),
             device: DeviceStatus {
                 uri: core.device.uri.clone(),
-                presence: core.presence(measured_hz, get(&self.rates.session)).to_owned(),
+                presence: core.presence(measured_hz, get(&self.rates.session)),
                 model: core.device.hello.model.clone(),
                 serial: core.device.hello.serial.clone(),
                 firmware: core.device.hello.firmware.clone(),
@@ -95,7 +97,7 @@ impl Inner {
                 left_s: None,
             },
         };
-        status.device.is_awaited = core.wanted && status.device.presence == "absent";
+        status.device.is_awaited = core.wanted && status.device.presence == Presence::Absent;
         core.tell_session(&mut status, measured_hz);
         drop(core);
         status.disk.free_bytes = get(&self.rates.free_bytes).checked_sub(1);
@@ -112,10 +114,10 @@ impl Core {
         let progress = &session.progress;
         status.device.outages = u32::try_from(get(&progress.outages)).unwrap_or(u32::MAX);
         status.device.markers = lock(&progress.channels).len();
-        status.device.outage = match status.device.presence.as_str() {
-            "absent" => Some(session.outage(Some(session.reconnect))),
-            "silent" => Some(session.outage(None)),
-            _ => None,
+        status.device.outage = match status.device.presence {
+            Presence::Absent => Some(session.outage(Some(session.reconnect))),
+            Presence::Silent => Some(session.outage(None)),
+            Presence::Present | Presence::Streaming => None,
         };
         let input = &mut status.input;
         input.frames = get(&progress.frames);
@@ -134,9 +136,9 @@ impl Core {
         status.disk.left_s = (left_s != u64::MAX && left_s > 0).then_some(left_s);
         let now = lock(&progress.take).clone().unwrap_or_default();
         status.take = Some(TakeStatus {
-            take_id: take.id.clone(),
-            name: take.name.clone(),
-            path: take.path.display().to_string(),
+            take_id: take.named.id.clone(),
+            name: take.named.name.clone(),
+            path: take.named.path.display().to_string(),
             started_unix_ms: take.asked_unix_ms,
             rows: now.rows,
             seconds: now.rows as f64 / take.rate_hz,

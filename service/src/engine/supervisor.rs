@@ -11,10 +11,9 @@ use std::{
 use crossbeam_channel::Sender;
 use jiff::Zoned;
 use mocapd_acquire::{
-    files::TakeFile,
     header,
     host_clock::monotonic_ns,
-    pipeline::{Pipeline, PipelineConfig, PreRollConfig},
+    pipeline::{Intake, Pipeline, PipelineConfig, PreRollConfig},
     raw_log::RawLog,
     rig::{Ending, ReadOptions, Rig},
 };
@@ -30,6 +29,7 @@ use super::{
     hub::NewSession,
     session::{Core, KnownDevice, Session},
 };
+use crate::status::ServiceEventKind;
 
 /// Between two looks for a device that is not there or does not answer.
 const TRY_EVERY: Duration = Duration::from_millis(500);
@@ -95,7 +95,7 @@ impl Inner {
         if changed {
             let what =
                 if present { "the device is attached" } else { "the device is not attached" };
-            self.say_event("device", what, None);
+            self.say_event(ServiceEventKind::Device, what, None);
         }
     }
 
@@ -108,7 +108,7 @@ impl Inner {
         drop(core);
         self.changed.notify_all();
         if is_new {
-            self.say_event("warning", words, None);
+            self.say_event(ServiceEventKind::Warning, words, None);
         }
     }
 
@@ -170,7 +170,7 @@ impl Inner {
         match log.finish() {
             Ok(logged) if logged.is_whole() => {}
             Ok(logged) => self.say_event(
-                "warning",
+                ServiceEventKind::Warning,
                 &format!(
                     "{} bytes of the line are not in the raw log {name}",
                     logged.missing_bytes
@@ -178,7 +178,11 @@ impl Inner {
                 None,
             ),
             Err(error) => {
-                self.say_event("warning", &format!("the raw log {name}: {error:#}"), None);
+                self.say_event(
+                    ServiceEventKind::Warning,
+                    &format!("the raw log {name}: {error:#}"),
+                    None,
+                );
             }
         }
     }
@@ -193,7 +197,7 @@ impl Inner {
                 return false;
             }
         };
-        self.say_event("state", "armed", None);
+        self.say_event(ServiceEventKind::State, "armed", None);
         let say = |words: &str| self.events.say(words);
         let options = ReadOptions {
             stop: &stop,
@@ -233,7 +237,7 @@ impl Inner {
             },
         };
         self.changed.notify_all();
-        self.say_event("state", words, None);
+        self.say_event(ServiceEventKind::State, words, None);
         progress.frames.load(Ordering::Relaxed) > 0
     }
 
@@ -242,7 +246,7 @@ impl Inner {
         rig: &Rig,
         stop: &Arc<AtomicBool>,
         sessions: &Sender<NewSession>,
-    ) -> anyhow::Result<(mocapd_acquire::pipeline::Intake, Pipeline<TakeFile>)> {
+    ) -> anyhow::Result<(Intake, Pipeline)> {
         let options = Arc::clone(&self.core().options);
         let pre_roll = PreRollConfig {
             time: options.pre_roll,
@@ -254,7 +258,7 @@ impl Inner {
             ..rig.pipeline_config(options.codec)
         };
         let header = header_of(rig, &config)?;
-        let (intake, pipeline, armed) = Pipeline::<TakeFile>::arm(&config, &header)?;
+        let (intake, pipeline, armed) = Pipeline::arm(&config, &header)?;
         let progress = Arc::clone(pipeline.progress());
         let number = self.sessions.fetch_add(1, Ordering::Relaxed) + 1;
         let session = Session {
@@ -286,7 +290,7 @@ impl Inner {
     pub(super) fn fail(&self, words: &str) {
         self.core().failure = Some(words.to_owned());
         self.changed.notify_all();
-        self.say_event("failure", words, None);
+        self.say_event(ServiceEventKind::Failure, words, None);
     }
 }
 

@@ -13,7 +13,7 @@ use mocapd_acquire::{
 use mocapd_take::record::EndingKind;
 
 use super::{Inner, session::Core, status::free_bytes};
-use crate::process;
+use crate::{process, status::ServiceEventKind};
 
 /// Between two looks.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
@@ -51,8 +51,8 @@ pub(super) fn run(inner: &Arc<Inner>) {
 impl Inner {
     fn tell_what_was_said(&self) {
         while let Some(words) = self.events.said() {
-            let take = self.core().take.as_ref().map(|take| take.name.clone());
-            self.say_event("device", &words, take.as_deref());
+            let take = self.core().take.as_ref().map(|take| take.named.name.clone());
+            self.say_event(ServiceEventKind::Device, &words, take.as_deref());
         }
     }
 
@@ -74,7 +74,7 @@ impl Inner {
         }
         if exhausted {
             self.say_event(
-                "warning",
+                ServiceEventKind::Warning,
                 "every channel of the reserve is used by markers that appeared: the pre-roll begins anew",
                 None,
             );
@@ -96,13 +96,13 @@ impl Inner {
         let Some(take) = &mut core.take else { return };
         let changes = progress.file_changes();
         let is_new = std::mem::replace(&mut take.file_told, changes) != changes;
-        let name = take.name.clone();
+        let name = take.named.name.clone();
         drop(core);
         if is_new
             && !progress.file_state().ends_take()
             && let Some(displaced) = progress.displaced()
         {
-            self.say_event("warning", &displaced.words(), Some(&name));
+            self.say_event(ServiceEventKind::Warning, &displaced.words(), Some(&name));
         }
     }
 }

@@ -115,7 +115,7 @@ impl Listener {
         let id = format!("{}-{}", self.app.happenings.run, told.event.number);
         // Strings and numbers are always JSON, on one line.
         let data = serde_json::to_string(told.event.as_ref()).unwrap_or_default();
-        let kind = told.event.kind.replace(['\r', '\n'], " ");
+        let kind = told.event.kind.to_string();
         Some((Ok(Event::default().id(id).event(kind).data(data)), self))
     }
 }

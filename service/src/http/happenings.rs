@@ -113,7 +113,7 @@ mod tests {
         Arc::new(ServiceEvent {
             number,
             unix_ms: 0,
-            kind: "mark".to_owned(),
+            kind: crate::status::ServiceEventKind::Mark,
             message: String::new(),
             state: State::Idle,
             take: None,

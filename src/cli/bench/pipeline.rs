@@ -13,7 +13,7 @@ use anyhow::{Context, bail, ensure};
 use mocapd::outcome::Outcome;
 use mocapd_acquire::{
     header,
-    pipeline::{Pipeline, PipelineConfig},
+    pipeline::{NewTake, Pipeline, PipelineConfig},
 };
 use mocapd_codec::{ResamplerKind, Settings};
 use mocapd_drivers::{
@@ -143,7 +143,7 @@ fn run_in_process(motion: &Motion, wire: &[u8], codec: Settings) -> anyhow::Resu
         PipelineConfig::new(codec, rate_hz, TICK_HZ, header::channels(&motion.info.markers));
     let mut header = header::new(&codec, rate_hz)?;
     header.channels.clone_from(&config.channels);
-    let (mut intake, pipeline) = Pipeline::start(&config, &header, io::sink())?;
+    let (mut intake, pipeline) = Pipeline::start(&config, NewTake::new(io::sink(), header))?;
     let mut link = HostLink::new();
     let started = Instant::now();
     // As a pty gives them.
@@ -159,7 +159,7 @@ fn run_in_process(motion: &Motion, wire: &[u8], codec: Settings) -> anyhow::Resu
     }
     intake.link(link.counters());
     intake.finish();
-    let (written, _) = pipeline.finish()?;
+    let (written, _) = pipeline.finish().map_err(|failed| failed.error)?;
     let seconds = started.elapsed().as_secs_f64();
     Ok(InProcessRun {
         times_real_time: motion.n_frames() as f64 / rate_hz / seconds,

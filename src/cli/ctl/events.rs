@@ -64,7 +64,7 @@ fn tell(event: &Event, json: bool) -> anyhow::Result<()> {
         return print_json_text(&event.data.replace('\n', " "));
     }
     if let Ok(happened) = serde_json::from_str::<ServiceEvent>(&event.data) {
-        let (kind, message) = (plain(&happened.kind), plain(&happened.message));
+        let (kind, message) = (happened.kind, plain(&happened.message));
         return print(&format!("{}  {kind:<13} {message}\n", words::time(happened.unix_ms)));
     }
     let missed = serde_json::from_str::<Value>(&event.data).unwrap_or_default();

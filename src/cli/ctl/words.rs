@@ -5,8 +5,10 @@ use std::fmt::Write;
 use mocapd_service::{
     control::{Started, Stopped},
     local_time,
-    status::{LedgerStatus, State, Status, TakeSummary},
+    status::{LedgerStatus, Presence, State, Status, TakeSummary},
 };
+
+use mocapd_take::record::EndingKind;
 
 use crate::cli::{
     ledger::Losses,
@@ -35,7 +37,7 @@ pub(super) fn status(status: &Status) -> String {
     let named = if named.trim().is_empty() { &device.uri } else { named.trim() };
     let rate = format!("{} at {} Hz", count(device.markers as u64, "marker"), device.rate_hz);
     let known = if device.rate_hz > 0.0 { format!(", {rate}") } else { String::new() };
-    writeln!(out, "  device    {}: {}{known}", plain(named), plain(&device.presence)).ok();
+    writeln!(out, "  device    {}: {}{known}", plain(named), device.presence).ok();
     if let Some(obstacle) = &device.obstacle {
         writeln!(out, "            {}", plain(obstacle)).ok();
     }
@@ -75,7 +77,7 @@ pub(super) fn status(status: &Status) -> String {
             plain(&take.name),
             bytes(take.bytes),
             take.health.word(),
-            plain(&take.ending)
+            take.ending.map_or("", EndingKind::word)
         )
         .ok();
     }
@@ -134,11 +136,11 @@ fn without_device(status: &Status) -> Option<String> {
             State::Idle if device.is_awaited => {
                 Some("NO DEVICE, armed as soon as it is there".to_owned())
             }
-            State::Failed if device.presence == "absent" => Some("NO DEVICE".to_owned()),
+            State::Failed if device.presence == Presence::Absent => Some("NO DEVICE".to_owned()),
             _ => None,
         };
     };
-    let what = if device.presence == "silent" { "NO FRAMES" } else { "NO DEVICE" };
+    let what = if device.presence == Presence::Silent { "NO FRAMES" } else { "NO DEVICE" };
     let mut out = format!("{what} for {:.1} s", outage.seconds);
     if status.take.is_some() {
         let ends = outage.ends_in_s.map(|left_s| format!(" within {}", duration(left_s as u64)));
@@ -172,7 +174,7 @@ pub(super) fn started(started: &Started) -> String {
 pub(super) fn stopped(stopped: &Stopped) -> String {
     let path = stopped.path.display().to_string();
     let frames = frames_of(stopped.ledger.recorded, stopped.rows);
-    let (size, ending) = (bytes(stopped.bytes), plain(&stopped.ending));
+    let (size, ending) = (bytes(stopped.bytes), stopped.ending.map_or("", EndingKind::word));
     format!("{}: {frames}, {:.1} s, {size}; it ended: {ending}\n", plain(&path), stopped.seconds)
 }
 
@@ -209,10 +211,7 @@ fn ended(take: &TakeSummary) -> String {
         "" => String::new(),
         detail => format!(": {}", plain(detail)),
     };
-    match take.ending.as_str() {
-        "" => String::new(),
-        ending => format!("  ({}{detail})", plain(ending)),
-    }
+    take.ending.map_or_else(String::new, |ending| format!("  ({ending}{detail})"))
 }
 
 /// In the time zone of this machine, to the second.

@@ -1,6 +1,8 @@
 //! SUMMARY: what stands at the end of a take, so that a reader need not read all of it: tagged sections of which a
 //! reader skips those that it does not know.
 
+use std::fmt;
+
 use bincode::{
     Decode, Encode,
     de::Decoder,
@@ -112,6 +114,18 @@ impl EndingKind {
             Self::Unmounted => "unmounted",
             Self::Other(_) => "other",
         }
+    }
+
+    /// The kind that has this word; of one that nobody knows here, `Other(0)`.
+    #[must_use]
+    pub fn from_word(word: &str) -> Self {
+        Self::ALL.into_iter().find(|kind| kind.word() == word).unwrap_or(Self::Other(0))
+    }
+}
+
+impl fmt::Display for EndingKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.word())
     }
 }
 

@@ -10,13 +10,14 @@ use mocapd_acquire::{
     clock::Prober,
     header,
     pipeline::{
-        Armed, Begun, Intake, NewTake, Pipeline, PipelineConfig, PreRollConfig, TakeOutput, Written,
+        Armed, Intake, NewTake, Pipeline, PipelineConfig, PreRollConfig, TakeHandle, TakeOutput,
+        Written,
     },
 };
 use mocapd_drivers::device::{Frame, MarkerSample};
 use mocapd_take::record::{Channel, Device, EndingKind, Header};
 
-use crate::support::{Seeded, TICK_HZ, fast};
+use crate::support::{Seeded, TICK_HZ, fast, output_of};
 
 const RATE_HZ: f64 = 25.0;
 const SECOND_NS: f64 = 1e9;
@@ -337,8 +338,9 @@ fn patiently<T>(mut order: impl FnMut() -> anyhow::Result<T>) -> T {
     }
 }
 
-fn end_of(begun: &Begun<Gated>) -> (Written, Gated) {
-    begun.ended.recv_timeout(Duration::from_secs(30)).unwrap().unwrap()
+fn end_of(begun: &TakeHandle) -> (Written, Gated) {
+    let (written, output) = begun.ended.recv_timeout(Duration::from_secs(30)).unwrap().unwrap();
+    (written, output_of(output))
 }
 
 fn config() -> PipelineConfig {
@@ -359,19 +361,16 @@ fn header() -> Header {
     header
 }
 
-fn arm() -> (Intake, Pipeline<Gated>, Armed<Gated>) {
+fn arm() -> (Intake, Pipeline, Armed) {
     Pipeline::arm(&config(), &header()).unwrap()
 }
 
-fn new_take(disk: &Arc<Disk>, pre_roll_s: f64, asked_ns: f64) -> NewTake<Gated> {
+fn new_take(disk: &Arc<Disk>, pre_roll_s: f64, asked_ns: f64) -> NewTake {
+    let output = Gated { disk: Arc::clone(disk), bytes: Vec::new() };
     NewTake {
-        output: Gated { disk: Arc::clone(disk), bytes: Vec::new() },
-        header: header(),
-        subject: None,
         pre_roll: Duration::from_secs_f64(pre_roll_s),
         asked_ns: asked_ns as u64,
-        notes: None,
-        keep_free_bytes: 0,
+        ..NewTake::new(output, header())
     }
 }
 

@@ -9,7 +9,7 @@ use crossbeam_channel::{Sender, bounded};
 use mocapd_service::{
     control::EventFeed,
     live::{LiveFeed, LiveFrame, LiveMessage, LiveTable},
-    status::{ServiceEvent, State},
+    status::{ServiceEvent, ServiceEventKind, State},
 };
 
 /// Events and frames that a listener may be behind.
@@ -42,12 +42,18 @@ impl Feeds {
         LiveFeed::new(receiver, Arc::clone(&self.closed))
     }
 
-    pub(crate) fn tell(&self, kind: &str, message: String, state: State, take: Option<&str>) {
+    pub(crate) fn tell(
+        &self,
+        kind: ServiceEventKind,
+        message: String,
+        state: State,
+        take: Option<&str>,
+    ) {
         let number = self.number.fetch_add(1, Ordering::Relaxed) + 1;
         let event = Arc::new(ServiceEvent {
             number,
             unix_ms: 1_700_000_000_000 + number as i64,
-            kind: kind.to_owned(),
+            kind,
             message,
             state,
             take: take.map(str::to_owned),

@@ -20,8 +20,13 @@ use mocapd_service::{
         Start, Started, Stopped,
     },
     live::LiveFeed,
-    status::{LedgerStatus, MarkerQuality, State, Status, TakeStatus, TakeSummary},
+    status::{
+        LedgerStatus, MarkerQuality, Presence, ServiceEventKind, State, Status, TakeStatus,
+        TakeSummary,
+    },
 };
+
+use mocapd_take::record::EndingKind;
 
 use self::feeds::Feeds;
 
@@ -162,7 +167,7 @@ impl Fake {
             ..Status::default()
         };
         status.device.uri = "serial:/dev/fake".to_owned();
-        status.device.presence = "streaming".to_owned();
+        status.device.presence = Presence::Streaming;
         status.device.rate_hz = 120.0;
         status.device.markers = 15;
         status.input.frames = 12_345;
@@ -173,11 +178,11 @@ impl Fake {
         status
     }
 
-    fn tell(&self, kind: &str, message: String, state: State, take: Option<&str>) {
+    fn tell(&self, kind: ServiceEventKind, message: String, state: State, take: Option<&str>) {
         self.feeds.tell(kind, message, state, take);
     }
 
-    fn whole(&self, name: &str, path: PathBuf, ending: &str) -> Result<Stopped, Refusal> {
+    fn whole(&self, name: &str, path: PathBuf, ending: EndingKind) -> Result<Stopped, Refusal> {
         if let Err(error) = fs::write(&path, &self.take) {
             return refuse(RefusalKind::Disk, &format!("the disk: {error}"));
         }
@@ -188,7 +193,7 @@ impl Fake {
             rows: ROWS,
             seconds: 1.0,
             bytes: self.take.len() as u64,
-            ending: ending.to_owned(),
+            ending: Some(ending),
             ledger: ledger(self.lost.swap(0, Ordering::Relaxed)),
             file: FileState::InPlace,
             short_by_s: 0.0,
@@ -209,8 +214,8 @@ fn ledger(lost_on_link: u64) -> LedgerStatus {
 }
 
 impl Control for Fake {
-    fn tell(&self, kind: &str, message: &str) {
-        self.told.lock().unwrap().push((kind.to_owned(), message.to_owned()));
+    fn tell(&self, kind: ServiceEventKind, message: &str) {
+        self.told.lock().unwrap().push((kind.to_string(), message.to_owned()));
     }
 
     fn status(&self) -> Status {
@@ -238,7 +243,7 @@ impl Control for Fake {
         self.once(request.request_id.as_ref(), wrap, unwrap, |inner| {
             if inner.state == State::Idle {
                 inner.state = State::Armed;
-                self.tell("state", "armed".to_owned(), State::Armed, None);
+                self.tell(ServiceEventKind::State, "armed".to_owned(), State::Armed, None);
             }
             Ok(self.status_of(inner))
         })
@@ -255,7 +260,7 @@ impl Control for Fake {
                 return refuse(RefusalKind::Conflict, "a take is being recorded: stop it first");
             }
             inner.state = State::Idle;
-            self.tell("state", "idle".to_owned(), State::Idle, None);
+            self.tell(ServiceEventKind::State, "idle".to_owned(), State::Idle, None);
             Ok(self.status_of(inner))
         })
     }
@@ -290,7 +295,12 @@ impl Control for Fake {
                 durable_bytes: durable.len() as u64,
                 ..TakeStatus::default()
             });
-            self.tell("take-started", format!("{name} began"), State::Recording, Some(&name));
+            self.tell(
+                ServiceEventKind::TakeStarted,
+                format!("{name} began"),
+                State::Recording,
+                Some(&name),
+            );
             let first_frame = FirstFrame { device_ticks: 0, arrival_ns: 1, before_request_s: 0.0 };
             Ok(Started { take_id, name, path, first_frame, remarks: Vec::new() })
         })
@@ -307,12 +317,12 @@ impl Control for Fake {
             };
             inner.state = State::Armed;
             self.tell(
-                "take-stopped",
+                ServiceEventKind::TakeStopped,
                 format!("{} ended", take.name),
                 State::Armed,
                 Some(&take.name),
             );
-            self.whole(&take.name, PathBuf::from(take.path), "stopped")
+            self.whole(&take.name, PathBuf::from(take.path), EndingKind::Stopped)
         })
     }
 
@@ -328,7 +338,7 @@ impl Control for Fake {
             let Some(take) = &inner.take else {
                 return refuse(RefusalKind::Conflict, "no take is being recorded");
             };
-            self.tell("mark", mark.text.clone(), inner.state, Some(&take.name));
+            self.tell(ServiceEventKind::Mark, mark.text.clone(), inner.state, Some(&take.name));
             Ok(Marked { row: take.rows })
         })
     }
@@ -347,7 +357,7 @@ impl Control for Fake {
             }
             inner.n_takes += 1;
             let name = save.name.clone().unwrap_or_else(|| format!("last-{:03}", inner.n_takes));
-            self.whole(&name, self.new_path(&name)?, "length")
+            self.whole(&name, self.new_path(&name)?, EndingKind::Length)
         })
     }
 

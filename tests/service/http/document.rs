@@ -7,8 +7,8 @@ use mocapd_service::{
     control::{FirstFrame, Mark, Marked, Request, SaveLast, Start, Started, Stopped},
     http::{Problem, ProblemKind, openapi},
     status::{
-        DeviceStatus, LedgerStatus, MarkerQuality, OutageStatus, ServiceEvent, State, Status,
-        TakeStatus, TakeSummary,
+        DeviceStatus, LedgerStatus, MarkerQuality, OutageStatus, ServiceEvent, ServiceEventKind,
+        State, Status, TakeStatus, TakeSummary,
     },
 };
 use serde_json::{Value, json};
@@ -106,7 +106,7 @@ fn examples() -> Vec<(&'static str, Value)> {
         rows: 1,
         seconds: 1.0,
         bytes: 1,
-        ending: String::new(),
+        ending: None,
         ledger: LedgerStatus::default(),
         file: FileState::Renamed,
         short_by_s: 1.0,
@@ -115,7 +115,7 @@ fn examples() -> Vec<(&'static str, Value)> {
     let event = ServiceEvent {
         number: 1,
         unix_ms: 1,
-        kind: "mark".to_owned(),
+        kind: ServiceEventKind::Mark,
         message: String::new(),
         state: State::Armed,
         take: None,

@@ -6,7 +6,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd_service::{http::HttpOptions, status::State};
+use mocapd_service::{
+    http::HttpOptions,
+    status::{ServiceEventKind, State},
+};
 
 use super::{
     client::{Answer, connect, get, request, unchunked},
@@ -94,7 +97,9 @@ fn quick() -> super::Served {
 #[test]
 fn events_come_as_they_happen_and_again_to_who_was_away() {
     let served = quick();
-    let mark = |text: &str| served.fake.feeds.tell("mark", text.to_owned(), State::Idle, None);
+    let mark = |text: &str| {
+        served.fake.feeds.tell(ServiceEventKind::Mark, text.to_owned(), State::Idle, None)
+    };
     let mut first = Stream::open(served.at, "/v1/events", &[]);
     mark("one\nline");
     mark("two");
@@ -126,7 +131,8 @@ fn events_come_as_they_happen_and_again_to_who_was_away() {
 #[test]
 fn who_was_away_for_too_long_is_told_how_much_is_gone() {
     let served = quick();
-    let mark = |n: u64| served.fake.feeds.tell("mark", n.to_string(), State::Idle, None);
+    let mark =
+        |n: u64| served.fake.feeds.tell(ServiceEventKind::Mark, n.to_string(), State::Idle, None);
     let mut seen = Stream::open(served.at, "/v1/events", &[]);
     mark(1);
     seen.until(|stream| stream.events().len() == 1);

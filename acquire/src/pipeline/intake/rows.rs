@@ -101,7 +101,7 @@ impl Intake {
         }
         self.push_pending();
         let span = Span { first_row: self.next_row, n_rows: 0, key: false, number: 0 };
-        self.send(self.end_of(span, 0, false));
+        self.send(self.end_of(span, false));
     }
 
     pub(super) fn end_stretch(&mut self, n_rows: u32, last: bool) {
@@ -113,21 +113,20 @@ impl Intake {
         }
         let number = (self.feed.next_stretch() % u64::from(NUMBERS)) as u8;
         let span = Span { first_row, n_rows, key, number };
-        self.send(self.end_of(span, 0, last));
+        self.send(self.end_of(span, last));
     }
 
     /// A boundary between two stretches, sent the way that they go.
-    pub(super) fn end_boundary(&mut self, boundary: u64) {
+    pub(super) fn end_boundary(&mut self) {
         let span = Span { first_row: self.next_row, n_rows: 0, key: false, number: 0 };
-        self.send(self.end_of(span, boundary, false));
+        self.send(self.end_of(span, false));
     }
 
-    fn end_of(&self, span: Span, boundary: u64, last: bool) -> StretchEnd {
+    fn end_of(&self, span: Span, last: bool) -> StretchEnd {
         StretchEnd {
             span,
             first: self.open_first,
             last_arrival_ns: self.last_arrival_ns,
-            boundary,
             n_channels: self.n_channels,
             last,
         }
@@ -230,7 +229,7 @@ impl Intake {
             marker_id: id,
             named: named.map(|(label, labelled)| (label.to_owned(), labelled)),
         };
-        if self.control.try_send(Control::Channel(channel)).is_err() {
+        if self.to_writer.control.try_send(Control::Channel(channel)).is_err() {
             return;
         }
         self.labels.push(named.map(|(label, _)| label.to_owned()).unwrap_or_default());

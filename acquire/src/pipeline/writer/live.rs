@@ -9,10 +9,7 @@ use std::{
 use anyhow::Context;
 use mocapd_take::{
     TakeWriter,
-    record::{
-        Channel, ClockLine, EndingKind, Event, EventKind, Header, Ledger, Subject, SummaryRecord,
-        TakeEnding,
-    },
+    record::{Channel, ClockLine, EndingKind, Event, EventKind, Ledger, SummaryRecord, TakeEnding},
     stretch::{NUMBERS, Span, put_moved},
 };
 
@@ -21,19 +18,20 @@ use crate::{
     clock::ClockStatus,
     files::FileState,
     pipeline::{
-        Counts, FirstRow, Progress, TakeEnd, TakeNow, TakeOutput, Written,
+        Counts, FirstRow, NewTake, NothingRecorded, Progress, TakeEnd, TakeFailed, TakeNow,
+        TakeOutput, Written,
+        commands::Reply,
         disk::Room,
         lock,
         messages::{Moment, PartReport},
-        takes::{Answers, NothingRecorded, TakeFailed},
     },
 };
 
 /// From its header to its footer.
 #[derive(Debug)]
-pub(in crate::pipeline) struct LiveTake<W> {
-    take: TakeWriter<W>,
-    answers: Answers<W>,
+pub(in crate::pipeline) struct LiveTake {
+    take: TakeWriter<Box<dyn TakeOutput>>,
+    reply: Reply,
     /// What the pipeline had counted before it, and the row that is its first.
     base: Counts,
     rows_before: u64,
@@ -54,25 +52,23 @@ pub(in crate::pipeline) struct LiveTake<W> {
     file_at: Option<PathBuf>,
 }
 
-impl<W: TakeOutput> LiveTake<W> {
+impl LiveTake {
+    /// A take whose row 0 is the pipeline's row `rows_before`; `base` was counted before it.
     pub(in crate::pipeline) fn begin(
-        output: W,
-        (header, subject): (&Header, Option<&Subject>),
-        answers: Answers<W>,
-        (base, rows_before): (Counts, u64),
-        (sync_every, keep_free_bytes): (Duration, u64),
-    ) -> Result<Self, (anyhow::Error, Answers<W>)> {
-        let begun = TakeWriter::new(output, header).and_then(|mut take| {
-            subject.map_or(Ok(()), |subject| take.subject(subject))?;
+        new: NewTake,
+        reply: &Reply,
+        base: Counts,
+        rows_before: u64,
+        sync_every: Duration,
+    ) -> anyhow::Result<Self> {
+        let begun = TakeWriter::new(new.output, &new.header).and_then(|mut take| {
+            new.subject.map_or(Ok(()), |subject| take.subject(&subject))?;
             Ok(take)
         });
-        let take = match begun.context("cannot write the take's header") {
-            Ok(take) => take,
-            Err(error) => return Err((error.context(NothingRecorded), answers)),
-        };
-        Ok(Self {
+        let take = begun.context("cannot write the take's header").context(NothingRecorded)?;
+        let mut take = Self {
             take,
-            answers,
+            reply: reply.clone(),
             base,
             rows_before,
             next_number: 0,
@@ -86,10 +82,13 @@ impl<W: TakeOutput> LiveTake<W> {
             synced_bytes: 0,
             last_sync: None,
             ledgers: Ledgers::default(),
-            room: Room::new(keep_free_bytes),
+            room: Room::new(new.keep_free_bytes),
             file_state: FileState::InPlace,
             file_at: None,
-        })
+        };
+        let noted = new.notes.map_or(Ok(()), |event| take.event(&event));
+        noted.context(NothingRecorded)?;
+        Ok(take)
     }
 
     /// So that nothing is allocated later.
@@ -192,7 +191,7 @@ impl<W: TakeOutput> LiveTake<W> {
 
     pub(super) fn look_at_disk(&mut self, progress: &Progress) {
         let written = self.take.bytes();
-        self.room.look(self.take.get_mut(), written, progress, Instant::now());
+        self.room.look(&mut **self.take.get_mut(), written, progress, Instant::now());
     }
 
     /// Tells others when the file is not what it was at the last look.
@@ -225,7 +224,7 @@ impl<W: TakeOutput> LiveTake<W> {
             && !std::mem::replace(&mut self.first_told, true)
         {
             // Nobody need wait for it.
-            self.answers.first.try_send(first).ok();
+            self.reply.first.try_send(first).ok();
         }
         Ok(())
     }
@@ -247,27 +246,27 @@ impl<W: TakeOutput> LiveTake<W> {
 
     /// What was held for the rest is nobody's: the part that was written stays.
     pub(super) fn give_up(self, error: anyhow::Error) {
-        let ended = self.answers.ended.clone();
+        let ended = self.reply.ended.clone();
         ended.try_send(Err(self.failed(error))).ok();
     }
 
-    fn failed(mut self, error: anyhow::Error) -> TakeFailed<W> {
+    fn failed(mut self, error: anyhow::Error) -> TakeFailed {
         let written = self.take.bytes();
         // A disk that failed may fail here, too.
         self.take.get_mut().release(written).ok();
         // Without a frame it is worth nothing.
         let error = if self.first.is_none() { error.context(NothingRecorded) } else { error };
-        TakeFailed { error, output: Some(Box::new(self.take.abandon())) }
+        TakeFailed { error, output: Some(self.take.abandon()) }
     }
 
     /// Closes it, with the counters at its end.
     pub(super) fn end(mut self, counts: &Counts, clocks: &mut ClockWriter, ending: TakeEnding) {
         self.counts = counts.since(&self.base);
-        let ended = self.answers.ended.clone();
+        let ended = self.reply.ended.clone();
         ended.try_send(self.finish(clocks, ending)).ok();
     }
 
-    fn finish(mut self, clocks: &mut ClockWriter, mut ending: TakeEnding) -> TakeEnd<W> {
+    fn finish(mut self, clocks: &mut ClockWriter, mut ending: TakeEnding) -> TakeEnd {
         self.file_state = self.take.get_mut().look_now();
         match self.file_state {
             FileState::Truncated => return Ok(self.finish_cut_short()),
@@ -290,7 +289,7 @@ impl<W: TakeOutput> LiveTake<W> {
             ending,
             clock: self.counts.clock,
             clock_lines,
-            disk: self.room.close(&output),
+            disk: self.room.close(&*output),
             file_bytes,
             samples: self.report.samples,
             kept: self.report.kept,
@@ -323,7 +322,7 @@ impl<W: TakeOutput> LiveTake<W> {
     }
 
     /// Nothing more is written: what is left of the file is a take that was cut off.
-    fn finish_cut_short(mut self) -> (Written, W) {
+    fn finish_cut_short(mut self) -> (Written, Box<dyn TakeOutput>) {
         let displaced = self.take.get_mut().displaced();
         let (found, written) = displaced.map_or((0, self.take.bytes()), |file| file.bytes);
         let detail = format!("cut short from {written} to {found} bytes by another program");
@@ -338,7 +337,7 @@ impl<W: TakeOutput> LiveTake<W> {
             ending: TakeEnding::new(EndingKind::Truncated, detail),
             clock: self.counts.clock,
             clock_lines: Vec::new(),
-            disk: self.room.close(&output),
+            disk: self.room.close(&*output),
             file_bytes: found,
             samples: self.report.samples,
             kept: self.report.kept,

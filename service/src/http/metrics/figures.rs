@@ -131,7 +131,7 @@ impl Figures {
         let device = &self.status.device;
         let names = ["absent", "present", "streaming", "silent"];
         let help = "Whether the device is there: 1 for how it is";
-        out.one_of("device_presence", help, &names, &device.presence)?;
+        out.one_of("device_presence", help, &names, &device.presence.to_string())?;
         out.gauge(
             "device_rate",
             "Frames a second that the device states",
