@@ -11,6 +11,7 @@ pub mod heartbeat;
 pub mod host_clock;
 pub mod inspect;
 pub mod latency;
+pub mod ledger;
 pub mod listing;
 pub mod pipeline;
 pub mod raw_log;

@@ -2,7 +2,10 @@
 
 use std::{path::PathBuf, sync::Arc, time::Duration};
 
-use mocapd_acquire::files::{FileId, FileState, path_as_text};
+use mocapd_acquire::{
+    files::{FileId, FileState, path_as_text},
+    ledger::LedgerDocument,
+};
 use mocapd_take::record::EndingKind;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -10,8 +13,7 @@ use utoipa::ToSchema;
 use super::{
     live::LiveFeed,
     status::{
-        LedgerStatus, MarkerQuality, ServiceEvent, ServiceEventKind, Status, TakeStatus,
-        TakeSummary, ending_word,
+        MarkerQuality, ServiceEvent, ServiceEventKind, Status, TakeStatus, TakeSummary, ending_word,
     },
 };
 
@@ -200,7 +202,7 @@ pub struct Stopped {
     #[schema(value_type = String)]
     pub ending: Option<EndingKind>,
     /// What became of every frame.
-    pub ledger: LedgerStatus,
+    pub ledger: LedgerDocument,
     /// Of `save-last`: seconds that were asked for and were not held; 0 where all of them were.
     #[serde(default)]
     pub short_by_s: f64,

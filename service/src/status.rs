@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use mocapd_acquire::{files::FileState, health::TakeHealth};
+use mocapd_acquire::{files::FileState, health::TakeHealth, ledger::LedgerDocument};
 use mocapd_take::record::EndingKind;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -173,51 +173,13 @@ pub struct TakeStatus {
     /// Largest error of a sample so far, in millimetres.
     pub max_error_mm: f64,
     /// What became of its frames so far.
-    pub ledger: LedgerStatus,
+    pub ledger: LedgerDocument,
     /// What others did to its file.
     #[serde(default)]
     pub file: FileState,
     /// The same in words, and what to do; `None` while it is in its place.
     #[serde(default)]
     pub file_notice: Option<String>,
-}
-
-/// A ledger in numbers; docs/take-format.md gives each one's meaning.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
-#[expect(missing_docs, reason = "docs/take-format.md, The ledger")]
-pub struct LedgerStatus {
-    pub finished: bool,
-    pub closes: bool,
-    pub frames_sent: u64,
-    pub recorded: u64,
-    pub lost_on_link: u64,
-    pub dropped_by_device: u64,
-    pub lost_ring_full: u64,
-    pub lost_other: u64,
-    pub duplicates: u64,
-    pub unknown_after_disconnect: u64,
-    pub samples_announced: u64,
-    pub samples_present: u64,
-    pub samples_occluded: u64,
-    pub samples_not_finite: u64,
-    pub markers_dropped: u64,
-    pub contradictions: Vec<String>,
-}
-
-impl LedgerStatus {
-    /// Frames that the device produced and the take does not have, as far as is known.
-    #[must_use]
-    pub fn frames_lost(&self) -> u64 {
-        [
-            self.lost_on_link,
-            self.dropped_by_device,
-            self.lost_ring_full,
-            self.lost_other,
-            self.unknown_after_disconnect,
-        ]
-        .iter()
-        .fold(0, |sum, &n| sum.saturating_add(n))
-    }
 }
 
 /// A take that is there.

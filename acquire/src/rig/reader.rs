@@ -170,11 +170,9 @@ impl Rig {
         options: &ReadOptions<'_>,
         is_over: &dyn Fn(&Reader<'_>) -> bool,
     ) -> anyhow::Result<Ending> {
-        let mut last_frame_ns = monotonic_ns();
-        let mut told_silent = false;
-        let mut stop_said_ns = None;
-        let mut stalls_cleared = self.transport.stalls_cleared();
-        let mut stalls_told = 0;
+        let mut silence = Silence { last_frame_ns: monotonic_ns(), is_told: false };
+        let mut stalls = Stalls { cleared: self.transport.stalls_cleared(), told: 0 };
+        let mut stopped_ns = None;
         loop {
             let frames_before = reader.intake.counts_seen();
             match self.pump(reader) {
@@ -183,79 +181,45 @@ impl Rig {
                 Err(error) => return Err(anyhow!(error).context("reading from the device")),
             }
             reader.notes.drain(..).for_each(|note| (options.say)(&note));
-            if stop_said_ns.is_none() {
-                self.probe(reader);
-            }
             let now_ns = monotonic_ns();
             if reader.intake.counts_seen() != frames_before {
-                last_frame_ns = now_ns;
-                told_silent = false;
+                silence = Silence { last_frame_ns: now_ns, is_told: false };
                 reader.asked = None;
-            } else if !told_silent && now_ns - last_frame_ns > SILENCE.as_nanos() as u64 {
-                (options.say)(if options.for_one_take {
-                    "no frame for 3 s: is the device capturing? Still waiting; Ctrl-C finishes the take"
-                } else {
-                    "no frame for 3 s: is the device capturing? Still waiting"
-                });
-                told_silent = true;
             }
-            if told_silent && stop_said_ns.is_none() {
-                self.ask_who(reader, last_frame_ns, now_ns);
-            }
-            if self.transport.stalls_cleared() > stalls_cleared {
-                stalls_cleared = self.transport.stalls_cleared();
-                stalls_told += 1;
-                if stalls_told <= STALLS_TOLD_MAX {
-                    reader.intake.event(host_event("the device stalled, and was cleared"));
-                    (options.say)(
-                        "the device stalled, and was cleared: what it was sending may be lost",
-                    );
+            silence.tell(now_ns, options);
+            stalls.tell(self.transport.stalls_cleared(), reader.intake, options);
+            if stopped_ns.is_none() {
+                self.probe(reader);
+                if silence.is_told {
+                    self.ask_who(reader, silence.last_frame_ns, now_ns);
                 }
-                if stalls_told == STALLS_TOLD_MAX {
-                    (options.say)("it stalls again and again: no more is said of it");
-                }
-            }
-            if let Some(now) = reader.began_anew.take()
-                && stop_said_ns.is_none()
-            {
-                match self.follow_hello(reader, &now, options) {
-                    Ok(true) => {}
-                    Ok(false) | Err(TransportError::Disconnected { .. }) => {
-                        return Ok(Ending::Disconnected);
+                if let Some(now) = reader.began_anew.take() {
+                    match self.follow_hello(reader, &now, options) {
+                        Ok(true) => {}
+                        Ok(false) | Err(TransportError::Disconnected { .. }) => {
+                            return Ok(Ending::Disconnected);
+                        }
+                        Err(error) => {
+                            return Err(anyhow!(error).context("starting the device again"));
+                        }
                     }
-                    Err(error) => return Err(anyhow!(error).context("starting the device again")),
                 }
             }
             if reader.end.is_some() {
-                return Ok(if stop_said_ns.is_some() {
-                    Ending::Stopped
-                } else {
-                    Ending::EndOfStream
-                });
+                return Ok(stopped_ns.map_or(Ending::EndOfStream, |_| Ending::Stopped));
             }
             if reader.intake.has_failed() {
                 self.say(Command::Stop).ok();
                 return Ok(Ending::WriterFailed);
             }
-            match stop_said_ns {
+            match stopped_ns {
                 None if is_over(reader) => {
-                    match self.say(Command::Stop) {
-                        Ok(()) => {}
-                        Err(TransportError::Disconnected { .. }) => {
-                            return Ok(Ending::Disconnected);
-                        }
-                        // It takes no commands: the take ends with its last frame.
-                        Err(error) => {
-                            (options.say)(&error.to_string());
-                            return Ok(Ending::Stopped);
-                        }
+                    if let Some(ending) = self.stop(reader, options, now_ns) {
+                        return Ok(ending);
                     }
-                    let due_until_ns = reader.due_until_ns.map_or(now_ns, |due| due.min(now_ns));
-                    reader.intake.no_frames_due_after(due_until_ns);
-                    stop_said_ns = Some(now_ns);
-                    reader.no_longer_asking();
+                    stopped_ns = Some(now_ns);
                 }
-                Some(said) if now_ns - said > STOP_WITHIN.as_nanos() as u64 => {
+                Some(stopped_ns) if now_ns - stopped_ns > STOP_WITHIN.as_nanos() as u64 => {
                     (options.say)(
                         "the device does not confirm the stop: what it sent last may be missing",
                     );
@@ -264,6 +228,28 @@ impl Rig {
                 _ => {}
             }
         }
+    }
+
+    /// Tells the device to stop. Gives how the reading ends where its last frames are not waited for.
+    fn stop(
+        &mut self,
+        reader: &mut Reader<'_>,
+        options: &ReadOptions<'_>,
+        now_ns: u64,
+    ) -> Option<Ending> {
+        match self.say(Command::Stop) {
+            Ok(()) => {}
+            Err(TransportError::Disconnected { .. }) => return Some(Ending::Disconnected),
+            // It takes no commands: the take ends with its last frame.
+            Err(error) => {
+                (options.say)(&error.to_string());
+                return Some(Ending::Stopped);
+            }
+        }
+        let due_until_ns = reader.due_until_ns.map_or(now_ns, |due| due.min(now_ns));
+        reader.intake.no_frames_due_after(due_until_ns);
+        reader.no_longer_asking();
+        None
     }
 
     /// `false` when the user stopped it before the device answered.
@@ -327,6 +313,49 @@ impl Rig {
         }
         reader.intake.tick(arrival_ns);
         Ok(())
+    }
+}
+
+/// Since when no frame came, and whether that was told.
+struct Silence {
+    last_frame_ns: u64,
+    is_told: bool,
+}
+
+impl Silence {
+    fn tell(&mut self, now_ns: u64, options: &ReadOptions<'_>) {
+        if self.is_told || now_ns - self.last_frame_ns <= SILENCE.as_nanos() as u64 {
+            return;
+        }
+        (options.say)(if options.for_one_take {
+            "no frame for 3 s: is the device capturing? Still waiting; Ctrl-C finishes the take"
+        } else {
+            "no frame for 3 s: is the device capturing? Still waiting"
+        });
+        self.is_told = true;
+    }
+}
+
+/// How often the device had stalled and was cleared, and how often that was told.
+struct Stalls {
+    cleared: u64,
+    told: u32,
+}
+
+impl Stalls {
+    fn tell(&mut self, cleared: u64, intake: &mut Intake, options: &ReadOptions<'_>) {
+        if cleared <= self.cleared {
+            return;
+        }
+        self.cleared = cleared;
+        self.told += 1;
+        if self.told <= STALLS_TOLD_MAX {
+            intake.event(host_event("the device stalled, and was cleared"));
+            (options.say)("the device stalled, and was cleared: what it was sending may be lost");
+        }
+        if self.told == STALLS_TOLD_MAX {
+            (options.say)("it stalls again and again: no more is said of it");
+        }
     }
 }
 

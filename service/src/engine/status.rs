@@ -11,7 +11,6 @@ use mocapd_acquire::{
     host_clock::monotonic_ns,
     pipeline::{HELD_MIN_BYTES, lock},
 };
-use mocapd_take::record::Ledger;
 use rustix::fs::statvfs;
 
 use super::{
@@ -19,8 +18,8 @@ use super::{
     session::{Core, Session},
 };
 use crate::status::{
-    DeviceStatus, DiskStatus, InputStatus, LedgerStatus, OutageStatus, PreRollStatus, Presence,
-    State, Status, TakeStatus,
+    DeviceStatus, DiskStatus, InputStatus, OutageStatus, PreRollStatus, Presence, State, Status,
+    TakeStatus,
 };
 
 pub(super) fn unix_ms() -> i64 {
@@ -186,27 +185,4 @@ fn estimated_left_s(status: &Status) -> Option<u64> {
     let kept = status.disk.keep_free_bytes.saturating_add(HELD_MIN_BYTES);
     let spare = status.disk.free_bytes?.saturating_sub(kept);
     Some((spare as f64 / bytes_per_s) as u64)
-}
-
-impl From<&Ledger> for LedgerStatus {
-    fn from(ledger: &Ledger) -> Self {
-        Self {
-            finished: ledger.finished,
-            closes: ledger.closes(),
-            frames_sent: ledger.frames_sent,
-            recorded: ledger.recorded,
-            lost_on_link: ledger.lost_on_link,
-            dropped_by_device: ledger.dropped_by_device,
-            lost_ring_full: ledger.lost_ring_full,
-            lost_other: ledger.lost_other,
-            duplicates: ledger.duplicates,
-            unknown_after_disconnect: ledger.unknown_after_disconnect,
-            samples_announced: ledger.samples_announced,
-            samples_present: ledger.samples_present,
-            samples_occluded: ledger.samples_occluded,
-            samples_not_finite: ledger.samples_not_finite,
-            markers_dropped: ledger.markers_dropped,
-            contradictions: ledger.contradictions.clone(),
-        }
-    }
 }

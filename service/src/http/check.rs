@@ -13,7 +13,9 @@ use axum::{
     extract::{Path, State, rejection::PathRejection},
     http::StatusCode,
 };
-use mocapd_acquire::{files::SparseFile, health::TakeHealth, inspect::Summary};
+use mocapd_acquire::{
+    files::SparseFile, health::TakeHealth, inspect::Summary, ledger::LedgerDocument,
+};
 use mocapd_take::TakeError;
 use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
@@ -26,7 +28,7 @@ use super::{
     state::Shared,
     takes::{self, unreadable},
 };
-use crate::{control::Request, status::LedgerStatus};
+use crate::control::Request;
 
 /// Problems and contradictions that are told each: a badly damaged take has one a stretch.
 const TOLD_MAX: usize = 100;
@@ -62,7 +64,7 @@ pub struct TakeCheck {
     /// What the take says of itself and is not so: the first hundred.
     pub contradictions: Vec<String>,
     /// Its last ledger.
-    pub ledger: Option<LedgerStatus>,
+    pub ledger: Option<LedgerDocument>,
 }
 
 /// Read a take to its end and check it
@@ -161,7 +163,7 @@ fn check(name: String, bytes: u64, read: Result<Summary, TakeError>) -> Result<T
         max_error_mm: summary.max_error_mm(),
         problems: summary.problems.iter().take(TOLD_MAX).cloned().collect(),
         contradictions,
-        ledger: ledger.map(LedgerStatus::from),
+        ledger: ledger.map(LedgerDocument::from),
         ..empty(name, bytes, summary.health())
     })
 }

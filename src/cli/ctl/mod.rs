@@ -8,17 +8,17 @@ use std::{path::PathBuf, sync::atomic::Ordering, time::Duration};
 
 use anyhow::Context;
 use mocapd::outcome::Outcome;
-use mocapd_acquire::{files::FileState, listing::ListedDevice};
+use mocapd_acquire::{files::FileState, ledger::LedgerDocument, listing::ListedDevice};
 use mocapd_service::{
     control::{Marked, Started, Stopped},
-    status::{LedgerStatus, Status, TakeSummary},
+    status::{Status, TakeSummary},
 };
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
 use self::client::{Client, Target};
 use crate::cli::{
-    devices,
+    devices, ledger,
     output::{print, print_json, print_json_text, say},
     stop::stop_on_signal,
     values,
@@ -198,7 +198,7 @@ fn stopped(document: &Value, json: bool) -> anyhow::Result<Outcome> {
     for remark in &stopped.remarks {
         say(remark);
     }
-    let losses = words::losses(&stopped.ledger);
+    let losses = ledger::losses(&stopped.ledger);
     if let Some(losses) = &losses {
         say(&format!("{}: not in the take: {losses}", stopped.name));
     }
@@ -206,7 +206,7 @@ fn stopped(document: &Value, json: bool) -> anyhow::Result<Outcome> {
     Ok(Outcome::of(losses.is_some() || !is_whole(&stopped.ledger) || is_displaced))
 }
 
-fn is_whole(ledger: &LedgerStatus) -> bool {
+fn is_whole(ledger: &LedgerDocument) -> bool {
     ledger.finished && ledger.closes
 }
 

@@ -5,13 +5,13 @@ use std::fmt::Write;
 use mocapd_service::{
     control::{Started, Stopped},
     local_time,
-    status::{LedgerStatus, Presence, State, Status, TakeSummary},
+    status::{Presence, State, Status, TakeSummary},
 };
 
 use mocapd_take::record::EndingKind;
 
 use crate::cli::{
-    ledger::Losses,
+    ledger::losses,
     output::plain,
     values::{bytes, count, frames_of, thousands},
 };
@@ -178,19 +178,6 @@ pub(super) fn stopped(stopped: &Stopped) -> String {
     format!("{}: {frames}, {:.1} s, {size}; it ended: {ending}\n", plain(&path), stopped.seconds)
 }
 
-/// What a ledger tells of loss, in one line.
-pub(super) fn losses(ledger: &LedgerStatus) -> Option<String> {
-    Losses {
-        lost_on_link: ledger.lost_on_link,
-        dropped_by_device: ledger.dropped_by_device,
-        lost_ring_full: ledger.lost_ring_full,
-        lost_other: ledger.lost_other,
-        unknown_after_disconnect: ledger.unknown_after_disconnect,
-        markers_dropped: ledger.markers_dropped,
-    }
-    .words()
-}
-
 pub(super) fn takes(takes: &[TakeSummary]) -> String {
     if takes.is_empty() {
         return "no takes\n".to_owned();
@@ -221,13 +208,15 @@ pub(super) fn time(unix_ms: i64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use mocapd_acquire::ledger::LedgerDocument;
+
     use super::*;
 
     #[test]
     fn losses_are_told_by_cause() {
-        assert_eq!(losses(&LedgerStatus { duplicates: 4, ..LedgerStatus::default() }), None);
+        assert_eq!(losses(&LedgerDocument { duplicates: 4, ..LedgerDocument::default() }), None);
         let ledger =
-            LedgerStatus { lost_on_link: 1, markers_dropped: 1200, ..LedgerStatus::default() };
+            LedgerDocument { lost_on_link: 1, markers_dropped: 1200, ..LedgerDocument::default() };
         assert_eq!(
             losses(&ledger).unwrap(),
             "1 frame lost on the link, 1 200 samples of markers beyond the channel pool"

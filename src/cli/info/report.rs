@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use mocapd_acquire::{
     health::TakeHealth,
     inspect::{Summary, size_ratio},
+    ledger::LedgerDocument,
 };
 use mocapd_take::{
     interchange::ReadOptions,
@@ -18,7 +19,7 @@ use super::subject::SubjectReport;
 use crate::cli::{
     clock::ClockReport,
     damage::DamageReport,
-    ledger::{LedgerReport, OutagesReport},
+    ledger::{self, OutagesReport},
 };
 
 #[derive(Debug, Serialize)]
@@ -56,7 +57,7 @@ pub(super) struct Report {
     pub(super) stretches: u64,
     pub(super) sr1: Option<f64>,
     pub(super) sr2: Option<f64>,
-    pub(super) ledger: Option<LedgerReport>,
+    pub(super) ledger: Option<LedgerDocument>,
     pub(super) outages: OutagesReport,
     pub(super) clock: Option<ClockReport>,
     pub(super) events: Vec<EventReport>,
@@ -209,7 +210,7 @@ impl Report {
             stretches: summary.stretches,
             sr1: summary.sr1(),
             sr2: summary.sr2(),
-            ledger: summary.ledger.as_ref().map(LedgerReport::new),
+            ledger: summary.ledger.as_ref().map(LedgerDocument::from),
             outages: OutagesReport::new(summary.outages.0, summary.outages.1, header.rate_hz),
             clock: ClockReport::new(&summary.clock_status(), &summary.clock_lines),
             events: summary.events.iter().map(EventReport::new).collect(),
@@ -229,17 +230,17 @@ impl Report {
 
     /// Frames in the take, by its ledger.
     pub(super) fn frames_recorded(&self) -> Option<u64> {
-        self.ledger.as_ref().map(LedgerReport::recorded)
+        self.ledger.as_ref().map(|ledger| ledger.recorded)
     }
 
     /// What was lost before it reached the take, in one line.
     pub(super) fn losses(&self) -> Option<String> {
-        self.ledger.as_ref()?.losses()
+        ledger::losses(self.ledger.as_ref()?)
     }
 
     /// Why its ledger does not close, in one line.
     pub(super) fn not_closing(&self) -> Option<String> {
-        self.ledger.as_ref()?.not_closing()
+        ledger::not_closing(self.ledger.as_ref()?)
     }
 }
 

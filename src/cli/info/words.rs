@@ -7,8 +7,7 @@ use mocapd_service::local_time;
 use super::report::Report;
 use crate::cli::{
     clock::ClockReport,
-    damage,
-    ledger::LedgerReport,
+    damage, ledger,
     output::plain,
     values::{bytes, count, frames_of, thousands},
 };
@@ -44,14 +43,17 @@ pub(super) fn words(report: &Report) -> String {
         let what = format!("at frame {frame}, {time_s:.3} s: {} {}", event.kind, event.text);
         line("event", &what);
     }
-    if let Some(ledger) = &report.ledger {
-        let imported = report.source.is_some();
-        out.push_str(&if imported { ledger.words_of_import() } else { ledger.words() });
+    if let Some(document) = &report.ledger {
+        let words = match report.source {
+            Some(_) => ledger::words_of_import(document),
+            None => ledger::words(document),
+        };
+        out.push_str(&words);
     }
     if let Some(outages) = report.outages.words() {
         writeln!(out, "{:<10} {outages}", "outages").ok();
     }
-    let by_ledger = || report.ledger.as_ref().and_then(LedgerReport::clock_words);
+    let by_ledger = || report.ledger.as_ref().and_then(ledger::clock_words);
     out.push_str(
         &report.clock.as_ref().map(ClockReport::words).or_else(by_ledger).unwrap_or_default(),
     );

@@ -2,7 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use mocapd_acquire::{files::FileState, inspect::size_ratio, record::Recorded, rig::Ending};
+use mocapd_acquire::{
+    files::FileState, inspect::size_ratio, ledger::LedgerDocument, record::Recorded, rig::Ending,
+};
 use mocapd_codec::Settings;
 use mocapd_service::process;
 use serde::{Deserialize, Serialize};
@@ -10,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use super::raw::RawLogReport;
 use crate::cli::{
     clock::ClockReport,
-    ledger::{LedgerReport, OutagesReport},
+    ledger::{self, OutagesReport},
     output::shown,
     values::tolerance_mm,
     values::{bytes, count, frames_of, thousands},
@@ -43,7 +45,7 @@ pub(crate) struct Report {
     raw_log: Option<RawLogReport>,
     outages: OutagesReport,
     clock: Option<ClockReport>,
-    ledger: LedgerReport,
+    ledger: LedgerDocument,
 }
 
 #[derive(Debug, Serialize)]
@@ -116,7 +118,7 @@ impl Report {
                 recorded.rate_hz,
             ),
             clock: ClockReport::new(&written.clock, &written.clock_lines),
-            ledger: LedgerReport::new(&written.ledger),
+            ledger: LedgerDocument::from(&written.ledger),
         }
     }
 
@@ -132,12 +134,12 @@ impl Report {
 
     /// What was lost, in one line.
     pub(crate) fn losses(&self) -> Option<String> {
-        self.ledger.losses()
+        ledger::losses(&self.ledger)
     }
 
     /// Why its ledger does not close, in one line.
     pub(crate) fn not_closing(&self) -> Option<String> {
-        self.ledger.not_closing()
+        ledger::not_closing(&self.ledger)
     }
 
     /// Why the take ended.
@@ -172,14 +174,14 @@ impl Report {
         format!(
             "{}: {} of {} at {} Hz, {} as float32, {} on disk ({:.1}:1), {bound}\n{}{}{}",
             shown(&self.take),
-            frames_of(self.frames, self.ledger.frames_sent()),
+            frames_of(self.frames, self.ledger.frames_sent),
             self.markers_in_words(),
             self.rate_hz,
             bytes(self.raw_bytes),
             bytes(self.file_bytes),
             self.ratio,
             self.raw_log.as_ref().map(RawLogReport::words).unwrap_or_default(),
-            self.ledger.words(),
+            ledger::words(&self.ledger),
             self.clock.as_ref().map(ClockReport::words).unwrap_or_default()
         )
     }

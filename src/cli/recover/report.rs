@@ -2,13 +2,13 @@
 
 use std::{fmt::Write, path::PathBuf};
 
+use mocapd_acquire::ledger::LedgerDocument;
 use mocapd_take::recovery::{KindCount, Survey};
 use serde::Serialize;
 
 use super::Args;
 use crate::cli::{
     damage::{self, DamageReport},
-    ledger::LedgerReport,
     output::plain,
     values::{bytes, count, thousands},
 };
@@ -32,7 +32,7 @@ pub(super) struct Report {
     take_bytes: u64,
     discarded_bytes: u64,
     output_bytes: u64,
-    ledger: LedgerReport,
+    ledger: LedgerDocument,
 }
 
 #[derive(Debug, Serialize)]
@@ -86,7 +86,7 @@ impl Report {
             take_bytes,
             discarded_bytes: survey.discarded_bytes(),
             output_bytes,
-            ledger: LedgerReport::new(survey.ledger()),
+            ledger: LedgerDocument::from(survey.ledger()),
         }
     }
 

@@ -11,7 +11,9 @@ use std::{
 
 use anyhow::{Context, bail};
 use mocapd::outcome::Outcome;
-use mocapd_acquire::{clock::Apart, files::SparseFile, health::TakeHealth, inspect::Summary};
+use mocapd_acquire::{
+    clock::Apart, files::SparseFile, health::TakeHealth, inspect::Summary, ledger::LedgerDocument,
+};
 use mocapd_service::units;
 use mocapd_take::record::{Header, Ledger};
 use serde::Serialize;
@@ -24,7 +26,7 @@ use self::{
 };
 use super::{
     damage::{self, DamageReport},
-    ledger::LedgerReport,
+    ledger,
     output::{plain, print, print_json, say, shown},
     paths,
     values::count,
@@ -115,10 +117,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
             say(&format!("{}: {problem}", args.take.display()));
         }
     }
-    if let Some(losses) = summary.ledger.as_ref().and_then(|l| LedgerReport::new(l).losses()) {
+    let document = summary.ledger.as_ref().map(LedgerDocument::from);
+    if let Some(losses) = document.as_ref().and_then(ledger::losses) {
         say(&format!("{}: not in the take: {losses}", args.take.display()));
     }
-    if let Some(why) = summary.ledger.as_ref().and_then(|l| LedgerReport::new(l).not_closing()) {
+    if let Some(why) = document.as_ref().and_then(ledger::not_closing) {
         say(&format!("{}: {why}", args.take.display()));
     }
     if report.health == TakeHealth::Lossy

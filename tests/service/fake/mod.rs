@@ -13,17 +13,17 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd_acquire::files::{FileId, FileState};
+use mocapd_acquire::{
+    files::{FileId, FileState},
+    ledger::LedgerDocument,
+};
 use mocapd_service::{
     control::{
         Control, EventFeed, FirstFrame, Mark, Marked, Refusal, RefusalKind, Request, SaveLast,
         Start, Started, Stopped,
     },
     live::LiveFeed,
-    status::{
-        LedgerStatus, MarkerQuality, Presence, ServiceEventKind, State, Status, TakeStatus,
-        TakeSummary,
-    },
+    status::{MarkerQuality, Presence, ServiceEventKind, State, Status, TakeStatus, TakeSummary},
 };
 
 use mocapd_take::record::EndingKind;
@@ -202,14 +202,14 @@ impl Fake {
     }
 }
 
-fn ledger(lost_on_link: u64) -> LedgerStatus {
-    LedgerStatus {
+fn ledger(lost_on_link: u64) -> LedgerDocument {
+    LedgerDocument {
         finished: true,
         closes: true,
         frames_sent: ROWS + lost_on_link,
         recorded: ROWS,
         lost_on_link,
-        ..LedgerStatus::default()
+        ..LedgerDocument::default()
     }
 }
 

@@ -2,13 +2,13 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use mocapd_acquire::{files::FileState, listing::ListedDevice};
+use mocapd_acquire::{files::FileState, ledger::LedgerDocument, listing::ListedDevice};
 use mocapd_service::{
     control::{FirstFrame, Mark, Marked, Request, SaveLast, Start, Started, Stopped},
     http::{Problem, ProblemKind, openapi},
     status::{
-        DeviceStatus, LedgerStatus, MarkerQuality, OutageStatus, ServiceEvent, ServiceEventKind,
-        State, Status, TakeStatus, TakeSummary,
+        DeviceStatus, MarkerQuality, OutageStatus, ServiceEvent, ServiceEventKind, State, Status,
+        TakeStatus, TakeSummary,
     },
 };
 use serde_json::{Value, json};
@@ -107,7 +107,7 @@ fn examples() -> Vec<(&'static str, Value)> {
         seconds: 1.0,
         bytes: 1,
         ending: None,
-        ledger: LedgerStatus::default(),
+        ledger: LedgerDocument::default(),
         file: FileState::Renamed,
         short_by_s: 1.0,
         remarks: vec!["x".to_owned()],

@@ -25,15 +25,14 @@ impl Account {
         let ledger = &report["ledger"];
         let number =
             |name: &str| ledger[name].as_u64().with_context(|| format!("{name}: {ledger}"));
-        let in_host = |name: &str| ledger["lost_in_host"][name].as_u64().unwrap_or(u64::MAX);
         Ok(Self {
             ending: report["ending"].as_str().unwrap_or_default().to_owned(),
             recorded: number("recorded")?,
             frames_sent: number("frames_sent")?,
             lost: number("lost_on_link")?
                 .saturating_add(number("dropped_by_device")?)
-                .saturating_add(in_host("ring_full"))
-                .saturating_add(in_host("other")),
+                .saturating_add(number("lost_ring_full")?)
+                .saturating_add(number("lost_other")?),
             unknown: number("unknown_after_disconnect")?,
             away_s: report["outages"]["seconds"].as_f64().context("outages.seconds")?,
             samples: number("samples_present")?,

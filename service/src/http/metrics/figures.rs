@@ -5,7 +5,7 @@ use std::{
     sync::{Arc, atomic::Ordering},
 };
 
-use mocapd_acquire::health::TakeHealth;
+use mocapd_acquire::{health::TakeHealth, ledger::LedgerDocument};
 use prometheus_client::{
     collector::Collector,
     encoding::{DescriptorEncoder, EncodeMetric},
@@ -15,7 +15,7 @@ use prometheus_client::{
 
 use crate::{
     http::counts::Counts,
-    status::{LedgerStatus, State, Status, TakeStatus, TakeSummary},
+    status::{State, Status, TakeStatus, TakeSummary},
 };
 
 /// The figures at one time.
@@ -281,7 +281,7 @@ fn of_take(take: &TakeStatus, out: &mut Out<'_>) -> Result<(), Error> {
     of_ledger(&take.ledger, out)
 }
 
-fn of_ledger(ledger: &LedgerStatus, out: &mut Out<'_>) -> Result<(), Error> {
+fn of_ledger(ledger: &LedgerDocument, out: &mut Out<'_>) -> Result<(), Error> {
     let help = "Frames that the device sent for the take, as far as is known";
     out.gauge("take_frames_sent", help, In::Numbers, ledger.frames_sent as f64)?;
     let frames = [

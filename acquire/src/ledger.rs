@@ -1,0 +1,106 @@
+//! A ledger as a document: the same in the API and in what commands print with `--json`.
+
+use mocapd_take::record::Ledger;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// A ledger in numbers; docs/json.md gives each one's meaning.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
+#[expect(missing_docs, reason = "docs/json.md, The ledger")]
+pub struct LedgerDocument {
+    pub finished: bool,
+    pub closes: bool,
+    pub frames_sent: u64,
+    pub recorded: u64,
+    pub lost_on_link: u64,
+    pub dropped_by_device: u64,
+    pub lost_ring_full: u64,
+    pub lost_other: u64,
+    pub duplicates: u64,
+    pub unknown_after_disconnect: u64,
+    #[serde(default)]
+    pub frame_balance: i64,
+    pub samples_announced: u64,
+    pub samples_present: u64,
+    pub samples_occluded: u64,
+    pub samples_not_finite: u64,
+    #[serde(default)]
+    pub sample_balance: i64,
+    pub markers_dropped: u64,
+    #[serde(default)]
+    pub link_bytes: u64,
+    #[serde(default)]
+    pub link_bytes_skipped: u64,
+    #[serde(default)]
+    pub link_messages: u64,
+    #[serde(default)]
+    pub link_messages_damaged: u64,
+    #[serde(default)]
+    pub link_messages_unknown: u64,
+    pub contradictions: Vec<String>,
+    #[serde(default)]
+    pub clock: Option<ClockDocument>,
+}
+
+/// The device's clock against the host's.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+#[expect(missing_docs, reason = "docs/json.md, The ledger")]
+pub struct ClockDocument {
+    pub drift_ppm: f64,
+    pub residual_us: f64,
+}
+
+impl LedgerDocument {
+    /// Frames that the device produced and the take does not have, by cause.
+    #[must_use]
+    pub fn frames_lost_by_cause(&self) -> [u64; 5] {
+        [
+            self.lost_on_link,
+            self.dropped_by_device,
+            self.lost_ring_full,
+            self.lost_other,
+            self.unknown_after_disconnect,
+        ]
+    }
+
+    /// The same in all, as far as is known.
+    #[must_use]
+    pub fn frames_lost(&self) -> u64 {
+        self.frames_lost_by_cause().iter().fold(0, |sum, &n| sum.saturating_add(n))
+    }
+}
+
+impl From<&Ledger> for LedgerDocument {
+    fn from(ledger: &Ledger) -> Self {
+        let whole = |balance: i128| i64::try_from(balance).unwrap_or(i64::MAX);
+        Self {
+            finished: ledger.finished,
+            closes: ledger.closes(),
+            frames_sent: ledger.frames_sent,
+            recorded: ledger.recorded,
+            lost_on_link: ledger.lost_on_link,
+            dropped_by_device: ledger.dropped_by_device,
+            lost_ring_full: ledger.lost_ring_full,
+            lost_other: ledger.lost_other,
+            duplicates: ledger.duplicates,
+            unknown_after_disconnect: ledger.unknown_after_disconnect,
+            frame_balance: whole(ledger.frame_balance()),
+            samples_announced: ledger.samples_announced,
+            samples_present: ledger.samples_present,
+            samples_occluded: ledger.samples_occluded,
+            samples_not_finite: ledger.samples_not_finite,
+            sample_balance: whole(ledger.sample_balance()),
+            markers_dropped: ledger.markers_dropped,
+            link_bytes: ledger.link_bytes,
+            link_bytes_skipped: ledger.link_bytes_skipped,
+            link_messages: ledger.link_messages,
+            link_messages_damaged: ledger.link_messages_damaged,
+            link_messages_unknown: ledger.link_messages_unknown,
+            contradictions: ledger.contradictions.clone(),
+            clock: ledger.clock.map(|clock| ClockDocument {
+                drift_ppm: clock.drift_ppm,
+                residual_us: clock.residual_us,
+            }),
+        }
+    }
+}
