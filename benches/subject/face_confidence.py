@@ -1,7 +1,7 @@
-"""What the confidence of a whole face has learned (`points/confidence.rs`): how much each piece of evidence counts.
+"""What the confidence of a whole face has learned (`subject/face/data/face-confidence.bin`): how much each piece of evidence counts.
 
     MOCAPD_FACES=... cargo run --release -p mocapd-face --example faces_points confidence > ROWS
-    python3 benches/subject/face_confidence.py ROWS
+    python3 benches/subject/face_confidence.py ROWS subject/face/data/face-confidence.bin
 
 Needs numpy. ROWS are development photographs and drawn faces, each begun from places more and less beside it and from where
 it is detected; no other photograph is opened. A face is good if its points are off by less than a tenth of the distance of
@@ -9,8 +9,8 @@ the outer eye corners, on the mean. Photographs, the renders among them, count a
 The chain begins a face again that is not sure, so that rows depend a little on what was learned before: the constants are
 learned from those of the first beginning alone (`SURE` of `points/chain.rs` at 0).
 A logistic regression by Newton's steps, with a normal prior on the weights of the standardised terms; terms whose weight has
-the wrong sign are left out, one after the other. Prints the constants in Rust, and what they are worth on faces that were
-left out (a tenth at a time).
+the wrong sign are left out, one after the other. Writes the constant, then weight, least and largest value of each
+term, as doubles; prints them, and what they are worth on faces that were left out (a tenth at a time).
 """
 
 import sys
@@ -62,9 +62,12 @@ def main():
     weight = np.where(drawn, (~drawn).sum() / drawn.sum(), 1.0)
     weight *= len(weight) / weight.sum()
     constant, weights = logistic(x, good, weight)
-    print(f"const CONSTANT: f64 = {constant:.2f};")
+    table = [float(f"{constant:.2f}")]
+    print(f"constant {table[0]}")
     for w, (low, high), what in zip(weights, RANGES, NAMES):
-        print(f"    Term {{ weight: {w:.3f}, low: {low:.1f}, high: {high:.1f} }}, // {what}")
+        table += [float(f"{w:.3f}"), low, high]
+        print(f"{what}: {w:.3f}, {low:.1f} to {high:.1f}")
+    np.array(table, "<f8").tofile(sys.argv[2])
     # All starts of a face, and all faces of a photograph, are left out together.
     tenth = {n: i % 10 for i, n in enumerate(sorted(set(name), key=lambda n: (n.startswith("drawn"), n)))}
     tenths = np.array([tenth[n] for n in name])

@@ -1,15 +1,15 @@
-"""The trees of `face/find` that tell a face at the second look, as `find/second_trees.rs`.
+"""The trees of `face/find` that tell a face at the second look: `subject/face/data/face-second-trees.bin`.
 
     python3 benches/subject/heads/make.py DATA targets.npz WORK/heads 2000 5000        # random heads, harder ones
     python3 benches/subject/find_animals.py STAMPS WORK                                # pictures of animals and things
     python3 benches/subject/find_photographs.py RESOURCES WORK                         # whole photographs without faces
     cargo build --release --locked -p mocapd-face --example faces_found
-    python3 benches/subject/find_again.py WORK > subject/face/src/find/second_trees.rs # then build again
+    python3 benches/subject/find_again.py WORK > subject/face/data/face-second-trees.bin   # then build again
     python3 benches/subject/find_again.py WORK held [MORE...]                          # what is found when held out
 
 Needs what `find_looks.py` needs, its pictures (`find_pictures.py`, heads/make.py, what it made itself of those without
 faces) and its trees: what the first look does not dismiss is looked at again, where a glance has eyes and mouth
-(`points/glance`, so `face_glance.py` comes first, and a build after it). A second look is a look there, what lies around
+(`points/regressor.rs`, so `face_glance.py` comes first, and a build after it). A second look is a look there, what lies around
 every landmark, and how sure the first one was. Faces count so that two of five are faces: those on photographs three times
 as much as random heads, which are 5000, and drawn ones, which are easy, a third. MORE are other folders of random heads,
 none of which is learned from: they are told by the mean of the three. What was made from the same picture, or the same
@@ -103,18 +103,6 @@ class Rows:
             print(f"{limit}: " + "; ".join(line))
 
 
-HEADER = """\
-//! What faces look like at a second look, learned by `benches/subject/find_again.py`: trees of three questions each, boosted.
-
-use super::verdict::Tree;
-
-/// In thousandths: what is added to the trees.
-pub(super) const BIAS: i32 = %d;
-
-#[rustfmt::skip]
-pub(super) static TREES: [Tree; %d] = ["""
-
-
 def main(work, held, *more):
     rows = Rows(work, more)
     if held:
@@ -125,10 +113,7 @@ def main(work, held, *more):
             sums[part] += boost.scores(rows.look[part], *found) / np.where(rows.fold[part] == HELD, HELD, 1)
         return rows.tell(sums)
     bias, trees = rows.learn(np.flatnonzero(rows.fold < HELD))
-    print(HEADER % (round(1000 * bias), len(trees)))
-    for asked, limits, leaves in trees:
-        print(f"    ({list(map(int, asked))}, {list(map(int, limits))}, {[round(1000 * float(leaf)) for leaf in leaves]}),")
-    print("];")
+    sys.stdout.buffer.write(boost.table(bias, trees))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-"""Where eyes and mouth are, by how a face looks: `find/align_first.rs` and, learned on what that gives, `find/align_second.rs`.
+"""Where eyes and mouth are, by how a face looks: `subject/face/data/face-align-first.bin` and, learned on what that gives,
+`face-align-second.bin`.
 
-    python3 benches/subject/find_align.py WORK first > subject/face/src/find/align_first.rs     # then build again
-    python3 benches/subject/find_align.py WORK second > subject/face/src/find/align_second.rs   # then build again
+    python3 benches/subject/find_align.py WORK first > subject/face/data/face-align-first.bin     # then build again
+    python3 benches/subject/find_align.py WORK second > subject/face/data/face-align-second.bin   # then build again
     python3 benches/subject/find_align.py WORK second held       # or first: how far off they are when held out
 
 Needs what `find_looks.py` needs, and its pictures. Ridge regressions from a look, and its mirror image, to how far eyes and
@@ -25,17 +26,6 @@ STEPS = {"first": "rough", "second": "nearer"}
 MIDDLE = np.array([[-0.5, 0], [0.5, 0], [0, 1.1]])
 # In the mirror the eyes change sides.
 SIDES, SIGNS = np.array([2, 3, 0, 1, 4, 5]), np.array([-1, 1, -1, 1, -1, 1])
-
-HEADER = """\
-//! Where eyes and mouth are, by how a face looks: learned by `benches/subject/find_align.py` as the %s ridge regression.
-
-use super::align::Step;
-
-#[rustfmt::skip]
-pub(super) static STEP: Step = Step {
-    added: [%s],
-    weights: ["""
-
 
 def off(places, points):
     """How far eyes and mouth are from those found, in coordinates that those give."""
@@ -107,11 +97,9 @@ def main(work, step, is_held):
     if is_held:
         return held(seen)
     added, found = seen.learn(slice(None))
-    print(HEADER % (step, ", ".join(f"{value:.4f}" for value in added)))
-    table = np.round(found / 128 / UNIT).astype(int).clip(-32768, 32767).tolist()
-    for i in range(0, LOOK, 5):
-        print("        " + ", ".join(map(str, table[i : i + 5])) + ",")
-    print("    ],\n};")
+    # What is added in four decimals, then the weights, byte by byte of a look.
+    sys.stdout.buffer.write(np.array([float(f"{value:.4f}") for value in added], "<f4").tobytes())
+    sys.stdout.buffer.write(np.round(found / 128 / UNIT).clip(-32768, 32767).astype("<i2").tobytes())
 
 
 if __name__ == "__main__":

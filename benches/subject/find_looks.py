@@ -1,11 +1,11 @@
-"""The trees of `face/find` that tell a face from what only fits the template, as `find/look_trees.rs`.
+"""The trees of `face/find` that tell a face from what only fits the template: `subject/face/data/face-first-trees.bin`.
 
-    FIND=subject/face/src/find BUILD="cargo build --release --locked -p mocapd-face --example faces_found"
+    DATA=subject/face/data BUILD="cargo build --release --locked -p mocapd-face --example faces_found"
     $BUILD && python3 benches/subject/find_pictures.py $MOCAPD_FACES WORK              # pictures with known faces
-    python3 benches/subject/heads/make.py DATA targets.npz WORK/heads 0 2000           # random heads
-    python3 benches/subject/find_align.py WORK first > $FIND/align_first.rs && $BUILD
-    python3 benches/subject/find_align.py WORK second > $FIND/align_second.rs && $BUILD
-    python3 benches/subject/find_looks.py WORK > $FIND/look_trees.rs && $BUILD
+    python3 benches/subject/heads/make.py MAKEHUMAN targets.npz WORK/heads 0 2000           # random heads
+    python3 benches/subject/find_align.py WORK first > $DATA/face-align-first.bin && $BUILD
+    python3 benches/subject/find_align.py WORK second > $DATA/face-align-second.bin && $BUILD
+    python3 benches/subject/find_looks.py WORK > $DATA/face-first-trees.bin && $BUILD
     python3 benches/subject/find_looks.py WORK held                                    # what is found when held out
 
 Needs what those need; `faces_found` gives the looks of what the search proposes on every picture. Seeded: the same twice.
@@ -173,18 +173,6 @@ def tell(rows, sums):
         print(" lowest", np.sort(found[found > -98])[:5].round(1).tolist())
 
 
-HEADER = """\
-//! What faces look like, learned by `benches/subject/find_looks.py`: trees of three questions each, boosted.
-
-use super::verdict::Tree;
-
-/// In thousandths: what is added to the trees.
-pub(super) const BIAS: i32 = %d;
-
-#[rustfmt::skip]
-pub(super) static TREES: [Tree; %d] = ["""
-
-
 def main(work, held):
     without_faces(work)
     rows = Rows(work)
@@ -195,10 +183,7 @@ def main(work, held):
             sums[rows.fold == k] = rows.sums(rows.learn(np.flatnonzero(rows.fold != k)), np.flatnonzero(rows.fold == k))
         return tell(rows, sums)
     bias, trees = rows.learn(everything)
-    print(HEADER % (round(1000 * (bias - ZERO)), len(trees)))
-    for asked, limits, leaves in trees:
-        print(f"    ({list(map(int, asked))}, {list(map(int, limits))}, {[round(1000 * float(leaf)) for leaf in leaves]}),")
-    print("];")
+    sys.stdout.buffer.write(boost.table(bias - ZERO, trees))
 
 
 if __name__ == "__main__":

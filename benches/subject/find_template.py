@@ -1,7 +1,7 @@
-"""The template of `face/find`: what slopes at each place of a face speak for it, as `find/template_weights.rs`.
+"""The template of `face/find`: what slopes at each place of a face speak for it: `subject/face/data/face-template.bin`.
 
     python3 benches/subject/find_pictures.py $MOCAPD_FACES WORK  # pictures, and where faces are on them
-    python3 benches/subject/find_template.py WORK > subject/face/src/find/template_weights.rs
+    python3 benches/subject/find_template.py WORK > subject/face/data/face-template.bin
 
 Needs what `find_pictures.py` needs, whose pictures it learns from: the development photographs as they are, the 100 faces and
 100 other pieces of scikit-image's subset of LFW, drawn faces, and pictures without faces. Two logistic functions, frontal
@@ -27,28 +27,8 @@ ROLLS, STEP, RIDGE, ROUNDS = (0, -15, 15, -30, 30), 1.2, 1.0, 3
 # How often a face is shifted, and what it counts.
 KINDS = {"photo": (6, 1.0), "synth": (6, 0.3), "lfw": (6, 0.5), "drawn": (2, 0.15)}
 
-HEAD = """\
-//! What slopes at each place of a face speak for it: learned by `benches/subject/find_template.py` as a logistic function.
-//!
-//! Four numbers a cell: brighter to the right, to the left, down, up. A row is a quarter of the distance of the eyes high,
-//! from three quarters above the eyes; a cell is as wide, from one and a quarter to the left of their middle.
-
-use super::cells::Cell;
-use super::template::{SIDE, Weights};
-
-/// What is less of a face is not looked at closer: by its eyes alone (a hundredth of the faces learned from has less), and
-/// as a whole (logarithm of the odds).
-pub(super) const EYE_ROWS_MIN: f32 = %.2f;
-pub(super) const PLACE_MIN: f32 = -4.00;
-
-/// Added to the sums.
-pub(super) const FRONTAL_BIAS: f32 = %.3f;
-pub(super) const TURNED_BIAS: f32 = %.3f;
-"""
-
-
 def cells(grey):
-    """As in find/cells.rs."""
+    """As in find/template.rs."""
     root = np.sqrt(np.maximum(grey, 0))
     wide = np.pad(root, 1, mode="edge")
     dx, dy = wide[1:-1, 2:] - wide[1:-1, :-2], wide[2:, 1:-1] - wide[:-2, 1:-1]
@@ -196,15 +176,11 @@ def write(templates, frontal):
     eyes = templates[:, :-1].reshape(3, SIDE, -1)[:, 1:4].reshape(3, -1)
     sums = (frontal.reshape(len(frontal), SIDE, -1)[:, 1:4].reshape(len(frontal), -1) @ eyes.T).max(1)
 
-    def table(weights):
-        rows = (", ".join("[" + ", ".join(f"{v:.2f}".replace("3.14", "3.15") for v in cell) + "]" for cell in row) for row in weights)
-        return "[\n" + "".join(f"    [{row}],\n" for row in rows) + "]"
-
-    print(HEAD % (np.percentile(sums, 1), *templates[:2, -1]))
-    print("/// The left half of a frontal face; the other is its mirror image.")
-    print(f"pub(super) const FRONTAL: [[Cell; SIDE / 2]; SIDE] = {table(templates[0, :-1].reshape(SIDE, SIDE, 4)[:, :5])};\n")
-    print("/// A face whose nose points to the picture's right.")
-    print(f"pub(super) const TURNED: Weights = {table(templates[1, :-1].reshape(SIDE, SIDE, 4))};")
+    # What a hundredth of the faces has less of, the biases; the left half of the frontal template, and the whole turned one.
+    head = [f"{np.percentile(sums, 1):.2f}", *(f"{bias:.3f}" for bias in templates[:2, -1])]
+    halves = templates[0, :-1].reshape(SIDE, SIDE, 4)[:, :5], templates[1, :-1]
+    weights = [f"{weight:.2f}" for half in halves for weight in half.ravel()]
+    sys.stdout.buffer.write(np.array([float(number) for number in head + weights], "<f4").tobytes())
 
 
 main(Path(sys.argv[1]))

@@ -11,7 +11,7 @@ use mocapd_body::{
     Mesh,
     generate::{Options, Pose, body},
 };
-use mocapd_face::render::Scene;
+use mocapd_testkit::photograph::Scene;
 
 /// Between the outer corners of the eyes: as large as a portrait that fills a screen.
 const IO_PX: f64 = 120.0;

@@ -7,7 +7,8 @@ use mocapd_body::{
     generate::{Options, Pose, body},
     skeleton::Skeleton,
 };
-use mocapd_face::{fitted::FittedFace, render::Scene};
+use mocapd_face::fitted::FittedFace;
+use mocapd_testkit::photograph::Scene;
 
 use super::Folder;
 

@@ -1,5 +1,7 @@
 """Trees of three questions, boosted for the logistic loss (Friedman, Hastie and Tibshirani 2000), on bytes."""
 
+import struct
+
 import numba
 import numpy as np
 
@@ -90,3 +92,10 @@ def _apply(columns, asked, limits, leaves):
 def scores(rows, bias, trees):
     columns = np.ascontiguousarray(rows.T)
     return bias + sum(apply(columns, *tree) for tree in trees)
+
+
+def table(bias, trees):
+    """As `face/find/trees.rs` reads it: the bias, then of each tree the bytes asked, their limits, the leaves; in thousandths."""
+    rows = [struct.pack("<7H7B8h", *map(int, asked), *map(int, limits), *(round(1000 * float(leaf)) for leaf in leaves))
+            for asked, limits, leaves in trees]
+    return struct.pack("<i", round(1000 * bias)) + b"".join(rows)

@@ -4,8 +4,8 @@ use mocapd_face::{
     fitted::{FittedFace, Method, Point, Source},
     mapping::Mapping,
     model::{FeatureId, Model},
-    render::{Picture, Scene},
 };
+use mocapd_testkit::photograph::{Picture, Scene};
 
 /// A PNM of 8 and of 16 bits, a grey one, a text one, a cut one, and one that promises more than it has; a bitmap, which is
 /// refused. A fuzzer finds its way into PNG and JPEG by their signatures.

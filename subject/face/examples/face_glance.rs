@@ -13,7 +13,7 @@ use std::path::Path;
 
 use mocapd_face::Photo;
 use mocapd_face::points::Rough;
-use mocapd_face::points::glance::{Glance, TOLD, Told};
+use mocapd_face::points::regressor::{Glance, TOLD, Told};
 
 #[expect(dead_code, reason = "the table has its own")]
 #[path = "faces_points/data.rs"]

@@ -11,7 +11,7 @@ use mocapd_face::Photo;
 use mocapd_face::fit::fit;
 use mocapd_face::fitted::{FittedFace, Method, Overlay, Source};
 use mocapd_face::model::FeatureId;
-use mocapd_face::render::{Scene, Truth};
+use mocapd_testkit::photograph::{Scene, Truth};
 
 const IO_PX: f64 = 70.0;
 const SEED: u64 = 2;

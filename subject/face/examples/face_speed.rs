@@ -11,7 +11,7 @@ use mocapd_face::adapt::{Depth, Settings, adapt};
 use mocapd_face::find;
 use mocapd_face::model::{FeatureId, FitOptions, Model};
 use mocapd_face::points::{self, Rough};
-use mocapd_face::render::Scene;
+use mocapd_testkit::photograph::Scene;
 use rustix::time::{ClockId, clock_gettime};
 
 const ROUNDS: usize = 300;

@@ -1,13 +1,15 @@
 //! One photograph, from pixels to fitted wireframes: both chains, whole.
 
-use super::Photo;
-use super::adapt::{AdaptError, Depth, Settings, adapt};
-use super::find::{self, Found};
-use super::fitted::{FittedFace, Method, Point, Source};
-use super::model::{Camera, FeatureId, FitError, FitOptions, Model, ModelError, OUTER_EYES_MM};
-use super::paper;
-use super::plausible::Plausible;
-use super::points::{self, FacePoints, Rough};
+use std::fmt;
+
+use crate::adapt::{Depth, Settings, adapt};
+use crate::find::{self, Found};
+use crate::fitted::{FittedFace, Method, Point, Source};
+use crate::model::{Camera, FeatureId, FitOptions, Model, ModelError, OUTER_EYES_MM};
+use crate::paper;
+use crate::photo::Photo;
+use crate::plausible::Plausible;
+use crate::points::{self, FacePoints, Rough};
 
 /// Faces of a photograph that are fitted at most, the surest of them: a class, or a team.
 pub const FACES_MAX: usize = 64;
@@ -29,6 +31,12 @@ pub enum NoFace {
     Model(#[from] ModelError),
 }
 
+impl NoFace {
+    fn not_fitted(error: impl fmt::Display) -> Self {
+        Self::NotFitted(error.to_string())
+    }
+}
+
 /// Finds the faces of a photograph and fits the wireframe to each, the surest first.
 ///
 /// # Errors
@@ -37,7 +45,7 @@ pub fn fit(photo: &Photo, source: &Source, method: Method) -> Result<Vec<FittedF
     let model = Model::generic()?;
     let found: Vec<Found> = match method {
         Method::Default => find::faces(photo, find::SCORE_MIN),
-        Method::Paper => paper::faces(photo).into_iter().map(|face| face.found).collect(),
+        Method::Paper => paper::faces(photo),
     };
     // The paper's chain has no confidence of its own: its points are held against a face's proportions.
     let plausible = (method == Method::Paper).then(|| Plausible::of(model));
@@ -50,11 +58,11 @@ pub fn fit(photo: &Photo, source: &Source, method: Method) -> Result<Vec<FittedF
             Method::Paper => points::paper::find(photo, &rough),
         };
         let one = match method {
-            Method::Default => by_default(model, &seen).map_err(NoFace::from),
+            Method::Default => by_default(model, &seen),
             Method::Paper => by_paper(model, face, &seen),
         };
         match one {
-            Ok((camera, points, vertices_mm)) => {
+            Ok(Fit { camera, points, vertices_mm }) => {
                 let source = source.clone();
                 let mut one = FittedFace::new(model, method, source, camera, points, vertices_mm);
                 one.confidence = seen.confidence();
@@ -69,12 +77,18 @@ pub fn fit(photo: &Photo, source: &Source, method: Method) -> Result<Vec<FittedF
     if fitted.is_empty() { Err(why) } else { Ok(fitted) }
 }
 
-type Fit = (Camera, Vec<Point>, Vec<[f64; 3]>);
+/// What a chain makes of the points of a face.
+struct Fit {
+    camera: Camera,
+    points: Vec<Point>,
+    vertices_mm: Vec<[f64; 3]>,
+}
 
 /// Pose, shape and depth by the shape model; what was not seen is where the model has it. So is the hairline: what is seen up
 /// there is the border of hair, and would squeeze the forehead into it.
-fn by_default(model: &Model, found: &FacePoints) -> Result<Fit, FitOrAdapt> {
-    let fit = model.fit_shape(&found.weighted(), &FitOptions::default())?;
+fn by_default(model: &Model, found: &FacePoints) -> Result<Fit, NoFace> {
+    let fit = model.fit_shape(&found.weighted(), &FitOptions::default());
+    let fit = fit.map_err(NoFace::not_fitted)?;
     let points: Vec<Point> = FeatureId::all()
         .zip(&found.points)
         .zip(&fit.points_px)
@@ -88,8 +102,9 @@ fn by_default(model: &Model, found: &FacePoints) -> Result<Fit, FitOrAdapt> {
     let depths: Vec<f64> = fit.points_px.iter().map(|point| point[2]).collect();
     let (camera, depth) = (fit.camera, Depth::Points(&depths));
     let settings = Settings::default();
-    let adapted = adapt(model, &fit.vertices_mm, &camera, &nodes, settings, depth)?;
-    Ok((camera, points, adapted.vertices_mm))
+    let adapted = adapt(model, &fit.vertices_mm, &camera, &nodes, settings, depth);
+    let adapted = adapted.map_err(NoFace::not_fitted)?;
+    Ok(Fit { camera, points, vertices_mm: adapted.vertices_mm })
 }
 
 /// The average face, turned as its outline says (Yang et al. 2004, sections 4 and 5); points that were not found are left
@@ -119,21 +134,6 @@ fn by_paper(model: &Model, face: &Found, found: &FacePoints) -> Result<Fit, NoFa
         .collect();
     let nodes: Vec<_> = points.iter().map(|point| (point.id, point.xy_px)).collect();
     let adapted = adapt(model, &model.vertices, &camera, &nodes, Settings::PAPER, Depth::Model);
-    let adapted = adapted.map_err(|error| NoFace::NotFitted(error.to_string()))?;
-    Ok((camera, points, adapted.vertices_mm))
-}
-
-/// What either step of the default may say.
-#[derive(Debug, thiserror::Error)]
-enum FitOrAdapt {
-    #[error(transparent)]
-    Fit(#[from] FitError),
-    #[error(transparent)]
-    Adapt(#[from] AdaptError),
-}
-
-impl From<FitOrAdapt> for NoFace {
-    fn from(error: FitOrAdapt) -> Self {
-        Self::NotFitted(error.to_string())
-    }
+    let adapted = adapted.map_err(NoFace::not_fitted)?;
+    Ok(Fit { camera, points, vertices_mm: adapted.vertices_mm })
 }

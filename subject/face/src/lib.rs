@@ -10,14 +10,26 @@ pub mod fit;
 pub mod fitted;
 pub mod mapping;
 pub mod model;
+mod oriented;
 pub mod paper;
 pub mod photo;
 pub mod plane;
 pub mod plausible;
 pub mod points;
 pub mod pose;
-pub mod render;
-mod slopes;
+mod table;
+mod vector;
 
 pub use photo::{Photo, PhotoError};
 pub use plane::Plane;
+
+/// A reason on one line: a reader of JSON quotes whatever names a file has.
+pub(crate) fn shortened(reason: &str) -> String {
+    const CHARACTERS: usize = 200;
+    let printed = |c: char| if c.is_control() { ' ' } else { c };
+    let mut line: String = reason.chars().map(printed).take(CHARACTERS).collect();
+    if reason.chars().nth(CHARACTERS).is_some() {
+        line.push('…');
+    }
+    line
+}

@@ -7,7 +7,7 @@ use image::{Rgb, RgbImage};
 use mocapd_face::Photo;
 use mocapd_face::find::{self, Found};
 use mocapd_face::model::FeatureId;
-use mocapd_face::render::{Extras, Scene, Truth};
+use mocapd_testkit::photograph::{Extras, Scene, Truth};
 use serde_json::json;
 
 use super::{Face, judge};

@@ -109,7 +109,7 @@ fn main() {
         let start = Instant::now();
         let default = find::faces(&photo, find::SCORE_MIN);
         let ms = start.elapsed().as_secs_f64() * 1e3;
-        let plain: Vec<Found> = paper::faces(&photo).iter().map(|face| face.found).collect();
+        let plain = paper::faces(&photo);
         images += 1;
         print!("{name:24} {:>5}", truth.iter().filter(|face| face.counts).count());
         for (tally, found) in tallies.iter_mut().zip([default, plain]) {

@@ -4,7 +4,7 @@ use std::error::Error;
 
 use mocapd_face::Photo;
 use mocapd_face::model::{FeatureId, Model};
-use mocapd_face::render::{Extras, Scene};
+use mocapd_testkit::photograph::{Extras, Scene};
 
 use super::data::{Face, Noise, Truth};
 

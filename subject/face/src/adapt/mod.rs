@@ -1,13 +1,122 @@
 //! The wireframe pulled onto the points of a photograph, by radial basis functions (Yang et al. 2004, (6) to (14)).
 
-mod basis;
-mod depth;
-mod face;
-mod map;
+mod radial;
 #[cfg(test)]
 mod tests;
 
-pub use basis::Basis;
-pub use depth::symmetric_depths;
-pub use face::{Adapted, Depth, Settings, Unit, adapt};
-pub use map::{AdaptError, RadialMap};
+use crate::model::{Camera, FeatureId, Model, OUTER_EYES_MM};
+pub use radial::{AdaptError, RadialMap};
+
+/// What the basis counts distances in. (Yang et al. 2004) does not say.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Unit {
+    /// Pixels of the photograph.
+    Pixel,
+    /// The distance of the outer eye corners, as the camera would see it from in front.
+    OuterEyes,
+}
+
+/// How vertices between the points follow them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settings {
+    /// d of the multiquadric ([`RadialMap`]).
+    pub d: f64,
+    /// What it is in.
+    pub unit: Unit,
+}
+
+impl Settings {
+    /// As (Yang et al. 2004) prints it, with its 1 read as a pixel.
+    ///
+    /// Read as the distance of the outer eye corners it is twenty times as wide as features are apart: the points are met,
+    /// and the vertices between them end up a whole eyes' distance from where they belong.
+    pub const PAPER: Self = Self { d: 1.0, unit: Unit::Pixel };
+}
+
+impl Default for Settings {
+    /// The multiquadric with d a twentieth of the eyes' distance, about as far as features are apart: the same at every
+    /// size of the photograph.
+    fn default() -> Self {
+        Self { d: 0.05, unit: Unit::OuterEyes }
+    }
+}
+
+/// Where the depth of the result comes from. A photograph has none, and (Yang et al. 2004) says nothing of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Depth<'a> {
+    /// The model's own, scaled as its width and height were.
+    Model,
+    /// A map of its own, in three dimensions, through the depth of each point: pixels before the model's origin, in the
+    /// order of the points. A shape that was fitted has them.
+    Points(&'a [f64]),
+}
+
+/// A face pulled onto the points of a photograph.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Adapted {
+    /// Each vertex in the picture: x, y and how far before the model's origin, in pixels.
+    pub vertices_px: Vec<[f64; 3]>,
+    /// Each vertex turned back to look straight ahead, in the model's frame and nominal millimetres.
+    pub vertices_mm: Vec<[f64; 3]>,
+}
+
+/// Carries the face `vertices_mm`, turned as `camera` has it, onto `points` (Yang et al. 2004, section 5): the features
+/// come to lie on the points, the other vertices between them.
+///
+/// # Errors
+/// Points that determine no map: too few, twice the same, on one line.
+pub fn adapt(
+    model: &Model,
+    vertices_mm: &[[f64; 3]],
+    camera: &Camera,
+    points: &[(FeatureId, [f64; 2])],
+    settings: Settings,
+    depth: Depth<'_>,
+) -> Result<Adapted, AdaptError> {
+    // Steps 1 and 2: turned, and seen without perspective. In units of the eyes' distance.
+    let turned = Camera { scale_px_per_mm: 1.0 / OUTER_EYES_MM, origin_px: [0.0; 2], ..*camera };
+    let seen = turned.project(vertices_mm);
+    let features = turned.project(&model.feature_points(vertices_mm, &camera.rotation()));
+    // Step 3.
+    let nodes: Vec<_> = points.iter().map(|(id, _)| features[id.index()]).collect();
+    let flat: Vec<_> = nodes.iter().map(|&[x, y, _]| [x, y]).collect();
+    let io_px = camera.scale_px_per_mm * OUTER_EYES_MM;
+    let targets: Vec<_> = points.iter().map(|&(_, at)| at.map(|v| v / io_px)).collect();
+    // Steps 4 to 6. Another unit of r is another d, and a factor that the weights take up.
+    let d = match settings.unit {
+        Unit::Pixel => settings.d * (1.0 / io_px),
+        Unit::OuterEyes => settings.d,
+    };
+    let map = RadialMap::new(d, &flat, &targets)?;
+    let mut vertices_px: Vec<_> = seen
+        .iter()
+        .map(|&[x, y, z]| {
+            let [u, v] = map.at(&[x, y]);
+            [u * io_px, v * io_px, z]
+        })
+        .collect();
+    match depth {
+        Depth::Model => {
+            let scale_px = io_px * spread(&targets) / spread(&flat);
+            vertices_px.iter_mut().for_each(|v| v[2] *= scale_px);
+        }
+        Depth::Points(depths) => {
+            let targets: Vec<_> = depths.iter().map(|z| [z / io_px]).collect();
+            let map = RadialMap::<3, 1>::new(d, &nodes, &targets)?;
+            for (vertex, place) in vertices_px.iter_mut().zip(&seen) {
+                vertex[2] = map.at(place)[0] * io_px;
+            }
+        }
+    }
+    let vertices_mm = camera.unproject(&vertices_px);
+    Ok(Adapted { vertices_px, vertices_mm })
+}
+
+/// Root mean square distance from the middle.
+fn spread(points: &[[f64; 2]]) -> f64 {
+    let n = points.len() as f64;
+    let mean = [0, 1].map(|axis| points.iter().map(|p| p[axis]).sum::<f64>() / n);
+    let squares: f64 =
+        points.iter().map(|p| (p[0] - mean[0]).powi(2) + (p[1] - mean[1]).powi(2)).sum();
+    (squares / n).sqrt()
+}

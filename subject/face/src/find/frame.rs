@@ -22,34 +22,20 @@ impl Frame {
     /// How far the mouth is from the eyes, in distances of the eyes: 63 mm and 70 mm on an adult.
     pub const MOUTH: f32 = 1.1;
 
-    /// Where a point of the picture is in the face; far away where the frame has no area.
-    #[must_use]
-    pub fn inside(&self, [x, y]: [f32; 2]) -> [f32; 2] {
-        let (dx, dy) = (x - self.origin[0], y - self.origin[1]);
-        let area = self.across[0] * self.down[1] - self.across[1] * self.down[0];
-        if area.abs() < f32::MIN_POSITIVE {
-            return [f32::MAX; 2];
-        }
-        let seen = (dx * self.down[1] - dy * self.down[0]) / area;
-        let y = (dy * self.across[0] - dx * self.across[1]) / area;
-        if self.turn.abs() < 1e-3 {
-            return [seen, y];
-        }
-        let root = 1.0 + 4.0 * self.turn * (seen + self.turn / 4.0);
-        // Beyond the edge of the cylinder there is no face.
-        let x = if root > 0.0 { (root.sqrt() - 1.0) / (2.0 * self.turn) } else { f32::MAX };
-        [x, y]
+    /// Through two eyes, the one at the picture's left first, and a mouth.
+    pub(super) fn through([left, right]: [[f32; 2]; 2], mouth: [f32; 2], turn: f32) -> Self {
+        let origin = [(left[0] + right[0]) / 2.0, (left[1] + right[1]) / 2.0];
+        let across = [right[0] - left[0], right[1] - left[1]];
+        // Seen turned, the middle of the mouth is beside the middle of the eyes.
+        let down = [0, 1].map(|i| (mouth[i] - origin[i] + turn / 4.0 * across[i]) / Self::MOUTH);
+        Self { origin, across, down, turn }
     }
 
     /// Where a point of the face is in the picture.
     #[must_use]
     pub fn at(&self, x: f32, y: f32) -> [f32; 2] {
         let x = x + self.turn * (x * x - 0.25);
-        let place = |i: usize| {
-            let part = |v: &[f32; 2]| v.get(i).copied().unwrap_or_default();
-            part(&self.origin) + x * part(&self.across) + y * part(&self.down)
-        };
-        [place(0), place(1)]
+        [0, 1].map(|i| self.origin[i] + x * self.across[i] + y * self.down[i])
     }
 
     /// The eyes: first the one at the picture's left.

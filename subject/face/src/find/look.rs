@@ -1,8 +1,13 @@
-//! How a face looks once it is upright: slopes by direction, brightness and contrast of its cells, in a byte each.
+//! How a face looks once it is upright, in bytes that regressions and trees ask about: a first look at where the template
+//! has it, and a second one straight at the landmarks that a glance finds there.
 
+use super::Found;
 use super::frame::{Frame, length};
-use super::octaves::Octaves;
-use crate::slopes::{WAYS, ways};
+use crate::oriented::{Cells, FLOOR, MIDDLE, WAYS, byte};
+use crate::photo::Photo;
+use crate::plane::{Plane, Pyramid};
+use crate::points::Rough;
+use crate::points::regressor::{Glance, PATCHES_LOOK, Told, mean};
 
 /// Cells along each side, a quarter of the distance of the eyes wide: two and a half distances in all.
 const SIDE: usize = 10;
@@ -10,8 +15,7 @@ const SIDE: usize = 10;
 const CELL: usize = 4;
 /// Cells beyond the border, that contrast is told from.
 const AROUND: usize = 1;
-const WIDE: usize = SIDE + 2 * AROUND;
-const SAMPLES: usize = WIDE * CELL;
+const SAMPLES: usize = (SIDE + 2 * AROUND) * CELL;
 /// Where the cells begin, in distances of the eyes from the middle of the eyes.
 const LEFT: f32 = -1.25;
 const TOP: f32 = -0.75;
@@ -21,31 +25,42 @@ const STEP: f32 = 1.0 / 16.0;
 const PER_CELL: usize = WAYS + 2;
 /// Numbers of one look.
 pub const LOOK: usize = SIDE * SIDE * PER_CELL;
-/// Contrast that is noise, in roots of grey levels: added before it is divided by.
-const FLOOR: f32 = 0.25;
-/// Bytes of a slope as steep as the contrast around, of a standard deviation of brightness, and of twice the contrast.
-const SLOPE_BYTES: f32 = 128.0;
-const BRIGHT_BYTES: f32 = 40.0;
+/// Bytes of twice the contrast.
 const CONTRAST_BYTES: f32 = 40.0;
-const MIDDLE: f32 = 128.0;
+
+/// Bytes of a second look: how it looks in the frame of the landmarks, what lies around each of them, and how sure the first
+/// look was.
+pub const SECOND: usize = LOOK + PATCHES_LOOK + 1;
+/// The nasion, by its number in iBUG-68: it lies where the middle of the face crosses the line of the eyes.
+const NASION: usize = 27;
+/// The turn by how far aside the nasion is, in distances of the eyes: of 600 random heads, whose turn is known. It lies before
+/// the cylinder that a [`Frame`] takes a face for, so this is less than the cylinder's 4.
+const TURN_BY_ASIDE: f32 = -2.4;
+/// Beyond this turn, of 54 degrees, an eye is hidden.
+const TURN_MOST: f32 = 0.6;
 
 /// [`LOOK`] bytes, and more of a second look: row by row, cell by cell, eight slopes from the right on clockwise, brightness, contrast.
 pub type Look = Vec<u8>;
 
 /// Of the face that has this frame on the photograph.
-pub(super) fn look(octaves: &Octaves, frame: &Frame) -> Look {
-    let shrink = length(frame.down) * STEP;
-    let Some((plane, done)) = octaves.at(shrink) else { return Vec::new() };
+pub(super) fn look(pyramid: &Pyramid, frame: &Frame) -> Look {
+    let Some((plane, done)) = pyramid.at(length(frame.down) * STEP) else { return Vec::new() };
     let by = 1.0 / done;
-    let mut root = [[0.0_f32; SAMPLES]; SAMPLES];
-    for (y, row) in root.iter_mut().enumerate() {
+    let mut roots = Plane::filled(SAMPLES, SAMPLES, 0.0);
+    for (y, row) in roots.values_mut().chunks_exact_mut(SAMPLES).enumerate() {
         for (x, value) in row.iter_mut().enumerate() {
             let at = |i: usize, from: f32| from + STEP * (i as f32 + 0.5 - (AROUND * CELL) as f32);
             let [px, py] = frame.at(at(x, LEFT), at(y, TOP));
             *value = plane.sample((px + 0.5) * by - 0.5, (py + 0.5) * by - 0.5).max(0.0).sqrt();
         }
     }
-    told(&pooled(&root))
+    let cells = Cells::pooled(&roots, CELL);
+    let energy = cells.inner(AROUND).map(|(_, _, cell)| cell.energy).sum::<f32>();
+    let whole = (energy / (SIDE * SIDE) as f32).sqrt();
+    cells.bytes(AROUND, |cell, bytes| {
+        let own = cell.energy.sqrt() + FLOOR;
+        bytes.push(byte(MIDDLE + CONTRAST_BYTES * (own / (whole + FLOOR)).log2()));
+    })
 }
 
 /// The look of the mirror image.
@@ -62,70 +77,25 @@ pub(super) fn mirrored(look: &Look) -> Look {
         .collect()
 }
 
-/// Sums over a cell: slopes, brightness, squares of slopes.
-type Sums = [f32; PER_CELL];
-
-fn pooled(root: &[[f32; SAMPLES]; SAMPLES]) -> [[Sums; WIDE]; WIDE] {
-    let mut cells = [[[0.0; PER_CELL]; WIDE]; WIDE];
-    for (y, row) in root.iter().enumerate() {
-        let upper = root.get(y.saturating_sub(1)).unwrap_or(row);
-        let lower = root.get(y + 1).unwrap_or(row);
-        for (x, &value) in row.iter().enumerate() {
-            let before = row.get(x.saturating_sub(1)).copied().unwrap_or(value);
-            let after = row.get(x + 1).copied().unwrap_or(value);
-            let of = |line: &[f32; SAMPLES]| line.get(x).copied().unwrap_or(value);
-            let (dx, dy) = (after - before, of(lower) - of(upper));
-            let Some(cell) = cells.get_mut(y / CELL).and_then(|row| row.get_mut(x / CELL)) else {
-                continue;
-            };
-            let mut add = |i: usize, by: f32| {
-                if let Some(sum) = cell.get_mut(i) {
-                    *sum += by;
-                }
-            };
-            for (way, by) in ways(dx, dy) {
-                add(way, by);
-            }
-            add(WAYS, value);
-            add(WAYS + 1, dx * dx + dy * dy);
-        }
-    }
-    cells
+/// Where eyes and mouth are by a glance, and how it looks there; nothing where they give no frame that could be looked at.
+pub(super) fn second(pyramid: &Pyramid, photo: &Photo, found: &Found) -> Option<(Frame, Look)> {
+    let glance = Glance::at(photo, &Rough::from(found));
+    let told = glance.told();
+    let frame = frame(&glance, &told);
+    let mut bytes = look(pyramid, &frame);
+    bytes.extend(glance.patches(&told));
+    bytes.push((255.0 * found.score).round().clamp(0.0, 255.0) as u8);
+    (bytes.len() == SECOND).then_some((frame, bytes))
 }
 
-/// In the contrast of around, and in bytes.
-fn told(cells: &[[Sums; WIDE]; WIDE]) -> Look {
-    let samples = (CELL * CELL) as f32;
-    let energy = |row: usize, column: usize| {
-        cells.get(row).and_then(|row| row.get(column)).map_or(0.0, |cell| cell[WAYS + 1] / samples)
-    };
-    let inner = || {
-        (AROUND..AROUND + SIDE).flat_map(|row| {
-            (AROUND..AROUND + SIDE).filter_map(move |column| {
-                cells.get(row).and_then(|row| row.get(column)).map(|cell| (row, column, cell))
-            })
-        })
-    };
-    let count = (SIDE * SIDE) as f32;
-    let bright = |cell: &Sums| cell[WAYS] / samples;
-    let mean = inner().map(|(_, _, cell)| bright(cell)).sum::<f32>() / count;
-    let spread = inner().map(|(_, _, cell)| (bright(cell) - mean).powi(2)).sum::<f32>() / count;
-    let spread = spread.sqrt() + FLOOR;
-    let whole = (inner().map(|(row, column, _)| energy(row, column)).sum::<f32>() / count).sqrt();
-    let mut out = Vec::with_capacity(LOOK);
-    for (row, column, cell) in inner() {
-        // By 1, 2, 1 both ways.
-        let near = |d: usize| if d == 1 { 2.0 } else { 1.0 };
-        let around: f32 = (0..3)
-            .flat_map(|dy| (0..3).map(move |dx| (dy, dx)))
-            .map(|(dy, dx)| near(dy) * near(dx) * energy(row + dy - 1, column + dx - 1))
-            .sum();
-        let contrast = (around / 16.0).sqrt() + FLOOR;
-        let byte = |value: f32| value.round().clamp(0.0, 255.0) as u8;
-        out.extend(cell.iter().take(WAYS).map(|sum| byte(SLOPE_BYTES * sum / samples / contrast)));
-        out.push(byte(MIDDLE + BRIGHT_BYTES * (bright(cell) - mean) / spread));
-        let own = energy(row, column).sqrt() + FLOOR;
-        out.push(byte(MIDDLE + CONTRAST_BYTES * (own / (whole + FLOOR)).log2()));
-    }
-    out
+fn frame(glance: &Glance, told: &Told) -> Frame {
+    let at = |range| glance.to_photo(mean(told, range)).map(|v| v as f32);
+    let (left, right, mouth) = (at(36..42), at(42..48), at(48..60));
+    let nasion = at(NASION..NASION + 1);
+    let origin = [(left[0] + right[0]) / 2.0, (left[1] + right[1]) / 2.0];
+    let across = [right[0] - left[0], right[1] - left[1]];
+    let wide = across[0] * across[0] + across[1] * across[1];
+    let aside = (nasion[0] - origin[0]) * across[0] + (nasion[1] - origin[1]) * across[1];
+    let turn = TURN_BY_ASIDE * aside / wide.max(f32::MIN_POSITIVE);
+    Frame::through([left, right], mouth, turn.clamp(-TURN_MOST, TURN_MOST))
 }

@@ -6,40 +6,29 @@
 //! mouth and turn). How it looks in that frame ([`Look`]) tells where eyes and mouth are, by two linear regressions, one
 //! after the other (Xiong and De la Torre 2013); how it looks with those tells whether it may be a face: a few hundred boosted
 //! trees of three questions each, about slopes, brightness and contrast of its cells, as in aggregated channel features
-//! (Dollar et al. 2014). What may be one is looked at again, where a glance (`points::glance`) has its landmarks: other
+//! (Dollar et al. 2014). What may be one is looked at again, where a glance (`points::regressor`) has its landmarks: other
 //! trees ask how it looks there and around each of them. No colours are asked about: grey photographs are as good as others.
 //!
 //! The template of (Yang et al. 2004, eq. 4) is what this grew from; it is measured everywhere instead of on blocks of skin,
 //! so that neither hair over a cheek nor a wall of skin's colour hides a face.
 
 mod align;
-mod align_first;
-mod align_second;
-mod cells;
 mod frame;
 mod look;
-mod look_trees;
-mod octaves;
-mod place;
-mod rough;
-mod scan;
-mod search;
-mod second;
-mod second_trees;
+mod places;
 mod template;
-mod template_weights;
 #[cfg(test)]
 mod tests;
-mod verdict;
+mod trees;
 
+use crate::photo::Photo;
+use crate::plane::Pyramid;
+use crate::points::Rough;
+use align::STEPS;
 pub use frame::Frame;
-pub use look::{LOOK, Look};
-pub use search::{
-    Hypothesis, IO_MIN_PX, SCORE_MIN, faces, hypotheses, hypotheses_after, hypotheses_again,
-};
-pub use second::SECOND;
-
-use super::{Photo, Plane};
+pub use look::{LOOK, Look, SECOND};
+use look::{look, second};
+use places::places;
 
 /// A face: eyes, mouth and how sure they are. Coordinates are the photograph's, in pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -54,4 +43,142 @@ pub struct Found {
     pub io_px: f64,
     /// 0 to 1: the share of what looks so that is a face, on what the trees learned from, where faces counted two of five.
     pub score: f64,
+}
+
+/// Distance of the outer eye corners, in those of the eyes' middles: 90 mm and 63 mm.
+const IO_OF_EYES: f64 = 1.43;
+/// The smallest face that is looked for, as the distance of the outer corners, on photographs of up to a megapixel; it
+/// grows with the root of what is beyond that.
+pub const IO_MIN_PX: f32 = 32.0;
+const FULL_SEARCH_PX: f32 = 1e6;
+/// How sure a face must be: the lowest limit, in steps of half a unit of the logarithm of the odds, at which of 3932 pictures
+/// without a face that were held out while the trees were learned (apes are left aside) no more than one in a thousand has one.
+pub const SCORE_MIN: f64 = 0.73;
+
+/// How sure the first look must be of what is looked at again, which takes about 2 ms: low, for the second look is better at it.
+/// There are no more of these than places.
+const FIRST_MIN: f64 = 0.03;
+
+/// What fits less once it is refined is not looked at closer: of the faces learned from a hundredth, of all places two fifths.
+const REFINED_MIN: f32 = -1.5;
+
+/// Two eyes and a mouth, and what they score.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Hypothesis {
+    /// What would be found.
+    pub found: Found,
+    /// How it looks upright: [`LOOK`] bytes, of a second look [`SECOND`].
+    pub look: Look,
+}
+
+/// Every place that may be a face, with its eyes and its mouth where they look to be; the likeliest of the template first.
+#[must_use]
+pub fn hypotheses(photo: &Photo) -> Vec<Hypothesis> {
+    hypotheses_after(photo, STEPS.len())
+}
+
+/// The same after fewer steps of the regression that moves eyes and mouth: after none, they are where the template has them.
+#[must_use]
+pub fn hypotheses_after(photo: &Photo, steps: usize) -> Vec<Hypothesis> {
+    proposed(photo, &Pyramid::new(photo.grey()), steps)
+}
+
+/// What the first look does not dismiss, surest first, as a second look has it: its eyes and mouth, its score, and what
+/// lies there.
+#[must_use]
+pub fn hypotheses_again(photo: &Photo) -> Vec<Hypothesis> {
+    let pyramid = Pyramid::new(photo.grey());
+    let all = proposed(photo, &pyramid, STEPS.len()).into_iter().map(|first| first.found);
+    apart(all.filter(|found| found.score >= FIRST_MIN).collect())
+        .iter()
+        .filter_map(|found| {
+            let (frame, look) = second(&pyramid, photo, found)?;
+            Some(Hypothesis { found: on_photo(&frame, trees::second_score(&look)), look })
+        })
+        .collect()
+}
+
+/// The faces of a photograph, surest first: what a second look is at least `score_min` sure of, and overlaps nothing surer.
+#[must_use]
+pub fn faces(photo: &Photo, score_min: f64) -> Vec<Found> {
+    let all = hypotheses_again(photo).into_iter().map(|hypothesis| hypothesis.found);
+    apart(all.filter(|found| found.score >= score_min).collect())
+}
+
+fn proposed(photo: &Photo, pyramid: &Pyramid, steps: usize) -> Vec<Hypothesis> {
+    let pixels = photo.width() * photo.height();
+    let io_min = IO_MIN_PX * (pixels as f32 / FULL_SEARCH_PX).sqrt().max(1.0);
+    places(pyramid, io_min / IO_OF_EYES as f32)
+        .iter()
+        .map(|place| place.refined(pyramid))
+        .filter(|place| place.fit.odds > REFINED_MIN)
+        .filter_map(|place| {
+            let mut frame = place.frame()?;
+            for step in STEPS.iter().take(steps) {
+                frame = step.aligned(&frame, &look(pyramid, &frame));
+            }
+            Some(hypothesis(pyramid, &frame))
+        })
+        .collect()
+}
+
+/// The surest first, without those that overlap a surer one.
+fn apart(mut all: Vec<Found>) -> Vec<Found> {
+    all.sort_by(|a, b| b.score.total_cmp(&a.score));
+    let mut kept: Vec<Found> = Vec::new();
+    for found in all {
+        if !kept.iter().any(|other| overlap(other, &found)) {
+            kept.push(found);
+        }
+    }
+    kept
+}
+
+/// Whether two faces are at the same place: the middle of one's eyes and mouth is within the other's.
+fn overlap(a: &Found, b: &Found) -> bool {
+    let middle = |found: &Found| {
+        let [left, right] = found.eyes;
+        [0, 1].map(|i: usize| (left[i] + right[i]) / 4.0 + found.mouth[i] / 2.0)
+    };
+    let ([ax, ay], [bx, by]) = (middle(a), middle(b));
+    (ax - bx).hypot(ay - by) < 0.9 * a.io_px.max(b.io_px)
+}
+
+fn hypothesis(pyramid: &Pyramid, frame: &Frame) -> Hypothesis {
+    let look = look(pyramid, frame);
+    Hypothesis { found: on_photo(frame, trees::score(&look)), look }
+}
+
+fn on_photo(frame: &Frame, score: f64) -> Found {
+    let eyes = frame.eyes().map(|eye| eye.map(f64::from));
+    let [[x0, y0], [x1, y1]] = eyes;
+    let (dx, dy) = (x1 - x0, y1 - y0);
+    // Turned aside, eyes are nearer than they are on the head; the mouth's distance stays.
+    let mouth = frame.at(0.0, Frame::MOUTH).map(f64::from);
+    let height = (mouth[0] - (x0 + x1) / 2.0).hypot(mouth[1] - (y0 + y1) / 2.0);
+    let apart = dx.hypot(dy).max(0.5 * height / f64::from(Frame::MOUTH));
+    Found { eyes, mouth, roll_rad: dy.atan2(dx), io_px: IO_OF_EYES * apart, score }
+}
+
+/// A detected mouth may be the base of the nose, which is 0.8 of the eyes' distance below them, often so by the paper's way;
+/// no mouth is nearer than this (in their distance), nor this far aside in a face that is not turned too far.
+const MOUTH_BELOW_MIN: f64 = 1.05;
+const MOUTH_ASIDE: f64 = 0.3;
+
+impl From<&Found> for Rough {
+    fn from(found: &Found) -> Self {
+        let [left_eye, right_eye] = found.eyes;
+        let across = [right_eye[0] - left_eye[0], right_eye[1] - left_eye[1]];
+        let squared = (across[0] * across[0] + across[1] * across[1]).max(f64::MIN_POSITIVE);
+        let middle = [(left_eye[0] + right_eye[0]) / 2.0, (left_eye[1] + right_eye[1]) / 2.0];
+        let to = [found.mouth[0] - middle[0], found.mouth[1] - middle[1]];
+        let aside = (to[0] * across[0] + to[1] * across[1]) / squared;
+        let below = (to[1] * across[0] - to[0] * across[1]) / squared;
+        let (aside, below) = (aside.clamp(-MOUTH_ASIDE, MOUTH_ASIDE), below.max(MOUTH_BELOW_MIN));
+        let mouth = [
+            middle[0] + aside * across[0] - below * across[1],
+            middle[1] + aside * across[1] + below * across[0],
+        ];
+        Rough { left_eye, right_eye, mouth }
+    }
 }

@@ -1,4 +1,4 @@
-//! `face.json`.
+//! `face.json`, and `face.obj`: Wavefront's format, which every program for shapes reads.
 
 use std::collections::BTreeMap;
 
@@ -7,6 +7,7 @@ use thiserror::Error;
 
 use super::{FittedFace, Method, Point, Source};
 use crate::model::{Camera, FeatureId};
+use crate::shortened;
 
 const FORMAT: &str = "mocapd-face";
 const VERSION: u32 = 1;
@@ -162,17 +163,6 @@ impl FittedFace {
     }
 }
 
-/// A reason on one line: a reader of JSON quotes whatever names a file has.
-pub(crate) fn shortened(reason: &str) -> String {
-    const CHARACTERS: usize = 200;
-    let printed = |c: char| if c.is_control() { ' ' } else { c };
-    let mut line: String = reason.chars().map(printed).take(CHARACTERS).collect();
-    if reason.chars().nth(CHARACTERS).is_some() {
-        line.push('…');
-    }
-    line
-}
-
 fn rounded(value: f64, per_unit: f64) -> f64 {
     (value * per_unit).round() / per_unit
 }
@@ -250,5 +240,25 @@ impl File {
             }
         }
         Ok(())
+    }
+}
+
+impl FittedFace {
+    /// The wireframe as an OBJ: nominal millimetres, y up, z to the front. Features stand in comments.
+    pub fn to_obj(&self) -> String {
+        let mut text = String::from("# A face fitted to a photograph by mocapd.\n");
+        text += "# Millimetres, nominal; x to the face's left, y up, z to the front.\n";
+        for (name, vertex) in &self.features {
+            // Control characters would end the comment.
+            let name: String = name.chars().filter(|c| !c.is_control()).collect();
+            text.push_str(&format!("# feature {name} {}\n", vertex + 1));
+        }
+        for [x, y, z] in &self.vertices_mm {
+            text.push_str(&format!("v {x:.3} {y:.3} {z:.3}\n"));
+        }
+        for [a, b, c] in &self.triangles {
+            text.push_str(&format!("f {} {} {}\n", a + 1, b + 1, c + 1));
+        }
+        text
     }
 }

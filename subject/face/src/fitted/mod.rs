@@ -3,23 +3,16 @@
 //! `face.json` is described in `docs/subject-face-format.md`. Nothing in it is a picture of anybody: positions, names and
 //! the photograph's hash.
 
-mod curves;
-mod draw;
 mod format;
-mod number;
-mod obj;
 mod overlay;
-#[cfg(test)]
-mod tests;
 mod views;
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 use super::model::{Camera, FeatureId, Model};
 
-pub use curves::{Curve, Part};
 pub use format::FaceFileError;
-pub(crate) use format::shortened;
 pub use overlay::Overlay;
 
 /// The chain that found the points.
@@ -115,19 +108,105 @@ impl FittedFace {
 
     /// The edges of the triangles, each once.
     pub fn lines(&self) -> Vec<[usize; 2]> {
-        let mut lines: Vec<_> = self
-            .triangles
-            .iter()
-            .flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]])
-            .map(|[a, b]| [a.min(b), a.max(b)])
-            .collect();
-        lines.sort_unstable();
-        lines.dedup();
-        lines
+        edges(self.triangles.iter().copied())
     }
 
     /// Each vertex in the photograph: x, y and how far before the model's origin, in pixels.
     pub fn vertices_px(&self) -> Vec<[f64; 3]> {
         self.camera.project(&self.vertices_mm)
+    }
+
+    /// The triangles that face the camera, for vertices that are seen at these places.
+    fn facing(&self, seen: &[[f64; 3]]) -> impl Iterator<Item = [usize; 3]> {
+        self.triangles.iter().copied().filter(|triangle| {
+            let [a, b, c] = triangle.map(|v| seen[v]);
+            // Counter-clockwise from in front, with y down.
+            (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) < 0.0
+        })
+    }
+}
+
+/// The edges of triangles, each once, as pairs of vertices in rising order.
+fn edges(triangles: impl Iterator<Item = [usize; 3]>) -> Vec<[usize; 2]> {
+    let mut edges: Vec<_> = triangles
+        .flat_map(|[a, b, c]| [[a, b], [b, c], [c, a]])
+        .map(|[a, b]| [a.min(b), a.max(b)])
+        .collect();
+    edges.sort_unstable();
+    edges.dedup();
+    edges
+}
+
+/// A part of the face that is drawn in a colour of its own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    /// Around the face.
+    Contour,
+    /// Both of them.
+    Brow,
+    /// Lids.
+    Eye,
+    /// Wings and base.
+    Nose,
+    /// Lips.
+    Mouth,
+}
+
+/// A line through points.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Curve {
+    /// Of what.
+    pub part: Part,
+    /// In their order.
+    pub points: Vec<FeatureId>,
+    /// Whether the last is joined to the first.
+    pub closed: bool,
+}
+
+impl Part {
+    /// Red, green and blue: apart for all kinds of colour vision (Okabe and Ito 2008), on skin and on paper.
+    pub fn colour(self) -> [u8; 3] {
+        match self {
+            Self::Contour => [0x00, 0x72, 0xb2],
+            Self::Brow => [0x00, 0x9e, 0x73],
+            Self::Eye => [0xf0, 0xe4, 0x42],
+            Self::Nose => [0xe6, 0x9f, 0x00],
+            Self::Mouth => [0xcc, 0x79, 0xa7],
+        }
+    }
+
+    /// The part that a point belongs to.
+    pub fn of(id: FeatureId) -> Self {
+        match id.index() {
+            0..12 => Self::Contour,
+            12..22 => Self::Brow,
+            22..27 => Self::Nose,
+            27..39 => Self::Eye,
+            _ => Self::Mouth,
+        }
+    }
+}
+
+impl Curve {
+    /// All lines of a face.
+    pub fn all() -> Vec<Self> {
+        let line = |part, points: Range<usize>, closed| Self {
+            part,
+            points: points.filter_map(FeatureId::from_index).collect(),
+            closed,
+        };
+        // The line between the lips: from corner to corner, over and under the opening.
+        let lips = [39, 51, 45, 52].into_iter().filter_map(FeatureId::from_index).collect();
+        vec![
+            line(Part::Contour, 0..6, false),
+            line(Part::Contour, 6..12, false),
+            line(Part::Brow, 12..17, false),
+            line(Part::Brow, 17..22, false),
+            line(Part::Nose, 22..27, false),
+            line(Part::Eye, 27..33, true),
+            line(Part::Eye, 33..39, true),
+            line(Part::Mouth, 39..51, true),
+            Self { part: Part::Mouth, points: lips, closed: true },
+        ]
     }
 }

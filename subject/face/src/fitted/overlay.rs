@@ -1,16 +1,15 @@
-//! Fitted faces on their photograph.
+//! Fitted faces on their photograph, drawn with smooth edges; numbers beside them are drawn with a pen, for ten digits need
+//! no font.
 
 use std::io::Cursor;
+use std::ops::Range;
 
 use image::imageops::{self, FilterType};
 use image::{ImageError, ImageFormat, Rgb, RgbImage};
 
-use super::FittedFace;
-use super::curves::{Curve, Part};
-use super::draw::{self, Ink};
-use super::number::{Bounds, Number};
-use crate::Photo;
+use super::{Curve, FittedFace, Part, edges};
 use crate::model::{FeatureId, OUTER_EYES_MM};
+use crate::photo::Photo;
 
 /// Below this the lines would cover the face: small pictures are enlarged first.
 const LEAST_IO_PX: f64 = 160.0;
@@ -79,33 +78,32 @@ impl Overlay {
     fn draw(&mut self, face: &FittedFace) {
         let width_px = self.line_px(face);
         let wire = |colour, opacity, width_px| Ink { colour, opacity, width_px };
-        let vertices: Vec<_> =
-            face.vertices_px().iter().map(|&[x, y, _]| self.place([x, y])).collect();
-        let net: Vec<_> =
-            face.facing_lines().into_iter().map(|line| line.map(|v| vertices[v])).collect();
+        let seen = face.vertices_px();
+        let ends = |line: [usize; 2]| line.map(|v| self.place([seen[v][0], seen[v][1]]));
+        let net: Vec<_> = edges(face.facing(&seen)).into_iter().map(ends).collect();
         let colour = if face.is_unsure() { UNSURE } else { LIGHT };
-        draw::lines(&mut self.picture, &net, wire(DARK, 0.5, 2.2 * width_px));
-        draw::lines(&mut self.picture, &net, wire(colour, 0.75, 0.8 * width_px));
+        lines(&mut self.picture, &net, wire(DARK, 0.5, 2.2 * width_px));
+        lines(&mut self.picture, &net, wire(colour, 0.75, 0.8 * width_px));
         for curve in Curve::all() {
             let at = |id: &FeatureId| face.points.get(id.index()).map(|p| self.place(p.xy_px));
             let points: Vec<_> = curve.points.iter().filter_map(at).collect();
             let last = if curve.closed { points.first() } else { None };
             let path: Vec<_> = points.iter().chain(last).copied().collect();
             let path: Vec<_> = path.windows(2).map(|pair| [pair[0], pair[1]]).collect();
-            draw::lines(&mut self.picture, &path, wire(DARK, 0.8, 2.6 * width_px));
-            draw::lines(&mut self.picture, &path, wire(curve.part.colour(), 1.0, 1.3 * width_px));
+            lines(&mut self.picture, &path, wire(DARK, 0.8, 2.6 * width_px));
+            lines(&mut self.picture, &path, wire(curve.part.colour(), 1.0, 1.3 * width_px));
         }
         for point in &face.points {
             let at = self.place(point.xy_px);
             let colour = Part::of(point.id).colour();
             let picture = &mut self.picture;
             if point.confidence >= SURE {
-                draw::disc(picture, at, wire(DARK, 0.9, 5.4 * width_px));
-                draw::disc(picture, at, wire(colour, 1.0, 3.6 * width_px));
+                disc(picture, at, wire(DARK, 0.9, 5.4 * width_px));
+                disc(picture, at, wire(colour, 1.0, 3.6 * width_px));
             } else {
                 let radius_px = 2.2 * width_px;
-                draw::circle(picture, at, radius_px, wire(DARK, 0.9, 2.2 * width_px));
-                draw::circle(picture, at, radius_px, wire(colour, 1.0, 1.0 * width_px));
+                circle(picture, at, radius_px, wire(DARK, 0.9, 2.2 * width_px));
+                circle(picture, at, radius_px, wire(colour, 1.0, 1.0 * width_px));
             }
         }
     }
@@ -146,21 +144,222 @@ impl Overlay {
     }
 }
 
-impl FittedFace {
-    /// The edges of triangles that face the camera.
-    fn facing_lines(&self) -> Vec<[usize; 2]> {
-        let seen = self.vertices_px();
-        let facing = self.triangles.iter().filter(|triangle| {
-            let [a, b, c] = triangle.map(|v| seen[v]);
-            // Counter-clockwise from in front, with y down.
-            (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) < 0.0
-        });
-        let mut lines: Vec<_> = facing
-            .flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]])
-            .map(|[a, b]| [a.min(b), a.max(b)])
-            .collect();
-        lines.sort_unstable();
-        lines.dedup();
+/// Left top and right bottom.
+type Bounds = [[f64; 2]; 2];
+
+/// A digit's strokes through points of a grid of 4 by 6, y down.
+type Strokes = &'static [&'static [[u8; 2]]];
+
+const DIGITS: [Strokes; 10] = [
+    &[&[[1, 0], [3, 0], [4, 1], [4, 5], [3, 6], [1, 6], [0, 5], [0, 1], [1, 0]]],
+    &[&[[1, 1], [2, 0], [2, 6]], &[[1, 6], [3, 6]]],
+    &[&[[0, 1], [1, 0], [3, 0], [4, 1], [4, 2], [0, 6], [4, 6]]],
+    &[&[[0, 0], [4, 0], [2, 2], [3, 2], [4, 3], [4, 5], [3, 6], [1, 6], [0, 5]]],
+    &[&[[3, 6], [3, 0], [0, 4], [4, 4]]],
+    &[&[[4, 0], [0, 0], [0, 3], [1, 2], [3, 2], [4, 3], [4, 5], [3, 6], [1, 6], [0, 5]]],
+    &[&[[4, 1], [3, 0], [1, 0], [0, 1], [0, 5], [1, 6], [3, 6], [4, 5], [4, 4], [3, 3], [0, 3]]],
+    &[&[[0, 0], [4, 0], [1, 6]]],
+    &[
+        &[[1, 0], [3, 0], [4, 1], [4, 2], [3, 3], [1, 3], [0, 2], [0, 1], [1, 0]],
+        &[[1, 3], [0, 4], [0, 5], [1, 6], [3, 6], [4, 5], [4, 4], [3, 3]],
+    ],
+    &[&[[4, 3], [1, 3], [0, 2], [0, 1], [1, 0], [3, 0], [4, 1], [4, 5], [3, 6], [1, 6], [0, 5]]],
+];
+/// From one digit to the next, in the grid.
+const ADVANCE: f64 = 6.0;
+
+/// A number of a given height.
+struct Number {
+    digits: Vec<Strokes>,
+    height_px: f64,
+}
+
+impl Number {
+    fn new(number: usize, height_px: f64) -> Self {
+        let digit = |c: char| DIGITS.get(c.to_digit(10)? as usize).copied();
+        Self { digits: number.to_string().chars().filter_map(digit).collect(), height_px }
+    }
+
+    /// Pixels of a step of the grid.
+    fn step(&self) -> f64 {
+        self.height_px / 6.0
+    }
+
+    /// Width and height with the plate that it stands on.
+    fn size(&self) -> [f64; 2] {
+        let width = (ADVANCE * self.digits.len() as f64 - 2.0) * self.step();
+        [width + 0.9 * self.height_px, 1.8 * self.height_px]
+    }
+
+    /// Draws it beside the box `of`, where it covers no other box and is within the picture, if there is such a place.
+    /// `colours` are the plate's and the digits'.
+    fn draw(&self, picture: &mut RgbImage, boxes: &[Bounds], of: usize, colours: [[u8; 3]; 2]) {
+        let Some(&own) = boxes.get(of) else { return };
+        let size = self.size();
+        let sides = [f64::from(picture.width()), f64::from(picture.height())];
+        let within = |at: [f64; 2]| (0..2).all(|k| at[k] >= 0.0 && at[k] + size[k] <= sides[k]);
+        let free = |at: [f64; 2]| {
+            let apart =
+                |k: usize, other: &Bounds| at[k] + size[k] <= other[0][k] || at[k] >= other[1][k];
+            boxes.iter().all(|other| apart(0, other) || apart(1, other))
+        };
+        let places = beside(own, size);
+        let best = places.iter().copied().find(|at| within(*at) && free(*at));
+        let at = best.or_else(|| places.iter().copied().find(|at| within(*at)));
+        let at = at.unwrap_or(places[0]);
+        // A face that fills the picture has its number upon it.
+        let at = [0, 1].map(|k| at[k].min(sides[k] - size[k]).max(0.0));
+        self.draw_at(picture, at, colours);
+    }
+
+    fn draw_at(&self, picture: &mut RgbImage, at: [f64; 2], [plate, colour]: [[u8; 3]; 2]) {
+        let [width, height] = self.size();
+        let middle = at[1] + height / 2.0;
+        let ends = [at[0] + height / 2.0, at[0] + width - height / 2.0];
+        // One digit is narrower than its plate is high.
+        let centre = at[0] + width / 2.0;
+        let ends = [ends[0].min(centre), ends[1].max(centre)].map(|x| [x, middle]);
+        let ink = Ink { colour: plate, opacity: 0.8, width_px: height };
+        lines(picture, &[ends], ink);
+        let from = [at[0] + 0.45 * self.height_px, middle - self.height_px / 2.0];
+        let ink = Ink { colour, opacity: 1.0, width_px: (0.16 * self.height_px).max(1.5) };
+        lines(picture, &self.strokes(from), ink);
+    }
+
+    /// The strokes of all digits, the first from `left_top` on.
+    fn strokes(&self, left_top: [f64; 2]) -> Vec<[[f64; 2]; 2]> {
+        let step = self.step();
+        let mut lines = Vec::new();
+        for (i, digit) in self.digits.iter().enumerate() {
+            let left = left_top[0] + ADVANCE * i as f64 * step;
+            let at =
+                |[x, y]: [u8; 2]| [left + f64::from(x) * step, left_top[1] + f64::from(y) * step];
+            let pairs = digit.iter().flat_map(|stroke| stroke.windows(2));
+            lines.extend(pairs.map(|pair| [at(pair[0]), at(pair[1])]));
+        }
         lines
+    }
+}
+
+/// Left tops of places beside a box: at its top left, top right, above and below its middle.
+fn beside([low, high]: Bounds, [width, height]: [f64; 2]) -> [[f64; 2]; 4] {
+    let gap = 0.15 * height;
+    let middle = (low[0] + high[0] - width) / 2.0;
+    [
+        [low[0] - width - gap, low[1]],
+        [high[0] + gap, low[1]],
+        [middle, low[1] - height - gap],
+        [middle, high[1] + gap],
+    ]
+}
+
+/// What a stroke is painted with.
+#[derive(Debug, Clone, Copy)]
+struct Ink {
+    colour: [u8; 3],
+    /// From 0 to 1.
+    opacity: f64,
+    width_px: f64,
+}
+
+/// Many straight lines with round ends as one stroke: where they meet, ink that is half transparent lies no thicker.
+fn lines(picture: &mut RgbImage, lines: &[[[f64; 2]; 2]], ink: Ink) {
+    let lines = || lines.iter().filter(|line| line.iter().flatten().all(|v| v.is_finite()));
+    let ends = || lines().flatten();
+    let low = |axis: usize| ends().map(|end| end[axis]).fold(f64::INFINITY, f64::min);
+    let high = |axis: usize| ends().map(|end| end[axis]).fold(f64::NEG_INFINITY, f64::max);
+    let corners = [[low(0), low(1)], [high(0), high(1)]];
+    let Some(whole) = Patch::around(picture, corners, ink) else { return };
+    let width = whole.x.len();
+    let mut covered = vec![0_u8; width * whole.y.len()];
+    for &[from, to] in lines() {
+        let Some(patch) = Patch::around(picture, [from, to], ink) else { continue };
+        for y in patch.y {
+            for x in patch.x.clone() {
+                let share = ink.share(off_line([f64::from(x), f64::from(y)], from, to));
+                let at = (y - whole.y.start) as usize * width + (x - whole.x.start) as usize;
+                if let Some(most) = covered.get_mut(at) {
+                    *most = (*most).max((255.0 * share).round() as u8);
+                }
+            }
+        }
+    }
+    let places = whole.y.flat_map(|y| whole.x.clone().map(move |x| [x, y]));
+    for (place, share) in places.zip(covered).filter(|(_, share)| *share > 0) {
+        blend(picture, place, ink, f64::from(share) / 255.0);
+    }
+}
+
+/// A disc of `ink.width_px` across.
+fn disc(picture: &mut RgbImage, at: [f64; 2], ink: Ink) {
+    stroke(picture, [at, at], ink, |p| (p[0] - at[0]).hypot(p[1] - at[1]));
+}
+
+/// A circle of `radius_px`.
+fn circle(picture: &mut RgbImage, at: [f64; 2], radius_px: f64, ink: Ink) {
+    let corners = [at.map(|v| v - radius_px), at.map(|v| v + radius_px)];
+    stroke(picture, corners, ink, |p| ((p[0] - at[0]).hypot(p[1] - at[1]) - radius_px).abs());
+}
+
+/// Inks every pixel by its distance to what is drawn, within the box around two corners.
+fn stroke(
+    picture: &mut RgbImage,
+    corners: [[f64; 2]; 2],
+    ink: Ink,
+    distance: impl Fn([f64; 2]) -> f64,
+) {
+    let Some(patch) = Patch::around(picture, corners, ink) else { return };
+    for y in patch.y {
+        for x in patch.x.clone() {
+            let share = ink.share(distance([f64::from(x), f64::from(y)]));
+            if share > 0.0 {
+                blend(picture, [x, y], ink, share);
+            }
+        }
+    }
+}
+
+/// The pixels that ink can come to.
+struct Patch {
+    x: Range<u32>,
+    y: Range<u32>,
+}
+
+impl Patch {
+    /// Around two corners; none where they are no numbers.
+    fn around(picture: &RgbImage, corners: [[f64; 2]; 2], ink: Ink) -> Option<Self> {
+        let reach = ink.width_px / 2.0 + 1.0;
+        let range = |axis: usize, side: u32| {
+            let low = corners[0][axis].min(corners[1][axis]) - reach;
+            let high = corners[0][axis].max(corners[1][axis]) + reach;
+            // `as` holds at 0 and at the largest what lies beyond.
+            let end = (high.ceil().max(0.0) as u32).saturating_add(1).min(side);
+            (low.floor().max(0.0) as u32).min(end)..end
+        };
+        let finite = corners.iter().flatten().all(|v| v.is_finite());
+        finite.then(|| Self { x: range(0, picture.width()), y: range(1, picture.height()) })
+    }
+}
+
+impl Ink {
+    /// How much of a pixel so far from the middle of the stroke is covered, 0 to 1.
+    fn share(&self, off: f64) -> f64 {
+        (self.width_px / 2.0 + 0.5 - off).clamp(0.0, self.width_px.clamp(0.0, 1.0))
+    }
+}
+
+fn off_line(at: [f64; 2], from: [f64; 2], to: [f64; 2]) -> f64 {
+    let along = [to[0] - from[0], to[1] - from[1]];
+    let length2 = (along[0] * along[0] + along[1] * along[1]).max(1e-12);
+    let d = [at[0] - from[0], at[1] - from[1]];
+    let t = ((d[0] * along[0] + d[1] * along[1]) / length2).clamp(0.0, 1.0);
+    (d[0] - t * along[0]).hypot(d[1] - t * along[1])
+}
+
+fn blend(picture: &mut RgbImage, [x, y]: [u32; 2], ink: Ink, share: f64) {
+    let Some(Rgb(under)) = picture.get_pixel_mut_checked(x, y) else { return };
+    for (under, over) in under.iter_mut().zip(ink.colour) {
+        let by = ink.opacity * share * (f64::from(over) - f64::from(*under));
+        *under = (f64::from(*under) + by).round() as u8;
     }
 }

@@ -1,7 +1,6 @@
 //! The wireframe from three sides, as an SVG.
 
-use super::FittedFace;
-use super::curves::Curve;
+use super::{Curve, FittedFace};
 use crate::model::{Camera, FeatureId};
 
 const VIEWS: [(&str, f64); 3] = [("front", 0.0), ("three-quarter", 40.0), ("side", 90.0)];
@@ -123,12 +122,7 @@ impl FittedFace {
     /// Whether any triangle around a vertex faces the camera.
     fn facing_vertices(&self, seen: &[[f64; 3]]) -> Vec<bool> {
         let mut facing = vec![false; seen.len()];
-        for triangle in &self.triangles {
-            let [a, b, c] = triangle.map(|v| seen[v]);
-            if (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) < 0.0 {
-                triangle.iter().for_each(|&v| facing[v] = true);
-            }
-        }
+        self.facing(seen).flatten().for_each(|v| facing[v] = true);
         facing
     }
 }

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::{Mapping, Marker, Place};
-use crate::fitted::shortened;
+use crate::shortened;
 
 const FORMAT: &str = "mocapd-face-mapping";
 const VERSION: u32 = 1;
@@ -35,27 +35,7 @@ struct File {
     version: u32,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     about: Option<String>,
-    markers: Vec<FileMarker>,
-}
-
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct FileMarker {
-    label: String,
-    at: FilePlace,
-    #[serde(default = "one")]
-    weight: f64,
-}
-
-#[derive(Serialize, Deserialize)]
-#[serde(untagged)]
-enum FilePlace {
-    Feature(String),
-    Vertex(usize),
-}
-
-fn one() -> f64 {
-    1.0
+    markers: Vec<Marker>,
 }
 
 impl Mapping {
@@ -78,14 +58,13 @@ impl Mapping {
             let what = format!("{} markers, where {MAX_MARKERS} is the most", file.markers.len());
             return Err(MappingError::Value(what));
         }
-        let markers: Vec<_> =
-            file.markers.into_iter().map(Marker::try_from).collect::<Result<_, _>>()?;
-        let mut labels: Vec<_> = markers.iter().map(|marker| &marker.label).collect();
+        file.markers.iter().try_for_each(Marker::check)?;
+        let mut labels: Vec<_> = file.markers.iter().map(|marker| &marker.label).collect();
         labels.sort_unstable();
         if let Some(pair) = labels.windows(2).find(|pair| pair[0] == pair[1]) {
             return Err(MappingError::Value(format!("the label {:?} twice", pair[0])));
         }
-        Ok(Self { markers })
+        Ok(Self { markers: file.markers })
     }
 
     /// Writes a mapping.
@@ -93,44 +72,29 @@ impl Mapping {
     /// # Errors
     /// None that a mapping which was read can have.
     pub fn to_json(&self) -> Result<String, MappingError> {
-        let marker = |marker: &Marker| FileMarker {
-            label: marker.label.clone(),
-            at: match &marker.place {
-                Place::Feature(name) => FilePlace::Feature(name.clone()),
-                Place::Vertex(index) => FilePlace::Vertex(*index),
-            },
-            weight: marker.weight,
-        };
-        let markers = self.markers.iter().map(marker).collect();
+        let markers = self.markers.clone();
         let file = File { format: FORMAT.into(), version: VERSION, about: None, markers };
         serde_json::to_string_pretty(&file).map_err(|error| MappingError::Shape(error.to_string()))
     }
 }
 
-impl TryFrom<FileMarker> for Marker {
-    type Error = MappingError;
-
-    fn try_from(marker: FileMarker) -> Result<Self, MappingError> {
+impl Marker {
+    fn check(&self) -> Result<(), MappingError> {
         let odd = |name: &str| {
             name.is_empty() || name.len() > MAX_NAME || name.chars().any(char::is_control)
         };
-        let name = if let FilePlace::Feature(name) = &marker.at { name } else { "a vertex" };
-        if odd(&marker.label) || odd(name) {
-            let what = format!(
-                "a label or name that is empty, longer than {MAX_NAME} bytes, or has control characters"
-            );
-            return Err(MappingError::Value(what));
-        }
-        if !(0.0..=MAX_WEIGHT).contains(&marker.weight) {
+        let name = if let Place::Feature(name) = &self.place { name } else { "a vertex" };
+        if odd(&self.label) || odd(name) {
             return Err(MappingError::Value(format!(
-                "a weight of {}, where 0 to {MAX_WEIGHT} are allowed",
-                marker.weight
+                "a label or name that is empty, longer than {MAX_NAME} bytes, or has control characters"
             )));
         }
-        let place = match marker.at {
-            FilePlace::Feature(name) => Place::Feature(name),
-            FilePlace::Vertex(index) => Place::Vertex(index),
-        };
-        Ok(Self { label: marker.label, place, weight: marker.weight })
+        if !(0.0..=MAX_WEIGHT).contains(&self.weight) {
+            return Err(MappingError::Value(format!(
+                "a weight of {}, where 0 to {MAX_WEIGHT} are allowed",
+                self.weight
+            )));
+        }
+        Ok(())
     }
 }

@@ -1,6 +1,6 @@
 use super::*;
 use crate::model::{Camera, Model};
-use crate::render::Random;
+use mocapd_testkit::photograph::Random;
 
 fn moved(vertices: &[[f64; 3]]) -> Vec<[f64; 3]> {
     // A similarity of its own: turned, 1.07 times as large, elsewhere. Project flips y; twice is none.

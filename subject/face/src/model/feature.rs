@@ -1,14 +1,5 @@
 //! The 53 points of (Yang et al. 2004), by name.
 
-/// The subject's own left or right.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Side {
-    /// Left in the picture, of a face that looks at the camera.
-    Right,
-    /// Right in the picture, of a face that looks at the camera.
-    Left,
-}
-
 /// One of the 53 points that are taken from a photograph (Yang et al. 2004): 12 of the outline, 10 of the brows, 5 of the
 /// nose, 12 of the lids, 14 of the lips.
 ///
@@ -125,17 +116,13 @@ impl FeatureId {
         TABLE.get(self.index()).is_some_and(|(name, _)| name.ends_with("_contour_top"))
     }
 
+    /// Whether it is of the subject's own right side: left in the picture, of a face that looks at the camera.
+    pub(super) fn is_right(self) -> bool {
+        self.name().starts_with("right_")
+    }
+
     /// Whether it lies on the outline, and is therefore no fixed place on the skin.
     pub fn is_contour(self) -> bool {
         self.index() < Self::CONTOUR
-    }
-
-    /// The side of a point of the outline.
-    pub fn contour_side(self) -> Option<Side> {
-        match self.index() {
-            0..6 => Some(Side::Right),
-            6..12 => Some(Side::Left),
-            _ => None,
-        }
     }
 }

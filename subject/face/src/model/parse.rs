@@ -5,9 +5,8 @@ use std::str::{FromStr, SplitAsciiWhitespace};
 
 use thiserror::Error;
 
-use super::feature::FeatureId;
-use super::shape::{Anchor, Kind, Mode, Model};
-use crate::fitted::shortened;
+use super::{Anchor, FeatureId, Kind, Mode, Model};
+use crate::shortened;
 
 /// Far above any wireframe that is worth drawing; what the arithmetic of a fit costs grows with it.
 const MAX_VERTICES: usize = 20_000;

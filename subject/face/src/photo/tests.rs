@@ -2,7 +2,7 @@ use std::io::Cursor;
 
 use image::{DynamicImage, ImageFormat, RgbImage};
 
-use super::{Colour, Note, Photo, PhotoError, container::Jpeg};
+use super::{Colour, Note, Photo, PhotoError, read::Jpeg};
 
 /// Colours without a rule between luma and hue.
 fn colourful(width: u32, height: u32) -> RgbImage {

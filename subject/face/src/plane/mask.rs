@@ -1,6 +1,4 @@
-//! Yes or no for each pixel, and its morphology.
-
-use std::ops::DerefMut;
+//! Yes or no for each pixel, its morphology, and what the moments of connected pixels say of them.
 
 /// Yes or no a pixel, row by row from the top left.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -43,12 +41,6 @@ impl Mask {
         x < self.width && self.values.get(y * self.width + x).copied().unwrap_or_default()
     }
 
-    /// How many pixels are in it.
-    #[must_use]
-    pub fn count(&self) -> usize {
-        self.values.iter().filter(|&&value| value).count()
-    }
-
     /// What is not in it.
     #[must_use]
     pub fn inverted(&self) -> Self {
@@ -81,50 +73,171 @@ impl Mask {
 
     /// Every pixel within `radius` of one that is `to` becomes `to`: along the rows, then along the columns.
     fn turned(&self, radius: usize, to: bool) -> Self {
-        let mut across = self.clone();
-        for (from, into) in
-            self.values.chunks_exact(self.width).zip(across.values.chunks_exact_mut(self.width))
-        {
-            spread(from.iter().copied(), into.iter_mut(), radius, to);
-        }
-        let mut out = across.clone();
+        let rows = self.values.chunks_exact(self.width);
+        let across: Vec<bool> =
+            rows.flat_map(|row| spread(row.iter().copied(), radius, to)).collect();
+        let mut out = self.clone();
         for x in 0..self.width {
-            let from = across.values.iter().skip(x).step_by(self.width).copied();
+            let column = spread(across.iter().copied().skip(x).step_by(self.width), radius, to);
             let into = out.values.iter_mut().skip(x).step_by(self.width);
-            spread(from, into, radius, to);
+            into.zip(column).for_each(|(into, value)| *into = value);
         }
         out
     }
 }
 
-/// One line: the distance to the last `to`, from both sides, by two walks in one: a pixel is written once the walk is
-/// `radius` beyond it.
-fn spread<I: Iterator<Item: DerefMut<Target = bool>>>(
-    from: impl Iterator<Item = bool>,
-    into: I,
-    radius: usize,
-    to: bool,
-) {
-    let mut into = into;
-    let mut last: Option<usize> = None;
-    let mut length = 0;
-    for (at, value) in from.enumerate() {
-        length = at + 1;
-        if value == to {
-            last = Some(at);
-        }
-        if let Some(centre) = at.checked_sub(radius)
-            && let Some(mut pixel) = into.next()
-        {
-            *pixel = decided(last, centre, radius, to);
-        }
+/// The same of one line, by how many there are up to each pixel.
+fn spread(line: impl Iterator<Item = bool>, radius: usize, to: bool) -> Vec<bool> {
+    let mut counts = vec![0_usize];
+    counts.extend(line.scan(0, |count, value| {
+        *count += usize::from(value == to);
+        Some(*count)
+    }));
+    let length = counts.len() - 1;
+    let is_near =
+        |at: usize| counts[(at + radius + 1).min(length)] > counts[at.saturating_sub(radius)];
+    (0..length).map(|at| is_near(at) == to).collect()
+}
+
+/// A number for each pixel: 0 outside of the mask, else 1 + the place of its blob.
+#[derive(Debug, Clone)]
+pub struct Labels {
+    width: usize,
+    /// Row by row.
+    pub labels: Vec<u32>,
+    /// In the order of their first pixels.
+    pub blobs: Vec<Blob>,
+}
+
+/// Connected pixels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Blob {
+    /// Pixels.
+    pub area: usize,
+    /// First column.
+    pub left: usize,
+    /// First row.
+    pub top: usize,
+    /// Behind the last column.
+    pub right: usize,
+    /// Behind the last row.
+    pub bottom: usize,
+    /// Central moments of second order a pixel: xx, xy, yy.
+    pub moments: [f64; 3],
+}
+
+impl Blob {
+    /// The longer axis' angle from x, clockwise in the picture, -pi/2 to pi/2 (Yang et al. 2004, eq. 3, with the quadrant
+    /// kept and the angle taken from x).
+    #[must_use]
+    pub fn axis_rad(&self) -> f64 {
+        let [xx, xy, yy] = self.moments;
+        0.5 * (2.0 * xy).atan2(xx - yy)
     }
-    for (centre, mut pixel) in (length.saturating_sub(radius)..length).zip(into) {
-        *pixel = decided(last, centre, radius, to);
+
+    /// 0 for a disc, 1 for a line: 1 - (shorter / longer)^2.
+    #[must_use]
+    pub fn eccentricity(&self) -> f64 {
+        let [xx, xy, yy] = self.moments;
+        let (mean, half) = ((xx + yy) / 2.0, ((xx - yy) / 2.0).hypot(xy));
+        // Standard deviations along the longer and the shorter axis.
+        let [long, short] = [mean + half, mean - half].map(|square| square.max(0.0).sqrt());
+        if long > 0.0 { 1.0 - (short / long).powi(2) } else { 0.0 }
     }
 }
 
-/// `to` if the last one is not further than `radius` before `centre`.
-fn decided(last: Option<usize>, centre: usize, radius: usize, to: bool) -> bool {
-    if last.is_some_and(|last| last + radius >= centre) { to } else { !to }
+impl Labels {
+    /// The blobs of a mask. `diagonal`: corners connect too.
+    #[must_use]
+    pub fn of(mask: &Mask, diagonal: bool) -> Self {
+        let width = mask.width();
+        let mut labels = vec![0u32; mask.values().len()];
+        let mut blobs = Vec::new();
+        let mut open = Vec::new();
+        for (start, &inside) in mask.values().iter().enumerate() {
+            if !inside || labels.get(start).is_none_or(|&label| label != 0) {
+                continue;
+            }
+            let label = blobs.len() as u32 + 1;
+            let mut sums = Sums::default();
+            open.push(start);
+            set(&mut labels, start, label);
+            while let Some(at) = open.pop() {
+                let (x, y) = (at % width, at / width);
+                sums.add(x, y);
+                let (below, above) = (y + 1 < mask.height(), y > 0);
+                let (left, right) = (x > 0, x + 1 < width);
+                let near = [
+                    (left, at.wrapping_sub(1)),
+                    (right, at + 1),
+                    (above, at.wrapping_sub(width)),
+                    (below, at + width),
+                    (diagonal && above && left, at.wrapping_sub(width + 1)),
+                    (diagonal && above && right, at.wrapping_sub(width).wrapping_add(1)),
+                    (diagonal && below && left, (at + width).wrapping_sub(1)),
+                    (diagonal && below && right, at + width + 1),
+                ];
+                for (_, next) in near.into_iter().filter(|&(there, _)| there) {
+                    let free = labels.get(next) == Some(&0);
+                    if free && mask.values().get(next) == Some(&true) {
+                        set(&mut labels, next, label);
+                        open.push(next);
+                    }
+                }
+            }
+            blobs.push(sums.blob());
+        }
+        Self { width, labels, blobs }
+    }
+
+    /// The pixels of blob `index`.
+    #[must_use]
+    pub fn mask(&self, index: usize) -> Mask {
+        let label = index as u32 + 1;
+        let height = self.labels.len() / self.width.max(1);
+        let values = self.labels.iter().map(|&other| other == label).collect();
+        Mask::from_values(self.width, height, values)
+    }
+}
+
+fn set(labels: &mut [u32], at: usize, label: u32) {
+    if let Some(place) = labels.get_mut(at) {
+        *place = label;
+    }
+}
+
+/// Sums over a blob's pixels; exact, for they are whole.
+#[derive(Default)]
+struct Sums {
+    area: usize,
+    bounds: Option<[usize; 4]>,
+    first: [u64; 2],
+    second: [u64; 3],
+}
+
+impl Sums {
+    fn add(&mut self, x: usize, y: usize) {
+        self.area += 1;
+        let [left, top, right, bottom] = self.bounds.unwrap_or([x, y, x, y]);
+        self.bounds = Some([left.min(x), top.min(y), right.max(x), bottom.max(y)]);
+        let (x, y) = (x as u64, y as u64);
+        self.first = [self.first[0] + x, self.first[1] + y];
+        let [xx, xy, yy] = self.second;
+        self.second = [xx + x * x, xy + x * y, yy + y * y];
+    }
+
+    fn blob(&self) -> Blob {
+        let [left, top, right, bottom] = self.bounds.unwrap_or_default();
+        let n = self.area.max(1) as f64;
+        let [x, y] = self.first.map(|sum| sum as f64 / n);
+        let [xx, xy, yy] = self.second.map(|sum| sum as f64 / n);
+        Blob {
+            area: self.area,
+            left,
+            top,
+            right: right + 1,
+            bottom: bottom + 1,
+            moments: [xx - x * x, xy - x * y, yy - y * y],
+        }
+    }
 }

@@ -3,18 +3,14 @@
 //! Coordinates are those of [`Photo`](super::Photo): whole numbers are the centres of pixels, x right, y down. What lies
 //! outside is what lies at the border.
 
-mod components;
-mod filter;
-mod integral;
 mod mask;
-mod resize;
 #[cfg(test)]
 mod tests;
 
-pub use components::{Blob, Labels};
-pub use filter::Gradient;
-pub use integral::Integral;
-pub use mask::Mask;
+pub use mask::{Blob, Labels, Mask};
+
+/// Widths of a Gaussian beyond this are cut to it: a kernel is never longer than 2 x 3 x 64 + 1.
+const SIGMA_MAX_PX: f32 = 64.0;
 
 /// One number a pixel, row by row from the top left.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,6 +18,17 @@ pub struct Plane {
     width: usize,
     height: usize,
     values: Vec<f32>,
+}
+
+/// The slope in x and y, a pixel, and how steep it is.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Gradient {
+    /// To the right.
+    pub x: Plane,
+    /// Downwards.
+    pub y: Plane,
+    /// Length of both.
+    pub magnitude: Plane,
 }
 
 impl Plane {
@@ -107,12 +114,6 @@ impl Plane {
         above + (below - above) * fy
     }
 
-    /// Whether x and y lie between the centres of the outermost pixels.
-    #[must_use]
-    pub fn holds(&self, x: f32, y: f32) -> bool {
-        x >= 0.0 && y >= 0.0 && x <= (self.width - 1) as f32 && y <= (self.height - 1) as f32
-    }
-
     /// Each value changed by itself.
     #[must_use]
     pub fn map(&self, change: impl Fn(f32) -> f32) -> Self {
@@ -135,12 +136,156 @@ impl Plane {
         Mask::from_values(self.width, self.height, self.values.iter().map(|&v| is(v)).collect())
     }
 
-    /// The value that `share` (0 to 1) of all values are not above; NaN counts as largest.
+    /// Smoothed by a Gaussian of standard deviation `sigma_px`, cut at three of them.
     #[must_use]
-    pub fn quantile(&self, share: f32) -> f32 {
-        let mut values = self.values.clone();
-        let at = ((values.len() - 1) as f32 * share.clamp(0.0, 1.0)).round() as usize;
-        let (_, value, _) = values.select_nth_unstable_by(at, f32::total_cmp);
-        *value
+    pub fn blurred(&self, sigma_px: f32) -> Self {
+        if sigma_px.is_nan() || sigma_px <= 0.05 {
+            return self.clone();
+        }
+        let sigma = sigma_px.min(SIGMA_MAX_PX);
+        let radius = (3.0 * sigma).ceil() as usize;
+        let weights: Vec<f32> =
+            (0..=2 * radius).map(|i| (i as f32 - radius as f32) / sigma).map(gauss).collect();
+        let sum: f32 = weights.iter().sum();
+        let weights: Vec<f32> = weights.iter().map(|weight| weight / sum).collect();
+        let mut out = Self::filled(self.width, self.height, 0.0);
+        // A row with its borders drawn out, so that the inner loop asks nothing.
+        let mut padded = Vec::with_capacity(self.width + 2 * radius);
+        for (from, to) in
+            self.values.chunks_exact(self.width).zip(out.values.chunks_exact_mut(self.width))
+        {
+            let (Some(&first), Some(&last)) = (from.first(), from.last()) else { continue };
+            padded.clear();
+            padded.extend(std::iter::repeat_n(first, radius));
+            padded.extend_from_slice(from);
+            padded.extend(std::iter::repeat_n(last, radius));
+            for (shift, &weight) in weights.iter().enumerate() {
+                let Some(shifted) = padded.get(shift..) else { continue };
+                for (sum, value) in to.iter_mut().zip(shifted) {
+                    *sum += weight * value;
+                }
+            }
+        }
+        let across = std::mem::replace(&mut out, Self::filled(self.width, self.height, 0.0));
+        for (y, to) in out.values.chunks_exact_mut(self.width).enumerate() {
+            for (shift, &weight) in weights.iter().enumerate() {
+                let from = (y + shift).saturating_sub(radius).min(self.height - 1);
+                for (sum, value) in to.iter_mut().zip(across.row(from)) {
+                    *sum += weight * value;
+                }
+            }
+        }
+        out
+    }
+
+    /// Sobel's slopes, in values a pixel (weights 1 2 1 across, divided by 8).
+    #[must_use]
+    pub fn gradient(&self) -> Gradient {
+        let mut x = Self::filled(self.width, self.height, 0.0);
+        let mut y = x.clone();
+        for row in 0..self.height {
+            let above = self.row(row.saturating_sub(1));
+            let here = self.row(row);
+            let below = self.row((row + 1).min(self.height - 1));
+            let outs = x.values.iter_mut().zip(&mut y.values).skip(row * self.width);
+            for (column, (dx, dy)) in outs.take(self.width).enumerate() {
+                let left = column.saturating_sub(1);
+                let right = (column + 1).min(self.width - 1);
+                let at = |row: &[f32], column: usize| row.get(column).copied().unwrap_or_default();
+                let rise = |row| at(row, right) - at(row, left);
+                let step = |column| at(below, column) - at(above, column);
+                *dx = (rise(above) + 2.0 * rise(here) + rise(below)) / 8.0;
+                *dy = (step(left) + 2.0 * step(column) + step(right)) / 8.0;
+            }
+        }
+        let magnitude = x.zip(&y, f32::hypot);
+        Gradient { x, y, magnitude }
+    }
+
+    /// Half as wide and half as high, each pixel the mean of four; an odd last row or column is left out.
+    #[must_use]
+    pub fn halved(&self) -> Self {
+        let (width, height) = ((self.width / 2).max(1), (self.height / 2).max(1));
+        let mut out = Self::filled(width, height, 0.0);
+        for (y, to) in out.values.chunks_exact_mut(width).enumerate() {
+            let (upper, lower) = (self.row(2 * y), self.row((2 * y + 1).min(self.height - 1)));
+            let pairs = upper.chunks(2).zip(lower.chunks(2));
+            for (value, (above, below)) in to.iter_mut().zip(pairs) {
+                let count = above.len() + below.len();
+                *value = above.iter().chain(below).sum::<f32>() / count as f32;
+            }
+        }
+        out
+    }
+
+    /// `width` by `height` pixels (1 at least). Smaller is the mean of what is covered, without aliasing; larger repeats
+    /// with mixed borders. A point `x` of this plane lies at `(x + 0.5) * width / self.width() - 0.5` of the new one.
+    #[must_use]
+    pub fn resized(&self, width: usize, height: usize) -> Self {
+        let (width, height) = (width.max(1), height.max(1));
+        let columns = shares(self.width, width);
+        let rows = shares(self.height, height);
+        let mut out = Self::filled(width, height, 0.0);
+        let mut tall = vec![0.0; self.width];
+        for (to, (first, weights)) in out.values.chunks_exact_mut(width).zip(&rows) {
+            tall.fill(0.0);
+            for (i, &weight) in weights.iter().enumerate() {
+                for (sum, value) in tall.iter_mut().zip(self.row(first + i)) {
+                    *sum += weight * value;
+                }
+            }
+            for (value, (first, weights)) in to.iter_mut().zip(&columns) {
+                let from = tall.get(*first..).unwrap_or_default();
+                *value = from.iter().zip(weights).map(|(value, weight)| value * weight).sum();
+            }
+        }
+        out
+    }
+}
+
+/// For each new pixel the first old one that it covers, and the shares of it and of those behind it; shares sum to 1.
+fn shares(from: usize, to: usize) -> Vec<(usize, Vec<f32>)> {
+    let step = from as f64 / to as f64;
+    let cover = |i: usize| {
+        let (start, end) = (i as f64 * step, (i + 1) as f64 * step);
+        let first = (start as usize).min(from - 1);
+        let last = (end.ceil() as usize).clamp(first + 1, from);
+        let share = |old: usize| (end.min((old + 1) as f64) - start.max(old as f64)).max(0.0);
+        let weights: Vec<f64> = (first..last).map(share).collect();
+        let sum: f64 = weights.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+        (first, weights.iter().map(|weight| (weight / sum) as f32).collect())
+    };
+    (0..to).map(cover).collect()
+}
+
+fn gauss(t: f32) -> f32 {
+    (-0.5 * t * t).exp()
+}
+
+/// A plane at its size, at half of it, at a quarter, and so on: whatever is looked at small begins from there.
+#[derive(Debug)]
+pub(crate) struct Pyramid(Vec<Plane>);
+
+impl Pyramid {
+    /// Down to a few pixels.
+    pub(crate) fn new(plane: Plane) -> Self {
+        let mut planes = vec![plane];
+        while let Some(last) = planes.last().filter(|last| last.width().min(last.height()) >= 32) {
+            planes.push(last.halved());
+        }
+        Self(planes)
+    }
+
+    /// Width and height of the largest, in pixels.
+    pub(crate) fn size(&self) -> [usize; 2] {
+        self.0.first().map_or([1; 2], |plane| [plane.width, plane.height])
+    }
+
+    /// The largest plane that need not be shrunk by two and more for a pixel to be `shrink` of the photograph's, and the
+    /// plane's own shrinking.
+    pub(crate) fn at(&self, shrink: f32) -> Option<(&Plane, f32)> {
+        let wanted = shrink.max(1.0).log2() as usize;
+        let which = wanted.min(self.0.len().saturating_sub(1));
+        self.0.get(which).map(|plane| (plane, (1_u64 << which.min(32)) as f32))
     }
 }

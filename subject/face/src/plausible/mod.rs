@@ -5,14 +5,12 @@
 //! [model](super::model): each mode at one standard deviation, and an annotator's noise. What is further off than
 //! `LIMIT_SD` is said.
 
-mod proportion;
 #[cfg(test)]
 mod tests;
 
-use nalgebra::Matrix3;
+use std::ops::Range;
 
 use super::model::{Camera, FeatureId, FitOptions, Model};
-use proportion::{Off, PROPORTIONS, proportions};
 
 /// From so many standard deviations on a proportion is none of a face: one in 370 is, of each, by the model.
 const LIMIT_SD: f64 = 3.0;
@@ -57,9 +55,7 @@ impl Plausible {
                 roll_deg: 0.0,
                 origin_px: [0.0; 2],
             };
-            let rotation = camera.rotation();
-            let of_shape = |shape: &Vec<[f64; 3]>| seen(model, shape, &camera, &rotation);
-            let mut shapes = shapes.iter().filter_map(of_shape);
+            let mut shapes = shapes.iter().filter_map(|shape| seen(model, shape, &camera));
             let mean = shapes.next()?;
             let mut squares = PROPORTIONS.map(|proportion| proportion.noise_io(&options).powi(2));
             for shape in shapes {
@@ -104,14 +100,153 @@ impl Plausible {
 }
 
 /// The proportions of a shape as a camera sees it.
-fn seen(
-    model: &Model,
-    shape: &[[f64; 3]],
-    camera: &Camera,
-    rotation: &Matrix3<f64>,
-) -> Option<[f64; PROPORTIONS.len()]> {
-    let places = camera.project(&model.feature_points(shape, rotation));
+fn seen(model: &Model, shape: &[[f64; 3]], camera: &Camera) -> Option<[f64; PROPORTIONS.len()]> {
+    let places = camera.project(&model.feature_points(shape, &camera.rotation()));
     let mut points = [[0.0; 2]; FeatureId::COUNT];
     points.iter_mut().zip(places).for_each(|(point, [x, y, _])| *point = [x, y]);
     proportions(&points)
+}
+
+/// A proportion, what it is called, and of what points it is.
+struct Proportion {
+    /// `the mouth`, `lies`, `below the eyes`.
+    words: [&'static str; 3],
+    of: Of,
+    value: fn(&Upright) -> f64,
+}
+
+/// What points a proportion is of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Of {
+    /// A part as a whole, whose points err together.
+    Part,
+    /// Two points, each with its own error.
+    Pair,
+    /// Outline and lips. What is found of the outline is often hair or neck, which is no matter; lips beyond it are.
+    Outline,
+}
+
+/// How far a proportion is off.
+#[derive(Debug, Clone, Copy)]
+struct Off {
+    value: f64,
+    mean: f64,
+    /// In standard deviations.
+    sd: f64,
+}
+
+/// Points by [`FeatureId::index`].
+const OUTLINE_CHIN: [usize; 2] = [5, 11];
+const BROWS: [Range<usize>; 2] = [12..17, 17..22];
+const NOSE: Range<usize> = 22..27;
+const WINGS: [usize; 2] = [22, 26];
+const EYES: [Range<usize>; 2] = [27..33, 33..39];
+const MOUTH: Range<usize> = 39..53;
+const MOUTH_CORNERS: [usize; 2] = [39, 45];
+const LIPS: [usize; 2] = [42, 48];
+
+/// Eyes are the measure of everything else, and the outline's width is told by hair.
+const PROPORTIONS: [Proportion; 11] = [
+    Proportion::new(["the mouth", "lies", "below the eyes"], Of::Part, |face| {
+        face.middle(MOUTH)[1]
+    }),
+    Proportion::new(
+        ["the mouth", "lies", "beside the eyes' middle (to the picture's left where less than 0)"],
+        Of::Part,
+        |face| face.middle(MOUTH)[0],
+    ),
+    Proportion::new(["the mouth", "is", "wide"], Of::Pair, |face| face.across(MOUTH_CORNERS)),
+    Proportion::new(["the mouth", "is", "high"], Of::Pair, |face| face.down(LIPS)),
+    Proportion::new(["the nose", "ends", "below the eyes"], Of::Part, |face| face.middle(NOSE)[1]),
+    Proportion::new(
+        ["the nose", "ends", "beside the eyes' middle (to the picture's left where less than 0)"],
+        Of::Part,
+        |face| face.middle(NOSE)[0],
+    ),
+    Proportion::new(["the nose", "is", "wide"], Of::Pair, |face| face.across(WINGS)),
+    Proportion::new(["the mouth", "lies", "below the nose"], Of::Part, |face| {
+        face.middle(MOUTH)[1] - face.middle(NOSE)[1]
+    }),
+    Proportion::new(["the right brow", "lies", "above its eye"], Of::Part, |face| face.brow(0)),
+    Proportion::new(["the left brow", "lies", "above its eye"], Of::Part, |face| face.brow(1)),
+    Proportion::new(["the chin", "lies", "below the lips"], Of::Outline, |face| {
+        let [right, left] = OUTLINE_CHIN.map(|i| face.at[i][1]);
+        (right + left) / 2.0 - face.at[LIPS[1]][1]
+    }),
+];
+
+impl Proportion {
+    const fn new(words: [&'static str; 3], of: Of, value: fn(&Upright) -> f64) -> Self {
+        Self { words, of, value }
+    }
+
+    /// Standard deviation of its points where the face is known.
+    fn noise_io(&self, options: &FitOptions) -> f64 {
+        match self.of {
+            Of::Part => options.noise_io,
+            Of::Pair => std::f64::consts::SQRT_2 * options.noise_io,
+            Of::Outline => options.noise_io.hypot(options.contour_noise_io),
+        }
+    }
+
+    /// How many standard deviations something is off; none where that is no matter.
+    fn deviation(&self, value: f64, mean: f64, sd: f64) -> f64 {
+        let off = (value - mean) / sd;
+        if self.of == Of::Outline { off.min(0.0) } else { off }
+    }
+
+    /// `the mouth lies 1.12 of the eyes' width below the eyes, where 0.83 is expected`.
+    fn words(&self, off: &Off) -> String {
+        let [subject, verb, below] = self.words;
+        let Off { value, mean, .. } = off;
+        format!(
+            "{subject} {verb} {value:.2} of the eyes' width {below}, where {mean:.2} is expected"
+        )
+    }
+}
+
+/// All of them; nothing where the eyes are in one place.
+fn proportions(points: &[[f64; 2]; FeatureId::COUNT]) -> Option<[f64; PROPORTIONS.len()]> {
+    let face = Upright::new(points)?;
+    let values = PROPORTIONS.map(|proportion| (proportion.value)(&face));
+    values.iter().all(|value| value.is_finite()).then_some(values)
+}
+
+/// A face with its eyes level, 1 apart.
+struct Upright {
+    /// To the right of the picture, and down, from the middle of the outer eye corners.
+    at: [[f64; 2]; FeatureId::COUNT],
+}
+
+impl Upright {
+    fn new(points: &[[f64; 2]; FeatureId::COUNT]) -> Option<Self> {
+        let [right, left] = [FeatureId::RIGHT_EYE_OUTER, FeatureId::LEFT_EYE_OUTER]
+            .map(|corner| points[corner.index()]);
+        let across = [left[0] - right[0], left[1] - right[1]];
+        let io_px2 = across[0] * across[0] + across[1] * across[1];
+        let middle = [(left[0] + right[0]) / 2.0, (left[1] + right[1]) / 2.0];
+        let upright = |[x, y]: [f64; 2]| {
+            let [x, y] = [x - middle[0], y - middle[1]];
+            [(x * across[0] + y * across[1]) / io_px2, (y * across[0] - x * across[1]) / io_px2]
+        };
+        (io_px2 > 0.0).then(|| Self { at: points.map(upright) })
+    }
+
+    fn middle(&self, of: Range<usize>) -> [f64; 2] {
+        let points = &self.at[of];
+        let sum = points.iter().fold([0.0; 2], |s, p| [s[0] + p[0], s[1] + p[1]]);
+        sum.map(|s| s / points.len() as f64)
+    }
+
+    fn across(&self, [right, left]: [usize; 2]) -> f64 {
+        self.at[left][0] - self.at[right][0]
+    }
+
+    fn down(&self, [upper, lower]: [usize; 2]) -> f64 {
+        self.at[lower][1] - self.at[upper][1]
+    }
+
+    fn brow(&self, side: usize) -> f64 {
+        self.middle(EYES[side].clone())[1] - self.middle(BROWS[side].clone())[1]
+    }
 }

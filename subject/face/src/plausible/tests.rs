@@ -1,5 +1,5 @@
 use super::*;
-use crate::render::Random;
+use mocapd_testkit::photograph::Random;
 
 /// A face of the model in a pose, with an annotator's noise.
 fn example(random: &mut Random, yaw_deg: f64, pitch_deg: f64) -> [[f64; 2]; FeatureId::COUNT] {
@@ -27,7 +27,7 @@ fn example(random: &mut Random, yaw_deg: f64, pitch_deg: f64) -> [[f64; 2]; Feat
 /// Moves some of the points by so many distances of the outer eye corners, to the right of the face and down it.
 fn moved(
     points: &[[f64; 2]; FeatureId::COUNT],
-    which: std::ops::Range<usize>,
+    which: Range<usize>,
     by: [f64; 2],
 ) -> [[f64; 2]; FeatureId::COUNT] {
     let [right, left] =

@@ -1,19 +1,15 @@
 //! The default way to the points: a glance says where they lie, more or less. From there the generic face says where every
 //! feature should lie, the picture says where it lies near there, and the two take turns.
 
-use super::annotators::offset_io;
-use super::begin;
-use super::contour::{self, Ray};
-use super::crop;
-use super::glance::{Glance, TOLD, Told};
-use super::look::{self, CLEAR_OUTLINE, FAINT, Seen, middle};
-use super::maps::Maps;
-use super::outline::{self, Heights};
-use super::search::Point;
+use super::crop::{self, Maps};
+use super::evidence::{self, Evidence, FAINT, Seen, clearness};
+use super::outline::{self, Heights, Ray};
+use super::regressor::{Glance, TOLD, Told, mean};
 use super::shape::{Landmarks, Pose, Target};
-use super::{BROWS, EYES, Evidence, FacePoints, MOUTH, NOSE, Rough};
-use crate::Photo;
+use super::{BROWS, EYES, FacePoints, MOUTH, NOSE, Rough};
 use crate::model::{Model, ModelError};
+use crate::photo::Photo;
+use crate::vector::{Point, middle};
 
 /// How far a feature is looked for (pixels of the crop), how far the outline, and how many turns they take: chosen, as what
 /// follows, on the development photographs and on random heads that nothing was learned from.
@@ -25,6 +21,8 @@ const GLANCE_FIRST_SD: f64 = 3.0;
 const GLANCE_SD: f64 = 4.0;
 /// A face of this confidence is taken; a less sure one is begun from elsewhere too, and the surest counts.
 const SURE: f64 = 0.5;
+/// Where the mouth may be instead, in distances of the eyes: lower, as where a nose was taken for it, or higher.
+const LOWER: [f64; 2] = [0.17, -0.13];
 
 /// The 53 points of the face that `rough` points at.
 ///
@@ -35,7 +33,7 @@ pub fn find(photo: &Photo, rough: &Rough) -> Result<FacePoints, ModelError> {
     let frontal = Pose::frontal(&landmarks, crop::IO, crop::EYES);
     let glance = Glance::at(photo, rough);
     let told = glance.told();
-    let others = begin::others(rough, &glance, &told);
+    let others = others(rough, &glance, &told);
     let mut best = Attempt::from(glance, &told, &frontal);
     for rough in others {
         if best.evidence.confidence() >= SURE {
@@ -74,9 +72,9 @@ impl<'a> Attempt<'a> {
         let maps = Maps::of(glance.crop());
         let (mut seen, mut line) = (Seen::default(), Vec::new());
         for _ in 0..TURNS {
-            let unlike = look::unlike(&maps, &pose);
-            let (around, outlined) = look::around(&maps, &unlike, &pose, OUTLINE_REACH);
-            seen = look::look(&maps, &pose, REACH);
+            let unlike = evidence::unlike(&maps, &pose);
+            let (around, outlined) = evidence::around(&maps, &unlike, &pose, OUTLINE_REACH);
+            seen = evidence::look(&maps, &pose, REACH);
             let seen = seen.targets.iter().chain(&around).copied();
             pose.fit(&seen.chain(targets(GLANCE_SD)).collect::<Vec<_>>(), 4);
             line = outlined;
@@ -113,9 +111,67 @@ fn collect(attempt: Attempt<'_>) -> FacePoints {
     let polygon: Vec<Point> = line.iter().map(|ray| ray.at).collect();
     let centre = middle(p[27], p[33]);
     for (index, at) in outline::twelve(&polygon, centre[0], &heights) {
-        let contrast = contour::towards(&line, centre, at).map_or(0.0, |(ray, _)| ray.contrast);
-        points.set(index, crop.to_photo(at), (contrast / CLEAR_OUTLINE).clamp(FAINT, 1.0));
+        let clear = outline::towards(&line, centre, at).map_or(FAINT, |(ray, _)| clearness(&ray));
+        points.set(index, crop.to_photo(at), clear);
     }
     points.outline = polygon.into_iter().map(|p| crop.to_photo(p)).collect();
     points
+}
+
+/// Where else to begin: where the first glance has eyes and mouth, so that a second one is straight at them; and with the
+/// mouth elsewhere.
+fn others(rough: &Rough, glance: &Glance, told: &Told) -> [Rough; 3] {
+    let at = |range| glance.to_photo(mean(told, range));
+    let again = Rough { left_eye: at(36..42), right_eye: at(42..48), mouth: at(48..60) };
+    let ([ax, ay], [bx, by]) = (rough.left_eye, rough.right_eye);
+    let [lower, higher] = LOWER.map(|by_eyes| {
+        let [x, y] = rough.mouth;
+        let mouth = [x - by_eyes * (by - ay), y + by_eyes * (bx - ax)];
+        Rough { mouth, ..*rough }
+    });
+    [again, lower, higher]
+}
+
+/// Where annotators of iBUG-68 have a point, from where this chain has it: in outer eye corners' distances, x to the right
+/// of the picture, y down. By the point's number on the subject's right; learned on the development photographs by
+/// `--example faces_points offsets`.
+const OFFSETS_IO: [(usize, [f64; 2]); 23] = [
+    (17, [0.044, 0.033]),
+    (18, [0.027, 0.031]),
+    (19, [-0.034, 0.007]),
+    (20, [-0.014, 0.021]),
+    (21, [-0.068, -0.009]),
+    (31, [0.012, 0.027]),
+    (32, [-0.006, 0.007]),
+    (33, [0.000, 0.009]),
+    (36, [0.019, 0.038]),
+    (37, [-0.015, 0.008]),
+    (38, [0.000, 0.010]),
+    (39, [-0.016, 0.025]),
+    (40, [0.001, 0.025]),
+    (41, [-0.007, 0.020]),
+    (48, [-0.013, -0.016]),
+    (49, [-0.030, 0.015]),
+    (50, [-0.014, 0.008]),
+    (51, [0.000, 0.024]),
+    (57, [0.000, -0.022]),
+    (58, [-0.022, -0.010]),
+    (59, [-0.045, -0.052]),
+    (62, [0.000, 0.021]),
+    (66, [0.000, -0.004]),
+];
+
+/// [`OFFSETS_IO`] of either half of the face, x to the right of the picture.
+fn offset_io(landmark: usize) -> Point {
+    let (right, sign) = match landmark {
+        22..=26 => (43 - landmark, -1.0),
+        34 | 35 => (66 - landmark, -1.0),
+        42..=45 => (81 - landmark, -1.0),
+        46 | 47 => (87 - landmark, -1.0),
+        52..=54 => (102 - landmark, -1.0),
+        55 | 56 => (114 - landmark, -1.0),
+        _ => (landmark, 1.0),
+    };
+    let found = OFFSETS_IO.iter().find(|(i, _)| *i == right);
+    found.map_or([0.0; 2], |(_, [x, y])| [sign * x, *y])
 }

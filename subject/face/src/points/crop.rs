@@ -1,9 +1,10 @@
 //! The face cut out of the photograph: upright, and always of the same size, so that every length in this module's
-//! neighbours is in the crop's own pixels whatever the photograph's were.
+//! neighbours is in the crop's own pixels whatever the photograph's were; and the channels that features are looked for in.
 
 use super::Rough;
-use super::reduced::Reduced;
-use crate::{Photo, Plane};
+use crate::photo::Photo;
+use crate::plane::Plane;
+use crate::vector::{Point, distance, middle};
 
 /// Width of the crop (pixels): 1.3 distances of the outer eye corners to either side.
 pub(crate) const WIDTH: usize = 224;
@@ -15,6 +16,13 @@ pub(crate) const EYES: [f64; 2] = [112.0, 92.0];
 pub(crate) const EYE_DISTANCE: f64 = 60.0;
 /// Distance of the outer eye corners of a frontal face in the crop (pixels): `io` is 1.366 eye distances.
 pub(crate) const IO: f64 = EYE_DISTANCE * 1.366;
+/// Pixels a side that a [`Reduced`] block is the mean of, at most: larger blocks are sampled more sparsely, which the
+/// smoothing that follows forgives.
+const SAMPLES_MAX: usize = 4;
+/// Added to every channel before its logarithm is taken (of 255): noise in the dark is no contrast.
+const FLOOR: f32 = 12.0;
+/// Least standard deviations of brightness, ln(R/G) and ln(B/G): light varies over a face more than its colour does.
+const SKIN_FLOORS: [f32; 3] = [0.20, 0.05, 0.06];
 /// From the middle of the eyes to the middle of the mouth, in distances of the eye centres of a frontal face.
 const EYES_TO_MOUTH: f64 = 1.13;
 
@@ -33,9 +41,8 @@ impl Crop {
     /// Cuts out the face that `rough` points at. Pixels beyond the photograph repeat its border.
     pub(crate) fn cut(photo: &Photo, rough: &Rough) -> Crop {
         let (l, r, m) = (rough.left_eye, rough.right_eye, rough.mouth);
-        let mid = [(l[0] + r[0]) / 2.0, (l[1] + r[1]) / 2.0];
-        let eyes = (r[0] - l[0]).hypot(r[1] - l[1]);
-        let down = (m[0] - mid[0]).hypot(m[1] - mid[1]);
+        let mid = middle(l, r);
+        let (eyes, down) = (distance(r, l), distance(m, mid));
         // A turned head narrows the eyes' distance, a nodding one that of eyes and mouth: the larger one is nearer
         // to the truth.
         let scale = (eyes / EYE_DISTANCE).max(down / (EYE_DISTANCE * EYES_TO_MOUTH)).max(1e-3);
@@ -83,4 +90,147 @@ impl Crop {
             .map(|((r, g), b)| value([*r, *g, *b]));
         Plane::from_values(WIDTH, HEIGHT, values.collect())
     }
+}
+
+/// The part of a photograph that the crop is cut from, in means of blocks of as many pixels as one of the crop's is large: so
+/// that a large photograph costs little more than a small one, and no pixel of it falls between two samples.
+struct Reduced {
+    /// Pixels of the photograph a block, each way.
+    block: usize,
+    left: usize,
+    top: usize,
+    width: usize,
+    height: usize,
+    means: Vec<[f32; 3]>,
+}
+
+impl Reduced {
+    /// What lies between the four corners (pixels of the photograph), with blocks of `scale` pixels.
+    fn of(photo: &Photo, corners: [[f64; 2]; 4], scale: f64) -> Self {
+        let (w, h) = (photo.width(), photo.height());
+        // A block is never larger than the photograph; `as` holds what is not finite.
+        let block = (scale.round() as usize).clamp(1, w.min(h).max(1));
+        let span = |axis: usize, size: usize| {
+            let values = corners.map(|c| c[axis]);
+            let low = values.into_iter().fold(f64::INFINITY, f64::min) - block as f64;
+            let high = values.into_iter().fold(f64::NEG_INFINITY, f64::max) + 2.0 * block as f64;
+            let low = (low.max(0.0) as usize).min(size.saturating_sub(block));
+            let high = (high.max(0.0) as usize).clamp(low + block, size.max(low + block));
+            (low, (high - low) / block)
+        };
+        let ((left, width), (top, height)) = (span(0, w), span(1, h));
+        let stride = block.div_ceil(SAMPLES_MAX);
+        let samples = block.div_ceil(stride);
+        let share = 1.0 / (samples * samples) as f32;
+        let mut means = Vec::with_capacity(width * height);
+        let mut sums = vec![[0_u32; 3]; width];
+        for by in 0..height {
+            sums.fill([0; 3]);
+            for y in (0..block).step_by(stride) {
+                let from = (top + by * block + y).min(h - 1) * w + left;
+                let row = photo.pixels().get(from..).unwrap_or(&[]);
+                for (sum, pixels) in sums.iter_mut().zip(row.chunks_exact(block)) {
+                    for pixel in pixels.iter().step_by(stride) {
+                        sum.iter_mut().zip(pixel).for_each(|(s, p)| *s += u32::from(*p));
+                    }
+                }
+            }
+            means.extend(sums.iter().map(|sum| sum.map(|s| s as f32 * share)));
+        }
+        Self { block, left, top, width, height, means }
+    }
+
+    /// The colour at a place of the photograph, bilinear between blocks; beyond their border that of the border.
+    fn at(&self, p: [f64; 2]) -> [f32; 3] {
+        let size = self.block as f64;
+        // The middle of the first block is half a block less half a pixel from the first pixel's.
+        let local = |v: f64, from: usize, count: usize| {
+            let v = (v - from as f64 + 0.5) / size - 0.5;
+            let v = v.max(0.0).min((count - 1) as f64);
+            (v as usize, (v - v.floor()) as f32)
+        };
+        let (x, fx) = local(p[0], self.left, self.width);
+        let (y, fy) = local(p[1], self.top, self.height);
+        let right = usize::from(x + 1 < self.width);
+        let below = if y + 1 < self.height { self.width } else { 0 };
+        let from = y * self.width + x;
+        let block = |i: usize| self.means.get(i).copied().unwrap_or_default();
+        let (a, b) = (block(from), block(from + right));
+        let (c, d) = (block(from + below), block(from + below + right));
+        std::array::from_fn(|i| {
+            let above = a[i] + (b[i] - a[i]) * fx;
+            let under = c[i] + (d[i] - c[i]) * fx;
+            above + (under - above) * fy
+        })
+    }
+}
+
+/// Logarithms, so that a difference of two pixels is a contrast whatever the light.
+#[derive(Debug)]
+pub(crate) struct Maps {
+    /// Brightness, smoothed by 1.2 px.
+    pub(crate) fine: Plane,
+    /// Brightness, smoothed by 2.5 px.
+    pub(crate) coarse: Plane,
+    /// Redness ln(R/G), the logarithm of the pseudo-hue's odds, smoothed by 1.8 px.
+    pub(crate) red: Plane,
+    /// Brightness, ln(R/G) and ln(B/G) of every other pixel, as they are.
+    pub(crate) raw: [Plane; 3],
+}
+
+impl Maps {
+    pub(crate) fn of(crop: &Crop) -> Maps {
+        let luma = crop.plane(|[r, g, b]| (FLOOR + 0.299 * r + 0.587 * g + 0.114 * b).ln());
+        let red = crop.plane(|[r, g, _]| ((FLOOR + r) / (FLOOR + g)).ln());
+        let half = |plane: &Plane| {
+            Plane::from_fn(WIDTH / 2, HEIGHT / 2, |x, y| plane.get(2 * x as isize, 2 * y as isize))
+        };
+        let [_, green, blue] = &crop.rgb;
+        let blueness = half(blue).zip(&half(green), |b, g| ((FLOOR + b) / (FLOOR + g)).ln());
+        Maps {
+            fine: luma.blurred(1.2),
+            coarse: luma.blurred(2.5),
+            red: red.blurred(1.8),
+            raw: [half(&luma), half(&red), blueness],
+        }
+    }
+
+    /// How unlike the skin at some places of this face, such as its cheeks, a pixel is (0 like it, 1 unlike), for every other pixel of the crop.
+    pub(crate) fn unlike_skin(&self, places: &[Point]) -> Plane {
+        let stats: [(f32, f32); 3] = std::array::from_fn(|c| {
+            let mut v: Vec<f32> = Vec::new();
+            for p in places {
+                for k in 0..49 {
+                    let (dx, dy) = (f64::from(k % 7) - 3.0, f64::from(k / 7) - 3.0);
+                    v.push(self.raw[c].sample((p[0] / 2.0 + dx) as f32, (p[1] / 2.0 + dy) as f32));
+                }
+            }
+            v.sort_by(f32::total_cmp);
+            let q =
+                |s: f32| v.get((s * (v.len().max(1) - 1) as f32) as usize).copied().unwrap_or(0.0);
+            (q(0.5), ((q(0.84) - q(0.16)) / 2.0).max(SKIN_FLOORS[c]))
+        });
+        let [a, b, c] = &self.raw;
+        let values = a.values().iter().zip(b.values()).zip(c.values()).map(|((a, b), c)| {
+            let [(ma, sa), (mb, sb), (mc, sc)] = stats;
+            let (x, y, z) = ((a - ma) / sa, (b - mb) / sb, (c - mc) / sc);
+            1.0 - (-(x * x + y * y + z * z) / 12.0).exp()
+        });
+        Plane::from_values(a.width(), a.height(), values.collect()).blurred(0.75)
+    }
+}
+
+/// The value at a point of a plane of the crop's size, bilinear; beyond its border that of the border.
+#[inline]
+pub(crate) fn at(plane: &Plane, p: Point) -> f64 {
+    // As the plane's own sampling, with a size that is known here: this is where most of the time goes.
+    // In this order what is not a number becomes 0.
+    let held = |v: f64, size: usize| (v as f32).max(0.0).min((size - 2) as f32);
+    let (x, y) = (held(p[0], WIDTH), held(p[1], HEIGHT));
+    let (left, top) = (x as usize, y as usize);
+    let (fx, fy) = (x - left as f32, y - top as f32);
+    let from = top * WIDTH + left;
+    let Some(&[a, b, .., c, d]) = plane.values().get(from..from + WIDTH + 2) else { return 0.0 };
+    let (above, below) = (a + (b - a) * fx, c + (d - c) * fx);
+    f64::from(above + (below - above) * fy)
 }

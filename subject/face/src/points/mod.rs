@@ -6,34 +6,23 @@
 //! way, feature by feature. Both begin from a [`Rough`] face, and work in an upright crop of fixed size, so that no length
 //! depends on the photograph's.
 
-mod annotators;
-mod begin;
-mod brow;
 mod chain;
-mod confidence;
-mod contour;
 mod crop;
-mod eye;
-pub mod glance;
-mod look;
-mod maps;
-mod mouth;
-mod nose;
+mod evidence;
+mod features;
 mod outline;
 pub mod paper;
-mod reduced;
+pub mod regressor;
 mod search;
 mod shape;
-mod skin;
 #[cfg(test)]
 mod tests;
 
-use super::model::FeatureId;
+use crate::model::FeatureId;
+use crate::vector::Point;
 pub use chain::find;
-pub use confidence::Evidence;
 use crop::Crop;
-pub use look::FAINT;
-use search::Point;
+pub use evidence::{Evidence, FAINT};
 
 /// Where a face lies, roughly (pixels of the photograph): an error of a tenth of the eyes' distance is no harm.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,7 +1,6 @@
 //! A feature's outline moved and bent until the picture agrees with it best.
 
-/// A point of the crop (pixels).
-pub(crate) type Point = [f64; 2];
+use crate::vector::Point;
 
 /// A way in which an outline may move.
 #[derive(Debug, Clone, Copy)]
@@ -13,6 +12,12 @@ pub(crate) struct Motion<const N: usize> {
     /// The largest amount that the coarse search tries, and its step; none where the step is 0.
     pub(crate) reach: f64,
     pub(crate) step: f64,
+}
+
+impl<const N: usize> Motion<N> {
+    pub(crate) fn new(field: [Point; N], sd: f64, reach: f64, step: f64) -> Self {
+        Self { field, sd, reach, step }
+    }
 }
 
 /// Cost of a deviation by one standard deviation, in the energies' unit: the logarithm of a contrast.

@@ -3,6 +3,7 @@
 use nalgebra::{DMatrix, DVector, Matrix2x3, Vector3};
 
 use crate::model::{FeatureId, Model, OUTER_EYES_MM};
+use crate::vector::{Point, mean};
 
 /// Landmarks in the order of iBUG-68. Those that the model has not (the nose's ridge, the lips' inner edges but for their
 /// middles) lie at the nasion, and are never looked for.
@@ -57,7 +58,7 @@ const NOD_SD_RAD: f64 = 0.25;
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Target {
     pub(crate) landmark: usize,
-    pub(crate) at: [f64; 2],
+    pub(crate) at: Point,
     /// Standard deviation (pixels of the crop).
     pub(crate) sd: f64,
 }
@@ -70,13 +71,13 @@ pub(crate) struct Pose<'a> {
     pub(crate) rotation: Matrix2x3<f64>,
     /// Pixels per io.
     pub(crate) scale: f64,
-    pub(crate) shift: [f64; 2],
+    pub(crate) shift: Point,
     pub(crate) coefficients: Vec<f64>,
 }
 
 impl<'a> Pose<'a> {
     /// A frontal mean face: io of `scale` pixels, the middle of the eyes at `eyes`.
-    pub(crate) fn frontal(landmarks: &'a Landmarks, scale: f64, eyes: [f64; 2]) -> Self {
+    pub(crate) fn frontal(landmarks: &'a Landmarks, scale: f64, eyes: Point) -> Self {
         let mut pose = Pose {
             landmarks,
             rotation: Matrix2x3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0),
@@ -85,7 +86,7 @@ impl<'a> Pose<'a> {
             coefficients: vec![0.0; landmarks.modes.len()],
         };
         let p = pose.project();
-        let mid = centre(&p, 36..48);
+        let mid = mean(p[36..48].iter().copied());
         pose.shift = [eyes[0] - mid[0], eyes[1] - mid[1]];
         pose
     }
@@ -100,7 +101,7 @@ impl<'a> Pose<'a> {
     }
 
     /// The landmarks in the crop (pixels).
-    pub(crate) fn project(&self) -> [[f64; 2]; LANDMARKS] {
+    pub(crate) fn project(&self) -> [Point; LANDMARKS] {
         let mut places = [[0.0; 2]; LANDMARKS];
         for (place, v) in places.iter_mut().zip(self.shape()) {
             let p = self.scale * (self.rotation * v);
@@ -208,12 +209,4 @@ impl<'a> Pose<'a> {
         }
         Some(())
     }
-}
-
-/// The mean of some of the points.
-pub(crate) fn centre(points: &[[f64; 2]], range: std::ops::Range<usize>) -> [f64; 2] {
-    let part = points.get(range).unwrap_or(&[]);
-    let n = part.len().max(1) as f64;
-    let sum = part.iter().fold([0.0; 2], |s, p| [s[0] + p[0], s[1] + p[1]]);
-    [sum[0] / n, sum[1] / n]
 }

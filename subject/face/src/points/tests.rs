@@ -1,10 +1,12 @@
 //! Faces that are drawn here: the generic face's landmarks, filled with the colours of skin, hair, eyes and lips.
 
+use mocapd_testkit::photograph::Scene;
+
 use super::shape::{Landmarks, Pose};
 use super::{Evidence, FacePoints, Point, Rough, find, outline, paper};
-use crate::Photo;
 use crate::model::{FeatureId, Model};
-use crate::render::Scene;
+use crate::photo::Photo;
+use crate::vector::mean;
 
 const SIDE: usize = 320;
 /// Distance of the outer eye corners in the picture.
@@ -23,7 +25,7 @@ fn drawn(yaw_deg: f64, seed: u64) -> Drawn {
     let mut pose = Pose::frontal(&landmarks, IO_PX, eyes);
     let (s, c) = yaw_deg.to_radians().sin_cos();
     pose.rotation = nalgebra::Matrix2x3::new(c, 0.0, s, 0.0, 1.0, 0.0);
-    let middle = super::shape::centre(&pose.project(), 36..48);
+    let middle = mean(pose.project()[36..48].iter().copied());
     pose.shift[0] += eyes[0] - middle[0];
     let p = pose.project();
     let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
@@ -60,7 +62,7 @@ fn drawn(yaw_deg: f64, seed: u64) -> Drawn {
         let lids: Vec<Point> = eye.iter().map(|i| p[*i]).collect();
         fill(&grown(&lids, 1.25), [110.0, 75.0, 65.0]);
         fill(&lids, [235.0, 230.0, 225.0]);
-        let c = super::shape::centre(&p, eye[0]..eye[5] + 1);
+        let c = mean(p[eye[0]..=eye[5]].iter().copied());
         let iris: Vec<Point> = (0..16)
             .map(|k| f64::from(k) / 16.0 * std::f64::consts::TAU)
             .map(|t| [c[0] + 0.055 * IO_PX * t.cos(), c[1] + 0.055 * IO_PX * t.sin()])
@@ -80,16 +82,16 @@ fn drawn(yaw_deg: f64, seed: u64) -> Drawn {
     );
     let mut off = |p: Point| [p[0] + 0.06 * IO_PX * noise(), p[1] + 0.06 * IO_PX * noise()];
     let rough = Rough {
-        left_eye: off(super::shape::centre(&p, 36..42)),
-        right_eye: off(super::shape::centre(&p, 42..48)),
-        mouth: off(super::shape::centre(&p, 48..60)),
+        left_eye: off(mean(p[36..42].iter().copied())),
+        right_eye: off(mean(p[42..48].iter().copied())),
+        mouth: off(mean(p[48..60].iter().copied())),
     };
     Drawn { photo: Photo::from_pixels(SIDE, SIDE, pixels).unwrap(), landmarks: p, rough }
 }
 
 /// A polygon drawn out from its centre.
 fn grown(polygon: &[Point], by: f64) -> Vec<Point> {
-    let c = super::shape::centre(polygon, 0..polygon.len());
+    let c = mean(polygon.iter().copied());
     polygon.iter().map(|p| [c[0] + by * (p[0] - c[0]), c[1] + by * (p[1] - c[1])]).collect()
 }
 
@@ -142,11 +144,11 @@ fn a_turned_face_is_found_to_be_turned_that_way() {
 /// under flat patches.
 fn sureness(seed: u64, covered: bool) -> f64 {
     let mut picture = Scene::portrait(seed, IO_PX, 5.0).render().unwrap();
-    let at = |i: usize| picture.faces[0].at(FeatureId::from_ibug(i).unwrap());
-    let centre = |which: &[usize]| {
-        let sum = which.iter().map(|i| at(*i)).fold([0.0, 0.0], |s, p| [s[0] + p[0], s[1] + p[1]]);
-        sum.map(|s| s / which.len() as f64)
+    let at = |i: usize| {
+        let [x, y, _] = picture.faces[0].points_px[FeatureId::from_ibug(i).unwrap().index()];
+        [x, y]
     };
+    let centre = |which: &[usize]| mean(which.iter().map(|i| at(*i)));
     let [left_eye, right_eye, mouth] =
         [centre(&super::EYES[0]), centre(&super::EYES[1]), centre(&super::MOUTH)];
     let (width, height) = picture.image.dimensions();

@@ -1,9 +1,11 @@
 //! Which way a head looks, from its eyes and its outline alone (Yang et al. 2004, section 4).
 
-use thiserror::Error;
-
 #[cfg(test)]
 mod tests;
+
+use thiserror::Error;
+
+use crate::vector::{Point, along, direction, distance};
 
 /// How yaw follows from where the eyes sit in the face.
 ///
@@ -34,8 +36,6 @@ pub enum PoseError {
 /// The line through the outer eye corners, cut by the outline of the face.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EyeLine {
-    /// M: midway between the outer eye corners, in pixels.
-    pub eyes_middle_px: [f64; 2],
     /// P: where the line leaves the face on the left of the picture.
     pub left_px: [f64; 2],
     /// Q: where it leaves the face on the right of the picture.
@@ -59,17 +59,15 @@ impl EyeLine {
         right_eye_px: [f64; 2],
         outline_px: &[[f64; 2]],
     ) -> Result<Self, PoseError> {
-        let along = [right_eye_px[0] - left_eye_px[0], right_eye_px[1] - left_eye_px[1]];
-        let length = along[0].hypot(along[1]);
-        if !(length > 0.0 && length.is_finite()) {
+        let middle = distance(left_eye_px, right_eye_px) / 2.0;
+        if !(middle > 0.0 && middle.is_finite()) {
             return Err(PoseError::Eyes);
         }
-        let along = along.map(|v| v / length);
-        let middle = [0, 1].map(|axis| (left_eye_px[axis] + right_eye_px[axis]) / 2.0);
-        // Along the line, and across it.
-        let local = |p: [f64; 2]| {
-            let d = [p[0] - middle[0], p[1] - middle[1]];
-            [d[0] * along[0] + d[1] * along[1], d[1] * along[0] - d[0] * along[1]]
+        let line = direction(left_eye_px, right_eye_px);
+        // From the left eye, along the line and across it.
+        let local = |p: Point| {
+            let d = [p[0] - left_eye_px[0], p[1] - left_eye_px[1]];
+            [d[0] * line[0] + d[1] * line[1], d[1] * line[0] - d[0] * line[1]]
         };
         let (mut left, mut right) = (f64::NEG_INFINITY, f64::INFINITY);
         let next = outline_px.iter().cycle().skip(1);
@@ -78,23 +76,21 @@ impl EyeLine {
             if (a[1] < 0.0) == (b[1] < 0.0) {
                 continue;
             }
-            let at = a[0] + (b[0] - a[0]) * a[1] / (a[1] - b[1]);
-            if at < 0.0 {
+            let at = a[0] + a[1] / (a[1] - b[1]) * (b[0] - a[0]);
+            if at < middle {
                 left = left.max(at);
-            } else if at > 0.0 {
+            } else if at > middle {
                 right = right.min(at);
             }
         }
         if !(left.is_finite() && right.is_finite()) {
             return Err(PoseError::Outline);
         }
-        let place = |at: f64| [middle[0] + at * along[0], middle[1] + at * along[1]];
         Ok(Self {
-            eyes_middle_px: middle,
-            left_px: place(left),
-            right_px: place(right),
-            roll_deg: (-along[1]).atan2(along[0]).to_degrees(),
-            offset: -(left + right) / 2.0 / (right - left),
+            left_px: along(left_eye_px, line, left),
+            right_px: along(left_eye_px, line, right),
+            roll_deg: (-line[1]).atan2(line[0]).to_degrees(),
+            offset: (middle - (left + right) / 2.0) / (right - left),
         })
     }
 

@@ -1,6 +1,6 @@
 use super::*;
 use crate::model::{Camera, Model};
-use crate::render::Random;
+use mocapd_testkit::photograph::Random;
 
 /// The outline of an upright cylinder of radius 100 around the origin, turned in the picture by `roll`, and its eyes
 /// painted at `side` radians left and right of a middle that is turned by `yaw`.

@@ -1,7 +1,8 @@
-use super::super::second::second;
+use super::super::look::second;
 use super::super::{Found, SECOND, hypotheses, hypotheses_again};
-use super::{Octaves, drawn, turned};
-use crate::Photo;
+use super::{drawn, turned};
+use crate::photo::Photo;
+use crate::plane::Pyramid;
 use crate::points::Rough;
 
 fn found(eyes: [[f64; 2]; 2], mouth: [f64; 2]) -> Found {
@@ -28,7 +29,7 @@ fn a_second_look_sees_eyes_and_mouth_and_where_the_nose_points() {
         // As far beside them as a first look may be.
         let beside = |[x, y]: [f64; 2]| [x + 0.05 * io_px, y - 0.05 * io_px];
         let first = found([beside(left), beside(right)], beside(mouth));
-        let (frame, look) = second(&Octaves::new(photo.grey()), &photo, &first).unwrap();
+        let (frame, look) = second(&Pyramid::new(photo.grey()), &photo, &first).unwrap();
         assert_eq!(look.len(), SECOND);
         let [to_left, to_right] = frame.eyes();
         let pairs =
@@ -46,9 +47,9 @@ fn a_second_look_sees_eyes_and_mouth_and_where_the_nose_points() {
 #[test]
 fn what_is_nowhere_or_nothing_is_not_looked_at_or_seen_whole() {
     let photo = drawn(9, 60.0, 0.0).0;
-    let octaves = Octaves::new(photo.grey());
+    let pyramid = Pyramid::new(photo.grey());
     let small = Photo::from_pixels(32, 32, vec![[9; 3]; 32 * 32]).unwrap();
-    let of_small = Octaves::new(small.grey());
+    let of_small = Pyramid::new(small.grey());
     let places = [
         found([[90.0, 90.0]; 2], [90.0, 90.0]),
         found([[90.0, 90.0], [91.0, 90.0]], [90.0, 91.0]),
@@ -57,8 +58,8 @@ fn what_is_nowhere_or_nothing_is_not_looked_at_or_seen_whole() {
         found([[f64::NAN; 2]; 2], [0.0; 2]),
     ];
     for place in &places {
-        for (octaves, photo) in [(&octaves, &photo), (&of_small, &small)] {
-            let seen = second(octaves, photo, place);
+        for (pyramid, photo) in [(&pyramid, &photo), (&of_small, &small)] {
+            let seen = second(pyramid, photo, place);
             assert!(seen.is_none_or(|(_, look)| look.len() == SECOND), "{place:?}");
         }
     }

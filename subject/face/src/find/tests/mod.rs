@@ -1,12 +1,14 @@
 mod again;
 
-use super::align::{STEPS, aligned};
+use mocapd_testkit::photograph::Scene;
+
+use super::align::STEPS;
 use super::look::{look, mirrored};
-use super::octaves::Octaves;
 use super::{Frame, LOOK, SCORE_MIN, faces};
-use crate::Photo;
 use crate::model::FeatureId;
-use crate::render::Scene;
+use crate::photo::Photo;
+use crate::plane::Pyramid;
+use crate::vector;
 
 /// Numbers without a pattern, the same each time.
 fn noise(seed: u32) -> impl FnMut() -> f32 {
@@ -31,11 +33,11 @@ fn turned(seed: u64, io_px: f64, yaw_deg: f64, roll_deg: f64) -> (Photo, [[f64; 
     let picture = scene.render().unwrap();
     let size = (picture.image.width() as usize, picture.image.height() as usize);
     let pixels = picture.image.pixels().map(|pixel| pixel.0).collect();
-    let mean = |from: usize, to: usize| {
-        let points = (from..to).map(|i| picture.faces[0].at(FeatureId::from_ibug(i).unwrap()));
-        let sum = points.fold([0.0; 2], |sum, at| [sum[0] + at[0], sum[1] + at[1]]);
-        sum.map(|sum| sum / (to - from) as f64)
+    let at = |i: usize| {
+        let [x, y, _] = picture.faces[0].points_px[FeatureId::from_ibug(i).unwrap().index()];
+        [x, y]
     };
+    let mean = |from: usize, to: usize| vector::mean((from..to).map(at));
     let photo = Photo::from_pixels(size.0, size.1, pixels).unwrap();
     (photo, [mean(36, 42), mean(42, 48), mean(48, 60)])
 }
@@ -90,16 +92,13 @@ fn noise_and_nothing_have_no_faces() {
 }
 
 #[test]
-fn a_frame_and_its_inverse_are_each_others() {
+fn a_frame_goes_through_its_eyes_and_its_mouth_however_it_is_turned() {
+    let (eyes, mouth) = ([[30.0, 28.0], [50.0, 32.0]], [37.0, 56.0]);
     for turn in [0.0, 0.2, -0.3] {
-        let frame = Frame { origin: [40.0, 30.0], across: [20.0, 4.0], down: [-3.0, 24.0], turn };
-        for (x, y) in [(0.0, 0.0), (-0.5, 0.0), (0.6, 1.1), (-0.8, -0.4)] {
-            let [px, py] = frame.at(x, y);
-            let [bx, by] = frame.inside([px, py]);
-            assert!((bx - x).abs() < 1e-4 && (by - y).abs() < 1e-4, "{turn} {x} {y}");
-        }
-        // However far it is turned, the eyes are where they are.
-        assert_eq!(frame.at(0.5, 0.0), [50.0, 32.0]);
+        let frame = Frame::through(eyes, mouth, turn);
+        assert_eq!(frame.eyes(), eyes);
+        let [x, y] = frame.at(0.0, Frame::MOUTH);
+        assert!((x - mouth[0]).abs() < 1e-4 && (y - mouth[1]).abs() < 1e-4, "{turn}: {x} {y}");
     }
 }
 
@@ -122,8 +121,8 @@ fn the_mirror_image_of_a_look_is_the_look_of_the_mirror_image() {
         down: [5.0, 50.0],
         turn: -0.1,
     };
-    let own = look(&Octaves::new(photo.grey()), &frame);
-    let of_other = look(&Octaves::new(other.grey()), &back);
+    let own = look(&Pyramid::new(photo.grey()), &frame);
+    let of_other = look(&Pyramid::new(other.grey()), &back);
     assert_eq!(own.len(), LOOK);
     assert_eq!(mirrored(&mirrored(&own)), own);
     let off = mirrored(&own).iter().zip(&of_other).map(|(a, b)| a.abs_diff(*b)).max();
@@ -135,7 +134,7 @@ fn eyes_and_mouth_are_nearer_once_they_are_aligned() {
     let (mut before, mut after) = (0.0, 0.0);
     for seed in 0..8 {
         let (photo, truth) = drawn(seed, 80.0, 0.0);
-        let octaves = Octaves::new(photo.grey());
+        let pyramid = Pyramid::new(photo.grey());
         let truth = truth.map(|at| at.map(|v| v as f32));
         let apart = truth[1][0] - truth[0][0];
         let far = |frame: &Frame| {
@@ -152,8 +151,9 @@ fn eyes_and_mouth_are_nearer_once_they_are_aligned() {
             turn: 0.0,
         };
         before += far(&rough);
-        let aligned = |frame: Frame, step| aligned(&frame, &look(&octaves, &frame), step);
-        after += far(&STEPS.into_iter().fold(rough, aligned));
+        let aligned =
+            STEPS.iter().fold(rough, |frame, step| step.aligned(&frame, &look(&pyramid, &frame)));
+        after += far(&aligned);
     }
     assert!(after < 0.7 * before, "{after} of {before}");
 }

@@ -1,0 +1,207 @@
+//! Where the template fits: at every place of every size, at five rolls, frontal and turned to both sides; and the same place
+//! between the cells, sizes and rolls of that search.
+
+use super::frame::{Frame, length};
+use super::template::{CELL_PX, Cells, EYES_PX, Fit, SIDE, TEMPLATES, best_fit, eyes_of};
+use crate::plane::{Plane, Pyramid};
+
+/// Rolls that are tried: 15 degrees apart, up to 30.
+const ROLLS_RAD: [f32; 5] = [0.0, -0.262, 0.262, -0.524, 0.524];
+/// From one size to the next, smaller one: the template forgives a tenth.
+const STEP: f32 = 1.2;
+/// Pixels of a level that are added around it: a face may lie at the border.
+const MARGIN_PX: usize = 8;
+/// Places that are kept: two thirds of a class of thirty, all with a false place each.
+const PLACES_MAX: usize = 64;
+/// Of two places nearer than this to each other, in distances of the eyes, the worse is the same face.
+const APART: f32 = 0.4;
+/// What differs more in size is another face: an eye with its brow may look like a small one.
+const SAME_SIZE: f32 = 1.5;
+
+/// What fits less is not looked at closer.
+const PLACE_MIN: f32 = -4.0;
+/// What is around the template on each side, in cells: contrast is told from there too.
+const AROUND: usize = 4;
+const CROP_PX: usize = (SIDE + 2 * AROUND) * CELL_PX;
+/// Sizes, then rolls, between those of the search.
+const CHANGES: [[(f32, f32); 2]; 2] = [[(1.1, 0.0), (0.91, 0.0)], [(1.0, 0.13), (1.0, -0.13)]];
+
+/// The best places of a photograph, best first. Faces are larger than `eyes_min` between the eyes.
+pub(super) fn places(pyramid: &Pyramid, eyes_min: f32) -> Vec<Place> {
+    let [wide, high] = pyramid.size();
+    let side = wide.min(high) as f32;
+    let mut shrink = eyes_min / EYES_PX;
+    let mut all = Vec::new();
+    while side / shrink >= (SIDE * CELL_PX) as f32 * 0.7 {
+        if let Some((plane, done)) = pyramid.at(shrink) {
+            let px = |side: usize| ((side as f32 * done / shrink).round() as usize).max(1);
+            let level =
+                plane.resized(px(plane.width()), px(plane.height())).map(|v| v.max(0.0).sqrt());
+            let scale = [wide as f32 / level.width() as f32, high as f32 / level.height() as f32];
+            for roll_rad in ROLLS_RAD {
+                Turned::new(&level, roll_rad).search(scale, &mut all);
+            }
+        }
+        shrink *= STEP;
+    }
+    all.sort_by(|a, b| b.fit.odds.total_cmp(&a.fit.odds));
+    let mut kept: Vec<Place> = Vec::new();
+    for place in all {
+        let near = |other: &Place| {
+            let apart = [other.origin[0] - place.origin[0], other.origin[1] - place.origin[1]];
+            let (a, b) = (other.eyes_px(), place.eyes_px());
+            length(apart) < APART * a.min(b) && a.max(b) < SAME_SIZE * a.min(b)
+        };
+        if !kept.iter().any(near) {
+            kept.push(place);
+            if kept.len() >= PLACES_MAX {
+                break;
+            }
+        }
+    }
+    kept
+}
+
+/// A level turned upright.
+struct Turned {
+    cells: Cells,
+    /// From its pixels to the level's: the columns of the turn, and the middles of both.
+    turn: [f32; 2],
+    middle: [f32; 2],
+    level_middle: [f32; 2],
+}
+
+impl Turned {
+    fn new(level: &Plane, roll_rad: f32) -> Self {
+        let (sin, cos) = roll_rad.sin_cos();
+        let (wide, high) = (level.width() as f32, level.height() as f32);
+        let width = (cos.abs() * wide + sin.abs() * high) as usize + 2 * MARGIN_PX;
+        let height = (sin.abs() * wide + cos.abs() * high) as usize + 2 * MARGIN_PX;
+        let half = |side: usize| (side as f32 - 1.0) / 2.0;
+        let middle = [half(width), half(height)];
+        let level_middle = [half(level.width()), half(level.height())];
+        let mut plane = Plane::filled(width, height, 0.0);
+        for (y, row) in plane.values_mut().chunks_exact_mut(width).enumerate() {
+            let dy = y as f32 - middle[1];
+            for (x, value) in row.iter_mut().enumerate() {
+                let dx = x as f32 - middle[0];
+                *value = level.sample(
+                    cos * dx - sin * dy + level_middle[0],
+                    sin * dx + cos * dy + level_middle[1],
+                );
+            }
+        }
+        Self { cells: Cells::new(&plane), turn: [cos, sin], middle, level_middle }
+    }
+
+    /// Adds every place that fits better than its neighbours.
+    fn search(&self, scale: [f32; 2], out: &mut Vec<Place>) {
+        let across = (self.cells.across + 1).saturating_sub(SIDE);
+        let down = (self.cells.down + 1).saturating_sub(SIDE);
+        if across == 0 || down == 0 {
+            return;
+        }
+        let mut fits = Plane::filled(across, down, f32::NEG_INFINITY);
+        let mut poses = vec![0_usize; across * down];
+        let places = fits.values_mut().iter_mut().zip(&mut poses).enumerate();
+        // Every other place: what is between two of them is looked at when the better one is refined.
+        for (i, (fit, pose)) in places.filter(|(i, _)| (i % across + i / across).is_multiple_of(2))
+        {
+            if let Some(best) = best_fit(&self.cells, i % across, i / across) {
+                (*fit, *pose) = (best.odds, best.pose);
+            }
+        }
+        for (i, (&fit, &pose)) in fits.values().iter().zip(&poses).enumerate() {
+            let (x, y) = ((i % across) as isize, (i / across) as isize);
+            let near = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dx, dy)));
+            if fit < PLACE_MIN || near.into_iter().any(|(dx, dy)| fits.get(x + dx, y + dy) > fit) {
+                continue;
+            }
+            out.push(self.place(x as f32, y as f32, scale, Fit { pose, odds: fit }));
+        }
+    }
+
+    /// A cell's place on the photograph.
+    fn place(&self, column: f32, row: f32, scale: [f32; 2], fit: Fit) -> Place {
+        let at = eyes_of(column, row);
+        let [cos, sin] = self.turn;
+        let (dx, dy) = (at[0] - self.middle[0], at[1] - self.middle[1]);
+        let x = cos * dx - sin * dy + self.level_middle[0];
+        let y = sin * dx + cos * dy + self.level_middle[1];
+        Place {
+            origin: [(x + 0.5) * scale[0] - 0.5, (y + 0.5) * scale[1] - 0.5],
+            step: [cos * scale[0], sin * scale[1]],
+            fit,
+        }
+    }
+}
+
+/// Where a template fits.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Place {
+    /// The middle of the eyes, on the photograph.
+    pub(super) origin: [f32; 2],
+    /// One pixel of the template to the right, on the photograph; down is square to it.
+    pub(super) step: [f32; 2],
+    pub(super) fit: Fit,
+}
+
+impl Place {
+    /// The template's distance of the eyes, on the photograph.
+    pub(super) fn eyes_px(&self) -> f32 {
+        EYES_PX * length(self.step)
+    }
+
+    /// The face of the template, on the photograph.
+    pub(super) fn frame(&self) -> Option<Frame> {
+        let Frame { across, down, turn, .. } = TEMPLATES.get(self.fit.pose)?.frame;
+        let way = |[x, y]: [f32; 2]| self.way(EYES_PX * x, EYES_PX * y);
+        Some(Frame { origin: self.origin, across: way(across), down: way(down), turn })
+    }
+
+    fn way(&self, x: f32, y: f32) -> [f32; 2] {
+        [x * self.step[0] - y * self.step[1], x * self.step[1] + y * self.step[0]]
+    }
+
+    /// Where near it the template fits best.
+    pub(super) fn refined(self, pyramid: &Pyramid) -> Self {
+        let mut best = self;
+        for changes in CHANGES {
+            let from = best;
+            for (scale, roll_rad) in changes {
+                let (sin, cos) = roll_rad.sin_cos();
+                let moved = Self { step: from.way(scale * cos, scale * sin), ..from };
+                if let Some(found) = moved.best_near(pyramid).filter(|f| f.fit.odds > best.fit.odds)
+                {
+                    best = found;
+                }
+            }
+        }
+        best
+    }
+
+    /// The best fit within a cell each way.
+    fn best_near(&self, pyramid: &Pyramid) -> Option<Self> {
+        let (plane, done) = pyramid.at(length(self.step))?;
+        let [ex, ey] = eyes_of(AROUND as f32, AROUND as f32);
+        let mut crop = Plane::filled(CROP_PX, CROP_PX, 0.0);
+        for (y, row) in crop.values_mut().chunks_exact_mut(CROP_PX).enumerate() {
+            for (x, value) in row.iter_mut().enumerate() {
+                let [dx, dy] = self.way(x as f32 - ex, y as f32 - ey);
+                let at = |origin: f32, d: f32| (origin + d + 0.5) / done - 0.5;
+                *value =
+                    plane.sample(at(self.origin[0], dx), at(self.origin[1], dy)).max(0.0).sqrt();
+            }
+        }
+        let cells = Cells::new(&crop);
+        let near = AROUND - 1..=AROUND + 1;
+        let fits = near.clone().flat_map(|row| near.clone().map(move |column| (column, row)));
+        let fits = fits.filter_map(|(column, row)| {
+            best_fit(&cells, column, row).map(|best| (column, row, best))
+        });
+        let (column, row, fit) = fits.max_by(|a, b| a.2.odds.total_cmp(&b.2.odds))?;
+        let [x, y] = eyes_of(column as f32, row as f32);
+        let [dx, dy] = self.way(x - ex, y - ey);
+        Some(Self { origin: [self.origin[0] + dx, self.origin[1] + dy], fit, ..*self })
+    }
+}

@@ -1,0 +1,246 @@
+//! What is seen of the features and of the outline from a pose, and how sure that makes the points of the whole face: a
+//! logistic function of how clearly the features were seen where the generic face, in one pose and one shape, has them.
+
+use super::crop::Maps;
+use super::outline::{self, Ray};
+use super::regressor::{TOLD, Told};
+use super::search::Found;
+use super::shape::{LANDMARKS, Pose, Target};
+use super::{BROWS, EYES, MOUTH, NOSE, features};
+use crate::plane::Plane;
+use crate::pose::{EyeLine, YawRule};
+use crate::table::f64s;
+use crate::vector::{Point, distance, middle};
+
+/// Standard deviations of a clearly seen point of a feature (pixels): lids and lips are edges, a brow has none.
+const EYE_SD: f64 = 1.8;
+const BROW_SD: f64 = 3.0;
+const NOSE_SD: f64 = 2.5;
+const MOUTH_SD: f64 = 2.5;
+const OUTLINE_SD: f64 = 9.0;
+/// The contrast (natural logarithm) from which a feature counts as clearly seen.
+const CLEAR: f64 = 0.2;
+/// The contrast from which a piece of the outline does: it adds colour to brightness.
+const CLEAR_OUTLINE: f64 = 0.5;
+/// The least share of that: what is not seen at all is still no farther away than it is looked for.
+pub const FAINT: f64 = 0.2;
+
+/// How much further a head is turned than the edge of what is seen says, which bulges on the far side: measured on the
+/// drawn faces of `--example faces_points drawn`.
+const OUTLINE_TURN: f64 = 1.2;
+
+/// What was seen of all features from one pose.
+#[derive(Default)]
+pub(super) struct Seen {
+    pub(super) targets: Vec<Target>,
+    /// Of eyes, brows, nose and mouth: how clearly (0 to 1), and the score less the cost of the deviation.
+    pub(super) clear: Vec<f64>,
+    pub(super) held: Vec<f64>,
+}
+
+impl Seen {
+    fn add<const N: usize>(&mut self, which: &[usize; N], found: &Found<N>, sd: f64) {
+        let clear = (found.score / CLEAR).clamp(FAINT, 1.0);
+        self.clear.push(clear);
+        self.held.push(found.held);
+        for (landmark, at) in which.iter().zip(&found.points) {
+            self.targets.push(Target { landmark: *landmark, at: *at, sd: sd / clear });
+        }
+    }
+}
+
+/// Looks for every feature near where the pose has it.
+pub(super) fn look(maps: &Maps, pose: &Pose<'_>, reach: f64) -> Seen {
+    let p = pose.project();
+    let mut seen = Seen::default();
+    let mut lids = Vec::new();
+    for which in EYES {
+        let found = features::eye(maps, &pick(&p, which), reach);
+        let [_, outer, inner, ..] = found.points;
+        lids.push([outer, inner]);
+        seen.add(&which, &found, EYE_SD);
+    }
+    for (which, lid) in BROWS.into_iter().zip(lids) {
+        seen.add(&which, &features::brow(maps, &pick(&p, which), lid, reach), BROW_SD);
+    }
+    seen.add(&NOSE, &features::nose(maps, &pick(&p, NOSE), reach), NOSE_SD);
+    // A mouth moves more than the rest.
+    seen.add(&MOUTH, &features::mouth(maps, &pick(&p, MOUTH), 1.2 * reach), MOUTH_SD);
+    seen
+}
+
+/// Mean squared distance of the targets from the pose, in units of 6 px, no target counting more than 4.
+fn misfit(pose: &Pose<'_>, targets: &[Target]) -> f64 {
+    let p = pose.project();
+    let sum: f64 = targets
+        .iter()
+        .filter_map(|t| p.get(t.landmark).map(|p| distance(*p, t.at)))
+        .map(|d| (d / 6.0).min(2.0).powi(2))
+        .sum();
+    sum / targets.len().max(1) as f64
+}
+
+/// How unlike the skin of cheeks and nose everything is.
+pub(super) fn unlike(maps: &Maps, pose: &Pose<'_>) -> Plane {
+    let p = pose.project();
+    maps.unlike_skin(&[middle(p[41], p[48]), middle(p[46], p[54]), middle(p[27], p[33])])
+}
+
+/// The outline near where the pose has it.
+fn trace(maps: &Maps, unlike: &Plane, p: &[Point; LANDMARKS], sd: f64) -> Vec<Ray> {
+    let brow = (p[19][1] + p[24][1]) / 2.0;
+    let across = |share: f64, y: f64| [p[0][0] + share * (p[16][0] - p[0][0]), y];
+    // The forehead is not among the landmarks: three quarters as high over the brows as they are over the nose's base.
+    let top = brow - 0.75 * (p[33][1] - brow);
+    let temple = (brow + top) / 2.0;
+    let mut hull: Vec<Point> = p.iter().take(17).copied().collect();
+    hull.extend([across(0.15, temple), across(0.85, temple), across(0.4, top), across(0.6, top)]);
+    hull.extend([p[17], p[26], p[36], p[45], p[33], p[30]]);
+    let centre = middle(p[27], p[33]);
+    outline::trace(maps, unlike, centre, &outline::hull_radii(&hull, centre), sd)
+}
+
+/// The outline, and where it has the landmarks of the jaw.
+pub(super) fn around(
+    maps: &Maps,
+    unlike: &Plane,
+    pose: &Pose<'_>,
+    sd: f64,
+) -> (Vec<Target>, Vec<Ray>) {
+    let p = pose.project();
+    let line = trace(maps, unlike, &p, sd);
+    let centre = middle(p[27], p[33]);
+    let targets = (0..17)
+        .filter_map(|landmark| {
+            let at = p.get(landmark)?;
+            let (ray, place) = outline::towards(&line, centre, *at)?;
+            Some(Target { landmark, at: place, sd: OUTLINE_SD / clearness(&ray) })
+        })
+        .collect();
+    (targets, line)
+}
+
+/// Where the head turns by its outline (degrees); none where the eyes are not within.
+fn turn_deg(line: &[Ray], p: &[Point; LANDMARKS]) -> Option<f64> {
+    let outline: Vec<_> = line.iter().map(|ray| ray.at).collect();
+    let eyes = EyeLine::new(p[36], p[45], &outline).ok()?;
+    Some(OUTLINE_TURN * eyes.yaw_deg(YawRule::Arcsine))
+}
+
+/// How clear a piece of the outline is, as a point's confidence.
+pub(super) fn clearness(ray: &Ray) -> f64 {
+    (ray.contrast / CLEAR_OUTLINE).clamp(FAINT, 1.0)
+}
+
+fn pick<const N: usize>(p: &[Point], which: [usize; N]) -> [Point; N] {
+    which.map(|i| p.get(i).copied().unwrap_or([0.0; 2]))
+}
+
+/// What the points of a face are judged by. Scores are contrasts (natural logarithms) less what the deviation costs.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Evidence {
+    /// Mean of the features' confidences, by their points.
+    pub clear: f64,
+    /// Score of the eye that was seen worse.
+    pub eyes: f64,
+    /// Score of the brow that was seen worse.
+    pub brows: f64,
+    /// Score of the nose.
+    pub nose: f64,
+    /// Score of the mouth.
+    pub mouth: f64,
+    /// How clear the outline is, on the average: as a point's confidence.
+    pub outline: f64,
+    /// Mean squared distance of what was seen from the fitted face (units of 6 px of the crop).
+    pub misfit: f64,
+    /// Sum of the squared coefficients of the fitted shape.
+    pub strain: f64,
+    /// How far the head nods either way (degrees).
+    pub nod_deg: f64,
+    /// How far the head's turn is from what the edge of what is seen says (degrees).
+    pub turn_off_deg: f64,
+    /// Mean distance of the fitted face from what the first glance said (pixels of the crop).
+    pub glance_off: f64,
+}
+
+/// A term of the evidence: its weight, and the range that it is held to.
+#[derive(Clone, Copy)]
+struct Term {
+    weight: f64,
+    low: f64,
+    high: f64,
+}
+
+/// Learned by `benches/subject/face_confidence.py`: the constant, then of each term weight, least and largest value.
+const TABLE: &[u8; (1 + 3 * Evidence::COUNT) * size_of::<f64>()] =
+    include_bytes!("../../data/face-confidence.bin");
+const CONSTANT: [f64; 1] = f64s(TABLE, 0);
+const TERMS: [Term; Evidence::COUNT] = {
+    let mut terms = [Term { weight: 0.0, low: 0.0, high: 0.0 }; Evidence::COUNT];
+    let mut i = 0;
+    while i < Evidence::COUNT {
+        let [weight, low, high] = f64s(TABLE, (1 + 3 * i) * size_of::<f64>());
+        terms[i] = Term { weight, low, high };
+        i += 1;
+    }
+    terms
+};
+
+impl Evidence {
+    /// How many terms there are.
+    pub const COUNT: usize = 11;
+
+    pub(super) fn of(pose: &Pose<'_>, seen: &Seen, line: &[Ray], told: &Told) -> Self {
+        let held = |i: usize| seen.held.get(i).copied().unwrap_or_default();
+        let counts = [6.0, 6.0, 5.0, 5.0, 5.0, 14.0];
+        let points: f64 = counts.iter().sum();
+        Self {
+            clear: seen.clear.iter().zip(counts).map(|(clear, n)| clear * n).sum::<f64>() / points,
+            eyes: held(0).min(held(1)),
+            brows: held(2).min(held(3)),
+            nose: held(4),
+            mouth: held(5),
+            outline: line.iter().map(clearness).sum::<f64>() / line.len().max(1) as f64,
+            misfit: misfit(pose, &seen.targets),
+            strain: pose.strain(),
+            nod_deg: pose.nod_deg().abs(),
+            turn_off_deg: turn_deg(line, &pose.project())
+                .map_or(0.0, |t| (t - pose.yaw_deg()).abs()),
+            glance_off: off(pose, told),
+        }
+    }
+
+    /// In the order of the fields.
+    #[must_use]
+    pub fn terms(&self) -> [f64; Self::COUNT] {
+        [
+            self.clear,
+            self.eyes,
+            self.brows,
+            self.nose,
+            self.mouth,
+            self.outline,
+            self.misfit,
+            self.strain,
+            self.nod_deg,
+            self.turn_off_deg,
+            self.glance_off,
+        ]
+    }
+
+    /// The probability that the points are less than a tenth of the outer eye corners' distance off, on the mean, 0 to 1, on
+    /// what it was learned from: a logistic function.
+    #[must_use]
+    pub fn confidence(&self) -> f64 {
+        let held = |(term, value): (&Term, f64)| term.weight * value.clamp(term.low, term.high);
+        let log_odds = CONSTANT[0] + TERMS.iter().zip(self.terms()).map(held).sum::<f64>();
+        1.0 / (1.0 + (-log_odds).exp())
+    }
+}
+
+/// Mean distance of the pose's landmarks from those told.
+fn off(pose: &Pose<'_>, told: &Told) -> f64 {
+    let p = pose.project();
+    let far = TOLD.iter().zip(told).filter_map(|(i, at)| p.get(*i).map(|p| distance(*p, *at)));
+    far.sum::<f64>() / TOLD.len() as f64
+}

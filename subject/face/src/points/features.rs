@@ -1,0 +1,214 @@
+//! Eyes, brows, nose and mouth: outlines that are moved and bent until brightness and redness agree with them.
+
+use super::crop::{Maps, at};
+use super::search::{Found, Motion, only, search, shift, stretch, turn};
+use crate::vector::{Point, along, cubic, direction, distance, middle, up};
+
+/// Places on a lid or a lip that are looked at.
+const STEPS: [f64; 7] = [0.12, 0.25, 0.38, 0.5, 0.62, 0.75, 0.88];
+
+/// The eye nearest to `start`, two lids as curves between two corners: left corner of the picture, upper lid (2), right
+/// corner, lower lid (2, from the right); `reach` (pixels) is how far it may lie.
+pub(crate) fn eye(maps: &Maps, start: &[Point; 6], reach: f64) -> Found<6> {
+    let middle = start.iter().fold([0.0; 2], |s, p| [s[0] + p[0] / 6.0, s[1] + p[1] / 6.0]);
+    let right = direction(start[0], start[3]);
+    let upwards = up(right);
+    let motions = [
+        Motion::new(shift(right), reach / 1.5, reach, 2.0),
+        Motion::new(shift(upwards), reach / 1.5, reach, 1.5),
+        Motion::new(only(&[1, 2], upwards), 1.7, 3.0, 1.5),
+        Motion::new(only(&[4, 5], upwards), 1.2, 0.0, 0.0),
+        Motion::new(stretch(start, middle, [1.0, 0.4]), 0.08, 0.08, 0.08),
+        Motion::new(turn(start, middle), 0.07, 0.0, 0.0),
+    ];
+    search(start, &motions, |p| eye_score(maps, p))
+}
+
+/// Contrast of the lids, the corners and the inside (natural logarithm).
+fn eye_score(maps: &Maps, &[a, b, c, d, e, f]: &[Point; 6]) -> f64 {
+    let right = direction(a, d);
+    let n = up(right);
+    let g = |p| at(&maps.fine, p);
+    let cap = |v: f64| v.clamp(-0.4, 0.7);
+    let mut lids = 0.0;
+    for t in STEPS {
+        let upper = cubic([a, b, c, d], t);
+        let lower = cubic([a, f, e, d], t);
+        // The lashes are dark right below the upper lid's edge; below the lower lid is skin.
+        lids += cap(g(along(upper, n, 3.5)) - g(along(upper, n, -0.7)));
+        lids += 0.6 * cap(g(along(lower, n, -3.5)) - g(along(lower, n, 0.7)));
+    }
+    lids /= 1.6 * STEPS.len() as f64;
+    let corners = cap(g(along(a, right, -3.5)) - g(along(a, right, 2.5)))
+        + cap(g(along(d, right, 3.5)) - g(along(d, right, -2.5)));
+    // The iris is darker than the white, or the skin, to its left and right: that tells an eye from a brow.
+    let width = ((d[0] - a[0]).powi(2) + (d[1] - a[1]).powi(2)).sqrt();
+    let middle = |s: f64| {
+        let (u, l) = (cubic([a, b, c, d], 0.5 + s), cubic([a, f, e, d], 0.5 + s));
+        [0.55 * u[0] + 0.45 * l[0], 0.55 * u[1] + 0.45 * l[1]]
+    };
+    let iris = [-0.14, 0.0, 0.14]
+        .map(|s| {
+            let q = middle(s);
+            let dark = g(q);
+            let side = g(along(q, right, 0.3 * width)).min(g(along(q, right, -0.3 * width)));
+            cap(side - dark)
+        })
+        .into_iter()
+        .fold(f64::NEG_INFINITY, f64::max);
+    lids + 0.25 * corners + 0.5 * iris
+}
+
+/// The brow nearest to `start`, a dark band over the eye: five points from the left of the picture, and above the upper lid `lid`.
+pub(crate) fn brow(maps: &Maps, start: &[Point; 5], lid: [Point; 2], reach: f64) -> Found<5> {
+    let middle = start[2];
+    let right = direction(start[0], start[4]);
+    let n = up(right);
+    let arch = std::array::from_fn(|i| {
+        let t = i as f64 / 2.0 - 1.0;
+        [n[0] * (1.0 - t * t), n[1] * (1.0 - t * t)]
+    });
+    let motions = [
+        Motion::new(shift(right), 4.0, 0.0, 0.0),
+        Motion::new(shift(n), reach / 1.5, reach, 1.5),
+        Motion::new(turn(start, middle), 0.1, 0.12, 0.06),
+        Motion::new(arch, 1.5, 0.0, 0.0),
+        Motion::new(stretch(start, middle, [1.0, 0.3]), 0.08, 0.0, 0.0),
+    ];
+    search(start, &motions, |p| brow_score(maps, p) - 0.06 * crowding(p, lid))
+}
+
+/// How much darker the band is than what lies above and below it.
+fn brow_score(maps: &Maps, &[a, b, c, d, e]: &[Point; 5]) -> f64 {
+    let g = |p| at(&maps.coarse, p);
+    let cap = |v: f64| v.clamp(-0.4, 0.8);
+    let mut sum = 0.0;
+    let mut count = 0.0;
+    for (from, to) in [(a, b), (b, c), (c, d), (d, e)] {
+        let n = up(direction(from, to));
+        for t in [0.0, 0.5] {
+            let q = [from[0] + t * (to[0] - from[0]), from[1] + t * (to[1] - from[1])];
+            let dark = g(along(q, n, -1.5));
+            sum += cap(g(along(q, n, 5.5)) - dark) + 0.6 * cap(g(along(q, n, -7.5)) - dark);
+            count += 1.6;
+        }
+    }
+    let right = direction(a, e);
+    let ends = cap(g(along(a, right, -5.0)) - g(along(a, right, 3.0)))
+        + cap(g(along(e, right, 5.0)) - g(along(e, right, -3.0)));
+    sum / count + 0.08 * ends
+}
+
+/// A brow lies this far above the upper lid at least (pixels).
+const CLEARANCE: f64 = 8.0;
+
+/// How much nearer to the lid than that (pixels): a lid, or the rim of glasses, is a dark band too.
+fn crowding(p: &[Point; 5], lid: [Point; 2]) -> f64 {
+    let height = (lid[0][1] + lid[1][1]) / 2.0;
+    let lowest = p.iter().skip(1).take(3).map(|p| p[1]).fold(f64::NEG_INFINITY, f64::max);
+    (lowest - (height - CLEARANCE)).max(0.0)
+}
+
+/// The base of the nose nearest to `start`: left wing, left nostril, middle, right nostril, right wing.
+pub(crate) fn nose(maps: &Maps, start: &[Point; 5], reach: f64) -> Found<5> {
+    let right = direction(start[0], start[4]);
+    let n = up(right);
+    let motions = [
+        Motion::new(shift(right), reach / 1.5, 0.6 * reach, 2.0),
+        Motion::new(shift(n), reach / 1.5, reach, 1.5),
+        Motion::new(stretch(start, start[2], [1.0, 1.0]), 0.1, 0.1, 0.1),
+    ];
+    search(start, &motions, |p| nose_score(maps, p))
+}
+
+fn nose_score(maps: &Maps, &[a, b, c, d, e]: &[Point; 5]) -> f64 {
+    let right = direction(a, e);
+    let n = up(right);
+    let g = |p| at(&maps.fine, p);
+    let cap = |v: f64| v.clamp(-0.3, 0.6);
+    // The nostrils are dark, the lip's skin below them is bright, and so is the tip above.
+    let mut nostrils = 0.0;
+    for p in [b, d] {
+        let dark = g(along(p, n, 2.0));
+        nostrils += cap(g(along(p, n, -3.5)) - dark) + 0.7 * cap(g(along(p, n, 8.0)) - dark);
+    }
+    let base = cap(g(along(c, n, 6.0)) - g(along(c, n, 0.5)));
+    // The wings' shadow: outside is cheek.
+    let wings = cap(g(along(a, right, -4.0)) - g(along(a, [right[0] * 0.7, right[1] * 0.7], 1.0)))
+        + cap(g(along(e, right, 4.0)) - g(along(e, right, -0.7)));
+    nostrils / 3.4 + 0.3 * base + 0.3 * wings
+}
+
+/// The mouth nearest to `start`, the outlines of both lips and the line or the gap between them: outer outline clockwise
+/// from the left corner (12), middle of the upper lip's inner edge, middle of the lower lip's.
+pub(crate) fn mouth(maps: &Maps, start: &[Point; 14], reach: f64) -> Found<14> {
+    let right = direction(start[0], start[6]);
+    let n = up(right);
+    let middle = middle(start[0], start[6]);
+    // The corners up and the middle where it is.
+    let half = (distance(start[0], start[6]) / 2.0).max(1.0);
+    let smile = start.map(|p| {
+        let t = ((p[0] - middle[0]) * right[0] + (p[1] - middle[1]) * right[1]) / half;
+        [n[0] * t * t, n[1] * t * t]
+    });
+    let motions = [
+        Motion::new(shift(right), reach / 1.5, 0.6 * reach, 3.0),
+        Motion::new(shift(n), reach / 1.5, reach, 3.0),
+        Motion::new(stretch(start, middle, [1.0, 0.0]), 0.15, 0.2, 0.1),
+        // The jaw: what opens the mouth.
+        Motion::new(only(&[7, 8, 9, 10, 11, 13], n), 5.0, 9.0, 4.5),
+        Motion::new(only(&[1, 2, 3, 4, 5], n), 2.0, 0.0, 0.0),
+        Motion::new(only(&[7, 8, 9, 10, 11], n), 2.5, 0.0, 0.0),
+        Motion::new(only(&[12], n), 1.5, 0.0, 0.0),
+        Motion::new(only(&[13], n), 2.5, 0.0, 0.0),
+        Motion::new(smile, 2.5, 0.0, 0.0),
+    ];
+    search(start, &motions, |p| mouth_score(maps, 2.0 * half, p))
+}
+
+fn mouth_score(maps: &Maps, width: f64, p: &[Point; 14]) -> f64 {
+    let &[a, b, c, d, e, f, g, h, i, j, k, l, top, bottom] = p;
+    let right = direction(a, g);
+    let n = up(right);
+    let luma = |p| at(&maps.fine, p);
+    let red = |p| at(&maps.red, p);
+    let cap = |v: f64| v.clamp(-0.3, 0.5);
+    let outline = |t: f64, q: [Point; 7]| -> Point {
+        if t < 0.5 {
+            cubic([q[0], q[1], q[2], q[3]], 2.0 * t)
+        } else {
+            cubic([q[3], q[4], q[5], q[6]], 2.0 * t - 1.0)
+        }
+    };
+    let (mut outer, mut inner) = (0.0, 0.0);
+    for t in STEPS {
+        let upper = outline(t, [a, b, c, d, e, f, g]);
+        let lower = outline(t, [a, l, k, j, i, h, g]);
+        outer += 2.0 * cap(red(along(upper, n, -2.5)) - red(along(upper, n, 3.0)));
+        outer += cap(luma(along(upper, n, 3.0)) - luma(along(upper, n, -2.0)));
+        outer += 2.0 * cap(red(along(lower, n, 2.5)) - red(along(lower, n, -3.0)));
+        outer += 0.3 * cap(luma(along(lower, n, -3.0)) - luma(along(lower, n, 1.0)));
+        // Both inner edges: parabolas from corner to corner. The line between the lips is dark.
+        let bow = 4.0 * t * (1.0 - t);
+        let chord = [a[0] + t * (g[0] - a[0]), a[1] + t * (g[1] - a[1])];
+        let middle = middle(a, g);
+        let edge =
+            |m: Point| [chord[0] + bow * (m[0] - middle[0]), chord[1] + bow * (m[1] - middle[1])];
+        let (u, v) = (edge(top), edge(bottom));
+        // Lips part over teeth as over the dark: those are no lips' colour either.
+        let line = cap(luma(along(u, n, 3.5)) - luma(along(u, n, -0.5)))
+            + 0.6 * cap(luma(along(v, n, -3.5)) - luma(along(v, n, 0.5)));
+        let parted = 1.6
+            * (cap(red(along(u, n, 2.5)) - red(along(u, n, -2.5)))
+                + cap(red(along(v, n, -2.5)) - red(along(v, n, 2.5))));
+        let open = ((v[1] - u[1]) / 5.0).clamp(0.0, 1.0);
+        inner += line.max(open * parted);
+    }
+    // A short line is easily dark all along: what counts is how much of it there is.
+    inner *= (((g[0] - a[0]).powi(2) + (g[1] - a[1]).powi(2)).sqrt() / width).clamp(0.5, 1.5);
+    let gap = ((bottom[0] - top[0]) * -n[0] + (bottom[1] - top[1]) * -n[1]).min(0.0);
+    let corners = cap(luma(along(a, right, -4.0)) - luma(along(a, right, 2.0)))
+        + cap(luma(along(g, right, 4.0)) - luma(along(g, right, -2.0)));
+    let n_steps = STEPS.len() as f64;
+    outer / (2.6 * n_steps) + inner / (1.2 * n_steps) + 0.15 * corners + 0.1 * gap
+}

@@ -1,0 +1,327 @@
+//! A fitted face as it is written, read and drawn.
+#![expect(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a test fails by panicking, and says what it passes over"
+)]
+
+use image::Rgb;
+use mocapd_face::fitted::{FaceFileError, FittedFace, Method, Overlay, Part, Point, Source};
+use mocapd_face::model::{FeatureId, Model};
+use mocapd_testkit::photograph::{Random, Scene};
+
+fn example() -> (image::RgbImage, FittedFace) {
+    let model = Model::generic().unwrap();
+    let picture = Scene::portrait(4, 70.0, 20.0).render().unwrap();
+    let truth = &picture.faces[0];
+    let points = FeatureId::all()
+        .map(|id| Point {
+            id,
+            xy_px: truth.at(id),
+            confidence: if id.is_contour() { 0.3 } else { 0.9 },
+        })
+        .collect();
+    let (width, height) = picture.image.dimensions();
+    let source =
+        Source { name: "a <b> & \"c\".png".into(), sha256: "0f".repeat(32), width, height };
+    let vertices = model.shape(&truth.coefficients);
+    let face = FittedFace::new(model, Method::Default, source, truth.camera, points, vertices);
+    (picture.image, face)
+}
+
+#[test]
+fn what_is_written_is_read_again() {
+    let (_, face) = example();
+    let text = face.to_json().unwrap();
+    let again = FittedFace::from_json(&text).unwrap();
+    assert_eq!(again.to_json().unwrap(), text);
+    assert_eq!(
+        (again.source, again.triangles, again.features),
+        (face.source, face.triangles, face.features)
+    );
+    for (a, b) in again.vertices_mm.iter().flatten().zip(face.vertices_mm.iter().flatten()) {
+        assert!((a - b).abs() <= 0.0005 + 1e-9, "{a} {b}");
+    }
+    for (a, b) in again.points.iter().zip(&face.points) {
+        assert!((a.xy_px[0] - b.xy_px[0]).abs() < 0.006 && a.id == b.id, "{a:?} {b:?}");
+    }
+}
+
+#[test]
+fn a_confidence_is_kept_and_may_be_missing() {
+    let (_, mut face) = example();
+    assert_eq!(face.confidence, None);
+    let older = face.to_json().unwrap();
+    assert!(!FittedFace::from_json(&older).unwrap().is_unsure());
+    for (confidence, unsure) in [(0.0, true), (0.4996, true), (0.75, false), (1.0, false)] {
+        face.confidence = Some(confidence);
+        let again = FittedFace::from_json(&face.to_json().unwrap()).unwrap();
+        assert!((again.confidence.unwrap() - confidence).abs() < 0.000_51);
+        assert_eq!(face.is_unsure(), unsure, "{confidence}");
+    }
+    face.confidence = Some(1.2);
+    assert!(matches!(face.to_json(), Err(FaceFileError::Value(_))));
+}
+
+#[test]
+fn an_unsure_face_has_a_net_of_another_colour() {
+    let (photograph, mut face) = example();
+    let drawn =
+        |face: &FittedFace| Overlay::new(&photograph, std::slice::from_ref(face)).into_image();
+    let plain = drawn(&face);
+    face.confidence = Some(0.9);
+    assert_eq!(drawn(&face), plain);
+    face.confidence = Some(0.1);
+    // White lines have turned orange: less blue than they had.
+    let less_blue = plain
+        .pixels()
+        .zip(drawn(&face).pixels())
+        .filter(|(a, b)| a[2].saturating_sub(b[2]) > 40)
+        .count();
+    assert!(less_blue > 1000, "{less_blue}");
+}
+
+/// How far a pixel's brightness is from another's, of 255.
+fn apart(a: &Rgb<u8>, b: &Rgb<u8>) -> f64 {
+    let luma =
+        |p: &Rgb<u8>| 0.299 * f64::from(p[0]) + 0.587 * f64::from(p[1]) + 0.114 * f64::from(p[2]);
+    (luma(a) - luma(b)).abs()
+}
+
+#[test]
+fn a_net_is_seen_on_any_ground_in_pictures_of_any_size() {
+    let (photograph, mut face) = example();
+    // The orange of unsure lines, skin, white and black; the net alone.
+    face.points.clear();
+    for ground in [[255, 160, 32], [224, 172, 136], [255; 3], [0; 3]] {
+        for factor in [1, 6] {
+            let (width, height) = (factor * photograph.width(), factor * photograph.height());
+            let plain = image::RgbImage::from_pixel(width, height, Rgb(ground));
+            for confidence in [0.9, 0.1] {
+                let mut face = face.clone();
+                face.confidence = Some(confidence);
+                face.camera.scale_px_per_mm *= f64::from(factor);
+                face.camera.origin_px = face.camera.origin_px.map(|v| v * f64::from(factor));
+                let drawn = Overlay::new(&plain, &[face]).into_image();
+                let ground = Rgb(ground);
+                let seen = drawn.pixels().filter(|pixel| apart(pixel, &ground) > 60.0).count();
+                let share = seen as f64 / f64::from(drawn.width() * drawn.height());
+                assert!(share > 0.02, "{ground:?} x {factor}, {confidence}: {share:.4}");
+            }
+        }
+    }
+}
+
+#[test]
+fn several_faces_have_numbers_beside_them_and_one_has_none() {
+    let mut scene = Scene::portrait(4, 60.0, 0.0);
+    scene.width_px *= 2;
+    let mut other = scene.faces[0].clone();
+    other.eyes_px[0] += 240.0;
+    scene.faces.push(other);
+    let picture = scene.render().unwrap();
+    let (_, example) = example();
+    let faces: Vec<FittedFace> = picture
+        .faces
+        .iter()
+        .map(|truth| {
+            let mut face = example.clone();
+            face.camera = truth.camera;
+            face.points.iter_mut().for_each(|point| point.xy_px = truth.at(point.id));
+            face
+        })
+        .collect();
+    let drawn = |faces: &[FittedFace]| Overlay::new(&picture.image, faces).into_image();
+    let both = drawn(&faces);
+    let swapped = drawn(&[faces[1].clone(), faces[0].clone()]);
+    let alone = [drawn(&faces[..1]), drawn(&faces[1..])];
+    assert_eq!(both.dimensions(), alone[0].dimensions());
+    // What is on neither picture of one face is a number; those of the two faces change places with their order.
+    let wider = both.width() / picture.image.width();
+    let numbers = |drawn: &image::RgbImage| -> Vec<[u32; 2]> {
+        let is_new = |(x, y, pixel): &(u32, u32, &Rgb<u8>)| {
+            alone.iter().all(|one| apart(one.get_pixel(*x, *y), pixel) > 40.0)
+        };
+        drawn.enumerate_pixels().filter(is_new).map(|(x, y, _)| [x / wider, y / wider]).collect()
+    };
+    let found = numbers(&both);
+    assert!(found.len() > 200, "{}", found.len());
+    for truth in &picture.faces {
+        let [x, y] = truth.camera.origin_px;
+        let near = |at: &&[u32; 2]| {
+            let [dx, dy] = [f64::from(at[0]) - x, f64::from(at[1]) - y];
+            dx.abs() < 120.0 && dy.abs() < 160.0
+        };
+        assert!(found.iter().filter(near).count() > 100, "no number near {x:.0}, {y:.0}");
+    }
+    assert_ne!(both, swapped);
+    // Ten faces and more have two digits; a face beyond the picture has its number within.
+    let mut many = vec![faces[0].clone(); 12];
+    many[11].camera.origin_px = [-1e5, 9e5];
+    many[11].points.clear();
+    assert_ne!(drawn(&many), drawn(&many[..11]));
+}
+
+#[test]
+fn notes_are_kept_and_make_a_face_unsure() {
+    let (_, mut face) = example();
+    assert!(!face.is_unsure());
+    face.notes = vec!["the mouth lies low".to_owned()];
+    assert!(face.is_unsure());
+    let again = FittedFace::from_json(&face.to_json().unwrap()).unwrap();
+    assert_eq!(again.notes, face.notes);
+    face.notes = vec!["a\nb".to_owned()];
+    assert!(matches!(face.to_json(), Err(FaceFileError::Value(_))));
+    face.notes = vec!["a".to_owned(); 51];
+    assert!(matches!(face.to_json(), Err(FaceFileError::Value(_))));
+}
+
+#[test]
+fn what_is_no_face_file_is_refused() {
+    let (_, face) = example();
+    let good: serde_json::Value = serde_json::from_str(&face.to_json().unwrap()).unwrap();
+    let refused = |change: &dyn Fn(&mut serde_json::Value)| {
+        let mut bad = good.clone();
+        change(&mut bad);
+        FittedFace::from_json(&bad.to_string()).unwrap_err()
+    };
+    assert!(matches!(refused(&|v| v["format"] = "mocapd-skeleton".into()), FaceFileError::Kind(_)));
+    assert!(matches!(refused(&|v| v["version"] = 2.into()), FaceFileError::Kind(_)));
+    assert!(matches!(refused(&|v| v["colour"] = 2.into()), FaceFileError::Shape(_)));
+    assert!(matches!(refused(&|v| v["points"] = serde_json::json!([])), FaceFileError::Value(_)));
+    assert!(matches!(refused(&|v| v["points"][3]["name"] = "ear".into()), FaceFileError::Value(_)));
+    assert!(matches!(
+        refused(&|v| v["points"][3]["confidence"] = 1.5.into()),
+        FaceFileError::Value(_)
+    ));
+    assert!(matches!(refused(&|v| v["confidence"] = (-0.5).into()), FaceFileError::Value(_)));
+    assert!(matches!(refused(&|v| v["triangles"][7][1] = 100_000.into()), FaceFileError::Value(_)));
+    assert!(matches!(
+        refused(&|v| v["features"]["nose_tip"] = 5000.into()),
+        FaceFileError::Value(_)
+    ));
+    assert!(matches!(refused(&|v| v["vertices_mm"][0][0] = 1e300.into()), FaceFileError::Value(_)));
+    assert!(matches!(
+        refused(&|v| v["vertices_mm"] = serde_json::json!([])),
+        FaceFileError::Value(_)
+    ));
+    assert!(matches!(refused(&|v| v["scale_px_per_mm"] = 0.into()), FaceFileError::Value(_)));
+    assert!(matches!(refused(&|v| v["pose_deg"]["yaw"] = 200.into()), FaceFileError::Value(_)));
+    assert!(matches!(refused(&|v| v["source"]["sha256"] = "ABC".into()), FaceFileError::Value(_)));
+    assert!(matches!(refused(&|v| v["source"]["name"] = "a\nb".into()), FaceFileError::Value(_)));
+    assert!(matches!(FittedFace::from_json(&" ".repeat(2 << 20)), Err(FaceFileError::Value(_))));
+    let text = face.to_json().unwrap();
+    for end in (0..text.len()).step_by(1009) {
+        assert!(FittedFace::from_json(&text[..end]).is_err());
+    }
+    let mut broken = face;
+    broken.vertices_mm[3][1] = f64::NAN;
+    assert!(matches!(broken.to_json(), Err(FaceFileError::Value(_))));
+}
+
+#[test]
+fn a_reason_is_a_short_line_whatever_the_file_says() {
+    let long = "x\\n\\u0007".repeat(500);
+    for text in [
+        format!(r#"{{"format": "mocapd-face", "version": 1, "{long}": 0}}"#),
+        format!(r#"{{"format": "{long}", "version": 1}}"#),
+        "[".repeat(100_000),
+        r#"{"format": "mocapd-face", "version": 4294967296}"#.to_owned(),
+        r#"{"format": "mocapd-face", "version": 1, "vertices_mm": [[1e999, 0, 0]]}"#.to_owned(),
+    ] {
+        let reason = FittedFace::from_json(&text).unwrap_err().to_string();
+        assert!(reason.chars().count() < 300 && !reason.contains(char::is_control), "{reason:?}");
+    }
+}
+
+#[test]
+fn changed_bytes_give_an_error_or_a_face_that_holds() {
+    let (_, face) = example();
+    let good = face.to_json().unwrap().into_bytes();
+    let mut random = Random::new(9);
+    let mut read = 0;
+    for _ in 0..400 {
+        let mut bytes = good.clone();
+        for _ in 0..1 + (3.0 * random.uniform()) as usize {
+            let at = (random.uniform() * bytes.len() as f64) as usize;
+            bytes[at] = random.one_of(b"0123456789-.e,[]{}\"ax ");
+        }
+        if let Ok(again) = FittedFace::from_json(&String::from_utf8(bytes).unwrap()) {
+            // Whatever is read can be drawn and written.
+            again.to_json().unwrap();
+            again.to_obj();
+            again.to_svg();
+            read += 1;
+        }
+    }
+    assert!(read > 20, "{read}");
+}
+
+#[test]
+fn the_obj_has_every_vertex_and_triangle() {
+    let (_, face) = example();
+    let obj = face.to_obj();
+    let count = |word: &str| obj.lines().filter(|line| line.starts_with(word)).count();
+    assert_eq!((count("v "), count("f ")), (face.vertices_mm.len(), face.triangles.len()));
+    assert_eq!(count("# feature "), face.features.len());
+}
+
+#[test]
+fn the_overlay_marks_its_points_in_their_colours() {
+    let (photograph, face) = example();
+    let picture = Overlay::new(&photograph, std::slice::from_ref(&face)).into_image();
+    // 70 px between the eyes are enlarged to three times that.
+    assert_eq!(picture.width(), 3 * photograph.width());
+    for point in face.points.iter().filter(|p| p.confidence > 0.5 && Part::of(p.id) == Part::Nose) {
+        let at = point.xy_px.map(|v| ((v + 0.5) * 3.0 - 0.5).round() as u32);
+        assert_eq!(
+            picture.get_pixel(at[0], at[1]),
+            &Rgb(Part::Nose.colour()),
+            "{}",
+            point.id.name()
+        );
+    }
+    let mut far = face;
+    far.camera.origin_px = [-1e5, 1e5];
+    far.points.iter_mut().for_each(|p| p.xy_px = [1e5, -1e5]);
+    let untouched = Overlay::new(&photograph, &[far]).into_image();
+    let plain = image::imageops::resize(
+        &photograph,
+        untouched.width(),
+        untouched.height(),
+        image::imageops::FilterType::CatmullRom,
+    );
+    assert_eq!(untouched, plain);
+}
+
+#[test]
+fn three_views_stand_in_the_svg() {
+    let (_, face) = example();
+    let svg = face.to_svg();
+    for text in [
+        ">front<",
+        ">three-quarter<",
+        ">side<",
+        "mm, nominal",
+        "a &lt;b&gt; &amp; &quot;c&quot;.png",
+    ] {
+        assert!(svg.contains(text), "{text}");
+    }
+    // More than half of the triangles face each of the first two views.
+    assert!(svg.matches('Z').count() > face.triangles.len());
+}
+
+/// Writes what there is to look at into the folder that `MOCAPD_FACES_DRAWN` names.
+#[test]
+fn outputs_to_look_at() {
+    let Some(folder) = std::env::var_os("MOCAPD_FACES_DRAWN").map(std::path::PathBuf::from) else {
+        println!("passed over: MOCAPD_FACES_DRAWN names no folder");
+        return;
+    };
+    let (photograph, face) = example();
+    let overlay = Overlay::new(&photograph, std::slice::from_ref(&face));
+    overlay.into_image().save(folder.join("overlay.png")).unwrap();
+    std::fs::write(folder.join("views.svg"), face.to_svg()).unwrap();
+    std::fs::write(folder.join("face.json"), face.to_json().unwrap()).unwrap();
+    std::fs::write(folder.join("face.obj"), face.to_obj()).unwrap();
+}
