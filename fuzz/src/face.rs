@@ -4,7 +4,7 @@ use mocapd_face::{
     Photo,
     fitted::FittedFace,
     mapping::Mapping,
-    model::{FeatureId, FitOptions, Model},
+    model::{FeatureId, FitOptions, Landmark, Model},
     photo::BYTES_MAX,
 };
 
@@ -73,7 +73,7 @@ pub fn read_face_model(bytes: &[u8]) {
     }
     let own = FeatureId::all().filter_map(|id| {
         let [x, y, _] = *model.vertices.get(*model.features.get(id.name())?)?;
-        Some((id, [100.0 + x, 100.0 - y], 1.0))
+        Some(Landmark { id, xy_px: [100.0 + x, 100.0 - y], confidence: 1.0 })
     });
     let options = FitOptions { modes: 4, steps: 2, ..FitOptions::default() };
     match model.fit_shape(&own.collect::<Vec<_>>(), &options) {

@@ -114,7 +114,7 @@ fn a_photograph_becomes_a_face() {
     let face = String::from_utf8(folder.read("f.json")).unwrap();
     let face = FittedFace::from_json(&face).unwrap();
     let truth = &picture.faces[0];
-    let off = |point: &mocapd_face::fitted::Point| {
+    let off = |point: &mocapd_face::model::Landmark| {
         let [x, y] = truth.at(point.id);
         (point.xy_px[0] - x).hypot(point.xy_px[1] - y) / 90.0
     };

@@ -1,9 +1,9 @@
 //! Small photographs in every format, and what is kept of a face.
 
 use mocapd_face::{
-    fitted::{FittedFace, Method, Point, Source},
+    fitted::{FittedFace, Method, Source},
     mapping::Mapping,
-    model::{FeatureId, Model},
+    model::{FeatureId, Landmark, Model},
 };
 use mocapd_testkit::photograph::{Picture, Scene};
 
@@ -38,7 +38,8 @@ pub(crate) fn faces() -> Vec<Vec<u8>> {
     let (width, height) = image.dimensions();
     let face = |method| {
         let truth = faces.first()?;
-        let points = FeatureId::all().map(|id| Point { id, xy_px: truth.at(id), confidence: 0.5 });
+        let points =
+            FeatureId::all().map(|id| Landmark { id, xy_px: truth.at(id), confidence: 0.5 });
         let source = Source { name: "a.png".to_owned(), sha256: "0f".repeat(32), width, height };
         let vertices = model.shape(&truth.coefficients);
         let face = FittedFace::new(model, method, source, truth.camera, points.collect(), vertices);

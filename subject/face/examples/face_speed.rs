@@ -7,9 +7,9 @@ use std::error::Error;
 use std::time::Duration;
 
 use mocapd_face::Photo;
-use mocapd_face::adapt::{Depth, Settings, adapt};
+use mocapd_face::adapt::{Depth, Width, adapt};
 use mocapd_face::find;
-use mocapd_face::model::{FeatureId, FitOptions, Model};
+use mocapd_face::model::{FeatureId, FitOptions, Landmark, Model};
 use mocapd_face::points::{self, Rough};
 use mocapd_testkit::photograph::Scene;
 use rustix::time::{ClockId, clock_gettime};
@@ -43,10 +43,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     let Some(truth) = picture.faces.first() else {
         return Err("the scene has no face".into());
     };
-    let weighted: Vec<_> = FeatureId::all().map(|id| (id, truth.at(id), 1.0)).collect();
-    let points: Vec<_> = FeatureId::all().map(|id| (id, truth.at(id))).collect();
+    let points: Vec<_> =
+        FeatureId::all().map(|id| Landmark { id, xy_px: truth.at(id), confidence: 1.0 }).collect();
     let options = FitOptions::default();
-    let fit = model.fit_shape(&weighted, &options)?;
+    let fit = model.fit_shape(&points, &options)?;
     let depths: Vec<_> = fit.points_px.iter().map(|p| p[2]).collect();
     println!(
         "{} vertices, {} points, {} modes",
@@ -56,21 +56,20 @@ fn main() -> Result<(), Box<dyn Error>> {
     );
     println!(
         "fit of pose and shape    {:?}",
-        fastest(ROUNDS, || model.fit_shape(&weighted, &options))?
+        fastest(ROUNDS, || model.fit_shape(&points, &options))?
     );
-    let carry =
-        |settings, depth| adapt(model, &fit.vertices_mm, &fit.camera, &points, settings, depth);
+    let carry = |width, depth| adapt(model, &fit.vertices_mm, &fit.camera, &points, width, depth);
     println!(
         "adaptation, as printed   {:?}",
-        fastest(ROUNDS, || carry(Settings::PAPER, Depth::Model))?
+        fastest(ROUNDS, || carry(Width::PAPER, Depth::Model))?
     );
     println!(
         "adaptation, default      {:?}",
-        fastest(ROUNDS, || carry(Settings::default(), Depth::Model))?
+        fastest(ROUNDS, || carry(Width::default(), Depth::Model))?
     );
     println!(
         "adaptation, with depths  {:?}",
-        fastest(ROUNDS, || carry(Settings::default(), Depth::Points(&depths)))?
+        fastest(ROUNDS, || carry(Width::default(), Depth::Points(&depths)))?
     );
     let mut scene = Scene::portrait(3, 80.0, 20.0);
     (scene.width_px, scene.height_px) = QUARTER_PX;

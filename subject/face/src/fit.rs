@@ -2,10 +2,10 @@
 
 use std::fmt;
 
-use crate::adapt::{Depth, Settings, adapt};
+use crate::adapt::{Depth, Width, adapt};
 use crate::find::{self, Found};
-use crate::fitted::{FittedFace, Method, Point, Source};
-use crate::model::{Camera, FeatureId, FitOptions, Model, ModelError, OUTER_EYES_MM};
+use crate::fitted::{FittedFace, Method, Source};
+use crate::model::{Camera, FeatureId, FitOptions, Landmark, Model, ModelError, OUTER_EYES_MM};
 use crate::paper;
 use crate::photo::Photo;
 use crate::plausible::Plausible;
@@ -80,29 +80,27 @@ pub fn fit(photo: &Photo, source: &Source, method: Method) -> Result<Vec<FittedF
 /// What a chain makes of the points of a face.
 struct Fit {
     camera: Camera,
-    points: Vec<Point>,
+    points: Vec<Landmark>,
     vertices_mm: Vec<[f64; 3]>,
 }
 
 /// Pose, shape and depth by the shape model; what was not seen is where the model has it. So is the hairline: what is seen up
 /// there is the border of hair, and would squeeze the forehead into it.
 fn by_default(model: &Model, found: &FacePoints) -> Result<Fit, NoFace> {
-    let fit = model.fit_shape(&found.weighted(), &FitOptions::default());
+    let fit = model.fit_shape(&found.found(), &FitOptions::default());
     let fit = fit.map_err(NoFace::not_fitted)?;
-    let points: Vec<Point> = FeatureId::all()
+    let points: Vec<Landmark> = FeatureId::all()
         .zip(&found.points)
         .zip(&fit.points_px)
         .map(|((id, seen), &[x, y, _])| {
             let confidence = if id.is_hairline() { 0.0 } else { seen.confidence };
             let xy_px = if confidence > 0.0 { seen.at } else { [x, y] };
-            Point { id, xy_px, confidence }
+            Landmark { id, xy_px, confidence }
         })
         .collect();
-    let nodes: Vec<_> = points.iter().map(|point| (point.id, point.xy_px)).collect();
     let depths: Vec<f64> = fit.points_px.iter().map(|point| point[2]).collect();
     let (camera, depth) = (fit.camera, Depth::Points(&depths));
-    let settings = Settings::default();
-    let adapted = adapt(model, &fit.vertices_mm, &camera, &nodes, settings, depth);
+    let adapted = adapt(model, &fit.vertices_mm, &camera, &points, Width::default(), depth);
     let adapted = adapted.map_err(NoFace::not_fitted)?;
     Ok(Fit { camera, points, vertices_mm: adapted.vertices_mm })
 }
@@ -127,13 +125,8 @@ fn by_paper(model: &Model, face: &Found, found: &FacePoints) -> Result<Fit, NoFa
         roll_deg: -face.roll_rad.to_degrees(),
         origin_px: [(left[0] + right[0]) / 2.0, (left[1] + right[1]) / 2.0],
     };
-    let points: Vec<Point> = FeatureId::all()
-        .zip(&found.points)
-        .filter(|(_, seen)| seen.confidence > 0.0)
-        .map(|(id, seen)| Point { id, xy_px: seen.at, confidence: seen.confidence })
-        .collect();
-    let nodes: Vec<_> = points.iter().map(|point| (point.id, point.xy_px)).collect();
-    let adapted = adapt(model, &model.vertices, &camera, &nodes, Settings::PAPER, Depth::Model);
+    let points = found.found();
+    let adapted = adapt(model, &model.vertices, &camera, &points, Width::PAPER, Depth::Model);
     let adapted = adapted.map_err(NoFace::not_fitted)?;
     Ok(Fit { camera, points, vertices_mm: adapted.vertices_mm })
 }

@@ -90,7 +90,7 @@ fn yaw_errors_deg(faces: &[Face]) -> [f64; 2] {
         for _ in 0..STARTS {
             let found = points::find(&face.photo, &disturbed(face, &mut noise)).unwrap();
             let model = Model::generic().unwrap();
-            let fit = model.fit_shape(&found.weighted(), &FitOptions::default()).unwrap();
+            let fit = model.fit_shape(&found.found(), &FitOptions::default()).unwrap();
             let Some(yaw_deg) = face.truth.yaw_deg else { continue };
             sums[0] += (found.yaw_deg.unwrap() - yaw_deg).abs();
             sums[1] += (fit.camera.yaw_deg - yaw_deg).abs();

@@ -6,8 +6,8 @@
 )]
 
 use image::Rgb;
-use mocapd_face::fitted::{FaceFileError, FittedFace, Method, Overlay, Part, Point, Source};
-use mocapd_face::model::{FeatureId, Model};
+use mocapd_face::fitted::{FaceFileError, FittedFace, Method, Overlay, Part, Source};
+use mocapd_face::model::{FeatureId, Landmark, Model};
 use mocapd_testkit::photograph::{Random, Scene};
 
 fn example() -> (image::RgbImage, FittedFace) {
@@ -15,7 +15,7 @@ fn example() -> (image::RgbImage, FittedFace) {
     let picture = Scene::portrait(4, 70.0, 20.0).render().unwrap();
     let truth = &picture.faces[0];
     let points = FeatureId::all()
-        .map(|id| Point {
+        .map(|id| Landmark {
             id,
             xy_px: truth.at(id),
             confidence: if id.is_contour() { 0.3 } else { 0.9 },

@@ -1,3 +1,5 @@
+use mocapd_face::model::Landmark;
+
 use super::*;
 
 #[test]
@@ -48,7 +50,8 @@ fn the_truth_is_the_cameras() {
     scene.faces[0].roll_deg = 12.0;
     let truth = scene.render().unwrap().faces.remove(0);
     let model = Model::generic().unwrap();
-    let points: Vec<_> = FeatureId::all().map(|id| (id, truth.at(id), 1.0)).collect();
+    let points: Vec<_> =
+        FeatureId::all().map(|id| Landmark { id, xy_px: truth.at(id), confidence: 1.0 }).collect();
     let fit = model.fit_shape(&points, &Default::default()).unwrap();
     assert!((fit.camera.yaw_deg + 30.0).abs() < 6.0, "{:?}", fit.camera);
     assert!((fit.camera.roll_deg - 12.0).abs() < 3.0, "{:?}", fit.camera);

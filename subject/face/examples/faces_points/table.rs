@@ -55,7 +55,7 @@ impl Row {
 }
 
 fn fitted_yaw(found: &FacePoints) -> Option<f64> {
-    let fit = Model::generic().ok()?.fit_shape(&found.weighted(), &FitOptions::default()).ok()?;
+    let fit = Model::generic().ok()?.fit_shape(&found.found(), &FitOptions::default()).ok()?;
     Some(fit.camera.yaw_deg)
 }
 

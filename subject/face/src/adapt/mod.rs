@@ -4,40 +4,30 @@ mod radial;
 #[cfg(test)]
 mod tests;
 
-use crate::model::{Camera, FeatureId, Model, OUTER_EYES_MM};
+use crate::model::{Camera, Landmark, Model, OUTER_EYES_MM};
 pub use radial::{AdaptError, RadialMap};
 
-/// What the basis counts distances in. (Yang et al. 2004) does not say.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Unit {
-    /// Pixels of the photograph.
-    Pixel,
-    /// The distance of the outer eye corners, as the camera would see it from in front.
-    OuterEyes,
-}
-
-/// How vertices between the points follow them.
+/// d of the multiquadric ([`RadialMap`]): how far around a point the vertices follow it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Settings {
-    /// d of the multiquadric ([`RadialMap`]).
-    pub d: f64,
-    /// What it is in.
-    pub unit: Unit,
+pub enum Width {
+    /// In pixels of the photograph.
+    Pixels(f64),
+    /// In distances of the outer eye corners, as the camera would see them from in front.
+    OuterEyes(f64),
 }
 
-impl Settings {
-    /// As (Yang et al. 2004) prints it, with its 1 read as a pixel.
+impl Width {
+    /// As (Yang et al. 2004) prints it, with its 1 read as a pixel: it does not say what it is in.
     ///
     /// Read as the distance of the outer eye corners it is twenty times as wide as features are apart: the points are met,
     /// and the vertices between them end up a whole eyes' distance from where they belong.
-    pub const PAPER: Self = Self { d: 1.0, unit: Unit::Pixel };
+    pub const PAPER: Self = Self::Pixels(1.0);
 }
 
-impl Default for Settings {
-    /// The multiquadric with d a twentieth of the eyes' distance, about as far as features are apart: the same at every
-    /// size of the photograph.
+impl Default for Width {
+    /// A twentieth of the eyes' distance, about as far as features are apart: the same at every size of the photograph.
     fn default() -> Self {
-        Self { d: 0.05, unit: Unit::OuterEyes }
+        Self::OuterEyes(0.05)
     }
 }
 
@@ -69,8 +59,8 @@ pub fn adapt(
     model: &Model,
     vertices_mm: &[[f64; 3]],
     camera: &Camera,
-    points: &[(FeatureId, [f64; 2])],
-    settings: Settings,
+    points: &[Landmark],
+    width: Width,
     depth: Depth<'_>,
 ) -> Result<Adapted, AdaptError> {
     // Steps 1 and 2: turned, and seen without perspective. In units of the eyes' distance.
@@ -78,14 +68,14 @@ pub fn adapt(
     let seen = turned.project(vertices_mm);
     let features = turned.project(&model.feature_points(vertices_mm, &camera.rotation()));
     // Step 3.
-    let nodes: Vec<_> = points.iter().map(|(id, _)| features[id.index()]).collect();
+    let nodes: Vec<_> = points.iter().map(|point| features[point.id.index()]).collect();
     let flat: Vec<_> = nodes.iter().map(|&[x, y, _]| [x, y]).collect();
     let io_px = camera.scale_px_per_mm * OUTER_EYES_MM;
-    let targets: Vec<_> = points.iter().map(|&(_, at)| at.map(|v| v / io_px)).collect();
+    let targets: Vec<_> = points.iter().map(|point| point.xy_px.map(|v| v / io_px)).collect();
     // Steps 4 to 6. Another unit of r is another d, and a factor that the weights take up.
-    let d = match settings.unit {
-        Unit::Pixel => settings.d * (1.0 / io_px),
-        Unit::OuterEyes => settings.d,
+    let d = match width {
+        Width::Pixels(d) => d * (1.0 / io_px),
+        Width::OuterEyes(d) => d,
     };
     let map = RadialMap::new(d, &flat, &targets)?;
     let mut vertices_px: Vec<_> = seen

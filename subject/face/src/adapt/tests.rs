@@ -1,5 +1,5 @@
 use super::*;
-use crate::model::{Camera, FeatureId, FitOptions, Model, OUTER_EYES_MM};
+use crate::model::{Camera, FeatureId, FitOptions, Landmark, Model, OUTER_EYES_MM};
 use mocapd_testkit::photograph::Random;
 
 /// How round the multiquadric's tip is.
@@ -113,13 +113,14 @@ fn points(model: &Model, camera: &Camera, person: &[[f64; 3]]) -> Vec<[f64; 3]> 
 fn features_of_an_adapted_face_lie_on_the_points() {
     let (model, camera, person) = turned_face();
     let seen = points(model, &camera, &person);
-    let given: Vec<_> = FeatureId::all().zip(&seen).map(|(id, p)| (id, [p[0], p[1]])).collect();
-    let wide = Settings { d: 1.0, unit: Unit::OuterEyes };
-    for settings in [Settings::PAPER, Settings::default(), wide] {
-        let adapted =
-            adapt(model, &model.vertices, &camera, &given, settings, Depth::Model).unwrap();
+    let given: Vec<_> = FeatureId::all()
+        .zip(&seen)
+        .map(|(id, p)| Landmark { id, xy_px: [p[0], p[1]], confidence: 1.0 })
+        .collect();
+    for width in [Width::PAPER, Width::default(), Width::OuterEyes(1.0)] {
+        let adapted = adapt(model, &model.vertices, &camera, &given, width, Depth::Model).unwrap();
         let io_px = camera.scale_px_per_mm * OUTER_EYES_MM;
-        for (id, at) in &given[FeatureId::CONTOUR..] {
+        for Landmark { id, xy_px: at, .. } in &given[FeatureId::CONTOUR..] {
             let vertex = adapted.vertices_px[model.features[id.name()]];
             let off = (vertex[0] - at[0]).hypot(vertex[1] - at[1]) / io_px;
             assert!(off < 1e-9, "{}: {off} io", id.name());
@@ -133,7 +134,10 @@ fn vertices_between_the_features_come_nearer() {
     let (model, camera, person) = turned_face();
     let truth = camera.project(&person);
     let seen = points(model, &camera, &person);
-    let given: Vec<_> = FeatureId::all().zip(&seen).map(|(id, p)| (id, [p[0], p[1]])).collect();
+    let given: Vec<_> = FeatureId::all()
+        .zip(&seen)
+        .map(|(id, p)| Landmark { id, xy_px: [p[0], p[1]], confidence: 1.0 })
+        .collect();
     let io_px = camera.scale_px_per_mm * OUTER_EYES_MM;
     let error = |vertices: &[[f64; 3]], axes: std::ops::Range<usize>| {
         let off = |(v, t): (&[f64; 3], &[f64; 3])| {
@@ -142,20 +146,17 @@ fn vertices_between_the_features_come_nearer() {
         vertices.iter().zip(&truth).map(off).sum::<f64>() / truth.len() as f64 / io_px
     };
     let before = camera.project(&model.vertices);
-    let paper =
-        adapt(model, &model.vertices, &camera, &given, Settings::PAPER, Depth::Model).unwrap();
+    let paper = adapt(model, &model.vertices, &camera, &given, Width::PAPER, Depth::Model).unwrap();
     assert!(error(&paper.vertices_px, 0..2) < 0.6 * error(&before, 0..2));
     // With depths the third dimension comes nearer, too.
     let depths: Vec<_> = seen.iter().map(|p| p[2]).collect();
-    let deep =
-        adapt(model, &model.vertices, &camera, &given, Settings::PAPER, Depth::Points(&depths))
-            .unwrap();
+    let deep = adapt(model, &model.vertices, &camera, &given, Width::PAPER, Depth::Points(&depths))
+        .unwrap();
     assert!(error(&deep.vertices_px, 2..3) < 0.7 * error(&paper.vertices_px, 2..3));
     // And a shape that was fitted is a better beginning than the average.
-    let weighted: Vec<_> = given.iter().map(|&(id, at)| (id, at, 1.0)).collect();
-    let fit = model.fit_shape(&weighted, &FitOptions::default()).unwrap();
+    let fit = model.fit_shape(&given, &FitOptions::default()).unwrap();
     let fitted =
-        adapt(model, &fit.vertices_mm, &fit.camera, &given, Settings::PAPER, Depth::Model).unwrap();
+        adapt(model, &fit.vertices_mm, &fit.camera, &given, Width::PAPER, Depth::Model).unwrap();
     assert!(error(&fitted.vertices_px, 0..2) < error(&paper.vertices_px, 0..2));
 }
 
@@ -165,15 +166,18 @@ fn a_basis_much_wider_than_features_are_apart_overshoots() {
     let (model, camera, person) = turned_face();
     let truth = camera.project(&person);
     let seen = points(model, &camera, &person);
-    let given: Vec<_> = FeatureId::all().zip(&seen).map(|(id, p)| (id, [p[0], p[1]])).collect();
+    let given: Vec<_> = FeatureId::all()
+        .zip(&seen)
+        .map(|(id, p)| Landmark { id, xy_px: [p[0], p[1]], confidence: 1.0 })
+        .collect();
     let io_px = camera.scale_px_per_mm * OUTER_EYES_MM;
     let error = |vertices: &[[f64; 3]]| {
         let off = |(v, t): (&[f64; 3], &[f64; 3])| (v[0] - t[0]).hypot(v[1] - t[1]);
         100.0 * vertices.iter().zip(&truth).map(off).sum::<f64>() / truth.len() as f64 / io_px
     };
     let adapted = |d: f64| {
-        let settings = Settings { d, unit: Unit::OuterEyes };
-        adapt(model, &model.vertices, &camera, &given, settings, Depth::Model).unwrap()
+        let width = Width::OuterEyes(d);
+        adapt(model, &model.vertices, &camera, &given, width, Depth::Model).unwrap()
     };
     let before = error(&camera.project(&model.vertices));
     println!("not adapted: {before:.2} % io");

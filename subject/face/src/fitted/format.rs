@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{FittedFace, Method, Point, Source};
-use crate::model::{Camera, FeatureId};
+use super::{FittedFace, Method, Source};
+use crate::model::{Camera, FeatureId, Landmark};
 use crate::shortened;
 
 const FORMAT: &str = "mocapd-face";
@@ -140,7 +140,7 @@ impl FittedFace {
         file.check()?;
         let points = file.points.iter().filter_map(|point| {
             let id = FeatureId::from_name(&point.name)?;
-            Some(Point { id, xy_px: point.xy_px, confidence: point.confidence })
+            Some(Landmark { id, xy_px: point.xy_px, confidence: point.confidence })
         });
         let camera = Camera {
             scale_px_per_mm: file.scale_px_per_mm,

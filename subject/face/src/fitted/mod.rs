@@ -10,7 +10,7 @@ mod views;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use super::model::{Camera, FeatureId, Model};
+use super::model::{Camera, FeatureId, Landmark, Model};
 
 pub use format::FaceFileError;
 pub use overlay::Overlay;
@@ -39,17 +39,6 @@ pub struct Source {
     pub height: u32,
 }
 
-/// One of the 53 points.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Point {
-    /// Which.
-    pub id: FeatureId,
-    /// In the photograph: x to the right, y down, 0 at the middle of the first pixel.
-    pub xy_px: [f64; 2],
-    /// From 0 (guessed by the model) to 1 (seen).
-    pub confidence: f64,
-}
-
 /// A face that was fitted to a photograph.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FittedFace {
@@ -65,7 +54,7 @@ pub struct FittedFace {
     /// What contradicts that the points are a face's, as phrases for people: lower case, without a dot at the end.
     pub notes: Vec<String>,
     /// The 53 points, in their order.
-    pub points: Vec<Point>,
+    pub points: Vec<Landmark>,
     /// The wireframe, turned to look straight ahead, in the frame and nominal millimetres of [`Model`].
     pub vertices_mm: Vec<[f64; 3]>,
     /// Three vertices a triangle, counter-clockwise from in front.
@@ -84,7 +73,7 @@ impl FittedFace {
         method: Method,
         source: Source,
         camera: Camera,
-        points: Vec<Point>,
+        points: Vec<Landmark>,
         vertices_mm: Vec<[f64; 3]>,
     ) -> Self {
         let (triangles, features) = (model.triangles.clone(), model.features.clone());

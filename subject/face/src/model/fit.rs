@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector2, Vector3};
 use thiserror::Error;
 
-use super::{Anchor, Camera, FeatureId, Model, OUTER_EYES_MM};
+use super::{Anchor, Camera, FeatureId, Landmark, Model, OUTER_EYES_MM};
 
 /// How far the points are trusted, against the model.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -73,8 +73,8 @@ pub struct ShapeFit {
 }
 
 impl Model {
-    /// Fits pose and shape to points of a picture: pixels, and a weight each (1 as trusted as the options say, 0 not at all;
-    /// a weight of 4 halves the standard deviation). Points may be missing, and a few may be wrong.
+    /// Fits pose and shape to points of a picture, each weighed by its confidence (1 as trusted as the options say, 0 not at
+    /// all; 4 would halve the standard deviation). Points may be missing, and a few may be wrong.
     ///
     /// Least squares by damped Gauss-Newton steps, with Huber's weights, and a normal prior on each mode: pose and shape
     /// together, since each alone trades with the other. Begun from three yaws, because a wrong one can be a trap.
@@ -84,7 +84,7 @@ impl Model {
     /// Points that are no face: too few, not finite, or on one line.
     pub fn fit_shape(
         &self,
-        points: &[(FeatureId, [f64; 2], f64)],
+        points: &[Landmark],
         options: &FitOptions,
     ) -> Result<ShapeFit, FitError> {
         let observed = observed(points, options)?;
@@ -98,12 +98,9 @@ impl Model {
     }
 }
 
-fn observed(
-    points: &[(FeatureId, [f64; 2], f64)],
-    options: &FitOptions,
-) -> Result<Vec<Observed>, FitError> {
+fn observed(points: &[Landmark], options: &FitOptions) -> Result<Vec<Observed>, FitError> {
     let mut by_id = vec![None; FeatureId::COUNT];
-    for &(id, at, weight) in points {
+    for &Landmark { id, xy_px: at, confidence: weight } in points {
         if !(at[0].is_finite() && at[1].is_finite() && weight.is_finite() && weight >= 0.0) {
             return Err(FitError::NotFinite { name: id.name(), x: at[0], y: at[1], weight });
         }

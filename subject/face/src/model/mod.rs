@@ -137,6 +137,17 @@ impl Anchor {
     }
 }
 
+/// One of the 53 points of a photograph.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Landmark {
+    /// Which.
+    pub id: FeatureId,
+    /// In the photograph: x to the right, y down, 0 at the middle of the first pixel.
+    pub xy_px: [f64; 2],
+    /// From 0 (guessed by the model) to 1 (seen): the weight of a fit.
+    pub confidence: f64,
+}
+
 /// How a model stands in a picture: turned, scaled and moved, without perspective.
 ///
 /// Pixels count from 0 at the middle of the first pixel, x to the right, y down. Angles are right-handed in the model's

@@ -13,8 +13,11 @@ fn seen(model: &Model, camera: &Camera, coefficients: &[f64]) -> Vec<[f64; 3]> {
     camera.project(&model.feature_points(&vertices, &camera.rotation()))
 }
 
-fn given(points: &[[f64; 3]]) -> Vec<(FeatureId, [f64; 2], f64)> {
-    FeatureId::all().zip(points).map(|(id, p)| (id, [p[0], p[1]], 1.0)).collect()
+fn given(points: &[[f64; 3]]) -> Vec<Landmark> {
+    FeatureId::all()
+        .zip(points)
+        .map(|(id, p)| Landmark { id, xy_px: [p[0], p[1]], confidence: 1.0 })
+        .collect()
 }
 
 #[test]
@@ -141,7 +144,7 @@ fn the_pose_and_points_of_random_faces_are_found() {
         );
         let truth = seen(model, &camera, &coefficients);
         let mut points = given(&truth);
-        for (_, at, _) in &mut points {
+        for Landmark { xy_px: at, .. } in &mut points {
             at[0] += 2.0 * noise.normal();
             at[1] += 2.0 * noise.normal();
         }
@@ -166,8 +169,8 @@ fn a_few_wrong_points_are_repaired() {
         ["mouth_left", "right_eye_top_outer", "left_brow_1", "nose_right", "left_contour_top"]
     {
         let index = FeatureId::from_name(name).unwrap().index();
-        points[index].1[0] += 45.0;
-        points[index].1[1] -= 30.0;
+        points[index].xy_px[0] += 45.0;
+        points[index].xy_px[1] -= 30.0;
     }
     let fit = model.fit_shape(&points, &FitOptions::default()).unwrap();
     for (id, (p, q)) in FeatureId::all().zip(fit.points_px.iter().zip(&truth)) {
@@ -177,7 +180,7 @@ fn a_few_wrong_points_are_repaired() {
         assert!(off < share * 117.0, "{}: {off}", id.name());
     }
     let mouth = FeatureId::from_name("mouth_left").unwrap().index();
-    let ([x, y, _], at) = (fit.points_px[mouth], points[mouth].1);
+    let ([x, y, _], at) = (fit.points_px[mouth], points[mouth].xy_px);
     let off_sd = (x - at[0]).hypot(y - at[1]) / (117.0 * FitOptions::default().noise_io);
     assert!(off_sd > 5.0, "{off_sd}");
 }
@@ -188,15 +191,16 @@ fn what_is_no_face_is_refused() {
     let options = FitOptions::default();
     let points = given(&seen(model, &camera(0.0, 0.0, 0.0), &[]));
     assert!(matches!(model.fit_shape(&points[..5], &options), Err(FitError::TooFew(5))));
-    let line: Vec<_> = points.iter().map(|&(id, at, w)| (id, [at[0], 2.0 * at[0]], w)).collect();
+    let line: Vec<_> =
+        points.iter().map(|p| Landmark { xy_px: [p.xy_px[0], 2.0 * p.xy_px[0]], ..*p }).collect();
     assert_eq!(model.fit_shape(&line, &options), Err(FitError::Degenerate));
-    let place: Vec<_> = points.iter().map(|&(id, _, w)| (id, [3.0, 4.0], w)).collect();
+    let place: Vec<_> = points.iter().map(|p| Landmark { xy_px: [3.0, 4.0], ..*p }).collect();
     assert_eq!(model.fit_shape(&place, &options), Err(FitError::Degenerate));
     let mut bad = points.clone();
-    bad[9].1[0] = f64::NAN;
+    bad[9].xy_px[0] = f64::NAN;
     assert!(matches!(model.fit_shape(&bad, &options), Err(FitError::NotFinite { .. })));
     bad = points;
-    bad[9].2 = -1.0;
+    bad[9].confidence = -1.0;
     assert!(matches!(model.fit_shape(&bad, &options), Err(FitError::NotFinite { .. })));
 }
 

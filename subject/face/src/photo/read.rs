@@ -2,6 +2,7 @@
 
 use std::io::Cursor;
 
+use image::codecs::png::PngDecoder;
 use image::metadata::Orientation;
 use image::{ColorType, DynamicImage, ImageDecoder, ImageError, ImageFormat, ImageReader, Limits};
 use sha2::{Digest, Sha256};
@@ -73,7 +74,7 @@ fn decode(bytes: &[u8], notes: &mut Vec<Note>) -> Result<DynamicImage, PhotoErro
             GROWTH_MAX
         }
         ImageFormat::Png => {
-            if png_is_animated(bytes) {
+            if PngDecoder::new(Cursor::new(bytes)).and_then(|png| png.is_apng()).unwrap_or(false) {
                 notes.push(Note::Animated);
             }
             GROWTH_MAX
@@ -186,21 +187,4 @@ impl Jpeg {
         }
         jpeg
     }
-}
-
-/// Whether a PNG file is animated: it has an `acTL` chunk in front of its first data.
-pub(super) fn png_is_animated(bytes: &[u8]) -> bool {
-    let mut at: usize = 8;
-    while let Some(head) = bytes.get(at..at.saturating_add(8)) {
-        let (length, kind) = head.split_at(4);
-        match kind {
-            b"acTL" => return true,
-            b"IDAT" | b"IEND" => return false,
-            _ => {}
-        }
-        let length = length.iter().fold(0usize, |sum, &byte| sum << 8 | usize::from(byte));
-        // The chunk's head and its checksum are 12 bytes.
-        at = at.saturating_add(length).saturating_add(12);
-    }
-    false
 }

@@ -18,7 +18,7 @@ mod shape;
 #[cfg(test)]
 mod tests;
 
-use crate::model::FeatureId;
+use crate::model::{self, FeatureId};
 use crate::vector::Point;
 pub use chain::find;
 use crop::Crop;
@@ -76,14 +76,13 @@ impl FacePoints {
         self.evidence.map(|evidence| evidence.confidence())
     }
 
-    /// The points that were found at all, as [`Model::fit_shape`](super::model::Model::fit_shape) takes them: the
-    /// confidence is the weight.
+    /// The points that were found at all, as [`Model::fit_shape`](model::Model::fit_shape) takes them.
     #[must_use]
-    pub fn weighted(&self) -> Vec<(FeatureId, [f64; 2], f64)> {
+    pub fn found(&self) -> Vec<model::Landmark> {
         FeatureId::all()
             .zip(&self.points)
             .filter(|(_, p)| p.confidence > 0.0)
-            .map(|(id, p)| (id, p.at, p.confidence))
+            .map(|(id, p)| model::Landmark { id, xy_px: p.at, confidence: p.confidence })
             .collect()
     }
 

@@ -201,7 +201,7 @@ fn the_papers_way_finds_a_drawn_face_too() {
     assert!(error(&found, &face.landmarks, 36..48) < 7.0, "eyes");
     assert!(error(&found, &face.landmarks, 17..27) < 8.0, "brows");
     assert!(error(&found, &face.landmarks, 48..68) < 9.0, "mouth");
-    assert_eq!(found.weighted().len(), FeatureId::COUNT);
+    assert_eq!(found.found().len(), FeatureId::COUNT);
     assert_eq!((found.yaw_deg, found.confidence()), (None, None));
 }
 

@@ -37,14 +37,17 @@ fn measured(faces: &[Face]) -> (f64, f64) {
     let model = Model::generic().unwrap();
     let (mut off, mut yaw) = (Vec::new(), Vec::new());
     for face in faces {
-        let points: Vec<_> =
-            FeatureId::all().filter_map(|id| Some((id, face.landmarks[id.ibug()?], 1.0))).collect();
+        let points: Vec<_> = FeatureId::all()
+            .filter_map(|id| {
+                Some(Landmark { id, xy_px: face.landmarks[id.ibug()?], confidence: 1.0 })
+            })
+            .collect();
         let fit = model.fit_shape(&points, &FitOptions::default()).unwrap();
         let io = {
             let (a, b) = (face.landmarks[36], face.landmarks[45]);
             (a[0] - b[0]).hypot(a[1] - b[1])
         };
-        let each = points.iter().map(|(id, at, _)| {
+        let each = points.iter().map(|Landmark { id, xy_px: at, .. }| {
             let p = fit.points_px[id.index()];
             (p[0] - at[0]).hypot(p[1] - at[1]) / io
         });
