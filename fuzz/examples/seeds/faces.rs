@@ -65,20 +65,23 @@ pub(crate) fn mappings() -> Vec<Vec<u8>> {
 
 /// A model of a pyramid that is all features, with two modes; and the same, cut in each of its parts.
 pub(crate) fn models() -> Vec<Vec<u8>> {
-    let mut text =
-        "face-model 1\nvertices 5\n0 0 900\n-4500 0 0\n4500 0 0\n0 3000 0\n0 -7000 100\n"
-            .to_owned();
-    text += "triangles 2\n0 1 4\n0 4 2\nfeatures 41\n";
-    let (outline, fixed): (Vec<_>, Vec<_>) = FeatureId::all().partition(|id| id.is_contour());
-    for (i, id) in fixed.iter().enumerate() {
-        text += &format!("{} {}\n", id.name(), i % 5);
-    }
-    text += "contours 12\n";
-    for (i, id) in outline.iter().enumerate() {
-        text += &format!("{} 2 {} 0 0.5 {} 1 0.0000\n", id.name(), i % 5, (i + 1) % 5);
-    }
-    text += "modes 2\nidentity 1 2 3 4 5 6 7 8 9 0 0 0 -5 -5 5\nexpression 0 0 0 9 0 0 -9 0 0 0 7 0 1 1 1\n";
-    let lines: Vec<&str> = text.lines().collect();
-    let cut = [1, 4, 9, 30, 55, 64].map(|n| lines[..n.min(lines.len())].join("\n").into_bytes());
-    cut.into_iter().chain([text.clone().into_bytes()]).collect()
+    let fixed = FeatureId::all().filter(|id| !id.is_contour()).enumerate();
+    let features: Vec<String> =
+        fixed.map(|(i, id)| format!("{:?}: {}", id.name(), i % 5)).collect();
+    let contours: Vec<String> = (0..FeatureId::CONTOUR)
+        .map(|i| format!("[[{}, 0, 0.5], [{}, 1, 0]]", i % 5, (i + 1) % 5))
+        .collect();
+    let text = format!(
+        r#"{{"format": "mocapd-face-model", "version": 2, "model": {{
+"vertices": [[0, 0, 9], [-45, 0, 0], [45, 0, 0], [0, 30, 0], [0, -70, 1]],
+"triangles": [[0, 1, 4], [0, 4, 2]], "features": {{{}}}, "contours": [{}], "modes": [
+{{"kind": "identity", "displacements": [[1, 2, 3], [4, 5, 6], [7, 8, 9], [0, 0, 0], [-5, -5, 5]]}},
+{{"kind": "expression", "displacements": [[0, 0, 0], [9, 0, 0], [-9, 0, 0], [0, 7, 0], [1, 1, 1]]}}]}}}}"#,
+        features.join(", "),
+        contours.join(", ")
+    );
+    let parts = ["\"model\"", "\"triangles\"", "\"features\"", "\"contours\"", "\"modes\""];
+    let cut =
+        parts.iter().filter_map(|part| text.find(part)).map(|at| text[..at].as_bytes().to_vec());
+    cut.chain([text.clone().into_bytes()]).collect()
 }

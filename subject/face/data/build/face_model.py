@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Makes subject/face/data/face-model.txt: a face wireframe and its modes out of MakeHuman's base mesh and morph targets.
+"""Makes subject/face/data/face-model.json: a face wireframe and its modes out of MakeHuman's base mesh and morph targets.
 
-    python3 face_model.py --base BASE --targets targets.npz -o ../face-model.txt
+    python3 face_model.py --base BASE --targets targets.npz -o ../face-model.json
 
 Needs numpy. Seeded: the same sources give the same bytes.
 
@@ -16,6 +16,7 @@ faces (identity), and of random expressions with what identity can say taken out
 """
 
 import argparse
+import json
 
 import numpy as np
 
@@ -149,27 +150,24 @@ def lid_ring(kept, faces, mean, side):
 
 
 def write(path, average, faces, modes, index, pupils):
-    """The text that mocapd reads; its own first lines say what is where."""
-    stored = lambda row: " ".join(str(int(v)) for v in np.rint(np.asarray(row).ravel() * STORED_UNITS_PER_MM))
-    named = {name: index[LANDMARKS[point]] for name, point in FEATURES.items()}
-    named["right_pupil"], named["left_pupil"] = pupils
+    """The JSON that mocapd reads, in millimetres with two decimals: a line for each vertex, triangle, row and mode."""
+    stored = lambda rows: [[int(v) / STORED_UNITS_PER_MM for v in row] for row in np.rint(np.asarray(rows) * STORED_UNITS_PER_MM)]
+    listed = lambda rows: "[\n" + ",\n".join(json.dumps(row, separators=(",", ":")) for row in rows) + "\n]"
+    named = {name: int(index[LANDMARKS[point]]) for name, point in FEATURES.items()}
+    named["right_pupil"], named["left_pupil"] = map(int, pupils)
     rows = silhouette_rows(average, faces, contour_heights(average, named))
+    outline = [f"{side}_contour_{height}" for side in ("right", "left") for height in ("top", "brow", "eye", "nose", "mouth", "chin")]
+    model = {
+        "vertices": listed(stored(average)),
+        "triangles": listed([list(map(int, face)) for face in faces]),
+        "features": json.dumps(named, indent=0),
+        "contours": listed([[[int(a), int(b), float(f"{t:.4f}")] for a, b, t in rows[name]] for name in outline]),
+        "modes": listed([{"kind": kind, "displacements": stored(np.reshape(mode, (-1, 3)))} for kind, mode in modes]),
+    }
+    parts = ",\n".join(f'"{name}": {text}' for name, text in model.items())
+    about = "The generic face of mocapd: docs/subject-face-model.md. Made by build/face_model.py. CC0 1.0."
     with open(path, "w", encoding="utf-8") as out:
-        out.write("# The generic face of mocapd: docs/subject-face-model.md. Made by build/face_model.py. CC0 1.0.\n"
-                  "# Lengths in 0.01 mm; x to the face's left, y up, z to the front; origin midway between the outer\n"
-                  "# eye corners, which are 90 mm apart (nominal). A mode is the displacement at one standard deviation.\n")
-        out.write("face-model 1\n")
-        out.write(f"vertices {len(average)}\n")
-        out.writelines(stored(v) + "\n" for v in average)
-        out.write(f"triangles {len(faces)}\n")
-        out.writelines(" ".join(map(str, f)) + "\n" for f in faces)
-        out.write(f"features {len(named)}\n")
-        out.writelines(f"{name} {vertex}\n" for name, vertex in named.items())
-        out.write(f"contours {len(rows)}\n")
-        for name, row in rows.items():
-            out.write(f"{name} {len(row)}" + "".join(f" {a} {b} {t:.4f}" for a, b, t in row) + "\n")
-        out.write(f"modes {len(modes)}\n")
-        out.writelines(f"{kind} {stored(mode)}\n" for kind, mode in modes)
+        out.write(f'{{"format": "mocapd-face-model", "version": 2,\n"about": "{about}",\n"model": {{\n{parts}\n}}}}\n')
 
 
 if __name__ == "__main__":

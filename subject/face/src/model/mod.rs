@@ -14,6 +14,7 @@ use std::collections::BTreeMap;
 use std::sync::OnceLock;
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
+use serde::Deserialize;
 
 pub use feature::FeatureId;
 pub use fit::{FitError, FitOptions, ShapeFit};
@@ -23,7 +24,8 @@ pub use parse::ModelError;
 pub const OUTER_EYES_MM: f64 = 90.0;
 
 /// What a mode tells apart.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Kind {
     /// One person from another.
     Identity,
@@ -32,7 +34,8 @@ pub enum Kind {
 }
 
 /// One way in which a face differs from the average.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Mode {
     /// Between people, or in one face.
     pub kind: Kind,
@@ -41,7 +44,7 @@ pub struct Mode {
 }
 
 /// A place on an edge: a fraction of the way from one vertex to another.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 struct Anchor {
     from: usize,
     to: usize,
@@ -49,7 +52,8 @@ struct Anchor {
 }
 
 /// A wireframe of the average face, and the modes in which faces differ from it. See the [module](self) for frame and unit.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Model {
     /// One position a vertex, in millimetres.
     pub vertices: Vec<[f64; 3]>,
@@ -63,10 +67,11 @@ pub struct Model {
     /// For each point of the outline the places that become it as the head turns, from the middle of the face outward.
     contours: Vec<Vec<Anchor>>,
     /// For each of the other points, its vertex.
+    #[serde(skip)]
     fixed: Vec<usize>,
 }
 
-const GENERIC: &str = include_str!("../../data/face-model.txt");
+const GENERIC: &str = include_str!("../../data/face-model.json");
 
 impl Model {
     /// The model that comes with mocapd.
@@ -78,10 +83,10 @@ impl Model {
         MODEL.get_or_init(|| Self::parse(GENERIC)).as_ref().map_err(Clone::clone)
     }
 
-    /// Reads a model in the format of `subject/face/data/face-model.txt` (docs/subject-face-model.md).
+    /// Reads a model in the format of `subject/face/data/face-model.json` (docs/subject-face-model.md).
     ///
     /// # Errors
-    /// What is wrong, and in which line.
+    /// What is wrong with it.
     pub fn parse(text: &str) -> Result<Self, ModelError> {
         parse::model(text)
     }
