@@ -8,10 +8,11 @@ use mocapd_simulator::generator::Rng;
 use mocapd_take::{
     TakeEvent,
     chunk::types,
+    damage::Problem,
     motion::Position,
     reader::read_events,
     record::EndingKind,
-    recovery::{Kind, Mended, Survey, mend_start},
+    recovery::{Kind, Survey, mend_start},
 };
 
 use crate::support::{
@@ -70,15 +71,15 @@ fn stretches(take: &[u8]) -> Vec<&[u8]> {
 fn check(damaged: &[u8], original: &[u8], what: &str) -> (Survey, Vec<u8>, Summary) {
     let (survey, new) = recover(damaged);
     let summary = Summary::read(&new[..]).unwrap();
-    assert_eq!(summary.problems, [""; 0], "{what}: {:?}", survey.problems());
-    assert!(summary.finished, "{what}");
-    let ledger = summary.ledger.as_ref().unwrap();
+    assert_eq!(summary.take.problems, [], "{what}: {:?}", survey.problems);
+    assert!(summary.take.finished, "{what}");
+    let ledger = summary.take.ledger.as_ref().unwrap();
     assert!(ledger.closes() && ledger.finished, "{what}: {ledger:?}");
     assert_eq!(ledger.samples_present, summary.samples(), "{what}");
-    assert_eq!(summary.rows, survey.rows(), "{what}");
-    assert_eq!(survey.per_channel().len(), summary.channels().len(), "{what}");
-    assert_eq!(survey.channels(), summary.channels(), "{what}");
-    for (ours, theirs) in survey.per_channel().iter().zip(&summary.per_channel) {
+    assert_eq!(summary.take.n_rows, survey.rows, "{what}");
+    assert_eq!(survey.per_channel.len(), summary.take.channels.len(), "{what}");
+    assert_eq!(survey.channels, summary.take.channels, "{what}");
+    for (ours, theirs) in survey.per_channel.iter().zip(&summary.per_channel) {
         assert_eq!(
             (ours.samples, ours.rows_damaged),
             (theirs.samples, theirs.rows_damaged),
@@ -102,7 +103,7 @@ fn check(damaged: &[u8], original: &[u8], what: &str) -> (Survey, Vec<u8>, Summa
     // Copied, not coded again.
     let old = stretches(original);
     let is_old = |stretch: &&&[u8]| old.contains(*stretch);
-    let lost = survey.damage().len();
+    let lost = survey.damage.len();
     assert!(
         stretches(&new).iter().filter(|stretch| !is_old(stretch)).count() <= lost,
         "{what}: a stretch is new"
@@ -114,15 +115,15 @@ fn check(damaged: &[u8], original: &[u8], what: &str) -> (Survey, Vec<u8>, Summa
 fn of_an_intact_take_everything_is_kept() {
     for take in [recording(dense(0.5)), recording(lossless()), import(25.0)] {
         let (survey, new, summary) = check(&take, &take, "intact");
-        assert!(!survey.lost_anything() && survey.finished());
+        assert!(!survey.lost_anything() && survey.finished);
         assert_eq!(survey.losses_in_words(), "nothing was lost");
         assert_eq!(stretches(&new), stretches(&take));
         let before = Summary::read(&take[..]).unwrap();
-        assert_eq!(summary.ledger, before.ledger);
-        assert_eq!(summary.events, before.events);
-        assert_eq!(survey.discarded_bytes(), 0);
-        let header = summary.header.unwrap();
-        assert_eq!(header.take_id, before.header.unwrap().take_id);
+        assert_eq!(summary.take.ledger, before.take.ledger);
+        assert_eq!(summary.take.events, before.take.events);
+        assert_eq!(survey.discarded_bytes, 0);
+        let header = summary.take.header;
+        assert_eq!(header.take_id, before.take.header.take_id);
         assert_eq!(
             header.settings.last().unwrap(),
             &("recovered".to_owned(), "by tests: nothing was lost".to_owned())
@@ -135,11 +136,11 @@ fn what_is_counted_again_is_what_the_recorder_counted() {
     // Without its last ledger, a take's account is made of its stretches: and is the same.
     for codec in [dense(0.5), fast(0.5)] {
         let take = recording(codec);
-        let ledger = Summary::read(&take[..]).unwrap().ledger.unwrap();
+        let ledger = Summary::read(&take[..]).unwrap().take.ledger.unwrap();
         let last = places(&take).into_iter().rfind(|place| place.0 == types::LEDGER).unwrap();
         let (survey, _, summary) = check(&take[..last.1.start], &take, "without its ledger");
         assert!(survey.lost_anything(), "nobody knows whether more came");
-        let again = summary.ledger.unwrap();
+        let again = summary.take.ledger.unwrap();
         let frames = |ledger: &mocapd_take::record::Ledger| {
             (
                 [ledger.frames_sent, ledger.recorded, ledger.lost_on_link, ledger.lost_other],
@@ -162,12 +163,12 @@ fn a_take_cut_at_any_byte_is_recovered() {
         .filter(|cut| *cut < first + 200 || *cut + 200 > take.len() || cut % 61 == 0)
     {
         let (survey, _, summary) = check(&take[..cut], &take, &format!("cut at {cut}"));
-        let finished = survey.finished();
+        let finished = survey.finished;
         // A summary that is torn told how the take ended.
         let is_torn = (summary_chunk.start + 1..summary_chunk.end).contains(&cut);
         assert_eq!(survey.lost_anything(), !finished || is_torn, "cut at {cut}");
         let known = cut >= summary_chunk.end;
-        let ending = summary.ending.as_ref().map(|ending| ending.kind);
+        let ending = summary.take.ending.as_ref().map(|ending| ending.kind);
         assert_eq!(ending == Some(EndingKind::Stopped), known, "cut at {cut}: {ending:?}");
         assert_eq!(ending == Some(EndingKind::CutOff), !finished, "cut at {cut}: {ending:?}");
         assert!(summary.samples() >= most, "cut at {cut}");
@@ -187,19 +188,19 @@ fn a_damaged_chunk_costs_what_depends_on_it_and_its_rows_stay() {
             let (survey, _, summary) = check(&damaged, &take, &what);
             let anew = Kind::of(Some(kind)).is_made_anew();
             assert_eq!(survey.lost_anything(), !anew, "{what}");
-            assert_eq!(summary.rows, whole.rows, "{what}");
-            let counts = survey.kinds().iter().find(|count| count.kind == Kind::of(Some(kind)));
+            assert_eq!(summary.take.n_rows, whole.take.n_rows, "{what}");
+            let counts = survey.kinds.iter().find(|count| count.kind == Kind::of(Some(kind)));
             assert!(counts.unwrap().discarded >= 1, "{what}");
             let (before, after) =
-                (whole.ledger.as_ref().unwrap(), summary.ledger.as_ref().unwrap());
+                (whole.take.ledger.as_ref().unwrap(), summary.take.ledger.as_ref().unwrap());
             if kind == types::STRETCH {
                 let lost = survey.rows_damaged();
-                assert!(lost > 0 && survey.damage().len() == 1, "{what}");
+                assert!(lost > 0 && survey.damage.len() == 1, "{what}");
                 assert_eq!(after.frames_sent, before.frames_sent, "{what}");
                 assert_eq!(after.recorded + after.lost_other, before.recorded, "{what}");
                 assert!(after.lost_other > 0 && after.lost_other <= lost, "{what}");
-                let told = format!("frames {} to", survey.damage()[0].first_row);
-                assert!(summary.events.iter().any(|event| event.text.starts_with(&told)));
+                let told = format!("frames {} to", survey.damage[0].first_row);
+                assert!(summary.take.events.iter().any(|event| event.text.starts_with(&told)));
             } else {
                 assert_eq!(summary.samples(), whole.samples(), "{what}");
                 assert_eq!(after.recorded, before.recorded, "{what}");
@@ -219,8 +220,8 @@ fn a_damaged_head_costs_nothing() {
             damaged[at] ^= 0x05;
             let (survey, new) = recover(&damaged);
             assert!(!survey.lost_anything(), "type {kind:02x}, byte {at}");
-            assert_eq!(survey.problems().len(), 1, "{:?}", survey.problems());
-            assert!(survey.problems()[0].contains("its content is whole"));
+            assert_eq!(survey.problems.len(), 1, "{:?}", survey.problems);
+            assert!(survey.problems[0].to_string().contains("its content is whole"));
             assert_eq!(format!("{:?}", rows(&new).0), format!("{whole:?}"));
             assert_eq!(format!("{:?}", rows(&damaged).0), format!("{whole:?}"));
         }
@@ -256,10 +257,10 @@ fn zeros_and_noise_anywhere_are_recovered() {
         let (survey, new, _) = check(&damaged, take, &format!("round {round}"));
         // What is recovered once has nothing more to lose.
         let (again, newer, _) = check(&new, &new, &format!("round {round}, again"));
-        assert!(!again.lost_anything(), "round {round}: {:?}", again.problems());
-        assert_eq!(again.ledger(), survey.ledger(), "round {round}");
+        assert!(!again.lost_anything(), "round {round}: {:?}", again.problems);
+        assert_eq!(again.ledger, survey.ledger, "round {round}");
         assert_eq!(stretches(&newer), stretches(&new));
-        assert_eq!(again.damage().len(), survey.damage().len());
+        assert_eq!(again.damage.len(), survey.damage.len());
     }
 }
 
@@ -268,7 +269,7 @@ fn a_lost_name_is_not_given_to_another() {
     let take = recording(dense(0.5));
     let labels = |take: &[u8]| {
         let summary = Summary::read(take).unwrap();
-        summary.channels().iter().map(|c| c.label.clone()).collect::<Vec<_>>()
+        summary.take.channels.iter().map(|c| c.label.clone()).collect::<Vec<_>>()
     };
     let whole = labels(&take);
     assert_eq!(whole.len(), 15);
@@ -302,13 +303,13 @@ fn one_wrong_byte_of_the_header_is_put_right() {
             assert!(!survey.lost_anything(), "byte {at}");
             let in_head = (8..11).contains(&at);
             let expected = match at {
-                0..8 => vec![Mended::Magic],
+                0..8 => vec![Problem::Magic],
                 _ if in_head => vec![],
                 // Any byte of the CRC is told as its first.
-                _ => vec![Mended::HeaderByte(at.min(header.end - 4) as u64)],
+                _ => vec![Problem::HeaderByte(at.min(header.end - 4) as u64)],
             };
             assert_eq!(mended, expected, "byte {at}");
-            assert_eq!(survey.problems().len(), usize::from(in_head), "byte {at}");
+            assert_eq!(survey.problems.len(), usize::from(in_head), "byte {at}");
             let mut new = Vec::new();
             survey.write(&mut input, &mut new, "tests").unwrap();
             assert_eq!(format!("{:?}", rows(&new)), format!("{:?}", rows(&take)), "byte {at}");
@@ -341,7 +342,7 @@ fn the_reader_says_which_rows_are_lost() {
     let mut damaged = take.clone();
     damaged[middle.1.end - 1] ^= 1;
     let summary = Summary::read(&damaged[..]).unwrap();
-    let [lost] = summary.damage() else { panic!("{:?}", summary.damage()) };
+    let [lost] = summary.take.damage[..] else { panic!("{:?}", summary.take.damage) };
     // From that stretch to the next key.
     let mut keys = Vec::new();
     read_events(&take[..], |event| {

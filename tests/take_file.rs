@@ -235,8 +235,11 @@ fn hostile_sizes_cost_no_memory() {
     let group = [&[1, 4, 0, 0x80, 0x80, 0x08][..], &[3, 0x40, 64, 0].repeat(5)].concat();
     let mut take = front.clone();
     chunk::put(&mut take, chunk::types::STRETCH, &group).unwrap();
-    let problems = mocapd_acquire::inspect::Summary::read(&take[..]).unwrap().problems;
-    assert!(problems[1].contains("more samples than a stretch can hold"), "{problems:?}");
+    let problems = mocapd_acquire::inspect::Summary::read(&take[..]).unwrap().take.problems;
+    assert!(
+        problems[1].to_string().contains("more samples than a stretch can hold"),
+        "{problems:?}"
+    );
     let mut long = front;
     long.extend_from_slice(&[chunk::types::STRETCH, 0xff, 0xff, 0xff, 0xff, 0x03, 1, 2, 3]);
     assert!(rows(&long).1.iter().any(|p| p.contains("inside a chunk")));

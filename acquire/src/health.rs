@@ -1,7 +1,7 @@
 //! How a take is, in one word: the same in `info`, the service's list, its checks and the dashboard.
 
 use mocapd_take::{
-    ends::TakeEnds,
+    TakeEnds,
     record::{EndingKind, Ledger, TakeEnding},
 };
 use serde::{Deserialize, Serialize};

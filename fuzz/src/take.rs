@@ -56,11 +56,11 @@ pub fn recover_take(bytes: &[u8]) {
         Err(error) => panic!("{error}"),
     }
     let again = Survey::read(&new[..]).expect("a take");
-    assert!(again.problems().is_empty() && !again.lost_anything(), "{:?}", again.problems());
-    let samples = |survey: &Survey| survey.per_channel().iter().map(|c| c.samples).sum::<u64>();
+    assert!(again.problems.is_empty() && !again.lost_anything(), "{:?}", again.problems);
+    let samples = |survey: &Survey| survey.per_channel.iter().map(|c| c.samples).sum::<u64>();
     assert_eq!(samples(&survey), samples(&again), "other samples than were found");
-    assert_eq!(survey.rows(), again.rows(), "other rows than were found");
-    assert_eq!(survey.channels(), again.channels(), "other names than were found");
+    assert_eq!(survey.rows, again.rows, "other rows than were found");
+    assert_eq!(survey.channels, again.channels, "other names than were found");
 }
 
 /// A fuzzer's bytes as a damaged take.

@@ -2,12 +2,12 @@
 
 use std::ops::Range;
 
-use mocapd_take::{TakeMap, TakeStretches};
+use mocapd_take::TakeTraversal;
 
 use crate::{
     errors::Failure,
-    pieces::{Walk, cut, groups, on_threads},
-    source::{Reader, Source},
+    pieces::{PIECES_A_THREAD, Wanted},
+    source::Reader,
 };
 
 /// Rows that are written column by column before the next ones: what they fill of the array stays in a cache.
@@ -18,16 +18,14 @@ const AXES: usize = 3;
 
 /// Fills `out`, which has three values a column and row, with millimetres; NaN where there is no sample.
 pub(crate) fn read(
-    source: &Source,
-    map: &TakeMap,
-    rows: Range<u64>,
-    columns: &[usize],
-    threads: usize,
+    wanted: Wanted<'_>,
+    rows: &Range<u64>,
     mut out: &mut [f32],
 ) -> Result<Vec<String>, Failure> {
+    let Wanted { source, map, columns, threads } = wanted;
     let width = columns.len() * AXES;
     let mut pieces = Vec::new();
-    for piece in cut(map, &rows, threads) {
+    for piece in map.pieces(rows, threads.max(1) * PIECES_A_THREAD) {
         let values = (piece.end - piece.start) as usize * width;
         let Some((head, rest)) = out.split_at_mut_checked(values) else {
             return Err(Failure::Value("the array is smaller than what is read into it".into()));
@@ -38,26 +36,27 @@ pub(crate) fn read(
     if width == 0 {
         return Ok(Vec::new());
     }
-    let walk = || Walk::new(source, map, groups(columns.iter().copied()));
-    let (_, problems) = on_threads(pieces, threads, walk, |walk, (rows, out)| {
+    let (_, problems) = wanted.decode(pieces, |take, (rows, out)| {
         let mut at = rows.start;
-        let problems = walk.piece(&rows, |stretches, held, offset| {
+        take.read_rows(&rows, |take, held, offset| {
+            source.check()?;
             // Between stretches is what was lost.
             let from = (held.start.max(at) - rows.start) as usize;
             out[(at - rows.start) as usize * width..from * width].fill(f32::NAN);
             let to = (held.end - rows.start) as usize;
-            fill(stretches, offset, columns, &mut out[from * width..to * width]);
+            fill(take, offset, columns, &mut out[from * width..to * width]);
             at = held.end;
+            Ok(())
         })?;
         out[(at - rows.start) as usize * width..].fill(f32::NAN);
-        Ok(((), problems))
+        Ok(())
     })?;
     Ok(problems)
 }
 
 /// The rows of a stretch from `offset` on, as many as `out` has.
-fn fill(stretches: &TakeStretches<Reader>, offset: usize, columns: &[usize], out: &mut [f32]) {
-    let all: Vec<_> = stretches.rows().collect();
+fn fill(take: &TakeTraversal<Reader>, offset: usize, columns: &[usize], out: &mut [f32]) {
+    let all: Vec<_> = take.rows().collect();
     let rows: Vec<_> = columns.iter().map(|&column| all.get(column).copied().flatten()).collect();
     let width = columns.len() * AXES;
     for (tile, out) in out.chunks_mut(TILE_ROWS * width).enumerate() {

@@ -1,11 +1,8 @@
 //! What a whole take holds of each marker: samples, gaps, knots, and the error that is stated.
 
-use mocapd_take::TakeMap;
-
 use crate::{
     errors::Failure,
-    pieces::{Walk, cut, groups, on_threads},
-    source::Source,
+    pieces::{PIECES_A_THREAD, Wanted},
 };
 
 /// One marker, over the whole take.
@@ -43,27 +40,25 @@ impl Column {
     }
 }
 
-/// Of `columns`, in their order; their knots only `with_knots`.
+/// Of the columns, in their order; their knots only `with_knots`.
 pub(crate) fn survey(
-    source: &Source,
-    map: &TakeMap,
-    columns: &[usize],
+    wanted: Wanted<'_>,
     with_knots: bool,
-    threads: usize,
 ) -> Result<(Vec<Column>, Vec<String>), Failure> {
-    let pieces = cut(map, &(0..map.n_rows), threads);
-    let walk = || Walk::new(source, map, groups(columns.iter().copied()));
-    let (pieces, problems) = on_threads(pieces, threads, walk, |walk, rows| {
+    let Wanted { source, map, columns, threads } = wanted;
+    let pieces = map.pieces(&(0..map.n_rows), threads.max(1) * PIECES_A_THREAD);
+    let (pieces, problems) = wanted.decode(pieces, |take, rows| {
         let mut found = vec![Column::default(); columns.len()];
         let mut at = rows.start;
-        let problems = walk.piece(&rows, |stretches, held, offset| {
+        take.read_rows(&rows, |take, held, offset| {
+            source.check()?;
             let n = (held.end - held.start) as usize;
             for (column, &place) in found.iter_mut().zip(columns) {
                 if held.start > at {
                     column.absent(at == rows.start);
                 }
                 let first = held.start == rows.start;
-                let seen = Walk::column(stretches, place).filter(|seen| seen.has_samples());
+                let seen = take.rows().nth(place).flatten().filter(|seen| seen.has_samples());
                 let Some(seen) = seen else {
                     column.absent(first);
                     continue;
@@ -85,11 +80,12 @@ pub(crate) fn survey(
                 }
             }
             at = held.end;
+            Ok(())
         })?;
         if rows.end > at {
             found.iter_mut().for_each(|column| column.absent(at == rows.start));
         }
-        Ok((found, problems))
+        Ok(found)
     })?;
     let mut whole: Option<Vec<Column>> = None;
     for piece in pieces {

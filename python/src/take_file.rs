@@ -2,7 +2,7 @@
 
 use std::{ops::Range, path::PathBuf};
 
-use mocapd_take::{TakeMap, record::EventKind, timeline::Causes};
+use mocapd_take::{TakeMap, damage::Problem, motion::UpAxis, timeline::Causes};
 use numpy::{IntoPyArray, PyArray1, PyReadwriteArray3, PyUntypedArrayMethods};
 use pyo3::{
     prelude::*,
@@ -11,6 +11,7 @@ use pyo3::{
 
 use crate::{
     errors::Failure,
+    pieces::Wanted,
     source::Source,
     survey::survey,
     times::{lost, times},
@@ -67,16 +68,15 @@ impl TakeFile {
     /// What is missing or damaged, but that the end is missing: that is said by [`cut_off`](Self::cut_off).
     #[getter]
     fn problems(&self) -> Vec<String> {
-        let mut problems = self.map.problems.clone();
-        problems.truncate(problems.len() - usize::from(self.cut_off().is_some()));
-        problems
+        let problems = self.map.problems.iter().filter(|problem| **problem != Problem::CutOff);
+        problems.map(ToString::to_string).collect()
     }
 
     /// That the end is missing, in words; None of a take that was closed in order.
     #[getter]
-    fn cut_off(&self) -> Option<&str> {
-        // What a scan says last.
-        self.map.problems.last().filter(|_| !self.map.finished).map(String::as_str)
+    fn cut_off(&self) -> Option<String> {
+        let cut_off = self.map.problems.iter().find(|problem| **problem == Problem::CutOff);
+        cut_off.map(ToString::to_string)
     }
 
     /// The header as a dict.
@@ -89,13 +89,7 @@ impl TakeFile {
         out.set_item("resampler", &header.resampler)?;
         out.set_item("tolerance_mm", header.tolerance_mm)?;
         out.set_item("rate_hz", header.rate_hz)?;
-        let up = match header.up_axis {
-            1 => Some("x"),
-            2 => Some("y"),
-            3 => Some("z"),
-            _ => None,
-        };
-        out.set_item("up_axis", up)?;
+        out.set_item("up_axis", UpAxis::from_code(header.up_axis).name())?;
         out.set_item("settings", header.settings.to_vec())?;
         let device = header.device.as_ref().map(|device| {
             let dict = PyDict::new(py);
@@ -171,14 +165,7 @@ impl TakeFile {
         let out = PyList::empty(py);
         for event in &self.map.events {
             let dict = PyDict::new(py);
-            let kind = match event.kind {
-                EventKind::Mark => "mark",
-                EventKind::Trigger => "trigger",
-                EventKind::SyncPulse => "sync pulse",
-                EventKind::Device => "device",
-                EventKind::Host => "host",
-            };
-            dict.set_item("kind", kind)?;
+            dict.set_item("kind", event.kind.word())?;
             dict.set_item("frame", event.row)?;
             dict.set_item("device_ticks", event.device_ticks)?;
             dict.set_item("host_ns", event.host_ns)?;
@@ -223,7 +210,9 @@ impl TakeFile {
         let out = out
             .as_slice_mut()
             .map_err(|_| Failure::Value("the array must be contiguous, in C order".into()))?;
-        self.detached(py, |source| self.last.read(source, &self.map, rows, &columns, threads, out))
+        self.detached(py, |source| {
+            self.last.read(self.wanted(source, &columns, threads), &rows, out)
+        })
     }
 
     /// Of every column asked for, over the whole take: what [`SurveyOut`] has; and what could not be decoded.
@@ -236,7 +225,7 @@ impl TakeFile {
     ) -> PyResult<(SurveyOut<'py>, Vec<String>)> {
         self.check(&columns)?;
         let (found, problems) =
-            self.detached(py, |source| survey(source, &self.map, &columns, with_knots, threads))?;
+            self.detached(py, |source| survey(self.wanted(source, &columns, threads), with_knots))?;
         let out = found.into_iter().map(|column| {
             let knots = column.knots.into_pyarray(py);
             (column.samples, column.gaps, column.n_knots, column.max_error_mm, knots)
@@ -276,6 +265,15 @@ impl TakeFile {
         work: impl FnOnce(&Source) -> Result<T, Failure> + Send,
     ) -> PyResult<T> {
         detached(py, self.path.as_deref(), |cancel| work(&self.source.until(cancel)))
+    }
+
+    fn wanted<'a>(
+        &'a self,
+        source: &'a Source,
+        columns: &'a [usize],
+        threads: usize,
+    ) -> Wanted<'a> {
+        Wanted { source, map: &self.map, columns, threads }
     }
 
     fn rows(&self, first: u64, stop: u64) -> Result<Range<u64>, Failure> {

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use mocapd_take::{TakeMap, TakeStretches, timeline::Causes};
+use mocapd_take::{TakeMap, TakeTraversal, timeline::Causes, traversal::Decode};
 
 use crate::{errors::Failure, source::Source};
 
@@ -38,7 +38,7 @@ pub(crate) fn times(source: &Source, map: &TakeMap, rows: &Range<u64>) -> Result
     let n = n_rows as usize;
     let mut found =
         Times { device_ticks: vec![0; n], arrival_ns: vec![0; n], recorded: vec![false; n] };
-    let mut stretches = TakeStretches::new(source.reader(), map)?.with_groups(Vec::new())?;
+    let mut stretches = TakeTraversal::of_map(source.reader(), map, Decode::Groups(Vec::new()))?;
     stretches.seek(rows.start)?;
     while let Some(span) = stretches.next_stretch()? {
         source.check()?;
@@ -63,7 +63,7 @@ type Lost = Vec<(u64, u64, Causes)>;
 /// Of the whole take, by runs: each costs the same, however many rows it is of.
 pub(crate) fn lost(source: &Source, map: &TakeMap) -> Result<Lost, Failure> {
     let mut lost = Lost::new();
-    let mut stretches = TakeStretches::new(source.reader(), map)?.with_groups(Vec::new())?;
+    let mut stretches = TakeTraversal::of_map(source.reader(), map, Decode::Groups(Vec::new()))?;
     let mut at = 0;
     while let Some(span) = stretches.next_stretch()? {
         source.check()?;

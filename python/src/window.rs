@@ -8,7 +8,11 @@ use std::{ops::Range, sync::Mutex};
 use mocapd_codec::GROUP_CHANNELS;
 use mocapd_take::TakeMap;
 
-use crate::{errors::Failure, pieces::groups, read::read, source::Source};
+use crate::{
+    errors::Failure,
+    pieces::{Wanted, groups},
+    read::read,
+};
 
 /// Most bytes that are kept: two minutes of 64 markers at 240 Hz. More is decoded for the markers asked for alone.
 const BYTES_MAX: u64 = 24 << 20;
@@ -32,31 +36,29 @@ impl Last {
     /// As [`read`], out of what was decoded last where it is there.
     pub(crate) fn read(
         &self,
-        source: &Source,
-        map: &TakeMap,
-        rows: Range<u64>,
-        columns: &[usize],
-        threads: usize,
+        wanted: Wanted<'_>,
+        rows: &Range<u64>,
         out: &mut [f32],
     ) -> Result<Vec<String>, Failure> {
-        let together = together(map, columns);
+        let columns = wanted.columns;
+        let together = together(wanted.map, columns);
         let bytes = (rows.end - rows.start) * together.len() as u64 * POSITION_BYTES;
         // Most of what was decoded is asked for, or it is more than is kept.
         if columns.is_empty() || 2 * columns.len() > together.len() || bytes > BYTES_MAX {
-            return read(source, map, rows, columns, threads, out);
+            return read(wanted, rows, out);
         }
         // Another thread of the program reads: neither waits for the other.
         let Ok(mut kept) = self.0.try_lock() else {
-            return read(source, map, rows, columns, threads, out);
+            return read(wanted, rows, out);
         };
-        if !kept.as_ref().is_some_and(|window| window.has(&rows, columns)) {
+        if !kept.as_ref().is_some_and(|window| window.has(rows, columns)) {
             // Its memory is used again.
             let mut values = kept.take().map_or_else(Vec::new, |window| window.values);
             values.clear();
             values.resize((bytes / 4) as usize, f32::NAN);
-            let problems = read(source, map, rows.clone(), &together, threads, &mut values)?;
+            let problems = read(Wanted { columns: &together, ..wanted }, rows, &mut values)?;
             let window = Window { rows: rows.clone(), columns: together, values };
-            window.copy(&rows, columns, out);
+            window.copy(rows, columns, out);
             // What could not be decoded is told of the rows that were asked for, and so looked for anew.
             if problems.is_empty() {
                 *kept = Some(window);
@@ -64,7 +66,7 @@ impl Last {
             return Ok(problems);
         }
         if let Some(window) = &*kept {
-            window.copy(&rows, columns, out);
+            window.copy(rows, columns, out);
         }
         Ok(Vec::new())
     }
@@ -74,7 +76,7 @@ impl Last {
 fn together(map: &TakeMap, columns: &[usize]) -> Vec<usize> {
     let all = map.channels.len();
     let group = |group: usize| group * GROUP_CHANNELS..((group + 1) * GROUP_CHANNELS).min(all);
-    groups(columns.iter().copied()).into_iter().flat_map(group).collect()
+    groups(columns).into_iter().flat_map(group).collect()
 }
 
 impl Window {

@@ -2,11 +2,12 @@
 
 use mocapd_codec::{ResamplerKind, Settings};
 use mocapd_take::{
-    TakeError, TakeEvent,
-    motion::{GAP, Motion},
-    reader::{TakeInput, read_events},
-    stretch::StretchDecoder,
-    table::ChannelTable,
+    TakeError, TakeEvent, TakeTraversal,
+    damage::Problem,
+    motion::{GAP, Motion, MotionInfo, UpAxis},
+    reader::TakeInput,
+    stretch::Span,
+    traversal::{Decode, Progress},
 };
 
 use crate::{ReportError, measures::Counts};
@@ -24,12 +25,17 @@ pub struct Coded {
     pub kept: Vec<Vec<bool>>,
     /// What it was coded with.
     pub settings: Option<Settings>,
-    /// What could not be read, one sentence each.
-    pub problems: Vec<String>,
+    /// What could not be read.
+    pub problems: Vec<Problem>,
 }
 
-/// One block's channel: its first row, its rows.
-type Piece = (usize, Vec<[f32; 3]>, Vec<bool>, Vec<bool>);
+/// The rows of a channel in one stretch.
+struct Piece {
+    first_row: usize,
+    positions: Vec<[f32; 3]>,
+    present: Vec<bool>,
+    kept: Vec<bool>,
+}
 
 impl Coded {
     /// Reads a take to its end. What is damaged is a gap, and a problem.
@@ -37,95 +43,51 @@ impl Coded {
     /// # Errors
     /// That it is no take, or larger than [`SAMPLES_MAX`].
     pub fn read(take: impl TakeInput) -> Result<Self, ReportError> {
-        let mut coded =
-            Self { motion: Motion::default(), kept: vec![], settings: None, problems: vec![] };
-        let mut table = ChannelTable::default();
-        let mut decoder = None;
         let mut pieces: Vec<Vec<Piece>> = Vec::new();
-        let (mut n_rows, mut n_held) = (0_usize, 0_u64);
-        read_events(take, |event| {
-            match event {
-                TakeEvent::Header(header) => {
-                    coded.motion.info.rate_hz = header.rate_hz;
-                    coded.motion.info.up = mocapd_take::motion::UpAxis::from_code(header.up_axis);
-                    table.append(&header.channels);
-                    let settings = header.codec()?;
-                    coded.settings = Some(settings);
-                    decoder = Some(StretchDecoder::new(settings));
-                }
-                TakeEvent::Subject(subject) => coded.motion.info.subject = Some(*subject),
-                TakeEvent::Channels(more) => table.append(&more),
-                TakeEvent::Stretch(stretch) => {
-                    let Some(decoder) = &mut decoder else { return Ok(()) };
-                    let span = stretch.span;
-                    table.stated(stretch.stated_channels());
-                    let is_again = span.first_row < n_rows as u64;
-                    n_rows = n_rows.max(usize::try_from(span.end_row()).unwrap_or(usize::MAX));
-                    if span.n_rows == 0 {
-                        return Ok(());
-                    }
-                    if is_again {
-                        decoder.pass();
-                        coded
-                            .problems
-                            .push(format!("frames from {} on come twice", span.first_row));
-                        return Ok(());
-                    }
-                    if let Err(error) = decoder.decode(&stretch) {
-                        coded.problems.push(format!("frames from {} on: {error}", span.first_row));
-                        return Ok(());
-                    }
-                    for (channel, rows) in decoder.rows().enumerate() {
-                        let Some(rows) = rows.filter(|rows| rows.has_samples()) else { continue };
-                        n_held += rows.positions.len() as u64;
-                        if n_held > SAMPLES_MAX {
-                            return Err(too_large(n_held));
-                        }
-                        if pieces.len() <= channel {
-                            pieces.resize_with(channel + 1, Vec::new);
-                        }
-                        pieces[channel].push((
-                            span.first_row as usize,
-                            rows.positions.clone(),
-                            rows.present.clone(),
-                            rows.kept.clone(),
-                        ));
-                    }
-                }
-                TakeEvent::Unplaced { n_rows, .. } => {
-                    coded.problems.push(format!("{n_rows} frames depend on damaged ones"));
-                }
-                TakeEvent::Damaged { offset, message, .. } => {
-                    table.damaged();
-                    coded.problems.push(format!("byte {offset}: {message}"));
-                }
-                TakeEvent::End { finished: false, .. } => {
-                    coded.problems.push("the take was cut off: its end is missing".to_owned());
-                }
-                _ => {}
+        let mut n_held = 0;
+        let traversal = TakeTraversal::new(take, Decode::All);
+        let take = traversal.run(|found, progress| match &found.event {
+            TakeEvent::Stretch(stretch) if !found.is_refused && stretch.span.n_rows > 0 => {
+                hold(progress, stretch.span, &mut pieces, &mut n_held)
             }
-            Ok(())
+            _ => Ok(()),
         })?;
-        coded.motion.info.markers = table.channels().iter().map(Into::into).collect();
-        coded.place(&pieces, n_rows)?;
+        let take = take.take;
+        let info = MotionInfo {
+            rate_hz: take.header.rate_hz,
+            up: UpAxis::from_code(take.header.up_axis),
+            n_frames: take.n_rows,
+            markers: take.channels.iter().map(Into::into).collect(),
+            subject: take.subject,
+            ..MotionInfo::default()
+        };
+        let mut coded = Self {
+            motion: Motion { info, positions_mm: Vec::new() },
+            kept: Vec::new(),
+            settings: Some(take.header.codec()?),
+            problems: take.problems,
+        };
+        coded.place(&pieces)?;
         Ok(coded)
     }
 
-    fn place(&mut self, pieces: &[Vec<Piece>], n_rows: usize) -> Result<(), ReportError> {
-        let n_markers = self.motion.info.markers.len();
-        let n_samples = (n_rows as u64).saturating_mul(n_markers as u64);
+    fn place(&mut self, pieces: &[Vec<Piece>]) -> Result<(), ReportError> {
+        let MotionInfo { n_frames, markers, .. } = &self.motion.info;
+        let (n_rows, n_markers) = (*n_frames as usize, markers.len());
+        let n_samples = n_frames.saturating_mul(n_markers as u64);
         if n_samples > SAMPLES_MAX {
             return Err(too_large(n_samples).into());
         }
-        self.motion.info.n_frames = n_rows as u64;
         self.motion.positions_mm = vec![GAP; n_rows * n_markers];
         self.kept = vec![vec![false; n_rows]; n_markers];
         for ((marker, kept), pieces) in self.kept.iter_mut().enumerate().zip(pieces) {
-            for (first_row, positions, present, kept_here) in pieces {
-                for (i, position) in positions.iter().enumerate().filter(|(i, _)| present[*i]) {
-                    let row = first_row + i;
-                    self.motion.positions_mm[row * n_markers + marker] = *position;
-                    kept[row] = kept_here[i];
+            for piece in pieces {
+                for (i, position) in piece.positions.iter().enumerate() {
+                    if piece.present[i] {
+                        let row = piece.first_row + i;
+                        self.motion.positions_mm[row * n_markers + marker] = *position;
+                        kept[row] = piece.kept[i];
+                    }
                 }
             }
         }
@@ -171,4 +133,30 @@ fn too_large(n_samples: u64) -> TakeError {
         "{n_samples} positions are more than are looked at in one piece ({SAMPLES_MAX}): export a part of the take, \
          and import that"
     ))
+}
+
+/// Keeps what was decoded of a stretch.
+fn hold(
+    progress: &Progress,
+    span: Span,
+    pieces: &mut Vec<Vec<Piece>>,
+    n_held: &mut u64,
+) -> Result<(), TakeError> {
+    for (channel, rows) in progress.rows().enumerate() {
+        let Some(rows) = rows.filter(|rows| rows.has_samples()) else { continue };
+        *n_held += rows.positions.len() as u64;
+        if *n_held > SAMPLES_MAX {
+            return Err(too_large(*n_held));
+        }
+        if pieces.len() <= channel {
+            pieces.resize_with(channel + 1, Vec::new);
+        }
+        pieces[channel].push(Piece {
+            first_row: span.first_row as usize,
+            positions: rows.positions.clone(),
+            present: rows.present.clone(),
+            kept: rows.kept.clone(),
+        });
+    }
+    Ok(())
 }

@@ -67,8 +67,9 @@ pub fn read(path: &Path) -> Result<(Motion, Vec<String>), SourceError> {
     let read = |source| SourceError::Read { path: owned(), source };
     let Some(format) = format.filter(|_| !is_take(path)) else {
         let file = plain_file::open(path).map_err(read)?;
-        return mocapd_take::read_motion(BufReader::new(file))
-            .map_err(|source| SourceError::Take { path: owned(), source });
+        let (motion, problems) = mocapd_take::read_motion(BufReader::new(file))
+            .map_err(|source| SourceError::Take { path: owned(), source })?;
+        return Ok((motion, problems.iter().map(ToString::to_string).collect()));
     };
     let mut bytes = Vec::new();
     plain_file::open(path).and_then(|mut file| file.read_to_end(&mut bytes)).map_err(read)?;

@@ -1,6 +1,6 @@
 use std::{fs, io::Cursor, path::PathBuf, sync::atomic::AtomicU64};
 
-use mocapd_codec::{ResamplerKind, Tolerance};
+use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_simulator::generator::{JumpSpec, Occlusion};
 use mocapd_take::motion::is_gap;
 
@@ -44,14 +44,11 @@ fn the_same_frames_for_any_number_of_threads() {
         let folder = tempfile::tempdir().unwrap();
         let path = take(kind, folder.path());
         let mut frames = open(&path);
-        let (info, codec) = (frames.info().clone(), frames.codec().unwrap());
         let expected = rows(&mut frames);
         assert_eq!(expected.len(), 3200);
         for n_threads in [1, 2, 3, 9] {
-            let file = File::open(&path).unwrap();
-            let mut ahead =
-                Ahead::with_threads((file, TakeReader::new()), info.clone(), codec, (n_threads, 2))
-                    .unwrap();
+            let pieces = frames.map().pieces(&(0..3200), 4);
+            let mut ahead = Ahead::with_threads(&path, &frames, pieces, n_threads).unwrap();
             assert!(rows(&mut ahead) == expected, "{kind}, {n_threads} threads");
             assert!(!ahead.has_flaw());
         }
@@ -62,22 +59,25 @@ fn the_same_frames_for_any_number_of_threads() {
 fn threads_end_when_nobody_wants_more() {
     let folder = tempfile::tempdir().unwrap();
     let path = take("fast", folder.path());
-    let codec = open(&path).codec().unwrap();
-    let read = |jobs: &Jobs| read(File::open(&path).unwrap(), TakeReader::new(), jobs);
-    // What comes of jobs is wanted no more: the reader returns instead of reading on.
-    let (to_do, jobs) = bounded(100);
-    let (in_order, decoded) = bounded(100);
-    drop(decoded);
-    read(&Jobs { to_do, in_order, n_coded: 2 });
-    assert!(jobs.is_empty());
-    // Its jobs are done, but nobody takes the rows: no thread waits.
-    let (to_do, jobs) = bounded(100);
-    let (in_order, decoded) = bounded(100);
-    let worker = threads::spawn("test", move || work(codec, 70, &jobs)).unwrap();
-    let taker = threads::spawn("test", move || decoded.iter().for_each(drop)).unwrap();
-    read(&Jobs { to_do, in_order, n_coded: 2 });
-    threads::join(worker).unwrap();
-    threads::join(taker).unwrap();
+    let map = open(&path).map().clone();
+    let traversal =
+        || TakeTraversal::of_map(File::open(&path).unwrap(), &map, Decode::All).unwrap();
+    // What comes of jobs is wanted no more: the thread ends instead of waiting.
+    let (jobs, to_do) = bounded(2);
+    for _ in 0..2 {
+        let (decoded, from_job) = bounded(1);
+        drop(from_job);
+        jobs.send(Job { rows: 0..3200, decoded }).unwrap();
+    }
+    work(traversal(), 70, &to_do);
+    assert_eq!(to_do.len(), 1);
+    // Nobody has jobs any more.
+    drop(jobs);
+    let worker = threads::spawn("test", {
+        let take = traversal();
+        move || work(take, 70, &to_do)
+    });
+    threads::join(worker.unwrap()).unwrap();
 }
 
 #[test]
@@ -94,8 +94,10 @@ fn stretches_that_fill_the_memory_are_read_by_one() {
     let folder = tempfile::tempdir().unwrap();
     // A whole take in one stretch: 70 markers of 3200 rows are 5 MB a thread.
     let path = take("spline", folder.path());
-    let ahead = Ahead::start(&path, &open(&path), 0, 1000).unwrap().unwrap();
-    assert_eq!(ahead.decoded.capacity(), Some((MEMORY_MAX / (70 * 3200 * SAMPLE_BYTES)) as usize));
+    let frames = open(&path);
+    let memory = MEMORY_MAX / (70 * 3200 * SAMPLE_BYTES);
+    assert_eq!(threads_max(frames.map(), 70) as u64, memory);
+    assert!(Ahead::start(&path, &frames, 0, 1000).unwrap().is_none());
 }
 
 #[test]

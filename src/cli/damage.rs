@@ -3,7 +3,7 @@
 use std::{fmt::Write, path::Path};
 
 use mocapd_acquire::inspect::Summary;
-use mocapd_take::loss::{LostRows, Why};
+use mocapd_take::damage::{LostRows, Why};
 use serde::Serialize;
 
 use super::{
@@ -51,7 +51,7 @@ impl DamageReport {
 
 /// Whether a recovery makes a better take of it.
 pub(crate) fn is_recoverable(summary: &Summary) -> bool {
-    !summary.problems.is_empty()
+    !summary.take.problems.is_empty()
 }
 
 /// How.

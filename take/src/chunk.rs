@@ -1,15 +1,13 @@
 //! Chunks: {type, varint length, payload, CRC-32}, and finding the next one after damage.
 
-mod long;
 mod marks;
-mod resync;
+mod search;
 
 #[cfg(test)]
 pub(crate) use self::marks::HASHED_BYTES;
 pub(crate) use self::{
-    long::{LongChunks, Search},
     marks::Marks,
-    resync::{Next, front_by_marks, resync},
+    search::{LongChunks, Next, Search, front_by_marks, resync},
 };
 use crate::{TakeError, varint};
 

@@ -12,13 +12,21 @@ use flate2::{
 
 use crate::{
     TakeError,
-    content::{ScratchFile, Spool},
-    motion::Foreign,
+    content::{Content, ScratchFile, Spool},
     varint,
 };
 
 /// Longest foreign part: a C3D file's analog section at the format's own limits stays below it.
 pub(crate) const DATA_BYTES_MAX: u64 = 1 << 28;
+
+/// What an importer found and we do not model, kept so that an exporter of the same format can give it back.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Foreign {
+    /// Which format and part: `c3d/parameters`, `c3d/analog`, `c3d/residuals`, `c3d/model-outputs`, `trc/header`...
+    pub kind: String,
+    /// The bytes, in the layout that docs/take-format.md gives for that kind.
+    pub data: Content,
+}
 
 /// The payload of a FOREIGN chunk.
 ///

@@ -5,22 +5,17 @@ use std::{
     sync::Arc,
 };
 
-use mocapd_codec::Settings;
-
 use crate::{
-    TakeError, TakeReader,
+    TakeError,
     content::{Content, ScratchFile, Spool},
+    damage::{Problem, note},
+    foreign::{Foreign, ForeignPart},
     map::TakeMap,
-    motion::{
-        Foreign, FrameSource, GAP, Motion, MotionEvent, MotionInfo, Position, Source, UpAxis,
-    },
-    problems::Problems,
+    motion::{FrameSource, GAP, Motion, MotionEvent, MotionInfo, Position, Source, UpAxis},
     record::{Event, Header},
     stretch::Span,
-    stretches::TakeStretches,
+    traversal::{Decode, TakeTraversal},
 };
-
-pub use crate::table::nameless;
 
 /// Most bytes of foreign parts, in memory and in a scratch file.
 const FOREIGN_BYTES_MAX: u64 = 1 << 28;
@@ -35,13 +30,12 @@ const MOTION_SAMPLES_MAX: u64 = 1 << 28;
 pub struct TakeFrames<R> {
     info: MotionInfo,
     map: TakeMap,
-    stretches: TakeStretches<R>,
+    stretches: TakeTraversal<R>,
     /// The stretch that was decoded last.
     current: Option<Span>,
     /// By channel, what its blocks state.
     stated_mm: Vec<Option<f64>>,
     next_row: u64,
-    problems: Vec<String>,
     ended: bool,
 }
 
@@ -66,19 +60,17 @@ impl<R: Read + Seek> TakeFrames<R> {
         new_scratch: impl Fn() -> io::Result<Arc<dyn ScratchFile>>,
     ) -> Result<Self, TakeError> {
         let mut info = MotionInfo::default();
-        let mut problems = Vec::new();
-        let mut parts = Vec::new();
-        let map = TakeMap::scan(&mut input, |part| parts.push(part))?;
+        let mut map = TakeMap::scan(&mut input)?;
         let mut foreign_bytes = 0_u64;
         let mut spool = Spool::new(new_scratch);
-        for part in parts {
-            if !wanted(&part.kind) {
-                info.foreign.push(Foreign { kind: part.kind, data: Content::default() });
+        for part @ ForeignPart { kind, data_bytes, .. } in &map.foreign {
+            if !wanted(kind) {
+                info.foreign.push(Foreign { kind: kind.clone(), data: Content::default() });
                 continue;
             }
-            foreign_bytes = foreign_bytes.saturating_add(part.data_bytes);
+            foreign_bytes = foreign_bytes.saturating_add(*data_bytes);
             if foreign_bytes > FOREIGN_BYTES_MAX {
-                problems.push(format!("{}: more foreign data than a take can hold", part.kind));
+                note(&mut map.problems, Problem::ForeignTooLong { kind: kind.clone() });
             } else {
                 info.foreign.push(part.read(&mut input, &mut spool)?);
             }
@@ -95,65 +87,28 @@ impl<R: Read + Seek> TakeFrames<R> {
         info.events = map.events.iter().map(event).collect();
         // An event may be written behind the stretch of a later frame.
         info.events.sort_by_key(|event| event.frame);
-        problems.extend_from_slice(&map.problems);
         Ok(Self {
             info,
-            stretches: TakeStretches::new(input, &map)?,
+            stretches: TakeTraversal::of_map(input, &map, Decode::All)?,
             map,
             current: None,
             stated_mm: Vec::new(),
             next_row: 0,
-            problems,
             ended: false,
         })
     }
 
-    /// How many of its frames lie in a stretch that was found. The others were lost, and come as gaps.
+    /// The take without its samples.
     #[must_use]
-    pub fn n_held(&self) -> u64 {
-        self.map.n_held.unwrap_or_default()
+    pub fn map(&self) -> &TakeMap {
+        &self.map
     }
 
-    /// Rows of its longest stretch: what a decoder holds of each marker.
-    #[must_use]
-    pub fn longest_stretch(&self) -> u64 {
-        self.map.longest_stretch.unwrap_or_default()
-    }
-
-    /// A second reader of the same take, and where in the file it begins: at the last key stretch that begins at `row`
-    /// or before it.
-    ///
-    /// # Errors
-    /// `Unsupported` or `Codec` when the header cannot be used.
-    pub fn reader_at(&self, row: u64) -> Result<(u64, TakeReader), TakeError> {
-        self.stretches.reader_at(row)
-    }
-
-    /// What it was coded with.
-    ///
-    /// # Errors
-    /// `Unsupported` or `Codec` when the header cannot be used.
-    pub fn codec(&self) -> Result<Settings, TakeError> {
-        self.map.header.codec()
-    }
-
-    /// The bound that was asked for; 0 for `lossless`.
-    #[must_use]
-    pub fn tolerance_mm(&self) -> f64 {
-        self.map.header.tolerance_mm
-    }
-
-    /// Whether its end is missing.
-    #[must_use]
-    pub fn is_cut_off(&self) -> bool {
-        !self.map.finished
-    }
-
-    /// What is missing or damaged, one sentence each. Complete after the last frame, but for frames that were
+    /// What is missing or damaged. Complete after the last frame, but for frames that were
     /// [passed over](Self::seek).
     #[must_use]
-    pub fn problems(&self) -> &[String] {
-        &self.problems
+    pub fn problems(&self) -> &[Problem] {
+        &self.map.problems
     }
 
     /// Passes over the frames before `row`, so that it comes next: those before the last key stretch, at most ten
@@ -172,7 +127,7 @@ impl<R: Read + Seek> TakeFrames<R> {
         self.current = None;
         let span = self.stretches.next_stretch();
         let found = self.stretches.take_problems();
-        found.into_iter().for_each(|problem| self.problems.note(problem));
+        found.into_iter().for_each(|problem| note(&mut self.map.problems, problem));
         match span? {
             Some(span) if span.n_rows > 0 => {
                 self.current = Some(span);
@@ -230,17 +185,6 @@ impl<R: Read + Seek> FrameSource for TakeFrames<R> {
     }
 }
 
-/// What to say of a chunk whose head was damaged.
-#[must_use]
-pub fn mended(offset: u64) -> String {
-    format!("the head of the chunk at byte {offset} is damaged; its content is whole")
-}
-
-/// What to say of bytes that are damaged.
-pub(crate) fn damaged(offset: u64, len: u64, message: &str) -> String {
-    format!("{len} bytes at byte {offset}: {message}")
-}
-
 fn describe(header: &Header, info: &mut MotionInfo) {
     info.rate_hz = header.rate_hz;
     info.up = UpAxis::from_code(header.up_axis);
@@ -266,7 +210,7 @@ fn describe(header: &Header, info: &mut MotionInfo) {
 ///
 /// # Errors
 /// `NotATake`, `Unsupported`, `Io`.
-pub fn read_motion(input: impl Read + Seek) -> Result<(Motion, Vec<String>), TakeError> {
+pub fn read_motion(input: impl Read + Seek) -> Result<(Motion, Vec<Problem>), TakeError> {
     let mut frames = TakeFrames::open(input)?;
     let n_markers = frames.info.markers.len();
     if frames.info.n_frames.saturating_mul(n_markers.max(1) as u64) > MOTION_SAMPLES_MAX {
@@ -280,5 +224,5 @@ pub fn read_motion(input: impl Read + Seek) -> Result<(Motion, Vec<String>), Tak
     while frames.next_frame(&mut row)? {
         motion.positions_mm.extend_from_slice(&row);
     }
-    Ok((motion, frames.problems))
+    Ok((motion, frames.map.problems))
 }

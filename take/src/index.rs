@@ -1,8 +1,12 @@
-//! INDEX and FOOTER: the way to the middle of a long take, and the proof that it was finished.
+//! INDEX and FOOTER: the way to the middle of a long take, and the proof that it was finished; and what a take says at its two
+//! ends, without a look at what lies between.
+
+use std::io::{Read, Seek, SeekFrom};
 
 use crate::{
     TakeError,
-    chunk::{self, types},
+    chunk::{self, Front, MAGIC, types},
+    record::{Header, LIMIT_BYTES, Ledger, Record, SUMMARY_BYTES_MAX, SummaryRecord, TakeEnding},
     varint,
 };
 
@@ -93,7 +97,7 @@ impl Footer {
     #[must_use]
     pub fn from_chunk(chunk: &[u8; Self::CHUNK_BYTES]) -> Option<Self> {
         match chunk::front(chunk) {
-            chunk::Front::Whole { kind: types::FOOTER, payload, .. } => {
+            Front::Whole { kind: types::FOOTER, payload, .. } => {
                 Self::from_payload(payload, 0).ok()
             }
             _ => None,
@@ -131,10 +135,131 @@ impl Footer {
     }
 }
 
+/// Bytes that are read at once where a chunk begins: the header of hundreds of markers, and any usual ledger with a
+/// summary behind it.
+const READ_BYTES: u64 = 16 << 10;
+
+/// What a chunk has beside its payload: type, a length of at most five bytes, CRC-32; and the version of a record.
+const BESIDE_BYTES: u64 = 1 + 5 + 4 + 2;
+
+/// Longest chunk of a record.
+const RECORD_BYTES_MAX: u64 = LIMIT_BYTES as u64 + BESIDE_BYTES;
+
+/// Longest SUMMARY.
+const SUMMARY_CHUNK_BYTES_MAX: u64 = SUMMARY_BYTES_MAX as u64 + BESIDE_BYTES;
+
+/// The two ends of a take.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TakeEnds {
+    /// What it begins with.
+    pub header: Header,
+    /// What it ends with; `None` where it has no footer: it is being written, or was cut off.
+    pub end: Option<TakeEnd>,
+}
+
+/// The end of a take that was closed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TakeEnd {
+    /// Its last chunk.
+    pub footer: Footer,
+    /// The last ledger; `None` where the one that the footer tells of is not there, or damaged.
+    pub ledger: Option<Ledger>,
+    /// How it ended, where it says.
+    pub ending: Option<TakeEnding>,
+}
+
+impl TakeEnds {
+    /// Reads them: some kilobytes of a usual take, and never more than the records there may have (some 16 MiB).
+    ///
+    /// # Errors
+    /// `NotATake`, `Unsupported`, `Corrupt` for a header that cannot be read, `Io`.
+    pub fn read(input: &mut (impl Read + Seek)) -> Result<Self, TakeError> {
+        let file_bytes = input.seek(SeekFrom::End(0))?;
+        input.seek(SeekFrom::Start(0))?;
+        let mut magic = Vec::with_capacity(MAGIC.len());
+        input.by_ref().take(MAGIC.len() as u64).read_to_end(&mut magic)?;
+        if magic != MAGIC {
+            return Err(TakeError::NotATake("the file does not begin with a take's eight bytes"));
+        }
+        let offset = MAGIC.len() as u64;
+        let chunk = Chunk::read(input, offset, types::HEADER, RECORD_BYTES_MAX)?
+            .ok_or(TakeError::NotATake("its header is damaged or not there"))?;
+        let header = Header::from_payload(&chunk.payload, offset)?;
+        header.check()?;
+        Ok(Self { header, end: TakeEnd::read(input, file_bytes)? })
+    }
+}
+
+impl TakeEnd {
+    fn read(input: &mut (impl Read + Seek), file_bytes: u64) -> Result<Option<Self>, TakeError> {
+        let Some(at) = file_bytes.checked_sub(Footer::CHUNK_BYTES as u64) else { return Ok(None) };
+        input.seek(SeekFrom::Start(at))?;
+        let mut bytes = [0; Footer::CHUNK_BYTES];
+        input.read_exact(&mut bytes)?;
+        let Some(footer) = Footer::from_chunk(&bytes) else { return Ok(None) };
+        let mut end = Self { footer, ledger: None, ending: None };
+        let ledger_at = footer.ledger_offset;
+        // Nothing follows a footer, and no file is so long that every offset could be gone to.
+        if ledger_at >= at {
+            return Ok(Some(end));
+        }
+        let Some(chunk) = Chunk::read(input, ledger_at, types::LEDGER, RECORD_BYTES_MAX)? else {
+            return Ok(Some(end));
+        };
+        end.ledger = Ledger::from_payload(&chunk.payload, ledger_at).ok();
+        let summary_at = ledger_at + chunk.len;
+        if summary_at < footer.index_offset {
+            let limit = SUMMARY_CHUNK_BYTES_MAX;
+            let chunk = Chunk::read(input, summary_at, types::SUMMARY, limit)?;
+            let summary =
+                chunk.and_then(|c| SummaryRecord::from_payload(&c.payload, summary_at).ok());
+            end.ending = summary.and_then(|summary| summary.ending);
+        }
+        Ok(Some(end))
+    }
+}
+
+/// A chunk of the type that was looked for.
+struct Chunk {
+    payload: Vec<u8>,
+    len: u64,
+}
+
+impl Chunk {
+    /// `None` when there is no whole chunk of this type, or it is longer than `max`.
+    fn read(
+        input: &mut (impl Read + Seek),
+        offset: u64,
+        wanted: u8,
+        max: u64,
+    ) -> Result<Option<Self>, TakeError> {
+        let mut bytes = Vec::new();
+        let mut needed = READ_BYTES.min(max);
+        input.seek(SeekFrom::Start(offset))?;
+        loop {
+            // Memory grows with what the file has, not with what a length in it claims.
+            input.by_ref().take(needed - bytes.len() as u64).read_to_end(&mut bytes)?;
+            let is_wanted = bytes.first() == Some(&wanted);
+            match chunk::front(&bytes) {
+                Front::Whole { payload, len, .. } if is_wanted => {
+                    return Ok(Some(Self { payload: payload.to_vec(), len: len as u64 }));
+                }
+                Front::Short(more) if is_wanted && more <= max && more > needed => needed = more,
+                _ => return Ok(None),
+            }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
+    use std::io::Cursor;
+
     use super::*;
-    use crate::chunk;
+    use crate::{
+        TakeWriter,
+        record::{CODEC_VERSION, Channel, EndingKind},
+    };
 
     #[test]
     fn both_come_back() {
@@ -149,5 +274,99 @@ mod tests {
         chunk::put(&mut out, types::FOOTER, &footer.to_payload()).unwrap();
         assert_eq!(out.len(), Footer::CHUNK_BYTES);
         assert_eq!(Footer::from_payload(&footer.to_payload(), 0).unwrap(), footer);
+    }
+
+    fn header(n_channels: u16) -> Header {
+        let channel =
+            |marker_id| Channel { marker_id, label: format!("{marker_id:0>9}"), labelled: true };
+        Header {
+            software: "test".to_owned(),
+            take_id: [7; 16],
+            created_unix_ms: 0,
+            resampler: "dense".to_owned(),
+            codec_version: CODEC_VERSION,
+            tolerance_mm: 1.0,
+            rate_hz: 100.0,
+            up_axis: 0,
+            device: None,
+            source: None,
+            channels: (0..n_channels).map(channel).collect(),
+            stretch_rows: 50,
+            settings: Vec::new(),
+        }
+    }
+
+    fn take(n_channels: u16, contradictions: usize, ending: Option<TakeEnding>) -> Vec<u8> {
+        let take = TakeWriter::new(Vec::new(), &header(n_channels)).unwrap();
+        let contradictions = vec!["x".repeat(1000); contradictions];
+        let ledger = Ledger { finished: true, contradictions, ..Ledger::default() };
+        take.finish_with(&ledger, &SummaryRecord { ending }).unwrap().0
+    }
+
+    #[test]
+    fn the_ends_are_read_whatever_their_size() {
+        let ending = TakeEnding::from(EndingKind::DeviceGone);
+        for (n_channels, contradictions) in [(0, 0), (3, 1), (20_000, 100)] {
+            for ending in [None, Some(ending.clone())] {
+                let bytes = take(n_channels, contradictions, ending.clone());
+                let ends = TakeEnds::read(&mut Cursor::new(&bytes)).unwrap();
+                assert_eq!(ends.header.channels.len(), usize::from(n_channels));
+                let end = ends.end.unwrap();
+                assert_eq!(end.ledger.unwrap().contradictions.len(), contradictions);
+                assert_eq!(end.ending, ending);
+            }
+        }
+    }
+
+    #[test]
+    fn every_cut_and_every_wrong_byte_is_told_from_a_whole_end() {
+        let bytes = take(2, 0, Some(EndingKind::DiskFull.into()));
+        for cut in 0..bytes.len() {
+            let read = TakeEnds::read(&mut Cursor::new(&bytes[..cut]));
+            assert!(read.is_err() || read.unwrap().end.is_none(), "{cut}");
+        }
+        let whole = TakeEnds::read(&mut Cursor::new(&bytes)).unwrap();
+        for at in 0..bytes.len() {
+            let mut damaged = bytes.clone();
+            damaged[at] ^= 0x21;
+            let Ok(read) = TakeEnds::read(&mut Cursor::new(&damaged)) else { continue };
+            let Some(end) = read.end else { continue };
+            let expected = whole.end.clone().unwrap();
+            assert!(end.ledger.is_none() || end.ledger == expected.ledger, "{at}");
+            assert!(end.ending.is_none() || end.ending == expected.ending, "{at}");
+        }
+    }
+
+    /// As a file is, none of whose offsets is beyond what is signed.
+    struct File(Cursor<Vec<u8>>);
+
+    impl Read for File {
+        fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
+            self.0.read(bytes)
+        }
+    }
+
+    impl Seek for File {
+        fn seek(&mut self, to: SeekFrom) -> std::io::Result<u64> {
+            match to {
+                SeekFrom::Start(at) if i64::try_from(at).is_err() => {
+                    Err(std::io::ErrorKind::InvalidInput.into())
+                }
+                to => self.0.seek(to),
+            }
+        }
+    }
+
+    #[test]
+    fn a_footer_that_tells_of_a_ledger_behind_itself_has_none() {
+        let bytes = take(2, 0, Some(EndingKind::DiskFull.into()));
+        let footer_at = bytes.len() - Footer::CHUNK_BYTES;
+        for ledger_offset in [footer_at as u64, bytes.len() as u64, i64::MAX as u64 + 1, u64::MAX] {
+            let mut changed = bytes[..footer_at].to_vec();
+            let footer = Footer { index_offset: u64::MAX, ledger_offset, n_rows: 0 };
+            chunk::put(&mut changed, types::FOOTER, &footer.to_payload()).unwrap();
+            let ends = TakeEnds::read(&mut File(Cursor::new(changed))).unwrap();
+            assert_eq!(ends.end, Some(TakeEnd { footer, ledger: None, ending: None }));
+        }
     }
 }

@@ -3,35 +3,32 @@
 //! `docs/take-format.md` gives the format byte by byte. Nothing here opens a file, reads a clock or starts a
 //! thread: bytes go to a [`std::io::Write`] and come from the caller.
 
-mod ambiguity;
 pub mod chunk;
 pub mod content;
-pub mod ends;
+pub mod damage;
 pub mod escape;
 pub mod foreign;
 pub mod frames;
 pub mod index;
 pub mod interchange;
-pub mod loss;
 pub mod map;
 pub mod motion;
-pub mod problems;
 pub mod reader;
 pub mod record;
 pub mod recovery;
 pub mod stretch;
-pub mod stretches;
-pub mod table;
+mod table;
 pub mod timeline;
+pub mod traversal;
 mod varint;
 pub mod whole;
 pub mod writer;
 
-pub use ends::TakeEnds;
 pub use frames::{TakeFrames, read_motion};
+pub use index::TakeEnds;
 pub use map::TakeMap;
 pub use reader::{TakeEvent, TakeReader};
-pub use stretches::TakeStretches;
+pub use traversal::TakeTraversal;
 pub use writer::TakeWriter;
 
 /// What can go wrong with a take, by what the caller can do about it.

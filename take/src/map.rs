@@ -1,20 +1,20 @@
 //! Where everything in a take lies, and what it says beside the motion: what a reader needs that starts in the
 //! middle.
 
-mod heads;
-mod scan;
+mod open;
 
-use std::io::{Read, Seek};
+use std::ops::Range;
 
 use crate::{
-    TakeError,
+    TakeEvent,
+    damage::{LostRows, Problem},
     foreign::ForeignPart,
     index::IndexEntry,
-    record::{Channel, Clock, ClockLine, Event, Header, Ledger, Subject, TakeEnding},
+    record::{Channel, ClockLine, Event, Header, Ledger, Subject, TakeEnding},
 };
 
 /// A take without its samples.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct TakeMap {
     /// Its header.
     pub header: Header,
@@ -39,65 +39,52 @@ pub struct TakeMap {
     pub ending: Option<TakeEnding>,
     /// By segment of the device's clock, the last line of each that has one.
     pub clock_lines: Vec<(u32, ClockLine)>,
+    /// What an importer kept; empty when stretches were not read.
+    pub foreign: Vec<ForeignPart>,
     /// Whether the take was closed in order: one without a footer was cut off.
     pub finished: bool,
     /// Something was found that is damaged or missing.
     pub damaged: bool,
-    /// What is wrong with it, one sentence each.
-    pub problems: Vec<String>,
+    /// Rows that are lost to damage, here or before the take was recovered, as far as stretches were read.
+    pub damage: Vec<LostRows>,
+    /// What is wrong with it; that it was cut off comes last.
+    pub problems: Vec<Problem>,
 }
 
 impl TakeMap {
-    /// Of a take as quickly as can be: one that was finished is known by its index and the heads of its chunks,
-    /// and a stretch is not read before somebody wants it. Any other is [scanned](Self::scan).
-    ///
-    /// So damage within a stretch shows when it is read, not here.
-    ///
-    /// # Errors
-    /// `NotATake`, `Unsupported`, `Io`.
-    pub fn open(input: &mut (impl Read + Seek)) -> Result<Self, TakeError> {
-        if let Some(map) = heads::walk(input)? {
-            return Ok(map);
+    /// The rows `rows` in order, cut at keys: at most `n` pieces, each of which can be decoded on its own.
+    #[must_use]
+    pub fn pieces(&self, rows: &Range<u64>, n: usize) -> Vec<Range<u64>> {
+        let inside = self.keys.iter().map(|key| key.first_row);
+        let keys: Vec<u64> = inside.filter(|row| rows.start < *row && *row < rows.end).collect();
+        let n = n.clamp(1, keys.len() + 1);
+        let starts = (1..n).map(|i| keys[i * keys.len() / n]);
+        let mut pieces = Vec::new();
+        let mut at = rows.start;
+        for row in starts.chain([rows.end]) {
+            if row > at {
+                pieces.push(at..row);
+                at = row;
+            }
         }
-        Self::scan(input, |_| {})
+        pieces
     }
 
-    /// Of a take of which every chunk's checksum is looked at, and no sample decoded; `foreign` gets its foreign
-    /// parts, to be read where they are wanted.
-    ///
-    /// # Errors
-    /// `NotATake`, `Unsupported`, `Io`.
-    pub fn scan(
-        input: &mut (impl Read + Seek),
-        foreign: impl FnMut(ForeignPart),
-    ) -> Result<Self, TakeError> {
-        scan::scan(input, foreign)
-    }
-
-    /// Of a take with this header, and nothing more yet.
-    fn new(header: Header) -> Self {
-        Self {
-            header,
-            channels: Vec::new(),
-            n_rows: 0,
-            n_held: None,
-            longest_stretch: None,
-            keys: Vec::new(),
-            subject: None,
-            events: Vec::new(),
-            ledger: None,
-            ending: None,
-            clock_lines: Vec::new(),
-            finished: false,
-            damaged: false,
-            problems: Vec::new(),
-        }
-    }
-
-    fn clock(&mut self, clock: &Clock) {
-        if let Some(line) = clock.line {
-            self.clock_lines.pop_if(|last| last.0 == clock.segment);
-            self.clock_lines.push((clock.segment, line));
+    /// What the take says beside its motion and its channel table.
+    pub(crate) fn keep(&mut self, event: TakeEvent<'_>) {
+        match event {
+            TakeEvent::Subject(subject) => self.subject = Some(*subject),
+            TakeEvent::Event(event) => self.events.push(event),
+            TakeEvent::Ledger(ledger) => self.ledger = Some(*ledger),
+            TakeEvent::Clock(clock) => {
+                if let Some(line) = clock.line {
+                    self.clock_lines.pop_if(|last| last.0 == clock.segment);
+                    self.clock_lines.push((clock.segment, line));
+                }
+            }
+            TakeEvent::Foreign(part) => self.foreign.push(part),
+            TakeEvent::Summary(summary) => self.ending = summary.ending,
+            _ => {}
         }
     }
 }

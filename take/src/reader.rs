@@ -1,22 +1,19 @@
 //! Reads a take, sans-io: bytes are pushed in, events come out; damage is an event, not the end.
 
-mod ahead;
-mod bytes;
 mod chunks;
 mod damage;
-mod io;
-mod mend;
-mod passing;
 
-pub use bytes::TakeBytes;
+use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
 
-pub use io::{TakeInput, pull, read_events, read_events_at};
-pub(crate) use mend::head as mend_head;
+pub(crate) use self::{chunks::record, damage::mend_head};
 
-use self::{ahead::Step, damage::Damage, passing::Passing};
+use self::{
+    chunks::{Passing, Step},
+    damage::Damage,
+};
 use crate::{
-    TakeError, chunk,
-    chunk::{LongChunks, Marks, Search, WINDOW_BYTES},
+    TakeError,
+    chunk::{self, LongChunks, Marks, Search, WINDOW_BYTES, types},
     foreign::ForeignPart,
     index::{Footer, IndexEntry},
     record::{Channel, Clock, Event, Header, Ledger, Subject, SummaryRecord},
@@ -93,7 +90,7 @@ pub enum TakeEvent<'a> {
 pub(crate) const HEADER_DAMAGED: &str = "its header is damaged, and nothing can be read without it; try `mocapd recover`, which can put one byte of it right";
 
 /// A window, and a piece that was pushed when a byte of it was still missing.
-const PUSHED_MAX: usize = WINDOW_BYTES + io::READ_BYTES;
+const PUSHED_MAX: usize = WINDOW_BYTES + READ_BYTES;
 
 /// Turns bytes into [`TakeEvent`]s. Holds one chunk at a time, after damage at most [`WINDOW_BYTES`], whatever the file
 /// claims. Of chunks longer than [`CHUNK_HELD_MAX`](chunk::CHUNK_HELD_MAX) it holds a stretch, once it is known to be whole.
@@ -205,6 +202,11 @@ impl TakeReader {
     /// # Errors
     /// `NotATake`, and `Unsupported` or `Corrupt` when the header cannot be used: nothing can be read then.
     pub fn next_event(&mut self) -> Result<Option<TakeEvent<'_>>, TakeError> {
+        Ok(self.next_located()?.map(|(_, event)| event))
+    }
+
+    /// The same, with the file offset behind it.
+    pub(crate) fn next_located(&mut self) -> Result<Option<(u64, TakeEvent<'_>)>, TakeError> {
         if !self.seen_magic && !self.check_magic()? {
             return Ok(None);
         }
@@ -220,24 +222,37 @@ impl TakeReader {
                     return Ok(None);
                 }
             } else if self.passing.is_some() {
-                return if self.pass() { self.passed().map(Some) } else { Ok(None) };
+                return if self.pass() {
+                    self.passed().map(|event| self.at(event))
+                } else {
+                    Ok(None)
+                };
             } else if !self.complete && ((self.buffer.len() - self.used) as u64) < self.wanted {
                 return Ok(None);
             } else if self.damage.is_some() {
                 if let Some(event) = self.find_next() {
-                    return Ok(Some(event));
+                    return Ok(self.at(event));
                 }
             } else if self.used == self.buffer.len() {
-                return if self.complete { self.end().map(Some) } else { Ok(None) };
+                return if self.complete {
+                    self.end().map(|event| self.at(event))
+                } else {
+                    Ok(None)
+                };
             } else {
                 match self.next_chunk() {
                     Step::Chunk { kind, start, len } => {
-                        return self.interpret(kind, start, len).map(Some);
+                        let end = self.offset();
+                        return self.interpret(kind, start, len).map(|event| Some((end, event)));
                     }
                     Step::Again => {}
                 }
             }
         }
+    }
+
+    fn at(&self, event: TakeEvent<'static>) -> Option<(u64, TakeEvent<'static>)> {
+        Some((self.offset(), event))
     }
 
     fn check_magic(&mut self) -> Result<bool, TakeError> {
@@ -273,5 +288,174 @@ impl TakeReader {
             }));
         }
         Ok(TakeEvent::End { finished: self.seen_footer, bytes: self.bytes })
+    }
+}
+
+/// Bytes by purpose: together all that were read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct TakeBytes {
+    /// The magic, HEADER and CHANNELS.
+    pub header: u64,
+    /// The blocks of the stretches, and what they share.
+    pub blocks: u64,
+    /// The lengths of the blocks.
+    pub lengths: u64,
+    /// When the rows were: runs and times.
+    pub time_line: u64,
+    /// What else a stretch needs: type, length, CRC, number, rows.
+    pub framing: u64,
+    /// LEDGER.
+    pub ledgers: u64,
+    /// CLOCK.
+    pub clock: u64,
+    /// EVENT.
+    pub events: u64,
+    /// SUMMARY, INDEX and FOOTER.
+    pub index: u64,
+    /// SUBJECT.
+    pub subject: u64,
+    /// FOREIGN.
+    pub foreign: u64,
+    /// What is damaged, unknown, or depends on what is damaged.
+    pub other: u64,
+}
+
+impl TakeBytes {
+    /// Counts a chunk of `len` bytes.
+    fn add(&mut self, event: &TakeEvent<'_>, len: u64) {
+        let counter = match event {
+            TakeEvent::Header(_) | TakeEvent::Channels(_) => &mut self.header,
+            TakeEvent::Stretch(stretch) => {
+                let sizes = stretch.sizes;
+                self.time_line += sizes.time_line;
+                self.lengths += sizes.lengths;
+                self.blocks += sizes.blocks;
+                self.framing += len - sizes.time_line - sizes.lengths - sizes.blocks;
+                return;
+            }
+            TakeEvent::Ledger(_) => &mut self.ledgers,
+            TakeEvent::Clock(_) => &mut self.clock,
+            TakeEvent::Event(_) => &mut self.events,
+            TakeEvent::Subject(_) => &mut self.subject,
+            TakeEvent::Foreign(_) => &mut self.foreign,
+            TakeEvent::Summary(_)
+            | TakeEvent::Index(_)
+            | TakeEvent::Skipped { kind: types::INDEX }
+            | TakeEvent::Footer(_) => &mut self.index,
+            TakeEvent::Unplaced { .. }
+            | TakeEvent::Skipped { .. }
+            | TakeEvent::Damaged { .. }
+            | TakeEvent::Mended { .. }
+            | TakeEvent::End { .. } => &mut self.other,
+        };
+        *counter += len;
+    }
+
+    /// All of them.
+    #[must_use]
+    pub fn sum(&self) -> u64 {
+        let Self { header, blocks, lengths, time_line, framing, .. } = self;
+        let stretches = header + blocks + lengths + time_line + framing;
+        let beside = self.events + self.subject + self.foreign + self.other;
+        stretches + self.ledgers + self.clock + self.index + beside
+    }
+}
+
+/// How much is read at once.
+const READ_BYTES: usize = 1 << 16;
+
+/// What a take can be read from, its bytes more than once: a file, or bytes in memory.
+pub trait TakeInput {
+    /// What reads it.
+    type Input: Read + Seek;
+
+    /// From its start.
+    fn input(self) -> Self::Input;
+}
+
+impl<'a> TakeInput for &'a [u8] {
+    type Input = Cursor<&'a [u8]>;
+
+    fn input(self) -> Self::Input {
+        Cursor::new(self)
+    }
+}
+
+impl<'a> TakeInput for &'a Vec<u8> {
+    type Input = Cursor<&'a [u8]>;
+
+    fn input(self) -> Self::Input {
+        Cursor::new(self)
+    }
+}
+
+impl<R: Read + Seek> TakeInput for &mut R {
+    type Input = Self;
+
+    fn input(self) -> Self {
+        self
+    }
+}
+
+impl<R: Read + Seek> TakeInput for BufReader<R> {
+    type Input = Self;
+
+    fn input(self) -> Self {
+        self
+    }
+}
+
+impl<T: AsRef<[u8]>> TakeInput for Cursor<T> {
+    type Input = Self;
+
+    fn input(self) -> Self {
+        self
+    }
+}
+
+/// Pushes the next bytes of `input` into `reader`, from where it wants them, or tells it that there are no more.
+///
+/// # Errors
+/// As [`TakeReader::next_event`], and `Io`.
+pub fn pull(input: &mut (impl Read + Seek), reader: &mut TakeReader) -> Result<(), TakeError> {
+    if let Some(offset) = reader.goes_back_to() {
+        input.seek(SeekFrom::Start(offset))?;
+    }
+    let mut buffer = [0; READ_BYTES];
+    let n = loop {
+        match input.read(&mut buffer) {
+            Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+            other => break other?,
+        }
+    };
+    if n == 0 {
+        reader.finish();
+    } else {
+        reader.push(&buffer[..n]);
+    }
+    Ok(())
+}
+
+/// Gives every event of a take to `on_event`, the end included.
+///
+/// # Errors
+/// As [`TakeReader::next_event`], `Io`, and whatever `on_event` returns.
+pub fn read_events(
+    input: impl TakeInput,
+    mut on_event: impl FnMut(TakeEvent<'_>) -> Result<(), TakeError>,
+) -> Result<(), TakeError> {
+    let mut input = input.input();
+    let mut reader = TakeReader::new();
+    loop {
+        match reader.next_event()? {
+            Some(event) => {
+                let end = matches!(event, TakeEvent::End { .. });
+                on_event(event)?;
+                if end {
+                    return Ok(());
+                }
+            }
+            None => pull(&mut input, &mut reader)?,
+        }
     }
 }

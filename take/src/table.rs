@@ -1,13 +1,11 @@
 //! The channel table as it grows, and where entries of it are lost.
 
-use std::fmt;
-
-use crate::{motion::Marker, record::Channel};
+use crate::record::Channel;
 
 /// Entries in order of columns. A lost entry shows when a stretch states more channels than there are entries:
 /// it gets a name of its own, where it stood, so that no other channel gets a name that is not its own.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct ChannelTable {
+pub(crate) struct ChannelTable {
     channels: Vec<Channel>,
     /// The header's entries are there, if it has any.
     begun: bool,
@@ -34,32 +32,20 @@ pub struct Renamed {
     pub nameless: usize,
 }
 
-impl fmt::Display for Renamed {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "the names of {} markers are lost", self.nameless)
-    }
-}
-
 impl ChannelTable {
     /// The entries so far.
-    #[must_use]
-    pub fn channels(&self) -> &[Channel] {
+    pub(crate) fn channels(&self) -> &[Channel] {
         &self.channels
     }
 
-    /// The entries, to keep.
-    pub(crate) fn into_channels(self) -> Vec<Channel> {
-        self.channels
-    }
-
     /// Entries that were read.
-    pub fn append(&mut self, more: &[Channel]) {
+    pub(crate) fn append(&mut self, more: &[Channel]) {
         self.begun = true;
         self.channels.extend_from_slice(more);
     }
 
     /// Bytes that cannot be read: entries may have been among them, if they follow the header.
-    pub fn damaged(&mut self) {
+    pub(crate) fn damaged(&mut self) {
         if !self.begun {
             return;
         }
@@ -71,7 +57,7 @@ impl ChannelTable {
     }
 
     /// A stretch has so many channels at least. Says what is lost, when that shows.
-    pub fn stated(&mut self, n_channels: usize) -> Option<Renamed> {
+    pub(crate) fn stated(&mut self, n_channels: usize) -> Option<Renamed> {
         let len = self.channels.len();
         if n_channels < len {
             return None;
@@ -90,16 +76,9 @@ impl ChannelTable {
     }
 }
 
-/// A channel whose entry is lost.
+/// A channel whose entry in the table is lost.
 fn nameless_channel(column: usize) -> Channel {
-    let Marker { label, labelled } = nameless(column);
-    Channel { marker_id: u16::MAX, label, labelled }
-}
-
-/// A marker whose entry in the channel table is lost.
-#[must_use]
-pub fn nameless(column: usize) -> Marker {
-    Marker { label: format!("u{:03}", column + 1), labelled: false }
+    Channel { marker_id: u16::MAX, label: format!("u{:03}", column + 1), labelled: false }
 }
 
 #[cfg(test)]

@@ -1,17 +1,12 @@
 //! The time line: when each row was exposed and when it reached the host, or why it is empty.
 
-mod decoder;
-mod encoder;
-mod line;
-mod number;
-mod pace;
-mod state;
+mod coder;
+mod predict;
 #[cfg(test)]
 mod tests;
-mod timecode;
 
-pub use self::encoder::TimelineEncoder;
-pub(crate) use self::{decoder::TimelineDecoder, state::take_times};
+pub use self::coder::TimelineEncoder;
+pub(crate) use self::coder::{TimelineDecoder, take_times};
 
 /// Why rows are empty: a set, because one stretch of loss can have several causes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

@@ -3,16 +3,15 @@
 //! Every stretch is a key stretch, so that groups of channels over stretches are coded on their own, whoever
 //! codes them, and the bytes are the same for any number of threads.
 
-mod columns;
-
 use std::io::Write;
 
-use mocapd_codec::{BlockEncoder, BlockReport, GROUP_CHANNELS, Settings};
+use mocapd_codec::{
+    BlockEncoder, BlockReport, CodecError, GROUP_CHANNELS, Position, Rows, Settings,
+};
 
-use self::columns::Columns;
 use crate::{
     TakeError, TakeWriter,
-    motion::{Marker, Motion, MotionEvent},
+    motion::{Marker, Motion, MotionEvent, is_gap},
     record::{Channel, Event, Header, Ledger},
     stretch::{
         CHANNELS_MAX, FrontWriter, LIVE_ROWS_MAX, NUMBERS, ROWS_MAX, SAMPLES_MAX, Span, put_block,
@@ -98,7 +97,7 @@ impl<'a> Plan<'a> {
                 codec.kind
             )));
         }
-        let shared = columns::plan(motion, &codec)?;
+        let shared = shared(motion, &codec)?;
         Ok(Self { motion, codec, stretch_rows, shared })
     }
 
@@ -220,4 +219,53 @@ impl<'a, W: Write> WholeWriter<'a, W> {
         let (out, bytes) = self.take.finish(&ledger)?;
         Ok((ledger, out, bytes))
     }
+}
+
+/// Memory for some markers over some rows.
+#[derive(Debug, Default)]
+struct Columns {
+    positions: Vec<Vec<Position>>,
+    present: Vec<Vec<bool>>,
+}
+
+impl Columns {
+    /// Takes a part of `motion`.
+    fn fill(&mut self, motion: &Motion, part: Part) {
+        self.positions.resize_with(part.n_markers, Vec::new);
+        self.present.resize_with(part.n_markers, Vec::new);
+        for (positions, present) in self.positions.iter_mut().zip(&mut self.present) {
+            positions.clear();
+            positions.reserve(part.n_rows);
+            present.clear();
+            present.reserve(part.n_rows);
+        }
+        for row in part.first_row..part.first_row + part.n_rows {
+            let markers = &motion.frame(row)[part.first_marker..][..part.n_markers];
+            for ((positions, present), &position) in
+                self.positions.iter_mut().zip(&mut self.present).zip(markers)
+            {
+                positions.push(position);
+                present.push(!is_gap(position));
+            }
+        }
+    }
+
+    /// The channels, one after another.
+    fn rows(&self) -> Result<Vec<Rows<'_>>, CodecError> {
+        let columns = self.positions.iter().zip(&self.present);
+        columns.map(|(positions, present)| Rows::new(positions, present)).collect()
+    }
+}
+
+/// What all channels of a whole take share.
+fn shared(motion: &Motion, codec: &Settings) -> Result<Vec<u8>, CodecError> {
+    if codec.kind.is_live() {
+        return Ok(Vec::new());
+    }
+    let mut columns = Columns::default();
+    let (n_rows, n_markers) = (motion.n_frames(), motion.info.markers.len());
+    if n_markers > 0 {
+        columns.fill(motion, Part { first_row: 0, n_rows, first_marker: 0, n_markers });
+    }
+    codec.plan(&columns.rows()?)
 }

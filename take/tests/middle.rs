@@ -12,8 +12,9 @@ use std::{
 };
 
 use mocapd_take::{
-    TakeFrames, TakeMap, TakeStretches,
+    TakeFrames, TakeMap, TakeTraversal,
     motion::{FrameSource, GAP, Position},
+    traversal::Decode,
 };
 
 /// Every frame from `row` on.
@@ -29,7 +30,7 @@ fn frames(take: &[u8], row: u64) -> Vec<Vec<[u32; 3]>> {
 }
 
 fn scanned(take: &[u8]) -> TakeMap {
-    TakeMap::scan(&mut Cursor::new(take), |_| {}).unwrap()
+    TakeMap::scan(&mut Cursor::new(take)).unwrap()
 }
 
 /// The offset of the first byte of each chunk, and of the end.
@@ -71,7 +72,12 @@ fn damage_before_the_row_costs_nothing_behind_the_next_key() {
     let mut row = vec![[0.0; 3]; source.info().markers.len()];
     assert!(source.next_frame(&mut row).unwrap());
     assert!(row.iter().flatten().all(|value| value.is_nan()) && source.is_lost());
-    assert!(source.problems().iter().any(|problem| problem.contains("depends on a damaged")));
+    assert!(
+        source
+            .problems()
+            .iter()
+            .any(|problem| problem.to_string().contains("depends on a damaged"))
+    );
 }
 
 #[test]
@@ -124,12 +130,12 @@ fn damage_that_opening_passed_over_is_told_when_it_is_read() {
         hurt[key.offset as usize + 40] ^= 1;
         let map = TakeMap::open(&mut Cursor::new(&hurt)).unwrap();
         assert!(map.problems.is_empty() && map.n_held.is_none());
-        let mut stretches = TakeStretches::new(Cursor::new(&hurt), &map).unwrap();
+        let mut stretches = TakeTraversal::of_map(Cursor::new(&hurt), &map, Decode::All).unwrap();
         stretches.seek(key.first_row).unwrap();
         while stretches.next_stretch().unwrap().is_some() {}
         let told = stretches.problems();
         let damage = format!("at byte {}: checksum", key.offset);
-        assert!(told.iter().any(|problem| problem.contains(&damage)), "{told:?}");
+        assert!(told.iter().any(|problem| problem.to_string().contains(&damage)), "{told:?}");
     }
 }
 
@@ -140,9 +146,9 @@ fn only_the_groups_that_are_wanted_have_rows() {
             .unwrap();
     let map = TakeMap::open(&mut Cursor::new(&bytes)).unwrap();
     assert!(map.channels.len() > 64);
-    let mut all = TakeStretches::new(Cursor::new(&bytes), &map).unwrap();
-    let second = TakeStretches::new(Cursor::new(&bytes), &map).unwrap();
-    let mut second = second.with_groups(vec![1]).unwrap();
+    let mut all = TakeTraversal::of_map(Cursor::new(&bytes), &map, Decode::All).unwrap();
+    let groups = Decode::Groups(vec![1]);
+    let mut second = TakeTraversal::of_map(Cursor::new(&bytes), &map, groups).unwrap();
     let mut with_samples = 0;
     while let Some(span) = all.next_stretch().unwrap() {
         assert_eq!(second.next_stretch().unwrap(), Some(span));
@@ -181,7 +187,7 @@ fn what_lies_before_the_key_is_not_read() {
     let read = Rc::new(Cell::new(0));
     let mut input = Counting(Cursor::new(&take), Rc::clone(&read));
     let map = TakeMap::open(&mut input).unwrap();
-    let mut stretches = TakeStretches::new(input, &map).unwrap();
+    let mut stretches = TakeTraversal::of_map(input, &map, Decode::All).unwrap();
     read.set(0);
     let key = map.keys[9];
     stretches.seek(map.n_rows - 1).unwrap();

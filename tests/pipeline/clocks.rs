@@ -36,7 +36,7 @@ fn record(
 }
 
 fn events(take: &[u8]) -> Vec<Event> {
-    mocapd_acquire::inspect::Summary::read(take).unwrap().events
+    mocapd_acquire::inspect::Summary::read(take).unwrap().take.events
 }
 
 #[test]
@@ -85,7 +85,7 @@ fn a_jump_is_an_event_and_a_segment_and_loses_no_frame() {
     // Both lines are told of, each true on its side.
     let lines: Vec<_> = clocks.iter().map(|clock| (clock.segment, clock.line.unwrap())).collect();
     assert_eq!(written.clock_lines, lines);
-    assert_eq!(mocapd_acquire::inspect::Summary::read(&take[..]).unwrap().clock_lines, lines);
+    assert_eq!(mocapd_acquire::inspect::Summary::read(&take[..]).unwrap().take.clock_lines, lines);
     for (segment, line) in lines {
         let jumped_us = if segment == 0 { 0 } else { 5_000_000 };
         let host_us = 1_000_000_000 + line.device_ticks - jumped_us;

@@ -77,8 +77,8 @@ fn assert_has(take: &[u8], motion: &Motion, seqs: impl ExactSizeIterator<Item = 
         assert!(pairs.iter().all(same), "frame {seq}");
     }
     let summary = Summary::read(take).unwrap();
-    assert_eq!((summary.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
-    let ledger = summary.ledger.unwrap();
+    assert_eq!((summary.take.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
+    let ledger = summary.take.ledger.unwrap();
     assert!(ledger.finished && ledger.closes(), "{ledger:?}");
     assert_eq!(ledger.recorded, found.len() as u64);
     assert!(chunks(take).finished);
@@ -207,7 +207,10 @@ fn markers_that_appeared_before_a_take_are_in_its_table_and_later_ones_when_they
         let (found, problems) = rows(&take);
         assert_eq!((found.len(), problems.len()), (n_rows, 0));
         let summary = Summary::read(&take[..]).unwrap();
-        assert_eq!((summary.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
+        assert_eq!(
+            (summary.take.problems.as_slice(), summary.contradictions()),
+            (&[][..], &[][..])
+        );
     }
     drop(intake);
     pipeline.join().unwrap();
@@ -328,7 +331,7 @@ fn frames_that_a_stalled_disk_costs_at_a_takes_end_are_on_its_ledger() {
     let (found, problems) = rows(&output.1);
     assert_eq!((found.len(), problems.len()), (seq - 100, 0), "{problems:?}");
     let summary = Summary::read(&output.1[..]).unwrap();
-    assert_eq!((summary.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
+    assert_eq!((summary.take.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
     // What is held goes over that, too.
     let output = Box::new(Shut::default());
     let take = NewTake { output, ..new_take(&motion, Duration::from_secs(600), seq) };
@@ -338,7 +341,7 @@ fn frames_that_a_stalled_disk_costs_at_a_takes_end_are_on_its_ledger() {
     let (written, output) = end_of::<Shut>(&saved);
     assert!(written.ledger.closes(), "{:?}", written.ledger);
     let summary = Summary::read(&output.1[..]).unwrap();
-    assert_eq!((summary.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
+    assert_eq!((summary.take.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
     drop(intake);
     pipeline.join().unwrap();
 }

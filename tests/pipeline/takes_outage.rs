@@ -44,7 +44,10 @@ fn a_take_that_begins_while_the_device_is_away_has_none_of_its_absence() {
         let (rows, problems) = rows(&take);
         assert_eq!((rows.len(), problems.as_slice()), (300, &[][..]), "{when}");
         let summary = Summary::read(&take[..]).unwrap();
-        assert_eq!((summary.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
+        assert_eq!(
+            (summary.take.problems.as_slice(), summary.contradictions()),
+            (&[][..], &[][..])
+        );
         drop(intake);
         pipeline.join().unwrap();
     }
@@ -120,7 +123,10 @@ fn a_pre_roll_does_not_reach_behind_an_absence() {
         let ledger = &written.ledger;
         assert!(ledger.closes() && ledger.contradictions.is_empty(), "{ledger:?}");
         let summary = Summary::read(&take[..]).unwrap();
-        assert_eq!((summary.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
+        assert_eq!(
+            (summary.take.problems.as_slice(), summary.contradictions()),
+            (&[][..], &[][..])
+        );
         if asked_s == 2 {
             assert_eq!((first.row, ledger.frames_sent, ledger.recorded), (3000, 300, 300));
         } else {
@@ -130,7 +136,7 @@ fn a_pre_roll_does_not_reach_behind_an_absence() {
             assert_eq!(ledger.recorded, 330 - first.row + 300);
         }
         let asked =
-            summary.events.iter().find(|event| event.text.starts_with("the take was asked"));
+            summary.take.events.iter().find(|event| event.text.starts_with("the take was asked"));
         assert_eq!(asked.unwrap().row, ledger.frames_sent - 200);
         assert_eq!(rows(&take).0.len() as u64, ledger.frames_sent);
         drop(intake);
@@ -151,7 +157,7 @@ fn a_mark_that_nobody_waits_for_any_more_is_none() {
     armed.takes.end(EndingKind::Stopped).unwrap();
     feed_all(&mut intake, &motion, 200..201);
     let summary = Summary::read(&ended(&begun).1[..]).unwrap();
-    let texts: Vec<_> = summary.events.iter().map(|event| event.text.as_str()).collect();
+    let texts: Vec<_> = summary.take.events.iter().map(|event| event.text.as_str()).collect();
     assert_eq!(texts, ["waited for"]);
     drop(intake);
     pipeline.join().unwrap();
@@ -205,8 +211,11 @@ fn a_take_that_ends_in_a_silence_has_what_was_due_in_it_and_the_next_one_has_non
         assert_eq!((ledger.recorded, ledger.unknown_after_disconnect), (300, lost), "{ledger:?}");
         assert!(ledger.closes() && ledger.lost_anything(), "{ledger:?}");
         let summary = Summary::read(&take[..]).unwrap();
-        assert_eq!((summary.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
-        let event = summary.events.last().unwrap();
+        assert_eq!(
+            (summary.take.problems.as_slice(), summary.contradictions()),
+            (&[][..], &[][..])
+        );
+        let event = summary.take.events.last().unwrap();
         assert_eq!(event.text, "no frame came for 2.010 s");
         // The next take begins in the silence.
         let begun = armed.takes.begin(new_take(&motion, Duration::ZERO, 600)).unwrap();
@@ -223,7 +232,10 @@ fn a_take_that_ends_in_a_silence_has_what_was_due_in_it_and_the_next_one_has_non
         assert_eq!((ledger.recorded, ledger.frames_lost()), (100, lost), "{ledger:?}");
         assert!(ledger.closes(), "{ledger:?}");
         let summary = Summary::read(&take[..]).unwrap();
-        assert_eq!((summary.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
+        assert_eq!(
+            (summary.take.problems.as_slice(), summary.contradictions()),
+            (&[][..], &[][..])
+        );
         pipeline.join().unwrap();
     }
 }

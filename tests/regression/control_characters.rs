@@ -102,7 +102,7 @@ fn a_mark_is_one_line_of_the_log() {
     assert_eq!(unsafe_characters(&log), [], "{log:?}");
     // The take has it exactly.
     let take = read(&folder.path("takes/walk.take"));
-    assert!(take.events.iter().any(|event| event.text == HOSTILE), "{:?}", take.events);
+    assert!(take.take.events.iter().any(|event| event.text == HOSTILE), "{:?}", take.take.events);
 }
 
 fn events_are_exact_and_command_no_terminal(folder: &Folder) {

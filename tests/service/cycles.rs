@@ -36,7 +36,7 @@ fn cycles(n: usize) -> (Vec<(usize, usize, u64)>, Vec<f64>) {
         let stopped = engine.stop(&Request::default()).unwrap();
         assert!(stopped.ledger.closes && stopped.ledger.finished, "{stopped:?}");
         let summary = read(&started.path);
-        assert_eq!(summary.ledger.unwrap().recorded, stopped.ledger.recorded);
+        assert_eq!(summary.take.ledger.unwrap().recorded, stopped.ledger.recorded);
         fs::remove_file(&started.path).unwrap();
         all.push(held());
     }

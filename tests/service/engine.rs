@@ -83,8 +83,8 @@ pub(crate) fn named(name: &str) -> Start {
 pub(crate) fn read(path: &Path) -> Summary {
     let summary =
         Summary::read(std::io::BufReader::new(std::fs::File::open(path).unwrap())).unwrap();
-    assert_eq!((summary.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
-    assert!(summary.ledger.as_ref().unwrap().finished);
+    assert_eq!((summary.take.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
+    assert!(summary.take.ledger.as_ref().unwrap().finished);
     summary
 }
 
@@ -117,10 +117,10 @@ fn a_take_is_there_when_start_says_so_and_whole_when_stop_does() {
     let stopped = engine.stop(&request()).unwrap();
     let summary = read(&started.path);
     assert_eq!(stopped.bytes, started.path.metadata().unwrap().len());
-    assert_eq!(summary.subject.as_ref(), Some(&*subject()));
-    assert_eq!(stopped.ledger.recorded, summary.ledger.as_ref().unwrap().recorded);
+    assert_eq!(summary.take.subject.as_ref(), Some(&*subject()));
+    assert_eq!(stopped.ledger.recorded, summary.take.ledger.as_ref().unwrap().recorded);
     assert!(stopped.ledger.closes && stopped.seconds > 0.7, "{stopped:?}");
-    let mark = summary.events.iter().find(|event| event.text == "heel strike").unwrap();
+    let mark = summary.take.events.iter().find(|event| event.text == "heel strike").unwrap();
     assert_eq!(mark.row, marked.row);
     assert!(mark.row > 0 && mark.row < stopped.rows);
     // It goes on from there, at once.
@@ -331,7 +331,7 @@ fn what_a_device_that_is_gone_did_not_send_is_on_the_ledger_of_the_take_that_end
     assert!(engine.status().device.obstacle.unwrap().starts_with("the device is away"));
     std::thread::sleep(Duration::from_millis(1200));
     let stopped = engine.stop(&request()).unwrap();
-    let ledger = read(&started.path).ledger.unwrap();
+    let ledger = read(&started.path).take.ledger.unwrap();
     assert_eq!(ledger.unknown_after_disconnect, stopped.ledger.unknown_after_disconnect);
     assert!(ledger.closes() && ledger.unknown_after_disconnect >= 140, "{ledger:?}");
     assert_eq!(engine.takes(1).unwrap()[0].health, TakeHealth::Lossy);

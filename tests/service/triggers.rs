@@ -51,7 +51,7 @@ fn another_program_starts_and_stops_takes_and_is_told_of_ours() {
     say(&datagram("CaptureStop", "../Trial 01", 9));
     wait_until("the end", || engine.status().state == State::Armed);
     let summary = read(&directory.path().join(format!("{name}.take")));
-    let told: Vec<_> = summary.events.iter().map(|event| event.text.as_str()).collect();
+    let told: Vec<_> = summary.take.events.iter().map(|event| event.text.as_str()).collect();
     assert!(
         told.iter().any(|text| text.contains("left leg") && text.contains("/etc/passwd")),
         "{told:?}"

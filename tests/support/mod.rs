@@ -129,7 +129,7 @@ pub(crate) fn record(
     let counts = intake.finish();
     let (written, take) = pipeline.finish().unwrap();
     let summary = Summary::read(&take[..]).unwrap();
-    assert_eq!((summary.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
+    assert_eq!((summary.take.problems.as_slice(), summary.contradictions()), (&[][..], &[][..]));
     (written, take, counts)
 }
 
@@ -141,7 +141,7 @@ pub(crate) fn rows(take: &[u8]) -> (Vec<Vec<Position>>, Vec<String>) {
     while frames.next_frame(&mut row).unwrap() {
         rows.push(row.clone());
     }
-    (rows, frames.problems().to_vec())
+    (rows, frames.problems().iter().map(ToString::to_string).collect())
 }
 
 /// The chunks of a take that a test looks at.

@@ -110,7 +110,7 @@ fn check(coded: &Coded, motion: &Motion, tolerance_mm: f64) -> Result<(), Report
     let (found, expected) = (n_samples(&coded.motion), n_samples(motion));
     let error_mm = coded.max_error_mm(motion);
     if let Some(problem) = coded.problems.first() {
-        return Err(ReportError::Coder(problem.clone()));
+        return Err(ReportError::Coder(problem.to_string()));
     }
     if found != expected || error_mm > tolerance_mm {
         return Err(ReportError::Coder(format!(

@@ -137,7 +137,7 @@ fn check(name: String, bytes: u64, read: Result<Summary, TakeError>) -> Result<T
         }
     };
     let mut contradictions = summary.contradictions().to_vec();
-    let ledger = summary.ledger.as_ref();
+    let ledger = summary.take.ledger.as_ref();
     if let Some(apart) = summary.clock_apart().filter(|apart| !apart.agrees) {
         contradictions.push(format!(
             "the clocks' line lies {:.1} us off the one that its observations give",
@@ -145,23 +145,22 @@ fn check(name: String, bytes: u64, read: Result<Summary, TakeError>) -> Result<T
         ));
     }
     // Before the end it need not close.
-    if summary.finished && ledger.is_some_and(|ledger| !ledger.closes()) {
+    if summary.take.finished && ledger.is_some_and(|ledger| !ledger.closes()) {
         contradictions.push("the ledger does not close".to_owned());
     }
     contradictions.truncate(TOLD_MAX);
-    let header = summary.header.as_ref();
-    let rate_hz = header.map_or(0.0, |header| header.rate_hz);
-    let ending = summary.ending.as_ref().map_or("", |ending| ending.kind.word());
+    let header = &summary.take.header;
+    let ending = summary.take.ending.as_ref().map_or("", |ending| ending.kind.word());
     Ok(TakeCheck {
         ending: ending.to_owned(),
-        frames: summary.rows,
-        seconds: if rate_hz > 0.0 { summary.rows as f64 / rate_hz } else { 0.0 },
-        rate_hz,
-        markers: summary.channels().len(),
+        frames: summary.take.n_rows,
+        seconds: summary.take.n_rows as f64 / header.rate_hz,
+        rate_hz: header.rate_hz,
+        markers: summary.take.channels.len(),
         samples: summary.samples(),
-        tolerance_mm: header.map_or(0.0, |header| header.tolerance_mm),
+        tolerance_mm: header.tolerance_mm,
         max_error_mm: summary.max_error_mm(),
-        problems: summary.problems.iter().take(TOLD_MAX).cloned().collect(),
+        problems: summary.take.problems.iter().take(TOLD_MAX).map(ToString::to_string).collect(),
         contradictions,
         ledger: ledger.map(LedgerDocument::from),
         ..empty(name, bytes, summary.health())

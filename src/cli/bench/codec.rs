@@ -6,7 +6,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use anyhow::ensure;
+use anyhow::{bail, ensure};
 use mocapd::outcome::Outcome;
 use mocapd_acquire::{
     inspect::{Summary, size_ratio},
@@ -129,7 +129,9 @@ fn measure(subject: &Subject<'_>, codec: &Settings, repeats: u8) -> anyhow::Resu
         Ok(())
     })?;
     let summary = Summary::read(&take[..])?;
-    ensure!(summary.problems.is_empty(), "{}", summary.problems.join("; "));
+    if let Some(problem) = summary.take.problems.first() {
+        bail!("{problem}");
+    }
     let mut worst_mm = 0.0_f64;
     let mut samples = 0;
     decode(&take, |decoder, first_row| {

@@ -22,7 +22,7 @@ use mocapd_acquire::{
 };
 use mocapd_service::units;
 use mocapd_take::{
-    TakeFrames,
+    TakeFrames, TakeMap,
     interchange::{Direction, Format, Turned, bids},
     motion::{FrameSource, UpAxis},
     record::Ledger,
@@ -64,8 +64,9 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let wanted = |kind: &str| format.gives_back(kind);
     let mut frames = TakeFrames::open_with(BufReader::new(file), wanted, files::scratch)
         .with_context(reading)?;
-    let range = part::range(frames.info(), frames.n_held(), args.from, args.to)
-        .with_context(|| args.take.display().to_string())?;
+    let range =
+        part::range(frames.info(), frames.map().n_held.unwrap_or_default(), args.from, args.to)
+            .with_context(|| args.take.display().to_string())?;
     if args.up.is_some() && frames.info().up == UpAxis::Unknown {
         return Err(UsageError(format!(
             "{} does not say what is up, so that --up cannot turn it: import its file again with --up",
@@ -122,7 +123,17 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if !not_turned.is_empty() {
         say(&format!("{}: not turned: {}", args.output.display(), not_turned.join(", ")));
     }
-    let n_lost = frames.take().and_then(|take| take.ledger.as_ref()).map_or(0, Ledger::frames_lost);
+    say_lost(args, frames.map());
+    let problems = frames.problems();
+    for problem in problems {
+        say(&format!("{}: {problem}", args.take.display()));
+    }
+    Ok(Outcome::of(!problems.is_empty()))
+}
+
+/// Says how many frames the take lost while it was recorded.
+fn say_lost(args: &Args, take: &TakeMap) {
+    let n_lost = take.ledger.as_ref().map_or(0, Ledger::frames_lost);
     if n_lost > 0 {
         // No other program can tell them from markers that were hidden.
         say(&format!(
@@ -132,11 +143,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
             args.output.display()
         ));
     }
-    let problems = frames.problems();
-    for problem in problems {
-        say(&format!("{}: {problem}", args.take.display()));
-    }
-    Ok(Outcome::of(!problems.is_empty()))
 }
 
 /// An axis that is to point up.

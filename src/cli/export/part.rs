@@ -144,9 +144,14 @@ mod tests {
     fn hours_of_nothing_are_written_when_asked_for() {
         let part = |lost: u64, to_s: Option<u64>| {
             let frames = TakeFrames::open(Cursor::new(take(lost))).unwrap();
-            range(frames.info(), frames.n_held(), None, to_s.map(Duration::from_secs))
-                .map(|range| range.end - range.start)
-                .map_err(|error| error.to_string())
+            range(
+                frames.info(),
+                frames.map().n_held.unwrap_or_default(),
+                None,
+                to_s.map(Duration::from_secs),
+            )
+            .map(|range| range.end - range.start)
+            .map_err(|error| error.to_string())
         };
         assert_eq!(part(LOST_UNASKED_MAX - 1200, None), Ok(LOST_UNASKED_MAX));
         let refused = part(1 << 31, None).unwrap_err();

@@ -30,8 +30,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let file = SparseFile::open(&args.take)?;
     let file_bytes = file.len_bytes().with_context(reading)?;
     let summary = Summary::read(BufReader::new(file)).with_context(reading)?;
-    let header = summary.header.as_ref().with_context(reading)?;
-    let report = Report::new(&args.take, &summary, header, file_bytes);
+    let report = Report::new(&args.take, &summary, file_bytes);
     if args.json {
         print_json(&report)?;
     } else {

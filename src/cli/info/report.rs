@@ -9,6 +9,7 @@ use mocapd_acquire::{
 };
 use mocapd_take::{
     interchange::ReadOptions,
+    motion::UpAxis,
     reader::TakeBytes,
     record::{Event, Header},
     recovery::RECOVERED,
@@ -149,29 +150,25 @@ pub(super) struct ChannelReport {
 }
 
 impl Report {
-    pub(super) fn new(take: &Path, summary: &Summary, header: &Header, file_bytes: u64) -> Self {
-        let channels = summary.channels().iter().zip(&summary.per_channel);
+    pub(super) fn new(take: &Path, summary: &Summary, file_bytes: u64) -> Self {
+        let header = &summary.take.header;
+        let channels = summary.take.channels.iter().zip(&summary.per_channel);
         let given = ReadOptions::from_settings(&header.settings);
         Self {
             take: take.to_owned(),
-            finished: summary.finished,
-            problems: summary.problems.clone(),
-            damage: DamageReport::all(summary.damage()),
+            finished: summary.take.finished,
+            problems: summary.take.problems.iter().map(ToString::to_string).collect(),
+            damage: DamageReport::all(&summary.take.damage),
             recovered: recovered(header),
             health: summary.health(),
-            ending: summary.ending.as_ref().map(|ending| ending.kind.word()),
+            ending: summary.take.ending.as_ref().map(|ending| ending.kind.word()),
             ending_detail: detail(summary),
             software: header.software.clone(),
             created: created_unix_ms(header).and_then(utc),
             created_unix_ms: created_unix_ms(header),
             resampler: header.resampler.clone(),
             tolerance_mm: header.tolerance_mm,
-            up_axis: match header.up_axis {
-                1 => Some("x"),
-                2 => Some("y"),
-                3 => Some("z"),
-                _ => None,
-            },
+            up_axis: UpAxis::from_code(header.up_axis).name(),
             device: header.device.clone().map(|device| DeviceReport {
                 driver: device.driver,
                 uri: device.uri,
@@ -191,15 +188,16 @@ impl Report {
                 first_frame: source.first_frame,
                 warnings: source.warnings,
             }),
-            subject: summary.subject.as_ref().map(SubjectReport::new),
+            subject: summary.take.subject.as_ref().map(SubjectReport::new),
             foreign_parts: summary
+                .take
                 .foreign
                 .iter()
-                .map(|(kind, bytes)| ForeignReport { kind: kind.clone(), bytes: *bytes })
+                .map(|part| ForeignReport { kind: part.kind.clone(), bytes: part.data_bytes })
                 .collect(),
-            frames: summary.rows,
-            seconds: summary.rows as f64 / header.rate_hz,
-            markers: summary.channels().len(),
+            frames: summary.take.n_rows,
+            seconds: summary.take.n_rows as f64 / header.rate_hz,
+            markers: summary.take.channels.len(),
             rate_hz: header.rate_hz,
             samples: summary.samples(),
             raw_bytes: summary.raw_bytes(),
@@ -210,10 +208,10 @@ impl Report {
             stretches: summary.stretches,
             sr1: summary.sr1(),
             sr2: summary.sr2(),
-            ledger: summary.ledger.as_ref().map(LedgerDocument::from),
+            ledger: summary.take.ledger.as_ref().map(LedgerDocument::from),
             outages: OutagesReport::new(summary.outages.0, summary.outages.1, header.rate_hz),
-            clock: ClockReport::new(&summary.clock_status(), &summary.clock_lines),
-            events: summary.events.iter().map(EventReport::new).collect(),
+            clock: ClockReport::new(&summary.clock, &summary.take.clock_lines),
+            events: summary.take.events.iter().map(EventReport::new).collect(),
             channels: channels
                 .map(|(channel, found)| ChannelReport {
                     label: channel.label.clone(),
@@ -246,7 +244,7 @@ impl Report {
 
 /// More about how it ended, where there is more.
 fn detail(summary: &Summary) -> Option<String> {
-    let detail = &summary.ending.as_ref()?.detail;
+    let detail = &summary.take.ending.as_ref()?.detail;
     (!detail.is_empty()).then(|| detail.clone())
 }
 

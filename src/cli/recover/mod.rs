@@ -17,7 +17,7 @@ use mocapd_acquire::{
     files::{NewFile, SparseFile},
     header::SOFTWARE,
 };
-use mocapd_take::recovery::{Mended, Survey, mend_start};
+use mocapd_take::recovery::{Survey, mend_start};
 
 use self::report::Report;
 use super::{
@@ -58,7 +58,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     output.keep()?;
 
     let problems: Vec<String> =
-        mended.iter().map(of_start).chain(survey.problems().iter().cloned()).collect();
+        mended.iter().chain(&survey.problems).map(ToString::to_string).collect();
     let report = Report::new(args, &survey, problems, file_bytes, written);
     if args.json {
         print_json(&report)?;
@@ -72,15 +72,6 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         say(&format!("{name}: {}", survey.losses_in_words()));
     }
     Ok(Outcome::of(survey.lost_anything()))
-}
-
-fn of_start(mended: &Mended) -> String {
-    match mended {
-        Mended::Magic => "the eight bytes that a take begins with were damaged".to_owned(),
-        Mended::HeaderByte(offset) => {
-            format!("byte {offset}, in the header, was damaged; the checksum told what it was")
-        }
-    }
 }
 
 /// A file, and how much of it was read.

@@ -63,19 +63,19 @@ impl Report {
             discarded: count.discarded,
         };
         let there = |count: &&KindCount| count.recovered + count.discarded > 0;
-        let markers = survey.channels().iter().zip(survey.per_channel());
+        let markers = survey.channels.iter().zip(&survey.per_channel);
         Self {
             take: args.take.clone(),
             output: args.output.clone(),
             lost: survey.lost_anything(),
-            finished: survey.finished(),
+            finished: survey.finished,
             problems,
-            chunks: survey.kinds().iter().filter(there).map(chunk).collect(),
-            frames: survey.rows(),
-            frames_recovered: survey.recorded(),
+            chunks: survey.kinds.iter().filter(there).map(chunk).collect(),
+            frames: survey.rows,
+            frames_recovered: survey.recorded,
             frames_damaged: survey.rows_damaged(),
-            samples: survey.per_channel().iter().map(|channel| channel.samples).sum(),
-            damage: DamageReport::all(survey.damage()),
+            samples: survey.per_channel.iter().map(|channel| channel.samples).sum(),
+            damage: DamageReport::all(&survey.damage),
             markers: markers
                 .map(|(channel, found)| MarkerReport {
                     label: channel.label.clone(),
@@ -84,9 +84,9 @@ impl Report {
                 })
                 .collect(),
             take_bytes,
-            discarded_bytes: survey.discarded_bytes(),
+            discarded_bytes: survey.discarded_bytes,
             output_bytes,
-            ledger: LedgerDocument::from(survey.ledger()),
+            ledger: LedgerDocument::from(&survey.ledger),
         }
     }
 

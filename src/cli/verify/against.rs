@@ -70,12 +70,12 @@ pub(super) fn against(
             .with_context(|| format!("cannot read {}", path.display()))
     };
     let take_frames = open(take)?;
-    let cut_off = take_frames.is_cut_off();
+    let cut_off = !take_frames.map().finished;
     let mut ambiguities = Vec::new();
     let mut notes = Vec::new();
     let (difference, exact) = if paths::is_take(original) {
         let original = open(original)?;
-        let exact = original.tolerance_mm() == 0.0;
+        let exact = original.map().header.tolerance_mm == 0.0;
         (compare(take_frames, original), exact)
     } else {
         let options = read_options(&take_frames);

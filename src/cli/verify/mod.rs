@@ -97,7 +97,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let summary =
         Summary::read(BufReader::new(SparseFile::open(&args.take)?)).with_context(reading)?;
-    let header = summary.header.as_ref().with_context(reading)?;
+    let header = &summary.take.header;
     let mut report = Report::new(&args.take, &summary, header);
     if let Some(original) = &args.against {
         report.against = Some(against(&args.take, original, header.tolerance_mm)?);
@@ -117,7 +117,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
             say(&format!("{}: {problem}", args.take.display()));
         }
     }
-    let document = summary.ledger.as_ref().map(LedgerDocument::from);
+    let document = summary.take.ledger.as_ref().map(LedgerDocument::from);
     if let Some(losses) = document.as_ref().and_then(ledger::losses) {
         say(&format!("{}: not in the take: {losses}", args.take.display()));
     }
@@ -125,7 +125,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         say(&format!("{}: {why}", args.take.display()));
     }
     if report.health == TakeHealth::Lossy
-        && !summary.ledger.as_ref().is_some_and(Ledger::lost_anything)
+        && !summary.take.ledger.as_ref().is_some_and(Ledger::lost_anything)
         && let Some(ending) = report.ending
     {
         say(&damage::ended_early(&args.take, ending));
@@ -148,14 +148,15 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
 
 impl Report {
     fn new(take: &Path, summary: &Summary, header: &Header) -> Self {
-        let mut problems = summary.problems.clone();
-        let ledger_closes = summary.ledger.as_ref().map(Ledger::closes);
+        let mut problems: Vec<String> =
+            summary.take.problems.iter().map(ToString::to_string).collect();
+        let ledger_closes = summary.take.ledger.as_ref().map(Ledger::closes);
         if ledger_closes == Some(false) {
             problems.push(NOT_CLOSING.to_owned());
         }
-        if let Some(ledger) = &summary.ledger
-            && summary.finished
-            && summary.is_damaged()
+        if let Some(ledger) = &summary.take.ledger
+            && summary.take.finished
+            && summary.take.damaged
             && ledger.samples_present != summary.samples()
         {
             problems.push(format!(
@@ -173,17 +174,17 @@ impl Report {
             }
             ClockCheck { agrees, apart_us: offset_us, apart_ppm: drift_ppm }
         });
-        let markers = summary.channels().iter().zip(&summary.per_channel);
+        let markers = summary.take.channels.iter().zip(&summary.per_channel);
         Self {
             take: take.to_owned(),
             intact: problems.is_empty(),
             health: summary.health(),
-            ending: summary.ending.as_ref().map(|ending| ending.kind.word()),
+            ending: summary.take.ending.as_ref().map(|ending| ending.kind.word()),
             ledger_closes,
             problems,
             contradictions,
-            frames: summary.rows,
-            damage: DamageReport::all(summary.damage()),
+            frames: summary.take.n_rows,
+            damage: DamageReport::all(&summary.take.damage),
             markers: markers
                 .map(|(channel, found)| MarkerReport {
                     label: channel.label.clone(),

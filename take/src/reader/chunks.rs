@@ -1,15 +1,89 @@
-//! From whole chunks to events.
+//! From whole chunks to events: those that are held, and those that are too long for that, which are looked at piece by piece
+//! as they come.
 
-use super::{TakeEvent, TakeReader};
+use super::{TakeEvent, TakeReader, damage::Damage};
 use crate::{
-    TakeError, chunk,
-    chunk::{CRC_BYTES, Front, MAY_SKIP, types},
-    foreign::{ForeignPart, Inflation},
+    TakeError,
+    chunk::{
+        self, CHUNK_HELD_MAX, CRC_BYTES, Front, HEAD_BYTES_MAX, Head, LongChunks, MAY_SKIP, Marks,
+        Search, types,
+    },
+    foreign::{self, ForeignPart, Inflation},
     index::{Footer, parse_index},
     record::{Clock, Event, Header, Ledger, MoreChannels, Record, Subject, SummaryRecord},
-    stretch::CHANNELS_MAX,
-    stretch::{Chain, Placed},
+    stretch::{self, CHANNELS_MAX, Chain, Placed},
 };
+
+/// What to do next.
+pub(super) enum Step {
+    /// There is a whole chunk in the buffer.
+    Chunk { kind: u8, start: usize, len: usize },
+    /// Look again.
+    Again,
+}
+
+/// What is wrong with a chunk that the file ends inside of.
+const CUT: &str = "the file ends inside a chunk";
+
+/// And with any other that is not whole.
+const WRONG: &str = "checksum does not match";
+
+impl TakeReader {
+    /// What stands at the front of the bytes that are there. Behind a whole chunk, or behind the magic.
+    pub(super) fn next_chunk(&mut self) -> Step {
+        let waiting = &self.buffer[self.used..];
+        let have = waiting.len() as u64;
+        let offset = self.offset();
+        let is_header = offset == chunk::MAGIC.len() as u64;
+        let begin_damage =
+            |message| Some(Damage::new(offset, waiting, message, is_header && message == CUT));
+        match chunk::head(waiting) {
+            Head::Of { kind, len, .. } if len > have && len > CHUNK_HELD_MAX && !self.complete => {
+                match self.long.is_whole(offset) {
+                    None => self.search = Some(Search::new(offset, true)),
+                    Some(false) if self.long.is_cut(offset + len) => {
+                        self.damage = begin_damage(CUT);
+                    }
+                    Some(false) => self.damage = begin_damage(WRONG),
+                    Some(true) if kind == types::STRETCH && len <= stretch::BYTES_MAX => {
+                        self.wanted = len;
+                    }
+                    Some(true) => self.passing = Some(Passing::new(kind, offset, len)),
+                }
+                return Step::Again;
+            }
+            _ => {}
+        }
+        match chunk::front_by_marks(&self.buffer, self.used, &mut self.marks) {
+            Front::Whole { kind, len, .. } => {
+                let start = self.used;
+                self.used += len;
+                self.wanted = 1;
+                return Step::Chunk { kind, start, len };
+            }
+            Front::Short(wanted) if !self.complete => self.wanted = wanted,
+            Front::Short(_) => self.damage = begin_damage(CUT),
+            Front::Damaged => self.damage = begin_damage(WRONG),
+        }
+        Step::Again
+    }
+
+    /// Follows the file ahead; says whether all is known that was asked for, and the reader goes back.
+    pub(super) fn look_ahead(&mut self) -> bool {
+        let Some(search) = &mut self.search else { return true };
+        self.used += search.push(&self.buffer[self.used..], self.complete);
+        if !search.is_answered() && !self.complete {
+            return false;
+        }
+        let from = search.from();
+        self.long = self.search.take().map_or_else(LongChunks::default, Search::finish);
+        self.buffer.clear();
+        self.marks = Marks::default();
+        (self.base, self.used, self.wanted) = (from, 0, 1);
+        self.goes_back_to = Some(from);
+        true
+    }
+}
 
 impl TakeReader {
     /// The chunk at `start` of the buffer, whose CRC matched.
@@ -37,30 +111,6 @@ impl TakeReader {
             return Ok(damaged(offset, len as u64, kind, message));
         };
         let event = match kind {
-            types::CHANNELS => {
-                MoreChannels::from_payload(payload, offset).and_then(|MoreChannels(more)| {
-                    let n_channels = self.n_channels + more.len();
-                    if n_channels > CHANNELS_MAX {
-                        let message = "there are more channels than marker ids".to_owned();
-                        return Err(TakeError::Corrupt { what: "channel table", offset, message });
-                    }
-                    self.n_channels = n_channels;
-                    Ok(TakeEvent::Channels(more))
-                })
-            }
-            types::STRETCH => chain.place(payload).map(TakeEvent::from).map_err(|message| {
-                TakeError::Corrupt { what: "stretch", offset, message: message.to_owned() }
-            }),
-            types::SUBJECT => Subject::from_payload(payload, offset)
-                .map(|subject| TakeEvent::Subject(Box::new(subject))),
-            types::EVENT => Event::from_payload(payload, offset).map(TakeEvent::Event),
-            types::LEDGER => {
-                Ledger::from_payload(payload, offset).map(|l| TakeEvent::Ledger(Box::new(l)))
-            }
-            types::CLOCK => {
-                Clock::from_payload(payload, offset).map(|c| TakeEvent::Clock(Box::new(c)))
-            }
-            types::SUMMARY => SummaryRecord::from_payload(payload, offset).map(TakeEvent::Summary),
             types::FOREIGN => {
                 let payload_at = offset + (len - CRC_BYTES - payload.len()) as u64;
                 let place = (payload_at, payload.len() as u64);
@@ -71,19 +121,34 @@ impl TakeReader {
                     inflation.finish(offset).map(|()| TakeEvent::Foreign(part))
                 })
             }
-            types::INDEX => parse_index(payload, offset).map(TakeEvent::Index),
+            types::STRETCH => chain.place(payload).map(TakeEvent::from).map_err(|message| {
+                TakeError::Corrupt { what: "stretch", offset, message: message.to_owned() }
+            }),
             types::FOOTER => Footer::from_payload(payload, offset)
                 .and_then(|footer| footer.check(chain.rows_believed_max(), offset))
                 .inspect(|_| self.seen_footer = true)
                 .map(TakeEvent::Footer),
-            _ if kind & MAY_SKIP != 0 => Ok(TakeEvent::Skipped { kind }),
-            _ => {
-                let message = match kind {
-                    types::HEADER => "a second header".to_owned(),
-                    _ => format!("chunk type {kind:02x} is unknown: use a newer mocapd"),
-                };
-                Ok(damaged(offset, len as u64, kind, message))
-            }
+            _ => match record(kind, payload, offset) {
+                Some(Ok(TakeEvent::Channels(more))) => {
+                    let n_channels = self.n_channels + more.len();
+                    if n_channels <= CHANNELS_MAX {
+                        self.n_channels = n_channels;
+                        Ok(TakeEvent::Channels(more))
+                    } else {
+                        let message = "there are more channels than marker ids".to_owned();
+                        Err(TakeError::Corrupt { what: "channel table", offset, message })
+                    }
+                }
+                Some(event) => event,
+                None if kind & MAY_SKIP != 0 => Ok(TakeEvent::Skipped { kind }),
+                None => {
+                    let message = match kind {
+                        types::HEADER => "a second header".to_owned(),
+                        _ => format!("chunk type {kind:02x} is unknown: use a newer mocapd"),
+                    };
+                    Ok(damaged(offset, len as u64, kind, message))
+                }
+            },
         };
         let event = event.unwrap_or_else(|error| match error {
             TakeError::Unsupported { .. } if kind & MAY_SKIP != 0 => TakeEvent::Skipped { kind },
@@ -94,8 +159,30 @@ impl TakeReader {
     }
 }
 
+/// The content of a chunk that is read without regard to what stands before it; `None` of any other.
+pub(crate) fn record(
+    kind: u8,
+    payload: &[u8],
+    offset: u64,
+) -> Option<Result<TakeEvent<'static>, TakeError>> {
+    Some(match kind {
+        types::CHANNELS => MoreChannels::from_payload(payload, offset)
+            .map(|MoreChannels(more)| TakeEvent::Channels(more)),
+        types::SUBJECT => Subject::from_payload(payload, offset)
+            .map(|subject| TakeEvent::Subject(Box::new(subject))),
+        types::EVENT => Event::from_payload(payload, offset).map(TakeEvent::Event),
+        types::LEDGER => {
+            Ledger::from_payload(payload, offset).map(|l| TakeEvent::Ledger(Box::new(l)))
+        }
+        types::CLOCK => Clock::from_payload(payload, offset).map(|c| TakeEvent::Clock(Box::new(c))),
+        types::SUMMARY => SummaryRecord::from_payload(payload, offset).map(TakeEvent::Summary),
+        types::INDEX => parse_index(payload, offset).map(TakeEvent::Index),
+        _ => return None,
+    })
+}
+
 /// A chunk whose content is wrong.
-pub(super) fn damaged(offset: u64, len: u64, kind: u8, message: String) -> TakeEvent<'static> {
+fn damaged(offset: u64, len: u64, kind: u8, message: String) -> TakeEvent<'static> {
     let kind = Some(kind).filter(|kind| types::ALL.contains(kind));
     TakeEvent::Damaged { offset, len, kind, message }
 }
@@ -107,6 +194,165 @@ impl<'a> From<Placed<'a>> for TakeEvent<'a> {
             Placed::Unplaced { missing_before, n_rows, rows_min } => {
                 Self::Unplaced { missing_before, n_rows, rows_min }
             }
+        }
+    }
+}
+
+/// Whether one may be so long and is not read: what this version does not know, and an index, which repeats what the
+/// stretches themselves say. No other record is so long.
+fn may_be_skipped(kind: u8) -> bool {
+    let is_read = types::ALL.contains(&kind) && ![types::MODEL, types::INDEX].contains(&kind);
+    kind & MAY_SKIP != 0 && !is_read
+}
+
+/// One of them.
+#[derive(Debug)]
+pub(super) struct Passing {
+    kind: u8,
+    offset: u64,
+    len: u64,
+    /// Of a FOREIGN, once its front was there: it, and what became of it up to here.
+    part: Option<Result<(ForeignPart, Inflation), TakeError>>,
+}
+
+impl Passing {
+    pub(super) fn new(kind: u8, offset: u64, len: u64) -> Self {
+        Self { kind, offset, len, part: None }
+    }
+
+    fn end(&self) -> u64 {
+        self.offset + self.len
+    }
+
+    /// Looks at what comes next of a FOREIGN, from file offset `at` on.
+    fn look_at(&mut self, at: u64, bytes: &[u8]) {
+        if self.kind != types::FOREIGN {
+            return;
+        }
+        let part = self.part.get_or_insert_with(|| {
+            let Head::Of { head_bytes, .. } = chunk::head(bytes) else {
+                return Err(TakeError::NotATake("a chunk vanished while it was read"));
+            };
+            let payload_at = self.offset + head_bytes as u64;
+            let payload_bytes = self.len - head_bytes as u64 - CRC_BYTES as u64;
+            let front = &bytes[head_bytes..];
+            ForeignPart::of_payload(front, (payload_at, payload_bytes), self.offset)
+                .map(|part| (Inflation::new(part.data_bytes), part))
+                .map(|(inflation, part)| (part, inflation))
+        });
+        if let Ok((part, inflation)) = part {
+            let from = part.deflated_at().saturating_sub(at) as usize;
+            let end = (self.offset + self.len - CRC_BYTES as u64).saturating_sub(at);
+            let end = bytes.len().min(usize::try_from(end).unwrap_or(usize::MAX));
+            inflation.push(bytes.get(from..end).unwrap_or_default());
+        }
+    }
+}
+
+impl TakeReader {
+    /// Passes over what is there of it; says whether that was all.
+    pub(super) fn pass(&mut self) -> bool {
+        let at = self.offset();
+        let Some(passing) = &mut self.passing else { return true };
+        let waiting = &self.buffer[self.used..];
+        let front_bytes = HEAD_BYTES_MAX + foreign::FRONT_BYTES;
+        if at == passing.offset && waiting.len() < front_bytes && !self.complete {
+            return false;
+        }
+        let left = usize::try_from(passing.end() - at).unwrap_or(usize::MAX);
+        let next = &waiting[..waiting.len().min(left)];
+        passing.look_at(at, next);
+        self.used += next.len();
+        self.wanted = 1;
+        next.len() == left || self.complete
+    }
+
+    /// All of it was passed over.
+    pub(super) fn passed(&mut self) -> Result<TakeEvent<'static>, TakeError> {
+        let end = self.offset();
+        let Some(passing) = self.passing.take().filter(|passing| passing.end() == end) else {
+            return Err(TakeError::NotATake("it became shorter while it was read"));
+        };
+        let Passing { kind, offset, len, part } = passing;
+        let Some(chain) = self.chain.as_mut() else {
+            self.bytes.other += len;
+            let message = format!("a chunk of type {kind:02x} before the header");
+            return Ok(damaged(offset, len, kind, message));
+        };
+        let event = match part {
+            Some(part) => part.and_then(|(part, inflation)| {
+                inflation.finish(offset).map(|()| TakeEvent::Foreign(part))
+            }),
+            None if may_be_skipped(kind) => Ok(TakeEvent::Skipped { kind }),
+            None => {
+                if kind == types::STRETCH {
+                    chain.break_off();
+                }
+                let message = "longer than a take can hold".to_owned();
+                Err(TakeError::Corrupt { what: "chunk", offset, message })
+            }
+        };
+        let event = event.unwrap_or_else(|error| damaged(offset, len, kind, error.to_string()));
+        self.bytes.add(&event, len);
+        Ok(event)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::{
+        TakeEvent, TakeWriter,
+        chunk::{self, HASHED_BYTES, types},
+        reader::read_events,
+        record::{CODEC_VERSION, Header},
+        varint,
+    };
+
+    fn empty_take() -> Vec<u8> {
+        let header = Header {
+            software: "test".to_owned(),
+            take_id: [7; 16],
+            created_unix_ms: 0,
+            resampler: "dense".to_owned(),
+            codec_version: CODEC_VERSION,
+            tolerance_mm: 1.0,
+            rate_hz: 100.0,
+            up_axis: 0,
+            device: None,
+            source: None,
+            channels: Vec::new(),
+            stretch_rows: 50,
+            settings: Vec::new(),
+        };
+        let mut bytes = Vec::new();
+        TakeWriter::new(&mut bytes, &header).unwrap();
+        bytes
+    }
+
+    /// Behind each small chunk stands a head of a long one: all of it may be one, or damaged, and the next small
+    /// chunk is found within it.
+    #[test]
+    fn no_byte_is_hashed_for_every_head_before_it() {
+        for claimed in [3_000, 100_000, 1 << 20] {
+            let mut bytes = empty_take();
+            let (start, end) = (bytes.len(), bytes.len() + claimed + (256 << 10));
+            while bytes.len() < end {
+                bytes.push(types::STRETCH);
+                varint::put(&mut bytes, claimed as u64);
+                chunk::put(&mut bytes, types::EVENT, &[]).unwrap();
+            }
+            let before = HASHED_BYTES.get();
+            let mut n_damaged = 0;
+            read_events(&bytes, |event| {
+                n_damaged += usize::from(matches!(event, TakeEvent::Damaged { .. }));
+                Ok(())
+            })
+            .unwrap();
+            let hashed = HASHED_BYTES.get() - before;
+            // The heads, and the events, which have no version.
+            assert!(n_damaged > (end - start) / 11, "{n_damaged} of {} bytes", bytes.len());
+            let ratio = hashed / bytes.len() as u64;
+            assert!(ratio <= 100, "{ratio} bytes hashed a byte, of {claimed} claimed");
         }
     }
 }

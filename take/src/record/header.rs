@@ -1,13 +1,20 @@
 //! HEADER and CHANNELS: what a reader must know before the first stretch.
 
-use bincode::{Decode, Encode};
+use bincode::{
+    Decode, Encode,
+    de::Decoder,
+    enc::Encoder,
+    error::{DecodeError, EncodeError},
+};
 use mocapd_codec::{BLOCK_VERSION, CodecError, ResamplerKind, Settings, Tolerance};
+use sha2::{Digest, Sha256};
 
-use super::Record;
+use super::{LIMIT_BYTES, Record, Subject};
 use crate::{
     TakeError,
     chunk::types,
-    motion::{Marker, UpAxis},
+    stretch::CHANNELS_MAX,
+    varint::{self, Cursor},
 };
 
 /// One entry of the channel table.
@@ -58,7 +65,7 @@ pub struct ImportSource {
 }
 
 /// The first chunk of a take.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Header {
     /// What wrote it.
     pub software: String,
@@ -151,32 +158,289 @@ impl Record for MoreChannels {
     const VERSION: u16 = 2;
 }
 
-impl From<&Channel> for Marker {
-    fn from(channel: &Channel) -> Self {
-        Self { label: channel.label.clone(), labelled: channel.labelled }
+// As they are stored: their fields in order, the channel table as its own bytes.
+
+impl Encode for Header {
+    fn encode<E: Encoder>(&self, encoder: &mut E) -> Result<(), EncodeError> {
+        self.software.encode(encoder)?;
+        self.take_id.encode(encoder)?;
+        self.created_unix_ms.encode(encoder)?;
+        self.resampler.encode(encoder)?;
+        self.codec_version.encode(encoder)?;
+        self.tolerance_mm.encode(encoder)?;
+        self.rate_hz.encode(encoder)?;
+        self.up_axis.encode(encoder)?;
+        self.device.encode(encoder)?;
+        self.source.encode(encoder)?;
+        write_channels(&self.channels).encode(encoder)?;
+        self.stretch_rows.encode(encoder)?;
+        self.settings.encode(encoder)
     }
 }
 
-impl UpAxis {
-    /// As HEADER stores it.
-    #[must_use]
-    pub fn code(self) -> u8 {
-        match self {
-            Self::Unknown => 0,
-            Self::X => 1,
-            Self::Y => 2,
-            Self::Z => 3,
+impl Decode<()> for Header {
+    fn decode<D: Decoder<Context = ()>>(decoder: &mut D) -> Result<Self, DecodeError> {
+        // Fields are decoded in the order in which they stand here.
+        Ok(Self {
+            software: String::decode(decoder)?,
+            take_id: <[u8; 16]>::decode(decoder)?,
+            created_unix_ms: i64::decode(decoder)?,
+            resampler: String::decode(decoder)?,
+            codec_version: u16::decode(decoder)?,
+            tolerance_mm: f64::decode(decoder)?,
+            rate_hz: f64::decode(decoder)?,
+            up_axis: u8::decode(decoder)?,
+            device: Option::<Device>::decode(decoder)?,
+            source: Option::<ImportSource>::decode(decoder)?,
+            channels: channels(decoder)?,
+            stretch_rows: u32::decode(decoder)?,
+            settings: Vec::<(String, String)>::decode(decoder)?,
+        })
+    }
+}
+
+impl Encode for MoreChannels {
+    fn encode<E: Encoder>(&self, encoder: &mut E) -> Result<(), EncodeError> {
+        write_channels(&self.0).encode(encoder)
+    }
+}
+
+impl Decode<()> for MoreChannels {
+    fn decode<D: Decoder<Context = ()>>(decoder: &mut D) -> Result<Self, DecodeError> {
+        channels(decoder).map(Self)
+    }
+}
+
+fn channels<D: Decoder<Context = ()>>(decoder: &mut D) -> Result<Vec<Channel>, DecodeError> {
+    let bytes = Vec::<u8>::decode(decoder)?;
+    read_channels(&bytes).map_err(DecodeError::Other)
+}
+
+impl Header {
+    /// Makes `take_id` of everything else in this header, the bytes of the file that was imported, and the subject
+    /// where there is one, as a UUID of version 8 (RFC 9562, 5.8). Call it when nothing else will change.
+    ///
+    /// The header names program, resampler, versions, tolerance, file and settings: two imports have
+    /// the same id when they are the same import. docs/take-format.md gives the steps.
+    ///
+    /// # Errors
+    /// `InvalidArgument` when the header is larger than a take can hold.
+    pub fn set_import_id(
+        &mut self,
+        source: &[u8],
+        subject: Option<&Subject>,
+    ) -> Result<(), TakeError> {
+        self.take_id = [0; 16];
+        let hash = Sha256::new().chain_update(self.to_payload()?).chain_update(source);
+        let subject = subject.map_or(Ok(Vec::new()), Subject::to_payload)?;
+        let hash = hash.chain_update(subject).finalize();
+        self.take_id.iter_mut().zip(hash).for_each(|(byte, of_hash)| *byte = of_hash);
+        self.take_id[6] = self.take_id[6] & 0x0f | 0x80;
+        self.take_id[8] = self.take_id[8] & 0x3f | 0x80;
+        Ok(())
+    }
+}
+
+/// Most bytes that a label takes over from the one before: what a nibble can say.
+const MAX_SHARED: usize = 15;
+/// Suffix lengths that stand in the nibble; these two say what follows instead.
+const LONG: u8 = 14;
+const UNUSUAL: u8 = 15;
+/// What an entry costs a reader beside its label.
+const ENTRY_BYTES: usize = 32;
+
+/// What the next entry is, where it does not say otherwise.
+#[derive(Default)]
+struct Before<'a> {
+    label: &'a [u8],
+    /// None before the first entry.
+    marker_id: Option<u16>,
+    unlabelled: bool,
+}
+
+impl<'a> Before<'a> {
+    fn next_id(&self) -> u16 {
+        self.marker_id.map_or(0, |id| id.wrapping_add(1))
+    }
+
+    fn follow(&mut self, marker_id: u16, label: &'a [u8], labelled: bool) {
+        *self = Self { label, marker_id: Some(marker_id), unlabelled: !labelled };
+    }
+}
+
+fn shared(a: &[u8], b: &[u8]) -> usize {
+    a.iter().zip(b).take(MAX_SHARED).take_while(|(a, b)| a == b).count()
+}
+
+/// The bytes of a table.
+fn write_channels(channels: &[Channel]) -> Vec<u8> {
+    let mut out = Vec::new();
+    let mut before = Before::default();
+    for Channel { marker_id, label, labelled } in channels {
+        let label = label.as_bytes();
+        let shared = shared(before.label, label);
+        let suffix = &label[shared..];
+        let usual = *marker_id == before.next_id() && *labelled != before.unlabelled;
+        let short = u8::try_from(suffix.len()).ok().filter(|&n| n < LONG);
+        let low = if usual { short.unwrap_or(LONG) } else { UNUSUAL };
+        out.push((shared as u8) << 4 | low);
+        if !usual {
+            varint::put(&mut out, u64::from(*marker_id) << 1 | u64::from(*labelled));
+        }
+        if low >= LONG {
+            varint::put(&mut out, suffix.len() as u64);
+        }
+        out.extend_from_slice(suffix);
+        before.follow(*marker_id, label, *labelled);
+    }
+    out
+}
+
+const CUT: &str = "the channel table is cut short, or a number in it is longer than it needs to be";
+
+/// A table from all of its bytes.
+fn read_channels(bytes: &[u8]) -> Result<Vec<Channel>, &'static str> {
+    let mut bytes = Cursor::new(bytes);
+    let mut channels: Vec<Channel> = Vec::new();
+    let mut claimed = 0_u64;
+    while !bytes.is_empty() {
+        if channels.len() == CHANNELS_MAX {
+            return Err("there are more than 65536 markers");
+        }
+        let before = match channels.last() {
+            Some(last) => Before {
+                label: last.label.as_bytes(),
+                marker_id: Some(last.marker_id),
+                unlabelled: !last.labelled,
+            },
+            None => Before::default(),
+        };
+        let head = bytes.byte().ok_or(CUT)?;
+        let shared = usize::from(head >> 4);
+        let (mut marker_id, mut labelled) = (before.next_id(), !before.unlabelled);
+        if head & 15 == UNUSUAL {
+            let both = bytes.varint().ok_or(CUT)?;
+            labelled = both & 1 == 1;
+            marker_id = u16::try_from(both >> 1).map_err(|_| "a marker id is beyond 65535")?;
+        }
+        let n = if head & 15 >= LONG { bytes.varint().ok_or(CUT)? } else { u64::from(head & 15) };
+        let beginning = before.label.get(..shared).ok_or("a label begins like a shorter one")?;
+        // Memory as the other records: a byte here must not buy more than the limit there.
+        claimed = (claimed + (ENTRY_BYTES + shared) as u64).saturating_add(n);
+        if claimed > LIMIT_BYTES as u64 {
+            return Err("the channel table is larger than a take can hold");
+        }
+        let label = [beginning, bytes.take(n).ok_or(CUT)?].concat();
+        let label = String::from_utf8(label).map_err(|_| "a label is not UTF-8")?;
+        channels.push(Channel { marker_id, label, labelled });
+    }
+    Ok(channels)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn header() -> Header {
+        Header {
+            software: "mocapd 0.1.0".to_owned(),
+            take_id: [7; 16],
+            created_unix_ms: 0,
+            resampler: "dense".to_owned(),
+            codec_version: CODEC_VERSION,
+            tolerance_mm: 0.5,
+            rate_hz: 120.0,
+            up_axis: 3,
+            device: None,
+            source: Some(ImportSource {
+                format: "csv".to_owned(),
+                file: "jump.csv".to_owned(),
+                factor: 1.0,
+                ..ImportSource::default()
+            }),
+            channels: vec![Channel { marker_id: 0, label: "head".to_owned(), labelled: true }],
+            stretch_rows: 1200,
+            settings: Vec::new(),
         }
     }
 
-    /// From what HEADER stores; anything else is unknown.
-    #[must_use]
-    pub fn from_code(code: u8) -> Self {
-        match code {
-            1 => Self::X,
-            2 => Self::Y,
-            3 => Self::Z,
-            _ => Self::Unknown,
+    fn id(header: &Header, source: &[u8]) -> [u8; 16] {
+        let mut header = header.clone();
+        header.set_import_id(source, None).unwrap();
+        header.take_id
+    }
+
+    #[test]
+    fn it_is_what_the_format_says() {
+        // From Python's hashlib, over a payload put together field by field after docs/take-format.md.
+        let id = id(&Header { codec_version: 4, ..header() }, b"frame,time_s\n");
+        assert_eq!(u128::from_be_bytes(id), 0x6025_74d8_73e9_80b4_9ab3_7376_bd1c_3941);
+    }
+
+    #[test]
+    fn it_depends_on_the_file_and_every_setting_and_not_on_the_id_before() {
+        let first = id(&header(), b"a");
+        assert_eq!(first, id(&Header { take_id: [0; 16], ..header() }, b"a"));
+        assert_eq!((first[6] >> 4, first[8] >> 6), (8, 2), "version and variant of the UUID");
+        let others = [
+            id(&header(), b"b"),
+            id(&header(), b""),
+            id(&Header { software: "mocapd 0.2.0".to_owned(), ..header() }, b"a"),
+            id(&Header { resampler: "fast".to_owned(), ..header() }, b"a"),
+            id(&Header { codec_version: CODEC_VERSION + 1, ..header() }, b"a"),
+            id(&Header { tolerance_mm: 1.0, ..header() }, b"a"),
+            id(&Header { source: None, ..header() }, b"a"),
+            id(&Header { settings: vec![(String::new(), String::new())], ..header() }, b"a"),
+        ];
+        for (i, other) in others.iter().enumerate() {
+            assert!(*other != first && !others[..i].contains(other), "{i}: {other:02x?}");
         }
+        let mut of_anna = header();
+        let anna = Subject { name: "Anna".to_owned(), documents: Vec::new() };
+        of_anna.set_import_id(b"a", Some(&anna)).unwrap();
+        assert_ne!(of_anna.take_id, first);
+    }
+
+    fn channel(marker_id: u16, label: &str, labelled: bool) -> Channel {
+        Channel { marker_id, label: label.to_owned(), labelled }
+    }
+
+    #[test]
+    fn what_is_usual_takes_a_byte_and_what_is_new_in_the_label() {
+        let table = [channel(0, "L.Elbow", true), channel(1, "L.Wrist", true)];
+        assert_eq!(write_channels(&table), b"\x07L.Elbow\x25Wrist");
+        assert_eq!(read_channels(&write_channels(&table)).unwrap(), table);
+    }
+
+    #[test]
+    fn any_table_comes_back() {
+        let long = "ä".repeat(120);
+        let table = [
+            channel(7, "", false),
+            channel(8, "u001", false),
+            channel(8, "u001", false),
+            channel(65535, &long, true),
+            channel(0, &format!("{long}1"), true),
+            channel(1, "ö", true),
+        ];
+        assert_eq!(read_channels(&write_channels(&table)).unwrap(), table);
+        assert_eq!(read_channels(&[]).unwrap(), []);
+    }
+
+    #[test]
+    fn bad_bytes_are_errors() {
+        // Shares with nothing; is cut; too long a number, twice; not UTF-8; an id beyond 16 bits.
+        for bytes in [
+            &b"\x11a"[..],
+            b"\x05ab",
+            b"\x0e\xff\xff\xff\x01",
+            b"\x0e\x81\x00a",
+            b"\x01\xff",
+            b"\x0f\xff\xff\x7f\x00",
+        ] {
+            assert!(read_channels(bytes).is_err(), "{bytes:?}");
+        }
+        // A byte an entry: no memory beyond the limit.
+        assert!(read_channels(&vec![0; LIMIT_BYTES]).is_err());
     }
 }

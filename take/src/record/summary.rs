@@ -59,7 +59,7 @@ pub enum EndingKind {
 }
 
 impl EndingKind {
-    /// Every kind with a name.
+    /// Every kind with a name, in the order of its codes, which begin with 1.
     pub const ALL: [Self; 10] = [
         Self::Stopped,
         Self::Length,
@@ -77,25 +77,20 @@ impl EndingKind {
     #[must_use]
     pub fn code(self) -> u16 {
         match self {
-            Self::Stopped => 1,
-            Self::Length => 2,
-            Self::DeviceEnded => 3,
-            Self::DeviceGone => 4,
-            Self::DiskFull => 5,
-            Self::ServiceStopped => 6,
-            Self::Saved => 7,
-            Self::CutOff => 8,
-            Self::Truncated => 9,
-            Self::Unmounted => 10,
             Self::Other(code) => code,
+            named => Self::ALL
+                .iter()
+                .zip(1..)
+                .find(|(kind, _)| **kind == named)
+                .map_or(0, |(_, code)| code),
         }
     }
 
     /// From what a take stores.
     #[must_use]
     pub fn from_code(code: u16) -> Self {
-        let known = Self::ALL.into_iter().find(|kind| kind.code() == code);
-        known.unwrap_or(Self::Other(code))
+        let index = usize::from(code).checked_sub(1);
+        index.and_then(|index| Self::ALL.get(index)).copied().unwrap_or(Self::Other(code))
     }
 
     /// For people and documents.

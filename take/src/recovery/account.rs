@@ -1,7 +1,7 @@
 //! The ledger of a recovered take: what the last one said, and what stands in the file behind it.
 
 use crate::{
-    loss::LostRows,
+    damage::LostRows,
     record::Ledger,
     stretch::Stretch,
     timeline::{Causes, Run},
@@ -54,8 +54,8 @@ pub(super) struct Account {
     rows: Rows,
     announced: u64,
     present: u64,
-    /// The last ledger, and what had been counted when it came.
-    last: Option<(Ledger, Rows)>,
+    /// What had been counted when the last ledger came.
+    at_ledger: Rows,
 }
 
 impl Account {
@@ -71,8 +71,9 @@ impl Account {
         self.present = self.present.saturating_add(samples);
     }
 
-    pub(super) fn ledger(&mut self, ledger: Ledger) {
-        self.last = Some((ledger, self.rows));
+    /// A ledger comes.
+    pub(super) fn ledger(&mut self) {
+        self.at_ledger = self.rows;
     }
 
     /// Frames in the stretches that are kept.
@@ -80,16 +81,12 @@ impl Account {
         self.rows.recorded
     }
 
-    pub(super) fn last(&self) -> Option<&Ledger> {
-        self.last.as_ref().map(|(ledger, _)| ledger)
-    }
-
-    /// A ledger of what is kept. `lost`: the rows that were damaged here.
+    /// A ledger of what is kept. `last`: the last one that there is; `lost`: the rows that were damaged here.
     ///
     /// What the last ledger counted stands, but for frames that it has as recorded and that are not kept; these
     /// are lost, as are the damaged rows behind it.
-    pub(super) fn close(&self, lost: &[LostRows]) -> Ledger {
-        let (mut ledger, before) = self.last.clone().unwrap_or_default();
+    pub(super) fn close(&self, last: Option<&Ledger>, lost: &[LostRows]) -> Ledger {
+        let (mut ledger, before) = (last.cloned().unwrap_or_default(), self.at_ledger);
         let rows_then = ledger.frames_sent;
         let since = self.rows.since(before);
         let lost_then = ledger.recorded.saturating_sub(before.recorded);

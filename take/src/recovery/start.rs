@@ -3,22 +3,17 @@
 
 use std::io::{self, Read, Seek, SeekFrom};
 
-use crate::chunk::{self, Front, MAGIC, types};
+use crate::{
+    chunk::{self, Front, MAGIC, types},
+    damage::Problem,
+    reader::TakeInput,
+};
 
 /// Headers that are looked at: 10 000 labels fit.
 const START_BYTES_MAX: u64 = 4 << 20;
 
 /// The reflected polynomial of CRC-32 (IEEE).
 const POLYNOMIAL: u32 = 0xedb8_8320;
-
-/// What was wrong with the start, in words.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Mended {
-    /// The eight bytes that every take begins with.
-    Magic,
-    /// One byte of the header.
-    HeaderByte(u64),
-}
 
 /// A file whose start reads as it must have been.
 #[derive(Debug)]
@@ -38,7 +33,7 @@ pub struct MendedStart<R> {
 ///
 /// # Errors
 /// What reading meets.
-pub fn mend_start<R: Read + Seek>(mut input: R) -> io::Result<(MendedStart<R>, Vec<Mended>)> {
+pub fn mend_start<R: Read + Seek>(mut input: R) -> io::Result<(MendedStart<R>, Vec<Problem>)> {
     let mut start = Vec::new();
     input.seek(SeekFrom::Start(0))?;
     input.by_ref().take(START_BYTES_MAX).read_to_end(&mut start)?;
@@ -46,12 +41,12 @@ pub fn mend_start<R: Read + Seek>(mut input: R) -> io::Result<(MendedStart<R>, V
     let mut mended = Vec::new();
     if let Some((magic, rest)) = start.split_at_mut_checked(MAGIC.len()) {
         if let Some(at) = mend_header(rest) {
-            mended.push(Mended::HeaderByte((MAGIC.len() + at) as u64));
+            mended.push(Problem::HeaderByte((MAGIC.len() + at) as u64));
         }
         let header = matches!(chunk::front(rest), Front::Whole { kind: types::HEADER, .. });
         if header && *magic != MAGIC {
             magic.copy_from_slice(&MAGIC);
-            mended.push(Mended::Magic);
+            mended.push(Problem::Magic);
         }
     }
     if mended.is_empty() {
@@ -124,5 +119,13 @@ impl<R: Seek> Seek for MendedStart<R> {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         self.at = self.input.seek(to)?;
         Ok(self.at)
+    }
+}
+
+impl<R: Read + Seek> TakeInput for MendedStart<R> {
+    type Input = Self;
+
+    fn input(self) -> Self {
+        self
     }
 }

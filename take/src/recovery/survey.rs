@@ -1,16 +1,14 @@
 //! The first way through the file: what can be kept, and what is lost.
 
-mod stretches;
-mod surveyor;
-
-use self::surveyor::Surveyor;
-use super::{KindCount, Piece, kinds::Kinds};
+use super::{KINDS, Kind, KindCount, Piece, account::Account};
 use crate::{
-    TakeError, TakeReader, chunk,
-    loss::{Losses, LostRows, Why},
-    reader::{HEADER_DAMAGED, TakeInput, pull},
-    record::{Channel, Header, Ledger, TakeEnding},
-    table::ChannelTable,
+    TakeError, TakeEvent,
+    chunk::types,
+    damage::{Counts, LostRows, Problem, Why},
+    reader::{HEADER_DAMAGED, TakeInput},
+    record::{Channel, EndingKind, Header, Ledger, TakeEnding},
+    stretch::{NUMBERS, Span, Stretch},
+    traversal::{Decode, Found, Progress, Renamed, TakeTraversal},
 };
 
 /// Most chunks that a recovery copies, each of which takes up to 64 bytes of memory until it is: four days of the shortest
@@ -29,19 +27,31 @@ pub struct ChannelCount {
 /// What a recovery would keep of a file, and what not.
 #[derive(Debug)]
 pub struct Survey {
-    header: Header,
+    /// Of the file, as it stands there.
+    pub header: Header,
+    /// The whole channel table.
+    pub channels: Vec<Channel>,
+    /// By channel.
+    pub per_channel: Vec<ChannelCount>,
+    /// Chunks by kind.
+    pub kinds: [KindCount; KINDS.len()],
+    /// What is missing or damaged.
+    pub problems: Vec<Problem>,
+    /// The rows that are lost to damage, in order; those of an earlier recovery, too.
+    pub damage: Vec<LostRows>,
+    /// Rows of the new take, lost ones included.
+    pub rows: u64,
+    /// Frames of the new take.
+    pub recorded: u64,
+    /// The ledger of the new take.
+    pub ledger: Ledger,
+    /// How the new take says that it ended: as the old one says, or that it was cut off.
+    pub ending: Option<TakeEnding>,
+    /// Whether it was closed in order: its last ledger is there, if not its footer.
+    pub finished: bool,
+    /// Bytes of the file that are damaged or depend on what is.
+    pub discarded_bytes: u64,
     pub(super) pieces: Vec<Piece>,
-    pub(super) ledger: Ledger,
-    pub(super) ending: Option<TakeEnding>,
-    kinds: Kinds,
-    table: ChannelTable,
-    losses: Losses,
-    per_channel: Vec<ChannelCount>,
-    problems: Vec<String>,
-    recorded: u64,
-    read_bytes: u64,
-    discarded_bytes: u64,
-    finished: bool,
     names_lost: bool,
     /// Its ledger tells of other frames or samples than are there, and nothing is damaged.
     contradicted: bool,
@@ -53,111 +63,17 @@ impl Survey {
     /// # Errors
     /// `NotATake` when there is no header, `Unsupported`, `Io`. Damage is no error.
     pub fn read(input: impl TakeInput) -> Result<Self, TakeError> {
-        let mut input = input.input();
-        let mut reader = TakeReader::new();
         let mut surveyor = Surveyor::default();
-        let mut start = chunk::MAGIC.len() as u64;
-        while !surveyor.ended {
-            let Some(event) = reader.next_event().map_err(as_recovery)? else {
-                pull(&mut input, &mut reader)?;
-                continue;
-            };
-            let fate = surveyor.event(event)?;
-            if surveyor.pieces.len() > PIECES_MAX {
-                return Err(TakeError::InvalidArgument(format!(
-                    "it has more than {PIECES_MAX} chunks, which is more than a recovery can hold"
-                )));
-            }
-            let end = reader.offset();
-            surveyor.chunk(start, end - start, fate);
-            start = end;
-        }
-        surveyor.finish(start)
-    }
-
-    /// Of the file, as it stands there.
-    #[must_use]
-    pub fn header(&self) -> &Header {
-        &self.header
-    }
-
-    /// The whole channel table.
-    #[must_use]
-    pub fn channels(&self) -> &[Channel] {
-        self.table.channels()
-    }
-
-    /// By channel.
-    #[must_use]
-    pub fn per_channel(&self) -> &[ChannelCount] {
-        &self.per_channel
-    }
-
-    /// Chunks by kind.
-    #[must_use]
-    pub fn kinds(&self) -> &[KindCount] {
-        self.kinds.all()
-    }
-
-    /// What is missing or damaged, one sentence each.
-    #[must_use]
-    pub fn problems(&self) -> &[String] {
-        &self.problems
-    }
-
-    /// The rows that are lost to damage, in order; those of an earlier recovery, too.
-    #[must_use]
-    pub fn damage(&self) -> &[LostRows] {
-        self.losses.lost()
-    }
-
-    /// Rows of the new take, lost ones included.
-    #[must_use]
-    pub fn rows(&self) -> u64 {
-        self.losses.end_row()
+        let traversal = TakeTraversal::new(input, Decode::All);
+        let progress = traversal.run(|found, progress| surveyor.found(found, progress));
+        progress.map_err(as_recovery).map(|progress| surveyor.finish(progress))
     }
 
     /// Rows that are lost to damage in this file.
     #[must_use]
     pub fn rows_damaged(&self) -> u64 {
-        let here = self.losses.lost().iter().filter(|lost| lost.why == Why::Damaged);
+        let here = self.damage.iter().filter(|lost| lost.why == Why::Damaged);
         here.fold(0, |sum, lost| sum.saturating_add(lost.rows))
-    }
-
-    /// Frames of the new take.
-    #[must_use]
-    pub fn recorded(&self) -> u64 {
-        self.recorded
-    }
-
-    /// The ledger of the new take.
-    #[must_use]
-    pub fn ledger(&self) -> &Ledger {
-        &self.ledger
-    }
-
-    /// How the new take says that it ended: as the old one says, or that it was cut off.
-    #[must_use]
-    pub fn ending(&self) -> Option<&TakeEnding> {
-        self.ending.as_ref()
-    }
-
-    /// Whether it was closed in order: its last ledger is there, if not its footer.
-    #[must_use]
-    pub fn finished(&self) -> bool {
-        self.finished
-    }
-
-    /// Bytes of the file.
-    #[must_use]
-    pub fn read_bytes(&self) -> u64 {
-        self.read_bytes
-    }
-
-    /// Of these, bytes that are damaged or depend on what is.
-    #[must_use]
-    pub fn discarded_bytes(&self) -> u64 {
-        self.discarded_bytes
     }
 
     /// Whether the file had anything, or may have had, that the new take has not.
@@ -168,7 +84,7 @@ impl Survey {
             || self.names_lost
             || self.contradicted
             || self.rows_damaged() > 0
-            || self.kinds.all().iter().any(lost)
+            || self.kinds.iter().any(lost)
     }
 }
 
@@ -179,5 +95,232 @@ fn as_recovery(error: TakeError) -> TakeError {
             "more than one byte of its header is damaged, and nothing can be read without it",
         ),
         other => other,
+    }
+}
+
+/// What becomes of a chunk.
+enum Fate {
+    /// It is copied.
+    Kept,
+    /// It is written anew.
+    Anew,
+    /// It is lost.
+    Discarded,
+}
+
+/// What is known on the way.
+#[derive(Debug)]
+struct Surveyor {
+    kinds: [KindCount; KINDS.len()],
+    pieces: Vec<Piece>,
+    account: Account,
+    samples: Vec<u64>,
+    /// Where in `pieces` entries of the table may be missing.
+    hole: Option<usize>,
+    end_row: u64,
+    next_number: u8,
+    discarded_bytes: u64,
+    names_lost: bool,
+    closed: bool,
+}
+
+impl Default for Surveyor {
+    fn default() -> Self {
+        Self {
+            kinds: KINDS.map(|(kind, ..)| KindCount { kind, recovered: 0, discarded: 0 }),
+            pieces: Vec::new(),
+            account: Account::default(),
+            samples: Vec::new(),
+            hole: None,
+            end_row: 0,
+            next_number: 0,
+            discarded_bytes: 0,
+            names_lost: false,
+            closed: false,
+        }
+    }
+}
+
+impl Surveyor {
+    fn found(&mut self, found: &Found<'_>, progress: &Progress) -> Result<(), TakeError> {
+        if let Some(renamed) = found.renamed {
+            self.name_channels(renamed, progress.channels());
+        }
+        if let TakeEvent::Stretch(stretch) = &found.event
+            && stretch.stated_channels() >= progress.channels().len()
+        {
+            // None of its entries is missing.
+            self.hole = None;
+        }
+        self.samples.resize(progress.channels().len(), 0);
+        let mut span = None;
+        let (kind, fate) = match &found.event {
+            TakeEvent::Header(_) => (types::HEADER, Fate::Anew),
+            TakeEvent::Channels(_) => (types::CHANNELS, Fate::Kept),
+            TakeEvent::Stretch(_) if found.is_refused => (types::STRETCH, Fate::Discarded),
+            TakeEvent::Stretch(stretch) => {
+                self.stretch(stretch, progress);
+                span = Some(stretch.span);
+                (types::STRETCH, Fate::Kept)
+            }
+            TakeEvent::Unplaced { .. } => (types::STRETCH, Fate::Discarded),
+            TakeEvent::Event(_) => (types::EVENT, Fate::Kept),
+            TakeEvent::Clock(_) => (types::CLOCK, Fate::Kept),
+            TakeEvent::Subject(_) => (types::SUBJECT, Fate::Kept),
+            TakeEvent::Foreign(_) => (types::FOREIGN, Fate::Kept),
+            TakeEvent::Ledger(ledger) => {
+                self.closed |= ledger.finished;
+                self.account.ledger();
+                // One behind damage tells of more than is kept: the new one has what it said.
+                let is_superseded = ledger.finished || progress.take.damaged;
+                (types::LEDGER, if is_superseded { Fate::Anew } else { Fate::Kept })
+            }
+            TakeEvent::Summary(_) => (types::SUMMARY, Fate::Anew),
+            // One that is too long to be held tells the old offsets as well.
+            TakeEvent::Index(_) | TakeEvent::Skipped { kind: types::INDEX } => {
+                (types::INDEX, Fate::Anew)
+            }
+            TakeEvent::Footer(_) => {
+                self.closed = true;
+                (types::FOOTER, Fate::Anew)
+            }
+            TakeEvent::Skipped { kind } => (*kind, Fate::Kept),
+            TakeEvent::Damaged { kind, .. } => {
+                if self.kinds[Kind::Header as usize].recovered > 0 {
+                    self.hole.get_or_insert(self.pieces.len());
+                }
+                // Behind the last ledger there is nothing but summary, index and footer.
+                let is_of_end = Kind::of(*kind).is_at_the_end();
+                let kind = if self.closed && !is_of_end { Some(types::INDEX) } else { *kind };
+                (kind.unwrap_or_default(), Fate::Discarded)
+            }
+            TakeEvent::Mended { .. } | TakeEvent::End { .. } => return Ok(()),
+        };
+        self.chunk(found, kind, span, fate)?;
+        self.end_row = progress.end_row();
+        Ok(())
+    }
+
+    fn chunk(
+        &mut self,
+        found: &Found<'_>,
+        kind: u8,
+        span: Option<Span>,
+        fate: Fate,
+    ) -> Result<(), TakeError> {
+        let (offset, len) = (found.offset, found.len);
+        let count = &mut self.kinds[Kind::of(Some(kind)) as usize];
+        match fate {
+            Fate::Discarded => {
+                count.discarded += 1;
+                self.discarded_bytes += len;
+            }
+            Fate::Anew => count.recovered += 1,
+            Fate::Kept => {
+                count.recovered += 1;
+                self.pieces.push(Piece::Chunk { offset, len, kind, span });
+            }
+        }
+        if self.pieces.len() > PIECES_MAX {
+            return Err(TakeError::InvalidArgument(format!(
+                "it has more than {PIECES_MAX} chunks, which is more than a recovery can hold"
+            )));
+        }
+        Ok(())
+    }
+
+    /// One that is kept.
+    fn stretch(&mut self, stretch: &Stretch<'_>, progress: &Progress) {
+        let span = stretch.span;
+        let from_row = stretch.from_row();
+        let jumps = span.number != self.next_number && !stretch.stands_for_damaged();
+        if span.key && (from_row > self.end_row || jumps) {
+            let number = (span.number + NUMBERS - 1) % NUMBERS;
+            let rows = from_row - self.end_row;
+            self.pieces.push(Piece::Lost { first_row: self.end_row, rows, number });
+        }
+        self.next_number = (span.number + 1) % NUMBERS;
+        let mut samples = 0;
+        if span.n_rows > 0 {
+            for (sum, rows) in self.samples.iter_mut().zip(progress.rows()) {
+                let present = rows.map_or(0, |rows| rows.present.iter().filter(|&&p| p).count());
+                *sum += present as u64;
+                samples += present as u64;
+            }
+        }
+        self.account.stretch(stretch, progress.channels().len(), samples);
+    }
+
+    /// The names of lost entries: the new take has them where they stood.
+    fn name_channels(&mut self, renamed: Renamed, channels: &[Channel]) {
+        self.names_lost = true;
+        let first = renamed.first.min(self.samples.len());
+        self.samples.splice(first..first, std::iter::repeat_n(0, renamed.inserted));
+        let at = self.hole.take().unwrap_or(self.pieces.len());
+        if renamed.nameless > renamed.inserted {
+            // Entries whose columns nobody knows.
+            let mut seen = 0;
+            self.pieces.retain(|piece| {
+                seen += 1;
+                let doubtful = matches!(piece, Piece::Chunk { kind: types::CHANNELS, .. });
+                !(doubtful && seen > at)
+            });
+        }
+        let nameless = renamed.first..renamed.first + renamed.nameless;
+        let nameless = channels.get(nameless).unwrap_or_default();
+        self.pieces.insert(at.min(self.pieces.len()), Piece::Channels(nameless.to_vec()));
+    }
+
+    fn finish(mut self, progress: Progress) -> Survey {
+        let Progress { take, rows_damaged, .. } = progress;
+        let rows = take.n_rows - self.end_row;
+        if rows > 0 {
+            let (first_row, number) = (self.end_row, self.next_number);
+            self.pieces.push(Piece::Lost { first_row, rows, number });
+        }
+        let mut problems = take.problems;
+        // A take that was cut off says nothing of its end; the recovered one says that.
+        let cut_off = || Some(TakeEnding::from(EndingKind::CutOff)).filter(|_| !self.closed);
+        let ending = take.ending.or_else(cut_off);
+        if self.closed {
+            problems.pop_if(|last| *last == Problem::CutOff);
+        }
+        let here: Vec<_> =
+            take.damage.iter().filter(|lost| lost.why == Why::Damaged).copied().collect();
+        let counted = |(samples, rows_damaged)| ChannelCount { samples, rows_damaged };
+        let mut survey = Survey {
+            header: take.header,
+            ledger: self.account.close(take.ledger.as_ref(), &here),
+            ending,
+            kinds: self.kinds,
+            channels: take.channels,
+            per_channel: self.samples.into_iter().zip(rows_damaged).map(counted).collect(),
+            problems,
+            damage: take.damage,
+            rows: take.n_rows,
+            recorded: self.account.recorded(),
+            finished: self.closed,
+            discarded_bytes: self.discarded_bytes,
+            pieces: self.pieces,
+            names_lost: self.names_lost,
+            contradicted: false,
+        };
+        // Where nothing is lost, nothing is counted again.
+        if let Some(ledger) = take.ledger.filter(|ledger| ledger.finished)
+            && !survey.lost_anything()
+        {
+            let counts = |ledger: &Ledger| Counts {
+                frames: ledger.recorded,
+                samples: ledger.samples_present,
+            };
+            let (told, found) = (counts(&ledger), counts(&survey.ledger));
+            if told == found {
+                survey.ledger = ledger;
+            } else {
+                survey.contradicted = true;
+                survey.problems.push(Problem::LedgerCounts { told, found });
+            }
+        }
+        survey
     }
 }

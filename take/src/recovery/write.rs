@@ -26,11 +26,11 @@ impl Survey {
             1 => words.push("1 frame was damaged".to_owned()),
             rows => words.push(format!("{rows} frames were damaged")),
         }
-        if !self.finished() {
+        if !self.finished {
             words.push("the end was cut off".to_owned());
         }
-        if self.discarded_bytes() > 0 {
-            words.push(format!("{} bytes could not be read", self.discarded_bytes()));
+        if self.discarded_bytes > 0 {
+            words.push(format!("{} bytes could not be read", self.discarded_bytes));
         }
         if words.is_empty() {
             words.push("names of markers were lost".to_owned());
@@ -49,7 +49,7 @@ impl Survey {
         output: impl Write,
         software: &str,
     ) -> Result<u64, TakeError> {
-        let mut header = self.header().clone();
+        let mut header = self.header.clone();
         let told = format!("by {software}: {}", self.losses_in_words());
         header.settings.push((RECOVERED.to_owned(), told.clone()));
         let mut take = TakeWriter::new(output, &header)?;
@@ -78,10 +78,10 @@ impl Survey {
             }
         }
         if self.lost_anything() {
-            take.event(&host_event(self.rows(), format!("recovered {told}")))?;
+            take.event(&host_event(self.rows, format!("recovered {told}")))?;
         }
         let summary = SummaryRecord { ending: self.ending.clone() };
-        let (mut output, written) = take.finish_with(self.ledger(), &summary)?;
+        let (mut output, written) = take.finish_with(&self.ledger, &summary)?;
         output.flush()?;
         Ok(written)
     }

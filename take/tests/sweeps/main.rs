@@ -25,6 +25,7 @@ use std::{io::Cursor, ops::Range, time::Instant};
 
 use mocapd_take::{
     TakeError, TakeEvent, TakeFrames, TakeReader,
+    damage::Problem,
     motion::{FrameSource, GAP, Position, is_gap},
     reader::read_events,
     recovery::Survey,
@@ -50,7 +51,7 @@ struct Whole {
 fn read(
     take: &[u8],
     mut on_row: impl FnMut(usize, &[Position]),
-) -> Result<(Vec<String>, Vec<String>), TakeError> {
+) -> Result<(Vec<String>, Vec<Problem>), TakeError> {
     let mut frames = TakeFrames::open(Cursor::new(take))?;
     let labels: Vec<String> = frames.info().markers.iter().map(|m| m.label.clone()).collect();
     let mut row = vec![GAP; labels.len()];
@@ -162,7 +163,7 @@ impl Whole {
         .unwrap();
         assert!(problems.is_empty(), "{what}: {problems:?}");
         assert_eq!(recovered, samples, "{what}: other samples are recovered than can be read");
-        assert!(survey.ledger().closes(), "{what}: {:?}", survey.ledger());
+        assert!(survey.ledger.closes(), "{what}: {:?}", survey.ledger);
     }
 }
 

@@ -262,7 +262,7 @@ fn that_a_take_was_cut_off_is_said_behind_any_number_of_problems() {
     chunk::put(&mut empty, types::EVENT, &[]).unwrap();
     let mut cut = chunk::MAGIC.to_vec();
     chunks(&take)[..5].iter().for_each(|chunk| cut.extend_from_slice(chunk));
-    let last = |take: &[u8]| Survey::read(take).unwrap().problems().last().cloned();
+    let last = |take: &[u8]| Survey::read(take).unwrap().problems.last().cloned();
     let expected = last(&cut);
     assert!(expected.is_some());
     cut.extend(empty.repeat(10_100));
@@ -394,7 +394,7 @@ fn stretches_that_are_longer_than_the_window_are_read_and_each_is_found() {
         let numbers: Vec<u8> = read.stretches.iter().map(|span| span.number).collect();
         assert_eq!(numbers, [0, 2, 3], "byte {at}");
         assert_eq!(read.damaged, [(offsets[1], offsets[2] - offsets[1])]);
-        let map = TakeMap::scan(&mut Cursor::new(&hurt), |_| {}).unwrap();
+        let map = TakeMap::scan(&mut Cursor::new(&hurt)).unwrap();
         assert_eq!((map.n_rows, map.n_held), (400_000, Some(300_000)));
     }
     let mut hurt = take.clone();

@@ -83,7 +83,7 @@ fn the_status_and_a_take_while_half_of_all_clients_are_hostile() {
     server.stop(Duration::from_secs(5)).unwrap();
     assert!(ledger.closes && ledger.recorded as f64 > 110.0 * seconds, "{ledger:?}");
     assert_eq!(ledger.frames_sent, ledger.recorded, "{ledger:?}");
-    assert_eq!(read(&started.path).ledger.unwrap().recorded, ledger.recorded);
+    assert_eq!(read(&started.path).take.ledger.unwrap().recorded, ledger.recorded);
     assert!(at(0.99) < Duration::from_millis(50), "{:?}", at(0.99));
 }
 

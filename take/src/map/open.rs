@@ -1,5 +1,5 @@
-//! The way over the heads of the chunks of a finished take: stretches are passed over, and the index says
-//! which of them are keys.
+//! The map of a take: from its chunks one after another, or from their heads alone. Of a finished take stretches are passed
+//! over, and the index says which of them are keys.
 
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 
@@ -7,11 +7,14 @@ use crc32fast::Hasher;
 
 use super::TakeMap;
 use crate::{
-    TakeError,
+    TakeError, TakeEvent,
     chunk::{self, CHUNK_HELD_MAX, CRC_BYTES, Front, MAGIC, MAY_SKIP, PAYLOAD_BYTES_MAX, types},
+    damage::Why,
     index::{Footer, IndexEntry, parse_index},
-    record::{Clock, Event, Header, Ledger, MoreChannels, Record, Subject, SummaryRecord},
+    reader::record,
+    record::{Header, Record},
     stretch::ROWS_PASSED_MAX,
+    traversal::TakeTraversal,
 };
 
 /// How much is read at once: a few stretches of a recording, whose heads then cost no call each.
@@ -20,8 +23,36 @@ const READ_BYTES: usize = 1 << 14;
 /// Type, and a length of at most five bytes.
 const HEAD_BYTES_MAX: u64 = 6;
 
+impl TakeMap {
+    /// Of a take as quickly as can be: one that was finished is known by its index and the heads of its chunks,
+    /// and a stretch is not read before somebody wants it. Any other is [scanned](Self::scan).
+    ///
+    /// So damage within a stretch shows when it is read, not here.
+    ///
+    /// # Errors
+    /// `NotATake`, `Unsupported`, `Io`.
+    pub fn open(input: &mut (impl Read + Seek)) -> Result<Self, TakeError> {
+        if let Some(map) = by_heads(input)? {
+            return Ok(map);
+        }
+        Self::scan(input)
+    }
+
+    /// Of a take of which every chunk's checksum is looked at, and no sample decoded.
+    ///
+    /// # Errors
+    /// `NotATake`, `Unsupported`, `Io`.
+    pub fn scan(input: &mut (impl Read + Seek)) -> Result<Self, TakeError> {
+        input.seek(SeekFrom::Start(0))?;
+        let mut map = TakeTraversal::of_bytes(input).run(|_, _| Ok(()))?.take;
+        // A recovered take says itself which rows it has not.
+        map.damaged |= map.damage.iter().any(|lost| lost.why == Why::BeforeRecovery);
+        Ok(map)
+    }
+}
+
 /// The map of a take whose footer, index and heads agree in every byte; `None` of any other.
-pub(super) fn walk(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, TakeError> {
+fn by_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, TakeError> {
     let file_bytes = input.seek(SeekFrom::End(0))?;
     let mut chunks = Chunks { input: BufReader::with_capacity(READ_BYTES, input), at: 0 };
     let Some((footer, keys)) = chunks.end(file_bytes)? else { return Ok(None) };
@@ -77,31 +108,23 @@ fn add(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) -> bool
     let Some(map) = map else {
         let header = Header::from_payload(payload, offset).ok();
         let header = header.filter(|header| kind == types::HEADER && header.check().is_ok());
-        *map = header
-            .map(|header| TakeMap { channels: header.channels.clone(), ..TakeMap::new(header) });
+        *map = header.map(|header| TakeMap {
+            channels: header.channels.clone(),
+            header,
+            ..TakeMap::default()
+        });
         return map.is_some();
     };
-    let added = match kind {
-        types::CHANNELS => MoreChannels::from_payload(payload, offset)
-            .map(|mut more| map.channels.append(&mut more.0)),
-        types::EVENT => Event::from_payload(payload, offset).map(|event| map.events.push(event)),
-        types::LEDGER => {
-            Ledger::from_payload(payload, offset).map(|ledger| map.ledger = Some(ledger))
-        }
-        types::CLOCK => Clock::from_payload(payload, offset).map(|clock| map.clock(&clock)),
-        types::SUBJECT => match Subject::from_payload(payload, offset) {
-            // Of a newer version: a reader may go on without it.
-            Err(TakeError::Unsupported { .. }) => return true,
-            read => read.map(|subject| map.subject = Some(subject)),
-        },
-        types::SUMMARY => match SummaryRecord::from_payload(payload, offset) {
-            Err(TakeError::Unsupported { .. }) => return true,
-            read => read.map(|summary| map.ending = summary.ending),
-        },
+    match record(kind, payload, offset) {
+        Some(Ok(TakeEvent::Channels(mut more))) => map.channels.append(&mut more),
+        Some(Ok(event)) => map.keep(event),
+        // Of a newer version: a reader may go on without it.
+        Some(Err(TakeError::Unsupported { .. })) if kind & MAY_SKIP != 0 => {}
+        Some(Err(_)) => return false,
         // MODEL, which this version does not read.
-        _ => return kind & MAY_SKIP != 0,
-    };
-    added.is_ok()
+        None => return kind & MAY_SKIP != 0,
+    }
+    true
 }
 
 /// A file, chunk by chunk.

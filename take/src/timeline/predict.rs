@@ -1,0 +1,356 @@
+//! What predicts ticks, arrivals and timecodes from row to row, and codes how far it was wrong.
+
+use mocapd_codec::range::{BinaryCoder, Bit};
+
+// Signed integers that are mostly near zero: docs/take-format.md, "Numbers".
+
+/// How far the last two values are told apart: a line that batches makes a saw-tooth of them.
+const LAST_MAX: i64 = 3;
+const BEFORE_MAX: i64 = 1;
+const CONTEXTS: usize = ((2 * LAST_MAX + 1) * (2 * BEFORE_MAX + 1)) as usize;
+
+/// Magnitudes up to this, less one, are spelled in unary.
+const LONGER: usize = 12;
+
+/// Classes of activity begin at these.
+const CLASSES: [u32; 5] = [12, 48, 128, 320, 1024];
+
+/// An adaptive model of one kind of number.
+#[derive(Debug)]
+pub(super) struct Number {
+    nonzero: [Bit; CONTEXTS],
+    negative: [Bit; CONTEXTS],
+    longer: [[Bit; LONGER]; CLASSES.len() + 1],
+    exponent: [Bit; 63],
+    last: i64,
+    before: i64,
+    activity: u32,
+}
+
+impl Number {
+    /// Starts from the odds, in 1/256, that a number after two zeros is none.
+    pub(super) fn new(odds: u8) -> Self {
+        let mut nonzero = [Bit::expecting(128); CONTEXTS];
+        nonzero[CONTEXTS / 2] = Bit::expecting(odds);
+        Self {
+            nonzero,
+            negative: [Bit::NEW; CONTEXTS],
+            longer: [[Bit::NEW; LONGER]; CLASSES.len() + 1],
+            exponent: [Bit::NEW; 63],
+            last: 0,
+            before: 0,
+            activity: 0,
+        }
+    }
+
+    /// Encodes `value` and gives it back, or ignores it and gives the decoded one.
+    pub(super) fn code(&mut self, coder: &mut impl BinaryCoder, value: i64) -> i64 {
+        let last = self.last.clamp(-LAST_MAX, LAST_MAX) + LAST_MAX;
+        let before = self.before.clamp(-BEFORE_MAX, BEFORE_MAX) + BEFORE_MAX;
+        let context = (last * (2 * BEFORE_MAX + 1) + before) as usize;
+        let value = if coder.bit(&mut self.nonzero[context], value != 0) {
+            let negative = coder.bit(&mut self.negative[context], value < 0);
+            let magnitude = self.code_magnitude(coder, value.unsigned_abs()).cast_signed();
+            if negative { magnitude.wrapping_neg() } else { magnitude }
+        } else {
+            0
+        };
+        let seen = value.unsigned_abs().min(31) as u32;
+        self.activity = self.activity - (self.activity >> 3) + 32 * seen;
+        self.before = std::mem::replace(&mut self.last, value);
+        value
+    }
+
+    /// At least 1, modulo 2^64.
+    fn code_magnitude(&mut self, coder: &mut impl BinaryCoder, magnitude: u64) -> u64 {
+        let class = CLASSES.iter().filter(|&&from| self.activity >= from).count();
+        for (steps, longer) in (1..).zip(&mut self.longer[class]) {
+            if !coder.bit(longer, magnitude > steps) {
+                return steps;
+            }
+        }
+        // What is left, and one more, has its highest bit at `exponent`.
+        let rest = magnitude.wrapping_sub(LONGER as u64);
+        let top = rest.max(1).ilog2();
+        let mut exponent = 0;
+        while exponent < 63 && coder.bit(&mut self.exponent[exponent as usize], exponent < top) {
+            exponent += 1;
+        }
+        let low = coder.plain(rest & !(1 << top), exponent);
+        (1_u64 << exponent | low).wrapping_add(LONGER as u64)
+    }
+}
+
+// Device ticks from row to row: so many ticks in so many rows, and what is left of a tick between them.
+
+/// Rows of a period that is given: that of any rate a device names.
+const ROWS_MAX: u64 = 0xffff;
+
+/// A period, as ticks in rows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Period {
+    pub(super) ticks: u64,
+    /// At least 1, at most 65 535.
+    pub(super) rows: u64,
+}
+
+impl Period {
+    /// The shortest that is within a tick in a million rows of the rate, or the nearest there is.
+    pub(super) fn of_rate(tick_hz: u64, rate_hz: f64) -> Self {
+        let wanted = tick_hz.max(1) as f64 / rate_hz;
+        // Convergents of the continued fraction; casts saturate.
+        let (mut before, mut last) = ((1_u64, 0_u64), (wanted.floor() as u64, 1));
+        let mut rest = wanted.fract();
+        while (last.0 as f64 / last.1 as f64 - wanted).abs() > 1e-6 && rest > 1e-9 {
+            let inverse = rest.recip();
+            let (whole, next) = (inverse.floor() as u64, |a: u64, b: u64, n: u64| {
+                a.saturating_mul(n).saturating_add(b)
+            });
+            let convergent = (next(last.0, before.0, whole), next(last.1, before.1, whole));
+            if convergent.1 > ROWS_MAX {
+                break;
+            }
+            (before, last) = (last, convergent);
+            rest = inverse.fract();
+        }
+        Self { ticks: last.0, rows: last.1 }
+    }
+
+    /// Measured between two rows; `None` when they are too far apart, or time did not pass.
+    pub(super) fn between(first: (u64, u64), last: (u64, u64)) -> Option<Self> {
+        let rows = last.0.checked_sub(first.0).filter(|n| (1..=ROWS_MAX).contains(n))?;
+        let ticks = last.1.checked_sub(first.1)?;
+        let mut divisor = (rows, ticks);
+        while divisor.1 > 0 {
+            divisor = (divisor.1, divisor.0 % divisor.1);
+        }
+        Some(Self { ticks: ticks / divisor.0, rows: rows / divisor.0 })
+    }
+}
+
+/// Predicts the ticks of each row from those of the row before.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Pace {
+    period: Period,
+    ticks: u64,
+    /// What has passed of the next tick, in 1/`period.rows`.
+    part: u64,
+}
+
+impl Pace {
+    /// From a row with these ticks. `None` for a period without rows or with too many.
+    pub(super) fn new(period: Period, ticks: u64) -> Option<Self> {
+        let part = period.rows / 2;
+        (1..=ROWS_MAX).contains(&period.rows).then_some(Self { period, ticks, part })
+    }
+
+    /// A clock that stands still.
+    pub(super) fn still() -> Self {
+        Self { period: Period { ticks: 0, rows: 1 }, ticks: 0, part: 0 }
+    }
+
+    /// The ticks of the row that is so many rows on.
+    pub(super) fn predict(&mut self, rows: u64) -> u64 {
+        let n = u128::from(self.period.rows);
+        let passed = u128::from(self.part) + u128::from(self.period.ticks) * u128::from(rows);
+        self.part = (passed % n) as u64;
+        self.ticks = self.ticks.wrapping_add((passed / n) as u64);
+        self.ticks
+    }
+
+    /// By how much that was wrong.
+    pub(super) fn correct(&mut self, error: i64) {
+        self.ticks = self.ticks.wrapping_add_signed(error);
+        // The part that is nearest to what was predicted.
+        match error {
+            0 => {}
+            1.. => self.part = 0,
+            _ => self.part = self.period.rows - 1,
+        }
+    }
+}
+
+// Arrivals: a line through device time that follows them, and steps off it.
+
+/// Fraction bits of offset and slope.
+const FRACTION: u32 = 16;
+
+/// How much of a step the offset and the slope take over: 1/16 and 1/4096.
+const OFFSET_SHIFT: u32 = 4;
+const SLOPE_SHIFT: u32 = 12;
+
+/// Beyond so many steps the line begins anew: a batch, or a clock that was set.
+const STEPS_MAX: u64 = 64;
+
+/// The line strays no further from where it began: six hours, or as much a row.
+const STRAY_MAX: i64 = 1 << 47;
+
+/// Rows that came with the row before them are counted up to this.
+const BATCH_MAX: usize = 7;
+
+/// Longest step: three minutes.
+pub(super) const SHIFT_MAX: u8 = 24;
+
+/// What follows the arrivals from row to row.
+#[derive(Debug)]
+pub(super) struct Line {
+    tick_hz: u64,
+    /// The step is 10 us times two to this.
+    shift: u8,
+    from_ticks: u64,
+    from_arrival_10us: u64,
+    /// How far the line lies above that, and by how much more each row, in 10 us / 65536.
+    offset: i64,
+    slope: i64,
+    last_10us: u64,
+    steps: Number,
+    together: [Bit; BATCH_MAX + 1],
+    n_together: usize,
+}
+
+impl Line {
+    /// From a row that arrived so.
+    pub(super) fn new(tick_hz: u64, shift: u8, ticks: u64, arrival_10us: u64) -> Self {
+        let mut together = [Bit::expecting(128); BATCH_MAX + 1];
+        together[0] = Bit::expecting(2);
+        Self {
+            tick_hz: tick_hz.max(1),
+            shift,
+            from_ticks: ticks,
+            from_arrival_10us: arrival_10us,
+            offset: 0,
+            slope: 0,
+            last_10us: arrival_10us,
+            steps: Number::new(32),
+            together,
+            n_together: 0,
+        }
+    }
+
+    /// The row `rows` after the last: its arrival to within half a step, or the one that is decoded.
+    pub(super) fn code(
+        &mut self,
+        coder: &mut impl BinaryCoder,
+        rows: u64,
+        ticks: u64,
+        arrival_10us: u64,
+    ) -> u64 {
+        let rows = i64::try_from(rows).unwrap_or(i64::MAX);
+        self.offset = stray(self.offset.saturating_add(self.slope.saturating_mul(rows)));
+        let half = 1_u64 << self.shift >> 1;
+        let with_last = distance(arrival_10us, self.last_10us).unsigned_abs() <= half;
+        if coder.bit(&mut self.together[self.n_together], with_last) {
+            self.n_together = (self.n_together + 1).min(BATCH_MAX);
+            return self.last_10us;
+        }
+        self.n_together = 0;
+        let passed = i128::from(distance(ticks, self.from_ticks)) * 100_000;
+        let expected = self
+            .from_arrival_10us
+            .wrapping_add(passed.div_euclid(i128::from(self.tick_hz)) as u64)
+            .wrapping_add_signed(self.offset >> FRACTION);
+        let late = i128::from(distance(arrival_10us, expected));
+        let steps = (late + i128::from(half)) >> self.shift;
+        let steps = self.steps.code(coder, steps as i64);
+        self.last_10us = expected.wrapping_add((steps as u64) << self.shift);
+        if steps.unsigned_abs() > STEPS_MAX {
+            self.from_ticks = ticks;
+            self.from_arrival_10us = self.last_10us;
+            self.offset = 0;
+        } else {
+            let by = steps << self.shift << FRACTION;
+            self.offset = stray(self.offset + (by >> OFFSET_SHIFT));
+            self.slope = stray(self.slope + (by >> SLOPE_SHIFT));
+        }
+        self.last_10us
+    }
+}
+
+fn stray(value: i64) -> i64 {
+    value.clamp(-STRAY_MAX, STRAY_MAX)
+}
+
+/// From `b` to `a`, the short way round.
+fn distance(a: u64, b: u64) -> i64 {
+    a.wrapping_sub(b).cast_signed()
+}
+
+// Timecodes: as the row before, one frame on, or spelled out.
+
+/// Rows of one timecode are counted up to this: 480 Hz at 30 frames a second.
+const HELD_MAX: usize = 16;
+
+/// Predicts each timecode from the one before.
+#[derive(Debug)]
+pub(super) struct Timecodes {
+    last: Option<[u8; 4]>,
+    /// Rows since it changed.
+    n_held: usize,
+    /// The frame number from which the seconds were last seen to change.
+    top: u8,
+    present: [Bit; 2],
+    held: [Bit; HELD_MAX + 1],
+    /// The next frame; one set for the frame at the top.
+    next: [Bit; 2],
+    carry: [Bit; 2],
+}
+
+impl Timecodes {
+    pub(super) fn new() -> Self {
+        Self {
+            last: None,
+            n_held: 0,
+            top: u8::MAX,
+            present: [Bit::expecting(0), Bit::expecting(255)],
+            held: [Bit::expecting(128); HELD_MAX + 1],
+            next: [Bit::expecting(240), Bit::expecting(16)],
+            carry: [Bit::expecting(240); 2],
+        }
+    }
+
+    /// Encodes `timecode` and gives it back, or ignores it and gives the decoded one.
+    pub(super) fn code(
+        &mut self,
+        coder: &mut impl BinaryCoder,
+        timecode: Option<[u8; 4]>,
+    ) -> Option<[u8; 4]> {
+        let present = &mut self.present[usize::from(self.last.is_some())];
+        if !coder.bit(present, timecode.is_some()) {
+            self.last = None;
+            return None;
+        }
+        let given = timecode.unwrap_or_default();
+        let last = self.last.unwrap_or_default();
+        if coder.bit(&mut self.held[self.n_held], given == last) {
+            self.n_held = (self.n_held + 1).min(HELD_MAX);
+            self.last = Some(last);
+            return self.last;
+        }
+        self.n_held = 0;
+        let at_top = usize::from(last[3] == self.top);
+        let (next, carried) = (next_frame(last), next_second(last));
+        let coded = if coder.bit(&mut self.next[at_top], given == next) {
+            next
+        } else if coder.bit(&mut self.carry[at_top], given == carried) {
+            self.top = last[3];
+            carried
+        } else {
+            (coder.plain(u64::from(u32::from_be_bytes(given)), 32) as u32).to_be_bytes()
+        };
+        self.last = Some(coded);
+        self.last
+    }
+}
+
+fn next_frame([hours, minutes, seconds, frames]: [u8; 4]) -> [u8; 4] {
+    [hours, minutes, seconds, frames.wrapping_add(1)]
+}
+
+fn next_second([hours, minutes, seconds, _]: [u8; 4]) -> [u8; 4] {
+    match (hours, minutes, seconds) {
+        (23, 59, 59) => [0; 4],
+        (_, 59, 59) => [hours.wrapping_add(1), 0, 0, 0],
+        (_, _, 59) => [hours, minutes.wrapping_add(1), 0, 0],
+        _ => [hours, minutes, seconds.wrapping_add(1), 0],
+    }
+}

@@ -1,0 +1,479 @@
+//! The way through a take. Everything that reads one goes it: it owns the channel table, the decoders, the rows that are
+//! lost and the problems, and tells at each thing that it meets what is known by then.
+//!
+//! A whole take is read by [`run`](TakeTraversal::run). What lies between two key stretches can be read on its own:
+//! [`pieces`](TakeMap::pieces) cuts rows there, and each thread that decodes some of these has a traversal
+//! [of the same map](TakeTraversal::of_map).
+
+use std::{
+    io::{Read, Seek, SeekFrom},
+    ops::Range,
+};
+
+use mocapd_codec::DecodedRows;
+
+use crate::{
+    TakeError, TakeEvent, TakeReader,
+    chunk::MAGIC,
+    damage::{Losses, Problem, Refusal, note},
+    index::IndexEntry,
+    map::TakeMap,
+    reader::{TakeInput, pull},
+    record::Channel,
+    stretch::{Span, Stretch, StretchDecoder},
+    table::ChannelTable,
+    timeline::Timeline,
+};
+
+pub use crate::table::Renamed;
+
+/// What is decoded of each stretch.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Decode {
+    /// Nothing.
+    Nothing,
+    /// All its blocks.
+    All,
+    /// Some groups of channels, by number: what is coded together is decoded together, and groups know nothing of each
+    /// other. The other channels have no samples.
+    Groups(Vec<usize>),
+}
+
+/// Something that was met on the way.
+#[derive(Debug)]
+pub struct Found<'a> {
+    /// File offset at which its chunk begins.
+    pub offset: u64,
+    /// How many bytes it takes.
+    pub len: u64,
+    /// What it is.
+    pub event: TakeEvent<'a>,
+    /// Of a stretch: its rows are not to be had, and the last problem says why.
+    pub is_refused: bool,
+    /// Of a stretch: it showed that entries of the channel table are lost.
+    pub renamed: Option<Renamed>,
+}
+
+/// What is known of a take on the way through it.
+#[derive(Debug)]
+pub struct Progress {
+    /// What the take says beside its motion, up to here; its channels, rows and damage at the end.
+    pub take: TakeMap,
+    /// By channel, the rows that are lost to damage since it was announced.
+    pub rows_damaged: Vec<u64>,
+    table: ChannelTable,
+    losses: Losses,
+    decoder: Option<StretchDecoder>,
+    decode: Decode,
+    tells: Tells,
+    /// The damage that explains a missing stretch was told.
+    damage_told: bool,
+    timeline: Option<Timeline>,
+}
+
+/// Which problems are told, and so whether a map is made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Tells {
+    /// All; the map is made.
+    All,
+    /// But for those of decoding, which is somebody else's; the map is made.
+    Map,
+    /// All; the map was made without a look at stretches.
+    Part,
+    /// Those of decoding: the map has the others.
+    PartOfScanned,
+}
+
+impl Progress {
+    /// The channel table up to here.
+    #[must_use]
+    pub fn channels(&self) -> &[Channel] {
+        self.table.channels()
+    }
+
+    /// The row after the last stretch that was read.
+    #[must_use]
+    pub fn end_row(&self) -> u64 {
+        self.losses.end_row
+    }
+
+    /// Rows up to here, lost ones included.
+    #[must_use]
+    pub fn n_rows(&self) -> u64 {
+        self.losses.rows_min()
+    }
+
+    /// The rows of the last stretch that was decoded, by channel; `None` where it has nothing of a channel.
+    pub fn rows(&self) -> impl Iterator<Item = Option<&DecodedRows>> {
+        self.decoder.iter().flat_map(StretchDecoder::rows)
+    }
+
+    fn new(decode: Decode, tells: Tells) -> Self {
+        let read = matches!(tells, Tells::All | Tells::Map).then_some(0);
+        Self {
+            take: TakeMap { n_held: read, longest_stretch: read, ..TakeMap::default() },
+            rows_damaged: Vec::new(),
+            table: ChannelTable::default(),
+            losses: Losses::default(),
+            decoder: None,
+            decode,
+            tells,
+            damage_told: false,
+            timeline: None,
+        }
+    }
+
+    fn makes_map(&self) -> bool {
+        matches!(self.tells, Tells::All | Tells::Map)
+    }
+
+    fn note(&mut self, problem: Problem) {
+        let is_told = match self.tells {
+            Tells::All | Tells::Part => true,
+            Tells::Map => !problem.is_of_decoding(),
+            Tells::PartOfScanned => problem.is_of_decoding(),
+        };
+        if is_told {
+            note(&mut self.take.problems, problem);
+        }
+    }
+
+    fn start_decoding(&mut self) -> Result<(), TakeError> {
+        let settings = self.take.header.codec()?;
+        self.decoder = match &self.decode {
+            Decode::Nothing => None,
+            Decode::All => Some(StretchDecoder::new(settings)),
+            Decode::Groups(groups) => Some(StretchDecoder::of_groups(settings, groups.clone())),
+        };
+        Ok(())
+    }
+
+    fn announce(&mut self, channels: &[Channel]) {
+        if self.makes_map() {
+            self.table.append(channels);
+            self.rows_damaged.resize(self.table.channels().len(), 0);
+        }
+    }
+
+    /// So many rows of every channel.
+    fn lose(&mut self, rows: u64) {
+        self.rows_damaged.iter_mut().for_each(|channel| *channel += rows);
+    }
+
+    fn missing(&mut self, problem: Problem) {
+        self.take.damaged = true;
+        if !std::mem::take(&mut self.damage_told) {
+            self.note(problem);
+        }
+    }
+
+    /// What an event changes before anybody sees it; says of a stretch whether it is refused, and what it showed of
+    /// names.
+    fn meet(
+        &mut self,
+        offset: u64,
+        event: &TakeEvent<'_>,
+    ) -> Result<(bool, Option<Renamed>), TakeError> {
+        match event {
+            TakeEvent::Header(header) if self.makes_map() => {
+                self.take.header.clone_from(header);
+                self.start_decoding()?;
+                self.announce(&header.channels);
+            }
+            TakeEvent::Channels(more) => self.announce(more),
+            TakeEvent::Stretch(stretch) => return Ok(self.stretch(offset, stretch)),
+            TakeEvent::Unplaced { missing_before, n_rows, rows_min } => {
+                let from_row = self.n_rows();
+                if *missing_before {
+                    self.missing(Problem::MissingFrom { row: from_row });
+                }
+                self.take.damaged = true;
+                self.note(Problem::Unplaced { n_rows: *n_rows, from_row });
+                self.losses.at_least(*rows_min);
+            }
+            TakeEvent::Damaged { offset, len, message, .. } => {
+                let (offset, len, message) = (*offset, *len, message.clone());
+                self.note(Problem::Damaged { offset, len, message });
+                self.damage_told = true;
+                self.take.damaged = true;
+                self.table.damaged();
+            }
+            TakeEvent::Mended { offset } => self.note(Problem::Mended { offset: *offset }),
+            TakeEvent::Footer(footer) => {
+                let (told, found) = (footer.n_rows, self.n_rows());
+                if told != found {
+                    self.note(Problem::FooterRows { told, found });
+                }
+                if self.take.damaged {
+                    self.losses.at_least(told);
+                }
+            }
+            TakeEvent::End { finished, .. } => self.end(*finished),
+            _ => {}
+        }
+        Ok((false, None))
+    }
+
+    fn stretch(&mut self, offset: u64, stretch: &Stretch<'_>) -> (bool, Option<Renamed>) {
+        let Span { first_row, n_rows, key, .. } = stretch.span;
+        if stretch.missing_before {
+            self.missing(Problem::MissingBefore { row: first_row });
+        }
+        let mut renamed = None;
+        if self.makes_map() {
+            renamed = self.name_channels(stretch.stated_channels());
+            let rows_before = self.n_rows();
+            if key && n_rows > 0 && first_row >= rows_before {
+                self.take.keys.push(IndexEntry { offset, first_row });
+            }
+            self.take.longest_stretch = self.take.longest_stretch.max(Some(n_rows.into()));
+            // Rows that come twice, and those of no channel, are not held.
+            if let Some(held) = &mut self.take.n_held
+                && stretch.blocks.iter().any(|block| !block.is_empty())
+            {
+                *held += stretch.span.end_row().saturating_sub(first_row.max(rows_before));
+            }
+        }
+        match self.decode(stretch) {
+            Ok(()) => {
+                let lost = self.losses.stretch(stretch);
+                self.lose(lost);
+                (false, renamed)
+            }
+            Err(refusal) => {
+                self.note(Problem::Refused { first_row, n_rows, refusal });
+                self.take.damaged = true;
+                self.losses.at_least(stretch.span.end_row());
+                (true, renamed)
+            }
+        }
+    }
+
+    fn decode(&mut self, stretch: &Stretch<'_>) -> Result<(), Refusal> {
+        let is_again = stretch.from_row() < self.losses.end_row;
+        let Some(decoder) = &mut self.decoder else {
+            return if is_again { Err(Refusal::Twice) } else { Ok(()) };
+        };
+        if is_again {
+            decoder.pass();
+            Err(Refusal::Twice)
+        } else if decoder.depends_on_lost(stretch.span) {
+            Err(Refusal::DependsOnLost)
+        } else if stretch.span.n_rows == 0 {
+            Ok(())
+        } else {
+            decoder.decode(stretch).map_err(|error| Refusal::Undecodable(error.to_string()))
+        }
+    }
+
+    /// A stretch has samples of so many channels at least: those without an entry in the table get one.
+    fn name_channels(&mut self, n_channels: usize) -> Option<Renamed> {
+        let renamed = self.table.stated(n_channels)?;
+        self.note(Problem::NamesLost { markers: renamed.nameless });
+        let at = renamed.first.min(self.rows_damaged.len());
+        self.rows_damaged.splice(at..at, std::iter::repeat_n(0, renamed.inserted));
+        Some(renamed)
+    }
+
+    fn end(&mut self, finished: bool) {
+        let lost = self.losses.finish();
+        self.lose(lost);
+        if !finished {
+            self.note(Problem::CutOff);
+        }
+        self.take.finished = finished;
+        self.take.n_rows = self.losses.end_row;
+        self.take.damage = std::mem::take(&mut self.losses.lost);
+        self.take.channels = self.table.channels().to_vec();
+    }
+}
+
+/// A take that is read from its start or from any key stretch on, in bounded memory. What cannot be decoded is passed
+/// over, and [`problems`](Self::problems) says what and why.
+#[derive(Debug)]
+pub struct TakeTraversal<R> {
+    input: R,
+    reader: TakeReader,
+    /// File offset behind the last event.
+    at: u64,
+    progress: Progress,
+    /// The stretch that came last.
+    current: Option<Span>,
+    ended: bool,
+}
+
+impl<R: Read + Seek> TakeTraversal<R> {
+    /// Of a take that is read from its start to its end.
+    pub fn new(input: impl TakeInput<Input = R>, decode: Decode) -> Self {
+        Self::with(input.input(), Progress::new(decode, Tells::All))
+    }
+
+    /// Of one that is decoded later, if at all: what is wrong with its stretches is told then.
+    pub(crate) fn of_bytes(input: R) -> Self {
+        Self::with(input, Progress::new(Decode::Nothing, Tells::Map))
+    }
+
+    fn with(input: R, progress: Progress) -> Self {
+        let (reader, at) = (TakeReader::new(), MAGIC.len() as u64);
+        Self { input, reader, at, progress, current: None, ended: false }
+    }
+
+    /// Of a take whose map was made, from its start or the key that is [sought](Self::seek). What
+    /// [`TakeMap::problems`] has is not told again.
+    ///
+    /// # Errors
+    /// `Unsupported` or `Codec` when the header cannot be used, `Io`.
+    pub fn of_map(mut input: R, map: &TakeMap, decode: Decode) -> Result<Self, TakeError> {
+        input.seek(SeekFrom::Start(0))?;
+        let is_scanned = map.n_held.is_some();
+        let tells = if is_scanned { Tells::PartOfScanned } else { Tells::Part };
+        let mut progress = Progress::new(decode, tells);
+        progress.take.header = map.header.clone();
+        progress.take.keys.clone_from(&map.keys);
+        progress.start_decoding()?;
+        Ok(Self::with(input, progress))
+    }
+
+    /// Reads the take to its end. `visit` sees everything that is in it, and what is known by then.
+    ///
+    /// # Errors
+    /// As [`TakeReader::next_event`], `Io`, and what `visit` gives.
+    pub fn run(
+        mut self,
+        mut visit: impl FnMut(&Found<'_>, &Progress) -> Result<(), TakeError>,
+    ) -> Result<Progress, TakeError> {
+        while !self.ended {
+            self.step(&mut visit)?;
+        }
+        Ok(self.progress)
+    }
+
+    /// The next event, if enough of the file was read for one.
+    fn step(
+        &mut self,
+        visit: impl FnOnce(&Found<'_>, &Progress) -> Result<(), TakeError>,
+    ) -> Result<(), TakeError> {
+        let Some((end, event)) = self.reader.next_located()? else {
+            return pull(&mut self.input, &mut self.reader);
+        };
+        // Events lie behind each other: one begins where the one before ends.
+        let offset = std::mem::replace(&mut self.at, end);
+        let (is_refused, renamed) = self.progress.meet(offset, &event)?;
+        let len = end.saturating_sub(offset);
+        let found = Found { offset, len, event, is_refused, renamed };
+        visit(&found, &self.progress)?;
+        match found.event {
+            TakeEvent::End { .. } => {
+                self.ended = true;
+                self.current = None;
+            }
+            TakeEvent::Stretch(stretch) if !is_refused => {
+                self.current = Some(stretch.span);
+                self.progress.timeline = stretch.timeline;
+            }
+            event if self.progress.makes_map() => self.progress.take.keep(event),
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// Goes on at the last key stretch that begins at `row` or before it, and passes over what lies between;
+    /// does nothing when no key lies ahead of what was read. At most ten seconds of the take are then decoded
+    /// before `row` comes.
+    ///
+    /// What is wrong with stretches that are passed over is not told.
+    ///
+    /// # Errors
+    /// `Unsupported` or `Codec` when the header cannot be used, `Io`.
+    pub fn seek(&mut self, row: u64) -> Result<(), TakeError> {
+        let take = &self.progress.take;
+        let behind = take.keys.partition_point(|key| key.first_row <= row);
+        let Some(&key) = behind.checked_sub(1).and_then(|at| take.keys.get(at)) else {
+            return Ok(());
+        };
+        let is_behind = key.first_row <= self.progress.end_row() || key.offset <= self.at;
+        if is_behind || self.ended {
+            return Ok(());
+        }
+        self.input.seek(SeekFrom::Start(key.offset))?;
+        self.reader = TakeReader::from_key(&take.header, key)?;
+        self.at = key.offset;
+        if let Some(decoder) = &mut self.progress.decoder {
+            decoder.pass();
+        }
+        self.progress.losses.at_least(key.first_row);
+        self.progress.damage_told = false;
+        self.current = None;
+        Ok(())
+    }
+
+    /// Decodes the next stretch that can be; `None` at the end of the take. Stretches without rows, which tell
+    /// of lost ones alone, come with what they tell.
+    ///
+    /// # Errors
+    /// `NotATake`, `Io`.
+    pub fn next_stretch(&mut self) -> Result<Option<Span>, TakeError> {
+        self.current = None;
+        while self.current.is_none() && !self.ended {
+            self.step(|_, _| Ok(()))?;
+        }
+        Ok(self.current)
+    }
+
+    /// Decodes the stretches that have some of the rows `rows`, from the last key before these on. `each` gets those of
+    /// the rows that a stretch has, and where the first of these lies in [its own](Self::rows). Rows that are in none
+    /// are lost.
+    ///
+    /// # Errors
+    /// As [`next_stretch`](Self::next_stretch), and what `each` gives.
+    pub fn read_rows(
+        &mut self,
+        rows: &Range<u64>,
+        mut each: impl FnMut(&Self, Range<u64>, usize) -> Result<(), TakeError>,
+    ) -> Result<(), TakeError> {
+        self.seek(rows.start)?;
+        // What was decoded last may reach into these.
+        while self.current.is_some() || self.next_stretch()?.is_some() {
+            let Some(span) = self.current else { break };
+            let held = span.first_row.max(rows.start)..span.end_row().min(rows.end);
+            if held.start < held.end {
+                let offset = (held.start - span.first_row) as usize;
+                each(self, held, offset)?;
+            }
+            if span.end_row() >= rows.end {
+                break;
+            }
+            self.current = None;
+        }
+        Ok(())
+    }
+
+    /// The rows of the last stretch that came, by channel; `None` where it has nothing of a channel.
+    pub fn rows(&self) -> impl Iterator<Item = Option<&DecodedRows>> {
+        self.progress.rows()
+    }
+
+    /// When the rows of the last stretch were, those lost before it included; `None` in an import.
+    #[must_use]
+    pub fn timeline(&self) -> Option<&Timeline> {
+        self.progress.timeline.as_ref()
+    }
+
+    /// Whether nothing that was read so far was damaged or missing.
+    #[must_use]
+    pub fn is_intact(&self) -> bool {
+        let Progress { take, .. } = &self.progress;
+        !take.damaged && (take.finished || !self.ended)
+    }
+
+    /// What could not be decoded so far.
+    #[must_use]
+    pub fn problems(&self) -> &[Problem] {
+        &self.progress.take.problems
+    }
+
+    /// The same since it was asked for last.
+    pub fn take_problems(&mut self) -> Vec<Problem> {
+        std::mem::take(&mut self.progress.take.problems)
+    }
+}
