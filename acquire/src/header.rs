@@ -4,8 +4,11 @@ use std::time::SystemTime;
 
 use anyhow::Context;
 use mocapd_codec::Settings;
-use mocapd_take::record::{CODEC_VERSION, Header};
 pub use mocapd_take::whole::channels;
+use mocapd_take::{
+    motion::UpAxis,
+    record::{CODEC_VERSION, Header},
+};
 use rustix::rand::{GetRandomFlags, getrandom};
 
 /// What a take says wrote it.
@@ -35,7 +38,7 @@ pub fn of_import(codec: &Settings, rate_hz: f64) -> Header {
         codec_version: CODEC_VERSION,
         tolerance_mm: 0.0,
         rate_hz,
-        up_axis: 0,
+        up_axis: UpAxis::Unknown,
         device: None,
         source: None,
         channels: Vec::new(),

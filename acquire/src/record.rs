@@ -8,7 +8,10 @@ use std::{
 
 use anyhow::anyhow;
 use mocapd_codec::Settings;
-use mocapd_take::{motion::frame_at, record::Subject};
+use mocapd_take::{
+    motion::{UpAxis, frame_at},
+    record::Subject,
+};
 
 use crate::{
     files::{FileState, Settled, TakeFile},
@@ -63,7 +66,7 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
     check_room(options.take, options.keep_free_bytes)?;
     let config = rig.pipeline_config(options.codec);
     let mut header = header::new(&options.codec, config.rate_hz)?;
-    header.up_axis = rig.hello().up_axis.min(3);
+    header.up_axis = UpAxis::from_code(rig.hello().up_axis);
     header.device = Some(rig.device_record());
     header.channels.clone_from(&config.channels);
     header.stretch_rows = config.stretch_rows();

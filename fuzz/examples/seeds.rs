@@ -313,7 +313,7 @@ fn take(kind: &str, timed: bool) -> Vec<u8> {
         codec_version: 0,
         tolerance_mm: 0.0,
         rate_hz: 60.0,
-        up_axis: UpAxis::default().code(),
+        up_axis: UpAxis::default(),
         device: None,
         source: None,
         channels: channels[..2].to_vec(),

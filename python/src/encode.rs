@@ -4,7 +4,7 @@ use std::thread;
 
 use mocapd_codec::{Settings, Tolerance};
 use mocapd_take::{
-    motion::{Marker, Motion, MotionInfo, Position},
+    motion::{Marker, Motion, MotionInfo, Position, UpAxis},
     record::{CODEC_VERSION, Header, ImportSource},
     whole::{self, Coded, Part, Plan, WholeWriter},
 };
@@ -59,7 +59,7 @@ pub(crate) fn encode<'py>(
     };
     let motion = detached(py, None, |cancel| motion(values, n_rows, labels, rate_hz, cancel))?;
     let take = abandonable(py, move |cancel| {
-        let mut header = header(&settings, rate_hz, up_axis.min(3));
+        let mut header = header(&settings, rate_hz, UpAxis::from_code(up_axis));
         header.channels = whole::channels(&motion.info.markers);
         let codec = header.codec()?;
         header.stretch_rows = whole::stretch_rows(&codec, rate_hz, n_rows, n_markers) as u32;
@@ -73,7 +73,7 @@ pub(crate) fn encode<'py>(
     Ok(PyBytes::new(py, &take))
 }
 
-fn header(codec: &Settings, rate_hz: f64, up_axis: u8) -> Header {
+fn header(codec: &Settings, rate_hz: f64, up_axis: UpAxis) -> Header {
     let mut header = Header {
         software: SOFTWARE.to_owned(),
         take_id: [0; 16],

@@ -89,7 +89,7 @@ impl TakeFile {
         out.set_item("resampler", &header.resampler)?;
         out.set_item("tolerance_mm", header.tolerance_mm)?;
         out.set_item("rate_hz", header.rate_hz)?;
-        out.set_item("up_axis", UpAxis::from_code(header.up_axis).name())?;
+        out.set_item("up_axis", header.up_axis.name())?;
         out.set_item("settings", header.settings.to_vec())?;
         let device = header.device.as_ref().map(|device| {
             let dict = PyDict::new(py);

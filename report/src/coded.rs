@@ -4,7 +4,7 @@ use mocapd_codec::{ResamplerKind, Settings};
 use mocapd_take::{
     TakeError, TakeEvent, TakeTraversal,
     damage::Problem,
-    motion::{GAP, Motion, MotionInfo, UpAxis},
+    motion::{GAP, Motion, MotionInfo},
     reader::TakeInput,
     stretch::Span,
     traversal::{Decode, Progress},
@@ -55,7 +55,7 @@ impl Coded {
         let take = take.take;
         let info = MotionInfo {
             rate_hz: take.header.rate_hz,
-            up: UpAxis::from_code(take.header.up_axis),
+            up: take.header.up_axis,
             n_frames: take.n_rows,
             markers: take.channels.iter().map(Into::into).collect(),
             subject: take.subject,

@@ -136,7 +136,7 @@ fn check_unit(motion: &Motion, file: &Path, tolerance_mm: f64) -> anyhow::Result
 pub(super) fn header_of(motion: &Motion, file: &Path, codec: &Settings) -> Header {
     let info = &motion.info;
     let mut header = header::of_import(codec, info.rate_hz);
-    header.up_axis = info.up.code();
+    header.up_axis = info.up;
     header.stretch_rows =
         offline::stretch_rows(codec, info.rate_hz, motion.n_frames(), info.markers.len()) as u32;
     header.channels = header::channels(&info.markers);

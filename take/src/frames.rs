@@ -11,7 +11,7 @@ use crate::{
     damage::{Problem, note},
     foreign::{Foreign, ForeignPart},
     map::TakeMap,
-    motion::{FrameSource, GAP, Motion, MotionEvent, MotionInfo, Position, Source, UpAxis},
+    motion::{FrameSource, GAP, Motion, MotionEvent, MotionInfo, Position, Source},
     record::{Event, Header},
     stretch::Span,
     traversal::{Decode, TakeTraversal},
@@ -187,7 +187,7 @@ impl<R: Read + Seek> FrameSource for TakeFrames<R> {
 
 fn describe(header: &Header, info: &mut MotionInfo) {
     info.rate_hz = header.rate_hz;
-    info.up = UpAxis::from_code(header.up_axis);
+    info.up = header.up_axis;
     info.source = match (&header.source, &header.device) {
         (Some(source), _) => Source {
             format: source.format.clone(),

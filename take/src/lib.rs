@@ -3,6 +3,7 @@
 //! `docs/take-format.md` gives the format byte by byte. Nothing here opens a file, reads a clock or starts a
 //! thread: bytes go to a [`std::io::Write`] and come from the caller.
 
+mod ambiguity;
 pub mod chunk;
 pub mod content;
 pub mod damage;
@@ -20,6 +21,7 @@ pub mod stretch;
 mod table;
 pub mod timeline;
 pub mod traversal;
+mod up_axis;
 mod varint;
 pub mod whole;
 pub mod writer;

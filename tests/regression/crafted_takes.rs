@@ -18,7 +18,7 @@ fn header() -> Header {
         codec_version: CODEC_VERSION,
         tolerance_mm: 0.0,
         rate_hz: 100.0,
-        up_axis: 0,
+        up_axis: mocapd_take::motion::UpAxis::Unknown,
         device: None,
         source: None,
         channels: Vec::new(),

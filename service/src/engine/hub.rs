@@ -204,7 +204,7 @@ fn table(session: &NewSession, subject: Option<&Subject>) -> LiveTable {
         face: None,
         labels,
         labelled: channels.iter().map(|channel| channel.labelled).collect(),
-        up_axis: session.header.up_axis,
+        up_axis: session.header.up_axis.code(),
         rate_hz: session.header.rate_hz,
     }
 }

@@ -22,7 +22,7 @@ use mocapd_drivers::{
     transport::usb::UsbWatch,
     uri::{DeviceUri, Location},
 };
-use mocapd_take::record::Header;
+use mocapd_take::{motion::UpAxis, record::Header};
 
 use super::{
     EngineOptions, Inner,
@@ -311,7 +311,7 @@ fn discard(log: Option<RawLog>) {
 
 fn header_of(rig: &Rig, config: &PipelineConfig) -> anyhow::Result<Header> {
     let mut header = header::new(&config.codec, config.rate_hz)?;
-    header.up_axis = rig.hello().up_axis.min(3);
+    header.up_axis = UpAxis::from_code(rig.hello().up_axis);
     header.device = Some(rig.device_record());
     header.channels.clone_from(&config.channels);
     header.stretch_rows = config.stretch_rows();

@@ -17,7 +17,7 @@ use mocapd_drivers::device::{
     Command, Frame, Hello, LinkCounters, MarkerInfo, MarkerSample, Status,
 };
 use mocapd_drivers::link::{DeviceLink, LABEL_BYTES_MAX, MARKERS_MAX, frame_bytes_max};
-use mocapd_take::motion::{Marker, Motion, Position, UpAxis, is_gap};
+use mocapd_take::motion::{Marker, Motion, Position, is_gap};
 
 use clock::DeviceClock;
 pub use log::{Fate, FaultTotals, FrameFate, Parts, SentCounters, SentFrame, SentLog};
@@ -103,12 +103,7 @@ impl Device {
             rate_min_mhz: *RATE_MHZ.start(),
             rate_max_mhz: *RATE_MHZ.end(),
             tick_hz: TICK_HZ,
-            up_axis: match motion.info.up {
-                UpAxis::Unknown => 0,
-                UpAxis::X => 1,
-                UpAxis::Y => 2,
-                UpAxis::Z => 3,
-            },
+            up_axis: motion.info.up.code(),
             markers_max: (found + ghosts) as u16,
             n_frames: 0,
         };

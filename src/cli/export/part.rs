@@ -117,7 +117,7 @@ mod tests {
             codec_version: 0,
             tolerance_mm: 1.0,
             rate_hz: 60.0,
-            up_axis: 0,
+            up_axis: mocapd_take::motion::UpAxis::Unknown,
             device: None,
             source: None,
             channels: Vec::new(),

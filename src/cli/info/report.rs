@@ -9,7 +9,6 @@ use mocapd_acquire::{
 };
 use mocapd_take::{
     interchange::ReadOptions,
-    motion::UpAxis,
     reader::TakeBytes,
     record::{Event, Header},
     recovery::RECOVERED,
@@ -168,7 +167,7 @@ impl Report {
             created_unix_ms: created_unix_ms(header),
             resampler: header.resampler.clone(),
             tolerance_mm: header.tolerance_mm,
-            up_axis: UpAxis::from_code(header.up_axis).name(),
+            up_axis: header.up_axis.name(),
             device: header.device.clone().map(|device| DeviceReport {
                 driver: device.driver,
                 uri: device.uri,

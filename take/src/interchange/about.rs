@@ -2,27 +2,18 @@
 
 use serde_json::json;
 
-use crate::{
-    motion::{FrameSource, UpAxis},
-    record::Ledger,
-};
+use crate::{motion::FrameSource, record::Ledger};
 
 /// Names and words, those of a take where they are of one. What is not a word or a number is JSON.
 pub(super) fn about(frames: &dyn FrameSource) -> Vec<(String, String)> {
     let info = frames.info();
     let labels: Vec<&str> = info.markers.iter().map(|marker| &*marker.label).collect();
-    let up = match info.up {
-        UpAxis::X => "x",
-        UpAxis::Y => "y",
-        UpAxis::Z => "z",
-        UpAxis::Unknown => "unknown",
-    };
     let mut all = vec![
         ("rate_hz", info.rate_hz.to_string()),
         ("frames", info.n_frames.to_string()),
         ("first_frame", info.source.first_frame.to_string()),
         ("labels", json!(labels).to_string()),
-        ("up_axis", up.to_owned()),
+        ("up_axis", info.up.name().unwrap_or("unknown").to_owned()),
     ];
     if let Some(take) = frames.take() {
         let header = &take.header;

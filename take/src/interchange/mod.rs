@@ -7,9 +7,12 @@
 //! trajectories is kept in [`crate::motion::Foreign`] (`docs/foreign.md`).
 //! Every exporter writes frames as they come.
 
-use std::io::Write;
+use std::io::{self, Write};
 
-use crate::motion::{FrameSource, Motion, MotionInfo};
+use crate::{
+    ambiguity::Notes,
+    motion::{FrameSource, GAP, Motion, MotionInfo, Position, UpAxis, is_gap},
+};
 
 #[cfg(feature = "full")]
 mod about;
@@ -19,12 +22,11 @@ mod csv;
 mod line_frames;
 #[cfg(feature = "full")]
 mod mcap;
-mod notes;
 mod npz;
-mod options;
 mod origin;
 #[cfg(feature = "full")]
 mod parquet;
+mod table;
 mod text;
 mod trc;
 mod tsv;
@@ -33,11 +35,12 @@ mod turned;
 mod units;
 mod xdf;
 
-pub use options::ReadOptions;
 pub use text::column_labels;
 pub use turn::Direction;
 pub use turned::Turned;
 pub use units::LengthUnit;
+
+use turn::Turn;
 
 /// A format by name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -85,7 +88,17 @@ pub enum InterchangeError {
     Unsupported(String),
     /// Reading the source or writing the output failed.
     #[error(transparent)]
-    Io(#[from] std::io::Error),
+    Io(#[from] io::Error),
+}
+
+impl InterchangeError {
+    fn malformed(
+        format: &'static str,
+        place: impl Into<String>,
+        message: impl Into<String>,
+    ) -> Self {
+        Self::Malformed { format, place: place.into(), message: message.into() }
+    }
 }
 
 impl Format {
@@ -180,14 +193,8 @@ impl Format {
         }
         let events = match self {
             Self::C3d => info.events.len().saturating_sub(c3d::EVENTS_MAX),
-            Self::Tsv
-            | Self::Npz
-            | Self::Xdf
-            | Self::Bids
-            | Self::Parquet
-            | Self::ParquetWide
-            | Self::Mcap => 0,
             Self::Trc | Self::Csv | Self::CsvLong => info.events.len(),
+            _ => 0,
         };
         match events {
             0 => {}
@@ -199,12 +206,7 @@ impl Format {
 
     /// Whether a file of it says which axis is up.
     fn holds_up_axis(self) -> bool {
-        match self {
-            Self::C3d | Self::Npz | Self::Bids | Self::Parquet | Self::ParquetWide | Self::Mcap => {
-                true
-            }
-            Self::Trc | Self::Tsv | Self::Csv | Self::CsvLong | Self::Xdf => false,
-        }
+        !matches!(self, Self::Trc | Self::Tsv | Self::Csv | Self::CsvLong | Self::Xdf)
     }
 
     /// Writes frames as they come, in bounded memory. The number of the first frame is
@@ -222,7 +224,7 @@ impl Format {
             Self::C3d => c3d::write(frames, out),
             Self::Trc => trc::write(frames, out),
             Self::Tsv => tsv::write(frames, out),
-            Self::Csv => csv::write(frames, out),
+            Self::Csv => csv::wide::write(frames, out),
             Self::CsvLong => csv::long::write(frames, out),
             #[cfg(feature = "full")]
             Self::Parquet => parquet::write_long(frames, out),
@@ -241,12 +243,118 @@ impl Format {
     }
 }
 
+/// Names of the settings that a take's header keeps of them.
+const UNIT: &str = "unit";
+const UP: &str = "up";
+
+/// What is known of a file beside what stands in it.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct ReadOptions {
+    /// The unit of length, instead of the file's own.
+    pub unit: Option<LengthUnit>,
+    /// What points up, instead of what the file says. Where that is the way down an axis, positions are given half a
+    /// turn, so that the axis points up.
+    pub up: Option<Direction>,
+}
+
+impl ReadOptions {
+    /// As a header keeps them.
+    #[must_use]
+    pub fn settings(&self) -> Vec<(String, String)> {
+        let unit = self.unit.map(|unit| (UNIT.to_owned(), unit.to_string()));
+        let up = self.up.map(|up| (UP.to_owned(), up.to_string()));
+        unit.into_iter().chain(up).collect()
+    }
+
+    /// Those that a take was imported with.
+    #[must_use]
+    pub fn from_settings(settings: &[(String, String)]) -> Self {
+        let value = |name: &str| {
+            settings.iter().find(|(key, _)| key == name).map(|(_, value)| value.as_str())
+        };
+        Self {
+            unit: value(UNIT).and_then(|unit| unit.parse().ok()),
+            up: value(UP).and_then(|up| up.parse().ok()),
+        }
+    }
+
+    /// How positions are turned.
+    fn turn(&self) -> Turn {
+        match self.up {
+            Some(up) if up.is_negative() => Turn::upside_down(up.axis()),
+            _ => Turn::NONE,
+        }
+    }
+
+    /// Which axis is up after that; what the file says is noted where it is another.
+    fn up(&self, of_file: UpAxis, notes: &mut Notes) -> UpAxis {
+        let Some(up) = self.up else { return of_file };
+        if let Some(name) = of_file.name().filter(|_| of_file != up.axis() || up.is_negative()) {
+            notes
+                .warnings
+                .push(format!("The file says that {name} is up; {up} was taken, as asked."));
+        }
+        if up.is_negative() {
+            notes.warnings.push(format!(
+                "Positions were given half a turn, as asked, so that {} is up.",
+                up.axis().name().unwrap_or("it")
+            ));
+        }
+        up.axis()
+    }
+}
+
 /// Fails when not as many frames came as were announced: a file that states their number would not be true.
-fn expect_frames(announced: u64, came: u64) -> std::io::Result<()> {
+fn expect_frames(announced: u64, came: u64) -> io::Result<()> {
     if came == announced {
         return Ok(());
     }
-    Err(std::io::Error::other(format!(
+    Err(io::Error::other(format!(
         "{announced} frames were announced, {came} or more came: the file is not usable, export again"
     )))
+}
+
+/// Bytes gathered before they are written.
+const BUFFER_BYTES: usize = 1 << 16;
+
+/// Writes `buffer`, then frame after frame: `put` appends each to the buffer, by its index from 0. Returns how many came.
+fn write_frames(
+    frames: &mut dyn FrameSource,
+    out: &mut dyn Write,
+    mut buffer: Vec<u8>,
+    mut put: impl FnMut(&mut Vec<u8>, u64, &[Position]) -> io::Result<()>,
+) -> io::Result<u64> {
+    let mut row = vec![GAP; frames.info().markers.len()];
+    let mut n_written = 0;
+    while frames.next_frame(&mut row)? {
+        put(&mut buffer, n_written, &row)?;
+        if buffer.len() >= BUFFER_BYTES {
+            out.write_all(&buffer)?;
+            buffer.clear();
+        }
+        n_written += 1;
+    }
+    out.write_all(&buffer)?;
+    out.flush()?;
+    Ok(n_written)
+}
+
+/// Appends the three cells of a position, each of them `missing` for a gap. Numbers have the fewest digits that bring back
+/// the value, and no exponent.
+fn put_position(
+    out: &mut Vec<u8>,
+    position: Position,
+    separator: u8,
+    missing: &str,
+) -> io::Result<()> {
+    let is_missing = is_gap(position);
+    for (axis, value) in position.into_iter().enumerate() {
+        out.extend((axis > 0).then_some(separator));
+        if is_missing {
+            out.extend(missing.bytes());
+        } else {
+            write!(out, "{value}")?;
+        }
+    }
+    Ok(())
 }

@@ -1,7 +1,9 @@
 //! Samples exactly at the origin: some software writes `0 0 0` for a marker that it does not see.
 
-use super::notes::Notes;
-use crate::motion::{Ambiguity, GAP, Position, is_gap};
+use crate::{
+    ambiguity::{Ambiguity, Notes},
+    motion::{GAP, Position, is_gap},
+};
 
 /// The origin.
 const ORIGIN: Position = [0.0; 3];

@@ -3,20 +3,7 @@
 use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
 
-use super::InterchangeError;
-use crate::motion::{GAP, Marker, MotionInfo, Position};
-
-/// Positions a byte of text may claim: a short row next to a wide one must not earn unbounded memory.
-pub(super) const MAX_POSITIONS_PER_BYTE: usize = 4;
-
-/// Said of a file whose last number may lack digits.
-pub(super) const CUT_OFF: &str =
-    "The file ends within its last line; the sample whose number may be cut off there is a gap.";
-
-/// Most frames of so many markers that so many bytes may mean.
-pub(super) fn frames_max(n_bytes: usize, n_markers: usize) -> usize {
-    n_bytes.saturating_mul(MAX_POSITIONS_PER_BYTE) / n_markers.max(1)
-}
+use crate::motion::{Marker, MotionInfo};
 
 /// The lines of a text with their 1-based numbers, without a byte order mark and without line ends (LF or CRLF).
 pub(super) fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
@@ -50,6 +37,11 @@ pub(super) fn whole_number(cell: &[u8]) -> Option<u64> {
         .then_some(value as u64)
 }
 
+/// A cell's rate: a number above 0.
+pub(super) fn rate(cell: &[u8]) -> Option<f64> {
+    number(cell).filter(|rate| rate.is_finite() && *rate > 0.0)
+}
+
 /// Digits behind the point.
 pub(super) fn decimals(cell: &[u8]) -> usize {
     let point = cell.iter().position(|&b| b == b'.');
@@ -57,60 +49,60 @@ pub(super) fn decimals(cell: &[u8]) -> usize {
     behind.iter().take_while(|b| b.is_ascii_digit()).count()
 }
 
+/// What separates the cells of a line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Separator {
+    /// One byte between two cells: a tab, a comma or a semicolon. Cells may be empty.
+    Byte(u8),
+    /// Any number of spaces: no cell is empty.
+    Spaces,
+}
+
+impl Separator {
+    pub(super) const COMMA: Self = Self::Byte(b',');
+    pub(super) const TAB: Self = Self::Byte(b'\t');
+
+    /// The separator of a line by what stands in it.
+    pub(super) fn of(line: &[u8]) -> Self {
+        let found = [b'\t', b',', b';'].into_iter().find(|byte| line.contains(byte));
+        found.map_or(Self::Spaces, Self::Byte)
+    }
+
+    /// Whether it stands in a line.
+    pub(super) fn is_in(self, line: &[u8]) -> bool {
+        match self {
+            Self::Byte(byte) => line.contains(&byte),
+            Self::Spaces => true,
+        }
+    }
+
+    /// The cells of a line.
+    pub(super) fn cells(self, line: &[u8]) -> impl Iterator<Item = &[u8]> {
+        let is_between = move |byte: &u8| match self {
+            Self::Byte(separator) => *byte == separator,
+            Self::Spaces => byte.is_ascii_whitespace(),
+        };
+        let line = if self == Self::Spaces { line.trim_ascii() } else { line };
+        line.split(is_between).filter(move |cell| self != Self::Spaces || !cell.is_empty())
+    }
+}
+
 /// Whether the last number of a text was cut off: no line end stands behind it, and every other number of its column has
-/// more digits behind the point. `cells` are those of a line; lines from `first_line` on are compared.
-pub(super) fn ends_within_a_number<'a, I: Iterator<Item = &'a [u8]>>(
-    bytes: &'a [u8],
-    first_line: usize,
-    cells: impl Fn(&'a [u8]) -> I,
-) -> bool {
+/// more digits behind the point. Lines from `first_line` on are compared.
+pub(super) fn ends_within_a_number(bytes: &[u8], first_line: usize, separator: Separator) -> bool {
     if bytes.ends_with(b"\n") {
         return false;
     }
-    let mut lines = lines(bytes).skip(first_line.saturating_sub(1)).map(|(_, line)| line);
-    let Some(last) = lines.by_ref().last() else { return false };
-    let Some((column, cut)) = cells(last).enumerate().last() else { return false };
-    let others = self::lines(bytes).skip(first_line.saturating_sub(1));
-    let others = others.filter(|(_, line)| !std::ptr::eq(line.as_ptr(), last.as_ptr()));
-    let fewest = others
-        .filter_map(|(_, line)| cells(line).nth(column))
+    let rows = || lines(bytes).skip(first_line.saturating_sub(1)).map(|(_, line)| line);
+    let Some(last) = rows().last() else { return false };
+    let Some((column, cut)) = separator.cells(last).enumerate().last() else { return false };
+    let fewest = rows()
+        .filter(|line| !std::ptr::eq(line.as_ptr(), last.as_ptr()))
+        .filter_map(|line| separator.cells(line).nth(column))
         .filter(|cell| number(cell).is_some())
         .map(|cell| decimals(cell.trim_ascii()))
         .min();
     number(cut).is_some() && fewest.is_some_and(|fewest| decimals(cut.trim_ascii()) < fewest)
-}
-
-/// What three cells of a row say.
-pub(super) enum Cells {
-    /// A number in each.
-    Position([f64; 3]),
-    /// At least one of them is empty, and no other is damaged.
-    Empty,
-    /// A cell that is neither empty nor a number.
-    Damaged,
-}
-
-/// Reads the next three cells; missing cells count as empty.
-pub(super) fn three_cells(cells: &mut dyn Iterator<Item = &[u8]>) -> Cells {
-    let mut position = [0.0; 3];
-    let mut empty = false;
-    let mut damaged = false;
-    for value in &mut position {
-        match cells.next().map(<[u8]>::trim_ascii) {
-            None | Some([]) => empty = true,
-            Some(cell) => match number(cell) {
-                Some(number) => *value = number,
-                None => damaged = true,
-            },
-        }
-    }
-    if damaged {
-        Cells::Damaged
-    } else if empty {
-        Cells::Empty
-    } else {
-        Cells::Position(position)
-    }
 }
 
 /// The name of a column without one: `u001` for the first.
@@ -125,6 +117,11 @@ pub(super) fn marker(label: &str, column: usize) -> Marker {
         return Marker { label: unlabelled, labelled: false };
     }
     Marker { label: label.to_owned(), labelled: true }
+}
+
+/// The markers of so many columns, by the texts that stand above them.
+pub(super) fn markers(labels: &[String], width: usize) -> Vec<Marker> {
+    (0..width).map(|column| marker(labels.get(column).map_or("", String::as_str), column)).collect()
 }
 
 /// Most bytes of header lines that are given back: as many markers as a C3D file has, with labels of 60 bytes.
@@ -175,119 +172,6 @@ pub(super) fn value_of(kept: &[u8], name: &str) -> Option<String> {
     lines(kept).find_map(value)
 }
 
-/// Rows of different widths: positions as they were read, one list a row.
-#[derive(Default)]
-pub(super) struct Rows {
-    positions: Vec<Position>,
-    ends: Vec<usize>,
-}
-
-impl Rows {
-    /// Appends a position to the row under way.
-    pub(super) fn push(&mut self, position: Position) {
-        self.positions.push(position);
-    }
-
-    /// Ends the row under way.
-    pub(super) fn end_row(&mut self) {
-        self.ends.push(self.positions.len());
-    }
-
-    /// Reads the cells of a row, three a position, and ends it. Empty and damaged cells are gaps where a position
-    /// follows, and nothing at the end of the row. Returns how many columns the row fills.
-    pub(super) fn read_row(
-        &mut self,
-        cells: &mut dyn Iterator<Item = &[u8]>,
-        damaged: &mut usize,
-        position: impl Fn([f64; 3]) -> Position,
-    ) -> usize {
-        let mut cells = cells.peekable();
-        let mut column = 0;
-        let mut waiting = 0;
-        while cells.peek().is_some() {
-            match three_cells(&mut cells) {
-                Cells::Position(stored) => {
-                    (0..waiting).for_each(|_| self.push(GAP));
-                    self.push(position(stored));
-                    column += waiting + 1;
-                    waiting = 0;
-                }
-                Cells::Empty => waiting += 1,
-                Cells::Damaged => {
-                    *damaged += 1;
-                    waiting += 1;
-                }
-            }
-        }
-        self.end_row();
-        column
-    }
-
-    /// The position of a column in the last row becomes a gap.
-    pub(super) fn drop_cut(&mut self, column: usize) {
-        let n_before = self.ends.len().checked_sub(2).and_then(|row| self.ends.get(row));
-        let place = n_before.copied().unwrap_or(0).saturating_add(column);
-        if let Some(cut) = self.positions.get_mut(place) {
-            *cut = GAP;
-        }
-    }
-
-    /// Puts empty rows before rows, as many as are told for each.
-    pub(super) fn put_empty(&mut self, before: &[u64]) {
-        if before.is_empty() {
-            return;
-        }
-        let mut start = 0;
-        let mut ends = Vec::with_capacity(self.ends.len());
-        for (index, &end) in self.ends.iter().enumerate() {
-            let n_empty = before.get(index).copied().unwrap_or(0);
-            ends.extend((0..n_empty).map(|_| start));
-            ends.push(end);
-            start = end;
-        }
-        self.ends = ends;
-    }
-
-    /// Number of rows.
-    pub(super) fn len(&self) -> usize {
-        self.ends.len()
-    }
-
-    /// All rows `width` positions wide: gaps where a row is shorter. `Err` when that is more than `n_bytes` of
-    /// text can mean.
-    pub(super) fn into_rectangle(
-        self,
-        width: usize,
-        n_bytes: usize,
-        format: &'static str,
-    ) -> Result<Vec<Position>, InterchangeError> {
-        let total = width.saturating_mul(self.ends.len());
-        if total == self.positions.len() {
-            return Ok(self.positions);
-        }
-        if total > n_bytes.saturating_mul(MAX_POSITIONS_PER_BYTE) {
-            return Err(InterchangeError::Malformed {
-                format,
-                place: "data".to_owned(),
-                message: format!(
-                    "{} rows as wide as the widest, {width} markers, are more than {n_bytes} bytes of text can \
-                     mean; split the file",
-                    self.ends.len()
-                ),
-            });
-        }
-        let mut rectangle = Vec::with_capacity(total);
-        let mut start = 0;
-        for end in self.ends {
-            let row = self.positions.get(start..end).unwrap_or(&[]);
-            rectangle.extend_from_slice(row.get(..width).unwrap_or(row));
-            rectangle.extend(std::iter::repeat_n(GAP, width.saturating_sub(row.len())));
-            start = end;
-        }
-        Ok(rectangle)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -305,13 +189,14 @@ mod tests {
     }
 
     #[test]
-    fn one_wide_row_among_many_short_ones_does_not_earn_memory() {
-        let mut rows = Rows::default();
-        for _ in 0..1000 {
-            rows.end_row();
-        }
-        rows.push([0.0; 3]);
-        rows.end_row();
-        assert!(rows.into_rectangle(100_000, 8000, "trc").is_err());
+    fn cells_are_told_by_what_separates_them() {
+        let cells = |line: &'static str| -> Vec<&str> {
+            let line = line.as_bytes();
+            let cells = Separator::of(line).cells(line);
+            cells.map(|cell| std::str::from_utf8(cell).unwrap_or("?")).collect()
+        };
+        assert_eq!(cells("1\t0,5\t\tb c"), ["1", "0,5", "", "b c"]);
+        assert_eq!(cells("1,,2"), ["1", "", "2"]);
+        assert_eq!(cells("  1   0.5 2 "), ["1", "0.5", "2"]);
     }
 }

@@ -33,13 +33,9 @@ impl FromStr for Direction {
             Some(name) => (true, name),
             None => (false, text.strip_prefix('+').unwrap_or(text)),
         };
-        let axis = match name {
-            "x" | "X" => UpAxis::X,
-            "y" | "Y" => UpAxis::Y,
-            "z" | "Z" => UpAxis::Z,
-            _ => return Err(format!("'{text}' is no axis: use x, y, z, -x, -y or -z")),
-        };
-        Ok(Self { axis, is_negative })
+        UpAxis::from_name(name)
+            .map(|axis| Self { axis, is_negative })
+            .ok_or_else(|| format!("'{text}' is no axis: use x, y, z, -x, -y or -z"))
     }
 }
 

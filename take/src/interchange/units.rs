@@ -2,8 +2,11 @@
 
 use std::{cell::Cell, fmt, str::FromStr};
 
-use super::{ReadOptions, notes::Notes, turn::Turn};
-use crate::motion::{Ambiguity, GAP, Position, is_gap};
+use super::turn::Turn;
+use crate::{
+    ambiguity::{Ambiguity, Notes},
+    motion::{GAP, Position, Source, is_gap},
+};
 
 /// A unit of length.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -140,21 +143,21 @@ pub(super) struct FileUnit {
 
 impl FileUnit {
     /// The unit of a file. One that is given counts more than the file's own, which is noted.
-    pub(super) fn of(stated: &str, options: &ReadOptions, notes: &mut Notes) -> Self {
+    pub(super) fn of(stated: &str, given: Option<LengthUnit>, notes: &mut Notes) -> Self {
         let of_file = LengthUnit::from_file(stated);
-        if let (Some(given), Some(of_file)) = (options.unit, of_file)
+        if let (Some(given), Some(of_file)) = (given, of_file)
             && given != of_file
         {
             notes.warnings.push(format!(
                 "The file states `{stated}` as its unit of length; {given} was taken, as asked."
             ));
         }
-        let unit = options.unit.or(of_file);
+        let unit = given.or(of_file);
         Self {
             stated: stated.to_owned(),
             factor: unit.map_or(1.0, LengthUnit::mm),
             is_known: unit.is_some(),
-            is_given: options.unit.is_some(),
+            is_given: given.is_some(),
             is_usually_mm: false,
         }
     }
@@ -187,6 +190,25 @@ impl FileUnit {
             Ambiguity::Unit { stated: self.stated.clone(), span: span(positions, n_markers) };
         if !self.is_usually_mm || unit.is_in_doubt() {
             notes.ambiguous(unit);
+        }
+    }
+
+    /// Where trajectories of this unit came from.
+    pub(super) fn into_source(
+        self,
+        format: &str,
+        first_frame: u64,
+        frames_missing: u64,
+        notes: Notes,
+    ) -> Source {
+        Source {
+            format: format.to_owned(),
+            unit: self.stated,
+            factor: self.factor,
+            first_frame,
+            frames_missing,
+            warnings: notes.warnings,
+            ambiguities: notes.ambiguities,
         }
     }
 }
@@ -246,8 +268,8 @@ pub(super) struct Millimetres {
 
 impl Millimetres {
     /// With a unit's factor, and turned as asked.
-    pub(super) fn new(factor: f64, options: &ReadOptions) -> Self {
-        Self { factor, turn: options.turn(), not_finite: Cell::new(0) }
+    pub(super) fn new(factor: f64, turn: Turn) -> Self {
+        Self { factor, turn, not_finite: Cell::new(0) }
     }
 
     /// A coordinate that is not finite, before or after, makes the sample a gap, and is counted.
@@ -310,7 +332,7 @@ mod tests {
 
     #[test]
     fn a_value_that_overflows_f32_is_a_gap() {
-        let metres = Millimetres::new(1000.0, &ReadOptions::default());
+        let metres = Millimetres::new(1000.0, Turn::NONE);
         let mut warnings = Vec::new();
         assert_eq!(metres.position([0.1, -0.2, 0.3]), [100.0, -200.0, 300.0]);
         metres.report(&mut warnings);

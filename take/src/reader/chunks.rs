@@ -317,7 +317,7 @@ mod tests {
             codec_version: CODEC_VERSION,
             tolerance_mm: 1.0,
             rate_hz: 100.0,
-            up_axis: 0,
+            up_axis: crate::motion::UpAxis::Unknown,
             device: None,
             source: None,
             channels: Vec::new(),

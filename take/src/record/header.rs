@@ -14,6 +14,7 @@ use crate::{
     TakeError,
     chunk::types,
     stretch::CHANNELS_MAX,
+    up_axis::UpAxis,
     varint::{self, Cursor},
 };
 
@@ -83,8 +84,8 @@ pub struct Header {
     pub tolerance_mm: f64,
     /// Rows a second.
     pub rate_hz: f64,
-    /// 0 unknown, 1 x, 2 y, 3 z.
-    pub up_axis: u8,
+    /// Which way is up.
+    pub up_axis: UpAxis,
     /// The device; absent in an import.
     pub device: Option<Device>,
     /// The file; absent in a recording.
@@ -169,7 +170,7 @@ impl Encode for Header {
         self.codec_version.encode(encoder)?;
         self.tolerance_mm.encode(encoder)?;
         self.rate_hz.encode(encoder)?;
-        self.up_axis.encode(encoder)?;
+        self.up_axis.code().encode(encoder)?;
         self.device.encode(encoder)?;
         self.source.encode(encoder)?;
         write_channels(&self.channels).encode(encoder)?;
@@ -189,7 +190,7 @@ impl Decode<()> for Header {
             codec_version: u16::decode(decoder)?,
             tolerance_mm: f64::decode(decoder)?,
             rate_hz: f64::decode(decoder)?,
-            up_axis: u8::decode(decoder)?,
+            up_axis: UpAxis::from_code(u8::decode(decoder)?),
             device: Option::<Device>::decode(decoder)?,
             source: Option::<ImportSource>::decode(decoder)?,
             channels: channels(decoder)?,
@@ -350,7 +351,7 @@ mod tests {
             codec_version: CODEC_VERSION,
             tolerance_mm: 0.5,
             rate_hz: 120.0,
-            up_axis: 3,
+            up_axis: UpAxis::Z,
             device: None,
             source: Some(ImportSource {
                 format: "csv".to_owned(),

@@ -75,7 +75,7 @@ impl Golden {
             codec_version: CODEC_VERSION,
             tolerance_mm: 0.0,
             rate_hz: RATE_HZ as f64,
-            up_axis: 3,
+            up_axis: mocapd_take::motion::UpAxis::Z,
             device: None,
             source: None,
             channels: (0..self.n_markers).map(channel).collect(),

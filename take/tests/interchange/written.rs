@@ -55,11 +55,15 @@ fn members(archive: &[u8]) -> BTreeMap<String, &[u8]> {
             (number::<2>(archive, at + 28) as usize, number::<2>(archive, at + 30));
         let head = number::<4>(archive, at + 42) as usize;
         let name = String::from_utf8(archive[at + 46..at + 46 + name_len].to_vec()).expect("text");
-        // The member's own head says the same length.
+        // The member's own head leaves checksum and length to the descriptor behind it; it is stored as it is, and of the
+        // first day there is.
         assert_eq!(number::<4>(archive, head), 0x0403_4b50);
-        assert_eq!(number::<4>(archive, head + 18) as usize, size, "{name}");
+        assert_eq!((number::<2>(archive, head + 6), number::<2>(archive, head + 8)), (8, 0));
+        assert_eq!(number::<4>(archive, head + 10), 0x0021_0000, "{name}");
         let start = head + 30 + name_len + number::<2>(archive, head + 28) as usize;
-        let member = &archive[start..start + size];
+        let (member, behind) = archive[start..].split_at(size);
+        let descriptor = [0, 4, 8, 12].map(|at| number::<4>(behind, at));
+        assert_eq!(descriptor, [0x0807_4b50, crc, size as u64, size as u64], "{name}");
         let mut sum = !0u32;
         for &byte in member {
             sum ^= u32::from(byte);
@@ -99,6 +103,7 @@ fn an_npz_holds_what_its_heads_say() {
     assert_eq!(body("event_frame.npy").1, [0u64, 20].map(u64::to_le_bytes).as_flattened());
     assert!(body("event_label.npy").0.contains("'<U8'"), "{}", body("event_label.npy").0);
     assert_eq!(members.len(), 12);
+    assert_eq!(write(Format::Npz, &source), archive);
 }
 
 #[test]

@@ -38,7 +38,7 @@ fn header(settings: &Settings) -> Header {
         codec_version: 0,
         tolerance_mm: 0.0,
         rate_hz: 60.0,
-        up_axis: 3,
+        up_axis: mocapd_take::motion::UpAxis::Z,
         device: Some(Device { tick_hz: 1_000_000, ..Device::default() }),
         source: None,
         channels: (0..CHANNELS).map(channel).collect(),

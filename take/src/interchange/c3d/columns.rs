@@ -22,36 +22,18 @@ pub(super) fn unordered(value: u32) -> u32 {
     if value >> 31 == 1 { value & !(1 << 31) } else { !value }
 }
 
-/// Appends a column of 32-bit samples.
-pub(super) fn push_wide(out: &mut Vec<u8>, samples: impl ExactSizeIterator<Item = u32>) {
+/// Appends a column of samples of `width` bytes (2 or 4).
+pub(super) fn push(out: &mut Vec<u8>, width: usize, samples: impl ExactSizeIterator<Item = u32>) {
     let n_samples = samples.len();
     let start = out.len();
-    out.resize(start + 4 * n_samples, 0);
+    out.resize(start + width * n_samples, 0);
     let mut before = 0u32;
     let (_, planes) = out.split_at_mut(start);
     for (index, sample) in samples.enumerate() {
-        let zigzag = zigzag_wide(before, sample);
+        let zigzag = zigzag(before, sample, width);
         before = sample;
-        for (plane, byte) in zigzag.to_be_bytes().into_iter().enumerate() {
-            if let Some(place) = planes.get_mut(plane * n_samples + index) {
-                *place = byte;
-            }
-        }
-    }
-}
-
-/// Appends a column of 16-bit samples.
-pub(super) fn push_narrow(out: &mut Vec<u8>, samples: impl ExactSizeIterator<Item = u16>) {
-    let n_samples = samples.len();
-    let start = out.len();
-    out.resize(start + 2 * n_samples, 0);
-    let mut before = 0u16;
-    let (_, planes) = out.split_at_mut(start);
-    for (index, sample) in samples.enumerate() {
-        let difference = sample.wrapping_sub(before) as i16;
-        before = sample;
-        let zigzag = (difference << 1 ^ difference >> 15) as u16;
-        for (plane, byte) in zigzag.to_be_bytes().into_iter().enumerate() {
+        let bytes = zigzag.to_be_bytes().into_iter().skip(size_of::<u32>() - width);
+        for (plane, byte) in bytes.enumerate() {
             if let Some(place) = planes.get_mut(plane * n_samples + index) {
                 *place = byte;
             }
@@ -77,7 +59,7 @@ impl WideColumn {
 
     /// Adds a sample.
     pub(super) fn push(&mut self, sample: u32) {
-        self.zigzags.push(zigzag_wide(self.before, sample));
+        self.zigzags.push(zigzag(self.before, sample, size_of::<u32>()));
         self.before = sample;
     }
 
@@ -104,9 +86,10 @@ impl WideColumn {
     }
 }
 
-/// What is stored of a 32-bit sample that follows `before`.
-fn zigzag_wide(before: u32, sample: u32) -> u32 {
-    let difference = sample.wrapping_sub(before) as i32;
+/// What is stored of a sample of `width` bytes that follows `before`.
+fn zigzag(before: u32, sample: u32, width: usize) -> u32 {
+    let unused_bits = u32::BITS - 8 * width as u32;
+    let difference = (sample.wrapping_sub(before) << unused_bits) as i32 >> unused_bits;
     (difference << 1 ^ difference >> 31) as u32
 }
 
@@ -211,7 +194,7 @@ mod tests {
         fn wide_columns_come_back(rows in proptest::collection::vec(any::<[u32; 3]>(), 0..40), room in 0usize..100) {
             let mut data = Vec::new();
             for column in 0..3 {
-                push_wide(&mut data, rows.iter().map(|row| ordered(row[column])));
+                push(&mut data, 4, rows.iter().map(|row| ordered(row[column])));
             }
             let data = Content::from(data);
             let mut columns = Columns::new(data.as_slice(), 4, 3, rows.len(), room).expect("as long as announced");
@@ -226,7 +209,7 @@ mod tests {
         fn narrow_columns_come_back(rows in proptest::collection::vec(any::<[u16; 2]>(), 1..40), skip in 0usize..3, room in 0usize..100) {
             let mut data = Vec::new();
             for column in 0..2 {
-                push_narrow(&mut data, rows.iter().map(|row| row[column]));
+                push(&mut data, 2, rows.iter().map(|row| u32::from(row[column])));
             }
             let data = Content::from(data);
             let mut columns = Columns::new(data.as_slice(), 2, 2, rows.len(), room).expect("as long as announced");

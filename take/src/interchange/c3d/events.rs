@@ -4,12 +4,12 @@
 //! `GENERIC_FLAGS` bytes, an entry an event. Times count from frame number 1, not from the first frame of the file
 //! (as Vicon's software and BTK count them).
 
-use super::parameters::{Parameter, Parameters};
+use super::parameters::{MAX_STRINGS, Parameter, Parameters};
 use crate::motion::{MotionEvent, MotionInfo};
 use crate::record::EventKind;
 
 /// Name of the group.
-pub(super) const EVENT: &str = "EVENT";
+const EVENT: &str = "EVENT";
 /// What says nothing about an event.
 const GENERAL: &str = "General";
 /// Most events that are written: dimensions count to 255.
@@ -19,15 +19,15 @@ const LABEL_BYTES_MAX: usize = 32_000;
 
 /// An event as the group has it.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Entry {
-    pub(super) context: String,
-    pub(super) label: String,
-    pub(super) description: String,
-    pub(super) subject: String,
+struct Entry {
+    context: String,
+    label: String,
+    description: String,
+    subject: String,
     /// Minutes, seconds.
-    pub(super) time: [f32; 2],
-    pub(super) icon: u16,
-    pub(super) flag: u8,
+    time: [f32; 2],
+    icon: u16,
+    flag: u8,
 }
 
 impl Entry {
@@ -57,7 +57,7 @@ impl Entry {
 }
 
 /// The entries of the group, in order.
-pub(super) fn entries(parameters: &Parameters) -> Vec<Entry> {
+fn entries(parameters: &Parameters) -> Vec<Entry> {
     let words =
         |name: &str| parameters.get(EVENT, name).map(Parameter::numbers).unwrap_or_default();
     let times: Vec<f32> = parameters.get(EVENT, "TIMES").map(Parameter::floats).unwrap_or_default();
@@ -127,7 +127,34 @@ pub(super) fn fill(parameters: &mut Parameters, info: &MotionInfo, whole: bool) 
             })
         })
         .collect();
-    parameters.set_events(&entries);
+    set(parameters, &entries);
+}
+
+/// Sets the EVENT group: at most 255 events, whose texts together stay within what a parameter holds.
+fn set(parameters: &mut Parameters, entries: &[Entry]) {
+    let n = entries.len().min(MAX_STRINGS) as u8;
+    // What the group had of its own would stand beside other events.
+    if let Some(id) = parameters.group_id(EVENT) {
+        parameters.parameters.retain(|parameter| parameter.group != id);
+    }
+    parameters.set_word(EVENT, "USED", u16::from(n));
+    let texts = |text: fn(&Entry) -> &String| entries.iter().map(text).cloned().collect();
+    let lists: [(&str, Vec<String>); 4] = [
+        ("CONTEXTS", texts(|entry| &entry.context)),
+        ("LABELS", texts(|entry| &entry.label)),
+        ("DESCRIPTIONS", texts(|entry| &entry.description)),
+        ("SUBJECTS", texts(|entry| &entry.subject)),
+    ];
+    for (name, texts) in &lists {
+        // None is longer than what was read or cut.
+        parameters.set_texts(EVENT, name, texts).unwrap_or_default();
+    }
+    let times = entries.iter().flat_map(|entry| entry.time).flat_map(f32::to_le_bytes);
+    parameters.set(EVENT, "TIMES", 4, vec![2, n], times.collect());
+    let icons: Vec<u16> = entries.iter().map(|entry| entry.icon).collect();
+    parameters.set_word_list(EVENT, "ICON_IDS", &icons);
+    let flags = entries.iter().map(|entry| entry.flag).collect();
+    parameters.set(EVENT, "GENERIC_FLAGS", 1, vec![n], flags);
 }
 
 /// As many events as the group holds, in order: what people and triggers marked before what machines noticed.

@@ -10,25 +10,25 @@
 
 use std::io;
 
-use super::bytes::ByteOrder;
-use super::columns::{Columns, ordered, push_narrow, push_wide};
-use super::gap_coordinates;
-use super::header::{Header, HeaderEvent, MAX_EVENTS};
-use super::labels::Points;
-use super::parameters::Parameters;
-use super::read::Frames;
-use super::section::encode_records;
-use crate::content::ContentSlice;
-use crate::interchange::turn::Turn;
-use crate::motion::{Foreign, Position, is_gap};
+use super::{
+    VERSION,
+    columns::{self, Columns, ordered},
+    frames::{Frames, Points},
+    gap_coordinates,
+    header::{ByteOrder, Header, HeaderEvent, MAX_EVENTS},
+    parameters::{Parameters, encode_records},
+};
+use crate::{
+    content::ContentSlice,
+    interchange::turn::Turn,
+    motion::{Foreign, Position, is_gap},
+};
 
 /// Bytes of samples that are held of a part: of 64 channels of floats 4096 samples each, read 4 kB at a time.
 const BLOCK_BYTES: usize = 1 << 20;
 /// Most bytes of the parameters: 255 blocks of 512 bytes in a C3D file; what a turn or a version to come adds is far less.
 const PARAMETERS_BYTES_MAX: u64 = 1 << 20;
 
-/// Version of every layout here.
-pub(super) const VERSION: u8 = 1;
 /// Kind of the parameters.
 const PARAMETERS: &str = "c3d/parameters";
 /// Kind of the analog samples.
@@ -37,8 +37,6 @@ const ANALOG: &str = "c3d/analog";
 const RESIDUALS: &str = "c3d/residuals";
 /// Kind of the model outputs.
 pub(in crate::interchange) const MODEL_OUTPUTS: &str = "c3d/model-outputs";
-/// Kind of the coordinates under gaps.
-pub(super) const GAP_COORDINATES: &str = "c3d/gap-coordinates";
 
 /// Everything to keep.
 pub(super) fn keep(
@@ -52,7 +50,7 @@ pub(super) fn keep(
     let mut push =
         |kind: &str, data: Vec<u8>| kept.push(Foreign { kind: kind.to_owned(), data: data.into() });
     push(PARAMETERS, parameters_data(header, parameters));
-    if frames.layout.analog_per_frame > 0 {
+    if frames.layout.stride.analog_per_frame > 0 {
         push(ANALOG, analog_data(frames));
     }
     if let Some(data) = residual_data(frames, points, positions) {
@@ -64,26 +62,15 @@ pub(super) fn keep(
     kept
 }
 
-/// The head that every block of samples has: version, width, number of columns or of what they make up, samples a
-/// frame and column, number of the first frame, number of frames.
-fn sample_head(
-    width: u8,
-    n_signals: usize,
-    ratio: usize,
-    first_frame: u64,
-    n_frames: usize,
-) -> Vec<u8> {
-    let mut data = vec![VERSION, width];
+/// The head of a block of samples of all frames of a file: version, width, number of columns or of what they make up,
+/// samples a frame and column, number of the first frame, number of frames.
+fn sample_head(frames: &Frames<'_>, width: usize, n_signals: usize, ratio: usize) -> Vec<u8> {
+    let mut data = vec![VERSION, width as u8];
     data.extend((n_signals as u32).to_le_bytes());
     data.extend((ratio as u32).to_le_bytes());
-    data.extend(first_frame.to_le_bytes());
-    data.extend((n_frames as u64).to_le_bytes());
+    data.extend(frames.layout.first_frame.to_le_bytes());
+    data.extend((frames.layout.n_frames as u64).to_le_bytes());
     data
-}
-
-/// The head of a block of all frames of a file.
-fn head_of(frames: &Frames<'_>, width: u8, n_signals: usize, ratio: usize) -> Vec<u8> {
-    sample_head(width, n_signals, ratio, frames.layout.first_frame, frames.layout.n_frames)
 }
 
 /// Turns what was kept of a file in space: the corners of force plates, and coordinates under gaps.
@@ -123,19 +110,14 @@ fn parameters_data(header: &Header, parameters: &Parameters) -> Vec<u8> {
 fn analog_data(frames: &Frames<'_>) -> Vec<u8> {
     let layout = frames.layout;
     let (n_channels, ratio) = (layout.n_channels(), layout.analog_ratio);
-    let mut data = head_of(frames, layout.word_bytes() as u8, n_channels, ratio);
+    let width = layout.stride.word_bytes();
+    let mut data = sample_head(frames, width, n_channels, ratio);
     for channel in 0..n_channels {
-        let places = (0..layout.n_frames * ratio).map(|sample| {
-            (sample / ratio, 4 * layout.n_points + sample % ratio * n_channels + channel)
+        let samples = (0..layout.n_frames * ratio).map(|sample| {
+            let word = 4 * layout.stride.n_points + sample % ratio * n_channels + channel;
+            frames.column_word(sample / ratio, word)
         });
-        if layout.float {
-            push_wide(
-                &mut data,
-                places.map(|(frame, word)| ordered(frames.word(frame, word).to_bits())),
-            );
-        } else {
-            push_narrow(&mut data, places.map(|(frame, word)| frames.integer(frame, word)));
-        }
+        columns::push(&mut data, width, samples);
     }
     data
 }
@@ -147,38 +129,32 @@ fn residual_data(frames: &Frames<'_>, points: &Points, positions: &[Position]) -
     let present = |frame: usize, marker: usize| {
         positions.get(frame * n_markers + marker).is_some_and(|&p| !is_gap(p))
     };
+    let zero = if layout.stride.float { ordered(0) } else { 0 };
     let is_zero = points.markers.iter().enumerate().all(|(marker, &(point, _))| {
         (0..layout.n_frames).all(|frame| {
-            !present(frame, marker) || frames.word(frame, 4 * point + 3).to_bits() == 0
+            !present(frame, marker) || frames.column_word(frame, 4 * point + 3) == zero
         })
     });
     if is_zero {
         return None;
     }
-    let mut data = head_of(frames, layout.word_bytes() as u8, n_markers, 1);
+    let width = layout.stride.word_bytes();
+    let mut data = sample_head(frames, width, n_markers, 1);
     for (marker, &(point, _)) in points.markers.iter().enumerate() {
-        let mut before = 0u32;
+        let mut before = zero;
         let words = (0..layout.n_frames).map(|frame| {
             if present(frame, marker) {
-                before = if layout.float {
-                    frames.word(frame, 4 * point + 3).to_bits()
-                } else {
-                    u32::from(frames.integer(frame, 4 * point + 3))
-                };
+                before = frames.column_word(frame, 4 * point + 3);
             }
             before
         });
-        if layout.float {
-            push_wide(&mut data, words.map(ordered));
-        } else {
-            push_narrow(&mut data, words.map(|word| word as u16));
-        }
+        columns::push(&mut data, width, words);
     }
     Some(data)
 }
 
 fn output_data(frames: &Frames<'_>, points: &Points) -> Vec<u8> {
-    let mut data = head_of(frames, 4, points.outputs.len(), 1);
+    let mut data = sample_head(frames, size_of::<f32>(), points.outputs.len(), 1);
     for &point in &points.outputs {
         data.extend((point as u32).to_le_bytes());
     }
@@ -189,9 +165,10 @@ fn output_data(frames: &Frames<'_>, points: &Points) -> Vec<u8> {
             let scale = if word % 4 == 3 { 1.0 } else { scale };
             let samples = (0..frames.layout.n_frames).map(|frame| {
                 let stored = frames.word(frame, word);
-                if scale == 1.0 { stored } else { (f64::from(stored) * scale) as f32 }
+                let value = if scale == 1.0 { stored } else { (f64::from(stored) * scale) as f32 };
+                ordered(value.to_bits())
             });
-            push_wide(&mut data, samples.map(|value| ordered(value.to_bits())));
+            columns::push(&mut data, size_of::<f32>(), samples);
         }
     }
     data

@@ -5,13 +5,20 @@
 
 use std::io::{self, Read};
 
-use super::columns::{Columns, WideColumn, ordered, push_wide, unordered};
-use super::foreign::{GAP_COORDINATES, VERSION};
-use crate::content::ContentSlice;
-use crate::foreign::DATA_BYTES_MAX;
-use crate::interchange::{notes::Notes, turn::Turn};
-use crate::motion::{Ambiguity, Foreign, Position};
+use super::{
+    VERSION,
+    columns::{self, Columns, WideColumn, ordered, unordered},
+};
+use crate::{
+    ambiguity::{Ambiguity, Notes},
+    content::ContentSlice,
+    foreign::DATA_BYTES_MAX,
+    interchange::turn::Turn,
+    motion::{Foreign, Position},
+};
 
+/// Kind of the part that keeps them.
+const GAP_COORDINATES: &str = "c3d/gap-coordinates";
 /// Bytes in front of the markers: version, number of the first frame, number of markers.
 const HEAD_BYTES: usize = 13;
 /// Bytes in front of a marker's runs: its index, and how many there are.
@@ -90,7 +97,8 @@ impl GapCoordinates {
             }
             for word in 0..WORDS {
                 let column = samples.iter().map(|(_, _, words)| words.get(word).copied());
-                push_wide(&mut data, column.map(|word| ordered(word.unwrap_or(0.0).to_bits())));
+                let column = column.map(|word| ordered(word.unwrap_or(0.0).to_bits()));
+                columns::push(&mut data, size_of::<f32>(), column);
             }
         }
         data

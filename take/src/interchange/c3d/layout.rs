@@ -1,13 +1,15 @@
 //! Where the samples of a file are, and how many: settled between header, parameters and the bytes present.
 
-use super::bytes::ByteOrder;
-use super::frame_count::{FrameCount, FrameCounts};
-use super::header::{BLOCK, Header};
-use super::malformed;
-use super::parameters::Parameters;
-use super::stride::{CANDIDATES_MAX, Candidate, FileBytes, Stride, by_size, choose, combine};
-use crate::interchange::{InterchangeError, notes::Notes};
-use crate::motion::{Ambiguity, FrameLayout};
+use super::{
+    header::{BLOCK, ByteOrder, Header},
+    malformed,
+    parameters::Parameters,
+    stride::{CANDIDATES_MAX, Candidate, FileBytes, Fit, Stride, by_size, choose, combine},
+};
+use crate::{
+    ambiguity::{Ambiguity, FrameLayout, Notes},
+    interchange::InterchangeError,
+};
 
 /// Most analog samples a frame: 255 channels at 4000 samples a frame, a microphone's rate beside one frame a second.
 const ANALOG_MAX: u64 = 255 * 4000;
@@ -17,14 +19,10 @@ const ANALOG_MAX: u64 = 255 * 4000;
 pub(super) struct Layout {
     /// Byte order of the samples.
     pub(super) order: ByteOrder,
-    /// Points a frame, model outputs included.
-    pub(super) n_points: usize,
-    /// Analog samples a frame, all channels together.
-    pub(super) analog_per_frame: usize,
+    /// How they are cut into frames, whose points include model outputs.
+    pub(super) stride: Stride,
     /// Analog samples a frame and channel.
     pub(super) analog_ratio: usize,
-    /// Whether samples are floats (else 16-bit integers).
-    pub(super) float: bool,
     /// Factor of integer coordinates and of residuals, positive.
     pub(super) scale: f32,
     /// Frames present in whole.
@@ -35,24 +33,12 @@ pub(super) struct Layout {
     pub(super) first_frame: u64,
     /// Frames a second.
     pub(super) rate_hz: f64,
-    /// Offset of the first frame in the file.
-    pub(super) data_start: usize,
 }
 
 impl Layout {
-    /// Bytes of a sample word.
-    pub(super) fn word_bytes(&self) -> usize {
-        if self.float { 4 } else { 2 }
-    }
-
-    /// Bytes of a frame.
-    pub(super) fn frame_bytes(&self) -> usize {
-        (4 * self.n_points + self.analog_per_frame) * self.word_bytes()
-    }
-
     /// Analog channels.
     pub(super) fn n_channels(&self) -> usize {
-        self.analog_per_frame.checked_div(self.analog_ratio).unwrap_or(0)
+        self.stride.analog_per_frame.checked_div(self.analog_ratio).unwrap_or(0)
     }
 
     /// Settles what header and parameters say of a file, and where they disagree, what its bytes say.
@@ -66,54 +52,54 @@ impl Layout {
         bytes: &[u8],
         notes: &mut Notes,
     ) -> Result<Self, InterchangeError> {
-        let file = &FileBytes::new(bytes);
+        let file = &FileBytes::new(bytes, order);
         let starts = data_starts(header, parameters, bytes.len())?;
         let rate_hz = rate(header, parameters.number("POINT", "RATE"), &mut notes.warnings);
         let stated = Stated::of(header, parameters, rate_hz);
         let counts = FrameCounts::of(header, parameters);
-        let (chosen, n_candidates) = stated.choose(file, order, &starts, &counts)?;
-        let count = counts.of_stride(file, &chosen);
+        let (stride, n_candidates) = stated.choose(file, &starts, &counts)?;
+        let count = counts.of_stride(file, &stride);
         let mut layout = Self {
             order,
-            n_points: chosen.n_points,
-            analog_per_frame: chosen.analog_per_frame,
-            analog_ratio: 0,
-            float: chosen.float,
+            stride,
+            analog_ratio: stated.analog_ratio(stride.analog_per_frame, &mut notes.warnings),
             scale: if stated.scale_is_usable() { stated.scale.abs() } else { 1.0 },
             n_frames: 0,
             frames_missing: 0,
             first_frame: counts.first_frame(&count),
             rate_hz,
-            data_start: chosen.data_start,
         };
-        layout.analog_ratio = stated.analog_ratio(layout.analog_per_frame, &mut notes.warnings);
         if n_candidates > 1 {
             let taken = FrameLayout {
-                points: layout.n_points as u64,
-                analog_per_frame: layout.analog_per_frame as u64,
-                data_offset: layout.data_start as u64,
-                integers: !layout.float,
+                points: stride.n_points as u64,
+                analog_per_frame: stride.analog_per_frame as u64,
+                data_offset: stride.data_start as u64,
+                integers: !stride.float,
             };
             notes.ambiguous(Ambiguity::FrameLayout { stated: stated.figures(&starts), taken });
         }
         counts.report(&count, &mut notes.warnings);
-        layout.take_frames(bytes, &count, &mut notes.warnings);
+        layout.take_frames(file, &count, &mut notes.warnings);
         Ok(layout)
     }
 
     /// As many frames as are announced and present.
-    fn take_frames(&mut self, file: &[u8], count: &FrameCount, warnings: &mut Vec<String>) {
-        let available = file.len().saturating_sub(self.data_start);
-        let present = available.checked_div(self.frame_bytes()).unwrap_or(0);
-        self.n_frames = present.min(usize::try_from(count.n_frames).unwrap_or(usize::MAX));
+    fn take_frames(
+        &mut self,
+        file: &FileBytes<'_>,
+        count: &FrameCount,
+        warnings: &mut Vec<String>,
+    ) {
+        let announced = usize::try_from(count.n_frames).unwrap_or(usize::MAX);
+        self.n_frames = file.present(&self.stride).min(announced);
         if (self.n_frames as u64) < count.n_frames {
             self.frames_missing = count.n_frames - self.n_frames as u64;
             warnings
                 .push(format!("{} frames announced, {} present.", count.n_frames, self.n_frames));
             return;
         }
-        let end = self.data_start + self.n_frames * self.frame_bytes();
-        let left = file.get(end..).unwrap_or(&[]);
+        let end = self.stride.data_start + self.n_frames * self.stride.frame_bytes();
+        let left = file.bytes.get(end..).unwrap_or(&[]);
         if self.n_frames > 0 && left.len() >= BLOCK && left.iter().any(|&byte| byte != 0) {
             warnings.push(format!("{} bytes behind the last frame were not read.", left.len()));
         }
@@ -186,14 +172,13 @@ impl Stated {
     fn choose(
         &self,
         file: &FileBytes<'_>,
-        order: ByteOrder,
         starts: &[usize],
         counts: &FrameCounts,
     ) -> Result<(Stride, usize), InterchangeError> {
         let points: Vec<u64> = self.points_used.into_iter().chain([self.header_points]).collect();
         let strides = combine(&points, &self.analog(), &self.floats(), starts);
         let candidate = |stride: Stride, n_frames: u64, is_stated: bool| {
-            Candidate::new(file, order, stride, n_frames, is_stated)
+            Candidate::new(file, stride, n_frames, is_stated)
         };
         let mut candidates: Vec<Candidate> = strides
             .iter()
@@ -231,7 +216,7 @@ impl Stated {
         }
         let chosen = choose(&candidates).filter(|chosen| {
             cut_off.is_none_or(|stated| {
-                chosen.is_much_smoother(&stated) && chosen.begins_smoothly(file, order)
+                chosen.is_much_smoother(&stated) && chosen.begins_smoothly(file)
             })
         });
         match (chosen, strides.first()) {
@@ -315,7 +300,7 @@ fn near_whole(ratio: f64) -> Option<u64> {
 }
 
 /// A count stored as a number: whole and not negative.
-pub(super) fn as_count(value: f64) -> Option<u64> {
+fn as_count(value: f64) -> Option<u64> {
     (0.0..4_294_967_296.0).contains(&value).then_some(value as u64)
 }
 
@@ -370,4 +355,146 @@ fn data_starts(
         ));
     }
     Ok(starts)
+}
+
+/// Largest value of a word: where a count is this, it may have been larger.
+const SATURATED: u64 = 65535;
+
+/// A number of frames, and which place states it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct FrameCount {
+    n_frames: u64,
+    place: Option<Place>,
+}
+
+/// Where a number of frames is stated, the most trusted first: the first three can say more than 16 bits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Place {
+    Trial,
+    LongFrames,
+    Frames,
+    Header,
+    /// By the bytes present, where 16 bits are not enough and nothing wider is there.
+    Size,
+}
+
+impl Place {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Trial => "TRIAL:ACTUAL_END_FIELD",
+            Self::LongFrames => "POINT:LONG_FRAMES",
+            Self::Frames => "POINT:FRAMES",
+            Self::Header => "the header",
+            Self::Size => "the file's size",
+        }
+    }
+}
+
+/// Every count that a file states.
+struct FrameCounts {
+    stated: Vec<(Place, u64)>,
+    trial_start: Option<u64>,
+    header_first: u64,
+    header_last: u64,
+    /// Whether nothing wider than 16 bits states the count.
+    is_narrow: bool,
+}
+
+impl FrameCounts {
+    fn of(header: &Header, parameters: &Parameters) -> Self {
+        let field = |name: &str| match parameters.get("TRIAL", name)?.words()[..] {
+            [low] => Some(u64::from(low)),
+            [low, high, ..] => Some(u64::from(low) | u64::from(high) << 16),
+            [] => None,
+        };
+        let trial_start = field("ACTUAL_START_FIELD");
+        let trial =
+            trial_start.zip(field("ACTUAL_END_FIELD")).and_then(|(s, e)| (e + 1).checked_sub(s));
+        let count = |name: &str| parameters.number("POINT", name).and_then(as_count);
+        let (first, last) = (u64::from(header.first_frame), u64::from(header.last_frame));
+        let stated = [
+            (Place::Trial, trial),
+            (Place::LongFrames, count("LONG_FRAMES")),
+            (Place::Frames, count("FRAMES")),
+            (Place::Header, (last + 1).checked_sub(first)),
+        ];
+        let stated = stated.into_iter();
+        let has = |group: &str, name: &str| parameters.get(group, name).is_some();
+        Self {
+            stated: stated.filter_map(|(place, n)| Some((place, n.filter(|&n| n > 0)?))).collect(),
+            trial_start,
+            header_first: first,
+            header_last: last,
+            is_narrow: !has("POINT", "LONG_FRAMES") && !has("TRIAL", "ACTUAL_END_FIELD"),
+        }
+    }
+
+    /// Every count, each once.
+    fn all(&self) -> Vec<u64> {
+        let mut all: Vec<u64> = self.stated.iter().map(|&(_, n)| n).collect();
+        all.sort_unstable();
+        all.dedup();
+        all
+    }
+
+    /// The count for frames of a stride: the most trusted one that accounts for the bytes, else the most trusted one
+    /// that they can hold, else the most trusted one.
+    fn of_stride(&self, file: &FileBytes<'_>, stride: &Stride) -> FrameCount {
+        let fits = |wanted: &dyn Fn(Fit) -> bool| {
+            self.stated.iter().find(|&&(_, n)| wanted(file.fit(stride, n)))
+        };
+        let found = fits(&|fit| fit == Fit::Exact);
+        let is_saturated = self.is_narrow && self.header_last == SATURATED;
+        if found.is_none() && is_saturated {
+            // What the padding of the last block has room for may be no frames.
+            let n_frames =
+                file.present(stride).saturating_sub((BLOCK - 1) / stride.frame_bytes().max(1))
+                    as u64;
+            if self.stated.iter().all(|&(_, n)| n < n_frames) {
+                return FrameCount { n_frames, place: Some(Place::Size) };
+            }
+        }
+        let found = found.or_else(|| fits(&|fit| fit != Fit::Short)).or(self.stated.first());
+        match found {
+            Some(&(place, n_frames)) => FrameCount { n_frames, place: Some(place) },
+            None => FrameCount { n_frames: 0, place: None },
+        }
+    }
+
+    /// The number of the first frame: the one of the TRIAL group where its count was taken.
+    fn first_frame(&self, taken: &FrameCount) -> u64 {
+        let trial = self.stated.iter().find(|(place, _)| *place == Place::Trial);
+        match (self.trial_start, trial) {
+            (Some(start), Some(&(_, n))) if n == taken.n_frames => start,
+            _ => self.header_first,
+        }
+    }
+
+    /// Says where the places disagree.
+    fn report(&self, taken: &FrameCount, warnings: &mut Vec<String>) {
+        let n_frames = taken.n_frames;
+        let Some(place) = taken.place else {
+            warnings.push("The number of frames is stated nowhere.".to_owned());
+            return;
+        };
+        if place == Place::Size {
+            warnings.push(format!(
+                "The number of frames does not fit its 16-bit field; {n_frames} whole frames are present."
+            ));
+            return;
+        }
+        for &(other, n) in &self.stated {
+            // A 16-bit field that says 65535, or the count modulo 65536, agrees as well as it can.
+            let agrees = n == n_frames
+                || n_frames > SATURATED && (n == SATURATED || n == n_frames & 0xFFFF)
+                || other == Place::Header && self.header_last == SATURATED && n < n_frames;
+            if !agrees {
+                warnings.push(format!(
+                    "{} says {n} frames, {} {n_frames}; {n_frames} was taken.",
+                    other.name(),
+                    place.name()
+                ));
+            }
+        }
+    }
 }

@@ -4,32 +4,29 @@
 //! than 16 bits count, and files whose parameter section is damaged, as far as they make sense. Written: Intel,
 //! floats, millimetres.
 
-use super::InterchangeError;
-
-mod analog;
-mod body;
-mod bytes;
 mod columns;
 mod events;
 mod foreign;
-mod frame_count;
+mod frames;
 mod gap_coordinates;
 mod header;
-mod labels;
 mod layout;
 mod parameters;
 mod read;
-mod section;
 mod stride;
-mod subjects;
 mod write;
+
+use super::InterchangeError;
 
 pub(super) use events::EVENTS_MAX;
 pub(super) use foreign::{MODEL_OUTPUTS, turn};
 pub(super) use read::read;
 pub(super) use write::write;
 
+/// Version of the layouts in which a take keeps what is not a trajectory (`docs/foreign.md`).
+const VERSION: u8 = 1;
+
 /// What cannot be read.
-fn malformed(place: impl Into<String>, message: impl Into<String>) -> InterchangeError {
-    InterchangeError::Malformed { format: "c3d", place: place.into(), message: message.into() }
+fn malformed(place: &str, message: impl Into<String>) -> InterchangeError {
+    InterchangeError::malformed("c3d", place, message)
 }

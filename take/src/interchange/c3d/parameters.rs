@@ -1,7 +1,7 @@
-//! The parameter section: groups, and parameters in them.
+//! The parameter section: groups, and parameters in them, read and written.
 
-use super::super::text::decode;
-use super::bytes::ByteOrder;
+use super::header::ByteOrder;
+use crate::interchange::{text::decode, turn::Turn};
 
 /// A group of parameters.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -263,5 +263,223 @@ fn to_intel(data: &[u8], kind: i8, order: ByteOrder) -> Vec<u8> {
             data.as_chunks().0.iter().flat_map(|&b| order.float(b).to_le_bytes()).collect()
         }
         _ => data.to_vec(),
+    }
+}
+
+/// Most strings that one dimension counts.
+pub(super) const MAX_STRINGS: usize = 255;
+/// Most bytes of one parameter's data: with name, dimensions and description its record stays within a signed word.
+const MAX_DATA: usize = 32_000;
+
+/// Appends the records of all groups and parameters, each group before its parameters, and the end mark.
+pub(super) fn encode_records(parameters: &Parameters, out: &mut Vec<u8>) {
+    let known = |id: u8| parameters.groups.iter().any(|group| group.id == id);
+    for group in &parameters.groups {
+        encode_group(group, out);
+        let of_group = parameters.parameters.iter().filter(|p| p.group == group.id);
+        of_group.for_each(|parameter| encode_parameter(parameter, out));
+    }
+    let orphans = parameters.parameters.iter().filter(|p| !known(p.group));
+    orphans.for_each(|parameter| encode_parameter(parameter, out));
+    out.extend([0, 0]);
+}
+
+/// A record's length of name (negative when locked), id, and name.
+fn encode_name(name: &[u8], locked: bool, id: i8, out: &mut Vec<u8>) {
+    let name = name.get(..127).unwrap_or(name);
+    let length = name.len() as i8;
+    out.extend((if locked { -length } else { length }).to_le_bytes());
+    out.extend(id.to_le_bytes());
+    out.extend(name);
+}
+
+/// A description's length and text.
+fn encode_description(text: &[u8], out: &mut Vec<u8>) {
+    let text = text.get(..255).unwrap_or(text);
+    out.push(text.len() as u8);
+    out.extend(text);
+}
+
+fn encode_group(group: &Group, out: &mut Vec<u8>) {
+    // A group 128 is -128 in the file.
+    encode_name(&group.name, group.locked, (group.id as i8).wrapping_neg(), out);
+    out.extend((group.description.len().min(255) as u16 + 3).to_le_bytes());
+    encode_description(&group.description, out);
+}
+
+fn encode_parameter(parameter: &Parameter, out: &mut Vec<u8>) {
+    let body = 4
+        + parameter.dimensions.len()
+        + parameter.data.len()
+        + 1
+        + parameter.description.len().min(255);
+    // Only a last record without an offset can have been longer than an offset can say: it is the last again.
+    let offset = u16::try_from(body).unwrap_or(0);
+    encode_name(&parameter.name, parameter.locked, parameter.group as i8, out);
+    out.extend(offset.to_le_bytes());
+    out.extend(parameter.kind.to_le_bytes());
+    out.push(parameter.dimensions.len().min(255) as u8);
+    out.extend(&parameter.dimensions);
+    out.extend(&parameter.data);
+    encode_description(&parameter.description, out);
+}
+
+impl Parameters {
+    /// The id of a group, which is made when there is none; `None` when all ids are taken.
+    fn group_or_new(&mut self, name: &str) -> Option<u8> {
+        if let Some(id) = self.group_id(name) {
+            return Some(id);
+        }
+        let taken = |id: u8| {
+            self.groups.iter().any(|group| group.id == id)
+                || self.parameters.iter().any(|p| p.group == id)
+        };
+        let id = (1..=127).find(|&id| !taken(id))?;
+        self.groups.push(Group {
+            id,
+            name: name.as_bytes().to_vec(),
+            locked: false,
+            description: Vec::new(),
+        });
+        Some(id)
+    }
+
+    /// Sets a parameter's values: in place where it exists, else at the end.
+    pub(super) fn set(
+        &mut self,
+        group: &str,
+        name: &str,
+        kind: i8,
+        dimensions: Vec<u8>,
+        data: Vec<u8>,
+    ) {
+        let Some(id) = self.group_or_new(group) else { return };
+        let found = self
+            .parameters
+            .iter_mut()
+            .find(|p| p.group == id && p.name.eq_ignore_ascii_case(name.as_bytes()));
+        if let Some(parameter) = found {
+            (parameter.kind, parameter.dimensions, parameter.data) = (kind, dimensions, data);
+            return;
+        }
+        self.parameters.push(Parameter {
+            group: id,
+            name: name.as_bytes().to_vec(),
+            locked: false,
+            kind,
+            dimensions,
+            data,
+            description: Vec::new(),
+        });
+    }
+
+    /// Sets a single word.
+    pub(super) fn set_word(&mut self, group: &str, name: &str, value: u16) {
+        self.set(group, name, 2, Vec::new(), value.to_le_bytes().to_vec());
+    }
+
+    /// Sets a number of 32 bits as two words, the lower one first.
+    pub(super) fn set_double_word(&mut self, group: &str, name: &str, value: u32) {
+        self.set(group, name, 2, vec![2], value.to_le_bytes().to_vec());
+    }
+
+    /// Sets a single float.
+    pub(super) fn set_float(&mut self, group: &str, name: &str, value: f32) {
+        self.set(group, name, 4, Vec::new(), value.to_le_bytes().to_vec());
+    }
+
+    /// Sets a single text.
+    pub(super) fn set_text(&mut self, group: &str, name: &str, text: &str) {
+        let text = text.as_bytes();
+        let text = text.get(..255).unwrap_or(text);
+        self.set(group, name, -1, vec![text.len() as u8], text.to_vec());
+    }
+
+    /// Sets a list of texts, going on in NAME2, NAME3... where one parameter is full. Lists that say the same
+    /// already stay as they are. `Err` with the first text that is too long.
+    pub(super) fn set_texts<'a>(
+        &mut self,
+        group: &str,
+        name: &str,
+        texts: &'a [String],
+    ) -> Result<(), &'a str> {
+        if self.get(group, name).is_some() && self.texts(group, name) == texts {
+            return Ok(());
+        }
+        if let Some(long) = texts.iter().find(|text| text.len() > 255) {
+            return Err(long);
+        }
+        self.remove_list(group, name);
+        let length = texts.iter().map(String::len).max().unwrap_or(0).max(1);
+        let per_parameter = (MAX_DATA / length).min(MAX_STRINGS);
+        if texts.is_empty() {
+            self.set(group, name, -1, vec![0, 0], Vec::new());
+        }
+        for (index, some) in texts.chunks(per_parameter).enumerate() {
+            let mut data = Vec::with_capacity(length * some.len());
+            for text in some {
+                data.extend(text.as_bytes());
+                data.extend(std::iter::repeat_n(b' ', length - text.len()));
+            }
+            let name = if index == 0 { name.to_owned() } else { format!("{name}{}", index + 1) };
+            self.set(group, &name, -1, vec![length as u8, some.len() as u8], data);
+        }
+        Ok(())
+    }
+
+    /// Removes NAME2, NAME3... and, where the list no longer fits, NAME.
+    pub(super) fn remove_list(&mut self, group: &str, name: &str) {
+        let Some(id) = self.group_id(group) else { return };
+        let is_of_list = |found: &[u8]| {
+            found.split_at_checked(name.len()).is_some_and(|(start, number)| {
+                start.eq_ignore_ascii_case(name.as_bytes()) && number.iter().all(u8::is_ascii_digit)
+            })
+        };
+        self.parameters.retain(|p| p.group != id || !is_of_list(&p.name));
+    }
+
+    /// Multiplies the floats of a parameter.
+    pub(super) fn scale_floats(&mut self, group: &str, name: &str, factor: f64) {
+        self.map_floats(group, name, |floats| {
+            floats.iter().map(|&v| (f64::from(v) * factor) as f32).collect()
+        });
+    }
+
+    /// Turns what is a place in the laboratory: the corners of force plates.
+    pub(super) fn turn(&mut self, turn: Turn) {
+        self.map_floats("FORCE_PLATFORM", "CORNERS", |floats| {
+            let (corners, rest) = floats.as_chunks::<3>();
+            corners.iter().flat_map(|&corner| turn.of(corner)).chain(rest.iter().copied()).collect()
+        });
+    }
+
+    /// Puts as many other floats in the place of a parameter's.
+    fn map_floats(&mut self, group: &str, name: &str, map: impl Fn(&[f32]) -> Vec<f32>) {
+        let Some(parameter) = self.get(group, name).filter(|p| p.kind == 4) else { return };
+        let data = map(&parameter.floats()).into_iter().flat_map(f32::to_le_bytes).collect();
+        let dimensions = parameter.dimensions.clone();
+        self.set(group, name, 4, dimensions, data);
+    }
+
+    /// Sets a list of floats, going on in NAME2, NAME3... where one parameter is full.
+    pub(super) fn set_float_list(&mut self, group: &str, name: &str, values: &[f32]) {
+        let values: Vec<[u8; 4]> = values.iter().map(|value| value.to_le_bytes()).collect();
+        self.set_list(group, name, 4, &values);
+    }
+
+    /// Sets a list of words in the same way.
+    pub(super) fn set_word_list(&mut self, group: &str, name: &str, values: &[u16]) {
+        let values: Vec<[u8; 2]> = values.iter().map(|value| value.to_le_bytes()).collect();
+        self.set_list(group, name, 2, &values);
+    }
+
+    fn set_list<const N: usize>(&mut self, group: &str, name: &str, kind: i8, values: &[[u8; N]]) {
+        if values.is_empty() {
+            self.set(group, name, kind, vec![0], Vec::new());
+        }
+        for (index, some) in values.chunks(MAX_STRINGS).enumerate() {
+            let name = if index == 0 { name.to_owned() } else { format!("{name}{}", index + 1) };
+            self.set(group, &name, kind, vec![some.len() as u8], some.concat());
+        }
     }
 }

@@ -1,20 +1,28 @@
 //! Bytes of a C3D file -> trajectories.
 
-use super::bytes::ByteOrder;
-use super::events;
-use super::foreign;
-use super::gap_coordinates::GapCoordinates;
-use super::header::{BLOCK, Header};
-use super::labels::{Points, sort_points};
-use super::layout::Layout;
-use super::malformed;
-use super::parameters::Parameters;
-use crate::interchange::units::{FileUnit, Millimetres};
-use crate::interchange::{InterchangeError, ReadOptions, notes::Notes, origin};
-use crate::motion::{Ambiguity, GAP, Motion, MotionInfo, Position, Source, UpAxis};
+use super::{
+    events, foreign,
+    frames::{Frames, Points, is_missing, sort_points},
+    gap_coordinates::GapCoordinates,
+    header::{BLOCK, ByteOrder, Header},
+    layout::Layout,
+    malformed,
+    parameters::Parameters,
+};
+use crate::{
+    ambiguity::{Ambiguity, Notes},
+    interchange::{
+        Direction, InterchangeError, ReadOptions, origin,
+        units::{FileUnit, Millimetres},
+    },
+    motion::{GAP, Motion, MotionInfo, Position, UpAxis},
+};
 
 /// Reads a whole file.
-pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, InterchangeError> {
+pub(in crate::interchange) fn read(
+    bytes: &[u8],
+    options: &ReadOptions,
+) -> Result<Motion, InterchangeError> {
     let &[parameter_block, key, ..] = bytes else {
         return Err(malformed("byte 0", "the file is empty or cut off in its first bytes"));
     };
@@ -38,11 +46,11 @@ pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
     let section = section(bytes, section_start, &header);
     let mut parameters = Parameters::parse(section, order, &mut notes.warnings);
     let layout = Layout::settle(&header, &parameters, order, bytes, &mut notes)?;
-    let points = sort_points(&parameters, layout.n_points, &mut notes.warnings);
+    let points = sort_points(&parameters, layout.stride.n_points, &mut notes.warnings);
     let stated = parameters.text("POINT", "UNITS").unwrap_or_default();
-    let unit = FileUnit::of(&stated, options, &mut notes);
+    let unit = FileUnit::of(&stated, options.unit, &mut notes);
     let frames = Frames::new(bytes, &layout);
-    let millimetres = Millimetres::new(unit.factor, options);
+    let millimetres = Millimetres::new(unit.factor, options.turn());
     let marks = FourthWords::of(&frames, &points, &mut notes);
     let mut under_gaps = GapCoordinates::default();
     let positions_mm = read_positions(&frames, &points, &millimetres, marks, &mut under_gaps);
@@ -69,15 +77,7 @@ pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
             n_frames: layout.n_frames as u64,
             markers: points.markers.into_iter().map(|(_, marker)| marker).collect(),
             up,
-            source: Source {
-                format: "c3d".to_owned(),
-                unit: unit.stated,
-                factor: unit.factor,
-                first_frame: layout.first_frame,
-                frames_missing: layout.frames_missing,
-                warnings: notes.warnings,
-                ambiguities: notes.ambiguities,
-            },
+            source: unit.into_source("c3d", layout.first_frame, layout.frames_missing, notes),
             subject: None,
             foreign,
             events,
@@ -105,60 +105,6 @@ fn section<'a>(bytes: &'a [u8], start: usize, header: &Header) -> &'a [u8] {
     let data = usize::from(header.data_block).saturating_sub(1) * BLOCK;
     let end = if data > start { data } else { announced }.min(bytes.len());
     bytes.get(start + 4..end).unwrap_or(&[])
-}
-
-/// The frames of a file as stored.
-pub(super) struct Frames<'a> {
-    bytes: &'a [u8],
-    /// How they are laid out.
-    pub(super) layout: &'a Layout,
-}
-
-impl<'a> Frames<'a> {
-    fn new(file: &'a [u8], layout: &'a Layout) -> Self {
-        Self { bytes: file.get(layout.data_start..).unwrap_or(&[]), layout }
-    }
-
-    /// One frame's words: four for each point, then the analog samples.
-    fn frame(&self, index: usize) -> &'a [u8] {
-        let n_bytes = self.layout.frame_bytes();
-        self.bytes.get(index * n_bytes..(index + 1) * n_bytes).unwrap_or(&[])
-    }
-
-    /// One word of a frame as a float; integers as such.
-    pub(super) fn word(&self, frame: usize, word: usize) -> f32 {
-        let bytes = self.frame(frame);
-        let order = self.layout.order;
-        if self.layout.float {
-            order.float_at(bytes, 4 * word).unwrap_or(0.0)
-        } else {
-            f32::from(order.word_at(bytes, 2 * word).unwrap_or(0) as i16)
-        }
-    }
-
-    /// One word of a frame of an integer file.
-    pub(super) fn integer(&self, frame: usize, word: usize) -> u16 {
-        self.layout.order.word_at(self.frame(frame), 2 * word).unwrap_or(0)
-    }
-
-    /// The coordinates as stored and the fourth word of a point.
-    fn point(&self, frame: usize, point: usize) -> ([f64; 3], f32) {
-        let n_bytes = 4 * self.layout.word_bytes();
-        let sample = self.frame(frame).get(n_bytes * point..n_bytes * (point + 1));
-        point_words(sample.unwrap_or(&[]), self.layout)
-    }
-
-    /// What a coordinate is multiplied by before its unit counts.
-    pub(super) fn scale(&self) -> f64 {
-        if self.layout.float { 1.0 } else { f64::from(self.layout.scale) }
-    }
-}
-
-/// Whether a sample's fourth word says that it is missing: it is a 16-bit integer, and negative. In float files some
-/// software writes the -1 unsigned, as 65535.0: no residual and camera mask reach 32768, so these are missing, too.
-/// What stands at the origin with another fourth word is a position, as for the field's other readers.
-pub(super) fn is_missing(fourth: f32) -> bool {
-    fourth < 0.0 || (32_768.0..65_536.0).contains(&fourth)
 }
 
 /// What the fourth words of a file's markers say.
@@ -223,33 +169,9 @@ fn read_positions(
     positions
 }
 
-/// The coordinates as stored and the fourth word of a point.
-fn point_words(sample: &[u8], layout: &Layout) -> ([f64; 3], f32) {
-    if layout.float {
-        let (words, _) = sample.as_chunks::<4>();
-        if let &[x, y, z, fourth] = words {
-            return (
-                [x, y, z].map(|b| f64::from(layout.order.float(b))),
-                layout.order.float(fourth),
-            );
-        }
-    } else {
-        let (words, _) = sample.as_chunks::<2>();
-        if let &[x, y, z, fourth] = words {
-            let signed = |b| layout.order.word(b) as i16;
-            return ([x, y, z].map(|b| f64::from(signed(b))), f32::from(signed(fourth)));
-        }
-    }
-    ([f64::NAN; 3], -1.0)
-}
-
 /// The axis that points up on a screen, where the file says so and it is a positive one.
 fn up_axis(parameters: &Parameters) -> UpAxis {
     let axis = parameters.text("POINT", "Y_SCREEN").unwrap_or_default();
-    match axis.trim().to_ascii_uppercase().as_str() {
-        "+X" | "X" => UpAxis::X,
-        "+Y" | "Y" => UpAxis::Y,
-        "+Z" | "Z" => UpAxis::Z,
-        _ => UpAxis::Unknown,
-    }
+    let up = axis.trim().parse().ok().filter(|up: &Direction| !up.is_negative());
+    up.map_or(UpAxis::Unknown, Direction::axis)
 }

@@ -5,8 +5,7 @@
 //! bytes when its frames fill them up to the padding of the last block, and it is smooth when coordinates go on from
 //! frame to frame: a wrong stride reads another marker, or another coordinate, in every frame.
 
-use super::bytes::ByteOrder;
-use super::header::BLOCK;
+use super::header::{BLOCK, ByteOrder};
 
 /// Most candidates that are compared: the places that state something give at most 2 * 2 * 2 * 8 of them, the file's
 /// size some more for short files, where several strides leave less than a block.
@@ -43,9 +42,14 @@ pub(super) struct Stride {
 }
 
 impl Stride {
+    /// Bytes of a sample word.
+    pub(super) fn word_bytes(&self) -> usize {
+        if self.float { 4 } else { 2 }
+    }
+
     /// Bytes of a frame.
     pub(super) fn frame_bytes(&self) -> usize {
-        (4 * self.n_points + self.analog_per_frame) * if self.float { 4 } else { 2 }
+        (4 * self.n_points + self.analog_per_frame) * self.word_bytes()
     }
 }
 
@@ -64,13 +68,14 @@ pub(super) enum Fit {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FileBytes<'a> {
     pub(super) bytes: &'a [u8],
+    order: ByteOrder,
     filled: usize,
 }
 
 impl<'a> FileBytes<'a> {
-    pub(super) fn new(bytes: &'a [u8]) -> Self {
+    pub(super) fn new(bytes: &'a [u8], order: ByteOrder) -> Self {
         let filled = bytes.iter().rposition(|&byte| byte != 0).map_or(0, |last| last + 1);
-        Self { bytes, filled }
+        Self { bytes, order, filled }
     }
 
     /// Bytes from the first frame on.
@@ -109,7 +114,6 @@ pub(super) struct Candidate {
 impl Candidate {
     pub(super) fn new(
         file: &FileBytes<'_>,
-        order: ByteOrder,
         stride: Stride,
         n_frames: u64,
         is_stated: bool,
@@ -118,7 +122,7 @@ impl Candidate {
         Self {
             stride,
             fit: file.fit(&stride, n_frames),
-            roughness: roughness(file.bytes, order, &stride, n_read),
+            roughness: roughness(file, &stride, n_read),
             is_stated,
         }
     }
@@ -163,9 +167,8 @@ impl Candidate {
 
     /// Whether coordinates go on from the first frame, which is a frame in every reading: where a wrong one finds smooth
     /// analog samples everywhere else, it does not.
-    pub(super) fn begins_smoothly(&self, file: &FileBytes<'_>, order: ByteOrder) -> bool {
-        let roughness =
-            roughness(file.bytes, order, &self.stride, file.present(&self.stride).min(3));
+    pub(super) fn begins_smoothly(&self, file: &FileBytes<'_>) -> bool {
+        let roughness = roughness(file, &self.stride, file.present(&self.stride).min(3));
         roughness.is_some_and(|roughness| roughness <= ROUGHNESS_MAX)
     }
 
@@ -207,7 +210,7 @@ pub(super) fn by_size(
     n_channels: Option<u64>,
 ) -> impl Iterator<Item = Stride> + use<> {
     let available = file.available(&of);
-    let width = if of.float { 4 } else { 2 };
+    let width = of.word_bytes();
     let n_frames = usize::try_from(n_frames).unwrap_or(usize::MAX).max(1);
     let most = available / width / n_frames;
     let least = (available.saturating_sub(BLOCK - 1)).div_ceil(width).div_ceil(n_frames);
@@ -255,14 +258,13 @@ pub(super) fn combine(
 /// How much the velocity of a coordinate changes from frame to frame, as a share of what coordinates span, in the mean
 /// (0: not at all; 1: by all of it), and the share of fourth words that are none. `None` where fewer than three frames
 /// in a row have positions, or all coordinates are the same.
-fn roughness(file: &[u8], order: ByteOrder, stride: &Stride, n_frames: usize) -> Option<f64> {
-    let word_bytes = if stride.float { 4 } else { 2 };
+fn roughness(file: &FileBytes<'_>, stride: &Stride, n_frames: usize) -> Option<f64> {
     let word = |frame: usize, word: usize| {
-        let at = stride.data_start + frame * stride.frame_bytes() + word * word_bytes;
+        let at = stride.data_start + frame * stride.frame_bytes() + word * stride.word_bytes();
         if stride.float {
-            order.float_at(file, at).map(f64::from)
+            file.order.float_at(file.bytes, at).map(f64::from)
         } else {
-            order.word_at(file, at).map(|word| f64::from(word as i16))
+            file.order.word_at(file.bytes, at).map(|word| f64::from(word as i16))
         }
     };
     let n_points = stride.n_points.min(POINTS);

@@ -1,57 +1,51 @@
 //! Trajectories -> a C3D file: Intel, floats, millimetres.
 
-use std::io::Write;
+use std::io::{self, Write};
 
-use super::analog;
-use super::body::{Body, Point};
-use super::events;
-use super::foreign::kept_parameters;
-use super::header::{BLOCK, Header};
-use super::parameters::Parameters;
-use super::section::encode_records;
-use super::subjects;
-use crate::interchange::{InterchangeError, expect_frames};
-use crate::motion::{FrameSource, GAP, MotionInfo};
+use super::{
+    columns::unordered,
+    events,
+    foreign::{KeptSamples, kept_parameters},
+    frames::is_missing,
+    gap_coordinates::KeptCoordinates,
+    header::{BLOCK, Header},
+    parameters::{MAX_STRINGS, Parameter, Parameters, encode_records},
+};
+use crate::{
+    interchange::{InterchangeError, expect_frames, write_frames},
+    motion::{FrameSource, GAP, Marker, MotionInfo, Position, UpAxis, is_gap},
+};
 
-/// Bytes gathered before they are written.
-const BUFFER_BYTES: usize = 1 << 16;
+/// Name of the group of analog channels.
+const ANALOG: &str = "ANALOG";
 /// The parameter section's processor code for Intel.
 const INTEL: u8 = 84;
 
 /// Writes a whole file.
-pub(crate) fn write(
+pub(in crate::interchange) fn write(
     frames: &mut dyn FrameSource,
     out: &mut dyn Write,
 ) -> Result<(), InterchangeError> {
     let info = frames.info().clone();
-    let first_frame = info.source.first_frame;
-    let mut body = Body::new(&info, first_frame)?;
     let (mut header, mut parameters) = kept_parameters(&info.foreign)?.unwrap_or_default();
+    let mut body = Body::new(&info, &parameters)?;
     fill_parameters(&mut parameters, &info, &mut body)?;
     fill_header(&mut header, &parameters, &info, &body);
-    out.write_all(&front(header, parameters)?)?;
-    let mut row = vec![GAP; info.markers.len()];
-    let mut buffer = Vec::with_capacity(BUFFER_BYTES + 16 * body.n_points());
-    let mut n_written = 0u64;
-    let mut n_bytes = 0usize;
-    while frames.next_frame(&mut row)? {
-        n_written += 1;
-        if n_written > info.n_frames {
-            break;
-        }
-        body.push_frame(&row, &mut buffer)?;
-        if buffer.len() >= BUFFER_BYTES {
-            out.write_all(&buffer)?;
-            n_bytes = (n_bytes + buffer.len()) % BLOCK;
-            buffer.clear();
-        }
-    }
+    let front = front(header, parameters)?;
+    // The front is whole blocks, and so is the file but for frames that readers count by its length.
+    let mut n_bytes = front.len() as u64;
+    let n_written = write_frames(frames, out, front, |buffer, _, row| {
+        let before = buffer.len();
+        body.push_frame(row, buffer)?;
+        n_bytes += (buffer.len() - before) as u64;
+        Ok(())
+    })?;
     expect_frames(info.n_frames, n_written)?;
-    let block = if is_counted_by_length(&info) { 1 } else { BLOCK };
-    let end = (n_bytes + buffer.len()).next_multiple_of(block) - n_bytes;
-    buffer.resize(end, 0);
-    out.write_all(&buffer)?;
-    out.flush()?;
+    if !is_counted_by_length(&info) {
+        let padding = n_bytes.next_multiple_of(BLOCK as u64) - n_bytes;
+        out.write_all(&[0; BLOCK][..padding as usize])?;
+        out.flush()?;
+    }
     Ok(())
 }
 
@@ -126,19 +120,191 @@ fn fill_parameters(
         // None is longer than what was read.
         parameters.set_texts("POINT", "DESCRIPTIONS", &descriptions).unwrap_or_default();
     }
-    parameters.set_screen(info.up);
-    parameters.set_manufacturer();
-    subjects::fill(parameters, &info.markers);
+    set_screen(parameters, info.up);
+    set_manufacturer(parameters);
+    fill_subjects(parameters, &info.markers);
     events::fill(parameters, info, whole);
     let (ratio, n_channels) = body.analog_shape();
     if n_channels == 0 {
-        parameters.set_no_analog();
+        set_no_analog(parameters);
     } else {
-        body.analog_offsets = analog::complete(parameters, n_channels, ratio, info.rate_hz);
+        body.analog_offsets = complete_analog(parameters, n_channels, ratio, info.rate_hz);
     }
     parameters.set_double_word("TRIAL", "ACTUAL_START_FIELD", first_frame(info));
     parameters.set_double_word("TRIAL", "ACTUAL_END_FIELD", last);
     Ok(())
+}
+
+/// Says which axes point right and up on a screen, where that is known and not said yet, or said otherwise.
+fn set_screen(parameters: &mut Parameters, up: UpAxis) {
+    let (right, up) = match up {
+        UpAxis::Unknown => return,
+        UpAxis::X => ("+Y", "+X"),
+        UpAxis::Y => ("+X", "+Y"),
+        UpAxis::Z => ("+X", "+Z"),
+    };
+    let said = parameters.text("POINT", "Y_SCREEN").unwrap_or_default();
+    if !matches!(said.trim(), said if said.eq_ignore_ascii_case(up) || up.eq_ignore_ascii_case(&format!("+{said}")))
+    {
+        parameters.set_text("POINT", "X_SCREEN", right);
+        parameters.set_text("POINT", "Y_SCREEN", up);
+    }
+}
+
+/// Says who wrote the file, where it does not say who made it.
+fn set_manufacturer(parameters: &mut Parameters) {
+    if parameters.group_id("MANUFACTURER").is_none() {
+        parameters.set_text("MANUFACTURER", "COMPANY", "mocapd");
+        parameters.set_text("MANUFACTURER", "SOFTWARE", "mocapd");
+        parameters.set_text("MANUFACTURER", "VERSION_LABEL", env!("CARGO_PKG_VERSION"));
+    }
+}
+
+/// Says who the subjects are, unless a group says so already, or labels do not.
+fn fill_subjects(parameters: &mut Parameters, markers: &[Marker]) {
+    if parameters.group_id("SUBJECTS").is_some() {
+        return;
+    }
+    let Some(names) = prefixes(markers) else { return };
+    let prefixes: Vec<String> = names.iter().map(|name| format!("{name}:")).collect();
+    let none = vec![0; names.len()];
+    parameters.set_word("SUBJECTS", "USED", names.len() as u16);
+    parameters.set_word_list("SUBJECTS", "IS_STATIC", &none);
+    parameters.set_word_list("SUBJECTS", "USES_PREFIXES", &vec![1; names.len()]);
+    // Prefixes of labels that were written are not too long.
+    parameters.set_texts("SUBJECTS", "NAMES", &names).unwrap_or_default();
+    parameters.set_texts("SUBJECTS", "LABEL_PREFIXES", &prefixes).unwrap_or_default();
+}
+
+/// The prefixes before the first `:` in order, when every labelled marker has one.
+fn prefixes(markers: &[Marker]) -> Option<Vec<String>> {
+    let mut names: Vec<String> = Vec::new();
+    for marker in markers.iter().filter(|marker| marker.labelled) {
+        let (name, rest) = marker.label.split_once(':')?;
+        if name.trim().is_empty() || rest.trim().is_empty() {
+            return None;
+        }
+        if !names.iter().any(|known| known == name) {
+            names.push(name.to_owned());
+        }
+    }
+    (1..=MAX_STRINGS).contains(&names.len()).then_some(names)
+}
+
+// The ANALOG group is written whole, and of the types that others read: ezc3d reads past the end of a list that is shorter
+// than the number of channels, and takes the samples a frame from the two rates, rounded down; py-c3d reads OFFSET as words
+// whatever its type.
+
+/// Adds what readers expect of an ANALOG group when there are no analog samples.
+fn set_no_analog(parameters: &mut Parameters) {
+    parameters.set_word(ANALOG, "USED", 0);
+    for (name, kind, dimensions) in [
+        ("LABELS", -1, vec![0, 0]),
+        ("DESCRIPTIONS", -1, vec![0, 0]),
+        ("UNITS", -1, vec![0, 0]),
+        ("SCALE", 4, vec![0]),
+        ("OFFSET", 2, vec![0]),
+    ] {
+        if parameters.get(ANALOG, name).is_none() {
+            parameters.set(ANALOG, name, kind, dimensions, Vec::new());
+        }
+    }
+    for (name, value) in [("GEN_SCALE", 1.0), ("RATE", 0.0)] {
+        if parameters.get(ANALOG, name).is_none() {
+            parameters.set_float(ANALOG, name, value);
+        }
+    }
+}
+
+/// Whether integers of analog samples are unsigned.
+fn is_unsigned(parameters: &Parameters) -> bool {
+    parameters.text(ANALOG, "FORMAT").is_some_and(|text| text.eq_ignore_ascii_case("UNSIGNED"))
+}
+
+/// Completes the group for so many channels with `ratio` samples a frame. Returns what has to be taken from the samples
+/// of each channel, because OFFSET cannot say it: offsets that are no whole numbers, or too large for a word.
+fn complete_analog(
+    parameters: &mut Parameters,
+    n_channels: usize,
+    ratio: usize,
+    rate_hz: f64,
+) -> Vec<f64> {
+    parameters.set_word(ANALOG, "USED", u16::try_from(n_channels).unwrap_or(u16::MAX));
+    set_rate(parameters, ratio, rate_hz);
+    if !is_float(parameters.get(ANALOG, "GEN_SCALE"), 1) {
+        let value = parameters.number(ANALOG, "GEN_SCALE").unwrap_or(1.0);
+        parameters.set_float(ANALOG, "GEN_SCALE", value as f32);
+    }
+    if !is_float(parameters.get(ANALOG, "SCALE"), n_channels.min(255)) {
+        let known = parameters.get(ANALOG, "SCALE").or(parameters.get(ANALOG, "SCALES"));
+        let known = known.map(Parameter::numbers).unwrap_or_default();
+        let scales: Vec<f32> =
+            (0..n_channels).map(|i| known.get(i).map_or(1.0, |&scale| scale as f32)).collect();
+        parameters.set_float_list(ANALOG, "SCALE", &scales);
+    }
+    for (name, prefix) in [("LABELS", Some("A")), ("UNITS", None), ("DESCRIPTIONS", None)] {
+        let mut texts = parameters.texts(ANALOG, name);
+        if texts.len() >= n_channels {
+            continue;
+        }
+        for index in texts.len()..n_channels {
+            texts.push(prefix.map_or_else(String::new, |prefix| format!("{prefix}{}", index + 1)));
+        }
+        // None is longer than what was read.
+        parameters.set_texts(ANALOG, name, &texts).unwrap_or_default();
+    }
+    set_offsets(parameters, n_channels)
+}
+
+/// Whether a parameter holds so many floats.
+fn is_float(parameter: Option<&Parameter>, n: usize) -> bool {
+    parameter.is_some_and(|parameter| parameter.floats().len() >= n)
+}
+
+/// ANALOG:RATE, where it does not say the samples a frame already: never less than they are, however it is rounded.
+fn set_rate(parameters: &mut Parameters, ratio: usize, rate_hz: f64) {
+    let point_hz = f64::from(rate_hz as f32);
+    let says = |analog_hz: f64| (analog_hz / point_hz) as usize == ratio;
+    let kept = parameters.get(ANALOG, "RATE").and_then(|p| p.floats().first().copied());
+    if kept.is_some_and(|kept| says(f64::from(kept))) {
+        return;
+    }
+    let mut analog_hz = (point_hz * ratio as f64) as f32;
+    if !says(f64::from(analog_hz)) {
+        analog_hz = analog_hz.next_up();
+    }
+    parameters.set_float(ANALOG, "RATE", analog_hz);
+}
+
+/// OFFSET as words, one a channel. Some software calls it OFFSETS.
+fn set_offsets(parameters: &mut Parameters, n_channels: usize) -> Vec<f64> {
+    let is_unsigned = is_unsigned(parameters);
+    let kept = parameters.get(ANALOG, "OFFSET").or(parameters.get(ANALOG, "OFFSETS"));
+    let as_signed = |word: u16| if is_unsigned { f64::from(word) } else { f64::from(word as i16) };
+    let known: Vec<f64> = match kept {
+        Some(parameter) if parameter.kind == 2 => {
+            parameter.words().into_iter().map(as_signed).collect()
+        }
+        Some(parameter) => parameter.numbers(),
+        None => Vec::new(),
+    };
+    let is_whole = parameters
+        .get(ANALOG, "OFFSET")
+        .is_some_and(|p| p.kind == 2 && p.words().len() >= n_channels.min(255));
+    if is_whole {
+        return Vec::new();
+    }
+    let range = if is_unsigned { 0.0..=65535.0 } else { -32768.0..=32767.0 };
+    let mut words = Vec::with_capacity(n_channels);
+    let mut rest = Vec::with_capacity(n_channels);
+    for channel in 0..n_channels {
+        let offset = known.get(channel).copied().filter(|v| v.is_finite()).unwrap_or(0.0);
+        let fits = offset.fract() == 0.0 && range.contains(&offset);
+        words.push(if fits { offset as i32 as u16 } else { 0 });
+        rest.push(if fits { 0.0 } else { offset });
+    }
+    parameters.set_word_list(ANALOG, "OFFSET", &words);
+    if rest.iter().all(|&offset| offset == 0.0) { Vec::new() } else { rest }
 }
 
 /// Number of the first frame; C3D counts from 1.
@@ -218,4 +384,155 @@ fn front(mut header: Header, mut parameters: Parameters) -> Result<Vec<u8>, Inte
 /// Blocks that a section of these records takes.
 fn section_blocks(records: &[u8]) -> usize {
     (records.len() + 4).div_ceil(BLOCK)
+}
+
+/// The fourth word of a missing sample.
+const MISSING: f32 = -1.0;
+
+/// What a point of the written file is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Point {
+    Marker(usize),
+    ModelOutput(usize),
+}
+
+/// What goes into each frame.
+struct Body<'a> {
+    /// The points in order.
+    points: Vec<Point>,
+    analog: Option<KeptSamples<'a>>,
+    residuals: Option<KeptSamples<'a>>,
+    outputs: Option<KeptSamples<'a>>,
+    under_gaps: Option<KeptCoordinates<'a>>,
+    /// The words under the gaps of the frame under way, for each marker; all `None` between frames.
+    under_gap: Vec<Option<[f32; 4]>>,
+    unsigned_analog: bool,
+    /// What is taken from the analog samples of each channel; empty for nothing.
+    analog_offsets: Vec<f64>,
+}
+
+impl<'a> Body<'a> {
+    /// For all frames of a file with these parameters.
+    ///
+    /// # Errors
+    /// Those of reading what was kept.
+    fn new(info: &'a MotionInfo, parameters: &Parameters) -> io::Result<Self> {
+        let (foreign, first_frame) = (&info.foreign, info.source.first_frame);
+        let outputs = KeptSamples::model_outputs(foreign, first_frame)?;
+        let n_markers = info.markers.len();
+        Ok(Self {
+            under_gaps: KeptCoordinates::parse(foreign, n_markers, first_frame)?,
+            under_gap: vec![None; n_markers],
+            analog_offsets: Vec::new(),
+            points: places(n_markers, outputs.as_ref().map_or(&[], |kept| &kept.points)),
+            analog: KeptSamples::analog(foreign, first_frame)?,
+            residuals: KeptSamples::residuals(foreign, first_frame)?
+                .filter(|kept| kept.n_signals == n_markers),
+            outputs,
+            unsigned_analog: is_unsigned(parameters),
+        })
+    }
+
+    /// Points a frame, model outputs included.
+    fn n_points(&self) -> usize {
+        self.points.len()
+    }
+
+    /// Analog samples a frame and channel, and channels.
+    fn analog_shape(&self) -> (usize, usize) {
+        self.analog.as_ref().map_or((0, 0), |kept| (kept.ratio, kept.n_signals))
+    }
+
+    /// Appends a frame.
+    ///
+    /// # Errors
+    /// Those of reading what was kept.
+    fn push_frame(&mut self, row: &[Position], buffer: &mut Vec<u8>) -> io::Result<()> {
+        let is_wide = self.residuals.as_ref().is_some_and(|kept| kept.width == 4);
+        let residuals = self.residuals.as_mut().map(KeptSamples::next_frame).transpose()?.flatten();
+        let outputs = self.outputs.as_mut().map(KeptSamples::next_frame).transpose()?.flatten();
+        if let Some(kept) = &mut self.under_gaps {
+            for &(marker, words) in kept.next_frame()? {
+                if let Some(place) = self.under_gap.get_mut(marker) {
+                    *place = Some(words);
+                }
+            }
+        }
+        for &point in &self.points {
+            let words = match point {
+                Point::Marker(index) => {
+                    let position = row.get(index).copied().unwrap_or(GAP);
+                    let fourth = residuals.and_then(|words| {
+                        let &word = words.get(index)?;
+                        Some(if is_wide {
+                            f32::from_bits(unordered(word))
+                        } else {
+                            f32::from(word as i16)
+                        })
+                    });
+                    let under_gap = self.under_gap.get_mut(index).and_then(Option::take);
+                    marker_words(position, fourth, under_gap)
+                }
+                Point::ModelOutput(index) => outputs
+                    .and_then(|words| words.as_chunks::<4>().0.get(index))
+                    .map_or([0.0, 0.0, 0.0, MISSING], |w| {
+                        w.map(|bits| f32::from_bits(unordered(bits)))
+                    }),
+            };
+            words.iter().for_each(|word| buffer.extend(word.to_le_bytes()));
+        }
+        let (ratio, n_channels) = self.analog_shape();
+        let unsigned = self.unsigned_analog;
+        let Some(kept) = self.analog.as_mut() else { return Ok(()) };
+        let present = kept.begin_frame();
+        let wide = kept.width == 4;
+        for _ in 0..ratio {
+            match if present { kept.next()? } else { None } {
+                Some(words) => words.iter().enumerate().for_each(|(channel, &word)| {
+                    let mut value = if wide {
+                        f32::from_bits(unordered(word))
+                    } else if unsigned {
+                        word as f32
+                    } else {
+                        f32::from(word as i16)
+                    };
+                    if let Some(offset) = self.analog_offsets.get(channel) {
+                        value = (f64::from(value) - offset) as f32;
+                    }
+                    buffer.extend(value.to_le_bytes());
+                }),
+                None => buffer.extend(std::iter::repeat_n(0, 4 * n_channels)),
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A marker's four words. A fourth word that would say "missing" does not stand beside a position; what a missing sample
+/// had for coordinates stands there again.
+fn marker_words(position: Position, fourth: Option<f32>, under_gap: Option<[f32; 4]>) -> [f32; 4] {
+    if is_gap(position) {
+        return under_gap.unwrap_or([0.0, 0.0, 0.0, MISSING]);
+    }
+    let [x, y, z] = position;
+    [x, y, z, fourth.filter(|&word| !is_missing(word)).unwrap_or(0.0)]
+}
+
+/// The points in order: model outputs at their own places, markers in between.
+fn places(n_markers: usize, outputs: &[usize]) -> Vec<Point> {
+    let n_points = n_markers + outputs.len();
+    let mut points = Vec::with_capacity(n_points);
+    let mut next_output = 0;
+    let mut next_marker = 0;
+    for place in 0..n_points {
+        let here = outputs.get(next_output).is_some_and(|&at| at <= place);
+        if here || next_marker == n_markers {
+            points.push(Point::ModelOutput(next_output));
+            next_output += 1;
+        } else {
+            points.push(Point::Marker(next_marker));
+            next_marker += 1;
+        }
+    }
+    points
 }

@@ -11,14 +11,17 @@
 
 use std::collections::HashSet;
 
-use super::HEADER;
-use super::cells::LineCells;
-use super::read::{malformed, rate_of_one_frame};
-use crate::interchange::line_frames::LineFrames;
-use crate::interchange::text::{self, CUT_OFF, Cells, Rows};
-use crate::interchange::units::{FileUnit, Millimetres};
-use crate::interchange::{InterchangeError, ReadOptions, notes::Notes, origin};
-use crate::motion::{Foreign, GAP, Marker, Motion, MotionInfo, Source, UpAxis};
+use super::{HEADER, dialect::LineCells, malformed};
+use crate::{
+    ambiguity::Notes,
+    interchange::{
+        InterchangeError, ReadOptions, origin,
+        table::{CUT_OFF, Table},
+        text::{self, Separator},
+        units::{FileUnit, Millimetres},
+    },
+    motion::{Foreign, Marker, Motion, MotionInfo, UpAxis},
+};
 
 /// Lines in which the head must end: more than any version has.
 const HEAD_LINES_MAX: usize = 32;
@@ -33,32 +36,20 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
     let mut notes = Notes::default();
     let head = Head::parse(bytes)?;
     let columns = head.columns(&mut notes.warnings)?;
-    let unit = FileUnit::of(head.value("Length Units").unwrap_or_default(), options, &mut notes);
-    let millimetres = Millimetres::new(unit.factor, options);
-    let mut data = Data::read(bytes, &head, &columns, &millimetres, &mut notes.warnings);
-    let number = |name: &str| head.value(name).and_then(|v| text::number(v.as_bytes()));
-    let usable = |rate: &f64| rate.is_finite() && *rate > 0.0;
-    let rate_hz = number("Export Frame Rate").or_else(|| number("Capture Frame Rate"));
-    let frames_max = text::frames_max(bytes.len(), columns.len());
-    let placed = data.lines.place(rate_hz.filter(usable), frames_max, &mut notes.warnings);
-    let rate_hz = match placed.rate_hz {
-        Some(rate_hz) => rate_hz,
-        None if data.rows.len() == 1 => rate_of_one_frame(&mut notes.warnings),
-        None => {
-            return Err(malformed(
-                1,
-                "expected `Export Frame Rate` and a number above 0, or rising times",
-            ));
-        }
-    };
-    data.rows.put_empty(&placed.missing_before);
-    let n_frames = data.rows.len() as u64;
+    let stated = head.value("Length Units").unwrap_or_default();
+    let unit = FileUnit::of(stated, options.unit, &mut notes);
+    let mut table = Table::new("csv", bytes, Millimetres::new(unit.factor, options.turn()));
+    read_rows(&mut table, bytes, &head, &columns, &mut notes.warnings);
+    let rate = |name: &str| text::rate(head.value(name)?.as_bytes());
+    let stated_hz = rate("Export Frame Rate").or_else(|| rate("Capture Frame Rate"));
+    let rate_hz = table.place(stated_hz, columns.len(), &mut notes.warnings).ok_or_else(|| {
+        malformed(1, "expected `Export Frame Rate` and a number above 0, or rising times")
+    })?;
     let announced = head.value("Total Exported Frames");
-    let announced = announced.and_then(|n| text::whole_number(n.as_bytes())).unwrap_or(n_frames);
-    if announced != n_frames {
-        notes.warnings.push(format!("{announced} frames announced, {n_frames} present."));
-    }
-    let positions_mm = data.rows.into_rectangle(columns.len(), bytes.len(), "csv")?;
+    let announced = announced.and_then(|n| text::whole_number(n.as_bytes()));
+    let frames_missing = table.n_missing(announced, &mut notes.warnings);
+    let (n_frames, first_frame) = (table.n_frames(), table.first_frame().unwrap_or(0));
+    let positions_mm = table.into_positions(columns.len())?;
     unit.judge(&positions_mm, columns.len(), &mut notes);
     origin::note_zeros(&positions_mm, columns.len(), &mut notes);
     Ok(Motion {
@@ -68,15 +59,7 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
             n_frames,
             markers: columns.into_iter().map(|column| column.marker).collect(),
             up: options.up(UpAxis::Unknown, &mut notes),
-            source: Source {
-                format: "csv".to_owned(),
-                unit: unit.stated,
-                factor: unit.factor,
-                first_frame: data.lines.first().unwrap_or(0),
-                frames_missing: announced.saturating_sub(n_frames),
-                warnings: notes.warnings,
-                ambiguities: notes.ambiguities,
-            },
+            source: unit.into_source("csv", first_frame, frames_missing, notes),
             foreign: vec![Foreign { kind: HEADER.to_owned(), data: head.lines.into() }],
             ..MotionInfo::default()
         },
@@ -262,57 +245,35 @@ impl Head {
     }
 }
 
-/// The data as read.
-#[derive(Default)]
-struct Data {
-    rows: Rows,
-    lines: LineFrames,
-}
-
-impl Data {
-    fn read(
-        bytes: &[u8],
-        head: &Head,
-        columns: &[Column],
-        millimetres: &Millimetres,
-        warnings: &mut Vec<String>,
-    ) -> Self {
-        let mut data = Self::default();
-        let mut damaged = 0usize;
-        let mut n_cells = 0;
-        for (_, line) in text::lines(bytes).skip(head.n_lines) {
-            if line.trim_ascii().is_empty() {
-                continue;
-            }
-            let cells: Vec<&[u8]> = line.split(|&b| b == b',').collect();
-            n_cells = cells.len();
-            let cell = |at: usize| cells.get(at).copied().unwrap_or(&[]);
-            data.lines.line(cell(0), cell(1));
-            for column in columns {
-                let mut three = column.cells.iter().map(|&at| cell(at));
-                data.rows.push(match text::three_cells(&mut three) {
-                    Cells::Position(stored) => millimetres.position(stored),
-                    Cells::Empty => GAP,
-                    Cells::Damaged => {
-                        damaged += 1;
-                        GAP
-                    }
-                });
-            }
-            data.rows.end_row();
+fn read_rows(
+    table: &mut Table<'_>,
+    bytes: &[u8],
+    head: &Head,
+    columns: &[Column],
+    warnings: &mut Vec<String>,
+) {
+    let mut n_cells = 0;
+    for (_, line) in text::lines(bytes).skip(head.n_lines) {
+        if line.trim_ascii().is_empty() {
+            continue;
         }
-        let is_short = !bytes.ends_with(b"\n") && n_cells < head.axes.len();
-        let split = |line| <[u8]>::split(line, |&b: &u8| b == b',');
-        if is_short || text::ends_within_a_number(bytes, head.n_lines + 1, split) {
-            let cut = columns.iter().position(|column| column.cells.contains(&(n_cells - 1)));
-            cut.into_iter().for_each(|column| data.rows.drop_cut(column));
-            warnings.push(CUT_OFF.to_owned());
+        let cells: Vec<&[u8]> = Separator::COMMA.cells(line).collect();
+        n_cells = cells.len();
+        let cell = |at: usize| cells.get(at).copied().unwrap_or(&[]);
+        table.begin_row(cell(0), cell(1));
+        for column in columns {
+            table.read_sample(&mut column.cells.iter().map(|&at| cell(at)));
         }
-        millimetres.report(warnings);
-        if damaged > 0 {
-            warnings
-                .push(format!("{damaged} samples have cells that are not numbers; they are gaps."));
-        }
-        data
+        table.end_row();
     }
+    let is_short = !bytes.ends_with(b"\n") && n_cells < head.axes.len();
+    if is_short || text::ends_within_a_number(bytes, head.n_lines + 1, Separator::COMMA) {
+        let cut = n_cells
+            .checked_sub(1)
+            .and_then(|last| columns.iter().position(|column| column.cells.contains(&last)));
+        cut.into_iter().for_each(|column| table.drop_cut(column));
+        warnings.push(CUT_OFF.to_owned());
+    }
+    table.report_not_finite(warnings);
+    table.report_damaged(warnings);
 }

@@ -1,7 +1,9 @@
-//! The messages themselves.
+//! The messages themselves, in Protocol Buffers: the little of them that is needed (protobuf.dev, "Encoding").
 
-use super::proto::Message;
-use crate::motion::{Position, UpAxis, is_gap};
+use crate::{
+    motion::{Position, UpAxis, is_gap},
+    varint,
+};
 
 /// The frame of reference of the positions, and the one above it, whose z is up.
 const FRAME: &str = "mocap";
@@ -19,6 +21,46 @@ const FLOAT32: u64 = 7;
 
 /// Height of names, in metres.
 const TEXT_M: f64 = 0.03;
+
+/// A message as it is written, field after field.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Message(pub(super) Vec<u8>);
+
+impl Message {
+    /// An integer, a bool or a value of an enum.
+    pub(super) fn int(&mut self, field: u32, value: u64) {
+        self.tag(field, 0);
+        varint::put(&mut self.0, value);
+    }
+
+    pub(super) fn double(&mut self, field: u32, value: f64) {
+        self.tag(field, 1);
+        self.0.extend(value.to_le_bytes());
+    }
+
+    pub(super) fn fixed32(&mut self, field: u32, value: u32) {
+        self.tag(field, 5);
+        self.0.extend(value.to_le_bytes());
+    }
+
+    pub(super) fn bytes(&mut self, field: u32, value: &[u8]) {
+        self.tag(field, 2);
+        varint::put(&mut self.0, value.len() as u64);
+        self.0.extend_from_slice(value);
+    }
+
+    pub(super) fn text(&mut self, field: u32, value: &str) {
+        self.bytes(field, value.as_bytes());
+    }
+
+    pub(super) fn message(&mut self, field: u32, value: &Self) {
+        self.bytes(field, &value.0);
+    }
+
+    fn tag(&mut self, field: u32, wire_type: u32) {
+        varint::put(&mut self.0, u64::from(field << 3 | wire_type));
+    }
+}
 
 /// `google.protobuf.Timestamp`.
 fn timestamp(time_ns: u64) -> Message {
@@ -121,4 +163,22 @@ pub(super) fn way_up(up: UpAxis, time_ns: u64) -> Message {
         }),
     );
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The examples of protobuf.dev, "Encoding".
+    #[test]
+    fn fields_are_as_they_are_specified() {
+        let mut inner = Message::default();
+        inner.int(1, 150);
+        assert_eq!(inner.0, [0x08, 0x96, 0x01]);
+        let mut outer = Message::default();
+        outer.message(3, &inner);
+        outer.text(2, "testing");
+        assert_eq!(outer.0[..5], [0x1a, 0x03, 0x08, 0x96, 0x01]);
+        assert_eq!(outer.0[5..], [0x12, 7, b't', b'e', b's', b't', b'i', b'n', b'g']);
+    }
 }

@@ -1,7 +1,9 @@
 //! The messages of Foxglove that are written, as its published schemas have them (`foxglove-sdk`,
 //! `schemas/proto`), and as an MCAP file carries them: a `FileDescriptorSet`, complete with what they use.
 
-use super::proto::Message;
+use std::collections::BTreeSet;
+
+use super::messages::Message;
 
 /// A field: its name, number, and type.
 type Field = (&'static str, u32, Type);
@@ -24,193 +26,142 @@ enum Type {
     Number,
 }
 
-struct File {
-    /// Package and path are `foxglove` or `google.protobuf`.
-    package: &'static str,
-    name: &'static str,
-    /// Files that it uses.
-    uses: &'static [&'static str],
-    fields: &'static [Field],
-}
-
 use Type::{Bool, Bytes, Double, Fixed32, Int32, Int64, Many, Number, One, Text};
 
-const TIMESTAMP: Type = One(".google.protobuf.Timestamp");
-const DURATION: Type = One(".google.protobuf.Duration");
+const TIMESTAMP: Type = One("google.protobuf.Timestamp");
+const DURATION: Type = One("google.protobuf.Duration");
+
+/// A message by its full name, with its fields; it stands in a file of its own.
+type Declared = (&'static str, &'static [Field]);
 
 /// In an order in which each stands behind those that it uses.
-const FILES: &[File] = &[
-    File {
-        package: "google.protobuf",
-        name: "Timestamp",
-        uses: &[],
-        fields: &[("seconds", 1, Int64), ("nanos", 2, Int32)],
-    },
-    File {
-        package: "google.protobuf",
-        name: "Duration",
-        uses: &[],
-        fields: &[("seconds", 1, Int64), ("nanos", 2, Int32)],
-    },
-    File {
-        package: "foxglove",
-        name: "Vector3",
-        uses: &[],
-        fields: &[("x", 1, Double), ("y", 2, Double), ("z", 3, Double)],
-    },
-    File {
-        package: "foxglove",
-        name: "Quaternion",
-        uses: &[],
-        fields: &[("x", 1, Double), ("y", 2, Double), ("z", 3, Double), ("w", 4, Double)],
-    },
-    File {
-        package: "foxglove",
-        name: "Color",
-        uses: &[],
-        fields: &[("r", 1, Double), ("g", 2, Double), ("b", 3, Double), ("a", 4, Double)],
-    },
-    File {
-        package: "foxglove",
-        name: "Pose",
-        uses: &["foxglove/Quaternion.proto", "foxglove/Vector3.proto"],
-        fields: &[
-            ("position", 1, One(".foxglove.Vector3")),
-            ("orientation", 2, One(".foxglove.Quaternion")),
-        ],
-    },
-    File {
-        package: "foxglove",
-        name: "PackedElementField",
-        uses: &[],
-        fields: &[("name", 1, Text), ("offset", 2, Fixed32), ("type", 3, Number)],
-    },
-    File {
-        package: "foxglove",
-        name: "TextPrimitive",
-        uses: &["foxglove/Color.proto", "foxglove/Pose.proto"],
-        fields: &[
-            ("pose", 1, One(".foxglove.Pose")),
+const MESSAGES: &[Declared] = &[
+    ("google.protobuf.Timestamp", &[("seconds", 1, Int64), ("nanos", 2, Int32)]),
+    ("google.protobuf.Duration", &[("seconds", 1, Int64), ("nanos", 2, Int32)]),
+    ("foxglove.Vector3", &[("x", 1, Double), ("y", 2, Double), ("z", 3, Double)]),
+    (
+        "foxglove.Quaternion",
+        &[("x", 1, Double), ("y", 2, Double), ("z", 3, Double), ("w", 4, Double)],
+    ),
+    ("foxglove.Color", &[("r", 1, Double), ("g", 2, Double), ("b", 3, Double), ("a", 4, Double)]),
+    (
+        "foxglove.Pose",
+        &[("position", 1, One("foxglove.Vector3")), ("orientation", 2, One("foxglove.Quaternion"))],
+    ),
+    (
+        "foxglove.PackedElementField",
+        &[("name", 1, Text), ("offset", 2, Fixed32), ("type", 3, Number)],
+    ),
+    (
+        "foxglove.TextPrimitive",
+        &[
+            ("pose", 1, One("foxglove.Pose")),
             ("billboard", 2, Bool),
             ("font_size", 3, Double),
             ("scale_invariant", 4, Bool),
-            ("color", 5, One(".foxglove.Color")),
+            ("color", 5, One("foxglove.Color")),
             ("text", 6, Text),
         ],
-    },
-    File {
-        package: "foxglove",
-        name: "SceneEntity",
-        uses: &[
-            "foxglove/TextPrimitive.proto",
-            "google/protobuf/duration.proto",
-            "google/protobuf/timestamp.proto",
-        ],
-        // Of the primitives, those that are written.
-        fields: &[
+    ),
+    // Of the primitives, those that are written.
+    (
+        "foxglove.SceneEntity",
+        &[
             ("timestamp", 1, TIMESTAMP),
             ("frame_id", 2, Text),
             ("id", 3, Text),
             ("lifetime", 4, DURATION),
             ("frame_locked", 5, Bool),
-            ("texts", 13, Many(".foxglove.TextPrimitive")),
+            ("texts", 13, Many("foxglove.TextPrimitive")),
         ],
-    },
-    File {
-        package: "foxglove",
-        name: "SceneUpdate",
-        uses: &["foxglove/SceneEntity.proto"],
-        fields: &[("entities", 2, Many(".foxglove.SceneEntity"))],
-    },
-    File {
-        package: "foxglove",
-        name: "FrameTransform",
-        uses: &[
-            "foxglove/Quaternion.proto",
-            "foxglove/Vector3.proto",
-            "google/protobuf/timestamp.proto",
-        ],
-        fields: &[
+    ),
+    ("foxglove.SceneUpdate", &[("entities", 2, Many("foxglove.SceneEntity"))]),
+    (
+        "foxglove.FrameTransform",
+        &[
             ("timestamp", 1, TIMESTAMP),
             ("parent_frame_id", 2, Text),
             ("child_frame_id", 3, Text),
-            ("translation", 4, One(".foxglove.Vector3")),
-            ("rotation", 5, One(".foxglove.Quaternion")),
+            ("translation", 4, One("foxglove.Vector3")),
+            ("rotation", 5, One("foxglove.Quaternion")),
         ],
-    },
-    File {
-        package: "foxglove",
-        name: "PointCloud",
-        uses: &[
-            "foxglove/PackedElementField.proto",
-            "foxglove/Pose.proto",
-            "google/protobuf/timestamp.proto",
-        ],
-        fields: &[
+    ),
+    (
+        "foxglove.PointCloud",
+        &[
             ("timestamp", 1, TIMESTAMP),
             ("frame_id", 2, Text),
-            ("pose", 3, One(".foxglove.Pose")),
+            ("pose", 3, One("foxglove.Pose")),
             ("point_stride", 4, Fixed32),
-            ("fields", 5, Many(".foxglove.PackedElementField")),
+            ("fields", 5, Many("foxglove.PackedElementField")),
             ("data", 6, Bytes),
         ],
-    },
+    ),
 ];
 
-/// Of [`PackedElementField`](FILES); a place is the number.
+/// Of [`PackedElementField`](MESSAGES); a place is the number.
 const NUMERIC_TYPES: [&str; 9] =
     ["UNKNOWN", "UINT8", "INT8", "UINT16", "INT16", "UINT32", "INT32", "FLOAT32", "FLOAT64"];
 
 /// The `FileDescriptorSet` of a message and all that it uses.
-pub(super) fn descriptor_set(name: &str) -> Vec<u8> {
-    let mut wanted = vec![format!("foxglove/{name}.proto")];
+pub(super) fn descriptor_set(name: &'static str) -> Vec<u8> {
+    let mut wanted = BTreeSet::from([name]);
     let mut files = Vec::new();
-    for file in FILES.iter().rev() {
-        if wanted.contains(&file.path()) {
-            wanted.extend(file.uses.iter().map(|&path| path.to_owned()));
-            files.push(file);
+    for message in MESSAGES.iter().rev() {
+        if wanted.contains(message.0) {
+            wanted.extend(used(message));
+            files.push(file_descriptor(message));
         }
     }
     let mut set = Message::default();
-    files.iter().rev().for_each(|file| set.message(1, &file.descriptor()));
+    files.iter().rev().for_each(|file| set.message(1, file));
     set.0
 }
 
-impl File {
-    fn path(&self) -> String {
-        let folder = self.package.replace('.', "/");
-        match self.package {
-            "foxglove" => format!("{folder}/{}.proto", self.name),
-            _ => format!("{folder}/{}.proto", self.name.to_lowercase()),
-        }
-    }
+/// The messages that fields of one are of.
+fn used((_, fields): &Declared) -> impl Iterator<Item = &'static str> {
+    fields.iter().filter_map(|(.., of)| match of {
+        One(message) | Many(message) => Some(*message),
+        _ => None,
+    })
+}
 
-    fn descriptor(&self) -> Message {
-        let mut file = Message::default();
-        file.text(1, &self.path());
-        file.text(2, self.package);
-        self.uses.iter().for_each(|path| file.text(3, path));
-        let mut message = Message::default();
-        message.text(1, self.name);
-        self.fields.iter().for_each(|field| message.message(2, &descriptor(field)));
-        if self.fields.iter().any(|(.., of)| matches!(of, Number)) {
-            let mut numbers = Message::default();
-            numbers.text(1, "NumericType");
-            for (number, name) in (0..).zip(NUMERIC_TYPES) {
-                let mut value = Message::default();
-                value.text(1, name);
-                value.int(2, number);
-                numbers.message(2, &value);
-            }
-            message.message(4, &numbers);
-        }
-        file.message(4, &message);
-        file.text(12, "proto3");
-        file
+/// The file that a message stands in.
+fn path(full_name: &str) -> String {
+    match full_name.strip_prefix("google.protobuf.") {
+        Some(name) => format!("google/protobuf/{}.proto", name.to_lowercase()),
+        None => format!("{}.proto", full_name.replace('.', "/")),
     }
 }
 
-fn descriptor(&(name, number, of): &Field) -> Message {
+fn file_descriptor(declared: &Declared) -> Message {
+    let (full_name, fields) = declared;
+    let (package, name) = full_name.rsplit_once('.').unwrap_or(("", full_name));
+    let mut file = Message::default();
+    file.text(1, &path(full_name));
+    file.text(2, package);
+    let uses: BTreeSet<String> = used(declared).map(path).collect();
+    uses.iter().for_each(|path| file.text(3, path));
+    let mut message = Message::default();
+    message.text(1, name);
+    fields.iter().for_each(|field| message.message(2, &field_descriptor(field)));
+    if fields.iter().any(|(.., of)| matches!(of, Number)) {
+        let mut numbers = Message::default();
+        numbers.text(1, "NumericType");
+        for (number, name) in (0..).zip(NUMERIC_TYPES) {
+            let mut value = Message::default();
+            value.text(1, name);
+            value.int(2, number);
+            numbers.message(2, &value);
+        }
+        message.message(4, &numbers);
+    }
+    file.message(4, &message);
+    file.text(12, "proto3");
+    file
+}
+
+fn field_descriptor(&(name, number, of): &Field) -> Message {
     const OPTIONAL: u64 = 1;
     const REPEATED: u64 = 3;
     let (label, kind, type_name) = match of {
@@ -223,7 +174,7 @@ fn descriptor(&(name, number, of): &Field) -> Message {
         One(message) => (OPTIONAL, 11, Some(message)),
         Many(message) => (REPEATED, 11, Some(message)),
         Bytes => (OPTIONAL, 12, None),
-        Number => (OPTIONAL, 14, Some(".foxglove.PackedElementField.NumericType")),
+        Number => (OPTIONAL, 14, Some("foxglove.PackedElementField.NumericType")),
     };
     let mut field = Message::default();
     field.text(1, name);
@@ -231,7 +182,7 @@ fn descriptor(&(name, number, of): &Field) -> Message {
     field.int(4, label);
     field.int(5, kind);
     if let Some(type_name) = type_name {
-        field.text(6, type_name);
+        field.text(6, &format!(".{type_name}"));
     }
     field
 }

@@ -1,100 +1,62 @@
-//! Bytes of a CSV file -> trajectories.
+//! A row a frame: what `export` writes, and the `time,head_x,head_y,head_z,...` dialect.
 
-use super::cells::LineCells;
-use super::dialect::with_commas;
-use super::{HEADER, long, motive};
-use crate::escape::from_cell;
-use crate::interchange::line_frames::LineFrames;
-use crate::interchange::text::{self, CUT_OFF, Cells, Rows};
-use crate::interchange::units::{FileUnit, Millimetres};
-use crate::interchange::{InterchangeError, ReadOptions, notes::Notes, origin};
-use crate::motion::{Foreign, GAP, Motion, MotionInfo, Source, UpAxis};
+use std::io::Write;
 
-/// Rate of a file of one frame that states none, as of a C3D file that states none.
-const RATE_OF_ONE_FRAME_HZ: f64 = 100.0;
+use super::{
+    HEADER,
+    dialect::{LineCells, quote},
+    malformed,
+};
+use crate::{
+    ambiguity::Notes,
+    escape::from_cell,
+    interchange::{
+        InterchangeError, ReadOptions, origin, put_position,
+        table::{CUT_OFF, Table},
+        text::{self, Separator, column_labels},
+        units::{FileUnit, Millimetres},
+        write_frames,
+    },
+    motion::{Foreign, FrameSource, Motion, MotionInfo, UpAxis},
+};
 
 /// Reads a whole file.
-pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, InterchangeError> {
-    let bytes = &*with_commas(bytes);
-    let mut lines = text::lines(bytes);
-    let is_content = |line: &&(usize, &[u8])| {
-        let line = line.1.trim_ascii();
-        !line.is_empty() && !line.starts_with(b"#")
-    };
-    if let Some((number, line)) = lines.find(|line| is_content(&line)) {
-        if long::is_long(line) {
-            return long::read(bytes, number, options);
-        }
-        if motive::is_motive(line) {
-            return motive::read(bytes, options);
-        }
-    }
+pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, InterchangeError> {
     let mut notes = Notes::default();
     let head = Head::parse(bytes)?;
     // What we write has no line of units: it is always millimetres.
     let ours = if head.is_ours { "mm" } else { "" };
-    let unit = head.value("units").unwrap_or_else(|| ours.to_owned());
-    let unit = FileUnit::of(&unit, options, &mut notes).or_usually_millimetres();
-    let millimetres = Millimetres::new(unit.factor, options);
-    let mut data = read_rows(bytes, &head, &millimetres, &mut notes.warnings);
-    let of_file = match head.value("up").as_deref() {
-        Some("X" | "x") => UpAxis::X,
-        Some("Y" | "y") => UpAxis::Y,
-        Some("Z" | "z") => UpAxis::Z,
-        _ => UpAxis::Unknown,
-    };
-    let up = options.up(of_file, &mut notes);
-    let warnings = &mut notes.warnings;
-    let stated = head.value("rate").and_then(|rate| text::number(rate.as_bytes()));
-    let stated = stated.filter(|rate| rate.is_finite() && *rate > 0.0);
-    let frames_max = text::frames_max(bytes.len(), head.labels.len());
-    let placed = data.lines.place(stated, frames_max, warnings);
-    let rate_hz = match placed.rate_hz {
-        Some(rate_hz) => rate_hz,
-        None if data.rows.len() == 1 => rate_of_one_frame(warnings),
-        None => {
-            return Err(malformed(
-                head.n_lines,
-                "the rate is not known: add a line `# rate=120` above the column names, or a column of rising times",
-            ));
-        }
-    };
-    data.rows.put_empty(&placed.missing_before);
-    let n_frames = data.rows.len() as u64;
+    let unit = FileUnit::of(head.value("units").unwrap_or(ours), options.unit, &mut notes)
+        .or_usually_millimetres();
+    let mut table = Table::new("csv", bytes, Millimetres::new(unit.factor, options.turn()));
+    read_rows(&mut table, bytes, &head, &mut notes.warnings);
+    let up = head.value("up").and_then(UpAxis::from_name).unwrap_or_default();
+    let up = options.up(up, &mut notes);
+    let n_markers = head.labels.len();
+    let stated_hz = head.value("rate").and_then(|rate| text::rate(rate.as_bytes()));
+    let rate_hz = table.place(stated_hz, n_markers, &mut notes.warnings).ok_or_else(|| {
+        malformed(
+            head.n_lines,
+            "the rate is not known: add a line `# rate=120` above the column names, or a column of rising times",
+        )
+    })?;
     let announced = head.value("frames").and_then(|n| text::whole_number(n.as_bytes()));
-    let announced = announced.unwrap_or(n_frames);
-    if announced != n_frames {
-        warnings.push(format!("{announced} frames announced, {n_frames} present."));
-    }
-    let mut foreign = Vec::new();
-    if !head.lines.is_empty() {
-        foreign.push(Foreign { kind: HEADER.to_owned(), data: head.lines.clone().into() });
-    }
-    let positions_mm = data.rows.into_rectangle(head.labels.len(), bytes.len(), "csv")?;
-    unit.judge(&positions_mm, head.labels.len(), &mut notes);
-    origin::note_zeros(&positions_mm, head.labels.len(), &mut notes);
+    let frames_missing = table.n_missing(announced, &mut notes.warnings);
+    let (n_frames, first_frame) = (table.n_frames(), table.first_frame().unwrap_or(1));
+    let positions_mm = table.into_positions(n_markers)?;
+    unit.judge(&positions_mm, n_markers, &mut notes);
+    origin::note_zeros(&positions_mm, n_markers, &mut notes);
+    let markers = text::markers(&head.labels, n_markers);
+    let foreign = Foreign { kind: HEADER.to_owned(), data: head.lines.into() };
     Ok(Motion {
         positions_mm,
         info: MotionInfo {
             rate_hz,
             n_frames,
-            markers: head
-                .labels
-                .iter()
-                .enumerate()
-                .map(|(column, label)| text::marker(label, column))
-                .collect(),
+            markers,
             up,
-            source: Source {
-                format: "csv".to_owned(),
-                unit: unit.stated,
-                factor: unit.factor,
-                first_frame: data.lines.first().unwrap_or(1),
-                frames_missing: announced.saturating_sub(n_frames),
-                warnings: notes.warnings,
-                ambiguities: notes.ambiguities,
-            },
-            foreign,
+            source: unit.into_source("csv", first_frame, frames_missing, notes),
+            foreign: Some(foreign).filter(|lines| !lines.data.is_empty()).into_iter().collect(),
             ..MotionInfo::default()
         },
     })
@@ -186,8 +148,8 @@ impl Head {
     }
 
     /// The last value of a key.
-    fn value(&self, key: &str) -> Option<String> {
-        self.values.iter().rev().find(|(k, _)| k == key).map(|(_, value)| value.clone())
+    fn value(&self, key: &str) -> Option<&str> {
+        self.values.iter().rev().find(|(k, _)| k == key).map(|(_, value)| value.as_str())
     }
 }
 
@@ -204,21 +166,7 @@ fn label_of(columns: &[String]) -> Option<&str> {
     same.then_some(label)
 }
 
-/// The data as read.
-#[derive(Default)]
-struct Data {
-    rows: Rows,
-    lines: LineFrames,
-}
-
-fn read_rows(
-    bytes: &[u8],
-    head: &Head,
-    millimetres: &Millimetres,
-    warnings: &mut Vec<String>,
-) -> Data {
-    let mut data = Data::default();
-    let mut damaged = 0usize;
+fn read_rows(table: &mut Table<'_>, bytes: &[u8], head: &Head, warnings: &mut Vec<String>) {
     let mut extra = 0usize;
     let mut n_cells = 0;
     let is_open = !bytes.ends_with(b"\n");
@@ -227,12 +175,12 @@ fn read_rows(
         if line.trim_ascii().is_empty() || line.starts_with(b"#") {
             continue;
         }
-        n_cells = line.split(|&b| b == b',').count();
+        n_cells = Separator::COMMA.cells(line).count();
         if is_open && lines.peek().is_none() && n_cells <= head.lead && !head.labels.is_empty() {
             // Not even its number and time are known to be whole.
             break;
         }
-        let mut cells = line.split(|&b| b == b',');
+        let mut cells = Separator::COMMA.cells(line);
         let (mut number, mut time) = (&[][..], &[][..]);
         for column in 0..head.lead {
             let cell = cells.next().unwrap_or(&[]);
@@ -242,50 +190,52 @@ fn read_rows(
                 time = cell;
             }
         }
-        data.lines.line(number, time);
+        table.begin_row(number, time);
         for _ in &head.labels {
-            data.rows.push(match text::three_cells(&mut cells) {
-                Cells::Position(position) => millimetres.position(position),
-                Cells::Empty => GAP,
-                Cells::Damaged => {
-                    damaged += 1;
-                    GAP
-                }
-            });
+            table.read_sample(&mut cells);
         }
         extra += usize::from(cells.any(|cell| !cell.trim_ascii().is_empty()));
-        data.rows.end_row();
+        table.end_row();
     }
     let is_short = is_open && n_cells < head.lead + 3 * head.labels.len();
-    let cells = |line| <[u8]>::split(line, |&b: &u8| b == b',');
-    if is_short || text::ends_within_a_number(bytes, head.n_lines + 1, cells) {
+    if is_short || text::ends_within_a_number(bytes, head.n_lines + 1, Separator::COMMA) {
         if n_cells > head.lead {
-            data.rows.drop_cut((n_cells - head.lead - 1) / 3);
+            table.drop_cut((n_cells - head.lead - 1) / 3);
         }
         warnings.push(CUT_OFF.to_owned());
     }
-    millimetres.report(warnings);
-    if damaged > 0 {
-        warnings.push(format!("{damaged} samples have cells that are not numbers; they are gaps."));
-    }
+    table.report_not_finite(warnings);
+    table.report_damaged(warnings);
     if extra > 0 {
         warnings.push(format!(
             "{extra} lines have more cells than there are columns; they were left out."
         ));
     }
-    data
 }
 
-/// What is taken where one frame tells no rate.
-pub(super) fn rate_of_one_frame(warnings: &mut Vec<String>) -> f64 {
-    warnings.push(format!("One frame tells no rate; {RATE_OF_ONE_FRAME_HZ} Hz was taken."));
-    RATE_OF_ONE_FRAME_HZ
-}
-
-pub(super) fn malformed(line: usize, message: &str) -> InterchangeError {
-    InterchangeError::Malformed {
-        format: "csv",
-        place: format!("line {line}"),
-        message: message.to_owned(),
+/// Writes a line of names, then one line a frame: its number, its time from the first frame in seconds, and three
+/// cells a marker in millimetres, empty where the sample is missing.
+pub(in crate::interchange) fn write(
+    frames: &mut dyn FrameSource,
+    out: &mut dyn Write,
+) -> Result<(), InterchangeError> {
+    let info = frames.info().clone();
+    let mut head = b"frame,time_s".to_vec();
+    for label in column_labels(&info) {
+        for axis in ["x", "y", "z"] {
+            write!(head, ",{}", quote(&format!("{label}.{axis}")))?;
+        }
     }
+    head.push(b'\n');
+    write_frames(frames, out, head, |line, index, row| {
+        let number = info.source.first_frame.saturating_add(index);
+        write!(line, "{number},{}", index as f64 / info.rate_hz)?;
+        for &position in row {
+            line.push(b',');
+            put_position(line, position, b',', "")?;
+        }
+        line.push(b'\n');
+        Ok(())
+    })?;
+    Ok(())
 }

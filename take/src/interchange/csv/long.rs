@@ -1,45 +1,58 @@
-//! CSV in the long layout -> trajectories.
+//! The long layout: one row a sample that is present, `frame,time_s,label,x_mm,y_mm,z_mm`, as statistics programs
+//! like it. Lost frames, and markers that were never seen, have no row.
 
-use std::borrow::Cow;
-use std::collections::HashMap;
+use std::{borrow::Cow, collections::HashMap, io::Write};
 
-use super::super::cells::LineCells;
-use super::super::read::{malformed, rate_of_one_frame};
-use super::COLUMNS;
-use crate::escape::from_cell;
-use crate::interchange::line_frames::{Rounding, rate_of};
-use crate::interchange::text::{self, CUT_OFF, Cells};
-use crate::interchange::units::{FileUnit, Millimetres};
-use crate::interchange::{InterchangeError, ReadOptions, notes::Notes};
-use crate::motion::{GAP, Marker, Motion, MotionInfo, Position, Source, UpAxis};
+use super::{
+    dialect::{LineCells, quote},
+    malformed,
+};
+use crate::{
+    ambiguity::Notes,
+    escape::from_cell,
+    interchange::{
+        InterchangeError, ReadOptions,
+        line_frames::{Rounding, rate_of},
+        put_position,
+        table::{
+            CUT_OFF, Cells, MAX_POSITIONS_PER_BYTE, rate_of_one_frame, report_damaged, three_cells,
+        },
+        text::{self, Separator, column_labels},
+        units::{FileUnit, Millimetres},
+        write_frames,
+    },
+    motion::{FrameSource, GAP, Marker, Motion, MotionInfo, Position, UpAxis, is_gap},
+};
+
+/// The names of the columns.
+const COLUMNS: [&str; 6] = ["frame", "time_s", "label", "x_mm", "y_mm", "z_mm"];
 
 /// Whether these are the names of the columns.
-pub(in crate::interchange) fn is_long(line: &[u8]) -> bool {
+pub(super) fn is_long(line: &[u8]) -> bool {
     let mut cells = LineCells::new(line).map(|cell| text::decode(cell.trim_ascii()));
     COLUMNS.iter().all(|name| cells.next().is_some_and(|cell| cell.eq_ignore_ascii_case(name)))
 }
 
 /// Reads a whole file whose column names are at `head_line`. Markers come in the order in which they are first seen.
-pub(in crate::interchange) fn read(
+pub(super) fn read(
     bytes: &[u8],
     head_line: usize,
     options: &ReadOptions,
 ) -> Result<Motion, InterchangeError> {
     let mut notes = Notes::default();
-    let unit = FileUnit::of("mm", options, &mut notes);
+    let unit = FileUnit::of("mm", options.unit, &mut notes);
     let up = options.up(UpAxis::Unknown, &mut notes);
-    let Notes { mut warnings, ambiguities } = notes;
-    let millimetres = Millimetres::new(unit.factor, options);
+    let millimetres = Millimetres::new(unit.factor, options.turn());
     let data = Data::read(bytes, head_line, &millimetres)?;
-    data.report(&mut warnings);
-    millimetres.report(&mut warnings);
+    data.report(&mut notes.warnings);
+    millimetres.report(&mut notes.warnings);
     let Some((first, last)) = data.frames() else {
         return Err(malformed(head_line, "expected a line for each sample, found none"));
     };
     let n_markers = data.labels.len();
     let n_frames = usize::try_from(last - first).ok().and_then(|n| n.checked_add(1));
     let total = n_frames.and_then(|n| n.checked_mul(n_markers));
-    let earned = bytes.len().saturating_mul(text::MAX_POSITIONS_PER_BYTE);
+    let earned = bytes.len().saturating_mul(MAX_POSITIONS_PER_BYTE);
     let Some(total) = total.filter(|&total| total <= earned) else {
         let message = format!(
             "frames {first} to {last} of {n_markers} markers are more than {} bytes of text can mean; split the file",
@@ -48,7 +61,7 @@ pub(in crate::interchange) fn read(
         return Err(malformed(head_line, &message));
     };
     let rate_hz = match data.rate_hz() {
-        _ if first == last => rate_of_one_frame(&mut warnings),
+        _ if first == last => rate_of_one_frame(&mut notes.warnings),
         Some(rate_hz) => rate_hz,
         None => {
             let message = "the rate is not known: expected times that rise with the frames";
@@ -63,7 +76,6 @@ pub(in crate::interchange) fn read(
             *place = position;
         }
     }
-    let mut notes = Notes { warnings, ambiguities };
     unit.judge(&positions_mm, n_markers, &mut notes);
     Ok(Motion {
         positions_mm,
@@ -72,15 +84,7 @@ pub(in crate::interchange) fn read(
             n_frames: last - first + 1,
             markers: data.labels.into_iter().map(marker).collect(),
             up,
-            source: Source {
-                format: "csv".to_owned(),
-                unit: unit.stated,
-                factor: unit.factor,
-                first_frame: first,
-                frames_missing: 0,
-                warnings: notes.warnings,
-                ambiguities: notes.ambiguities,
-            },
+            source: unit.into_source("csv", first, 0, notes),
             ..MotionInfo::default()
         },
     })
@@ -137,7 +141,7 @@ impl Data {
                 data.labels.len() - 1
             });
             let mut position = position.iter().map(|cell| &cell[..]);
-            match text::three_cells(&mut position) {
+            match three_cells(&mut position) {
                 Cells::Position(stored) => {
                     data.samples.push((frame, column, millimetres.position(stored)));
                     last_has_sample = true;
@@ -146,9 +150,9 @@ impl Data {
                 Cells::Damaged => data.damaged += 1,
             }
         }
-        let cells = |line| <[u8]>::split(line, |&b: &u8| b == b',');
         let is_short = !bytes.ends_with(b"\n") && n_cells < COLUMNS.len();
-        data.is_cut_off = is_short || text::ends_within_a_number(bytes, head_line + 1, cells);
+        data.is_cut_off =
+            is_short || text::ends_within_a_number(bytes, head_line + 1, Separator::COMMA);
         if data.is_cut_off && last_has_sample {
             data.samples.pop();
         }
@@ -181,12 +185,7 @@ impl Data {
         if self.is_cut_off {
             warnings.push(CUT_OFF.to_owned());
         }
-        if self.damaged > 0 {
-            warnings.push(format!(
-                "{} samples have cells that are not numbers; they are gaps.",
-                self.damaged
-            ));
-        }
+        report_damaged(self.damaged, warnings);
         if self.twice > 0 {
             warnings.push(format!(
                 "{} samples come twice, the same marker in the same frame; the last one counts.",
@@ -194,4 +193,28 @@ impl Data {
             ));
         }
     }
+}
+
+/// Writes a line of names, then one line a sample that is present: the frame's number, its time from the first frame
+/// in seconds, the marker's label (told apart by `#2`, `#3`... where it is not the only one), and the position in
+/// millimetres with as many digits as bring back the f32.
+pub(in crate::interchange) fn write(
+    frames: &mut dyn FrameSource,
+    out: &mut dyn Write,
+) -> Result<(), InterchangeError> {
+    let info = frames.info().clone();
+    let labels: Vec<String> =
+        column_labels(&info).iter().map(|label| quote(label).into_owned()).collect();
+    let head = COLUMNS.join(",") + "\n";
+    write_frames(frames, out, head.into_bytes(), |lines, index, row| {
+        let number = info.source.first_frame.saturating_add(index);
+        let time_s = index as f64 / info.rate_hz;
+        for (label, &position) in labels.iter().zip(row).filter(|(_, at)| !is_gap(**at)) {
+            write!(lines, "{number},{time_s},{label},")?;
+            put_position(lines, position, b',', "")?;
+            lines.push(b'\n');
+        }
+        Ok(())
+    })?;
+    Ok(())
 }

@@ -1,0 +1,142 @@
+//! The frames of a file as they are stored; which of their points are markers, and what those are called.
+
+use std::collections::HashSet;
+
+use super::{columns::ordered, layout::Layout, parameters::Parameters};
+use crate::{interchange::text::unlabelled_name, motion::Marker};
+
+/// Parameters of POINT that list model outputs: results that share the layout of a point without being one.
+const MODEL_OUTPUTS: [&str; 6] = ["ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS"];
+
+/// Most parameters that are looked at as lists of model outputs: texts of length 0 take time, but no bytes.
+const MAX_LISTS: usize = 64;
+
+/// What a point of the file is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Points {
+    /// The markers in order, and the index of each among the points.
+    pub(super) markers: Vec<(usize, Marker)>,
+    /// The indices of the model outputs.
+    pub(super) outputs: Vec<usize>,
+}
+
+/// Sorts `n_points` points into markers and model outputs.
+pub(super) fn sort_points(
+    parameters: &Parameters,
+    n_points: usize,
+    warnings: &mut Vec<String>,
+) -> Points {
+    let labels = parameters.texts("POINT", "LABELS");
+    if labels.len() < n_points {
+        warnings.push(format!(
+            "POINT:LABELS has {} labels for {n_points} points; the rest was read as unlabelled.",
+            labels.len()
+        ));
+    } else if labels.iter().skip(n_points).any(|label| !label.is_empty()) {
+        warnings.push(format!("POINT:LABELS has {} labels for {n_points} points.", labels.len()));
+    }
+    let listed = listed_outputs(parameters);
+    let mut points = Points { markers: Vec::new(), outputs: Vec::new() };
+    for index in 0..n_points {
+        let label = labels.get(index).map_or("", String::as_str);
+        if !label.is_empty() && listed.contains(label) {
+            points.outputs.push(index);
+        } else {
+            points.markers.push((index, point_marker(label, points.markers.len())));
+        }
+    }
+    points
+}
+
+/// The marker of a label as found. Vicon's names for unlabelled trajectories begin with `*`.
+fn point_marker(label: &str, column: usize) -> Marker {
+    if label.is_empty() {
+        return Marker { label: unlabelled_name(column), labelled: false };
+    }
+    Marker { label: label.to_owned(), labelled: !label.starts_with('*') }
+}
+
+/// The labels of all model outputs, by the parameters named in `MODEL_OUTPUTS` and in `POINT:TYPE_GROUPS`, whose
+/// texts come in pairs: the name of such a parameter, and what one of its points is.
+fn listed_outputs(parameters: &Parameters) -> HashSet<String> {
+    let type_groups = parameters.texts("POINT", "TYPE_GROUPS");
+    let named = type_groups.iter().step_by(2).map(String::as_str);
+    let mut names: Vec<&str> = MODEL_OUTPUTS.into_iter().chain(named).collect();
+    // MODELED_MARKERS are positions. What POINT itself needs is never a list of model outputs.
+    names.retain(|name| {
+        let name = name.to_ascii_uppercase();
+        !name.is_empty() && !name.contains("MARKER") && !name.starts_with("LABELS")
+    });
+    names.truncate(MAX_LISTS);
+    names.sort_unstable();
+    names.dedup();
+    names
+        .into_iter()
+        .flat_map(|name| parameters.texts("POINT", name))
+        .filter(|label| !label.is_empty())
+        .collect()
+}
+
+/// The frames of a file as stored.
+pub(super) struct Frames<'a> {
+    bytes: &'a [u8],
+    /// How they are laid out.
+    pub(super) layout: &'a Layout,
+}
+
+impl<'a> Frames<'a> {
+    pub(super) fn new(file: &'a [u8], layout: &'a Layout) -> Self {
+        Self { bytes: file.get(layout.stride.data_start..).unwrap_or(&[]), layout }
+    }
+
+    /// One frame's words: four for each point, then the analog samples.
+    fn frame(&self, index: usize) -> &'a [u8] {
+        let n_bytes = self.layout.stride.frame_bytes();
+        self.bytes.get(index * n_bytes..(index + 1) * n_bytes).unwrap_or(&[])
+    }
+
+    /// One word of a frame, or of a part of one, as a float; integers as such.
+    fn word_of(&self, bytes: &[u8], word: usize) -> f32 {
+        let order = self.layout.order;
+        if self.layout.stride.float {
+            order.float_at(bytes, 4 * word).unwrap_or(0.0)
+        } else {
+            f32::from(order.word_at(bytes, 2 * word).unwrap_or(0) as i16)
+        }
+    }
+
+    /// One word of a frame as a float; integers as such.
+    pub(super) fn word(&self, frame: usize, word: usize) -> f32 {
+        self.word_of(self.frame(frame), word)
+    }
+
+    /// One word of a frame as columns keep it: a float's bits in order, or an integer.
+    pub(super) fn column_word(&self, frame: usize, word: usize) -> u32 {
+        if self.layout.stride.float {
+            ordered(self.word(frame, word).to_bits())
+        } else {
+            u32::from(self.layout.order.word_at(self.frame(frame), 2 * word).unwrap_or(0))
+        }
+    }
+
+    /// The coordinates as stored and the fourth word of a point.
+    pub(super) fn point(&self, frame: usize, point: usize) -> ([f64; 3], f32) {
+        let n_bytes = 4 * self.layout.stride.word_bytes();
+        let sample = self.frame(frame).get(n_bytes * point..n_bytes * (point + 1));
+        let sample = sample.unwrap_or(&[]);
+        let [x, y, z, fourth] = [0, 1, 2, 3].map(|word| self.word_of(sample, word));
+        ([x, y, z].map(f64::from), fourth)
+    }
+
+    /// What a coordinate is multiplied by before its unit counts.
+    pub(super) fn scale(&self) -> f64 {
+        if self.layout.stride.float { 1.0 } else { f64::from(self.layout.scale) }
+    }
+}
+
+/// Whether a sample's fourth word says that it is missing: it is a 16-bit integer, and negative. In float files some
+/// software writes the -1 unsigned, as 65535.0: no residual and camera mask reach 32768, so these are missing, too.
+/// What stands at the origin with another fourth word is a position, as for the field's other readers.
+pub(super) fn is_missing(fourth: f32) -> bool {
+    fourth < 0.0 || (32_768.0..65_536.0).contains(&fourth)
+}

@@ -1,0 +1,428 @@
+//! Track Row Column, the text format of Motion Analysis that `OpenSim` and Cortex read and write.
+//!
+//! Three header lines (a path line, names, values), a line with `Frame#`, `Time` and a label every three columns,
+//! a line `X1 Y1 Z1 X2 ...`, perhaps an empty line, then one line a frame; cells are separated by tabs, in what some
+//! scripts write by commas or spaces.
+//! In an unlabelled cloud no label stands, `NumMarkers` is 0 and lines differ in length.
+
+use std::io::Write;
+
+use super::{
+    InterchangeError, ReadOptions, expect_frames,
+    origin::{self, beside_origin},
+    put_position,
+    table::{CUT_OFF, Table},
+    text::{self, Separator, column_labels, plain},
+    units::{FileUnit, Millimetres},
+    write_frames,
+};
+use crate::{
+    ambiguity::{Ambiguity, Notes},
+    motion::{Foreign, FrameSource, Motion, MotionInfo, UpAxis},
+};
+
+/// Kind of the header lines that are kept: the first three lines of the file as they are.
+const HEADER: &str = "trc/header";
+
+/// Cells in front of the positions: frame number and time.
+const LEAD_CELLS: usize = 2;
+
+/// Lines within which the labels must stand.
+const HEAD_LINES_MAX: usize = 16;
+
+/// Reads a whole file.
+pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, InterchangeError> {
+    let mut notes = Notes::default();
+    let head = Head::parse(bytes, &mut notes.warnings)?;
+    let unit = FileUnit::of(&head.unit, options.unit, &mut notes);
+    let mut table = Table::new("trc", bytes, Millimetres::new(unit.factor, options.turn()));
+    let warnings = &mut notes.warnings;
+    let separator = separator_of_rows(bytes, &head);
+    let width = read_rows(&mut table, bytes, &head, separator, warnings)?;
+    table.place(Some(head.rate_hz), width, warnings);
+    let frames_missing = table.n_missing(head.n_frames, warnings);
+    // A label with a space in it counts as several where spaces separate them.
+    let n_labels = match (separator, head.n_markers) {
+        (Separator::Byte(_), Some(n)) if n > 0 => usize::try_from(n).unwrap_or(usize::MAX),
+        _ => width,
+    };
+    let mut labels = head.labels;
+    if head.separator == Separator::Spaces && !labels.is_empty() && labels.len() != n_labels {
+        warnings.push(format!(
+            "Spaces separate {} labels of {n_labels} markers: which is whose is not known, and markers are numbered.",
+            labels.len()
+        ));
+        labels.clear();
+    }
+    let width = width.max(labels.len());
+    if let Some(announced) = head.n_markers.filter(|&n| n > 0 && n != width as u64) {
+        warnings
+            .push(format!("NumMarkers is {announced}, the file has columns for {width} markers."));
+    }
+    let first_frame = table.first_frame().unwrap_or(1);
+    let n_frames = table.n_frames();
+    let mut positions_mm = table.into_positions(width)?;
+    let samples = origin::remove(&mut positions_mm, width);
+    if samples > 0 {
+        notes.ambiguous(Ambiguity::Origin { samples, gaps: true });
+    }
+    unit.judge(&positions_mm, width, &mut notes);
+    Ok(Motion {
+        positions_mm,
+        info: MotionInfo {
+            rate_hz: head.rate_hz,
+            n_frames,
+            markers: text::markers(&labels, width),
+            up: options.up(UpAxis::Unknown, &mut notes),
+            source: unit.into_source("trc", first_frame, frames_missing, notes),
+            foreign: vec![Foreign { kind: HEADER.to_owned(), data: head.lines.into() }],
+            ..MotionInfo::default()
+        },
+    })
+}
+
+/// What stands above the data.
+struct Head {
+    rate_hz: f64,
+    unit: String,
+    n_frames: Option<u64>,
+    n_markers: Option<u64>,
+    labels: Vec<String>,
+    /// What stands between the labels.
+    separator: Separator,
+    /// Number of the line with the labels.
+    labels_line: usize,
+    /// The lines above it, without line ends, each followed by LF.
+    lines: Vec<u8>,
+}
+
+impl Head {
+    fn parse(bytes: &[u8], warnings: &mut Vec<String>) -> Result<Self, InterchangeError> {
+        let begins_with = |line: &[u8], name: &[u8]| {
+            let start = line.trim_ascii_start().get(..name.len());
+            start.is_some_and(|start| start.eq_ignore_ascii_case(name))
+        };
+        let mut lines = text::lines(bytes);
+        let mut kept = Vec::new();
+        let mut values: Vec<(String, String)> = Vec::new();
+        let (labels_line, labels) = loop {
+            let Some((number, line)) = lines.next() else {
+                return Err(malformed(
+                    "line 4",
+                    "expected a line that begins with `Frame#` and `Time`, found none: not a TRC file",
+                ));
+            };
+            if begins_with(line, b"Frame#") {
+                break (number, line);
+            }
+            if number > HEAD_LINES_MAX {
+                return Err(malformed(
+                    "line 1",
+                    "expected `Frame#` within 16 lines: not a TRC file",
+                ));
+            }
+            let names = kept.split(|&b| b == b'\n').nth_back(1).unwrap_or(&[]);
+            if begins_with(names, b"DataRate") {
+                let names = cells(names).map(|name| name.to_ascii_lowercase());
+                values = names.zip(cells(line)).collect();
+            }
+            kept.extend_from_slice(line);
+            kept.push(b'\n');
+        };
+        let value =
+            |name: &str| values.iter().find(|(n, _)| n == name).map(|(_, value)| value.as_str());
+        let rate = |name: &str| text::rate(value(name)?.as_bytes());
+        let Some(rate_hz) = rate("datarate").or_else(|| rate("camerarate")) else {
+            return Err(malformed(
+                "line 3",
+                "expected the rate under `DataRate`, a number above 0: mend the line and try again",
+            ));
+        };
+        let separator = Separator::of(labels);
+        let count = |name: &str| text::whole_number(value(name)?.as_bytes());
+        let n_markers = count("nummarkers");
+        Ok(Self {
+            rate_hz,
+            unit: value("units").unwrap_or_default().to_owned(),
+            n_frames: count("numframes"),
+            n_markers,
+            labels: labels_of(labels, separator, n_markers, warnings),
+            separator,
+            labels_line,
+            lines: kept,
+        })
+    }
+}
+
+/// The trimmed cells of a header line.
+fn cells(line: &[u8]) -> impl Iterator<Item = String> + '_ {
+    Separator::of(line).cells(line).map(|cell| text::decode(cell.trim_ascii()))
+}
+
+/// The labels: every three cells, or in every cell where as many follow each other as there are markers, or where cells
+/// cannot be empty.
+fn labels_of(
+    line: &[u8],
+    separator: Separator,
+    n_markers: Option<u64>,
+    warnings: &mut Vec<String>,
+) -> Vec<String> {
+    let mut cells: Vec<String> = cells(line).skip(2).collect();
+    while cells.last().is_some_and(String::is_empty) {
+        cells.pop();
+    }
+    if separator == Separator::Spaces {
+        return cells;
+    }
+    let between =
+        cells.iter().enumerate().filter(|(index, cell)| index % 3 != 0 && !cell.is_empty()).count();
+    if between == 0 {
+        return cells.into_iter().step_by(3).collect();
+    }
+    if n_markers == Some(cells.len() as u64) {
+        warnings.push("Labels stand in every column, not in every third.".to_owned());
+        return cells;
+    }
+    cells.retain(|cell| !cell.is_empty());
+    warnings.push(format!(
+        "Labels do not stand in every third column; {} were taken in order.",
+        cells.len()
+    ));
+    cells
+}
+
+fn malformed(place: &str, message: &str) -> InterchangeError {
+    InterchangeError::malformed("trc", place, message)
+}
+
+/// Reads everything below the labels. Returns the number of markers of the widest row.
+fn read_rows(
+    table: &mut Table<'_>,
+    bytes: &[u8],
+    head: &Head,
+    separator: Separator,
+    warnings: &mut Vec<String>,
+) -> Result<usize, InterchangeError> {
+    let exact_width = match separator {
+        Separator::Byte(_) => None,
+        Separator::Spaces => exact_width(bytes, head)?,
+    };
+    let mut width = exact_width.unwrap_or(0);
+    let mut skipped_lines = Skipped::default();
+    let mut skipped_rows = Skipped::default();
+    let mut n_cells = 0;
+    for (at, line) in text::lines(bytes).skip(head.labels_line) {
+        if frame_number(line, separator).is_none() {
+            // The line X1 Y1 Z1... and empty lines.
+            let own = Separator::of(line);
+            let is_empty = own.cells(line).next().is_none_or(|cell| cell.trim_ascii().is_empty());
+            if !is_empty && !is_axes(own, line) {
+                skipped_lines.add(at);
+            }
+            continue;
+        }
+        let mut cells = separator.cells(line);
+        table.begin_row(cells.next().unwrap_or(&[]), cells.next().unwrap_or(&[]));
+        n_cells = separator.cells(line).count();
+        if is_aligned(line, separator, exact_width) {
+            width = width.max(table.read_samples(&mut cells));
+        } else {
+            skipped_rows.add(at);
+        }
+        table.end_row();
+    }
+    if n_cells > LEAD_CELLS && text::ends_within_a_number(bytes, head.labels_line + 1, separator) {
+        table.drop_cut((n_cells - LEAD_CELLS - 1) / 3);
+        warnings.push(CUT_OFF.to_owned());
+    }
+    if let Skipped { n: n @ 1.., first } = skipped_lines {
+        warnings.push(format!(
+            "{n} lines do not begin with a frame number and were left out, the first is line {first}."
+        ));
+    }
+    if let Skipped { n: n @ 1.., first } = skipped_rows {
+        warnings.push(format!(
+            "{n} rows do not have the cells of all markers, or another separator than the others; which cell is whose \
+             is not known, and they are gaps. The first is line {first}."
+        ));
+    }
+    table.report_damaged(warnings);
+    table.report_not_finite(warnings);
+    Ok(width)
+}
+
+/// Lines that could not be read.
+#[derive(Default)]
+struct Skipped {
+    n: usize,
+    first: usize,
+}
+
+impl Skipped {
+    fn add(&mut self, line: usize) {
+        if self.n == 0 {
+            self.first = line;
+        }
+        self.n += 1;
+    }
+}
+
+/// The number that a row begins with, also where something else than in other rows stands between its cells; `None` for
+/// other lines.
+fn frame_number(line: &[u8], separator: Separator) -> Option<u64> {
+    let of = |separator: Separator| text::whole_number(separator.cells(line).next()?);
+    of(separator).or_else(|| of(Separator::of(line)))
+}
+
+/// One separator for all rows: that of the labels where a row has it, else that of the first row.
+fn separator_of_rows(bytes: &[u8], head: &Head) -> Separator {
+    let of_labels = head.separator;
+    let mut first = None;
+    for (_, line) in text::lines(bytes).skip(head.labels_line) {
+        let own = Separator::of(line);
+        if frame_number(line, own).is_none() {
+            continue;
+        }
+        if of_labels == Separator::Spaces {
+            return own;
+        }
+        if of_labels.is_in(line) {
+            return of_labels;
+        }
+        first.get_or_insert(own);
+    }
+    first.unwrap_or(of_labels)
+}
+
+/// How many markers rows between spaces have: no cell is empty there, so that the row of a frame in which a marker is
+/// missing is shorter, and does not tell which one. As `NumMarkers` or the labels say, whichever more rows agree with.
+/// `None` where neither does: points of an unlabelled cloud are nobody's, and rows differ in length.
+///
+/// # Errors
+/// `Malformed` when no row agrees.
+fn exact_width(bytes: &[u8], head: &Head) -> Result<Option<usize>, InterchangeError> {
+    let announced = head.n_markers.and_then(|n| usize::try_from(n).ok());
+    let stated = [announced, Some(head.labels.len())].map(|n| n.filter(|&n| n > 0));
+    let mut agreeing = [0usize; 2];
+    let mut n_rows = 0usize;
+    for (_, line) in text::lines(bytes).skip(head.labels_line) {
+        if frame_number(line, Separator::Spaces).is_none() {
+            continue;
+        }
+        n_rows += 1;
+        let width = width_of(line);
+        for (count, stated) in agreeing.iter_mut().zip(stated) {
+            *count += usize::from(stated.is_some() && stated == width);
+        }
+    }
+    let [by_number, by_labels] = agreeing;
+    let [of_number, of_labels] = stated;
+    let preferred = if by_labels > by_number { of_labels } else { of_number.or(of_labels) };
+    let Some(width) = preferred else { return Ok(None) };
+    if n_rows > 0 && by_number.max(by_labels) == 0 {
+        let message = format!(
+            "expected rows of {} cells between spaces (frame, time, and three for each of {width} markers), found none: \
+             a missing marker has no cells there, and which one is missing is not known; separate the cells by tabs",
+            width.saturating_mul(3).saturating_add(LEAD_CELLS)
+        );
+        return Err(malformed("data", &message));
+    }
+    Ok(Some(width))
+}
+
+/// Markers of a row between spaces; `None` for a part of one.
+fn width_of(line: &[u8]) -> Option<usize> {
+    let n_cells = Separator::Spaces.cells(line).count().checked_sub(LEAD_CELLS)?;
+    n_cells.is_multiple_of(3).then_some(n_cells / 3)
+}
+
+/// Whether each cell of a row stands in the column of its marker.
+fn is_aligned(line: &[u8], separator: Separator, exact_width: Option<usize>) -> bool {
+    match separator {
+        Separator::Spaces => match (width_of(line), exact_width) {
+            (Some(width), Some(exact)) => width == exact,
+            (width, None) => width.is_some(),
+            (None, Some(_)) => false,
+        },
+        // A number alone is a frame without a position.
+        Separator::Byte(_) => separator.is_in(line) || text::whole_number(line).is_some(),
+    }
+}
+
+/// Whether a line holds nothing but `X1 Y1 Z1 X2...`, three cells at least.
+fn is_axes(separator: Separator, line: &[u8]) -> bool {
+    let is_axis = |cell: &[u8]| match cell.trim_ascii().split_first() {
+        Some((axis, number)) => b"XYZxyz".contains(axis) && number.iter().all(u8::is_ascii_digit),
+        None => true,
+    };
+    separator.cells(line).nth(2).is_some() && separator.cells(line).all(is_axis)
+}
+
+/// Writes a whole file as `OpenSim` reads it: millimetres, LF, missing samples as empty cells, as many digits as bring back
+/// the f32.
+///
+/// Lines end in a tab, as `OpenSim` writes them: its reader takes what stands behind the last tab for a cell only when
+/// it is not empty, so that a row whose last sample is missing would have a cell too few.
+pub(super) fn write(
+    frames: &mut dyn FrameSource,
+    out: &mut dyn Write,
+) -> Result<(), InterchangeError> {
+    let info = frames.info().clone();
+    let first_frame = info.source.first_frame.max(1);
+    let mut head = Vec::new();
+    write_head(&mut head, &info, first_frame)?;
+    let n_written = write_frames(frames, out, head, |line, index, row| {
+        write!(line, "{}\t{}\t", first_frame + index, index as f64 / info.rate_hz)?;
+        for &position in row {
+            put_position(line, beside_origin(position), b'\t', "")?;
+            line.push(b'\t');
+        }
+        line.push(b'\n');
+        Ok(())
+    })?;
+    Ok(expect_frames(info.n_frames, n_written)?)
+}
+
+fn write_head(
+    line: &mut Vec<u8>,
+    info: &MotionInfo,
+    first_frame: u64,
+) -> Result<(), InterchangeError> {
+    let n_markers = info.markers.len();
+    let kept = &text::kept_header(info, HEADER)?[..];
+    let name =
+        text::lines(kept).map(|(_, line)| line).find(|line| line.starts_with(b"PathFileType"));
+    line.extend(name.unwrap_or(b"PathFileType\t4\t(X/Y/Z)\tmocapd.trc"));
+    let original = |name: &str| original_value(kept, name);
+    let camera_rate = original("CameraRate").unwrap_or_else(|| info.rate_hz.to_string());
+    let original_rate = original("OrigDataRate").unwrap_or_else(|| info.rate_hz.to_string());
+    let original_first = original("OrigDataStartFrame").unwrap_or_else(|| first_frame.to_string());
+    let original_frames = original("OrigNumFrames").unwrap_or_else(|| info.n_frames.to_string());
+    write!(
+        line,
+        "\nDataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames\n\
+         {}\t{camera_rate}\t{}\t{n_markers}\tmm\t{original_rate}\t{original_first}\t{original_frames}\nFrame#\tTime\t",
+        info.rate_hz, info.n_frames
+    )?;
+    // A label is never empty and none comes twice: OpenSim's tables need that.
+    for label in column_labels(info) {
+        write!(line, "{}\t\t\t", plain(&label))?;
+    }
+    line.extend(b"\n\t\t");
+    for column in 1..=n_markers {
+        write!(line, "X{column}\tY{column}\tZ{column}\t")?;
+    }
+    line.extend(b"\n\n");
+    Ok(())
+}
+
+/// A value of the file that was read, where its header stands in two lines of names and values.
+fn original_value(kept: &[u8], name: &str) -> Option<String> {
+    let mut lines = text::lines(kept).map(|(_, line)| line);
+    let names = lines.find(|line| line.starts_with(b"DataRate"))?;
+    let values = lines.next()?;
+    let column =
+        names.split(|&b| b == b'\t').position(|cell| cell.trim_ascii() == name.as_bytes())?;
+    let value = text::decode(values.split(|&b| b == b'\t').nth(column)?.trim_ascii());
+    (!value.is_empty()).then_some(value)
+}

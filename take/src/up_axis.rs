@@ -1,0 +1,59 @@
+//! Which way is up.
+
+/// Which way is up, where the source says so.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum UpAxis {
+    /// The source does not say.
+    #[default]
+    Unknown,
+    /// +x
+    X,
+    /// +y
+    Y,
+    /// +z
+    Z,
+}
+
+impl UpAxis {
+    /// By `x`, `y` or `z`, in either case.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        [Self::X, Self::Y, Self::Z]
+            .into_iter()
+            .find(|axis| axis.name().is_some_and(|of_axis| of_axis.eq_ignore_ascii_case(name)))
+    }
+
+    /// `x`, `y` or `z`, where it is known.
+    #[must_use]
+    pub fn name(self) -> Option<&'static str> {
+        ["x", "y", "z"].get(self.index()?).copied()
+    }
+
+    /// 0, 1 or 2, where it is known.
+    #[must_use]
+    pub fn index(self) -> Option<usize> {
+        match self {
+            Self::Unknown => None,
+            Self::X => Some(0),
+            Self::Y => Some(1),
+            Self::Z => Some(2),
+        }
+    }
+
+    /// As HEADER stores it.
+    #[must_use]
+    pub fn code(self) -> u8 {
+        self.index().map_or(0, |index| index as u8 + 1)
+    }
+
+    /// From what HEADER stores; anything else is unknown.
+    #[must_use]
+    pub fn from_code(code: u8) -> Self {
+        match code {
+            1 => Self::X,
+            2 => Self::Y,
+            3 => Self::Z,
+            _ => Self::Unknown,
+        }
+    }
+}
