@@ -7,7 +7,6 @@
 //! text from outside is escaped where it is logged, too.
 
 mod gate;
-mod summaries;
 
 use std::{fmt, io, str::FromStr, sync::Arc};
 
@@ -22,7 +21,7 @@ use tracing_subscriber::{
     util::SubscriberInitExt,
 };
 
-use self::gate::Gate;
+use self::gate::{Gate, Summaries};
 use crate::local_time;
 
 /// Before the names of our fields in the journal: `MOCAPD_RIG`, `MOCAPD_TAKE`, `MOCAPD_DEVICE`.
@@ -84,7 +83,7 @@ impl FromStr for Level {
 #[derive(Debug)]
 pub struct Log {
     gate: Arc<Gate>,
-    _summaries: summaries::Running,
+    _summaries: Summaries,
 }
 
 impl Log {
@@ -106,7 +105,7 @@ impl Log {
         let registry =
             tracing_subscriber::registry().with(out).with(gate::Layer(Arc::clone(&gate)));
         registry.try_init().context("the log runs already")?;
-        let summaries = summaries::start(Arc::clone(&gate))?;
+        let summaries = Summaries::start(Arc::clone(&gate))?;
         Ok(Self { gate, _summaries: summaries })
     }
 

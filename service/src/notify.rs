@@ -127,11 +127,7 @@ fn tell(states: &[NotifyState<'_>]) {
 /// What may stand in one assignment: a line break would begin another.
 fn one_line(words: &str) -> String {
     let mut line = visible(words).into_owned();
-    let mut end = line.len().min(STATUS_BYTES_MAX);
-    while !line.is_char_boundary(end) {
-        end -= 1;
-    }
-    line.truncate(end);
+    line.truncate(line.floor_char_boundary(STATUS_BYTES_MAX));
     line
 }
 
