@@ -8,8 +8,8 @@ use axum::{
 use serde::de::DeserializeOwned;
 
 use super::{
+    Shared,
     problem::{Problem, ProblemKind},
-    state::Shared,
 };
 use crate::control::{self, Mark, SaveLast, Start};
 

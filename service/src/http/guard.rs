@@ -16,12 +16,10 @@ use axum::{
 };
 
 use super::{
-    connection::Via,
-    counts::Counts,
-    pages,
+    Counts, Shared, Via,
+    login::{self, LOGIN_PATH},
     places::Place,
     problem::{PROBLEM_JSON, Problem, ProblemKind},
-    state::Shared,
 };
 
 /// Bytes of path and query at most; the longest that means something has a take's name, percent-encoded.
@@ -74,8 +72,8 @@ fn check(app: &Shared, request: &Request) -> Result<(), Box<Response>> {
     if is_authorized || is_open(uri.path()) {
         return Ok(());
     }
-    if request.method() == Method::GET && pages::is_wanted(headers) {
-        return Err(Box::new(Redirect::to(pages::LOGIN_PATH).into_response()));
+    if request.method() == Method::GET && login::is_wanted(headers) {
+        return Err(Box::new(Redirect::to(LOGIN_PATH).into_response()));
     }
     let words = "a token is needed: send `Authorization: Bearer …`, or log in at /login";
     refuse(Problem::new(StatusCode::UNAUTHORIZED, ProblemKind::Unauthorized, words))
@@ -162,7 +160,7 @@ fn same_site(headers: &HeaderMap, host: Option<&Authority>) -> Result<(), Proble
 pub(super) async fn finish(State(app): State<Shared>, request: Request, next: Next) -> Response {
     let path = request.uri().path().to_owned();
     let is_api = path.starts_with("/v1/");
-    let is_page = !is_api && pages::is_wanted(request.headers());
+    let is_page = !is_api && login::is_wanted(request.headers());
     Counts::add(&app.counts.requests, 1);
     let mut response = next.run(request).await;
     let status = response.status();
@@ -177,7 +175,7 @@ pub(super) async fn finish(State(app): State<Shared>, request: Request, next: Ne
             }
         }
         if is_page && let Some(problem) = response.extensions().get::<Problem>() {
-            let page = pages::refusal(&path, problem).into_response();
+            let page = login::refusal(&path, problem).into_response();
             let headers = response.headers_mut();
             headers.remove(header::CONTENT_LENGTH);
             headers.extend(page.headers().clone());

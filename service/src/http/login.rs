@@ -1,4 +1,5 @@
-//! A browser shows the token once, and holds a cookie from then on.
+//! A browser shows the token once, and holds a cookie from then on. The pages that the service itself writes: the form
+//! for it, and refusals for people who look at them in a browser.
 
 use std::time::Duration;
 
@@ -9,10 +10,10 @@ use axum::{
 };
 
 use super::{
+    Shared,
     auth::{COOKIE, SESSION_MAX},
-    body, pages,
+    body,
     problem::{Problem, ProblemKind},
-    state::Shared,
 };
 
 /// Before a wrong token is answered: guessing over one connection is slow, and connections are counted.
@@ -22,7 +23,7 @@ const WRONG_TOKEN_WAIT: Duration = Duration::from_millis(500);
 #[utoipa::path(get, path = "/login", tag = "login",
     responses((status = 200, body = String, content_type = "text/html")), security(()))]
 pub(super) async fn page() -> Html<String> {
-    pages::login()
+    Html(LOGIN.replace(PLACE, ""))
 }
 
 /// What the page sends.
@@ -114,6 +115,36 @@ fn token_of(form: &[u8]) -> Option<Vec<u8>> {
     Some(out.trim_ascii().to_vec())
 }
 
+pub(super) const LOGIN_PATH: &str = "/login";
+
+const LOGIN: &str = include_str!("login.html");
+
+const REFUSAL: &str = include_str!("problem.html");
+
+/// Where a page says what was refused.
+const PLACE: &str = "<!-- problem -->";
+
+/// Whether the client is a browser that shows what comes: `fetch` and programs accept anything, not HTML first of all.
+pub(super) fn is_wanted(headers: &HeaderMap) -> bool {
+    let accepts = headers.get(header::ACCEPT).and_then(|accepts| accepts.to_str().ok());
+    accepts.is_some_and(|accepts| accepts.contains("text/html"))
+}
+
+/// A refusal as a page: at the login the form again.
+pub(super) fn refusal(path: &str, problem: &Problem) -> Html<String> {
+    let (page, message) = match problem.kind {
+        ProblemKind::Unauthorized if path == LOGIN_PATH => (LOGIN, "Wrong token.".to_owned()),
+        _ if path == LOGIN_PATH => (LOGIN, escaped(&problem.message)),
+        _ => (REFUSAL, escaped(&problem.message)),
+    };
+    Html(page.replace(PLACE, &format!("<p role=\"alert\">{message}</p>")))
+}
+
+/// Text as HTML: a message may hold what a request said.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -125,5 +156,15 @@ mod tests {
         assert_eq!(token("a=b&token=a%2Bb%20&c=d").as_deref(), Some("a+b"));
         assert_eq!(token("token=%zz%4").as_deref(), Some("%zz%4"));
         assert_eq!(token("tokens=abc"), None);
+    }
+
+    #[test]
+    fn what_a_request_said_is_no_markup() {
+        let problem = Problem::invalid("'<b>&\"' is no host");
+        let Html(page) = refusal("/", &problem);
+        assert!(
+            page.contains("'&lt;b&gt;&amp;&quot;' is no host") && !page.contains("<b>"),
+            "{page}"
+        );
     }
 }

@@ -1,18 +1,28 @@
 //! The figures of the status for Prometheus.
 
-mod figures;
-
-use std::sync::Arc;
+use std::{
+    fmt::Error,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+};
 
 use axum::{
-    extract::State,
+    extract,
     http::{HeaderMap, header},
     response::{IntoResponse, Response},
 };
-use prometheus_client::{encoding::text::encode, registry::Registry};
+use mocapd_acquire::{health::TakeHealth, ledger::LedgerDocument};
+use prometheus_client::{
+    collector::Collector,
+    encoding::{DescriptorEncoder, EncodeMetric, text::encode},
+    metrics::{MetricType, counter::ConstCounter, gauge::ConstGauge},
+    registry::{Registry, Unit},
+};
 
-use self::figures::Figures;
-use super::{problem::Problem, state::Shared};
+use super::{Counts, Shared, problem::Problem};
+use crate::status::{State, Status, TakeStatus, TakeSummary};
 
 const OPEN_METRICS: &str = "application/openmetrics-text";
 
@@ -23,7 +33,7 @@ const OPEN_METRICS: &str = "application/openmetrics-text";
     (String = "text/plain; version=0.0.4; charset=utf-8"),
     (String = "application/openmetrics-text; version=1.0.0; charset=utf-8")))))]
 pub(super) async fn metrics(
-    State(app): State<Shared>,
+    extract::State(app): extract::State<Shared>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let mut registry = Registry::with_prefix("mocapd");
@@ -63,14 +73,308 @@ fn classic(text: &str) -> String {
     out
 }
 
+/// The figures at one time: names in Prometheus' base units, and what each means.
+#[derive(Debug)]
+struct Figures {
+    status: Status,
+    counts: Arc<Counts>,
+}
+
+impl Collector for Figures {
+    fn encode(&self, encoder: DescriptorEncoder<'_>) -> Result<(), Error> {
+        let mut out = Out(encoder);
+        self.service(&mut out)?;
+        self.device(&mut out)?;
+        self.input(&mut out)?;
+        self.pre_roll_and_disk(&mut out)?;
+        if let Some(take) = &self.status.take {
+            of_take(take, &mut out)?;
+            of_ledger(&take.ledger, &mut out)?;
+        }
+        if let Some(take) = &self.status.last_take {
+            of_last_take(take, &mut out)?;
+        }
+        self.http(&mut out)
+    }
+}
+
+/// Writes one figure after the other.
+struct Out<'a>(DescriptorEncoder<'a>);
+
+impl Out<'_> {
+    /// A name ends with its unit, where it has one.
+    fn gauge(
+        &mut self,
+        name: &str,
+        help: &str,
+        unit: Option<Unit>,
+        value: f64,
+    ) -> Result<(), Error> {
+        let metric = self.0.encode_descriptor(name, help, unit.as_ref(), MetricType::Gauge)?;
+        ConstGauge::new(value).encode(metric)
+    }
+
+    fn counter(&mut self, name: &str, help: &str, value: u64) -> Result<(), Error> {
+        let metric = self.0.encode_descriptor(name, help, None, MetricType::Counter)?;
+        ConstCounter::new(value).encode(metric)
+    }
+
+    /// One figure with several values, told apart by a label.
+    fn by(
+        &mut self,
+        name: &str,
+        help: &str,
+        label: &str,
+        values: &[(&str, f64)],
+    ) -> Result<(), Error> {
+        let mut metric = self.0.encode_descriptor(name, help, None, MetricType::Gauge)?;
+        for &(which, value) in values {
+            ConstGauge::new(value).encode(metric.encode_family(&[(label, which)])?)?;
+        }
+        Ok(())
+    }
+
+    /// Which one of several it is.
+    fn one_of(&mut self, name: &str, help: &str, names: &[&str], is: &str) -> Result<(), Error> {
+        let values: Vec<_> = names.iter().map(|&which| (which, flag(which == is))).collect();
+        let label = name.rsplit('_').next().unwrap_or(name);
+        self.by(name, help, label, &values)
+    }
+}
+
+fn flag(is: bool) -> f64 {
+    f64::from(u8::from(is))
+}
+
+/// Figures with what they mean. A gauge may have a unit; a value without one is a number.
+macro_rules! figures {
+    ($out:ident: $(#[doc = $help:literal] $kind:ident $name:ident $(in $unit:ident)? = $value:expr;)*) => {
+        $(figures!(@$kind $out, stringify!($name), $help.trim_ascii(), $($unit)?, $value)?;)*
+    };
+    (@counter $out:ident, $name:expr, $help:expr, , $value:expr) => {
+        $out.counter($name, $help, $value)
+    };
+    (@gauge $out:ident, $name:expr, $help:expr, , $value:expr) => {
+        $out.gauge($name, $help, None, $value)
+    };
+    (@gauge $out:ident, $name:expr, $help:expr, Hertz, $value:expr) => {
+        $out.gauge($name, $help, Some(Unit::Other("hertz".to_owned())), $value)
+    };
+    (@gauge $out:ident, $name:expr, $help:expr, Ratio, $value:expr) => {
+        $out.gauge($name, $help, Some(Unit::Other("ratio".to_owned())), $value)
+    };
+    (@gauge $out:ident, $name:expr, $help:expr, $unit:ident, $value:expr) => {
+        $out.gauge($name, $help, Some(Unit::$unit), $value)
+    };
+}
+
+impl Figures {
+    fn service(&self, out: &mut Out<'_>) -> Result<(), Error> {
+        let status = &self.status;
+        let mut build =
+            out.0.encode_descriptor("build_info", "Program and rig", None, MetricType::Gauge)?;
+        let labels = [("software", status.software.as_str()), ("rig", status.rig.as_str())];
+        ConstGauge::new(1.0).encode(build.encode_family(&labels)?)?;
+        figures! { out:
+            /// Since the service was started
+            gauge uptime in Seconds = status.uptime_s;
+        }
+        let state = match status.state {
+            State::Idle => "idle",
+            State::Armed => "armed",
+            State::Recording => "recording",
+            State::Failed => "failed",
+        };
+        let names = ["idle", "armed", "recording", "failed"];
+        out.one_of("state", "What the service is doing: 1 for the state it is in", &names, state)
+    }
+
+    fn device(&self, out: &mut Out<'_>) -> Result<(), Error> {
+        let device = &self.status.device;
+        let names = ["absent", "present", "streaming", "silent"];
+        let help = "Whether the device is there: 1 for how it is";
+        out.one_of("device_presence", help, &names, &device.presence.to_string())?;
+        let outage = device.outage.unwrap_or_default();
+        figures! { out:
+            /// Frames a second that the device states
+            gauge device_rate in Hertz = device.rate_hz;
+            /// Markers announced, and those that appeared since
+            gauge device_markers = device.markers as f64;
+            /// Times that the device went away and came back since it was armed
+            counter device_outages = u64::from(device.outages);
+            /// 1 while the device is absent and waited for
+            gauge device_is_awaited = flag(device.is_awaited);
+            /// Since the last frame, while the device should stream and does not; 0 while it does
+            gauge device_outage in Seconds = outage.seconds;
+            /// Frames that were due in that time
+            gauge device_outage_frames = outage.frames as f64;
+        }
+        if let Some(ends_in_s) = outage.ends_in_s {
+            figures! { out:
+                /// Until a device that is away is given up, and its take ends
+                gauge device_outage_ends_in in Seconds = ends_in_s;
+            }
+        }
+        Ok(())
+    }
+
+    fn input(&self, out: &mut Out<'_>) -> Result<(), Error> {
+        let input = &self.status.input;
+        figures! { out:
+            /// Frames taken in since the device was armed
+            counter input_frames = input.frames;
+            /// Frames lost since the device was armed, for whatever reason
+            counter input_frames_lost = input.lost;
+            /// Frames a second over the last seconds, as they arrived
+            gauge input_measured_rate in Hertz = input.measured_hz;
+            /// How full the fullest ring is
+            gauge input_ring_fill in Ratio = input.ring_fill;
+            /// From a frame's last byte to its place in every ring: 99 of 100 frames, at most
+            gauge input_ring_latency_p99 in Seconds = input.ring_latency_p99_us as f64 / 1e6;
+            /// What 99 of 100 frames were no later than after the clock's line; 0 while unknown
+            gauge input_jitter_p99 in Seconds = input.jitter_p99_us as f64 / 1e6;
+            /// How much faster the host's clock runs than the device's
+            gauge input_clock_drift in Ratio = input.drift_ppm / 1e6;
+            /// Processor time of all threads over the last seconds, in cores
+            gauge cpu_cores = input.cpu_cores;
+        }
+        Ok(())
+    }
+
+    fn pre_roll_and_disk(&self, out: &mut Out<'_>) -> Result<(), Error> {
+        let (pre_roll, disk) = (&self.status.pre_roll, &self.status.disk);
+        figures! { out:
+            /// Pre-roll that is to be held
+            gauge pre_roll_wanted in Seconds = pre_roll.wanted_s;
+            /// Pre-roll that is held
+            gauge pre_roll_held in Seconds = pre_roll.held_s;
+            /// What the pre-roll takes
+            gauge pre_roll_memory in Bytes = pre_roll.held_bytes as f64;
+            /// 1 when less is held than wanted because of the bound on memory
+            gauge pre_roll_is_cut = flag(pre_roll.is_cut);
+        }
+        if let Some(free) = disk.free_bytes {
+            figures! { out:
+                /// Free on the disk of the takes' folder
+                gauge disk_free in Bytes = free as f64;
+            }
+        }
+        figures! { out:
+            /// What stays free: a take that comes there is closed
+            gauge disk_keep_free in Bytes = disk.keep_free_bytes as f64;
+        }
+        if let Some(left) = disk.left_s {
+            figures! { out:
+                /// How long a take can go on at the rate of the last half a minute
+                gauge disk_left in Seconds = left as f64;
+            }
+        }
+        Ok(())
+    }
+
+    fn http(&self, out: &mut Out<'_>) -> Result<(), Error> {
+        let counts = &self.counts;
+        let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        figures! { out:
+            /// Connections to the API that are open
+            gauge http_connections = count(&counts.connections) as f64;
+            /// Connections that were closed at once: there were too many
+            counter http_connections_refused = count(&counts.connections_refused);
+            /// Connections without a request in progress that were closed to make room for others
+            counter http_connections_evicted = count(&counts.connections_evicted);
+            /// Requests to the API
+            counter http_requests = count(&counts.requests);
+            /// Requests that were answered with 400 or more
+            counter http_requests_refused = count(&counts.requests_refused);
+            /// Messages of the live stream that viewers were too slow for
+            counter http_live_messages_skipped = count(&counts.live_frames_skipped);
+            /// Events that the API itself was too slow for
+            counter http_events_missed = count(&counts.events_missed);
+        }
+        Ok(())
+    }
+}
+
+fn of_take(take: &TakeStatus, out: &mut Out<'_>) -> Result<(), Error> {
+    figures! { out:
+        /// When the take was asked for, since 1970
+        gauge take_started_timestamp in Seconds = take.started_unix_ms as f64 / 1e3;
+        /// Rows of the take so far, lost ones included
+        gauge take_rows = take.rows as f64;
+        /// What the rows of the take make
+        gauge take_length in Seconds = take.seconds;
+        /// The take's file
+        gauge take_size in Bytes = take.bytes as f64;
+        /// What of the take would survive a power cut
+        gauge take_durable in Bytes = take.durable_bytes as f64;
+        /// 12 bytes a present sample, over the bytes of the file; 0 before there are any
+        gauge take_compression in Ratio = take.ratio;
+        /// Largest error of a sample of the take so far
+        gauge take_max_error in Meters = take.max_error_mm / 1e3;
+    }
+    Ok(())
+}
+
+fn of_ledger(ledger: &LedgerDocument, out: &mut Out<'_>) -> Result<(), Error> {
+    figures! { out:
+        /// Frames that the device sent for the take, as far as is known
+        gauge take_frames_sent = ledger.frames_sent as f64;
+    }
+    let frames = [
+        ("recorded", ledger.recorded),
+        ("lost_on_link", ledger.lost_on_link),
+        ("dropped_by_device", ledger.dropped_by_device),
+        ("lost_ring_full", ledger.lost_ring_full),
+        ("lost_other", ledger.lost_other),
+        ("duplicate", ledger.duplicates),
+        ("unknown_after_disconnect", ledger.unknown_after_disconnect),
+    ]
+    .map(|(fate, n)| (fate, n as f64));
+    out.by("take_frames", "What became of the take's frames", "fate", &frames)?;
+    figures! { out:
+        /// Samples that the take's frames should have
+        gauge take_samples_announced = ledger.samples_announced as f64;
+    }
+    let samples = [
+        ("present", ledger.samples_present),
+        ("occluded", ledger.samples_occluded),
+        ("not_finite", ledger.samples_not_finite),
+    ]
+    .map(|(fate, n)| (fate, n as f64));
+    out.by("take_samples", "What became of the take's samples", "fate", &samples)?;
+    figures! { out:
+        /// Samples of markers that there was no channel for
+        gauge take_markers_dropped = ledger.markers_dropped as f64;
+        /// Counters that contradict themselves
+        gauge take_contradictions = ledger.contradictions.len() as f64;
+        /// 1 when what was sent and what became of it are equal
+        gauge take_ledger_closes = flag(ledger.closes);
+    }
+    Ok(())
+}
+
+fn of_last_take(take: &TakeSummary, out: &mut Out<'_>) -> Result<(), Error> {
+    figures! { out:
+        /// The file of the take before
+        gauge last_take_size in Bytes = take.bytes as f64;
+        /// When the take before was last written, since 1970
+        gauge last_take_modified_timestamp in Seconds = take.modified_unix_ms as f64 / 1e3;
+        /// Length of the take before; 0 while unknown
+        gauge last_take_length in Seconds = take.seconds;
+        /// Markers of the take before; 0 while unknown
+        gauge last_take_markers = take.markers as f64;
+    }
+    let names = TakeHealth::ALL.map(TakeHealth::word);
+    let help = "How the take before is: 1 for what is known";
+    out.one_of("last_take_health", help, &names, take.health.word())
+}
+
 #[cfg(test)]
 mod tests {
     use serde_json::Value;
 
     use super::*;
-    use crate::status::{
-        DeviceStatus, OutageStatus, State as ServiceState, Status, TakeStatus, TakeSummary,
-    };
+    use crate::status::{DeviceStatus, OutageStatus};
 
     fn text(status: Status) -> String {
         let mut registry = Registry::with_prefix("mocapd");
@@ -131,7 +435,7 @@ mod tests {
 
     #[test]
     fn states_are_one_of_several() {
-        let text = text(Status { state: ServiceState::Armed, ..Status::default() });
+        let text = text(Status { state: State::Armed, ..Status::default() });
         assert!(text.contains("mocapd_state{state=\"armed\"} 1.0\n"), "{text}");
         assert!(text.contains("mocapd_state{state=\"recording\"} 0.0\n"), "{text}");
         assert!(!text.contains("mocapd_take_"), "no take, no figures of it");

@@ -12,38 +12,157 @@
 mod assets;
 mod auth;
 mod body;
-mod check;
+mod broadcast;
 mod commands;
 mod connection;
-mod counts;
-mod devices;
-mod document;
-mod download;
-mod events;
 mod guard;
-mod happenings;
 mod lanes;
-mod listen;
-mod live;
 mod login;
 mod metrics;
 mod options;
-mod pages;
 mod places;
 mod problem;
-mod range;
-mod reading;
 mod routes;
 mod server;
-mod show;
-mod stall;
-mod state;
+mod streams;
 mod takes;
 
+use std::{
+    net::SocketAddr,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering},
+    },
+    task::Poll,
+};
+
+use axum::body::Bytes;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
+
+use self::{
+    auth::Auth,
+    broadcast::{EventHub, LiveHub},
+    lanes::Lanes,
+};
 pub use self::{
-    check::TakeCheck,
     options::{CONNECTIONS_MAX, HttpOptions, TimeLimits},
     problem::{Problem, ProblemKind},
     routes::openapi,
     server::HttpServer,
+    takes::TakeCheck,
 };
+use crate::control::Control;
+
+/// The service, and what the server has around it, for the requests of one listener. What can be used up is each
+/// listener's own, so that clients of one never wait for those of another.
+#[derive(Debug)]
+struct App {
+    control: Arc<dyn Control>,
+    lanes: Lanes,
+    auth: Arc<Auth>,
+    counts: Arc<Counts>,
+    limits: TimeLimits,
+    allowed_hosts: Vec<String>,
+    events: Arc<EventHub>,
+    live: Arc<LiveHub>,
+    /// The API's description of itself.
+    document: Bytes,
+    /// Answers that go on for as long as the client likes: half of the listener's connections, so that
+    /// requests get through.
+    streams: Arc<Semaphore>,
+    /// Turns true when the server ends.
+    stopping: watch::Receiver<bool>,
+}
+
+/// What handlers are given.
+type Shared = Arc<App>;
+
+/// Held by an answer that goes on.
+type StreamPlace = OwnedSemaphorePermit;
+
+impl App {
+    /// A place for an answer that goes on for as long as the client likes.
+    ///
+    /// # Errors
+    /// 503 when there are too many.
+    fn stream_place(&self) -> Result<StreamPlace, Problem> {
+        Arc::clone(&self.streams).try_acquire_owned().map_err(|_| {
+            Problem::unavailable(
+                "too many streams and downloads: close one, or try again in a second",
+            )
+        })
+    }
+}
+
+/// Which way a request came.
+#[derive(Debug, Clone, Copy)]
+enum Via {
+    /// The Unix socket: its mode says who may come in.
+    Unix,
+    /// TCP, to this address.
+    Tcp(SocketAddr),
+}
+
+/// What the server counts of itself, for /metrics: of all connections since the start.
+#[derive(Debug, Default)]
+struct Counts {
+    /// Open now.
+    connections: AtomicU64,
+    /// Closed at once, because there were too many.
+    connections_refused: AtomicU64,
+    /// Closed to make room for another one.
+    connections_evicted: AtomicU64,
+    /// Requests that reached a route, or found none.
+    requests: AtomicU64,
+    /// Of these, answered with 400 or more.
+    requests_refused: AtomicU64,
+    /// Frames that viewers were too slow for.
+    live_frames_skipped: AtomicU64,
+    /// Events that listeners missed.
+    events_missed: AtomicU64,
+}
+
+impl Counts {
+    fn add(counter: &AtomicU64, n: u64) {
+        counter.fetch_add(n, Ordering::Relaxed);
+    }
+}
+
+/// Counts a connection as open while it lives.
+#[derive(Debug)]
+struct Open(Arc<Counts>);
+
+impl Open {
+    fn new(counts: Arc<Counts>) -> Self {
+        counts.connections.fetch_add(1, Ordering::Relaxed);
+        Self(counts)
+    }
+}
+
+impl Drop for Open {
+    fn drop(&mut self) {
+        self.0.connections.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+/// Awaits `work`, or `event`: `None`.
+async fn unless<T>(event: impl Future<Output = ()>, work: impl Future<Output = T>) -> Option<T> {
+    let (mut event, mut work) = (std::pin::pin!(event), std::pin::pin!(work));
+    std::future::poll_fn(|cx| {
+        if event.as_mut().poll(cx).is_ready() {
+            return Poll::Ready(None);
+        }
+        work.as_mut().poll(cx).map(Some)
+    })
+    .await
+}
+
+/// Awaits `work`, or that the server stops: `None`.
+async fn until<T>(
+    stopping: &mut watch::Receiver<bool>,
+    work: impl Future<Output = T>,
+) -> Option<T> {
+    // Its sender lives as long as the server: an error is the end as well.
+    let stop = async { drop(stopping.wait_for(|&stopping| stopping).await) };
+    unless(stop, work).await
+}

@@ -4,7 +4,7 @@ use std::{net::SocketAddr, path::PathBuf, time::Duration};
 
 use anyhow::{bail, ensure};
 
-use super::{connection::LINGER_MAX, server::UNIX_MORE};
+use super::lanes;
 
 /// Bytes of a token at least: 16 random characters are beyond guessing over a network.
 pub(super) const TOKEN_BYTES_MIN: usize = 16;
@@ -12,6 +12,15 @@ pub(super) const TOKEN_BYTES_MIN: usize = 16;
 /// Connections at once at most, each on the Unix socket and on TCP: a studio's browsers and scripts, each with a few, and
 /// room for those that never finish a request. Each costs 50 KB at most. Connections must leave descriptors for takes.
 pub const CONNECTIONS_MAX: usize = 256;
+
+/// Connections that were refused or evicted and are read until their end closes, at once. Closed with bytes unread, the
+/// kernel sends a reset, which may overtake the answer; beyond this bound that risk is taken.
+pub(super) const LINGER_MAX: usize = 32;
+
+/// Places of the Unix socket beyond `connections_max`: as many as requests can be carried out at once. Half of
+/// `connections_max` can be streams, so that at the worst as many hold connections that make room: whoever may open the
+/// socket always gets in.
+pub(super) const UNIX_MORE: usize = lanes::REQUESTS_MAX;
 
 /// Descriptors that a process may open unless it is given more: Linux' and systemd's soft limit.
 const DESCRIPTORS: usize = 1024;

@@ -1,22 +1,39 @@
-//! Which path leads where.
+//! Which path leads where, and the API's description of itself.
 
 use std::sync::Arc;
 
-use axum::{Router, http::StatusCode, middleware, routing::get};
-use utoipa::OpenApi;
+use axum::{
+    Router,
+    body::Bytes,
+    extract::State,
+    http::{HeaderName, StatusCode, header},
+    middleware,
+    routing::get,
+};
+use utoipa::{
+    Modify, OpenApi,
+    openapi::{
+        self, ContentBuilder, Ref, RefOr, ResponseBuilder,
+        path::Operation,
+        security::{ApiKey, ApiKeyValue, HttpAuthScheme, HttpBuilder, SecurityScheme},
+    },
+};
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use super::{
-    assets, check, commands, devices, document, download, events, guard, live, login, metrics,
-    problem::Problem, reading, state::Shared, takes,
+    Shared, assets,
+    auth::COOKIE,
+    commands, guard, login, metrics,
+    problem::{PROBLEM_JSON, Problem},
+    streams, takes,
 };
 
 /// The routes that are described. Route and description are one thing: neither is without the other.
 fn described() -> OpenApiRouter<Shared> {
-    OpenApiRouter::with_openapi(document::Document::openapi())
-        .routes(routes!(reading::status))
-        .routes(routes!(reading::quality))
-        .routes(routes!(devices::devices))
+    OpenApiRouter::with_openapi(Document::openapi())
+        .routes(routes!(commands::status))
+        .routes(routes!(commands::quality))
+        .routes(routes!(commands::devices))
         .routes(routes!(commands::arm))
         .routes(routes!(commands::disarm))
         .routes(routes!(commands::start))
@@ -24,13 +41,13 @@ fn described() -> OpenApiRouter<Shared> {
         .routes(routes!(commands::mark))
         .routes(routes!(commands::save_last))
         .routes(routes!(takes::takes))
-        .routes(routes!(download::download))
-        .routes(routes!(check::verify))
-        .routes(routes!(events::events))
-        .routes(routes!(live::live))
-        .routes(routes!(reading::healthz))
+        .routes(routes!(takes::download))
+        .routes(routes!(takes::verify))
+        .routes(routes!(streams::events))
+        .routes(routes!(streams::live))
+        .routes(routes!(commands::healthz))
         .routes(routes!(metrics::metrics))
-        .routes(routes!(document::document))
+        .routes(routes!(document))
         .routes(routes!(login::page, login::login))
         .routes(routes!(login::logout))
 }
@@ -40,7 +57,7 @@ fn described() -> OpenApiRouter<Shared> {
 /// # Errors
 /// A bug: it is not JSON.
 pub fn openapi() -> serde_json::Result<String> {
-    document::finish(described().into_openapi()).to_pretty_json()
+    finish(described().into_openapi()).to_pretty_json()
 }
 
 /// Everything that can be asked for.
@@ -54,4 +71,76 @@ pub(super) fn router(app: &Shared) -> Router {
         .layer(middleware::from_fn_with_state(Arc::clone(app), guard::guard))
         .layer(middleware::from_fn_with_state(Arc::clone(app), guard::finish));
     router.with_state(Arc::clone(app))
+}
+
+/// What stands over all routes.
+#[derive(Debug, OpenApi)]
+#[openapi(
+    info(
+        title = "mocapd",
+        description = "A recorder for optical motion capture, as a service. docs/api.md has the words to it.",
+        license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0")
+    ),
+    components(schemas(Problem)),
+    security((), ("token" = []), ("session" = [])),
+    modifiers(&Security),
+    tags(
+        (name = "status", description = "How things stand"),
+        (name = "commands", description = "What changes something. Each waits until it is true. One with a \
+            `request_id`, or the header `Idempotency-Key`, of an earlier one is not carried out again: it gets the \
+            answer of the first."),
+        (name = "takes", description = "The takes in the service's folder"),
+        (name = "streams", description = "Answers that go on until the client closes"),
+        (name = "login", description = "For browsers, where a token is needed")
+    )
+)]
+pub(super) struct Document;
+
+#[derive(Debug)]
+struct Security;
+
+impl Modify for Security {
+    fn modify(&self, openapi: &mut openapi::OpenApi) {
+        let components = openapi.components.get_or_insert_default();
+        let bearer = HttpBuilder::new().scheme(HttpAuthScheme::Bearer).build();
+        components.add_security_scheme("token", SecurityScheme::Http(bearer));
+        let cookie = SecurityScheme::ApiKey(ApiKey::Cookie(ApiKeyValue::new(COOKIE)));
+        components.add_security_scheme("session", cookie);
+    }
+}
+
+/// This description
+#[utoipa::path(get, path = "/openapi.json", tag = "status",
+    responses((status = 200, description = "`OpenAPI` 3.1", body = Object)))]
+pub(super) async fn document(
+    State(app): State<Shared>,
+) -> ([(HeaderName, &'static str); 1], Bytes) {
+    ([(header::CONTENT_TYPE, "application/json")], app.document.clone())
+}
+
+/// Adds what holds for every route: whatever is not described is a problem.
+pub(super) fn finish(mut document: openapi::OpenApi) -> openapi::OpenApi {
+    for item in document.paths.paths.values_mut() {
+        for operation in [&mut item.get, &mut item.post].into_iter().flatten() {
+            add_problem(operation);
+            // OpenAPI wants words for every response.
+            for response in operation.responses.responses.values_mut() {
+                if let RefOr::T(response) = response
+                    && response.description.is_empty()
+                {
+                    response.description = "Done".to_owned();
+                }
+            }
+        }
+    }
+    document
+}
+
+fn add_problem(operation: &mut Operation) {
+    let content = ContentBuilder::new().schema(Some(Ref::from_schema_name("Problem"))).build();
+    let problem = ResponseBuilder::new()
+        .description("Not carried out: why, and what to do")
+        .content(PROBLEM_JSON, content)
+        .build();
+    operation.responses.responses.entry("default".to_owned()).or_insert_with(|| problem.into());
 }

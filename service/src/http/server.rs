@@ -1,40 +1,37 @@
 //! The threads of the listeners: started, and ended.
 
 use std::{
+    fs,
+    io::ErrorKind,
     net::SocketAddr,
+    os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt},
+    path::{Path, PathBuf},
     sync::Arc,
     thread::JoinHandle,
     time::{Duration, Instant},
 };
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use axum::body::Bytes;
 use jiff::Timestamp;
 use mocapd_acquire::threads::{self, Stopper};
 use tokio::{
+    net::{TcpListener, TcpSocket, UnixListener, UnixSocket},
     runtime::{Builder, Runtime},
     sync::{Semaphore, watch},
 };
 
 use super::{
+    App, Counts,
     auth::Auth,
+    broadcast::{EventHub, LiveHub},
     connection::Doorway,
-    counts::Counts,
-    happenings::Happenings,
     lanes::{self, Lanes},
-    listen,
-    options::HttpOptions,
+    options::{HttpOptions, UNIX_MORE},
     places::Places,
     routes,
-    show::Show,
-    state::App,
 };
 use crate::control::{Control, EventFeed};
-
-/// Places of the Unix socket beyond `connections_max`: as many as requests can be carried out at once. Half of
-/// `connections_max` can be streams, so that at the worst as many hold connections that make room: whoever may open the
-/// socket always gets in.
-pub(super) const UNIX_MORE: usize = lanes::REQUESTS_MAX;
 
 /// The HTTP API while it runs.
 #[derive(Debug)]
@@ -55,8 +52,8 @@ impl HttpServer {
         options.check()?;
         let HttpOptions { unix_socket, tcp, token, allowed_hosts, connections_max, limits } =
             options;
-        let unix = unix_socket.map(|path| Listening::new(|| listen::unix(&path))).transpose()?;
-        let tcp = tcp.map(|address| Listening::new(|| listen::tcp(address))).transpose()?;
+        let unix = unix_socket.map(|path| Listening::new(|| listen_unix(&path))).transpose()?;
+        let tcp = tcp.map(|address| Listening::new(|| listen_tcp(address))).transpose()?;
         let tcp_address = tcp.as_ref().map(|tcp| tcp.listener.local_addr()).transpose()?;
 
         let (stop, stopping) = watch::channel(false);
@@ -64,19 +61,19 @@ impl HttpServer {
         let counts = Arc::new(Counts::default());
         let run = format!("{:x}", Timestamp::now().as_millisecond());
         let feed = control.events();
-        let happenings = Arc::new(Happenings::new(run, Arc::clone(&counts)));
-        let show = Arc::new(Show::new(Arc::clone(&counts)));
+        let events = Arc::new(EventHub::new(run, Arc::clone(&counts)));
+        let live = Arc::new(LiveHub::new(Arc::clone(&counts)));
         let auth = Arc::new(Auth::new(token.as_deref()));
         let document: Bytes = routes::openapi()?.into();
-        let hubs = Hubs::start(&control, &happenings, &show, feed)?;
+        let hubs = Hubs::start(&control, &events, &live, feed)?;
         let serving = move |places: usize| {
             let app = Arc::new(App {
                 control: Arc::clone(&control),
                 lanes: Lanes::new(limits.work),
                 auth: Arc::clone(&auth),
                 counts: Arc::clone(&counts),
-                happenings: Arc::clone(&happenings),
-                show: Arc::clone(&show),
+                events: Arc::clone(&events),
+                live: Arc::clone(&live),
                 document: document.clone(),
                 limits,
                 allowed_hosts: allowed_hosts.clone(),
@@ -155,17 +152,17 @@ struct Hubs {
 impl Hubs {
     fn start(
         control: &Arc<dyn Control>,
-        happenings: &Arc<Happenings>,
-        show: &Arc<Show>,
+        events: &Arc<EventHub>,
+        live: &Arc<LiveHub>,
         feed: EventFeed,
     ) -> anyhow::Result<Self> {
         let (stopper, stopped) = threads::stop();
         let mut hubs = Self { stopper: Some(stopper), threads: Vec::with_capacity(2) };
-        let (happenings, is_stopped) = (Arc::clone(happenings), stopped.clone());
-        let listen = move || happenings.listen(&feed, &is_stopped);
+        let (events, is_stopped) = (Arc::clone(events), stopped.clone());
+        let listen = move || events.listen(&feed, &is_stopped);
         hubs.threads.push(threads::spawn("mocapd-events", listen)?);
-        let (show, control) = (Arc::clone(show), Arc::clone(control));
-        let run = move || show.run(control.as_ref(), &stopped);
+        let (live, control) = (Arc::clone(live), Arc::clone(control));
+        let run = move || live.run(control.as_ref(), &stopped);
         hubs.threads.push(threads::spawn("mocapd-live", run)?);
         Ok(hubs)
     }
@@ -234,5 +231,128 @@ impl Serving {
         });
         // Jobs that the service does not finish in time are left to themselves.
         runtime.shutdown_timeout(deadline.saturating_duration_since(Instant::now()));
+    }
+}
+
+/// Connections that the kernel holds until they are accepted, which is at once.
+const BACKLOG: u32 = 128;
+
+/// Who may open the socket: its owner and its group, who may then do everything.
+const SOCKET_MODE: u32 = 0o660;
+
+/// A listening Unix socket. Its file goes with it.
+#[derive(Debug)]
+pub(super) struct UnixDoor {
+    listener: UnixListener,
+    file: SocketFile,
+}
+
+/// The file of a socket; it is removed when this is dropped.
+#[derive(Debug)]
+pub(super) struct SocketFile {
+    path: PathBuf,
+    inode: u64,
+}
+
+/// Listens on `path`. A socket that a killed service left there makes way; one that answers does not.
+pub(super) fn listen_unix(path: &Path) -> anyhow::Result<UnixDoor> {
+    make_way(path)?;
+    let context = || format!("cannot listen on {}", path.display());
+    let socket = UnixSocket::new_stream().with_context(context)?;
+    socket.bind(path).with_context(context)?;
+    // Before it listens nobody can connect, so nobody comes in with another mode.
+    fs::set_permissions(path, fs::Permissions::from_mode(SOCKET_MODE)).with_context(context)?;
+    let inode = fs::symlink_metadata(path).with_context(context)?.ino();
+    let file = SocketFile { path: path.to_owned(), inode };
+    let listener = socket.listen(BACKLOG).with_context(context)?;
+    Ok(UnixDoor { listener, file })
+}
+
+fn make_way(path: &Path) -> anyhow::Result<()> {
+    let found = match fs::symlink_metadata(path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
+        found => found.with_context(|| format!("cannot look at {}", path.display()))?,
+    };
+    if !found.file_type().is_socket() {
+        bail!("{} exists and is no socket: name another path, or move it away", path.display());
+    }
+    match std::os::unix::net::UnixStream::connect(path) {
+        Ok(_) => bail!("another service answers on {}: stop it first", path.display()),
+        Err(error) if error.kind() == ErrorKind::ConnectionRefused => fs::remove_file(path)
+            .with_context(|| format!("cannot remove {}, which nobody answers on", path.display())),
+        // Full, or not ours: somebody may be behind it.
+        Err(error) => Err(error).with_context(|| {
+            format!("cannot tell whether a service answers on {}", path.display())
+        }),
+    }
+}
+
+impl Drop for SocketFile {
+    fn drop(&mut self) {
+        // Another service's by now, where this one's was taken away.
+        if fs::symlink_metadata(&self.path).is_ok_and(|found| found.ino() == self.inode) {
+            // One that stays is removed by the next start.
+            fs::remove_file(&self.path).ok();
+        }
+    }
+}
+
+impl UnixDoor {
+    /// What is listened with, and what stands for the file: dropped, it is removed.
+    pub(super) fn into_parts(self) -> (UnixListener, SocketFile) {
+        (self.listener, self.file)
+    }
+}
+
+/// Listens on an address.
+pub(super) fn listen_tcp(address: SocketAddr) -> anyhow::Result<TcpListener> {
+    let context =
+        || format!("cannot listen on {address}: choose another port, or stop what listens there");
+    let socket = if address.is_ipv4() { TcpSocket::new_v4() } else { TcpSocket::new_v6() };
+    let socket = socket.with_context(context)?;
+    // A port that was left a moment ago can be used again.
+    socket.set_reuseaddr(true).with_context(context)?;
+    socket.bind(address).with_context(context)?;
+    socket.listen(BACKLOG).with_context(context)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stale_socket_makes_way_and_nothing_else_does() {
+        let runtime = Builder::new_current_thread().enable_io().build().unwrap();
+        let _inside = runtime.enter();
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("s.sock");
+        // Left behind: closed without its file.
+        drop(std::os::unix::net::UnixListener::bind(&path).unwrap());
+        let door = listen_unix(&path).unwrap();
+        let mode = fs::metadata(&path).unwrap().permissions().mode();
+        assert_eq!(mode & 0o777, 0o660);
+        let second = listen_unix(&path).unwrap_err().to_string();
+        assert!(second.contains("another service answers"), "{second}");
+        drop(door);
+        assert!(!path.exists(), "the file goes with the listener");
+        fs::write(&path, "mine").unwrap();
+        assert!(listen_unix(&path).unwrap_err().to_string().contains("no socket"));
+        assert_eq!(fs::read(&path).unwrap(), b"mine");
+        assert!(listen_unix(&folder.path().join("no/s.sock")).is_err());
+    }
+
+    #[test]
+    fn the_file_of_another_service_stays() {
+        let runtime = Builder::new_current_thread().enable_io().build().unwrap();
+        let _inside = runtime.enter();
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("s.sock");
+        let door = listen_unix(&path).unwrap();
+        fs::rename(&path, folder.path().join("kept.sock")).unwrap();
+        let other = listen_unix(&path).unwrap();
+        drop(door);
+        assert!(path.exists());
+        drop(other);
+        assert!(!path.exists());
     }
 }

@@ -1,24 +1,51 @@
-//! The takes of the service's folder: which there are, and one of them opened.
+//! The takes of the service's folder: which there are, one of them as it is, and one read to its end.
 
-use std::{fs::File, os::unix::fs::MetadataExt, sync::Arc};
+use std::{
+    fs::File,
+    io::{self, BufReader, Read, Seek, SeekFrom},
+    ops::Range,
+    os::unix::fs::{FileExt, MetadataExt},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+};
 
 use axum::{
     Json,
-    extract::{Query, State, rejection::QueryRejection},
-    http::StatusCode,
+    body::{Body, Bytes},
+    extract::{
+        Path, Query, State,
+        rejection::{PathRejection, QueryRejection},
+    },
+    http::{HeaderMap, HeaderValue, StatusCode, header},
+    response::{IntoResponse, Response},
 };
-use mocapd_acquire::files::FileId;
+use futures_util::stream;
+use mocapd_acquire::{
+    files::{FileId, SparseFile},
+    health::TakeHealth,
+    inspect::Summary,
+    ledger::LedgerDocument,
+};
+use mocapd_take::TakeError;
 use rustix::{
     fs::{Mode, OFlags},
     io::Errno,
 };
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
+use tokio::sync::watch;
+use utoipa::ToSchema;
 
 use super::{
+    Shared, StreamPlace,
+    body::Asked,
     problem::{Problem, ProblemKind},
-    state::Shared,
 };
-use crate::{control::Control, status::TakeSummary};
+use crate::{
+    control::{Control, Request},
+    status::TakeSummary,
+};
 
 /// Takes that are listed where nobody says how many, and at most.
 const LIMIT: usize = 100;
@@ -100,7 +127,7 @@ pub(super) fn open(control: &dyn Control, name: &str) -> Result<OpenTake, Proble
     })
 }
 
-pub(super) fn unreadable(error: &std::io::Error) -> Problem {
+pub(super) fn unreadable(error: &io::Error) -> Problem {
     let words = format!("the take cannot be read: {error}");
     Problem::new(StatusCode::INSUFFICIENT_STORAGE, ProblemKind::Disk, words)
 }
@@ -112,6 +139,318 @@ fn is_name(name: &str) -> bool {
         && !name.starts_with('.')
         && !name.contains(['/', '\\'])
         && !name.contains(char::is_control)
+}
+
+/// Bytes that are read at once: a disk's while, and what a slow client costs in memory.
+const PIECE_BYTES: u64 = 128 << 10;
+
+/// The file of a take
+///
+/// Ranges of bytes are answered with 206. Of a take that is being written it gives what would survive a power cut,
+/// which never changes again: ask for the rest later, by a range.
+#[utoipa::path(get, path = "/v1/takes/{name}/download", tag = "takes",
+    params(("name" = String, Path, description = "The take's name, without `.take`")),
+    responses((status = 200, description = "The file", body = Vec<u8>,
+            content_type = "application/octet-stream"),
+        (status = 206, description = "The bytes of a range", body = Vec<u8>,
+            content_type = "application/octet-stream"),
+        (status = 304, description = "The client has it"),
+        (status = 416, description = "The bytes asked for are not there", body = Problem,
+            content_type = "application/problem+json")))]
+pub(super) async fn download(
+    State(app): State<Shared>,
+    name: Result<Path<String>, PathRejection>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let name = take_name(name)?;
+    let place = app.stream_place()?;
+    let (control, asked) = (Arc::clone(&app.control), name.clone());
+    let take = app.lanes.files.run(move || open(control.as_ref(), &asked)).await??;
+    answer(app, take, &name, &headers, place)
+}
+
+/// The name in a path.
+pub(super) fn take_name(name: Result<Path<String>, PathRejection>) -> Result<String, Problem> {
+    name.map(|Path(name)| name).map_err(|_| Problem::invalid("the take's name is no UTF-8"))
+}
+
+fn answer(
+    app: Shared,
+    take: OpenTake,
+    name: &str,
+    headers: &HeaderMap,
+    place: StreamPlace,
+) -> Result<Response, Problem> {
+    let said = |name| headers.get(name).and_then(|value: &HeaderValue| value.to_str().ok());
+    let tag = take.tag.as_deref();
+    if tag.is_some_and(|tag| said(header::IF_NONE_MATCH) == Some(tag)) {
+        return Ok(StatusCode::NOT_MODIFIED.into_response());
+    }
+    // Bytes that are there never change while a take grows. A date is never the tag: then it is sent whole.
+    let same = said(header::IF_RANGE).is_none_or(|known| take.is_growing || Some(known) == tag);
+    let (status, bytes) = match wanted(said(header::RANGE).filter(|_| same), take.len) {
+        Wanted::Whole => (StatusCode::OK, 0..take.len),
+        Wanted::Part(range) => (StatusCode::PARTIAL_CONTENT, range),
+        Wanted::Nothing => return not_there(take.len),
+    };
+    let mut response = Response::new(pieces(app, take.file, bytes.clone(), place));
+    *response.status_mut() = status;
+    let out = response.headers_mut();
+    out.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/octet-stream"));
+    out.insert(header::ACCEPT_RANGES, HeaderValue::from_static("bytes"));
+    out.insert(header::CONTENT_LENGTH, HeaderValue::from(bytes.end - bytes.start));
+    out.insert(header::CONTENT_DISPOSITION, value(&disposition(name))?);
+    if let Some(tag) = tag {
+        out.insert(header::ETAG, value(tag)?);
+    }
+    if status == StatusCode::PARTIAL_CONTENT {
+        let range = format!("bytes {}-{}/{}", bytes.start, bytes.end - 1, take.len);
+        out.insert(header::CONTENT_RANGE, value(&range)?);
+    }
+    Ok(response)
+}
+
+fn not_there(len: u64) -> Result<Response, Problem> {
+    let words = format!("there are {len} bytes, and the range lies behind them");
+    let problem = Problem::new(StatusCode::RANGE_NOT_SATISFIABLE, ProblemKind::Range, words);
+    let mut response = problem.into_response();
+    response.headers_mut().insert(header::CONTENT_RANGE, value(&format!("bytes */{len}"))?);
+    Ok(response)
+}
+
+fn value(text: &str) -> Result<HeaderValue, Problem> {
+    HeaderValue::from_str(text).map_err(|error| Problem::internal(error.to_string()))
+}
+
+/// The name that a browser saves it under: in ASCII for old ones, and as it is (RFC 6266).
+fn disposition(name: &str) -> String {
+    let plain: String = name
+        .chars()
+        .map(|c| if c.is_ascii_graphic() && !"\"\\%;".contains(c) || c == ' ' { c } else { '_' })
+        .collect();
+    let mut exact = String::with_capacity(name.len());
+    for byte in name.bytes() {
+        if byte.is_ascii_alphanumeric() || b"-._".contains(&byte) {
+            exact.push(char::from(byte));
+        } else {
+            exact += &format!("%{byte:02X}");
+        }
+    }
+    format!("attachment; filename=\"{plain}.take\"; filename*=UTF-8''{exact}.take")
+}
+
+/// Reads a piece when the one before is gone: a slow client costs one piece, and holds no thread.
+fn pieces(app: Shared, file: File, bytes: Range<u64>, place: StreamPlace) -> Body {
+    let state = (app, Arc::new(file), bytes, place);
+    Body::from_stream(stream::unfold(state, |(app, file, bytes, place)| async move {
+        if bytes.is_empty() {
+            return None;
+        }
+        let len = PIECE_BYTES.min(bytes.end - bytes.start);
+        let (from, source) = (bytes.start, Arc::clone(&file));
+        let read = app.lanes.files.run_patiently(move || read(&source, from, len)).await;
+        // What was announced and does not come closes the connection: the client sees that it is cut off.
+        let piece = read.unwrap_or_else(|problem| Err(io::Error::other(problem.message)));
+        let rest = if piece.is_ok() { from + len..bytes.end } else { bytes.end..bytes.end };
+        Some((piece, (app, file, rest, place)))
+    }))
+}
+
+fn read(file: &File, from: u64, len: u64) -> io::Result<Bytes> {
+    let mut piece = vec![0; len as usize];
+    file.read_exact_at(&mut piece, from)?;
+    Ok(piece.into())
+}
+
+/// What the header `Range` comes to for a file of so many bytes.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum Wanted {
+    /// All of it: nothing else was asked for, or nothing that is understood here, which a server may pass over.
+    Whole,
+    /// These bytes.
+    Part(Range<u64>),
+    /// Bytes that are not there.
+    Nothing,
+}
+
+pub(super) fn wanted(header: Option<&str>, len: u64) -> Wanted {
+    let Some((unit, spec)) = header.and_then(|header| header.split_once('=')) else {
+        return Wanted::Whole;
+    };
+    if !unit.trim().eq_ignore_ascii_case("bytes") {
+        return Wanted::Whole;
+    }
+    let Some((first, last)) = spec.trim().split_once('-') else { return Wanted::Whole };
+    let range = match (number(first), number(last)) {
+        (Some(first), Some(last)) if first <= last => first..last.saturating_add(1).min(len),
+        (Some(first), None) if last.is_empty() => first..len,
+        (None, Some(last)) if first.is_empty() => len.saturating_sub(last)..len,
+        // Several ranges, or none.
+        _ => return Wanted::Whole,
+    };
+    if range.is_empty() { Wanted::Nothing } else { Wanted::Part(range) }
+}
+
+/// Digits alone: `parse` would take a sign. More than fit are more than any file has.
+fn number(text: &str) -> Option<u64> {
+    let digits = !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    digits.then(|| text.parse().unwrap_or(u64::MAX))
+}
+
+/// Problems and contradictions that are told each: a badly damaged take has one a stretch.
+const TOLD_MAX: usize = 100;
+
+/// What was found in a take.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct TakeCheck {
+    /// Without `.take`.
+    pub name: String,
+    /// How it is, as the list has it, and `damaged` where what lies between its ends is.
+    pub health: TakeHealth,
+    /// Why it ended, as `stop` tells it; empty where the take does not say.
+    #[serde(default)]
+    pub ending: String,
+    /// Bytes of the file.
+    pub bytes: u64,
+    /// Frames: rows, lost ones included.
+    pub frames: u64,
+    /// Seconds that they make.
+    pub seconds: f64,
+    /// Frames a second.
+    pub rate_hz: f64,
+    /// Markers.
+    pub markers: usize,
+    /// Samples present.
+    pub samples: u64,
+    /// What no sample may be off by more than, in millimetres; 0 where every bit is kept.
+    pub tolerance_mm: f64,
+    /// Largest error that the take states, in millimetres.
+    pub max_error_mm: f64,
+    /// What is missing or damaged: the first hundred.
+    pub problems: Vec<String>,
+    /// What the take says of itself and is not so: the first hundred.
+    pub contradictions: Vec<String>,
+    /// Its last ledger.
+    pub ledger: Option<LedgerDocument>,
+}
+
+/// Read a take to its end and check it
+///
+/// Checksums, every block, the ledger. One take at a time; a client that goes away ends it.
+#[utoipa::path(post, path = "/v1/takes/{name}/verify", tag = "takes", request_body = Request,
+    params(("name" = String, Path, description = "The take's name, without `.take`")),
+    responses((status = 200, body = TakeCheck)))]
+pub(super) async fn verify(
+    State(app): State<Shared>,
+    name: Result<Path<String>, PathRejection>,
+    Asked(_): Asked<Request>,
+) -> Result<Json<TakeCheck>, Problem> {
+    let name = take_name(name)?;
+    let gone = Gone(Arc::new(AtomicBool::new(false)));
+    let (control, asked) = (Arc::clone(&app.control), name);
+    let (flag, stopping) = (Arc::clone(&gone.0), app.stopping.clone());
+    let work = move || {
+        let take = open(control.as_ref(), &asked)?;
+        if take.is_growing {
+            let words = format!("{asked} is being recorded: stop it first");
+            return Err(Problem::new(StatusCode::CONFLICT, ProblemKind::Conflict, words));
+        }
+        let input = While { input: SparseFile::of(take.file), gone: flag, stopping };
+        check(asked, take.len, Summary::read(BufReader::new(input)))
+    };
+    let checked = app.lanes.checks.run(work).await?;
+    drop(gone);
+    Ok(Json(checked?))
+}
+
+/// Says that the client is gone when it is dropped, which is when the request is.
+struct Gone(Arc<AtomicBool>);
+
+impl Drop for Gone {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// Reads while somebody wants to know.
+struct While<R> {
+    input: R,
+    gone: Arc<AtomicBool>,
+    stopping: watch::Receiver<bool>,
+}
+
+impl<R: Read> Read for While<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        if self.gone.load(Ordering::Relaxed) || *self.stopping.borrow() {
+            return Err(io::Error::other("nobody waits for the check any more"));
+        }
+        self.input.read(buffer)
+    }
+}
+
+impl<R: Seek> Seek for While<R> {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.input.seek(to)
+    }
+}
+
+fn check(name: String, bytes: u64, read: Result<Summary, TakeError>) -> Result<TakeCheck, Problem> {
+    let summary = match read {
+        Ok(summary) => summary,
+        Err(TakeError::Io(error)) => return Err(unreadable(&error)),
+        Err(error) => {
+            let problems = vec![error.to_string()];
+            return Ok(TakeCheck { problems, ..empty(name, bytes, TakeHealth::Unreadable) });
+        }
+    };
+    let mut contradictions = summary.contradictions().to_vec();
+    let ledger = summary.take.ledger.as_ref();
+    if let Some(apart) = summary.clock_apart().filter(|apart| !apart.agrees) {
+        contradictions.push(format!(
+            "the clocks' line lies {:.1} us off the one that its observations give",
+            apart.offset_us
+        ));
+    }
+    // Before the end it need not close.
+    if summary.take.finished && ledger.is_some_and(|ledger| !ledger.closes()) {
+        contradictions.push("the ledger does not close".to_owned());
+    }
+    contradictions.truncate(TOLD_MAX);
+    let header = &summary.take.header;
+    let ending = summary.take.ending.as_ref().map_or("", |ending| ending.kind.word());
+    Ok(TakeCheck {
+        ending: ending.to_owned(),
+        frames: summary.take.n_rows,
+        seconds: summary.take.n_rows as f64 / header.rate_hz,
+        rate_hz: header.rate_hz,
+        markers: summary.take.channels.len(),
+        samples: summary.samples(),
+        tolerance_mm: header.tolerance_mm,
+        max_error_mm: summary.max_error_mm(),
+        problems: summary.take.problems.iter().take(TOLD_MAX).map(ToString::to_string).collect(),
+        contradictions,
+        ledger: ledger.map(LedgerDocument::from),
+        ..empty(name, bytes, summary.health())
+    })
+}
+
+fn empty(name: String, bytes: u64, health: TakeHealth) -> TakeCheck {
+    TakeCheck {
+        name,
+        health,
+        ending: String::new(),
+        bytes,
+        frames: 0,
+        seconds: 0.0,
+        rate_hz: 0.0,
+        markers: 0,
+        samples: 0,
+        tolerance_mm: 0.0,
+        max_error_mm: 0.0,
+        problems: Vec::new(),
+        contradictions: Vec::new(),
+        ledger: None,
+    }
 }
 
 #[cfg(test)]
@@ -128,5 +467,48 @@ mod tests {
             assert!(!is_name(name), "{name:?}");
         }
         assert!(!is_name(&"x".repeat(256)));
+    }
+
+    #[test]
+    fn names_in_headers() {
+        let plain = "attachment; filename=\"jump-1.take\"; filename*=UTF-8''jump-1.take";
+        assert_eq!(disposition("jump-1"), plain);
+        let odd =
+            "attachment; filename=\"a_b _ _.take\"; filename*=UTF-8''a%22b%20%C3%A9%20%3B.take";
+        assert_eq!(disposition("a\"b é ;"), odd);
+    }
+
+    #[test]
+    fn ranges_and_what_is_none() {
+        let of_ten = |header| wanted(Some(header), 10);
+        assert_eq!(wanted(None, 10), Wanted::Whole);
+        for (header, range) in [
+            ("bytes=0-0", 0..1),
+            ("bytes=2-5", 2..6),
+            ("Bytes=9-", 9..10),
+            ("bytes=0-99999999999999999999999", 0..10),
+            ("bytes=-3", 7..10),
+            ("bytes=-99", 0..10),
+            ("bytes=0-9", 0..10),
+        ] {
+            assert_eq!(of_ten(header), Wanted::Part(range), "{header}");
+        }
+        for header in ["bytes=10-", "bytes=10-12", "bytes=-0", "bytes=99999999999999999999-"] {
+            assert_eq!(of_ten(header), Wanted::Nothing, "{header}");
+        }
+        for header in [
+            "",
+            "bytes",
+            "bytes=",
+            "bytes=-",
+            "bytes=5-2",
+            "bytes=a-b",
+            "bytes=1-2,4-5",
+            "rows=1-2",
+            "bytes=+1-2",
+        ] {
+            assert_eq!(of_ten(header), Wanted::Whole, "{header}");
+        }
+        assert_eq!(wanted(Some("bytes=0-"), 0), Wanted::Nothing);
     }
 }

@@ -1,21 +1,25 @@
-//! What happens, as server-sent events.
+//! Answers that go on until the client closes: what happens, as server-sent events, and frames for people's eyes.
 
 use std::convert::Infallible;
 
 use axum::{
+    body::Body,
     extract::{Query, State, rejection::QueryRejection},
-    http::{HeaderMap, HeaderName},
-    response::sse::{Event, KeepAlive, Sse},
+    http::{HeaderMap, HeaderName, HeaderValue, header},
+    response::{
+        Response,
+        sse::{Event, KeepAlive, Sse},
+    },
 };
 use futures_util::stream::{self, Stream};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::{
-    connection::until,
-    happenings::{Following, Told},
+    Shared, StreamPlace,
+    broadcast::{Following, Told},
     problem::Problem,
-    state::{Shared, StreamPlace},
+    until,
 };
 use crate::status::ServiceEvent;
 
@@ -52,13 +56,13 @@ pub(super) async fn events(
     let Query(After { after }) =
         after.map_err(|_| Problem::invalid("`after` is the number of an event"))?;
     let resumed =
-        headers.get(LAST_EVENT_ID).and_then(|id| resume(id.to_str().ok()?, &app.happenings.run));
+        headers.get(LAST_EVENT_ID).and_then(|id| resume(id.to_str().ok()?, &app.events.run));
     let (after, anew) = match resumed {
         Some(Resumed::At(number)) => (Some(number), false),
         Some(Resumed::Anew) => (Some(0), true),
         None => (after, false),
     };
-    let following = app.happenings.follow(after);
+    let following = app.events.follow(after);
     let place = app.stream_place()?;
     let keep_alive = KeepAlive::new().interval(app.limits.keep_alive);
     let listener = Listener { app, following, pending: None, anew, _place: place };
@@ -112,7 +116,7 @@ impl Listener {
             self.pending = Some(Told { missed: 0, ..told });
             return Some((Ok(event), self));
         }
-        let id = format!("{}-{}", self.app.happenings.run, told.event.number);
+        let id = format!("{}-{}", self.app.events.run, told.event.number);
         // Strings and numbers are always JSON, on one line.
         let data = serde_json::to_string(told.event.as_ref()).unwrap_or_default();
         let kind = told.event.kind.to_string();
@@ -123,6 +127,34 @@ impl Listener {
 fn missed(missed: Option<u64>) -> Event {
     let data = serde_json::to_string(&Missed { missed }).unwrap_or_default();
     Event::default().event("missed").data(data)
+}
+
+/// Some thirty frames a second, the newest ones
+///
+/// A stream of messages, little endian: u32 length of what follows, u8 kind. Kind 1 is JSON: the markers, before the
+/// first frame and whenever they change. Kind 2 is a frame: three bytes of zero, u64 row, u64 device ticks, u64
+/// arrival in microseconds since 1970, then three f32 a marker in millimetres, NaN where it is not seen. Kind 3 stands
+/// behind the frame that it belongs to, where the subject's face is seen: three bytes of zero, then for each axis three
+/// f32 that a vertex of the face is multiplied by, and one that is added. A viewer that is too slow misses frames, and
+/// never the markers.
+#[utoipa::path(get, path = "/v1/live", tag = "streams",
+    responses((status = 200, description = "Messages, until the client closes", body = Vec<u8>,
+        content_type = "application/octet-stream")))]
+pub(super) async fn live(State(app): State<Shared>) -> Result<Response, Problem> {
+    let place = app.stream_place()?;
+    if app.live.is_over() {
+        return Err(Problem::unavailable("the service is stopping: there are no more frames"));
+    }
+    let viewing = app.live.view();
+    let state = (app.stopping.clone(), viewing, place);
+    let messages = stream::unfold(state, |(mut stopping, mut viewing, place)| async move {
+        let bytes = until(&mut stopping, viewing.next()).await??;
+        Some((Ok::<_, Infallible>(bytes), (stopping, viewing, place)))
+    });
+    let mut response = Response::new(Body::from_stream(messages));
+    let headers = response.headers_mut();
+    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/octet-stream"));
+    Ok(response)
 }
 
 #[cfg(test)]
