@@ -133,6 +133,29 @@ pub fn frequency_hz(text: &str) -> Result<f64, String> {
     Err(format!("a frequency of '{text}' cannot be: give something like 6Hz"))
 }
 
+/// In the largest unit that needs no fraction, and otherwise in seconds with every digit.
+pub(crate) fn duration_text(time: Duration) -> String {
+    let (s, ns) = (time.as_secs(), time.subsec_nanos());
+    match (s, ns) {
+        (0, 0) => "0s".to_owned(),
+        (s, 0) if s % 3600 == 0 => format!("{}h", s / 3600),
+        (s, 0) if s % 60 == 0 => format!("{}min", s / 60),
+        (s, 0) => format!("{s}s"),
+        (0, ns) if ns % 1_000_000 == 0 => format!("{}ms", ns / 1_000_000),
+        _ => format!("{}s", format!("{s}.{ns:09}").trim_end_matches('0')),
+    }
+}
+
+/// In the largest binary unit that needs no fraction.
+pub(crate) fn size_text(bytes: u64) -> String {
+    let units = [(40, "TiB"), (30, "GiB"), (20, "MiB"), (10, "KiB")];
+    let fits = |shift: u32| bytes > 0 && bytes.trailing_zeros() >= shift;
+    match units.into_iter().find(|&(shift, _)| fits(shift)) {
+        Some((shift, unit)) => format!("{}{unit}", bytes >> shift),
+        None => format!("{bytes}B"),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -169,5 +192,33 @@ mod tests {
             assert!(frequency_hz(text).is_err(), "{text}");
         }
         assert_eq!(frequency_hz("0.5Hz"), Ok(0.5));
+    }
+
+    #[test]
+    fn times_and_sizes_are_read_back_exactly() {
+        for (ms, text) in [
+            (0, "0s"),
+            (250, "250ms"),
+            (1500, "1.5s"),
+            (10_000, "10s"),
+            (90_000, "90s"),
+            (600_000, "10min"),
+            (7_200_000, "2h"),
+        ] {
+            assert_eq!(duration_text(Duration::from_millis(ms)), text);
+        }
+        // Up to the longest that a key takes, to the nanosecond.
+        let mut time = Duration::from_nanos(1);
+        while time < Duration::from_secs(744 * 3600) {
+            assert_eq!(duration(&duration_text(time)), Ok(time), "{time:?}");
+            time = time * 17 / 10 + Duration::from_nanos(3);
+        }
+        let mut bytes = 1_u64;
+        while bytes < 1 << 50 {
+            assert_eq!(size_bytes(&size_text(bytes)), Ok(bytes), "{bytes}");
+            bytes = bytes * 17 / 10 + 3;
+        }
+        assert_eq!(size_text(256 << 20), "256MiB");
+        assert_eq!(size_text(0), "0B");
     }
 }

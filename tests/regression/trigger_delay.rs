@@ -8,9 +8,11 @@ use std::{
 };
 
 use mocapd_service::{
-    config::{Network, TriggerConfig},
+    config::TriggerConfig,
     control::{Control, Start},
-    trigger::{DELAYED_OTHERS_MAX, Heard, Listener, Received, Refusal, Trigger, Waiting, parse},
+    trigger::{
+        DELAYED_OTHERS_MAX, Heard, Listener, Network, Received, Refusal, Trigger, Waiting, parse,
+    },
     triggered::Triggers,
 };
 

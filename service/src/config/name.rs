@@ -4,7 +4,7 @@ use std::fmt;
 
 use jiff::civil::DateTime;
 
-use super::{value::short, written::meant};
+use super::problem::{meant, short};
 
 /// Bytes of a take's name without `.take`: file systems have room for 255, and what stands beside a take has a
 /// longer ending.

@@ -104,3 +104,51 @@ impl fmt::Display for Refused<'_> {
         }
     }
 }
+
+impl Place {
+    /// Line and column of a byte of a text.
+    pub(super) fn of_byte(text: &str, byte: usize) -> Self {
+        let before = text.get(..byte).unwrap_or(text);
+        let line_start = before.rfind('\n').map_or(0, |at| at + 1);
+        let line = 1 + before.bytes().filter(|byte| *byte == b'\n').count();
+        Self::At { line, column: 1 + before[line_start..].chars().count() }
+    }
+}
+
+/// Letters of a found text that a message repeats.
+const SHOWN_MAX: usize = 60;
+
+/// A text of anybody in a message: on its line, and no longer than a message bears.
+pub(crate) fn short(text: &str) -> String {
+    let mut shown: String = text.chars().take(SHOWN_MAX).flat_map(char::escape_debug).collect();
+    if text.chars().nth(SHOWN_MAX).is_some() {
+        shown.push_str("...");
+    }
+    shown
+}
+
+/// What was probably meant, or all that there is.
+pub(super) fn meant(word: &str, known: impl Iterator<Item = &'static str> + Clone) -> String {
+    suggestion(word, known.clone())
+        .unwrap_or_else(|| format!("there are {}", known.collect::<Vec<_>>().join(", ")))
+}
+
+/// A word that is compared with ours: longer ones are none of them.
+const WORD_BYTES_MAX: usize = 64;
+
+/// What was probably meant, when one is near: at most two letters away, a third of a long word, or `warning` for `warn`.
+pub(super) fn suggestion(word: &str, known: impl Iterator<Item = &'static str>) -> Option<String> {
+    if word.len() > WORD_BYTES_MAX {
+        return None;
+    }
+    let word = word.to_lowercase();
+    let away = |name: &str| match word.strip_prefix(name) {
+        Some(_) if name.len() > 2 => 1,
+        _ => strsim::osa_distance(&word, name),
+    };
+    let (_, name) = known
+        .map(|name| (away(name), name))
+        .filter(|(away, name)| *away <= 2.max(name.len() / 3))
+        .min_by_key(|(away, _)| *away)?;
+    Some(format!("did you mean '{name}'?"))
+}

@@ -5,30 +5,21 @@
 
 mod encode;
 mod listener;
-mod name;
 mod parse;
 mod queue;
-mod quiet;
-mod seen;
 pub mod socket;
-mod waiting;
-mod words;
 
 #[cfg(test)]
 mod tests;
 
-use std::time::Duration;
+use std::{net::IpAddr, time::Duration};
 
 pub use self::{
     encode::{Announcer, first_packet_id},
-    listener::{Heard, Listener},
-    name::TakeName,
-    parse::{DATAGRAM_BYTES_MAX, DELAY_MAX, TEXT_BYTES_MAX, parse},
-    queue::Queue,
-    quiet::Quiet,
-    seen::{IDS_MAX, REMEMBERED, SENDERS_MAX},
-    waiting::{DELAYED_MAX, DELAYED_OTHERS_MAX, DUE_EACH_MAX, DUE_MAX, Received, Waiting},
-    words::Refusal,
+    listener::{Heard, IDS_MAX, Listener, Network, REMEMBERED, SENDERS_MAX},
+    parse::{DATAGRAM_BYTES_MAX, DELAY_MAX, TEXT_BYTES_MAX, TakeName, parse},
+    queue::{DELAYED_MAX, DELAYED_OTHERS_MAX, DUE_EACH_MAX, DUE_MAX, Queue, Received, Waiting},
+    socket::Quiet,
 };
 
 /// What a datagram asks for, or tells.
@@ -146,7 +137,7 @@ impl Trigger {
 
     /// One line for the take's event: everything that it says, as text.
     #[must_use]
-    pub fn note(&self, from: std::net::IpAddr) -> String {
+    pub fn note(&self, from: IpAddr) -> String {
         let mut note = format!("{} from {}", self.element(), from.to_canonical());
         let about = self.about();
         if let Some(id) = about.packet_id {
@@ -173,4 +164,60 @@ impl Trigger {
         }
         note
     }
+}
+
+/// Why a datagram starts and stops nothing. One line each: what was found, and what to do where somebody can do something.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Refusal {
+    /// The sender is not one of those that are listened to.
+    #[error("{0} is not in trigger.allow_from")]
+    NotAllowed(IpAddr),
+    /// Longer than a trigger is.
+    #[error("it has {0} bytes, and a trigger has at most {max}", max = DATAGRAM_BYTES_MAX)]
+    TooLong(usize),
+    /// Its letters cannot be known.
+    #[error("its letters cannot be read ({0}): triggers are UTF-8")]
+    Encoding(String),
+    /// It is no XML, or more of it than a trigger has.
+    #[error("it is no trigger: {0}")]
+    Xml(String),
+    /// Its outermost element is another one.
+    #[error("<{0}> is no trigger: CaptureStart, CaptureStop and CaptureComplete are")]
+    Element(String),
+    /// A number that cannot be meant.
+    #[error("its {what} is \"{found}\": {wanted}")]
+    Number {
+        /// Which.
+        what: &'static str,
+        /// What stands there.
+        found: String,
+        /// What is expected.
+        wanted: &'static str,
+    },
+    /// A delay above what is configured.
+    #[error("its Delay is {} ms: trigger.delay_max is {} ms", found.as_millis(), max.as_millis())]
+    DelayTooLong {
+        /// What it asks for.
+        found: Duration,
+        /// What is allowed.
+        max: Duration,
+    },
+    /// Its sender, which is not in `trigger.allow_from`, has too many that wait already.
+    #[error("{waiting} of {sender} wait already, and it is not in trigger.allow_from")]
+    TooManyOfSender {
+        /// How many.
+        waiting: usize,
+        /// Whose.
+        sender: IpAddr,
+    },
+    /// Too many wait already.
+    #[error("{0} triggers wait already")]
+    TooMany(usize),
+    /// Of the name nothing can be kept.
+    #[error("a take cannot be called \"{0}\": send another name")]
+    Name(String),
+    /// A start with the name of a take that exists.
+    #[error("a take called {0} exists, and none is overwritten: send another name")]
+    NameTaken(String),
 }

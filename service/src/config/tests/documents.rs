@@ -3,7 +3,6 @@
 use std::{collections::BTreeSet, fs};
 
 use super::*;
-use crate::config::keys::{KEYS, Preset, SECTIONS};
 
 fn text(path: &str) -> String {
     let path = format!("{}/../{path}", env!("CARGO_MANIFEST_DIR"));

@@ -1,8 +1,7 @@
+mod choose;
 mod documents;
 mod sweep;
 mod words;
-
-use std::net::SocketAddr;
 
 use super::*;
 
@@ -100,7 +99,7 @@ fn every_key_is_read() {
     assert_eq!(config.log_level, Level::Trace);
     // Each differs from its default, so that none is merely left alone.
     let changes = parse("").unwrap().changes(&config);
-    let unchanged: Vec<_> = keys::KEYS
+    let unchanged: Vec<_> = KEYS
         .iter()
         .map(|key| key.path)
         .filter(|path| changes.iter().all(|change| change.key != *path))

@@ -143,7 +143,7 @@ fn repeats_do_nothing() {
 
 #[test]
 fn what_is_remembered_is_bounded() {
-    let mut seen = seen::Seen::default();
+    let mut seen = listener::Seen::default();
     let mut repeat = |from: u32, id: u64, at_s| {
         let from = IpAddr::V4(from.into());
         let trigger = parse(packet(id).as_bytes()).unwrap();
