@@ -1,5 +1,5 @@
-//! What labels of markers mean: whose they are, and which joint of the body they name. Everything that reads a label
-//! for its meaning reads it here.
+//! What labels of markers mean: whose they are, which joint of the body they name, and which are joined by a line on a
+//! screen. Everything that reads a label for its meaning reads it here.
 
 use std::collections::HashMap;
 
@@ -49,6 +49,118 @@ const BVH: &Names = &[
 
 /// In the order in which they are preferred where two explain as much.
 const SETS: [&Names; 3] = [BY_JOINT, ASF, BVH];
+
+/// Lines between markers of a set, for people's eyes: nothing is measured by them. What stands between `/` are names of one site, of which the first that is there is taken; `*`
+/// is both sides, one after the other.
+type Lines = [(&'static str, &'static str)];
+
+/// The 15 sites of Shi et al. 2012 (doi 10.3969/j.issn.0372-2112.2012.01.021), as `simulator/src/generator/body.rs` and
+/// the joint files made from CMU's motion capture database (mocap.cs.cmu.edu) call them, with toes and hands where they
+/// are. A body without a throat or a pelvis is joined across.
+const JOINT_LINES: &Lines = &[
+    ("throat/neck", "head"),
+    ("throat/neck/rshoulder", "lshoulder"),
+    ("throat/neck", "rshoulder"),
+    ("pelvis/hips/root/sacrum", "throat/neck"),
+    ("pelvis/hips/root/sacrum/rhip", "lhip"),
+    ("pelvis/hips/root/sacrum", "rhip"),
+    ("*shoulder", "*elbow"),
+    ("*elbow", "*wrist"),
+    ("*wrist", "*hand/*finger"),
+    ("*hip", "*knee"),
+    ("*knee", "*ankle"),
+    ("*ankle", "*toe/*foot"),
+    ("*ankle", "*heel"),
+    ("*heel", "*toe/*foot"),
+];
+
+/// Plug-in Gait, full body: names and places after Vicon's "Plug-in Gait Reference Guide". Wands and the offset marker
+/// (`LUPA`, `LFRM`, `LTHI`, `LTIB`, `RBAK`) stay without a line.
+const PLUG_IN_GAIT_LINES: &Lines = &[
+    ("lfhd", "rfhd"),
+    ("lbhd", "rbhd"),
+    ("*fhd", "*bhd"),
+    ("c7", "clav"),
+    ("c7", "t10"),
+    ("clav", "strn"),
+    ("strn", "t10"),
+    ("*sho", "clav"),
+    ("*sho", "c7"),
+    ("*sho", "*elb"),
+    ("*elb", "*wra"),
+    ("*elb", "*wrb"),
+    ("*wra", "*wrb"),
+    ("*wra", "*fin"),
+    ("*wrb", "*fin"),
+    ("lasi", "rasi"),
+    ("lpsi", "rpsi"),
+    ("*asi", "*psi/sacr"),
+    ("t10", "*psi/sacr"),
+    ("*asi", "*kne"),
+    ("*kne", "*ank"),
+    ("*ank", "*hee"),
+    ("*ank", "*toe"),
+    ("*hee", "*toe"),
+];
+
+/// The set of the Helen Hayes hospital (Kadaba, Ramakrishnan and Wootten 1990, doi 10.1002/jor.1100080310), with head and
+/// arms as Motion Analysis's programs name them, in full and in four letters.
+const HELEN_HAYES_LINES: &Lines = &[
+    ("fronthead/fhea", "rearhead/rhea"),
+    ("fronthead/fhea", "tophead/thea"),
+    ("rearhead/rhea", "tophead/thea"),
+    ("lshoulder/lsho", "rshoulder/rsho"),
+    ("*shoulder/*sho", "*elbow/*elb"),
+    ("*elbow/*elb", "*wrist/*wri"),
+    ("*shoulder/*sho", "*asis/*asi"),
+    ("lasis/lasi", "rasis/rasi"),
+    ("*asis/*asi", "*psis/vsacral/vsac/sacral/sacrum/s2"),
+    ("*asis/*asi", "*knee/*kne"),
+    ("*knee/*kne", "*ankle/*ank"),
+    ("*ankle/*ank", "*heel/*hee"),
+    ("*ankle/*ank", "*toe/*mt1"),
+    ("*heel/*hee", "*toe/*mt1"),
+];
+
+/// Bones of CMU's ASF skeletons (mocap.cs.cmu.edu), each a point at its far end.
+const ASF_LINES: &Lines = &[
+    ("root", "lowerback"),
+    ("lowerback", "upperback"),
+    ("upperback", "thorax"),
+    ("thorax", "lowerneck"),
+    ("lowerneck", "upperneck"),
+    ("upperneck", "head"),
+    ("thorax", "*clavicle"),
+    ("*clavicle", "*humerus"),
+    ("*humerus", "*radius"),
+    ("*radius", "*wrist"),
+    ("*wrist", "*hand"),
+    ("root", "*hipjoint"),
+    ("*hipjoint", "*femur"),
+    ("*femur", "*tibia"),
+    ("*tibia", "*foot"),
+    ("*foot", "*toes"),
+];
+
+/// Joints of BVH files as most programs name them.
+const BVH_LINES: &Lines = &[
+    ("hips", "spine"),
+    ("spine", "spine1/neck"),
+    ("spine1", "neck"),
+    ("neck", "head"),
+    ("neck", "*shoulder/*arm"),
+    ("*shoulder", "*arm"),
+    ("*arm", "*forearm"),
+    ("*forearm", "*hand"),
+    ("hips", "*upleg"),
+    ("*upleg", "*leg"),
+    ("*leg", "*foot"),
+    ("*foot", "*toebase"),
+];
+
+/// In the order in which they are preferred where two explain as much.
+const LINE_SETS: [&Lines; 5] =
+    [JOINT_LINES, PLUG_IN_GAIT_LINES, HELEN_HAYES_LINES, ASF_LINES, BVH_LINES];
 
 /// Whose marker it is, and what it is called there: several subjects are told apart by what stands before the last `:`.
 #[must_use]
@@ -126,16 +238,55 @@ impl SubjectMarkers<'_> {
     fn by(&self, set: &Names) -> HashMap<String, usize> {
         let mut found = HashMap::new();
         for (joint, names) in set {
-            let sides: &[&str] = if joint.contains('*') { &["l", "r"] } else { &[""] };
-            for side in sides {
-                let mut columns = names.split('/').map(|name| name.replace('*', side));
-                if let Some(column) = columns.find_map(|name| self.sites.get(&name).copied()) {
+            for side in sides(joint) {
+                if let Some(column) = self.column(names, side) {
                     found.insert(joint.replace('*', side), column);
                 }
             }
         }
         found
     }
+
+    /// The column of the first of the names between `/` that is there.
+    fn column(&self, names: &str, side: &str) -> Option<usize> {
+        names.split('/').find_map(|name| self.sites.get(&name.replace('*', side)).copied())
+    }
+
+    /// The lines of the set that draws most of them.
+    fn lines(&self) -> Vec<[u16; 2]> {
+        let mut best = Vec::new();
+        for set in LINE_SETS {
+            let lines = self.lines_of(set);
+            if lines.len() > best.len() {
+                best = lines;
+            }
+        }
+        best
+    }
+
+    fn lines_of(&self, set: &Lines) -> Vec<[u16; 2]> {
+        let ends = set.iter().flat_map(|(from, to)| {
+            let sides = if from.contains('*') { sides(from) } else { sides(to) };
+            sides.iter().map(move |side| [(*from, *side), (*to, *side)])
+        });
+        let slot = |(names, side)| u16::try_from(self.column(names, side)?).ok();
+        let lines = ends.filter_map(|[from, to]| Some([slot(from)?, slot(to)?]));
+        lines.filter(|[from, to]| from != to).collect()
+    }
+}
+
+/// What a `*` stands for in names.
+fn sides(names: &str) -> &'static [&'static str] {
+    if names.contains('*') { &["l", "r"] } else { &[""] }
+}
+
+/// Pairs of slots between which a line is drawn, for the labels of the slots. Of a label that comes twice the first is
+/// meant. Each subject gets the marker set that explains most of its labels; no lines where none is known.
+#[must_use]
+pub fn bones(labels: &[String]) -> Vec<[u16; 2]> {
+    // What a line can name is a slot of 16 bits.
+    let named = labels.iter().take(usize::from(u16::MAX) + 1).map(String::as_str);
+    subjects(named).iter().flat_map(SubjectMarkers::lines).collect()
 }
 
 #[cfg(test)]
@@ -179,5 +330,152 @@ mod tests {
         assert_eq!(subjects[0].joints()["l_knee"], 0, "of two the first");
         assert!(subjects[2].joints().is_empty());
         assert!(super::subjects([]).is_empty() && joints(&["_", "left", ":"]).is_empty());
+    }
+
+    fn owned(names: &[&str]) -> Vec<String> {
+        names.iter().map(|name| (*name).to_owned()).collect()
+    }
+
+    /// The lines as pairs of names, each pair and all pairs in alphabetical order.
+    fn names(labels: &[String]) -> Vec<[&str; 2]> {
+        let mut lines: Vec<[&str; 2]> = bones(labels)
+            .iter()
+            .map(|line| {
+                let mut pair = line.map(|slot| labels[usize::from(slot)].as_str());
+                pair.sort_unstable();
+                pair
+            })
+            .collect();
+        lines.sort_unstable();
+        lines
+    }
+
+    #[test]
+    fn lines_of_a_side_are_one_however_it_is_written() {
+        for wrist in
+            ["l_wrist", "L.Wrist", "LeftWrist", "Wrist_L", "LWRIST", "wrist left", "Left Wrist"]
+        {
+            assert_eq!(bones(&owned(&["L_Elbow", wrist])), [[0, 1]], "{wrist}");
+            assert!(bones(&owned(&["R_Elbow", wrist])).is_empty(), "{wrist} is not the right one");
+        }
+    }
+
+    #[test]
+    fn joints_of_another_name_or_order_get_the_same_body() {
+        let shuffled = owned(&[
+            "r_ankle",
+            "r_knee",
+            "r_hip",
+            "l_ankle",
+            "l_knee",
+            "l_hip",
+            "r_wrist",
+            "r_elbow",
+            "r_shoulder",
+            "l_wrist",
+            "l_elbow",
+            "l_shoulder",
+            "pelvis",
+            "neck",
+            "head",
+        ]);
+        assert_eq!(bones(&shuffled).len(), 14);
+        assert!(names(&shuffled).contains(&["neck", "pelvis"]));
+        assert!(names(&shuffled).contains(&["l_hip", "pelvis"]));
+    }
+
+    #[test]
+    fn a_body_without_middle_is_joined_across() {
+        let body = owned(&["l_shoulder", "r_shoulder", "l_hip", "r_hip"]);
+        assert_eq!(names(&body), [["l_hip", "r_hip"], ["l_shoulder", "r_shoulder"]]);
+    }
+
+    #[test]
+    fn plug_in_gait_is_joined_from_head_to_toe() {
+        let set = owned(&[
+            "LFHD", "RFHD", "LBHD", "RBHD", "C7", "T10", "CLAV", "STRN", "RBAK", "LSHO", "LUPA",
+            "LELB", "LFRM", "LWRA", "LWRB", "LFIN", "RSHO", "RUPA", "RELB", "RFRM", "RWRA", "RWRB",
+            "RFIN", "LASI", "RASI", "LPSI", "RPSI", "LTHI", "LKNE", "LTIB", "LANK", "LHEE", "LTOE",
+            "RTHI", "RKNE", "RTIB", "RANK", "RHEE", "RTOE",
+        ]);
+        let lines = names(&set);
+        for line in
+            [["LELB", "LSHO"], ["RANK", "RTOE"], ["LASI", "RASI"], ["C7", "T10"], ["LFHD", "RFHD"]]
+        {
+            assert!(lines.contains(&line), "{line:?}");
+        }
+        assert_eq!(lines.len(), 40);
+        let joined = |name: &str| lines.iter().any(|line| line.contains(&name));
+        let alone: Vec<&String> = set.iter().filter(|name| !joined(name)).collect();
+        assert_eq!(alone, ["RBAK", "LUPA", "LFRM", "RUPA", "RFRM", "LTHI", "LTIB", "RTHI", "RTIB"]);
+    }
+
+    #[test]
+    fn helen_hayes_is_known_in_full_and_in_four_letters() {
+        let full = owned(&[
+            "Top.Head",
+            "Front.Head",
+            "Rear.Head",
+            "R.Shoulder",
+            "R.Elbow",
+            "R.Wrist",
+            "L.Shoulder",
+            "L.Elbow",
+            "L.Wrist",
+            "R.ASIS",
+            "L.ASIS",
+            "V.Sacral",
+            "R.Knee",
+            "R.Ankle",
+            "R.Heel",
+            "R.Toe",
+            "L.Knee",
+            "L.Ankle",
+            "L.Heel",
+            "L.Toe",
+        ]);
+        let short = owned(&[
+            "THEA", "FHEA", "RHEA", "RSHO", "RELB", "RWRI", "LSHO", "LELB", "LWRI", "RASI", "LASI",
+            "VSAC", "RKNE", "RANK", "RHEE", "RTOE", "LKNE", "LANK", "LHEE", "LTOE",
+        ]);
+        assert_eq!(bones(&full), bones(&short));
+        assert_eq!(bones(&full).len(), 23);
+    }
+
+    #[test]
+    fn skeletons_of_asf_and_bvh_are_chains() {
+        let asf = owned(&["root", "lhipjoint", "lfemur", "ltibia", "lfoot", "ltoes"]);
+        assert_eq!(bones(&asf), [[0, 1], [1, 2], [2, 3], [3, 4], [4, 5]]);
+        let bvh = owned(&["Hips", "LeftUpLeg", "LeftLeg", "LeftFoot", "LeftToeBase"]);
+        assert_eq!(bones(&bvh), [[0, 1], [1, 2], [2, 3], [3, 4]]);
+    }
+
+    #[test]
+    fn subjects_are_not_joined_with_each_other() {
+        let two = owned(&[
+            "Ann:LSHO", "Bob:LELB", "Bob:LSHO", "Ann:LELB", "Ann:LASI", "Ann:RASI", "Bob:CLAV",
+        ]);
+        let lines = names(&two);
+        assert!(lines.contains(&["Ann:LELB", "Ann:LSHO"]));
+        assert!(lines.contains(&["Bob:LELB", "Bob:LSHO"]));
+        assert!(lines.iter().all(|[a, b]| a[..3] == b[..3]), "{lines:?}");
+    }
+
+    #[test]
+    fn labels_that_nobody_knows_get_no_lines() {
+        assert!(bones(&[]).is_empty());
+        assert!(bones(&owned(&["u001", "", ":", "left", "_", "marker 7", "LÄNGS"])).is_empty());
+    }
+
+    #[test]
+    fn of_a_label_that_comes_twice_the_first_is_meant() {
+        assert_eq!(bones(&owned(&["l_knee", "l_knee", "l_hip"])), [[2, 0]]);
+    }
+
+    #[test]
+    fn slots_beyond_what_a_line_can_name_are_passed_over() {
+        let mut many = vec!["u001".to_owned(); 65_535];
+        many.extend(owned(&["l_hip", "l_knee"]));
+        assert!(bones(&many).is_empty());
     }
 }

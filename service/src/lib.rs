@@ -10,15 +10,12 @@
 //!
 //! [`config`] is what it is told to do, [`engine`] does it, and [`doctor`] says what of the machine is in its way.
 
-pub mod bones;
 pub mod config;
 pub mod control;
 pub mod doctor;
 pub mod engine;
-pub mod face;
 pub mod http;
 pub mod live;
-pub mod local_time;
 pub mod log;
 pub mod notify;
 pub mod process;

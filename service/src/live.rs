@@ -10,7 +10,8 @@ use std::{
 
 use crossbeam_channel::Receiver;
 
-use super::face::FacePose;
+/// From the face to the device's millimetres: for each axis three factors and what is added.
+pub type FacePose = [[f32; 4]; 3];
 
 /// One message of the live stream.
 #[derive(Debug, Clone, PartialEq)]

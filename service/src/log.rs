@@ -22,7 +22,7 @@ use tracing_subscriber::{
 };
 
 use self::gate::{Gate, Summaries};
-use crate::local_time;
+use crate::units;
 
 /// Before the names of our fields in the journal: `MOCAPD_RIG`, `MOCAPD_TAKE`, `MOCAPD_DEVICE`.
 const PREFIX: &str = "MOCAPD";
@@ -47,26 +47,18 @@ impl Level {
     /// From silent to chatty.
     pub const ALL: [Self; 5] = [Self::Error, Self::Warn, Self::Info, Self::Debug, Self::Trace];
 
+    /// As they are written.
+    pub(crate) const NAMES: [&str; 5] = ["error", "warn", "info", "debug", "trace"];
+
     fn filter(self) -> LevelFilter {
-        match self {
-            Self::Error => LevelFilter::ERROR,
-            Self::Warn => LevelFilter::WARN,
-            Self::Info => LevelFilter::INFO,
-            Self::Debug => LevelFilter::DEBUG,
-            Self::Trace => LevelFilter::TRACE,
-        }
+        use LevelFilter as Filter;
+        [Filter::ERROR, Filter::WARN, Filter::INFO, Filter::DEBUG, Filter::TRACE][self as usize]
     }
 }
 
 impl fmt::Display for Level {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
-            Self::Error => "error",
-            Self::Warn => "warn",
-            Self::Info => "info",
-            Self::Debug => "debug",
-            Self::Trace => "trace",
-        })
+        f.pad(Self::NAMES[*self as usize])
     }
 }
 
@@ -141,7 +133,7 @@ struct LocalTime;
 
 impl FormatTime for LocalTime {
     fn format_time(&self, out: &mut format::Writer<'_>) -> fmt::Result {
-        out.write_str(&local_time::now())
+        out.write_str(&units::local_now())
     }
 }
 

@@ -1,7 +1,8 @@
-//! Values with units as people type them: `0.5mm`, `10s`, `240Hz`.
+//! Values as people type and read them: `0.5mm`, `10s`, `240Hz`, and times on the clock of this machine's time zone.
 
 use std::time::Duration;
 
+use jiff::{Timestamp, tz::TimeZone};
 use mocapd_codec::Tolerance;
 
 /// Splits a number from its unit.
@@ -25,20 +26,20 @@ fn split(text: &str) -> Result<(f64, &str), String> {
     Ok((value, unit.trim()))
 }
 
+/// The number in the unit that it has among `units`, each with its factor; `of` says what is measured, and in what.
+fn in_unit(text: &str, units: &[(&str, f64)], of: &str) -> Result<f64, String> {
+    let (value, unit) = split(text)?;
+    let known = units.iter().find(|(name, _)| *name == unit);
+    known.map(|(_, factor)| value * factor).ok_or_else(|| format!("'{unit}' is no unit of {of}"))
+}
+
 /// `0.5mm`, `100um`, `2cm`, `0.001m`; a bare number is millimetres.
 ///
 /// # Errors
 /// What is wrong and what to type; 0 is answered with `--lossless`.
 pub fn tolerance(text: &str) -> Result<Tolerance, String> {
-    let (value, unit) = split(text)?;
-    let mm = value
-        * match unit {
-            "mm" | "" => 1.0,
-            "um" | "µm" => 1e-3,
-            "cm" => 10.0,
-            "m" => 1000.0,
-            _ => return Err(format!("'{unit}' is no unit of length: use um, mm, cm or m")),
-        };
+    let units = [("mm", 1.0), ("", 1.0), ("um", 1e-3), ("µm", 1e-3), ("cm", 10.0), ("m", 1000.0)];
+    let mm = in_unit(text, &units, "length: use um, mm, cm or m")?;
     if mm == 0.0 {
         return Err("a tolerance of 0 keeps every bit: use --lossless".into());
     }
@@ -55,15 +56,8 @@ pub fn tolerance(text: &str) -> Result<Tolerance, String> {
 /// # Errors
 /// What is wrong and what to type.
 pub fn duration(text: &str) -> Result<Duration, String> {
-    let (value, unit) = split(text)?;
-    let seconds = value
-        * match unit {
-            "s" | "" => 1.0,
-            "ms" => 1e-3,
-            "min" | "m" => 60.0,
-            "h" => 3600.0,
-            _ => return Err(format!("'{unit}' is no unit of time: use ms, s, min or h")),
-        };
+    let units = [("s", 1.0), ("", 1.0), ("ms", 1e-3), ("min", 60.0), ("m", 60.0), ("h", 3600.0)];
+    let seconds = in_unit(text, &units, "time: use ms, s, min or h")?;
     // A year is longer than any take; beyond it Duration's own limits come near.
     if !(0.0..=3.2e7).contains(&seconds) {
         return Err(format!("'{text}' is no length of a take: give something like 10s"));
@@ -71,25 +65,28 @@ pub fn duration(text: &str) -> Result<Duration, String> {
     Ok(Duration::from_secs_f64(seconds))
 }
 
+/// Units of bytes.
+const SIZES: [(&str, f64); 12] = [
+    ("B", 1.0),
+    ("", 1.0),
+    ("kB", 1e3),
+    ("KB", 1e3),
+    ("MB", 1e6),
+    ("GB", 1e9),
+    ("TB", 1e12),
+    ("KiB", 1024.0),
+    ("kiB", 1024.0),
+    ("MiB", 1048576.0),
+    ("GiB", 1073741824.0),
+    ("TiB", 1099511627776.0),
+];
+
 /// `256MiB`, `2GB`, `500kB`; a bare number is bytes.
 ///
 /// # Errors
 /// What is wrong and what to type.
 pub fn size_bytes(text: &str) -> Result<u64, String> {
-    let (value, unit) = split(text)?;
-    let bytes = value
-        * match unit {
-            "B" | "" => 1.0,
-            "kB" | "KB" => 1e3,
-            "MB" => 1e6,
-            "GB" => 1e9,
-            "TB" => 1e12,
-            "KiB" | "kiB" => 1024.0,
-            "MiB" => 1048576.0,
-            "GiB" => 1073741824.0,
-            "TiB" => 1099511627776.0,
-            _ => return Err(format!("'{unit}' is no unit of size: use B, kB, MB, GB, MiB or GiB")),
-        };
+    let bytes = in_unit(text, &SIZES, "size: use B, kB, MB, GB, MiB or GiB")?;
     // No disk has more, and every whole number of bytes below it is one of f64.
     if !(0.0..=9e15).contains(&bytes) {
         return Err(format!("'{text}' is no size of a disk: give something like 2GiB"));
@@ -97,18 +94,16 @@ pub fn size_bytes(text: &str) -> Result<u64, String> {
     Ok(bytes.round() as u64)
 }
 
+/// Units of rates and frequencies.
+const RATES: [(&str, f64); 5] =
+    [("Hz", 1.0), ("hz", 1.0), ("", 1.0), ("kHz", 1000.0), ("khz", 1000.0)];
+
 /// `240`, `240Hz`, `1kHz`; 1 to 10 000 Hz.
 ///
 /// # Errors
 /// What is wrong and what to type.
 pub fn rate_hz(text: &str) -> Result<f64, String> {
-    let (value, unit) = split(text)?;
-    let hz = value
-        * match unit {
-            "Hz" | "hz" | "" => 1.0,
-            "kHz" | "khz" => 1000.0,
-            _ => return Err(format!("'{unit}' is no unit of rate: use Hz or kHz")),
-        };
+    let hz = in_unit(text, &RATES, "rate: use Hz or kHz")?;
     if !(1.0..=10_000.0).contains(&hz) {
         return Err(format!("{hz} Hz is no frame rate: use 1 to 10000"));
     }
@@ -120,13 +115,7 @@ pub fn rate_hz(text: &str) -> Result<f64, String> {
 /// # Errors
 /// What is wrong and what to type.
 pub fn frequency_hz(text: &str) -> Result<f64, String> {
-    let (value, unit) = split(text)?;
-    let hz = value
-        * match unit {
-            "Hz" | "hz" | "" => 1.0,
-            "kHz" | "khz" => 1000.0,
-            _ => return Err(format!("'{unit}' is no unit of frequency: use Hz or kHz")),
-        };
+    let hz = in_unit(text, &RATES, "frequency: use Hz or kHz")?;
     if hz > 0.0 && hz <= 10_000.0 {
         return Ok(hz);
     }
@@ -156,8 +145,27 @@ pub(crate) fn size_text(bytes: u64) -> String {
     }
 }
 
+/// A moment on the clock of this machine's time zone, to the second, with its offset from UTC, such as `2026-11-23T14:05:09+01:00`. `None` for one that no calendar has.
+#[must_use]
+pub fn local_time(unix_ms: i64) -> Option<String> {
+    Timestamp::from_millisecond(unix_ms).ok().map(|time| words(time, TimeZone::system()))
+}
+
+/// Now, to the microsecond. Programs get milliseconds since 1970 or UTC, in JSON and in takes.
+#[must_use]
+pub fn local_now() -> String {
+    let now = Timestamp::now().to_zoned(TimeZone::system());
+    now.strftime("%Y-%m-%dT%H:%M:%S%.6f%:z").to_string()
+}
+
+fn words(time: Timestamp, zone: TimeZone) -> String {
+    time.to_zoned(zone).strftime("%Y-%m-%dT%H:%M:%S%:z").to_string()
+}
+
 #[cfg(test)]
 mod tests {
+    use jiff::tz::Offset;
+
     use super::*;
 
     #[test]
@@ -220,5 +228,15 @@ mod tests {
         }
         assert_eq!(size_text(256 << 20), "256MiB");
         assert_eq!(size_text(0), "0B");
+    }
+
+    #[test]
+    fn a_time_has_its_offset() {
+        let time = Timestamp::from_second(1_763_899_509).unwrap();
+        let at = |seconds| words(time, Offset::from_seconds(seconds).unwrap().to_time_zone());
+        assert_eq!(at(0), "2025-11-23T12:05:09+00:00");
+        assert_eq!(at(3600), "2025-11-23T13:05:09+01:00");
+        assert_eq!(at(-12_600), "2025-11-23T08:35:09-03:30");
+        assert_eq!(local_time(i64::MAX), None);
     }
 }

@@ -14,6 +14,7 @@ use mocapd_acquire::{
     host_clock::monotonic_ns,
     pipeline::{Progress, TapHead, TapOut, lock},
 };
+use mocapd_report::labels::bones;
 use mocapd_take::{
     motion::Position,
     record::{Header, Subject},
@@ -21,9 +22,8 @@ use mocapd_take::{
 
 use super::{Inner, quality::Judgements};
 use crate::{
-    bones::{bones, live_limbs, with_limbs},
-    face::FaceUnderMarkers,
     live::{LiveFeed, LiveFrame, LiveMessage, LiveTable},
+    subject::{FaceUnderMarkers, live_limbs, with_limbs},
 };
 
 /// Between two looks at the tap: it holds a quarter of a second.

@@ -1,13 +1,15 @@
-//! `face.json`, as far as the house needs it: the wireframe.
+//! `face.json`, as far as the house needs it: the wireframe, and where it is under markers.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 
 use anyhow::{Context, anyhow, ensure};
-use mocapd_face::mapping::{Mapping, MappingError, Marker, Place};
-use mocapd_take::record::Subject;
+use mocapd_face::mapping::{Mapping, MappingError, Marker, Place, Scaling};
+use mocapd_report::labels;
+use mocapd_take::{motion::Position, record::Subject};
 use serde::{Deserialize, Serialize};
 
 use super::check_kind;
+use crate::live::{FacePose, LiveFace};
 
 /// Vertices and lines: more than a document of 1 MiB can spell out.
 const PARTS_MAX: usize = 1 << 17;
@@ -123,5 +125,105 @@ impl Face {
     pub fn of_take(subject: Option<&Subject>) -> anyhow::Result<Option<Self>> {
         let document = subject.and_then(|subject| subject.document(Subject::FACE));
         document.map(Self::parse).transpose().context("the take's face")
+    }
+}
+
+/// A face, and the markers that it is laid under.
+#[derive(Debug)]
+pub struct FaceUnderMarkers {
+    face: Face,
+    mapping: Mapping,
+    /// Slots by label, with and without what stands before its `:`.
+    slots: HashMap<String, usize>,
+}
+
+impl FaceUnderMarkers {
+    /// Of a subject that was checked when it was read; `None` where it has no face, or nothing says which marker sits where.
+    #[must_use]
+    pub fn new(subject: Option<&Subject>, labels: &[String]) -> Option<Self> {
+        let face = Face::of_take(subject).ok()??;
+        let mapping = mapping_of(subject?).ok()??;
+        let mut slots = HashMap::new();
+        for (slot, label) in labels.iter().enumerate() {
+            slots.entry(label.clone()).or_insert(slot);
+            slots.entry(labels::split(label).1.to_owned()).or_insert(slot);
+        }
+        Some(Self { face, mapping, slots })
+    }
+
+    /// The wireframe, for who draws it.
+    #[must_use]
+    pub fn wireframe(&self) -> LiveFace {
+        let vertices_mm = self.face.vertices_mm.iter().map(|at| at.map(|v| v as f32)).collect();
+        LiveFace { vertices_mm, lines: self.face.lines.clone() }
+    }
+
+    /// Where it is in a frame; `None` where too few of its markers are seen.
+    #[must_use]
+    pub fn pose(&self, positions_mm: &[Position]) -> Option<FacePose> {
+        let marker = |label: &str| {
+            let at = positions_mm.get(*self.slots.get(label)?)?;
+            at.iter().all(|value| value.is_finite()).then(|| at.map(f64::from))
+        };
+        let Face { vertices_mm, features, .. } = &self.face;
+        let found = self.mapping.align(vertices_mm, features, marker, Scaling::Free).ok()?;
+        let row = |axis: usize| {
+            let [x, y, z] = found.rotation[axis].map(|value| (found.scale * value) as f32);
+            [x, y, z, found.translation_mm[axis] as f32]
+        };
+        let pose = [row(0), row(1), row(2)];
+        pose.iter().flatten().all(|value| value.is_finite()).then_some(pose)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FACE: &str = r#"{"format":"mocapd-face","version":1,"vertices_mm":[[0,0,0],[10,0,0],[0,20,0],[0,0,30],[5,5,5]],
+    "lines":[[0,1],[0,2]],"features":{"nose":0,"chin":2}}"#;
+    const MARKERS: &str = r#"{"format":"mocapd-face-mapping","version":1,"markers":[{"label":"a","at":"nose"},{"label":"b","at":1},
+    {"label":"c","at":"chin"},{"label":"d","at":3}]}"#;
+
+    fn subject() -> Subject {
+        let mut subject = Subject::default();
+        subject.set(Subject::FACE, FACE.as_bytes().to_vec());
+        subject.set(Subject::FACE_MARKERS, MARKERS.as_bytes().to_vec());
+        subject
+    }
+
+    #[test]
+    fn it_is_laid_under_its_markers() {
+        let labels = ["x", "S1:d", "S1:c", "b", "a"].map(str::to_owned);
+        let face = FaceUnderMarkers::new(Some(&subject()), &labels).unwrap();
+        assert_eq!(face.wireframe().vertices_mm.len(), 5);
+        // Twice as large, turned by a right angle about z, and moved.
+        let placed = |[x, y, z]: [f32; 3]| [100.0 - 2.0 * y, 7.0 + 2.0 * x, 2.0 * z - 50.0];
+        let vertices = face.wireframe().vertices_mm;
+        let mut positions = [[9.0; 3], vertices[3], vertices[2], vertices[1], vertices[0]];
+        positions[1..].iter_mut().for_each(|at| *at = placed(*at));
+        let pose = face.pose(&positions).unwrap();
+        for vertex in vertices {
+            let found =
+                pose.map(|[x, y, z, add]| x * vertex[0] + y * vertex[1] + z * vertex[2] + add);
+            let wanted = placed(vertex);
+            for (found, wanted) in found.into_iter().zip(wanted) {
+                assert!((found - wanted).abs() < 1e-3, "{found:?} {wanted:?}");
+            }
+        }
+        positions[4] = [f32::NAN; 3];
+        assert_eq!(face.pose(&positions), None, "three markers do not hold it");
+        assert_eq!(face.pose(&[]), None);
+    }
+
+    #[test]
+    fn without_a_face_or_a_mapping_there_is_nothing_to_draw() {
+        let labels = ["a".to_owned()];
+        assert!(FaceUnderMarkers::new(None, &labels).is_none());
+        let mut alone = Subject::default();
+        alone.set(Subject::FACE, FACE.as_bytes().to_vec());
+        assert!(FaceUnderMarkers::new(Some(&alone), &labels).is_none());
+        alone.set(Subject::FACE_MARKERS, b"{}".to_vec());
+        assert!(FaceUnderMarkers::new(Some(&alone), &labels).is_none());
     }
 }

@@ -1,11 +1,12 @@
 //! `skeleton.json`, as far as the house needs it: joints, bones, and where they are from.
 
 use anyhow::{Context, ensure};
-use mocapd_report::limbs::Bone;
+use mocapd_report::limbs::{Bone, Limb, limbs};
 use mocapd_take::record::Subject;
 use serde::{Deserialize, Serialize};
 
 use super::check_kind;
+use crate::live::LiveLimb;
 
 /// Joints and bones: more than any body has.
 const PARTS_MAX: usize = 256;
@@ -136,4 +137,31 @@ impl Skeleton {
         };
         self.bones.iter().map(bone).collect()
     }
+}
+
+/// The limbs of the subject's skeleton between these slots. It was checked when it was read: here nothing is said of it.
+#[must_use]
+pub fn live_limbs(subject: Option<&Subject>, labels: &[String]) -> Vec<LiveLimb> {
+    let Ok(Some(skeleton)) = Skeleton::of_take(subject) else { return Vec::new() };
+    let named = &labels[..labels.len().min(usize::from(u16::MAX) + 1)];
+    let name = subject.map_or("", |subject| subject.name.as_str());
+    let (found, _) = limbs(&skeleton.to_bones(), named, name);
+    let slot = |column: usize| u16::try_from(column).unwrap_or_default();
+    let limb = |limb: &Limb| LiveLimb {
+        ends: limb.ends.map(slot),
+        length_mm: limb.bone.length_mm,
+        off_mm: limb.bone.off_mm(),
+    };
+    found.iter().map(limb).collect()
+}
+
+/// Lines by label, and those of limbs that are not among them.
+#[must_use]
+pub fn with_limbs(mut bones: Vec<[u16; 2]>, limbs: &[LiveLimb]) -> Vec<[u16; 2]> {
+    for LiveLimb { ends: [a, b], .. } in limbs {
+        if !bones.contains(&[*a, *b]) && !bones.contains(&[*b, *a]) {
+            bones.push([*a, *b]);
+        }
+    }
+    bones
 }

@@ -1,5 +1,8 @@
 use std::fs;
 
+use mocapd_report::labels::bones;
+use mocapd_simulator::generator::{BONES, SITES};
+
 use super::*;
 
 const SKELETON: &str = r#"{"format":"mocapd-skeleton","version":1,"method":"default","sources":[{"name":"a.obj",
@@ -106,4 +109,62 @@ fn what_is_no_face_says_why() {
     assert_eq!(binary.chain().count(), 2, "the parser's words are the cause: {binary:#}");
     let binary = face::mapping(&[0xff; 9]).unwrap_err();
     assert!(format!("{binary:#}").starts_with("not a mapping of markers"), "{binary:#}");
+}
+
+fn labels(names: &[&str]) -> Vec<String> {
+    names.iter().map(|name| (*name).to_owned()).collect()
+}
+
+/// The lines as pairs of names, each pair and all pairs in alphabetical order.
+fn names(labels: &[String]) -> Vec<[&str; 2]> {
+    let mut lines: Vec<[&str; 2]> = bones(labels)
+        .iter()
+        .map(|line| {
+            let mut pair = line.map(|slot| labels[usize::from(slot)].as_str());
+            pair.sort_unstable();
+            pair
+        })
+        .collect();
+    lines.sort_unstable();
+    lines
+}
+
+#[test]
+fn the_generators_sites_get_the_generators_bones() {
+    let sites = labels(&SITES);
+    let mut expected: Vec<[&str; 2]> = BONES
+        .iter()
+        .map(|&(a, b)| {
+            let mut pair = [SITES[a], SITES[b]];
+            pair.sort_unstable();
+            pair
+        })
+        .collect();
+    expected.sort_unstable();
+    assert_eq!(names(&sites), expected);
+}
+
+#[test]
+fn markers_on_segments_get_no_lines() {
+    let mut with_clusters = labels(&SITES);
+    with_clusters.extend(labels(&["trunk_1", "l_thigh_1", "r_upper_arm_2", "head_1"]));
+    assert_eq!(bones(&with_clusters), bones(&labels(&SITES)));
+}
+
+#[test]
+fn limbs_of_the_subjects_skeleton_come_with_their_lengths() {
+    let mut subject = Subject { name: "Ann".to_owned(), documents: Vec::new() };
+    let skeleton = r#"{"format":"mocapd-skeleton","version":1,"joints":[{"name":"l_hip"},{"name":"l_knee"},{"name":"l_ankle"}],
+"bones":[{"name":"l_thigh","parent":"l_hip","child":"l_knee","length_mm":400,"uncertainty_mm":9},
+{"name":"l_shank","parent":"l_knee","child":"l_ankle","length_mm":300,"uncertainty_mm":50}]}"#;
+    subject.set(Subject::SKELETON, skeleton.as_bytes().to_vec());
+    let two = labels(&["Bob:LHIP", "Bob:LKNE", "Ann:LANK", "Ann:LKNE", "Ann:LHJC"]);
+    let limbs = live_limbs(Some(&subject), &two);
+    let told: Vec<_> = limbs.iter().map(|limb| (limb.ends, limb.length_mm, limb.off_mm)).collect();
+    assert_eq!(told, [([4, 3], 400.0, 40.0), ([3, 2], 300.0, 50.0)]);
+    // No line is drawn twice, whichever way it goes.
+    assert_eq!(with_limbs(vec![[2, 3], [0, 1]], &limbs), [[2, 3], [0, 1], [4, 3]]);
+    assert!(live_limbs(None, &two).is_empty());
+    subject.set(Subject::SKELETON, b"{}".to_vec());
+    assert!(live_limbs(Some(&subject), &two).is_empty());
 }

@@ -4,8 +4,8 @@ use std::fmt::Write;
 
 use mocapd_service::{
     control::{Started, Stopped},
-    local_time,
     status::{Presence, State, Status, TakeSummary},
+    units,
 };
 
 use mocapd_take::record::EndingKind;
@@ -203,7 +203,7 @@ fn ended(take: &TakeSummary) -> String {
 
 /// In the time zone of this machine, to the second.
 pub(super) fn time(unix_ms: i64) -> String {
-    local_time::of_unix_ms(unix_ms).unwrap_or_else(|| "?".to_owned())
+    units::local_time(unix_ms).unwrap_or_else(|| "?".to_owned())
 }
 
 #[cfg(test)]

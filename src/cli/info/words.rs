@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use mocapd_service::local_time;
+use mocapd_service::units;
 
 use super::report::Report;
 use crate::cli::{
@@ -20,7 +20,7 @@ pub(super) fn words(report: &Report) -> String {
     };
     line("take", &report.take.display().to_string());
     let by = format!("by {}", report.software);
-    let made = report.created_unix_ms.and_then(local_time::of_unix_ms);
+    let made = report.created_unix_ms.and_then(units::local_time);
     line("made", &made.map_or(by.clone(), |made| format!("{made} {by}")));
     if let Some(recovered) = &report.recovered {
         line("recovered", recovered);

@@ -10,14 +10,11 @@ use anyhow::Context;
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::files;
 use mocapd_report::{
+    labels,
     plot::{Pose, pose},
     up::Up,
 };
-use mocapd_service::{
-    bones,
-    face::{FacePose, FaceUnderMarkers},
-    units,
-};
+use mocapd_service::{live::FacePose, subject::FaceUnderMarkers, units};
 use mocapd_take::{
     motion::{Motion, frame_at},
     record::Subject,
@@ -77,7 +74,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let labels: Vec<String> =
         motion.info.markers.iter().map(|marker| marker.label.clone()).collect();
-    let mut bones = bones::bones(&labels);
+    let mut bones = labels::bones(&labels);
     let mut limbs = None;
     match &args.skeleton {
         Some(path) if !is_json(path)? => bones = read_bones(path, &labels)?,

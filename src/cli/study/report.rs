@@ -5,11 +5,11 @@ use mocapd_codec::{Settings, Tolerance};
 use mocapd_report::{
     ReportError,
     coded::Coded,
+    labels,
     phases::Phase,
     plot::{Pose, Trajectory, by_phase, pose, trajectory},
     study::{Coder, Findings, Method, Piece, Trial, paper, tables},
 };
-use mocapd_service::bones;
 use serde::Serialize;
 
 use super::InMemory;
@@ -221,7 +221,7 @@ pub(super) fn figures(
         let span = to.end - 1 - from.start;
         let rows: Vec<usize> =
             (0..MOMENTS).map(|i| from.start + i * span / (MOMENTS - 1)).collect();
-        let bones = bones::bones(&labels);
+        let bones = labels::bones(&labels);
         let wanted = Pose {
             name: &trial.name,
             coded: &coded,
