@@ -8,7 +8,6 @@ pub mod keys;
 mod name;
 pub(crate) mod problem;
 mod read;
-mod token;
 
 #[cfg(test)]
 mod tests;
@@ -36,7 +35,6 @@ pub use self::{
     name::{NAME_BYTES_MAX, NameParts, NameTemplate, is_refused_in_name},
     problem::{ConfigError, PROBLEMS_MAX, Place, Problem},
     read::{CONFIG_BYTES_MAX, CONFIG_PATH, Overrides, Surroundings},
-    token::{Token, TokenError},
 };
 use crate::{log::Level, subject::SubjectFiles, trigger::Network};
 

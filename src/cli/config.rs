@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use mocapd::outcome::{Outcome, UsageError};
-use mocapd_service::config::{
-    self, CONFIG_PATH, Config, ConfigError, Overrides, Place, Problem, Token, TokenError,
+use mocapd_service::{
+    config::{self, CONFIG_PATH, Config, ConfigError, Overrides, Place, Problem},
+    http::{Token, TokenError},
 };
 use rustix::process::geteuid;
 use serde::Serialize;

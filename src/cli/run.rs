@@ -7,10 +7,10 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, bounded};
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{heartbeat::Heartbeat, threads};
 use mocapd_service::{
-    config::{CONFIG_PATH, Config, ConfigError, HttpConfig, Overrides, Token},
+    config::{CONFIG_PATH, Config, ConfigError, HttpConfig, Overrides},
     control::Control,
     engine::{Engine, EngineOptions},
-    http::{HttpOptions, HttpServer},
+    http::{HttpOptions, HttpServer, Token},
     log::Log,
     notify::Notifier,
     status::ServiceEventKind,

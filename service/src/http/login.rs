@@ -57,7 +57,7 @@ pub(super) async fn login(
     }
     let form = body::read(body, &parts.headers, &app).await?;
     let said = token_of(&form).ok_or_else(|| Problem::invalid("the form has no field `token`"))?;
-    if !app.auth.is_token(&said) {
+    if !app.auth.is_token(said.as_bytes()) {
         tokio::time::sleep(WRONG_TOKEN_WAIT).await;
         let words = "wrong token: it stands in the file that the configuration names";
         return Err(Problem::new(StatusCode::UNAUTHORIZED, ProblemKind::Unauthorized, words));
@@ -93,26 +93,10 @@ fn set_cookie(response: &mut Response, value: &str, life: Duration) -> Result<()
     Ok(())
 }
 
-/// The field `token` of a form, decoded. Tokens are visible ASCII, so that no more than this is needed.
-fn token_of(form: &[u8]) -> Option<Vec<u8>> {
-    let value = form.split(|&byte| byte == b'&').find_map(|field| field.strip_prefix(b"token="))?;
-    let mut out = Vec::with_capacity(value.len());
-    let mut rest = value;
-    while let [byte, tail @ ..] = rest {
-        rest = tail;
-        if *byte == b'%'
-            && let Some((digits, tail)) = rest.split_at_checked(2)
-            && let Some(decoded) =
-                std::str::from_utf8(digits).ok().and_then(|hex| u8::from_str_radix(hex, 16).ok())
-        {
-            out.push(decoded);
-            rest = tail;
-        } else {
-            out.push(if *byte == b'+' { b' ' } else { *byte });
-        }
-    }
-    // Pasted with a line end.
-    Some(out.trim_ascii().to_vec())
+/// The field `token` of a form. It may have been pasted with a line end.
+fn token_of(form: &[u8]) -> Option<String> {
+    let (_, token) = form_urlencoded::parse(form).find(|(name, _)| name == "token")?;
+    Some(token.trim_ascii().to_owned())
 }
 
 pub(super) const LOGIN_PATH: &str = "/login";
@@ -151,7 +135,7 @@ mod tests {
 
     #[test]
     fn the_form_is_read() {
-        let token = |form: &str| token_of(form.as_bytes()).map(|t| String::from_utf8(t).unwrap());
+        let token = |form: &str| token_of(form.as_bytes());
         assert_eq!(token("token=abc").as_deref(), Some("abc"));
         assert_eq!(token("a=b&token=a%2Bb%20&c=d").as_deref(), Some("a+b"));
         assert_eq!(token("token=%zz%4").as_deref(), Some("%zz%4"));

@@ -29,14 +29,15 @@ mod takes;
 
 use std::{
     net::SocketAddr,
+    pin::pin,
     sync::{
         Arc,
         atomic::{AtomicU64, Ordering},
     },
-    task::Poll,
 };
 
 use axum::body::Bytes;
+use futures_util::future::{Either, select};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
 use self::{
@@ -45,6 +46,7 @@ use self::{
     lanes::Lanes,
 };
 pub use self::{
+    auth::{Token, TokenError},
     options::{CONNECTIONS_MAX, HttpOptions, TimeLimits},
     problem::{Problem, ProblemKind},
     routes::openapi,
@@ -147,14 +149,10 @@ impl Drop for Open {
 
 /// Awaits `work`, or `event`: `None`.
 async fn unless<T>(event: impl Future<Output = ()>, work: impl Future<Output = T>) -> Option<T> {
-    let (mut event, mut work) = (std::pin::pin!(event), std::pin::pin!(work));
-    std::future::poll_fn(|cx| {
-        if event.as_mut().poll(cx).is_ready() {
-            return Poll::Ready(None);
-        }
-        work.as_mut().poll(cx).map(Some)
-    })
-    .await
+    match select(pin!(event), pin!(work)).await {
+        Either::Left(_) => None,
+        Either::Right((done, _)) => Some(done),
+    }
 }
 
 /// Awaits `work`, or that the server stops: `None`.

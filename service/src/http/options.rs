@@ -4,10 +4,7 @@ use std::{net::SocketAddr, path::PathBuf, time::Duration};
 
 use anyhow::{bail, ensure};
 
-use super::lanes;
-
-/// Bytes of a token at least: 16 random characters are beyond guessing over a network.
-pub(super) const TOKEN_BYTES_MIN: usize = 16;
+use super::{auth::TOKEN_BYTES_MIN, lanes};
 
 /// Connections at once at most, each on the Unix socket and on TCP: a studio's browsers and scripts, each with a few, and
 /// room for those that never finish a request. Each costs 50 KB at most. Connections must leave descriptors for takes.

@@ -31,15 +31,18 @@ use super::{
     places::Places,
     routes,
 };
-use crate::control::{Control, EventFeed};
+use crate::control::Control;
 
 /// The HTTP API while it runs.
 #[derive(Debug)]
 pub struct HttpServer {
     stop: watch::Sender<bool>,
     within: watch::Sender<Duration>,
+    /// Of the listeners.
     threads: Vec<JoinHandle<()>>,
-    hubs: Hubs,
+    hub_stopper: Option<Stopper>,
+    /// Those that listen to the service for everybody.
+    hub_threads: Vec<JoinHandle<()>>,
     tcp: Option<SocketAddr>,
 }
 
@@ -65,7 +68,21 @@ impl HttpServer {
         let live = Arc::new(LiveHub::new(Arc::clone(&counts)));
         let auth = Arc::new(Auth::new(token.as_deref()));
         let document: Bytes = routes::openapi()?.into();
-        let hubs = Hubs::start(&control, &events, &live, feed)?;
+        let (hub_stopper, stopped) = threads::stop();
+        let mut server = Self {
+            stop,
+            within,
+            threads: Vec::with_capacity(2),
+            hub_stopper: Some(hub_stopper),
+            hub_threads: Vec::with_capacity(2),
+            tcp: tcp_address,
+        };
+        let (hub, is_stopped) = (Arc::clone(&events), stopped.clone());
+        let listen = move || hub.listen(&feed, &is_stopped);
+        server.hub_threads.push(threads::spawn("mocapd-events", listen)?);
+        let (hub, shown) = (Arc::clone(&live), Arc::clone(&control));
+        let run = move || hub.run(shown.as_ref(), &stopped);
+        server.hub_threads.push(threads::spawn("mocapd-live", run)?);
         let serving = move |places: usize| {
             let app = Arc::new(App {
                 control: Arc::clone(&control),
@@ -93,12 +110,10 @@ impl HttpServer {
             };
             Serving { doorway, gone, how_long: how_long.clone() }
         };
-        let mut server =
-            Self { stop, within, threads: Vec::with_capacity(2), hubs, tcp: tcp_address };
         if let Some(Listening { runtime, listener }) = unix {
             let serving = serving(connections_max + UNIX_MORE);
             let run = move || {
-                let (listener, file) = listener.into_parts();
+                let UnixDoor { listener, file } = listener;
                 serving.run(runtime, |doorway| doorway.serve_unix(listener), file);
             };
             server.threads.push(threads::spawn("mocapd-socket", run)?);
@@ -131,7 +146,8 @@ impl HttpServer {
         self.stop.send_replace(true);
         // One that panicked has ended already, which `join` reports.
         let joined = self.threads.drain(..).map(threads::join).fold(Ok(()), Result::and);
-        self.hubs.stop().and(joined)
+        drop(self.hub_stopper.take());
+        self.hub_threads.drain(..).map(threads::join).fold(joined, Result::and)
     }
 }
 
@@ -139,44 +155,6 @@ impl Drop for HttpServer {
     fn drop(&mut self) {
         // Whoever wants to hear of a panic calls `stop`.
         self.end(Duration::ZERO).ok();
-    }
-}
-
-/// The threads that listen to the service for everybody.
-#[derive(Debug)]
-struct Hubs {
-    stopper: Option<Stopper>,
-    threads: Vec<JoinHandle<()>>,
-}
-
-impl Hubs {
-    fn start(
-        control: &Arc<dyn Control>,
-        events: &Arc<EventHub>,
-        live: &Arc<LiveHub>,
-        feed: EventFeed,
-    ) -> anyhow::Result<Self> {
-        let (stopper, stopped) = threads::stop();
-        let mut hubs = Self { stopper: Some(stopper), threads: Vec::with_capacity(2) };
-        let (events, is_stopped) = (Arc::clone(events), stopped.clone());
-        let listen = move || events.listen(&feed, &is_stopped);
-        hubs.threads.push(threads::spawn("mocapd-events", listen)?);
-        let (live, control) = (Arc::clone(live), Arc::clone(control));
-        let run = move || live.run(control.as_ref(), &stopped);
-        hubs.threads.push(threads::spawn("mocapd-live", run)?);
-        Ok(hubs)
-    }
-
-    fn stop(&mut self) -> anyhow::Result<()> {
-        drop(self.stopper.take());
-        self.threads.drain(..).map(threads::join).fold(Ok(()), Result::and)
-    }
-}
-
-impl Drop for Hubs {
-    fn drop(&mut self) {
-        // Whoever wants to hear of a panic calls `stop`.
-        self.stop().ok();
     }
 }
 
@@ -242,20 +220,20 @@ const SOCKET_MODE: u32 = 0o660;
 
 /// A listening Unix socket. Its file goes with it.
 #[derive(Debug)]
-pub(super) struct UnixDoor {
+struct UnixDoor {
     listener: UnixListener,
     file: SocketFile,
 }
 
 /// The file of a socket; it is removed when this is dropped.
 #[derive(Debug)]
-pub(super) struct SocketFile {
+struct SocketFile {
     path: PathBuf,
     inode: u64,
 }
 
 /// Listens on `path`. A socket that a killed service left there makes way; one that answers does not.
-pub(super) fn listen_unix(path: &Path) -> anyhow::Result<UnixDoor> {
+fn listen_unix(path: &Path) -> anyhow::Result<UnixDoor> {
     make_way(path)?;
     let context = || format!("cannot listen on {}", path.display());
     let socket = UnixSocket::new_stream().with_context(context)?;
@@ -297,15 +275,8 @@ impl Drop for SocketFile {
     }
 }
 
-impl UnixDoor {
-    /// What is listened with, and what stands for the file: dropped, it is removed.
-    pub(super) fn into_parts(self) -> (UnixListener, SocketFile) {
-        (self.listener, self.file)
-    }
-}
-
 /// Listens on an address.
-pub(super) fn listen_tcp(address: SocketAddr) -> anyhow::Result<TcpListener> {
+fn listen_tcp(address: SocketAddr) -> anyhow::Result<TcpListener> {
     let context =
         || format!("cannot listen on {address}: choose another port, or stop what listens there");
     let socket = if address.is_ipv4() { TcpSocket::new_v4() } else { TcpSocket::new_v6() };

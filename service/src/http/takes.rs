@@ -301,7 +301,7 @@ fn number(text: &str) -> Option<u64> {
 const TOLD_MAX: usize = 100;
 
 /// What was found in a take.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct TakeCheck {
     /// Without `.take`.
     pub name: String,
@@ -400,7 +400,8 @@ fn check(name: String, bytes: u64, read: Result<Summary, TakeError>) -> Result<T
         Err(TakeError::Io(error)) => return Err(unreadable(&error)),
         Err(error) => {
             let problems = vec![error.to_string()];
-            return Ok(TakeCheck { problems, ..empty(name, bytes, TakeHealth::Unreadable) });
+            let health = TakeHealth::Unreadable;
+            return Ok(TakeCheck { name, health, bytes, problems, ..TakeCheck::default() });
         }
     };
     let mut contradictions = summary.contradictions().to_vec();
@@ -419,7 +420,10 @@ fn check(name: String, bytes: u64, read: Result<Summary, TakeError>) -> Result<T
     let header = &summary.take.header;
     let ending = summary.take.ending.as_ref().map_or("", |ending| ending.kind.word());
     Ok(TakeCheck {
+        name,
+        health: summary.health(),
         ending: ending.to_owned(),
+        bytes,
         frames: summary.take.n_rows,
         seconds: summary.take.n_rows as f64 / header.rate_hz,
         rate_hz: header.rate_hz,
@@ -430,27 +434,8 @@ fn check(name: String, bytes: u64, read: Result<Summary, TakeError>) -> Result<T
         problems: summary.take.problems.iter().take(TOLD_MAX).map(ToString::to_string).collect(),
         contradictions,
         ledger: ledger.map(LedgerDocument::from),
-        ..empty(name, bytes, summary.health())
-    })
-}
 
-fn empty(name: String, bytes: u64, health: TakeHealth) -> TakeCheck {
-    TakeCheck {
-        name,
-        health,
-        ending: String::new(),
-        bytes,
-        frames: 0,
-        seconds: 0.0,
-        rate_hz: 0.0,
-        markers: 0,
-        samples: 0,
-        tolerance_mm: 0.0,
-        max_error_mm: 0.0,
-        problems: Vec::new(),
-        contradictions: Vec::new(),
-        ledger: None,
-    }
+    })
 }
 
 #[cfg(test)]
