@@ -15,7 +15,7 @@ use super::{
     control::{Control, EventFeed, Mark, RefusalKind, Request, Start},
     status::{ServiceEvent, ServiceEventKind},
     trigger::{
-        self, Announcer, Listener, Queue, Quiet, Received, StopResult, TakeName, Trigger,
+        Announcer, Capture, Listener, Queue, Quiet, Received, StopResult, TakeName, Trigger,
         first_packet_id,
         socket::{self, Hearing, Questions, Teller},
     },
@@ -166,7 +166,7 @@ impl Worker {
         }
     }
 
-    fn start(&mut self, start: &trigger::Start, by: IpAddr, note: &str) -> Outcome {
+    fn start(&mut self, start: &Capture, by: IpAddr, note: &str) -> Outcome {
         let name = start.name.as_ref().map(|name| name.text().to_owned());
         let start = Start { name, notes: Some(note.to_owned()), ..Start::default() };
         match self.control.start(&start) {
@@ -179,7 +179,7 @@ impl Worker {
         }
     }
 
-    fn stop(&self, stop: &trigger::Stop, received: &Received, note: &str) -> Outcome {
+    fn stop(&self, stop: &Capture, received: &Received, note: &str) -> Outcome {
         let name = stop.name.as_ref().map(TakeName::text);
         let was_recording = received.recording.as_deref();
         let recording = self.control.status().take.map(|take| take.name);

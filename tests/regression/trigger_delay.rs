@@ -200,7 +200,7 @@ fn a_delayed_trigger_holds_up_neither_stops_nor_announcements() {
     let mut bytes = [0; 4096];
     let n = served.peer.recv(&mut bytes).unwrap();
     let announced = parse(&bytes[..n]).unwrap();
-    assert_eq!(announced.name().unwrap().text(), "ours");
+    assert_eq!(announced.capture().name.as_ref().unwrap().text(), "ours");
 }
 
 #[test]

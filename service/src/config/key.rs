@@ -2,7 +2,7 @@
 
 use std::{net::SocketAddr, ops::RangeInclusive, path::PathBuf, time::Duration};
 
-use mocapd_codec::Tolerance;
+use serde::Serialize;
 use serde_json::{Value as Json, json};
 use toml::de::DeValue;
 
@@ -255,7 +255,10 @@ impl<'a> Given<'a> {
     }
 
     /// A number with a unit: who reads the file next year cannot guess it.
-    fn quantity<T>(&self, read: impl FnOnce(&str) -> Read<T>) -> Result<T, Vec<Problem>> {
+    pub(super) fn quantity<T>(
+        &self,
+        read: impl FnOnce(&str) -> Read<T>,
+    ) -> Result<T, Vec<Problem>> {
         self.text(|text| match text.trim().parse::<f64>() {
             Ok(number) if number != 0.0 => Err(Some("its unit is missing".to_owned())),
             _ => read(text),
@@ -325,18 +328,18 @@ fn line(why: &str) -> String {
 }
 
 /// A type whose values stand behind keys. What is written out is read as exactly the same again.
-pub(super) trait Setting: Sized {
+pub(super) trait Setting: Serialize + Sized {
     fn read(given: &Given<'_>) -> Result<Self, Vec<Problem>>;
-    fn written(&self) -> Option<Json>;
+
+    /// Nothing, or the text, number or flag that it is.
+    fn written(&self) -> Option<Json> {
+        serde_json::to_value(self).ok()
+    }
 }
 
 impl Setting for bool {
     fn read(given: &Given<'_>) -> Result<Self, Vec<Problem>> {
         given.read(|value| value.as_bool().ok_or(None))
-    }
-
-    fn written(&self) -> Option<Json> {
-        Some(json!(self))
     }
 }
 
@@ -348,10 +351,6 @@ impl Setting for usize {
                 matches!(&given.key.takes, Takes::Whole(range) if range.contains(&number));
             Self::try_from(number).ok().filter(|_| in_range).ok_or(None)
         })
-    }
-
-    fn written(&self) -> Option<Json> {
-        Some(json!(self))
     }
 }
 
@@ -369,10 +368,6 @@ impl Setting for f64 {
             };
             units::rate_hz(&text).map_err(Some)
         })
-    }
-
-    fn written(&self) -> Option<Json> {
-        Some(json!(self))
     }
 }
 
@@ -405,18 +400,6 @@ impl Setting for u64 {
     }
 }
 
-impl Setting for Tolerance {
-    fn read(given: &Given<'_>) -> Result<Self, Vec<Problem>> {
-        // The words are those of the command line.
-        let words = |why: String| Some(why.replace("--lossless", "lossless = true"));
-        given.quantity(|text| units::tolerance(text).map_err(words))
-    }
-
-    fn written(&self) -> Option<Json> {
-        Some(json!(format!("{}mm", self.mm())))
-    }
-}
-
 /// A path, which is not looked at.
 impl Setting for PathBuf {
     fn read(given: &Given<'_>) -> Result<Self, Vec<Problem>> {
@@ -424,11 +407,6 @@ impl Setting for PathBuf {
             "" => Err(None),
             _ => path(text, PATH_BYTES_MAX).map_err(Some),
         })
-    }
-
-    fn written(&self) -> Option<Json> {
-        // It comes from a text and is one.
-        self.to_str().map(|text| json!(text))
     }
 }
 

@@ -7,7 +7,7 @@ use std::{
     time::Duration,
 };
 
-use mocapd_codec::ResamplerKind;
+use mocapd_codec::{ResamplerKind, Tolerance};
 use serde_json::json;
 
 use super::{
@@ -15,7 +15,9 @@ use super::{
     key::{Field, Key, Preset, Read, Setting, Takes, When, address, field, path},
     problem::suggestion,
 };
-use crate::{http::CONNECTIONS_MAX, log::Level, subject::NAME_BYTES_MAX, trigger::DELAY_MAX};
+use crate::{
+    http::CONNECTIONS_MAX, log::Level, subject::NAME_BYTES_MAX, trigger::DELAY_MAX, units,
+};
 
 /// Sections, in the order of the example, and what each is about.
 pub const SECTIONS: &[(&str, &str)] = &[
@@ -100,12 +102,10 @@ keys! {
     take.tolerance: Takes::Length,
         Preset::Text("0.5mm"), When::NextArm,
         Field {
-            read: |config, given| {
-                Setting::read(given).map(|tolerance| config.take.codec.tolerance = tolerance)
-            },
+            read: |config, given| given.quantity(tolerance).map(|mm| config.take.codec.tolerance = mm),
             written: |config| {
                 let codec = &config.take.codec;
-                (!codec.kind.is_lossless()).then(|| codec.tolerance.written()).flatten()
+                (!codec.kind.is_lossless()).then(|| json!(format!("{}mm", codec.tolerance.mm())))
             },
         };
     /// Keep every bit; the same as `resampler = "lossless"`.
@@ -243,9 +243,6 @@ const RIG_NAME_BYTES_MAX: usize = 64;
 /// Bytes of a Unix socket's path, without the 0 behind it: `sun_path` has 108 on Linux.
 pub(super) const SOCKET_BYTES_MAX: usize = 107;
 
-/// As they are written, for who wrote another word.
-const LEVELS: [&str; 5] = ["error", "warn", "info", "debug", "trace"];
-
 /// A name that can be a part of each take's name, and of a path.
 pub(super) fn rig_name(text: &str) -> Read<String> {
     let is_part = |c: char| c.is_alphanumeric() || "-_.".contains(c);
@@ -261,6 +258,11 @@ fn device_choice(text: &str) -> Read<DeviceChoice> {
         _ if text.contains(char::is_control) => Err(None),
         _ => text.parse().map(DeviceChoice::At).map_err(|why| Some(format!("{why}"))),
     }
+}
+
+fn tolerance(text: &str) -> Read<Tolerance> {
+    // The words are those of the command line.
+    units::tolerance(text).map_err(|why| Some(why.replace("--lossless", "lossless = true")))
 }
 
 fn resampler(text: &str) -> Read<ResamplerKind> {
@@ -287,7 +289,7 @@ fn socket(text: &str) -> Read<Option<PathBuf>> {
 }
 
 fn level(text: &str) -> Read<Level> {
-    text.parse().map_err(|_| suggestion(text, LEVELS.into_iter()))
+    text.parse().map_err(|_| suggestion(text, Level::NAMES.into_iter()))
 }
 
 /// A name as browsers send it in `Host`, in small letters, without its port.

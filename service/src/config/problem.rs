@@ -1,6 +1,6 @@
 //! What is wrong with a configuration: every thing at once, each with its place and what to write.
 
-use std::{fmt, path::PathBuf};
+use std::path::PathBuf;
 
 /// Problems that are told at once: more help nobody.
 pub const PROBLEMS_MAX: usize = 20;
@@ -48,7 +48,7 @@ pub enum ConfigError {
         error: std::io::Error,
     },
     /// Something in it cannot be meant.
-    #[error("{}", Refused(.name, .problems, *.more))]
+    #[error("{}", on_one_line(.name, .problems, *.more))]
     Refused {
         /// What the file is called.
         name: String,
@@ -90,18 +90,11 @@ impl Problem {
 }
 
 /// All of it on one line, for who prints an error as one.
-struct Refused<'a>(&'a str, &'a [Problem], usize);
-
-impl fmt::Display for Refused<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self(name, problems, more) = self;
-        if let Some(problem) = problems.first() {
-            f.write_str(&problem.line(name))?;
-        }
-        match problems.len().saturating_sub(1) + more {
-            0 => Ok(()),
-            n => write!(f, "; and {n} more: see `mocapd config check`"),
-        }
+fn on_one_line(name: &str, problems: &[Problem], more: usize) -> String {
+    let first = problems.first().map(|problem| problem.line(name)).unwrap_or_default();
+    match problems.len().saturating_sub(1) + more {
+        0 => first,
+        n => format!("{first}; and {n} more: see `mocapd config check`"),
     }
 }
 

@@ -87,7 +87,7 @@ pub(super) fn has_mark(trigger: &Trigger, mark: u64) -> bool {
     let is_ours = |(what, text): &(String, String)| {
         what == "Description" && text.starts_with("mocapd ") && text.ends_with(&mark)
     };
-    trigger.about().said.iter().any(is_ours)
+    trigger.capture().about.said.iter().any(is_ours)
 }
 
 /// A text as an attribute's value, of a bounded length; what XML cannot hold is replaced.

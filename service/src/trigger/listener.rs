@@ -158,7 +158,7 @@ enum Identity {
 
 impl Identity {
     fn of(trigger: &Trigger, datagram: &[u8]) -> Self {
-        match trigger.about().packet_id {
+        match trigger.capture().about.packet_id {
             Some(id) => Self::Packet(trigger.element(), id),
             None => {
                 let mut hasher = DefaultHasher::new();

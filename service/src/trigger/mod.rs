@@ -25,34 +25,24 @@ pub use self::{
 /// What a datagram asks for, or tells.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Trigger {
-    /// A take begins.
-    Start(Start),
-    /// It ends.
-    Stop(Stop),
-    /// Its files are written, says another program: nothing has to be done.
-    Complete(Stop),
+    /// `<CaptureStart>`: a take begins.
+    Start(Capture),
+    /// `<CaptureStop>`: it ends.
+    Stop(Capture),
+    /// `<CaptureComplete>`: its files are written, says another program: nothing has to be done.
+    Complete(Capture),
 }
 
-/// `<CaptureStart>`.
+/// What it says of a capture.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Start {
-    /// How the take is to be called; `None` where the sender leaves it to us.
+pub struct Capture {
+    /// How the take of a start is to be called; `None` where the sender leaves it to us. Which take a stop means: one of
+    /// another name is to go on. `None` means the one that is being recorded when it comes, or else one that its sender
+    /// has started.
     pub name: Option<TakeName>,
-    /// How long after the datagram the capture begins; zero where nothing is said.
-    pub delay: Duration,
-    /// What else it says.
-    pub about: About,
-}
-
-/// `<CaptureStop>` and `<CaptureComplete>`.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Stop {
-    /// Which take is meant: a take of another name is to go on. `None` means the one that
-    /// is being recorded when it comes, or else one that its sender has started.
-    pub name: Option<TakeName>,
-    /// How it ended at the sender; `None` where it does not say.
+    /// How a take that ended did at the sender; `None` where it does not say.
     pub result: Option<StopResult>,
-    /// How long after the datagram the capture ends.
+    /// How long after the datagram the capture begins or ends; zero where nothing is said.
     pub delay: Duration,
     /// What else it says.
     pub about: About,
@@ -97,31 +87,19 @@ impl StopResult {
 }
 
 impl Trigger {
-    /// What else it says.
+    /// What it says.
     #[must_use]
-    pub fn about(&self) -> &About {
-        match self {
-            Self::Start(start) => &start.about,
-            Self::Stop(stop) | Self::Complete(stop) => &stop.about,
-        }
+    pub fn capture(&self) -> &Capture {
+        let (Self::Start(capture) | Self::Stop(capture) | Self::Complete(capture)) = self;
+        capture
     }
 
     /// How long after the datagram it is to be carried out. A completion asks for nothing, and so waits for nothing.
     #[must_use]
     pub fn delay(&self) -> Duration {
         match self {
-            Self::Start(start) => start.delay,
-            Self::Stop(stop) => stop.delay,
+            Self::Start(capture) | Self::Stop(capture) => capture.delay,
             Self::Complete(_) => Duration::ZERO,
-        }
-    }
-
-    /// The take that it names.
-    #[must_use]
-    pub fn name(&self) -> Option<&TakeName> {
-        match self {
-            Self::Start(start) => start.name.as_ref(),
-            Self::Stop(stop) | Self::Complete(stop) => stop.name.as_ref(),
         }
     }
 
@@ -139,21 +117,14 @@ impl Trigger {
     #[must_use]
     pub fn note(&self, from: IpAddr) -> String {
         let mut note = format!("{} from {}", self.element(), from.to_canonical());
-        let about = self.about();
+        let Capture { result, delay, about, .. } = self.capture();
         if let Some(id) = about.packet_id {
             note += &format!(", packet {id}");
         }
-        let delay = match self {
-            Self::Start(start) => start.delay,
-            Self::Stop(stop) | Self::Complete(stop) => stop.delay,
-        };
-        if delay > Duration::ZERO {
+        if *delay > Duration::ZERO {
             note += &format!(", delay {} ms", delay.as_millis());
         }
-        if let Some(result) = match self {
-            Self::Start(_) => None,
-            Self::Stop(stop) | Self::Complete(stop) => stop.result.as_ref(),
-        } {
+        if let Some(result) = result {
             note += &format!(", result {}", result.word());
         }
         for (what, text) in &about.said {

@@ -4,7 +4,7 @@ use std::{fmt, time::Duration};
 
 use roxmltree::{Document, Node, ParsingOptions};
 
-use super::{About, Refusal, Start, Stop, StopResult, Trigger};
+use super::{About, Capture, Refusal, StopResult, Trigger};
 use crate::config::{NAME_BYTES_MAX, is_refused_in_name};
 
 /// Bytes of a trigger: no UDP datagram has more.
@@ -48,12 +48,9 @@ pub fn parse(datagram: &[u8]) -> Result<Trigger, Refusal> {
     let root = document.root_element();
     let element = root.tag_name().name();
     match element {
-        "CaptureStart" => {
-            let (name, delay, about) = said(root)?;
-            Ok(Trigger::Start(Start { name, delay, about }))
-        }
-        "CaptureStop" => stop(root).map(Trigger::Stop),
-        "CaptureComplete" => stop(root).map(Trigger::Complete),
+        "CaptureStart" => Ok(Trigger::Start(Capture { result: None, ..capture(root)? })),
+        "CaptureStop" => capture(root).map(Trigger::Stop),
+        "CaptureComplete" => capture(root).map(Trigger::Complete),
         _ => Err(Refusal::Element(cut(element, SHOWN_MAX))),
     }
 }
@@ -87,21 +84,8 @@ fn declared_encoding(text: &str) -> Option<&str> {
     rest[1..].split(quote).next()
 }
 
-fn stop(root: Node<'_, '_>) -> Result<Stop, Refusal> {
-    let (name, delay, about) = said(root)?;
-    let result = attribute(root, "RESULT").map(|word| match word.trim() {
-        "SUCCESS" => StopResult::Success,
-        "FAIL" => StopResult::Fail,
-        "CANCEL" => StopResult::Cancel,
-        other => StopResult::Other(cut(&plain(other), SHOWN_MAX)),
-    });
-    Ok(Stop { name, result, delay, about })
-}
-
-type Said = (Option<TakeName>, Duration, About);
-
 /// What the elements in it say. Of two of a name the first is meant, and the second one is kept as a text.
-fn said(root: Node<'_, '_>) -> Result<Said, Refusal> {
+fn capture(root: Node<'_, '_>) -> Result<Capture, Refusal> {
     let (mut name, mut delay, mut about) = (None, None, About::default());
     for node in root.children().filter(Node::is_element) {
         let element = node.tag_name().name();
@@ -114,7 +98,13 @@ fn said(root: Node<'_, '_>) -> Result<Said, Refusal> {
             _ => keep(element, value, &mut about),
         }
     }
-    Ok((name, delay.unwrap_or_default(), about))
+    let result = attribute(root, "RESULT").map(|word| match word.trim() {
+        "SUCCESS" => StopResult::Success,
+        "FAIL" => StopResult::Fail,
+        "CANCEL" => StopResult::Cancel,
+        other => StopResult::Other(cut(&plain(other), SHOWN_MAX)),
+    });
+    Ok(Capture { name, result, delay: delay.unwrap_or_default(), about })
 }
 
 /// Programs write attributes in capitals; a lower-case one is meant as such.

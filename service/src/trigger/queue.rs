@@ -205,16 +205,13 @@ impl Queue {
 
 #[cfg(test)]
 mod tests {
-    use super::{
-        super::{Start, Stop},
-        *,
-    };
+    use super::{super::Capture, *};
 
     fn start(sender: u8, is_known: bool, delay_ms: u64) -> Received {
         let delay = Duration::from_millis(delay_ms);
         Received {
             from: SocketAddr::from(([192, 0, 2, sender], 1)),
-            trigger: Trigger::Start(Start { delay, ..Start::default() }),
+            trigger: Trigger::Start(Capture { delay, ..Capture::default() }),
             is_known,
             recording: None,
         }
@@ -276,7 +273,7 @@ mod tests {
         let mut waiting = Waiting::default();
         waiting.push(start(1, true, 10), Duration::ZERO).unwrap();
         waiting.push(start(2, true, 10), Duration::ZERO).unwrap();
-        let stop = Received { trigger: Trigger::Stop(Stop::default()), ..start(1, true, 0) };
+        let stop = Received { trigger: Trigger::Stop(Capture::default()), ..start(1, true, 0) };
         assert_eq!(waiting.cancel_starts(stop.from, None), 1);
         assert_eq!(waiting.take_due(Duration::from_secs(1)), Some(start(2, true, 10)));
         assert_eq!(waiting.next_due(), None);

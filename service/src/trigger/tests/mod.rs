@@ -43,7 +43,7 @@ fn what_is_said_is_understood() {
         assert_eq!((stop.name, stop.result), (None, Some(result)));
     }
     assert!(matches!(parse(b"<CaptureComplete/>"), Ok(Trigger::Complete(_))));
-    assert_eq!(parse(b"<CaptureStart/>"), Ok(Trigger::Start(Start::default())));
+    assert_eq!(parse(b"<CaptureStart/>"), Ok(Trigger::Start(Capture::default())));
     let latin = "<?xml version='1.0' encoding='ISO-8859-1'?><CaptureStart/>";
     assert!(parse(latin.as_bytes()).is_ok(), "all of it is ASCII");
 }
@@ -56,17 +56,17 @@ fn nothing_that_is_said_is_lost_without_a_word() {
     assert_eq!(note, "CaptureStart from 192.0.2.7, Name \"b\", Notes \"inside\"");
 
     let long = start(&format!("<Notes VALUE='{}'/>", "é".repeat(TEXT_BYTES_MAX)));
-    let about = parse(long.as_bytes()).unwrap().about().clone();
+    let about = parse(long.as_bytes()).unwrap().capture().about.clone();
     assert_eq!(about.changed, ["Notes had 2048 bytes"]);
     assert_eq!(about.said[0].1, format!("{}...", "é".repeat(TEXT_BYTES_MAX / 2)));
 
     let many: String = (0..40).map(|n| format!("<A{n} VALUE='x'/>")).collect();
-    let about = parse(start(&many).as_bytes()).unwrap().about().clone();
+    let about = parse(start(&many).as_bytes()).unwrap().capture().about.clone();
     assert_eq!((about.said.len(), about.changed.len()), (16, 1));
     assert!(about.changed[0].contains("the rest is left out"));
 
     let path = parse(start("<DatabasePath VALUE='/etc/&#x85;x'/>").as_bytes()).unwrap();
-    assert_eq!(path.name(), None);
+    assert_eq!(path.capture().name, None);
     assert!(path.note(FROM).ends_with("DatabasePath \"/etc/\u{fffd}x\""), "{}", path.note(FROM));
 }
 
@@ -213,12 +213,13 @@ fn our_own_come_back_and_do_nothing() {
         };
         assert_eq!(hear(&mut own), Heard::Own);
         let Heard::Trigger(trigger) = hear(&mut others) else { panic!("heard nothing") };
-        assert_eq!(trigger.name().unwrap().text(), "new");
-        assert_eq!(trigger.about().packet_id, Some(id));
-        assert_eq!(trigger.about().changed, [""; 0]);
+        assert_eq!(trigger.capture().name.as_ref().unwrap().text(), "new");
+        assert_eq!(trigger.capture().about.packet_id, Some(id));
+        assert_eq!(trigger.capture().about.changed, [""; 0]);
         assert!(
             trigger
-                .about()
+                .capture()
+                .about
                 .said
                 .contains(&("Description".to_owned(), "mocapd left 0000000000000007".to_owned()))
         );
@@ -238,6 +239,6 @@ fn numbers_grow_and_have_ten_digits() {
     assert!(first_packet_id(u64::MAX) < 10_000_000_000);
     let name = TakeName::of("a").unwrap();
     let mut announcer = Announcer::new("left", 7, 9_999_999_998);
-    let mut id = || parse(&announcer.complete(&name)).unwrap().about().packet_id;
+    let mut id = || parse(&announcer.complete(&name)).unwrap().capture().about.packet_id;
     assert_eq!([id(), id(), id()], [Some(9_999_999_998), Some(9_999_999_999), Some(0)]);
 }

@@ -68,7 +68,7 @@ fn seeds() -> Vec<Vec<u8>> {
 fn check(datagram: &[u8]) -> bool {
     match parse(datagram) {
         Ok(trigger) => {
-            if let Some(name) = trigger.name() {
+            if let Some(name) = trigger.capture().name.as_ref() {
                 let name = name.text();
                 assert!(!name.is_empty() && name.len() <= crate::config::NAME_BYTES_MAX, "{name}");
                 assert!(
