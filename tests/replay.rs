@@ -13,7 +13,7 @@ use std::{
 use mocapd::compare::compare;
 use mocapd_acquire::{
     record::{RecordOptions, Recorded, record},
-    rig::{Ending, Rig},
+    rig::Rig,
 };
 use mocapd_codec::Settings;
 use mocapd_drivers::uri::DeviceUri;
@@ -25,6 +25,7 @@ use mocapd_take::{
     TakeFrames,
     interchange::Format,
     motion::{Motion, MotionFrames},
+    record::EndingKind,
 };
 
 use mocapd_testkit::recorded::RecordedData;
@@ -106,7 +107,7 @@ fn every_frame_of_a_replay_is_recorded() {
     let motion = jump(1, 200.0, 2.0);
     let simulated = Simulated::start(motion.clone(), DeviceSettings::default());
     let (recorded, take) = simulated.record(dense(0.5), None);
-    assert_eq!(recorded.recording.ending, Ending::EndOfStream);
+    assert_eq!(recorded.recording.ending, EndingKind::DeviceEnded);
     assert_ledger(&recorded, &take, &simulated.stop());
     let frames = TakeFrames::open(std::io::Cursor::new(&take)).unwrap();
     let difference = compare(frames, MotionFrames::new(&motion)).unwrap();
@@ -132,7 +133,7 @@ fn a_looped_replay_is_stopped_when_the_time_is_up() {
     let settings = DeviceSettings { looping: true, ..DeviceSettings::default() };
     let simulated = Simulated::start(jump(3, 250.0, 0.5), settings);
     let (recorded, take) = simulated.record(dense(0.5), Some(Duration::from_secs(1)));
-    assert_eq!(recorded.recording.ending, Ending::Stopped);
+    assert_eq!(recorded.recording.ending, EndingKind::Stopped);
     let frames = recorded.written.ledger.recorded;
     assert!((250..500).contains(&frames), "{frames}");
     assert_ledger(&recorded, &take, &simulated.stop());

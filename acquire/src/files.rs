@@ -22,7 +22,7 @@ pub use self::{
     file_state::{Displaced, FileState, Settled},
     new_file::{NewFile, NewFolder},
     sparse::SparseFile,
-    take_file::{FileId, TakeFile},
+    take_file::{FileId, TakeFile, TakeOutput},
 };
 
 /// Opens a file to read.

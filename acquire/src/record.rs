@@ -9,17 +9,16 @@ use std::{
 use anyhow::anyhow;
 use mocapd_codec::Settings;
 use mocapd_take::{
-    motion::{UpAxis, frame_at},
-    record::Subject,
+    motion::frame_at,
+    record::{EndingKind, Subject},
 };
 
 use crate::{
     files::{FileState, Settled, TakeFile},
-    header,
     pipeline::{
         NewTake, NothingRecorded, Pipeline, Progress, TakeFailed, TakeOutput, Written, check_room,
     },
-    rig::{Ending, ReadOptions, Recording, Rig},
+    rig::{ReadOptions, Recording, Rig},
 };
 
 /// What to record, and how to tell people.
@@ -65,12 +64,7 @@ pub struct Recorded {
 pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recorded> {
     check_room(options.take, options.keep_free_bytes)?;
     let config = rig.pipeline_config(options.codec);
-    let mut header = header::new(&options.codec, config.rate_hz)?;
-    header.up_axis = UpAxis::from_code(rig.hello().up_axis);
-    header.device = Some(rig.device_record());
-    header.channels.clone_from(&config.channels);
-    header.stretch_rows = config.stretch_rows();
-    header.settings = config.chosen();
+    let header = rig.take_header(&config)?;
     let (rate_hz, markers) = (config.rate_hz, config.channels.len());
 
     let file = TakeFile::create(options.take)?;
@@ -116,9 +110,11 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
         Ok((Ok(recording), Ok((written, mut file)))) => {
             if written.ledger.recorded == 0 {
                 let why = match recording.ending {
-                    Ending::Disconnected => "the device went away before its first frame",
-                    Ending::DiskFull => "the disk is full: delete something",
-                    Ending::Stopped => "it was stopped before the first frame came",
+                    EndingKind::DeviceGone => "the device went away before its first frame",
+                    EndingKind::DiskFull => "the disk is full: delete something",
+                    EndingKind::Stopped | EndingKind::Length => {
+                        "it was stopped before the first frame came"
+                    }
                     _ => "the device sent no frame: check that it is capturing",
                 };
                 return Err(nothing_recorded(anyhow!("nothing was recorded: {why}")));

@@ -17,13 +17,8 @@ use mocapd::{
     compare::compare,
     outcome::{Outcome, UsageError},
 };
-use mocapd_acquire::{
-    files,
-    inspect::Summary,
-    record::Recorded,
-    rig::{Ending, Rig},
-    threads,
-};
+use mocapd_acquire::{files, inspect::Summary, record::Recorded, rig::Rig, threads};
+
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_drivers::uri::{DeviceUri, Location};
 use mocapd_service::units;
@@ -36,6 +31,7 @@ use mocapd_take::{
     TakeFrames,
     interchange::Format,
     motion::{Motion, MotionFrames},
+    record::EndingKind,
 };
 
 use super::{
@@ -159,7 +155,7 @@ fn verify(
         ledger.frames_sent
     );
     // Ctrl-C leaves a take that is whole as far as it goes.
-    let cut_short = recorded.recording.ending == Ending::Stopped;
+    let cut_short = recorded.recording.ending == EndingKind::Stopped;
     ensure!(
         report.is_within() || ledger.lost_anything() || cut_short,
         "the take is not within its tolerance: this is a bug in mocapd"

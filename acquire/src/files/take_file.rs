@@ -1,6 +1,8 @@
 //! The file of a live take: it has its final name from the first byte, and is known by what it is, not by that name.
 
 use std::{
+    any::Any,
+    fmt,
     fs::{File, Metadata},
     io::{self, Write},
     os::{fd::AsRawFd, unix::fs::MetadataExt},
@@ -9,6 +11,7 @@ use std::{
 };
 
 use anyhow::Context;
+use rustix::fs::{FallocateFlags, fallocate, fstatvfs};
 
 use super::{Displaced, FileState, NewFile, Settled, file_state::is_mounted, own_link};
 
@@ -46,6 +49,62 @@ impl FileId {
     /// The disk's.
     pub fn remove(self, path: &Path) -> io::Result<()> {
         if self.is_at(path)? { std::fs::remove_file(path) } else { Ok(()) }
+    }
+}
+
+/// What a take is written to.
+pub trait TakeOutput: Any + Write + Send {
+    /// Makes everything written so far survive a power cut.
+    ///
+    /// # Errors
+    /// The device's.
+    fn sync(&mut self) -> io::Result<()>;
+
+    /// Makes sure that so many bytes can be written from an offset on, whatever others write to the disk meanwhile.
+    ///
+    /// # Errors
+    /// `StorageFull`, `QuotaExceeded` when there is no such room; `Unsupported` where none can be held back.
+    fn hold_back(&mut self, _from: u64, _bytes: u64) -> io::Result<()> {
+        Err(io::ErrorKind::Unsupported.into())
+    }
+
+    /// Gives back what was held and is not needed: the output has so many bytes.
+    ///
+    /// # Errors
+    /// The device's.
+    fn release(&mut self, _bytes: u64) -> io::Result<()> {
+        Ok(())
+    }
+
+    /// Bytes that the disk has left, for whoever may write there; `None` where nobody can tell.
+    fn free_bytes(&self) -> Option<u64> {
+        None
+    }
+
+    /// What others have done to it; at most a moment old.
+    fn look(&mut self) -> FileState {
+        FileState::InPlace
+    }
+
+    /// The same, as of now.
+    fn look_now(&mut self) -> FileState {
+        FileState::InPlace
+    }
+
+    /// More about that, where something was done.
+    fn displaced(&self) -> Option<Displaced> {
+        None
+    }
+
+    /// Where it is, now that the take has ended.
+    fn settle(&mut self) -> Settled {
+        Settled::default()
+    }
+}
+
+impl fmt::Debug for dyn TakeOutput {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("TakeOutput")
     }
 }
 
@@ -93,39 +152,6 @@ impl TakeFile {
         &self.file
     }
 
-    /// Gives back the blocks beyond so many bytes, and half a write that failed. A file that was cut short stays as short.
-    ///
-    /// # Errors
-    /// The disk's.
-    pub fn release(&mut self, bytes: u64) -> io::Result<()> {
-        let found = self.file.metadata()?.len();
-        let left = bytes.min(found);
-        self.file.set_len(left)?;
-        // Nobody else did that.
-        if found >= self.written {
-            self.written = self.written.min(left);
-        }
-        Ok(())
-    }
-
-    /// What others have done to it; looks now and then only.
-    pub fn look(&mut self) -> FileState {
-        if self.looked.is_none_or(|last| last.elapsed() >= LOOK_EVERY) {
-            self.look_now();
-        }
-        self.state
-    }
-
-    /// The same, at once.
-    pub fn look_now(&mut self) -> FileState {
-        self.looked = Some(Instant::now());
-        // What was cut off does not come back, and what follows would lie behind a hole.
-        if self.state != FileState::Truncated {
-            self.state = self.found().unwrap_or(self.state);
-        }
-        self.state
-    }
-
     /// `None` where that cannot be known.
     fn found(&self) -> Option<FileState> {
         let found = self.file.metadata().ok()?;
@@ -153,22 +179,6 @@ impl TakeFile {
         Some(FileState::Renamed)
     }
 
-    /// More about it where it is not in its place, as of the last look.
-    #[must_use]
-    pub fn displaced(&self) -> Option<Displaced> {
-        if self.state == FileState::InPlace {
-            return None;
-        }
-        let found = self.file.metadata().map_or(0, |found| found.len());
-        Some(Displaced {
-            state: self.state,
-            created_as: self.path.clone(),
-            now_at: self.name_now(),
-            open_at: format!("/proc/{}/fd/{}", std::process::id(), self.file.as_raw_fd()).into(),
-            bytes: (found, self.written),
-        })
-    }
-
     /// Its name, where one leads to it.
     fn name_now(&self) -> Option<PathBuf> {
         // Where that cannot be known now, it is where it was at the last look.
@@ -178,20 +188,6 @@ impl TakeFile {
         }
         let link = own_link(&self.file).read_link().ok();
         link.filter(|path| self.id.is_at(path).unwrap_or(false))
-    }
-
-    /// Where it is, now that the take has ended: one that was removed is copied, as long as it is open.
-    pub fn settle(&mut self) -> Settled {
-        let state = self.look_now();
-        let displaced = self.displaced();
-        let mut settled = Settled { state, path: self.name_now(), displaced, problem: None };
-        if state == FileState::Removed {
-            match self.save_copy() {
-                Ok(path) => settled.path = Some(path),
-                Err(error) => settled.problem = Some(format!("{error:#}")),
-            }
-        }
-        settled
     }
 
     /// Beside the name that it had, under a free one. The kernel gives no name back to a file that has lost its last.
@@ -227,6 +223,87 @@ impl Write for TakeFile {
 
     fn flush(&mut self) -> io::Result<()> {
         self.file.flush()
+    }
+}
+
+impl TakeOutput for TakeFile {
+    fn sync(&mut self) -> io::Result<()> {
+        self.file.sync_data()
+    }
+
+    fn hold_back(&mut self, from: u64, bytes: u64) -> io::Result<()> {
+        Ok(fallocate(&self.file, FallocateFlags::KEEP_SIZE, from, bytes)?)
+    }
+
+    fn free_bytes(&self) -> Option<u64> {
+        let disk = fstatvfs(&self.file).ok()?;
+        Some(disk.f_bavail.saturating_mul(disk.f_frsize))
+    }
+
+    fn release(&mut self, bytes: u64) -> io::Result<()> {
+        let found = self.file.metadata()?.len();
+        let left = bytes.min(found);
+        self.file.set_len(left)?;
+        // Nobody else did that.
+        if found >= self.written {
+            self.written = self.written.min(left);
+        }
+        Ok(())
+    }
+
+    fn look(&mut self) -> FileState {
+        if self.looked.is_none_or(|last| last.elapsed() >= LOOK_EVERY) {
+            self.look_now();
+        }
+        self.state
+    }
+
+    fn look_now(&mut self) -> FileState {
+        self.looked = Some(Instant::now());
+        // What was cut off does not come back, and what follows would lie behind a hole.
+        if self.state != FileState::Truncated {
+            self.state = self.found().unwrap_or(self.state);
+        }
+        self.state
+    }
+
+    fn displaced(&self) -> Option<Displaced> {
+        if self.state == FileState::InPlace {
+            return None;
+        }
+        let found = self.file.metadata().map_or(0, |found| found.len());
+        Some(Displaced {
+            state: self.state,
+            created_as: self.path.clone(),
+            now_at: self.name_now(),
+            open_at: format!("/proc/{}/fd/{}", std::process::id(), self.file.as_raw_fd()).into(),
+            bytes: (found, self.written),
+        })
+    }
+
+    fn settle(&mut self) -> Settled {
+        let state = self.look_now();
+        let displaced = self.displaced();
+        let mut settled = Settled { state, path: self.name_now(), displaced, problem: None };
+        if state == FileState::Removed {
+            match self.save_copy() {
+                Ok(path) => settled.path = Some(path),
+                Err(error) => settled.problem = Some(format!("{error:#}")),
+            }
+        }
+        settled
+    }
+}
+
+impl TakeOutput for Vec<u8> {
+    fn sync(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl TakeOutput for io::Sink {
+    fn sync(&mut self) -> io::Result<()> {
+        Ok(())
     }
 }
 

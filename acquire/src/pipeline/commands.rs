@@ -263,14 +263,7 @@ impl Takes {
     /// When too many wait.
     pub fn mark(&self, text: &str, host_ns: u64) -> anyhow::Result<AskedMark> {
         let ((row, row_out), asked) = (bounded(1), Arc::new(()));
-        let event = Event {
-            kind: EventKind::Mark,
-            row: 0,
-            device_ticks: 0,
-            host_ns,
-            input: 0,
-            text: text.to_owned(),
-        };
+        let event = Event::new(EventKind::Mark, host_ns, text);
         let mark = NewMark { event, row, asked: Arc::downgrade(&asked) };
         ensure!(self.send(Command::Mark(mark), MARKS_MAX), "too many marks wait: wait a moment");
         Ok(AskedMark { row: row_out, _asked: asked })

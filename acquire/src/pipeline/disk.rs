@@ -1,123 +1,18 @@
-//! What a take is written to, and room for it on the disk: some is held back, so that a take can be closed on a disk that others fill, and what is left is
+//! Room on the disk: some is held back, so that a take can be closed on a disk that others fill, and what is left is
 //! watched, so that it is closed before nothing works any more.
 
 use std::{
-    any::Any,
-    fmt,
-    io::{self, Write},
+    io,
     path::Path,
     sync::atomic::Ordering,
     time::{Duration, Instant},
 };
 
 use anyhow::bail;
-use rustix::fs::{FallocateFlags, fallocate, fstatvfs, statvfs};
+use rustix::fs::statvfs;
 
 use super::Progress;
-use crate::files::{Displaced, FileState, Settled, TakeFile};
-
-/// What a take is written to.
-pub trait TakeOutput: Any + Write + Send {
-    /// Makes everything written so far survive a power cut.
-    ///
-    /// # Errors
-    /// The device's.
-    fn sync(&mut self) -> io::Result<()>;
-
-    /// Makes sure that so many bytes can be written from an offset on, whatever others write to the disk meanwhile.
-    ///
-    /// # Errors
-    /// `StorageFull`, `QuotaExceeded` when there is no such room; `Unsupported` where none can be held back.
-    fn hold_back(&mut self, _from: u64, _bytes: u64) -> io::Result<()> {
-        Err(io::ErrorKind::Unsupported.into())
-    }
-
-    /// Gives back what was held and is not needed: the output has so many bytes.
-    ///
-    /// # Errors
-    /// The device's.
-    fn release(&mut self, _bytes: u64) -> io::Result<()> {
-        Ok(())
-    }
-
-    /// Bytes that the disk has left, for whoever may write there; `None` where nobody can tell.
-    fn free_bytes(&self) -> Option<u64> {
-        None
-    }
-
-    /// What others have done to it; at most a moment old.
-    fn look(&mut self) -> FileState {
-        FileState::InPlace
-    }
-
-    /// The same, as of now.
-    fn look_now(&mut self) -> FileState {
-        FileState::InPlace
-    }
-
-    /// More about that, where something was done.
-    fn displaced(&self) -> Option<Displaced> {
-        None
-    }
-
-    /// Where it is, now that the take has ended.
-    fn settle(&mut self) -> Settled {
-        Settled::default()
-    }
-}
-
-impl fmt::Debug for dyn TakeOutput {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("TakeOutput")
-    }
-}
-
-impl TakeOutput for TakeFile {
-    fn sync(&mut self) -> io::Result<()> {
-        self.file().sync_data()
-    }
-
-    fn hold_back(&mut self, from: u64, bytes: u64) -> io::Result<()> {
-        Ok(fallocate(self.file(), FallocateFlags::KEEP_SIZE, from, bytes)?)
-    }
-
-    fn release(&mut self, bytes: u64) -> io::Result<()> {
-        Self::release(self, bytes)
-    }
-
-    fn look(&mut self) -> FileState {
-        Self::look(self)
-    }
-
-    fn look_now(&mut self) -> FileState {
-        Self::look_now(self)
-    }
-
-    fn displaced(&self) -> Option<Displaced> {
-        Self::displaced(self)
-    }
-
-    fn settle(&mut self) -> Settled {
-        Self::settle(self)
-    }
-
-    fn free_bytes(&self) -> Option<u64> {
-        let disk = fstatvfs(self.file()).ok()?;
-        Some(disk.f_bavail.saturating_mul(disk.f_frsize))
-    }
-}
-
-impl TakeOutput for Vec<u8> {
-    fn sync(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
-impl TakeOutput for io::Sink {
-    fn sync(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
+use crate::files::TakeOutput;
 
 /// Held back at least: a ledger, an index of days and a few stretches.
 pub const HELD_MIN_BYTES: u64 = 4 << 20;

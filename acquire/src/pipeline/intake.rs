@@ -28,7 +28,6 @@ use super::{
     tap::{TapHead, TapIn},
 };
 use crate::{
-    files::{Displaced, FileState},
     heartbeat::{Beat, Who},
     latency::Latency,
 };
@@ -378,28 +377,9 @@ impl Intake {
         self.progress.failed.load(Ordering::Relaxed)
     }
 
-    /// Whether the disk is so full that the take has to end: what was taken in is still written.
-    #[must_use]
-    pub fn is_disk_full(&self) -> bool {
-        self.progress.disk_full.load(Ordering::Relaxed)
-    }
-
-    /// How often the state of the take's file, or the name that it has, became another one.
-    #[must_use]
-    pub fn file_changes(&self) -> u32 {
-        self.progress.file_changes()
-    }
-
-    /// What others did to the take's file.
-    #[must_use]
-    pub fn file_state(&self) -> FileState {
-        self.progress.file_state()
-    }
-
-    /// More about that, while it is not in its place.
-    #[must_use]
-    pub fn displaced(&self) -> Option<Displaced> {
-        self.progress.displaced()
+    /// What other threads see of it.
+    pub(crate) fn progress(&self) -> &Progress {
+        &self.progress
     }
 
     /// The device went away, or is back.

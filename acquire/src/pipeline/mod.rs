@@ -34,7 +34,7 @@ pub use commands::{
     FirstRow, NewTake, NothingRecorded, TakeEnd, TakeFailed, TakeHandle, Takes, Written,
 };
 pub use counts::{Counts, PendingRows};
-pub use disk::{DiskState, HELD_MIN_BYTES, TakeOutput, check_room};
+pub use disk::{DiskState, HELD_MIN_BYTES, check_room};
 pub use group::{Seen, SeenCounters};
 pub use intake::Intake;
 pub use plan::{PipelineConfig, PreRollConfig};
@@ -48,6 +48,7 @@ use self::{
     pool::Pool,
     writer::{LiveTake, Writer},
 };
+pub use crate::files::TakeOutput;
 use crate::{heartbeat::Who, threads};
 
 /// The running threads behind an [`Intake`].

@@ -13,10 +13,13 @@ use mocapd_drivers::{
     transport::{Transport, TransportError},
     uri::DeviceUri,
 };
-use mocapd_take::record::{Channel, Device};
-pub use reader::{Ending, ReadOptions, Recording};
+use mocapd_take::{
+    motion::UpAxis,
+    record::{Channel, Device, Header},
+};
+pub use reader::{ReadOptions, Recording};
 
-use crate::{host_clock::monotonic_ns, pipeline::PipelineConfig, raw_log::Tap};
+use crate::{header, host_clock::monotonic_ns, pipeline::PipelineConfig, raw_log::Tap};
 
 /// How much is read from a device at once: more than a pty or a USB serial driver gives.
 const READ_BYTES: usize = 64 << 10;
@@ -139,10 +142,12 @@ impl Rig {
         }
     }
 
-    /// What a take's header says of it.
-    #[must_use]
-    pub fn device_record(&self) -> Device {
-        Device {
+    /// The header of a take that it begins now.
+    ///
+    /// # Errors
+    /// When the system gives no random bytes.
+    pub fn take_header(&self, config: &PipelineConfig) -> anyhow::Result<Header> {
+        let device = Device {
             driver: self.family.to_owned(),
             uri: self.uri.to_string(),
             model: self.hello.model.clone(),
@@ -150,7 +155,15 @@ impl Rig {
             firmware: self.hello.firmware.clone(),
             tick_hz: self.hello.tick_hz,
             low_latency: self.transport.is_low_latency(),
-        }
+        };
+        Ok(Header {
+            up_axis: UpAxis::from_code(self.hello.up_axis),
+            device: Some(device),
+            channels: config.channels.clone(),
+            stretch_rows: config.stretch_rows(),
+            settings: config.chosen(),
+            ..header::new(&config.codec, config.rate_hz)?
+        })
     }
 
     /// Changes the frame rate before a start.

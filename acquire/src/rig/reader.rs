@@ -8,7 +8,9 @@ use std::{
 
 use anyhow::{anyhow, bail};
 use mocapd_drivers::{
-    device::{Command, DeviceEvent, Hello, LinkBudget, LinkCounters, MarkerInfo, Pong, Status},
+    device::{
+        Command, DeviceEvent, Hello, LinkBudget, LinkCounters, MarkerInfo, Pong, Status, Trigger,
+    },
     transport::TransportError,
 };
 use mocapd_take::record::{EndingKind, Event, EventKind, TakeEnding};
@@ -19,7 +21,7 @@ use crate::{
     files::FileState,
     host_clock::monotonic_ns,
     latency::Latency,
-    pipeline::{Counts, Intake},
+    pipeline::{Counts, Intake, Progress},
 };
 
 /// How long a device may send nothing before somebody is told.
@@ -48,30 +50,11 @@ pub struct ReadOptions<'a> {
     pub say: &'a dyn Fn(&str),
 }
 
-/// Why the reading ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Ending {
-    /// The device had no more frames: a replay's end.
-    EndOfStream,
-    /// Ctrl-C, or the time was up.
-    Stopped,
-    /// The device is gone.
-    Disconnected,
-    /// So little was left of the disk that the take was closed.
-    DiskFull,
-    /// Another program cut the take short.
-    Truncated,
-    /// The take's file system was unmounted.
-    Unmounted,
-    /// The take can no longer be written.
-    WriterFailed,
-}
-
 /// What the reader saw.
 #[derive(Debug, Clone)]
 pub struct Recording {
-    /// Why it ended.
-    pub ending: Ending,
+    /// Why the reading ended; [`CutOff`](EndingKind::CutOff): the take could not be written any more.
+    pub ending: EndingKind,
     /// The counters.
     pub counts: Counts,
     /// From the read that brought a frame's last byte to the frame's place in every ring.
@@ -93,7 +76,7 @@ impl Rig {
     /// Starts the device and reads it to the end. The intake is finished in every case.
     ///
     /// # Errors
-    /// When the device refuses to start or does not answer. A device that goes away is an [`Ending`].
+    /// When the device refuses to start or does not answer. A device that goes away is an [`EndingKind`].
     pub fn read(
         mut self,
         mut intake: Intake,
@@ -117,7 +100,11 @@ impl Rig {
         let outcome = self.read_frames(&mut reader, options);
         let Reader { latency, outages, .. } = reader;
         intake.link(self.link_counters());
-        intake.ends(take_ending(&outcome, options));
+        // A take that is open then ends so.
+        intake.ends(match &outcome {
+            Ok(ending) => (*ending).into(),
+            Err(error) => TakeEnding::new(EndingKind::DeviceGone, format!("{error:#}")),
+        });
         let counts = intake.finish();
         Ok(Recording { ending: outcome?, counts, ring_latency: latency, outages })
     }
@@ -126,17 +113,17 @@ impl Rig {
         &mut self,
         reader: &mut Reader<'_>,
         options: &ReadOptions<'_>,
-    ) -> anyhow::Result<Ending> {
+    ) -> anyhow::Result<EndingKind> {
         self.not_finite_before = self.protocol.counters().samples_not_finite;
         if !self.start(reader, options)? {
-            return Ok(Ending::Stopped);
+            return Ok(EndingKind::Stopped);
         }
         let started_ns = monotonic_ns();
         let length_ns = options.length.map(|length| length.as_nanos() as u64);
         reader.due_until_ns = length_ns.map(|length_ns| started_ns.saturating_add(length_ns));
-        let told = Cell::new(reader.intake.file_changes());
+        let told = Cell::new(reader.intake.progress().file_changes());
         let is_over = |reader: &Reader<'_>| {
-            tell_file(reader.intake, options, &told);
+            tell_file(reader.intake.progress(), options, &told);
             options.stop.load(Ordering::Relaxed)
                 || end_of_take(reader.intake, options).is_some()
                 || options.rows_max.is_some_and(|max| reader.intake.next_row() >= max)
@@ -147,16 +134,19 @@ impl Rig {
         loop {
             let or_end = |ending, intake: &Intake| end_of_take(intake, options).unwrap_or(ending);
             let ending = match self.read_until_gone(reader, options, &is_over)? {
-                Ending::Stopped => or_end(Ending::Stopped, reader.intake),
+                EndingKind::Stopped if options.stop.load(Ordering::Relaxed) => {
+                    or_end(EndingKind::Stopped, reader.intake)
+                }
+                EndingKind::Stopped => or_end(EndingKind::Length, reader.intake),
                 ending => ending,
             };
-            if ending != Ending::Disconnected {
+            if ending != EndingKind::DeviceGone {
                 return Ok(ending);
             }
             reader.intake.event(host_event("the device was disconnected"));
             reader.intake.away(true);
             if !self.reconnect(reader, options, &is_over) {
-                return Ok(or_end(Ending::Disconnected, reader.intake));
+                return Ok(or_end(EndingKind::DeviceGone, reader.intake));
             }
             reader.intake.away(false);
             reader.outages += 1;
@@ -169,7 +159,7 @@ impl Rig {
         reader: &mut Reader<'_>,
         options: &ReadOptions<'_>,
         is_over: &dyn Fn(&Reader<'_>) -> bool,
-    ) -> anyhow::Result<Ending> {
+    ) -> anyhow::Result<EndingKind> {
         let mut silence = Silence { last_frame_ns: monotonic_ns(), is_told: false };
         let mut stalls = Stalls { cleared: self.transport.stalls_cleared(), told: 0 };
         let mut stopped_ns = None;
@@ -177,7 +167,7 @@ impl Rig {
             let frames_before = reader.intake.counts_seen();
             match self.pump(reader) {
                 Ok(()) => {}
-                Err(TransportError::Disconnected { .. }) => return Ok(Ending::Disconnected),
+                Err(TransportError::Disconnected { .. }) => return Ok(EndingKind::DeviceGone),
                 Err(error) => return Err(anyhow!(error).context("reading from the device")),
             }
             reader.notes.drain(..).for_each(|note| (options.say)(&note));
@@ -197,7 +187,7 @@ impl Rig {
                     match self.follow_hello(reader, &now, options) {
                         Ok(true) => {}
                         Ok(false) | Err(TransportError::Disconnected { .. }) => {
-                            return Ok(Ending::Disconnected);
+                            return Ok(EndingKind::DeviceGone);
                         }
                         Err(error) => {
                             return Err(anyhow!(error).context("starting the device again"));
@@ -206,11 +196,11 @@ impl Rig {
                 }
             }
             if reader.end.is_some() {
-                return Ok(stopped_ns.map_or(Ending::EndOfStream, |_| Ending::Stopped));
+                return Ok(stopped_ns.map_or(EndingKind::DeviceEnded, |_| EndingKind::Stopped));
             }
             if reader.intake.has_failed() {
                 self.say(Command::Stop).ok();
-                return Ok(Ending::WriterFailed);
+                return Ok(EndingKind::CutOff);
             }
             match stopped_ns {
                 None if is_over(reader) => {
@@ -223,7 +213,7 @@ impl Rig {
                     (options.say)(
                         "the device does not confirm the stop: what it sent last may be missing",
                     );
-                    return Ok(Ending::Stopped);
+                    return Ok(EndingKind::Stopped);
                 }
                 _ => {}
             }
@@ -236,14 +226,14 @@ impl Rig {
         reader: &mut Reader<'_>,
         options: &ReadOptions<'_>,
         now_ns: u64,
-    ) -> Option<Ending> {
+    ) -> Option<EndingKind> {
         match self.say(Command::Stop) {
             Ok(()) => {}
-            Err(TransportError::Disconnected { .. }) => return Some(Ending::Disconnected),
+            Err(TransportError::Disconnected { .. }) => return Some(EndingKind::DeviceGone),
             // It takes no commands: the take ends with its last frame.
             Err(error) => {
                 (options.say)(&error.to_string());
-                return Some(Ending::Stopped);
+                return Some(EndingKind::Stopped);
             }
         }
         let due_until_ns = reader.due_until_ns.map_or(now_ns, |due| due.min(now_ns));
@@ -360,42 +350,26 @@ impl Stalls {
 }
 
 /// What ends a reading that is there for one take, as the writer sees it.
-fn end_of_take(intake: &Intake, options: &ReadOptions<'_>) -> Option<Ending> {
-    match intake.file_state() {
+fn end_of_take(intake: &Intake, options: &ReadOptions<'_>) -> Option<EndingKind> {
+    let progress = intake.progress();
+    match progress.file_state() {
         _ if !options.for_one_take => None,
-        FileState::Truncated => Some(Ending::Truncated),
-        FileState::Unmounted => Some(Ending::Unmounted),
-        _ => intake.is_disk_full().then_some(Ending::DiskFull),
+        FileState::Truncated => Some(EndingKind::Truncated),
+        FileState::Unmounted => Some(EndingKind::Unmounted),
+        _ => progress.disk_full.load(Ordering::Relaxed).then_some(EndingKind::DiskFull),
     }
 }
 
 /// Says once what others did to the file; how it ends a take is said with the end.
-fn tell_file(intake: &Intake, options: &ReadOptions<'_>, told: &Cell<u32>) {
-    let changes = intake.file_changes();
+fn tell_file(progress: &Progress, options: &ReadOptions<'_>, told: &Cell<u32>) {
+    let changes = progress.file_changes();
     let is_said = changes == told.replace(changes);
-    if !options.for_one_take || is_said || intake.file_state().ends_take() {
+    if !options.for_one_take || is_said || progress.file_state().ends_take() {
         return;
     }
-    if let Some(displaced) = intake.displaced() {
+    if let Some(displaced) = progress.displaced() {
         (options.say)(&displaced.words());
     }
-}
-
-/// How a take ends that is open when the reading is over.
-fn take_ending(outcome: &anyhow::Result<Ending>, options: &ReadOptions<'_>) -> TakeEnding {
-    let kind = match outcome {
-        Ok(Ending::EndOfStream) => EndingKind::DeviceEnded,
-        Ok(Ending::Stopped) if options.stop.load(Ordering::Relaxed) => EndingKind::Stopped,
-        Ok(Ending::Stopped) => EndingKind::Length,
-        Ok(Ending::Disconnected) => EndingKind::DeviceGone,
-        Ok(Ending::DiskFull) => EndingKind::DiskFull,
-        Ok(Ending::Truncated) => EndingKind::Truncated,
-        Ok(Ending::Unmounted) => EndingKind::Unmounted,
-        // No take is open.
-        Ok(Ending::WriterFailed) => EndingKind::CutOff,
-        Err(error) => return TakeEnding::new(EndingKind::DeviceGone, format!("{error:#}")),
-    };
-    kind.into()
 }
 
 pub(super) struct Reader<'a> {
@@ -454,8 +428,7 @@ impl Reader<'_> {
                 self.intake.status(status, false);
             }
             DeviceEvent::Note(text) if self.notes.len() < NOTES_MAX => {
-                let kind = EventKind::Device;
-                self.intake.event(Event { kind, ..host_event(text) });
+                self.intake.event(Event::new(EventKind::Device, monotonic_ns(), text));
                 self.notes.push(text.to_owned());
             }
             // Being asked stops it, and some say so.
@@ -469,14 +442,13 @@ impl Reader<'_> {
             }
             DeviceEvent::Started(_) => self.started = Some(Ok(())),
             DeviceEvent::Refused(budget) => self.started = Some(Err(budget)),
-            DeviceEvent::Trigger(trigger) => self.intake.event(Event {
-                kind: if trigger.kind == 0 { EventKind::Trigger } else { EventKind::SyncPulse },
-                row: 0,
-                device_ticks: trigger.device_ticks,
-                host_ns: arrival_ns,
-                input: trigger.input,
-                text: String::new(),
-            }),
+            DeviceEvent::Trigger(trigger) => {
+                let kind =
+                    if trigger.kind == 0 { EventKind::Trigger } else { EventKind::SyncPulse };
+                let Trigger { device_ticks, input, .. } = trigger;
+                let event = Event::new(kind, arrival_ns, "");
+                self.intake.event(Event { device_ticks, input, ..event });
+            }
             // An answer to a command of the handshake that came late.
             DeviceEvent::Hello(hello) if self.started.is_some() => {
                 self.began_anew = Some(hello.clone());
@@ -496,14 +468,7 @@ impl Reader<'_> {
 }
 
 pub(super) fn host_event(text: &str) -> Event {
-    Event {
-        kind: EventKind::Host,
-        row: 0,
-        device_ticks: 0,
-        host_ns: monotonic_ns(),
-        input: 0,
-        text: text.to_owned(),
-    }
+    Event::new(EventKind::Host, monotonic_ns(), text)
 }
 
 /// A device that sent frames and is silent for so long is asked who it is, and again after as long: one that starts up

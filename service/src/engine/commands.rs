@@ -325,14 +325,7 @@ impl Inner {
             .map_err(|error| refused(RefusalKind::Internal, &error))?;
         let output = TakeFile::create(&path).map_err(|error| refused(RefusalKind::Disk, &error))?;
         let file = output.id();
-        let notes = notes.map(|text| Event {
-            kind: EventKind::Mark,
-            row: 0,
-            device_ticks: 0,
-            host_ns: asked_ns,
-            input: 0,
-            text: text.to_owned(),
-        });
+        let notes = notes.map(|text| Event::new(EventKind::Mark, asked_ns, text));
         let id = header.take_id.iter().map(|byte| format!("{byte:02x}")).collect();
         let take = NewTake {
             subject: options.subject.clone(),

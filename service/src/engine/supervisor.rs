@@ -11,18 +11,17 @@ use std::{
 use crossbeam_channel::Sender;
 use jiff::Zoned;
 use mocapd_acquire::{
-    header,
     host_clock::monotonic_ns,
     pipeline::{Intake, Pipeline, PipelineConfig, PreRollConfig},
     raw_log::RawLog,
-    rig::{Ending, ReadOptions, Rig},
+    rig::{ReadOptions, Rig},
 };
 use mocapd_drivers::{
     registry::{self, Candidate},
     transport::usb::UsbWatch,
     uri::{DeviceUri, Location},
 };
-use mocapd_take::{motion::UpAxis, record::Header};
+use mocapd_take::record::EndingKind;
 
 use super::{
     EngineOptions, Inner,
@@ -221,19 +220,17 @@ impl Inner {
                 "the device cannot be read"
             }
             (Ok(recording), _) => match recording.ending {
-                Ending::EndOfStream => {
+                EndingKind::DeviceEnded => {
                     // A replay that is over: it is not begun again by itself.
                     self.core().wanted = false;
                     "the device has ended its stream"
                 }
-                Ending::Disconnected => "the device is gone",
-                Ending::WriterFailed => {
+                EndingKind::DeviceGone => "the device is gone",
+                EndingKind::CutOff => {
                     self.fail("the data plane failed: see the log");
                     "the data plane failed"
                 }
-                Ending::Stopped | Ending::DiskFull | Ending::Truncated | Ending::Unmounted => {
-                    "disarmed"
-                }
+                _ => "disarmed",
             },
         };
         self.changed.notify_all();
@@ -257,7 +254,7 @@ impl Inner {
             heartbeat: self.heartbeat.clone(),
             ..rig.pipeline_config(options.codec)
         };
-        let header = header_of(rig, &config)?;
+        let header = rig.take_header(&config)?;
         let (intake, pipeline, armed) = Pipeline::arm(&config, &header)?;
         let progress = Arc::clone(pipeline.progress());
         let number = self.sessions.fetch_add(1, Ordering::Relaxed) + 1;
@@ -307,16 +304,6 @@ fn discard(log: Option<RawLog>) {
     let path = log.path().to_owned();
     drop(log.finish());
     std::fs::remove_file(path).ok();
-}
-
-fn header_of(rig: &Rig, config: &PipelineConfig) -> anyhow::Result<Header> {
-    let mut header = header::new(&config.codec, config.rate_hz)?;
-    header.up_axis = UpAxis::from_code(rig.hello().up_axis);
-    header.device = Some(rig.device_record());
-    header.channels.clone_from(&config.channels);
-    header.stretch_rows = config.stretch_rows();
-    header.settings = config.chosen();
-    Ok(header)
 }
 
 /// Whether something is at the place, without opening it.

@@ -434,7 +434,6 @@ fn check(name: String, bytes: u64, read: Result<Summary, TakeError>) -> Result<T
         problems: summary.take.problems.iter().take(TOLD_MAX).map(ToString::to_string).collect(),
         contradictions,
         ledger: ledger.map(LedgerDocument::from),
-
     })
 }
 

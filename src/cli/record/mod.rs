@@ -7,13 +7,10 @@ mod watch;
 use std::{path::PathBuf, time::Duration};
 
 use mocapd::outcome::{Outcome, UsageError};
-use mocapd_acquire::{
-    files::FileState,
-    raw_log::RawLog,
-    rig::{Ending, Rig},
-};
+use mocapd_acquire::{files::FileState, raw_log::RawLog, rig::Rig};
 use mocapd_drivers::{registry::OpenError, uri::DeviceUri};
 use mocapd_service::units;
+use mocapd_take::record::EndingKind;
 
 pub(crate) use self::{
     report::{LatencyReport, ProcessReport, Report},
@@ -109,11 +106,11 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     } else {
         print(&report.words())?;
     }
-    let disconnected = recorded.recording.ending == Ending::Disconnected;
+    let disconnected = recorded.recording.ending == EndingKind::DeviceGone;
     if disconnected {
         say("the device was disconnected: the take ends there");
     }
-    let is_full = recorded.recording.ending == Ending::DiskFull;
+    let is_full = recorded.recording.ending == EndingKind::DiskFull;
     if is_full {
         say(&report.disk_full());
     }

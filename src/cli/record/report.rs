@@ -3,10 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use mocapd_acquire::{
-    files::FileState, inspect::size_ratio, ledger::LedgerDocument, record::Recorded, rig::Ending,
+    files::FileState, inspect::size_ratio, ledger::LedgerDocument, record::Recorded,
 };
 use mocapd_codec::Settings;
 use mocapd_service::process;
+use mocapd_take::record::EndingKind;
 use serde::{Deserialize, Serialize};
 
 use super::raw::RawLogReport;
@@ -76,13 +77,11 @@ impl Report {
         Self {
             take: take.to_owned(),
             ending: match recorded.recording.ending {
-                Ending::EndOfStream => "end of stream",
-                Ending::Stopped => "stopped",
-                Ending::Disconnected => "disconnected",
-                Ending::DiskFull => "disk full",
-                Ending::Truncated => "truncated",
-                Ending::Unmounted => "unmounted",
-                Ending::WriterFailed => "writer failed",
+                EndingKind::DeviceEnded => "end of stream",
+                EndingKind::DeviceGone => "disconnected",
+                EndingKind::Length => "stopped",
+                EndingKind::CutOff => "writer failed",
+                ending => ending.word(),
             },
             file_state: recorded.file.state,
             file_path: recorded.file.path.clone(),

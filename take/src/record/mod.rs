@@ -148,6 +148,14 @@ pub struct Event {
     pub text: String,
 }
 
+impl Event {
+    /// One of a moment of the host's clock, whose row is given to it where it is put.
+    #[must_use]
+    pub fn new(kind: EventKind, host_ns: u64, text: impl Into<String>) -> Self {
+        Self { kind, row: 0, device_ticks: 0, host_ns, input: 0, text: text.into() }
+    }
+}
+
 impl Record for Event {
     const NAME: &'static str = "event";
     const KIND: u8 = types::EVENT;

@@ -105,8 +105,8 @@ impl Intake {
     fn clock_event(&mut self, text: String, device_ticks: u64, host_ns: u64) {
         self.clocks.events += 1;
         if self.clocks.events <= EVENTS_MAX {
-            let kind = EventKind::Host;
-            self.event(Event { kind, row: 0, device_ticks, host_ns, input: 0, text });
+            let event = Event::new(EventKind::Host, host_ns, text);
+            self.event(Event { device_ticks, ..event });
         }
     }
 }

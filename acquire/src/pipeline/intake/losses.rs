@@ -61,16 +61,10 @@ impl Intake {
         let new = missing.saturating_sub(std::mem::take(&mut self.rows_away));
         // At the first row that there is again.
         let row = self.next_row + self.pending.rows() + new;
-        let event = Event {
-            kind: EventKind::Host,
-            row,
-            device_ticks: frame.device_ticks,
-            host_ns: arrival_ns,
-            input: 0,
-            text: format!(
-                "the device is back after {silent_s:.3} s, and {how}: {missing} frames {why}"
-            ),
-        };
+        let text =
+            format!("the device is back after {silent_s:.3} s, and {how}: {missing} frames {why}");
+        let event = Event::new(EventKind::Host, arrival_ns, text);
+        let event = Event { device_ticks: frame.device_ticks, ..event };
         self.event_at(row, event);
         self.counts.reports_from = self.counts.seen() + new;
         self.counts.lost_to_outage(new);
@@ -179,7 +173,8 @@ impl Intake {
 
     fn silence_event(&mut self, silent_s: f64, device_ticks: u64, host_ns: u64) {
         let text = format!("no frame came for {silent_s:.3} s");
-        self.event(Event { kind: EventKind::Host, row: 0, device_ticks, host_ns, input: 0, text });
+        let event = Event::new(EventKind::Host, host_ns, text);
+        self.event(Event { device_ticks, ..event });
     }
 }
 

@@ -111,9 +111,8 @@ impl LiveTake {
         if !self.has_stretches {
             return Ok(());
         }
-        let text = "the take was asked for here: before it is pre-roll".to_owned();
-        let (kind, host_ns) = (EventKind::Host, asked_ns);
-        self.event(&Event { kind, row, device_ticks: 0, host_ns, input: 0, text })
+        let text = "the take was asked for here: before it is pre-roll";
+        self.event(&Event { row, ..Event::new(EventKind::Host, asked_ns, text) })
     }
 
     /// A stretch of the pipeline, with what it counted up to its end.
@@ -283,19 +282,20 @@ impl LiveTake {
             Err(error) => return Err(self.failed(error)),
         };
         let file_bytes = self.take.bytes();
+        let written = Written { ending, clock_lines, file_bytes, ..self.written(ledger) };
         let output = self.take.abandon();
-        let written = Written {
+        Ok((Written { disk: self.room.close(&*output), ..written }, output))
+    }
+
+    fn written(&self, ledger: Ledger) -> Written {
+        Written {
             ledger,
-            ending,
             clock: self.counts.clock,
-            clock_lines,
-            disk: self.room.close(&*output),
-            file_bytes,
             samples: self.report.samples,
             kept: self.report.kept,
             max_error_mm: self.report.max_error_mm,
-        };
-        Ok((written, output))
+            ..Written::default()
+        }
     }
 
     /// Writes its end.
@@ -329,21 +329,12 @@ impl LiveTake {
         let mut ledger = self.counts.ledger(false);
         // What was recorded is not what is there.
         ledger.contradictions.push(format!("the file was {detail}"));
+        let ending = TakeEnding::new(EndingKind::Truncated, detail);
+        let written = Written { ending, file_bytes: found, ..self.written(ledger) };
         let mut output = self.take.abandon();
         // A file system that keeps what was held for the rest gives it back when the file is closed.
         output.release(found).ok();
-        let written = Written {
-            ledger,
-            ending: TakeEnding::new(EndingKind::Truncated, detail),
-            clock: self.counts.clock,
-            clock_lines: Vec::new(),
-            disk: self.room.close(&*output),
-            file_bytes: found,
-            samples: self.report.samples,
-            kept: self.report.kept,
-            max_error_mm: self.report.max_error_mm,
-        };
-        (written, output)
+        (Written { disk: self.room.close(&*output), ..written }, output)
     }
 }
 
