@@ -133,7 +133,7 @@ fn a_looped_replay_is_stopped_when_the_time_is_up() {
     let settings = DeviceSettings { looping: true, ..DeviceSettings::default() };
     let simulated = Simulated::start(jump(3, 250.0, 0.5), settings);
     let (recorded, take) = simulated.record(dense(0.5), Some(Duration::from_secs(1)));
-    assert_eq!(recorded.recording.ending, EndingKind::Stopped);
+    assert_eq!(recorded.recording.ending, EndingKind::Length);
     let frames = recorded.written.ledger.recorded;
     assert!((250..500).contains(&frames), "{frames}");
     assert_ledger(&recorded, &take, &simulated.stop());
