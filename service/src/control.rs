@@ -236,9 +236,10 @@ impl Refusal {
     }
 }
 
-/// Kinds of refusals, by remedy.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+/// Kinds of refusals, by remedy: those of the service, and those of HTTP.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
+#[schema(as = ProblemKind)]
 pub enum RefusalKind {
     /// The request makes no sense: change it.
     Invalid,
@@ -252,7 +253,7 @@ pub enum RefusalKind {
     Device,
     /// The disk is full, or failed.
     Disk,
-    /// The take has ended, and no name leads to its file any more.
+    /// The take has ended, and no name leads to its file any more: the message says where it can be copied from.
     Vanished,
     /// The take has ended by itself, and data was lost: its file was cut short or its file system unmounted.
     DataLost,
@@ -260,6 +261,20 @@ pub enum RefusalKind {
     Unavailable,
     /// A fault of this program.
     Internal,
+    /// A token is needed.
+    Unauthorized,
+    /// From another site, or under a name that is not the service's.
+    Forbidden,
+    /// Something is there, but not with this method.
+    MethodNotAllowed,
+    /// The client took too long.
+    Timeout,
+    /// More bytes than are taken.
+    TooLarge,
+    /// Not in a form that is understood here.
+    UnsupportedMediaType,
+    /// The bytes asked for are not there.
+    Range,
 }
 
 /// What happens, in order, for one listener. One that does not listen loses the oldest and is told how many.

@@ -14,6 +14,8 @@ pub mod index;
 pub mod interchange;
 pub mod map;
 pub mod motion;
+pub mod phase;
+
 pub mod reader;
 pub mod record;
 pub mod recovery;

@@ -10,57 +10,7 @@ use crate::ReportError;
 
 pub use self::find::{NoJump, find};
 
-/// What a part of a trial is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Phase {
-    /// Standing still before the first swing. Not among the paper's.
-    Standing,
-    /// Preparatory swings of the arms.
-    Swings,
-    /// The last swing back into the crouch, with its pause.
-    LastSwing,
-    /// From the crouch to leaving the ground.
-    TakeOff,
-    /// From leaving the ground to touching it.
-    Flight,
-    /// Absorbing the landing and coming up.
-    Settling,
-    /// Slow walking.
-    Walking,
-}
-
-impl Phase {
-    /// In the order of a trial.
-    pub const ALL: [Self; 7] = [
-        Self::Standing,
-        Self::Swings,
-        Self::LastSwing,
-        Self::TakeOff,
-        Self::Flight,
-        Self::Settling,
-        Self::Walking,
-    ];
-
-    /// As tables and phase files say it.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Standing => "standing",
-            Self::Swings => "swings",
-            Self::LastSwing => "last swing",
-            Self::TakeOff => "take-off",
-            Self::Flight => "flight-landing",
-            Self::Settling => "settling",
-            Self::Walking => "walking",
-        }
-    }
-
-    /// The phase of a name.
-    #[must_use]
-    pub fn of_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|phase| phase.name() == name)
-    }
-}
+pub use mocapd_take::phase::Phase;
 
 /// A stretch of a trial.
 #[derive(Debug, Clone, PartialEq, Eq)]

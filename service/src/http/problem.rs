@@ -8,7 +8,8 @@ use axum::{
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::control::{Refusal, RefusalKind};
+use crate::control::Refusal;
+pub use crate::control::RefusalKind as ProblemKind;
 
 pub(super) const PROBLEM_JSON: &str = "application/problem+json";
 
@@ -21,46 +22,6 @@ pub struct Problem {
     pub kind: ProblemKind,
     /// One line for people: what was found, and what to do.
     pub message: String,
-}
-
-/// Kinds of problems, by remedy: those of the service, and those of HTTP.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum ProblemKind {
-    /// The request makes no sense: change it.
-    Invalid,
-    /// There is no such thing.
-    NotFound,
-    /// Not in this state: do something else first.
-    Conflict,
-    /// A take of that name exists: choose another.
-    Exists,
-    /// The device is not there, or does not answer.
-    Device,
-    /// The disk is full, or failed.
-    Disk,
-    /// The take has ended, and no name leads to its file any more: the message says where it can be copied from.
-    Vanished,
-    /// The take has ended by itself, and data was lost: its file was cut short or its file system unmounted.
-    DataLost,
-    /// The service is stopping, or too busy: try again.
-    Unavailable,
-    /// A fault of this program.
-    Internal,
-    /// A token is needed.
-    Unauthorized,
-    /// From another site, or under a name that is not the service's.
-    Forbidden,
-    /// Something is there, but not with this method.
-    MethodNotAllowed,
-    /// The client took too long.
-    Timeout,
-    /// More bytes than are taken.
-    TooLarge,
-    /// Not in a form that is understood here.
-    UnsupportedMediaType,
-    /// The bytes asked for are not there.
-    Range,
 }
 
 impl Problem {
@@ -112,20 +73,27 @@ impl Problem {
 
 impl From<Refusal> for Problem {
     fn from(refusal: Refusal) -> Self {
-        let (status, kind) = match refusal.kind {
-            RefusalKind::Invalid => (StatusCode::BAD_REQUEST, ProblemKind::Invalid),
-            RefusalKind::NotFound => (StatusCode::NOT_FOUND, ProblemKind::NotFound),
-            RefusalKind::Conflict => (StatusCode::CONFLICT, ProblemKind::Conflict),
-            RefusalKind::Exists => (StatusCode::CONFLICT, ProblemKind::Exists),
+        let status = match refusal.kind {
+            ProblemKind::Invalid => StatusCode::BAD_REQUEST,
+            ProblemKind::NotFound => StatusCode::NOT_FOUND,
+            ProblemKind::Conflict | ProblemKind::Exists | ProblemKind::DataLost => {
+                StatusCode::CONFLICT
+            }
             // To the client the service is what stands before the device.
-            RefusalKind::Device => (StatusCode::BAD_GATEWAY, ProblemKind::Device),
-            RefusalKind::Disk => (StatusCode::INSUFFICIENT_STORAGE, ProblemKind::Disk),
-            RefusalKind::Vanished => (StatusCode::GONE, ProblemKind::Vanished),
-            RefusalKind::DataLost => (StatusCode::CONFLICT, ProblemKind::DataLost),
-            RefusalKind::Unavailable => (StatusCode::SERVICE_UNAVAILABLE, ProblemKind::Unavailable),
-            RefusalKind::Internal => (StatusCode::INTERNAL_SERVER_ERROR, ProblemKind::Internal),
+            ProblemKind::Device => StatusCode::BAD_GATEWAY,
+            ProblemKind::Disk => StatusCode::INSUFFICIENT_STORAGE,
+            ProblemKind::Vanished => StatusCode::GONE,
+            ProblemKind::Unavailable => StatusCode::SERVICE_UNAVAILABLE,
+            ProblemKind::Internal => StatusCode::INTERNAL_SERVER_ERROR,
+            ProblemKind::Unauthorized => StatusCode::UNAUTHORIZED,
+            ProblemKind::Forbidden => StatusCode::FORBIDDEN,
+            ProblemKind::MethodNotAllowed => StatusCode::METHOD_NOT_ALLOWED,
+            ProblemKind::Timeout => StatusCode::REQUEST_TIMEOUT,
+            ProblemKind::TooLarge => StatusCode::PAYLOAD_TOO_LARGE,
+            ProblemKind::UnsupportedMediaType => StatusCode::UNSUPPORTED_MEDIA_TYPE,
+            ProblemKind::Range => StatusCode::RANGE_NOT_SATISFIABLE,
         };
-        Self::new(status, kind, refusal.message)
+        Self::new(status, refusal.kind, refusal.message)
     }
 }
 

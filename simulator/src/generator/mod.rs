@@ -16,6 +16,7 @@ mod trial;
 mod tests;
 
 use mocapd_take::motion::Motion;
+pub use mocapd_take::phase::Phase;
 
 pub use body::{BONES, SITES};
 pub use rng::Rng;
@@ -23,41 +24,6 @@ pub use spec::{
     GenerateError, JumpSet, JumpSpec, MARKERS_MAX, Occlusion, RATE_HZ, SAMPLES_MAX, SUBJECTS_MAX,
     TRIALS_MAX,
 };
-
-/// What part of a trial a frame belongs to, as Shi et al. 2012 divide it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Phase {
-    /// Standing still before the first swing.
-    Standing,
-    /// Preparatory swings of the arms.
-    Swings,
-    /// The last swing back into the crouch, with its deliberate pause.
-    LastSwing,
-    /// From the crouch to leaving the ground.
-    TakeOff,
-    /// From leaving the ground to touching it.
-    Flight,
-    /// Absorbing the landing and coming up.
-    Settling,
-    /// Slow walking.
-    Walking,
-}
-
-impl Phase {
-    /// In words, as tables print it.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Standing => "standing",
-            Self::Swings => "swings",
-            Self::LastSwing => "last swing",
-            Self::TakeOff => "take-off",
-            Self::Flight => "flight-landing",
-            Self::Settling => "settling",
-            Self::Walking => "walking",
-        }
-    }
-}
 
 /// A generated take, and what happens in it.
 #[derive(Debug, Clone, PartialEq)]
