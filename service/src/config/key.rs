@@ -276,7 +276,7 @@ impl<'a> Given<'a> {
             items => items.ok_or(None),
         })?;
         let (path, mut good, mut problems) = (self.key.path, Vec::new(), Vec::new());
-        for item in items.iter() {
+        for item in &items[..] {
             let (value, at) = (item.get_ref(), Place::of_byte(self.text, item.span().start));
             let found = found(value);
             let read = match value.as_str() {

@@ -115,12 +115,6 @@ impl NameTemplate {
         Ok(())
     }
 
-    /// As it is written.
-    #[must_use]
-    pub fn text(&self) -> &str {
-        &self.text
-    }
-
     /// A take's name without `.take`: `2026-11-22_16-04-59_left`.
     #[must_use]
     pub fn fill(&self, with: &NameParts<'_>) -> String {

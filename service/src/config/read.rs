@@ -205,7 +205,7 @@ impl<'a> Reading<'a> {
                 None => format!(
                     "unknown key '{}' in [{section}]: {}",
                     short(word),
-                    meant(word, here.map(|key| key.name()))
+                    meant(word, here.map(Key::name))
                 ),
             };
             self.refuse_name(name, message);
@@ -342,11 +342,11 @@ impl<'a> Reading<'a> {
 
 /// The section of a key that was written elsewhere.
 fn of_section(word: &str) -> Option<&'static str> {
-    KEYS.iter().find(|key| key.name() == word).map(|key| key.section())
+    KEYS.iter().find(|key| key.name() == word).map(Key::section)
 }
 
 fn advice(path: &str) -> String {
-    KEYS.iter().find(|key| key.path == path).map(|key| key.advice()).unwrap_or_default()
+    KEYS.iter().find(|key| key.path == path).map(Key::advice).unwrap_or_default()
 }
 
 fn text(bytes: &[u8]) -> Result<&str, Problem> {

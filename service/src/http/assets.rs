@@ -37,7 +37,7 @@ const PAGE: &str = "index.html";
 pub(super) async fn serve(uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
     let path = uri.path().strip_prefix('/').unwrap_or(uri.path());
     let found = WEB.get_file(if path.is_empty() { PAGE } else { path });
-    let asset = found.ok_or_else(|| Problem::of_status(StatusCode::NOT_FOUND, ""))?;
+    let asset = found.ok_or_else(|| Problem::of_status(StatusCode::NOT_FOUND))?;
     let digest = Sha256::digest(asset.contents());
     let tag: String = digest.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
     let tag = format!("\"{tag}\"");

@@ -56,7 +56,14 @@ fn check(app: &Shared, request: &Request) -> Result<(), Box<Response>> {
     if !matches!(via, Some(Via::Unix)) {
         match &host {
             Some(host) if is_ours(host, via, &app.allowed_hosts) => {}
-            Some(host) => return refuse(not_ours(host)),
+            Some(host) => {
+                let words = format!(
+                    "'{}' is not a name of this service: put it into allowed_hosts, if it is",
+                    host.host()
+                );
+                let (status, kind) = (StatusCode::MISDIRECTED_REQUEST, ProblemKind::Forbidden);
+                return refuse(Problem::new(status, kind, words));
+            }
             None => return refuse(Problem::invalid("the header Host is missing, or is no host")),
         }
     }
@@ -121,17 +128,6 @@ fn is_ours(host: &Authority, via: Option<Via>, allowed: &[String]) -> bool {
         || Some(address.to_canonical()) == local
 }
 
-fn not_ours(host: &Authority) -> Problem {
-    Problem::new(
-        StatusCode::MISDIRECTED_REQUEST,
-        ProblemKind::Forbidden,
-        format!(
-            "'{}' is not a name of this service: put it into allowed_hosts, if it is",
-            host.host()
-        ),
-    )
-}
-
 /// Whether what changes something comes from our own pages, or from no page at all.
 fn same_site(headers: &HeaderMap, host: Option<&Authority>) -> Result<(), Problem> {
     let forbidden =
@@ -169,7 +165,7 @@ pub(super) async fn finish(State(app): State<Shared>, request: Request, next: Ne
         let kind = response.headers().get(header::CONTENT_TYPE);
         if kind.is_none_or(|kind| kind != PROBLEM_JSON) {
             let allow = response.headers().get(header::ALLOW).cloned();
-            response = Problem::of_status(status, "").into_response();
+            response = Problem::of_status(status).into_response();
             if let Some(allow) = allow {
                 response.headers_mut().insert(header::ALLOW, allow);
             }

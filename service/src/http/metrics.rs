@@ -107,10 +107,10 @@ impl Out<'_> {
         &mut self,
         name: &str,
         help: &str,
-        unit: Option<Unit>,
+        unit: Option<&Unit>,
         value: f64,
     ) -> Result<(), Error> {
-        let metric = self.0.encode_descriptor(name, help, unit.as_ref(), MetricType::Gauge)?;
+        let metric = self.0.encode_descriptor(name, help, unit, MetricType::Gauge)?;
         ConstGauge::new(value).encode(metric)
     }
 
@@ -158,13 +158,13 @@ macro_rules! figures {
         $out.gauge($name, $help, None, $value)
     };
     (@gauge $out:ident, $name:expr, $help:expr, Hertz, $value:expr) => {
-        $out.gauge($name, $help, Some(Unit::Other("hertz".to_owned())), $value)
+        $out.gauge($name, $help, Some(&Unit::Other("hertz".to_owned())), $value)
     };
     (@gauge $out:ident, $name:expr, $help:expr, Ratio, $value:expr) => {
-        $out.gauge($name, $help, Some(Unit::Other("ratio".to_owned())), $value)
+        $out.gauge($name, $help, Some(&Unit::Other("ratio".to_owned())), $value)
     };
     (@gauge $out:ident, $name:expr, $help:expr, $unit:ident, $value:expr) => {
-        $out.gauge($name, $help, Some(Unit::$unit), $value)
+        $out.gauge($name, $help, Some(&Unit::$unit), $value)
     };
 }
 

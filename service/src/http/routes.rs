@@ -67,7 +67,7 @@ pub(super) fn router(app: &Shared) -> Router {
         router = router.route(&path, get(assets::serve));
     }
     let router = router
-        .fallback(|| async { Problem::of_status(StatusCode::NOT_FOUND, "") })
+        .fallback(|| async { Problem::of_status(StatusCode::NOT_FOUND) })
         .layer(middleware::from_fn_with_state(Arc::clone(app), guard::guard))
         .layer(middleware::from_fn_with_state(Arc::clone(app), guard::finish));
     router.with_state(Arc::clone(app))

@@ -5,10 +5,7 @@ use std::{
     io::{self, BufReader, Read, Seek, SeekFrom},
     ops::Range,
     os::unix::fs::{FileExt, MetadataExt},
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
+    sync::{Arc, Weak},
 };
 
 use axum::{
@@ -346,42 +343,34 @@ pub(super) async fn verify(
     Asked(_): Asked<Request>,
 ) -> Result<Json<TakeCheck>, Problem> {
     let name = take_name(name)?;
-    let gone = Gone(Arc::new(AtomicBool::new(false)));
+    // Dropped with the request, which is when the client is gone.
+    let wanted = Arc::new(());
     let (control, asked) = (Arc::clone(&app.control), name);
-    let (flag, stopping) = (Arc::clone(&gone.0), app.stopping.clone());
+    let (is_wanted, stopping) = (Arc::downgrade(&wanted), app.stopping.clone());
     let work = move || {
         let take = open(control.as_ref(), &asked)?;
         if take.is_growing {
             let words = format!("{asked} is being recorded: stop it first");
             return Err(Problem::new(StatusCode::CONFLICT, ProblemKind::Conflict, words));
         }
-        let input = While { input: SparseFile::of(take.file), gone: flag, stopping };
+        let input = While { input: SparseFile::of(take.file), is_wanted, stopping };
         check(asked, take.len, Summary::read(BufReader::new(input)))
     };
     let checked = app.lanes.checks.run(work).await?;
-    drop(gone);
+    drop(wanted);
     Ok(Json(checked?))
-}
-
-/// Says that the client is gone when it is dropped, which is when the request is.
-struct Gone(Arc<AtomicBool>);
-
-impl Drop for Gone {
-    fn drop(&mut self) {
-        self.0.store(true, Ordering::Relaxed);
-    }
 }
 
 /// Reads while somebody wants to know.
 struct While<R> {
     input: R,
-    gone: Arc<AtomicBool>,
+    is_wanted: Weak<()>,
     stopping: watch::Receiver<bool>,
 }
 
 impl<R: Read> Read for While<R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        if self.gone.load(Ordering::Relaxed) || *self.stopping.borrow() {
+        if self.is_wanted.strong_count() == 0 || *self.stopping.borrow() {
             return Err(io::Error::other("nobody waits for the check any more"));
         }
         self.input.read(buffer)

@@ -86,7 +86,7 @@ fn every_key_is_read() {
     let DeviceChoice::At(uri) = &config.device.uri else { panic!("{config:?}") };
     assert_eq!(uri.to_string(), "usb:1209:0001:A:1?driver=dvmc");
     assert_eq!(config.device.rate_hz, Some(59.94));
-    assert_eq!(config.take.name.text(), "S01 {count}");
+    assert_eq!(config.take.name.to_string(), "S01 {count}");
     assert!((config.take.codec.tolerance.mm() - 0.1).abs() < 1e-12);
     assert_eq!(config.take.stretch, Duration::from_millis(250));
     assert_eq!(config.take.keep_free_bytes, 1_500_000_000);
