@@ -47,7 +47,7 @@ pub(crate) fn widen(position: Position) -> Vector {
 /// The square of the distance, each step of it in this order: the same on every machine.
 #[inline(always)]
 pub(crate) fn squared_distance(a: Vector, b: Vector) -> f64 {
-    let [x, y, z] = std::array::from_fn(|axis| a[axis] - b[axis]);
+    let (x, y, z) = (a[0] - b[0], a[1] - b[1], a[2] - b[2]);
     x * x + y * y + z * z
 }
 

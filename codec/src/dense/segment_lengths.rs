@@ -301,7 +301,10 @@ impl<'a> Pairs<'a> {
     #[inline(always)]
     fn found(&self, k: usize, first: usize) -> [f64; LANES] {
         let slot = self.sites.slot + first;
-        let own = self.own.span.each_ref().map(|axis| lanes(axis, slot));
+        let mut own = [[0.0; LANES]; 3];
+        for (own, axis) in own.iter_mut().zip(&self.own.span) {
+            *own = lanes(axis, slot);
+        }
         let (_, units) = away(&self.tracks[k], slot, own);
         units.map(|units| units * (1.0 / LENGTH_UNITS))
     }

@@ -31,18 +31,6 @@ pub(super) struct Rule {
     reach: f32,
 }
 
-/// One row.
-pub(super) struct Chosen {
-    pub(super) point: [f32; 3],
-    pub(super) steps: [i32; 3],
-    /// As without low bits; [`LARGER`] is set where it is not all.
-    pub(super) symbol: u8,
-    /// Of the magnitudes, cut to a byte.
-    pub(super) sum: u8,
-    /// A residual cannot be coded.
-    pub(super) out_of_reach: bool,
-}
-
 impl Rule {
     #[inline(always)]
     pub(super) fn new(tolerance_mm: f64, step: f32) -> Self {
@@ -55,10 +43,10 @@ impl Rule {
         }
     }
 
-    /// Chooses for a row. Those of the `FINEST` level, on which nothing depends, have one step of +-1 less where that
-    /// stays inside the ball. There is no branch: it is done to rows side by side.
+    /// The steps of a row, and whether they can be coded. Those of the `FINEST` level, on which nothing depends, have
+    /// one step of +-1 less where that stays inside the ball. There is no branch: it is done to rows side by side.
     #[inline(always)]
-    pub(super) fn row<const FINEST: bool>(self, target: [f32; 3], prediction: [f32; 3]) -> Chosen {
+    fn row<const FINEST: bool>(self, target: [f32; 3], prediction: [f32; 3]) -> ([i32; 3], bool) {
         let off = [0, 1, 2].map(|axis| target[axis] - prediction[axis]);
         let square = off[0] * off[0] + off[1] * off[1] + off[2] * off[2];
         // Not so where it is not a number.
@@ -68,23 +56,8 @@ impl Rule {
         if FINEST {
             steps = self.shorten(off, steps);
         }
-        let values =
-            steps.map(|steps| (steps + ROUND).to_bits().wrapping_sub(ROUND.to_bits()) as i32);
-        let magnitudes = values.map(i32::unsigned_abs);
-        let [x, y, z] = [0, 1, 2].map(|axis| {
-            let small = magnitudes[axis].wrapping_add(values[axis] as u32 >> 31);
-            if magnitudes[axis] > 1 { 3 } else { small }
-        });
-        let [a, b, c] = magnitudes;
-        let larger = if a.max(b).max(c) > 1 { u32::from(LARGER) } else { 0 };
-        Chosen {
-            point: [0, 1, 2].map(|axis| prediction[axis] + steps[axis] * self.step),
-            steps: values,
-            symbol: (x << 4 | y << 2 | z | larger) as u8,
-            // Beyond what can be coded, these and the symbol are not looked at.
-            sum: a.wrapping_add(b).wrapping_add(c).min(255) as u8,
-            out_of_reach: !in_reach,
-        }
+        let integer = |steps: f32| (steps + ROUND).to_bits().wrapping_sub(ROUND.to_bits()) as i32;
+        (steps.map(integer), in_reach)
     }
 
     /// Leaves out the step of +-1 that is missed least, where all else is inside the ball without it. Without a
@@ -108,11 +81,86 @@ impl Rule {
     }
 }
 
+/// The symbol of a row, as without low bits, with [`LARGER`] where it is not all; and the sum of its magnitudes, cut to a
+/// byte. Of steps that can be coded.
+#[inline(always)]
+fn describe(steps: [i32; 3]) -> (u8, u8) {
+    let magnitudes = steps.map(i32::unsigned_abs);
+    let [x, y, z] = [0, 1, 2].map(|axis| {
+        let small = magnitudes[axis].wrapping_add(steps[axis] as u32 >> 31);
+        if magnitudes[axis] > 1 { 3 } else { small }
+    });
+    let [a, b, c] = magnitudes;
+    let larger = if a.max(b).max(c) > 1 { u32::from(LARGER) } else { 0 };
+    let sum = a.wrapping_add(b).wrapping_add(c).min(255);
+    ((x << 4 | y << 2 | z | larger) as u8, sum as u8)
+}
+
 /// The square of an error in float64, as errors are stated, as bits: what is not a number is largest of all.
 #[inline(always)]
 fn squared_error(target: [f32; 3], point: [f32; 3]) -> u64 {
     // Without the sign that what is not a number may have.
     squared_distance(widen(target), widen(point)).abs().to_bits()
+}
+
+// The rows of a level, one thing after another. Each slice that is written is a parameter of its own, so that it is
+// known to overlap with no other: one in an array may be any.
+
+/// Chooses the steps of all rows; `false` when some cannot be coded.
+#[inline(always)]
+fn choose<const FINEST: bool>(
+    rule: Rule,
+    targets: [&[f32]; 3],
+    predictions: [&[f32]; 3],
+    steps_x: &mut [i32],
+    steps_y: &mut [i32],
+    steps_z: &mut [i32],
+) -> bool {
+    let n = steps_x.len();
+    let ([tx, ty, tz], [px, py, pz]) =
+        (targets.map(|axis| &axis[..n]), predictions.map(|axis| &axis[..n]));
+    let (steps_y, steps_z) = (&mut steps_y[..n], &mut steps_z[..n]);
+    let mut in_reach = true;
+    for i in 0..n {
+        let (steps, can_be) = rule.row::<FINEST>([tx[i], ty[i], tz[i]], [px[i], py[i], pz[i]]);
+        [steps_x[i], steps_y[i], steps_z[i]] = steps;
+        in_reach &= can_be;
+    }
+    in_reach
+}
+
+/// Describes the steps of all rows.
+#[inline(always)]
+fn describe_all(steps: [&[i32]; 3], symbols: &mut [u8], sums: &mut [u8]) {
+    let n = symbols.len();
+    let ([x, y, z], sums) = (steps.map(|axis| &axis[..n]), &mut sums[..n]);
+    for i in 0..n {
+        (symbols[i], sums[i]) = describe([x[i], y[i], z[i]]);
+    }
+}
+
+/// Moves all rows from their predictions; gives the largest error.
+#[inline(always)]
+fn settle(
+    targets: [&[f32]; 3],
+    steps: [&[i32]; 3],
+    step: f32,
+    x: &mut [f32],
+    y: &mut [f32],
+    z: &mut [f32],
+) -> u64 {
+    let n = x.len();
+    let ([a, b, c], [steps_x, steps_y, steps_z]) =
+        (targets.map(|axis| &axis[..n]), steps.map(|axis| &axis[..n]));
+    let (y, z) = (&mut y[..n], &mut z[..n]);
+    let mut worst = 0;
+    for i in 0..n {
+        x[i] += steps_x[i] as f32 * step;
+        y[i] += steps_y[i] as f32 * step;
+        z[i] += steps_z[i] as f32 * step;
+        worst = worst.max(squared_error([a[i], b[i], c[i]], [x[i], y[i], z[i]]) as i64);
+    }
+    worst as u64
 }
 
 /// Where the rows of a run should be.
@@ -236,49 +284,16 @@ impl<'a> Choosing<'a> {
 
     #[inline(always)]
     fn choose_level<const FINEST: bool>(&mut self, start: usize, count: usize, rows: &mut Planes) {
-        let full = count / LANES * LANES;
-        for first in (0..full).step_by(LANES) {
-            self.choose::<FINEST, LANES>(start, first, rows);
-        }
-        for row in full..count {
-            self.choose::<FINEST, 1>(start, row, rows);
-        }
-    }
-
-    /// Chooses for some rows of a level, side by side.
-    #[inline(always)]
-    fn choose<const FINEST: bool, const N: usize>(
-        &mut self,
-        start: usize,
-        first: usize,
-        rows: &mut Planes,
-    ) {
-        let targets: [[f32; N]; 3] = self.targets.levels.rows(start + first);
-        let predictions: [[f32; N]; 3] = rows.rows(first);
-        let mut points = predictions;
-        let (mut steps, mut symbols, mut sums) = ([[0; N]; 3], [0; N], [0; N]);
-        let (mut worst, mut out_of_reach) = ([0; N], [false; N]);
-        for i in 0..N {
-            let target = targets.map(|axis| axis[i]);
-            let chosen = self.rule.row::<FINEST>(target, predictions.map(|axis| axis[i]));
-            for axis in 0..3 {
-                points[axis][i] = chosen.point[axis];
-                steps[axis][i] = chosen.steps[axis];
-            }
-            symbols[i] = chosen.symbol;
-            sums[i] = chosen.sum;
-            out_of_reach[i] = chosen.out_of_reach;
-            worst[i] = squared_error(target, chosen.point) as i64;
-        }
-        rows.put(first, points);
-        let residuals = &mut *self.residuals;
-        for (plane, steps) in residuals.steps.iter_mut().zip(steps) {
-            plane[first..first + N].copy_from_slice(&steps);
-        }
-        residuals.symbols[first..first + N].copy_from_slice(&symbols);
-        residuals.sums[first..first + N].copy_from_slice(&sums);
-        self.out_of_reach |= out_of_reach.contains(&true);
-        self.worst = worst.into_iter().fold(self.worst as i64, i64::max) as u64;
+        let targets = self.targets.levels.axes(start).map(|axis| &axis[..count]);
+        let Residuals { steps: [steps_x, steps_y, steps_z], symbols, sums } = &mut *self.residuals;
+        let steps_x = &mut steps_x[..count];
+        self.out_of_reach |=
+            !choose::<FINEST>(self.rule, targets, rows.axes(0), steps_x, steps_y, steps_z);
+        let steps: [&[i32]; 3] = [steps_x, steps_y, steps_z];
+        describe_all(steps, &mut symbols[..count], sums);
+        let [x, y, z] = &mut rows.0;
+        let worst = settle(targets, steps, self.rule.step, &mut x[..count], y, z);
+        self.worst = self.worst.max(worst);
     }
 
     /// Codes a row of which the symbol is not all.
@@ -323,21 +338,22 @@ impl Side for Choosing<'_> {
         let [x, y, z, _] = self.targets.row(row);
         let target = [x, y, z];
         let [x, y, z, _] = prediction;
-        let chosen = self.rule.row::<false>(target, [x, y, z]);
+        let (chosen, in_reach) = self.rule.row::<false>(target, [x, y, z]);
+        self.out_of_reach |= !in_reach;
+        let mut point = prediction;
+        let Residuals { steps, symbols, sums } = &mut *self.residuals;
+        for axis in 0..3 {
+            point[axis] += chosen[axis] as f32 * self.rule.step;
+            steps[axis][self.at] = chosen[axis];
+        }
+        (symbols[self.at], sums[self.at]) = describe(chosen);
+        self.at += 1;
         // The last anchor may lie beyond the samples.
         if row <= self.n {
-            self.worst = self.worst.max(squared_error(target, chosen.point));
+            let [x, y, z, _] = point;
+            self.worst = self.worst.max(squared_error(target, [x, y, z]));
         }
-        self.out_of_reach |= chosen.out_of_reach;
-        let Residuals { steps, symbols, sums } = &mut *self.residuals;
-        for (plane, steps) in steps.iter_mut().zip(chosen.steps) {
-            plane[self.at] = steps;
-        }
-        symbols[self.at] = chosen.symbol;
-        sums[self.at] = chosen.sum;
-        let [x, y, z] = chosen.point;
-        self.at += 1;
-        [x, y, z, 0.0]
+        point
     }
 
     #[inline(always)]

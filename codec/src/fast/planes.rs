@@ -37,24 +37,6 @@ impl Planes {
         }
     }
 
-    /// Some rows, side by side.
-    #[inline(always)]
-    pub(super) fn rows<const N: usize>(&self, first: usize) -> [[f32; N]; 3] {
-        let mut rows = [[0.0; N]; 3];
-        for (rows, plane) in rows.iter_mut().zip(&self.0) {
-            rows.copy_from_slice(&plane[first..first + N]);
-        }
-        rows
-    }
-
-    /// The same, to put.
-    #[inline(always)]
-    pub(super) fn put<const N: usize>(&mut self, first: usize, rows: [[f32; N]; 3]) {
-        for (plane, rows) in self.0.iter_mut().zip(rows) {
-            plane[first..first + N].copy_from_slice(&rows);
-        }
-    }
-
     /// The axes, from row `from` on.
     #[inline(always)]
     pub(super) fn axes(&self, from: usize) -> [&[f32]; 3] {
