@@ -17,6 +17,14 @@ pub enum CodecError {
     InvalidArgument(String),
 }
 
+pub(crate) type Result<T> = std::result::Result<T, CodecError>;
+
+/// Bytes of which something does not hold that holds of an encoder's are corrupt.
+#[inline(always)]
+pub(crate) fn ensure(holds: bool, otherwise: &'static str) -> Result<()> {
+    if holds { Ok(()) } else { Err(CodecError::Corrupt(otherwise)) }
+}
+
 /// Most channels of a group: those that are coded together.
 ///
 /// What a block costs whatever is in it (its length, its head, the ends of its coders, what it learns
@@ -36,7 +44,10 @@ impl<'a> Rows<'a> {
     ///
     /// # Errors
     /// `InvalidArgument` when the lengths differ.
-    pub fn new(positions: &'a [Position], present: &'a [bool]) -> Result<Self, CodecError> {
+    pub fn new(
+        positions: &'a [Position],
+        present: &'a [bool],
+    ) -> std::result::Result<Self, CodecError> {
         if positions.len() == present.len() {
             return Ok(Self { positions, present });
         }
@@ -143,7 +154,7 @@ pub trait BlockEncoder: Send + std::fmt::Debug {
         key: bool,
         out: &mut Vec<u8>,
         reports: &mut [BlockReport],
-    ) -> Result<(), CodecError>;
+    ) -> std::result::Result<(), CodecError>;
 }
 
 /// Decodes the blocks of one group of channels, in order, starting at a key block.
@@ -165,7 +176,7 @@ pub trait BlockDecoder: Send + std::fmt::Debug {
         n_rows: usize,
         key: bool,
         out: &mut Vec<DecodedRows>,
-    ) -> Result<(), CodecError>;
+    ) -> std::result::Result<(), CodecError>;
 
     /// Passes an empty block: rows without a sample, however many.
     fn skip(&mut self, key: bool);

@@ -55,6 +55,7 @@ mod spline;
 pub use block::{
     BlockDecoder, BlockEncoder, BlockReport, CodecError, DecodedRows, GROUP_CHANNELS, Rows,
 };
+pub(crate) use block::{Result, ensure};
 pub use bound::Tolerance;
 pub use coding::range;
 #[cfg(feature = "training")]

@@ -1,7 +1,7 @@
 //! Bit-exact float32.
 
 use crate::{
-    BlockReport, CodecError, DecodedRows, Rows,
+    BlockReport, DecodedRows, Result, Rows,
     coding::{
         bytes::Bytes,
         columns::{Histories, Raw},
@@ -46,10 +46,9 @@ impl PayloadEncoder for Lossless {
     fn encode(
         &mut self,
         channels: &[Rows<'_>],
-        _shared: &[u8],
         out: &mut Vec<u8>,
         reports: &mut [BlockReport],
-    ) -> Result<(), CodecError> {
+    ) -> Result<()> {
         self.grow(channels.len());
         let channels = channels.iter().zip(&mut self.histories).zip(reports);
         for ((rows, history), report) in channels.filter(|(_, report)| report.samples > 0) {
@@ -61,12 +60,7 @@ impl PayloadEncoder for Lossless {
 }
 
 impl PayloadDecoder for Lossless {
-    fn decode(
-        &mut self,
-        payload: &[u8],
-        _shared: &[u8],
-        channels: &mut [DecodedRows],
-    ) -> Result<(), CodecError> {
+    fn decode(&mut self, payload: &[u8], channels: &mut [DecodedRows]) -> Result<()> {
         self.grow(channels.len());
         let mut input = Bytes::new(payload);
         for (rows, history) in channels.iter_mut().zip(&mut self.histories) {

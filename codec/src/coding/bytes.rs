@@ -1,6 +1,6 @@
 //! A cursor over the bytes of a block, and LEB128 varints.
 
-use crate::CodecError;
+use crate::{CodecError, Result, ensure};
 
 /// Longest varint: ten groups of seven bits hold 64.
 pub(crate) const MAX_VARINT_BYTES: usize = 10;
@@ -34,32 +34,28 @@ impl<'a> Bytes<'a> {
         self.rest.is_empty()
     }
 
-    pub(crate) fn take(&mut self, n: usize, what: &'static str) -> Result<&'a [u8], CodecError> {
+    pub(crate) fn take(&mut self, n: usize, what: &'static str) -> Result<&'a [u8]> {
         let (head, rest) = self.rest.split_at_checked(n).ok_or(CodecError::Truncated(what))?;
         self.rest = rest;
         Ok(head)
     }
 
-    pub(crate) fn byte(&mut self, what: &'static str) -> Result<u8, CodecError> {
+    pub(crate) fn byte(&mut self, what: &'static str) -> Result<u8> {
         let (&first, rest) = self.rest.split_first().ok_or(CodecError::Truncated(what))?;
         self.rest = rest;
         Ok(first)
     }
 
     /// Only the shortest form is accepted: one value has one spelling.
-    pub(crate) fn varint(&mut self, what: &'static str) -> Result<u64, CodecError> {
+    pub(crate) fn varint(&mut self, what: &'static str) -> Result<u64> {
         let mut value = 0_u64;
         for group in 0..MAX_VARINT_BYTES {
             let byte = self.byte(what)?;
             let bits = u64::from(byte & 0x7f);
-            if group == MAX_VARINT_BYTES - 1 && bits > 1 {
-                return Err(CodecError::Corrupt("a varint of more than 64 bits"));
-            }
+            ensure(group < MAX_VARINT_BYTES - 1 || bits <= 1, "a varint of more than 64 bits")?;
             value |= bits << (7 * group);
             if byte & 0x80 == 0 {
-                if byte == 0 && group > 0 {
-                    return Err(CodecError::Corrupt("a varint longer than it needs to be"));
-                }
+                ensure(byte != 0 || group == 0, "a varint longer than it needs to be")?;
                 return Ok(value);
             }
         }
@@ -72,7 +68,7 @@ impl<'a> Bytes<'a> {
     }
 
     /// The payload must end where the block does.
-    pub(crate) fn finish(self) -> Result<(), CodecError> {
+    pub(crate) fn finish(self) -> Result<()> {
         if self.is_empty() { Ok(()) } else { Err(CodecError::Corrupt("bytes after the payload")) }
     }
 }

@@ -9,7 +9,7 @@
 //! its widest member: one byte of width (0 to 64), then `len * width` bits, least significant bit first.
 
 use super::bytes::{Bytes, varint_len, write_varint};
-use crate::{CodecError, DecodedRows, Rows};
+use crate::{CodecError, DecodedRows, Result, Rows, ensure};
 
 /// The last bit patterns of a channel, by axis.
 pub(crate) type Histories = [History; 3];
@@ -70,17 +70,13 @@ impl Raw {
         input: &mut Bytes<'_>,
         history: &mut Histories,
         rows: &mut DecodedRows,
-    ) -> Result<(), CodecError> {
+    ) -> Result<()> {
         let n = rows.present.iter().filter(|&&p| p).count();
         let head = input.byte("the head of the columns")?;
-        if head >> 6 != 0 {
-            return Err(CodecError::Corrupt("unknown flags of columns"));
-        }
+        ensure(head >> 6 == 0, "unknown flags of columns")?;
         for (axis, (column, history)) in self.columns.iter_mut().zip(history).enumerate() {
             let order = usize::from(head >> (2 * axis) & 3);
-            if order > MAX_ORDER {
-                return Err(CodecError::Corrupt("a difference of order 3"));
-            }
+            ensure(order <= MAX_ORDER, "a difference of order 3")?;
             read_column(input, n, history, order, column)?;
         }
         let present = rows.positions.iter_mut().zip(&rows.present).filter(|(_, p)| **p);
@@ -171,7 +167,7 @@ fn read_column(
     history: &mut History,
     order: usize,
     column: &mut Vec<i64>,
-) -> Result<(), CodecError> {
+) -> Result<()> {
     column.clear();
     let head = order.saturating_sub(history.known).min(n);
     for _ in 0..head {
@@ -247,11 +243,9 @@ fn pack(values: &[u64], width: u32, out: &mut Vec<u8>) {
 }
 
 /// Reads one group into all of `values`, which is at most [`GROUP_LEN`] long.
-fn unpack(input: &mut Bytes<'_>, values: &mut [u64]) -> Result<(), CodecError> {
+fn unpack(input: &mut Bytes<'_>, values: &mut [u64]) -> Result<()> {
     let width = u32::from(input.byte("the width of a group")?);
-    if width > 64 {
-        return Err(CodecError::Corrupt("a group wider than 64 bits"));
-    }
+    ensure(width <= 64, "a group wider than 64 bits")?;
     let bits = input.take((values.len() * width as usize).div_ceil(8), "a group of values")?;
     // Nine spare bytes, so that a window of nine never leaves the array.
     let mut padded = [0_u8; GROUP_BYTES + 9];

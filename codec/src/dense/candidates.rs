@@ -73,32 +73,6 @@ impl<'a, 'r> Encoding<'a, 'r> {
         }
         squares
     }
-
-    /// Of the lattice points around the sample that are inside the ball, the one with the fewest bits, and
-    /// the nearer one the more is predicted from it.
-    #[inline(always)]
-    fn search(&self, question: &Question) -> Point {
-        let Question { prediction, lattice, fineness, place, .. } = *question;
-        let reach = Reach::of(lattice, fineness);
-        let (mut off, mut activity) = ([0.0; AXES], [0.0; AXES]);
-        for axis in 0..3 {
-            off[axis] = self.off[axis][place] * reach.per_step;
-            activity[axis] = f64::from(question.activity[axis]) / 256.0;
-        }
-        let miss = if question.last_level { LAST_MISS } else { MISS[question.kind] };
-        let sample = self.samples.each_ref().map(|axis| axis[place]);
-        let step = fineness.step(lattice) as f64;
-        let is_inside = |steps: [f64; 3]| {
-            let point = std::array::from_fn(|axis| prediction[axis] + steps[axis] * step);
-            squared_distance(widen(self.grid.position(point)), widen(sample)) <= self.allowed
-        };
-        let cell = Cell { off, activity, miss, reach };
-        let steps = match lattice {
-            Lattice::Cubic => cell.cheapest::<1, CORNERS>(is_inside),
-            Lattice::Centred => cell.cheapest::<2, { 2 * CORNERS }>(is_inside),
-        };
-        steps.map(|steps| steps as i64)
-    }
 }
 
 /// Of the f64 numbers, the largest whose root is not over the tolerance.
@@ -125,9 +99,30 @@ impl<'a> Side for Encoding<'a, '_> {
         &mut self.coder
     }
 
+    /// Of the lattice points around the sample that are inside the ball, the one with the fewest bits, and
+    /// the nearer one the more is predicted from it.
     #[inline(always)]
     fn choose(&mut self, question: Question) -> Point {
-        self.search(&question)
+        let Question { prediction, lattice, fineness, place, .. } = question;
+        let reach = Reach::of(lattice, fineness);
+        let (mut off, mut activity) = ([0.0; AXES], [0.0; AXES]);
+        for axis in 0..3 {
+            off[axis] = self.off[axis][place] * reach.per_step;
+            activity[axis] = f64::from(question.activity[axis]) / 256.0;
+        }
+        let miss = if question.last_level { LAST_MISS } else { MISS[question.kind] };
+        let sample = self.samples.each_ref().map(|axis| axis[place]);
+        let step = fineness.step(lattice) as f64;
+        let is_inside = |steps: [f64; 3]| {
+            let point = std::array::from_fn(|axis| prediction[axis] + steps[axis] * step);
+            squared_distance(widen(self.grid.position(point)), widen(sample)) <= self.allowed
+        };
+        let cell = Cell { off, activity, miss, reach };
+        let steps = match lattice {
+            Lattice::Cubic => cell.cheapest::<1, CORNERS>(is_inside),
+            Lattice::Centred => cell.cheapest::<2, { 2 * CORNERS }>(is_inside),
+        };
+        steps.map(|steps| steps as i64)
     }
 
     fn start(&mut self, channel: usize, row: usize, step: i64, origins: &[Point]) -> Start {
@@ -154,8 +149,8 @@ impl<'a> Side for Encoding<'a, '_> {
     }
 
     #[inline(always)]
-    fn begin(&mut self, channel: usize, sites: &Sites) {
-        let rows = self.channels[channel].positions();
+    fn begin(&mut self, sites: &Sites) {
+        let rows = self.channels[sites.run.channel].positions();
         for i in 0..sites.n.min(ROOM) {
             let sample = rows[sites.at(i) - MEMORY];
             for (axis, coordinate) in self.samples.iter_mut().zip(sample) {
@@ -165,12 +160,7 @@ impl<'a> Side for Encoding<'a, '_> {
     }
 
     #[inline(always)]
-    fn outside<const N: usize>(
-        &mut self,
-        _channel: usize,
-        batch: Batch,
-        predictions: &Points<N>,
-    ) -> u32 {
+    fn outside<const N: usize>(&mut self, batch: Batch, predictions: &Points<N>) -> u32 {
         let squares = self.squares(batch, predictions);
         self.expected[..N].copy_from_slice(&squares);
         for (axis, off) in self.off.iter_mut().enumerate() {
@@ -188,13 +178,7 @@ impl<'a> Side for Encoding<'a, '_> {
     }
 
     #[inline(always)]
-    fn settle<const N: usize>(
-        &mut self,
-        channel: usize,
-        batch: Batch,
-        points: &Points<N>,
-        kept: u32,
-    ) {
+    fn settle<const N: usize>(&mut self, batch: Batch, points: &Points<N>, kept: u32) {
         // What is not moved was measured when it was expected.
         let mut squares = [0.0; N];
         if kept == 0 {
@@ -202,11 +186,11 @@ impl<'a> Side for Encoding<'a, '_> {
         } else {
             squares = self.squares(batch, points);
         }
-        let most = &mut self.squares[channel];
+        let most = &mut self.squares[batch.channel];
         for square in &squares[..batch.n] {
             *most = most.max(*square);
         }
-        self.reports[channel].kept += kept.count_ones();
+        self.reports[batch.channel].kept += kept.count_ones();
     }
 }
 

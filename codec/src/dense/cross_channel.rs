@@ -190,7 +190,6 @@ impl CrossChannel {
     #[inline(always)]
     pub(super) fn remember<const N: usize>(
         &mut self,
-        j: usize,
         batch: Batch,
         level: &LevelPrediction,
         points: &Points<N>,
@@ -214,7 +213,7 @@ impl CrossChannel {
                 residuals.iter_mut().for_each(|axis| axis[i] *= share);
             }
         }
-        for (out, residuals) in self.residuals[j].iter_mut().zip(&residuals) {
+        for (out, residuals) in self.residuals[batch.channel].iter_mut().zip(&residuals) {
             copy(&residuals.map(|units| units as f32), &mut out[batch.slot..], batch.n);
         }
     }
@@ -242,9 +241,9 @@ impl CrossChannel {
 
     /// Adds what the references say of all rows.
     #[inline(always)]
-    pub(super) fn correct(&self, class: usize, j: usize, level: &mut LevelPrediction) {
-        let Sites { n, slot, .. } = level.sites;
-        let references = self.references(class, j);
+    pub(super) fn correct(&self, class: usize, level: &mut LevelPrediction) {
+        let Sites { n, slot, run, .. } = level.sites;
+        let references = self.references(class, run.channel);
         let found = references.n.min(REFERENCES);
         for first in (0..n).step_by(LANES) {
             for axis in 0..3 {

@@ -7,25 +7,20 @@ use super::{
     points::{Fineness, Grid, Points},
 };
 use crate::{
-    CodecError, DecodedRows, GROUP_CHANNELS,
+    DecodedRows, GROUP_CHANNELS, Result,
     coding::range::{BinaryCoder, RangeDecoder},
-    frame::PayloadDecoder,
+    ensure,
+    frame::{Payload, PayloadDecoder},
 };
 
 impl PayloadDecoder for Dense {
-    fn decode(
-        &mut self,
-        payload: &[u8],
-        _shared: &[u8],
-        channels: &mut [DecodedRows],
-    ) -> Result<(), CodecError> {
+    fn decode(&mut self, payload: &[u8], channels: &mut [DecodedRows]) -> Result<()> {
         let n_rows = channels.first().map_or(0, |rows| rows.present.len());
         let n_channels = channels.len().min(GROUP_CHANNELS);
-        let group = &mut self.group;
         let coder = RangeDecoder::new(payload);
-        let mut side = Decoding { channels, grid: group.grid, coder };
+        let mut side = Decoding { channels, grid: self.grid, coder };
         if side.coder.split(STORED, false) {
-            group.reset();
+            self.reset();
             for channel in 0..n_channels {
                 side.stored(channel)?;
             }
@@ -37,7 +32,7 @@ impl PayloadDecoder for Dense {
         for channel in 0..n_channels {
             if side.channels[channel].has_samples() {
                 let fineness: Option<Fineness> = Some(Fineness::Normal);
-                is_raw[channel] = group.storage(&mut side.coder, channel, fineness).is_none();
+                is_raw[channel] = self.storage(&mut side.coder, channel, fineness).is_none();
             }
             if is_raw[channel] {
                 side.stored(channel)?;
@@ -46,7 +41,7 @@ impl PayloadDecoder for Dense {
         }
         let present: [Option<&[bool]>; GROUP_CHANNELS] =
             std::array::from_fn(|channel| (!is_raw[channel]).then_some(&flags[channel][..]));
-        group.block(&mut side, n_rows, &present[..n_channels])?;
+        self.block(&mut side, n_rows, &present[..n_channels])?;
         let Decoding { channels, coder, .. } = side;
         for (rows, present) in channels.iter_mut().zip(flags) {
             rows.present = present;
@@ -63,7 +58,7 @@ struct Decoding<'a> {
 
 impl Decoding<'_> {
     /// A channel bit by bit.
-    fn stored(&mut self, channel: usize) -> Result<(), CodecError> {
+    fn stored(&mut self, channel: usize) -> Result<()> {
         let rows = &mut self.channels[channel];
         for row in 0..rows.present.len() {
             if !rows.present[row] {
@@ -71,9 +66,7 @@ impl Decoding<'_> {
             }
             for coordinate in &mut rows.positions[row] {
                 *coordinate = f32::from_bits(self.coder.plain(0, 32) as u32);
-                if !coordinate.is_finite() {
-                    return Err(CodecError::Corrupt("a stored coordinate is not finite"));
-                }
+                ensure(coordinate.is_finite(), "a stored coordinate is not finite")?;
             }
             rows.kept[row] = true;
         }
@@ -89,14 +82,8 @@ impl<'a> Side for Decoding<'a> {
     }
 
     #[inline(always)]
-    fn settle<const N: usize>(
-        &mut self,
-        channel: usize,
-        batch: Batch,
-        points: &Points<N>,
-        kept: u32,
-    ) {
-        let DecodedRows { positions, kept: flags, .. } = &mut self.channels[channel];
+    fn settle<const N: usize>(&mut self, batch: Batch, points: &Points<N>, kept: u32) {
+        let DecodedRows { positions, kept: flags, .. } = &mut self.channels[batch.channel];
         let [x, y, z] = self.grid.positions(points);
         for i in 0..batch.n.min(N) {
             let row = batch.row(i);

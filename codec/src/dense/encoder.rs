@@ -1,15 +1,15 @@
 //! The coding half of a group: what is stored raw, the walk, and the proof.
 
+#[cfg(feature = "training")]
+use super::tally::Tally;
 use super::{Dense, STORED, candidates::Encoding};
-#[cfg(feature = "training")]
-use super::{Tolerance, tally::Tally};
-#[cfg(feature = "training")]
-use crate::frame::{Payload, count_finite};
 use crate::{
-    BlockReport, CodecError, GROUP_CHANNELS, Rows,
+    BlockReport, GROUP_CHANNELS, Result, Rows,
     coding::range::{BinaryCoder, RangeEncoder},
-    frame::PayloadEncoder,
+    frame::{Payload, PayloadEncoder},
 };
+#[cfg(feature = "training")]
+use crate::{Tolerance, frame::count_finite};
 
 /// The largest coordinate of a channel, which are finite; none when it has no samples.
 fn largest(rows: Rows<'_>) -> Option<f32> {
@@ -33,16 +33,14 @@ impl PayloadEncoder for Dense {
     fn encode(
         &mut self,
         channels: &[Rows<'_>],
-        _shared: &[u8],
         out: &mut Vec<u8>,
         reports: &mut [BlockReport],
-    ) -> Result<(), CodecError> {
+    ) -> Result<()> {
         let start = out.len();
         // What is larger is stored raw.
         let limit = reports.iter().map(|report| report.samples as usize * 12).sum();
         let n_rows = channels.first().map_or(0, Rows::len);
-        let group = &mut self.group;
-        let mut side = Encoding::new(channels, group.grid, RangeEncoder::new(out, limit), reports);
+        let mut side = Encoding::new(channels, self.grid, RangeEncoder::new(out, limit), reports);
         side.coder.split(STORED, false);
         let mut present: [Option<&[bool]>; GROUP_CHANNELS] = [None; GROUP_CHANNELS];
         for (channel, rows) in channels.iter().enumerate() {
@@ -50,15 +48,15 @@ impl PayloadEncoder for Dense {
                 present[channel] = Some(rows.present());
                 continue;
             };
-            let fineness = group.grid.fineness(max_mm);
-            if group.storage(&mut side.coder, channel, fineness).is_some() {
+            let fineness = self.grid.fineness(max_mm);
+            if self.storage(&mut side.coder, channel, fineness).is_some() {
                 present[channel] = Some(rows.present());
             } else {
                 store(&mut side.coder, *rows);
                 side.reports[channel].kept = side.reports[channel].samples;
             }
         }
-        let coded = group.block(&mut side, n_rows, &present[..channels.len()]);
+        let coded = self.block(&mut side, n_rows, &present[..channels.len()]);
         if !side.finish() || coded.is_err() {
             out.truncate(start);
             self.store_all(channels, out, reports);
@@ -70,7 +68,7 @@ impl PayloadEncoder for Dense {
 impl Dense {
     /// A block that says less than its samples take: as they are, and everything forgotten.
     fn store_all(&mut self, channels: &[Rows<'_>], out: &mut Vec<u8>, reports: &mut [BlockReport]) {
-        self.group.reset();
+        self.reset();
         let mut coder = RangeEncoder::new(out, usize::MAX);
         coder.split(STORED, true);
         for (rows, report) in channels.iter().zip(reports) {
@@ -97,32 +95,30 @@ fn store(coder: &mut impl BinaryCoder, rows: Rows<'_>) {
 /// # Errors
 /// `InvalidArgument` as [`BlockEncoder::encode`](crate::BlockEncoder::encode).
 #[cfg(feature = "training")]
-pub fn tally(
+pub fn tally<'a>(
     tolerance: Tolerance,
-    channels: &[Rows<'_>],
+    channels: &[Rows<'a>],
     stretch_rows: usize,
-) -> Result<Tally, CodecError> {
+) -> Result<Tally> {
     let mut encoder = Dense::new(tolerance);
     let mut bytes = 0;
     let n_rows = channels.first().map_or(0, Rows::len);
     for first in (0..n_rows).step_by(stretch_rows.max(1)) {
         let last = (first + stretch_rows).min(n_rows);
-        let part = |rows: &Rows<'_>| -> Result<_, CodecError> {
-            Ok((rows.positions()[first..last].to_vec(), rows.present()[first..last].to_vec()))
+        let part = |rows: &Rows<'a>| {
+            Rows::new(&rows.positions()[first..last], &rows.present()[first..last])
         };
-        let parts = channels.iter().map(part).collect::<Result<Vec<_>, _>>()?;
-        let rows = parts.iter().map(|(positions, present)| Rows::new(positions, present));
-        let rows = rows.collect::<Result<Vec<_>, _>>()?;
-        let report = |rows: &Rows<'_>| -> Result<_, CodecError> {
+        let rows = channels.iter().map(part).collect::<Result<Vec<_>>>()?;
+        let report = |rows: &Rows<'_>| -> Result<_> {
             Ok(BlockReport { samples: count_finite(*rows)? as u32, ..BlockReport::default() })
         };
-        let mut reports = rows.iter().map(report).collect::<Result<Vec<_>, _>>()?;
+        let mut reports = rows.iter().map(report).collect::<Result<Vec<_>>>()?;
         encoder.reset();
         let mut out = Vec::new();
-        encoder.encode(&rows, &[], &mut out, &mut reports)?;
+        encoder.encode(&rows, &mut out, &mut reports)?;
         bytes += out.len();
     }
-    let mut tally = encoder.group.channels.model.tally;
+    let mut tally = encoder.channels.model.tally;
     tally.bytes = bytes;
     Ok(tally)
 }

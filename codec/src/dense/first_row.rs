@@ -11,7 +11,7 @@ use super::{
     points::Point,
     track::Track,
 };
-use crate::{CodecError, bound::squared_distance, coding::range::BinaryCoder};
+use crate::{Result, bound::squared_distance, coding::range::BinaryCoder, ensure};
 
 /// Rows after which the end of another channel's run is forgotten.
 const FORGOTTEN_ROWS: u64 = 200;
@@ -20,10 +20,12 @@ const FORGOTTEN_ROWS: u64 = 200;
 #[derive(Debug)]
 pub(super) struct Origins {
     points: [Point; CANDIDATES + 2],
+    /// Of the ends.
+    channels: [usize; CANDIDATES + 2],
     n: usize,
+    first_end: usize,
+    /// How many rows ago the own was.
     own: Option<u64>,
-    ends: [usize; CANDIDATES],
-    n_ends: usize,
 }
 
 impl Origins {
@@ -34,40 +36,18 @@ impl Origins {
         first_row: u64,
         present: &[Option<&[bool]>],
     ) -> Self {
-        let mut found = Self {
-            points: [[0; 3]; CANDIDATES + 2],
-            n: 1,
-            own: None,
-            ends: [0; CANDIDATES],
-            n_ends: 0,
-        };
+        let (mut points, mut channels) = ([[0; 3]; CANDIDATES + 2], [0; CANDIDATES + 2]);
         if let Some(before) = tracks[..channel].iter().rev().find(|track| track.is_known(at)) {
-            found.points[0] = before.point(at);
+            points[0] = before.point(at);
         }
         let now = first_row + (at - MEMORY) as u64;
-        if let Some(end) = tracks[channel].end {
-            found.points[1] = moved(tracks, channel, at, end.point, now - end.row);
-            found.n = 2;
-            found.own = Some(now - end.row);
+        let own = tracks[channel].end.map(|end| now - end.row);
+        if let (Some(end), Some(age)) = (tracks[channel].end, own) {
+            points[1] = moved(tracks, channel, at, end.point, age);
         }
-        found.find_ends(tracks, channel, now, first_row, present);
-        for i in 0..found.n_ends {
-            found.points[found.n] = tracks[found.ends[i]].end.map_or([0; 3], |end| end.point);
-            found.n += 1;
-        }
-        found
-    }
-
-    /// The latest first; of equals the one of the lower channel.
-    fn find_ends(
-        &mut self,
-        tracks: &[Track],
-        channel: usize,
-        now: u64,
-        first_row: u64,
-        present: &[Option<&[bool]>],
-    ) {
-        let mut rows = [0; CANDIDATES];
+        let first_end = 1 + usize::from(own.is_some());
+        // The latest first; of equals the one of the lower channel.
+        let (mut n, mut rows) = (first_end, [u64::MAX; CANDIDATES + 2]);
         for (k, track) in tracks.iter().enumerate().take(present.len()) {
             let Some(end) = track.end.filter(|_| k != channel) else { continue };
             let goes_on = (end.row + 1).checked_sub(first_row).is_some_and(|next| {
@@ -76,15 +56,17 @@ impl Origins {
             if end.taken || goes_on || end.row >= now || end.row + FORGOTTEN_ROWS <= now {
                 continue;
             }
-            let place = rows[..self.n_ends].partition_point(|&row| row >= end.row);
-            if place == CANDIDATES {
+            let place = rows[..n].partition_point(|&row| row >= end.row);
+            if place == first_end + CANDIDATES {
                 continue;
             }
-            self.n_ends = (self.n_ends + 1).min(CANDIDATES);
-            rows[place..self.n_ends].rotate_right(1);
-            self.ends[place..self.n_ends].rotate_right(1);
-            (rows[place], self.ends[place]) = (end.row, k);
+            n = (n + 1).min(first_end + CANDIDATES);
+            rows[place..n].rotate_right(1);
+            channels[place..n].rotate_right(1);
+            points[place..n].rotate_right(1);
+            (rows[place], channels[place], points[place]) = (end.row, k, end.point);
         }
+        Self { points, channels, n, first_end, own }
     }
 
     pub(super) fn points(&self) -> &[Point] {
@@ -98,19 +80,19 @@ impl Origins {
         model: &mut Model,
         choice: usize,
     ) -> usize {
-        let first_end = self.n - self.n_ends;
         if let Some(age) = self.own {
             let class = age.max(1).ilog2().min(7) as usize;
             if model.single(coder, ORIGIN_OWN.at(class), choice == 1) {
                 return 1;
             }
         }
-        if self.n_ends == 0 || model.single(coder, ORIGIN_NONE.at(0), choice == 0) {
+        let Self { n, first_end, .. } = *self;
+        if n == first_end || model.single(coder, ORIGIN_NONE.at(0), choice == 0) {
             return 0;
         }
-        let rank = (0..self.n_ends - 1)
-            .find(|&rank| model.single(coder, ORIGIN_RANK.at(rank), choice == first_end + rank));
-        first_end + rank.unwrap_or(self.n_ends - 1)
+        (first_end..n - 1)
+            .find(|&end| model.single(coder, ORIGIN_RANK.at(end - first_end), choice == end))
+            .unwrap_or(n - 1)
     }
 
     /// The contexts of the residual: nearby, own, or an end.
@@ -124,8 +106,7 @@ impl Origins {
 
     /// The channel whose end is taken up.
     pub(super) fn taken(&self, choice: usize) -> Option<usize> {
-        let first_end = self.n - self.n_ends;
-        self.ends[..self.n_ends].get(choice.checked_sub(first_end)?).copied()
+        (choice >= self.first_end).then(|| self.channels[choice])
     }
 }
 
@@ -156,7 +137,7 @@ pub(super) fn residual(
     model: &mut Model,
     way: usize,
     steps: Point,
-) -> Result<Point, CodecError> {
+) -> Result<Point> {
     let mut decoded = [0; 3];
     for (axis, decoded) in decoded.iter_mut().enumerate() {
         let value = steps[axis].unsigned_abs() + 1;
@@ -165,9 +146,7 @@ pub(super) fn residual(
         let context = |i: usize| ORIGIN_EXPONENT.at((way * 3 + axis) * 48 + i);
         while model.single(coder, context(exponent), wanted > exponent) {
             exponent += 1;
-            if exponent > MAX_EXPONENT {
-                return Err(CodecError::Corrupt("a first row beyond every coordinate"));
-            }
+            ensure(exponent <= MAX_EXPONENT, "a first row beyond every coordinate")?;
         }
         let low = coder.plain(value, exponent as u32);
         let length = ((1 << exponent) + low - 1) as i64;

@@ -14,11 +14,12 @@ use super::{
     track::{Steps, Track, follow},
 };
 use crate::{
-    CodecError,
+    Result,
     coding::{
         isa::{Isa, Kernel},
         range::BinaryCoder,
     },
+    ensure,
 };
 
 /// What an encoder is asked before a residual is coded.
@@ -64,27 +65,16 @@ pub(super) trait Side {
 
     /// Which rows come next.
     #[inline(always)]
-    fn begin(&mut self, _channel: usize, _sites: &Sites) {}
+    fn begin(&mut self, _sites: &Sites) {}
 
     /// Of some of them, a bit each, those whose sample is not within the tolerance of the prediction.
     #[inline(always)]
-    fn outside<const N: usize>(
-        &mut self,
-        _channel: usize,
-        _batch: Batch,
-        _predictions: &Points<N>,
-    ) -> u32 {
+    fn outside<const N: usize>(&mut self, _batch: Batch, _predictions: &Points<N>) -> u32 {
         0
     }
 
     /// The points of some rows are known, in units; of those that are kept a bit is set.
-    fn settle<const N: usize>(
-        &mut self,
-        channel: usize,
-        batch: Batch,
-        points: &Points<N>,
-        kept: u32,
-    );
+    fn settle<const N: usize>(&mut self, batch: Batch, points: &Points<N>, kept: u32);
 }
 
 /// Strides 1, 2 and 4, which are off by little.
@@ -133,32 +123,26 @@ impl Channels {
     pub(super) fn settle_first<S: Side>(
         &mut self,
         side: &mut S,
-        channel: usize,
         sites: &Sites,
         point: Point,
         steps: Point,
-    ) -> Result<(), CodecError> {
+    ) -> Result<()> {
         let batch = sites.batch(0, 1);
-        side.begin(channel, sites);
-        let track = &mut self.tracks[channel];
+        side.begin(sites);
+        let track = &mut self.tracks[batch.channel];
         let mut activity = track.activity[ORIGIN];
         track.keep(batch.first, batch.slot, steps, &mut activity);
         track.activity[ORIGIN] = activity;
-        self.settle(side, channel, batch, &point.map(|units| [units as f64; 1]), 1)
+        self.settle(side, batch, &point.map(|units| [units as f64; 1]), 1)
     }
 
     /// Codes the rows of the [`level`](Self::level): of anchors it is known where time alone puts them.
-    pub(super) fn code<S: Side>(
-        &mut self,
-        side: &mut S,
-        channel: usize,
-        kind: usize,
-    ) -> Result<(), CodecError> {
+    pub(super) fn code<S: Side>(&mut self, side: &mut S, kind: usize) -> Result<()> {
         let isa = self.isa;
         if FINE.contains(&kind) {
-            isa.run(Level::<S, TOGETHER, false> { channels: self, side, channel, kind })
+            isa.run(Level::<S, TOGETHER, false> { channels: self, side, kind })
         } else {
-            isa.run(Level::<S, LANES, true> { channels: self, side, channel, kind })
+            isa.run(Level::<S, LANES, true> { channels: self, side, kind })
         }
     }
 
@@ -184,16 +168,13 @@ impl Channels {
     fn settle<S: Side, const N: usize>(
         &mut self,
         side: &mut S,
-        channel: usize,
         batch: Batch,
         points: &Points<N>,
         kept: u32,
-    ) -> Result<(), CodecError> {
-        if !in_range(points, batch.n) {
-            return Err(CodecError::Corrupt("a position beyond every coordinate"));
-        }
-        self.tracks[channel].settle(batch, points);
-        side.settle(channel, batch, points, kept);
+    ) -> Result<()> {
+        ensure(in_range(points, batch.n), "a position beyond every coordinate")?;
+        self.tracks[batch.channel].settle(batch, points);
+        side.settle(batch, points, kept);
         Ok(())
     }
 
@@ -202,15 +183,14 @@ impl Channels {
     fn batch<S: Side, const N: usize, const FAR: bool>(
         &mut self,
         side: &mut S,
-        channel: usize,
         kind: usize,
         batch: Batch,
-    ) -> Result<(), CodecError> {
-        let Batch { from, slot, .. } = batch;
+    ) -> Result<()> {
+        let Batch { channel, from, slot, .. } = batch;
         let referred = self.referred::<N>(channel, class_of(kind), slot);
         let Self { tracks, model, segments, correction, level, isa, .. } = self;
         let mut points = correction.correct::<N, FAR>(channel, kind, level, segments, tracks, from);
-        let outside = side.outside(channel, batch, &points);
+        let outside = side.outside(batch, &points);
         let sites = level.sites;
         let track = &mut tracks[channel];
         let mut activity = track.activity[kind];
@@ -261,8 +241,8 @@ impl Channels {
             correction.score(channel, kind, i, expected, points.each_ref().map(|axis| axis[i]));
         }
         track.activity[kind] = activity;
-        self.cross_channel.remember(channel, batch, &self.level, &points);
-        self.settle(side, channel, batch, &points, kept)
+        self.cross_channel.remember(batch, &self.level, &points);
+        self.settle(side, batch, &points, kept)
     }
 }
 
@@ -271,37 +251,36 @@ impl Channels {
 struct Level<'a, S, const N: usize, const FAR: bool> {
     channels: &'a mut Channels,
     side: &'a mut S,
-    channel: usize,
     kind: usize,
 }
 
 impl<S: Side, const N: usize, const FAR: bool> Kernel for Level<'_, S, N, FAR> {
-    type Output = Result<(), CodecError>;
+    type Output = Result<()>;
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        let Self { channels, side, channel, kind } = self;
-        let class = class_of(kind);
-        side.begin(channel, &channels.level.sites);
+        let Self { channels, side, kind } = self;
+        let (class, sites) = (class_of(kind), channels.level.sites);
+        let channel = sites.run.channel;
+        side.begin(&sites);
         if kind >= INTERPOLATED {
             channels.level.interpolate(&channels.tracks[channel].points);
         }
-        channels.cross_channel.correct(class, channel, &mut channels.level);
-        channels.segments.expect(&channels.level.sites, &channels.tracks, channel);
+        channels.cross_channel.correct(class, &mut channels.level);
+        channels.segments.expect(&sites, &channels.tracks);
         channels.correction.begin(channel, kind);
-        let sites = channels.level.sites;
         for first in (0..sites.n).step_by(N) {
-            channels.batch::<S, N, FAR>(side, channel, kind, sites.batch(first, N))?;
+            channels.batch::<S, N, FAR>(side, kind, sites.batch(first, N))?;
         }
         if FAR {
-            channels.segments.learn(&channels.level.sites, &channels.tracks, channel);
+            channels.segments.learn(&sites, &channels.tracks);
         }
         if class == 0 {
             channels.cross_channel.learn_anchor(channel, sites.slot);
         }
         // The last level is between no other rows.
         if kind != INTERPOLATED {
-            channels.segments.remember(&channels.level.sites, &channels.tracks, channel);
+            channels.segments.remember(&sites, &channels.tracks);
         }
         Ok(())
     }

@@ -31,6 +31,7 @@ pub(super) type PerRow = [f64; ROOM];
 /// on the row `end`. As rows of a track.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Decoded {
+    pub(super) channel: usize,
     pub(super) start: usize,
     pub(super) zero: usize,
     pub(super) end: usize,
@@ -72,7 +73,14 @@ impl Sites {
     /// Some of the rows, from the one at a place on.
     pub(super) fn batch(&self, from: usize, most: usize) -> Batch {
         let n = most.min(self.n - from);
-        Batch { first: self.at(from), step: self.step, n, from, slot: self.slot + from }
+        Batch {
+            channel: self.run.channel,
+            first: self.at(from),
+            step: self.step,
+            n,
+            from,
+            slot: self.slot + from,
+        }
     }
 
     /// The nearest decoded rows before and after a row; the same where there is none after it.
@@ -93,7 +101,7 @@ impl Sites {
 
     /// The rows that are expected by the four-point rule.
     fn even(&self) -> Range<usize> {
-        let Decoded { start, zero, end } = self.run;
+        let Decoded { start, zero, end, .. } = self.run;
         let least = (zero + self.stride).max(start + 3 * self.stride);
         let from = least.saturating_sub(self.first).div_ceil(self.step).min(self.n);
         let to = match end.checked_sub(3 * self.stride + self.first) {
@@ -107,6 +115,7 @@ impl Sites {
 /// A few rows of one level, as rows of a track.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Batch {
+    pub(super) channel: usize,
     pub(super) first: usize,
     pub(super) step: usize,
     /// At most as many as are coded together.
@@ -202,7 +211,7 @@ impl LevelPrediction {
     /// (-1, 6, 3)/8 are Lagrange's weights.
     #[inline(always)]
     fn ends_even(&mut self, points: &[[f64; 3]], i: usize) -> bool {
-        let Sites { stride, run: Decoded { start, zero, end }, .. } = self.sites;
+        let Sites { stride, run: Decoded { start, zero, end, .. }, .. } = self.sites;
         let at = self.sites.at(i);
         if at + stride != end || at < zero + stride || at < start + 3 * stride {
             return false;
@@ -371,7 +380,7 @@ struct Stencil {
 
 impl Stencil {
     /// For row `at` of a level.
-    fn new(at: usize, stride: usize, Decoded { start, zero, end }: Decoded) -> Self {
+    fn new(at: usize, stride: usize, Decoded { start, zero, end, .. }: Decoded) -> Self {
         let left = (at - stride).max(zero);
         let right = (at + stride).min(end);
         let outer_right = Some((at + 3 * stride).min(end)).filter(|&row| row > right);
@@ -442,7 +451,8 @@ mod tests {
         for (start, zero, end) in [(0, 64, 128), (60, 64, 128), (64, 64, 128), (0, 70, 97)] {
             for stride in [1, 2, 4, 8, 16, 32] {
                 for at in (64 + stride..end).step_by(2 * stride).filter(|&at| at > zero) {
-                    let stencil = Stencil::new(at, stride, Decoded { start, zero, end });
+                    let stencil =
+                        Stencil::new(at, stride, Decoded { channel: 0, start, zero, end });
                     if stencil.outer_left.is_none() || stencil.outer_right.is_none() {
                         continue;
                     }
@@ -462,7 +472,7 @@ mod tests {
     fn even_spacing_is_the_four_point_rule() {
         let mut points = vec![[0; 3]; 33];
         points[16] = [160, 0, 0];
-        let run = Decoded { start: 0, zero: 8, end: 32 };
+        let run = Decoded { channel: 0, start: 0, zero: 8, end: 32 };
         let weight = |at| Stencil::new(at, 2, run).expect(|row| points[row]).0[0];
         assert_eq!((weight(10), weight(14), weight(18), weight(22)), (-10, 90, 90, -10));
     }

@@ -31,8 +31,7 @@ mod tests;
 mod track;
 mod walk;
 
-use self::{points::Grid, walk::Group};
-use crate::{Tolerance, coding::isa::Isa, frame::Payload};
+pub(crate) use self::walk::Dense;
 
 /// Rows of a span: its last row must be known before its first is final.
 const SPAN: usize = 64;
@@ -42,32 +41,6 @@ const LEVELS: usize = SPAN.ilog2() as usize;
 
 /// The odds of a block that is stored raw as a whole, in 2^-16.
 const STORED: u32 = 65536 - 8;
-
-/// Encoder and decoder of one group.
-#[derive(Debug)]
-pub(crate) struct Dense {
-    group: Group,
-}
-
-impl Dense {
-    pub(crate) fn new(tolerance: Tolerance) -> Self {
-        Self { group: Group::new(Grid::new(tolerance), Isa::detect()) }
-    }
-}
-
-impl Payload for Dense {
-    fn prepare(&mut self, n_channels: usize, n_rows: usize) {
-        self.group.prepare(n_channels, n_rows);
-    }
-
-    fn reset(&mut self) {
-        self.group.reset();
-    }
-
-    fn break_off(&mut self) {
-        self.group.break_off();
-    }
-}
 
 /// For the tool that makes the first odds.
 #[cfg(feature = "training")]

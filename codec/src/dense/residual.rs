@@ -14,8 +14,9 @@ use super::{
     track::{Steps, magnitude, marked, marked_weight},
 };
 use crate::{
-    CodecError,
+    Result,
     coding::{isa::Kernel, range::BinaryCoder},
+    ensure,
 };
 
 /// How much the magnitudes around a row count in what is expected of its own, in 1/256: the format has them so.
@@ -84,7 +85,7 @@ pub(super) struct Coded {
 }
 
 impl<C: BinaryCoder> Kernel for Residual<'_, C> {
-    type Output = Result<Coded, CodecError>;
+    type Output = Result<Coded>;
 
     #[inline(always)]
     fn run(mut self) -> Self::Output {
@@ -163,11 +164,7 @@ struct Classes {
 
 impl<C: BinaryCoder> Residual<'_, C> {
     #[inline(always)]
-    fn axis(
-        &mut self,
-        Axis { axis, form, some, certain }: Axis,
-        wanted: i64,
-    ) -> Result<i64, CodecError> {
+    fn axis(&mut self, Axis { axis, form, some, certain }: Axis, wanted: i64) -> Result<i64> {
         let Near { kind, left, right, before, references, activity, .. } = *self.near;
         let last = sign(before.axes[axis]);
         let [left, right, before] =
@@ -210,7 +207,7 @@ impl<C: BinaryCoder> Residual<'_, C> {
 
     /// A magnitude less one: unary at first, then Exp-Golomb.
     #[inline(always)]
-    fn longer(&mut self, classes: Classes, value: u64) -> Result<u64, CodecError> {
+    fn longer(&mut self, classes: Classes, value: u64) -> Result<u64> {
         let Classes { kind, form, near, referred, active, expected } = classes;
         for i in 0..UNARY {
             let contexts = [
@@ -236,9 +233,7 @@ impl<C: BinaryCoder> Residual<'_, C> {
                 break;
             }
             exponent += 1;
-            if exponent > MAX_EXPONENT {
-                return Err(CodecError::Corrupt("a residual beyond every coordinate"));
-            }
+            ensure(exponent <= MAX_EXPONENT, "a residual beyond every coordinate")?;
         }
         Ok(self.mantissa(expected, exponent, rest) - 1 + UNARY as u64)
     }

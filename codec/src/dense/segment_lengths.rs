@@ -161,8 +161,8 @@ impl SegmentLengths {
 
     /// Works out the distances that the partners should have at the rows of a level.
     #[inline(always)]
-    pub(super) fn expect(&mut self, sites: &Sites, tracks: &[Track], j: usize) {
-        let pairs = Pairs::new(sites, tracks, j);
+    pub(super) fn expect(&mut self, sites: &Sites, tracks: &[Track]) {
+        let (pairs, j) = (Pairs::new(sites, tracks), sites.run.channel);
         let known = &mut self.partner_distances[j * PARTNERS..(j + 1) * PARTNERS];
         let partners = self.partners[j];
         for ((&k, known), lengths) in partners.channels().iter().zip(known).zip(&mut self.expected)
@@ -173,8 +173,8 @@ impl SegmentLengths {
 
     /// Remembers the distances to the partners at the rows that were just coded, for the levels below.
     #[inline(always)]
-    pub(super) fn remember(&mut self, sites: &Sites, tracks: &[Track], j: usize) {
-        let pairs = Pairs::new(sites, tracks, j);
+    pub(super) fn remember(&mut self, sites: &Sites, tracks: &[Track]) {
+        let (pairs, j) = (Pairs::new(sites, tracks), sites.run.channel);
         let known = &mut self.partner_distances[j * PARTNERS..(j + 1) * PARTNERS];
         for (&k, known) in self.partners[j].channels().iter().zip(known) {
             for first in (0..sites.n).step_by(LANES) {
@@ -185,9 +185,9 @@ impl SegmentLengths {
 
     /// Learns from the rows that were just coded how steady the distances to the nearest channels are.
     #[inline(always)]
-    pub(super) fn learn(&mut self, sites: &Sites, tracks: &[Track], j: usize) {
+    pub(super) fn learn(&mut self, sites: &Sites, tracks: &[Track]) {
+        let (pairs, j) = (Pairs::new(sites, tracks), sites.run.channel);
         let near = self.near[j];
-        let pairs = Pairs::new(sites, tracks, j);
         let spreads = &mut self.spreads[j * GROUP_CHANNELS..(j + 1) * GROUP_CHANNELS];
         let known = &mut self.near_distances[j * NEAR..(j + 1) * NEAR];
         let mut lengths = [0.0; ROOM];
@@ -242,8 +242,8 @@ struct Pairs<'a> {
 }
 
 impl<'a> Pairs<'a> {
-    fn new(sites: &'a Sites, tracks: &'a [Track], channel: usize) -> Self {
-        Self { sites, whole: sites.whole(), tracks, own: &tracks[channel] }
+    fn new(sites: &'a Sites, tracks: &'a [Track]) -> Self {
+        Self { sites, whole: sites.whole(), tracks, own: &tracks[sites.run.channel] }
     }
 
     /// The distances that a pair should have at the rows: linear between the neighbours. What it has at decoded

@@ -3,12 +3,13 @@
 use super::{
     level::{Question, Side},
     level_prediction::{Batch, MEMORY, Sites},
-    points::{Grid, Point, Points},
-    walk::Group,
+    points::{Point, Points},
+    walk::Dense,
 };
 use crate::{
     CodecError, Tolerance,
     coding::{isa::Isa, range::RangeEncoder},
+    frame::Payload,
 };
 
 const CHANNELS: usize = 12;
@@ -17,8 +18,8 @@ const CHANNELS: usize = 12;
 struct Scripted<'a> {
     coder: RangeEncoder<'a>,
     out_of_the_world: Option<(usize, usize)>,
-    /// The channel and the rows that come next.
-    next: (usize, Sites),
+    /// The rows that come next.
+    next: Sites,
 }
 
 /// From -8 to 7.
@@ -34,8 +35,8 @@ impl<'a> Side for Scripted<'a> {
     }
 
     fn choose(&mut self, question: Question) -> Point {
-        let (channel, sites) = self.next;
-        let row = sites.at(question.place) - MEMORY;
+        let channel = self.next.run.channel;
+        let row = self.next.at(question.place) - MEMORY;
         if self.out_of_the_world == Some((channel, row)) {
             return [1 << 40, 0, 0];
         }
@@ -45,26 +46,26 @@ impl<'a> Side for Scripted<'a> {
         })
     }
 
-    fn begin(&mut self, channel: usize, sites: &Sites) {
-        self.next = (channel, *sites);
+    fn begin(&mut self, sites: &Sites) {
+        self.next = *sites;
     }
 
-    fn outside<const N: usize>(&mut self, _: usize, _: Batch, _: &Points<N>) -> u32 {
+    fn outside<const N: usize>(&mut self, _: Batch, _: &Points<N>) -> u32 {
         u32::MAX
     }
 
-    fn settle<const N: usize>(&mut self, _: usize, _: Batch, _: &Points<N>, _: u32) {}
+    fn settle<const N: usize>(&mut self, _: Batch, _: &Points<N>, _: u32) {}
 }
 
 fn block(
-    group: &mut Group,
+    group: &mut Dense,
     n_rows: usize,
     out_of_the_world: Option<(usize, usize)>,
 ) -> Result<Vec<u8>, CodecError> {
     let mut out = Vec::new();
     let present = vec![true; n_rows];
     let coder = RangeEncoder::new(&mut out, usize::MAX);
-    let mut side = Scripted { coder, out_of_the_world, next: (0, Sites::default()) };
+    let mut side = Scripted { coder, out_of_the_world, next: Sites::default() };
     group.block(&mut side, n_rows, &[Some(&present[..]); CHANNELS])?;
     assert!(side.coder.finish());
     Ok(out)
@@ -72,7 +73,7 @@ fn block(
 
 #[test]
 fn a_key_forgets_what_an_error_in_mid_block_left() {
-    let group = || Group::new(Grid::new(Tolerance::from_mm(0.5).unwrap()), Isa::detect());
+    let group = || Dense::new(Tolerance::from_mm(0.5).unwrap());
     let mut fresh = group();
     let wanted = [block(&mut fresh, 128, None).unwrap(), block(&mut fresh, 128, None).unwrap()];
     // Of a whole span, and of one that ends early: its last row has another place in the span.
@@ -93,8 +94,9 @@ fn a_key_forgets_what_an_error_in_mid_block_left() {
 
 #[test]
 fn both_instruction_sets_give_the_same_bytes() {
-    let grid = Grid::new(Tolerance::from_mm(0.5).unwrap());
-    let (mut wide, mut plain) = (Group::new(grid, Isa::detect()), Group::new(grid, Isa::plain()));
+    let tolerance = Tolerance::from_mm(0.5).unwrap();
+    let (mut wide, mut plain) =
+        (Dense::with_isa(tolerance, Isa::detect()), Dense::with_isa(tolerance, Isa::plain()));
     for n_rows in [128, 100, 7, 128] {
         let (wide, plain) = (block(&mut wide, n_rows, None), block(&mut plain, n_rows, None));
         assert!(wide.is_ok() && wide == plain, "{n_rows} rows");

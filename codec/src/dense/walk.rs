@@ -10,8 +10,9 @@ use super::{
     track::{End, Track},
 };
 use crate::{
-    CodecError, block,
+    Result, Tolerance, block,
     coding::{isa::Isa, range::BinaryCoder},
+    frame::Payload,
 };
 
 /// A run of present rows within a span, as rows of a track.
@@ -23,9 +24,9 @@ struct Run {
     end: usize,
 }
 
-/// A group of channels.
+/// Encoder and decoder of one group of channels.
 #[derive(Debug)]
-pub(super) struct Group {
+pub(crate) struct Dense {
     pub(super) grid: Grid,
     pub(super) channels: Channels,
     runs: Vec<Run>,
@@ -33,26 +34,32 @@ pub(super) struct Group {
     first_row: u64,
 }
 
-impl Group {
-    pub(super) fn new(grid: Grid, isa: Isa) -> Self {
-        Self { grid, channels: Channels::new(isa), runs: Vec::new(), first_row: 0 }
-    }
-
-    pub(super) fn prepare(&mut self, n_channels: usize, n_rows: usize) {
+impl Payload for Dense {
+    fn prepare(&mut self, n_channels: usize, n_rows: usize) {
         self.channels.grow(n_channels);
         self.channels.tracks.iter_mut().for_each(|track| track.prepare(n_rows));
         // Runs are at least a row long and a row apart.
         self.runs.reserve((n_channels * SPAN.div_ceil(2)).saturating_sub(self.runs.len()));
     }
 
-    pub(super) fn reset(&mut self) {
+    fn reset(&mut self) {
         self.channels.reset();
         self.first_row = 0;
     }
 
-    /// The rows before the next block are not known.
-    pub(super) fn break_off(&mut self) {
+    fn break_off(&mut self) {
         self.channels.tracks.iter_mut().for_each(Track::forget);
+    }
+}
+
+impl Dense {
+    pub(crate) fn new(tolerance: Tolerance) -> Self {
+        Self::with_isa(tolerance, Isa::detect())
+    }
+
+    pub(super) fn with_isa(tolerance: Tolerance, isa: Isa) -> Self {
+        let (grid, channels) = (Grid::new(tolerance), Channels::new(isa));
+        Self { grid, channels, runs: Vec::new(), first_row: 0 }
     }
 
     /// Codes the rows of a block, `present` by channel; `None` for a channel that is stored raw.
@@ -61,7 +68,7 @@ impl Group {
         side: &mut S,
         n_rows: usize,
         present: &[Option<&[bool]>],
-    ) -> Result<(), CodecError> {
+    ) -> Result<()> {
         self.channels.grow(present.len());
         self.channels.tracks.iter_mut().for_each(|track| track.begin(n_rows));
         let mut before = MEMORY - 1;
@@ -82,7 +89,7 @@ impl Group {
         before: usize,
         last: usize,
         present: &[Option<&[bool]>],
-    ) -> Result<(), CodecError> {
+    ) -> Result<()> {
         let n = present.len();
         let Channels { tracks, cross_channel, .. } = &mut self.channels;
         cross_channel.begin(n);
@@ -121,7 +128,7 @@ impl Group {
         runs: &mut [Run],
         before: usize,
         present: &[Option<&[bool]>],
-    ) -> Result<(), CodecError> {
+    ) -> Result<()> {
         let mut looked_around = 0_u64;
         for &run in &*runs {
             if run.zero > before {
@@ -148,7 +155,7 @@ impl Group {
                 let sites = Sites::level(1 << bit, self.decoded(run, before), before);
                 if sites.n > 0 {
                     self.channels.level.sites = sites;
-                    self.channels.code(side, run.channel, INTERPOLATED + bit)?;
+                    self.channels.code(side, INTERPOLATED + bit)?;
                 }
             }
         }
@@ -162,7 +169,7 @@ impl Group {
     fn decoded(&self, run: &Run, before: usize) -> Decoded {
         let Run { zero, channel, end } = *run;
         let start = if zero > before { zero } else { self.channels.tracks[channel].run_start };
-        Decoded { start, zero, end }
+        Decoded { channel, start, zero, end }
     }
 
     /// Where the channel is among the others, and what follows from it.
@@ -183,7 +190,7 @@ impl Group {
         run: Run,
         before: usize,
         present: &[Option<&[bool]>],
-    ) -> Result<(), CodecError> {
+    ) -> Result<()> {
         let Run { zero: at, channel, .. } = run;
         let Channels { tracks, model, .. } = &mut self.channels;
         let origins = Origins::find(tracks, channel, at, self.first_row, present);
@@ -198,12 +205,12 @@ impl Group {
         let from = origins.points()[candidate];
         let point: Point =
             std::array::from_fn(|axis| from[axis].wrapping_add(steps[axis].wrapping_mul(step)));
-        let sites = Sites::anchor(Decoded { start: at, zero: at, end: at }, before);
-        self.channels.settle_first(side, channel, &sites, point, steps)
+        let sites = Sites::anchor(Decoded { channel, start: at, zero: at, end: at }, before);
+        self.channels.settle_first(side, &sites, point, steps)
     }
 
     /// The last row of a run within the span.
-    fn anchor<S: Side>(&mut self, side: &mut S, run: Run, before: usize) -> Result<(), CodecError> {
+    fn anchor<S: Side>(&mut self, side: &mut S, run: Run, before: usize) -> Result<()> {
         let decoded = self.decoded(&run, before);
         let (channel, rows) = (run.channel, run.end - run.zero);
         let track = &self.channels.tracks[channel];
@@ -215,7 +222,7 @@ impl Group {
             _ => 3,
         };
         self.channels.level.guessed(Sites::anchor(decoded, before), expected);
-        self.channels.code(side, channel, kind)?;
+        self.channels.code(side, kind)?;
         let track = &mut self.channels.tracks[channel];
         let point = track.point(run.end);
         track.anchor_errors.score(&guesses, point);

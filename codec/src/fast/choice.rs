@@ -9,7 +9,7 @@ use super::{
     walk::{self, Rows, SPAN, Side},
 };
 use crate::{
-    CodecError, Position,
+    Position, Result,
     bound::{squared_distance, widen},
 };
 
@@ -323,12 +323,7 @@ impl<'a> Choosing<'a> {
 
 impl Side for Choosing<'_> {
     #[inline(always)]
-    fn enter(
-        &mut self,
-        _level: usize,
-        _rows: Rows,
-        _activity: &mut Activity,
-    ) -> Result<(), CodecError> {
+    fn enter(&mut self, _rows: Rows, _activity: &mut Activity) -> Result<()> {
         self.at = 0;
         Ok(())
     }
@@ -367,7 +362,7 @@ impl Side for Choosing<'_> {
     }
 
     #[inline(always)]
-    fn leave(&mut self, _level: usize, rows: Rows, activity: &mut Activity) {
+    fn leave(&mut self, rows: Rows, activity: &mut Activity) {
         if self.out_of_reach {
             // The channel will be stored raw.
             return;

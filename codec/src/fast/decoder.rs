@@ -3,16 +3,17 @@
 use super::{
     Fast, MAX_ZEROS, Mode,
     model::{
-        Activity, Fourfold, GOLOMB, LOW_BITS, PLACES, QUIET_PLACE, QUIET_ROWS, SYMBOLS, TABLES,
-        WAKE_PLACE, axes, axis_code, cut, table_at,
+        Activity, Axes, Fourfold, GOLOMB, LOW_BITS, PLACES, QUIET_PLACE, QUIET_ROWS, SYMBOLS,
+        TABLES, WAKE_PLACE, axes, axis_code, cut, table_at,
     },
     planes::{Planes, Point, gather},
-    tans::{Entry, MAGNITUDE, MORE, PAD, Reader, SYMBOLS_FILLED, Tables},
+    tans::{MAGNITUDE, MORE, PAD, Reader, SYMBOLS_FILLED, Tables},
     walk::{self, Channel, Grid, LEAD, Rows, Side},
 };
 use crate::{
-    CodecError, DecodedRows, block,
+    CodecError, DecodedRows, Result, block,
     coding::{bytes::Bytes, columns::Histories, isa::Kernel},
+    ensure,
     frame::PayloadDecoder,
 };
 
@@ -33,12 +34,7 @@ impl Work {
 }
 
 impl PayloadDecoder for Fast {
-    fn decode(
-        &mut self,
-        payload: &[u8],
-        _shared: &[u8],
-        channels: &mut [DecodedRows],
-    ) -> Result<(), CodecError> {
+    fn decode(&mut self, payload: &[u8], channels: &mut [DecodedRows]) -> Result<()> {
         let n_rows = channels.first().map_or(0, |rows| rows.present.len());
         self.grow(channels.len(), n_rows);
         self.decoding.grow(walk::room(n_rows), payload.len());
@@ -97,7 +93,7 @@ struct Decoding<'a, 'p> {
 }
 
 impl Kernel for Decoding<'_, '_> {
-    type Output = Result<(), CodecError>;
+    type Output = Result<()>;
 
     #[inline(always)]
     fn run(self) -> Self::Output {
@@ -140,16 +136,11 @@ struct Reading<'a, 'p> {
 
 impl Side for Reading<'_, '_> {
     #[inline(always)]
-    fn enter(
-        &mut self,
-        _level: usize,
-        rows: Rows,
-        activity: &mut Activity,
-    ) -> Result<(), CodecError> {
+    fn enter(&mut self, rows: Rows, activity: &mut Activity) -> Result<()> {
         self.at = 0;
         // In registers while the level is read.
         let mut reader = *self.reader;
-        let mut recent = Fourfold::from(*activity);
+        let mut recent = Fourfold::new(*activity);
         let steps = &mut self.steps[..rows.count];
         steps.fill(Point::default());
         let mut i = 0;
@@ -175,7 +166,7 @@ impl Side for Reading<'_, '_> {
                 // Not looked up: what is read next waits for it.
                 let mut magnitude = entry & MAGNITUDE;
                 if entry & MORE != 0 {
-                    magnitude = cut(residual(&mut reader, entry, place, slot)?);
+                    magnitude = cut(residual(&mut reader, symbol, place, slot)?);
                     filled_to = i + 1;
                 }
                 recent.push(magnitude);
@@ -191,7 +182,7 @@ impl Side for Reading<'_, '_> {
             }
         }
         *self.reader = reader;
-        *activity = recent.into();
+        *activity = recent.activity();
         Ok(())
     }
 
@@ -207,9 +198,6 @@ impl Side for Reading<'_, '_> {
         let [x, y, z] = &mut rows.0;
         settle(&self.steps[..count], self.step, x, y, z);
     }
-
-    #[inline(always)]
-    fn leave(&mut self, _level: usize, _rows: Rows, _activity: &mut Activity) {}
 }
 
 /// Adds residuals to what was expected.
@@ -239,12 +227,11 @@ static RESIDUALS: [Point; SYMBOLS] = {
     table
 };
 
-/// The axes of a symbol that are larger, a bit each.
-static LARGER: [u8; SYMBOLS] = {
-    let mut table = [0; SYMBOLS];
+static AXES: [Axes; SYMBOLS] = {
+    let mut table = [axes(0); SYMBOLS];
     let mut symbol = 0;
     while symbol < SYMBOLS {
-        table[symbol] = axes(symbol).1;
+        table[symbol] = axes(symbol);
         symbol += 1;
     }
     table
@@ -268,12 +255,10 @@ static LOW_BITS_AT: [u32; PLACES] = by_place(LOW_BITS);
 
 /// One magnitude of 2 and more, with its sign.
 #[inline(always)]
-fn larger(reader: &mut Reader<'_>, order: u32) -> Result<i32, CodecError> {
+fn larger(reader: &mut Reader<'_>, order: u32) -> Result<i32> {
     let word = reader.peek()?;
     let zeros = word.leading_zeros();
-    if zeros > MAX_ZEROS {
-        return Err(CodecError::Corrupt("a residual too large"));
-    }
+    ensure(zeros <= MAX_ZEROS, "a residual too large")?;
     let width = zeros + 1 + order;
     let value = (word << zeros >> (63 - width)) as u32;
     reader.skip(zeros + width + 1);
@@ -281,21 +266,20 @@ fn larger(reader: &mut Reader<'_>, order: u32) -> Result<i32, CodecError> {
     Ok(if value & 1 == 0 { magnitude } else { -magnitude })
 }
 
-/// Puts what is behind the symbol of an entry of the table at a place, which there is, into the residual that it has
-/// without; gives the sum of the magnitudes.
+/// Puts what is behind a symbol of the table at a place, which there is, into the residual that it has without; gives
+/// the sum of the magnitudes.
 #[inline(always)]
 fn residual(
     reader: &mut Reader<'_>,
-    entry: Entry,
+    symbol: usize,
     place: usize,
     steps: &mut Point,
-) -> Result<u32, CodecError> {
-    let symbol = entry as usize % SYMBOLS;
+) -> Result<u32> {
     if LOW_BITS_AT[place % PLACES] > 0 {
         return wide_residual(reader, symbol, place, steps);
     }
-    let mut magnitude = (entry & MAGNITUDE) >> 8;
-    let mut axes = LARGER[symbol];
+    let mut magnitude = u32::from(AXES[symbol % SYMBOLS].ones);
+    let mut axes = AXES[symbol % SYMBOLS].larger;
     while axes != 0 {
         let axis = axes.trailing_zeros() as usize % 4;
         axes &= axes - 1;
@@ -313,7 +297,7 @@ fn wide_residual(
     symbol: usize,
     place: usize,
     steps: &mut Point,
-) -> Result<u32, CodecError> {
+) -> Result<u32> {
     let low_bits = LOW_BITS_AT[place % PLACES];
     let low = (reader.peek()? >> (64 - 3 * low_bits)) as i32;
     reader.skip(3 * low_bits);

@@ -7,7 +7,7 @@ use super::{
     walk::{self, Channel, Grid},
 };
 use crate::{
-    BlockReport, CodecError, Rows,
+    BlockReport, Result, Rows,
     coding::{
         columns::{Histories, Raw},
         isa::Kernel,
@@ -150,10 +150,9 @@ impl PayloadEncoder for Fast {
     fn encode(
         &mut self,
         channels: &[Rows<'_>],
-        _shared: &[u8],
         out: &mut Vec<u8>,
         reports: &mut [BlockReport],
-    ) -> Result<(), CodecError> {
+    ) -> Result<()> {
         self.prepare(channels.len(), channels.first().map_or(0, Rows::len));
         let start = out.len();
         let mut writer = Writer::NEW;

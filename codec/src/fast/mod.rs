@@ -20,11 +20,11 @@ mod tests;
 mod walk;
 
 use self::{
-    tans::Tables,
+    tans::{TABLES_OF_MODEL, Tables},
     walk::{Channel, Grid},
 };
 use crate::{
-    CodecError, Tolerance,
+    CodecError, Result, Tolerance,
     coding::{bytes::Bytes, columns::Raw, isa::Isa},
     frame::{Payload, PayloadEncoder},
 };
@@ -49,7 +49,7 @@ impl Mode {
     /// The modes that are not raw, coarsest first.
     const STEPS: [Self; 4] = [Self(0), Self(1), Self(2), Self(3)];
 
-    fn read(input: &mut Bytes<'_>) -> Result<Self, CodecError> {
+    fn read(input: &mut Bytes<'_>) -> Result<Self> {
         match input.byte("the mode of a channel")? {
             mode @ 0..=4 => Ok(Self(mode)),
             _ => Err(CodecError::Corrupt("an unknown mode of a channel")),
@@ -86,7 +86,7 @@ impl Fast {
     fn with_isa(tolerance: Tolerance, isa: Isa) -> Self {
         Self {
             tolerance_mm: tolerance.mm(),
-            tables: Tables::get(),
+            tables: &TABLES_OF_MODEL,
             isa,
             channels: Vec::new(),
             modes: Vec::new(),

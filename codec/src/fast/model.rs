@@ -66,24 +66,32 @@ pub(super) const fn axis_code(symbol: usize, axis: usize) -> usize {
     symbol >> (4 - 2 * axis) & 3
 }
 
-/// How many axes of a row symbol are +-1, and a bit for each that is larger, x lowest.
-pub(super) const fn axes(symbol: usize) -> (u8, u8) {
-    let (mut ones, mut larger) = (0, 0);
+/// What the axes of a row symbol are.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Axes {
+    /// How many are +-1.
+    pub(super) ones: u8,
+    /// A bit for each that is larger, x lowest.
+    pub(super) larger: u8,
+}
+
+pub(super) const fn axes(symbol: usize) -> Axes {
+    let mut axes = Axes { ones: 0, larger: 0 };
     let mut axis = 0;
     while axis < 3 {
         match axis_code(symbol, axis) {
             0 => {}
-            3 => larger |= 1 << axis,
-            _ => ones += 1,
+            3 => axes.larger |= 1 << axis,
+            _ => axes.ones += 1,
         }
         axis += 1;
     }
-    (ones, larger)
+    axes
 }
 
 /// Kinds of symbols: by the number of axes that are larger, then by those of +-1.
 fn kind(symbol: usize) -> usize {
-    let (ones, larger) = axes(symbol);
+    let Axes { ones, larger } = axes(symbol);
     [0, 4, 7, 9][larger.count_ones() as usize] + usize::from(ones)
 }
 
@@ -160,6 +168,16 @@ pub(super) struct Fourfold(u32);
 
 impl Fourfold {
     #[inline(always)]
+    pub(super) fn new(activity: Activity) -> Self {
+        Self(activity.0 << 2)
+    }
+
+    #[inline(always)]
+    pub(super) fn activity(self) -> Activity {
+        Activity(self.0 >> 2)
+    }
+
+    #[inline(always)]
     pub(super) fn is_quiet(self) -> bool {
         self.0 < 4
     }
@@ -174,18 +192,6 @@ impl Fourfold {
     #[inline(always)]
     pub(super) fn push(&mut self, magnitude: u32) {
         self.0 = (self.0 >> 2) * 3 + magnitude;
-    }
-}
-
-impl From<Activity> for Fourfold {
-    fn from(activity: Activity) -> Self {
-        Self(activity.0 << 2)
-    }
-}
-
-impl From<Fourfold> for Activity {
-    fn from(fourfold: Fourfold) -> Self {
-        Self(fourfold.0 >> 2)
     }
 }
 
@@ -224,7 +230,7 @@ mod tests {
     #[test]
     fn a_decoder_finds_the_table_that_the_encoder_took() {
         let mut activity = Activity::NEW[ORIGIN];
-        let mut fourfold = Fourfold::from(activity);
+        let mut fourfold = Fourfold::new(activity);
         let mut magnitude = 1_u32;
         for row in 0..20_000_u32 {
             // Now large, now small, and nothing for long.
@@ -232,7 +238,7 @@ mod tests {
             let magnitude = if row % 500 > 400 { 0 } else { magnitude >> (magnitude % 32) };
             activity.push(magnitude);
             fourfold.push(cut(magnitude));
-            assert_eq!(activity, Activity::from(fourfold), "row {row}");
+            assert_eq!(activity, fourfold.activity(), "row {row}");
             assert_eq!(activity.is_quiet(), fourfold.is_quiet(), "row {row}");
             if !activity.is_quiet() {
                 assert_eq!(Some(activity.class()), table_at(fourfold.place()), "row {row}");
@@ -243,7 +249,7 @@ mod tests {
     #[test]
     fn every_class_has_a_place() {
         for activity in Activity::NEW.into_iter().take(LEVELS) {
-            let place = Fourfold::from(activity).place();
+            let place = Fourfold::new(activity).place();
             assert_eq!(table_at(place), Some(activity.class()));
         }
         let found: Vec<_> = (0..PLACES).filter_map(table_at).collect();

@@ -6,9 +6,9 @@
 use std::{cmp::Ordering, sync::LazyLock};
 
 use super::model::{
-    LOW_BITS, PLACES, QUIET, STATE_BITS, STATES, SYMBOLS, TABLES, axes, frequency, table_at,
+    Axes, LOW_BITS, PLACES, QUIET, STATE_BITS, STATES, SYMBOLS, TABLES, axes, frequency, table_at,
 };
-use crate::CodecError;
+use crate::{CodecError, Result, ensure};
 
 /// A decoder's state: symbol in bits 0-5, how many of its axes are +-1 in 8-9, base of the next state in 16-25, 63 less
 /// the bits to read in 26-31; bit 6 is set where there is more to read for the row.
@@ -49,13 +49,9 @@ const _: () = assert!((TABLES * STATES).is_power_of_two() && (TABLES * SYMBOLS).
 /// Odd and near 5/8 of the states: every state is visited once, a symbol's are far apart.
 const STRIDE: usize = STATES / 2 + STATES / 8 + 3;
 
-static TABLES_OF_MODEL: LazyLock<Tables> = LazyLock::new(Tables::build);
+pub(super) static TABLES_OF_MODEL: LazyLock<Tables> = LazyLock::new(Tables::build);
 
 impl Tables {
-    pub(super) fn get() -> &'static Self {
-        &TABLES_OF_MODEL
-    }
-
     fn build() -> Self {
         let mut tables = Self {
             entries: Box::new([0; PLACES * STATES]),
@@ -100,7 +96,7 @@ impl Tables {
             let (ones, more) = match table {
                 QUIET => (0, false),
                 _ => {
-                    let (ones, larger) = axes(symbol);
+                    let Axes { ones, larger } = axes(symbol);
                     (ones, larger != 0 || LOW_BITS[table] > 0)
                 }
             };
@@ -146,11 +142,9 @@ impl<'a> Reader<'a> {
     }
 
     /// `padded` comes from [`pad`](Self::pad).
-    pub(super) fn new(padded: &'a [u8]) -> Result<Self, CodecError> {
+    pub(super) fn new(padded: &'a [u8]) -> Result<Self> {
         let last = padded.get(PAD..).and_then(<[u8]>::last).ok_or(CUT_SHORT)?;
-        if *last == 0 {
-            return Err(CodecError::Corrupt("residuals without an end mark"));
-        }
+        ensure(*last != 0, "residuals without an end mark")?;
         let bytes = padded.len();
         let mut reader = Self { padded, bytes, word: 0, filled: 0, floor: PAD, state: 0 };
         reader.refill()?;
@@ -160,7 +154,7 @@ impl<'a> Reader<'a> {
 
     /// At least 56 bits are there afterwards.
     #[inline(always)]
-    pub(super) fn refill(&mut self) -> Result<(), CodecError> {
+    pub(super) fn refill(&mut self) -> Result<()> {
         let bytes = self.padded.get(self.bytes.wrapping_sub(8)..self.bytes).ok_or(CUT_SHORT)?;
         let next = bytes.first_chunk::<8>().map_or(0, |bytes| u64::from_le_bytes(*bytes));
         // What is below the filled bits is what comes next: to set it twice does no harm.
@@ -172,7 +166,7 @@ impl<'a> Reader<'a> {
 
     /// The next bits from bit 63 down; at least 56 of them.
     #[inline(always)]
-    pub(super) fn peek(&mut self) -> Result<u64, CodecError> {
+    pub(super) fn peek(&mut self) -> Result<u64> {
         self.refill()?;
         Ok(self.word)
     }
@@ -189,13 +183,13 @@ impl<'a> Reader<'a> {
         self.floor += bytes;
     }
 
-    pub(super) fn flag(&mut self) -> Result<bool, CodecError> {
+    pub(super) fn flag(&mut self) -> Result<bool> {
         let word = self.peek()?;
         self.skip(1);
         Ok(word >> 63 == 1)
     }
 
-    pub(super) fn read_state(&mut self) -> Result<(), CodecError> {
+    pub(super) fn read_state(&mut self) -> Result<()> {
         self.state = (self.peek()? >> (64 - STATE_BITS)) as usize;
         self.skip(STATE_BITS);
         Ok(())
@@ -203,7 +197,7 @@ impl<'a> Reader<'a> {
 
     /// The entry of the next symbol of the table at a place. At most [`STATE_BITS`] are read, which must be there.
     #[inline(always)]
-    pub(super) fn entry(&mut self, tables: &Tables, place: usize) -> Result<Entry, CodecError> {
+    pub(super) fn entry(&mut self, tables: &Tables, place: usize) -> Result<Entry> {
         // Not cut to the table's size: the next entry would wait for that.
         let at = place * STATES + self.state;
         let entry = *tables.entries.get(at).ok_or(CodecError::Corrupt("a state beyond all"))?;
@@ -216,7 +210,7 @@ impl<'a> Reader<'a> {
     }
 
     /// All must have been read, down to the state that the encoder began with.
-    pub(super) fn finish(self) -> Result<(), CodecError> {
+    pub(super) fn finish(self) -> Result<()> {
         match (8 * self.bytes + self.filled as usize).cmp(&(8 * self.floor)) {
             Ordering::Less => Err(CUT_SHORT),
             Ordering::Equal if self.state == 0 => Ok(()),

@@ -52,13 +52,13 @@ impl Pair {
             return (Vec::new(), blank(group));
         }
         let mut payload = vec![7; 3];
-        self.encoder.encode(&rows, &[], &mut payload, &mut reports).unwrap();
+        self.encoder.encode(&rows, &mut payload, &mut reports).unwrap();
         assert_eq!(payload[..3], [7; 3]);
         let payload = payload.split_off(3);
         let n_rows = group.iter().map(Vec::len).max().unwrap_or(0);
         assert!(payload.len() <= Fast::max_payload_bytes(group.len(), n_rows));
         let mut decoded = blank(group);
-        self.decoder.decode(&payload, &[], &mut decoded).unwrap();
+        self.decoder.decode(&payload, &mut decoded).unwrap();
         for ((track, rows), report) in group.iter().zip(&decoded).zip(&reports) {
             let mut worst = 0.0_f64;
             for (sample, back) in track.iter().zip(&rows.positions) {
@@ -183,7 +183,7 @@ proptest! {
             for bytes in [&bad[..], &good[..cut.index(good.len() + 1)], &noise[..]] {
                 let mut decoder = Fast::new(Tolerance::from_mm(tolerance).unwrap());
                 let mut decoded = blank(block);
-                if decoder.decode(bytes, &[], &mut decoded).is_ok() {
+                if decoder.decode(bytes, &mut decoded).is_ok() {
                     let mut all = decoded.iter().flat_map(|rows| rows.positions.iter().flatten());
                     prop_assert!(all.all(|x| x.is_finite()));
                 }

@@ -7,7 +7,7 @@ use super::{
     model::{ANCHOR, Activity, LEVELS, ORIGIN},
     planes::{self, LANES, Planes, Point, join},
 };
-use crate::CodecError;
+use crate::Result;
 
 /// Distance of the anchors, in rows.
 pub(super) const SPAN: usize = 32;
@@ -62,12 +62,7 @@ impl Channel {
 /// What an encoder and a decoder do differently.
 pub(super) trait Side {
     /// Coded rows of a level, in order, before their points are asked for. A decoder reads them.
-    fn enter(
-        &mut self,
-        level: usize,
-        rows: Rows,
-        activity: &mut Activity,
-    ) -> Result<(), CodecError>;
+    fn enter(&mut self, rows: Rows, activity: &mut Activity) -> Result<()>;
 
     /// The final point of the next coded row, an origin or an anchor.
     fn settle(&mut self, row: usize, prediction: Point) -> Point;
@@ -76,7 +71,7 @@ pub(super) trait Side {
     fn settle_level(&mut self, level: usize, count: usize, rows: &mut Planes);
 
     /// All rows of the level are settled. An encoder writes them.
-    fn leave(&mut self, level: usize, rows: Rows, activity: &mut Activity);
+    fn leave(&mut self, _rows: Rows, _activity: &mut Activity) {}
 }
 
 /// `first`, `first + step` ... `count` rows of a run, none beyond `end`.
@@ -134,18 +129,18 @@ pub(super) fn run<S: Side>(
     grid: &mut Grid,
     n_samples: usize,
     cap: f32,
-) -> Result<(), CodecError> {
+) -> Result<()> {
     let mut n = n_samples;
     if channel.known == 0 {
         let rows = Rows { first: 0, step: 1, end: 0, count: 1 };
         let before = channel.before(0);
         let activity = &mut channel.activity[ORIGIN];
-        side.enter(ORIGIN, rows, activity)?;
+        side.enter(rows, activity)?;
         let origin = side.settle(0, before);
         for (tail, origin) in channel.tail.iter_mut().zip(origin) {
             tail[ZERO] = origin;
         }
-        side.leave(ORIGIN, rows, activity);
+        side.leave(rows, activity);
         channel.known = 1;
         n -= 1;
     }
@@ -234,10 +229,10 @@ fn anchors<S: Side>(
     grid: &mut Grid,
     end: usize,
     cap: f32,
-) -> Result<(), CodecError> {
+) -> Result<()> {
     let count = end.div_ceil(SPAN);
     let rows = Rows { first: SPAN, step: SPAN, end, count };
-    side.enter(ANCHOR, rows, &mut channel.activity[ANCHOR])?;
+    side.enter(rows, &mut channel.activity[ANCHOR])?;
     let mut last = channel.before(0);
     grid.known.set(LEAD, last);
     let mut before = [None; 2];
@@ -260,7 +255,7 @@ fn anchors<S: Side>(
         grid.known.set(LEAD + i + 1, point);
     }
     grid.last = last;
-    side.leave(ANCHOR, rows, &mut channel.activity[ANCHOR]);
+    side.leave(rows, &mut channel.activity[ANCHOR]);
     Ok(())
 }
 
@@ -325,7 +320,7 @@ fn level<S: Side>(
     grid: &mut Grid,
     (n, end): (usize, usize),
     stride: usize,
-) -> Result<(), CodecError> {
+) -> Result<()> {
     let level = stride.ilog2() as usize;
     let Grid { known, rows, next, last } = grid;
     // Rows that have a right neighbour; beyond the samples there are rows that carry nothing.
@@ -333,7 +328,7 @@ fn level<S: Side>(
     if n_rows > 0 {
         let count = n_rows.min((n + stride) / (2 * stride));
         let coded = Rows { first: stride, step: 2 * stride, end, count };
-        side.enter(level, coded, &mut channel.activity[level])?;
+        side.enter(coded, &mut channel.activity[level])?;
         let has_left = 2 * stride < channel.known;
         known.set(LEAD - 1, channel.before(2 * stride));
         for (known, rows) in known.0.iter().zip(&mut rows.0) {
@@ -341,7 +336,7 @@ fn level<S: Side>(
         }
         mend_ends(known, has_left, n_rows, rows);
         side.settle_level(level, count, rows);
-        side.leave(level, coded, &mut channel.activity[level]);
+        side.leave(coded, &mut channel.activity[level]);
     }
     for ((known, rows), next) in known.0.iter().zip(&rows.0).zip(&mut next.0) {
         join(&known[LEAD..], rows, n_rows, &mut next[LEAD..]);

@@ -10,9 +10,10 @@ use std::fmt;
 use self::presence::Presence;
 use crate::{
     BlockDecoder, BlockEncoder, BlockReport, CodecError, DecodedRows, GROUP_CHANNELS, Position,
-    Rows, Tolerance, bound,
+    Result, Rows, Tolerance, bound,
     bound::STATED_STEPS,
     coding::bytes::{Bytes, write_varint},
+    ensure,
 };
 
 /// Bit 7 of the head byte: the presence section follows.
@@ -38,6 +39,11 @@ pub(crate) trait Payload: Send + fmt::Debug {
     /// Forgets all state.
     fn reset(&mut self) {}
 
+    /// Takes what the channels of a stretch share, before its payload; most kinds have nothing that they do.
+    fn begin(&mut self, _shared: &[u8], _n_rows: usize) -> Result<()> {
+        Ok(())
+    }
+
     /// A stretch passed without any sample of the group: no row of it may be used for prediction.
     fn break_off(&mut self) {}
 }
@@ -54,22 +60,16 @@ pub(crate) trait PayloadEncoder: Payload {
     fn encode(
         &mut self,
         channels: &[Rows<'_>],
-        shared: &[u8],
         out: &mut Vec<u8>,
         reports: &mut [BlockReport],
-    ) -> Result<(), CodecError>;
+    ) -> Result<()>;
 }
 
 /// A resampler's decoder.
 pub(crate) trait PayloadDecoder: Payload {
     /// Fills `positions` and `kept` of `channels`, whose `present` is set and whose other rows are
     /// zero. At least one sample is present. The payload must end where its samples do.
-    fn decode(
-        &mut self,
-        payload: &[u8],
-        shared: &[u8],
-        channels: &mut [DecodedRows],
-    ) -> Result<(), CodecError>;
+    fn decode(&mut self, payload: &[u8], channels: &mut [DecodedRows]) -> Result<()>;
 }
 
 /// Most bytes of a block with such payloads.
@@ -91,7 +91,7 @@ pub fn stated_channels(block: &[u8]) -> Option<usize> {
 }
 
 /// Samples present; an error when one is not finite.
-pub(crate) fn count_finite(rows: Rows<'_>) -> Result<usize, CodecError> {
+pub(crate) fn count_finite(rows: Rows<'_>) -> Result<usize> {
     // Without their signs, the bits of those that are not are the largest.
     let not_finite = |c: &f32| c.to_bits() & !(1 << 31) >= f32::INFINITY.to_bits();
     let (mut samples, mut any) = (0, false);
@@ -165,11 +165,7 @@ impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
     }
 
     /// Sets the samples of the reports; gives the channels up to the last one that has any.
-    fn count(
-        channels: &[Rows<'_>],
-        least: usize,
-        reports: &mut [BlockReport],
-    ) -> Result<usize, CodecError> {
+    fn count(channels: &[Rows<'_>], least: usize, reports: &mut [BlockReport]) -> Result<usize> {
         let argument = |message| Err(CodecError::InvalidArgument(message));
         if !(least..=GROUP_CHANNELS).contains(&channels.len()) {
             return argument(format!(
@@ -207,7 +203,7 @@ impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
         shared: &[u8],
         out: &mut Vec<u8>,
         reports: &mut [BlockReport],
-    ) -> Result<(), CodecError> {
+    ) -> Result<()> {
         let head_at = out.len();
         out.push(0);
         if channels.len() != self.state.n_channels {
@@ -222,7 +218,12 @@ impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
         } else {
             self.state.presence.all_present(channels.len(), n_rows);
         }
-        self.state.payload.encode(channels, shared, out, reports)?;
+        self.state.payload.begin(shared, n_rows).map_err(|error| {
+            CodecError::InvalidArgument(format!(
+                "{error}: pass what Settings::plan gave for the same {n_rows} rows"
+            ))
+        })?;
+        self.state.payload.encode(channels, out, reports)?;
         let max_error_mm = reports.iter().map(|report| report.max_error_mm).fold(0.0, f64::max);
         let step = bound::stated_step(max_error_mm, self.state.tolerance.mm());
         debug_assert!(step.is_some() && !(E::EXACT && step != Some(0)), "{max_error_mm} mm");
@@ -234,7 +235,9 @@ impl<E: PayloadEncoder + PayloadDecoder> FramedEncoder<E> {
     fn check(
         &mut self,
         block: &[u8],
-        (channels, shared, key): (&[Rows<'_>], &[u8], bool),
+        channels: &[Rows<'_>],
+        shared: &[u8],
+        key: bool,
         reports: &[BlockReport],
     ) {
         let (twin, decoded) = &mut self.twin;
@@ -272,7 +275,7 @@ impl<E: PayloadEncoder + PayloadDecoder> BlockEncoder for FramedEncoder<E> {
         key: bool,
         out: &mut Vec<u8>,
         reports: &mut [BlockReport],
-    ) -> Result<(), CodecError> {
+    ) -> Result<()> {
         let least = if key { 1 } else { self.state.n_channels.max(1) };
         let n_sampled = Self::count(channels, least, reports)?;
         if key {
@@ -296,7 +299,7 @@ impl<E: PayloadEncoder + PayloadDecoder> BlockEncoder for FramedEncoder<E> {
             )?;
         }
         #[cfg(debug_assertions)]
-        self.check(&out[start..], (channels, shared, key), reports);
+        self.check(&out[start..], channels, shared, key, reports);
         Ok(())
     }
 }
@@ -337,18 +340,17 @@ impl<D: PayloadDecoder> FramedDecoder<D> {
         shared: &[u8],
         n_rows: usize,
         out: &mut Vec<DecodedRows>,
-    ) -> Result<(), CodecError> {
-        if n_rows == 0 {
-            return Err(CodecError::Corrupt("a block with bytes but without rows"));
-        }
+    ) -> Result<()> {
+        ensure(n_rows > 0, "a block with bytes but without rows")?;
         let mut input = Bytes::new(block);
         let head = input.byte("the head byte")?;
         let more = head & HAS_CHANNELS != 0;
         if more {
             let n = usize::try_from(input.varint("the number of channels")?).unwrap_or(usize::MAX);
-            if n <= self.state.n_channels || n > GROUP_CHANNELS {
-                return Err(CodecError::Corrupt("a number of channels that cannot be"));
-            }
+            ensure(
+                n > self.state.n_channels && n <= GROUP_CHANNELS,
+                "a number of channels that cannot be",
+            )?;
             self.state.n_channels = n;
         } else if self.state.n_channels == 0 {
             return Err(CodecError::Corrupt("a first block without its number of channels"));
@@ -357,23 +359,24 @@ impl<D: PayloadDecoder> FramedDecoder<D> {
         if head & HAS_GAPS != 0 {
             self.state.presence.read(&mut input, out)?;
             out.iter_mut().for_each(DecodedRows::blank_absent);
-            if !out.iter().any(DecodedRows::has_samples) {
-                return Err(CodecError::Corrupt("a block with bytes but without samples"));
-            }
+            ensure(
+                out.iter().any(DecodedRows::has_samples),
+                "a block with bytes but without samples",
+            )?;
         } else {
             out.iter_mut().for_each(|rows| rows.present.fill(true));
             self.state.presence.all_present(self.state.n_channels, n_rows);
         }
-        if more && !out.last().is_some_and(DecodedRows::has_samples) {
-            return Err(CodecError::Corrupt("a last channel without samples"));
-        }
+        ensure(
+            !more || out.last().is_some_and(DecodedRows::has_samples),
+            "a last channel without samples",
+        )?;
         let step = head & STATED_STEPS;
-        if D::EXACT && step != 0 {
-            return Err(CodecError::Corrupt("a lossless block that states an error"));
-        }
+        ensure(!D::EXACT || step == 0, "a lossless block that states an error")?;
         let max_error_mm = bound::stated_mm(step, self.state.tolerance.mm());
         out.iter_mut().for_each(|rows| rows.max_error_mm = max_error_mm);
-        self.state.payload.decode(input.rest(), shared, out)
+        self.state.payload.begin(shared, n_rows)?;
+        self.state.payload.decode(input.rest(), out)
     }
 }
 
@@ -385,14 +388,12 @@ impl<D: PayloadDecoder> BlockDecoder for FramedDecoder<D> {
         n_rows: usize,
         key: bool,
         out: &mut Vec<DecodedRows>,
-    ) -> Result<(), CodecError> {
+    ) -> Result<()> {
         self.fit(0, 0, out);
         if key {
             self.state.reset();
         }
-        if self.state.lost {
-            return Err(CodecError::Corrupt("an earlier block failed: start again at a key block"));
-        }
+        ensure(!self.state.lost, "an earlier block failed: start again at a key block")?;
         if block.is_empty() {
             self.skip(false);
             return Ok(());

@@ -8,11 +8,12 @@
 use std::ops::Range;
 
 use crate::{
-    CodecError, DecodedRows, GROUP_CHANNELS, Rows,
+    DecodedRows, GROUP_CHANNELS, Result, Rows,
     coding::{
         bytes::{Bytes, MAX_VARINT_BYTES, write_varint},
         range::{BinaryCoder, Bit, RangeDecoder, RangeEncoder},
     },
+    ensure,
 };
 
 /// Follows a group from block to block. A new one is as behind a key stretch without samples.
@@ -76,7 +77,7 @@ impl Presence {
         &mut self,
         input: &mut Bytes<'_>,
         channels: &mut [DecodedRows],
-    ) -> Result<(), CodecError> {
+    ) -> Result<()> {
         let len = input.varint("the length of the presence section")?;
         let len = usize::try_from(len).unwrap_or(usize::MAX);
         let mut coder = RangeDecoder::new(input.take(len, "the presence section")?);
@@ -89,9 +90,10 @@ impl Presence {
         }
         coder.finish()?;
         self.leave_out_from(channels.len());
-        if channels.iter().all(|rows| !rows.present.contains(&false)) {
-            return Err(CodecError::Corrupt("a presence section of a block that needs none"));
-        }
+        ensure(
+            channels.iter().any(|rows| rows.present.contains(&false)),
+            "a presence section of a block that needs none",
+        )?;
         Ok(())
     }
 }

@@ -6,7 +6,7 @@
 
 use super::natural::{Knot, Moments, RunFit};
 use crate::{
-    CodecError, Position, Tolerance,
+    CodecError, Position, Result, Tolerance,
     bound::{squared_distance, widen},
 };
 
@@ -165,7 +165,7 @@ pub(super) fn resample_run(
     tolerance: Tolerance,
     variant: SplineVariant,
     fit: &mut RunFit,
-) -> Result<(), CodecError> {
+) -> Result<()> {
     let longest = SplineVariant::EXHAUSTIVE_MAX_RUN_ROWS;
     if variant == SplineVariant::Exhaustive && samples.len() > longest {
         return Err(CodecError::InvalidArgument(format!(

@@ -7,7 +7,7 @@ use super::{
     natural::RunFit,
 };
 use crate::{
-    CodecError, Rows, Tolerance,
+    CodecError, Result, Rows, Tolerance,
     coding::bytes::{Bytes, write_varint},
     frame,
 };
@@ -20,7 +20,7 @@ pub(crate) fn plan(
     channels: &[Rows<'_>],
     tolerance: Tolerance,
     variant: SplineVariant,
-) -> Result<Vec<u8>, CodecError> {
+) -> Result<Vec<u8>> {
     let n_rows = channels.first().map_or(0, Rows::len);
     let mut keys = vec![false; n_rows];
     let mut fit = RunFit::default();
@@ -97,13 +97,13 @@ pub(super) fn read_row(
     input: &mut Bytes<'_>,
     what: &'static str,
     rows: Range<usize>,
-) -> Result<Option<usize>, CodecError> {
+) -> Result<Option<usize>> {
     let skipped = usize::try_from(input.varint(what)?).unwrap_or(usize::MAX);
     Ok(skipped.checked_add(rows.start).filter(|row| rows.contains(row)))
 }
 
 /// Fills `keys`, one flag a row.
-pub(super) fn read(shared: &[u8], n_rows: usize, keys: &mut Vec<bool>) -> Result<(), CodecError> {
+pub(super) fn read(shared: &[u8], n_rows: usize, keys: &mut Vec<bool>) -> Result<()> {
     keys.clear();
     keys.resize(n_rows, false);
     let mut input = Bytes::new(shared);

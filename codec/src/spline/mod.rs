@@ -13,12 +13,13 @@ pub use self::greedy::SplineVariant;
 pub(crate) use self::key_times::plan;
 use self::{greedy::resample_run, natural::RunFit};
 use crate::{
-    BlockReport, CodecError, DecodedRows, Position, Rows, Tolerance, block,
+    BlockReport, CodecError, DecodedRows, Position, Result, Rows, Tolerance, block,
     bound::widen,
     coding::{
         bytes::{Bytes, write_varint},
         columns::{Histories, Raw},
     },
+    ensure,
     frame::{Payload, PayloadDecoder, PayloadEncoder},
 };
 
@@ -69,21 +70,13 @@ impl Spline {
         Self::new(tolerance, Times::Shared(Vec::new()))
     }
 
-    /// Takes the key times of the stretch, if they are shared.
-    fn begin(&mut self, shared: &[u8], n_rows: usize) -> Result<(), CodecError> {
-        match &mut self.times {
-            Times::Own(_) => Ok(()),
-            Times::Shared(keys) => key_times::read(shared, n_rows, keys),
-        }
-    }
-
     /// Appends the knots of one channel; `false` when these do not keep the tolerance.
     fn write(
         &mut self,
         rows: Rows<'_>,
         out: &mut Vec<u8>,
         report: &mut BlockReport,
-    ) -> Result<bool, CodecError> {
+    ) -> Result<bool> {
         for run in rows.runs() {
             let samples = &rows.positions()[run.clone()];
             match &self.times {
@@ -108,7 +101,7 @@ impl Spline {
         Ok(true)
     }
 
-    fn read(&mut self, input: &mut Bytes<'_>, rows: &mut DecodedRows) -> Result<(), CodecError> {
+    fn read(&mut self, input: &mut Bytes<'_>, rows: &mut DecodedRows) -> Result<()> {
         let DecodedRows { positions, present, kept, .. } = rows;
         for run in block::runs(present) {
             match &self.times {
@@ -119,9 +112,10 @@ impl Spline {
                 *position = widen(read_position(input)?);
             }
             self.fit.rebuild(run.len());
-            if !self.fit.rebuilt.iter().flatten().all(|v| v.is_finite()) {
-                return Err(CodecError::Corrupt("a spline that is not finite"));
-            }
+            ensure(
+                self.fit.rebuilt.iter().flatten().all(|v| v.is_finite()),
+                "a spline that is not finite",
+            )?;
             positions[run.clone()].copy_from_slice(&self.fit.rebuilt);
             self.fit.rows().for_each(|row| kept[run.start + row] = true);
         }
@@ -144,15 +138,13 @@ fn write_times(fit: &RunFit, len: usize, out: &mut Vec<u8>) {
 }
 
 /// Starts a run of `len` rows with its knots.
-fn read_times(input: &mut Bytes<'_>, len: usize, fit: &mut RunFit) -> Result<(), CodecError> {
+fn read_times(input: &mut Bytes<'_>, len: usize, fit: &mut RunFit) -> Result<()> {
     fit.start([0, len - 1].into_iter().take(len));
     if len <= 2 {
         return Ok(());
     }
     let inner = input.varint("the number of knots")?;
-    if inner > len as u64 - 2 {
-        return Err(CodecError::Corrupt("more knots than samples"));
-    }
+    ensure(inner <= len as u64 - 2, "more knots than samples")?;
     let mut next = 1;
     for _ in 0..inner {
         let row = key_times::read_row(input, "the time of a knot", next..len - 1)?
@@ -163,7 +155,7 @@ fn read_times(input: &mut Bytes<'_>, len: usize, fit: &mut RunFit) -> Result<(),
     Ok(())
 }
 
-fn read_position(input: &mut Bytes<'_>) -> Result<Position, CodecError> {
+fn read_position(input: &mut Bytes<'_>) -> Result<Position> {
     let (values, _) = input.take(POSITION_BYTES, "the position of a knot")?.as_chunks::<4>();
     let mut position = [0.0; 3];
     for (axis, &value) in position.iter_mut().zip(values) {
@@ -175,7 +167,14 @@ fn read_position(input: &mut Bytes<'_>) -> Result<Position, CodecError> {
     Err(CodecError::Corrupt("a knot that is not finite"))
 }
 
-impl Payload for Spline {}
+impl Payload for Spline {
+    fn begin(&mut self, shared: &[u8], n_rows: usize) -> Result<()> {
+        match &mut self.times {
+            Times::Own(_) => Ok(()),
+            Times::Shared(keys) => key_times::read(shared, n_rows, keys),
+        }
+    }
+}
 
 impl PayloadEncoder for Spline {
     fn max_payload_bytes(n_channels: usize, n_rows: usize) -> usize {
@@ -185,16 +184,9 @@ impl PayloadEncoder for Spline {
     fn encode(
         &mut self,
         channels: &[Rows<'_>],
-        shared: &[u8],
         out: &mut Vec<u8>,
         reports: &mut [BlockReport],
-    ) -> Result<(), CodecError> {
-        let n_rows = channels.first().map_or(0, Rows::len);
-        self.begin(shared, n_rows).map_err(|error| {
-            CodecError::InvalidArgument(format!(
-                "{error}: pass what Settings::plan gave for the same {n_rows} rows"
-            ))
-        })?;
+    ) -> Result<()> {
         for (rows, report) in channels.iter().zip(reports).filter(|(_, r)| r.samples > 0) {
             let start = out.len();
             out.push(CODED);
@@ -214,13 +206,7 @@ impl PayloadEncoder for Spline {
 }
 
 impl PayloadDecoder for Spline {
-    fn decode(
-        &mut self,
-        payload: &[u8],
-        shared: &[u8],
-        channels: &mut [DecodedRows],
-    ) -> Result<(), CodecError> {
-        self.begin(shared, channels.first().map_or(0, |rows| rows.present.len()))?;
+    fn decode(&mut self, payload: &[u8], channels: &mut [DecodedRows]) -> Result<()> {
         let mut input = Bytes::new(payload);
         for rows in channels.iter_mut().filter(|rows| rows.has_samples()) {
             match input.byte("the mode of a channel")? {
