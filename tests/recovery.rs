@@ -4,7 +4,6 @@ use std::io::Cursor;
 
 use mocapd_acquire::inspect::Summary;
 use mocapd_drivers::device::MarkerSample;
-use mocapd_simulator::generator::Rng;
 use mocapd_take::{
     TakeEvent,
     chunk::types,
@@ -14,6 +13,7 @@ use mocapd_take::{
     record::EndingKind,
     recovery::{Kind, Survey, mend_start},
 };
+use mocapd_testkit::random::Random;
 
 use crate::support::{
     config, dense, fast, feed_samples, jump, lossless, places, rows, samples, start,
@@ -228,25 +228,21 @@ fn a_damaged_head_costs_nothing() {
     }
 }
 
-fn below(rng: &mut Rng, n: usize) -> usize {
-    (rng.next_u64() % n as u64) as usize
-}
-
 #[test]
 fn zeros_and_noise_anywhere_are_recovered() {
-    let mut rng = Rng::new(7);
+    let mut random = Random::new(7);
     let takes = [recording(dense(0.5)), recording(lossless()), import(25.0)];
     for round in 0..120 {
         let take = &takes[round % 3];
         let mut damaged = take.clone();
         let first = places(take)[0].1.end;
-        for _ in 0..=below(&mut rng, 2) {
-            let from = first + below(&mut rng, take.len() - first);
-            let len = 1 + below(&mut rng, [4, 60, 3_000][round / 3 % 3]);
+        for _ in 0..=random.below(2) {
+            let from = first + random.below(take.len() - first);
+            let len = 1 + random.below([4, 60, 3_000][round / 3 % 3]);
             let to = (from + len).min(take.len());
-            match below(&mut rng, 3) {
+            match random.below(3) {
                 0 => damaged[from..to].fill(0),
-                1 => damaged[from..to].fill_with(|| below(&mut rng, 256) as u8),
+                1 => damaged[from..to].fill_with(|| random.byte()),
                 _ => damaged.truncate(to.max(first + 100)),
             }
             damaged.resize(take.len().min(damaged.len()), 0);

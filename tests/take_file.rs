@@ -6,6 +6,7 @@ use mocapd_take::{
     motion::{Motion, Position, is_gap},
     record::{Header, Record},
 };
+use mocapd_testkit::random::Random;
 
 use crate::support::{config, dense, distance_mm, jump, places, record, rows};
 
@@ -106,14 +107,10 @@ fn bytes_that_are_missing_give_no_wrong_sample_and_no_wrong_time() {
     let (_, take, _) = record(&motion, &config(&motion, dense(TOLERANCE_MM)), 0..motion.n_frames());
     let whole: Vec<_> = times(&take);
     assert_eq!(whole.len(), motion.n_frames());
-    let mut state = 1_u64;
-    let mut below = |n: usize| {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-        (state >> 33) as usize % n
-    };
+    let mut random = Random::new(1);
     for _ in 0..200 {
-        let from = 1_000 + below(take.len() - 1_000);
-        let to = (from + 1 + below(take.len() / 2)).min(take.len());
+        let from = 1_000 + random.below(take.len() - 1_000);
+        let to = (from + 1 + random.below(take.len() / 2)).min(take.len());
         let mut damaged = take.clone();
         damaged.drain(from..to);
         let (rows, problems) = rows(&damaged);

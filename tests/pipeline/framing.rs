@@ -3,6 +3,7 @@
 use mocapd_drivers::device::Frame;
 use mocapd_simulator::generator::JumpSpec;
 use mocapd_take::record::{Header, Record};
+use mocapd_testkit::random::Random;
 
 use crate::support::{TICK_HZ, chunks, config, dense, samples, start};
 
@@ -10,16 +11,14 @@ use crate::support::{TICK_HZ, chunks, config, dense, samples, start};
 const SECONDS: f64 = 60.0;
 
 /// How late frames come: some tens of microseconds, half a percent of them up to four milliseconds.
-struct Lateness(u64);
+struct Lateness(Random);
 
 impl Lateness {
     fn next_ns(&mut self) -> u64 {
-        let mut uniform = || {
-            self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-            self.0 >> 40
-        };
-        let jitter = (0..4).map(|_| uniform() % 30_000).sum::<u64>();
-        if uniform() % 200 == 0 { jitter + uniform() % 4_000_000 } else { jitter }
+        let random = &mut self.0;
+        let jitter = (0..4).map(|_| random.below(30_000)).sum::<usize>();
+        let stall = if random.one_in(200) { random.below(4_000_000) } else { 0 };
+        (jitter + stall) as u64
     }
 }
 
@@ -28,7 +27,7 @@ fn a_minute(n_markers: usize, rate_hz: f64) -> Vec<u8> {
     let spec = JumpSpec { seconds: Some(SECONDS), n_markers, ..JumpSpec::new(1, rate_hz) };
     let motion = spec.generate().unwrap().motion;
     let (mut intake, pipeline) = start(&config(&motion, dense(1.0)), Vec::new());
-    let mut lateness = Lateness(1);
+    let mut lateness = Lateness(Random::new(1));
     for seq in 0..motion.n_frames() {
         while intake.is_full() {
             std::thread::yield_now();

@@ -10,8 +10,8 @@ use std::{
     time::{Duration, Instant},
 };
 
-use mocapd_simulator::generator::Rng;
 use mocapd_take::chunk::{MAGIC, types};
+use mocapd_testkit::random::Random;
 use serde_json::Value;
 
 use super::negative_residuals::words;
@@ -44,8 +44,8 @@ fn recording() -> Vec<u8> {
 
 /// Writes `take` with holes in it, each within a chunk, seeded.
 fn write_sparse(path: &Path, take: &[u8], seed: u64) {
-    let mut rng = Rng::new(seed);
-    let mut numbers = |n: usize| (rng.next_u64() % n as u64) as usize;
+    let mut random = Random::new(seed);
+    let mut numbers = |n: usize| random.below(n);
     let chunks: Vec<_> = places(take).into_iter().skip(1).map(|place| place.1).collect();
     let mut place = |_| {
         let chunk = &chunks[numbers(chunks.len())];

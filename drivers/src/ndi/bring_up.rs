@@ -2,7 +2,7 @@
 
 use super::{
     frame::{BX_REQUEST, BX2_REQUEST, STRAYS_MAX, TOOLS_MAX},
-    host::{MS, NdiHost, Outcome, State, Task},
+    host::{MS, NdiHost, Outcome, State, Step, Task},
     message::{BAUD_AT_RESET, BAUDS, checked, code, plain},
     strays,
 };
@@ -51,12 +51,6 @@ const SETTLE_NS: u64 = 100 * MS;
 
 /// How often tools are looked for: initializing one may bring forth another on the same plug.
 const ROUNDS_MAX: u32 = 4;
-
-/// Handles that wait to be freed, to be initialized, to be enabled, and that are enabled.
-const FREE: u8 = 1;
-const INITIALIZE: u8 = 2;
-const ENABLE: u8 = 3;
-const ENABLED: u8 = 4;
 
 /// What the vendor's guide gives as the rate of all but the fastest systems.
 const FRAME_HZ_DEFAULT: f64 = 60.0;
@@ -164,10 +158,10 @@ impl NdiHost {
                     Some("1") => 2,
                     _ => 1,
                 };
-                self.ask_checked(Task::List(FREE), "PHSR:01");
+                self.list(Step::Free);
             }
-            (Task::List(kind), Outcome::Text(text)) => match handles(text) {
-                Some(handles) => self.listed(kind, handles),
+            (Task::List(step), Outcome::Text(text)) => match handles(text) {
+                Some(handles) => self.listed(step, handles),
                 None => {
                     let said: String = text.chars().take(SAID_CHARS).collect();
                     self.fail(format!(
@@ -176,15 +170,13 @@ impl NdiHost {
                     ));
                 }
             },
-            (Task::Info(handle), _) => {
+            (Task::Port(Step::Describe, handle), _) => {
                 // A tool that is not described is known by its port.
                 let info = if let Outcome::Text(text) = outcome { text } else { "" };
                 self.table.push(marker(handle, info, &self.table));
-                self.next_handle(ENABLED);
+                self.next_handle(Step::Describe);
             }
-            (Task::Free(_), Outcome::Text(_)) => self.next_handle(FREE),
-            (Task::Initialize(_), Outcome::Text(_)) => self.next_handle(INITIALIZE),
-            (Task::Enable(_), Outcome::Text(_)) => self.next_handle(ENABLE),
+            (Task::Port(step, _), Outcome::Text(_)) => self.next_handle(step),
             (task, Outcome::Refused(code)) => self.fail_refused(&what(task), code),
             (Task::Start | Task::Poll | Task::Stop, Outcome::Text(_)) => {}
         }
@@ -200,38 +192,46 @@ impl NdiHost {
         }
     }
 
-    fn listed(&mut self, kind: u8, handles: Vec<u8>) {
-        match kind {
-            FREE => self.rounds = 0,
-            ENABLED => self.table.clear(),
-            _ => {}
-        }
-        if kind == INITIALIZE {
-            self.rounds += 1;
-            if handles.is_empty() || self.rounds > ROUNDS_MAX {
-                self.ask_checked(Task::List(ENABLE), "PHSR:03");
-                return;
+    fn listed(&mut self, step: Step, handles: Vec<u8>) {
+        match step {
+            Step::Free => self.rounds = 0,
+            Step::Initialize => {
+                self.rounds += 1;
+                if handles.is_empty() || self.rounds > ROUNDS_MAX {
+                    self.list(Step::Enable);
+                    return;
+                }
             }
+            Step::Enable => {}
+            Step::Describe => self.table.clear(),
         }
         self.todo = handles;
         // Taken from the end: in the device's order.
         self.todo.reverse();
-        self.next_handle(kind);
+        self.next_handle(step);
+    }
+
+    fn list(&mut self, step: Step) {
+        self.ask_checked(Task::List(step), &format!("PHSR:{:02X}", step as u8));
     }
 
     /// The next handle of a list, or the next list.
-    fn next_handle(&mut self, kind: u8) {
-        let (task, text) = match (kind, self.todo.pop()) {
-            (FREE, Some(handle)) => (Task::Free(handle), format!("PHF:{handle:02X}")),
-            (INITIALIZE, Some(handle)) => (Task::Initialize(handle), format!("PINIT:{handle:02X}")),
-            (ENABLE, Some(handle)) => (Task::Enable(handle), format!("PENA:{handle:02X}D")),
-            (_, Some(handle)) => (Task::Info(handle), format!("PHINF:{handle:02X}0005")),
+    fn next_handle(&mut self, step: Step) {
+        if let Some(handle) = self.todo.pop() {
+            let text = match step {
+                Step::Free => format!("PHF:{handle:02X}"),
+                Step::Initialize => format!("PINIT:{handle:02X}"),
+                Step::Enable => format!("PENA:{handle:02X}D"),
+                Step::Describe => format!("PHINF:{handle:02X}0005"),
+            };
+            return self.ask_checked(Task::Port(step, handle), &text);
+        }
+        match step {
             // Initializing may have brought forth more.
-            (FREE | INITIALIZE, None) => (Task::List(INITIALIZE), "PHSR:02".to_owned()),
-            (ENABLE, None) => (Task::List(ENABLED), "PHSR:04".to_owned()),
-            (_, None) => return self.ready(),
-        };
-        self.ask_checked(task, &text);
+            Step::Free | Step::Initialize => self.list(Step::Initialize),
+            Step::Enable => self.list(Step::Describe),
+            Step::Describe => self.ready(),
+        }
     }
 
     fn ready(&mut self) {
@@ -267,9 +267,9 @@ const _: () = assert!(strays::FIRST_ID as usize >= TOOLS_MAX);
 /// What a request was to do, for people.
 fn what(task: Task) -> String {
     match task {
-        Task::Free(handle) => format!("free port {handle:02X}"),
-        Task::Initialize(handle) => format!("initialize the tool in port {handle:02X}"),
-        Task::Enable(handle) => format!("enable the tool in port {handle:02X}"),
+        Task::Port(Step::Free, handle) => format!("free port {handle:02X}"),
+        Task::Port(Step::Initialize, handle) => format!("initialize the tool in port {handle:02X}"),
+        Task::Port(Step::Enable, handle) => format!("enable the tool in port {handle:02X}"),
         _ => "list its ports".to_owned(),
     }
 }

@@ -2,13 +2,10 @@
 
 use super::{
     frame::{read_bx, read_bx2},
-    host::{Asked, Drain, MS, NdiHost, Outcome, Owed, State, Task},
+    host::{Asked, Drain, MS, NdiHost, OnEvent, Outcome, Owed, State, Task},
     message::{self, Look, code},
 };
-use crate::{
-    device::DeviceEvent,
-    transport::turns::{Order, Request},
-};
+use crate::transport::turns::{Order, Request};
 
 /// How long a line has to be silent after damage before the next request: more than the 16 ms for
 /// which an adapter may hold the rest of an answer back.
@@ -83,7 +80,7 @@ impl NdiHost {
         self.fail(format!("the NDI system cannot {what} (ERROR{code:02X}): {words}"));
     }
 
-    pub(super) fn receive(&mut self, bytes: &[u8], on_event: &mut dyn FnMut(DeviceEvent<'_>)) {
+    pub(super) fn receive(&mut self, bytes: &[u8], on_event: OnEvent<'_>) {
         let now_ns = self.desk.now_ns();
         if let Some(drain) = &mut self.drain {
             if !bytes.is_empty() {
@@ -136,7 +133,7 @@ impl NdiHost {
     }
 
     /// It sends without being asked: at the wrong speed, or because it is something else.
-    fn babbled(&mut self, on_event: &mut dyn FnMut(DeviceEvent<'_>)) {
+    fn babbled(&mut self, on_event: OnEvent<'_>) {
         match self.asked.take() {
             Some(Asked { task: task @ (Task::Seek(_) | Task::Break(_) | Task::Check), .. }) => {
                 self.done(task, Outcome::Silence, on_event);
@@ -145,7 +142,7 @@ impl NdiHost {
         }
     }
 
-    fn look(&mut self, on_event: &mut dyn FnMut(DeviceEvent<'_>)) {
+    fn look(&mut self, on_event: OnEvent<'_>) {
         let now_ns = self.desk.now_ns();
         let Some(task) = self.asked.map(|asked| asked.task) else { return };
         match self.reply.look() {
@@ -178,7 +175,7 @@ impl NdiHost {
     }
 
     /// A request may have been damaged on its way: it is said again before its refusal counts.
-    fn refused(&mut self, task: Task, code: u8, on_event: &mut dyn FnMut(DeviceEvent<'_>)) {
+    fn refused(&mut self, task: Task, code: u8, on_event: OnEvent<'_>) {
         let for_good = task == Task::Poll && code == code::WRONG_MODE;
         if !for_good && self.asked.is_some_and(|asked| asked.tries < TRIES) {
             self.send(0);
@@ -203,7 +200,7 @@ impl NdiHost {
     }
 
     /// The request had no good answer.
-    fn again(&mut self, on_event: &mut dyn FnMut(DeviceEvent<'_>)) {
+    fn again(&mut self, on_event: OnEvent<'_>) {
         let Some(Asked { task, tries, .. }) = self.asked else { return };
         if task == Task::Poll {
             self.polls_lost += 1;
@@ -222,12 +219,7 @@ impl NdiHost {
         }
     }
 
-    fn done(
-        &mut self,
-        task: Task,
-        outcome: Outcome<'_>,
-        on_event: &mut dyn FnMut(DeviceEvent<'_>),
-    ) {
+    fn done(&mut self, task: Task, outcome: Outcome<'_>, on_event: OnEvent<'_>) {
         match task {
             Task::Start | Task::Poll | Task::Stop => self.tracked(task, outcome, on_event),
             _ => self.brought_up(task, outcome),

@@ -27,6 +27,18 @@ pub const BAUD_MAX_DEFAULT: u32 = 921_600;
 /// tools that are slow to initialize the time they need.
 const PING_WAITS_NS: u64 = 4_000 * MS;
 
+/// Who gets the events.
+pub(super) type OnEvent<'a> = &'a mut dyn FnMut(DeviceEvent<'_>);
+
+/// What is done with port handles, in this order; the number is that of `PHSR` for the handles that wait for it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Step {
+    Free = 1,
+    Initialize = 2,
+    Enable = 3,
+    Describe = 4,
+}
+
 /// What a request is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Task {
@@ -44,12 +56,10 @@ pub(super) enum Task {
     ApiRevision,
     FrameFrequency,
     TrackFrequency,
-    /// Handles to free (1), to initialize (2), to enable (3), enabled (4).
-    List(u8),
-    Free(u8),
-    Initialize(u8),
-    Enable(u8),
-    Info(u8),
+    /// Which handles is this to be done with?
+    List(Step),
+    /// Do it with one of them.
+    Port(Step, u8),
     Start,
     Poll,
     Stop,
@@ -179,7 +189,7 @@ impl NdiHost {
     }
 
     /// What the host asked for, as soon as it can be had.
-    fn settle(&mut self, on_event: &mut dyn FnMut(DeviceEvent<'_>)) {
+    fn settle(&mut self, on_event: OnEvent<'_>) {
         if self.state == State::Ready && std::mem::take(&mut self.owed.hello) {
             on_event(DeviceEvent::Hello(&self.hello));
             on_event(DeviceEvent::Markers(&self.table));
@@ -201,7 +211,7 @@ impl NdiHost {
             now_ns.saturating_sub(said_ns) > PING_WAITS_NS && self.counters.messages > messages;
         if self.state == State::Ready || (self.state == State::BringUp && waited) {
             self.owed.ping = None;
-            let device_ticks = self.run.last_ticks();
+            let device_ticks = self.run.ticks;
             on_event(DeviceEvent::Pong(Pong { host_ns, device_ticks }));
         }
     }

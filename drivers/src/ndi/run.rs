@@ -13,18 +13,14 @@ const AGAIN: u64 = 16;
 #[derive(Debug, Default)]
 pub(super) struct Pace {
     period_ns: u64,
-    due_ns: u64,
+    /// When to send the next poll.
+    pub(super) due_ns: u64,
 }
 
 impl Pace {
     /// Frames come with this period, the first one now or later.
     pub(super) fn restart(&mut self, period_ns: u64, now_ns: u64) {
         *self = Self { period_ns: period_ns.max(1), due_ns: now_ns };
-    }
-
-    /// When to send the next poll.
-    pub(super) fn due_ns(&self) -> u64 {
-        self.due_ns
     }
 
     /// The poll brought the frame that is so many after the last one.
@@ -73,7 +69,8 @@ pub(super) struct Run {
     dropped: u64,
     /// Polls since the last frame whose answers could not be read.
     unread: u32,
-    ticks: u64,
+    /// The device's clock at the last frame; 0 before the first.
+    pub(super) ticks: u64,
     started: bool,
     /// What was said already.
     said_slow: bool,
@@ -132,11 +129,6 @@ impl Run {
         }
     }
 
-    /// The device's clock at the last frame; 0 before the first.
-    pub(super) fn last_ticks(&self) -> u64 {
-        self.ticks
-    }
-
     /// Whether to say that the line is slow: once.
     pub(super) fn says_slow(&mut self) -> bool {
         !std::mem::replace(&mut self.said_slow, true)
@@ -162,7 +154,7 @@ mod tests {
         let (mut now, mut last, mut polls, mut waited) = (0, None, 0, 0);
         for turn in 0_u64.. {
             // Every hundredth wake-up is 8 ms late.
-            now = pace.due_ns().max(now) + if turn % 100 == 99 { 8_000_000 } else { 100_000 };
+            now = pace.due_ns.max(now) + if turn % 100 == 99 { 8_000_000 } else { 100_000 };
             polls += 1;
             let newest = (0_u64..).take_while(|n| ready_at(*n) <= now).last();
             if newest == last {

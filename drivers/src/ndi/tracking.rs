@@ -2,7 +2,7 @@
 
 use super::{
     frame::{bx_block_bytes, bx2_block_bytes},
-    host::{NdiHost, Outcome, State, Task},
+    host::{NdiHost, OnEvent, Outcome, State, Task},
     message::{BAUDS, checked, code},
     run::Counted,
 };
@@ -38,12 +38,7 @@ impl NdiHost {
         }
     }
 
-    pub(super) fn tracked(
-        &mut self,
-        task: Task,
-        outcome: Outcome<'_>,
-        on_event: &mut dyn FnMut(DeviceEvent<'_>),
-    ) {
+    pub(super) fn tracked(&mut self, task: Task, outcome: Outcome<'_>, on_event: OnEvent<'_>) {
         match (task, outcome) {
             // It may have heard an earlier one, whose answer was lost.
             (Task::Start, Outcome::Text(_) | Outcome::Refused(code::WRONG_MODE)) => {
@@ -83,7 +78,7 @@ impl NdiHost {
         }
     }
 
-    fn stopped(&mut self, on_event: &mut dyn FnMut(DeviceEvent<'_>)) {
+    fn stopped(&mut self, on_event: OnEvent<'_>) {
         self.state = State::Ready;
         self.owed.stop = false;
         self.farewell(false);
@@ -97,12 +92,12 @@ impl NdiHost {
         if self.owed.stop {
             self.ask(Task::Stop, checked("TSTOP:"), START_MS, 0);
         } else {
-            self.ask(Task::Poll, self.poll, POLL_MS, self.pace.due_ns());
+            self.ask(Task::Poll, self.poll, POLL_MS, self.pace.due_ns);
         }
     }
 
     /// What the last poll showed is in `seen`.
-    pub(super) fn polled(&mut self, on_event: &mut dyn FnMut(DeviceEvent<'_>)) {
+    pub(super) fn polled(&mut self, on_event: OnEvent<'_>) {
         let now_ns = self.desk.now_ns();
         if std::mem::take(&mut self.owed.start) {
             // Said again: the answer was late, not the command.
@@ -122,14 +117,14 @@ impl NdiHost {
         self.next_poll();
     }
 
-    fn emit(&mut self, number: u32, counted: Counted, on_event: &mut dyn FnMut(DeviceEvent<'_>)) {
+    fn emit(&mut self, number: u32, counted: Counted, on_event: OnEvent<'_>) {
         self.counters.samples_not_finite += self.seen.not_finite;
         self.samples.clear();
         self.samples.extend_from_slice(&self.seen.tools);
         self.strays.number(&self.seen, counted.ahead, &mut self.samples);
         on_event(DeviceEvent::Frame(Frame {
             seq: number,
-            device_ticks: self.run.last_ticks(),
+            device_ticks: self.run.ticks,
             timecode: None,
             markers: &self.samples,
         }));

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::Args;
-use mocapd_simulator::generator::{JumpSet, JumpSpec};
+use mocapd_simulator::generator::{JumpSet, JumpSpec, SetJump};
 use mocapd_take::interchange::Format;
 use mocapd_take::motion::MotionFrames;
 
@@ -44,8 +44,8 @@ pub(super) fn run(args: &GenerateArgs) -> Result<(), Failure> {
     fs::create_dir(&args.out)
         .with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let mut phases = "file,phase,first_frame\n".to_owned();
-    for (subject, trial, jump) in set.jumps() {
-        let jump = jump.map_err(Failure::usage)?;
+    for jump in set.jumps() {
+        let SetJump { subject, trial, jump } = jump.map_err(Failure::usage)?;
         let name = format!("subject-{subject:02}-jump-{trial:02}.c3d");
         for (phase, first_frame) in &jump.phases {
             writeln!(phases, "{name},{},{first_frame}", phase.name())?;

@@ -219,7 +219,7 @@ impl Device {
 
     /// What the faults inside it had a part in.
     pub(crate) fn fault_parts(&self) -> Parts {
-        self.faults.as_ref().map(SourceFaults::parts).unwrap_or_default()
+        self.faults.as_ref().map(|faults| faults.parts).unwrap_or_default()
     }
 
     fn add_ghosts(&mut self, since_ns: u64) {

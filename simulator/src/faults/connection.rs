@@ -1,7 +1,7 @@
 //! What goes wrong with the connection: when nothing is handed over, and when there is none.
 
 use super::kinds::{Fault, Kind};
-use super::script::{Script, nanoseconds};
+use super::script::{Script, Windowed, nanoseconds};
 use crate::device::Parts;
 use crate::line::Batch;
 
@@ -25,11 +25,19 @@ struct Outage {
     keeps_port: bool,
 }
 
+/// While what waits is handed over once in a while only.
+#[derive(Debug, Clone, Copy)]
+struct Burst {
+    from_ns: u64,
+    to_ns: u64,
+    period_ns: u64,
+}
+
 /// The faults of a script that act on the connection. Times are nanoseconds since the first Start.
 #[derive(Debug)]
 pub(super) struct Connection {
     outages: Vec<Outage>,
-    bursts: Vec<(u64, u64, u64)>,
+    bursts: Vec<Burst>,
     batch: Option<Batch>,
 }
 
@@ -49,7 +57,8 @@ impl Connection {
                     outages.push(Outage { kind, from_ns, to_ns, keeps_port });
                 }
                 Fault::Bursts { period_ms } => {
-                    bursts.push((windowed.from_ns, windowed.to_ns, period_ms * 1_000_000));
+                    let Windowed { from_ns, to_ns, .. } = *windowed;
+                    bursts.push(Burst { from_ns, to_ns, period_ns: period_ms * 1_000_000 });
                 }
                 _ => {}
             }
@@ -74,7 +83,7 @@ impl Connection {
     pub(super) fn next_ns(&self, since_ns: u64) -> u64 {
         let edges = self.outages.iter().flat_map(|outage| [outage.from_ns, outage.to_ns]);
         let edge = edges.filter(|at| *at > since_ns).min().unwrap_or(u64::MAX);
-        edge.min(self.batch.as_ref().map_or(u64::MAX, Batch::next_ns))
+        edge.min(self.batch.as_ref().map_or(u64::MAX, |batch| batch.next_ns))
     }
 
     /// The outages that have begun.
@@ -88,16 +97,16 @@ impl Connection {
 
     /// How many of the `waiting` bytes may be handed over.
     pub(super) fn allowed(&self, waiting: usize) -> usize {
-        self.batch.as_ref().map_or(waiting, |batch| batch.allowed().min(waiting))
+        self.batch.as_ref().map_or(waiting, |batch| batch.released.min(waiting))
     }
 
     /// Time passed. `waiting` bytes were there all the while.
     pub(super) fn tick(&mut self, since_ns: u64, waiting: usize) {
-        let on = self.bursts.iter().find(|(from, to, _)| (*from..*to).contains(&since_ns));
+        let on = self.bursts.iter().find(|burst| (burst.from_ns..burst.to_ns).contains(&since_ns));
         match (on, &mut self.batch) {
             (None, batch) => *batch = None,
             (Some(_), Some(batch)) => batch.tick(since_ns, waiting),
-            (Some((.., period_ns)), batch) => *batch = Some(Batch::new(*period_ns, since_ns)),
+            (Some(burst), batch) => *batch = Some(Batch::new(burst.period_ns, since_ns)),
         }
     }
 

@@ -133,7 +133,7 @@ impl LineDevice for FaultyDevice {
             self.carry();
         }
         let Some(since_ns) = self.since_ns(now_ns) else { return wake_ns };
-        self.connection.tick(since_ns, self.wire.out().len());
+        self.connection.tick(since_ns, self.wire.out.len());
         let next_ns = self.connection.next_ns(since_ns);
         wake_ns.min(next_ns.saturating_add(now_ns - since_ns))
     }
@@ -142,7 +142,7 @@ impl LineDevice for FaultyDevice {
         if !self.state.flows || self.unheard {
             return &[];
         }
-        let out = self.wire.out();
+        let out = &self.wire.out;
         out.get(..self.connection.allowed(out.len())).unwrap_or_default()
     }
 
@@ -164,7 +164,7 @@ impl LineDevice for FaultyDevice {
     fn log(&self) -> SentLog {
         let mut totals = self.wire.account.totals();
         let begun = self.seen_ns.map(|since_ns| self.connection.parts(since_ns));
-        for parts in [self.device.fault_parts(), self.wire.parts(), begun.unwrap_or_default()] {
+        for parts in [self.device.fault_parts(), self.wire.parts, begun.unwrap_or_default()] {
             totals.parts = totals.parts.join(parts);
         }
         SentLog { faults: Some(totals), ..self.device.log() }

@@ -58,12 +58,14 @@ pub struct ScriptError {
 struct Written {
     seed: u64,
     #[serde(default)]
-    fault: Vec<toml::Table>,
+    fault: Vec<WrittenFault>,
     expect: Option<Expect>,
 }
 
 #[derive(Deserialize)]
-struct Window {
+struct WrittenFault {
+    #[serde(flatten)]
+    fault: Fault,
     #[serde(default)]
     from_s: f64,
     to_s: Option<f64>,
@@ -84,20 +86,15 @@ impl Script {
             return Err(refused(0, format!("a script has at most {SCRIPT_BYTES_MAX} bytes")));
         }
         check(text).map_err(|(at, message)| refused(at, message))?;
-        let of_toml = |error: toml::de::Error| {
+        let written: Written = toml::from_str(text).map_err(|error| {
             refused(error.span().map_or(0, |span| span.start), error.message().to_owned())
+        })?;
+        let windowed = |WrittenFault { fault, from_s, to_s }| Windowed {
+            fault,
+            from_ns: nanoseconds(from_s),
+            to_ns: to_s.map_or(u64::MAX, nanoseconds),
         };
-        let written: Written = toml::from_str(text).map_err(of_toml)?;
-        let mut faults = Vec::new();
-        for table in written.fault {
-            let fault: Fault = table.clone().try_into().map_err(of_toml)?;
-            let window: Window = table.try_into().map_err(of_toml)?;
-            faults.push(Windowed {
-                fault,
-                from_ns: nanoseconds(window.from_s),
-                to_ns: window.to_s.map_or(u64::MAX, nanoseconds),
-            });
-        }
+        let faults = written.fault.into_iter().map(windowed).collect();
         Ok(Self { seed: written.seed, faults, expect: written.expect })
     }
 

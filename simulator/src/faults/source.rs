@@ -33,7 +33,8 @@ pub(crate) struct SourceFaults {
     /// Clock jumps that a frame was stamped after.
     leapt: Vec<usize>,
     told_ghosts: bool,
-    parts: Parts,
+    /// What they had a part in so far.
+    pub(crate) parts: Parts,
 }
 
 impl SourceFaults {
@@ -41,15 +42,6 @@ impl SourceFaults {
         let (jumped, leapt) = (Vec::new(), Vec::new());
         let parts = Parts::default();
         Self { script, n_markers, ahead: 0, jumped, leapt, told_ghosts: false, parts }
-    }
-
-    pub(crate) fn n_ghosts(&self) -> usize {
-        self.script.n_ghosts()
-    }
-
-    /// What they had a part in so far.
-    pub(crate) fn parts(&self) -> Parts {
-        self.parts
     }
 
     /// A frame is stamped by the device's clock.
@@ -169,7 +161,7 @@ impl SourceFaults {
             return Vec::new();
         }
         self.told_ghosts = true;
-        let ids = (self.n_markers as u16..).take(self.n_ghosts());
+        let ids = (self.n_markers as u16..).take(self.script.n_ghosts());
         ids.map(|id| MarkerInfo { id, label: String::new(), labelled: false }).collect()
     }
 

@@ -44,7 +44,8 @@ pub(super) struct Wire {
     /// A host without faults: it tells what a message is.
     reader: HostLink,
     late: Vec<Held>,
-    out: Vec<u8>,
+    /// What the line should carry next.
+    pub(super) out: Vec<u8>,
     others: u64,
     greetings: u64,
     /// The time of the last frame since the first Start: what is no frame has none of its own.
@@ -53,7 +54,7 @@ pub(super) struct Wire {
     spoilt: Kinds,
     scratch: Vec<u8>,
     /// Beside those that frames were touched by.
-    parts: Parts,
+    pub(super) parts: Parts,
 }
 
 /// What a message is, as far as it matters here.
@@ -80,16 +81,6 @@ impl Wire {
             scratch: Vec::new(),
             parts: Parts::default(),
         }
-    }
-
-    /// What the line should carry next.
-    pub(super) fn out(&self) -> &[u8] {
-        &self.out
-    }
-
-    /// What its faults had a part in, beside those that frames were touched by.
-    pub(super) fn parts(&self) -> Parts {
-        self.parts
     }
 
     pub(super) fn has_room(&self) -> bool {

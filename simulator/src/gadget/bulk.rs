@@ -5,12 +5,12 @@ use std::time::{Duration, Instant};
 
 use bytes::{Bytes, BytesMut};
 use rustix::io::Errno;
-use usb_gadget::Class;
 use usb_gadget::function::custom::{
     Custom, Endpoint, EndpointDirection, EndpointReceiver, EndpointSender, Event, Interface,
 };
+use usb_gadget::{Class, RegGadget};
 
-use super::{BULK_PRODUCT_ID, GadgetError, GadgetSettings, Plugged};
+use super::{BULK_PRODUCT_ID, GadgetError, GadgetSettings, plug_in};
 use crate::line::Line;
 
 /// What the vendor interface says it speaks: `M`.
@@ -40,7 +40,7 @@ const PACKET_BYTES: usize = 64;
 #[derive(Debug)]
 pub struct Bulk {
     // Before the files that it uses.
-    _plugged: Plugged,
+    _plugged: RegGadget,
     custom: Custom,
     to_host: EndpointSender,
     from_host: EndpointReceiver,
@@ -64,7 +64,7 @@ impl Bulk {
             .with_endpoint(Endpoint::bulk(to_direction.with_queue_len(SENDS)))
             .with_endpoint(Endpoint::bulk(from_direction.with_queue_len(RECEIVES)));
         let (custom, handle) = Custom::builder().with_interface(interface).build();
-        let plugged = Plugged::new(settings, BULK_PRODUCT_ID, handle)?;
+        let plugged = plug_in(settings, BULK_PRODUCT_ID, handle)?;
         Ok(Self {
             _plugged: plugged,
             custom,

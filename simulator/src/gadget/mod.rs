@@ -10,9 +10,8 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 pub use bulk::{Bulk, INTERFACE_PROTOCOL, INTERFACE_SUBCLASS};
 pub use serial::Serial;
-use usb_gadget::{
-    Class, Config, Gadget, Id, RegGadget, Strings, Udc, function::Handle, registered, udcs,
-};
+use usb_gadget::function::Handle;
+use usb_gadget::{Class, Config, Gadget, Id, RegGadget, Strings, Udc, registered, udcs};
 
 mod bulk;
 mod serial;
@@ -40,73 +39,52 @@ pub struct GadgetSettings {
 }
 
 /// A gadget in configfs, bound to its controller. Dropping it unplugs it and takes it away.
-#[derive(Debug)]
-struct Plugged {
-    // The one is taken away before the other is free.
-    _gadget: RegGadget,
-    _controller: Controller,
-}
-
-impl Plugged {
-    fn new(
-        settings: &GadgetSettings,
-        product_id: u16,
-        function: Handle,
-    ) -> Result<Self, GadgetError> {
-        let serial = &settings.serial;
-        let is_name = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
-        if !(1..=32).contains(&serial.len()) || !serial.bytes().all(is_name) {
-            return Err(GadgetError::SerialNumber { found: serial.clone() });
-        }
-        let controller = Controller::choose(settings.controller.as_deref())?;
-        let id = Id::new(VENDOR_ID, product_id);
-        let strings = Strings::new(MANUFACTURER, PRODUCT, serial);
-        let mut gadget = Gadget::new(Class::INTERFACE_SPECIFIC, id, strings)
-            .with_config(Config::new("mocapd link").with_function(function));
-        gadget.name = Some(gadget_name());
-        let made = gadget.register().map_err(GadgetError::making)?;
-        made.bind(Some(controller.udc()))
-            .map_err(|source| GadgetError::Bind { controller: controller.name(), source })?;
-        Ok(Self { _gadget: made, _controller: controller })
+fn plug_in(
+    settings: &GadgetSettings,
+    product_id: u16,
+    function: Handle,
+) -> Result<RegGadget, GadgetError> {
+    let serial = &settings.serial;
+    let is_name = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
+    if !(1..=32).contains(&serial.len()) || !serial.bytes().all(is_name) {
+        return Err(GadgetError::SerialNumber { found: serial.clone() });
     }
+    let controller = free_controller(settings.controller.as_deref())?;
+    let id = Id::new(VENDOR_ID, product_id);
+    let strings = Strings::new(MANUFACTURER, PRODUCT, serial);
+    let mut gadget = Gadget::new(Class::INTERFACE_SPECIFIC, id, strings)
+        .with_config(Config::new("mocapd link").with_function(function));
+    gadget.name = Some(gadget_name());
+    let made = gadget.register().map_err(GadgetError::making)?;
+    made.bind(Some(&controller)).map_err(|source| {
+        let controller = controller.name().to_string_lossy().into_owned();
+        GadgetError::Bind { controller, source }
+    })?;
+    Ok(made)
 }
 
 /// How gadgets of ours are called in configfs, before the process that made them.
 const NAME: &str = "mocapd-sim-";
 
-/// A controller that was free.
-#[derive(Debug)]
-struct Controller(Udc);
-
-impl Controller {
-    /// The one of that name, or the first that is free, by name.
-    fn choose(wanted: Option<&str>) -> Result<Self, GadgetError> {
-        let mut all = udcs().unwrap_or_default();
-        if all.is_empty() {
-            return Err(GadgetError::NoController);
-        }
-        remove_leftovers();
-        all.sort_by_key(|udc| udc.name().to_owned());
-        let names: Vec<_> = all.iter().map(|udc| udc.name().to_string_lossy()).collect();
-        let found = names.join(", ");
-        if let Some(name) = wanted
-            && !names.iter().any(|known| known == name)
-        {
-            return Err(GadgetError::NoSuchController { name: name.to_owned(), found });
-        }
-        let is_meant = |udc: &Udc| wanted.is_none_or(|name| udc.name() == name);
-        let is_free = |udc: &Udc| udc.function().is_ok_and(|gadget| gadget.is_none());
-        let free = all.iter().find(|udc| is_meant(udc) && is_free(udc)).cloned();
-        free.map(Self).ok_or(GadgetError::ControllerBusy { found })
+/// The controller of that name, or the first that is free, by name.
+fn free_controller(wanted: Option<&str>) -> Result<Udc, GadgetError> {
+    let mut all = udcs().unwrap_or_default();
+    if all.is_empty() {
+        return Err(GadgetError::NoController);
     }
-
-    fn udc(&self) -> &Udc {
-        &self.0
+    remove_leftovers();
+    all.sort_by_key(|udc| udc.name().to_owned());
+    let names: Vec<_> = all.iter().map(|udc| udc.name().to_string_lossy()).collect();
+    let found = names.join(", ");
+    if let Some(name) = wanted
+        && !names.iter().any(|known| known == name)
+    {
+        return Err(GadgetError::NoSuchController { name: name.to_owned(), found });
     }
-
-    fn name(&self) -> String {
-        self.0.name().to_string_lossy().into_owned()
-    }
+    let is_meant = |udc: &Udc| wanted.is_none_or(|name| udc.name() == name);
+    let is_free = |udc: &Udc| udc.function().is_ok_and(|gadget| gadget.is_none());
+    let free = all.iter().find(|udc| is_meant(udc) && is_free(udc)).cloned();
+    free.ok_or(GadgetError::ControllerBusy { found })
 }
 
 /// A name for a gadget of this process.
@@ -181,9 +159,6 @@ pub enum GadgetError {
         /// What the system said.
         source: io::Error,
     },
-    /// It failed while it was served.
-    #[error(transparent)]
-    Line(#[from] crate::line::LineError),
 }
 
 impl GadgetError {

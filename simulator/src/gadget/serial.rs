@@ -8,9 +8,10 @@ use std::time::{Duration, Instant};
 use rustix::fs::{Mode, OFlags};
 use rustix::io::Errno;
 use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
+use usb_gadget::RegGadget;
 use usb_gadget::function::serial::{Serial as Function, SerialClass};
 
-use super::{GadgetError, GadgetSettings, MANUFACTURER, PRODUCT, Plugged, SERIAL_PRODUCT_ID};
+use super::{GadgetError, GadgetSettings, MANUFACTURER, PRODUCT, SERIAL_PRODUCT_ID, plug_in};
 use crate::line::Line;
 use crate::pty::{or_nothing, wait_readable};
 
@@ -27,7 +28,7 @@ pub struct Serial {
     serial: String,
     written: Instant,
     // After the port that it makes.
-    _plugged: Plugged,
+    _plugged: RegGadget,
 }
 
 impl Serial {
@@ -37,7 +38,7 @@ impl Serial {
     /// When this machine cannot be a USB device, or not now.
     pub fn plug_in(settings: &GadgetSettings) -> Result<Self, GadgetError> {
         let (function, handle) = Function::new(SerialClass::Acm);
-        let plugged = Plugged::new(settings, SERIAL_PRODUCT_ID, handle)?;
+        let plugged = plug_in(settings, SERIAL_PRODUCT_ID, handle)?;
         let port = function.tty().map_err(GadgetError::Make)?;
         let open = Some(open(&port).map_err(|error| GadgetError::Make(error.into()))?);
         Ok(Self {

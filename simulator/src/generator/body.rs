@@ -50,7 +50,8 @@ pub(super) struct Body {
     pub(super) thigh: f64,
     pub(super) shank: f64,
     pub(super) ankle_height: f64,
-    half_hips: f64,
+    /// Half the distance between the hips.
+    pub(super) half_hips: f64,
     half_shoulders: f64,
     upper_arm: f64,
     forearm: f64,
@@ -109,11 +110,6 @@ impl Body {
     /// Hip to ankle with a straight knee.
     pub(super) fn leg(&self) -> f64 {
         self.thigh + self.shank
-    }
-
-    /// Half the distance between the hips, in metres.
-    pub(super) fn half_hips(&self) -> f64 {
-        self.half_hips
     }
 
     /// The 15 sites of a pose, in the order of [`SITES`], and the two lateral axes (hips, shoulders) to the left.

@@ -22,7 +22,7 @@ pub use body::{BONES, SITES};
 pub use rng::Rng;
 pub use spec::{
     GenerateError, JumpSet, JumpSpec, MARKERS_MAX, Occlusion, RATE_HZ, SAMPLES_MAX, SUBJECTS_MAX,
-    TRIALS_MAX,
+    SetJump, TRIALS_MAX,
 };
 
 /// A generated take, and what happens in it.

@@ -312,6 +312,17 @@ pub struct JumpSet {
     n_jumps: u32,
 }
 
+/// A jump of a set.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SetJump {
+    /// Who jumps, from 1.
+    pub subject: u32,
+    /// Which of the subject's jumps it is, from 1.
+    pub trial: u32,
+    /// The jump.
+    pub jump: Jump,
+}
+
 impl JumpSet {
     /// Subjects differ in stature (1.60 to 1.92 m) and style, jumps of one subject by a few per cent.
     ///
@@ -329,15 +340,19 @@ impl JumpSet {
         Ok(Self { spec, n_subjects, n_jumps })
     }
 
-    /// Each jump in turn, by its subject and trial, both from 1: a whole trial each.
-    pub fn jumps(&self) -> impl Iterator<Item = (u32, u32, Result<Jump, GenerateError>)> {
+    /// Each jump in turn: a whole trial each.
+    ///
+    /// # Errors
+    /// As [`JumpSpec::generate`].
+    pub fn jumps(&self) -> impl Iterator<Item = Result<SetJump, GenerateError>> {
         let Self { spec, n_subjects, n_jumps } = *self;
         (0..n_subjects).flat_map(move |subject| {
             let n_trials = n_jumps / n_subjects + u32::from(subject < n_jumps % n_subjects);
             let seed = Rng::stream(spec.seed, 0x4_0000 + u64::from(subject)).next_u64();
             (0..n_trials).map(move |first_trial| {
                 let spec = JumpSpec { seed, first_trial, ..spec };
-                (subject + 1, first_trial + 1, spec.generate())
+                let jump = spec.generate()?;
+                Ok(SetJump { subject: subject + 1, trial: first_trial + 1, jump })
             })
         })
     }
@@ -347,22 +362,19 @@ impl JumpSet {
 mod tests {
     use super::*;
 
-    fn set(n_subjects: u32, n_jumps: u32) -> Vec<(u32, u32, Jump)> {
+    fn set(n_subjects: u32, n_jumps: u32) -> Vec<SetJump> {
         let set = JumpSet::new(JumpSpec::new(1, 30.0), n_subjects, n_jumps).unwrap();
-        set.jumps().map(|(subject, trial, jump)| (subject, trial, jump.unwrap())).collect()
+        set.jumps().map(Result::unwrap).collect()
     }
 
     #[test]
     fn jumps_are_dealt_evenly_and_none_is_another() {
         let jumps = set(3, 8);
-        let who: Vec<(u32, u32)> =
-            jumps.iter().map(|(subject, trial, _)| (*subject, *trial)).collect();
+        let who: Vec<(u32, u32)> = jumps.iter().map(|jump| (jump.subject, jump.trial)).collect();
         assert_eq!(who, [(1, 1), (1, 2), (1, 3), (2, 1), (2, 2), (2, 3), (3, 1), (3, 2)]);
-        for (i, (_, _, a)) in jumps.iter().enumerate() {
+        for (i, SetJump { jump: a, .. }) in jumps.iter().enumerate() {
             assert_eq!(a.phases.len(), 7, "each is one whole trial");
-            assert!(
-                jumps[..i].iter().all(|(_, _, b)| b.motion.positions_mm != a.motion.positions_mm)
-            );
+            assert!(jumps[..i].iter().all(|b| b.jump.motion.positions_mm != a.motion.positions_mm));
         }
     }
 
@@ -373,7 +385,7 @@ mod tests {
             let [hip, knee] = [9, 10].map(|site| jump.motion.frame(0)[site].map(f64::from));
             (0..3).map(|axis| (hip[axis] - knee[axis]).powi(2)).sum::<f64>().sqrt()
         };
-        let lengths: Vec<f64> = jumps.iter().map(|(_, _, jump)| thigh_mm(jump)).collect();
+        let lengths: Vec<f64> = jumps.iter().map(|jump| thigh_mm(&jump.jump)).collect();
         assert!((lengths[0] - lengths[1]).abs() < 1.0 && (lengths[2] - lengths[3]).abs() < 1.0);
         assert!((lengths[0] - lengths[2]).abs() > 1.0, "{lengths:?}");
     }

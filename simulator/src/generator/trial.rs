@@ -23,7 +23,7 @@ impl Trial {
     pub(super) fn new(body: &Body, style: &Style) -> Self {
         let times = style.times();
         let half_stance_m = 0.05 * body.stature;
-        let aside = body.half_hips() - half_stance_m;
+        let aside = body.half_hips - half_stance_m;
         let below = |reach: f64, ahead: f64| {
             (reach * reach - ahead * ahead - aside * aside).max(0.0).sqrt()
         };

@@ -55,9 +55,9 @@ impl Pace {
 pub(crate) struct Batch {
     period_ns: u64,
     /// The next time that it goes off.
-    next_ns: u64,
+    pub(crate) next_ns: u64,
     /// Bytes that were there when it went off last, and are not handed over yet.
-    released: usize,
+    pub(crate) released: usize,
 }
 
 impl Batch {
@@ -76,18 +76,8 @@ impl Batch {
         }
     }
 
-    /// How many bytes may be handed over.
-    pub(crate) fn allowed(&self) -> usize {
-        self.released
-    }
-
     pub(crate) fn sent(&mut self, bytes: usize) {
         self.released = self.released.saturating_sub(bytes);
-    }
-
-    /// When it is worth asking again.
-    pub(crate) fn next_ns(&self) -> u64 {
-        self.next_ns
     }
 }
 
@@ -119,7 +109,7 @@ mod tests {
         let mut allowed = |now_ns, waiting, sent| {
             batch.sent(sent);
             batch.tick(now_ns, waiting);
-            (batch.allowed(), batch.next_ns())
+            (batch.released, batch.next_ns)
         };
         assert_eq!(allowed(115, 50, 0), (0, 116));
         assert_eq!(allowed(117, 50, 0), (50, 132));

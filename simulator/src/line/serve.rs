@@ -195,10 +195,10 @@ impl Server<'_> {
             let mut allowed = self.pace.as_mut().map_or(usize::MAX, |pace| pace.allowed(now_ns));
             if let Some(batch) = &mut self.batch {
                 batch.tick(now_ns, pending.len());
-                if batch.allowed() == 0 {
-                    return Ok(Written::Until(batch.next_ns()));
+                if batch.released == 0 {
+                    return Ok(Written::Until(batch.next_ns));
                 }
-                allowed = allowed.min(batch.allowed());
+                allowed = allowed.min(batch.released);
             }
             let Some(bytes) = pending.get(..allowed.min(pending.len())).filter(|b| !b.is_empty())
             else {

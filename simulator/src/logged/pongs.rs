@@ -15,10 +15,16 @@ const PINGS_MAX: usize = 16;
 /// A ping that waited so long is not answered any more: it tells nothing of the clocks.
 const PING_NS_MAX: u64 = 200_000_000;
 
+/// A ping, and when it came.
+#[derive(Debug, Clone, Copy)]
+struct Ping {
+    host_ns: u64,
+    came_ns: u64,
+}
+
 #[derive(Debug)]
 pub(super) struct Pongs {
-    /// Host time, and when it came.
-    pings: VecDeque<(u64, u64)>,
+    pings: VecDeque<Ping>,
     /// What was said since the last 0x00 and is held back.
     open: Vec<u8>,
     /// More than a Pong was said since the last 0x00.
@@ -40,11 +46,11 @@ impl Pongs {
         }
     }
 
-    pub(super) fn ping(&mut self, host_ns: u64, now_ns: u64) {
+    pub(super) fn ping(&mut self, host_ns: u64, came_ns: u64) {
         if self.pings.len() == PINGS_MAX {
             self.pings.pop_front();
         }
-        self.pings.push_back((host_ns, now_ns));
+        self.pings.push_back(Ping { host_ns, came_ns });
     }
 
     /// Passes logged bytes on. Gives how many it took: all, but where a Pong has no Ping to answer and `waits`.
@@ -74,14 +80,14 @@ impl Pongs {
                 self.flush(out);
                 continue;
             };
-            let is_old = |ping: &(u64, u64)| now_ns.saturating_sub(ping.1) > PING_NS_MAX;
+            let is_old = |ping: &Ping| now_ns.saturating_sub(ping.came_ns) > PING_NS_MAX;
             while !waits && self.pings.front().is_some_and(is_old) {
                 self.pings.pop_front();
             }
             let by_ns = if waits { Some(u64::MAX) } else { asked_ns(pong.host_ns) };
             let ping = self.pings.front().copied();
-            match ping.filter(|(_, came_ns)| by_ns.is_some_and(|by_ns| *came_ns <= by_ns)) {
-                Some((host_ns, _)) => {
+            match ping.filter(|ping| by_ns.is_some_and(|by_ns| ping.came_ns <= by_ns)) {
+                Some(Ping { host_ns, .. }) => {
                     self.pings.pop_front();
                     self.message.clear();
                     self.link.pong(Pong { host_ns, ..pong }, &mut self.message);

@@ -3,10 +3,8 @@
 use mocapd_drivers::ndi::{code, put_binary, put_text};
 use mocapd_take::motion::{Position, is_gap};
 
-use super::{
-    NdiDevice,
-    report::{Moment, Wanted, bx2},
-};
+use super::NdiDevice;
+use super::report::{Moment, Wanted, bx2};
 use crate::device::{SentCounters, SentFrame, frame_after_ns};
 
 const SECOND_NS: u64 = 1_000_000_000;
@@ -34,7 +32,7 @@ struct Current {
 /// From `TSTART` to the end.
 #[derive(Debug, Default)]
 pub(super) struct Tracking {
-    is_on: bool,
+    pub(super) is_on: bool,
     /// When its first frame came: with the first request for one.
     start_ns: Option<u64>,
     current: Option<Current>,
@@ -50,10 +48,6 @@ pub(super) struct Tracking {
 }
 
 impl Tracking {
-    pub(super) fn is_on(&self) -> bool {
-        self.is_on
-    }
-
     pub(super) fn end_was_told(&self) -> bool {
         self.ended && self.told
     }

@@ -125,7 +125,7 @@ impl NdiDevice {
     /// Whether it tracks.
     #[must_use]
     pub fn is_running(&self) -> bool {
-        self.tracking.is_on()
+        self.tracking.is_on
     }
 
     /// As after power-on, but for the line's speed.

@@ -28,11 +28,19 @@ pub(super) struct Moment<'a> {
     pub(super) time_ns: u64,
 }
 
+/// A tool, as a moment has it.
+struct Tool {
+    handle: u8,
+    status: u32,
+    position: Option<Position>,
+}
+
 impl Moment<'_> {
-    fn tools(&self) -> impl Iterator<Item = (u8, u32, Option<Position>)> {
+    fn tools(&self) -> impl Iterator<Item = Tool> {
         self.ports.enabled().map(|port| {
             let position = port.column.and_then(|column| self.row.get(column)).copied();
-            (port.handle, port.status(), position.filter(|position| !is_gap(*position)))
+            let position = position.filter(|position| !is_gap(*position));
+            Tool { handle: port.handle, status: port.status(), position }
         })
     }
 
@@ -44,7 +52,7 @@ impl Moment<'_> {
     /// The text of an answer to `TX`.
     pub(super) fn tx(&self, mode: u16) -> String {
         let mut text = format!("{:02X}", self.tools().count());
-        for (handle, status, position) in self.tools() {
+        for Tool { handle, status, position } in self.tools() {
             text.push_str(&format!("{handle:02X}"));
             if mode & TRANSFORMS != 0 {
                 match position.and_then(coordinates) {
@@ -78,7 +86,7 @@ impl Moment<'_> {
     /// The block of an answer to `BX`.
     pub(super) fn bx(&self, mode: u16) -> Vec<u8> {
         let mut block = vec![self.tools().count() as u8];
-        for (handle, status, position) in self.tools() {
+        for Tool { handle, status, position } in self.tools() {
             block.extend([handle, if position.is_some() { 1 } else { 2 }]);
             if mode & TRANSFORMS != 0 {
                 if let Some(position) = position {
@@ -98,7 +106,7 @@ impl Moment<'_> {
             let n_strays = self.strays().count();
             block.push(n_strays as u8);
             block.resize(block.len() + n_strays.div_ceil(8), 0);
-            self.strays().for_each(|position| coordinate_bytes(position, &mut block));
+            self.strays().for_each(|position| floats(&position, &mut block));
         }
         block.extend([0, 0]);
         block
@@ -106,18 +114,12 @@ impl Moment<'_> {
 }
 
 /// No turn, then the position, then the error.
-fn transform(position: Position, block: &mut Vec<u8>) {
-    for value in [1.0_f32, 0.0, 0.0, 0.0] {
-        block.extend(value.to_le_bytes());
-    }
-    coordinate_bytes(position, block);
-    block.extend(FIT_ERROR_MM.to_le_bytes());
+fn transform([x, y, z]: Position, block: &mut Vec<u8>) {
+    floats(&[1.0, 0.0, 0.0, 0.0, x, y, z, FIT_ERROR_MM], block);
 }
 
-fn coordinate_bytes(position: Position, block: &mut Vec<u8>) {
-    for value in position {
-        block.extend(value.to_le_bytes());
-    }
+fn floats(values: &[f32], block: &mut Vec<u8>) {
+    block.extend(values.iter().flat_map(|value| value.to_le_bytes()));
 }
 
 /// Three numbers of a sign and six digits, hundredths of a millimetre; `None` where they do not fit.
@@ -209,7 +211,7 @@ fn component(kind: u16, items: usize, block: &mut Vec<u8>, body: impl FnOnce(&mu
 }
 
 fn data_6d(moment: &Moment<'_>, block: &mut Vec<u8>) {
-    for (handle, _, position) in moment.tools() {
+    for Tool { handle, position, .. } in moment.tools() {
         block.extend(u16::from(handle).to_le_bytes());
         match position {
             Some(position) => {
@@ -227,6 +229,6 @@ fn data_3d(moment: &Moment<'_>, block: &mut Vec<u8>) {
     for (index, position) in (0_u16..).zip(moment.strays()) {
         block.extend([0, 0]);
         block.extend(index.to_le_bytes());
-        coordinate_bytes(position, block);
+        floats(&position, block);
     }
 }

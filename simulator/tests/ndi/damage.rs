@@ -5,36 +5,25 @@ use std::rc::Rc;
 
 use mocapd_drivers::device::Protocol;
 use mocapd_simulator::ndi::NdiSettings;
+use mocapd_testkit::random::Random;
 
 use super::bench::{Bench, MS, assert_is_row, jump, settings};
 
-/// Numbers from a seed: xorshift64*.
-pub(super) struct Dice(pub(super) u64);
-
-impl Dice {
-    pub(super) fn below(&mut self, n: usize) -> usize {
-        self.0 ^= self.0 >> 12;
-        self.0 ^= self.0 << 25;
-        self.0 ^= self.0 >> 27;
-        ((self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 33) % n.max(1) as u64) as usize
-    }
-}
-
 /// Does to an answer what lines do.
-fn corrupt(answer: &mut Vec<u8>, dice: &mut Dice) {
-    let at = dice.below(answer.len());
-    match dice.below(6) {
-        0 | 1 => answer[at] ^= 1 << dice.below(8),
+fn corrupt(answer: &mut Vec<u8>, random: &mut Random) {
+    let at = random.below(answer.len());
+    match random.below(6) {
+        0 | 1 => answer[at] ^= 1 << random.below(8),
         // A burst of up to 16 bits.
         2 => {
-            answer[at] ^= 1 << dice.below(8);
+            answer[at] ^= 1 << random.below(8);
             if let Some(next) = answer.get_mut(at + 1) {
-                *next ^= dice.below(256) as u8;
+                *next ^= random.byte();
             }
         }
         3 => drop(answer.remove(at)),
         // Inside: a byte after the end belongs to no answer.
-        4 => answer.insert(at, dice.below(256) as u8),
+        4 => answer.insert(at, random.byte()),
         _ => answer.truncate(at.max(1)),
     }
 }
@@ -46,14 +35,14 @@ fn noisy(bx2: bool, seed: u64) -> (Bench, Rc<Cell<u64>>) {
     let mut bench = Bench::new(jump(52, 60.0, 3.0), settings, 921_600);
     let corrupted = Rc::new(Cell::new(0));
     let count = Rc::clone(&corrupted);
-    let (mut dice, mut in_a_row) = (Dice(seed), 0);
+    let (mut random, mut in_a_row) = (Random::new(seed), 0);
     bench.damage = Box::new(move |answer| {
-        if !answer.starts_with(&[0xC4]) || dice.below(3) > 0 || in_a_row == 4 {
+        if !answer.starts_with(&[0xC4]) || !random.one_in(3) || in_a_row == 4 {
             in_a_row = 0;
             return;
         }
         let whole = answer.clone();
-        corrupt(answer, &mut dice);
+        corrupt(answer, &mut random);
         if *answer != whole {
             in_a_row += 1;
             count.set(count.get() + 1);
@@ -103,12 +92,12 @@ fn one_corrupted_answer_costs_a_bounded_time() {
     bench.run_for(500 * MS);
     for seed in 1..200 {
         let before = bench.frames.len();
-        let mut dice = Dice(seed);
+        let mut random = Random::new(seed);
         let done = Rc::new(Cell::new(false));
         let flag = Rc::clone(&done);
         bench.damage = Box::new(move |answer| {
             if !flag.replace(true) {
-                corrupt(answer, &mut dice);
+                corrupt(answer, &mut random);
             }
         });
         let flag = Rc::clone(&done);
@@ -123,10 +112,10 @@ fn one_corrupted_answer_costs_a_bounded_time() {
 fn damaged_answers_of_the_bring_up_are_asked_for_again() {
     for seed in 1..=50 {
         let mut bench = Bench::new(jump(20, 60.0, 1.0), settings(&["head"], true), 115_200);
-        let mut dice = Dice(seed);
+        let mut random = Random::new(seed);
         bench.damage = Box::new(move |answer| {
-            if dice.below(5) == 0 && !answer.is_empty() {
-                corrupt(answer, &mut dice);
+            if random.one_in(5) && !answer.is_empty() {
+                corrupt(answer, &mut random);
             }
         });
         bench.identify();

@@ -3,9 +3,9 @@
 use mocapd_drivers::device::{Command, Protocol};
 use mocapd_simulator::device::LineDevice;
 use mocapd_simulator::ndi::{NdiDevice, NdiSettings};
+use mocapd_testkit::random::Random;
 
 use super::bench::{Bench, MS, assert_is_row, jump, settings};
-use super::damage::Dice;
 
 #[test]
 fn every_single_byte_of_an_answer_can_be_wrong() {
@@ -45,14 +45,16 @@ fn a_device_that_babbles_is_bounded_and_recovers() {
     for seed in 1..=40 {
         let settings = NdiSettings { looping: true, ..settings(&["head"], true) };
         let mut bench = Bench::new(jump(12, 60.0, 1.0), settings, 921_600);
-        let mut dice = Dice(seed);
+        let mut random = Random::new(seed);
         bench.damage = Box::new(move |answer| {
             // Garbage before, behind and in the place of answers, up to more than any answer has.
-            match dice.below(4) {
+            match random.below(4) {
                 0 => {}
-                1 => answer.extend((0..dice.below(5_000)).map(|_| dice.below(256) as u8)),
-                2 => *answer = (0..dice.below(200_000)).map(|_| dice.below(256) as u8).collect(),
-                _ => *answer = vec![[0xC4, 0xC8, b'\r', 0xA5][dice.below(4)]; dice.below(1_000)],
+                1 => answer.extend((0..random.below(5_000)).map(|_| random.byte())),
+                2 => *answer = (0..random.below(200_000)).map(|_| random.byte()).collect(),
+                _ => {
+                    *answer = vec![[0xC4, 0xC8, b'\r', 0xA5][random.below(4)]; random.below(1_000)]
+                }
             }
         });
         bench.say(Command::Identify);
@@ -72,7 +74,7 @@ fn a_device_that_babbles_is_bounded_and_recovers() {
 #[test]
 fn any_bytes_may_come_from_a_host() {
     for seed in 1..=60 {
-        let mut dice = Dice(seed);
+        let mut random = Random::new(seed);
         let settings = NdiSettings { looping: true, ..settings(&["head"], true) };
         let mut device = NdiDevice::new(jump(12, 60.0, 1.0), settings).unwrap();
         let words = [
@@ -102,23 +104,23 @@ fn any_bytes_may_come_from_a_host() {
         ];
         let mut now_ns = 0;
         for _ in 0..4_000 {
-            let mut bytes = words[dice.below(words.len())].as_bytes().to_vec();
-            if dice.below(3) == 0 {
+            let mut bytes = words[random.below(words.len())].as_bytes().to_vec();
+            if random.one_in(3) {
                 let crc = mocapd_drivers::ndi::crc16(&bytes);
                 bytes.extend(format!("{crc:04X}\r").into_bytes());
             }
-            if dice.below(10) == 0 {
-                bytes.extend((0..dice.below(3_000)).map(|_| dice.below(256) as u8));
+            if random.one_in(10) {
+                bytes.extend((0..random.below(3_000)).map(|_| random.byte()));
             }
             device.on_bytes(&bytes, now_ns);
-            now_ns += dice.below(30) as u64 * MS;
+            now_ns += random.below(30) as u64 * MS;
             device.poll(now_ns);
-            if dice.below(50) == 0 {
+            if random.one_in(50) {
                 device.on_break(now_ns);
             }
             // A host that reads nothing for a while must not make it grow.
             assert!(device.pending().len() < 200_000);
-            if dice.below(20) == 0 {
+            if random.one_in(20) {
                 let n = device.pending().len();
                 device.sent(n);
             }
@@ -129,22 +131,26 @@ fn any_bytes_may_come_from_a_host() {
 #[test]
 fn a_host_that_is_told_nothing_and_everything_in_any_order() {
     for seed in 1..=60 {
-        let mut dice = Dice(seed * 77);
+        let mut random = Random::new(seed * 77);
         let settings = NdiSettings { looping: true, ..settings(&["head"], true) };
         let mut bench = Bench::new(jump(12, 60.0, 1.0), settings, 921_600);
         for turn in 0..600 {
-            match dice.below(8) {
+            match random.below(8) {
                 0 => bench.say(Command::Identify),
                 1 => bench.say(Command::Start { line_bytes_per_s: 0 }),
                 2 => bench.say(Command::Stop),
                 3 => bench.say(Command::Ping { host_ns: turn }),
                 4 => bench.say(Command::SetRate(60_000)),
                 5 => bench.device.on_break(bench.now_ns),
-                _ => bench.run_for(dice.below(300) as u64 * MS),
+                _ => bench.run_for(random.below(300) as u64 * MS),
             }
         }
         bench.say(Command::Stop);
         bench.run_for(4_000 * MS);
+        if let Some(words) = bench.failed.take() {
+            // Breaks while it changes its speed look like a line that does not carry the higher ones.
+            assert!(words.starts_with("the line is too slow"), "{words}");
+        }
         bench.say(Command::Identify);
         let hellos = bench.hellos.len();
         bench.run_until(|bench| bench.hellos.len() > hellos);

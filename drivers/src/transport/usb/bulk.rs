@@ -84,7 +84,8 @@ impl UsbTransport {
     /// `NotFound`, `Busy`, `PermissionDenied`; `Unsupported` for a device without a bulk pair, for several
     /// that are meant alike, and where the kernel has no memory for transfers; `Io`.
     pub fn open(vid: u16, pid: u16, serial: Option<&str>) -> Result<Self, TransportError> {
-        let (info, device) = find(vid, pid, serial)?;
+        let info = find(vid, pid, serial)?;
+        let device = UsbDevice::from(&info);
         let name = device.location().to_string();
         let address = format!("{}\n", info.device_address());
         let failed = |error| open_error(&device, error);
@@ -129,7 +130,7 @@ impl UsbTransport {
             TransferError::Fault | TransferError::Cancelled
                 if again && self.device.is_attached() =>
             {
-                self.received.pause();
+                thread::sleep(PAUSE);
             }
             TransferError::Fault | TransferError::Cancelled | TransferError::Disconnected => {
                 return Err(self.device.is_gone());
@@ -143,9 +144,9 @@ impl UsbTransport {
 impl Transport for UsbTransport {
     fn read(&mut self, buf: &mut [u8]) -> Result<usize, TransportError> {
         let n = self.received.take(buf, READ_TIMEOUT);
-        match self.received.take_error() {
+        match self.received.error.take() {
             // What came before the failure is read first; the next read meets it.
-            Some(error) if n > 0 => self.received.put_error_back(error),
+            Some(error) if n > 0 => self.received.error = Some(error),
             Some(error) => self.recover(error)?,
             None => {}
         }
@@ -161,7 +162,7 @@ impl Transport for UsbTransport {
     }
 
     fn describe(&self) -> String {
-        let (n, kib) = (self.received.transfers(), TRANSFER_BYTES >> 10);
+        let (n, kib) = (self.received.transfers, TRANSFER_BYTES >> 10);
         format!("USB device {}, {n} transfers of {kib} KiB", self.device.name)
     }
 

@@ -80,30 +80,16 @@ fn infos() -> Result<Vec<DeviceInfo>, TransportError> {
 ///
 /// # Errors
 /// `NotFound`; `Unsupported` where several are meant alike; `Io`.
-pub(super) fn find(
-    vid: u16,
-    pid: u16,
-    serial: Option<&str>,
-) -> Result<(DeviceInfo, UsbDevice), TransportError> {
-    let kind =
-        infos()?.into_iter().filter(|info| (info.vendor_id(), info.product_id()) == (vid, pid));
-    let mut kind: Vec<_> = kind.map(|info| (UsbDevice::from(&info), info)).collect();
-    let seen: Vec<UsbDevice> = kind.iter().map(|(device, _)| device.clone()).collect();
-    let chosen = choose(&Wanted { vid, pid, serial }, &seen)?;
-    let (device, info) = kind.swap_remove(chosen);
-    Ok((info, device))
-}
-
-struct Wanted<'a> {
-    vid: u16,
-    pid: u16,
-    serial: Option<&'a str>,
+pub(super) fn find(vid: u16, pid: u16, serial: Option<&str>) -> Result<DeviceInfo, TransportError> {
+    let mut kind = infos()?;
+    kind.retain(|info| (info.vendor_id(), info.product_id()) == (vid, pid));
+    let seen: Vec<UsbDevice> = kind.iter().map(UsbDevice::from).collect();
+    let name = Location::Usb { vid, pid, serial: serial.map(str::to_owned) }.to_string();
+    choose(name, serial, &seen).map(|chosen| kind.swap_remove(chosen))
 }
 
 /// Which of the devices of one kind is meant.
-fn choose(wanted: &Wanted<'_>, kind: &[UsbDevice]) -> Result<usize, TransportError> {
-    let &Wanted { vid, pid, serial } = wanted;
-    let name = Location::Usb { vid, pid, serial: serial.map(str::to_owned) };
+fn choose(name: String, serial: Option<&str>, kind: &[UsbDevice]) -> Result<usize, TransportError> {
     let is_meant = |device: &UsbDevice| serial.is_none_or(|s| device.serial.as_deref() == Some(s));
     let mut meant = kind.iter().enumerate().filter(|(_, device)| is_meant(device));
     let names = || {
@@ -112,7 +98,7 @@ fn choose(wanted: &Wanted<'_>, kind: &[UsbDevice]) -> Result<usize, TransportErr
     };
     match (meant.next(), meant.next()) {
         (Some((index, _)), None) => Ok(index),
-        (None, _) if kind.is_empty() => Err(TransportError::NotFound { device: name.to_string() }),
+        (None, _) if kind.is_empty() => Err(TransportError::NotFound { device: name }),
         (None, _) => Err(TransportError::NotFound {
             device: format!("{name} (attached of its kind: {})", names()),
         }),
@@ -229,7 +215,8 @@ mod tests {
     }
 
     fn chosen(serial: Option<&str>, kind: &[UsbDevice]) -> Result<usize, String> {
-        choose(&Wanted { vid: 0x1209, pid: 1, serial }, kind).map_err(|error| error.to_string())
+        let name = Location::Usb { vid: 0x1209, pid: 1, serial: serial.map(str::to_owned) };
+        choose(name.to_string(), serial, kind).map_err(|error| error.to_string())
     }
 
     #[test]

@@ -2,7 +2,6 @@
 
 use std::{
     collections::VecDeque,
-    thread,
     time::{Duration, Instant},
 };
 
@@ -41,9 +40,11 @@ pub(super) struct Queue {
     /// What of the first is given already.
     given: usize,
     rest: Vec<Buffer>,
-    transfers: usize,
+    /// How many there are.
+    pub(super) transfers: usize,
     failures: u32,
-    error: Option<TransferError>,
+    /// The first failure that nobody has mended yet.
+    pub(super) error: Option<TransferError>,
 }
 
 impl Queue {
@@ -74,11 +75,6 @@ impl Queue {
             }
             None => true,
         }
-    }
-
-    /// How many there are.
-    pub(super) fn transfers(&self) -> usize {
-        self.transfers
     }
 
     /// Bytes that came, waiting for the first so long.
@@ -155,22 +151,10 @@ impl Queue {
         }
     }
 
-    pub(super) fn take_error(&mut self) -> Option<TransferError> {
-        self.error.take()
-    }
-
-    pub(super) fn put_error_back(&mut self, error: TransferError) {
-        self.error = Some(error);
-    }
-
     /// Counts a failure: whether it is worth another try.
     pub(super) fn failed_again(&mut self) -> bool {
         self.failures += 1;
         self.failures <= FAILURES_MAX
-    }
-
-    pub(super) fn pause(&self) {
-        thread::sleep(PAUSE);
     }
 
     /// Takes every transfer back and clears the endpoint's halt. `false` when the device does not let us.
