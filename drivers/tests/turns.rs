@@ -6,6 +6,7 @@ use mocapd_drivers::transport::{
 };
 use mocapd_testkit::memory::pair;
 
+#[cfg(test)]
 fn write(bytes: &[u8], not_before_ns: u64) -> Order {
     Order::Write { request: Request::new(bytes).unwrap(), not_before_ns }
 }

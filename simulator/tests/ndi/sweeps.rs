@@ -53,7 +53,7 @@ fn a_device_that_babbles_is_bounded_and_recovers() {
                 1 => answer.extend((0..random.below(5_000)).map(|_| random.byte())),
                 2 => *answer = (0..random.below(200_000)).map(|_| random.byte()).collect(),
                 _ => {
-                    *answer = vec![[0xC4, 0xC8, b'\r', 0xA5][random.below(4)]; random.below(1_000)]
+                    *answer = vec![[0xC4, 0xC8, b'\r', 0xA5][random.below(4)]; random.below(1_000)];
                 }
             }
         });
