@@ -13,11 +13,11 @@
 
 use std::io::{self, Write};
 
-use serde::{Serialize, Serializer};
+use serde::Serializer;
 use serde_json::{Value, json};
 
 use super::{
-    InterchangeError, expect_frames, put_position,
+    InterchangeError, Result, expect_frames, put_position,
     text::{column_labels, plain},
     write_frames,
 };
@@ -40,7 +40,7 @@ impl Names {
     ///
     /// # Errors
     /// `Unsupported` when one is empty or has anything but letters and digits of ASCII.
-    pub fn new(subject: &str, task: &str) -> Result<Self, InterchangeError> {
+    pub fn new(subject: &str, task: &str) -> Result<Self> {
         for (what, name) in [("subject", subject), ("task", task)] {
             if name.is_empty() || !name.bytes().all(|b| b.is_ascii_alphanumeric()) {
                 return Err(InterchangeError::Unsupported(format!(
@@ -91,32 +91,28 @@ pub trait Folder {
 ///
 /// # Errors
 /// `Unsupported` for no markers at all; `Io`.
-pub fn write(
-    frames: &mut dyn FrameSource,
-    names: &Names,
-    folder: &mut dyn Folder,
-) -> Result<(), InterchangeError> {
+pub fn write(frames: &mut dyn FrameSource, names: &Names, folder: &mut dyn Folder) -> Result<()> {
     let info = frames.info().clone();
     if info.markers.is_empty() {
         return Err(InterchangeError::Unsupported(
             "bids needs a channel at least: the take has no markers".to_owned(),
         ));
     }
-    let mut put = |path: &str, text: &str| {
+    let mut put = |path: &str, content: &[u8]| {
         let mut file = folder.file(path)?;
-        file.write_all(text.as_bytes())?;
+        file.write_all(content)?;
         file.flush()
     };
-    put("dataset_description.json", &json(&dataset(names))?)?;
-    put("README.md", &readme(names, &info))?;
-    put("participants.tsv", &format!("participant_id\nsub-{}\n", names.subject()))?;
-    put("participants.json", &json(&participants())?)?;
-    put(&names.path("motion.json"), &json(&motion(names, &info))?)?;
-    put(&names.path("channels.tsv"), &channels(&info))?;
-    put(&names.path("channels.json"), &json(&about_channels(&info))?)?;
+    put("dataset_description.json", &dataset(names)?)?;
+    put("README.md", readme(names, &info).as_bytes())?;
+    put("participants.tsv", format!("participant_id\nsub-{}\n", names.subject()).as_bytes())?;
+    put("participants.json", &participants()?)?;
+    put(&names.path("motion.json"), &motion(names, &info)?)?;
+    put(&names.path("channels.tsv"), channels(&info).as_bytes())?;
+    put(&names.path("channels.json"), &about_channels(&info)?)?;
     if !info.events.is_empty() {
-        put(&names.path("events.tsv"), &events(&info))?;
-        put(&names.path("events.json"), &json(&about_events())?)?;
+        put(&names.path("events.tsv"), events(&info).as_bytes())?;
+        put(&names.path("events.json"), &about_events()?)?;
     }
     let mut out = folder.file(&names.path("motion.tsv"))?;
     // One line a frame, without a line of names.
@@ -159,24 +155,12 @@ fn cell(text: &str) -> String {
     let text = text.trim();
     if text.is_empty() { MISSING.to_owned() } else { text.to_owned() }
 }
-/// A JSON object whose members stay in this order.
-struct Object(Vec<(String, Value)>);
-
-impl Object {
-    fn of<const N: usize>(members: [(&str, Value); N]) -> Self {
-        Self(members.map(|(name, value)| (name.to_owned(), value)).into())
-    }
-}
-
-impl Serialize for Object {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_map(self.0.iter().map(|(name, value)| (name, value)))
-    }
-}
-
-/// A whole document.
-fn json(object: &Object) -> io::Result<String> {
-    Ok(serde_json::to_string_pretty(object)? + "\n")
+/// A JSON document of these members, in this order.
+fn json(members: impl IntoIterator<Item = (&'static str, Value)>) -> io::Result<Vec<u8>> {
+    let mut document = Vec::new();
+    serde_json::Serializer::pretty(&mut document).collect_map(members)?;
+    document.push(b'\n');
+    Ok(document)
 }
 
 /// A number as short as it can be: 100 Hz are not 100.0 Hz.
@@ -184,13 +168,13 @@ fn number(value: f64) -> Value {
     if value.fract() == 0.0 { json!(value as u64) } else { json!(value) }
 }
 
-fn dataset(names: &Names) -> Object {
+fn dataset(names: &Names) -> io::Result<Vec<u8>> {
     let generator = json!({
         "Name": "mocapd",
         "Version": env!("CARGO_PKG_VERSION"),
         "Description": "mocapd export",
     });
-    Object::of([
+    json([
         ("Name", format!("Optical motion capture: {}", names.task()).into()),
         ("BIDSVersion", BIDS_VERSION.into()),
         ("DatasetType", "raw".into()),
@@ -215,34 +199,39 @@ fn readme(names: &Names, info: &MotionInfo) -> String {
     )
 }
 
-fn participants() -> Object {
-    let id = json!({ "Description": "Unique label of the participant" });
-    Object::of([("participant_id", id)])
+fn participants() -> io::Result<Vec<u8>> {
+    json([("participant_id", json!({ "Description": "Unique label of the participant" }))])
 }
 
-fn motion(names: &Names, info: &MotionInfo) -> Object {
+fn motion(names: &Names, info: &MotionInfo) -> io::Result<Vec<u8>> {
     let n_markers = info.markers.len();
     // Channels that there are none of: the specification recommends to say so.
-    let others = ["ACCEL", "ANGACCEL", "GYRO", "JNTANG", "LATENCY", "MAGN", "MISC", "ORNT", "VEL"];
-    let mut object = Object(others.map(|kind| (format!("{kind}ChannelCount"), 0.into())).into());
-    object.0.extend(
-        Object::of([
-            ("TaskName", names.task().into()),
-            ("SamplingFrequency", number(info.rate_hz)),
-            ("TrackingSystemName", "optical".into()),
-            ("RecordingType", "continuous".into()),
-            ("RecordingDuration", number(info.n_frames as f64 / info.rate_hz)),
-            ("MotionChannelCount", (3 * n_markers).into()),
-            ("POSChannelCount", (3 * n_markers).into()),
-            ("TrackedPointsCount", n_markers.into()),
-            ("MissingValues", MISSING.into()),
-        ])
-        .0,
-    );
-    object
+    let none = [
+        "ACCELChannelCount",
+        "ANGACCELChannelCount",
+        "GYROChannelCount",
+        "JNTANGChannelCount",
+        "LATENCYChannelCount",
+        "MAGNChannelCount",
+        "MISCChannelCount",
+        "ORNTChannelCount",
+        "VELChannelCount",
+    ];
+    let about = [
+        ("TaskName", names.task().into()),
+        ("SamplingFrequency", number(info.rate_hz)),
+        ("TrackingSystemName", "optical".into()),
+        ("RecordingType", "continuous".into()),
+        ("RecordingDuration", number(info.n_frames as f64 / info.rate_hz)),
+        ("MotionChannelCount", (3 * n_markers).into()),
+        ("POSChannelCount", (3 * n_markers).into()),
+        ("TrackedPointsCount", n_markers.into()),
+        ("MissingValues", MISSING.into()),
+    ];
+    json(none.map(|name| (name, 0.into())).into_iter().chain(about))
 }
 
-fn about_channels(info: &MotionInfo) -> Object {
+fn about_channels(info: &MotionInfo) -> io::Result<Vec<u8>> {
     let up = match info.up.name() {
         Some(axis) => format!("{axis} points up"),
         None => "which axis points up is not known".to_owned(),
@@ -255,10 +244,10 @@ fn about_channels(info: &MotionInfo) -> Object {
         "Description": "What the coordinates are relative to",
         "Levels": { "global": global },
     });
-    Object::of([("reference_frame", frame)])
+    json([("reference_frame", frame)])
 }
 
-fn about_events() -> Object {
+fn about_events() -> io::Result<Vec<u8>> {
     let levels = json!({
         "mark": "Marked by an operator, or by the file that was imported",
         "trigger": "A trigger input of the device",
@@ -266,7 +255,7 @@ fn about_events() -> Object {
         "device": "Said by the device",
         "host": "Noticed by the recorder",
     });
-    Object::of([
+    json([
         ("trial_type", json!({ "Description": "What happened, in words" })),
         ("kind", json!({ "Description": "Who noticed it", "Levels": levels })),
     ])
@@ -295,9 +284,9 @@ mod tests {
     #[test]
     fn documents_are_in_order_and_escaped() {
         let inner = json!({ "a\"b": "c\\d\n\u{1}" });
-        let object = Object::of([("n", 3.into()), ("o", inner), ("x", number(f64::NAN))]);
+        let document = json([("n", 3.into()), ("o", inner), ("x", number(f64::NAN))]).unwrap();
         let expected = "{\n  \"n\": 3,\n  \"o\": {\n    \"a\\\"b\": \"c\\\\d\\n\\u0001\"\n  },\n  \"x\": null\n}\n";
-        assert_eq!(json(&object).unwrap(), expected);
+        assert_eq!(String::from_utf8(document).unwrap(), expected);
         assert_eq!([number(120.0), number(59.94)].map(|n| n.to_string()), ["120", "59.94"]);
     }
 }

@@ -127,15 +127,14 @@ impl LineFrames {
         if self.numbers.len() != self.n_lines || self.n_lines < 2 {
             return None;
         }
-        let pairs = || self.numbers.windows(2).filter_map(|w| Some((*w.first()?, *w.get(1)?)));
-        let falls = pairs().filter(|(a, b)| b <= a).count();
+        let falls = self.numbers.array_windows().filter(|[a, b]| b <= a).count();
         if falls > 0 {
             warnings.push(format!(
                 "Frame numbers do not rise in {falls} places; lines were taken as successive frames."
             ));
             return None;
         }
-        let steps: Vec<u64> = pairs().map(|(a, b)| b - a).collect();
+        let steps: Vec<u64> = self.numbers.array_windows().map(|[a, b]| b - a).collect();
         let common = steps.iter().copied().fold(0, greatest_common_divisor).max(1);
         let every = if steps.len() < DECIMATED_MIN { 1 } else { common };
         if every > 1 {
@@ -156,8 +155,7 @@ impl LineFrames {
         if self.times.len() != self.n_lines || self.n_lines < 2 {
             return None;
         }
-        let intervals: Vec<f64> =
-            self.times.windows(2).filter_map(|w| Some(w.get(1)? - w.first()?)).collect();
+        let intervals: Vec<f64> = self.times.array_windows().map(|[a, b]| b - a).collect();
         let usual = usual_intervals(&intervals)?;
         let rounding_s = self.rounding.seconds().min(usual.spread_s);
         let told_hz = 1.0 / usual.mean_s;

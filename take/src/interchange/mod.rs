@@ -69,6 +69,8 @@ pub enum Format {
     Bids,
 }
 
+type Result<T, E = InterchangeError> = std::result::Result<T, E>;
+
 /// Why bytes could not be read as a format, or trajectories not written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -123,7 +125,7 @@ impl Format {
     ///
     /// # Errors
     /// `Unsupported`, with what to do.
-    pub fn check_built(self) -> Result<(), InterchangeError> {
+    pub fn check_built(self) -> Result<()> {
         let is_heavy = matches!(self, Self::Parquet | Self::ParquetWide | Self::Mcap);
         if !is_heavy || cfg!(feature = "full") {
             return Ok(());
@@ -144,7 +146,7 @@ impl Format {
     ///
     /// # Errors
     /// `Malformed` when there is nothing usable; `Unsupported` for a format that is written only.
-    pub fn read(self, bytes: &[u8]) -> Result<Motion, InterchangeError> {
+    pub fn read(self, bytes: &[u8]) -> Result<Motion> {
         self.read_with(bytes, &ReadOptions::default())
     }
 
@@ -152,11 +154,7 @@ impl Format {
     ///
     /// # Errors
     /// As [`Self::read`].
-    pub fn read_with(
-        self,
-        bytes: &[u8],
-        options: &ReadOptions,
-    ) -> Result<Motion, InterchangeError> {
+    pub fn read_with(self, bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
         match self {
             Self::C3d => c3d::read(bytes, options),
             Self::Trc => trc::read(bytes, options),
@@ -196,10 +194,8 @@ impl Format {
             Self::Trc | Self::Csv | Self::CsvLong => info.events.len(),
             _ => 0,
         };
-        match events {
-            0 => {}
-            1 => left_out.push("1 event".to_owned()),
-            n => left_out.push(format!("{n} events")),
+        if events > 0 {
+            left_out.push(format!("{events} event{}", if events == 1 { "" } else { "s" }));
         }
         left_out
     }
@@ -215,11 +211,7 @@ impl Format {
     ///
     /// # Errors
     /// `Unsupported` for what the format cannot hold, and for BIDS, which is a folder; `Io`.
-    pub fn write(
-        self,
-        frames: &mut dyn FrameSource,
-        out: &mut dyn Write,
-    ) -> Result<(), InterchangeError> {
+    pub fn write(self, frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
         match self {
             Self::C3d => c3d::write(frames, out),
             Self::Trc => trc::write(frames, out),

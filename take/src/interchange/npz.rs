@@ -16,7 +16,7 @@ use std::io::{self, BufWriter, Write};
 
 use rawzip::{Error as ZipError, ErrorKind as ZipErrorKind, ZipArchiveWriter, time::UtcDateTime};
 
-use super::{InterchangeError, expect_frames, write_frames};
+use super::{InterchangeError, Result, expect_frames, write_frames};
 use crate::motion::{FrameSource, GAP, MotionEvent, MotionInfo, is_gap};
 
 /// Bytes that a head's length is a multiple of, so that elements are aligned.
@@ -27,23 +27,20 @@ const TEXT_BYTES_MAX: u64 = 1 << 26;
 const CHANGED_UNIX_S: i64 = 315_532_800;
 
 /// Writes a whole archive.
-pub(super) fn write(
-    frames: &mut dyn FrameSource,
-    out: &mut dyn Write,
-) -> Result<(), InterchangeError> {
+pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
     let info = frames.info().clone();
     let mut archive = Archive(ZipArchiveWriter::new(out));
     about(&info, &mut archive)?;
     events(&info, &mut archive)?;
     archive.stream("time_s.npy", |out| {
         let mut out = BufWriter::new(out);
-        out.write_all(&header(Kind::F64, &[info.n_frames]))?;
+        out.write_all(&header(F64, &[info.n_frames]))?;
         let times_s = (0..info.n_frames).map(|index| index as f64 / info.rate_hz);
         times_s.map(f64::to_le_bytes).try_for_each(|time| out.write_all(&time))?;
         out.flush()
     })?;
     archive.stream("positions_mm.npy", |out| {
-        let head = header(Kind::F32, &[info.n_frames, info.markers.len() as u64, 3]);
+        let head = header(F32, &[info.n_frames, info.markers.len() as u64, 3]);
         let n_written = write_frames(frames, out, head, |buffer, _, row| {
             for &position in row {
                 let position = if is_gap(position) { GAP } else { position };
@@ -91,27 +88,27 @@ fn failed(error: ZipError) -> io::Error {
 }
 
 /// The markers, and what stands once.
-fn about(info: &MotionInfo, archive: &mut Archive<'_>) -> Result<(), InterchangeError> {
+fn about(info: &MotionInfo, archive: &mut Archive<'_>) -> Result<()> {
     let labels: Vec<&str> = info.markers.iter().map(|marker| marker.label.as_str()).collect();
     archive.put("labels.npy", &texts(&labels)?)?;
-    let mut labelled = header(Kind::Bool, &[info.markers.len() as u64]);
+    let mut labelled = header(BOOL, &[info.markers.len() as u64]);
     labelled.extend(info.markers.iter().map(|marker| u8::from(marker.labelled)));
     archive.put("labelled.npy", &labelled)?;
-    let one = |kind: Kind, bytes: [u8; 8]| [header(kind, &[]), bytes.to_vec()].concat();
-    archive.put("rate_hz.npy", &one(Kind::F64, info.rate_hz.to_le_bytes()))?;
-    archive.put("first_frame.npy", &one(Kind::I64, info.source.first_frame.to_le_bytes()))?;
+    let one = |kind: &str, bytes: [u8; 8]| [header(kind, &[]), bytes.to_vec()].concat();
+    archive.put("rate_hz.npy", &one(F64, info.rate_hz.to_le_bytes()))?;
+    archive.put("first_frame.npy", &one(I64, info.source.first_frame.to_le_bytes()))?;
     archive.put("unit.npy", &text("mm"))?;
     archive.put("up.npy", &text(info.up.name().unwrap_or_default()))?;
     Ok(())
 }
 
-fn events(info: &MotionInfo, archive: &mut Archive<'_>) -> Result<(), InterchangeError> {
+fn events(info: &MotionInfo, archive: &mut Archive<'_>) -> Result<()> {
     let events = &info.events;
     let n = events.len() as u64;
-    let mut numbers = header(Kind::I64, &[n]);
+    let mut numbers = header(I64, &[n]);
     numbers.extend(events.iter().flat_map(|event| event.frame.to_le_bytes()));
     archive.put("event_frame.npy", &numbers)?;
-    let mut times = header(Kind::F64, &[n]);
+    let mut times = header(F64, &[n]);
     let time_s = events.iter().map(|event| event.frame as f64 / info.rate_hz);
     times.extend(time_s.flat_map(f64::to_le_bytes));
     archive.put("event_time_s.npy", &times)?;
@@ -122,36 +119,19 @@ fn events(info: &MotionInfo, archive: &mut Archive<'_>) -> Result<(), Interchang
     Ok(())
 }
 
-/// Types of elements.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Kind {
-    Bool,
-    I64,
-    F32,
-    F64,
-    /// UTF-32, so many characters each.
-    Text(usize),
-}
-
-impl Kind {
-    fn name(self) -> String {
-        match self {
-            Self::Bool => "|b1".to_owned(),
-            Self::I64 => "<i8".to_owned(),
-            Self::F32 => "<f4".to_owned(),
-            Self::F64 => "<f8".to_owned(),
-            Self::Text(characters) => format!("<U{characters}"),
-        }
-    }
-}
+// Types of elements, as NumPy writes them; texts are of UTF-32, so many characters each: `<U8`.
+const BOOL: &str = "|b1";
+const I64: &str = "<i8";
+const F32: &str = "<f4";
+const F64: &str = "<f8";
 
 /// The head of an array; no dimensions for a single element.
-fn header(kind: Kind, shape: &[u64]) -> Vec<u8> {
+fn header(kind: &str, shape: &[u64]) -> Vec<u8> {
     let shape: String = shape.iter().map(|n| format!("{n}, ")).collect();
     // A tuple of one keeps its comma; Python reads one behind the last of several, too.
     let about = format!(
         "{{'descr': '{}', 'fortran_order': False, 'shape': ({}), }}",
-        kind.name(),
+        kind,
         shape.trim_end()
     );
     let mut head = b"\x93NUMPY\x01\x00\0\0".to_vec();
@@ -167,7 +147,7 @@ fn header(kind: Kind, shape: &[u64]) -> Vec<u8> {
 }
 
 /// An array of texts.
-fn texts(texts: &[&str]) -> Result<Vec<u8>, InterchangeError> {
+fn texts(texts: &[&str]) -> Result<Vec<u8>> {
     let longest = texts.iter().map(|text| text.chars().count()).max().unwrap_or(0).max(1);
     let n = texts.len() as u64;
     if n.saturating_mul(4 * longest as u64) > TEXT_BYTES_MAX {
@@ -175,7 +155,7 @@ fn texts(texts: &[&str]) -> Result<Vec<u8>, InterchangeError> {
             "npz gives every text the room of the longest: {n} of {longest} characters are too many"
         )));
     }
-    let mut array = header(Kind::Text(longest), &[n]);
+    let mut array = header(&format!("<U{longest}"), &[n]);
     texts.iter().for_each(|text| push_text(text, longest, &mut array));
     Ok(array)
 }
@@ -183,7 +163,7 @@ fn texts(texts: &[&str]) -> Result<Vec<u8>, InterchangeError> {
 /// A single text.
 fn text(text: &str) -> Vec<u8> {
     let characters = text.chars().count().max(1);
-    let mut array = header(Kind::Text(characters), &[]);
+    let mut array = header(&format!("<U{characters}"), &[]);
     push_text(text, characters, &mut array);
     array
 }
@@ -205,7 +185,7 @@ mod tests {
             (&[7][..], "'shape': (7,), }"),
             (&[7, 2, 3], "'shape': (7, 2, 3,), }"),
         ] {
-            let head = header(Kind::F32, shape);
+            let head = header(F32, shape);
             assert!(head.len().is_multiple_of(ALIGNMENT) && head.ends_with(b"\n"));
             assert_eq!(usize::from(u16::from_le_bytes([head[8], head[9]])), head.len() - 10);
             let text = String::from_utf8_lossy(&head[10..]).into_owned();
@@ -216,7 +196,7 @@ mod tests {
     #[test]
     fn texts_have_the_room_of_the_longest() {
         let array = texts(&["a", "", "\u{4e2d}b"]).unwrap();
-        let head = header(Kind::Text(2), &[3]).len();
+        let head = header("<U2", &[3]).len();
         let words: Vec<u32> =
             array[head..].as_chunks().0.iter().map(|&b| u32::from_le_bytes(b)).collect();
         assert_eq!(words, [0x61, 0, 0, 0, 0x4e2d, 0x62]);

@@ -14,7 +14,7 @@ use parquet::{
     schema::types::{ColumnPath, Type},
 };
 
-use super::{InterchangeError, about::about, text::column_labels};
+use super::{InterchangeError, Result, about::about, text::column_labels};
 use crate::motion::{FrameSource, GAP, Position, is_gap};
 
 /// Rows of a group: 8 MB in memory.
@@ -39,10 +39,7 @@ struct LongRows {
 }
 
 /// A row a sample: frame, time, marker, x, y, z. What is missing has no row.
-pub(super) fn write_long(
-    frames: &mut dyn FrameSource,
-    out: &mut dyn Write,
-) -> Result<(), InterchangeError> {
+pub(super) fn write_long(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
     let info = frames.info().clone();
     let names: Vec<ByteArray> =
         column_labels(&info).into_iter().map(|label| ByteArray::from(label.into_bytes())).collect();
@@ -70,14 +67,14 @@ pub(super) fn write_long(
 }
 
 impl LongRows {
-    fn flush(&mut self, file: &mut ParquetFile<'_>) -> Result<(), InterchangeError> {
+    fn flush(&mut self, file: &mut ParquetFile<'_>) -> Result<()> {
         if self.frame.is_empty() {
             return Ok(());
         }
         file.group(|group| {
             group.column::<Int64Type>(&self.frame, None)?;
             group.column::<DoubleType>(&self.time_s, None)?;
-            group.text(&self.marker)?;
+            group.column::<ByteArrayType>(&self.marker, None)?;
             self.axes.iter().try_for_each(|axis| group.column::<FloatType>(axis, None))
         })?;
         self.frame.clear();
@@ -95,10 +92,7 @@ const WIDE_GROUP_VALUES: usize = 1 << 22;
 const WIDE_GROUP_ROWS_MAX: usize = 1 << 17;
 
 /// A row a frame: frame, time, and three columns a marker, null where it has no sample.
-pub(super) fn write_wide(
-    frames: &mut dyn FrameSource,
-    out: &mut dyn Write,
-) -> Result<(), InterchangeError> {
+pub(super) fn write_wide(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
     let info = frames.info().clone();
     let names: Vec<String> = column_labels(&info)
         .iter()
@@ -175,7 +169,7 @@ impl<'a> ParquetFile<'a> {
         layout: &str,
         columns: &[(&str, Kind)],
         out: &'a mut dyn Write,
-    ) -> Result<Self, InterchangeError> {
+    ) -> Result<Self> {
         let fields = columns.iter().map(|(name, kind)| field(name, *kind).map(Arc::new));
         let fields = fields.collect::<Result<_, _>>().map_err(failed)?;
         let schema = Type::group_type_builder("mocapd").with_fields(fields).build();
@@ -210,7 +204,7 @@ impl<'a> ParquetFile<'a> {
     fn group(
         &mut self,
         fill: impl FnOnce(&mut Group<'_>) -> Result<(), ParquetError>,
-    ) -> Result<(), InterchangeError> {
+    ) -> Result<()> {
         {
             let mut group = Group(self.file.next_row_group().map_err(failed)?);
             fill(&mut group).map_err(failed)?;
@@ -221,7 +215,7 @@ impl<'a> ParquetFile<'a> {
     }
 
     /// The footer.
-    fn finish(mut self) -> Result<(), InterchangeError> {
+    fn finish(mut self) -> Result<()> {
         self.pass_on()?;
         let rest = self.file.into_inner().map_err(failed)?;
         self.out.write_all(&rest)?;
@@ -229,7 +223,7 @@ impl<'a> ParquetFile<'a> {
     }
 
     /// The library counts what it wrote; where it lies then is no concern of its.
-    fn pass_on(&mut self) -> Result<(), InterchangeError> {
+    fn pass_on(&mut self) -> Result<()> {
         let written = self.file.inner_mut();
         self.out.write_all(written)?;
         written.clear();
@@ -252,11 +246,6 @@ impl Group<'_> {
         };
         column.typed::<T>().write_batch(values, present, None)?;
         column.close()
-    }
-
-    /// The next column, of names.
-    fn text(&mut self, values: &[ByteArray]) -> Result<(), ParquetError> {
-        self.column::<ByteArrayType>(values, None)
     }
 }
 

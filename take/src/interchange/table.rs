@@ -1,7 +1,7 @@
 //! Tables of trajectories in text: rows of three cells a marker, and the frame that each row is. TRC, TSV and CSV differ
 //! in what stands above the rows, between the cells, and for a missing sample.
 
-use super::{InterchangeError, line_frames::LineFrames, units::Millimetres};
+use super::{InterchangeError, Result, line_frames::LineFrames, units::Millimetres};
 use crate::motion::{GAP, Position};
 
 /// Positions a byte of text may claim: a short row next to a wide one must not earn unbounded memory.
@@ -40,23 +40,20 @@ pub(super) enum Cells {
 /// Reads the next three cells; missing cells count as empty.
 pub(super) fn three_cells(cells: &mut dyn Iterator<Item = &[u8]>) -> Cells {
     let mut position = [0.0; 3];
-    let mut empty = false;
-    let mut damaged = false;
+    let (mut is_empty, mut is_damaged) = (false, false);
     for value in &mut position {
         match cells.next().map(<[u8]>::trim_ascii) {
-            None | Some([]) => empty = true,
+            None | Some([]) => is_empty = true,
             Some(cell) => match super::text::number(cell) {
                 Some(number) => *value = number,
-                None => damaged = true,
+                None => is_damaged = true,
             },
         }
     }
-    if damaged {
-        Cells::Damaged
-    } else if empty {
-        Cells::Empty
-    } else {
-        Cells::Position(position)
+    match (is_damaged, is_empty) {
+        (true, _) => Cells::Damaged,
+        (false, true) => Cells::Empty,
+        (false, false) => Cells::Position(position),
     }
 }
 
@@ -202,7 +199,7 @@ impl<'a> Table<'a> {
     ///
     /// # Errors
     /// `Malformed` when that is more than so many bytes of text can mean.
-    pub(super) fn into_positions(self, width: usize) -> Result<Vec<Position>, InterchangeError> {
+    pub(super) fn into_positions(self, width: usize) -> Result<Vec<Position>> {
         let total = width.saturating_mul(self.ends.len());
         if total == self.positions.len() {
             return Ok(self.positions);

@@ -8,7 +8,7 @@
 use std::io::Write;
 
 use super::{
-    InterchangeError, ReadOptions, expect_frames,
+    InterchangeError, ReadOptions, Result, expect_frames,
     origin::{self, beside_origin},
     put_position,
     table::{CUT_OFF, Table},
@@ -31,7 +31,7 @@ const LEAD_CELLS: usize = 2;
 const HEAD_LINES_MAX: usize = 16;
 
 /// Reads a whole file.
-pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, InterchangeError> {
+pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let mut notes = Notes::default();
     let head = Head::parse(bytes, &mut notes.warnings)?;
     let unit = FileUnit::of(&head.unit, options.unit, &mut notes);
@@ -97,7 +97,7 @@ struct Head {
 }
 
 impl Head {
-    fn parse(bytes: &[u8], warnings: &mut Vec<String>) -> Result<Self, InterchangeError> {
+    fn parse(bytes: &[u8], warnings: &mut Vec<String>) -> Result<Self> {
         let begins_with = |line: &[u8], name: &[u8]| {
             let start = line.trim_ascii_start().get(..name.len());
             start.is_some_and(|start| start.eq_ignore_ascii_case(name))
@@ -202,14 +202,13 @@ fn read_rows(
     head: &Head,
     separator: Separator,
     warnings: &mut Vec<String>,
-) -> Result<usize, InterchangeError> {
+) -> Result<usize> {
     let exact_width = match separator {
         Separator::Byte(_) => None,
         Separator::Spaces => exact_width(bytes, head)?,
     };
     let mut width = exact_width.unwrap_or(0);
-    let mut skipped_lines = Skipped::default();
-    let mut skipped_rows = Skipped::default();
+    let (mut skipped_lines, mut skipped_rows) = (Vec::new(), Vec::new());
     let mut n_cells = 0;
     for (at, line) in text::lines(bytes).skip(head.labels_line) {
         if frame_number(line, separator).is_none() {
@@ -217,7 +216,7 @@ fn read_rows(
             let own = Separator::of(line);
             let is_empty = own.cells(line).next().is_none_or(|cell| cell.trim_ascii().is_empty());
             if !is_empty && !is_axes(own, line) {
-                skipped_lines.add(at);
+                skipped_lines.push(at);
             }
             continue;
         }
@@ -227,7 +226,7 @@ fn read_rows(
         if is_aligned(line, separator, exact_width) {
             width = width.max(table.read_samples(&mut cells));
         } else {
-            skipped_rows.add(at);
+            skipped_rows.push(at);
         }
         table.end_row();
     }
@@ -235,12 +234,14 @@ fn read_rows(
         table.drop_cut((n_cells - LEAD_CELLS - 1) / 3);
         warnings.push(CUT_OFF.to_owned());
     }
-    if let Skipped { n: n @ 1.., first } = skipped_lines {
+    if let Some(first) = skipped_lines.first() {
+        let n = skipped_lines.len();
         warnings.push(format!(
             "{n} lines do not begin with a frame number and were left out, the first is line {first}."
         ));
     }
-    if let Skipped { n: n @ 1.., first } = skipped_rows {
+    if let Some(first) = skipped_rows.first() {
+        let n = skipped_rows.len();
         warnings.push(format!(
             "{n} rows do not have the cells of all markers, or another separator than the others; which cell is whose \
              is not known, and they are gaps. The first is line {first}."
@@ -249,22 +250,6 @@ fn read_rows(
     table.report_damaged(warnings);
     table.report_not_finite(warnings);
     Ok(width)
-}
-
-/// Lines that could not be read.
-#[derive(Default)]
-struct Skipped {
-    n: usize,
-    first: usize,
-}
-
-impl Skipped {
-    fn add(&mut self, line: usize) {
-        if self.n == 0 {
-            self.first = line;
-        }
-        self.n += 1;
-    }
 }
 
 /// The number that a row begins with, also where something else than in other rows stands between its cells; `None` for
@@ -300,7 +285,7 @@ fn separator_of_rows(bytes: &[u8], head: &Head) -> Separator {
 ///
 /// # Errors
 /// `Malformed` when no row agrees.
-fn exact_width(bytes: &[u8], head: &Head) -> Result<Option<usize>, InterchangeError> {
+fn exact_width(bytes: &[u8], head: &Head) -> Result<Option<usize>> {
     let announced = head.n_markers.and_then(|n| usize::try_from(n).ok());
     let stated = [announced, Some(head.labels.len())].map(|n| n.filter(|&n| n > 0));
     let mut agreeing = [0usize; 2];
@@ -339,11 +324,9 @@ fn width_of(line: &[u8]) -> Option<usize> {
 /// Whether each cell of a row stands in the column of its marker.
 fn is_aligned(line: &[u8], separator: Separator, exact_width: Option<usize>) -> bool {
     match separator {
-        Separator::Spaces => match (width_of(line), exact_width) {
-            (Some(width), Some(exact)) => width == exact,
-            (width, None) => width.is_some(),
-            (None, Some(_)) => false,
-        },
+        Separator::Spaces => {
+            width_of(line).is_some_and(|width| exact_width.is_none_or(|exact| width == exact))
+        }
         // A number alone is a frame without a position.
         Separator::Byte(_) => separator.is_in(line) || text::whole_number(line).is_some(),
     }
@@ -363,10 +346,7 @@ fn is_axes(separator: Separator, line: &[u8]) -> bool {
 ///
 /// Lines end in a tab, as `OpenSim` writes them: its reader takes what stands behind the last tab for a cell only when
 /// it is not empty, so that a row whose last sample is missing would have a cell too few.
-pub(super) fn write(
-    frames: &mut dyn FrameSource,
-    out: &mut dyn Write,
-) -> Result<(), InterchangeError> {
+pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
     let info = frames.info().clone();
     let first_frame = info.source.first_frame.max(1);
     let mut head = Vec::new();
@@ -383,11 +363,7 @@ pub(super) fn write(
     Ok(expect_frames(info.n_frames, n_written)?)
 }
 
-fn write_head(
-    line: &mut Vec<u8>,
-    info: &MotionInfo,
-    first_frame: u64,
-) -> Result<(), InterchangeError> {
+fn write_head(line: &mut Vec<u8>, info: &MotionInfo, first_frame: u64) -> Result<()> {
     let n_markers = info.markers.len();
     let kept = &text::kept_header(info, HEADER)?[..];
     let name =

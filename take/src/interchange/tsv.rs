@@ -9,7 +9,7 @@
 use std::io::Write;
 
 use super::{
-    InterchangeError, ReadOptions, expect_frames,
+    InterchangeError, ReadOptions, Result, expect_frames,
     origin::beside_origin,
     put_position,
     table::Table,
@@ -27,7 +27,7 @@ use crate::{
 const HEADER: &str = "tsv/header";
 
 /// Reads a whole file.
-pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, InterchangeError> {
+pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let mut notes = Notes::default();
     let head = Head::parse(bytes)?;
     let unit = FileUnit::of("mm", options.unit, &mut notes);
@@ -95,7 +95,7 @@ struct Head {
 }
 
 impl Head {
-    fn parse(bytes: &[u8]) -> Result<Self, InterchangeError> {
+    fn parse(bytes: &[u8]) -> Result<Self> {
         let mut head = Self::default();
         let mut rate_hz = None;
         let mut is_qtm = false;
@@ -217,10 +217,7 @@ fn malformed(line: usize, message: &str) -> InterchangeError {
 
 /// Writes a whole file: millimetres, LF, missing samples as zeros, as many digits as bring back the f32. The numbers
 /// of the frames and their times stand before the positions when they say more than the line's place.
-pub(super) fn write(
-    frames: &mut dyn FrameSource,
-    out: &mut dyn Write,
-) -> Result<(), InterchangeError> {
+pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
     let info = frames.info().clone();
     let first_frame = info.source.first_frame;
     // A line without columns would be empty, and empty lines are no frames.
@@ -242,11 +239,7 @@ pub(super) fn write(
     Ok(expect_frames(info.n_frames, n_written)?)
 }
 
-fn write_head(
-    line: &mut Vec<u8>,
-    info: &MotionInfo,
-    numbered: bool,
-) -> Result<(), InterchangeError> {
+fn write_head(line: &mut Vec<u8>, info: &MotionInfo, numbered: bool) -> Result<()> {
     let kept = &kept_header(info, HEADER)?[..];
     let original =
         |name: &str, else_: &str| value_of(kept, name).unwrap_or_else(|| else_.to_owned());

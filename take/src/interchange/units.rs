@@ -53,18 +53,23 @@ const NAMES: [(&str, LengthUnit); 20] = [
 ];
 
 impl LengthUnit {
+    /// Its sign, and millimetres in one of it.
+    const fn sign_and_mm(self) -> (&'static str, f64) {
+        match self {
+            Self::Micrometre => ("um", 1e-3),
+            Self::Millimetre => ("mm", 1.0),
+            Self::Centimetre => ("cm", 10.0),
+            Self::Decimetre => ("dm", 100.0),
+            Self::Metre => ("m", 1000.0),
+            Self::Inch => ("in", 25.4),
+            Self::Foot => ("ft", 304.8),
+        }
+    }
+
     /// Millimetres in one of it.
     #[must_use]
     pub fn mm(self) -> f64 {
-        match self {
-            Self::Micrometre => 1e-3,
-            Self::Millimetre => 1.0,
-            Self::Centimetre => 10.0,
-            Self::Decimetre => 100.0,
-            Self::Metre => 1000.0,
-            Self::Inch => 25.4,
-            Self::Foot => 304.8,
-        }
+        self.sign_and_mm().1
     }
 
     /// By its sign or name as files have it: in any case, in the singular or plural, with brackets, cut short.
@@ -105,15 +110,7 @@ impl LengthUnit {
 
 impl fmt::Display for LengthUnit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Micrometre => "um",
-            Self::Millimetre => "mm",
-            Self::Centimetre => "cm",
-            Self::Decimetre => "dm",
-            Self::Metre => "m",
-            Self::Inch => "in",
-            Self::Foot => "ft",
-        })
+        f.write_str(self.sign_and_mm().0)
     }
 }
 
@@ -219,18 +216,22 @@ const STATED_JUDGED_FRAMES_MIN: usize = 50;
 /// Most frames that are measured, evenly spread.
 const FRAMES_MEASURED: usize = 500;
 
+/// The frames that are measured.
+fn measured(positions: &[Position], n_markers: usize) -> impl Iterator<Item = &[Position]> {
+    let n_frames = positions.len().checked_div(n_markers).unwrap_or(0);
+    let step = n_frames.div_ceil(FRAMES_MEASURED).max(1);
+    positions.chunks(n_markers.max(1)).step_by(step)
+}
+
 /// What the markers span: the largest extent along an axis of the markers of one frame, in the median over frames; of a
 /// single marker, or where frames have one each, of its whole path. 0 where there is nothing to measure.
 fn span(positions: &[Position], n_markers: usize) -> f64 {
-    let n_frames = positions.len().checked_div(n_markers).unwrap_or(0);
-    let step = n_frames.div_ceil(FRAMES_MEASURED).max(1);
-    let frames = || positions.chunks(n_markers.max(1)).step_by(step);
-    let mut spans: Vec<f64> = frames()
+    let mut spans: Vec<f64> = measured(positions, n_markers)
         .filter(|frame| frame.iter().filter(|&&at| !is_gap(at)).count() > 1)
         .map(|frame| extent(frame.iter().copied()))
         .collect();
     if spans.is_empty() {
-        return extent(frames().flatten().copied());
+        return extent(measured(positions, n_markers).flatten().copied());
     }
     let middle = spans.len() / 2;
     *spans.select_nth_unstable_by(middle, f64::total_cmp).1
@@ -238,11 +239,8 @@ fn span(positions: &[Position], n_markers: usize) -> f64 {
 
 /// The largest distance from the origin along an axis.
 fn farthest(positions: &[Position], n_markers: usize) -> f64 {
-    let n_frames = positions.len().checked_div(n_markers).unwrap_or(0);
-    let step = n_frames.div_ceil(FRAMES_MEASURED).max(1);
-    let sampled = positions.chunks(n_markers.max(1)).step_by(step).flatten();
-    let coordinates = sampled.filter(|&&at| !is_gap(at)).flatten();
-    coordinates.map(|&value| f64::from(value).abs()).fold(0.0, f64::max)
+    let present = measured(positions, n_markers).flatten().filter(|&&at| !is_gap(at));
+    present.flatten().map(|&value| f64::from(value).abs()).fold(0.0, f64::max)
 }
 
 /// The largest extent along an axis.

@@ -1,13 +1,17 @@
 //! XDF, the format of Lab Streaming Layer's recorder (github.com/sccn/xdf, version 1.0): chunks of streams, each with
 //! an XML head. The markers are one stream of the type `MoCap`, what happened another of the type `Markers`.
 
-use std::{
-    fmt::Write as _,
-    io::{self, Write},
-};
+use std::io::{self, Write};
 
-use super::{InterchangeError, expect_frames, text::column_labels};
+use super::{Result, expect_frames, text::column_labels};
 use crate::motion::{FrameSource, GAP, MotionInfo, is_gap};
+
+/// Tags of chunks.
+const FILE_HEADER: u16 = 1;
+const STREAM_HEADER: u16 = 2;
+const SAMPLES: u16 = 3;
+const CLOCK_OFFSET: u16 = 4;
+const STREAM_FOOTER: u16 = 6;
 
 /// Ids of the streams.
 const MOTION: u32 = 1;
@@ -18,18 +22,11 @@ const CHUNK_BYTES: usize = 1 << 16;
 
 /// Writes a whole file. Times are seconds from the first frame, each sample with its own; a missing sample is three
 /// NaN.
-pub(super) fn write(
-    frames: &mut dyn FrameSource,
-    out: &mut dyn Write,
-) -> Result<(), InterchangeError> {
+pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
     let info = frames.info().clone();
     out.write_all(b"XDF:")?;
-    put_chunk(
-        out,
-        tags::FILE_HEADER,
-        &[b"<?xml version=\"1.0\"?><info><version>1.0</version></info>"],
-    )?;
-    put_chunk(out, tags::STREAM_HEADER, &[&MOTION.to_le_bytes(), motion_head(&info).as_bytes()])?;
+    put_chunk(out, FILE_HEADER, &[b"<?xml version=\"1.0\"?><info><version>1.0</version></info>"])?;
+    put_chunk(out, STREAM_HEADER, &[&MOTION.to_le_bytes(), motion_head(&info).as_bytes()])?;
     put_own_clock(out, MOTION)?;
     if !info.events.is_empty() {
         write_events(&info, out)?;
@@ -52,13 +49,13 @@ pub(super) fn write(
     samples.flush(out)?;
     let last = n_written.saturating_sub(1) as f64 / info.rate_hz;
     let foot = foot(0.0, last, n_written, Some(info.rate_hz));
-    put_chunk(out, tags::STREAM_FOOTER, &[&MOTION.to_le_bytes(), foot.as_bytes()])?;
+    put_chunk(out, STREAM_FOOTER, &[&MOTION.to_le_bytes(), foot.as_bytes()])?;
     out.flush()?;
     Ok(())
 }
 
 fn write_events(info: &MotionInfo, out: &mut dyn Write) -> io::Result<()> {
-    put_chunk(out, tags::STREAM_HEADER, &[&EVENTS.to_le_bytes(), event_head().as_bytes()])?;
+    put_chunk(out, STREAM_HEADER, &[&EVENTS.to_le_bytes(), EVENT_HEAD.as_bytes()])?;
     put_own_clock(out, EVENTS)?;
     let mut samples = Samples::new(EVENTS);
     let time_s = |frame: u64| frame as f64 / info.rate_hz;
@@ -74,16 +71,7 @@ fn write_events(info: &MotionInfo, out: &mut dyn Write) -> io::Result<()> {
     let ends = info.events.first().zip(info.events.last());
     let (first, last) = ends.map_or((0.0, 0.0), |(a, b)| (time_s(a.frame), time_s(b.frame)));
     let foot = foot(first, last, info.events.len() as u64, None);
-    put_chunk(out, tags::STREAM_FOOTER, &[&EVENTS.to_le_bytes(), foot.as_bytes()])
-}
-
-/// What chunks are.
-mod tags {
-    pub(super) const FILE_HEADER: u16 = 1;
-    pub(super) const STREAM_HEADER: u16 = 2;
-    pub(super) const SAMPLES: u16 = 3;
-    pub(super) const CLOCK_OFFSET: u16 = 4;
-    pub(super) const STREAM_FOOTER: u16 = 6;
+    put_chunk(out, STREAM_FOOTER, &[&EVENTS.to_le_bytes(), foot.as_bytes()])
 }
 
 /// Appends a length: how many bytes it has, 1, 4 or 8, and then those.
@@ -112,7 +100,7 @@ fn put_chunk(out: &mut dyn Write, tag: u16, pieces: &[&[u8]]) -> io::Result<()> 
 /// Says that the times of a stream are those of the file: an offset of nothing, found at its beginning.
 fn put_own_clock(out: &mut dyn Write, stream: u32) -> io::Result<()> {
     let nothing = 0_f64.to_le_bytes();
-    put_chunk(out, tags::CLOCK_OFFSET, &[&stream.to_le_bytes(), &nothing, &nothing])
+    put_chunk(out, CLOCK_OFFSET, &[&stream.to_le_bytes(), &nothing, &nothing])
 }
 
 /// Samples of a stream, gathered into a chunk.
@@ -147,7 +135,7 @@ impl Samples {
         }
         let mut head = self.stream.to_le_bytes().to_vec();
         put_length(&mut head, self.n);
-        put_chunk(out, tags::SAMPLES, &[&head, &self.bytes])?;
+        put_chunk(out, SAMPLES, &[&head, &self.bytes])?;
         self.n = 0;
         self.bytes.clear();
         Ok(())
@@ -173,40 +161,32 @@ fn escaped(text: &str) -> String {
 /// The markers' stream: a channel a coordinate.
 fn motion_head(info: &MotionInfo) -> String {
     let labels: Vec<String> = column_labels(info).iter().map(|label| escaped(label)).collect();
-    let mut head = format!(
+    let channel = |label: &String, axis: &str| {
+        format!(
+            "<channel><label>{label}.{}</label><marker>{label}</marker><type>Position{axis}</type>\
+             <unit>millimeters</unit></channel>",
+            axis.to_ascii_lowercase()
+        )
+    };
+    let channels: String =
+        labels.iter().flat_map(|label| ["X", "Y", "Z"].map(|axis| channel(label, axis))).collect();
+    let markers: String =
+        labels.iter().map(|label| format!("<marker><label>{label}</label></marker>")).collect();
+    format!(
         "<?xml version=\"1.0\"?><info><name>mocapd</name><type>MoCap</type><channel_count>{}</channel_count>\
          <nominal_srate>{}</nominal_srate><channel_format>float32</channel_format><source_id>mocapd</source_id>\
-         <version>1.1</version><created_at>0</created_at><desc><channels>",
+         <version>1.1</version><created_at>0</created_at><desc><channels>{channels}</channels><setup>\
+         <name>mocapd</name><markers>{markers}</markers></setup></desc></info>",
         3 * labels.len(),
         info.rate_hz
-    );
-    for label in &labels {
-        for axis in ["X", "Y", "Z"] {
-            let name = axis.to_ascii_lowercase();
-            write!(
-                head,
-                "<channel><label>{label}.{name}</label><marker>{label}</marker><type>Position{axis}</type>\
-                 <unit>millimeters</unit></channel>"
-            )
-            .unwrap_or_default();
-        }
-    }
-    head.push_str("</channels><setup><name>mocapd</name><markers>");
-    for label in &labels {
-        write!(head, "<marker><label>{label}</label></marker>").unwrap_or_default();
-    }
-    head.push_str("</markers></setup></desc></info>");
-    head
+    )
 }
 
 /// The stream of what happened: one text a sample, at uneven times.
-fn event_head() -> String {
-    "<?xml version=\"1.0\"?><info><name>mocapd events</name><type>Markers</type><channel_count>1</channel_count>\
-     <nominal_srate>0</nominal_srate><channel_format>string</channel_format><source_id>mocapd events</source_id>\
-     <version>1.1</version><created_at>0</created_at><desc><channels><channel><label>event</label></channel>\
-     </channels></desc></info>"
-        .to_owned()
-}
+const EVENT_HEAD: &str = "<?xml version=\"1.0\"?><info><name>mocapd events</name><type>Markers</type>\
+     <channel_count>1</channel_count><nominal_srate>0</nominal_srate><channel_format>string</channel_format>\
+     <source_id>mocapd events</source_id><version>1.1</version><created_at>0</created_at><desc><channels><channel>\
+     <label>event</label></channel></channels></desc></info>";
 
 /// What closes a stream.
 fn foot(first_s: f64, last_s: f64, n: u64, rate_hz: Option<f64>) -> String {

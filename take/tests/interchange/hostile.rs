@@ -88,6 +88,9 @@ fn text_files_of_every_kind() {
     }
     let tsv = "NO_OF_FRAMES\t2\nFREQUENCY\t60\nEVENT\te\t2\t0.01\nMARKER_NAMES\tA\tB\nFrame\tA X\tA Y\tA Z\n1\t1\t2\t3\n2\t1\t2\t3\t4\t5\t6\n";
     sweep(Format::Tsv, tsv.as_bytes());
+    let motive = "Format Version,1.23,Export Frame Rate,120,Length Units,Meters\n\n,,Marker,Marker,Marker\n,,A,A,A\n,,1,1,1\n\
+                  ,,Position,Position,Position\nFrame,Time (Seconds),X,Y,Z\n0,0.0,1.5,2.5,3.5\n1,0.008333,1.5,2.5,3.5\n";
+    sweep(Format::Csv, motive.as_bytes());
 }
 
 #[test]

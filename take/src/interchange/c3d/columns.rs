@@ -18,8 +18,17 @@ pub(super) fn ordered(bits: u32) -> u32 {
 }
 
 /// The reverse of [`ordered`].
-pub(super) fn unordered(value: u32) -> u32 {
+fn unordered(value: u32) -> u32 {
     if value >> 31 == 1 { value & !(1 << 31) } else { !value }
+}
+
+/// The number that a sample of `width` bytes stands for: a float's bits in order, or an integer.
+pub(super) fn value(width: usize, sample: u32, is_unsigned: bool) -> f32 {
+    match width {
+        4 => f32::from_bits(unordered(sample)),
+        _ if is_unsigned => sample as f32,
+        _ => f32::from(sample as i16),
+    }
 }
 
 /// Appends a column of samples of `width` bytes (2 or 4).

@@ -176,10 +176,13 @@ fn output_data(frames: &Frames<'_>, points: &Points) -> Vec<u8> {
 
 /// What stands in front of a block of samples.
 #[derive(Debug)]
-struct SampleHead {
-    width: usize,
-    n_signals: usize,
-    ratio: usize,
+pub(super) struct SampleHead {
+    /// Bytes of a sample: 2 or 4.
+    pub(super) width: usize,
+    /// Channels, markers or points.
+    pub(super) n_signals: usize,
+    /// Samples a frame and signal.
+    pub(super) ratio: usize,
     first_frame: u64,
     n_frames: usize,
 }
@@ -211,12 +214,7 @@ impl SampleHead {
 /// Samples that were kept, read frame after frame.
 #[derive(Debug)]
 pub(super) struct KeptSamples<'a> {
-    /// Bytes of a sample: 2 or 4.
-    pub(super) width: usize,
-    /// Channels, markers or points.
-    pub(super) n_signals: usize,
-    /// Samples a frame and signal.
-    pub(super) ratio: usize,
+    pub(super) head: SampleHead,
     /// Indices of the points, for model outputs.
     pub(super) points: Vec<usize>,
     columns: Columns<'a>,
@@ -243,23 +241,22 @@ impl<'a> KeptSamples<'a> {
         let mut points = vec![0; n_indices * 4];
         indices.read_at(0, &mut points)?;
         let points = points.as_chunks().0.iter().map(|&b| u32::from_le_bytes(b) as usize).collect();
-        let SampleHead { width, n_signals, ratio, first_frame: kept_first, n_frames } = head;
-        let skip = first_frame.saturating_sub(kept_first).min(n_frames as u64) as usize;
-        columns.skip(skip.saturating_mul(ratio))?;
-        let wait = kept_first.saturating_sub(first_frame);
-        Ok(Some(Self { width, n_signals, ratio, points, columns, wait }))
+        let skip = first_frame.saturating_sub(head.first_frame).min(head.n_frames as u64) as usize;
+        columns.skip(skip.saturating_mul(head.ratio))?;
+        let wait = head.first_frame.saturating_sub(first_frame);
+        Ok(Some(Self { head, points, columns, wait }))
     }
 
     /// The analog samples from a frame on.
     pub(super) fn analog(foreign: &'a [Foreign], first_frame: u64) -> io::Result<Option<Self>> {
         let kept = Self::parse(foreign, ANALOG, 1, false, first_frame)?;
-        Ok(kept.filter(|kept| kept.ratio > 0))
+        Ok(kept.filter(|kept| kept.head.ratio > 0))
     }
 
     /// The fourth words from a frame on.
     pub(super) fn residuals(foreign: &'a [Foreign], first_frame: u64) -> io::Result<Option<Self>> {
         let kept = Self::parse(foreign, RESIDUALS, 1, false, first_frame)?;
-        Ok(kept.filter(|kept| kept.ratio == 1))
+        Ok(kept.filter(|kept| kept.head.ratio == 1))
     }
 
     /// The model outputs from a frame on.
@@ -268,7 +265,7 @@ impl<'a> KeptSamples<'a> {
         first_frame: u64,
     ) -> io::Result<Option<Self>> {
         let kept = Self::parse(foreign, MODEL_OUTPUTS, 4, true, first_frame)?;
-        Ok(kept.filter(|kept| kept.ratio == 1 && kept.width == 4))
+        Ok(kept.filter(|kept| kept.head.ratio == 1 && kept.head.width == 4))
     }
 
     /// Goes on to the next frame; whether one is kept for it.

@@ -7,7 +7,7 @@ use std::io::{self, Read};
 
 use super::{
     VERSION,
-    columns::{self, Columns, WideColumn, ordered, unordered},
+    columns::{self, Columns, WideColumn, ordered},
 };
 use crate::{
     ambiguity::{Ambiguity, Notes},
@@ -149,38 +149,33 @@ impl<'a> KeptCoordinates<'a> {
         let Some(part) = foreign.iter().find(|part| part.kind == GAP_COORDINATES) else {
             return Ok(None);
         };
-        let Some(mut kept) = Self::parse_part(part.data.as_slice(), n_markers)? else {
-            return Ok(None);
-        };
-        kept.next = from;
-        let before = from.saturating_sub(kept.first_frame);
-        kept.markers.iter_mut().try_for_each(|marker| marker.pass(before))?;
-        Ok(Some(kept))
-    }
-
-    fn parse_part(data: ContentSlice<'a>, n_columns: usize) -> io::Result<Option<Self>> {
+        let data = part.data.as_slice();
         let Some(([VERSION], rest)) = data.split_array()? else { return Ok(None) };
         let Some((first_frame, rest)) = rest.split_array()? else { return Ok(None) };
-        let Some((n_markers, mut rest)) = rest.split_array()? else { return Ok(None) };
+        let Some((n_kept, mut rest)) = rest.split_array()? else { return Ok(None) };
         let first_frame = u64::from_le_bytes(first_frame);
-        let n_markers = u32::from_le_bytes(n_markers);
-        if n_markers as usize > n_columns {
+        let n_kept = u32::from_le_bytes(n_kept) as usize;
+        if n_kept > n_markers {
             return Ok(None);
         }
-        let room = BLOCK_BYTES / (n_markers as usize).max(1);
+        let room = BLOCK_BYTES / n_kept.max(1);
         let mut markers = Vec::new();
-        for _ in 0..n_markers {
+        for _ in 0..n_kept {
             let Some((marker, after)) = KeptMarker::parse(rest, room)? else { return Ok(None) };
             let is_next =
                 markers.last().is_none_or(|last: &KeptMarker<'_>| last.index < marker.index);
-            if !is_next || marker.index >= n_columns {
+            if !is_next || marker.index >= n_markers {
                 return Ok(None);
             }
             markers.push(marker);
             rest = after;
         }
-        let kept = Self { first_frame, next: first_frame, markers, found: Vec::new() };
-        Ok((rest.len() == 0).then_some(kept))
+        if rest.len() != 0 {
+            return Ok(None);
+        }
+        let before = from.saturating_sub(first_frame);
+        markers.iter_mut().try_for_each(|marker| marker.pass(before))?;
+        Ok(Some(Self { first_frame, next: from, markers, found: Vec::new() }))
     }
 
     /// Goes on to the next frame: for each marker that has any, its index and words.
@@ -249,7 +244,7 @@ impl<'a> KeptMarker<'a> {
     /// The words of the next sample.
     fn next(&mut self) -> io::Result<Option<Words>> {
         let words = self.columns.next()?.and_then(|words| words.first_chunk::<WORDS>());
-        Ok(words.map(|words| words.map(|word| f32::from_bits(unordered(word)))))
+        Ok(words.map(|words| words.map(|word| columns::value(size_of::<f32>(), word, false))))
     }
 }
 

@@ -1,5 +1,7 @@
 //! Where the samples of a file are, and how many: settled between header, parameters and the bytes present.
 
+use std::collections::BTreeSet;
+
 use super::{
     header::{BLOCK, ByteOrder, Header},
     malformed,
@@ -8,7 +10,7 @@ use super::{
 };
 use crate::{
     ambiguity::{Ambiguity, FrameLayout, Notes},
-    interchange::InterchangeError,
+    interchange::Result,
 };
 
 /// Most analog samples a frame: 255 channels at 4000 samples a frame, a microphone's rate beside one frame a second.
@@ -51,7 +53,7 @@ impl Layout {
         order: ByteOrder,
         bytes: &[u8],
         notes: &mut Notes,
-    ) -> Result<Self, InterchangeError> {
+    ) -> Result<Self> {
         let file = &FileBytes::new(bytes, order);
         let starts = data_starts(header, parameters, bytes.len())?;
         let rate_hz = rate(header, parameters.number("POINT", "RATE"), &mut notes.warnings);
@@ -107,33 +109,27 @@ impl Layout {
 }
 
 /// What header and parameters state of a frame.
-struct Stated {
-    header_points: u64,
+struct Stated<'a> {
+    header: &'a Header,
     points_used: Option<u64>,
-    header_analog: u64,
-    header_ratio: u64,
     channels_used: Option<u64>,
     /// ANALOG:RATE over POINT:RATE, where that is a whole number.
     rate_ratio: Option<u64>,
     scale: f32,
-    header_scale: f32,
 }
 
-impl Stated {
-    fn of(header: &Header, parameters: &Parameters, rate_hz: f64) -> Self {
+impl<'a> Stated<'a> {
+    fn of(header: &'a Header, parameters: &Parameters, rate_hz: f64) -> Self {
         let number = |group: &str, name: &str| parameters.number(group, name);
         let ratio = number("ANALOG", "RATE").map(|analog_hz| analog_hz / rate_hz);
-        let scale = parameters.get("POINT", "SCALE").and_then(|p| p.floats().first().copied());
+        let scale = parameters.float("POINT", "SCALE");
         let points_used = number("POINT", "USED").and_then(as_count);
         Self {
-            header_points: u64::from(header.n_points),
+            header,
             points_used: points_used.map(|n| n.min(u64::from(u16::MAX))),
-            header_analog: u64::from(header.analog_per_frame),
-            header_ratio: u64::from(header.analog_ratio),
             channels_used: number("ANALOG", "USED").and_then(as_count),
             rate_ratio: ratio.and_then(near_whole),
             scale: scale.unwrap_or(header.scale),
-            header_scale: header.scale,
         }
     }
 
@@ -143,9 +139,10 @@ impl Stated {
 
     /// Analog samples a frame by every place that tells, the header first.
     fn analog(&self) -> Vec<u64> {
-        let mut all = vec![self.header_analog];
+        let mut all = vec![u64::from(self.header.analog_per_frame)];
         if let Some(used) = self.channels_used {
-            let ratios = [Some(self.header_ratio), self.rate_ratio].into_iter().flatten();
+            let ratios = [Some(u64::from(self.header.analog_ratio)), self.rate_ratio];
+            let ratios = ratios.into_iter().flatten();
             let ratios: Vec<u64> = ratios.filter(|&ratio| ratio > 0).collect();
             // Also where the header says another number: some software writes that of the channels there.
             all.extend(ratios.iter().map(|ratio| used.saturating_mul(*ratio)));
@@ -162,7 +159,7 @@ impl Stated {
         if !self.scale_is_usable() {
             return vec![true, false];
         }
-        let other = Some(self.header_scale).filter(|scale| scale.is_finite() && *scale != 0.0);
+        let other = Some(self.header.scale).filter(|scale| scale.is_finite() && *scale != 0.0);
         let mut floats = vec![self.scale < 0.0];
         floats.extend(other.map(|scale| scale < 0.0).filter(|float| *float != (self.scale < 0.0)));
         floats
@@ -173,9 +170,10 @@ impl Stated {
         &self,
         file: &FileBytes<'_>,
         starts: &[usize],
-        counts: &FrameCounts,
-    ) -> Result<(Stride, usize), InterchangeError> {
-        let points: Vec<u64> = self.points_used.into_iter().chain([self.header_points]).collect();
+        counts: &FrameCounts<'_>,
+    ) -> Result<(Stride, usize)> {
+        let points: Vec<u64> =
+            self.points_used.into_iter().chain([self.header.n_points.into()]).collect();
         let strides = combine(&points, &self.analog(), &self.floats(), starts);
         let candidate = |stride: Stride, n_frames: u64, is_stated: bool| {
             Candidate::new(file, stride, n_frames, is_stated)
@@ -240,28 +238,29 @@ impl Stated {
     /// Analog samples a frame and channel.
     fn analog_ratio(&self, per_frame: usize, warnings: &mut Vec<String>) -> usize {
         let per_frame = per_frame as u64;
+        let header_ratio = u64::from(self.header.analog_ratio);
         if per_frame == 0 {
-            return usize::try_from(self.header_ratio).unwrap_or(0);
+            return usize::try_from(header_ratio).unwrap_or(0);
         }
         let used = self.channels_used;
         let agrees = |ratio: u64| {
             ratio > 0 && used.is_none_or(|used| used.checked_mul(ratio) == Some(per_frame))
         };
         let divides = |n: u64| n > 0 && per_frame.is_multiple_of(n);
-        let stated = [Some(self.header_ratio), self.rate_ratio];
+        let stated = [Some(header_ratio), self.rate_ratio];
         let mut stated = stated.into_iter().flatten();
         let ratio = stated
             .find(|&ratio| agrees(ratio) && divides(ratio))
-            .or_else(|| Some(self.header_ratio).filter(|&ratio| divides(ratio)))
+            .or_else(|| Some(header_ratio).filter(|&ratio| divides(ratio)))
             .or_else(|| used.filter(|&used| divides(used)).map(|used| per_frame / used))
             .unwrap_or(1);
         let n_channels = per_frame / ratio;
-        if used.is_some_and(|used| used != n_channels) || !divides(self.header_ratio) {
+        if used.is_some_and(|used| used != n_channels) || !divides(header_ratio) {
             warnings.push(format!(
                 "{per_frame} analog samples a frame were read as {n_channels} channels of {ratio}: ANALOG:USED is {}, the \
                  header says {} a channel.",
                 used.map_or_else(|| "missing".to_owned(), |used| used.to_string()),
-                self.header_ratio
+                header_ratio
             ));
         }
         usize::try_from(ratio).unwrap_or(1)
@@ -274,14 +273,14 @@ impl Stated {
             "points: POINT:USED {}, header {}; analog samples a frame: header {}, ANALOG:USED {} times {} by the header or {} \
              by ANALOG:RATE over POINT:RATE",
             or_none(self.points_used),
-            self.header_points,
-            self.header_analog,
+            self.header.n_points,
+            self.header.analog_per_frame,
             or_none(self.channels_used),
-            self.header_ratio,
+            self.header.analog_ratio,
             or_none(self.rate_ratio)
         );
         if self.floats().len() > 1 {
-            words += &format!("; scale: POINT:SCALE {}, header {}", self.scale, self.header_scale);
+            words += &format!("; scale: POINT:SCALE {}, header {}", self.scale, self.header.scale);
         }
         if starts.len() > 1 {
             let blocks: Vec<String> =
@@ -330,11 +329,7 @@ fn rate(header: &Header, parameter: Option<f64>, warnings: &mut Vec<String>) -> 
 }
 
 /// Offsets at which the first frame may be: the header's, and the parameter's where that is another.
-fn data_starts(
-    header: &Header,
-    parameters: &Parameters,
-    n_bytes: usize,
-) -> Result<Vec<usize>, InterchangeError> {
+fn data_starts(header: &Header, parameters: &Parameters, n_bytes: usize) -> Result<Vec<usize>> {
     let offset = |block: u64| {
         usize::try_from(block.saturating_sub(1)).unwrap_or(usize::MAX).saturating_mul(BLOCK)
     };
@@ -391,17 +386,16 @@ impl Place {
 }
 
 /// Every count that a file states.
-struct FrameCounts {
+struct FrameCounts<'a> {
+    header: &'a Header,
     stated: Vec<(Place, u64)>,
     trial_start: Option<u64>,
-    header_first: u64,
-    header_last: u64,
     /// Whether nothing wider than 16 bits states the count.
     is_narrow: bool,
 }
 
-impl FrameCounts {
-    fn of(header: &Header, parameters: &Parameters) -> Self {
+impl<'a> FrameCounts<'a> {
+    fn of(header: &'a Header, parameters: &Parameters) -> Self {
         let field = |name: &str| match parameters.get("TRIAL", name)?.words()[..] {
             [low] => Some(u64::from(low)),
             [low, high, ..] => Some(u64::from(low) | u64::from(high) << 16),
@@ -421,20 +415,16 @@ impl FrameCounts {
         let stated = stated.into_iter();
         let has = |group: &str, name: &str| parameters.get(group, name).is_some();
         Self {
+            header,
             stated: stated.filter_map(|(place, n)| Some((place, n.filter(|&n| n > 0)?))).collect(),
             trial_start,
-            header_first: first,
-            header_last: last,
             is_narrow: !has("POINT", "LONG_FRAMES") && !has("TRIAL", "ACTUAL_END_FIELD"),
         }
     }
 
     /// Every count, each once.
-    fn all(&self) -> Vec<u64> {
-        let mut all: Vec<u64> = self.stated.iter().map(|&(_, n)| n).collect();
-        all.sort_unstable();
-        all.dedup();
-        all
+    fn all(&self) -> BTreeSet<u64> {
+        self.stated.iter().map(|&(_, n)| n).collect()
     }
 
     /// The count for frames of a stride: the most trusted one that accounts for the bytes, else the most trusted one
@@ -444,7 +434,7 @@ impl FrameCounts {
             self.stated.iter().find(|&&(_, n)| wanted(file.fit(stride, n)))
         };
         let found = fits(&|fit| fit == Fit::Exact);
-        let is_saturated = self.is_narrow && self.header_last == SATURATED;
+        let is_saturated = self.is_narrow && self.header.last_frame == u16::MAX;
         if found.is_none() && is_saturated {
             // What the padding of the last block has room for may be no frames.
             let n_frames =
@@ -466,7 +456,7 @@ impl FrameCounts {
         let trial = self.stated.iter().find(|(place, _)| *place == Place::Trial);
         match (self.trial_start, trial) {
             (Some(start), Some(&(_, n))) if n == taken.n_frames => start,
-            _ => self.header_first,
+            _ => self.header.first_frame.into(),
         }
     }
 
@@ -487,7 +477,7 @@ impl FrameCounts {
             // A 16-bit field that says 65535, or the count modulo 65536, agrees as well as it can.
             let agrees = n == n_frames
                 || n_frames > SATURATED && (n == SATURATED || n == n_frames & 0xFFFF)
-                || other == Place::Header && self.header_last == SATURATED && n < n_frames;
+                || other == Place::Header && self.header.last_frame == u16::MAX && n < n_frames;
             if !agrees {
                 warnings.push(format!(
                     "{} says {n} frames, {} {n_frames}; {n_frames} was taken.",

@@ -1,7 +1,13 @@
 //! The parameter section: groups, and parameters in them, read and written.
 
 use super::header::ByteOrder;
-use crate::interchange::{text::decode, turn::Turn};
+use crate::{
+    interchange::{
+        text::decode,
+        turn::{Direction, Turn},
+    },
+    motion::UpAxis,
+};
 
 /// A group of parameters.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -73,12 +79,13 @@ impl Parameter {
 
     /// Its texts: one for each string of the first dimension's length, trailing spaces and zeros cut off.
     pub(super) fn texts(&self) -> Vec<String> {
+        if self.kind != -1 {
+            return Vec::new();
+        }
         let length = usize::from(self.dimensions.first().copied().unwrap_or(1));
-        if self.kind != -1 || length == 0 {
-            let n_strings =
-                self.dimensions.iter().skip(1).map(|&d| usize::from(d)).product::<usize>();
-            let n_strings = if self.kind == -1 { n_strings.min(usize::from(u16::MAX)) } else { 0 };
-            return vec![String::new(); n_strings];
+        if length == 0 {
+            let n_strings = self.dimensions.iter().skip(1).map(|&d| usize::from(d)).product();
+            return vec![String::new(); usize::from(u16::MAX).min(n_strings)];
         }
         self.data
             .chunks(length)
@@ -110,6 +117,18 @@ impl Parameters {
     /// The first value of a parameter as a number.
     pub(super) fn number(&self, group: &str, name: &str) -> Option<f64> {
         self.get(group, name)?.numbers().first().copied()
+    }
+
+    /// The first value of a parameter, where that is a float.
+    pub(super) fn float(&self, group: &str, name: &str) -> Option<f32> {
+        self.get(group, name)?.floats().first().copied()
+    }
+
+    /// The axis that points up on a screen, where the file says so and it is a positive one.
+    pub(super) fn up_axis(&self) -> UpAxis {
+        let axis = self.text("POINT", "Y_SCREEN").unwrap_or_default();
+        let up = axis.trim().parse().ok().filter(|up: &Direction| !up.is_negative());
+        up.map_or(UpAxis::Unknown, Direction::axis)
     }
 
     /// The first text of a parameter.

@@ -12,17 +12,14 @@ use super::{
 use crate::{
     ambiguity::{Ambiguity, Notes},
     interchange::{
-        Direction, InterchangeError, ReadOptions, origin,
+        ReadOptions, Result, origin,
         units::{FileUnit, Millimetres},
     },
-    motion::{GAP, Motion, MotionInfo, Position, UpAxis},
+    motion::{GAP, Motion, MotionInfo, Position},
 };
 
 /// Reads a whole file.
-pub(in crate::interchange) fn read(
-    bytes: &[u8],
-    options: &ReadOptions,
-) -> Result<Motion, InterchangeError> {
+pub(crate) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let &[parameter_block, key, ..] = bytes else {
         return Err(malformed("byte 0", "the file is empty or cut off in its first bytes"));
     };
@@ -51,14 +48,14 @@ pub(in crate::interchange) fn read(
     let unit = FileUnit::of(&stated, options.unit, &mut notes);
     let frames = Frames::new(bytes, &layout);
     let millimetres = Millimetres::new(unit.factor, options.turn());
-    let marks = FourthWords::of(&frames, &points, &mut notes);
+    let has_marks = fourth_words_are_marks(&frames, &points, &mut notes);
     let mut under_gaps = GapCoordinates::default();
-    let positions_mm = read_positions(&frames, &points, &millimetres, marks, &mut under_gaps);
+    let positions_mm = read_positions(&frames, &points, &millimetres, has_marks, &mut under_gaps);
     millimetres.report(&mut notes.warnings);
     under_gaps.note(&mut notes);
     unit.judge(&positions_mm, points.markers.len(), &mut notes);
     origin::note_zeros(&positions_mm, points.markers.len(), &mut notes);
-    let up = options.up(up_axis(&parameters), &mut notes);
+    let up = options.up(parameters.up_axis(), &mut notes);
     parameters.turn(options.turn());
     let mut foreign = foreign::keep(&header, &parameters, &frames, &points, &positions_mm);
     foreign.extend(under_gaps.into_foreign(layout.first_frame, &mut notes.warnings));
@@ -107,33 +104,23 @@ fn section<'a>(bytes: &'a [u8], start: usize, header: &Header) -> &'a [u8] {
     bytes.get(start + 4..end).unwrap_or(&[])
 }
 
-/// What the fourth words of a file's markers say.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum FourthWords {
-    /// Which samples are missing.
-    Marks,
-    /// All say "missing", also where coordinates are: nothing.
-    Nothing,
-}
-
-impl FourthWords {
-    fn of(frames: &Frames<'_>, points: &Points, notes: &mut Notes) -> Self {
-        let mut samples = 0u64;
-        for frame in 0..frames.layout.n_frames {
-            for &(point, _) in &points.markers {
-                let (stored, fourth) = frames.point(frame, point);
-                if !is_missing(fourth) {
-                    return Self::Marks;
-                }
-                samples += u64::from(has_coordinates(stored));
+/// Whether the fourth words of a file's markers say which samples are missing. Where all of them do, also of samples that
+/// have coordinates, they say nothing.
+fn fourth_words_are_marks(frames: &Frames<'_>, points: &Points, notes: &mut Notes) -> bool {
+    let mut samples = 0u64;
+    for frame in 0..frames.layout.n_frames {
+        for &(point, _) in &points.markers {
+            let (stored, fourth) = frames.point(frame, point);
+            if !is_missing(fourth) {
+                return true;
             }
+            samples += u64::from(has_coordinates(stored));
         }
-        if samples == 0 {
-            return Self::Marks;
-        }
-        notes.ambiguous(Ambiguity::FourthWords { samples });
-        Self::Nothing
     }
+    if samples > 0 {
+        notes.ambiguous(Ambiguity::FourthWords { samples });
+    }
+    samples == 0
 }
 
 /// Whether these are coordinates, and no filling for a missing sample.
@@ -146,7 +133,7 @@ fn read_positions(
     frames: &Frames<'_>,
     points: &Points,
     millimetres: &Millimetres,
-    marks: FourthWords,
+    has_marks: bool,
     under_gaps: &mut GapCoordinates,
 ) -> Vec<Position> {
     let layout = frames.layout;
@@ -156,10 +143,7 @@ fn read_positions(
         for (marker, &(point, _)) in points.markers.iter().enumerate() {
             let (stored, fourth) = frames.point(index, point);
             let scaled = stored.map(|v| v * scale);
-            let is_gap = match marks {
-                FourthWords::Marks => is_missing(fourth),
-                FourthWords::Nothing => !has_coordinates(stored),
-            };
+            let is_gap = if has_marks { is_missing(fourth) } else { !has_coordinates(stored) };
             if is_gap && has_coordinates(stored) {
                 under_gaps.push(index, marker, millimetres.as_stored(scaled), fourth);
             }
@@ -167,11 +151,4 @@ fn read_positions(
         }
     }
     positions
-}
-
-/// The axis that points up on a screen, where the file says so and it is a positive one.
-fn up_axis(parameters: &Parameters) -> UpAxis {
-    let axis = parameters.text("POINT", "Y_SCREEN").unwrap_or_default();
-    let up = axis.trim().parse().ok().filter(|up: &Direction| !up.is_negative());
-    up.map_or(UpAxis::Unknown, Direction::axis)
 }

@@ -233,22 +233,16 @@ pub(super) fn combine(
     floats: &[bool],
     starts: &[usize],
 ) -> Vec<Stride> {
+    let count = |n: u64| usize::try_from(n.min(1 << 32)).unwrap_or(usize::MAX);
     let mut all: Vec<Stride> = Vec::new();
-    for &data_start in starts {
-        for &float in floats {
-            for &n_points in points {
-                for &analog_per_frame in analog {
-                    let count = |n: u64| usize::try_from(n.min(1 << 32)).unwrap_or(usize::MAX);
-                    let stride = Stride {
-                        n_points: count(n_points),
-                        analog_per_frame: count(analog_per_frame),
-                        float,
-                        data_start,
-                    };
-                    if !all.contains(&stride) && all.len() < CANDIDATES_MAX {
-                        all.push(stride);
-                    }
-                }
+    for (&data_start, &float) in
+        starts.iter().flat_map(|start| floats.iter().map(move |float| (start, float)))
+    {
+        for (&n_points, &analog) in points.iter().flat_map(|n| analog.iter().map(move |m| (n, m))) {
+            let (n_points, analog_per_frame) = (count(n_points), count(analog));
+            let stride = Stride { n_points, analog_per_frame, float, data_start };
+            if !all.contains(&stride) && all.len() < CANDIDATES_MAX {
+                all.push(stride);
             }
         }
     }

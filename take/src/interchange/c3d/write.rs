@@ -3,8 +3,7 @@
 use std::io::{self, Write};
 
 use super::{
-    columns::unordered,
-    events,
+    columns, events,
     foreign::{KeptSamples, kept_parameters},
     frames::is_missing,
     gap_coordinates::KeptCoordinates,
@@ -12,7 +11,7 @@ use super::{
     parameters::{MAX_STRINGS, Parameter, Parameters, encode_records},
 };
 use crate::{
-    interchange::{InterchangeError, expect_frames, write_frames},
+    interchange::{InterchangeError, Result, expect_frames, write_frames},
     motion::{FrameSource, GAP, Marker, MotionInfo, Position, UpAxis, is_gap},
 };
 
@@ -22,10 +21,7 @@ const ANALOG: &str = "ANALOG";
 const INTEL: u8 = 84;
 
 /// Writes a whole file.
-pub(in crate::interchange) fn write(
-    frames: &mut dyn FrameSource,
-    out: &mut dyn Write,
-) -> Result<(), InterchangeError> {
+pub(crate) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
     let info = frames.info().clone();
     let (mut header, mut parameters) = kept_parameters(&info.foreign)?.unwrap_or_default();
     let mut body = Body::new(&info, &parameters)?;
@@ -60,16 +56,11 @@ fn is_counted_by_length(info: &MotionInfo) -> bool {
 /// The labels of all points.
 fn labels(parameters: &Parameters, info: &MotionInfo, points: &[Point]) -> Vec<String> {
     let source = parameters.texts("POINT", "LABELS");
-    points
-        .iter()
-        .enumerate()
-        .map(|(place, point)| match *point {
-            Point::Marker(index) => {
-                info.markers.get(index).map(|m| m.label.clone()).unwrap_or_default()
-            }
-            Point::ModelOutput(_) => source.get(place).cloned().unwrap_or_default(),
-        })
-        .collect()
+    let label = |(place, point): (usize, &Point)| match *point {
+        Point::Marker(index) => info.markers.get(index).map(|marker| marker.label.clone()),
+        Point::ModelOutput(_) => source.get(place).cloned(),
+    };
+    points.iter().enumerate().map(|at| label(at).unwrap_or_default()).collect()
 }
 
 /// Makes the parameters say what will be written; all others stay as they came.
@@ -77,11 +68,11 @@ fn fill_parameters(
     parameters: &mut Parameters,
     info: &MotionInfo,
     body: &mut Body<'_>,
-) -> Result<(), InterchangeError> {
-    let n_points = u16::try_from(body.n_points()).map_err(|_| {
+) -> Result<()> {
+    let n_points = u16::try_from(body.points.len()).map_err(|_| {
         InterchangeError::Unsupported(format!(
             "c3d holds at most 65535 points, there are {}",
-            body.n_points()
+            body.points.len()
         ))
     })?;
     let last = last_frame(info).ok_or_else(|| {
@@ -138,17 +129,14 @@ fn fill_parameters(
 /// Says which axes point right and up on a screen, where that is known and not said yet, or said otherwise.
 fn set_screen(parameters: &mut Parameters, up: UpAxis) {
     let (right, up) = match up {
+        _ if up == parameters.up_axis() => return,
         UpAxis::Unknown => return,
         UpAxis::X => ("+Y", "+X"),
         UpAxis::Y => ("+X", "+Y"),
         UpAxis::Z => ("+X", "+Z"),
     };
-    let said = parameters.text("POINT", "Y_SCREEN").unwrap_or_default();
-    if !matches!(said.trim(), said if said.eq_ignore_ascii_case(up) || up.eq_ignore_ascii_case(&format!("+{said}")))
-    {
-        parameters.set_text("POINT", "X_SCREEN", right);
-        parameters.set_text("POINT", "Y_SCREEN", up);
-    }
+    parameters.set_text("POINT", "X_SCREEN", right);
+    parameters.set_text("POINT", "Y_SCREEN", up);
 }
 
 /// Says who wrote the file, where it does not say who made it.
@@ -167,9 +155,8 @@ fn fill_subjects(parameters: &mut Parameters, markers: &[Marker]) {
     }
     let Some(names) = prefixes(markers) else { return };
     let prefixes: Vec<String> = names.iter().map(|name| format!("{name}:")).collect();
-    let none = vec![0; names.len()];
     parameters.set_word("SUBJECTS", "USED", names.len() as u16);
-    parameters.set_word_list("SUBJECTS", "IS_STATIC", &none);
+    parameters.set_word_list("SUBJECTS", "IS_STATIC", &vec![0; names.len()]);
     parameters.set_word_list("SUBJECTS", "USES_PREFIXES", &vec![1; names.len()]);
     // Prefixes of labels that were written are not too long.
     parameters.set_texts("SUBJECTS", "NAMES", &names).unwrap_or_default();
@@ -198,20 +185,17 @@ fn prefixes(markers: &[Marker]) -> Option<Vec<String>> {
 /// Adds what readers expect of an ANALOG group when there are no analog samples.
 fn set_no_analog(parameters: &mut Parameters) {
     parameters.set_word(ANALOG, "USED", 0);
-    for (name, kind, dimensions) in [
-        ("LABELS", -1, vec![0, 0]),
-        ("DESCRIPTIONS", -1, vec![0, 0]),
-        ("UNITS", -1, vec![0, 0]),
-        ("SCALE", 4, vec![0]),
-        ("OFFSET", 2, vec![0]),
+    for (name, kind, dimensions, data) in [
+        ("LABELS", -1, vec![0, 0], Vec::new()),
+        ("DESCRIPTIONS", -1, vec![0, 0], Vec::new()),
+        ("UNITS", -1, vec![0, 0], Vec::new()),
+        ("SCALE", 4, vec![0], Vec::new()),
+        ("OFFSET", 2, vec![0], Vec::new()),
+        ("GEN_SCALE", 4, Vec::new(), 1f32.to_le_bytes().to_vec()),
+        ("RATE", 4, Vec::new(), 0f32.to_le_bytes().to_vec()),
     ] {
         if parameters.get(ANALOG, name).is_none() {
-            parameters.set(ANALOG, name, kind, dimensions, Vec::new());
-        }
-    }
-    for (name, value) in [("GEN_SCALE", 1.0), ("RATE", 0.0)] {
-        if parameters.get(ANALOG, name).is_none() {
-            parameters.set_float(ANALOG, name, value);
+            parameters.set(ANALOG, name, kind, dimensions, data);
         }
     }
 }
@@ -265,7 +249,7 @@ fn is_float(parameter: Option<&Parameter>, n: usize) -> bool {
 fn set_rate(parameters: &mut Parameters, ratio: usize, rate_hz: f64) {
     let point_hz = f64::from(rate_hz as f32);
     let says = |analog_hz: f64| (analog_hz / point_hz) as usize == ratio;
-    let kept = parameters.get(ANALOG, "RATE").and_then(|p| p.floats().first().copied());
+    let kept = parameters.float(ANALOG, "RATE");
     if kept.is_some_and(|kept| says(f64::from(kept))) {
         return;
     }
@@ -328,15 +312,13 @@ fn residual_scale(parameters: &Parameters, factor: f64) -> f32 {
 
 fn fill_header(header: &mut Header, parameters: &Parameters, info: &MotionInfo, body: &Body<'_>) {
     let word = |value: u32| u16::try_from(value).unwrap_or(u16::MAX);
-    let float =
-        |name: &str| parameters.get("POINT", name).and_then(|p| p.floats().first().copied());
     let (ratio, n_channels) = body.analog_shape();
     header.parameter_block = 2;
-    header.n_points = body.n_points() as u16;
+    header.n_points = body.points.len() as u16;
     header.first_frame = word(first_frame(info));
     header.last_frame = word(last_frame(info).unwrap_or(u32::MAX));
-    header.scale = float("SCALE").unwrap_or(-1.0);
-    header.rate_hz = float("RATE").unwrap_or(0.0);
+    header.scale = parameters.float("POINT", "SCALE").unwrap_or(-1.0);
+    header.rate_hz = parameters.float("POINT", "RATE").unwrap_or(0.0);
     header.analog_per_frame = word((ratio * n_channels) as u32);
     header.analog_ratio =
         if n_channels > 0 { word(ratio as u32) } else { idle_analog_ratio(parameters) };
@@ -355,7 +337,7 @@ fn idle_analog_ratio(parameters: &Parameters) -> u16 {
 
 /// Header and parameter section. Where the section is too long for its count of blocks, descriptions of points
 /// give way first.
-fn front(mut header: Header, mut parameters: Parameters) -> Result<Vec<u8>, InterchangeError> {
+fn front(mut header: Header, mut parameters: Parameters) -> Result<Vec<u8>> {
     let mut records = Vec::new();
     encode_records(&parameters, &mut records);
     if section_blocks(&records) > 255 {
@@ -427,20 +409,15 @@ impl<'a> Body<'a> {
             points: places(n_markers, outputs.as_ref().map_or(&[], |kept| &kept.points)),
             analog: KeptSamples::analog(foreign, first_frame)?,
             residuals: KeptSamples::residuals(foreign, first_frame)?
-                .filter(|kept| kept.n_signals == n_markers),
+                .filter(|kept| kept.head.n_signals == n_markers),
             outputs,
             unsigned_analog: is_unsigned(parameters),
         })
     }
 
-    /// Points a frame, model outputs included.
-    fn n_points(&self) -> usize {
-        self.points.len()
-    }
-
     /// Analog samples a frame and channel, and channels.
     fn analog_shape(&self) -> (usize, usize) {
-        self.analog.as_ref().map_or((0, 0), |kept| (kept.ratio, kept.n_signals))
+        self.analog.as_ref().map_or((0, 0), |kept| (kept.head.ratio, kept.head.n_signals))
     }
 
     /// Appends a frame.
@@ -448,7 +425,7 @@ impl<'a> Body<'a> {
     /// # Errors
     /// Those of reading what was kept.
     fn push_frame(&mut self, row: &[Position], buffer: &mut Vec<u8>) -> io::Result<()> {
-        let is_wide = self.residuals.as_ref().is_some_and(|kept| kept.width == 4);
+        let width = self.residuals.as_ref().map_or(0, |kept| kept.head.width);
         let residuals = self.residuals.as_mut().map(KeptSamples::next_frame).transpose()?.flatten();
         let outputs = self.outputs.as_mut().map(KeptSamples::next_frame).transpose()?.flatten();
         if let Some(kept) = &mut self.under_gaps {
@@ -462,40 +439,27 @@ impl<'a> Body<'a> {
             let words = match point {
                 Point::Marker(index) => {
                     let position = row.get(index).copied().unwrap_or(GAP);
-                    let fourth = residuals.and_then(|words| {
-                        let &word = words.get(index)?;
-                        Some(if is_wide {
-                            f32::from_bits(unordered(word))
-                        } else {
-                            f32::from(word as i16)
-                        })
-                    });
+                    let fourth = residuals.and_then(|words| words.get(index));
+                    let fourth = fourth.map(|&word| columns::value(width, word, false));
                     let under_gap = self.under_gap.get_mut(index).and_then(Option::take);
                     marker_words(position, fourth, under_gap)
                 }
                 Point::ModelOutput(index) => outputs
                     .and_then(|words| words.as_chunks::<4>().0.get(index))
-                    .map_or([0.0, 0.0, 0.0, MISSING], |w| {
-                        w.map(|bits| f32::from_bits(unordered(bits)))
+                    .map_or([0.0, 0.0, 0.0, MISSING], |words| {
+                        words.map(|word| columns::value(4, word, false))
                     }),
             };
             words.iter().for_each(|word| buffer.extend(word.to_le_bytes()));
         }
         let (ratio, n_channels) = self.analog_shape();
-        let unsigned = self.unsigned_analog;
         let Some(kept) = self.analog.as_mut() else { return Ok(()) };
         let present = kept.begin_frame();
-        let wide = kept.width == 4;
+        let width = kept.head.width;
         for _ in 0..ratio {
             match if present { kept.next()? } else { None } {
                 Some(words) => words.iter().enumerate().for_each(|(channel, &word)| {
-                    let mut value = if wide {
-                        f32::from_bits(unordered(word))
-                    } else if unsigned {
-                        word as f32
-                    } else {
-                        f32::from(word as i16)
-                    };
+                    let mut value = columns::value(width, word, self.unsigned_analog);
                     if let Some(offset) = self.analog_offsets.get(channel) {
                         value = (f64::from(value) - offset) as f32;
                     }
@@ -520,19 +484,12 @@ fn marker_words(position: Position, fourth: Option<f32>, under_gap: Option<[f32;
 
 /// The points in order: model outputs at their own places, markers in between.
 fn places(n_markers: usize, outputs: &[usize]) -> Vec<Point> {
+    let mut markers = (0..n_markers).map(Point::Marker);
+    let mut outputs_left = outputs.iter().enumerate().peekable();
     let n_points = n_markers + outputs.len();
-    let mut points = Vec::with_capacity(n_points);
-    let mut next_output = 0;
-    let mut next_marker = 0;
-    for place in 0..n_points {
-        let here = outputs.get(next_output).is_some_and(|&at| at <= place);
-        if here || next_marker == n_markers {
-            points.push(Point::ModelOutput(next_output));
-            next_output += 1;
-        } else {
-            points.push(Point::Marker(next_marker));
-            next_marker += 1;
-        }
-    }
-    points
+    let point = |place: usize| {
+        let output = outputs_left.next_if(|&(_, &at)| at <= place || markers.len() == 0);
+        output.map(|(index, _)| Point::ModelOutput(index)).or_else(|| markers.next())
+    };
+    (0..n_points).filter_map(point).collect()
 }

@@ -11,7 +11,7 @@ use crate::{
     ambiguity::Notes,
     escape::from_cell,
     interchange::{
-        InterchangeError, ReadOptions,
+        ReadOptions, Result,
         line_frames::{Rounding, rate_of},
         put_position,
         table::{
@@ -34,17 +34,22 @@ pub(super) fn is_long(line: &[u8]) -> bool {
 }
 
 /// Reads a whole file whose column names are at `head_line`. Markers come in the order in which they are first seen.
-pub(super) fn read(
-    bytes: &[u8],
-    head_line: usize,
-    options: &ReadOptions,
-) -> Result<Motion, InterchangeError> {
+pub(super) fn read(bytes: &[u8], head_line: usize, options: &ReadOptions) -> Result<Motion> {
     let mut notes = Notes::default();
     let unit = FileUnit::of("mm", options.unit, &mut notes);
     let up = options.up(UpAxis::Unknown, &mut notes);
     let millimetres = Millimetres::new(unit.factor, options.turn());
     let data = Data::read(bytes, head_line, &millimetres)?;
-    data.report(&mut notes.warnings);
+    if data.is_cut_off {
+        notes.warnings.push(CUT_OFF.to_owned());
+    }
+    report_damaged(data.damaged, &mut notes.warnings);
+    if data.twice > 0 {
+        notes.warnings.push(format!(
+            "{} samples come twice, the same marker in the same frame; the last one counts.",
+            data.twice
+        ));
+    }
     millimetres.report(&mut notes.warnings);
     let Some((first, last)) = data.frames() else {
         return Err(malformed(head_line, "expected a line for each sample, found none"));
@@ -111,11 +116,7 @@ struct Data {
 }
 
 impl Data {
-    fn read(
-        bytes: &[u8],
-        head_line: usize,
-        millimetres: &Millimetres,
-    ) -> Result<Self, InterchangeError> {
+    fn read(bytes: &[u8], head_line: usize, millimetres: &Millimetres) -> Result<Self> {
         let mut data = Self::default();
         let mut columns: HashMap<Vec<u8>, usize> = HashMap::new();
         let (mut n_cells, mut last_has_sample) = (COLUMNS.len(), false);
@@ -175,33 +176,14 @@ impl Data {
     fn frames(&self) -> Option<(u64, u64)> {
         let timed = self.times.iter().map(|&(frame, _)| frame);
         let frames = timed.chain(self.samples.iter().map(|&(frame, ..)| frame));
-        frames.fold(None, |found, frame| {
-            let (first, last) = found.unwrap_or((frame, frame));
-            Some((frame.min(first), frame.max(last)))
-        })
-    }
-
-    fn report(&self, warnings: &mut Vec<String>) {
-        if self.is_cut_off {
-            warnings.push(CUT_OFF.to_owned());
-        }
-        report_damaged(self.damaged, warnings);
-        if self.twice > 0 {
-            warnings.push(format!(
-                "{} samples come twice, the same marker in the same frame; the last one counts.",
-                self.twice
-            ));
-        }
+        Some((frames.clone().min()?, frames.max()?))
     }
 }
 
 /// Writes a line of names, then one line a sample that is present: the frame's number, its time from the first frame
 /// in seconds, the marker's label (told apart by `#2`, `#3`... where it is not the only one), and the position in
 /// millimetres with as many digits as bring back the f32.
-pub(in crate::interchange) fn write(
-    frames: &mut dyn FrameSource,
-    out: &mut dyn Write,
-) -> Result<(), InterchangeError> {
+pub(crate) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
     let info = frames.info().clone();
     let labels: Vec<String> =
         column_labels(&info).iter().map(|label| quote(label).into_owned()).collect();

@@ -5,19 +5,17 @@ pub(super) mod long;
 mod motive;
 pub(super) mod wide;
 
-use super::{InterchangeError, ReadOptions, text};
+use super::{InterchangeError, ReadOptions, Result, text};
 use crate::motion::Motion;
 
 /// Kind of the lines that are kept, each followed by LF: those that begin with `#`; of Motive's export those above the data.
 const HEADER: &str = "csv/header";
 
 /// Reads a whole file of whichever of them.
-pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, InterchangeError> {
+pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let bytes = &*dialect::with_commas(bytes);
-    let mut lines = text::lines(bytes);
-    match lines
-        .find(|(_, line)| !line.trim_ascii().is_empty() && !line.trim_ascii().starts_with(b"#"))
-    {
+    let is_content = |line: &[u8]| !line.is_empty() && !line.starts_with(b"#");
+    match text::lines(bytes).find(|(_, line)| is_content(line.trim_ascii())) {
         Some((number, line)) if long::is_long(line) => long::read(bytes, number, options),
         Some((_, line)) if motive::is_motive(line) => motive::read(bytes, options),
         _ => wide::read(bytes, options),

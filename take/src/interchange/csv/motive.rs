@@ -15,7 +15,7 @@ use super::{HEADER, dialect::LineCells, malformed};
 use crate::{
     ambiguity::Notes,
     interchange::{
-        InterchangeError, ReadOptions, origin,
+        ReadOptions, Result, origin,
         table::{CUT_OFF, Table},
         text::{self, Separator},
         units::{FileUnit, Millimetres},
@@ -32,7 +32,7 @@ pub(super) fn is_motive(line: &[u8]) -> bool {
 }
 
 /// Reads a whole file.
-pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, InterchangeError> {
+pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let mut notes = Notes::default();
     let head = Head::parse(bytes)?;
     let columns = head.columns(&mut notes.warnings)?;
@@ -102,10 +102,8 @@ struct Column {
 struct Head {
     /// Names and values of the first line, in turn.
     values: Vec<String>,
-    types: Vec<String>,
-    names: Vec<String>,
-    /// `Position`, `Rotation`...
-    properties: Vec<String>,
+    /// The lines about columns.
+    rows: Vec<Vec<String>>,
     /// `Frame`, `Time (Seconds)`, `X`...
     axes: Vec<String>,
     n_lines: usize,
@@ -113,16 +111,17 @@ struct Head {
 }
 
 impl Head {
-    fn parse(bytes: &[u8]) -> Result<Self, InterchangeError> {
-        let mut kept = Vec::new();
+    fn parse(bytes: &[u8]) -> Result<Self> {
+        let mut lines = Vec::new();
         let mut rows: Vec<Vec<String>> = Vec::new();
-        for (number, line) in text::lines(bytes).take(HEAD_LINES_MAX) {
-            kept.extend_from_slice(line);
-            kept.push(b'\n');
+        for (n_lines, line) in text::lines(bytes).take(HEAD_LINES_MAX) {
+            lines.extend_from_slice(line);
+            lines.push(b'\n');
             let cells: Vec<String> =
                 LineCells::new(line).map(|cell| text::decode(cell.trim_ascii())).collect();
             if cells.first().is_some_and(|cell| cell.eq_ignore_ascii_case("Frame")) {
-                return Self::of_rows(rows, cells, number, kept);
+                let values = if rows.is_empty() { Vec::new() } else { rows.remove(0) };
+                return Ok(Self { values, rows, axes: cells, n_lines, lines });
             }
             if cells.iter().any(|cell| !cell.is_empty()) {
                 rows.push(cells);
@@ -132,40 +131,6 @@ impl Head {
             1,
             "expected a line that begins with `Frame` among the first of Motive's export, found none",
         ))
-    }
-
-    fn of_rows(
-        rows: Vec<Vec<String>>,
-        axes: Vec<String>,
-        n_lines: usize,
-        lines: Vec<u8>,
-    ) -> Result<Self, InterchangeError> {
-        let mut rows = rows.into_iter();
-        let values = rows.next().unwrap_or_default();
-        let rest: Vec<Vec<String>> = rows.collect();
-        let named = |name: &str| {
-            rest.iter().find(|row| {
-                row.iter().take(2).any(|cell| cell.trim_end_matches(':').eq_ignore_ascii_case(name))
-            })
-        };
-        // Without names of their own, lines come in this order; the last one says what a column is.
-        let types = named("Type").or(rest.first());
-        let names = named("Name").or(rest.get(1));
-        let (Some(types), Some(names), Some(properties)) = (types, names, rest.last()) else {
-            return Err(malformed(
-                n_lines,
-                "expected lines with the type, the name and the property of each column above this one",
-            ));
-        };
-        Ok(Self {
-            values,
-            types: types.clone(),
-            names: names.clone(),
-            properties: properties.clone(),
-            axes,
-            n_lines,
-            lines,
-        })
     }
 
     /// A value of the first line.
@@ -182,7 +147,21 @@ impl Head {
     }
 
     /// The positions among the columns, and a note of what is left out.
-    fn columns(&self, warnings: &mut Vec<String>) -> Result<Vec<Column>, InterchangeError> {
+    fn columns(&self, warnings: &mut Vec<String>) -> Result<Vec<Column>> {
+        let named = |name: &str| {
+            self.rows.iter().find(|row| {
+                row.iter().take(2).any(|cell| cell.trim_end_matches(':').eq_ignore_ascii_case(name))
+            })
+        };
+        // Without names of their own, lines come in this order; the last one says what a column is: `Position`, `Rotation`...
+        let types = named("Type").or(self.rows.first());
+        let names = named("Name").or(self.rows.get(1));
+        let (Some(types), Some(names), Some(properties)) = (types, names, self.rows.last()) else {
+            return Err(malformed(
+                self.n_lines,
+                "expected lines with the type, the name and the property of each column above this one",
+            ));
+        };
         let cell = |row: &[String], at: usize| row.get(at).map_or("", String::as_str).to_owned();
         let is = |row: &[String], at: usize, text: &str| {
             row.get(at).is_some_and(|cell| cell.eq_ignore_ascii_case(text))
@@ -191,17 +170,17 @@ impl Head {
         let mut left_out = 0usize;
         let mut at = 1;
         while at < self.axes.len() {
-            let is_position = is(&self.properties, at, "Position")
+            let is_position = is(properties, at, "Position")
                 && ["X", "Y", "Z"].iter().enumerate().all(|(i, axis)| is(&self.axes, at + i, axis));
-            let owner = Owner::of(&cell(&self.types, at));
+            let owner = Owner::of(&cell(types, at));
             if !is_position || owner == Owner::Other {
                 // The name of the line itself stands above the times.
                 let is_time = at == 1 && cell(&self.axes, at).starts_with("Time");
-                left_out += usize::from(!is_time && !cell(&self.types, at).is_empty());
+                left_out += usize::from(!is_time && !cell(types, at).is_empty());
                 at += 1;
                 continue;
             }
-            let name = cell(&self.names, at);
+            let name = cell(names, at);
             let is_labelled =
                 !name.is_empty() && !name.to_ascii_lowercase().starts_with("unlabeled");
             let mut marker = text::marker(&name, columns.len());

@@ -11,7 +11,7 @@ use crate::{
     ambiguity::Notes,
     escape::from_cell,
     interchange::{
-        InterchangeError, ReadOptions, origin, put_position,
+        ReadOptions, Result, origin, put_position,
         table::{CUT_OFF, Table},
         text::{self, Separator, column_labels},
         units::{FileUnit, Millimetres},
@@ -21,7 +21,7 @@ use crate::{
 };
 
 /// Reads a whole file.
-pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, InterchangeError> {
+pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let mut notes = Notes::default();
     let head = Head::parse(bytes)?;
     // What we write has no line of units: it is always millimetres.
@@ -63,6 +63,7 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion, Interc
 }
 
 /// What stands above the data.
+#[derive(Default)]
 struct Head {
     /// `key=value` of the lines that begin with `#`.
     values: Vec<(String, String)>,
@@ -78,19 +79,20 @@ struct Head {
 }
 
 impl Head {
-    fn parse(bytes: &[u8]) -> Result<Self, InterchangeError> {
-        let mut values = Vec::new();
-        let mut kept = Vec::new();
+    fn parse(bytes: &[u8]) -> Result<Self> {
+        let mut head = Self::default();
         for (number, line) in text::lines(bytes) {
+            head.n_lines = number;
             if let Some(comment) = line.trim_ascii_start().strip_prefix(b"#") {
                 let comment = text::decode(comment);
                 let pairs = comment.split_whitespace().filter_map(|word| word.split_once('='));
-                values
-                    .extend(pairs.map(|(key, value)| (key.to_ascii_lowercase(), value.to_owned())));
-                kept.extend_from_slice(line);
-                kept.push(b'\n');
+                let pairs = pairs.map(|(key, value)| (key.to_ascii_lowercase(), value.to_owned()));
+                head.values.extend(pairs);
+                head.lines.extend_from_slice(line);
+                head.lines.push(b'\n');
             } else if !line.trim_ascii().is_empty() {
-                return Self::columns(line, number, values, kept);
+                head.read_columns(line)?;
+                return Ok(head);
             }
         }
         Err(malformed(
@@ -99,52 +101,36 @@ impl Head {
         ))
     }
 
-    fn columns(
-        line: &[u8],
-        number: usize,
-        values: Vec<(String, String)>,
-        lines: Vec<u8>,
-    ) -> Result<Self, InterchangeError> {
+    fn read_columns(&mut self, line: &[u8]) -> Result<()> {
         let names: Vec<String> =
             LineCells::new(line).map(|cell| text::decode(cell.trim_ascii())).collect();
         let named = |known: &[&str]| {
-            names.iter().position(|name| known.iter().any(|k| name.eq_ignore_ascii_case(k)))
+            let is_known = |name: &String| known.iter().any(|k| name.eq_ignore_ascii_case(k));
+            names.iter().position(is_known).filter(|&column| column < 2)
         };
-        let frame_column = named(&["frame", "frame#"]).filter(|&column| column < 2);
-        let time_column = named(&["time_s", "time"]).filter(|&column| column < 2);
-        let lead = usize::from(frame_column.is_some()) + usize::from(time_column.is_some());
-        let mut labels = Vec::new();
-        for axes in names.get(lead..).unwrap_or(&[]).chunks(3) {
+        self.frame_column = named(&["frame", "frame#"]);
+        self.time_column = named(&["time_s", "time"]);
+        self.lead = [self.frame_column, self.time_column].iter().flatten().count();
+        for axes in names.get(self.lead..).unwrap_or(&[]).chunks(3) {
             let label = label_of(axes).ok_or_else(|| {
-                malformed(
-                    number,
-                    &format!(
-                        "expected three columns NAME.x, NAME.y, NAME.z (or NAME_x...) for each marker, found `{}`",
-                        axes.join("`, `")
-                    ),
-                )
+                let message = format!(
+                    "expected three columns NAME.x, NAME.y, NAME.z (or NAME_x...) for each marker, found `{}`",
+                    axes.join("`, `")
+                );
+                malformed(self.n_lines, &message)
             })?;
-            labels.push(from_cell(label).into_owned());
+            self.labels.push(from_cell(label).into_owned());
         }
-        if lead == 0 && labels.is_empty() {
+        if self.lead == 0 && self.labels.is_empty() {
             return Err(malformed(
-                number,
+                self.n_lines,
                 "expected the columns frame, time_s or time and markers, found none of them",
             ));
         }
-        let is_ours = time_column
-            .is_some_and(|column| names.get(column).is_some_and(|name| name == "time_s"))
-            && names.get(lead).is_none_or(|first| first.ends_with(".x"));
-        Ok(Self {
-            values,
-            labels,
-            is_ours,
-            frame_column,
-            time_column,
-            lead,
-            n_lines: number,
-            lines,
-        })
+        let name = |column: usize| names.get(column).map(String::as_str);
+        self.is_ours = self.time_column.is_some_and(|column| name(column) == Some("time_s"))
+            && name(self.lead).is_none_or(|first| first.ends_with(".x"));
+        Ok(())
     }
 
     /// The last value of a key.
@@ -180,17 +166,12 @@ fn read_rows(table: &mut Table<'_>, bytes: &[u8], head: &Head, warnings: &mut Ve
             // Not even its number and time are known to be whole.
             break;
         }
-        let mut cells = Separator::COMMA.cells(line);
-        let (mut number, mut time) = (&[][..], &[][..]);
-        for column in 0..head.lead {
-            let cell = cells.next().unwrap_or(&[]);
-            if Some(column) == head.frame_column {
-                number = cell;
-            } else if Some(column) == head.time_column {
-                time = cell;
-            }
-        }
-        table.begin_row(number, time);
+        let lead = |column: Option<usize>| {
+            let at = column.filter(|&at| at < head.lead);
+            at.and_then(|at| Separator::COMMA.cells(line).nth(at)).unwrap_or(&[])
+        };
+        table.begin_row(lead(head.frame_column), lead(head.time_column));
+        let mut cells = Separator::COMMA.cells(line).skip(head.lead);
         for _ in &head.labels {
             table.read_sample(&mut cells);
         }
@@ -215,10 +196,7 @@ fn read_rows(table: &mut Table<'_>, bytes: &[u8], head: &Head, warnings: &mut Ve
 
 /// Writes a line of names, then one line a frame: its number, its time from the first frame in seconds, and three
 /// cells a marker in millimetres, empty where the sample is missing.
-pub(in crate::interchange) fn write(
-    frames: &mut dyn FrameSource,
-    out: &mut dyn Write,
-) -> Result<(), InterchangeError> {
+pub(crate) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
     let info = frames.info().clone();
     let mut head = b"frame,time_s".to_vec();
     for label in column_labels(&info) {

@@ -27,34 +27,38 @@ const TEXT_M: f64 = 0.03;
 pub(super) struct Message(pub(super) Vec<u8>);
 
 impl Message {
-    /// An integer, a bool or a value of an enum.
-    pub(super) fn int(&mut self, field: u32, value: u64) {
+    /// Adds an integer, a bool or a value of an enum.
+    pub(super) fn int(mut self, field: u32, value: u64) -> Self {
         self.tag(field, 0);
         varint::put(&mut self.0, value);
+        self
     }
 
-    pub(super) fn double(&mut self, field: u32, value: f64) {
+    pub(super) fn double(mut self, field: u32, value: f64) -> Self {
         self.tag(field, 1);
         self.0.extend(value.to_le_bytes());
+        self
     }
 
-    pub(super) fn fixed32(&mut self, field: u32, value: u32) {
+    pub(super) fn fixed32(mut self, field: u32, value: u32) -> Self {
         self.tag(field, 5);
         self.0.extend(value.to_le_bytes());
+        self
     }
 
-    pub(super) fn bytes(&mut self, field: u32, value: &[u8]) {
+    pub(super) fn bytes(mut self, field: u32, value: &[u8]) -> Self {
         self.tag(field, 2);
         varint::put(&mut self.0, value.len() as u64);
         self.0.extend_from_slice(value);
+        self
     }
 
-    pub(super) fn text(&mut self, field: u32, value: &str) {
-        self.bytes(field, value.as_bytes());
+    pub(super) fn text(self, field: u32, value: &str) -> Self {
+        self.bytes(field, value.as_bytes())
     }
 
-    pub(super) fn message(&mut self, field: u32, value: &Self) {
-        self.bytes(field, &value.0);
+    pub(super) fn message(self, field: u32, value: &Self) -> Self {
+        self.bytes(field, &value.0)
     }
 
     fn tag(&mut self, field: u32, wire_type: u32) {
@@ -64,31 +68,18 @@ impl Message {
 
 /// `google.protobuf.Timestamp`.
 fn timestamp(time_ns: u64) -> Message {
-    let mut out = Message::default();
-    out.int(1, time_ns / 1_000_000_000);
-    out.int(2, time_ns % 1_000_000_000);
-    out
+    Message::default().int(1, time_ns / 1_000_000_000).int(2, time_ns % 1_000_000_000)
 }
 
-fn vector([x, y, z]: [f64; 3]) -> Message {
-    let mut out = Message::default();
-    out.double(1, x);
-    out.double(2, y);
-    out.double(3, z);
-    out
-}
-
-fn quaternion([x, y, z, w]: [f64; 4]) -> Message {
-    let mut out = vector([x, y, z]);
-    out.double(4, w);
-    out
+/// Fields of doubles from the first on: a vector, a quaternion, a colour.
+fn doubles<const N: usize>(values: [f64; N]) -> Message {
+    (1..)
+        .zip(values)
+        .fold(Message::default(), |message, (field, value)| message.double(field, value))
 }
 
 fn pose(at: [f64; 3]) -> Message {
-    let mut out = Message::default();
-    out.message(1, &vector(at));
-    out.message(2, &quaternion([0.0, 0.0, 0.0, 1.0]));
-    out
+    Message::default().message(1, &doubles(at)).message(2, &doubles([0.0, 0.0, 0.0, 1.0]))
 }
 
 fn metres(position: Position) -> [f64; 3] {
@@ -105,64 +96,51 @@ pub(super) fn cloud(row: &[Position], time_ns: u64) -> Message {
         data.extend((column as u16).to_le_bytes());
         data.extend([0; 2]);
     }
-    let mut out = Message::default();
-    out.message(1, &timestamp(time_ns));
-    out.text(2, FRAME);
-    out.message(3, &pose([0.0; 3]));
-    out.fixed32(4, STRIDE as u32);
-    for (name, offset, kind) in
-        [("x", 0, FLOAT32), ("y", 4, FLOAT32), ("z", 8, FLOAT32), ("marker", 12, UINT16)]
-    {
-        let mut field = Message::default();
-        field.text(1, name);
-        field.fixed32(2, offset);
-        field.int(3, kind);
-        out.message(5, &field);
-    }
-    out.bytes(6, &data);
-    out
+    let head = Message::default()
+        .message(1, &timestamp(time_ns))
+        .text(2, FRAME)
+        .message(3, &pose([0.0; 3]))
+        .fixed32(4, STRIDE as u32);
+    [("x", 0, FLOAT32), ("y", 4, FLOAT32), ("z", 8, FLOAT32), ("marker", 12, UINT16)]
+        .map(|(name, offset, kind)| {
+            Message::default().text(1, name).fixed32(2, offset).int(3, kind)
+        })
+        .iter()
+        .fold(head, |cloud, field| cloud.message(5, field))
+        .bytes(6, &data)
 }
 
 /// `foxglove.SceneUpdate` with the names of the markers that are seen.
 pub(super) fn names(row: &[Position], labels: &[String], time_ns: u64) -> Message {
-    let mut entity = Message::default();
-    entity.message(1, &timestamp(time_ns));
-    entity.text(2, FRAME);
-    entity.text(3, "names");
-    let mut colour = vector([1.0, 1.0, 1.0]);
-    colour.double(4, 1.0);
+    let mut entity =
+        Message::default().message(1, &timestamp(time_ns)).text(2, FRAME).text(3, "names");
     for (position, label) in row.iter().zip(labels).filter(|(position, _)| !is_gap(**position)) {
-        let mut text = Message::default();
-        text.message(1, &pose(metres(*position)));
-        text.int(2, 1);
-        text.double(3, TEXT_M);
-        text.message(5, &colour);
-        text.text(6, label);
-        entity.message(13, &text);
+        let text = Message::default()
+            .message(1, &pose(metres(*position)))
+            .int(2, 1)
+            .double(3, TEXT_M)
+            .message(5, &doubles([1.0; 4]))
+            .text(6, label);
+        entity = entity.message(13, &text);
     }
-    let mut out = Message::default();
-    out.message(2, &entity);
-    out
+    Message::default().message(2, &entity)
 }
 
 /// `foxglove.FrameTransform` that turns the take's way up to z.
 pub(super) fn way_up(up: UpAxis, time_ns: u64) -> Message {
     const HALF: f64 = std::f64::consts::FRAC_1_SQRT_2;
-    let mut out = Message::default();
-    out.message(1, &timestamp(time_ns));
-    out.text(2, ROOT);
-    out.text(3, FRAME);
-    out.message(4, &vector([0.0; 3]));
-    out.message(
-        5,
-        &quaternion(match up {
-            UpAxis::Z | UpAxis::Unknown => [0.0, 0.0, 0.0, 1.0],
-            // A quarter turn about x takes y to z; one back about y takes x to z.
-            UpAxis::Y => [HALF, 0.0, 0.0, HALF],
-            UpAxis::X => [0.0, -HALF, 0.0, HALF],
-        }),
-    );
-    out
+    let rotation = match up {
+        UpAxis::Z | UpAxis::Unknown => [0.0, 0.0, 0.0, 1.0],
+        // A quarter turn about x takes y to z; one back about y takes x to z.
+        UpAxis::Y => [HALF, 0.0, 0.0, HALF],
+        UpAxis::X => [0.0, -HALF, 0.0, HALF],
+    };
+    Message::default()
+        .message(1, &timestamp(time_ns))
+        .text(2, ROOT)
+        .text(3, FRAME)
+        .message(4, &doubles([0.0; 3]))
+        .message(5, &doubles(rotation))
 }
 
 #[cfg(test)]
@@ -172,12 +150,9 @@ mod tests {
     /// The examples of protobuf.dev, "Encoding".
     #[test]
     fn fields_are_as_they_are_specified() {
-        let mut inner = Message::default();
-        inner.int(1, 150);
+        let inner = Message::default().int(1, 150);
         assert_eq!(inner.0, [0x08, 0x96, 0x01]);
-        let mut outer = Message::default();
-        outer.message(3, &inner);
-        outer.text(2, "testing");
+        let outer = Message::default().message(3, &inner).text(2, "testing");
         assert_eq!(outer.0[..5], [0x1a, 0x03, 0x08, 0x96, 0x01]);
         assert_eq!(outer.0[5..], [0x12, 7, b't', b'e', b's', b't', b'i', b'n', b'g']);
     }

@@ -15,7 +15,7 @@ use mcap::{
 };
 
 use self::{messages::Message, schema::descriptor_set};
-use super::{InterchangeError, about::about, text::column_labels};
+use super::{InterchangeError, Result, about::about, text::column_labels};
 use crate::motion::{FrameSource, GAP};
 
 /// Bytes of a chunk: all of the messages that are in memory.
@@ -26,10 +26,7 @@ const NAMES_HZ: f64 = 10.0;
 
 /// Writes a take as three topics: `/markers`, `/names` and `/tf`. Times are those of frames, from when the recording
 /// began, or from 1970 where that is not known.
-pub(super) fn write(
-    frames: &mut dyn FrameSource,
-    out: &mut dyn Write,
-) -> Result<(), InterchangeError> {
+pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
     let info = frames.info().clone();
     let header = frames.take().map(|take| &take.header);
     let begun_ms = header.map_or(0, |header| header.created_unix_ms);
@@ -78,18 +75,13 @@ struct File<'a> {
 }
 
 impl File<'_> {
-    fn channel(&mut self, topic: &str, message: &'static str) -> Result<u16, InterchangeError> {
+    fn channel(&mut self, topic: &str, message: &'static str) -> Result<u16> {
         let schema = self.writer.add_schema(message, "protobuf", &descriptor_set(message));
         let schema = schema.map_err(failed)?;
         self.writer.add_channel(schema, topic, "protobuf", &BTreeMap::new()).map_err(failed)
     }
 
-    fn message(
-        &mut self,
-        channel_id: u16,
-        time_ns: u64,
-        message: &Message,
-    ) -> Result<(), InterchangeError> {
+    fn message(&mut self, channel_id: u16, time_ns: u64, message: &Message) -> Result<()> {
         let sequence = self.sequence;
         self.sequence = sequence.wrapping_add(1);
         let header =

@@ -113,9 +113,7 @@ pub(super) fn descriptor_set(name: &'static str) -> Vec<u8> {
             files.push(file_descriptor(message));
         }
     }
-    let mut set = Message::default();
-    files.iter().rev().for_each(|file| set.message(1, file));
-    set.0
+    files.iter().rev().fold(Message::default(), |set, file| set.message(1, file)).0
 }
 
 /// The messages that fields of one are of.
@@ -137,28 +135,21 @@ fn path(full_name: &str) -> String {
 fn file_descriptor(declared: &Declared) -> Message {
     let (full_name, fields) = declared;
     let (package, name) = full_name.rsplit_once('.').unwrap_or(("", full_name));
-    let mut file = Message::default();
-    file.text(1, &path(full_name));
-    file.text(2, package);
     let uses: BTreeSet<String> = used(declared).map(path).collect();
-    uses.iter().for_each(|path| file.text(3, path));
-    let mut message = Message::default();
-    message.text(1, name);
-    fields.iter().for_each(|field| message.message(2, &field_descriptor(field)));
-    if fields.iter().any(|(.., of)| matches!(of, Number)) {
-        let mut numbers = Message::default();
-        numbers.text(1, "NumericType");
-        for (number, name) in (0..).zip(NUMERIC_TYPES) {
-            let mut value = Message::default();
-            value.text(1, name);
-            value.int(2, number);
-            numbers.message(2, &value);
-        }
-        message.message(4, &numbers);
+    let file = Message::default().text(1, &path(full_name)).text(2, package);
+    let file = uses.iter().fold(file, |file, path| file.text(3, path));
+    let mut message = Message::default().text(1, name);
+    for field in *fields {
+        message = message.message(2, &field_descriptor(field));
     }
-    file.message(4, &message);
-    file.text(12, "proto3");
-    file
+    if fields.iter().any(|(.., of)| matches!(of, Number)) {
+        let mut numbers = Message::default().text(1, "NumericType");
+        for (number, name) in (0..).zip(NUMERIC_TYPES) {
+            numbers = numbers.message(2, &Message::default().text(1, name).int(2, number));
+        }
+        message = message.message(4, &numbers);
+    }
+    file.message(4, &message).text(12, "proto3")
 }
 
 fn field_descriptor(&(name, number, of): &Field) -> Message {
@@ -176,13 +167,9 @@ fn field_descriptor(&(name, number, of): &Field) -> Message {
         Bytes => (OPTIONAL, 12, None),
         Number => (OPTIONAL, 14, Some("foxglove.PackedElementField.NumericType")),
     };
-    let mut field = Message::default();
-    field.text(1, name);
-    field.int(3, number.into());
-    field.int(4, label);
-    field.int(5, kind);
-    if let Some(type_name) = type_name {
-        field.text(6, &format!(".{type_name}"));
+    let field = Message::default().text(1, name).int(3, number.into()).int(4, label).int(5, kind);
+    match type_name {
+        Some(type_name) => field.text(6, &format!(".{type_name}")),
+        None => field,
     }
-    field
 }
