@@ -1,12 +1,12 @@
 """How thick a leg is round the knee, and an arm round elbow and wrist: learns the mean and the ways in which limbs differ, and
-writes subject/body/src/locate/girth_weights.rs. Part of learn.py."""
+writes subject/body/data/girths.json. Part of learn.py."""
 
 import dataclasses
 
 import numpy as np
 
 STEP = 0.006  # section.rs
-EVERY = 2 * STEP  # girth.rs
+EVERY = 2 * STEP  # model.rs
 # Of the standard deviations of a whole profile's height and slope: more than any person's, so that they say nothing.
 HEIGHT, SLOPE = 0.5, 0.3
 # So much is left to chance at each place, in the logarithm of the girth, or as a part of it.
@@ -29,11 +29,11 @@ class Place:
 
 PLACES = [
     # From below the thickest of the calf to the middle of the thigh.
-    Place("KNEE", "leg", "knee", (0.2, 0.48), -0.12, 23, 6, True),
+    Place("knee", "leg", "knee", (0.2, 0.48), -0.12, 23, 6, True),
     # From the thinner half of the forearm to the lower part of the upper arm.
-    Place("ELBOW", "arm", "elbow", (0.17, 0.36), -0.096, 14, 4, False),
+    Place("elbow", "arm", "elbow", (0.17, 0.36), -0.096, 14, 4, False),
     # From the middle of the hand to the thickest of the forearm.
-    Place("WRIST", "arm", "wrist", (0.06, 0.2), -0.036, 10, 4, False),
+    Place("wrist", "arm", "wrist", (0.06, 0.2), -0.036, 10, 4, False),
 ]
 
 
@@ -58,7 +58,7 @@ def profiles(bodies, place):
 
 
 def learn(bodies, place):
-    """The average girth, the mean profile, and the modes scaled as girth.rs takes them: probabilistic principal components
+    """The average girth, the mean profile, and the modes scaled as model.rs takes them: probabilistic principal components
     (Tipping and Bishop 1999), with height and slope of the profile left free."""
     found = np.array(list(profiles(bodies, place)))
     average = found.mean()
@@ -80,30 +80,23 @@ def learn(bodies, place):
     return average, mean, modes
 
 
-def rust(bodies):
-    """The text of girth_weights.rs."""
-    row = lambda values: ", ".join(f"{value:.5f}" for value in values)
-    lines = [
-        "//! Written by `benches/subject/learn.py` from the shapes mavg and favg: change it there.",
-        "",
-        "use super::girth::{Girth, Measure};",
-    ]
+def table(bodies):
+    """The text of girths.json."""
+    row = lambda values: "[" + ", ".join(f"{value:.5f}" for value in values) + "]"
+    places = []
     for place in PLACES:
         average, mean, modes = learn(bodies, place)
-        kind = f"{place.name.capitalize()}Girth"
-        measure = "Measure::Logarithm" if place.logarithm else f"Measure::Length({average:.5f})"
-        lines += [
-            "",
-            f"pub(super) type {kind} = Girth<{place.places}, {place.modes}>;",
-            "",
-            f"pub(super) static {place.name}: {kind} = Girth {{",
-            f"    first: {place.first},",
-            f"    measure: {measure},",
-            f"    mean: [{row(mean)}],",
-            "    modes: [",
-            *(f"        [{row(mode)}]," for mode in modes),
+        measure = '"logarithm"' if place.logarithm else f'{{ "length": {average:.5f} }}'
+        lines = [
+            f'  "{place.name}": {{',
+            f'    "first": {place.first},',
+            f'    "measure": {measure},',
+            f'    "mean": {row(mean)},',
+            '    "modes": [',
+            ",\n".join(f"      {row(mode)}" for mode in modes),
             "    ],",
-            f"    rest: {REST},",
-            "};",
+            f'    "rest": {REST}',
+            "  }",
         ]
-    return "\n".join([*lines, ""])
+        places.append("\n".join(lines))
+    return "{\n" + ",\n".join(places) + "\n}\n"

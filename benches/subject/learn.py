@@ -1,4 +1,4 @@
-"""Learns where joints are among the landmarks, and writes subject/body/src/locate/weights.rs; before that how thick a leg is
+"""Learns where joints are among the landmarks, and writes subject/body/data/joint-weights.json; before that how thick a leg is
 round the knee and an arm round elbow and wrist (girth.py), for the landmarks are placed by it.
 
     MOCAPD_BODIES=... python3 benches/subject/learn.py
@@ -20,21 +20,21 @@ import numpy as np
 import girth
 
 PROJECT = pathlib.Path(__file__).resolve().parents[2]
-WEIGHTS = PROJECT / "subject/body/src/locate/weights.rs"
-GIRTH = PROJECT / "subject/body/src/locate/girth_weights.rs"
+WEIGHTS = PROJECT / "subject/body/data/joint-weights.json"
+GIRTHS = PROJECT / "subject/body/data/girths.json"
 SHAPES = ["mh_mavg", "mh_favg"]
 
 # Joint, its name in the truth (with .L and .R if there are two), ridge, and which landmarks: part, first, one past the last.
 # The ridge is in body scales squared: a weight of 1 costs as much as an error of its root.
 JOINTS = [
-    ("Head", "head_top", 1e-3, [("Head", 0, 7)]),
-    ("Throat", "neck", 3e-3, [("Head", 3, 13), ("Arm", 16, 22), ("OtherArm", 16, 22)]),
-    ("Shoulder", "shoulder", 3e-3, [("Arm", 10, 22), ("OtherArm", 16, 22), ("Leg", 23, 28), ("OtherLeg", 23, 28), ("Head", 3, 13)]),
-    ("Elbow", "elbow", 1e-3, [("Arm", 5, 16)]),
-    ("Wrist", "wrist", 1e-4, [("Arm", 0, 8)]),
-    ("Hip", "hip", 1e-3, [("Leg", 16, 28), ("OtherLeg", 16, 28), ("Arm", 16, 22), ("OtherArm", 16, 22), ("Head", 3, 13)]),
-    ("Knee", "knee", 1e-3, [("Leg", 8, 18)]),
-    ("Ankle", "ankle", 3e-4, [("Leg", 0, 10)]),
+    ("head", "head_top", 1e-3, [("head", 0, 7)]),
+    ("throat", "neck", 3e-3, [("head", 3, 13), ("arm", 16, 22), ("other_arm", 16, 22)]),
+    ("shoulder", "shoulder", 3e-3, [("arm", 10, 22), ("other_arm", 16, 22), ("leg", 23, 28), ("other_leg", 23, 28), ("head", 3, 13)]),
+    ("elbow", "elbow", 1e-3, [("arm", 5, 16)]),
+    ("wrist", "wrist", 1e-4, [("arm", 0, 8)]),
+    ("hip", "hip", 1e-3, [("leg", 16, 28), ("other_leg", 16, 28), ("arm", 16, 22), ("other_arm", 16, 22), ("head", 3, 13)]),
+    ("knee", "knee", 1e-3, [("leg", 8, 18)]),
+    ("ankle", "ankle", 3e-4, [("leg", 0, 10)]),
 ]
 
 
@@ -52,7 +52,7 @@ def samples(bodies, truth, spans):
         first = min("LR", key=lambda side: np.linalg.norm(wrist - joints[f"wrist.{side}"]))
         for half, side in ((0, first), (1, "LR".replace(first, ""))):
             own, other = body["halves"][half], body["halves"][1 - half]
-            parts = {"Arm": own["arm"], "OtherArm": other["arm"], "Leg": own["leg"], "OtherLeg": other["leg"], "Head": body["head"]}
+            parts = {"arm": own["arm"], "other_arm": other["arm"], "leg": own["leg"], "other_leg": other["leg"], "head": body["head"]}
             points = np.concatenate([parts[part][start:end] for part, start, end in spans])
             target = joints.get(truth, joints.get(f"{truth}.{side}"))
             words = body["name"].split("_")
@@ -113,18 +113,19 @@ def sigma(by_shape, by_pose):
     return np.sqrt(within + between + UNSEEN**2)
 
 
-def rust(name, spans, found, sigma):
-    lines = [f"pub(super) const {name.upper()}: Model = Model {{", f"    sigma: {sigma:.4f},", "    spans: &["]
+def entry(name, spans, found, sigma):
+    """A joint as the table has it."""
+    lines = []
     at = 0
     for part, start, end in spans:
         weights = ", ".join(f"{weight:.5f}" for weight in found[at : at + end - start])
         at += end - start
-        lines.append(f"        Span {{ part: Part::{part}, first: {start}, weights: &[{weights}] }},")
-    return "\n".join([*lines, "    ],", "};", ""])
+        lines.append(f'    {{ "part": "{part}", "first": {start}, "weights": [{weights}] }}')
+    return f'  "{name}": {{ "sigma": {sigma:.4f}, "spans": [\n' + ",\n".join(lines) + "\n  ] }"
 
 
 # Bone, its ends in the truth.
-BONES = [("UPPER_ARM", "shoulder", "elbow"), ("THIGH", "hip", "knee")]
+BONES = [("upper_arm", "shoulder", "elbow"), ("thigh", "hip", "knee")]
 
 
 def bones(bodies):
@@ -139,27 +140,22 @@ def bones(bodies):
         yield name, np.mean([np.mean(of_shape) for of_shape in lengths.values()])
 
 
-def write(path, text):
-    path.write_text(text)
-    subprocess.run(["rustfmt", "--edition", "2024", str(path)], check=True)
-
-
 def main():
-    write(GIRTH, girth.rust(landmarks()))
+    GIRTHS.write_text(girth.table(landmarks()))
     bodies = landmarks()
-    text = ["//! Written by `benches/subject/learn.py` from the shapes mavg and favg: change it there.", "", "use super::model::{Model, Part, Span};", ""]
+    entries = []
     print(f"{len(bodies)} meshes\n| joint | shape left out: mean / p95, %st | pose left out | build left out |\n|---|---|---|---|")
     for name, truth, ridge, spans in JOINTS:
         found, sigma, left = learn(bodies, truth, ridge, spans)
         cells = [f"{np.mean(e) * 100:.2f} / {np.percentile(e, 95) * 100:.2f}" for e in left]
-        print(f"| {name.lower()} | {' | '.join(cells)} |")
+        print(f"| {name} | {' | '.join(cells)} |")
         # Rounded weights must still add up to one: what is missing goes to the greatest.
         found = np.round(found, 5)
         found[np.argmax(np.abs(found))] += 1 - found.sum()
-        text.append(rust(name, spans, found, sigma))
+        entries.append(entry(name, spans, found, sigma))
     for name, length in bones(bodies):
-        text.append(f"pub(super) const {name}: f64 = {length:.4f};\n")
-    write(WEIGHTS, "\n".join(text))
+        entries.append(f'  "{name}": {length:.4f}')
+    WEIGHTS.write_text("{\n" + ",\n".join(entries) + "\n}\n")
 
 
 main()

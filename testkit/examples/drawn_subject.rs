@@ -7,11 +7,11 @@ use std::error::Error;
 use std::fmt::Write;
 use std::path::Path;
 
-use mocapd_body::{
-    Mesh,
-    generate::{Options, Pose, body},
+use mocapd_body::Mesh;
+use mocapd_testkit::{
+    photograph::Scene,
+    synthetic_body::{Options, Pose, body},
 };
-use mocapd_testkit::photograph::Scene;
 
 /// Between the outer corners of the eyes: as large as a portrait that fills a screen.
 const IO_PX: f64 = 120.0;

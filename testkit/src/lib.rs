@@ -4,3 +4,4 @@ pub mod memory;
 pub mod photograph;
 pub mod random;
 pub mod recorded;
+pub mod synthetic_body;

@@ -2,13 +2,12 @@
 
 use std::fmt::Write;
 
-use mocapd_body::{
-    Joint, Joints, Mesh, Side,
-    generate::{Options, Pose, body},
-    skeleton::Skeleton,
-};
+use mocapd_body::{Joint, Joints, Mesh, Side, skeleton::Skeleton};
 use mocapd_face::fitted::FittedFace;
-use mocapd_testkit::photograph::Scene;
+use mocapd_testkit::{
+    photograph::Scene,
+    synthetic_body::{Options, Pose, body},
+};
 
 use super::Folder;
 
@@ -46,7 +45,7 @@ fn scans_of_one_person_become_a_skeleton_and_a_picture() {
     assert!(skeleton.sources.iter().all(|source| source.unit == "m" && source.unit_inferred));
     // Bodies of capsules are none that the method has learned from: a quarter is what may be expected.
     let thigh_mm = length_mm(&truth, Joint::Hip(Side::Left), Joint::Knee(Side::Left));
-    let (found_mm, _) = skeleton.symmetric_length_mm("thigh").unwrap();
+    let found_mm = skeleton.symmetric_length("thigh").unwrap().mm;
     assert!((found_mm / thigh_mm - 1.0).abs() < 0.25, "{found_mm} of {thigh_mm} mm");
     // Nothing is written where no bone has a body's length, or two outputs are one file.
     let ran =

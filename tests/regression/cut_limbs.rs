@@ -2,11 +2,11 @@
 
 use mocapd_body::{
     Joint, Joints, Mesh, Refusal, Side, Survey,
-    generate::{Cut, Options, Part, Pose, body, cut_limb},
     read::{Format, Scan},
     repair::repair,
     skeleton::Method,
 };
+use mocapd_testkit::synthetic_body::{Cut, Options, Part, Pose, body, cut_limb};
 
 /// No joint may be so far off, in parts of stature, whose stated standard deviation is below [`SURE`].
 const FAR: f64 = 0.1;

@@ -2,11 +2,11 @@
 
 use mocapd_body::{
     Mesh, Survey,
-    generate::{Options, Pose, body},
     read::{Format, Scan},
     repair::{RepairError, Repaired, repair},
     skeleton::Method,
 };
+use mocapd_testkit::synthetic_body::{Options, Pose, body};
 
 fn repaired(mesh: Mesh) -> Result<Repaired, RepairError> {
     repair(Scan { mesh, format: Format::Obj, unit: None, notes: Vec::new() }, None)

@@ -2,9 +2,9 @@
 
 use mocapd_body::{
     Joints, Mesh, Repaired, Unit,
-    generate::{Options, Pose, body},
     skeleton::{Method, ScanJoints, Skeleton, Source},
 };
+use mocapd_testkit::synthetic_body::{Options, Pose, body};
 
 /// An octahedron, of which a fuzzer changes a large part with few bytes; the same with a hole, a double corner, a stray
 /// triangle; and a small body.

@@ -210,7 +210,7 @@ fn picture(name: &str, repaired: &Repaired, survey: &Survey, skeleton: &Skeleton
         ..Drawing::default()
     };
     if let Some(levels) = &survey.levels {
-        drawing.trace(&levels.rings, &levels.reeb, &levels.segments);
+        drawing.trace(levels);
     }
     svg(&drawing)
 }

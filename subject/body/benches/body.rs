@@ -19,11 +19,11 @@ use std::{
 
 use mocapd_body::{
     Mesh, Survey,
-    generate::{Options, Pose, body},
     geodesic::{Adjacency, Graph, Workspace, distances},
     read::read,
     skeleton::Method,
 };
+use mocapd_testkit::synthetic_body::{Options, Pose, body};
 use rustix::time::{ClockId, clock_gettime};
 
 /// Up to so many faces, a mesh is done within so many milliseconds.

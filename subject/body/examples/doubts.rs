@@ -9,8 +9,8 @@ use std::collections::BTreeMap;
 use std::error::Error;
 
 use mocapd_body::Survey;
-use mocapd_body::generate::{Options, Pose, body};
 use mocapd_body::skeleton::Method;
+use mocapd_testkit::synthetic_body::{Options, Pose, body};
 
 /// Seeds that no threshold was chosen on.
 const SEEDS: [u64; 2] = [100, 160];

@@ -12,6 +12,11 @@ pub enum Side {
     Right,
 }
 
+impl Side {
+    /// Both of them.
+    pub const BOTH: [Self; 2] = [Self::Left, Self::Right];
+}
+
 /// The 15 sites of Shi et al. 2012 (doi 10.3969/j.issn.0372-2112.2012.01.021).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Joint {

@@ -1,6 +1,11 @@
-//! A surface of triangles.
+//! A surface of triangles, and what is measured of one.
 
-/// A surface of triangles, as the methods of this module take it.
+use nalgebra::Vector3;
+
+/// A place or a direction.
+pub(crate) type Point = Vector3<f64>;
+
+/// A surface of triangles, as the methods of this crate take it.
 ///
 /// Positions are in the unit of whoever made it; nothing in the geometry depends on the unit.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -9,4 +14,81 @@ pub struct Mesh {
     pub positions: Vec<[f64; 3]>,
     /// Three indices into `positions` a triangle, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
+}
+
+impl Mesh {
+    /// Where a vertex is; the origin for one that is not there.
+    pub(crate) fn point(&self, vertex: u32) -> Point {
+        self.positions.get(vertex as usize).copied().unwrap_or_default().into()
+    }
+
+    pub(crate) fn corners(&self, triangle: [u32; 3]) -> [Point; 3] {
+        triangle.map(|vertex| self.point(vertex))
+    }
+
+    pub(crate) fn area_of(&self, triangle: [u32; 3]) -> f64 {
+        normal(self.corners(triangle)).norm() / 2.0
+    }
+
+    /// The area of the surface.
+    pub(crate) fn area(&self) -> f64 {
+        self.triangles.iter().map(|triangle| self.area_of(*triangle)).sum()
+    }
+
+    /// The centroid of the surface, each triangle weighted by its area.
+    pub(crate) fn area_centroid(&self) -> Point {
+        let (mut sum, mut total) = (Point::zeros(), 0.0);
+        for triangle in &self.triangles {
+            let [a, b, c] = self.corners(*triangle);
+            let area = self.area_of(*triangle);
+            sum += (a + b + c) * area / 3.0;
+            total += area;
+        }
+        if total > 0.0 { sum / total } else { Point::zeros() }
+    }
+
+    /// What a closed surface encloses; negative where it faces inside.
+    pub(crate) fn volume(&self) -> f64 {
+        let origin = self.point(0);
+        let of = |triangle: &[u32; 3]| {
+            let [a, b, c] = self.corners(*triangle).map(|corner| corner - origin);
+            a.dot(&b.cross(&c)) / 6.0
+        };
+        self.triangles.iter().map(of).sum()
+    }
+
+    /// Distance of two points that lie far apart: the farthest from the mean, and the farthest from that one. However the
+    /// mesh is turned, it is the same; and never less than half of the largest distance.
+    pub(crate) fn extent(&self) -> f64 {
+        let points = || self.positions.iter().map(|at| Point::from(*at));
+        let farthest = |from: Point| {
+            points().fold((from, 0.0), |best, point| {
+                let far = distance(from, point);
+                if far > best.1 { (point, far) } else { best }
+            })
+        };
+        let Some(middle) = mean(points()) else { return 0.0 };
+        farthest(farthest(middle).0).1
+    }
+}
+
+/// Out of a triangle, and twice as long as its area.
+pub(crate) fn normal([a, b, c]: [Point; 3]) -> Point {
+    (b - a).cross(&(c - a))
+}
+
+pub(crate) fn distance(a: impl Into<Point>, b: impl Into<Point>) -> f64 {
+    (a.into() - b.into()).norm()
+}
+
+/// Of length one; zero where there is no direction.
+pub(crate) fn unit(direction: Point) -> Point {
+    let length = direction.norm();
+    if length > 0.0 { direction * (1.0 / length) } else { Point::zeros() }
+}
+
+/// Mean of points; nothing of none.
+pub(crate) fn mean(points: impl IntoIterator<Item = Point>) -> Option<Point> {
+    let (sum, n) = points.into_iter().fold((Point::zeros(), 0.0), |(sum, n), p| (sum + p, n + 1.0));
+    (n > 0.0).then(|| sum * (1.0 / n))
 }

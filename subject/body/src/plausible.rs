@@ -1,4 +1,4 @@
-//! Whether joints lie as a body can have them.
+//! Whether joints lie as a body can have them, and whether a body is as tall as the ways along its surface say.
 //!
 //! Where limbs have grown together, distances lead across, and what is built upon them is no body's: shoulders in the
 //! belly, a trunk twice as long as the legs. What is measured here are parts of the length of a leg, which hardly differ
@@ -6,8 +6,8 @@
 
 use std::ops::RangeInclusive;
 
-use super::geometry::distance;
-use super::{Joint, Joints, Side};
+use super::mesh::distance;
+use super::{Estimate, Joint, Joints, Mesh, Note, Side};
 
 /// Thigh and shank are one. From throat to pelvis: 0.54 to 0.76 on bodies whose limbs are free, more on a child.
 const TRUNK: RangeInclusive<f64> = 0.4..=1.2;
@@ -18,7 +18,7 @@ const ARM: RangeInclusive<f64> = 0.475..=0.85;
 
 /// What of a body's joints can be believed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Plausible {
+pub enum Plausible {
     /// All of them.
     Whole,
     /// All but shoulders and elbows: the arms are not where they were looked for.
@@ -29,7 +29,8 @@ pub(super) enum Plausible {
 
 impl Plausible {
     /// Of joints in any unit; those that are missing are not doubted.
-    pub(super) fn of(joints: &Joints) -> Self {
+    #[must_use]
+    pub fn of(joints: &Joints) -> Self {
         let Some(leg) = limb(joints, [Joint::Hip, Joint::Knee, Joint::Ankle]) else {
             return Self::Whole;
         };
@@ -63,33 +64,51 @@ fn way(joints: &Joints, from: Joint, to: Joint) -> Option<f64> {
     Some(distance(at(from)?, at(to)?))
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::generate::{Options, Pose, body};
+// Where limbs have grown together with the trunk, as of somebody who crouches with the arms around the knees, ways lead across
+// and are too short, all of them together: the body comes out shorter than it is, and nothing in the ways shows it. Its volume
+// is as it was.
 
-    /// With some joints moved towards another, by a part of the way.
-    fn moved(joints: &Joints, which: fn(Side) -> Joint, to: Joint, part: f64) -> Joints {
-        let mut moved = joints.clone();
-        let end = joints.estimates[&to].position;
-        for side in [Side::Left, Side::Right] {
-            let at = &mut moved.estimates.get_mut(&which(side)).unwrap().position;
-            *at = [0, 1, 2].map(|axis| at[axis] + part * (end[axis] - at[axis]));
-        }
-        moved
+/// The cube root of a body's volume over its body scale: of an adult of 1.72 m and 24 kg/m^2 at a density of 1.0, 0.241 of
+/// stature, which is 0.98 of the scale.
+const VOLUME_ROOT: f64 = 0.235;
+/// In contact a body that is stouter than that by more, as a logarithm, is in doubt: by a weight of 1.27 times the mean, a
+/// body mass index above 30.
+const STOUT_IN_CONTACT: f64 = 0.08;
+/// Without a sign of contact: a body mass index above 50.
+const STOUT: f64 = 0.25;
+
+/// By how much the body may be taller than its ways say, as a part of them; nothing where its volume is that of its size.
+pub(super) fn too_short(mesh: &Mesh, scale: f64, in_contact: bool) -> Option<f64> {
+    let stout = (mesh.volume().max(0.0).cbrt() / (scale * VOLUME_ROOT)).ln();
+    let most = if in_contact { STOUT_IN_CONTACT } else { STOUT };
+    // A stout body in contact may be stout, or too short: nothing tells which.
+    (stout > most).then_some(stout)
+}
+
+/// Makes the joints as unsure as a body is that may be taller by such a part.
+pub(super) fn doubt(joints: &mut Joints, scale: f64, by: f64) -> Note {
+    joints.size_sigma = by;
+    for (joint, Estimate { sigma, .. }) in &mut joints.estimates {
+        *sigma = sigma.hypot(by * from_end(*joint) * scale);
     }
+    let text = format!(
+        "the body is stouter than people of the size that its surface tells, as where limbs have grown together with the \
+         trunk: it may be taller by {:.0} %, and all lengths with it; scan with limbs apart",
+        100.0 * by
+    );
+    Note::new("size-unsure", text)
+}
 
-    #[test]
-    fn joints_of_bodies_are_believed_and_others_are_not() {
-        for (seed, pose) in (1..).zip(Pose::ALL) {
-            let (_, joints) = body(seed, pose, Options { n_faces: 500, turned: true });
-            assert_eq!(Plausible::of(&joints), Plausible::Whole, "{pose:?}");
-            let in_the_belly = moved(&joints, Joint::Shoulder, Joint::Pelvis, 0.8);
-            assert_eq!(Plausible::of(&in_the_belly), Plausible::WithoutArms, "{pose:?}");
-            let legs = moved(&joints, Joint::Hip, Joint::Ankle(Side::Left), 0.9);
-            let legs = moved(&legs, Joint::Knee, Joint::Ankle(Side::Left), 0.9);
-            assert_eq!(Plausible::of(&legs), Plausible::Nothing, "{pose:?}");
-        }
-        assert_eq!(Plausible::of(&Joints::default()), Plausible::Whole);
+/// How far a joint is from the end that it is measured from, in body scales: so much of a wrong scale shows in its place.
+fn from_end(joint: Joint) -> f64 {
+    match joint {
+        Joint::Head => 0.03,
+        Joint::Wrist(_) => 0.10,
+        Joint::Ankle(_) => 0.13,
+        Joint::Throat => 0.20,
+        Joint::Elbow(_) => 0.25,
+        Joint::Knee(_) => 0.35,
+        Joint::Shoulder(_) => 0.40,
+        Joint::Hip(_) | Joint::Pelvis => 0.56,
     }
 }

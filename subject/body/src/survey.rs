@@ -4,9 +4,9 @@ use super::extremity::{self, Extremities, Told};
 use super::geodesic::{Adjacency, Graph, Workspace};
 use super::locate::{self, Landmarks, settle};
 use super::paper;
-use super::plausible::Plausible;
+use super::plausible::{self, Plausible};
 use super::skeleton::Method;
-use super::{Joint, Joints, Levels, Mesh, Note, Refusal, Side, size};
+use super::{Joint, Joints, Levels, Mesh, Note, Refusal, Side};
 
 /// A body narrows by this below its head, at least: whole ones do by 1.24 and more, as they are and in other builds, and those
 /// that are cut off above the throat do not.
@@ -92,8 +92,8 @@ impl Survey {
         // Arms of another length than most people's are no sign of contact by themselves.
         let by_contact = ends.told >= Told::InContact || landmarks.touching.any() || handles > 0;
         let scale = landmarks.scale;
-        if let Some(by) = size::too_short(mesh, scale, by_contact) {
-            notes.push(size::doubt(&mut joints, scale, by));
+        if let Some(by) = plausible::too_short(mesh, scale, by_contact) {
+            notes.push(plausible::doubt(&mut joints, scale, by));
         }
         if landmarks.head_is_in_doubt() {
             notes.push(Note::new("head-unsure", HEAD_UNSURE));
@@ -112,13 +112,13 @@ impl Survey {
         let paper = paper::joints(mesh, start, None)
             .map_err(|refusal| Self::why_not_by_paper(mesh, &adjacency, start, refusal))?;
         Ok(Self {
-            joints: paper.joints.clone(),
+            joints: paper.joints,
             extremities: paper.extremities,
             confidence: 1.0,
             in_contact: false,
             body_scale: None,
             notes: Vec::new(),
-            levels: Some(paper.into()),
+            levels: Some(paper.levels),
         })
     }
 
@@ -149,7 +149,7 @@ impl Survey {
 
 /// Takes out the joints that nothing tells of where arms have grown together with the trunk.
 fn leave_out_arms(joints: &mut Joints, scale: f64) -> Note {
-    for side in [Side::Left, Side::Right] {
+    for side in Side::BOTH {
         joints.estimates.remove(&Joint::Shoulder(side));
         joints.estimates.remove(&Joint::Elbow(side));
         if let Some(wrist) = joints.estimates.get_mut(&Joint::Wrist(side)) {

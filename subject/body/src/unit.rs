@@ -2,7 +2,6 @@
 
 use std::fmt;
 
-use super::geometry::{distance, mean};
 use super::{Mesh, Note};
 
 /// A unit of length that scans come in.
@@ -69,7 +68,7 @@ impl Unit {
     /// # Errors
     /// [`UnitError`] where the size fits none.
     pub fn infer(mesh: &Mesh) -> Result<Self, UnitError> {
-        let extent = extent(mesh);
+        let extent = mesh.extent();
         let fits = |unit: &Self| EXTENT_MM.contains(&(extent * unit.mm()));
         Self::INFERRED.into_iter().find(fits).ok_or(UnitError { extent })
     }
@@ -77,7 +76,7 @@ impl Unit {
     /// Whether the mesh has the size of a body in this unit.
     #[must_use]
     pub fn fits(self, mesh: &Mesh) -> bool {
-        EXTENT_MM.contains(&(extent(mesh) * self.mm()))
+        EXTENT_MM.contains(&(mesh.extent() * self.mm()))
     }
 }
 
@@ -118,20 +117,4 @@ impl fmt::Display for Unit {
 pub struct UnitError {
     /// Largest extent, in the mesh's own unit.
     pub extent: f64,
-}
-
-/// Distance of two points that lie far apart: the farthest from the mean, and the farthest from that one. However the mesh
-/// is turned, it is the same; and never less than half of the largest distance.
-#[must_use]
-pub(crate) fn extent(mesh: &Mesh) -> f64 {
-    let farthest = |from: [f64; 3]| {
-        let further = |best: ([f64; 3], f64), &p: &[f64; 3]| {
-            let d = distance(from, p);
-            if d > best.1 { (p, d) } else { best }
-        };
-        mesh.positions.iter().fold((from, 0.0), further)
-    };
-    let Some(middle) = mean(mesh.positions.iter().copied()) else { return 0.0 };
-    let (one_end, _) = farthest(middle);
-    farthest(one_end).1
 }

@@ -2,7 +2,7 @@
 //!
 //! `MOCAPD_BODIES=FOLDER cargo run --release -p mocapd-body --example bodies` prints a row for each mesh below the
 //! folder: the ends, the time and its ratio to one run of Dijkstra along edges. With `ratios` behind it, the means and
-//! standard deviations of the ratios between ends of the two average shapes: what `extremity/roles.rs` holds. With
+//! standard deviations of the ratios between ends of the two average shapes: what `extremity/naming.rs` holds. With
 //! `paper`, how far the method of (Yu et al. 2008) comes as it is printed. A part of a path behind `ends` or `paper`
 //! leaves all other meshes out.
 

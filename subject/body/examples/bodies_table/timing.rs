@@ -4,7 +4,7 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use mocapd_body::geodesic::{Adjacency, Graph, Workspace, distances};
-use mocapd_body::locate::locate;
+use mocapd_body::locate::{Landmarks, joints, settle};
 use mocapd_body::{Mesh, extremity};
 
 use crate::case::{Case, skeleton};
@@ -46,7 +46,10 @@ fn of_joints(mesh: &Mesh, adjacency: &Adjacency) -> Option<f64> {
     let mut workspace = Workspace::default();
     let ends = extremity::find(mesh, &graph, &mut workspace).ok()?;
     Some(median_of_five(|| {
-        drop(black_box(locate(mesh, &graph, ends.clone(), &mut workspace)));
+        let (extremities, fields) = (&ends.extremities, ends.fields.clone());
+        let settled = settle(&graph, extremities, fields, &ends.spread, &mut workspace);
+        let landmarks = Landmarks::new(mesh, &settled.fields());
+        drop(black_box(landmarks.map(|landmarks| joints(&landmarks))));
     }))
 }
 

@@ -10,11 +10,11 @@ use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::Path;
 
-use mocapd_body::generate::{Options, Pose, body, cut_limb};
 use mocapd_body::read::{Format, Scan};
 use mocapd_body::repair::repair;
 use mocapd_body::skeleton::Method;
 use mocapd_body::{Estimate, Joint, Joints, Mesh, Side, Survey};
+use mocapd_testkit::synthetic_body::{Options, Pose, body, cut_limb};
 
 #[path = "../bodies/read.rs"]
 mod read;

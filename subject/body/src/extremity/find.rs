@@ -1,58 +1,14 @@
 //! From a surface to its named ends.
 
-use super::candidates::{StandingOut, standing_out};
-use super::choice::farthest;
-use super::naming::{MARGIN_MIN, Naming, name};
-use super::roles::{Misfit, misfit, misfit_cut, misfit_in_contact};
-use super::spread::{area_centroid, distance};
-use super::{Extremities, cap, inside};
+use super::naming::{misfit, misfit_cut, misfit_in_contact, name};
+use super::peaks::{Peak, farthest, standing_out};
+use super::{Ends, Extremities, Told, inside};
 use crate::geodesic::{Graph, Workspace, distances};
+use crate::mesh::{Point, distance};
 use crate::{Mesh, Refusal};
 
 /// Whole bodies whose limbs are free have no greater misfit: 0.86 was seen.
 const FITS_WELL: f64 = 1.0;
-
-/// How ends were told, from the surest to the least sure.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Told {
-    /// By ways along the surface of a body whose limbs are free.
-    Freely,
-    /// The same of a body of which a part of a limb is missing.
-    Cut,
-    /// By ways along the surface, some of which are too short for a body: they lead from a hand into what it touches.
-    InContact,
-    /// By ways through the inside, with a layer taken off so that limbs that touch come apart.
-    Inside,
-}
-
-/// The named ends of a body, and what was measured on the way.
-#[derive(Debug, Clone)]
-pub struct Ends {
-    /// Which vertices they are.
-    pub extremities: Extremities,
-    /// The distances along the surface from each of [`Extremities::all`] to every vertex, in the mesh's unit.
-    pub fields: [Vec<f64>; 5],
-    /// Vertices that lie far from each other, with the distances from each: fingertips and toes are often among them, and
-    /// what is measured once need not be again.
-    pub spread: Vec<(u32, Vec<f64>)>,
-    /// By how much each of [`Extremities::all`] stands out, as a part of the longest way.
-    pub persistence: [f64; 5],
-    /// How they were told.
-    pub told: Told,
-    /// How far the ways between them are from those of a body.
-    pub misfit: Misfit,
-    /// By how much the misfit of the second best naming is greater; infinite if there is none.
-    pub margin: f64,
-}
-
-impl Ends {
-    /// How sure the naming is, from 0 to 1: falls with the misfit, and with how well a second naming fits.
-    #[must_use]
-    pub fn confidence(&self) -> f64 {
-        let fit = (1.0 - self.misfit.rms / self.misfit.limit).clamp(0.0, 1.0).sqrt();
-        fit * (1.0 - (-self.margin / MARGIN_MIN).exp())
-    }
-}
 
 /// Finds head, hands and feet; where limbs touch, by what contact leaves, and then through the inside.
 ///
@@ -69,64 +25,87 @@ impl Ends {
 pub fn find(mesh: &Mesh, graph: &Graph, workspace: &mut Workspace) -> Result<Ends, Refusal> {
     let start = start(mesh, graph).ok_or(Refusal::TooFewEnds { found: 0 })?;
     let standing = standing_out(graph, start, workspace);
-    whole(graph, &standing.mean)?;
-    let named = name(&standing, misfit);
-    if let Err(refusal @ Refusal::TooManyEnds { .. }) = named {
+    hangs_together(graph, &standing.mean)?;
+    let whole = name(&standing, misfit);
+    if let Err(refusal @ Refusal::TooManyEnds { .. }) = whole {
         return Err(refusal);
     }
     // A whole body fits well. Where none does, a body without a part of a limb may, and tells its ends better.
-    let fits_well = named.as_ref().is_ok_and(|((misfit, _), _)| misfit.rms <= FITS_WELL);
-    if !fits_well && let Ok(cut) = name(&standing, misfit_cut) {
-        return Ok(on_surface(mesh, graph, standing, cut, Told::Cut, workspace));
-    }
-    let refusal = match named {
-        Ok(named) => return Ok(on_surface(mesh, graph, standing, named, Told::Freely, workspace)),
-        Err(refusal) => refusal,
+    let fits_well = whole.as_ref().is_ok_and(|naming| naming.misfit.rms <= FITS_WELL);
+    let cut = if fits_well { None } else { name(&standing, misfit_cut).ok() };
+    let (naming, told) = match (cut, whole) {
+        (Some(cut), _) => (cut, Told::Cut),
+        (None, Ok(whole)) => (whole, Told::Freely),
+        (None, Err(refusal)) => match name(&standing, misfit_in_contact) {
+            Ok(touching) => (touching, Told::InContact),
+            // What the surface says of the ends is nearer to what the subject can mend than what a thinned inside says.
+            Err(_) => return inside::find(mesh, graph, workspace).ok_or(refusal),
+        },
     };
-    if let Ok(named) = name(&standing, misfit_in_contact) {
-        return Ok(on_surface(mesh, graph, standing, named, Told::InContact, workspace));
-    }
-    // What the surface says of the ends is nearer to what the subject can mend than what a thinned inside says.
-    inside::find(mesh, graph, workspace).ok_or(refusal)
-}
-
-fn on_surface(
-    mesh: &Mesh,
-    graph: &Graph,
-    standing: StandingOut,
-    ((misfit, ends), margin): (Naming, f64),
-    told: Told,
-    workspace: &mut Workspace,
-) -> Ends {
-    let candidates = &standing.candidates;
-    let head = cap::top(mesh, graph, &standing.mean, candidates[ends[0]].peak);
-    let [_, a, b, c, d] = ends.map(|end| candidates[end].peak.vertex);
-    let mut fields = ends.map(|end| candidates[end].field.clone());
+    let ends = naming.ends.map(|end| &standing.candidates[end]);
+    let head = top_of_head(mesh, graph, &standing.mean, ends[0].peak);
+    let [_, a, b, c, d] = ends.map(|end| end.peak.vertex);
+    let mut fields = ends.map(|end| end.field.clone());
     fields[0] = distances(graph, head, workspace);
-    Ends {
+    Ok(Ends {
         extremities: Extremities { head, hands: [a, b], feet: [c, d] },
         fields,
+        persistence: ends.map(|end| end.peak.persistence / standing.longest),
         spread: standing.spread,
-        persistence: ends.map(|end| candidates[end].peak.persistence / standing.longest),
         told,
-        misfit,
-        margin,
-    }
+        misfit: naming.misfit,
+        margin: naming.margin,
+    })
 }
 
 /// The vertex that is farthest, straight, from the centroid of the area: it depends on the shape alone, not on where it
 /// stands or which vertex comes first.
 pub(crate) fn start(mesh: &Mesh, graph: &Graph) -> Option<u32> {
-    let centre = area_centroid(mesh);
-    let far: Vec<f64> = mesh.positions.iter().map(|at| distance(*at, centre)).collect();
+    let far = distances_from_place(mesh, mesh.area_centroid());
     // A vertex that no triangle uses is no part of the surface.
     farthest(&far, |vertex| !graph.links(vertex).is_empty())
 }
 
 /// Refuses a surface that does not hang together.
-fn whole(graph: &Graph, field: &[f64]) -> Result<(), Refusal> {
+fn hangs_together(graph: &Graph, field: &[f64]) -> Result<(), Refusal> {
     let on_surface = (0..graph.vertex_count() as u32).filter(|at| !graph.links(*at).is_empty());
     let vertices = on_surface.count();
     let reached = field.iter().filter(|far| far.is_finite()).count();
     if reached < vertices { Err(Refusal::InPieces { reached, vertices }) } else { Ok(()) }
+}
+
+/// The vertex of the head that is farthest, straight, from the neck.
+///
+/// The peak of a function of distances may as well lie in an open mouth or behind an ear, where the way along the surface
+/// is long. The head is what stands out there: all that hangs together with `peak` above its saddle. Where that ends, is
+/// the neck.
+fn top_of_head(mesh: &Mesh, graph: &Graph, values: &[f64], peak: Peak) -> u32 {
+    let mut head = vec![false; values.len()];
+    let mut edge = Vec::new();
+    let mut open = vec![peak.vertex];
+    head[peak.vertex as usize] = true;
+    while let Some(vertex) = open.pop() {
+        for link in graph.links(vertex) {
+            let to = link.to as usize;
+            if values[to] <= peak.saddle {
+                edge.push(link.to);
+            } else if !head[to] {
+                head[to] = true;
+                open.push(link.to);
+            }
+        }
+    }
+    edge.sort_unstable();
+    edge.dedup();
+    if edge.is_empty() {
+        return peak.vertex;
+    }
+    let neck = edge.iter().map(|vertex| mesh.point(*vertex) / edge.len() as f64).sum();
+    let far = distances_from_place(mesh, neck);
+    farthest(&far, |vertex| head[vertex as usize]).unwrap_or(peak.vertex)
+}
+
+/// How far every vertex is, straight.
+fn distances_from_place(mesh: &Mesh, place: Point) -> Vec<f64> {
+    mesh.positions.iter().map(|at| distance(*at, place)).collect()
 }

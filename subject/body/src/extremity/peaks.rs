@@ -1,7 +1,63 @@
-//! What stands out of a function on the surface, and how far.
+//! What stands out of a surface, or of a volume, far enough and apart: the maxima of the mean distance to a few far-spread
+//! vertices.
 
-use super::choice::rounded;
-use crate::geodesic::Graph;
+use super::FarPoint;
+use crate::geodesic::{Graph, Workspace, distances};
+use crate::topology::root;
+
+/// So many far-spread vertices make the function whose maxima are the ends. Five would do for a body; two more keep one
+/// that fell on a knee from bending it.
+const SPREAD_COUNT: usize = 7;
+
+/// An end stands out by at least this part of the longest way. On bodies, hands that have grown to hips do by 0.034.
+const PERSISTENCE_MIN: f64 = 0.015;
+
+/// Two maxima that are nearer than this part of the longest way are on one end: fingers, chin and crown, heel and toes.
+const APART_MIN: f64 = 0.15;
+
+/// So many ends are looked at, the most persistent first; each costs the distances from it.
+const CANDIDATE_COUNT_MAX: usize = 8;
+
+/// A candidate: where it stands out, and how far it is from everything.
+pub(crate) struct Candidate {
+    pub(crate) peak: Peak,
+    pub(crate) field: Vec<f64>,
+}
+
+/// What stands out.
+pub(crate) struct StandingOut {
+    /// The most persistent first.
+    pub(crate) candidates: Vec<Candidate>,
+    /// The far-spread vertices.
+    pub(crate) spread: Vec<FarPoint>,
+    /// The mean distance to them.
+    pub(crate) mean: Vec<f64>,
+    /// The longest way that was seen.
+    pub(crate) longest: f64,
+}
+
+/// Finds what stands out of the piece of `graph` that `start` is in.
+pub(crate) fn standing_out(graph: &Graph, start: u32, workspace: &mut Workspace) -> StandingOut {
+    let spread = farthest_points(graph, start, SPREAD_COUNT, workspace);
+    let fields = || spread.iter().map(|far| &far.distances);
+    let finite = fields().flatten().copied().filter(|far| far.is_finite());
+    let longest = finite.fold(0.0, f64::max);
+    let count = spread.len().max(1) as f64;
+    let mean: Vec<f64> = (0..graph.vertex_count())
+        .map(|at| fields().map(|field| field[at]).sum::<f64>() / count)
+        .collect();
+    let mut candidates: Vec<Candidate> = Vec::new();
+    for peak in peaks(graph, &mean) {
+        if candidates.len() == CANDIDATE_COUNT_MAX || peak.persistence < PERSISTENCE_MIN * longest {
+            break;
+        }
+        let near = |other: &Candidate| other.field[peak.vertex as usize] < APART_MIN * longest;
+        if !candidates.iter().any(near) {
+            candidates.push(Candidate { peak, field: distances(graph, peak.vertex, workspace) });
+        }
+    }
+    StandingOut { candidates, spread, mean, longest }
+}
 
 /// A maximum of a function on the surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,7 +99,7 @@ pub(super) fn peaks(graph: &Graph, values: &[f64]) -> Vec<Peak> {
             if hills[link.to as usize] == UNSEEN {
                 continue;
             }
-            let top = top_of(&mut hills, link.to);
+            let top = root(&mut hills, link.to);
             if top != *vertex && !around.contains(&top) {
                 around.push(top);
             }
@@ -67,12 +123,45 @@ pub(super) fn peaks(graph: &Graph, values: &[f64]) -> Vec<Peak> {
     found
 }
 
-/// The top of the hill that `vertex` is on; shortens the way there for the next.
-fn top_of(hills: &mut [u32], mut vertex: u32) -> u32 {
-    while hills[vertex as usize] != vertex {
-        let next = hills[hills[vertex as usize] as usize];
-        hills[vertex as usize] = next;
-        vertex = next;
+/// Up to `count` vertices by farthest-point sampling: every one is the farthest from all
+/// before it, and the first is the farthest from `start`.
+fn farthest_points(
+    graph: &Graph,
+    start: u32,
+    count: usize,
+    workspace: &mut Workspace,
+) -> Vec<FarPoint> {
+    let mut found = Vec::new();
+    let mut nearest = distances(graph, start, workspace);
+    for turn in 0..count {
+        let Some(vertex) = farthest(&nearest, |_| true) else { break };
+        let field = distances(graph, vertex, workspace);
+        if turn == 0 {
+            nearest.clone_from(&field);
+        } else {
+            for (nearest, far) in nearest.iter_mut().zip(&field) {
+                *nearest = nearest.min(*far);
+            }
+        }
+        found.push(FarPoint { vertex, distances: field });
     }
-    vertex
+    found
+}
+
+/// Two lengths that differ by less than this part of the longer are taken for the same.
+///
+/// Turning or moving a mesh changes a sum of some hundred lengths in its last digits, some 1e-13 of it; a symmetric body
+/// has ties that those digits would break.
+const SAME: f64 = 1e-9;
+
+/// The vertex with the greatest finite value, among those that are allowed; of equals, the first.
+pub(super) fn farthest(field: &[f64], allowed: impl Fn(u32) -> bool) -> Option<u32> {
+    let vertices = || (0_u32..).zip(field).filter(|(at, value)| value.is_finite() && allowed(*at));
+    let most = vertices().map(|(_, value)| *value).fold(f64::NEG_INFINITY, f64::max);
+    vertices().find(|(_, value)| **value >= most - SAME * most.abs()).map(|(vertex, _)| vertex)
+}
+
+/// `length`, so that two that are the same but for their last digits are equal, nearly always.
+fn rounded(length: f64, unit: f64) -> f64 {
+    (length / (SAME * unit)).round()
 }

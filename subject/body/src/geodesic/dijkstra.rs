@@ -3,7 +3,7 @@
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-use super::Graph;
+use super::graph::Graph;
 
 /// Turns over all vertices before a heap takes over, whose time is bounded. Bodies need some ten.
 const TURNS_MAX: usize = 48;

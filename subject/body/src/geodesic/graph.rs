@@ -1,10 +1,109 @@
-//! Graphs upon a mesh, whose shortest paths stand for geodesics.
+//! Which triangles share an edge, and graphs upon a mesh whose shortest paths stand for geodesics.
 
-use super::{Adjacency, NONE, unfold};
-use crate::Mesh;
+use crate::mesh::{Point, distance};
+use crate::topology::{self, Rows, sides};
+use crate::{Mesh, Refusal};
+
+/// Stands for no triangle: the other side of an edge of a hole.
+pub const NONE: u32 = u32::MAX;
+
+/// An edge, with up to two of its triangles.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Edge {
+    /// Its ends, the smaller index first.
+    pub vertices: [u32; 2],
+    /// The triangles on its sides, or [`NONE`]. Of an edge with more than two, the first two.
+    pub triangles: [u32; 2],
+}
+
+/// The edges of a mesh, and which triangle has which.
+///
+/// Edges stand in the order of their ends' indices, so that nothing depends on the order of the triangles.
+#[derive(Debug, Clone)]
+pub struct Adjacency {
+    vertex_count: usize,
+    edges: Vec<Edge>,
+    triangle_edges: Vec<[u32; 3]>,
+}
+
+impl Adjacency {
+    /// Finds the edges of `mesh`, in time proportional to its size.
+    ///
+    /// # Errors
+    ///
+    /// [`Refusal::BrokenMesh`]: a triangle names a vertex that is not there, or a position is not a finite number.
+    pub fn new(mesh: &Mesh) -> Result<Self, Refusal> {
+        check(mesh)?;
+        let mut edges: Vec<Edge> = Vec::with_capacity(mesh.triangles.len() * 3 / 2);
+        let mut triangle_edges = vec![[0; 3]; mesh.triangles.len()];
+        let all = sides(&mesh.triangles);
+        for of_edge in topology::edges(&all) {
+            let mut triangles = [NONE; 2];
+            for (triangle, side) in triangles.iter_mut().zip(of_edge) {
+                *triangle = side.index / 3;
+            }
+            for side in of_edge {
+                triangle_edges[side.index as usize / 3][side.index as usize % 3] =
+                    edges.len() as u32;
+            }
+            edges.push(Edge { vertices: of_edge[0].ends, triangles });
+        }
+        let vertex_count = mesh.positions.len();
+        Ok(Self { vertex_count, edges, triangle_edges })
+    }
+
+    /// How many vertices the mesh has.
+    #[must_use]
+    pub fn vertex_count(&self) -> usize {
+        self.vertex_count
+    }
+
+    /// All edges, each once.
+    #[must_use]
+    pub fn edges(&self) -> &[Edge] {
+        &self.edges
+    }
+
+    /// For each triangle `[a, b, c]` the edges `[ab, bc, ca]`, as indices into [`Self::edges`].
+    #[must_use]
+    pub fn triangle_edges(&self) -> &[[u32; 3]] {
+        &self.triangle_edges
+    }
+
+    /// Vertices that a triangle uses - edges + triangles: 2 for a closed surface without handles, 2 - 2g with g of them.
+    #[must_use]
+    pub fn euler_characteristic(&self) -> i64 {
+        let mut used = vec![false; self.vertex_count];
+        for edge in &self.edges {
+            used[edge.vertices[0] as usize] = true;
+            used[edge.vertices[1] as usize] = true;
+        }
+        let vertices = used.iter().filter(|used| **used).count();
+        vertices as i64 - self.edges.len() as i64 + self.triangle_edges.len() as i64
+    }
+}
+
+fn check(mesh: &Mesh) -> Result<(), Refusal> {
+    // Indices are u32, and three sides a triangle are counted in u32.
+    let countable = |count: usize| u32::try_from(count).is_ok_and(|count| count < NONE / 3);
+    if !countable(mesh.positions.len()) || !countable(mesh.triangles.len()) {
+        return Err(Refusal::BrokenMesh { what: "more vertices or triangles than can be counted" });
+    }
+    if !mesh.positions.iter().flatten().all(|value| value.is_finite()) {
+        return Err(Refusal::BrokenMesh { what: "a position that is not a finite number" });
+    }
+    let count = mesh.positions.len() as u32;
+    if !mesh.triangles.iter().flatten().all(|vertex| *vertex < count) {
+        return Err(Refusal::BrokenMesh { what: "a triangle of a vertex that is not there" });
+    }
+    if mesh.triangles.is_empty() {
+        return Err(Refusal::BrokenMesh { what: "no triangle" });
+    }
+    Ok(())
+}
 
 /// A way from one vertex to another.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Link {
     /// Where it leads.
     pub to: u32,
@@ -12,19 +111,30 @@ pub struct Link {
     pub length: f64,
 }
 
-/// Vertices and the ways between them, in compressed rows: the links of a vertex lie side by side.
-#[derive(Debug, Clone)]
-pub struct Graph {
-    starts: Vec<u32>,
-    links: Vec<Link>,
+/// A way that leads both there and back.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Way {
+    pub(crate) ends: [u32; 2],
+    pub(crate) length: f64,
 }
+
+impl Way {
+    /// The straight one.
+    fn along(mesh: &Mesh, edge: &Edge) -> Self {
+        let [a, b] = edge.vertices.map(|vertex| mesh.point(vertex));
+        Self { ends: edge.vertices, length: distance(a, b) }
+    }
+}
+
+/// Vertices and the ways between them.
+#[derive(Debug, Clone)]
+pub struct Graph(Rows<Link>);
 
 impl Graph {
     /// Edges alone: the g of (Yu et al. 2008, section 2).
     #[must_use]
     pub fn along_edges(mesh: &Mesh, adjacency: &Adjacency) -> Self {
-        let edges = adjacency.edges().iter();
-        let ways = edges.map(|edge| (edge.vertices, length(mesh, edge.vertices))).collect();
+        let ways = adjacency.edges().iter().map(|edge| Way::along(mesh, edge));
         Self::new(adjacency.vertex_count(), ways)
     }
 
@@ -34,63 +144,69 @@ impl Graph {
     pub fn with_short_cuts(mesh: &Mesh, adjacency: &Adjacency) -> Self {
         let mut ways = Vec::with_capacity(2 * adjacency.edges().len());
         for edge in adjacency.edges() {
-            ways.push((edge.vertices, length(mesh, edge.vertices)));
+            ways.push(Way::along(mesh, edge));
             let [one, other] = edge.triangles;
             if one == NONE || other == NONE {
                 continue;
             }
             let ends = opposite(mesh, one, edge.vertices).zip(opposite(mesh, other, edge.vertices));
             let Some((from, to)) = ends else { continue };
-            let at = |vertex: u32| mesh.positions[vertex as usize];
-            let [a, b] = edge.vertices;
-            if let Some(length) = unfold::across([at(a), at(b)], at(from), at(to)) {
-                ways.push(([from, to], length));
+            let edge = edge.vertices.map(|vertex| mesh.point(vertex));
+            if let Some(length) = across(edge, mesh.point(from), mesh.point(to)) {
+                ways.push(Way { ends: [from, to], length });
             }
         }
-        Self::new(adjacency.vertex_count(), ways)
+        Self::new(adjacency.vertex_count(), ways.into_iter())
     }
 
-    /// A graph of any ways, each of which leads both there and back.
-    pub(crate) fn new(vertex_count: usize, ways: Vec<([u32; 2], f64)>) -> Self {
-        let mut starts = vec![0_u32; vertex_count + 1];
-        for end in ways.iter().flat_map(|(ends, _)| ends) {
-            starts[*end as usize + 1] += 1;
-        }
-        for vertex in 0..vertex_count {
-            starts[vertex + 1] += starts[vertex];
-        }
-        let mut filled = starts.clone();
-        let mut links = vec![Link { to: 0, length: 0.0 }; 2 * ways.len()];
-        for ([a, b], length) in ways {
-            for (from, to) in [(a, b), (b, a)] {
-                links[filled[from as usize] as usize] = Link { to, length };
-                filled[from as usize] += 1;
-            }
-        }
-        Self { starts, links }
+    /// A graph of any ways.
+    pub(crate) fn new(vertex_count: usize, ways: impl Iterator<Item = Way> + Clone) -> Self {
+        let there_and_back = |Way { ends: [a, b], length }| {
+            [(a, Link { to: b, length }), (b, Link { to: a, length })]
+        };
+        Self(Rows::new(vertex_count, ways.flat_map(there_and_back)))
     }
 
     /// How many vertices there are.
     #[must_use]
     pub fn vertex_count(&self) -> usize {
-        self.starts.len() - 1
+        self.0.count()
     }
 
     /// The ways out of `vertex`; none if there is no such vertex.
     #[must_use]
     pub fn links(&self, vertex: u32) -> &[Link] {
-        let row = self.starts.get(vertex as usize..=vertex as usize + 1);
-        let Some(&[start, end]) = row else { return &[] };
-        &self.links[start as usize..end as usize]
+        self.0.row(vertex)
     }
-}
-
-fn length(mesh: &Mesh, [a, b]: [u32; 2]) -> f64 {
-    let (a, b) = (mesh.positions[a as usize], mesh.positions[b as usize]);
-    (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
 }
 
 /// The corner of `triangle` that is not on the edge; none if the triangle names a vertex twice.
 fn opposite(mesh: &Mesh, triangle: u32, edge: [u32; 2]) -> Option<u32> {
     mesh.triangles[triangle as usize].into_iter().find(|corner| !edge.contains(corner))
+}
+
+/// How long the straight way from `from` to `to` is across the edge that their triangles share, when both are laid into one
+/// plane; none if that way would leave the two triangles, since one along edges is then as short.
+///
+/// On the edge's own axis each corner is an offset along it and a height above it. The heights point to opposite sides
+/// once unfolded, so they add.
+fn across([a, b]: [Point; 2], from: Point, to: Point) -> Option<f64> {
+    let axis = b - a;
+    let edge = axis.norm();
+    if edge <= 0.0 {
+        return None;
+    }
+    let corner = |point: Point| {
+        let arm = point - a;
+        let along = arm.dot(&axis) / edge;
+        (along, (arm.norm_squared() - along * along).max(0.0).sqrt())
+    };
+    let ((x_from, y_from), (x_to, y_to)) = (corner(from), corner(to));
+    let height = y_from + y_to;
+    if height <= 0.0 {
+        return None;
+    }
+    let crossing = x_from + (x_to - x_from) * y_from / height;
+    let inside = crossing > 0.0 && crossing < edge;
+    inside.then(|| (x_to - x_from).hypot(height))
 }

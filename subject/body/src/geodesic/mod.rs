@@ -4,14 +4,11 @@
 //! overestimates by 3 to 6 %, and by what, depends on how the surface is cut into triangles. [`Graph::with_short_cuts`]
 //! may also cross an edge straight from one triangle into the next, which takes most of that error away.
 
-mod adjacency;
 mod dijkstra;
 mod graph;
-mod unfold;
-
 #[cfg(test)]
 mod tests;
 
-pub use adjacency::{Adjacency, Edge, NONE};
 pub use dijkstra::{Workspace, distances, distances_from};
-pub use graph::{Graph, Link};
+pub(crate) use graph::Way;
+pub use graph::{Adjacency, Edge, Graph, Link, NONE};

@@ -1,20 +1,18 @@
 //! Points inside the body, at places that every body has.
 
-use nalgebra::Vector3;
-
 use super::limb::{Marks, arm, leg};
-use super::missing;
-use super::neck::{self, Neck};
-use super::scale::BodyScale;
+use super::missing::{self, Neck};
+use super::model::{Model, Part};
+use super::scale::{BodyScale, Touching};
 use super::section::Sections;
-use super::touching::Touching;
 use super::{FOOT, Fields, HAND, HEAD};
 use crate::Mesh;
+use crate::mesh::Point;
 
 /// How many landmarks an arm has.
-pub const ARM_LANDMARKS: usize = 22;
+pub const ARM_LANDMARKS: usize = BY_WRIST.len() + 1 + BY_ELBOW.len() + 1 + BY_ARMPIT.len();
 /// How many landmarks a leg has, with the half of the trunk above it.
-pub const LEG_LANDMARKS: usize = 28;
+pub const LEG_LANDMARKS: usize = OF_FOOT.len() + BY_ANKLE.len() + BY_KNEE.len() + BY_GROIN.len();
 /// How many landmarks lie between the crown and the chest.
 pub const HEAD_LANDMARKS: usize = 13;
 
@@ -45,9 +43,9 @@ const FADE: f64 = 0.04;
 #[derive(Debug, Clone)]
 pub struct Half {
     /// From the hand to the shoulder, and beyond it into the trunk.
-    pub arm: Vec<Vector3<f64>>,
+    pub arm: Vec<Point>,
     /// From the foot to the hip, and beyond it up the trunk.
-    pub leg: Vec<Vector3<f64>>,
+    pub leg: Vec<Point>,
     /// How sharply the centre line bends at elbow and knee: in no unit, for how sure the joint is.
     pub sharpness: [f64; 2],
     /// The marks of the arm, then the leg: narrowing, hinge, root, in body scales from the end.
@@ -62,7 +60,7 @@ pub struct Landmarks {
     /// The side of the first hand and the first foot, and the other.
     pub halves: [Half; 2],
     /// From the crown down.
-    pub head: Vec<Vector3<f64>>,
+    pub head: Vec<Point>,
     /// How far the first of them is from the place on the head that is farthest, straight, from the neck, in body scales.
     pub from_top: f64,
     /// The body scale, in the mesh's unit: what all is to be multiplied by.
@@ -82,10 +80,7 @@ impl Landmarks {
     pub fn new(mesh: &Mesh, fields: &Fields<'_>) -> Option<Self> {
         let by_ways = missing::by_ways(fields);
         let curves = Curves::new(mesh, &Fields { missing: by_ways, ..*fields })?;
-        let toes = FOOT.map(|foot| {
-            let end = mesh.positions.get(fields.ends[foot] as usize);
-            Vector3::from(end.copied().unwrap_or_default()) / curves.scale.length
-        });
+        let toes = FOOT.map(|foot| mesh.point(fields.ends[foot]) / curves.scale.length);
         let (arms, legs) = (curves.arms.each_ref(), curves.legs.each_ref());
         let missing = missing::by_shape(fields, by_ways, arms, legs, toes);
         let fields = Fields { missing, ..*fields };
@@ -127,14 +122,33 @@ impl Landmarks {
             scale,
         })
     }
-}
 
-impl Landmarks {
+    /// Where a joint is, as seen from one side of the body, in body scales.
+    pub(super) fn joint(&self, model: &Model, side: usize) -> Point {
+        let [one, other] = &self.halves;
+        let (own, other) = if side == 0 { (one, other) } else { (other, one) };
+        let mut sum = Point::zeros();
+        for span in &model.spans {
+            let points = match span.part {
+                Part::Arm => &own.arm,
+                Part::OtherArm => &other.arm,
+                Part::Leg => &own.leg,
+                Part::OtherLeg => &other.leg,
+                Part::Head => &self.head,
+            };
+            for (weight, point) in span.weights.iter().zip(points.iter().skip(span.first)) {
+                sum += point * *weight;
+            }
+        }
+        sum
+    }
+
     /// Whether head and hands have the girths of such. Where a limb is short or touches something, a hand with its wrist fits
     /// for a head with its neck by the ways between them, and the head for a hand.
     #[must_use]
     pub fn ends_may_be_right(&self) -> bool {
-        let hands = self.halves.iter().all(|half| neck::may_be_a_hand(&half.sections[0].perimeter));
+        let hands =
+            self.halves.iter().all(|half| missing::may_be_a_hand(&half.sections[0].perimeter));
         hands && self.neck.may_be_a_head()
     }
 
@@ -161,65 +175,56 @@ struct Curves {
     head: Sections,
     neck: Neck,
     /// The vertices of the head, in body scales.
-    head_vertices: Vec<Vector3<f64>>,
+    head_vertices: Vec<Point>,
 }
 
 impl Curves {
     fn new(mesh: &Mesh, fields: &Fields<'_>) -> Option<Self> {
         let body_scale = BodyScale::new(fields)?;
         let scale = body_scale.length;
+        let all = 0..mesh.positions.len();
         let not_arm = |vertex: usize| {
-            HAND.iter()
-                .map(|hand| share(fields.at(*hand, vertex), ARM_LENGTH * scale, scale))
-                .product::<f64>()
+            let beyond = |hand: usize| share(fields.at(hand, vertex), ARM_LENGTH * scale, scale);
+            HAND.into_iter().map(beyond).product::<f64>()
         };
-        let curves = |field: &[f64], reach: f64, weight: &dyn Fn(usize) -> f64| {
-            let weights: Vec<f64> = (0..mesh.positions.len()).map(weight).collect();
+        let own = |end: usize, other: usize, vertex: usize| {
+            share(fields.at(other, vertex), fields.at(end, vertex), scale)
+        };
+        let cut = |field: &[f64], reach: f64, weight: &dyn Fn(usize) -> f64| {
+            let weights: Vec<f64> = all.clone().map(weight).collect();
             Sections::new(mesh, field, &weights, scale, reach)
         };
-        let cut = |end: usize, reach: f64, weight: &dyn Fn(usize) -> f64| {
-            let vertices = 0..mesh.positions.len();
-            let field: Vec<f64> = vertices.map(|vertex| fields.at(end, vertex)).collect();
-            curves(&field, reach, weight)
+        let field = |end: usize| all.clone().map(|at| fields.at(end, at)).collect::<Vec<f64>>();
+        let of_hand = |hand: usize, other: usize| {
+            cut(&field(hand), ARM_REACH, &|vertex| own(hand, other, vertex))
         };
-        let of_hand = |side: usize| {
-            let [hand, other_hand] = [HAND[side], HAND[1 - side]];
-            cut(hand, ARM_REACH, &|vertex| {
-                share(fields.at(other_hand, vertex), fields.at(hand, vertex), scale)
-            })
+        let of_foot = |foot: usize, other: usize| {
+            cut(&field(foot), LEG_REACH, &|vertex| own(foot, other, vertex) * not_arm(vertex))
         };
-        let of_foot = |side: usize| {
-            let [foot, other_foot] = [FOOT[side], FOOT[1 - side]];
-            cut(foot, LEG_REACH, &|vertex| {
-                let own = share(fields.at(other_foot, vertex), fields.at(foot, vertex), scale);
-                own * not_arm(vertex)
-            })
-        };
-        let head = cut(HEAD, HEAD_REACH, &not_arm)?;
+        let head = cut(&field(HEAD), HEAD_REACH, &not_arm)?;
         let first_head = match fields.first_head {
-            Some(field) => &curves(field, HEAD_REACH, &not_arm)?,
+            Some(field) => &cut(field, HEAD_REACH, &not_arm)?,
             None => &head,
         };
-        let on_head = (0..mesh.positions.len())
+        let on_head = all
+            .clone()
             .filter(|vertex| fields.at(HEAD, *vertex) < HEAD_LEVELS[NECK] * scale)
-            .map(|vertex| Vector3::from(mesh.positions[vertex]) / scale);
+            .map(|vertex| mesh.point(vertex as u32) / scale);
         Some(Self {
             head_vertices: on_head.collect(),
             neck: Neck::new(&first_head.perimeter),
             scale: body_scale,
-            arms: [of_hand(0)?, of_hand(1)?],
-            legs: [of_foot(0)?, of_foot(1)?],
+            arms: [of_hand(HAND[0], HAND[1])?, of_hand(HAND[1], HAND[0])?],
+            legs: [of_foot(FOOT[0], FOOT[1])?, of_foot(FOOT[1], FOOT[0])?],
             head,
         })
     }
-}
 
-impl Curves {
     /// How far the head's first landmark is from the place on the head that is farthest from the neck.
     fn off_top(&self) -> f64 {
         let neck = self.head.centre_at(HEAD_LEVELS[NECK]);
         let first = self.head.centre_at(HEAD_LEVELS[0]);
-        let way = |at: &&Vector3<f64>| (*at - neck).norm();
+        let way = |at: &&Point| (*at - neck).norm();
         let top = self.head_vertices.iter().max_by(|one, other| way(one).total_cmp(&way(other)));
         top.map_or(0.0, |top| (top - first).norm())
     }
@@ -237,69 +242,34 @@ fn share(far: f64, near: f64, scale: f64) -> f64 {
     if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) }
 }
 
+/// Where an arm's landmarks are, beside its wrist, elbow and armpit, in body scales.
+const BY_WRIST: [f64; 7] = [-0.04, -0.02, -0.01, 0.0, 0.01, 0.02, 0.04];
+const BY_ELBOW: [f64; 5] = [-0.04, -0.02, 0.0, 0.02, 0.04];
+const BY_ARMPIT: [f64; 8] = [-0.04, -0.02, 0.0, 0.02, 0.04, 0.07, 0.10, 0.14];
+/// Where a leg's are, from the end of the foot and beside ankle, knee and groin.
+const OF_FOOT: [f64; 3] = [0.05, 0.08, 0.10];
+const BY_ANKLE: [f64; 6] = [-0.02, -0.01, 0.0, 0.02, 0.04, 0.08];
+const BY_KNEE: [f64; 7] = [-0.06, -0.03, -0.015, 0.0, 0.015, 0.03, 0.06];
+const BY_GROIN: [f64; 12] =
+    [-0.12, -0.08, -0.04, 0.0, 0.02, 0.04, 0.08, 0.12, 0.16, 0.22, 0.28, 0.34];
+
 fn along(arm: Sections, at_arm: Marks, leg: Sections, at_leg: Marks) -> Half {
-    let Marks { narrow: w, hinge: e, root: a, .. } = at_arm;
-    let (forearm, upper) = (e - w, a - e);
-    let arm_levels: [f64; ARM_LANDMARKS] = [
-        w - 0.04,
-        w - 0.02,
-        w - 0.01,
-        w,
-        w + 0.01,
-        w + 0.02,
-        w + 0.04,
-        w + 0.5 * forearm,
-        e - 0.04,
-        e - 0.02,
-        e,
-        e + 0.02,
-        e + 0.04,
-        e + 0.5 * upper,
-        a - 0.04,
-        a - 0.02,
-        a,
-        a + 0.02,
-        a + 0.04,
-        a + 0.07,
-        a + 0.10,
-        a + 0.14,
-    ];
-    let Marks { narrow: n, hinge: k, root: g, .. } = at_leg;
-    let leg_levels: [f64; LEG_LANDMARKS] = [
-        0.05,
-        0.08,
-        0.10,
-        n - 0.02,
-        n - 0.01,
-        n,
-        n + 0.02,
-        n + 0.04,
-        n + 0.08,
-        k - 0.06,
-        k - 0.03,
-        k - 0.015,
-        k,
-        k + 0.015,
-        k + 0.03,
-        k + 0.06,
-        g - 0.12,
-        g - 0.08,
-        g - 0.04,
-        g,
-        g + 0.02,
-        g + 0.04,
-        g + 0.08,
-        g + 0.12,
-        g + 0.16,
-        g + 0.22,
-        g + 0.28,
-        g + 0.34,
-    ];
+    let Marks { narrow: wrist, hinge: elbow, root: armpit, .. } = at_arm;
+    let Marks { narrow: ankle, hinge: knee, root: groin, .. } = at_leg;
+    let arm_levels = (BY_WRIST.map(|by| wrist + by).into_iter())
+        .chain([wrist + 0.5 * (elbow - wrist)])
+        .chain(BY_ELBOW.map(|by| elbow + by))
+        .chain([elbow + 0.5 * (armpit - elbow)])
+        .chain(BY_ARMPIT.map(|by| armpit + by));
+    let leg_levels = (OF_FOOT.into_iter())
+        .chain(BY_ANKLE.map(|by| ankle + by))
+        .chain(BY_KNEE.map(|by| knee + by))
+        .chain(BY_GROIN.map(|by| groin + by));
     Half {
-        arm: arm_levels.iter().map(|level| arm.centre_at(*level)).collect(),
-        leg: leg_levels.iter().map(|level| leg.centre_at(*level)).collect(),
+        arm: arm_levels.map(|level| arm.centre_at(level)).collect(),
+        leg: leg_levels.map(|level| leg.centre_at(level)).collect(),
         sharpness: [at_arm.sharpness, at_leg.sharpness],
-        marks: [[w, e, a], [n, k, g]],
+        marks: [[wrist, elbow, armpit], [ankle, knee, groin]],
         sections: [arm, leg],
     }
 }

@@ -1,12 +1,12 @@
-//! Limbs that end too early: a foot or a hand that is not in the scan.
+//! What is missing of a body: limbs that end too early, and a head that is not there.
 //!
 //! Each limb is judged by itself before both sides are brought to one length: by how long it is beside the other one and
 //! beside the body, and by whether its end has the shape of a foot or a hand.
 
-use nalgebra::Vector3;
-
-use super::section::{STEP, Sections, level};
+use super::scale::ALL;
+use super::section::{STEP, Sections, between, level};
 use super::{FOOT, Fields, HAND, HEAD};
+use crate::mesh::Point;
 
 /// How much shorter one arm is than the other on a whole body, at most, in body scales: less, in any pose. A hand has 0.108 of stature (Drillis and Contini 1966).
 /// What has the shape of a hand at its end is left whole up to this.
@@ -23,11 +23,9 @@ const FOOTLESS_SHORTER: f64 = 0.02;
 const HANDS_SHORTER: f64 = 0.17;
 /// What the ways lose with a hand or a foot that is cut off where it begins, in body scales.
 const END: f64 = 0.08;
-/// Ways between hands, and from the head to a foot, on an average body, in body scales: see `extremity::roles`.
+/// Ways between hands, and from the head to a foot, on an average body, in body scales: see `extremity::naming`.
 const HAND_TO_HAND: f64 = 0.945;
 const HEAD_TO_FOOT: f64 = 1.078;
-/// The sum of all ten ways.
-const ALL: f64 = 10.3;
 
 /// The longest curve round the heel over the shortest round the ankle behind it, at least. Chosen between measured ends: of
 /// whole feet nearly all have 1.22 to 1.9, of shanks and thighs that are cut nearly all 1.00 to 1.10.
@@ -74,7 +72,7 @@ pub(super) fn by_shape(
     by_ways: [f64; 5],
     arms: [&Sections; 2],
     legs: [&Sections; 2],
-    toes: [Vector3<f64>; 2],
+    toes: [Point; 2],
 ) -> [f64; 5] {
     let mut missing = by_ways;
     let Some(scale) = scale(fields) else { return missing };
@@ -153,13 +151,7 @@ fn shorter_by(fields: &Fields<'_>, [a, b]: [usize; 2], [c, d]: [usize; 2]) -> Op
 
 /// The body scale, as long as ways that are missing let it be.
 fn scale(fields: &Fields<'_>) -> Option<f64> {
-    let mut all = 0.0;
-    for one in 0..5 {
-        for other in 0..one {
-            all += fields.between(one, other)?;
-        }
-    }
-    Some(all / ALL)
+    Some(fields.ways().sum::<Option<f64>>()? / ALL)
 }
 
 /// The mean way from the head to the feet.
@@ -173,7 +165,7 @@ fn has_hand(perimeter: &[f64]) -> bool {
 }
 
 /// Whether the leg has a heel and ends outside its shank's girth, or ends far outside.
-fn has_foot(leg: &Sections, toes: Vector3<f64>) -> bool {
+fn has_foot(leg: &Sections, toes: Point) -> bool {
     let heel = bulge(&leg.perimeter, HEEL, ANKLE_REACH) >= HEEL_LEAST;
     match off_axis(leg, toes) {
         Some(off) => off >= OFF_AXIS_LEAST || heel && off >= WITHIN_GIRTH,
@@ -185,17 +177,15 @@ fn has_foot(leg: &Sections, toes: Vector3<f64>) -> bool {
 fn bulge(perimeter: &[f64], within: [f64; 2], reach: f64) -> f64 {
     let reach = (reach / STEP) as usize;
     let mut most: f64 = 1.0;
-    for (at, length) in perimeter.iter().enumerate() {
-        if (within[0]..within[1]).contains(&level(at)) {
-            let behind = perimeter[at..].iter().take(reach + 1).copied();
-            most = most.max(length / behind.fold(f64::INFINITY, f64::min).max(f64::MIN_POSITIVE));
-        }
+    for (at, length) in between(perimeter, within) {
+        let behind = perimeter[at..].iter().take(reach + 1).copied();
+        most = most.max(length / behind.fold(f64::INFINITY, f64::min).max(f64::MIN_POSITIVE));
     }
     most
 }
 
 /// How far the end lies off the line of the shank, in radii of the shank. Nothing where there is no line.
-fn off_axis(leg: &Sections, end: Vector3<f64>) -> Option<f64> {
+fn off_axis(leg: &Sections, end: Point) -> Option<f64> {
     let [low, high] = SHANK.map(|at| leg.centre_at(at));
     let along = (high - low).try_normalize(0.0)?;
     let offset = end - low;
@@ -203,4 +193,63 @@ fn off_axis(leg: &Sections, end: Vector3<f64>) -> Option<f64> {
     let middle = leg.perimeter.get((f64::midpoint(SHANK[0], SHANK[1]) / STEP) as usize)?;
     let radius = middle / std::f64::consts::TAU;
     (radius > 0.0).then(|| off / radius)
+}
+
+/// A head is thickest between these levels from its crown, in body scales.
+const HEAD_AT: [f64; 2] = [0.03, 0.13];
+/// The neck is thinnest at most so far from there.
+const NECK_ENDS: f64 = 0.24;
+/// No neck is thicker: 0.38 at most, as they are and in other builds.
+const NECK_MOST: f64 = 0.5;
+
+/// No head has less girth: the means are 0.33 of stature of men and 0.34 of women (ANSUR II, Gordon et al. 2014), those of hands
+/// 0.12 and 0.11; curves that go round spread fingers have up to 0.25, measured.
+const HEAD_LEAST: f64 = 0.27;
+/// No neck is thinner behind a head of less than [`HEAD_STOUT`]: the means are 0.23 of stature of men and 0.20 of women, of
+/// wrists 0.10 (ANSUR II); stout wrists of measured bodies have 0.14.
+const NECK_LEAST: f64 = 0.16;
+/// No hand is this thick.
+const HEAD_STOUT: f64 = 0.36;
+
+/// No curve round a hand is longer, in body scales, however its fingers are spread: 0.255 was seen of stout ones. One round a
+/// head is.
+const HAND_MOST: f64 = 0.30;
+/// Where a hand ends on a body with its fist closed, in body scales.
+const HAND_ENDS: f64 = 0.10;
+
+/// Whether the curves round an arm's end may be those of a hand or of what is left of an arm, and not of a head.
+pub(super) fn may_be_a_hand(perimeter: &[f64]) -> bool {
+    between(perimeter, [0.0, HAND_ENDS]).map(|(_, length)| length).fold(0.0, f64::max) <= HAND_MOST
+}
+
+/// The curves round the head and behind it, in body scales.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Neck {
+    /// The longest round the head.
+    pub head: f64,
+    /// The shortest behind that, up to the shoulders.
+    pub neck: f64,
+}
+
+impl Neck {
+    /// The longest curve round the head over the shortest behind it. On what is left of a neck the curves only grow, or go
+    /// round shoulders and arms, and it is 1.
+    #[must_use]
+    pub fn narrows(self) -> f64 {
+        if self.neck > NECK_MOST { 1.0 } else { self.head / self.neck.max(f64::MIN_POSITIVE) }
+    }
+
+    /// Whether this may be a head, and is no hand and no stump that was taken for one.
+    #[must_use]
+    pub fn may_be_a_head(self) -> bool {
+        let is_thin = self.head < HEAD_LEAST || (self.neck < NECK_LEAST && self.head < HEAD_STOUT);
+        !is_thin
+    }
+
+    pub(super) fn new(perimeter: &[f64]) -> Self {
+        let longest = between(perimeter, HEAD_AT).max_by(|one, other| one.1.total_cmp(&other.1));
+        let Some((at, head)) = longest else { return Self { head: 0.0, neck: 0.0 } };
+        let behind = between(perimeter, [level(at), NECK_ENDS]).map(|(_, length)| length);
+        Self { head, neck: behind.fold(head, f64::min) }
+    }
 }

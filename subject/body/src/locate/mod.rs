@@ -12,33 +12,20 @@
 //! 5. Bones of the two sides are brought to one length, and that towards the average body's.
 //! 6. Left and right, by the feet.
 
-mod bones;
-mod ends;
 mod fields;
-mod girth;
-mod girth_weights;
-mod hinge;
+mod joints;
 mod landmark;
-mod least;
 mod limb;
 mod missing;
 mod model;
-mod neck;
 mod scale;
 mod section;
-mod sides;
-mod skeleton;
-mod touching;
-mod weights;
-mod wrist;
-
 #[cfg(test)]
 mod tests;
 
-pub use ends::{Settled, settle};
-pub use fields::{FOOT, Fields, HAND, HEAD};
+pub use fields::{FOOT, Fields, HAND, HEAD, Settled, settle};
+pub use joints::joints;
 pub use landmark::{ARM_LANDMARKS, HEAD_LANDMARKS, Half, LEG_LANDMARKS, Landmarks};
-pub use neck::Neck;
+pub use missing::Neck;
+pub use scale::Touching;
 pub use section::Sections;
-pub use skeleton::{joints, locate};
-pub use touching::Touching;

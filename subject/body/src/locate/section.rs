@@ -1,8 +1,7 @@
 //! The level-set curves of a distance field, all at once.
 
-use nalgebra::Vector3;
-
 use crate::Mesh;
+use crate::mesh::Point;
 
 /// Distance between two levels, in body scales.
 pub(super) const STEP: f64 = 0.006;
@@ -15,21 +14,21 @@ pub struct Sections {
     /// Length of the whole curve at each level.
     pub perimeter: Vec<f64>,
     /// Where the curve's middle is, weighted by its length and by the weights of the vertices that it passes.
-    pub centre: Vec<Vector3<f64>>,
+    pub centre: Vec<Point>,
 }
 
 #[derive(Clone, Copy, Default)]
 struct Sum {
     perimeter: f64,
     weight: f64,
-    moment: Vector3<f64>,
+    moment: Point,
 }
 
 #[derive(Clone, Copy)]
 struct Corner {
     level: f64,
     weight: f64,
-    position: Vector3<f64>,
+    position: Point,
 }
 
 impl Sections {
@@ -60,7 +59,7 @@ impl Sections {
         let perimeter: Vec<f64> = sums.iter().map(|sum| sum.perimeter).collect();
         let mut found = sums.iter().filter(|sum| sum.weight > 0.0);
         let mut last = found.next().map(|sum| sum.moment / sum.weight)?;
-        let centre: Vec<Vector3<f64>> = sums
+        let centre: Vec<Point> = sums
             .iter()
             .map(|sum| {
                 // A level without a curve takes the one before: nothing may fall to the origin.
@@ -77,12 +76,12 @@ impl Sections {
     }
 
     /// The middle of the curve at `level`, in body scales; between two levels, between their middles.
-    pub(super) fn centre_at(&self, level: f64) -> Vector3<f64> {
+    pub(super) fn centre_at(&self, level: f64) -> Point {
         let at = (level / STEP - 1.0).clamp(0.0, (LEVELS - 1) as f64 - 1e-9);
         let (below, part) = (at.floor() as usize, at.fract());
         match self.centre.get(below..below + 2) {
             Some([low, high]) => low.lerp(high, part),
-            _ => Vector3::zeros(),
+            _ => Point::zeros(),
         }
     }
 }
@@ -92,6 +91,15 @@ pub(super) fn level(index: usize) -> f64 {
     (index + 1) as f64 * STEP
 }
 
+/// The curves between two levels, the lower included, each with its index.
+pub(super) fn between(
+    perimeter: &[f64],
+    [from, to]: [f64; 2],
+) -> impl Iterator<Item = (usize, f64)> {
+    let curves = perimeter.iter().copied().enumerate();
+    curves.filter(move |(index, _)| (from..to).contains(&level(*index)))
+}
+
 fn corner(
     mesh: &Mesh,
     field: &[f64],
@@ -99,7 +107,7 @@ fn corner(
     vertex: usize,
     scale: f64,
 ) -> Option<Corner> {
-    let position = Vector3::from(*mesh.positions.get(vertex)?) / scale;
+    let position = Point::from(*mesh.positions.get(vertex)?) / scale;
     let level = field.get(vertex)? / (scale * STEP);
     let weight = *weights.get(vertex)?;
     level.is_finite().then_some(Corner { level, weight, position })
@@ -114,9 +122,9 @@ fn cut(mut corners: [Corner; 3], sums: &mut [Sum]) {
     let end = (high.level.floor().max(0.0) as usize).min(sums.len());
     for (index, sum) in sums.iter_mut().enumerate().take(end).skip(first) {
         let at = (index + 1) as f64;
-        let from = between(low, high, at);
+        let from = passing(low, high, at);
         let to =
-            if middle.level < at { between(middle, high, at) } else { between(low, middle, at) };
+            if middle.level < at { passing(middle, high, at) } else { passing(low, middle, at) };
         let length = (from.0 - to.0).norm();
         let weight = length * f64::midpoint(from.1, to.1);
         sum.perimeter += length;
@@ -126,7 +134,7 @@ fn cut(mut corners: [Corner; 3], sums: &mut [Sum]) {
 }
 
 /// The point of the side from `low` to `high` where the field is `level`, and its weight.
-fn between(low: Corner, high: Corner, level: f64) -> (Vector3<f64>, f64) {
+fn passing(low: Corner, high: Corner, level: f64) -> (Point, f64) {
     let span = high.level - low.level;
     let part = if span > 0.0 { ((level - low.level) / span).clamp(0.0, 1.0) } else { 0.0 };
     (low.position.lerp(&high.position, part), low.weight + (high.weight - low.weight) * part)

@@ -4,15 +4,270 @@
 //! where rings of the distance from the head are least round. Where the paper leaves something open, it is read as plainly
 //! as it can be, and the reading is said.
 
-mod ends;
-mod joints;
-mod minima;
-mod reason;
+use crate::extremity::Extremities;
+use crate::geodesic::{Adjacency, Graph, Workspace, distances};
+use crate::level::Rings;
+use crate::mesh::distance;
+use crate::reeb::Levels;
+use crate::{Estimate, Joint, Joints, Mesh, Refusal, Side};
 
 #[cfg(test)]
 mod tests;
 
-pub use ends::{StopRule, extremity_points, head_by_symmetry};
-pub(crate) use joints::LEVEL_COUNT;
-pub use joints::{Paper, joints};
-pub(crate) use reason::reason;
+/// A minimum nearer to an end of its segment than this part of it is no joint: the rings there are cut askew.
+const MARGIN: f64 = 0.1;
+
+/// What is expected of the distance to the true centre, as a part of the longest way from the head: the root mean square
+/// over the two average shapes of `MakeHuman` in 13 poses, of which that way is the stature, to a few per cent
+/// (`cargo run -p mocapd-body --example bodies paper`).
+fn sigma(joint: Joint) -> f64 {
+    match joint {
+        Joint::Head => 0.043,
+        Joint::Throat => 0.058,
+        Joint::Pelvis => 0.081,
+        Joint::Shoulder(_) => 0.058,
+        Joint::Elbow(_) => 0.088,
+        Joint::Wrist(_) => 0.056,
+        Joint::Hip(_) => 0.067,
+        Joint::Knee(_) => 0.042,
+        Joint::Ankle(_) => 0.166,
+    }
+}
+
+/// What the paper's method gives for a mesh.
+#[derive(Debug, Clone)]
+pub struct Paper {
+    /// Its joints; those without a minimum are missing.
+    pub joints: Joints,
+    /// The ends that it was given or found.
+    pub extremities: Extremities,
+    /// Level sets of the distance from the head, how they hang together, and the five segments.
+    pub levels: Levels,
+}
+
+/// The paper's method on `mesh`, from the vertex `start` of algorithm 1 on, or with ends that are known already.
+///
+/// The reading of what the paper leaves open: shoulder and hip are where arm and leg begin; elbow and wrist, knee and
+/// ankle are the two deepest minima of the smoothed circularity inside the segment, in order; the throat is the deepest
+/// of the trunk above the armpits, the pelvis its last ring.
+///
+/// # Errors
+///
+/// [`Refusal::TooFewEnds`]: algorithm 1 ended with other than five points. [`Refusal::Contact`]: the Reeb graph is not
+/// that of a body. [`Refusal::BrokenMesh`] as [`Adjacency::new`] says.
+pub fn joints(mesh: &Mesh, start: u32, known: Option<Extremities>) -> Result<Paper, Refusal> {
+    let adjacency = Adjacency::new(mesh)?;
+    let graph = Graph::along_edges(mesh, &adjacency);
+    let mut workspace = Workspace::default();
+    let extremities = match known {
+        Some(known) => known,
+        None => ends(&graph, start, &mut workspace)?,
+    };
+    let field = distances(&graph, extremities.head, &mut workspace);
+    let levels = Levels::of_free_limbs(mesh, &adjacency, &field, &extremities)?;
+    let Levels { rings, segments, .. } = &levels;
+    let mut joints = Joints::default();
+    let longest = field.iter().copied().filter(|far| far.is_finite()).fold(0.0, f64::max);
+    let mut put = |joint: Joint, position: Option<[f64; 3]>| {
+        if let Some(position) = position {
+            joints.estimates.insert(joint, Estimate { position, sigma: sigma(joint) * longest });
+        }
+    };
+    for (at, side) in Side::BOTH.into_iter().enumerate() {
+        let (arm, leg) = (&segments.arms[at], &segments.legs[at]);
+        let [elbow, wrist] = two_deepest(rings, arm);
+        let [knee, ankle] = two_deepest(rings, leg);
+        put(Joint::Shoulder(side), arm.first().map(|ring| mean(rings, *ring)));
+        put(Joint::Elbow(side), elbow);
+        put(Joint::Wrist(side), wrist);
+        put(Joint::Hip(side), leg.first().map(|ring| mean(rings, *ring)));
+        put(Joint::Knee(side), knee);
+        put(Joint::Ankle(side), ankle);
+    }
+    let armpit = segments.armpits[0].min(segments.armpits[1]);
+    let level = |ring: &u32| rings.values[rings.rings[*ring as usize].level as usize];
+    let upper = segments.trunk.iter().copied().take_while(|ring| level(ring) < armpit);
+    let upper: Vec<u32> = upper.collect();
+    put(Joint::Throat, inside(rings, &upper).first().map(|ring| mean(rings, *ring)));
+    put(Joint::Pelvis, segments.trunk.last().map(|ring| mean(rings, *ring)));
+    put(Joint::Head, mesh.positions.get(extremities.head as usize).copied());
+    Ok(Paper { joints, extremities, levels })
+}
+
+/// The five ends, from the vertex `start` on.
+fn ends(graph: &Graph, start: u32, workspace: &mut Workspace) -> Result<Extremities, Refusal> {
+    let points = extremity_points(graph, start, StopRule::Corrected, workspace);
+    let ends: [u32; 5] = points
+        .try_into()
+        .map_err(|points: Vec<u32>| Refusal::TooFewEnds { found: points.len() })?;
+    let fields = ends.map(|end| distances(graph, end, workspace));
+    Ok(head_by_symmetry(ends, &fields))
+}
+
+/// The two deepest minima inside a limb, (6), the nearer to the trunk first.
+fn two_deepest(rings: &Rings, limb: &[u32]) -> [Option<[f64; 3]>; 2] {
+    let mut two: Vec<u32> = inside(rings, limb).into_iter().take(2).collect();
+    two.sort_by_key(|ring| rings.rings[*ring as usize].level);
+    [0, 1].map(|at| two.get(at).map(|ring| mean(rings, *ring)))
+}
+
+/// The rings of a segment where its circularity has a minimum, the deepest first, without those near its ends.
+fn inside(rings: &Rings, segment: &[u32]) -> Vec<u32> {
+    let curve: Vec<f64> =
+        segment.iter().map(|ring| rings.rings[*ring as usize].circularity()).collect();
+    let last = curve.len() as f64;
+    let within = |at: usize| (MARGIN * last..(1.0 - MARGIN) * last).contains(&(at as f64));
+    let found = minima(&smoothed(&curve)).into_iter().filter(|(at, _)| within(*at));
+    found.map(|(at, _)| segment[at]).collect()
+}
+
+/// (7): the mean of a ring's points.
+fn mean(rings: &Rings, ring: u32) -> [f64; 3] {
+    rings.rings[ring as usize].mean_point()
+}
+
+/// Where a curve has local minima, and how deep each is: how far the curve climbs on its lower side before a deeper one.
+///
+/// The deepest first; of a curve's two ends, neither counts.
+fn minima(curve: &[f64]) -> Vec<(usize, f64)> {
+    let mut found = Vec::new();
+    for at in 1..curve.len().saturating_sub(1) {
+        // On a level stretch, its first.
+        if !(curve[at] < curve[at - 1] && curve[at] <= curve[at + 1]) {
+            continue;
+        }
+        let climb = |side: &mut dyn Iterator<Item = &f64>| {
+            let until_deeper = side.take_while(|value| **value >= curve[at]);
+            until_deeper.copied().fold(curve[at], f64::max) - curve[at]
+        };
+        let left = climb(&mut curve[..at].iter().rev());
+        let right = climb(&mut curve[at + 1..].iter());
+        found.push((at, left.min(right)));
+    }
+    found.sort_by(|one, other| other.1.total_cmp(&one.1).then(one.0.cmp(&other.0)));
+    found
+}
+
+/// The mean of each value and its neighbours.
+fn smoothed(curve: &[f64]) -> Vec<f64> {
+    let windows = (0..curve.len()).map(|at| {
+        let window = &curve[at.saturating_sub(1)..curve.len().min(at + 2)];
+        window.iter().sum::<f64>() / window.len() as f64
+    });
+    windows.collect()
+}
+
+/// How near a new point must be to those before, as a part of the longest way between them, to be none: a of the paper.
+const NEARNESS: f64 = 0.2;
+/// More ends than any body has; a bound, since the loop is told to end by the shape alone.
+const POINT_COUNT_MAX: usize = 32;
+
+/// When algorithm 1 takes another point.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum StopRule {
+    /// As printed: while the new point is NEARER to those before than a times the longest way. It contradicts the
+    /// sentence beside it, and ends at the second point or the third.
+    Printed,
+    /// As the sentence says: until the new point is near enough to those before.
+    Corrected,
+}
+
+/// Algorithm 1: points that are far from all others by the SUM of the distances, from the vertex `start` on.
+#[must_use]
+pub fn extremity_points(
+    graph: &Graph,
+    start: u32,
+    rule: StopRule,
+    workspace: &mut Workspace,
+) -> Vec<u32> {
+    let mut points = Vec::new();
+    let mut sum = vec![0.0; graph.vertex_count()];
+    let mut nearest = vec![f64::INFINITY; graph.vertex_count()];
+    let mut longest = 0.0_f64;
+    let mut next = farthest(&distances(graph, start, workspace));
+    while let Some(point) = next.filter(|_| points.len() < POINT_COUNT_MAX) {
+        points.push(point);
+        let field = distances(graph, point, workspace);
+        longest = points.iter().fold(longest, |most, other| most.max(field[*other as usize]));
+        for (at, far) in field.iter().enumerate() {
+            sum[at] += far;
+            nearest[at] = nearest[at].min(*far);
+        }
+        next = farthest(&sum).filter(|new| {
+            let far = nearest[*new as usize] >= NEARNESS * longest;
+            points.len() == 1 || far == (rule == StopRule::Corrected)
+        });
+    }
+    points
+}
+
+/// The head among five ends: the one whose distances to the other four fall into two equal pairs; the nearer pair are the
+/// hands (section 5: cost |g(c,p1) - g(c,p2)| + |g(c,p3) - g(c,p4)|, least over the three pairings).
+///
+/// A foot is often as symmetric, and is then taken for the head: the paper has nothing against it.
+#[must_use]
+pub fn head_by_symmetry(ends: [u32; 5], fields: &[Vec<f64>; 5]) -> Extremities {
+    let mut best = (f64::INFINITY, Extremities { head: 0, hands: [0; 2], feet: [0; 2] });
+    for (head, field) in fields.iter().enumerate() {
+        let way = |end: usize| field.get(ends[end] as usize).copied().unwrap_or(f64::INFINITY);
+        let mut others = [0, 1, 2, 3, 4].into_iter().filter(|end| *end != head);
+        let [a, b, c, d] = [0; 4].map(|_| others.next().unwrap_or(head));
+        for [[p, q], [r, s]] in [[[a, b], [c, d]], [[a, c], [b, d]], [[a, d], [b, c]]] {
+            let cost = (way(p) - way(q)).abs() + (way(r) - way(s)).abs();
+            if cost < best.0 {
+                let (mut hands, mut feet) = ([ends[p], ends[q]], [ends[r], ends[s]]);
+                if way(p) + way(q) > way(r) + way(s) {
+                    std::mem::swap(&mut hands, &mut feet);
+                }
+                best = (cost, Extremities { head: ends[head], hands, feet });
+            }
+        }
+    }
+    best.1
+}
+
+/// The vertex with the greatest finite value, the first of equals.
+fn farthest(field: &[f64]) -> Option<u32> {
+    let mut best: Option<(u32, f64)> = None;
+    for (vertex, value) in (0_u32..).zip(field).filter(|(_, value)| value.is_finite()) {
+        if best.is_none_or(|(_, most)| *value > most) {
+            best = Some((vertex, *value));
+        }
+    }
+    best.map(|(vertex, _)| vertex)
+}
+
+/// What the ends of a body are of, in the order of [`Extremities::all`].
+const OF: [&str; 5] = ["a head", "a hand", "a hand", "a foot", "a foot"];
+
+/// The method's own reason for a `refusal` of [`joints()`] from `start` on, of a body with its limbs free
+/// whose ends are `known`.
+pub(crate) fn reason(
+    mesh: &Mesh,
+    adjacency: &Adjacency,
+    start: u32,
+    refusal: Refusal,
+    known: &Extremities,
+) -> Refusal {
+    match refusal {
+        Refusal::TooFewEnds { found } => Refusal::PaperEnds { found },
+        Refusal::Contact { .. } => {
+            let graph = Graph::along_edges(mesh, adjacency);
+            let taken = ends(&graph, start, &mut Workspace::default()).ok();
+            match taken.and_then(|taken| nearest(mesh, taken.head, known)) {
+                None | Some(0) => Refusal::PaperParts,
+                Some(end) => Refusal::PaperHead { taken: OF.get(end).copied().unwrap_or("a limb") },
+            }
+        }
+        other => other,
+    }
+}
+
+/// Which of the ends a vertex is nearest to.
+fn nearest(mesh: &Mesh, vertex: u32, ends: &Extremities) -> Option<usize> {
+    let at = |vertex: u32| mesh.positions.get(vertex as usize).copied();
+    let from = at(vertex)?;
+    let far = |end: u32| at(end).map_or(f64::INFINITY, |to| distance(from, to));
+    let ends = ends.all().map(far);
+    ends.iter().enumerate().min_by(|a, b| a.1.total_cmp(b.1)).map(|(end, _)| end)
+}

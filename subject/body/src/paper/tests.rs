@@ -1,12 +1,8 @@
 //! The printed rules, on shapes where what they give can be worked out.
 
-use super::minima::{minima, smoothed};
 use super::*;
-use crate::generate::{Options, Pose, body};
+use crate::Mesh;
 use crate::geodesic::{Adjacency, Graph, Workspace, distances};
-use crate::shapes::sphere;
-use crate::skeleton::Method;
-use crate::{Mesh, Refusal, Survey};
 
 /// A flat star: strips of such lengths out of a common corner, each two vertices wide.
 fn star(lengths: &[u32]) -> (Mesh, Vec<u32>) {
@@ -71,29 +67,4 @@ fn minima_are_ordered_by_depth() {
     assert_eq!(found, [(3, 4.0), (1, 1.0), (5, 0.5)]);
     assert!(minima(&[1.0, 2.0]).is_empty() && minima(&[]).is_empty());
     assert_eq!(smoothed(&[0.0, 3.0, 6.0]), [1.5, 3.0, 4.5]);
-}
-
-/// Why nothing comes of a body.
-fn refused(mesh: &Mesh) -> Option<Refusal> {
-    Survey::new(mesh, Method::Paper).err()
-}
-
-#[test]
-fn what_is_the_methods_own_fault_is_not_laid_on_the_scan() {
-    let mut of_method = 0;
-    for (seed, pose) in [(1, Pose::T), (2, Pose::A), (3, Pose::Walk), (4, Pose::T), (5, Pose::A)] {
-        let (mesh, _) = body(seed, pose, Options { n_faces: 4000, turned: false });
-        let found = Survey::new(&mesh, Method::Default);
-        let Some(refusal) = refused(&mesh) else { continue };
-        if found.is_ok_and(|found| !found.in_contact) {
-            let words = refusal.to_string();
-            assert!(refusal.code().starts_with("paper-"), "{seed}: {words}");
-            assert!(!words.contains("with limbs apart") && words.contains("default method"));
-            of_method += 1;
-        }
-    }
-    assert!(of_method > 0, "all were found: nothing was tried");
-    // A ball is no body to any method.
-    let ball = refused(&sphere(20)).unwrap();
-    assert!(!ball.code().starts_with("paper-"), "{ball}");
 }

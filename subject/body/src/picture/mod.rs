@@ -4,23 +4,15 @@
 //! Colours are those of Okabe and Ito 2008, which people with any kind of colour vision tell apart; sides differ in
 //! lightness, too.
 
-mod chart;
-mod contour;
-mod labels;
-mod lengths;
-mod notes;
-mod reeb;
+mod charts;
 mod shade;
 mod sheet;
-#[cfg(test)]
-mod tests;
+mod tables;
 mod trace;
-mod view;
 mod views;
 
 use self::sheet::{DIM, Sheet, Stand};
-use self::view::Upright;
-use super::geometry::Point;
+use self::views::Upright;
 use super::skeleton::Skeleton;
 use super::{Joints, Mesh, Side, Unit};
 
@@ -41,16 +33,27 @@ pub struct Line {
     /// Of which part.
     pub part: Part,
     /// In order; a ring does not repeat its first.
-    pub points: Vec<Point>,
+    pub points: Vec<[f64; 3]>,
 }
 
 /// A node of the Reeb graph.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ReebNode {
     /// Centre of its level set, in the mesh's frame and unit.
-    pub position: Point,
+    pub position: [f64; 3],
     /// Value of the Morse function: the distance from the head along the surface, in the mesh's unit.
     pub value: f64,
+}
+
+/// An edge of the Reeb graph, between nodes by their indices.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ReebEdge {
+    /// The node nearer to the head.
+    pub from: usize,
+    /// The other.
+    pub to: usize,
+    /// Of which part.
+    pub part: Part,
 }
 
 /// Circularity along a part.
@@ -60,8 +63,17 @@ pub struct Curve {
     pub part: Part,
     /// Distance along the part in the mesh's unit, and circularity (Yu et al. 2008, eq. 5): 1 is a circle.
     pub samples: Vec<[f64; 2]>,
-    /// Where joints are, by distance along the part in the mesh's unit, with their names.
-    pub marks: Vec<(f64, String)>,
+    /// Where joints are.
+    pub marks: Vec<Mark>,
+}
+
+/// A joint on a curve.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Mark {
+    /// Along the part, in the mesh's unit.
+    pub distance: f64,
+    /// The joint's.
+    pub name: String,
 }
 
 /// What is drawn. All but the mesh may be empty: what a method does not have is left out.
@@ -79,8 +91,8 @@ pub struct Drawing<'a> {
     pub centre_lines: Vec<Line>,
     /// Nodes of the Reeb graph.
     pub reeb_nodes: Vec<ReebNode>,
-    /// Its edges, as indices of nodes.
-    pub reeb_edges: Vec<(usize, usize, Part)>,
+    /// Its edges.
+    pub reeb_edges: Vec<ReebEdge>,
     /// In the mesh's frame and unit.
     pub joints: Joints,
     /// Lengths, stature and notes are taken from it, where there is one.
@@ -96,20 +108,21 @@ const HEIGHT: f64 = 1080.0;
 /// Draws it: a whole document, 1400 by 1080 units, and higher where there are notes.
 #[must_use]
 pub fn svg(drawing: &Drawing<'_>) -> String {
-    let notes = drawing.skeleton.map_or_else(Vec::new, |skeleton| notes::lines(&skeleton.notes));
-    let mut sheet = Sheet::new(WIDTH, HEIGHT + notes::height(&notes));
+    let notes =
+        drawing.skeleton.map_or_else(Vec::new, |skeleton| tables::note_lines(&skeleton.notes));
+    let mut sheet = Sheet::new(WIDTH, HEIGHT + tables::notes_height(&notes));
     sheet.text(40.0, 38.0, drawing.title, 20.0, sheet::INK, Stand::Left);
     let upright = Upright::of(drawing);
     views::draw(&mut sheet, drawing, &upright);
-    reeb::draw(&mut sheet, drawing, &upright);
-    lengths::draw(&mut sheet, drawing);
+    charts::reeb(&mut sheet, drawing, &upright);
+    tables::lengths(&mut sheet, drawing);
     for (i, (title, is_of)) in PARTS.into_iter().enumerate() {
         let curves: Vec<&Curve> = drawing.curves.iter().filter(|c| is_of(c.part)).collect();
-        chart::draw(&mut sheet, 40.0 + 452.0 * i as f64, title, &curves, drawing);
+        charts::circularity(&mut sheet, 40.0 + 452.0 * i as f64, title, &curves, drawing);
     }
     let legend = "circularity h = 4π area / perimeter² of each level set (Yu et al. 2008, eq. 5); dashed: joints";
     sheet.text(WIDTH - 40.0, HEIGHT - 12.0, legend, 11.0, DIM, Stand::Right);
-    notes::draw(&mut sheet, &notes, HEIGHT);
+    tables::notes(&mut sheet, &notes, HEIGHT);
     sheet.finish()
 }
 

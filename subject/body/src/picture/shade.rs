@@ -1,7 +1,9 @@
-//! What is seen of a surface, cell by cell: how bright, and how near.
+//! What is seen of a surface, cell by cell: how bright, and how near; and lines around what is above a level.
+
+use std::collections::HashMap;
 
 use crate::Mesh;
-use crate::geometry::{Point, add, cross, dot, sub, unit};
+use crate::mesh::{Point, normal, unit};
 
 /// Cells on a side of the picture at most.
 const CELLS_MAX: usize = 700;
@@ -23,7 +25,7 @@ pub(super) struct Shade {
 }
 
 /// Where the light comes from: over the viewer's left shoulder.
-const LIGHT: Point = [-0.35, 0.45, 0.82];
+const LIGHT: [f64; 3] = [-0.35, 0.45, 0.82];
 
 impl Shade {
     /// Of a mesh whose vertices are given as they are seen: x and y on the paper, z towards the viewer.
@@ -36,13 +38,13 @@ impl Shade {
         let (light, cover, depth) = (vec![0.0; n], vec![0.0; n], vec![f64::NEG_INFINITY; n]);
         let mut shade = Self { size, cell, corner, light, cover, depth };
         let normals = normals(mesh, seen);
-        let towards = unit(LIGHT);
+        let towards = unit(LIGHT.into());
         for triangle in &mesh.triangles {
             let corners = triangle.map(|i| seen.get(i as usize).copied().unwrap_or_default());
             let bright = triangle.map(|i| {
                 let normal = normals.get(i as usize).copied().unwrap_or_default();
                 // Paper has y down, the light does not.
-                let lit = dot([normal[0], -normal[1], normal[2]], towards).max(0.0);
+                let lit = Point::new(normal.x, -normal.y, normal.z).dot(&towards).max(0.0);
                 0.12 + 0.45 * normal[2].max(0.0) + 0.43 * lit
             });
             shade.fill(corners, bright);
@@ -100,14 +102,14 @@ impl Shade {
 
 /// Of vertices, each triangle with its area for a weight; towards the viewer where it faces him.
 fn normals(mesh: &Mesh, seen: &[Point]) -> Vec<Point> {
-    let mut normals = vec![[0.0; 3]; seen.len()];
+    let mut normals = vec![Point::zeros(); seen.len()];
     for triangle in &mesh.triangles {
         let [a, b, c] = triangle.map(|i| seen.get(i as usize).copied().unwrap_or_default());
         // The paper is a mirror image: y is down.
-        let normal = cross(sub(c, a), sub(b, a));
+        let normal = normal([a, c, b]);
         for &corner in triangle {
             if let Some(sum) = normals.get_mut(corner as usize) {
-                *sum = add(*sum, normal);
+                *sum += normal;
             }
         }
     }
@@ -125,6 +127,110 @@ fn blur(values: &mut [f64], [width, height]: [usize; 2]) {
                 .map(|&row| before[row - 1] + before[row] + before[row + 1])
                 .sum();
             values[at] = sum / 9.0;
+        }
+    }
+}
+
+/// How far a loop may be from the line, in cells.
+const TOLERANCE: f64 = 0.18;
+
+/// Loops around all cells above a level, in units of cells. The border of the grid has to be below.
+pub(super) fn loops(values: &[f64], [width, height]: [usize; 2], level: f64) -> Vec<Vec<[f64; 2]>> {
+    // Each crossing lies between a cell and its neighbour to the right (false) or below (true).
+    let mut next: HashMap<(usize, bool), (usize, bool)> = HashMap::new();
+    let mut starts = Vec::new();
+    let value = |at: usize| values.get(at).copied().unwrap_or(0.0);
+    for y in 0..height.saturating_sub(1) {
+        for x in 0..width.saturating_sub(1) {
+            let at = y * width + x;
+            let corners = [at, at + 1, at + width + 1, at + width];
+            let sides = [(at, false), (at + 1, true), (at + width, false), (at, true)];
+            let above = corners.map(|corner| value(corner) > level);
+            for i in 0..4 {
+                // In over this side, around the corners above, and out: corner i + 1 is below, so there is an end.
+                if above[i] && !above[(i + 1) % 4] {
+                    let mut j = i;
+                    while above[(j + 3) % 4] {
+                        j = (j + 3) % 4;
+                    }
+                    let out = (j + 3) % 4;
+                    next.insert(sides[i], sides[out]);
+                    starts.push(sides[i]);
+                }
+            }
+        }
+    }
+    let crossing = |(at, below): (usize, bool)| {
+        let other = if below { at + width } else { at + 1 };
+        let (a, b) = (value(at), value(other));
+        let share = if a == b { 0.5 } else { ((level - a) / (b - a)).clamp(0.0, 1.0) };
+        let (x, y) = ((at % width) as f64, (at / width) as f64);
+        if below { [x, y + share] } else { [x + share, y] }
+    };
+    let mut loops = Vec::new();
+    for start in starts {
+        let mut points = Vec::new();
+        let mut at = start;
+        while let Some(after) = next.remove(&at) {
+            points.push(crossing(at));
+            at = after;
+        }
+        // Smaller ones are grains.
+        if points.len() > 8 {
+            loops.push(thinned(&points));
+        }
+    }
+    loops
+}
+
+/// Leaves out points that are all but on the line between those that are kept.
+fn thinned(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
+    let mut kept = Vec::new();
+    let mut from = 0;
+    while let Some(&start) = points.get(from) {
+        kept.push(start);
+        let mut to = from + 1;
+        while to + 1 < points.len() && to - from < 24 {
+            let end = points[to + 1];
+            let (dx, dy) = (end[0] - start[0], end[1] - start[1]);
+            let length = dx.hypot(dy);
+            let off = |p: &[f64; 2]| ((p[0] - start[0]) * dy - (p[1] - start[1]) * dx).abs();
+            if points[from + 1..=to].iter().any(|p| off(p) > TOLERANCE * length) {
+                break;
+            }
+            to += 1;
+        }
+        from = to;
+    }
+    kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::loops;
+
+    #[test]
+    fn contours_go_around_what_is_above() {
+        // Two discs and a ring.
+        let size = [80, 40];
+        let mut values = vec![0.0; 80 * 40];
+        for (x, y) in (0..80).flat_map(|x| (0..40).map(move |y| (x, y))) {
+            let far = |cx: f64, cy: f64| (x as f64 - cx).hypot(y as f64 - cy);
+            let ring = (4.0 - (far(55.0, 20.0) - 10.0).abs()).max(0.0);
+            values[y * 80 + x] =
+                (8.0 - far(15.0, 12.0)).max(7.0 - far(18.0, 31.0)).max(ring).max(0.0);
+        }
+        let loops = loops(&values, size, 1.0);
+        assert_eq!(loops.len(), 4);
+        let area = |l: &Vec<[f64; 2]>| {
+            let next = l.iter().cycle().skip(1);
+            l.iter().zip(next).map(|(p, q)| p[0] * q[1] - p[1] * q[0]).sum::<f64>() / 2.0
+        };
+        let mut areas: Vec<f64> = loops.iter().map(|l| area(l).abs()).collect();
+        areas.sort_by(f64::total_cmp);
+        for (found, radius) in areas.into_iter().zip([6.0, 7.0, 7.0, 13.0]) {
+            let expected = std::f64::consts::PI * radius * radius;
+            assert!((found / expected - 1.0).abs() < 0.04, "{found} {expected}");
         }
     }
 }

@@ -1,16 +1,16 @@
 //! From what the methods give to what is drawn.
 
-use super::{Curve, Drawing, Line, Part, ReebNode};
-use crate::geometry::{Point, distance, dot, sub};
+use super::{Curve, Drawing, Line, Mark, Part, ReebEdge, ReebNode};
 use crate::level::{Ring, Rings};
-use crate::reeb::{Reeb, Segments};
+use crate::mesh::{Point, distance};
+use crate::reeb::Levels;
 use crate::skeleton::joint_name;
 use crate::{Joint, Side};
 
 impl Drawing<'_> {
     /// Takes over the level sets, the Reeb graph, and centre line and circularity of each segment; joints have to be
     /// there before, since they say which arm is which, and are marked on the curves.
-    pub fn trace(&mut self, rings: &Rings, reeb: &Reeb, segments: &Segments) {
+    pub fn trace(&mut self, Levels { rings, reeb, segments }: &Levels) {
         let mut parts = vec![(Part::Trunk, &segments.trunk)];
         for (side, arm) in self.told_apart(rings, &segments.arms, Joint::Wrist) {
             parts.push((Part::Arm(side), arm));
@@ -28,7 +28,7 @@ impl Drawing<'_> {
             }
             let along: Vec<&Ring> =
                 indices.iter().filter_map(|&index| rings.rings.get(index as usize)).collect();
-            let points: Vec<Point> = along.iter().map(|ring| ring.centroid).collect();
+            let points: Vec<[f64; 3]> = along.iter().map(|ring| ring.centroid).collect();
             self.curves.push(self.curve(part, &along, &points));
             self.centre_lines.push(Line { part, points });
         }
@@ -40,7 +40,7 @@ impl Drawing<'_> {
         self.reeb_edges.extend(reeb.arcs().map(|[from, to]| {
             // An arc has the colour of its end, so that limbs begin at the trunk.
             let part = part_of.get(to as usize).copied().unwrap_or(Part::Trunk);
-            (from as usize, to as usize, part)
+            ReebEdge { from: from as usize, to: to as usize, part }
         }));
     }
 
@@ -66,7 +66,7 @@ impl Drawing<'_> {
     }
 
     /// Circularity over the length of the centre line.
-    fn curve(&self, part: Part, along: &[&Ring], points: &[Point]) -> Curve {
+    fn curve(&self, part: Part, along: &[&Ring], points: &[[f64; 3]]) -> Curve {
         let mut far = vec![0.0];
         for pair in points.windows(2) {
             far.push(far.last().copied().unwrap_or(0.0) + distance(pair[0], pair[1]));
@@ -87,7 +87,7 @@ impl Drawing<'_> {
             }
             let name = joint_name(joint);
             let name = name.split_once('_').map_or(name, |(_, rest)| rest);
-            Some((*far.get(nearest)?, name.to_owned()))
+            Some(Mark { distance: *far.get(nearest)?, name: name.to_owned() })
         };
         Curve { part, samples, marks: joints.into_iter().filter_map(mark).collect() }
     }
@@ -97,9 +97,10 @@ impl Drawing<'_> {
 const DIRECTION: usize = 4;
 
 /// Whether a point whose nearest is the first or the last of a line lies beyond it, and not beside it.
-fn beyond(line: &[Point], nearest: usize, at: Point) -> bool {
-    let behind = |end: Point, inward: Option<&Point>| {
-        inward.is_some_and(|inward| dot(sub(at, end), sub(*inward, end)) < 0.0)
+fn beyond(line: &[[f64; 3]], nearest: usize, at: [f64; 3]) -> bool {
+    let behind = |end: [f64; 3], inward: Option<&[f64; 3]>| {
+        let from_end = |at: [f64; 3]| Point::from(at) - Point::from(end);
+        inward.is_some_and(|inward| from_end(at).dot(&from_end(*inward)) < 0.0)
     };
     match (nearest, line) {
         (0, [first, ..]) => behind(*first, line.get(DIRECTION)),

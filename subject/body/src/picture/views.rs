@@ -1,12 +1,11 @@
 //! The body from the front and from its right: shaded, with level sets, centre lines and joints.
 
-use super::labels::{self, Label};
-use super::shade::Shade;
+use super::shade::{Shade, loops};
 use super::sheet::{DIM, INK, Sheet, Stand};
-use super::view::{Fit, Upright, bounds};
 use super::{Drawing, Line, colour};
-use crate::geometry::Point;
-use crate::{Estimate, Joint, Side};
+use crate::mesh::{Point, mean, unit};
+use crate::skeleton::joint_name;
+use crate::{Estimate, Joint, Joints, Side};
 
 /// Place of both views, side by side: left edge, and width; top and bottom.
 const LEFT: f64 = 26.0;
@@ -39,7 +38,8 @@ type Look = fn(&Upright, Point) -> Point;
 pub(super) fn draw(sheet: &mut Sheet, drawing: &Drawing<'_>, upright: &Upright) {
     let Some(mesh) = drawing.mesh else { return };
     let looks: [Look; 2] = [Upright::front, Upright::side];
-    let boxes = looks.map(|look| bounds(mesh.positions.iter().map(|&p| look(upright, p))));
+    let boxes =
+        looks.map(|look| bounds(mesh.positions.iter().map(|p| look(upright, Point::from(*p)))));
     let column = if anything_wide(drawing) { UNSURE_COLUMN } else { COLUMN };
     // Room for names on either side of a body.
     let names = column + BESIDE;
@@ -90,12 +90,12 @@ impl View<'_> {
     fn seen(&self, p: Point) -> Point {
         let looked = (self.look)(self.upright, p);
         let [x, y] = self.fit.at(looked);
-        [x, y, looked[2] * self.fit.per_unit]
+        Point::new(x, y, looked.z * self.fit.per_unit)
     }
 
     fn surface(&self, sheet: &mut Sheet) {
         let Some(mesh) = self.drawing.mesh else { return };
-        let seen: Vec<Point> = mesh.positions.iter().map(|&p| self.seen(p)).collect();
+        let seen: Vec<Point> = mesh.positions.iter().map(|p| self.seen(Point::from(*p))).collect();
         let [low, high] = bounds(seen.iter().copied());
         if !low.iter().chain(&high).all(|c| c.is_finite()) {
             return;
@@ -106,12 +106,12 @@ impl View<'_> {
                 |p: [f64; 2]| [0, 1].map(|k| shade.corner[k] + (p[k] + 0.5) * shade.cell);
             loops.into_iter().map(|l| l.into_iter().map(to_paper).collect()).collect()
         };
-        let outline = place(super::contour::loops(&shade.cover, shade.size, 0.5));
+        let outline = place(loops(&shade.cover, shade.size, 0.5));
         let style =
             format!("fill=\"{RIM}\" fill-rule=\"evenodd\" stroke=\"#8a919b\" stroke-width=\"1\"");
         sheet.path(&outline, true, &style);
         for (level, tone) in TONES {
-            let lit = place(super::contour::loops(&shade.light, shade.size, level));
+            let lit = place(loops(&shade.light, shade.size, level));
             sheet.path(&lit, true, &format!("fill=\"{tone}\" fill-rule=\"evenodd\""));
         }
         self.rings(sheet, &shade);
@@ -131,7 +131,7 @@ impl View<'_> {
             for ring in rings.iter().filter(|ring| ring.part == part).step_by(step) {
                 let mut piece: Vec<[f64; 2]> = Vec::new();
                 let around = ring.points.iter().chain(ring.points.first());
-                for p in around.map(|&p| self.seen(p)) {
+                for p in around.map(|p| self.seen(Point::from(*p))) {
                     // Two units of paper: less than the thickness of a wrist.
                     if shade.sees(p, 2.0) {
                         let far = |last: &[f64; 2]| (last[0] - p[0]).hypot(last[1] - p[1]) > 0.7;
@@ -153,7 +153,8 @@ impl View<'_> {
     }
 
     fn centre_lines(&self, sheet: &mut Sheet) {
-        let lines = |line: &Line| vec![line.points.iter().map(|&p| self.at(p)).collect()];
+        let lines =
+            |line: &Line| vec![line.points.iter().map(|p| self.at(Point::from(*p))).collect()];
         let round = "fill=\"none\" stroke-linecap=\"round\" stroke-linejoin=\"round\"";
         for line in &self.drawing.centre_lines {
             sheet.path(
@@ -174,14 +175,14 @@ impl View<'_> {
     fn joints(&self, sheet: &mut Sheet, margins: [f64; 2], column: f64, front: bool) {
         let mut names = Vec::new();
         for (&joint, estimate) in &self.drawing.joints.estimates {
-            let at = self.at(estimate.position);
+            let at = self.at(estimate.position.into());
             let sigma = estimate.sigma * self.fit.per_unit;
             let ring = format!("fill=\"none\" stroke=\"{UNSURE}\" stroke-width=\"1\"");
             if sigma > 0.5 && !is_wide(self.drawing, estimate) {
                 sheet.circle(at, sigma, &ring);
             }
             // The far side's names would cover the near side's.
-            if front || !matches!(side(joint), Some(Side::Left)) {
+            if front || !joint_name(joint).starts_with("l_") {
                 let mut text = self.name(joint);
                 if is_wide(self.drawing, estimate) {
                     text += &format!(" ± {:.0}", estimate.sigma * self.drawing.mm());
@@ -190,7 +191,7 @@ impl View<'_> {
             }
         }
         for estimate in self.drawing.joints.estimates.values() {
-            let at = self.at(estimate.position);
+            let at = self.at(estimate.position.into());
             let style = if is_wide(self.drawing, estimate) {
                 format!("fill=\"#ffffff\" stroke=\"{UNSURE}\" stroke-width=\"2\"")
             } else {
@@ -198,11 +199,11 @@ impl View<'_> {
             };
             sheet.circle(at, 3.6, &style);
         }
-        labels::draw(sheet, names, margins, column);
+        labels(sheet, names, margins, column);
     }
 
     fn name(&self, joint: Joint) -> String {
-        let name = crate::skeleton::joint_name(joint);
+        let name = joint_name(joint);
         let told = self.drawing.joints.sides_told;
         match name.split_once('_') {
             Some(("l", rest)) if told => format!("left {rest}"),
@@ -223,18 +224,6 @@ fn anything_wide(drawing: &Drawing<'_>) -> bool {
     drawing.joints.estimates.values().any(|estimate| is_wide(drawing, estimate))
 }
 
-fn side(joint: Joint) -> Option<Side> {
-    match joint {
-        Joint::Shoulder(side)
-        | Joint::Elbow(side)
-        | Joint::Wrist(side)
-        | Joint::Hip(side)
-        | Joint::Knee(side)
-        | Joint::Ankle(side) => Some(side),
-        Joint::Head | Joint::Throat | Joint::Pelvis => None,
-    }
-}
-
 fn scale_bar(sheet: &mut Sheet, drawing: &Drawing<'_>, per_unit: f64) {
     let per_mm = per_unit / drawing.mm();
     let length = [50.0, 100.0, 200.0, 500.0, 1000.0];
@@ -252,4 +241,118 @@ fn scale_bar(sheet: &mut Sheet, drawing: &Drawing<'_>, per_unit: f64) {
         "circles: one standard deviation of a joint".to_owned()
     };
     sheet.text(end + 140.0, y - 1.0, &words, 12.0, DIM, Stand::Left);
+}
+
+/// A name, and the point that it names.
+struct Label {
+    at: [f64; 2],
+    text: String,
+}
+
+/// Lines from one name to the next.
+const STEP: f64 = 17.0;
+/// Names stay within these rows.
+const LABEL_ROWS: [f64; 2] = [96.0, 736.0];
+
+/// Half of the names go to either margin, each at the height of its point or as near as there is room. None is longer than
+/// `column`: what lies beside them is left free.
+fn labels(sheet: &mut Sheet, mut labels: Vec<Label>, [left, right]: [f64; 2], column: f64) {
+    labels.retain(|label| label.at.iter().all(|c| c.is_finite()));
+    labels.sort_by(|a, b| a.at[0].total_cmp(&b.at[0]));
+    let rest = labels.split_off(labels.len() / 2);
+    for (mut names, edge, stand, inward) in
+        [(labels, left + column, Stand::Right, 1.0), (rest, right - column, Stand::Left, -1.0)]
+    {
+        names.sort_by(|a, b| a.at[1].total_cmp(&b.at[1]));
+        let heights = spread(&names.iter().map(|label| label.at[1]).collect::<Vec<f64>>());
+        for (label, y) in names.iter().zip(heights) {
+            sheet.text(edge, y, &label.text, 11.5, INK, stand);
+            let from = [edge + inward * 5.0, y];
+            let knee = [edge + inward * 14.0, y];
+            let style =
+                "fill=\"none\" stroke=\"#282828\" stroke-width=\"0.6\" stroke-opacity=\"0.55\"";
+            sheet.path(&[vec![from, knee, label.at]], false, style);
+        }
+    }
+}
+
+/// Heights in the same order, a step apart at least, within the rows.
+fn spread(wanted: &[f64]) -> Vec<f64> {
+    let n = wanted.len();
+    let mut heights = Vec::with_capacity(n);
+    let mut free = LABEL_ROWS[0];
+    for &y in wanted {
+        let y = y.max(free);
+        heights.push(y);
+        free = y + STEP;
+    }
+    let mut limit = LABEL_ROWS[1];
+    for y in heights.iter_mut().rev() {
+        *y = y.min(limit);
+        limit = *y - STEP;
+    }
+    heights
+}
+
+/// Axes of the body: left, up, forward; of length one.
+#[derive(Debug)]
+pub(super) struct Upright {
+    axes: [Point; 3],
+    middle: Point,
+}
+
+impl Upright {
+    /// From trunk and hips; where these are not known, from the mesh's own axes.
+    pub(super) fn of(drawing: &Drawing<'_>) -> Self {
+        let positions = drawing.mesh.map_or(&[][..], |mesh| &mesh.positions);
+        let middle = mean(positions.iter().map(|at| Point::from(*at))).unwrap_or_default();
+        let axes = axes(&drawing.joints);
+        Self { axes: axes.unwrap_or([Point::x(), Point::y(), Point::z()]), middle }
+    }
+
+    /// Seen from the front: right on the paper, up, towards the viewer. The subject's left is on the right.
+    pub(super) fn front(&self, p: Point) -> Point {
+        let p = p - self.middle;
+        self.axes.map(|axis| axis.dot(&p)).into()
+    }
+
+    /// Seen from the subject's right: forward is on the right.
+    pub(super) fn side(&self, p: Point) -> Point {
+        let front = self.front(p);
+        Point::new(front.z, front.y, -front.x)
+    }
+}
+
+fn axes(joints: &Joints) -> Option<[Point; 3]> {
+    let at = |joint: Joint| joints.estimates.get(&joint).map(|found| Point::from(found.position));
+    let across = |joint: fn(Side) -> Joint| Some(at(joint(Side::Left))? - at(joint(Side::Right))?);
+    let pelvis = at(Joint::Pelvis)
+        .or_else(|| mean([at(Joint::Hip(Side::Left))?, at(Joint::Hip(Side::Right))?]))?;
+    let top = at(Joint::Throat).or_else(|| at(Joint::Head))?;
+    let up = unit(top - pelvis);
+    let wide = across(Joint::Shoulder).or_else(|| across(Joint::Hip))?;
+    let left = unit(wide - up * wide.dot(&up));
+    (up.norm() > 0.5 && left.norm() > 0.5).then(|| [left, up, left.cross(&up)])
+}
+
+/// How much of the paper a length is, and where the origin lies.
+#[derive(Debug, Clone, Copy)]
+struct Fit {
+    per_unit: f64,
+    origin: [f64; 2],
+}
+
+impl Fit {
+    /// A point on the paper, y down.
+    fn at(&self, p: Point) -> [f64; 2] {
+        [self.origin[0] + self.per_unit * p[0], self.origin[1] - self.per_unit * p[1]]
+    }
+}
+
+/// Lowest and highest of the first two coordinates.
+pub(super) fn bounds(points: impl Iterator<Item = Point>) -> [[f64; 2]; 2] {
+    let all = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
+    points.fold(all, |[low, high], p| {
+        [[low[0].min(p[0]), low[1].min(p[1])], [high[0].max(p[0]), high[1].max(p[1])]]
+    })
 }

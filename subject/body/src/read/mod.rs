@@ -3,20 +3,16 @@
 //! The content says which format it is; the name's ending is asked only where the content leaves it open. Nothing is
 //! allocated on a number that a file merely claims: every vertex and face stands in the bytes that were given.
 
-mod detect;
-mod error;
 mod obj;
 mod off;
 mod ply;
-mod polygon;
 mod stl;
 mod surface;
 #[cfg(test)]
 mod tests;
 mod text;
 
-pub use detect::Format;
-pub use error::ReadError;
+use std::fmt;
 
 use super::{Mesh, Note, Unit};
 
@@ -52,7 +48,7 @@ pub fn read(bytes: &[u8], name: &str) -> Result<Scan, ReadError> {
     if bytes.len() > BYTES_MAX {
         return Err(ReadError::TooLarge { what: "bytes", found: bytes.len(), limit: BYTES_MAX });
     }
-    let format = detect::format(bytes, name)?;
+    let format = format(bytes, name)?;
     let surface = match format {
         Format::Obj => obj::read(bytes)?,
         Format::Ply => ply::read(bytes)?,
@@ -67,4 +63,159 @@ pub fn read(bytes: &[u8], name: &str) -> Result<Scan, ReadError> {
         scan.notes.push(Note::new("other-ending", text));
     }
     Ok(scan)
+}
+
+/// A format of meshes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    /// Wavefront's text.
+    Obj,
+    /// The polygon format of Stanford, text or binary.
+    Ply,
+    /// Triangles of stereolithography, text or binary.
+    Stl,
+    /// The object file format of Geomview, text.
+    Off,
+}
+
+impl Format {
+    /// By the ending of a file's name.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        let (_, ending) = name.rsplit_once('.')?;
+        match ending.to_ascii_lowercase().as_str() {
+            "obj" => Some(Self::Obj),
+            "ply" => Some(Self::Ply),
+            "stl" => Some(Self::Stl),
+            "off" => Some(Self::Off),
+            _ => None,
+        }
+    }
+
+    /// That a file does not keep to this format, by where and why.
+    fn malformed(self, place: impl Into<String>, reason: impl Into<String>) -> ReadError {
+        ReadError::Malformed { format: self, place: place.into(), reason: reason.into() }
+    }
+
+    fn malformed_line(self, number: usize, reason: impl Into<String>) -> ReadError {
+        self.malformed(format!("line {number}"), reason)
+    }
+}
+
+impl fmt::Display for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Obj => "OBJ",
+            Self::Ply => "PLY",
+            Self::Stl => "STL",
+            Self::Off => "OFF",
+        })
+    }
+}
+
+/// Words that lines of an OBJ begin with.
+const OBJ_WORDS: [&[u8]; 11] =
+    [b"v", b"vt", b"vn", b"vp", b"f", b"o", b"g", b"s", b"l", b"mtllib", b"usemtl"];
+/// Lines in which the first word of an OBJ must stand: comments of exporters are shorter.
+const OBJ_LINES: usize = 1000;
+
+fn format(bytes: &[u8], name: &str) -> Result<Format, ReadError> {
+    let bytes = text::without_mark(bytes);
+    if matches!(bytes, [b'p', b'l', b'y', b'\r' | b'\n', ..]) {
+        return Ok(Format::Ply);
+    }
+    // Before the others: a binary STL may begin with any text at all.
+    if stl::binary_fits(bytes) {
+        return Ok(Format::Stl);
+    }
+    let mut lines = text::lines(bytes)
+        .take(OBJ_LINES)
+        .filter_map(|(_, line)| text::words(text::before_comment(line)).next());
+    let first = lines.next().unwrap_or_default();
+    if first.ends_with(b"OFF") && first.len() <= 9 && first.iter().all(u8::is_ascii_alphanumeric) {
+        return Ok(Format::Off);
+    }
+    if first.eq_ignore_ascii_case(b"solid") {
+        return Ok(Format::Stl);
+    }
+    if OBJ_WORDS.contains(&first) || lines.any(|word| OBJ_WORDS.contains(&word)) {
+        return Ok(Format::Obj);
+    }
+    Format::from_name(name).ok_or_else(|| ReadError::Unknown { found: guess(bytes).to_owned() })
+}
+
+/// What people give instead.
+fn guess(bytes: &[u8]) -> &'static str {
+    match bytes {
+        [0x1f, 0x8b, ..] => "a gzip file: unpack it first",
+        [b'P', b'K', 3, 4, ..] => "a ZIP archive, perhaps 3MF: unpack it first",
+        [b'g', b'l', b'T', b'F', ..] => "a binary glTF",
+        [b'K', b'a', b'y', b'd', b'a', b'r', b'a', ..] => "an FBX",
+        [b'#', b'V', b'R', b'M', b'L', ..] => "a VRML world",
+        [b'<', ..] => "an XML document",
+        [b'{', ..] => "a JSON document",
+        [0xff, 0xfe, ..] | [0xfe, 0xff, ..] => "a text in UTF-16: save it as UTF-8",
+        _ => "its beginning is of no known format",
+    }
+}
+
+/// A file that was not read, by what to do about it.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReadError {
+    /// No bytes at all.
+    #[error("the file is empty: export the scan again")]
+    Empty,
+    /// None of the formats.
+    #[error("not a mesh that can be read ({found}): export it as OBJ, PLY, STL or OFF")]
+    Unknown {
+        /// What it seems to be.
+        found: String,
+    },
+    /// The file does not keep to its format, or is cut off.
+    #[error("{format}, {place}: {reason}")]
+    Malformed {
+        /// The format.
+        format: Format,
+        /// `line 12`, `byte 4096`, `face 7`.
+        place: String,
+        /// What was expected, and what was found.
+        reason: String,
+    },
+    /// In the format, but of a kind that is not read.
+    #[error("{format}: {what} is not read: export it as plain text or binary triangles")]
+    Unsupported {
+        /// The format.
+        format: Format,
+        /// The kind.
+        what: String,
+    },
+    /// Beyond what memory is kept for.
+    #[error("{found} {what}, at most {limit} are read: decimate the mesh in the scanner's program")]
+    TooLarge {
+        /// Of what: `faces`.
+        what: &'static str,
+        /// How many there are, or more.
+        found: usize,
+        /// How many are read.
+        limit: usize,
+    },
+    /// Points, and no surface.
+    #[error("{format}: {vertices} vertices and no face: export a mesh, not a cloud of points")]
+    NoSurface {
+        /// The format.
+        format: Format,
+        /// Its vertices.
+        vertices: usize,
+    },
+    /// Too many coordinates are no numbers.
+    #[error(
+        "{found} of {vertices} vertices are no finite positions (NaN, infinite, or beyond 1e9): export the scan again"
+    )]
+    NotFinite {
+        /// Such vertices.
+        found: usize,
+        /// All vertices.
+        vertices: usize,
+    },
 }

@@ -33,7 +33,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
         let mut words = text::words(line);
         match words.next() {
             Some(b"v") => surface.vertex(text::position(&mut words).ok_or_else(|| {
-                malformed(
+                Format::Obj.malformed_line(
                     number,
                     format!("expected `v` and three numbers, found {}", text::quote(line)),
                 )
@@ -42,7 +42,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
                 corners.clear();
                 for word in words {
                     let index = index(word, surface.n_vertices()).ok_or_else(|| {
-                        malformed(
+                        Format::Obj.malformed_line(
                             number,
                             format!("expected the index of a vertex, found {}", text::quote(word)),
                         )
@@ -68,8 +68,4 @@ fn index(word: &[u8], n_vertices: usize) -> Option<u32> {
     let given = text::whole(vertex)?;
     let index = if given < 0 { (n_vertices as i64).checked_add(given)? } else { given - 1 };
     u32::try_from(index).ok()
-}
-
-fn malformed(line: usize, reason: String) -> ReadError {
-    ReadError::malformed(Format::Obj, format!("line {line}"), reason)
 }

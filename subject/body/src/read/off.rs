@@ -33,7 +33,10 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
     for found in 0..n_vertices {
         let (number, line) = lines.next().ok_or_else(|| cut_off("vertices", n_vertices, found))?;
         let position = text::position(&mut text::words(line)).ok_or_else(|| {
-            malformed(number, format!("expected three numbers, found {}", text::quote(line)))
+            Format::Off.malformed_line(
+                number,
+                format!("expected three numbers, found {}", text::quote(line)),
+            )
         })?;
         surface.vertex(position)?;
     }
@@ -43,7 +46,10 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
         let mut words = text::words(line);
         let wrong = || {
             let found = text::quote(line);
-            malformed(number, format!("expected a count and as many indices, found {found}"))
+            Format::Off.malformed_line(
+                number,
+                format!("expected a count and as many indices, found {found}"),
+            )
         };
         let count = words.next().and_then(text::whole).ok_or_else(wrong)?;
         corners.clear();
@@ -60,15 +66,13 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
 fn counts(number: usize, words: &mut dyn Iterator<Item = &[u8]>) -> Result<(u64, u64), ReadError> {
     let mut next = || words.next().and_then(text::whole).and_then(|n| u64::try_from(n).ok());
     let counts = next().zip(next());
-    counts.ok_or_else(|| malformed(number, "expected the counts of vertices and faces".to_owned()))
+    counts.ok_or_else(|| {
+        Format::Off.malformed_line(number, "expected the counts of vertices and faces")
+    })
 }
 
 fn cut_off(what: &str, announced: u64, found: u64) -> ReadError {
     let reason =
         format!("{announced} {what} announced, {found} found: cut off, export the scan again");
-    ReadError::malformed(Format::Off, "end of file", reason)
-}
-
-fn malformed(line: usize, reason: String) -> ReadError {
-    ReadError::malformed(Format::Off, format!("line {line}"), reason)
+    Format::Off.malformed("end of file", reason)
 }

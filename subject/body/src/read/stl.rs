@@ -42,7 +42,7 @@ fn read_binary(bytes: &[u8], triangles: &mut Triangles) -> Result<(), ReadError>
         let reason = format!(
             "{n} triangles announced, {whole} found: cut off or not a mesh, export the scan again"
         );
-        return Err(ReadError::malformed(Format::Stl, format!("byte {TITLE}"), reason));
+        return Err(Format::Stl.malformed(format!("byte {TITLE}"), reason));
     }
     for record in records.chunks_exact(RECORD).take(n) {
         let float = |at: usize| {
@@ -62,7 +62,8 @@ fn read_text(bytes: &[u8], triangles: &mut Triangles) -> Result<(), ReadError> {
         let mut words = text::words(line);
         let Some(word) = words.next() else { continue };
         let wrong = |expected: &str| {
-            malformed(format!("line {number}"), expected, &format!("found {}", text::quote(line)))
+            let found = text::quote(line);
+            Format::Stl.malformed_line(number, format!("expected {expected}, found {found}"))
         };
         if word.eq_ignore_ascii_case(b"vertex") {
             if corners.len() == 3 {
@@ -86,14 +87,10 @@ fn read_text(bytes: &[u8], triangles: &mut Triangles) -> Result<(), ReadError> {
         }
     }
     if in_facet || !ended {
-        let found = "found none: cut off, export the scan again";
-        return Err(malformed("end of file".to_owned(), "`endsolid`", found));
+        let reason = "expected `endsolid`, found none: cut off, export the scan again";
+        return Err(Format::Stl.malformed("end of file", reason));
     }
     Ok(())
-}
-
-fn malformed(place: String, expected: &str, found: &str) -> ReadError {
-    ReadError::malformed(Format::Stl, place, format!("expected {expected}, {found}"))
 }
 
 /// Triangles whose corners are shared by position.

@@ -1,7 +1,7 @@
 //! What the readers fill: vertices and faces, within limits, and checked at the end.
 
-use super::polygon::{EARS_MAX, triangulate};
 use super::{FACES_MAX, Format, ReadError, Scan, VERTICES_MAX};
+use crate::mesh::{self, Point, unit};
 use crate::{Mesh, Note, Unit};
 
 /// Beyond this, in any unit, is no scan; and within, no square of a distance overflows.
@@ -27,14 +27,22 @@ pub(super) struct Surface {
     format: Format,
     positions: Vec<[f64; 3]>,
     triangles: Vec<[u32; 3]>,
-    /// Corners of faces with more than three, one after the other, and how many each has. They are cut when all vertices
-    /// are known.
-    polygons: (Vec<u32>, Vec<u32>),
+    /// They are cut when all vertices are known.
+    polygons: Polygons,
     /// Triangles there will be.
     n_faces: usize,
     /// What a comment said.
     pub(super) unit: Option<Unit>,
     pub(super) notes: Vec<Note>,
+}
+
+/// Faces of more than three corners.
+#[derive(Debug, Default)]
+struct Polygons {
+    /// Of one after the other.
+    corners: Vec<u32>,
+    /// How many corners each has.
+    sizes: Vec<u32>,
 }
 
 impl Surface {
@@ -43,7 +51,7 @@ impl Surface {
             format,
             positions: Vec::new(),
             triangles: Vec::new(),
-            polygons: (Vec::new(), Vec::new()),
+            polygons: Polygons::default(),
             n_faces: 0,
             unit: None,
             notes: Vec::new(),
@@ -74,8 +82,8 @@ impl Surface {
             [] | [_] | [_, _] => {}
             [a, b, c] => self.triangles.push([a, b, c]),
             _ => {
-                self.polygons.0.extend_from_slice(corners);
-                self.polygons.1.push(corners.len() as u32);
+                self.polygons.corners.extend_from_slice(corners);
+                self.polygons.sizes.push(corners.len() as u32);
             }
         }
         Ok(())
@@ -84,13 +92,13 @@ impl Surface {
     /// Every index is of a vertex, every position finite, every face a triangle.
     pub(super) fn finish(mut self) -> Result<Scan, ReadError> {
         let n = self.positions.len();
-        let corners = self.triangles.as_flattened().iter().chain(&self.polygons.0);
+        let corners = self.triangles.as_flattened().iter().chain(&self.polygons.corners);
         if let Some(index) = corners.copied().find(|&index| index as usize >= n) {
             let reason = format!(
                 "names vertex {}, there are {n}: cut off or damaged, export the scan again",
                 u64::from(index) + 1
             );
-            return Err(ReadError::malformed(self.format, "a face", reason));
+            return Err(self.format.malformed("a face", reason));
         }
         self.cut_polygons();
         if self.triangles.is_empty() {
@@ -102,12 +110,12 @@ impl Surface {
     }
 
     fn cut_polygons(&mut self) {
-        let (corners, sizes) = std::mem::take(&mut self.polygons);
+        let Polygons { corners, sizes } = std::mem::take(&mut self.polygons);
         let mut rest = &corners[..];
         let positions = &self.positions;
         for &size in &sizes {
             let (polygon, after) = rest.split_at((size as usize).min(rest.len()));
-            triangulate(polygon, |corner| positions[corner as usize], &mut self.triangles);
+            triangulate(polygon, |corner| positions[corner as usize].into(), &mut self.triangles);
             rest = after;
         }
         if !sizes.is_empty() {
@@ -160,4 +168,58 @@ impl Surface {
         }
         Ok(())
     }
+}
+
+/// Corners of a polygon that are cut ear by ear; that takes time with their square, or more. Larger ones are fans.
+const EARS_MAX: usize = 64;
+
+/// Cuts a polygon of three or more corners into triangles of the same orientation. `at` gives the position of a corner.
+///
+/// A convex polygon could be cut anyhow. One with a notch must be cut from its ears, and a quad that is not plane is best
+/// cut where its halves bend least: the ear whose triangle agrees most with the polygon's own normal goes first.
+fn triangulate(corners: &[u32], at: impl Fn(u32) -> Point, out: &mut Vec<[u32; 3]>) {
+    let mut left = corners.to_vec();
+    while left.len() > 3 && corners.len() <= EARS_MAX {
+        let positions: Vec<Point> = left.iter().map(|&corner| at(corner)).collect();
+        let normal = unit(area_vector(&positions));
+        let n = left.len();
+        let mut best = (0, f64::NEG_INFINITY);
+        for i in 0..n {
+            let value = ear(&positions, i, normal);
+            if value > best.1 {
+                best = (i, value);
+            }
+        }
+        let i = best.0;
+        out.push([left[(i + n - 1) % n], left[i], left[(i + 1) % n]]);
+        left.remove(i);
+    }
+    if let [first, rest @ ..] = &left[..] {
+        out.extend(rest.windows(2).map(|pair| [*first, pair[0], pair[1]]));
+    }
+}
+
+/// How good an ear this corner is: the least agreement with the polygon's normal among its triangle and the two that it
+/// leaves beside it; below all others where another corner lies within.
+fn ear(positions: &[Point], i: usize, normal: Point) -> f64 {
+    let n = positions.len();
+    let at = |k: usize| positions[(i + n + k) % n];
+    let (before, corner, after) = (at(n - 1), at(0), at(1));
+    let facing = |a: Point, b: Point, c: Point| unit(mesh::normal([a, b, c])).dot(&normal);
+    let own = facing(before, corner, after);
+    let inside = |p: Point| {
+        [(before, corner), (corner, after), (after, before)]
+            .iter()
+            .all(|&(a, b)| mesh::normal([a, b, p]).dot(&normal) > 0.0)
+    };
+    if own <= 0.0 || (2..n - 1).any(|k| inside(at(k))) {
+        return -2.0 + own;
+    }
+    own.min(facing(before, after, at(2))).min(facing(at(n - 2), before, after)).max(-0.99)
+}
+
+/// Twice the area, along the normal.
+fn area_vector(positions: &[Point]) -> Point {
+    let Some(&origin) = positions.first() else { return Point::zeros() };
+    positions.windows(2).map(|pair| mesh::normal([origin, pair[0], pair[1]])).sum()
 }

@@ -1,11 +1,313 @@
 //! How the rings of a function hang together, and the five segments of a body (Yu et al. 2008, section 6).
 
-mod bands;
-mod graph;
-mod segments;
+use std::collections::BTreeMap;
+
+use crate::extremity::Extremities;
+use crate::geodesic::{Adjacency, Graph, NONE, Workspace, distances};
+use crate::level::{Rings, Spans, cut, even_levels};
+use crate::topology::root;
+use crate::{Mesh, Refusal};
 
 #[cfg(test)]
 mod tests;
 
-pub use graph::{Band, Reeb};
-pub use segments::Segments;
+/// n of algorithm 2, which the paper does not give.
+const LEVEL_COUNT: u32 = 100;
+
+/// A piece of the surface between two neighbouring levels: a node of the Reeb graph if it has other than one ring below
+/// and one above.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Band {
+    /// The rings that it begins with; none if a minimum lies in it.
+    pub below: Vec<u32>,
+    /// The rings that it ends with; none if a maximum lies in it, several if the surface forks.
+    pub above: Vec<u32>,
+}
+
+/// The Reeb graph of a function, as fine as the levels that it was cut at.
+#[derive(Debug, Clone)]
+pub struct Reeb {
+    /// The pieces between levels.
+    pub bands: Vec<Band>,
+    /// For each ring the bands below and above it.
+    pub sides: Vec<[u32; 2]>,
+    /// For each vertex that was asked for the band that it lies in.
+    tips: Vec<Option<u32>>,
+}
+
+impl Reeb {
+    /// Links the rings of `mesh`; `tips` are vertices that [`Self::down`] will be asked for.
+    #[must_use]
+    pub fn new(mesh: &Mesh, adjacency: &Adjacency, cut: &Rings, tips: &[u32]) -> Self {
+        let mut parts = Parts::new(mesh, adjacency, &cut.spans);
+        let mut bands = Vec::new();
+        let mut known = BTreeMap::new();
+        let mut band_of = |triangle: u32, rank: u32| {
+            let root = parts.root(triangle, rank)?;
+            Some(*known.entry(root).or_insert_with(|| {
+                bands.push(Band::default());
+                bands.len() as u32 - 1
+            }))
+        };
+        let mut sides = Vec::with_capacity(cut.rings.len());
+        for ring in &cut.rings {
+            let [below, above] =
+                [ring.level, ring.level + 1].map(|rank| band_of(ring.triangle, rank));
+            // A ring crosses its triangle, which so reaches into both bands.
+            sides.push([below.unwrap_or(u32::MAX), above.unwrap_or(u32::MAX)]);
+        }
+        let first_triangle =
+            |tip: u32| mesh.triangles.iter().position(|corners| corners.contains(&tip));
+        let tips = tips.iter().map(|tip| {
+            let triangle = first_triangle(*tip)? as u32;
+            band_of(triangle, cut.spans.rank(*tip)?)
+        });
+        let tips = tips.collect();
+        for (ring, [below, above]) in (0_u32..).zip(&sides) {
+            if let Some(band) = bands.get_mut(*below as usize) {
+                band.above.push(ring);
+            }
+            if let Some(band) = bands.get_mut(*above as usize) {
+                band.below.push(ring);
+            }
+        }
+        Self { bands, sides, tips }
+    }
+
+    /// The rings from the tip down to the source of the function, highest first; where several lead down, as about a
+    /// handle, the longest.
+    #[must_use]
+    pub fn down(&self, tip: usize, cut: &Rings) -> Vec<u32> {
+        let mut way = Vec::new();
+        let mut band = self.tips.get(tip).copied().flatten();
+        // Each step goes one level lower, so there are no more than levels.
+        while let Some(at) = band.and_then(|band| self.bands.get(band as usize)) {
+            let length = |ring: &u32| cut.rings[*ring as usize].perimeter;
+            let longest = |one: &&u32, other: &&u32| length(one).total_cmp(&length(other));
+            let Some(ring) = at.below.iter().max_by(longest) else { break };
+            way.push(*ring);
+            band = Some(self.sides[*ring as usize][0]);
+        }
+        way
+    }
+
+    /// Every two rings that a band joins: the arcs of the graph, to be drawn between centroids.
+    pub fn arcs(&self) -> impl Iterator<Item = [u32; 2]> {
+        let pairs = |band: &Band| {
+            let above = band.above.clone();
+            band.below
+                .clone()
+                .into_iter()
+                .flat_map(move |low| above.clone().into_iter().map(move |high| [low, high]))
+        };
+        self.bands.iter().flat_map(pairs)
+    }
+}
+
+/// Which triangles hang together between two neighbouring levels.
+///
+/// A triangle that reaches over several bands has a part in each; parts of neighbours are joined where their common edge
+/// reaches into the band too.
+struct Parts {
+    /// Where the parts of each triangle begin, and the band of the first; none for a triangle that cannot be reached.
+    starts: Vec<Option<(u32, u32)>>,
+    joined: Vec<u32>,
+}
+
+impl Parts {
+    fn new(mesh: &Mesh, adjacency: &Adjacency, spans: &Spans) -> Self {
+        let mut count = 0;
+        let mut starts = Vec::with_capacity(mesh.triangles.len());
+        for corners in &mesh.triangles {
+            let bands = spans.bands(corners);
+            starts.push(bands.map(|[lowest, _]| (count, lowest)));
+            count += bands.map_or(0, |[lowest, highest]| highest - lowest + 1);
+        }
+        let mut parts = Self { starts, joined: (0..count).collect() };
+        for edge in adjacency.edges() {
+            let [one, other] = edge.triangles;
+            let Some([lowest, highest]) = spans.bands(&edge.vertices) else { continue };
+            if one == NONE || other == NONE {
+                continue;
+            }
+            for band in lowest..=highest {
+                if let (Some(a), Some(b)) = (parts.root(one, band), parts.root(other, band)) {
+                    // The lower number stands for both, so that the order of edges does not show.
+                    parts.joined[a.max(b) as usize] = a.min(b);
+                }
+            }
+        }
+        parts
+    }
+
+    /// What stands for the piece that `triangle` has a part of in `band`.
+    fn root(&mut self, triangle: u32, band: u32) -> Option<u32> {
+        let (start, lowest) = (*self.starts.get(triangle as usize)?)?;
+        let part = start + band.checked_sub(lowest)?;
+        self.joined.get(part as usize)?;
+        Some(root(&mut self.joined, part))
+    }
+}
+
+/// From the end of a hand to the armpit, as a part of the way from there to the head.
+const ARM_REACH: f64 = 0.61;
+/// From the end of a foot to the crotch, as a part of the same.
+const LEG_REACH: f64 = 0.52;
+
+/// The five segments of a body, as rings of the distance from the head, each a centre line from the trunk outwards.
+///
+/// The Reeb graph has more ends than a body has limbs: ears, fingers, toes, and what noise and coarse triangles add. Here
+/// those are no arcs at all: an arc counts only if it leads down from one of the four chosen ends.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Segments {
+    /// From the head to where the legs part.
+    pub trunk: Vec<u32>,
+    /// From the armpits to the hands, in the order of the hands.
+    pub arms: [Vec<u32>; 2],
+    /// From the crotch to the feet, in the order of the feet.
+    pub legs: [Vec<u32>; 2],
+    /// The values at which the arms leave the trunk.
+    pub armpits: [f64; 2],
+    /// The value at which the legs part.
+    pub crotch: f64,
+}
+
+impl Segments {
+    /// Cuts the graph where limbs leave the trunk; the tips of `reeb` are hands and feet, in this order.
+    ///
+    /// # Errors
+    ///
+    /// [`Refusal::Contact`]: a hand hangs together with a leg or the other arm before it does with the trunk.
+    pub fn new(reeb: &Reeb, cut: &Rings) -> Result<Self, Refusal> {
+        let [one, other, left, right] = [0, 1, 2, 3].map(|tip| upwards(reeb, cut, tip));
+        let (trunk_count, legs) = split(&left, &right);
+        let trunk = left[..trunk_count].to_vec();
+        let arm = |way: &[u32]| split(way, &left).0.min(split(way, &right).0);
+        let starts = [arm(&one), arm(&other)];
+        let between_hands = split(&one, &other).0;
+        let fused = starts.iter().any(|start| *start >= trunk_count || *start < between_hands);
+        let short = [&one[starts[0]..], &other[starts[1]..], &legs[0], &legs[1], &trunk];
+        if fused || short.iter().any(|way| way.is_empty()) {
+            return Err(Refusal::Contact { handles: 0 });
+        }
+        let value = |ring: u32| cut.values[cut.rings[ring as usize].level as usize];
+        Ok(Self {
+            armpits: [value(one[starts[0]]), value(other[starts[1]])],
+            crotch: value(legs[0][0]),
+            arms: [one[starts[0]..].to_vec(), other[starts[1]..].to_vec()],
+            legs,
+            trunk,
+        })
+    }
+
+    /// The rings on the ways from the head to the tips, where limbs touch and the graph says not where they begin: a limb
+    /// is what lies so near to its tip as limbs are long. `fields` are the distances from hands and feet, in this order.
+    #[must_use]
+    fn within_reach(
+        mesh: &Mesh,
+        reeb: &Reeb,
+        cut: &Rings,
+        extremities: &Extremities,
+        fields: &[Vec<f64>; 4],
+    ) -> Self {
+        let far = |tip: usize, vertex: u32| {
+            fields[tip].get(vertex as usize).copied().unwrap_or(f64::INFINITY)
+        };
+        let limb = |tip: usize| {
+            let part = if tip < 2 { ARM_REACH } else { LEG_REACH };
+            let reach = part * far(tip, extremities.head);
+            let mut way = upwards(reeb, cut, tip);
+            let near = |ring: &u32| {
+                let triangle = cut.rings[*ring as usize].triangle;
+                let corners = mesh.triangles.get(triangle as usize);
+                corners.is_some_and(|[vertex, ..]| far(tip, *vertex) <= reach)
+            };
+            let count = way.iter().rev().take_while(|ring| near(ring)).count();
+            let rest = way.split_off(way.len() - count);
+            (way, rest)
+        };
+        let [(_, one), (_, other), (trunk, left), (_, right)] = [0, 1, 2, 3].map(limb);
+        let begins = |limb: &[u32]| {
+            let first = limb.first().and_then(|ring| cut.rings.get(*ring as usize));
+            first.and_then(|ring| cut.values.get(ring.level as usize)).copied().unwrap_or(0.0)
+        };
+        Self {
+            armpits: [begins(&one), begins(&other)],
+            crotch: begins(&left),
+            arms: [one, other],
+            legs: [left, right],
+            trunk,
+        }
+    }
+}
+
+/// The rings from the head to a tip.
+fn upwards(reeb: &Reeb, cut: &Rings, tip: usize) -> Vec<u32> {
+    let mut way = reeb.down(tip, cut);
+    way.reverse();
+    way
+}
+
+/// How many rings two ways have in common from the head on, and what they have apart.
+fn split(one: &[u32], other: &[u32]) -> (usize, [Vec<u32>; 2]) {
+    let common = one.iter().zip(other).take_while(|(a, b)| a == b).count();
+    (common, [one[common..].to_vec(), other[common..].to_vec()])
+}
+
+/// Level sets and Reeb graph of the distance from the head (Yu et al. 2008, section 6), and which of them are limbs.
+#[derive(Debug, Clone)]
+pub struct Levels {
+    /// The rings.
+    pub rings: Rings,
+    /// How they hang together.
+    pub reeb: Reeb,
+    /// Trunk, arms and legs.
+    pub segments: Segments,
+}
+
+impl Levels {
+    /// Those of a mesh whose ends are known. Where the graph has not the five segments of a body, because limbs touch, a
+    /// limb is what lies within its length of its end. Nothing if the mesh is no surface.
+    #[must_use]
+    pub fn new(mesh: &Mesh, extremities: &Extremities) -> Option<Self> {
+        let adjacency = Adjacency::new(mesh).ok()?;
+        let graph = Graph::along_edges(mesh, &adjacency);
+        let mut workspace = Workspace::default();
+        let field = distances(&graph, extremities.head, &mut workspace);
+        let (rings, reeb) = rings_and_graph(mesh, &adjacency, &field, extremities);
+        let segments = Segments::new(&reeb, &rings).unwrap_or_else(|_| {
+            let [_, tips @ ..] = extremities.all();
+            let fields = tips.map(|tip| distances(&graph, tip, &mut workspace));
+            Segments::within_reach(mesh, &reeb, &rings, extremities, &fields)
+        });
+        Some(Self { rings, reeb, segments })
+    }
+
+    /// Those of `field`, the distances from the head.
+    ///
+    /// # Errors
+    ///
+    /// [`Refusal::Contact`]: the graph has not the five segments of a body.
+    pub(crate) fn of_free_limbs(
+        mesh: &Mesh,
+        adjacency: &Adjacency,
+        field: &[f64],
+        extremities: &Extremities,
+    ) -> Result<Self, Refusal> {
+        let (rings, reeb) = rings_and_graph(mesh, adjacency, field, extremities);
+        let segments = Segments::new(&reeb, &rings)?;
+        Ok(Self { rings, reeb, segments })
+    }
+}
+
+fn rings_and_graph(
+    mesh: &Mesh,
+    adjacency: &Adjacency,
+    field: &[f64],
+    extremities: &Extremities,
+) -> (Rings, Reeb) {
+    let rings = cut(mesh, adjacency, field, even_levels(field, LEVEL_COUNT));
+    let [_, tips @ ..] = extremities.all();
+    let reeb = Reeb::new(mesh, adjacency, &rings, &tips);
+    (rings, reeb)
+}

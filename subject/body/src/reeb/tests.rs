@@ -4,7 +4,7 @@ use super::*;
 use crate::Mesh;
 use crate::geodesic::Adjacency;
 use crate::level::{Rings, cut};
-use crate::shapes::cubes;
+use crate::tests::cubes;
 
 /// A body of cubes, head down at 0: neck and trunk up to 6, arms that fork off at 2 and climb to 5, legs from 6 to 10.
 fn body() -> Vec<[i32; 3]> {

@@ -1,7 +1,9 @@
 //! Fewer faces: vertices that lie together, and hang together, become one.
 
-use super::{RepairError, area, edges, weld};
-use crate::geometry::{Point, add, distance, scale};
+use super::RepairError;
+use super::clean::needless_triangles;
+use crate::mesh::{Point, distance};
+use crate::topology::{Rows, Side, edges, sides};
 use crate::{Mesh, Note};
 
 /// Balls that are tried, each a fifth larger.
@@ -26,8 +28,7 @@ pub(super) fn to(
     if before <= n_faces {
         return Ok(());
     }
-    let whole: f64 = mesh.triangles.iter().map(|triangle| area(mesh, triangle)).sum();
-    let mut radius = FIRST * (whole / (n_faces as f64 / 2.0)).sqrt();
+    let mut radius = FIRST * (mesh.area() / (n_faces as f64 / 2.0)).sqrt();
     for _ in 0..ROUNDS {
         if mesh.triangles.len() <= n_faces {
             break;
@@ -44,68 +45,57 @@ pub(super) fn to(
 }
 
 fn coarsen(mesh: &mut Mesh, radius: f64) {
-    let around = Around::new(mesh);
+    let all = sides(&mesh.triangles);
+    let there_and_back = |sides: &[Side]| {
+        let [a, b] = sides[0].ends;
+        [(a, b), (b, a)]
+    };
+    let neighbours = Rows::new(mesh.positions.len(), edges(&all).flat_map(there_and_back));
     let mut ball = vec![u32::MAX; mesh.positions.len()];
-    let mut middles: Vec<Point> = Vec::new();
+    let mut middles: Vec<[f64; 3]> = Vec::new();
     let mut reached = Vec::new();
     for seed in 0..mesh.positions.len() {
         if ball[seed] != u32::MAX {
             continue;
         }
-        let (index, centre) = (middles.len() as u32, mesh.positions[seed]);
+        let (index, centre) = (middles.len() as u32, mesh.point(seed as u32));
         ball[seed] = index;
         reached.clear();
         reached.push(seed as u32);
-        let (mut sum, mut next) = ([0.0; 3], 0);
+        let (mut sum, mut next) = (Point::zeros(), 0);
         while let Some(&vertex) = reached.get(next) {
             next += 1;
-            sum = add(sum, mesh.positions[vertex as usize]);
-            for &other in around.of(vertex) {
-                let p = mesh.positions[other as usize];
-                if ball[other as usize] == u32::MAX && distance(p, centre) <= radius {
+            sum += mesh.point(vertex);
+            for &other in neighbours.row(vertex) {
+                if ball[other as usize] == u32::MAX && distance(mesh.point(other), centre) <= radius
+                {
                     ball[other as usize] = index;
                     reached.push(other);
                 }
             }
         }
-        middles.push(scale(sum, 1.0 / next as f64));
+        middles.push((sum * (1.0 / next as f64)).into());
     }
     mesh.triangles.as_flattened_mut().iter_mut().for_each(|c| *c = ball[*c as usize]);
     mesh.positions = middles;
     // Most triangles lie within a ball, and are none now.
-    weld::needless_triangles(mesh, &mut Vec::new());
+    needless_triangles(mesh, &mut Vec::new());
 }
 
-/// The vertices around each.
-struct Around {
-    starts: Vec<u32>,
-    neighbours: Vec<u32>,
-}
+#[cfg(test)]
+mod tests {
+    use super::to;
+    use crate::tests::sphere;
 
-impl Around {
-    fn new(mesh: &Mesh) -> Self {
-        let edges = edges::sorted(&mesh.triangles);
-        let mut starts = vec![0_u32; mesh.positions.len() + 1];
-        for sides in edges::groups(&edges) {
-            sides[0].ends.iter().for_each(|&end| starts[end as usize + 1] += 1);
+    #[test]
+    fn a_turned_surface_is_made_coarser_in_the_same_way() {
+        let mut mesh = sphere(40);
+        let mut turned = mesh.clone();
+        turned.positions.iter_mut().for_each(|p| *p = [p[1], p[2], p[0]]);
+        for mesh in [&mut mesh, &mut turned] {
+            to(mesh, 1200, &mut Vec::new()).unwrap();
         }
-        for i in 1..starts.len() {
-            starts[i] += starts[i - 1];
-        }
-        let mut fill = starts.clone();
-        let mut neighbours = vec![0; starts.last().copied().unwrap_or(0) as usize];
-        for sides in edges::groups(&edges) {
-            let [a, b] = sides[0].ends;
-            for (from, to) in [(a, b), (b, a)] {
-                neighbours[fill[from as usize] as usize] = to;
-                fill[from as usize] += 1;
-            }
-        }
-        Self { starts, neighbours }
-    }
-
-    fn of(&self, vertex: u32) -> &[u32] {
-        let at = vertex as usize;
-        &self.neighbours[self.starts[at] as usize..self.starts[at + 1] as usize]
+        assert_eq!(mesh.triangles, turned.triangles);
+        assert!(mesh.triangles.len() <= 1200);
     }
 }

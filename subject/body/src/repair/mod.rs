@@ -3,24 +3,13 @@
 //! Every vertex that stays is where the scan had it, unless there are too many ([`FACES_KEPT_MAX`]). What is missing is
 //! closed, what is too much is left out, both are told; and where nothing sensible is left, there is a reason.
 
-mod closing;
-mod connect;
+mod clean;
 mod decimate;
-mod edges;
-mod error;
-mod fans;
-mod pieces;
-mod spikes;
-#[cfg(test)]
-mod tests;
-mod weld;
+mod holes;
+mod manifold;
 
-pub use error::RepairError;
-
-use super::geometry::{Point, cross, dot, norm, sub};
 use super::read::Scan;
-use super::unit::{self, extent};
-use super::{Mesh, Note, Unit};
+use super::{Mesh, Note, Unit, UnitError, unit};
 
 /// Faces above which a surface is made coarser: joints move less than what a scanner's noise moves them (Yu et al. 2008
 /// have 5000), and time and memory of the methods stay bounded.
@@ -48,9 +37,47 @@ impl Repaired {
     /// ([`Survey::body_scale`](super::Survey::body_scale)), or else by how large the mesh is.
     #[must_use]
     pub fn unit_ambiguity(&self, stature: Option<f64>) -> Option<Note> {
-        let stature = || stature.unwrap_or_else(|| extent(&self.mesh));
+        let stature = || stature.unwrap_or_else(|| self.mesh.extent());
         if self.unit_inferred { unit::ambiguity(self.unit, stature()) } else { None }
     }
+}
+
+/// A scan that was not repaired, by what to do about it.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum RepairError {
+    /// Every triangle was needless.
+    #[error("no triangle has an area: export the scan again")]
+    NoSurface,
+    /// No piece is most of the surface.
+    #[error(
+        "{pieces} pieces that do not hang together, the largest with {share:.0} % of the surface: join them, or export the subject alone"
+    )]
+    Pieces {
+        /// How many.
+        pieces: usize,
+        /// The area of the largest, in per cent of all.
+        share: f64,
+    },
+    /// A hole is so large that it is not known what was there.
+    #[error(
+        "a hole of {around:.0} % of the extent around, and {area:.0} % of the surface: part of the body is missing, scan it again"
+    )]
+    Hole {
+        /// Its length in per cent of the largest extent.
+        around: f64,
+        /// The area of what would close it, in per cent of the surface.
+        area: f64,
+    },
+    /// The surface runs into itself in a way that no cut undoes.
+    #[error("the surface is tangled beyond repair: make it manifold in the scanner's program")]
+    Tangled,
+    /// A sheet, and not a solid.
+    #[error("the surface encloses nothing: export a closed mesh")]
+    Flat,
+    /// Of no body's size.
+    #[error(transparent)]
+    Unit(#[from] UnitError),
 }
 
 /// Repairs a scan. `unit` is what its user states; otherwise it is what the file tells, or inferred.
@@ -59,13 +86,13 @@ impl Repaired {
 /// [`RepairError`] where no single closed body is left, or its unit cannot be told.
 pub fn repair(scan: Scan, unit: Option<Unit>) -> Result<Repaired, RepairError> {
     let Scan { mut mesh, unit: told, mut notes, .. } = scan;
-    weld::same_positions(&mut mesh, &mut notes);
-    spikes::cut_off(&mut mesh, &mut notes);
-    if mesh.triangles.len() > FACES_KEPT_MAX || !connect::is_clean(&mesh) {
+    clean::same_positions(&mut mesh, &mut notes);
+    clean::spikes(&mut mesh, &mut notes);
+    if mesh.triangles.len() > FACES_KEPT_MAX || !manifold::is_clean(&mesh) {
         mend(&mut mesh, &mut notes)?;
     }
-    let volume = volume(&mesh);
-    if volume.abs() < SOLIDITY_MIN * extent(&mesh).powi(3) {
+    let volume = mesh.volume();
+    if volume.abs() < SOLIDITY_MIN * mesh.extent().powi(3) {
         return Err(RepairError::Flat);
     }
     if volume < 0.0 {
@@ -83,15 +110,15 @@ pub fn repair(scan: Scan, unit: Option<Unit>) -> Result<Repaired, RepairError> {
 }
 
 fn mend(mesh: &mut Mesh, notes: &mut Vec<Note>) -> Result<(), RepairError> {
-    weld::needless_triangles(mesh, notes);
-    weld::cracks(mesh, notes);
+    clean::needless_triangles(mesh, notes);
+    clean::cracks(mesh, notes);
     // Before what takes longer with every piece, and once more when the surface has been cut where it was tangled.
-    pieces::largest(mesh, notes)?;
+    clean::other_pieces(mesh, notes)?;
     decimate::to(mesh, FACES_KEPT_MAX, notes)?;
-    connect::manifold(mesh, notes);
-    pieces::largest(mesh, notes)?;
-    closing::holes(mesh, notes)?;
-    if connect::is_clean(mesh) { Ok(()) } else { Err(RepairError::Tangled) }
+    manifold::manifold(mesh, notes);
+    clean::other_pieces(mesh, notes)?;
+    holes::close(mesh, notes)?;
+    if manifold::is_clean(mesh) { Ok(()) } else { Err(RepairError::Tangled) }
 }
 
 fn choose_unit(
@@ -101,7 +128,7 @@ fn choose_unit(
 ) -> Result<(Unit, bool), RepairError> {
     if let Some(unit) = stated {
         if !unit.fits(mesh) {
-            let mm = extent(mesh) * unit.mm();
+            let mm = mesh.extent() * unit.mm();
             let text = format!("in {unit} the mesh is {mm:.0} mm across, which is no body's size");
             notes.push(Note::new("odd-size", text));
         }
@@ -113,30 +140,10 @@ fn choose_unit(
     Ok((unit, true))
 }
 
-/// Of a closed surface; negative where it looks inside.
-fn volume(mesh: &Mesh) -> f64 {
-    let origin = mesh.positions.first().copied().unwrap_or_default();
-    let six_times = |triangle: &[u32; 3]| {
-        let [a, b, c] = corners(mesh, triangle).map(|p| sub(p, origin));
-        dot(a, cross(b, c))
-    };
-    mesh.triangles.iter().map(six_times).sum::<f64>() / 6.0
-}
-
 /// By Euler's formula, of one closed piece.
 fn genus(mesh: &Mesh) -> usize {
     // V - E + F = 2 - 2 genus, and E = 3 F / 2.
     (mesh.triangles.len() / 2 + 2).saturating_sub(mesh.positions.len()) / 2
-}
-
-/// Positions of a triangle's corners. Indices are checked where a scan is read.
-fn corners(mesh: &Mesh, triangle: &[u32; 3]) -> [Point; 3] {
-    triangle.map(|corner| mesh.positions.get(corner as usize).copied().unwrap_or_default())
-}
-
-fn area(mesh: &Mesh, triangle: &[u32; 3]) -> f64 {
-    let [a, b, c] = corners(mesh, triangle);
-    norm(cross(sub(b, a), sub(c, a))) / 2.0
 }
 
 /// Leaves out vertices that no triangle has.

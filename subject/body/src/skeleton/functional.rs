@@ -5,10 +5,9 @@
 
 use nalgebra::{Matrix4, Vector4};
 
-use super::combine::SIDES;
 use super::json::LENGTH_MAX_MM;
-use super::names::joint_name;
-use crate::geometry::{Point, add, cross, distance, dot, mean, norm, scale, sub, unit};
+use super::{Length, joint_name};
+use crate::mesh::{Point, distance, mean, unit};
 use crate::{Joint, Joints, Side};
 
 /// Scans that are needed.
@@ -32,9 +31,8 @@ pub(super) struct Centre {
     /// In the frame of the first scan, in millimetres.
     pub(super) in_first: Point,
     pub(super) sigma: f64,
-    /// Length of the bone, in millimetres.
-    pub(super) radius: f64,
-    pub(super) radius_sigma: f64,
+    /// Of the bone.
+    pub(super) radius: Length,
 }
 
 /// Shoulders and hips that several poses tell better than each of them; `notes` say why the others are not told so.
@@ -47,7 +45,7 @@ pub(super) fn centres(scans: &[Joints], notes: &mut Vec<String>) -> Vec<Centre> 
         return Vec::new();
     }
     let mut centres = Vec::new();
-    for side in SIDES {
+    for side in Side::BOTH {
         for (joint, child) in
             [(Joint::Shoulder(side), Joint::Elbow(side)), (Joint::Hip(side), Joint::Knee(side))]
         {
@@ -75,30 +73,35 @@ struct Trunk {
 
 impl Trunk {
     fn of(scan: &Joints) -> Option<Self> {
-        let at = |joint: Joint| scan.estimates.get(&joint).map(|estimate| estimate.position);
+        let at = |joint: Joint| scan.estimates.get(&joint).map(|found| Point::from(found.position));
         let origin = at(Joint::Throat)?;
         let hips = [at(Joint::Hip(Side::Left))?, at(Joint::Hip(Side::Right))?];
-        let up = unit(sub(origin, mean(hips)?));
-        let across = sub(hips[0], hips[1]);
-        let left = unit(sub(across, scale(up, dot(across, up))));
-        (norm(up) > 0.0 && norm(left) > 0.0)
-            .then(|| Self { origin, axes: [left, up, cross(left, up)] })
+        let up = unit(origin - mean(hips)?);
+        let across = hips[0] - hips[1];
+        let left = unit(across - up * across.dot(&up));
+        (up.norm() > 0.0 && left.norm() > 0.0)
+            .then(|| Self { origin, axes: [left, up, left.cross(&up)] })
     }
 
     fn inward(&self, p: Point) -> Point {
-        self.axes.map(|axis| dot(axis, sub(p, self.origin)))
+        self.axes.map(|axis| axis.dot(&(p - self.origin))).into()
     }
 
     fn outward(&self, p: Point) -> Point {
-        let parts = [0, 1, 2].map(|k| scale(self.axes[k], p[k]));
-        add(self.origin, add(parts[0], add(parts[1], parts[2])))
+        let [left, up, forward] = [0, 1, 2].map(|k| self.axes[k] * p[k]);
+        self.origin + (left + (up + forward))
     }
 }
 
-/// What a scan shows, in its trunk's frame: the joint and the child, each with its uncertainty.
+/// What a scan shows, in its trunk's frame.
 struct View {
-    joint: (Point, f64),
-    child: (Point, f64),
+    joint: Seen,
+    child: Seen,
+}
+
+struct Seen {
+    at: Point,
+    sigma: f64,
 }
 
 fn centre(scans: &[Joints], joint: Joint, child: Joint) -> Result<Centre, String> {
@@ -107,7 +110,8 @@ fn centre(scans: &[Joints], joint: Joint, child: Joint) -> Result<Centre, String
         let trunk = Trunk::of(scan)?;
         let of = |joint: Joint| {
             let estimate = scan.estimates.get(&joint)?;
-            Some((trunk.inward(estimate.position), estimate.sigma.hypot(FLOOR_MM)))
+            let at = trunk.inward(estimate.position.into());
+            Some(Seen { at, sigma: estimate.sigma.hypot(FLOOR_MM) })
         };
         Some(View { joint: of(joint)?, child: of(child)? })
     };
@@ -116,9 +120,9 @@ fn centre(scans: &[Joints], joint: Joint, child: Joint) -> Result<Centre, String
         return Err(format!("{} scans show it, {SCANS_MIN} are needed", views.len()));
     }
     let n = views.len() as f64;
-    let prior = mean(views.iter().map(|view| view.joint.0)).ok_or("no scan shows it")?;
+    let prior = mean(views.iter().map(|view| view.joint.at)).ok_or("no scan shows it")?;
     // What is wrong with one scan's estimate is wrong with the next one's: their mean is hardly surer than one of them.
-    let prior_sigma = views.iter().map(|view| view.joint.1).sum::<f64>() / n;
+    let prior_sigma = views.iter().map(|view| view.joint.sigma).sum::<f64>() / n;
     let degrees = swing(&views, prior).to_degrees();
     if degrees < SWING_MIN_DEGREES {
         return Err(format!(
@@ -126,7 +130,7 @@ fn centre(scans: &[Joints], joint: Joint, child: Joint) -> Result<Centre, String
         ));
     }
     let fit = Fit::new(&views, prior, prior_sigma).ok_or("no sphere fits")?;
-    if !(fit.radius < LENGTH_MAX_MM && fit.radius_sigma < fit.radius) {
+    if !(fit.radius.mm < LENGTH_MAX_MM && fit.radius.sigma_mm < fit.radius.mm) {
         return Err("no sphere of a limb's size fits".to_owned());
     }
     if fit.sigma > GAIN * prior_sigma {
@@ -138,16 +142,16 @@ fn centre(scans: &[Joints], joint: Joint, child: Joint) -> Result<Centre, String
         in_first: first.outward(fit.centre),
         sigma: fit.sigma,
         radius: fit.radius,
-        radius_sigma: fit.radius_sigma,
     })
 }
 
 /// Largest angle between two directions, in radians.
 fn swing(views: &[View], from: Point) -> f64 {
-    let directions: Vec<Point> = views.iter().map(|view| unit(sub(view.child.0, from))).collect();
-    let pairs = directions.iter().enumerate().flat_map(|(i, a)| {
-        directions.iter().skip(i + 1).map(|b| dot(*a, *b).clamp(-1.0, 1.0).acos())
-    });
+    let directions: Vec<Point> = views.iter().map(|view| unit(view.child.at - from)).collect();
+    let pairs = directions
+        .iter()
+        .enumerate()
+        .flat_map(|(i, a)| directions.iter().skip(i + 1).map(|b| a.dot(b).clamp(-1.0, 1.0).acos()));
     pairs.fold(0.0, f64::max)
 }
 
@@ -156,40 +160,40 @@ fn swing(views: &[View], from: Point) -> f64 {
 struct Fit {
     centre: Point,
     sigma: f64,
-    radius: f64,
-    radius_sigma: f64,
+    radius: Length,
 }
 
 impl Fit {
     fn new(views: &[View], prior: Point, prior_sigma: f64) -> Option<Self> {
         let n = views.len() as f64;
         let mut centre = prior;
-        let mut radius = views.iter().map(|view| distance(view.child.0, prior)).sum::<f64>() / n;
+        let mut radius = views.iter().map(|view| distance(view.child.at, prior)).sum::<f64>() / n;
         // One of three directions has a third of the square.
         let stiffness = 3.0 / prior_sigma.powi(2);
         let mut inverse = Matrix4::zeros();
         for _ in 0..STEPS {
-            let offset = sub(prior, centre);
+            let offset = prior - centre;
             let mut normal =
                 Matrix4::from_diagonal(&Vector4::new(stiffness, stiffness, stiffness, 0.0));
             let mut right = Vector4::new(offset[0], offset[1], offset[2], 0.0) * stiffness;
             for view in views {
-                let (p, sigma) = view.child;
-                let toward = unit(sub(centre, p));
+                let Seen { at, sigma } = view.child;
+                let toward = unit(centre - at);
                 let row = Vector4::new(toward[0], toward[1], toward[2], -1.0);
                 let weight = 3.0 / sigma.powi(2);
                 normal += row * row.transpose() * weight;
-                right += row * (weight * (radius - distance(centre, p)));
+                right += row * (weight * (radius - distance(centre, at)));
             }
             inverse = normal.try_inverse()?;
             let step: Vector4<f64> = inverse * right;
-            centre = add(centre, [step[0], step[1], step[2]]);
+            centre += step.xyz();
             radius += step[3];
         }
         let sigma = (inverse[(0, 0)] + inverse[(1, 1)] + inverse[(2, 2)]).sqrt();
         let radius_sigma = inverse[(3, 3)].sqrt();
         let finite =
             sigma.is_finite() && radius.is_finite() && centre.iter().all(|c| c.is_finite());
-        (finite && radius > 0.0).then_some(Self { centre, sigma, radius, radius_sigma })
+        let radius = Length { mm: radius, sigma_mm: radius_sigma };
+        (finite && radius.mm > 0.0).then_some(Self { centre, sigma, radius })
     }
 }

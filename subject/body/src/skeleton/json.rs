@@ -1,8 +1,7 @@
 //! JSON of anybody to a skeleton, and back.
 
-use super::names::{BONES, joint_from_name};
-use super::{Bone, Skeleton};
-use crate::{Joint, Unit};
+use super::{BONES, Bone, Skeleton, SkeletonJoint, joint_from_name};
+use crate::Unit;
 
 /// What `format` says.
 pub(super) const FORMAT: &str = "mocapd-skeleton";
@@ -84,99 +83,81 @@ impl Skeleton {
     }
 
     fn check(&self) -> Result<(), SkeletonError> {
-        let wrong = |place: String, reason| Err(SkeletonError::Value { place, reason });
-        if self.format != FORMAT {
-            return wrong("format".to_owned(), "is not `mocapd-skeleton`");
-        }
-        if self.version != 1 {
-            return wrong("version".to_owned(), "is not 1: a later mocapd wrote it");
-        }
-        if !(1..=LIST_MAX).contains(&self.sources.len()) {
-            return wrong("sources".to_owned(), "has none, or more than 100");
-        }
+        expect(self.format == FORMAT, "format", "is not `mocapd-skeleton`")?;
+        expect(self.version == 1, "version", "is not 1: a later mocapd wrote it")?;
+        let is_countable = (1..=LIST_MAX).contains(&self.sources.len());
+        expect(is_countable, "sources", "has none, or more than 100")?;
         for (i, source) in self.sources.iter().enumerate() {
+            let of = |key: &str| format!("sources[{i}].{key}");
+            expect(is_text(&source.name), of("name"), "is empty, or too long")?;
             let hex = |b: u8| b.is_ascii_digit() || (b'a'..=b'f').contains(&b);
-            if !is_text(&source.name) {
-                return wrong(format!("sources[{i}].name"), "is empty, or too long");
-            }
-            if source.sha256.len() != 64 || !source.sha256.bytes().all(hex) {
-                return wrong(format!("sources[{i}].sha256"), "has not 64 hexadecimal digits");
-            }
-            if Unit::from_name(&source.unit).is_none_or(|unit| unit.to_string() != source.unit) {
-                return wrong(format!("sources[{i}].unit"), "is not m, cm, mm or in");
-            }
+            let is_hash = source.sha256.len() == 64 && source.sha256.bytes().all(hex);
+            expect(is_hash, of("sha256"), "has not 64 hexadecimal digits")?;
+            let unit = Unit::from_name(&source.unit).map(|unit| unit.to_string());
+            expect(unit.as_ref() == Some(&source.unit), of("unit"), "is not m, cm, mm or in")?;
         }
-        if self.stature_mm.is_some_and(|mm| !STATURE_MM.contains(&mm)) {
-            return wrong("stature_mm".to_owned(), "is not between 300 and 3000");
-        }
-        if self.stature_uncertainty_mm.is_some_and(|mm| !(0.0..=LENGTH_MAX_MM).contains(&mm)) {
-            return wrong("stature_uncertainty_mm".to_owned(), "is not between 0 and 2000");
-        }
-        self.check_joints()?;
-        for (i, bone) in self.bones.iter().enumerate() {
-            self.check_bone(i, bone)?;
-        }
-        if self.notes.len() > LIST_MAX || !self.notes.iter().all(|note| is_text(note)) {
-            return wrong("notes".to_owned(), "has more than 100, an empty one, or one too long");
-        }
-        Ok(())
-    }
-
-    fn check_joints(&self) -> Result<(), SkeletonError> {
-        let mut seen: Vec<Joint> = Vec::new();
+        let is_stature = self.stature_mm.is_none_or(|mm| STATURE_MM.contains(&mm));
+        expect(is_stature, "stature_mm", "is not between 300 and 3000")?;
+        let sigma = self.stature_uncertainty_mm.unwrap_or_default();
+        expect(is_spread(sigma), "stature_uncertainty_mm", "is not between 0 and 2000")?;
         for (i, joint) in self.joints.iter().enumerate() {
-            let wrong = |key: &str, reason| {
-                Err(SkeletonError::Value { place: format!("joints[{i}].{key}"), reason })
-            };
-            match joint_from_name(&joint.name) {
-                None => return wrong("name", "is none of the 15 joints"),
-                Some(known) if seen.contains(&known) => return wrong("name", "stands twice"),
-                Some(known) => seen.push(known),
-            }
-            if !joint.position_mm.iter().all(|mm| mm.abs() <= POSITION_MAX_MM) {
-                return wrong("position_mm", "is more than 1000 km from the origin");
-            }
-            if !(0.0..=LENGTH_MAX_MM).contains(&joint.uncertainty_mm) {
-                return wrong("uncertainty_mm", "is not between 0 and 2000");
-            }
+            self.check_joint(joint, i)?;
         }
-        Ok(())
+        for (i, bone) in self.bones.iter().enumerate() {
+            self.check_bone(bone, i)?;
+        }
+        let are_notes = self.notes.len() <= LIST_MAX && self.notes.iter().all(|note| is_text(note));
+        expect(are_notes, "notes", "has more than 100, an empty one, or one too long")
     }
 
-    fn check_bone(&self, i: usize, bone: &Bone) -> Result<(), SkeletonError> {
-        let wrong = |key: &str, reason| {
-            Err(SkeletonError::Value { place: format!("bones[{i}].{key}"), reason })
-        };
-        let Some((_, parent, child)) = BONES.iter().find(|(name, ..)| *name == bone.name) else {
-            return wrong("name", "is none of the 14 bones");
-        };
-        if self.bones.iter().take(i).any(|other| other.name == bone.name) {
-            return wrong("name", "stands twice");
-        }
-        if joint_from_name(&bone.parent) != Some(*parent) {
-            return wrong("parent", "is not where this bone begins");
-        }
-        if joint_from_name(&bone.child) != Some(*child) {
-            return wrong("child", "is not where this bone ends");
-        }
-        let has = |name: &str| self.joints.iter().any(|joint| joint.name == name);
-        if !has(&bone.parent) || !has(&bone.child) {
-            return wrong("name", "has an end that is not among the joints");
-        }
-        if !(0.001..=LENGTH_MAX_MM).contains(&bone.length_mm) {
-            return wrong("length_mm", "is not between 0.001 and 2000");
-        }
-        if !(0.0..=LENGTH_MAX_MM).contains(&bone.uncertainty_mm) {
-            return wrong("uncertainty_mm", "is not between 0 and 2000");
-        }
-        if bone.spread_mm.is_some_and(|mm| !(0.0..=LENGTH_MAX_MM).contains(&mm)) {
-            return wrong("spread_mm", "is not between 0 and 2000");
-        }
-        if bone.scans == 0 || bone.scans as usize > self.sources.len() {
-            return wrong("scans", "is 0, or more than there are sources");
-        }
-        Ok(())
+    fn check_joint(&self, joint: &SkeletonJoint, i: usize) -> Result<(), SkeletonError> {
+        let of = |key: &str| format!("joints[{i}].{key}");
+        expect(joint_from_name(&joint.name).is_some(), of("name"), "is none of the 15 joints")?;
+        let is_new = self.joints.iter().take(i).all(|other| other.name != joint.name);
+        expect(is_new, of("name"), "stands twice")?;
+        let is_near = joint.position_mm.iter().all(|mm| mm.abs() <= POSITION_MAX_MM);
+        expect(is_near, of("position_mm"), "is more than 1000 km from the origin")?;
+        expect(is_spread(joint.uncertainty_mm), of("uncertainty_mm"), "is not between 0 and 2000")
     }
+
+    fn check_bone(&self, bone: &Bone, i: usize) -> Result<(), SkeletonError> {
+        let of = |key: &str| format!("bones[{i}].{key}");
+        let ends = BONES.iter().find(|ends| ends.name == bone.name);
+        expect(ends.is_some(), of("name"), "is none of the 14 bones")?;
+        let is_new = self.bones.iter().take(i).all(|other| other.name != bone.name);
+        expect(is_new, of("name"), "stands twice")?;
+        let parent = ends.map(|ends| ends.parent);
+        expect(
+            joint_from_name(&bone.parent) == parent,
+            of("parent"),
+            "is not where this bone begins",
+        )?;
+        let child = ends.map(|ends| ends.child);
+        expect(joint_from_name(&bone.child) == child, of("child"), "is not where this bone ends")?;
+        let has = |name: &str| self.joints.iter().any(|joint| joint.name == name);
+        let has_ends = has(&bone.parent) && has(&bone.child);
+        expect(has_ends, of("name"), "has an end that is not among the joints")?;
+        let is_length = (0.001..=LENGTH_MAX_MM).contains(&bone.length_mm);
+        expect(is_length, of("length_mm"), "is not between 0.001 and 2000")?;
+        expect(is_spread(bone.uncertainty_mm), of("uncertainty_mm"), "is not between 0 and 2000")?;
+        let spread = bone.spread_mm.unwrap_or_default();
+        expect(is_spread(spread), of("spread_mm"), "is not between 0 and 2000")?;
+        let is_counted = (1..=self.sources.len()).contains(&(bone.scans as usize));
+        expect(is_counted, of("scans"), "is 0, or more than there are sources")
+    }
+}
+
+fn expect(
+    holds: bool,
+    place: impl Into<String>,
+    reason: &'static str,
+) -> Result<(), SkeletonError> {
+    if holds { Ok(()) } else { Err(SkeletonError::Value { place: place.into(), reason }) }
+}
+
+/// A standard deviation, in millimetres.
+fn is_spread(mm: f64) -> bool {
+    (0.0..=LENGTH_MAX_MM).contains(&mm)
 }
 
 /// To a tenth of a micrometre: numbers this short are read back to the last bit by every reader of JSON.

@@ -3,17 +3,96 @@
 mod combine;
 mod functional;
 mod json;
-mod names;
-mod stature;
-#[cfg(test)]
-mod tests;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 pub use self::json::{LEN_MAX, SkeletonError};
-pub use self::names::{BONES, joint_from_name, joint_name};
-use super::{Joints, Repaired, Unit};
+use super::{Joint, Joints, Repaired, Side, Unit};
+use Joint::{Ankle, Elbow, Head, Hip, Knee, Pelvis, Shoulder, Throat, Wrist};
+use Side::{Left, Right};
+
+/// Every joint with its name, in the order in which they are written.
+const JOINTS: [(Joint, &str); 15] = [
+    (Head, "head"),
+    (Throat, "throat"),
+    (Pelvis, "pelvis"),
+    (Shoulder(Left), "l_shoulder"),
+    (Elbow(Left), "l_elbow"),
+    (Wrist(Left), "l_wrist"),
+    (Hip(Left), "l_hip"),
+    (Knee(Left), "l_knee"),
+    (Ankle(Left), "l_ankle"),
+    (Shoulder(Right), "r_shoulder"),
+    (Elbow(Right), "r_elbow"),
+    (Wrist(Right), "r_wrist"),
+    (Hip(Right), "r_hip"),
+    (Knee(Right), "r_knee"),
+    (Ankle(Right), "r_ankle"),
+];
+
+/// The joints that a bone joins.
+#[derive(Debug, Clone, Copy)]
+pub struct BoneEnds {
+    /// The bone.
+    pub name: &'static str,
+    /// The joint nearer to the pelvis.
+    pub parent: Joint,
+    /// The other joint.
+    pub child: Joint,
+}
+
+const fn bone(name: &'static str, parent: Joint, child: Joint) -> BoneEnds {
+    BoneEnds { name, parent, child }
+}
+
+/// Every bone: a tree whose root is the pelvis.
+pub const BONES: [BoneEnds; 14] = [
+    bone("throat_pelvis", Pelvis, Throat),
+    bone("head_throat", Throat, Head),
+    bone("throat_l_shoulder", Throat, Shoulder(Left)),
+    bone("l_upper_arm", Shoulder(Left), Elbow(Left)),
+    bone("l_forearm", Elbow(Left), Wrist(Left)),
+    bone("pelvis_l_hip", Pelvis, Hip(Left)),
+    bone("l_thigh", Hip(Left), Knee(Left)),
+    bone("l_shank", Knee(Left), Ankle(Left)),
+    bone("throat_r_shoulder", Throat, Shoulder(Right)),
+    bone("r_upper_arm", Shoulder(Right), Elbow(Right)),
+    bone("r_forearm", Elbow(Right), Wrist(Right)),
+    bone("pelvis_r_hip", Pelvis, Hip(Right)),
+    bone("r_thigh", Hip(Right), Knee(Right)),
+    bone("r_shank", Knee(Right), Ankle(Right)),
+];
+
+/// The name of a joint: `head`, `l_shoulder`.
+#[must_use]
+pub fn joint_name(joint: Joint) -> &'static str {
+    JOINTS.iter().find(|(other, _)| *other == joint).map_or("", |(_, name)| name)
+}
+
+/// The joint of a name.
+#[must_use]
+pub fn joint_from_name(name: &str) -> Option<Joint> {
+    JOINTS.iter().find(|(_, other)| *other == name).map(|(joint, _)| *joint)
+}
+
+/// The same bone of the other side: those of the left stand in the order of those of the right.
+fn twin(name: &str) -> Option<&'static str> {
+    let at = BONES.iter().position(|bone| bone.name == name)?.checked_sub(2)?;
+    Some(BONES[2 + (at + 6) % 12].name)
+}
+
+/// Side and pair of a bone: `l` and `thigh`, of `l_thigh`.
+fn pair(name: &str) -> Option<(char, &str)> {
+    [('l', "l_"), ('r', "r_")]
+        .into_iter()
+        .find_map(|(side, prefix)| Some((side, name.strip_prefix(prefix)?)))
+}
+
+/// All joints, in the order in which they are written.
+fn joints() -> impl Iterator<Item = Joint> {
+    JOINTS.iter().map(|(joint, _)| *joint)
+}
 
 /// How the joints were found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -112,6 +191,15 @@ pub struct Skeleton {
     pub notes: Vec<String>,
 }
 
+/// A length, in millimetres.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Length {
+    /// The length.
+    pub mm: f64,
+    /// Standard deviation that is expected of it.
+    pub sigma_mm: f64,
+}
+
 /// What one scan gives.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScanJoints {
@@ -135,22 +223,22 @@ impl Skeleton {
         combine::combine(method, scans)
     }
 
-    /// Length of a pair of bones, such as `upper_arm`: the mean of both sides, and its uncertainty, in millimetres.
+    /// Length of a pair of bones, such as `upper_arm`: the mean of both sides.
     ///
     /// Limbs differ by a per cent between sides, scans by more.
     #[must_use]
-    pub fn symmetric_length_mm(&self, pair: &str) -> Option<(f64, f64)> {
+    pub fn symmetric_length(&self, pair: &str) -> Option<Length> {
         let side = |side: char| {
-            let of = |bone: &&Bone| names::pair(&bone.name) == Some((side, pair));
-            self.bones.iter().find(of)
+            let bone =
+                self.bones.iter().find(|bone| self::pair(&bone.name) == Some((side, pair)))?;
+            Some(Length { mm: bone.length_mm, sigma_mm: bone.uncertainty_mm })
         };
         match (side('l'), side('r')) {
-            (Some(left), Some(right)) => {
-                let uncertainty = left.uncertainty_mm.hypot(right.uncertainty_mm) / 2.0;
-                Some(((left.length_mm + right.length_mm) / 2.0, uncertainty))
-            }
-            (Some(one), None) | (None, Some(one)) => Some((one.length_mm, one.uncertainty_mm)),
-            (None, None) => None,
+            (Some(left), Some(right)) => Some(Length {
+                mm: (left.mm + right.mm) / 2.0,
+                sigma_mm: left.sigma_mm.hypot(right.sigma_mm) / 2.0,
+            }),
+            (one, other) => one.or(other),
         }
     }
 }

@@ -4,12 +4,278 @@
 //! are still thick and the places where they touch are thin: with a layer taken off all over, they come apart. How thick a
 //! layer that takes is not known, so several are tried.
 
-mod depth;
-mod find;
-mod frame;
-mod grid;
+use nalgebra::Matrix3;
+
+use super::naming::{Naming, misfit, name};
+use super::peaks::standing_out;
+use super::{Ends, Extremities, Told};
+use crate::Mesh;
+use crate::geodesic::{Graph, Way, Workspace, distances, distances_from};
+use crate::mesh::{Point, distance, normal};
+use crate::topology::{join, root};
 
 #[cfg(test)]
 mod tests;
 
-pub(super) use find::find;
+/// The edge of a cube, as a part of the square root of the surface's area: some 12 mm of an adult.
+const STEP: f64 = 1.0 / 110.0;
+/// The layers that are taken off, in cubes: none, one, and two by steps that diagonals make; a wrist is some five thick.
+const LAYERS: [f64; 4] = [0.0, 1.0, 1.8, 2.2];
+
+/// Finds head, hands and feet of a body whose limbs touch; none if no layer taken off leaves a body.
+///
+/// The ends are vertices of the surface, next to where the thinned inside ends.
+pub(super) fn find(mesh: &Mesh, graph: &Graph, workspace: &mut Workspace) -> Option<Ends> {
+    let positions = in_principal_frame(mesh);
+    let step = STEP * mesh.area().sqrt();
+    let grid = Grid::new(&positions, &mesh.triangles, step)?;
+    let inside = Inside::new(&grid, workspace);
+    let mut best: Option<Thinned> = None;
+    for layer in LAYERS {
+        let thinned = inside.deeper_than(layer);
+        let Some(start) = largest_piece(&thinned) else { break };
+        let standing = standing_out(&thinned, start, workspace);
+        let Ok(naming) = name(&standing, misfit) else { continue };
+        if best.as_ref().is_none_or(|best| naming.misfit.rms < best.naming.misfit.rms) {
+            let peaks = naming.ends.map(|end| standing.candidates[end].peak);
+            let persistence = peaks.map(|peak| peak.persistence / standing.longest);
+            best = Some(Thinned { cubes: peaks.map(|peak| peak.vertex), persistence, naming });
+        }
+    }
+    let Thinned { cubes, persistence, naming } = best?;
+    let ends = cubes.map(|cube| {
+        let centre = grid.centre(inside.cells[cube as usize]);
+        nearest(&positions, graph, centre)
+    });
+    let [head, a, b, c, d] = ends;
+    Some(Ends {
+        extremities: Extremities { head, hands: [a, b], feet: [c, d] },
+        fields: ends.map(|end| distances(graph, end, workspace)),
+        spread: Vec::new(),
+        persistence,
+        told: Told::Inside,
+        misfit: naming.misfit,
+        margin: naming.margin,
+    })
+}
+
+/// What one thickness of layer gives.
+struct Thinned {
+    cubes: [u32; 5],
+    persistence: [f64; 5],
+    naming: Naming,
+}
+
+/// The first vertex of the piece with the most vertices; none if nothing is linked.
+fn largest_piece(graph: &Graph) -> Option<u32> {
+    let vertices = 0..graph.vertex_count() as u32;
+    let mut leads: Vec<u32> = vertices.clone().collect();
+    for vertex in vertices.clone() {
+        graph.links(vertex).iter().for_each(|link| join(&mut leads, vertex, link.to));
+    }
+    let mut counts = vec![0; leads.len()];
+    vertices.clone().for_each(|vertex| counts[root(&mut leads, vertex) as usize] += 1);
+    let largest = vertices.rev().max_by_key(|vertex| counts[*vertex as usize])?;
+    (counts[largest as usize] > 1).then_some(largest)
+}
+
+/// The vertex of the surface that is nearest to a place inside.
+fn nearest(positions: &[[f64; 3]], graph: &Graph, place: [f64; 3]) -> u32 {
+    let mut best = (f64::INFINITY, 0);
+    for (vertex, at) in (0_u32..).zip(positions) {
+        let far = distance(*at, place);
+        if far < best.0 && !graph.links(vertex).is_empty() {
+            best = (far, vertex);
+        }
+    }
+    best.1
+}
+
+/// The cubes inside, as vertices of a graph.
+struct Inside {
+    /// Their cells.
+    cells: Vec<usize>,
+    /// From each to those of its 26 neighbours that come after it.
+    ways: Vec<Way>,
+    /// How far each is from outside, about; in steps of the grid.
+    depths: Vec<f64>,
+}
+
+const OUTSIDE: u32 = u32::MAX;
+
+impl Inside {
+    fn new(grid: &Grid, workspace: &mut Workspace) -> Self {
+        let cells: Vec<usize> = (0..grid.inside.len()).filter(|cell| grid.inside[*cell]).collect();
+        let mut numbers = vec![OUTSIDE; grid.inside.len()];
+        for (number, cell) in (0_u32..).zip(&cells) {
+            numbers[*cell] = number;
+        }
+        let [_, columns, layers] = grid.size.map(|size| size as isize);
+        let around = |cell: usize, [x, y, z]: [isize; 3]| {
+            let other = cell as isize + (x * columns + y) * layers + z;
+            numbers.get(other as usize).copied().filter(|number| *number != OUTSIDE)
+        };
+        let mut ways = Vec::with_capacity(13 * cells.len());
+        let mut skin = Vec::new();
+        for (number, cell) in (0_u32..).zip(&cells) {
+            for (offset, length) in half_of_neighbours() {
+                if let Some(other) = around(*cell, offset) {
+                    ways.push(Way { ends: [number, other], length });
+                }
+            }
+            let faces = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, -1, 0], [0, 0, -1]];
+            if faces.iter().any(|face| around(*cell, *face).is_none()) {
+                skin.push((number, 0.5));
+            }
+        }
+        let depths =
+            distances_from(&Graph::new(cells.len(), ways.iter().copied()), skin, workspace);
+        Self { cells, ways, depths }
+    }
+
+    /// The cubes that are deeper than `layer`, in steps, as a graph whose lengths are steps.
+    fn deeper_than(&self, layer: f64) -> Graph {
+        let deep = |end: &u32| self.depths[*end as usize] > layer;
+        let ways = self.ways.iter().filter(|way| way.ends.iter().all(deep));
+        Graph::new(self.cells.len(), ways.copied())
+    }
+}
+
+/// Thirteen of the 26 neighbours: of each and its opposite, the later.
+fn half_of_neighbours() -> impl Iterator<Item = ([isize; 3], f64)> {
+    let all = (-1..=1).flat_map(|x| (-1..=1).flat_map(move |y| (-1..=1).map(move |z| [x, y, z])));
+    let later = all.filter(|offset| *offset > [0, 0, 0]);
+    later.map(|[x, y, z]| ([x, y, z], ((x * x + y * y + z * z) as f64).sqrt()))
+}
+
+/// No grid has more cells: a body has one to two million, and a cell costs a byte and an index.
+const CELL_COUNT_MAX: usize = 1 << 24;
+
+/// A grid of cubes, and which of them have their centre inside.
+struct Grid {
+    /// The edge of a cube.
+    step: f64,
+    /// The centre of the first cube.
+    origin: [f64; 3],
+    /// How many there are along each axis; the outermost are all outside.
+    size: [usize; 3],
+    /// z fastest, then y.
+    inside: Vec<bool>,
+}
+
+impl Grid {
+    /// Fills a grid of such a step: along each column in z the surface is crossed in and out by turns. None if there would
+    /// be too many cells.
+    fn new(positions: &[[f64; 3]], triangles: &[[u32; 3]], step: f64) -> Option<Self> {
+        let mut low = [f64::INFINITY; 3];
+        let mut high = [f64::NEG_INFINITY; 3];
+        for at in positions {
+            for axis in 0..3 {
+                low[axis] = low[axis].min(at[axis]);
+                high[axis] = high[axis].max(at[axis]);
+            }
+        }
+        let mut size = [0; 3];
+        for axis in 0..3 {
+            let cells = (high[axis] - low[axis]) / step;
+            // An empty mesh has no extent, and gives what is not finite.
+            if !cells.is_finite() || cells > CELL_COUNT_MAX as f64 {
+                return None;
+            }
+            size[axis] = cells as usize + 4;
+        }
+        let count = size[0].checked_mul(size[1])?.checked_mul(size[2])?;
+        if count > CELL_COUNT_MAX {
+            return None;
+        }
+        let origin = low.map(|low| low - step);
+        let mut grid = Self { step, origin, size, inside: vec![false; count] };
+        let mut crossings = vec![Vec::new(); size[0] * size[1]];
+        for corners in triangles {
+            grid.cross(corners.map(|vertex| positions[vertex as usize]), &mut crossings);
+        }
+        for (column, heights) in crossings.iter_mut().enumerate() {
+            heights.sort_unstable_by(f64::total_cmp);
+            for pair in heights.chunks_exact(2) {
+                let first = ((pair[0] - origin[2]) / step).ceil().max(0.0) as usize;
+                let last = ((pair[1] - origin[2]) / step).floor().max(0.0) as usize;
+                for layer in first..=last.min(size[2] - 2) {
+                    grid.inside[column * size[2] + layer] = true;
+                }
+            }
+        }
+        Some(grid)
+    }
+
+    /// Where the columns cross a triangle.
+    fn cross(&self, [a, b, c]: [[f64; 3]; 3], crossings: &mut [Vec<f64>]) {
+        let cell = |axis: usize, value: f64| ((value - self.origin[axis]) / self.step).max(0.0);
+        let least = |axis: usize| a[axis].min(b[axis]).min(c[axis]);
+        let most = |axis: usize| a[axis].max(b[axis]).max(c[axis]);
+        let (u, v) = ([b[0] - a[0], b[1] - a[1]], [c[0] - a[0], c[1] - a[1]]);
+        let twice = u[0] * v[1] - u[1] * v[0];
+        if twice == 0.0 {
+            return;
+        }
+        for i in cell(0, least(0)).ceil() as usize..=cell(0, most(0)).floor() as usize {
+            for j in cell(1, least(1)).ceil() as usize..=cell(1, most(1)).floor() as usize {
+                let at = [0, 1].map(|axis| self.origin[axis] + self.step * [i, j][axis] as f64);
+                let sides = [[a, b], [b, c], [c, a]];
+                let left = sides.iter().filter(|side| passes(**side, at)).count();
+                if left % 2 == 0 || i >= self.size[0] || j >= self.size[1] {
+                    continue;
+                }
+                let arm = [at[0] - a[0], at[1] - a[1]];
+                let s = (arm[0] * v[1] - arm[1] * v[0]) / twice;
+                let t = (u[0] * arm[1] - u[1] * arm[0]) / twice;
+                let height = a[2] + s * (b[2] - a[2]) + t * (c[2] - a[2]);
+                crossings[i * self.size[1] + j].push(height);
+            }
+        }
+    }
+
+    /// The centre of a cell.
+    fn centre(&self, cell: usize) -> [f64; 3] {
+        let [_, columns, layers] = self.size;
+        let at = [cell / layers / columns, cell / layers % columns, cell % layers];
+        [0, 1, 2].map(|axis| self.origin[axis] + self.step * at[axis] as f64)
+    }
+}
+
+/// Whether the side runs past `at`, to its right, in x and y.
+///
+/// The ends are put in order first, so that both triangles of a side come to the same answer, and a column that hits the
+/// side exactly still goes through one of them alone.
+fn passes([p, q]: [[f64; 3]; 2], at: [f64; 2]) -> bool {
+    let [p, q] = if [p[1], p[0]] <= [q[1], q[0]] { [p, q] } else { [q, p] };
+    if (p[1] > at[1]) == (q[1] > at[1]) {
+        return false;
+    }
+    at[0] < p[0] + (q[0] - p[0]) * (at[1] - p[1]) / (q[1] - p[1])
+}
+
+/// Positions in the frame of the surface's principal axes about its centroid, so that a grid along them does not depend on
+/// how the body was turned.
+fn in_principal_frame(mesh: &Mesh) -> Vec<[f64; 3]> {
+    let centre = mesh.area_centroid();
+    let arms: Vec<Point> = mesh.positions.iter().map(|at| Point::from(*at) - centre).collect();
+    let mut spread = Matrix3::zeros();
+    let mut third = Vec::new();
+    for corners in &mesh.triangles {
+        let [a, b, c] = corners.map(|vertex| arms[vertex as usize]);
+        let area = normal([a, b, c]).norm() / 2.0;
+        let middle = (a + b + c) / 3.0;
+        spread += middle * middle.transpose() * area;
+        third.push((middle, area));
+    }
+    let eigen = spread.symmetric_eigen();
+    let mut order = [0, 1, 2];
+    order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
+    let axes = order.map(|at| {
+        let axis: Point = eigen.eigenvectors.column(at).into_owned();
+        // Of an axis' two directions, the one to which the surface reaches farther.
+        let skew: f64 = third.iter().map(|(middle, area)| area * middle.dot(&axis).powi(3)).sum();
+        if skew < 0.0 { -axis } else { axis }
+    });
+    arms.iter().map(|arm| axes.map(|axis| axis.dot(arm))).collect()
+}

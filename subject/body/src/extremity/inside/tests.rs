@@ -1,11 +1,9 @@
 //! What is inside, how deep, and what comes apart.
 
-use super::depth::Inside;
-use super::frame::{area, in_principal_frame};
-use super::grid::Grid;
+use super::{Grid, Inside, in_principal_frame};
 use crate::Mesh;
 use crate::geodesic::{Workspace, distances};
-use crate::shapes::{cubes, sphere};
+use crate::tests::{cubes, sphere};
 
 /// How many pieces are left with such a layer off.
 fn pieces(inside: &Inside, layer: f64) -> usize {
@@ -89,7 +87,7 @@ fn the_frame_turns_with_the_body() {
         let [x, y, z] = *at;
         *at = [cos * x - sin * z + 5.0, y - 7.0, sin * x + cos * z];
     }
-    assert!((area(&mesh) - area(&turned)).abs() < 1e-9);
+    assert!((mesh.area() - turned.area()).abs() < 1e-9);
     let apart = in_principal_frame(&mesh).into_iter().zip(in_principal_frame(&turned));
     let apart =
         apart.flat_map(|(one, other)| [0, 1, 2].map(|axis| (one[axis] - other[axis]).abs()));

@@ -3,7 +3,6 @@
 mod body;
 mod girth;
 mod lengths;
-mod neck;
 mod parts;
 mod touching;
 mod tube;

@@ -3,9 +3,8 @@
 use nalgebra::Vector3;
 
 use crate::locate::Fields;
-use crate::locate::scale::BodyScale;
+use crate::locate::scale::{BodyScale, Touching};
 use crate::locate::section::{LEVELS, Sections, level};
-use crate::locate::touching::Touching;
 
 /// The ways between five ends of a body of scale 1; the vertices are the ends.
 const WAYS: [[f64; 5]; 5] = [

@@ -5,8 +5,7 @@ use std::f64::consts::TAU;
 use nalgebra::Vector3;
 
 use crate::Mesh;
-use crate::locate::hinge::{Window, bend};
-use crate::locate::limb;
+use crate::locate::limb::{self, Window, bend};
 use crate::locate::section::{LEVELS, Sections, level};
 
 use super::girth::arm_girth;

@@ -1,0 +1,139 @@
+//! Lengths of the limbs, left and right beside each other; and below everything what whoever reads the picture should know.
+
+use super::sheet::{DIM, GRID, INK, Sheet, Stand};
+use super::{Drawing, Part, colour};
+use crate::mesh::distance;
+use crate::skeleton::BONES;
+use crate::{Joint, Side};
+
+const LEFT: f64 = 1040.0;
+const TOP: f64 = 476.0;
+const ROW: f64 = 23.0;
+/// Words of a row, with its bones.
+const ROWS: [(&str, &str, &str); 8] = [
+    ("upper arm", "l_upper_arm", "r_upper_arm"),
+    ("forearm", "l_forearm", "r_forearm"),
+    ("thigh", "l_thigh", "r_thigh"),
+    ("shank", "l_shank", "r_shank"),
+    ("throat to shoulder", "throat_l_shoulder", "throat_r_shoulder"),
+    ("pelvis to hip", "pelvis_l_hip", "pelvis_r_hip"),
+    ("pelvis to throat", "throat_pelvis", ""),
+    ("throat to crown", "head_throat", ""),
+];
+
+pub(super) fn lengths(sheet: &mut Sheet, drawing: &Drawing<'_>) {
+    let columns = [LEFT + 225.0, LEFT + 325.0];
+    sheet.text(LEFT, TOP, "Lengths / mm", 13.0, INK, Stand::Left);
+    let heads = if drawing.joints.sides_told { ["left", "right"] } else { ["side A", "side B"] };
+    for ((x, head), side) in columns.into_iter().zip(heads).zip(Side::BOTH) {
+        sheet.text(x, TOP, head, 12.0, DIM, Stand::Right);
+        for (part, dx) in [(Part::Arm(side), -60.0), (Part::Leg(side), -52.0)] {
+            let style = format!("fill=\"{}\"", colour(part));
+            sheet.circle([x + dx, TOP], 3.5, &style);
+        }
+    }
+    // Joints may have been left out, and what hangs on them with them.
+    let rows = ROWS
+        .into_iter()
+        .map(|(words, left, right)| (words, [left, right].map(|bone| length(drawing, bone))));
+    let rows = [("stature", [stature(drawing), None])].into_iter().chain(rows);
+    let mut y = TOP + 8.0 + ROW;
+    for (words, lengths) in rows.filter(|(_, lengths)| lengths.iter().any(Option::is_some)) {
+        sheet.line(
+            [LEFT, y - ROW / 2.0],
+            [LEFT + 325.0, y - ROW / 2.0],
+            &format!("stroke=\"{GRID}\""),
+        );
+        sheet.text(LEFT, y, words, 12.0, INK, Stand::Left);
+        for (x, text) in columns.into_iter().zip(lengths) {
+            if let Some(text) = text {
+                sheet.text(x, y, &text, 12.0, INK, Stand::Right);
+            }
+        }
+        y += ROW;
+    }
+    sheet.text(LEFT, y, "± one standard deviation that is expected", 11.0, DIM, Stand::Left);
+}
+
+fn stature(drawing: &Drawing<'_>) -> Option<String> {
+    let skeleton = drawing.skeleton?;
+    let sigma =
+        skeleton.stature_uncertainty_mm.map_or_else(String::new, |mm| format!(" ± {mm:.0}"));
+    Some(format!("{:.0}{sigma}", skeleton.stature_mm?))
+}
+
+/// From the skeleton, and from the joints where there is none.
+fn length(drawing: &Drawing<'_>, name: &str) -> Option<String> {
+    if let Some(skeleton) = drawing.skeleton {
+        let bone = skeleton.bones.iter().find(|bone| bone.name == name)?;
+        return Some(format!("{:.0} ± {:.0}", bone.length_mm, bone.uncertainty_mm));
+    }
+    let ends = BONES.iter().find(|ends| ends.name == name)?;
+    let at = |joint: Joint| drawing.joints.estimates.get(&joint);
+    let (a, b) = (at(ends.parent)?, at(ends.child)?);
+    let mm = drawing.mm();
+    let length = distance(a.position, b.position) * mm;
+    let sigma = a.sigma.hypot(b.sigma) / 3_f64.sqrt() * mm;
+    Some(format!("{length:.0} ± {sigma:.0}"))
+}
+
+const NOTES_LEFT: f64 = 40.0;
+const NOTES_STEP: f64 = 17.0;
+/// Characters of a line; the sheet has room for more.
+const LINE_MAX: usize = 150;
+/// Lines of all notes; the skeleton has the rest.
+const LINES_MAX: usize = 24;
+
+/// The lines of all notes, each of which begins with a mark.
+pub(super) fn note_lines(notes: &[String]) -> Vec<String> {
+    let mut lines = Vec::new();
+    for (i, note) in notes.iter().enumerate() {
+        let note = broken(note);
+        if lines.len() + note.len() >= LINES_MAX {
+            lines.push(format!("• {} more notes stand in the skeleton", notes.len() - i));
+            break;
+        }
+        lines.extend(note);
+    }
+    lines
+}
+
+/// A note in lines, broken between words, and within those that are longer than a line.
+fn broken(note: &str) -> Vec<String> {
+    let mut lines = Vec::new();
+    let mut line = "•".to_owned();
+    let mut length = 1;
+    for word in note.split_whitespace() {
+        let characters: Vec<char> = word.chars().collect();
+        for piece in characters.chunks(LINE_MAX / 2) {
+            if length + 1 + piece.len() > LINE_MAX {
+                lines.push(std::mem::replace(&mut line, " ".to_owned()));
+                length = 1;
+            }
+            line.push(' ');
+            line.extend(piece);
+            length += 1 + piece.len();
+        }
+    }
+    lines.push(line);
+    lines
+}
+
+/// How much higher the picture is for them.
+pub(super) fn notes_height(lines: &[String]) -> f64 {
+    if lines.is_empty() { 0.0 } else { NOTES_STEP * (lines.len() as f64 + 2.0) }
+}
+
+pub(super) fn notes(sheet: &mut Sheet, lines: &[String], top: f64) {
+    if lines.is_empty() {
+        return;
+    }
+    let mut y = top + 0.8 * NOTES_STEP;
+    sheet.text(NOTES_LEFT, y, "Notes", 13.0, INK, Stand::Left);
+    for line in lines {
+        y += NOTES_STEP;
+        // White space at the beginning is none to SVG.
+        let x = if line.starts_with(' ') { NOTES_LEFT + 11.0 } else { NOTES_LEFT };
+        sheet.text(x, y, line.trim_start(), 12.0, INK, Stand::Left);
+    }
+}

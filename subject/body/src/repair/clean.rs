@@ -1,0 +1,203 @@
+//! Vertices that are one, triangles that are none, and what is not the body: spikes and other pieces.
+
+use std::collections::HashMap;
+
+use super::manifold::{pair_up, pieces};
+use super::{RepairError, drop_unused};
+use crate::mesh::distance;
+use crate::topology::{edges, sides};
+use crate::{Mesh, Note};
+
+/// Vertices at borders that are nearer than this share of the extent are one: 0.02 mm of a body. Programs that write
+/// each part for itself round in the seventh digit.
+const CRACK: f64 = 1e-5;
+
+/// Vertices at just the same position become the first of them, where triangles that should hang together do not: on edges
+/// that are not of two triangles, as where a file writes each triangle's corners for itself, or a seam's twice.
+///
+/// All other vertices are joined as they should be already. They may lie in one place all the same: lips and eyelids that
+/// touch, and what rounding has brought together. To merge those would join surfaces that do not hang together.
+pub(super) fn same_positions(mesh: &mut Mesh, notes: &mut Vec<Note>) {
+    let n = mesh.positions.len();
+    let mut loose = vec![false; n];
+    let all = sides(&mesh.triangles);
+    for sides in edges(&all).filter(|sides| sides.len() != 2) {
+        sides[0].ends.iter().for_each(|&end| loose[end as usize] = true);
+    }
+    // By x first: the rest seldom needs to be looked at. Adding zero makes the two zeros one.
+    let key = |index: &u32| mesh.positions[*index as usize].map(|c| (c + 0.0).to_bits());
+    let x = |index: u32| (mesh.positions[index as usize][0] + 0.0).to_bits();
+    let loose = (0..n as u32).filter(|index| loose[*index as usize]);
+    let mut order: Vec<(u64, u32)> = loose.map(|index| (x(index), index)).collect();
+    order.sort_unstable_by(|a, b| {
+        a.0.cmp(&b.0).then_with(|| (key(&a.1), a.1).cmp(&(key(&b.1), b.1)))
+    });
+    let order: Vec<u32> = order.into_iter().map(|(_, index)| index).collect();
+    let mut first: Vec<u32> = (0..n as u32).collect();
+    let mut merged = 0;
+    for same in order.chunk_by(|a, b| key(a) == key(b)) {
+        for &index in &same[1..] {
+            first[index as usize] = same[0];
+            merged += 1;
+        }
+    }
+    if merged > 0 {
+        mesh.triangles.as_flattened_mut().iter_mut().for_each(|c| *c = first[*c as usize]);
+        let text = format!("{merged} vertices lie just on others: merged");
+        notes.push(Note::new("vertices-merged", text));
+    }
+}
+
+/// A surface of which more than this share of triangles has a twin that looks the other way was written with both of its
+/// sides.
+const TWO_SIDED: f64 = 0.5;
+
+/// Leaves out triangles with a vertex twice, and those whose vertices another has that looks the same way; then the vertices
+/// of none. Two that look opposite ways are both sides of something thin, unless the whole surface is two-sided.
+pub(super) fn needless_triangles(mesh: &mut Mesh, notes: &mut Vec<Note>) {
+    let all = mesh.triangles.len();
+    mesh.triangles.retain(|&[a, b, c]| a != b && b != c && c != a);
+    let degenerate = all - mesh.triangles.len();
+    let key = |triangle: &[u32; 3]| {
+        let mut key = *triangle;
+        key.sort_unstable();
+        key
+    };
+    // Two ways round three vertices: one rises once and falls once when it begins with the least, the other the other way.
+    let looks_back = |&[a, b, c]: &[u32; 3]| (a < b) ^ (b < c) ^ (c < a);
+    let mut order: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
+    order.sort_unstable_by_key(|&index| (key(&mesh.triangles[index as usize]), index));
+    let mut again = vec![false; mesh.triangles.len()];
+    let same =
+        |a: &u32, b: &u32| key(&mesh.triangles[*a as usize]) == key(&mesh.triangles[*b as usize]);
+    let mut twins = Vec::new();
+    for group in order.chunk_by(same).filter(|group| group.len() > 1) {
+        let way = |index: &u32| looks_back(&mesh.triangles[*index as usize]);
+        let twin = group.iter().position(|index| way(index) != way(&group[0]));
+        for (at, &index) in group.iter().enumerate().skip(1) {
+            again[index as usize] = Some(at) != twin;
+        }
+        twins.extend(twin.map(|at| group[at]));
+    }
+    if 2.0 * twins.len() as f64 > TWO_SIDED * mesh.triangles.len() as f64 {
+        twins.iter().for_each(|&index| again[index as usize] = true);
+    }
+    let mut again = again.into_iter();
+    let before = mesh.triangles.len();
+    mesh.triangles.retain(|_| !again.next().unwrap_or(false));
+    let twice = before - mesh.triangles.len();
+    drop_unused(mesh);
+    if degenerate + twice > 0 {
+        let text =
+            format!("{degenerate} triangles without an area and {twice} double ones: left out");
+        notes.push(Note::new("needless-triangles", text));
+    }
+}
+
+/// Joins vertices at borders that all but touch each other.
+pub(super) fn cracks(mesh: &mut Mesh, notes: &mut Vec<Note>) {
+    let all = sides(&mesh.triangles);
+    let mut border: Vec<u32> =
+        edges(&all).filter(|sides| sides.len() == 1).flat_map(|sides| sides[0].ends).collect();
+    border.sort_unstable();
+    border.dedup();
+    if border.is_empty() {
+        return;
+    }
+    let near = CRACK * mesh.extent();
+    // One vertex a cell is kept to compare with: what shares a cell with it is near it, too.
+    let cell = |p: [f64; 3]| p.map(|c| (c / near).floor() as i64);
+    let mut kept: HashMap<[i64; 3], u32> = HashMap::new();
+    let mut moved = HashMap::new();
+    for &vertex in &border {
+        let p = mesh.positions[vertex as usize];
+        let at = cell(p);
+        let around = (0..27).map(|k| [at[0] + k % 3 - 1, at[1] + k / 3 % 3 - 1, at[2] + k / 9 - 1]);
+        let close = around
+            .filter_map(|at| kept.get(&at).copied())
+            .find(|&other| distance(p, mesh.positions[other as usize]) <= near);
+        match close {
+            Some(other) => drop(moved.insert(vertex, other)),
+            None => drop(kept.insert(at, vertex)),
+        }
+    }
+    if moved.is_empty() {
+        return;
+    }
+    let corners = mesh.triangles.as_flattened_mut().iter_mut();
+    corners.for_each(|corner| *corner = moved.get(corner).copied().unwrap_or(*corner));
+    let text = format!("{} vertices at borders lie all but on others: merged", moved.len());
+    notes.push(Note::new("cracks-closed", text));
+    needless_triangles(mesh, notes);
+}
+
+/// An edge of a spike is longer than this share of the extent: a fifth of a metre, on a body.
+const EXTENTS: f64 = 0.1;
+/// And longer than so many of the middle edges, which coarse surfaces have none of.
+const MEDIANS: f64 = 12.0;
+/// More of the triangles are no spikes but the way the surface was made.
+const SHARE_MAX: f64 = 0.01;
+
+/// Takes out triangles that reach far out: what they leave are holes.
+pub(super) fn spikes(mesh: &mut Mesh, notes: &mut Vec<Note>) {
+    let mut longest: Vec<f64> = mesh.triangles.iter().map(|t| longest_edge(mesh, t)).collect();
+    let middle = longest.len() / 2;
+    if middle == 0 {
+        return;
+    }
+    let median = *longest.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let limit = (MEDIANS * median).max(EXTENTS * mesh.extent());
+    let n = longest.iter().filter(|&&edge| edge > limit).count();
+    if n == 0 || n as f64 > SHARE_MAX * longest.len() as f64 {
+        return;
+    }
+    let Mesh { positions, triangles } = std::mem::take(mesh);
+    *mesh = Mesh { positions, triangles: Vec::new() };
+    mesh.triangles = triangles.into_iter().filter(|t| longest_edge(mesh, t) <= limit).collect();
+    drop_unused(mesh);
+    notes.push(Note::new("spikes-cut", format!("{n} triangles reached far out: taken out")));
+}
+
+fn longest_edge(mesh: &Mesh, triangle: &[u32; 3]) -> f64 {
+    let [a, b, c] = mesh.corners(*triangle);
+    distance(a, b).max(distance(b, c)).max(distance(c, a))
+}
+
+/// Of the area of everything, in the largest piece: below, it is not known which one is the subject.
+const SHARE_MIN: f64 = 0.6;
+
+/// Keeps the piece with the largest area.
+pub(super) fn other_pieces(mesh: &mut Mesh, notes: &mut Vec<Note>) -> Result<(), RepairError> {
+    let (across, _) = pair_up(mesh);
+    let pieces = pieces(&across);
+    // Each piece has the number of its first triangle.
+    let count = (0_u32..).zip(&pieces).filter(|(triangle, piece)| triangle == *piece).count();
+    let mut areas = vec![0.0; pieces.len()];
+    for (piece, triangle) in pieces.iter().zip(&mesh.triangles) {
+        areas[*piece as usize] += mesh.area_of(*triangle);
+    }
+    let all: f64 = areas.iter().sum();
+    let best = areas.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1));
+    let Some((best, &kept)) = best.filter(|_| all > 0.0) else {
+        return Err(RepairError::NoSurface);
+    };
+    if count == 1 {
+        return Ok(());
+    }
+    if kept < SHARE_MIN * all {
+        return Err(RepairError::Pieces { pieces: count, share: 100.0 * kept / all });
+    }
+    areas[best] = 0.0;
+    let second = areas.iter().copied().fold(0.0, f64::max);
+    let text = format!(
+        "{} other pieces were left out: {:.2} % of the surface, the largest of them {:.2} %",
+        count - 1,
+        100.0 * (all - kept) / all,
+        100.0 * second / all
+    );
+    notes.push(Note::new("pieces-left-out", text));
+    let mut of = pieces.into_iter();
+    mesh.triangles.retain(|_| of.next() == Some(best as u32));
+    drop_unused(mesh);
+    Ok(())
+}

@@ -1,0 +1,93 @@
+//! Which sides of triangles are of one edge, what belongs to which vertex, and what hangs together.
+
+/// One side of a triangle.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Side {
+    /// The lower of its vertices, and the higher.
+    pub(crate) ends: [u32; 2],
+    /// Three times the triangle, plus which side of it: 0 from its first corner to its second.
+    pub(crate) index: u32,
+}
+
+/// Every side of every triangle, in an order that does not depend on where anything lies in memory; those of the same edge
+/// stand together.
+pub(crate) fn sides(triangles: &[[u32; 3]]) -> Vec<Side> {
+    let vertex_count = triangles.as_flattened().iter().max().map_or(0, |most| *most as usize + 1);
+    let all = (0..3 * triangles.len() as u32).map(|index| {
+        let [from, to] = ends(triangles, index);
+        let ends = [from.min(to), from.max(to)];
+        (ends[0], Side { ends, index })
+    });
+    // By their lower vertex, each of which has a few: far quicker than to sort them all.
+    let Rows { starts, mut values } = Rows::new(vertex_count, all);
+    for range in starts.windows(2) {
+        values[range[0] as usize..range[1] as usize].sort_unstable();
+    }
+    values
+}
+
+/// The sides of each edge.
+pub(crate) fn edges(sides: &[Side]) -> impl Iterator<Item = &[Side]> + Clone {
+    sides.chunk_by(|a, b| a.ends == b.ends)
+}
+
+/// The vertices that a side leads from and to.
+pub(crate) fn ends(triangles: &[[u32; 3]], side: u32) -> [u32; 2] {
+    let triangle = triangles[side as usize / 3];
+    let k = side as usize % 3;
+    [triangle[k], triangle[(k + 1) % 3]]
+}
+
+/// Several values for each of a number of rows, in compressed rows: those of a row lie side by side.
+#[derive(Debug, Clone)]
+pub(crate) struct Rows<T> {
+    starts: Vec<u32>,
+    values: Vec<T>,
+}
+
+impl<T: Copy + Default> Rows<T> {
+    /// Values in the order in which they come, each with its row.
+    pub(crate) fn new(count: usize, values: impl Iterator<Item = (u32, T)> + Clone) -> Self {
+        let mut starts = vec![0_u32; count + 1];
+        values.clone().for_each(|(row, _)| starts[row as usize + 1] += 1);
+        for row in 0..count {
+            starts[row + 1] += starts[row];
+        }
+        let mut next = starts.clone();
+        let mut placed = vec![T::default(); starts[count] as usize];
+        values.for_each(|(row, value)| {
+            let at = &mut next[row as usize];
+            placed[*at as usize] = value;
+            *at += 1;
+        });
+        Self { starts, values: placed }
+    }
+
+    pub(crate) fn count(&self) -> usize {
+        self.starts.len() - 1
+    }
+
+    /// The values of a row; none if there is no such row.
+    pub(crate) fn row(&self, index: u32) -> &[T] {
+        let range = self.starts.get(index as usize..=index as usize + 1);
+        let Some(&[start, end]) = range else { return &[] };
+        &self.values[start as usize..end as usize]
+    }
+}
+
+/// What stands for the set that `at` is in, among disjoint sets of numbers of which each leads to another of its set;
+/// shortens the way there for the next.
+pub(crate) fn root(leads: &mut [u32], mut at: u32) -> u32 {
+    while leads[at as usize] != at {
+        let next = leads[leads[at as usize] as usize];
+        leads[at as usize] = next;
+        at = next;
+    }
+    at
+}
+
+/// Makes one set of two: the lower number stands for both, so that the order in which they are joined does not show.
+pub(crate) fn join(leads: &mut [u32], one: u32, other: u32) {
+    let (one, other) = (root(leads, one), root(leads, other));
+    leads[one.max(other) as usize] = one.min(other);
+}

@@ -1,0 +1,13 @@
+//! Bodies out of a seed, whose joints are known, from a mesh to a skeleton and a picture.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+mod synthetic {
+    mod contact;
+    mod extremity;
+    mod neck;
+    mod paper;
+    mod picture;
+    mod plausible;
+    mod repair;
+    mod skeleton;
+}

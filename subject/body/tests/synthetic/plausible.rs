@@ -1,0 +1,29 @@
+//! Whether joints lie as a body can have them.
+
+use mocapd_body::{Joint, Joints, Plausible, Side};
+use mocapd_testkit::synthetic_body::{Options, Pose, body};
+
+/// With some joints moved towards another, by a part of the way.
+fn moved(joints: &Joints, which: fn(Side) -> Joint, to: Joint, part: f64) -> Joints {
+    let mut moved = joints.clone();
+    let end = joints.estimates[&to].position;
+    for side in [Side::Left, Side::Right] {
+        let at = &mut moved.estimates.get_mut(&which(side)).unwrap().position;
+        *at = [0, 1, 2].map(|axis| at[axis] + part * (end[axis] - at[axis]));
+    }
+    moved
+}
+
+#[test]
+fn joints_of_bodies_are_believed_and_others_are_not() {
+    for (seed, pose) in (1..).zip(Pose::ALL) {
+        let (_, joints) = body(seed, pose, Options { n_faces: 500, turned: true });
+        assert_eq!(Plausible::of(&joints), Plausible::Whole, "{pose:?}");
+        let in_the_belly = moved(&joints, Joint::Shoulder, Joint::Pelvis, 0.8);
+        assert_eq!(Plausible::of(&in_the_belly), Plausible::WithoutArms, "{pose:?}");
+        let legs = moved(&joints, Joint::Hip, Joint::Ankle(Side::Left), 0.9);
+        let legs = moved(&legs, Joint::Knee, Joint::Ankle(Side::Left), 0.9);
+        assert_eq!(Plausible::of(&legs), Plausible::Nothing, "{pose:?}");
+    }
+    assert_eq!(Plausible::of(&Joints::default()), Plausible::Whole);
+}

@@ -1,0 +1,238 @@
+//! What can be mended, and what is told of it.
+
+use super::{clean, codes, euler, repaired, volume};
+use mocapd_body::repair::FACES_KEPT_MAX;
+use mocapd_body::skeleton::Method;
+use mocapd_body::{Mesh, Survey, Unit};
+use mocapd_testkit::synthetic_body::{Options, Pose, body};
+use nalgebra::Vector3;
+
+/// Numbers that are as good as any.
+fn random(state: &mut u64, below: usize) -> usize {
+    *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+    (*state >> 33) as usize % below
+}
+
+#[test]
+fn shared_corners_are_found_again() {
+    let mesh = clean();
+    let mut soup = Mesh::default();
+    for triangle in &mesh.triangles {
+        let first = soup.positions.len() as u32;
+        soup.positions.extend(triangle.map(|corner| mesh.positions[corner as usize]));
+        soup.triangles.push([first, first + 1, first + 2]);
+    }
+    soup.triangles.extend([[0, 1, 2], [2, 0, 1], [5, 5, 6]]);
+    let found = repaired(soup).unwrap();
+    assert_eq!(found.mesh.positions.len(), mesh.positions.len());
+    assert_eq!(found.mesh.triangles.len(), mesh.triangles.len());
+    assert_eq!(euler(&found.mesh), 2);
+    assert!(codes(&found).starts_with(&["vertices-merged", "needless-triangles"]));
+}
+
+#[test]
+fn parts_that_were_rounded_apart_are_joined() {
+    let mesh = clean();
+    let mut apart = mesh.clone();
+    let middle = mesh.positions[100][1];
+    // Everything above the middle is a part of its own, a thousandth of a millimetre away.
+    let high =
+        |triangle: &[u32; 3]| triangle.iter().any(|&c| mesh.positions[c as usize][1] > middle);
+    let n = mesh.positions.len() as u32;
+    apart.positions.extend(mesh.positions.iter().map(|p| [p[0] + 1e-6, p[1], p[2] - 1e-6]));
+    for triangle in apart.triangles.iter_mut().filter(|triangle| high(triangle)) {
+        *triangle = triangle.map(|corner| corner + n);
+    }
+    let found = repaired(apart).unwrap();
+    assert_eq!(euler(&found.mesh), 2);
+    assert_eq!(found.mesh.triangles.len(), mesh.triangles.len());
+    assert!(codes(&found).contains(&"cracks-closed"), "{:?}", found.notes);
+}
+
+#[test]
+fn triangles_face_outside() {
+    let mesh = clean();
+    let mut mixed = mesh.clone();
+    mixed.triangles.iter_mut().step_by(3).for_each(|triangle| triangle.swap(0, 1));
+    let found = repaired(mixed).unwrap();
+    assert_eq!(euler(&found.mesh), 2);
+    assert!((volume(&found.mesh) - volume(&mesh)).abs() < 1e-9);
+    assert!(codes(&found).contains(&"triangles-turned"));
+    let mut inside_out = mesh.clone();
+    inside_out.triangles.iter_mut().for_each(|triangle| triangle.swap(0, 1));
+    let found = repaired(inside_out).unwrap();
+    assert!((volume(&found.mesh) - volume(&mesh)).abs() < 1e-9);
+    assert!(codes(&found).contains(&"inside-out"));
+}
+
+#[test]
+fn holes_are_closed_with_triangles_of_their_neighbours_size() {
+    let mesh = body(1, Pose::Down, Options { n_faces: 3000, turned: false }).0;
+    let mut torn = mesh.clone();
+    // Crown, back and belly.
+    let centres = [[0.0, 1.8, 0.0], [0.0, 1.2, -0.12], [0.0, 1.0, 0.12]];
+    let radii = [0.12, 0.06, 0.09];
+    let near = |triangle: &[u32; 3]| {
+        let at = Vector3::from(mesh.positions[triangle[0] as usize]);
+        centres.iter().zip(radii).any(|(c, radius)| (at - Vector3::from(*c)).norm() < radius)
+    };
+    torn.triangles.retain(|triangle| !near(triangle));
+    let lost = mesh.triangles.len() - torn.triangles.len();
+    assert!(lost > 30, "{lost}");
+    let found = repaired(torn).unwrap();
+    assert_eq!(euler(&found.mesh), 2);
+    assert!((volume(&found.mesh) / volume(&mesh) - 1.0).abs() < 0.02);
+    let filled = found.mesh.triangles.len() + lost - mesh.triangles.len();
+    assert!(filled < 4 * lost, "{filled} for {lost}");
+    let note = found.notes.iter().find(|note| note.code == "holes-closed").unwrap();
+    assert!(note.text.starts_with("3 holes were closed"), "{note}");
+}
+
+#[test]
+fn what_is_not_the_body_is_left_out() {
+    let mesh = clean();
+    let mut more = mesh.clone();
+    // A small body floats beside, and another hangs on a vertex; a fin stands on an edge.
+    for (shift, joined) in [([3.0, 0.0, 0.0], false), ([0.0; 3], true)] {
+        let n = more.positions.len() as u32;
+        let small = mesh.positions.iter().map(|p| [0, 1, 2].map(|k| p[k] * 0.05 + shift[k]));
+        more.positions.extend(small);
+        let of = |corner: u32| if joined && corner == 0 { 0 } else { corner + n };
+        more.triangles.extend(mesh.triangles.iter().map(|triangle| triangle.map(of)));
+    }
+    // In the plane of the triangle, so that it is the flatter way on, and not a piece of its own.
+    let [a, b, c] = mesh.triangles[7];
+    let [p, q, r] = [a, b, c].map(|corner| mesh.positions[corner as usize]);
+    more.triangles.push([b, a, more.positions.len() as u32]);
+    more.positions.push([0, 1, 2].map(|axis| p[axis] + q[axis] - r[axis]));
+    let found = repaired(more).unwrap();
+    assert_eq!(euler(&found.mesh), 2);
+    assert!(found.mesh.triangles.len().abs_diff(mesh.triangles.len()) < 8);
+    assert!((volume(&found.mesh) / volume(&mesh) - 1.0).abs() < 1e-3);
+    let codes = codes(&found);
+    assert!(codes.contains(&"edges-cut") && codes.contains(&"pieces-left-out"), "{codes:?}");
+}
+
+/// Every triangle as four.
+fn finer(mesh: &Mesh) -> Mesh {
+    let mut fine = Mesh { positions: mesh.positions.clone(), triangles: Vec::new() };
+    let mut between = std::collections::HashMap::new();
+    for &[a, b, c] in &mesh.triangles {
+        let [ab, bc, ca] = [(a, b), (b, c), (c, a)].map(|(a, b)| {
+            *between.entry((a.min(b), a.max(b))).or_insert_with(|| {
+                let (p, q) = (fine.positions[a as usize], fine.positions[b as usize]);
+                fine.positions.push([0, 1, 2].map(|k| (p[k] + q[k]) / 2.0));
+                fine.positions.len() as u32 - 1
+            })
+        });
+        fine.triangles.extend([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]);
+    }
+    fine
+}
+
+#[test]
+fn single_vertices_far_out_are_cut_off() {
+    let mesh = clean();
+    let mut spiky = mesh.clone();
+    spiky.positions[77] = [40.0, 0.0, 0.0];
+    spiky.positions[900][1] += 0.4;
+    let found = repaired(spiky).unwrap();
+    assert_eq!(euler(&found.mesh), 2);
+    assert!((volume(&found.mesh) / volume(&mesh) - 1.0).abs() < 1e-2);
+    assert!(codes(&found).contains(&"spikes-cut") && found.unit == Unit::Metre);
+}
+
+#[test]
+fn too_many_faces_become_fewer_and_the_body_stays() {
+    for pose in [Pose::T, Pose::Walk] {
+        let (coarse, _) = body(2, pose, Options { n_faces: 5000, turned: true });
+        let fine = finer(&finer(&coarse));
+        let found = repaired(fine.clone()).unwrap();
+        let n = found.mesh.triangles.len();
+        assert!(n <= FACES_KEPT_MAX && n > FACES_KEPT_MAX / 4, "{n}");
+        assert_eq!(euler(&found.mesh), 2, "{:?}", found.notes);
+        assert!((volume(&found.mesh) / volume(&fine) - 1.0).abs() < 0.01);
+        assert!(codes(&found).contains(&"decimated"));
+    }
+}
+
+#[test]
+fn the_unit_is_that_of_a_body() {
+    let mesh = clean();
+    for (factor, unit) in [(1.0, Unit::Metre), (100.0, Unit::Centimetre), (1e3, Unit::Millimetre)] {
+        let mut scaled = mesh.clone();
+        scaled.positions.as_flattened_mut().iter_mut().for_each(|c| *c *= factor);
+        let found = repaired(scaled).unwrap();
+        assert_eq!((found.unit, found.unit_inferred), (unit, true));
+    }
+}
+
+#[test]
+fn inches_are_not_taken_for_centimetres_without_a_word() {
+    let ambiguity = |factor: f64| {
+        let mut scaled = clean();
+        scaled.positions.as_flattened_mut().iter_mut().for_each(|c| *c *= factor);
+        let found = repaired(scaled).unwrap();
+        let survey = Survey::new(&found.mesh, Method::Default).unwrap();
+        (found.unit, found.unit_ambiguity(survey.body_scale).map(|note| note.code))
+    };
+    let inches = Unit::Inch.mm() / 1000.0;
+    assert_eq!(ambiguity(1.0 / inches), (Unit::Centimetre, Some("unit-ambiguous")));
+    for factor in [1.0, 100.0, 1000.0] {
+        assert_eq!(ambiguity(factor).1, None, "{factor}");
+    }
+}
+
+#[test]
+fn a_soup_that_was_rounded_hangs_together_again() {
+    for (seed, pose) in [(1, Pose::Squat), (2, Pose::Sit)] {
+        let mesh = body(seed, pose, Options { n_faces: 40_000, turned: true }).0;
+        let mut soup = Mesh::default();
+        for corners in &mesh.triangles {
+            let first = soup.positions.len() as u32;
+            let round = |c: f64| (c * 1000.0).round() / 1000.0;
+            soup.positions.extend(corners.map(|at| mesh.positions[at as usize].map(round)));
+            soup.triangles.push([first, first + 1, first + 2]);
+        }
+        let found = repaired(soup).unwrap();
+        assert_eq!(euler(&found.mesh), 2, "{pose:?}");
+        assert!((volume(&found.mesh) / volume(&mesh) - 1.0).abs() < 0.01, "{pose:?}");
+    }
+}
+
+#[test]
+fn whatever_happens_to_a_surface_what_comes_back_is_closed() {
+    let mesh = body(3, Pose::Down, Options { n_faces: 2000, turned: false }).0;
+    let (mut mended, mut state) = (0, 7);
+    for round in 0..120 {
+        let mut hurt = mesh.clone();
+        for _ in 0..=random(&mut state, 40) {
+            let n = hurt.triangles.len();
+            let at = random(&mut state, n);
+            let other = random(&mut state, n);
+            match random(&mut state, 6) {
+                0 => drop(hurt.triangles.swap_remove(at)),
+                1 => hurt.triangles[at].swap(0, 1),
+                2 => hurt.triangles[at][2] = hurt.triangles[other][0],
+                3 => hurt.triangles.push(hurt.triangles[at]),
+                4 => {
+                    let corner = hurt.triangles[at][0] as usize;
+                    hurt.positions[corner] = hurt.positions[hurt.triangles[other][1] as usize];
+                }
+                _ => {
+                    let corner = hurt.triangles[at][0];
+                    hurt.triangles.retain(|triangle| !triangle.contains(&corner));
+                }
+            }
+        }
+        match repaired(hurt) {
+            Ok(found) => {
+                let chi = euler(&found.mesh);
+                assert_eq!(chi, 2 - 2 * found.genus as i64, "round {round}");
+                mended += 1;
+            }
+            Err(error) => println!("round {round}: {error}"),
+        }
+    }
+    assert!(mended > 90, "{mended} of 120");
+}

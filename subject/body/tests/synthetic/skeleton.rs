@@ -1,0 +1,280 @@
+//! Skeletons of generated bodies, and documents of anybody.
+
+use mocapd_body::skeleton::{
+    BONES, LEN_MAX, Method, ScanJoints, Skeleton, SkeletonError, Source, joint_from_name,
+    joint_name,
+};
+use mocapd_body::{Estimate, Joint, Joints, Mesh, Repaired, Side, Unit};
+use mocapd_testkit::synthetic_body::{Options, Pose, body};
+
+fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
+    (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
+}
+
+fn add(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [0, 1, 2].map(|axis| a[axis] + b[axis])
+}
+
+fn source(name: &str) -> Source {
+    let repaired = Repaired {
+        mesh: Mesh::default(),
+        unit: Unit::Metre,
+        unit_inferred: true,
+        genus: 0,
+        notes: Vec::new(),
+    };
+    Source::new(name, name.as_bytes(), &repaired)
+}
+
+fn joints(seed: u64, pose: Pose) -> Joints {
+    body(seed, pose, Options { n_faces: 500, turned: true }).1
+}
+
+fn scan(pose: Pose, joints: Joints) -> ScanJoints {
+    let notes = vec!["seen from above".to_owned()];
+    ScanJoints { source: source(&format!("scans/{pose:?}.obj")), joints, unit: Unit::Metre, notes }
+}
+
+fn one() -> Skeleton {
+    Skeleton::new(Method::Default, &[scan(Pose::A, joints(3, Pose::A))]).unwrap()
+}
+
+#[test]
+fn one_scan_gives_its_own_lengths() {
+    let (skeleton, joints) = (one(), joints(3, Pose::A));
+    assert_eq!(skeleton.joints.len(), 15);
+    assert_eq!(skeleton.bones.len(), BONES.len());
+    for (bone, ends) in skeleton.bones.iter().zip(BONES) {
+        let [p, q] = [ends.parent, ends.child].map(|joint| joints.estimates[&joint].position);
+        assert!((bone.length_mm - 1000.0 * distance(p, q)).abs() < 1e-3, "{bone:?}");
+        assert_eq!((bone.spread_mm, bone.scans), (None, 1));
+    }
+    let length = skeleton.symmetric_length("thigh").unwrap().mm;
+    let thigh = skeleton.bones.iter().find(|bone| bone.name == "r_thigh").unwrap();
+    assert!((length - thigh.length_mm).abs() < 1e-3);
+    assert_eq!(skeleton.symmetric_length("tail"), None);
+    assert_eq!(skeleton.sources[0].name, "A.obj");
+    assert!(Skeleton::new(Method::Paper, &[]).is_none());
+}
+
+/// Every joint a step off, another one each time, as far as its uncertainty says.
+fn shaken(mut joints: Joints, step_m: f64, round: usize) -> Joints {
+    for (i, estimate) in joints.estimates.values_mut().enumerate() {
+        let turn = (7 * i + 3 * round) as f64;
+        let off = [turn.sin(), (1.7 * turn).cos(), (2.3 * turn).sin()].map(|c| c * step_m);
+        (estimate.position, estimate.sigma) = (add(estimate.position, off), step_m);
+    }
+    joints
+}
+
+#[test]
+fn several_scans_are_averaged_and_their_spread_told() {
+    let poses = [Pose::A, Pose::T, Pose::Walk, Pose::Squat, Pose::Sit, Pose::Up];
+    let scans: Vec<ScanJoints> = (poses.iter().enumerate())
+        .map(|(round, &pose)| scan(pose, shaken(joints(3, pose), 0.01, round)))
+        .collect();
+    let skeleton = Skeleton::new(Method::Default, &scans).unwrap();
+    for (bone, truth) in skeleton.bones.iter().zip(one().bones) {
+        let error = (bone.length_mm - truth.length_mm).abs();
+        assert!(error < 3.0 * bone.uncertainty_mm + 2.0, "{bone:?} {truth:?}");
+        assert_eq!(bone.scans, 6);
+        assert!(bone.spread_mm.is_some_and(|mm| mm > 0.5 && mm < 20.0), "{bone:?}");
+    }
+    let noted = |text: &str| skeleton.notes.iter().any(|note| note.contains(text));
+    assert!(noted("l_shoulder: the centre that l_elbow turned about"), "{:?}", skeleton.notes);
+}
+
+#[test]
+fn limbs_that_turn_tell_their_centres() {
+    // The shoulders of every scan are wrong by 4 cm, all in the same way, as a method's bias is: outwards and down.
+    let poses = [Pose::A, Pose::T, Pose::Walk, Pose::Squat, Pose::Sit, Pose::Up, Pose::Down];
+    let biased = |pose: Pose| {
+        let mut joints = joints(4, pose);
+        let at = |joint: Joint| joints.estimates[&joint].position;
+        let up = [0, 1, 2].map(|k| at(Joint::Throat)[k] - at(Joint::Pelvis)[k]);
+        let length = up.iter().map(|c| c * c).sum::<f64>().sqrt();
+        let shoulder = joints.estimates.get_mut(&Joint::Shoulder(Side::Left)).unwrap();
+        shoulder.position = add(shoulder.position, up.map(|c| -0.04 * c / length));
+        shoulder.sigma = 0.04;
+        scan(pose, joints)
+    };
+    let scans: Vec<ScanJoints> = poses.into_iter().map(biased).collect();
+    let skeleton = Skeleton::new(Method::Default, &scans).unwrap();
+    let truth = joints(4, Pose::A).estimates[&Joint::Shoulder(Side::Left)].position;
+    let found = skeleton.joints.iter().find(|joint| joint.name == "l_shoulder").unwrap();
+    let error = distance(found.position_mm, truth.map(|c| 1000.0 * c));
+    assert!(error < 8.0 && found.uncertainty_mm < 32.0, "{error} {found:?}");
+    let bone = skeleton.bones.iter().find(|bone| bone.name == "l_upper_arm").unwrap();
+    let other = skeleton.bones.iter().find(|bone| bone.name == "r_upper_arm").unwrap();
+    assert!((bone.length_mm - other.length_mm).abs() < 8.0, "{bone:?} {other:?}");
+    // Poses that hardly differ say why there is no such centre.
+    let skeleton =
+        Skeleton::new(Method::Default, &[biased(Pose::A), biased(Pose::A), biased(Pose::A)]);
+    let notes = skeleton.unwrap().notes;
+    assert!(notes.iter().any(|note| note.contains("degrees, 40 are needed")), "{notes:?}");
+}
+
+#[test]
+fn scans_of_two_people_are_told_to_be() {
+    let of = |seed| scan(Pose::A, joints(seed, Pose::A));
+    let noted = |scans: &[ScanJoints]| {
+        let notes = Skeleton::new(Method::Default, scans).unwrap().notes;
+        notes.iter().any(|note| note.contains("of several people"))
+    };
+    assert!(!noted(&[of(3), scan(Pose::T, joints(3, Pose::T))]));
+    let mut tall = of(3);
+    tall.joints.estimates.values_mut().for_each(|estimate| {
+        estimate.position = estimate.position.map(|metres| 1.12 * metres);
+    });
+    assert!(noted(&[of(3), tall]));
+}
+
+#[test]
+fn a_stature_is_no_surer_than_bones_in_doubt() {
+    let mut joints = joints(3, Pose::A);
+    let sure = Skeleton::new(Method::Default, &[scan(Pose::A, joints.clone())]).unwrap();
+    for side in [Side::Left, Side::Right] {
+        joints.estimates.get_mut(&Joint::Hip(side)).unwrap().sigma = 0.2;
+    }
+    let doubted = Skeleton::new(Method::Default, &[scan(Pose::A, joints)]).unwrap();
+    assert_eq!(doubted.stature_mm, sure.stature_mm);
+    let (sure, doubted) = (sure.stature_uncertainty_mm, doubted.stature_uncertainty_mm);
+    assert!(doubted.unwrap() > 3.0 * sure.unwrap(), "{sure:?} {doubted:?}");
+}
+
+#[test]
+fn sides_that_are_not_told_are_levelled() {
+    let mut scans = vec![scan(Pose::A, joints(3, Pose::A)), scan(Pose::T, joints(3, Pose::T))];
+    let wrist = scans[1].joints.estimates.get_mut(&Joint::Wrist(Side::Left)).unwrap();
+    wrist.position[0] += 0.02;
+    scans[1].joints.sides_told = false;
+    let skeleton = Skeleton::new(Method::Default, &scans).unwrap();
+    let of = |name: &str| skeleton.bones.iter().find(|bone| bone.name == name).unwrap().length_mm;
+    assert!(!skeleton.sides_told && of("l_forearm") == of("r_forearm"));
+    assert!(of("pelvis_l_hip") == of("pelvis_r_hip"));
+    assert!(skeleton.notes.iter().any(|note| note.contains("mean of both sides")));
+}
+
+#[test]
+fn a_document_is_the_same_when_it_is_written_again() {
+    let unknown = Skeleton { stature_mm: None, stature_uncertainty_mm: None, ..one() };
+    for skeleton in [one(), Skeleton { stature_mm: Some(1712.5), ..one() }, unknown] {
+        let text = skeleton.to_json();
+        let again = Skeleton::from_json(text.as_bytes()).unwrap();
+        assert_eq!(again, skeleton);
+        assert_eq!(again.to_json(), text);
+        assert!(text.starts_with("{\n  \"format\": \"mocapd-skeleton\",\n  \"version\": 1,"));
+    }
+    // Numbers of others, however long, are written the same way ever after.
+    let text = one().to_json().replacen(
+        "\"uncertainty_mm\": 0.0",
+        "\"uncertainty_mm\": 0.30000000000000004441",
+        1,
+    );
+    let read = Skeleton::from_json(text.as_bytes()).unwrap();
+    assert!(
+        read.to_json().contains("\"uncertainty_mm\": 0.3,")
+            || read.to_json().contains("\"uncertainty_mm\": 0.3\n")
+    );
+    for ends in BONES {
+        for joint in [ends.parent, ends.child] {
+            assert_eq!(joint_from_name(joint_name(joint)), Some(joint), "{}", ends.name);
+        }
+    }
+}
+
+#[test]
+fn stature_is_told_in_any_pose_and_not_without_a_bone() {
+    for pose in Pose::ALL {
+        let (mesh, joints) = body(3, Pose::Down, Options { n_faces: 5000, turned: false });
+        let height = |at: &[f64; 3]| at[1];
+        let top = mesh.positions.iter().map(height).fold(f64::NEG_INFINITY, f64::max);
+        let sole = mesh.positions.iter().map(height).fold(f64::INFINITY, f64::min);
+        let of = |method, joints| Skeleton::new(method, &[scan(pose, joints)]).unwrap();
+        let skeleton = of(Method::Default, self::joints(3, pose));
+        let (mm, sigma_mm) =
+            skeleton.stature_mm.zip(skeleton.stature_uncertainty_mm).expect("a stature");
+        assert!((mm - 1000.0 * (top - sole)).abs() < 3.0 * sigma_mm, "{pose:?}: {mm}");
+        assert_eq!(of(Method::Paper, joints.clone()).stature_mm, None);
+        let mut legless = joints;
+        // One leg tells as much as both; without either there is none.
+        legless.estimates.remove(&Joint::Knee(Side::Left));
+        assert!(of(Method::Default, legless.clone()).stature_mm.is_some());
+        legless.estimates.remove(&Joint::Knee(Side::Right));
+        assert_eq!(of(Method::Default, legless).stature_mm, None);
+    }
+}
+
+#[test]
+fn what_is_written_of_any_joints_can_be_read() {
+    let mut odd = joints(3, Pose::A);
+    let mut put = |joint: Joint, position: [f64; 3], sigma: f64| {
+        odd.estimates.insert(joint, Estimate { position, sigma });
+    };
+    put(Joint::Head, [f64::NAN, 0.0, 0.0], 0.0);
+    put(Joint::Throat, [1e300, 0.0, 0.0], 0.0);
+    put(Joint::Knee(Side::Left), [0.0; 3], f64::INFINITY);
+    put(Joint::Ankle(Side::Left), [0.0; 3], f64::NAN);
+    put(Joint::Hip(Side::Right), [0.0; 3], 1.0);
+    put(Joint::Knee(Side::Right), [0.0; 3], 1.0);
+    let skeleton = Skeleton::new(Method::Default, &[scan(Pose::A, odd)]).unwrap();
+    assert_eq!(skeleton.joints.len(), 12);
+    assert!(skeleton.bones.iter().all(|bone| bone.name != "r_thigh"));
+    assert!(skeleton.notes.iter().any(|note| note.starts_with("3 joints have no position")));
+    assert_eq!(Skeleton::from_json(skeleton.to_json().as_bytes()), Ok(skeleton));
+}
+
+#[test]
+fn a_foreign_document_is_refused_with_the_reason() {
+    let text = one().to_json();
+    let head = text.find("\"head\"").unwrap();
+    for (from, to, expected) in [
+        ("mocapd-skeleton", "other", "`format`"),
+        ("\"version\": 1", "\"version\": 2", "`version` is not 1"),
+        ("\"version\": 1", "\"version\": 1, \"more\": 2", "unknown field `more`"),
+        ("\"default\"", "\"magic\"", "unknown variant"),
+        ("\"unit\": \"m\"", "\"unit\": \"M\"", "`sources[0].unit` is not m, cm, mm or in"),
+        ("A.obj", "", "`sources[0].name`"),
+        ("\"name\": \"throat\"", "\"name\": \"head\"", "`joints[1].name` stands twice"),
+        ("\"name\": \"throat\"", "\"name\": \"neck\"", "`joints[1].name` is none of the 15"),
+        ("\"uncertainty_mm\": 0.0", "\"uncertainty_mm\": -1", "`joints[0].uncertainty_mm`"),
+        ("\"l_upper_arm\"", "\"l_wing\"", "is none of the 14 bones"),
+        ("\"parent\": \"pelvis\"", "\"parent\": \"head\"", "`bones[0].parent`"),
+        ("\"scans\": 1", "\"scans\": 2", "`bones[0].scans`"),
+        (
+            "\"stature_uncertainty_mm\": ",
+            "\"stature_uncertainty_mm\": -",
+            "`stature_uncertainty_mm`",
+        ),
+        ("seen from above", "", "`notes`"),
+    ] {
+        let changed = text.replacen(from, to, 1);
+        assert_ne!(changed, text, "{from}");
+        let error = Skeleton::from_json(changed.as_bytes()).unwrap_err().to_string();
+        assert!(error.contains(expected) && !error.contains('\n'), "{from}: {error}");
+    }
+    let far = text[head..].find('[').unwrap() + head + 1;
+    let huge =
+        format!("{}1e300,{}", &text[..far], &text[far + text[far..].find(',').unwrap() + 1..]);
+    let error = Skeleton::from_json(huge.as_bytes()).unwrap_err().to_string();
+    assert!(error.contains("`joints[0].position_mm`"), "{error}");
+    let long = vec![b' '; LEN_MAX + 1];
+    assert_eq!(Skeleton::from_json(&long), Err(SkeletonError::TooLong(long.len())));
+    let deep = "[".repeat(100_000);
+    assert!(Skeleton::from_json(deep.as_bytes()).is_err());
+}
+
+#[test]
+fn any_damage_to_a_document_is_refused_or_harmless() {
+    let text = one().to_json().into_bytes();
+    for len in 0..text.len() - 1 {
+        assert!(Skeleton::from_json(&text[..len]).is_err(), "{len}");
+    }
+    for at in 0..text.len() {
+        let mut changed = text.clone();
+        changed[at] ^= 1 << (at % 7);
+        if let Ok(read) = Skeleton::from_json(&changed) {
+            assert_eq!(Skeleton::from_json(read.to_json().as_bytes()), Ok(read));
+        }
+    }
+}
