@@ -10,6 +10,7 @@ use crate::paper;
 use crate::photo::Photo;
 use crate::plausible::Plausible;
 use crate::points::{self, FacePoints, Rough};
+use crate::vector::{distance, middle};
 
 /// Faces of a photograph that are fitted at most, the surest of them: a class, or a team.
 pub const FACES_MAX: usize = 64;
@@ -116,14 +117,13 @@ fn by_paper(model: &Model, face: &Found, found: &FacePoints) -> Result<Fit, NoFa
     let (Some(left), Some(right)) = (corner(36), corner(45)) else {
         return Err(NoFace::NotFitted("the corners of the eyes".to_owned()));
     };
-    let across = [right[0] - left[0], right[1] - left[1]];
     let turned = yaw_deg.to_radians().cos().max(0.1);
     let camera = Camera {
-        scale_px_per_mm: across[0].hypot(across[1]).max(1.0) / (OUTER_EYES_MM * turned),
+        scale_px_per_mm: distance(left, right).max(1.0) / (OUTER_EYES_MM * turned),
         yaw_deg,
         pitch_deg: 0.0,
         roll_deg: -face.roll_rad.to_degrees(),
-        origin_px: [(left[0] + right[0]) / 2.0, (left[1] + right[1]) / 2.0],
+        origin_px: middle(left, right),
     };
     let points = found.found();
     let adapted = adapt(model, &model.vertices, &camera, &points, Width::PAPER, Depth::Model);

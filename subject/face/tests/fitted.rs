@@ -1,9 +1,5 @@
 //! A fitted face as it is written, read and drawn.
-#![expect(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "a test fails by panicking, and says what it passes over"
-)]
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use image::Rgb;
 use mocapd_face::fitted::{FaceFileError, FittedFace, Method, Overlay, Part, Source};

@@ -24,6 +24,7 @@ mod trees;
 use crate::photo::Photo;
 use crate::plane::Pyramid;
 use crate::points::Rough;
+use crate::vector::{distance, middle};
 use align::STEPS;
 pub use frame::Frame;
 pub use look::{LOOK, Look, SECOND};
@@ -136,12 +137,8 @@ fn apart(mut all: Vec<Found>) -> Vec<Found> {
 
 /// Whether two faces are at the same place: the middle of one's eyes and mouth is within the other's.
 fn overlap(a: &Found, b: &Found) -> bool {
-    let middle = |found: &Found| {
-        let [left, right] = found.eyes;
-        [0, 1].map(|i: usize| (left[i] + right[i]) / 4.0 + found.mouth[i] / 2.0)
-    };
-    let ([ax, ay], [bx, by]) = (middle(a), middle(b));
-    (ax - bx).hypot(ay - by) < 0.9 * a.io_px.max(b.io_px)
+    let of = |found: &Found| middle(middle(found.eyes[0], found.eyes[1]), found.mouth);
+    distance(of(a), of(b)) < 0.9 * a.io_px.max(b.io_px)
 }
 
 fn hypothesis(pyramid: &Pyramid, frame: &Frame) -> Hypothesis {
@@ -151,11 +148,11 @@ fn hypothesis(pyramid: &Pyramid, frame: &Frame) -> Hypothesis {
 
 fn on_photo(frame: &Frame, score: f64) -> Found {
     let eyes = frame.eyes().map(|eye| eye.map(f64::from));
-    let [[x0, y0], [x1, y1]] = eyes;
-    let (dx, dy) = (x1 - x0, y1 - y0);
+    let [left, right] = eyes;
+    let (dx, dy) = (right[0] - left[0], right[1] - left[1]);
     // Turned aside, eyes are nearer than they are on the head; the mouth's distance stays.
     let mouth = frame.at(0.0, Frame::MOUTH).map(f64::from);
-    let height = (mouth[0] - (x0 + x1) / 2.0).hypot(mouth[1] - (y0 + y1) / 2.0);
+    let height = distance(mouth, middle(left, right));
     let apart = dx.hypot(dy).max(0.5 * height / f64::from(Frame::MOUTH));
     Found { eyes, mouth, roll_rad: dy.atan2(dx), io_px: IO_OF_EYES * apart, score }
 }
@@ -170,7 +167,7 @@ impl From<&Found> for Rough {
         let [left_eye, right_eye] = found.eyes;
         let across = [right_eye[0] - left_eye[0], right_eye[1] - left_eye[1]];
         let squared = (across[0] * across[0] + across[1] * across[1]).max(f64::MIN_POSITIVE);
-        let middle = [(left_eye[0] + right_eye[0]) / 2.0, (left_eye[1] + right_eye[1]) / 2.0];
+        let middle = middle(left_eye, right_eye);
         let to = [found.mouth[0] - middle[0], found.mouth[1] - middle[1]];
         let aside = (to[0] * across[0] + to[1] * across[1]) / squared;
         let below = (to[1] * across[0] - to[0] * across[1]) / squared;

@@ -10,6 +10,7 @@ use image::{ImageError, ImageFormat, Rgb, RgbImage};
 use super::{Curve, FittedFace, Part, edges};
 use crate::model::{FeatureId, OUTER_EYES_MM};
 use crate::photo::Photo;
+use crate::vector::{Point, distance, extent};
 
 /// Below this the lines would cover the face: small pictures are enlarged first.
 const LEAST_IO_PX: f64 = 160.0;
@@ -265,56 +266,44 @@ struct Ink {
 /// Many straight lines with round ends as one stroke: where they meet, ink that is half transparent lies no thicker.
 fn lines(picture: &mut RgbImage, lines: &[[[f64; 2]; 2]], ink: Ink) {
     let lines = || lines.iter().filter(|line| line.iter().flatten().all(|v| v.is_finite()));
-    let ends = || lines().flatten();
-    let low = |axis: usize| ends().map(|end| end[axis]).fold(f64::INFINITY, f64::min);
-    let high = |axis: usize| ends().map(|end| end[axis]).fold(f64::NEG_INFINITY, f64::max);
-    let corners = [[low(0), low(1)], [high(0), high(1)]];
+    let [x, y] = [0, 1].map(|axis| extent(lines().flatten().map(|end| end[axis])));
+    let corners = [[x.0, y.0], [x.1, y.1]];
     let Some(whole) = Patch::around(picture, corners, ink) else { return };
     let width = whole.x.len();
     let mut covered = vec![0_u8; width * whole.y.len()];
     for &[from, to] in lines() {
         let Some(patch) = Patch::around(picture, [from, to], ink) else { continue };
-        for y in patch.y {
-            for x in patch.x.clone() {
-                let share = ink.share(off_line([f64::from(x), f64::from(y)], from, to));
-                let at = (y - whole.y.start) as usize * width + (x - whole.x.start) as usize;
-                if let Some(most) = covered.get_mut(at) {
-                    *most = (*most).max((255.0 * share).round() as u8);
-                }
+        for [x, y] in patch.pixels() {
+            let share = ink.share(off_line([x, y].map(f64::from), from, to));
+            let at = (y - whole.y.start) as usize * width + (x - whole.x.start) as usize;
+            if let Some(most) = covered.get_mut(at) {
+                *most = (*most).max((255.0 * share).round() as u8);
             }
         }
     }
-    let places = whole.y.flat_map(|y| whole.x.clone().map(move |x| [x, y]));
-    for (place, share) in places.zip(covered).filter(|(_, share)| *share > 0) {
+    for (place, share) in whole.pixels().zip(covered).filter(|(_, share)| *share > 0) {
         blend(picture, place, ink, f64::from(share) / 255.0);
     }
 }
 
 /// A disc of `ink.width_px` across.
 fn disc(picture: &mut RgbImage, at: [f64; 2], ink: Ink) {
-    stroke(picture, [at, at], ink, |p| (p[0] - at[0]).hypot(p[1] - at[1]));
+    stroke(picture, [at, at], ink, |p| distance(p, at));
 }
 
 /// A circle of `radius_px`.
 fn circle(picture: &mut RgbImage, at: [f64; 2], radius_px: f64, ink: Ink) {
     let corners = [at.map(|v| v - radius_px), at.map(|v| v + radius_px)];
-    stroke(picture, corners, ink, |p| ((p[0] - at[0]).hypot(p[1] - at[1]) - radius_px).abs());
+    stroke(picture, corners, ink, |p| (distance(p, at) - radius_px).abs());
 }
 
 /// Inks every pixel by its distance to what is drawn, within the box around two corners.
-fn stroke(
-    picture: &mut RgbImage,
-    corners: [[f64; 2]; 2],
-    ink: Ink,
-    distance: impl Fn([f64; 2]) -> f64,
-) {
+fn stroke(picture: &mut RgbImage, corners: [[f64; 2]; 2], ink: Ink, off: impl Fn(Point) -> f64) {
     let Some(patch) = Patch::around(picture, corners, ink) else { return };
-    for y in patch.y {
-        for x in patch.x.clone() {
-            let share = ink.share(distance([f64::from(x), f64::from(y)]));
-            if share > 0.0 {
-                blend(picture, [x, y], ink, share);
-            }
+    for pixel in patch.pixels() {
+        let share = ink.share(off(pixel.map(f64::from)));
+        if share > 0.0 {
+            blend(picture, pixel, ink, share);
         }
     }
 }
@@ -326,6 +315,11 @@ struct Patch {
 }
 
 impl Patch {
+    /// Row by row.
+    fn pixels(&self) -> impl Iterator<Item = [u32; 2]> {
+        self.y.clone().flat_map(|y| self.x.clone().map(move |x| [x, y]))
+    }
+
     /// Around two corners; none where they are no numbers.
     fn around(picture: &RgbImage, corners: [[f64; 2]; 2], ink: Ink) -> Option<Self> {
         let reach = ink.width_px / 2.0 + 1.0;

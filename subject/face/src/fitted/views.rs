@@ -2,6 +2,7 @@
 
 use super::{Curve, FittedFace};
 use crate::model::{Camera, FeatureId};
+use crate::vector::extent;
 
 const VIEWS: [(&str, f64); 3] = [("front", 0.0), ("three-quarter", 40.0), ("side", 90.0)];
 const PANEL_PX: f64 = 320.0;
@@ -50,11 +51,11 @@ impl FittedFace {
 
     /// Pixels a millimetre, the same for all views.
     fn panel_scale(&self) -> f64 {
-        let extent = |axis: usize| {
-            let values = || self.vertices_mm.iter().map(|v| v[axis]);
-            values().fold(f64::NEG_INFINITY, f64::max) - values().fold(f64::INFINITY, f64::min)
+        let side = |axis: usize| {
+            let (low, high) = extent(self.vertices_mm.iter().map(|v| v[axis]));
+            high - low
         };
-        let widest = (0..3).map(extent).fold(1e-6, f64::max);
+        let widest = (0..3).map(side).fold(1e-6, f64::max);
         SHARE * PANEL_PX / widest
     }
 
@@ -67,9 +68,8 @@ impl FittedFace {
             origin_px: [0.0; 2],
         };
         let middle = |seen: &[[f64; 3]], axis: usize| {
-            let values = || seen.iter().map(|v| v[axis]);
-            (values().fold(f64::NEG_INFINITY, f64::max) + values().fold(f64::INFINITY, f64::min))
-                / 2.0
+            let (low, high) = extent(seen.iter().map(|v| v[axis]));
+            (high + low) / 2.0
         };
         let seen = camera.project(&self.vertices_mm);
         camera.origin_px =

@@ -11,6 +11,7 @@ mod tests;
 use std::ops::Range;
 
 use super::model::{Camera, FeatureId, FitOptions, Model};
+use super::vector::{mean, middle};
 
 /// From so many standard deviations on a proportion is none of a face: one in 370 is, of each, by the model.
 const LIMIT_SD: f64 = 3.0;
@@ -224,7 +225,7 @@ impl Upright {
             .map(|corner| points[corner.index()]);
         let across = [left[0] - right[0], left[1] - right[1]];
         let io_px2 = across[0] * across[0] + across[1] * across[1];
-        let middle = [(left[0] + right[0]) / 2.0, (left[1] + right[1]) / 2.0];
+        let middle = middle(left, right);
         let upright = |[x, y]: [f64; 2]| {
             let [x, y] = [x - middle[0], y - middle[1]];
             [(x * across[0] + y * across[1]) / io_px2, (y * across[0] - x * across[1]) / io_px2]
@@ -233,9 +234,7 @@ impl Upright {
     }
 
     fn middle(&self, of: Range<usize>) -> [f64; 2] {
-        let points = &self.at[of];
-        let sum = points.iter().fold([0.0; 2], |s, p| [s[0] + p[0], s[1] + p[1]]);
-        sum.map(|s| s / points.len() as f64)
+        mean(self.at[of].iter().copied())
     }
 
     fn across(&self, [right, left]: [usize; 2]) -> f64 {

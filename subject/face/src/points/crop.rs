@@ -4,7 +4,7 @@
 use super::Rough;
 use crate::photo::Photo;
 use crate::plane::Plane;
-use crate::vector::{Point, distance, middle};
+use crate::vector::{Point, distance, extent, middle};
 
 /// Width of the crop (pixels): 1.3 distances of the outer eye corners to either side.
 pub(crate) const WIDTH: usize = 224;
@@ -111,9 +111,8 @@ impl Reduced {
         // A block is never larger than the photograph; `as` holds what is not finite.
         let block = (scale.round() as usize).clamp(1, w.min(h).max(1));
         let span = |axis: usize, size: usize| {
-            let values = corners.map(|c| c[axis]);
-            let low = values.into_iter().fold(f64::INFINITY, f64::min) - block as f64;
-            let high = values.into_iter().fold(f64::NEG_INFINITY, f64::max) + 2.0 * block as f64;
+            let (low, high) = extent(corners.map(|c| c[axis]));
+            let (low, high) = (low - block as f64, high + 2.0 * block as f64);
             let low = (low.max(0.0) as usize).min(size.saturating_sub(block));
             let high = (high.max(0.0) as usize).clamp(low + block, size.max(low + block));
             (low, (high - low) / block)
