@@ -10,7 +10,7 @@ pub mod fit;
 pub mod fitted;
 pub mod mapping;
 pub mod model;
-mod oriented;
+mod oriented_gradients;
 pub mod paper;
 pub mod photo;
 pub mod plane;

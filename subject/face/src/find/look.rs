@@ -3,7 +3,7 @@
 
 use super::Found;
 use super::frame::{Frame, length};
-use crate::oriented::{Cells, FLOOR, MIDDLE, WAYS, byte};
+use crate::oriented_gradients::{FLOOR, Histograms, MIDDLE, WAYS, byte};
 use crate::photo::Photo;
 use crate::plane::{Plane, Pyramid};
 use crate::points::Rough;
@@ -54,7 +54,7 @@ pub(super) fn look(pyramid: &Pyramid, frame: &Frame) -> Look {
             *value = plane.sample((px + 0.5) * by - 0.5, (py + 0.5) * by - 0.5).max(0.0).sqrt();
         }
     }
-    let cells = Cells::pooled(&roots, CELL);
+    let cells = Histograms::pooled(&roots, CELL);
     let energy = cells.inner(AROUND).map(|(_, _, cell)| cell.energy).sum::<f32>();
     let whole = (energy / (SIDE * SIDE) as f32).sqrt();
     cells.bytes(AROUND, |cell, bytes| {

@@ -17,6 +17,34 @@ const CONTRAST_FLOOR: f32 = 0.25;
 /// A slope counts at most as this many contrasts: one edge is no face.
 const SLOPE_MAX: f32 = 2.0;
 
+/// Pixels between the eyes where the template fits.
+pub(super) const EYES_PX: f32 = 8.0;
+/// Cells along each side of the template: two and a half distances of the eyes.
+pub(super) const SIDE: usize = 10;
+/// Where the template begins, in distances of the eyes from the middle of the eyes.
+const LEFT: f32 = -1.25;
+const TOP: f32 = -0.75;
+/// What turning by some 30 degrees, the nose to the picture's right, makes of a face: eyes nearer together, the mouth aside,
+/// one half wider.
+const TURNED_FRAME: Frame =
+    Frame { origin: [0.0; 2], across: [0.93, 0.0], down: [0.08, 1.07], turn: -0.25 };
+
+/// Rows of the template that tell most: brows, lids and eyes. What has none is not looked at further.
+const EYE_ROWS: [usize; 3] = [1, 2, 3];
+const OTHER_ROWS: [usize; 7] = [7, 5, 6, 4, 8, 0, 9];
+
+/// Learned by `benches/subject/find_template.py` as logistic functions: what a face has at least by its eyes alone (a
+/// hundredth of the faces learned from has less), what is added for a frontal and for a turned face; then, cell by cell, four
+/// weights, of the left half of a frontal face and of a whole one whose nose points to the picture's right.
+const TABLE: &[u8] = include_bytes!("../../data/face-template.bin");
+const HEAD: [f32; 3] = f32s(TABLE, 0);
+const EYE_ROWS_MIN: f32 = HEAD[0];
+const FRONTAL_BIAS: f32 = HEAD[1];
+const TURNED_BIAS: f32 = HEAD[2];
+/// Bytes before the weights, and of those of a cell.
+const HEAD_BYTES: usize = 3 * size_of::<f32>();
+const CELL_BYTES: usize = size_of::<Cell>();
+
 /// How much brighter it gets to the right, to the left, down and up.
 type Cell = [f32; 4];
 
@@ -117,32 +145,6 @@ fn smooth(cells: &mut [Cell], across: usize) {
     }
 }
 
-/// Pixels between the eyes where the template fits.
-pub(super) const EYES_PX: f32 = 8.0;
-/// Cells along each side of the template: two and a half distances of the eyes.
-pub(super) const SIDE: usize = 10;
-/// Where the template begins, in distances of the eyes from the middle of the eyes.
-const LEFT: f32 = -1.25;
-const TOP: f32 = -0.75;
-/// What turning by some 30 degrees, the nose to the picture's right, makes of a face: eyes nearer together, the mouth aside,
-/// one half wider.
-const TURNED_FRAME: Frame =
-    Frame { origin: [0.0; 2], across: [0.93, 0.0], down: [0.08, 1.07], turn: -0.25 };
-
-/// Rows of the template that tell most: brows, lids and eyes. What has none is not looked at further.
-const EYE_ROWS: [usize; 3] = [1, 2, 3];
-const OTHER_ROWS: [usize; 7] = [7, 5, 6, 4, 8, 0, 9];
-
-/// Learned by `benches/subject/find_template.py` as logistic functions: what a face has at least by its eyes alone (a
-/// hundredth of the faces learned from has less), what is added for a frontal and for a turned face; then, cell by cell, four
-/// weights, of the left half of a frontal face and of a whole one whose nose points to the picture's right.
-const TABLE: &[u8] = include_bytes!("../../data/face-template.bin");
-/// The first of these.
-const HEAD: [f32; 3] = f32s(TABLE, 0);
-/// Bytes before the weights, and of those of a cell.
-const HEAD_BYTES: usize = 3 * size_of::<f32>();
-const CELL_BYTES: usize = size_of::<Cell>();
-
 /// Weights of cells, row by row.
 type Weights = [[Cell; SIDE]; SIDE];
 
@@ -164,13 +166,13 @@ pub(super) struct Template {
 pub(super) static TEMPLATES: [Template; 3] = [
     Template {
         weights: weights(HEAD_BYTES, SIDE / 2),
-        bias: HEAD[1],
+        bias: FRONTAL_BIAS,
         frame: Frame { origin: [0.0; 2], across: [1.0, 0.0], down: [0.0, 1.0], turn: 0.0 },
     },
-    Template { weights: TURNED, bias: HEAD[2], frame: TURNED_FRAME },
+    Template { weights: TURNED, bias: TURNED_BIAS, frame: TURNED_FRAME },
     Template {
         weights: mirrored(TURNED),
-        bias: HEAD[2],
+        bias: TURNED_BIAS,
         frame: Frame { down: [-0.08, 1.07], turn: 0.25, ..TURNED_FRAME },
     },
 ];
@@ -234,7 +236,7 @@ pub(super) fn best_fit(cells: &Cells, column: usize, row: usize) -> Option<Fit> 
     };
     let whole = |sums: &[Cell; 3]| sums.map(|sum| sum.iter().sum::<f32>());
     let sums = add([Cell::default(); 3], &EYE_ROWS);
-    if whole(&sums).iter().all(|&sum| sum < HEAD[0]) {
+    if whole(&sums).iter().all(|&sum| sum < EYE_ROWS_MIN) {
         return None;
     }
     let sums = whole(&add(sums, &OTHER_ROWS));

@@ -214,8 +214,9 @@ fn damaged_models_are_refused() {
         ("\"nose_bottom\"", "\"nose_base\""),
         ("\"contours\": [", "\"contours\": [[],"),
         ("identity", "identify"),
-        (",0.0]", ",1.5]"),
-        ("\"displacements\":[[", "\"displacements\":[[1e8"),
+        ("0.2915]", "1.2915]"),
+        ("\"displacements\":[[", "\"displacements\":[[0,0,0],["),
+        ("[-35.64,", "[-35.64e9,"),
     ] {
         let damaged = text.replacen(from, to, 1);
         assert_ne!(damaged, text, "{from}");

@@ -31,17 +31,12 @@ const LOWER: [f64; 2] = [0.17, -0.13];
 pub fn find(photo: &Photo, rough: &Rough) -> Result<FacePoints, ModelError> {
     let landmarks = Landmarks::of(Model::generic()?);
     let frontal = Pose::frontal(&landmarks, crop::IO, crop::EYES);
-    let glance = Glance::at(photo, rough);
-    let told = glance.told();
-    let others = others(rough, &glance, &told);
-    let mut best = Attempt::from(glance, &told, &frontal);
-    for rough in others {
+    let mut best = Attempt::from(photo, rough, &frontal);
+    for rough in others(rough, &best.glance, &best.told) {
         if best.evidence.confidence() >= SURE {
             break;
         }
-        let glance = Glance::at(photo, &rough);
-        let told = glance.told();
-        let other = Attempt::from(glance, &told, &frontal);
+        let other = Attempt::from(photo, &rough, &frontal);
         if other.evidence.confidence() > best.evidence.confidence() {
             best = other;
         }
@@ -52,6 +47,7 @@ pub fn find(photo: &Photo, rough: &Rough) -> Result<FacePoints, ModelError> {
 /// Where one beginning leads.
 struct Attempt<'a> {
     glance: Glance,
+    told: Told,
     pose: Pose<'a>,
     seen: Seen,
     line: Vec<Ray>,
@@ -59,9 +55,11 @@ struct Attempt<'a> {
 }
 
 impl<'a> Attempt<'a> {
-    fn from(glance: Glance, told: &Told, frontal: &Pose<'a>) -> Self {
+    fn from(photo: &Photo, rough: &Rough, frontal: &Pose<'a>) -> Self {
+        let glance = Glance::at(photo, rough);
+        let told = glance.told();
         let targets = |sd: f64| {
-            TOLD.iter().zip(told).map(move |(landmark, at)| Target {
+            TOLD.iter().zip(&told).map(move |(landmark, at)| Target {
                 landmark: *landmark,
                 at: *at,
                 sd,
@@ -79,14 +77,14 @@ impl<'a> Attempt<'a> {
             pose.fit(&seen.chain(targets(GLANCE_SD)).collect::<Vec<_>>(), 4);
             line = outlined;
         }
-        let evidence = Evidence::of(&pose, &seen, &line, told);
-        Self { glance, pose, seen, line, evidence }
+        let evidence = Evidence::of(&pose, &seen, &line, &told);
+        Self { glance, told, pose, seen, line, evidence }
     }
 }
 
 /// The points of the fitted pose, in the photograph.
 fn collect(attempt: Attempt<'_>) -> FacePoints {
-    let Attempt { glance, pose, seen, line, evidence } = attempt;
+    let Attempt { glance, pose, seen, line, evidence, .. } = attempt;
     let crop = glance.crop();
     let p = pose.project();
     let mut points = FacePoints {

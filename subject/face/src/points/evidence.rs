@@ -174,7 +174,7 @@ struct Term {
 /// Learned by `benches/subject/face_confidence.py`: the constant, then of each term weight, least and largest value.
 const TABLE: &[u8; (1 + 3 * Evidence::COUNT) * size_of::<f64>()] =
     include_bytes!("../../data/face-confidence.bin");
-const CONSTANT: [f64; 1] = f64s(TABLE, 0);
+const CONSTANT: f64 = f64s::<1>(TABLE, 0)[0];
 const TERMS: [Term; Evidence::COUNT] = {
     let mut terms = [Term { weight: 0.0, low: 0.0, high: 0.0 }; Evidence::COUNT];
     let mut i = 0;
@@ -233,7 +233,7 @@ impl Evidence {
     #[must_use]
     pub fn confidence(&self) -> f64 {
         let held = |(term, value): (&Term, f64)| term.weight * value.clamp(term.low, term.high);
-        let log_odds = CONSTANT[0] + TERMS.iter().zip(self.terms()).map(held).sum::<f64>();
+        let log_odds = CONSTANT + TERMS.iter().zip(self.terms()).map(held).sum::<f64>();
         1.0 / (1.0 + (-log_odds).exp())
     }
 }

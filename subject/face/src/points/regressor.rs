@@ -9,7 +9,7 @@ use std::ops::Range;
 
 use super::Rough;
 use super::crop::{Crop, HEIGHT, WIDTH};
-use crate::oriented::{Cells, FLOOR, SLOPE_BYTES, WAYS, byte, ways};
+use crate::oriented_gradients::{FLOOR, Histograms, SLOPE_BYTES, WAYS, byte, ways};
 use crate::photo::Photo;
 use crate::plane::Plane;
 use crate::vector::{self, Point};
@@ -79,7 +79,7 @@ impl Glance {
     /// clockwise, brightness.
     #[must_use]
     pub fn cells(&self) -> Vec<u8> {
-        Cells::pooled(&self.roots, CELL).bytes(0, |_, _| {})
+        Histograms::pooled(&self.roots, CELL).bytes(0, |_, _| {})
     }
 
     /// What each other one does, [`PATCHES_LOOK`] bytes: landmark by landmark, its upper left cell first, then the upper

@@ -37,7 +37,7 @@ pub(crate) fn byte(value: f32) -> u8 {
 
 /// Means over the pixels of a cell.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Cell {
+pub(crate) struct Histogram {
     slopes: [f32; WAYS],
     brightness: f32,
     /// Of squared slopes.
@@ -46,18 +46,18 @@ pub(crate) struct Cell {
 
 /// The cells of a plane, row by row.
 #[derive(Debug)]
-pub(crate) struct Cells {
+pub(crate) struct Histograms {
     across: usize,
     down: usize,
-    cells: Vec<Cell>,
+    cells: Vec<Histogram>,
 }
 
-impl Cells {
+impl Histograms {
     /// Of roots of brightness, whose sides are multiples of the cells'.
     pub(crate) fn pooled(roots: &Plane, side: usize) -> Self {
         let (width, height) = (roots.width(), roots.height());
         let (across, down) = (width / side, height / side);
-        let mut cells = vec![Cell::default(); across * down];
+        let mut cells = vec![Histogram::default(); across * down];
         for y in 0..down * side {
             let (upper, row) = (roots.row(y.saturating_sub(1)), roots.row(y));
             let lower = roots.row((y + 1).min(height - 1));
@@ -87,7 +87,7 @@ impl Cells {
     }
 
     /// Those that are `border` cells from the plane's borders, row by row: row, column, and the cell.
-    pub(crate) fn inner(&self, border: usize) -> impl Iterator<Item = (usize, usize, &Cell)> {
+    pub(crate) fn inner(&self, border: usize) -> impl Iterator<Item = (usize, usize, &Histogram)> {
         let rows = border..self.down - border;
         let places = rows.flat_map(move |y| (border..self.across - border).map(move |x| (y, x)));
         places.filter_map(|(y, x)| Some((y, x, self.cells.get(y * self.across + x)?)))
@@ -95,7 +95,7 @@ impl Cells {
 
     /// Of each of those: eight slopes from the right on clockwise in the contrast of around, brightness in deviations from
     /// the mean, and what `more` adds.
-    pub(crate) fn bytes(&self, border: usize, more: impl Fn(&Cell, &mut Vec<u8>)) -> Vec<u8> {
+    pub(crate) fn bytes(&self, border: usize, more: impl Fn(&Histogram, &mut Vec<u8>)) -> Vec<u8> {
         let bright = || self.inner(border).map(|(_, _, cell)| cell.brightness);
         let count = ((self.down - 2 * border) * (self.across - 2 * border)) as f32;
         let mean = bright().sum::<f32>() / count;
