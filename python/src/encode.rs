@@ -25,20 +25,28 @@ const POSITIONS_AT_ONCE: usize = 1 << 16;
 /// Most markers of a take: their ids have 16 bits.
 const MARKERS_MAX: usize = 1 << 16;
 
+/// How a take is coded, as Python gives it: a dictionary with these keys.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub(crate) struct Coding {
+    rate_hz: f64,
+    /// None keeps every bit.
+    tolerance_mm: Option<f64>,
+    resampler: String,
+    /// As HEADER stores it.
+    up_axis: u8,
+}
+
 /// The bytes of a take of `positions`, float32 [frames, markers, 3] in millimetres, NaN where there is no sample.
-/// `tolerance_mm` of None keeps every bit.
 #[pyfunction]
-#[expect(clippy::too_many_arguments, reason = "named, in Python")]
 pub(crate) fn encode<'py>(
     py: Python<'py>,
     positions: PyReadonlyArray3<'py, f32>,
     labels: Vec<(String, bool)>,
-    rate_hz: f64,
-    tolerance_mm: Option<f64>,
-    resampler: &str,
-    up_axis: u8,
+    coding: Coding,
     threads: usize,
 ) -> PyResult<Bound<'py, PyBytes>> {
+    let Coding { rate_hz, tolerance_mm, resampler, up_axis } = coding;
     let [n_rows, n_markers, axes] = *positions.shape() else {
         return Err(Failure::Value("the array must be [frames, markers, 3]".into()).into());
     };

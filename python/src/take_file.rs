@@ -2,7 +2,7 @@
 
 use std::{ops::Range, path::PathBuf};
 
-use mocapd_take::{TakeMap, damage::Problem, motion::UpAxis, timeline::Causes};
+use mocapd_take::{TakeMap, damage::Problem, timeline::Causes};
 use numpy::{IntoPyArray, PyArray1, PyReadwriteArray3, PyUntypedArrayMethods};
 use pyo3::{
     prelude::*,

@@ -25,7 +25,7 @@ use mocapd_take::{
 use serde::Serialize;
 
 use super::{
-    original::read_motion_and_bytes,
+    original::{header_of, read_motion_and_bytes},
     output::Progress,
     output::{plain, print, print_json, say, shown},
     paths,
@@ -130,25 +130,6 @@ fn check_unit(motion: &Motion, file: &Path, tolerance_mm: f64) -> anyhow::Result
         file.display()
     ))
     .into())
-}
-
-/// The header of a take made of a file, but for its id.
-pub(super) fn header_of(motion: &Motion, file: &Path, codec: &Settings) -> Header {
-    let info = &motion.info;
-    let mut header = header::of_import(codec, info.rate_hz);
-    header.up_axis = info.up;
-    header.stretch_rows =
-        offline::stretch_rows(codec, info.rate_hz, motion.n_frames(), info.markers.len()) as u32;
-    header.channels = header::channels(&info.markers);
-    header.source = Some(ImportSource {
-        format: info.source.format.clone(),
-        file: file.file_name().unwrap_or_default().to_string_lossy().into_owned(),
-        unit: info.source.unit.clone(),
-        factor: info.source.factor,
-        first_frame: info.source.first_frame,
-        warnings: info.source.warnings.clone(),
-    });
-    header
 }
 
 fn write(motion: &Motion, header: &Header, workers: usize, to: &Path) -> anyhow::Result<Written> {

@@ -3,8 +3,13 @@
 use std::{io::Read, path::Path};
 
 use anyhow::{Context, ensure};
-use mocapd_acquire::files;
-use mocapd_take::{interchange::ReadOptions, motion::Motion};
+use mocapd_acquire::{files, header, pipeline::offline};
+use mocapd_codec::Settings;
+use mocapd_take::{
+    interchange::ReadOptions,
+    motion::Motion,
+    record::{Header, ImportSource},
+};
 
 use super::paths;
 
@@ -54,4 +59,23 @@ pub(super) fn read_motion_and_bytes(
         RATE_HZ.end()
     );
     Ok((motion, bytes))
+}
+
+/// The header of a take made of a file, but for its id.
+pub(super) fn header_of(motion: &Motion, file: &Path, codec: &Settings) -> Header {
+    let info = &motion.info;
+    let mut header = header::of_import(codec, info.rate_hz);
+    header.up_axis = info.up;
+    header.stretch_rows =
+        offline::stretch_rows(codec, info.rate_hz, motion.n_frames(), info.markers.len()) as u32;
+    header.channels = header::channels(&info.markers);
+    header.source = Some(ImportSource {
+        format: info.source.format.clone(),
+        file: file.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+        unit: info.source.unit.clone(),
+        factor: info.source.factor,
+        first_frame: info.source.first_frame,
+        warnings: info.source.warnings.clone(),
+    });
+    header
 }

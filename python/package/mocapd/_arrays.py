@@ -6,11 +6,15 @@ import os
 import secrets
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from ._native import TakeError, TakeFile, encode
+
+if TYPE_CHECKING:
+    from ._native import Coding
 
 # The rate that `compress` states: with it a decoder can start every 1000 frames.
 _NOMINAL_HZ = 100.0
@@ -91,7 +95,7 @@ def compress(
     positions = _positions(array)
     labels = [(f"u{column + 1:03}", False) for column in range(positions.shape[1])]
     tolerance = _tolerance(tolerance_mm, resampler)
-    return encode(positions, labels, _NOMINAL_HZ, tolerance, resampler, 0, threads_of(threads))
+    return encode(positions, labels, _coding(_NOMINAL_HZ, tolerance, resampler, None), threads_of(threads))
 
 
 def decompress(data: bytes, *, threads: int | None = None) -> npt.NDArray[np.float32]:
@@ -170,9 +174,14 @@ def write_take(
     to = Path(path)
     if to.exists():
         raise FileExistsError(17, "takes are never overwritten: choose another name", str(to))
-    take = encode(array, named, float(rate_hz), tolerance, resampler, _UP_AXES[up_axis], threads_of(threads))
+    take = encode(array, named, _coding(float(rate_hz), tolerance, resampler, up_axis), threads_of(threads))
     _put(to, take)
     return len(take)
+
+
+def _coding(rate_hz: float, tolerance_mm: float | None, resampler: str, up_axis: str | None) -> Coding:
+    """How a take is coded, as the native module takes it."""
+    return {"rate_hz": rate_hz, "tolerance_mm": tolerance_mm, "resampler": resampler, "up_axis": _UP_AXES[up_axis]}
 
 
 def _put(to: Path, data: bytes) -> None:

@@ -1,5 +1,5 @@
 import os
-from typing import Any, final
+from typing import Any, TypedDict, final
 
 import numpy as np
 import numpy.typing as npt
@@ -40,12 +40,12 @@ class TakeFile:
     ) -> tuple[npt.NDArray[np.uint64], npt.NDArray[np.uint64], npt.NDArray[np.bool_]]: ...
     def lost(self) -> list[tuple[int, int, str]]: ...
 
+class Coding(TypedDict):
+    rate_hz: float
+    tolerance_mm: float | None
+    resampler: str
+    up_axis: int
+
 def encode(
-    positions: npt.NDArray[np.float32],
-    labels: list[tuple[str, bool]],
-    rate_hz: float,
-    tolerance_mm: float | None,
-    resampler: str,
-    up_axis: int,
-    threads: int,
+    positions: npt.NDArray[np.float32], labels: list[tuple[str, bool]], coding: Coding, threads: int
 ) -> bytes: ...

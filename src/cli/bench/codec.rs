@@ -23,8 +23,7 @@ use mocapd_take::{
 use serde::Serialize;
 
 use crate::cli::{
-    import::header_of,
-    original::read_motion,
+    original::{header_of, read_motion},
     output::{plain, print, print_json, say},
 };
 

@@ -16,6 +16,9 @@ use super::{
     output::{print, print_json, say},
 };
 
+/// Columns of the terminal that labels are given at most; a longer one moves its own line.
+const LABEL_COLUMNS_MAX: usize = 64;
+
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// The take

@@ -8,7 +8,7 @@ use mocapd_service::subject::{
 use mocapd_take::record::Subject;
 use serde::Serialize;
 
-use super::words::LABEL_COLUMNS_MAX;
+use super::LABEL_COLUMNS_MAX;
 use crate::cli::values::{bytes, count};
 
 #[derive(Debug, Serialize)]

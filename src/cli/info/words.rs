@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use mocapd_service::units;
 
-use super::report::Report;
+use super::{LABEL_COLUMNS_MAX, report::Report};
 use crate::cli::{
     clock::ClockReport,
     damage, ledger,
@@ -165,9 +165,6 @@ fn size(report: &Report, line: &mut impl FnMut(&str, &str)) {
         line("SR1, SR2", &format!("{sr1:.2}, {sr2:.2} (Shi et al. 2012, eq. 7 and 8)"));
     }
 }
-
-/// Columns of the terminal that labels are given at most; a longer one moves its own line.
-pub(super) const LABEL_COLUMNS_MAX: usize = 64;
 
 fn markers(report: &Report, out: &mut String) {
     let label = |channel: &super::report::ChannelReport| {

@@ -17,7 +17,7 @@ use mocapd_take::motion::{Motion, is_gap};
 
 use crate::cli::plot;
 use crate::cli::{
-    import::header_of,
+    original::header_of,
     output::Progress,
     values::count,
     whole::{name, read_samples},

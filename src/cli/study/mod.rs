@@ -23,7 +23,7 @@ use mocapd_take::{escape::to_cell, motion::Motion};
 
 use self::report::Report;
 use super::{
-    import::header_of,
+    original::header_of,
     output::Progress,
     output::{print, print_json},
     whole::write_new,
