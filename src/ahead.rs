@@ -83,8 +83,7 @@ struct Rows {
 
 impl Ahead {
     /// Starts threads for the take at `path`, which `frames` was opened of, from `first_row` on; `None` where that is better
-    /// read by one: where it has a flaw or a single key, or where stretches are so long that there is memory for one of
-    /// them only.
+    /// read by one: where it has a flaw, or where stretches are so long that there is memory for one of them only.
     ///
     /// # Errors
     /// When the file cannot be opened again, or the system refuses a thread.
@@ -98,10 +97,11 @@ impl Ahead {
         let n_samples = take.n_rows.saturating_sub(first_row).saturating_mul(n_markers);
         let n_pieces = (n_samples / PIECE_SAMPLES).max(n_threads as u64);
         let pieces = take.pieces(&(first_row..take.n_rows), n_pieces as usize);
-        let n_threads = threads_max(take, n_markers).min(n_threads).min(pieces.len());
-        if !frames.problems().is_empty() || n_threads < 2 {
+        let n_threads = threads_max(take, n_markers).min(n_threads);
+        if !frames.problems().is_empty() || n_threads < 2 || n_markers == 0 {
             return Ok(None);
         }
+        let n_threads = n_threads.min(pieces.len());
         Self::with_threads(path, frames, pieces, n_threads).map(Some)
     }
 
@@ -216,13 +216,15 @@ fn threads_max(take: &TakeMap, n_markers: u64) -> usize {
 fn work(mut take: TakeTraversal<File>, n_markers: usize, jobs: &Receiver<Job>) {
     for Job { rows, decoded } in jobs {
         let read = take.read_rows(&rows, |take, held, offset| {
-            let sent = send_rows(take, held, offset, n_markers, &decoded);
-            sent.ok_or_else(|| io::Error::from(io::ErrorKind::BrokenPipe).into())
+            // Before anything behind it is read as if nothing were missing.
+            let sent =
+                take.is_intact() && send_rows(take, held, offset, n_markers, &decoded).is_some();
+            if sent { Ok(()) } else { Err(io::Error::from(io::ErrorKind::BrokenPipe).into()) }
         });
         let last = match read {
+            _ if !take.is_intact() => Decoded::Flaw,
+            Ok(()) => Decoded::End,
             Err(error) => Decoded::Failed(error),
-            Ok(()) if take.is_intact() => Decoded::End,
-            Ok(()) => Decoded::Flaw,
         };
         if decoded.send(last).is_err() {
             return;

@@ -97,7 +97,8 @@ fn stretches_that_fill_the_memory_are_read_by_one() {
     let frames = open(&path);
     let memory = MEMORY_MAX / (70 * 3200 * SAMPLE_BYTES);
     assert_eq!(threads_max(frames.map(), 70) as u64, memory);
-    assert!(Ahead::start(&path, &frames, 0, 1000).unwrap().is_none());
+    assert!(Ahead::start(&path, &frames, 0, 1000).unwrap().is_some());
+    assert!(Ahead::start(&path, &frames, 0, 1).unwrap().is_none());
 }
 
 #[test]

@@ -391,8 +391,8 @@ impl<R: Read + Seek> TakeTraversal<R> {
         let Some(&key) = behind.checked_sub(1).and_then(|at| take.keys.get(at)) else {
             return Ok(());
         };
-        let is_behind = key.first_row <= self.progress.end_row() || key.offset <= self.at;
-        if is_behind || self.ended {
+        let is_read = self.at > MAGIC.len() as u64 && key.first_row <= self.progress.end_row();
+        if is_read || key.offset <= self.at || self.ended {
             return Ok(());
         }
         self.input.seek(SeekFrom::Start(key.offset))?;

@@ -99,6 +99,7 @@ fn as_recovery(error: TakeError) -> TakeError {
 }
 
 /// What becomes of a chunk.
+#[derive(Debug, Clone, Copy)]
 enum Fate {
     /// It is copied.
     Kept,
