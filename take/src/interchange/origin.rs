@@ -1,5 +1,6 @@
 //! Samples exactly at the origin: some software writes `0 0 0` for a marker that it does not see.
 
+use super::units::median;
 use crate::{
     ambiguity::{Ambiguity, Notes},
     motion::{GAP, Position, is_gap},
@@ -89,32 +90,22 @@ fn judge(positions: &[Position], n_markers: usize, marker: usize, missing: &mut 
         .filter(|pair| pair.iter().all(|(_, at)| *at != ORIGIN))
         .filter_map(|pair| Some(distance(pair.first()?.1, pair.last()?.1)))
         .collect();
-    let middle = steps.len() / 2;
-    let usual = if steps.is_empty() {
-        0.0
-    } else {
-        *steps.select_nth_unstable_by(middle, f64::total_cmp).1
-    };
+    let usual = median(&mut steps).unwrap_or(0.0);
     let is_near = |at: Option<&(usize, Position)>| {
         at.is_some_and(|&(_, at)| distance(at, ORIGIN) <= STEPS * usual)
     };
-    let mut start = 0;
-    while start < all.len() {
-        let run = all[start..].iter().take_while(|(_, at)| *at == ORIGIN).count();
-        if run == 0 {
-            start += 1;
-            continue;
-        }
-        let before = start.checked_sub(1).and_then(|before| all.get(before));
-        let after = all.get(start + run);
+    let mut runs = all.chunk_by(|(_, a), (_, b)| (*a == ORIGIN) == (*b == ORIGIN)).peekable();
+    let mut before = None;
+    while let Some(run) = runs.next() {
+        let after = runs.peek().and_then(|next| next.first());
         // A marker in motion is at the origin for a frame.
-        let passes = run == 1 && (is_near(before) || is_near(after));
-        for &(frame, _) in all.iter().skip(start).take(run).filter(|_| !passes) {
+        let passes = run.len() == 1 && (is_near(before) || is_near(after));
+        for &(frame, _) in run.iter().filter(|(_, at)| *at == ORIGIN && !passes) {
             if let Some(place) = missing.get_mut(frame * n_markers + marker) {
                 *place = true;
             }
         }
-        start += run;
+        before = run.last();
     }
 }
 

@@ -60,7 +60,8 @@ pub(super) fn three_cells(cells: &mut dyn Iterator<Item = &[u8]>) -> Cells {
 /// A table as it is read, row after row.
 pub(super) struct Table<'a> {
     format: &'static str,
-    bytes: &'a [u8],
+    /// The whole file.
+    pub(super) bytes: &'a [u8],
     millimetres: Millimetres,
     /// Whether three zeros stand for a missing sample.
     zeros_are_gaps: bool,

@@ -38,7 +38,7 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let mut table = Table::new("trc", bytes, Millimetres::new(unit.factor, options.turn()));
     let warnings = &mut notes.warnings;
     let separator = separator_of_rows(bytes, &head);
-    let width = read_rows(&mut table, bytes, &head, separator, warnings)?;
+    let width = read_rows(&mut table, &head, separator, warnings)?;
     table.place(Some(head.rate_hz), width, warnings);
     let frames_missing = table.n_missing(head.n_frames, warnings);
     // A label with a space in it counts as several where spaces separate them.
@@ -198,11 +198,11 @@ fn malformed(place: &str, message: &str) -> InterchangeError {
 /// Reads everything below the labels. Returns the number of markers of the widest row.
 fn read_rows(
     table: &mut Table<'_>,
-    bytes: &[u8],
     head: &Head,
     separator: Separator,
     warnings: &mut Vec<String>,
 ) -> Result<usize> {
+    let bytes = table.bytes;
     let exact_width = match separator {
         Separator::Byte(_) => None,
         Separator::Spaces => exact_width(bytes, head)?,
@@ -286,25 +286,18 @@ fn separator_of_rows(bytes: &[u8], head: &Head) -> Separator {
 /// # Errors
 /// `Malformed` when no row agrees.
 fn exact_width(bytes: &[u8], head: &Head) -> Result<Option<usize>> {
-    let announced = head.n_markers.and_then(|n| usize::try_from(n).ok());
-    let stated = [announced, Some(head.labels.len())].map(|n| n.filter(|&n| n > 0));
-    let mut agreeing = [0usize; 2];
-    let mut n_rows = 0usize;
-    for (_, line) in text::lines(bytes).skip(head.labels_line) {
-        if frame_number(line, Separator::Spaces).is_none() {
-            continue;
-        }
-        n_rows += 1;
-        let width = width_of(line);
-        for (count, stated) in agreeing.iter_mut().zip(stated) {
-            *count += usize::from(stated.is_some() && stated == width);
-        }
-    }
-    let [by_number, by_labels] = agreeing;
-    let [of_number, of_labels] = stated;
-    let preferred = if by_labels > by_number { of_labels } else { of_number.or(of_labels) };
+    let announced = head.n_markers.and_then(|n| usize::try_from(n).ok()).filter(|&n| n > 0);
+    let labelled = Some(head.labels.len()).filter(|&n| n > 0);
+    let rows = text::lines(bytes).skip(head.labels_line).map(|(_, line)| line);
+    let rows = rows.filter(|line| frame_number(line, Separator::Spaces).is_some());
+    let widths: Vec<Option<usize>> = rows.map(width_of).collect();
+    let agreeing = |stated: Option<usize>| {
+        widths.iter().filter(|&&width| width.is_some() && width == stated).count()
+    };
+    let (by_number, by_labels) = (agreeing(announced), agreeing(labelled));
+    let preferred = if by_labels > by_number { labelled } else { announced.or(labelled) };
     let Some(width) = preferred else { return Ok(None) };
-    if n_rows > 0 && by_number.max(by_labels) == 0 {
+    if !widths.is_empty() && by_number.max(by_labels) == 0 {
         let message = format!(
             "expected rows of {} cells between spaces (frame, time, and three for each of {width} markers), found none: \
              a missing marker has no cells there, and which one is missing is not known; separate the cells by tabs",

@@ -230,11 +230,14 @@ fn span(positions: &[Position], n_markers: usize) -> f64 {
         .filter(|frame| frame.iter().filter(|&&at| !is_gap(at)).count() > 1)
         .map(|frame| extent(frame.iter().copied()))
         .collect();
-    if spans.is_empty() {
-        return extent(measured(positions, n_markers).flatten().copied());
-    }
-    let middle = spans.len() / 2;
-    *spans.select_nth_unstable_by(middle, f64::total_cmp).1
+    let of_path = || extent(measured(positions, n_markers).flatten().copied());
+    median(&mut spans).unwrap_or_else(of_path)
+}
+
+/// The middle one of values; `None` of none.
+pub(super) fn median(values: &mut [f64]) -> Option<f64> {
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 /// The largest distance from the origin along an axis.

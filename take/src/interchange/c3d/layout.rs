@@ -445,10 +445,10 @@ impl<'a> FrameCounts<'a> {
             }
         }
         let found = found.or_else(|| fits(&|fit| fit != Fit::Short)).or(self.stated.first());
-        match found {
-            Some(&(place, n_frames)) => FrameCount { n_frames, place: Some(place) },
-            None => FrameCount { n_frames: 0, place: None },
-        }
+        found.map_or(FrameCount { n_frames: 0, place: None }, |&(place, n_frames)| FrameCount {
+            n_frames,
+            place: Some(place),
+        })
     }
 
     /// The number of the first frame: the one of the TRIAL group where its count was taken.

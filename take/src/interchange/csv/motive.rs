@@ -39,7 +39,7 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let stated = head.value("Length Units").unwrap_or_default();
     let unit = FileUnit::of(stated, options.unit, &mut notes);
     let mut table = Table::new("csv", bytes, Millimetres::new(unit.factor, options.turn()));
-    read_rows(&mut table, bytes, &head, &columns, &mut notes.warnings);
+    read_rows(&mut table, &head, &columns, &mut notes.warnings);
     let rate = |name: &str| text::rate(head.value(name)?.as_bytes());
     let stated_hz = rate("Export Frame Rate").or_else(|| rate("Capture Frame Rate"));
     let rate_hz = table.place(stated_hz, columns.len(), &mut notes.warnings).ok_or_else(|| {
@@ -224,13 +224,8 @@ impl Head {
     }
 }
 
-fn read_rows(
-    table: &mut Table<'_>,
-    bytes: &[u8],
-    head: &Head,
-    columns: &[Column],
-    warnings: &mut Vec<String>,
-) {
+fn read_rows(table: &mut Table<'_>, head: &Head, columns: &[Column], warnings: &mut Vec<String>) {
+    let bytes = table.bytes;
     let mut n_cells = 0;
     for (_, line) in text::lines(bytes).skip(head.n_lines) {
         if line.trim_ascii().is_empty() {

@@ -29,7 +29,7 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let unit = FileUnit::of(head.value("units").unwrap_or(ours), options.unit, &mut notes)
         .or_usually_millimetres();
     let mut table = Table::new("csv", bytes, Millimetres::new(unit.factor, options.turn()));
-    read_rows(&mut table, bytes, &head, &mut notes.warnings);
+    read_rows(&mut table, &head, &mut notes.warnings);
     let up = head.value("up").and_then(UpAxis::from_name).unwrap_or_default();
     let up = options.up(up, &mut notes);
     let n_markers = head.labels.len();
@@ -152,7 +152,8 @@ fn label_of(columns: &[String]) -> Option<&str> {
     same.then_some(label)
 }
 
-fn read_rows(table: &mut Table<'_>, bytes: &[u8], head: &Head, warnings: &mut Vec<String>) {
+fn read_rows(table: &mut Table<'_>, head: &Head, warnings: &mut Vec<String>) {
+    let bytes = table.bytes;
     let mut extra = 0usize;
     let mut n_cells = 0;
     let is_open = !bytes.ends_with(b"\n");
