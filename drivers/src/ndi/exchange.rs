@@ -3,7 +3,7 @@
 use super::{
     frame::{read_bx, read_bx2},
     host::{Asked, Drain, MS, NdiHost, OnEvent, Outcome, Owed, State, Task},
-    message::{self, Look, code},
+    message::{self, Look, REPLY_BYTES_MAX, code},
 };
 use crate::transport::turns::{Order, Request};
 
@@ -103,7 +103,9 @@ impl NdiHost {
         };
         if !bytes.is_empty() {
             asked.active_ns = asked.active_ns.max(now_ns);
-            let fits = self.reply.extend(bytes)
+            let room = REPLY_BYTES_MAX - self.reply.len();
+            self.reply.extend_from_slice(bytes.get(..room).unwrap_or(bytes));
+            let fits = bytes.len() <= room
                 && (!self.is_guessing() || self.reply.len() <= SEEKING_BYTES_MAX);
             if fits {
                 self.look(on_event);
@@ -111,7 +113,7 @@ impl NdiHost {
                 self.damaged(now_ns);
             }
         } else if now_ns.saturating_sub(asked.active_ns) > asked.patience_ns {
-            if self.reply.len() > 0 {
+            if !self.reply.is_empty() {
                 // The end is missing, and more will not come.
                 self.count_damage();
             }
@@ -145,12 +147,12 @@ impl NdiHost {
     fn look(&mut self, on_event: OnEvent<'_>) {
         let now_ns = self.desk.now_ns();
         let Some(task) = self.asked.map(|asked| asked.task) else { return };
-        match self.reply.look() {
+        match message::look(&self.reply) {
             Look::NotYet => {}
             Look::Damaged => self.damaged(now_ns),
-            Look::Binary(range) => {
+            Look::Binary(block) => {
                 let read = if self.bx2 { read_bx2 } else { read_bx };
-                if task == Task::Poll && read(self.reply.get(range), &mut self.seen).is_some() {
+                if task == Task::Poll && read(block, &mut self.seen).is_some() {
                     self.counters.messages += 1;
                     self.asked = None;
                     self.polls_lost = 0;
@@ -159,9 +161,9 @@ impl NdiHost {
                     self.damaged(now_ns);
                 }
             }
-            Look::Text(range) => {
+            Look::Text(text) => {
                 // Answers are ASCII, and the copy is of a rare one.
-                let text = String::from_utf8_lossy(self.reply.get(range)).into_owned();
+                let text = String::from_utf8_lossy(text).into_owned();
                 self.counters.messages += 1;
                 match message::error_code(&text) {
                     Some(code) => self.refused(task, code, on_event),

@@ -2,7 +2,7 @@
 
 use super::{
     frame::{STRAYS_MAX, Seen, TOOLS_MAX},
-    message::{BAUD_AT_RESET, ReplyBuffer, at_most},
+    message::{BAUD_AT_RESET, REPLY_BYTES_MAX, at_most},
     run::{Pace, Run},
     strays::Strays,
 };
@@ -133,7 +133,8 @@ pub struct NdiHost {
     pub(super) owed: Owed,
     pub(super) asked: Option<Asked>,
     pub(super) drain: Option<Drain>,
-    pub(super) reply: ReplyBuffer,
+    /// The bytes since the request, up to `REPLY_BYTES_MAX`.
+    pub(super) reply: Vec<u8>,
     pub(super) counters: LinkCounters,
     pub(super) hello: Hello,
     pub(super) table: Vec<MarkerInfo>,
@@ -167,7 +168,7 @@ impl NdiHost {
             owed: Owed::default(),
             asked: None,
             drain: None,
-            reply: ReplyBuffer::new(),
+            reply: Vec::with_capacity(REPLY_BYTES_MAX),
             counters: LinkCounters::default(),
             hello: Hello::default(),
             table: Vec::new(),

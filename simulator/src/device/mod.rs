@@ -90,7 +90,7 @@ impl Device {
             }
             _ => {}
         }
-        let rates = Rates::new(&motion, &settings)?;
+        let rates = Rates::new(&motion, settings.rate_hz, settings.speed)?;
         let clock = DeviceClock::new(settings.drift_ppm)?;
         let faults = settings.faults.clone();
         let faults = faults.map(|script| SourceFaults::new(script, found));

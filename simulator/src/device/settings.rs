@@ -134,10 +134,13 @@ pub(crate) struct Rates {
 }
 
 impl Rates {
-    pub(crate) fn new(motion: &Motion, settings: &DeviceSettings) -> Result<Self, DeviceError> {
+    pub(crate) fn new(
+        motion: &Motion,
+        wanted_hz: Option<f64>,
+        speed: f64,
+    ) -> Result<Self, DeviceError> {
         let found_hz = motion.info.rate_hz;
         let recorded_mhz = to_mhz(found_hz).ok_or(DeviceError::MotionRate { found_hz })?;
-        let speed = settings.speed;
         if !(0.001..=1000.0).contains(&speed) {
             return Err(DeviceError::Speed { found: speed });
         }
@@ -147,7 +150,7 @@ impl Rates {
             let rate_hz = f64::from(rate_mhz) / 1000.0;
             to_mhz(product_hz).ok_or(DeviceError::Product { rate_hz, speed, product_hz })
         };
-        let (native_mhz, rate_mhz) = match settings.rate_hz {
+        let (native_mhz, rate_mhz) = match wanted_hz {
             None => faster(recorded_mhz).map(|native| (Some(native), native))?,
             Some(found_hz) => {
                 let asked = to_mhz(found_hz).ok_or(DeviceError::Rate { found_hz })?;

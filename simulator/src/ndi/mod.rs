@@ -13,7 +13,7 @@ use mocapd_drivers::ndi::{BAUD_AT_RESET, ReceivedRequest, RequestLine, put_text}
 use mocapd_take::motion::{Marker, Motion};
 use setup::Ports;
 
-use crate::device::{DeviceError, DeviceSettings, LineDevice, Outbox, Rates, SentFrame, SentLog};
+use crate::device::{DeviceError, LineDevice, Outbox, Rates, SentFrame, SentLog};
 use crate::replay::Replay;
 
 mod frames;
@@ -82,12 +82,7 @@ impl NdiDevice {
         if markers.len() > STRAYS_MAX {
             return Err(NdiError::TooManyStrays { found: markers.len() });
         }
-        let rated = DeviceSettings {
-            rate_hz: settings.rate_hz,
-            speed: settings.speed,
-            ..DeviceSettings::default()
-        };
-        let rates = Rates::new(&motion, &rated)?;
+        let rates = Rates::new(&motion, settings.rate_hz, settings.speed)?;
         let n_columns = markers.len();
         let replay = rates.replay(motion, rates.rate_mhz);
         let mut outbox = Outbox::default();
