@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use crate::mesh::Point;
+
 /// Which of a pair. Where left and right could not be told ([`Joints::sides_told`]), all of one side's joints are still on
 /// one side of the body, and nobody knows which.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -59,4 +61,11 @@ pub struct Joints {
     /// Relative standard deviation of all lengths together, beside what each joint's own says: 0 where nothing doubts the
     /// body's size.
     pub size_sigma: f64,
+}
+
+impl Joints {
+    /// Where a joint is.
+    pub(crate) fn point(&self, joint: Joint) -> Option<Point> {
+        self.estimates.get(&joint).map(|estimate| estimate.position.into())
+    }
 }

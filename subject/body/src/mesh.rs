@@ -47,6 +47,12 @@ impl Mesh {
         if total > 0.0 { sum / total } else { Point::zeros() }
     }
 
+    /// Leaves out triangles by their indices; vertices stay.
+    pub(crate) fn keep_triangles(&mut self, kept: impl Fn(usize) -> bool) {
+        let mut index = 0..;
+        self.triangles.retain(|_| index.next().is_some_and(&kept));
+    }
+
     /// What a closed surface encloses; negative where it faces inside.
     pub(crate) fn volume(&self) -> f64 {
         let origin = self.point(0);
@@ -85,6 +91,14 @@ pub(crate) fn distance(a: impl Into<Point>, b: impl Into<Point>) -> f64 {
 pub(crate) fn unit(direction: Point) -> Point {
     let length = direction.norm();
     if length > 0.0 { direction * (1.0 / length) } else { Point::zeros() }
+}
+
+/// Directions to the left, up and forward, square to each other: up as it is, and left as near as may be to `across`. Nothing
+/// where these are none.
+pub(crate) fn axes(up: Point, across: Point) -> Option<[Point; 3]> {
+    let up = unit(up);
+    let left = unit(across - up * across.dot(&up));
+    (up.norm() > 0.5 && left.norm() > 0.5).then(|| [left, up, left.cross(&up)])
 }
 
 /// Mean of points; nothing of none.

@@ -60,8 +60,7 @@ fn limb(joints: &Joints, [root, middle, end]: [fn(Side) -> Joint; 3]) -> Option<
 }
 
 fn way(joints: &Joints, from: Joint, to: Joint) -> Option<f64> {
-    let at = |joint: Joint| joints.estimates.get(&joint).map(|estimate| estimate.position);
-    Some(distance(at(from)?, at(to)?))
+    Some(distance(joints.point(from)?, joints.point(to)?))
 }
 
 // Where limbs have grown together with the trunk, as of somebody who crouches with the arms around the knees, ways lead across

@@ -62,7 +62,7 @@ impl Survey {
         let settled = settle(&graph, &extremities, ends.fields, &ends.spread, &mut workspace);
         // An end that nobody reaches, ways that contradict each other, a limb without a middle, or a trunk longer than any:
         // the surface is joined where a body is not.
-        let handles = usize::try_from((2 - adjacency.euler_characteristic()) / 2).unwrap_or(0);
+        let handles = adjacency.handles();
         let contact = Refusal::Contact { handles };
         let landmarks = Landmarks::new(mesh, &settled.fields()).ok_or(contact)?;
         if ends.told != Told::Freely && !landmarks.ends_may_be_right() {
@@ -129,7 +129,7 @@ impl Survey {
         start: u32,
         refusal: Refusal,
     ) -> Refusal {
-        let handles = usize::try_from((2 - adjacency.euler_characteristic()) / 2).unwrap_or(0);
+        let handles = adjacency.handles();
         match Self::by_default(mesh) {
             Err(of_scan) => of_scan,
             Ok(found) if found.in_contact || handles > 0 => Refusal::Contact { handles },

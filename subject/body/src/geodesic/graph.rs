@@ -70,6 +70,11 @@ impl Adjacency {
         &self.triangle_edges
     }
 
+    /// How many handles a closed surface has.
+    pub(crate) fn handles(&self) -> usize {
+        usize::try_from((2 - self.euler_characteristic()) / 2).unwrap_or(0)
+    }
+
     /// Vertices that a triangle uses - edges + triangles: 2 for a closed surface without handles, 2 - 2g with g of them.
     #[must_use]
     pub fn euler_characteristic(&self) -> i64 {

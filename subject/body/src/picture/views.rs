@@ -3,7 +3,7 @@
 use super::shade::{Shade, loops};
 use super::sheet::{DIM, INK, Sheet, Stand};
 use super::{Drawing, Line, colour};
-use crate::mesh::{Point, mean, unit};
+use crate::mesh::{Point, axes, mean};
 use crate::skeleton::joint_name;
 use crate::{Estimate, Joint, Joints, Side};
 
@@ -306,7 +306,7 @@ impl Upright {
     pub(super) fn of(drawing: &Drawing<'_>) -> Self {
         let positions = drawing.mesh.map_or(&[][..], |mesh| &mesh.positions);
         let middle = mean(positions.iter().map(|at| Point::from(*at))).unwrap_or_default();
-        let axes = axes(&drawing.joints);
+        let axes = upright_axes(&drawing.joints);
         Self { axes: axes.unwrap_or([Point::x(), Point::y(), Point::z()]), middle }
     }
 
@@ -323,16 +323,14 @@ impl Upright {
     }
 }
 
-fn axes(joints: &Joints) -> Option<[Point; 3]> {
-    let at = |joint: Joint| joints.estimates.get(&joint).map(|found| Point::from(found.position));
-    let across = |joint: fn(Side) -> Joint| Some(at(joint(Side::Left))? - at(joint(Side::Right))?);
-    let pelvis = at(Joint::Pelvis)
-        .or_else(|| mean([at(Joint::Hip(Side::Left))?, at(Joint::Hip(Side::Right))?]))?;
+fn upright_axes(joints: &Joints) -> Option<[Point; 3]> {
+    let at = |joint: Joint| joints.point(joint);
+    let both = |joint: fn(Side) -> Joint| at(joint(Side::Left)).zip(at(joint(Side::Right)));
+    let hips = both(Joint::Hip);
+    let pelvis = at(Joint::Pelvis).or_else(|| mean(<[Point; 2]>::from(hips?)))?;
     let top = at(Joint::Throat).or_else(|| at(Joint::Head))?;
-    let up = unit(top - pelvis);
-    let wide = across(Joint::Shoulder).or_else(|| across(Joint::Hip))?;
-    let left = unit(wide - up * wide.dot(&up));
-    (up.norm() > 0.5 && left.norm() > 0.5).then(|| [left, up, left.cross(&up)])
+    let (left, right) = both(Joint::Shoulder).or(hips)?;
+    axes(top - pelvis, left - right)
 }
 
 /// How much of the paper a length is, and where the origin lies.

@@ -82,9 +82,8 @@ pub(super) fn needless_triangles(mesh: &mut Mesh, notes: &mut Vec<Note>) {
     if 2.0 * twins.len() as f64 > TWO_SIDED * mesh.triangles.len() as f64 {
         twins.iter().for_each(|&index| again[index as usize] = true);
     }
-    let mut again = again.into_iter();
     let before = mesh.triangles.len();
-    mesh.triangles.retain(|_| !again.next().unwrap_or(false));
+    mesh.keep_triangles(|triangle| !again[triangle]);
     let twice = before - mesh.triangles.len();
     drop_unused(mesh);
     if degenerate + twice > 0 {
@@ -196,8 +195,7 @@ pub(super) fn other_pieces(mesh: &mut Mesh, notes: &mut Vec<Note>) -> Result<(),
         100.0 * second / all
     );
     notes.push(Note::new("pieces-left-out", text));
-    let mut of = pieces.into_iter();
-    mesh.triangles.retain(|_| of.next() == Some(best as u32));
+    mesh.keep_triangles(|triangle| pieces[triangle] == best as u32);
     drop_unused(mesh);
     Ok(())
 }

@@ -57,8 +57,7 @@ fn take_out(mesh: &mut Mesh) -> usize {
         }
     }
     let before = mesh.triangles.len();
-    let mut out = out.into_iter();
-    mesh.triangles.retain(|_| out.next() != Some(true));
+    mesh.keep_triangles(|triangle| !out[triangle]);
     before - mesh.triangles.len()
 }
 

@@ -7,7 +7,7 @@ use nalgebra::{Matrix4, Vector4};
 
 use super::json::LENGTH_MAX_MM;
 use super::{Length, joint_name};
-use crate::mesh::{Point, distance, mean, unit};
+use crate::mesh::{Point, axes, distance, mean, unit};
 use crate::{Joint, Joints, Side};
 
 /// Scans that are needed.
@@ -73,14 +73,10 @@ struct Trunk {
 
 impl Trunk {
     fn of(scan: &Joints) -> Option<Self> {
-        let at = |joint: Joint| scan.estimates.get(&joint).map(|found| Point::from(found.position));
-        let origin = at(Joint::Throat)?;
-        let hips = [at(Joint::Hip(Side::Left))?, at(Joint::Hip(Side::Right))?];
-        let up = unit(origin - mean(hips)?);
-        let across = hips[0] - hips[1];
-        let left = unit(across - up * across.dot(&up));
-        (up.norm() > 0.0 && left.norm() > 0.0)
-            .then(|| Self { origin, axes: [left, up, left.cross(&up)] })
+        let origin = scan.point(Joint::Throat)?;
+        let [left, right] = Side::BOTH.map(|side| scan.point(Joint::Hip(side)));
+        let (left, right) = left.zip(right)?;
+        Some(Self { origin, axes: axes(origin - mean([left, right])?, left - right)? })
     }
 
     fn inward(&self, p: Point) -> Point {
