@@ -115,6 +115,25 @@ impl History {
             _ => self.last.wrapping_mul(2).wrapping_sub(self.before),
         }
     }
+
+    /// The code of the next value.
+    fn code(&mut self, value: i64, order: usize) -> u64 {
+        let code = zigzag(value.wrapping_sub(self.predict(order)));
+        self.push(value);
+        code
+    }
+
+    /// The next value, of its code.
+    fn value(&mut self, code: u64, order: usize) -> i64 {
+        let value = self.predict(order).wrapping_add(unzigzag(code));
+        self.push(value);
+        value
+    }
+
+    /// How many of the next values come before the groups.
+    fn first_values(&self, order: usize, n: usize) -> usize {
+        order.saturating_sub(self.known).min(n)
+    }
 }
 
 /// The lowest of equals, because it suffers least from a gap.
@@ -124,38 +143,29 @@ fn smallest_order(column: &[i64], history: History) -> usize {
 
 /// Bytes that [`write_column`] appends.
 fn column_bytes(column: &[i64], mut history: History, order: usize) -> usize {
-    let (head, rest) = column.split_at(order.saturating_sub(history.known).min(column.len()));
+    let (first, rest) = column.split_at(history.first_values(order, column.len()));
     let mut size = 0;
-    for &value in head {
-        let residual = value.wrapping_sub(history.predict(history.known.min(order)));
-        size += varint_len(zigzag(residual));
-        history.push(value);
+    for &value in first {
+        size += varint_len(history.code(value, order.min(history.known)));
     }
     for group in rest.chunks(GROUP_LEN) {
-        let mut union = 0;
-        for &value in group {
-            union |= zigzag(value.wrapping_sub(history.predict(order)));
-            history.push(value);
-        }
+        let union = group.iter().fold(0, |union, &value| union | history.code(value, order));
         size += group_bytes(group.len(), width_of(union));
     }
     size
 }
 
 fn write_column(column: &[i64], history: &mut History, order: usize, out: &mut Vec<u8>) {
-    let (head, rest) = column.split_at(order.saturating_sub(history.known).min(column.len()));
-    for &value in head {
-        let residual = value.wrapping_sub(history.predict(history.known.min(order)));
-        write_varint(zigzag(residual), out);
-        history.push(value);
+    let (first, rest) = column.split_at(history.first_values(order, column.len()));
+    for &value in first {
+        write_varint(history.code(value, order.min(history.known)), out);
     }
     for group in rest.chunks(GROUP_LEN) {
         let mut codes = [0; GROUP_LEN];
         let mut union = 0;
         for (code, &value) in codes.iter_mut().zip(group) {
-            *code = zigzag(value.wrapping_sub(history.predict(order)));
+            *code = history.code(value, order);
             union |= *code;
-            history.push(value);
         }
         pack(&codes[..group.len()], width_of(union), out);
     }
@@ -169,24 +179,14 @@ fn read_column(
     column: &mut Vec<i64>,
 ) -> Result<()> {
     column.clear();
-    let head = order.saturating_sub(history.known).min(n);
-    for _ in 0..head {
-        let residual = unzigzag(input.varint("a first value")?);
-        let value = history.predict(history.known.min(order)).wrapping_add(residual);
-        history.push(value);
-        column.push(value);
+    for _ in 0..history.first_values(order, n) {
+        column.push(history.value(input.varint("a first value")?, order.min(history.known)));
     }
-    let mut left = n - head;
-    while left > 0 {
-        let len = left.min(GROUP_LEN);
+    while column.len() < n {
         let mut codes = [0; GROUP_LEN];
-        unpack(input, &mut codes[..len])?;
-        for &code in &codes[..len] {
-            let value = history.predict(order).wrapping_add(unzigzag(code));
-            history.push(value);
-            column.push(value);
-        }
-        left -= len;
+        let codes = &mut codes[..GROUP_LEN.min(n - column.len())];
+        unpack(input, codes)?;
+        column.extend(codes.iter().map(|&code| history.value(code, order)));
     }
     Ok(())
 }
@@ -203,8 +203,6 @@ const fn unzigzag(code: u64) -> i64 {
 /// Values of one group; the last group of a column may be shorter.
 const GROUP_LEN: usize = 32;
 
-const GROUP_BYTES: usize = GROUP_LEN * 8;
-
 /// Bits that the widest member needs, given the bitwise or of all members.
 const fn width_of(union: u64) -> u32 {
     64 - union.leading_zeros()
@@ -218,27 +216,19 @@ const fn group_bytes(len: usize, width: u32) -> usize {
 /// Appends one group of at most [`GROUP_LEN`] values, none wider than `width` bits.
 fn pack(values: &[u64], width: u32, out: &mut Vec<u8>) {
     out.push(width as u8);
-    if width == 0 {
-        return;
-    }
-    let mut packed = [0_u8; GROUP_BYTES];
-    let mut words = packed.as_chunks_mut::<8>().0.iter_mut();
-    let (mut word, mut filled) = (0_u64, 0_u32);
-    let mut flush = |word: u64| {
-        if let Some(slot) = words.next() {
-            *slot = word.to_le_bytes();
-        }
-    };
+    let mut packed = [0_u8; GROUP_LEN * 8 + 8];
+    let (mut word, mut filled, mut at) = (0_u128, 0, 0);
     for &value in values {
-        word |= value << filled;
+        word |= u128::from(value) << filled;
         filled += width;
         if filled >= 64 {
-            flush(word);
+            packed[at..at + 8].copy_from_slice(&(word as u64).to_le_bytes());
+            word >>= 64;
             filled -= 64;
-            word = if filled == 0 { 0 } else { value >> (width - filled) };
+            at += 8;
         }
     }
-    flush(word);
+    packed[at..at + 8].copy_from_slice(&(word as u64).to_le_bytes());
     out.extend_from_slice(&packed[..(values.len() * width as usize).div_ceil(8)]);
 }
 
@@ -247,21 +237,14 @@ fn unpack(input: &mut Bytes<'_>, values: &mut [u64]) -> Result<()> {
     let width = u32::from(input.byte("the width of a group")?);
     ensure(width <= 64, "a group wider than 64 bits")?;
     let bits = input.take((values.len() * width as usize).div_ceil(8), "a group of values")?;
-    // Nine spare bytes, so that a window of nine never leaves the array.
-    let mut padded = [0_u8; GROUP_BYTES + 9];
+    // Sixteen spare bytes, so that a window of as many never leaves the array.
+    let mut padded = [0_u8; GROUP_LEN * 8 + 16];
     padded[..bits.len()].copy_from_slice(bits);
     let mask = if width == 64 { u64::MAX } else { (1 << width) - 1 };
     for (i, value) in values.iter_mut().enumerate() {
         let at = i * width as usize;
-        let window = &padded[at / 8..at / 8 + 9];
-        let mut low = [0_u8; 8];
-        low.copy_from_slice(&window[..8]);
-        let shift = at % 8;
-        let mut word = u64::from_le_bytes(low) >> shift;
-        if shift != 0 {
-            word |= u64::from(window[8]) << (64 - shift);
-        }
-        *value = word & mask;
+        let window = padded[at / 8..].first_chunk().map_or(0, |bits| u128::from_le_bytes(*bits));
+        *value = (window >> (at % 8)) as u64 & mask;
     }
     Ok(())
 }

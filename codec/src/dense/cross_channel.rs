@@ -171,12 +171,6 @@ impl CrossChannel {
         !self.places[0][channel].is_nan()
     }
 
-    /// Works out how near channel `j` is to those before it.
-    pub(super) fn find_near(&mut self, j: usize, unit_mm: f64) {
-        let isa = self.isa;
-        isa.run(Nearing { cross: self, j, unit_mm });
-    }
-
     /// How alike two channels are taken to move for their distance.
     pub(super) fn nearness(&self, j: usize, k: usize) -> f64 {
         self.kernel[j][k]
@@ -218,7 +212,7 @@ impl CrossChannel {
         }
     }
 
-    /// Learns from the residual of the anchor that was level. It counts at once: the anchors of one span come one
+    /// Learns from the residual of an anchor that was just coded. It counts at once: the anchors of one span come one
     /// after another and choose their references in between. Levels count at the end of the span.
     pub(super) fn learn_anchor(&mut self, j: usize, place: usize) {
         self.anchors[j] |= 1 << place;
@@ -232,11 +226,11 @@ impl CrossChannel {
         }
     }
 
-    /// Chooses and weighs the references of channel `j` of `n`, for every class.
-    pub(super) fn solve(&mut self, j: usize, n: usize) {
+    /// Works out how near channel `j` of `n` is to those before it, and its references in every class.
+    pub(super) fn look_around(&mut self, j: usize, n: usize, unit_mm: f64) {
         self.weigh_kernel(0, n);
         let isa = self.isa;
-        isa.run(SolvingAll { cross: self, j });
+        isa.run(LookingAround { cross: self, j, unit_mm });
     }
 
     /// Adds what the references say of all rows.
@@ -264,35 +258,6 @@ impl CrossChannel {
                 put(&mut level.prediction[axis], first, prediction);
                 put(&mut level.referred[axis], first, referred);
             }
-        }
-    }
-}
-
-/// How near a channel is to those before it.
-struct Nearing<'a> {
-    cross: &'a mut CrossChannel,
-    j: usize,
-    unit_mm: f64,
-}
-
-impl Kernel for Nearing<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        let Self { cross: CrossChannel { places: [xs, ys, zs], kernel, .. }, j, unit_mm } = self;
-        let (before, own) = kernel.split_at_mut(j);
-        let (own, n) = (&mut own[0][..j], j);
-        let (x, y, z) = (xs[j], ys[j], zs[j]);
-        for (((near, other_x), other_y), other_z) in own.iter_mut().zip(&*xs).zip(&*ys).zip(&*zs) {
-            let mm = squared_distance([x, y, z], [*other_x, *other_y, *other_z]).sqrt() * unit_mm;
-            let ratio = 800.0 / (800.0 + mm);
-            let cube = ratio * ratio * ratio;
-            // Not so where one of them is nowhere.
-            *near = if cube >= 0.0 { cube } else { 0.0 };
-        }
-        for (other, near) in before.iter_mut().zip(own) {
-            other[n] = *near;
         }
     }
 }
@@ -560,19 +525,34 @@ impl Solving<'_> {
     }
 }
 
-/// The references of a channel in every class.
-struct SolvingAll<'a> {
+/// How near a channel is to those before it, and its references in every class.
+struct LookingAround<'a> {
     cross: &'a mut CrossChannel,
     j: usize,
+    unit_mm: f64,
 }
 
-impl Kernel for SolvingAll<'_> {
+impl Kernel for LookingAround<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run(self) {
-        let Self { cross, j } = self;
+        let Self { cross, j, unit_mm } = self;
         let CrossChannel { covariances, kernel, energies, inverse, references, work, .. } = cross;
+        let [xs, ys, zs] = &cross.places;
+        let (before, own) = kernel.split_at_mut(j);
+        let own = &mut own[0][..j];
+        let place = [xs[j], ys[j], zs[j]];
+        for (((near, x), y), z) in own.iter_mut().zip(xs).zip(ys).zip(zs) {
+            let mm = squared_distance(place, [*x, *y, *z]).sqrt() * unit_mm;
+            let ratio = 800.0 / (800.0 + mm);
+            let cube = ratio * ratio * ratio;
+            // Not so where one of them is nowhere.
+            *near = if cube >= 0.0 { cube } else { 0.0 };
+        }
+        for (other, near) in before.iter_mut().zip(own) {
+            other[j] = *near;
+        }
         for class in 0..CLASSES {
             let of_class = class * GROUP_CHANNELS;
             let covariances = &covariances[of_class..of_class + GROUP_CHANNELS];

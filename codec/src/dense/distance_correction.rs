@@ -65,7 +65,7 @@ impl Share {
 type Together = [f64; TOGETHER];
 
 /// What one partner says of some rows.
-#[derive(Debug)]
+#[derive(Debug, Clone, Copy)]
 struct FromPartner {
     /// By axis: away from the partner, length 1; 0 where it says nothing.
     direction: [Together; 3],
@@ -87,13 +87,9 @@ pub(super) struct DistanceCorrection {
 
 impl DistanceCorrection {
     pub(super) fn new() -> Self {
-        let none = || FromPartner {
-            direction: [[0.0; TOGETHER]; 3],
-            left: [f64::NAN; TOGETHER],
-            by: [0.0; TOGETHER],
-        };
+        let (none, unknown) = ([0.0; TOGETHER], [f64::NAN; TOGETHER]);
         Self {
-            by_partner: std::array::from_fn(|_| none()),
+            by_partner: [FromPartner { direction: [none; 3], left: unknown, by: none }; PARTNERS],
             n_partners: 0,
             shares: vec![Default::default(); GROUP_CHANNELS],
         }

@@ -204,7 +204,7 @@ impl LevelPrediction {
     /// Rows that have neighbours on one side only.
     pub(super) fn guessed(&mut self, sites: Sites, expected: [i64; 3]) {
         self.sites = sites;
-        self.store(0, expected, [0; 3]);
+        self.store(0, expected.map(|units| units as f64), [0.0; 3]);
     }
 
     /// The last row before the end of a run, where the three rows around it are as far apart as those of the others:
@@ -217,16 +217,14 @@ impl LevelPrediction {
             return false;
         }
         let [before, left, right] = [points[at - 3 * stride], points[at - stride], points[end]];
-        let mut largest = 0.0;
+        let (mut expected, mut off) = ([0.0; 3], [0.0; 3]);
         for axis in 0..3 {
             let across = right[axis] - left[axis];
             let curve = floor((across * 3.0 - (before[axis] - left[axis]) + 4.0) * 0.125);
-            let off = curve - floor(across * 0.5);
-            self.expected[axis][i] = left[axis] + curve;
-            self.offs[axis][i] = off;
-            largest = if off.abs() > largest { off.abs() } else { largest };
+            expected[axis] = left[axis] + curve;
+            off[axis] = curve - floor(across * 0.5);
         }
-        self.bends[i] = bend(largest);
+        self.store(i, expected, off);
         true
     }
 
@@ -234,15 +232,16 @@ impl LevelPrediction {
     fn uneven(&mut self, points: &[[f64; 3]], i: usize) {
         let stencil = Stencil::new(self.sites.at(i), self.sites.stride, self.sites.run);
         let (expected, off) = stencil.expect(|row| integers(points[row]));
-        self.store(i, expected, off);
+        self.store(i, expected.map(|units| units as f64), off.map(|units| units as f64));
     }
 
-    fn store(&mut self, i: usize, expected: Point, off: Point) {
-        let mut largest = 0.0_f64;
+    #[inline(always)]
+    fn store(&mut self, i: usize, expected: [f64; 3], off: [f64; 3]) {
+        let mut largest = 0.0;
         for axis in 0..3 {
-            self.expected[axis][i] = expected[axis] as f64;
-            self.offs[axis][i] = off[axis] as f64;
-            largest = largest.max((off[axis] as f64).abs());
+            self.expected[axis][i] = expected[axis];
+            self.offs[axis][i] = off[axis];
+            largest = if off[axis].abs() > largest { off[axis].abs() } else { largest };
         }
         self.bends[i] = bend(largest);
     }
@@ -402,10 +401,7 @@ impl Stencil {
         for axis in 0..3 {
             point[axis] = base[axis].wrapping_add(curve[axis]);
             let across = far[axis].wrapping_sub(base[axis]);
-            let chord = match whole == 2 * before {
-                true => across >> 1,
-                false => across.wrapping_mul(before).div_euclid(whole),
-            };
+            let chord = across.wrapping_mul(before).div_euclid(whole);
             off[axis] = curve[axis].wrapping_sub(chord);
         }
         (point, off)

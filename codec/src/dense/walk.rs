@@ -178,9 +178,8 @@ impl Dense {
         if !cross_channel.has_place(channel) {
             cross_channel.place(channel, tracks[channel].points[before + 1]);
         }
-        cross_channel.find_near(channel, self.grid.unit_mm);
+        cross_channel.look_around(channel, n, self.grid.unit_mm);
         segments.choose(channel, |k| cross_channel.nearness(channel, k));
-        cross_channel.solve(channel, n);
     }
 
     /// The first row of a run.

@@ -37,8 +37,10 @@ impl Work {
     }
 }
 
-/// One channel of one block: fills `work.ops`.
+/// One channel of one block: fills `work.bytes`, if that is within the tolerance.
 struct Coding<'a> {
+    tables: &'static Tables,
+    writer: &'a mut Writer,
     channel: &'a mut Channel,
     rows: Rows<'a>,
     grid: &'a mut Grid,
@@ -47,17 +49,24 @@ struct Coding<'a> {
     step: f32,
 }
 
+/// What became of it.
+struct Outcome {
+    max_error_mm: f64,
+    kept: u32,
+    n_bytes: usize,
+}
+
 impl Kernel for Coding<'_> {
     /// None when a residual is too large.
     type Output = Option<Outcome>;
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        let Self { channel, rows, grid, work, .. } = self;
-        let Work { targets, residuals, ops, .. } = work;
+        let Self { channel, rows, grid, work, tolerance_mm, .. } = self;
+        let Work { targets, residuals, ops, bytes, .. } = work;
         ops.clear();
-        let rule = Rule::new(self.tolerance_mm, self.step);
-        let cap = walk::error_cap(self.tolerance_mm);
+        let rule = Rule::new(tolerance_mm, self.step);
+        let cap = walk::error_cap(tolerance_mm);
         let mut side = Choosing::new(rule, targets, residuals, ops);
         let mut end = 0;
         for run in rows.runs() {
@@ -75,31 +84,10 @@ impl Kernel for Coding<'_> {
         if end != rows.len() {
             channel.known = 0;
         }
-        Some(Outcome { max_error_mm: side.max_error_mm(), kept: side.kept })
-    }
-}
-
-/// What became of a channel.
-struct Outcome {
-    max_error_mm: f64,
-    kept: u32,
-}
-
-/// Writes what [`Coding`] found.
-struct Emitting<'a> {
-    writer: &'a mut Writer,
-    tables: &'static Tables,
-    ops: &'a Ops,
-    bytes: &'a mut [u8],
-}
-
-impl Kernel for Emitting<'_> {
-    /// Bytes written.
-    type Output = usize;
-
-    #[inline(always)]
-    fn run(self) -> usize {
-        self.writer.ops(self.tables, self.ops, self.bytes)
+        let (max_error_mm, kept) = (side.max_error_mm(), side.kept);
+        let is_within = max_error_mm <= tolerance_mm;
+        let n_bytes = if is_within { self.writer.ops(self.tables, ops, bytes) } else { 0 };
+        Some(Outcome { max_error_mm, kept, n_bytes })
     }
 }
 
@@ -113,22 +101,26 @@ impl Fast {
         writer: &mut Writer,
         out: &mut Vec<u8>,
     ) -> bool {
-        let Self { isa, tables, tolerance_mm, grid, encoding: work, .. } = self;
-        let tolerance_mm = *tolerance_mm;
+        let Self { isa, tables, grid, encoding: work, .. } = self;
+        let tolerance_mm = self.tolerance_mm;
         for mode in Mode::STEPS {
-            let mut channel = self.channels[i].clone();
-            let step = mode.step(tolerance_mm);
-            let outcome =
-                isa.run(Coding { channel: &mut channel, rows, grid, work, tolerance_mm, step });
-            let Some(Outcome { max_error_mm, kept }) = outcome else { return false };
+            let (mut channel, mut next) = (self.channels[i].clone(), *writer);
+            let outcome = isa.run(Coding {
+                tables,
+                writer: &mut next,
+                channel: &mut channel,
+                rows,
+                grid,
+                work,
+                tolerance_mm,
+                step: mode.step(tolerance_mm),
+            });
+            let Some(Outcome { max_error_mm, kept, n_bytes }) = outcome else { return false };
             if max_error_mm <= tolerance_mm {
-                let mut next = *writer;
-                let Work { ops, bytes, .. } = work;
-                let length = isa.run(Emitting { writer: &mut next, tables, ops, bytes });
-                if length > Raw::max_bytes(report.samples as usize) {
+                if n_bytes > Raw::max_bytes(report.samples as usize) {
                     return false;
                 }
-                out.extend_from_slice(&work.bytes[..length]);
+                out.extend_from_slice(&work.bytes[..n_bytes]);
                 *writer = next;
                 self.channels[i] = channel;
                 self.modes[i] = mode;

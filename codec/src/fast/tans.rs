@@ -6,7 +6,7 @@
 use std::{cmp::Ordering, sync::LazyLock};
 
 use super::model::{
-    Axes, LOW_BITS, PLACES, QUIET, STATE_BITS, STATES, SYMBOLS, TABLES, axes, frequency, table_at,
+    Axes, LOW_BITS, PLACES, STATE_BITS, STATES, SYMBOLS, TABLES, axes, frequency, table_at,
 };
 use crate::{CodecError, Result, ensure};
 
@@ -93,13 +93,8 @@ impl Tables {
             next[symbol] += 1;
             let bits = STATE_BITS - x.ilog2();
             let base = (x << bits) - STATES;
-            let (ones, more) = match table {
-                QUIET => (0, false),
-                _ => {
-                    let Axes { ones, larger } = axes(symbol);
-                    (ones, larger != 0 || LOW_BITS[table] > 0)
-                }
-            };
+            let Axes { ones, larger } = axes(symbol);
+            let more = larger != 0 || LOW_BITS[table] > 0;
             let row = u32::from(ones) << 8 | if more { MORE } else { 0 };
             let entry = (63 - bits) << SHIFT_AT | (base as u32) << BASE_AT | row | symbol as u32;
             for place in (0..PLACES).filter(|&place| table_at(place) == Some(table)) {

@@ -152,7 +152,7 @@ pub(super) fn run<S: Side>(
     anchors(side, channel, grid, end, cap)?;
     let mut stride = SPAN / 2;
     while stride > 0 {
-        level(side, channel, grid, (n, end), stride)?;
+        level(side, channel, grid, n, end, stride)?;
         stride /= 2;
     }
     // Of a short run, rows before it are among the last, too.
@@ -296,13 +296,12 @@ fn mend_ends(known: &Planes, has_left: bool, n: usize, rows: &mut Planes) {
     let at = |i: usize| known.get(LEAD + i);
     if n == 1 {
         let (left, right) = (at(0), at(1));
-        rows.set(
-            0,
-            match has_left {
-                true => parabola(known.get(LEAD - 1), left, right),
-                false => std::array::from_fn(|i| 0.5 * (left[i] + right[i])),
-            },
-        );
+        let middle = if has_left {
+            parabola(known.get(LEAD - 1), left, right)
+        } else {
+            std::array::from_fn(|i| 0.5 * (left[i] + right[i]))
+        };
+        rows.set(0, middle);
         return;
     }
     if !has_left {
@@ -318,7 +317,8 @@ fn level<S: Side>(
     side: &mut S,
     channel: &mut Channel,
     grid: &mut Grid,
-    (n, end): (usize, usize),
+    n: usize,
+    end: usize,
     stride: usize,
 ) -> Result<()> {
     let level = stride.ilog2() as usize;

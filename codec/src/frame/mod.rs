@@ -9,8 +9,8 @@ use std::fmt;
 
 use self::presence::Presence;
 use crate::{
-    BlockDecoder, BlockEncoder, BlockReport, CodecError, DecodedRows, GROUP_CHANNELS, Position,
-    Result, Rows, Tolerance, bound,
+    BlockDecoder, BlockEncoder, BlockReport, CodecError, DecodedRows, GROUP_CHANNELS, Result, Rows,
+    Tolerance, bound,
     bound::STATED_STEPS,
     coding::bytes::{Bytes, write_varint},
     ensure,
@@ -101,16 +101,16 @@ pub(crate) fn count_finite(rows: Rows<'_>) -> Result<usize> {
         let positions = rows.positions()[run].as_flattened();
         any |= positions.iter().fold(false, |any, c| any | not_finite(c));
     }
-    let is_bad =
-        |(position, present): (&Position, &bool)| *present && position.iter().any(not_finite);
-    let all = || rows.positions().iter().zip(rows.present());
-    match any.then(|| all().position(is_bad)).flatten() {
-        None => Ok(samples),
-        Some(row) => Err(CodecError::InvalidArgument(format!(
-            "row {row} is present but {:?} is not finite; mark such rows absent",
-            rows.positions()[row]
-        ))),
+    if !any {
+        return Ok(samples);
     }
+    let is_bad =
+        |&row: &usize| rows.get(row).is_some_and(|position| position.iter().any(not_finite));
+    let row = (0..rows.len()).find(is_bad).unwrap_or_default();
+    Err(CodecError::InvalidArgument(format!(
+        "row {row} is present but {:?} is not finite; mark such rows absent",
+        rows.positions()[row]
+    )))
 }
 
 /// What both sides follow from block to block.

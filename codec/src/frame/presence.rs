@@ -60,7 +60,7 @@ impl Presence {
         let mut beside = None;
         for (state, rows) in self.states.iter_mut().zip(channels) {
             let before = state.is_present();
-            self.models.channel(&mut coder, state, beside, &mut rows.present());
+            self.models.channel(&mut coder, state, beside, &mut Flags::Known(rows.present()));
             beside = Some(Beside { present: rows.present(), before });
         }
         let fits = coder.finish();
@@ -86,7 +86,12 @@ impl Presence {
             let (done, rest) = channels.split_at_mut(i);
             let beside = done.last().map(|rows| Beside { present: &rows.present, before });
             before = state.is_present();
-            self.models.channel(&mut coder, state, beside, &mut &mut rest[0].present[..]);
+            self.models.channel(
+                &mut coder,
+                state,
+                beside,
+                &mut Flags::Wanted(&mut rest[0].present),
+            );
         }
         coder.finish()?;
         self.leave_out_from(channels.len());
@@ -222,7 +227,7 @@ impl Models {
         coder: &mut C,
         state: &mut State,
         beside: Option<Beside<'_>>,
-        rows: &mut impl Flags,
+        rows: &mut Flags<'_>,
     ) {
         let all = 0..rows.len();
         let change = &mut self.changes[usize::from(state.changed)];
@@ -259,7 +264,7 @@ impl Models {
         state: &mut State,
         beside: Option<Beside<'_>>,
         part: Range<usize>,
-        rows: &mut impl Flags,
+        rows: &mut Flags<'_>,
     ) {
         let (mut found, end) = (false, part.end);
         for row in part {
@@ -272,7 +277,7 @@ impl Models {
                 || coder.mixed(
                     &mut self.by_age[by_age << 2 | neighbour],
                     &mut self.by_rows[usize::from(state.last) << 2 | neighbour],
-                    rows.get(row) != was,
+                    rows.any_other(row..row + 1, was),
                 );
             found |= flips;
             rows.fill(row..row + 1, was != flips);
@@ -283,12 +288,13 @@ impl Models {
 
 /// Says whether any of some rows is other than the newest, which is so where there is no model; if none is they
 /// are passed.
+#[inline(always)]
 fn any<C: BinaryCoder>(
     coder: &mut C,
     model: Option<&mut Bit>,
     state: &mut State,
     range: Range<usize>,
-    rows: &mut impl Flags,
+    rows: &mut Flags<'_>,
 ) -> bool {
     let was = state.is_present();
     let any = model.is_none_or(|model| coder.bit(model, rows.any_other(range.clone(), was)));
@@ -311,45 +317,27 @@ fn split(rows: Range<usize>, piece: usize) -> impl Iterator<Item = Range<usize>>
 }
 
 /// The rows of a channel: what an encoder has, or what a decoder will have.
-trait Flags {
-    fn len(&self) -> usize;
+enum Flags<'a> {
+    Known(&'a [bool]),
+    Wanted(&'a mut [bool]),
+}
+
+impl Flags<'_> {
+    fn len(&self) -> usize {
+        match self {
+            Self::Known(rows) => rows.len(),
+            Self::Wanted(rows) => rows.len(),
+        }
+    }
+
     /// Nothing that a decoder relies on.
-    fn get(&self, row: usize) -> bool;
-    /// As `get`.
-    fn any_other(&self, rows: Range<usize>, than: bool) -> bool;
-    fn fill(&mut self, rows: Range<usize>, present: bool);
-}
-
-impl Flags for &[bool] {
-    fn len(&self) -> usize {
-        <[bool]>::len(self)
-    }
-
-    fn get(&self, row: usize) -> bool {
-        self[row]
-    }
-
     fn any_other(&self, rows: Range<usize>, than: bool) -> bool {
-        self[rows].iter().any(|&present| present != than)
-    }
-
-    fn fill(&mut self, _rows: Range<usize>, _present: bool) {}
-}
-
-impl Flags for &mut [bool] {
-    fn len(&self) -> usize {
-        <[bool]>::len(self)
-    }
-
-    fn get(&self, _row: usize) -> bool {
-        false
-    }
-
-    fn any_other(&self, _rows: Range<usize>, _than: bool) -> bool {
-        false
+        matches!(self, Self::Known(known) if known[rows].iter().any(|&present| present != than))
     }
 
     fn fill(&mut self, rows: Range<usize>, present: bool) {
-        self[rows].fill(present);
+        if let Self::Wanted(wanted) = self {
+            wanted[rows].fill(present);
+        }
     }
 }
