@@ -18,7 +18,7 @@ struct First<'a> {
     weight: f64,
 }
 
-/// The table, in the layout that `codec/src/dense/prior.rs` states.
+/// The table, in the layout that `codec/src/dense/model.rs` states.
 pub(crate) fn table(cells: &[Vec<training::Tally>]) -> Vec<u8> {
     let n_contexts = cells.first().and_then(|cell| cell.first()).map_or(0, |t| t.firsts.len());
     let mut table = Vec::new();

@@ -126,6 +126,13 @@ pub struct BlockReport {
     pub max_error_mm: f64,
 }
 
+impl BlockReport {
+    /// States that all samples are as they were.
+    pub(crate) fn keep_all(&mut self) {
+        (self.kept, self.max_error_mm) = (self.samples, 0.0);
+    }
+}
+
 /// Encodes the blocks of one group of channels, in order. State may run from block to block.
 ///
 /// To be called, not implemented elsewhere: it may get more methods.

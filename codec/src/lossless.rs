@@ -53,7 +53,7 @@ impl PayloadEncoder for Lossless {
         let channels = channels.iter().zip(&mut self.histories).zip(reports);
         for ((rows, history), report) in channels.filter(|(_, report)| report.samples > 0) {
             self.raw.write(*rows, history, out);
-            report.kept = report.samples;
+            report.keep_all();
         }
         Ok(())
     }

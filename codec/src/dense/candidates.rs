@@ -5,7 +5,7 @@ use super::{
     distance_correction::TOGETHER,
     level::{Question, Side, Start},
     level_prediction::{Batch, MEMORY, ROOM, Sites},
-    points::{Fineness, Grid, Lattice, Point, Points, floor, lanes},
+    points::{Fineness, Grid, Lattice, Point, Points, UNITS_PER_TOLERANCE, floor, lanes},
 };
 use crate::{
     BlockReport, GROUP_CHANNELS, Rows,
@@ -211,7 +211,7 @@ struct Reach {
 
 impl Reach {
     const fn new(step: i64) -> Self {
-        let radius = 256.0 / step as f64;
+        let radius = UNITS_PER_TOLERANCE / step as f64;
         let limit = radius * radius * 1.01;
         Self { per_step: 1.0 / step as f64, limit, per_limit: 1.0 / limit }
     }

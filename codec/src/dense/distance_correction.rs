@@ -12,8 +12,6 @@ use super::{
 };
 use crate::GROUP_CHANNELS;
 
-const TOLERANCE: f64 = UNITS_PER_TOLERANCE as f64;
-
 /// Rows of a fine level that are held against the partners together: what they teach holds for those after them.
 /// Of other levels there are no more than [`LANES`].
 pub(super) const TOGETHER: usize = 8;
@@ -135,7 +133,7 @@ impl DistanceCorrection {
             }
             let direction = partner.direction.each_ref().map(|axis| axis[i]);
             let [x, y, z]: [f64; 3] = std::array::from_fn(|axis| {
-                (from[axis] - point[axis]) / TOLERANCE * direction[axis]
+                (from[axis] - point[axis]) / UNITS_PER_TOLERANCE * direction[axis]
             });
             share.learn(difference, x + y + z);
             from = std::array::from_fn(|axis| from[axis] - partner.by[i] * direction[axis]);
@@ -184,11 +182,11 @@ impl DistanceCorrection {
             if !FAR {
                 for i in 0..N {
                     let along = moved[0][i] * x[i] + moved[1][i] * y[i] + moved[2][i] * z[i];
-                    left[i] += along / TOLERANCE;
+                    left[i] += along / UNITS_PER_TOLERANCE;
                 }
             }
             for i in 0..N {
-                let units = share * left[i] * TOLERANCE;
+                let units = share * left[i] * UNITS_PER_TOLERANCE;
                 // Not so where it says nothing.
                 by[i] = if units.abs() < f64::INFINITY { units } else { 0.0 };
             }
@@ -224,9 +222,9 @@ fn aim(
     }
     let (mut differences, mut says) = ([0.0; LANES], [false; LANES]);
     for i in 0..LANES {
-        differences[i] = units[i] / TOLERANCE - lengths[i];
+        differences[i] = units[i] / UNITS_PER_TOLERANCE - lengths[i];
         // Not so where something is not known, either.
-        says[i] = (units[i] >= TOLERANCE) & (differences[i] < f64::INFINITY);
+        says[i] = (units[i] >= UNITS_PER_TOLERANCE) & (differences[i] < f64::INFINITY);
         differences[i] = if says[i] { differences[i] } else { f64::NAN };
     }
     for off in &mut off {

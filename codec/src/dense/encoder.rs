@@ -53,7 +53,7 @@ impl PayloadEncoder for Dense {
                 present[channel] = Some(rows.present());
             } else {
                 store(&mut side.coder, *rows);
-                side.reports[channel].kept = side.reports[channel].samples;
+                side.reports[channel].keep_all();
             }
         }
         let coded = self.block(&mut side, n_rows, &present[..channels.len()]);
@@ -73,8 +73,7 @@ impl Dense {
         coder.split(STORED, true);
         for (rows, report) in channels.iter().zip(reports) {
             store(&mut coder, *rows);
-            report.kept = report.samples;
-            report.max_error_mm = 0.0;
+            report.keep_all();
         }
         let finished = coder.finish();
         debug_assert!(finished, "there is no limit");

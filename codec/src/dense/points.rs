@@ -9,7 +9,7 @@
 use crate::{Position, Tolerance};
 
 /// Units per tolerance. A power of two: the unit is then exact in f64.
-pub(super) const UNITS_PER_TOLERANCE: i64 = 256;
+pub(super) const UNITS_PER_TOLERANCE: f64 = 256.0;
 
 /// Coordinates that the encoder takes, in units; 110 km at 0.1 mm.
 pub(super) const MAX_SAMPLE: f64 = (1_i64 << 40) as f64;
@@ -41,11 +41,11 @@ pub(super) struct Grid {
 
 impl Grid {
     pub(super) fn new(tolerance: Tolerance) -> Self {
-        Self { unit_mm: tolerance.mm() / UNITS_PER_TOLERANCE as f64 }
+        Self { unit_mm: tolerance.mm() / UNITS_PER_TOLERANCE }
     }
 
     pub(super) fn tolerance_mm(&self) -> f64 {
-        self.unit_mm * UNITS_PER_TOLERANCE as f64
+        self.unit_mm * UNITS_PER_TOLERANCE
     }
 
     /// What the decoder gives for a point.
@@ -78,13 +78,13 @@ impl Grid {
         if max_units > MAX_SAMPLE {
             return None;
         }
-        let reach = f64::from(max_mm) + 2.0 * self.unit_mm * UNITS_PER_TOLERANCE as f64;
+        let reach = f64::from(max_mm) + 2.0 * self.unit_mm * UNITS_PER_TOLERANCE;
         let ulp_units = f64::from((reach as f32).next_up() - reach as f32) / self.unit_mm;
         // Half a unit in the last place on each axis, sqrt(3) / 2 of it in 3D, and a little.
         let rounding = 0.88 * ulp_units + 0.01;
         [Fineness::Normal, Fineness::Fine]
             .into_iter()
-            .find(|fineness| fineness.covering_radius() + rounding <= UNITS_PER_TOLERANCE as f64)
+            .find(|fineness| fineness.covering_radius() + rounding <= UNITS_PER_TOLERANCE)
     }
 }
 

@@ -13,9 +13,6 @@ use super::{
 };
 use crate::{GROUP_CHANNELS, bound::squared_distance};
 
-/// Units of a length: lengths are in tolerances.
-pub(super) const LENGTH_UNITS: f64 = UNITS_PER_TOLERANCE as f64;
-
 /// Markers that a channel is held against, at most.
 pub(super) const PARTNERS: usize = 3;
 /// Earlier channels whose distance is followed: the nearest.
@@ -257,7 +254,7 @@ impl<'a> Pairs<'a> {
             let (place, beside) = ((row - before) / every % N, (row - before) % every);
             if beside != 0 || known[place].is_nan() {
                 let units = squared_distance(self.own.points[row], other.points[row]).sqrt();
-                let distance = units / LENGTH_UNITS;
+                let distance = units / UNITS_PER_TOLERANCE;
                 if beside == 0 {
                     known[place] = distance;
                 }
@@ -306,7 +303,7 @@ impl<'a> Pairs<'a> {
             *own = lanes(axis, slot);
         }
         let (_, units) = away(&self.tracks[k], slot, own);
-        units.map(|units| units * (1.0 / LENGTH_UNITS))
+        units.map(|units| units * (1.0 / UNITS_PER_TOLERANCE))
     }
 
     /// Keeps some of these, those from `first` on.

@@ -4,7 +4,7 @@
 use super::{
     MAX_STEPS,
     model::{ANCHOR, Activity, GOLOMB, LOW_BITS, QUIET, QUIET_ROWS, WAKE},
-    planes::{LANES, Planes, Point, scatter, split, whole},
+    planes::{LANES, Planes, Point, scatter, split},
     tans::{Op, Ops},
     walk::{self, Rows, SPAN, Side},
 };
@@ -187,7 +187,7 @@ impl Targets {
     fn take(&mut self, samples: &[Position], origin: usize) {
         let n = samples.len() - origin;
         let end = walk::extent(n);
-        let [x, y, z] = self.anchors.axes_mut(1 - origin);
+        let [x, y, z] = self.anchors.0.each_mut().map(|axis| &mut axis[1 - origin..]);
         scatter(samples, x, y, z);
         self.last = ahead(samples, end - n);
         self.end = end;
@@ -198,7 +198,7 @@ impl Targets {
                 split(rows, &mut levels[start..], n);
             }
             *at = start;
-            start += whole(n + 1);
+            start += (n + 1).next_multiple_of(LANES);
         }
     }
 

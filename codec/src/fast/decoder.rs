@@ -3,8 +3,7 @@
 use super::{
     Fast, MAX_ZEROS, Mode,
     model::{
-        Activity, Axes, Fourfold, GOLOMB, LOW_BITS, PLACES, QUIET_PLACE, QUIET_ROWS, SYMBOLS,
-        TABLES, WAKE_PLACE, axes, axis_code, cut, table_at,
+        Activity, Fourfold, PLACES, QUIET_PLACE, QUIET_ROWS, SYMBOLS, WAKE_PLACE, axis_code, cut,
     },
     planes::{Planes, Point, gather},
     tans::{MAGNITUDE, MORE, PAD, Reader, SYMBOLS_FILLED, Tables},
@@ -162,11 +161,11 @@ impl Side for Reading<'_, '_> {
                 let slot = steps.get_mut(i).ok_or(CodecError::Corrupt("a row beyond its level"))?;
                 let entry = reader.entry(self.tables, place)?;
                 let symbol = entry as usize % 64;
-                *slot = RESIDUALS[symbol];
+                *slot = self.tables.residuals[symbol];
                 // Not looked up: what is read next waits for it.
                 let mut magnitude = entry & MAGNITUDE;
                 if entry & MORE != 0 {
-                    magnitude = cut(residual(&mut reader, symbol, place, slot)?);
+                    magnitude = cut(residual(&mut reader, self.tables, symbol, place, slot)?);
                     filled_to = i + 1;
                 }
                 recent.push(magnitude);
@@ -212,47 +211,6 @@ fn settle(steps: &[Point], step: f32, x: &mut [f32], y: &mut [f32], z: &mut [f32
     }
 }
 
-/// Residual of the axes of a symbol; a larger one stands as 0.
-static RESIDUALS: [Point; SYMBOLS] = {
-    let mut table = [[0.0; 4]; SYMBOLS];
-    let mut symbol = 0;
-    while symbol < SYMBOLS {
-        let mut axis = 0;
-        while axis < 3 {
-            table[symbol][axis] = [0.0, 1.0, -1.0, 0.0][axis_code(symbol, axis)];
-            axis += 1;
-        }
-        symbol += 1;
-    }
-    table
-};
-
-static AXES: [Axes; SYMBOLS] = {
-    let mut table = [axes(0); SYMBOLS];
-    let mut symbol = 0;
-    while symbol < SYMBOLS {
-        table[symbol] = axes(symbol);
-        symbol += 1;
-    }
-    table
-};
-
-/// What holds for each table, by its place.
-const fn by_place(of: [u32; TABLES]) -> [u32; PLACES] {
-    let mut by_place = [0; PLACES];
-    let mut place = 0;
-    while place < PLACES {
-        if let Some(table) = table_at(place) {
-            by_place[place] = of[table];
-        }
-        place += 1;
-    }
-    by_place
-}
-
-static GOLOMB_AT: [u32; PLACES] = by_place(GOLOMB);
-static LOW_BITS_AT: [u32; PLACES] = by_place(LOW_BITS);
-
 /// One magnitude of 2 and more, with its sign.
 #[inline(always)]
 fn larger(reader: &mut Reader<'_>, order: u32) -> Result<i32> {
@@ -271,19 +229,20 @@ fn larger(reader: &mut Reader<'_>, order: u32) -> Result<i32> {
 #[inline(always)]
 fn residual(
     reader: &mut Reader<'_>,
+    tables: &Tables,
     symbol: usize,
     place: usize,
     steps: &mut Point,
 ) -> Result<u32> {
-    if LOW_BITS_AT[place % PLACES] > 0 {
-        return wide_residual(reader, symbol, place, steps);
+    if tables.low_bits[place % PLACES] > 0 {
+        return wide_residual(reader, tables, symbol, place, steps);
     }
-    let mut magnitude = u32::from(AXES[symbol % SYMBOLS].ones);
-    let mut axes = AXES[symbol % SYMBOLS].larger;
+    let mut magnitude = u32::from(tables.axes[symbol % SYMBOLS].ones);
+    let mut axes = tables.axes[symbol % SYMBOLS].larger;
     while axes != 0 {
         let axis = axes.trailing_zeros() as usize % 4;
         axes &= axes - 1;
-        let value = larger(reader, GOLOMB_AT[place % PLACES])?;
+        let value = larger(reader, tables.golomb[place % PLACES])?;
         steps[axis] = value as f32;
         magnitude += value.unsigned_abs();
     }
@@ -294,11 +253,12 @@ fn residual(
 #[inline(always)]
 fn wide_residual(
     reader: &mut Reader<'_>,
+    tables: &Tables,
     symbol: usize,
     place: usize,
     steps: &mut Point,
 ) -> Result<u32> {
-    let low_bits = LOW_BITS_AT[place % PLACES];
+    let low_bits = tables.low_bits[place % PLACES];
     let low = (reader.peek()? >> (64 - 3 * low_bits)) as i32;
     reader.skip(3 * low_bits);
     let mut magnitude = 0;
@@ -307,7 +267,7 @@ fn wide_residual(
             0 => 0,
             1 => 1,
             2 => -1,
-            _ => larger(reader, GOLOMB_AT[place % PLACES])?,
+            _ => larger(reader, tables.golomb[place % PLACES])?,
         };
         let low = low >> (low_bits * (2 - axis as u32)) & ((1 << low_bits) - 1);
         let value = high * (1 << low_bits) + low - (1 << (low_bits - 1));

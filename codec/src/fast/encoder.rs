@@ -103,7 +103,8 @@ impl Fast {
     ) -> bool {
         let Self { isa, tables, grid, encoding: work, .. } = self;
         let tolerance_mm = self.tolerance_mm;
-        for mode in Mode::STEPS {
+        // Coarsest first.
+        for mode in (0..Mode::RAW.0).map(Mode) {
             let (mut channel, mut next) = (self.channels[i].clone(), *writer);
             let outcome = isa.run(Coding {
                 tables,
@@ -161,8 +162,7 @@ impl PayloadEncoder for Fast {
             } else {
                 self.modes[i] = Mode::RAW;
                 self.channels[i].known = 0;
-                report.kept = report.samples;
-                report.max_error_mm = 0.0;
+                report.keep_all();
             }
         }
         let Self { modes, raw, .. } = self;

@@ -46,9 +46,6 @@ struct Mode(u8);
 impl Mode {
     const RAW: Self = Self(4);
 
-    /// The modes that are not raw, coarsest first.
-    const STEPS: [Self; 4] = [Self(0), Self(1), Self(2), Self(3)];
-
     fn read(input: &mut Bytes<'_>) -> Result<Self> {
         match input.byte("the mode of a channel")? {
             mode @ 0..=4 => Ok(Self(mode)),

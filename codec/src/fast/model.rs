@@ -62,7 +62,7 @@ const QUIET_FREQUENCIES: [u16; QUIET_ROWS + 1] =
 const WAKE_FREQUENCIES: [u16; 10] = [0, 120, 18, 2, 7, 2, 1, 1, 1, 6];
 
 /// The code of an axis of a row symbol: 0, +1, -1, larger.
-pub(super) const fn axis_code(symbol: usize, axis: usize) -> usize {
+pub(super) fn axis_code(symbol: usize, axis: usize) -> usize {
     symbol >> (4 - 2 * axis) & 3
 }
 
@@ -75,16 +75,14 @@ pub(super) struct Axes {
     pub(super) larger: u8,
 }
 
-pub(super) const fn axes(symbol: usize) -> Axes {
+pub(super) fn axes(symbol: usize) -> Axes {
     let mut axes = Axes { ones: 0, larger: 0 };
-    let mut axis = 0;
-    while axis < 3 {
+    for axis in 0..3 {
         match axis_code(symbol, axis) {
             0 => {}
             3 => axes.larger |= 1 << axis,
             _ => axes.ones += 1,
         }
-        axis += 1;
     }
     axes
 }
@@ -151,7 +149,7 @@ pub(super) const QUIET_PLACE: usize = 30;
 pub(super) const WAKE_PLACE: usize = 31;
 
 /// The table at a place. The lowest class is at several, no activity is so large that it comes to the first.
-pub(super) const fn table_at(place: usize) -> Option<usize> {
+pub(super) fn table_at(place: usize) -> Option<usize> {
     match place {
         QUIET_PLACE => Some(QUIET),
         WAKE_PLACE => Some(WAKE),

@@ -9,12 +9,6 @@ pub(super) type Point = [f32; 4];
 pub(super) const LANES: usize = 8;
 pub(super) type Lanes = [f32; LANES];
 
-/// So many rows, in whole lanes.
-#[inline(always)]
-pub(super) fn whole(n_rows: usize) -> usize {
-    n_rows.next_multiple_of(LANES)
-}
-
 /// x, y and z.
 #[derive(Debug, Default)]
 pub(super) struct Planes(pub(super) [Vec<f32>; 3]);
@@ -41,12 +35,6 @@ impl Planes {
     #[inline(always)]
     pub(super) fn axes(&self, from: usize) -> [&[f32]; 3] {
         self.0.each_ref().map(|plane| &plane[from..])
-    }
-
-    /// The same, to write.
-    #[inline(always)]
-    pub(super) fn axes_mut(&mut self, from: usize) -> [&mut [f32]; 3] {
-        self.0.each_mut().map(|plane| &mut plane[from..])
     }
 }
 

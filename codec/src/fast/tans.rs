@@ -5,8 +5,12 @@
 
 use std::{cmp::Ordering, sync::LazyLock};
 
-use super::model::{
-    Axes, LOW_BITS, PLACES, STATE_BITS, STATES, SYMBOLS, TABLES, axes, frequency, table_at,
+use super::{
+    model::{
+        Axes, GOLOMB, LOW_BITS, PLACES, STATE_BITS, STATES, SYMBOLS, TABLES, axes, axis_code,
+        frequency, table_at,
+    },
+    planes::Point,
 };
 use crate::{CodecError, Result, ensure};
 
@@ -42,6 +46,12 @@ pub(super) struct Tables {
     transitions: Box<[Transition; TABLES * SYMBOLS]>,
     /// Next states of the encoder, [`STATES`] to `2 * STATES - 1`.
     states: Box<[u16; TABLES * STATES]>,
+    /// By row symbol: the residual of its axes, of which a larger one stands as 0; and which these are.
+    pub(super) residuals: [Point; SYMBOLS],
+    pub(super) axes: [Axes; SYMBOLS],
+    /// What holds for each table, by its place.
+    pub(super) golomb: [u32; PLACES],
+    pub(super) low_bits: [u32; PLACES],
 }
 
 const _: () = assert!((TABLES * STATES).is_power_of_two() && (TABLES * SYMBOLS).is_power_of_two());
@@ -53,10 +63,21 @@ pub(super) static TABLES_OF_MODEL: LazyLock<Tables> = LazyLock::new(Tables::buil
 
 impl Tables {
     fn build() -> Self {
+        let residual = |symbol| {
+            let [x, y, z] = [0, 1, 2].map(|axis| [0.0, 1.0, -1.0, 0.0][axis_code(symbol, axis)]);
+            [x, y, z, 0.0]
+        };
+        let by_place = |of: [u32; TABLES]| {
+            std::array::from_fn(|place| table_at(place).map_or(0, |table| of[table]))
+        };
         let mut tables = Self {
             entries: Box::new([0; PLACES * STATES]),
             transitions: Box::new([Transition::default(); TABLES * SYMBOLS]),
             states: Box::new([0; TABLES * STATES]),
+            residuals: std::array::from_fn(residual),
+            axes: std::array::from_fn(axes),
+            golomb: by_place(GOLOMB),
+            low_bits: by_place(LOW_BITS),
         };
         for table in 0..TABLES {
             tables.fill(table);
@@ -93,7 +114,7 @@ impl Tables {
             next[symbol] += 1;
             let bits = STATE_BITS - x.ilog2();
             let base = (x << bits) - STATES;
-            let Axes { ones, larger } = axes(symbol);
+            let Axes { ones, larger } = self.axes[symbol];
             let more = larger != 0 || LOW_BITS[table] > 0;
             let row = u32::from(ones) << 8 | if more { MORE } else { 0 };
             let entry = (63 - bits) << SHIFT_AT | (base as u32) << BASE_AT | row | symbol as u32;

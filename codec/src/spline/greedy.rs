@@ -82,7 +82,8 @@ impl<'a> Greedy<'a> {
         let interval = self.interval_of(row);
         let index = interval + 1;
         self.knots.insert(index, (row, widen(self.samples[row])));
-        self.moments.insert(index);
+        // To be solved for next.
+        self.moments.values.insert(index, [0.0; 3]);
         self.misfits.insert(interval, Misfit::default());
         let (low, high) = (index.saturating_sub(REACH), (index + REACH).min(self.knots.len() - 1));
         self.moments.solve_between(&self.knots, low, high);
@@ -99,9 +100,10 @@ impl<'a> Greedy<'a> {
         let (knots, moments) = &mut self.trial;
         knots.clear();
         knots.extend_from_slice(&self.knots[low..=high]);
-        moments.copy_from(&self.moments, low..=high);
+        moments.values.clear();
+        moments.values.extend_from_slice(&self.moments.values[low..=high]);
         knots.insert(interval + 1 - low, (row, widen(self.samples[row])));
-        moments.insert(interval + 1 - low);
+        moments.values.insert(interval + 1 - low, [0.0; 3]);
         moments.solve_between(knots, 0, knots.len() - 1);
         let before: f64 = self.misfits[low..high].iter().map(|m| m.sum).sum();
         let after: f64 =

@@ -191,14 +191,13 @@ impl PayloadEncoder for Spline {
             let start = out.len();
             out.push(CODED);
             let is_within = self.write(*rows, out, report)?;
-            let samples = report.samples;
             // Not where raw would merely be smaller: the knots are what is studied. Of a plan of other samples,
             // the bound stands all the same.
-            if !is_within || out.len() - start - 1 > max_bytes(samples as usize) {
+            if !is_within || out.len() - start - 1 > max_bytes(report.samples as usize) {
                 out.truncate(start);
                 out.push(RAW);
                 self.raw.write(*rows, &mut Histories::default(), out);
-                *report = BlockReport { samples, kept: samples, max_error_mm: 0.0 };
+                report.keep_all();
             }
         }
         Ok(())

@@ -13,7 +13,7 @@ use crate::{
 /// Second derivatives at the knots, and the memory to find them.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Moments {
-    values: Vec<Vector>,
+    pub(super) values: Vec<Vector>,
     /// Forward sweep of the Thomas algorithm: upper diagonal and right-hand side, divided.
     sweep: Vec<(f64, Vector)>,
 }
@@ -29,17 +29,6 @@ impl Moments {
         if let Some(last) = knots.len().checked_sub(1) {
             self.solve_between(knots, 0, last);
         }
-    }
-
-    /// Makes room for a knot at `index`, to be solved for next.
-    pub(super) fn insert(&mut self, index: usize) {
-        self.values.insert(index, [0.0; 3]);
-    }
-
-    /// Takes over a part of another spline's moments.
-    pub(super) fn copy_from(&mut self, other: &Self, part: std::ops::RangeInclusive<usize>) {
-        self.values.clear();
-        self.values.extend_from_slice(&other.values[part]);
     }
 
     /// Solves for the knots strictly between `low` and `high`, whose own moments stay.
