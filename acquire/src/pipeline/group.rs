@@ -25,9 +25,12 @@ use crate::heartbeat::Beat;
 pub(super) struct Group {
     index: usize,
     content: Content,
-    jobs: Option<(Receiver<Job>, Sender<Part>)>,
-    buffers: Receiver<Vec<u8>>,
-    buffers_back: Sender<Vec<u8>>,
+    pub(super) jobs: Receiver<Job>,
+    pub(super) jobs_in: Sender<Job>,
+    parts: Sender<Part>,
+    /// Free ones; the writer gives them back.
+    pub(super) buffers: Receiver<Vec<u8>>,
+    pub(super) buffers_back: Sender<Vec<u8>>,
 }
 
 #[derive(Debug)]
@@ -61,6 +64,7 @@ impl Group {
         plan: &Plan,
         index: usize,
         seen: Option<SeenCounters>,
+        parts: &Sender<Part>,
     ) -> (Self, Vec<RingIn<Sample>>) {
         let rows = plan.stretch_rows as usize;
         let n_slots = plan.slots_of(index).len();
@@ -83,47 +87,42 @@ impl Group {
             block: Vec::with_capacity(plan.part_bytes_max(index)),
             seen,
         }));
-        (Self::new(plan, index, content, plan.part_bytes_max(index)), producers)
+        (Self::new(plan, index, content, plan.part_bytes_max(index), parts), producers)
     }
 
     /// The time line's group, and the reader's end of its ring.
-    pub(super) fn timeline(plan: &Plan, header: &Header) -> (Self, RingIn<TimelineItem>) {
+    pub(super) fn timeline(
+        plan: &Plan,
+        header: &Header,
+        parts: &Sender<Part>,
+    ) -> (Self, RingIn<TimelineItem>) {
         let (producer, consumer) = ring(plan.timeline_items());
         let coder = TimelineCoder::new(consumer, header, plan.timeline_items());
         let content = Content::Timeline(Box::new(coder));
-        (Self::new(plan, plan.n_groups(), content, plan.front_bytes_max()), producer)
+        (Self::new(plan, plan.n_groups(), content, plan.front_bytes_max(), parts), producer)
     }
 
-    fn new(plan: &Plan, index: usize, content: Content, part_bytes: usize) -> Self {
+    fn new(
+        plan: &Plan,
+        index: usize,
+        content: Content,
+        part_bytes: usize,
+        parts: &Sender<Part>,
+    ) -> Self {
+        let (jobs_in, jobs) = bounded(plan.spans_max());
         let (buffers_back, buffers) = bounded(plan.buffers_per_group());
         for _ in 0..plan.buffers_per_group() {
             drop(buffers_back.try_send(Vec::with_capacity(part_bytes)));
         }
-        Self { index, content, jobs: None, buffers, buffers_back }
-    }
-
-    /// Where its jobs come from and its parts go. Gives a view of its free buffers.
-    pub(super) fn connect(
-        &mut self,
-        jobs: Receiver<Job>,
-        parts: Sender<Part>,
-    ) -> Receiver<Vec<u8>> {
-        self.jobs = Some((jobs, parts));
-        self.buffers.clone()
-    }
-
-    /// Where the writer gives its buffers back.
-    pub(super) fn buffers_back(&self) -> Sender<Vec<u8>> {
-        self.buffers_back.clone()
+        Self { index, content, jobs, jobs_in, parts: parts.clone(), buffers, buffers_back }
     }
 
     /// Does every job for which there is a buffer.
     pub(super) fn work_off(&mut self, beat: &Beat) {
-        let Some((jobs, parts)) = &self.jobs else { return };
-        while !jobs.is_empty() {
+        while !self.jobs.is_empty() {
             beat.moved();
             let Ok(mut bytes) = self.buffers.try_recv() else { return };
-            let Ok(job) = jobs.try_recv() else {
+            let Ok(job) = self.jobs.try_recv() else {
                 drop(self.buffers_back.try_send(bytes));
                 return;
             };
@@ -138,7 +137,7 @@ impl Group {
             let (stretch, end, counts) = (job.stretch, job.end, job.counts);
             let part = Part { stretch, end, group: self.index, bytes, report, counts };
             // Never full: it has room for every buffer there is. Closed when the writer is gone.
-            if parts.try_send(part).is_err() {
+            if self.parts.try_send(part).is_err() {
                 return;
             }
         }

@@ -249,12 +249,8 @@ impl Intake {
     fn event_at(&mut self, row: u64, event: Event) {
         let event = Event { row, ..event };
         // The queue is full only when the disk has stalled through a thousand events.
-        self.counts.events_dropped += u64::from(
-            self.to_writer
-                .control
-                .try_send(Control::Event(self.feed.next_stretch(), event))
-                .is_err(),
-        );
+        let control = (self.feed.next_stretch(), Control::Event(event));
+        self.counts.events_dropped += u64::from(self.to_writer.control.try_send(control).is_err());
     }
 
     /// What other threads want of the reader.

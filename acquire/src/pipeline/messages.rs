@@ -85,24 +85,14 @@ impl PartReport {
 #[derive(Debug)]
 pub(super) enum Control {
     Channel(NewChannel),
-    /// With the stretch that was open then: the event stands before it.
-    Event(u64, Event),
-}
-
-impl Control {
-    /// The stretch before which it has to be written.
-    pub(super) fn stretch(&self) -> u64 {
-        match self {
-            Self::Channel(new) => new.stretch,
-            Self::Event(stretch, _) => *stretch,
-        }
-    }
+    Event(Event),
 }
 
 /// The reader's ends of its queues to the writer.
 #[derive(Debug)]
 pub(super) struct ToWriter {
-    pub(super) control: Sender<Control>,
+    /// With the stretch that was open then: it stands before that one.
+    pub(super) control: Sender<(u64, Control)>,
     pub(super) clock: Sender<ClockItem>,
     /// With the number of the boundary that they are carried out at.
     pub(super) commands: Sender<(u64, TakeCommand)>,
@@ -111,7 +101,7 @@ pub(super) struct ToWriter {
 /// The writer's ends of them.
 #[derive(Debug)]
 pub(super) struct FromReader {
-    pub(super) control: Receiver<Control>,
+    pub(super) control: Receiver<(u64, Control)>,
     pub(super) clock: Receiver<ClockItem>,
     pub(super) commands: Receiver<(u64, TakeCommand)>,
 }
@@ -129,8 +119,6 @@ pub(super) fn reader_to_writer() -> (ToWriter, FromReader) {
 /// A marker that appeared.
 #[derive(Debug)]
 pub(super) struct NewChannel {
-    /// The first stretch that may hold it.
-    pub(super) stretch: u64,
     pub(super) slot: usize,
     pub(super) marker_id: u16,
     /// Label, and whether the device knows the marker; without one it is named by its slot.

@@ -111,21 +111,21 @@ impl Pipeline {
         let mut groups = Vec::new();
         let mut rings = Vec::new();
         for index in 0..plan.n_groups() {
-            let (group, group_rings) = Group::channels(&plan, index, seen.clone());
+            let (group, group_rings) = Group::channels(&plan, index, seen.clone(), &parts_in);
             groups.push(group);
             rings.extend(group_rings);
         }
-        let (timeline_group, timeline) = Group::timeline(&plan, header);
+        let (timeline_group, timeline) = Group::timeline(&plan, header, &parts_in);
         groups.push(timeline_group);
 
-        let buffers_back = groups.iter().map(Group::buffers_back).collect();
-        let pool = Pool::start(&plan, groups, &parts_in, &progress, &config.heartbeat)?;
+        let buffers_back = groups.iter().map(|group| group.buffers_back.clone()).collect();
+        let (pool, feed) = Pool::start(&plan, groups, &progress, &config.heartbeat)?;
         let (takes, mailbox) = commands::mailbox();
         let (tap_in, tap) = tap::tap(plan.n_slots);
         let ends = ReaderEnds {
             rings,
             timeline,
-            feed: pool.feed(),
+            feed,
             to_writer,
             mailbox,
             tap: tap_in,

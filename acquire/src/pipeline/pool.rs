@@ -18,7 +18,7 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 use super::{
     Counts, Progress,
     group::Group,
-    messages::{Job, Part, StretchEnd},
+    messages::{Job, StretchEnd},
     plan::Plan,
 };
 use crate::{
@@ -97,34 +97,25 @@ impl Feed {
 pub(super) struct Pool {
     workers: Vec<JoinHandle<()>>,
     wakes: Wakes,
-    jobs: Vec<Sender<Job>>,
-    plan: Plan,
 }
 
 impl Pool {
     pub(super) fn start(
         plan: &Plan,
         groups: Vec<Group>,
-        parts: &Sender<Part>,
         progress: &Arc<Progress>,
         heartbeat: &Heartbeat,
-    ) -> anyhow::Result<Self> {
+    ) -> anyhow::Result<(Self, Feed)> {
         let n_groups = groups.len();
         let mut jobs = Vec::with_capacity(n_groups);
         let mut stations = Vec::with_capacity(n_groups);
-        for mut group in groups {
-            let (job_in, job_out) = bounded(plan.spans_max());
+        for group in groups {
+            jobs.push(group.jobs_in.clone());
+            let (waiting, buffers) = (group.jobs.clone(), group.buffers.clone());
             let (park, unpark) = bounded(1);
-            let buffers = group.connect(job_out.clone(), parts.clone());
             drop(park.send(group));
-            stations.push(Station {
-                park,
-                unpark,
-                jobs: job_out,
-                buffers,
-                woken: AtomicBool::new(false),
-            });
-            jobs.push(job_in);
+            let woken = AtomicBool::new(false);
+            stations.push(Station { park, unpark, jobs: waiting, buffers, woken });
         }
         // One wake a group, and one stop a worker.
         let (queue, wakes_out) = bounded(n_groups + plan.workers);
@@ -139,16 +130,8 @@ impl Pool {
                 drop(guard);
             })?);
         }
-        Ok(Self { workers, wakes, jobs, plan: plan.clone() })
-    }
-
-    pub(super) fn feed(&self) -> Feed {
-        Feed {
-            jobs: self.jobs.clone(),
-            wakes: self.wakes.clone(),
-            plan: self.plan.clone(),
-            next_stretch: 0,
-        }
+        let feed = Feed { jobs, wakes: wakes.clone(), plan: plan.clone(), next_stretch: 0 };
+        Ok((Self { workers, wakes }, feed))
     }
 
     pub(super) fn wakes(&self) -> Wakes {

@@ -40,13 +40,13 @@ const GIVE_UP_AFTER: Duration = Duration::from_secs(2);
 #[derive(Debug)]
 pub(super) struct Writer {
     parts: Receiver<Part>,
-    control: Receiver<Control>,
+    control: Receiver<(u64, Control)>,
     commands: Receiver<(u64, TakeCommand)>,
     /// Read from `commands`, but its boundary has not come.
     next_command: Option<(u64, TakeCommand)>,
     clocks: ClockWriter,
     /// Read from `control`, but its stretch is not written yet.
-    waiting: Option<Control>,
+    waiting: Option<(u64, Control)>,
     buffers_back: Vec<Sender<Vec<u8>>>,
     wakes: Wakes,
     progress: Arc<Progress>,
@@ -224,9 +224,10 @@ impl Writer {
 
     /// What must stand in a take before stretch `stretch`.
     fn take_in_control(&mut self, stretch: u64) {
-        while let Some(message) = self.waiting.take().or_else(|| self.control.try_recv().ok()) {
-            if message.stretch() > stretch {
-                self.waiting = Some(message);
+        while let Some((at, message)) = self.waiting.take().or_else(|| self.control.try_recv().ok())
+        {
+            if at > stretch {
+                self.waiting = Some((at, message));
                 return;
             }
             match message {
@@ -236,7 +237,7 @@ impl Writer {
                     lock(&self.progress.channels).push(channel.clone());
                     self.table.push((stretch, channel));
                 }
-                Control::Event(at, event) => {
+                Control::Event(event) => {
                     self.on_take(|take, _| take.event(&event));
                     if let Some(held) = &mut self.held {
                         held.event(at, event);

@@ -63,7 +63,7 @@ struct Inner {
 enum Remembered {
     Status(Box<Result<Status, Refusal>>),
     Started(Result<Started, Refusal>),
-    Stopped(Result<Stopped, Refusal>),
+    Stopped(Box<Result<Stopped, Refusal>>),
     Marked(Result<Marked, Refusal>),
 }
 
@@ -308,10 +308,11 @@ impl Control for Fake {
 
     fn stop(&self, request: &Request) -> Result<Stopped, Refusal> {
         let unwrap = |known| match known {
-            Remembered::Stopped(answer) => Some(answer),
+            Remembered::Stopped(answer) => Some(*answer),
             _ => None,
         };
-        self.once(request.request_id.as_ref(), Remembered::Stopped, unwrap, |inner| {
+        let wrap = |answer| Remembered::Stopped(Box::new(answer));
+        self.once(request.request_id.as_ref(), wrap, unwrap, |inner| {
             let Some(take) = inner.take.take() else {
                 return refuse(RefusalKind::Conflict, "no take is being recorded");
             };
@@ -345,10 +346,11 @@ impl Control for Fake {
 
     fn save_last(&self, save: &SaveLast) -> Result<Stopped, Refusal> {
         let unwrap = |known| match known {
-            Remembered::Stopped(answer) => Some(answer),
+            Remembered::Stopped(answer) => Some(*answer),
             _ => None,
         };
-        self.once(save.request_id.as_ref(), Remembered::Stopped, unwrap, |inner| {
+        let wrap = |answer| Remembered::Stopped(Box::new(answer));
+        self.once(save.request_id.as_ref(), wrap, unwrap, |inner| {
             if !(save.seconds > 0.0 && save.seconds <= 3600.0) {
                 return refuse(RefusalKind::Invalid, "seconds are more than 0 and at most 3600");
             }

@@ -98,7 +98,7 @@ fn quick() -> super::Served {
 fn events_come_as_they_happen_and_again_to_who_was_away() {
     let served = quick();
     let mark = |text: &str| {
-        served.fake.feeds.tell(ServiceEventKind::Mark, text.to_owned(), State::Idle, None)
+        served.fake.feeds.tell(ServiceEventKind::Mark, text.to_owned(), State::Idle, None);
     };
     let mut first = Stream::open(served.at, "/v1/events", &[]);
     mark("one\nline");

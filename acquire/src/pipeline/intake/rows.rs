@@ -224,12 +224,16 @@ impl Intake {
         }
         self.close_stretch();
         let channel = NewChannel {
-            stretch: self.feed.next_stretch(),
             slot: self.n_channels,
             marker_id: id,
             named: named.map(|(label, labelled)| (label.to_owned(), labelled)),
         };
-        if self.to_writer.control.try_send(Control::Channel(channel)).is_err() {
+        if self
+            .to_writer
+            .control
+            .try_send((self.feed.next_stretch(), Control::Channel(channel)))
+            .is_err()
+        {
             return;
         }
         self.labels.push(named.map(|(label, _)| label.to_owned()).unwrap_or_default());
