@@ -23,11 +23,11 @@ use mocapd_take::record::{
 use super::{DiskState, TakeOutput};
 use crate::clock::ClockStatus;
 
-/// Commands for takes that wait for the reader, and as many that wait for the writer, and its disk. One at a time is
-/// asked for.
+/// Places of the mailbox that marks leave to commands for takes, and so many of these wait for the writer, and its disk.
+/// One at a time is asked for.
 pub(super) const TAKE_COMMANDS_MAX: usize = 4;
 
-/// Marks that wait for the reader, which looks every 20 ms: more is a client that hammers, and is told so.
+/// A mark is refused where so much waits for the reader, which looks every 20 ms: that is a client that hammers.
 const MARKS_MAX: usize = 16;
 
 /// A take to be written.
