@@ -7,7 +7,6 @@
 //!
 //! Sans-io: times and ticks go in. Nothing here allocates after it was made, or reads a clock.
 
-mod again;
 mod fit;
 mod model;
 mod observations;
@@ -15,9 +14,9 @@ mod prober;
 #[cfg(test)]
 mod tests;
 
-pub use again::{Apart, LineAgain};
 pub use fit::{Bound, Burst, Line, fit};
 pub use model::{ClockEvent, ClockItem, ClockModel, ClockStatus, Store};
+pub use observations::{Apart, LineAgain};
 pub use prober::Prober;
 
 /// What the line is made of is at most so old: over two minutes the oscillator of a device and that of a host

@@ -24,8 +24,7 @@ use super::{
     messages::{Control, Moment, ToWriter},
     plan::Plan,
     pool::Feed,
-    ring::{RingIn, Sample, TimelineItem},
-    tap::{TapHead, TapIn},
+    ring::{RingIn, Sample, TapHead, TapIn, TimelineItem},
 };
 use crate::{
     heartbeat::{Beat, Who},

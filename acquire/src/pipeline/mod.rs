@@ -21,7 +21,6 @@ mod plan;
 mod pool;
 mod progress;
 mod ring;
-mod tap;
 mod writer;
 
 use std::sync::Arc;
@@ -39,7 +38,7 @@ pub use group::{Seen, SeenCounters};
 pub use intake::Intake;
 pub use plan::{PipelineConfig, PreRollConfig};
 pub use progress::{Progress, TakeNow, lock};
-pub use tap::{TapHead, TapOut};
+pub use ring::{TapHead, TapOut};
 
 use self::{
     group::Group,
@@ -121,7 +120,7 @@ impl Pipeline {
         let buffers_back = groups.iter().map(|group| group.buffers_back.clone()).collect();
         let (pool, feed) = Pool::start(&plan, groups, &progress, &config.heartbeat)?;
         let (takes, mailbox) = commands::mailbox();
-        let (tap_in, tap) = tap::tap(plan.n_slots);
+        let (tap_in, tap) = ring::tap(plan.n_slots);
         let ends = ReaderEnds {
             rings,
             timeline,
