@@ -8,6 +8,8 @@ pub mod structure;
 #[cfg(test)]
 mod dependencies;
 #[cfg(test)]
+mod limits;
+#[cfg(test)]
 mod profiles;
 #[cfg(test)]
 mod sources;

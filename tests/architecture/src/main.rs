@@ -4,7 +4,7 @@
 
 #![expect(clippy::print_stdout, reason = "it is a report")]
 
-use std::{collections::BTreeMap, fs, io, path::PathBuf};
+use std::{fs, io, path::PathBuf};
 
 use mocapd_architecture::{cycles, product_sources, root, structure};
 
@@ -21,7 +21,7 @@ fn main() -> io::Result<()> {
     );
     let mut sum = [0; 6];
     for (name, figures) in structure::figures(&sources) {
-        let circles = cycles::cycles(&cycles::graph(&files_of(&sources, &name)));
+        let circles = cycles::cycles(&cycles::graph(&structure::files_of(&sources, &name)));
         let row = [
             figures.files,
             figures.small_files,
@@ -50,15 +50,4 @@ fn main() -> io::Result<()> {
 fn print_row(name: &str, row: [usize; 6]) {
     let [files, small, lines, long, wide, circles] = row;
     println!("{name:18}{files:7}{small:10}{lines:13}{long:15}{wide:15}{circles:9}");
-}
-
-/// The files of one crate, by their path below its `src`.
-fn files_of(sources: &[(String, String)], name: &str) -> BTreeMap<String, String> {
-    let files = sources.iter().filter(|(path, _)| structure::crate_of(path) == name);
-    files
-        .map(|(path, text)| {
-            let (_, below) = path.split_once("src/").unwrap_or_default();
-            (below.to_owned(), text.clone())
-        })
-        .collect()
 }

@@ -58,6 +58,18 @@ pub fn crate_of(path: &str) -> String {
     if Path::new(path).starts_with("src") { "src".to_owned() } else { folder.to_owned() }
 }
 
+/// The files of one crate, by their path below its `src`.
+#[must_use]
+pub fn files_of(sources: &[(String, String)], name: &str) -> BTreeMap<String, String> {
+    let files = sources.iter().filter(|(path, _)| crate_of(path) == name);
+    files
+        .map(|(path, text)| {
+            let (_, below) = path.split_once("src/").unwrap_or_default();
+            (below.to_owned(), text.clone())
+        })
+        .collect()
+}
+
 fn code_lines(text: &str, file: &syn::File) -> usize {
     let mut is_test = vec![false; text.lines().count() + 1];
     mark_tests(&file.items, &mut is_test);
