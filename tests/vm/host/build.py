@@ -11,9 +11,13 @@ from . import Absent
 ROOT = Path(__file__).resolve().parents[3]
 
 
+# With the features of the package, so that every build takes what the one before it has made.
+PROGRAMS = ("-p", "mocapd", "-p", "mocapd-simulator", "--features", "mocapd/full", "--bins", "--example", "vm-guest")
+
+
 def programs() -> list[Path]:
     """mocapd, mocapd-sim and the guest's program. An empty list is an error of cargo's, which it has told."""
-    return built("-p", "mocapd", "-p", "mocapd-simulator", "--bins", "--example", "vm-guest")
+    return built(*PROGRAMS)
 
 
 def built(*what: str) -> list[Path]:
@@ -29,12 +33,12 @@ def built(*what: str) -> list[Path]:
 
 def hanging(folder: Path) -> Path:
     """mocapd with the hooks that make it hang, into a folder: in cargo's own the next build takes its place."""
-    program = next(path for path in built("-p", "mocapd", "--bins", "--features", "fault-hooks") if path.name == "mocapd")
+    program = next(path for path in built("-p", "mocapd", "--bins", "--features", "full,fault-hooks") if path.name == "mocapd")
     return Path(shutil.copy2(program, folder / "mocapd-hanging"))
 
 
 def guest() -> Path:
-    return next(path for path in built("-p", "mocapd", "--example", "vm-guest") if path.name == "vm-guest")
+    return next(path for path in programs() if path.name == "vm-guest")
 
 
 def package(folder: Path, cargo_deb: list[Path]) -> Path:
