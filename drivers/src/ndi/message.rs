@@ -195,7 +195,7 @@ fn without_crc(bytes: &[u8]) -> Option<&[u8]> {
     (u16::from_le_bytes(*crc) == crc16(covered)).then_some(covered)
 }
 
-/// Errors of devices, as `ERRORxx` has them. [`advice`] knows more of them.
+/// Errors of devices, as `ERRORxx` has them; `advice` knows more of them.
 #[expect(
     missing_docs,
     reason = "the vendor's guide has a line for each, and `advice` says what helps"
