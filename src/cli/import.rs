@@ -10,7 +10,6 @@ use anyhow::Context;
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{
     files::NewFile,
-    header,
     inspect::size_ratio,
     pipeline::{Written, offline},
     threads,
@@ -20,7 +19,7 @@ use mocapd_service::subject::strangers;
 use mocapd_take::{
     interchange::{Direction, LengthUnit, ReadOptions},
     motion::{Ambiguity, Motion},
-    record::{Header, ImportSource},
+    record::Header,
 };
 use serde::Serialize;
 
