@@ -458,27 +458,7 @@ impl Solving<'_> {
         }
         std::array::from_fn(|i| if i < N { system[i][N] } else { 0.0 })
     }
-}
 
-/// Room to work in: of one channel and class.
-#[derive(Debug)]
-struct Work {
-    /// Of the channel with those before it.
-    alike: Lanes,
-    /// Of its references with those.
-    rows: [Lanes; REFERENCES - 1],
-    /// As [`Solving`] has it; 0 where a reference cannot be, or is already.
-    inverse: Lanes,
-}
-
-impl Work {
-    fn new() -> Self {
-        let none = [[0.0; LANES]; GROUP_CHANNELS / LANES];
-        Self { alike: none, rows: [none; REFERENCES - 1], inverse: none }
-    }
-}
-
-impl Solving<'_> {
     #[inline(always)]
     fn solve(&self, work: &mut Work) -> References {
         let j = self.j;
@@ -522,6 +502,24 @@ impl Solving<'_> {
             found.weights = [0.0; REFERENCES];
         }
         found
+    }
+}
+
+/// Room to work in: of one channel and class.
+#[derive(Debug)]
+struct Work {
+    /// Of the channel with those before it.
+    alike: Lanes,
+    /// Of its references with those.
+    rows: [Lanes; REFERENCES - 1],
+    /// As [`Solving`] has it; 0 where a reference cannot be, or is already.
+    inverse: Lanes,
+}
+
+impl Work {
+    fn new() -> Self {
+        let none = [[0.0; LANES]; GROUP_CHANNELS / LANES];
+        Self { alike: none, rows: [none; REFERENCES - 1], inverse: none }
     }
 }
 

@@ -31,8 +31,9 @@ impl PayloadDecoder for Dense {
         let mut is_raw = [false; GROUP_CHANNELS];
         for channel in 0..n_channels {
             if side.channels[channel].has_samples() {
-                let fineness: Option<Fineness> = Some(Fineness::Normal);
-                is_raw[channel] = self.storage(&mut side.coder, channel, fineness).is_none();
+                // What the encoder chose comes out.
+                let fineness = self.storage(&mut side.coder, channel, Some(Fineness::Normal));
+                is_raw[channel] = fineness.is_none();
             }
             if is_raw[channel] {
                 side.stored(channel)?;

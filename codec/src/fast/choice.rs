@@ -5,7 +5,7 @@ use super::{
     MAX_STEPS,
     model::{ANCHOR, Activity, GOLOMB, LOW_BITS, QUIET, QUIET_ROWS, WAKE},
     planes::{LANES, Planes, Point, scatter, split},
-    tans::{Op, Ops},
+    tans::{Field, Op, Ops},
     walk::{self, Rows, SPAN, Side},
 };
 use crate::{
@@ -303,8 +303,8 @@ impl<'a> Choosing<'a> {
         let low_bits = LOW_BITS[table];
         let half = (1 << low_bits) >> 1;
         let (mut symbol, mut low) = (0, 0);
-        let mut fields = [(0, 0); 3];
-        for (field, steps) in fields.iter_mut().zip(&self.residuals.steps) {
+        let mut fields = [Field::default(); 4];
+        for (field, steps) in fields[1..].iter_mut().zip(&self.residuals.steps) {
             let value = steps[i];
             let high = (value + half) >> low_bits;
             low = low << low_bits | ((value + half) & ((1 << low_bits) - 1)) as u32;
@@ -312,12 +312,13 @@ impl<'a> Choosing<'a> {
             let larger = magnitude > 1;
             let code = magnitude.wrapping_sub(2).wrapping_add(1 << order);
             let width = if larger { 64 - 2 * code.leading_zeros() - order } else { 0 };
-            let code = if larger { code << 1 | u32::from(high < 0) } else { 0 };
-            *field = (code, width);
+            let value = if larger { code << 1 | u32::from(high < 0) } else { 0 };
+            *field = Field { value, width };
             let axis = if larger { 3 } else { magnitude as usize + usize::from(high < 0) };
             symbol = symbol << 2 | axis;
         }
-        self.ops.push_row(Op::symbol(table, symbol), (low, 3 * low_bits), fields);
+        fields[0] = Field { value: low, width: 3 * low_bits };
+        self.ops.push_row(Op::symbol(table, symbol), fields);
     }
 }
 

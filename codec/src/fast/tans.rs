@@ -251,14 +251,20 @@ impl Op {
         Self(((table * SYMBOLS + symbol) as u64) << Self::SYMBOL_AT)
     }
 
-    /// A value of 32 bits in so many, at most 48.
     #[inline(always)]
-    fn bits((value, width): (u32, u32)) -> Self {
+    fn bits(Field { value, width }: Field) -> Self {
         Self(Self::PLAIN | u64::from(width) << Self::WIDTH_AT | u64::from(value))
     }
 
     /// Most bytes of one op: 40 bits and those of a symbol, or 48.
     const MAX_BYTES: usize = (Self::WIDTH_AT + STATE_BITS).div_ceil(8) as usize;
+}
+
+/// A value in so many bits, at most 48.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Field {
+    pub(super) value: u32,
+    pub(super) width: u32,
 }
 
 /// What is to be written.
@@ -294,18 +300,18 @@ impl Ops {
         }
     }
 
-    /// A symbol, and behind it bits and fields of so many bits.
+    /// A symbol, and what is behind it.
     #[inline(always)]
-    pub(super) fn push_row(&mut self, symbol: Op, low: (u32, u32), fields: [(u32, u32); 3]) {
-        let all = [low, fields[0], fields[1], fields[2]];
-        let width = low.1 + fields[0].1 + fields[1].1 + fields[2].1;
+    pub(super) fn push_row(&mut self, symbol: Op, fields: [Field; 4]) {
+        let width = fields.iter().map(|field| field.width).sum::<u32>();
         if width <= Op::WIDTH_AT {
-            let bits = all.iter().fold(0, |bits, &(value, width)| bits << width | u64::from(value));
+            let bits =
+                fields.iter().fold(0, |bits, field| bits << field.width | u64::from(field.value));
             self.push(Op(symbol.0 | u64::from(width) << Op::WIDTH_AT | bits));
             return;
         }
         self.push(symbol);
-        all.into_iter().for_each(|bits| self.push(Op::bits(bits)));
+        fields.into_iter().for_each(|field| self.push(Op::bits(field)));
     }
 }
 

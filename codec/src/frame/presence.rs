@@ -154,11 +154,8 @@ impl State {
         let Some(more) = n_rows.checked_sub(1) else { return };
         self.push(present);
         self.age = more.saturating_add(self.age.into()).min(LONG.into()) as u8;
-        if present {
-            self.last = (self.last << more.min(4) | ((1 << more.min(4)) - 1)) & 0b1111;
-        } else {
-            self.last = self.last << more.min(4) & 0b1111;
-        }
+        let alike = if present { (1 << more.min(4)) - 1 } else { 0 };
+        self.last = (self.last << more.min(4) | alike) & 0b1111;
     }
 
     fn push(&mut self, present: bool) {
