@@ -10,18 +10,14 @@ use crate::{Estimate, Joint, Joints, Side};
 /// A landmark in the front of the foot, behind the toes.
 const TOES: usize = 0;
 
-/// How far joints may be off besides, in body scales, where a limb touches something.
-struct InDoubt {
-    shoulder: f64,
-    elbow: f64,
-    hip: f64,
-    knee: f64,
-    scale: f64,
-}
-
-/// About the root mean squares of the errors on the shapes that were learned from, with limbs touching.
-const IN_DOUBT: InDoubt =
-    InDoubt { shoulder: 0.15, elbow: 0.05, hip: 0.06, knee: 0.07, scale: 0.02 };
+/// How far joints may be off besides, in body scales, where a limb touches something: about the root mean squares of the errors
+/// on the shapes that were learned from, with limbs touching.
+const SHOULDER_IN_DOUBT: f64 = 0.15;
+const ELBOW_IN_DOUBT: f64 = 0.05;
+const HIP_IN_DOUBT: f64 = 0.06;
+const KNEE_IN_DOUBT: f64 = 0.07;
+/// How far any joint may be off because the scale is.
+const SCALE_IN_DOUBT: f64 = 0.02;
 
 /// How far the top of the head may be off where it is not what is farthest from the neck: from there to the forehead or a temple
 /// it is a quarter of the head's girth, 0.08 of stature, at most.
@@ -45,32 +41,34 @@ pub fn joints(landmarks: &Landmarks) -> Joints {
     let toes = [0, 1].map(|side| landmarks.halves[side].leg.get(TOES).copied().unwrap_or_default());
     let left = left(legs, toes);
     let Touching { arms: arms_touch, legs: legs_touch, scale } = landmarks.touching;
-    let mut found = Found {
-        scale: landmarks.scale,
-        doubt: if scale { IN_DOUBT.scale } else { 0.0 },
-        estimates: BTreeMap::new(),
+    let doubt = if scale { SCALE_IN_DOUBT } else { 0.0 };
+    let mut estimates = BTreeMap::new();
+    let mut add = |joint: Joint, at: Point, sigma: f64| {
+        let position = (at * landmarks.scale).into();
+        let sigma = sigma.hypot(doubt) * landmarks.scale;
+        estimates.insert(joint, Estimate { position, sigma });
     };
     let of_top = if landmarks.head_is_in_doubt() { OFF_TOP } else { 0.0 };
     // A joint in the middle of the body: as seen from both sides.
     let middle = |model: &Model| (landmarks.joint(model, 0) + landmarks.joint(model, 1)) / 2.0;
-    found.add(Joint::Head, middle(&of.head), of.head.sigma.hypot(of_top));
-    found.add(Joint::Throat, middle(&of.throat), of.throat.sigma);
+    add(Joint::Head, middle(&of.head), of.head.sigma.hypot(of_top));
+    add(Joint::Throat, middle(&of.throat), of.throat.sigma);
     let in_doubt = |touches: bool, by: f64| if touches { by } else { 0.0 };
     // Hips are told by arms too.
     let touched = arms_touch.contains(&true) || legs_touch.contains(&true);
     let of_stumps = legs.map(|leg| leg.stump(ROOT_OF_STUMP));
-    let hip_sigma = of.hip.sigma.hypot(in_doubt(touched, IN_DOUBT.hip));
+    let hip_sigma = of.hip.sigma.hypot(in_doubt(touched, HIP_IN_DOUBT));
     let hip_sigma = hip_sigma.hypot(of_stumps[0].max(of_stumps[1]));
     // The errors of two hips are about as much the same as they are each one's own.
-    found.add(Joint::Pelvis, (legs[0].root + legs[1].root) / 2.0, hip_sigma);
+    add(Joint::Pelvis, (legs[0].root + legs[1].root) / 2.0, hip_sigma);
     for (half, (arm, leg)) in arms.iter().zip(&legs).enumerate() {
         let side = if half == left.unwrap_or(0) { Side::Left } else { Side::Right };
         let of_arm = |sigma: f64, by: f64| sigma.hypot(in_doubt(arms_touch[half], by));
-        let shoulder_sigma = of_arm(of.shoulder.sigma, IN_DOUBT.shoulder);
-        found.add(Joint::Shoulder(side), arm.root, shoulder_sigma.hypot(arm.stump(ROOT_OF_STUMP)));
-        found.add(Joint::Hip(side), leg.root, hip_sigma);
-        let elbow_sigma = of_arm(arm.hinge_sigma, IN_DOUBT.elbow);
-        let knee_sigma = leg.hinge_sigma.hypot(in_doubt(legs_touch[half], IN_DOUBT.knee));
+        let shoulder_sigma = of_arm(of.shoulder.sigma, SHOULDER_IN_DOUBT);
+        add(Joint::Shoulder(side), arm.root, shoulder_sigma.hypot(arm.stump(ROOT_OF_STUMP)));
+        add(Joint::Hip(side), leg.root, hip_sigma);
+        let elbow_sigma = of_arm(arm.hinge_sigma, ELBOW_IN_DOUBT);
+        let knee_sigma = leg.hinge_sigma.hypot(in_doubt(legs_touch[half], KNEE_IN_DOUBT));
         let [[wrist, elbow, _], [ankle, knee, _]] = landmarks.halves[half].marks;
         for (joint, limb, at, mark, sigma) in [
             (Joint::Elbow(side), arm, arm.hinge, elbow, elbow_sigma),
@@ -79,27 +77,11 @@ pub fn joints(landmarks: &Landmarks) -> Joints {
             (Joint::Ankle(side), leg, leg.end, ankle, of.ankle.sigma),
         ] {
             if limb.missing <= 0.0 || mark >= limb.missing + STUMP_LEAST {
-                found.add(joint, at, sigma.hypot(limb.stump(OF_STUMP)));
+                add(joint, at, sigma.hypot(limb.stump(OF_STUMP)));
             }
         }
     }
-    Joints { estimates: found.estimates, sides_told: left.is_some(), size_sigma: 0.0 }
-}
-
-struct Found {
-    scale: f64,
-    /// How far any joint may be off because the scale is.
-    doubt: f64,
-    estimates: BTreeMap<Joint, Estimate>,
-}
-
-impl Found {
-    /// Takes a joint in body scales.
-    fn add(&mut self, joint: Joint, at: Point, sigma: f64) {
-        let position = (at * self.scale).into();
-        self.estimates
-            .insert(joint, Estimate { position, sigma: sigma.hypot(self.doubt) * self.scale });
-    }
+    Joints { estimates, sides_told: left.is_some(), size_sigma: 0.0 }
 }
 
 /// An arm or a leg, in body scales.

@@ -102,12 +102,10 @@ pub(super) fn by_shape(
             missing[end] = END * scale;
         }
     }
-    let hands_near = match (fields.between(HAND[0], HAND[1]), legs_way(fields)) {
-        (Some(hands), Some(legs)) => {
-            (hands / HAND_TO_HAND).ln() - (legs / HEAD_TO_FOOT).ln() < -HANDS_SHORTER
-        }
-        _ => false,
-    };
+    let ways = fields.between(HAND[0], HAND[1]).zip(legs_way(fields));
+    let hands_near = ways.is_some_and(|(hands, legs)| {
+        (hands / HAND_TO_HAND).ln() - (legs / HEAD_TO_FOOT).ln() < -HANDS_SHORTER
+    });
     let both = [(HAND, hands == [false; 2] && hands_near), (FOOT, feet == [false; 2])];
     for (pair, _) in both.into_iter().filter(|(_, none)| *none) {
         pair.into_iter().for_each(|end| missing[end] = f64::max(missing[end], END * scale));

@@ -139,20 +139,18 @@ const SHARE_MAX: f64 = 0.01;
 
 /// Takes out triangles that reach far out: what they leave are holes.
 pub(super) fn spikes(mesh: &mut Mesh, notes: &mut Vec<Note>) {
-    let mut longest: Vec<f64> = mesh.triangles.iter().map(|t| longest_edge(mesh, t)).collect();
+    let longest: Vec<f64> = mesh.triangles.iter().map(|t| longest_edge(mesh, t)).collect();
     let middle = longest.len() / 2;
     if middle == 0 {
         return;
     }
-    let median = *longest.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let median = *longest.clone().select_nth_unstable_by(middle, f64::total_cmp).1;
     let limit = (MEDIANS * median).max(EXTENTS * mesh.extent());
     let n = longest.iter().filter(|&&edge| edge > limit).count();
     if n == 0 || n as f64 > SHARE_MAX * longest.len() as f64 {
         return;
     }
-    let Mesh { positions, triangles } = std::mem::take(mesh);
-    *mesh = Mesh { positions, triangles: Vec::new() };
-    mesh.triangles = triangles.into_iter().filter(|t| longest_edge(mesh, t) <= limit).collect();
+    mesh.keep_triangles(|triangle| longest[triangle] <= limit);
     drop_unused(mesh);
     notes.push(Note::new("spikes-cut", format!("{n} triangles reached far out: taken out")));
 }

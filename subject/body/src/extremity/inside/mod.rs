@@ -80,7 +80,7 @@ fn largest_piece(graph: &Graph) -> Option<u32> {
 }
 
 /// The vertex of the surface that is nearest to a place inside.
-fn nearest(positions: &[[f64; 3]], graph: &Graph, place: [f64; 3]) -> u32 {
+fn nearest(positions: &[Point], graph: &Graph, place: Point) -> u32 {
     let mut best = (f64::INFINITY, 0);
     for (vertex, at) in (0_u32..).zip(positions) {
         let far = distance(*at, place);
@@ -156,7 +156,7 @@ struct Grid {
     /// The edge of a cube.
     step: f64,
     /// The centre of the first cube.
-    origin: [f64; 3],
+    origin: Point,
     /// How many there are along each axis; the outermost are all outside.
     size: [usize; 3],
     /// z fastest, then y.
@@ -166,15 +166,9 @@ struct Grid {
 impl Grid {
     /// Fills a grid of such a step: along each column in z the surface is crossed in and out by turns. None if there would
     /// be too many cells.
-    fn new(positions: &[[f64; 3]], triangles: &[[u32; 3]], step: f64) -> Option<Self> {
-        let mut low = [f64::INFINITY; 3];
-        let mut high = [f64::NEG_INFINITY; 3];
-        for at in positions {
-            for axis in 0..3 {
-                low[axis] = low[axis].min(at[axis]);
-                high[axis] = high[axis].max(at[axis]);
-            }
-        }
+    fn new(positions: &[Point], triangles: &[[u32; 3]], step: f64) -> Option<Self> {
+        let low = positions.iter().fold(Point::repeat(f64::INFINITY), |low, at| low.inf(at));
+        let high = positions.iter().fold(Point::repeat(f64::NEG_INFINITY), |high, at| high.sup(at));
         let mut size = [0; 3];
         for axis in 0..3 {
             let cells = (high[axis] - low[axis]) / step;
@@ -208,7 +202,7 @@ impl Grid {
     }
 
     /// Where the columns cross a triangle.
-    fn cross(&self, [a, b, c]: [[f64; 3]; 3], crossings: &mut [Vec<f64>]) {
+    fn cross(&self, [a, b, c]: [Point; 3], crossings: &mut [Vec<f64>]) {
         let cell = |axis: usize, value: f64| ((value - self.origin[axis]) / self.step).max(0.0);
         let least = |axis: usize| a[axis].min(b[axis]).min(c[axis]);
         let most = |axis: usize| a[axis].max(b[axis]).max(c[axis]);
@@ -235,10 +229,10 @@ impl Grid {
     }
 
     /// The centre of a cell.
-    fn centre(&self, cell: usize) -> [f64; 3] {
+    fn centre(&self, cell: usize) -> Point {
         let [_, columns, layers] = self.size;
         let at = [cell / layers / columns, cell / layers % columns, cell % layers];
-        [0, 1, 2].map(|axis| self.origin[axis] + self.step * at[axis] as f64)
+        self.origin + Point::from(at.map(|at| self.step * at as f64))
     }
 }
 
@@ -246,7 +240,7 @@ impl Grid {
 ///
 /// The ends are put in order first, so that both triangles of a side come to the same answer, and a column that hits the
 /// side exactly still goes through one of them alone.
-fn passes([p, q]: [[f64; 3]; 2], at: [f64; 2]) -> bool {
+fn passes([p, q]: [Point; 2], at: [f64; 2]) -> bool {
     let [p, q] = if [p[1], p[0]] <= [q[1], q[0]] { [p, q] } else { [q, p] };
     if (p[1] > at[1]) == (q[1] > at[1]) {
         return false;
@@ -256,7 +250,7 @@ fn passes([p, q]: [[f64; 3]; 2], at: [f64; 2]) -> bool {
 
 /// Positions in the frame of the surface's principal axes about its centroid, so that a grid along them does not depend on
 /// how the body was turned.
-fn in_principal_frame(mesh: &Mesh) -> Vec<[f64; 3]> {
+fn in_principal_frame(mesh: &Mesh) -> Vec<Point> {
     let centre = mesh.area_centroid();
     let arms: Vec<Point> = mesh.positions.iter().map(|at| Point::from(*at) - centre).collect();
     let mut spread = Matrix3::zeros();
@@ -277,5 +271,5 @@ fn in_principal_frame(mesh: &Mesh) -> Vec<[f64; 3]> {
         let skew: f64 = third.iter().map(|(middle, area)| area * middle.dot(&axis).powi(3)).sum();
         if skew < 0.0 { -axis } else { axis }
     });
-    arms.iter().map(|arm| axes.map(|axis| axis.dot(arm))).collect()
+    arms.iter().map(|arm| axes.map(|axis| axis.dot(arm)).into()).collect()
 }

@@ -3,6 +3,7 @@
 use super::{Grid, Inside, in_principal_frame};
 use crate::Mesh;
 use crate::geodesic::{Workspace, distances};
+use crate::mesh::Point;
 use crate::tests::{cubes, sphere};
 
 /// How many pieces are left with such a layer off.
@@ -20,8 +21,13 @@ fn pieces(inside: &Inside, layer: f64) -> usize {
     count
 }
 
+fn grid(mesh: &Mesh, step: f64) -> Option<Grid> {
+    let positions: Vec<Point> = mesh.positions.iter().map(|at| Point::from(*at)).collect();
+    Grid::new(&positions, &mesh.triangles, step)
+}
+
 fn filled(mesh: &Mesh, step: f64) -> Grid {
-    Grid::new(&mesh.positions, &mesh.triangles, step).unwrap()
+    grid(mesh, step).unwrap()
 }
 
 #[test]
@@ -66,7 +72,7 @@ fn a_needle_asks_for_no_memory() {
         positions: vec![[0.0; 3], [1e9, 0.0, 0.0], [0.0, 1.0, 1.0]],
         triangles: vec![[0, 1, 2]],
     };
-    assert!(Grid::new(&mesh.positions, &mesh.triangles, 1e-3).is_none());
+    assert!(grid(&mesh, 1e-3).is_none());
 }
 
 #[test]
