@@ -349,7 +349,26 @@ fn of_ledger(ledger: &LedgerDocument, out: &mut Out<'_>) -> Result<(), Error> {
         gauge take_contradictions = ledger.contradictions.len() as f64;
         /// 1 when what was sent and what became of it are equal
         gauge take_ledger_closes = flag(ledger.closes);
+        /// Frames sent less those whose fate is known; 0 when the ledger closes
+        gauge take_frame_balance = ledger.frame_balance as f64;
+        /// Samples announced less those whose fate is known; 0 when the ledger closes
+        gauge take_sample_balance = ledger.sample_balance as f64;
     }
+    let bytes = [("received", ledger.link_bytes), ("skipped", ledger.link_bytes_skipped)];
+    let messages = [
+        ("whole", ledger.link_messages),
+        ("damaged", ledger.link_messages_damaged),
+        ("unknown", ledger.link_messages_unknown),
+    ];
+    let counted = |(fate, n): (&'static str, u64)| (fate, n as f64);
+    out.by(
+        "take_link_bytes",
+        "Bytes of the line during the take; those skipped were received, too",
+        "fate",
+        &bytes.map(counted),
+    )?;
+    let help = "Messages of the line during the take";
+    out.by("take_link_messages", help, "fate", &messages.map(counted))?;
     Ok(())
 }
 
