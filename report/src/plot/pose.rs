@@ -97,6 +97,7 @@ fn seen(motion: &Motion, row: usize) -> impl Iterator<Item = (usize, Vector)> + 
 }
 
 /// Poses of one motion beside each other.
+#[derive(Clone, Copy)]
 struct Strip<'a> {
     name: &'a str,
     motion: &'a Motion,

@@ -23,7 +23,8 @@ pub(super) fn about(frames: &dyn FrameSource) -> Vec<(String, String)> {
         all.push(("resampler", header.resampler.clone()));
         all.push(("tolerance_mm", header.tolerance_mm.to_string()));
         all.push(("finished", take.finished.to_string()));
-        all.push(("problems", json!(take.problems).to_string()));
+        let problems: Vec<String> = take.problems.iter().map(ToString::to_string).collect();
+        all.push(("problems", json!(problems).to_string()));
         if let Some(device) = &header.device {
             all.push((
                 "device",
