@@ -82,6 +82,6 @@ pub(crate) fn models() -> Vec<Vec<u8>> {
     );
     let parts = ["\"model\"", "\"triangles\"", "\"features\"", "\"contours\"", "\"modes\""];
     let cut =
-        parts.iter().filter_map(|part| text.find(part)).map(|at| text[..at].as_bytes().to_vec());
+        parts.iter().filter_map(|part| text.find(part)).map(|at| text.as_bytes()[..at].to_vec());
     cut.chain([text.clone().into_bytes()]).collect()
 }

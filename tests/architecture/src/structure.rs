@@ -16,7 +16,7 @@ pub const FUNCTION_LINES_MAX: usize = 80;
 pub const PARAMETERS_MAX: usize = 6;
 
 /// A file below this is one that a reader opens for next to nothing.
-const SMALL_FILE_LINES: usize = 60;
+pub const SMALL_FILE_LINES: usize = 60;
 
 /// What the source of a crate comes to.
 #[derive(Clone, Debug, Default)]
