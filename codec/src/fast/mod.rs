@@ -26,7 +26,7 @@ use self::{
 use crate::{
     CodecError, Result, Tolerance,
     coding::{bytes::Bytes, columns::Raw, isa::Isa},
-    frame::{Payload, PayloadEncoder},
+    frame::Payload,
 };
 
 /// 2/sqrt(3), less 2^-9 for the float32 rounding of the reconstruction: the step's cube lies inside
@@ -114,7 +114,8 @@ impl Payload for Fast {
     fn prepare_decoder(&mut self, n_channels: usize, n_rows: usize) {
         self.grow(n_channels, n_rows);
         self.raw.reserve(n_rows);
-        self.decoding.grow(walk::room(n_rows), Self::max_payload_bytes(n_channels, n_rows));
+        let bytes = <Self as crate::frame::PayloadEncoder>::max_payload_bytes(n_channels, n_rows);
+        self.decoding.grow(walk::room(n_rows), bytes);
     }
 
     fn reset(&mut self) {

@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[3]
 
 
 # With the features of the package, so that every build takes what the one before it has made.
-PROGRAMS = ("-p", "mocapd", "-p", "mocapd-simulator", "--features", "mocapd/full", "--bins", "--example", "vm-guest")
+PROGRAMS = ("-p", "mocapd", "-p", "mocapd-simulator", "-p", "mocapd-vm-guest", "--features", "mocapd/full", "--bins")
 
 
 def programs() -> list[Path]:
