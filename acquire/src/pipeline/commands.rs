@@ -1,7 +1,7 @@
 //! What is asked of a pipeline that runs: takes begun, ended, and saved from its pre-roll, and marks.
 //!
 //! A command goes one way. It waits in a bounded mailbox, at which the reader looks between two frames: one load when
-//! there is nothing. A mark becomes an event there. For a take the reader closes the open stretch and sends a boundary,
+//! there is nothing. A mark becomes an event there, and never waits for the writer. For a take the reader closes the open stretch and sends a boundary,
 //! a stretch without rows, the way that stretches go; the command goes to the writer beside it, with the boundary's
 //! number, and is carried out when the writer meets that: exactly between two frames.
 
@@ -15,7 +15,7 @@ use std::{
 };
 
 use anyhow::ensure;
-use crossbeam_channel::{Receiver, Sender, bounded};
+use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use mocapd_take::record::{
     ClockLine, EndingKind, Event, EventKind, Header, Ledger, Subject, TakeEnding,
 };
@@ -23,8 +23,7 @@ use mocapd_take::record::{
 use super::{DiskState, TakeOutput};
 use crate::clock::ClockStatus;
 
-/// Places of the mailbox that marks leave to commands for takes, and so many of these wait for the writer, and its disk.
-/// One at a time is asked for.
+/// So many commands for takes wait in the mailbox, and so many for the writer, and its disk. One at a time is asked for.
 pub(super) const TAKE_COMMANDS_MAX: usize = 4;
 
 /// A mark is refused where so much waits for the reader, which looks every 20 ms: that is a client that hammers.
@@ -163,12 +162,6 @@ pub struct AskedMark {
     _asked: Arc<()>,
 }
 
-#[derive(Debug)]
-pub(super) enum Command {
-    Mark(NewMark),
-    Take(TakeCommand),
-}
-
 /// A mark, and where its row is told.
 #[derive(Debug)]
 pub(super) struct NewMark {
@@ -198,7 +191,8 @@ pub(super) enum TakeCommand {
 #[derive(Debug)]
 pub(super) struct Mailbox {
     waiting: Arc<AtomicUsize>,
-    commands: Receiver<Command>,
+    marks: Receiver<NewMark>,
+    commands: Receiver<TakeCommand>,
 }
 
 impl Mailbox {
@@ -207,11 +201,20 @@ impl Mailbox {
         self.waiting.load(Ordering::Acquire) == 0
     }
 
-    /// The oldest command.
-    pub(super) fn next(&self) -> Option<Command> {
-        let command = self.commands.try_recv().ok()?;
+    /// The oldest mark.
+    pub(super) fn next_mark(&self) -> Option<NewMark> {
+        self.next(&self.marks)
+    }
+
+    /// The oldest command for a take.
+    pub(super) fn next_command(&self) -> Option<TakeCommand> {
+        self.next(&self.commands)
+    }
+
+    fn next<T>(&self, queue: &Receiver<T>) -> Option<T> {
+        let next = queue.try_recv().ok()?;
         self.waiting.fetch_sub(1, Ordering::AcqRel);
-        Some(command)
+        Some(next)
     }
 }
 
@@ -219,13 +222,16 @@ impl Mailbox {
 #[derive(Debug)]
 pub struct Takes {
     waiting: Arc<AtomicUsize>,
-    commands: Sender<Command>,
+    marks: Sender<NewMark>,
+    commands: Sender<TakeCommand>,
 }
 
 pub(super) fn mailbox() -> (Takes, Mailbox) {
-    let (sender, commands) = bounded(MARKS_MAX + TAKE_COMMANDS_MAX);
+    let (marks_in, marks) = bounded(MARKS_MAX);
+    let (commands_in, commands) = bounded(TAKE_COMMANDS_MAX);
     let waiting = Arc::new(AtomicUsize::new(0));
-    (Takes { waiting: Arc::clone(&waiting), commands: sender }, Mailbox { waiting, commands })
+    let takes = Takes { waiting: Arc::clone(&waiting), marks: marks_in, commands: commands_in };
+    (takes, Mailbox { waiting, marks, commands })
 }
 
 impl Takes {
@@ -265,24 +271,25 @@ impl Takes {
         let ((row, row_out), asked) = (bounded(1), Arc::new(()));
         let event = Event::new(EventKind::Mark, host_ns, text);
         let mark = NewMark { event, row, asked: Arc::downgrade(&asked) };
-        ensure!(self.send(Command::Mark(mark), MARKS_MAX), "too many marks wait: wait a moment");
+        ensure!(self.send(&self.marks, mark), "too many marks wait: wait a moment");
         Ok(AskedMark { row: row_out, _asked: asked })
     }
 
     fn send_for_take(&self, command: TakeCommand) -> anyhow::Result<()> {
-        let is_sent = self.send(Command::Take(command), MARKS_MAX + TAKE_COMMANDS_MAX);
+        let is_sent = self.send(&self.commands, command);
         ensure!(is_sent, "the writer is still busy with what it was asked before");
         Ok(())
     }
 
-    /// `false` when so many wait, or the reader is gone.
-    fn send(&self, command: Command, waiting_max: usize) -> bool {
+    /// `false` when the queue is full. Where the reader is gone the take has ended with it: who waits for an answer
+    /// finds that nobody gives one.
+    fn send<T>(&self, queue: &Sender<T>, command: T) -> bool {
         // Counted before it is there: the reader looks again with the next frame.
-        let waiting = self.waiting.fetch_add(1, Ordering::AcqRel);
-        let is_sent = waiting < waiting_max && self.commands.try_send(command).is_ok();
-        if !is_sent {
+        self.waiting.fetch_add(1, Ordering::AcqRel);
+        let sent = queue.try_send(command);
+        if sent.is_err() {
             self.waiting.fetch_sub(1, Ordering::AcqRel);
         }
-        is_sent
+        !matches!(sent, Err(TrySendError::Full(_)))
     }
 }

@@ -20,7 +20,7 @@ use self::{
 };
 use super::{
     Counts, PipelineConfig, Progress,
-    commands::{Command, Mailbox, TAKE_COMMANDS_MAX, TakeCommand},
+    commands::{Mailbox, TAKE_COMMANDS_MAX, TakeCommand},
     messages::{Control, Moment, ToWriter},
     plan::Plan,
     pool::Feed,
@@ -257,23 +257,22 @@ impl Intake {
         if self.mailbox.is_empty() {
             return;
         }
+        while let Some(mark) = self.mailbox.next_mark() {
+            if mark.is_wanted() {
+                self.event(mark.event);
+                // Whoever asked may have gone.
+                mark.row.try_send(self.next_row).ok();
+            }
+        }
         // While the writer has as much to do as it takes on, commands wait in the mailbox.
         while self.to_writer.commands.len() < TAKE_COMMANDS_MAX
-            && let Some(command) = self.mailbox.next()
+            && let Some(command) = self.mailbox.next_command()
         {
-            match command {
-                Command::Mark(mark) if mark.is_wanted() => {
-                    self.event(mark.event);
-                    // Whoever asked may have gone.
-                    mark.row.try_send(self.next_row).ok();
-                }
-                Command::Mark(_) => {}
-                Command::Take(begin @ TakeCommand::Begin(..))
-                    if self.begins_then.is_none() && (self.is_away || self.rejoining) =>
-                {
-                    self.begins_then = Some(begin);
-                }
-                Command::Take(command) => self.cut(command, now_ns),
+            let is_begin = matches!(command, TakeCommand::Begin(..));
+            if is_begin && self.begins_then.is_none() && (self.is_away || self.rejoining) {
+                self.begins_then = Some(command);
+            } else {
+                self.cut(command, now_ns);
             }
         }
     }

@@ -246,6 +246,10 @@ impl Inner {
             let words = "no take is being recorded: nothing to mark";
             return Err(Refusal::new(RefusalKind::Conflict, words));
         };
+        if take.ending.is_some() {
+            let words = "the take is being ended: a mark would be behind it";
+            return Err(Refusal::new(RefusalKind::Conflict, words));
+        }
         let name = take.named.name.clone();
         let Some(rows_before) = take.first.map(|first| first.row) else {
             let words = "the take has no frame yet: mark it when it has begun";
