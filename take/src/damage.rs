@@ -217,8 +217,13 @@ impl Losses {
     /// The rows from the end of what is known to `end`.
     fn push(&mut self, end: u64, why: Why) -> u64 {
         let rows = end.saturating_sub(self.end_row);
-        if rows > 0 {
-            self.lost.push(LostRows { first_row: self.end_row, rows, why });
+        match self.lost.last_mut() {
+            // A file of two bytes a run could else claim a list of twelve times its size.
+            Some(last) if last.first_row + last.rows == self.end_row && last.why == why => {
+                last.rows += rows;
+            }
+            _ if rows > 0 => self.lost.push(LostRows { first_row: self.end_row, rows, why }),
+            _ => {}
         }
         rows
     }
