@@ -1,5 +1,5 @@
 import os
-from typing import Any, TypedDict, final
+from typing import Any, TypedDict, final, type_check_only
 
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +40,7 @@ class TakeFile:
     ) -> tuple[npt.NDArray[np.uint64], npt.NDArray[np.uint64], npt.NDArray[np.bool_]]: ...
     def lost(self) -> list[tuple[int, int, str]]: ...
 
+@type_check_only
 class Coding(TypedDict):
     rate_hz: float
     tolerance_mm: float | None
