@@ -12,7 +12,7 @@ from checks_service import Rig
 ROOT = Path(__file__).resolve().parents[2]
 #: Of the public takes the one with markers on a face, and where they sit on it.
 SINGING = "face_singing_38m_100hz_malformed_header.c3d"
-MAPPING = ROOT / "subject" / "data" / "singing-face-mapping.json"
+MAPPING = ROOT / "subject" / "face" / "data" / "singing-face-mapping.json"
 #: Of markers that hardly move against the skull, in the mean: the wireframe is of somebody else, a drawn portrait, whose
 #: temples lie elsewhere by up to 31 mm.
 WEIGHT_MIN, OFF_MM_MAX = 0.5, 15
