@@ -76,7 +76,7 @@ pub trait TakeOutput: Any + Write + Send {
         Ok(())
     }
 
-    /// Bytes that the disk has left, for whoever may write there; `None` where nobody can tell.
+    /// Free bytes on the disk, without those reserved for root; `None` where the system does not say.
     fn free_bytes(&self) -> Option<u64> {
         None
     }
