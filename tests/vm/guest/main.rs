@@ -38,11 +38,11 @@ fn main() -> ExitCode {
     };
     let wanted: Vec<&str> = wanted.lines().collect();
     let has_systemd = std::path::Path::new(KIND).exists();
-    let (all, prepare) = match has_systemd {
-        true => (service::ALL, service::prepare as fn() -> anyhow::Result<()>),
-        false => (scenarios::ALL, attached::set_our_rules as _),
+    let (all, long, prepare) = match has_systemd {
+        true => (service::ALL, &[][..], service::prepare as fn() -> anyhow::Result<()>),
+        false => (scenarios::ALL, scenarios::LONG, attached::set_our_rules as _),
     };
-    let names = || all.iter().map(|(name, _)| *name);
+    let names = || all.iter().chain(long).map(|(name, _)| *name);
     if let Some(part) = wanted.iter().find(|part| !names().any(|name| name.contains(**part))) {
         println!("no scenario has '{part}' in its name; there are:");
         names().for_each(|name| println!("  {name}"));
@@ -50,10 +50,10 @@ fn main() -> ExitCode {
         return ExitCode::FAILURE;
     }
     let mut table = Table::default();
-    for (name, scenario) in all {
-        if wanted.is_empty() || wanted.iter().any(|part| name.contains(part)) {
-            table.run(name, prepare, *scenario);
-        }
+    let is_named = |name: &str| wanted.iter().any(|part| name.contains(part));
+    let asked_for = all.iter().filter(|(name, _)| wanted.is_empty() || is_named(name));
+    for (name, scenario) in asked_for.chain(long.iter().filter(|(name, _)| is_named(name))) {
+        table.run(name, prepare, *scenario);
     }
     table.print();
     if table.failed() == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE }

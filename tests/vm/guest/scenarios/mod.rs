@@ -37,3 +37,6 @@ pub(crate) const ALL: &[(&str, Scenario)] = &[
     ("speed: the transport alone", speed::transport),
     ("speed: the whole pipeline", speed::pipeline),
 ];
+
+/// Run by name alone.
+pub(crate) const LONG: &[(&str, Scenario)] = &[("speed: the heaviest load", speed::heaviest_load)];
