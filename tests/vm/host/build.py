@@ -17,11 +17,11 @@ PROGRAMS = ("-p", "mocapd", "-p", "mocapd-simulator", "-p", "mocapd-vm-guest", "
 
 def programs() -> list[Path]:
     """mocapd, mocapd-sim and the guest's program. An empty list is an error of cargo's, which it has told."""
-    return built(*PROGRAMS)
+    return built("--release", *PROGRAMS)
 
 
 def built(*what: str) -> list[Path]:
-    command = ["cargo", "build", "--release", "--locked", "--message-format=json-render-diagnostics"]
+    command = ["cargo", "build", "--locked", "--message-format=json-render-diagnostics"]
     done = subprocess.run([*command, *what], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
     found = []
     for line in done.stdout.splitlines():
@@ -32,8 +32,11 @@ def built(*what: str) -> list[Path]:
 
 
 def hanging(folder: Path) -> Path:
-    """mocapd with the hooks that make it hang, into a folder: in cargo's own the next build takes its place."""
-    program = next(path for path in built("-p", "mocapd", "--bins", "--features", "full,fault-hooks") if path.name == "mocapd")
+    """mocapd with the hooks that make it hang, into a folder: in cargo's own the next build takes its place.
+
+    As tests are built: it hangs as well unoptimised, and is there a minute earlier.
+    """
+    program = next(path for path in built("-p", "mocapd", "--bins", "--features", "fault-hooks") if path.name == "mocapd")
     return Path(shutil.copy2(program, folder / "mocapd-hanging"))
 
 
