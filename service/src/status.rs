@@ -64,7 +64,7 @@ pub struct Status {
     pub pre_roll: PreRollStatus,
     /// The take being written.
     pub take: Option<TakeStatus>,
-    /// The one before.
+    /// The one before: null while it is being closed.
     pub last_take: Option<TakeSummary>,
     /// The disk of the takes' folder.
     pub disk: DiskStatus,

@@ -176,10 +176,10 @@ fn the_service_says_where_a_take_is_that_was_removed_or_renamed() {
 fn the_service_ends_a_take_that_was_cut_short() {
     let (folder, device) = rig();
     let mut service = Service::start(&folder, &device, "", "");
-    service.post("/v1/start", r#"{"name": "short"}"#);
+    assert_eq!(service.post("/v1/start", r#"{"name": "short"}"#).0, 200);
     let file = fs::File::options().write(true).open(folder.path("takes/short.take")).unwrap();
     file.set_len(150).unwrap();
-    let status = service.wait_until("the end", |status| status["take"].is_null());
+    let status = service.wait_until("the end", |status| !status["last_take"].is_null());
     let last = &status["last_take"];
     assert_eq!((&last["ending"], &last["bytes"]), (&"truncated".into(), &150.into()), "{last}");
     assert_ne!(last["health"], "complete");

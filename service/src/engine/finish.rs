@@ -27,9 +27,18 @@ impl Inner {
             return Err(Refusal::new(RefusalKind::Conflict, words));
         };
         let _closing = self.closing(&mut core);
+        // Whoever sees that the take has ended must not take the one before it for what it came to.
+        let before = core.last_take.take();
         drop(core);
         self.changed.notify_all();
-        self.closed(end, &take.named, take.rate_hz)
+        let closed = self.closed(end, &take.named, take.rate_hz);
+        // Nothing came of it that is in the list.
+        let mut core = self.core();
+        if core.last_take.is_none() {
+            core.last_take = before;
+        }
+        drop(core);
+        closed
     }
 
     /// Nobody will tell what became of the take: the pipeline ended before it was begun there, or its writer is gone.
