@@ -11,26 +11,20 @@ The lowest index wins ties.
 """
 
 import numpy as np
+from scipy.linalg import solveh_banded
 
 
 def second_derivatives(times, values):
-    """Of the natural cubic spline: a tridiagonal system, solved without pivoting (it is diagonally dominant)."""
+    """Of the natural cubic spline: a tridiagonal system, symmetric and diagonally dominant."""
     n = len(times)
     if n < 3:
         return np.zeros_like(values)
     steps = np.diff(times)
     slopes = np.diff(values, axis=0) / steps[:, None]
-    right = (6.0 * np.diff(slopes, axis=0)).tolist()
-    diagonal = (2.0 * (steps[:-1] + steps[1:])).tolist()
-    beside = steps[1:-1].tolist()
-    for i in range(1, n - 2):
-        factor = beside[i - 1] / diagonal[i - 1]
-        diagonal[i] -= factor * beside[i - 1]
-        right[i] = [b - factor * a for a, b in zip(right[i - 1], right[i])]
-    solution = [[b / diagonal[-1] for b in right[-1]]]
-    for i in range(n - 4, -1, -1):
-        solution.append([(b - beside[i] * s) / diagonal[i] for b, s in zip(right[i], solution[-1])])
-    return np.vstack([np.zeros((1, values.shape[1])), solution[::-1], np.zeros((1, values.shape[1]))])
+    diagonal, right = 2.0 * (steps[:-1] + steps[1:]), 6.0 * np.diff(slopes, axis=0)
+    beside = np.append(steps[1:-1], 0.0)
+    inner = right / diagonal if n == 3 else solveh_banded([diagonal, beside], right, lower=True, check_finite=False)
+    return np.pad(inner, ((1, 1), (0, 0)))
 
 
 def evaluate(times, values, curvature, at):
