@@ -1,6 +1,6 @@
 //! `export --from --to`: the frames of those times, under their own numbers.
 
-use mocapd_take::{motion::MotionEvent, record::EventKind};
+use mocapd_take::{interchange::Format, motion::MotionEvent, record::EventKind};
 
 use super::Folder;
 use crate::support::jump;
@@ -80,7 +80,7 @@ fn parquet_and_mcap_are_there_or_it_says_how_to_get_them() {
     let (folder, _) = folder();
     for (output, more) in [("a.parquet", &[][..]), ("wide.parquet", &["--wide"]), ("a.mcap", &[])] {
         let export = [&["export", "jump.take", "-o", output], more].concat();
-        if cfg!(feature = "full") {
+        if Format::Parquet.check_built().is_ok() {
             folder.run(&export).with_code(0);
             assert!(folder.path(output).metadata().unwrap().len() > 1000);
         } else {
