@@ -23,7 +23,7 @@ use mocapd_acquire::{
 use mocapd_service::units;
 use mocapd_take::{
     TakeFrames, TakeMap,
-    interchange::{Direction, Format, Turned, bids},
+    interchange::{Direction, Format, Turned, bids, npz},
     motion::{FrameSource, UpAxis},
     record::Ledger,
 };
@@ -163,7 +163,11 @@ pub(super) fn write(
     let mut output = NewFile::create(path)?;
     let mut out = BufWriter::with_capacity(BUFFER_BYTES, &mut output);
     let writing = || format!("cannot write {}", path.display());
-    format.write(frames, &mut out).with_context(writing)?;
+    let written = match format {
+        Format::Npz => npz::write(frames, &mut out),
+        _ => format.write(frames, &mut out),
+    };
+    written.with_context(writing)?;
     out.flush().with_context(writing)?;
     drop(out);
     output.keep()

@@ -22,7 +22,7 @@ mod csv;
 mod line_frames;
 #[cfg(feature = "full")]
 mod mcap;
-mod npz;
+pub mod npz;
 mod origin;
 #[cfg(feature = "full")]
 mod parquet;
@@ -34,6 +34,7 @@ mod turn;
 mod turned;
 mod units;
 mod xdf;
+mod zip;
 
 pub use text::column_labels;
 pub use turn::Direction;
@@ -61,7 +62,7 @@ pub enum Format {
     Mcap,
     /// CSV with one row a sample.
     CsvLong,
-    /// An archive of `NumPy` arrays; written only.
+    /// An archive of `NumPy` arrays; written only, by [`npz::write`].
     Npz,
     /// Lab Streaming Layer's recordings; written only.
     Xdf,
@@ -210,7 +211,8 @@ impl Format {
     /// an importer kept frame by frame (analog samples, residuals) is given back for the right frames.
     ///
     /// # Errors
-    /// `Unsupported` for what the format cannot hold, and for BIDS, which is a folder; `Io`.
+    /// `Unsupported` for what the format cannot hold, for BIDS, which is a folder, and for NumPy archives, whose writer must
+    /// go back ([`npz::write`]); `Io`.
     pub fn write(self, frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
         match self {
             Self::C3d => c3d::write(frames, out),
@@ -226,8 +228,10 @@ impl Format {
             Self::Mcap => mcap::write(frames, out),
             #[cfg(not(feature = "full"))]
             Self::Parquet | Self::ParquetWide | Self::Mcap => self.check_built(),
-            Self::Npz => npz::write(frames, out),
             Self::Xdf => xdf::write(frames, out),
+            Self::Npz => Err(InterchangeError::Unsupported(
+                "npz is not written from front to back: use npz::write".to_owned(),
+            )),
             Self::Bids => Err(InterchangeError::Unsupported(
                 "bids is a folder, not a file: use bids::write".to_owned(),
             )),

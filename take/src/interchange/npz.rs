@@ -12,35 +12,39 @@
 //! | `time_s` | frames | f64 | seconds from the first frame |
 //! | `positions_mm` | frames, markers, 3 | f32 | NaN where a sample is missing |
 
-use std::io::{self, BufWriter, Write};
+use std::io::{BufWriter, Seek, Write};
 
-use rawzip::{Error as ZipError, ErrorKind as ZipErrorKind, ZipArchiveWriter, time::UtcDateTime};
-
-use super::{InterchangeError, Result, expect_frames, write_frames};
+use super::{InterchangeError, Result, expect_frames, write_frames, zip::Archive};
 use crate::motion::{FrameSource, GAP, MotionEvent, MotionInfo, is_gap};
 
 /// Bytes that a head's length is a multiple of, so that elements are aligned.
 const ALIGNMENT: usize = 64;
 /// Most bytes of an array of texts: every element has the room of the longest.
 const TEXT_BYTES_MAX: u64 = 1 << 26;
-/// When members were changed: on 1 January 1980, the first day there is. The same take gives the same bytes.
-const CHANGED_UNIX_S: i64 = 315_532_800;
 
-/// Writes a whole archive.
-pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
+/// Writes a whole archive from where `out` stands. The checksums of long members are put in front of them once they are
+/// known, so that what reads from front to back, as from a pipe, finds each member's length and checksum before it.
+///
+/// # Errors
+/// `Unsupported` when labels are too long; `Io`.
+pub fn write(frames: &mut dyn FrameSource, out: &mut (impl Write + Seek)) -> Result<()> {
     let info = frames.info().clone();
-    let mut archive = Archive(ZipArchiveWriter::new(out));
+    let mut archive = Archive::new(out)?;
     about(&info, &mut archive)?;
     events(&info, &mut archive)?;
-    archive.stream("time_s.npy", |out| {
+    let head = header(F64, &[info.n_frames]);
+    let n_bytes = array_bytes(&head, &[info.n_frames, 8]);
+    archive.stream("time_s.npy", n_bytes, |out| {
         let mut out = BufWriter::new(out);
-        out.write_all(&header(F64, &[info.n_frames]))?;
+        out.write_all(&head)?;
         let times_s = (0..info.n_frames).map(|index| index as f64 / info.rate_hz);
         times_s.map(f64::to_le_bytes).try_for_each(|time| out.write_all(&time))?;
         out.flush()
     })?;
-    archive.stream("positions_mm.npy", |out| {
-        let head = header(F32, &[info.n_frames, info.markers.len() as u64, 3]);
+    let shape = [info.n_frames, info.markers.len() as u64, 3];
+    let head = header(F32, &shape);
+    let n_bytes = array_bytes(&head, &[&shape[..], &[4]].concat());
+    archive.stream("positions_mm.npy", n_bytes, |out| {
         let n_written = write_frames(frames, out, head, |buffer, _, row| {
             for &position in row {
                 let position = if is_gap(position) { GAP } else { position };
@@ -50,45 +54,20 @@ pub(super) fn write(frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result
         })?;
         expect_frames(info.n_frames, n_written)
     })?;
-    archive.0.finish().map_err(failed)?;
+    archive.finish()?;
     Ok(())
 }
 
-/// An archive of stored members, written front to back.
-struct Archive<'a>(ZipArchiveWriter<&'a mut dyn Write>);
-
-impl Archive<'_> {
-    /// Writes a member that is in memory.
-    fn put(&mut self, name: &str, bytes: &[u8]) -> io::Result<()> {
-        self.stream(name, |out| out.write_all(bytes))
-    }
-
-    /// Writes a member of whatever `fill` writes.
-    fn stream(
-        &mut self,
-        name: &str,
-        fill: impl FnOnce(&mut dyn Write) -> io::Result<()>,
-    ) -> io::Result<()> {
-        let changed = UtcDateTime::from_unix(CHANGED_UNIX_S);
-        let member = self.0.new_file(name).last_modified(changed).start();
-        let (mut member, data) = member.map_err(failed)?;
-        let mut data = data.wrap(&mut member);
-        fill(&mut data)?;
-        let (_, descriptor) = data.finish().map_err(failed)?;
-        member.finish(descriptor).map_err(failed)?;
-        Ok(())
-    }
-}
-
-fn failed(error: ZipError) -> io::Error {
-    match error.into_kind() {
-        ZipErrorKind::IO(error) => error,
-        other => io::Error::other(other.to_string()),
-    }
+/// Bytes of an array with this head, whose bytes are the product of `factors`.
+fn array_bytes(head: &[u8], factors: &[u64]) -> u64 {
+    factors
+        .iter()
+        .fold(1, |product: u64, &n| product.saturating_mul(n))
+        .saturating_add(head.len() as u64)
 }
 
 /// The markers, and what stands once.
-fn about(info: &MotionInfo, archive: &mut Archive<'_>) -> Result<()> {
+fn about(info: &MotionInfo, archive: &mut Archive<'_, impl Write + Seek>) -> Result<()> {
     let labels: Vec<&str> = info.markers.iter().map(|marker| marker.label.as_str()).collect();
     archive.put("labels.npy", &texts(&labels)?)?;
     let mut labelled = header(BOOL, &[info.markers.len() as u64]);
@@ -102,7 +81,7 @@ fn about(info: &MotionInfo, archive: &mut Archive<'_>) -> Result<()> {
     Ok(())
 }
 
-fn events(info: &MotionInfo, archive: &mut Archive<'_>) -> Result<()> {
+fn events(info: &MotionInfo, archive: &mut Archive<'_, impl Write + Seek>) -> Result<()> {
     let events = &info.events;
     let n = events.len() as u64;
     let mut numbers = header(I64, &[n]);

@@ -1,9 +1,9 @@
 //! The formats that are written only, taken apart by hand. `tests/oracle` has them read by programs that are not ours.
 
 use std::collections::BTreeMap;
-use std::io::Write;
+use std::io::{Cursor, Write};
 
-use mocapd_take::interchange::{Format, InterchangeError, bids};
+use mocapd_take::interchange::{Format, InterchangeError, bids, npz};
 use mocapd_take::motion::{
     GAP, Marker, Motion, MotionEvent, MotionFrames, MotionInfo, Source, UpAxis, is_gap,
 };
@@ -38,32 +38,34 @@ fn write(format: Format, motion: &Motion) -> Vec<u8> {
     bytes
 }
 
+fn npz(motion: &Motion) -> Vec<u8> {
+    let mut archive = Cursor::new(Vec::new());
+    npz::write(&mut MotionFrames::new(motion), &mut archive).expect("memory");
+    archive.into_inner()
+}
+
 fn number<const N: usize>(bytes: &[u8], at: usize) -> u64 {
     bytes[at..at + N].iter().rev().fold(0, |sum, &b| sum << 8 | u64::from(b))
 }
 
-/// The members of a ZIP file by its directory.
+/// The members of a ZIP file as they come from front to back, which its directory must tell of in the same way.
 fn members(archive: &[u8]) -> BTreeMap<String, &[u8]> {
     let end = archive.len() - 22;
     assert_eq!(number::<4>(archive, end), 0x0605_4b50);
-    let mut at = number::<4>(archive, end + 16) as usize;
+    let mut listed = number::<4>(archive, end + 16) as usize;
     let mut members = BTreeMap::new();
-    for _ in 0..number::<2>(archive, end + 10) {
-        assert_eq!(number::<4>(archive, at), 0x0201_4b50);
-        let (crc, size) = (number::<4>(archive, at + 16), number::<4>(archive, at + 24) as usize);
-        let (name_len, extra_len) =
-            (number::<2>(archive, at + 28) as usize, number::<2>(archive, at + 30));
-        let head = number::<4>(archive, at + 42) as usize;
-        let name = String::from_utf8(archive[at + 46..at + 46 + name_len].to_vec()).expect("text");
-        // The member's own head leaves checksum and length to the descriptor behind it; it is stored as it is, and of the
-        // first day there is.
-        assert_eq!(number::<4>(archive, head), 0x0403_4b50);
-        assert_eq!((number::<2>(archive, head + 6), number::<2>(archive, head + 8)), (8, 0));
-        assert_eq!(number::<4>(archive, head + 10), 0x0021_0000, "{name}");
-        let start = head + 30 + name_len + number::<2>(archive, head + 28) as usize;
-        let (member, behind) = archive[start..].split_at(size);
-        let descriptor = [0, 4, 8, 12].map(|at| number::<4>(behind, at));
-        assert_eq!(descriptor, [0x0807_4b50, crc, size as u64, size as u64], "{name}");
+    let mut at = 0;
+    while number::<4>(archive, at) == 0x0403_4b50 {
+        // Stored, nothing behind the member, and of the first day there is.
+        let fields = |at| [0, 2, 4].map(|field| number::<2>(archive, at + field));
+        assert_eq!(fields(at + 4), [45, 0, 0]);
+        assert_eq!(number::<4>(archive, at + 10), 0x0021_0000);
+        let [crc, size, length] = [14, 18, 22].map(|field| number::<4>(archive, at + field));
+        assert_eq!(size, length);
+        let start = at + 30 + number::<2>(archive, at + 26) as usize;
+        assert_eq!(number::<2>(archive, at + 28), 0, "extra");
+        let name = archive[at + 30..start].to_vec();
+        let member = &archive[start..start + size as usize];
         let mut sum = !0u32;
         for &byte in member {
             sum ^= u32::from(byte);
@@ -71,17 +73,25 @@ fn members(archive: &[u8]) -> BTreeMap<String, &[u8]> {
                 sum = sum >> 1 ^ (0xEDB8_8320 & (sum & 1).wrapping_neg());
             }
         }
-        assert_eq!(u64::from(!sum), crc, "{name}");
-        members.insert(name, member);
-        at += 46 + name_len + extra_len as usize;
+        assert_eq!(u64::from(!sum), crc, "{name:?}");
+        // The directory has the same, from the version on, and the place.
+        assert_eq!(number::<4>(archive, listed), 0x0201_4b50);
+        assert_eq!(archive[listed + 6..listed + 32], archive[at + 4..at + 30]);
+        assert_eq!(number::<4>(archive, listed + 42) as usize, at);
+        assert_eq!(archive[listed + 46..][..name.len()], name);
+        listed += 46 + name.len();
+        members.insert(String::from_utf8(name).expect("text"), member);
+        at = start + size as usize;
     }
+    assert_eq!((at, listed), (number::<4>(archive, end + 16) as usize, end));
+    assert_eq!(number::<2>(archive, end + 10) as usize, members.len());
     members
 }
 
 #[test]
 fn an_npz_holds_what_its_heads_say() {
     let source = motion(5, 40);
-    let archive = write(Format::Npz, &source);
+    let archive = npz(&source);
     let members = members(&archive);
     let body = |name: &str| {
         let array = members[name];
@@ -103,14 +113,14 @@ fn an_npz_holds_what_its_heads_say() {
     assert_eq!(body("event_frame.npy").1, [0u64, 20].map(u64::to_le_bytes).as_flattened());
     assert!(body("event_label.npy").0.contains("'<U8'"), "{}", body("event_label.npy").0);
     assert_eq!(members.len(), 12);
-    assert_eq!(write(Format::Npz, &source), archive);
+    assert_eq!(npz(&source), archive);
 }
 
 #[test]
 fn an_npz_whose_labels_would_need_gigabytes_is_refused() {
     let mut source = motion(200, 1);
     source.info.markers[0].label = "x".repeat(1 << 20);
-    let error = Format::Npz.write(&mut MotionFrames::new(&source), &mut Vec::new());
+    let error = npz::write(&mut MotionFrames::new(&source), &mut Cursor::new(Vec::new()));
     assert!(
         matches!(error, Err(InterchangeError::Unsupported(text)) if text.contains("characters"))
     );
@@ -210,7 +220,7 @@ fn a_bids_folder_has_a_column_a_coordinate() {
 fn long_takes_and_none_at_all() {
     for (n_markers, n_frames) in [(1, 70_000), (0, 3), (300, 2)] {
         let source = motion(n_markers, n_frames);
-        assert_eq!(members(&write(Format::Npz, &source)).len(), 12);
+        assert_eq!(members(&npz(&source)).len(), 12);
         assert!(chunks(&write(Format::Xdf, &source)).len() >= 5);
         let names = bids::Names::new("7", "jump").expect("letters and digits");
         let mut files = Files::default();
@@ -227,5 +237,7 @@ fn what_is_written_only_says_so() {
         assert!(error.contains("written only: import c3d"), "{error}");
     }
     let mut out = Vec::new();
-    assert!(Format::Bids.write(&mut MotionFrames::new(&motion(1, 1)), &mut out).is_err());
+    for format in [Format::Bids, Format::Npz] {
+        assert!(format.write(&mut MotionFrames::new(&motion(1, 1)), &mut out).is_err());
+    }
 }
