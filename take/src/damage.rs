@@ -126,14 +126,11 @@ pub struct Counts {
 }
 
 impl Problem {
-    /// Whether decoding told it, rather than the bytes and what stands beside the stretches.
+    /// Whether it may show only when samples are decoded.
     pub(crate) fn is_of_decoding(&self) -> bool {
         matches!(
             self,
-            Self::MissingBefore { .. }
-                | Self::MissingFrom { .. }
-                | Self::Unplaced { .. }
-                | Self::Refused { .. }
+            Self::Refused { refusal: Refusal::DependsOnLost | Refusal::Undecodable(_), .. }
         )
     }
 }
@@ -168,16 +165,36 @@ pub enum Why {
     BeforeRecovery,
 }
 
-/// Follows the stretches of a take that could be read, and keeps the rows between them.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+/// Follows the stretches of a take that could be read, and the rows between them.
+#[derive(Debug)]
 pub(crate) struct Losses {
-    pub(crate) lost: Vec<LostRows>,
+    /// What is lost, where that is kept.
+    pub(crate) lost: Option<Vec<LostRows>>,
     /// The row after the last stretch that was read.
     pub(crate) end_row: u64,
+    /// Those before it were passed over.
+    passed_to: u64,
     rows_min: u64,
 }
 
 impl Losses {
+    /// Of a take from its start; the rows between are kept if `lost` is a list.
+    pub(crate) fn new(lost: Option<Vec<LostRows>>) -> Self {
+        Self { lost, end_row: 0, passed_to: 0, rows_min: 0 }
+    }
+
+    /// What comes next is a key stretch whose rows begin at `row`.
+    pub(crate) fn pass_to(&mut self, row: u64) {
+        self.passed_to = row;
+        self.at_least(row);
+    }
+
+    /// Whether a stretch has rows that were read or passed over, or accounts for such rows as lost. How far the account of
+    /// those passed over went is known to the key alone, which tells itself of rows lost before it.
+    pub(crate) fn has(&self, stretch: &Stretch<'_>) -> bool {
+        stretch.from_row() < self.end_row || stretch.span.first_row < self.passed_to
+    }
+
     /// A stretch that was read. Gives the rows that are lost before it, or by its own account.
     pub(crate) fn stretch(&mut self, stretch: &Stretch<'_>) -> u64 {
         let from_row = stretch.from_row();
@@ -217,13 +234,13 @@ impl Losses {
     /// The rows from the end of what is known to `end`.
     fn push(&mut self, end: u64, why: Why) -> u64 {
         let rows = end.saturating_sub(self.end_row);
-        match self.lost.last_mut() {
+        let Some(lost) = self.lost.as_mut().filter(|_| rows > 0) else { return rows };
+        match lost.last_mut() {
             // A file of two bytes a run could else claim a list of twelve times its size.
             Some(last) if last.first_row + last.rows == self.end_row && last.why == why => {
                 last.rows += rows;
             }
-            _ if rows > 0 => self.lost.push(LostRows { first_row: self.end_row, rows, why }),
-            _ => {}
+            _ => lost.push(LostRows { first_row: self.end_row, rows, why }),
         }
         rows
     }

@@ -30,12 +30,10 @@ pub use crate::table::Renamed;
 /// What is decoded of each stretch.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Decode {
-    /// Nothing.
-    Nothing,
     /// All its blocks.
     All,
-    /// Some groups of channels, by number: what is coded together is decoded together, and groups know nothing of each
-    /// other. The other channels have no samples.
+    /// Some groups of channels, by number, or none: what is coded together is decoded together, and groups know nothing of
+    /// each other. The other channels have no samples.
     Groups(Vec<usize>),
 }
 
@@ -109,12 +107,13 @@ impl Progress {
     }
 
     fn new(decode: Decode, tells: Tells) -> Self {
-        let read = matches!(tells, Tells::All | Tells::Map).then_some(0);
+        let makes_map = matches!(tells, Tells::All | Tells::Map);
+        let read = makes_map.then_some(0);
         Self {
             take: TakeMap { n_held: read, longest_stretch: read, ..TakeMap::default() },
             rows_damaged: Vec::new(),
             table: ChannelTable::default(),
-            losses: Losses::default(),
+            losses: Losses::new(makes_map.then(Vec::new)),
             decoder: None,
             decode,
             tells,
@@ -140,11 +139,10 @@ impl Progress {
 
     fn start_decoding(&mut self) -> Result<(), TakeError> {
         let settings = self.take.header.codec()?;
-        self.decoder = match &self.decode {
-            Decode::Nothing => None,
-            Decode::All => Some(StretchDecoder::new(settings)),
-            Decode::Groups(groups) => Some(StretchDecoder::of_groups(settings, groups.clone())),
-        };
+        self.decoder = Some(match &self.decode {
+            Decode::All => StretchDecoder::new(settings),
+            Decode::Groups(groups) => StretchDecoder::of_groups(settings, groups.clone()),
+        });
         Ok(())
     }
 
@@ -201,7 +199,8 @@ impl Progress {
             TakeEvent::Mended { offset } => self.note(Problem::Mended { offset: *offset }),
             TakeEvent::Footer(footer) => {
                 let (told, found) = (footer.n_rows, self.n_rows());
-                if told != found {
+                // Rows may be lost to the damage that was told of; it makes none.
+                if told < found || told > found && !self.take.damaged {
                     self.note(Problem::FooterRows { told, found });
                 }
                 if self.take.damaged {
@@ -219,6 +218,12 @@ impl Progress {
         if stretch.missing_before {
             self.missing(Problem::MissingBefore { row: first_row });
         }
+        if let Err(refusal) = self.decode(stretch) {
+            self.note(Problem::Refused { first_row, n_rows, refusal });
+            self.take.damaged = true;
+            self.losses.at_least(stretch.span.end_row());
+            return (true, None);
+        }
         let mut renamed = None;
         if self.makes_map() {
             renamed = self.name_channels(stretch.stated_channels());
@@ -227,33 +232,21 @@ impl Progress {
                 self.take.keys.push(IndexEntry { offset, first_row });
             }
             self.take.longest_stretch = self.take.longest_stretch.max(Some(n_rows.into()));
-            // Rows that come twice, and those of no channel, are not held.
+            // Rows of no channel are not held.
             if let Some(held) = &mut self.take.n_held
                 && stretch.blocks.iter().any(|block| !block.is_empty())
             {
-                *held += stretch.span.end_row().saturating_sub(first_row.max(rows_before));
+                *held += u64::from(n_rows);
             }
         }
-        match self.decode(stretch) {
-            Ok(()) => {
-                let lost = self.losses.stretch(stretch);
-                self.lose(lost);
-                (false, renamed)
-            }
-            Err(refusal) => {
-                self.note(Problem::Refused { first_row, n_rows, refusal });
-                self.take.damaged = true;
-                self.losses.at_least(stretch.span.end_row());
-                (true, renamed)
-            }
-        }
+        let lost = self.losses.stretch(stretch);
+        self.lose(lost);
+        (false, renamed)
     }
 
     fn decode(&mut self, stretch: &Stretch<'_>) -> Result<(), Refusal> {
-        let is_again = stretch.from_row() < self.losses.end_row;
-        let Some(decoder) = &mut self.decoder else {
-            return if is_again { Err(Refusal::Twice) } else { Ok(()) };
-        };
+        let is_again = self.losses.has(stretch);
+        let Some(decoder) = &mut self.decoder else { return Ok(()) };
         if is_again {
             decoder.pass();
             Err(Refusal::Twice)
@@ -283,7 +276,7 @@ impl Progress {
         }
         self.take.finished = finished;
         self.take.n_rows = self.losses.end_row;
-        self.take.damage = std::mem::take(&mut self.losses.lost);
+        self.take.damage = self.losses.lost.take().unwrap_or_default();
         self.take.channels = self.table.channels().to_vec();
     }
 }
@@ -310,7 +303,7 @@ impl<R: Read + Seek> TakeTraversal<R> {
 
     /// Of one that is decoded later, if at all: what is wrong with its stretches is told then.
     pub(crate) fn of_bytes(input: R) -> Self {
-        Self::with(input, Progress::new(Decode::Nothing, Tells::Map))
+        Self::with(input, Progress::new(Decode::Groups(Vec::new()), Tells::Map))
     }
 
     fn with(input: R, progress: Progress) -> Self {
@@ -401,7 +394,7 @@ impl<R: Read + Seek> TakeTraversal<R> {
         if let Some(decoder) = &mut self.progress.decoder {
             decoder.pass();
         }
-        self.progress.losses.at_least(key.first_row);
+        self.progress.losses.pass_to(key.first_row);
         self.progress.damage_told = false;
         self.current = None;
         Ok(())

@@ -7,14 +7,16 @@ use std::io::Cursor;
 
 use mocapd_codec::{CodecError, Settings, Tolerance};
 use mocapd_take::{
-    TakeError, TakeEvent, TakeFrames, TakeWriter,
+    TakeError, TakeEvent, TakeFrames, TakeMap, TakeTraversal, TakeWriter,
     chunk::{self, types},
-    damage::Problem,
+    damage::{Problem, Refusal},
     index::Footer,
     motion::{FrameSource, UpAxis},
     reader::read_events,
     record::{Channel, Device, Header, Ledger},
+    recovery::Survey,
     stretch::{LIVE_ROWS_MAX, ROWS_MAX, Sizes, Span, Stretch, StretchDecoder, rows_max},
+    traversal::Decode,
 };
 
 const LIVE: [&str; 3] = ["dense", "fast", "lossless"];
@@ -269,6 +271,9 @@ fn a_footer_is_believed_as_far_as_rows_can_be_lost() {
         assert_eq!(frames.info().n_frames, if believed { n_rows } else { 30 });
         assert_eq!(frames.map().n_held, Some(30));
         assert_eq!(read(&take).1.len(), if believed { 1 } else { 2 });
+        // That rows are missing is no more than the damage says.
+        let footer = frames.problems().iter().filter(|p| matches!(p, Problem::FooterRows { .. }));
+        assert_eq!(footer.count(), 0, "{n_rows}");
         let cut_off = frames.problems().contains(&Problem::CutOff);
         assert_eq!(cut_off, !believed, "{:?}", frames.problems());
     }
@@ -317,4 +322,48 @@ fn a_take_of_what_is_allowed_is_read_back() {
     }
     assert_eq!(n_frames, LIVE_ROWS_MAX);
     assert_eq!(frames.problems(), []);
+}
+
+#[test]
+fn what_comes_twice_is_refused_behind_a_key_that_was_sought() {
+    let bad = &[0xff; 4];
+    let stretches = [
+        held(0, 0, 30, &AT_REST),
+        held(1, 30, 30, &AT_REST),
+        held(2, 60, 30, bad),
+        held(1, 30, 30, &AT_REST),
+        held(4, 90, 30, &AT_REST),
+    ];
+    let take = take("dense", &stretches, Some(120));
+    let twice = Problem::Refused { first_row: 30, n_rows: 30, refusal: Refusal::Twice };
+    let map = TakeMap::scan(&mut Cursor::new(&take)).unwrap();
+    assert!(map.problems.contains(&twice), "{:?}", map.problems);
+    for row in [0, 60] {
+        // One whose map was made without a look at stretches tells of all.
+        let map = TakeMap { n_held: None, ..map.clone() };
+        let mut part = TakeTraversal::of_map(Cursor::new(&take), &map, Decode::All).unwrap();
+        part.seek(row).unwrap();
+        let mut rows = Vec::new();
+        while let Some(span) = part.next_stretch().unwrap() {
+            rows.push(span.first_row);
+        }
+        assert_eq!(rows, if row == 0 { vec![0, 30, 90] } else { vec![90] });
+        assert!(part.problems().contains(&twice), "{:?}", part.problems());
+    }
+}
+
+#[test]
+fn a_stretch_that_is_refused_names_no_channels() {
+    let (one, three) = (&[0x7f, 1], &[0x7f, 3]);
+    let again = held(1, 0, 30, three);
+    let take = take("dense", &[held(0, 0, 30, one), again], None);
+    let map = TakeMap::scan(&mut Cursor::new(&take)).unwrap();
+    assert_eq!((map.channels.len(), map.longest_stretch), (1, Some(30)));
+    let survey = Survey::read(&take).unwrap();
+    assert_eq!((survey.channels.len(), survey.per_channel.len()), (1, 1));
+    let named = |problem: &Problem| matches!(problem, Problem::NamesLost { .. });
+    assert!(!map.problems.iter().chain(&survey.problems).any(named), "{:?}", survey.problems);
+    // One that is not names them all.
+    let take = self::take("dense", &[held(0, 0, 30, one), held(1, 30, 30, three)], None);
+    assert_eq!(Survey::read(&take).unwrap().channels.len(), 3);
 }

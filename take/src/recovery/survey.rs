@@ -148,6 +148,7 @@ impl Surveyor {
             self.name_channels(renamed, progress.channels());
         }
         if let TakeEvent::Stretch(stretch) = &found.event
+            && !found.is_refused
             && stretch.stated_channels() >= progress.channels().len()
         {
             // None of its entries is missing.

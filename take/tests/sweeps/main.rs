@@ -18,6 +18,7 @@
 
 #[path = "../../../codec/tests/allocation/counting.rs"]
 mod counting;
+mod mutated;
 mod take;
 mod window;
 

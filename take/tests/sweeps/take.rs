@@ -58,6 +58,11 @@ pub(crate) fn subject() -> Subject {
 
 /// The bytes of the take, coded with `kind`.
 pub(crate) fn take(kind: &str) -> Vec<u8> {
+    begun(kind, STRETCHES)
+}
+
+/// The same, ended after so many stretches.
+pub(crate) fn begun(kind: &str, n_stretches: usize) -> Vec<u8> {
     let tolerance = Tolerance::from_mm(0.5).unwrap();
     let settings = Settings { kind: kind.parse().unwrap(), tolerance };
     let mut writer = TakeWriter::new(Vec::new(), &header(&settings)).unwrap();
@@ -67,7 +72,7 @@ pub(crate) fn take(kind: &str) -> Vec<u8> {
     let mut encoder = settings.encoder();
     let mut ledger = Ledger::default();
     let mut first_row = 0;
-    for stretch in 0..STRETCHES {
+    for stretch in 0..n_stretches {
         if stretch == APPEARS_AT {
             writer.channels(&[channel(CHANNELS)]).unwrap();
         }

@@ -1,0 +1,268 @@
+//! Takes whose chunks were cut, changed, repeated, put elsewhere, or forged with checksums that match: every way to read one
+//! gives the same frames, and tells the same of what is wrong.
+
+use std::{collections::BTreeSet, io::Cursor, ops::Range, time::Instant};
+
+use mocapd_take::{
+    TakeError, TakeFrames, TakeMap, TakeTraversal,
+    chunk::{self, Front},
+    damage::{Problem, Refusal},
+    motion::FrameSource,
+    recovery::Survey,
+    traversal::Decode,
+};
+
+use crate::{Numbers, counting::most_bytes, take};
+
+/// Enough for three keys, a channel that appears, and an event.
+const STRETCHES: usize = 28;
+
+/// One frame after another, as bits; NaN where nothing was seen.
+type Frames = Vec<Vec<[u32; 3]>>;
+
+const GAP: [u32; 3] = [f32::NAN.to_bits(); 3];
+
+/// Where its chunks lie.
+fn chunks(take: &[u8]) -> Vec<Range<usize>> {
+    let mut at = chunk::MAGIC.len();
+    let mut chunks = Vec::new();
+    while let Front::Whole { len, .. } = chunk::front(&take[at..]) {
+        chunks.push(at..at + len);
+        at += len;
+    }
+    chunks
+}
+
+/// Changes a take once.
+fn mutate(take: &mut Vec<u8>, numbers: &mut Numbers) {
+    let chunks = chunks(take);
+    if chunks.len() < 3 {
+        return;
+    }
+    // The header is another test's.
+    let some = |numbers: &mut Numbers| chunks[1 + numbers.below(chunks.len() - 1)].clone();
+    let chosen = some(numbers);
+    match numbers.below(7) {
+        0 => take.truncate(chosen.start + numbers.below(chosen.len())),
+        1 => take[chosen.start + numbers.below(chosen.len())] ^= 1 + numbers.below(255) as u8,
+        2 => drop(take.drain(chosen)),
+        // A stretch of chunks once more, at once or elsewhere.
+        3 | 4 => {
+            let end = some(numbers).end.max(chosen.end);
+            let again = take[chosen.start..end].to_vec();
+            let at = if numbers.below(2) == 0 { end } else { some(numbers).start };
+            drop(take.splice(at..at, again));
+        }
+        5 => {
+            let moved: Vec<u8> = take.drain(chosen.clone()).collect();
+            let to = some(numbers).start;
+            let to = if to > chosen.start { to - moved.len() } else { to };
+            drop(take.splice(to..to, moved));
+        }
+        // Another payload, and a checksum that matches.
+        _ => {
+            let Front::Whole { kind, payload, .. } = chunk::front(&take[chosen.clone()]) else {
+                return;
+            };
+            let mut payload = payload.to_vec();
+            if payload.is_empty() {
+                return;
+            }
+            for _ in 0..=numbers.below(3) {
+                let near = payload.len().min(1 + numbers.below(400));
+                let at = numbers.below(near);
+                payload[at] = numbers.below(256) as u8;
+            }
+            let mut forged = Vec::new();
+            chunk::put(&mut forged, kind, &payload).unwrap();
+            drop(take.splice(chosen, forged));
+        }
+    }
+}
+
+/// What one way of reading gives.
+#[derive(Debug, Default, PartialEq)]
+struct Read {
+    frames: Frames,
+    problems: BTreeSet<String>,
+    n_samples: usize,
+}
+
+impl Read {
+    fn tell(&mut self, problems: &[Problem]) {
+        self.problems.extend(problems.iter().map(ToString::to_string));
+    }
+}
+
+fn bits(position: [f32; 3]) -> [u32; 3] {
+    if position.iter().any(|value| value.is_nan()) { GAP } else { position.map(f32::to_bits) }
+}
+
+/// From a frame on, one after another, to the end of the file.
+fn frames(take: &[u8], from: u64) -> Result<(Read, TakeMap), TakeError> {
+    let mut source = TakeFrames::open(Cursor::new(take))?;
+    source.seek(from)?;
+    let mut read = Read::default();
+    let mut row = vec![[0.0; 3]; source.info().markers.len()];
+    while source.next_frame(&mut row)? {
+        read.n_samples += row.iter().filter(|at| !at[0].is_nan()).count();
+        read.frames.push(row.iter().copied().map(bits).collect());
+    }
+    read.tell(source.problems());
+    Ok((read, source.map().clone()))
+}
+
+/// In pieces, by turns, with two traversals, as threads do.
+fn in_pieces(take: &[u8], map: &TakeMap, n: usize) -> Result<Read, TakeError> {
+    let mut read = Read::default();
+    read.tell(&map.problems);
+    let n_markers = map.channels.len();
+    read.frames = vec![vec![GAP; n_markers]; map.n_rows as usize];
+    let new = || TakeTraversal::of_map(Cursor::new(take), map, Decode::All);
+    let mut readers = [new()?, new()?];
+    for (i, rows) in map.pieces(&(0..map.n_rows), n).into_iter().enumerate() {
+        readers[i / 2 % 2].read_rows(&rows, |take, held, offset| {
+            for (column, rows) in take.rows().take(n_markers).enumerate() {
+                let Some(rows) = rows else { continue };
+                for row in held.clone() {
+                    let i = offset + (row - held.start) as usize;
+                    if rows.present[i] {
+                        read.n_samples += 1;
+                        read.frames[row as usize][column] = bits(rows.positions[i]);
+                    }
+                }
+            }
+            Ok(())
+        })?;
+    }
+    readers.iter().for_each(|reader| read.tell(reader.problems()));
+    Ok(read)
+}
+
+/// All of it once, as a recovery goes; and what a recovery would keep.
+fn whole(take: &[u8]) -> Result<(Read, Survey), TakeError> {
+    let mut read = Read::default();
+    let traversal = TakeTraversal::new(take, Decode::All);
+    let progress = traversal.run(|found, progress| {
+        if let (mocapd_take::TakeEvent::Stretch(stretch), false) = (&found.event, found.is_refused)
+            && stretch.span.n_rows > 0
+        {
+            let span = stretch.span;
+            let n_markers = progress.channels().len();
+            read.frames.iter_mut().for_each(|row| row.resize(n_markers, GAP));
+            read.frames.resize(span.end_row() as usize, vec![GAP; n_markers]);
+            for (column, rows) in progress.rows().take(n_markers).enumerate() {
+                let Some(rows) = rows else { continue };
+                for (i, row) in (span.first_row..span.end_row()).enumerate() {
+                    if rows.present[i] {
+                        read.n_samples += 1;
+                        read.frames[row as usize][column] = bits(rows.positions[i]);
+                    }
+                }
+            }
+        }
+        Ok(())
+    })?;
+    let n_markers = progress.take.channels.len();
+    read.frames.iter_mut().for_each(|row| row.resize(n_markers, GAP));
+    read.frames.resize(progress.take.n_rows as usize, vec![GAP; n_markers]);
+    read.tell(&progress.take.problems);
+    Ok((read, Survey::read(take)?))
+}
+
+fn check(take: &[u8], numbers: &mut Numbers, what: &str) -> Result<(), TakeError> {
+    // What claims days of lost rows is read by none of these row by row.
+    let map = TakeMap::scan(&mut Cursor::new(take))?;
+    if map.n_rows > 3_000 {
+        return Ok(());
+    }
+    let (all, survey) = whole(take)?;
+    let (read, read_map) = frames(take, 0)?;
+    let labels = |channels: &[mocapd_take::record::Channel]| {
+        channels.iter().map(|channel| channel.label.clone()).collect::<Vec<_>>()
+    };
+    assert_eq!(map.n_rows, survey.rows, "{what}: rows");
+    let undecodable = |problem: &Problem| {
+        matches!(problem, Problem::Refused { refusal: Refusal::Undecodable(_), .. })
+    };
+    // What cannot be decoded may have named channels, and had rows, of which the map tells.
+    if survey.problems.iter().any(undecodable) {
+        return Ok(());
+    }
+    assert_eq!(labels(&map.channels), labels(&survey.channels), "{what}: names");
+    assert_eq!(map.damage, survey.damage, "{what}: damage");
+    assert!(read.frames == all.frames, "{what}: frame by frame it is another");
+    assert_eq!(read.problems, all.problems, "{what}: frame by frame");
+    assert_eq!(read_map.n_rows, map.n_rows);
+    let samples: u64 = survey.per_channel.iter().map(|channel| channel.samples).sum();
+    assert_eq!(samples, all.n_samples as u64, "{what}: samples in the survey");
+
+    for n in [3, 100] {
+        for map in [&map, &TakeMap::open(&mut Cursor::new(take))?] {
+            if map.n_rows != all.frames.len() as u64 || map.channels.len() != survey.channels.len()
+            {
+                // By its heads alone, another take was found: the index and the footer said so.
+                continue;
+            }
+            let pieces = in_pieces(take, map, n)?;
+            assert!(pieces.frames == all.frames, "{what}: in {n} pieces it is another");
+            let more: Vec<_> = pieces.problems.difference(&all.problems).collect();
+            assert!(more.is_empty(), "{what}: in {n} pieces, {more:?} beside {:?}", all.problems);
+        }
+    }
+    let from = numbers.below(all.frames.len() + 2);
+    let (behind, _) = frames(take, from as u64)?;
+    assert!(
+        behind.frames[..] == all.frames[from.min(all.frames.len())..],
+        "{what}: from frame {from}"
+    );
+    let more: Vec<_> = behind.problems.difference(&all.problems).collect();
+    assert!(more.is_empty(), "{what}: from frame {from}, {more:?} beside {:?}", all.problems);
+
+    let mut recovered = Vec::new();
+    survey.write(Cursor::new(take), &mut recovered, "sweeps")?;
+    let (again, _) = frames(&recovered, 0)?;
+    assert!(again.problems.is_empty(), "{what}: recovered, {:?}", again.problems);
+    assert!(again.frames == all.frames, "{what}: recovered, it is another");
+    Ok(())
+}
+
+fn mutated(kind: &str, seeds: Range<u64>) {
+    let begun = Instant::now();
+    let original = take::begun(kind, STRETCHES);
+    let whole = most_bytes(|| drop(check(&original, &mut Numbers(0), kind)));
+    let (n, mut n_read) = (seeds.end - seeds.start, 0);
+    for seed in seeds {
+        let mut numbers = Numbers(seed);
+        let mut take = original.clone();
+        for _ in 0..=numbers.below(3) {
+            mutate(&mut take, &mut numbers);
+        }
+        let what = format!("{kind}, seed {seed}");
+        let memory = most_bytes(|| match check(&take, &mut numbers, &what) {
+            Ok(()) => n_read += 1,
+            Err(TakeError::NotATake(_) | TakeError::Unsupported { .. }) => {}
+            Err(error) => panic!("{what}: {error}"),
+        });
+        assert!(
+            memory <= 4 * whole + 8 * take.len(),
+            "{what}: {memory} bytes, {whole} of the whole"
+        );
+    }
+    println!("{kind}, {n} mutated, {n_read} read, {:.1} s", begun.elapsed().as_secs_f64());
+}
+
+#[test]
+fn some_mutated() {
+    mutated("dense", 0..4);
+    mutated("fast", 200..206);
+    mutated("lossless", 300..360);
+}
+
+#[test]
+#[ignore = "minutes: see the command above"]
+fn many_mutated() {
+    mutated("dense", 1_000..21_000);
+    mutated("fast", 21_000..31_000);
+    mutated("lossless", 31_000..36_000);
+}
