@@ -72,6 +72,10 @@ impl NdiHost {
         self.owed.hello = true;
         self.owed.start = false;
         self.owed.stop = false;
+        if self.run.is_sound() {
+            // A speed that failed before may have failed because the device was switched off.
+            self.ceiling = self.asked_for;
+        }
         self.run.lost();
         (self.polls_lost, self.rounds) = (0, 0);
         self.seek(0);

@@ -141,7 +141,8 @@ pub struct NdiHost {
     /// The line's speed now, and the place in `BAUDS` of the highest one to try.
     pub(super) baud: u32,
     pub(super) ceiling: usize,
-    /// The same as it was asked for: one that failed lowers the ceiling.
+    /// The same as it was asked for: one that failed lowers the ceiling, until the line is another one or has carried
+    /// [`FRAMES_SOUND`](super::run::FRAMES_SOUND) frames.
     pub(super) asked_for: usize,
     /// Handles that wait for their turn, and how often tools were asked for.
     pub(super) todo: Vec<u8>,
@@ -238,6 +239,7 @@ impl Protocol for NdiHost {
         self.owed = Owed::default();
         (self.asked, self.drain) = (None, None);
         self.run = Run::default();
+        self.ceiling = self.asked_for;
         Box::new(TurnTransport::new(line, orders))
     }
 

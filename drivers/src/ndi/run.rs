@@ -44,6 +44,9 @@ impl Pace {
 const AHEAD_MAX: i32 = 1 << 20;
 const LATE_MIN: i32 = -64;
 
+/// Frames that came over a line that is good: ten seconds at 60 Hz.
+pub(super) const FRAMES_SOUND: u64 = 600;
+
 /// What a frame's number says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Counted {
@@ -94,6 +97,11 @@ impl Run {
     /// At its end; whether there was one to end.
     pub(super) fn end(&mut self) -> bool {
         std::mem::take(&mut self.started)
+    }
+
+    /// Whether it had frames for so long that the line is good.
+    pub(super) fn is_sound(&self) -> bool {
+        self.produced - self.dropped >= FRAMES_SOUND
     }
 
     pub(super) fn is_last(&self, number: u32) -> bool {

@@ -255,3 +255,36 @@ fn another_line_after_a_replug_begins_with_init() {
         assert_eq!(&buf[..n], b"COMM:60000000C\r");
     }
 }
+
+#[test]
+fn another_line_after_a_replug_is_as_fast_as_was_asked_for() {
+    let mut host = NdiHost::new(desk().0, 921_600);
+    for expected in [&b"6A"[..], b"6"] {
+        let (line, mut device) = memory::pair(256);
+        let mut line = host.attach(Box::new(line));
+        host.command(Command::Identify, &mut Vec::new());
+        let (mut buf, mut speeds, mut n_silent) = ([0; 256], Vec::new(), 0);
+        while speeds.len() < expected.len() {
+            let n = line.read(&mut buf).unwrap();
+            host.push(&buf[..n], &mut |_| {});
+            let n = device.read(&mut buf).unwrap();
+            match &buf[..n] {
+                b"INIT:E3A5\r" => device.write_all(b"OKAYA896\r").unwrap(),
+                asked if asked.starts_with(b"COMM:") => {
+                    speeds.push(asked[5]);
+                    device.write_all(b"OKAYA896\r").unwrap();
+                }
+                // A break is not heard here: now and then it says that it was reset.
+                b"" => {
+                    n_silent += 1;
+                    if n_silent % 8 == 0 && !speeds.is_empty() {
+                        device.write_all(b"RESETBE6F\r").unwrap();
+                    }
+                }
+                // At the new speed all that it says is noise.
+                _ => device.write_all(&[0x55; 80]).unwrap(),
+            }
+        }
+        assert_eq!(speeds, expected);
+    }
+}

@@ -137,6 +137,24 @@ fn a_line_that_garbles_the_highest_speed_is_used_below_it() {
 }
 
 #[test]
+fn a_speed_that_failed_is_tried_again_once_the_line_was_good_for_long() {
+    for (seconds, reached) in [(1, 115_200), (60, 921_600)] {
+        let settings = NdiSettings { looping: true, ..settings(&["head"], true) };
+        let mut bench = Bench::new(jump(20, 60.0, 3.0), settings, 921_600);
+        bench.line_baud_max = 115_200;
+        bench.identify();
+        assert_eq!((bench.device.baud(), bench.host_baud), (Some(115_200), 115_200));
+        bench.line_baud_max = u32::MAX;
+        bench.start();
+        bench.run_for(seconds * 1_000 * MS);
+        // Its power fails.
+        bench.device.on_break(bench.now_ns);
+        bench.run_until(|bench| bench.hellos.len() == 2);
+        assert_eq!((bench.device.baud(), bench.host_baud), (Some(reached), reached), "{seconds} s");
+    }
+}
+
+#[test]
 fn a_device_that_is_not_there_is_looked_for_without_an_end() {
     let mut bench = bench(&[], 921_600);
     bench.damage = Box::new(Vec::clear);
