@@ -39,7 +39,12 @@ pub(super) fn whole_number(cell: &[u8]) -> Option<u64> {
 
 /// A cell's rate: a number above 0.
 pub(super) fn rate(cell: &[u8]) -> Option<f64> {
-    number(cell).filter(|rate| rate.is_finite() && *rate > 0.0)
+    number(cell).filter(|&rate| is_rate(rate))
+}
+
+/// Whether a number can be a rate.
+pub(super) fn is_rate(number: f64) -> bool {
+    number.is_finite() && number > 0.0
 }
 
 /// Digits behind the point.

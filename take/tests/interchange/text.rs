@@ -156,3 +156,28 @@ fn formats_are_known_by_their_endings() {
     }
     assert_eq!(Format::from_extension("c3d".as_ref()), None);
 }
+
+#[test]
+fn an_export_of_motive_without_a_rate_of_its_own_has_that_of_its_times() {
+    let motive = |export: &str| {
+        format!(
+            "Format Version,1.23,Capture Frame Rate,240.000000{export},Length Units,Meters\n\n\
+             ,,Marker,Marker,Marker\n,,A,A,A\n,,1,1,1\n,,Position,Position,Position\n\
+             Frame,Time (Seconds),X,Y,Z\n0,0.000000,1,2,3\n1,0.010000,1,2,3\n2,0.020000,1,2,3\n"
+        )
+    };
+    for (export, rate_hz, n_frames) in [
+        (",Export Frame Rate,100.000000", 100.0, 3),
+        // Every other frame of the capture, perhaps: its rate says nothing of these.
+        (",Export Frame Rate,0", 100.0, 3),
+        (",Export Frame Rate,-1.5", 100.0, 3),
+    ] {
+        let info = Format::Csv.read(motive(export).as_bytes()).expect("an export").info;
+        assert_eq!((info.rate_hz, info.n_frames), (rate_hz, n_frames), "{export}");
+    }
+    // One that does not name its rate has the capture's.
+    for export in ["", ",Export Frame Rate,"] {
+        let info = Format::Csv.read(motive(export).as_bytes()).expect("an export").info;
+        assert_eq!(info.rate_hz, 240.0, "{export}");
+    }
+}

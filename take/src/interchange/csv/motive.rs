@@ -40,8 +40,10 @@ pub(super) fn read(bytes: &[u8], options: &ReadOptions) -> Result<Motion> {
     let unit = FileUnit::of(stated, options.unit, &mut notes);
     let mut table = Table::new("csv", bytes, Millimetres::new(unit.factor, options.turn()));
     read_rows(&mut table, &head, &columns, &mut notes.warnings);
-    let rate = |name: &str| text::rate(head.value(name)?.as_bytes());
-    let stated_hz = rate("Export Frame Rate").or_else(|| rate("Capture Frame Rate"));
+    // The frames of an export may be fewer than those of the capture: where its own rate is no rate, the times tell it.
+    let number = |name: &str| text::number(head.value(name)?.as_bytes());
+    let stated_hz = number("Export Frame Rate").or_else(|| number("Capture Frame Rate"));
+    let stated_hz = stated_hz.filter(|&hz| text::is_rate(hz));
     let rate_hz = table.place(stated_hz, columns.len(), &mut notes.warnings).ok_or_else(|| {
         malformed(1, "expected `Export Frame Rate` and a number above 0, or rising times")
     })?;
