@@ -35,6 +35,9 @@ pub enum Presence {
     Streaming,
     /// It should stream and sends nothing.
     Silent,
+    /// What a later version tells.
+    #[serde(other)]
+    Other,
 }
 
 impl fmt::Display for Presence {
@@ -318,5 +321,23 @@ pub(crate) mod ending_word {
     ) -> Result<Option<EndingKind>, D::Error> {
         let word = String::deserialize(deserializer)?;
         Ok((!word.is_empty()).then(|| EndingKind::from_word(&word)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::{from_value, json, to_value};
+
+    use super::*;
+
+    #[test]
+    fn a_status_of_a_later_version_is_read() {
+        let mut status = to_value(Status::default()).unwrap();
+        status["device"]["presence"] = json!("calibrating");
+        let read: Status = from_value(status).unwrap();
+        assert_eq!(read.device.presence, Presence::Other);
+        for known in [Presence::Absent, Presence::Present, Presence::Streaming, Presence::Silent] {
+            assert_eq!(from_value::<Presence>(json!(known.to_string())).unwrap(), known);
+        }
     }
 }

@@ -116,7 +116,7 @@ impl Core {
         status.device.outage = match status.device.presence {
             Presence::Absent => Some(session.outage(Some(session.reconnect))),
             Presence::Silent => Some(session.outage(None)),
-            Presence::Present | Presence::Streaming => None,
+            Presence::Present | Presence::Streaming | Presence::Other => None,
         };
         let input = &mut status.input;
         input.frames = get(&progress.frames);
