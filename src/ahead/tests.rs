@@ -89,6 +89,23 @@ fn a_take_with_a_flaw_is_not_read_ahead() {
     assert!(Ahead::start(&path, &open(&path), 0, 4).unwrap().is_none());
 }
 
+/// Between two pieces no thread would meet it.
+#[test]
+fn a_section_that_comes_twice_is_read_by_one_and_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = take("fast", folder.path());
+    let keys = open(&path).map().keys.clone();
+    let [from, to] = [keys[1], keys[2]].map(|key| key.offset as usize);
+    let mut bytes = fs::read(&path).unwrap();
+    let again = bytes[from..to].to_vec();
+    drop(bytes.splice(to..to, again));
+    fs::write(&path, &bytes).unwrap();
+    let frames = open(&path);
+    let problems: Vec<String> = frames.problems().iter().map(ToString::to_string).collect();
+    assert!(problems.iter().any(|told| told.contains("it comes twice")), "{problems:?}");
+    assert!(Ahead::start(&path, &frames, 0, 4).unwrap().is_none());
+}
+
 #[test]
 fn stretches_that_fill_the_memory_are_read_by_one() {
     let folder = tempfile::tempdir().unwrap();

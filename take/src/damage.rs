@@ -1,6 +1,6 @@
 //! What is wrong with a take: its problems, and the rows that are not to be had any more.
 
-use crate::{stretch::Stretch, timeline::Causes};
+use crate::{index::IndexEntry, stretch::Stretch, timeline::Causes};
 
 /// Problems that are kept. A take that a disk has ruined has one a stretch; a file that was made to have more would
 /// have one every few bytes.
@@ -172,27 +172,34 @@ pub(crate) struct Losses {
     pub(crate) lost: Option<Vec<LostRows>>,
     /// The row after the last stretch that was read.
     pub(crate) end_row: u64,
-    /// Those before it were passed over.
-    passed_to: u64,
+    /// The key that was sought, and not met yet: what lies before it was passed over.
+    sought: Option<IndexEntry>,
     rows_min: u64,
 }
 
 impl Losses {
     /// Of a take from its start; the rows between are kept if `lost` is a list.
     pub(crate) fn new(lost: Option<Vec<LostRows>>) -> Self {
-        Self { lost, end_row: 0, passed_to: 0, rows_min: 0 }
+        Self { lost, end_row: 0, sought: None, rows_min: 0 }
     }
 
-    /// What comes next is a key stretch whose rows begin at `row`.
-    pub(crate) fn pass_to(&mut self, row: u64) {
-        self.passed_to = row;
-        self.at_least(row);
+    /// What comes next is a key stretch.
+    pub(crate) fn seek(&mut self, key: IndexEntry) {
+        self.sought = Some(key);
+        self.at_least(key.first_row);
     }
 
-    /// Whether a stretch has rows that were read or passed over, or accounts for such rows as lost. How far the account of
-    /// those passed over went is known to the key alone, which tells itself of rows lost before it.
-    pub(crate) fn has(&self, stretch: &Stretch<'_>) -> bool {
-        stretch.from_row() < self.end_row || stretch.span.first_row < self.passed_to
+    /// Whether the stretch at file offset `offset` has rows that were read or passed over, or accounts for such rows as lost.
+    ///
+    /// How far the account of those passed over went is known to the sought key itself, which tells of rows lost before it.
+    pub(crate) fn has(&mut self, offset: u64, stretch: &Stretch<'_>) -> bool {
+        let from_row = stretch.from_row();
+        if self.sought.is_some_and(|key| key.offset == offset) && stretch.span.key {
+            self.sought = None;
+            self.end_row = self.end_row.max(from_row);
+        }
+        let is_passed = |key: IndexEntry| stretch.span.first_row < key.first_row;
+        from_row < self.end_row || self.sought.is_some_and(is_passed)
     }
 
     /// A stretch that was read. Gives the rows that are lost before it, or by its own account.

@@ -218,7 +218,7 @@ impl Progress {
         if stretch.missing_before {
             self.missing(Problem::MissingBefore { row: first_row });
         }
-        if let Err(refusal) = self.decode(stretch) {
+        if let Err(refusal) = self.decode(offset, stretch) {
             self.note(Problem::Refused { first_row, n_rows, refusal });
             self.take.damaged = true;
             self.losses.at_least(stretch.span.end_row());
@@ -244,8 +244,8 @@ impl Progress {
         (false, renamed)
     }
 
-    fn decode(&mut self, stretch: &Stretch<'_>) -> Result<(), Refusal> {
-        let is_again = self.losses.has(stretch);
+    fn decode(&mut self, offset: u64, stretch: &Stretch<'_>) -> Result<(), Refusal> {
+        let is_again = self.losses.has(offset, stretch);
         let Some(decoder) = &mut self.decoder else { return Ok(()) };
         if is_again {
             decoder.pass();
@@ -394,7 +394,7 @@ impl<R: Read + Seek> TakeTraversal<R> {
         if let Some(decoder) = &mut self.progress.decoder {
             decoder.pass();
         }
-        self.progress.losses.pass_to(key.first_row);
+        self.progress.losses.seek(key);
         self.progress.damage_told = false;
         self.current = None;
         Ok(())

@@ -17,6 +17,11 @@ use crate::{Numbers, counting::most_bytes, take};
 /// Enough for three keys, a channel that appears, and an event.
 const STRETCHES: usize = 28;
 
+/// Rows of a take that is read row by row, and what the frames that are compared take then: six of them, of six channels, in
+/// vectors that double.
+const ROWS_MAX: u64 = 3_000;
+const FRAMES_BYTES: usize = 2 * 6 * ROWS_MAX as usize * (24 + 6 * 12);
+
 /// One frame after another, as bits; NaN where nothing was seen.
 type Frames = Vec<Vec<[u32; 3]>>;
 
@@ -173,51 +178,64 @@ fn whole(take: &[u8]) -> Result<(Read, Survey), TakeError> {
 fn check(take: &[u8], numbers: &mut Numbers, what: &str) -> Result<(), TakeError> {
     // What claims days of lost rows is read by none of these row by row.
     let map = TakeMap::scan(&mut Cursor::new(take))?;
-    if map.n_rows > 3_000 {
+    if map.n_rows > ROWS_MAX {
         return Ok(());
     }
     let (all, survey) = whole(take)?;
-    let (read, read_map) = frames(take, 0)?;
+    let (read, _) = frames(take, 0)?;
     let labels = |channels: &[mocapd_take::record::Channel]| {
         channels.iter().map(|channel| channel.label.clone()).collect::<Vec<_>>()
     };
-    assert_eq!(map.n_rows, survey.rows, "{what}: rows");
     let undecodable = |problem: &Problem| {
         matches!(problem, Problem::Refused { refusal: Refusal::Undecodable(_), .. })
     };
     // What cannot be decoded may have named channels, and had rows, of which the map tells.
-    if survey.problems.iter().any(undecodable) {
+    let is_decodable = !survey.problems.iter().any(undecodable);
+    let is_same = map.n_rows == survey.rows && labels(&map.channels) == labels(&survey.channels);
+    if !is_same {
+        assert!(!is_decodable, "{what}: rows or names");
         return Ok(());
     }
-    assert_eq!(labels(&map.channels), labels(&survey.channels), "{what}: names");
-    assert_eq!(map.damage, survey.damage, "{what}: damage");
+    let same = |problems: &BTreeSet<String>, what: &str| {
+        // The least frame that such a stretch may have is another where the index told of a key that is damaged.
+        let is_bound =
+            |told: &&String| told.contains(" or later") || told.contains(" on are missing");
+        let more = problems.difference(&all.problems).filter(|told| !is_bound(told));
+        let more: Vec<_> = more.collect();
+        assert!(more.is_empty() || !is_decodable, "{what}: {more:?} beside {:?}", all.problems);
+    };
+    // A key that cannot be decoded is one where a reader begins in vain: what it has is right all the same.
+    let agree = |frames: &Frames, from: usize, what: &str| {
+        let expected = &all.frames[from.min(all.frames.len())..];
+        assert_eq!(frames.len(), expected.len(), "{what}");
+        let cells = frames.iter().flatten().zip(expected.iter().flatten());
+        let is_same = |found, expected| found == expected || !is_decodable && found == GAP;
+        assert!(cells.into_iter().all(|(&a, &b)| is_same(a, b)), "{what}: it is another");
+    };
     assert!(read.frames == all.frames, "{what}: frame by frame it is another");
-    assert_eq!(read.problems, all.problems, "{what}: frame by frame");
-    assert_eq!(read_map.n_rows, map.n_rows);
+    if is_decodable {
+        assert_eq!(map.damage, survey.damage, "{what}: damage");
+        assert_eq!(read.problems, all.problems, "{what}: frame by frame");
+    }
     let samples: u64 = survey.per_channel.iter().map(|channel| channel.samples).sum();
     assert_eq!(samples, all.n_samples as u64, "{what}: samples in the survey");
 
-    for n in [3, 100] {
-        for map in [&map, &TakeMap::open(&mut Cursor::new(take))?] {
-            if map.n_rows != all.frames.len() as u64 || map.channels.len() != survey.channels.len()
-            {
-                // By its heads alone, another take was found: the index and the footer said so.
-                continue;
-            }
-            let pieces = in_pieces(take, map, n)?;
-            assert!(pieces.frames == all.frames, "{what}: in {n} pieces it is another");
-            let more: Vec<_> = pieces.problems.difference(&all.problems).collect();
-            assert!(more.is_empty(), "{what}: in {n} pieces, {more:?} beside {:?}", all.problems);
-        }
+    let n = [3, 100][numbers.below(2)];
+    // Who knows the heads alone cannot tell what comes twice, unless it reads both.
+    let is_twice =
+        |problem: &Problem| matches!(problem, Problem::Refused { refusal: Refusal::Twice, .. });
+    let by_heads = TakeMap::open(&mut Cursor::new(take))?;
+    let is_known = by_heads.n_rows == map.n_rows && by_heads.channels == map.channels;
+    let by_heads = (is_known && !survey.problems.iter().any(is_twice)).then_some(&by_heads);
+    for map in [Some(&map), by_heads].into_iter().flatten() {
+        let pieces = in_pieces(take, map, n)?;
+        agree(&pieces.frames, 0, &format!("{what}: in {n} pieces"));
+        same(&pieces.problems, &format!("{what}: in {n} pieces"));
     }
     let from = numbers.below(all.frames.len() + 2);
     let (behind, _) = frames(take, from as u64)?;
-    assert!(
-        behind.frames[..] == all.frames[from.min(all.frames.len())..],
-        "{what}: from frame {from}"
-    );
-    let more: Vec<_> = behind.problems.difference(&all.problems).collect();
-    assert!(more.is_empty(), "{what}: from frame {from}, {more:?} beside {:?}", all.problems);
+    agree(&behind.frames, from, &format!("{what}: from frame {from}"));
+    same(&behind.problems, &format!("{what}: from frame {from}"));
 
     let mut recovered = Vec::new();
     survey.write(Cursor::new(take), &mut recovered, "sweeps")?;
@@ -244,25 +262,22 @@ fn mutated(kind: &str, seeds: Range<u64>) {
             Err(TakeError::NotATake(_) | TakeError::Unsupported { .. }) => {}
             Err(error) => panic!("{what}: {error}"),
         });
-        assert!(
-            memory <= 4 * whole + 8 * take.len(),
-            "{what}: {memory} bytes, {whole} of the whole"
-        );
+        assert!(memory <= 4 * whole + 8 * take.len() + FRAMES_BYTES, "{what}: {memory} bytes");
     }
     println!("{kind}, {n} mutated, {n_read} read, {:.1} s", begun.elapsed().as_secs_f64());
 }
 
 #[test]
 fn some_mutated() {
-    mutated("dense", 0..4);
-    mutated("fast", 200..206);
-    mutated("lossless", 300..360);
+    mutated("dense", 0..10);
+    mutated("fast", 200..260);
+    mutated("lossless", 300..380);
 }
 
 #[test]
 #[ignore = "minutes: see the command above"]
 fn many_mutated() {
-    mutated("dense", 1_000..21_000);
-    mutated("fast", 21_000..31_000);
-    mutated("lossless", 31_000..36_000);
+    mutated("fast", 1_000..21_000);
+    mutated("lossless", 21_000..41_000);
+    mutated("dense", 41_000..51_000);
 }
