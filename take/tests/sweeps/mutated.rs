@@ -144,8 +144,8 @@ fn in_pieces(take: &[u8], map: &TakeMap, n: usize) -> Result<Read, TakeError> {
     Ok(read)
 }
 
-/// All of it once, as a recovery goes; and what a recovery would keep.
-fn whole(take: &[u8]) -> Result<(Read, Survey), TakeError> {
+/// All of it once, as a recovery goes.
+fn whole(take: &[u8]) -> Result<Read, TakeError> {
     let mut read = Read::default();
     let traversal = TakeTraversal::new(take, Decode::All);
     let progress = traversal.run(|found, progress| {
@@ -172,16 +172,17 @@ fn whole(take: &[u8]) -> Result<(Read, Survey), TakeError> {
     read.frames.iter_mut().for_each(|row| row.resize(n_markers, GAP));
     read.frames.resize(progress.take.n_rows as usize, vec![GAP; n_markers]);
     read.tell(&progress.take.problems);
-    Ok((read, Survey::read(take)?))
+    Ok(read)
 }
 
 fn check(take: &[u8], numbers: &mut Numbers, what: &str) -> Result<(), TakeError> {
     // What claims days of lost rows is read by none of these row by row.
     let map = TakeMap::scan(&mut Cursor::new(take))?;
-    if map.n_rows > ROWS_MAX {
+    let survey = Survey::read(take)?;
+    if map.n_rows.max(survey.rows) > ROWS_MAX {
         return Ok(());
     }
-    let (all, survey) = whole(take)?;
+    let all = whole(take)?;
     let (read, _) = frames(take, 0)?;
     let labels = |channels: &[mocapd_take::record::Channel]| {
         channels.iter().map(|channel| channel.label.clone()).collect::<Vec<_>>()
