@@ -211,7 +211,7 @@ impl Format {
     /// an importer kept frame by frame (analog samples, residuals) is given back for the right frames.
     ///
     /// # Errors
-    /// `Unsupported` for what the format cannot hold, for BIDS, which is a folder, and for NumPy archives, whose writer must
+    /// `Unsupported` for what the format cannot hold, for BIDS, which is a folder, and for `NumPy` archives, whose writer must
     /// go back ([`npz::write`]); `Io`.
     pub fn write(self, frames: &mut dyn FrameSource, out: &mut dyn Write) -> Result<()> {
         match self {
