@@ -87,7 +87,7 @@ pub struct Trigger {
     pub kind: u8,
 }
 
-/// Answer to a ping: three times that tie the two clocks together.
+/// Answer to a ping: with the time at which it arrives, what ties the two clocks together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Pong {
     /// The host time the ping carried, in nanoseconds.

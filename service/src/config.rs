@@ -66,7 +66,7 @@ pub struct DeviceConfig {
     pub uri: DeviceChoice,
     /// Its frame rate in Hz; `None` leaves it as it is.
     pub rate_hz: Option<f64>,
-    /// Whether the bytes of its line are kept beside each take.
+    /// Whether the bytes of its line are kept beside the takes, from when it is armed until it is not.
     pub raw_log: bool,
 }
 

@@ -169,7 +169,7 @@ pub struct Started {
 pub struct FirstFrame {
     /// By the device's clock.
     pub device_ticks: u64,
-    /// When it arrived, in nanoseconds of the host's monotonic clock, to ten microseconds.
+    /// When it arrived, in nanoseconds of the host's monotonic clock.
     pub arrival_ns: u64,
     /// Seconds before the request that it arrived: the pre-roll that the take has.
     pub before_request_s: f64,

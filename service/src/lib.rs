@@ -3,8 +3,8 @@
 //! ```text
 //! Control      what people and programs can ask for: status, arm, start, stop, mark
 //!   ▲   ▲  ▲
-//!   │   │  └── HTTP API, dashboard     own thread, async; never touches the data plane
-//!   │   └───── capture triggers        own thread
+//!   │   │  └── HTTP API, dashboard     threads of each listener, async; never touch the data plane
+//!   │   └───── capture triggers        own threads
 //!   └───────── signals, systemd
 //! ```
 //!

@@ -29,7 +29,7 @@ pub enum Presence {
     /// It is not there, or away.
     #[default]
     Absent,
-    /// It said who it is.
+    /// It is attached.
     Present,
     /// It sends frames.
     Streaming,
@@ -78,7 +78,7 @@ pub struct Status {
 pub struct DeviceStatus {
     /// Where it is looked for.
     pub uri: String,
-    /// `absent`, `present` (it said who it is), `streaming`, `silent` (it should stream and sends nothing).
+    /// `absent`, `present` (attached), `streaming`, `silent` (it should stream and sends nothing).
     #[schema(value_type = String)]
     pub presence: Presence,
     /// Its model; empty before it said so, and so are the following.

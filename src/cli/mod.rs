@@ -1,4 +1,4 @@
-//! The command line: one file a subcommand. stdout is data, stderr is words.
+//! The command line: a file or folder for each subcommand, and what several share. stdout is data, stderr is words.
 
 mod bench;
 mod clock;

@@ -128,14 +128,17 @@ impl Doors {
         Ok(Self { http, triggers })
     }
 
-    /// Other triggers, where the configuration has others.
-    fn reopen(
+    /// Takes over what another configuration says at once.
+    fn reload(
         &mut self,
         was: &Config,
         now: &Config,
         control: &Arc<dyn Control>,
     ) -> anyhow::Result<()> {
-        if was.trigger != now.trigger {
+        if let Some(http) = &self.http {
+            http.allow_hosts(now.http.allowed_hosts.clone());
+        }
+        if was.trigger != now.trigger || was.rig_name != now.rig_name {
             if let Some(triggers) = self.triggers.take() {
                 triggers.close();
             }
@@ -230,7 +233,7 @@ impl Running<'_> {
         for warning in config.warnings().iter().filter(|warning| !known.contains(warning)) {
             self.control.tell(ServiceEventKind::Warning, warning);
         }
-        if let Err(error) = self.doors.reopen(&self.config, &config, &self.control) {
+        if let Err(error) = self.doors.reload(&self.config, &config, &self.control) {
             tracing::error!("{}", plain(&format!("{error:#}")));
             // Tried again the next time.
             config.trigger.listen = None;

@@ -21,6 +21,7 @@ mod preparing;
 mod raw_logs;
 mod recording;
 mod recoveries;
+mod reloads;
 pub(crate) mod service;
 mod studies;
 pub(crate) mod subjects;

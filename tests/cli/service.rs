@@ -32,6 +32,11 @@ impl Service {
             folder.path("takes").display(),
             socket.display()
         );
+        Self::run(folder, &config, shell)
+    }
+
+    /// The same with a whole configuration, whose socket is `rig.sock` in the folder.
+    pub(crate) fn run(folder: &Folder, config: &str, shell: &str) -> Self {
         folder.write("rig.toml", config);
         let child = Command::new("sh")
             .args(["-c", &format!("{shell}\nexec \"$mocapd\" run --config rig.toml")])
@@ -42,13 +47,19 @@ impl Service {
             .stderr(std::fs::File::create(folder.path("rig.log")).unwrap())
             .spawn()
             .unwrap();
-        let mut service = Self { child, socket };
+        let mut service = Self { child, socket: folder.path("rig.sock") };
         service.wait_until("the device", |status| status["state"] == "armed");
         service
     }
 
     pub(crate) fn pid(&self) -> u32 {
         self.child.id()
+    }
+
+    /// Has it read another configuration.
+    pub(crate) fn reload(&self, folder: &Folder, config: &str) {
+        folder.write("rig.toml", config);
+        kill_process(Pid::from_child(&self.child), Signal::HUP).unwrap();
     }
 
     /// Status and document of an answer; `None` where nobody answers.

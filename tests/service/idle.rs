@@ -1,4 +1,4 @@
-//! An idle service waits: it does not look again and again.
+//! An idle service waits, and wakes rarely.
 
 use std::{fs, time::Duration};
 

@@ -8,7 +8,7 @@
 //!
 //! Frames go through lock-free rings: the reader and a worker meet at a lock only when a stretch is closed
 //! and a worker sleeps (inside the channel that wakes it). From frames to blocks nothing allocates after
-//! [`Pipeline::start`]. Every queue is bounded; `plan.rs` holds the arithmetic.
+//! [`Pipeline::start`], but for markers that are new. Every queue is bounded; `plan.rs` holds the arithmetic.
 
 mod commands;
 mod counts;

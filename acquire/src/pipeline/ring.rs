@@ -101,8 +101,7 @@ const BURST_FRAMES: u32 = 16;
 /// Time from the beginning of a burst to the next one.
 const BURST_EVERY_NS: u64 = 250_000_000;
 
-/// Frames that wait: two bursts, or a burst and half a second of those that are shown. A viewer's thread looks every few
-/// milliseconds.
+/// Frames that wait: two bursts, and so a quarter of a second at least. A viewer's thread looks every few milliseconds.
 const FRAMES_MAX: usize = 2 * BURST_FRAMES as usize;
 
 /// What is known of a frame beside its positions.

@@ -69,6 +69,20 @@ fn a_disk_that_stalls_costs_bytes_of_the_log_and_the_log_says_how_many() {
     assert_eq!((totals.line_bytes.load(Ordering::Relaxed), counted), (passed, found));
 }
 
+#[test]
+fn a_slow_line_fills_its_blocks_while_the_disk_stalls() {
+    let (mut tap, written, _free) = tap(4);
+    for byte in 0..100 {
+        tap.put(Entry::FromDevice(&[byte]));
+        tap.block_since_ns = 0;
+        tap.tick();
+    }
+    let handed_over = written.try_iter().count();
+    assert_eq!(handed_over, 2, "half of the blocks wait for the disk, and no block is lost");
+    assert_eq!(tap.totals.untold_bytes.load(Ordering::Relaxed), 0);
+    assert_eq!(tap.block.line_bytes, 98);
+}
+
 /// A disk that says what was written between its syncs, and has room for so many bytes.
 struct Disk {
     room: usize,

@@ -215,7 +215,7 @@ keys! {
     trigger.listen: Takes::Text(
             "an address and a port, such as \"0.0.0.0:8989\", or \"\" for none"
         ),
-        Preset::Text(""), When::Restart, field!(trigger.listen);
+        Preset::Text(""), When::Now, field!(trigger.listen);
     /// Who is told of our starts and stops, with the same triggers.
     /// Other systems of the laboratory then record the same take under the same name.
     trigger.send_to: Takes::List {

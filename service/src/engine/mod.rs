@@ -4,6 +4,7 @@
 //! mocapd-rig     opens the device, arms the pipeline, reads; waits for a device that is away
 //! mocapd-hub     shows frames to viewers, and judges markers
 //! mocapd-watch   ends takes whose time, disk or device is over; tells what happened
+//! mocapd-recover recovers the takes that a killed service left, and ends
 //! callers        start, stop, mark: one command at a time
 //! ```
 //!

@@ -55,7 +55,7 @@ fn check(app: &Shared, request: &Request) -> Result<(), Box<Response>> {
     // Nobody's browser reaches a Unix socket by itself: a proxy does, under a name of its own.
     if !matches!(via, Some(Via::Unix)) {
         match &host {
-            Some(host) if is_ours(host, via, &app.allowed_hosts) => {}
+            Some(host) if is_ours(host, via, &app.allowed_hosts.borrow()) => {}
             Some(host) => {
                 let words = format!(
                     "'{}' is not a name of this service: put it into allowed_hosts, if it is",

@@ -64,7 +64,7 @@ struct App {
     auth: Arc<Auth>,
     counts: Arc<Counts>,
     limits: TimeLimits,
-    allowed_hosts: Vec<String>,
+    allowed_hosts: watch::Receiver<Vec<String>>,
     events: Arc<EventHub>,
     live: Arc<LiveHub>,
     /// The API's description of itself.

@@ -44,6 +44,7 @@ pub struct HttpServer {
     /// Those that listen to the service for everybody.
     hub_threads: Vec<JoinHandle<()>>,
     tcp: Option<SocketAddr>,
+    allowed_hosts: watch::Sender<Vec<String>>,
 }
 
 impl HttpServer {
@@ -61,6 +62,7 @@ impl HttpServer {
 
         let (stop, stopping) = watch::channel(false);
         let (within, how_long) = watch::channel(Duration::ZERO);
+        let (allow_hosts, allowed_hosts) = watch::channel(allowed_hosts);
         let counts = Arc::new(Counts::default());
         let run = format!("{:x}", Timestamp::now().as_millisecond());
         let feed = control.events();
@@ -76,6 +78,7 @@ impl HttpServer {
             hub_stopper: Some(hub_stopper),
             hub_threads: Vec::with_capacity(2),
             tcp: tcp_address,
+            allowed_hosts: allow_hosts,
         };
         let (hub, is_stopped) = (Arc::clone(&events), stopped.clone());
         let listen = move || hub.listen(&feed, &is_stopped);
@@ -130,6 +133,11 @@ impl HttpServer {
     #[must_use]
     pub fn tcp_address(&self) -> Option<SocketAddr> {
         self.tcp
+    }
+
+    /// Takes over the names by which the service is reached besides `localhost` and its addresses, from the next request on.
+    pub fn allow_hosts(&self, names: Vec<String>) {
+        self.allowed_hosts.send_replace(names);
     }
 
     /// Lets nobody in any more, lets requests that are being carried out finish, ends streams, and returns after

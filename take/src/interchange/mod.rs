@@ -52,7 +52,7 @@ pub enum Format {
     Trc,
     /// Qualisys Track Manager's text export.
     Tsv,
-    /// Ours, and the `time,head_x,...` dialect; read in the long layout, too.
+    /// Ours; of others, the `time,head_x,...` dialect and Motive's export are read, and so is the long layout.
     Csv,
     /// Apache Parquet, a row a sample; written only, with the feature `full`.
     Parquet,

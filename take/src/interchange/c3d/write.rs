@@ -163,11 +163,11 @@ fn fill_subjects(parameters: &mut Parameters, markers: &[Marker]) {
     parameters.set_texts("SUBJECTS", "LABEL_PREFIXES", &prefixes).unwrap_or_default();
 }
 
-/// The prefixes before the first `:` in order, when every labelled marker has one.
+/// The prefixes before the last `:` in order, when every labelled marker has one.
 fn prefixes(markers: &[Marker]) -> Option<Vec<String>> {
     let mut names: Vec<String> = Vec::new();
     for marker in markers.iter().filter(|marker| marker.labelled) {
-        let (name, rest) = marker.label.split_once(':')?;
+        let (name, rest) = marker.label.rsplit_once(':')?;
         if name.trim().is_empty() || rest.trim().is_empty() {
             return None;
         }

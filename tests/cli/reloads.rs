@@ -1,0 +1,190 @@
+//! What a running service does with another configuration, for every key that the table says is taken over at once.
+
+use std::{
+    collections::BTreeSet,
+    io::{Read, Write},
+    net::{SocketAddr, TcpStream, UdpSocket},
+    time::{Duration, Instant},
+};
+
+use mocapd_service::config::{When, keys::KEYS};
+use mocapd_simulator::generator::JumpSpec;
+
+use super::{Folder, devices::Simulated, service::Service};
+
+/// Longer than anything here takes on the slowest machine.
+const GIVE_UP: Duration = Duration::from_secs(30);
+
+/// How long is waited for what must not happen.
+const QUIET: Duration = Duration::from_millis(300);
+
+struct Scene {
+    folder: Folder,
+    service: Service,
+    http: SocketAddr,
+    /// Where triggers are heard.
+    triggers: SocketAddr,
+    /// Another program, which sends triggers and is told of ours.
+    peer: UdpSocket,
+    takes: u32,
+}
+
+impl Scene {
+    fn state(&self) -> String {
+        self.service.get("/v1/status")["state"].as_str().unwrap().to_owned()
+    }
+
+    fn next_take(&mut self) -> String {
+        self.takes += 1;
+        format!("take-{}", self.takes)
+    }
+
+    fn start(&mut self) {
+        let body = format!("{{\"name\":\"{}\"}}", self.next_take());
+        let (code, answer) = self.service.post("/v1/start", &body);
+        assert_eq!(code, 200, "{answer}");
+    }
+
+    fn stop(&mut self) {
+        self.service.post("/v1/stop", "{}");
+        self.service.wait_until("the end", |status| status["state"] == "armed");
+    }
+
+    /// Whether a start that comes over the network, and asks for a delay, begins a take.
+    fn is_triggered(&mut self, delay_ms: u32) -> bool {
+        let name = self.next_take();
+        let datagram = format!(
+            "<?xml version=\"1.0\" encoding=\"UTF-8\" standalone=\"no\" ?><CaptureStart><Name VALUE=\"{name}\"/>\
+             <Notes VALUE=\"\"/><Description VALUE=\"\"/><DatabasePath VALUE=\"\"/>\
+             <Delay VALUE=\"{delay_ms}\"/><PacketID VALUE=\"{}\"/></CaptureStart>",
+            self.takes
+        );
+        self.peer.send_to(datagram.as_bytes(), self.triggers).unwrap();
+        let until = Instant::now() + Duration::from_millis(delay_ms.into()) + QUIET;
+        while Instant::now() < until {
+            if self.state() == "recording" {
+                self.stop();
+                return true;
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        false
+    }
+
+    /// What the peer is told of a take.
+    fn announced(&mut self) -> String {
+        self.start();
+        self.stop();
+        let (mut told, mut bytes) = (String::new(), [0; 4096]);
+        while let Ok(n) = self.peer.recv(&mut bytes) {
+            told += &String::from_utf8_lossy(&bytes[..n]);
+        }
+        told
+    }
+
+    /// The status of an answer to whoever calls the service `name`.
+    fn called(&self, name: &str) -> String {
+        let mut stream = TcpStream::connect(self.http).unwrap();
+        write!(stream, "GET /v1/status HTTP/1.1\r\nhost: {name}\r\nconnection: close\r\n\r\n")
+            .unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        answer.split(' ').nth(1).unwrap().to_owned()
+    }
+}
+
+/// A key with another value, and whether the service does as it says. Each begins with all other keys as they were.
+struct Row {
+    key: &'static str,
+    value: String,
+    /// The triggers' part of the configuration before it.
+    trigger: String,
+    is_so: fn(&mut Scene) -> bool,
+}
+
+fn rows(triggers: SocketAddr, peer: SocketAddr) -> Vec<Row> {
+    let row = |key, value: &str, trigger: &str, is_so| Row {
+        key,
+        value: value.to_owned(),
+        trigger: trigger.to_owned(),
+        is_so,
+    };
+    let listen = format!("listen = '{triggers}'");
+    let send_to = format!("send_to = ['{peer}']");
+    vec![
+        row("rig.name", "name = 'right'", &send_to, |scene| {
+            let is_in_triggers = scene.announced().contains("mocapd right ");
+            is_in_triggers && scene.service.get("/v1/status")["rig"] == "right"
+        }),
+        row("take.max_length", "max_length = '1s'", "", |scene| {
+            scene.start();
+            let until = Instant::now() + Duration::from_millis(2500);
+            while Instant::now() < until && scene.state() == "recording" {
+                std::thread::sleep(Duration::from_millis(20));
+            }
+            let is_over = scene.state() != "recording";
+            scene.stop();
+            is_over
+        }),
+        row("http.allowed_hosts", "allowed_hosts = ['rig.lab']", "", |scene| {
+            scene.called("rig.lab") == "200"
+        }),
+        row("trigger.listen", &listen, "", |scene| scene.is_triggered(0)),
+        row("trigger.send_to", &send_to, "", |scene| scene.announced().contains("CaptureStart")),
+        row("trigger.allow_from", "allow_from = ['192.0.2.1']", &listen, |scene| {
+            !scene.is_triggered(0)
+        }),
+        row("trigger.delay_max", "delay_max = '0s'", &listen, |scene| !scene.is_triggered(100)),
+        row("log.level", "level = 'error'", "", |scene| {
+            let before = scene.folder.text("rig.log");
+            scene.start();
+            scene.stop();
+            std::thread::sleep(QUIET);
+            scene.folder.text("rig.log") == before
+        }),
+    ]
+}
+
+/// Every section with what a row says, and without.
+fn config(base: &str, row: &Row, has_value: bool) -> String {
+    let (section, _) = row.key.split_once('.').unwrap();
+    let base = base.replacen("[trigger]", &format!("[trigger]\n{}", row.trigger), 1);
+    match has_value {
+        true => base.replacen(&format!("[{section}]"), &format!("[{section}]\n{}", row.value), 1),
+        false => base,
+    }
+}
+
+#[test]
+fn what_the_table_says_is_taken_over_at_once_is() {
+    let free = || UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let (triggers, peer) = (free(), UdpSocket::bind("127.0.0.1:0").unwrap());
+    peer.set_read_timeout(Some(QUIET)).unwrap();
+    let rows = rows(triggers, peer.local_addr().unwrap());
+    let at_once = KEYS.iter().filter(|key| key.when == When::Now).map(|key| key.path);
+    let tried: BTreeSet<_> = rows.iter().map(|row| row.key).collect();
+    assert_eq!(tried, at_once.collect(), "each key that is taken over at once has a row here");
+
+    let folder = Folder::new();
+    let device = Simulated::endless(JumpSpec::new(1, 120.0).generate().unwrap().motion);
+    let http = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let base = format!(
+        "[rig]\n[device]\nuri = '{}'\n[take]\ndirectory = '{}'\nkeep_free = '0B'\n\
+         [http]\nlisten = '{http}'\nsocket = '{}'\n[trigger]\n[log]\n",
+        device.uri(),
+        folder.path("takes").display(),
+        folder.path("rig.sock").display()
+    );
+    let service = Service::run(&folder, &base, "");
+    let mut scene = Scene { folder, service, http, triggers, peer, takes: 0 };
+    for row in &rows {
+        for has_value in [false, true] {
+            scene.service.reload(&scene.folder, &config(&base, row, has_value));
+            let begun = Instant::now();
+            while (row.is_so)(&mut scene) != has_value {
+                let words = if has_value { "is not taken over" } else { "does nothing" };
+                assert!(begun.elapsed() < GIVE_UP, "{} {words}", row.key);
+            }
+        }
+    }
+}
