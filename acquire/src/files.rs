@@ -15,7 +15,7 @@ use std::{
 
 use anyhow::anyhow;
 use mocapd_drivers::plain_file::{self, NotAFile};
-use mocapd_take::content::ScratchFile;
+use mocapd_take::foreign::content::ScratchFile;
 use rustix::{
     fs::{self, seek},
     io::Errno,

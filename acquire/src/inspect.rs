@@ -264,7 +264,7 @@ impl Summary {
 
     fn add_outages(&mut self, timeline: &Timeline) {
         for run in &timeline.runs {
-            let away = run.lost.is_some_and(|causes| causes.contain(Causes::DISCONNECTED));
+            let away = run.lost.is_some_and(|causes| causes.contains(Causes::DISCONNECTED));
             self.outages.0 += u32::from(away && !self.in_outage);
             self.outages.1 += if away { run.rows } else { 0 };
             self.in_outage = away;

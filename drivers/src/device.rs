@@ -107,6 +107,14 @@ pub struct LinkBudget {
     pub rate_fits_mhz: u32,
 }
 
+impl LinkBudget {
+    /// Whether the line carries what is needed.
+    #[must_use]
+    pub fn fits(&self) -> bool {
+        self.needed_bytes_per_s <= self.available_bytes_per_s
+    }
+}
+
 /// One thing a device said.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum DeviceEvent<'a> {

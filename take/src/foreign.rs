@@ -1,5 +1,7 @@
 //! FOREIGN: what an importer found and the take does not model, kept for the way back.
 
+pub mod content;
+
 use std::{
     io::{self, BufReader, Read, Seek, SeekFrom},
     sync::Arc,
@@ -10,11 +12,8 @@ use flate2::{
     write::DeflateEncoder,
 };
 
-use crate::{
-    TakeError,
-    content::{Content, ScratchFile, Spool},
-    varint,
-};
+use self::content::{Content, ScratchFile, Spool};
+use crate::{TakeError, varint};
 
 /// Longest foreign part: a C3D file's analog section at the format's own limits stays below it.
 pub(crate) const DATA_BYTES_MAX: u64 = 1 << 28;

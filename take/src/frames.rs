@@ -7,9 +7,11 @@ use std::{
 
 use crate::{
     TakeError,
-    content::{Content, ScratchFile, Spool},
     damage::{Problem, note},
-    foreign::{Foreign, ForeignPart},
+    foreign::{
+        Foreign, ForeignPart,
+        content::{Content, ScratchFile, Spool},
+    },
     map::TakeMap,
     motion::{FrameSource, GAP, Motion, MotionEvent, MotionInfo, Position, Source},
     record::{Event, Header},

@@ -5,7 +5,6 @@
 
 mod ambiguity;
 pub mod chunk;
-pub mod content;
 pub mod damage;
 pub mod escape;
 pub mod foreign;

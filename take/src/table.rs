@@ -78,7 +78,7 @@ impl ChannelTable {
 
 /// A channel whose entry in the table is lost.
 fn nameless_channel(column: usize) -> Channel {
-    Channel { marker_id: u16::MAX, label: format!("u{:03}", column + 1), labelled: false }
+    Channel { marker_id: u16::MAX, label: Channel::unlabelled_name(column), labelled: false }
 }
 
 #[cfg(test)]

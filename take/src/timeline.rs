@@ -28,12 +28,6 @@ impl Causes {
         self.0 & other.0 == other.0
     }
 
-    /// Whether all of these are among them.
-    #[must_use]
-    pub fn contain(self, these: Self) -> bool {
-        self.0 & these.0 == these.0
-    }
-
     /// Both.
     #[must_use]
     pub fn union(self, other: Self) -> Self {

@@ -128,7 +128,7 @@ pub(super) struct NewChannel {
 impl NewChannel {
     pub(super) fn into_channel(self) -> Channel {
         let (label, labelled) = self.named.unwrap_or_default();
-        let label = if label.is_empty() { format!("u{:03}", self.slot + 1) } else { label };
+        let label = if label.is_empty() { Channel::unlabelled_name(self.slot) } else { label };
         Channel { marker_id: self.marker_id, label, labelled }
     }
 }

@@ -36,7 +36,7 @@ pub use counts::{Counts, PendingRows};
 pub use disk::{DiskState, HELD_MIN_BYTES, check_room};
 pub use group::{Seen, SeenCounters};
 pub use intake::Intake;
-pub use plan::{PipelineConfig, PreRollConfig};
+pub use plan::{PipelineConfig, PreRollConfig, STRETCH_LENGTHS, SYNC_MAX};
 pub use progress::{Progress, TakeNow, lock};
 pub use ring::{TapHead, TapOut};
 

@@ -1,6 +1,9 @@
 //! How large everything is: each bound with its arithmetic.
 
-use std::{ops::Range, time::Duration};
+use std::{
+    ops::{Range, RangeInclusive},
+    time::Duration,
+};
 
 use anyhow::ensure;
 use mocapd_codec::{GROUP_CHANNELS, Settings};
@@ -12,6 +15,14 @@ use crate::heartbeat::Heartbeat;
 /// Length of a stretch, and time between syncs, unless others are chosen: together what a power cut may cost.
 const STRETCH: Duration = Duration::from_millis(500);
 const SYNC_EVERY: Duration = Duration::from_millis(500);
+
+/// Lengths of a stretch that can be chosen: above them a kill costs more than anybody wants, below them a take is mostly
+/// fronts of stretches.
+pub const STRETCH_LENGTHS: RangeInclusive<Duration> =
+    Duration::from_millis(50)..=Duration::from_secs(10);
+
+/// The longest time between syncs that can be chosen: what a disk loses with its power.
+pub const SYNC_MAX: Duration = Duration::from_secs(60);
 
 /// What a recording needs to know before it starts.
 #[derive(Debug, Clone)]

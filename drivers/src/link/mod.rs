@@ -156,14 +156,6 @@ pub fn link_budget(
     }
 }
 
-impl LinkBudget {
-    /// Whether the line carries what is needed.
-    #[must_use]
-    pub fn fits(&self) -> bool {
-        self.needed_bytes_per_s <= self.available_bytes_per_s
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

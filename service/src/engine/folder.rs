@@ -158,7 +158,7 @@ fn look_into(path: &Path, bytes: u64, modified: SystemTime, is_open: bool) -> (T
     };
     let header = &ends.header;
     summary.markers = header.channels.len();
-    summary.take_id = header.take_id.iter().map(|byte| format!("{byte:02x}")).collect();
+    summary.take_id = header.take_id_text();
     if is_open {
         return (summary, false);
     }

@@ -18,7 +18,7 @@ pub(super) fn about(frames: &dyn FrameSource) -> Vec<(String, String)> {
     if let Some(take) = frames.take() {
         let header = &take.header;
         all.push(("software", header.software.clone()));
-        all.push(("take_id", header.take_id.iter().map(|byte| format!("{byte:02x}")).collect()));
+        all.push(("take_id", header.take_id_text()));
         all.push(("created_unix_ms", header.created_unix_ms.to_string()));
         all.push(("resampler", header.resampler.clone()));
         all.push(("tolerance_mm", header.tolerance_mm.to_string()));

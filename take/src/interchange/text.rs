@@ -3,7 +3,10 @@
 use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
 
-use crate::motion::{Marker, MotionInfo};
+use crate::{
+    motion::{Marker, MotionInfo},
+    record::Channel,
+};
 
 /// The lines of a text with their 1-based numbers, without a byte order mark and without line ends (LF or CRLF).
 pub(super) fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
@@ -110,14 +113,9 @@ pub(super) fn ends_within_a_number(bytes: &[u8], first_line: usize, separator: S
     number(cut).is_some() && fewest.is_some_and(|fewest| decimals(cut.trim_ascii()) < fewest)
 }
 
-/// The name of a column without one: `u001` for the first.
-pub(super) fn unlabelled_name(column: usize) -> String {
-    format!("u{:03}", column + 1)
-}
-
 /// A marker by the text found in its column: empty, or the very name an unlabelled column has, is unlabelled.
 pub(super) fn marker(label: &str, column: usize) -> Marker {
-    let unlabelled = unlabelled_name(column);
+    let unlabelled = Channel::unlabelled_name(column);
     if label.is_empty() || label == unlabelled {
         return Marker { label: unlabelled, labelled: false };
     }
@@ -147,7 +145,7 @@ pub fn column_labels(info: &MotionInfo) -> Vec<String> {
     let mut names = Vec::with_capacity(info.markers.len());
     for (column, marker) in info.markers.iter().enumerate() {
         let empty = marker.label.trim().is_empty();
-        let label = if empty { unlabelled_name(column) } else { marker.label.clone() };
+        let label = if empty { Channel::unlabelled_name(column) } else { marker.label.clone() };
         let mut name = label.clone();
         while !taken.insert(name.clone()) {
             let number = next_number.entry(label.clone()).or_insert(2u32);

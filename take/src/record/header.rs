@@ -29,6 +29,14 @@ pub struct Channel {
     pub labelled: bool,
 }
 
+impl Channel {
+    /// The name of a column without one: `u001` for the first.
+    #[must_use]
+    pub fn unlabelled_name(column: usize) -> String {
+        format!("u{:03}", column + 1)
+    }
+}
+
 /// The device that was recorded.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Encode, Decode)]
 pub struct Device {
@@ -106,6 +114,12 @@ pub const CODEC_VERSION: u16 = 6;
 const _: () = assert!(CODEC_VERSION >= BLOCK_VERSION);
 
 impl Header {
+    /// `take_id` as it is written in texts: 32 hexadecimal digits.
+    #[must_use]
+    pub fn take_id_text(&self) -> String {
+        self.take_id.iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+
     /// The codec's settings, checked.
     ///
     /// # Errors

@@ -12,7 +12,7 @@ use mocapd_codec::{BlockReport, ResamplerKind, Rows, Settings, Tolerance};
 use mocapd_take::{
     TakeError, TakeEvent, TakeFrames, TakeMap, TakeReader, TakeWriter,
     chunk::{self, CHUNK_HELD_MAX, WINDOW_BYTES, types},
-    content::ScratchFile,
+    foreign::content::ScratchFile,
     motion::{Foreign, UpAxis},
     reader::{pull, read_events},
     record::{Channel, Header, Ledger},

@@ -7,7 +7,7 @@
 
 use std::{io, ops::Range};
 
-use crate::content::{Content, ContentSlice};
+use crate::foreign::content::{Content, ContentSlice};
 
 /// Most columns: four words each of as many points as 16 bits count, the most of a C3D frame. Analog channels are fewer.
 const COLUMNS_MAX: usize = 4 * u16::MAX as usize;

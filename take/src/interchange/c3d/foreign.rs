@@ -19,7 +19,7 @@ use super::{
     parameters::{Parameters, encode_records},
 };
 use crate::{
-    content::ContentSlice,
+    foreign::content::ContentSlice,
     interchange::turn::Turn,
     motion::{Foreign, Position, is_gap},
 };

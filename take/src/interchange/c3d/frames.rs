@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 
 use super::{columns::ordered, layout::Layout, parameters::Parameters};
-use crate::{interchange::text::unlabelled_name, motion::Marker};
+use crate::{motion::Marker, record::Channel};
 
 /// Parameters of POINT that list model outputs: results that share the layout of a point without being one.
 const MODEL_OUTPUTS: [&str; 6] = ["ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS"];
@@ -51,7 +51,7 @@ pub(super) fn sort_points(
 /// The marker of a label as found. Vicon's names for unlabelled trajectories begin with `*`.
 fn point_marker(label: &str, column: usize) -> Marker {
     if label.is_empty() {
-        return Marker { label: unlabelled_name(column), labelled: false };
+        return Marker { label: Channel::unlabelled_name(column), labelled: false };
     }
     Marker { label: label.to_owned(), labelled: !label.starts_with('*') }
 }

@@ -11,8 +11,8 @@ use super::{
 };
 use crate::{
     ambiguity::{Ambiguity, Notes},
-    content::ContentSlice,
     foreign::DATA_BYTES_MAX,
+    foreign::content::ContentSlice,
     interchange::turn::Turn,
     motion::{Foreign, Position},
 };
