@@ -74,6 +74,7 @@ impl Simulated {
             stop: &AtomicBool::new(false),
             // A machine under load may be told that a frame is late.
             say: &|_| {},
+            how_to_end: "",
             started: &mut |_| {},
         };
         let recorded = record(Rig::open(&self.uri).unwrap(), &mut options).unwrap();

@@ -17,4 +17,5 @@ pub mod pipeline;
 pub mod raw_log;
 pub mod record;
 pub mod rig;
+pub mod setting;
 pub mod threads;

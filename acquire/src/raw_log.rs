@@ -1,4 +1,4 @@
-//! `record --raw`: every byte on the device's line goes into a log, too, without the reader waiting for a disk.
+//! A raw log: every byte on the device's line goes into a log, too, without the reader waiting for a disk.
 //!
 //! A [`Tap`] sits around the transport and copies what passes into blocks; a thread writes them. When no block is free
 //! the log says how many bytes are missing, and the recording goes on.

@@ -34,10 +34,12 @@ pub struct RecordOptions<'a> {
     pub length: Option<Duration>,
     /// Bytes of the disk that stay free: a take that comes there is closed.
     pub keep_free_bytes: u64,
-    /// Set by Ctrl-C.
+    /// Set to end it.
     pub stop: &'a AtomicBool,
     /// Told, in words, what people should know while it runs.
     pub say: &'a dyn Fn(&str),
+    /// How people end it, in words behind those that say that it waits; may be empty.
+    pub how_to_end: &'a str,
     /// Told once the pipeline runs: counters to watch.
     pub started: &'a mut dyn FnMut(&Arc<Progress>),
 }
@@ -84,6 +86,7 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
             length: options.length,
             for_one_take: true,
             say: options.say,
+            how_to_end: options.how_to_end,
         };
         let recording = rig.read(intake, &read);
         (recording, pipeline.finish())

@@ -88,7 +88,9 @@ fn parse() -> anyhow::Result<Args> {
             "--markers" => parsed.spec.n_markers = value()?.parse()?,
             "--rate" => parsed.spec.rate_hz = value()?.parse()?,
             "--tolerance" => {
-                parsed.tolerance_mm = units::tolerance(&value()?).map_err(anyhow::Error::msg)?.mm();
+                parsed.tolerance_mm = units::tolerance(&value()?, "--resamplers lossless")
+                    .map_err(anyhow::Error::msg)?
+                    .mm();
             }
             "--resamplers" => parsed.resamplers = list(&value()?),
             "--formats" => parsed.formats = list(&value()?),

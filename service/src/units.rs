@@ -36,12 +36,12 @@ fn in_unit(text: &str, units: &[(&str, f64)], of: &str) -> Result<f64, String> {
 /// `0.5mm`, `100um`, `2cm`, `0.001m`; a bare number is millimetres.
 ///
 /// # Errors
-/// What is wrong and what to type; 0 is answered with `--lossless`.
-pub fn tolerance(text: &str) -> Result<Tolerance, String> {
+/// What is wrong and what to type; 0 is answered with `lossless`, the setting that keeps every bit.
+pub fn tolerance(text: &str, lossless: &str) -> Result<Tolerance, String> {
     let units = [("mm", 1.0), ("", 1.0), ("um", 1e-3), ("µm", 1e-3), ("cm", 10.0), ("m", 1000.0)];
     let mm = in_unit(text, &units, "length: use um, mm, cm or m")?;
     if mm == 0.0 {
-        return Err("a tolerance of 0 keeps every bit: use --lossless".into());
+        return Err(format!("a tolerance of 0 keeps every bit: use {lossless}"));
     }
     if mm < 0.0 {
         return Err(format!(
@@ -173,7 +173,7 @@ mod tests {
         for (text, mm) in
             [("0.5mm", 0.5), ("0.5", 0.5), ("100 um", 0.1), ("2cm", 20.0), ("1e-3m", 1.0)]
         {
-            assert!((tolerance(text).unwrap().mm() - mm).abs() < 1e-12, "{text}");
+            assert!((tolerance(text, "lossless").unwrap().mm() - mm).abs() < 1e-12, "{text}");
         }
         assert_eq!(duration("1.5s").unwrap(), Duration::from_millis(1500));
         assert_eq!(duration("2min").unwrap(), Duration::from_secs(120));
@@ -188,9 +188,9 @@ mod tests {
 
     #[test]
     fn nonsense_says_what_to_type() {
-        assert!(tolerance("0mm").unwrap_err().contains("--lossless"));
+        assert!(tolerance("0mm", "--lossless").unwrap_err().contains("--lossless"));
         for text in ["-1mm", "nan", "inf", "1e999", "mm", "1 furlong", "1e-9mm", ""] {
-            assert!(tolerance(text).is_err(), "{text}");
+            assert!(tolerance(text, "lossless").is_err(), "{text}");
         }
         for text in ["-1s", "1e9h", "soon"] {
             assert!(duration(text).is_err(), "{text}");

@@ -54,7 +54,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "DIR", default_value = "mocapd-demo")]
     out: PathBuf,
     /// Largest distance between a sample and its reconstruction: 0.5mm, 100um, 2cm
-    #[arg(long, value_name = "LENGTH", default_value = "0.5mm", value_parser = units::tolerance,
+    #[arg(long, value_name = "LENGTH", default_value = "0.5mm", value_parser = values::tolerance,
           allow_hyphen_values = true)]
     tolerance: Tolerance,
     /// Frame rate of the simulated device: 240, 240Hz, 1kHz

@@ -1,11 +1,20 @@
 //! Values of arguments that only the command line refuses.
 
-use std::{ops::RangeInclusive, time::Duration};
+use std::time::Duration;
 
 use clap::Args;
 use mocapd::outcome::UsageError;
+use mocapd_acquire::pipeline::{STRETCH_LENGTHS, SYNC_MAX};
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_service::units;
+
+/// The bound of the samples' error.
+///
+/// # Errors
+/// What is wrong and what to type.
+pub(super) fn tolerance(text: &str) -> Result<Tolerance, String> {
+    units::tolerance(text, "--lossless")
+}
 
 /// The length of something that is to be made: more than nothing.
 ///
@@ -18,20 +27,13 @@ pub(super) fn length(text: &str) -> Result<Duration, String> {
     }
 }
 
-/// Stretches of a recording: above them a kill costs more than anybody wants, below them a take is mostly fronts
-/// of stretches.
-const STRETCH: RangeInclusive<Duration> = Duration::from_millis(50)..=Duration::from_secs(10);
-
-/// Time between syncs at most: what a disk loses with its power.
-const SYNC_MAX: Duration = Duration::from_secs(60);
-
 /// The length of a stretch.
 ///
 /// # Errors
 /// What is wrong and what to type.
 pub(super) fn stretch(text: &str) -> Result<Duration, String> {
     let stretch = length(text)?;
-    if STRETCH.contains(&stretch) {
+    if STRETCH_LENGTHS.contains(&stretch) {
         return Ok(stretch);
     }
     Err(format!("stretches of '{text}' are not written: give 50ms to 10s"))
@@ -64,7 +66,12 @@ pub(crate) fn thousands(n: u64) -> String {
 
 /// `1 marker`, `12 345 markers`.
 pub(crate) fn count(n: u64, what: &str) -> String {
-    format!("{} {what}{}", thousands(n), if n == 1 { "" } else { "s" })
+    count_of(n, [what, &format!("{what}s")])
+}
+
+/// The same of a word with another plural: `1 vertex`, `2 vertices`.
+pub(crate) fn count_of(n: u64, [one, several]: [&str; 2]) -> String {
+    format!("{} {}", thousands(n), if n == 1 { one } else { several })
 }
 
 /// `12 345 frames`, or `300 of 12 345 frames` where some of the rows are empty.
@@ -93,7 +100,7 @@ const DEFAULT_TOLERANCE_MM: f64 = 0.5;
 #[derive(Debug, Args)]
 pub(crate) struct CodecArgs {
     /// Largest distance between a sample and its reconstruction: 0.5mm, 100um, 2cm [default: 0.5mm]
-    #[arg(long, value_name = "LENGTH", value_parser = units::tolerance, allow_hyphen_values = true)]
+    #[arg(long, value_name = "LENGTH", value_parser = tolerance, allow_hyphen_values = true)]
     tolerance: Option<Tolerance>,
     /// Keep every bit; the same as --resampler lossless
     #[arg(long, conflicts_with_all = ["tolerance", "resampler"])]

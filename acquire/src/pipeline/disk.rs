@@ -8,11 +8,13 @@ use std::{
     time::{Duration, Instant},
 };
 
-use anyhow::bail;
 use rustix::fs::statvfs;
 
 use super::Progress;
-use crate::files::TakeOutput;
+use crate::{
+    files::TakeOutput,
+    setting::{Setting, SettingRefused},
+};
 
 /// Held back at least: a ledger, an index of days and a few stretches.
 pub const HELD_MIN_BYTES: u64 = 4 << 20;
@@ -168,14 +170,16 @@ pub fn check_room(path: &Path, keep_free_bytes: u64) -> anyhow::Result<()> {
     let Ok(disk) = statvfs(folder.unwrap_or(Path::new("."))) else { return Ok(()) };
     let free_bytes = disk.f_bavail.saturating_mul(disk.f_frsize);
     if free_bytes < keep_free_bytes.saturating_add(HELD_MIN_BYTES) {
-        bail!(
-            "the disk is nearly full: {:.0} MB are free for {}, and {:.0} MB have to stay free (--keep-free, take.keep_free) beside {:.0} MB \
-             to close a take in: delete something, or record to another disk",
+        let why = format!(
+            "the disk is nearly full: {:.0} MB are free for {}, and {:.0} MB have to stay free beside {:.0} MB \
+             to close a take in",
             mb(free_bytes),
             path.display(),
             mb(keep_free_bytes),
             mb(HELD_MIN_BYTES)
         );
+        let or = ", delete something, or record to another disk";
+        return Err(SettingRefused { why, setting: Setting::KeepFree, or }.into());
     }
     Ok(())
 }

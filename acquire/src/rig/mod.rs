@@ -5,7 +5,7 @@ mod reconnect;
 
 use std::time::Duration;
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, anyhow, bail, ensure};
 use mocapd_codec::Settings;
 use mocapd_drivers::{
     device::{Command, DeviceEvent, Hello, LinkBudget, MarkerInfo, Protocol},
@@ -19,7 +19,13 @@ use mocapd_take::{
 };
 pub use reader::{ReadOptions, Recording};
 
-use crate::{header, host_clock::monotonic_ns, pipeline::PipelineConfig, raw_log::Tap};
+use crate::{
+    header,
+    host_clock::monotonic_ns,
+    pipeline::PipelineConfig,
+    raw_log::Tap,
+    setting::{Setting, SettingRefused},
+};
 
 /// How much is read from a device at once: more than a pty or a USB serial driver gives.
 const READ_BYTES: usize = 64 << 10;
@@ -128,7 +134,7 @@ impl Rig {
         let channels = self.markers.iter().enumerate().map(|(slot, marker)| Channel {
             marker_id: marker.id,
             label: if marker.label.is_empty() {
-                format!("u{:03}", slot + 1)
+                Channel::unlabelled_name(slot)
             } else {
                 marker.label.clone()
             },
@@ -176,11 +182,9 @@ impl Rig {
 
     fn set_rate_unless(&mut self, rate_hz: f64, give_up: &dyn Fn() -> bool) -> anyhow::Result<()> {
         let rate_mhz = (rate_hz * 1000.0).round();
-        ensure!(
-            (1.0..=4e9).contains(&rate_mhz),
-            "cannot run a device at {rate_hz} Hz: {}",
-            rates(&self.hello)
-        );
+        if !(1.0..=4e9).contains(&rate_mhz) {
+            return Err(out_of_range(&format!("cannot run a device at {rate_hz} Hz"), &self.hello));
+        }
         let answer = self.ask(Command::SetRate(rate_mhz as u32), give_up, |event| match event {
             DeviceEvent::RateSet(set) => Some(Ok(set)),
             DeviceEvent::Refused(budget) => Some(Err(budget)),
@@ -188,8 +192,11 @@ impl Rig {
         })?;
         match answer {
             Ok(set) => self.hello.rate_mhz = set,
-            Err(budget) if !budget.fits() => bail!(refusal(budget, rate_hz, &self.hello)),
-            Err(_) => bail!("the device refuses {rate_hz} Hz: {}", rates(&self.hello)),
+            Err(budget) if !budget.fits() => return Err(refusal(budget, rate_hz, &self.hello)),
+            Err(_) => {
+                let why = format!("the device refuses {rate_hz} Hz");
+                return Err(out_of_range(&why, &self.hello));
+            }
         }
         Ok(())
     }
@@ -239,29 +246,28 @@ impl Rig {
     }
 }
 
-/// What it runs at.
-fn rates(hello: &Hello) -> String {
+/// Why a device cannot run at a rate: what it runs at.
+fn out_of_range(why: &str, hello: &Hello) -> anyhow::Error {
     let [min_hz, max_hz] =
         [hello.rate_min_mhz, hello.rate_max_mhz].map(|mhz| f64::from(mhz) / 1000.0);
-    if min_hz == max_hz {
-        format!("it runs at {max_hz} Hz and no other rate; leave --rate out")
-    } else {
-        format!("it runs at {min_hz} to {max_hz} Hz")
+    if min_hz < max_hz {
+        return anyhow!("{why}: it runs at {min_hz} to {max_hz} Hz");
     }
+    let why = format!("{why}: it runs at {max_hz} Hz and no other rate");
+    SettingRefused { why, setting: Setting::Rate(None), or: "" }.into()
 }
 
-/// Why a device that refused to start did so, and what to type.
-fn refusal(budget: LinkBudget, rate_hz: f64, hello: &Hello) -> String {
-    let fits_hz = f64::from(budget.rate_fits_mhz) / 1000.0;
-    let advice = if budget.rate_fits_mhz >= hello.rate_min_mhz {
-        format!("record with --rate {fits_hz}, or raise the baud rate on both ends")
-    } else {
-        "raise the baud rate on both ends, or use USB".to_owned()
-    };
-    format!(
-        "the line is too slow for {} Hz: the frames need {} bytes a second and it carries {}; {advice}",
+/// Why a device that refused to start did so, and what helps.
+fn refusal(budget: LinkBudget, rate_hz: f64, hello: &Hello) -> anyhow::Error {
+    let why = format!(
+        "the line is too slow for {} Hz: the frames need {} bytes a second and it carries {}",
         rate_hz, budget.needed_bytes_per_s, budget.available_bytes_per_s
-    )
+    );
+    if budget.rate_fits_mhz < hello.rate_min_mhz {
+        return anyhow!("{why}; raise the baud rate on both ends, or use USB");
+    }
+    let setting = Setting::Rate(Some(f64::from(budget.rate_fits_mhz) / 1000.0));
+    SettingRefused { why, setting, or: ", or raise the baud rate on both ends" }.into()
 }
 
 impl Rig {

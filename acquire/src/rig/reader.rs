@@ -36,7 +36,7 @@ const GRACE_NS: u64 = 1_000_000_000;
 /// When to stop, and what to tell.
 #[expect(missing_debug_implementations, reason = "a closure has none")]
 pub struct ReadOptions<'a> {
-    /// Set by Ctrl-C.
+    /// Set to end it.
     pub stop: &'a AtomicBool,
     /// Stop after so many rows.
     pub rows_max: Option<u64>,
@@ -48,6 +48,8 @@ pub struct ReadOptions<'a> {
     pub for_one_take: bool,
     /// Told, in words, what people should know while it runs.
     pub say: &'a dyn Fn(&str),
+    /// How people end it, in words behind those that say that it waits; may be empty.
+    pub how_to_end: &'a str,
 }
 
 /// What the reader saw.
@@ -260,7 +262,7 @@ impl Rig {
                 }
                 match reader.started {
                     Some(Ok(())) => return Ok(true),
-                    Some(Err(budget)) => bail!(refusal(budget, self.rate_hz(), &self.hello)),
+                    Some(Err(budget)) => return Err(refusal(budget, self.rate_hz(), &self.hello)),
                     None => {}
                 }
             }
@@ -317,11 +319,10 @@ impl Silence {
         if self.is_told || now_ns - self.last_frame_ns <= SILENCE.as_nanos() as u64 {
             return;
         }
-        (options.say)(if options.for_one_take {
-            "no frame for 3 s: is the device capturing? Still waiting; Ctrl-C finishes the take"
-        } else {
-            "no frame for 3 s: is the device capturing? Still waiting"
-        });
+        let how_to_end = options.how_to_end;
+        (options.say)(&format!(
+            "no frame for 3 s: is the device capturing? Still waiting{how_to_end}"
+        ));
         self.is_told = true;
     }
 }

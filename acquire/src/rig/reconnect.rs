@@ -70,14 +70,11 @@ impl Rig {
         }
         let gone_ns = monotonic_ns();
         (options.say)(&format!(
-            "{} is gone: plug it in again within {} s, and {}",
+            "{} is gone: plug it in again within {} s, and {} goes on{}",
             self.uri,
             (self.patience.as_secs_f64() * 10.0).round() / 10.0,
-            if options.for_one_take {
-                "the take goes on; Ctrl-C finishes it"
-            } else {
-                "recording goes on"
-            }
+            if options.for_one_take { "the take" } else { "recording" },
+            options.how_to_end
         ));
         let mut obstacle = Obstacle { words: String::new(), since_ns: gone_ns, told: true };
         let mut watch = UsbWatch::new();

@@ -7,6 +7,7 @@ use std::{
     time::Duration,
 };
 
+use mocapd_acquire::pipeline::{STRETCH_LENGTHS, SYNC_MAX};
 use mocapd_codec::{ResamplerKind, Tolerance};
 use serde_json::json;
 
@@ -123,11 +124,11 @@ keys! {
         Preset::Text("dense"), When::NextArm, field!(take.codec.kind, resampler);
     /// What is written at once: a killed process loses no more.
     /// Shorter stretches lose less and take more room.
-    take.stretch: Takes::Time(Duration::from_millis(50)..=Duration::from_secs(10)),
+    take.stretch: Takes::Time(STRETCH_LENGTHS),
         Preset::Text("500ms"), When::NextArm, field!(take.stretch);
     /// How often what is written is forced onto the disk: a power cut loses no more than this and a stretch.
     /// Together with a stretch it is a second; `0s` is a sync with each stretch.
-    take.sync: Takes::Time(Duration::ZERO..=Duration::from_secs(60)),
+    take.sync: Takes::Time(Duration::ZERO..=SYNC_MAX),
         Preset::Text("500ms"), When::NextArm, field!(take.sync);
     /// What stays free of the disk: a take that comes there is closed, and no other one starts.
     /// A system that has nothing left does not even log why; `0B` uses all of it.
@@ -261,8 +262,7 @@ fn device_choice(text: &str) -> Read<DeviceChoice> {
 }
 
 fn tolerance(text: &str) -> Read<Tolerance> {
-    // The words are those of the command line.
-    units::tolerance(text).map_err(|why| Some(why.replace("--lossless", "lossless = true")))
+    units::tolerance(text, "lossless = true").map_err(Some)
 }
 
 fn resampler(text: &str) -> Read<ResamplerKind> {

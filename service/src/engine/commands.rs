@@ -21,6 +21,7 @@ use super::{
     session::{NamedTake, OpenTake},
 };
 use crate::{
+    config::in_keys,
     control::{FirstFrame, Marked, Refusal, RefusalKind, SaveLast, Start, Started, Stopped},
     notify,
     status::ServiceEventKind,
@@ -317,7 +318,7 @@ impl Inner {
             return Err(stopping());
         }
         let options = std::sync::Arc::clone(&self.core().options);
-        let refused = |kind, error: &anyhow::Error| Refusal::new(kind, format!("{error:#}"));
+        let refused = |kind, error: &anyhow::Error| Refusal::new(kind, in_keys(error));
         let (name, path) = self.free_name(name, &options)?;
         check_room(&path, options.keep_free_bytes)
             .map_err(|error| refused(RefusalKind::Disk, &error))?;
@@ -330,7 +331,7 @@ impl Inner {
         let output = TakeFile::create(&path).map_err(|error| refused(RefusalKind::Disk, &error))?;
         let file = output.id();
         let notes = notes.map(|text| Event::new(EventKind::Mark, asked_ns, text));
-        let id = header.take_id.iter().map(|byte| format!("{byte:02x}")).collect();
+        let id = header.take_id_text();
         let take = NewTake {
             subject: options.subject.clone(),
             pre_roll,

@@ -28,7 +28,7 @@ use super::{
     hub::NewSession,
     session::{Core, KnownDevice, Session},
 };
-use crate::status::ServiceEventKind;
+use crate::{config::in_keys, status::ServiceEventKind};
 
 /// Between two looks for a device that is not there or does not answer.
 const TRY_EVERY: Duration = Duration::from_millis(500);
@@ -63,7 +63,7 @@ pub(super) fn run(inner: &Arc<Inner>, sessions: &Sender<NewSession>) {
                 }
             }
             Err(error) => {
-                inner.met(&format!("{error:#}"));
+                inner.met(&in_keys(&error));
                 watch.wait(TRY_EVERY);
             }
         }
@@ -204,6 +204,7 @@ impl Inner {
             length: None,
             for_one_take: false,
             say: &say,
+            how_to_end: "",
         };
         let progress = Arc::clone(pipeline.progress());
         let read = rig.read(intake, &options);
@@ -216,7 +217,7 @@ impl Inner {
                 "the data plane failed"
             }
             (Err(error), _) => {
-                self.met(&format!("{error:#}"));
+                self.met(&in_keys(error));
                 "the device cannot be read"
             }
             (Ok(recording), _) => match recording.ending {

@@ -13,7 +13,6 @@ use mocapd_acquire::{
     pipeline::offline,
 };
 use mocapd_codec::{ResamplerKind, Settings, SplineVariant, Tolerance};
-use mocapd_service::units;
 use mocapd_take::{
     TakeEvent,
     motion::{Motion, is_gap},
@@ -25,6 +24,7 @@ use serde::Serialize;
 use crate::cli::{
     original::{header_of, read_motion},
     output::{plain, print, print_json, say},
+    values,
 };
 
 /// What the tables of docs/benchmarks.md are made for.
@@ -39,7 +39,7 @@ pub(crate) struct Args {
     #[arg(long = "resampler", value_name = "NAME", value_parser = str::parse::<ResamplerKind>)]
     resamplers: Vec<ResamplerKind>,
     /// A tolerance; may be given several times [default: 0.1 0.5 1 5 10 20 mm]
-    #[arg(long = "tolerance", value_name = "LENGTH", value_parser = units::tolerance)]
+    #[arg(long = "tolerance", value_name = "LENGTH", value_parser = values::tolerance)]
     tolerances: Vec<Tolerance>,
     /// Measurements of each speed, of 20 ms or one run at least; the median counts
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=20))]

@@ -9,7 +9,7 @@ use mocapd_take::record::Subject;
 use serde::Serialize;
 
 use super::LABEL_COLUMNS_MAX;
-use crate::cli::values::{bytes, count};
+use crate::cli::values::{bytes, count, count_of};
 
 #[derive(Debug, Serialize)]
 pub(super) struct SubjectReport {
@@ -93,9 +93,8 @@ impl SubjectReport {
             skeleton.words(line);
         }
         if let Some(FaceReport { method, source, vertices, lines }) = &self.face {
-            let (vertices, lines) =
-                (count(*vertices as u64, "vertex"), count(*lines as u64, "line"));
-            let vertices = vertices.replace("vertexs", "vertices");
+            let vertices = count_of(*vertices as u64, ["vertex", "vertices"]);
+            let lines = count(*lines as u64, "line");
             line("face", &format!("{vertices}, {lines}{}", by(method)));
             if let Some(SourcePhoto { name, sha256 }) = source {
                 line("", &format!("from {name}, SHA-256 {sha256}"));

@@ -12,14 +12,13 @@ use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{pipeline::offline, threads};
 use mocapd_codec::{ResamplerKind, Settings, SplineVariant, Tolerance};
 use mocapd_report::plot::{SizeLine, SizePanel, sizes};
-use mocapd_service::units;
 use mocapd_take::motion::{Motion, is_gap};
 
 use crate::cli::plot;
 use crate::cli::{
     original::header_of,
     output::Progress,
-    values::count,
+    values::{self, count},
     whole::{name, read_samples},
 };
 
@@ -41,7 +40,7 @@ pub(crate) struct Args {
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Tolerances [default: 0.1mm,0.2mm,0.5mm,1mm,2mm,5mm,10mm,20mm]
-    #[arg(long, value_name = "LENGTH,...", value_delimiter = ',', value_parser = units::tolerance)]
+    #[arg(long, value_name = "LENGTH,...", value_delimiter = ',', value_parser = values::tolerance)]
     tolerances: Vec<Tolerance>,
 }
 

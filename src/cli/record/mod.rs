@@ -87,7 +87,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
             _ => error,
         })?;
         if let Some(rate_hz) = args.rate {
-            rig.set_rate(rate_hz)?;
+            rig.set_rate(rate_hz).map_err(watch::in_options)?;
         }
         rig.wait_for_replug(args.reconnect);
         rig.risk_at_most(args.stretch, args.sync);

@@ -12,6 +12,7 @@ use std::{
 use mocapd_acquire::{
     record::{RecordOptions, Recorded, record},
     rig::Rig,
+    setting::{Setting, SettingRefused},
 };
 use mocapd_codec::Settings;
 use mocapd_service::subject::strangers;
@@ -78,11 +79,22 @@ pub(crate) fn record_and_watch(
         keep_free_bytes,
         stop,
         say: &say,
+        how_to_end: "; Ctrl-C finishes the take",
         started: &mut started,
     };
     let recorded = record(rig, &mut options);
     drop(watching);
-    recorded
+    recorded.map_err(in_options)
+}
+
+/// A refusal with the option that helps against it.
+pub(super) fn in_options(error: anyhow::Error) -> anyhow::Error {
+    let Some(refused) = error.downcast_ref::<SettingRefused>() else { return error };
+    anyhow::Error::msg(refused.words(|setting| match setting {
+        Setting::Rate(Some(rate_hz)) => format!("record with --rate {rate_hz}"),
+        Setting::Rate(None) => "leave --rate out".to_owned(),
+        Setting::KeepFree => "lower --keep-free".to_owned(),
+    }))
 }
 
 /// How long the disk will do at this rate, in hours and minutes, once that is known.

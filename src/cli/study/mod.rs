@@ -30,6 +30,7 @@ use super::{
 };
 use crate::cli::{
     output::say,
+    values,
     whole::{name, read_samples},
 };
 
@@ -48,7 +49,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE")]
     phases: Option<PathBuf>,
     /// Tolerances of the first table [default: those of the paper, 1mm,5mm,10mm,15mm,20mm]
-    #[arg(long, value_name = "LENGTH,...", value_delimiter = ',', value_parser = units::tolerance)]
+    #[arg(long, value_name = "LENGTH,...", value_delimiter = ',', value_parser = values::tolerance)]
     tolerances: Vec<Tolerance>,
     /// On how many of the trials the exhaustive reading of step 2 is tried, too, on pieces of up to 256 frames
     #[arg(long, value_name = "N", default_value_t = 10)]
