@@ -19,3 +19,4 @@ pub mod record;
 pub mod rig;
 pub mod setting;
 pub mod threads;
+pub mod verdict;

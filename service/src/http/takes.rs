@@ -24,6 +24,7 @@ use mocapd_acquire::{
     health::TakeHealth,
     inspect::Summary,
     ledger::LedgerDocument,
+    verdict::Verdict,
 };
 use mocapd_take::TakeError;
 use rustix::{
@@ -393,18 +394,7 @@ fn check(name: String, bytes: u64, read: Result<Summary, TakeError>) -> Result<T
             return Ok(TakeCheck { name, health, bytes, problems, ..TakeCheck::default() });
         }
     };
-    let mut contradictions = summary.contradictions().to_vec();
-    let ledger = summary.take.ledger.as_ref();
-    if let Some(apart) = summary.clock_apart().filter(|apart| !apart.agrees) {
-        contradictions.push(format!(
-            "the clocks' line lies {:.1} us off the one that its observations give",
-            apart.offset_us
-        ));
-    }
-    // Before the end it need not close.
-    if summary.take.finished && ledger.is_some_and(|ledger| !ledger.closes()) {
-        contradictions.push("the ledger does not close".to_owned());
-    }
+    let Verdict { problems, mut contradictions, .. } = Verdict::of(&summary);
     contradictions.truncate(TOLD_MAX);
     let header = &summary.take.header;
     let ending = summary.take.ending.as_ref().map_or("", |ending| ending.kind.word());
@@ -420,9 +410,9 @@ fn check(name: String, bytes: u64, read: Result<Summary, TakeError>) -> Result<T
         samples: summary.samples(),
         tolerance_mm: header.tolerance_mm,
         max_error_mm: summary.max_error_mm(),
-        problems: summary.take.problems.iter().take(TOLD_MAX).map(ToString::to_string).collect(),
+        problems: problems.iter().take(TOLD_MAX).map(ToString::to_string).collect(),
         contradictions,
-        ledger: ledger.map(LedgerDocument::from),
+        ledger: summary.take.ledger.as_ref().map(LedgerDocument::from),
     })
 }
 

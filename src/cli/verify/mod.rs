@@ -12,10 +12,15 @@ use std::{
 use anyhow::{Context, bail};
 use mocapd::outcome::Outcome;
 use mocapd_acquire::{
-    clock::Apart, files::SparseFile, health::TakeHealth, inspect::Summary, ledger::LedgerDocument,
+    clock::Apart,
+    files::SparseFile,
+    health::TakeHealth,
+    inspect::Summary,
+    ledger::LedgerDocument,
+    verdict::{Finding, Verdict},
 };
 use mocapd_service::units;
-use mocapd_take::record::{Header, Ledger};
+use mocapd_take::record::Ledger;
 use serde::Serialize;
 
 pub(super) use self::against::AgainstReport;
@@ -31,9 +36,6 @@ use super::{
     paths,
     values::count,
 };
-
-/// Among the problems of a take.
-const NOT_CLOSING: &str = "the ledger does not close";
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -97,10 +99,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let summary =
         Summary::read(BufReader::new(SparseFile::open(&args.take)?)).with_context(reading)?;
-    let header = &summary.take.header;
-    let mut report = Report::new(&args.take, &summary, header);
+    let verdict = Verdict::of(&summary);
+    // The ledger's own words come below.
+    let is_said = |finding: &&Finding<'_>| !matches!(finding, Finding::LedgerOpen);
+    let said: Vec<String> =
+        verdict.problems.iter().filter(is_said).map(ToString::to_string).collect();
+    let mut report = Report::new(&args.take, &summary, verdict);
     if let Some(original) = &args.against {
-        report.against = Some(against(&args.take, original, header.tolerance_mm)?);
+        report.against = Some(against(&args.take, original, summary.take.header.tolerance_mm)?);
         if let Some(cutoff_hz) = args.cutoff {
             report.derivatives = Some(derivatives(&args.take, original, cutoff_hz)?);
         }
@@ -112,8 +118,7 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
         print_json(&report)?;
     } else {
         print(&report.words())?;
-        // The ledger's own words come below.
-        for problem in report.problems.iter().filter(|problem| *problem != NOT_CLOSING) {
+        for problem in said {
             say(&format!("{}: {problem}", args.take.display()));
         }
     }
@@ -147,32 +152,14 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
 }
 
 impl Report {
-    fn new(take: &Path, summary: &Summary, header: &Header) -> Self {
-        let mut problems: Vec<String> =
-            summary.take.problems.iter().map(ToString::to_string).collect();
-        let ledger_closes = summary.take.ledger.as_ref().map(Ledger::closes);
-        if ledger_closes == Some(false) {
-            problems.push(NOT_CLOSING.to_owned());
-        }
-        if let Some(ledger) = &summary.take.ledger
-            && summary.take.finished
-            && summary.take.damaged
-            && ledger.samples_present != summary.samples()
-        {
-            problems.push(format!(
-                "the ledger tells of {} samples, the take holds {}",
-                ledger.samples_present,
-                summary.samples()
-            ));
-        }
-        let mut contradictions = summary.contradictions().to_vec();
-        let clock = summary.clock_apart().map(|Apart { offset_us, drift_ppm, agrees }| {
-            if !agrees {
-                contradictions.push(format!(
-                    "the clocks' line lies {offset_us:.1} us and {drift_ppm:.3} ppm off the one that its observations give"
-                ));
-            }
-            ClockCheck { agrees, apart_us: offset_us, apart_ppm: drift_ppm }
+    fn new(take: &Path, summary: &Summary, verdict: Verdict<'_>) -> Self {
+        let header = &summary.take.header;
+        let problems: Vec<String> = verdict.problems.iter().map(ToString::to_string).collect();
+        let Verdict { contradictions, clock, .. } = verdict;
+        let clock = clock.map(|Apart { offset_us, drift_ppm, agrees }| ClockCheck {
+            agrees,
+            apart_us: offset_us,
+            apart_ppm: drift_ppm,
         });
         let markers = summary.take.channels.iter().zip(&summary.per_channel);
         Self {
@@ -180,7 +167,7 @@ impl Report {
             intact: problems.is_empty(),
             health: summary.health(),
             ending: summary.take.ending.as_ref().map(|ending| ending.kind.word()),
-            ledger_closes,
+            ledger_closes: summary.take.ledger.as_ref().map(Ledger::closes),
             problems,
             contradictions,
             frames: summary.take.n_rows,

@@ -1,0 +1,104 @@
+//! What is wrong with a take that was read to its end: the same for `verify` and for the service's check.
+
+use std::fmt;
+
+use mocapd_take::{damage::Problem, record::Ledger};
+
+use crate::{clock::Apart, inspect::Summary};
+
+/// Whether a take is what it says.
+#[derive(Debug)]
+pub struct Verdict<'a> {
+    /// What is wrong with its bytes, or missing; with none it is intact.
+    pub problems: Vec<Finding<'a>>,
+    /// What it says of itself and what is not so, though nothing is damaged: one sentence each.
+    pub contradictions: Vec<String>,
+    /// How far the clocks' line lies from the one that the stored observations give.
+    pub clock: Option<Apart>,
+}
+
+/// One thing that is wrong with a take.
+#[derive(Debug)]
+pub enum Finding<'a> {
+    /// A part of it is damaged.
+    Damage(&'a Problem),
+    /// The last ledger does not close.
+    LedgerOpen,
+    /// The last ledger tells of other samples than there are.
+    Samples {
+        /// What the ledger tells.
+        told: u64,
+        /// What the take holds.
+        found: u64,
+    },
+}
+
+impl fmt::Display for Finding<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Damage(problem) => problem.fmt(f),
+            Self::LedgerOpen => f.write_str("the ledger does not close"),
+            Self::Samples { told, found } => {
+                write!(f, "the ledger tells of {told} samples, the take holds {found}")
+            }
+        }
+    }
+}
+
+impl<'a> Verdict<'a> {
+    /// Of a take.
+    #[must_use]
+    pub fn of(summary: &'a Summary) -> Self {
+        let take = &summary.take;
+        let mut problems: Vec<_> = take.problems.iter().map(Finding::Damage).collect();
+        if take.ledger.as_ref().is_some_and(|ledger| !Ledger::closes(ledger)) {
+            problems.push(Finding::LedgerOpen);
+        }
+        // Of a take that is not damaged every ledger was compared, and a difference is a contradiction.
+        if let Some(&Ledger { samples_present: told, .. }) = take.ledger.as_ref()
+            && (take.finished && take.damaged)
+            && told != summary.samples()
+        {
+            problems.push(Finding::Samples { told, found: summary.samples() });
+        }
+        let mut contradictions = summary.contradictions().to_vec();
+        let clock = summary.clock_apart();
+        if let Some(Apart { offset_us, drift_ppm, agrees: false }) = &clock {
+            contradictions.push(format!(
+                "the clocks' line lies {offset_us:.1} us and {drift_ppm:.3} ppm off the one that its observations give"
+            ));
+        }
+        Self { problems, contradictions, clock }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn found(summary: &Summary) -> Vec<String> {
+        Verdict::of(summary).problems.iter().map(ToString::to_string).collect()
+    }
+
+    #[test]
+    fn a_ledger_that_does_not_close_is_a_problem_before_the_end_too() {
+        let mut summary = Summary::default();
+        assert_eq!(found(&summary), [""; 0], "no ledger");
+        summary.take.ledger = Some(Ledger { recorded: 1, ..Ledger::default() });
+        for finished in [false, true] {
+            summary.take.finished = finished;
+            assert_eq!(found(&summary), ["the ledger does not close"]);
+        }
+        assert!(Verdict::of(&summary).contradictions.is_empty());
+    }
+
+    #[test]
+    fn the_samples_of_a_damaged_take_are_held_against_its_ledger() {
+        let mut summary = Summary::default();
+        let ledger = Ledger { samples_announced: 3, samples_present: 3, ..Ledger::default() };
+        summary.take.ledger = Some(ledger);
+        assert_eq!(found(&summary), [""; 0]);
+        (summary.take.finished, summary.take.damaged) = (true, true);
+        assert_eq!(found(&summary), ["the ledger tells of 3 samples, the take holds 0"]);
+    }
+}
