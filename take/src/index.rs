@@ -4,7 +4,7 @@
 use std::io::{Read, Seek, SeekFrom};
 
 use crate::{
-    TakeError,
+    NotATake, TakeError,
     chunk::{self, Front, MAGIC, types},
     record::{Header, LIMIT_BYTES, Ledger, Record, SUMMARY_BYTES_MAX, SummaryRecord, TakeEnding},
     varint,
@@ -179,11 +179,11 @@ impl TakeEnds {
         let mut magic = Vec::with_capacity(MAGIC.len());
         input.by_ref().take(MAGIC.len() as u64).read_to_end(&mut magic)?;
         if magic != MAGIC {
-            return Err(TakeError::NotATake("the file does not begin with a take's eight bytes"));
+            return Err(TakeError::NotATake(NotATake::OtherMagic));
         }
         let offset = MAGIC.len() as u64;
         let chunk = Chunk::read(input, offset, types::HEADER, RECORD_BYTES_MAX)?
-            .ok_or(TakeError::NotATake("its header is damaged or not there"))?;
+            .ok_or(TakeError::NotATake(NotATake::NoHeader))?;
         let header = Header::from_payload(&chunk.payload, offset)?;
         header.check()?;
         Ok(Self { header, end: TakeEnd::read(input, file_bytes)? })

@@ -34,13 +34,45 @@ pub use reader::{TakeEvent, TakeReader};
 pub use traversal::TakeTraversal;
 pub use writer::TakeWriter;
 
+/// Why a file is no take.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum NotATake {
+    /// There is less of it than the magic.
+    #[error("the file is shorter than a take's eight bytes")]
+    Short,
+    /// It begins like something else.
+    #[error("the file does not begin with a take's eight bytes")]
+    OtherMagic,
+    /// It was sent as text.
+    #[error("its line ends were changed by a transfer in text mode; copy it again in binary mode")]
+    SentAsText,
+    /// It ends before its header does.
+    #[error("the file ends inside its header, and nothing of it can be read")]
+    HeaderCut,
+    /// Its header is damaged; one byte of it can be [put right](recovery::mend_start).
+    #[error(
+        "its header is damaged, and nothing can be read without it; try `mocapd recover`, which can put one byte of it right"
+    )]
+    HeaderDamaged,
+    /// Its header is damaged, and more of it than can be put right.
+    #[error("more than one byte of its header is damaged, and nothing can be read without it")]
+    HeaderLost,
+    /// The chunk behind the magic is no header, or a damaged one.
+    #[error("its header is damaged or not there")]
+    NoHeader,
+    /// Another program changed it meanwhile.
+    #[error("it changed while it was read")]
+    Changed,
+}
+
 /// What can go wrong with a take, by what the caller can do about it.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TakeError {
     /// Not a take at all.
     #[error("not a take: {0}")]
-    NotATake(&'static str),
+    NotATake(NotATake),
     /// A take from another version.
     #[error("{what} has version {found}, this build reads {supported}: use {}",
         if found > supported { "a newer mocapd" } else { "the development version that wrote it" })]

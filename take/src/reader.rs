@@ -12,7 +12,7 @@ use self::{
     damage::Damage,
 };
 use crate::{
-    TakeError,
+    NotATake, TakeError,
     chunk::{self, LongChunks, Marks, Search, WINDOW_BYTES, types},
     foreign::ForeignPart,
     index::{Footer, IndexEntry},
@@ -85,9 +85,6 @@ pub enum TakeEvent<'a> {
         bytes: TakeBytes,
     },
 }
-
-/// What an ordinary reader says of a header that it cannot read.
-pub(crate) const HEADER_DAMAGED: &str = "its header is damaged, and nothing can be read without it; try `mocapd recover`, which can put one byte of it right";
 
 /// A window, and a piece that was pushed when a byte of it was still missing.
 const PUSHED_MAX: usize = WINDOW_BYTES + READ_BYTES;
@@ -259,14 +256,14 @@ impl TakeReader {
         let have = self.buffer.len().min(chunk::MAGIC.len());
         if self.buffer[..have] != chunk::MAGIC[..have] {
             return Err(TakeError::NotATake(if self.buffer.starts_with(b"\x89TAK\n\x1a\n") {
-                "its line ends were changed by a transfer in text mode; copy it again in binary mode"
+                NotATake::SentAsText
             } else {
-                "the file does not begin with a take's eight bytes"
+                NotATake::OtherMagic
             }));
         }
         if have < chunk::MAGIC.len() {
             return if self.complete {
-                Err(TakeError::NotATake("the file is shorter than a take's eight bytes"))
+                Err(TakeError::NotATake(NotATake::Short))
             } else {
                 Ok(false)
             };
@@ -282,9 +279,9 @@ impl TakeReader {
         self.ended = true;
         if self.chain.is_none() {
             return Err(TakeError::NotATake(if self.offset() > self.header_cut_until {
-                HEADER_DAMAGED
+                NotATake::HeaderDamaged
             } else {
-                "the file ends inside its header, and nothing of it can be read"
+                NotATake::HeaderCut
             }));
         }
         Ok(TakeEvent::End { finished: self.seen_footer, bytes: self.bytes })

@@ -3,7 +3,7 @@
 
 use super::{TakeEvent, TakeReader, damage::Damage};
 use crate::{
-    TakeError,
+    NotATake, TakeError,
     chunk::{
         self, CHUNK_HELD_MAX, CRC_BYTES, Front, HEAD_BYTES_MAX, Head, LongChunks, MAY_SKIP, Marks,
         Search, types,
@@ -95,7 +95,7 @@ impl TakeReader {
     ) -> Result<TakeEvent<'_>, TakeError> {
         let offset = self.base + start as u64;
         let Front::Whole { payload, .. } = chunk::split(&self.buffer[start..start + len]) else {
-            return Err(TakeError::NotATake("a chunk vanished while it was read"));
+            return Err(TakeError::NotATake(NotATake::Changed));
         };
         let Some(chain) = &mut self.chain else {
             if kind == types::HEADER {
@@ -231,7 +231,7 @@ impl Passing {
         }
         let part = self.part.get_or_insert_with(|| {
             let Head::Of { head_bytes, .. } = chunk::head(bytes) else {
-                return Err(TakeError::NotATake("a chunk vanished while it was read"));
+                return Err(TakeError::NotATake(NotATake::Changed));
             };
             let payload_at = self.offset + head_bytes as u64;
             let payload_bytes = self.len - head_bytes as u64 - CRC_BYTES as u64;
@@ -271,7 +271,7 @@ impl TakeReader {
     pub(super) fn passed(&mut self) -> Result<TakeEvent<'static>, TakeError> {
         let end = self.offset();
         let Some(passing) = self.passing.take().filter(|passing| passing.end() == end) else {
-            return Err(TakeError::NotATake("it became shorter while it was read"));
+            return Err(TakeError::NotATake(NotATake::Changed));
         };
         let Passing { kind, offset, len, part } = passing;
         let Some(chain) = self.chain.as_mut() else {

@@ -2,10 +2,10 @@
 
 use super::{KINDS, Kind, KindCount, Piece, account::Account};
 use crate::{
-    TakeError, TakeEvent,
+    NotATake, TakeError, TakeEvent,
     chunk::types,
     damage::{Counts, LostRows, Problem, Why},
-    reader::{HEADER_DAMAGED, TakeInput},
+    reader::TakeInput,
     record::{Channel, EndingKind, Header, Ledger, TakeEnding},
     stretch::{NUMBERS, Span, Stretch},
     traversal::{Decode, Found, Progress, Renamed, TakeTraversal},
@@ -91,9 +91,7 @@ impl Survey {
 /// A recovery does not send people to a recovery.
 fn as_recovery(error: TakeError) -> TakeError {
     match error {
-        TakeError::NotATake(HEADER_DAMAGED) => TakeError::NotATake(
-            "more than one byte of its header is damaged, and nothing can be read without it",
-        ),
+        TakeError::NotATake(NotATake::HeaderDamaged) => TakeError::NotATake(NotATake::HeaderLost),
         other => other,
     }
 }
