@@ -28,17 +28,36 @@ pub use self::{
     take_file::{FileId, TakeFile, TakeOutput},
 };
 
+/// Why a file cannot be opened or created. The message is one line that says what to do.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum FileError {
+    /// Nothing is there.
+    #[error("{} does not exist", .0.display())]
+    NotFound(PathBuf),
+    /// What is there is no plain file.
+    #[error("{} is {}", .0.display(), .1)]
+    NotAFile(PathBuf, NotAFile),
+    /// The user may not read it.
+    #[error("no permission to read {}: try ls -l on it", .0.display())]
+    NotReadable(PathBuf),
+    /// The folder that it would be in is not there.
+    #[error("the folder {} does not exist: create it first", .0.display())]
+    NoFolder(PathBuf),
+    /// The user may not create it.
+    #[error("no permission to create {}: choose a folder that you may write to", .0.display())]
+    NotWritable(PathBuf),
+}
+
 /// Opens a file to read.
 ///
 /// # Errors
-/// That it is not there, is a folder, a pipe or a device, or may not be read: each says so.
+/// That it is not there, is a folder, a pipe or a device, or may not be read: each a [`FileError`].
 pub fn open(path: &Path) -> anyhow::Result<File> {
     plain_file::open(path).map_err(|error| match (NotAFile::why(&error), error.kind()) {
-        (Some(what), _) => anyhow!("{} is {what}", path.display()),
-        (None, io::ErrorKind::NotFound) => anyhow!("{} does not exist", path.display()),
-        (None, io::ErrorKind::PermissionDenied) => {
-            anyhow!("no permission to read {}: try ls -l on it", path.display())
-        }
+        (Some(what), _) => FileError::NotAFile(path.to_owned(), what).into(),
+        (None, io::ErrorKind::NotFound) => FileError::NotFound(path.to_owned()).into(),
+        (None, io::ErrorKind::PermissionDenied) => FileError::NotReadable(path.to_owned()).into(),
         (None, _) => anyhow!("cannot open {}: {error}", path.display()),
     })
 }
@@ -65,20 +84,23 @@ fn cannot_create(path: &Path, error: &io::Error) -> anyhow::Error {
     match error.kind() {
         io::ErrorKind::AlreadyExists => exists(path),
         io::ErrorKind::NotFound => {
-            anyhow!("the folder of {} does not exist: create it first", path.display())
+            FileError::NoFolder(path.parent().map_or(PathBuf::new(), Path::to_owned)).into()
         }
-        io::ErrorKind::PermissionDenied => {
-            anyhow!(
-                "no permission to create {}: choose a folder that you may write to",
-                path.display()
-            )
-        }
+        io::ErrorKind::PermissionDenied => FileError::NotWritable(path.to_owned()).into(),
         _ => anyhow!("cannot create {}: {error}", path.display()),
     }
 }
 
+/// Something has the name already.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{} exists and is not overwritten: choose another name or move it", path.display())]
+pub struct NameTaken {
+    /// The name.
+    pub path: PathBuf,
+}
+
 fn exists(path: &Path) -> anyhow::Error {
-    anyhow!("{} exists and is not overwritten: choose another name or move it", path.display())
+    NameTaken { path: path.to_owned() }.into()
 }
 
 /// Where the kernel shows an open file as a link.

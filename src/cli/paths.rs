@@ -2,9 +2,9 @@
 
 use std::{fs::Metadata, os::unix::fs::MetadataExt, path::Path};
 
-use anyhow::bail;
 use mocapd::outcome::UsageError;
-use mocapd_acquire::files::NewFile;
+use mocapd_acquire::files::{FileError, NewFile};
+use mocapd_drivers::plain_file::NotAFile;
 use mocapd_take::interchange::Format;
 
 /// The format of a file to read, by its ending.
@@ -13,7 +13,7 @@ use mocapd_take::interchange::Format;
 /// That it is a folder, or a usage error that lists the endings.
 pub(super) fn input_format(path: &Path) -> anyhow::Result<Format> {
     if path.is_dir() {
-        bail!("{} is a folder, not a file", path.display());
+        return Err(FileError::NotAFile(path.to_owned(), NotAFile::Folder).into());
     }
     Format::from_extension(path)
         .filter(|format| format.is_read())
@@ -93,7 +93,7 @@ pub(super) fn check_output(path: &Path) -> anyhow::Result<()> {
     }
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     if let Some(folder) = folder.filter(|folder| !folder.exists()) {
-        bail!("the folder {} does not exist: create it first", folder.display());
+        return Err(FileError::NoFolder(folder.to_owned()).into());
     }
     NewFile::create(path).map(drop)
 }

@@ -10,7 +10,7 @@ use std::{
     sync::{Arc, atomic::AtomicU64},
 };
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::{Context, anyhow};
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{files, pipeline::offline, threads};
 use mocapd_codec::{Settings, Tolerance};
@@ -67,7 +67,7 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if let Some(out) = args.out.as_deref().filter(|out| out.symlink_metadata().is_ok()) {
-        bail!("{} exists and is not overwritten: choose another name or move it", out.display());
+        return Err(files::NameTaken { path: out.to_owned() }.into());
     }
     let trials = trials(&args.files, args.phases.as_deref())?;
     let samples: usize = trials.iter().map(|trial| trial.motion.positions_mm.len()).sum();
