@@ -1,8 +1,10 @@
 //! The phases that are found in generated jumps, whose truth is known.
 
-use mocapd_report::phases::{Phase, find, parts};
+use mocapd_report::phases::{NoJump, Phase, find, parts};
 use mocapd_simulator::generator::{JumpSpec, Phase as Truth};
 use mocapd_take::motion::{GAP, UpAxis};
+
+use crate::support::assert_tells;
 
 /// How far a phase may begin from the truth, seconds. The first swing begins slower than anything can be seen; a
 /// walk is found by its first step, and begins before it.
@@ -78,11 +80,13 @@ fn what_is_no_jump_has_no_phases() {
     let from = walk.phases.last().unwrap().1;
     let n = walk.motion.info.markers.len();
     walk.motion.positions_mm.drain(..from * n);
-    assert!(find(&walk.motion).unwrap_err().0.contains("never in flight"));
+    assert_eq!(find(&walk.motion), Err(NoJump::NeverInFlight));
     walk.motion.positions_mm.fill(GAP);
-    assert!(find(&walk.motion).unwrap_err().0.contains("never seen"));
+    assert!(matches!(find(&walk.motion), Err(NoJump::NeverSeen(_))));
     walk.motion.info.markers.iter_mut().for_each(|marker| marker.label.push('x'));
-    assert!(find(&walk.motion).unwrap_err().0.contains("no marker is called pelvis"));
+    let nameless = find(&walk.motion).unwrap_err();
+    assert!(matches!(nameless, NoJump::NoMarker(_)));
+    assert_tells(&nameless.to_string(), &["pelvis"]);
     walk.motion.positions_mm.clear();
     assert!(find(&walk.motion).is_err());
 }

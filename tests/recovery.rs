@@ -5,7 +5,7 @@ use std::io::Cursor;
 use mocapd_acquire::inspect::Summary;
 use mocapd_drivers::device::MarkerSample;
 use mocapd_take::{
-    TakeEvent,
+    TakeError, TakeEvent,
     chunk::types,
     damage::Problem,
     motion::Position,
@@ -16,7 +16,7 @@ use mocapd_take::{
 use mocapd_testkit::random::Random;
 
 use crate::support::{
-    config, dense, fast, feed_samples, jump, lossless, places, rows, samples, start,
+    config, dense, fast, feed_samples, jump, lossless, places, rows, samples, start, tells,
 };
 
 /// A recording with loss, and with two markers that appear later; stretches of a quarter of a second and
@@ -116,7 +116,6 @@ fn of_an_intact_take_everything_is_kept() {
     for take in [recording(dense(0.5)), recording(lossless()), import(25.0)] {
         let (survey, new, summary) = check(&take, &take, "intact");
         assert!(!survey.lost_anything() && survey.finished);
-        assert_eq!(survey.losses_in_words(), "nothing was lost");
         assert_eq!(stretches(&new), stretches(&take));
         let before = Summary::read(&take[..]).unwrap();
         assert_eq!(summary.take.ledger, before.take.ledger);
@@ -126,7 +125,7 @@ fn of_an_intact_take_everything_is_kept() {
         assert_eq!(header.take_id, before.take.header.take_id);
         assert_eq!(
             header.settings.last().unwrap(),
-            &("recovered".to_owned(), "by tests: nothing was lost".to_owned())
+            &("recovered".to_owned(), format!("by tests: {}", survey.losses_in_words()))
         );
     }
 }
@@ -199,8 +198,8 @@ fn a_damaged_chunk_costs_what_depends_on_it_and_its_rows_stay() {
                 assert_eq!(after.frames_sent, before.frames_sent, "{what}");
                 assert_eq!(after.recorded + after.lost_other, before.recorded, "{what}");
                 assert!(after.lost_other > 0 && after.lost_other <= lost, "{what}");
-                let told = format!("frames {} to", survey.damage[0].first_row);
-                assert!(summary.take.events.iter().any(|event| event.text.starts_with(&told)));
+                let first_row = survey.damage[0].first_row.to_string();
+                assert!(summary.take.events.iter().any(|event| tells(&event.text, &first_row)));
             } else {
                 assert_eq!(summary.samples(), whole.samples(), "{what}");
                 assert_eq!(after.recorded, before.recorded, "{what}");
@@ -220,8 +219,7 @@ fn a_damaged_head_costs_nothing() {
             damaged[at] ^= 0x05;
             let (survey, new) = recover(&damaged);
             assert!(!survey.lost_anything(), "type {kind:02x}, byte {at}");
-            assert_eq!(survey.problems.len(), 1, "{:?}", survey.problems);
-            assert!(survey.problems[0].to_string().contains("its content is whole"));
+            assert_eq!(survey.problems, [Problem::Mended { offset: place.start as u64 }]);
             assert_eq!(format!("{:?}", rows(&new).0), format!("{whole:?}"));
             assert_eq!(format!("{:?}", rows(&damaged).0), format!("{whole:?}"));
         }
@@ -326,7 +324,7 @@ fn the_file_may_not_change_meanwhile() {
     let survey = Survey::read(&take[..]).unwrap();
     for changed in [&take[..take.len() / 2], &[&take[..400], &[9], &take[401..]].concat()] {
         let error = survey.write(Cursor::new(changed), Vec::new(), "tests").unwrap_err();
-        assert!(error.to_string().contains("changed while it was read"), "{error}");
+        assert!(matches!(error, TakeError::Corrupt { .. }), "{error}");
     }
 }
 

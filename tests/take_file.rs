@@ -2,13 +2,14 @@
 //! missing is said. Nothing wrong is ever given as good.
 
 use mocapd_take::{
-    TakeError, TakeEvent, TakeFrames, TakeReader, chunk,
+    NotATake, TakeError, TakeEvent, TakeFrames, TakeReader, chunk,
+    damage::{Problem, Refusal},
     motion::{Motion, Position, is_gap},
     record::{Header, Record},
 };
 use mocapd_testkit::random::Random;
 
-use crate::support::{config, dense, distance_mm, jump, places, record, rows};
+use crate::support::{assert_tells, config, dense, distance_mm, jump, places, record, rows};
 
 const TOLERANCE_MM: f64 = 0.5;
 
@@ -33,7 +34,7 @@ fn assert_right(rows: &[Vec<Position>], motion: &Motion, what: &str) -> usize {
     n_present
 }
 
-fn try_rows(take: &[u8]) -> Result<(Vec<Vec<Position>>, Vec<String>), TakeError> {
+fn try_rows(take: &[u8]) -> Result<(Vec<Vec<Position>>, Vec<Problem>), TakeError> {
     TakeFrames::open(std::io::Cursor::new(take)).map(|_| rows(take))
 }
 
@@ -51,10 +52,7 @@ fn every_truncation_gives_what_was_written_and_says_that_the_end_is_missing() {
                 "cut at {cut}: {error}"
             ),
             Ok((rows, problems)) => {
-                assert!(
-                    problems.iter().any(|p| p.contains("end is missing")),
-                    "cut at {cut}: {problems:?}"
-                );
+                assert!(problems.contains(&Problem::CutOff), "cut at {cut}: {problems:?}");
                 let n = assert_right(&rows, &motion, "cut");
                 assert!(
                     n >= n_before && n <= n_whole,
@@ -173,7 +171,9 @@ fn newer_parts_are_skipped_or_refused_as_their_type_says() {
     };
     assert!(rows(&with(0xe0)).1.is_empty());
     let (_, problems) = rows(&with(0x60));
-    assert!(problems[0].contains("use a newer mocapd"), "{problems:?}");
+    let Problem::Damaged { offset, message, .. } = &problems[0] else { panic!("{problems:?}") };
+    assert_eq!(*offset, 8 + len as u64);
+    assert_tells(message, &["60"]);
 }
 
 #[test]
@@ -184,27 +184,28 @@ fn a_newer_header_is_refused_with_its_version() {
     payload[0] = 9;
     let mut take = chunk::MAGIC.to_vec();
     chunk::put(&mut take, Header::KIND, &payload).unwrap();
-    let error = TakeFrames::open(std::io::Cursor::new(&take)).unwrap_err().to_string();
-    assert!(error.contains("version 9") && error.contains("newer mocapd"), "{error}");
+    let error = TakeFrames::open(std::io::Cursor::new(&take)).unwrap_err();
+    assert!(matches!(error, TakeError::Unsupported { found: 9, supported: ..9, .. }), "{error}");
 }
 
 #[test]
 fn what_is_no_take_is_said_to_be_none() {
-    for (bytes, said) in [
-        (&b""[..], "shorter"),
-        (b"\x89TAK", "shorter"),
-        (b"PK\x03\x04 a zip file", "does not begin"),
-        (b"\x89TAK\n\x1a\n and more", "text mode"),
-        (b"\x89TAK\r\n\x1a\n", "the file ends inside its header"),
-        (b"\x89TAK\r\n\x1a\n\x01\x7f garbage, and then nothing", "the file ends inside its header"),
+    for (bytes, why) in [
+        (&b""[..], NotATake::Short),
+        (b"\x89TAK", NotATake::Short),
+        (b"PK\x03\x04 a zip file", NotATake::OtherMagic),
+        (b"\x89TAK\n\x1a\n and more", NotATake::SentAsText),
+        (b"\x89TAK\r\n\x1a\n", NotATake::HeaderCut),
+        (b"\x89TAK\r\n\x1a\n\x01\x7f garbage, and then nothing", NotATake::HeaderCut),
         (
             b"\x89TAK\r\n\x1a\n\x01\x04 garbage of some length, without a header",
-            "try `mocapd recover`",
+            NotATake::HeaderDamaged,
         ),
     ] {
-        let error = TakeFrames::open(std::io::Cursor::new(bytes)).unwrap_err().to_string();
-        assert!(error.contains(said), "{error}");
+        let error = TakeFrames::open(std::io::Cursor::new(bytes)).unwrap_err();
+        assert!(matches!(error, TakeError::NotATake(found) if found == why), "{why:?}: {error}");
     }
+    assert_tells(&NotATake::HeaderDamaged.to_string(), &["mocapd recover"]);
 }
 
 #[test]
@@ -234,12 +235,13 @@ fn hostile_sizes_cost_no_memory() {
     chunk::put(&mut take, chunk::types::STRETCH, &group).unwrap();
     let problems = mocapd_acquire::inspect::Summary::read(&take[..]).unwrap().take.problems;
     assert!(
-        problems[1].to_string().contains("more samples than a stretch can hold"),
+        matches!(&problems[1], Problem::Refused { refusal: Refusal::Undecodable(_), .. }),
         "{problems:?}"
     );
     let mut long = front;
     long.extend_from_slice(&[chunk::types::STRETCH, 0xff, 0xff, 0xff, 0xff, 0x03, 1, 2, 3]);
-    assert!(rows(&long).1.iter().any(|p| p.contains("inside a chunk")));
+    let is_last = |problem: &Problem| matches!(problem, Problem::Damaged { offset, len, .. } if offset + len == long.len() as u64);
+    assert!(rows(&long).1.iter().any(is_last));
 }
 
 #[test]
@@ -256,7 +258,10 @@ fn a_stretch_that_is_missing_is_noticed_and_gives_no_wrong_sample() {
             let mut cut = take.clone();
             cut.drain(place);
             let (rows, problems) = rows(&cut);
-            assert!(problems.iter().any(|p| p.contains("missing")), "{problems:?}");
+            let is_missing = |problem: &Problem| {
+                matches!(problem, Problem::MissingBefore { .. } | Problem::MissingFrom { .. })
+            };
+            assert!(problems.iter().any(is_missing), "{problems:?}");
             assert_right(&rows, &motion, "without a stretch");
         }
     }

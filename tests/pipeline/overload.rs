@@ -10,11 +10,12 @@ use mocapd_acquire::pipeline::{PipelineConfig, TakeOutput};
 use mocapd_simulator::generator::JumpSpec;
 use mocapd_take::{
     TakeFrames,
+    damage::Problem,
     motion::{FrameSource, GAP, is_gap},
     timeline::Causes,
 };
 
-use crate::support::{chunks, config, dense, fast, feed, jump, rows, start};
+use crate::support::{chunks, config, dense, fast, feed, io_error_of, jump, rows, start};
 
 /// Writes to memory, but from the second write on only after the gate was opened.
 struct Gated {
@@ -213,11 +214,11 @@ fn a_full_disk_is_an_error_and_what_was_written_can_be_read() {
     }
     assert!(intake.has_failed(), "nobody was told");
     intake.finish();
-    let error = format!("{:#}", pipeline.finish().err().unwrap());
-    assert!(error.contains("cannot write"), "{error}");
+    let failed = pipeline.finish().err().unwrap();
+    assert_eq!(io_error_of(&failed), Some(io::ErrorKind::StorageFull), "{failed:#}");
     let (rows, problems) = rows(&bytes.lock().unwrap());
     assert!(rows.len() > 50, "{}", rows.len());
-    assert!(problems.iter().any(|p| p.contains("cut off")), "{problems:?}");
+    assert!(problems.contains(&Problem::CutOff), "{problems:?}");
 }
 
 #[test]

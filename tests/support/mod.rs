@@ -1,6 +1,11 @@
 //! What several test modules need: generated motion, a pipeline in memory, and takes read back.
 
-use std::{any::Any, io::Cursor, marker::PhantomData, ops::Range};
+use std::{
+    any::Any,
+    io::{self, Cursor},
+    marker::PhantomData,
+    ops::Range,
+};
 
 use mocapd_acquire::{
     header,
@@ -13,7 +18,8 @@ use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_drivers::device::{Frame, MarkerSample};
 use mocapd_simulator::generator::{JumpSpec, Occlusion};
 use mocapd_take::{
-    TakeEvent, TakeFrames, chunk,
+    TakeError, TakeEvent, TakeFrames, chunk,
+    damage::Problem,
     motion::{FrameSource, GAP, Motion, Position, is_gap},
     reader::{TakeBytes, read_events},
     record::{Clock, Ledger},
@@ -26,6 +32,38 @@ pub(crate) mod c3d_file;
 
 /// Ticks a second of the test devices.
 pub(crate) const TICK_HZ: u64 = 1_000_000;
+
+/// Whether a message tells of a fact: a name, a number, an option, a command, each as it is and not as a part of another.
+pub(crate) fn tells(message: &str, fact: &str) -> bool {
+    let is_inner = |c: char| c.is_alphanumeric() || c == '_';
+    let is_digit = |c: char| c.is_ascii_digit();
+    message.match_indices(fact).any(|(at, _)| {
+        let (before, after) = (&message[..at], &message[at + fact.len()..]);
+        let begins_earlier = before.ends_with(is_inner)
+            || before.strip_suffix('.').is_some_and(|before| before.ends_with(is_digit));
+        let goes_on = after.starts_with(is_inner)
+            || after.strip_prefix('.').is_some_and(|after| after.starts_with(is_digit));
+        let is_part =
+            fact.starts_with(is_inner) && begins_earlier || fact.ends_with(is_inner) && goes_on;
+        !is_part
+    })
+}
+
+/// A message has all that its reader needs to know, in whatever words.
+#[track_caller]
+pub(crate) fn assert_tells(message: &str, facts: &[&str]) {
+    for fact in facts {
+        assert!(tells(message, fact), "'{fact}' is not in: {message}");
+    }
+}
+
+/// What the system said, of a take that ended early.
+pub(crate) fn io_error_of(failed: &TakeFailed) -> Option<io::ErrorKind> {
+    match failed.error.downcast_ref() {
+        Some(TakeError::Io(error)) => Some(error.kind()),
+        _ => failed.error.downcast_ref::<io::Error>().map(io::Error::kind),
+    }
+}
 
 /// A generated jump with gaps.
 pub(crate) fn jump(seed: u64, rate_hz: f64, seconds: f64) -> Motion {
@@ -134,14 +172,14 @@ pub(crate) fn record(
 }
 
 /// Rows of a take, and what is missing from it.
-pub(crate) fn rows(take: &[u8]) -> (Vec<Vec<Position>>, Vec<String>) {
+pub(crate) fn rows(take: &[u8]) -> (Vec<Vec<Position>>, Vec<Problem>) {
     let mut frames = TakeFrames::open(Cursor::new(take)).unwrap();
     let mut row = vec![GAP; frames.info().markers.len()];
     let mut rows = Vec::new();
     while frames.next_frame(&mut row).unwrap() {
         rows.push(row.clone());
     }
-    (rows, frames.problems().iter().map(ToString::to_string).collect())
+    (rows, frames.problems().to_vec())
 }
 
 /// The chunks of a take that a test looks at.

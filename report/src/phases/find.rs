@@ -35,8 +35,25 @@ const WALKS_MM_S: f64 = 200.0;
 const GOES_ON_S: f64 = 0.15;
 
 /// Why no phases were found.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct NoJump(pub String);
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum NoJump {
+    /// No marker is at a site that the search looks at; what is missing, and what markers may be called.
+    #[error("{0}")]
+    NoMarker(String),
+    /// This rate, in Hz.
+    #[error("{0} Hz is too slow to see a jump")]
+    TooSlow(f64),
+    /// Markers that are never there: the pelvis, or a foot.
+    #[error("{0} was never seen")]
+    NeverSeen(&'static str),
+    /// Neither the take nor the motion tells which axis is up.
+    #[error("which way is up cannot be told")]
+    UpUnknown,
+    /// Nobody jumps.
+    #[error("the pelvis is never in flight: nothing here is a jump")]
+    NeverInFlight,
+}
 
 /// Heights and speeds of a take, row by row.
 struct Signals {
@@ -58,7 +75,7 @@ struct Signals {
 /// # Errors
 /// Which marker is missing, or that nothing in the take is a jump.
 pub fn find(motion: &Motion) -> Result<Vec<(Phase, usize)>, NoJump> {
-    let sites = Sites::of(motion).map_err(NoJump)?;
+    let sites = Sites::of(motion).map_err(NoJump::NoMarker)?;
     let signals = Signals::of(motion, &sites)?;
     let mut phases: Vec<(Phase, usize)> = Vec::new();
     let mut from = 0;
@@ -75,7 +92,7 @@ pub fn find(motion: &Motion) -> Result<Vec<(Phase, usize)>, NoJump> {
         }
     }
     if phases.is_empty() {
-        return Err(NoJump("the pelvis is never in flight: nothing here is a jump".to_owned()));
+        return Err(NoJump::NeverInFlight);
     }
     Ok(phases)
 }
@@ -91,18 +108,15 @@ fn push(phases: &mut Vec<(Phase, usize)>, phase: Phase, frame: usize) {
 impl Signals {
     fn of(motion: &Motion, sites: &Sites) -> Result<Self, NoJump> {
         let rate_hz = motion.info.rate_hz;
-        let filter = Butterworth::new(CUTOFF_HZ, rate_hz)
-            .map_err(|_| NoJump(format!("{rate_hz} Hz is too slow to see a jump")))?;
+        let filter = Butterworth::new(CUTOFF_HZ, rate_hz).map_err(|_| NoJump::TooSlow(rate_hz))?;
         let smooth = |column: &Column| -> Option<Vec<Vector>> {
             let bridged = column.bridged()?;
             Some(crate::derivative::filtered(&filter, &bridged))
         };
-        let unseen = |what: &str| NoJump(format!("{what} was never seen"));
-        let pelvis = smooth(&sites.pelvis(motion)).ok_or_else(|| unseen("the pelvis"))?;
+        let pelvis = smooth(&sites.pelvis(motion)).ok_or(NoJump::NeverSeen("the pelvis"))?;
         let [left, right] = sites.feet.map(|foot| smooth(&Column::of(motion, foot)));
-        let (left, right) = left.zip(right).ok_or_else(|| unseen("a foot"))?;
-        let up = up_axis(motion, &pelvis, &left)
-            .ok_or_else(|| NoJump("which way is up cannot be told".to_owned()))?;
+        let (left, right) = left.zip(right).ok_or(NoJump::NeverSeen("a foot"))?;
+        let up = up_axis(motion, &pelvis, &left).ok_or(NoJump::UpUnknown)?;
         let heights = |of: &[Vector]| -> Vec<f64> { of.iter().map(|at| up.1 * at[up.0]).collect() };
         let height = heights(&pelvis);
         let rise = derivative(&height, rate_hz);

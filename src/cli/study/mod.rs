@@ -191,7 +191,7 @@ fn trial(path: &Path, name: String, given: &Given) -> anyhow::Result<Trial> {
     }
     let starts = match given.get(&name) {
         Some(starts) => Ok(starts.clone()),
-        None => phases::find(&motion).map_err(|none| none.0),
+        None => phases::find(&motion).map_err(|none| none.to_string()),
     };
     if let Err(why) = &starts {
         say(&format!("{}: no phases, only the whole is studied: {why}", path.display()));
