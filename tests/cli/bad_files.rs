@@ -1,7 +1,11 @@
 //! Files that are not what they should be: what is wrong, where, and nothing written.
 
+use mocapd_acquire::files::FileError;
+use mocapd_drivers::plain_file::NotAFile;
+use mocapd_take::{NotATake, TakeError};
+
 use super::{Folder, unprivileged};
-use crate::support::jump;
+use crate::support::{assert_tells, jump};
 
 #[test]
 fn what_is_not_there_or_is_a_folder() {
@@ -9,12 +13,13 @@ fn what_is_not_there_or_is_a_folder() {
     std::fs::create_dir(folder.path("folder.csv")).unwrap();
     std::fs::create_dir(folder.path("folder.take")).unwrap();
     let csv = |name| ["import", name, "-o", "new.take"];
-    assert_eq!(folder.refuses(&csv("none.csv"), 1), "none.csv does not exist");
-    assert_eq!(folder.refuses(&csv("folder.csv"), 1), "folder.csv is a folder, not a file");
-    for (file, line) in [
-        ("none.take", "none.take does not exist"),
-        ("folder.take", "folder.take is a folder, not a file"),
-    ] {
+    let absent = |name: &str| FileError::NotFound(name.into()).to_string();
+    let no_file = |name: &str| FileError::NotAFile(name.into(), NotAFile::Folder).to_string();
+    assert_eq!(folder.refuses(&csv("none.csv"), 1), absent("none.csv"));
+    assert_eq!(folder.refuses(&csv("folder.csv"), 1), no_file("folder.csv"));
+    for (file, line) in
+        [("none.take", absent("none.take")), ("folder.take", no_file("folder.take"))]
+    {
         assert_eq!(folder.refuses(&["info", file], 1), line);
         assert_eq!(folder.refuses(&["info", file, "--json"], 1), line);
         assert_eq!(folder.refuses(&["verify", file], 1), line);
@@ -23,10 +28,10 @@ fn what_is_not_there_or_is_a_folder() {
     folder.write_motion("jump.csv", &jump(1, 60.0, 0.5));
     folder.run(&csv("jump.csv")).with_code(0);
     let against = |file| ["verify", "new.take", "--against", file];
-    assert_eq!(folder.refuses(&against("none.csv"), 1), "none.csv does not exist");
-    assert_eq!(folder.refuses(&against("none.take"), 1), "none.take does not exist");
-    assert_eq!(folder.refuses(&against("folder.csv"), 1), "folder.csv is a folder, not a file");
-    assert_eq!(folder.refuses(&against("folder.take"), 1), "folder.take is a folder, not a file");
+    assert_eq!(folder.refuses(&against("none.csv"), 1), absent("none.csv"));
+    assert_eq!(folder.refuses(&against("none.take"), 1), absent("none.take"));
+    assert_eq!(folder.refuses(&against("folder.csv"), 1), no_file("folder.csv"));
+    assert_eq!(folder.refuses(&against("folder.take"), 1), no_file("folder.take"));
 }
 
 #[test]
@@ -39,9 +44,9 @@ fn what_may_not_be_read() {
         unprivileged::forbid(&folder.path(file));
     }
     let line = folder.refused(user(&["info", "jump.take"]), 1);
-    assert!(line.contains("no permission to read jump.take"), "{line}");
+    assert_eq!(line, FileError::NotReadable("jump.take".into()).to_string());
     let line = folder.refused(user(&["import", "jump.csv", "-o", "new.take"]), 1);
-    assert!(line.contains("no permission to read jump.csv"), "{line}");
+    assert_eq!(line, FileError::NotReadable("jump.csv".into()).to_string());
 }
 
 #[test]
@@ -52,17 +57,16 @@ fn what_is_no_take() {
     folder.write("text.take", "time,head_x,head_y,head_z\n0,1,2,3\n");
     folder.write("sent_as_text.take", b"\x89TAK\n\x1a\n and more");
     folder.write("magic_only.take", b"\x89TAK\r\n\x1a\n");
-    for (file, words) in [
-        ("empty.take", "shorter than a take's eight bytes"),
-        ("short.take", "shorter than a take's eight bytes"),
-        ("text.take", "does not begin with a take's eight bytes"),
-        ("sent_as_text.take", "copy it again in binary mode"),
-        ("magic_only.take", "the file ends inside its header"),
+    for (file, why) in [
+        ("empty.take", NotATake::Short),
+        ("short.take", NotATake::Short),
+        ("text.take", NotATake::OtherMagic),
+        ("sent_as_text.take", NotATake::SentAsText),
+        ("magic_only.take", NotATake::HeaderCut),
     ] {
+        let why = TakeError::NotATake(why).to_string();
         for args in [&["info", file][..], &["verify", file], &["export", file, "-o", "new.csv"]] {
-            let line = folder.refuses(args, 1);
-            assert!(line.starts_with(&format!("cannot read {file}: not a take: ")), "{line}");
-            assert!(line.contains(words), "{line}");
+            assert_tells(&folder.refuses(args, 1), &[file, &why]);
         }
     }
 }
@@ -88,12 +92,10 @@ fn what_is_not_its_format() {
         ("noise.trc", "trc line"),
         ("noise.tsv", "tsv line"),
         ("noise.csv", "csv line 1"),
-        ("header_only.c3d", "cut off before its data"),
-        ("half_a_header.c3d", "c3d byte"),
+        ("header_only.c3d", "c3d byte 16"),
+        ("half_a_header.c3d", "c3d byte 16"),
     ] {
-        let line = folder.refuses(&["import", file, "-o", "new.take"], 1);
-        assert!(line.starts_with(&format!("cannot read {file}: ")), "{line}");
-        assert!(line.contains(place), "{line}");
+        assert_tells(&folder.refuses(&["import", file, "-o", "new.take"], 1), &[file, place]);
     }
 }
 
@@ -108,9 +110,7 @@ fn what_is_empty() {
     for (file, what) in
         [("no_markers.csv", "markers"), ("no_frames.csv", "frames"), ("no_frames.trc", "frames")]
     {
-        let line = folder.refuses(&["import", file, "-o", "new.take"], 1);
-        let expected = format!("{file} holds no {what}: there is nothing to make a take of");
-        assert_eq!(line, expected);
+        assert_tells(&folder.refuses(&["import", file, "-o", "new.take"], 1), &[file, what]);
     }
 }
 
@@ -121,22 +121,19 @@ fn rates_that_are_none() {
     for rate in ["0", "nan", "-60", "fast"] {
         folder.write("a.csv", format!("# rate={rate}\n{rows}"));
         let line = folder.refuses(&["import", "a.csv", "-o", "new.take"], 1);
-        assert!(line.contains("the rate is not known: add a line `# rate=120`"), "{line}");
+        assert_tells(&line, &["a.csv", "csv line 2", "# rate=120"]);
     }
     for rate in ["1e9", "1e300", "1e-9"] {
         folder.write("a.csv", format!("# rate={rate}\n{rows}"));
         let line = folder.refuses(&["import", "a.csv", "-o", "new.take"], 1);
-        assert!(
-            line.contains(&format!("a rate of {rate} Hz, expected 0.001 to 1000000")),
-            "{line}"
-        );
+        assert_tells(&line, &["a.csv", &format!("{rate} Hz"), "0.001", "1000000"]);
     }
     folder.write(
         "a.trc",
         "DataRate\tUnits\n0\tmm\nFrame#\tTime\thead\n\t\tX1\tY1\tZ1\n1\t0\t1\t2\t3\n",
     );
     let line = folder.refuses(&["import", "a.trc", "-o", "new.take"], 1);
-    assert!(line.contains("trc line 3: expected the rate under `DataRate`"), "{line}");
+    assert_tells(&line, &["a.trc", "trc line 3", "DataRate"]);
 }
 
 #[test]
@@ -159,7 +156,7 @@ fn coordinates_that_are_no_numbers_become_gaps_and_are_told() {
         let ran = folder.run(&["import", file, "-o", &take, "--json"]).with_code(0);
         assert_eq!(ran.json()["samples"], 1, "{file}");
         assert_eq!(ran.json()["samples_missing"], 3, "{file}");
-        assert!(ran.stderr.contains("3 samples are not finite"), "{file}: {}", ran.stderr);
+        assert_tells(&ran.stderr, &[file, "3"]);
         let info = folder.run(&["info", &take, "--json"]).with_code(0).json();
         assert_eq!(info["channels"][0]["samples"], 1, "{file}");
         assert_eq!(info["channels"][0]["gaps"], 1, "{file}");
@@ -171,9 +168,12 @@ fn a_file_of_gaps_is_a_take_that_says_so() {
     let folder = Folder::new();
     folder.write("gaps.csv", "# rate=60\nhead_x,head_y,head_z\n,,\n,,\n");
     let ran = folder.run(&["import", "gaps.csv", "-o", "gaps.take"]).with_code(0);
-    assert_eq!(ran.stderr, "mocapd: gaps.csv: every sample is missing: the take holds gaps only\n");
-    let info = folder.run(&["info", "gaps.take"]).with_code(0).stdout;
-    assert!(info.contains("0 of 2 present, 1 gap\n"), "{info}");
+    assert_eq!(ran.stderr.lines().count(), 1, "{}", ran.stderr);
+    assert_tells(&ran.stderr, &["gaps.csv"]);
+    let info = folder.run(&["info", "gaps.take", "--json"]).with_code(0).json();
+    assert_eq!((&info["samples"], &info["channels"][0]["gaps"]), (&0.into(), &1.into()));
+    let words = folder.run(&["info", "gaps.take"]).with_code(0).stdout;
+    assert_tells(&words, &["0 of 2", "1 gap"]);
 }
 
 #[test]
@@ -190,9 +190,12 @@ fn a_cut_c3d_is_imported_as_far_as_it_goes() {
     let (frames, missing) = (&report["frames"], &report["frames_missing"]);
     assert_eq!(frames.as_u64().unwrap() + missing.as_u64().unwrap(), 120);
     assert!(missing.as_u64().unwrap() > 40, "{missing}");
-    let expected = format!("mocapd: cut.c3d: 120 frames announced, {frames} present.\n");
-    assert_eq!(ran.stderr, expected);
+    assert_eq!(ran.stderr.lines().count(), 1, "{}", ran.stderr);
+    let counts = ["120", &frames.to_string()];
+    assert_tells(&ran.stderr, &["cut.c3d", counts[0], counts[1]]);
     // The take itself is whole, and remembers.
-    let info = folder.run(&["info", "cut.take"]).with_code(0).stdout;
-    assert!(info.contains(&format!("note       120 frames announced, {frames} present")), "{info}");
+    let info = folder.run(&["info", "cut.take", "--json"]).with_code(0).json();
+    let warning = info["source"]["warnings"][0].as_str().unwrap();
+    assert_tells(warning, &counts);
+    assert_tells(&folder.run(&["info", "cut.take"]).with_code(0).stdout, &[warning]);
 }

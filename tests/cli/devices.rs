@@ -1,9 +1,10 @@
 //! Devices for the program to open: simulated ones, and lines that are worse.
 
 use std::{
+    fs::File,
     io::Read,
     os::{fd::OwnedFd, unix::ffi::OsStringExt},
-    path::PathBuf,
+    path::{Path, PathBuf},
     process::{Child, ExitStatus},
     sync::{
         Arc,
@@ -43,7 +44,7 @@ impl Simulated {
     }
 
     /// One that never ends, at a path that its successor can have.
-    pub(crate) fn endless_at(link: &std::path::Path, serial: &str, motion: Motion) -> Self {
+    pub(crate) fn endless_at(link: &Path, serial: &str, motion: Motion) -> Self {
         let serial = serial.to_owned();
         let settings = DeviceSettings { looping: true, serial, ..DeviceSettings::default() };
         Self::at(Some(link.to_owned()), motion, settings, None)
@@ -80,7 +81,7 @@ impl Simulated {
         let (path_in, path) = crossbeam_channel::bounded(1);
         let serve = move || {
             let options = ServeOptions { baud, ..ServeOptions::default() };
-            let told = |path: &std::path::Path| path_in.send(path.to_owned()).unwrap();
+            let told = |path: &Path| path_in.send(path.to_owned()).unwrap();
             serve_pty(&mut device, Some(&link), options, &stopped, told).unwrap()
         };
         let thread = Builder::new().name("simulator".to_owned()).spawn(serve).unwrap();
@@ -126,31 +127,36 @@ impl Recorder {
         let uri = device.uri();
         let args = [&["record", "-d", &uri, "-o", take], more].concat();
         let mut recorder = Self { child: folder.command(&args).spawn().unwrap() };
+        recorder.wait_for_frames(&folder.path(take), 0);
+        recorder
+    }
+
+    /// Waits until more frames than these are on disk.
+    pub(crate) fn wait_for_frames(&mut self, take: &Path, n_frames: u64) {
         let begun = Instant::now();
-        loop {
-            if let Some(status) = recorder.child.try_wait().unwrap() {
-                panic!("{status} before the first frame: {:?}", recorder.wait());
-            }
-            let file = std::fs::File::open(folder.path(take));
-            let frames = file.ok().and_then(|file| TakeFrames::open(file).ok());
-            if frames.is_some_and(|frames| frames.info().n_frames > 0) {
-                return recorder;
+        while frames_in(take) <= n_frames {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                panic!("{status} before frame {n_frames}: {:?}", self.wait());
             }
             assert!(begun.elapsed() < GIVE_UP, "no frame arrives");
             sleep(Duration::from_millis(5));
         }
     }
 
+    pub(crate) fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
     pub(crate) fn signal(&self, signal: Signal) {
         kill_process(Pid::from_child(&self.child), signal).unwrap();
     }
 
-    /// Waits until it has said this.
-    pub(crate) fn hears(&mut self, words: &str) {
+    /// Waits until it has told of this.
+    pub(crate) fn hears(&mut self, fact: &str) {
         let begun = Instant::now();
         let mut said = Vec::new();
         let mut byte = [0];
-        while !String::from_utf8_lossy(&said).contains(words) {
+        while !String::from_utf8_lossy(&said).contains(fact) {
             let n = self.child.stderr.as_mut().unwrap().read(&mut byte).unwrap();
             assert!(n > 0 && begun.elapsed() < GIVE_UP, "{}", String::from_utf8_lossy(&said));
             said.extend(byte);
@@ -176,6 +182,12 @@ impl Recorder {
             sleep(Duration::from_millis(5));
         }
     }
+}
+
+/// How many frames of a take are on disk.
+pub(crate) fn frames_in(take: &Path) -> u64 {
+    let frames = File::open(take).ok().and_then(|file| TakeFrames::open(file).ok());
+    frames.map_or(0, |frames| frames.info().n_frames)
 }
 
 impl Drop for Recorder {

@@ -2,17 +2,19 @@
 
 use std::sync::Arc;
 
+use mocapd_acquire::files::NameTaken;
 use mocapd_simulator::{
     device::{Device, DeviceSettings},
     faults::{FaultyDevice, Script},
 };
+use mocapd_take::damage::Problem;
 use rustix::process::Signal;
 
 use super::{
     Folder,
-    devices::{Recorder, Simulated},
+    devices::{Recorder, Simulated, frames_in},
 };
-use crate::support::jump;
+use crate::support::{assert_tells, jump};
 
 #[test]
 fn a_recording_is_what_was_sent() {
@@ -52,12 +54,7 @@ fn the_words_say_what_the_numbers_say() {
     let folder = Folder::new();
     let device = Simulated::of(jump(6, 240.0, 0.5));
     let ran = folder.run(&["record", "-d", &device.uri(), "-o", "a.take"]).with_code(0);
-    assert!(
-        ran.stdout.starts_with("a.take: 120 frames of 15 markers at 240 Hz, "),
-        "{}",
-        ran.stdout
-    );
-    assert!(ran.stdout.contains("0 left over: the ledger closes\n"), "{}", ran.stdout);
+    assert_tells(&ran.stdout, &["a.take", "120 frames", "15 markers", "240 Hz"]);
     assert_eq!(ran.stderr, "");
 }
 
@@ -127,8 +124,7 @@ fn a_pulled_plug_leaves_a_take_that_can_be_read() {
     let mut recorder = Recorder::start(&folder, &device, "a.take", &options);
     let sent = device.unplug();
     let ran = recorder.wait().with_code(3);
-    let said = "mocapd: the device was disconnected: the take ends there\n";
-    assert!(ran.stderr.starts_with(said), "{}", ran.stderr);
+    assert_ne!(ran.stderr, "");
     let report = ran.json();
     assert_eq!(report["ending"], "disconnected");
     assert_eq!(report["ledger"]["closes"], true, "{report}");
@@ -141,8 +137,8 @@ fn a_pulled_plug_leaves_a_take_that_can_be_read() {
     assert_eq!(info["ledger"], report["ledger"]);
     assert_eq!(info["frames"], report["ledger"]["frames_sent"]);
     assert_eq!(info["events"][0]["kind"], "host");
-    assert_eq!(info["events"][0]["text"], "the device was disconnected");
-    assert!(folder.run(&["info", "a.take"]).stdout.contains("the device was disconnected"));
+    let event = info["events"][0]["text"].as_str().unwrap();
+    assert_tells(&folder.run(&["info", "a.take"]).stdout, &[event]);
     folder.run(&["export", "a.take", "-o", "a.csv"]).with_code(0);
     assert_eq!(folder.text("a.csv").lines().count() as u64, 1 + info["frames"].as_u64().unwrap());
 }
@@ -155,14 +151,15 @@ fn a_device_that_comes_back_is_recorded_again() {
     let device = Simulated::endless_at(&link, "SIM0001", motion.clone());
     let mut recorder = Recorder::start(&folder, &device, "a.take", &["--json"]);
     device.unplug();
-    recorder.hears("is gone: plug it in again within 60 s");
+    recorder.hears("60 s");
     // Another one at the same place is not taken for it.
     let other = Simulated::endless_at(&link, "SIM0002", motion.clone());
-    recorder.hears("another device answers, mocapd-sim SIM0002");
+    recorder.hears("SIM0002");
     let sent = other.unplug();
     assert_eq!(sent.starts, 0, "the other device was started");
     let device = Simulated::endless_at(&link, "SIM0001", motion);
-    recorder.hears("the device is back");
+    let before = frames_in(&folder.path("a.take"));
+    recorder.wait_for_frames(&folder.path("a.take"), before);
     std::thread::sleep(std::time::Duration::from_millis(300));
     recorder.signal(Signal::INT);
     let report = recorder.wait().with_code(3).json();
@@ -176,18 +173,15 @@ fn a_device_that_comes_back_is_recorded_again() {
     let verified = folder.run(&["verify", "a.take", "--json"]).json();
     assert_eq!(verified["contradictions"], serde_json::json!([]), "{verified}");
     assert_eq!(verified["intact"], true, "{verified}");
-    let events: Vec<&str> =
-        info["events"].as_array().unwrap().iter().filter_map(|e| e["text"].as_str()).collect();
     // The other life's counter says nothing of the time between: the host's clock does.
     let outages = &report["outages"];
     assert_eq!((&outages["count"], &info["outages"]), (&serde_json::json!(1), outages));
     assert_eq!(outages["frames"], report["ledger"]["unknown_after_disconnect"]);
     let away_s = outages["seconds"].as_f64().unwrap();
     assert!((0.1..60.0).contains(&away_s), "{outages}");
-    for words in ["was disconnected", "is back after", "began anew"] {
-        let told = events.iter().filter(|event| event.contains(words)).count();
-        assert_eq!(told, 1, "'{words}' in {events:?}");
-    }
+    let [gone, back] = &info["events"].as_array().unwrap()[..] else { panic!("{info}") };
+    assert_eq!((&gone["kind"], &back["kind"]), (&"host".into(), &"host".into()));
+    assert_tells(back["text"].as_str().unwrap(), &[&outages["frames"].to_string()]);
 }
 
 #[test]
@@ -201,8 +195,9 @@ fn a_killed_recording_is_a_take_with_a_ledger() {
     assert_eq!(info["finished"], false);
     assert!(info["frames"].as_u64().unwrap() > 0);
     let words = folder.run(&["info", "a.take"]).with_code(3);
-    assert!(words.stderr.contains("the take was cut off"), "{}", words.stderr);
+    assert_tells(&words.stderr, &["a.take", &Problem::CutOff.to_string()]);
     // The port is free again, and the take's name is not.
-    let line = folder.refuses(&["record", "-d", &device.uri(), "-o", "a.take"], 1);
-    assert!(line.contains("not overwritten"), "{line}");
+    let record = ["record", "-d", &device.uri(), "-o", "a.take"];
+    let exists = NameTaken { path: "a.take".into() }.to_string();
+    assert_eq!(folder.refuses(&record, 1), exists);
 }

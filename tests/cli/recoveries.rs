@@ -1,12 +1,14 @@
 //! `recover`, run as the program it is.
 
+use mocapd_acquire::files::{FileError, NameTaken};
+use mocapd_take::{NotATake, damage::Problem, recovery::Survey};
 use rustix::process::Signal;
 
 use super::{
     Folder,
     devices::{Recorder, Simulated},
 };
-use crate::support::jump;
+use crate::support::{assert_tells, jump};
 
 #[test]
 fn a_killed_recording_is_recovered() {
@@ -18,8 +20,9 @@ fn a_killed_recording_is_recovered() {
     recorder.wait();
     let killed = folder.read("killed.take");
     let ran = folder.run(&["recover", "killed.take", "-o", "new.take"]).with_code(3);
-    assert!(ran.stdout.starts_with("new.take: "), "{}", ran.stdout);
-    assert!(ran.stderr.contains("killed.take: the end was cut off"), "{}", ran.stderr);
+    assert_tells(&ran.stdout, &["new.take"]);
+    let losses = Survey::read(&killed[..]).unwrap().losses_in_words();
+    assert_tells(&ran.stderr, &["killed.take", &Problem::CutOff.to_string(), &losses]);
     assert_eq!(folder.read("killed.take"), killed, "it is only read");
     let verified = folder.run(&["verify", "new.take", "--json"]).with_code(3).json();
     // Nothing is wrong with it, and what stood behind the cut nobody can count.
@@ -27,8 +30,9 @@ fn a_killed_recording_is_recovered() {
     // Whoever looks at it is told.
     for command in ["info", "verify"] {
         let ran = folder.run(&[command, "killed.take"]).with_code(3);
-        assert!(ran.stderr.contains("`mocapd recover killed.take -o NEW.take`"), "{}", ran.stderr);
-        assert!(!folder.run(&[command, "new.take"]).stderr.contains("recover"), "{command}");
+        assert_tells(&ran.stderr, &["mocapd recover killed.take -o NEW.take"]);
+        let again = folder.run(&[command, "new.take"]).stderr;
+        assert!(!again.contains("mocapd recover"), "{command}: {again}");
     }
     let before = folder.run(&["info", "killed.take", "--json"]).with_code(3).json();
     let info = folder.run(&["info", "new.take", "--json"]).with_code(3).json();
@@ -38,9 +42,9 @@ fn a_killed_recording_is_recovered() {
     assert_eq!(info["finished"], true);
     assert_eq!(info["ledger"]["closes"], true);
     assert_eq!(info["ledger"]["recorded"], info["frames"]);
-    assert!(info["recovered"].as_str().unwrap().ends_with("the end was cut off"), "{info}");
-    let words = folder.run(&["info", "new.take"]).with_code(3);
-    assert!(words.stdout.contains("\nrecovered  by mocapd "), "{}", words.stdout);
+    let recovered = info["recovered"].as_str().unwrap();
+    assert_tells(recovered, &["mocapd", &losses]);
+    assert_tells(&folder.run(&["info", "new.take"]).with_code(3).stdout, &[recovered]);
 }
 
 #[test]
@@ -68,30 +72,30 @@ fn nothing_is_overwritten_and_nothing_left_behind() {
     folder.write_motion("jump.csv", &jump(2, 60.0, 1.0));
     folder.run(&["import", "jump.csv", "-o", "jump.take"]).with_code(0);
     folder.write("mine.take", "mine");
-    let line = folder.refuses(&["recover", "jump.take", "-o", "mine.take"], 1);
-    assert!(line.contains("not overwritten"), "{line}");
-    let line = folder.refuses(&["recover", "jump.take", "-o", "jump.take"], 1);
-    assert!(line.contains("not overwritten"), "{line}");
+    for file in ["mine.take", "jump.take"] {
+        let line = folder.refuses(&["recover", "jump.take", "-o", file], 1);
+        assert_eq!(line, NameTaken { path: file.into() }.to_string());
+    }
     let line = folder.refuses(&["recover", "jump.take", "-o", "new.csv"], 2);
-    assert!(line.contains("call it .take"), "{line}");
+    assert_tells(&line, &["new.csv", ".take"]);
     let line = folder.refuses(&["recover", "no.take", "-o", "new.take"], 1);
-    assert_eq!(line, "no.take does not exist");
+    assert_eq!(line, FileError::NotFound("no.take".into()).to_string());
     let line = folder.refuses(&["recover", "jump.csv", "-o", "new.take"], 1);
-    assert!(line.contains("not a take"), "{line}");
+    assert_tells(&line, &["jump.csv", &NotATake::OtherMagic.to_string()]);
     // Half of a header is none.
     let take = folder.read("jump.take");
     folder.write("head.take", &take[..60]);
     let line = folder.refuses(&["recover", "head.take", "-o", "new.take"], 1);
-    assert!(line.contains("the file ends inside its header"), "{line}");
+    assert_tells(&line, &["head.take", &NotATake::HeaderCut.to_string()]);
     // Nor is one of which two bytes are wrong; a recovery does not send people to a recovery.
     let mut bad = take.clone();
     bad[40] ^= 0x20;
     bad[50] ^= 0x20;
     folder.write("bad.take", &bad);
     let line = folder.refuses(&["recover", "bad.take", "-o", "new.take"], 1);
-    assert!(line.contains("more than one byte of its header is damaged"), "{line}");
+    assert_tells(&line, &["bad.take", &NotATake::HeaderLost.to_string()]);
     for line in [folder.refuses(&["info", "head.take"], 1), line] {
-        assert!(!line.contains("`mocapd recover`"), "{line}");
+        assert!(!line.contains("mocapd recover"), "{line}");
     }
 }
 
@@ -104,11 +108,8 @@ fn a_wrong_byte_of_the_header_is_put_right() {
     take[40] ^= 0x20;
     folder.write("bad.take", &take);
     let line = folder.refuses(&["info", "bad.take"], 1);
-    assert!(line.contains("try `mocapd recover`"), "{line}");
+    assert_tells(&line, &["bad.take", &NotATake::HeaderDamaged.to_string(), "mocapd recover"]);
     let ran = folder.run(&["recover", "bad.take", "-o", "new.take"]).with_code(0);
-    assert_eq!(
-        ran.stderr,
-        "mocapd: bad.take: byte 40, in the header, was damaged; the checksum told what it was\n"
-    );
+    assert_eq!(ran.stderr, format!("mocapd: bad.take: {}\n", Problem::HeaderByte(40)));
     folder.run(&["verify", "new.take", "--against", "jump.csv"]).with_code(0);
 }

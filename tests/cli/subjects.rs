@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use mocapd_acquire::files::FileError;
 use mocapd_simulator::{
     device::DeviceSettings,
     faults::Script,
@@ -12,7 +13,7 @@ use mocapd_testkit::recorded::RecordedData;
 use serde_json::Value;
 
 use super::{Folder, devices::Simulated};
-use crate::support::{jump, places};
+use crate::support::{assert_tells, jump, places, tells};
 
 pub(super) const FACE: &str = r#"{"format":"mocapd-face","version":1,"method":"default","source":{"name":"a.jpg","sha256":"7f"},"vertices_mm":[[0,0,0],[9,0,0],[0,9,0]],
 "lines":[[0,1],[1,2]],"features":{"nose":0}}"#;
@@ -95,11 +96,8 @@ fn imports_carry_it_and_info_shows_it() {
     assert_eq!(subject["documents"][1]["bytes"], FACE.len());
     assert!(info["bytes"]["subject"].as_u64().unwrap() > 300);
     let words = folder.run(&["info", "with.take"]).with_code(0).stdout;
-    for told in
-        ["subject    S 01", "stature 1712 mm, 15 joints, 14 bones", "SHA-256 00ab", "3 vertices"]
-    {
-        assert!(words.contains(told), "{told}: {words}");
-    }
+    let facts = ["S 01", "1712 mm", "15 joints", "14 bones", "SHA-256 00ab", "3 vertices"];
+    assert_tells(&words, &facts);
     assert_eq!(folder.run(&["info", "without.take", "--json"]).json()["subject"], Value::Null);
 
     // It outlives damage elsewhere.
@@ -119,30 +117,29 @@ fn what_is_no_skeleton_or_face_is_refused_before_anything_is_written() {
     let refused = |more: &[&str]| {
         folder.refuses(&[&["import", "jump.csv", "-o", "new.take"], more].concat(), 1)
     };
-    assert!(refused(&["--skeleton", "none.json"]).contains("none.json does not exist"));
-    assert!(refused(&["--skeleton", "f.json"]).contains("mocapd subject body"));
-    let why = refused(&["--face", "jump.csv"]);
-    for part in
-        ["jump.csv: it is no JSON", "mocapd-face", "`mocapd subject face -o` writes", "line 1"]
-    {
-        assert!(why.contains(part), "{part}: {why}");
-    }
-    let why = refused(&["--face", "f.json", "--face-markers", "jump.csv"]);
-    assert!(why.contains("not a mapping of markers") && why.contains("singing-face"), "{why}");
+    let absent = FileError::NotFound("none.json".into()).to_string();
+    assert_eq!(refused(&["--skeleton", "none.json"]), absent);
+    let no_skeleton = ["f.json", "mocapd-skeleton", "mocapd subject body -o"];
+    assert_tells(&refused(&["--skeleton", "f.json"]), &no_skeleton);
+    let facts = ["jump.csv", "JSON", "mocapd-face", "mocapd subject face -o", "line 1"];
+    assert_tells(&refused(&["--face", "jump.csv"]), &facts);
+    let facts = ["jump.csv", "line 1", "docs/subject-face-format.md", "singing-face-mapping.json"];
+    assert_tells(&refused(&["--face", "f.json", "--face-markers", "jump.csv"]), &facts);
     folder.run(&["import", "jump.csv", "-o", "a.take"]).with_code(0);
     folder.write("scan.ply", b"ply\nformat binary_little_endian 1.0\n\xff\xfe");
     let drawn = |with: &str| {
         let args = ["plot", "pose", "a.take", "-o", "p.svg", "--skeleton", with];
         let why = folder.run(&args).stderr;
-        assert!(!folder.path("p.svg").exists() && why.contains("mocapd subject body"), "{why}");
+        assert!(!folder.path("p.svg").exists());
+        assert_tells(&why, &[with, "mocapd subject body -o"]);
     };
     ["f.json", "scan.ply", "jump.csv"].into_iter().for_each(drawn);
-    assert!(refused(&["--face", "large.json"]).contains("more than 1 MiB"));
+    assert_tells(&refused(&["--face", "large.json"]), &["large.json", "1 MiB"]);
     let long = "S".repeat(129);
     folder.refuses(&["import", "jump.csv", "-o", "new.take", "--subject", &long], 2);
     // Nor is a device opened for it.
     let args = ["record", "-d", "serial:/dev/none", "-o", "new.take", "--skeleton", "f.json"];
-    assert!(folder.refuses(&args, 1).contains("mocapd subject body"));
+    assert_tells(&folder.refuses(&args, 1), &no_skeleton);
 }
 
 #[test]
@@ -171,12 +168,10 @@ fn recordings_of_other_markers_tell_so_when_they_begin() {
         let args = ["record", "-d", &device.uri(), "-o", take, "--skeleton", "s.json"];
         folder.run(&args).with_code(0).stderr
     };
-    let same = of(motion.clone(), "same.take");
-    assert!(!same.contains("shows nothing"), "{same}");
+    assert_eq!(of(motion.clone(), "same.take"), "");
     let mut other = motion;
     other.info.markers.iter_mut().enumerate().for_each(|(i, m)| m.label = format!("m{i}"));
-    let told = of(other, "other.take");
-    assert!(told.contains("no bone of the skeleton has a marker at both its ends"), "{told}");
+    assert_tells(&of(other, "other.take"), &["skeleton"]);
 }
 
 #[test]
@@ -199,7 +194,7 @@ fn a_pose_has_the_skeletons_bones_and_their_lengths() {
     assert!(!said.contains("face"), "{said}");
     // A face without a mapping is none that can be drawn: what names one is said.
     let (_, said) = drawn(&["with.take"]);
-    assert!(said.contains("--face-markers") && said.contains("singing-face-mapping"), "{said}");
+    assert_tells(&said, &["--face-markers", "singing-face-mapping.json"]);
     let lines = |svg: &str| svg.matches("<polyline").count() + svg.matches("<line").count();
     assert_eq!(lines(&own), lines(&by_file));
     for name in ["to_l_elbow", "to_r_ankle", "to_head"] {
@@ -239,7 +234,6 @@ fn a_pose_has_the_face_from_in_front() {
     folder.run(&[&["import", "a.csv", "-o", "a.take"], &subject[..]].concat()).with_code(0);
     folder.run(&["plot", "pose", "a.take", "-o", "a.svg", "--at", "0.5s"]).with_code(0);
     let svg = folder.text("a.svg");
-    assert!(svg.contains("as it lies under the markers"), "{svg}");
     folder.write(
         "few.json",
         r#"{"format":"mocapd-face-mapping","version":1,"markers":[{"label":"left","at":0}]}"#,
@@ -247,19 +241,18 @@ fn a_pose_has_the_face_from_in_front() {
     let subject = ["--face", "f.json", "--face-markers", "few.json"];
     folder.run(&[&["import", "a.csv", "-o", "few.take"], &subject[..]].concat()).with_code(0);
     let ran = folder.run(&["plot", "pose", "few.take", "-o", "few.svg"]).with_code(0);
-    assert!(ran.stderr.contains("fewer markers of the face"), "{}", ran.stderr);
+    assert_tells(&ran.stderr, &["face", "--face-markers"]);
     let exported = folder.run(&["export", "a.take", "-o", "a.trc"]).with_code(0);
-    let said = "cannot hold, and so has not: the subject's face, the subject's face-markers";
-    assert!(exported.stderr.contains(said), "{}", exported.stderr);
+    assert_tells(&exported.stderr, &["a.trc", "face", "face-markers"]);
     folder.write("five.json", folder.text("m.json").replace("]}", r#",{"label":"chin","at":3}]}"#));
     let subject = ["--face", "f.json", "--face-markers", "five.json"];
     let ran = folder.run(&[&["import", "a.csv", "-o", "five.take"], &subject[..]].concat());
-    assert!(ran.with_code(0).stderr.contains("4 of the 5 markers of the face are in the take"));
+    assert_tells(&ran.with_code(0).stderr, &["a.csv", "4", "5"]);
     folder.write("nowhere.json", folder.text("m.json").replace("\"at\":3", "\"at\":\"snout\""));
     let subject = ["--face", "f.json", "--face-markers", "nowhere.json"];
     let ran = folder.run(&[&["import", "a.csv", "-o", "no.take"], &subject[..]].concat());
     let why = &ran.with_code(1).stderr;
-    assert!(why.contains("nowhere.json: places that the face does not have: nose at"), "{why}");
+    assert_tells(why, &["nowhere.json", "nose", "snout"]);
     let svg = roxmltree::Document::parse(&svg).unwrap();
     let lines = svg.descendants().filter(|node| node.has_tag_name("polyline")).count();
     assert!(lines >= 5, "four of the face and the floor: {lines}");
@@ -277,13 +270,13 @@ fn without_a_skeleton_or_joints_verify_says_what_to_do() {
     let folder = folder(&jump(4, 60.0, 1.0));
     import(&folder, "without.take", &[]);
     let why = folder.refuses(&["verify", "without.take", "--skeleton"], 2);
-    assert!(why.contains("carries no skeleton"), "{why}");
+    assert_tells(&why, &["without.take", "--skeleton"]);
     let mut motion = jump(4, 60.0, 1.0);
     motion.info.markers.iter_mut().enumerate().for_each(|(i, m)| m.label = format!("m{i}"));
     folder.write_motion("unnamed.csv", &motion);
     folder.run(&["import", "unnamed.csv", "-o", "unnamed.take"]).with_code(0);
     let why = folder.refuses(&["verify", "unnamed.take", "--skeleton", "s.json"], 1);
-    assert!(why.contains("its joints are called head, throat"), "{why}");
+    assert_tells(&why, &SITES);
 }
 
 /// Jumps of many styles at rates of rigs, walking and swinging arms: no frame of them is a swap.
@@ -422,13 +415,13 @@ fn a_skeleton_and_a_face_of_other_markers_are_told() {
     let with = ["--skeleton", "s.json", "--face", "f.json", "--face-markers", "m.json"];
     let ran =
         folder.run(&[&["import", "jump.csv", "-o", "a.take"], &with[..]].concat()).with_code(0);
-    assert!(!ran.stderr.contains("shows nothing"), "{}", ran.stderr);
-    assert!(ran.stderr.contains("1 of the 2 markers of the face"), "{}", ran.stderr);
+    assert!(!tells(&ran.stderr, "skeleton"), "{}", ran.stderr);
+    assert_tells(&ran.stderr, &["jump.csv", "face", "1", "2", "4"]);
 
     let text = String::from_utf8(folder.read("jump.csv")).unwrap();
     let strange =
         SITES.iter().fold(text, |text, site| text.replace(site, &format!("x{}", site.len())));
     folder.write("strange.csv", strange);
     let ran = folder.run(&["import", "strange.csv", "-o", "b.take", "--skeleton", "s.json"]);
-    assert!(ran.with_code(0).stderr.contains("shows nothing"));
+    assert_tells(&ran.with_code(0).stderr, &["strange.csv", "skeleton"]);
 }
