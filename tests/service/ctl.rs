@@ -10,14 +10,17 @@ use std::{
     time::Duration,
 };
 
+use mocapd_acquire::files::NameTaken;
 use mocapd_service::{
+    control::{Control, Request},
     http::{HttpOptions, HttpServer},
     status::{ServiceEventKind, State},
 };
+use mocapd_take::record::EndingKind;
 use serde_json::Value;
 
 use super::fake::Fake;
-use crate::cli::Folder;
+use crate::{cli::Folder, support::assert_tells};
 
 const TOKEN: &str = "correct-horse-battery-staple";
 
@@ -54,26 +57,27 @@ impl Rig {
 fn a_session_from_the_command_line() {
     let rig = rig();
     let said = |args: &[&str]| rig.ctl(args).with_code(0).stdout;
-    assert!(said(&["status"]).starts_with("fake: idle\n"), "{}", said(&["status"]));
-    assert_eq!(said(&["arm"]), "armed\n");
+    assert_tells(&said(&["status"]), &["fake", "idle"]);
+    assert_tells(&said(&["arm"]), &["armed"]);
     let started = said(&["start", "--name", "jump", "--notes", "left shoe", "--pre-roll", "5s"]);
-    assert!(started.starts_with("recording ") && started.contains("jump.take"), "{started}");
-    assert!(said(&["status"]).contains("recording jump"));
-    assert_eq!(said(&["mark", "take off"]), "marked at frame 60\n");
-    let stopped = said(&["stop"]);
-    assert!(stopped.contains("120 frames") && stopped.contains("stopped"), "{stopped}");
-    assert!(said(&["save-last", "30s", "--name", "last"]).contains("last.take"));
+    assert_tells(&started, &["jump.take"]);
+    assert_tells(&said(&["status"]), &["recording", "jump"]);
+    assert_tells(&said(&["mark", "take off"]), &["60"]);
+    assert_tells(&said(&["stop"]), &["120 frames", EndingKind::Stopped.word()]);
+    assert_tells(&said(&["save-last", "30s", "--name", "last"]), &["last.take"]);
     let takes = said(&["takes"]);
-    assert!(takes.lines().count() == 2 && takes.contains("  jump\n"), "{takes}");
+    assert_eq!(takes.lines().count(), 2, "{takes}");
+    assert_tells(&takes, &["jump", "last"]);
     said(&["download", "jump"]);
     assert_eq!(rig.folder.read("jump.take"), rig.folder.read("takes/jump.take"));
     let again = rig.ctl(&["download", "jump"]).with_code(1);
-    assert!(again.stderr.contains("exists"), "{}", again.stderr);
+    let exists = NameTaken { path: "jump.take".into() };
+    assert_eq!(again.stderr, format!("mocapd: {exists}\n"));
     let report = rig.ctl(&["download", "jump", "-o", "other.take", "--json"]).with_code(0).json();
     assert_eq!(report["bytes"], rig.folder.read("other.take").len());
     assert_eq!(rig.ctl(&["takes", "--limit", "1", "--json"]).json()[0]["name"], "last");
     assert!(rig.ctl(&["devices", "--json"]).with_code(0).json().is_array());
-    assert_eq!(said(&["disarm"]), "idle\n");
+    assert_tells(&said(&["disarm"]), &["idle"]);
     assert_eq!(rig.ctl(&["status", "--json"]).json()["state"], "idle");
 }
 
@@ -81,7 +85,9 @@ fn a_session_from_the_command_line() {
 fn exit_codes_are_those_of_the_rest() {
     let rig = rig();
     let refused = rig.ctl(&["stop"]).with_code(1);
-    assert!(refused.stderr.contains("no take is being recorded"), "{}", refused.stderr);
+    // The service's own words.
+    let words = rig.fake.stop(&Request::default()).unwrap_err().message;
+    assert_tells(&refused.stderr, &[&words]);
     assert_eq!(refused.stdout, "");
     rig.ctl(&["start", "--name", "../x"]).with_code(2);
     rig.ctl(&["save-last", "0"]).with_code(2);
@@ -92,10 +98,10 @@ fn exit_codes_are_those_of_the_rest() {
     rig.fake.lose(3);
     rig.ctl(&["start"]).with_code(0);
     let lossy = rig.ctl(&["stop", "--json"]).with_code(3);
-    assert!(lossy.stderr.contains("3 frames lost on the link"), "{}", lossy.stderr);
+    assert_tells(&lossy.stderr, &["3 frames"]);
     assert_eq!(lossy.json()["ledger"]["lost_on_link"], 3);
     let nobody = rig.folder.run(&["ctl", "--connect", "unix:none.sock", "status"]).with_code(1);
-    assert!(nobody.stderr.contains("nobody answers"), "{}", nobody.stderr);
+    assert_tells(&nobody.stderr, &["unix:none.sock"]);
     rig.folder.run(&["ctl", "--connect", "ftp://x", "status"]).with_code(2);
 }
 
@@ -105,7 +111,7 @@ fn over_tcp_the_token_is_needed() {
     let address = format!("http://{}", rig.server.tcp_address().unwrap());
     let status =
         |more: &[&str]| rig.folder.run(&[&["ctl", "--connect", &address, "status"], more].concat());
-    assert!(status(&[]).with_code(1).stderr.contains("--token-file"));
+    assert_tells(&status(&[]).with_code(1).stderr, &[&address, "--token-file"]);
     rig.folder.write("token", format!("{TOKEN}\n"));
     status(&["--token-file", "token"]).with_code(0);
     rig.folder.write("wrong", "something-else-entirely");

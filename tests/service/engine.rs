@@ -7,13 +7,13 @@ use mocapd_service::{
     control::{Control, Mark, RefusalKind, Request, SaveLast, Start},
     engine::{Engine, EngineOptions},
     live::LiveMessage,
-    status::{Presence, State},
+    status::{Presence, ServiceEventKind, State},
 };
-use mocapd_take::record::Subject;
+use mocapd_take::record::{EndingKind, Subject};
 
 use crate::{
     cli::{devices::Simulated, subjects::skeleton},
-    support::{dense, jump},
+    support::{assert_tells, dense, jump},
 };
 
 pub(crate) fn options(directory: &Path, device: &Path) -> EngineOptions {
@@ -217,9 +217,10 @@ fn the_take_is_finished_when_the_service_stops_and_when_its_time_is_up() {
     assert!(read(&long.path).samples() > 0);
     let mut told = Vec::new();
     while let Some(event) = events.next(Duration::from_millis(100)) {
-        told.push(event.message.clone());
+        told.push(event);
     }
-    assert!(told.iter().any(|words| words.contains("closed (length)")), "{told:?}");
+    let stopped = told.iter().find(|event| event.kind == ServiceEventKind::TakeStopped).unwrap();
+    assert_tells(&stopped.message, &["long", EndingKind::Length.word()]);
     let open = engine.start(&named("open")).unwrap();
     engine.stop_service();
     assert!(read(&open.path).samples() > 0);
@@ -316,7 +317,7 @@ fn a_disk_that_is_full_is_said_to_be_so_and_nothing_is_left_there() {
         room(|options| options.keep_free_bytes = u64::MAX / 2);
     let refused = engine.start(&named("full")).unwrap_err();
     assert_eq!(refused.kind, RefusalKind::Disk, "{refused}");
-    assert!(refused.message.contains("--keep-free") || refused.message.contains("keep_free"));
+    assert_tells(&refused.message, &["take.keep_free"]);
     assert_eq!(directory.path().read_dir().unwrap().count(), 0);
     assert_eq!(engine.status().state, State::Idle);
 }
@@ -328,7 +329,7 @@ fn what_a_device_that_is_gone_did_not_send_is_on_the_ledger_of_the_take_that_end
     std::thread::sleep(Duration::from_millis(300));
     device.unplug();
     wait_until("the absence", || engine.status().device.presence == Presence::Absent);
-    assert!(engine.status().device.obstacle.unwrap().starts_with("the device is away"));
+    assert!(engine.status().device.obstacle.is_some());
     std::thread::sleep(Duration::from_millis(1200));
     let stopped = engine.stop(&request()).unwrap();
     let ledger = read(&started.path).take.ledger.unwrap();
@@ -339,7 +340,6 @@ fn what_a_device_that_is_gone_did_not_send_is_on_the_ledger_of_the_take_that_end
     let asked = std::time::Instant::now();
     let refusal = engine.start(&named("next")).unwrap_err();
     assert_eq!(refusal.kind, RefusalKind::Device);
-    assert!(refusal.message.contains("is away"), "{refusal:?}");
     assert!(
         asked.elapsed() < Duration::from_secs(1)
             && !started.path.with_file_name("next.take").exists()

@@ -12,6 +12,7 @@ use super::{
     client::{Answer, connect, get, request},
     local, serve_with, short,
 };
+use crate::support::assert_tells;
 
 fn hasty(connections_max: usize) -> super::Served {
     serve_with(HttpOptions { limits: short(), connections_max, ..local() })
@@ -108,7 +109,7 @@ fn one_too_many_is_told_so_and_the_place_is_free_again_afterwards() {
         .collect();
     std::thread::sleep(Duration::from_millis(200));
     let answer = get(served.at, "/v1/status");
-    assert!(answer.refused(503, "unavailable").contains("too many connections"));
+    assert_tells(&answer.refused(503, "unavailable"), &["connections"]);
     assert_eq!(answer.header("retry-after"), Some("1"));
     for stream in &busy {
         assert_eq!(Answer::parse(&until_closed(stream).1).status, 200);
