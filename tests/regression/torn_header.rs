@@ -1,8 +1,10 @@
 //! A take that fails before its first frame is on disk leaves no file, and nobody is sent to recover it.
 
+use mocapd_acquire::pipeline::NothingRecorded;
+
 use crate::{
     cli::{Folder, devices::Simulated, service::Service},
-    support::jump,
+    support::{assert_tells, jump, tells},
 };
 
 /// No file may be longer than this: 512 or 1024 bytes, as the shell counts.
@@ -32,7 +34,7 @@ fn the_service_removes_it_and_says_what_is_so() {
             let (status, problem) = service.post("/v1/start", r#"{"name": "torn"}"#);
             assert_eq!((status, problem["kind"].as_str()), (507, Some("disk")), "{problem}");
             let message = problem["message"].as_str().unwrap();
-            assert!(!message.contains("recover") && message.contains("no take torn"), "{message}");
+            assert!(!message.contains("recover") && tells(message, "torn"), "{message}");
             assert_eq!(folder.path("takes").read_dir().unwrap().count(), 0);
             assert_eq!(service.get("/v1/status")["failure"], message);
         }
@@ -54,7 +56,7 @@ fn record_removes_it_too() {
             },
             1,
         );
-        assert!(line.contains("nothing was recorded"), "{line}");
-        assert!(!line.contains("can be read"), "{line}");
+        assert_tells(&line, &[&NothingRecorded.to_string()]);
+        assert!(!line.contains("mocapd recover"), "{line}");
     }
 }
