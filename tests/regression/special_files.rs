@@ -6,6 +6,8 @@ use std::{
     time::{Duration, Instant},
 };
 
+use mocapd_drivers::plain_file::NotAFile;
+
 use crate::cli::{Folder, Ran};
 
 /// Far longer than a refusal takes on any machine: what waits for a pipe waits forever.
@@ -44,7 +46,9 @@ fn pipes_devices_and_sockets_are_refused_at_once() {
     let (folder, _listener) = folder();
     folder.write_motion("jump.csv", &crate::support::jump(1, 30.0, 1.0));
     folder.run(&["import", "jump.csv", "-o", "jump.take"]).with_code(0);
-    for what in ["pipe", "device", "socket"] {
+    for (what, kind) in
+        [("pipe", NotAFile::Pipe), ("device", NotAFile::Device), ("socket", NotAFile::Socket)]
+    {
         let named = |ending: &str| format!("{what}.{ending}");
         let [take, c3d, csv, toml] = ["take", "c3d", "csv", "toml"].map(named);
         let [json, obj, png, token] = ["json", "obj", "png", "token"].map(named);
@@ -71,8 +75,12 @@ fn pipes_devices_and_sockets_are_refused_at_once() {
             let ran = ended(folder.command(args).spawn().unwrap());
             let Some(ran) = ran else { panic!("{args:?} did not end") };
             assert!(matches!(ran.code, Some(1 | 2)), "{args:?}: {ran:?}");
-            let kind = format!("a {what}, not a file");
-            assert_eq!(ran.stderr.matches(&kind).count(), 1, "{args:?}: {}", ran.stderr);
+            assert_eq!(
+                ran.stderr.matches(&kind.to_string()).count(),
+                1,
+                "{args:?}: {}",
+                ran.stderr
+            );
         }
     }
     assert!(!folder.path("new.take").exists());
