@@ -26,8 +26,7 @@ pub fn read_photo(bytes: &[u8]) {
 
 /// An error with a line of reason, or a face that can be drawn, and is the same when it is written out and read again.
 pub fn read_face(bytes: &[u8]) {
-    let Ok(text) = std::str::from_utf8(bytes) else { return };
-    let face = match FittedFace::from_json(text) {
+    let face = match FittedFace::from_json(bytes) {
         Ok(face) => face,
         Err(error) => return one_line(&error.to_string()),
     };
@@ -36,18 +35,17 @@ pub fn read_face(bytes: &[u8]) {
     face.to_svg();
     // Numbers are rounded as they are written, and a scale may then be none.
     if let Ok(written) = face.to_json() {
-        let again = FittedFace::from_json(&written).expect("what we write can be read");
+        let again = FittedFace::from_json(written.as_bytes()).expect("what we write can be read");
         assert_eq!(again.to_json().expect("as before"), written);
     }
 }
 
 /// An error with a line of reason, or a mapping that is the same when it is written out and read again.
 pub fn read_mapping(bytes: &[u8]) {
-    let Ok(text) = std::str::from_utf8(bytes) else { return };
-    match Mapping::from_json(text) {
+    match Mapping::from_json(bytes) {
         Ok(mapping) => {
             let written = mapping.to_json().expect("what was read can be written");
-            let again = Mapping::from_json(&written).expect("what we write can be read");
+            let again = Mapping::from_json(written.as_bytes()).expect("what we write can be read");
             assert_eq!(again.markers.len(), mapping.markers.len());
             for (a, b) in again.markers.iter().zip(&mapping.markers) {
                 assert!((&a.label, &a.place) == (&b.label, &b.place));

@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use anyhow::Context;
+use mocapd_body::skeleton::Skeleton;
 use mocapd_report::limbs::{Limb, limbs};
-use mocapd_service::subject::{self, Skeleton};
+use mocapd_service::subject;
 use mocapd_take::motion::Motion;
 
 /// A skeleton, and the limbs of it whose ends are markers of a take.
@@ -23,16 +23,13 @@ pub(super) struct TakeLimbs {
 pub(super) fn of(motion: &Motion, file: Option<&Path>) -> anyhow::Result<Option<TakeLimbs>> {
     let own = motion.info.subject.as_ref();
     let skeleton = match file {
-        Some(path) => {
-            let read = subject::read(path).and_then(|data| Skeleton::parse(&data));
-            Some(read.with_context(|| format!("{}", path.display()))?)
-        }
-        None => Skeleton::of_take(own)?,
+        Some(path) => Some(subject::read(path, Skeleton::from_json)?.1),
+        None => subject::skeleton(own)?,
     };
     let Some(skeleton) = skeleton else { return Ok(None) };
     let labels: Vec<&str> =
         motion.info.markers.iter().map(|marker| marker.label.as_str()).collect();
     let name = own.map_or("", |subject| subject.name.as_str());
-    let (limbs, columns) = limbs(&skeleton.to_bones(), &labels, name);
+    let (limbs, columns) = limbs(&skeleton.bones, &labels, name);
     Ok(Some(TakeLimbs { skeleton, limbs, columns }))
 }

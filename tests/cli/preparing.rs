@@ -42,7 +42,7 @@ fn scans_of_one_person_become_a_skeleton_and_a_picture() {
     assert_tells(&ran.stdout, &["l_upper_arm", "2 scans"]);
     let skeleton = Skeleton::from_json(&folder.read("s.json")).unwrap();
     assert_eq!(skeleton.sources.len(), 2);
-    assert!(skeleton.sources.iter().all(|source| source.unit == "m" && source.unit_inferred));
+    assert!(skeleton.sources.iter().all(|source| source.unit.as_deref() == Some("m") && source.unit_inferred == Some(true)));
     // Bodies of capsules are none that the method has learned from: a quarter is what may be expected.
     let thigh_mm = length_mm(&truth, Joint::Hip(Side::Left), Joint::Knee(Side::Left));
     let found_mm = skeleton.symmetric_length("thigh").unwrap().mm;
@@ -111,8 +111,7 @@ fn a_photograph_becomes_a_face() {
     let ran = folder.run(&[&args[..], &["--overlay", "o.png", "--views", "v.svg"]].concat());
     let ran = ran.with_code(0);
     assert_tells(&ran.stdout, &["1 face", "of 53"]);
-    let face = String::from_utf8(folder.read("f.json")).unwrap();
-    let face = FittedFace::from_json(&face).unwrap();
+    let face = FittedFace::from_json(&folder.read("f.json")).unwrap();
     let truth = &picture.faces[0];
     let off = |point: &mocapd_face::model::Landmark| {
         let [x, y] = truth.at(point.id);

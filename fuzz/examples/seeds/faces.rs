@@ -35,7 +35,7 @@ pub(crate) fn faces() -> Vec<Vec<u8>> {
     else {
         return Vec::new();
     };
-    let (width, height) = image.dimensions();
+    let (width, height) = (Some(image.width()), Some(image.height()));
     let face = |method| {
         let truth = faces.first()?;
         let points =

@@ -8,6 +8,7 @@ pub mod swaps;
 
 use std::collections::HashMap;
 
+use mocapd_body::skeleton::Bone;
 use mocapd_take::motion::Motion;
 
 use self::lengths::Body;
@@ -20,35 +21,6 @@ use crate::labels::{SubjectMarkers, subjects};
 /// How much of a scan's length a marker on the skin may be off before it is shown.
 pub const OFF_PART: f64 = 0.1;
 
-/// A bone of a scanned skeleton: what is between two joints.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Bone {
-    /// What it is called: `l_upper_arm`.
-    pub name: String,
-    /// The joint nearer to the pelvis.
-    pub parent: String,
-    /// The other one.
-    pub child: String,
-    /// How long the scan says it is, mm.
-    pub length_mm: f64,
-    /// How far off that may be, mm.
-    pub uncertainty_mm: f64,
-}
-
-impl Bone {
-    /// Whether a length is off the scan's by more than its uncertainty, and by more than [`OFF_PART`] of it.
-    #[must_use]
-    pub fn is_off(&self, length_mm: f64) -> bool {
-        (length_mm - self.length_mm).abs() > self.off_mm()
-    }
-
-    /// How far off a length may be before it is, mm.
-    #[must_use]
-    pub fn off_mm(&self) -> f64 {
-        self.uncertainty_mm.max(OFF_PART * self.length_mm)
-    }
-}
-
 /// A bone both of whose joints are markers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Limb {
@@ -56,6 +28,20 @@ pub struct Limb {
     pub bone: Bone,
     /// The columns of its parent and of its child.
     pub ends: [usize; 2],
+}
+
+impl Limb {
+    /// Whether a length is off the scan's by more than its uncertainty, and by more than [`OFF_PART`] of it.
+    #[must_use]
+    pub fn is_off(&self, length_mm: f64) -> bool {
+        (length_mm - self.bone.length_mm).abs() > self.off_mm()
+    }
+
+    /// How far off a length may be before it is, mm.
+    #[must_use]
+    pub fn off_mm(&self) -> f64 {
+        self.bone.uncertainty_mm.unwrap_or_default().max(OFF_PART * self.bone.length_mm)
+    }
 }
 
 /// The bones whose joints labels name, and the columns of all markers of that subject.

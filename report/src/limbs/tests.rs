@@ -32,7 +32,9 @@ fn bones() -> Vec<Bone> {
             parent: LABELS[parent].to_owned(),
             child: LABELS[child].to_owned(),
             length_mm,
-            uncertainty_mm: 8.0,
+            uncertainty_mm: Some(8.0),
+            spread_mm: None,
+            scans: 1,
         })
         .to_vec()
 }
@@ -171,7 +173,10 @@ fn of_several_subjects_the_named_one_is_meant() {
 
 #[test]
 fn a_length_is_off_beyond_uncertainty_and_a_tenth() {
-    let bone = |uncertainty_mm| Bone { uncertainty_mm, ..bones()[0].clone() };
-    assert!(!bone(8.0).is_off(329.0) && bone(8.0).is_off(331.0) && bone(8.0).is_off(269.0));
-    assert!(!bone(50.0).is_off(345.0) && bone(50.0).is_off(351.0));
+    let limb =
+        |uncertainty_mm| Limb { bone: Bone { uncertainty_mm, ..bones()[0].clone() }, ends: [0, 1] };
+    for sure in [limb(Some(8.0)), limb(None)] {
+        assert!(!sure.is_off(329.0) && sure.is_off(331.0) && sure.is_off(269.0));
+    }
+    assert!(!limb(Some(50.0)).is_off(345.0) && limb(Some(50.0)).is_off(351.0));
 }

@@ -134,7 +134,7 @@ fn draw_strip(
         let points: std::collections::BTreeMap<usize, Vector> = seen(motion, row).collect();
         for ([a, b], limb) in lines(wanted) {
             if let (Some(&a), Some(&b)) = (points.get(&a), points.get(&b)) {
-                let is_off = limb.is_some_and(|limb| limb.bone.is_off(distance(a, b)));
+                let is_off = limb.is_some_and(|limb| limb.is_off(distance(a, b)));
                 let colour = if is_off { VERMILION } else { colour };
                 let line = vec![place(a), place(b)];
                 area.draw(&PathElement::new(line, colour.stroke_width(2)))?;
@@ -221,9 +221,10 @@ fn limbs_table(area: &Area<'_>, top: i32, wanted: &Pose<'_>) -> Drawn {
     for (i, limb) in wanted.limbs.iter().take(ACROSS * LINES_MAX).enumerate() {
         let at = (24 + (i % ACROSS) as i32 * cell, top + LIMBS_HEAD + (i / ACROSS) as i32 * LINE);
         let bone = &limb.bone;
-        let scan = format!("{:.0} ± {:.0}", bone.length_mm, bone.uncertainty_mm);
+        let give_mm = bone.uncertainty_mm.unwrap_or_default();
+        let scan = format!("{:.0} ± {give_mm:.0}", bone.length_mm);
         let (length, colour) = match median_mm(limb, wanted) {
-            Some(mm) => (format!("{mm:.0}"), if bone.is_off(mm) { VERMILION } else { INK }),
+            Some(mm) => (format!("{mm:.0}"), if limb.is_off(mm) { VERMILION } else { INK }),
             None => ("not seen".to_owned(), DIM),
         };
         let line = format!("{}  {length} / {scan}", shortened(&bone.name, 22));

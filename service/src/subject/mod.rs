@@ -1,26 +1,27 @@
-//! Who is captured: the skeleton and the face that a take carries, out of files.
+//! Who is captured: the skeleton and the face that a take carries, out of files, and between its markers.
 //!
-//! A take stores them as plain data (SUBJECT in docs/take-format.md). Here they are understood, and what is none is
-//! refused before it gets into a take.
+//! A take stores them as plain data (SUBJECT in docs/take-format.md). What is none is refused before it gets into a take.
 
-pub mod face;
-pub mod skeleton;
+mod face;
 
 use std::{
+    error::Error,
     io::Read,
     path::{Path, PathBuf},
 };
 
 use anyhow::{Context, bail, ensure};
 use mocapd_acquire::files;
-use mocapd_report::{labels::split, limbs::limbs};
-use mocapd_take::record::{DOCUMENT_BYTES_MAX, Subject};
-use serde_json::error::Category;
-
-pub use self::{
-    face::{Face, FaceUnderMarkers},
-    skeleton::{Skeleton, live_limbs, with_limbs},
+use mocapd_body::skeleton::Skeleton;
+use mocapd_face::{
+    fitted::FittedFace,
+    mapping::{MARKERS_MIN, Mapping},
 };
+use mocapd_report::limbs::{Limb, limbs};
+use mocapd_take::record::{DOCUMENT_BYTES_MAX, Subject};
+
+pub use self::face::FaceUnderMarkers;
+use crate::live::LiveLimb;
 
 /// Bytes of a subject's name: a line on a screen.
 pub const NAME_BYTES_MAX: usize = 128;
@@ -47,35 +48,39 @@ impl SubjectFiles {
         let name = self.name.clone().unwrap_or_default();
         let mut subject = Subject { name, documents: Vec::new() };
         if let Some(path) = &self.skeleton {
-            let data = read(path)?;
-            Skeleton::parse(&data).with_context(|| format!("{}", path.display()))?;
+            let (data, _) = read(path, Skeleton::from_json)?;
             subject.set(Subject::SKELETON, data);
         }
         let mut wireframe = None;
         if let Some(path) = &self.face {
-            let data = read(path)?;
-            wireframe = Some(Face::parse(&data).with_context(|| format!("{}", path.display()))?);
+            let (data, face) = read(path, FittedFace::from_json)?;
             subject.set(Subject::FACE, data);
+            wireframe = Some(face);
         }
         if let Some(path) = &self.face_markers {
             let shown = path.display();
             let Some(wireframe) = wireframe else {
                 bail!("{shown} says where markers sit on a face, and no face is given: give both");
             };
-            let data = read(path)?;
-            let mapping = face::mapping(&data).with_context(|| format!("{shown}"))?;
-            wireframe.check_places(&mapping).with_context(|| format!("{shown}"))?;
+            let (data, mapping) = read(path, Mapping::from_json)?;
+            face::check_places(&wireframe, &mapping).with_context(|| format!("{shown}"))?;
             subject.set(Subject::FACE_MARKERS, data);
         }
         Ok((!subject.is_empty()).then_some(subject))
     }
 }
 
-/// A document of a subject, whole.
+/// What makes a document of bytes.
+type Reader<T, E> = fn(&[u8]) -> Result<T, E>;
+
+/// A document of a subject: its bytes, whole, and what they say.
 ///
 /// # Errors
-/// That it is not there, or larger than a take can hold.
-pub fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
+/// That it is not there, larger than a take can hold, or not what it should be.
+pub fn read<T, E>(path: &Path, from_json: Reader<T, E>) -> anyhow::Result<(Vec<u8>, T)>
+where
+    E: Error + Send + Sync + 'static,
+{
     let mut data = Vec::new();
     files::open(path)?
         .take(DOCUMENT_BYTES_MAX as u64 + 1)
@@ -86,76 +91,101 @@ pub fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
         "{} has more than 1 MiB, which is the most that a take holds of it: is it another file?",
         path.display()
     );
-    Ok(data)
+    let document = from_json(&data).with_context(|| format!("{}", path.display()))?;
+    Ok((data, document))
 }
 
-/// Markers that a face is laid under, at least (Umeyama 1991 needs three, and one more tells a mirror image).
-const FACE_MARKERS_MIN: usize = 4;
+/// The skeleton that a take carries; `None` where it has none.
+///
+/// # Errors
+/// What is wrong with it.
+pub fn skeleton(subject: Option<&Subject>) -> anyhow::Result<Option<Skeleton>> {
+    document(subject, Subject::SKELETON, Skeleton::from_json)
+}
+
+/// The face that a take carries; `None` where it has none.
+///
+/// # Errors
+/// What is wrong with it.
+pub fn face(subject: Option<&Subject>) -> anyhow::Result<Option<FittedFace>> {
+    document(subject, Subject::FACE, FittedFace::from_json)
+}
+
+/// Which marker sits where on it; `None` where nothing says so.
+///
+/// # Errors
+/// What is wrong with it.
+pub fn mapping(subject: Option<&Subject>) -> anyhow::Result<Option<Mapping>> {
+    document(subject, Subject::FACE_MARKERS, Mapping::from_json)
+}
+
+fn document<T, E>(
+    subject: Option<&Subject>,
+    kind: &str,
+    from_json: Reader<T, E>,
+) -> anyhow::Result<Option<T>>
+where
+    E: Error + Send + Sync + 'static,
+{
+    let data = subject.and_then(|subject| subject.document(kind));
+    data.map(from_json).transpose().with_context(|| format!("the take's {kind}"))
+}
+
+/// The limbs of the subject's skeleton between these labels. It was checked when it was read: here nothing is said of it.
+fn limbs_between(subject: Option<&Subject>, labels: &[String]) -> Option<Vec<Limb>> {
+    let bones = skeleton(subject).ok()??.bones;
+    Some(limbs(&bones, labels, subject.map_or("", |subject| subject.name.as_str())).0)
+}
+
+/// The limbs of the subject's skeleton between these slots, for viewers.
+#[must_use]
+pub fn live_limbs(subject: Option<&Subject>, labels: &[String]) -> Vec<LiveLimb> {
+    let named = &labels[..labels.len().min(usize::from(u16::MAX) + 1)];
+    let slot = |column: usize| u16::try_from(column).unwrap_or_default();
+    let limb = |limb: &Limb| LiveLimb {
+        ends: limb.ends.map(slot),
+        length_mm: limb.bone.length_mm,
+        off_mm: limb.off_mm(),
+    };
+    limbs_between(subject, named).iter().flatten().map(limb).collect()
+}
+
+/// Lines by label, and those of limbs that are not among them.
+#[must_use]
+pub fn with_limbs(mut bones: Vec<[u16; 2]>, limbs: &[LiveLimb]) -> Vec<[u16; 2]> {
+    for LiveLimb { ends: [a, b], .. } in limbs {
+        if !bones.contains(&[*a, *b]) && !bones.contains(&[*b, *a]) {
+            bones.push([*a, *b]);
+        }
+    }
+    bones
+}
 
 /// What of the subject will show nothing with these labels, in words. Documents were checked when they were read: here nothing is
 /// said of them.
 #[must_use]
 pub fn strangers(subject: Option<&Subject>, labels: &[String]) -> Vec<String> {
     let mut words = Vec::new();
-    if let Ok(Some(skeleton)) = Skeleton::of_take(subject) {
-        let name = subject.map_or("", |subject| subject.name.as_str());
-        if limbs(&skeleton.to_bones(), labels, name).0.is_empty() {
-            words.push(
-                "no bone of the skeleton has a marker at both its ends, by the labels: it is in the take and shows nothing".to_owned(),
-            );
-        }
+    if limbs_between(subject, labels).is_some_and(|limbs| limbs.is_empty()) {
+        words.push(
+            "no bone of the skeleton has a marker at both its ends, by the labels: it is in the take and shows nothing".to_owned(),
+        );
     }
-    if let Some(Ok(Some(mapping))) = subject.map(face::mapping_of) {
-        let is_here =
-            |wanted: &str| labels.iter().any(|label| label == wanted || split(label).1 == wanted);
-        let n_here = mapping.markers.iter().filter(|marker| is_here(&marker.label)).count();
-        if n_here < FACE_MARKERS_MIN {
+    if let Ok(Some(Mapping { markers })) = mapping(subject) {
+        let slots = face::slots(labels);
+        let n_here = markers.iter().filter(|marker| slots.contains_key(&marker.label)).count();
+        let n = markers.len();
+        if n_here < MARKERS_MIN {
             words.push(format!(
-                "{n_here} of the {} markers of the face are in the take, {FACE_MARKERS_MIN} are needed: it shows no face",
-                mapping.markers.len()
+                "{n_here} of the {n} markers of the face are in the take, {MARKERS_MIN} are needed: it shows no face"
             ));
-        } else if n_here < mapping.markers.len() {
+        } else if n_here < n {
             words.push(format!(
-                "{n_here} of the {} markers of the face are in the take: they alone hold it",
-                mapping.markers.len()
+                "{n_here} of the {n} markers of the face are in the take: they alone hold it"
             ));
         }
     }
     words
-}
-
-/// Says which document it is, before anything else is asked of it.
-#[derive(Debug, serde::Deserialize)]
-struct Kind {
-    #[serde(default)]
-    format: String,
-    #[serde(default)]
-    version: u64,
-}
-
-/// Refuses what is no JSON, JSON that is another document, and one of a later version.
-fn check_kind(data: &[u8], format: &str, made_by: &str) -> anyhow::Result<()> {
-    let found: Kind = serde_json::from_slice(data).map_err(|error| {
-        let is = match error.classify() {
-            Category::Data => "it is no",
-            Category::Eof => "it is cut off, or no",
-            Category::Syntax | Category::Io => "it is no JSON, and so no",
-        };
-        let what = format!("{is} {format}, which `mocapd subject {made_by} -o` writes");
-        anyhow::Error::new(error).context(what)
-    })?;
-    if found.format != format {
-        let other = if found.format.is_empty() { "no format".to_owned() } else { found.format };
-        bail!(
-            "it says {other} where {format} is expected, which `mocapd subject {made_by} -o` writes"
-        );
-    }
-    ensure!(
-        found.version == 1,
-        "it is version {} of {format}, this build reads 1: use a newer mocapd",
-        found.version
-    );
-    Ok(())
 }
 
 #[cfg(test)]

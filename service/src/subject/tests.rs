@@ -34,13 +34,12 @@ fn files_become_a_subject_byte_for_byte() {
     assert_eq!(subject.document(Subject::SKELETON), Some(SKELETON.as_bytes()));
     assert_eq!(subject.document(Subject::FACE), Some(FACE.as_bytes()));
     assert_eq!(subject.document(Subject::FACE_MARKERS), Some(MARKERS.as_bytes()));
-    assert_eq!(face::mapping_of(&subject).unwrap().unwrap().markers.len(), 1);
-    let skeleton = Skeleton::of_take(Some(&subject)).unwrap().unwrap();
-    let bones = skeleton.to_bones();
-    assert_eq!((bones.len(), bones[0].length_mm, bones[0].uncertainty_mm), (1, 300.0, 6.0));
-    assert_eq!(Face::of_take(Some(&subject)).unwrap().unwrap().vertices_mm.len(), 2);
+    assert_eq!(mapping(Some(&subject)).unwrap().unwrap().markers.len(), 1);
+    let bones = skeleton(Some(&subject)).unwrap().unwrap().bones;
+    assert_eq!((bones.len(), bones[0].length_mm, bones[0].uncertainty_mm), (1, 300.0, Some(6.0)));
+    assert_eq!(face(Some(&subject)).unwrap().unwrap().vertices_mm.len(), 2);
     assert_eq!(SubjectFiles::default().load().unwrap(), None);
-    assert_eq!(Skeleton::of_take(None).unwrap(), None);
+    assert_eq!(skeleton(None).unwrap(), None);
 
     let refused = |files: SubjectFiles| format!("{:#}", files.load().unwrap_err());
     let missing = Some(folder.path().join("none.json"));
@@ -68,20 +67,32 @@ fn files_become_a_subject_byte_for_byte() {
         face_markers: path("s.json", SKELETON),
         ..Default::default()
     });
-    assert!(why.contains("s.json: not a mapping of markers"), "{why}");
+    assert!(why.contains("s.json: it says mocapd-skeleton where mocapd-face-mapping is"), "{why}");
     let why = refused(SubjectFiles { face: path("l", &" ".repeat(1 << 21)), ..Default::default() });
     assert!(why.contains("more than 1 MiB"), "{why}");
 }
 
 #[test]
 fn what_is_no_skeleton_says_why() {
-    let refused = |text: &str| format!("{:#}", Skeleton::parse(text.as_bytes()).unwrap_err());
+    let refused = |text: &str| format!("{:#}", Skeleton::from_json(text.as_bytes()).unwrap_err());
     for (from, to, why) in [
         ("mocapd-skeleton", "mocapd-face", "it says mocapd-face where mocapd-skeleton"),
         ("\"version\":1", "\"version\":2", "this build reads 1: use a newer mocapd"),
-        ("\"length_mm\":300", "\"length_mm\":-3", "a length of -3 mm"),
-        ("\"child\":\"l_elbow\"", "\"child\":\"l_knee\"", "between l_shoulder and l_knee"),
-        ("\"name\":\"l_elbow\"", "\"name\":\"l_shoulder\"", "l_shoulder comes twice"),
+        (
+            "\"length_mm\":300",
+            "\"length_mm\":-3",
+            "`bones[0].length_mm` is -3: expected 0.001 to 10000",
+        ),
+        (
+            "\"child\":\"l_elbow\"",
+            "\"child\":\"l_knee\"",
+            "`bones[0].child` is l_knee: expected one of the joints",
+        ),
+        (
+            "\"name\":\"l_elbow\"",
+            "\"name\":\"l_shoulder\"",
+            "`joints[1].name` is l_shoulder: expected each joint once",
+        ),
         ("\"length_mm\":300", "\"length_mm\":\"long\"", "a damaged mocapd-skeleton"),
         ("{", "", "it is no mocapd-skeleton, which `mocapd subject body -o` writes"),
         ("{", "no {", "it is no JSON, and so no mocapd-skeleton, which `mocapd subject body -o`"),
@@ -92,23 +103,33 @@ fn what_is_no_skeleton_says_why() {
         assert!(found.contains(why), "{found}");
     }
     for cut in (0..SKELETON.len() - 1).step_by(7) {
-        assert!(Skeleton::parse(&SKELETON.as_bytes()[..cut]).is_err(), "{cut}");
+        assert!(Skeleton::from_json(&SKELETON.as_bytes()[..cut]).is_err(), "{cut}");
     }
 }
 
 #[test]
 fn what_is_no_face_says_why() {
-    let refused = |text: &str| format!("{:#}", Face::parse(text.as_bytes()).unwrap_err());
-    assert!(refused(&FACE.replace("[[0,1]]", "[[0,2]]")).contains("a vertex that is not there"));
+    let refused = |text: &str| format!("{:#}", FittedFace::from_json(text.as_bytes()).unwrap_err());
+    assert!(
+        refused(&FACE.replace("[[0,1]]", "[[0,2]]"))
+            .contains("`lines[0]` is [0, 2]: expected vertices")
+    );
     assert!(refused(&FACE.replace("[1,2,3]", "[1,2]")).contains("a damaged mocapd-face"));
     assert!(refused(SKELETON).contains("it says mocapd-skeleton"));
     assert!(refused("[]").contains("mocapd-face is expected, which `mocapd subject face -o`"));
     let cut = refused(&FACE[..40]);
     assert!(cut.contains("cut off") && cut.contains("EOF while parsing"), "{cut}");
-    let binary = Face::parse(&[0xff; 9]).unwrap_err();
-    assert_eq!(binary.chain().count(), 2, "the parser's words are the cause: {binary:#}");
-    let binary = face::mapping(&[0xff; 9]).unwrap_err();
-    assert!(format!("{binary:#}").starts_with("not a mapping of markers"), "{binary:#}");
+    let binary = FittedFace::from_json(&[0xff; 9]).unwrap_err().to_string();
+    assert_eq!(
+        binary.matches("at line 1 column 1").count(),
+        1,
+        "the parser's words, once: {binary}"
+    );
+    let binary = Mapping::from_json(&[0xff; 9]).unwrap_err().to_string();
+    assert!(
+        binary.starts_with("it is no JSON, and so no mocapd-face-mapping, such as"),
+        "{binary}"
+    );
 }
 
 fn labels(names: &[&str]) -> Vec<String> {

@@ -1,10 +1,7 @@
 //! Who was captured, as `info` says it.
 
-use mocapd_service::subject::{
-    Face, Skeleton,
-    face::SourcePhoto,
-    skeleton::{ScannedBone, SourceScan},
-};
+use mocapd_body::skeleton::Bone;
+use mocapd_service::subject::{face, skeleton};
 use mocapd_take::record::Subject;
 use serde::Serialize;
 
@@ -26,16 +23,23 @@ struct SkeletonReport {
     stature_mm: Option<f64>,
     sides_told: bool,
     joints: usize,
-    sources: Vec<SourceScan>,
-    bones: Vec<ScannedBone>,
+    sources: Vec<SourceReport>,
+    bones: Vec<Bone>,
 }
 
 #[derive(Debug, Serialize)]
 struct FaceReport {
     method: String,
-    source: Option<SourcePhoto>,
+    source: Option<SourceReport>,
     vertices: usize,
     lines: usize,
+}
+
+/// A scan, or a photograph.
+#[derive(Debug, Serialize)]
+struct SourceReport {
+    name: String,
+    sha256: String,
 }
 
 #[derive(Debug, Serialize)]
@@ -48,14 +52,8 @@ impl SubjectReport {
     pub(super) fn new(subject: &Subject) -> Self {
         let mut problems = Vec::new();
         let mut told = |error: anyhow::Error| problems.push(format!("{error:#}"));
-        let skeleton = Skeleton::of_take(Some(subject)).unwrap_or_else(|error| {
-            told(error);
-            None
-        });
-        let face = Face::of_take(Some(subject)).unwrap_or_else(|error| {
-            told(error);
-            None
-        });
+        let skeleton = skeleton(Some(subject)).map_err(&mut told).ok().flatten();
+        let face = face(Some(subject)).map_err(&mut told).ok().flatten();
         Self {
             name: Some(subject.name.clone()).filter(|name| !name.is_empty()),
             skeleton: skeleton.map(|found| SkeletonReport {
@@ -63,12 +61,18 @@ impl SubjectReport {
                 stature_mm: found.stature_mm,
                 sides_told: found.sides_told,
                 joints: found.joints.len(),
-                sources: found.sources,
+                sources: found
+                    .sources
+                    .into_iter()
+                    .map(|source| SourceReport { name: source.name, sha256: source.sha256 })
+                    .collect(),
                 bones: found.bones,
             }),
             face: face.map(|found| FaceReport {
                 method: found.method,
-                source: found.source,
+                source: found
+                    .source
+                    .map(|source| SourceReport { name: source.name, sha256: source.sha256 }),
                 vertices: found.vertices_mm.len(),
                 lines: found.lines.len(),
             }),
@@ -96,7 +100,7 @@ impl SubjectReport {
             let vertices = count_of(*vertices as u64, ["vertex", "vertices"]);
             let lines = count(*lines as u64, "line");
             line("face", &format!("{vertices}, {lines}{}", by(method)));
-            if let Some(SourcePhoto { name, sha256 }) = source {
+            if let Some(SourceReport { name, sha256 }) = source {
                 line("", &format!("from {name}, SHA-256 {sha256}"));
             }
         }

@@ -173,7 +173,12 @@ fn table(skeleton: &Skeleton) -> String {
     let sides = if skeleton.sides_told { "" } else { " (l_ and r_ may be exchanged)" };
     out += &format!("\nbone                 length mm   +- mm{sides}\n");
     for bone in &skeleton.bones {
-        out += &format!("{:<20} {:>9.1} {:>7.1}", bone.name, bone.length_mm, bone.uncertainty_mm);
+        out += &format!(
+            "{:<20} {:>9.1} {:>7.1}",
+            bone.name,
+            bone.length_mm,
+            bone.uncertainty_mm.unwrap_or_default()
+        );
         if let Some(spread_mm) = bone.spread_mm {
             out += &format!("   spread {spread_mm:.1} mm over {} scans", bone.scans);
         }
@@ -181,10 +186,11 @@ fn table(skeleton: &Skeleton) -> String {
     }
     out += "\njoint                   x mm      y mm      z mm   +- mm\n";
     for joint in &skeleton.joints {
-        let [x, y, z] = joint.position_mm;
+        let [x, y, z] = joint.position_mm.unwrap_or_default();
         out += &format!(
             "{:<18} {x:>9.1} {y:>9.1} {z:>9.1} {:>7.1}\n",
-            joint.name, joint.uncertainty_mm
+            joint.name,
+            joint.uncertainty_mm.unwrap_or_default()
         );
     }
     out
@@ -196,10 +202,8 @@ fn unit(text: &str) -> Result<Unit, String> {
 
 /// The picture, as SVG. `survey` has the levels where the surface has those of a body.
 fn picture(name: &str, repaired: &Repaired, survey: &Survey, skeleton: &Skeleton) -> String {
-    let method = match skeleton.method {
-        Method::Default => "default method",
-        Method::Paper => "as Yu et al. 2008",
-    };
+    let is_paper = skeleton.method == Method::Paper.name();
+    let method = if is_paper { "as Yu et al. 2008" } else { "default method" };
     let title = format!("{name}, {method}");
     let mut drawing = Drawing {
         title: &title,

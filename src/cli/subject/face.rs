@@ -8,7 +8,6 @@ use mocapd_face::{
     Photo,
     fit::{NoFace, fit},
     fitted::{FittedFace, Method, Overlay, Source},
-    model::OUTER_EYES_MM,
     photo::BYTES_MAX,
     points::FAINT,
 };
@@ -87,8 +86,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let source = Source {
         name: name(&args.photo),
         sha256: photo.sha256.iter().map(|byte| format!("{byte:02x}")).collect(),
-        width: u32::try_from(photo.width())?,
-        height: u32::try_from(photo.height())?,
+        width: Some(u32::try_from(photo.width())?),
+        height: Some(u32::try_from(photo.height())?),
     };
     let method = match args.method {
         Chosen::Default => Method::Default,
@@ -99,7 +98,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         Err(error @ (NoFace::NotFound | NoFace::NotFitted(_))) => bail!("{shown}: {error}"),
         Err(error) => return Err(error.into()),
     };
-    faces.sort_by(|a, b| b.camera.scale_px_per_mm.total_cmp(&a.camera.scale_px_per_mm));
+    faces.sort_by(|a, b| b.outer_eyes_px().total_cmp(&a.outer_eyes_px()));
     if args.largest && faces.len() > 1 {
         say(&format!("{shown}: {} left out", count(faces.len() as u64 - 1, "smaller face")));
         faces.truncate(1);
@@ -190,7 +189,7 @@ pub(super) fn doubts(faces: &[FittedFace]) -> Vec<String> {
         if face.is_unsure() {
             words.push(format!("face {number}: points may be off: look at the overlay"));
         }
-        let yaw_deg = face.camera.yaw_deg.abs();
+        let yaw_deg = face.pose_deg.map_or(0.0, |pose| pose.yaw.abs());
         if yaw_deg > YAW_SEEN_DEG {
             words.push(format!(
                 "face {number} is turned by {yaw_deg:.0} degrees: beyond {YAW_SEEN_DEG:.0} its far side is a guess"
@@ -205,13 +204,13 @@ pub(super) fn table(faces: &[FittedFace]) -> String {
     let mut out = format!("{}\n", count(faces.len() as u64, "face"));
     out += "face     at x, y px   eye corners px   yaw deg   pitch deg   roll deg   points seen   confidence\n";
     for (number, face) in faces.iter().enumerate() {
-        let camera = &face.camera;
+        let Some(camera) = face.camera() else { continue };
         let seen = face.points.iter().filter(|point| point.confidence > FAINT).count();
         out += &format!(
             "{:>4} {:>14} {:>16.0} {:>9.1} {:>11.1} {:>10.1} {:>7} of 53 {:>12}\n",
             number + 1,
             format!("{:.0}, {:.0}", camera.origin_px[0], camera.origin_px[1]),
-            camera.scale_px_per_mm * OUTER_EYES_MM,
+            face.outer_eyes_px(),
             camera.yaw_deg,
             camera.pitch_deg,
             camera.roll_deg,

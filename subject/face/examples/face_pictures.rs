@@ -61,7 +61,7 @@ fn fitted(image: &RgbImage) -> Result<FittedFace, Box<dyn Error>> {
     let mut png = std::io::Cursor::new(Vec::new());
     image.write_to(&mut png, ImageFormat::Png)?;
     let photo = Photo::from_bytes(&png.into_inner())?;
-    let (width, height) = image.dimensions();
+    let (width, height) = (Some(image.width()), Some(image.height()));
     let source = Source { name: "drawn.png".into(), sha256: "0".repeat(64), width, height };
     let faces = fit(&photo, &source, Method::Default)?;
     faces.into_iter().next().ok_or_else(|| "nobody was found".into())

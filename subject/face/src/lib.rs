@@ -5,6 +5,7 @@
 //! `benches/subject`.
 
 pub mod adapt;
+mod document;
 pub mod find;
 pub mod fit;
 pub mod fitted;
@@ -20,12 +21,13 @@ pub mod pose;
 mod table;
 mod vector;
 
+pub use document::DocumentError;
 pub use photo::{Photo, PhotoError};
 pub use plane::Plane;
 
 /// A reason on one line: a reader of JSON quotes whatever names a file has.
 pub(crate) fn shortened(reason: &str) -> String {
-    const CHARACTERS: usize = 200;
+    const CHARACTERS: usize = 160;
     let printed = |c: char| if c.is_control() { ' ' } else { c };
     let mut line: String = reason.chars().map(printed).take(CHARACTERS).collect();
     if reason.chars().nth(CHARACTERS).is_some() {

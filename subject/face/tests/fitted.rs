@@ -2,7 +2,8 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use image::Rgb;
-use mocapd_face::fitted::{FaceFileError, FittedFace, Method, Overlay, Part, Source};
+use mocapd_face::DocumentError;
+use mocapd_face::fitted::{FittedFace, Method, Overlay, Part, Source};
 use mocapd_face::model::{FeatureId, Landmark, Model};
 use mocapd_testkit::photograph::{Random, Scene};
 
@@ -18,6 +19,7 @@ fn example() -> (image::RgbImage, FittedFace) {
         })
         .collect();
     let (width, height) = picture.image.dimensions();
+    let (width, height) = (Some(width), Some(height));
     let source =
         Source { name: "a <b> & \"c\".png".into(), sha256: "0f".repeat(32), width, height };
     let vertices = model.shape(&truth.coefficients);
@@ -29,7 +31,7 @@ fn example() -> (image::RgbImage, FittedFace) {
 fn what_is_written_is_read_again() {
     let (_, face) = example();
     let text = face.to_json().unwrap();
-    let again = FittedFace::from_json(&text).unwrap();
+    let again = FittedFace::from_json(text.as_bytes()).unwrap();
     assert_eq!(again.to_json().unwrap(), text);
     assert_eq!(
         (again.source, again.triangles, again.features),
@@ -48,15 +50,15 @@ fn a_confidence_is_kept_and_may_be_missing() {
     let (_, mut face) = example();
     assert_eq!(face.confidence, None);
     let older = face.to_json().unwrap();
-    assert!(!FittedFace::from_json(&older).unwrap().is_unsure());
+    assert!(!FittedFace::from_json(older.as_bytes()).unwrap().is_unsure());
     for (confidence, unsure) in [(0.0, true), (0.4996, true), (0.75, false), (1.0, false)] {
         face.confidence = Some(confidence);
-        let again = FittedFace::from_json(&face.to_json().unwrap()).unwrap();
+        let again = FittedFace::from_json(face.to_json().unwrap().as_bytes()).unwrap();
         assert!((again.confidence.unwrap() - confidence).abs() < 0.000_51);
         assert_eq!(face.is_unsure(), unsure, "{confidence}");
     }
     face.confidence = Some(1.2);
-    assert!(matches!(face.to_json(), Err(FaceFileError::Value(_))));
+    assert!(matches!(face.to_json(), Err(DocumentError::Value(_))));
 }
 
 #[test]
@@ -96,8 +98,10 @@ fn a_net_is_seen_on_any_ground_in_pictures_of_any_size() {
             for confidence in [0.9, 0.1] {
                 let mut face = face.clone();
                 face.confidence = Some(confidence);
-                face.camera.scale_px_per_mm *= f64::from(factor);
-                face.camera.origin_px = face.camera.origin_px.map(|v| v * f64::from(factor));
+                let mut camera = face.camera().unwrap();
+                camera.scale_px_per_mm *= f64::from(factor);
+                camera.origin_px = camera.origin_px.map(|v| v * f64::from(factor));
+                face.set_camera(camera);
                 let drawn = Overlay::new(&plain, &[face]).into_image();
                 let ground = Rgb(ground);
                 let seen = drawn.pixels().filter(|pixel| apart(pixel, &ground) > 60.0).count();
@@ -122,7 +126,7 @@ fn several_faces_have_numbers_beside_them_and_one_has_none() {
         .iter()
         .map(|truth| {
             let mut face = example.clone();
-            face.camera = truth.camera;
+            face.set_camera(truth.camera);
             face.points.iter_mut().for_each(|point| point.xy_px = truth.at(point.id));
             face
         })
@@ -153,7 +157,7 @@ fn several_faces_have_numbers_beside_them_and_one_has_none() {
     assert_ne!(both, swapped);
     // Ten faces and more have two digits; a face beyond the picture has its number within.
     let mut many = vec![faces[0].clone(); 12];
-    many[11].camera.origin_px = [-1e5, 9e5];
+    many[11].origin_px = Some([-1e5, 9e5]);
     many[11].points.clear();
     assert_ne!(drawn(&many), drawn(&many[..11]));
 }
@@ -164,12 +168,12 @@ fn notes_are_kept_and_make_a_face_unsure() {
     assert!(!face.is_unsure());
     face.notes = vec!["the mouth lies low".to_owned()];
     assert!(face.is_unsure());
-    let again = FittedFace::from_json(&face.to_json().unwrap()).unwrap();
+    let again = FittedFace::from_json(face.to_json().unwrap().as_bytes()).unwrap();
     assert_eq!(again.notes, face.notes);
     face.notes = vec!["a\nb".to_owned()];
-    assert!(matches!(face.to_json(), Err(FaceFileError::Value(_))));
+    assert!(matches!(face.to_json(), Err(DocumentError::Value(_))));
     face.notes = vec!["a".to_owned(); 51];
-    assert!(matches!(face.to_json(), Err(FaceFileError::Value(_))));
+    assert!(matches!(face.to_json(), Err(DocumentError::Value(_))));
 }
 
 #[test]
@@ -179,40 +183,100 @@ fn what_is_no_face_file_is_refused() {
     let refused = |change: &dyn Fn(&mut serde_json::Value)| {
         let mut bad = good.clone();
         change(&mut bad);
-        FittedFace::from_json(&bad.to_string()).unwrap_err()
+        FittedFace::from_json(bad.to_string().as_bytes()).unwrap_err()
     };
-    assert!(matches!(refused(&|v| v["format"] = "mocapd-skeleton".into()), FaceFileError::Kind(_)));
-    assert!(matches!(refused(&|v| v["version"] = 2.into()), FaceFileError::Kind(_)));
-    assert!(matches!(refused(&|v| v["colour"] = 2.into()), FaceFileError::Shape(_)));
-    assert!(matches!(refused(&|v| v["points"] = serde_json::json!([])), FaceFileError::Value(_)));
-    assert!(matches!(refused(&|v| v["points"][3]["name"] = "ear".into()), FaceFileError::Value(_)));
+    assert!(matches!(refused(&|v| v["format"] = "mocapd-skeleton".into()), DocumentError::Kind(_)));
+    assert!(matches!(refused(&|v| v["version"] = 2.into()), DocumentError::Kind(_)));
+    assert!(matches!(refused(&|v| v["points"] = 2.into()), DocumentError::Shape(_)));
+    assert!(matches!(refused(&|v| v["points"][3]["name"] = "ear".into()), DocumentError::Shape(_)));
+    let only_three = |v: &mut serde_json::Value| {
+        v["points"].as_array_mut().unwrap().truncate(3);
+    };
+    assert!(matches!(refused(&only_three), DocumentError::Value(_)));
+    let why = refused(&|v| v["points"][3]["name"] = "mouth_top".into()).to_string();
+    assert!(why.contains("`points[3].name` is \"mouth_top\""), "{why}");
     assert!(matches!(
         refused(&|v| v["points"][3]["confidence"] = 1.5.into()),
-        FaceFileError::Value(_)
+        DocumentError::Value(_)
     ));
-    assert!(matches!(refused(&|v| v["confidence"] = (-0.5).into()), FaceFileError::Value(_)));
-    assert!(matches!(refused(&|v| v["triangles"][7][1] = 100_000.into()), FaceFileError::Value(_)));
+    assert!(matches!(refused(&|v| v["confidence"] = (-0.5).into()), DocumentError::Value(_)));
+    assert!(matches!(refused(&|v| v["triangles"][7][1] = 100_000.into()), DocumentError::Value(_)));
     assert!(matches!(
         refused(&|v| v["features"]["nose_tip"] = 5000.into()),
-        FaceFileError::Value(_)
+        DocumentError::Value(_)
     ));
-    assert!(matches!(refused(&|v| v["vertices_mm"][0][0] = 1e300.into()), FaceFileError::Value(_)));
+    assert!(matches!(refused(&|v| v["vertices_mm"][0][0] = 1e300.into()), DocumentError::Value(_)));
     assert!(matches!(
         refused(&|v| v["vertices_mm"] = serde_json::json!([])),
-        FaceFileError::Value(_)
+        DocumentError::Value(_)
     ));
-    assert!(matches!(refused(&|v| v["scale_px_per_mm"] = 0.into()), FaceFileError::Value(_)));
-    assert!(matches!(refused(&|v| v["pose_deg"]["yaw"] = 200.into()), FaceFileError::Value(_)));
-    assert!(matches!(refused(&|v| v["source"]["sha256"] = "ABC".into()), FaceFileError::Value(_)));
-    assert!(matches!(refused(&|v| v["source"]["name"] = "a\nb".into()), FaceFileError::Value(_)));
-    assert!(matches!(FittedFace::from_json(&" ".repeat(2 << 20)), Err(FaceFileError::Value(_))));
+    assert!(matches!(refused(&|v| v["scale_px_per_mm"] = 0.into()), DocumentError::Value(_)));
+    assert!(matches!(refused(&|v| v["pose_deg"]["yaw"] = 200.into()), DocumentError::Value(_)));
+    assert!(matches!(refused(&|v| v["source"]["sha256"] = 7.into()), DocumentError::Shape(_)));
+    let why = refused(&|v| v["lines"][7][1] = 100_000.into()).to_string();
+    assert!(
+        why.contains("`lines[7]` is [") && why.contains(", 100000]: expected vertices"),
+        "{why}"
+    );
+    assert!(matches!(refused(&|v| v["source"]["name"] = "a\nb".into()), DocumentError::Value(_)));
+    assert!(matches!(FittedFace::from_json(&[b' '; 2 << 20]), Err(DocumentError::Value(_))));
     let text = face.to_json().unwrap();
     for end in (0..text.len()).step_by(1009) {
-        assert!(FittedFace::from_json(&text[..end]).is_err());
+        assert!(FittedFace::from_json(&text.as_bytes()[..end]).is_err());
     }
     let mut broken = face;
     broken.vertices_mm[3][1] = f64::NAN;
-    assert!(matches!(broken.to_json(), Err(FaceFileError::Value(_))));
+    assert!(matches!(broken.to_json(), Err(DocumentError::Value(_))));
+}
+
+#[test]
+fn a_face_of_others_has_keys_of_its_own_and_leaves_out_what_nobody_knows() {
+    let (photograph, face) = example();
+    let good: serde_json::Value = serde_json::from_str(&face.to_json().unwrap()).unwrap();
+    let read = |change: &dyn Fn(&mut serde_json::Value)| {
+        let mut other = good.clone();
+        change(&mut other);
+        let face = FittedFace::from_json(other.to_string().as_bytes()).unwrap();
+        face.to_obj();
+        face.to_svg();
+        Overlay::new(&photograph, std::slice::from_ref(&face)).into_image();
+        assert_eq!(FittedFace::from_json(face.to_json().unwrap().as_bytes()).as_ref(), Ok(&face));
+        face
+    };
+    assert_eq!(read(&|v| v["colour"] = 2.into()), read(&|_| {}));
+    assert_eq!(read(&|v| v["source"]["camera"] = "box".into()), read(&|_| {}));
+    assert_eq!(read(&|v| v["source"]["sha256"] = "ABC".into()).source.unwrap().sha256, "ABC");
+    assert_eq!(read(&|v| v["method"] = "by hand".into()).method, "by hand");
+    assert!(read(&|v| v["points"] = serde_json::json!([])).points.is_empty());
+    for key in ["method", "points", "triangles", "features"] {
+        read(&|v| drop(v.as_object_mut().unwrap().remove(key)));
+    }
+    for key in ["source", "pose_deg", "scale_px_per_mm", "origin_px"] {
+        let without = read(&|v| drop(v.as_object_mut().unwrap().remove(key)));
+        assert_eq!(without, read(&|v| v[key] = serde_json::Value::Null), "{key}");
+        assert_eq!(
+            (without.source.is_none(), without.camera().is_none()),
+            (key == "source", key != "source")
+        );
+    }
+    // As little as a wireframe has, under the name that vertices also have; its lines are its own.
+    let least = r#"{"format":"mocapd-face","version":1,"vertices":[[0,0,0],[1,2,3]],"lines":[[0,1],[1,1]]}"#;
+    let least = FittedFace::from_json(least.as_bytes()).unwrap();
+    assert_eq!((least.vertices_mm.len(), &least.lines), (2, &vec![[0, 1], [1, 1]]));
+    let plain = Overlay::new(&photograph, &[]).into_image();
+    assert!(Overlay::new(&photograph, &[least]).into_image() == plain);
+    // More vertices than the generic face has, and more lines than a surface.
+    let many = |vertices: usize, lines: usize| {
+        let (vertices, lines) =
+            (vec!["[0,0,0]"; vertices].join(","), vec!["[0,1]"; lines].join(","));
+        let text = format!(
+            r#"{{"format":"mocapd-face","version":1,"vertices_mm":[{vertices}],"lines":[{lines}]}}"#
+        );
+        FittedFace::from_json(text.as_bytes())
+    };
+    assert_eq!(many(100_000, 9).unwrap().vertices_mm.len(), 100_000);
+    assert_eq!(many(9, 100_000).unwrap().lines.len(), 100_000);
+    assert!(matches!(many(9, (1 << 17) + 1), Err(DocumentError::Value(_))));
 }
 
 #[test]
@@ -225,7 +289,7 @@ fn a_reason_is_a_short_line_whatever_the_file_says() {
         r#"{"format": "mocapd-face", "version": 4294967296}"#.to_owned(),
         r#"{"format": "mocapd-face", "version": 1, "vertices_mm": [[1e999, 0, 0]]}"#.to_owned(),
     ] {
-        let reason = FittedFace::from_json(&text).unwrap_err().to_string();
+        let reason = FittedFace::from_json(text.as_bytes()).unwrap_err().to_string();
         assert!(reason.chars().count() < 300 && !reason.contains(char::is_control), "{reason:?}");
     }
 }
@@ -242,7 +306,7 @@ fn changed_bytes_give_an_error_or_a_face_that_holds() {
             let at = (random.uniform() * bytes.len() as f64) as usize;
             bytes[at] = random.one_of(b"0123456789-.e,[]{}\"ax ");
         }
-        if let Ok(again) = FittedFace::from_json(&String::from_utf8(bytes).unwrap()) {
+        if let Ok(again) = FittedFace::from_json(&bytes) {
             // Whatever is read can be drawn and written.
             again.to_json().unwrap();
             again.to_obj();
@@ -278,7 +342,7 @@ fn the_overlay_marks_its_points_in_their_colours() {
         );
     }
     let mut far = face;
-    far.camera.origin_px = [-1e5, 1e5];
+    far.origin_px = Some([-1e5, 1e5]);
     far.points.iter_mut().for_each(|p| p.xy_px = [1e5, -1e5]);
     let untouched = Overlay::new(&photograph, &[far]).into_image();
     let plain = image::imageops::resize(

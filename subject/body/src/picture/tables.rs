@@ -57,16 +57,19 @@ pub(super) fn lengths(sheet: &mut Sheet, drawing: &Drawing<'_>) {
 
 fn stature(drawing: &Drawing<'_>) -> Option<String> {
     let skeleton = drawing.skeleton?;
-    let sigma =
-        skeleton.stature_uncertainty_mm.map_or_else(String::new, |mm| format!(" ± {mm:.0}"));
-    Some(format!("{:.0}{sigma}", skeleton.stature_mm?))
+    Some(format!("{:.0}{}", skeleton.stature_mm?, give(skeleton.stature_uncertainty_mm)))
+}
+
+/// How far off it may be, where that is known.
+fn give(sigma_mm: Option<f64>) -> String {
+    sigma_mm.map_or_else(String::new, |mm| format!(" ± {mm:.0}"))
 }
 
 /// From the skeleton, and from the joints where there is none.
 fn length(drawing: &Drawing<'_>, name: &str) -> Option<String> {
     if let Some(skeleton) = drawing.skeleton {
         let bone = skeleton.bones.iter().find(|bone| bone.name == name)?;
-        return Some(format!("{:.0} ± {:.0}", bone.length_mm, bone.uncertainty_mm));
+        return Some(format!("{:.0}{}", bone.length_mm, give(bone.uncertainty_mm)));
     }
     let ends = BONES.iter().find(|ends| ends.name == name)?;
     let at = |joint: Joint| drawing.joints.estimates.get(&joint);

@@ -1,13 +1,20 @@
 //! One skeleton out of the joints of several scans.
 
-use super::functional::{self, Centre};
-use super::json::{FORMAT, LENGTH_MAX_MM, LIST_MAX, POSITION_MAX_MM, STATURE_MM, TEXT_MAX, round};
+use super::functional::{self, Centre, LENGTH_MAX_MM};
+use super::json::{POSITION_MAX_MM, round};
 use super::{
     BONES, Bone, BoneEnds, Length, Method, ScanJoints, Skeleton, SkeletonJoint, joint_name, joints,
     twin,
 };
 use crate::mesh::distance;
 use crate::{Estimate, Joint, Joints};
+
+/// Sources, and notes, at most.
+const LIST_MAX: usize = 100;
+/// Characters of a name or note at most.
+pub(super) const TEXT_MAX: usize = 300;
+/// Statures of people.
+const STATURE_MM: std::ops::RangeInclusive<f64> = 300.0..=3000.0;
 
 /// What no joint is known better than, in millimetres: scans are of skin. It keeps a scan that is too sure of itself from
 /// outweighing the others.
@@ -48,7 +55,7 @@ pub(super) fn combine(method: Method, scans: &[ScanJoints]) -> Option<Skeleton> 
         let mut bone = mean_bone(ends, &lengths);
         if let Some(centre) = centres.iter().find(|centre| centre.child == ends.child) {
             bone.length_mm = round(centre.radius.mm);
-            bone.uncertainty_mm = round(centre.radius.sigma_mm);
+            bone.uncertainty_mm = Some(round(centre.radius.sigma_mm));
         }
         let most = APART_MOST.iter().find(|(limb, _)| name.ends_with(limb)).map(|(_, most)| *most);
         if let Some(apart) = apart(&lengths).filter(|apart| most.is_some_and(|most| *apart > most))
@@ -73,11 +80,8 @@ pub(super) fn combine(method: Method, scans: &[ScanJoints]) -> Option<Skeleton> 
     notes.retain(|note| !note.is_empty());
     notes.truncate(LIST_MAX);
     let sources = scans.iter().take(LIST_MAX).map(|scan| scan.source.clone()).collect();
-    let format = FORMAT.to_owned();
     Some(Skeleton {
-        format,
-        version: 1,
-        method,
+        method: method.name().to_owned(),
         sources,
         stature_mm: stature.map(|stature| round(stature.mm)),
         stature_uncertainty_mm: stature.map(|stature| round(stature.sigma_mm)),
@@ -132,9 +136,9 @@ fn mean_bone(ends: BoneEnds, lengths: &[Length]) -> Bone {
         parent: joint_name(ends.parent).to_owned(),
         child: joint_name(ends.child).to_owned(),
         length_mm: round(mean),
-        uncertainty_mm: round(uncertainty),
+        uncertainty_mm: Some(round(uncertainty)),
         spread_mm: spread.map(round),
-        scans: lengths.len() as u32,
+        scans: lengths.len() as u64,
     }
 }
 
@@ -145,8 +149,9 @@ fn level_sides(bones: &mut [Bone]) {
         let twin = twin(&bone.name);
         if let Some(twin) = before.iter().find(|other| Some(&*other.name) == twin) {
             bone.length_mm = round((bone.length_mm + twin.length_mm) / 2.0);
-            bone.uncertainty_mm = round(bone.uncertainty_mm.max(twin.uncertainty_mm));
-            bone.spread_mm = bone.spread_mm.zip(twin.spread_mm).map(|(a, b)| a.max(b));
+            let larger = |(a, b): (f64, f64)| a.max(b);
+            bone.uncertainty_mm = bone.uncertainty_mm.zip(twin.uncertainty_mm).map(larger);
+            bone.spread_mm = bone.spread_mm.zip(twin.spread_mm).map(larger);
         }
     }
 }
@@ -160,8 +165,8 @@ fn skeleton_joints(first: &mut Joints, centres: &[Centre]) -> Vec<SkeletonJoint>
     found
         .map(|(joint, estimate)| SkeletonJoint {
             name: joint_name(joint).to_owned(),
-            position_mm: estimate.position.map(round),
-            uncertainty_mm: round(estimate.sigma),
+            position_mm: Some(estimate.position.map(round)),
+            uncertainty_mm: Some(round(estimate.sigma)),
         })
         .collect()
 }
@@ -182,10 +187,7 @@ const SURER: f64 = 1.5;
 /// How tall a subject stands, whatever the pose of the scan; nothing where a bone is missing, or of nobody's size. `size_sigma` is
 /// what is expected of all bones together, as a part of them: it does not become less by their number.
 fn stature(bones: &[Bone], size_sigma: f64) -> Option<Length> {
-    let bone = |name: &str| bones.iter().find(|bone| bone.name == name);
-    let alone = |name: &str| {
-        bone(name).map(|bone| Length { mm: bone.length_mm, sigma_mm: bone.uncertainty_mm })
-    };
+    let alone = |name: &str| bones.iter().find(|bone| bone.name == name).map(Bone::length);
     let mean = |a: &str, b: &str| match (alone(a), alone(b)) {
         // Of a limb that is cut off the other side tells more than both.
         (Some(a), Some(b)) if a.sigma_mm > SURER * b.sigma_mm => Some(b),

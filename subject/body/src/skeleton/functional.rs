@@ -5,11 +5,12 @@
 
 use nalgebra::{Matrix4, Vector4};
 
-use super::json::LENGTH_MAX_MM;
 use super::{Length, joint_name};
 use crate::mesh::{Point, axes, distance, mean, unit};
 use crate::{Joint, Joints, Side};
 
+/// Longest bone: more than the trunk of any person.
+pub(super) const LENGTH_MAX_MM: f64 = 2000.0;
 /// Scans that are needed.
 const SCANS_MIN: usize = 3;
 /// Largest angle between two directions of the limb that is needed, in degrees.

@@ -95,8 +95,7 @@ fn joints() -> impl Iterator<Item = Joint> {
 }
 
 /// How the joints were found.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Method {
     /// As this crate does.
     Default,
@@ -104,18 +103,30 @@ pub enum Method {
     Paper,
 }
 
+impl Method {
+    /// As documents have it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Default => "default",
+            Self::Paper => "paper",
+        }
+    }
+}
+
 /// The file that a scan came from.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct Source {
     /// The file's name, without its folder.
     pub name: String,
     /// SHA-256 of its bytes, in hexadecimal.
     pub sha256: String,
-    /// `m`, `cm`, `mm` or `in`.
-    pub unit: String,
-    /// Whether the unit was inferred from the size.
-    pub unit_inferred: bool,
+    /// `m`, `cm`, `mm` or `in`; a document may leave it out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub unit: Option<String>,
+    /// Whether the unit was inferred from the size; a document may leave it out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub unit_inferred: Option<bool>,
 }
 
 impl Source {
@@ -124,29 +135,29 @@ impl Source {
     pub fn new(name: &str, bytes: &[u8], repaired: &Repaired) -> Self {
         let sha256 = Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect();
         let name = name.rsplit(['/', '\\']).next().unwrap_or(name);
-        let name = name.chars().filter(|c| !c.is_control()).take(json::TEXT_MAX).collect();
-        let (unit, unit_inferred) = (repaired.unit.to_string(), repaired.unit_inferred);
-        Self { name, sha256, unit, unit_inferred }
+        let name = name.chars().filter(|c| !c.is_control()).take(combine::TEXT_MAX).collect();
+        let unit = Some(repaired.unit.to_string());
+        Self { name, sha256, unit, unit_inferred: Some(repaired.unit_inferred) }
     }
 }
 
 /// One joint, in the frame of the first source, turned as it was.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct SkeletonJoint {
-    /// One of the 15 sites ([`joint_name`]).
+    /// One of the 15 sites ([`joint_name`]), or what others call theirs.
     pub name: String,
-    /// x, y, z in millimetres.
-    pub position_mm: [f64; 3],
-    /// Standard deviation of the distance to the true centre, in millimetres.
-    pub uncertainty_mm: f64,
+    /// x, y, z in millimetres; a skeleton that was measured by hand has none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub position_mm: Option<[f64; 3]>,
+    /// Standard deviation of the distance to the true centre, in millimetres, where it is known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub uncertainty_mm: Option<f64>,
 }
 
 /// A length that does not change with the pose, from one joint to the next.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct Bone {
-    /// One of [`BONES`].
+    /// One of [`BONES`], or what others call theirs.
     pub name: String,
     /// The joint nearer to the pelvis.
     pub parent: String,
@@ -154,40 +165,47 @@ pub struct Bone {
     pub child: String,
     /// Over all scans, in millimetres.
     pub length_mm: f64,
-    /// Standard deviation that is expected of it, in millimetres.
-    pub uncertainty_mm: f64,
+    /// Standard deviation that is expected of it, in millimetres, where it is known.
+    pub uncertainty_mm: Option<f64>,
     /// Standard deviation between scans, in millimetres; null for one scan.
     pub spread_mm: Option<f64>,
-    /// How many scans it is from.
-    pub scans: u32,
+    /// How many scans it is from; 0 where nobody said.
+    #[serde(default)]
+    pub scans: u64,
 }
 
-/// A subject's skeleton. Its schema is that of the fields, in their order, with `format` and `version` before them.
+impl Bone {
+    fn length(&self) -> Length {
+        Length { mm: self.length_mm, sigma_mm: self.uncertainty_mm.unwrap_or_default() }
+    }
+}
+
+/// A subject's skeleton, as `docs/subject-body-format.md` has it: the keys are the fields, in their order, with `format`
+/// and `version` before them. What a document may leave out has a default, or is an `Option`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct Skeleton {
-    /// Always `mocapd-skeleton`.
-    pub format: String,
-    /// Always 1.
-    pub version: u32,
-    /// How the joints were found.
-    pub method: Method,
-    /// The scans, the first of which gives the frame of the joints.
+    /// How the joints were found: [`Method::name`], or what others say; empty where nobody said.
+    #[serde(default)]
+    pub method: String,
+    /// The scans, the first of which gives the frame of the joints; none of a skeleton that was measured by hand.
+    #[serde(default)]
     pub sources: Vec<Source>,
     /// How tall the subject stands, in millimetres, out of the bones: whatever the pose. None where one is missing, and
     /// of [`Method::Paper`], whose bones do not tell.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub stature_mm: Option<f64>,
     /// Standard deviation that is expected of it, in millimetres.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub stature_uncertainty_mm: Option<f64>,
     /// Whether `l_` is the subject's left. If not, the sides may be the wrong way round as a whole.
+    #[serde(default)]
     pub sides_told: bool,
     /// Those that were found.
     pub joints: Vec<SkeletonJoint>,
     /// Those between joints that were found.
     pub bones: Vec<Bone>,
     /// What a reader should know.
+    #[serde(default)]
     pub notes: Vec<String>,
 }
 
@@ -229,11 +247,9 @@ impl Skeleton {
     #[must_use]
     pub fn symmetric_length(&self, pair: &str) -> Option<Length> {
         let side = |side: char| {
-            let bone =
-                self.bones.iter().find(|bone| self::pair(&bone.name) == Some((side, pair)))?;
-            Some(Length { mm: bone.length_mm, sigma_mm: bone.uncertainty_mm })
+            self.bones.iter().find(|bone| self::pair(&bone.name) == Some((side, pair)))
         };
-        match (side('l'), side('r')) {
+        match (side('l').map(Bone::length), side('r').map(Bone::length)) {
             (Some(left), Some(right)) => Some(Length {
                 mm: (left.mm + right.mm) / 2.0,
                 sigma_mm: left.sigma_mm.hypot(right.sigma_mm) / 2.0,

@@ -57,8 +57,8 @@ fn stature_notes_and_unsure_joints_are_told() {
         source: Source {
             name: "a.obj".to_owned(),
             sha256: "0".repeat(64),
-            unit: "m".to_owned(),
-            unit_inferred: true,
+            unit: Some("m".to_owned()),
+            unit_inferred: Some(true),
         },
         joints: joints.clone(),
         unit: Unit::Metre,

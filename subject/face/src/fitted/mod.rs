@@ -10,14 +10,14 @@ mod views;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use super::model::{Camera, FeatureId, Landmark, Model};
+use serde::{Deserialize, Serialize};
 
-pub use format::FaceFileError;
+use super::model::{Camera, FeatureId, Landmark, Model, OUTER_EYES_MM};
+
 pub use overlay::Overlay;
 
 /// The chain that found the points.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Method {
     /// As (Yang et al. 2004) has it.
     Paper,
@@ -25,41 +25,83 @@ pub enum Method {
     Default,
 }
 
+impl Method {
+    /// As documents have it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Paper => "paper",
+            Self::Default => "default",
+        }
+    }
+}
+
 /// The photograph.
-#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Source {
     /// Its file's name, without folders.
     pub name: String,
     /// Of its file's bytes: 64 digits, lower case.
     pub sha256: String,
-    /// In pixels, as it is looked at.
-    pub width: u32,
-    /// In pixels, as it is looked at.
-    pub height: u32,
+    /// In pixels, as it is looked at; a document may leave it out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub width: Option<u32>,
+    /// In pixels, as it is looked at; a document may leave it out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub height: Option<u32>,
 }
 
-/// A face that was fitted to a photograph.
-#[derive(Debug, Clone, PartialEq)]
+/// How a head is turned: the angles of a [`Camera`], in degrees.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Pose {
+    /// About the vertical axis.
+    pub yaw: f64,
+    /// About the axis through the ears.
+    pub pitch: f64,
+    /// About the camera's own axis.
+    pub roll: f64,
+}
+
+/// A face that was fitted to a photograph, as `docs/subject-face-format.md` has it: the keys are the fields, in their
+/// order, with `format` and `version` before them. What a document may leave out has a default, or is an `Option`: a
+/// wireframe of others has vertices and lines.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FittedFace {
-    /// Which chain.
-    pub method: Method,
+    /// Which chain: [`Method::name`], or what others say; empty where nobody said.
+    #[serde(default)]
+    pub method: String,
     /// Which photograph.
-    pub source: Source,
-    /// How the head stands in it.
-    pub camera: Camera,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub source: Option<Source>,
+    /// How the head is turned in it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pose_deg: Option<Pose>,
+    /// Pixels a millimetre of the face.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scale_px_per_mm: Option<f64>,
+    /// Where the face's origin is in the photograph.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub origin_px: Option<[f64; 2]>,
     /// The probability, 0 to 1, that the points are off by less than a tenth of the outer eye corners' distance, on the
     /// mean; none where the chain cannot tell.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub confidence: Option<f64>,
     /// What contradicts that the points are a face's, as phrases for people: lower case, without a dot at the end.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notes: Vec<String>,
-    /// The 53 points, in their order.
+    /// The 53 points, in their order, or none.
+    #[serde(default)]
     pub points: Vec<Landmark>,
     /// The wireframe, turned to look straight ahead, in the frame and nominal millimetres of [`Model`].
+    #[serde(alias = "vertices")]
     pub vertices_mm: Vec<[f64; 3]>,
-    /// Three vertices a triangle, counter-clockwise from in front.
+    /// Two vertices an edge: those of the triangles, each once, and what else is drawn.
+    pub lines: Vec<[usize; 2]>,
+    /// Three vertices a triangle, counter-clockwise from in front; a document may have none.
+    #[serde(default)]
     pub triangles: Vec<[usize; 3]>,
     /// Named vertices.
+    #[serde(default)]
     pub features: BTreeMap<String, usize>,
 }
 
@@ -76,18 +118,43 @@ impl FittedFace {
         points: Vec<Landmark>,
         vertices_mm: Vec<[f64; 3]>,
     ) -> Self {
-        let (triangles, features) = (model.triangles.clone(), model.features.clone());
-        Self {
-            method,
-            source,
-            camera,
+        let mut face = Self {
+            method: method.name().to_owned(),
+            source: Some(source),
+            pose_deg: None,
+            scale_px_per_mm: None,
+            origin_px: None,
             confidence: None,
             notes: Vec::new(),
             points,
             vertices_mm,
-            triangles,
-            features,
-        }
+            lines: edges(model.triangles.iter().copied()),
+            triangles: model.triangles.clone(),
+            features: model.features.clone(),
+        };
+        face.set_camera(camera);
+        face
+    }
+
+    /// How the head stands in the photograph; none where that is not known.
+    pub fn camera(&self) -> Option<Camera> {
+        let Pose { yaw, pitch, roll } = self.pose_deg?;
+        Some(Camera {
+            scale_px_per_mm: self.scale_px_per_mm?,
+            yaw_deg: yaw,
+            pitch_deg: pitch,
+            roll_deg: roll,
+            origin_px: self.origin_px?,
+        })
+    }
+
+    /// Says how the head stands in the photograph.
+    pub fn set_camera(&mut self, camera: Camera) {
+        let Camera { scale_px_per_mm, yaw_deg: yaw, pitch_deg: pitch, roll_deg: roll, origin_px } =
+            camera;
+        self.pose_deg = Some(Pose { yaw, pitch, roll });
+        self.scale_px_per_mm = Some(scale_px_per_mm);
+        self.origin_px = Some(origin_px);
     }
 
     /// Whether the points may be off: the confidence is known, and low, or something contradicts them.
@@ -95,14 +162,15 @@ impl FittedFace {
         self.confidence.is_some_and(|confidence| confidence < Self::SURE) || !self.notes.is_empty()
     }
 
-    /// The edges of the triangles, each once.
-    pub fn lines(&self) -> Vec<[usize; 2]> {
-        edges(self.triangles.iter().copied())
+    /// Each vertex in the photograph: x, y and how far before the model's origin, in pixels; none where it is not known
+    /// how the head stands in it.
+    pub fn vertices_px(&self) -> Option<Vec<[f64; 3]>> {
+        Some(self.camera()?.project(&self.vertices_mm))
     }
 
-    /// Each vertex in the photograph: x, y and how far before the model's origin, in pixels.
-    pub fn vertices_px(&self) -> Vec<[f64; 3]> {
-        self.camera.project(&self.vertices_mm)
+    /// Pixels between the outer corners of the eyes; 0 where it is not known how the head stands in the photograph.
+    pub fn outer_eyes_px(&self) -> f64 {
+        self.scale_px_per_mm.unwrap_or_default() * OUTER_EYES_MM
     }
 
     /// The triangles that face the camera, for vertices that are seen at these places.

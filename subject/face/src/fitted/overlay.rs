@@ -8,7 +8,7 @@ use image::imageops::{self, FilterType};
 use image::{ImageError, ImageFormat, Rgb, RgbImage};
 
 use super::{Curve, FittedFace, Part, edges};
-use crate::model::{FeatureId, OUTER_EYES_MM};
+use crate::model::FeatureId;
 use crate::photo::Photo;
 use crate::vector::{Point, distance, extent};
 
@@ -35,8 +35,8 @@ impl Overlay {
     /// The photograph, enlarged by a whole number where the smallest of the faces would be too small to be drawn on. Several
     /// faces have their numbers beside them, from 1, in the order of `faces`.
     pub fn new(photograph: &RgbImage, faces: &[FittedFace]) -> Self {
-        let io_px = |face: &FittedFace| face.camera.scale_px_per_mm * OUTER_EYES_MM;
-        let least = faces.iter().map(io_px).fold(LEAST_IO_PX, f64::min).max(1.0);
+        let drawn = faces.iter().filter(|face| face.camera().is_some());
+        let least = drawn.map(FittedFace::outer_eyes_px).fold(LEAST_IO_PX, f64::min).max(1.0);
         let side = photograph.width().max(photograph.height()).max(1);
         let factor = ((LEAST_IO_PX / least).ceil() as u32).min(MAX_SIDE_PX / side).max(1);
         let picture = if factor == 1 {
@@ -77,9 +77,9 @@ impl Overlay {
     }
 
     fn draw(&mut self, face: &FittedFace) {
+        let Some(seen) = face.vertices_px() else { return };
         let width_px = self.line_px(face);
         let wire = |colour, opacity, width_px| Ink { colour, opacity, width_px };
-        let seen = face.vertices_px();
         let ends = |line: [usize; 2]| line.map(|v| self.place([seen[v][0], seen[v][1]]));
         let net: Vec<_> = edges(face.facing(&seen)).into_iter().map(ends).collect();
         let colour = if face.is_unsure() { UNSURE } else { LIGHT };
@@ -118,12 +118,12 @@ impl Overlay {
     }
 
     fn io_px(&self, face: &FittedFace) -> f64 {
-        face.camera.scale_px_per_mm * OUTER_EYES_MM * self.enlarged
+        face.outer_eyes_px() * self.enlarged
     }
 
     /// The box around a face as it is drawn: left top, right bottom.
     fn bounds(&self, face: &FittedFace) -> Bounds {
-        let vertices = face.vertices_px().into_iter().map(|[x, y, _]| [x, y]);
+        let vertices = face.vertices_px().into_iter().flatten().map(|[x, y, _]| [x, y]);
         let places = vertices.chain(face.points.iter().map(|point| point.xy_px));
         let none = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
         places.map(|at| self.place(at)).fold(none, |[low, high], [x, y]| {

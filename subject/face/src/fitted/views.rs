@@ -1,6 +1,6 @@
 //! The wireframe from three sides, as an SVG.
 
-use super::{Curve, FittedFace};
+use super::{Curve, FittedFace, Pose};
 use crate::model::{Camera, FeatureId};
 use crate::vector::extent;
 
@@ -25,16 +25,14 @@ impl FittedFace {
              <title>Face wireframe fitted to {name}, from three sides</title>\n\
              <rect width=\"100%\" height=\"100%\" fill=\"#ffffff\"/>\n\
              <text x=\"24\" y=\"34\" font-size=\"17\" fill=\"#1b2636\">{name}</text>\n",
-            name = escaped(&self.source.name),
+            name = escaped(self.source.as_ref().map_or("a photograph", |source| &source.name)),
         );
-        let pose = format!(
-            "yaw {:.0}°  pitch {:.0}°  roll {:.0}°",
-            whole(self.camera.yaw_deg),
-            whole(self.camera.pitch_deg),
-            whole(self.camera.roll_deg)
-        );
-        let right = width - 24.0;
-        svg.push_str(&format!("<text x=\"{right}\" y=\"34\" font-size=\"13\" fill=\"#5b6778\" text-anchor=\"end\">in the photograph: {pose}</text>\n"));
+        if let Some(Pose { yaw, pitch, roll }) = self.pose_deg {
+            let [yaw, pitch, roll] = [yaw, pitch, roll].map(whole);
+            let pose = format!("yaw {yaw:.0}°  pitch {pitch:.0}°  roll {roll:.0}°");
+            let right = width - 24.0;
+            svg.push_str(&format!("<text x=\"{right}\" y=\"34\" font-size=\"13\" fill=\"#5b6778\" text-anchor=\"end\">in the photograph: {pose}</text>\n"));
+        }
         let scale = self.panel_scale();
         for (number, (name, yaw_deg)) in VIEWS.into_iter().enumerate() {
             let left = number as f64 * PANEL_PX;

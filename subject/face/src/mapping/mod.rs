@@ -12,10 +12,10 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-pub use format::MappingError;
+use crate::DocumentError;
 
-/// Three points hold a body; a fourth tells whether they do.
-const LEAST: usize = 4;
+/// Markers that hold a face, at least: three hold a body, a fourth tells whether they do.
+pub const MARKERS_MIN: usize = 4;
 /// Markers nearer to one line than this share of their spread along it do not hold the turn around it.
 const FLAT: f64 = 1e-3;
 /// A thousand kilometres: products of four coordinates stay far within what a double holds.
@@ -81,7 +81,7 @@ pub enum Scaling {
 pub enum AlignError {
     /// Too many of the mapping's markers are missing from the frame, or their places from the wireframe.
     #[error(
-        "{0} markers of the mapping are in this frame and on this face, where {LEAST} are needed"
+        "{0} markers of the mapping are in this frame and on this face, where {MARKERS_MIN} are needed"
     )]
     TooFew(usize),
     /// The markers that are there do not tell how the face is turned.
@@ -113,8 +113,8 @@ impl Mapping {
     ///
     /// # Errors
     /// None, unless the program was built with a damaged file.
-    pub fn singing_face() -> Result<Self, MappingError> {
-        Self::from_json(include_str!("../../data/singing-face-mapping.json"))
+    pub fn singing_face() -> Result<Self, DocumentError> {
+        Self::from_json(include_bytes!("../../data/singing-face-mapping.json"))
     }
 
     /// Lays a face under the markers of one frame, by weighted least squares (Umeyama 1991).
@@ -145,7 +145,7 @@ impl Mapping {
                 });
             }
         }
-        if pairs.len() < LEAST {
+        if pairs.len() < MARKERS_MIN {
             return Err(AlignError::TooFew(pairs.len()));
         }
         solve(&pairs, scaling)

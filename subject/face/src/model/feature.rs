@@ -1,11 +1,28 @@
 //! The 53 points of (Yang et al. 2004), by name.
 
+use serde::{Deserialize, Serialize};
+
 /// One of the 53 points that are taken from a photograph (Yang et al. 2004): 12 of the outline, 10 of the brows, 5 of the
 /// nose, 12 of the lids, 14 of the lips.
 ///
 /// All but the outline are points of the iBUG-68 scheme, in its order.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(into = "&'static str", try_from = "String")]
 pub struct FeatureId(u8);
+
+impl From<FeatureId> for &'static str {
+    fn from(id: FeatureId) -> Self {
+        id.name()
+    }
+}
+
+impl TryFrom<String> for FeatureId {
+    type Error = String;
+
+    fn try_from(name: String) -> Result<Self, String> {
+        Self::from_name(&name).ok_or_else(|| format!("none of the 53 points is called {name:?}"))
+    }
+}
 
 /// Name, and the point's number in iBUG-68.
 const TABLE: [(&str, Option<u8>); FeatureId::COUNT] = [

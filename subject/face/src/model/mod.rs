@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use std::sync::OnceLock;
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 pub use feature::FeatureId;
 pub use fit::{FitError, FitOptions, ShapeFit};
@@ -143,9 +143,10 @@ impl Anchor {
 }
 
 /// One of the 53 points of a photograph.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Landmark {
     /// Which.
+    #[serde(rename = "name")]
     pub id: FeatureId,
     /// In the photograph: x to the right, y down, 0 at the middle of the first pixel.
     pub xy_px: [f64; 2],
