@@ -2,9 +2,12 @@
 
 use mocapd_take::motion::Motion;
 
-use crate::{column::Column, labels};
+use crate::{
+    column::Column,
+    labels::{SubjectMarkers, subjects},
+};
 
-/// What labels call a site, as [`labels::plain`] writes it; the first name that is there is taken.
+/// What labels call a site, as [`crate::labels::plain`] writes it; the first name that is there is taken.
 const PELVIS: &[&str] = &["pelvis", "hips", "root", "sacrum", "sacr", "midhip", "vsacral", "vsac"];
 /// Where there is no pelvis, the middle of these is: every marker of the first line that is there whole.
 const AROUND_PELVIS: &[&[&str]] =
@@ -22,21 +25,26 @@ pub struct Sites {
 }
 
 impl Sites {
-    /// Of several subjects (`name:site`) those of the first are taken.
+    /// Of several subjects (`name:site`) the first that has them all.
     ///
     /// # Errors
     /// Which site is missing, in words.
     pub fn of(motion: &Motion) -> Result<Self, String> {
-        let plain: Vec<String> =
-            motion.info.markers.iter().map(|marker| plain(&marker.label)).collect();
-        let column = |name: &str| plain.iter().position(|label| label == name);
-        let first = |names: &[&str]| names.iter().find_map(|name| column(name));
-        let pelvis = first(PELVIS).map(|pelvis| vec![pelvis]).or_else(|| {
-            AROUND_PELVIS.iter().find_map(|names| names.iter().map(|name| column(name)).collect())
-        });
-        let pelvis = pelvis.ok_or("no marker is called pelvis, hips, sacrum or l_hip and r_hip")?;
+        let subjects = subjects(motion.info.markers.iter().map(|marker| marker.label.as_str()));
+        let mut found = subjects.iter().map(Self::of_subject);
+        let first = found.next().unwrap_or_else(|| Self::of_subject(&SubjectMarkers::default()));
+        first.or_else(|missing| found.find_map(Result::ok).ok_or(missing))
+    }
+
+    fn of_subject(subject: &SubjectMarkers<'_>) -> Result<Self, String> {
+        let all = |names: &&[&str]| names.iter().map(|name| subject.first(&[name])).collect();
+        let pelvis = subject.first(PELVIS).map(|pelvis| vec![pelvis]);
+        let pelvis = pelvis
+            .or_else(|| AROUND_PELVIS.iter().find_map(all))
+            .ok_or("no marker is called pelvis, hips, sacrum or l_hip and r_hip")?;
         let foot = |names: &[&str], side: &str| {
-            first(names)
+            subject
+                .first(names)
                 .ok_or(format!("no marker is called {side}_ankle, {side}_foot or {side}_heel"))
         };
         Ok(Self { pelvis, feet: [foot(LEFT_FOOT, "l")?, foot(RIGHT_FOOT, "r")?] })
@@ -49,11 +57,6 @@ impl Sites {
             self.pelvis.iter().map(|&column| Column::of(motion, column)).collect();
         Column::mean(&columns)
     }
-}
-
-/// `CMU:L_Ankle` becomes `lankle`.
-fn plain(label: &str) -> String {
-    labels::plain(labels::split(label).1)
 }
 
 #[cfg(test)]
@@ -74,6 +77,8 @@ mod tests {
         assert_eq!(Sites::of(&ours), Ok(Sites { pelvis: vec![1], feet: [2, 3] }));
         let gait = motion(&["S1:LASI", "S1:RASI", "S1:LPSI", "S1:RPSI", "S1:LANK", "S1:RANK"]);
         assert_eq!(Sites::of(&gait), Ok(Sites { pelvis: vec![0, 1, 2, 3], feet: [4, 5] }));
+        let two = ["A:pelvis", "A:l_ankle", "B:l_ankle", "B:r_ankle", "B:hips"];
+        assert_eq!(Sites::of(&motion(&two)), Ok(Sites { pelvis: vec![4], feet: [2, 3] }));
         assert!(Sites::of(&motion(&["pelvis", "l_ankle"])).unwrap_err().contains("r_ankle"));
         assert!(Sites::of(&motion(&["u001"])).unwrap_err().contains("pelvis"));
     }

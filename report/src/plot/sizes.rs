@@ -121,21 +121,29 @@ fn draw(
             chart.draw_series(points.clone().map(|at| Circle::new(at, 3, colour.filled())))?;
         }
         if let Some(end) = points.clone().next_back() {
-            ends.push((chart.plotting_area().map_coordinate(&end), line.name.clone(), *colour));
+            ends.push((chart.plotting_area().map_coordinate(&end), line.name.as_str(), *colour));
         }
     }
+    names_at_ends(area, &ends)
+}
+
+/// The end of a line on the sheet, its name and its colour.
+pub(super) type End<'a> = ((i32, i32), &'a str, RGBColor);
+
+/// Names beside the ends of their lines.
+pub(super) fn names_at_ends(area: &Area<'_>, ends: &[End<'_>]) -> Drawn {
     let origin = area.get_base_pixel();
-    let heights = spread(&ends.iter().map(|(end, _, _)| end.1).collect::<Vec<_>>());
-    for (((x, end_y), name, colour), y) in ends.into_iter().zip(heights) {
+    let heights = spread(&ends.iter().map(|(end, ..)| end.1).collect::<Vec<_>>());
+    for (((x, end_y), name, colour), y) in ends.iter().zip(heights) {
         let (x, end_y, y) = (x - origin.0, end_y - origin.1, y - origin.1);
         area.draw(&PathElement::new(vec![(x + 5, end_y), (x + 14, y)], GRID))?;
-        words(area, &name, (x + 17, y), left_aligned(WORDS, colour))?;
+        words(area, name, (x + 17, y), left_aligned(WORDS, *colour))?;
     }
     Ok(())
 }
 
 /// Heights of names: near their lines' ends, never on each other.
-pub(super) fn spread(ends: &[i32]) -> Vec<i32> {
+fn spread(ends: &[i32]) -> Vec<i32> {
     let mut order: Vec<usize> = (0..ends.len()).collect();
     order.sort_by_key(|&i| ends[i]);
     let mut heights = ends.to_vec();

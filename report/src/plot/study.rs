@@ -4,10 +4,10 @@ use plotters::prelude::*;
 
 use super::{
     canvas::{
-        Area, Axes, BLUE, DIM, Drawn, GREEN, GRID, INK, ORANGE, PURPLE, SKY, TITLE, VERMILION,
-        WORDS, left_aligned, panel, sheet, words,
+        Area, Axes, BLUE, DIM, Drawn, GREEN, INK, ORANGE, PURPLE, SKY, TITLE, VERMILION, WORDS,
+        left_aligned, panel, sheet, words,
     },
-    sizes::spread,
+    sizes::names_at_ends,
 };
 use crate::{
     ReportError,
@@ -78,15 +78,8 @@ fn draw(area: &Area<'_>, title: &str, lines: &[Line], widest: f64, most: f64) ->
         chart.draw_series(LineSeries::new(points.iter().copied(), colour.stroke_width(2)))?;
         chart.draw_series(points.iter().map(|&at| Circle::new(at, 3, colour.filled())))?;
         if let Some(end) = points.last() {
-            ends.push((chart.backend_coord(end), name, *colour));
+            ends.push((chart.backend_coord(end), name.as_str(), *colour));
         }
     }
-    let origin = area.get_base_pixel();
-    let heights = spread(&ends.iter().map(|(end, _, _)| end.1).collect::<Vec<_>>());
-    for (((x, end_y), name, colour), y) in ends.into_iter().zip(heights) {
-        let (x, end_y, y) = (x - origin.0, end_y - origin.1, y - origin.1);
-        area.draw(&PathElement::new(vec![(x + 5, end_y), (x + 14, y)], GRID))?;
-        words(area, name, (x + 17, y), left_aligned(WORDS, colour))?;
-    }
-    Ok(())
+    names_at_ends(area, &ends)
 }
