@@ -152,7 +152,7 @@ mod tests {
     fn generated_motions_are_named() {
         assert_eq!("jump".parse(), Ok(Generated { seed: 1 }));
         assert_eq!("jump:77".parse(), Ok(Generated { seed: 77 }));
-        assert!("walk:1".parse::<Generated>().unwrap_err().contains("jump:SEED"));
+        assert!("walk:1".parse::<Generated>().unwrap_err().contains("jump:"));
         assert!("jump:-1".parse::<Generated>().is_err());
     }
 

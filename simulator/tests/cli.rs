@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use std::collections::HashSet;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
@@ -9,6 +10,8 @@ use std::time::{Duration, Instant};
 
 use mocapd_drivers::device::{Command as Say, DeviceEvent, Protocol};
 use mocapd_drivers::link::HostLink;
+use mocapd_drivers::plain_file::NotAFile;
+use mocapd_drivers::raw_log::records;
 use mocapd_drivers::transport::serial::SerialTransport;
 use mocapd_drivers::transport::{Transport, TransportError};
 use rustix::process::{Pid, Signal, kill_process};
@@ -26,6 +29,11 @@ fn fails(args: &[&str], code: i32) -> String {
     assert_eq!(status.code(), Some(code), "{args:?}: {words}");
     assert!(stdout.is_empty(), "{args:?} printed on stdout");
     words
+}
+
+/// The whole numbers in words.
+fn numbers(words: &str) -> Vec<u64> {
+    words.split(|c: char| !c.is_alphanumeric()).filter_map(|word| word.parse().ok()).collect()
 }
 
 /// A running simulator, and the path that it printed.
@@ -92,9 +100,9 @@ fn record(path: &str) -> u64 {
 #[test]
 fn refused_values_exit_2_and_failures_1() {
     let words = fails(&["/nowhere/a.xyz", "--pty"], 2);
-    assert!(words.contains("unknown ending") && words.contains(".c3d"), "{words}");
+    assert!(words.contains("/nowhere/a.xyz") && words.contains(".c3d"), "{words}");
     let words = fails(&["/nowhere/a.csv", "--pty"], 1);
-    assert!(words.contains("cannot read /nowhere/a.csv: No such file"), "{words}");
+    assert!(words.contains("/nowhere/a.csv") && words.contains("os error 2"), "{words}");
     assert_eq!(words.lines().count(), 1, "{words}");
     for bad in [
         &["--generate", "jump", "--pty", "--rate", "0"][..],
@@ -126,7 +134,7 @@ fn refused_values_exit_2_and_failures_1() {
     std::fs::write(&taken, "").unwrap();
     let link = format!("--pty={}", taken.display());
     let words = fails(&["--generate", "jump", &link], 2);
-    assert!(words.contains("exists and is no dead link"), "{words}");
+    assert!(words.contains(taken.to_str().unwrap()), "{words}");
 }
 
 #[test]
@@ -140,7 +148,7 @@ fn a_machine_that_cannot_be_a_usb_device_says_so() {
         fails(bad, 2);
     }
     let words = fails(&["--generate", "jump", "--usb-gadget", "--serial", "two words"], 2);
-    assert!(words.contains("'two words' is no serial number"), "{words}");
+    assert!(words.contains("'two words'"), "{words}");
     if std::fs::read_dir("/sys/class/udc").is_ok_and(|mut all| all.next().is_some()) {
         eprintln!("skipped: this machine can be a USB device");
         return;
@@ -174,10 +182,11 @@ fn one_line_one_run_and_out() {
     assert_eq!(record(&path), 150);
     let (code, words) = ended(child);
     assert_eq!(code, Some(0), "{words}");
-    assert!(words.contains("150 frames produced, 150 sent"), "{words}");
+    let said = numbers(&words);
+    assert_eq!(said.iter().filter(|n| **n == 150).count(), 2, "produced and sent: {words}");
     assert_eq!(std::fs::read_to_string(&log).unwrap().lines().count(), 151);
     let again = fails(&["--generate", "jump", "--pty", "--log", log.to_str().unwrap()], 1);
-    assert!(again.contains("not taken"), "{again}");
+    assert!(again.contains(log.to_str().unwrap()) && !again.contains("os error 2"), "{again}");
     assert!(std::fs::symlink_metadata(&link).is_err(), "the link is still there");
 }
 
@@ -193,14 +202,16 @@ fn scripts_of_faults_are_refused_in_words_and_played() {
         args
     };
     let words = fails(&with(&["--pty"]), 1);
-    assert!(words.contains("cannot read") && words.contains("faults.toml"), "{words}");
+    assert!(words.contains("faults.toml") && words.contains("os error 2"), "{words}");
     std::fs::write(&script, "seed = 1\n[[fault]]\nkind = 'stall'\nat = 2\n").unwrap();
     let words = fails(&with(&["--pty"]), 2);
-    assert!(words.contains("faults.toml line 4: unknown key 'at'"), "{words}");
-    assert!(words.contains("did you mean 'at_s'?") && words.lines().count() == 1, "{words}");
+    for fact in ["faults.toml", "'at'", "'at_s'"] {
+        assert!(words.contains(fact), "{fact}: {words}");
+    }
+    assert!(numbers(&words).contains(&4) && words.lines().count() == 1, "{words}");
     std::fs::write(&script, "seed = 1\n[[fault]]\nkind = 'unplug'\nat_s = 1\nfor_s = 1\n").unwrap();
     let words = fails(&with(&["--pty"]), 2);
-    assert!(words.contains("give --pty=LINK"), "{words}");
+    assert!(words.contains("faults.toml") && words.contains("--pty=LINK"), "{words}");
 
     std::fs::write(&script, "seed = 1\n[[fault]]\nkind = 'lost-frames'\nrate = 0.2\n").unwrap();
     let log = folder.path().join("sent.csv");
@@ -210,12 +221,10 @@ fn scripts_of_faults_are_refused_in_words_and_played() {
     let (code, words) = ended(child);
     assert_eq!(code, Some(0), "{words}");
     let lost = 120 - n_frames;
-    let said = format!(
-        "faults: {n_frames} frames sent whole, 0 damaged and {lost} lost ({lost} by lost-frames); \
-         what happened: lost-frames in {lost} frames\n"
-    );
-    let said = format!("\nmocapd-sim: {said}");
-    assert!(lost > 5 && words.contains(&said), "{words}");
+    let faults = words.lines().last().unwrap();
+    assert!(faults.starts_with("mocapd-sim: ") && faults.contains("lost-frames"), "{words}");
+    // Whole, damaged and lost; then what the kind did.
+    assert!(lost > 5 && numbers(faults).starts_with(&[n_frames, 0, lost, lost]), "{words}");
     let log = std::fs::read_to_string(&log).unwrap();
     assert!(log.starts_with(
         "run,seq,device_ticks,present,dropped,host_ns,unasked,fate,again,faults,frames\n"
@@ -230,16 +239,16 @@ fn a_raw_log_is_the_device_that_it_is_of() {
     for option in [&["--rate", "60"][..], &["--faults", "x.toml"], &["--loop"], &["--seconds", "1"]]
     {
         let words = fails(&[&[log, "--pty"], option].concat(), 2);
-        assert!(words.contains(&format!("{} is for motions", option[0])), "{words}");
+        assert!(words.contains(option[0]) && words.contains("stall.rawlog"), "{words}");
     }
     let pulled = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/logs/unplug.rawlog");
     let words = fails(&[pulled, "--pty"], 2);
-    assert!(words.contains("give --pty=LINK"), "{words}");
+    assert!(words.contains("--pty=LINK"), "{words}");
 
     let (child, path) = started(&[log, "--pty", "--speed", "10", "--once"]);
     let mut port = open(&path);
     let mut link = HostLink::new();
-    let (mut n_frames, mut at_end, mut greeted) = (0, false, false);
+    let (mut n_frames, mut at_end, mut greeted, mut n_bytes) = (0, false, false, 0);
     let say = |port: &mut SerialTransport, commands: &[Say]| {
         let mut bytes = Vec::new();
         commands.iter().for_each(|command| HostLink::new().command(*command, &mut bytes));
@@ -251,6 +260,7 @@ fn a_raw_log_is_the_device_that_it_is_of() {
     while !at_end {
         assert!(begun.elapsed() < Duration::from_secs(20), "{n_frames} frames and no end");
         let n = port.read(&mut buffer).unwrap();
+        n_bytes += n as u64;
         let mut pong = false;
         link.push(&buffer[..n], &mut |event| match event {
             DeviceEvent::Frame(_) => n_frames += 1,
@@ -268,7 +278,7 @@ fn a_raw_log_is_the_device_that_it_is_of() {
     assert!((0.1..1.9).contains(&begun.elapsed().as_secs_f64()), "{:?}", begun.elapsed());
     let (code, words) = ended(child);
     assert_eq!(code, Some(0), "{words}");
-    assert!(words.contains("bytes of the log sent"), "{words}");
+    assert_eq!(numbers(words.lines().last().unwrap()), [1, n_bytes], "{words}");
 }
 
 #[test]
@@ -279,25 +289,23 @@ fn a_file_that_is_neither_motion_nor_log_is_told_for_what_it_is() {
     let path = folder.path().join("a.rawlog");
     let mut bad_head = log.clone();
     bad_head[2] ^= 0x40;
-    for (bytes, code, said) in [
-        (&b""[..], 1, "is empty"),
-        (&log[..5], 1, "cut off in its first bytes"),
-        (&log[..8], 1, "cut off at byte 8"),
-        (
-            &log[..30],
-            1,
-            "nothing of what the device said can be read: the raw log is cut off at byte 9",
-        ),
-        (&bad_head, 1, "its first 8 bytes are damaged"),
-        (b"time,x,y\n1,2,3\n", 2, "unknown ending"),
+    let mut told = HashSet::new();
+    for (bytes, code, fact) in [
+        (&b""[..], 1, "empty"),
+        (&log[..5], 1, "raw log"),
+        (&log[..8], 1, "byte 8"),
+        (&log[..30], 1, "byte 9"),
+        (&bad_head, 1, "8 bytes"),
+        (b"time,x,y\n1,2,3\n", 2, ".c3d"),
     ] {
         std::fs::write(&path, bytes).unwrap();
         let words = fails(&[path.to_str().unwrap(), "--pty"], code);
-        assert!(words.contains(said) && words.contains("a.rawlog"), "{words}");
+        assert!(words.contains(fact) && words.contains("a.rawlog"), "{words}");
         assert_eq!(words.lines().count(), 1, "{words}");
+        assert!(told.insert(words.clone()), "said of two files: {words}");
     }
     let words = fails(&[folder.path().to_str().unwrap(), "--pty"], 1);
-    assert!(words.contains("is a folder"), "{words}");
+    assert!(words.contains(&NotAFile::Folder.to_string()), "{words}");
 }
 
 /// The log of a recorder that was killed: two seconds less their end.
@@ -310,7 +318,7 @@ fn what_is_no_file_is_refused_at_once() {
         assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
         let device = folder.path().join(format!("device.{ending}"));
         std::os::unix::fs::symlink("/dev/zero", &device).unwrap();
-        for (path, what) in [(pipe, "a pipe, not a file"), (device, "a device, not a file")] {
+        for (path, what) in [(pipe, NotAFile::Pipe), (device, NotAFile::Device)] {
             let path = path.to_str().unwrap();
             let args = match ending {
                 "toml" => vec!["--generate", "jump", "--pty", "--faults", path],
@@ -318,7 +326,7 @@ fn what_is_no_file_is_refused_at_once() {
             };
             let (code, words) = ended(sim(&args).spawn().unwrap());
             assert!(matches!(code, Some(1 | 2)), "{args:?}: {words}");
-            assert!(words.contains(what), "{args:?}: {words}");
+            assert!(words.contains(&what.to_string()), "{args:?}: {words}");
         }
     }
 }
@@ -329,7 +337,9 @@ fn a_log_without_its_end_is_played_once_and_the_device_goes_away() {
         std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/logs/stall.rawlog")).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("cut.rawlog");
-    std::fs::write(&path, &log[..log.len() - 200]).unwrap();
+    let cut = &log[..log.len() - 200];
+    let cut_off = records(cut).unwrap().find_map(Result::err).unwrap();
+    std::fs::write(&path, cut).unwrap();
     let (child, line) = started(&[path.to_str().unwrap(), "--pty", "--speed", "20"]);
     let mut port = open(&line);
     let mut link = HostLink::new();
@@ -341,7 +351,9 @@ fn a_log_without_its_end_is_played_once_and_the_device_goes_away() {
     port.write_all(&bytes).unwrap();
     let mut buffer = [0; 4096];
     let begun = Instant::now();
+    let mut n_bytes = 0;
     while let Ok(n) = port.read(&mut buffer) {
+        n_bytes += n as u64;
         link.push(&buffer[..n], &mut |event| {
             assert!(!matches!(event, DeviceEvent::EndOfStream(_)), "it was cut off");
         });
@@ -349,9 +361,10 @@ fn a_log_without_its_end_is_played_once_and_the_device_goes_away() {
     }
     let (code, words) = ended(child);
     assert_eq!(code, Some(0), "{words}");
-    assert!(words.contains("is cut off at byte"), "{words}");
-    assert!(words.contains("the log is over, and has no end of stream"), "{words}");
-    assert!(words.contains("1 run: ") && words.contains("bytes of the log sent"), "{words}");
+    let lines: Vec<&str> = words.lines().collect();
+    // What is wrong with the log, what is played, that it is over, and what was sent.
+    assert!(lines.len() == 4 && lines[0].contains(&cut_off.to_string()), "{words}");
+    assert_eq!(numbers(lines[3]), [1, n_bytes], "{words}");
 }
 
 /// `timeout -s INT` signals a process and then its group.
@@ -388,7 +401,7 @@ fn signals_end_it_cleanly() {
         kill_process(Pid::from_child(&child), signal).unwrap();
         let (code, words) = ended(child);
         assert_eq!(code, Some(0), "{words}");
-        assert!(words.contains("2 runs: 48 frames produced"), "{words}");
+        assert!(numbers(words.lines().last().unwrap()).starts_with(&[2, 48, 48]), "{words}");
     }
 }
 

@@ -188,14 +188,19 @@ mod tests {
 
     #[test]
     fn each_missing_part_has_its_command() {
-        let words = |kind, text| GadgetError::making(io::Error::new(kind, text)).to_string();
-        let no_mount = words(ErrorKind::NotFound, "configfs is not mounted");
-        assert!(no_mount.contains("mount -t configfs"), "{no_mount}");
-        let no_module = words(ErrorKind::NotFound, "usb_gadget not found in configfs");
-        assert!(no_module.contains("modprobe libcomposite"), "{no_module}");
-        assert!(words(ErrorKind::PermissionDenied, "").contains("sudo"));
-        let no_filesystem = GadgetError::making(io::Error::from_raw_os_error(19)).to_string();
-        assert!(no_filesystem.contains("usb_f_fs"), "{no_filesystem}");
+        let making = |kind, text| GadgetError::making(io::Error::new(kind, text));
+        let command = |error: GadgetError| match &error {
+            GadgetError::NotThere { remedy, .. } if error.to_string().contains(remedy) => *remedy,
+            _ => panic!("{error:?}"),
+        };
+        let no_mount = making(ErrorKind::NotFound, "configfs is not mounted");
+        assert!(command(no_mount).starts_with("sudo mount -t configfs "));
+        let no_module = making(ErrorKind::NotFound, "usb_gadget not found in configfs");
+        assert_eq!(command(no_module), "sudo modprobe libcomposite");
+        let no_permission = making(ErrorKind::PermissionDenied, "");
+        assert!(matches!(no_permission, GadgetError::NotRoot), "{no_permission:?}");
+        let no_filesystem = GadgetError::making(io::Error::from_raw_os_error(19));
+        assert_eq!(command(no_filesystem), "sudo modprobe -a usb_f_fs usb_f_acm");
         assert!(matches!(GadgetError::making(ErrorKind::OutOfMemory.into()), GadgetError::Make(_)));
     }
 }

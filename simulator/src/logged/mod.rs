@@ -50,6 +50,21 @@ pub enum LogDeviceError {
     },
 }
 
+/// Why a replay is not all that went over the line.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum LogProblem {
+    /// The log cannot be read to its end.
+    #[error(transparent)]
+    Unreadable(#[from] RawLogError),
+    /// The log itself has holes.
+    #[error("{bytes} bytes are missing in the log: its disk was too slow")]
+    Missing {
+        /// In all of them.
+        bytes: u64,
+    },
+}
+
 /// A device that says what is in a log.
 #[derive(Debug)]
 pub struct LogDevice {
@@ -76,7 +91,7 @@ pub struct LogDevice {
     /// The line is open, and no host has said anything.
     unheard: bool,
     log: SentLog,
-    problems: Vec<String>,
+    problems: Vec<LogProblem>,
 }
 
 impl LogDevice {
@@ -98,10 +113,9 @@ impl LogDevice {
         if steps.driver != "dvmc" {
             return Err(LogDeviceError::Driver { driver: steps.driver });
         }
-        let mut problems: Vec<String> = steps.problem.iter().map(ToString::to_string).collect();
+        let mut problems: Vec<_> = steps.problem.iter().cloned().map(LogProblem::from).collect();
         if steps.missing_bytes > 0 {
-            let n = steps.missing_bytes;
-            problems.push(format!("{n} bytes are missing in the log: its disk was too slow"));
+            problems.push(LogProblem::Missing { bytes: steps.missing_bytes });
         }
         Ok(Self {
             steps,
@@ -124,9 +138,9 @@ impl LogDevice {
         })
     }
 
-    /// Why the replay is not all that went over the line, one sentence each.
+    /// Why the replay is not all that went over the line.
     #[must_use]
-    pub fn problems(&self) -> &[String] {
+    pub fn problems(&self) -> &[LogProblem] {
         &self.problems
     }
 

@@ -230,23 +230,28 @@ fn it_says_why_it_cannot_be_one() {
         tools: tools.iter().map(|label| (*label).to_owned()).collect(),
         ..NdiSettings::default()
     };
-    let refused = |settings| NdiDevice::new(motion(), settings).unwrap_err().to_string();
-    assert_eq!(refused(with(&["wand"])), "no marker is called 'wand': name one of tool, stray");
+    let refused = |motion, settings| NdiDevice::new(motion, settings).unwrap_err();
+    let no_wand =
+        |known: &str| NdiError::NoSuchTool { label: "wand".to_owned(), known: known.to_owned() };
+    assert_eq!(refused(motion(), with(&["wand"])), no_wand("tool, stray"));
     let marker = |index: usize| Marker { label: format!("m{index}"), labelled: index > 0 };
     let mut many = motion();
     many.info.markers = (0..21).map(marker).collect();
     many.positions_mm = vec![GAP; 63];
-    let error = NdiDevice::new(many, with(&["wand"])).unwrap_err().to_string();
-    assert!(error.ends_with("name one of m1, m2, m3, m4, m5, m6, m7, m8 and 12 more"), "{error}");
-    assert!(refused(with(&["tool"; 33])).contains("33 tools are more than the 32"));
+    let error = refused(many, with(&["wand"]));
+    let NdiError::NoSuchTool { known, .. } = &error else { panic!("{error:?}") };
+    assert!(known.starts_with("m1, m2, m3, m4, m5, m6, m7, m8") && known.contains("12"), "{known}");
+    let too_many = NdiError::TooManyTools { found: 33 };
+    assert_eq!(refused(motion(), with(&["tool"; 33])), too_many);
+    assert!(too_many.to_string().contains("32"), "{too_many}");
     let slow = NdiSettings { rate_hz: Some(0.5), ..NdiSettings::default() };
-    assert!(refused(slow).contains("0.5 Hz is out of range"));
+    assert_eq!(refused(motion(), slow), DeviceError::Rate { found_hz: 0.5 }.into());
     let marker = |_| Marker { label: String::new(), labelled: false };
     let mut crowd = motion();
     crowd.info.markers = (0..256).map(marker).collect();
     crowd.positions_mm = vec![GAP; 256];
-    let error = NdiDevice::new(crowd, NdiSettings::default()).unwrap_err();
-    assert!(error.to_string().contains("256 stray markers"), "{error}");
+    let error = refused(crowd, NdiSettings::default());
+    assert_eq!(error, NdiError::TooManyStrays { found: 256 });
 }
 
 #[test]

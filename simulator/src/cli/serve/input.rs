@@ -158,6 +158,6 @@ pub(super) fn log_device(
         let words = "the cable is pulled in this log, and the device needs a name that lasts: give --pty=LINK";
         return Err(Failure::usage(anyhow::anyhow!("{words}")));
     }
-    device.problems().iter().for_each(|problem| say(problem));
+    device.problems().iter().for_each(|problem| say(&problem.to_string()));
     Ok((Box::new(device), "a raw log, Ctrl-C ends".to_owned()))
 }

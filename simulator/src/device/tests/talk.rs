@@ -193,28 +193,36 @@ fn pings_tie_the_clocks() {
 #[test]
 fn what_cannot_be_a_device_is_refused() {
     let refuse = |motion: &Motion, settings: DeviceSettings| {
-        Device::new(motion.clone(), settings).unwrap_err().to_string()
+        Device::new(motion.clone(), settings).unwrap_err()
     };
     let good = jump(0.1);
     let settings = DeviceSettings::default;
     let none = Motion::default();
-    assert!(refuse(&none, settings()).contains("no markers"));
+    assert_eq!(refuse(&none, settings()), DeviceError::NoMarkers);
     let mut empty = good.clone();
     empty.positions_mm.clear();
-    assert!(refuse(&empty, settings()).contains("no frames"));
+    assert_eq!(refuse(&empty, settings()), DeviceError::NoFrames);
     for rate_hz in [0.0, -60.0, f64::NAN, f64::INFINITY, 1e6] {
         let mut motion = good.clone();
         motion.info.rate_hz = rate_hz;
-        assert!(refuse(&motion, settings()).contains("rate"), "{rate_hz}");
+        let refused = refuse(&motion, settings());
+        assert!(matches!(refused, DeviceError::MotionRate { .. }), "{rate_hz}: {refused:?}");
         let asked = DeviceSettings { rate_hz: Some(rate_hz), ..settings() };
-        assert!(refuse(&good, asked).contains("1 to 10000"), "{rate_hz}");
+        let refused = refuse(&good, asked);
+        assert!(matches!(refused, DeviceError::Rate { .. }), "{rate_hz}: {refused:?}");
     }
     for speed in [0.0, -1.0, f64::NAN, 1e4] {
-        assert!(refuse(&good, DeviceSettings { speed, ..settings() }).contains("speed"), "{speed}");
+        let refused = refuse(&good, DeviceSettings { speed, ..settings() });
+        assert!(matches!(refused, DeviceError::Speed { .. }), "{speed}: {refused:?}");
     }
-    assert!(refuse(&good, DeviceSettings { speed: 1000.0, ..settings() }).contains("100000 Hz"));
+    let (rate_hz, speed) = (good.info.rate_hz, 1000.0);
+    assert_eq!(
+        refuse(&good, DeviceSettings { speed, ..settings() }),
+        DeviceError::Product { rate_hz, speed, product_hz: 100_000.0 }
+    );
     let serial = "x".repeat(65);
-    assert!(refuse(&good, DeviceSettings { serial, ..settings() }).contains("serial"));
+    let refused = refuse(&good, DeviceSettings { serial, ..settings() });
+    assert!(matches!(refused, DeviceError::Encode(_)), "{refused:?}");
 }
 
 proptest! {
