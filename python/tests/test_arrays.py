@@ -47,8 +47,8 @@ def test_what_is_no_motion_is_refused():
     for wrong, words in [
         (array[:, 0], r"array\[:, np.newaxis, :\]"),
         (array[:, :, :2], "frames, markers, 3"),
-        (array.astype(np.complex64), "no positions"),
-        (np.array([[["a"] * 3]]), "no positions"),
+        (array.astype(np.complex64), "complex64"),
+        (np.array([[["a"] * 3]]), "<U1"),
     ]:
         with pytest.raises(ValueError, match=words):
             mocapd.compress(wrong, 0.5)
@@ -102,7 +102,7 @@ def test_no_file_is_overwritten(tmp_path):
 def test_what_a_take_cannot_be_written_of(tmp_path):
     array = make_motion(50, 2)
     for labels, rate_hz, more, words in [
-        (["a"], 60, {}, "1 labels for 2 markers"),
+        (["a"], 60, {}, "1 labels.* 2 markers"),
         (["a", "b"], 0, {}, "0 Hz"),
         (["a", "b"], float("inf"), {}, "inf Hz"),
         (["a", "b"], 60, {"up_axis": "up"}, "'x', 'y', 'z'"),

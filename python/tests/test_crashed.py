@@ -27,10 +27,10 @@ def test_a_cut_take_has_what_was_written(path, tmp_path):
         try:
             take, positions, told = opened(hurt)
         except mocapd.TakeError as error:
-            assert cut < 2000 and "header" in str(error) or "eight bytes" in str(error)
+            assert cut < 2000 and str(hurt) in str(error)
             continue
-        assert not take.finished and any("cut off" in words for words in told)
-        assert any("mocapd recover" in words and f"{take.n_frames} frames" in words for words in told)
+        assert not take.finished and take.problems
+        assert any("`mocapd recover`" in words and f"{take.n_frames} frames" in words for words in told)
         np.testing.assert_array_equal(positions, whole[: take.n_frames])
         assert take.positions.shape == (take.n_frames, 70, 3)
         frames.add(take.n_frames)

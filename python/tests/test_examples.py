@@ -17,7 +17,7 @@ def run(name, *arguments):
 def test_a_picture_of_what_is_kept(path, tmp_path):
     pytest.importorskip("matplotlib")
     said = run("knots.py", path, "M01", "-o", tmp_path / "knots.png")
-    assert "M01: 4200 samples" in said or "of them kept" in said
+    assert "M01" in said and "4200" in said
     assert (tmp_path / "knots.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -63,7 +63,7 @@ def test_years_of_lost_frames_are_one_run(years_lost):
     assert take.n_frames == 2**32 and take.labels == ("M00", "M01")
     assert take.lost == (mocapd.LostFrames(0, 2**32, "damaged"),)
     for refused in (take.times, take.read, lambda: take[:], lambda: take.positions, take.to_xarray, take.to_pandas):
-        with pytest.raises(ValueError, match="at once"):
+        with pytest.raises(ValueError, match=str(2**32)):
             refused()
     with pytest.raises((ValueError, mocapd.TakeError)):
         mocapd.decompress(years_lost.read_bytes())
@@ -74,17 +74,17 @@ def test_years_of_lost_frames_are_one_run(years_lost):
 
 def test_an_end_before_the_start_is_refused(path):
     take = mocapd.open(path)
-    for wrong in (
-        lambda: take.read(5, 4),
-        lambda: take.read(start_frame=5, stop_frame=4),
-        lambda: take.read(5.0, stop_frame=4),
-        lambda: take.read(5000, 4000),
-        lambda: take.times(5, 4),
-        lambda: take["M00"].read(5, 4),
-        lambda: take.to_pandas(5, 4),
-        lambda: take.to_xarray(5, 4),
+    for wrong, ends in (
+        (lambda: take.read(5, 4), "5.* 4"),
+        (lambda: take.read(start_frame=5, stop_frame=4), "5.* 4"),
+        (lambda: take.read(5.0, stop_frame=4), "600.* 4"),
+        (lambda: take.read(5000, 4000), "5000.* 4000"),
+        (lambda: take.times(5, 4), "5.* 4"),
+        (lambda: take["M00"].read(5, 4), "5.* 4"),
+        (lambda: take.to_pandas(5, 4), "5.* 4"),
+        (lambda: take.to_xarray(5, 4), "5.* 4"),
     ):
-        with pytest.raises(ValueError, match="before"):
+        with pytest.raises(ValueError, match=ends):
             wrong()
     # Beyond the end there is nothing, and an empty part is a part.
     assert len(take.read(4000, 5000)) == 0
@@ -129,12 +129,15 @@ def test_what_is_no_file_is_refused_at_once(tmp_path):
     os.symlink("/dev/zero", tmp_path / "device.take")
     listener = socket.socket(socket.AF_UNIX)
     listener.bind(str(tmp_path / "socket.take"))
+    reasons = set()
     for what in ("pipe", "device", "socket"):
         code = "import mocapd, sys\ntry: mocapd.open(sys.argv[1])\nexcept OSError as e: print(e)"
         ran = subprocess.run(
             [sys.executable, "-c", code, tmp_path / f"{what}.take"], capture_output=True, text=True, timeout=60
         )
-        assert f"a {what}, not a file" in ran.stdout, ran
+        assert f"{what}.take" in ran.stdout, ran
+        reasons.add(ran.stdout.replace(f"{what}.take", ""))
+    assert len(reasons) == 3, reasons
     listener.close()
     with pytest.raises(IsADirectoryError):
         mocapd.open(tmp_path)

@@ -138,32 +138,34 @@ def test_the_number_of_threads_changes_nothing(path):
 
 def test_what_is_not_there_is_a_key_error(take):
     for key in ["nobody", 70, -1]:
-        with pytest.raises(KeyError, match="no marker"):
+        with pytest.raises(KeyError, match=str(key)):
             take.marker(key)
     with pytest.raises(KeyError, match="nobody"):
         take.read(markers=["M01", "nobody"])
 
 
 def test_what_makes_no_sense_is_refused(take):
-    with pytest.raises(ValueError, match="count from the first"):
-        take.read(-1)
-    with pytest.raises(ValueError, match="count from the first"):
-        take.read(float("nan"))
-    with pytest.raises(ValueError, match="choose one"):
-        take.read(1, start_frame=3)
-    with pytest.raises(ValueError, match="forwards"):
-        take[::-1]
+    reasons = set()
+    for wrong, fact in [
+        (lambda: take.read(-1), "-1"),
+        (lambda: take.read(float("nan")), "nan"),
+        (lambda: take.read(1, start_frame=3), None),
+        (lambda: take[::-1], None),
+        (lambda: mocapd.open(take.path, threads=0), "0"),
+    ]:
+        with pytest.raises(ValueError, match=fact) as refused:
+            wrong()
+        reasons.add(str(refused.value))
+    assert len(reasons) == 5, reasons
     with pytest.raises(TypeError, match=r"take\[5:6\]"):
         take[5]
-    with pytest.raises(ValueError, match="at least one"):
-        mocapd.open(take.path, threads=0)
 
 
 def test_two_markers_of_one_name_are_told_apart_by_column(tmp_path, motion):
     mocapd.write_take(tmp_path / "t.take", motion[:50, :3], ["A", "A", ""], RATE_HZ)
     take = mocapd.open(tmp_path / "t.take")
     assert take.labels == ("A", "A", "u003") and list(take.summary) == ["A", "A#1", "u003"]
-    with pytest.raises(KeyError, match=r"use one of their columns, \[0, 1\]"):
+    with pytest.raises(KeyError, match=r"'A'.*\[0, 1\]"):
         take["A"]
     assert error_mm(take.marker(1).positions, motion[:50, 1]) <= 0.5
 
