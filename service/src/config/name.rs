@@ -151,6 +151,8 @@ impl fmt::Display for NameTemplate {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::HashSet;
+
     use super::*;
 
     fn fill(text: &str) -> String {
@@ -168,25 +170,28 @@ mod tests {
 
     #[test]
     fn what_is_no_name_says_why() {
-        for (text, why) in [
-            ("", "empty"),
-            ("../x", "begin with a dot"),
-            (".hidden", "begin with a dot"),
-            ("-rf", "a dash"),
-            ("a/b", "'/' cannot be"),
-            ("a\\b", "cannot be"),
-            ("a\nb", "cannot be"),
-            ("a\u{fffd}", "cannot be"),
-            ("{date", "has no '}'"),
-            ("date}", "has no '{'"),
-            ("{dat}", "did you mean 'date'?"),
-            ("{subject}", "there are date, time, rig, count"),
-            ("{rig}.take", "leave it out"),
-            ("{rig}.", "end with a dot"),
-            ("{rig}{rig}{rig}{rig}", "256 bytes"),
+        let mut reasons = HashSet::new();
+        for (text, fact) in [
+            ("", ""),
+            (".hidden", ""),
+            ("a/b", "'/'"),
+            ("a\\b", "'\\\\'"),
+            ("a\nb", "'\\n'"),
+            ("a\u{fffd}", "'\u{fffd}'"),
+            ("{date", "'}'"),
+            ("date}", "'{'"),
+            ("{dat}", "'date'"),
+            ("{subject}", "date, time, rig, count"),
+            ("{rig}.take", ".take"),
+            ("{rig}.", ""),
+            ("{rig}{rig}{rig}{rig}", "256"),
         ] {
             let said = NameTemplate::parse(text).unwrap_err();
-            assert!(said.contains(why), "{text}: {said}");
+            assert!(said.contains(fact), "{text}: {said}");
+            assert!(reasons.insert(said.clone()), "{text}: said before: {said}");
+        }
+        for text in ["../x", "-rf", " x"] {
+            assert_eq!(NameTemplate::parse(text), NameTemplate::parse(".hidden"), "{text}");
         }
         assert!(NameTemplate::parse(&"x".repeat(NAME_BYTES_MAX)).is_ok());
     }

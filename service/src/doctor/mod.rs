@@ -206,7 +206,7 @@ mod tests {
         assert_eq!(processors(1).verdict, Verdict::Warning);
         assert_eq!(processors(4).verdict, Verdict::Good);
         let text = "MemTotal:  8000000 kB\nMemAvailable:  4000000 kB\n";
-        assert_eq!(memory(text).unwrap().seen, "3906 MiB available");
+        assert!(memory(text).unwrap().seen.contains("3906 MiB"));
         assert_eq!(memory("MemAvailable: 100000 kB\n").unwrap().verdict, Verdict::Warning);
         assert_eq!(memory(""), None);
     }

@@ -243,7 +243,7 @@ impl fmt::Debug for Token {
 
 #[cfg(test)]
 mod tests {
-    use std::{fs, os::unix::fs::PermissionsExt};
+    use std::{collections::HashSet, fs, os::unix::fs::PermissionsExt};
 
     use axum::http::HeaderValue;
 
@@ -300,11 +300,18 @@ mod tests {
         (dir, path)
     }
 
-    #[track_caller]
-    fn refused(mode: u32, content: &[u8], words: &str) {
+    fn refused(mode: u32, content: &[u8]) -> TokenError {
         let (_dir, path) = file(mode, content);
-        let said = Token::read(&path).unwrap_err().to_string();
-        assert!(said.contains(words) && said.contains("token file"), "{said}");
+        let error = Token::read(&path).unwrap_err();
+        assert!(error.to_string().contains(path.to_str().unwrap()), "{error}");
+        error
+    }
+
+    fn no_token(content: &[u8]) -> &'static str {
+        match refused(0o600, content) {
+            TokenError::NoToken { why, .. } => why,
+            other => panic!("{other:?}"),
+        }
     }
 
     #[test]
@@ -320,29 +327,40 @@ mod tests {
     #[test]
     fn what_others_may_read_or_change_is_refused() {
         for mode in [0o640, 0o604, 0o620, 0o602, 0o644, 0o700, 0o1600] {
-            refused(mode, SECRET.as_bytes(), "chmod 600");
+            let open = refused(mode, SECRET.as_bytes());
+            assert!(matches!(open, TokenError::Open { mode: found, .. } if found == mode));
+            assert!(open.to_string().contains("chmod 600"), "{open}");
         }
         let (_dir, path) = file(0o600, SECRET.as_bytes());
         let owner = fs::metadata(&path).unwrap().uid();
-        let said = Token::read_as(&path, owner + 1).unwrap_err().to_string();
-        assert!(said.contains("chown"), "{said}");
+        let foreign = Token::read_as(&path, owner + 1).unwrap_err();
+        assert!(
+            matches!(foreign, TokenError::Foreign { owner: found, user, .. } if (found, user) == (owner, owner + 1)),
+            "{foreign:?}"
+        );
     }
 
     #[test]
     fn what_is_no_token_is_refused() {
-        refused(0o600, b"", "too short");
-        refused(0o600, b"0123456789abcde\n", "too short");
-        refused(0o600, b"0123456789 abcdef", "spaces");
-        refused(0o600, b"0123456789abcdef\n0123456789abcdef\n", "more lines");
-        refused(0o600, &[0xff; 32], "no text");
-        refused(0o600, &[b'x'; 1025], "1024");
+        let short = no_token(b"");
+        assert_eq!(no_token(b"0123456789abcde\n"), short);
+        let space = no_token(b"0123456789 abcdef");
+        assert_eq!(no_token(b"0123456789abcdef\n0123456789abcdef\n"), space);
+        let (binary, long) = (no_token(&[0xff; 32]), no_token(&[b'x'; 1025]));
+        assert!(long.contains("1024"), "{long}");
+        let reasons = HashSet::from([short, space, binary, long]);
+        assert_eq!(reasons.len(), 4, "{reasons:?}");
     }
 
     #[test]
     fn what_is_no_file_is_refused_at_once() {
         let dir = tempfile::tempdir().unwrap();
-        let missing = Token::read(&dir.path().join("none")).unwrap_err().to_string();
-        assert!(missing.contains("openssl rand"), "{missing}");
+        let missing = Token::read(&dir.path().join("none")).unwrap_err();
+        assert!(
+            matches!(&missing, TokenError::Unreadable { error, .. } if error.kind() == io::ErrorKind::NotFound),
+            "{missing:?}"
+        );
+        assert!(missing.to_string().contains("openssl rand -hex 32"), "{missing}");
         assert!(matches!(Token::read(dir.path()), Err(TokenError::NotAFile(_))));
         let pipe = dir.path().join("pipe");
         let made = std::process::Command::new("mkfifo").arg("-m600").arg(&pipe).status();

@@ -136,6 +136,7 @@ mod tests {
     use std::sync::mpsc::sync_channel;
 
     use super::*;
+    use crate::http::ProblemKind;
 
     fn runtime() -> tokio::runtime::Runtime {
         tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap()
@@ -147,12 +148,15 @@ mod tests {
         let _inside = runtime.enter();
         let lane = Lane::new("x", Size { at_work: 1, in_line: 1 }, Some(Duration::from_millis(50)));
         let (release, released) = sync_channel::<()>(0);
-        let slow = runtime.block_on(lane.run(move || released.recv().is_ok()));
-        assert!(slow.unwrap_err().message.contains("goes on"));
+        let slow = runtime.block_on(lane.run(move || released.recv().is_ok())).unwrap_err();
+        assert_eq!((slow.status, slow.kind), (503, ProblemKind::Unavailable));
+        assert!(slow.message.contains("/v1/status"), "it goes on: {}", slow.message);
         // One is at work still, and one more may wait; it waits in vain, and leaves its place.
-        assert!(runtime.block_on(lane.run(|| ())).unwrap_err().message.contains("goes on"));
+        assert_eq!(runtime.block_on(lane.run(|| ())), Err(slow.clone()));
         let place = Arc::clone(&lane.places).try_acquire_owned().unwrap();
-        assert!(runtime.block_on(lane.run(|| ())).unwrap_err().message.contains("x: try again"));
+        let full = runtime.block_on(lane.run(|| ())).unwrap_err();
+        assert_eq!((full.status, full.kind), (503, ProblemKind::Unavailable));
+        assert!(full.message.starts_with("x:") && full.message != slow.message, "{}", full.message);
         drop(place);
         release.send(()).unwrap();
         assert_eq!(runtime.block_on(lane.run(|| 7)).unwrap(), 7);

@@ -144,11 +144,8 @@ mod tests {
 
     #[test]
     fn what_a_request_said_is_no_markup() {
-        let problem = Problem::invalid("'<b>&\"' is no host");
+        let problem = Problem::invalid("'<b>&\"'");
         let Html(page) = refusal("/", &problem);
-        assert!(
-            page.contains("'&lt;b&gt;&amp;&quot;' is no host") && !page.contains("<b>"),
-            "{page}"
-        );
+        assert!(page.contains("'&lt;b&gt;&amp;&quot;'") && !page.contains("<b>"), "{page}");
     }
 }
