@@ -98,16 +98,17 @@ mod tests {
     #[test]
     fn nonsense_is_told_with_its_line() {
         let head = "file,phase,first_frame\n";
-        for (text, words) in [
-            ("", "line 1"),
-            ("a,b\n", "line 1"),
-            (&format!("{head}a.c3d,10\n"), "line 2"),
-            (&format!("{head}a.c3d,dive,10\n"), "use standing, swings"),
-            (&format!("{head}a.c3d,swings,-1\n"), "'-1' is no number"),
-            (&format!("{head}a.c3d,swings,9\na.c3d,take-off,9\n"), "line 3"),
+        for (text, line, fact) in [
+            ("", 1, "file,phase,first_frame"),
+            ("a,b\n", 1, "file,phase,first_frame"),
+            (&format!("{head}a.c3d,10\n"), 2, ""),
+            (&format!("{head}a.c3d,dive,10\n"), 2, "standing, swings"),
+            (&format!("{head}a.c3d,swings,-1\n"), 2, "'-1'"),
+            (&format!("{head}a.c3d,swings,9\na.c3d,take-off,9\n"), 3, ""),
         ] {
             let error = parse(text).unwrap_err().to_string();
-            assert!(error.contains(words), "{text}: {error}");
+            assert!(error.contains(&format!("line {line}")), "{text}: {error}");
+            assert!(error.contains(fact), "{text}: {error}");
         }
     }
 }
