@@ -70,7 +70,6 @@ fn an_animal_has_more_limbs_than_a_body() {
     ];
     let refusal = ends(&spiked(&towards.map(|towards| (towards, 4.0)))).unwrap_err();
     assert_eq!(refusal, crate::Refusal::TooManyEnds { found: 6 });
-    assert!(refusal.to_string().contains("scan one person"), "{refusal}");
 }
 
 #[test]

@@ -85,7 +85,7 @@ fn holes_are_closed_with_triangles_of_their_neighbours_size() {
     let filled = found.mesh.triangles.len() + lost - mesh.triangles.len();
     assert!(filled < 4 * lost, "{filled} for {lost}");
     let note = found.notes.iter().find(|note| note.code == "holes-closed").unwrap();
-    assert!(note.text.starts_with("3 holes were closed"), "{note}");
+    assert!(note.text.contains("3 holes"), "{note}");
 }
 
 #[test]

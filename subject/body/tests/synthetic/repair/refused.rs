@@ -26,7 +26,6 @@ fn half_a_body() {
     for half in [below(&upright(), 2, 0.01), below(&upright(), 1, 0.9)] {
         let error = repaired(half).unwrap_err();
         assert!(matches!(error, RepairError::Hole { .. }), "{error}");
-        assert!(error.to_string().contains("part of the body is missing"), "{error}");
     }
     // Without soles it is one all the same.
     let mut mesh = upright();
@@ -75,7 +74,7 @@ fn no_bodys_size() {
     let mut large = clean();
     large.positions.as_flattened_mut().iter_mut().for_each(|c| *c *= 12.0);
     let error = repaired(large.clone()).unwrap_err();
-    assert!(error.to_string().contains("state its unit"), "{error}");
+    assert!(matches!(error, RepairError::Unit(_)), "{error}");
     // Whoever states it is believed, and told.
     let scan = Scan { mesh: large, format: Format::Obj, unit: None, notes: Vec::new() };
     let found = repair(scan, Some(Unit::Centimetre)).unwrap();
