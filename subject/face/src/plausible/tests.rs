@@ -71,13 +71,13 @@ fn what_is_out_of_place_is_named() {
             assert!(said.iter().any(|words| words.contains(what)), "{what}: {said:?}");
         };
         // On the chin, on the nose, on a cheek.
-        named(&moved(&good, mouth.clone(), [0.0, 0.45]), "the mouth");
-        named(&moved(&good, mouth.clone(), [0.0, -0.45]), "the mouth");
-        named(&moved(&good, mouth.clone(), [0.5, 0.0]), "the mouth");
-        named(&moved(&good, 22..27, [0.0, 0.4]), "the nose");
-        named(&moved(&good, 12..17, [0.0, -0.4]), "the right brow");
+        named(&moved(&good, mouth.clone(), [0.0, 0.45]), "mouth");
+        named(&moved(&good, mouth.clone(), [0.0, -0.45]), "mouth");
+        named(&moved(&good, mouth.clone(), [0.5, 0.0]), "mouth");
+        named(&moved(&good, 22..27, [0.0, 0.4]), "nose");
+        named(&moved(&good, 12..17, [0.0, -0.4]), "right brow");
         // A chin above the lips.
-        named(&moved(&good, 0..12, [0.0, -0.9]), "the chin");
+        named(&moved(&good, 0..12, [0.0, -0.9]), "chin");
     }
 }
 
