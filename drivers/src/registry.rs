@@ -326,18 +326,34 @@ mod tests {
         assert!(!is_port_of(&port, &other));
     }
 
-    fn error_of(uri: &str) -> String {
-        open(&uri.parse().unwrap()).unwrap_err().to_string()
+    fn error_of(uri: &str) -> OpenError {
+        open(&uri.parse().unwrap()).unwrap_err()
     }
 
     #[test]
     fn says_what_to_do() {
-        assert!(error_of("serial:/dev/null?driver=vicon").contains("use one of dvmc"));
+        let unknown = error_of("serial:/dev/null?driver=vicon");
+        assert!(matches!(&unknown, OpenError::UnknownDriver { name } if name == "vicon"));
+        assert!(unknown.to_string().contains(&family_names()), "{unknown}");
         // A name in capitals is found: what is wrong is the port.
-        assert!(error_of("serial:/dev/null?driver=NDI").starts_with("/dev/null"));
-        assert!(error_of("usb:1209:0001:none").contains("mocapd devices"));
-        assert!(error_of("serial:/dev/mocapd-none").contains("mocapd devices"));
-        assert!(error_of("serial:/etc/hostname").contains("no serial port"));
-        assert!(error_of("serial:/dev/null").starts_with("/dev/null"));
+        for uri in ["serial:/dev/null?driver=NDI", "serial:/dev/null", "serial:/etc/hostname"] {
+            let no_port = error_of(uri);
+            let device = uri.trim_start_matches("serial:").trim_end_matches("?driver=NDI");
+            assert!(
+                matches!(&no_port, OpenError::Transport(TransportError::Unsupported(said)) if said.contains(device)),
+                "{uri}: {no_port:?}"
+            );
+        }
+        for (uri, name) in [
+            ("usb:1209:0001:none", "usb:1209:0001:none"),
+            ("serial:/dev/mocapd-none", "/dev/mocapd-none"),
+        ] {
+            let missing = error_of(uri);
+            assert!(
+                matches!(&missing, OpenError::Transport(TransportError::NotFound { device }) if device == name),
+                "{missing:?}"
+            );
+            assert!(missing.to_string().contains("`mocapd devices`"), "{missing}");
+        }
     }
 }

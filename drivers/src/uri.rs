@@ -165,24 +165,34 @@ mod tests {
     fn says_what_is_wrong() {
         for (text, reason) in [
             ("/dev/ttyUSB0", "serial:/dev/ttyUSB0"),
-            ("", "no scheme"),
-            ("ttyUSB0", "no scheme"),
             ("tcp:host:1", "'tcp'"),
-            ("serial:", "path is missing"),
-            ("serial:@9600", "path is missing"),
             ("serial:/dev/ttyUSB0@fast", "'fast'"),
             ("serial:/dev/ttyUSB0@0", "'0'"),
             ("serial:/dev/ttyUSB0@4294967296", "'4294967296'"),
-            ("usb:403:6abc", "vendor id '403'"),
-            ("usb:0403", "product id ''"),
-            ("usb:0403:+abc", "product id '+abc'"),
-            ("usb:0403:6abc:", "serial number"),
-            ("serial:/dev/ttyUSB0?baud=1", "driver=NAME"),
-            ("serial:/dev/ttyUSB0?driver=", "driver=NAME"),
+            ("usb:403:6abc", "'403'"),
+            ("usb:0403", "''"),
+            ("usb:0403:+abc", "'+abc'"),
+            ("usb:0403:6abc:", "':'"),
+            ("serial:/dev/ttyUSB0?baud=1", "'baud=1'"),
+            ("serial:/dev/ttyUSB0?driver=", "'driver='"),
         ] {
-            let message = text.parse::<DeviceUri>().unwrap_err().to_string();
-            assert!(message.contains(reason), "{text}: {message}");
-            assert!(message.contains("write serial:PATH[@BAUD]"), "{message}");
+            let error = text.parse::<DeviceUri>().unwrap_err();
+            assert!(error.reason.contains(reason), "{text}: {error}");
+            let message = error.to_string();
+            for form in ["serial:PATH[@BAUD]", "usb:VID:PID[:SERIAL]", "?driver=NAME"] {
+                assert!(message.contains(form), "{message}");
+            }
         }
+    }
+
+    #[test]
+    fn says_what_is_missing() {
+        let reason = |text: &str| text.parse::<DeviceUri>().unwrap_err().reason;
+        let (no_scheme, no_path) = (reason(""), reason("serial:"));
+        assert_eq!(reason("ttyUSB0"), no_scheme);
+        assert_eq!(reason("serial:@9600"), no_path);
+        assert_ne!(no_scheme, no_path);
+        let (vendor, product) = (reason("usb:403:6abc"), reason("usb:0403:403"));
+        assert_ne!(vendor, product, "which of the two");
     }
 }

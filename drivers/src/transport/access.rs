@@ -126,7 +126,9 @@ mod tests {
     #[test]
     fn names_the_group_to_join_when_it_would_help() {
         let file = tempfile::NamedTempFile::new().unwrap();
-        assert!(permission_remedy(file.path()).contains("udev rules"), "0600 helps no group");
+        let remedy = permission_remedy(file.path());
+        assert!(remedy.contains("udev"), "{remedy}");
+        assert!(!remedy.contains("usermod"), "0600 helps no group: {remedy}");
         let groups = fs::read_to_string("/etc/group").unwrap();
         let Some((gid, name)) =
             [20, 5, 46].iter().find_map(|&gid| Some((gid, group_name(&groups, gid)?)))

@@ -140,7 +140,9 @@ mod tests {
     fn packets_of_a_size_that_no_bulk_endpoint_has_are_refused() {
         for packet_bytes in [0, 1, 24, 513, 2047] {
             let error = choose(&[IN, Said { packet_bytes, ..OUT }]).unwrap_err();
-            assert!(error.contains(&format!("found {packet_bytes} at endpoint 02")), "{error}");
+            let words: Vec<&str> = error.split([' ', ',']).collect();
+            assert!(words.contains(&packet_bytes.to_string().as_str()), "{error}");
+            assert!(error.contains("endpoint 02"), "{error}");
         }
     }
 }
