@@ -12,6 +12,9 @@ pub enum CodecError {
     /// The block ends before its samples do.
     #[error("block cut short: {0}")]
     Truncated(&'static str),
+    /// An earlier block failed, and only a key block is in step with the other side again.
+    #[error("an earlier block failed: go on with a key block")]
+    OutOfStep,
     /// The caller asked for something that has no answer; the message says what would.
     #[error("{0}")]
     InvalidArgument(String),
@@ -175,7 +178,8 @@ pub trait BlockDecoder: Send + std::fmt::Debug {
     /// used again. An empty block has none. `n_rows` is believed: bound it when it comes from a file.
     ///
     /// # Errors
-    /// `Corrupt` or `Truncated`; `out` is then empty and the decoder needs a key block to go on.
+    /// `Corrupt` or `Truncated`; `out` is then empty and the decoder needs a key block to go on, and says
+    /// `OutOfStep` of any other.
     fn decode(
         &mut self,
         block: &[u8],

@@ -282,9 +282,7 @@ impl<E: PayloadEncoder + PayloadDecoder> BlockEncoder for FramedEncoder<E> {
             self.state.reset();
         }
         if self.state.lost {
-            return Err(CodecError::InvalidArgument(
-                "an earlier block failed: go on with a key block".to_owned(),
-            ));
+            return Err(CodecError::OutOfStep);
         }
         let start = out.len();
         if n_sampled == 0 {
@@ -393,7 +391,9 @@ impl<D: PayloadDecoder> BlockDecoder for FramedDecoder<D> {
         if key {
             self.state.reset();
         }
-        ensure(!self.state.lost, "an earlier block failed: start again at a key block")?;
+        if self.state.lost {
+            return Err(CodecError::OutOfStep);
+        }
         if block.is_empty() {
             self.skip(false);
             return Ok(());

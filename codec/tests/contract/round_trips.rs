@@ -149,11 +149,11 @@ fn the_exhaustive_search_refuses_what_would_take_minutes() {
     let (mut out, mut reports) = (Vec::new(), [BlockReport::default()]);
     let mut encoder = settings.encoder();
     let error = encoder.encode(&[long.rows()], &[], true, &mut out, &mut reports).unwrap_err();
-    assert!(error.to_string().contains("at most 1024 samples"), "{error}");
+    assert!(matches!(&error, CodecError::InvalidArgument(m) if m.contains("1024")), "{error}");
     assert!(out.is_empty());
     let fits = long.part(0..1024);
     // What was refused half way leaves an encoder that must begin anew.
     let next = encoder.encode(&[fits.rows()], &[], false, &mut out, &mut reports);
-    assert!(matches!(next, Err(CodecError::InvalidArgument(m)) if m.contains("key block")));
+    assert_eq!(next, Err(CodecError::OutOfStep));
     assert!(encoder.encode(&[fits.rows()], &[], true, &mut out, &mut reports).is_ok());
 }

@@ -49,7 +49,7 @@ fn after_an_error_only_a_key_block_is_taken() {
         assert!(decoder.decode(&[0x81, 9], &[], 60, false, &mut decoded).is_err());
         assert!(decoded.is_empty(), "a failed block leaves rows behind");
         let next = decoder.decode(&blocks[1].bytes, &[], 60, false, &mut decoded);
-        assert!(matches!(next, Err(CodecError::Corrupt(m)) if m.contains("key block")));
+        assert_eq!(next, Err(CodecError::OutOfStep));
         decoder.decode(&blocks[5].bytes, &[], 60, true, &mut decoded).unwrap();
         check(settings, &stretches[5], &blocks[5], &decoded);
     }
