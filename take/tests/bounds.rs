@@ -125,8 +125,8 @@ fn a_live_stretch_of_more_rows_than_anybody_writes_is_damage() {
         for n_rows in [LIVE_ROWS_MAX + 1, ROWS_MAX] {
             let take = take(kind, &[held(0, 0, n_rows, &AT_REST)], None);
             let (rows, damage) = read(&take);
-            assert_eq!(rows, [0; 0], "{kind}");
-            assert!(damage[0].contains("more rows than a stretch can hold"), "{kind}: {damage:?}");
+            assert_eq!((rows.len(), damage.len()), (0, 1), "{kind}: {damage:?}");
+            assert!(damage[0].contains("rows"), "{kind}: {damage:?}");
             assert_eq!(frames(&take).info().n_frames, 0, "{kind}");
         }
         assert_eq!(read(&take(kind, &[held(0, 0, LIVE_ROWS_MAX, &AT_REST)], None)).0, [0]);
@@ -177,7 +177,10 @@ fn blocks_of_more_samples_than_a_stretch_holds_are_not_decoded() {
             blocks: vec![&full; 5],
             sizes: Sizes::default(),
         });
-        assert!(refused.unwrap_err().to_string().contains("more samples"), "{kind}");
+        assert!(
+            matches!(refused, Err(TakeError::Codec(CodecError::Corrupt(m))) if m.contains("samples")),
+            "{kind}: {refused:?}"
+        );
     }
 }
 
@@ -194,8 +197,9 @@ fn a_writer_refuses_what_no_reader_takes() {
             writer.stretch(span, &held(0, first_row, n_rows, &[]))
         };
         write(0, LIVE_ROWS_MAX).unwrap();
-        assert!(refused(write(LIVE_ROWS_MAX, LIVE_ROWS_MAX + 1)).contains("131073 rows"));
-        assert!(refused(write(LIVE_ROWS_MAX + ROWS_PASSED_MAX, 1)).contains("since the last"));
+        assert!(refused(write(LIVE_ROWS_MAX, LIVE_ROWS_MAX + 1)).contains("131073"));
+        let ahead = refused(write(LIVE_ROWS_MAX + ROWS_PASSED_MAX, 1));
+        assert!(ahead.contains(&ROWS_PASSED_MAX.to_string()), "{ahead}");
         write(LIVE_ROWS_MAX + ROWS_PASSED_MAX - 1, 1).unwrap();
     }
     // Said before anything is recorded: these rows would have more times than a time line has room for.
@@ -205,7 +209,7 @@ fn a_writer_refuses_what_no_reader_takes() {
         TakeWriter::new(Vec::new(), &header).map(drop)
     };
     new(1 << 16).unwrap();
-    assert!(refused(new((1 << 16) + 1)).contains("65537 rows"));
+    assert!(refused(new((1 << 16) + 1)).contains("65537"));
 }
 
 #[test]
@@ -286,8 +290,7 @@ fn a_footer_that_tells_of_more_frames_is_a_problem() {
     assert_eq!(frames(&whole).problems(), []);
     let cut = take("dense", &stretches[..1], Some(60));
     let cut = frames(&cut);
-    assert_eq!(cut.problems().len(), 1);
-    assert_eq!(cut.problems()[0].to_string(), "the footer tells of 60 frames, 30 were found");
+    assert_eq!(cut.problems(), [Problem::FooterRows { told: 60, found: 30 }]);
 }
 
 /// Their numbers fit, because there are as many as numbers.

@@ -269,7 +269,7 @@ mod tests {
             let missing: Vec<_> =
                 placed.missing_before.iter().enumerate().filter(|(_, n)| **n > 0).collect();
             assert_eq!(missing, [(7, &1), (19, &3)], "{rate_hz} Hz: {warnings:?}");
-            assert!(warnings.iter().any(|said| said.starts_with("4 frames")), "{warnings:?}");
+            assert!(warnings.iter().any(|said| said.contains("4 frames")), "{warnings:?}");
         }
     }
 

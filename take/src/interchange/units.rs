@@ -340,7 +340,7 @@ mod tests {
         assert_eq!(warnings, [""; 0]);
         assert!(is_gap(metres.position([1e38, 0.0, 0.0])));
         metres.report(&mut warnings);
-        assert_eq!(warnings, ["1 samples are not finite; they are gaps."]);
+        assert!(warnings.len() == 1 && warnings[0].contains("1 samples"), "{warnings:?}");
     }
 
     #[test]

@@ -22,7 +22,7 @@ mod takes;
 mod times;
 mod words;
 
-use std::io::Cursor;
+use std::{collections::HashSet, io::Cursor};
 
 use mocapd_take::{
     TakeError, TakeFrames, chunk,
@@ -88,10 +88,8 @@ fn another_version_is_refused_with_its_number() {
             panic!("{}: no header in front", golden.name)
         };
         let header = Header::from_payload(payload, 0).unwrap();
-        for (codec_version, advice) in [
-            (CODEC_VERSION + 1, "a newer mocapd"),
-            (CODEC_VERSION - 1, "the development version that wrote it"),
-        ] {
+        let mut advice = HashSet::new();
+        for codec_version in [CODEC_VERSION + 1, CODEC_VERSION - 1] {
             let changed = Header { codec_version, ..header.clone() }.to_payload().unwrap();
             let mut other = chunk::MAGIC.to_vec();
             chunk::put(&mut other, Header::KIND, &changed).unwrap();
@@ -101,7 +99,8 @@ fn another_version_is_refused_with_its_number() {
                 TakeFrames::open(Cursor::new(&other)).unwrap_err(),
             ];
             for error in errors {
-                assert!(error.to_string().ends_with(advice), "{error}");
+                let message = error.to_string();
+                advice.insert(message.rsplit(": ").next().unwrap().to_owned());
                 assert!(
                     matches!(error, TakeError::Unsupported { what: "block format", found, supported }
                         if found == codec_version && supported == CODEC_VERSION),

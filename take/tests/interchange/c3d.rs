@@ -1,10 +1,10 @@
 //! C3D files of every kind, read.
 
-use mocapd_take::interchange::Format;
+use mocapd_take::interchange::{Format, InterchangeError};
 use mocapd_take::motion::{Motion, UpAxis, is_gap};
 
 use crate::c3d_file::{C3dFile, Order};
-use crate::labels;
+use crate::{labels, numbers};
 
 fn read(file: &C3dFile) -> Motion {
     Format::C3d.read(&file.bytes()).expect("a usable file")
@@ -60,9 +60,8 @@ fn a_sample_is_missing_exactly_where_its_fourth_word_is_negative() {
     let motion = read(&C3dFile::new(1, frames));
     let gaps: Vec<bool> = motion.positions_mm.iter().map(|&p| is_gap(p)).collect();
     assert_eq!(gaps, [false, true, true, false, true, false, true, false, false]);
-    let zeros = "5 of 5 samples are exactly at the origin";
     assert!(
-        motion.info.source.warnings.iter().any(|w| w.starts_with(zeros)),
+        motion.info.source.warnings.iter().any(|w| numbers(w).starts_with(&[5, 5])),
         "{:?}",
         motion.info.source.warnings
     );
@@ -141,7 +140,8 @@ fn a_cut_file_gives_its_whole_frames_and_says_how_many_are_missing() {
     let bytes = small().bytes();
     let motion = Format::C3d.read(&bytes[..bytes.len() - 5]).expect("two whole frames");
     assert_eq!(motion.n_frames(), 2);
-    assert_eq!(motion.info.source.warnings, ["3 frames announced, 2 present."]);
+    let warnings = &motion.info.source.warnings;
+    assert!(warnings.len() == 1 && numbers(&warnings[0]) == [3, 2], "{warnings:?}");
 }
 
 #[test]
@@ -155,10 +155,8 @@ fn a_missing_description_byte_is_forgiven_and_named() {
     file.words(1, "FRAMES", &[3]);
     let motion = read(&file);
     assert_eq!(labels(&motion), ["LASI", "RASI"]);
-    assert_eq!(
-        motion.info.source.warnings,
-        ["Parameter LABELS: the byte with the length of its description is missing."]
-    );
+    let warnings = &motion.info.source.warnings;
+    assert!(warnings.len() == 1 && warnings[0].contains("LABELS"), "{warnings:?}");
 }
 
 #[test]
@@ -175,7 +173,7 @@ fn units_and_disagreements_are_stated() {
     let motion = Format::C3d.read(&bytes).expect("a usable file");
     assert_eq!(motion.info.rate_hz, 100.0);
     assert!(
-        motion.info.source.warnings[0].contains("50 Hz by the header"),
+        ["50 Hz", "100 Hz"].iter().all(|rate| motion.info.source.warnings[0].contains(rate)),
         "{:?}",
         motion.info.source.warnings
     );
@@ -184,7 +182,10 @@ fn units_and_disagreements_are_stated() {
 #[test]
 fn what_is_no_c3d_file_says_so() {
     for bytes in [&b""[..], b"\x02", b"PathFileType", &[2, 0x50], &small().bytes()[..600]] {
-        let error = Format::C3d.read(bytes).expect_err("not usable").to_string();
-        assert!(error.starts_with("c3d byte"), "{error}");
+        let error = Format::C3d.read(bytes).expect_err("not usable");
+        assert!(
+            matches!(&error, InterchangeError::Malformed { format: "c3d", place, .. } if place.starts_with("byte ")),
+            "{error:?}"
+        );
     }
 }

@@ -26,6 +26,11 @@ fn assert_same_samples(found: &Motion, expected: &Motion) {
     }
 }
 
+/// The whole numbers in words.
+fn numbers(words: &str) -> Vec<u64> {
+    words.split(|c: char| !c.is_alphanumeric()).filter_map(|word| word.parse().ok()).collect()
+}
+
 /// The labels of a motion.
 fn labels(motion: &Motion) -> Vec<&str> {
     motion.info.markers.iter().map(|marker| marker.label.as_str()).collect()
