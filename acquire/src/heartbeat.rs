@@ -286,7 +286,8 @@ mod tests {
         worker.moved();
         let overdue = watch.overdue(after(start, 18), LIMIT).unwrap();
         assert_eq!(overdue, Overdue { who: Who::Reader, silent_for: Duration::from_secs(11) });
-        assert_eq!(overdue.to_string(), "the reader has not moved for 11.0 s");
+        let said = overdue.to_string();
+        assert!(said.contains(&Who::Reader.to_string()) && said.contains("11.0 s"), "{said}");
         reader.moved();
         assert_eq!(watch.overdue(after(start, 19), LIMIT), None);
     }
@@ -322,6 +323,7 @@ mod tests {
         assert_eq!(watch.overdue(after(start, 100_000), LIMIT), None);
         let all: Vec<_> = (0..BEATS_MAX).map(|_| heartbeat.beat(Who::Worker)).collect();
         assert!(all.iter().all(Result::is_ok));
-        assert!(heartbeat.beat(Who::Reader).unwrap_err().to_string().contains("fewer workers"));
+        let full = heartbeat.beat(Who::Reader).unwrap_err().to_string();
+        assert!(full.contains(&BEATS_MAX.to_string()), "{full}");
     }
 }

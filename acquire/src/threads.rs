@@ -8,6 +8,11 @@ use std::{
 use anyhow::{Context, anyhow};
 use crossbeam_channel::{Receiver, Sender, TryRecvError, bounded};
 
+/// A resampler thread panicked: this is a bug in mocapd.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("a resampler thread failed")]
+pub struct ResamplerFailed;
+
 /// Tells threads to end, when it is dropped.
 #[derive(Debug)]
 pub struct Stopper(

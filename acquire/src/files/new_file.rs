@@ -284,6 +284,7 @@ fn sync(file: &File) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::files::NameTaken;
 
     #[test]
     fn a_file_appears_whole_or_not_at_all() {
@@ -307,8 +308,8 @@ mod tests {
         let path = dir.path().join("a.take");
         let late = NewFile::create(&path).unwrap();
         fs::write(&path, b"mine").unwrap();
-        assert!(NewFile::create(&path).unwrap_err().to_string().contains("not overwritten"));
-        assert!(late.keep().unwrap_err().to_string().contains("not overwritten"));
+        assert!(NewFile::create(&path).unwrap_err().is::<NameTaken>());
+        assert!(late.keep().unwrap_err().is::<NameTaken>());
         assert_eq!(fs::read(&path).unwrap(), b"mine");
     }
 
@@ -327,7 +328,7 @@ mod tests {
         kept.keep().unwrap();
         assert_eq!(fs::read(path.join("a/b")).unwrap(), b"whole");
         assert_eq!(dir.path().read_dir().unwrap().count(), 1);
-        assert!(NewFolder::create(&path).unwrap_err().to_string().contains("not overwritten"));
+        assert!(NewFolder::create(&path).unwrap_err().is::<NameTaken>());
     }
 
     #[test]
@@ -336,7 +337,7 @@ mod tests {
         let path = dir.path().join("set");
         let late = NewFolder::create(&path).unwrap();
         fs::create_dir(&path).unwrap();
-        assert!(late.keep().unwrap_err().to_string().contains("not overwritten"));
+        assert!(late.keep().unwrap_err().is::<NameTaken>());
         assert_eq!(dir.path().read_dir().unwrap().count(), 1);
     }
 

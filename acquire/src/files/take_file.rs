@@ -310,13 +310,16 @@ impl TakeOutput for io::Sink {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::files::NameTaken;
 
     #[test]
     fn only_the_file_itself_loses_its_name() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.take");
         let take = TakeFile::create(&path).unwrap();
-        assert!(TakeFile::create(&path).unwrap_err().to_string().contains("not overwritten"));
+        let taken = TakeFile::create(&path).unwrap_err();
+        assert_eq!(taken.downcast_ref(), Some(&NameTaken { path: path.clone() }), "{taken}");
+        assert!(taken.to_string().contains(path.to_str().unwrap()), "{taken}");
         let other = dir.path().join("b.take");
         std::fs::rename(&path, &other).unwrap();
         std::fs::write(&path, b"somebody else's").unwrap();

@@ -8,7 +8,7 @@ use std::{
     thread::Builder,
 };
 
-use anyhow::{Context, anyhow};
+use anyhow::Context;
 use crossbeam_channel::bounded;
 pub use mocapd_take::whole::stretch_rows;
 use mocapd_take::{
@@ -18,6 +18,7 @@ use mocapd_take::{
 };
 
 use super::{Written, messages::PartReport};
+use crate::threads::ResamplerFailed;
 
 /// Codes `motion` with the settings in `header` and writes a whole take. `progress` counts samples.
 ///
@@ -75,7 +76,7 @@ where
     let n_workers = n_workers.max(1);
     let ahead = AHEAD * n_workers;
     let mut parts = parts.into_iter();
-    let lost = || anyhow!("a resampler thread failed");
+    let lost = || anyhow::Error::from(ResamplerFailed);
     std::thread::scope(|scope| {
         // In here, so that they are closed when this function returns, and the threads end.
         let (jobs_in, jobs) = bounded::<(usize, P)>(ahead);
@@ -122,6 +123,8 @@ where
 mod tests {
     use std::time::Duration;
 
+    use anyhow::anyhow;
+
     use super::*;
 
     #[test]
@@ -161,7 +164,7 @@ mod tests {
                 }
             };
             let error = in_order(0..200, 2, fall, |_, ()| Ok(())).unwrap_err();
-            assert!(error.to_string().contains("thread failed"), "{error}");
+            assert!(error.is::<ResamplerFailed>(), "{error}");
         }
         let full = |part: &u64, ()| if *part == 9 { Err(anyhow!("full")) } else { Ok(()) };
         let worker = || |_: &u64| Ok(());

@@ -24,7 +24,7 @@ use super::{
     plan::Plan,
     pool::Wakes,
 };
-use crate::{files::FileState, heartbeat::Beat};
+use crate::{files::FileState, heartbeat::Beat, threads::ResamplerFailed};
 
 /// How often the writer looks what waits, though it is to sync with every stretch.
 const LOOK_AT_MOST: Duration = Duration::from_millis(50);
@@ -130,9 +130,8 @@ impl Writer {
                     let failed = progress.failed.load(Ordering::Relaxed);
                     let has_no_take = self.for_one_take && self.live.is_none();
                     if failed && !has_no_take && silent_since.elapsed() > GIVE_UP_AFTER {
-                        let error = || anyhow!("a resampler thread failed");
-                        self.on_take(|_, _| Err(error()));
-                        return Err(error());
+                        self.on_take(|_, _| Err(ResamplerFailed.into()));
+                        return Err(ResamplerFailed.into());
                     }
                 }
                 // The groups hold the senders, and the writer holds the groups' wakes.
