@@ -156,7 +156,7 @@ pub trait BlockEncoder: Send + std::fmt::Debug {
     ///
     /// # Errors
     /// `InvalidArgument` when a present sample is not finite, or the slices do not fit each other;
-    /// `out` is then as it was.
+    /// `out` is then as it was. `OutOfStep` where an earlier block failed half way and this is no key block.
     fn encode(
         &mut self,
         channels: &[Rows<'_>],
