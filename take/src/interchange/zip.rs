@@ -1,8 +1,9 @@
 //! A ZIP file of stored members (APPNOTE.TXT 6.3.10, PKWARE).
 //!
 //! Each member's length and checksum stand in front of it, where readers that go from front to back need them. The length is
-//! known before the member comes; a checksum that is not is written over a place that was kept for it. No library of few
-//! dependencies does that: those that only write forwards put both behind the member.
+//! known before the member comes; a checksum that is not is written over a place that was kept for it. No library does
+//! that well enough: those that only write forwards put both behind the member, and the crate `zip` closes a file whose disk
+//! is full once more when it is dropped, and writes to stderr.
 
 use std::io::{self, Seek, SeekFrom, Write};
 
