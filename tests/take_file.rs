@@ -235,7 +235,7 @@ fn hostile_sizes_cost_no_memory() {
     chunk::put(&mut take, chunk::types::STRETCH, &group).unwrap();
     let problems = mocapd_acquire::inspect::Summary::read(&take[..]).unwrap().take.problems;
     assert!(
-        matches!(&problems[1], Problem::Refused { refusal: Refusal::Undecodable(_), .. }),
+        matches!(&problems[0], Problem::Refused { refusal: Refusal::Undecodable(_), .. }),
         "{problems:?}"
     );
     let mut long = front;
