@@ -1,27 +1,14 @@
 //! A device, a line and a host in virtual time: what the model makes of them, against the truth.
 
 use mocapd_take::record::{Clock, ClockPoint, ClockProbe};
+use mocapd_testkit::random::Random;
 use proptest::prelude::*;
 
 use super::*;
 
-/// Numbers from a seed.
-struct Rng(u64);
-
-impl Rng {
-    /// 0 to 1.
-    fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        (z ^ (z >> 31)) as f64 / u64::MAX as f64
-    }
-
-    /// Some delay with this mean, and a long tail.
-    fn delay_ns(&mut self, mean_ns: f64) -> f64 {
-        -mean_ns * (1.0 - self.uniform()).max(1e-12).ln()
-    }
+/// Some delay with this mean, and a long tail.
+fn delay_ns(random: &mut Random, mean_ns: f64) -> f64 {
+    -mean_ns * (1.0 - random.unit()).max(1e-12).ln()
 }
 
 /// What there is between a device and its host.
@@ -122,7 +109,7 @@ impl World {
     }
 
     /// When what is ready at that time reaches the host.
-    fn arrival(&self, ready_ns: f64, rng: &mut Rng) -> f64 {
+    fn arrival(&self, ready_ns: f64, random: &mut Random) -> f64 {
         let batch_ns = self.batch_ms * 1e6;
         let phase_ns = (self.seed % 97) as f64 / 97.0 * batch_ns;
         let sent_ns = if batch_ns > 0.0 {
@@ -130,13 +117,13 @@ impl World {
         } else {
             ready_ns
         };
-        let stall = self.stalled > 0.0 && rng.uniform() < self.stalled;
-        let stall_ns = if stall { 3e6 * rng.uniform() } else { 0.0 };
-        sent_ns + self.line_us * 1e3 + rng.delay_ns(self.jitter_us * 1e3) + stall_ns
+        let stall = self.stalled > 0.0 && random.unit() < self.stalled;
+        let stall_ns = if stall { 3e6 * random.unit() } else { 0.0 };
+        sent_ns + self.line_us * 1e3 + delay_ns(random, self.jitter_us * 1e3) + stall_ns
     }
 
     fn run(&self, seconds: f64) -> Run {
-        let mut rng = Rng(self.seed);
+        let mut random = Random::new(self.seed);
         let mut model = ClockModel::new(self.tick_hz);
         let mut prober = Prober::new();
         let (mut items, mut events, mut errors) = (Vec::new(), Vec::new(), Vec::new());
@@ -153,10 +140,10 @@ impl World {
                 && frame_ns < now_ns + 40e6
             {
                 frames += 1;
-                if rng.uniform() >= self.lost {
+                if random.unit() >= self.lost {
                     // A line does not let one frame overtake another.
                     let arrival =
-                        self.arrival(frame_ns + self.frame_us * 1e3, &mut rng).max(in_order_ns);
+                        self.arrival(frame_ns + self.frame_us * 1e3, &mut random).max(in_order_ns);
                     in_order_ns = arrival;
                     under_way.push((arrival, self.ticks(frame_ns), None));
                 }
@@ -188,17 +175,18 @@ impl World {
             if let Some(at) = prober.due(now_ns as u64) {
                 if at as f64 > now_ns {
                     // Sleeps end late.
-                    now_ns = at as f64 + 50e3 + rng.delay_ns(self.jitter_us * 1e3);
+                    now_ns = at as f64 + 50e3 + delay_ns(&mut random, self.jitter_us * 1e3);
                 }
                 prober.sent(now_ns as u64);
-                let heard_ns = now_ns + self.line_us * 1e3 + rng.delay_ns(self.jitter_us * 1e3);
+                let heard_ns =
+                    now_ns + self.line_us * 1e3 + delay_ns(&mut random, self.jitter_us * 1e3);
                 let extra_ns = match self.pongs {
-                    Pongs::Late(ms) if rng.uniform() < 0.5 => Some(ms * 1e6),
+                    Pongs::Late(ms) if random.unit() < 0.5 => Some(ms * 1e6),
                     Pongs::None => None,
                     _ => Some(0.0),
                 };
                 if let Some(extra_ns) = extra_ns {
-                    let arrival = self.arrival(heard_ns + extra_ns, &mut rng);
+                    let arrival = self.arrival(heard_ns + extra_ns, &mut random);
                     under_way.push((arrival, self.ticks(heard_ns), Some(now_ns as u64)));
                 }
             }

@@ -251,6 +251,8 @@ fn unpack(input: &mut Bytes<'_>, values: &mut [u64]) -> Result<()> {
 
 #[cfg(test)]
 mod tests {
+    use mocapd_testkit::random::Random;
+
     use super::*;
 
     #[test]
@@ -265,14 +267,11 @@ mod tests {
 
     #[test]
     fn every_width_and_length_round_trips() {
-        let mut seed = 1_u64;
+        let mut random = Random::new(1);
         for width in 0..=64 {
             for len in [1, 2, 31, 32] {
                 let values: Vec<u64> = (0..len)
-                    .map(|_| {
-                        seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-                        if width == 0 { 0 } else { seed >> (64 - width) }
-                    })
+                    .map(|_| if width == 0 { 0 } else { random.next_u64() >> (64 - width) })
                     .collect();
                 let mut out = Vec::new();
                 pack(&values, width, &mut out);

@@ -275,17 +275,14 @@ impl BinaryCoder for RangeDecoder<'_> {
 
 #[cfg(test)]
 mod tests {
+    use mocapd_testkit::random::Random;
+
     use super::*;
 
     /// Skews from even odds to near certainty, so that carries and runs of 0xff occur.
     fn bits(seed: u64, n: usize) -> Vec<bool> {
-        let mut state = seed;
-        (0..n)
-            .map(|i| {
-                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(seed | 1);
-                (state >> 40) % 1000 < (i as u64 * 7 / n as u64) * 166
-            })
-            .collect()
+        let mut random = Random::new(seed);
+        (0..n).map(|i| random.below(1000) < (i * 7 / n) * 166).collect()
     }
 
     #[test]

@@ -201,6 +201,8 @@ pub(super) fn cut(magnitude: u32) -> u32 {
 
 #[cfg(test)]
 mod tests {
+    use mocapd_testkit::random::Random;
+
     use super::*;
 
     #[test]
@@ -229,10 +231,10 @@ mod tests {
     fn a_decoder_finds_the_table_that_the_encoder_took() {
         let mut activity = Activity::NEW[ORIGIN];
         let mut fourfold = Fourfold::new(activity);
-        let mut magnitude = 1_u32;
+        let mut random = Random::new(1);
         for row in 0..20_000_u32 {
             // Now large, now small, and nothing for long.
-            magnitude = magnitude.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let magnitude = random.next_u64() as u32;
             let magnitude = if row % 500 > 400 { 0 } else { magnitude >> (magnitude % 32) };
             activity.push(magnitude);
             fourfold.push(cut(magnitude));

@@ -183,6 +183,8 @@ pub(super) fn resample_run(
 
 #[cfg(test)]
 mod tests {
+    use mocapd_testkit::random::Random;
+
     use super::*;
     use crate::spline::natural::rebuild;
 
@@ -231,11 +233,8 @@ mod tests {
     }
 
     fn wobble(seed: u64, n: usize) -> Vec<Position> {
-        let mut state = seed;
-        let mut noise = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_041);
-            (state >> 40) as f32 / (1 << 24) as f32
-        };
+        let mut random = Random::new(seed);
+        let mut noise = || random.unit() as f32;
         (0..n)
             .map(|i| {
                 let t = i as f32 * 0.1;

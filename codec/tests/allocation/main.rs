@@ -10,24 +10,14 @@ use mocapd_codec::{
     BlockReport, DecodedRows, GROUP_CHANNELS, Position, Rows, Settings, Tolerance, stated_channels,
 };
 
+use mocapd_testkit::random::Random;
+
 use self::counting::most_bytes;
 
 const KINDS: [&str; 5] = ["dense", "fast", "lossless", "spline", "sync"];
 
 fn settings(kind: &str) -> Settings {
     Settings { kind: kind.parse().unwrap(), tolerance: Tolerance::from_mm(0.5).unwrap() }
-}
-
-fn noise(seed: u64, len: usize) -> Vec<u8> {
-    let mut state = seed;
-    (0..len)
-        .map(|_| {
-            state = state
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            (state >> 56) as u8
-        })
-        .collect()
 }
 
 /// Bytes that claim a key block of so many channels, each with samples.
@@ -99,7 +89,9 @@ fn claims_of_few_bytes() {
         for n_channels in [0, 1, 2, 64, 65, 255] {
             for n_rows in [0, 1, 60, 4000] {
                 for len in [0, 1, 7, 300] {
-                    for filling in [vec![0; len], vec![0xff; len], noise(len as u64, len)] {
+                    for filling in
+                        [vec![0; len], vec![0xff; len], Random::new(len as u64).bytes(len)]
+                    {
                         let mut block = claim(kind, n_channels, &filling);
                         assert_earned(kind, &block, &[], n_rows);
                         // With a presence section, and key times that are far apart.
@@ -171,12 +163,12 @@ fn streams_of_any_bytes() {
             let mut out: Vec<DecodedRows> = Vec::new();
             for i in 0..400 {
                 let claimed = i as usize % n_channels + 1;
-                let block = claim(kind, claimed as u8, &noise(i, i as usize % len));
+                let block = claim(kind, claimed as u8, &Random::new(i).bytes(i as usize % len));
                 let rows = if i % 7 == 6 { i as usize % n_rows } else { n_rows };
                 // As a key block, then as one that goes on: it has no number of channels.
                 let key = decoder.decode(&block, &[], rows, true, &mut out);
                 assert!(key.is_ok() || out.is_empty());
-                let next = noise(i + 1, i as usize % len);
+                let next = Random::new(i + 1).bytes(i as usize % len);
                 let next = [&[block[0] & 0x3f][..], &next].concat();
                 let next = decoder.decode(&next, &[], rows, false, &mut out);
                 assert!(next.is_ok() || out.is_empty());

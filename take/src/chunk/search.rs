@@ -334,6 +334,8 @@ fn next_candidate(bytes: &[u8], from: usize) -> usize {
 mod tests {
     use std::collections::VecDeque;
 
+    use mocapd_testkit::random::Random;
+
     use super::*;
     use crate::chunk::{front, put};
 
@@ -359,14 +361,8 @@ mod tests {
     /// Long chunks of bytes as random as coded ones are: every second candidate has a length that fits.
     #[test]
     fn the_next_chunk_is_found_behind_a_long_damaged_one() {
-        let mut noise = 1_u32;
-        let mut payload = |len: usize| {
-            let byte = |_| {
-                noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                (noise >> 24) as u8
-            };
-            (0..len).map(byte).collect::<Vec<u8>>()
-        };
+        let mut random = Random::new(1);
+        let mut payload = |len: usize| random.bytes(len);
         let mut bytes = Vec::new();
         put(&mut bytes, types::STRETCH, &payload(300_000)).unwrap();
         let found = bytes.len();

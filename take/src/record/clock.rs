@@ -246,6 +246,8 @@ fn all<T>(
 
 #[cfg(test)]
 mod tests {
+    use mocapd_testkit::random::Random;
+
     use super::*;
 
     fn recorded() -> Clock {
@@ -336,11 +338,9 @@ mod tests {
 
     #[test]
     fn any_numbers_come_back() {
-        let mut state = 1_u64;
-        let mut number = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695);
-            state.rotate_left(17) >> (state >> 58)
-        };
+        let mut random = Random::new(1);
+        // Of every length in bits.
+        let mut number = || random.next_u64() >> random.below(64);
         for _ in 0..200 {
             let mut clock = Clock {
                 segment: number() as u32,

@@ -33,6 +33,8 @@ use mocapd_take::{
     timeline::{RowTime, Timeline},
 };
 
+use mocapd_testkit::random::Random;
+
 use self::counting::most_bytes;
 
 /// What reading DEFLATE takes, of whatever length: the takes here have a document of a few bytes.
@@ -213,17 +215,6 @@ impl Tally {
     }
 }
 
-/// Numbers that are as good as any, and always the same.
-struct Numbers(u64);
-
-impl Numbers {
-    fn below(&mut self, n: usize) -> usize {
-        self.0 =
-            self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        ((self.0 >> 33) % n as u64) as usize
-    }
-}
-
 fn truncations(kind: &str, step: usize) {
     let begun = Instant::now();
     let whole = Whole::new(kind);
@@ -245,9 +236,9 @@ fn mutations(kind: &str, seeds: Range<u64>) {
     let mut tally = Tally::default();
     let n = seeds.end - seeds.start;
     for seed in seeds {
-        let mut numbers = Numbers(seed);
-        let at = numbers.below(whole.take.len());
-        let by = 1 + numbers.below(255) as u8;
+        let mut random = Random::new(seed);
+        let at = random.below(whole.take.len());
+        let by = 1 + random.below(255) as u8;
         let mut damaged = whole.take.clone();
         damaged[at] ^= by;
         let what = format!("{kind}, seed {seed}: byte {at} changed by {by}");
@@ -264,13 +255,13 @@ fn ranges(kind: &str, seeds: Range<u64>) {
     let mut tally = Tally::default();
     let n = seeds.end - seeds.start;
     for seed in seeds {
-        let mut numbers = Numbers(seed);
-        let from = 400 + numbers.below(whole.take.len() - 400);
-        let to = (from + 1 + numbers.below(3000)).min(whole.take.len());
+        let mut random = Random::new(seed);
+        let from = 400 + random.below(whole.take.len() - 400);
+        let to = (from + 1 + random.below(3000)).min(whole.take.len());
         let mut damaged = whole.take.clone();
         match seed % 3 {
             0 => damaged[from..to].fill(0),
-            1 => damaged[from..to].fill_with(|| numbers.below(256) as u8),
+            1 => damaged[from..to].fill_with(|| random.byte()),
             _ => drop(damaged.drain(from..to)),
         }
         let what = format!("{kind}, seed {seed}: {from}..{to} zeroed, noise, or gone");

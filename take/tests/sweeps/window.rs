@@ -21,7 +21,9 @@ use mocapd_take::{
     timeline::Timeline,
 };
 
-use crate::{Numbers, counting::most_bytes, take};
+use mocapd_testkit::random::Random;
+
+use crate::{counting::most_bytes, take};
 
 /// What is held of a file: a window that grows to its size, and tables of some MiB.
 const HELD_MAX: usize = 2 * WINDOW_BYTES + (8 << 20);
@@ -154,11 +156,6 @@ fn stored(kind: &str, data: &[u8]) -> Vec<u8> {
     chunk
 }
 
-fn noise(seed: u64, len: usize) -> Vec<u8> {
-    let mut numbers = Numbers(seed);
-    (0..len).map(|_| numbers.below(256) as u8).collect()
-}
-
 #[test]
 fn a_file_that_claims_more_than_it_holds_costs_a_window() {
     let take = take::take("dense");
@@ -169,7 +166,7 @@ fn a_file_that_claims_more_than_it_holds_costs_a_window() {
         middle.extend_from_slice(&[2, 1, 1, 1]);
         let first = middle.len();
         middle.resize(first + 30 * MIB, 0);
-        middle[first + 2 * MIB..first + 3 * MIB].copy_from_slice(&noise(1, MIB));
+        middle[first + 2 * MIB..first + 3 * MIB].copy_from_slice(&Random::new(1).bytes(MIB));
         let (damaged, at) = with(&take, &middle);
         let read = found(&damaged);
         assert_eq!(read.damaged, [(at, middle.len() as u64)], "type {kind:02x}");
@@ -272,7 +269,7 @@ fn that_a_take_was_cut_off_is_said_behind_any_number_of_problems() {
 #[test]
 fn a_long_chunk_is_passed_over_where_it_is_whole_and_found_behind_damage() {
     let take = take::take("dense");
-    let data = noise(2, 20 * MIB);
+    let data = Random::new(2).bytes(20 * MIB);
     let long = stored("c3d/analog", &data);
     assert!(long.len() as u64 > CHUNK_HELD_MAX);
     let mut unknown = Vec::new();
@@ -293,7 +290,7 @@ fn a_long_chunk_is_passed_over_where_it_is_whole_and_found_behind_damage() {
     for (what, change) in [(0, 0), (1, 5 * MIB), (2, 2)] {
         let mut hurt = with_long.clone();
         if what == 0 {
-            let mut noise = noise(3, 100_000);
+            let mut noise = Random::new(3).bytes(100_000);
             noise[0] = 0;
             hurt.splice(at as usize..at as usize, noise);
         } else {
@@ -348,8 +345,8 @@ fn long_stretches() -> (Vec<u8>, Vec<u64>) {
         settings: Vec::new(),
     };
     header.set_codec(&settings);
-    let mut numbers = Numbers(5);
-    let mut value = || numbers.below(1 << 24) as f32 / 3.0;
+    let mut random = Random::new(5);
+    let mut value = || random.below(1 << 24) as f32 / 3.0;
     let path: Vec<_> = (0..ROWS).map(|_| [value(), value(), value()]).collect();
     let present = vec![true; ROWS];
     let rows = [Rows::new(&path, &present).unwrap(); CHANNELS];

@@ -2,6 +2,7 @@
 
 use std::f64::consts::PI;
 
+use mocapd_testkit::random::Random;
 use proptest::prelude::*;
 
 use super::*;
@@ -28,14 +29,11 @@ fn tube(around: u32, along: u32) -> Mesh {
 /// A sphere of radius 1, of rows of latitude, its points moved by up to a quarter of a cell.
 fn sphere(rows: u32, seed: u64) -> Mesh {
     let around = 2 * rows;
-    let mut state = seed;
+    let mut random = Random::new(seed);
     let mut positions = vec![[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]];
     for row in 1..rows {
         for column in 0..around {
-            let mut moved = |cell: u32| {
-                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-                f64::from(cell) + (state >> 40) as f64 / (1_u64 << 25) as f64 - 0.25
-            };
+            let mut moved = |cell: u32| f64::from(cell) + random.between(-0.25, 0.25);
             let [down, turn] =
                 [moved(row), moved(column)].map(|cells| PI * cells / f64::from(rows));
             positions.push([down.sin() * turn.cos(), down.sin() * turn.sin(), down.cos()]);

@@ -1,12 +1,11 @@
+use mocapd_testkit::random::Random;
+
 use super::{Labels, Mask, Plane};
 
-/// Numbers without a pattern, the same each time.
+/// Values from 0 to 256 without a pattern.
 fn noise(width: usize, height: usize) -> Plane {
-    let mut state = 0x9e37_79b9_u32;
-    let values = (0..width * height).map(|_| {
-        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        (state >> 16) as f32 / 256.0
-    });
+    let mut random = Random::new(1);
+    let values = (0..width * height).map(|_| random.between(0.0, 256.0) as f32);
     Plane::from_values(width, height, values.collect())
 }
 

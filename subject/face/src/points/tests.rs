@@ -1,6 +1,7 @@
 //! Faces that are drawn here: the generic face's landmarks, filled with the colours of skin, hair, eyes and lips.
 
 use mocapd_testkit::photograph::Scene;
+use mocapd_testkit::random::Random;
 
 use super::shape::{Landmarks, Pose};
 use super::{Evidence, FacePoints, Point, Rough, find, outline, paper};
@@ -28,13 +29,8 @@ fn drawn(yaw_deg: f64, seed: u64) -> Drawn {
     let middle = mean(pose.project()[36..48].iter().copied());
     pose.shift[0] += eyes[0] - middle[0];
     let p = pose.project();
-    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-    let mut noise = move || {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        (state >> 40) as f64 / f64::from(1 << 24) - 0.5
-    };
+    let mut random = Random::new(seed);
+    let mut noise = move || random.between(-0.5, 0.5);
     let mut pixels = vec![[60_u8, 70, 80]; SIDE * SIDE];
     let mut fill = |polygon: &[Point], colour: [f64; 3]| {
         for (i, pixel) in pixels.iter_mut().enumerate() {

@@ -1,5 +1,7 @@
 //! Files of anybody: a reason, or a surface that the bytes earn; never a panic.
 
+use mocapd_testkit::random::Random;
+
 use super::{files, read, read_text};
 use crate::read::{FACES_MAX, Format, ReadError, Scan};
 
@@ -52,18 +54,13 @@ fn any_bit_flipped() {
 
 #[test]
 fn any_bytes_behind_any_beginning() {
-    let mut state = 1_u64;
-    let mut byte = move || {
-        state =
-            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (state >> 56) as u8
-    };
+    let mut random = Random::new(1);
     for round in 0..3000 {
         let files = files();
         let (_, _, file) = &files[round % files.len()];
-        let keep = usize::from(byte()) * 2 % file.len();
+        let keep = random.below(512) % file.len();
         let mut bytes = file[..keep].to_vec();
-        bytes.extend((0..64).map(|_| byte()));
+        bytes.extend(random.bytes(64));
         sound(&bytes, &read(&bytes, ["a.obj", "a.ply", "a.stl", "a.off", "a"][round % 5]));
     }
 }

@@ -4,14 +4,9 @@ use super::{clean, codes, euler, repaired, volume};
 use mocapd_body::repair::FACES_KEPT_MAX;
 use mocapd_body::skeleton::Method;
 use mocapd_body::{Mesh, Survey, Unit};
+use mocapd_testkit::random::Random;
 use mocapd_testkit::synthetic_body::{Options, Pose, body};
 use nalgebra::Vector3;
-
-/// Numbers that are as good as any.
-fn random(state: &mut u64, below: usize) -> usize {
-    *state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-    (*state >> 33) as usize % below
-}
 
 #[test]
 fn shared_corners_are_found_again() {
@@ -203,14 +198,14 @@ fn a_soup_that_was_rounded_hangs_together_again() {
 #[test]
 fn whatever_happens_to_a_surface_what_comes_back_is_closed() {
     let mesh = body(3, Pose::Down, Options { n_faces: 2000, turned: false }).0;
-    let (mut mended, mut state) = (0, 7);
+    let (mut mended, mut random) = (0, Random::new(7));
     for round in 0..120 {
         let mut hurt = mesh.clone();
-        for _ in 0..=random(&mut state, 40) {
+        for _ in 0..=random.below(40) {
             let n = hurt.triangles.len();
-            let at = random(&mut state, n);
-            let other = random(&mut state, n);
-            match random(&mut state, 6) {
+            let at = random.below(n);
+            let other = random.below(n);
+            match random.below(6) {
                 0 => drop(hurt.triangles.swap_remove(at)),
                 1 => hurt.triangles[at].swap(0, 1),
                 2 => hurt.triangles[at][2] = hurt.triangles[other][0],

@@ -1,6 +1,7 @@
 mod again;
 
 use mocapd_testkit::photograph::Scene;
+use mocapd_testkit::random::Random;
 
 use super::align::STEPS;
 use super::look::{look, mirrored};
@@ -9,15 +10,6 @@ use crate::model::FeatureId;
 use crate::photo::Photo;
 use crate::plane::Pyramid;
 use crate::vector;
-
-/// Numbers without a pattern, the same each time.
-fn noise(seed: u32) -> impl FnMut() -> f32 {
-    let mut state = seed;
-    move || {
-        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        (state >> 8) as f32 / (1 << 24) as f32
-    }
-}
 
 /// Somebody before clutter, and the middles of eyes and mouth.
 fn drawn(seed: u64, io_px: f64, roll_deg: f64) -> (Photo, [[f64; 2]; 3]) {
@@ -81,8 +73,8 @@ fn upside_down_it_is_less_of_a_face() {
 
 #[test]
 fn noise_and_nothing_have_no_faces() {
-    let mut noise = noise(3);
-    let mut grain = || (noise() * 255.0) as u8;
+    let mut random = Random::new(3);
+    let mut grain = || random.byte();
     let noisy = (0..200 * 160).map(|_| [grain(), grain(), grain()]).collect();
     assert_eq!(faces(&Photo::from_pixels(200, 160, noisy).unwrap(), SCORE_MIN), []);
     for (width, height) in [(32, 32), (32, 400), (33, 35), (300, 40)] {
