@@ -243,16 +243,15 @@ fn the_account_is_what_a_receiver_finds() {
 /// What harms no frame is counted as well.
 #[test]
 fn the_totals_say_what_each_kind_did() {
-    let cases: [(&str, &[(Kind, Option<u64>)]); 7] = [
-        ("lying-counter", &[(Kind::CounterJump, Some(3)), (Kind::CounterRepeat, None)]),
+    for (name, kinds) in [
+        ("lying-counter", &[(Kind::CounterJump, Some(3)), (Kind::CounterRepeat, None)][..]),
         ("clock-back", &[(Kind::ClockJump, Some(1))]),
         ("clock", &[(Kind::ClockDrift, Some(480)), (Kind::ClockJump, Some(1))]),
         ("bursts", &[(Kind::Bursts, None)]),
         ("garbage", &[(Kind::Garbage, Some(1))]),
         ("swaps-and-ghosts", &[(Kind::Swaps, None)]),
         ("doubled-frames", &[(Kind::DoubledFrames, None)]),
-    ];
-    for (name, kinds) in cases {
+    ] {
         let text = std::fs::read_to_string(format!("{SHIPPED}/{name}.toml")).unwrap();
         let script = Script::parse(name, &text).unwrap();
         let totals = totals(&script);
