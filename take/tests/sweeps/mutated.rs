@@ -12,7 +12,9 @@ use mocapd_take::{
     traversal::Decode,
 };
 
-use crate::{Numbers, counting::most_bytes, take};
+use mocapd_testkit::random::Random;
+
+use crate::{counting::most_bytes, take};
 
 /// Enough for three keys, a channel that appears, and an event.
 const STRETCHES: usize = 28;
@@ -39,28 +41,28 @@ fn chunks(take: &[u8]) -> Vec<Range<usize>> {
 }
 
 /// Changes a take once.
-fn mutate(take: &mut Vec<u8>, numbers: &mut Numbers) {
+fn mutate(take: &mut Vec<u8>, random: &mut Random) {
     let chunks = chunks(take);
     if chunks.len() < 3 {
         return;
     }
     // The header is another test's.
-    let some = |numbers: &mut Numbers| chunks[1 + numbers.below(chunks.len() - 1)].clone();
-    let chosen = some(numbers);
-    match numbers.below(7) {
-        0 => take.truncate(chosen.start + numbers.below(chosen.len())),
-        1 => take[chosen.start + numbers.below(chosen.len())] ^= 1 + numbers.below(255) as u8,
+    let some = |random: &mut Random| chunks[1 + random.below(chunks.len() - 1)].clone();
+    let chosen = some(random);
+    match random.below(7) {
+        0 => take.truncate(chosen.start + random.below(chosen.len())),
+        1 => take[chosen.start + random.below(chosen.len())] ^= 1 + random.below(255) as u8,
         2 => drop(take.drain(chosen)),
         // A stretch of chunks once more, at once or elsewhere.
         3 | 4 => {
-            let end = some(numbers).end.max(chosen.end);
+            let end = some(random).end.max(chosen.end);
             let again = take[chosen.start..end].to_vec();
-            let at = if numbers.below(2) == 0 { end } else { some(numbers).start };
+            let at = if random.below(2) == 0 { end } else { some(random).start };
             drop(take.splice(at..at, again));
         }
         5 => {
             let moved: Vec<u8> = take.drain(chosen.clone()).collect();
-            let to = some(numbers).start;
+            let to = some(random).start;
             let to = if to > chosen.start { to - moved.len() } else { to };
             drop(take.splice(to..to, moved));
         }
@@ -73,10 +75,10 @@ fn mutate(take: &mut Vec<u8>, numbers: &mut Numbers) {
             if payload.is_empty() {
                 return;
             }
-            for _ in 0..=numbers.below(3) {
-                let near = payload.len().min(1 + numbers.below(400));
-                let at = numbers.below(near);
-                payload[at] = numbers.below(256) as u8;
+            for _ in 0..=random.below(3) {
+                let near = payload.len().min(1 + random.below(400));
+                let at = random.below(near);
+                payload[at] = random.below(256) as u8;
             }
             let mut forged = Vec::new();
             chunk::put(&mut forged, kind, &payload).unwrap();
@@ -175,7 +177,7 @@ fn whole(take: &[u8]) -> Result<Read, TakeError> {
     Ok(read)
 }
 
-fn check(take: &[u8], numbers: &mut Numbers, what: &str) -> Result<(), TakeError> {
+fn check(take: &[u8], random: &mut Random, what: &str) -> Result<(), TakeError> {
     // What claims days of lost rows is read by none of these row by row.
     let map = TakeMap::scan(&mut Cursor::new(take))?;
     let survey = Survey::read(take)?;
@@ -221,7 +223,7 @@ fn check(take: &[u8], numbers: &mut Numbers, what: &str) -> Result<(), TakeError
     let samples: u64 = survey.per_channel.iter().map(|channel| channel.samples).sum();
     assert_eq!(samples, all.n_samples as u64, "{what}: samples in the survey");
 
-    let n = [3, 100][numbers.below(2)];
+    let n = [3, 100][random.below(2)];
     // Who knows the heads alone cannot tell what comes twice, unless it reads both.
     let is_twice =
         |problem: &Problem| matches!(problem, Problem::Refused { refusal: Refusal::Twice, .. });
@@ -233,7 +235,7 @@ fn check(take: &[u8], numbers: &mut Numbers, what: &str) -> Result<(), TakeError
         agree(&pieces.frames, 0, &format!("{what}: in {n} pieces"));
         same(&pieces.problems, &format!("{what}: in {n} pieces"));
     }
-    let from = numbers.below(all.frames.len() + 2);
+    let from = random.below(all.frames.len() + 2);
     let (behind, _) = frames(take, from as u64)?;
     agree(&behind.frames, from, &format!("{what}: from frame {from}"));
     same(&behind.problems, &format!("{what}: from frame {from}"));
@@ -249,16 +251,16 @@ fn check(take: &[u8], numbers: &mut Numbers, what: &str) -> Result<(), TakeError
 fn mutated(kind: &str, seeds: Range<u64>) {
     let begun = Instant::now();
     let original = take::begun(kind, STRETCHES);
-    let whole = most_bytes(|| drop(check(&original, &mut Numbers(0), kind)));
+    let whole = most_bytes(|| drop(check(&original, &mut Random::new(0), kind)));
     let (n, mut n_read) = (seeds.end - seeds.start, 0);
     for seed in seeds {
-        let mut numbers = Numbers(seed);
+        let mut random = Random::new(seed);
         let mut take = original.clone();
-        for _ in 0..=numbers.below(3) {
-            mutate(&mut take, &mut numbers);
+        for _ in 0..=random.below(3) {
+            mutate(&mut take, &mut random);
         }
         let what = format!("{kind}, seed {seed}");
-        let memory = most_bytes(|| match check(&take, &mut numbers, &what) {
+        let memory = most_bytes(|| match check(&take, &mut random, &what) {
             Ok(()) => n_read += 1,
             Err(TakeError::NotATake(_) | TakeError::Unsupported { .. }) => {}
             Err(error) => panic!("{what}: {error}"),
