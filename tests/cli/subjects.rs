@@ -123,7 +123,7 @@ fn what_is_no_skeleton_or_face_is_refused_before_anything_is_written() {
     assert_tells(&refused(&["--skeleton", "f.json"]), &no_skeleton);
     let facts = ["jump.csv", "JSON", "mocapd-face", "mocapd subject face -o", "line 1"];
     assert_tells(&refused(&["--face", "jump.csv"]), &facts);
-    let facts = ["jump.csv", "line 1", "docs/subject-face-format.md", "singing-face-mapping.json"];
+    let facts = ["jump.csv", "line 1", "mocapd-face-mapping", "singing-face-mapping.json"];
     assert_tells(&refused(&["--face", "f.json", "--face-markers", "jump.csv"]), &facts);
     folder.run(&["import", "jump.csv", "-o", "a.take"]).with_code(0);
     folder.write("scan.ply", b"ply\nformat binary_little_endian 1.0\n\xff\xfe");
