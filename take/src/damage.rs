@@ -71,6 +71,14 @@ pub enum Problem {
         /// Why.
         refusal: Refusal,
     },
+    /// The index tells of another row where a key stretch is.
+    #[error("the index tells of frame {told} where the stretch of frame {found} is")]
+    IndexRow {
+        /// Its first row, as the index says.
+        told: u64,
+        /// As it says itself.
+        found: u64,
+    },
     /// The footer tells of another number of rows.
     #[error("the footer tells of {told} frames, {found} were found")]
     FooterRows {
@@ -173,7 +181,7 @@ pub(crate) struct Losses {
     /// The row after the last stretch that was read.
     pub(crate) end_row: u64,
     /// The key that was sought, and not met yet: what lies before it was passed over.
-    sought: Option<IndexEntry>,
+    pub(crate) sought: Option<IndexEntry>,
     rows_min: u64,
 }
 

@@ -218,6 +218,13 @@ impl Progress {
         if stretch.missing_before {
             self.missing(Problem::MissingBefore { row: first_row });
         }
+        let told =
+            self.losses.sought.filter(|key| key.offset == offset && key.first_row != first_row);
+        if let Some(IndexEntry { first_row: told, .. }) = told {
+            // Who sought it may have passed over rows that are there.
+            self.note(Problem::IndexRow { told, found: first_row });
+            self.take.damaged = true;
+        }
         if let Err(refusal) = self.decode(offset, stretch) {
             self.note(Problem::Refused { first_row, n_rows, refusal });
             self.take.damaged = true;

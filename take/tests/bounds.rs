@@ -370,3 +370,16 @@ fn a_stretch_that_is_refused_names_no_channels() {
     let take = self::take("dense", &[held(0, 0, 30, one), held(1, 30, 30, three)], None);
     assert_eq!(Survey::read(&take).unwrap().channels.len(), 3);
 }
+
+#[test]
+fn an_index_that_tells_of_another_row_is_a_problem() {
+    let take = take("dense", &[held(0, 0, 30, &AT_REST), held(1, 30, 30, &AT_REST)], Some(60));
+    let mut map = TakeMap::scan(&mut Cursor::new(&take)).unwrap();
+    map.n_held = None;
+    map.keys[1].first_row = 20;
+    let mut part = TakeTraversal::of_map(Cursor::new(&take), &map, Decode::All).unwrap();
+    part.seek(25).unwrap();
+    assert_eq!(part.next_stretch().unwrap().map(|span| span.first_row), Some(30));
+    assert_eq!(part.problems(), [Problem::IndexRow { told: 20, found: 30 }]);
+    assert!(!part.is_intact());
+}
