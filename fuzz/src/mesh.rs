@@ -52,7 +52,8 @@ pub fn read_skeleton(bytes: &[u8]) {
             let written = skeleton.to_json();
             // With a line a value it may be longer than what is read.
             if written.len() <= LEN_MAX {
-                let again = Skeleton::from_json(written.as_bytes()).expect("what we write can be read");
+                let again =
+                    Skeleton::from_json(written.as_bytes()).expect("what we write can be read");
                 assert_eq!(again.to_json(), written);
             }
         }

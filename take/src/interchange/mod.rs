@@ -70,6 +70,16 @@ pub enum Format {
     Bids,
 }
 
+/// What a file holds beside trajectories.
+struct Holds {
+    /// What the kinds of its foreign parts begin with.
+    foreign: Option<&'static str>,
+    /// Which axis is up.
+    up_axis: bool,
+    /// Most events.
+    events_max: usize,
+}
+
 type Result<T, E = InterchangeError> = std::result::Result<T, E>;
 
 /// Why bytes could not be read as a format, or trajectories not written.
@@ -169,15 +179,25 @@ impl Format {
         }
     }
 
+    /// What a file of it holds beside trajectories. Without a default: a new format says so itself.
+    fn holds(self) -> Holds {
+        let (foreign, up_axis, events_max) = match self {
+            Self::C3d => (Some("c3d/"), true, c3d::EVENTS_MAX),
+            Self::Trc => (Some("trc/"), false, 0),
+            Self::Tsv => (Some("tsv/"), false, usize::MAX),
+            Self::Csv | Self::CsvLong => (None, false, 0),
+            Self::Xdf => (None, false, usize::MAX),
+            Self::Parquet | Self::ParquetWide | Self::Mcap | Self::Npz | Self::Bids => {
+                (None, true, usize::MAX)
+            }
+        };
+        Holds { foreign, up_axis, events_max }
+    }
+
     /// Whether a file of this format holds foreign parts of a kind: those that it was imported with.
     #[must_use]
     pub fn gives_back(self, kind: &str) -> bool {
-        match self {
-            Self::C3d => kind.starts_with("c3d/"),
-            Self::Trc => kind.starts_with("trc/"),
-            Self::Tsv => kind.starts_with("tsv/"),
-            _ => false,
-        }
+        self.holds().foreign.is_some_and(|format| kind.starts_with(format))
     }
 
     /// What of `info` a file of this format will not hold, in words; `up_is_chosen` says that its reader knows what is up.
@@ -187,23 +207,14 @@ impl Format {
         let mut left_out: Vec<String> = others.map(|part| part.kind.clone()).collect();
         let documents = info.subject.iter().flat_map(|subject| &subject.documents);
         left_out.extend(documents.map(|document| format!("the subject's {}", document.kind)));
-        if let (false, Some(axis)) = (self.holds_up_axis() || up_is_chosen, info.up.name()) {
+        if let (false, Some(axis)) = (self.holds().up_axis || up_is_chosen, info.up.name()) {
             left_out.push(format!("the up axis ({axis})"));
         }
-        let events = match self {
-            Self::C3d => info.events.len().saturating_sub(c3d::EVENTS_MAX),
-            Self::Trc | Self::Csv | Self::CsvLong => info.events.len(),
-            _ => 0,
-        };
+        let events = info.events.len().saturating_sub(self.holds().events_max);
         if events > 0 {
             left_out.push(format!("{events} event{}", if events == 1 { "" } else { "s" }));
         }
         left_out
-    }
-
-    /// Whether a file of it says which axis is up.
-    fn holds_up_axis(self) -> bool {
-        !matches!(self, Self::Trc | Self::Tsv | Self::Csv | Self::CsvLong | Self::Xdf)
     }
 
     /// Writes frames as they come, in bounded memory. The number of the first frame is
