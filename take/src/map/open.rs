@@ -8,7 +8,10 @@ use crc32fast::Hasher;
 use super::TakeMap;
 use crate::{
     TakeError, TakeEvent,
-    chunk::{self, CHUNK_HELD_MAX, CRC_BYTES, Front, MAGIC, MAY_SKIP, PAYLOAD_BYTES_MAX, types},
+    chunk::{
+        self, CHUNK_HELD_MAX, CRC_BYTES, Front, HEAD_BYTES_MAX, MAGIC, MAY_SKIP, PAYLOAD_BYTES_MAX,
+        types,
+    },
     damage::Why,
     index::{Footer, IndexEntry, parse_index},
     reader::record,
@@ -19,9 +22,6 @@ use crate::{
 
 /// How much is read at once: a few stretches of a recording, whose heads then cost no call each.
 const READ_BYTES: usize = 1 << 14;
-
-/// Type, and a length of at most five bytes.
-const HEAD_BYTES_MAX: u64 = 6;
 
 impl TakeMap {
     /// Of a take as quickly as can be: one that was finished is known by its index and the heads of its chunks,
@@ -168,13 +168,13 @@ impl<R: Read + Seek> Chunks<R> {
 
     /// Type and length in bytes of the chunk here; nothing is passed over.
     fn head(&mut self) -> Result<Option<(u8, u64)>, TakeError> {
-        let mut bytes = Vec::with_capacity(HEAD_BYTES_MAX as usize);
+        let mut bytes = Vec::with_capacity(HEAD_BYTES_MAX);
         let found = self.input.fill_buf()?;
-        if found.len() >= HEAD_BYTES_MAX as usize {
-            bytes.extend_from_slice(&found[..HEAD_BYTES_MAX as usize]);
+        if found.len() >= HEAD_BYTES_MAX {
+            bytes.extend_from_slice(&found[..HEAD_BYTES_MAX]);
         } else {
             // Where a buffer ends, and at the end of the file.
-            self.input.by_ref().take(HEAD_BYTES_MAX).read_to_end(&mut bytes)?;
+            self.input.by_ref().take(HEAD_BYTES_MAX as u64).read_to_end(&mut bytes)?;
             self.input.seek_relative(-(bytes.len() as i64))?;
         }
         Ok(match chunk::split(&bytes) {
