@@ -34,9 +34,9 @@ def built(*what: str) -> list[Path]:
 def hanging(folder: Path) -> Path:
     """mocapd with the hooks that make it hang, into a folder: in cargo's own the next build takes its place.
 
-    As tests are built: it hangs as well unoptimised, and is there a minute earlier.
+    As tests are built, so that three crates are compiled anew and not all: it hangs as well unoptimised.
     """
-    program = next(path for path in built("-p", "mocapd", "--bins", "--features", "fault-hooks") if path.name == "mocapd")
+    program = next(path for path in built("-p", "mocapd", "--bins", "--features", "full,fault-hooks") if path.name == "mocapd")
     return Path(shutil.copy2(program, folder / "mocapd-hanging"))
 
 
