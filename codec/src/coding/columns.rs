@@ -138,11 +138,34 @@ impl History {
 
 /// The lowest of equals, because it suffers least from a gap.
 fn smallest_order(column: &[i64], history: History) -> usize {
-    (0..=MAX_ORDER).min_by_key(|&order| column_bytes(column, history, order)).unwrap_or(0)
+    let bytes = column_bytes(column, history);
+    (0..=MAX_ORDER).min_by_key(|&order| bytes[order]).unwrap_or(0)
 }
 
-/// Bytes that [`write_column`] appends.
-fn column_bytes(column: &[i64], mut history: History, order: usize) -> usize {
+/// Bytes that [`write_column`] appends with each order.
+fn column_bytes(column: &[i64], mut history: History) -> [usize; MAX_ORDER + 1] {
+    if history.known < MAX_ORDER {
+        return std::array::from_fn(|order| first_column_bytes(column, history, order));
+    }
+    // Groups begin at the same values whatever the order is: one walk serves all.
+    let mut bytes = [0; MAX_ORDER + 1];
+    for group in column.chunks(GROUP_LEN) {
+        let mut unions = [0; MAX_ORDER + 1];
+        for &value in group {
+            for (order, union) in unions.iter_mut().enumerate() {
+                *union |= zigzag(value.wrapping_sub(history.predict(order)));
+            }
+            history.push(value);
+        }
+        for (bytes, union) in bytes.iter_mut().zip(unions) {
+            *bytes += group_bytes(group.len(), width_of(union));
+        }
+    }
+    bytes
+}
+
+/// The same while fewer earlier values are known than an order asks for.
+fn first_column_bytes(column: &[i64], mut history: History, order: usize) -> usize {
     let (first, rest) = column.split_at(history.first_values(order, column.len()));
     let mut size = 0;
     for &value in first {
