@@ -50,7 +50,8 @@ impl<'a> Verdict<'a> {
     #[must_use]
     pub fn of(summary: &'a Summary) -> Self {
         let take = &summary.take;
-        let mut problems: Vec<_> = take.problems.iter().map(Finding::Damage).collect();
+        // The ledger's before what is damaged: of many problems whoever shows them leaves out the last ones.
+        let mut problems = Vec::new();
         if take.ledger.as_ref().is_some_and(|ledger| !Ledger::closes(ledger)) {
             problems.push(Finding::LedgerOpen);
         }
@@ -61,6 +62,7 @@ impl<'a> Verdict<'a> {
         {
             problems.push(Finding::Samples { told, found: summary.samples() });
         }
+        problems.extend(take.problems.iter().map(Finding::Damage));
         let mut contradictions = summary.contradictions().to_vec();
         let clock = summary.clock_apart();
         if let Some(Apart { offset_us, drift_ppm, agrees: false }) = &clock {
@@ -90,6 +92,11 @@ mod tests {
             assert_eq!(found(&summary), ["the ledger does not close"]);
         }
         assert!(Verdict::of(&summary).contradictions.is_empty());
+        // However much is damaged.
+        let damage = Problem::MissingBefore { row: 7 };
+        summary.take.problems = vec![damage.clone(); 2];
+        let damage = damage.to_string();
+        assert_eq!(found(&summary), ["the ledger does not close", &damage, &damage]);
     }
 
     #[test]

@@ -324,7 +324,7 @@ pub struct TakeCheck {
     pub tolerance_mm: f64,
     /// Largest error that the take states, in millimetres.
     pub max_error_mm: f64,
-    /// What is missing or damaged: the first hundred.
+    /// Whether the ledger does not close or tells of other samples, then what is missing or damaged: the first hundred.
     pub problems: Vec<String>,
     /// What the take says of itself and is not so: the first hundred.
     pub contradictions: Vec<String>,
