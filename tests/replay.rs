@@ -75,6 +75,7 @@ impl Simulated {
             // A machine under load may be told that a frame is late.
             say: &|_| {},
             how_to_end: "",
+            how_to_set: |_| String::new(),
             started: &mut |_| {},
         };
         let recorded = record(Rig::open(&self.uri).unwrap(), &mut options).unwrap();

@@ -19,6 +19,7 @@ use crate::{
         NewTake, NothingRecorded, Pipeline, Progress, TakeFailed, TakeOutput, Written, check_room,
     },
     rig::{ReadOptions, Recording, Rig},
+    setting::Setting,
 };
 
 /// What to record, and how to tell people.
@@ -40,6 +41,8 @@ pub struct RecordOptions<'a> {
     pub say: &'a dyn Fn(&str),
     /// How people end it, in words behind those that say that it waits; may be empty.
     pub how_to_end: &'a str,
+    /// What to do with a setting that a refusal names, in words.
+    pub how_to_set: fn(Setting) -> String,
     /// Told once the pipeline runs: counters to watch.
     pub started: &'a mut dyn FnMut(&Arc<Progress>),
 }
@@ -87,6 +90,7 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
             for_one_take: true,
             say: options.say,
             how_to_end: options.how_to_end,
+            how_to_set: options.how_to_set,
         };
         let recording = rig.read(intake, &read);
         (recording, pipeline.finish())

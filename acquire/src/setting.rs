@@ -1,5 +1,5 @@
-//! Refusals that another value of a setting helps against. Who shows one names the setting as its users know it: an
-//! option of a command, a key of a configuration.
+//! Refusals that another value of a setting helps against. Whoever shows one names the setting as its users know it:
+//! an option of a command, a key of a configuration.
 
 use std::fmt;
 
@@ -22,11 +22,19 @@ pub struct SettingRefused {
 }
 
 impl SettingRefused {
-    /// In one line; `advice` says what to do with the setting.
-    #[must_use]
-    pub fn words(&self, advice: impl FnOnce(Setting) -> String) -> String {
-        format!("{}; {}{}", self.why, advice(self.setting), self.or)
+    fn words(&self, how_to_set: impl Fn(Setting) -> String) -> String {
+        format!("{}; {}{}", self.why, how_to_set(self.setting), self.or)
     }
+}
+
+/// An error in one line; of a refusal in it `how_to_set` says what to do with the setting.
+#[must_use]
+pub fn words(error: &anyhow::Error, how_to_set: impl Fn(Setting) -> String) -> String {
+    let causes = error.chain().map(|cause| match cause.downcast_ref::<SettingRefused>() {
+        Some(refused) => refused.words(&how_to_set),
+        None => cause.to_string(),
+    });
+    causes.collect::<Vec<_>>().join(": ")
 }
 
 impl fmt::Display for SettingRefused {
@@ -40,3 +48,15 @@ impl fmt::Display for SettingRefused {
 }
 
 impl std::error::Error for SettingRefused {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_said_around_a_refusal_stays() {
+        let refused = SettingRefused { why: "no".to_owned(), setting: Setting::KeepFree, or: "!" };
+        let error = anyhow::Error::from(refused).context("inner").context("outer");
+        assert_eq!(words(&error, |_| "--keep-free".to_owned()), "outer: inner: no; --keep-free!");
+    }
+}

@@ -20,7 +20,7 @@ use std::{
 };
 
 use anyhow::Context;
-use mocapd_acquire::setting::{Setting, SettingRefused};
+use mocapd_acquire::setting::{self, Setting};
 use mocapd_codec::Settings;
 use mocapd_drivers::{
     registry::{Claim, Listed},
@@ -291,12 +291,15 @@ impl Config {
 
 /// In one line, with the key that helps against a refusal.
 pub(crate) fn in_keys(error: &anyhow::Error) -> String {
-    let Some(refused) = error.downcast_ref::<SettingRefused>() else { return format!("{error:#}") };
-    refused.words(|setting| match setting {
+    setting::words(error, with_key)
+}
+
+pub(crate) fn with_key(setting: Setting) -> String {
+    match setting {
         Setting::Rate(Some(rate_hz)) => format!("set device.rate_hz = {rate_hz}"),
         Setting::Rate(None) => "leave device.rate_hz out".to_owned(),
         Setting::KeepFree => "lower take.keep_free".to_owned(),
-    })
+    }
 }
 
 /// Which device is meant, among those that `registry::devices` lists. Devices that say themselves what they are

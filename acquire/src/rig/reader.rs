@@ -22,6 +22,7 @@ use crate::{
     host_clock::monotonic_ns,
     latency::Latency,
     pipeline::{Counts, Intake, Progress},
+    setting::Setting,
 };
 
 /// How long a device may send nothing before somebody is told.
@@ -50,6 +51,8 @@ pub struct ReadOptions<'a> {
     pub say: &'a dyn Fn(&str),
     /// How people end it, in words behind those that say that it waits; may be empty.
     pub how_to_end: &'a str,
+    /// What to do with a setting that a refusal names, in words.
+    pub how_to_set: fn(Setting) -> String,
 }
 
 /// What the reader saw.

@@ -9,7 +9,7 @@ use mocapd_drivers::{
 };
 
 use super::{ReadOptions, Rig, reader::Reader};
-use crate::host_clock::monotonic_ns;
+use crate::{host_clock::monotonic_ns, setting};
 
 /// How often it is looked for where udev does not tell: twenty looks in the two seconds within which a device
 /// that is back is recorded again.
@@ -127,7 +127,7 @@ impl Rig {
             Ok(()) => Attempt::Back,
             Err(error) => {
                 self.transport = Box::new(Unplugged);
-                Attempt::Failed(format!("{error:#}"))
+                Attempt::Failed(setting::words(&error, options.how_to_set))
             }
         }
     }

@@ -28,7 +28,10 @@ use super::{
     hub::NewSession,
     session::{Core, KnownDevice, Session},
 };
-use crate::{config::in_keys, status::ServiceEventKind};
+use crate::{
+    config::{in_keys, with_key},
+    status::ServiceEventKind,
+};
 
 /// Between two looks for a device that is not there or does not answer.
 const TRY_EVERY: Duration = Duration::from_millis(500);
@@ -205,6 +208,7 @@ impl Inner {
             for_one_take: false,
             say: &say,
             how_to_end: "",
+            how_to_set: with_key,
         };
         let progress = Arc::clone(pipeline.progress());
         let read = rig.read(intake, &options);

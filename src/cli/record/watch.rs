@@ -12,7 +12,7 @@ use std::{
 use mocapd_acquire::{
     record::{RecordOptions, Recorded, record},
     rig::Rig,
-    setting::{Setting, SettingRefused},
+    setting::{self, Setting, SettingRefused},
 };
 use mocapd_codec::Settings;
 use mocapd_service::subject::strangers;
@@ -80,6 +80,7 @@ pub(crate) fn record_and_watch(
         stop,
         say: &say,
         how_to_end: "; Ctrl-C finishes the take",
+        how_to_set: with_option,
         started: &mut started,
     };
     let recorded = record(rig, &mut options);
@@ -89,12 +90,18 @@ pub(crate) fn record_and_watch(
 
 /// A refusal with the option that helps against it.
 pub(super) fn in_options(error: anyhow::Error) -> anyhow::Error {
-    let Some(refused) = error.downcast_ref::<SettingRefused>() else { return error };
-    anyhow::Error::msg(refused.words(|setting| match setting {
+    if !error.is::<SettingRefused>() {
+        return error;
+    }
+    anyhow::Error::msg(setting::words(&error, with_option))
+}
+
+fn with_option(setting: Setting) -> String {
+    match setting {
         Setting::Rate(Some(rate_hz)) => format!("record with --rate {rate_hz}"),
         Setting::Rate(None) => "leave --rate out".to_owned(),
         Setting::KeepFree => "lower --keep-free".to_owned(),
-    }))
+    }
 }
 
 /// How long the disk will do at this rate, in hours and minutes, once that is known.
