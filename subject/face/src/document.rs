@@ -39,7 +39,7 @@ struct Kind {
     #[serde(default)]
     format: Option<String>,
     #[serde(default)]
-    version: u64,
+    version: Option<u64>,
 }
 
 impl Format {
@@ -97,12 +97,15 @@ impl Format {
                 .map_or("no format".to_owned(), |format| format.escape_debug().take(40).collect());
             return Err(format!("it says {says} where {name} is expected, {made_by}"));
         }
-        if kind.version != *version {
-            let found = kind.version;
-            return Err(format!(
+        match kind.version {
+            Some(found) if found == *version => Ok(()),
+            Some(found) if found > *version => Err(format!(
                 "it is version {found} of {name}, this build reads {version}: use a newer mocapd"
-            ));
+            )),
+            Some(found) => {
+                Err(format!("there is no version {found} of {name}: write \"version\": {version}"))
+            }
+            None => Err(format!("it says {name} and no version: write \"version\": {version}")),
         }
-        Ok(())
     }
 }

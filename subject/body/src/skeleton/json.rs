@@ -56,7 +56,7 @@ struct Kind {
     #[serde(default)]
     format: Option<String>,
     #[serde(default)]
-    version: u64,
+    version: Option<u64>,
 }
 
 #[derive(Serialize)]
@@ -147,6 +147,7 @@ impl Skeleton {
 /// Refuses what is no JSON, JSON that is another document, and one of a later version.
 fn check_kind(bytes: &[u8]) -> Result<(), String> {
     const MADE_BY: &str = "which `mocapd subject body -o` writes";
+    const WRITE_VERSION: &str = "write \"version\": 1";
     let kind: Kind = serde_json::from_slice(bytes).map_err(|error| {
         let is = match error.classify() {
             Category::Data => "it is no",
@@ -159,13 +160,14 @@ fn check_kind(bytes: &[u8]) -> Result<(), String> {
         let says = kind.format.map_or("no format".to_owned(), |format| quoted(&format));
         return Err(format!("it says {says} where {FORMAT} is expected, {MADE_BY}"));
     }
-    if kind.version != VERSION {
-        let found = kind.version;
-        return Err(format!(
+    match kind.version {
+        Some(VERSION) => Ok(()),
+        Some(found @ VERSION..) => Err(format!(
             "it is version {found} of {FORMAT}, this build reads {VERSION}: use a newer mocapd"
-        ));
+        )),
+        Some(found) => Err(format!("there is no version {found} of {FORMAT}: {WRITE_VERSION}")),
+        None => Err(format!("it says {FORMAT} and no version: {WRITE_VERSION}")),
     }
-    Ok(())
 }
 
 fn expect(

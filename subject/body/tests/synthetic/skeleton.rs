@@ -230,7 +230,13 @@ fn a_foreign_document_is_refused_with_the_reason() {
     let head = text.find("\"head\"").unwrap();
     for (from, to, expected) in [
         ("mocapd-skeleton", "other", "other"),
-        ("\"version\": 1", "\"version\": 2", "version 2"),
+        ("\"version\": 1", "\"version\": 2", "it is version 2 of mocapd-skeleton"),
+        (
+            "\"version\": 1",
+            "\"version\": 0",
+            "no version 0 of mocapd-skeleton: write \"version\": 1",
+        ),
+        ("\"version\": 1,", "", "no version: write \"version\": 1"),
         ("\"default\"", "7", "method: "),
         ("\"sha256\"", "\"sha\"", "`sha256`"),
         ("\"name\": \"throat\"", "\"name\": \"head\"", "`joints[1].name` is head"),
