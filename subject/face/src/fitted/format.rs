@@ -2,9 +2,10 @@
 
 use serde::Serialize;
 
-use super::{FittedFace, Pose};
+use super::FittedFace;
 use crate::document::{DocumentError, Format};
 use crate::model::FeatureId;
+use crate::shortened;
 
 const FACE: Format = Format {
     name: "mocapd-face",
@@ -88,9 +89,9 @@ impl FittedFace {
         let is_scale = |scale: &f64| *scale > 0.0 && *scale < COORDINATE_MAX;
         let scale = "more than 0 and less than 1e6";
         FACE.expect(self.scale_px_per_mm, whole("scale_px_per_mm"), scale, is_scale)?;
-        let is_turn =
-            |pose: &Pose| [pose.yaw, pose.pitch, pose.roll].iter().all(|a| a.abs() <= 180.0);
-        FACE.expect(self.pose_deg, whole("pose_deg"), "angles within 180 degrees", is_turn)?;
+        let angles = self.pose_deg.iter().flat_map(|pose| [pose.yaw, pose.pitch, pose.roll]);
+        let angle = |i: usize| format!("pose_deg.{}", ["yaw", "pitch", "roll"][i]);
+        FACE.expect(angles, angle, "no more than 180 degrees", |angle| angle.abs() <= 180.0)?;
         let (near, is_near) =
             ("coordinates within 1e6", |at: &&[f64]| at.iter().all(|x| x.abs() < COORDINATE_MAX));
         let origin = self.origin_px.iter().map(|at| &at[..]);
@@ -107,7 +108,9 @@ impl FittedFace {
         FACE.expect(lines, |i| format!("lines[{i}]"), &there, are_there)?;
         let triangles = self.triangles.iter().map(|triangle| &triangle[..]);
         FACE.expect(triangles, |i| format!("triangles[{i}]"), &there, are_there)?;
-        FACE.expect(&self.features, whole("features"), &there, |(_, vertex)| **vertex < n)
+        let (names, vertices): (Vec<_>, Vec<_>) = self.features.iter().unzip();
+        let feature = |i: usize| format!("features.{}", shortened(names[i]));
+        FACE.expect(vertices, feature, &there, |&&vertex| vertex < n)
     }
 
     /// All 53, in their order, or none.

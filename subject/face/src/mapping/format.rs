@@ -44,12 +44,12 @@ impl Mapping {
         };
         let labels = || markers.iter().map(|marker| &marker.label);
         MAPPING.expect(labels(), |i| format!("markers[{i}].label"), &expected, is_name)?;
-        let places = markers.iter().map(|marker| match &marker.place {
-            Place::Feature(name) => Some(name),
+        let named = markers.iter().enumerate().filter_map(|(i, marker)| match &marker.place {
+            Place::Feature(name) => Some((i, name)),
             Place::Vertex(_) => None,
         });
-        let is_place = |name: &Option<&String>| name.is_none_or(|name| is_name(&name));
-        MAPPING.expect(places, |i| format!("markers[{i}].at"), &expected, is_place)?;
+        let (at, names): (Vec<_>, Vec<_>) = named.unzip();
+        MAPPING.expect(names, |i| format!("markers[{}].at", at[i]), &expected, is_name)?;
         let expected = format!("0 to {WEIGHT_MAX}");
         let weights = markers.iter().map(|marker| marker.weight);
         let is_weight = |weight: &f64| (0.0..=WEIGHT_MAX).contains(weight);

@@ -117,6 +117,18 @@ fn mappings_are_written_and_read_and_refused() {
         assert!(Mapping::from_json(text.replacen(from, to, 1).as_bytes()).is_err(), "{from} {to}");
     }
     assert!(Mapping::from_json(&[b' '; 1 << 20]).is_err());
+    // Those who write one by hand see what they wrote.
+    for (head, why) in [
+        ("", "no version: write \"version\": 1"),
+        (r#""version": 0,"#, "no version 0 of mocapd-face-mapping: write \"version\": 1"),
+        (r#""version": 2,"#, "use a newer mocapd"),
+        (r#""version": 1,"#, "`markers[1].at` is \"\": expected"),
+    ] {
+        let markers = r#""markers": [{"label": "a", "at": 0}, {"label": "b", "at": ""}]"#;
+        let text = format!(r#"{{"format": "mocapd-face-mapping", {head} {markers}}}"#);
+        let found = Mapping::from_json(text.as_bytes()).unwrap_err().to_string();
+        assert!(found.contains(why), "{found}");
+    }
 }
 
 #[test]
