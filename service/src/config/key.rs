@@ -308,7 +308,8 @@ pub(super) fn found(value: &DeValue<'_>) -> String {
         DeValue::Float(number) => number
             .as_str()
             .parse::<f64>()
-            .map_or_else(|_| "a number".to_owned(), |number| format!("the number {number}")),
+            // 1.0 is no 1 where a whole number is wanted.
+            .map_or_else(|_| "a number".to_owned(), |number| format!("the number {number:?}")),
         DeValue::Boolean(flag) => flag.to_string(),
         DeValue::Array(_) => "a list".to_owned(),
         DeValue::Datetime(_) => "a date or time of day".to_owned(),

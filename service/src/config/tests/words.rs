@@ -36,15 +36,17 @@ fn refused(text: &str, at: (usize, usize), key: &str, facts: &[&str]) -> String 
     message
 }
 
-/// The same of a value of this key: what the key takes is said behind.
+/// The same of a value of this key: the facts stand before what the key takes, which is always said.
 #[track_caller]
 fn wrong(key: &str, value: &str, at: (usize, usize), facts: &[&str]) -> String {
     let key = KEYS.iter().find(|known| known.path == key).unwrap();
     let text = format!("[{}]\n{} = {value}", key.section(), key.name());
-    let message = refused(&text, at, key.path, facts);
-    let behind = message.strip_suffix(&key.advice());
-    assert!(behind.is_some_and(|before| before.contains(key.path)), "{message}");
-    behind.unwrap().to_owned()
+    let message = refused(&text, at, key.path, &[]);
+    let before = message.strip_suffix(&key.advice()).expect(&message);
+    for fact in [&[key.path], facts].concat() {
+        assert!(before.contains(fact), "'{fact}' is not in: {before}");
+    }
+    before.to_owned()
 }
 
 /// What differs in nothing but its value is told from the others all the same.
@@ -105,14 +107,19 @@ fn wrong_types_and_units_say_what_was_found_and_what_to_write() {
     let empty = wrong("take.directory", "''", (2, 0), &["\"\""]);
     let home = wrong("take.directory", "'~/takes'", (2, 0), &["\"~/takes\""]);
     differ(&[(empty, "\"\""), (home, "\"~/takes\"")]);
-    wrong("device.rate_hz", "0", (2, 0), &["0"]);
-    wrong("device.rate_hz", "nan", (2, 0), &["NaN"]);
+    wrong("device.rate_hz", "0", (2, 0), &["the number 0:", "0 Hz"]);
+    wrong("device.rate_hz", "nan", (2, 0), &["the number NaN:"]);
     wrong("device.uri", "'/dev/ttyUSB0'", (2, 0), &["serial:/dev/ttyUSB0"]);
     wrong("rig.name", "'a/b'", (2, 0), &["\"a/b\""]);
     wrong("log.level", "'warning'", (2, 0), &["\"warning\"", "'warn'"]);
     // More could use up the descriptors that takes need.
-    for value in ["0", "257", "1.0", "99999999999999999999"] {
-        wrong("http.connections_max", value, (2, 0), &["256"]);
+    for (value, found) in [
+        ("0", "the number 0:"),
+        ("257", "the number 257:"),
+        ("1.0", "the number 1.0:"),
+        ("99999999999999999999", "too many digits"),
+    ] {
+        wrong("http.connections_max", value, (2, 0), &[found]);
     }
 }
 
