@@ -74,18 +74,22 @@ pub fn create_new(path: &Path) -> anyhow::Result<File> {
 /// Makes the name of a new file survive a power cut, as a sync makes its content. Where a file system has no such
 /// sync of folders, it keeps names in its own way.
 pub fn sync_name(path: &Path) {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    if let Ok(folder) = File::open(folder.unwrap_or(Path::new("."))) {
+    if let Ok(folder) = File::open(folder_of(path)) {
         folder.sync_all().ok();
     }
+}
+
+/// The folder that a file at `path` is in, or would be.
+#[must_use]
+pub fn folder_of(path: &Path) -> &Path {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    folder.unwrap_or(Path::new("."))
 }
 
 fn cannot_create(path: &Path, error: &io::Error) -> anyhow::Error {
     match error.kind() {
         io::ErrorKind::AlreadyExists => exists(path),
-        io::ErrorKind::NotFound => {
-            FileError::NoFolder(path.parent().map_or(PathBuf::new(), Path::to_owned)).into()
-        }
+        io::ErrorKind::NotFound => FileError::NoFolder(folder_of(path).to_owned()).into(),
         io::ErrorKind::PermissionDenied => FileError::NotWritable(path.to_owned()).into(),
         _ => anyhow!("cannot create {}: {error}", path.display()),
     }

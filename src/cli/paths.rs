@@ -3,7 +3,7 @@
 use std::{fs::Metadata, os::unix::fs::MetadataExt, path::Path};
 
 use mocapd::outcome::UsageError;
-use mocapd_acquire::files::{FileError, NewFile};
+use mocapd_acquire::files::{FileError, NewFile, folder_of};
 use mocapd_drivers::plain_file::NotAFile;
 use mocapd_take::interchange::Format;
 
@@ -73,8 +73,7 @@ pub(super) fn are_on_one_disk(one: &Path, other: &Path) -> bool {
 
 /// The folder that a file would be in.
 fn folder(path: &Path) -> Option<Metadata> {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    folder.unwrap_or(Path::new(".")).metadata().ok()
+    folder_of(path).metadata().ok()
 }
 
 /// Whether it stands for standard output, where a command has data for it.
@@ -91,8 +90,8 @@ pub(super) fn check_output(path: &Path) -> anyhow::Result<()> {
         let message = "- stands for standard output, which this is not written to: name a file (./- for one of that name)";
         return Err(UsageError(message.to_owned()).into());
     }
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    if let Some(folder) = folder.filter(|folder| !folder.exists()) {
+    let folder = folder_of(path);
+    if !folder.exists() {
         return Err(FileError::NoFolder(folder.to_owned()).into());
     }
     NewFile::create(path).map(drop)

@@ -16,7 +16,7 @@ use rustix::{
     io::Errno,
 };
 
-use super::{cannot_create, exists, own_link, sync_name};
+use super::{cannot_create, exists, folder_of, own_link, sync_name};
 use crate::threads;
 
 /// A file that gets its name only when it is complete. Dropped before, it is removed; where the file system
@@ -197,9 +197,8 @@ fn hidden_name(name: &OsStr) -> OsString {
 
 /// A file without a name in the folder of `path`; `None` where there are none.
 fn without_a_name(path: &Path) -> anyhow::Result<Option<File>> {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     let flags = OFlags::WRONLY | OFlags::TMPFILE | OFlags::CLOEXEC;
-    match openat(CWD, folder.unwrap_or(Path::new(".")), flags, Mode::from_raw_mode(0o666)) {
+    match openat(CWD, folder_of(path), flags, Mode::from_raw_mode(0o666)) {
         Ok(file) => {
             let file = File::from(file);
             // Without /proc it could never be named.

@@ -12,7 +12,7 @@ use rustix::fs::statvfs;
 
 use super::Progress;
 use crate::{
-    files::TakeOutput,
+    files::{TakeOutput, folder_of},
     setting::{Setting, SettingRefused},
 };
 
@@ -165,9 +165,8 @@ fn is_full(error: &io::Error) -> bool {
 /// # Errors
 /// How much is free, how much must be, and what to do.
 pub fn check_room(path: &Path, keep_free_bytes: u64) -> anyhow::Result<()> {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     // What cannot be told is not held against it: creating the file will tell.
-    let Ok(disk) = statvfs(folder.unwrap_or(Path::new("."))) else { return Ok(()) };
+    let Ok(disk) = statvfs(folder_of(path)) else { return Ok(()) };
     let free_bytes = disk.f_bavail.saturating_mul(disk.f_frsize);
     if free_bytes < keep_free_bytes.saturating_add(HELD_MIN_BYTES) {
         let why = format!(
