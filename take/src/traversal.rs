@@ -221,7 +221,7 @@ impl Progress {
         let told =
             self.losses.sought.filter(|key| key.offset == offset && key.first_row != first_row);
         if let Some(IndexEntry { first_row: told, .. }) = told {
-            // Who sought it may have passed over rows that are there.
+            // Whoever sought it may have passed over rows that are there.
             self.note(Problem::IndexRow { told, found: first_row });
             self.take.damaged = true;
         }

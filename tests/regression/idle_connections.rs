@@ -124,7 +124,7 @@ fn idle_and_dripping_strangers_on_tcp_leave_the_socket_alone() {
     let answered: Vec<u16> = (0..50).map(|_| rig.over_unix("/v1/status").status).collect();
     assert_eq!(answered, [200; 50]);
     rig.settled(STRANGERS);
-    // Who knows the token gets in over TCP, too: strangers make room.
+    // Whoever knows the token gets in over TCP, too: strangers make room.
     let answered: Vec<u16> = (0..20).map(|_| rig.over_tcp("/v1/status").status).collect();
     assert_eq!(answered, [200; 20]);
     // No more than fit hold a place, and each of the others is told why, unless it had its answer.

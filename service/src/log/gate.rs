@@ -312,7 +312,7 @@ mod tests {
             }
         });
         assert_eq!(text.matches("WARN the device stalled").count(), 10, "{text}");
-        // One line more says how many were left out, and of which.
+        // One line more says how many were left out, and which message they repeat.
         let rest: Vec<_> = text.lines().filter(|line| line.contains("left_out=40")).collect();
         assert!(rest.len() == 1 && rest[0].contains("the device stalled"), "{text}");
     }

@@ -192,7 +192,7 @@ fn check(take: &[u8], random: &mut Random, what: &str) -> Result<(), TakeError> 
     let undecodable = |problem: &Problem| {
         matches!(problem, Problem::Refused { refusal: Refusal::Undecodable(_), .. })
     };
-    // What cannot be decoded may have named channels, and had rows, of which the map tells.
+    // What cannot be decoded may have named channels, and had rows, and the map tells of them.
     let is_decodable = !survey.problems.iter().any(undecodable);
     let is_same = map.n_rows == survey.rows && labels(&map.channels) == labels(&survey.channels);
     if !is_same {
@@ -224,7 +224,7 @@ fn check(take: &[u8], random: &mut Random, what: &str) -> Result<(), TakeError> 
     assert_eq!(samples, all.n_samples as u64, "{what}: samples in the survey");
 
     let n = [3, 100][random.below(2)];
-    // Who knows the heads alone cannot tell what comes twice, unless it reads both.
+    // The heads alone do not tell what comes twice, unless both are read.
     let is_twice =
         |problem: &Problem| matches!(problem, Problem::Refused { refusal: Refusal::Twice, .. });
     let by_heads = TakeMap::open(&mut Cursor::new(take))?;
