@@ -308,7 +308,7 @@ pub(super) fn found(value: &DeValue<'_>) -> String {
         DeValue::Float(number) => number
             .as_str()
             .parse::<f64>()
-            // 1.0 is no 1 where a whole number is wanted.
+            // With its point or its exponent, and never with hundreds of zeros.
             .map_or_else(|_| "a number".to_owned(), |number| format!("the number {number:?}")),
         DeValue::Boolean(flag) => flag.to_string(),
         DeValue::Array(_) => "a list".to_owned(),
@@ -347,6 +347,9 @@ impl Setting for bool {
 impl Setting for usize {
     fn read(given: &Given<'_>) -> Result<Self, Vec<Problem>> {
         given.read(|value| {
+            if matches!(value, DeValue::Float(_)) {
+                return Err(Some("a whole number has no decimal point and no exponent".to_owned()));
+            }
             let number = whole(value).and_then(|number| u64::try_from(number).ok()).ok_or(None)?;
             let in_range =
                 matches!(&given.key.takes, Takes::Whole(range) if range.contains(&number));
