@@ -234,10 +234,10 @@ fn hostile_sizes_cost_no_memory() {
     let mut take = front.clone();
     chunk::put(&mut take, chunk::types::STRETCH, &group).unwrap();
     let problems = mocapd_acquire::inspect::Summary::read(&take[..]).unwrap().take.problems;
-    assert!(
-        matches!(&problems[0], Problem::Refused { refusal: Refusal::Undecodable(_), .. }),
-        "{problems:?}"
-    );
+    let Problem::Refused { refusal: Refusal::Undecodable(why), .. } = &problems[0] else {
+        panic!("{problems:?}")
+    };
+    assert_tells(why, &["more samples"]);
     let mut long = front;
     long.extend_from_slice(&[chunk::types::STRETCH, 0xff, 0xff, 0xff, 0xff, 0x03, 1, 2, 3]);
     let is_last = |problem: &Problem| matches!(problem, Problem::Damaged { offset, len, .. } if offset + len == long.len() as u64);

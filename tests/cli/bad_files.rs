@@ -83,19 +83,20 @@ fn what_is_not_its_format() {
         folder.write(&format!("empty.{ending}"), "");
         folder.write(&format!("noise.{ending}"), [0xA5; 3000]);
     }
-    for (file, place) in [
-        ("empty.c3d", "c3d byte 0"),
-        ("empty.trc", "trc line"),
-        ("empty.tsv", "tsv line"),
-        ("empty.csv", "csv line 1"),
-        ("noise.c3d", "c3d byte"),
-        ("noise.trc", "trc line"),
-        ("noise.tsv", "tsv line"),
-        ("noise.csv", "csv line 1"),
-        ("header_only.c3d", "c3d byte 16"),
-        ("half_a_header.c3d", "c3d byte 16"),
+    for (file, facts) in [
+        ("empty.c3d", &["c3d byte 0"][..]),
+        ("empty.trc", &["trc line"]),
+        ("empty.tsv", &["tsv line"]),
+        ("empty.csv", &["csv line 1"]),
+        ("noise.c3d", &["c3d byte 1", "a5"]),
+        ("noise.trc", &["trc line"]),
+        ("noise.tsv", &["tsv line"]),
+        ("noise.csv", &["csv line 1"]),
+        ("header_only.c3d", &["c3d byte 16", "block"]),
+        ("half_a_header.c3d", &["c3d byte 0", "512", "100"]),
     ] {
-        assert_tells(&folder.refuses(&["import", file, "-o", "new.take"], 1), &[file, place]);
+        let line = folder.refuses(&["import", file, "-o", "new.take"], 1);
+        assert_tells(&line, &[&[file], facts].concat());
     }
 }
 

@@ -46,8 +46,9 @@ pub(super) struct Header {
 }
 
 impl Header {
-    /// Reads a header; `None` when the bytes are fewer than its fixed part.
+    /// Reads a header; `None` when the bytes are fewer than a block.
     pub(super) fn parse(bytes: &[u8], order: ByteOrder) -> Option<Self> {
+        let bytes = bytes.get(..BLOCK)?;
         Some(Self {
             parameter_block: *bytes.first()?,
             n_points: order.word_at(bytes, 2)?,
