@@ -2,7 +2,10 @@
 
 use std::fmt::Write;
 
-use mocapd_acquire::ledger::{ClockDocument, LedgerDocument};
+use mocapd_acquire::{
+    ledger::{ClockDocument, LedgerDocument},
+    verdict::Finding,
+};
 use serde::Serialize;
 
 use super::{
@@ -116,7 +119,7 @@ pub(crate) fn not_closing(ledger: &LedgerDocument) -> Option<String> {
             why.push(format!("{n} {what} are left over"));
         }
     }
-    (!ledger.closes).then(|| format!("the ledger does not close: {}", why.join("; ")))
+    (!ledger.closes).then(|| format!("{}: {}", Finding::LedgerOpen, why.join("; ")))
 }
 
 fn close(ledger: &LedgerDocument, out: &mut String) {

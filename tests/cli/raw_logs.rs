@@ -9,7 +9,7 @@ use mocapd_drivers::{
 };
 use mocapd_simulator::{
     device::{Device, DeviceSettings},
-    faults::{FaultyDevice, Script},
+    faults::FaultyDevice,
     generator::JumpSpec,
     logged::{LogDevice, LogDeviceError},
     ndi::{NdiDevice, NdiSettings},
@@ -19,7 +19,7 @@ use serde_json::{Value, json};
 use super::{
     Folder, Ran,
     devices::Simulated,
-    faults::{SCRIPTS, played::record_from},
+    faults::{self, played::record_from},
 };
 use crate::support::{assert_tells, jump};
 
@@ -31,26 +31,29 @@ const KEPT: &[&str] = &["garbage", "mixed-noise", "stall", "lying-counter", "unp
 /// Small enough to keep.
 const KEPT_BYTES_MAX: usize = 100_000;
 
-/// What a recording comes to, without what is of its own time: arrivals, and the line through them.
-fn outcome(folder: &Folder, take: &str, ran: &Ran) -> Value {
+/// What a recording of a script comes to, without what is of its own time: arrivals, and the line through them. What is said
+/// in words is what the script expects.
+fn outcome(folder: &Folder, take: &str, ran: &Ran, script: &str) -> Value {
     let mut ledger = ran.json()["ledger"].clone();
     ledger.as_object_mut().unwrap().remove("clock");
     let info = folder.run(&["info", take, "--json"]).json();
-    // Of what is said in words, what it is said of.
+    faults::words_agree(&ledger, &info, &faults::script(script).expect.unwrap());
     let contradictions = ledger["contradictions"].as_array_mut().unwrap();
-    contradictions.iter_mut().for_each(|told| *told = numbers(told.as_str().unwrap()));
-    let events = info["events"].as_array().unwrap().iter().map(|event| event["kind"].clone());
+    contradictions.iter_mut().for_each(|told| *told = counts(told));
+    let events = info["events"].as_array().unwrap().iter();
+    let events = events.map(|event| json!([event["kind"], counts(&event["text"])]));
     json!({ "exit": ran.code, "ledger": ledger, "events": events.collect::<Vec<_>>() })
 }
 
-fn numbers(text: &str) -> Value {
-    text.split(|c: char| !c.is_ascii_digit()).filter(|number| !number.is_empty()).collect()
+/// The whole numbers of a text. Those with a point are times.
+fn counts(text: &Value) -> Value {
+    let numbers = text.as_str().unwrap().split(|c: char| !c.is_ascii_digit() && c != '.');
+    numbers.filter(|number| number.parse::<u64>().is_ok()).collect()
 }
 
 /// Twelve markers at 60 Hz for two seconds, under a script that ships: a recording with a log of it.
-fn recorded(folder: &Folder, script: &str) -> Value {
-    let text = fs::read_to_string(format!("{SCRIPTS}/{script}.toml")).unwrap();
-    let script = Arc::new(Script::parse(script, &text).unwrap());
+fn recorded(folder: &Folder, name: &str) -> Value {
+    let script = Arc::new(faults::script(name));
     let spec = JumpSpec { seconds: Some(2.0), n_markers: 12, ..JumpSpec::new(script.seed, 60.0) };
     let settings =
         DeviceSettings { faults: Some(Arc::clone(&script)), ..DeviceSettings::default() };
@@ -58,14 +61,14 @@ fn recorded(folder: &Folder, script: &str) -> Value {
     let device = FaultyDevice::new(device, &script);
     let (ran, _) =
         record_from(folder, device, None, &["-o", "first.take", "--raw", "first.rawlog"]);
-    outcome(folder, "first.take", &ran)
+    outcome(folder, "first.take", &ran, name)
 }
 
-fn replayed(folder: &Folder, log: &[u8], options: &[&str]) -> Value {
+fn replayed(folder: &Folder, log: &[u8], options: &[&str], script: &str) -> Value {
     let device = LogDevice::new(log, 1.0).unwrap();
     assert!(device.problems().is_empty(), "{:?}", device.problems());
     let (ran, _) = record_from(folder, device, None, &[&["-o", "again.take"], options].concat());
-    outcome(folder, "again.take", &ran)
+    outcome(folder, "again.take", &ran, script)
 }
 
 #[test]
@@ -75,7 +78,7 @@ fn a_replayed_log_comes_to_the_same() {
         let first = recorded(&folder, script);
         assert_eq!(first["ledger"]["frame_balance"], 0, "{first:#}");
         let log = folder.read("first.rawlog");
-        let again = replayed(&folder, &log, &["--raw", "again.rawlog"]);
+        let again = replayed(&folder, &log, &["--raw", "again.rawlog"], script);
         assert_eq!(again, first, "{script}: {again:#} {first:#}");
         // And a log of the replay has what the first one has, but for the pongs' times.
         assert_eq!(said(&log).len(), said(&folder.read("again.rawlog")).len(), "{script}");
@@ -177,7 +180,8 @@ fn the_logs_that_are_kept_come_to_what_stands_beside_them() {
                 assert!(log.len() < KEPT_BYTES_MAX, "{}: {} bytes", path.display(), log.len());
                 let expected = fs::read_to_string(path.with_extension("json")).unwrap();
                 let expected: Value = serde_json::from_str(&expected).unwrap();
-                let again = replayed(&Folder::new(), &log, &[]);
+                let script = path.file_stem().unwrap().to_str().unwrap();
+                let again = replayed(&Folder::new(), &log, &[], script);
                 assert_eq!(again, expected, "{}: {again:#}", path.display());
             });
         }

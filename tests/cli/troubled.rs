@@ -14,7 +14,7 @@ use mocapd_simulator::{
 use mocapd_take::motion::Motion;
 
 use super::{Folder, devices::Simulated};
-use crate::support::{jump, tells};
+use crate::support::{assert_tells, jump, tells};
 
 /// A device that has trouble so long after it was first asked for something.
 struct Troubled<D> {
@@ -272,14 +272,21 @@ fn a_stream_whose_end_is_lost_ends_all_the_same() {
                 let folder = Folder::new();
                 let device = Simulated::serve(Spoilt::new(jump(9, 120.0, 1.0), reports), None);
                 let ran = folder.run(&["record", "-d", &device.uri(), "-o", "a.take", "--json"]);
-                let report = ran.with_code(0).json();
+                let ran = ran.with_code(0);
+                let report = ran.json();
                 assert_eq!(report["ending"], "end of stream");
                 assert_eq!(report["ledger"]["recorded"], 120);
                 assert_eq!(report["ledger"]["frames_sent"], 120);
                 assert_eq!(report["ledger"]["link_messages_damaged"], 1 + reports);
                 assert_eq!(device.unplug().starts, 1);
                 let info = folder.run(&["info", "a.take", "--json"]).json();
-                assert_eq!(info["events"][0]["kind"], "host", "{info}");
+                assert_eq!(info["outages"]["count"], 0, "{info}");
+                let event = &info["events"][0];
+                assert_eq!(event["kind"], "host", "{info}");
+                // Whoever records it is told the same.
+                let event = event["text"].as_str().unwrap();
+                assert_tells(event, &["end of the stream"]);
+                assert_tells(&ran.stderr, &[event]);
             });
         }
     });
