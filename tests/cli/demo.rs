@@ -9,7 +9,8 @@ fn the_demo_records_verifies_and_exports() {
     let demo = ["demo", "--seconds", "1s", "--rate", "240Hz", "--tolerance", "1mm", "--out", "d"];
     let ran = folder.run(&demo).with_code(0);
     assert_eq!(ran.stderr, "");
-    assert_tells(&ran.stdout, &["240 Hz", "1 s", "1 mm", "mocapd info d/jump-001.take"]);
+    let facts = ["240 Hz", "1 s", "1 mm", "ledger closes", "mocapd info d/jump-001.take"];
+    assert_tells(&ran.stdout, &facts);
     let info = folder.run(&["info", "d/jump-001.take", "--json"]).with_code(0).json();
     assert_eq!(info["ledger"]["closes"], true, "{info}");
     let names = || {

@@ -54,7 +54,7 @@ fn the_words_say_what_the_numbers_say() {
     let folder = Folder::new();
     let device = Simulated::of(jump(6, 240.0, 0.5));
     let ran = folder.run(&["record", "-d", &device.uri(), "-o", "a.take"]).with_code(0);
-    assert_tells(&ran.stdout, &["a.take", "120 frames", "15 markers", "240 Hz"]);
+    assert_tells(&ran.stdout, &["a.take", "120 frames", "15 markers", "240 Hz", "ledger closes"]);
     assert_eq!(ran.stderr, "");
 }
 
