@@ -108,6 +108,7 @@ fn another_version_is_refused_with_its_number() {
                 );
             }
         }
+        assert_eq!(advice.len(), 2, "a newer and an older version are told apart: {advice:?}");
     }
 }
 
