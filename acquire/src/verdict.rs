@@ -50,7 +50,7 @@ impl<'a> Verdict<'a> {
     #[must_use]
     pub fn of(summary: &'a Summary) -> Self {
         let take = &summary.take;
-        // The ledger's before what is damaged: of many problems whoever shows them leaves out the last ones.
+        // Problems of the ledger come before damage: where there are many, the last ones are not shown.
         let mut problems = Vec::new();
         if take.ledger.as_ref().is_some_and(|ledger| !Ledger::closes(ledger)) {
             problems.push(Finding::LedgerOpen);

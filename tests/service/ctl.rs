@@ -100,8 +100,9 @@ fn exit_codes_are_those_of_the_rest() {
     let lossy = rig.ctl(&["stop", "--json"]).with_code(3);
     assert_tells(&lossy.stderr, &["3 frames"]);
     assert_eq!(lossy.json()["ledger"]["lost_on_link"], 3);
-    let nobody = rig.folder.run(&["ctl", "--connect", "unix:none.sock", "status"]).with_code(1);
-    assert_tells(&nobody.stderr, &["unix:none.sock"]);
+    let unreachable =
+        rig.folder.run(&["ctl", "--connect", "unix:none.sock", "status"]).with_code(1);
+    assert_tells(&unreachable.stderr, &["unix:none.sock"]);
     rig.folder.run(&["ctl", "--connect", "ftp://x", "status"]).with_code(2);
 }
 

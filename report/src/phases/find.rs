@@ -50,7 +50,7 @@ pub enum NoJump {
     /// Neither the take nor the motion tells which axis is up.
     #[error("which way is up cannot be told")]
     UpUnknown,
-    /// Nobody jumps.
+    /// No flight was found.
     #[error("the pelvis is never in flight: nothing here is a jump")]
     NeverInFlight,
 }

@@ -212,7 +212,7 @@ keys! {
     http.connections_max: Takes::Whole(1..=CONNECTIONS_MAX as u64),
         Preset::Whole(64), When::Restart, field!(http.connections_max);
     /// The UDP address on which capture triggers of other programs are heard; `""` for none.
-    /// Nobody starts a take over the network unless it was allowed here.
+    /// No take can be started over the network unless this is set.
     trigger.listen: Takes::Text(
             "an address and a port, such as \"0.0.0.0:8989\", or \"\" for none"
         ),

@@ -263,15 +263,23 @@ fn stopped(written: &Written, take: &NamedTake, file: &Settled, rate_hz: f64) ->
 
 #[cfg(test)]
 mod tests {
-    use std::{sync::Arc, time::Duration};
+    use std::{
+        io::{self, Write},
+        sync::{Arc, Mutex},
+        time::{Duration, Instant},
+    };
 
     use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 
+    use super::super::session::OpenTake;
     use super::{
         super::{Engine, EngineOptions},
         *,
     };
-    use mocapd_acquire::{files::TakeFile, heartbeat::Heartbeat};
+    use mocapd_acquire::{
+        files::{FileId, TakeFile},
+        heartbeat::Heartbeat,
+    };
 
     /// One that has no device.
     fn engine(directory: &Path) -> Engine {
@@ -337,5 +345,73 @@ mod tests {
         let kept = core.kept_open.iter().map(|file| file.displaced().unwrap().created_as);
         assert_eq!(kept.collect::<Vec<_>>(), places[1..], "the oldest is given up");
         drop(core);
+    }
+
+    /// Keeps what the status says of the last take while this one is being closed.
+    struct SeenWhileClosing(Arc<Inner>, Arc<Mutex<Option<TakeSummary>>>);
+
+    impl Write for SeenWhileClosing {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    impl TakeOutput for SeenWhileClosing {
+        fn sync(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+
+        fn settle(&mut self) -> Settled {
+            self.1.lock().unwrap().clone_from(&self.0.core().last_take);
+            let path = Some("now.take".into());
+            Settled { path, ..Settled::default() }
+        }
+    }
+
+    #[test]
+    fn a_take_that_closes_is_not_taken_for_the_one_before_it() {
+        let dir = tempfile::tempdir().unwrap();
+        let engine = engine(dir.path());
+        let seen = Arc::new(Mutex::new(Some(TakeSummary::default())));
+        let begin = || {
+            let mut core = engine.inner.core();
+            core.last_take =
+                Some(TakeSummary { name: "before".to_owned(), ..TakeSummary::default() });
+            core.take = Some(OpenTake {
+                named: NamedTake {
+                    id: String::new(),
+                    name: "now".to_owned(),
+                    path: dir.path().join("now.take"),
+                    file: FileId::of(&dir.path().metadata().unwrap()),
+                },
+                asked_unix_ms: 0,
+                begun: Instant::now(),
+                rate_hz: 100.0,
+                first: None,
+                ended: crossbeam_channel::never(),
+                file_told: 0,
+                ending: None,
+            });
+        };
+        let end = |recorded| {
+            let mut written = Written::default();
+            written.ledger.recorded = recorded;
+            let output = SeenWhileClosing(Arc::clone(&engine.inner), Arc::clone(&seen));
+            engine.inner.finish_take(Ok((written, Box::new(output))))
+        };
+        let last_take = || engine.inner.core().last_take.clone().unwrap().name;
+
+        begin();
+        end(0).unwrap_err();
+        assert_eq!(last_take(), "before", "nothing came of the one that ended");
+
+        begin();
+        end(1).unwrap();
+        assert!(seen.lock().unwrap().is_none());
+        assert_eq!(last_take(), "now");
     }
 }
