@@ -13,7 +13,7 @@ use std::{
     sync::Arc,
 };
 
-use anyhow::anyhow;
+use anyhow::{Context, anyhow, ensure};
 use mocapd_drivers::plain_file::{self, NotAFile};
 use mocapd_take::foreign::content::ScratchFile;
 use rustix::{
@@ -60,6 +60,22 @@ pub fn open(path: &Path) -> anyhow::Result<File> {
         (None, io::ErrorKind::PermissionDenied) => FileError::NotReadable(path.to_owned()).into(),
         (None, _) => anyhow!("cannot open {}: {error}", path.display()),
     })
+}
+
+/// The bytes of a file that has no more of them than `len_max`.
+///
+/// # Errors
+/// That it has more, or cannot be read.
+pub fn read_bounded(path: &Path, len_max: usize) -> anyhow::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let mut file = open(path)?.take(len_max as u64 + 1);
+    file.read_to_end(&mut bytes).with_context(|| format!("cannot read {}", path.display()))?;
+    ensure!(
+        bytes.len() <= len_max,
+        "{} has more than {len_max} bytes, the most that is read of such a file: is it another one?",
+        path.display()
+    );
+    Ok(bytes)
 }
 
 /// Creates a file that must not exist yet.

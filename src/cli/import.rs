@@ -10,7 +10,6 @@ use anyhow::Context;
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_acquire::{
     files::NewFile,
-    inspect::size_ratio,
     pipeline::{Written, offline},
     threads,
 };
@@ -29,7 +28,7 @@ use super::{
     output::{plain, print, print_json, say, shown},
     paths,
     subject::SubjectArgs,
-    values::{CodecArgs, bytes, count, thousands, tolerance_mm},
+    values::{CodecArgs, SizeReport, count, thousands, tolerance_mm},
 };
 
 #[derive(Debug, clap::Args)]
@@ -80,9 +79,8 @@ pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if args.drop_foreign {
         header.settings.push(("drop_foreign".to_owned(), "true".to_owned()));
     }
-    let labels: Vec<String> =
-        motion.info.markers.iter().map(|marker| marker.label.clone()).collect();
-    strangers(subject.as_ref(), &labels).iter().for_each(|words| about_file(words));
+    let unseen = strangers(subject.as_ref(), &motion.info.labels());
+    unseen.iter().for_each(|words| about_file(words));
     header.set_import_id(&bytes, subject.as_ref())?;
     motion.info.subject = subject;
     drop(bytes);
@@ -152,14 +150,9 @@ pub(super) struct Report {
     seconds: f64,
     markers: usize,
     rate_hz: f64,
-    samples: u64,
+    #[serde(flatten)]
+    size: SizeReport,
     samples_missing: u64,
-    raw_bytes: u64,
-    file_bytes: u64,
-    ratio: f64,
-    resampler: String,
-    tolerance_mm: f64,
-    max_error_mm: f64,
     foreign_dropped: Vec<String>,
     warnings: Vec<String>,
 }
@@ -181,38 +174,25 @@ impl Report {
             seconds: frames as f64 / info.rate_hz,
             markers: info.markers.len(),
             rate_hz: info.rate_hz,
-            samples: written.samples,
+            size: SizeReport::new(written, codec),
             samples_missing: (motion.positions_mm.len() as u64).saturating_sub(written.samples),
-            raw_bytes: 12 * written.samples,
-            file_bytes: written.file_bytes,
-            ratio: size_ratio(written.samples, written.file_bytes),
-            resampler: codec.kind.to_string(),
-            tolerance_mm: tolerance_mm(codec),
-            max_error_mm: written.max_error_mm,
             foreign_dropped,
             warnings: info.source.warnings.clone(),
         }
     }
 
     pub(super) fn words(&self) -> String {
-        let bound = if self.tolerance_mm > 0.0 {
-            format!("max error {:.4} mm <= {} mm", self.max_error_mm, self.tolerance_mm)
-        } else {
-            "every bit kept".to_owned()
-        };
         let gaps = match self.samples_missing {
             0 => String::new(),
             n => format!(" ({} samples missing)", thousands(n)),
         };
         format!(
-            "{}: {} of {}{gaps} at {} Hz, {} as float32, {} on disk ({:.1}:1), {bound}\n",
+            "{}: {} of {}{gaps} at {} Hz, {}\n",
             shown(&self.take),
             count(self.frames, "frame"),
             count(self.markers as u64, "marker"),
             self.rate_hz,
-            bytes(self.raw_bytes),
-            bytes(self.file_bytes),
-            self.ratio,
+            self.size.words(),
         )
     }
 }

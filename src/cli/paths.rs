@@ -38,9 +38,14 @@ fn unknown_ending(path: &Path, endings: &str) -> anyhow::Error {
     UsageError(message).into()
 }
 
+/// Whether its name ends like that, in letters of either case.
+pub(super) fn ends_in(path: &Path, ending: &str) -> bool {
+    path.extension().is_some_and(|found| found.eq_ignore_ascii_case(ending))
+}
+
 /// Whether it is called a take.
 pub(super) fn is_take(path: &Path) -> bool {
-    path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("take"))
+    ends_in(path, "take")
 }
 
 /// Says early what creating a take at `path` would meet: before a device is woken or a file is read.

@@ -4,9 +4,13 @@ use std::time::Duration;
 
 use clap::Args;
 use mocapd::outcome::UsageError;
-use mocapd_acquire::pipeline::{STRETCH_LENGTHS, SYNC_MAX};
+use mocapd_acquire::{
+    inspect::size_ratio,
+    pipeline::{STRETCH_LENGTHS, SYNC_MAX, Written},
+};
 use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 use mocapd_service::units;
+use serde::Serialize;
 
 /// The bound of the samples' error.
 ///
@@ -146,6 +150,42 @@ impl CodecArgs {
 /// What a report says of the bound: 0 where every bit is kept.
 pub(crate) fn tolerance_mm(codec: &Settings) -> f64 {
     if codec.kind.is_lossless() { 0.0 } else { codec.tolerance.mm() }
+}
+
+/// How large a take is beside its samples, and within which bound they are in it: what reports of new takes share.
+#[derive(Debug, Serialize)]
+pub(crate) struct SizeReport {
+    samples: u64,
+    raw_bytes: u64,
+    file_bytes: u64,
+    ratio: f64,
+    resampler: String,
+    tolerance_mm: f64,
+    max_error_mm: f64,
+}
+
+impl SizeReport {
+    pub(crate) fn new(written: &Written, codec: &Settings) -> Self {
+        Self {
+            samples: written.samples,
+            raw_bytes: 12 * written.samples,
+            file_bytes: written.file_bytes,
+            ratio: size_ratio(written.samples, written.file_bytes),
+            resampler: codec.kind.to_string(),
+            tolerance_mm: tolerance_mm(codec),
+            max_error_mm: written.max_error_mm,
+        }
+    }
+
+    pub(crate) fn words(&self) -> String {
+        let bound = if self.tolerance_mm > 0.0 {
+            format!("max error {:.4} mm <= {} mm", self.max_error_mm, self.tolerance_mm)
+        } else {
+            "every bit kept".to_owned()
+        };
+        let (raw, file) = (bytes(self.raw_bytes), bytes(self.file_bytes));
+        format!("{raw} as float32, {file} on disk ({:.1}:1), {bound}", self.ratio)
+    }
 }
 
 #[cfg(test)]

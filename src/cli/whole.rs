@@ -1,12 +1,9 @@
 //! Takes and files of the field alike, read whole, for what looks at all of a motion at once.
 
-use std::{
-    io::{BufReader, Read},
-    path::Path,
-};
+use std::{io::BufReader, path::Path};
 
-use anyhow::{Context, bail};
-use mocapd_acquire::files::{self, NewFile, SparseFile};
+use anyhow::Context;
+use mocapd_acquire::files::{NewFile, SparseFile};
 use mocapd_codec::Settings;
 use mocapd_report::coded::Coded;
 use mocapd_take::{
@@ -72,26 +69,6 @@ pub(super) fn read_options(take: &dyn FrameSource) -> ReadOptions {
 /// The name of a file without its folders.
 pub(super) fn name(path: &Path) -> String {
     path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
-}
-
-/// A file's bytes.
-///
-/// # Errors
-/// That it cannot be read, or is longer than `len_max`.
-pub(super) fn read_bounded(path: &Path, len_max: usize) -> anyhow::Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    let limit = len_max as u64 + 1;
-    files::open(path)?
-        .take(limit)
-        .read_to_end(&mut bytes)
-        .with_context(|| format!("cannot read {}", path.display()))?;
-    if bytes.len() > len_max {
-        bail!(
-            "{} has more than {len_max} bytes, which is more than is read of such a file",
-            path.display()
-        );
-    }
-    Ok(bytes)
 }
 
 /// Writes a whole file under its own name, or none.

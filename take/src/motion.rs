@@ -104,6 +104,12 @@ pub struct MotionInfo {
 }
 
 impl MotionInfo {
+    /// The markers' labels, in the order of their columns.
+    #[must_use]
+    pub fn labels(&self) -> Vec<String> {
+        self.markers.iter().map(|marker| marker.label.clone()).collect()
+    }
+
     /// Turns this into what is true of the frames `first..end` alone: their number, the number of the first, and
     /// the events among them. What is noticed after the last frame belongs to a part that reaches it.
     pub fn cut(&mut self, first: u64, end: u64) {

@@ -6,11 +6,10 @@ mod face;
 
 use std::{
     error::Error,
-    io::Read,
     path::{Path, PathBuf},
 };
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, bail};
 use mocapd_acquire::files;
 use mocapd_body::skeleton::Skeleton;
 use mocapd_face::{
@@ -81,16 +80,7 @@ pub fn read<T, E>(path: &Path, from_json: Reader<T, E>) -> anyhow::Result<(Vec<u
 where
     E: Error + Send + Sync + 'static,
 {
-    let mut data = Vec::new();
-    files::open(path)?
-        .take(DOCUMENT_BYTES_MAX as u64 + 1)
-        .read_to_end(&mut data)
-        .with_context(|| format!("cannot read {}", path.display()))?;
-    ensure!(
-        data.len() <= DOCUMENT_BYTES_MAX,
-        "{} has more than 1 MiB, which is the most that a take holds of it: is it another file?",
-        path.display()
-    );
+    let data = files::read_bounded(path, DOCUMENT_BYTES_MAX)?;
     let document = from_json(&data).with_context(|| format!("{}", path.display()))?;
     Ok((data, document))
 }

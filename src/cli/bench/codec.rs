@@ -294,7 +294,7 @@ impl Measured {
         let speed = |took: Duration| raw_bytes as f64 / 1e6 / took.as_secs_f64().max(1e-9);
         Self {
             resampler: codec.kind.to_string(),
-            tolerance_mm: if codec.kind.is_lossless() { 0.0 } else { codec.tolerance.mm() },
+            tolerance_mm: values::tolerance_mm(codec),
             bytes,
             block_bytes: summary.bytes.blocks + summary.bytes.lengths + summary.bytes.time_line,
             kept: summary.knots(),

@@ -17,6 +17,7 @@ use hyper::{
 };
 use hyper_util::rt::TokioIo;
 use mocapd::outcome::{DataLostError, UsageError};
+use mocapd_acquire::files;
 use mocapd_service::http::{Problem, ProblemKind};
 use serde_json::Value;
 use tokio::{
@@ -41,7 +42,7 @@ const ORDER_TRIES: u32 = 3;
 const ORDER_AGAIN: Duration = Duration::from_millis(500);
 
 /// A token's file at most.
-const TOKEN_BYTES_MAX: u64 = 4096;
+const TOKEN_BYTES_MAX: usize = 4096;
 
 /// Speaks to one service.
 #[derive(Debug)]
@@ -238,11 +239,7 @@ fn request_id() -> anyhow::Result<String> {
 }
 
 fn token(path: &Path) -> anyhow::Result<String> {
-    use std::io::Read;
-
-    let mut text = String::new();
-    let read = mocapd_acquire::files::open(path)?.take(TOKEN_BYTES_MAX).read_to_string(&mut text);
-    read.with_context(|| format!("cannot read {}", path.display()))?;
+    let text = String::from_utf8(files::read_bounded(path, TOKEN_BYTES_MAX)?).unwrap_or_default();
     let token = text.trim();
     if token.is_empty() || !token.bytes().all(|byte| byte.is_ascii_graphic()) {
         bail!("{} holds no token: one line of visible characters", path.display());

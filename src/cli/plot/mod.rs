@@ -17,7 +17,7 @@ use mocapd_take::motion::Motion;
 
 use crate::cli::{
     output::say,
-    paths,
+    paths::{self, ends_in},
     whole::{name, read_coded, read_original, write_new},
 };
 
@@ -30,7 +30,7 @@ pub(crate) enum Plot {
     /// Size of the take against the tolerance, by resampler; takes or files, a panel each
     Sizes(sizes::Args),
     /// Marker by marker: gaps, noise, and with --against the error
-    Quality(QualityArgs),
+    Quality(Pictured),
 }
 
 pub(crate) fn run(plot: &Plot) -> anyhow::Result<Outcome> {
@@ -47,7 +47,7 @@ pub(crate) fn run(plot: &Plot) -> anyhow::Result<Outcome> {
 /// # Errors
 /// A usage error for an ending that is no picture's.
 pub(crate) fn check_output(path: &Path) -> anyhow::Result<()> {
-    if !is(path, "svg") && !is(path, "png") {
+    if !ends_in(path, "svg") && !ends_in(path, "png") {
         return Err(UsageError(format!(
             "{}: the ending tells the format: use .svg or .png",
             path.display()
@@ -57,32 +57,21 @@ pub(crate) fn check_output(path: &Path) -> anyhow::Result<()> {
     paths::check_output(path)
 }
 
-fn is(path: &Path, ending: &str) -> bool {
-    path.extension().is_some_and(|found| found.eq_ignore_ascii_case(ending))
-}
-
 /// Writes the picture in the format of its ending.
 ///
 /// # Errors
 /// When it cannot be drawn or written.
 pub(crate) fn write(path: &Path, svg: &str) -> anyhow::Result<()> {
-    if is(path, "png") { write_new(path, &png(svg)?) } else { write_new(path, svg.as_bytes()) }
+    if ends_in(path, "png") { write_new(path, &png(svg)?) } else { write_new(path, svg.as_bytes()) }
 }
 
 /// What the take was made of, and what that itself was coded with where it is a take.
 ///
 /// # Errors
 /// Why it cannot be read.
-pub(super) fn original(
-    take: &Path,
-    coded: &Coded,
-    path: &Path,
-) -> anyhow::Result<(Motion, Option<Settings>)> {
+fn original(take: &Path, coded: &Coded, path: &Path) -> anyhow::Result<(Motion, Option<Settings>)> {
     let (motion, settings) = read_original(take, path)?;
-    let labels = |motion: &Motion| -> Vec<String> {
-        motion.info.markers.iter().map(|marker| marker.label.clone()).collect()
-    };
-    if labels(&motion) != labels(&coded.motion) {
+    if motion.info.labels() != coded.motion.info.labels() {
         say(&format!("{}: its labels are not those of {}", path.display(), take.display()));
     }
     if motion.n_frames() != coded.motion.n_frames() {
@@ -102,8 +91,9 @@ pub(super) fn outcome(coded: &Coded) -> Outcome {
     Outcome::of(!coded.problems.is_empty())
 }
 
+/// A take, its original, and the picture of them.
 #[derive(Debug, clap::Args)]
-pub(crate) struct QualityArgs {
+pub(crate) struct Pictured {
     /// The take
     take: PathBuf,
     /// The picture to write, .svg or .png; it must not exist
@@ -114,11 +104,22 @@ pub(crate) struct QualityArgs {
     against: Option<PathBuf>,
 }
 
-fn draw_quality(args: &QualityArgs) -> anyhow::Result<Outcome> {
-    check_output(&args.output)?;
-    let coded = read_coded(&args.take)?;
-    let original = args.against.as_ref().map(|path| original(&args.take, &coded, path));
-    let original = original.transpose()?;
+impl Pictured {
+    /// The take, and its original with what that was coded with; that the picture can be written is looked at before.
+    ///
+    /// # Errors
+    /// Why one of them cannot be.
+    #[expect(clippy::type_complexity, reason = "what is read of two files")]
+    fn read(&self) -> anyhow::Result<(Coded, Option<(Motion, Option<Settings>)>)> {
+        check_output(&self.output)?;
+        let coded = read_coded(&self.take)?;
+        let original = self.against.as_ref().map(|path| original(&self.take, &coded, path));
+        Ok((coded, original.transpose()?))
+    }
+}
+
+fn draw_quality(args: &Pictured) -> anyhow::Result<Outcome> {
+    let (coded, original) = args.read()?;
     let wanted = Quality {
         name: &name(&args.take),
         coded: &coded,

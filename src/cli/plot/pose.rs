@@ -1,7 +1,6 @@
 //! `plot pose`.
 
 use std::{
-    io::Read,
     path::{Path, PathBuf},
     time::Duration,
 };
@@ -20,26 +19,17 @@ use mocapd_take::{
     record::Subject,
 };
 
+use super::Pictured;
 use crate::cli::plot;
-use crate::cli::{
-    limbs,
-    output::say,
-    whole::{name, read_coded},
-};
+use crate::cli::{limbs, output::say, whole::name};
 
 /// Moments when none are asked for.
 const MOMENTS: usize = 8;
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The take
-    take: PathBuf,
-    /// The picture to write, .svg or .png; it must not exist
-    #[arg(short, long, value_name = "FILE")]
-    output: PathBuf,
-    /// The original: a .c3d, .trc, .tsv or .csv file, or another .take
-    #[arg(long, value_name = "FILE")]
-    against: Option<PathBuf>,
+    #[command(flatten)]
+    pictured: Pictured,
     /// The moments, up to 12 [default: eight, evenly spread]
     #[arg(long, value_name = "TIME,...", value_delimiter = ',', value_parser = units::duration)]
     at: Vec<Duration>,
@@ -50,10 +40,8 @@ pub(crate) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    plot::check_output(&args.output)?;
-    let coded = read_coded(&args.take)?;
-    let original = args.against.as_ref().map(|path| plot::original(&args.take, &coded, path));
-    let original = original.transpose()?.map(|(motion, _)| motion);
+    let (coded, original) = args.pictured.read()?;
+    let original = original.map(|(motion, _)| motion);
     let motion = &coded.motion;
     let n_frames = motion.n_frames();
     let mut rows = Vec::with_capacity(args.at.len());
@@ -72,16 +60,16 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     if rows.is_empty() {
         rows.extend(evenly_spread(n_frames));
     }
-    let labels: Vec<String> =
-        motion.info.markers.iter().map(|marker| marker.label.clone()).collect();
+    let labels = motion.info.labels();
     let mut bones = labels::bones(&labels);
+    let given = args.skeleton.as_deref();
     let mut limbs = None;
-    match &args.skeleton {
-        Some(path) if !is_json(path)? => bones = read_bones(path, &labels)?,
-        path => limbs = limbs::of(motion, path.as_deref())?,
+    match given.map(|path| read_bones(path, &labels)).transpose()?.flatten() {
+        Some(read) => bones = read,
+        None => limbs = limbs::of(motion, given)?,
     }
     let limbs = limbs.map(|found| found.limbs).unwrap_or_default();
-    if limbs.is_empty() && args.skeleton.as_ref().is_some_and(|_| bones.is_empty()) {
+    if limbs.is_empty() && given.is_some() && bones.is_empty() {
         say("no bone of the skeleton has a marker at both ends: nothing is drawn between markers");
     }
     let faces = Faces::of(motion, &labels, &rows);
@@ -90,7 +78,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         say(why);
     }
     let wanted = Pose {
-        name: &name(&args.take),
+        name: &name(&args.pictured.take),
         coded: &coded,
         original: original.as_ref(),
         rows: &rows,
@@ -100,7 +88,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         front: faces.front,
         up,
     };
-    plot::write(&args.output, &pose(&wanted)?)?;
+    plot::write(&args.pictured.output, &pose(&wanted)?)?;
     Ok(plot::outcome(&coded))
 }
 
@@ -112,10 +100,8 @@ fn evenly_spread(n_frames: usize) -> impl Iterator<Item = usize> {
 
 /// Which way is up in every picture of a take, whatever part of it is drawn.
 pub(super) fn up(motion: &Motion) -> Up {
-    let labels: Vec<String> =
-        motion.info.markers.iter().map(|marker| marker.label.clone()).collect();
     let rows: Vec<usize> = evenly_spread(motion.n_frames()).collect();
-    let front = Faces::of(motion, &labels, &rows).front;
+    let front = Faces::of(motion, &motion.info.labels(), &rows).front;
     Up::of(motion, front.map(|[_, top]| top))
 }
 
@@ -170,38 +156,24 @@ impl Faces {
 }
 
 /// Most bytes of such a file: tens of thousands of bones.
-const BYTES_MAX: u64 = 1 << 20;
+const BYTES_MAX: usize = 1 << 20;
 
-/// Whether it is a skeleton.json, and no such lines.
-///
-/// # Errors
-/// Why it cannot be read.
-fn is_json(path: &Path) -> anyhow::Result<bool> {
-    let mut start = Vec::new();
-    files::open(path)?
-        .take(BYTES_MAX)
-        .read_to_end(&mut start)
-        .with_context(|| format!("cannot read {}", path.display()))?;
-    Ok(start.trim_ascii_start().first() == Some(&b'{'))
-}
-
-/// Reads `label,label` lines. Empty ones and those that begin with `#` are passed over.
+/// Reads `label,label` lines. Empty ones and those that begin with `#` are passed over. `None` of a skeleton.json.
 ///
 /// # Errors
 /// A usage error with the line that is none, or names a marker that is not there.
-fn read_bones(path: &Path, labels: &[String]) -> anyhow::Result<Vec<[u16; 2]>> {
-    let mut bytes = Vec::new();
-    files::open(path)?
-        .take(BYTES_MAX)
-        .read_to_end(&mut bytes)
-        .with_context(|| format!("cannot read {}", path.display()))?;
+fn read_bones(path: &Path, labels: &[String]) -> anyhow::Result<Option<Vec<[u16; 2]>>> {
+    let bytes = files::read_bounded(path, BYTES_MAX)?;
+    if bytes.trim_ascii_start().first() == Some(&b'{') {
+        return Ok(None);
+    }
     let text = String::from_utf8(bytes).with_context(|| {
         format!(
             "{}: it is no text: give what `mocapd subject body -o` writes, or a line `label,label` a bone",
             path.display()
         )
     })?;
-    bones(&text, labels).map_err(|why| {
+    bones(&text, labels).map(Some).map_err(|why| {
         let message = format!(
             "{}, {why}: write label,label for each bone, or give what `mocapd subject body -o` writes",
             path.display()

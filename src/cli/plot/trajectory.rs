@@ -1,6 +1,6 @@
 //! `plot trajectory`.
 
-use std::{path::PathBuf, time::Duration};
+use std::time::Duration;
 
 use mocapd::outcome::{Outcome, UsageError};
 use mocapd_report::{
@@ -11,20 +11,14 @@ use mocapd_report::{
 use mocapd_service::units;
 use mocapd_take::{interchange::column_labels, motion::frame_at};
 
-use super::pose::up;
+use super::{Pictured, pose::up};
 use crate::cli::plot;
-use crate::cli::whole::{name, read_coded};
+use crate::cli::whole::name;
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The take
-    take: PathBuf,
-    /// The picture to write, .svg or .png; it must not exist
-    #[arg(short, long, value_name = "FILE")]
-    output: PathBuf,
-    /// The original: a .c3d, .trc, .tsv or .csv file, or another .take
-    #[arg(long, value_name = "FILE")]
-    against: Option<PathBuf>,
+    #[command(flatten)]
+    pictured: Pictured,
     /// The marker, by its label [default: the one that goes the longest way]
     #[arg(long, value_name = "LABEL")]
     marker: Option<String>,
@@ -37,10 +31,8 @@ pub(crate) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
-    plot::check_output(&args.output)?;
-    let coded = read_coded(&args.take)?;
-    let original = args.against.as_ref().map(|path| plot::original(&args.take, &coded, path));
-    let original = original.transpose()?.map(|(motion, _)| motion);
+    let (coded, original) = args.pictured.read()?;
+    let original = original.map(|(motion, _)| motion);
     let motion = &coded.motion;
     let row =
         |time: Duration| usize::try_from(frame_at(time, motion.info.rate_hz)).unwrap_or(usize::MAX);
@@ -55,14 +47,14 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     let marker = marker(&coded, args.marker.as_deref())?;
     let wanted = Trajectory {
-        name: &name(&args.take),
+        name: &name(&args.pictured.take),
         coded: &coded,
         original: original.as_ref(),
         marker,
         rows,
         up: up(motion),
     };
-    plot::write(&args.output, &trajectory(&wanted)?)?;
+    plot::write(&args.pictured.output, &trajectory(&wanted)?)?;
     Ok(plot::outcome(&coded))
 }
 

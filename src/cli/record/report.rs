@@ -2,9 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use mocapd_acquire::{
-    files::FileState, inspect::size_ratio, ledger::LedgerDocument, record::Recorded,
-};
+use mocapd_acquire::{files::FileState, ledger::LedgerDocument, record::Recorded};
 use mocapd_codec::Settings;
 use mocapd_service::process;
 use mocapd_take::record::EndingKind;
@@ -15,8 +13,7 @@ use crate::cli::{
     clock::ClockReport,
     ledger::{self, OutagesReport},
     output::shown,
-    values::tolerance_mm,
-    values::{bytes, count, frames_of, thousands},
+    values::{SizeReport, bytes, count, frames_of, thousands},
 };
 
 #[derive(Debug, Serialize)]
@@ -33,13 +30,8 @@ pub(crate) struct Report {
     #[serde(skip)]
     markers_appeared: u64,
     rate_hz: f64,
-    samples: u64,
-    raw_bytes: u64,
-    file_bytes: u64,
-    ratio: f64,
-    resampler: String,
-    tolerance_mm: f64,
-    max_error_mm: f64,
+    #[serde(flatten)]
+    size: SizeReport,
     ring_latency_us: LatencyReport,
     process: ProcessReport,
     disk: DiskReport,
@@ -90,13 +82,7 @@ impl Report {
             markers: recorded.markers,
             markers_appeared: recorded.recording.counts.markers_appeared,
             rate_hz: recorded.rate_hz,
-            samples: written.samples,
-            raw_bytes: 12 * written.samples,
-            file_bytes: written.file_bytes,
-            ratio: size_ratio(written.samples, written.file_bytes),
-            resampler: codec.kind.to_string(),
-            tolerance_mm: tolerance_mm(codec),
-            max_error_mm: written.max_error_mm,
+            size: SizeReport::new(written, codec),
             ring_latency_us: LatencyReport {
                 p50: us(latency.quantile_ns(0.5)),
                 p99: us(latency.quantile_ns(0.99)),
@@ -165,20 +151,13 @@ impl Report {
     }
 
     pub(crate) fn words(&self) -> String {
-        let bound = if self.tolerance_mm > 0.0 {
-            format!("max error {:.4} mm <= {} mm", self.max_error_mm, self.tolerance_mm)
-        } else {
-            "every bit kept".to_owned()
-        };
         format!(
-            "{}: {} of {} at {} Hz, {} as float32, {} on disk ({:.1}:1), {bound}\n{}{}{}",
+            "{}: {} of {} at {} Hz, {}\n{}{}{}",
             shown(&self.take),
             frames_of(self.frames, self.ledger.frames_sent),
             self.markers_in_words(),
             self.rate_hz,
-            bytes(self.raw_bytes),
-            bytes(self.file_bytes),
-            self.ratio,
+            self.size.words(),
             self.raw_log.as_ref().map(RawLogReport::words).unwrap_or_default(),
             ledger::words(&self.ledger),
             self.clock.as_ref().map(ClockReport::words).unwrap_or_default()

@@ -5,7 +5,6 @@ mod report;
 use std::{
     collections::BTreeMap,
     fs,
-    io::Read,
     path::{Path, PathBuf},
     sync::{Arc, atomic::AtomicU64},
 };
@@ -160,7 +159,7 @@ fn write_out(out: &Path, trials: &[Trial], findings: &Findings) -> anyhow::Resul
 }
 
 /// Most bytes of a file of phases: a hundred thousand trials.
-const PHASES_BYTES_MAX: u64 = 1 << 26;
+const PHASES_BYTES_MAX: usize = 1 << 26;
 
 type Given = BTreeMap<String, Vec<(Phase, usize)>>;
 
@@ -201,9 +200,8 @@ fn trial(path: &Path, name: String, given: &Given) -> anyhow::Result<Trial> {
 }
 
 fn read_phases(path: &Path) -> anyhow::Result<Given> {
-    let reading = || format!("cannot read {}", path.display());
-    let mut text = String::new();
-    files::open(path)?.take(PHASES_BYTES_MAX).read_to_string(&mut text).with_context(reading)?;
+    let text = String::from_utf8(files::read_bounded(path, PHASES_BYTES_MAX)?)
+        .with_context(|| format!("{} is no text", path.display()))?;
     phases::parse(&text).map_err(|error| UsageError(format!("{}: {error}", path.display())).into())
 }
 

@@ -193,8 +193,7 @@ pub(super) fn figures(
     let take = InMemory.take(&trial.motion, &settings).map_err(|error| anyhow!(error))?;
     let coded = Coded::read(&take[..])?;
     let original = Some(&trial.motion);
-    let labels: Vec<String> =
-        trial.motion.info.markers.iter().map(|marker| marker.label.clone()).collect();
+    let labels = trial.motion.info.labels();
     let marker = wrist(&labels);
     let up = mocapd_report::up::Up::of(&coded.motion, None);
     let mut moments = Vec::new();

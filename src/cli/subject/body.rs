@@ -10,6 +10,7 @@ use std::{
 
 use anyhow::{Context, bail};
 use mocapd::outcome::{Outcome, UsageError};
+use mocapd_acquire::files;
 use mocapd_body::{
     Repaired, Survey, Unit,
     picture::{Drawing, svg},
@@ -21,7 +22,7 @@ use crate::cli::{
     output::Progress,
     output::{print, print_json_text, say, tell},
     paths, plot,
-    whole::{name, read_bounded, write_new},
+    whole::{name, write_new},
 };
 
 #[derive(Debug, clap::Args)]
@@ -123,7 +124,7 @@ fn survey(
     method: Method,
 ) -> anyhow::Result<(Repaired, ScanJoints, Survey)> {
     let shown = path.display();
-    let bytes = read_bounded(path, read::BYTES_MAX)?;
+    let bytes = files::read_bounded(path, read::BYTES_MAX)?;
     let scan = read::read(&bytes, &name(path)).with_context(|| format!("cannot read {shown}"))?;
     let repaired =
         repair::repair(scan, unit).with_context(|| format!("{shown} is no body scan"))?;

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail};
 use mocapd::outcome::{Outcome, UsageError};
+use mocapd_acquire::files;
 use mocapd_face::{
     Photo,
     fit::{NoFace, fit},
@@ -16,7 +17,7 @@ use crate::cli::{
     output::{print, print_json_text, say, tell},
     paths, plot,
     values::count,
-    whole::{name, read_bounded, write_new},
+    whole::{name, write_new},
 };
 
 #[derive(Debug, clap::Args)]
@@ -61,7 +62,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     }
     args.views.as_deref().map(plot::check_output).transpose()?;
     if let Some(path) = &args.overlay
-        && !path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("png"))
+        && !paths::ends_in(path, "png")
     {
         let message = format!("{}: an overlay is a PNG: use .png", path.display());
         return Err(UsageError(message).into());
@@ -70,15 +71,13 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         (args.output.as_ref(), "obj", "the face is JSON: use .json, or --obj for the wireframe"),
         (args.obj.as_ref(), "json", "the wireframe is OBJ: use .obj, or -o for the face"),
     ] {
-        if let Some(path) =
-            path.filter(|path| path.extension().is_some_and(|is| is.eq_ignore_ascii_case(ending)))
-        {
+        if let Some(path) = path.filter(|path| paths::ends_in(path, ending)) {
             return Err(UsageError(format!("{}: {instead}", path.display())).into());
         }
     }
     apart(args)?;
     let shown = args.photo.display();
-    let bytes = read_bounded(&args.photo, BYTES_MAX)?;
+    let bytes = files::read_bounded(&args.photo, BYTES_MAX)?;
     let photo = Photo::from_bytes(&bytes).with_context(|| format!("cannot read {shown}"))?;
     for note in &photo.notes {
         say(&format!("{shown}: {note}"));
