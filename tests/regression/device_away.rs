@@ -23,7 +23,7 @@ fn a_take_without_its_device_is_not_shown_as_a_recording_that_goes_well() {
     let motion = jump(1, 120.0, 3.0);
     let device = Simulated::endless_at(&link, "A", motion.clone());
     let mut options = options(&folder.path(""), &link);
-    options.reconnect = Duration::from_secs(600);
+    options.take.reconnect = Duration::from_secs(600);
     let engine = Arc::new(Engine::start(options, &Heartbeat::default()).unwrap());
     let socket = folder.path("rig.sock");
     let options = HttpOptions { unix_socket: Some(socket.clone()), ..HttpOptions::default() };
@@ -66,7 +66,7 @@ fn a_take_without_its_device_is_not_shown_as_a_recording_that_goes_well() {
 fn a_service_that_waits_for_its_device_says_so() {
     let folder = Folder::new();
     let mut options = options(&folder.path(""), &folder.path("device"));
-    options.arm_at_start = true;
+    options.arm.at_start = true;
     let engine = Engine::start(options, &Heartbeat::default()).unwrap();
     wait_until("the device is missed", || engine.status().device.obstacle.is_some());
     let status = engine.status();

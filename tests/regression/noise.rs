@@ -10,7 +10,7 @@ use mocapd_take::motion::Motion;
 
 use crate::{
     cli::devices::Simulated,
-    service::engine::{Room, room, wait_until},
+    service::engine::{Room, at, room, wait_until},
     support::{config, dense, jump, lossless, record},
 };
 
@@ -94,10 +94,8 @@ fn the_service_shows_the_same_figure_of_the_markers_that_come() {
     let device = Simulated::endless(motion);
     let path = device.path.clone();
     let Room { directory: _directory, device: _other, engine } = room(|options| {
-        let uri: mocapd_drivers::uri::DeviceUri =
-            format!("serial:{}", path.display()).parse().unwrap();
-        options.find_device = std::sync::Arc::new(move || Ok(uri.clone()));
-        options.arm_at_start = true;
+        options.device.uri = at(&path);
+        options.arm.at_start = true;
     });
     let figures = || engine.quality().iter().map(|marker| marker.noise_mm).collect::<Vec<_>>();
     wait_until("the noise of every marker", || {

@@ -94,7 +94,7 @@ fn losses_come_from_the_last_ledger() {
 #[test]
 fn how_a_take_ended_is_known_after_the_next_one_and_after_a_restart() {
     let Room { directory, device, engine } = room(|options| {
-        options.max_length = Some(Duration::from_millis(600));
+        options.take.max_length = Some(Duration::from_millis(600));
     });
     engine.start(&named("long")).unwrap();
     wait_until("its end", || engine.status().take.is_none());

@@ -24,7 +24,7 @@ fn held() -> (usize, usize, u64) {
 /// What the process held after each of `n` takes, and how long each start took, in milliseconds, sorted.
 fn cycles(n: usize) -> (Vec<(usize, usize, u64)>, Vec<f64>) {
     let Room { directory: _directory, device: _device, engine } =
-        room(|options| options.arm_at_start = true);
+        room(|options| options.arm.at_start = true);
     wait_until("the pre-roll", || engine.status().pre_roll.held_s > 4.5);
     let mut first_ms = Vec::new();
     let mut all = Vec::new();

@@ -4,6 +4,7 @@ use std::{path::Path, sync::Arc, time::Duration};
 
 use mocapd_acquire::{health::TakeHealth, heartbeat::Heartbeat, inspect::Summary};
 use mocapd_service::{
+    config::{ArmConfig, DeviceChoice, DeviceConfig, NameTemplate, TakeConfig},
     control::{Control, Mark, RefusalKind, Request, SaveLast, Start},
     engine::{Engine, EngineOptions},
     live::LiveMessage,
@@ -17,28 +18,32 @@ use crate::{
 };
 
 pub(crate) fn options(directory: &Path, device: &Path) -> EngineOptions {
-    let uri: mocapd_drivers::uri::DeviceUri =
-        format!("serial:{}", device.display()).parse().unwrap();
     EngineOptions {
-        subject: None,
         rig: "test".to_owned(),
-        device: uri.to_string(),
-        find_device: Arc::new(move || Ok(uri.clone())),
-        rate_hz: None,
-        raw_log: false,
-        directory: directory.to_owned(),
-        name_take: Arc::new(|count| format!("take-{count}")),
-        codec: dense(1.0),
-        stretch: Duration::from_millis(500),
-        sync: Duration::from_millis(500),
-        keep_free_bytes: 0,
-        reconnect: Duration::from_secs(20),
-        max_length: None,
-        arm_at_start: false,
-        pre_roll: Duration::from_secs(5),
-        include_pre_roll: Duration::ZERO,
-        memory_max_bytes: 64 << 20,
+        device: DeviceConfig { uri: at(device), rate_hz: None, raw_log: false },
+        take: TakeConfig {
+            directory: directory.to_owned(),
+            name: NameTemplate::parse("take-{count}").unwrap(),
+            codec: dense(1.0),
+            stretch: Duration::from_millis(500),
+            sync: Duration::from_millis(500),
+            keep_free_bytes: 0,
+            reconnect: Duration::from_secs(20),
+            max_length: None,
+        },
+        subject: None,
+        arm: ArmConfig {
+            at_start: false,
+            pre_roll: Duration::from_secs(5),
+            include_pre_roll: Duration::ZERO,
+            memory_max_bytes: 64 << 20,
+        },
     }
+}
+
+/// The device at a pty.
+pub(crate) fn at(device: &Path) -> DeviceChoice {
+    DeviceChoice::At(format!("serial:{}", device.display()).parse().unwrap())
 }
 
 pub(crate) struct Room {
@@ -127,12 +132,12 @@ fn a_take_is_there_when_start_says_so_and_whole_when_stop_does() {
     assert_eq!(engine.status().state, State::Armed);
     assert_eq!(engine.start(&named("walk")).unwrap_err().kind, RefusalKind::Exists);
     let again = engine.start(&Start::default()).unwrap();
-    assert_eq!(again.name, "take-1");
+    assert_eq!(again.name, "take-001");
     engine.stop(&request()).unwrap();
     read(&again.path);
     assert_eq!(engine.stop(&request()).unwrap_err().kind, RefusalKind::Conflict);
     let names: Vec<_> = engine.takes(9).unwrap().into_iter().map(|take| take.name).collect();
-    assert_eq!(names, ["take-1", "walk"]);
+    assert_eq!(names, ["take-001", "walk"]);
     assert_eq!(engine.disarm(&request()).unwrap().state, State::Idle);
     drop(engine);
     assert_eq!(device.unplug().starts, 1, "one start of the device for all of it");
@@ -141,7 +146,7 @@ fn a_take_is_there_when_start_says_so_and_whole_when_stop_does() {
 #[test]
 fn the_pre_roll_is_in_the_take_and_can_be_saved_after_the_fact() {
     let Room { directory: _directory, device: _device, engine } =
-        room(|options| options.arm_at_start = true);
+        room(|options| options.arm.at_start = true);
     wait_until("the pre-roll", || engine.status().pre_roll.held_s > 4.0);
     let start = Start { pre_roll_s: Some(2.0), ..named("early") };
     let started = engine.start(&start).unwrap();
@@ -185,7 +190,7 @@ fn a_device_that_is_absent_is_waited_for_and_one_that_comes_back_goes_on_in_the_
     let directory = tempfile::tempdir().unwrap();
     let link = directory.path().join("device");
     let mut options = options(directory.path(), &link);
-    options.arm_at_start = true;
+    options.arm.at_start = true;
     let engine = Engine::start(options, &Heartbeat::default()).unwrap();
     let refused = engine.start(&named("early")).unwrap_err();
     assert_eq!(refused.kind, RefusalKind::Device, "{refused}");
@@ -210,7 +215,7 @@ fn a_device_that_is_absent_is_waited_for_and_one_that_comes_back_goes_on_in_the_
 #[test]
 fn the_take_is_finished_when_the_service_stops_and_when_its_time_is_up() {
     let Room { directory, device: _device, engine } =
-        room(|options| options.max_length = Some(Duration::from_millis(800)));
+        room(|options| options.take.max_length = Some(Duration::from_millis(800)));
     let events = engine.events();
     let long = engine.start(&named("long")).unwrap();
     wait_until("the end", || engine.status().state == State::Armed);
@@ -232,7 +237,7 @@ fn the_take_is_finished_when_the_service_stops_and_when_its_time_is_up() {
 #[test]
 fn viewers_see_the_newest_frames_and_a_slow_one_costs_nothing() {
     let Room { directory: _directory, device: _device, engine } = room(|options| {
-        options.arm_at_start = true;
+        options.arm.at_start = true;
         options.subject = Some(subject());
     });
     let (quick, slow) = (engine.live(), engine.live());
@@ -298,7 +303,7 @@ fn takes_that_a_kill_left_without_an_end_are_closed_when_the_service_starts() {
 
 #[test]
 fn the_bytes_of_the_line_are_kept_from_arm_to_disarm_where_that_is_wanted() {
-    let Room { directory, device: _device, engine } = room(|options| options.raw_log = true);
+    let Room { directory, device: _device, engine } = room(|options| options.device.raw_log = true);
     engine.start(&named("logged")).unwrap();
     engine.stop(&request()).unwrap();
     engine.disarm(&request()).unwrap();
@@ -314,7 +319,7 @@ fn the_bytes_of_the_line_are_kept_from_arm_to_disarm_where_that_is_wanted() {
 #[test]
 fn a_disk_that_is_full_is_said_to_be_so_and_nothing_is_left_there() {
     let Room { directory, device: _device, engine } =
-        room(|options| options.keep_free_bytes = u64::MAX / 2);
+        room(|options| options.take.keep_free_bytes = u64::MAX / 2);
     let refused = engine.start(&named("full")).unwrap_err();
     assert_eq!(refused.kind, RefusalKind::Disk, "{refused}");
     assert_tells(&refused.message, &["take.keep_free"]);

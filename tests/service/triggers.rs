@@ -23,7 +23,7 @@ fn datagram(element: &str, name: &str, packet: u32) -> Vec<u8> {
 
 #[test]
 fn another_program_starts_and_stops_takes_and_is_told_of_ours() {
-    let Room { directory, device: _device, engine } = room(|options| options.arm_at_start = true);
+    let Room { directory, device: _device, engine } = room(|options| options.arm.at_start = true);
     wait_until("the device", || engine.status().state == State::Armed);
     let peer = UdpSocket::bind("127.0.0.1:0").unwrap();
     peer.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
@@ -85,7 +85,7 @@ fn another_program_starts_and_stops_takes_and_is_told_of_ours() {
 /// Others know a take by the name that it was started with.
 #[test]
 fn a_take_that_was_renamed_is_announced_under_its_first_name() {
-    let Room { directory, device: _device, engine } = room(|options| options.arm_at_start = true);
+    let Room { directory, device: _device, engine } = room(|options| options.arm.at_start = true);
     wait_until("the device", || engine.status().state == State::Armed);
     let peer = UdpSocket::bind("127.0.0.1:0").unwrap();
     peer.set_read_timeout(Some(Duration::from_secs(20))).unwrap();

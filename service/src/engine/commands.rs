@@ -116,7 +116,7 @@ impl Inner {
             return Err(is_recorded(take));
         }
         let pre_roll = match start.pre_roll_s {
-            None => core.options.include_pre_roll,
+            None => core.options.arm.include_pre_roll,
             Some(s) => seconds(s, "pre_roll_s")?,
         };
         let away = core.away();
@@ -320,13 +320,13 @@ impl Inner {
         let options = std::sync::Arc::clone(&self.core().options);
         let refused = |kind, error: &anyhow::Error| Refusal::new(kind, in_keys(error));
         let (name, path) = self.free_name(name, &options)?;
-        check_room(&path, options.keep_free_bytes)
+        check_room(&path, options.take.keep_free_bytes)
             .map_err(|error| refused(RefusalKind::Disk, &error))?;
         let notes = notes.filter(|notes| !notes.is_empty());
         if let Some(notes) = notes {
             check_text(notes, "notes")?;
         }
-        let header = header::new(&options.codec, 1.0)
+        let header = header::new(&options.take.codec, 1.0)
             .map_err(|error| refused(RefusalKind::Internal, &error))?;
         let output = TakeFile::create(&path).map_err(|error| refused(RefusalKind::Disk, &error))?;
         let file = output.id();
@@ -337,7 +337,7 @@ impl Inner {
             pre_roll,
             asked_ns,
             notes,
-            keep_free_bytes: options.keep_free_bytes,
+            keep_free_bytes: options.take.keep_free_bytes,
             ..NewTake::new(output, header)
         };
         Ok((NamedTake { id, name, path, file }, take))
@@ -348,7 +348,7 @@ impl Inner {
         name: Option<&str>,
         options: &super::EngineOptions,
     ) -> Result<(String, PathBuf), Refusal> {
-        let path = |name: &str| options.directory.join(format!("{name}.take"));
+        let path = |name: &str| options.take.directory.join(format!("{name}.take"));
         let is_free = |path: &PathBuf| path.symlink_metadata().is_err();
         if let Some(name) = name {
             let name = names::checked(name)?;
@@ -360,7 +360,7 @@ impl Inner {
             return Ok((name.to_owned(), path));
         }
         for count in 1..NAMES_MAX {
-            let name = (options.name_take)(count);
+            let name = options.name_take(count);
             let name = names::checked(&name)?.to_owned();
             // A template without a count gets one when it has to.
             let counted = format!("{name}-{count}");

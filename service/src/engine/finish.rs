@@ -276,6 +276,7 @@ mod tests {
         super::{Engine, EngineOptions},
         *,
     };
+    use crate::config::{ArmConfig, DeviceChoice, DeviceConfig, NameTemplate, TakeConfig};
     use mocapd_acquire::{
         files::{FileId, TakeFile},
         heartbeat::Heartbeat,
@@ -285,26 +286,25 @@ mod tests {
     fn engine(directory: &Path) -> Engine {
         let options = EngineOptions {
             rig: "test".to_owned(),
-            device: "none".to_owned(),
-            find_device: Arc::new(|| Err(anyhow::anyhow!("there is none"))),
-            rate_hz: None,
-            raw_log: false,
-            directory: directory.to_owned(),
-            name_take: Arc::new(|count| format!("take-{count}")),
-            subject: None,
-            codec: Settings {
-                kind: ResamplerKind::Dense,
-                tolerance: Tolerance::from_mm(1.0).unwrap(),
+            device: DeviceConfig {
+                uri: DeviceChoice::At("serial:/nowhere".parse().unwrap()),
+                ..DeviceConfig::default()
             },
-            stretch: Duration::from_millis(500),
-            sync: Duration::from_millis(500),
-            keep_free_bytes: 0,
-            reconnect: Duration::ZERO,
-            max_length: None,
-            arm_at_start: false,
-            pre_roll: Duration::ZERO,
-            include_pre_roll: Duration::ZERO,
-            memory_max_bytes: 1 << 20,
+            take: TakeConfig {
+                directory: directory.to_owned(),
+                name: NameTemplate::parse("take-{count}").unwrap(),
+                codec: Settings {
+                    kind: ResamplerKind::Dense,
+                    tolerance: Tolerance::from_mm(1.0).unwrap(),
+                },
+                stretch: Duration::from_millis(500),
+                sync: Duration::from_millis(500),
+                keep_free_bytes: 0,
+                reconnect: Duration::ZERO,
+                max_length: None,
+            },
+            subject: None,
+            arm: ArmConfig { memory_max_bytes: 1 << 20, ..ArmConfig::default() },
         };
         Engine::start(options, &Heartbeat::default()).unwrap()
     }

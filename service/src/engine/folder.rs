@@ -64,7 +64,7 @@ impl Remembered {
 impl Inner {
     pub(super) fn list_takes(&self, limit: usize) -> Result<Vec<TakeSummary>, Refusal> {
         let core = self.core();
-        let directory = core.options.directory.clone();
+        let directory = core.options.take.directory.clone();
         // By what it is: its name may be another one by now.
         let open = core.take.as_ref().map(|take| take.named.file);
         let last = core.last_take.clone();
@@ -115,7 +115,7 @@ impl Inner {
 
     pub(super) fn path_of(&self, name: &str) -> Result<PathBuf, Refusal> {
         let name = names::checked_as_it_is(name)?;
-        let directory = self.core().options.directory.clone();
+        let directory = self.core().options.take.directory.clone();
         // The name as the list has it, else as a file's.
         for name in [Some(name), names::without_ending(name)].into_iter().flatten() {
             let path = directory.join(format!("{name}.take"));

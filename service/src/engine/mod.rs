@@ -38,7 +38,7 @@ use std::{
 use mocapd_acquire::{files::FileId, heartbeat::Heartbeat, pipeline::lock, threads};
 use mocapd_take::record::EndingKind;
 
-pub use self::options::{EngineOptions, FindDevice};
+pub use self::options::EngineOptions;
 use self::{
     answers::Answers,
     events::Events,
@@ -96,7 +96,7 @@ impl Engine {
     /// # Errors
     /// When a thread cannot be started.
     pub fn start(options: EngineOptions, heartbeat: &Heartbeat) -> anyhow::Result<Self> {
-        let arm_at_start = options.arm_at_start;
+        let arm_at_start = options.arm.at_start;
         let inner = Arc::new(Inner {
             core: Mutex::new(Core::new(options)),
             changed: Condvar::new(),

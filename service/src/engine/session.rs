@@ -141,7 +141,7 @@ impl Core {
 
     pub(super) fn new(options: EngineOptions) -> Self {
         Self {
-            device: KnownDevice { uri: options.device.clone(), ..KnownDevice::default() },
+            device: KnownDevice { uri: options.device.uri.to_string(), ..KnownDevice::default() },
             options: Arc::new(options),
             wanted: false,
             failure: None,

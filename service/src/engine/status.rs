@@ -84,15 +84,15 @@ impl Inner {
                 ..InputStatus::default()
             },
             pre_roll: PreRollStatus {
-                wanted_s: options.pre_roll.as_secs_f64(),
+                wanted_s: options.arm.pre_roll.as_secs_f64(),
                 ..PreRollStatus::default()
             },
             take: None,
             last_take: core.last_take.clone(),
             disk: DiskStatus {
-                directory: options.directory.display().to_string(),
+                directory: options.take.directory.display().to_string(),
                 free_bytes: None,
-                keep_free_bytes: options.keep_free_bytes,
+                keep_free_bytes: options.take.keep_free_bytes,
                 left_s: None,
             },
         };

@@ -86,8 +86,8 @@ impl Inner {
     }
 
     fn look_for_device(&self) {
-        let find = Arc::clone(&self.core().options.find_device);
-        let found = find();
+        let options = Arc::clone(&self.core().options);
+        let found = options.find_device();
         let present = found.as_ref().is_ok_and(is_attached);
         let mut core = self.core();
         let changed = core.device.present != present;
@@ -119,8 +119,8 @@ impl Inner {
         let (options, identity) = (Arc::clone(&core.options), core.device.identity.clone());
         let known = core.device.uri.clone();
         drop(core);
-        let uri = (options.find_device)()?;
-        let log = options.raw_log.then(|| begin_log(&options)).transpose()?;
+        let uri = options.find_device()?;
+        let log = options.device.raw_log.then(|| begin_log(&options)).transpose()?;
         let opened = self.open_logged(&uri, identity.filter(|_| uri.to_string() == known), &log);
         let mut rig = match opened {
             Ok(rig) => rig,
@@ -129,15 +129,15 @@ impl Inner {
                 return Err(error);
             }
         };
-        if let Some(rate_hz) = options.rate_hz
+        if let Some(rate_hz) = options.device.rate_hz
             && let Err(error) = rig.set_rate(rate_hz)
         {
             drop(rig);
             discard(log);
             return Err(error);
         }
-        rig.wait_for_replug(options.reconnect);
-        rig.risk_at_most(options.stretch, options.sync);
+        rig.wait_for_replug(options.take.reconnect);
+        rig.risk_at_most(options.take.stretch, options.take.sync);
         let mut core = self.core();
         core.device = KnownDevice {
             uri: uri.to_string(),
@@ -251,13 +251,13 @@ impl Inner {
     ) -> anyhow::Result<(Intake, Pipeline)> {
         let options = Arc::clone(&self.core().options);
         let pre_roll = PreRollConfig {
-            time: options.pre_roll,
-            bytes_max: usize::try_from(options.memory_max_bytes).unwrap_or(usize::MAX),
+            time: options.arm.pre_roll,
+            bytes_max: usize::try_from(options.arm.memory_max_bytes).unwrap_or(usize::MAX),
         };
         let config = PipelineConfig {
             pre_roll: Some(pre_roll),
             heartbeat: self.heartbeat.clone(),
-            ..rig.pipeline_config(options.codec)
+            ..rig.pipeline_config(options.take.codec)
         };
         let header = rig.take_header(&config)?;
         let (intake, pipeline, armed) = Pipeline::arm(&config, &header)?;
@@ -269,8 +269,8 @@ impl Inner {
             progress: Arc::clone(&progress),
             seen: armed.seen,
             slots: config.channels.len() + config.reserve,
-            pre_roll: options.pre_roll,
-            reconnect: options.reconnect,
+            pre_roll: options.arm.pre_roll,
+            reconnect: options.take.reconnect,
             armed_ns: monotonic_ns(),
             stop: Arc::clone(stop),
             header: header.clone(),
@@ -300,7 +300,7 @@ impl Inner {
 fn begin_log(options: &EngineOptions) -> anyhow::Result<RawLog> {
     let now = Zoned::now().strftime("%Y-%m-%d_%H%M%S%.3f");
     let name = format!("{now}_{}.rawlog", options.rig);
-    RawLog::start(&options.directory.join(name), options.sync)
+    RawLog::start(&options.take.directory.join(name), options.take.sync)
 }
 
 /// A log of a device that was not there helps nobody.

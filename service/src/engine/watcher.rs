@@ -110,7 +110,7 @@ impl Inner {
 impl Core {
     fn why_over(&self) -> Option<EndingKind> {
         let take = self.take.as_ref()?;
-        if self.options.max_length.is_some_and(|max| take.begun.elapsed() >= max) {
+        if self.options.take.max_length.is_some_and(|max| take.begun.elapsed() >= max) {
             return Some(EndingKind::Length);
         }
         let session = self.session.as_ref()?;
@@ -149,7 +149,7 @@ impl Measured {
         let session = core.session.as_ref();
         let number = session.map_or(0, |session| session.number);
         let frames = session.map_or(0, |s| s.progress.frames.load(Ordering::Relaxed));
-        let directory = core.options.directory.clone();
+        let directory = core.options.take.directory.clone();
         drop(core);
         if let Some(beat) = beat {
             beat.at_disk();
