@@ -3,9 +3,10 @@
 use std::{fmt, io};
 
 use mocapd_take::motion::{FrameSource, GAP, MotionInfo, Position, is_gap};
+use serde::Serialize;
 
 /// What differs.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Difference {
     /// Frames compared.
     pub frames: u64,
@@ -23,14 +24,16 @@ pub struct Difference {
     pub gaps_differing: u64,
     /// Samples that are not the same to the bit.
     pub bits_differing: u64,
-    /// Samples farther away than the block that they are in states; of an original that is exact.
-    pub beyond_stated: u64,
+    /// Samples farther away than the block that they are in states; `None` of an original that is itself rounded.
+    pub beyond_stated: Option<u64>,
     /// The largest Euclidean distance, in millimetres.
     pub max_error_mm: f64,
     /// Root mean square distance, in millimetres.
     pub rms_error_mm: f64,
-    /// Where the largest distance is: frame, marker.
-    pub worst: Option<(u64, usize)>,
+    /// The frame of the largest distance.
+    pub worst_frame: Option<u64>,
+    /// The marker of the largest distance, by column.
+    pub worst_marker: Option<usize>,
     /// The largest distance by marker, in millimetres.
     pub max_error_by_marker_mm: Vec<f64>,
 }
@@ -88,21 +91,20 @@ pub fn compare(
 ) -> Result<Difference, CompareError> {
     let (ours, theirs) = (take.info().clone(), original.info().clone());
     let n_markers = ours.markers.len().max(theirs.markers.len());
-    let label =
-        |info: &MotionInfo, i: usize| info.markers.get(i).map(|marker| marker.label.clone());
+    let (our_labels, their_labels) = (ours.labels(), theirs.labels());
+    let label = |i| their_labels.get(i).or_else(|| our_labels.get(i)).cloned();
     let mut difference = Difference {
         labels_differing: (0..n_markers)
-            .filter(|&i| label(&ours, i) != label(&theirs, i))
-            .map(|i| label(&theirs, i).or_else(|| label(&ours, i)).unwrap_or_default())
+            .filter(|&i| our_labels.get(i) != their_labels.get(i))
+            .filter_map(label)
             .collect(),
         max_error_by_marker_mm: vec![0.0; n_markers],
         ..Difference::default()
     };
-    let (ours_hz, theirs_hz) = (ours.rate_hz, theirs.rate_hz);
-    if (ours_hz - theirs_hz).abs() > 1e-6 * theirs_hz.abs() {
-        let note =
-            format!("the rates differ, {ours_hz} and {theirs_hz} Hz: frame by frame, not by time");
-        difference.notes.push(note);
+    let (our_hz, their_hz) = (ours.rate_hz, theirs.rate_hz);
+    if (our_hz - their_hz).abs() > 1e-6 * their_hz.abs() {
+        let note = "frame by frame, not by time";
+        difference.notes.push(format!("the rates differ, {our_hz} and {their_hz} Hz: {note}"));
     }
     let mut row = vec![GAP; ours.markers.len()];
     let mut original_row = vec![GAP; theirs.markers.len()];
@@ -119,7 +121,7 @@ pub fn compare(
             original.next_frame(&mut original_row)?;
         }
     }
-    let mut sum_of_squares = 0.0;
+    let (mut sum_of_squares, mut beyond_stated) = (0.0, 0);
     while take.next_frame(&mut row)? && original.next_frame(&mut original_row)? {
         if take.is_lost() {
             difference.frames_lost += 1;
@@ -135,8 +137,7 @@ pub fn compare(
                     let error_mm = distance_mm(a, b);
                     difference.samples += 1;
                     let stated_mm = take.stated_error_mm(marker);
-                    difference.beyond_stated +=
-                        u64::from(stated_mm.is_some_and(|mm| error_mm > mm));
+                    beyond_stated += u64::from(stated_mm.is_some_and(|mm| error_mm > mm));
                     difference.bits_differing +=
                         u64::from(a.map(f32::to_bits) != b.map(f32::to_bits));
                     sum_of_squares += error_mm * error_mm;
@@ -144,7 +145,8 @@ pub fn compare(
                     *worst = worst.max(error_mm);
                     if error_mm > difference.max_error_mm {
                         difference.max_error_mm = error_mm;
-                        difference.worst = Some((difference.frames, marker));
+                        difference.worst_frame = Some(difference.frames);
+                        difference.worst_marker = Some(marker);
                     }
                 }
                 _ => difference.gaps_differing += 1,
@@ -159,6 +161,7 @@ pub fn compare(
     let only_one = |n: u64| n.saturating_sub(difference.frames);
     difference.frames_missing = only_one(ours.n_frames) + only_one(theirs.n_frames);
     difference.frames -= difference.frames_lost;
+    difference.beyond_stated = Some(beyond_stated);
     difference.rms_error_mm = (sum_of_squares / difference.samples.max(1) as f64).sqrt();
     Ok(difference)
 }
@@ -169,7 +172,7 @@ fn distance_mm(a: Position, b: Position) -> f64 {
 }
 
 impl Difference {
-    /// Whether everything is the same but for distances within `tolerance_mm` (0: to the bit).
+    /// Whether everything is the same but for distances within `tolerance_mm` (0: to the bit), and within what is stated.
     #[must_use]
     pub fn is_within(&self, tolerance_mm: f64) -> bool {
         let close = if tolerance_mm > 0.0 {
@@ -180,6 +183,7 @@ impl Difference {
         close
             && self.frames_missing == 0
             && self.gaps_differing == 0
+            && self.beyond_stated.unwrap_or(0) == 0
             && self.labels_differing.is_empty()
     }
 }

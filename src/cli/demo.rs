@@ -144,7 +144,7 @@ fn verify(
 ) -> anyhow::Result<()> {
     let frames = TakeFrames::open(BufReader::new(files::open(take)?))?;
     let difference = compare(frames, MotionFrames::new(motion))?;
-    let report = AgainstReport::new(difference, tolerance_mm, true);
+    let report = AgainstReport::new(difference, tolerance_mm);
     print(&format!("4. {}", report.words(tolerance_mm)))?;
     let ledger = &recorded.written.ledger;
     ensure!(ledger.closes(), "the ledger does not close: this is a bug in mocapd");

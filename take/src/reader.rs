@@ -3,6 +3,7 @@
 mod chunks;
 mod damage;
 
+use serde::Serialize;
 use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
 
 pub(crate) use self::{chunks::record, damage::mend_head};
@@ -289,13 +290,14 @@ impl TakeReader {
 }
 
 /// Bytes by purpose: together all that were read.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct TakeBytes {
     /// The magic, HEADER and CHANNELS.
     pub header: u64,
     /// The blocks of the stretches, and what they share.
     pub blocks: u64,
-    /// The lengths of the blocks.
+    /// The lengths of the blocks; JSON counts them with the framing.
+    #[serde(skip)]
     pub lengths: u64,
     /// When the rows were: runs and times.
     pub time_line: u64,

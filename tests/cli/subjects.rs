@@ -134,7 +134,7 @@ fn what_is_no_skeleton_or_face_is_refused_before_anything_is_written() {
         assert_tells(&why, &[with, "mocapd subject body -o"]);
     };
     ["f.json", "scan.ply", "jump.csv"].into_iter().for_each(drawn);
-    assert_tells(&refused(&["--face", "large.json"]), &["large.json", "1 MiB"]);
+    assert_tells(&refused(&["--face", "large.json"]), &["large.json", "1048576 bytes"]);
     let long = "S".repeat(129);
     folder.refuses(&["import", "jump.csv", "-o", "new.take", "--subject", &long], 2);
     // Nor is a device opened for it.

@@ -13,6 +13,7 @@ use anyhow::{Context, bail, ensure};
 use mocapd::outcome::Outcome;
 use mocapd_acquire::{
     header,
+    ledger::LedgerDocument,
     pipeline::{NewTake, Pipeline, PipelineConfig},
 };
 use mocapd_codec::{ResamplerKind, Settings};
@@ -71,13 +72,15 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
     let stop = stop_on_signal()?;
     let motion = device::motion(args.markers.into(), args.rate, IN_PROCESS_S)?;
     let wire = wire(&motion)?;
-    let mut alone = Vec::new();
+    let mut in_process =
+        InProcessReport { wire_bytes: wire.len() as u64, ..InProcessReport::default() };
     let mut pty = Vec::new();
     for run in 1..=args.runs {
         if !args.json {
             say(&format!("recording {} s, {run} of {}", args.seconds.as_secs_f64(), args.runs));
         }
-        alone.push(run_in_process(&motion, &wire, codec)?);
+        in_process.copy_gb_per_s.push(copy_gb_per_s(&wire));
+        run_in_process(&motion, &wire, codec, &mut in_process)?;
         pty.push(over_pty(args, &codec)?);
         if stop.load(Ordering::Relaxed) {
             bail!("interrupted after {run} of {} runs: nothing is told", args.runs);
@@ -92,12 +95,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         tolerance_mm: tolerance_mm(&codec),
         cores: std::thread::available_parallelism().map_or(1, usize::from),
         pty,
-        in_process: InProcessReport {
-            wire_bytes: alone.first().map_or(0, |run| run.wire_bytes),
-            frames_lost: alone.iter().map(|run| run.frames_lost).sum(),
-            times_real_time: alone.iter().map(|run| run.times_real_time).collect(),
-            copy_gb_per_s: alone.iter().map(|run| run.copy_gb_per_s).collect(),
-        },
+        in_process,
     };
     if args.json {
         print_json(&report)?;
@@ -105,15 +103,6 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {
         print(&report.words())?;
     }
     Ok(Outcome::of(report.lost_anything()))
-}
-
-/// What one run gave.
-#[derive(Debug, Clone)]
-struct InProcessRun {
-    times_real_time: f64,
-    copy_gb_per_s: f64,
-    wire_bytes: u64,
-    frames_lost: u64,
 }
 
 /// The frames of `motion` as they would come over the wire.
@@ -136,8 +125,12 @@ fn sample((column, &position_mm): (usize, &[f32; 3])) -> MarkerSample {
 }
 
 /// Feeds `wire` as fast as the rings take it: a full ring is waited for here, not a loss.
-fn run_in_process(motion: &Motion, wire: &[u8], codec: Settings) -> anyhow::Result<InProcessRun> {
-    let copy_gb_per_s = copy_gb_per_s(wire);
+fn run_in_process(
+    motion: &Motion,
+    wire: &[u8],
+    codec: Settings,
+    report: &mut InProcessReport,
+) -> anyhow::Result<()> {
     let rate_hz = motion.info.rate_hz;
     let config =
         PipelineConfig::new(codec, rate_hz, TICK_HZ, header::channels(&motion.info.markers));
@@ -161,12 +154,9 @@ fn run_in_process(motion: &Motion, wire: &[u8], codec: Settings) -> anyhow::Resu
     intake.finish();
     let (written, _) = pipeline.finish().map_err(|failed| failed.error)?;
     let seconds = started.elapsed().as_secs_f64();
-    Ok(InProcessRun {
-        times_real_time: motion.n_frames() as f64 / rate_hz / seconds,
-        copy_gb_per_s,
-        wire_bytes: wire.len() as u64,
-        frames_lost: motion.n_frames() as u64 - written.ledger.recorded,
-    })
+    report.times_real_time.push(motion.n_frames() as f64 / rate_hz / seconds);
+    report.frames_lost += motion.n_frames() as u64 - written.ledger.recorded;
+    Ok(())
 }
 
 /// What `record --json` says, as far as it is needed here.
@@ -179,13 +169,7 @@ struct RecordJson {
     max_error_mm: f64,
     ring_latency_us: LatencyReport,
     process: ProcessReport,
-    ledger: LedgerJson,
-}
-
-#[derive(Debug, Deserialize)]
-struct LedgerJson {
-    closes: bool,
-    frames_sent: u64,
+    ledger: LedgerDocument,
 }
 
 /// How long the bare loop reads.
@@ -298,7 +282,7 @@ struct PtyRun {
     max_error_mm: f64,
 }
 
-#[derive(Debug, Serialize)]
+#[derive(Debug, Default, Serialize)]
 struct InProcessReport {
     wire_bytes: u64,
     frames_lost: u64,

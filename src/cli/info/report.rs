@@ -10,7 +10,7 @@ use mocapd_acquire::{
 use mocapd_take::{
     interchange::ReadOptions,
     reader::TakeBytes,
-    record::{Event, Header},
+    record::{Device, Event, Header, ImportSource},
     recovery::RECOVERED,
 };
 use serde::Serialize;
@@ -40,7 +40,7 @@ pub(super) struct Report {
     pub(super) resampler: String,
     pub(super) tolerance_mm: f64,
     pub(super) up_axis: Option<&'static str>,
-    pub(super) device: Option<DeviceReport>,
+    pub(super) device: Option<Device>,
     pub(super) source: Option<SourceReport>,
     pub(super) subject: Option<SubjectReport>,
     pub(super) foreign_parts: Vec<ForeignReport>,
@@ -51,7 +51,7 @@ pub(super) struct Report {
     pub(super) samples: u64,
     pub(super) raw_bytes: u64,
     pub(super) file_bytes: u64,
-    pub(super) bytes: BytesReport,
+    pub(super) bytes: TakeBytes,
     pub(super) ratio: f64,
     pub(super) max_error_mm: f64,
     pub(super) stretches: u64,
@@ -65,67 +65,18 @@ pub(super) struct Report {
 }
 
 #[derive(Debug, Serialize)]
-pub(super) struct DeviceReport {
-    pub(super) driver: String,
-    pub(super) uri: String,
-    pub(super) model: String,
-    pub(super) serial: String,
-    pub(super) firmware: String,
-    pub(super) tick_hz: u64,
-    pub(super) low_latency: bool,
-}
-
-#[derive(Debug, Serialize)]
 pub(super) struct SourceReport {
-    pub(super) format: String,
-    pub(super) file: String,
-    pub(super) unit: String,
+    #[serde(flatten)]
+    pub(super) file: ImportSource,
     /// What was given as the unit instead, and as what is up.
     pub(super) unit_given: Option<String>,
     pub(super) up_given: Option<String>,
-    pub(super) factor_to_mm: f64,
-    pub(super) first_frame: u64,
-    pub(super) warnings: Vec<String>,
 }
 
 #[derive(Debug, Serialize)]
 pub(super) struct ForeignReport {
     pub(super) kind: String,
     pub(super) bytes: u64,
-}
-
-/// What the file's bytes are for: together all of them.
-#[derive(Debug, Serialize)]
-pub(super) struct BytesReport {
-    pub(super) blocks: u64,
-    pub(super) time_line: u64,
-    pub(super) framing: u64,
-    pub(super) header: u64,
-    pub(super) index: u64,
-    pub(super) ledgers: u64,
-    pub(super) clock: u64,
-    pub(super) events: u64,
-    pub(super) subject: u64,
-    pub(super) foreign: u64,
-    pub(super) other: u64,
-}
-
-impl From<&TakeBytes> for BytesReport {
-    fn from(bytes: &TakeBytes) -> Self {
-        Self {
-            blocks: bytes.blocks,
-            time_line: bytes.time_line,
-            framing: bytes.framing + bytes.lengths,
-            header: bytes.header,
-            index: bytes.index,
-            ledgers: bytes.ledgers,
-            clock: bytes.clock,
-            events: bytes.events,
-            subject: bytes.subject,
-            foreign: bytes.foreign,
-            other: bytes.other,
-        }
-    }
 }
 
 #[derive(Debug, Serialize)]
@@ -152,6 +103,7 @@ impl Report {
     pub(super) fn new(take: &Path, summary: &Summary, file_bytes: u64) -> Self {
         let header = &summary.take.header;
         let channels = summary.take.channels.iter().zip(&summary.per_channel);
+        let bytes = summary.bytes;
         let given = ReadOptions::from_settings(&header.settings);
         Self {
             take: take.to_owned(),
@@ -168,24 +120,11 @@ impl Report {
             resampler: header.resampler.clone(),
             tolerance_mm: header.tolerance_mm,
             up_axis: header.up_axis.name(),
-            device: header.device.clone().map(|device| DeviceReport {
-                driver: device.driver,
-                uri: device.uri,
-                model: device.model,
-                serial: device.serial,
-                firmware: device.firmware,
-                tick_hz: device.tick_hz,
-                low_latency: device.low_latency,
-            }),
-            source: header.source.clone().map(|source| SourceReport {
-                format: source.format,
-                file: source.file,
-                unit: source.unit,
+            device: header.device.clone(),
+            source: header.source.clone().map(|file| SourceReport {
+                file,
                 unit_given: given.unit.map(|unit| unit.to_string()),
                 up_given: given.up.map(|up| up.to_string()),
-                factor_to_mm: source.factor,
-                first_frame: source.first_frame,
-                warnings: source.warnings,
             }),
             subject: summary.take.subject.as_ref().map(SubjectReport::new),
             foreign_parts: summary
@@ -201,7 +140,7 @@ impl Report {
             samples: summary.samples(),
             raw_bytes: summary.raw_bytes(),
             file_bytes,
-            bytes: (&summary.bytes).into(),
+            bytes: TakeBytes { framing: bytes.framing + bytes.lengths, ..bytes },
             ratio: size_ratio(summary.samples(), file_bytes),
             max_error_mm: summary.max_error_mm(),
             stretches: summary.stretches,

@@ -36,7 +36,7 @@ pub(super) fn words(report: &Report) -> String {
         line("lost", &lost);
     }
     // Frames are numbered as in the file that was imported, and in what is exported.
-    let first_frame = report.source.as_ref().map_or(1, |source| source.first_frame);
+    let first_frame = report.source.as_ref().map_or(1, |source| source.file.first_frame);
     for event in &report.events {
         let frame = thousands(first_frame.saturating_add(event.frame));
         let time_s = event.frame as f64 / report.rate_hz;
@@ -87,7 +87,7 @@ fn origin(report: &Report, line: &mut impl FnMut(&str, &str)) {
         line("from", &device_line);
     }
     if let Some(source) = &report.source {
-        let mut unit = match source.unit.as_str() {
+        let mut unit = match source.file.unit.as_str() {
             "" => "no unit stated".to_owned(),
             unit => format!("in {unit}"),
         };
@@ -99,10 +99,10 @@ fn origin(report: &Report, line: &mut impl FnMut(&str, &str)) {
         }
         let file_line = format!(
             "{} ({}, {unit}, first frame {})",
-            source.file, source.format, source.first_frame
+            source.file.file, source.file.format, source.file.first_frame
         );
         line("from", &file_line);
-        for warning in &source.warnings {
+        for warning in &source.file.warnings {
             line("note", warning);
         }
     }

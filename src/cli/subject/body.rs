@@ -18,6 +18,7 @@ use mocapd_body::{
     skeleton::{Method, ScanJoints, Skeleton, Source},
 };
 
+use super::Chosen;
 use crate::cli::{
     output::Progress,
     output::{print, print_json_text, say, tell},
@@ -45,12 +46,6 @@ pub(crate) struct Args {
     /// Print the skeleton as JSON
     #[arg(long)]
     json: bool,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Chosen {
-    Default,
-    Paper,
 }
 
 /// Ends that are told less surely than this want a look: arms that have grown to the trunk gave 0.14.

@@ -13,6 +13,7 @@ use mocapd_face::{
     points::FAINT,
 };
 
+use super::Chosen;
 use crate::cli::{
     output::{print, print_json_text, say, tell},
     paths, plot,
@@ -46,12 +47,6 @@ pub(crate) struct Args {
     /// Print the faces as JSON
     #[arg(long)]
     json: bool,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Chosen {
-    Default,
-    Paper,
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Outcome> {

@@ -25,6 +25,13 @@ pub(crate) fn run(subject: &Subject) -> anyhow::Result<Outcome> {
     }
 }
 
+/// Whose method.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Chosen {
+    Default,
+    Paper,
+}
+
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct SubjectArgs {
     /// What the subject is called; it stands in the take

@@ -26,22 +26,10 @@ const LABELS_LISTED_MAX: usize = 10;
 #[derive(Debug, Serialize)]
 pub(crate) struct AgainstReport {
     within_tolerance: bool,
-    notes: Vec<String>,
     /// Where the original can be read in another way than it was.
     ambiguities: Vec<AmbiguityReport>,
-    frames: u64,
-    frames_missing: u64,
-    frames_lost: u64,
-    labels_differing: Vec<String>,
-    samples: u64,
-    gaps_differing: u64,
-    bits_differing: u64,
-    beyond_stated: Option<u64>,
-    max_error_mm: f64,
-    rms_error_mm: f64,
-    worst_frame: Option<u64>,
-    worst_marker: Option<usize>,
-    max_error_by_marker_mm: Vec<f64>,
+    #[serde(flatten)]
+    difference: Difference,
 }
 
 #[derive(Debug, Serialize)]
@@ -91,9 +79,13 @@ pub(super) fn against(
         // What came behind the cut is lost, and no difference.
         difference.frames_lost += std::mem::take(&mut difference.frames_missing);
     }
+    if !exact {
+        // Its own rounding comes to what a block states.
+        difference.beyond_stated = None;
+    }
     notes.append(&mut difference.notes);
     difference.notes = notes;
-    Ok(AgainstReport { ambiguities, ..AgainstReport::new(difference, tolerance_mm, exact) })
+    Ok(AgainstReport { ambiguities, ..AgainstReport::new(difference, tolerance_mm) })
 }
 
 /// That the original was read with what the import was given.
@@ -105,27 +97,9 @@ fn note_of(options: &ReadOptions) -> Option<String> {
 }
 
 impl AgainstReport {
-    /// `exact`: the original is what the take was made of, and no other rounding of it.
-    pub(crate) fn new(difference: Difference, tolerance_mm: f64, exact: bool) -> Self {
-        let beyond_stated = exact.then_some(difference.beyond_stated);
-        Self {
-            within_tolerance: difference.is_within(tolerance_mm) && beyond_stated.unwrap_or(0) == 0,
-            beyond_stated,
-            frames_lost: difference.frames_lost,
-            notes: difference.notes,
-            ambiguities: Vec::new(),
-            frames: difference.frames,
-            frames_missing: difference.frames_missing,
-            labels_differing: difference.labels_differing,
-            samples: difference.samples,
-            gaps_differing: difference.gaps_differing,
-            bits_differing: difference.bits_differing,
-            max_error_mm: difference.max_error_mm,
-            rms_error_mm: difference.rms_error_mm,
-            worst_frame: difference.worst.map(|worst| worst.0),
-            worst_marker: difference.worst.map(|worst| worst.1),
-            max_error_by_marker_mm: difference.max_error_by_marker_mm,
-        }
+    pub(crate) fn new(difference: Difference, tolerance_mm: f64) -> Self {
+        let within_tolerance = difference.is_within(tolerance_mm);
+        Self { within_tolerance, ambiguities: Vec::new(), difference }
     }
 
     /// Whether nothing differs but distances within the tolerance.
@@ -135,19 +109,20 @@ impl AgainstReport {
 
     /// One line, and what is wrong beside the distances.
     pub(crate) fn words(&self, tolerance_mm: f64) -> String {
-        let verdict = match (tolerance_mm > 0.0, self.max_error_mm <= tolerance_mm) {
+        let found = &self.difference;
+        let verdict = match (tolerance_mm > 0.0, found.max_error_mm <= tolerance_mm) {
             (true, true) => format!("within the tolerance of {tolerance_mm} mm"),
             (true, false) => format!("NOT WITHIN the tolerance of {tolerance_mm} mm"),
-            (false, _) => format!("{} differ in a bit", count(self.bits_differing, "sample")),
+            (false, _) => format!("{} differ in a bit", count(found.bits_differing, "sample")),
         };
         let mut out = format!(
             "against the original: {} of {}, max error {:.4} mm, rms {:.4} mm, {verdict}\n",
-            count(self.samples, "sample"),
-            count(self.frames, "frame"),
-            self.max_error_mm,
-            self.rms_error_mm
+            count(found.samples, "sample"),
+            count(found.frames, "frame"),
+            found.max_error_mm,
+            found.rms_error_mm
         );
-        for note in &self.notes {
+        for note in &found.notes {
             out += &format!("  {}\n", plain(note));
         }
         for ambiguity in &self.ambiguities {
@@ -156,25 +131,25 @@ impl AgainstReport {
                 "  the original can be read in another way, and was read as at import: {words}\n"
             );
         }
-        if self.frames_lost > 0 {
-            let frames = count(self.frames_lost, "frame");
+        if found.frames_lost > 0 {
+            let frames = count(found.frames_lost, "frame");
             out += &format!("  not compared, the take lost them: {frames}\n");
         }
-        if let Some(beyond) = self.beyond_stated.filter(|&beyond| beyond > 0) {
+        if let Some(beyond) = found.beyond_stated.filter(|&beyond| beyond > 0) {
             let samples = count(beyond, "sample");
             out += &format!("  FARTHER AWAY than their blocks state: {samples}\n");
         }
-        if self.frames_missing > 0 {
-            out += &format!("  in one of the two only: {}\n", count(self.frames_missing, "frame"));
+        if found.frames_missing > 0 {
+            out += &format!("  in one of the two only: {}\n", count(found.frames_missing, "frame"));
         }
-        if self.gaps_differing > 0 {
-            let samples = thousands(self.gaps_differing);
+        if found.gaps_differing > 0 {
+            let samples = thousands(found.gaps_differing);
             out += &format!("  a gap in one of the two only: {samples} samples\n");
         }
-        if !self.labels_differing.is_empty() {
-            let listed = self.labels_differing.len().min(LABELS_LISTED_MAX);
-            let labels = self.labels_differing[..listed].join(", ");
-            let more = match self.labels_differing.len() - listed {
+        if !found.labels_differing.is_empty() {
+            let listed = found.labels_differing.len().min(LABELS_LISTED_MAX);
+            let labels = found.labels_differing[..listed].join(", ");
+            let more = match found.labels_differing.len() - listed {
                 0 => String::new(),
                 n => format!(" and {n} more"),
             };

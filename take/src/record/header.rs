@@ -7,6 +7,7 @@ use bincode::{
     error::{DecodeError, EncodeError},
 };
 use mocapd_codec::{BLOCK_VERSION, CodecError, ResamplerKind, Settings, Tolerance};
+use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use super::{LIMIT_BYTES, Record, Subject};
@@ -38,7 +39,7 @@ impl Channel {
 }
 
 /// The device that was recorded.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Encode, Decode)]
+#[derive(Debug, Clone, PartialEq, Eq, Default, Encode, Decode, Serialize)]
 pub struct Device {
     /// Driver family.
     pub driver: String,
@@ -57,7 +58,7 @@ pub struct Device {
 }
 
 /// The file that was imported.
-#[derive(Debug, Clone, PartialEq, Default, Encode, Decode)]
+#[derive(Debug, Clone, PartialEq, Default, Encode, Decode, Serialize)]
 pub struct ImportSource {
     /// `c3d`, `trc`, `tsv`, `csv`; `array` for what was in a program's memory.
     pub format: String,
@@ -66,6 +67,7 @@ pub struct ImportSource {
     /// Unit as found.
     pub unit: String,
     /// Factor to millimetres.
+    #[serde(rename = "factor_to_mm")]
     pub factor: f64,
     /// Number of its first frame.
     pub first_frame: u64,

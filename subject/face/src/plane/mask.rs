@@ -1,43 +1,14 @@
 //! Yes or no for each pixel, its morphology, and what the moments of connected pixels say of them.
 
-/// Yes or no a pixel, row by row from the top left.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Mask {
-    width: usize,
-    height: usize,
-    values: Vec<bool>,
-}
+use super::Raster;
+
+/// Yes or no a pixel.
+pub type Mask = Raster<bool>;
 
 impl Mask {
-    /// Row after row of `values`; what is missing is no, and what is over is left out.
-    #[must_use]
-    pub fn from_values(width: usize, height: usize, mut values: Vec<bool>) -> Self {
-        let (width, height) = (width.max(1), height.max(1));
-        values.resize(width * height, false);
-        Self { width, height, values }
-    }
-
-    /// In pixels, 1 at least.
-    #[must_use]
-    pub fn width(&self) -> usize {
-        self.width
-    }
-
-    /// In pixels, 1 at least.
-    #[must_use]
-    pub fn height(&self) -> usize {
-        self.height
-    }
-
-    /// All of them, row by row.
-    #[must_use]
-    pub fn values(&self) -> &[bool] {
-        &self.values
-    }
-
     /// Whether a pixel is in it; nothing outside is.
     #[must_use]
-    pub fn get(&self, x: usize, y: usize) -> bool {
+    pub fn has(&self, x: usize, y: usize) -> bool {
         x < self.width && self.values.get(y * self.width + x).copied().unwrap_or_default()
     }
 

@@ -12,13 +12,16 @@ pub use mask::{Blob, Labels, Mask};
 /// Widths of a Gaussian beyond this are cut to it: a kernel is never longer than 2 x 3 x 64 + 1.
 const SIGMA_MAX_PX: f32 = 64.0;
 
-/// One number a pixel, row by row from the top left.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Plane {
+/// One value a pixel, row by row from the top left.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Raster<T> {
     width: usize,
     height: usize,
-    values: Vec<f32>,
+    values: Vec<T>,
 }
+
+/// One number a pixel.
+pub type Plane = Raster<f32>;
 
 /// The slope in x and y, a pixel, and how steep it is.
 #[derive(Debug, Clone, PartialEq)]
@@ -31,27 +34,12 @@ pub struct Gradient {
     pub magnitude: Plane,
 }
 
-impl Plane {
-    /// `value` everywhere. A plane has one pixel at least.
+impl<T: Copy + Default> Raster<T> {
+    /// Row after row of `values`; what is missing is 0 or no, and what is over is left out.
     #[must_use]
-    pub fn filled(width: usize, height: usize, value: f32) -> Self {
+    pub fn from_values(width: usize, height: usize, mut values: Vec<T>) -> Self {
         let (width, height) = (width.max(1), height.max(1));
-        Self { width, height, values: vec![value; width * height] }
-    }
-
-    /// Row after row of `values`; what is missing is 0, and what is over is left out.
-    #[must_use]
-    pub fn from_values(width: usize, height: usize, mut values: Vec<f32>) -> Self {
-        let (width, height) = (width.max(1), height.max(1));
-        values.resize(width * height, 0.0);
-        Self { width, height, values }
-    }
-
-    /// What `value` makes of each x and y.
-    #[must_use]
-    pub fn from_fn(width: usize, height: usize, value: impl Fn(usize, usize) -> f32) -> Self {
-        let (width, height) = (width.max(1), height.max(1));
-        let values = (0..width * height).map(|i| value(i % width, i / width)).collect();
+        values.resize(width * height, T::default());
         Self { width, height, values }
     }
 
@@ -69,8 +57,25 @@ impl Plane {
 
     /// All of them, row by row.
     #[must_use]
-    pub fn values(&self) -> &[f32] {
+    pub fn values(&self) -> &[T] {
         &self.values
+    }
+}
+
+impl Plane {
+    /// `value` everywhere. A plane has one pixel at least.
+    #[must_use]
+    pub fn filled(width: usize, height: usize, value: f32) -> Self {
+        let (width, height) = (width.max(1), height.max(1));
+        Self { width, height, values: vec![value; width * height] }
+    }
+
+    /// What `value` makes of each x and y.
+    #[must_use]
+    pub fn from_fn(width: usize, height: usize, value: impl Fn(usize, usize) -> f32) -> Self {
+        let (width, height) = (width.max(1), height.max(1));
+        let values = (0..width * height).map(|i| value(i % width, i / width)).collect();
+        Self { width, height, values }
     }
 
     /// All of them, to be changed.

@@ -68,13 +68,13 @@ fn growing_and_shrinking_are_those_of_a_square() {
         let near = |x: usize, y: usize| {
             let rows = y.saturating_sub(radius)..(y + radius + 1).min(17);
             rows.into_iter().any(|y| {
-                (x.saturating_sub(radius)..(x + radius + 1).min(31)).any(|x| mask.get(x, y))
+                (x.saturating_sub(radius)..(x + radius + 1).min(31)).any(|x| mask.has(x, y))
             })
         };
         let grown = mask.dilated(radius);
         for y in 0..17 {
             for x in 0..31 {
-                assert_eq!(grown.get(x, y), near(x, y), "{x} {y} {radius}");
+                assert_eq!(grown.has(x, y), near(x, y), "{x} {y} {radius}");
             }
         }
         assert_eq!(mask.inverted().eroded(radius), grown.inverted());

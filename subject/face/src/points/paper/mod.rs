@@ -87,7 +87,7 @@ fn outline(unlike: &Plane, slope: &Gradient, centre: Point) -> Vec<Point> {
             };
             let inside = |r: &i32| {
                 let (x, y) = place(*r);
-                matches!((usize::try_from(x), usize::try_from(y)), (Ok(x), Ok(y)) if skin.get(x, y))
+                matches!((usize::try_from(x), usize::try_from(y)), (Ok(x), Ok(y)) if skin.has(x, y))
             };
             // The first three pixels in a row that are no skin end the region.
             let end =
