@@ -13,9 +13,7 @@ mod tests;
 
 use std::sync::Arc;
 
-use mocapd_drivers::device::{
-    Command, Frame, Hello, LinkCounters, MarkerInfo, MarkerSample, Status,
-};
+use mocapd_drivers::device::{Command, Frame, Hello, MarkerInfo, MarkerSample, Status};
 use mocapd_drivers::link::{DeviceLink, LABEL_BYTES_MAX, MARKERS_MAX, frame_bytes_max};
 use mocapd_take::motion::{Marker, Motion, Position, is_gap};
 
@@ -146,12 +144,6 @@ impl Device {
     #[must_use]
     pub fn warnings(&self) -> &[String] {
         &self.warnings
-    }
-
-    /// What the host's bytes were.
-    #[must_use]
-    pub fn host_counters(&self) -> LinkCounters {
-        self.link.counters()
     }
 
     /// Whether frames are due: between a Start and its end.
