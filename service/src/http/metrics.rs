@@ -125,18 +125,18 @@ impl Out<'_> {
         name: &str,
         help: &str,
         label: &str,
-        values: &[(&str, f64)],
+        values: &[(&str, u64)],
     ) -> Result<(), Error> {
         let mut metric = self.0.encode_descriptor(name, help, None, MetricType::Gauge)?;
         for &(which, value) in values {
-            ConstGauge::new(value).encode(metric.encode_family(&[(label, which)])?)?;
+            ConstGauge::new(value as f64).encode(metric.encode_family(&[(label, which)])?)?;
         }
         Ok(())
     }
 
     /// Which one of several it is.
     fn one_of(&mut self, name: &str, help: &str, names: &[&str], is: &str) -> Result<(), Error> {
-        let values: Vec<_> = names.iter().map(|&which| (which, flag(which == is))).collect();
+        let values: Vec<_> = names.iter().map(|&which| (which, u64::from(which == is))).collect();
         let label = name.rsplit('_').next().unwrap_or(name);
         self.by(name, help, label, &values)
     }
@@ -328,8 +328,7 @@ fn of_ledger(ledger: &LedgerDocument, out: &mut Out<'_>) -> Result<(), Error> {
         ("lost_other", ledger.lost_other),
         ("duplicate", ledger.duplicates),
         ("unknown_after_disconnect", ledger.unknown_after_disconnect),
-    ]
-    .map(|(fate, n)| (fate, n as f64));
+    ];
     out.by("take_frames", "What became of the take's frames", "fate", &frames)?;
     figures! { out:
         /// Samples that the take's frames should have
@@ -339,8 +338,7 @@ fn of_ledger(ledger: &LedgerDocument, out: &mut Out<'_>) -> Result<(), Error> {
         ("present", ledger.samples_present),
         ("occluded", ledger.samples_occluded),
         ("not_finite", ledger.samples_not_finite),
-    ]
-    .map(|(fate, n)| (fate, n as f64));
+    ];
     out.by("take_samples", "What became of the take's samples", "fate", &samples)?;
     figures! { out:
         /// Samples of markers that there was no channel for
@@ -360,16 +358,9 @@ fn of_ledger(ledger: &LedgerDocument, out: &mut Out<'_>) -> Result<(), Error> {
         ("damaged", ledger.link_messages_damaged),
         ("unknown", ledger.link_messages_unknown),
     ];
-    let counted = |(fate, n): (&'static str, u64)| (fate, n as f64);
-    out.by(
-        "take_link_bytes",
-        "Bytes of the line during the take; those skipped were received, too",
-        "fate",
-        &bytes.map(counted),
-    )?;
-    let help = "Messages of the line during the take";
-    out.by("take_link_messages", help, "fate", &messages.map(counted))?;
-    Ok(())
+    let help = "Bytes of the line during the take; those skipped were received, too";
+    out.by("take_link_bytes", help, "fate", &bytes)?;
+    out.by("take_link_messages", "Messages of the line during the take", "fate", &messages)
 }
 
 fn of_last_take(take: &TakeSummary, out: &mut Out<'_>) -> Result<(), Error> {

@@ -10,7 +10,7 @@ use mocapd_acquire::{
 use mocapd_take::{
     interchange::ReadOptions,
     reader::TakeBytes,
-    record::{Device, Event, Header, ImportSource},
+    record::{Device, Header, ImportSource},
     recovery::RECOVERED,
 };
 use serde::Serialize;
@@ -104,6 +104,7 @@ impl Report {
         let header = &summary.take.header;
         let channels = summary.take.channels.iter().zip(&summary.per_channel);
         let bytes = summary.bytes;
+        let events = summary.take.events.iter();
         let given = ReadOptions::from_settings(&header.settings);
         Self {
             take: take.to_owned(),
@@ -149,7 +150,15 @@ impl Report {
             ledger: summary.take.ledger.as_ref().map(LedgerDocument::from),
             outages: OutagesReport::new(summary.outages.0, summary.outages.1, header.rate_hz),
             clock: ClockReport::new(&summary.clock, &summary.take.clock_lines),
-            events: summary.take.events.iter().map(EventReport::new).collect(),
+            events: events
+                .map(|event| EventReport {
+                    kind: event.kind.word(),
+                    frame: event.row,
+                    device_ticks: event.device_ticks,
+                    input: event.input,
+                    text: event.text.clone(),
+                })
+                .collect(),
             channels: channels
                 .map(|(channel, found)| ChannelReport {
                     label: channel.label.clone(),
@@ -199,16 +208,4 @@ fn utc(unix_ms: i64) -> Option<String> {
 fn recovered(header: &Header) -> Option<String> {
     let told = header.settings.iter().filter(|(key, _)| key == RECOVERED);
     told.map(|(_, words)| words.clone()).reduce(|all, next| format!("{all}; again {next}"))
-}
-
-impl EventReport {
-    fn new(event: &Event) -> Self {
-        Self {
-            kind: event.kind.word(),
-            frame: event.row,
-            device_ticks: event.device_ticks,
-            input: event.input,
-            text: event.text.clone(),
-        }
-    }
 }

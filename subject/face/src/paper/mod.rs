@@ -88,7 +88,7 @@ pub fn faces(photo: &Photo) -> Vec<Found> {
     let shrink = (photo.width().max(photo.height()) as f32 / SIDE_PX).max(1.0);
     let side = |px: usize| ((px as f32 / shrink).round() as usize).max(1);
     let (width, height) = (side(photo.width()), side(photo.height()));
-    let mask = skin(photo, width, height).mask(|likely| likely >= SKIN_MIN);
+    let mask = skin(photo, width, height).map(|likely| likely >= SKIN_MIN);
     let grey = photo.grey().resized(width, height);
     let edges = grey.gradient().magnitude;
     let scale = [photo.width() as f64 / width as f64, photo.height() as f64 / height as f64];
@@ -220,7 +220,7 @@ fn blocks(skin: &Mask) -> Vec<Block> {
 
 /// What a block encloses: the parts of the rest that do not reach around it.
 fn holes(skin: &Mask, blob: &Blob) -> Vec<Blob> {
-    let rest = Labels::of(&skin.inverted(), true);
+    let rest = Labels::of(&skin.map(|inside| !inside), true);
     let within = |hole: &&Blob| {
         hole.left > blob.left
             && hole.top > blob.top

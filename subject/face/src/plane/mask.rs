@@ -6,18 +6,6 @@ use super::Raster;
 pub type Mask = Raster<bool>;
 
 impl Mask {
-    /// Whether a pixel is in it; nothing outside is.
-    #[must_use]
-    pub fn has(&self, x: usize, y: usize) -> bool {
-        x < self.width && self.values.get(y * self.width + x).copied().unwrap_or_default()
-    }
-
-    /// What is not in it.
-    #[must_use]
-    pub fn inverted(&self) -> Self {
-        Self { values: self.values.iter().map(|value| !value).collect(), ..*self }
-    }
-
     /// Grown by a square of `2 * radius + 1` pixels.
     #[must_use]
     pub fn dilated(&self, radius: usize) -> Self {

@@ -35,11 +35,26 @@ pub struct Gradient {
 }
 
 impl<T: Copy + Default> Raster<T> {
-    /// Row after row of `values`; what is missing is 0 or no, and what is over is left out.
+    /// `value` everywhere. A raster has one pixel at least.
+    #[must_use]
+    pub fn filled(width: usize, height: usize, value: T) -> Self {
+        let (width, height) = (width.max(1), height.max(1));
+        Self { width, height, values: vec![value; width * height] }
+    }
+
+    /// Row after row of `values`; what is missing is 0, or no, and what is over is left out.
     #[must_use]
     pub fn from_values(width: usize, height: usize, mut values: Vec<T>) -> Self {
         let (width, height) = (width.max(1), height.max(1));
         values.resize(width * height, T::default());
+        Self { width, height, values }
+    }
+
+    /// What `value` makes of each x and y.
+    #[must_use]
+    pub fn from_fn(width: usize, height: usize, value: impl Fn(usize, usize) -> T) -> Self {
+        let (width, height) = (width.max(1), height.max(1));
+        let values = (0..width * height).map(|i| value(i % width, i / width)).collect();
         Self { width, height, values }
     }
 
@@ -60,43 +75,35 @@ impl<T: Copy + Default> Raster<T> {
     pub fn values(&self) -> &[T] {
         &self.values
     }
-}
-
-impl Plane {
-    /// `value` everywhere. A plane has one pixel at least.
-    #[must_use]
-    pub fn filled(width: usize, height: usize, value: f32) -> Self {
-        let (width, height) = (width.max(1), height.max(1));
-        Self { width, height, values: vec![value; width * height] }
-    }
-
-    /// What `value` makes of each x and y.
-    #[must_use]
-    pub fn from_fn(width: usize, height: usize, value: impl Fn(usize, usize) -> f32) -> Self {
-        let (width, height) = (width.max(1), height.max(1));
-        let values = (0..width * height).map(|i| value(i % width, i / width)).collect();
-        Self { width, height, values }
-    }
 
     /// All of them, to be changed.
-    pub fn values_mut(&mut self) -> &mut [f32] {
+    pub fn values_mut(&mut self) -> &mut [T] {
         &mut self.values
     }
 
     /// Row `y` from the left; empty outside.
     #[must_use]
-    pub fn row(&self, y: usize) -> &[f32] {
+    pub fn row(&self, y: usize) -> &[T] {
         self.values.get(y * self.width..(y + 1) * self.width).unwrap_or_default()
     }
 
     /// The value of a pixel; the border's outside.
     #[must_use]
-    pub fn get(&self, x: isize, y: isize) -> f32 {
+    pub fn get(&self, x: isize, y: isize) -> T {
         let x = x.clamp(0, self.width as isize - 1) as usize;
         let y = y.clamp(0, self.height as isize - 1) as usize;
         self.values.get(y * self.width + x).copied().unwrap_or_default()
     }
 
+    /// Each value changed by itself.
+    #[must_use]
+    pub fn map<U>(&self, change: impl Fn(T) -> U) -> Raster<U> {
+        let values = self.values.iter().map(|&value| change(value)).collect();
+        Raster { width: self.width, height: self.height, values }
+    }
+}
+
+impl Plane {
     /// The value between pixels, bilinear; 0 where `x` or `y` is not a number.
     #[must_use]
     pub fn sample(&self, x: f32, y: f32) -> f32 {
@@ -119,12 +126,6 @@ impl Plane {
         above + (below - above) * fy
     }
 
-    /// Each value changed by itself.
-    #[must_use]
-    pub fn map(&self, change: impl Fn(f32) -> f32) -> Self {
-        Self { values: self.values.iter().map(|&v| change(v)).collect(), ..*self }
-    }
-
     /// Each value with the one at the same place of `other`; what `other` does not have is left out of the change.
     #[must_use]
     pub fn zip(&self, other: &Self, join: impl Fn(f32, f32) -> f32) -> Self {
@@ -133,12 +134,6 @@ impl Plane {
             *value = join(*value, with);
         }
         out
-    }
-
-    /// Where `is` holds.
-    #[must_use]
-    pub fn mask(&self, is: impl Fn(f32) -> bool) -> Mask {
-        Mask::from_values(self.width, self.height, self.values.iter().map(|&v| is(v)).collect())
     }
 
     /// Smoothed by a Gaussian of standard deviation `sigma_px`, cut at three of them.

@@ -77,7 +77,7 @@ pub fn find(photo: &Photo, rough: &Rough) -> FacePoints {
 ///
 /// The outline, a closed polygon around `centre`. `unlike` says how little a pixel looks like the cheeks' skin.
 fn outline(unlike: &Plane, slope: &Gradient, centre: Point) -> Vec<Point> {
-    let skin = unlike.mask(|v| v < OUTLINE_UNLIKE).closed(HOLES_PX);
+    let skin = unlike.map(|v| v < OUTLINE_UNLIKE).closed(HOLES_PX);
     let mut curve: Vec<(i32, i32)> = (0..OUTLINE_POINTS)
         .map(|i| {
             let a = i as f64 / OUTLINE_POINTS as f64 * std::f64::consts::TAU;
@@ -87,7 +87,7 @@ fn outline(unlike: &Plane, slope: &Gradient, centre: Point) -> Vec<Point> {
             };
             let inside = |r: &i32| {
                 let (x, y) = place(*r);
-                matches!((usize::try_from(x), usize::try_from(y)), (Ok(x), Ok(y)) if skin.has(x, y))
+                matches!((usize::try_from(x), usize::try_from(y)), (Ok(x), Ok(y)) if skin.row(y).get(x) == Some(&true))
             };
             // The first three pixels in a row that are no skin end the region.
             let end =
