@@ -32,10 +32,12 @@ def built(*what: str) -> list[Path]:
 
 
 def hanging(folder: Path) -> Path:
-    """mocapd with the hooks that make it hang, into a folder: in cargo's own the next build takes its place.
+    """mocapd with the hooks that make it hang, in a folder of its own: the next build replaces it in cargo's.
 
-    As tests are built, so that three crates are compiled anew and not all: it hangs as well unoptimised.
+    MOCAPD_HANGING names one that is built already. It is built as tests are, which compiles three crates only.
     """
+    if os.environ.get("MOCAPD_HANGING"):
+        return Path(os.environ["MOCAPD_HANGING"])
     program = next(path for path in built("-p", "mocapd", "--bins", "--features", "full,fault-hooks") if path.name == "mocapd")
     return Path(shutil.copy2(program, folder / "mocapd-hanging"))
 
