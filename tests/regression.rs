@@ -9,6 +9,7 @@ mod cut_limbs;
 mod device_away;
 mod event_numbers;
 mod foreign_readers;
+mod forged_ledgers;
 mod idle_connections;
 mod lines_and_frames;
 mod local_time;

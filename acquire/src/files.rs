@@ -25,7 +25,7 @@ use serde::{Serialize, Serializer};
 pub use self::{
     file_state::{Displaced, FileState, Settled},
     new_file::{NewFile, NewFolder},
-    take_file::{FileId, TakeFile, TakeOutput},
+    take_file::{FileId, TakeFile, TakeOutput, is_being_written},
 };
 
 /// Why a file cannot be opened or created. The message is one line that says what to do.

@@ -4,11 +4,8 @@ use std::time::SystemTime;
 
 use anyhow::Context;
 use mocapd_codec::Settings;
+use mocapd_take::record::{CODEC_VERSION, Header};
 pub use mocapd_take::whole::channels;
-use mocapd_take::{
-    motion::UpAxis,
-    record::{CODEC_VERSION, Header},
-};
 use rustix::rand::{GetRandomFlags, getrandom};
 
 /// What a take says wrote it.
@@ -32,18 +29,9 @@ pub fn new(codec: &Settings, rate_hz: f64) -> anyhow::Result<Header> {
 pub fn of_import(codec: &Settings, rate_hz: f64) -> Header {
     let mut header = Header {
         software: SOFTWARE.to_owned(),
-        take_id: [0; 16],
-        created_unix_ms: 0,
-        resampler: String::new(),
         codec_version: CODEC_VERSION,
-        tolerance_mm: 0.0,
         rate_hz,
-        up_axis: UpAxis::Unknown,
-        device: None,
-        source: None,
-        channels: Vec::new(),
-        stretch_rows: 0,
-        settings: Vec::new(),
+        ..Header::default()
     };
     header.set_codec(codec);
     header

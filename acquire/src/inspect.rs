@@ -291,6 +291,7 @@ struct Claims {
     tolerance_mm: f64,
     recorded: u64,
     announced: u64,
+    lost: u64,
     index_offset: u64,
     ledger_offset: u64,
     broken: Vec<String>,
@@ -302,6 +303,10 @@ impl Claims {
         let rows = u64::from(stretch.span.n_rows);
         let recorded = stretch.timeline.as_ref().map_or(rows, Timeline::n_recorded);
         self.recorded += recorded;
+        let runs = stretch.timeline.iter().flat_map(|timeline| &timeline.runs);
+        // What a recovery found damaged is in ledgers from then on.
+        let lost = runs.filter(|run| run.lost.is_some_and(|causes| causes != Causes::DAMAGED));
+        self.lost += lost.map(|run| run.rows).sum::<u64>();
         self.announced += recorded * n_channels as u64;
     }
 
@@ -338,6 +343,11 @@ impl Claims {
             if told != found {
                 self.tell(format!("a ledger tells of {told} {what}, before it are {found}"));
             }
+        }
+        // Those behind the last stretch are in no time line yet.
+        let (told, found) = (ledger.frames_lost(), self.lost);
+        if told < found {
+            self.tell(format!("a ledger tells of {told} lost frames, before it are {found}"));
         }
     }
 

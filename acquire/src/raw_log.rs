@@ -352,20 +352,8 @@ impl Transport for Tapped {
         self.look(outcome)
     }
 
-    fn line_bytes_per_s(&self) -> Option<u64> {
-        self.line.line_bytes_per_s()
-    }
-
-    fn describe(&self) -> String {
-        self.line.describe()
-    }
-
-    fn is_low_latency(&self) -> bool {
-        self.line.is_low_latency()
-    }
-
-    fn stalls_cleared(&self) -> u64 {
-        self.line.stalls_cleared()
+    fn inner(&self) -> Option<&dyn Transport> {
+        Some(&*self.line)
     }
 }
 

@@ -84,14 +84,9 @@ pub(crate) fn encode<'py>(
 fn header(codec: &Settings, rate_hz: f64, up_axis: UpAxis) -> Header {
     let mut header = Header {
         software: SOFTWARE.to_owned(),
-        take_id: [0; 16],
-        created_unix_ms: 0,
-        resampler: String::new(),
         codec_version: CODEC_VERSION,
-        tolerance_mm: 0.0,
         rate_hz,
         up_axis,
-        device: None,
         source: Some(ImportSource {
             format: "array".to_owned(),
             unit: "mm".to_owned(),
@@ -99,9 +94,7 @@ fn header(codec: &Settings, rate_hz: f64, up_axis: UpAxis) -> Header {
             first_frame: 1,
             ..ImportSource::default()
         }),
-        channels: Vec::new(),
-        stretch_rows: 0,
-        settings: Vec::new(),
+        ..Header::default()
     };
     header.set_codec(codec);
     header

@@ -1,6 +1,6 @@
 //! What is wrong with a take: its problems, and the rows that are not to be had any more.
 
-use crate::{index::IndexEntry, stretch::Stretch, timeline::Causes};
+use crate::{index::IndexEntry, record::Ledger, stretch::Stretch, timeline::Causes};
 
 /// Problems that are kept. A take that a disk has ruined has one a stretch; a file that was made to have more would
 /// have one every few bytes.
@@ -105,6 +105,9 @@ pub enum Problem {
     /// There are more than [`PROBLEMS_MAX`].
     #[error("there are more problems than these {PROBLEMS_MAX}")]
     More,
+    /// It was finished, and there is no ledger.
+    #[error("the ledger is missing")]
+    NoLedger,
     /// There is no footer.
     #[error("the take was cut off: its end is missing")]
     CutOff,
@@ -131,6 +134,12 @@ pub struct Counts {
     pub frames: u64,
     /// Samples in them.
     pub samples: u64,
+}
+
+impl Counts {
+    pub(crate) fn of(ledger: &Ledger) -> Self {
+        Self { frames: ledger.recorded, samples: ledger.samples_present }
+    }
 }
 
 impl Problem {

@@ -280,6 +280,8 @@ impl Progress {
         self.lose(lost);
         if !finished {
             self.note(Problem::CutOff);
+        } else if self.makes_map() && self.take.ledger.is_none() {
+            self.note(Problem::NoLedger);
         }
         self.take.finished = finished;
         self.take.n_rows = self.losses.end_row;

@@ -1,8 +1,8 @@
 //! The engine's answers are true: what it says is on disk is there, and what it refuses has left nothing behind.
 
-use std::{path::Path, sync::Arc, time::Duration};
+use std::{io::Write, path::Path, sync::Arc, time::Duration};
 
-use mocapd_acquire::{health::TakeHealth, heartbeat::Heartbeat, inspect::Summary};
+use mocapd_acquire::{files::TakeFile, health::TakeHealth, heartbeat::Heartbeat, inspect::Summary};
 use mocapd_service::{
     config::{ArmConfig, DeviceChoice, DeviceConfig, NameTemplate, TakeConfig},
     control::{Control, Mark, RefusalKind, Request, SaveLast, Start},
@@ -274,6 +274,30 @@ fn viewers_see_the_newest_frames_and_a_slow_one_costs_nothing() {
     let quality = engine.quality();
     assert_eq!(quality.len(), 15);
     assert!(quality.iter().all(|marker| marker.visible > 0.5), "{quality:?}");
+}
+
+#[test]
+fn a_take_that_another_recorder_writes_is_left_alone() {
+    let Room { directory, device, engine } = room(|_| {});
+    let started = engine.start(&named("mine")).unwrap();
+    std::thread::sleep(Duration::from_millis(800));
+    let begun = std::fs::read(&started.path).unwrap();
+    engine.stop(&request()).unwrap();
+    drop(engine);
+    let mut theirs = TakeFile::create(&directory.path().join("theirs.take")).unwrap();
+    theirs.write_all(&begun).unwrap();
+    let mut options = options(directory.path(), &device.path);
+    options.arm.at_start = true;
+    let engine = Engine::start(options, &Heartbeat::default()).unwrap();
+    wait_until("it is armed", || engine.status().state == State::Armed);
+    let takes = engine.takes(9).unwrap();
+    let theirs_now = takes.iter().find(|take| take.name == "theirs").unwrap();
+    assert_eq!((theirs_now.is_open, theirs_now.health), (true, TakeHealth::Unknown));
+    assert!(!directory.path().join("theirs.recovered.take").exists());
+    drop(theirs);
+    let closed = engine.takes(9).unwrap();
+    let theirs_now = closed.iter().find(|take| take.name == "theirs").unwrap();
+    assert_eq!((theirs_now.is_open, theirs_now.health), (false, TakeHealth::CutOff));
 }
 
 #[test]

@@ -4,6 +4,7 @@
 use std::collections::VecDeque;
 
 use mocapd_take::record::{Clock, ClockLine, ClockPoint, ClockProbe};
+use serde::Serialize;
 
 use super::{
     WINDOW_US,
@@ -251,11 +252,13 @@ const APART_US: f64 = 20.0;
 const APART_PPM: f64 = 2.0;
 
 /// How far a stored line lies from the one that its observations give.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Apart {
     /// Where the line is told, in microseconds: the stored one is later when negative.
+    #[serde(rename = "apart_us")]
     pub offset_us: f64,
     /// Its drift, in parts per million.
+    #[serde(rename = "apart_ppm")]
     pub drift_ppm: f64,
     /// Whether both are as near as they have to be.
     pub agrees: bool,

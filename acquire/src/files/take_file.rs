@@ -11,7 +11,10 @@ use std::{
 };
 
 use anyhow::Context;
-use rustix::fs::{FallocateFlags, fallocate, fstatvfs};
+use rustix::{
+    fs::{FallocateFlags, FlockOperation, fallocate, flock, fstatvfs},
+    io::Errno,
+};
 
 use super::{Displaced, FileState, NewFile, Settled, file_state::is_mounted, own_link};
 
@@ -50,6 +53,12 @@ impl FileId {
     pub fn remove(self, path: &Path) -> io::Result<()> {
         if self.is_at(path)? { std::fs::remove_file(path) } else { Ok(()) }
     }
+}
+
+/// Whether a recorder writes it: its lock lasts as long as it does.
+#[must_use]
+pub fn is_being_written(file: &File) -> bool {
+    flock(file, FlockOperation::NonBlockingLockShared) == Err(Errno::WOULDBLOCK)
 }
 
 /// What a take is written to.
@@ -135,6 +144,8 @@ impl TakeFile {
     pub fn create(path: &Path) -> anyhow::Result<Self> {
         let file = super::create_new(path)?;
         let id = FileId::of(&file.metadata()?);
+        // Not every file system has locks; without one other services take it for cut off.
+        flock(&file, FlockOperation::NonBlockingLockExclusive).ok();
         super::sync_name(path);
         let (path, link) = (path.to_owned(), own_link(&file).read_link().ok());
         Ok(Self { file, path, id, link, written: 0, looked: None, state: FileState::InPlace })

@@ -178,12 +178,4 @@ impl Transport for Unplugged {
     fn write_all(&mut self, _bytes: &[u8]) -> Result<(), TransportError> {
         Err(Self::gone())
     }
-
-    fn line_bytes_per_s(&self) -> Option<u64> {
-        None
-    }
-
-    fn describe(&self) -> String {
-        "nothing".to_owned()
-    }
 }

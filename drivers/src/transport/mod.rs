@@ -51,20 +51,29 @@ pub trait Transport: Send + Debug {
         Ok(())
     }
 
+    /// The transport that this one wraps, which then answers what follows.
+    fn inner(&self) -> Option<&dyn Transport> {
+        None
+    }
+
     /// What the line carries, in bytes a second and each direction; `None` when it is not limited.
-    fn line_bytes_per_s(&self) -> Option<u64>;
+    fn line_bytes_per_s(&self) -> Option<u64> {
+        self.inner()?.line_bytes_per_s()
+    }
 
     /// The device and the line's settings, for people.
-    fn describe(&self) -> String;
+    fn describe(&self) -> String {
+        self.inner().map_or_else(|| "nothing".to_owned(), Transport::describe)
+    }
 
     /// Whether the kernel gives bytes on as soon as it has them, because it was asked to.
     fn is_low_latency(&self) -> bool {
-        false
+        self.inner().is_some_and(Transport::is_low_latency)
     }
 
     /// How often the device stalled and was cleared; what was on its way then may be lost.
     fn stalls_cleared(&self) -> u64 {
-        0
+        self.inner().map_or(0, Transport::stalls_cleared)
     }
 }
 

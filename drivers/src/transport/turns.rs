@@ -219,20 +219,8 @@ impl Transport for TurnTransport {
         self.line.set_baud(baud)
     }
 
-    fn stalls_cleared(&self) -> u64 {
-        self.line.stalls_cleared()
-    }
-
-    fn line_bytes_per_s(&self) -> Option<u64> {
-        self.line.line_bytes_per_s()
-    }
-
-    fn describe(&self) -> String {
-        self.line.describe()
-    }
-
-    fn is_low_latency(&self) -> bool {
-        self.line.is_low_latency()
+    fn inner(&self) -> Option<&dyn Transport> {
+        Some(&*self.line)
     }
 }
 

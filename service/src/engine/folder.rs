@@ -8,7 +8,11 @@ use std::{
     time::SystemTime,
 };
 
-use mocapd_acquire::{files::FileId, health::TakeHealth, pipeline::lock};
+use mocapd_acquire::{
+    files::{FileId, is_being_written},
+    health::TakeHealth,
+    pipeline::lock,
+};
 use mocapd_drivers::plain_file;
 use mocapd_take::{TakeEnds, TakeError};
 
@@ -145,8 +149,13 @@ fn look_into(path: &Path, bytes: u64, modified: SystemTime, is_open: bool) -> (T
         is_open,
         ..TakeSummary::default()
     };
-    let read =
-        plain_file::open(path).map_err(TakeError::Io).and_then(|mut f| TakeEnds::read(&mut f));
+    let opened = plain_file::open(path).map_err(TakeError::Io);
+    let read = opened.and_then(|mut file| {
+        let ends = TakeEnds::read(&mut file)?;
+        // By this service, or by another recorder.
+        summary.is_open |= ends.end.is_none() && is_being_written(&file);
+        Ok(ends)
+    });
     let ends = match read {
         Ok(ends) => ends,
         // What a disk cannot read now, it may read the next time.
@@ -159,7 +168,7 @@ fn look_into(path: &Path, bytes: u64, modified: SystemTime, is_open: bool) -> (T
     let header = &ends.header;
     summary.markers = header.channels.len();
     summary.take_id = header.take_id_text();
-    if is_open {
+    if summary.is_open {
         return (summary, false);
     }
     summary.health = TakeHealth::of_ends(&ends);

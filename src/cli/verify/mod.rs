@@ -72,7 +72,8 @@ struct Report {
     samples: u64,
     tolerance_mm: f64,
     stated_max_error_mm: f64,
-    clock: Option<ClockCheck>,
+    /// The line through the clocks, laid again from what the take stores.
+    clock: Option<Apart>,
     against: Option<AgainstReport>,
     derivatives: Option<DerivativesReport>,
     limbs: Option<LimbsReport>,
@@ -82,14 +83,6 @@ struct Report {
 struct MarkerReport {
     label: String,
     frames_damaged: u64,
-}
-
-/// The line through the clocks, laid again from what the take stores.
-#[derive(Debug, Serialize)]
-struct ClockCheck {
-    agrees: bool,
-    apart_us: f64,
-    apart_ppm: f64,
 }
 
 pub(crate) fn run(args: &Args) -> anyhow::Result<Outcome> {
@@ -156,11 +149,6 @@ impl Report {
         let header = &summary.take.header;
         let problems: Vec<String> = verdict.problems.iter().map(ToString::to_string).collect();
         let Verdict { contradictions, clock, .. } = verdict;
-        let clock = clock.map(|Apart { offset_us, drift_ppm, agrees }| ClockCheck {
-            agrees,
-            apart_us: offset_us,
-            apart_ppm: drift_ppm,
-        });
         let markers = summary.take.channels.iter().zip(&summary.per_channel);
         Self {
             take: take.to_owned(),
@@ -198,7 +186,7 @@ impl Report {
             count(self.frames, "frame"),
             count(self.samples, "sample")
         );
-        if let Some(ClockCheck { apart_us, apart_ppm, .. }) = &self.clock {
+        if let Some(Apart { offset_us: apart_us, drift_ppm: apart_ppm, .. }) = &self.clock {
             out += &format!(
                 "the clocks' line laid again from what the take stores: {apart_us:+.1} us and {apart_ppm:+.3} ppm apart\n"
             );

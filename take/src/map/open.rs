@@ -91,7 +91,11 @@ fn by_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, TakeError
         }
     }
     let last_row = keys.last().map_or(0, |key| key.first_row);
+    // A ledger that counts other rows, or none, is for a traversal to judge.
+    let ledger = map.as_ref().and_then(|map| map.ledger.as_ref());
+    let rows = ledger.map(|ledger| ledger.recorded.saturating_add(ledger.frames_lost()));
     let is_sound = chunks.at == file_bytes
+        && rows == Some(footer.n_rows)
         && next_key.peek().is_none()
         && keys.is_sorted_by(|a, b| a.first_row < b.first_row && a.offset < b.offset)
         && (last_row..=last_row.saturating_add(ROWS_PASSED_MAX)).contains(&footer.n_rows);

@@ -53,7 +53,7 @@ pub struct Survey {
     pub discarded_bytes: u64,
     pub(super) pieces: Vec<Piece>,
     names_lost: bool,
-    /// Its ledger tells of other frames or samples than are there, and nothing is damaged.
+    /// A ledger is missing, or tells of other frames or samples than are there, and nothing is damaged.
     contradicted: bool,
 }
 
@@ -121,6 +121,8 @@ struct Surveyor {
     discarded_bytes: u64,
     names_lost: bool,
     closed: bool,
+    /// A ledger on the way that is not true of what stands before it.
+    contradiction: Option<Problem>,
 }
 
 impl Default for Surveyor {
@@ -136,6 +138,7 @@ impl Default for Surveyor {
             discarded_bytes: 0,
             names_lost: false,
             closed: false,
+            contradiction: None,
         }
     }
 }
@@ -171,8 +174,13 @@ impl Surveyor {
             TakeEvent::Ledger(ledger) => {
                 self.closed |= ledger.finished;
                 self.account.ledger();
+                let (frames, samples) = (self.account.recorded(), self.samples.iter().sum());
+                let (told, found) = (Counts::of(ledger), Counts { frames, samples });
+                if told != found && !ledger.finished && !progress.take.damaged {
+                    self.contradiction = Some(Problem::LedgerCounts { told, found });
+                }
                 // One behind damage tells of more than is kept: the new one has what it said.
-                let is_superseded = ledger.finished || progress.take.damaged;
+                let is_superseded = ledger.finished || progress.take.damaged || told != found;
                 (types::LEDGER, if is_superseded { Fate::Anew } else { Fate::Kept })
             }
             TakeEvent::Summary(_) => (types::SUMMARY, Fate::Anew),
@@ -279,6 +287,7 @@ impl Surveyor {
             self.pieces.push(Piece::Lost { first_row, rows, number });
         }
         let mut problems = take.problems;
+        let lacks_ledger = problems.contains(&Problem::NoLedger);
         // A take that was cut off says nothing of its end; the recovered one says that.
         let cut_off = || Some(TakeEnding::from(EndingKind::CutOff)).filter(|_| !self.closed);
         let ending = take.ending.or_else(cut_off);
@@ -303,17 +312,14 @@ impl Surveyor {
             discarded_bytes: self.discarded_bytes,
             pieces: self.pieces,
             names_lost: self.names_lost,
-            contradicted: false,
+            contradicted: self.contradiction.is_some() || lacks_ledger,
         };
+        survey.problems.extend(self.contradiction);
         // Where nothing is lost, nothing is counted again.
         if let Some(ledger) = take.ledger.filter(|ledger| ledger.finished)
             && !survey.lost_anything()
         {
-            let counts = |ledger: &Ledger| Counts {
-                frames: ledger.recorded,
-                samples: ledger.samples_present,
-            };
-            let (told, found) = (counts(&ledger), counts(&survey.ledger));
+            let (told, found) = (Counts::of(&ledger), Counts::of(&survey.ledger));
             if told == found {
                 survey.ledger = ledger;
             } else {

@@ -157,10 +157,6 @@ impl Transport for UsbTransport {
         send(&mut self.tx, &self.device, bytes)
     }
 
-    fn line_bytes_per_s(&self) -> Option<u64> {
-        None
-    }
-
     fn describe(&self) -> String {
         let (n, kib) = (self.received.transfers, TRANSFER_BYTES >> 10);
         format!("USB device {}, {n} transfers of {kib} KiB", self.device.name)

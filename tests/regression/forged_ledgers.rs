@@ -1,0 +1,131 @@
+//! Takes whose checksums are right and whose ledgers are not of their frames.
+
+use std::io::Cursor;
+
+use mocapd_acquire::{health::TakeHealth, inspect::Summary};
+use mocapd_take::{
+    TakeEvent, TakeMap, TakeWriter,
+    chunk::{self, MAGIC, types},
+    damage::{Counts, Problem},
+    index::Footer,
+    reader::read_events,
+    record::Ledger,
+};
+
+use crate::{
+    cli::Folder,
+    support::{assert_tells, config, dense, jump, places, record},
+};
+
+/// A recording of 180 rows, two of which were lost.
+fn lossy() -> Vec<u8> {
+    let motion = jump(1, 60.0, 3.0);
+    record(&motion, &config(&motion, dense(0.5)), (0..180).filter(|seq| seq % 80 != 50)).1
+}
+
+fn payload(take: &[u8], place: std::ops::Range<usize>) -> &[u8] {
+    let chunk::Front::Whole { payload, .. } = chunk::front(&take[place]) else { panic!() };
+    payload
+}
+
+/// The take's stretches again, with another ledger behind the second one and at the end.
+fn with_ledgers(take: &[u8], early: Option<Ledger>, last: impl Fn(Ledger) -> Ledger) -> Vec<u8> {
+    let (mut header, mut spans, mut ledger) = (None, Vec::new(), Ledger::default());
+    read_events(take, |event| {
+        match event {
+            TakeEvent::Header(found) => header = Some(found),
+            TakeEvent::Stretch(stretch) => spans.push(stretch.span),
+            TakeEvent::Ledger(found) => ledger = *found,
+            _ => {}
+        }
+        Ok(())
+    })
+    .unwrap();
+    let mut writer = TakeWriter::new(Vec::new(), &header.unwrap()).unwrap();
+    let stretches = places(take).into_iter().filter(|(kind, _)| *kind == types::STRETCH);
+    for (number, ((_, place), span)) in stretches.zip(spans).enumerate() {
+        writer.stretch(span, payload(take, place)).unwrap();
+        if let Some(early) = early.as_ref().filter(|_| number == 1) {
+            writer.ledger(early).unwrap();
+        }
+    }
+    writer.finish(&last(ledger)).unwrap().0
+}
+
+/// The same bytes, with another chunk in the place of each of a kind; none is longer or shorter.
+fn with_chunks(take: &[u8], of: u8, forged: impl Fn(&[u8]) -> (u8, Vec<u8>)) -> Vec<u8> {
+    let mut out = MAGIC.to_vec();
+    for (kind, place) in places(take) {
+        let (kind, payload) = match payload(take, place) {
+            payload if kind == of => forged(payload),
+            payload => (kind, payload.to_vec()),
+        };
+        chunk::put(&mut out, kind, &payload).unwrap();
+    }
+    assert_eq!(out.len(), take.len());
+    out
+}
+
+#[test]
+fn losses_in_the_time_line_are_held_against_every_ledger() {
+    let take = lossy();
+    let honest = Summary::read(&with_ledgers(&take, None, |ledger| ledger)[..]).unwrap();
+    assert_eq!((honest.contradictions(), honest.health()), (&[][..], TakeHealth::Lossy));
+    let nothing_lost =
+        |ledger: Ledger| Ledger { frames_sent: ledger.recorded, lost_on_link: 0, ..ledger };
+    let forged = Summary::read(&with_ledgers(&take, None, nothing_lost)[..]).unwrap();
+    assert!(forged.take.ledger.as_ref().unwrap().closes());
+    assert_eq!((forged.contradictions().len(), forged.health()), (1, TakeHealth::Damaged));
+}
+
+#[test]
+fn a_take_without_a_ledger_is_the_same_to_every_command() {
+    const UNKNOWN: u8 = 0xFE;
+    let folder = Folder::new();
+    let take = with_chunks(&lossy(), types::LEDGER, |payload| (UNKNOWN, payload.to_vec()));
+    folder.write("a.take", take);
+    // The footer points at a ledger, which is a contradiction as well.
+    for (args, code) in [
+        (&["info", "a.take"][..], 3),
+        (&["verify", "a.take"], 1),
+        (&["export", "a.take", "-o", "a.csv"], 3),
+        (&["recover", "a.take", "-o", "b.take"], 3),
+    ] {
+        let ran = folder.run(args).with_code(code);
+        assert_tells(&ran.stderr, &["a.take", &Problem::NoLedger.to_string()]);
+    }
+    let verify = folder.run(&["verify", "b.take", "--json"]).with_code(3).json();
+    let none = serde_json::json!([]);
+    assert_eq!((&verify["contradictions"], &verify["problems"]), (&none, &none), "{verify}");
+}
+
+#[test]
+fn a_recovery_leaves_no_ledger_that_is_not_true() {
+    let folder = Folder::new();
+    let early = Ledger { frames_sent: 7, recorded: 7, ..Ledger::default() };
+    folder.write("a.take", with_ledgers(&lossy(), Some(early), |ledger| ledger));
+    folder.run(&["verify", "a.take"]).with_code(1);
+    let ran = folder.run(&["recover", "a.take", "-o", "b.take"]).with_code(3);
+    let told = Counts { frames: 7, samples: 0 };
+    let found = Summary::read(&with_ledgers(&lossy(), None, |ledger| ledger)[..]).unwrap();
+    assert!(found.samples() > 0);
+    let json = folder.run(&["recover", "a.take", "-o", "c.take", "--json"]).with_code(3).json();
+    assert_eq!(json["problems"].as_array().unwrap().len(), 1, "{json}");
+    assert_tells(&ran.stderr, &[&told.frames.to_string()]);
+    let verify = folder.run(&["verify", "b.take", "--json"]).with_code(3).json();
+    assert_eq!(verify["contradictions"], serde_json::json!([]), "{verify}");
+}
+
+#[test]
+fn a_footer_with_too_few_rows_hides_none() {
+    let take = lossy();
+    let fewer = |payload: &[u8]| {
+        let footer = Footer::from_payload(payload, 0).unwrap();
+        (types::FOOTER, Footer { n_rows: footer.n_rows - 20, ..footer }.to_payload())
+    };
+    let whole = TakeMap::open(&mut Cursor::new(&take)).unwrap();
+    let forged = with_chunks(&take, types::FOOTER, fewer);
+    let map = TakeMap::open(&mut Cursor::new(&forged)).unwrap();
+    assert_eq!((whole.problems, map.n_rows), (Vec::new(), whole.n_rows));
+    assert!(matches!(map.problems[..], [Problem::FooterRows { .. }]), "{:?}", map.problems);
+}
