@@ -91,8 +91,10 @@ fn take(kind: &str, payloads: &[Vec<u8>], footer: Option<u64>) -> Vec<u8> {
         chunk::put(&mut take, types::STRETCH, payload).unwrap();
     }
     if let Some(n_rows) = footer {
-        let ledger = Ledger { finished: true, ..Ledger::default() }.to_payload().unwrap();
-        chunk::put(&mut take, types::LEDGER, &ledger).unwrap();
+        let mut writer = TakeWriter::new(Vec::new(), &header(kind)).unwrap();
+        let header_bytes = writer.bytes() as usize;
+        writer.ledger(&Ledger { finished: true, ..Ledger::default() }).unwrap();
+        take.extend_from_slice(&writer.abandon()[header_bytes..]);
         let footer = Footer { index_offset: 0, ledger_offset: 0, n_rows };
         chunk::put(&mut take, types::FOOTER, &footer.to_payload()).unwrap();
     }

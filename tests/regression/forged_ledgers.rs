@@ -29,7 +29,7 @@ fn payload(take: &[u8], place: std::ops::Range<usize>) -> &[u8] {
 }
 
 /// The take's stretches again, with another ledger behind the second one and at the end.
-fn with_ledgers(take: &[u8], early: Option<Ledger>, last: impl Fn(Ledger) -> Ledger) -> Vec<u8> {
+fn with_ledgers(take: &[u8], early: Option<&Ledger>, last: impl Fn(Ledger) -> Ledger) -> Vec<u8> {
     let (mut header, mut spans, mut ledger) = (None, Vec::new(), Ledger::default());
     read_events(take, |event| {
         match event {
@@ -45,7 +45,7 @@ fn with_ledgers(take: &[u8], early: Option<Ledger>, last: impl Fn(Ledger) -> Led
     let stretches = places(take).into_iter().filter(|(kind, _)| *kind == types::STRETCH);
     for (number, ((_, place), span)) in stretches.zip(spans).enumerate() {
         writer.stretch(span, payload(take, place)).unwrap();
-        if let Some(early) = early.as_ref().filter(|_| number == 1) {
+        if let Some(early) = early.filter(|_| number == 1) {
             writer.ledger(early).unwrap();
         }
     }
@@ -103,7 +103,7 @@ fn a_take_without_a_ledger_is_the_same_to_every_command() {
 fn a_recovery_leaves_no_ledger_that_is_not_true() {
     let folder = Folder::new();
     let early = Ledger { frames_sent: 7, recorded: 7, ..Ledger::default() };
-    folder.write("a.take", with_ledgers(&lossy(), Some(early), |ledger| ledger));
+    folder.write("a.take", with_ledgers(&lossy(), Some(&early), |ledger| ledger));
     folder.run(&["verify", "a.take"]).with_code(1);
     let ran = folder.run(&["recover", "a.take", "-o", "b.take"]).with_code(3);
     let told = Counts { frames: 7, samples: 0 };

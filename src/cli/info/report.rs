@@ -173,9 +173,9 @@ impl Report {
         }
     }
 
-    /// Frames in the take, by its ledger.
+    /// Frames in the take, by its ledger; the last one of a take that was cut off counts fewer than there are.
     pub(super) fn frames_recorded(&self) -> Option<u64> {
-        self.ledger.as_ref().map(|ledger| ledger.recorded)
+        self.ledger.as_ref().filter(|_| self.finished).map(|ledger| ledger.recorded)
     }
 
     /// What was lost before it reached the take, in one line.

@@ -36,7 +36,7 @@ pub(super) fn words(report: &Report) -> String {
         line("lost", &lost);
     }
     // Frames are numbered as in the file that was imported, and in what is exported.
-    let first_frame = report.source.as_ref().map_or(1, |source| source.file.first_frame);
+    let first_frame = report.source.as_ref().map_or(0, |source| source.file.first_frame);
     for event in &report.events {
         let frame = thousands(first_frame.saturating_add(event.frame));
         let time_s = event.frame as f64 / report.rate_hz;
