@@ -3,8 +3,9 @@
 mod chunks;
 mod damage;
 
-use serde::Serialize;
 use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
+
+use serde::Serialize;
 
 pub(crate) use self::{chunks::record, damage::mend_head};
 

@@ -212,7 +212,7 @@ keys! {
     http.connections_max: Takes::Whole(1..=CONNECTIONS_MAX as u64),
         Preset::Whole(64), When::Restart, field!(http.connections_max);
     /// The UDP address on which capture triggers of other programs are heard; `""` for none.
-    /// No take can be started over the network unless this is set.
+    /// No trigger can start a take unless this is set.
     trigger.listen: Takes::Text(
             "an address and a port, such as \"0.0.0.0:8989\", or \"\" for none"
         ),

@@ -271,9 +271,8 @@ mod tests {
 
     use mocapd_codec::{ResamplerKind, Settings, Tolerance};
 
-    use super::super::session::OpenTake;
     use super::{
-        super::{Engine, EngineOptions},
+        super::{Engine, EngineOptions, session::OpenTake},
         *,
     };
     use crate::config::{ArmConfig, DeviceChoice, DeviceConfig, NameTemplate, TakeConfig};

@@ -49,7 +49,7 @@ impl EngineOptions {
         }
     }
 
-    /// What a take is called that nobody named; of names that exist, the next is asked for.
+    /// The name of a take that was started without one; where it exists, the next `count` is tried.
     pub(super) fn name_take(&self, count: u32) -> String {
         let (begin, count) = (Zoned::now().datetime(), u64::from(count));
         self.take.name.fill(&NameParts { begin, rig: &self.rig, count })

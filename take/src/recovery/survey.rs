@@ -54,7 +54,7 @@ pub struct Survey {
     pub(super) pieces: Vec<Piece>,
     names_lost: bool,
     /// A ledger is missing, or tells of other frames or samples than are there, and nothing is damaged.
-    contradicted: bool,
+    pub(super) contradicted: bool,
 }
 
 impl Survey {

@@ -32,7 +32,9 @@ impl Survey {
         if self.discarded_bytes > 0 {
             words.push(format!("{} bytes could not be read", self.discarded_bytes));
         }
-        if words.is_empty() {
+        if self.contradicted {
+            words.push("a ledger was missing or wrong".to_owned());
+        } else if words.is_empty() {
             words.push("names of markers were lost".to_owned());
         }
         words.join(", ")

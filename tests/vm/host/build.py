@@ -32,9 +32,9 @@ def built(*what: str) -> list[Path]:
 
 
 def hanging(folder: Path) -> Path:
-    """mocapd with the hooks that make it hang, in a folder of its own: the next build replaces it in cargo's.
+    """Builds mocapd with the hooks that make it hang, and copies it to `folder`: the next build overwrites it in target/.
 
-    MOCAPD_HANGING names one that is built already. It is built as tests are, which compiles three crates only.
+    It is built as tests are, which compiles three crates only. MOCAPD_HANGING names a program that was built before.
     """
     if os.environ.get("MOCAPD_HANGING"):
         return Path(os.environ["MOCAPD_HANGING"])

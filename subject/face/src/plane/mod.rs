@@ -95,7 +95,7 @@ impl<T: Copy + Default> Raster<T> {
         self.values.get(y * self.width + x).copied().unwrap_or_default()
     }
 
-    /// Each value changed by itself.
+    /// Applies `change` to every value.
     #[must_use]
     pub fn map<U>(&self, change: impl Fn(T) -> U) -> Raster<U> {
         let values = self.values.iter().map(|&value| change(value)).collect();
