@@ -32,7 +32,7 @@ const SAMPLE_BYTES: u64 = 24;
 
 /// Samples of a piece of the take, where keys are near enough: milliseconds of work, beside which it costs nothing to begin
 /// one.
-const PIECE_SAMPLES: u64 = 1 << 16;
+const PIECE_SAMPLES: u64 = 1 << 14;
 
 /// Samples that are handed over at once: 200 kB, which stay in a processor's cache while their columns become rows.
 const ROWS_SAMPLES: usize = 1 << 14;
