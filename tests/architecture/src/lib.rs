@@ -10,6 +10,8 @@ mod dependencies;
 #[cfg(test)]
 mod limits;
 #[cfg(test)]
+mod names;
+#[cfg(test)]
 mod profiles;
 #[cfg(test)]
 mod sources;
