@@ -1,4 +1,5 @@
-//! Files that are never overwritten: live takes under their own name, everything else beside it first.
+//! Files that never overwrite others: a live take has its own name from the start, other files get theirs when
+//! complete.
 
 mod file_state;
 mod new_file;
@@ -32,27 +33,27 @@ pub use self::{
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FileError {
-    /// Nothing is there.
+    /// The file does not exist.
     #[error("{} does not exist", .0.display())]
     NotFound(PathBuf),
-    /// What is there is no plain file.
+    /// It is not a regular file.
     #[error("{} is {}", .0.display(), .1)]
     NotAFile(PathBuf, NotAFile),
-    /// The user may not read it.
+    /// The user has no permission to read it.
     #[error("no permission to read {}: try ls -l on it", .0.display())]
     NotReadable(PathBuf),
-    /// The folder that it would be in is not there.
+    /// Its folder does not exist.
     #[error("the folder {} does not exist: create it first", .0.display())]
     NoFolder(PathBuf),
-    /// The user may not create it.
+    /// The user has no permission to create it.
     #[error("no permission to create {}: choose a folder that you may write to", .0.display())]
     NotWritable(PathBuf),
 }
 
-/// Opens a file to read.
+/// Opens a file for reading.
 ///
 /// # Errors
-/// That it is not there, is a folder, a pipe or a device, or may not be read: each a [`FileError`].
+/// A [`FileError`] when it does not exist, is a folder, a pipe or a device, or may not be read.
 pub fn open(path: &Path) -> anyhow::Result<File> {
     plain_file::open(path).map_err(|error| match (NotAFile::why(&error), error.kind()) {
         (Some(what), _) => FileError::NotAFile(path.to_owned(), what).into(),
@@ -62,10 +63,10 @@ pub fn open(path: &Path) -> anyhow::Result<File> {
     })
 }
 
-/// The bytes of a file that has no more of them than `len_max`.
+/// Reads a file of at most `len_max` bytes.
 ///
 /// # Errors
-/// That it has more, or cannot be read.
+/// When it is longer or cannot be read.
 pub fn read_bounded(path: &Path, len_max: usize) -> anyhow::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let mut file = open(path)?.take(len_max as u64 + 1);
@@ -81,21 +82,21 @@ pub fn read_bounded(path: &Path, len_max: usize) -> anyhow::Result<Vec<u8>> {
 /// Creates a file that must not exist yet.
 ///
 /// # Errors
-/// That it exists, or why it cannot be created.
+/// [`NameTaken`] when it exists; otherwise why it cannot be created.
 pub fn create_new(path: &Path) -> anyhow::Result<File> {
     let created = OpenOptions::new().write(true).create_new(true).open(path);
     created.map_err(|error| cannot_create(path, &error))
 }
 
-/// Makes the name of a new file survive a power cut, as a sync makes its content. Where a file system has no such
-/// sync of folders, it keeps names in its own way.
+/// Makes the name of a new file survive a power cut, as a sync does for its content. A file system that cannot sync
+/// folders keeps names by its own means.
 pub fn sync_name(path: &Path) {
     if let Ok(folder) = File::open(folder_of(path)) {
         folder.sync_all().ok();
     }
 }
 
-/// The folder that a file at `path` is in, or would be.
+/// The folder that contains `path`.
 #[must_use]
 pub fn folder_of(path: &Path) -> &Path {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
@@ -111,7 +112,7 @@ fn cannot_create(path: &Path, error: &io::Error) -> anyhow::Error {
     }
 }
 
-/// Something has the name already.
+/// A file or folder of this name exists already.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{} exists and is not overwritten: choose another name or move it", path.display())]
 pub struct NameTaken {
@@ -123,12 +124,12 @@ fn exists(path: &Path) -> anyhow::Error {
     NameTaken { path: path.to_owned() }.into()
 }
 
-/// Where the kernel shows an open file as a link.
+/// The link in `/proc` to an open file.
 fn own_link(file: &File) -> PathBuf {
     PathBuf::from(format!("/proc/self/fd/{}", file.as_raw_fd()))
 }
 
-/// For `serialize_with`.
+/// Serialises a path as text, for `serialize_with`.
 ///
 /// # Errors
 /// The serializer's.
@@ -136,7 +137,7 @@ pub fn path_as_text<S: Serializer>(path: &Path, serializer: S) -> Result<S::Ok, 
     serializer.serialize_str(&path.to_string_lossy())
 }
 
-/// The same of one that may be missing.
+/// Serialises an optional path as text or null, for `serialize_with`.
 ///
 /// # Errors
 /// The serializer's.
@@ -163,11 +164,11 @@ impl ScratchFile for Scratch {
     }
 }
 
-/// A file without a name, which is gone with the process. In `$TMPDIR`, or in `/var/tmp`, which is on a disk where `/tmp` is
-/// often memory.
+/// A file without a name, which disappears with the process. It is created in `$TMPDIR`, else in `/var/tmp`, which is
+/// on a disk where `/tmp` is often memory.
 ///
 /// # Errors
-/// That there can be none, and what to do.
+/// When it cannot be created. The message says what to do.
 pub fn scratch() -> io::Result<Arc<dyn ScratchFile>> {
     let chosen = std::env::var_os("TMPDIR").filter(|dir| !dir.is_empty()).map(PathBuf::from);
     let on_disk = || Some(PathBuf::from("/var/tmp")).filter(|dir| dir.is_dir());
@@ -184,8 +185,8 @@ fn failed(dir: &Path, error: &io::Error) -> io::Error {
     io::Error::new(error.kind(), message)
 }
 
-/// A file to read whose holes are zeros without a read: a file system fills memory with them, for as long as a file
-/// claims to be, in ten times the time.
+/// Reads a sparse file and returns the zeros of its holes without reading them: a file system would fill memory with
+/// them, over the whole length that the file claims, in ten times the time.
 #[derive(Debug)]
 pub struct SparseFile {
     file: File,
@@ -198,18 +199,18 @@ impl SparseFile {
     /// Opens a file.
     ///
     /// # Errors
-    /// As [`open`].
+    /// A [`FileError`] when it cannot be opened.
     pub fn open(path: &Path) -> anyhow::Result<Self> {
         open(path).map(Self::of)
     }
 
-    /// A file that is open, from its beginning.
+    /// Wraps an open file, and reads it from its beginning.
     #[must_use]
     pub fn of(file: File) -> Self {
         Self { file, at: 0, hole: 0..0, data: 0..0 }
     }
 
-    /// How long it is, holes included.
+    /// Length in bytes, including holes.
     ///
     /// # Errors
     /// The system's.
@@ -217,7 +218,7 @@ impl SparseFile {
         Ok(self.file.metadata()?.len())
     }
 
-    /// What there is here: data or a hole, and up to where.
+    /// Finds the extent at the current position: data or a hole, and its end.
     fn look(&mut self) -> io::Result<()> {
         let at = self.at;
         (self.hole, self.data) = match seek(&self.file, fs::SeekFrom::Data(at)) {
@@ -226,9 +227,9 @@ impl SparseFile {
                 let end = seek(&self.file, fs::SeekFrom::Hole(at)).unwrap_or(u64::MAX);
                 (0..0, at..end)
             }
-            // Nothing but a hole up to the end, or the end.
+            // A hole up to the end of the file, or the end itself.
             Err(Errno::NXIO) => (at..self.len_bytes()?, 0..0),
-            // A file system that knows of no holes.
+            // A file system without holes.
             Err(_) => (0..0, at..u64::MAX),
         };
         Ok(())
@@ -301,7 +302,7 @@ mod tests {
         let mut read = [0; 4];
         holes.read_exact(&mut read).unwrap();
         assert_eq!(&read, b"cond");
-        // What is appended meanwhile is found.
+        // Data appended meanwhile is found.
         file.seek(SeekFrom::End(0)).unwrap();
         holes.seek(SeekFrom::End(0)).unwrap();
         assert_eq!(holes.read(&mut read).unwrap(), 0);

@@ -1,6 +1,7 @@
-//! Signs of life: every thread of the data plane says that it moved, and one that says nothing for too long has hung.
+//! Heartbeats of the data-plane threads, and a watchdog that finds the thread that hangs.
 //!
-//! A thread's sign is a store of one atomic number: no lock, no clock, no allocation. Who looks reads the clock.
+//! A heartbeat is one relaxed store of an atomic number: no lock, no clock, no allocation. Only the watchdog reads a
+//! clock.
 
 use std::{
     fmt,
@@ -13,19 +14,20 @@ use std::{
 
 use anyhow::bail;
 
-/// A recording has a reader, a writer and at most eight workers; a second one that ends meanwhile, and the service's
-/// own threads, fit beside it.
+/// Threads that can register. A recording has a reader, a writer and at most eight workers; there is room for a second
+/// recording that is just ending, and for the service's own threads.
 const BEATS_MAX: usize = 64;
 
-/// Coded stretches wait in memory while a disk stalls for 32 s, and what a longer stall costs stands on the ledger: a
-/// restart mends no disk. After twice that the writer counts as hung all the same.
+/// How long the writer may stay at the disk. Coded stretches wait in memory while a disk stalls for 32 s; beyond that
+/// the ledger counts the loss, and a restart would not repair the disk. After twice that time the writer counts as
+/// hung.
 const DISK_PATIENCE: Duration = Duration::from_secs(64);
 
-/// Whose sign it is.
+/// What a registered thread does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Who {
-    /// The thread that decides what the service does.
+    /// Decides what the service does.
     Supervisor = 1,
     /// Reads the device.
     Reader = 2,
@@ -54,7 +56,7 @@ impl fmt::Display for Who {
     }
 }
 
-/// What a thread is at: how long it may say nothing.
+/// What a thread is busy with, which decides how long it may stay silent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum State {
     Working = 0,
@@ -62,16 +64,16 @@ enum State {
     AtDisk = 2,
 }
 
-/// Room for one sign.
+/// The heartbeat of one thread.
 #[derive(Debug, Default)]
 struct Slot {
-    /// 0: free.
+    /// The thread's role as a number; 0: the slot is free.
     owner: AtomicU8,
-    /// How often it moved, times four, and its state. Goes on where a slot changes hands.
+    /// Number of heartbeats times four, plus the activity. Continues when another thread takes the slot.
     pulse: AtomicU64,
 }
 
-/// Where threads register. Clones are the same place.
+/// The registry of heartbeats. Clones share it.
 #[derive(Debug, Clone)]
 pub struct Heartbeat {
     slots: Arc<[Slot]>,
@@ -84,10 +86,10 @@ impl Default for Heartbeat {
 }
 
 impl Heartbeat {
-    /// A sign for the thread that will hold it. It counts as working from now on, and is forgotten when dropped.
+    /// Registers the calling thread. It counts as working from now on; dropping the handle removes it.
     ///
     /// # Errors
-    /// When there are more threads than anybody starts.
+    /// When more threads register than there are slots.
     pub fn beat(&self, who: Who) -> anyhow::Result<Beat> {
         for (index, slot) in self.slots.iter().enumerate() {
             let claim =
@@ -101,14 +103,14 @@ impl Heartbeat {
         bail!("more than {BEATS_MAX} threads are to be watched: start fewer workers");
     }
 
-    /// Whoever looks whether all of them move.
+    /// A watchdog over all registered threads.
     #[must_use]
     pub fn watch(&self, now: Instant) -> Watch {
         Watch { slots: Arc::clone(&self.slots), seen: vec![(0, now); BEATS_MAX] }
     }
 }
 
-/// A thread's sign of life.
+/// One thread's handle on its heartbeat.
 #[derive(Debug)]
 pub struct Beat {
     slots: Arc<[Slot]>,
@@ -116,25 +118,25 @@ pub struct Beat {
 }
 
 impl Beat {
-    /// It works, and will say so again soon.
+    /// The thread is working and will report again soon.
     pub fn moved(&self) {
         self.say(State::Working);
         #[cfg(feature = "fault-hooks")]
         fault_hooks::hang_if_told(self.who());
     }
 
-    /// It waits for work, for as long as there is none.
+    /// The thread waits for work, and may do so for any time.
     pub fn idle(&self) {
         self.say(State::Idle);
     }
 
-    /// It writes or syncs, which may take as long as a disk stalls.
+    /// The thread writes or syncs, which can take as long as a disk stalls.
     pub fn at_disk(&self) {
         self.say(State::AtDisk);
     }
 
     fn say(&self, state: State) {
-        // Only the holder stores here.
+        // This thread alone stores here.
         let pulse = &self.slots[self.index].pulse;
         let count = (pulse.load(Ordering::Relaxed) >> 2).wrapping_add(1);
         pulse.store(count << 2 | state as u64, Ordering::Relaxed);
@@ -152,12 +154,12 @@ impl Drop for Beat {
     }
 }
 
-/// A thread that said nothing for too long.
+/// A thread that has been silent for too long.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Overdue {
-    /// Whose thread.
+    /// The thread's role.
     pub who: Who,
-    /// Since when nobody has heard of it.
+    /// Time since its last heartbeat.
     pub silent_for: Duration,
 }
 
@@ -167,17 +169,17 @@ impl fmt::Display for Overdue {
     }
 }
 
-/// Looks at the signs. Only changes between two looks are seen: look more often than the limit.
+/// Finds silent threads. It sees only changes between two calls, so it must be called more often than the limit.
 #[derive(Debug)]
 pub struct Watch {
     slots: Arc<[Slot]>,
-    /// Each slot's pulse as it was last, and when it was seen to change.
+    /// For each slot, the last heartbeat and the time at which it changed.
     seen: Vec<(u64, Instant)>,
 }
 
 impl Watch {
-    /// The thread that is silent for longest among those that are so for longer than they may be: `limit`, and more
-    /// where they are at the disk.
+    /// The thread that has been silent longest, of those that exceed their limit: `limit`, or more for a thread at the
+    /// disk.
     pub fn overdue(&mut self, now: Instant, limit: Duration) -> Option<Overdue> {
         let mut worst: Option<Overdue> = None;
         for (slot, seen) in self.slots.iter().zip(&mut self.seen) {
@@ -206,10 +208,10 @@ impl Watch {
 
 #[cfg(feature = "fault-hooks")]
 pub mod fault_hooks {
-    //! Threads that hang on command: for tests of the watchdog and of stalls, in builds with the feature `fault-hooks` alone.
+    //! Threads that hang on command, to test the watchdog and stalls. Only in builds with the feature `fault-hooks`.
     //!
-    //! SIGUSR2 hangs the thread that `MOCAPD_HANG` names (`reader`, `worker` or `writer`), and every one of these when it
-    //! names none. SIGUSR1 lets them go on.
+    //! SIGUSR2 hangs the thread named in `MOCAPD_HANG` (`reader`, `worker` or `writer`), or all of them when that is
+    //! not set. SIGUSR1 resumes them.
 
     use std::{
         sync::{
@@ -227,16 +229,16 @@ pub mod fault_hooks {
 
     use super::Who;
 
-    /// How soon a thread goes on after SIGUSR1.
+    /// How often a hung thread checks for SIGUSR1.
     const LOOK_EVERY: Duration = Duration::from_millis(20);
 
     static HANGS: OnceLock<Arc<AtomicUsize>> = OnceLock::new();
     static WHOM: OnceLock<String> = OnceLock::new();
 
-    /// Listens for both signals from now on.
+    /// Installs the handlers of both signals.
     ///
     /// # Errors
-    /// When the system lets nobody listen.
+    /// When the system refuses a signal handler.
     pub fn install() -> anyhow::Result<()> {
         WHOM.get_or_init(|| std::env::var("MOCAPD_HANG").unwrap_or_default());
         for (signal, hangs) in [(SIGUSR2, 1), (SIGUSR1, 0)] {
@@ -304,7 +306,7 @@ mod tests {
         assert_eq!(watch.overdue(after(start, 64), LIMIT), None);
         let hung = watch.overdue(after(start, 65), LIMIT).unwrap();
         assert_eq!(hung.who, Who::Writer);
-        // Work that comes is looked at from then on.
+        // A thread that works again is watched from then on.
         writer.moved();
         worker.moved();
         assert_eq!(watch.overdue(after(start, 70), LIMIT), None);

@@ -1,4 +1,4 @@
-//! One recording: a rig, a pipeline, a take.
+//! Records one take: opens a pipeline for a rig and reads the rig into it.
 
 use std::{
     path::Path,
@@ -22,50 +22,50 @@ use crate::{
     setting::Setting,
 };
 
-/// What to record, and how to tell people.
+/// What to record, and how to report progress.
 #[expect(missing_debug_implementations, reason = "closures have none")]
 pub struct RecordOptions<'a> {
-    /// The take to write. It has its final name from the first byte.
+    /// Path of the take. The file has its final name from the first byte.
     pub take: &'a Path,
     /// Resampler and tolerance.
     pub codec: Settings,
-    /// Who is captured.
+    /// The person who is captured.
     pub subject: Option<&'a Subject>,
-    /// Stop after so long; `None` for a replay's end or `stop`.
+    /// Length of the take; `None` records until the replay ends or `stop` is set.
     pub length: Option<Duration>,
-    /// Bytes of the disk that stay free: a take that comes there is closed.
+    /// Bytes of the disk to leave free: the take is closed when it would need them.
     pub keep_free_bytes: u64,
-    /// Set to end it.
+    /// Set to stop recording.
     pub stop: &'a AtomicBool,
-    /// Told, in words, what people should know while it runs.
+    /// Receives messages for the user while the recording runs.
     pub say: &'a dyn Fn(&str),
-    /// How people end it, in words behind those that say that it waits; may be empty.
+    /// How the user can stop, appended to messages that say that the recording waits; may be empty.
     pub how_to_end: &'a str,
-    /// What to do with a setting that a refusal names, in words.
+    /// Formats advice on the setting that an error names.
     pub how_to_set: fn(Setting) -> String,
-    /// Told once the pipeline runs: counters to watch.
+    /// Called once the pipeline runs, with its live counters.
     pub started: &'a mut dyn FnMut(&Arc<Progress>),
 }
 
-/// What came of it.
+/// A finished recording.
 #[derive(Debug)]
 pub struct Recorded {
     /// What is on disk.
     pub written: Written,
-    /// What the reader saw.
+    /// What the reader counted.
     pub recording: Recording,
-    /// Where the take is now.
+    /// Where the take file is now.
     pub file: Settled,
-    /// Rows a second.
+    /// Rows per second.
     pub rate_hz: f64,
     /// Markers announced at the start.
     pub markers: usize,
 }
 
-/// Records until the device ends, the time is up, or `stop`.
+/// Records until the device ends, the length is reached, or `stop` is set.
 ///
 /// # Errors
-/// When nothing was recorded (no take is left behind then), or the take could not be written to its end.
+/// When nothing was recorded (the empty take file is removed then), or the take could not be written to its end.
 pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recorded> {
     check_room(options.take, options.keep_free_bytes)?;
     let config = rig.pipeline_config(options.codec);
@@ -96,7 +96,7 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
         (recording, pipeline.finish())
     });
     let name = options.take.display();
-    // Without a frame a take helps nobody.
+    // A take without a frame is useless: remove it.
     let nothing_recorded = |error: anyhow::Error| match id.remove(options.take) {
         Ok(()) => error,
         Err(e) => error.context(format!("{name} holds nothing and cannot be removed ({e})")),
@@ -131,7 +131,7 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
     }
 }
 
-/// Says where a take is that could not be recorded to its end, and saves one that was removed.
+/// Adds to an error where the unfinished take is, and saves a copy if the file was removed.
 fn ends_early(
     take: &Path,
     error: anyhow::Error,

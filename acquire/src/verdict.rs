@@ -1,4 +1,4 @@
-//! What is wrong with a take that was read to its end: the same for `verify` and for the service's check.
+//! The verdict on a take that was read to its end, for `verify` and for the service's check.
 
 use std::fmt;
 
@@ -6,29 +6,29 @@ use mocapd_take::{damage::Problem, record::Ledger};
 
 use crate::{clock::Apart, inspect::Summary};
 
-/// Whether a take is what it says.
+/// The result of checking a take.
 #[derive(Debug)]
 pub struct Verdict<'a> {
-    /// What is wrong with its bytes, or missing; with none it is intact.
+    /// What is damaged or missing; empty for an intact take.
     pub problems: Vec<Finding<'a>>,
-    /// What it says of itself and what is not so, though nothing is damaged: one sentence each.
+    /// Statements of the take about itself that its own data contradicts, one sentence each, in bytes that are intact.
     pub contradictions: Vec<String>,
-    /// How far the clocks' line lies from the one that the stored observations give.
+    /// How far the stored clock line is from the line fitted to the stored observations.
     pub clock: Option<Apart>,
 }
 
-/// One thing that is wrong with a take.
+/// One defect of a take.
 #[derive(Debug)]
 pub enum Finding<'a> {
-    /// A part of it is damaged.
+    /// A damaged part.
     Damage(&'a Problem),
-    /// The last ledger does not close.
+    /// The last ledger does not balance.
     LedgerOpen,
-    /// The last ledger tells of other samples than there are.
+    /// The last ledger states another number of samples than the take holds.
     Samples {
-        /// What the ledger tells.
+        /// Samples that the ledger states.
         told: u64,
-        /// What the take holds.
+        /// Samples found in the take.
         found: u64,
     },
 }
@@ -46,16 +46,16 @@ impl fmt::Display for Finding<'_> {
 }
 
 impl<'a> Verdict<'a> {
-    /// Of a take.
+    /// Checks a take that was read.
     #[must_use]
     pub fn of(summary: &'a Summary) -> Self {
         let take = &summary.take;
-        // Problems of the ledger come before damage: where there are many, the last ones are not shown.
+        // Problems of the ledger come before damage: a long list of damage is shown in part.
         let mut problems = Vec::new();
         if take.ledger.as_ref().is_some_and(|ledger| !Ledger::closes(ledger)) {
             problems.push(Finding::LedgerOpen);
         }
-        // Of a take that is not damaged every ledger was compared, and a difference is a contradiction.
+        // In an undamaged take every ledger was compared already, and a difference is a contradiction.
         if let Some(&Ledger { samples_present: told, .. }) = take.ledger.as_ref()
             && (take.finished && take.damaged)
             && told != summary.samples()
@@ -92,7 +92,7 @@ mod tests {
             assert_eq!(found(&summary), ["the ledger does not close"]);
         }
         assert!(Verdict::of(&summary).contradictions.is_empty());
-        // However much is damaged.
+        // Whatever else is damaged.
         let damage = Problem::MissingBefore { row: 7 };
         summary.take.problems = vec![damage.clone(); 2];
         let damage = damage.to_string();

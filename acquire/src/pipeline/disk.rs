@@ -1,5 +1,5 @@
-//! Room on the disk: some is held back, so that a take can be closed on a disk that others fill, and what is left is
-//! watched, so that it is closed before nothing works any more.
+//! Disk space: a reserve lets a take be closed when other programs fill the disk, and free space is monitored, so that
+//! the take is closed in time.
 
 use std::{
     io,
@@ -16,44 +16,44 @@ use crate::{
     setting::{Setting, SettingRefused},
 };
 
-/// Held back at least: a ledger, an index of days and a few stretches.
+/// The smallest reserve: enough for a ledger, the index of a take of days and a few stretches.
 pub const HELD_MIN_BYTES: u64 = 4 << 20;
 
-/// Held back for so much time: what is in memory when the disk was stalled, and what comes until the device stops.
+/// Seconds of data to reserve: the stretches in memory after a stall of the disk, and those until the device stops.
 const HELD_S: f64 = 60.0;
 
-/// Time between two looks at the disk.
+/// Time between two checks of the disk.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 
-/// The rate is that of so long.
+/// Time constant of the mean data rate.
 const RATE_OF_S: f64 = 30.0;
 
-/// What the writer knows of its disk.
+/// Disk space allocated ahead of the take's end, and the state of the disk.
 #[derive(Debug)]
 pub(super) struct Room {
     keep_free_bytes: u64,
-    /// The file has room up to here.
+    /// Space is allocated to the file up to this byte.
     held_to: u64,
-    /// Not every file system can hold room back.
+    /// Some file systems cannot allocate ahead.
     can_hold: bool,
-    /// Nor did this one have so much, whatever it says is free: a quota.
+    /// The last allocation was refused although the disk reports enough free bytes: a quota.
     is_refused: bool,
-    /// When, and the bytes of the take and beside it then.
+    /// The last check: its time, the bytes of the take, and the bytes of the raw log.
     looked: Option<(Instant, u64, u64)>,
     bytes_per_s: f64,
-    /// What grows beside the take.
+    /// Data rate of the raw log beside the take.
     beside_per_s: f64,
     state: DiskState,
 }
 
-/// What is left of the disk.
+/// Free space on the take's disk.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct DiskState {
-    /// Bytes that others may take, what is held back for the take not included. `None` where nobody can tell.
+    /// Free bytes, not counting the take's own reserve. `None` if the system does not report them.
     pub free_bytes: Option<u64>,
-    /// How long the take could go on at the rate of the last half a minute, in seconds. `None` before it has one.
+    /// Seconds until the disk is full, at the mean rate of the last 30 s. `None` before a rate is known.
     pub left_s: Option<f64>,
-    /// The take is to end, because less is free than has to stay.
+    /// The take has to end: less than `keep_free_bytes` would remain.
     pub is_full: bool,
 }
 
@@ -71,7 +71,7 @@ impl Room {
         }
     }
 
-    /// Looks, now and then, when the take has so many bytes.
+    /// Checks the disk if a check is due; `written` is the length of the take in bytes.
     pub(super) fn look(
         &mut self,
         output: &mut dyn TakeOutput,
@@ -85,7 +85,7 @@ impl Room {
         let beside = progress.beside_bytes.get().map_or(0, |bytes| bytes.load(Ordering::Relaxed));
         if let Some((last, before, beside_before)) = self.looked {
             let passed_s = now.duration_since(last).as_secs_f64();
-            // Before there is a mean, the first second's bytes have to do.
+            // Before there is a mean, use the first second's rate.
             let weight = if self.bytes_per_s > 0.0 { (passed_s / RATE_OF_S).min(1.0) } else { 1.0 };
             for (mean, now, before) in [
                 (&mut self.bytes_per_s, written, before),
@@ -99,18 +99,18 @@ impl Room {
         self.state.free_bytes = output.free_bytes();
         let held = self.held_to.saturating_sub(written);
         let others = match self.state.free_bytes {
-            // What a quota leaves nobody tells.
+            // A quota does not say how much it leaves.
             Some(free) if !self.is_refused => free.saturating_sub(self.keep_free_bytes),
             Some(_) => 0,
             None => u64::MAX,
         };
-        // The last of it is for closing the take.
+        // The last few bytes are for closing the take.
         let left = others.saturating_add(held);
         self.state.is_full |= left < HELD_MIN_BYTES;
         let is_known = self.bytes_per_s > 0.0 && self.state.free_bytes.is_some();
         let both_per_s = self.bytes_per_s + self.beside_per_s;
         let left_s = left.saturating_sub(HELD_MIN_BYTES) as f64 / both_per_s;
-        // What is held for the take is not for what grows beside it.
+        // The reserve belongs to the take alone, not to the raw log.
         let beside_s = others as f64 / self.beside_per_s;
         let left_s = if self.beside_per_s > 0.0 { left_s.min(beside_s) } else { left_s };
         self.state.left_s = is_known.then_some(left_s);
@@ -119,7 +119,7 @@ impl Room {
         progress.disk_left_s.store(left_s, Ordering::Relaxed);
     }
 
-    /// The take is closed, and what it held is given back.
+    /// The final state, after the take was closed and its reserve released.
     pub(super) fn close(&mut self, output: &dyn TakeOutput) -> DiskState {
         self.state.free_bytes = output.free_bytes();
         self.state
@@ -127,12 +127,12 @@ impl Room {
 
     fn hold(&mut self, output: &mut dyn TakeOutput, written: u64) {
         let ahead = HELD_MIN_BYTES.max((self.bytes_per_s * HELD_S) as u64);
-        // Half of it is enough to be there at any time: the rest spares a call each second.
+        // Topping up at half the reserve saves a system call every second.
         if self.state.is_full || !self.can_hold || self.held_to >= written + ahead / 2 {
             return;
         }
         let from = self.held_to.max(written);
-        // Not of what has to stay free.
+        // Leave `keep_free_bytes` alone.
         let spare =
             output.free_bytes().map_or(u64::MAX, |free| free.saturating_sub(self.keep_free_bytes));
         let wanted = (written + ahead).min(from.saturating_add(spare));
@@ -145,7 +145,7 @@ impl Room {
                     (self.held_to, self.is_refused) = (to, false);
                     return;
                 }
-                // What was held before is still there, and less may do.
+                // The earlier reserve remains, and a smaller one may be granted.
                 Err(error) if is_full(&error) => self.is_refused = true,
                 Err(_) => {
                     self.can_hold = false;
@@ -160,12 +160,12 @@ fn is_full(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
 }
 
-/// Makes sure that a take can be begun at `path` without taking what has to stay free.
+/// Checks that a take can be started at `path` with `keep_free_bytes` left free.
 ///
 /// # Errors
-/// How much is free, how much must be, and what to do.
+/// When the disk is too full. The message states free and required space, and what to do.
 pub fn check_room(path: &Path, keep_free_bytes: u64) -> anyhow::Result<()> {
-    // What cannot be told is not held against it: creating the file will tell.
+    // If free space is unknown, creating the file decides.
     let Ok(disk) = statvfs(folder_of(path)) else { return Ok(()) };
     let free_bytes = disk.f_bavail.saturating_mul(disk.f_frsize);
     if free_bytes < keep_free_bytes.saturating_add(HELD_MIN_BYTES) {
@@ -196,7 +196,7 @@ mod tests {
 
     use super::*;
 
-    /// A disk of so many bytes, that may be unable to hold room back.
+    /// A disk with `free` bytes, which may be unable to reserve space.
     struct Disk {
         free: u64,
         holds: Result<(), io::ErrorKind>,
@@ -230,8 +230,8 @@ mod tests {
 
     const MIB: u64 = 1 << 20;
 
-    /// A take of 1 MiB a second on a disk of 40 MiB, of which 10 have to stay free: when it is told to end, what others
-    /// could take at the least, and how long it thought that it had.
+    /// A take of 1 MiB a second on a disk of 40 MiB, 10 of which stay free: the second at which it has to end, the
+    /// fewest bytes that were free, and the remaining times it estimated.
     fn ends_after(holds: Result<(), io::ErrorKind>) -> (u64, u64, Vec<f64>) {
         let mut disk = Disk { free: 40 * MIB, holds };
         let (mut room, progress, begun) =
@@ -244,7 +244,7 @@ mod tests {
             if progress.disk_full.load(Ordering::Relaxed) {
                 return (second, least, left);
             }
-            // Without room of its own the take grows into the free bytes.
+            // Without a reserve the take uses the free bytes.
             if holds.is_err() {
                 disk.free -= MIB;
             }
@@ -256,7 +256,7 @@ mod tests {
     fn a_take_goes_on_until_no_more_is_left_than_closes_it() {
         for holds in [Ok(()), Err(io::ErrorKind::Unsupported)] {
             let (seconds, least, left) = ends_after(holds);
-            // 30 MiB but for the last 4, and none of the others' 10.
+            // 30 MiB less the last 4, and nothing of the 10 that stay free.
             assert_eq!(seconds, 27, "{holds:?}");
             assert!(least >= 10 * MIB, "{holds:?}: {least}");
             assert!((left[4] - 21.0).abs() < 0.1, "{holds:?}: {left:?}");
@@ -267,7 +267,7 @@ mod tests {
     fn a_quota_that_nobody_tells_of_ends_it_when_what_is_held_is_used() {
         let (seconds, ..) = ends_after(Err(io::ErrorKind::QuotaExceeded));
         assert_eq!(seconds, 0);
-        // Half a minute's room was there before the quota was met.
+        // The reserve lasts half a minute after the quota is reached.
         let mut disk = Disk { free: 1000 * MIB, holds: Ok(()) };
         let (mut room, progress, begun) = (Room::new(0), Progress::default(), Instant::now());
         for second in 0..100 {
@@ -285,7 +285,7 @@ mod tests {
 
     #[test]
     fn time_left_counts_what_grows_beside_the_take() {
-        // 3 MiB a second beside 1 MiB of the take: 950 MiB last for a quarter of the time.
+        // 3 MiB a second of raw log beside 1 MiB of the take: 950 MiB last for a quarter of the time.
         let mut disk = Disk { free: 1000 * MIB, holds: Ok(()) };
         let (mut room, progress, begun) =
             (Room::new(50 * MIB), Progress::default(), Instant::now());

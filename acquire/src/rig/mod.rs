@@ -1,4 +1,4 @@
-//! One device: opened, identified, started, read, stopped.
+//! One device: open it, identify it, start it, read it, stop it.
 
 mod reader;
 mod reconnect;
@@ -27,16 +27,16 @@ use crate::{
     setting::{Setting, SettingRefused},
 };
 
-/// How much is read from a device at once: more than a pty or a USB serial driver gives.
+/// Bytes read at once: more than a pty or a USB serial driver delivers.
 const READ_BYTES: usize = 64 << 10;
 
-/// How long a device may take to answer a command.
+/// Time that a device has to answer a command.
 const ANSWER_WITHIN: Duration = Duration::from_secs(1);
 
-/// How often a command is said before the device counts as mute.
+/// Attempts at a command before the device counts as not answering.
 const TRIES: usize = 5;
 
-/// A device that said who it is.
+/// A device that has been opened and identified.
 #[derive(Debug)]
 pub struct Rig {
     uri: DeviceUri,
@@ -48,29 +48,29 @@ pub struct Rig {
     hello: Hello,
     markers: Vec<MarkerInfo>,
     not_finite_before: u64,
-    /// To be found again by.
+    /// Identifies the device after it was plugged in again.
     identity: Candidate,
-    /// How long it is waited for when it goes away.
+    /// How long to wait for a device that was disconnected.
     patience: Duration,
-    /// Length of a stretch, and time between syncs, where these were chosen.
+    /// Length of a stretch and time between syncs, if the user chose them.
     risk: Option<(Duration, Duration)>,
-    /// Where every byte goes, too.
+    /// Also receives every byte, when a raw log is written.
     raw_log: Option<Tap>,
 }
 
 impl Rig {
-    /// Opens a device and asks who it is.
+    /// Opens a device and identifies it.
     ///
     /// # Errors
-    /// Why it cannot be opened, or that it does not answer: one line that says what to do.
+    /// When the device cannot be opened or does not answer. The message is one line and says what to do.
     pub fn open(uri: &DeviceUri) -> anyhow::Result<Self> {
         Self::open_logged(uri, None)
     }
 
-    /// Opens a device that was seen before, wherever it is plugged in now.
+    /// Opens a device that was open before, at whichever port it is plugged in now.
     ///
     /// # Errors
-    /// As [`open`](Self::open).
+    /// When the device cannot be opened or does not answer.
     pub fn open_again(
         uri: &DeviceUri,
         identity: &Candidate,
@@ -81,22 +81,22 @@ impl Rig {
         Ok(rig)
     }
 
-    /// What it is found again by.
+    /// Identifies the device after it was plugged in again.
     #[must_use]
     pub fn identity(&self) -> &Candidate {
         &self.identity
     }
 
-    /// Its driver family.
+    /// The driver family.
     #[must_use]
     pub fn family(&self) -> &'static str {
         self.family
     }
 
-    /// The same, with every byte on its line in a raw log.
+    /// Opens and identifies a device, with every byte on its line copied to a raw log.
     ///
     /// # Errors
-    /// As [`open`](Self::open).
+    /// When the device cannot be opened or does not answer.
     pub fn open_logged(uri: &DeviceUri, raw_log: Option<Tap>) -> anyhow::Result<Self> {
         let opened = registry::open_through(uri, &mut |family, line| match &raw_log {
             Some(tap) => tap.on(family, line),
@@ -105,30 +105,31 @@ impl Rig {
         Self::identify(uri.clone(), opened, raw_log)
     }
 
-    /// What a kill may cost: at most the open stretch, and with the power what came since the last sync, too.
+    /// Bounds the loss: a killed process loses at most the open stretch, a power cut also what came since the last
+    /// sync.
     pub fn risk_at_most(&mut self, stretch: Duration, sync_every: Duration) {
         self.risk = Some((stretch, sync_every));
     }
 
-    /// Who it is.
+    /// How the device identified itself.
     #[must_use]
     pub fn hello(&self) -> &Hello {
         &self.hello
     }
 
-    /// Its marker table.
+    /// The device's marker table.
     #[must_use]
     pub fn markers(&self) -> &[MarkerInfo] {
         &self.markers
     }
 
-    /// Its frame rate.
+    /// The frame rate in Hz.
     #[must_use]
     pub fn rate_hz(&self) -> f64 {
         f64::from(self.hello.rate_mhz) / 1000.0
     }
 
-    /// The pipeline that suits it.
+    /// The pipeline configuration for this device.
     #[must_use]
     pub fn pipeline_config(&self, codec: Settings) -> PipelineConfig {
         let channels = self.markers.iter().enumerate().map(|(slot, marker)| Channel {
@@ -148,10 +149,10 @@ impl Rig {
         }
     }
 
-    /// The header of a take that it begins now.
+    /// The header of a take that starts now.
     ///
     /// # Errors
-    /// When the system gives no random bytes.
+    /// When the system provides no random bytes.
     pub fn take_header(&self, config: &PipelineConfig) -> anyhow::Result<Header> {
         let device = Device {
             driver: self.family.to_owned(),
@@ -172,10 +173,10 @@ impl Rig {
         })
     }
 
-    /// Changes the frame rate before a start.
+    /// Sets the frame rate, before a start.
     ///
     /// # Errors
-    /// When the device refuses: the message says what it can do.
+    /// When the device refuses the rate. The message states the rates it supports.
     pub fn set_rate(&mut self, rate_hz: f64) -> anyhow::Result<()> {
         self.set_rate_unless(rate_hz, &|| false)
     }
@@ -201,7 +202,7 @@ impl Rig {
         Ok(())
     }
 
-    /// Sends a command until `answer` finds its answer in what the device says, or nobody waits for it any more.
+    /// Sends a command, again when no answer comes in time, until `answer` recognises the answer or `is_cancelled`.
     fn ask<T>(
         &mut self,
         command: Command,
@@ -246,7 +247,7 @@ impl Rig {
     }
 }
 
-/// Why a device cannot run at a rate: what it runs at.
+/// The error for an unsupported rate, which states the supported ones.
 fn out_of_range(why: &str, hello: &Hello) -> anyhow::Error {
     let [min_hz, max_hz] =
         [hello.rate_min_mhz, hello.rate_max_mhz].map(|mhz| f64::from(mhz) / 1000.0);
@@ -257,7 +258,7 @@ fn out_of_range(why: &str, hello: &Hello) -> anyhow::Error {
     SettingRefused { why, setting: Setting::Rate(None), or: "" }.into()
 }
 
-/// Why a device that refused to start did so, and what helps.
+/// The error for a start that the device refused because its line is too slow.
 fn refusal(budget: LinkBudget, rate_hz: f64, hello: &Hello) -> anyhow::Error {
     let why = format!(
         "the line is too slow for {} Hz: the frames need {} bytes a second and it carries {}",
@@ -296,11 +297,11 @@ impl Rig {
         Ok(rig)
     }
 
-    /// Asks the device who it is, whatever it was doing.
+    /// Asks the device for its identity and marker table, in whatever state it is.
     pub(super) fn introduce(&mut self, give_up: &dyn Fn() -> bool) -> anyhow::Result<()> {
         let damaged_before = self.protocol.counters().messages_damaged;
         for _ in 0..TRIES {
-            // A device that is still sending from an earlier host must not fill the table's place.
+            // A device still streaming to an earlier host would delay the marker table.
             self.say(Command::Stop)?;
             let damaged = self.protocol.counters().messages_damaged;
             let mut hello = None;
@@ -314,7 +315,7 @@ impl Rig {
                         markers.clear();
                     }
                     DeviceEvent::Markers(more) => add(&mut markers, more),
-                    // An answer says that everything asked before it was said.
+                    // The device answers in order: the pong comes after the answers to earlier commands.
                     DeviceEvent::Pong(pong) if pong.host_ns == host_ns => return Some(()),
                     _ => {}
                 }
@@ -339,7 +340,7 @@ impl Rig {
     }
 }
 
-/// A marker said twice counts once: commands are repeated when an answer is late.
+/// Merges markers into the table. Repeated commands repeat markers: the last description of an id counts.
 fn add(table: &mut Vec<MarkerInfo>, more: &[MarkerInfo]) {
     for marker in more {
         match table.iter_mut().find(|known| known.id == marker.id) {
