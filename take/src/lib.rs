@@ -1,7 +1,7 @@
-//! The take file: writer, sans-io reader, and the field's interchange formats.
+//! The take file (writer and sans-io reader) and the interchange formats of the field.
 //!
-//! `docs/take-format.md` gives the format byte by byte. Nothing here opens a file, reads a clock or starts a
-//! thread: bytes go to a [`std::io::Write`] and come from the caller.
+//! `docs/take-format.md` specifies the format byte by byte. This crate opens no file, reads no clock and starts no
+//! thread: it writes to a [`std::io::Write`] and reads bytes that the caller provides.
 
 mod ambiguity;
 pub mod chunk;
@@ -34,73 +34,73 @@ pub use reader::{TakeEvent, TakeReader};
 pub use traversal::TakeTraversal;
 pub use writer::TakeWriter;
 
-/// Why a file is no take.
+/// Why a file is not a take.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum NotATake {
-    /// There is less of it than the magic.
+    /// The file is shorter than the magic.
     #[error("the file is shorter than a take's eight bytes")]
     Short,
-    /// It begins like something else.
+    /// The file begins with other bytes.
     #[error("the file does not begin with a take's eight bytes")]
     OtherMagic,
-    /// It was sent as text.
+    /// A transfer in text mode converted the line ends.
     #[error("its line ends were changed by a transfer in text mode; copy it again in binary mode")]
     SentAsText,
-    /// It ends before its header does.
+    /// The file ends inside its header.
     #[error("the file ends inside its header, and nothing of it can be read")]
     HeaderCut,
-    /// Its header is damaged; one byte of it can be [put right](recovery::mend_start).
+    /// The header is damaged; [`mend_start`](recovery::mend_start) may repair one byte of it.
     #[error(
         "its header is damaged, and nothing can be read without it; try `mocapd recover`, which can put one byte of it right"
     )]
     HeaderDamaged,
-    /// Its header is damaged, and more of it than can be put right.
+    /// The header has more damage than can be repaired.
     #[error("more than one byte of its header is damaged, and nothing can be read without it")]
     HeaderLost,
-    /// The chunk behind the magic is no header, or a damaged one.
+    /// The chunk after the magic is damaged, or is not a header.
     #[error("its header is damaged or not there")]
     NoHeader,
-    /// Another program changed it meanwhile.
+    /// Another program changed the file during the read.
     #[error("it changed while it was read")]
     Changed,
 }
 
-/// What can go wrong with a take, by what the caller can do about it.
+/// Errors of reading and writing takes, grouped by what the caller can do about them.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TakeError {
-    /// Not a take at all.
+    /// The file is not a take.
     #[error("not a take: {0}")]
     NotATake(NotATake),
-    /// A take from another version.
+    /// The take was written by another version.
     #[error("{what} has version {found}, this build reads {supported}: use {}",
         if found > supported { "a newer mocapd" } else { "the development version that wrote it" })]
     Unsupported {
-        /// Which record.
+        /// The kind of record.
         what: &'static str,
         /// The version found.
         found: u16,
-        /// The version known.
+        /// The version that this build reads.
         supported: u16,
     },
-    /// Bytes that cannot be right.
+    /// Bytes that cannot be valid.
     #[error("{what} at byte {offset}: {message}")]
     Corrupt {
-        /// Which chunk or record.
+        /// The kind of chunk or record.
         what: &'static str,
         /// File offset of its chunk.
         offset: u64,
         /// What is wrong.
         message: String,
     },
-    /// The caller asked for something a take cannot hold.
+    /// A request that a take cannot represent.
     #[error("{0}")]
     InvalidArgument(String),
-    /// The codec refused.
+    /// The codec rejected its input.
     #[error(transparent)]
     Codec(#[from] mocapd_codec::CodecError),
-    /// Reading or writing failed.
+    /// An I/O error.
     #[error(transparent)]
     Io(#[from] std::io::Error),
 }

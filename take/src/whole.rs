@@ -1,7 +1,7 @@
-//! Trajectories in memory coded into a take: what an import is.
+//! Encodes trajectories in memory as a take: the second half of an import.
 //!
-//! Every stretch is a key stretch, so that groups of channels over stretches are coded on their own, whoever
-//! codes them, and the bytes are the same for any number of threads.
+//! Every stretch is a key stretch, so each group of channels in each stretch is encoded independently, on any thread,
+//! and the bytes do not depend on the number of threads.
 
 use std::io::Write;
 
@@ -19,10 +19,10 @@ use crate::{
     timeline::Timeline,
 };
 
-/// Length of a stretch of an import, and so the distance of key stretches.
+/// Duration of an import's stretches, and so the distance between its key stretches, in seconds.
 const STRETCH_S: f64 = 10.0;
 
-/// Rows of a stretch of a take at `rate_hz`: whole takes for the resamplers that are not cut.
+/// Rows of a stretch at `rate_hz`. A resampler that needs the whole take at once gets a single stretch.
 #[must_use]
 pub fn stretch_rows(codec: &Settings, rate_hz: f64, n_rows: usize, n_markers: usize) -> usize {
     if codec.kind.is_live() {
@@ -33,7 +33,7 @@ pub fn stretch_rows(codec: &Settings, rate_hz: f64, n_rows: usize, n_markers: us
     }
 }
 
-/// The channel table of trajectories: ids by column.
+/// The channel table of these markers; a marker's id is its column.
 #[must_use]
 pub fn channels(markers: &[Marker]) -> Vec<Channel> {
     let channel = |(column, marker): (usize, &Marker)| Channel {
@@ -44,28 +44,28 @@ pub fn channels(markers: &[Marker]) -> Vec<Channel> {
     markers.iter().enumerate().map(channel).collect()
 }
 
-/// One group over one stretch: what is coded on its own.
+/// One group of channels over one stretch: the unit that is encoded independently.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Part {
-    /// Its first row.
+    /// First row.
     pub first_row: usize,
-    /// How many rows.
+    /// Number of rows.
     pub n_rows: usize,
-    /// Its first marker.
+    /// Column of the first marker.
     pub first_marker: usize,
-    /// How many markers.
+    /// Number of markers.
     pub n_markers: usize,
 }
 
-/// A part's block, and what its encoder proved of each channel.
+/// An encoded block, and what the encoder reports of each of its channels.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Coded {
     block: Vec<u8>,
-    /// One a marker of the part.
+    /// One report per marker.
     pub reports: Vec<BlockReport>,
 }
 
-/// What all parts of one motion are coded with.
+/// The settings and shared bytes that all parts of one motion are encoded with.
 #[derive(Debug)]
 pub struct Plan<'a> {
     motion: &'a Motion,
@@ -75,12 +75,11 @@ pub struct Plan<'a> {
 }
 
 impl<'a> Plan<'a> {
-    /// For `motion` and the settings in `header`.
+    /// Plans the encoding of `motion` with the settings in `header`.
     ///
     /// # Errors
-    /// `InvalidArgument` for more markers than a take has, and for more samples than a stretch of that resampler can hold;
-    /// `Codec` when it refuses
-    /// (`spline:exhaustive` on a long take).
+    /// `InvalidArgument` for more markers than a take can have, or more samples than a stretch of that resampler can
+    /// hold; `Codec` when the codec rejects the input (`spline:exhaustive` on a long take).
     pub fn new(motion: &'a Motion, header: &Header) -> Result<Self, TakeError> {
         let codec = header.codec()?;
         let (n_rows, n_markers) = (motion.n_frames(), motion.info.markers.len());
@@ -101,12 +100,12 @@ impl<'a> Plan<'a> {
         Ok(Self { motion, codec, stretch_rows, shared })
     }
 
-    /// The parts, in the order in which a take has them.
+    /// The parts, in the order in which [`WholeWriter::push`] expects them.
     pub fn parts(&self) -> impl Iterator<Item = Part> + use<> {
         let (n_rows, n_markers) = (self.motion.n_frames(), self.motion.info.markers.len());
         let stretch_rows = self.stretch_rows;
         (0..n_rows).step_by(stretch_rows).flat_map(move |first_row| {
-            // A take without markers has its stretches all the same.
+            // A take without markers still has its stretches.
             (0..n_markers.max(1)).step_by(GROUP_CHANNELS).map(move |first_marker| Part {
                 first_row,
                 n_rows: stretch_rows.min(n_rows - first_row),
@@ -116,14 +115,14 @@ impl<'a> Plan<'a> {
         })
     }
 
-    /// Who codes parts; one a thread.
+    /// An encoder of parts. Each thread needs its own.
     #[must_use]
     pub fn encoder(&self) -> PartEncoder<'_> {
         PartEncoder { plan: self, encoder: self.codec.encoder(), columns: Columns::default() }
     }
 }
 
-/// Codes parts, in any order.
+/// Encodes parts, in any order.
 #[derive(Debug)]
 pub struct PartEncoder<'a> {
     plan: &'a Plan<'a>,
@@ -132,7 +131,7 @@ pub struct PartEncoder<'a> {
 }
 
 impl PartEncoder<'_> {
-    /// The key block of a part.
+    /// Encodes a part as a key block.
     ///
     /// # Errors
     /// `Codec`.
@@ -149,7 +148,7 @@ impl PartEncoder<'_> {
     }
 }
 
-/// Writes the parts of a plan as a take.
+/// Writes the encoded parts of a plan as a take.
 #[derive(Debug)]
 pub struct WholeWriter<'a, W> {
     plan: &'a Plan<'a>,
@@ -160,10 +159,10 @@ pub struct WholeWriter<'a, W> {
 }
 
 impl<'a, W: Write> WholeWriter<'a, W> {
-    /// Writes the header, the subject, and what an importer kept beside trajectories.
+    /// Writes the header, the subject, the foreign parts and the events.
     ///
     /// # Errors
-    /// As [`TakeWriter::new`], [`TakeWriter::subject`], [`TakeWriter::foreign`] and [`TakeWriter::event`].
+    /// Those of [`TakeWriter::new`], [`TakeWriter::subject`], [`TakeWriter::foreign`] and [`TakeWriter::event`].
     pub fn new(plan: &'a Plan<'a>, header: &Header, out: W) -> Result<Self, TakeError> {
         let mut take = TakeWriter::new(out, header)?;
         let info = &plan.motion.info;
@@ -177,10 +176,10 @@ impl<'a, W: Write> WholeWriter<'a, W> {
         Ok(Self { plan, take, front, payload: Vec::new(), n_samples: 0 })
     }
 
-    /// The next part, in the order of [`Plan::parts`].
+    /// Writes the next part, in the order of [`Plan::parts`].
     ///
     /// # Errors
-    /// As [`TakeWriter::stretch`].
+    /// Those of [`TakeWriter::stretch`].
     pub fn push(&mut self, part: Part, coded: &Coded) -> Result<(), TakeError> {
         let n_markers = self.plan.motion.info.markers.len();
         let alone = n_markers <= GROUP_CHANNELS;
@@ -200,10 +199,10 @@ impl<'a, W: Write> WholeWriter<'a, W> {
         Ok(())
     }
 
-    /// Closes the take. Gives its ledger, the output, and the bytes written.
+    /// Closes the take. Returns its ledger, the output and the number of bytes written.
     ///
     /// # Errors
-    /// As [`TakeWriter::finish`].
+    /// Those of [`TakeWriter::finish`].
     pub fn finish(self) -> Result<(Ledger, W, u64), TakeError> {
         let n_rows = self.plan.motion.n_frames() as u64;
         let announced = n_rows * self.plan.motion.info.markers.len() as u64;
@@ -221,7 +220,7 @@ impl<'a, W: Write> WholeWriter<'a, W> {
     }
 }
 
-/// Memory for some markers over some rows.
+/// Samples of one part, column by column; reused from part to part.
 #[derive(Debug, Default)]
 struct Columns {
     positions: Vec<Vec<Position>>,
@@ -229,7 +228,7 @@ struct Columns {
 }
 
 impl Columns {
-    /// Takes a part of `motion`.
+    /// Copies the samples of `part` out of `motion`.
     fn fill(&mut self, motion: &Motion, part: Part) {
         self.positions.resize_with(part.n_markers, Vec::new);
         self.present.resize_with(part.n_markers, Vec::new);
@@ -250,14 +249,14 @@ impl Columns {
         }
     }
 
-    /// The channels, one after another.
+    /// The rows of each channel.
     fn rows(&self) -> Result<Vec<Rows<'_>>, CodecError> {
         let columns = self.positions.iter().zip(&self.present);
         columns.map(|(positions, present)| Rows::new(positions, present)).collect()
     }
 }
 
-/// What all channels of a whole take share.
+/// The bytes that all channels of a take share; empty for live resamplers.
 fn shared(motion: &Motion, codec: &Settings) -> Result<Vec<u8>, CodecError> {
     if codec.kind.is_live() {
         return Ok(Vec::new());

@@ -1,5 +1,4 @@
-//! From whole chunks to events: those that are held, and those that are too long for that, which are looked at piece by piece
-//! as they come.
+//! Turns chunks into events: short chunks from the buffer, long ones piece by piece as they arrive.
 
 use super::{TakeEvent, TakeReader, damage::Damage};
 use crate::{
@@ -14,22 +13,22 @@ use crate::{
     stretch::{self, CHANNELS_MAX, Chain, Placed},
 };
 
-/// What to do next.
+/// The next step of the reader.
 pub(super) enum Step {
-    /// There is a whole chunk in the buffer.
+    /// A complete chunk is in the buffer.
     Chunk { kind: u8, start: usize, len: usize },
-    /// Look again.
+    /// The state changed; try again.
     Again,
 }
 
-/// What is wrong with a chunk that the file ends inside of.
+/// The file ends inside a chunk.
 const CUT: &str = "the file ends inside a chunk";
 
-/// And with any other that is not whole.
+/// A chunk's CRC does not match.
 const WRONG: &str = "checksum does not match";
 
 impl TakeReader {
-    /// What stands at the front of the bytes that are there. Behind a whole chunk, or behind the magic.
+    /// Parses the chunk at the front of the unprocessed bytes, which follow the magic or a valid chunk.
     pub(super) fn next_chunk(&mut self) -> Step {
         let waiting = &self.buffer[self.used..];
         let have = waiting.len() as u64;
@@ -68,7 +67,8 @@ impl TakeReader {
         Step::Again
     }
 
-    /// Follows the file ahead; says whether all is known that was asked for, and the reader goes back.
+    /// Scans the file ahead for long chunks. Returns whether the scan is complete; the reader then goes back to where
+    /// it began.
     pub(super) fn look_ahead(&mut self) -> bool {
         let Some(search) = &mut self.search else { return true };
         self.used += search.push(&self.buffer[self.used..], self.complete);
@@ -86,7 +86,7 @@ impl TakeReader {
 }
 
 impl TakeReader {
-    /// The chunk at `start` of the buffer, whose CRC matched.
+    /// Decodes the chunk at `start` of the buffer, whose CRC matches.
     pub(super) fn interpret(
         &mut self,
         kind: u8,
@@ -159,7 +159,7 @@ impl TakeReader {
     }
 }
 
-/// The content of a chunk that is read without regard to what stands before it; `None` of any other.
+/// Decodes a chunk whose content does not depend on earlier chunks; `None` for other types.
 pub(crate) fn record(
     kind: u8,
     payload: &[u8],
@@ -181,7 +181,7 @@ pub(crate) fn record(
     })
 }
 
-/// A chunk whose content is wrong.
+/// A chunk with invalid content.
 fn damaged(offset: u64, len: u64, kind: u8, message: String) -> TakeEvent<'static> {
     let kind = Some(kind).filter(|kind| types::ALL.contains(kind));
     TakeEvent::Damaged { offset, len, kind, message }
@@ -198,20 +198,20 @@ impl<'a> From<Placed<'a>> for TakeEvent<'a> {
     }
 }
 
-/// Whether one may be so long and is not read: what this version does not know, and an index, which repeats what the
-/// stretches themselves say. No other record is so long.
+/// Whether a chunk of this type may be too long to hold and is skipped: an unknown type, or an index, which only
+/// repeats what the stretches state. No other record can be so long.
 fn may_be_skipped(kind: u8) -> bool {
     let is_read = types::ALL.contains(&kind) && ![types::MODEL, types::INDEX].contains(&kind);
     kind & MAY_SKIP != 0 && !is_read
 }
 
-/// One of them.
+/// A chunk that is too long to hold.
 #[derive(Debug)]
 pub(super) struct Passing {
     kind: u8,
     offset: u64,
     len: u64,
-    /// Of a FOREIGN, once its front was there: it, and what became of it up to here.
+    /// For a FOREIGN chunk: its header, once that was read, and the check of the content read so far.
     part: Option<Result<(ForeignPart, Inflation), TakeError>>,
 }
 
@@ -224,7 +224,7 @@ impl Passing {
         self.offset + self.len
     }
 
-    /// Looks at what comes next of a FOREIGN, from file offset `at` on.
+    /// Checks the next bytes of a FOREIGN chunk, which begin at file offset `at`.
     fn look_at(&mut self, at: u64, bytes: &[u8]) {
         if self.kind != types::FOREIGN {
             return;
@@ -250,7 +250,7 @@ impl Passing {
 }
 
 impl TakeReader {
-    /// Passes over what is there of it; says whether that was all.
+    /// Reads on through the long chunk. Returns whether its end was reached.
     pub(super) fn pass(&mut self) -> bool {
         let at = self.offset();
         let Some(passing) = &mut self.passing else { return true };
@@ -267,7 +267,7 @@ impl TakeReader {
         next.len() == left || self.complete
     }
 
-    /// All of it was passed over.
+    /// The event of a long chunk that was read to its end.
     pub(super) fn passed(&mut self) -> Result<TakeEvent<'static>, TakeError> {
         let end = self.offset();
         let Some(passing) = self.passing.take().filter(|passing| passing.end() == end) else {
@@ -329,8 +329,8 @@ mod tests {
         bytes
     }
 
-    /// Behind each small chunk stands a head of a long one: all of it may be one, or damaged, and the next small
-    /// chunk is found within it.
+    /// Each small chunk is followed by the head of a long one. All of the rest may be that chunk, or may be damaged and
+    /// contain the next small chunk.
     #[test]
     fn no_byte_is_hashed_for_every_head_before_it() {
         for claimed in [3_000, 100_000, 1 << 20] {
@@ -349,7 +349,7 @@ mod tests {
             })
             .unwrap();
             let hashed = HASHED_BYTES.get() - before;
-            // The heads, and the events, which have no version.
+            // The false heads, and the events, which lack a version.
             assert!(n_damaged > (end - start) / 11, "{n_damaged} of {} bytes", bytes.len());
             let ratio = hashed / bytes.len() as u64;
             assert!(ratio <= 100, "{ratio} bytes hashed a byte, of {claimed} claimed");

@@ -1,5 +1,5 @@
-//! What is no whole chunk, and the way to the next one. A chunk whose head alone is damaged is put right: where the next chunk
-//! begins tells its length, and its CRC its type.
+//! Damaged regions, and the search for the next valid chunk. A chunk with a damaged head alone is repaired: the
+//! position of the next chunk gives its length, and its CRC gives its type.
 
 use crc32fast::Hasher;
 
@@ -12,21 +12,21 @@ use crate::{
     varint,
 };
 
-/// Bytes that are no whole chunk, from `offset` to wherever the reader is.
+/// A damaged region, from `offset` to the reader's position.
 #[derive(Debug)]
 pub(super) struct Damage {
     pub(super) offset: u64,
     /// Its first bytes.
     head: Vec<u8>,
     message: &'static str,
-    /// It goes on for so long that its beginning is not held any more.
+    /// The region is so long that its beginning is no longer held.
     pub(super) is_far: bool,
-    /// It is the header, and the file ends inside it.
+    /// The region is a header that the file ends inside.
     is_cut_header: bool,
 }
 
 impl Damage {
-    /// Of the bytes at file offset `offset`.
+    /// The region that begins with `bytes` at file offset `offset`.
     pub(super) fn new(
         offset: u64,
         bytes: &[u8],
@@ -37,13 +37,13 @@ impl Damage {
         Self { offset, head, message, is_far: false, is_cut_header }
     }
 
-    /// The type that its first byte says, if it is one.
+    /// The chunk type in its first byte, if it is a valid one.
     fn kind(&self) -> Option<u8> {
         self.head.first().copied().filter(|kind| types::ALL.contains(kind))
     }
 
-    /// Whether it is one chunk by its own head, and no stretch: then none was among it. Bytes that are missing
-    /// altogether leave pieces of two chunks, and no head fits these.
+    /// Whether the region is exactly one chunk by its own head, and not a stretch: then no stretch was lost in it.
+    /// Where bytes are missing, the region consists of pieces of two chunks, and no head fits its length.
     fn is_one_other_chunk(&self, damaged_bytes: u64) -> bool {
         matches!(
             chunk::head(&self.head),
@@ -54,9 +54,9 @@ impl Damage {
 }
 
 impl TakeReader {
-    /// Looks for the next whole chunk; `None` when more of the file has to be seen.
+    /// Searches for the next valid chunk; `None` when more of the file is needed.
     pub(super) fn find_next(&mut self) -> Option<TakeEvent<'static>> {
-        // What is known of its first byte is that no chunk begins there.
+        // No chunk begins at the region's own first byte.
         let (offset, is_far) = self.damage.as_ref().map(|damage| (damage.offset, damage.is_far))?;
         if !self.complete && self.buffer.len() - self.used < WINDOW_BYTES {
             self.wanted = WINDOW_BYTES as u64;
@@ -82,8 +82,8 @@ impl TakeReader {
         None
     }
 
-    /// The next chunk begins at `at` of the buffer, or the file ends there. Where what lies before it is a chunk whose
-    /// head alone is damaged, that one is next.
+    /// Ends the region at `at` in the buffer, where the next chunk begins or the file ends. A region that is one chunk
+    /// with a damaged head is repaired and read next.
     fn end_damage(&mut self, at: usize) -> Option<TakeEvent<'static>> {
         let damage = self.damage.take()?;
         let offset = damage.offset;
@@ -112,8 +112,8 @@ impl TakeReader {
     }
 }
 
-/// Puts the head of the one chunk that `region` is right, if there is a type with which its CRC matches; says
-/// whether it did. Of twelve types one fits by chance in one of 3.6 * 10^8 damaged regions.
+/// Restores the head of the one chunk that `region` holds, if its CRC matches with one of the chunk types. Returns
+/// whether it did. By chance, one of the twelve types fits one in 3.6 * 10^8 damaged regions.
 pub(crate) fn mend_head(region: &mut [u8]) -> bool {
     let Some(payload_len) = payload_len(region.len() as u64) else { return false };
     let mut head = vec![0];
@@ -134,7 +134,7 @@ pub(crate) fn mend_head(region: &mut [u8]) -> bool {
     true
 }
 
-/// How long the payload of a chunk of so many bytes is.
+/// The payload length of a chunk of `chunk_len` bytes.
 fn payload_len(chunk_len: u64) -> Option<u64> {
     let varint_len = |value: u64| u64::from(64 - (value | 1).leading_zeros()).div_ceil(7);
     let mut lens = (2..=HEAD_BYTES_MAX as u64).filter_map(|head| {

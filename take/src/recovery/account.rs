@@ -1,4 +1,4 @@
-//! The ledger of a recovered take: what the last one said, and what stands in the file behind it.
+//! The ledger of a recovered take, from the last ledger of the damaged file and from the stretches behind it.
 
 use crate::{
     damage::LostRows,
@@ -7,14 +7,14 @@ use crate::{
     timeline::{Causes, Run},
 };
 
-/// Rows by what became of them, as far as the stretches tell.
+/// Rows by outcome, counted from the stretches.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 struct Rows {
     recorded: u64,
     not_received: u64,
     ring_full: u64,
     disconnected: u64,
-    /// In a file that this one was recovered from.
+    /// Damaged in a file that this one was recovered from.
     damaged: u64,
 }
 
@@ -23,8 +23,8 @@ impl Rows {
         let counter = match run.lost {
             None => &mut self.recorded,
             Some(causes) if causes.contains(Causes::DAMAGED) => &mut self.damaged,
-            // Of several causes together nobody knows which rows had which: the first that may be the host's or
-            // the link's. The counters of ledgers know, and these are taken where there are any.
+            // A run with several causes does not say how many rows each cause has. It counts for the first cause here
+            // that it names. The counters of a ledger are exact and are used where a ledger exists.
             Some(causes) if causes.contains(Causes::NOT_RECEIVED) => &mut self.not_received,
             Some(causes) if causes.contains(Causes::RING_FULL) => &mut self.ring_full,
             Some(_) => &mut self.disconnected,
@@ -48,18 +48,18 @@ impl Rows {
     }
 }
 
-/// Counts as the file is read.
+/// Counts rows and samples while the file is read.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Account {
     rows: Rows,
     announced: u64,
     present: u64,
-    /// What had been counted when the last ledger came.
+    /// The counts at the last ledger.
     at_ledger: Rows,
 }
 
 impl Account {
-    /// A stretch that is kept: so many channels were announced, so many samples are in it.
+    /// Adds a stretch that is kept, with the number of channels announced and of samples decoded.
     pub(super) fn stretch(&mut self, stretch: &Stretch<'_>, n_channels: usize, samples: u64) {
         let before = self.rows.recorded;
         match &stretch.timeline {
@@ -71,20 +71,20 @@ impl Account {
         self.present = self.present.saturating_add(samples);
     }
 
-    /// A ledger comes.
+    /// Remembers the counts at a ledger.
     pub(super) fn ledger(&mut self) {
         self.at_ledger = self.rows;
     }
 
-    /// Frames in the stretches that are kept.
+    /// Recorded frames in the stretches that are kept.
     pub(super) fn recorded(&self) -> u64 {
         self.rows.recorded
     }
 
-    /// A ledger of what is kept. `last`: the last one that there is; `lost`: the rows that were damaged here.
+    /// The ledger of what is kept, given the `last` ledger of the file and the rows `lost` to damage in it.
     ///
-    /// What the last ledger counted stands, but for frames that it has as recorded and that are not kept; these
-    /// are lost, as are the damaged rows behind it.
+    /// The last ledger's counts stand, except that frames it has as recorded and that are not kept count as lost.
+    /// Damaged rows behind it count as lost, too.
     pub(super) fn close(&self, last: Option<&Ledger>, lost: &[LostRows]) -> Ledger {
         let (mut ledger, before) = (last.cloned().unwrap_or_default(), self.at_ledger);
         let rows_then = ledger.frames_sent;

@@ -1,5 +1,5 @@
-//! A take whose first bytes are damaged: without a header nothing can be read, so a single wrong byte there is
-//! put right where its CRC tells which.
+//! Repairs the start of a damaged take. Nothing can be read without a header, so a single wrong byte there is corrected
+//! where the CRC identifies it.
 
 use std::io::{self, Read, Seek, SeekFrom};
 
@@ -9,13 +9,13 @@ use crate::{
     reader::TakeInput,
 };
 
-/// Headers that are looked at: 10 000 labels fit.
+/// Most bytes searched for a header; a header of 10 000 labels fits.
 const START_BYTES_MAX: u64 = 4 << 20;
 
 /// The reflected polynomial of CRC-32 (IEEE).
 const POLYNOMIAL: u32 = 0xedb8_8320;
 
-/// A file whose start reads as it must have been.
+/// A file whose first bytes are replaced by repaired ones.
 #[derive(Debug)]
 pub struct MendedStart<R> {
     input: R,
@@ -23,16 +23,15 @@ pub struct MendedStart<R> {
     at: u64,
 }
 
-/// Looks at the start of a file, from where it stands, and puts right what can be: the magic in front of a whole
-/// header, and one byte of a header. Says what it was; whatever else is wrong stays.
+/// Reads the start of a file and repairs what it can: the magic before a valid header, and one byte of a header.
+/// Returns a reader of the repaired file and the list of repairs. Other damage stays.
 ///
-/// A CRC tells a single wrong byte: of a header of 300 bytes hardly two single bytes explain the same one, and where
-/// two do, nothing is changed. A header with more wrong bytes can look like one with a single one, in one of 50 000
-/// cases; then it has a matching CRC, and says what nobody wrote, if it can be decoded at all. So ordinary readers do
-/// not do this, and who asks for it is told.
-///
+/// A CRC identifies a single wrong byte: in a header of 300 bytes hardly two single-byte errors give the same CRC, and
+/// where two do, nothing is changed. A header with more wrong bytes can look like one with a single wrong byte, in one
+/// of 50 000 cases. It is then altered to match its CRC, with content that was never written, if it can be decoded at
+/// all. So ordinary readers do not repair headers, and a recovery reports the repair.
 /// # Errors
-/// What reading meets.
+/// Any error of reading `input`.
 pub fn mend_start<R: Read + Seek>(mut input: R) -> io::Result<(MendedStart<R>, Vec<Problem>)> {
     let mut start = Vec::new();
     input.seek(SeekFrom::Start(0))?;
@@ -55,7 +54,7 @@ pub fn mend_start<R: Read + Seek>(mut input: R) -> io::Result<(MendedStart<R>, V
     Ok((MendedStart { input, start, at: 0 }, mended))
 }
 
-/// Puts the one wrong byte of the header at the front of `bytes` right, if there is one, and says where.
+/// Corrects the one wrong byte of the header at the front of `bytes`, if there is exactly one. Returns its position.
 fn mend_header(bytes: &mut [u8]) -> Option<usize> {
     if chunk::front(bytes) != Front::Damaged {
         return None;
@@ -63,31 +62,32 @@ fn mend_header(bytes: &mut [u8]) -> Option<usize> {
     let Front::Whole { kind: types::HEADER, len, .. } = chunk::split(bytes) else { return None };
     let (body, crc) = bytes.get_mut(..len)?.split_last_chunk_mut::<4>()?;
     let difference = crc32fast::hash(body) ^ u32::from_le_bytes(*crc);
-    // A wrong byte of the CRC itself.
+    // The wrong byte is in the CRC itself.
     if difference.to_le_bytes().iter().filter(|&&byte| byte != 0).count() == 1 {
         *crc = crc32fast::hash(body).to_le_bytes();
         return Some(len - 4);
     }
     let (at, by) = wrong_byte(difference, body.len())?;
-    // Type and length are what the reader mends.
+    // Type and length are repaired by the reader.
     body[at] ^= by;
     Some(at)
 }
 
-/// The byte of so many, and what it is off by, that changes the CRC by this; `None` when no or several do.
+/// The position and XOR difference of the single byte among `len` that changes the CRC by `difference`; `None` when
+/// none or several do.
 fn wrong_byte(difference: u32, len: usize) -> Option<(usize, u8)> {
     let table = table();
     let mut state = difference;
     let mut found = None;
     for at in (0..len).rev() {
-        // The byte before which the CRC was right: its own entry is all that is left.
+        // An error in this byte leaves exactly its own table entry here.
         let by = (0..=255_u8).find(|&by| table[usize::from(by)] == state).filter(|&by| by != 0);
         if let Some(by) = by
             && found.replace((at, by)).is_some()
         {
             return None;
         }
-        // Back over one byte that was right.
+        // Undo the effect of one correct byte.
         let (index, entry) =
             table.iter().enumerate().find(|(_, entry)| **entry >> 24 == state >> 24)?;
         state = (state ^ entry) << 8 | index as u32;

@@ -1,4 +1,4 @@
-//! The first way through the file: what can be kept, and what is lost.
+//! The first pass over the file: which chunks can be kept, and what is lost.
 
 use super::{KINDS, Kind, KindCount, Piece, account::Account};
 use crate::{
@@ -11,57 +11,57 @@ use crate::{
     traversal::{Decode, Found, Progress, Renamed, TakeTraversal},
 };
 
-/// Most chunks that a recovery copies, each of which takes up to 64 bytes of memory until it is: four days of the shortest
-/// stretches, 50 ms, and half a gigabyte. A file that has more was made so.
+/// Most chunks that a recovery copies; each takes up to 64 bytes of memory. The limit is four days of the shortest
+/// stretches, 50 ms, and half a gigabyte. Only a crafted file has more.
 const PIECES_MAX: usize = 1 << 23;
 
-/// A channel, over the whole take.
+/// Counts of one channel, over the whole take.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct ChannelCount {
     /// Samples that are kept.
     pub samples: u64,
-    /// Rows that are lost to damage since it was announced.
+    /// Rows lost to damage since the channel was announced.
     pub rows_damaged: u64,
 }
 
-/// What a recovery would keep of a file, and what not.
+/// What a recovery keeps of a file and what is lost.
 #[derive(Debug)]
 pub struct Survey {
-    /// Of the file, as it stands there.
+    /// The header, as the file has it.
     pub header: Header,
-    /// The whole channel table.
+    /// The complete channel table.
     pub channels: Vec<Channel>,
-    /// By channel.
+    /// Counts by channel.
     pub per_channel: Vec<ChannelCount>,
-    /// Chunks by kind.
+    /// Chunk counts by kind.
     pub kinds: [KindCount; KINDS.len()],
-    /// What is missing or damaged.
+    /// Everything missing or damaged.
     pub problems: Vec<Problem>,
-    /// The rows that are lost to damage, in order; those of an earlier recovery, too.
+    /// Rows lost to damage, in order, including those of an earlier recovery.
     pub damage: Vec<LostRows>,
-    /// Rows of the new take, lost ones included.
+    /// Rows of the new take, including lost ones.
     pub rows: u64,
-    /// Frames of the new take.
+    /// Recorded frames of the new take.
     pub recorded: u64,
     /// The ledger of the new take.
     pub ledger: Ledger,
-    /// How the new take says that it ended: as the old one says, or that it was cut off.
+    /// The ending that the new take states: the ending of the old take, or that it was cut off.
     pub ending: Option<TakeEnding>,
-    /// Whether it was closed in order: its last ledger is there, if not its footer.
+    /// Whether the old take was closed: its last ledger exists, if not its footer.
     pub finished: bool,
-    /// Bytes of the file that are damaged or depend on what is.
+    /// Bytes that are damaged or depend on damaged ones.
     pub discarded_bytes: u64,
     pub(super) pieces: Vec<Piece>,
     names_lost: bool,
-    /// A ledger is missing, or tells of other frames or samples than are there, and nothing is damaged.
+    /// A ledger is missing or contradicts the frames and samples found, although nothing is damaged.
     pub(super) contradicted: bool,
 }
 
 impl Survey {
-    /// Reads and decodes all that can be. Holds a chunk at a time, and some forty bytes of each.
+    /// Reads and decodes everything that is valid. It holds one chunk at a time, and about forty bytes for each chunk.
     ///
     /// # Errors
-    /// `NotATake` when there is no header, `Unsupported`, `Io`. Damage is no error.
+    /// `NotATake` without a header, `Unsupported`, `Io`. Damage is not an error.
     pub fn read(input: impl TakeInput) -> Result<Self, TakeError> {
         let mut surveyor = Surveyor::default();
         let traversal = TakeTraversal::new(input, Decode::All);
@@ -69,14 +69,14 @@ impl Survey {
         progress.map_err(as_recovery).map(|progress| surveyor.finish(progress))
     }
 
-    /// Rows that are lost to damage in this file.
+    /// Rows lost to damage in this file.
     #[must_use]
     pub fn rows_damaged(&self) -> u64 {
         let here = self.damage.iter().filter(|lost| lost.why == Why::Damaged);
         here.fold(0, |sum, lost| sum.saturating_add(lost.rows))
     }
 
-    /// Whether the file had anything, or may have had, that the new take has not.
+    /// Whether the new take lacks anything that the file had, or may have had.
     #[must_use]
     pub fn lost_anything(&self) -> bool {
         let lost = |count: &KindCount| count.discarded > 0 && !count.kind.is_made_anew();
@@ -88,7 +88,7 @@ impl Survey {
     }
 }
 
-/// A recovery does not send people to a recovery.
+/// Replaces the advice to run a recovery.
 fn as_recovery(error: TakeError) -> TakeError {
     match error {
         TakeError::NotATake(NotATake::HeaderDamaged) => TakeError::NotATake(NotATake::HeaderLost),
@@ -96,32 +96,32 @@ fn as_recovery(error: TakeError) -> TakeError {
     }
 }
 
-/// What becomes of a chunk.
+/// What happens to a chunk.
 #[derive(Debug, Clone, Copy)]
 enum Fate {
-    /// It is copied.
+    /// Copy it.
     Kept,
-    /// It is written anew.
+    /// Write a new one in its place.
     Anew,
-    /// It is lost.
+    /// Discard it.
     Discarded,
 }
 
-/// What is known on the way.
+/// The state of the first pass.
 #[derive(Debug)]
 struct Surveyor {
     kinds: [KindCount; KINDS.len()],
     pieces: Vec<Piece>,
     account: Account,
     samples: Vec<u64>,
-    /// Where in `pieces` entries of the table may be missing.
+    /// Position in `pieces` at which channel table entries may be missing.
     hole: Option<usize>,
     end_row: u64,
     next_number: u8,
     discarded_bytes: u64,
     names_lost: bool,
     closed: bool,
-    /// A ledger on the way that is not true of what stands before it.
+    /// A ledger before the last that contradicts the stretches before it.
     contradiction: Option<Problem>,
 }
 
@@ -152,7 +152,7 @@ impl Surveyor {
             && !found.is_refused
             && stretch.stated_channels() >= progress.channels().len()
         {
-            // None of its entries is missing.
+            // No channel table entry is missing.
             self.hole = None;
         }
         self.samples.resize(progress.channels().len(), 0);
@@ -179,12 +179,12 @@ impl Surveyor {
                 if told != found && !ledger.finished && !progress.take.damaged {
                     self.contradiction = Some(Problem::LedgerCounts { told, found });
                 }
-                // One behind damage tells of more than is kept: the new one has what it said.
+                // A ledger behind damage counts more than is kept; its counts go into the new last ledger.
                 let is_superseded = ledger.finished || progress.take.damaged || told != found;
                 (types::LEDGER, if is_superseded { Fate::Anew } else { Fate::Kept })
             }
             TakeEvent::Summary(_) => (types::SUMMARY, Fate::Anew),
-            // One that is too long to be held tells the old offsets as well.
+            // An index that is too long to hold has the old offsets, too.
             TakeEvent::Index(_) | TakeEvent::Skipped { kind: types::INDEX } => {
                 (types::INDEX, Fate::Anew)
             }
@@ -197,7 +197,7 @@ impl Surveyor {
                 if self.kinds[Kind::Header as usize].recovered > 0 {
                     self.hole.get_or_insert(self.pieces.len());
                 }
-                // Behind the last ledger there is nothing but summary, index and footer.
+                // Only summary, index and footer follow the last ledger.
                 let is_of_end = Kind::of(*kind).is_at_the_end();
                 let kind = if self.closed && !is_of_end { Some(types::INDEX) } else { *kind };
                 (kind.unwrap_or_default(), Fate::Discarded)
@@ -237,7 +237,7 @@ impl Surveyor {
         Ok(())
     }
 
-    /// One that is kept.
+    /// Counts a stretch that is kept.
     fn stretch(&mut self, stretch: &Stretch<'_>, progress: &Progress) {
         let span = stretch.span;
         let from_row = stretch.from_row();
@@ -259,14 +259,14 @@ impl Surveyor {
         self.account.stretch(stretch, progress.channels().len(), samples);
     }
 
-    /// The names of lost entries: the new take has them where they stood.
+    /// Inserts entries for the lost ones at the same place in the new take.
     fn name_channels(&mut self, renamed: Renamed, channels: &[Channel]) {
         self.names_lost = true;
         let first = renamed.first.min(self.samples.len());
         self.samples.splice(first..first, std::iter::repeat_n(0, renamed.inserted));
         let at = self.hole.take().unwrap_or(self.pieces.len());
         if renamed.nameless > renamed.inserted {
-            // Entries whose columns nobody knows.
+            // Entries whose columns are unknown.
             let mut seen = 0;
             self.pieces.retain(|piece| {
                 seen += 1;
@@ -288,7 +288,7 @@ impl Surveyor {
         }
         let mut problems = take.problems;
         let lacks_ledger = problems.contains(&Problem::NoLedger);
-        // A take that was cut off says nothing of its end; the recovered one says that.
+        // A file that was cut off states no ending; the recovered take states that it was cut off.
         let cut_off = || Some(TakeEnding::from(EndingKind::CutOff)).filter(|_| !self.closed);
         let ending = take.ending.or_else(cut_off);
         if self.closed {
@@ -315,7 +315,7 @@ impl Surveyor {
             contradicted: self.contradiction.is_some() || lacks_ledger,
         };
         survey.problems.extend(self.contradiction);
-        // Where nothing is lost, nothing is counted again.
+        // Without loss, the original ledger stands.
         if let Some(ledger) = take.ledger.filter(|ledger| ledger.finished)
             && !survey.lost_anything()
         {

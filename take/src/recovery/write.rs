@@ -1,4 +1,4 @@
-//! The second way through the file: its good chunks, copied.
+//! The second pass over the file: copies its valid chunks.
 
 use std::io::{Read, Seek, SeekFrom, Write};
 
@@ -14,7 +14,7 @@ use crate::{
 };
 
 impl Survey {
-    /// What was lost, in a few words for whoever reads the new take.
+    /// A short summary of the losses, for readers of the new take.
     #[must_use]
     pub fn losses_in_words(&self) -> String {
         if !self.lost_anything() {
@@ -40,11 +40,11 @@ impl Survey {
         words.join(", ")
     }
 
-    /// Writes the new take. `input` is the file that was surveyed, `software` what the new take says of who made
-    /// it. Gives the bytes written.
+    /// Writes the new take and returns its size in bytes. `input` is the file that was read; `software` names the
+    /// program in the new take.
     ///
     /// # Errors
-    /// `Io`; `Corrupt` when the file is not the one that was surveyed.
+    /// `Io`; `Corrupt` when the file has changed since it was read.
     pub fn write(
         &self,
         mut input: impl Read + Seek,
@@ -94,7 +94,7 @@ fn fronts(header: &Header) -> FrontWriter {
     FrontWriter::with_times(header.stretch_rows, TimelineEncoder::new(tick_hz, header.rate_hz))
 }
 
-/// What stands for rows that are lost: a stretch without any, and an event for people.
+/// Writes stretches without rows in place of lost rows, and an event that reports the loss.
 fn lost<W: Write>(
     take: &mut TakeWriter<W>,
     fronts: &mut FrontWriter,
@@ -103,7 +103,7 @@ fn lost<W: Write>(
     number: u8,
 ) -> Result<(), TakeError> {
     let end = first_row.saturating_add(rows);
-    // As many as can be lost between two stretches at once; the last one has the number.
+    // Each covers the most rows that may be lost between two stretches; the last one has the given number.
     let pieces = rows.div_ceil(ROWS_PASSED_MAX).max(1);
     for piece in 0..pieces {
         let from = first_row.saturating_add(piece.saturating_mul(ROWS_PASSED_MAX));
@@ -141,12 +141,12 @@ fn read_chunk(
 ) -> Result<(), TakeError> {
     input.seek(SeekFrom::Start(offset))?;
     bytes.clear();
-    // As long as the file has it: its length was seen when it was read whole.
+    // Memory grows with what the file holds; the length was validated in the first pass.
     input.by_ref().take(len).read_to_end(bytes)?;
     Ok(())
 }
 
-/// The payload of a chunk that was whole, or whose head could be mended.
+/// The payload of a chunk that is valid, or whose head can be repaired.
 fn payload(bytes: &mut [u8], kind: u8, offset: u64) -> Result<&[u8], TakeError> {
     if !matches!(chunk::front(bytes), Front::Whole { .. }) {
         mend_head(bytes);
