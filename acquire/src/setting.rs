@@ -1,23 +1,23 @@
-//! Refusals that another value of a setting helps against. Whoever shows one names the setting as its users know it:
-//! an option of a command, a key of a configuration.
+//! Errors that another value of a setting avoids. The caller names the setting as its users know it: an option of a
+//! command or a key of a configuration.
 
 use std::fmt;
 
-/// What can be set otherwise.
+/// A setting to change.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Setting {
-    /// The frame rate: this one can be had, in Hz; `None`: none but the device's own.
+    /// The frame rate: a rate in Hz that would work; `None`: only the device's own.
     Rate(Option<f64>),
-    /// What stays free of the disk: less.
+    /// The disk space to leave free: less of it.
     KeepFree,
 }
 
-/// Why something is refused, and what helps.
+/// Why something is refused, and which setting avoids it.
 #[derive(Debug)]
 pub struct SettingRefused {
     pub(crate) why: String,
     pub(crate) setting: Setting,
-    /// What helps beside the setting, behind its words; may be empty.
+    /// Another remedy, appended to the advice on the setting; may be empty.
     pub(crate) or: &'static str,
 }
 
@@ -27,7 +27,7 @@ impl SettingRefused {
     }
 }
 
-/// An error in one line; of a refusal in it `how_to_set` says what to do with the setting.
+/// An error in one line, in which `how_to_set` words the advice on the setting.
 #[must_use]
 pub fn words(error: &anyhow::Error, how_to_set: impl Fn(Setting) -> String) -> String {
     let causes = error.chain().map(|cause| match cause.downcast_ref::<SettingRefused>() {

@@ -1,14 +1,14 @@
 //! From frames to a take: reader -> rings -> resampler pool -> writer.
 //!
 //! ```text
-//! reader thread     Intake: frame -> one ring per channel, one for the time line; closes stretches
-//! resampler threads Pool:   rings -> blocks, proven; a group of channels belongs to one worker at a time
+//! reader thread     Intake: frame -> one ring per channel, one for the timeline; closes stretches
+//! resampler threads Pool:   rings -> blocks, verified; a group of channels belongs to one worker at a time
 //! writer thread     blocks -> stretches -> take file, synced
 //! ```
 //!
-//! Frames go through lock-free rings: the reader and a worker meet at a lock only when a stretch is closed
-//! and a worker sleeps (inside the channel that wakes it). From frames to blocks nothing allocates after
-//! [`Pipeline::start`], but for markers that are new. Every queue is bounded; `plan.rs` holds the arithmetic.
+//! Frames pass through lock-free rings. The reader and a worker share a lock only when a stretch is closed
+//! and the worker sleeps (inside the channel that wakes it). From frames to blocks nothing is allocated after
+//! [`Pipeline::start`], except for new markers. Every queue is bounded; `plan.rs` derives the sizes.
 
 mod commands;
 mod counts;
@@ -50,32 +50,32 @@ use self::{
 pub use crate::files::TakeOutput;
 use crate::{heartbeat::Who, threads};
 
-/// The running threads behind an [`Intake`].
+/// The threads behind an [`Intake`].
 #[derive(Debug)]
 pub struct Pipeline {
     pool: Pool,
     writer: std::thread::JoinHandle<anyhow::Result<()>>,
     progress: Arc<Progress>,
-    /// Of a pipeline for one take.
+    /// Only in a pipeline for a single take.
     take: Option<TakeHandle>,
 }
 
-/// What a pipeline that takes are begun and ended in has beside its threads.
+/// Handles of a pipeline whose takes begin and end on command.
 #[derive(Debug)]
 pub struct Armed {
-    /// Asks for takes.
+    /// Sends commands for takes.
     pub takes: Takes,
-    /// Frames to look at.
+    /// Frames to preview.
     pub tap: TapOut,
-    /// How well each marker is seen.
+    /// The visibility of each marker.
     pub seen: SeenCounters,
 }
 
 impl Pipeline {
-    /// Allocates everything, writes the header and starts the threads: all frames go into one take.
+    /// Allocates all memory, writes the header and starts the threads. All frames go into one take.
     ///
     /// # Errors
-    /// When the header cannot be written, a thread cannot be started, or the resampler is not a live one.
+    /// When the header cannot be written, a thread cannot be started, or the resampler needs whole takes.
     pub fn start(config: &PipelineConfig, take: NewTake) -> anyhow::Result<(Intake, Self)> {
         let (reply, handle) = commands::reply();
         let header = take.header.clone();
@@ -85,11 +85,11 @@ impl Pipeline {
         Ok((intake, pipeline))
     }
 
-    /// The same without a take: frames wait in the pre-roll, and takes are asked for. `header` is that of the takes, but
-    /// for what is each one's own.
+    /// Starts a pipeline without a take: frames go into the pre-roll buffer, and takes begin on command. `header` is
+    /// the template for their headers.
     ///
     /// # Errors
-    /// As [`start`](Self::start).
+    /// When a thread cannot be started, or the resampler needs whole takes.
     pub fn arm(config: &PipelineConfig, header: &Header) -> anyhow::Result<(Intake, Self, Armed)> {
         let seen = SeenCounters::new(config.channels.len() + config.reserve);
         Self::run(config, header, None, Some(seen))
@@ -146,31 +146,31 @@ impl Pipeline {
         Ok((intake, Self { pool, writer, progress, take: None }, armed))
     }
 
-    /// What can be seen while it runs.
+    /// Live counters.
     #[must_use]
     pub fn progress(&self) -> &Arc<Progress> {
         &self.progress
     }
 
-    /// Waits until everything that the finished `Intake` took in is on disk, the ledger included.
+    /// Waits until everything that the finished `Intake` accepted is on disk, including the ledger.
     ///
     /// # Errors
-    /// The writer's, with the output: what was written before stays a readable take. A pipeline that was armed has
-    /// nothing to give.
+    /// The writer's error, with the output: what was written before it is a readable take. A pipeline that was armed
+    /// has no take to return.
     pub fn finish(mut self) -> TakeEnd {
         let take = self.take.take();
         let ran = self.join();
-        // The take's own account comes first: it says what went wrong with it.
+        // The take's own error comes first: it is the more specific one.
         take.and_then(|take| take.ended.try_recv().ok()).unwrap_or_else(|| {
             let error = ran.err().unwrap_or_else(|| anyhow!("no take was written"));
             Err(TakeFailed::without_output(error))
         })
     }
 
-    /// Waits until everything that the finished `Intake` took in is where it belongs.
+    /// Waits until everything that the finished `Intake` accepted was written to its take.
     ///
     /// # Errors
-    /// A thread failed: this is a bug in mocapd.
+    /// When a thread failed: a bug in mocapd.
     pub fn join(self) -> anyhow::Result<()> {
         let ran = threads::join(self.writer);
         self.pool.stop();

@@ -1,4 +1,4 @@
-//! The reader: from Start to the end of the stream, every byte into the protocol, every frame into the rings.
+//! The reader: decodes the device's stream from start to end and feeds each frame to the intake.
 
 use std::{
     cell::Cell,
@@ -25,63 +25,63 @@ use crate::{
     setting::Setting,
 };
 
-/// How long a device may send nothing before somebody is told.
+/// Report silence of the device after this time.
 const SILENCE: Duration = Duration::from_secs(3);
 
 /// How long to wait for the end of the stream after Stop.
 const STOP_WITHIN: Duration = Duration::from_secs(2);
 
-/// Frames that are on their way when the time is up still come.
+/// How long to wait for frames in transit when the time is up.
 const GRACE_NS: u64 = 1_000_000_000;
 
-/// When to stop, and what to tell.
+/// When to stop, and how to report.
 #[expect(missing_debug_implementations, reason = "a closure has none")]
 pub struct ReadOptions<'a> {
-    /// Set to end it.
+    /// Set to stop.
     pub stop: &'a AtomicBool,
-    /// Stop after so many rows.
+    /// Stop after this many rows.
     pub rows_max: Option<u64>,
-    /// Stop after so long by the host's clock, too, and a moment for frames that are on their way: they may come slowly,
-    /// or not at all.
+    /// Stop after this time by the host's clock as well, plus a grace period for frames in transit: frames may come
+    /// slowly or not at all.
     pub length: Option<Duration>,
-    /// Whether it is there for one take: what ends the take ends the reading, and what others do to the take's file is
-    /// said.
+    /// The reader serves a single take: the end of the take ends the reading, and changes to the take's file are
+    /// reported.
     pub for_one_take: bool,
-    /// Told, in words, what people should know while it runs.
+    /// Receives messages for the user while the reader runs.
     pub say: &'a dyn Fn(&str),
-    /// How people end it, in words behind those that say that it waits; may be empty.
+    /// How the user can stop, appended to messages that say that the reader waits; may be empty.
     pub how_to_end: &'a str,
-    /// What to do with a setting that a refusal names, in words.
+    /// Formats advice on the setting that an error names.
     pub how_to_set: fn(Setting) -> String,
 }
 
-/// What the reader saw.
+/// The reader's results.
 #[derive(Debug, Clone)]
 pub struct Recording {
-    /// Why the reading ended; [`CutOff`](EndingKind::CutOff): the take could not be written any more.
+    /// Why the reading ended; [`CutOff`](EndingKind::CutOff) when the take could not be written any further.
     pub ending: EndingKind,
-    /// The counters.
+    /// The final counters.
     pub counts: Counts,
-    /// From the read that brought a frame's last byte to the frame's place in every ring.
+    /// Time from the read that delivered a frame's last byte until the frame was in every ring.
     pub ring_latency: Latency,
-    /// How often the device went away and came back.
+    /// Times that the device was disconnected and came back.
     pub outages: u32,
 }
 
-/// How often others are told how long frames take into the rings.
+/// How often the latency is published.
 const LATENCY_EVERY_NS: u64 = 1_000_000_000;
 
-/// A device that stalls for ever must fill neither the take nor the screen.
+/// A device that keeps stalling must fill neither the take nor the screen.
 const STALLS_TOLD_MAX: u32 = 32;
 
-/// Neither must a driver that has much to say: of notes that come with one read, no more are kept.
+/// Notes of the driver kept from one read, for the same reason.
 const NOTES_MAX: usize = 8;
 
 impl Rig {
     /// Starts the device and reads it to the end. The intake is finished in every case.
     ///
     /// # Errors
-    /// When the device refuses to start or does not answer. A device that goes away is an [`EndingKind`].
+    /// When the device refuses to start or does not answer. A disconnected device is an [`EndingKind`], not an error.
     pub fn read(
         mut self,
         mut intake: Intake,
@@ -105,7 +105,7 @@ impl Rig {
         let outcome = self.read_frames(&mut reader, options);
         let Reader { latency, outages, .. } = reader;
         intake.link(self.link_counters());
-        // A take that is open then ends so.
+        // An open take gets this ending.
         intake.ends(match &outcome {
             Ok(ending) => (*ending).into(),
             Err(error) => TakeEnding::new(EndingKind::DeviceGone, format!("{error:#}")),
@@ -158,7 +158,7 @@ impl Rig {
         }
     }
 
-    /// Reads a device that sends frames, for as long as it is there.
+    /// Reads a device that sends frames, until it stops or is disconnected.
     fn read_until_gone(
         &mut self,
         reader: &mut Reader<'_>,
@@ -225,7 +225,7 @@ impl Rig {
         }
     }
 
-    /// Tells the device to stop. Gives how the reading ends where its last frames are not waited for.
+    /// Sends Stop. Returns an ending when the last frames are not to be waited for.
     fn stop(
         &mut self,
         reader: &mut Reader<'_>,
@@ -235,7 +235,7 @@ impl Rig {
         match self.say(Command::Stop) {
             Ok(()) => {}
             Err(TransportError::Disconnected { .. }) => return Some(EndingKind::DeviceGone),
-            // It takes no commands: the take ends with its last frame.
+            // The device takes no commands: the take ends with its last frame.
             Err(error) => {
                 (options.say)(&error.to_string());
                 return Some(EndingKind::Stopped);
@@ -247,7 +247,7 @@ impl Rig {
         None
     }
 
-    /// `false` when the user stopped it before the device answered.
+    /// Returns `false` when the user stopped it before the device answered.
     pub(super) fn start(
         &mut self,
         reader: &mut Reader<'_>,
@@ -273,32 +273,32 @@ impl Rig {
         bail!("{} does not answer Start: switch it off and on again", self.uri)
     }
 
-    /// Asks the device for its clock, when that is due.
+    /// Sends a ping when one is due.
     fn probe(&mut self, reader: &mut Reader<'_>) {
         if reader.intake.wants_probes() {
             reader.prober.hurry();
         }
         let now_ns = monotonic_ns();
         let Some(due_ns) = reader.prober.due(now_ns) else { return };
-        // On a line that sends in batches only, between two of them: nothing arrives meanwhile.
+        // Sleeps only on a line that sends in batches, between two batches, when nothing arrives.
         std::thread::sleep(Duration::from_nanos(due_ns.saturating_sub(now_ns)));
         let host_ns = monotonic_ns();
         match self.say(Command::Ping { host_ns }) {
             Ok(()) if !self.outbox.is_empty() => reader.prober.sent(host_ns),
-            // Its family has no ping, or it does not read: a recording goes on without. A device that is gone
-            // shows in the next read.
+            // The driver has no ping, or the device does not read: record without. A disconnected device shows in the
+            // next read.
             Ok(()) | Err(_) => reader.prober.off(),
         }
     }
 
-    /// What the link counted; samples that were no numbers since Start.
+    /// The link counters, with non-finite samples counted since the start.
     fn link_counters(&self) -> LinkCounters {
         let counters = self.protocol.counters();
         let samples_not_finite = counters.samples_not_finite - self.not_finite_before;
         LinkCounters { samples_not_finite, ..counters }
     }
 
-    /// One read, and everything it completes.
+    /// One read, and all messages that it completes.
     fn pump(&mut self, reader: &mut Reader<'_>) -> Result<(), TransportError> {
         let n = self.transport.read(&mut self.buffer)?;
         let arrival_ns = monotonic_ns();
@@ -311,7 +311,7 @@ impl Rig {
     }
 }
 
-/// Since when no frame came, and whether that was told.
+/// When the last frame came, and whether the silence since then was reported.
 struct Silence {
     last_frame_ns: u64,
     is_told: bool,
@@ -330,7 +330,7 @@ impl Silence {
     }
 }
 
-/// How often the device had stalled and was cleared, and how often that was told.
+/// Stalls of the device that the transport has cleared, and how many were reported.
 struct Stalls {
     cleared: u64,
     told: u32,
@@ -353,7 +353,7 @@ impl Stalls {
     }
 }
 
-/// What ends a reading that is there for one take, as the writer sees it.
+/// The ending of a single take that the writer asks for.
 fn end_of_take(intake: &Intake, options: &ReadOptions<'_>) -> Option<EndingKind> {
     let progress = intake.progress();
     match progress.file_state() {
@@ -364,7 +364,7 @@ fn end_of_take(intake: &Intake, options: &ReadOptions<'_>) -> Option<EndingKind>
     }
 }
 
-/// Says once what others did to the file; how it ends a take is said with the end.
+/// Reports each change of the take's file once. A change that ends the take is reported with its end.
 fn tell_file(progress: &Progress, options: &ReadOptions<'_>, told: &Cell<u32>) {
     let changes = progress.file_changes();
     let is_said = changes == told.replace(changes);
@@ -383,23 +383,23 @@ pub(super) struct Reader<'a> {
     prober: Prober,
     started: Option<Result<(), LinkBudget>>,
     pub(super) end: Option<()>,
-    /// It introduced itself while it was to send frames: so.
+    /// A hello received during the stream: the device identified itself again.
     began_anew: Option<Hello>,
-    /// It was asked who it is, because no frame came.
+    /// Open while the device's identity was queried because no frame came.
     pub(super) asked: Option<Asked>,
-    /// What it said last of the frames of its run.
+    /// The device's last status report of this run.
     pub(super) last_status: Option<Status>,
-    /// Times that it was started again without having gone away.
+    /// Restarts without a disconnection.
     pub(super) started_again: u32,
     outages: u32,
-    /// What people should be told.
+    /// Messages for the user.
     notes: Vec<String>,
     /// When the time is up, by the host's monotonic clock.
     due_until_ns: Option<u64>,
 }
 
 impl Reader<'_> {
-    /// The device is back, and will be started again.
+    /// The device is back and will be started again.
     pub(super) fn restart(&mut self, markers: &[MarkerInfo]) {
         self.started = None;
         self.end = None;
@@ -408,7 +408,7 @@ impl Reader<'_> {
         self.intake.announce(markers);
     }
 
-    /// Its counter, clock and reports may begin anew.
+    /// The device's counter, clock and status reports may start again from zero.
     pub(super) fn count_anew(&mut self) {
         self.last_status = None;
         self.prober = Prober::new();
@@ -435,7 +435,7 @@ impl Reader<'_> {
                 self.intake.event(Event::new(EventKind::Device, monotonic_ns(), text));
                 self.notes.push(text.to_owned());
             }
-            // Being asked stops it, and some say so.
+            // Some devices confirm that the query stopped their stream.
             DeviceEvent::EndOfStream(status) if self.is_asking() => {
                 self.last_status = Some(status);
                 self.intake.status(status, false);
@@ -453,7 +453,7 @@ impl Reader<'_> {
                 let event = Event::new(kind, arrival_ns, "");
                 self.intake.event(Event { device_ticks, input, ..event });
             }
-            // An answer to a command of the handshake that came late.
+            // A late answer to a command of the handshake.
             DeviceEvent::Hello(hello) if self.started.is_some() => {
                 self.began_anew = Some(hello.clone());
                 self.no_longer_asking();
@@ -475,32 +475,32 @@ pub(super) fn host_event(text: &str) -> Event {
     Event::new(EventKind::Host, monotonic_ns(), text)
 }
 
-/// A device that sent frames and is silent for so long is asked who it is, and again after as long: one that starts up
-/// needs a while, and being asked stops one that only pauses.
+/// A device that sent frames and is silent is asked for its identity after this time, and again each time it passes: a
+/// device that is starting up needs a while, and the query stops one that only pauses.
 const ASK_EVERY: Duration = Duration::from_secs(10);
 
-/// Starts that get an event and words: a device that is started in vain must fill neither the take nor the screen.
+/// Restarts that are reported: a device restarted in vain must fill neither the take nor the screen.
 const STARTS_TOLD_MAX: u32 = 32;
 
-/// After so many answers that arrived with damage beside them the last one is believed: a line that is never clean must
-/// not keep a device from being started again.
+/// After this many answers that came with damaged messages the last one is believed: on a line that is never clean the
+/// device must still be restarted.
 const ASKED_MAX: u32 = 5;
 
-/// When and in what state of the line it was asked.
+/// A query for the device's identity.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Asked {
     at_ns: u64,
-    /// Messages that had arrived damaged by then.
+    /// Damaged messages counted when it was sent.
     damaged: u64,
-    /// How often, without a frame in between.
+    /// Queries since the last frame.
     times: u32,
-    /// It has not answered.
+    /// Not answered yet.
     waits: bool,
 }
 
 impl Rig {
-    /// A device that sent frames and sends none any more may have lost its power while the line to it stayed: it says who
-    /// it is when it is asked, and is started again then.
+    /// Asks a device that has stopped sending frames for its identity. It may have lost its power while its line stayed
+    /// up: it then answers, and is started again.
     pub(super) fn ask_who(&mut self, reader: &mut Reader<'_>, last_frame_ns: u64, now_ns: u64) {
         let since_ns = reader.asked.map_or(last_frame_ns, |asked| asked.at_ns);
         let is_due = now_ns.saturating_sub(since_ns) > ASK_EVERY.as_nanos() as u64;
@@ -516,8 +516,8 @@ impl Rig {
         }
     }
 
-    /// A device introduced itself while it was to send frames: its stream ended, or it is started again. `false` when it
-    /// is another one.
+    /// The device identified itself during the stream: either its stream had ended, or it is restarted. Returns `false`
+    /// for another device.
     pub(super) fn follow_hello(
         &mut self,
         reader: &mut Reader<'_>,
@@ -539,15 +539,15 @@ impl Rig {
             && damaged > asked.damaged
             && asked.times < ASKED_MAX
         {
-            // That its motion is over may have been lost again: it is asked again when that is due, and it waits.
+            // The message that its motion is over may be lost again: wait, and query again when that is due.
             asked.waits = true;
             return Ok(true);
         }
         self.start_again(reader, now, options)
     }
 
-    /// A device that introduced itself while it was to send frames is started again, as it was. `false` when it is
-    /// another one.
+    /// Restarts a device that identified itself during the stream, with its settings. Returns `false` for another
+    /// device.
     fn start_again(
         &mut self,
         reader: &mut Reader<'_>,
@@ -576,20 +576,20 @@ impl Rig {
 }
 
 impl Reader<'_> {
-    /// Whether an answer is waited for.
+    /// Whether an answer is expected.
     pub(super) fn is_asking(&self) -> bool {
         self.asked.is_some_and(|asked| asked.waits)
     }
 
-    /// It answered, or is asked no more.
+    /// The device answered, or is not asked any more.
     pub(super) fn no_longer_asking(&mut self) {
         if let Some(asked) = &mut self.asked {
             asked.waits = false;
         }
     }
 
-    /// What a device said of its run that was asked because no frame came, when that was all of a motion: then the end of
-    /// its stream was lost on the way.
+    /// The last status report of a device that was queried because no frame came, if it had sent its whole motion: then
+    /// the end of its stream was lost on the line.
     fn end_that_was_lost(&self, now: &Hello) -> Option<Status> {
         let of_all = |status: &Status| now.n_frames > 0 && status.frames_produced >= now.n_frames;
         self.last_status.filter(of_all).filter(|_| self.asked.is_some())

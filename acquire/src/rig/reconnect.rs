@@ -1,4 +1,4 @@
-//! A device that went away: waited for, found again, and started again, so that the take goes on.
+//! Reconnecting: waits for a device that was disconnected, finds it and starts it again, so that the take goes on.
 
 use std::time::Duration;
 
@@ -11,26 +11,26 @@ use mocapd_drivers::{
 use super::{ReadOptions, Rig, reader::Reader};
 use crate::{host_clock::monotonic_ns, setting};
 
-/// How often it is looked for where udev does not tell: twenty looks in the two seconds within which a device
-/// that is back is recorded again.
+/// Polling interval where udev does not notify: twenty attempts in the two seconds within which a device that is back
+/// has to be recording again.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
-/// After a device that was there but could not be started: it may be busy starting up, or be another one.
+/// Time to wait after a device that is present could not be started: it may be starting up, or be another one.
 const LOOK_AFTER_FAILURE: Duration = Duration::from_millis(500);
 
-/// How long the same obstacle must last before somebody is told: udev needs a moment to set permissions.
+/// Report an obstacle that lasts this long: udev needs a moment to set permissions.
 const TELL_AFTER: Duration = Duration::from_secs(1);
 
-/// What is tried to bring a device back.
+/// The result of an attempt to reconnect.
 enum Attempt {
     Back,
     /// It is not there, or may not be opened.
     Absent(String),
-    /// It is there, but does not do what is asked.
+    /// It is there but cannot be started.
     Failed(String),
 }
 
-/// What keeps a device away, told once when it lasts.
+/// The reason why the device cannot be reconnected, reported once if it lasts.
 struct Obstacle {
     words: String,
     since_ns: u64,
@@ -50,20 +50,20 @@ impl Obstacle {
 }
 
 impl Rig {
-    /// From now on a recording waits so long for the device when it goes away, before the take ends. Without this it
+    /// Sets how long a recording waits for a disconnected device before the take ends. By default it does not wait.
     /// does not wait.
     pub fn wait_for_replug(&mut self, patience: Duration) {
         self.patience = patience;
     }
 
-    /// Waits for the device, and starts it. `false`: it did not come back before its time was over, or `is_over`.
+    /// Waits for the device and starts it. Returns `false` if it did not come back in time, or `is_over`.
     pub(super) fn reconnect(
         &mut self,
         reader: &mut Reader<'_>,
         options: &ReadOptions<'_>,
         is_over: &dyn Fn(&Reader<'_>) -> bool,
     ) -> bool {
-        // Closed before anything else: a port that stays open keeps its name from the one that comes.
+        // Closed before anything else: an open port keeps its name from the device that comes back.
         self.transport = Box::new(Unplugged);
         if self.patience.is_zero() || is_over(reader) {
             return false;
@@ -81,13 +81,13 @@ impl Rig {
         while !is_over(reader) && monotonic_ns() - gone_ns < self.patience.as_nanos() as u64 {
             let give_up_ns = gone_ns.saturating_add(self.patience.as_nanos() as u64);
             let give_up = |reader: &Reader<'_>| {
-                // Asked between any two tries: a handshake may take longer than the watchdog waits.
+                // Called between any two attempts: a handshake may take longer than the watchdog's limit.
                 reader.intake.alive();
                 is_over(reader) || monotonic_ns() > give_up_ns
             };
             let wait = match self.attempt(reader, options, &give_up) {
                 Attempt::Back => {
-                    // How long it was away its first frame tells.
+                    // The first frame shows how long it was away.
                     (options.say)("the device is back");
                     return true;
                 }
@@ -101,7 +101,7 @@ impl Rig {
                 }
             };
             watch.wait(wait);
-            // What was recorded before goes to disk meanwhile.
+            // Meanwhile what was recorded goes to disk.
             reader.intake.tick(monotonic_ns());
         }
         false
@@ -132,7 +132,7 @@ impl Rig {
         }
     }
 
-    /// Makes sure that it is the same device, as it was, and starts it.
+    /// Checks that it is the same device, restores its rate and starts it.
     fn rejoin(
         &mut self,
         reader: &mut Reader<'_>,
@@ -160,7 +160,7 @@ impl Rig {
     }
 }
 
-/// Nothing is attached.
+/// The transport while no device is attached.
 #[derive(Debug)]
 struct Unplugged;
 
