@@ -1,4 +1,4 @@
-//! A group of channels, or the time line: rings in, one part a stretch out.
+//! A group of channels, or the timeline: takes rows from rings and produces one part per stretch.
 
 use std::sync::{
     Arc,
@@ -20,7 +20,7 @@ use super::{
 };
 use crate::heartbeat::Beat;
 
-/// Channels or time line, with everything needed to work without allocating.
+/// Channels or the timeline, with all buffers preallocated.
 #[derive(Debug)]
 pub(super) struct Group {
     index: usize,
@@ -28,7 +28,7 @@ pub(super) struct Group {
     pub(super) jobs: Receiver<Job>,
     pub(super) jobs_in: Sender<Job>,
     parts: Sender<Part>,
-    /// Free ones; the writer gives them back.
+    /// Free buffers; the writer returns them.
     pub(super) buffers: Receiver<Vec<u8>>,
     pub(super) buffers_back: Sender<Vec<u8>>,
 }
@@ -47,7 +47,7 @@ struct Channels {
     encoder: Box<dyn BlockEncoder>,
     samples: Vec<Sample>,
     block: Vec<u8>,
-    /// Counted when somebody asks for it: by slot of all groups.
+    /// Visibility counters, if requested, by slot across all groups.
     seen: Option<SeenCounters>,
 }
 
@@ -90,7 +90,7 @@ impl Group {
         (Self::new(plan, index, content, plan.part_bytes_max(index), parts), producers)
     }
 
-    /// The time line's group, and the reader's end of its ring.
+    /// The timeline's group, and the reader's end of its ring.
     pub(super) fn timeline(
         plan: &Plan,
         header: &Header,
@@ -136,7 +136,7 @@ impl Group {
             };
             let (stretch, end, counts) = (job.stretch, job.end, job.counts);
             let part = Part { stretch, end, group: self.index, bytes, report, counts };
-            // Never full: it has room for every buffer there is. Closed when the writer is gone.
+            // Never full: it has a place for every buffer there is. Closed when the writer is gone.
             if self.parts.try_send(part).is_err() {
                 return;
             }
@@ -145,7 +145,7 @@ impl Group {
 }
 
 impl Channels {
-    /// One block of the active channels.
+    /// Encodes the active channels as one block.
     fn encode(&mut self, end: &StretchEnd, out: &mut Vec<u8>) -> PartReport {
         let n_rows = end.span.n_rows as usize;
         let n_channels = end.n_channels.saturating_sub(self.first_slot).min(self.slots.len());
@@ -168,7 +168,7 @@ impl Channels {
         self.block.clear();
         let key = end.span.key;
         let report = self.encode_rows(n_channels, key).unwrap_or_else(|_| {
-            // A reader will see a stretch without samples: so must the encoder.
+            // The decoder will see a stretch without samples, and the encoder's state must match.
             self.block.clear();
             self.slots[..n_channels].iter_mut().for_each(|slot| slot.present.fill(false));
             drop(self.encode_rows(n_channels, key));
@@ -192,7 +192,7 @@ impl Channels {
     }
 }
 
-/// Takes items up to the end of a stretch and codes them.
+/// Encodes the timeline's items up to the end of a stretch.
 #[derive(Debug)]
 pub(super) struct TimelineCoder {
     ring: RingOut<TimelineItem>,
@@ -203,7 +203,7 @@ pub(super) struct TimelineCoder {
 
 impl TimelineCoder {
     pub(super) fn new(ring: RingOut<TimelineItem>, header: &Header, items_max: usize) -> Self {
-        // A reader has the header and nothing else.
+        // As for a reader, which has only the header.
         let tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz);
         let mut times = TimelineEncoder::new(tick_hz, header.rate_hz);
         times.reserve(items_max);
@@ -214,7 +214,7 @@ impl TimelineCoder {
         Self { ring, timeline, next_row: 0, front }
     }
 
-    /// Nothing when no row was recorded or lost since the last one.
+    /// Writes nothing when no row was recorded or lost since the last stretch.
     pub(super) fn encode(&mut self, end: &StretchEnd, out: &mut Vec<u8>) {
         let end_row = end.span.end_row();
         self.timeline.restart(self.next_row);
@@ -238,29 +238,29 @@ impl TimelineCoder {
     }
 }
 
-/// By slot.
+/// Visibility counters of all channels, by slot.
 #[derive(Debug, Clone, Default)]
 pub struct SeenCounters(pub(super) Arc<[ChannelSeen]>);
 
-/// One channel's, in rows of the stretches that were coded.
+/// Visibility counters of one channel, in rows of the encoded stretches.
 #[derive(Debug, Default)]
 pub(super) struct ChannelSeen {
     rows: AtomicU64,
     present: AtomicU64,
     gaps: AtomicU64,
     longest_gap: AtomicU64,
-    /// Rows of the gap that is open; only the worker that holds the group uses it.
+    /// Rows of the current gap. Used only by the worker that holds the group.
     open_gap: AtomicU64,
 }
 
-/// How well a channel was seen.
+/// Visibility of a channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Seen {
-    /// Rows since it has a channel; frames lost count as not seen.
+    /// Rows since the channel exists; lost frames count as not seen.
     pub rows: u64,
-    /// Of these, rows with a position.
+    /// Rows with a position.
     pub present: u64,
-    /// Times that it vanished.
+    /// Times that the marker disappeared.
     pub gaps: u64,
     /// Rows of the longest gap.
     pub longest_gap: u64,
@@ -271,7 +271,7 @@ impl SeenCounters {
         Self((0..n_slots).map(|_| ChannelSeen::default()).collect())
     }
 
-    /// How well the channel in `slot` was seen.
+    /// The visibility of the channel in `slot`.
     #[must_use]
     pub fn get(&self, slot: usize) -> Option<Seen> {
         let channel = self.0.get(slot)?;
@@ -286,7 +286,7 @@ impl SeenCounters {
 }
 
 impl ChannelSeen {
-    /// One stretch of it.
+    /// Adds one stretch.
     pub(super) fn count(&self, present: &[bool]) {
         let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
         let (mut open, mut gaps, mut longest) =

@@ -1,9 +1,9 @@
-//! The resampler threads. A group of channels is an object that one worker at a time holds: ownership
-//! is handed on through channels, so nothing is locked and nobody waits for a group.
+//! The resampler threads. A group of channels is an object held by one worker at a time. Its ownership moves through
+//! channels: there is no lock, and no worker waits for a group.
 //!
-//! A group is woken when a stretch closes and when one of its buffers comes back. Whoever takes the
-//! wake picks the group up from its station, works off all it can, and puts it back; whoever finds the
-//! station empty leaves it to the holder, who looks again after putting it back.
+//! A group is woken when a stretch closes and when one of its buffers returns. The worker that receives the wake-up
+//! takes the group from its place, does all its jobs and puts it back. A worker that finds the place empty leaves the
+//! jobs to the group's holder, which checks for more after putting it back.
 
 use std::{
     sync::{
@@ -26,14 +26,14 @@ use crate::{
     threads,
 };
 
-/// Where a group waits for work.
+/// The place where a group waits for work.
 #[derive(Debug)]
 struct Station {
     park: Sender<Group>,
     unpark: Receiver<Group>,
     jobs: Receiver<Job>,
     buffers: Receiver<Vec<u8>>,
-    /// A wake for this group is in the queue.
+    /// A wake-up for this group is queued.
     woken: AtomicBool,
 }
 
@@ -43,7 +43,7 @@ impl Station {
     }
 }
 
-/// Wakes groups. At most one wake a group is queued, so the queue has room for one a group.
+/// Wakes groups. At most one wake-up per group is queued, so the queue needs one place per group.
 #[derive(Debug, Clone)]
 pub(super) struct Wakes {
     stations: Arc<[Station]>,
@@ -53,16 +53,16 @@ pub(super) struct Wakes {
 impl Wakes {
     pub(super) fn wake(&self, group: usize) {
         if !self.stations[group].woken.swap(true, Ordering::AcqRel) {
-            // Disconnected only after the workers were stopped, when nobody needs waking.
+            // Disconnected only after the workers have stopped.
             self.queue.try_send(Some(group)).ok();
         }
     }
 }
 
-/// The reader's way to the pool.
+/// Sends the reader's jobs to the pool.
 #[derive(Debug)]
 pub(super) struct Feed {
-    /// One a group; the last is the time line's.
+    /// One sender per group; the last is the timeline's.
     jobs: Vec<Sender<Job>>,
     wakes: Wakes,
     plan: Plan,
@@ -70,12 +70,12 @@ pub(super) struct Feed {
 }
 
 impl Feed {
-    /// Number of the stretch that is open.
+    /// Number of the open stretch.
     pub(super) fn next_stretch(&self) -> u64 {
         self.next_stretch
     }
 
-    /// Tells every group with active channels, and the time line's. `false` when a queue was full,
+    /// Sends a job to every group with active channels and to the timeline's. Returns `false` when a queue was full,
     /// which its bound rules out while the workers live.
     pub(super) fn end_stretch(&mut self, end: StretchEnd, counts: Counts) -> bool {
         let stretch = self.next_stretch;
@@ -92,7 +92,7 @@ impl Feed {
     }
 }
 
-/// The threads.
+/// The worker threads.
 #[derive(Debug)]
 pub(super) struct Pool {
     workers: Vec<JoinHandle<()>>,
@@ -117,7 +117,7 @@ impl Pool {
             let woken = AtomicBool::new(false);
             stations.push(Station { park, unpark, jobs: waiting, buffers, woken });
         }
-        // One wake a group, and one stop a worker.
+        // One wake-up per group, and one stop per worker.
         let (queue, wakes_out) = bounded(n_groups + plan.workers);
         let wakes = Wakes { stations: stations.into(), queue };
         let mut workers = Vec::with_capacity(plan.workers);
@@ -138,13 +138,13 @@ impl Pool {
         self.wakes.clone()
     }
 
-    /// Ends the workers. What they were told before is done first.
+    /// Ends the workers after the jobs that are queued.
     pub(super) fn stop(self) {
         for _ in &self.workers {
             self.wakes.queue.send(None).ok();
         }
         for worker in self.workers {
-            // A panic was already seen through `Progress::failed`.
+            // A panic was already reported through `Progress::failed`.
             drop(worker.join());
         }
     }
@@ -157,8 +157,8 @@ fn work(stations: &[Station], queue: &Receiver<Option<usize>>, beat: &Beat) {
     };
     while let Ok(Some(index)) = next() {
         let station = &stations[index];
-        // A swap and not a store: whoever found the flag still set sent its job before, and the group
-        // below must see that job. A store could pass the look at the jobs, and the wake would be lost.
+        // A swap and not a store: whoever found the flag set had sent its job before, and that job must be visible
+        // below. A plain store could move past the check of the jobs, and the wake-up would be lost.
         station.woken.swap(false, Ordering::AcqRel);
         while let Ok(mut group) = station.unpark.try_recv() {
             group.work_off(beat);
@@ -170,8 +170,8 @@ fn work(stations: &[Station], queue: &Receiver<Option<usize>>, beat: &Beat) {
     }
 }
 
-/// A worker that panics took a group with it, a writer the file: the recording cannot go on as if nothing
-/// happened.
+/// Marks the pipeline as failed when a thread panics: a worker takes its group with it, a writer the file, and the
+/// recording cannot go on as if nothing had happened.
 #[derive(Debug)]
 pub(super) struct FailOnPanic(pub(super) Arc<Progress>);
 

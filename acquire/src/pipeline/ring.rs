@@ -1,10 +1,10 @@
-//! The rings: single producer, single consumer, lock-free, allocated once.
+//! Lock-free rings with a single producer and a single consumer, allocated once.
 //!
-//! Items are `Copy`, so that no bookkeeping bug could free one twice; the crate behind them is named
-//! here and nowhere else.
+//! Items are `Copy`, so that no accounting bug can free one twice. Only this module names the crate behind the
+//! rings.
 //!
-//! The tap is two of them, for people's eyes: some thirty frames a second go past the channels' rings into it, and now and
-//! then some that follow each other, out of which noise is estimated. What does not fit is not shown.
+//! The preview uses two rings: about thirty frames per second for display, and from time to time a burst of consecutive
+//! frames from which noise is estimated. Frames that do not fit are left out of the preview.
 
 use std::fmt;
 
@@ -17,7 +17,7 @@ use ringbuf::{
     traits::{Consumer, Observer, Producer, Split},
 };
 
-/// One channel's row. 16 bytes, four to a cache line.
+/// One channel's row: 16 bytes, four per cache line.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Sample {
     pub(super) position_mm: [f32; 3],
@@ -26,17 +26,17 @@ pub(super) struct Sample {
 
 const _: () = assert!(size_of::<Sample>() == 16);
 
-/// One thing on the time line, in order of rows.
+/// An entry of the timeline, in the order of rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum TimelineItem {
     Recorded(RowTime),
     Lost { rows: u64, causes: Causes },
 }
 
-/// The end that the reader holds.
+/// The reader's end.
 pub(super) struct RingIn<T>(HeapProd<T>);
 
-/// The end that a group holds.
+/// The group's end.
 pub(super) struct RingOut<T>(HeapCons<T>);
 
 /// A ring of `capacity` items.
@@ -46,17 +46,17 @@ pub(super) fn ring<T: Copy>(capacity: usize) -> (RingIn<T>, RingOut<T>) {
 }
 
 impl<T: Copy> RingIn<T> {
-    /// Items that are sure to fit: never more than really do.
+    /// Number of items that certainly fit: never more than really do.
     pub(super) fn room(&self) -> usize {
         self.0.vacant_len()
     }
 
-    /// How full it is, of a thousand.
+    /// Fill level in thousandths.
     pub(super) fn fill_permille(&self) -> u64 {
         (self.0.occupied_len() * 1000 / self.0.capacity().get()) as u64
     }
 
-    /// After [`room`](Self::room) said that it fits.
+    /// Pushes an item. [`room`](Self::room) must have shown that it fits.
     pub(super) fn push(&mut self, item: T) {
         let pushed = self.0.try_push(item).is_ok();
         debug_assert!(pushed, "pushed into a full ring");
@@ -68,12 +68,12 @@ impl<T: Copy> RingOut<T> {
         self.0.try_pop()
     }
 
-    /// Whether nothing comes any more: the other end is gone, and what it pushed was taken.
+    /// Whether no item will come: the producer is gone, and the ring is empty.
     pub(super) fn is_over(&self) -> bool {
         !self.0.write_is_held() && self.0.is_empty()
     }
 
-    /// Fills the front of `items`; gives how many there were.
+    /// Fills the front of `items`, and returns how many items there were.
     pub(super) fn pop_slice(&mut self, items: &mut [T]) -> usize {
         self.0.pop_slice(items)
     }
@@ -91,35 +91,35 @@ impl<T> fmt::Debug for RingOut<T> {
     }
 }
 
-/// Time between two frames that are shown: 30 a second, and a little less than that, so that no beat with the
-/// device's rate makes it 20.
+/// Interval between displayed frames: 30 a second, and a little shorter, so that aliasing with the
+/// device's rate does not make it 20.
 const EVERY_NS: u64 = 32_000_000;
 
-/// Frames of a burst, one after the other: 12 fourth differences and 10 sixth ones.
+/// Consecutive frames of a burst: enough for 12 fourth differences and 10 sixth ones.
 const BURST_FRAMES: u32 = 16;
 
-/// Time from the beginning of a burst to the next one.
+/// Time between the starts of two bursts.
 const BURST_EVERY_NS: u64 = 250_000_000;
 
-/// Frames that wait: two bursts, and so a quarter of a second at least. A viewer's thread looks every few milliseconds.
+/// Frames in the queue: two bursts, at least a quarter of a second. A viewer's thread polls every few milliseconds.
 const FRAMES_MAX: usize = 2 * BURST_FRAMES as usize;
 
-/// What is known of a frame beside its positions.
+/// The data of a previewed frame besides its positions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct TapHead {
-    /// Its row, counted since the pipeline was started.
+    /// Its row, counted from the start of the pipeline.
     pub row: u64,
-    /// By the device's clock.
+    /// Time by the device's clock.
     pub device_ticks: u64,
-    /// When its last byte arrived, by the host's monotonic clock.
+    /// Arrival of its last byte, by the host's monotonic clock.
     pub arrival_ns: u64,
-    /// Channels.
+    /// Number of channels.
     pub n_channels: usize,
-    /// Whether it is for people's eyes; else it is one of a burst.
+    /// Whether to display it; otherwise it belongs to a burst only.
     pub is_shown: bool,
 }
 
-/// The reader's end.
+/// The reader's end of the preview.
 #[derive(Debug)]
 pub(super) struct TapIn {
     heads: RingIn<TapHead>,
@@ -129,7 +129,7 @@ pub(super) struct TapIn {
     burst_left: u32,
 }
 
-/// The end of whoever shows them.
+/// The viewer's end of the preview.
 #[derive(Debug)]
 pub struct TapOut {
     heads: RingOut<TapHead>,
@@ -144,7 +144,7 @@ pub(super) fn tap(n_slots: usize) -> (TapIn, TapOut) {
 }
 
 impl TapIn {
-    /// A frame, which is shown when it is time for one.
+    /// Offers a frame, which is queued if it is due for display or part of a burst.
     pub(super) fn offer(&mut self, head: TapHead, row: &[Sample]) {
         let is_shown = head.arrival_ns.saturating_sub(self.last_ns) >= EVERY_NS;
         if is_shown {
@@ -169,7 +169,7 @@ impl TapIn {
 }
 
 impl TapOut {
-    /// The next frame; its positions by slot, NaN where a marker was not seen.
+    /// The next frame. Fills `positions` by slot, with NaN where a marker was not seen.
     pub fn next(&mut self, positions: &mut Vec<Position>) -> Option<TapHead> {
         let head = self.heads.pop()?;
         positions.clear();
@@ -178,7 +178,7 @@ impl TapOut {
         Some(head)
     }
 
-    /// Whether no frame comes any more.
+    /// Whether no frame will come.
     #[must_use]
     pub fn is_over(&self) -> bool {
         self.heads.is_over()
@@ -202,11 +202,11 @@ mod tests {
                 rows.push(head.row);
             }
         }
-        // 4 s at 500 Hz: one each 32 ms, and a burst each 250 ms.
+        // 4 s at 500 Hz: one every 32 ms, and a burst every 250 ms.
         assert_eq!(shown, 125);
         let consecutive = rows.windows(2).filter(|pair| pair[1] == pair[0] + 1).count();
         let in_bursts = 16 * (BURST_FRAMES as usize - 1);
-        // One that is shown may stand right beside a burst.
+        // A displayed frame may be next to a burst.
         assert!((in_bursts..in_bursts + 16).contains(&consecutive), "{consecutive}");
     }
 
