@@ -1,4 +1,4 @@
-//! FOREIGN: what an importer found and the take does not model, kept for the way back.
+//! FOREIGN: parts of an imported file that a take does not model, kept for export to the same format.
 
 pub mod content;
 
@@ -15,22 +15,22 @@ use flate2::{
 use self::content::{Content, ScratchFile, Spool};
 use crate::{TakeError, varint};
 
-/// Longest foreign part: a C3D file's analog section at the format's own limits stays below it.
+/// Longest foreign part. The analog section of a C3D file stays below it even at the format's own limits.
 pub(crate) const DATA_BYTES_MAX: u64 = 1 << 28;
 
-/// What an importer found and we do not model, kept so that an exporter of the same format can give it back.
+/// A part of an imported file that a take does not model, kept for export to the same format.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Foreign {
-    /// Which format and part: `c3d/parameters`, `c3d/analog`, `c3d/residuals`, `c3d/model-outputs`, `trc/header`...
+    /// Format and part: `c3d/parameters`, `c3d/analog`, `c3d/residuals`, `c3d/model-outputs`, `trc/header`...
     pub kind: String,
-    /// The bytes, in the layout that docs/take-format.md gives for that kind.
+    /// The content, in the layout that docs/foreign.md gives for its kind.
     pub data: Content,
 }
 
-/// The payload of a FOREIGN chunk.
+/// Encodes the payload of a FOREIGN chunk.
 ///
 /// # Errors
-/// `InvalidArgument` when the part is too long; `Io` never happens in memory.
+/// `InvalidArgument` for content that is too long; `Io` if its scratch file cannot be read.
 pub fn to_payload(foreign: &Foreign) -> Result<Vec<u8>, TakeError> {
     if foreign.data.len() > DATA_BYTES_MAX {
         return Err(TakeError::InvalidArgument(format!(
@@ -48,21 +48,21 @@ pub fn to_payload(foreign: &Foreign) -> Result<Vec<u8>, TakeError> {
     Ok(deflate.finish()?)
 }
 
-/// A foreign part as it stands in a take: [`TakeFrames::open_with`](crate::TakeFrames::open_with) reads its content.
+/// A foreign part of a take, not yet read. [`TakeFrames::open_with`](crate::TakeFrames::open_with) reads its content.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ForeignPart {
-    /// What it is: `c3d/analog`.
+    /// Its kind, such as `c3d/analog`.
     pub kind: String,
-    /// Bytes of its content.
+    /// Size of its content.
     pub data_bytes: u64,
     deflated_at: u64,
     deflated_bytes: u64,
-    /// Of its chunk.
+    /// File offset of its chunk.
     offset: u64,
 }
 
 impl ForeignPart {
-    /// Of the chunk at file offset `offset`, whose payload of `payload_bytes` begins at `payload_at` with `front`.
+    /// Parses the chunk at file offset `offset`, whose payload of `payload_bytes` begins at `payload_at` with `front`.
     pub(crate) fn of_payload(
         front: &[u8],
         (payload_at, payload_bytes): (u64, u64),
@@ -81,15 +81,15 @@ impl ForeignPart {
         })
     }
 
-    /// What is deflated.
+    /// File offset of the deflated content.
     pub(crate) fn deflated_at(&self) -> u64 {
         self.deflated_at
     }
 
-    /// Reads its content from the take that it was found in.
+    /// Reads the content from the same file.
     ///
     /// # Errors
-    /// `Io`; `Corrupt` when the file is not the one that was read.
+    /// `Io`; `Corrupt` when the file has changed since it was parsed.
     pub(crate) fn read(
         &self,
         input: &mut (impl Read + Seek),
@@ -116,13 +116,13 @@ impl ForeignPart {
 
 const ANOTHER_LENGTH: &str = "another length than stated";
 
-/// Longest kind of a part whose chunk is too long to be held. Those that importers write have at most 20 bytes.
+/// Longest kind of a part whose chunk is too long to hold. Importers write kinds of at most 20 bytes.
 const LONG_KIND_BYTES_MAX: u64 = 64;
 
-/// Bytes that kind and length of such a part take at most: two varints and the kind.
+/// Most bytes of kind and length of such a part: two varints and the kind.
 pub(crate) const FRONT_BYTES: usize = 10 + LONG_KIND_BYTES_MAX as usize + 10;
 
-/// Whether the payload of a long FOREIGN chunk may begin with these bytes.
+/// Whether these bytes are a plausible start of a long FOREIGN chunk's payload.
 pub(crate) fn may_begin_with(payload: &[u8]) -> bool {
     front_of(&mut varint::Cursor::new(payload)).is_ok_and(|(kind, _)| {
         let is_name = kind.bytes().all(|byte| byte.is_ascii_graphic());
@@ -130,7 +130,7 @@ pub(crate) fn may_begin_with(payload: &[u8]) -> bool {
     })
 }
 
-/// Kind and length of the content.
+/// Parses the kind and the length of the content.
 fn front_of<'a>(cursor: &mut varint::Cursor<'a>) -> Result<(&'a str, u64), &'static str> {
     let kind = cursor
         .varint()
@@ -145,10 +145,10 @@ fn corrupt(offset: u64, message: &str) -> TakeError {
     TakeError::Corrupt { what: "foreign part", offset, message: message.to_owned() }
 }
 
-/// What is inflated at once.
+/// Size of the buffer for inflated bytes.
 const INFLATED_BYTES: usize = 1 << 13;
 
-/// Inflates a part to see whether it can be, and keeps nothing of it.
+/// Inflates a part to validate it, and discards the output.
 #[derive(Debug)]
 pub(crate) struct Inflation {
     inflater: Decompress,
@@ -158,12 +158,12 @@ pub(crate) struct Inflation {
 }
 
 impl Inflation {
-    /// Of a part whose content has so many bytes.
+    /// A check of a part whose content has `stated_bytes`.
     pub(crate) fn new(stated_bytes: u64) -> Self {
         Self { inflater: Decompress::new(false), stated_bytes, is_ended: false, message: None }
     }
 
-    /// The deflated bytes that come next.
+    /// Inflates the next deflated bytes.
     pub(crate) fn push(&mut self, mut bytes: &[u8]) {
         let mut inflated = [0; INFLATED_BYTES];
         while !self.is_ended && self.message.is_none() {
@@ -184,7 +184,7 @@ impl Inflation {
         }
     }
 
-    /// All bytes of the part at file offset `offset` were pushed.
+    /// Ends the check of the part at file offset `offset`.
     pub(crate) fn finish(self, offset: u64) -> Result<(), TakeError> {
         match self.message {
             Some(message) => Err(corrupt(offset, &message)),

@@ -1,5 +1,5 @@
-//! INDEX and FOOTER: the way to the middle of a long take, and the proof that it was finished; and what a take says at its two
-//! ends, without a look at what lies between.
+//! INDEX and FOOTER: random access to a long take, and the proof that it was closed. [`TakeEnds`] reads what a take
+//! states at its two ends without reading between them.
 
 use std::io::{Read, Seek, SeekFrom};
 
@@ -10,11 +10,11 @@ use crate::{
     varint,
 };
 
-/// Bytes of the shortest chunk of a stretch: type, length, a head of two bytes, CRC. It is less than what stands in front of
-/// the first one.
+/// Size of the shortest STRETCH chunk: type, length, a head of two bytes, CRC. The magic and header before the first
+/// one are longer.
 const STRETCH_BYTES_MIN: u64 = 8;
 
-/// One key stretch.
+/// Position of a key stretch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct IndexEntry {
     /// File offset of its chunk.
@@ -37,7 +37,7 @@ pub fn index_payload(entries: &[IndexEntry]) -> Vec<u8> {
     out
 }
 
-/// From the payload of INDEX at file offset `offset`.
+/// Parses the payload of the INDEX chunk at file offset `offset`.
 ///
 /// # Errors
 /// `Corrupt`.
@@ -55,7 +55,7 @@ pub fn parse_index(payload: &[u8], offset: u64) -> Result<Vec<IndexEntry>, TakeE
         let (Some(by), Some(rows)) = (cursor.varint(), cursor.varint()) else {
             return Err(corrupt());
         };
-        // So that an index costs no more memory than twice the stretches that it tells of.
+        // This bounds the memory of an index by twice the size of the stretches it lists.
         if by < STRETCH_BYTES_MIN {
             return Err(corrupt());
         }
@@ -68,19 +68,19 @@ pub fn parse_index(payload: &[u8], offset: u64) -> Result<Vec<IndexEntry>, TakeE
     if cursor.is_empty() { Ok(entries) } else { Err(corrupt()) }
 }
 
-/// The last chunk of a finished take.
+/// The last chunk of a closed take.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Footer {
     /// File offset of INDEX.
     pub index_offset: u64,
     /// File offset of the last LEDGER.
     pub ledger_offset: u64,
-    /// Rows in all, lost ones included.
+    /// Number of rows, including lost ones.
     pub n_rows: u64,
 }
 
 impl Footer {
-    /// Bytes of its chunk, the last ones of a finished take: type, length, payload, CRC.
+    /// Size of its chunk, which ends a closed take: type, length, payload, CRC.
     pub const CHUNK_BYTES: usize = 30;
 
     /// Its payload.
@@ -92,8 +92,8 @@ impl Footer {
             .collect()
     }
 
-    /// From the last bytes of a file, when they are a footer whose CRC matches: so a take is known to be finished
-    /// without reading it.
+    /// Parses the last bytes of a file. `None` unless they are a footer with a matching CRC, which shows that the take
+    /// was closed.
     #[must_use]
     pub fn from_chunk(chunk: &[u8; Self::CHUNK_BYTES]) -> Option<Self> {
         match chunk::front(chunk) {
@@ -104,10 +104,10 @@ impl Footer {
         }
     }
 
-    /// From its payload.
+    /// Parses the payload.
     ///
     /// # Errors
-    /// `Corrupt` when it is not 24 bytes.
+    /// `Corrupt` unless it has 24 bytes.
     pub fn from_payload(payload: &[u8], offset: u64) -> Result<Self, TakeError> {
         let word = |i: usize| payload[i * 8..].first_chunk().map(|b| u64::from_le_bytes(*b));
         match payload.len() {
@@ -122,7 +122,7 @@ impl Footer {
         })
     }
 
-    /// Itself, unless it claims more rows than what is known of the take leaves room for.
+    /// Rejects a footer that claims more than `rows_max` rows.
     ///
     /// # Errors
     /// `Corrupt`.
@@ -135,44 +135,44 @@ impl Footer {
     }
 }
 
-/// Bytes that are read at once where a chunk begins: the header of hundreds of markers, and any usual ledger with a
-/// summary behind it.
+/// Size of one read at the start of a chunk: enough for the header of hundreds of markers, and for most ledgers with
+/// the summary behind them.
 const READ_BYTES: u64 = 16 << 10;
 
-/// What a chunk has beside its payload: type, a length of at most five bytes, CRC-32; and the version of a record.
+/// Most bytes of a record's chunk beside its content: type, a length of at most five bytes, CRC-32, and the version.
 const BESIDE_BYTES: u64 = 1 + 5 + 4 + 2;
 
 /// Longest chunk of a record.
 const RECORD_BYTES_MAX: u64 = LIMIT_BYTES as u64 + BESIDE_BYTES;
 
-/// Longest SUMMARY.
+/// Longest SUMMARY chunk.
 const SUMMARY_CHUNK_BYTES_MAX: u64 = SUMMARY_BYTES_MAX as u64 + BESIDE_BYTES;
 
-/// The two ends of a take.
+/// What a take states at its start and at its end.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TakeEnds {
-    /// What it begins with.
+    /// The header.
     pub header: Header,
-    /// What it ends with; `None` where it has no footer: it is being written, or was cut off.
+    /// `None` without a footer: the take is being written, or was cut off.
     pub end: Option<TakeEnd>,
 }
 
-/// The end of a take that was closed.
+/// The end of a closed take.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TakeEnd {
-    /// Its last chunk.
+    /// The last chunk.
     pub footer: Footer,
-    /// The last ledger; `None` where the one that the footer tells of is not there, or damaged.
+    /// The last ledger; `None` if the chunk at the footer's offset is missing or damaged.
     pub ledger: Option<Ledger>,
-    /// How it ended, where it says.
+    /// How the take ended, if it states that.
     pub ending: Option<TakeEnding>,
 }
 
 impl TakeEnds {
-    /// Reads them: some kilobytes of a usual take, and never more than the records there may have (some 16 MiB).
+    /// Reads both ends: some kilobytes of most takes, and at most the size limits of these records (16 MiB).
     ///
     /// # Errors
-    /// `NotATake`, `Unsupported`, `Corrupt` for a header that cannot be read, `Io`.
+    /// `NotATake`, `Unsupported`, `Io`; `Corrupt` for a header that cannot be decoded.
     pub fn read(input: &mut (impl Read + Seek)) -> Result<Self, TakeError> {
         let file_bytes = input.seek(SeekFrom::End(0))?;
         input.seek(SeekFrom::Start(0))?;
@@ -199,7 +199,7 @@ impl TakeEnd {
         let Some(footer) = Footer::from_chunk(&bytes) else { return Ok(None) };
         let mut end = Self { footer, ledger: None, ending: None };
         let ledger_at = footer.ledger_offset;
-        // Nothing follows a footer, and no file is so long that every offset could be gone to.
+        // No chunk follows a footer, and no file is long enough for every 64-bit offset.
         if ledger_at >= at {
             return Ok(Some(end));
         }
@@ -219,14 +219,14 @@ impl TakeEnd {
     }
 }
 
-/// A chunk of the type that was looked for.
+/// A chunk with a matching CRC.
 struct Chunk {
     payload: Vec<u8>,
     len: u64,
 }
 
 impl Chunk {
-    /// `None` when there is no whole chunk of this type, or it is longer than `max`.
+    /// Reads the chunk at `offset`. `None` unless its CRC matches, its type is `wanted` and it has at most `max` bytes.
     fn read(
         input: &mut (impl Read + Seek),
         offset: u64,
@@ -237,7 +237,7 @@ impl Chunk {
         let mut needed = READ_BYTES.min(max);
         input.seek(SeekFrom::Start(offset))?;
         loop {
-            // Memory grows with what the file has, not with what a length in it claims.
+            // Memory grows with the file's content, not with a length that it claims.
             input.by_ref().take(needed - bytes.len() as u64).read_to_end(&mut bytes)?;
             let is_wanted = bytes.first() == Some(&wanted);
             match chunk::front(&bytes) {
@@ -337,7 +337,7 @@ mod tests {
         }
     }
 
-    /// As a file is, none of whose offsets is beyond what is signed.
+    /// Seeks like a file: offsets beyond `i64::MAX` are errors.
     struct File(Cursor<Vec<u8>>);
 
     impl Read for File {

@@ -1,9 +1,9 @@
-//! The way through a take. Everything that reads one goes it: it owns the channel table, the decoders, the rows that are
-//! lost and the problems, and tells at each thing that it meets what is known by then.
+//! The traversal of a take, shared by all code that reads one. It owns the channel table, the decoders, the lost rows
+//! and the problems, and passes its current state along with each element of the take.
 //!
-//! A whole take is read by [`run`](TakeTraversal::run). What lies between two key stretches can be read on its own:
-//! [`pieces`](TakeMap::pieces) cuts rows there, and each thread that decodes some of these has a traversal
-//! [of the same map](TakeTraversal::of_map).
+//! [`run`](TakeTraversal::run) reads a whole take. Rows between two key stretches can be read independently:
+//! [`pieces`](TakeMap::pieces) splits rows there, and each decoding thread has a traversal [of the same
+//! map](TakeTraversal::of_map).
 
 use std::{
     io::{Read, Seek, SeekFrom},
@@ -27,63 +27,63 @@ use crate::{
 
 pub use crate::table::Renamed;
 
-/// What is decoded of each stretch.
+/// What a traversal decodes of each stretch.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Decode {
-    /// All its blocks.
+    /// All blocks.
     All,
-    /// Some groups of channels, by number, or none: what is coded together is decoded together, and groups know nothing of
-    /// each other. The other channels have no samples.
+    /// The groups of channels with these numbers, or none. Groups are coded independently of each other; channels of
+    /// other groups have no samples.
     Groups(Vec<usize>),
 }
 
-/// Something that was met on the way.
+/// An element of a take that the traversal has reached.
 #[derive(Debug)]
 pub struct Found<'a> {
-    /// File offset at which its chunk begins.
+    /// File offset of its chunk.
     pub offset: u64,
-    /// How many bytes it takes.
+    /// Size in bytes.
     pub len: u64,
-    /// What it is.
+    /// The element.
     pub event: TakeEvent<'a>,
-    /// Of a stretch: its rows are not to be had, and the last problem says why.
+    /// For a stretch: its rows are unavailable, and the last problem gives the reason.
     pub is_refused: bool,
-    /// Of a stretch: it showed that entries of the channel table are lost.
+    /// For a stretch: it revealed lost entries of the channel table.
     pub renamed: Option<Renamed>,
 }
 
-/// What is known of a take on the way through it.
+/// The state of a traversal.
 #[derive(Debug)]
 pub struct Progress {
-    /// What the take says beside its motion, up to here; its channels, rows and damage at the end.
+    /// The content of the take so far, except its motion. Channels, rows and damage are set at the end.
     pub take: TakeMap,
-    /// By channel, the rows that are lost to damage since it was announced.
+    /// By channel, rows lost to damage since the channel was announced.
     pub rows_damaged: Vec<u64>,
     table: ChannelTable,
     losses: Losses,
     decoder: Option<StretchDecoder>,
     decode: Decode,
     tells: Tells,
-    /// The damage that explains a missing stretch was told.
+    /// The damage that explains a missing stretch was already reported.
     damage_told: bool,
     timeline: Option<Timeline>,
 }
 
-/// Which problems are told, and so whether a map is made.
+/// Which problems a traversal reports, and whether it builds a map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Tells {
-    /// All; the map is made.
+    /// All problems; builds the map.
     All,
-    /// But for those of decoding, which is somebody else's; the map is made.
+    /// All but those of decoding, which a later traversal reports; builds the map.
     Map,
-    /// All; the map was made without a look at stretches.
+    /// All problems; the existing map was built without reading stretches.
     Part,
-    /// Those of decoding: the map has the others.
+    /// Those of decoding; the existing map has all others.
     PartOfScanned,
 }
 
 impl Progress {
-    /// The channel table up to here.
+    /// The channel table so far.
     #[must_use]
     pub fn channels(&self) -> &[Channel] {
         self.table.channels()
@@ -95,13 +95,13 @@ impl Progress {
         self.losses.end_row
     }
 
-    /// Rows up to here, lost ones included.
+    /// Rows so far, including lost ones.
     #[must_use]
     pub fn n_rows(&self) -> u64 {
         self.losses.rows_min()
     }
 
-    /// The rows of the last stretch that was decoded, by channel; `None` where it has nothing of a channel.
+    /// The rows of the last decoded stretch, by channel; `None` for a channel without samples in it.
     pub fn rows(&self) -> impl Iterator<Item = Option<&DecodedRows>> {
         self.decoder.iter().flat_map(StretchDecoder::rows)
     }
@@ -153,7 +153,7 @@ impl Progress {
         }
     }
 
-    /// So many rows of every channel.
+    /// Counts `rows` of every channel as lost.
     fn lose(&mut self, rows: u64) {
         self.rows_damaged.iter_mut().for_each(|channel| *channel += rows);
     }
@@ -165,8 +165,8 @@ impl Progress {
         }
     }
 
-    /// What an event changes before anybody sees it; says of a stretch whether it is refused, and what it showed of
-    /// names.
+    /// Applies an event to the state. Returns whether a stretch is refused, and which channel table entries it revealed
+    /// as lost.
     fn meet(
         &mut self,
         offset: u64,
@@ -199,7 +199,7 @@ impl Progress {
             TakeEvent::Mended { offset } => self.note(Problem::Mended { offset: *offset }),
             TakeEvent::Footer(footer) => {
                 let (told, found) = (footer.n_rows, self.n_rows());
-                // Rows may be lost to the damage that was told of; it makes none.
+                // Rows may be lost to damage that was reported; the footer adds no problem then.
                 if told < found || told > found && !self.take.damaged {
                     self.note(Problem::FooterRows { told, found });
                 }
@@ -221,7 +221,7 @@ impl Progress {
         let told =
             self.losses.sought.filter(|key| key.offset == offset && key.first_row != first_row);
         if let Some(IndexEntry { first_row: told, .. }) = told {
-            // Whoever sought it may have passed over rows that are there.
+            // The seek to it may have skipped rows that exist.
             self.note(Problem::IndexRow { told, found: first_row });
             self.take.damaged = true;
         }
@@ -239,7 +239,7 @@ impl Progress {
                 self.take.keys.push(IndexEntry { offset, first_row });
             }
             self.take.longest_stretch = self.take.longest_stretch.max(Some(n_rows.into()));
-            // Rows of no channel are not held.
+            // A stretch without samples holds no rows.
             if let Some(held) = &mut self.take.n_held
                 && stretch.blocks.iter().any(|block| !block.is_empty())
             {
@@ -266,7 +266,7 @@ impl Progress {
         }
     }
 
-    /// A stretch has samples of so many channels at least: those without an entry in the table get one.
+    /// Adds entries for channels that a stretch has and the table lacks.
     fn name_channels(&mut self, n_channels: usize) -> Option<Renamed> {
         let renamed = self.table.stated(n_channels)?;
         self.note(Problem::NamesLost { markers: renamed.nameless });
@@ -290,8 +290,8 @@ impl Progress {
     }
 }
 
-/// A take that is read from its start or from any key stretch on, in bounded memory. What cannot be decoded is passed
-/// over, and [`problems`](Self::problems) says what and why.
+/// Reads a take in bounded memory, from its start or from any key stretch. It skips whatever cannot be decoded;
+/// [`problems`](Self::problems) gives the reasons.
 #[derive(Debug)]
 pub struct TakeTraversal<R> {
     input: R,
@@ -299,18 +299,18 @@ pub struct TakeTraversal<R> {
     /// File offset behind the last event.
     at: u64,
     progress: Progress,
-    /// The stretch that came last.
+    /// The last stretch.
     current: Option<Span>,
     ended: bool,
 }
 
 impl<R: Read + Seek> TakeTraversal<R> {
-    /// Of a take that is read from its start to its end.
+    /// A traversal from start to end.
     pub fn new(input: impl TakeInput<Input = R>, decode: Decode) -> Self {
         Self::with(input.input(), Progress::new(decode, Tells::All))
     }
 
-    /// Of one that is decoded later, if at all: what is wrong with its stretches is told then.
+    /// A traversal that decodes nothing. Problems of decoding are left to a later traversal.
     pub(crate) fn of_bytes(input: R) -> Self {
         Self::with(input, Progress::new(Decode::Groups(Vec::new()), Tells::Map))
     }
@@ -320,8 +320,8 @@ impl<R: Read + Seek> TakeTraversal<R> {
         Self { input, reader, at, progress, current: None, ended: false }
     }
 
-    /// Of a take whose map was made, from its start or the key that is [sought](Self::seek). What
-    /// [`TakeMap::problems`] has is not told again.
+    /// A traversal of a take whose map exists, from its start or from a [key stretch](Self::seek). It does not repeat
+    /// the problems in [`TakeMap::problems`].
     ///
     /// # Errors
     /// `Unsupported` or `Codec` when the header cannot be used, `Io`.
@@ -336,10 +336,10 @@ impl<R: Read + Seek> TakeTraversal<R> {
         Ok(Self::with(input, progress))
     }
 
-    /// Reads the take to its end. `visit` sees everything that is in it, and what is known by then.
+    /// Reads the take to its end. `visit` receives each element of the take and the state after it.
     ///
     /// # Errors
-    /// As [`TakeReader::next_event`], `Io`, and what `visit` gives.
+    /// Those of [`TakeReader::next_event`], `Io`, and any error of `visit`.
     pub fn run(
         mut self,
         mut visit: impl FnMut(&Found<'_>, &Progress) -> Result<(), TakeError>,
@@ -350,7 +350,7 @@ impl<R: Read + Seek> TakeTraversal<R> {
         Ok(self.progress)
     }
 
-    /// The next event, if enough of the file was read for one.
+    /// Reads a piece of the file, or visits the next event.
     fn step(
         &mut self,
         visit: impl FnOnce(&Found<'_>, &Progress) -> Result<(), TakeError>,
@@ -358,7 +358,7 @@ impl<R: Read + Seek> TakeTraversal<R> {
         let Some((end, event)) = self.reader.next_located()? else {
             return pull(&mut self.input, &mut self.reader);
         };
-        // Events lie behind each other: one begins where the one before ends.
+        // Events are contiguous in the file.
         let offset = std::mem::replace(&mut self.at, end);
         let (is_refused, renamed) = self.progress.meet(offset, &event)?;
         let len = end.saturating_sub(offset);
@@ -379,11 +379,11 @@ impl<R: Read + Seek> TakeTraversal<R> {
         Ok(())
     }
 
-    /// Goes on at the last key stretch that begins at `row` or before it, and passes over what lies between;
-    /// does nothing when no key lies ahead of what was read. At most ten seconds of the take are then decoded
-    /// before `row` comes.
+    /// Continues at the last key stretch that begins at or before `row`, and skips the stretches before it. Does
+    /// nothing if that key lies behind the current position. At most ten seconds of the take are then decoded before
+    /// `row`.
     ///
-    /// What is wrong with stretches that are passed over is not told.
+    /// Problems of skipped stretches are not reported.
     ///
     /// # Errors
     /// `Unsupported` or `Codec` when the header cannot be used, `Io`.
@@ -409,8 +409,8 @@ impl<R: Read + Seek> TakeTraversal<R> {
         Ok(())
     }
 
-    /// Decodes the next stretch that can be; `None` at the end of the take. Stretches without rows, which tell
-    /// of lost ones alone, come with what they tell.
+    /// Decodes the next stretch; `None` at the end of the take. A stretch without rows, which only records lost ones,
+    /// counts too.
     ///
     /// # Errors
     /// `NotATake`, `Io`.
@@ -422,19 +422,19 @@ impl<R: Read + Seek> TakeTraversal<R> {
         Ok(self.current)
     }
 
-    /// Decodes the stretches that have some of the rows `rows`, from the last key before these on. `each` gets those of
-    /// the rows that a stretch has, and where the first of these lies in [its own](Self::rows). Rows that are in none
-    /// are lost.
+    /// Decodes the stretches that contain any of the rows `rows`, from the last key stretch before them on. `each`
+    /// receives the range of these rows in a stretch, and the index of the first of them in [the stretch's
+    /// rows](Self::rows). Rows in no stretch are lost.
     ///
     /// # Errors
-    /// As [`next_stretch`](Self::next_stretch), and what `each` gives.
+    /// Those of [`next_stretch`](Self::next_stretch), and any error of `each`.
     pub fn read_rows(
         &mut self,
         rows: &Range<u64>,
         mut each: impl FnMut(&Self, Range<u64>, usize) -> Result<(), TakeError>,
     ) -> Result<(), TakeError> {
         self.seek(rows.start)?;
-        // What was decoded last may reach into these.
+        // The stretch that was decoded last may contain some of them.
         while self.current.is_some() || self.next_stretch()?.is_some() {
             let Some(span) = self.current else { break };
             let held = span.first_row.max(rows.start)..span.end_row().min(rows.end);
@@ -450,31 +450,31 @@ impl<R: Read + Seek> TakeTraversal<R> {
         Ok(())
     }
 
-    /// The rows of the last stretch that came, by channel; `None` where it has nothing of a channel.
+    /// The rows of the last stretch, by channel; `None` for a channel without samples in it.
     pub fn rows(&self) -> impl Iterator<Item = Option<&DecodedRows>> {
         self.progress.rows()
     }
 
-    /// When the rows of the last stretch were, those lost before it included; `None` in an import.
+    /// The times of the last stretch's rows, including those lost before it; `None` in an import.
     #[must_use]
     pub fn timeline(&self) -> Option<&Timeline> {
         self.progress.timeline.as_ref()
     }
 
-    /// Whether nothing that was read so far was damaged or missing.
+    /// Whether nothing read so far was damaged or missing.
     #[must_use]
     pub fn is_intact(&self) -> bool {
         let Progress { take, .. } = &self.progress;
         !take.damaged && (take.finished || !self.ended)
     }
 
-    /// What could not be decoded so far.
+    /// The problems so far.
     #[must_use]
     pub fn problems(&self) -> &[Problem] {
         &self.progress.take.problems
     }
 
-    /// The same since it was asked for last.
+    /// Removes and returns the problems since the last call.
     pub fn take_problems(&mut self) -> Vec<Problem> {
         std::mem::take(&mut self.progress.take.problems)
     }

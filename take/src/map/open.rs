@@ -1,5 +1,5 @@
-//! The map of a take: from its chunks one after another, or from their heads alone. Of a finished take stretches are passed
-//! over, and the index says which of them are keys.
+//! Builds the map of a take from all its chunks, or from the chunk heads of a closed take: stretches are skipped, and
+//! the index tells which of them are keys.
 
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 
@@ -20,14 +20,14 @@ use crate::{
     traversal::TakeTraversal,
 };
 
-/// How much is read at once: a few stretches of a recording, whose heads then cost no call each.
+/// Size of one read: a few stretches of a recording, so that their heads need no read of their own.
 const READ_BYTES: usize = 1 << 14;
 
 impl TakeMap {
-    /// Of a take as quickly as can be: one that was finished is known by its index and the heads of its chunks,
-    /// and a stretch is not read before somebody wants it. Any other is [scanned](Self::scan).
+    /// Builds the map as fast as possible. For a closed take the index and the chunk heads are enough, and stretches
+    /// are not read; any other take is [scanned](Self::scan).
     ///
-    /// So damage within a stretch shows when it is read, not here.
+    /// Damage within a stretch therefore shows only when the stretch is decoded.
     ///
     /// # Errors
     /// `NotATake`, `Unsupported`, `Io`.
@@ -38,20 +38,20 @@ impl TakeMap {
         Self::scan(input)
     }
 
-    /// Of a take of which every chunk's checksum is looked at, and no sample decoded.
+    /// Builds the map of a take by checking the CRC of every chunk, without decoding samples.
     ///
     /// # Errors
     /// `NotATake`, `Unsupported`, `Io`.
     pub fn scan(input: &mut (impl Read + Seek)) -> Result<Self, TakeError> {
         input.seek(SeekFrom::Start(0))?;
         let mut map = TakeTraversal::of_bytes(input).run(|_, _| Ok(()))?.take;
-        // A recovered take says itself which rows it has not.
+        // A recovered take states its lost rows itself.
         map.damaged |= map.damage.iter().any(|lost| lost.why == Why::BeforeRecovery);
         Ok(map)
     }
 }
 
-/// The map of a take whose footer, index and heads agree in every byte; `None` of any other.
+/// The map of a take whose footer, index and chunk heads agree exactly; `None` for any other.
 fn by_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, TakeError> {
     let file_bytes = input.seek(SeekFrom::End(0))?;
     let mut chunks = Chunks { input: BufReader::with_capacity(READ_BYTES, input), at: 0 };
@@ -76,7 +76,7 @@ fn by_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, TakeError
                 chunks.go_to(offset + chunk_bytes)?;
                 true
             }
-            // One wrong bit of a type may make any other chunk one of these.
+            // A single wrong bit turns another type into one of these, so check their CRC.
             types::FOREIGN | types::INDEX | types::FOOTER => chunks.is_whole(chunk_bytes)?,
             _ if !types::ALL.contains(&kind) => {
                 kind & MAY_SKIP != 0 && chunks.is_whole(chunk_bytes)?
@@ -91,7 +91,7 @@ fn by_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, TakeError
         }
     }
     let last_row = keys.last().map_or(0, |key| key.first_row);
-    // A ledger that counts other rows, or none, is for a traversal to judge.
+    // A ledger that is missing or counts other rows needs a traversal.
     let ledger = map.as_ref().and_then(|map| map.ledger.as_ref());
     let rows = ledger.map(|ledger| ledger.recorded.saturating_add(ledger.frames_lost()));
     let is_sound = chunks.at == file_bytes
@@ -107,7 +107,7 @@ fn by_heads(input: &mut (impl Read + Seek)) -> Result<Option<TakeMap>, TakeError
     }))
 }
 
-/// A chunk that is no stretch; says whether it is as it must be.
+/// Adds a chunk other than a stretch. Returns whether it is valid.
 fn add(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) -> bool {
     let Some(map) = map else {
         let header = Header::from_payload(payload, offset).ok();
@@ -122,7 +122,7 @@ fn add(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) -> bool
     match record(kind, payload, offset) {
         Some(Ok(TakeEvent::Channels(mut more))) => map.channels.append(&mut more),
         Some(Ok(event)) => map.keep(event),
-        // Of a newer version: a reader may go on without it.
+        // A newer version that a reader may skip.
         Some(Err(TakeError::Unsupported { .. })) if kind & MAY_SKIP != 0 => {}
         Some(Err(_)) => return false,
         // MODEL, which this version does not read.
@@ -131,7 +131,7 @@ fn add(map: &mut Option<TakeMap>, kind: u8, payload: &[u8], offset: u64) -> bool
     true
 }
 
-/// A file, chunk by chunk.
+/// Reads a file chunk by chunk.
 struct Chunks<R> {
     input: BufReader<R>,
     at: u64,
@@ -147,7 +147,7 @@ impl<R: Read + Seek> Chunks<R> {
         Ok(())
     }
 
-    /// Footer and index, if the file ends with them.
+    /// Footer and index, if they end the file.
     fn end(&mut self, file_bytes: u64) -> Result<Option<(Footer, Vec<IndexEntry>)>, TakeError> {
         let footer_bytes = Footer::CHUNK_BYTES as u64;
         let Some(footer_at) = file_bytes.checked_sub(footer_bytes) else { return Ok(None) };
@@ -170,14 +170,14 @@ impl<R: Read + Seek> Chunks<R> {
         Ok(keys.map(|keys| (footer, keys)))
     }
 
-    /// Type and length in bytes of the chunk here; nothing is passed over.
+    /// Type and size in bytes of the chunk at the current position, which does not change.
     fn head(&mut self) -> Result<Option<(u8, u64)>, TakeError> {
         let mut bytes = Vec::with_capacity(HEAD_BYTES_MAX);
         let found = self.input.fill_buf()?;
         if found.len() >= HEAD_BYTES_MAX {
             bytes.extend_from_slice(&found[..HEAD_BYTES_MAX]);
         } else {
-            // Where a buffer ends, and at the end of the file.
+            // Near the end of the buffer, and of the file.
             self.input.by_ref().take(HEAD_BYTES_MAX as u64).read_to_end(&mut bytes)?;
             self.input.seek_relative(-(bytes.len() as i64))?;
         }
@@ -190,7 +190,7 @@ impl<R: Read + Seek> Chunks<R> {
         })
     }
 
-    /// Passes over the chunk of so many bytes here; says whether its checksum matches.
+    /// Skips a chunk of `chunk_bytes`. Returns whether its CRC matches.
     fn is_whole(&mut self, chunk_bytes: u64) -> Result<bool, TakeError> {
         let mut left = chunk_bytes.saturating_sub(CRC_BYTES as u64);
         let mut crc = Hasher::new();
@@ -210,8 +210,8 @@ impl<R: Read + Seek> Chunks<R> {
         Ok(stored == crc.finalize().to_le_bytes())
     }
 
-    /// The payload of the chunk of so many bytes here, if its checksum matches. No record, and no index of a take of
-    /// months, is so long that it would not be held.
+    /// The payload of a chunk of `chunk_bytes`, if its CRC matches and it is short enough to hold. All records are, and
+    /// so is the index of a take of months.
     fn payload(&mut self, chunk_bytes: u64) -> Result<Option<Vec<u8>>, TakeError> {
         if chunk_bytes > CHUNK_HELD_MAX {
             return Ok(None);
