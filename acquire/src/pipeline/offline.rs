@@ -1,4 +1,4 @@
-//! Codes trajectories that are already in memory on several threads: the import path.
+//! Encodes trajectories that are in memory on several threads: the import path.
 
 use std::{
     collections::VecDeque,
@@ -20,7 +20,7 @@ use mocapd_take::{
 use super::{Written, messages::PartReport};
 use crate::threads::ResamplerFailed;
 
-/// Codes `motion` with the settings in `header` and writes a whole take. `progress` counts samples.
+/// Encodes `motion` with the settings in `header` and writes a whole take. `progress` counts samples.
 ///
 /// # Errors
 /// When the codec refuses (`spline:exhaustive` on a long take), or writing fails.
@@ -53,15 +53,15 @@ pub fn write_take<W: Write>(
     Ok((written, out))
 }
 
-/// Parts handed out a worker before the oldest of them is back: enough that nobody waits for an uneven
-/// one, and all that is ever in memory.
+/// Parts per worker that are handed out before the oldest of them is done: enough to keep workers busy while one part
+/// takes long, and the limit of what is in memory.
 const AHEAD: usize = 4;
 
-/// Gives each part to one of `n_workers` threads, each with a function of its own from `worker`, and the
-/// results to `done`, in the order of the parts, on this thread.
+/// Processes parts on `n_workers` threads, each with its own function from `worker`, and passes the
+/// results to `done` on this thread, in the order of the parts.
 ///
 /// # Errors
-/// The first of the workers', or that of `done`.
+/// The first error of a worker or of `done`.
 pub fn in_order<P, T, W>(
     parts: impl IntoIterator<Item = P>,
     n_workers: usize,
@@ -78,7 +78,7 @@ where
     let mut parts = parts.into_iter();
     let lost = || anyhow::Error::from(ResamplerFailed);
     std::thread::scope(|scope| {
-        // In here, so that they are closed when this function returns, and the threads end.
+        // Created here, so that they are closed when this closure returns, and the threads end.
         let (jobs_in, jobs) = bounded::<(usize, P)>(ahead);
         let (results_in, results) = bounded(ahead);
         for index in 0..n_workers {
@@ -95,7 +95,7 @@ where
             })?;
         }
         drop(results_in);
-        // From the oldest part that is not done to the newest that was handed out.
+        // From the oldest part that is not done to the newest one handed out.
         let mut out: VecDeque<Option<(P, T)>> = VecDeque::with_capacity(ahead);
         let mut n_done = 0;
         loop {

@@ -1,4 +1,4 @@
-//! The writer thread: parts become stretches, stretches go into the take, or wait for one.
+//! The writer thread: assembles parts into stretches and writes them to the take, or buffers them for a pre-roll.
 
 mod clocks;
 mod held;
@@ -26,40 +26,40 @@ use super::{
 };
 use crate::{files::FileState, heartbeat::Beat, threads::ResamplerFailed};
 
-/// How often the writer looks what waits, though it is to sync with every stretch.
+/// Shortest polling interval of the writer, even if it is to sync with every stretch.
 const LOOK_AT_MOST: Duration = Duration::from_millis(50);
 
-/// How often the writer looks at the file when nothing is to be written: with the time between two of these looks, what
-/// others do to it is noticed within a second.
+/// How often the writer checks the file when there is nothing to write. Together with the file's own checking interval,
+/// changes by other programs are noticed within a second.
 const LOOK_AT_FILE: Duration = Duration::from_millis(450);
 
 /// How long to wait for parts after a worker failed.
 const GIVE_UP_AFTER: Duration = Duration::from_secs(2);
 
-/// Owns the take file.
+/// The writer, which owns the take file.
 #[derive(Debug)]
 pub(super) struct Writer {
     parts: Receiver<Part>,
     control: Receiver<(u64, Control)>,
     commands: Receiver<(u64, TakeCommand)>,
-    /// Read from `commands`, but its boundary has not come.
+    /// Received from `commands`; its boundary has not come yet.
     next_command: Option<(u64, TakeCommand)>,
     clocks: ClockWriter,
-    /// Read from `control`, but its stretch is not written yet.
+    /// Received from `control`; its stretch is not written yet.
     waiting: Option<(u64, Control)>,
     buffers_back: Vec<Sender<Vec<u8>>>,
     wakes: Wakes,
     progress: Arc<Progress>,
     assemblies: Assemblies,
     payload: Vec<u8>,
-    /// Up to the last stretch.
+    /// The counters at the end of the last stretch.
     counts: Counts,
-    /// All channels so far, by the stretch that may hold them first.
+    /// All channels so far, each with the number of the stretch that may be the first to contain it.
     table: Vec<(u64, Channel)>,
     sync_every: Duration,
     held: Option<Held>,
     live: Option<LiveTake>,
-    /// The pipeline is there for one take, and has failed when that has.
+    /// The pipeline serves a single take, and fails with it.
     for_one_take: bool,
 }
 
@@ -95,15 +95,15 @@ impl Writer {
         }
     }
 
-    /// Writes this take from the first stretch on, and nothing else.
+    /// Writes this take alone, from the first stretch on.
     pub(super) fn for_take(&mut self, mut take: LiveTake) {
         take.reserve(self.payload.capacity());
         self.live = Some(take);
         self.for_one_take = true;
     }
 
-    /// Works until the last stretch. After an error the parts are still taken, so that the reader and the workers come
-    /// to their end; what was written before stays.
+    /// Runs until the last stretch. After an error it still accepts the parts, so that the reader and the workers can
+    /// finish; what was written before stays.
     pub(super) fn run(mut self, beat: &Beat) -> anyhow::Result<()> {
         let mut silent_since = Instant::now();
         let progress = Arc::clone(&self.progress);
@@ -134,7 +134,8 @@ impl Writer {
                         return Err(ResamplerFailed.into());
                     }
                 }
-                // The groups hold the senders, and the writer holds the groups' wakes.
+                // Not expected: the groups hold the senders, and the writer keeps the groups alive through their
+                // wake-ups.
                 Err(RecvTimeoutError::Disconnected) => bail!("the resampler threads are gone"),
             }
             while let Some(last) = self.assemblies.front_last() {
@@ -152,17 +153,17 @@ impl Writer {
         }
     }
 
-    /// How a take ends that is open when the reading is over.
+    /// The ending of a take that is open when the reading is over.
     fn ending(&self) -> TakeEnding {
         let ending = self.progress.ending.get().cloned().unwrap_or_default();
-        // Takes of the service are ended by orders; who stops its reader stops the service.
+        // In the service commands end takes, and whoever stops its reader stops the service.
         if ending.kind == EndingKind::Stopped && !self.for_one_take {
             return EndingKind::ServiceStopped.into();
         }
         ending
     }
 
-    /// The oldest stretch, which is complete: into the take, and to what is held.
+    /// Processes the oldest stretch, which is complete.
     fn front(&mut self) {
         let Some(front) = self.assemblies.front() else { return };
         let Some((timeline, blocks)) = front.parts() else { return };
@@ -211,17 +212,17 @@ impl Writer {
         self.tell_held();
     }
 
-    /// What was seen of the clocks up to the last stretch: into the take, and to what the next one needs.
+    /// Writes what was observed of the clocks up to the last stretch: to the take, and to what the next take needs.
     fn observe(&mut self) {
         let status = self.counts.clock;
         self.on_take(|take, clocks| take.observe(clocks, &status));
         if self.live.is_none() {
-            // Without a take there is nothing that could fail.
+            // Without a take there is nothing that can fail.
             self.clocks.write::<Vec<u8>>(None, &status, false).ok();
         }
     }
 
-    /// What must stand in a take before stretch `stretch`.
+    /// Applies the channels and events that precede stretch `stretch`.
     fn take_in_control(&mut self, stretch: u64) {
         while let Some((at, message)) = self.waiting.take().or_else(|| self.control.try_recv().ok())
         {
@@ -246,12 +247,12 @@ impl Writer {
         }
     }
 
-    /// Something with the take, if there is one. After an error there is none.
+    /// Runs `work` on the open take, if there is one. An error ends the take.
     fn on_take(
         &mut self,
         work: impl FnOnce(&mut LiveTake, &mut ClockWriter) -> anyhow::Result<()>,
     ) {
-        // One that was cut short is told to end; until then nothing is written to it.
+        // A take that was cut short will be ended; until then nothing is written to it.
         let Some(take) = self.live.as_mut().filter(|take| !take.is_cut_short()) else { return };
         let Err(error) = work(take, &mut self.clocks) else { return };
         take.look_at_file(&self.progress);
@@ -282,7 +283,7 @@ impl Writer {
         }
     }
 
-    /// The front's buffers go back to their groups, which may have waited for them.
+    /// Returns the oldest stretch's buffers to their groups, which may be waiting for them.
     fn give_back(&mut self) {
         let Self { assemblies, buffers_back, wakes, .. } = self;
         assemblies.pop_front(|part| {
@@ -293,10 +294,10 @@ impl Writer {
 }
 
 impl Writer {
-    /// The next command whose boundary is this stretch, or came before it.
+    /// The next command whose boundary is this stretch or an earlier one.
     fn command_at(&mut self, stretch: u64) -> Option<TakeCommand> {
         let next = self.next_command.take().or_else(|| self.commands.try_recv().ok());
-        // What came while the writer was on its way here has its boundary behind this stretch.
+        // A command may come early: its boundary is then behind this stretch.
         self.next_command = next;
         self.next_command.take_if(|(at, _)| *at <= stretch).map(|(_, command)| command)
     }
@@ -315,7 +316,7 @@ impl Writer {
                 self.on_take(|take, _| take.asked_here(end.span.first_row, asked_ns));
             }
             TakeCommand::Save(take, reply) => {
-                // The take that is being written goes on beside it, and what others look at is that one's.
+                // The open take goes on, and observers keep seeing that one.
                 let (mut clocks, progress) = (self.clocks.beside(), Progress::new(&[]));
                 let saved = self.begin_take(*take, &reply, end, &mut clocks, &progress);
                 if let Some(saved) = saved {
@@ -332,7 +333,7 @@ impl Writer {
         *lock(&self.progress.take) = None;
     }
 
-    /// A take that has what is held of the last `pre_roll`. What failed is told to whoever waits for it.
+    /// Begins a take with the pre-roll that it asks for. On failure the error goes to the requester.
     fn begin_take(
         &self,
         mut new: NewTake,
@@ -344,12 +345,12 @@ impl Writer {
         let from = self.held.as_ref().map_or(0, |held| held.of_last(new.pre_roll, new.asked_ns));
         let first = self.held.as_ref().and_then(|held| held.from(from).next());
         let (base, rows_before, stretch) = match first {
-            // The row after the stretch before: rows lost before it are its own.
+            // The row after the preceding stretch: rows lost before the first stretch belong to the take.
             Some(held) => (held.before.in_rows(), held.before.in_rows().seen(), held.stretch),
             None => (self.counts.in_rows(), end.span.first_row, u64::MAX),
         };
         let known = |(since, _): &&(u64, Channel)| *since <= stretch;
-        // Its first row is older than the wish for it.
+        // The first row is older than the request.
         let before_ns = first.map_or(0, |held| new.asked_ns.saturating_sub(held.first.arrival_ns));
         new.header.created_unix_ms -= (before_ns / 1_000_000).cast_signed();
         new.header.channels = self.table.iter().filter(known).map(|(_, c)| c.clone()).collect();
@@ -409,25 +410,25 @@ impl Writer {
     }
 }
 
-/// One stretch.
+/// The parts of one stretch.
 #[derive(Debug)]
 pub(super) struct Assembly {
     pub(super) stretch: u64,
     pub(super) end: StretchEnd,
-    /// By group; the time line's is the last.
+    /// By group; the timeline's is the last.
     slots: Vec<Option<Part>>,
     missing: usize,
 }
 
 impl Assembly {
-    /// The time line's part and the channels' parts, in order, of a complete stretch.
+    /// Of a complete stretch, the timeline's part and the channels' parts in order.
     pub(super) fn parts(&self) -> Option<(&Part, impl Iterator<Item = &Part>)> {
         let mut present = self.slots.iter().flatten();
         Some((present.next_back()?, present))
     }
 }
 
-/// The stretches that are coded and not yet written, oldest first.
+/// Encoded stretches that are not written yet, oldest first.
 #[derive(Debug)]
 pub(super) struct Assemblies {
     waiting: VecDeque<Assembly>,
@@ -476,12 +477,12 @@ impl Assemblies {
         self.waiting.front()
     }
 
-    /// When the oldest stretch is complete: whether it is the take's last.
+    /// If the oldest stretch is complete: whether it is the last of all.
     pub(super) fn front_last(&self) -> Option<bool> {
         self.front().filter(|front| front.missing == 0).map(|front| front.end.last)
     }
 
-    /// Drops the oldest stretch and gives its parts away.
+    /// Removes the oldest stretch and hands out its parts.
     pub(super) fn pop_front(&mut self, mut give: impl FnMut(Part)) {
         let Some(mut front) = self.waiting.pop_front() else { return };
         front.slots.iter_mut().filter_map(Option::take).for_each(&mut give);

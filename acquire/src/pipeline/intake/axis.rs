@@ -1,30 +1,30 @@
-//! The device's frame counter as an axis of rows.
+//! Derives lost and repeated frames from the device's frame counter.
 
-/// A frame this far ahead is a counter that jumped, not loss: 17 minutes at 1000 Hz.
+/// Largest gap that counts as loss; beyond it the counter jumped: 17 minutes at 1000 Hz.
 const MISSING_MAX: i32 = 1 << 20;
 
-/// A counter that is this far ahead after an outage has gone on: a day and more at 10 kHz.
+/// Largest gap after an outage for a counter that has gone on: a day and more at 10 kHz.
 const OUTAGE_MAX: i32 = 1 << 30;
 
-/// A frame this far behind may have come late or twice: links do not reorder further. Beyond it the
-/// device began anew.
+/// A frame at most this far behind came late or twice: links do not reorder further. Beyond it the
+/// device started again.
 const LATE_MIN: i32 = -64;
 
-/// So few frames missing are never doubted: a clock that is read late by a few frames' time is no lie of the counter.
+/// Gaps up to this size are never doubted: a clock read late by a few frame times does not refute the counter.
 const DOUBTED_MIN: i32 = 8;
 
-/// A counter that went so many times further than the device's own clock allows did not lose frames. Far from 1: the
-/// rate may be another than the device said, and its clock be set while frames are lost.
+/// A counter that advanced so many times further than the device's own clock allows did not lose frames. Far from 1:
+/// the true rate may differ from the stated one, and the clock may be set while frames are lost.
 const CLOCK_FACTOR: f64 = 4.0;
 
 /// What a frame's counter says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Step {
-    /// The next frame, after so many that did not come.
+    /// The next frame, after `missing` frames that did not arrive.
     Next { missing: u32 },
-    /// Seen before, or late: its row has passed.
+    /// Received before, or late: its row is closed.
     Again,
-    /// The counter went where no loss can take it; the frame counts as the next one.
+    /// The counter jumped as no loss explains; the frame counts as the next one.
     Jump,
 }
 
@@ -32,7 +32,7 @@ pub(super) enum Step {
 #[derive(Debug, Default)]
 pub(super) struct Axis {
     last: Option<(u32, u64)>,
-    /// From a frame to the next by the device's clock; 0 where that is not known.
+    /// Ticks of the device's clock from a frame to the next; 0 when unknown.
     frame_ticks: f64,
 }
 
@@ -41,9 +41,9 @@ impl Axis {
         Self { last: None, frame_ticks: tick_hz as f64 / rate_hz }
     }
 
-    /// Whether so many frames cannot have been produced since the last one, by the device's own clock.
+    /// Whether the device cannot have produced so many frames since the last one, by its own clock.
     fn is_ahead_of_clock(&self, ahead: i32, ticks: u64, last_ticks: u64) -> bool {
-        // A clock that went back says nothing.
+        // A clock that went back proves nothing.
         let passed = ticks.checked_sub(last_ticks).filter(|passed| *passed > 0);
         passed.is_some_and(|passed| {
             ahead > DOUBTED_MIN
@@ -51,14 +51,14 @@ impl Axis {
         })
     }
 
-    /// The first frame after an outage: so many did not come in between, or `None` where counter and clock do not go
-    /// on from where they were, because the device lost its power.
+    /// The first frame after an outage: the number of frames missing in between, or `None` when counter and clock do
+    /// not continue from where they were, because the device lost its power.
     pub(super) fn rejoin(&mut self, seq: u32, device_ticks: u64) -> Option<u32> {
         let last = self.last.replace((seq, device_ticks));
         let Some((last, ticks)) = last else { return Some(0) };
         match seq.wrapping_sub(last).cast_signed() {
             ahead @ 1..=OUTAGE_MAX if device_ticks > ticks => {
-                // A counter that stood still while the device was stopped: its clock did not.
+                // The counter stood still while the device was stopped, but its clock went on.
                 let passed = (device_ticks - ticks) as f64 / self.frame_ticks;
                 let by_clock = if passed.is_finite() { passed.round() as i64 } else { 0 };
                 let slack = i64::from(DOUBTED_MIN).max(i64::from(ahead) / 100);
@@ -71,7 +71,7 @@ impl Axis {
         }
     }
 
-    /// The device's clock tells a late frame from a counter that began anew.
+    /// A frame during the stream. The device's clock distinguishes a late frame from a counter that started again.
     pub(super) fn step(&mut self, seq: u32, device_ticks: u64) -> Step {
         let step = match self.last {
             None => Step::Next { missing: 0 },

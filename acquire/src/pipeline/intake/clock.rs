@@ -1,4 +1,4 @@
-//! The clocks of a recording: what frames and pongs say of them, and where that goes.
+//! The clocks of a recording: takes observations from frames and pongs, and passes them to the writer.
 
 use crossbeam_channel::Sender;
 use mocapd_take::record::{Event, EventKind};
@@ -6,11 +6,11 @@ use mocapd_take::record::{Event, EventKind};
 use super::Intake;
 use crate::clock::{ClockEvent, ClockItem, ClockModel, ClockStatus};
 
-/// Jumps, and times that observations are left out, that get an event of their own. More jumps are a device without a
+/// Clock jumps and omitted observations that get an event of their own. More jumps mean a device without a
 /// clock: the segments count them.
 const EVENTS_MAX: u32 = 32;
 
-/// The model, and the way to the writer.
+/// The clock model, and its queue to the writer.
 #[derive(Debug)]
 pub(super) struct Clocks {
     model: ClockModel,
@@ -18,14 +18,14 @@ pub(super) struct Clocks {
     events: u32,
 }
 
-/// The way to the writer. An item that finds it full is in no take, and the line is not laid through it.
+/// The queue to the writer. An item that finds it full is stored in no take, and the line is not fitted to it.
 #[derive(Debug)]
 struct Outbox {
     items: Sender<ClockItem>,
     sent: u64,
-    /// Something was refused, and the queue has not been empty since.
+    /// An item was refused, and the queue has not been empty since.
     overflows: bool,
-    /// That is not reported yet.
+    /// The overflow is not reported yet.
     overflowed: bool,
 }
 
@@ -68,19 +68,19 @@ impl Clocks {
 }
 
 impl Intake {
-    /// A ping of `sent_ns` whose pong said `device_ticks` and arrived at `answered_ns`, by the host's monotonic
-    /// clock.
+    /// Accepts a round trip: a ping sent at `sent_ns` whose pong carried `device_ticks` and arrived at `answered_ns`,
+    /// by the host's monotonic clock.
     pub fn probe(&mut self, device_ticks: u64, sent_ns: u64, answered_ns: u64) {
         let event = self.clocks.probe(device_ticks, sent_ns, answered_ns);
         self.clock_events(event, device_ticks, answered_ns);
     }
 
-    /// Whether the clocks are in doubt, and round trips would help. Said once.
+    /// Whether the clocks are in doubt and round trips would help. Returns `true` once.
     pub fn wants_probes(&mut self) -> bool {
         self.clocks.model.wants_probes()
     }
 
-    /// What the last frame or pong brought to light.
+    /// Records the events that the last frame or pong revealed.
     pub(super) fn clock_events(
         &mut self,
         event: Option<ClockEvent>,

@@ -1,4 +1,4 @@
-//! A frame into its row, by channel, the row into the rings, and stretches closed.
+//! Fills a frame's row by channel, puts the row into the rings, and closes stretches.
 
 use std::{
     collections::{HashMap, VecDeque},
@@ -27,7 +27,7 @@ impl Intake {
         }
     }
 
-    /// Whether this frame, and the lost rows before it that belong into the open stretch, fit.
+    /// Whether this frame fits, with the lost rows before it that belong to the open stretch.
     pub(super) fn has_room(&mut self) -> bool {
         self.has_room_for(1 + if self.open_rows > 0 { self.pending.rows() as usize } else { 0 })
     }
@@ -38,7 +38,7 @@ impl Intake {
             let active = &self.rings[..self.n_channels];
             self.room = active.iter().map(RingIn::room).min().unwrap_or(usize::MAX);
         }
-        // What is pending, this row, and what may be pending at the end.
+        // The pending runs, this row, and the runs that may be pending at the end.
         self.room >= rows && self.timeline.room() > 2 * RUNS_MAX
     }
 
@@ -90,8 +90,8 @@ impl Intake {
         }
     }
 
-    /// Rows that were lost since the last recorded one, as a stretch of their own: they are the account's of whatever
-    /// take ends here.
+    /// Sends the rows lost since the last recorded one as a stretch of their own: they count for the take that ends
+    /// here.
     pub(super) fn close_pending(&mut self) {
         if self.pending.rows() == 0
             || self.counts.recorded == 0
@@ -116,7 +116,7 @@ impl Intake {
         self.send(self.end_of(span, last));
     }
 
-    /// A boundary between two stretches, sent the way that they go.
+    /// Sends a boundary between two stretches, the way of stretches.
     pub(super) fn end_boundary(&mut self) {
         let span = Span { first_row: self.next_row, n_rows: 0, key: false, number: 0 };
         self.send(self.end_of(span, false));
@@ -142,12 +142,12 @@ impl Intake {
     }
 }
 
-/// Announcements that wait for a frame: one of every id there can be.
+/// Announcements that wait for a frame: one for every possible id.
 const ANNOUNCED_MAX: usize = 1 << 16;
 
 impl Intake {
-    /// Markers of the device's table that are not channels yet become channels with the next frame, while the pool lasts.
-    /// A table may come in several messages: what comes before that frame is one.
+    /// Announces markers of the device's table. New ones become channels with the next frame, while the pool lasts.
+    /// A table may come in several messages: all messages before that frame form one.
     pub fn announce(&mut self, markers: &[MarkerInfo]) {
         self.announced.extend_from_slice(markers);
         if self.announced.len() > ANNOUNCED_MAX {
@@ -155,10 +155,10 @@ impl Intake {
         }
     }
 
-    /// Gives every marker that was announced the channel of its name, or a new one.
+    /// Gives every announced marker the channel of its name, or a new one.
     pub(super) fn bind_announced(&mut self) {
         let announced = std::mem::take(&mut self.announced);
-        // Of an id that was announced twice the last word counts.
+        // If an id was announced twice, the last announcement counts.
         let last: HashMap<u16, usize> =
             announced.iter().enumerate().map(|(at, marker)| (marker.id, at)).collect();
         let is_new = |(at, marker): &(usize, &MarkerInfo)| {
@@ -172,9 +172,9 @@ impl Intake {
         if new.is_empty() {
             return;
         }
-        // These ids stand for other markers now, all of them, before any gets its channel: names that changed places
-        // find theirs free. Until one has a channel its samples are counted as dropped: they must not be stored under the
-        // old name.
+        // These ids now stand for other markers. All lose their channels before any gets one, so that markers that
+        // exchanged names find each other's channels free. Samples of a marker without a channel count as dropped: they
+        // must not be stored under the old name.
         for marker in &new {
             self.slot_of_id[usize::from(marker.id)] = NO_SLOT;
         }
@@ -198,7 +198,7 @@ impl Intake {
         }
     }
 
-    /// The frame's markers by slot.
+    /// Sorts the frame's markers into slots.
     pub(super) fn fill_row(&mut self, frame: &Frame<'_>) {
         for marker in frame.markers {
             let mut slot = self.slot_of_id[usize::from(marker.id)];
@@ -217,7 +217,7 @@ impl Intake {
         }
     }
 
-    /// A channel that was not there before begins with a stretch of its own.
+    /// Opens a channel for a new marker, which begins with a new stretch.
     fn open_channel(&mut self, id: u16, named: Option<(&str, bool)>) {
         if self.n_channels >= self.row.len() {
             return;

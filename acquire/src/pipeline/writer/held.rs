@@ -1,4 +1,4 @@
-//! The pre-roll: coded stretches that wait for a take to want them.
+//! The pre-roll buffer: encoded stretches kept in memory for a take that begins later.
 
 use std::{collections::VecDeque, time::Duration};
 
@@ -9,10 +9,10 @@ use crate::pipeline::{
     messages::{Moment, PartReport, StretchEnd},
 };
 
-/// Events that wait with them: as many as may wait for the writer. Of more, the oldest go.
+/// Events kept with the stretches: as many as may wait for the writer. Beyond this, the oldest are dropped.
 const EVENTS_MAX: usize = 1024;
 
-/// A stretch, as it was coded.
+/// An encoded stretch.
 #[derive(Debug)]
 pub(super) struct HeldStretch {
     pub(super) stretch: u64,
@@ -21,12 +21,12 @@ pub(super) struct HeldStretch {
     pub(super) last_arrival_ns: u64,
     pub(super) payload: Box<[u8]>,
     pub(super) report: PartReport,
-    /// What was counted before it, and with it.
+    /// The counters before it, and at its end.
     pub(super) before: Counts,
     pub(super) after: Counts,
 }
 
-/// The newest stretches, from a key on.
+/// The newest stretches, beginning with a key stretch.
 #[derive(Debug)]
 pub(super) struct Held {
     time_ns: u64,
@@ -34,7 +34,7 @@ pub(super) struct Held {
     stretches: VecDeque<HeldStretch>,
     events: VecDeque<(u64, Event)>,
     bytes: usize,
-    /// Something went because of the bytes that it took.
+    /// Stretches were dropped early because of the memory limit.
     cut: bool,
 }
 
@@ -60,7 +60,7 @@ impl Held {
         report: PartReport,
         (before, after): (Counts, Counts),
     ) {
-        // What a decoder cannot start at is of no use at the front.
+        // A decoder can start only at a key.
         if self.stretches.is_empty() && !end.span.key {
             return;
         }
@@ -85,21 +85,21 @@ impl Held {
         self.events.push_back((stretch, event));
     }
 
-    /// The stretches that a take of the last `pre_roll` before `now_ns` has: from the last key that is old enough, and
-    /// none from before an outage that had begun by then.
+    /// Index of the first stretch for a take with `pre_roll` before `now_ns`: the last key that is old enough, but
+    /// nothing from before an outage that had begun by then.
     pub(super) fn of_last(&self, pre_roll: Duration, now_ns: u64) -> usize {
         if pre_roll.is_zero() {
             return self.stretches.len();
         }
         let pre_roll_ns = u64::try_from(pre_roll.as_nanos()).unwrap_or(u64::MAX);
         let from_ns = now_ns.saturating_sub(pre_roll_ns);
-        // Nothing of it is so new: the device was away.
+        // Nothing is recent enough: the device was disconnected.
         if self.stretches.back().is_none_or(|newest| newest.last_arrival_ns < from_ns) {
             return self.stretches.len();
         }
         let old_enough = |held: &HeldStretch| held.span.key && held.first.arrival_ns <= from_ns;
         let Some(at) = self.stretches.iter().rposition(old_enough) else { return 0 };
-        // All that goes with that key may be older than wanted.
+        // All stretches of that key may be older than requested.
         let next_key = self.stretches.iter().skip(at + 1).position(|held| held.span.key);
         let next_key = next_key.map(|after| at + 1 + after);
         let end = next_key.unwrap_or(self.stretches.len());
@@ -124,14 +124,14 @@ impl Held {
         self.cut
     }
 
-    /// From the first frame to the last.
+    /// Time in seconds from the first frame to the last.
     pub(super) fn seconds(&self) -> f64 {
         let ends = (self.stretches.front(), self.stretches.back());
         let (Some(first), Some(last)) = ends else { return 0.0 };
         last.last_arrival_ns.saturating_sub(first.first.arrival_ns) as f64 * 1e-9
     }
 
-    /// Lets go what is older than wanted, up to a key at a time.
+    /// Drops stretches that are older than configured, up to a key at a time.
     fn trim(&mut self, newest_ns: u64) {
         let from_ns = newest_ns.saturating_sub(self.time_ns);
         let mut over = self.bytes > self.bytes_max;
@@ -145,7 +145,7 @@ impl Held {
             over = self.bytes > self.bytes_max;
         }
         if over {
-            // All of it since the last key: nothing can be kept before the next one.
+            // The stretches since the last key alone exceed the limit: nothing can be kept before the next key.
             self.cut = true;
             self.drop_first(self.stretches.len());
         }
@@ -164,7 +164,7 @@ impl Held {
     }
 }
 
-/// What a stretch takes in memory.
+/// Memory used by a stretch, in bytes.
 fn bytes_of(payload: &[u8]) -> usize {
     payload.len() + size_of::<HeldStretch>()
 }

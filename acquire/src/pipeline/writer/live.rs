@@ -27,12 +27,12 @@ use crate::{
     },
 };
 
-/// From its header to its footer.
+/// An open take, from its header to its footer.
 #[derive(Debug)]
 pub(in crate::pipeline) struct LiveTake {
     take: TakeWriter<Box<dyn TakeOutput>>,
     reply: Reply,
-    /// What the pipeline had counted before it, and the row that is its first.
+    /// The pipeline's counters before the take, and the pipeline's row that is its row 0.
     base: Counts,
     rows_before: u64,
     next_number: u8,
@@ -47,13 +47,13 @@ pub(in crate::pipeline) struct LiveTake {
     last_sync: Option<Instant>,
     ledgers: Ledgers,
     room: Room,
-    /// What others did to the file, and the name that it has for that.
+    /// The state of the file, and its present name if that changed.
     file_state: FileState,
     file_at: Option<PathBuf>,
 }
 
 impl LiveTake {
-    /// A take whose row 0 is the pipeline's row `rows_before`; `base` was counted before it.
+    /// Begins a take whose row 0 is the pipeline's row `rows_before`; `base` are the counters before it.
     pub(in crate::pipeline) fn begin(
         new: NewTake,
         reply: &Reply,
@@ -91,7 +91,7 @@ impl LiveTake {
         Ok(take)
     }
 
-    /// So that nothing is allocated later.
+    /// Allocates the buffers.
     pub(super) fn reserve(&mut self, stretch_bytes: usize) {
         self.moved.reserve(stretch_bytes);
     }
@@ -100,13 +100,13 @@ impl LiveTake {
         self.take.channels(std::slice::from_ref(channel)).context("cannot write a new channel")
     }
 
-    /// An event at a row of the pipeline.
+    /// Writes an event at a row of the pipeline.
     pub(super) fn event(&mut self, event: &Event) -> anyhow::Result<()> {
         let row = event.row.saturating_sub(self.rows_before);
         self.take.event(&Event { row, ..event.clone() }).context("cannot write an event")
     }
 
-    /// The row of the pipeline that came next when it was asked for: where there are rows before, that is worth knowing.
+    /// Marks the pipeline's row at the time of the request, if there are rows before it.
     pub(super) fn asked_here(&mut self, row: u64, asked_ns: u64) -> anyhow::Result<()> {
         if !self.has_stretches {
             return Ok(());
@@ -115,7 +115,7 @@ impl LiveTake {
         self.event(&Event { row, ..Event::new(EventKind::Host, asked_ns, text) })
     }
 
-    /// A stretch of the pipeline, with what it counted up to its end.
+    /// Writes a stretch of the pipeline; `counts` are the counters at its end.
     pub(super) fn stretch(
         &mut self,
         span: Span,
@@ -130,7 +130,7 @@ impl LiveTake {
         }
         self.report.add(report);
         self.counts = counts.since(&self.base);
-        // The last one has neither rows nor, when nothing was lost at the end, a front.
+        // The last stretch has no rows, and no front either when nothing was lost at the end.
         if payload.is_empty() {
             return Ok(());
         }
@@ -150,16 +150,16 @@ impl LiveTake {
         Ok(())
     }
 
-    /// Rows that were lost before its first key: nobody can read on from them, and whoever asked for the take when
-    /// nothing came wants what came then. The absence of a device is none of the take's; frames that did come, and
-    /// found the rings full, are on its account.
+    /// Skips rows lost before the first key, which no reader could use: a take requested while nothing came begins with
+    /// what came next. The absence of the device is not the take's loss, but frames that arrived and found the rings
+    /// full are.
     fn begin_behind(&mut self, span: Span, counts: &Counts) {
         self.base = Counts { ring_full: self.base.ring_full, ..*counts };
         self.rows_before = span.first_row;
         self.counts = counts.since(&self.base);
     }
 
-    /// What was seen of the clocks up to this moment.
+    /// Writes the clock observations up to this moment.
     pub(super) fn observe(
         &mut self,
         clocks: &mut ClockWriter,
@@ -181,7 +181,7 @@ impl LiveTake {
         self.look_at_disk(progress);
         self.look_at_file(progress);
         let is_due = self.last_sync.is_none_or(|last| last.elapsed() >= self.sync_every);
-        // Somebody waits for the first row.
+        // The requester waits for the first row.
         if is_due || (self.first.is_some() && !self.first_told) {
             self.sync_what_waits()?;
         }
@@ -193,7 +193,7 @@ impl LiveTake {
         self.room.look(&mut **self.take.get_mut(), written, progress, Instant::now());
     }
 
-    /// Tells others when the file is not what it was at the last look.
+    /// Publishes the file's state when it has changed.
     pub(super) fn look_at_file(&mut self, progress: &Progress) {
         let state = self.take.get_mut().look();
         if state == FileState::InPlace && state == self.file_state {
@@ -201,14 +201,14 @@ impl LiveTake {
         }
         let displaced = self.take.get_mut().displaced();
         let at = displaced.as_ref().and_then(|displaced| displaced.now_at.clone());
-        // It may be renamed again.
+        // It may be renamed more than once.
         if state != self.file_state || at != self.file_at {
             (self.file_state, self.file_at) = (state, at);
             progress.set_file_state(state, displaced);
         }
     }
 
-    /// Whether another program cut the file short: the rest would lie behind a hole.
+    /// Whether another program truncated the file: further data would follow a hole.
     pub(super) fn is_cut_short(&self) -> bool {
         self.file_state == FileState::Truncated
     }
@@ -222,13 +222,13 @@ impl LiveTake {
         if let Some(first) = self.first
             && !std::mem::replace(&mut self.first_told, true)
         {
-            // Nobody need wait for it.
+            // The requester may be gone.
             self.reply.first.try_send(first).ok();
         }
         Ok(())
     }
 
-    /// For whoever watches.
+    /// Publishes the take's progress for observers.
     pub(super) fn tell(&self, progress: &Progress) {
         progress.file_bytes.store(self.take.bytes(), Ordering::Relaxed);
         progress.samples.store(self.report.samples, Ordering::Relaxed);
@@ -243,7 +243,7 @@ impl LiveTake {
         *lock(&progress.take) = Some(now);
     }
 
-    /// What was held for the rest is nobody's: the part that was written stays.
+    /// Ends the take after an error: its unused reserve is released, and what was written stays.
     pub(super) fn give_up(self, error: anyhow::Error) {
         let ended = self.reply.ended.clone();
         ended.try_send(Err(self.failed(error))).ok();
@@ -251,14 +251,14 @@ impl LiveTake {
 
     fn failed(mut self, error: anyhow::Error) -> TakeFailed {
         let written = self.take.bytes();
-        // A disk that failed may fail here, too.
+        // On a failed disk this may fail too.
         self.take.get_mut().release(written).ok();
-        // Without a frame it is worth nothing.
+        // Without a frame the take is useless.
         let error = if self.first.is_none() { error.context(NothingRecorded) } else { error };
         TakeFailed { error, output: Some(self.take.abandon()) }
     }
 
-    /// Closes it, with the counters at its end.
+    /// Closes the take with the counters at its end.
     pub(super) fn end(mut self, counts: &Counts, clocks: &mut ClockWriter, ending: TakeEnding) {
         self.counts = counts.since(&self.base);
         let ended = self.reply.ended.clone();
@@ -298,7 +298,7 @@ impl LiveTake {
         }
     }
 
-    /// Writes its end.
+    /// Writes the end of the take.
     fn close(
         &mut self,
         clocks: &mut ClockWriter,
@@ -321,43 +321,43 @@ impl LiveTake {
         Ok((ledger, clock_lines))
     }
 
-    /// Nothing more is written: what is left of the file is a take that was cut off.
+    /// Ends a truncated take without writing more: the file is a take that was cut off.
     fn finish_cut_short(mut self) -> (Written, Box<dyn TakeOutput>) {
         let displaced = self.take.get_mut().displaced();
         let (found, written) = displaced.map_or((0, self.take.bytes()), |file| file.bytes);
         let detail = format!("cut short from {written} to {found} bytes by another program");
         let mut ledger = self.counts.ledger(false);
-        // What was recorded is not what is there.
+        // The file does not contain what was recorded.
         ledger.contradictions.push(format!("the file was {detail}"));
         let ending = TakeEnding::new(EndingKind::Truncated, detail);
         let written = Written { ending, file_bytes: found, ..self.written(ledger) };
         let mut output = self.take.abandon();
-        // A file system that keeps what was held for the rest gives it back when the file is closed.
+        // A file system that does not release the reserve now does so when the file is closed.
         output.release(found).ok();
         (Written { disk: self.room.close(&*output), ..written }, output)
     }
 }
 
-/// Time between two ledgers at least.
+/// Shortest time between two ledgers.
 const AT_LEAST: Duration = Duration::from_secs(5);
 
-/// Time between two ledgers at most: by so much the last one of a killed take can be older than its last
-/// frame, as far as its counters of what went well go.
+/// Longest time between two ledgers: the last ledger of a killed take can be so much older than its last
+/// frame, in the counters that change while all goes well.
 const AT_MOST: Duration = Duration::from_secs(60);
 
-/// A ledger stands in the take from the first stretch on; then, while all goes well, when the recording is
-/// twice as old as at the last one. What went wrong is there within five seconds.
+/// Decides when to write a ledger: with the first stretch; then, while all goes well, whenever the recording is
+/// twice as old as at the last ledger. A problem is recorded within five seconds.
 #[derive(Debug, Default)]
 pub(super) struct Ledgers {
     begun: Option<Instant>,
     last: Option<(Instant, Troubles)>,
 }
 
-/// The counters that stand still while all goes well.
+/// The counters that do not change while all goes well.
 type Troubles = [u64; 13];
 
 impl Ledgers {
-    /// Whether one is to be written now; then it counts as written.
+    /// Whether a ledger is due; if so, it counts as written.
     pub(super) fn are_due(&mut self, counts: &Counts, now: Instant) -> bool {
         let begun = *self.begun.get_or_insert(now);
         let troubles = troubles(counts);
