@@ -1,21 +1,21 @@
-//! Both ends of a link: the device's, for simulators, and the host's.
+//! The two ends of a link: [`DeviceLink`] for simulators, [`HostLink`] for the recorder.
 
 use super::{
     COMMAND_WIRE_BYTES_MAX, ENVELOPE_BYTES, EncodeError, FrameForm, MARKERS_MAX,
     MARKERS_MESSAGE_BYTES_MAX, WIRE_BYTES_MAX,
-    envelope::{Deframer, Framer, Verdict},
+    envelope::{Deframer, Framer, DecodeOutcome},
     frame::{get_frame, put_frame},
     messages::{self, kind},
 };
 use crate::{
-    bytes::Wire,
+    bytes::WireValue,
     device::{
         Command, DeviceEvent, Frame, Hello, LinkBudget, LinkCounters, MarkerInfo, MarkerSample,
         Pong, Protocol, Status, Trigger,
     },
 };
 
-/// The device's end of a link, sans-io. Every message is appended to the caller's `out`.
+/// The device's end of a link, sans-io. Its methods append each message to `out`.
 #[derive(Debug)]
 pub struct DeviceLink {
     deframer: Deframer,
@@ -29,34 +29,34 @@ impl Default for DeviceLink {
 }
 
 impl DeviceLink {
-    /// A link on which nothing was said yet.
+    /// Makes a link with empty buffers and zeroed counters.
     #[must_use]
     pub fn new() -> Self {
         Self { deframer: Deframer::new(COMMAND_WIRE_BYTES_MAX), framer: Framer::default() }
     }
 
-    /// Takes bytes as they arrived, in pieces of any size, and gives every command they complete.
+    /// Decodes received bytes, split at arbitrary points, and calls `on_command` for every command they complete.
     pub fn push(&mut self, bytes: &[u8], on_command: &mut dyn FnMut(Command)) {
         self.deframer.push(bytes, |kind, payload| match messages::get_command(kind, payload) {
             Some(Some(command)) => {
                 on_command(command);
-                Verdict::Decoded
+                DecodeOutcome::Decoded
             }
-            Some(None) => Verdict::Damaged,
-            None => Verdict::Unknown,
+            Some(None) => DecodeOutcome::Damaged,
+            None => DecodeOutcome::Unknown,
         });
     }
 
-    /// What was counted of the bytes pushed in.
+    /// Counters of the received bytes and messages.
     #[must_use]
     pub fn counters(&self) -> LinkCounters {
         self.deframer.counters
     }
 
-    /// Who the device is. A 0x00 goes before it, which closes whatever a former device left.
+    /// Encodes a Hello. A 0x00 precedes it and ends whatever another device left on the line.
     ///
     /// # Errors
-    /// `Text` and `Hello` when the values cannot be sent.
+    /// `Text` and `Hello` for values that the message cannot hold.
     pub fn hello(&mut self, hello: &Hello, out: &mut Vec<u8>) -> Result<(), EncodeError> {
         messages::put_hello(hello, self.framer.open(kind::HELLO))?;
         out.push(0);
@@ -64,10 +64,10 @@ impl DeviceLink {
         Ok(())
     }
 
-    /// Adds markers to the host's table, in as many messages as they need: one even for none.
+    /// Encodes markers for the host's table, in as many messages as needed; an empty table takes one.
     ///
     /// # Errors
-    /// `TooManyMarkers`, and `Text` when a label cannot be sent; nothing was appended then.
+    /// `TooManyMarkers`, and `Text` for a label that the message cannot hold; nothing is appended then.
     pub fn markers(
         &mut self,
         markers: &[MarkerInfo],
@@ -79,7 +79,7 @@ impl DeviceLink {
         let start = out.len();
         let mut rest = markers;
         loop {
-            let (now, later) = rest.split_at(fitting(rest));
+            let (now, later) = rest.split_at(n_fitting(rest));
             let message = self.framer.open(kind::MARKERS);
             message.extend_from_slice(&(now.len() as u16).to_le_bytes());
             for marker in now {
@@ -96,10 +96,10 @@ impl DeviceLink {
         }
     }
 
-    /// One frame, its markers in ascending order of their ids.
+    /// Encodes a frame, whose markers must be sorted by ascending id.
     ///
-    /// `form` is a wish: a frame that it cannot say, or says in more bytes than another, is sent in
-    /// the one that can. A marker whose position is not finite travels as occluded.
+    /// `form` is a preference: a frame that it cannot represent, or only in more bytes than another form, is
+    /// sent in the other. A marker whose position is not finite is sent as occluded.
     ///
     /// # Errors
     /// `TooManyMarkers` and `IdsNotAscending`.
@@ -112,44 +112,44 @@ impl DeviceLink {
         put_frame(&mut self.framer, form, frame, out)
     }
 
-    /// A trigger edge.
+    /// Encodes a trigger edge.
     pub fn trigger(&mut self, trigger: Trigger, out: &mut Vec<u8>) {
         self.framer.write(kind::TRIGGER, trigger, out);
     }
 
-    /// A report.
+    /// Encodes the counters and temperature of the device.
     pub fn status(&mut self, status: Status, out: &mut Vec<u8>) {
         self.framer.write(kind::STATUS, status, out);
     }
 
-    /// The last report: no frames follow until the next Start.
+    /// Encodes the end of the stream with the final counters. No frames follow until the next Start.
     pub fn end_of_stream(&mut self, status: Status, out: &mut Vec<u8>) {
         self.framer.write(kind::END_OF_STREAM, status, out);
     }
 
-    /// Answers Ping.
+    /// Encodes the reply to Ping.
     pub fn pong(&mut self, pong: Pong, out: &mut Vec<u8>) {
         self.framer.write(kind::PONG, pong, out);
     }
 
-    /// Answers Start: frames follow.
+    /// Encodes the acceptance of Start. Frames follow.
     pub fn started(&mut self, budget: LinkBudget, out: &mut Vec<u8>) {
         self.framer.write(kind::STARTED, budget, out);
     }
 
-    /// Answers Start or `SetRate`: the line is too slow, or the rate out of range.
+    /// Encodes the refusal of Start or `SetRate`: the line is too slow, or the rate out of range.
     pub fn refused(&mut self, budget: LinkBudget, out: &mut Vec<u8>) {
         self.framer.write(kind::REFUSED, budget, out);
     }
 
-    /// Answers `SetRate`: the rate from the next Start on, in millihertz.
+    /// Encodes the acceptance of `SetRate`: the rate from the next Start on, in millihertz.
     pub fn rate_set(&mut self, rate_mhz: u32, out: &mut Vec<u8>) {
         self.framer.write(kind::RATE_SET, rate_mhz, out);
     }
 }
 
-/// How many of the markers fit into one message: at least one, when there is any.
-fn fitting(markers: &[MarkerInfo]) -> usize {
+/// Number of markers that fit into one message: at least one unless there are none.
+fn n_fitting(markers: &[MarkerInfo]) -> usize {
     let mut bytes = ENVELOPE_BYTES + 2;
     markers
         .iter()
@@ -161,17 +161,17 @@ fn fitting(markers: &[MarkerInfo]) -> usize {
         .max(usize::from(!markers.is_empty()))
 }
 
-/// The host's end of a link, sans-io.
+/// The host's end of a link, sans-io: the [`Protocol`] of the DVMC family.
 #[derive(Debug)]
 pub struct HostLink {
     deframer: Deframer,
     framer: Framer,
-    inbox: Inbox,
+    scratch: Scratch,
 }
 
-/// Where messages are decoded to; its memory is used again for the next one.
+/// Memory that messages are decoded into, reused from one to the next.
 #[derive(Debug, Default)]
-struct Inbox {
+struct Scratch {
     samples: Vec<MarkerSample>,
     markers: Vec<MarkerInfo>,
     hello: Hello,
@@ -179,13 +179,13 @@ struct Inbox {
 }
 
 impl HostLink {
-    /// A link on which nothing was said yet.
+    /// Makes a link with empty buffers and zeroed counters.
     #[must_use]
     pub fn new() -> Self {
         Self {
             deframer: Deframer::new(WIRE_BYTES_MAX),
             framer: Framer::default(),
-            inbox: Inbox { samples: Vec::with_capacity(MARKERS_MAX), ..Inbox::default() },
+            scratch: Scratch { samples: Vec::with_capacity(MARKERS_MAX), ..Scratch::default() },
         }
     }
 }
@@ -198,15 +198,15 @@ impl Default for HostLink {
 
 impl Protocol for HostLink {
     fn push(&mut self, bytes: &[u8], on_event: &mut dyn FnMut(DeviceEvent<'_>)) {
-        let inbox = &mut self.inbox;
-        self.deframer.push(bytes, |kind, payload| inbox.decode(kind, payload, on_event));
+        let scratch = &mut self.scratch;
+        self.deframer.push(bytes, |kind, payload| scratch.decode(kind, payload, on_event));
     }
 
     fn command(&mut self, command: Command, out: &mut Vec<u8>) {
         let framer = &mut self.framer;
         match command {
             Command::Identify => {
-                // Closes whatever reached the device before us, so that it cannot spoil this.
+                // Ends whatever the device received before, so that it cannot damage this command.
                 out.push(0);
                 framer.write(kind::IDENTIFY, (), out);
             }
@@ -220,17 +220,18 @@ impl Protocol for HostLink {
     }
 
     fn counters(&self) -> LinkCounters {
-        LinkCounters { samples_not_finite: self.inbox.samples_not_finite, ..self.deframer.counters }
+        let samples_not_finite = self.scratch.samples_not_finite;
+        LinkCounters { samples_not_finite, ..self.deframer.counters }
     }
 }
 
-impl Inbox {
+impl Scratch {
     fn decode(
         &mut self,
         kind: u8,
         payload: &[u8],
         on_event: &mut dyn FnMut(DeviceEvent<'_>),
-    ) -> Verdict {
+    ) -> DecodeOutcome {
         let event = match kind {
             kind::FRAME_FLOAT | kind::FRAME_MICROMETRES | kind::FRAME_COMPACT => {
                 get_frame(kind, payload, &mut self.samples, &mut self.samples_not_finite)
@@ -241,21 +242,21 @@ impl Inbox {
             kind::MARKERS => {
                 messages::get_markers(payload, &mut self.markers).map(DeviceEvent::Markers)
             }
-            kind::TRIGGER => Wire::whole(payload).map(DeviceEvent::Trigger),
-            kind::STATUS => Wire::whole(payload).map(DeviceEvent::Status),
-            kind::END_OF_STREAM => Wire::whole(payload).map(DeviceEvent::EndOfStream),
-            kind::PONG => Wire::whole(payload).map(DeviceEvent::Pong),
-            kind::STARTED => Wire::whole(payload).map(DeviceEvent::Started),
-            kind::REFUSED => Wire::whole(payload).map(DeviceEvent::Refused),
-            kind::RATE_SET => Wire::whole(payload).map(DeviceEvent::RateSet),
-            _ => return Verdict::Unknown,
+            kind::TRIGGER => WireValue::decode(payload).map(DeviceEvent::Trigger),
+            kind::STATUS => WireValue::decode(payload).map(DeviceEvent::Status),
+            kind::END_OF_STREAM => WireValue::decode(payload).map(DeviceEvent::EndOfStream),
+            kind::PONG => WireValue::decode(payload).map(DeviceEvent::Pong),
+            kind::STARTED => WireValue::decode(payload).map(DeviceEvent::Started),
+            kind::REFUSED => WireValue::decode(payload).map(DeviceEvent::Refused),
+            kind::RATE_SET => WireValue::decode(payload).map(DeviceEvent::RateSet),
+            _ => return DecodeOutcome::Unknown,
         };
         match event {
             Some(event) => {
                 on_event(event);
-                Verdict::Decoded
+                DecodeOutcome::Decoded
             }
-            None => Verdict::Damaged,
+            None => DecodeOutcome::Damaged,
         }
     }
 }

@@ -28,7 +28,7 @@ pub(crate) const FAMILY: Family = Family {
     name: "ndi",
     claims: |candidate| {
         let is_ndi = |name: &str| name.contains("northern digital") || name.starts_with("ndi ");
-        match (candidate.is_serial(), candidate.is_called(is_ndi)) {
+        match (candidate.is_serial(), candidate.name_matches(is_ndi)) {
             (true, true) => Claim::Certain,
             (true, false) => Claim::Possible,
             (false, _) => Claim::No,
