@@ -65,9 +65,9 @@ fn row(name: &str, mesh: &Mesh, rounds: usize) -> Result<bool, Box<dyn Error>> {
     let mut gives = String::new();
     for _ in 0..rounds.max(1) {
         let begin_ms = busy_ms();
-        let survey = black_box(Survey::new(black_box(mesh), Method::Default));
+        let analysis = black_box(Survey::new(black_box(mesh), Method::Default));
         whole.push(busy_ms() - begin_ms);
-        gives = survey.map_or_else(|reason| reason.code().to_owned(), |_| "joints".to_owned());
+        gives = analysis.map_or_else(|reason| reason.code().to_owned(), |_| "joints".to_owned());
         let begin_ms = busy_ms();
         black_box(distances(&edges, 0, &mut Workspace::default()));
         bare.push(busy_ms() - begin_ms);

@@ -25,7 +25,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         for seed in seeds[0]..=seeds[1] {
             let (mesh, _) = body(seed, pose, Options::default());
             let codes = match Survey::new(&mesh, Method::Default) {
-                Ok(survey) => survey.notes.iter().map(|note| note.code).collect(),
+                Ok(analysis) => analysis.notes.iter().map(|note| note.code).collect(),
                 Err(refusal) => vec!["refused", refusal.code()],
             };
             if !codes.is_empty() {

@@ -18,7 +18,7 @@ const ARM: RangeInclusive<f64> = 0.475..=0.85;
 
 /// What of a body's joints can be believed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Plausible {
+pub enum Plausibility {
     /// All of them.
     Whole,
     /// All but shoulders and elbows: the arms are not where they were looked for.
@@ -27,7 +27,7 @@ pub enum Plausible {
     Nothing,
 }
 
-impl Plausible {
+impl Plausibility {
     /// Of joints in any unit; those that are missing are not doubted.
     #[must_use]
     pub fn of(joints: &Joints) -> Self {
@@ -38,8 +38,8 @@ impl Plausible {
             length.is_none_or(|length| parts.contains(&(length / leg)))
         };
         let shoulder =
-            |side: Side| fits(way(joints, Joint::Throat, Joint::Shoulder(side)), SHOULDER);
-        if !fits(way(joints, Joint::Throat, Joint::Pelvis), TRUNK) {
+            |side: Side| fits(between(joints, Joint::Throat, Joint::Shoulder(side)), SHOULDER);
+        if !fits(between(joints, Joint::Throat, Joint::Pelvis), TRUNK) {
             return Self::Nothing;
         }
         let arm = limb(joints, [Joint::Shoulder, Joint::Elbow, Joint::Wrist]);
@@ -51,7 +51,7 @@ impl Plausible {
 /// The length of a limb of three joints: the mean of both sides, or that of the one that has all three.
 fn limb(joints: &Joints, [root, middle, end]: [fn(Side) -> Joint; 3]) -> Option<f64> {
     let of = |side: Side| {
-        Some(way(joints, root(side), middle(side))? + way(joints, middle(side), end(side))?)
+        Some(between(joints, root(side), middle(side))? + between(joints, middle(side), end(side))?)
     };
     match (of(Side::Left), of(Side::Right)) {
         (Some(left), Some(right)) => Some(f64::midpoint(left, right)),
@@ -59,7 +59,7 @@ fn limb(joints: &Joints, [root, middle, end]: [fn(Side) -> Joint; 3]) -> Option<
     }
 }
 
-fn way(joints: &Joints, from: Joint, to: Joint) -> Option<f64> {
+fn between(joints: &Joints, from: Joint, to: Joint) -> Option<f64> {
     Some(distance(joints.point(from)?, joints.point(to)?))
 }
 
@@ -77,7 +77,7 @@ const STOUT_IN_CONTACT: f64 = 0.08;
 const STOUT: f64 = 0.25;
 
 /// By how much the body may be taller than its ways say, as a part of them; nothing where its volume is that of its size.
-pub(super) fn too_short(mesh: &Mesh, scale: f64, in_contact: bool) -> Option<f64> {
+pub(super) fn size_shortfall(mesh: &Mesh, scale: f64, in_contact: bool) -> Option<f64> {
     let stout = (mesh.volume().max(0.0).cbrt() / (scale * VOLUME_ROOT)).ln();
     let most = if in_contact { STOUT_IN_CONTACT } else { STOUT };
     // A stout body in contact may be stout, or too short: nothing tells which.
@@ -85,7 +85,7 @@ pub(super) fn too_short(mesh: &Mesh, scale: f64, in_contact: bool) -> Option<f64
 }
 
 /// Makes the joints as unsure as a body is that may be taller by such a part.
-pub(super) fn doubt(joints: &mut Joints, scale: f64, by: f64) -> Note {
+pub(super) fn widen_sigmas(joints: &mut Joints, scale: f64, by: f64) -> Note {
     joints.size_sigma = by;
     for (joint, Estimate { sigma, .. }) in &mut joints.estimates {
         *sigma = sigma.hypot(by * from_end(*joint) * scale);

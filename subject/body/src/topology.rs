@@ -2,7 +2,7 @@
 
 /// One side of a triangle.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Side {
+pub(crate) struct HalfEdge {
     /// The lower of its vertices, and the higher.
     pub(crate) ends: [u32; 2],
     /// Three times the triangle, plus which side of it: 0 from its first corner to its second.
@@ -11,15 +11,15 @@ pub(crate) struct Side {
 
 /// Every side of every triangle, in an order that does not depend on where anything lies in memory; those of the same edge
 /// stand together.
-pub(crate) fn sides(triangles: &[[u32; 3]]) -> Vec<Side> {
+pub(crate) fn half_edges(triangles: &[[u32; 3]]) -> Vec<HalfEdge> {
     let vertex_count = triangles.as_flattened().iter().max().map_or(0, |most| *most as usize + 1);
     let all = (0..3 * triangles.len() as u32).map(|index| {
         let [from, to] = ends(triangles, index);
         let ends = [from.min(to), from.max(to)];
-        (ends[0], Side { ends, index })
+        (ends[0], HalfEdge { ends, index })
     });
     // By their lower vertex, each of which has a few: far quicker than to sort them all.
-    let Rows { starts, mut values } = Rows::new(vertex_count, all);
+    let SparseRows { starts, mut values } = SparseRows::new(vertex_count, all);
     for range in starts.windows(2) {
         values[range[0] as usize..range[1] as usize].sort_unstable();
     }
@@ -27,8 +27,8 @@ pub(crate) fn sides(triangles: &[[u32; 3]]) -> Vec<Side> {
 }
 
 /// The sides of each edge.
-pub(crate) fn edges(sides: &[Side]) -> impl Iterator<Item = &[Side]> + Clone {
-    sides.chunk_by(|a, b| a.ends == b.ends)
+pub(crate) fn edges(half_edges: &[HalfEdge]) -> impl Iterator<Item = &[HalfEdge]> + Clone {
+    half_edges.chunk_by(|a, b| a.ends == b.ends)
 }
 
 /// The vertices that a side leads from and to.
@@ -40,12 +40,12 @@ pub(crate) fn ends(triangles: &[[u32; 3]], side: u32) -> [u32; 2] {
 
 /// Several values for each of a number of rows, in compressed rows: those of a row lie side by side.
 #[derive(Debug, Clone)]
-pub(crate) struct Rows<T> {
+pub(crate) struct SparseRows<T> {
     starts: Vec<u32>,
     values: Vec<T>,
 }
 
-impl<T: Copy + Default> Rows<T> {
+impl<T: Copy + Default> SparseRows<T> {
     /// Values in the order in which they come, each with its row.
     pub(crate) fn new(count: usize, values: impl Iterator<Item = (u32, T)> + Clone) -> Self {
         let mut starts = vec![0_u32; count + 1];
@@ -77,17 +77,17 @@ impl<T: Copy + Default> Rows<T> {
 
 /// What stands for the set that `at` is in, among disjoint sets of numbers of which each leads to another of its set;
 /// shortens the way there for the next.
-pub(crate) fn root(leads: &mut [u32], mut at: u32) -> u32 {
-    while leads[at as usize] != at {
-        let next = leads[leads[at as usize] as usize];
-        leads[at as usize] = next;
+pub(crate) fn find_root(parents: &mut [u32], mut at: u32) -> u32 {
+    while parents[at as usize] != at {
+        let next = parents[parents[at as usize] as usize];
+        parents[at as usize] = next;
         at = next;
     }
     at
 }
 
 /// Makes one set of two: the lower number stands for both, so that the order in which they are joined does not show.
-pub(crate) fn join(leads: &mut [u32], one: u32, other: u32) {
-    let (one, other) = (root(leads, one), root(leads, other));
-    leads[one.max(other) as usize] = one.min(other);
+pub(crate) fn union(parents: &mut [u32], one: u32, other: u32) {
+    let (one, other) = (find_root(parents, one), find_root(parents, other));
+    parents[one.max(other) as usize] = one.min(other);
 }

@@ -47,7 +47,7 @@ fn bodies(starts: &[&str]) -> Option<Vec<PathBuf>> {
     Some(found)
 }
 
-fn survey(mesh: &Mesh) -> Result<Survey, String> {
+fn analysis(mesh: &Mesh) -> Result<Survey, String> {
     Survey::new(mesh, Method::Default).map_err(|reason| reason.code().to_owned())
 }
 
@@ -58,7 +58,7 @@ fn joints_are_near_enough_on_bodies_that_nothing_was_learned_from() {
     for path in paths {
         let (mesh, truth) = read::body(&path).unwrap();
         let name = &truth.name;
-        let found = match survey(&mesh) {
+        let found = match analysis(&mesh) {
             Ok(found) => found,
             Err(reason) => {
                 assert!(name.starts_with(TOUCHING[0]), "{name} is refused: {reason}");
@@ -123,11 +123,11 @@ fn heads_and_statures_are_as_sure_as_they_say() {
     let mut tucked = 0;
     for path in paths.into_iter().filter(|path| !path.to_string_lossy().contains("_5k")) {
         let (mesh, truth) = read::body(&path).unwrap();
-        let Ok(found) = survey(&mesh) else { continue };
+        let Ok(found) = analysis(&mesh) else { continue };
         let name = &truth.name;
         let known = truth.joints.as_ref().and_then(|known| known.get("head_top"));
         // Rounding leads the search for the top of a stout one into its face.
-        let other = (name.contains("mheavy")).then(|| survey(&rounded(&mesh)).ok()).flatten();
+        let other = (name.contains("mheavy")).then(|| analysis(&rounded(&mesh)).ok()).flatten();
         for found in [Some(&found), other.as_ref()].into_iter().flatten() {
             if let Some((at, known)) = found.joints.estimates.get(&Joint::Head).zip(known) {
                 let error = distance(at.position, *known);
@@ -160,7 +160,7 @@ fn rounding_refuses_no_body() {
         let accepted = |mesh: Mesh| {
             let scan = Scan { mesh, format: Format::Obj, unit: None, notes: Vec::new() };
             let repaired = repair(scan, None).map_err(|error| error.to_string())?;
-            survey(&repaired.mesh).map(|found| found.joints.estimates.len())
+            analysis(&repaired.mesh).map(|found| found.joints.estimates.len())
         };
         let Ok(whole) = accepted(mesh.clone()) else { continue };
         assert_eq!(accepted(rounded(&mesh)), Ok(whole), "{}", truth.name);
@@ -216,6 +216,6 @@ fn one_body_has_its_joints_in_the_same_places_in_any_number_of_triangles() {
 }
 
 fn positions_of(mesh: &Mesh) -> BTreeMap<Joint, [f64; 3]> {
-    let estimates = survey(mesh).unwrap().joints.estimates;
+    let estimates = analysis(mesh).unwrap().joints.estimates;
     estimates.into_iter().map(|(joint, estimate)| (joint, estimate.position)).collect()
 }

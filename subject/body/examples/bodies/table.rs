@@ -55,7 +55,7 @@ pub(crate) fn print(
                 write!(
                     out,
                     "{verdict}, told {:?}, misfit {misfit:.2}, margin {:.2}, sure {sure:.2}, out",
-                    ends.told, ends.margin
+                    ends.mode, ends.margin
                 )?;
                 for part in ends.persistence {
                     write!(out, " {part:.3}")?;

@@ -117,6 +117,6 @@ impl Case {
 
 /// The whole pipeline from a mesh in memory.
 pub(crate) fn skeleton(mesh: &Mesh) -> Result<Joints, String> {
-    let survey = Survey::new(mesh, Method::Default).map_err(|reason| reason.code().to_owned())?;
-    Ok(survey.joints)
+    let analysis = Survey::new(mesh, Method::Default).map_err(|reason| reason.code().to_owned())?;
+    Ok(analysis.joints)
 }

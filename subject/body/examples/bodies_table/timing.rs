@@ -4,7 +4,7 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use mocapd_body::geodesic::{Adjacency, Graph, Workspace, distances};
-use mocapd_body::locate::{Landmarks, joints, settle};
+use mocapd_body::locate::{Landmarks, joints, refine_ends};
 use mocapd_body::{Mesh, extremity};
 
 use crate::case::{Case, skeleton};
@@ -47,8 +47,8 @@ fn of_joints(mesh: &Mesh, adjacency: &Adjacency) -> Option<f64> {
     let ends = extremity::find(mesh, &graph, &mut workspace).ok()?;
     Some(median_of_five(|| {
         let (extremities, fields) = (&ends.extremities, ends.fields.clone());
-        let settled = settle(&graph, extremities, fields, &ends.spread, &mut workspace);
-        let landmarks = Landmarks::new(mesh, &settled.fields());
+        let refined = refine_ends(&graph, extremities, fields, &ends.spread, &mut workspace);
+        let landmarks = Landmarks::new(mesh, &refined.fields());
         drop(black_box(landmarks.map(|landmarks| joints(&landmarks))));
     }))
 }

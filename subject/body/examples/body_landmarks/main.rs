@@ -9,7 +9,7 @@ use std::path::Path;
 
 use mocapd_body::extremity;
 use mocapd_body::geodesic::{Adjacency, Graph, Workspace};
-use mocapd_body::locate::{Half, Landmarks, settle};
+use mocapd_body::locate::{Half, Landmarks, refine_ends};
 use mocapd_body::{Mesh, Refusal};
 use nalgebra::Vector3;
 use serde_json::{Value, json};
@@ -65,8 +65,8 @@ fn landmarks(mesh: &Mesh) -> Result<Option<Landmarks>, Refusal> {
     let mut workspace = Workspace::default();
     // A build that is no body any more is not learned from.
     let Ok(ends) = extremity::find(mesh, &graph, &mut workspace) else { return Ok(None) };
-    let settled = settle(&graph, &ends.extremities, ends.fields, &ends.spread, &mut workspace);
-    Ok(Landmarks::new(mesh, &settled.fields()))
+    let refined = refine_ends(&graph, &ends.extremities, ends.fields, &ends.spread, &mut workspace);
+    Ok(Landmarks::new(mesh, &refined.fields()))
 }
 
 fn points(points: &[Vector3<f64>]) -> Value {

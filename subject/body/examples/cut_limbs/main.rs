@@ -124,10 +124,10 @@ fn scans(folder: &Path) -> Result<Vec<Body>, Box<dyn Error>> {
 fn judge(body: &Body, mesh: Mesh) -> Result<(Vec<&'static str>, String), String> {
     let scan = Scan { mesh, format: Format::Obj, unit: None, notes: Vec::new() };
     let repaired = repair(scan, None).map_err(|error| error.to_string())?;
-    let survey = Survey::new(&repaired.mesh, Method::Default);
-    let survey = survey.map_err(|refusal| refusal.code().to_owned())?;
+    let analysis = Survey::new(&repaired.mesh, Method::Default);
+    let analysis = analysis.map_err(|refusal| refusal.code().to_owned())?;
     let errors = |swapped: bool| {
-        survey.joints.estimates.iter().filter_map(move |(joint, found)| {
+        analysis.joints.estimates.iter().filter_map(move |(joint, found)| {
             let joint = if swapped { other_side(*joint) } else { *joint };
             let known = body.truth.estimates.get(&joint)?;
             let error = distance(known.position, found.position) / body.stature;
@@ -136,12 +136,12 @@ fn judge(body: &Body, mesh: Mesh) -> Result<(Vec<&'static str>, String), String>
     };
     // Where the sides are not told, nobody said which is which.
     let sum = |swapped: bool| errors(swapped).map(|(_, error, _)| error).sum::<f64>();
-    let swapped = !survey.joints.sides_told && sum(true) < sum(false);
+    let swapped = !analysis.joints.sides_told && sum(true) < sum(false);
     let far = errors(swapped).filter(|(_, error, sigma)| *error > FAR && *sigma < SURE);
     let far = far.map(|(joint, error, sigma)| {
         format!(" {joint:?} {:.1} % off at {:.1} %", 100.0 * error, 100.0 * sigma)
     });
-    Ok((survey.notes.iter().map(|note| note.code).collect(), far.collect()))
+    Ok((analysis.notes.iter().map(|note| note.code).collect(), far.collect()))
 }
 
 fn truth(known: &BTreeMap<String, [f64; 3]>) -> Joints {

@@ -1,8 +1,8 @@
 //! From a surface to its named ends.
 
 use super::naming::{misfit, misfit_cut, misfit_in_contact, name};
-use super::peaks::{Peak, farthest, standing_out};
-use super::{Ends, Extremities, Told, inside};
+use super::peaks::{Peak, farthest, protrusions};
+use super::{Ends, Extremities, NamingMode, inside};
 use crate::geodesic::{Graph, Workspace, distances};
 use crate::mesh::{Point, distance};
 use crate::{Mesh, Refusal};
@@ -12,7 +12,7 @@ const FITS_WELL: f64 = 1.0;
 
 /// Finds head, hands and feet; where limbs touch, by what contact leaves, and then through the inside.
 ///
-/// The fields are along the surface in every case, so that with [`Told::InContact`] and [`Told::Inside`] they may lead
+/// The fields are along the surface in every case, so that with [`NamingMode::InContact`] and [`NamingMode::Interior`] they may lead
 /// through contact.
 ///
 /// # Errors
@@ -24,35 +24,35 @@ const FITS_WELL: f64 = 1.0;
 /// - [`Refusal::Ambiguous`]: two namings do about as well.
 pub fn find(mesh: &Mesh, graph: &Graph, workspace: &mut Workspace) -> Result<Ends, Refusal> {
     let start = start(mesh, graph).ok_or(Refusal::TooFewEnds { found: 0 })?;
-    let standing = standing_out(graph, start, workspace);
-    hangs_together(graph, &standing.mean)?;
-    let whole = name(&standing, misfit);
+    let protrusions = protrusions(graph, start, workspace);
+    hangs_together(graph, &protrusions.mean)?;
+    let whole = name(&protrusions, misfit);
     if let Err(refusal @ Refusal::TooManyEnds { .. }) = whole {
         return Err(refusal);
     }
     // A whole body fits well. Where none does, a body without a part of a limb may, and tells its ends better.
     let fits_well = whole.as_ref().is_ok_and(|naming| naming.misfit.rms <= FITS_WELL);
-    let cut = if fits_well { None } else { name(&standing, misfit_cut).ok() };
-    let (naming, told) = match (cut, whole) {
-        (Some(cut), _) => (cut, Told::Cut),
-        (None, Ok(whole)) => (whole, Told::Freely),
-        (None, Err(refusal)) => match name(&standing, misfit_in_contact) {
-            Ok(touching) => (touching, Told::InContact),
+    let cut = if fits_well { None } else { name(&protrusions, misfit_cut).ok() };
+    let (naming, mode) = match (cut, whole) {
+        (Some(cut), _) => (cut, NamingMode::CutLimb),
+        (None, Ok(whole)) => (whole, NamingMode::FreeLimbs),
+        (None, Err(refusal)) => match name(&protrusions, misfit_in_contact) {
+            Ok(touching) => (touching, NamingMode::InContact),
             // What the surface says of the ends is nearer to what the subject can mend than what a thinned inside says.
             Err(_) => return inside::find(mesh, graph, workspace).ok_or(refusal),
         },
     };
-    let ends = naming.ends.map(|end| &standing.candidates[end]);
-    let head = top_of_head(mesh, graph, &standing.mean, ends[0].peak);
+    let ends = naming.ends.map(|end| &protrusions.candidates[end]);
+    let head = top_of_head(mesh, graph, &protrusions.mean, ends[0].peak);
     let [_, a, b, c, d] = ends.map(|end| end.peak.vertex);
     let mut fields = ends.map(|end| end.field.clone());
     fields[0] = distances(graph, head, workspace);
     Ok(Ends {
         extremities: Extremities { head, hands: [a, b], feet: [c, d] },
         fields,
-        persistence: ends.map(|end| end.peak.persistence / standing.longest),
-        spread: standing.spread,
-        told,
+        persistence: ends.map(|end| end.peak.persistence / protrusions.longest),
+        spread: protrusions.spread,
+        mode,
         misfit: naming.misfit,
         margin: naming.margin,
     })

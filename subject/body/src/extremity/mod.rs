@@ -42,15 +42,15 @@ impl Extremities {
 
 /// How ends were told, from the surest to the least sure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Told {
+pub enum NamingMode {
     /// By ways along the surface of a body whose limbs are free.
-    Freely,
+    FreeLimbs,
     /// The same of a body of which a part of a limb is missing.
-    Cut,
+    CutLimb,
     /// By ways along the surface, some of which are too short for a body: they lead from a hand into what it touches.
     InContact,
     /// By ways through the inside, with a layer taken off so that limbs that touch come apart.
-    Inside,
+    Interior,
 }
 
 /// A vertex that lies far from others.
@@ -75,7 +75,7 @@ pub struct Ends {
     /// By how much each of [`Extremities::all`] stands out, as a part of the longest way.
     pub persistence: [f64; 5],
     /// How they were told.
-    pub told: Told,
+    pub mode: NamingMode,
     /// How far the ways between them are from those of a body.
     pub misfit: Misfit,
     /// By how much the misfit of the second best naming is greater; infinite if there is none.

@@ -1,6 +1,6 @@
 //! Which end is which: five of the ends that stand out, named so that the ways between them fit a body best.
 
-use super::peaks::{Candidate, StandingOut};
+use super::peaks::{Candidate, Protrusions};
 use crate::Refusal;
 
 /// What stands out farther than this part of the longest way is a limb or a head, not an elbow or an ear: those of bodies
@@ -9,7 +9,7 @@ const LIMB_MIN: f64 = 0.1;
 
 /// Two namings whose ends differ by less than this part of the longest way say the same. From the crown into an open
 /// mouth it is some 0.17, from a hand to its elbow 0.25.
-const OTHER_MIN: f64 = 0.22;
+const DISTINCT_MIN: f64 = 0.22;
 
 /// The misfit of the second best naming must be greater than the best's by so much. On bodies without contact it is by
 /// 1.7 or more, on a lion and a horse by less than 0.25; of some that crouch by 0.5.
@@ -34,14 +34,15 @@ pub(crate) struct Naming {
 ///
 /// [`Refusal::TooFewEnds`]: fewer than five stand out. [`Refusal::TooManyEnds`]: six are as long as
 /// limbs. [`Refusal::NotABody`]: no naming is near enough. [`Refusal::Ambiguous`]: two are about as near.
-pub(crate) fn name(standing: &StandingOut, cost: Cost) -> Result<Naming, Refusal> {
-    let candidates = &standing.candidates;
-    let limb = |candidate: &&Candidate| candidate.peak.persistence > LIMB_MIN * standing.longest;
+pub(crate) fn name(protrusions: &Protrusions, cost: Cost) -> Result<Naming, Refusal> {
+    let candidates = &protrusions.candidates;
+    let limb_min = LIMB_MIN * protrusions.longest;
+    let limb = |candidate: &&Candidate| candidate.peak.persistence > limb_min;
     let found = candidates.iter().filter(limb).count();
     if found > 5 {
         return Err(Refusal::TooManyEnds { found });
     }
-    let other_min = OTHER_MIN * standing.longest;
+    let other_min = DISTINCT_MIN * protrusions.longest;
     let way = |from: usize, to: usize| {
         candidates[from].field[candidates[to].peak.vertex as usize].max(f64::MIN_POSITIVE)
     };

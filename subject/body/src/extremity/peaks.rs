@@ -3,7 +3,7 @@
 
 use super::FarPoint;
 use crate::geodesic::{Graph, Workspace, distances};
-use crate::topology::root;
+use crate::topology::find_root;
 
 /// So many far-spread vertices make the function whose maxima are the ends. Five would do for a body; two more keep one
 /// that fell on a knee from bending it.
@@ -25,7 +25,7 @@ pub(crate) struct Candidate {
 }
 
 /// What stands out.
-pub(crate) struct StandingOut {
+pub(crate) struct Protrusions {
     /// The most persistent first.
     pub(crate) candidates: Vec<Candidate>,
     /// The far-spread vertices.
@@ -37,7 +37,7 @@ pub(crate) struct StandingOut {
 }
 
 /// Finds what stands out of the piece of `graph` that `start` is in.
-pub(crate) fn standing_out(graph: &Graph, start: u32, workspace: &mut Workspace) -> StandingOut {
+pub(crate) fn protrusions(graph: &Graph, start: u32, workspace: &mut Workspace) -> Protrusions {
     let spread = farthest_points(graph, start, SPREAD_COUNT, workspace);
     let fields = || spread.iter().map(|far| &far.distances);
     let finite = fields().flatten().copied().filter(|far| far.is_finite());
@@ -56,7 +56,7 @@ pub(crate) fn standing_out(graph: &Graph, start: u32, workspace: &mut Workspace)
             candidates.push(Candidate { peak, field: distances(graph, peak.vertex, workspace) });
         }
     }
-    StandingOut { candidates, spread, mean, longest }
+    Protrusions { candidates, spread, mean, longest }
 }
 
 /// A maximum of a function on the surface.
@@ -99,7 +99,7 @@ pub(super) fn peaks(graph: &Graph, values: &[f64]) -> Vec<Peak> {
             if hills[link.to as usize] == UNSEEN {
                 continue;
             }
-            let top = root(&mut hills, link.to);
+            let top = find_root(&mut hills, link.to);
             if top != *vertex && !around.contains(&top) {
                 around.push(top);
             }

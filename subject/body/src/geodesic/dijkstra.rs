@@ -6,7 +6,7 @@ use std::collections::BinaryHeap;
 use super::graph::Graph;
 
 /// Turns over all vertices before a heap takes over, whose time is bounded. Bodies need some ten.
-const TURNS_MAX: usize = 48;
+const SWEEPS_MAX: usize = 48;
 /// How often a vertex may be come to in them, on average. On bodies it is 1.3 to 1.7 times.
 const VISITS_MAX: usize = 4;
 
@@ -20,7 +20,7 @@ pub struct Workspace {
     /// Every vertex once, in the order in which the first run came to them.
     order: Vec<u32>,
     /// Which vertices have come nearer since their links were last followed.
-    open: Vec<bool>,
+    active: Vec<bool>,
 }
 
 /// The length of the shortest way from `source` to every vertex, in the mesh's unit; infinite where there is none.
@@ -40,21 +40,21 @@ pub fn distances_from(
 ) -> Vec<f64> {
     let count = graph.vertex_count();
     let mut found = vec![f64::INFINITY; count];
-    let Workspace { heap, order, open } = workspace;
-    open.clear();
-    open.resize(count, false);
+    let Workspace { heap, order, active } = workspace;
+    active.clear();
+    active.resize(count, false);
     for (source, start) in sources {
         if let Some(best) = found.get_mut(source as usize).filter(|best| start < **best) {
             *best = start;
-            open[source as usize] = true;
+            active[source as usize] = true;
         }
     }
     let known = order.len() == count;
-    if !(known && in_turns(graph, order, &mut found, open)) {
-        let nearer = (0_u32..).zip(&found).filter(|(vertex, _)| open[*vertex as usize]);
+    if !(known && sweep(graph, order, &mut found, active)) {
+        let nearer = (0_u32..).zip(&found).filter(|(vertex, _)| active[*vertex as usize]);
         heap.clear();
         heap.extend(nearer.map(|(vertex, far)| Reverse((far.to_bits(), vertex))));
-        let reached = by_heap(graph, heap, &mut found);
+        let reached = dijkstra(graph, heap, &mut found);
         order.clear();
         // What was known and did not help is forgotten: the next run begins without.
         if !known {
@@ -66,7 +66,7 @@ pub fn distances_from(
 }
 
 /// Dijkstra's method, from what lies in the heap; gives the vertices in the order in which it came to them.
-fn by_heap(
+fn dijkstra(
     graph: &Graph,
     heap: &mut BinaryHeap<Reverse<(u64, u32)>>,
     found: &mut [f64],
@@ -96,17 +96,17 @@ fn by_heap(
 /// Limbs are tubes: along each, the order of any source is that of this one or its reverse. So most vertices are come to
 /// when they are final, and no heap and no branch is in the way. Lengths are the least sums along ways, as a heap gives
 /// them, to the last bit.
-fn in_turns(graph: &Graph, order: &[u32], found: &mut [f64], open: &mut [bool]) -> bool {
+fn sweep(graph: &Graph, order: &[u32], found: &mut [f64], active: &mut [bool]) -> bool {
     let mut left = VISITS_MAX * order.len();
-    for turn in 0..TURNS_MAX {
+    for pass in 0..SWEEPS_MAX {
         let before = left;
         for index in 0..order.len() {
-            let vertex = order[if turn % 2 == 0 { index } else { order.len() - 1 - index }];
-            if !std::mem::replace(&mut open[vertex as usize], false) {
+            let vertex = order[if pass % 2 == 0 { index } else { order.len() - 1 - index }];
+            if !std::mem::replace(&mut active[vertex as usize], false) {
                 continue;
             }
             let Some(rest) = left.checked_sub(1) else {
-                open[vertex as usize] = true;
+                active[vertex as usize] = true;
                 return false;
             };
             left = rest;
@@ -116,7 +116,7 @@ fn in_turns(graph: &Graph, order: &[u32], found: &mut [f64], open: &mut [bool]) 
                 let (there, best) = (here + link.length, found[to]);
                 let nearer = there < best;
                 found[to] = if nearer { there } else { best };
-                open[to] |= nearer;
+                active[to] |= nearer;
             }
         }
         if left == before {

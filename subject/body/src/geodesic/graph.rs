@@ -1,7 +1,7 @@
 //! Which triangles share an edge, and graphs upon a mesh whose shortest paths stand for geodesics.
 
 use crate::mesh::{Point, distance};
-use crate::topology::{self, Rows, sides};
+use crate::topology::{self, SparseRows, half_edges};
 use crate::{Mesh, Refusal};
 
 /// Stands for no triangle: the other side of an edge of a hole.
@@ -36,17 +36,17 @@ impl Adjacency {
         check(mesh)?;
         let mut edges: Vec<Edge> = Vec::with_capacity(mesh.triangles.len() * 3 / 2);
         let mut triangle_edges = vec![[0; 3]; mesh.triangles.len()];
-        let all = sides(&mesh.triangles);
-        for of_edge in topology::edges(&all) {
+        let all = half_edges(&mesh.triangles);
+        for half_edges in topology::edges(&all) {
             let mut triangles = [NONE; 2];
-            for (triangle, side) in triangles.iter_mut().zip(of_edge) {
+            for (triangle, side) in triangles.iter_mut().zip(half_edges) {
                 *triangle = side.index / 3;
             }
-            for side in of_edge {
+            for side in half_edges {
                 triangle_edges[side.index as usize / 3][side.index as usize % 3] =
                     edges.len() as u32;
             }
-            edges.push(Edge { vertices: of_edge[0].ends, triangles });
+            edges.push(Edge { vertices: half_edges[0].ends, triangles });
         }
         let vertex_count = mesh.positions.len();
         Ok(Self { vertex_count, edges, triangle_edges })
@@ -118,12 +118,12 @@ pub struct Link {
 
 /// A way that leads both there and back.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Way {
+pub(crate) struct GraphEdge {
     pub(crate) ends: [u32; 2],
     pub(crate) length: f64,
 }
 
-impl Way {
+impl GraphEdge {
     /// The straight one.
     fn along(mesh: &Mesh, edge: &Edge) -> Self {
         let [a, b] = edge.vertices.map(|vertex| mesh.point(vertex));
@@ -133,13 +133,13 @@ impl Way {
 
 /// Vertices and the ways between them.
 #[derive(Debug, Clone)]
-pub struct Graph(Rows<Link>);
+pub struct Graph(SparseRows<Link>);
 
 impl Graph {
     /// Edges alone: the g of (Yu et al. 2008, section 2).
     #[must_use]
     pub fn along_edges(mesh: &Mesh, adjacency: &Adjacency) -> Self {
-        let ways = adjacency.edges().iter().map(|edge| Way::along(mesh, edge));
+        let ways = adjacency.edges().iter().map(|edge| GraphEdge::along(mesh, edge));
         Self::new(adjacency.vertex_count(), ways)
     }
 
@@ -149,7 +149,7 @@ impl Graph {
     pub fn with_short_cuts(mesh: &Mesh, adjacency: &Adjacency) -> Self {
         let mut ways = Vec::with_capacity(2 * adjacency.edges().len());
         for edge in adjacency.edges() {
-            ways.push(Way::along(mesh, edge));
+            ways.push(GraphEdge::along(mesh, edge));
             let [one, other] = edge.triangles;
             if one == NONE || other == NONE {
                 continue;
@@ -158,18 +158,18 @@ impl Graph {
             let Some((from, to)) = ends else { continue };
             let edge = edge.vertices.map(|vertex| mesh.point(vertex));
             if let Some(length) = across(edge, mesh.point(from), mesh.point(to)) {
-                ways.push(Way { ends: [from, to], length });
+                ways.push(GraphEdge { ends: [from, to], length });
             }
         }
         Self::new(adjacency.vertex_count(), ways.into_iter())
     }
 
     /// A graph of any ways.
-    pub(crate) fn new(vertex_count: usize, ways: impl Iterator<Item = Way> + Clone) -> Self {
-        let there_and_back = |Way { ends: [a, b], length }| {
+    pub(crate) fn new(vertex_count: usize, ways: impl Iterator<Item = GraphEdge> + Clone) -> Self {
+        let there_and_back = |GraphEdge { ends: [a, b], length }| {
             [(a, Link { to: b, length }), (b, Link { to: a, length })]
         };
-        Self(Rows::new(vertex_count, ways.flat_map(there_and_back)))
+        Self(SparseRows::new(vertex_count, ways.flat_map(there_and_back)))
     }
 
     /// How many vertices there are.

@@ -10,5 +10,5 @@ mod graph;
 mod tests;
 
 pub use dijkstra::{Workspace, distances, distances_from};
-pub(crate) use graph::Way;
+pub(crate) use graph::GraphEdge;
 pub use graph::{Adjacency, Edge, Graph, Link, NONE};

@@ -180,11 +180,11 @@ fn broken_meshes_are_refused() {
 fn an_order_that_fits_nothing_costs_time_and_nothing_else() {
     // A comb: to go along it, turn after turn, is more than turns may do.
     let steps = 400_u32;
-    let ways = (1..steps).map(|at| Way { ends: [at - 1, at], length: 1.0 });
-    let line = Graph::new(steps as usize, ways);
+    let edges = (1..steps).map(|at| GraphEdge { ends: [at - 1, at], length: 1.0 });
+    let line = Graph::new(steps as usize, edges);
     let shuffled = |at: u32| (at * 7919) % steps;
-    let ways = (1..steps).map(|at| Way { ends: [shuffled(at - 1), shuffled(at)], length: 1.0 });
-    let comb = Graph::new(steps as usize, ways);
+    let edge = |at: u32| GraphEdge { ends: [shuffled(at - 1), shuffled(at)], length: 1.0 };
+    let comb = Graph::new(steps as usize, (1..steps).map(edge));
     let mut workspace = Workspace::default();
     assert_eq!(distances(&line, 0, &mut workspace)[steps as usize - 1], f64::from(steps - 1));
     let found = distances(&comb, shuffled(0), &mut workspace);

@@ -42,7 +42,7 @@ impl Fields<'_> {
     }
 
     /// How far every two of the ends are from each other.
-    pub(super) fn ways(&self) -> impl Iterator<Item = Option<f64>> {
+    pub(super) fn pairwise(&self) -> impl Iterator<Item = Option<f64>> {
         (0..5).flat_map(move |one| (0..one).map(move |other| self.between(one, other)))
     }
 }
@@ -61,7 +61,7 @@ const CROWN: f64 = 0.03;
 
 /// The five ends of a body, with the distances from each.
 #[derive(Debug, Clone)]
-pub struct Settled {
+pub struct RefinedEnds {
     /// The vertex at each end: head, hands, feet.
     pub vertices: [u32; 5],
     /// One distance a vertex for each end, in the mesh's unit; for the head from all of its top.
@@ -70,7 +70,7 @@ pub struct Settled {
     pub first_head: Option<Vec<f64>>,
 }
 
-impl Settled {
+impl RefinedEnds {
     /// As the landmarks take them.
     #[must_use]
     pub fn fields(&self) -> Fields<'_> {
@@ -90,36 +90,36 @@ impl Settled {
 /// those from [`Extremities::all`]; they are measured again only for an end that moves, and then only if where it moves
 /// is not among `known`.
 #[must_use]
-pub fn settle(
+pub fn refine_ends(
     graph: &Graph,
     extremities: &Extremities,
     distances_from_ends: [Vec<f64>; 5],
     known: &[FarPoint],
     workspace: &mut Workspace,
-) -> Settled {
+) -> RefinedEnds {
     let vertices = extremities.all();
-    let mut settled = Settled { vertices, distances: distances_from_ends, first_head: None };
-    let moved = farthest(&settled.fields());
-    let around = top_of_head(graph, &settled.fields(), workspace);
-    let crown_of = |around: &[f64]| crown(&settled.fields(), around);
-    let first = crown_of(&settled.distances[HEAD]);
+    let mut refined = RefinedEnds { vertices, distances: distances_from_ends, first_head: None };
+    let moved = farthest(&refined.fields());
+    let around = top_of_head(graph, &refined.fields(), workspace);
+    let crown_of = |around: &[f64]| crown(&refined.fields(), around);
+    let first = crown_of(&refined.distances[HEAD]);
     let crown = around.as_deref().map_or_else(|| first.clone(), crown_of);
     if around.is_some() && !first.is_empty() {
-        settled.first_head = Some(distances_from(graph, first, workspace));
+        refined.first_head = Some(distances_from(graph, first, workspace));
     }
     for (end, to) in moved.into_iter().enumerate() {
         if end == HEAD && !crown.is_empty() {
-            settled.distances[end] = distances_from(graph, crown.iter().copied(), workspace);
-        } else if to != settled.vertices[end] {
-            settled.vertices[end] = to;
+            refined.distances[end] = distances_from(graph, crown.iter().copied(), workspace);
+        } else if to != refined.vertices[end] {
+            refined.vertices[end] = to;
             let known = known.iter().find(|far| far.vertex == to);
-            settled.distances[end] = match known {
+            refined.distances[end] = match known {
                 Some(far) => far.distances.clone(),
                 None => distances(graph, to, workspace),
             };
         }
     }
-    settled
+    refined
 }
 
 /// The mean distance of a vertex from the ends of the limbs.

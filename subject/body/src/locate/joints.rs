@@ -36,8 +36,8 @@ const STUMP_LEAST: f64 = 0.03;
 pub fn joints(landmarks: &Landmarks) -> Joints {
     let of = &*JOINTS;
     let arms =
-        settle_bones([0, 1].map(|side| arm(landmarks, side)), UPPER_ARM_COUNTS, of.upper_arm);
-    let legs = settle_bones([0, 1].map(|side| leg(landmarks, side)), THIGH_COUNTS, of.thigh);
+        equalise_bones([0, 1].map(|side| arm(landmarks, side)), UPPER_ARM_PRIOR, of.upper_arm);
+    let legs = equalise_bones([0, 1].map(|side| leg(landmarks, side)), THIGH_PRIOR, of.thigh);
     let toes = [0, 1].map(|side| landmarks.halves[side].leg.get(TOES).copied().unwrap_or_default());
     let left = left(legs, toes);
     let Touching { arms: arms_touch, legs: legs_touch, scale } = landmarks.touching;
@@ -112,7 +112,7 @@ fn arm(landmarks: &Landmarks, side: usize) -> Limb {
         root: at(&JOINTS.shoulder),
         hinge: at(&JOINTS.elbow),
         end: at(&JOINTS.wrist),
-        hinge_sigma: limb::elbow_spread(landmarks.halves[side].sharpness[0])
+        hinge_sigma: limb::elbow_sigma(landmarks.halves[side].sharpness[0])
             .hypot(JOINTS.elbow.sigma),
         missing: landmarks.missing[0][side],
     }
@@ -124,7 +124,7 @@ fn leg(landmarks: &Landmarks, side: usize) -> Limb {
         root: at(&JOINTS.hip),
         hinge: at(&JOINTS.knee),
         end: at(&JOINTS.ankle),
-        hinge_sigma: limb::knee_spread(landmarks.halves[side].sharpness[1])
+        hinge_sigma: limb::knee_sigma(landmarks.halves[side].sharpness[1])
             .hypot(JOINTS.knee.sigma),
         missing: landmarks.missing[1][side],
     }
@@ -134,25 +134,25 @@ fn leg(landmarks: &Landmarks, side: usize) -> Limb {
 ///
 /// Shoulder and hip lie deep, and their landmarks shift with the girth. Elbow and knee lie on a bend, whose place was weighed
 /// against the average already.
-pub(super) const UPPER_ARM_COUNTS: f64 = 0.6;
+pub(super) const UPPER_ARM_PRIOR: f64 = 0.6;
 /// A thigh is drawn half as far as is best for bodies near the average: it costs these little, and leaves others what they are.
-pub(super) const THIGH_COUNTS: f64 = 0.3;
+pub(super) const THIGH_PRIOR: f64 = 0.3;
 
 /// Makes the bones of two limbs as long on the left as on the right, and the upper ones about as long as bones are: moves joints
 /// along their bones, from the ends of the limbs inwards, since what lies farther out is surer. `average` is the length of the
 /// upper bone of the average body.
-pub(super) fn settle_bones(mut limbs: [Limb; 2], average_counts: f64, average: f64) -> [Limb; 2] {
+pub(super) fn equalise_bones(mut limbs: [Limb; 2], prior_weight: f64, average: f64) -> [Limb; 2] {
     let whole = limbs.map(|limb| if limb.missing > 0.0 { 0.0 } else { 1.0 });
     if whole == [0.0; 2] {
         return limbs;
     }
-    let sure = [0, 1].map(|side| whole[side] * limbs[side].hinge_sigma.powi(-2));
-    let length = mean(limbs.map(|limb| (limb.hinge - limb.end).norm()), sure);
+    let weights = [0, 1].map(|side| whole[side] * limbs[side].hinge_sigma.powi(-2));
+    let length = mean(limbs.map(|limb| (limb.hinge - limb.end).norm()), weights);
     for limb in limbs.iter_mut().filter(|limb| limb.missing <= 0.0) {
         limb.hinge = at(limb.end, limb.hinge, length);
     }
     let length = mean(limbs.map(|limb| (limb.root - limb.hinge).norm()), whole);
-    let length = length + average_counts * (average - length);
+    let length = length + prior_weight * (average - length);
     for limb in limbs.iter_mut().filter(|limb| limb.missing <= 0.0) {
         limb.root = at(limb.hinge, limb.root, length);
     }
@@ -160,8 +160,8 @@ pub(super) fn settle_bones(mut limbs: [Limb; 2], average_counts: f64, average: f
 }
 
 /// The length of the bone of both sides: their mean by how sure each is.
-fn mean([a, b]: [f64; 2], [sure_a, sure_b]: [f64; 2]) -> f64 {
-    (a * sure_a + b * sure_b) / (sure_a + sure_b)
+fn mean([a, b]: [f64; 2], [weight_a, weight_b]: [f64; 2]) -> f64 {
+    (a * weight_a + b * weight_b) / (weight_a + weight_b)
 }
 
 /// The point so far from `from` as `length`, in the direction of `towards`.

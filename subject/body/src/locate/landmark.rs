@@ -2,7 +2,7 @@
 
 use super::limb::{Marks, arm, leg};
 use super::missing::{self, Neck};
-use super::model::{Model, Part};
+use super::model::{LandmarkGroup, Model};
 use super::scale::{BodyScale, Touching};
 use super::section::Sections;
 use super::{FOOT, Fields, HAND, HEAD};
@@ -78,17 +78,17 @@ impl Landmarks {
     /// contradict each other, or a limb without a centre line.
     #[must_use]
     pub fn new(mesh: &Mesh, fields: &Fields<'_>) -> Option<Self> {
-        let by_ways = missing::by_ways(fields);
-        let curves = Curves::new(mesh, &Fields { missing: by_ways, ..*fields })?;
+        let from_distances = missing::from_distances(fields);
+        let curves = Curves::new(mesh, &Fields { missing: from_distances, ..*fields })?;
         let toes = FOOT.map(|foot| mesh.point(fields.ends[foot]) / curves.scale.length);
         let (arms, legs) = (curves.arms.each_ref(), curves.legs.each_ref());
-        let missing = missing::by_shape(fields, by_ways, arms, legs, toes);
+        let missing = missing::from_shape(fields, from_distances, arms, legs, toes);
         let fields = Fields { missing, ..*fields };
-        let curves = if missing == by_ways { curves } else { Curves::new(mesh, &fields)? };
-        Self::among(curves, &fields)
+        let curves = if missing == from_distances { curves } else { Curves::new(mesh, &fields)? };
+        Self::from_curves(curves, &fields)
     }
 
-    fn among(curves: Curves, fields: &Fields<'_>) -> Option<Self> {
+    fn from_curves(curves: Curves, fields: &Fields<'_>) -> Option<Self> {
         let scale = curves.scale.length;
         let hands = fields.between(HAND[0], HAND[1])? / scale;
         let missing = [HAND, FOOT].map(|pair| pair.map(|end| fields.missing[end] / scale));
@@ -106,13 +106,13 @@ impl Landmarks {
         };
         let at_arms = marks_of(curves.arms.each_ref().map(|of| arm(of, hands)), missing[0])?;
         let at_legs = marks_of(curves.legs.each_ref().map(leg), missing[1])?;
-        let from_top = curves.off_top();
+        let from_top = curves.distance_from_top();
         let [arm, other_arm] = curves.arms;
         let [leg, other_leg] = curves.legs;
         Some(Self {
             halves: [
-                along(arm, at_arms[0], leg, at_legs[0]),
-                along(other_arm, at_arms[1], other_leg, at_legs[1]),
+                half_landmarks(arm, at_arms[0], leg, at_legs[0]),
+                half_landmarks(other_arm, at_arms[1], other_leg, at_legs[1]),
             ],
             touching,
             missing,
@@ -130,11 +130,11 @@ impl Landmarks {
         let mut sum = Point::zeros();
         for span in &model.spans {
             let points = match span.part {
-                Part::Arm => &own.arm,
-                Part::OtherArm => &other.arm,
-                Part::Leg => &own.leg,
-                Part::OtherLeg => &other.leg,
-                Part::Head => &self.head,
+                LandmarkGroup::Arm => &own.arm,
+                LandmarkGroup::OtherArm => &other.arm,
+                LandmarkGroup::Leg => &own.leg,
+                LandmarkGroup::OtherLeg => &other.leg,
+                LandmarkGroup::Head => &self.head,
             };
             for (weight, point) in span.weights.iter().zip(points.iter().skip(span.first)) {
                 sum += point * *weight;
@@ -221,7 +221,7 @@ impl Curves {
     }
 
     /// How far the head's first landmark is from the place on the head that is farthest from the neck.
-    fn off_top(&self) -> f64 {
+    fn distance_from_top(&self) -> f64 {
         let neck = self.head.centre_at(HEAD_LEVELS[NECK]);
         let first = self.head.centre_at(HEAD_LEVELS[0]);
         let way = |at: &&Point| (*at - neck).norm();
@@ -253,7 +253,7 @@ const BY_KNEE: [f64; 7] = [-0.06, -0.03, -0.015, 0.0, 0.015, 0.03, 0.06];
 const BY_GROIN: [f64; 12] =
     [-0.12, -0.08, -0.04, 0.0, 0.02, 0.04, 0.08, 0.12, 0.16, 0.22, 0.28, 0.34];
 
-fn along(arm: Sections, at_arm: Marks, leg: Sections, at_leg: Marks) -> Half {
+fn half_landmarks(arm: Sections, at_arm: Marks, leg: Sections, at_leg: Marks) -> Half {
     let Marks { narrow: wrist, hinge: elbow, root: armpit, .. } = at_arm;
     let Marks { narrow: ankle, hinge: knee, root: groin, .. } = at_leg;
     let arm_levels = (BY_WRIST.map(|by| wrist + by).into_iter())

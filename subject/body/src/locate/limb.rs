@@ -56,7 +56,7 @@ pub(super) struct Marks {
     pub(super) hinge: f64,
     /// Armpit or groin.
     pub(super) root: f64,
-    /// [`Least::sharpness`] of the hinge.
+    /// [`Minimum::sharpness`] of the hinge.
     pub(super) sharpness: f64,
 }
 
@@ -83,7 +83,7 @@ pub(super) fn arm(sections: &Sections, hands: f64) -> Option<Marks> {
         rounded: ELBOW_ROUNDED,
     };
     let of_girth = |at| ELBOW_GIRTH * GIRTHS.elbow.misfit(perimeter, at);
-    let Least { level: hinge, sharpness } = bend(sections, &window, of_girth)?;
+    let Minimum { level: hinge, sharpness } = bend(sections, &window, of_girth)?;
     Some(Marks { narrow, hinge, root, sharpness })
 }
 
@@ -101,7 +101,7 @@ pub(super) fn leg(sections: &Sections) -> Option<Marks> {
         rounded: 0.0,
     };
     let of_girth = |at| KNEE_GIRTH * GIRTHS.knee.misfit(&sections.perimeter, at);
-    let Least { level: hinge, sharpness } = bend(sections, &window, of_girth)?;
+    let Minimum { level: hinge, sharpness } = bend(sections, &window, of_girth)?;
     let narrow = f64::midpoint(ANKLE, heel + HEEL_TO_ANKLE);
     Some(Marks { narrow, hinge, root: GROIN, sharpness })
 }
@@ -129,23 +129,23 @@ fn widens(perimeter: &[f64], length: f64, from: f64) -> Option<f64> {
 }
 
 /// How far elbows are from their average place on the arm, as a standard deviation in body scales.
-const ELBOW_VARIES: f64 = 0.012;
+const ELBOW_SD: f64 = 0.012;
 /// How far knees are from theirs.
-const KNEE_VARIES: f64 = 0.008;
+const KNEE_SD: f64 = 0.008;
 
 /// How far along the arm the elbow may be off, as a standard deviation in body scales: as much as elbows vary on a straight
 /// arm, less the more sharply the arm bends.
-pub(super) fn elbow_spread(sharpness: f64) -> f64 {
-    spread(ELBOW_VARIES, ELBOW_WEIGHT, sharpness)
+pub(super) fn elbow_sigma(sharpness: f64) -> f64 {
+    hinge_sigma(ELBOW_SD, ELBOW_WEIGHT, sharpness)
 }
 
 /// The same for a knee.
-pub(super) fn knee_spread(sharpness: f64) -> f64 {
-    spread(KNEE_VARIES, KNEE_WEIGHT, sharpness)
+pub(super) fn knee_sigma(sharpness: f64) -> f64 {
+    hinge_sigma(KNEE_SD, KNEE_WEIGHT, sharpness)
 }
 
 /// The prior alone has a sharpness of twice its weight, and costs are to each other as variances.
-fn spread(varies: f64, weight: f64, sharpness: f64) -> f64 {
+fn hinge_sigma(varies: f64, weight: f64, sharpness: f64) -> f64 {
     varies * (2.0 * weight / sharpness.max(2.0 * weight)).sqrt()
 }
 
@@ -155,26 +155,26 @@ const HAND_ENDS: f64 = 0.13;
 const THINNEST_REACH: f64 = 0.11;
 /// At the wrist the curve is about so much longer than where it is shortest, which is on the forearm: where exactly is hard to
 /// say of a lean one, and the hand ends all at once.
-const HAND_ENDED: f64 = 1.2;
+const HAND_TO_FOREARM: f64 = 1.2;
 /// How far the wrist is looked for from there, towards the hand and towards the elbow. A layer of fat makes the forearm more
 /// like the hand, and a stout hand then seems to end too early.
 const WRIST_REACH: [f64; 2] = [0.02, 0.03];
 /// How far it is from there, as a standard deviation.
-const WRIST_VARIES: f64 = 0.01;
+const WRIST_SD: f64 = 0.01;
 /// How much the girth counts: a quarter of what it would if its deviations were each for itself.
 const WRIST_GIRTH: f64 = 0.25;
 /// A wrist is no farther from the end of the hand than this.
-const WRIST_MOST: f64 = 0.17;
+const WRIST_MAX: f64 = 0.17;
 
 /// Where the wrist is, in body scales from the end of the hand: where the hand, open or a fist, has narrowed almost to the
 /// forearm, weighed against how thick hand and forearm are round there.
 pub(super) fn wrist(perimeter: &[f64]) -> Option<f64> {
-    let narrowed = narrowed(perimeter)?.min(WRIST_MOST);
+    let narrowed = narrowed(perimeter)?.min(WRIST_MAX);
     let cost = |at: f64| {
-        WRIST_GIRTH * GIRTHS.wrist.misfit(perimeter, at) + ((at - narrowed) / WRIST_VARIES).powi(2)
+        WRIST_GIRTH * GIRTHS.wrist.misfit(perimeter, at) + ((at - narrowed) / WRIST_SD).powi(2)
     };
-    let found = least([narrowed - WRIST_REACH[0], narrowed + WRIST_REACH[1]], cost)?;
-    Some(found.level.min(WRIST_MOST))
+    let found = minimise([narrowed - WRIST_REACH[0], narrowed + WRIST_REACH[1]], cost)?;
+    Some(found.level.min(WRIST_MAX))
 }
 
 /// Where the hand has narrowed almost to the forearm.
@@ -184,7 +184,7 @@ fn narrowed(perimeter: &[f64]) -> Option<f64> {
     let behind = level(thickest) + STEP / 2.0;
     let (least, shortest) =
         between(perimeter, [behind, behind + THINNEST_REACH]).min_by(by_length)?;
-    Some(narrows(perimeter, HAND_ENDED * shortest, least))
+    Some(narrows(perimeter, HAND_TO_FOREARM * shortest, least))
 }
 
 /// The last level before that of `least` where the curve is longer than `length`.
@@ -225,7 +225,7 @@ pub(super) fn bend(
     sections: &Sections,
     window: &Window,
     of_girth: impl Fn(f64) -> f64,
-) -> Option<Least> {
+) -> Option<Minimum> {
     let points: Vec<(f64, Point)> = (0..)
         .map(level)
         .zip(&sections.centre)
@@ -235,7 +235,7 @@ pub(super) fn bend(
     if points.len() < 6 {
         return None;
     }
-    least(window.joint, |at| {
+    minimise(window.joint, |at| {
         let from_average = window.weight * (at - window.prior).powi(2);
         misfit(&points, at, window.rounded) + from_average + of_girth(at)
     })
@@ -269,13 +269,13 @@ fn misfit(points: &[(f64, Point)], knot: f64, rounded: f64) -> f64 {
 }
 
 /// Distance between two places that are tried, in body scales.
-const TRY_EVERY: f64 = 0.004;
+const SEARCH_STEP: f64 = 0.004;
 /// At most so many places are tried; the windows hold some thirty.
-const MOST_TRIED: usize = 200;
+const SEARCH_STEPS_MAX: usize = 200;
 
 /// The place of the least cost.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Least {
+pub(super) struct Minimum {
     /// Where, in body scales from the end of the limb.
     pub(super) level: f64,
     /// How sharply the cost rises to both sides: its second derivative.
@@ -285,15 +285,15 @@ pub(super) struct Least {
 /// Tries places from `low` to `high`, and takes the lowest point of the parabola through the best and its neighbours.
 ///
 /// Nothing if there is no place to try.
-pub(super) fn least([low, high]: [f64; 2], cost: impl Fn(f64) -> f64) -> Option<Least> {
-    let tries = (((high - low) / TRY_EVERY).ceil().max(0.0) as usize).min(MOST_TRIED);
-    let place = |index: usize| low + index as f64 * TRY_EVERY;
+pub(super) fn minimise([low, high]: [f64; 2], cost: impl Fn(f64) -> f64) -> Option<Minimum> {
+    let tries = (((high - low) / SEARCH_STEP).ceil().max(0.0) as usize).min(SEARCH_STEPS_MAX);
+    let place = |index: usize| low + index as f64 * SEARCH_STEP;
     let costs: Vec<f64> = (0..tries).map(|index| cost(place(index))).collect();
     let (best, _) = costs.iter().enumerate().min_by(|one, other| one.1.total_cmp(other.1))?;
     let (offset, curvature) = vertex_of_parabola(&costs, best);
-    Some(Least {
-        level: place(best) + TRY_EVERY * offset,
-        sharpness: curvature / (TRY_EVERY * TRY_EVERY),
+    Some(Minimum {
+        level: place(best) + SEARCH_STEP * offset,
+        sharpness: curvature / (SEARCH_STEP * SEARCH_STEP),
     })
 }
 

@@ -3,7 +3,7 @@
 //! Each limb is judged by itself before both sides are brought to one length: by how long it is beside the other one and
 //! beside the body, and by whether its end has the shape of a foot or a hand.
 
-use super::scale::ALL;
+use super::scale::ALL_PAIRS;
 use super::section::{STEP, Sections, between, level};
 use super::{FOOT, Fields, HAND, HEAD};
 use crate::mesh::Point;
@@ -53,7 +53,7 @@ const HAND_AT: [f64; 2] = [0.03, 0.13];
 const WRIST_REACH: f64 = 0.09;
 
 /// What is missing at each end, in the mesh's unit, by the ways between ends alone.
-pub(super) fn by_ways(fields: &Fields<'_>) -> [f64; 5] {
+pub(super) fn from_distances(fields: &Fields<'_>) -> [f64; 5] {
     let mut missing = [0.0; 5];
     let Some(scale) = scale(fields) else { return missing };
     for (pair, others, most) in [(HAND, FOOT, ARM_SHORTER), (FOOT, HAND, LEG_SHORTER)] {
@@ -67,14 +67,14 @@ pub(super) fn by_ways(fields: &Fields<'_>) -> [f64; 5] {
 
 /// The same, with the shape of the ends. `arms` and `legs` are the curves round them; the first leg is on the side of the first
 /// arm.
-pub(super) fn by_shape(
+pub(super) fn from_shape(
     fields: &Fields<'_>,
-    by_ways: [f64; 5],
+    from_distances: [f64; 5],
     arms: [&Sections; 2],
     legs: [&Sections; 2],
     toes: [Point; 2],
 ) -> [f64; 5] {
-    let mut missing = by_ways;
+    let mut missing = from_distances;
     let Some(scale) = scale(fields) else { return missing };
     let hands = arms.map(|arm| has_hand(&arm.perimeter));
     let feet = [has_foot(legs[0], toes[0]), has_foot(legs[1], toes[1])];
@@ -102,7 +102,7 @@ pub(super) fn by_shape(
             missing[end] = END * scale;
         }
     }
-    let ways = fields.between(HAND[0], HAND[1]).zip(legs_way(fields));
+    let ways = fields.between(HAND[0], HAND[1]).zip(head_to_feet(fields));
     let hands_near = ways.is_some_and(|(hands, legs)| {
         (hands / HAND_TO_HAND).ln() - (legs / HEAD_TO_FOOT).ln() < -HANDS_SHORTER
     });
@@ -114,7 +114,7 @@ pub(super) fn by_shape(
 }
 
 /// By how much a limb is shorter than its twin, in the mesh's unit.
-struct Shorter {
+struct Shortfall {
     /// By the two measures' lesser: what no pose alone does to both.
     least: f64,
     mean: f64,
@@ -125,7 +125,7 @@ fn shorter(
     fields: &Fields<'_>,
     [a, b]: [usize; 2],
     others: [usize; 2],
-) -> Option<(usize, Shorter)> {
+) -> Option<(usize, Shortfall)> {
     // Negative where the first is shorter.
     let [by_head, by_others] = shorter_by(fields, [a, b], others)?.map(|by| -by);
     if by_head * by_others <= 0.0 {
@@ -133,7 +133,7 @@ fn shorter(
     }
     let short = if by_head < 0.0 { a } else { b };
     let (by_head, by_others) = (by_head.abs(), by_others.abs());
-    let by = Shorter { least: by_head.min(by_others), mean: f64::midpoint(by_head, by_others) };
+    let by = Shortfall { least: by_head.min(by_others), mean: f64::midpoint(by_head, by_others) };
     Some((short, by))
 }
 
@@ -149,11 +149,11 @@ fn shorter_by(fields: &Fields<'_>, [a, b]: [usize; 2], [c, d]: [usize; 2]) -> Op
 
 /// The body scale, as long as ways that are missing let it be.
 fn scale(fields: &Fields<'_>) -> Option<f64> {
-    Some(fields.ways().sum::<Option<f64>>()? / ALL)
+    Some(fields.pairwise().sum::<Option<f64>>()? / ALL_PAIRS)
 }
 
 /// The mean way from the head to the feet.
-fn legs_way(fields: &Fields<'_>) -> Option<f64> {
+fn head_to_feet(fields: &Fields<'_>) -> Option<f64> {
     let [a, b] = FOOT.map(|foot| fields.between(HEAD, foot));
     Some(f64::midpoint(a?, b?))
 }

@@ -3,7 +3,7 @@
 //! What (Yu et al. 2008) begins with one distance field from the head, this does with five, one from each end of the body:
 //! near a limb's own end the level-set curves go straight round the limb, whatever the pose.
 //!
-//! 1. [`settle`]: the ends are brought to where they are on every body.
+//! 1. [`refine_ends`]: the ends are brought to where they are on every body.
 //! 2. The level-set curves of each field, and along each limb the marks that every limb has: the end of the hand,
 //!    the widening into the trunk, the bend of the centre line.
 //! 3. [`Landmarks`]: the middles of curves at fixed places between the marks.
@@ -23,7 +23,7 @@ mod section;
 #[cfg(test)]
 mod tests;
 
-pub use fields::{FOOT, Fields, HAND, HEAD, Settled, settle};
+pub use fields::{FOOT, Fields, HAND, HEAD, RefinedEnds, refine_ends};
 pub use joints::joints;
 pub use landmark::{ARM_LANDMARKS, HEAD_LANDMARKS, Half, LEG_LANDMARKS, Landmarks};
 pub use missing::Neck;

@@ -10,14 +10,14 @@ use super::section::STEP;
 
 /// Where joints are among the landmarks.
 pub(super) static JOINTS: LazyLock<JointModels> =
-    LazyLock::new(|| learned(include_str!("../../data/joint-weights.json")));
+    LazyLock::new(|| built_in(include_str!("../../data/joint-weights.json")));
 
 /// How thick limbs are.
 pub(super) static GIRTHS: LazyLock<Girths> =
-    LazyLock::new(|| learned(include_str!("../../data/girths.json")));
+    LazyLock::new(|| built_in(include_str!("../../data/girths.json")));
 
 /// A file that is built in, and is read by tests: it has no error.
-fn learned<T: DeserializeOwned + Default>(json: &str) -> T {
+fn built_in<T: DeserializeOwned + Default>(json: &str) -> T {
     serde_json::from_str(json).unwrap_or_default()
 }
 
@@ -51,7 +51,7 @@ pub(super) struct Model {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Span {
-    pub(super) part: Part,
+    pub(super) part: LandmarkGroup,
     pub(super) first: usize,
     pub(super) weights: Vec<f64>,
 }
@@ -59,7 +59,7 @@ pub(super) struct Span {
 /// A run of landmarks, as seen from one side of the body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub(super) enum Part {
+pub(super) enum LandmarkGroup {
     Arm,
     OtherArm,
     Leg,
@@ -76,7 +76,7 @@ pub(super) struct Girths {
 }
 
 /// From one level that is looked at to the next, in body scales: two levels.
-const EVERY: f64 = 2.0 * STEP;
+const LEVEL_STEP: f64 = 2.0 * STEP;
 
 /// How thick a limb is round a joint: a mean over bodies, and the ways in which bodies differ from it.
 #[derive(Debug, Default, Deserialize)]
@@ -120,7 +120,7 @@ impl Girth {
     /// squared deviation in units of the expected variance (Tipping and Bishop 1999).
     pub(super) fn misfit(&self, perimeter: &[f64], at: f64) -> f64 {
         let deviation = |(index, mean): (usize, &f64)| {
-            let level = at + self.first + index as f64 * EVERY;
+            let level = at + self.first + index as f64 * LEVEL_STEP;
             self.measure.of(length(perimeter, level)) - mean
         };
         let deviations: Vec<f64> = self.mean.iter().enumerate().map(deviation).collect();

@@ -4,14 +4,14 @@ use super::section::{Sections, between};
 use super::{FOOT, Fields};
 
 /// How long, in body scales, the way between the feet is on an upright body.
-const FEET: f64 = 1.09;
+const FOOT_TO_FOOT: f64 = 1.09;
 /// How long all ways between two of the five ends are together, each counted once.
-pub(super) const ALL: f64 = 10.3;
+pub(super) const ALL_PAIRS: f64 = 10.3;
 
 /// The two lengths say the same to within this on free bodies: those that were learned from have 0.93 to 1.09.
-const SAME: [f64; 2] = [0.90, 1.13];
+const FREE_RATIO: [f64; 2] = [0.90, 1.13];
 /// Beyond this they are no ways of one body.
-const MOST_APART: f64 = 1.6;
+const RATIO_MAX: f64 = 1.6;
 
 /// The body scale, and what is told by how it came out.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -30,19 +30,19 @@ impl BodyScale {
     ///
     /// Nothing where an end cannot be reached from another, two are the same, or the two lengths are no body's.
     pub(super) fn new(fields: &Fields<'_>) -> Option<Self> {
-        let feet = fields.between(FOOT[0], FOOT[1])? / FEET;
-        let all = fields.ways().map(|way| Some(way.filter(|way| *way > 0.0)? / ALL));
+        let feet = fields.between(FOOT[0], FOOT[1])? / FOOT_TO_FOOT;
+        let all = fields.pairwise().map(|way| Some(way.filter(|way| *way > 0.0)? / ALL_PAIRS));
         let all = all.sum::<Option<f64>>()?;
         let feet_to_all = feet / all;
         let found = Self { length: f64::midpoint(feet, all), feet_to_all };
         let length = if found.disagrees() { feet.max(all) } else { found.length };
-        let is_body = (1.0 / MOST_APART..MOST_APART).contains(&feet_to_all) && length.is_finite();
+        let is_body = (1.0 / RATIO_MAX..RATIO_MAX).contains(&feet_to_all) && length.is_finite();
         is_body.then_some(Self { length, feet_to_all })
     }
 
     /// Whether some of the ways are too short for the others.
     pub(super) fn disagrees(self) -> bool {
-        !(SAME[0]..=SAME[1]).contains(&self.feet_to_all)
+        !(FREE_RATIO[0]..=FREE_RATIO[1]).contains(&self.feet_to_all)
     }
 }
 

@@ -36,7 +36,7 @@ fn sigma(joint: Joint) -> f64 {
 
 /// What the paper's method gives for a mesh.
 #[derive(Debug, Clone)]
-pub struct Paper {
+pub struct PaperResult {
     /// Its joints; those without a minimum are missing.
     pub joints: Joints,
     /// The ends that it was given or found.
@@ -55,7 +55,7 @@ pub struct Paper {
 ///
 /// [`Refusal::TooFewEnds`]: algorithm 1 ended with other than five points. [`Refusal::Contact`]: the Reeb graph is not
 /// that of a body. [`Refusal::BrokenMesh`] as [`Adjacency::new`] says.
-pub fn joints(mesh: &Mesh, start: u32, known: Option<Extremities>) -> Result<Paper, Refusal> {
+pub fn joints(mesh: &Mesh, start: u32, known: Option<Extremities>) -> Result<PaperResult, Refusal> {
     let adjacency = Adjacency::new(mesh)?;
     let graph = Graph::along_edges(mesh, &adjacency);
     let mut workspace = Workspace::default();
@@ -91,7 +91,7 @@ pub fn joints(mesh: &Mesh, start: u32, known: Option<Extremities>) -> Result<Pap
     put(Joint::Throat, inside(rings, &upper).first().map(|ring| mean(rings, *ring)));
     put(Joint::Pelvis, segments.trunk.last().map(|ring| mean(rings, *ring)));
     put(Joint::Head, mesh.positions.get(extremities.head as usize).copied());
-    Ok(Paper { joints, extremities, levels })
+    Ok(PaperResult { joints, extremities, levels })
 }
 
 /// The five ends, from the vertex `start` on.
@@ -238,11 +238,11 @@ fn farthest(field: &[f64]) -> Option<u32> {
 }
 
 /// What the ends of a body are of, in the order of [`Extremities::all`].
-const OF: [&str; 5] = ["a head", "a hand", "a hand", "a foot", "a foot"];
+const ENDS: [&str; 5] = ["a head", "a hand", "a hand", "a foot", "a foot"];
 
 /// The method's own reason for a `refusal` of [`joints()`] from `start` on, of a body with its limbs free
 /// whose ends are `known`.
-pub(crate) fn reason(
+pub(crate) fn explain(
     mesh: &Mesh,
     adjacency: &Adjacency,
     start: u32,
@@ -256,7 +256,7 @@ pub(crate) fn reason(
             let taken = ends(&graph, start, &mut Workspace::default()).ok();
             match taken.and_then(|taken| nearest(mesh, taken.head, known)) {
                 None | Some(0) => Refusal::PaperParts,
-                Some(end) => Refusal::PaperHead { taken: OF.get(end).copied().unwrap_or("a limb") },
+                Some(i) => Refusal::PaperHead { taken: ENDS.get(i).copied().unwrap_or("a limb") },
             }
         }
         other => other,

@@ -1,8 +1,8 @@
 //! Charts: circularity against the distance along a part, and the Reeb graph.
 
-use super::sheet::{DIM, GRID, INK, Sheet, Stand};
+use super::sheet::{Anchor, DIM, GRID, INK, Sheet};
 use super::views::{Upright, bounds};
-use super::{Curve, Drawing, Mark, Part, ReebEdge, colour};
+use super::{BodyPart, Curve, Drawing, Mark, ReebEdge, colour};
 use crate::Side;
 use crate::mesh::Point;
 
@@ -15,7 +15,7 @@ fn grid(sheet: &mut Sheet, [left, width]: [f64; 2], values: Vec<f64>, height: im
     for value in values {
         let y = height(value);
         sheet.line([left, y], [left + width, y], &format!("stroke=\"{GRID}\""));
-        sheet.text(left - 6.0, y, &format!("{value}"), 11.0, DIM, Stand::Right);
+        sheet.text(left - 6.0, y, &format!("{value}"), 11.0, DIM, Anchor::Right);
     }
 }
 
@@ -43,7 +43,7 @@ pub(super) fn circularity(
 ) {
     let left = left + 46.0;
     let mm = drawing.mm();
-    sheet.text(left, TOP - 20.0, title, 13.0, INK, Stand::Left);
+    sheet.text(left, TOP - 20.0, title, 13.0, INK, Anchor::Left);
     let values = || curves.iter().flat_map(|curve| &curve.samples).filter(|s| s[1].is_finite());
     let longest = values().map(|s| s[0] * mm).fold(0.0, f64::max);
     let lowest = values().map(|s| s[1]).fold(1.0, f64::min);
@@ -55,7 +55,7 @@ pub(super) fn circularity(
             true,
             &style,
         );
-        sheet.text(left + WIDTH / 2.0, TOP + HEIGHT / 2.0, "no curve", 12.0, DIM, Stand::Middle);
+        sheet.text(left + WIDTH / 2.0, TOP + HEIGHT / 2.0, "no curve", 12.0, DIM, Anchor::Middle);
         return;
     }
     // From a round number below the lowest value up to a circle.
@@ -69,11 +69,11 @@ pub(super) fn circularity(
         let x = left + WIDTH * tick / longest;
         let foot = TOP + HEIGHT;
         sheet.line([x, foot], [x, foot + 4.0], &format!("stroke=\"{DIM}\""));
-        sheet.text(x, foot + 13.0, &format!("{tick}"), 11.0, DIM, Stand::Middle);
+        sheet.text(x, foot + 13.0, &format!("{tick}"), 11.0, DIM, Anchor::Middle);
     }
-    sheet.upward(left - 36.0, TOP + HEIGHT / 2.0, "circularity", 12.0);
-    let words = "distance along the part / mm";
-    sheet.text(left + WIDTH / 2.0, TOP + HEIGHT + 30.0, words, 12.0, DIM, Stand::Middle);
+    sheet.vertical_text(left - 36.0, TOP + HEIGHT / 2.0, "circularity", 12.0);
+    let label = "distance along the part / mm";
+    sheet.text(left + WIDTH / 2.0, TOP + HEIGHT + 30.0, label, 12.0, DIM, Anchor::Middle);
     for (row, curve) in curves.iter().enumerate() {
         let colour = colour(curve.part);
         let line = curve.samples.iter().map(at).collect();
@@ -87,7 +87,7 @@ pub(super) fn circularity(
             let x = left + WIDTH - 150.0 + 76.0 * row as f64;
             sheet.line([x, TOP - 20.0], [x + 18.0, TOP - 20.0], &style);
             let name = side_name(curve.part, drawing.joints.sides_told);
-            sheet.text(x + 23.0, TOP - 20.0, name, 11.0, INK, Stand::Left);
+            sheet.text(x + 23.0, TOP - 20.0, name, 11.0, INK, Anchor::Left);
         }
     }
 }
@@ -105,42 +105,42 @@ fn marks(sheet: &mut Sheet, curve: &Curve, row: usize, [left, longest]: [f64; 2]
         let style = format!("stroke=\"{colour}\" stroke-width=\"1\" stroke-dasharray=\"4 3\"");
         sheet.line([x, TOP], [x, TOP + HEIGHT], &style);
         let y = if row == 0 { TOP - 6.0 } else { TOP + HEIGHT - 8.0 };
-        let (x, stand) = match x - left {
-            _ if row > 0 && x < left + WIDTH - 40.0 => (x + 4.0, Stand::Left),
-            _ if row > 0 => (x - 4.0, Stand::Right),
+        let (x, anchor) = match x - left {
+            _ if row > 0 && x < left + WIDTH - 40.0 => (x + 4.0, Anchor::Left),
+            _ if row > 0 => (x - 4.0, Anchor::Right),
             // Not over the numbers beside the chart.
-            dx if dx < 24.0 => (x, Stand::Left),
-            dx if dx > WIDTH - 24.0 => (x, Stand::Right),
-            _ => (x, Stand::Middle),
+            dx if dx < 24.0 => (x, Anchor::Left),
+            dx if dx > WIDTH - 24.0 => (x, Anchor::Right),
+            _ => (x, Anchor::Middle),
         };
         let width = LETTER * name.chars().count() as f64;
-        let begins = match stand {
-            Stand::Left => x,
-            Stand::Middle => x - width / 2.0,
-            Stand::Right => x - width,
+        let begins = match anchor {
+            Anchor::Left => x,
+            Anchor::Middle => x - width / 2.0,
+            Anchor::Right => x - width,
         };
         let begins = begins.max(taken);
         taken = begins + width + 4.0;
-        sheet.text(begins, y, name, 11.0, colour, Stand::Left);
+        sheet.text(begins, y, name, 11.0, colour, Anchor::Left);
     }
 }
 
-fn side_name(part: Part, told: bool) -> &'static str {
+fn side_name(part: BodyPart, told: bool) -> &'static str {
     match (part, told) {
-        (Part::Trunk, _) => "trunk",
-        (Part::Arm(Side::Left) | Part::Leg(Side::Left), true) => "left",
-        (Part::Arm(Side::Right) | Part::Leg(Side::Right), true) => "right",
-        (Part::Arm(Side::Left) | Part::Leg(Side::Left), false) => "side A",
-        (Part::Arm(Side::Right) | Part::Leg(Side::Right), false) => "side B",
+        (BodyPart::Trunk, _) => "trunk",
+        (BodyPart::Arm(Side::Left) | BodyPart::Leg(Side::Left), true) => "left",
+        (BodyPart::Arm(Side::Right) | BodyPart::Leg(Side::Right), true) => "right",
+        (BodyPart::Arm(Side::Left) | BodyPart::Leg(Side::Left), false) => "side A",
+        (BodyPart::Arm(Side::Right) | BodyPart::Leg(Side::Right), false) => "side B",
     }
 }
 
 /// Left, top, width, height of the Reeb graph.
-const PLACE: [f64; 4] = [1080.0, 90.0, 285.0, 330.0];
+const REEB_BOX: [f64; 4] = [1080.0, 90.0, 285.0, 330.0];
 
 /// As deep as a level set is far from the head, and as far to the side as it is on the body.
 pub(super) fn reeb(sheet: &mut Sheet, drawing: &Drawing<'_>, upright: &Upright) {
-    let [left, top, width, height] = PLACE;
+    let [left, top, width, height] = REEB_BOX;
     let mm = drawing.mm();
     sheet.text(
         left + width / 2.0,
@@ -148,23 +148,23 @@ pub(super) fn reeb(sheet: &mut Sheet, drawing: &Drawing<'_>, upright: &Upright) 
         "Reeb graph of the distance from the head",
         13.0,
         DIM,
-        Stand::Middle,
+        Anchor::Middle,
     );
     let deepest = drawing.reeb_nodes.iter().map(|node| node.value * mm).fold(0.0, f64::max);
     if !(deepest > 0.0 && deepest.is_finite()) {
-        sheet.text(left + width / 2.0, top + height / 2.0, "none", 12.0, DIM, Stand::Middle);
+        sheet.text(left + width / 2.0, top + height / 2.0, "none", 12.0, DIM, Anchor::Middle);
         return;
     }
     let down = |value: f64| top + height * value / deepest;
     grid(sheet, [left, width], ticks(0.0, deepest, 6), down);
-    sheet.upward(left - 46.0, top + height / 2.0, "distance along the surface / mm", 12.0);
+    sheet.vertical_text(left - 46.0, top + height / 2.0, "distance along the surface / mm", 12.0);
     let across = |at: [f64; 3]| upright.front(at.into()).x;
     let nodes = drawing.reeb_nodes.iter().map(|node| Point::new(across(node.position), 0.0, 0.0));
     let [low, high] = bounds(nodes);
-    let room = (high[0] - low[0]).max(1e-9);
+    let span = (high[0] - low[0]).max(1e-9);
     let place = |index: usize| {
         let node = drawing.reeb_nodes.get(index)?;
-        let x = left + 14.0 + (width - 28.0) * (across(node.position) - low[0]) / room;
+        let x = left + 14.0 + (width - 28.0) * (across(node.position) - low[0]) / span;
         Some([x, down(node.value * mm)])
     };
     for &ReebEdge { from, to, part } in &drawing.reeb_edges {

@@ -11,14 +11,14 @@ mod tables;
 mod trace;
 mod views;
 
-use self::sheet::{DIM, Sheet, Stand};
+use self::sheet::{Anchor, DIM, Sheet};
 use self::views::Upright;
 use super::skeleton::Skeleton;
 use super::{Joints, Mesh, Side, Unit};
 
 /// A part of the body that has level sets of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Part {
+pub enum BodyPart {
     /// With head and neck.
     Trunk,
     /// From the armpit to the fingers.
@@ -31,7 +31,7 @@ pub enum Part {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Line {
     /// Of which part.
-    pub part: Part,
+    pub part: BodyPart,
     /// In order; a ring does not repeat its first.
     pub points: Vec<[f64; 3]>,
 }
@@ -53,14 +53,14 @@ pub struct ReebEdge {
     /// The other.
     pub to: usize,
     /// Of which part.
-    pub part: Part,
+    pub part: BodyPart,
 }
 
 /// Circularity along a part.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Curve {
     /// Of which part.
-    pub part: Part,
+    pub part: BodyPart,
     /// Distance along the part in the mesh's unit, and circularity (Yu et al. 2008, eq. 5): 1 is a circle.
     pub samples: Vec<[f64; 2]>,
     /// Where joints are.
@@ -111,7 +111,7 @@ pub fn svg(drawing: &Drawing<'_>) -> String {
     let notes =
         drawing.skeleton.map_or_else(Vec::new, |skeleton| tables::note_lines(&skeleton.notes));
     let mut sheet = Sheet::new(WIDTH, HEIGHT + tables::notes_height(&notes));
-    sheet.text(40.0, 38.0, drawing.title, 20.0, sheet::INK, Stand::Left);
+    sheet.text(40.0, 38.0, drawing.title, 20.0, sheet::INK, Anchor::Left);
     let upright = Upright::of(drawing);
     views::draw(&mut sheet, drawing, &upright);
     charts::reeb(&mut sheet, drawing, &upright);
@@ -121,18 +121,18 @@ pub fn svg(drawing: &Drawing<'_>) -> String {
         charts::circularity(&mut sheet, 40.0 + 452.0 * i as f64, title, &curves, drawing);
     }
     let legend = "circularity h = 4π area / perimeter² of each level set (Yu et al. 2008, eq. 5); dashed: joints";
-    sheet.text(WIDTH - 40.0, HEIGHT - 12.0, legend, 11.0, DIM, Stand::Right);
+    sheet.text(WIDTH - 40.0, HEIGHT - 12.0, legend, 11.0, DIM, Anchor::Right);
     tables::notes(&mut sheet, &notes, HEIGHT);
     sheet.finish()
 }
 
 /// A chart, and which parts it is of.
-type Chart = (&'static str, fn(Part) -> bool);
+type Chart = (&'static str, fn(BodyPart) -> bool);
 
 const PARTS: [Chart; 3] = [
-    ("Arms", |part| matches!(part, Part::Arm(_))),
-    ("Trunk", |part| matches!(part, Part::Trunk)),
-    ("Legs", |part| matches!(part, Part::Leg(_))),
+    ("Arms", |part| matches!(part, BodyPart::Arm(_))),
+    ("Trunk", |part| matches!(part, BodyPart::Trunk)),
+    ("Legs", |part| matches!(part, BodyPart::Leg(_))),
 ];
 
 impl Drawing<'_> {
@@ -143,12 +143,12 @@ impl Drawing<'_> {
 }
 
 /// Colour of a part.
-fn colour(part: Part) -> &'static str {
+fn colour(part: BodyPart) -> &'static str {
     match part {
-        Part::Trunk => "#007a5e",
-        Part::Arm(Side::Left) => "#005a92",
-        Part::Arm(Side::Right) => "#4ba3dc",
-        Part::Leg(Side::Left) => "#c24e00",
-        Part::Leg(Side::Right) => "#dd9200",
+        BodyPart::Trunk => "#007a5e",
+        BodyPart::Arm(Side::Left) => "#005a92",
+        BodyPart::Arm(Side::Right) => "#4ba3dc",
+        BodyPart::Leg(Side::Left) => "#c24e00",
+        BodyPart::Leg(Side::Right) => "#dd9200",
     }
 }

@@ -11,7 +11,7 @@ const TEXT_MAX: usize = 160;
 
 /// Where a text stands at its point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Stand {
+pub(super) enum Anchor {
     Left,
     Middle,
     Right,
@@ -49,22 +49,22 @@ impl Sheet {
         text: &str,
         size: f64,
         colour: &str,
-        stand: Stand,
+        anchor: Anchor,
     ) {
-        let anchor = match stand {
-            Stand::Left => "start",
-            Stand::Middle => "middle",
-            Stand::Right => "end",
+        let value = match anchor {
+            Anchor::Left => "start",
+            Anchor::Middle => "middle",
+            Anchor::Right => "end",
         };
         let baseline = y + 0.36 * size;
         self.put(format_args!(
-            "<text x=\"{x:.1}\" y=\"{baseline:.1}\" font-size=\"{size}\" fill=\"{colour}\" text-anchor=\"{anchor}\">{}</text>\n",
+            "<text x=\"{x:.1}\" y=\"{baseline:.1}\" font-size=\"{size}\" fill=\"{colour}\" text-anchor=\"{value}\">{}</text>\n",
             escaped(text)
         ));
     }
 
     /// Words along the left edge of a chart, read upwards.
-    pub(super) fn upward(&mut self, x: f64, y: f64, text: &str, size: f64) {
+    pub(super) fn vertical_text(&mut self, x: f64, y: f64, text: &str, size: f64) {
         self.put(format_args!(
             "<text transform=\"translate({x:.1} {y:.1}) rotate(-90)\" font-size=\"{size}\" fill=\"{DIM}\" text-anchor=\"middle\">{}</text>\n",
             escaped(text)

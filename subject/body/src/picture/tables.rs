@@ -1,7 +1,7 @@
 //! Lengths of the limbs, left and right beside each other; and below everything what whoever reads the picture should know.
 
-use super::sheet::{DIM, GRID, INK, Sheet, Stand};
-use super::{Drawing, Part, colour};
+use super::sheet::{Anchor, DIM, GRID, INK, Sheet};
+use super::{BodyPart, Drawing, colour};
 use crate::mesh::distance;
 use crate::skeleton::BONES;
 use crate::{Joint, Side};
@@ -23,11 +23,11 @@ const ROWS: [(&str, &str, &str); 8] = [
 
 pub(super) fn lengths(sheet: &mut Sheet, drawing: &Drawing<'_>) {
     let columns = [LEFT + 225.0, LEFT + 325.0];
-    sheet.text(LEFT, TOP, "Lengths / mm", 13.0, INK, Stand::Left);
+    sheet.text(LEFT, TOP, "Lengths / mm", 13.0, INK, Anchor::Left);
     let heads = if drawing.joints.sides_told { ["left", "right"] } else { ["side A", "side B"] };
     for ((x, head), side) in columns.into_iter().zip(heads).zip(Side::BOTH) {
-        sheet.text(x, TOP, head, 12.0, DIM, Stand::Right);
-        for (part, dx) in [(Part::Arm(side), -60.0), (Part::Leg(side), -52.0)] {
+        sheet.text(x, TOP, head, 12.0, DIM, Anchor::Right);
+        for (part, dx) in [(BodyPart::Arm(side), -60.0), (BodyPart::Leg(side), -52.0)] {
             let style = format!("fill=\"{}\"", colour(part));
             sheet.circle([x + dx, TOP], 3.5, &style);
         }
@@ -35,33 +35,33 @@ pub(super) fn lengths(sheet: &mut Sheet, drawing: &Drawing<'_>) {
     // Joints may have been left out, and what hangs on them with them.
     let rows = ROWS
         .into_iter()
-        .map(|(words, left, right)| (words, [left, right].map(|bone| length(drawing, bone))));
+        .map(|(label, left, right)| (label, [left, right].map(|bone| length(drawing, bone))));
     let rows = [("stature", [stature(drawing), None])].into_iter().chain(rows);
     let mut y = TOP + 8.0 + ROW;
-    for (words, lengths) in rows.filter(|(_, lengths)| lengths.iter().any(Option::is_some)) {
+    for (label, lengths) in rows.filter(|(_, lengths)| lengths.iter().any(Option::is_some)) {
         sheet.line(
             [LEFT, y - ROW / 2.0],
             [LEFT + 325.0, y - ROW / 2.0],
             &format!("stroke=\"{GRID}\""),
         );
-        sheet.text(LEFT, y, words, 12.0, INK, Stand::Left);
+        sheet.text(LEFT, y, label, 12.0, INK, Anchor::Left);
         for (x, text) in columns.into_iter().zip(lengths) {
             if let Some(text) = text {
-                sheet.text(x, y, &text, 12.0, INK, Stand::Right);
+                sheet.text(x, y, &text, 12.0, INK, Anchor::Right);
             }
         }
         y += ROW;
     }
-    sheet.text(LEFT, y, "± one standard deviation that is expected", 11.0, DIM, Stand::Left);
+    sheet.text(LEFT, y, "± one standard deviation that is expected", 11.0, DIM, Anchor::Left);
 }
 
 fn stature(drawing: &Drawing<'_>) -> Option<String> {
     let skeleton = drawing.skeleton?;
-    Some(format!("{:.0}{}", skeleton.stature_mm?, give(skeleton.stature_uncertainty_mm)))
+    Some(format!("{:.0}{}", skeleton.stature_mm?, plus_minus(skeleton.stature_uncertainty_mm)))
 }
 
 /// How far off it may be, where that is known.
-fn give(sigma_mm: Option<f64>) -> String {
+fn plus_minus(sigma_mm: Option<f64>) -> String {
     sigma_mm.map_or_else(String::new, |mm| format!(" ± {mm:.0}"))
 }
 
@@ -69,7 +69,7 @@ fn give(sigma_mm: Option<f64>) -> String {
 fn length(drawing: &Drawing<'_>, name: &str) -> Option<String> {
     if let Some(skeleton) = drawing.skeleton {
         let bone = skeleton.bones.iter().find(|bone| bone.name == name)?;
-        return Some(format!("{:.0}{}", bone.length_mm, give(bone.uncertainty_mm)));
+        return Some(format!("{:.0}{}", bone.length_mm, plus_minus(bone.uncertainty_mm)));
     }
     let ends = BONES.iter().find(|ends| ends.name == name)?;
     let at = |joint: Joint| drawing.joints.estimates.get(&joint);
@@ -91,7 +91,7 @@ const LINES_MAX: usize = 24;
 pub(super) fn note_lines(notes: &[String]) -> Vec<String> {
     let mut lines = Vec::new();
     for (i, note) in notes.iter().enumerate() {
-        let note = broken(note);
+        let note = wrapped(note);
         if lines.len() + note.len() >= LINES_MAX {
             lines.push(format!("• {} more notes stand in the skeleton", notes.len() - i));
             break;
@@ -102,7 +102,7 @@ pub(super) fn note_lines(notes: &[String]) -> Vec<String> {
 }
 
 /// A note in lines, broken between words, and within those that are longer than a line.
-fn broken(note: &str) -> Vec<String> {
+fn wrapped(note: &str) -> Vec<String> {
     let mut lines = Vec::new();
     let mut line = "•".to_owned();
     let mut length = 1;
@@ -132,11 +132,11 @@ pub(super) fn notes(sheet: &mut Sheet, lines: &[String], top: f64) {
         return;
     }
     let mut y = top + 0.8 * NOTES_STEP;
-    sheet.text(NOTES_LEFT, y, "Notes", 13.0, INK, Stand::Left);
+    sheet.text(NOTES_LEFT, y, "Notes", 13.0, INK, Anchor::Left);
     for line in lines {
         y += NOTES_STEP;
         // White space at the beginning is none to SVG.
         let x = if line.starts_with(' ') { NOTES_LEFT + 11.0 } else { NOTES_LEFT };
-        sheet.text(x, y, line.trim_start(), 12.0, INK, Stand::Left);
+        sheet.text(x, y, line.trim_start(), 12.0, INK, Anchor::Left);
     }
 }

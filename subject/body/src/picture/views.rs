@@ -1,7 +1,7 @@
 //! The body from the front and from its right: shaded, with level sets, centre lines and joints.
 
 use super::shade::{Shade, loops};
-use super::sheet::{DIM, INK, Sheet, Stand};
+use super::sheet::{Anchor, DIM, INK, Sheet};
 use super::{Drawing, Line, colour};
 use crate::mesh::{Point, axes, mean};
 use crate::skeleton::joint_name;
@@ -33,13 +33,13 @@ const WIDE_MM: f64 = 80.0;
 /// Rings that are drawn; more are thinned out.
 const RINGS_MAX: usize = 160;
 
-type Look = fn(&Upright, Point) -> Point;
+type Projection = fn(&Upright, Point) -> Point;
 
 pub(super) fn draw(sheet: &mut Sheet, drawing: &Drawing<'_>, upright: &Upright) {
     let Some(mesh) = drawing.mesh else { return };
-    let looks: [Look; 2] = [Upright::front, Upright::side];
+    let projections: [Projection; 2] = [Upright::front, Upright::side];
     let boxes =
-        looks.map(|look| bounds(mesh.positions.iter().map(|p| look(upright, Point::from(*p)))));
+        projections.map(|to| bounds(mesh.positions.iter().map(|p| to(upright, Point::from(*p)))));
     let column = if anything_wide(drawing) { UNSURE_COLUMN } else { COLUMN };
     // Room for names on either side of a body.
     let names = column + BESIDE;
@@ -50,21 +50,21 @@ pub(super) fn draw(sheet: &mut Sheet, drawing: &Drawing<'_>, upright: &Upright) 
         .min((ROWS[1] - ROWS[0]) / heights[0].max(heights[1]));
     let spare = (WIDTH - 4.0 * names - per_unit * (widths[0] + widths[1])) / 2.0;
     let mut left = LEFT;
-    for (i, look) in looks.into_iter().enumerate() {
+    for (i, project) in projections.into_iter().enumerate() {
         let [low, high] = boxes[i];
         let width = per_unit * widths[i] + 2.0 * names + spare;
         let centre = [left + width / 2.0, (ROWS[0] + ROWS[1]) / 2.0];
         let middle = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0];
         let origin = [centre[0] - per_unit * middle[0], centre[1] + per_unit * middle[1]];
-        let fit = Fit { per_unit, origin };
-        let view = View { drawing, upright, look, fit };
+        let fit = PageTransform { per_unit, origin };
+        let view = BodyView { drawing, upright, project, fit };
         let title = match (i, drawing.joints.sides_told) {
             (0, true) => "front",
             (1, true) => "from the right",
             (0, false) => "front or back (sides not told)",
             _ => "from one side (sides not told)",
         };
-        sheet.text(centre[0], 66.0, title, 13.0, DIM, Stand::Middle);
+        sheet.text(centre[0], 66.0, title, 13.0, DIM, Anchor::Middle);
         view.surface(sheet);
         // Names stand near the body, however slim it is.
         let half = per_unit * widths[i] / 2.0 + names;
@@ -74,33 +74,34 @@ pub(super) fn draw(sheet: &mut Sheet, drawing: &Drawing<'_>, upright: &Upright) 
     scale_bar(sheet, drawing, per_unit);
 }
 
-struct View<'a> {
+struct BodyView<'a> {
     drawing: &'a Drawing<'a>,
     upright: &'a Upright,
-    look: Look,
-    fit: Fit,
+    project: Projection,
+    fit: PageTransform,
 }
 
-impl View<'_> {
+impl BodyView<'_> {
     fn at(&self, p: Point) -> [f64; 2] {
-        self.fit.at((self.look)(self.upright, p))
+        self.fit.at((self.project)(self.upright, p))
     }
 
     /// On the paper, and how near.
-    fn seen(&self, p: Point) -> Point {
-        let looked = (self.look)(self.upright, p);
-        let [x, y] = self.fit.at(looked);
-        Point::new(x, y, looked.z * self.fit.per_unit)
+    fn on_page(&self, p: Point) -> Point {
+        let projected = (self.project)(self.upright, p);
+        let [x, y] = self.fit.at(projected);
+        Point::new(x, y, projected.z * self.fit.per_unit)
     }
 
     fn surface(&self, sheet: &mut Sheet) {
         let Some(mesh) = self.drawing.mesh else { return };
-        let seen: Vec<Point> = mesh.positions.iter().map(|p| self.seen(Point::from(*p))).collect();
-        let [low, high] = bounds(seen.iter().copied());
+        let page: Vec<Point> =
+            mesh.positions.iter().map(|p| self.on_page(Point::from(*p))).collect();
+        let [low, high] = bounds(page.iter().copied());
         if !low.iter().chain(&high).all(|c| c.is_finite()) {
             return;
         }
-        let shade = Shade::new(mesh, &seen, low, high);
+        let shade = Shade::new(mesh, &page, low, high);
         let place = |loops: Vec<Vec<[f64; 2]>>| -> Vec<Vec<[f64; 2]>> {
             let to_paper =
                 |p: [f64; 2]| [0, 1].map(|k| shade.corner[k] + (p[k] + 0.5) * shade.cell);
@@ -131,7 +132,7 @@ impl View<'_> {
             for ring in rings.iter().filter(|ring| ring.part == part).step_by(step) {
                 let mut piece: Vec<[f64; 2]> = Vec::new();
                 let around = ring.points.iter().chain(ring.points.first());
-                for p in around.map(|p| self.seen(Point::from(*p))) {
+                for p in around.map(|p| self.on_page(Point::from(*p))) {
                     // Two units of paper: less than the thickness of a wrist.
                     if shade.sees(p, 2.0) {
                         let far = |last: &[f64; 2]| (last[0] - p[0]).hypot(last[1] - p[1]) > 0.7;
@@ -232,15 +233,15 @@ fn scale_bar(sheet: &mut Sheet, drawing: &Drawing<'_>, per_unit: f64) {
     let end = x + mm * per_mm;
     let style = format!("stroke=\"{INK}\" stroke-width=\"1.5\" fill=\"none\"");
     sheet.path(&[vec![[x, y - 4.0], [x, y], [end, y], [end, y - 4.0]]], false, &style);
-    sheet.text(end + 8.0, y - 1.0, &format!("{mm} mm, both views"), 12.0, INK, Stand::Left);
-    let words = if anything_wide(drawing) {
+    sheet.text(end + 8.0, y - 1.0, &format!("{mm} mm, both views"), 12.0, INK, Anchor::Left);
+    let legend = if anything_wide(drawing) {
         format!(
             "circles: one standard deviation of a joint; hollow: more than {WIDE_MM} mm, at its name"
         )
     } else {
         "circles: one standard deviation of a joint".to_owned()
     };
-    sheet.text(end + 140.0, y - 1.0, &words, 12.0, DIM, Stand::Left);
+    sheet.text(end + 140.0, y - 1.0, &legend, 12.0, DIM, Anchor::Left);
 }
 
 /// A name, and the point that it names.
@@ -260,13 +261,13 @@ fn labels(sheet: &mut Sheet, mut labels: Vec<Label>, [left, right]: [f64; 2], co
     labels.retain(|label| label.at.iter().all(|c| c.is_finite()));
     labels.sort_by(|a, b| a.at[0].total_cmp(&b.at[0]));
     let rest = labels.split_off(labels.len() / 2);
-    for (mut names, edge, stand, inward) in
-        [(labels, left + column, Stand::Right, 1.0), (rest, right - column, Stand::Left, -1.0)]
+    for (mut names, edge, anchor, inward) in
+        [(labels, left + column, Anchor::Right, 1.0), (rest, right - column, Anchor::Left, -1.0)]
     {
         names.sort_by(|a, b| a.at[1].total_cmp(&b.at[1]));
         let heights = spread(&names.iter().map(|label| label.at[1]).collect::<Vec<f64>>());
         for (label, y) in names.iter().zip(heights) {
-            sheet.text(edge, y, &label.text, 11.5, INK, stand);
+            sheet.text(edge, y, &label.text, 11.5, INK, anchor);
             let from = [edge + inward * 5.0, y];
             let knee = [edge + inward * 14.0, y];
             let style =
@@ -335,12 +336,12 @@ fn upright_axes(joints: &Joints) -> Option<[Point; 3]> {
 
 /// How much of the paper a length is, and where the origin lies.
 #[derive(Debug, Clone, Copy)]
-struct Fit {
+struct PageTransform {
     per_unit: f64,
     origin: [f64; 2],
 }
 
-impl Fit {
+impl PageTransform {
     /// A point on the paper, y down.
     fn at(&self, p: Point) -> [f64; 2] {
         [self.origin[0] + self.per_unit * p[0], self.origin[1] - self.per_unit * p[1]]

@@ -114,13 +114,13 @@ impl fmt::Display for Format {
 }
 
 /// Words that lines of an OBJ begin with.
-const OBJ_WORDS: [&[u8]; 11] =
+const OBJ_KEYWORDS: [&[u8]; 11] =
     [b"v", b"vt", b"vn", b"vp", b"f", b"o", b"g", b"s", b"l", b"mtllib", b"usemtl"];
 /// Lines in which the first word of an OBJ must stand: comments of exporters are shorter.
 const OBJ_LINES: usize = 1000;
 
 fn format(bytes: &[u8], name: &str) -> Result<Format, ReadError> {
-    let bytes = text::without_mark(bytes);
+    let bytes = text::without_bom(bytes);
     if matches!(bytes, [b'p', b'l', b'y', b'\r' | b'\n', ..]) {
         return Ok(Format::Ply);
     }
@@ -130,7 +130,7 @@ fn format(bytes: &[u8], name: &str) -> Result<Format, ReadError> {
     }
     let mut lines = text::lines(bytes)
         .take(OBJ_LINES)
-        .filter_map(|(_, line)| text::words(text::before_comment(line)).next());
+        .filter_map(|(_, line)| text::tokens(text::before_comment(line)).next());
     let first = lines.next().unwrap_or_default();
     if first.ends_with(b"OFF") && first.len() <= 9 && first.iter().all(u8::is_ascii_alphanumeric) {
         return Ok(Format::Off);
@@ -138,14 +138,14 @@ fn format(bytes: &[u8], name: &str) -> Result<Format, ReadError> {
     if first.eq_ignore_ascii_case(b"solid") {
         return Ok(Format::Stl);
     }
-    if OBJ_WORDS.contains(&first) || lines.any(|word| OBJ_WORDS.contains(&word)) {
+    if OBJ_KEYWORDS.contains(&first) || lines.any(|token| OBJ_KEYWORDS.contains(&token)) {
         return Ok(Format::Obj);
     }
-    Format::from_name(name).ok_or_else(|| ReadError::Unknown { found: guess(bytes).to_owned() })
+    Format::from_name(name).ok_or_else(|| ReadError::Unknown { found: describe(bytes).to_owned() })
 }
 
 /// What people give instead.
-fn guess(bytes: &[u8]) -> &'static str {
+fn describe(bytes: &[u8]) -> &'static str {
     match bytes {
         [0x1f, 0x8b, ..] => "a gzip file: unpack it first",
         [b'P', b'K', 3, 4, ..] => "a ZIP archive, perhaps 3MF: unpack it first",

@@ -11,7 +11,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
     let mut corners = Vec::new();
     let mut joined = Vec::new();
     let mut curved = 0_usize;
-    for (number, line) in text::lines(text::without_mark(bytes)) {
+    for (number, line) in text::lines(text::without_bom(bytes)) {
         if surface.unit.is_none() && line.first() == Some(&b'#') {
             surface.unit = Unit::from_comment(line);
         }
@@ -30,9 +30,9 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
             whole = std::mem::take(&mut joined);
             &whole
         };
-        let mut words = text::words(line);
-        match words.next() {
-            Some(b"v") => surface.vertex(text::position(&mut words).ok_or_else(|| {
+        let mut tokens = text::tokens(line);
+        match tokens.next() {
+            Some(b"v") => surface.vertex(text::position(&mut tokens).ok_or_else(|| {
                 Format::Obj.malformed_line(
                     number,
                     format!("expected `v` and three numbers, found {}", text::quote(line)),
@@ -40,11 +40,11 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
             })?)?,
             Some(b"f") => {
                 corners.clear();
-                for word in words {
-                    let index = index(word, surface.n_vertices()).ok_or_else(|| {
+                for token in tokens {
+                    let index = index(token, surface.n_vertices()).ok_or_else(|| {
                         Format::Obj.malformed_line(
                             number,
-                            format!("expected the index of a vertex, found {}", text::quote(word)),
+                            format!("expected the index of a vertex, found {}", text::quote(token)),
                         )
                     })?;
                     put_corner(&mut corners, index)?;
@@ -63,9 +63,9 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
 }
 
 /// `7`, `7/1`, `7//3`, `7/1/3` or `-1`, as an index from 0. Zero is none.
-fn index(word: &[u8], n_vertices: usize) -> Option<u32> {
-    let vertex = word.split(|&b| b == b'/').next()?;
-    let given = text::whole(vertex)?;
+fn index(token: &[u8], n_vertices: usize) -> Option<u32> {
+    let vertex = token.split(|&b| b == b'/').next()?;
+    let given = text::integer(vertex)?;
     let index = if given < 0 { (n_vertices as i64).checked_add(given)? } else { given - 1 };
     u32::try_from(index).ok()
 }

@@ -36,7 +36,7 @@ impl Role {
         let find = |name: &str| element.properties.iter().position(|p| p.name == name);
         let list = || find("vertex_indices").or_else(|| find("vertex_index"));
         let is_list = |at: usize| {
-            element.properties.get(at).is_some_and(|p| matches!(p.kind, Kind::List { .. }))
+            element.properties.get(at).is_some_and(|p| matches!(p.kind, PropertyType::List { .. }))
         };
         match element.name.as_str() {
             "vertex" => match [find("x"), find("y"), find("z")] {
@@ -60,7 +60,7 @@ impl Role {
 
 fn elements(
     header: &Header,
-    source: &mut impl Source,
+    source: &mut impl ValueSource,
     surface: &mut Surface,
 ) -> Result<(), ReadError> {
     let mut row = Row::default();
@@ -91,17 +91,17 @@ impl Row {
         &mut self,
         element: &Element,
         role: &Role,
-        source: &mut impl Source,
+        source: &mut impl ValueSource,
         surface: &mut Surface,
     ) -> Result<(), ReadError> {
         self.scalars.clear();
         for (at, property) in element.properties.iter().enumerate() {
             let (count, item) = match property.kind {
-                Kind::Scalar(scalar) => {
+                PropertyType::Scalar(scalar) => {
                     self.scalars.push(source.value(scalar)?);
                     continue;
                 }
-                Kind::List { count, item } => (source.value(count)?, item),
+                PropertyType::List { count, item } => (source.value(count)?, item),
             };
             self.scalars.push(0.0);
             if count < 0.0 || count.fract() != 0.0 {
@@ -137,7 +137,7 @@ impl Row {
     fn strip(
         &mut self,
         value: f64,
-        source: &impl Source,
+        source: &impl ValueSource,
         surface: &mut Surface,
     ) -> Result<(), ReadError> {
         if value == -1.0 {
@@ -154,7 +154,7 @@ impl Row {
     }
 }
 
-fn index(value: f64, source: &impl Source) -> Result<u32, ReadError> {
+fn index(value: f64, source: &impl ValueSource) -> Result<u32, ReadError> {
     if value.fract() == 0.0 && (0.0..f64::from(u32::MAX)).contains(&value) {
         return Ok(value as u32);
     }
@@ -205,7 +205,7 @@ impl Scalar {
 
 /// One number, or a count and as many.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Kind {
+enum PropertyType {
     Scalar(Scalar),
     List { count: Scalar, item: Scalar },
 }
@@ -213,7 +213,7 @@ enum Kind {
 #[derive(Debug)]
 struct Property {
     name: String,
-    kind: Kind,
+    kind: PropertyType,
 }
 
 #[derive(Debug)]
@@ -243,14 +243,14 @@ impl Header {
         for number in 1.. {
             let Some((line, after)) = split_line(rest) else { break };
             rest = after;
-            let mut words = text::words(line);
+            let mut tokens = text::tokens(line);
             let wrong = |expected: &str| {
                 let reason = format!("expected {expected}, found {}", text::quote(line));
                 Format::Ply.malformed_line(number, reason)
             };
-            match words.next() {
+            match tokens.next() {
                 Some(b"format") => {
-                    encoding = match words.next() {
+                    encoding = match tokens.next() {
                         Some(b"ascii") => Some(Encoding::Text),
                         Some(b"binary_little_endian") => {
                             Some(Encoding::Binary { big_endian: false })
@@ -261,8 +261,8 @@ impl Header {
                 }
                 Some(b"comment" | b"obj_info") => unit = unit.or_else(|| Unit::from_comment(line)),
                 Some(b"element") => {
-                    let name = words.next().map(|name| String::from_utf8_lossy(name).into_owned());
-                    let count = words.next().and_then(text::whole);
+                    let name = tokens.next().map(|name| String::from_utf8_lossy(name).into_owned());
+                    let count = tokens.next().and_then(text::integer);
                     let count = count.and_then(|count| u64::try_from(count).ok());
                     let (name, count) =
                         name.zip(count).ok_or_else(|| wrong("a name and a count"))?;
@@ -273,7 +273,7 @@ impl Header {
                 }
                 Some(b"property") => {
                     let property =
-                        property(&mut words).ok_or_else(|| wrong("a type and a name"))?;
+                        property(&mut tokens).ok_or_else(|| wrong("a type and a name"))?;
                     let element = elements.last_mut().ok_or_else(|| wrong("an element first"))?;
                     element.properties.push(property);
                     if element.properties.len() > PARTS_MAX {
@@ -293,15 +293,15 @@ impl Header {
     }
 }
 
-fn property(words: &mut dyn Iterator<Item = &[u8]>) -> Option<Property> {
-    let kind = match words.next()? {
+fn property(tokens: &mut dyn Iterator<Item = &[u8]>) -> Option<Property> {
+    let kind = match tokens.next()? {
         b"list" => {
-            let count = Scalar::from_name(words.next()?)?;
-            Kind::List { count, item: Scalar::from_name(words.next()?)? }
+            let count = Scalar::from_name(tokens.next()?)?;
+            PropertyType::List { count, item: Scalar::from_name(tokens.next()?)? }
         }
-        scalar => Kind::Scalar(Scalar::from_name(scalar)?),
+        scalar => PropertyType::Scalar(Scalar::from_name(scalar)?),
     };
-    Some(Property { name: String::from_utf8_lossy(words.next()?).into_owned(), kind })
+    Some(Property { name: String::from_utf8_lossy(tokens.next()?).into_owned(), kind })
 }
 
 /// The first line, and what follows its end: LF, CR LF or CR. A CR is the whole end only where no LF follows.
@@ -313,7 +313,7 @@ fn split_line(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
 }
 
 /// Where values come from.
-trait Source {
+trait ValueSource {
     /// The next value belongs to the next vertex, face or whatever.
     fn begin_row(&mut self) -> Result<(), ReadError>;
     /// The next value, which takes at least one byte of the file.
@@ -337,7 +337,7 @@ impl<'a> Text<'a> {
     }
 }
 
-impl Source for Text<'_> {
+impl ValueSource for Text<'_> {
     fn begin_row(&mut self) -> Result<(), ReadError> {
         let mut filled = self.lines.by_ref().filter(|(_, line)| !line.trim_ascii().is_empty());
         let Some((number, line)) = filled.next() else {
@@ -353,11 +353,11 @@ impl Source for Text<'_> {
     fn value(&mut self, _: Scalar) -> Result<f64, ReadError> {
         let line = self.line.trim_ascii_start();
         let end = line.iter().position(u8::is_ascii_whitespace).unwrap_or(line.len());
-        let (word, rest) = line.split_at(end);
+        let (token, rest) = line.split_at(end);
         self.line = rest;
-        text::number(word).ok_or_else(|| {
+        text::number(token).ok_or_else(|| {
             Format::Ply
-                .malformed(self.place(), format!("expected a number, found {}", text::quote(word)))
+                .malformed(self.place(), format!("expected a number, found {}", text::quote(token)))
         })
     }
 
@@ -395,7 +395,7 @@ impl<'a> Binary<'a> {
     }
 }
 
-impl Source for Binary<'_> {
+impl ValueSource for Binary<'_> {
     fn begin_row(&mut self) -> Result<(), ReadError> {
         Ok(())
     }

@@ -21,7 +21,7 @@ pub(super) fn binary_fits(bytes: &[u8]) -> bool {
 /// Reads a whole file.
 pub(super) fn read(bytes: &[u8]) -> Result<Surface, ReadError> {
     let mut triangles = Triangles { surface: Surface::new(Format::Stl), vertices: HashMap::new() };
-    let is_text = text::words(bytes.get(..HEAD).unwrap_or(bytes)).next() == Some(b"solid");
+    let is_text = text::tokens(bytes.get(..HEAD).unwrap_or(bytes)).next() == Some(b"solid");
     if is_text && !binary_fits(bytes) {
         read_text(bytes, &mut triangles)?;
     } else {
@@ -59,30 +59,30 @@ fn read_text(bytes: &[u8], triangles: &mut Triangles) -> Result<(), ReadError> {
     let mut corners = Vec::with_capacity(4);
     let (mut in_facet, mut ended) = (false, false);
     for (number, line) in text::lines(bytes) {
-        let mut words = text::words(line);
-        let Some(word) = words.next() else { continue };
+        let mut tokens = text::tokens(line);
+        let Some(token) = tokens.next() else { continue };
         let wrong = |expected: &str| {
             let found = text::quote(line);
             Format::Stl.malformed_line(number, format!("expected {expected}, found {found}"))
         };
-        if word.eq_ignore_ascii_case(b"vertex") {
+        if token.eq_ignore_ascii_case(b"vertex") {
             if corners.len() == 3 {
                 return Err(wrong("three corners a facet"));
             }
-            let corner = text::position(&mut words);
+            let corner = text::position(&mut tokens);
             corners.push(corner.ok_or_else(|| wrong("`vertex` and three numbers"))?);
-        } else if word.eq_ignore_ascii_case(b"facet") {
+        } else if token.eq_ignore_ascii_case(b"facet") {
             if in_facet {
                 return Err(wrong("`endfacet`"));
             }
             (in_facet, ended) = (true, false);
             corners.clear();
-        } else if word.eq_ignore_ascii_case(b"endfacet") {
+        } else if token.eq_ignore_ascii_case(b"endfacet") {
             let [a, b, c] = corners[..] else { return Err(wrong("three corners a facet")) };
             triangles.push([a, b, c])?;
             in_facet = false;
             corners.clear();
-        } else if word.eq_ignore_ascii_case(b"endsolid") {
+        } else if token.eq_ignore_ascii_case(b"endsolid") {
             ended = true;
         }
     }

@@ -4,7 +4,7 @@
 const QUOTE_MAX: usize = 24;
 
 /// Without the mark that some programs put in front of UTF-8.
-pub(super) fn without_mark(bytes: &[u8]) -> &[u8] {
+pub(super) fn without_bom(bytes: &[u8]) -> &[u8] {
     bytes.strip_prefix(&[0xef, 0xbb, 0xbf]).unwrap_or(bytes)
 }
 
@@ -18,8 +18,8 @@ pub(super) fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
 }
 
 /// Words between blanks.
-pub(super) fn words(line: &[u8]) -> impl Iterator<Item = &[u8]> {
-    line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty())
+pub(super) fn tokens(line: &[u8]) -> impl Iterator<Item = &[u8]> {
+    line.split(u8::is_ascii_whitespace).filter(|token| !token.is_empty())
 }
 
 /// The line up to a `#` that begins a word.
@@ -32,24 +32,24 @@ pub(super) fn before_comment(line: &[u8]) -> &[u8] {
 }
 
 /// A number as people and programs write it; what programs write for "not a number" is one, too.
-pub(super) fn number(word: &[u8]) -> Option<f64> {
-    let word = std::str::from_utf8(word).ok()?;
-    if let Ok(number) = word.parse() {
+pub(super) fn number(token: &[u8]) -> Option<f64> {
+    let token = std::str::from_utf8(token).ok()?;
+    if let Ok(number) = token.parse() {
         return Some(number);
     }
     // Microsoft's run-time library: `-1.#IND`, `1.#QNAN`, `1.#INF`.
-    let odd = word.trim_start_matches(['-', '+']);
+    let odd = token.trim_start_matches(['-', '+']);
     odd.starts_with("1.#").then_some(f64::NAN)
 }
 
 /// A whole number.
-pub(super) fn whole(word: &[u8]) -> Option<i64> {
-    std::str::from_utf8(word).ok()?.parse().ok()
+pub(super) fn integer(token: &[u8]) -> Option<i64> {
+    std::str::from_utf8(token).ok()?.parse().ok()
 }
 
 /// The next three words as a position.
-pub(super) fn position(words: &mut dyn Iterator<Item = &[u8]>) -> Option<[f64; 3]> {
-    let mut next = || number(words.next()?);
+pub(super) fn position(tokens: &mut dyn Iterator<Item = &[u8]>) -> Option<[f64; 3]> {
+    let mut next = || number(tokens.next()?);
     Some([next()?, next()?, next()?])
 }
 

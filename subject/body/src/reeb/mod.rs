@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use crate::extremity::Extremities;
 use crate::geodesic::{Adjacency, Graph, NONE, Workspace, distances};
 use crate::level::{Rings, Spans, cut, even_levels};
-use crate::topology::root;
+use crate::topology::find_root;
 use crate::{Mesh, Refusal};
 
 #[cfg(test)]
@@ -145,7 +145,7 @@ impl Parts {
         let (start, lowest) = (*self.starts.get(triangle as usize)?)?;
         let part = start + band.checked_sub(lowest)?;
         self.joined.get(part as usize)?;
-        Some(root(&mut self.joined, part))
+        Some(find_root(&mut self.joined, part))
     }
 }
 

@@ -2,10 +2,10 @@
 
 use std::collections::HashMap;
 
-use super::manifold::{pair_up, pieces};
+use super::manifold::{pair_half_edges, pieces};
 use super::{RepairError, drop_unused};
 use crate::mesh::distance;
-use crate::topology::{edges, sides};
+use crate::topology::{edges, half_edges};
 use crate::{Mesh, Note};
 
 /// Vertices at borders that are nearer than this share of the extent are one: 0.02 mm of a body. Programs that write
@@ -17,12 +17,12 @@ const CRACK: f64 = 1e-5;
 ///
 /// All other vertices are joined as they should be already. They may lie in one place all the same: lips and eyelids that
 /// touch, and what rounding has brought together. To merge those would join surfaces that do not hang together.
-pub(super) fn same_positions(mesh: &mut Mesh, notes: &mut Vec<Note>) {
+pub(super) fn merge_duplicate_vertices(mesh: &mut Mesh, notes: &mut Vec<Note>) {
     let n = mesh.positions.len();
     let mut loose = vec![false; n];
-    let all = sides(&mesh.triangles);
-    for sides in edges(&all).filter(|sides| sides.len() != 2) {
-        sides[0].ends.iter().for_each(|&end| loose[end as usize] = true);
+    let all = half_edges(&mesh.triangles);
+    for edge in edges(&all).filter(|edge| edge.len() != 2) {
+        edge[0].ends.iter().for_each(|&end| loose[end as usize] = true);
     }
     // By x first: the rest seldom needs to be looked at. Adding zero makes the two zeros one.
     let key = |index: &u32| mesh.positions[*index as usize].map(|c| (c + 0.0).to_bits());
@@ -54,7 +54,7 @@ const TWO_SIDED: f64 = 0.5;
 
 /// Leaves out triangles with a vertex twice, and those whose vertices another has that looks the same way; then the vertices
 /// of none. Two that look opposite ways are both sides of something thin, unless the whole surface is two-sided.
-pub(super) fn needless_triangles(mesh: &mut Mesh, notes: &mut Vec<Note>) {
+pub(super) fn remove_degenerate_triangles(mesh: &mut Mesh, notes: &mut Vec<Note>) {
     let all = mesh.triangles.len();
     mesh.triangles.retain(|&[a, b, c]| a != b && b != c && c != a);
     let degenerate = all - mesh.triangles.len();
@@ -67,7 +67,7 @@ pub(super) fn needless_triangles(mesh: &mut Mesh, notes: &mut Vec<Note>) {
     let looks_back = |&[a, b, c]: &[u32; 3]| (a < b) ^ (b < c) ^ (c < a);
     let mut order: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
     order.sort_unstable_by_key(|&index| (key(&mesh.triangles[index as usize]), index));
-    let mut again = vec![false; mesh.triangles.len()];
+    let mut duplicate = vec![false; mesh.triangles.len()];
     let same =
         |a: &u32, b: &u32| key(&mesh.triangles[*a as usize]) == key(&mesh.triangles[*b as usize]);
     let mut twins = Vec::new();
@@ -75,29 +75,28 @@ pub(super) fn needless_triangles(mesh: &mut Mesh, notes: &mut Vec<Note>) {
         let way = |index: &u32| looks_back(&mesh.triangles[*index as usize]);
         let twin = group.iter().position(|index| way(index) != way(&group[0]));
         for (at, &index) in group.iter().enumerate().skip(1) {
-            again[index as usize] = Some(at) != twin;
+            duplicate[index as usize] = Some(at) != twin;
         }
         twins.extend(twin.map(|at| group[at]));
     }
     if 2.0 * twins.len() as f64 > TWO_SIDED * mesh.triangles.len() as f64 {
-        twins.iter().for_each(|&index| again[index as usize] = true);
+        twins.iter().for_each(|&index| duplicate[index as usize] = true);
     }
     let before = mesh.triangles.len();
-    mesh.keep_triangles(|triangle| !again[triangle]);
-    let twice = before - mesh.triangles.len();
+    mesh.keep_triangles(|triangle| !duplicate[triangle]);
+    let duplicates = before - mesh.triangles.len();
     drop_unused(mesh);
-    if degenerate + twice > 0 {
-        let text =
-            format!("{degenerate} triangles without an area and {twice} double ones: left out");
+    if degenerate + duplicates > 0 {
+        let text = format!("left out {degenerate} degenerate and {duplicates} duplicate triangles");
         notes.push(Note::new("needless-triangles", text));
     }
 }
 
 /// Joins vertices at borders that all but touch each other.
-pub(super) fn cracks(mesh: &mut Mesh, notes: &mut Vec<Note>) {
-    let all = sides(&mesh.triangles);
+pub(super) fn close_cracks(mesh: &mut Mesh, notes: &mut Vec<Note>) {
+    let all = half_edges(&mesh.triangles);
     let mut border: Vec<u32> =
-        edges(&all).filter(|sides| sides.len() == 1).flat_map(|sides| sides[0].ends).collect();
+        edges(&all).filter(|edge| edge.len() == 1).flat_map(|edge| edge[0].ends).collect();
     border.sort_unstable();
     border.dedup();
     if border.is_empty() {
@@ -127,25 +126,25 @@ pub(super) fn cracks(mesh: &mut Mesh, notes: &mut Vec<Note>) {
     corners.for_each(|corner| *corner = moved.get(corner).copied().unwrap_or(*corner));
     let text = format!("{} vertices at borders lie all but on others: merged", moved.len());
     notes.push(Note::new("cracks-closed", text));
-    needless_triangles(mesh, notes);
+    remove_degenerate_triangles(mesh, notes);
 }
 
 /// An edge of a spike is longer than this share of the extent: a fifth of a metre, on a body.
-const EXTENTS: f64 = 0.1;
+const SPIKE_EXTENTS: f64 = 0.1;
 /// And longer than so many of the middle edges, which coarse surfaces have none of.
-const MEDIANS: f64 = 12.0;
+const SPIKE_MEDIANS: f64 = 12.0;
 /// More of the triangles are no spikes but the way the surface was made.
 const SHARE_MAX: f64 = 0.01;
 
 /// Takes out triangles that reach far out: what they leave are holes.
-pub(super) fn spikes(mesh: &mut Mesh, notes: &mut Vec<Note>) {
+pub(super) fn remove_spikes(mesh: &mut Mesh, notes: &mut Vec<Note>) {
     let longest: Vec<f64> = mesh.triangles.iter().map(|t| longest_edge(mesh, t)).collect();
     let middle = longest.len() / 2;
     if middle == 0 {
         return;
     }
     let median = *longest.clone().select_nth_unstable_by(middle, f64::total_cmp).1;
-    let limit = (MEDIANS * median).max(EXTENTS * mesh.extent());
+    let limit = (SPIKE_MEDIANS * median).max(SPIKE_EXTENTS * mesh.extent());
     let n = longest.iter().filter(|&&edge| edge > limit).count();
     if n == 0 || n as f64 > SHARE_MAX * longest.len() as f64 {
         return;
@@ -164,8 +163,8 @@ fn longest_edge(mesh: &Mesh, triangle: &[u32; 3]) -> f64 {
 const SHARE_MIN: f64 = 0.6;
 
 /// Keeps the piece with the largest area.
-pub(super) fn other_pieces(mesh: &mut Mesh, notes: &mut Vec<Note>) -> Result<(), RepairError> {
-    let (across, _) = pair_up(mesh);
+pub(super) fn keep_largest(mesh: &mut Mesh, notes: &mut Vec<Note>) -> Result<(), RepairError> {
+    let (across, _) = pair_half_edges(mesh);
     let pieces = pieces(&across);
     // Each piece has the number of its first triangle.
     let count = (0_u32..).zip(&pieces).filter(|(triangle, piece)| triangle == *piece).count();

@@ -1,15 +1,15 @@
 //! Fewer faces: vertices that lie together, and hang together, become one.
 
 use super::RepairError;
-use super::clean::needless_triangles;
+use super::clean::remove_degenerate_triangles;
 use crate::mesh::{Point, distance};
-use crate::topology::{Rows, Side, edges, sides};
+use crate::topology::{HalfEdge, SparseRows, edges, half_edges};
 use crate::{Mesh, Note};
 
 /// Balls that are tried, each a fifth larger.
 const ROUNDS: usize = 20;
 /// Radius of the first balls, in the edge of a square of which there are as many as vertices.
-const FIRST: f64 = 0.7;
+const FIRST_RADIUS: f64 = 0.7;
 
 /// Makes the surface coarser until it has at most so many faces.
 ///
@@ -19,7 +19,7 @@ const FIRST: f64 = 0.7;
 ///
 /// # Errors
 /// [`RepairError::Tangled`] where no ball makes so few: the surface is more knot than sheet.
-pub(super) fn to(
+pub(super) fn decimate(
     mesh: &mut Mesh,
     n_faces: usize,
     notes: &mut Vec<Note>,
@@ -28,7 +28,7 @@ pub(super) fn to(
     if before <= n_faces {
         return Ok(());
     }
-    let mut radius = FIRST * (mesh.area() / (n_faces as f64 / 2.0)).sqrt();
+    let mut radius = FIRST_RADIUS * (mesh.area() / (n_faces as f64 / 2.0)).sqrt();
     for _ in 0..ROUNDS {
         if mesh.triangles.len() <= n_faces {
             break;
@@ -45,12 +45,12 @@ pub(super) fn to(
 }
 
 fn coarsen(mesh: &mut Mesh, radius: f64) {
-    let all = sides(&mesh.triangles);
-    let there_and_back = |sides: &[Side]| {
-        let [a, b] = sides[0].ends;
+    let all = half_edges(&mesh.triangles);
+    let there_and_back = |edge: &[HalfEdge]| {
+        let [a, b] = edge[0].ends;
         [(a, b), (b, a)]
     };
-    let neighbours = Rows::new(mesh.positions.len(), edges(&all).flat_map(there_and_back));
+    let neighbours = SparseRows::new(mesh.positions.len(), edges(&all).flat_map(there_and_back));
     let mut ball = vec![u32::MAX; mesh.positions.len()];
     let mut middles: Vec<[f64; 3]> = Vec::new();
     let mut reached = Vec::new();
@@ -79,12 +79,12 @@ fn coarsen(mesh: &mut Mesh, radius: f64) {
     mesh.triangles.as_flattened_mut().iter_mut().for_each(|c| *c = ball[*c as usize]);
     mesh.positions = middles;
     // Most triangles lie within a ball, and are none now.
-    needless_triangles(mesh, &mut Vec::new());
+    remove_degenerate_triangles(mesh, &mut Vec::new());
 }
 
 #[cfg(test)]
 mod tests {
-    use super::to;
+    use super::decimate;
     use crate::tests::sphere;
 
     #[test]
@@ -93,7 +93,7 @@ mod tests {
         let mut turned = mesh.clone();
         turned.positions.iter_mut().for_each(|p| *p = [p[1], p[2], p[0]]);
         for mesh in [&mut mesh, &mut turned] {
-            to(mesh, 1200, &mut Vec::new()).unwrap();
+            decimate(mesh, 1200, &mut Vec::new()).unwrap();
         }
         assert_eq!(mesh.triangles, turned.triangles);
         assert!(mesh.triangles.len() <= 1200);

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use super::drop_unused;
 use crate::mesh::{self, Point, unit};
-use crate::topology::{Side, edges, ends, join, root, sides};
+use crate::topology::{HalfEdge, edges, ends, find_root, half_edges, union};
 use crate::{Mesh, Note};
 
 /// No triangle.
@@ -18,17 +18,17 @@ const ROUNDS: usize = 16;
 /// Cuts the surface where more than two triangles meet in an edge, turns triangles to face as their neighbours do, and
 /// gives each sheet that merely touches another in a vertex a vertex of its own. Where a cut is not enough, because the
 /// sheets hang together all around it, its triangles are taken out: they leave holes.
-pub(super) fn manifold(mesh: &mut Mesh, notes: &mut Vec<Note>) {
+pub(super) fn make_manifold(mesh: &mut Mesh, notes: &mut Vec<Note>) {
     let before = mesh.positions.len();
     let (mut tangled, mut turned, mut taken) = (0, 0, 0);
     for round in 0..ROUNDS {
-        let (mut across, found) = pair_up(mesh);
+        let (mut across, found) = pair_half_edges(mesh);
         let n = orient(&mut mesh.triangles, &mut across);
         if round == 0 {
             (tangled, turned) = (found, n);
         }
         split_vertices(mesh, &across);
-        let n = take_out(mesh);
+        let n = remove_tangled(mesh);
         taken += n;
         if n == 0 {
             break;
@@ -36,24 +36,24 @@ pub(super) fn manifold(mesh: &mut Mesh, notes: &mut Vec<Note>) {
     }
     let split = mesh.positions.len().saturating_sub(before);
     drop_unused(mesh);
-    let mut tell = |n: usize, code: &'static str, text: &str| {
+    let mut note = |n: usize, code: &'static str, text: &str| {
         if n > 0 {
             notes.push(Note::new(code, format!("{n} {text}")));
         }
     };
-    tell(tangled, "edges-cut", "edges had more than two triangles: cut apart");
-    tell(turned, "triangles-turned", "triangles faced otherwise than their neighbours: turned");
-    tell(split, "vertices-split", "vertices joined sheets that only touched: doubled");
-    tell(taken, "triangles-taken-out", "triangles were tangled: taken out");
+    note(tangled, "edges-cut", "edges had more than two triangles: cut apart");
+    note(turned, "triangles-turned", "triangles faced otherwise than their neighbours: turned");
+    note(split, "vertices-split", "vertices joined sheets that only touched: doubled");
+    note(taken, "triangles-taken-out", "triangles were tangled: taken out");
 }
 
 /// Takes out the triangles of edges that still have more than two, or two that face different ways.
-fn take_out(mesh: &mut Mesh) -> usize {
-    let all = sides(&mesh.triangles);
+fn remove_tangled(mesh: &mut Mesh) -> usize {
+    let all = half_edges(&mesh.triangles);
     let mut out = vec![false; mesh.triangles.len()];
-    for sides in edges(&all) {
-        if !fits(mesh, sides) {
-            sides.iter().for_each(|side| out[side.index as usize / 3] = true);
+    for edge in edges(&all) {
+        if !fits(mesh, edge) {
+            edge.iter().for_each(|side| out[side.index as usize / 3] = true);
         }
     }
     let before = mesh.triangles.len();
@@ -64,16 +64,16 @@ fn take_out(mesh: &mut Mesh) -> usize {
 /// The side on the other side of each side, or [`NONE`]; and how many edges have too many.
 ///
 /// Where more than two triangles meet, those go together that face the same way and bend least: a sheet goes on as it came.
-pub(super) fn pair_up(mesh: &Mesh) -> (Vec<u32>, usize) {
-    let all = sides(&mesh.triangles);
+pub(super) fn pair_half_edges(mesh: &Mesh) -> (Vec<u32>, usize) {
+    let all = half_edges(&mesh.triangles);
     let mut across = vec![NONE; all.len()];
     let mut tangled = 0;
-    for sides in edges(&all) {
-        if let [a, b] = sides {
+    for edge in edges(&all) {
+        if let [a, b] = edge {
             (across[a.index as usize], across[b.index as usize]) = (b.index, a.index);
-        } else if sides.len() > 2 {
+        } else if edge.len() > 2 {
             tangled += 1;
-            let mut left: Vec<u32> = sides.iter().map(|side| side.index).collect();
+            let mut left: Vec<u32> = edge.iter().map(|side| side.index).collect();
             while (2..=FAN_MAX).contains(&left.len()) {
                 let Some((i, j)) = flattest(mesh, &left) else { break };
                 let (b, a) = (left.remove(j), left.remove(i));
@@ -85,13 +85,13 @@ pub(super) fn pair_up(mesh: &Mesh) -> (Vec<u32>, usize) {
 }
 
 /// Which two of the sides belong to the flattest pair of triangles.
-fn flattest(mesh: &Mesh, sides: &[u32]) -> Option<(usize, usize)> {
-    let pairs = (0..sides.len()).flat_map(|i| (i + 1..sides.len()).map(move |j| (i, j)));
+fn flattest(mesh: &Mesh, half_edges: &[u32]) -> Option<(usize, usize)> {
+    let pairs = (0..edge.len()).flat_map(|i| (i + 1..edge.len()).map(move |j| (i, j)));
     let mut best = None;
     for (i, j) in pairs {
-        let (normal_i, normal_j) = (normal(mesh, sides[i]), normal(mesh, sides[j]));
-        let [from_i, _] = ends(&mesh.triangles, sides[i]);
-        let [from_j, _] = ends(&mesh.triangles, sides[j]);
+        let (normal_i, normal_j) = (normal(mesh, half_edges[i]), normal(mesh, half_edges[j]));
+        let [from_i, _] = ends(&mesh.triangles, half_edges[i]);
+        let [from_j, _] = ends(&mesh.triangles, half_edges[j]);
         // Two triangles that pass the edge in the same direction face opposite ways. Where sheets touch, one of this and one
         // of that are as flat as two of one sheet: those that face the same way come first.
         let same_way = from_i != from_j;
@@ -170,19 +170,19 @@ fn flip(triangles: &mut [[u32; 3]], across: &mut [u32], at: usize) {
 
 /// Whether the surface is one piece, every edge of two triangles that face the same way, every vertex of one fan.
 pub(super) fn is_clean(mesh: &Mesh) -> bool {
-    let all = sides(&mesh.triangles);
-    if all.is_empty() || !edges(&all).all(|sides| sides.len() == 2 && fits(mesh, sides)) {
+    let all = half_edges(&mesh.triangles);
+    if all.is_empty() || !edges(&all).all(|edge| edge.len() == 2 && fits(mesh, edge)) {
         return false;
     }
-    let (across, _) = pair_up(mesh);
+    let (across, _) = pair_half_edges(mesh);
     let fans = fans(&across).into_iter().enumerate().filter(|(at, fan)| *at as u32 == *fan);
     let is_one_piece = pieces(&across).iter().all(|piece| *piece == 0);
     is_one_piece && fans.count() == mesh.positions.len()
 }
 
 /// Whether an edge is at a border, or of two triangles that face the same way.
-fn fits(mesh: &Mesh, sides: &[Side]) -> bool {
-    match sides {
+fn fits(mesh: &Mesh, edge: &[HalfEdge]) -> bool {
+    match edge {
         [_] => true,
         [a, b] => {
             let from = |side| ends(&mesh.triangles, side)[0];
@@ -196,9 +196,9 @@ fn fits(mesh: &Mesh, sides: &[Side]) -> bool {
 pub(super) fn pieces(across: &[u32]) -> Vec<u32> {
     let mut first: Vec<u32> = (0..across.len() as u32 / 3).collect();
     for (side, &other) in (0_u32..).zip(across).filter(|(_, other)| **other != NONE) {
-        join(&mut first, side / 3, other / 3);
+        union(&mut first, side / 3, other / 3);
     }
-    (0..first.len() as u32).map(|triangle| root(&mut first, triangle)).collect()
+    (0..first.len() as u32).map(|triangle| find_root(&mut first, triangle)).collect()
 }
 
 /// For each corner, the first corner of those that hang together with it over edges.
@@ -212,10 +212,10 @@ pub(super) fn fans(across: &[u32]) -> Vec<u32> {
         let ends = |side: u32| [side, side - side % 3 + (side + 1) % 3];
         let ([a, b], [c, d]) = (ends(side as u32), ends(other));
         for (one, two) in [(a, d), (b, c)] {
-            join(&mut leader, one, two);
+            union(&mut leader, one, two);
         }
     }
-    (0..leader.len() as u32).map(|corner| root(&mut leader, corner)).collect()
+    (0..leader.len() as u32).map(|corner| find_root(&mut leader, corner)).collect()
 }
 
 /// Corners that hang together over edges share a vertex, and no others do.

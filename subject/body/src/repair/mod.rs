@@ -61,11 +61,12 @@ pub enum RepairError {
     },
     /// A hole is so large that it is not known what was there.
     #[error(
-        "a hole of {around:.0} % of the extent around, and {area:.0} % of the surface: part of the body is missing, scan it again"
+        "a hole with a perimeter of {perimeter:.0} % of the body's extent, and {area:.0} % of the surface: part of the \
+         body is missing, scan it again"
     )]
     Hole {
         /// Its length in per cent of the largest extent.
-        around: f64,
+        perimeter: f64,
         /// The area of what would close it, in per cent of the surface.
         area: f64,
     },
@@ -85,11 +86,11 @@ pub enum RepairError {
 /// # Errors
 /// [`RepairError`] where no single closed body is left, or its unit cannot be told.
 pub fn repair(scan: Scan, unit: Option<Unit>) -> Result<Repaired, RepairError> {
-    let Scan { mut mesh, unit: told, mut notes, .. } = scan;
-    clean::same_positions(&mut mesh, &mut notes);
-    clean::spikes(&mut mesh, &mut notes);
+    let Scan { mut mesh, unit: declared, mut notes, .. } = scan;
+    clean::merge_duplicate_vertices(&mut mesh, &mut notes);
+    clean::remove_spikes(&mut mesh, &mut notes);
     if mesh.triangles.len() > FACES_KEPT_MAX || !manifold::is_clean(&mesh) {
-        mend(&mut mesh, &mut notes)?;
+        repair_surface(&mut mesh, &mut notes)?;
     }
     let volume = mesh.volume();
     if volume.abs() < SOLIDITY_MIN * mesh.extent().powi(3) {
@@ -105,18 +106,18 @@ pub fn repair(scan: Scan, unit: Option<Unit>) -> Result<Repaired, RepairError> {
         let text = format!("the surface has {handles}, as where limbs touch the body");
         notes.push(Note::new("handles", text));
     }
-    let (unit, unit_inferred) = choose_unit(&mesh, unit.or(told), &mut notes)?;
+    let (unit, unit_inferred) = choose_unit(&mesh, unit.or(declared), &mut notes)?;
     Ok(Repaired { mesh, unit, unit_inferred, genus, notes })
 }
 
-fn mend(mesh: &mut Mesh, notes: &mut Vec<Note>) -> Result<(), RepairError> {
-    clean::needless_triangles(mesh, notes);
-    clean::cracks(mesh, notes);
+fn repair_surface(mesh: &mut Mesh, notes: &mut Vec<Note>) -> Result<(), RepairError> {
+    clean::remove_degenerate_triangles(mesh, notes);
+    clean::close_cracks(mesh, notes);
     // Before what takes longer with every piece, and once more when the surface has been cut where it was tangled.
-    clean::other_pieces(mesh, notes)?;
-    decimate::to(mesh, FACES_KEPT_MAX, notes)?;
-    manifold::manifold(mesh, notes);
-    clean::other_pieces(mesh, notes)?;
+    clean::keep_largest(mesh, notes)?;
+    decimate::decimate(mesh, FACES_KEPT_MAX, notes)?;
+    manifold::make_manifold(mesh, notes);
+    clean::keep_largest(mesh, notes)?;
     holes::close(mesh, notes)?;
     if manifold::is_clean(mesh) { Ok(()) } else { Err(RepairError::Tangled) }
 }

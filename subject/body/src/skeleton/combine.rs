@@ -25,7 +25,7 @@ const LENGTHS_MM: std::ops::RangeInclusive<f64> = FLOOR_MM..=LENGTH_MAX_MM;
 
 /// How much longer the longest of a limb's lengths is than the shortest in all poses of one person, at most, as a part:
 /// measured were 0.07 of thighs and shanks, and 0.14 of upper arms and forearms.
-const APART_MOST: [(&str, f64); 4] =
+const SPREAD_MAX: [(&str, f64); 4] =
     [("thigh", 0.09), ("shank", 0.09), ("upper_arm", 0.16), ("forearm", 0.16)];
 
 pub(super) fn combine(method: Method, scans: &[ScanJoints]) -> Option<Skeleton> {
@@ -57,20 +57,20 @@ pub(super) fn combine(method: Method, scans: &[ScanJoints]) -> Option<Skeleton> 
             bone.length_mm = round(centre.radius.mm);
             bone.uncertainty_mm = Some(round(centre.radius.sigma_mm));
         }
-        let most = APART_MOST.iter().find(|(limb, _)| name.ends_with(limb)).map(|(_, most)| *most);
-        if let Some(apart) = apart(&lengths).filter(|apart| most.is_some_and(|most| *apart > most))
-        {
+        let most = SPREAD_MAX.iter().find(|(limb, _)| name.ends_with(limb)).map(|(_, most)| *most);
+        let spread = relative_spread(&lengths);
+        if let Some(spread) = spread.filter(|spread| most.is_some_and(|most| *spread > most)) {
             let why = "they are of several people, or a joint is wrong in one of them";
             notes.push(format!(
                 "{name}: {:.0} % longer in one scan than in another: {why}",
-                100.0 * apart
+                100.0 * spread
             ));
         }
         bones.push(bone);
     }
     if in_mm.len() > 1 && !sides_told {
         notes.push("left and right are not told in every scan: each pair of limbs has the mean of both sides".to_owned());
-        level_sides(&mut bones);
+        average_sides(&mut bones);
     }
     // The surest scan has the most weight in every bone.
     let size_sigma = in_mm.iter().map(|joints| joints.size_sigma).fold(f64::INFINITY, f64::min);
@@ -115,7 +115,7 @@ fn length(joints: &Joints, ends: BoneEnds) -> Option<Length> {
 }
 
 /// How much longer the longest is than the shortest.
-fn apart(lengths: &[Length]) -> Option<f64> {
+fn relative_spread(lengths: &[Length]) -> Option<f64> {
     let mm = || lengths.iter().map(|length| length.mm);
     let (least, most) = (mm().min_by(f64::total_cmp)?, mm().max_by(f64::total_cmp)?);
     Some(most / least - 1.0)
@@ -143,7 +143,7 @@ fn mean_bone(ends: BoneEnds, lengths: &[Length]) -> Bone {
 }
 
 /// Both bones of a pair become their mean.
-fn level_sides(bones: &mut [Bone]) {
+fn average_sides(bones: &mut [Bone]) {
     let before = bones.to_vec();
     for bone in bones {
         let twin = twin(&bone.name);
@@ -175,14 +175,14 @@ fn skeleton_joints(first: &mut Joints, centres: &[Centre]) -> Vec<SkeletonJoint>
 /// `MakeHuman` in 13 poses, with the joints of the default method. It stands for the feet and for what the way leaves out.
 const STATURE_OF_BONES: f64 = 1.045;
 /// Standard deviation of that, as a part of stature: 0.013 on these two shapes, 0.018 at most on others.
-const VARIES: f64 = 0.018;
+const STATURE_SD: f64 = 0.018;
 
 /// The root sum square of the bones' standard deviations, as a part of stature, is 0.031 to 0.035 where no joint is in doubt. Above
 /// this stature is no surer than the bones are.
-const IN_DOUBT: f64 = 0.045;
+const BONES_UNCERTAIN: f64 = 0.045;
 
 /// One side's bone is taken alone where it is so many times as sure as the other's.
-const SURER: f64 = 1.5;
+const SURER_BY: f64 = 1.5;
 
 /// How tall a subject stands, whatever the pose of the scan; nothing where a bone is missing, or of nobody's size. `size_sigma` is
 /// what is expected of all bones together, as a part of them: it does not become less by their number.
@@ -190,8 +190,8 @@ fn stature(bones: &[Bone], size_sigma: f64) -> Option<Length> {
     let alone = |name: &str| bones.iter().find(|bone| bone.name == name).map(Bone::length);
     let mean = |a: &str, b: &str| match (alone(a), alone(b)) {
         // Of a limb that is cut off the other side tells more than both.
-        (Some(a), Some(b)) if a.sigma_mm > SURER * b.sigma_mm => Some(b),
-        (Some(a), Some(b)) if b.sigma_mm > SURER * a.sigma_mm => Some(a),
+        (Some(a), Some(b)) if a.sigma_mm > SURER_BY * b.sigma_mm => Some(b),
+        (Some(a), Some(b)) if b.sigma_mm > SURER_BY * a.sigma_mm => Some(a),
         (Some(a), Some(b)) => Some(Length {
             mm: f64::midpoint(a.mm, b.mm),
             sigma_mm: f64::midpoint(a.sigma_mm, b.sigma_mm),
@@ -206,7 +206,7 @@ fn stature(bones: &[Bone], size_sigma: f64) -> Option<Length> {
     ];
     let stature_mm = STATURE_OF_BONES * way.iter().map(|bone| bone.mm).sum::<f64>();
     let of_bones = way.iter().map(|bone| bone.sigma_mm.powi(2)).sum::<f64>().sqrt() / stature_mm;
-    let sigma = if of_bones > IN_DOUBT { of_bones } else { VARIES }.hypot(size_sigma);
+    let sigma = if of_bones > BONES_UNCERTAIN { of_bones } else { STATURE_SD }.hypot(size_sigma);
     STATURE_MM
         .contains(&stature_mm)
         .then_some(Length { mm: stature_mm, sigma_mm: sigma * stature_mm })

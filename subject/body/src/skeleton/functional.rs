@@ -80,53 +80,53 @@ impl Trunk {
         Some(Self { origin, axes: axes(origin - mean([left, right])?, left - right)? })
     }
 
-    fn inward(&self, p: Point) -> Point {
+    fn to_local(&self, p: Point) -> Point {
         self.axes.map(|axis| axis.dot(&(p - self.origin))).into()
     }
 
-    fn outward(&self, p: Point) -> Point {
+    fn to_world(&self, p: Point) -> Point {
         let [left, up, forward] = [0, 1, 2].map(|k| self.axes[k] * p[k]);
         self.origin + (left + (up + forward))
     }
 }
 
 /// What a scan shows, in its trunk's frame.
-struct View {
-    joint: Seen,
-    child: Seen,
+struct JointPair {
+    joint: LocatedJoint,
+    child: LocatedJoint,
 }
 
-struct Seen {
+struct LocatedJoint {
     at: Point,
     sigma: f64,
 }
 
 fn centre(scans: &[Joints], joint: Joint, child: Joint) -> Result<Centre, String> {
     let first = scans.first().and_then(Trunk::of).ok_or("the first scan has no trunk")?;
-    let view = |scan: &Joints| {
+    let pair = |scan: &Joints| {
         let trunk = Trunk::of(scan)?;
         let of = |joint: Joint| {
             let estimate = scan.estimates.get(&joint)?;
-            let at = trunk.inward(estimate.position.into());
-            Some(Seen { at, sigma: estimate.sigma.hypot(FLOOR_MM) })
+            let at = trunk.to_local(estimate.position.into());
+            Some(LocatedJoint { at, sigma: estimate.sigma.hypot(FLOOR_MM) })
         };
-        Some(View { joint: of(joint)?, child: of(child)? })
+        Some(JointPair { joint: of(joint)?, child: of(child)? })
     };
-    let views: Vec<View> = scans.iter().filter_map(view).collect();
-    if views.len() < SCANS_MIN {
-        return Err(format!("{} scans show it, {SCANS_MIN} are needed", views.len()));
+    let pairs: Vec<JointPair> = scans.iter().filter_map(pair).collect();
+    if pairs.len() < SCANS_MIN {
+        return Err(format!("{} scans show it, {SCANS_MIN} are needed", pairs.len()));
     }
-    let n = views.len() as f64;
-    let prior = mean(views.iter().map(|view| view.joint.at)).ok_or("no scan shows it")?;
+    let n = pairs.len() as f64;
+    let prior = mean(pairs.iter().map(|pair| pair.joint.at)).ok_or("no scan shows it")?;
     // What is wrong with one scan's estimate is wrong with the next one's: their mean is hardly surer than one of them.
-    let prior_sigma = views.iter().map(|view| view.joint.sigma).sum::<f64>() / n;
-    let degrees = swing(&views, prior).to_degrees();
+    let prior_sigma = pairs.iter().map(|pair| pair.joint.sigma).sum::<f64>() / n;
+    let degrees = swing(&pairs, prior).to_degrees();
     if degrees < SWING_MIN_DEGREES {
         return Err(format!(
             "the poses turn it by {degrees:.0} degrees, {SWING_MIN_DEGREES} are needed"
         ));
     }
-    let fit = Fit::new(&views, prior, prior_sigma).ok_or("no sphere fits")?;
+    let fit = SphereFit::new(&pairs, prior, prior_sigma).ok_or("no sphere fits")?;
     if !(fit.radius.mm < LENGTH_MAX_MM && fit.radius.sigma_mm < fit.radius.mm) {
         return Err("no sphere of a limb's size fits".to_owned());
     }
@@ -136,15 +136,15 @@ fn centre(scans: &[Joints], joint: Joint, child: Joint) -> Result<Centre, String
     Ok(Centre {
         joint,
         child,
-        in_first: first.outward(fit.centre),
+        in_first: first.to_world(fit.centre),
         sigma: fit.sigma,
         radius: fit.radius,
     })
 }
 
 /// Largest angle between two directions, in radians.
-fn swing(views: &[View], from: Point) -> f64 {
-    let directions: Vec<Point> = views.iter().map(|view| unit(view.child.at - from)).collect();
+fn swing(pairs: &[JointPair], from: Point) -> f64 {
+    let directions: Vec<Point> = pairs.iter().map(|pair| unit(pair.child.at - from)).collect();
     let pairs = directions
         .iter()
         .enumerate()
@@ -154,17 +154,17 @@ fn swing(views: &[View], from: Point) -> f64 {
 
 /// A sphere through the children, whose centre is expected near the estimates: Gauss and Newton's least squares in the
 /// centre and the radius.
-struct Fit {
+struct SphereFit {
     centre: Point,
     sigma: f64,
     radius: Length,
 }
 
-impl Fit {
-    fn new(views: &[View], prior: Point, prior_sigma: f64) -> Option<Self> {
-        let n = views.len() as f64;
+impl SphereFit {
+    fn new(pairs: &[JointPair], prior: Point, prior_sigma: f64) -> Option<Self> {
+        let n = pairs.len() as f64;
         let mut centre = prior;
-        let mut radius = views.iter().map(|view| distance(view.child.at, prior)).sum::<f64>() / n;
+        let mut radius = pairs.iter().map(|pair| distance(pair.child.at, prior)).sum::<f64>() / n;
         // One of three directions has a third of the square.
         let stiffness = 3.0 / prior_sigma.powi(2);
         let mut inverse = Matrix4::zeros();
@@ -173,8 +173,8 @@ impl Fit {
             let mut normal =
                 Matrix4::from_diagonal(&Vector4::new(stiffness, stiffness, stiffness, 0.0));
             let mut right = Vector4::new(offset[0], offset[1], offset[2], 0.0) * stiffness;
-            for view in views {
-                let Seen { at, sigma } = view.child;
+            for pair in pairs {
+                let LocatedJoint { at, sigma } = pair.child;
                 let toward = unit(centre - at);
                 let row = Vector4::new(toward[0], toward[1], toward[2], -1.0);
                 let weight = 3.0 / sigma.powi(2);

@@ -33,7 +33,7 @@ pub enum SkeletonError {
     TooLong(usize),
     /// No JSON, another document, or one of a later version.
     #[error("{0}")]
-    Kind(String),
+    DocumentHeader(String),
     /// A key that is missing, or a value of another type.
     #[error("a damaged {FORMAT} (docs/subject-body-format.md has the format): {0}")]
     Schema(String),
@@ -52,7 +52,7 @@ pub enum SkeletonError {
 /// Which document it is.
 #[derive(Deserialize)]
 #[serde(expecting = "an object")]
-struct Kind {
+struct DocumentHeader {
     #[serde(default)]
     format: Option<String>,
     #[serde(default)]
@@ -76,7 +76,7 @@ impl Skeleton {
         if bytes.len() > LEN_MAX {
             return Err(SkeletonError::TooLong(bytes.len()));
         }
-        check_kind(bytes).map_err(SkeletonError::Kind)?;
+        check_kind(bytes).map_err(SkeletonError::DocumentHeader)?;
         let mut json = serde_json::Deserializer::from_slice(bytes);
         let skeleton: Self = serde_path_to_error::deserialize(&mut json)
             .map_err(|error| SkeletonError::Schema(quoted(&error.to_string())))?;
@@ -148,7 +148,7 @@ impl Skeleton {
 fn check_kind(bytes: &[u8]) -> Result<(), String> {
     const MADE_BY: &str = "which `mocapd subject body -o` writes";
     const WRITE_VERSION: &str = "write \"version\": 1";
-    let kind: Kind = serde_json::from_slice(bytes).map_err(|error| {
+    let kind: DocumentHeader = serde_json::from_slice(bytes).map_err(|error| {
         let is = match error.classify() {
             Category::Data => "it is no",
             Category::Eof => "it is cut off, or no",
@@ -157,8 +157,8 @@ fn check_kind(bytes: &[u8]) -> Result<(), String> {
         format!("{is} {FORMAT}, {MADE_BY}: {}", quoted(&error.to_string()))
     })?;
     if kind.format.as_deref() != Some(FORMAT) {
-        let says = kind.format.map_or("no format".to_owned(), |format| quoted(&format));
-        return Err(format!("it says {says} where {FORMAT} is expected, {MADE_BY}"));
+        let found = kind.format.map_or("no format".to_owned(), |format| quoted(&format));
+        return Err(format!("it says {found} where {FORMAT} is expected, {MADE_BY}"));
     }
     match kind.version {
         Some(VERSION) => Ok(()),

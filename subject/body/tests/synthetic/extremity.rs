@@ -1,6 +1,6 @@
 //! Head, hands and feet of generated bodies.
 
-use mocapd_body::extremity::{Ends, Told, find};
+use mocapd_body::extremity::{Ends, NamingMode, find};
 use mocapd_body::geodesic::{Adjacency, Graph, Workspace};
 use mocapd_body::{Joint, Joints, Mesh, Refusal, Side};
 use mocapd_testkit::synthetic_body::{Options, Pose, body};
@@ -36,7 +36,7 @@ fn head_hands_and_feet_are_found_in_every_pose() {
         let leg = apart(hip, knee) + apart(knee, ankle);
         let found = ends(&mesh).unwrap_or_else(|refusal| panic!("{pose:?}: {refusal}"));
         let named = found.extremities;
-        assert_eq!(found.told, Told::Freely, "{pose:?}");
+        assert_eq!(found.mode, NamingMode::FreeLimbs, "{pose:?}");
         assert!(found.confidence() > 0.5, "{pose:?}: {}", found.confidence());
         // A leg is half of the stature: a hand or a foot is less than a third of it long.
         assert!(pair(&mesh, &joints, named.hands, Joint::Wrist, 0.34 * leg), "{pose:?}");
@@ -76,7 +76,7 @@ fn an_arm_that_is_missing_is_noticed() {
     let (mut mesh, joints) = body(5, Pose::A, Options { n_faces: 6000, turned: false });
     let elbow = at(&joints, Joint::Elbow(Side::Left))[0];
     mesh.positions.iter_mut().for_each(|at| at[0] = at[0].min(elbow));
-    assert_eq!(ends(&mesh).unwrap().told, Told::Cut);
+    assert_eq!(ends(&mesh).unwrap().mode, NamingMode::CutLimb);
 }
 
 #[test]

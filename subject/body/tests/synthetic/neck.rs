@@ -17,17 +17,17 @@ fn below(mesh: Mesh, height: f64) -> Mesh {
     repair(scan, Some(Unit::Metre)).unwrap().mesh
 }
 
-fn is_left_out(survey: &Survey) -> bool {
-    survey.notes.iter().any(|note| note.code == "head-left-out")
+fn is_left_out(analysis: &Survey) -> bool {
+    analysis.notes.iter().any(|note| note.code == "head-left-out")
 }
 
 #[test]
 fn whole_bodies_have_a_head_in_every_pose() {
     for (seed, pose) in (11..).zip(Pose::ALL) {
         let (mesh, _) = body(seed, pose, UPRIGHT);
-        let survey = Survey::new(&mesh, Method::Default).unwrap();
-        assert!(!is_left_out(&survey), "{pose:?}");
-        assert!(survey.joints.estimates.contains_key(&Joint::Head), "{pose:?}");
+        let analysis = Survey::new(&mesh, Method::Default).unwrap();
+        assert!(!is_left_out(&analysis), "{pose:?}");
+        assert!(analysis.joints.estimates.contains_key(&Joint::Head), "{pose:?}");
     }
 }
 
@@ -40,9 +40,9 @@ fn a_head_that_is_cut_off_above_the_throat_is_left_out_or_the_scan_refused() {
         for height in [0.865, 0.88, 0.895] {
             let cut = below(mesh.clone(), height * stature);
             // What is left of a short neck is no end of the body, and then there are four.
-            let Ok(survey) = Survey::new(&cut, Method::Default) else { continue };
-            assert!(is_left_out(&survey), "{pose:?} {height}");
-            let told = &survey.joints.estimates;
+            let Ok(analysis) = Survey::new(&cut, Method::Default) else { continue };
+            assert!(is_left_out(&analysis), "{pose:?} {height}");
+            let told = &analysis.joints.estimates;
             assert!(!told.contains_key(&Joint::Head) && !told.contains_key(&Joint::Throat));
             assert!(told.keys().filter(|joint| matches!(joint, Joint::Knee(_))).count() == 2);
             left_out.push((pose, height));

@@ -1,6 +1,6 @@
 //! Whatever is drawn is a document that XML readers take, with everything on it that was given.
 
-use mocapd_body::picture::{Curve, Drawing, Line, Mark, Part, ReebEdge, ReebNode, svg};
+use mocapd_body::picture::{BodyPart, Curve, Drawing, Line, Mark, ReebEdge, ReebNode, svg};
 use mocapd_body::skeleton::{Method, ScanJoints, Skeleton, Source, joint_name};
 use mocapd_body::{Joint, Joints, Mesh, Side, Unit, extremity, geodesic, paper};
 use mocapd_testkit::synthetic_body::{Options, Pose, body};
@@ -105,11 +105,11 @@ fn curves_follow_the_limbs_and_joints_stand_in_their_order() {
         );
         let is_last = |mark: &&Mark| mark.name == "wrist" || mark.name == "ankle";
         let wrist = curve.marks.iter().find(is_last);
-        assert_eq!(wrist.is_some(), curve.part != Part::Trunk);
+        assert_eq!(wrist.is_some(), curve.part != BodyPart::Trunk);
     }
     // The left arm's line ends where the left wrist is, whichever hand was found first.
     for (line, side) in drawing.centre_lines.iter().filter_map(|line| match line.part {
-        Part::Arm(side) => Some((line, side)),
+        BodyPart::Arm(side) => Some((line, side)),
         _ => None,
     }) {
         let at = |joint| drawing.joints.estimates[&joint].position;
@@ -127,7 +127,7 @@ fn curves_follow_the_limbs_and_joints_stand_in_their_order() {
 fn nothing_and_nonsense_are_drawn_as_far_as_they_go() {
     sound(&svg(&Drawing::default()));
     let mesh = Mesh { positions: vec![[f64::NAN; 3], [1.0; 3]], triangles: vec![[0, 1, 7]] };
-    let part = Part::Leg(Side::Right);
+    let part = BodyPart::Leg(Side::Right);
     let points = vec![[f64::INFINITY, 0.0, 0.0], [0.0; 3]];
     let drawing = Drawing {
         title: &"x".repeat(10_000),

@@ -1,6 +1,6 @@
 //! Whether joints lie as a body can have them.
 
-use mocapd_body::{Joint, Joints, Plausible, Side};
+use mocapd_body::{Joint, Joints, Plausibility, Side};
 use mocapd_testkit::synthetic_body::{Options, Pose, body};
 
 /// With some joints moved towards another, by a part of the way.
@@ -18,12 +18,12 @@ fn moved(joints: &Joints, which: fn(Side) -> Joint, to: Joint, part: f64) -> Joi
 fn joints_of_bodies_are_believed_and_others_are_not() {
     for (seed, pose) in (1..).zip(Pose::ALL) {
         let (_, joints) = body(seed, pose, Options { n_faces: 500, turned: true });
-        assert_eq!(Plausible::of(&joints), Plausible::Whole, "{pose:?}");
+        assert_eq!(Plausibility::of(&joints), Plausibility::Whole, "{pose:?}");
         let in_the_belly = moved(&joints, Joint::Shoulder, Joint::Pelvis, 0.8);
-        assert_eq!(Plausible::of(&in_the_belly), Plausible::WithoutArms, "{pose:?}");
+        assert_eq!(Plausibility::of(&in_the_belly), Plausibility::WithoutArms, "{pose:?}");
         let legs = moved(&joints, Joint::Hip, Joint::Ankle(Side::Left), 0.9);
         let legs = moved(&legs, Joint::Knee, Joint::Ankle(Side::Left), 0.9);
-        assert_eq!(Plausible::of(&legs), Plausible::Nothing, "{pose:?}");
+        assert_eq!(Plausibility::of(&legs), Plausibility::Nothing, "{pose:?}");
     }
-    assert_eq!(Plausible::of(&Joints::default()), Plausible::Whole);
+    assert_eq!(Plausibility::of(&Joints::default()), Plausibility::Whole);
 }

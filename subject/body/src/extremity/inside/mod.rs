@@ -7,12 +7,12 @@
 use nalgebra::Matrix3;
 
 use super::naming::{Naming, misfit, name};
-use super::peaks::standing_out;
-use super::{Ends, Extremities, Told};
+use super::peaks::protrusions;
+use super::{Ends, Extremities, NamingMode};
 use crate::Mesh;
-use crate::geodesic::{Graph, Way, Workspace, distances, distances_from};
+use crate::geodesic::{Graph, GraphEdge, Workspace, distances, distances_from};
 use crate::mesh::{Point, distance, normal};
-use crate::topology::{join, root};
+use crate::topology::{find_root, union};
 
 #[cfg(test)]
 mod tests;
@@ -34,11 +34,11 @@ pub(super) fn find(mesh: &Mesh, graph: &Graph, workspace: &mut Workspace) -> Opt
     for layer in LAYERS {
         let thinned = inside.deeper_than(layer);
         let Some(start) = largest_piece(&thinned) else { break };
-        let standing = standing_out(&thinned, start, workspace);
-        let Ok(naming) = name(&standing, misfit) else { continue };
+        let protrusions = protrusions(&thinned, start, workspace);
+        let Ok(naming) = name(&protrusions, misfit) else { continue };
         if best.as_ref().is_none_or(|best| naming.misfit.rms < best.naming.misfit.rms) {
-            let peaks = naming.ends.map(|end| standing.candidates[end].peak);
-            let persistence = peaks.map(|peak| peak.persistence / standing.longest);
+            let peaks = naming.ends.map(|end| protrusions.candidates[end].peak);
+            let persistence = peaks.map(|peak| peak.persistence / protrusions.longest);
             best = Some(Thinned { cubes: peaks.map(|peak| peak.vertex), persistence, naming });
         }
     }
@@ -53,7 +53,7 @@ pub(super) fn find(mesh: &Mesh, graph: &Graph, workspace: &mut Workspace) -> Opt
         fields: ends.map(|end| distances(graph, end, workspace)),
         spread: Vec::new(),
         persistence,
-        told: Told::Inside,
+        mode: NamingMode::Interior,
         misfit: naming.misfit,
         margin: naming.margin,
     })
@@ -69,12 +69,12 @@ struct Thinned {
 /// The first vertex of the piece with the most vertices; none if nothing is linked.
 fn largest_piece(graph: &Graph) -> Option<u32> {
     let vertices = 0..graph.vertex_count() as u32;
-    let mut leads: Vec<u32> = vertices.clone().collect();
+    let mut parents: Vec<u32> = vertices.clone().collect();
     for vertex in vertices.clone() {
-        graph.links(vertex).iter().for_each(|link| join(&mut leads, vertex, link.to));
+        graph.links(vertex).iter().for_each(|link| union(&mut parents, vertex, link.to));
     }
-    let mut counts = vec![0; leads.len()];
-    vertices.clone().for_each(|vertex| counts[root(&mut leads, vertex) as usize] += 1);
+    let mut counts = vec![0; parents.len()];
+    vertices.clone().for_each(|vertex| counts[find_root(&mut parents, vertex) as usize] += 1);
     let largest = vertices.rev().max_by_key(|vertex| counts[*vertex as usize])?;
     (counts[largest as usize] > 1).then_some(largest)
 }
@@ -96,7 +96,7 @@ struct Inside {
     /// Their cells.
     cells: Vec<usize>,
     /// From each to those of its 26 neighbours that come after it.
-    ways: Vec<Way>,
+    ways: Vec<GraphEdge>,
     /// How far each is from outside, about; in steps of the grid.
     depths: Vec<f64>,
 }
@@ -120,7 +120,7 @@ impl Inside {
         for (number, cell) in (0_u32..).zip(&cells) {
             for (offset, length) in half_of_neighbours() {
                 if let Some(other) = around(*cell, offset) {
-                    ways.push(Way { ends: [number, other], length });
+                    ways.push(GraphEdge { ends: [number, other], length });
                 }
             }
             let faces = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0], [0, -1, 0], [0, 0, -1]];

@@ -5,7 +5,7 @@ use nalgebra::{Rotation3, Vector3};
 use super::voxels::{Capsule, surface};
 use crate::extremity::Extremities;
 use crate::geodesic::{Adjacency, Graph, Workspace, distances};
-use crate::locate::{Landmarks, joints as joints_among, settle};
+use crate::locate::{Landmarks, joints as joints_among, refine_ends};
 use crate::{Joint, Joints, Mesh, Side};
 
 type Point = Vector3<f64>;
@@ -90,8 +90,8 @@ fn found(mesh: &Mesh, ends: &Extremities) -> Option<Joints> {
     let graph = Graph::with_short_cuts(mesh, &Adjacency::new(mesh).ok()?);
     let mut workspace = Workspace::default();
     let fields = ends.all().map(|end| distances(&graph, end, &mut workspace));
-    let settled = settle(&graph, ends, fields, &[], &mut workspace);
-    Some(joints_among(&Landmarks::new(mesh, &settled.fields())?))
+    let refined = refine_ends(&graph, ends, fields, &[], &mut workspace);
+    Some(joints_among(&Landmarks::new(mesh, &refined.fields())?))
 }
 
 #[test]

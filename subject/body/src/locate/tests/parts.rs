@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use crate::locate::joints::{Limb, left};
-use crate::locate::model::{JOINTS, JointModels, Model, Part};
+use crate::locate::model::{JOINTS, JointModels, LandmarkGroup, Model};
 use crate::locate::{ARM_LANDMARKS, HEAD_LANDMARKS, LEG_LANDMARKS};
 
 /// A leg of somebody who looks along y, head along z: so the left is at negative x.
@@ -54,9 +54,9 @@ fn weights_of_every_joint_are_of_landmarks_and_add_up_to_one() {
         assert!((0.001..0.05).contains(sigma));
         for span in spans {
             let most = match span.part {
-                Part::Arm | Part::OtherArm => ARM_LANDMARKS,
-                Part::Leg | Part::OtherLeg => LEG_LANDMARKS,
-                Part::Head => HEAD_LANDMARKS,
+                LandmarkGroup::Arm | LandmarkGroup::OtherArm => ARM_LANDMARKS,
+                LandmarkGroup::Leg | LandmarkGroup::OtherLeg => LEG_LANDMARKS,
+                LandmarkGroup::Head => HEAD_LANDMARKS,
             };
             assert!(span.first + span.weights.len() <= most);
         }

@@ -98,7 +98,7 @@ fn a_straight_tube_bends_where_limbs_do_on_average_and_less_surely() {
     let found = bend(&sections(&straight.0, &straight.1), &window(), |_| 0.0).unwrap();
     let surer = bend(&sections(&bent.0, &bent.1), &window(), |_| 0.0).unwrap();
     assert!((found.level - window().prior).abs() < 1e-6, "{}", found.level);
-    assert!(limb::elbow_spread(found.sharpness) > 2.0 * limb::elbow_spread(surer.sharpness));
+    assert!(limb::elbow_sigma(found.sharpness) > 2.0 * limb::elbow_sigma(surer.sharpness));
 }
 
 #[test]

@@ -161,8 +161,8 @@ fn what_is_announced_is_not_believed() {
     assert!(!reason.contains("4294967295"), "{reason}");
     stl[..5].copy_from_slice(b"title");
     let reason = malformed(&stl);
-    let words: Vec<&str> = reason.split(' ').collect();
-    assert!(words.contains(&"4294967295") && words.contains(&"4"), "{reason}");
+    let tokens: Vec<&str> = reason.split(' ').collect();
+    assert!(tokens.contains(&"4294967295") && tokens.contains(&"4"), "{reason}");
 }
 
 #[test]

@@ -168,8 +168,8 @@ fn inches_are_not_taken_for_centimetres_without_a_word() {
         let mut scaled = clean();
         scaled.positions.as_flattened_mut().iter_mut().for_each(|c| *c *= factor);
         let found = repaired(scaled).unwrap();
-        let survey = Survey::new(&found.mesh, Method::Default).unwrap();
-        (found.unit, found.unit_ambiguity(survey.body_scale).map(|note| note.code))
+        let analysis = Survey::new(&found.mesh, Method::Default).unwrap();
+        (found.unit, found.unit_ambiguity(analysis.body_scale).map(|note| note.code))
     };
     let inches = Unit::Inch.mm() / 1000.0;
     assert_eq!(ambiguity(1.0 / inches), (Unit::Centimetre, Some("unit-ambiguous")));

@@ -1,22 +1,22 @@
 //! One scan, from a clean surface to joints: the methods in the order in which they are tried.
 
-use super::extremity::{self, Extremities, Told};
+use super::extremity::{self, Extremities, NamingMode};
 use super::geodesic::{Adjacency, Graph, Workspace};
-use super::locate::{self, Landmarks, settle};
+use super::locate::{self, Landmarks, refine_ends};
 use super::paper;
-use super::plausible::{self, Plausible};
+use super::plausible::{self, Plausibility};
 use super::skeleton::Method;
 use super::{Joint, Joints, Levels, Mesh, Note, Refusal, Side};
 
 /// A body narrows by this below its head, at least: whole ones do by 1.24 and more, as they are and in other builds, and those
 /// that are cut off above the throat do not.
-const NECK_NARROWS: f64 = 1.12;
+const NECK_NARROWING_MIN: f64 = 1.12;
 
 /// How far a wrist may be off besides where its arm is none by its length, in body scales: half a hand (0.108, Drillis and Contini
 /// 1966), for whether the hand is there cannot be told from ways that lead through contact.
-const WRIST_OF_NO_ARM: f64 = 0.054;
+const ARMLESS_WRIST_SIGMA: f64 = 0.054;
 
-const HEAD_UNSURE: &str = "what was taken for the top of the head is not what is farthest from the neck, and may be the \
+const HEAD_UNCERTAIN: &str = "what was taken for the top of the head is not what is farthest from the neck, and may be the \
                            forehead, a temple or an open mouth: its +- mm is larger; scan with the head bare and the mouth \
                            closed";
 
@@ -59,47 +59,46 @@ impl Survey {
         let ends = extremity::find(mesh, &graph, &mut workspace)?;
         let (extremities, confidence) = (ends.extremities, ends.confidence());
         let margin = ends.margin;
-        let settled = settle(&graph, &extremities, ends.fields, &ends.spread, &mut workspace);
+        let refined = refine_ends(&graph, &extremities, ends.fields, &ends.spread, &mut workspace);
         // An end that nobody reaches, ways that contradict each other, a limb without a middle, or a trunk longer than any:
         // the surface is joined where a body is not.
         let handles = adjacency.handles();
         let contact = Refusal::Contact { handles };
-        let landmarks = Landmarks::new(mesh, &settled.fields()).ok_or(contact)?;
-        if ends.told != Told::Freely && !landmarks.ends_may_be_right() {
+        let landmarks = Landmarks::new(mesh, &refined.fields()).ok_or(contact)?;
+        if ends.mode != NamingMode::FreeLimbs && !landmarks.ends_may_be_right() {
             return Err(Refusal::Ambiguous { margin });
         }
-        if ends.told == Told::Cut && !landmarks.limbs_may_be_cut() {
+        if ends.mode == NamingMode::CutLimb && !landmarks.limbs_may_be_cut() {
             return Err(Refusal::Ambiguous { margin });
         }
         let mut joints = locate::joints(&landmarks);
         let mut notes = Vec::new();
-        match Plausible::of(&joints) {
-            Plausible::Whole => {}
+        match Plausibility::of(&joints) {
+            Plausibility::Whole => {}
             // Contact does not explain it, but a limb that was taken for another does.
-            Plausible::WithoutArms if ends.told == Told::Cut => {
+            Plausibility::WithoutArms if ends.mode == NamingMode::CutLimb => {
                 return Err(Refusal::Ambiguous { margin });
             }
-            Plausible::WithoutArms => {
-                notes.push(leave_out_arms(&mut joints, landmarks.scale));
+            Plausibility::WithoutArms => {
+                notes.push(remove_arms(&mut joints, landmarks.scale));
             }
-            Plausible::Nothing => return Err(contact),
+            Plausibility::Nothing => return Err(contact),
         }
-        let in_contact =
-            ends.told >= Told::InContact || landmarks.touching.any() || !notes.is_empty();
+        let touching = ends.mode >= NamingMode::InContact || landmarks.touching.any();
+        let in_contact = touching || !notes.is_empty();
         if landmarks.missing.as_flattened().iter().any(|part| *part > 0.0) {
-            notes.push(limbs_cut(landmarks.missing));
+            notes.push(limbs_cut_note(landmarks.missing));
         }
         // Arms of another length than most people's are no sign of contact by themselves.
-        let by_contact = ends.told >= Told::InContact || landmarks.touching.any() || handles > 0;
         let scale = landmarks.scale;
-        if let Some(by) = plausible::too_short(mesh, scale, by_contact) {
-            notes.push(plausible::doubt(&mut joints, scale, by));
+        if let Some(by) = plausible::size_shortfall(mesh, scale, touching || handles > 0) {
+            notes.push(plausible::widen_sigmas(&mut joints, scale, by));
         }
         if landmarks.head_is_in_doubt() {
-            notes.push(Note::new("head-unsure", HEAD_UNSURE));
+            notes.push(Note::new("head-unsure", HEAD_UNCERTAIN));
         }
-        if landmarks.neck.narrows() < NECK_NARROWS {
-            notes.push(leave_out_head(&mut joints));
+        if landmarks.neck.narrows() < NECK_NARROWING_MIN {
+            notes.push(remove_head(&mut joints));
         }
         let body_scale = Some(scale);
         Ok(Self { joints, extremities, confidence, in_contact, body_scale, notes, levels: None })
@@ -110,7 +109,7 @@ impl Survey {
         let graph = Graph::along_edges(mesh, &adjacency);
         let start = extremity::start(mesh, &graph).ok_or(Refusal::TooFewEnds { found: 0 })?;
         let paper = paper::joints(mesh, start, None)
-            .map_err(|refusal| Self::why_not_by_paper(mesh, &adjacency, start, refusal))?;
+            .map_err(|refusal| Self::explain_refusal(mesh, &adjacency, start, refusal))?;
         Ok(Self {
             joints: paper.joints,
             extremities: paper.extremities,
@@ -123,7 +122,7 @@ impl Survey {
     }
 
     /// What is at fault where the published method refuses: the scan, as the better method sees it, or the method itself.
-    fn why_not_by_paper(
+    fn explain_refusal(
         mesh: &Mesh,
         adjacency: &Adjacency,
         start: u32,
@@ -133,7 +132,7 @@ impl Survey {
         match Self::by_default(mesh) {
             Err(of_scan) => of_scan,
             Ok(found) if found.in_contact || handles > 0 => Refusal::Contact { handles },
-            Ok(found) => paper::reason(mesh, adjacency, start, refusal, &found.extremities),
+            Ok(found) => paper::explain(mesh, adjacency, start, refusal, &found.extremities),
         }
     }
 
@@ -148,12 +147,12 @@ impl Survey {
 }
 
 /// Takes out the joints that nothing tells of where arms have grown together with the trunk.
-fn leave_out_arms(joints: &mut Joints, scale: f64) -> Note {
+fn remove_arms(joints: &mut Joints, scale: f64) -> Note {
     for side in Side::BOTH {
         joints.estimates.remove(&Joint::Shoulder(side));
         joints.estimates.remove(&Joint::Elbow(side));
         if let Some(wrist) = joints.estimates.get_mut(&Joint::Wrist(side)) {
-            wrist.sigma = wrist.sigma.hypot(WRIST_OF_NO_ARM * scale);
+            wrist.sigma = wrist.sigma.hypot(ARMLESS_WRIST_SIGMA * scale);
         }
     }
     let text = "the arms touch the body, and are no arms by their lengths: shoulders and elbows are left out; scan \
@@ -162,7 +161,7 @@ fn leave_out_arms(joints: &mut Joints, scale: f64) -> Note {
 }
 
 /// What is left out of limbs that end early.
-fn limbs_cut(missing: [[f64; 2]; 2]) -> Note {
+fn limbs_cut_note(missing: [[f64; 2]; 2]) -> Note {
     let longest = |parts: [f64; 2]| 100.0 * parts[0].max(parts[1]);
     let of = |name: &str, names: &str, parts: [f64; 2]| {
         let name = if parts.iter().all(|part| *part > 0.0) { names } else { name };
@@ -179,7 +178,7 @@ fn limbs_cut(missing: [[f64; 2]; 2]) -> Note {
 }
 
 /// Takes out the joints of a head that is not there.
-fn leave_out_head(joints: &mut Joints) -> Note {
+fn remove_head(joints: &mut Joints) -> Note {
     joints.estimates.remove(&Joint::Head);
     joints.estimates.remove(&Joint::Throat);
     let text = "nothing narrows to a neck below the head: the head is not in the scan, or hidden by hair or a hood; it is \
