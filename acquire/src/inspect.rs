@@ -1,4 +1,4 @@
-//! Reads a whole take and tells what is in it: the numbers behind `info` and `verify`.
+//! Reads a whole take and summarises it: the numbers of `info` and `verify`.
 
 use mocapd_take::{
     TakeError, TakeEvent, TakeMap, TakeTraversal,
@@ -15,38 +15,38 @@ use crate::{
     health::TakeHealth,
 };
 
-/// One channel, over the whole take.
+/// Summary of one channel over the whole take.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ChannelSummary {
     /// Samples present.
     pub samples: u64,
-    /// Runs of rows without a sample, at the ends too.
+    /// Runs of rows without a sample, including those at the ends.
     pub gaps: u64,
-    /// Samples kept.
+    /// Samples kept as knots.
     pub knots: u64,
-    /// The largest error that the blocks with samples of it state for all their channels, in
+    /// The largest error stated by any block that has samples of the channel, over all channels of that block, in
     /// millimetres.
     pub max_error_mm: f64,
-    /// Rows that are lost because the take is damaged, or was when it was recovered: it was announced, and
-    /// nobody knows whether it was seen.
+    /// Rows lost because the take is damaged, or was when it was recovered: the marker was announced, and nobody knows
+    /// whether it was seen.
     pub rows_damaged: u64,
     in_gap: bool,
 }
 
-/// A whole take.
+/// Summary of a whole take.
 #[derive(Debug, Default)]
 pub struct Summary {
-    /// All but its samples.
+    /// The take without its samples.
     pub take: TakeMap,
     /// By channel.
     pub per_channel: Vec<ChannelSummary>,
-    /// How the clocks ran in the end, as far as the take tells.
+    /// The final state of the clocks, as stored in the take.
     pub clock: ClockStatus,
-    /// Times that the device was away, and the rows missing for it.
+    /// Disconnections of the device, and the rows missing for them.
     pub outages: (u32, u64),
-    /// Stretches that were decoded.
+    /// Stretches decoded.
     pub stretches: u64,
-    /// What the bytes are for.
+    /// Bytes by purpose.
     pub bytes: TakeBytes,
     /// Rows with at least one sample: T of (Shi et al. 2012).
     pub rows_with_samples: u64,
@@ -57,13 +57,13 @@ pub struct Summary {
     in_outage: bool,
     line_again: LineAgain,
     claims: Claims,
-    /// Rows up to what was found last, lost ones included, and up to the last stretch with rows.
+    /// Rows up to the last event, including lost ones, and up to the last stretch with rows.
     rows: u64,
     end_of_stretches: u64,
 }
 
 impl Summary {
-    /// Reads and decodes everything.
+    /// Reads and decodes the whole take.
     ///
     /// # Errors
     /// `NotATake`, `Unsupported`, `Io`. Damage is a problem, not an error.
@@ -82,20 +82,20 @@ impl Summary {
         Ok(summary)
     }
 
-    /// What the take says of itself and what is not so, though nothing is damaged: one sentence each.
+    /// Statements of the take about itself that its own data contradicts, one sentence each, in bytes that are intact.
     #[must_use]
     pub fn contradictions(&self) -> &[String] {
         &self.claims.broken
     }
 
-    /// How it is, in one word.
+    /// The health of the take.
     #[must_use]
     pub fn health(&self) -> TakeHealth {
         let clock_is_off = self.clock_apart().is_some_and(|apart| !apart.agrees);
         if !self.contradictions().is_empty() || clock_is_off {
             TakeHealth::Damaged
         } else if !self.take.finished && self.take.damage.is_empty() {
-            // All that is missing is its end, and perhaps half a chunk before that.
+            // Only the end is missing, and perhaps half a chunk before it.
             TakeHealth::CutOff
         } else if self.take.damaged || !self.take.problems.is_empty() {
             TakeHealth::Damaged
@@ -108,11 +108,11 @@ impl Summary {
         }
     }
 
-    /// How far the clocks' line lies from what the stored observations give; `None` where there is no line, or not
-    /// all of them are there.
+    /// How far the clock line is from the line fitted to the stored observations; `None` if there is no line, or
+    /// observations are missing.
     #[must_use]
     pub fn clock_apart(&self) -> Option<Apart> {
-        // A take that was recovered need not have all that the line was laid through.
+        // A recovered take may lack some observations.
         let recovered = |(name, _): &(String, String)| name == mocapd_take::recovery::RECOVERED;
         let lacks_some = self.take.damaged || self.take.header.settings.iter().any(recovered);
         if lacks_some { None } else { self.line_again.apart() }
@@ -124,7 +124,7 @@ impl Summary {
         self.per_channel.iter().map(|channel| channel.samples).sum()
     }
 
-    /// Samples kept.
+    /// Samples kept as knots.
     #[must_use]
     pub fn knots(&self) -> u64 {
         self.per_channel.iter().map(|channel| channel.knots).sum()
@@ -156,7 +156,7 @@ impl Summary {
 
     fn found(&mut self, found: &Found<'_>, progress: &Progress) {
         let is_damaged = progress.take.damaged;
-        // A marker that appears later has had a gap until then.
+        // A marker that appears later had a gap until then.
         let in_gap = self.rows > 0;
         let late = ChannelSummary { in_gap, gaps: in_gap.into(), ..ChannelSummary::default() };
         if let Some(renamed) = found.renamed {
@@ -209,7 +209,7 @@ impl Summary {
         self.rows = progress.n_rows();
     }
 
-    /// Rows up to `row` that no stretch holds: gaps in every channel.
+    /// Counts rows up to `row` that no stretch contains: gaps in every channel.
     fn skip_rows_to(&mut self, row: u64) {
         if row > self.end_of_stretches {
             self.add_empty_stretch();
@@ -217,7 +217,7 @@ impl Summary {
         }
     }
 
-    /// A stretch in which no marker was seen.
+    /// Counts a stretch in which no marker was seen.
     fn add_empty_stretch(&mut self) {
         for channel in &mut self.per_channel {
             channel.gaps += u64::from(!std::mem::replace(&mut channel.in_gap, true));
@@ -276,16 +276,16 @@ fn ratio(over: u64, under: u64) -> Option<f64> {
     (under > 0).then(|| over as f64 / under as f64)
 }
 
-/// Raw float32 bytes of so many samples to bytes on disk.
+/// Ratio of the samples' float32 bytes to bytes on disk.
 #[must_use]
 pub fn size_ratio(samples: u64, file_bytes: u64) -> f64 {
     ratio(12 * samples, file_bytes).unwrap_or(0.0)
 }
 
-/// Sentences that are kept; one is enough to distrust a take.
+/// Most contradictions to keep; one is enough to distrust a take.
 const TOLD_MAX: usize = 20;
 
-/// What a take says of itself, held against what is in it: counts what ledgers count, and compares.
+/// Compares a take's statements about itself with its content, counting what ledgers count.
 #[derive(Debug, Default)]
 struct Claims {
     tolerance_mm: f64,
@@ -298,13 +298,13 @@ struct Claims {
 }
 
 impl Claims {
-    /// A stretch that was decoded, of a take with so many channels by now.
+    /// Counts a decoded stretch; `n_channels` is the number of channels so far.
     fn stretch(&mut self, stretch: &Stretch<'_>, n_channels: usize) {
         let rows = u64::from(stretch.span.n_rows);
         let recorded = stretch.timeline.as_ref().map_or(rows, Timeline::n_recorded);
         self.recorded += recorded;
         let runs = stretch.timeline.iter().flat_map(|timeline| &timeline.runs);
-        // What a recovery found damaged is in ledgers from then on.
+        // Ledgers written after a recovery include the rows it found damaged.
         let lost = runs.filter(|run| run.lost.is_some_and(|causes| causes != Causes::DAMAGED));
         self.lost += lost.map(|run| run.rows).sum::<u64>();
         self.announced += recorded * n_channels as u64;
@@ -322,7 +322,7 @@ impl Claims {
         }
     }
 
-    /// The error that a block with samples states.
+    /// Checks the error stated by a block with samples.
     fn block(&mut self, first_row: u64, max_error_mm: f64) {
         if max_error_mm > self.tolerance_mm {
             self.tell(format!(
@@ -332,8 +332,8 @@ impl Claims {
         }
     }
 
-    /// A ledger, when so many samples were found before it. It is true for what stands before it, all of which must have
-    /// been read.
+    /// Checks a ledger against the `samples` found before it. A ledger is true for what precedes it, all of which must
+    /// have been read.
     fn ledger(&mut self, ledger: &Ledger, samples: u64) {
         for (what, told, found) in [
             ("recorded frames", ledger.recorded, self.recorded),
@@ -344,7 +344,7 @@ impl Claims {
                 self.tell(format!("a ledger tells of {told} {what}, before it are {found}"));
             }
         }
-        // Those behind the last stretch are in no time line yet.
+        // Frames lost after the last stretch are in no timeline yet.
         let (told, found) = (ledger.frames_lost(), self.lost);
         if told < found {
             self.tell(format!("a ledger tells of {told} lost frames, before it are {found}"));

@@ -1,7 +1,7 @@
-//! A raw log: every byte on the device's line goes into a log, too, without the reader waiting for a disk.
+//! The raw log: copies every byte on the device's line to a file, without making the reader wait for the disk.
 //!
-//! A [`Tap`] sits around the transport and copies what passes into blocks; a thread writes them. When no block is free
-//! the log says how many bytes are missing, and the recording goes on.
+//! A [`Tap`] wraps the transport and copies its bytes into blocks, which a thread writes. When no block is free, the
+//! log records how many bytes are missing, and the recording goes on.
 
 #[cfg(test)]
 mod tests;
@@ -30,17 +30,17 @@ use crate::{
     threads,
 };
 
-/// A block is handed over when it holds so much: the writes of a disk.
+/// Size at which a block is handed over for writing.
 const BLOCK_BYTES: usize = 64 << 10;
 
-/// A block has room for one read more.
+/// Capacity of a block: one more read fits.
 const BLOCK_CAPACITY_BYTES: usize = 2 * BLOCK_BYTES;
 
-/// Blocks in all: 8 MiB of a log, in 16 MiB of memory. The fastest line (200 markers at 1000 Hz, 3.1 MB/s) fills them in
-/// 2.7 s.
+/// Number of blocks: 8 MiB of log in 16 MiB of memory. The fastest line (200 markers at 1000 Hz, 3.1 MB/s) fills them
+/// in 2.7 s.
 const BLOCKS: usize = 128;
 
-/// A raw log under way.
+/// A raw log that is being written.
 #[derive(Debug)]
 pub struct RawLog {
     path: PathBuf,
@@ -49,28 +49,28 @@ pub struct RawLog {
     thread: JoinHandle<Written>,
 }
 
-/// What a raw log came to.
+/// The account of a finished raw log.
 #[derive(Debug)]
 pub struct RawLogged {
     /// Bytes of the file.
     pub file_bytes: u64,
-    /// Bytes of the line that are in it.
+    /// Bytes of the line in the log.
     pub line_bytes: u64,
-    /// Bytes of the line that are not, because the disk did not take them, or not in time.
+    /// Bytes of the line that the disk did not accept, or not in time.
     pub missing_bytes: u64,
-    /// Why it ends early: what is in it can be read.
+    /// Why the log ends early: what was written before can be read.
     pub error: Option<io::Error>,
 }
 
 impl RawLogged {
-    /// Whether every byte of the line is in it, and its end.
+    /// Whether the log contains every byte of the line, and its end.
     #[must_use]
     pub fn is_whole(&self) -> bool {
         self.missing_bytes == 0 && self.error.is_none()
     }
 }
 
-/// Some of a log, on its way to the disk.
+/// A piece of the log in memory.
 #[derive(Debug, Default)]
 struct Block {
     bytes: Vec<u8>,
@@ -89,20 +89,20 @@ impl Block {
     }
 }
 
-/// What taps and the log have in common.
+/// Counters shared by all taps of a log.
 #[derive(Debug, Default)]
 struct Totals {
-    /// Bytes that passed.
+    /// Bytes that passed on the line.
     line_bytes: AtomicU64,
-    /// Of these, the ones for which no block was free, and that the log does not tell yet.
+    /// Bytes that found no free block, and that the log does not mention yet.
     untold_bytes: AtomicU64,
 }
 
 impl RawLog {
-    /// Begins a log in a file that must not exist. What is written is forced onto the disk every `sync_every`.
+    /// Starts a log in a file that must not exist yet, and syncs it every `sync_every`.
     ///
     /// # Errors
-    /// When it does, or cannot be made.
+    /// When the file exists or cannot be created.
     pub fn start(path: &Path, sync_every: Duration) -> anyhow::Result<Self> {
         let mut file = files::create_new(path)?;
         let id = FileId::of(&file.metadata()?);
@@ -111,14 +111,14 @@ impl RawLog {
         put_head(&mut head);
         let name = path.display().to_string();
         if let Err(error) = file.write_all(&head) {
-            // Half of a head is no log, and takes the name.
+            // Half a head is no log, and occupies the name.
             id.remove(path).ok();
             return Err(error).with_context(|| format!("cannot write {name}"));
         }
         let (full, blocks) = bounded(BLOCKS);
         let (free, emptied) = bounded(BLOCKS);
         for _ in 0..BLOCKS {
-            // Never full: it holds every block there is.
+            // Never full: the queue has a place for every block.
             free.try_send(Block::new()).ok();
         }
         let file_bytes = Arc::new(AtomicU64::new(head.len() as u64));
@@ -129,25 +129,25 @@ impl RawLog {
         Ok(Self { path: path.to_owned(), file_bytes, tap, thread })
     }
 
-    /// What copies a line's bytes into it.
+    /// A tap, which copies a line's bytes into the log.
     #[must_use]
     pub fn tap(&self) -> Tap {
         self.tap.clone()
     }
 
-    /// Where it is written.
+    /// The log's path.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Bytes of the file: they grow as it is written.
+    /// Bytes of the file, updated as it is written.
     #[must_use]
     pub fn file_bytes(&self) -> Arc<AtomicU64> {
         Arc::clone(&self.file_bytes)
     }
 
-    /// Ends the log. Every other tap must be gone.
+    /// Ends the log. All other taps must have been dropped.
     ///
     /// # Errors
     /// When its thread panicked.
@@ -163,26 +163,26 @@ impl RawLog {
     }
 }
 
-/// Appends a record that is now.
+/// Appends a record with the present time.
 fn put(entry: Entry<'_>, began_ns: u64, block: &mut Vec<u8>) {
     let time_ns = monotonic_ns().saturating_sub(began_ns);
     put_record(&Record { time_ns, entry }, block);
 }
 
-/// A block that holds anything is handed over after so long while the disk keeps up: what a killed recorder loses of its log.
+/// Longest time that bytes stay in a block while the disk keeps up: what the log of a killed recorder loses.
 const BLOCK_NS_MAX: u64 = 100_000_000;
 
-/// Room that is kept for what is missing, a closed line, and the end.
+/// Space kept in a block for the records of missing bytes, a closed line, and the end.
 const SPARE_BYTES: usize = 3 * RECORD_OVERHEAD_BYTES + 8;
 
-/// The way into a raw log. Copies share the log, each with a block of its own: one is in use at a time.
+/// Copies bytes into a raw log. Clones share the log, each with a block of its own; one is in use at a time.
 #[derive(Debug)]
 pub struct Tap {
     began_ns: u64,
     full: Sender<Block>,
     free: Receiver<Block>,
     totals: Arc<Totals>,
-    /// Without memory of its own between two of them.
+    /// Without memory until the next record.
     block: Block,
     block_since_ns: u64,
 }
@@ -198,7 +198,7 @@ impl Tap {
         Self { began_ns, full, free, totals, block: Block::default(), block_since_ns: 0 }
     }
 
-    /// A line whose bytes go through a tap of its own.
+    /// Wraps a line, whose bytes then go through a tap of its own.
     #[must_use]
     pub fn on(&self, family: &str, line: Box<dyn Transport>) -> Box<dyn Transport> {
         let mut tap = self.clone();
@@ -206,7 +206,7 @@ impl Tap {
         Box::new(Tapped { line, tap, gone: false })
     }
 
-    /// Into the block, or into the count of what is missing: it never waits.
+    /// Copies an entry into the block, or counts its bytes as missing. Never waits.
     fn put(&mut self, entry: Entry<'_>) {
         let n_bytes = match entry {
             Entry::FromDevice(bytes) | Entry::ToDevice(bytes) => bytes.len(),
@@ -227,7 +227,7 @@ impl Tap {
             let Ok(block) = self.free.try_recv() else { return self.miss(n_bytes) };
             self.begin(block);
         }
-        // A single read that no block holds: the largest that a host makes has half of one.
+        // A read larger than a block: the largest read of a host fills half of one.
         if self.block.bytes.len() + needed > self.block.bytes.capacity() {
             return self.miss(n_bytes);
         }
@@ -238,7 +238,7 @@ impl Tap {
         }
     }
 
-    /// A new block says first what is missing before it.
+    /// Starts a block, with the number of bytes missing before it.
     fn begin(&mut self, block: Block) {
         self.block = block;
         self.block_since_ns = monotonic_ns();
@@ -254,24 +254,24 @@ impl Tap {
 
     fn hand_over(&mut self) {
         if !self.block.bytes.is_empty() {
-            // Never full: it holds every block there is.
+            // Never full: the queue has a place for every block.
             self.full.try_send(std::mem::take(&mut self.block)).ok();
         }
     }
 
-    /// Time passed.
+    /// Hands over a block that is old enough.
     fn tick(&mut self) {
         let age_ns = monotonic_ns().saturating_sub(self.block_since_ns);
-        // With a disk that stalls, blocks of a slow line would be used up nearly empty.
+        // While a disk stalls, a slow line would use up the blocks nearly empty.
         let keeps_up = self.free.len() >= self.free.capacity().unwrap_or(0) / 2;
         if !self.block.bytes.is_empty() && age_ns > BLOCK_NS_MAX && keeps_up {
             self.hand_over();
         }
     }
 
-    /// Nothing comes any more.
+    /// Ends the log.
     fn end(mut self) -> Arc<Totals> {
-        // The recording is over: now there is time to wait for the disk.
+        // The recording is over: waiting for the disk is now harmless.
         if self.block.bytes.capacity() == 0
             && let Ok(block) = self.free.recv()
         {
@@ -289,12 +289,12 @@ impl Drop for Tap {
     }
 }
 
-/// A line that is listened to.
+/// A transport with a tap.
 #[derive(Debug)]
 struct Tapped {
     line: Box<dyn Transport>,
     tap: Tap,
-    /// That it is gone was told.
+    /// The log says that the line is closed.
     gone: bool,
 }
 
@@ -330,7 +330,7 @@ impl Transport for Tapped {
     }
 
     fn write_all(&mut self, bytes: &[u8]) -> Result<(), TransportError> {
-        // Before it is answered.
+        // Logged first, so that it precedes its answer.
         self.tap.put(Entry::ToDevice(bytes));
         let outcome = self.line.write_all(bytes);
         self.look(outcome)
@@ -357,9 +357,9 @@ impl Transport for Tapped {
     }
 }
 
-/// Where a log goes.
+/// The output of a log.
 trait LogOutput: Write {
-    /// Forces what was written onto the disk.
+    /// Syncs what was written.
     ///
     /// # Errors
     /// The disk's.
@@ -372,16 +372,17 @@ impl LogOutput for std::fs::File {
     }
 }
 
-/// What the thread came to.
+/// The result of the writing thread.
 #[derive(Debug, Default)]
 struct Written {
-    /// Bytes of the line in the blocks that were written whole.
+    /// Bytes of the line in blocks that were written completely.
     line_bytes: u64,
-    /// After one nothing is written any more.
+    /// The first error, after which nothing more is written.
     error: Option<io::Error>,
 }
 
-/// Blocks to the file, and back to the taps, until the last tap is gone. After an error it only gives them back.
+/// Writes blocks to the file and returns them to the taps, until the last tap is dropped. After an error it only
+/// returns them.
 fn write(
     mut file: impl LogOutput,
     file_bytes: &AtomicU64,
@@ -390,7 +391,7 @@ fn write(
     free: &Sender<Block>,
 ) -> Written {
     let mut written = Written::default();
-    // Since when something is not forced onto the disk: at first what a log begins with.
+    // When the oldest unsynced data was written: at first, the head of the log.
     let mut unsynced = Some(Instant::now());
     loop {
         let due = unsynced.map(|since| since + sync_every);

@@ -1,4 +1,4 @@
-//! Files and folders that appear whole or not at all: each gets its name when it is complete.
+//! Files and folders that get their names only when they are complete.
 
 use std::{
     ffi::{OsStr, OsString},
@@ -19,22 +19,22 @@ use rustix::{
 use super::{cannot_create, exists, folder_of, own_link, sync_name};
 use crate::threads;
 
-/// A file that gets its name only when it is complete. Dropped before, it is removed; where the file system
-/// knows files without a name, it is gone as well when the process is killed.
+/// A file that gets its name only when it is complete. Dropping it earlier removes it; on a file system with
+/// unnamed files it also disappears when the process is killed.
 #[derive(Debug)]
 pub struct NewFile {
     file: Option<File>,
     behind: Behind,
-    /// The name that it has until then, if any.
+    /// Its temporary name, if it needs one.
     hidden: Option<PathBuf>,
     path: PathBuf,
 }
 
 impl NewFile {
-    /// Creates a file without a name in the folder of `path`, or a hidden one.
+    /// Creates an unnamed file in the folder of `path`, or a hidden one.
     ///
     /// # Errors
-    /// That `path` exists, or that nothing can be created there.
+    /// When `path` exists, or nothing can be created there.
     pub fn create(path: &Path) -> anyhow::Result<Self> {
         if path.symlink_metadata().is_ok() {
             return Err(exists(path));
@@ -54,10 +54,10 @@ impl NewFile {
         Self { file: Some(file), behind: Behind::default(), hidden, path: path.to_owned() }
     }
 
-    /// Gives it its name. Nothing that appeared there meanwhile is overwritten.
+    /// Gives the file its name. A file that appeared there meanwhile is not overwritten.
     ///
     /// # Errors
-    /// That a file of that name appeared, or the disk's.
+    /// When a file of that name appeared, or the disk fails.
     pub fn keep(mut self) -> anyhow::Result<()> {
         let Some(file) = self.file.take() else { return Ok(()) };
         let synced = self.behind.finish().and_then(|()| file.sync_all());
@@ -66,7 +66,7 @@ impl NewFile {
             None => linkat(CWD, own_link(&file), CWD, &self.path, AtFlags::SYMLINK_FOLLOW),
             Some(hidden) => {
                 match renameat_with(CWD, hidden, CWD, &self.path, RenameFlags::NOREPLACE) {
-                    // Some network file systems know no such rename: a link refuses to overwrite, too.
+                    // Some network file systems do not support this rename; a link refuses to overwrite as well.
                     Err(Errno::INVAL | Errno::NOSYS) => {
                         linkat(CWD, hidden, CWD, &self.path, AtFlags::empty())
                     }
@@ -107,17 +107,17 @@ impl Seek for NewFile {
 
 impl Drop for NewFile {
     fn drop(&mut self) {
-        // After `keep` it is gone already, or a second link to the kept file.
+        // After `keep` it does not exist, or is a second link to the kept file.
         if let Some(hidden) = &self.hidden {
             fs::remove_file(hidden).ok();
         }
     }
 }
 
-/// A folder that gets its name only when it is complete. Dropped before, it is removed with what is in it.
+/// A folder that gets its name only when it is complete. Dropping it earlier removes it with its content.
 #[derive(Debug)]
 pub struct NewFolder {
-    /// The name that it has until then.
+    /// Its temporary name.
     hidden: Option<PathBuf>,
     path: PathBuf,
     files: Vec<PathBuf>,
@@ -127,7 +127,7 @@ impl NewFolder {
     /// Creates a hidden folder beside `path`.
     ///
     /// # Errors
-    /// That `path` exists, or that nothing can be created there.
+    /// When `path` exists, or nothing can be created there.
     pub fn create(path: &Path) -> anyhow::Result<Self> {
         if path.symlink_metadata().is_ok() {
             return Err(exists(path));
@@ -138,10 +138,10 @@ impl NewFolder {
         Ok(Self { hidden: Some(hidden), path: path.to_owned(), files: Vec::new() })
     }
 
-    /// Gives it its name, when all that is in it is on the disk. Nothing that appeared there meanwhile is overwritten.
+    /// Gives the folder its name, once its content is on disk. What appeared there meanwhile is not overwritten.
     ///
     /// # Errors
-    /// That something of that name appeared, or the disk's.
+    /// When something of that name appeared, or the disk fails.
     pub fn keep(mut self) -> anyhow::Result<()> {
         let writing = || format!("cannot write {}", self.path.display());
         let Some(hidden) = &self.hidden else { return Ok(()) };
@@ -152,7 +152,7 @@ impl NewFolder {
         match renameat_with(CWD, hidden, CWD, &self.path, RenameFlags::NOREPLACE) {
             Ok(()) => {}
             Err(Errno::EXIST) => return Err(exists(&self.path)),
-            // Some network file systems know no such rename. The plain one refuses folders that are not empty.
+            // Some network file systems do not support this rename. The plain one refuses folders that are not empty.
             Err(Errno::INVAL | Errno::NOSYS) if self.path.symlink_metadata().is_err() => {
                 fs::rename(hidden, &self.path).with_context(writing)?;
             }
@@ -187,7 +187,7 @@ impl Drop for NewFolder {
     }
 }
 
-/// What something is called until it is complete.
+/// The temporary name of an incomplete file or folder.
 fn hidden_name(name: &OsStr) -> OsString {
     let mut hidden = OsString::from(".");
     hidden.push(name);
@@ -195,7 +195,7 @@ fn hidden_name(name: &OsStr) -> OsString {
     hidden
 }
 
-/// A file without a name in the folder of `path`; `None` where there are none.
+/// Creates an unnamed file in the folder of `path`; `None` where the file system has none.
 fn without_a_name(path: &Path) -> anyhow::Result<Option<File>> {
     let flags = OFlags::WRONLY | OFlags::TMPFILE | OFlags::CLOEXEC;
     match openat(CWD, folder_of(path), flags, Mode::from_raw_mode(0o666)) {
@@ -210,11 +210,11 @@ fn without_a_name(path: &Path) -> anyhow::Result<Option<File>> {
     }
 }
 
-/// How much is written before the disk is told to begin, and between two such calls: half a second of a slow disk, so
-/// that the wait at the end is short, and enough that a call costs nothing beside it.
+/// Bytes written between two syncs: half a second of a slow disk, so that the wait at the end is short, and enough to
+/// make the cost of a call negligible.
 const STEP_BYTES: u64 = 32 << 20;
 
-/// Syncs a file behind its writer, on a thread of its own, which begins with the first step.
+/// Syncs a file while it is being written, on a thread that starts with the first sync.
 #[derive(Debug, Default)]
 struct Behind {
     since_bytes: u64,
@@ -228,10 +228,10 @@ struct Syncer {
 }
 
 impl Behind {
-    /// So many bytes more were written to `file`. Never waits for the disk.
+    /// Counts bytes written to `file` and starts a sync when one is due. Never waits for the disk.
     ///
     /// # Errors
-    /// What the disk said to an earlier sync: it says that once only.
+    /// The error of an earlier sync, which the disk reports once only.
     fn wrote(&mut self, file: &File, n_bytes: usize) -> io::Result<()> {
         self.since_bytes += n_bytes as u64;
         if self.since_bytes < STEP_BYTES {
@@ -242,18 +242,18 @@ impl Behind {
             self.syncer = start(file);
         }
         let gone = match &self.syncer {
-            // Where there is no thread to be had, everything is synced at the end.
+            // Without a thread, everything is synced at the end.
             None => false,
-            // Full: a sync is still to begin, and will take these bytes as well.
+            // Full: a sync has yet to start, and will include these bytes.
             Some(syncer) => matches!(syncer.wake.try_send(()), Err(TrySendError::Disconnected(()))),
         };
         if gone { self.finish() } else { Ok(()) }
     }
 
-    /// Waits for the sync that is under way.
+    /// Waits for the running sync.
     ///
     /// # Errors
-    /// What the disk said to any sync.
+    /// The error of any sync.
     fn finish(&mut self) -> io::Result<()> {
         let Some(Syncer { wake, thread }) = self.syncer.take() else { return Ok(()) };
         drop(wake);
@@ -261,21 +261,21 @@ impl Behind {
     }
 }
 
-/// `None` where the system gives no thread, or no second handle.
+/// Starts the thread; `None` if the system provides no thread or no second handle.
 fn start(file: &File) -> Option<Syncer> {
     let file = file.try_clone().ok()?;
-    // One waiting wake is all that can be of use.
+    // One queued wake-up is enough.
     let (wake, woken) = bounded(1);
     let sync = move || woken.iter().try_for_each(|()| sync(&file));
     let thread = threads::spawn("mocapd-sync", sync).ok()?;
     Some(Syncer { wake, thread })
 }
 
-/// Puts on the disk what was written, and gives the memory back that held it: a file of gigabytes would take all there
-/// is from the others on the machine, and memory that was just free is written the fastest.
+/// Syncs the data and drops it from the page cache: a file of gigabytes would take that memory from other programs, and
+/// recently freed memory is written fastest.
 fn sync(file: &File) -> io::Result<()> {
     file.sync_data()?;
-    // Whether the system takes advice is its own affair.
+    // The system may ignore the advice.
     fadvise(file, 0, None, Advice::DontNeed).ok();
     Ok(())
 }
@@ -355,7 +355,7 @@ mod tests {
 
     #[test]
     fn an_error_of_the_disk_is_told_once_and_not_lost() {
-        // A pipe cannot be synced: the kernel says EINVAL.
+        // A pipe cannot be synced: the kernel returns EINVAL.
         let (_reader, writer) = io::pipe().unwrap();
         let file = File::from(std::os::fd::OwnedFd::from(writer));
         let mut behind = Behind::default();

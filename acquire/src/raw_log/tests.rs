@@ -6,7 +6,7 @@ use mocapd_testkit::memory;
 
 use super::*;
 
-/// A tap over a few blocks, which the test takes and gives back as the thread does.
+/// A tap with a few blocks, which the test receives and returns in place of the writing thread.
 fn tap(blocks: usize) -> (Tap, Receiver<Block>, Sender<Block>) {
     let (full, written) = bounded(blocks);
     let (free, emptied) = bounded(blocks);
@@ -23,7 +23,7 @@ fn a_disk_that_stalls_costs_bytes_of_the_log_and_the_log_says_how_many() {
     let mut log = Vec::new();
     put_head(&mut log);
     let mut passed = 0;
-    // Far more than two blocks hold, and nobody writes them: every read comes back all the same.
+    // Far more than two blocks hold, and nothing is written: every read returns all the same.
     for round in 0..20u8 {
         device.write_all(&vec![round; 40_000]).unwrap();
         let mut got = 0;
@@ -42,7 +42,7 @@ fn a_disk_that_stalls_costs_bytes_of_the_log_and_the_log_says_how_many() {
         log.extend_from_slice(&block.bytes);
         counted += block.line_bytes;
         block.clear();
-        // At the end nobody takes it any more.
+        // At the end the tap that would take it is gone.
         free.send(block).ok();
     };
     written.try_iter().for_each(&mut give_back);
@@ -83,7 +83,7 @@ fn a_slow_line_fills_its_blocks_while_the_disk_stalls() {
     assert_eq!(tap.block.line_bytes, 98);
 }
 
-/// A disk that says what was written between its syncs, and has room for so many bytes.
+/// A disk that reports the bytes written between its syncs, and has space for a given number of bytes.
 struct Disk {
     room: usize,
     unsynced: usize,
@@ -109,7 +109,7 @@ impl LogOutput for Disk {
     }
 }
 
-/// A log on a disk: what was synced, a way to hand blocks of so many bytes over, and what came of it.
+/// A log on such a disk: what was synced, a function that hands over blocks of a given size, and the result.
 fn logged(
     room: usize,
     sync_every: Duration,
@@ -134,7 +134,7 @@ fn logged(
 #[test]
 fn what_is_written_is_forced_onto_the_disk_in_time_and_at_the_end() {
     let (synced, put, finish) = logged(1000, Duration::from_millis(100));
-    // The head, though nothing else comes.
+    // The head is synced, though nothing follows.
     assert_eq!(synced.recv_timeout(Duration::from_secs(20)).unwrap(), 0);
     put(10);
     put(20);
