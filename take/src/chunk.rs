@@ -1,4 +1,4 @@
-//! Chunks: {type, varint length, payload, CRC-32}, and finding the next one after damage.
+//! Chunks {type, varint length, payload, CRC-32}, and the search for the next one after damage.
 
 mod marks;
 mod search;
@@ -11,28 +11,28 @@ pub(crate) use self::{
 };
 use crate::{TakeError, varint};
 
-/// `0x89 T A K CR LF 0x1A LF`: any transfer in text mode breaks it.
+/// `0x89 T A K CR LF 0x1A LF`: any transfer in text mode alters it.
 pub const MAGIC: [u8; 8] = *b"\x89TAK\r\n\x1a\n";
 
-/// Longest payload. A stretch at the limits of docs/take-format.md, lossless, stays below it.
+/// Longest payload. A lossless stretch at the limits of docs/take-format.md stays below it.
 pub const PAYLOAD_BYTES_MAX: u64 = 1 << 30;
 
-/// Longest chunk that a reader holds before it knows that the checksum matches. Every record is shorter, and a
-/// SUBJECT, too: eight documents of 1 MiB, which DEFLATE makes longer by at most five bytes in 16 KiB, and their names.
-/// A longer chunk is a STRETCH or a FOREIGN, or of a type that this version does not know.
+/// Longest chunk that a reader buffers before its CRC is known to match. Every record is shorter, and so is a SUBJECT:
+/// eight documents of 1 MiB, which DEFLATE lengthens by at most five bytes per 16 KiB, and their names. A longer chunk
+/// is a STRETCH, a FOREIGN, or of a type that this version does not know.
 pub const CHUNK_HELD_MAX: u64 = (8 << 20) + (64 << 10);
 
-/// Most bytes of a file that a reader holds while it looks for the next chunk behind damage: half of them to find the
-/// end of whatever begins in the other half.
+/// Most bytes that a reader buffers while it searches for the next chunk after damage. Half of them hold the end of any
+/// chunk that begins in the other half.
 pub const WINDOW_BYTES: usize = 16 << 20;
 
 /// Most bytes of type and length.
 pub(crate) const HEAD_BYTES_MAX: usize = 6;
 
-/// CRC-32.
+/// Size of the CRC-32.
 pub(crate) const CRC_BYTES: usize = 4;
 
-/// Bit 7 of the type: a reader that does not know the chunk may skip it.
+/// Bit 7 of a chunk type: a reader that does not know the type may skip the chunk.
 pub const MAY_SKIP: u8 = 0x80;
 
 /// The chunk types.
@@ -77,25 +77,25 @@ pub fn put(out: &mut Vec<u8>, kind: u8, payload: &[u8]) -> Result<(), TakeError>
     Ok(())
 }
 
-/// What stands at the front of some bytes.
+/// What the first bytes of a buffer hold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Front<'a> {
-    /// A whole chunk with a matching CRC.
+    /// A complete chunk with a matching CRC.
     Whole {
         /// Its type.
         kind: u8,
         /// Its payload.
         payload: &'a [u8],
-        /// Bytes from its type to its CRC.
+        /// Size from its type to its CRC.
         len: usize,
     },
-    /// Nothing wrong so far, but the bytes end first; at least this many are needed.
+    /// An incomplete chunk without an error so far; parsing needs at least this many bytes.
     Short(u64),
-    /// No chunk of version 1 begins here.
+    /// Not a chunk of version 1.
     Damaged,
 }
 
-/// Looks at the front of `bytes`.
+/// Parses the chunk at the front of `bytes`.
 #[must_use]
 pub fn front(bytes: &[u8]) -> Front<'_> {
     match split(bytes) {
@@ -110,7 +110,7 @@ fn crc_matches(chunk: &[u8]) -> bool {
         .is_some_and(|(body, crc)| marks::append(0, body).to_le_bytes() == *crc)
 }
 
-/// The same without the CRC, for a chunk whose CRC was seen to match.
+/// Parses the chunk at the front of `bytes` without checking its CRC.
 pub(crate) fn split(bytes: &[u8]) -> Front<'_> {
     match head(bytes) {
         Head::Short(wanted) => Front::Short(wanted),
@@ -127,14 +127,14 @@ pub(crate) fn split(bytes: &[u8]) -> Front<'_> {
     }
 }
 
-/// What type and length at the front of some bytes say.
+/// Type and length of a chunk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Head {
-    /// The bytes end first; at least this many are needed.
+    /// The bytes end within them; parsing needs at least this many.
     Short(u64),
-    /// No chunk of version 1 begins so.
+    /// Not a chunk of version 1.
     Bad,
-    /// A chunk of `len` bytes from its type to its CRC, of which type and length take `head_bytes`.
+    /// A chunk of `len` bytes from its type to its CRC, with `head_bytes` of type and length.
     Of { kind: u8, len: u64, head_bytes: usize },
 }
 
@@ -148,7 +148,7 @@ pub(crate) fn head(bytes: &[u8]) -> Head {
             let len = head_bytes as u64 + payload_bytes + CRC_BYTES as u64;
             Head::Of { kind, len, head_bytes }
         }
-        // A varint of this format's lengths ends within five bytes.
+        // Every valid length has at most five bytes.
         None if bytes.len() < HEAD_BYTES_MAX => Head::Short(bytes.len() as u64 + 1),
         None => Head::Bad,
     }

@@ -1,34 +1,34 @@
-//! The channel table as it grows, and where entries of it are lost.
+//! The channel table, and the detection of entries that are lost.
 
 use crate::record::Channel;
 
-/// Entries in order of columns. A lost entry shows when a stretch states more channels than there are entries:
-/// it gets a name of its own, where it stood, so that no other channel gets a name that is not its own.
+/// Entries in column order. When a stretch has more channels than there are entries, the lost ones get generated names
+/// at the position where they were lost, so that no channel gets the name of another.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct ChannelTable {
     channels: Vec<Channel>,
-    /// The header's entries are there, if it has any.
+    /// The header's entries have been read.
     begun: bool,
     hole: Option<Hole>,
 }
 
-/// Entries may be missing here.
+/// A position at which entries may be missing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Hole {
-    /// Before this column.
+    /// The column before which they are missing.
     column: usize,
-    /// And elsewhere behind it: nobody knows which entries are whose.
+    /// Entries may be missing at other positions behind it, too, so that names and columns cannot be matched.
     several: bool,
 }
 
-/// What became of a table when lost entries showed.
+/// Entries that a stretch revealed as lost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Renamed {
-    /// The first column without its name.
+    /// The first column without a name.
     pub first: usize,
     /// Columns that had no entry.
     pub inserted: usize,
-    /// Columns without a name from `first` on: those inserted, and those whose entry may be another's.
+    /// Columns without a name from `first` on: the inserted ones, and those whose entry may belong to another column.
     pub nameless: usize,
 }
 
@@ -38,13 +38,13 @@ impl ChannelTable {
         &self.channels
     }
 
-    /// Entries that were read.
+    /// Appends entries that were read.
     pub(crate) fn append(&mut self, more: &[Channel]) {
         self.begun = true;
         self.channels.extend_from_slice(more);
     }
 
-    /// Bytes that cannot be read: entries may have been among them, if they follow the header.
+    /// Reports a damaged region, which may have contained entries if it follows the header.
     pub(crate) fn damaged(&mut self) {
         if !self.begun {
             return;
@@ -56,7 +56,7 @@ impl ChannelTable {
         }
     }
 
-    /// A stretch has so many channels at least. Says what is lost, when that shows.
+    /// Reports that a stretch has at least `n_channels` channels. Returns the entries that this reveals as lost.
     pub(crate) fn stated(&mut self, n_channels: usize) -> Option<Renamed> {
         let len = self.channels.len();
         if n_channels < len {
@@ -76,7 +76,7 @@ impl ChannelTable {
     }
 }
 
-/// A channel whose entry in the table is lost.
+/// A generated entry for a channel whose own is lost.
 fn nameless_channel(column: usize) -> Channel {
     Channel { marker_id: u16::MAX, label: Channel::unlabelled_name(column), labelled: false }
 }

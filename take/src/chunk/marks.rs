@@ -1,17 +1,18 @@
-//! CRC-32 of any part of some bytes, without hashing all of it.
+//! CRC-32 of any part of a buffer, without hashing all of the part.
 
 use crc32fast::Hasher;
 
-/// Bytes from mark to mark: 1/64 of the bytes in memory, and at most as many hashed at either end.
+/// Distance of prefix CRCs in bytes. They take 1/64 of the buffer's size, and at most this many bytes are hashed at
+/// either end of a part.
 const STEP: usize = 256;
 
-/// CRCs of the bytes up to every mark, as far as they were asked for. They move with the bytes and are kept for as long as
-/// those are held: each byte is hashed once on the way to its mark, however many candidates stand before it.
+/// CRCs of the prefixes of a buffer, at every [`STEP`] bytes, computed on demand. They are kept for as long as the
+/// bytes are, so each byte is hashed once, however many candidate chunks begin before it.
 #[derive(Debug)]
 pub(crate) struct Marks {
-    /// Where the first mark stands in the bytes that are held.
+    /// Position in the buffer of the first prefix's end.
     first: usize,
-    /// `crcs[i]` is the CRC of the bytes from some place at or before the first mark up to `first + i * STEP`; never empty.
+    /// `crcs[i]` is the CRC from a fixed position at or before `first` up to `first + i * STEP`; never empty.
     crcs: Vec<u32>,
 }
 
@@ -22,26 +23,26 @@ impl Default for Marks {
 }
 
 impl Marks {
-    /// The first `n` bytes are not held any more.
+    /// Removes the first `n` bytes from the front of the buffer.
     pub(crate) fn drain(&mut self, n: usize) {
         self.forget(n);
         self.first -= n;
     }
 
-    /// What stands before `at` has changed, or will.
+    /// Discards the CRCs of bytes before `at`, which have changed or will.
     pub(crate) fn forget(&mut self, at: usize) {
         let gone = at.saturating_sub(self.first).div_ceil(STEP);
         if gone < self.crcs.len() {
             self.crcs.drain(..gone);
             self.first += gone * STEP;
         } else {
-            // None was asked for behind it.
+            // No CRC was computed behind it.
             *self = Self { first: at, ..Self::default() };
         }
     }
 
-    /// The CRC of `bytes[start..end]`, of all that are held. An empty or impossible part has the CRC of nothing, 0. Bytes
-    /// before the first mark are hashed.
+    /// The CRC of `bytes[start..end]`, where `bytes` is the whole buffer; 0, the CRC of no bytes, for an empty or
+    /// invalid range. Bytes before the first prefix's end are hashed.
     pub(super) fn crc(&mut self, bytes: &[u8], start: usize, end: usize) -> u32 {
         if start > end || end > bytes.len() {
             return 0;
@@ -56,7 +57,7 @@ impl Marks {
         if marked == start { crc } else { crc ^ moved(before, (end - marked) as u64) }
     }
 
-    /// Up to `end`, which is not before the first mark.
+    /// The CRC up to `end`, which is not before `first`.
     fn crc_to(&mut self, bytes: &[u8], end: usize) -> u32 {
         let mark = (end - self.first) / STEP;
         while self.crcs.len() <= mark {
@@ -71,11 +72,11 @@ impl Marks {
 
 #[cfg(test)]
 thread_local! {
-    /// Bytes that this thread has hashed.
+    /// Bytes hashed by this thread.
     pub(crate) static HASHED_BYTES: std::cell::Cell<u64> = const { std::cell::Cell::new(0) };
 }
 
-/// The CRC of some bytes and these behind them.
+/// The CRC of bytes with CRC `crc`, followed by `bytes`.
 pub(super) fn append(crc: u32, bytes: &[u8]) -> u32 {
     #[cfg(test)]
     HASHED_BYTES.set(HASHED_BYTES.get() + bytes.len() as u64);
@@ -84,8 +85,8 @@ pub(super) fn append(crc: u32, bytes: &[u8]) -> u32 {
     hasher.finalize()
 }
 
-/// What the CRC of some bytes adds to that of these and `len` more: the CRC of two parts is the first one's, moved, xor
-/// the second's.
+/// The contribution of a prefix with CRC `crc` to the CRC of the prefix and `len` more bytes. The CRC of two parts is
+/// this contribution of the first part XOR the CRC of the second.
 pub(super) fn moved(crc: u32, len: u64) -> u32 {
     let mut hasher = Hasher::new_with_initial(crc);
     hasher.combine(&Hasher::new_with_initial_len(0, len));

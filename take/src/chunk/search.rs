@@ -1,10 +1,10 @@
-//! Where the next whole chunk is: behind damage, in the part of a file that is in memory, and among chunks that are longer
-//! than that.
+//! The search for the next valid chunk after damage, both in the buffer and among chunks that are longer than the
+//! buffer.
 //!
-//! A CRC stands at the end of its chunk, which may be a gigabyte behind its head, and heads that mean nothing are
-//! everywhere in coded bytes. So for long chunks the file is read ahead once, to its end: the CRC of all bytes up to each
-//! place is known on the way, and two of these give the CRC of what lies between. What is known of each candidate is three
-//! numbers. Then the reader goes back and reads with this knowledge, and never has to try.
+//! A chunk ends with its CRC, possibly a gigabyte behind its head, and encoded bytes are full of apparent heads. For
+//! long chunks the file is therefore scanned once to its end, with a running CRC: the CRCs of two prefixes give the CRC
+//! of the bytes between them, so each candidate needs only three numbers. The reader then goes back and reads with the
+//! list of valid long chunks, without trial and error.
 
 use std::{cmp::Reverse, collections::BinaryHeap};
 
@@ -15,31 +15,31 @@ use super::{
 };
 use crate::{foreign, stretch};
 
-/// Longest candidate that is hashed: about what the way over the marks costs.
+/// Longest candidate whose CRC is hashed directly; the way over the prefix CRCs costs about as much.
 const HASHED_BYTES: usize = 2048;
 
-/// Bytes compared with zero at once.
+/// A block of zeros, to compare many bytes at once.
 const ZEROS: [u8; 64] = [0; 64];
 
-/// What a look at some bytes found.
+/// The outcome of a search in the buffer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Next {
-    /// A whole chunk of a known type begins here.
+    /// A valid chunk of a known type begins here.
     At(usize),
-    /// None begins before here. What may begin here ends behind the bytes.
+    /// No chunk begins before this position; one that may begin here is incomplete.
     Until(usize),
-    /// None begins before here. What may begin here is too long for the window, and the file has to be searched for
-    /// [long chunks](Search).
+    /// No chunk begins before this position; one that may begin here is too long for the window, so the file must be
+    /// [scanned](LongChunkScan).
     Unknown(usize),
 }
 
-/// Looks for a whole chunk at or after `from`. `complete`: the file ends where the bytes do. `is_long_whole` says of a
-/// place whether a long chunk that begins there is whole, if that is known.
+/// Searches `bytes` for a valid chunk that begins at or after `from`. `complete`: the file ends with `bytes`.
+/// `is_long_whole`: whether the long chunk at a position is valid, if that is known.
 ///
-/// Every byte that may be a type is a candidate, and coded bytes are full of them, most with a length that fits. So the
-/// CRC of a long candidate is not hashed but computed from CRCs at marks: the work grows with the bytes, not with their
-/// product with the lengths. `marks` are those of the bytes, and outlive the search: the next one, behind a small chunk,
-/// meets the same bytes.
+/// Every byte with the value of a chunk type is a candidate, and encoded bytes are full of them, most with a plausible
+/// length. The CRC of a long candidate is therefore computed from prefix CRCs, not hashed: the work grows with the
+/// number of bytes, not with its product with the lengths. The next search, after a small chunk, meets the same bytes
+/// and reuses `prefixes`.
 pub(crate) fn resync(
     bytes: &[u8],
     marks: &mut Marks,
@@ -73,13 +73,13 @@ pub(crate) fn resync(
     Next::Until(bytes.len())
 }
 
-/// What may begin somewhere.
+/// What may begin at a position.
 enum Candidate {
     Whole,
     No,
-    /// Its end is not in memory.
+    /// The chunk ends behind the buffered bytes.
     Short,
-    /// Nor will it be before it is known to be whole.
+    /// The chunk is longer than the buffer.
     Long,
 }
 
@@ -97,7 +97,7 @@ fn look(bytes: &[u8], at: usize, marks: &mut Marks) -> Candidate {
     if is_whole(bytes, at, end, marks) { Candidate::Whole } else { Candidate::No }
 }
 
-/// The same as [`front`](super::front) of `bytes[at..]`, with the marks of `bytes`.
+/// Parses the chunk at `bytes[at..]` like [`front`](super::front), with the help of the prefix CRCs of `bytes`.
 pub(crate) fn front_by_marks<'a>(bytes: &'a [u8], at: usize, marks: &mut Marks) -> Front<'a> {
     match split(&bytes[at..]) {
         Front::Whole { len, .. } if !is_whole(bytes, at, at + len, marks) => Front::Damaged,
@@ -105,7 +105,7 @@ pub(crate) fn front_by_marks<'a>(bytes: &'a [u8], at: usize, marks: &mut Marks) 
     }
 }
 
-/// Whether the CRC of the chunk that is `bytes[at..end]` matches.
+/// Whether the CRC of the chunk `bytes[at..end]` matches.
 fn is_whole(bytes: &[u8], at: usize, end: usize, marks: &mut Marks) -> bool {
     if end - at <= HASHED_BYTES {
         return crc_matches(&bytes[at..end]);
@@ -115,32 +115,32 @@ fn is_whole(bytes: &[u8], at: usize, end: usize, marks: &mut Marks) -> bool {
     bytes[crc_at..].first_chunk::<CRC_BYTES>() == Some(&crc.to_le_bytes())
 }
 
-/// How many zeros these bytes begin with: no type is zero, and files with holes have gigabytes of them.
+/// Number of leading zeros. No chunk type is zero, and sparse files have gigabytes of zeros.
 fn zeros(bytes: &[u8]) -> usize {
     let blocks = bytes.chunks_exact(ZEROS.len()).take_while(|block| **block == ZEROS).count();
     let at = blocks * ZEROS.len();
     at + bytes[at..].iter().take_while(|&&byte| byte == 0).count()
 }
 
-/// Candidates that are followed at once: in bytes as random as coded ones, one in 8000 looks like a long chunk, of 128 MiB
-/// on average, which makes 16 000; eight times as many take 4 MiB. Where there are more, the file was made so, and a long
-/// chunk among them may count as damaged.
+/// Most candidates tracked at the same time. In bytes as random as encoded ones, one in 8000 looks like the head of a
+/// long chunk, of 128 MiB on average, which makes 16 000; eight times as many take 4 MiB. Only a crafted file has more,
+/// and a long chunk in it may count as damaged.
 const CANDIDATES_MAX: usize = 1 << 17;
 
-/// Long chunks that are remembered: those of half a terabyte, in 1 MiB.
+/// Most long chunks remembered: half a terabyte of them, in 1 MiB.
 const FOUND_MAX: usize = 1 << 16;
 
-/// What has to be there of a candidate to be judged: head, and the front of its payload.
+/// Bytes needed to judge a candidate: its head, and the front of its payload.
 const FRONT_BYTES: usize = HEAD_BYTES_MAX + foreign::FRONT_BYTES;
 
-/// What is known of the long chunks of a file: of those that begin in `from..to`, which are whole.
+/// The result of a scan: which of the long chunks that begin in `from..to` are valid.
 #[derive(Debug, Default)]
 pub(crate) struct LongChunks {
     from: u64,
     to: u64,
-    /// In order.
+    /// Offsets of the valid ones, in order.
     whole: Vec<u64>,
-    /// Where the file ends, if it was read to there.
+    /// Size of the file, if the scan reached its end.
     end: Option<u64>,
 }
 
@@ -150,15 +150,15 @@ impl LongChunks {
         self.end.is_some_and(|file_end| file_end < end)
     }
 
-    /// Whether the long chunk that begins at `offset` is whole, if that is known.
+    /// Whether the long chunk at `offset` is valid, if that is known.
     pub(crate) fn is_whole(&self, offset: u64) -> Option<bool> {
         let known = (self.from..self.to).contains(&offset);
         known.then(|| self.whole.binary_search(&offset).is_ok())
     }
 }
 
-/// Whether the bytes behind damage look like the beginning of a long chunk: those that this version writes. The others
-/// are known only where they follow a whole chunk.
+/// Whether bytes after damage look like the beginning of a long chunk that this version writes. A long chunk of another
+/// type is recognised only behind a valid chunk.
 fn may_be_one(bytes: &[u8]) -> bool {
     let Head::Of { kind, len, head_bytes } = head(bytes) else { return false };
     let payload = &bytes[head_bytes..];
@@ -170,7 +170,7 @@ fn may_be_one(bytes: &[u8]) -> bool {
         }
 }
 
-/// Where something is to be done, in order of places.
+/// A position at which the scan must act; ordered by position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct Stop {
     at: u64,
@@ -181,33 +181,33 @@ struct Stop {
 enum What {
     /// The CRC of a candidate is stored here.
     Crc {
-        /// Where it begins.
+        /// Where the candidate begins.
         start: u64,
-        /// The CRC of all bytes up to there.
+        /// The CRC of all scanned bytes before it.
         crc_before: u32,
-        /// It follows a whole chunk.
+        /// The candidate follows a valid chunk.
         in_step: bool,
     },
-    /// A chunk begins here, as the one before it is whole.
+    /// A chunk begins here, because the one before it is valid.
     Front,
 }
 
-/// The way through a file that finds its long chunks. Bytes are pushed in, in order, and are not kept.
+/// Scans a file for long chunks. Bytes are pushed in order, and are not kept.
 #[derive(Debug)]
 pub(crate) struct Search {
     from: u64,
-    /// The next byte.
+    /// Offset of the next byte.
     at: u64,
-    /// Of the bytes from `from` to `at`.
+    /// CRC of the bytes from `from` to `at`.
     crc: u32,
     stops: BinaryHeap<Reverse<Stop>>,
     whole: Vec<u64>,
-    /// It began at a long chunk, which turned out to be whole: nothing else was asked for.
+    /// The scan began at a long chunk that proved valid, and has nothing else to find.
     is_answered: bool,
 }
 
 impl Search {
-    /// From byte `from` on. `in_step`: a chunk begins there, as what lies before it is whole.
+    /// Starts at byte `from`. `in_sync`: a chunk begins there, because the bytes before it are valid.
     pub(crate) fn new(from: u64, in_step: bool) -> Self {
         let mut stops = BinaryHeap::new();
         if in_step {
@@ -216,27 +216,27 @@ impl Search {
         Self { from, at: from, crc: 0, stops, whole: Vec::new(), is_answered: false }
     }
 
-    /// Where it began: the reader goes back there.
+    /// The offset at which the scan began, and to which the reader goes back.
     pub(crate) fn from(&self) -> u64 {
         self.from
     }
 
-    /// No more bytes are needed.
+    /// Whether the scan needs no more bytes.
     pub(crate) fn is_answered(&self) -> bool {
         self.is_answered
     }
 
-    /// What was found.
+    /// Ends the scan.
     pub(crate) fn finish(mut self) -> LongChunks {
-        // They were found in the order of their ends, and one may begin within another.
+        // Chunks were found in the order of their ends, and one may begin within another.
         self.whole.sort_unstable();
         let (to, end) =
             if self.is_answered { (self.from + 1, None) } else { (u64::MAX, Some(self.at)) };
         LongChunks { from: self.from, to, whole: self.whole, end }
     }
 
-    /// The bytes that come next, and whether they are the last; says how many it is done with. The others have to come
-    /// again, with what follows.
+    /// Scans the next bytes; `complete` if they end the file. Returns how many are done with. The others must be pushed
+    /// again, with those behind them.
     pub(crate) fn push(&mut self, bytes: &[u8], complete: bool) -> usize {
         let start = self.at;
         let end = if complete { bytes.len() } else { bytes.len().saturating_sub(FRONT_BYTES) };
@@ -257,7 +257,7 @@ impl Search {
         end
     }
 
-    /// Does what is to be done before byte `to`.
+    /// Handles all events before byte `to`.
     fn settle(&mut self, to: u64, start: u64, bytes: &[u8]) {
         while let Some(&Reverse(Stop { at, what })) = self.stops.peek() {
             if at >= to || self.is_answered {
@@ -270,7 +270,7 @@ impl Search {
             };
             match what {
                 What::Front => {
-                    // A chunk that was followed more than once ends here as often; the next one is followed once.
+                    // A chunk that was tracked several times ends here as often; track the next one once.
                     while self.stops.peek() == Some(&Reverse(Stop { at, what })) {
                         self.stops.pop();
                     }
@@ -286,8 +286,8 @@ impl Search {
         }
     }
 
-    /// A whole chunk: it is found once as a candidate, and once as what follows a whole one. The two stops are next to
-    /// each other.
+    /// Records a valid chunk. The same chunk may be found as a candidate and as the successor of a valid one; the two
+    /// events are adjacent.
     fn found(&mut self, chunk: u64, end: u64, in_step: bool) {
         let is_known = self.whole.last() == Some(&chunk);
         if end - chunk > CHUNK_HELD_MAX && !is_known && self.whole.len() < FOUND_MAX {
@@ -297,7 +297,7 @@ impl Search {
         self.stops.push(Reverse(Stop { at: end, what: What::Front }));
     }
 
-    /// Follows what begins here to its CRC.
+    /// Tracks the chunk that may begin at `at`, up to its CRC.
     fn follow(&mut self, at: u64, in_step: bool, bytes: &[u8]) {
         if let Head::Of { len, .. } = head(bytes) {
             let what = What::Crc { start: at, crc_before: self.crc, in_step };
@@ -305,7 +305,7 @@ impl Search {
         }
     }
 
-    /// The CRC up to byte `to`.
+    /// Updates the running CRC up to byte `to`.
     fn advance(&mut self, to: u64, start: u64, bytes: &[u8]) {
         let part = |at: u64| at.checked_sub(start).and_then(|by| usize::try_from(by).ok());
         if let (Some(from), Some(end)) = (part(self.at), part(to))
@@ -317,7 +317,7 @@ impl Search {
     }
 }
 
-/// The first place at or after `from` whose byte is a type that a long chunk may have, or the end.
+/// The first position at or after `from` with the type of a long chunk, or the end.
 fn next_candidate(bytes: &[u8], from: usize) -> usize {
     let mut at = from;
     while let Some(&byte) = bytes.get(at) {
@@ -358,7 +358,7 @@ mod tests {
         }
     }
 
-    /// Long chunks of bytes as random as coded ones are: every second candidate has a length that fits.
+    /// Long chunks of bytes as random as encoded ones: every second candidate has a plausible length.
     #[test]
     fn the_next_chunk_is_found_behind_a_long_damaged_one() {
         let mut random = Random::new(1);
@@ -372,7 +372,7 @@ mod tests {
         bytes[150_000] ^= 1;
         assert_eq!(front(&bytes), Front::Damaged);
         assert_eq!(next(&bytes), Next::At(found));
-        // With its end not there yet, nothing behind its beginning is judged.
+        // Without the end of the next chunk, nothing behind its beginning is judged.
         let marks = &mut Marks::default();
         let found_part = resync(&bytes[..found + 1000], marks, 1, false, |_| Some(false));
         let Next::Until(at) = found_part else { panic!("the end of the next chunk is not there") };
@@ -389,7 +389,7 @@ mod tests {
         }
     }
 
-    /// A FOREIGN of zeros that is just too long to be held.
+    /// A FOREIGN chunk of zeros, just too long to be buffered.
     fn long_chunk() -> Vec<u8> {
         let mut payload = vec![1, b'a', 0];
         payload.resize(CHUNK_HELD_MAX as usize, 0);
@@ -398,8 +398,8 @@ mod tests {
         chunk
     }
 
-    /// Each of them would be followed once for every one before it, if a match were counted as often as it is found:
-    /// after 362 chunks 65 703 matches would have filled the list.
+    /// If each match were counted as often as it is found, each chunk would be tracked once for every one before it:
+    /// after 362 chunks, 65 703 matches would fill the list.
     #[test]
     fn each_of_many_long_chunks_behind_damage_is_found_once() {
         const CHUNKS: usize = 400;
@@ -419,7 +419,7 @@ mod tests {
         let long = search.finish();
         let missed = offsets.iter().position(|&offset| long.is_whole(offset) != Some(true));
         assert_eq!((missed, found), (None, CHUNKS));
-        // The chunk that is followed as a candidate and as what follows a whole one.
+        // The chunk is tracked as a candidate and as the successor of a valid chunk.
         assert!(stops_max <= 2, "{stops_max}");
         assert_eq!(long.is_whole(offsets[1] + 1), Some(false));
     }

@@ -1,4 +1,4 @@
-//! What stands in front of a stretch's blocks: docs/take-format.md, "STRETCH".
+//! The header of a stretch, before its blocks: docs/take-format.md, "STRETCH".
 
 use super::{NUMBERS, RECORDED_MAX, ROWS_MAX, ROWS_PASSED_MAX, RUNS_MAX, Sizes, Span};
 use crate::{
@@ -17,7 +17,7 @@ const RUNS_LISTED: u8 = 2;
 const ROWS_LISTED: u8 = 4;
 const SHARED: u8 = 8;
 
-/// Writes the fronts of a take's stretches, in order.
+/// Writes the headers of a take's stretches, in order.
 #[derive(Debug)]
 pub struct FrontWriter {
     stretch_rows: u32,
@@ -25,21 +25,22 @@ pub struct FrontWriter {
 }
 
 impl FrontWriter {
-    /// For stretches without a time line, as an import has them. `stretch_rows` as in the take's HEADER.
+    /// A writer for stretches without time lines, as in imports. `stretch_rows` is that of the take's HEADER.
     #[must_use]
     pub fn new(stretch_rows: u32) -> Self {
         Self { stretch_rows, times: None }
     }
 
-    /// For stretches with their time line.
+    /// A writer for stretches with time lines.
     #[must_use]
     pub fn with_times(stretch_rows: u32, times: TimelineEncoder) -> Self {
         Self { stretch_rows, times: Some(times) }
     }
 
-    /// Appends the front of a stretch; [`put_block`](super::put_block) for every group in table order
-    /// follows. `timeline` has the rows from the end of the stretch before to the end of this one, and is
-    /// left out without [`with_times`](Self::with_times). `alone`: at most one block will follow.
+    /// Appends the header of a stretch. The caller then appends the block of each group, in the order of the channel
+    /// table, with [`put_block`](super::put_block). `timeline` covers the rows from the end of the previous stretch to
+    /// the end of this one; it is written only with [`with_times`](Self::with_times). `alone`: at most one block
+    /// follows.
     pub fn put(
         &mut self,
         span: Span,
@@ -88,16 +89,16 @@ fn flag(set: bool, bit: u8) -> u8 {
     if set { bit } else { 0 }
 }
 
-/// A front as it stands in the bytes: what it is to the stretch before is not looked at.
+/// The parsed header of a stretch, not yet related to the previous stretch.
 #[derive(Debug)]
 pub(crate) struct Front<'a> {
     pub(crate) key: bool,
     pub(crate) alone: bool,
     pub(crate) number: u8,
-    /// Of a key stretch: the row after the stretch before.
+    /// For a key stretch: the row after the previous stretch.
     pub(crate) from_row: Option<u64>,
     pub(crate) n_rows: u32,
-    /// Of a stretch with a time line: what became of the rows from `from_row` on.
+    /// With a time line: the runs of rows from `from_row` on.
     pub(crate) runs: Option<Vec<Run>>,
     /// Rows from `from_row` to the end: `n_rows`, and those lost before.
     pub(crate) rows_passed: u64,
@@ -107,7 +108,7 @@ pub(crate) struct Front<'a> {
 }
 
 impl Front<'_> {
-    /// Whether these may be the first bytes of a stretch of some length: what is cheap to see of them.
+    /// Whether these bytes are a plausible start of a stretch's payload, by the fields that are cheap to check.
     pub(super) fn may_begin_with(payload: &[u8]) -> bool {
         let mut cursor = varint::Cursor::new(payload);
         let Some(head) = cursor.byte() else { return false };
@@ -127,8 +128,8 @@ fn is_known(shape: u8) -> bool {
 }
 
 impl<'a> Front<'a> {
-    /// The front of `cursor`: `stretch_rows` unless it lists others, at most `rows_max`. An error says what
-    /// is wrong.
+    /// Parses the header at the front of `cursor`. The stretch has `stretch_rows` rows unless it lists another number,
+    /// and at most `rows_max`. The error is a message.
     pub(crate) fn take(
         cursor: &mut varint::Cursor<'a>,
         rows_max: u64,
@@ -197,7 +198,7 @@ impl<'a> Front<'a> {
 }
 
 impl Front<'_> {
-    /// Whether it has no rows, and stands for stretches that were damaged: a recovery wrote it in their place.
+    /// Whether the stretch has no rows and replaces damaged stretches of a recovered take.
     pub(crate) fn stands_for_damaged(&self) -> bool {
         self.n_rows == 0 && super::all_damaged(self.runs.as_deref().unwrap_or_default())
     }
@@ -215,12 +216,12 @@ fn take_runs(cursor: &mut varint::Cursor<'_>) -> Option<Vec<Run>> {
     Some(runs)
 }
 
-/// Appends `payload`, a stretch as [`FrontWriter`] made it, as the one with this `number` of a
-/// take whose row 0 is row `rows_before` of the recording that it was coded in. Nothing of it is decoded: only the
-/// number and a key stretch's row stand in it as such.
+/// Appends `payload`, made by [`FrontWriter`], for another take: with stretch number `number`, and with row
+/// `rows_before` of the original recording as row 0. Only the number and the row of a key stretch are rewritten;
+/// nothing is decoded.
 ///
 /// # Errors
-/// `InvalidArgument` for a payload that is none, or that begins before the take does.
+/// `InvalidArgument` for a payload without a complete header, or a stretch that begins before the take.
 pub fn put_moved(
     payload: &[u8],
     rows_before: u64,

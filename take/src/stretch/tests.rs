@@ -1,4 +1,4 @@
-//! Stretches there and back, and what a missing one does to the next.
+//! Round trips of stretches, and the effect of a missing one on the next.
 
 use mocapd_codec::{BlockReport, ResamplerKind, Rows, Settings, Tolerance};
 
@@ -14,7 +14,7 @@ use crate::{
 const TICK_HZ: u64 = 1_000_000;
 const STRETCH_ROWS: u32 = 30;
 
-/// Payloads of stretches with loss here and there, and the time lines they were made of.
+/// Payloads of `n` stretches with some loss, and the spans and time lines that they encode.
 fn written(n: u64) -> Vec<(Span, Timeline, Vec<u8>)> {
     let times = TimelineEncoder::new(TICK_HZ, 60.0);
     let mut front = FrontWriter::with_times(STRETCH_ROWS, times);
@@ -87,7 +87,7 @@ fn all_come_back_and_their_bytes_are_counted() {
     }
 }
 
-/// Nobody can know which rows the stretches after it have, and none is given up to the next key.
+/// The rows of the stretches after it are unknown, so none is assigned up to the next key stretch.
 #[test]
 fn behind_a_missing_stretch_no_row_is_given_that_could_be_wrong() {
     let written = written(64);
@@ -180,7 +180,7 @@ fn every_cut_and_every_mutation_gives_an_error_or_a_stretch() {
     }
 }
 
-/// Two groups, of which the second begins late and neither with samples in every stretch.
+/// Two groups: the second begins late, and neither has samples in every stretch.
 #[test]
 fn groups_are_decoded_side_by_side() {
     let settings =
@@ -190,7 +190,7 @@ fn groups_are_decoded_side_by_side() {
     let rows = |present| Rows::new(&positions, present).unwrap();
     let mut encoders = [settings.encoder(), settings.encoder()];
     let mut decoder = StretchDecoder::new(settings);
-    // Channels with samples, by stretch: of the first group's 64, and of two of the second.
+    // By stretch, channels with samples among the 64 of the first group and the two of the second.
     for (i, seen) in [[64, 0], [0, 0], [3, 0], [64, 2], [0, 1], [5, 0], [0, 2]].iter().enumerate() {
         let key = i % 5 == 0;
         let mut payload = Vec::new();
@@ -226,7 +226,7 @@ fn groups_are_decoded_side_by_side() {
     }
 }
 
-/// A take that begins in the middle of a recording: from any key stretch on, with rows and numbers of its own.
+/// A take that begins at any key stretch of a recording, with rows and numbers of its own.
 #[test]
 fn stretches_that_are_moved_come_back_at_their_new_rows() {
     let all = written(100);
