@@ -1,83 +1,83 @@
-//! The line itself: a function of the points and the round trips, and of nothing else.
+//! Fits the line: a function of the points and the round trips alone.
 
 use mocapd_take::record::{ClockBound, ClockLine, ClockPoint};
 
 use super::seconds;
 
-/// Most points, and most bursts, that a line is laid through: eight of the first ten seconds, and one each five
-/// seconds of a window of 120; a burst each half a minute, and those of the first.
+/// Most points, and most bursts, that a line is fitted to: eight points of the first ten seconds, and one per five
+/// seconds of a window of 120; a burst every half minute, and those of the beginning.
 pub(super) const POINTS_MAX: usize = 48;
 pub(super) const BURSTS_MAX: usize = 16;
 
-/// The steepest line: far beyond any oscillator (a crystal stays within 100 ppm, a ring within 2 %).
+/// Steepest line: far beyond any oscillator (a crystal stays within 100 ppm, a ring oscillator within 2 %).
 const DRIFT_MAX_PPM: f64 = 20_000.0;
 
-/// The steepest one that is thought of when a line's bound is worked out: five times what a crystal is off.
+/// Steepest line considered for the bound: five times the error of a crystal.
 const USUAL_PPM: f64 = 500.0;
 
-/// What a ppm must bring before it is believed, in seconds: less than that of observations say nothing of a
-/// rate.
+/// Regularisation: a rate of 1 ppm has to improve the fit by so many seconds times 1 ppm. Observations within less
+/// time say nothing about a rate.
 const PRIOR_S: f64 = 0.25;
 
-/// Bursts, and the seconds between the first and the last, from which on the round trips alone tell the rate:
+/// Number of bursts, and seconds between the first and the last, from which the round trips alone determine the rate:
 /// arrivals on a line that sends in batches can follow the batches' clock for minutes.
 const BURSTS_FOR_RATE: usize = 3;
 const SPAN_FOR_RATE_S: f64 = 1.0;
 
-/// What a microsecond beyond a bound costs, beside a microsecond of mean lateness: more than any rate gains.
-/// Beyond the second number it is more than how exactly a rate is searched for.
+/// Cost of a microsecond beyond a bound, relative to a microsecond of mean lateness: more than any rate gains.
+/// The second number is the violation tolerated, more than the resolution of the search for a rate.
 const RULED_OUT: f64 = 100.0;
 const BEYOND_US: f64 = 1.0;
 
-/// Frames that come later than this after their round trips are not of the same clock.
+/// Frames that come later than this after their round trips are stamped by another clock.
 const LATE_MAX_US: f64 = 10e6;
 
-/// What a bound is uncertain by at least: two readings of clocks.
+/// Smallest uncertainty of a bound: two clock readings.
 const NOISE_MIN_US: f64 = 3.0;
 
-/// Halvings by two thirds of the range of rates: down to a ten thousandth of a ppm.
+/// Steps of the search for a rate, each of which reduces the range to two thirds: down to a ten thousandth of a ppm.
 const STEPS: usize = 48;
 
-/// The best bounds of some round trips in a row.
+/// The best bounds of several consecutive round trips.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Burst {
-    /// When the first one was sent, in host microseconds.
+    /// When the first ping was sent, in host microseconds.
     pub first_us: u64,
-    /// The latest ping, seen from the device's clock: the line passes above it.
+    /// The latest ping by the device's clock: the line passes above it.
     pub low: ClockPoint,
     /// The earliest pong: the line passes below it.
     pub high: ClockPoint,
-    /// By how much the second best of these were worse, in microseconds: how far the best ones may be from the
-    /// least delay.
+    /// How much worse the second best ping was, in microseconds: an estimate of the distance of the best one from the
+    /// shortest delay.
     pub low_next_us: f64,
-    /// The same of `high`.
+    /// How much worse the second best pong was, in microseconds.
     pub high_next_us: f64,
 }
 
-/// A line, in full precision.
+/// A line in full precision.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Line {
-    /// Where it is told at: device ticks, and the host time of an observation there.
+    /// Its reference point: device ticks, and the host time of an observation there.
     pub at: ClockPoint,
-    /// How much later than `at.host_us` the line is there, in microseconds.
+    /// How much later than `at.host_us` the line is at the reference point, in microseconds.
     pub late_us: f64,
     /// How much faster the host's clock runs, in parts per million.
     pub drift_ppm: f64,
-    /// How far it can be off; `None` without a round trip.
+    /// The largest possible error; `None` without a round trip.
     pub bound: Option<Bound>,
 }
 
-/// How far a line can be off, if the drift is constant and within 500 ppm.
+/// The largest possible error of a line, if the drift is constant and within 500 ppm.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bound {
-    /// Where it is told, in microseconds.
+    /// Error of the offset at the reference point, in microseconds.
     pub offset_us: f64,
-    /// Its drift, in parts per million.
+    /// Error of the drift, in parts per million.
     pub drift_ppm: f64,
 }
 
 impl Line {
-    /// How long after the line something came, in microseconds; before it when negative.
+    /// How late an event was against the line, in microseconds; negative when early.
     #[must_use]
     pub fn lateness_us(&self, ticks: u64, host_ns: u64, tick_hz: f64) -> f64 {
         let passed_s = seconds(ticks, self.at.device_ticks, tick_hz);
@@ -85,7 +85,7 @@ impl Line {
         host_ns as f64 * 1e-3 - passed_s * (1e6 + self.drift_ppm) - self.late_us
     }
 
-    /// As a take stores it.
+    /// The line as stored in a take.
     #[must_use]
     pub fn stored(&self) -> ClockLine {
         let late_ns = (self.late_us * 1e3).round() as i64;
@@ -101,7 +101,7 @@ impl Line {
     }
 }
 
-/// What bounds the line on one side, as (seconds, microseconds beside the nominal rate).
+/// Points that bound the line on one side, as (seconds, microseconds beside the nominal rate).
 struct Side<const N: usize> {
     n: usize,
     x_s: [f64; N],
@@ -145,27 +145,27 @@ struct Sides {
     arrivals: Side<POINTS_MAX>,
     low: Side<BURSTS_MAX>,
     high: Side<BURSTS_MAX>,
-    /// What the bounds below and above scatter by.
+    /// Scatter of the bounds below and above, in microseconds.
     noise_us: [f64; 2],
     probes_tell_the_rate: bool,
 }
 
 impl Sides {
-    /// What there is between the bounds, in microseconds.
+    /// Width between the bounds, in microseconds.
     fn gap(&self, ppm: f64) -> f64 {
         self.arrivals.least(ppm).min(self.high.least(ppm)) - self.low.most(ppm)
     }
 
-    /// How much the bursts' bounds slacken, below and above, under lines of this rate.
+    /// Mean distance of the bursts' bounds from the tightest one, below and above, for lines of this rate.
     fn slack(&self, ppm: f64) -> [f64; 2] {
         [self.low.most(ppm) - self.low.mean(ppm), self.high.mean(ppm) - self.high.least(ppm)]
     }
 
-    /// How good a rate is. Concave: one search finds the best.
+    /// Score of a rate. It is concave, so that one search finds the maximum.
     ///
-    /// The least delay is the same all the time: bounds that come close to it follow a line of the right rate.
-    /// The side that scatters less counts for more. Frames tell a rate only while bursts do not, and none that
-    /// the bursts rule out.
+    /// The shortest delay is constant: bounds near it follow a line of the right rate. The side that scatters
+    /// less has more weight. Frames determine a rate only while bursts do not, and not one that the bursts
+    /// rule out.
     fn merit(&self, ppm: f64) -> f64 {
         let prior = PRIOR_S * ppm.abs();
         let ruled_out = if self.low.n > 0 { RULED_OUT * self.gap(ppm).min(0.0) } else { 0.0 };
@@ -178,8 +178,8 @@ impl Sides {
         self.arrivals.least(ppm) - self.arrivals.mean(ppm) - prior + ruled_out
     }
 
-    /// How far the truth may be from a line of the best rate, at the place where the line is told: over all
-    /// lines that keep the bounds, of a rate that oscillators have.
+    /// The largest distance of the true line from a line of the best rate, at the reference point, over all lines that
+    /// satisfy the bounds with a rate that oscillators have.
     fn bound(&self, best_ppm: f64, late_us: f64) -> Bound {
         let keeps = |ppm: f64| self.gap(ppm) >= 0.0;
         let [from, to] = [-1.0, 1.0].map(|sign| {
@@ -206,7 +206,7 @@ impl Sides {
     }
 }
 
-/// Where something concave is largest.
+/// The argument that maximises a concave function.
 fn peak(mut from: f64, mut to: f64, height: impl Fn(f64) -> f64) -> f64 {
     for _ in 0..STEPS {
         let third = (to - from) / 3.0;
@@ -225,16 +225,16 @@ fn noise_us(bursts: &[Burst]) -> [f64; 2] {
     [mean(|burst| burst.low_next_us), mean(|burst| burst.high_next_us)].map(|us| us + NOISE_MIN_US)
 }
 
-/// The line through points, oldest first, and bursts, oldest first; and how many of the oldest bursts do not
-/// belong to it, because no line has all bounds on the right sides. `None` when there is nothing.
+/// Fits a line to points and bursts, both oldest first. Returns it with the number of the oldest bursts that do not
+/// belong to it, because no line satisfies all bounds. `None` without observations.
 ///
-/// Where points and the last burst contradict each other, frames and pongs are not stamped by one clock: the
-/// line is that of the frames, and it has no bound.
+/// When the points contradict even the last burst, frames and pongs are stamped by different clocks: the
+/// line follows the frames and has no bound.
 #[must_use]
 pub fn fit(points: &[ClockPoint], bursts: &[Burst], tick_hz: f64) -> Option<(Line, usize)> {
     for outdated in 0..bursts.len() {
         let bursts = &bursts[outdated..];
-        // What came before the oldest burst that counts is as outdated as the ones before it.
+        // Points older than the oldest burst in use are as outdated as the earlier bursts.
         let since_us = if outdated == 0 { 0 } else { bursts[0].first_us };
         if let Some(line) = through(points, since_us, bursts, tick_hz) {
             return Some((line, outdated));
@@ -246,7 +246,7 @@ pub fn fit(points: &[ClockPoint], bursts: &[Burst], tick_hz: f64) -> Option<(Lin
 
 fn through(points: &[ClockPoint], since_us: u64, bursts: &[Burst], tick_hz: f64) -> Option<Line> {
     let at = *points.last().or(bursts.last().map(|burst| &burst.low))?;
-    // The last point always counts: bursts that do not go with it are not of the frames' clock.
+    // The last point always counts: bursts that contradict it belong to another clock.
     let (last, before) =
         points.split_last().map_or((None, points), |(last, rest)| (Some(last), rest));
     let recent = before.iter().filter(|point| point.host_us >= since_us).chain(last).copied();

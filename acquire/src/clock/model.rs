@@ -1,4 +1,4 @@
-//! The clock of one recording: its segments, the line of the one that runs, and how late frames come.
+//! The clock model of a recording: segments, the line of the current segment, and the lateness of frames.
 
 use mocapd_take::record::{ClockFit, ClockJitter, ClockLine, ClockPoint, ClockProbe};
 
@@ -9,54 +9,54 @@ use super::{
 };
 use crate::latency::Latency;
 
-/// What a take stores of it, as it comes.
+/// An item of the clock model for the take to store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ClockItem {
-    /// The earliest frame of a bin, in the segment.
+    /// The earliest frame of a bin, with the segment's number.
     Point(u32, ClockPoint),
-    /// A round trip, in the segment.
+    /// A round trip, with the segment's number.
     Probe(u32, ClockProbe),
-    /// The segment is over, and this was its line.
+    /// The final line of a segment that is over.
     Line(u32, ClockLine),
 }
 
-/// Takes what a take is to store; `false` when it cannot, and then the line is not laid through it either.
+/// Stores an item in the take. Returns `false` when it cannot, and then the line is not fitted to the item either.
 pub type Store<'a> = dyn FnMut(ClockItem) -> bool + 'a;
 
-/// The device's clock did what clocks do not: a new segment begins.
+/// A discontinuity of the device's clock: a new segment begins.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum ClockEvent {
-    /// Its ticks went back, by so many seconds.
+    /// The ticks went back by so many seconds.
     WentBack(f64),
-    /// It counts in 32 bits, and began again at 0.
+    /// A 32-bit counter wrapped to 0.
     Wrapped,
-    /// It is ahead by so many seconds more than before; behind when negative.
+    /// The clock jumped ahead by so many seconds; behind when negative.
     Jumped(f64),
 }
 
-/// How the clocks run, at some moment of a recording.
+/// The state of the clocks at one moment of a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ClockStatus {
-    /// Which segment, from 0.
+    /// Number of the segment, from 0.
     pub segment: u32,
-    /// Device clock ticks a second.
+    /// Device clock ticks per second.
     pub tick_hz: u64,
     /// The line.
     pub line: Option<ClockLine>,
-    /// How late frames come.
+    /// The lateness of frames.
     pub jitter: ClockJitter,
     /// Round trips so far.
     pub probes: u64,
-    /// Frames that were kept for the line so far.
+    /// Frames kept for the line so far.
     pub points: u64,
     /// Root mean square distance of arrivals from the line, in microseconds.
     pub residual_us: f64,
-    /// Items that were stored by then: the line was laid through these, and through none that came later.
+    /// Items stored so far: the line was fitted to these and to no later ones.
     pub stored: u64,
 }
 
 impl ClockStatus {
-    /// As a ledger stores it.
+    /// The fit as stored in a ledger.
     #[must_use]
     pub fn ledger(&self) -> Option<ClockFit> {
         let line = self.line?;
@@ -71,14 +71,14 @@ impl ClockStatus {
     }
 }
 
-/// Bounded, and fed by one thread.
+/// The clock model. Its memory is bounded, and a single thread feeds it.
 #[derive(Debug)]
 pub struct ClockModel {
     ticks_per_s: u64,
     tick_hz: f64,
     segment: u32,
     begun_us: Option<u64>,
-    /// The frame before: ticks and host microseconds.
+    /// Ticks and host microseconds of the preceding frame.
     last: Option<(u64, u64)>,
     arrivals: Arrivals,
     bursts: Bursts,
@@ -92,7 +92,7 @@ pub struct ClockModel {
 }
 
 impl ClockModel {
-    /// Of a device whose clock makes so many ticks a second.
+    /// A model of a device whose clock ticks `tick_hz` times per second.
     #[must_use]
     pub fn new(tick_hz: u64) -> Self {
         Self {
@@ -113,7 +113,7 @@ impl ClockModel {
         }
     }
 
-    /// A frame that arrived.
+    /// Accepts a frame.
     pub fn frame(
         &mut self,
         ticks: u64,
@@ -133,7 +133,7 @@ impl ClockModel {
             let age_us = host_us.saturating_sub(begun_us);
             match self.judge.frame(late_us, host_us, age_us, silent_us) {
                 Verdict::Fits => self.count(late_us),
-                // The next one is compared with the one before this.
+                // The next frame is compared with the one before this.
                 Verdict::Odd => return event,
                 Verdict::Jumped(by_us) => {
                     self.restart(store);
@@ -151,7 +151,7 @@ impl ClockModel {
         event
     }
 
-    /// A ping of `sent_ns` whose pong said `ticks` and arrived at `answered_ns`.
+    /// Accepts a round trip: a ping sent at `sent_ns` whose pong carried `ticks` and arrived at `answered_ns`.
     pub fn probe(
         &mut self,
         ticks: u64,
@@ -172,7 +172,7 @@ impl ClockModel {
             let (sent, answered) = (off(sent_ns), off(answered_ns));
             match self.judge.probe(&line, sent, answered, age_us, silent_us) {
                 Verdict::Fits => {}
-                // Left out of the line, and so of the take: whoever lays it again must not find it.
+                // Left out of the line, and so of the take: a refit must not find it.
                 Verdict::Odd => return None,
                 Verdict::Jumped(by_us) => {
                     self.restart(store);
@@ -189,7 +189,7 @@ impl ClockModel {
         event
     }
 
-    /// Lays the line through everything there is: at the end of a recording.
+    /// Fits the line to all observations, at the end of a recording.
     pub fn close(&mut self, store: &mut Store<'_>) {
         if let Some(closed) = self.arrivals.close() {
             self.keep(closed, store);
@@ -204,18 +204,18 @@ impl ClockModel {
         }
     }
 
-    /// Whether round trips would help now. Said once.
+    /// Whether round trips would help now. Returns `true` once.
     pub fn wants_probes(&mut self) -> bool {
         std::mem::take(&mut self.wants_probes)
     }
 
-    /// The line of the segment that runs.
+    /// The line of the current segment.
     #[must_use]
     pub fn line(&self) -> Option<&Line> {
         self.line.as_ref()
     }
 
-    /// How the clocks run.
+    /// The state of the clocks.
     #[must_use]
     pub fn status(&self) -> ClockStatus {
         let late = &self.lateness;
@@ -253,7 +253,8 @@ impl ClockModel {
         self.line.map_or(0.0, |line| line.drift_ppm)
     }
 
-    /// A clock that counts in 64 bits wraps in ten thousands of years; one of 32 bits does so in minutes.
+    /// Detects a clock that went back. A 64-bit counter wraps after ten thousands of years, a 32-bit one within
+    /// minutes.
     fn went_back(&self, ticks: u64, last: u64, silent_us: u64) -> Option<ClockEvent> {
         let by = last.wrapping_sub(ticks).cast_signed();
         if by <= 0 {
@@ -266,20 +267,21 @@ impl ClockModel {
         Some(if is_wrap { ClockEvent::Wrapped } else { ClockEvent::WentBack(back_s) })
     }
 
-    /// The device was away. Its clock may have gone on or not, and its way here may be another: a new segment.
+    /// Starts a new segment after the device was disconnected: its clock may or may not have continued, and its line to
+    /// the host may be another.
     pub fn rejoin(&mut self, store: &mut Store<'_>) {
         self.restart(store);
         self.last = None;
     }
 
-    /// A new segment; what is known of the old one is in the take.
+    /// Starts a new segment. What is known of the old one is in the take.
     fn restart(&mut self, store: &mut Store<'_>) {
         // A clock that jumps with every frame leaves nothing worth storing.
         if self.line.is_some() {
             self.close(store);
         }
         if let Some(line) = self.line {
-            // A take that cannot have it has the segment without a line.
+            // If the take cannot store the line, the segment has none.
             store(ClockItem::Line(self.segment, line.stored()));
         }
         self.segment = self.segment.saturating_add(1);
@@ -292,37 +294,37 @@ impl ClockModel {
     }
 }
 
-/// How far off an observation may be beside what is measured: a line of few points, a scheduler.
+/// Tolerance beside the measured one: for a line fitted to few points, and for the scheduler.
 const SLACK_US: f64 = 2_000.0;
 
-/// A segment younger than this has a line that a batch of frames may have turned.
+/// Age below which a batch of frames may have tilted a segment's line.
 const YOUNG_US: u64 = 3_000_000;
 const YOUNG_SLACK_US: f64 = 100_000.0;
 
-/// How fast a line may become wrong where nothing is observed, in microseconds a second: ten times what a
-/// crystal is off.
+/// How fast a line may become wrong without observations, in microseconds per second: ten times the error of
+/// a crystal.
 const STALE_US_PER_S: f64 = 1_000.0;
 
-/// So many times the mean lateness is still usual: batches are late by up to twice their mean.
+/// Multiple of the mean lateness that is still normal: batches are late by up to twice their mean.
 const USUAL: f64 = 4.0;
 
-/// Observations running that must say so before it is a jump: damage that its checksum does not show is single.
+/// Consecutive outliers that make a jump: damage that its checksum does not show is a single one.
 const IN_A_ROW: u32 = 3;
 
-/// Frames that stay later than usual for so long are no longer held up: it is the clock that fell behind.
+/// Frames that stay late for this long are not held up any more: the clock fell behind.
 const LATE_FOR_US: u64 = 30_000_000;
 
-/// What an observation says.
+/// How the gate classifies an observation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Verdict {
     Fits,
-    /// It cannot be, and is left out; it may be the first after a jump.
+    /// An outlier, which is left out; it may be the first observation after a jump.
     Odd,
     /// The clock jumped ahead by so many microseconds; back when negative.
     Jumped(f64),
 }
 
-/// Remembers what was odd of a segment.
+/// Separates outliers from jumps of the device's clock, within one segment.
 #[derive(Debug, Default)]
 pub(super) struct Judge {
     mean_late_us: f64,
@@ -340,8 +342,8 @@ impl Judge {
         SLACK_US + young + stale + USUAL * self.mean_late_us
     }
 
-    /// A frame that came so long after the line, at host time `host_us`, in a segment of that age, so long
-    /// after the observation before it.
+    /// Classifies a frame: its lateness against the line, its arrival, the age of the segment, and the time since the
+    /// preceding observation.
     pub(super) fn frame(
         &mut self,
         late_us: f64,
@@ -371,7 +373,7 @@ impl Judge {
         Verdict::Fits
     }
 
-    /// A round trip that began and ended so long after the line.
+    /// Classifies a round trip, given how late its ping and its pong were against the line.
     pub(super) fn probe(
         &mut self,
         line: &Line,
@@ -390,7 +392,7 @@ impl Judge {
             -answered_us
         } else {
             self.missed = 0;
-            // What comes late and is asked is late, and not another clock.
+            // Frames that are late together with a round trip that is not show a delay, not another clock.
             self.late_since_us = None;
             return Verdict::Fits;
         };
@@ -398,7 +400,7 @@ impl Judge {
         if self.missed >= IN_A_ROW { Verdict::Jumped(off_us) } else { Verdict::Odd }
     }
 
-    /// Whether a round trip would tell late frames from a clock that fell behind.
+    /// Whether a round trip would distinguish late frames from a clock that fell behind.
     pub(super) fn is_in_doubt(&self) -> bool {
         self.late == IN_A_ROW
     }

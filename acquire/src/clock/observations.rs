@@ -1,5 +1,5 @@
-//! What the line is laid through: the best bounds of each burst of round trips, and the earliest frame of each bin of
-//! time; the line through all of them; and the line of a take laid again from what it stores of them.
+//! The observations that the line is fitted to: the best bounds of each burst of round trips, and the earliest frame of
+//! each time bin. Also the fit itself, and the refit of a take's line from its stored observations.
 
 use std::collections::VecDeque;
 
@@ -13,14 +13,14 @@ use super::{
     seconds,
 };
 
-/// Round trips that begin within this of the first one are a burst: eight take at most 0.2 s, and the next
+/// Round trips that begin within this time of the first form a burst: eight take at most 0.2 s, and the next
 /// burst begins a second later at the earliest.
 const BURST_US: u64 = 500_000;
 
 const PROBES_MAX: usize = PROBES as usize;
 
-/// The bursts of a segment, oldest first, with all their round trips: which of these are the best depends on the rate
-/// of the line, which is another one with each observation.
+/// The bursts of a segment, oldest first, with all their round trips: which of them are best depends on the rate
+/// of the line, which changes with each observation.
 #[derive(Debug)]
 pub(super) struct Bursts {
     bursts: [Trips; BURSTS_MAX],
@@ -34,7 +34,7 @@ struct Trips {
     n: usize,
 }
 
-/// The best bounds of each burst, at some rate.
+/// The best bounds of each burst at one rate.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct BestBounds {
     bursts: [Burst; BURSTS_MAX],
@@ -46,7 +46,7 @@ impl BestBounds {
         &self.bursts[..self.n]
     }
 
-    /// Whether these are the same round trips.
+    /// Whether both select the same round trips.
     pub(super) fn are_of(&self, other: &Self) -> bool {
         let same = |(a, b): (&Burst, &Burst)| (a.low, a.high) == (b.low, b.high);
         self.n == other.n && self.all().iter().zip(other.all()).all(same)
@@ -74,7 +74,7 @@ impl Bursts {
         self.n += 1;
     }
 
-    /// The best bounds, when the host's clock runs faster by `drift_ppm`.
+    /// The best bounds if the host's clock runs faster by `drift_ppm`.
     pub(super) fn best(&self, drift_ppm: f64, tick_hz: f64) -> BestBounds {
         let mut best = BestBounds { bursts: [Burst::default(); BURSTS_MAX], n: self.n };
         for (burst, trips) in best.bursts.iter_mut().zip(&self.bursts[..self.n]) {
@@ -83,7 +83,7 @@ impl Bursts {
         best
     }
 
-    /// The oldest ones no longer count.
+    /// Drops the oldest bursts.
     fn forget(&mut self, n: usize) {
         self.bursts.copy_within(n..self.n, 0);
         self.n -= n;
@@ -134,17 +134,17 @@ impl Trips {
     }
 }
 
-/// How far the second best is from the best, after another one that is better by so much, or worse.
+/// Updates the distance of the second best from the best with another candidate, which is better by `better_us`.
 fn next_us(next_us: f64, better_us: f64) -> f64 {
     if better_us > 0.0 { better_us } else { next_us.min(-better_us) }
 }
 
-/// How long a bin is, by the age of the segment: short ones, so that there is a line soon, then as long as a take
+/// Length of a bin, by the age of the segment: short at first, so that there is a line soon, then as long as a take
 /// can afford to store (some six bytes each).
 const BINS_US: [(u64, u64); 4] =
     [(250_000, 250_000), (4_000_000, 1_000_000), (10_000_000, 2_000_000), (u64::MAX, 5_000_000)];
 
-/// The points of a segment, oldest first, and the bin that is filled.
+/// The points of a segment, oldest first, and the open bin.
 #[derive(Debug)]
 pub(super) struct Arrivals {
     points: [ClockPoint; POINTS_MAX],
@@ -168,7 +168,7 @@ impl Arrivals {
         &self.points[..self.n]
     }
 
-    /// Takes a frame in. Gives the point of a bin that it ended, for [`keep`](Self::keep).
+    /// Accepts a frame. Returns the point of the bin that it closes, for [`keep`](Self::keep).
     pub(super) fn add(
         &mut self,
         frame: ClockPoint,
@@ -195,12 +195,12 @@ impl Arrivals {
         None
     }
 
-    /// Ends the bin that is open, and gives its point.
+    /// Closes the open bin and returns its point.
     pub(super) fn close(&mut self) -> Option<ClockPoint> {
         self.open.take().map(|open| open.earliest)
     }
 
-    /// The line is laid through this point, too.
+    /// Adds a point to those that the line is fitted to.
     pub(super) fn keep(&mut self, newest: ClockPoint) {
         let expired =
             |point: &&ClockPoint| point.host_us.saturating_add(WINDOW_US) < newest.host_us;
@@ -216,16 +216,16 @@ impl Arrivals {
     }
 }
 
-/// Rounds at most. Two are mostly enough, because a rate hardly changes; where few round trips were held up, the choice
-/// can go on between two or three.
+/// Most rounds. Two are usually enough, because a rate hardly changes; where few round trips were held up, the choice
+/// can cycle between two or three.
 const ROUNDS_MAX: usize = 8;
 
-/// A rate that is so near is the same: within a burst of half a second it is 0.005 us.
+/// Rates this close count as equal: within a burst of half a second the difference is 0.005 us.
 const SAME_PPM: f64 = 0.01;
 
-/// The line through the best round trips at the rate `from_ppm`, then through the best ones at its own rate, and so on
-/// until these are the same: the last one is the line. From its rate on, the same lines come again: so it can be found
-/// from what a take stores.
+/// Fits a line to the best round trips at the rate `from_ppm`, then to the best ones at its own rate, and so on until
+/// the choice is stable: the last line is the result. Started from its rate, the fit yields the same line: this is how
+/// it can be verified from what a take stores.
 pub(super) fn lines(
     points: &[ClockPoint],
     bursts: &Bursts,
@@ -243,28 +243,28 @@ pub(super) fn lines(
     })
 }
 
-/// Round trips that are held: ten a second, which is the link's budget, over the window.
+/// Most round trips to hold: ten per second, which is the link's budget, over the window.
 const STORED_PROBES_MAX: usize = 1200;
 
-/// How far the two lines may lie apart, beside a quarter of the bound: in takes of the first versions, which round trip
-/// of a burst was the best was chosen with the rate known then, and not with the last one as here.
+/// Permitted distance of the two lines, beside a quarter of the bound: the first versions chose the best round trip of
+/// a burst with the rate known at that time, and not with the final one as here.
 const APART_US: f64 = 20.0;
 const APART_PPM: f64 = 2.0;
 
-/// How far a stored line lies from the one that its observations give.
+/// How far a stored line is from the line refitted to its observations.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Apart {
-    /// Where the line is told, in microseconds: the stored one is later when negative.
+    /// At the reference point, in microseconds: negative when the stored line is later.
     #[serde(rename = "apart_us")]
     pub offset_us: f64,
-    /// Its drift, in parts per million.
+    /// Difference of the drift, in parts per million.
     #[serde(rename = "apart_ppm")]
     pub drift_ppm: f64,
-    /// Whether both are as near as they have to be.
+    /// Whether both are within the permitted distance.
     pub agrees: bool,
 }
 
-/// Takes in a take's CLOCK records, in order; bounded.
+/// Refits a take's clock line from its CLOCK records, added in order. Its memory is bounded.
 #[derive(Debug, Default)]
 pub struct LineAgain {
     segment: u32,
@@ -275,7 +275,7 @@ pub struct LineAgain {
 }
 
 impl LineAgain {
-    /// The next record.
+    /// Adds the next record.
     pub fn add(&mut self, clock: &Clock) {
         if clock.segment != self.segment {
             *self = Self { segment: clock.segment, ..Self::default() };
@@ -288,7 +288,7 @@ impl LineAgain {
         self.probes.drain(..self.probes.len().saturating_sub(STORED_PROBES_MAX));
     }
 
-    /// The last record's line against its observations; `None` where there is no line.
+    /// Compares the last record's line with its observations; `None` if there is no line.
     #[must_use]
     pub fn apart(&self) -> Option<Apart> {
         let stored = self.line?;
@@ -301,13 +301,13 @@ impl LineAgain {
         for &probe in &self.probes {
             bursts.add(probe);
         }
-        // The choice between round trips may go on between a few lines: the stored one is the nearest.
+        // The choice of round trips may cycle between a few lines: take the nearest one.
         let all = lines(&points, &bursts, stored_ppm, tick_hz);
         let nearest = all.map(|line| apart(&line, &stored, tick_hz)).min_by(|a, b| {
             let nearer = a.offset_us.abs().total_cmp(&b.offset_us.abs());
             b.agrees.cmp(&a.agrees).then(nearer)
         });
-        // A line of nothing.
+        // The line has no observations.
         let nothing = Apart { offset_us: f64::INFINITY, drift_ppm: f64::INFINITY, agrees: false };
         Some(nearest.unwrap_or(nothing))
     }

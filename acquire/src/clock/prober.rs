@@ -1,50 +1,50 @@
-//! When to ask the device for its clock.
+//! Schedules pings, which ask the device for its clock.
 //!
-//! Round trips come in bursts of eight, of which the best bounds count. On a line that sends what it has once
-//! in a while (an FTDI adapter: every 16 ms), a pong waits for the next sending, and a burst that does not
-//! care when it asks never sees a short way back. So a burst on such a line measures the time between two
-//! sendings and asks shortly before the next one.
+//! Round trips come in bursts of eight, of which the best bounds count. On a line that sends in batches (an FTDI
+//! adapter: every 16 ms), a pong waits for the next batch, and a burst timed at random never sees a short way
+//! back. On such a line a burst therefore measures the batch interval and sends its pings shortly before the next
+//! batch.
 
-/// Round trips of a burst: as in LSL.
+/// Round trips of a burst, as in LSL.
 pub(super) const PROBES: u32 = 8;
 
-/// Between two bursts, in seconds: often at the start, so that there is a rate after four seconds and a good one
-/// after nine, then as often as a take can afford to store (some 50 bytes a burst). A full window holds four.
+/// Seconds between two bursts: short at the start, so that there is a rate after four seconds and a good one
+/// after nine, then as long as a take can afford to store (some 50 bytes a burst). A full window holds four.
 const INTERVALS_S: [u64; 6] = [1, 3, 5, 11, 20, 30];
 
-/// The link's budget has room for ten pongs a second (docs/link-protocol.md), and a clock that jumps with every
-/// frame is not to be asked all the time.
+/// Shortest time between bursts on request. The link's budget allows ten pongs a second (docs/link-protocol.md), and a
+/// clock that jumps with every frame must not be queried all the time.
 const HURRY_NS: u64 = 2 * SECOND_NS;
 
 const SECOND_NS: u64 = 1_000_000_000;
 
-/// An answer that takes longer is no longer waited for.
+/// Time to wait for an answer.
 const ANSWER_NS: u64 = 500_000_000;
 
-/// A device that left so many without an answer is not asked again, until one comes after all: it was stalled.
+/// Number of unanswered pings in a row after which the device is not queried again until a late answer comes.
 const UNANSWERED_MAX: u32 = 2 * PROBES;
 
-/// Pings that may still be answered.
+/// Number of pings that may still be answered.
 const PENDING: usize = 8;
 
-/// Between two round trips of a burst on a line that sends at once, so that they are not all held up by the
-/// same thing.
+/// Time between two round trips of a burst on a line that sends at once, so that one disturbance does not
+/// delay all of them.
 const APART_NS: u64 = 10_000_000;
 
-/// A round trip below this did not wait for a sending.
+/// A shorter round trip did not wait for a batch.
 const QUICK_NS: u64 = 400_000;
 
-/// The longest time between two sendings that is waited for: 16 ms, and what a scheduler adds. Nothing can
-/// arrive meanwhile.
+/// Longest batch interval to synchronise with: 16 ms, and what a scheduler adds. Nothing can
+/// arrive during the wait.
 const PERIOD_MAX_NS: u64 = 20_000_000;
 
-/// How long before a sending is asked at least: what a sleep is late by on an idle machine.
+/// Shortest time from a ping to the batch that answers it: how late a sleep ends on an idle machine.
 const AHEAD_MIN_NS: u64 = 80_000;
 
-/// Asked too late so many times in a row: the time between two sendings is measured again.
+/// Number of pings in a row that missed their batch, after which the interval is measured again.
 const MISSES_MAX: u32 = 3;
 
-/// Sans-io: tells when a ping is due, and is told what was sent and answered.
+/// Schedules pings. Sans-io: the caller reports what was sent and answered.
 #[derive(Debug, Default)]
 pub struct Prober {
     off: bool,
@@ -62,25 +62,25 @@ pub struct Prober {
 
 #[derive(Debug, Default)]
 struct Aim {
-    /// Between two sendings; 0 while not known.
+    /// The batch interval; 0 while unknown.
     period_ns: u64,
     ahead_ns: u64,
     misses: u32,
     missed: bool,
-    /// The last pong of this burst came then.
+    /// Arrival of this burst's last pong.
     last_pong_ns: Option<u64>,
-    /// The ping that is under way was sent at its time before a sending.
+    /// The pending ping was timed to precede a batch.
     aimed: bool,
 }
 
 impl Prober {
-    /// A first burst is due at once.
+    /// A prober whose first burst is due at once.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// When the next ping is to be sent, if that is now, or so soon that it is worth sleeping until then.
+    /// When to send the next ping, if that is now, or so soon that the caller should sleep until then.
     pub fn due(&mut self, now_ns: u64) -> Option<u64> {
         if self.off {
             return None;
@@ -117,7 +117,7 @@ impl Prober {
         self.aim.aimed = false;
     }
 
-    /// Something is not as it was: as at the start, but not sooner than links have room for.
+    /// Starts the schedule again because the clocks changed, but no sooner than links allow.
     pub fn hurry(&mut self) {
         if self.bursts > 0 {
             self.bursts = 0;
@@ -126,7 +126,7 @@ impl Prober {
         }
     }
 
-    /// A ping was sent.
+    /// Reports that a ping was sent.
     pub fn sent(&mut self, at_ns: u64) {
         self.left = self.left.saturating_sub(1);
         self.waiting_since_ns = Some(at_ns);
@@ -135,12 +135,12 @@ impl Prober {
         self.aim.aimed = std::mem::take(&mut self.waits);
     }
 
-    /// The device cannot be asked.
+    /// Stops probing: the device cannot be queried.
     pub fn off(&mut self) {
         self.off = true;
     }
 
-    /// A pong that carries `sent_ns`. Whether it answers one of these pings.
+    /// Reports a pong that carries `sent_ns`. Returns whether it answers one of these pings.
     pub fn answered(&mut self, sent_ns: u64, now_ns: u64) -> bool {
         let Some(ping) = self.pending.iter_mut().find(|ping| **ping == Some(sent_ns)) else {
             return false;
@@ -148,7 +148,7 @@ impl Prober {
         *ping = None;
         self.unanswered = 0;
         self.off = false;
-        // One that came late is as good a bound as any, but says nothing of when to ask.
+        // A late answer is as good a bound as any, but says nothing about when to send.
         if self.waiting_since_ns == Some(sent_ns) {
             self.waiting_since_ns = None;
             (self.ready_ns, self.waits) = self.aim.next(sent_ns, now_ns);
@@ -158,8 +158,8 @@ impl Prober {
 }
 
 impl Aim {
-    /// A pong that was seen late made the time between two sendings wrong; each pong since shows it again, or
-    /// twice of it.
+    /// Corrects the batch interval, which a pong noticed late has made wrong: later pongs show it again, or
+    /// twice its length.
     fn correct(&mut self, now_ns: u64, before_ns: Option<u64>) {
         let passed_ns = now_ns.saturating_sub(before_ns.unwrap_or(now_ns));
         let times = (passed_ns + self.period_ns / 2) / self.period_ns.max(1);
@@ -168,7 +168,7 @@ impl Aim {
         }
     }
 
-    /// After a round trip: when to ask next, and whether to sleep until then.
+    /// After a round trip: when to send the next ping, and whether to sleep until then.
     fn next(&mut self, sent_ns: u64, now_ns: u64) -> (u64, bool) {
         let trip_ns = now_ns.saturating_sub(sent_ns);
         let before_ns = self.last_pong_ns.replace(now_ns);
@@ -176,7 +176,7 @@ impl Aim {
             self.correct(now_ns, before_ns);
             if trip_ns <= self.period_ns / 2 {
                 self.misses = 0;
-                // By half until one came too late, then with care.
+                // Halve it until a ping was too late, then reduce it carefully.
                 let less_ns = self.ahead_ns / if self.missed { 4 } else { 2 };
                 self.ahead_ns = (self.ahead_ns - less_ns).max(AHEAD_MIN_NS);
             } else if trip_ns <= 2 * self.period_ns {
@@ -192,7 +192,7 @@ impl Aim {
             self.period_ns = 0;
             return (now_ns.saturating_add(APART_NS), false);
         } else if self.period_ns == 0 {
-            // Sent at once when the pong before came, with a sending, it came with the next one.
+            // A ping sent as soon as the preceding pong came, with a batch, was answered with the next batch.
             if let Some(before_ns) = before_ns
                 && sent_ns.saturating_sub(before_ns) < QUICK_NS
             {
