@@ -103,7 +103,7 @@ pub enum EncodeError {
     },
     /// A frame lists an id twice, or not in ascending order.
     #[error(
-        "marker {id} follows marker {previous}; sort the markers of a frame by id, without duplicates"
+        "marker {id} follows marker {previous}; sort a frame's markers by id, without duplicates"
     )]
     IdsNotAscending {
         /// Id before it.

@@ -35,7 +35,7 @@ pub fn access(path: &Path) -> Access {
 
 /// The command that gives the user permission to open `path`.
 pub(super) fn permission_remedy(path: &Path) -> String {
-    let by_rule = || "install mocapd's udev rules, or ask the administrator of this machine".to_owned();
+    let by_rule = || "install mocapd's udev rules, or ask your administrator".to_owned();
     group_remedy(path).unwrap_or_else(by_rule)
 }
 

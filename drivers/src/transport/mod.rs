@@ -83,7 +83,7 @@ pub trait Transport: Send + Debug {
 pub enum TransportError {
     /// No such device.
     #[error(
-        "{device} does not exist: plug the device in, or list what is attached with `mocapd devices`"
+        "{device} does not exist; plug the device in, or list what is attached with `mocapd devices`"
     )]
     NotFound {
         /// Path, or USB ids and serial number.

@@ -5,7 +5,7 @@
 
 #![expect(
     unsafe_code,
-    reason = "TTYPort returns its descriptor as a plain integer; no safe crate wraps these two ioctls"
+    reason = "TTYPort returns its descriptor as an integer; no safe crate wraps the two ioctls"
 )]
 
 use std::{

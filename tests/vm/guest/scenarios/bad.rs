@@ -157,7 +157,7 @@ pub(crate) fn lies() -> Measured {
     small.max_packet_size_hs = 24;
     let packets = liar("LIAR3", vec![small, Endpoint::bulk(from)])?;
     // The controller does not take such a configuration: the device stays without one.
-    let (took_3, _) = refused("usb:1209:0001:LIAR3", &["is no device that this build reads"])?;
+    let (took_3, _) = refused("usb:1209:0001:LIAR3", &["is not a device that mocapd can read"])?;
     drop(packets);
     let longest = took_1.max(took_2).max(took_3);
     Ok(format!("three lies refused, each within {:.1} s", longest.as_secs_f64()))

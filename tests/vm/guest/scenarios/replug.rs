@@ -167,7 +167,7 @@ pub(crate) fn another() -> Measured {
     wait_for_absence("SERIAL1")?;
     let second = Simulator::bulk("SERIAL2", &ENDLESS)?;
     recorder.said(
-        "still waiting: usb:1209:0001:SERIAL1 (attached of its kind: usb:1209:0001:SERIAL2)",
+        "still waiting: usb:1209:0001:SERIAL1 (attached with these ids: usb:1209:0001:SERIAL2)",
         PATIENCE,
     )?;
     let ran = recorder.finish(PATIENCE * 3)?.with_code(3)?;
