@@ -1,4 +1,4 @@
-//! Time lines to bytes and back: docs/take-format.md, "The time line".
+//! Encodes and decodes time lines: docs/take-format.md, "The time line".
 
 use mocapd_codec::range::{BinaryCoder, RangeDecoder, RangeEncoder};
 
@@ -8,7 +8,7 @@ use super::{
 };
 use crate::varint;
 
-/// What runs on from row to row, over stretches, up to the next key stretch.
+/// State that continues from row to row and across stretches, up to the next key stretch.
 #[derive(Debug)]
 pub(super) struct State {
     last_row: u64,
@@ -18,7 +18,7 @@ pub(super) struct State {
     timecodes: Timecodes,
 }
 
-/// What a key stretch states of its first recorded row.
+/// The clock state that a key stretch states for its first recorded row.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Anchor {
     pub(super) shift: u8,
@@ -28,7 +28,7 @@ pub(super) struct Anchor {
 }
 
 impl State {
-    /// Before any row: everything is an error from zero.
+    /// The state before any row: everything is coded as a difference from zero.
     pub(super) fn nothing_known(tick_hz: u64) -> Self {
         Self {
             last_row: 0,
@@ -51,7 +51,8 @@ impl State {
         })
     }
 
-    /// Encodes the time of `row` and gives it back as a decoder will have it, or gives the decoded one.
+    /// Encodes the time of `row` and returns it as a decoder will reconstruct it; with a decoder, returns the decoded
+    /// time.
     fn row(&mut self, coder: &mut impl BinaryCoder, row: u64, time: RowTime) -> RowTime {
         let rows = row.wrapping_sub(std::mem::replace(&mut self.last_row, row));
         let predicted = self.pace.predict(rows);
@@ -63,7 +64,7 @@ impl State {
         RowTime { device_ticks, arrival_10us, timecode: self.timecodes.code(coder, time.timecode) }
     }
 
-    /// All rows of a stretch. The times of the anchored row are those of the anchor.
+    /// Codes all rows of a stretch. The anchor gives the times of the first row of a key stretch.
     pub(super) fn rows(
         &mut self,
         coder: &mut impl BinaryCoder,
@@ -97,7 +98,7 @@ impl Anchor {
         Some(Self { shift, period: Period { ticks: period_ticks, rows }, ticks, arrival_10us })
     }
 
-    /// Bytes of the anchor and the coded times at the front of `cursor`, passed over.
+    /// Skips the anchor and the coded times at the front of `cursor`.
     fn pass(cursor: &mut varint::Cursor<'_>, key: bool) -> Option<()> {
         if key {
             Self::take(cursor)?;
@@ -106,33 +107,33 @@ impl Anchor {
     }
 }
 
-/// What [`TimelineEncoder::encode`] wrote, cut off the front of `cursor`.
+/// Splits what [`TimelineEncoder::encode`] wrote off the front of `cursor`.
 pub(crate) fn take_times<'a>(cursor: &mut varint::Cursor<'a>, key: bool) -> Option<&'a [u8]> {
     let all = cursor.rest();
     Anchor::pass(cursor, key)?;
     all.get(..all.len() - cursor.rest().len())
 }
 
-/// Steps of arrivals that the writer chooses from, as powers of two of 10 us: 160, 320 and 640 us. The
-/// longest that is not above a sixteenth of the period: batches and frames held back show, and half a
-/// step is below what a serial or USB line leaves of the true time anyway.
+/// Quantisation steps of arrivals that the encoder can use, as powers of two of 10 us: 160, 320 and 640 us. It takes
+/// the longest that does not exceed a sixteenth of the frame period: batched and delayed frames still show, and the
+/// jitter of a serial or USB line exceeds half a step anyway.
 const SHIFTS: [u8; 3] = [6, 5, 4];
 
-/// Codes the time lines of a take's stretches, in order.
+/// Encodes the time lines of a take's stretches, in order.
 #[derive(Debug)]
 pub struct TimelineEncoder {
     tick_hz: u64,
     nominal: Period,
-    /// Of the arrivals' step.
+    /// The quantisation step of arrivals.
     pub(super) shift: u8,
     state: State,
-    /// First and last recorded row since the last key stretch, and their ticks.
+    /// First and last recorded row since the last key stretch, with their ticks.
     measured: Option<((u64, u64), (u64, u64))>,
     coded: Vec<u8>,
 }
 
 impl TimelineEncoder {
-    /// For a device with so many ticks (0 counts as 1) and rows a second.
+    /// An encoder for a device with `tick_hz` ticks (0 counts as 1) and `rate_hz` rows per second.
     #[must_use]
     pub fn new(tick_hz: u64, rate_hz: f64) -> Self {
         let longest = |shift: &u8| (1 << shift) as f64 * rate_hz * 16.0 <= 100_000.0;
@@ -146,13 +147,13 @@ impl TimelineEncoder {
         }
     }
 
-    /// Makes room for stretches of so many recorded rows, so that coding need not:
-    /// 16 bytes are more than clocks and arrivals take that are not noise of hours.
+    /// Reserves memory for stretches of `n_rows` recorded rows, so that encoding does not allocate. Clocks and arrivals
+    /// take fewer than 16 bytes per row unless they are noise with an amplitude of hours.
     pub fn reserve(&mut self, n_rows: usize) {
         self.coded.reserve(n_rows.saturating_mul(16));
     }
 
-    /// Appends the anchor of a key stretch, the length of the coded times, and these; nothing without a
+    /// Appends the anchor of a key stretch, the length of the coded times, and the coded times; nothing without a
     /// recorded row.
     pub(crate) fn encode(&mut self, timeline: &Timeline, key: bool, out: &mut Vec<u8>) {
         if key {
@@ -175,7 +176,7 @@ impl TimelineEncoder {
         self.coded.clear();
         let mut coder = RangeEncoder::new(&mut self.coded, usize::MAX);
         self.state.rows(&mut coder, key, timeline.recorded(), |_| {});
-        // Never over a limit that is none.
+        // The encoder has no limit to exceed.
         let _fits = coder.finish();
         varint::put(out, self.coded.len() as u64);
         out.extend_from_slice(&self.coded);
@@ -184,8 +185,8 @@ impl TimelineEncoder {
         self.measured = last.map(|last| (first, last));
     }
 
-    /// Of what the device's rate says, and what was measured since the last key stretch and over this one,
-    /// the period that is wrong in the fewest rows.
+    /// Chooses among the nominal period, the period measured since the last key stretch, and that of this stretch: the
+    /// one that mispredicts the fewest rows.
     fn period(&self, timeline: &Timeline) -> Period {
         let ends = timeline.recorded().next().zip(timeline.recorded().last());
         let here = ends.and_then(|(first, last)| {
@@ -213,7 +214,7 @@ impl TimelineEncoder {
     }
 }
 
-/// Reads the time lines of a take's stretches, in order.
+/// Decodes the time lines of a take's stretches, in order.
 #[derive(Debug)]
 pub(crate) struct TimelineDecoder {
     tick_hz: u64,
@@ -225,8 +226,8 @@ impl TimelineDecoder {
         Self { tick_hz, state: State::nothing_known(tick_hz) }
     }
 
-    /// Fills the times of `timeline`, whose runs are known. Unless `key`, the stretch before must have been
-    /// decoded. `None` when the bytes cannot be such times.
+    /// Decodes the times of `timeline`, whose runs are known. Unless `key`, the previous stretch must have been
+    /// decoded. `None` for invalid bytes.
     pub(crate) fn decode(
         &mut self,
         timeline: &mut Timeline,

@@ -1,21 +1,21 @@
-//! What predicts ticks, arrivals and timecodes from row to row, and codes how far it was wrong.
+//! Adaptive models that predict ticks, arrivals and timecodes from row to row and code the prediction errors.
 
 use mocapd_codec::range::{BinaryCoder, Bit};
 
 // Signed integers that are mostly near zero: docs/take-format.md, "Numbers".
 
-/// How far the last two values are told apart: a line that batches makes a saw-tooth of them.
+/// Contexts distinguish the last two values up to these magnitudes; batched arrivals make a saw-tooth of them.
 const LAST_MAX: i64 = 3;
 const BEFORE_MAX: i64 = 1;
 const CONTEXTS: usize = ((2 * LAST_MAX + 1) * (2 * BEFORE_MAX + 1)) as usize;
 
-/// Magnitudes up to this, less one, are spelled in unary.
+/// Magnitudes up to this are coded in unary.
 const LONGER: usize = 12;
 
-/// Classes of activity begin at these.
+/// Lower limits of the activity classes.
 const CLASSES: [u32; 5] = [12, 48, 128, 320, 1024];
 
-/// An adaptive model of one kind of number.
+/// An adaptive model of one kind of signed integer.
 #[derive(Debug)]
 pub(super) struct Number {
     nonzero: [Bit; CONTEXTS],
@@ -28,7 +28,7 @@ pub(super) struct Number {
 }
 
 impl Number {
-    /// Starts from the odds, in 1/256, that a number after two zeros is none.
+    /// `odds`: the initial probability, in 1/256, that a value after two zeros is not zero.
     pub(super) fn new(odds: u8) -> Self {
         let mut nonzero = [Bit::expecting(128); CONTEXTS];
         nonzero[CONTEXTS / 2] = Bit::expecting(odds);
@@ -43,7 +43,7 @@ impl Number {
         }
     }
 
-    /// Encodes `value` and gives it back, or ignores it and gives the decoded one.
+    /// Encodes `value` and returns it; with a decoder, ignores it and returns the decoded value.
     pub(super) fn code(&mut self, coder: &mut impl BinaryCoder, value: i64) -> i64 {
         let last = self.last.clamp(-LAST_MAX, LAST_MAX) + LAST_MAX;
         let before = self.before.clamp(-BEFORE_MAX, BEFORE_MAX) + BEFORE_MAX;
@@ -61,7 +61,7 @@ impl Number {
         value
     }
 
-    /// At least 1, modulo 2^64.
+    /// Codes a magnitude of at least 1, modulo 2^64.
     fn code_magnitude(&mut self, coder: &mut impl BinaryCoder, magnitude: u64) -> u64 {
         let class = CLASSES.iter().filter(|&&from| self.activity >= from).count();
         for (steps, longer) in (1..).zip(&mut self.longer[class]) {
@@ -69,7 +69,7 @@ impl Number {
                 return steps;
             }
         }
-        // What is left, and one more, has its highest bit at `exponent`.
+        // `rest`, at least 1, has its highest bit at `exponent`.
         let rest = magnitude.wrapping_sub(LONGER as u64);
         let top = rest.max(1).ilog2();
         let mut exponent = 0;
@@ -81,12 +81,12 @@ impl Number {
     }
 }
 
-// Device ticks from row to row: so many ticks in so many rows, and what is left of a tick between them.
+// Device ticks from row to row: a rational number of ticks per row, and the fraction of a tick carried between rows.
 
-/// Rows of a period that is given: that of any rate a device names.
+/// Most rows of a period; enough for any rate that devices state.
 const ROWS_MAX: u64 = 0xffff;
 
-/// A period, as ticks in rows.
+/// A frame period, as a number of ticks in a number of rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Period {
     pub(super) ticks: u64,
@@ -95,7 +95,7 @@ pub(super) struct Period {
 }
 
 impl Period {
-    /// The shortest that is within a tick in a million rows of the rate, or the nearest there is.
+    /// The shortest period that is within one tick per million rows of the rate, or the closest.
     pub(super) fn of_rate(tick_hz: u64, rate_hz: f64) -> Self {
         let wanted = tick_hz.max(1) as f64 / rate_hz;
         // Convergents of the continued fraction; casts saturate.
@@ -116,7 +116,7 @@ impl Period {
         Self { ticks: last.0, rows: last.1 }
     }
 
-    /// Measured between two rows; `None` when they are too far apart, or time did not pass.
+    /// The period measured between two rows; `None` if they are too far apart, or ticks decreased.
     pub(super) fn between(first: (u64, u64), last: (u64, u64)) -> Option<Self> {
         let rows = last.0.checked_sub(first.0).filter(|n| (1..=ROWS_MAX).contains(n))?;
         let ticks = last.1.checked_sub(first.1)?;
@@ -128,28 +128,28 @@ impl Period {
     }
 }
 
-/// Predicts the ticks of each row from those of the row before.
+/// Predicts the ticks of each row from those of the previous one.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Pace {
     period: Period,
     ticks: u64,
-    /// What has passed of the next tick, in 1/`period.rows`.
+    /// Elapsed fraction of the next tick, in 1/`period.rows`.
     part: u64,
 }
 
 impl Pace {
-    /// From a row with these ticks. `None` for a period without rows or with too many.
+    /// Starts at a row with these ticks. `None` for a period of no rows or too many.
     pub(super) fn new(period: Period, ticks: u64) -> Option<Self> {
         let part = period.rows / 2;
         (1..=ROWS_MAX).contains(&period.rows).then_some(Self { period, ticks, part })
     }
 
-    /// A clock that stands still.
+    /// A clock that does not advance.
     pub(super) fn still() -> Self {
         Self { period: Period { ticks: 0, rows: 1 }, ticks: 0, part: 0 }
     }
 
-    /// The ticks of the row that is so many rows on.
+    /// The ticks predicted for the row that is `rows` rows further on.
     pub(super) fn predict(&mut self, rows: u64) -> u64 {
         let n = u128::from(self.period.rows);
         let passed = u128::from(self.part) + u128::from(self.period.ticks) * u128::from(rows);
@@ -158,10 +158,10 @@ impl Pace {
         self.ticks
     }
 
-    /// By how much that was wrong.
+    /// Corrects the prediction by its error.
     pub(super) fn correct(&mut self, error: i64) {
         self.ticks = self.ticks.wrapping_add_signed(error);
-        // The part that is nearest to what was predicted.
+        // The fraction closest to the predicted one.
         match error {
             0 => {}
             1.. => self.part = 0,
@@ -170,36 +170,36 @@ impl Pace {
     }
 }
 
-// Arrivals: a line through device time that follows them, and steps off it.
+// Arrivals: a line over device time follows them; arrivals are coded as steps from it.
 
 /// Fraction bits of offset and slope.
 const FRACTION: u32 = 16;
 
-/// How much of a step the offset and the slope take over: 1/16 and 1/4096.
+/// Adaptation rates of offset and slope per step: 1/16 and 1/4096.
 const OFFSET_SHIFT: u32 = 4;
 const SLOPE_SHIFT: u32 = 12;
 
-/// Beyond so many steps the line begins anew: a batch, or a clock that was set.
+/// Beyond this many steps the line restarts: a batch, or a clock that was set.
 const STEPS_MAX: u64 = 64;
 
-/// The line strays no further from where it began: six hours, or as much a row.
+/// Largest offset from the start of the line: six hours. The limit of the slope per row is the same.
 const STRAY_MAX: i64 = 1 << 47;
 
-/// Rows that came with the row before them are counted up to this.
+/// Most rows that are counted as arriving together with the previous row.
 const BATCH_MAX: usize = 7;
 
-/// Longest step: three minutes.
+/// Longest quantisation step: three minutes.
 pub(super) const SHIFT_MAX: u8 = 24;
 
-/// What follows the arrivals from row to row.
+/// Predicts arrivals from row to row.
 #[derive(Debug)]
 pub(super) struct Line {
     tick_hz: u64,
-    /// The step is 10 us times two to this.
+    /// The quantisation step is 10 us times two to this power.
     shift: u8,
     from_ticks: u64,
     from_arrival_10us: u64,
-    /// How far the line lies above that, and by how much more each row, in 10 us / 65536.
+    /// Offset of the line from its start, and its increase per row, in 10 us / 65536.
     offset: i64,
     slope: i64,
     last_10us: u64,
@@ -209,7 +209,7 @@ pub(super) struct Line {
 }
 
 impl Line {
-    /// From a row that arrived so.
+    /// Starts at a row with these ticks and this arrival.
     pub(super) fn new(tick_hz: u64, shift: u8, ticks: u64, arrival_10us: u64) -> Self {
         let mut together = [Bit::expecting(128); BATCH_MAX + 1];
         together[0] = Bit::expecting(2);
@@ -227,7 +227,8 @@ impl Line {
         }
     }
 
-    /// The row `rows` after the last: its arrival to within half a step, or the one that is decoded.
+    /// Encodes the arrival of the row `rows` after the last one and returns it to within half a step; with a decoder,
+    /// returns the decoded arrival.
     pub(super) fn code(
         &mut self,
         coder: &mut impl BinaryCoder,
@@ -270,27 +271,27 @@ fn stray(value: i64) -> i64 {
     value.clamp(-STRAY_MAX, STRAY_MAX)
 }
 
-/// From `b` to `a`, the short way round.
+/// The signed distance from `b` to `a` modulo 2^64.
 fn distance(a: u64, b: u64) -> i64 {
     a.wrapping_sub(b).cast_signed()
 }
 
-// Timecodes: as the row before, one frame on, or spelled out.
+// Timecodes: equal to the previous one, one frame later, or stored in full.
 
-/// Rows of one timecode are counted up to this: 480 Hz at 30 frames a second.
+/// Most rows of one timecode that are counted: 480 Hz at 30 frames per second.
 const HELD_MAX: usize = 16;
 
-/// Predicts each timecode from the one before.
+/// Predicts each timecode from the previous one.
 #[derive(Debug)]
 pub(super) struct Timecodes {
     last: Option<[u8; 4]>,
-    /// Rows since it changed.
+    /// Rows since the last change.
     n_held: usize,
-    /// The frame number from which the seconds were last seen to change.
+    /// The frame number at which the seconds last advanced.
     top: u8,
     present: [Bit; 2],
     held: [Bit; HELD_MAX + 1],
-    /// The next frame; one set for the frame at the top.
+    /// Contexts: other frame numbers, and the one in `top`.
     next: [Bit; 2],
     carry: [Bit; 2],
 }
@@ -308,7 +309,7 @@ impl Timecodes {
         }
     }
 
-    /// Encodes `timecode` and gives it back, or ignores it and gives the decoded one.
+    /// Encodes `timecode` and returns it; with a decoder, ignores it and returns the decoded one.
     pub(super) fn code(
         &mut self,
         coder: &mut impl BinaryCoder,

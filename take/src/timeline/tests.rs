@@ -1,11 +1,11 @@
-//! Time lines there and back, whatever the clocks did.
+//! Round trips of time lines with arbitrary clocks.
 
 use proptest::prelude::{Just, Strategy, any, prop, prop_oneof, proptest};
 
 use super::{Causes, RowTime, Timeline, TimelineDecoder, TimelineEncoder, take_times};
 use crate::varint::Cursor;
 
-/// What became of the rows of one stretch.
+/// The rows of one stretch.
 #[derive(Debug, Clone)]
 struct Part {
     key: bool,
@@ -14,7 +14,7 @@ struct Part {
     times: Vec<RowTime>,
 }
 
-/// Steady or jumping clocks, arrivals in order or not, timecodes there or not.
+/// Steady or jumping clocks, arrivals in order or not, timecodes present or not.
 fn time() -> impl Strategy<Value = RowTime> {
     let ticks = prop_oneof![4 => 0..2_000_000_u64, 1 => any::<u64>()];
     let arrival = prop_oneof![4 => 0..100_000_u64, 1 => any::<u64>()];
@@ -47,7 +47,7 @@ fn timeline(first_row: u64, part: &Part) -> Timeline {
     timeline
 }
 
-/// Codes and decodes parts that follow each other; gives the bytes.
+/// Encodes and decodes consecutive stretches; returns the bytes.
 fn there_and_back(parts: &[Part], tick_hz: u64, rate_hz: f64) -> Vec<Vec<u8>> {
     let mut encoder = TimelineEncoder::new(tick_hz, rate_hz);
     let mut decoder = TimelineDecoder::new(tick_hz);
@@ -107,11 +107,11 @@ proptest! {
     }
 }
 
-/// Half a second after half a second, keys every ten, arrivals late by what `late_10us` says.
+/// Stretches of half a second with keys every ten seconds; arrivals are late by `late_10us`.
 fn steady(tick_hz: u64, rate_hz: f64, late_10us: impl Fn(u64) -> u64) -> Vec<Part> {
     let rows = (rate_hz / 2.0) as u64;
     let time = |row: u64| {
-        // The counter began before the recording.
+        // The counter started before the recording.
         let seconds = (row + 12_345) as f64 / rate_hz;
         RowTime {
             device_ticks: (seconds * tick_hz as f64).round() as u64,
@@ -140,7 +140,7 @@ fn a_steady_clock_costs_nothing_whatever_its_period() {
     ] {
         let parts = steady(tick_hz, rate_hz, |_| 3);
         for (part, bytes) in parts.iter().zip(there_and_back(&parts, tick_hz, rate_hz)) {
-            // A key stretch states its clocks; the first rows tell where between two ticks they lie.
+            // A key stretch states its clocks; the first rows locate the exposure between two ticks.
             let most = if part.key { 28 } else { 3 };
             assert!(bytes.len() <= most, "{tick_hz} at {rate_hz}: {} bytes", bytes.len());
         }
@@ -149,7 +149,7 @@ fn a_steady_clock_costs_nothing_whatever_its_period() {
 
 #[test]
 fn a_rate_that_is_not_the_stated_one_is_measured() {
-    // A divider that cannot do 240 Hz: 4167 ticks a row, and so a clock that runs 80 ppm fast.
+    // A divider that cannot produce 240 Hz: 4167 ticks per row, so the clock runs 80 ppm fast.
     let parts = steady(1_000_080, 240.0, |_| 3);
     for (part, bytes) in parts.iter().zip(there_and_back(&parts, 1_000_000, 240.0)) {
         assert!(part.key || bytes.len() <= 6, "{} bytes", bytes.len());
@@ -158,7 +158,7 @@ fn a_rate_that_is_not_the_stated_one_is_measured() {
 
 #[test]
 fn batches_cost_little() {
-    // Frames come four at a time.
+    // Frames arrive in batches of four.
     let parts = steady(1_000_000, 240.0, |row| (3 - row % 4) * 417);
     let coded = there_and_back(&parts, 1_000_000, 240.0);
     let bytes: usize = coded.iter().map(Vec::len).sum();
