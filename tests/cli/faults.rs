@@ -77,7 +77,7 @@ fn agrees(name: &str) {
     let totals = played.sent.faults.as_ref().unwrap();
     for windowed in &script.faults {
         let kind = windowed.fault.kind();
-        assert!(totals.parts.of(kind) > 0, "{}: {}", kind.name(), totals.words());
+        assert!(totals.counts.of(kind) > 0, "{}: {}", kind.name(), totals.summary());
     }
     words_agree(&played.report["ledger"], &played.info, &expect);
     take_holds_what_was_sent(&folder, &script, &played);

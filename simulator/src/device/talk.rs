@@ -1,27 +1,27 @@
-//! Commands and their answers, as `docs/link-protocol.md` section 3 has them.
+//! The device's commands and answers, as specified in `docs/link-protocol.md` section 3.
 
 use std::sync::Arc;
 
 use mocapd_drivers::device::{Command, LinkBudget, Pong};
 use mocapd_drivers::link::{DeviceLink, frame_bytes_in_volume, frame_bytes_max, link_budget};
 
-use super::{Device, LineDevice, RATE_MHZ, Run, SECOND_NS, SentCounters};
+use super::{Device, LineDevice, RATE_MILLIHERTZ, Run, SECOND_NS, SentCounters};
 
 impl Device {
-    /// Queues the end of stream that is owed, as soon as there is room.
-    pub(super) fn say_end(&mut self) {
-        if let Some(status) = self.owed_end
+    /// Queues a pending end of stream once there is room.
+    pub(super) fn send_end_of_stream(&mut self) {
+        if let Some(status) = self.pending_end
             && self.outbox.has_room(0)
         {
-            self.owed_end = None;
-            self.end_said = true;
+            self.pending_end = None;
+            self.end_sent = true;
             self.log.ends += 1;
             let link = &mut self.link;
             self.outbox.put(false, |out| link.end_of_stream(status, out));
         }
     }
 
-    /// Queues an answer, unless the host asks faster than it reads.
+    /// Queues an answer; drops it when the queue is full because the host does not read.
     pub(super) fn answer(&mut self, write: impl FnOnce(&mut DeviceLink, &mut Vec<u8>)) {
         if self.outbox.has_room(0) {
             let link = &mut self.link;
@@ -31,7 +31,7 @@ impl Device {
         }
     }
 
-    pub(super) fn obey(&mut self, command: Command, now_ns: u64) {
+    pub(super) fn execute(&mut self, command: Command, now_ns: u64) {
         match command {
             Command::Identify => self.identify(),
             Command::Ping { host_ns } => {
@@ -45,16 +45,16 @@ impl Device {
                 self.poll(now_ns);
                 self.end();
                 self.finished = false;
-                self.say_end();
+                self.send_end_of_stream();
             }
         }
     }
 
-    /// After Hello a device is stopped, and what waited for another host is not for this one.
+    /// Stops the device, discards frames queued for an earlier host, and queues Hello and the marker table.
     pub(super) fn identify(&mut self) {
         self.run = None;
-        self.owed_end = None;
-        self.end_said = false;
+        self.pending_end = None;
+        self.end_sent = false;
         self.outbox.discard();
         if self.finished {
             let status = self.status();
@@ -63,16 +63,16 @@ impl Device {
         let hello = self.hello.clone();
         let table = std::mem::take(&mut self.table);
         self.answer(|link, out| {
-            // Both were written once when the device was made.
-            let said = link.hello(&hello, out).and_then(|()| link.markers(&table, out));
-            debug_assert!(said.is_ok());
+            // Both were encoded once when the device was made.
+            let outcome = link.hello(&hello, out).and_then(|()| link.markers(&table, out));
+            debug_assert!(outcome.is_ok());
         });
         self.table = table;
     }
 
     pub(super) fn end(&mut self) {
         self.run = None;
-        self.owed_end = Some(self.status());
+        self.pending_end = Some(self.status());
     }
 
     fn budget(&self, rate_mhz: u32, host_line_bytes_per_s: u64) -> LinkBudget {
@@ -90,14 +90,14 @@ impl Device {
             return;
         }
         if !self.outbox.has_room(0) {
-            // Frames must not come without Started before them: the host says it again.
+            // Frames must not come without Started before them: the host will repeat its Start.
             self.log.answers_dropped += 1;
             return;
         }
-        // Said again while it runs, Start changes nothing: the answer was lost, not the command.
+        // A Start repeated during a run changes nothing: the answer was lost, not the command.
         if self.run.is_none() {
-            self.owed_end = None;
-            self.end_said = false;
+            self.pending_end = None;
+            self.end_sent = false;
             self.finished = false;
             self.log.starts += 1;
             self.first_start_ns.get_or_insert(now_ns);
@@ -112,7 +112,7 @@ impl Device {
         if self.run.is_some() {
             budget.rate_fits_mhz = self.hello.rate_mhz;
         }
-        if self.run.is_some() || !RATE_MHZ.contains(&rate_mhz) || !budget.fits() {
+        if self.run.is_some() || !RATE_MILLIHERTZ.contains(&rate_mhz) || !budget.fits() {
             self.log.refused += 1;
             self.answer(|link, out| link.refused(budget, out));
             return;

@@ -119,7 +119,7 @@ impl Line for Serial {
         Ok(u64::from(self.open.is_some() && self.written.elapsed() < UNREAD))
     }
 
-    fn tend(&mut self) -> io::Result<()> {
+    fn maintain(&mut self) -> io::Result<()> {
         if self.open.is_none() {
             self.open = open(&self.port).ok();
         }

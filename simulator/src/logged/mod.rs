@@ -1,5 +1,5 @@
-//! A raw log as a device, sans-io: what the device said when it was logged, in the logged time, to a host that goes
-//! through the same talk again.
+//! Replays a raw log as the device that it was recorded from. Sans-io: it sends the logged bytes at the logged times,
+//! to a host that repeats the logged exchange of commands.
 
 mod pongs;
 mod steps;
@@ -14,91 +14,93 @@ use mocapd_drivers::link::DeviceLink;
 use mocapd_drivers::raw_log::RawLogError;
 
 use crate::device::{LineDevice, SentFrame, SentLog};
-use pongs::Pongs;
-use steps::{Barrier, Doing, Steps};
+use pongs::PongRewriter;
+use steps::{Barrier, Action, Steps};
 
-/// What a host said and the log does not wait for yet. A host repeats a command five times at most.
-const HEARD_MAX: usize = 16;
+/// Most commands that a host may send ahead of the log. A host repeats a command five times at most.
+const RECEIVED_MAX: usize = 16;
 
-/// Why a log cannot be a device.
+/// Why a log cannot be replayed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum LogDeviceError {
-    /// It cannot be read.
+    /// The file is not a readable log.
     #[error(transparent)]
     Log(#[from] RawLogError),
-    /// It is of a device that is spoken to otherwise.
+    /// The log is from a device of another protocol.
     #[error(
-        "the log is of a device of the family '{driver}', and only those of the link protocol (dvmc) can be replayed: an NDI \
-         system is found by breaks and at other speeds of its line, which a replay has not"
+        "this log is of driver '{driver}', but only logs of the link protocol (dvmc) can be replayed: an NDI \
+         system needs breaks and changes of line speed, which a pty does not carry"
     )]
     Driver {
-        /// The family.
+        /// The driver in the log.
         driver: String,
     },
-    /// The device said nothing.
-    #[error("the device said nothing in this log: there is nothing to replay")]
+    /// The log holds no bytes from the device.
+    #[error("nothing to replay: the log has no bytes from the device")]
     Silent,
-    /// Nor could it be read.
-    #[error("nothing of what the device said can be read: {0}")]
+    /// The log is damaged before the first bytes from the device.
+    #[error("nothing to replay before the log breaks off: {0}")]
     Unreadable(RawLogError),
-    /// Hello and ticks are as logged, and time is not.
-    #[error("speed {found} is out of range: give 0.001 to 1000")]
+    /// The requested speed is out of range.
+    #[error("speed {found} is out of range: expected 0.001 to 1000")]
     Speed {
-        /// As it was given.
+        /// The requested speed.
         found: f64,
     },
 }
 
-/// Why a replay is not all that went over the line.
+/// Why a replay is incomplete.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum LogProblem {
-    /// The log cannot be read to its end.
+    /// The log is not readable to its end.
     #[error(transparent)]
     Unreadable(#[from] RawLogError),
-    /// The log itself has holes.
-    #[error("{bytes} bytes are missing in the log: its disk was too slow")]
+    /// The recorder could not write all bytes to the log.
+    #[error("{bytes} bytes are missing from the log: the disk was too slow for the recorder")]
     Missing {
-        /// In all of them.
+        /// Total of all gaps, bytes.
         bytes: u64,
     },
 }
 
-/// A device that says what is in a log.
+/// A device that replays a raw log.
 #[derive(Debug)]
 pub struct LogDevice {
     steps: Steps,
     speed: f64,
     next: usize,
-    /// A time of the log, and the caller's that it is.
+    /// A time of the log and the caller's time that corresponds to it, nanoseconds.
     anchor: Option<(u64, u64)>,
-    /// Of the step at hand, bytes that were said.
-    said: usize,
-    heard: VecDeque<Barrier>,
+    /// Bytes of the current step that are sent.
+    offset: usize,
+    received: VecDeque<Barrier>,
     host: DeviceLink,
-    pongs: Pongs,
+    pongs: PongRewriter,
     out: Vec<u8>,
-    /// Between Hello and Start a host waits for its Pong.
-    greeting: bool,
-    /// Its host said Stop, and not Start since: with Identify behind it that is how a host begins that opened the line.
+    /// Before Start, when a host waits for the Pong to its Ping.
+    handshaking: bool,
+    /// The host has sent Stop and no Start since. Identify after such a Stop is the greeting of a host that opens the
+    /// line.
     stopped: bool,
-    /// It was started since its line was opened.
+    /// A Start was received since the line was opened.
     started: bool,
     plugged: bool,
-    /// The log is over, and says of no end: the device is not there any more.
+    /// The log is over without an end of stream: the device has disappeared.
     gone: bool,
-    /// The line is open, and no host has said anything.
-    unheard: bool,
+    /// The line is open and no host has sent anything yet.
+    awaits_host: bool,
     log: SentLog,
     problems: Vec<LogProblem>,
 }
 
 impl LogDevice {
-    /// A device that waits for its host. It is played `speed` times as fast as it was logged.
+    /// Creates a device that waits for its host and replays the log at `speed` times the logged speed.
     ///
     /// # Errors
-    /// When the log is none, holds nothing, or is of another family.
+    /// When the log is unreadable or holds no bytes of the device, is of another protocol, or the speed is out of
+    /// range.
     pub fn new(log: &[u8], speed: f64) -> Result<Self, LogDeviceError> {
         if !(0.001..=1000.0).contains(&speed) {
             return Err(LogDeviceError::Speed { found: speed });
@@ -107,7 +109,7 @@ impl LogDevice {
             RawLogError::CutOff { .. } => LogDeviceError::Unreadable(error),
             _ => LogDeviceError::Log(error),
         })?;
-        if steps.said.is_empty() {
+        if steps.bytes.is_empty() {
             return Err(steps.problem.map_or(LogDeviceError::Silent, LogDeviceError::Unreadable));
         }
         if steps.driver != "dvmc" {
@@ -122,35 +124,35 @@ impl LogDevice {
             speed,
             next: 0,
             anchor: None,
-            said: 0,
-            heard: VecDeque::with_capacity(HEARD_MAX),
+            offset: 0,
+            received: VecDeque::with_capacity(RECEIVED_MAX),
             host: DeviceLink::new(),
-            pongs: Pongs::new(),
+            pongs: PongRewriter::new(),
             out: Vec::new(),
-            greeting: true,
+            handshaking: true,
             stopped: false,
             started: false,
             plugged: true,
             gone: false,
-            unheard: true,
+            awaits_host: true,
             log: SentLog::default(),
             problems,
         })
     }
 
-    /// Why the replay is not all that went over the line.
+    /// Why the replay is incomplete; empty for a whole log.
     #[must_use]
     pub fn problems(&self) -> &[LogProblem] {
         &self.problems
     }
 
-    /// Whether the cable is pulled in the log: then the line needs a name that lasts.
+    /// Whether the cable is pulled in the log, which needs a line that can come back under the same name.
     #[must_use]
     pub fn unplugs(&self) -> bool {
         self.steps.unplugs()
     }
 
-    fn obey(&mut self, command: Command, now_ns: u64) {
+    fn execute(&mut self, command: Command, now_ns: u64) {
         if let Command::Ping { host_ns } = command {
             self.pongs.ping(host_ns, now_ns);
         }
@@ -160,12 +162,12 @@ impl LogDevice {
             self.rewind();
         }
         self.stopped &= barrier != Barrier::Start;
-        if self.heard.len() < HEARD_MAX {
-            self.heard.push_back(barrier);
+        if self.received.len() < RECEIVED_MAX {
+            self.received.push_back(barrier);
         }
     }
 
-    /// Whether an Identify is of a host that opened the line anew, and not of one that asks because it hears nothing.
+    /// Whether an Identify comes from a host that has just opened the line, rather than from one that lost its answers.
     fn is_another_host(&self) -> bool {
         let is_over = self.next == self.steps.steps.len();
         let is_awaited = self.next_barrier() == Some(Barrier::Identify) && !self.started;
@@ -173,39 +175,39 @@ impl LogDevice {
     }
 
     fn next_barrier(&self) -> Option<Barrier> {
-        self.steps.steps.get(self.next..)?.iter().find_map(|step| match step.doing {
-            Doing::Hear(barrier) => Some(barrier),
+        self.steps.steps.get(self.next..)?.iter().find_map(|step| match step.action {
+            Action::Await(barrier) => Some(barrier),
             _ => None,
         })
     }
 
-    /// A host that needs fewer tries than the logged one does not say what the log waits for: the log goes on where it
-    /// waits for what the host did say, unless the cable is pulled before.
-    fn skip_to_what_was_heard(&mut self) -> bool {
-        let Some(heard) = self.heard.pop_front() else { return false };
+    /// Skips to the step that waits for the command received, unless the cable is pulled before it. A host that needs
+    /// fewer tries than the logged one does not send every command that the log waits for.
+    fn skip_to_received(&mut self) -> bool {
+        let Some(barrier) = self.received.pop_front() else { return false };
         let rest = self.steps.steps.get(self.next..).unwrap_or_default();
-        let until_pulled = rest.iter().take_while(|step| step.doing != Doing::Unplug);
-        let Some(ahead) = until_pulled.into_iter().position(|s| s.doing == Doing::Hear(heard))
+        let until_pulled = rest.iter().take_while(|step| step.action != Action::Unplug);
+        let Some(ahead) = until_pulled.into_iter().position(|s| s.action == Action::Await(barrier))
         else {
             return false;
         };
-        self.heard.push_front(heard);
-        (self.next, self.said) = (self.next + ahead, 0);
+        self.received.push_front(barrier);
+        (self.next, self.offset) = (self.next + ahead, 0);
         true
     }
 
-    /// Another host: the log from its first Hello.
+    /// Restarts the log from its first Identify, for a new host.
     fn rewind(&mut self) {
-        let is_first = |step: &steps::Step| step.doing == Doing::Hear(Barrier::Identify);
+        let is_first = |step: &steps::Step| step.action == Action::Await(Barrier::Identify);
         self.next = self.steps.steps.iter().position(is_first).unwrap_or(0);
-        (self.said, self.anchor) = (0, None);
-        self.heard.clear();
+        (self.offset, self.anchor) = (0, None);
+        self.received.clear();
         self.pongs.clear();
         self.out.clear();
-        (self.greeting, self.started) = (true, false);
+        (self.handshaking, self.started) = (true, false);
     }
 
-    /// When a time of the log comes, or came; all has come before the first.
+    /// Converts times of the log to the caller's; 0 before the first anchor.
     fn clock(&self) -> impl Fn(u64) -> u64 + use<> {
         let (anchor, speed) = (self.anchor, self.speed);
         move |at_ns| {
@@ -219,19 +221,19 @@ impl LogDevice {
         }
     }
 
-    /// Does what is due, and gives the time of what is next.
+    /// Does the steps that are due, and returns the time of the next.
     fn play(&mut self, now_ns: u64) -> u64 {
         while let Some(step) = self.steps.steps.get(self.next).copied() {
-            if let Doing::Hear(barrier) = step.doing {
-                if !self.heard.contains(&barrier) {
-                    if self.skip_to_what_was_heard() {
+            if let Action::Await(barrier) = step.action {
+                if !self.received.contains(&barrier) {
+                    if self.skip_to_received() {
                         continue;
                     }
                     return u64::MAX;
                 }
-                while self.heard.pop_front().is_some_and(|heard| heard != barrier) {}
+                while self.received.pop_front().is_some_and(|other| other != barrier) {}
                 self.log.starts += u64::from(barrier == Barrier::Start);
-                self.greeting = barrier != Barrier::Start;
+                self.handshaking = barrier != Barrier::Start;
                 self.started |= barrier == Barrier::Start;
                 self.anchor = Some((step.at_ns, now_ns));
                 self.next += 1;
@@ -241,42 +243,42 @@ impl LogDevice {
             if due_ns > now_ns {
                 return due_ns;
             }
-            match step.doing {
-                Doing::Say { start, end } => {
-                    let said = self.steps.said.get(start + self.said..end).unwrap_or_default();
+            match step.action {
+                Action::Send { start, end } => {
+                    let bytes = self.steps.bytes.get(start + self.offset..end).unwrap_or_default();
                     let (pings, due_ns) = (&self.steps.pings, self.clock());
                     let asked_ns = |host_ns: u64| pings.get(&host_ns).map(|at_ns| due_ns(*at_ns));
                     let out = &mut self.out;
-                    let n = self.pongs.pass(said, now_ns, self.greeting, asked_ns, out);
-                    self.said += n;
-                    if n < said.len() {
+                    let n = self.pongs.pass(bytes, now_ns, self.handshaking, asked_ns, out);
+                    self.offset += n;
+                    if n < bytes.len() {
                         return u64::MAX;
                     }
                 }
-                Doing::Unplug | Doing::Leave => {
+                Action::Unplug | Action::Disappear => {
                     self.pongs.flush(&mut self.out);
                     if !self.out.is_empty() {
-                        // What was said before the cable was pulled reaches the host.
+                        // Bytes sent before the cable was pulled still reach the host.
                         return now_ns;
                     }
-                    if step.doing == Doing::Leave {
+                    if step.action == Action::Disappear {
                         self.gone = true;
                         return u64::MAX;
                     }
                     self.plugged = false;
                 }
-                Doing::PlugIn => {
-                    (self.plugged, self.unheard, self.greeting) = (true, true, true);
+                Action::PlugIn => {
+                    (self.plugged, self.awaits_host, self.handshaking) = (true, true, true);
                     (self.started, self.stopped) = (false, false);
                     self.pongs.clear();
-                    self.heard.clear();
+                    self.received.clear();
                 }
-                Doing::Hear(_) => {}
+                Action::Await(_) => {}
             }
-            self.said = 0;
+            self.offset = 0;
             self.next += 1;
             self.anchor.get_or_insert((step.at_ns, now_ns));
-            if self.unheard {
+            if self.awaits_host {
                 return u64::MAX;
             }
         }
@@ -290,16 +292,16 @@ impl LineDevice for LogDevice {
         if !self.plugged || self.gone {
             return;
         }
-        self.unheard = false;
+        self.awaits_host = false;
         let mut commands = Vec::new();
         self.host.push(bytes, &mut |command| commands.push(command));
         for command in commands {
-            self.obey(command, now_ns);
+            self.execute(command, now_ns);
         }
     }
 
     fn poll(&mut self, now_ns: u64) -> u64 {
-        if self.unheard && self.plugged { u64::MAX } else { self.play(now_ns) }
+        if self.awaits_host && self.plugged { u64::MAX } else { self.play(now_ns) }
     }
 
     fn pending(&self) -> &[u8] {
@@ -328,7 +330,7 @@ impl LineDevice for LogDevice {
         self.log.clone()
     }
 
-    /// A log of bytes knows no frames.
+    /// A raw log holds bytes, not frames: there is nothing to keep.
     fn keep_frame_log(&mut self) {}
 
     fn take_frames(&mut self) -> Vec<SentFrame> {

@@ -1,40 +1,41 @@
-//! The logged bytes as they are, but for one thing: a Pong says back the time of the Ping that it answers, and the
-//! pings of today have other times than those of the log.
+//! Passes the logged bytes on unchanged, except for Pongs: a Pong echoes the time of its Ping, and the pings of the
+//! replay carry other times than the logged ones.
 
 use std::collections::VecDeque;
 
 use mocapd_drivers::device::{DeviceEvent, Pong, Protocol};
 use mocapd_drivers::link::{DeviceLink, HostLink};
 
-/// A Pong on the wire has 24 bytes: what is longer and not closed yet is none, and need not be held back.
+/// Length of a Pong on the wire. A longer message without its 0x00 is something else and need not be held back.
 const PONG_BYTES_MAX: usize = 24;
 
-/// Pings that wait for a Pong. A host sends eight in a row.
+/// Most pings that wait for a Pong. A host sends eight in a row.
 const PINGS_MAX: usize = 16;
 
-/// A ping that waited so long is not answered any more: it tells nothing of the clocks.
+/// A ping older than this is not answered: such a round trip says nothing about the clocks.
 const PING_NS_MAX: u64 = 200_000_000;
 
-/// A ping, and when it came.
+/// A ping and its time of arrival.
 #[derive(Debug, Clone, Copy)]
 struct Ping {
     host_ns: u64,
     came_ns: u64,
 }
 
+/// Finds Pongs in a byte stream, and makes them answer the host's pings.
 #[derive(Debug)]
-pub(super) struct Pongs {
+pub(super) struct PongRewriter {
     pings: VecDeque<Ping>,
-    /// What was said since the last 0x00 and is held back.
+    /// Bytes since the last 0x00 that are held back.
     open: Vec<u8>,
-    /// More than a Pong was said since the last 0x00.
+    /// The message since the last 0x00 is longer than a Pong.
     is_long: bool,
     reader: HostLink,
     link: DeviceLink,
     message: Vec<u8>,
 }
 
-impl Pongs {
+impl PongRewriter {
     pub(super) fn new() -> Self {
         Self {
             pings: VecDeque::with_capacity(PINGS_MAX),
@@ -53,20 +54,20 @@ impl Pongs {
         self.pings.push_back(Ping { host_ns, came_ns });
     }
 
-    /// Passes logged bytes on. Gives how many it took: all, but where a Pong has no Ping to answer and `waits`.
+    /// Passes logged bytes on and returns how many. With `waits` it stops at a Pong that has no Ping to answer;
+    /// otherwise it passes all.
     ///
-    /// `asked_ns` gives the time at which the Ping of a logged Pong was said, by the caller's clock. Without `waits`
-    /// only a Ping that came before that is answered: the ticks of a Pong are never older than its Ping, or the line
-    /// through the clocks would be wrong.
+    /// `asked_ns` gives the time of the Ping of a logged Pong, by the caller's clock. Without `waits`, only a Ping that
+    /// came before it is answered: a Pong whose ticks are older than its Ping would spoil the clock fit.
     pub(super) fn pass(
         &mut self,
-        said: &[u8],
+        bytes: &[u8],
         now_ns: u64,
         waits: bool,
         asked_ns: impl Fn(u64) -> Option<u64>,
         out: &mut Vec<u8>,
     ) -> usize {
-        for (taken, &byte) in said.iter().enumerate() {
+        for (taken, &byte) in bytes.iter().enumerate() {
             self.open.push(byte);
             if byte != 0 || self.is_long {
                 self.is_long |= self.open.len() > PONG_BYTES_MAX;
@@ -101,10 +102,10 @@ impl Pongs {
                 None => self.flush(out),
             }
         }
-        said.len()
+        bytes.len()
     }
 
-    /// What is held back goes out as it is.
+    /// Passes the held-back bytes on unchanged.
     pub(super) fn flush(&mut self, out: &mut Vec<u8>) {
         out.append(&mut self.open);
     }
@@ -115,7 +116,7 @@ impl Pongs {
         self.pings.clear();
     }
 
-    /// The Pong that the message held back is.
+    /// Decodes the held-back message, if it is a Pong.
     fn pong(&mut self) -> Option<Pong> {
         let mut found = None;
         self.reader.push(&self.open, &mut |event| {

@@ -1,4 +1,4 @@
-//! A raw log as steps: what the device said and when, and what it waited for.
+//! Turns a raw log into steps: the bytes that the device sent and when, and the commands that it waited for.
 
 use std::collections::HashMap;
 
@@ -6,7 +6,8 @@ use mocapd_drivers::device::{Command, DeviceEvent, Protocol};
 use mocapd_drivers::link::{DeviceLink, HostLink};
 use mocapd_drivers::raw_log::{Entry, RawLogError, Record, records};
 
-/// What a host must say before a device goes on. Pings and Stop come when the host likes: nothing waits for them.
+/// A command that the host must send before the replay continues. Ping and Stop may come at any time: nothing waits for
+/// them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Barrier {
     Identify,
@@ -25,18 +26,18 @@ impl Barrier {
     }
 }
 
-/// What happens next.
+/// What a step does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Doing {
-    /// These bytes of all that the device said.
+pub(super) enum Action {
+    /// Sends this range of [`Steps::bytes`].
     Say { start: usize, end: usize },
-    /// The host has to say this.
+    /// Waits for a command of the host.
     Hear(Barrier),
-    /// The cable is pulled.
+    /// Pulls the cable.
     Unplug,
-    /// And put in again.
+    /// Plugs the cable in again.
     PlugIn,
-    /// The log is over, and the device had not ended its stream: nobody knows what it said then.
+    /// Ends a log whose stream had not ended: what the device sent afterwards is unknown.
     Leave,
 }
 
@@ -44,32 +45,32 @@ pub(super) enum Doing {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Step {
     pub(super) at_ns: u64,
-    pub(super) doing: Doing,
+    pub(super) action: Action,
 }
 
-/// A log, taken apart.
+/// The steps of a log.
 #[derive(Debug, Default)]
 pub(super) struct Steps {
     pub(super) steps: Vec<Step>,
-    /// Everything the device said.
-    pub(super) said: Vec<u8>,
-    /// When each Ping was said, by the time that it carried.
+    /// All bytes from the device.
+    pub(super) bytes: Vec<u8>,
+    /// Time of each Ping in the log, by the host time that it carries.
     pub(super) pings: HashMap<u64, u64>,
     pub(super) driver: String,
     pub(super) missing_bytes: u64,
-    /// Why the log was not read to its end.
+    /// Why reading stopped before the log's end.
     pub(super) problem: Option<RawLogError>,
 }
 
 impl Steps {
-    /// Needs as much memory again as the log has bytes, at most.
+    /// Reads a log. Needs at most as much memory again as the log itself.
     pub(super) fn read(log: &[u8]) -> Result<Self, RawLogError> {
         let mut found = Self::default();
         let mut host = DeviceLink::new();
-        let mut stream = Stream::default();
+        let mut stream = StreamState::default();
         let mut is_open = false;
-        let mut ever_open = false;
-        let mut over_ns = 0;
+        let mut was_opened = false;
+        let mut end_ns = 0;
         for record in records(log)? {
             let Record { time_ns: at_ns, entry } = match record {
                 Ok(record) => record,
@@ -78,36 +79,36 @@ impl Steps {
                     break;
                 }
             };
-            over_ns = at_ns;
+            end_ns = at_ns;
             let steps = &mut found.steps;
-            let mut step = |doing| steps.push(Step { at_ns, doing });
+            let mut step = |action| steps.push(Step { at_ns, action });
             match entry {
                 Entry::FromDevice(bytes) => {
-                    let start = found.said.len();
-                    found.said.extend_from_slice(bytes);
+                    let start = found.bytes.len();
+                    found.bytes.extend_from_slice(bytes);
                     stream.push(bytes);
-                    step(Doing::Say { start, end: start + bytes.len() });
+                    step(Action::Send { start, end: start + bytes.len() });
                 }
                 Entry::ToDevice(bytes) => host.push(bytes, &mut |command| {
                     if let Command::Ping { host_ns } = command {
                         found.pings.insert(host_ns, at_ns);
                     }
                     if let Some(barrier) = Barrier::of(command) {
-                        step(Doing::Hear(barrier));
+                        step(Action::Await(barrier));
                     }
                 }),
-                Entry::Opened(words) => {
-                    let driver = words.split(' ').next().unwrap_or_default();
-                    if !ever_open {
+                Entry::Opened(text) => {
+                    let driver = text.split(' ').next().unwrap_or_default();
+                    if !was_opened {
                         driver.clone_into(&mut found.driver);
                     } else if !is_open {
-                        step(Doing::PlugIn);
+                        step(Action::PlugIn);
                     }
-                    (is_open, ever_open) = (true, true);
+                    (is_open, was_opened) = (true, true);
                 }
                 Entry::Closed => {
                     if is_open {
-                        step(Doing::Unplug);
+                        step(Action::Unplug);
                     }
                     is_open = false;
                 }
@@ -115,36 +116,36 @@ impl Steps {
                 Entry::Break | Entry::Baud(_) | Entry::End => {}
             }
         }
-        // The line is closed at the end of every log; that is no pulled cable.
-        if let Some(closed) = found.steps.pop_if(|step| step.doing == Doing::Unplug) {
-            over_ns = closed.at_ns;
+        // Every log ends with the line closed, which is not a pulled cable.
+        if let Some(closed) = found.steps.pop_if(|step| step.action == Action::Unplug) {
+            end_ns = closed.at_ns;
         }
         if !stream.has_ended {
-            found.steps.push(Step { at_ns: over_ns, doing: Doing::Leave });
+            found.steps.push(Step { at_ns: end_ns, action: Action::Disappear });
         }
         Ok(found)
     }
 
-    /// Whether the cable is pulled in it.
+    /// Whether the cable is pulled in the log.
     pub(super) fn unplugs(&self) -> bool {
-        self.steps.iter().any(|step| step.doing == Doing::Unplug)
+        self.steps.iter().any(|step| step.action == Action::Unplug)
     }
 }
 
-/// Whether the device ended what it had started.
+/// Follows the device's messages to tell whether its stream has ended.
 #[derive(Debug, Default)]
-struct Stream {
+struct StreamState {
     reader: HostLink,
     runs: bool,
     has_ended: bool,
 }
 
-impl Stream {
+impl StreamState {
     fn push(&mut self, bytes: &[u8]) {
         let Self { reader, runs, has_ended } = self;
         reader.push(bytes, &mut |event| match event {
             DeviceEvent::Started(_) => (*runs, *has_ended) = (true, false),
-            // One before the first Start answers a host that stops whatever there was.
+            // An end before the first Start answers a host that sends Stop to be safe.
             DeviceEvent::EndOfStream(_) if *runs => (*runs, *has_ended) = (false, true),
             _ => {}
         });

@@ -327,7 +327,7 @@ fn bytes_pass_as_they_are_however_they_are_cut() {
     let pong = from_device(|link, out| link.pong(Pong { host_ns: 1, device_ticks: 2 }, out));
     let all = [&frames[..], &[0], &pong, &frames, &[0, 0, 0], &pong].concat();
     for chunk in [1, 5, 24, 25, 1000, all.len()] {
-        let (mut pongs, mut out) = (Pongs::new(), Vec::new());
+        let (mut pongs, mut out) = (PongRewriter::new(), Vec::new());
         for piece in all.chunks(chunk) {
             assert_eq!(pongs.pass(piece, 5, false, |_| None, &mut out), piece.len());
         }

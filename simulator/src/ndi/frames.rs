@@ -4,7 +4,7 @@ use mocapd_drivers::ndi::{code, put_binary, put_text};
 use mocapd_take::motion::{Position, is_gap};
 
 use super::NdiDevice;
-use super::report::{Moment, Wanted, bx2};
+use super::report::{Bx2Options, FrameReport, bx2};
 use crate::device::{SentCounters, SentFrame, frame_after_ns};
 
 const SECOND_NS: u64 = 1_000_000_000;
@@ -44,12 +44,12 @@ pub(super) struct Tracking {
     sequence: u8,
     /// A run has ended: by itself, or by a command.
     ended: bool,
-    told: bool,
+    end_reported: bool,
 }
 
 impl Tracking {
-    pub(super) fn end_was_told(&self) -> bool {
-        self.ended && self.told
+    pub(super) fn end_was_reported(&self) -> bool {
+        self.ended && self.end_reported
     }
 
     /// Frames of which it is open what becomes of them.
@@ -113,7 +113,7 @@ impl NdiDevice {
                 counters.samples += u64::from(frame.sent.present);
                 counters.samples_occluded += absent;
             }
-            self.note(frame.sent);
+            self.log_frame(frame.sent);
         } else {
             if self.tracking.missed.len() >= MISSED_MAX {
                 self.settle_missed(false);
@@ -131,11 +131,11 @@ impl NdiDevice {
             *count += missed.len() as u64;
         }
         missed.into_iter().for_each(|sent| {
-            self.note(SentFrame { dropped: !unasked, unasked, ..sent });
+            self.log_frame(SentFrame { dropped: !unasked, unasked, ..sent });
         });
     }
 
-    fn note(&mut self, sent: SentFrame) {
+    fn log_frame(&mut self, sent: SentFrame) {
         if self.log_frames {
             self.log.frames.push(sent);
         }
@@ -147,12 +147,12 @@ impl NdiDevice {
         self.tracking.start_ns = None;
         if std::mem::take(&mut self.tracking.is_on) {
             self.log.ends += 1;
-            (self.tracking.ended, self.tracking.told) = (true, false);
+            (self.tracking.ended, self.tracking.end_reported) = (true, false);
         }
     }
 
     /// The answer to a command about frames; empty when it is queued already. `None` for other commands.
-    pub(super) fn report(
+    pub(super) fn frame_command(
         &mut self,
         name: &str,
         args: &str,
@@ -170,26 +170,26 @@ impl NdiDevice {
             "TSTART" if self.is_running() => Err(code::WRONG_MODE),
             "TSTART" => self.start(args),
             _ if !self.is_running() => {
-                self.tracking.told = true;
+                self.tracking.end_reported = true;
                 Err(code::WRONG_MODE)
             }
             "TSTOP" => {
                 self.end_run();
-                self.tracking.told = true;
+                self.tracking.end_reported = true;
                 Ok("OKAY".to_owned())
             }
             "TX" => mode(args).map(|mode| {
                 let first = self.fetch(false);
-                let text = self.moment().tx(mode);
+                let text = self.report().tx(mode);
                 self.outbox.put(first, |out| put_text(&text, out));
                 String::new()
             }),
             "BX" => mode(args).map(|mode| {
                 let first = self.fetch(false);
-                self.put_binary(first, &self.moment().bx(mode))
+                self.put_binary(first, &self.report().bx(mode))
             }),
             "BX2" if !self.settings.bx2 => Err(code::INVALID_COMMAND),
-            _ => Wanted::of(args).ok_or(code::PARAMETERS).map(|wanted| self.bx2(wanted)),
+            _ => Bx2Options::of(args).ok_or(code::PARAMETERS).map(|options| self.bx2(options)),
         };
         if answer.is_err() {
             self.log.refused += u64::from(name == "TSTART");
@@ -205,17 +205,17 @@ impl NdiDevice {
         }
         self.log.starts += 1;
         self.log.run = SentCounters::default();
-        (self.tracking.ended, self.tracking.told) = (false, false);
+        (self.tracking.ended, self.tracking.end_reported) = (false, false);
         (self.tracking.is_on, self.tracking.start_ns) = (true, None);
         Ok("OKAY".to_owned())
     }
 
-    fn bx2(&mut self, wanted: Wanted) -> String {
+    fn bx2(&mut self, options: Bx2Options) -> String {
         let is_new = self.tracking.current.is_some_and(|frame| !frame.fetched_new);
         let first = self.fetch(true);
         self.tracking.sequence = self.tracking.sequence.wrapping_add(u8::from(is_new));
-        let moment = self.moment();
-        let block = bx2(is_new.then_some(&moment), wanted, self.tracking.sequence);
+        let report = self.report();
+        let block = bx2(is_new.then_some(&report), options, self.tracking.sequence);
         self.put_binary(first && is_new, &block)
     }
 
@@ -228,10 +228,10 @@ impl NdiDevice {
         first
     }
 
-    fn moment(&self) -> Moment<'_> {
+    fn report(&self) -> FrameReport<'_> {
         let (number, time_ns) =
             self.tracking.current.map_or((0, 0), |f| (f.sent.seq, f.sent.device_ticks));
-        Moment { ports: &self.ports, row: &self.tracking.row, number, time_ns }
+        FrameReport { ports: &self.ports, row: &self.tracking.row, number, time_ns }
     }
 
     fn put_binary(&mut self, is_frame: bool, block: &[u8]) -> String {

@@ -124,7 +124,7 @@ impl NdiDevice {
     }
 
     /// As after power-on, but for the line's speed.
-    fn set_up_anew(&mut self) {
+    fn reset(&mut self) {
         self.end_run();
         self.initialized = false;
         self.ports.reset();
@@ -136,7 +136,7 @@ impl NdiDevice {
             return;
         }
         let answer = request.and_then(|ReceivedRequest { name, args }| {
-            self.report(&name, &args, now_ns).unwrap_or_else(|| self.obey(&name, &args))
+            self.frame_command(&name, &args, now_ns).unwrap_or_else(|| self.execute(&name, &args))
         });
         let said = answer.unwrap_or_else(|code| format!("ERROR{code:02X}"));
         if !said.is_empty() {
@@ -175,7 +175,7 @@ impl LineDevice for NdiDevice {
     }
 
     fn on_break(&mut self, _: u64) {
-        self.set_up_anew();
+        self.reset();
         self.line = RequestLine::default();
         self.outbox.discard();
         (self.baud, self.baud_after) = (BAUD_AT_RESET, None);
@@ -205,11 +205,11 @@ impl LineDevice for NdiDevice {
     }
 
     fn has_ended(&self) -> bool {
-        self.tracking.end_was_told()
+        self.tracking.end_was_reported()
     }
 
     fn log(&self) -> SentLog {
-        let mut log = self.outbox.completed(&self.log);
+        let mut log = self.outbox.complete_log(&self.log);
         log.frames_waiting += self.tracking.waiting();
         log
     }

@@ -19,7 +19,7 @@ const FIT_ERROR_MM: f32 = 0.25;
 
 /// What there is to say about a moment.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Moment<'a> {
+pub(super) struct FrameReport<'a> {
     pub(super) ports: &'a Ports,
     /// A position a marker, millimetres; empty before the first frame.
     pub(super) row: &'a [Position],
@@ -35,7 +35,7 @@ struct Tool {
     position: Option<Position>,
 }
 
-impl Moment<'_> {
+impl FrameReport<'_> {
     fn tools(&self) -> impl Iterator<Item = Tool> {
         self.ports.enabled().map(|port| {
             let position = port.column.and_then(|column| self.row.get(column)).copied();
@@ -150,12 +150,12 @@ const SECOND_NS: u64 = 1_000_000_000;
 
 /// What the options of `BX2` ask for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Wanted {
+pub(super) struct Bx2Options {
     tools: bool,
     strays: bool,
 }
 
-impl Wanted {
+impl Bx2Options {
     /// `None` when an option is not known.
     pub(super) fn of(options: &str) -> Option<Self> {
         let mut wanted = Self { tools: true, strays: false };
@@ -174,21 +174,21 @@ impl Wanted {
 }
 
 /// The block of an answer; `None` when nothing is new since the last one.
-pub(super) fn bx2(moment: Option<&Moment<'_>>, wanted: Wanted, sequence: u8) -> Vec<u8> {
+pub(super) fn bx2(report: Option<&FrameReport<'_>>, options: Bx2Options, sequence: u8) -> Vec<u8> {
     let mut block = Vec::new();
-    container(moment.is_some().into(), &mut block);
-    let Some(moment) = moment else { return block };
+    container(report.is_some().into(), &mut block);
+    let Some(report) = report else { return block };
     component(FRAME, 1, &mut block, |block| {
         block.extend([PASSIVE, sequence, 0, 0]);
-        block.extend(moment.number.to_le_bytes());
-        block.extend(((moment.time_ns / SECOND_NS) as u32).to_le_bytes());
-        block.extend(((moment.time_ns % SECOND_NS) as u32).to_le_bytes());
-        container(u16::from(wanted.tools) + u16::from(wanted.strays), block);
-        if wanted.tools {
-            component(DATA_6D, moment.tools().count(), block, |block| data_6d(moment, block));
+        block.extend(report.number.to_le_bytes());
+        block.extend(((report.time_ns / SECOND_NS) as u32).to_le_bytes());
+        block.extend(((report.time_ns % SECOND_NS) as u32).to_le_bytes());
+        container(u16::from(options.tools) + u16::from(options.strays), block);
+        if options.tools {
+            component(DATA_6D, report.tools().count(), block, |block| data_6d(report, block));
         }
-        if wanted.strays {
-            component(DATA_3D, 1, block, |block| data_3d(moment, block));
+        if options.strays {
+            component(DATA_3D, 1, block, |block| data_3d(report, block));
         }
     });
     block
@@ -210,8 +210,8 @@ fn component(kind: u16, items: usize, block: &mut Vec<u8>, body: impl FnOnce(&mu
     block.extend(inside);
 }
 
-fn data_6d(moment: &Moment<'_>, block: &mut Vec<u8>) {
-    for Tool { handle, position, .. } in moment.tools() {
+fn data_6d(report: &FrameReport<'_>, block: &mut Vec<u8>) {
+    for Tool { handle, position, .. } in report.tools() {
         block.extend(u16::from(handle).to_le_bytes());
         match position {
             Some(position) => {
@@ -223,10 +223,10 @@ fn data_6d(moment: &Moment<'_>, block: &mut Vec<u8>) {
     }
 }
 
-fn data_3d(moment: &Moment<'_>, block: &mut Vec<u8>) {
+fn data_3d(report: &FrameReport<'_>, block: &mut Vec<u8>) {
     block.extend(STRAYS_HANDLE.to_le_bytes());
-    block.extend((moment.strays().count() as u16).to_le_bytes());
-    for (index, position) in (0_u16..).zip(moment.strays()) {
+    block.extend((report.strays().count() as u16).to_le_bytes());
+    for (index, position) in (0_u16..).zip(report.strays()) {
         block.extend([0, 0]);
         block.extend(index.to_le_bytes());
         floats(&position, block);

@@ -16,7 +16,7 @@ const SETUP_ONLY: [&str; 9] =
 
 impl NdiDevice {
     /// The answer to a command, without its checksum, or the error's number.
-    pub(super) fn obey(&mut self, name: &str, args: &str) -> Result<String, u8> {
+    pub(super) fn execute(&mut self, name: &str, args: &str) -> Result<String, u8> {
         if !self.initialized && !ALWAYS.contains(&name) {
             return Err(code::NOT_INITIALIZED);
         }
@@ -25,13 +25,13 @@ impl NdiDevice {
         }
         match name {
             "INIT" => {
-                self.set_up_anew();
+                self.reset();
                 self.initialized = true;
                 Ok(OKAY.to_owned())
             }
             "RESET" => {
                 self.baud_after = Some(BAUD_AT_RESET);
-                self.set_up_anew();
+                self.reset();
                 Ok("RESET".to_owned())
             }
             "ECHO" => Ok(args.to_owned()),

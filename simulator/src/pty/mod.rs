@@ -168,7 +168,7 @@ impl Line for PtyLine {
     ///
     /// Serial programs open with TIOCEXCL. The kernel keeps that mark as long as our end is open, so that a host
     /// that could not take it back would leave the line busy for ever. Their flock still keeps two hosts apart.
-    fn tend(&mut self) -> io::Result<()> {
+    fn maintain(&mut self) -> io::Result<()> {
         let Some(Pair { slave, .. }) = &self.pair else { return Ok(()) };
         Ok(rustix::termios::ioctl_tiocnxcl(slave)?)
     }

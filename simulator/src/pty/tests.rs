@@ -267,7 +267,7 @@ fn a_pulled_cable_is_gone_for_its_host_and_comes_back_under_its_name() {
         assert_eq!((line.write(b"x").unwrap(), line.read(&mut buffer).unwrap()), (0, 0));
         assert_eq!(line.unread().unwrap(), 0);
         assert!(!line.wait(Duration::from_millis(1)).unwrap());
-        line.tend().unwrap();
+        line.maintain().unwrap();
         line.plug_in().unwrap();
         assert_eq!(line.path(), link);
     }

@@ -186,7 +186,7 @@ fn summary_of_motion(sent: &SentLog, spoken: Spoken) -> String {
         said.push_str(&format!(", {unasked} after the last request (on no recorder's account)"));
     }
     if let Some(faults) = &sent.faults {
-        said = format!("{said}\n{}", faults.words());
+        said = format!("{said}\n{}", faults.summary());
     }
     said
 }

@@ -1,6 +1,6 @@
-//! What became of every frame on a damaged line: the truth that recordings are held against.
+//! The fate of every frame on a line with faults: the ground truth for tests of recordings.
 //!
-//! A frame is whole when the bytes between two 0x00 on the line are its own, whatever happened around it.
+//! A frame is whole when the bytes between two 0x00 on the line are exactly its own, whatever happened around it.
 
 use std::collections::VecDeque;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -10,40 +10,43 @@ use mocapd_drivers::link::WIRE_BYTES_MAX;
 use super::kinds::{Kind, Kinds};
 use crate::device::{Fate, FaultTotals, FrameFate, SentFrame};
 
-/// Entries of frames whose fate is open: 18 minutes at 240 Hz, and 25 MB. Only a device that stalls for longer has more,
-/// and all but those in its queue are dropped by then: of these, the ones in a row share an entry, and a line of the log.
+/// Most entries for frames whose fate is open: 18 minutes at 240 Hz, 25 MB. Only a device that stalls for longer has
+/// more. By then its queue drops every new frame, and consecutive drops share one entry and one line of the log.
 const ENTRIES_MAX: usize = 1 << 18;
 
 #[derive(Debug)]
 struct Entry {
-    /// Its number, and of how many in a row.
+    /// Number of the first frame, counted from 0 since the device was made.
     number: u64,
+    /// Consecutive frames in this entry.
     frames: u64,
-    /// The first of them.
+    /// The first frame.
     frame: SentFrame,
     fate: Option<Fate>,
     again: u32,
     faults: Kinds,
-    /// Of what is between its 0x00 and the one before.
-    content: u64,
-    /// Up to which byte of the line its fate is open; `u64::MAX` before it was put there.
+    /// Hash of the encoded frame without its terminating 0x00.
+    content_hash: u64,
+    /// The fate stays open until the line has taken this many bytes in all; `u64::MAX` until the frame is queued.
     open_until: u64,
 }
 
-/// Frames whose fate is open, and the bytes since the last 0x00.
+/// Follows every frame from the device to the line, and records its fate.
 #[derive(Debug, Default)]
-pub(super) struct Account {
+pub(super) struct FateTracker {
+    /// Frames whose fate is open.
     entries: VecDeque<Entry>,
-    /// Frames that the device made.
-    made: u64,
+    /// Frames that the device produced.
+    n_produced: u64,
     /// The number of the next frame that the device hands over.
     next: u64,
-    /// The last one that went whole.
+    /// The highest number of a frame that went over the line whole.
     last_whole: Option<u64>,
+    /// Bytes that the line took since the last 0x00.
     segment: Vec<u8>,
-    put_bytes: u64,
+    queued_bytes: u64,
     taken_bytes: u64,
-    /// What was taken up to the last 0x00: no more bytes join what stands before it.
+    /// `taken_bytes` at the last 0x00: everything before it is final.
     decided_bytes: u64,
     unasked: bool,
     closed: Vec<FrameFate>,
@@ -51,7 +54,7 @@ pub(super) struct Account {
     totals: FaultTotals,
 }
 
-impl Account {
+impl FateTracker {
     pub(super) fn keep_frames(&mut self) {
         self.keeps_frames = true;
     }
@@ -64,12 +67,12 @@ impl Account {
         self.totals.clone()
     }
 
-    /// The device made a frame.
+    /// Registers a frame that the device produced.
     pub(super) fn produced(&mut self, frame: SentFrame) {
         let fate = frame.dropped.then_some(Fate::Dropped);
         let open_until = if frame.dropped { 0 } else { u64::MAX };
-        let number = self.made;
-        self.made += 1;
+        let number = self.n_produced;
+        self.n_produced += 1;
         if self.entries.len() >= ENTRIES_MAX
             && frame.dropped
             && let Some(last) = self.entries.back_mut()
@@ -78,19 +81,19 @@ impl Account {
             last.frames += 1;
             return;
         }
-        let (again, faults, content, frames) = (0, Kinds::default(), 0, 1);
-        let entry = Entry { number, frames, frame, fate, again, faults, content, open_until };
+        let (again, faults, content_hash, frames) = (0, Kinds::default(), 0, 1);
+        let entry = Entry { number, frames, frame, fate, again, faults, content_hash, open_until };
         self.entries.push_back(entry);
     }
 
-    /// The device hands over the next frame that it did not drop: its number here, and itself.
+    /// Matches an encoded frame with the next one that the device did not drop; returns its number and the frame.
     pub(super) fn handed_over(&mut self, message: &[u8]) -> Option<(u64, SentFrame)> {
         loop {
             let number = self.next;
             let entry = self.entry(number)?;
             let (frame, frames) = (entry.frame, entry.frames);
             let dropped = entry.fate.is_some();
-            entry.content = hash(message.strip_suffix(&[0]).unwrap_or(message));
+            entry.content_hash = hash(message.strip_suffix(&[0]).unwrap_or(message));
             self.next += frames;
             if !dropped {
                 return Some((number, frame));
@@ -98,7 +101,7 @@ impl Account {
         }
     }
 
-    /// So many frames waited in the device, and will not leave it.
+    /// The device discarded its next `n` queued frames.
     pub(super) fn discarded(&mut self, n: u64) {
         for _ in 0..n {
             if let Some((number, _)) = self.handed_over(&[])
@@ -110,14 +113,14 @@ impl Account {
         self.close_decided();
     }
 
-    /// A fault touched a frame.
+    /// Records that faults touched a frame.
     pub(super) fn touch(&mut self, number: u64, faults: Kinds) {
         if let Some(entry) = self.entry(number) {
             entry.faults.add(faults);
         }
     }
 
-    /// A frame is left out.
+    /// A fault of this kind swallowed the frame.
     pub(super) fn lost(&mut self, number: u64, kind: Kind) {
         if let Some(entry) = self.entry(number) {
             (entry.fate, entry.open_until) = (Some(Fate::Lost), 0);
@@ -125,21 +128,21 @@ impl Account {
         }
     }
 
-    /// So many bytes go to the line, for this frame where it is one.
-    pub(super) fn put(&mut self, bytes: usize, number: Option<u64>) {
-        self.put_bytes += bytes as u64;
-        let until = self.put_bytes;
+    /// Queues `bytes` for the line; `number` is the frame that they belong to, if any.
+    pub(super) fn queued(&mut self, bytes: usize, number: Option<u64>) {
+        self.queued_bytes += bytes as u64;
+        let until = self.queued_bytes;
         if let Some(entry) = number.and_then(|number| self.entry(number)) {
             entry.open_until = until;
         }
     }
 
-    /// The line took these.
+    /// The line took these bytes.
     pub(super) fn taken(&mut self, bytes: &[u8]) {
         for &byte in bytes {
             self.taken_bytes += 1;
             if byte != 0 {
-                // What is longer than a message is none.
+                // A segment longer than the longest message cannot be a frame.
                 if self.segment.len() <= WIRE_BYTES_MAX {
                     self.segment.push(byte);
                 }
@@ -147,19 +150,19 @@ impl Account {
             }
             self.decided_bytes = self.taken_bytes;
             if !self.segment.is_empty() {
-                let content = hash(&self.segment);
+                let content_hash = hash(&self.segment);
                 self.segment.clear();
-                self.arrived(content);
+                self.arrived(content_hash);
             }
         }
         self.close_decided();
     }
 
-    fn arrived(&mut self, content: u64) {
+    fn arrived(&mut self, content_hash: u64) {
         let next = self.next;
         let mut handed_over = self.entries.iter_mut().take_while(|entry| entry.number < next);
         let Some(entry) = handed_over.find(|entry| {
-            entry.content == content
+            entry.content_hash == content_hash
                 && !matches!(entry.fate, Some(Fate::Dropped | Fate::Discarded | Fate::Lost))
         }) else {
             return;
@@ -178,7 +181,7 @@ impl Account {
         self.last_whole = self.last_whole.max(Some(number));
     }
 
-    /// What is on its way to the line does not get there: it is pulled out, or the device is dead.
+    /// Everything queued for the line is lost: the cable is pulled, or the device has lost its power.
     pub(super) fn cut(&mut self, kind: Kind) {
         let next = self.next;
         for entry in self.entries.iter_mut().take_while(|entry| entry.number < next) {
@@ -188,17 +191,17 @@ impl Account {
             }
         }
         self.segment.clear();
-        self.put_bytes = self.taken_bytes;
+        self.queued_bytes = self.taken_bytes;
         self.decided_bytes = self.taken_bytes;
         self.close_decided();
     }
 
-    /// Frames that arrive from now on were asked for by nobody, or were again.
+    /// Whether frames that arrive from now on come before a host has asked for them.
     pub(super) fn set_unasked(&mut self, unasked: bool) {
         self.unasked = unasked;
     }
 
-    /// Nothing goes over the line any more.
+    /// Settles every open fate: nothing goes over the line any more.
     pub(super) fn close(&mut self) {
         for entry in &mut self.entries {
             if entry.open_until > self.taken_bytes {
@@ -252,37 +255,37 @@ mod tests {
         }
     }
 
-    /// A device that stalls for a day: what its queue holds goes whole after all, and the memory for the rest is bounded.
+    /// A device that stalls for a day: its queue still goes out whole, and memory for the dropped frames is bounded.
     #[test]
     fn a_stall_of_a_day_is_accounted_for_in_bounded_memory() {
-        let mut account = Account::default();
-        account.keep_frames();
+        let mut tracker = FateTracker::default();
+        tracker.keep_frames();
         let day = 20_736_000;
         let waiting = 500;
         for seq in 0..day {
-            account.produced(frame(seq, (waiting..day - 10).contains(&seq)));
-            assert!(account.entries.len() <= ENTRIES_MAX + 10);
+            tracker.produced(frame(seq, (waiting..day - 10).contains(&seq)));
+            assert!(tracker.entries.len() <= ENTRIES_MAX + 10);
         }
-        // Then it goes on, with what waited and what it makes.
+        // Then it resumes, with the queued frames and the new ones.
         let mut numbers = Vec::new();
         for seq in (0..waiting).chain(day - 10..day) {
             let message = format!("{seq}\0").into_bytes();
-            let (number, found) = account.handed_over(&message).unwrap();
+            let (number, found) = tracker.handed_over(&message).unwrap();
             assert_eq!(found.seq, seq);
             numbers.push(number);
-            account.put(message.len(), Some(number));
-            account.taken(&message);
+            tracker.queued(message.len(), Some(number));
+            tracker.taken(&message);
         }
         let expected: Vec<u64> = (0..waiting).chain(day - 10..day).map(u64::from).collect();
-        assert_eq!(numbers, expected, "what hits a frame is a function of its number");
-        account.close();
-        let totals = account.totals();
+        assert_eq!(numbers, expected, "faults depend on a frame's number");
+        tracker.close();
+        let totals = tracker.totals();
         assert_eq!(totals.of(Fate::Whole), u64::from(waiting + 10));
         assert_eq!(totals.of(Fate::Damaged), 0);
         assert_eq!(totals.of(Fate::Dropped), u64::from(day - 10 - waiting));
-        // Every frame stands in the log, once.
+        // Every frame is in the log exactly once.
         let mut next = 0;
-        for fate in account.take_frames() {
+        for fate in tracker.take_frames() {
             assert_eq!(fate.frame, frame(next, fate.fate == Fate::Dropped));
             next += fate.frames as u32;
         }
