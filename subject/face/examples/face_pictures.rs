@@ -13,7 +13,7 @@ use mocapd_face::fitted::{FittedFace, Method, Overlay, Source};
 use mocapd_face::model::FeatureId;
 use mocapd_testkit::photograph::{Scene, Truth};
 
-const IO_PX: f64 = 70.0;
+const INTEROCULAR_PX: f64 = 70.0;
 const SEED: u64 = 2;
 const YAW_DEG: f64 = 12.0;
 const WIDTH_PX: u32 = 300;
@@ -23,7 +23,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let folder = std::env::args().nth(1).ok_or("name a folder that the pictures go to")?;
     std::fs::create_dir_all(&folder)?;
     for (name, covered) in [("sure", false), ("unsure", true)] {
-        let mut scene = Scene::portrait(SEED, IO_PX, YAW_DEG);
+        let mut scene = Scene::portrait(SEED, INTEROCULAR_PX, YAW_DEG);
         scene.noise = 1.0;
         let mut picture = scene.render()?;
         if covered {
@@ -43,13 +43,13 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 /// A plain patch over the middle of some of the points, so many distances of the outer eye corners wide and high.
-fn cover(image: &mut RgbImage, truth: &Truth, ibug: &[usize], size_io: [f64; 2]) {
+fn cover(image: &mut RgbImage, truth: &Truth, ibug: &[usize], size_interocular: [f64; 2]) {
     let points = ibug.iter().filter_map(|i| FeatureId::from_ibug(*i)).map(|id| truth.at(id));
     let sum = points.fold([0.0, 0.0], |s, p| [s[0] + p[0], s[1] + p[1]]);
     let middle = sum.map(|s| s / ibug.len() as f64);
     let within = |x: u32, y: u32| {
         let off = [f64::from(x) - middle[0], f64::from(y) - middle[1]];
-        off.iter().zip(size_io).all(|(d, size)| d.abs() < size * IO_PX / 2.0)
+        off.iter().zip(size_interocular).all(|(d, size)| d.abs() < size * INTEROCULAR_PX / 2.0)
     };
     for (x, y, pixel) in image.enumerate_pixels_mut().filter(|(x, y, _)| within(*x, *y)) {
         let shade = 120 + ((x + y) % 7) as u8;

@@ -10,7 +10,7 @@ use mocapd_face::Photo;
 use mocapd_face::adapt::{Depth, Width, adapt};
 use mocapd_face::find;
 use mocapd_face::model::{FeatureId, FitOptions, Landmark, Model};
-use mocapd_face::points::{self, Rough};
+use mocapd_face::points::{self, RoughFace};
 use mocapd_testkit::photograph::Scene;
 use rustix::time::{ClockId, clock_gettime};
 
@@ -82,7 +82,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let found = find::faces(&photo, find::SCORE_MIN);
         found
             .iter()
-            .map(|face| points::find(&photo, &Rough::from(face)))
+            .map(|face| points::find(&photo, &RoughFace::from(face)))
             .collect::<Result<Vec<_>, _>>()
     };
     println!("and the points of its {} {:?}", chain()?.len(), fastest(FIND_ROUNDS, chain)?);

@@ -35,7 +35,7 @@ pub(crate) struct Format {
 /// Which document it is.
 #[derive(Deserialize)]
 #[serde(expecting = "an object")]
-struct Kind {
+struct DocumentHeader {
     #[serde(default)]
     format: Option<String>,
     #[serde(default)]
@@ -83,7 +83,7 @@ impl Format {
     /// Refuses what is no JSON, JSON that is another document, and one of a later version.
     fn check_kind(&self, bytes: &[u8]) -> Result<(), String> {
         let Self { name, version, made_by, .. } = self;
-        let kind: Kind = serde_json::from_slice(bytes).map_err(|error| {
+        let header: DocumentHeader = serde_json::from_slice(bytes).map_err(|error| {
             let is = match error.classify() {
                 Category::Data => "it is no",
                 Category::Eof => "it is cut off, or no",
@@ -91,13 +91,13 @@ impl Format {
             };
             format!("{is} {name}, {made_by}: {}", shortened(&error.to_string()))
         })?;
-        if kind.format.as_deref() != Some(name) {
-            let says = kind
+        if header.format.as_deref() != Some(name) {
+            let found = header
                 .format
                 .map_or("no format".to_owned(), |format| format.escape_debug().take(40).collect());
-            return Err(format!("it says {says} where {name} is expected, {made_by}"));
+            return Err(format!("it says {found} where {name} is expected, {made_by}"));
         }
-        match kind.version {
+        match header.version {
             Some(found) if found == *version => Ok(()),
             Some(found) if found > *version => Err(format!(
                 "it is version {found} of {name}, this build reads {version}: use a newer mocapd"

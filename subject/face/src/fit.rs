@@ -3,13 +3,13 @@
 use std::fmt;
 
 use crate::adapt::{Depth, Width, adapt};
-use crate::find::{self, Found};
+use crate::find::{self, DetectedFace};
 use crate::fitted::{FittedFace, Method, Source};
 use crate::model::{Camera, FeatureId, FitOptions, Landmark, Model, ModelError, OUTER_EYES_MM};
 use crate::paper;
 use crate::photo::Photo;
-use crate::plausible::Plausible;
-use crate::points::{self, FacePoints, Rough};
+use crate::proportions::ProportionModel;
+use crate::points::{self, FacePoints, RoughFace};
 use crate::vector::{distance, middle};
 
 /// Faces of a photograph that are fitted at most, the surest of them: a class, or a team.
@@ -44,31 +44,31 @@ impl NoFace {
 /// [`NoFace`] where none was fitted.
 pub fn fit(photo: &Photo, source: &Source, method: Method) -> Result<Vec<FittedFace>, NoFace> {
     let model = Model::generic()?;
-    let found: Vec<Found> = match method {
+    let found: Vec<DetectedFace> = match method {
         Method::Default => find::faces(photo, find::SCORE_MIN),
         Method::Paper => paper::faces(photo),
     };
     // The paper's chain has no confidence of its own: its points are held against a face's proportions.
-    let plausible = (method == Method::Paper).then(|| Plausible::of(model));
+    let proportions = (method == Method::Paper).then(|| ProportionModel::of(model));
     let mut fitted = Vec::new();
     let mut why = NoFace::NotFound;
     for face in found.iter().take(FACES_MAX) {
-        let rough = Rough::from(face);
-        let seen = match method {
+        let rough = RoughFace::from(face);
+        let located = match method {
             Method::Default => points::find(photo, &rough)?,
             Method::Paper => points::paper::find(photo, &rough),
         };
         let one = match method {
-            Method::Default => by_default(model, &seen),
-            Method::Paper => by_paper(model, face, &seen),
+            Method::Default => by_default(model, &located),
+            Method::Paper => by_paper(model, face, &located),
         };
         match one {
-            Ok(Fit { camera, points, vertices_mm }) => {
+            Ok(FaceFit { camera, points, vertices_mm }) => {
                 let source = source.clone();
                 let mut one = FittedFace::new(model, method, source, camera, points, vertices_mm);
-                one.confidence = seen.confidence();
-                if let Some(plausible) = &plausible {
-                    one.notes = plausible.contradictions(&seen.points.map(|point| point.at));
+                one.confidence = located.confidence();
+                if let Some(proportions) = &proportions {
+                    one.notes = proportions.contradictions(&located.points.map(|point| point.at));
                 }
                 fitted.push(one);
             }
@@ -79,7 +79,7 @@ pub fn fit(photo: &Photo, source: &Source, method: Method) -> Result<Vec<FittedF
 }
 
 /// What a chain makes of the points of a face.
-struct Fit {
+struct FaceFit {
     camera: Camera,
     points: Vec<Landmark>,
     vertices_mm: Vec<[f64; 3]>,
@@ -87,15 +87,15 @@ struct Fit {
 
 /// Pose, shape and depth by the shape model; what was not seen is where the model has it. So is the hairline: what is seen up
 /// there is the border of hair, and would squeeze the forehead into it.
-fn by_default(model: &Model, found: &FacePoints) -> Result<Fit, NoFace> {
+fn by_default(model: &Model, found: &FacePoints) -> Result<FaceFit, NoFace> {
     let fit = model.fit_shape(&found.found(), &FitOptions::default());
     let fit = fit.map_err(NoFace::not_fitted)?;
     let points: Vec<Landmark> = FeatureId::all()
         .zip(&found.points)
         .zip(&fit.points_px)
-        .map(|((id, seen), &[x, y, _])| {
-            let confidence = if id.is_hairline() { 0.0 } else { seen.confidence };
-            let xy_px = if confidence > 0.0 { seen.at } else { [x, y] };
+        .map(|((id, located), &[x, y, _])| {
+            let confidence = if id.is_hairline() { 0.0 } else { located.confidence };
+            let xy_px = if confidence > 0.0 { located.at } else { [x, y] };
             Landmark { id, xy_px, confidence }
         })
         .collect();
@@ -103,12 +103,12 @@ fn by_default(model: &Model, found: &FacePoints) -> Result<Fit, NoFace> {
     let (camera, depth) = (fit.camera, Depth::Points(&depths));
     let adapted = adapt(model, &fit.vertices_mm, &camera, &points, Width::default(), depth);
     let adapted = adapted.map_err(NoFace::not_fitted)?;
-    Ok(Fit { camera, points, vertices_mm: adapted.vertices_mm })
+    Ok(FaceFit { camera, points, vertices_mm: adapted.vertices_mm })
 }
 
 /// The average face, turned as its outline says (Yang et al. 2004, sections 4 and 5); points that were not found are left
 /// to the others.
-fn by_paper(model: &Model, face: &Found, found: &FacePoints) -> Result<Fit, NoFace> {
+fn by_paper(model: &Model, face: &DetectedFace, found: &FacePoints) -> Result<FaceFit, NoFace> {
     let yaw_deg = found.yaw_deg.unwrap_or(0.0);
     let corner = |ibug| {
         let id = FeatureId::from_ibug(ibug)?;
@@ -128,5 +128,5 @@ fn by_paper(model: &Model, face: &Found, found: &FacePoints) -> Result<Fit, NoFa
     let points = found.found();
     let adapted = adapt(model, &model.vertices, &camera, &points, Width::PAPER, Depth::Model);
     let adapted = adapted.map_err(NoFace::not_fitted)?;
-    Ok(Fit { camera, points, vertices_mm: adapted.vertices_mm })
+    Ok(FaceFit { camera, points, vertices_mm: adapted.vertices_mm })
 }

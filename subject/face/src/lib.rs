@@ -15,9 +15,9 @@ mod oriented_gradients;
 pub mod paper;
 pub mod photo;
 pub mod plane;
-pub mod plausible;
 pub mod points;
 pub mod pose;
+pub mod proportions;
 mod table;
 mod vector;
 

@@ -4,7 +4,7 @@
 use crate::plane::Plane;
 
 /// Directions, 45 degrees apart: from the right on clockwise.
-pub(crate) const WAYS: usize = 8;
+pub(crate) const DIRECTIONS: usize = 8;
 /// Contrast that is noise, in roots of grey levels: added before it is divided by.
 pub(crate) const FLOOR: f32 = 0.25;
 /// Bytes of a slope as steep as the contrast around, and of a standard deviation of brightness.
@@ -14,7 +14,7 @@ const BRIGHT_BYTES: f32 = 40.0;
 pub(crate) const MIDDLE: f32 = 128.0;
 
 /// A slope is the sum of its parts along the two nearest of eight directions: which ones, and how much.
-pub(crate) fn ways(dx: f32, dy: f32) -> [(usize, f32); 2] {
+pub(crate) fn directions(dx: f32, dy: f32) -> [(usize, f32); 2] {
     let (wide, high) = (dx.abs(), dy.abs());
     let flat = match (wide >= high, dx >= 0.0, dy >= 0.0) {
         (true, true, _) => 0,
@@ -38,7 +38,7 @@ pub(crate) fn byte(value: f32) -> u8 {
 /// Means over the pixels of a cell.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Histogram {
-    slopes: [f32; WAYS],
+    slopes: [f32; DIRECTIONS],
     brightness: f32,
     /// Of squared slopes.
     pub(crate) energy: f32,
@@ -67,8 +67,8 @@ impl Histograms {
                     let at = |line: &[f32], x: usize| line.get(x).copied().unwrap_or_default();
                     let dx = at(row, (x + 1).min(width - 1)) - at(row, x.saturating_sub(1));
                     let dy = at(lower, x) - at(upper, x);
-                    for (way, by) in ways(dx, dy) {
-                        if let Some(sum) = cell.slopes.get_mut(way) {
+                    for (direction, by) in directions(dx, dy) {
+                        if let Some(sum) = cell.slopes.get_mut(direction) {
                             *sum += by;
                         }
                     }

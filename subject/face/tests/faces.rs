@@ -6,7 +6,7 @@ use std::path::Path;
 use mocapd_face::Photo;
 use mocapd_face::find::{self, Found};
 use mocapd_face::model::{FeatureId, FitOptions, Model};
-use mocapd_face::points::{self, Rough};
+use mocapd_face::points::{self, RoughFace};
 use mocapd_testkit::recorded::RecordedData;
 
 #[expect(dead_code, reason = "the example draws, too")]
@@ -23,14 +23,14 @@ const GOOD_IO: f64 = 0.1;
 const GOOD_SHARE: f64 = 0.85;
 const YAW_ERROR_MOST_DEG: f64 = 4.0;
 /// How far the eyes and mouth are off that points are begun from.
-const DISTURBED_IO: f64 = 0.04;
+const START_SD_INTEROCULAR: f64 = 0.04;
 const STARTS: usize = 3;
 /// Photographs whose yaw is unknown count whole.
 const PHOTOGRAPHS_YAW_DEG: f64 = 20.0;
 const SYNTHETIC_YAW_DEG: f64 = 35.0;
 /// A face that is to be found is as large as this, and found so near.
-const FOUND_IO_PX: f64 = 40.0;
-const FOUND_NEAR_IO: f64 = 0.25;
+const FOUND_INTEROCULAR_PX: f64 = 40.0;
+const FOUND_NEAR_INTEROCULAR: f64 = 0.25;
 const FOUND_SHARE: f64 = 0.9;
 /// The bar is a half; a twentieth is reached.
 const FALSE_PER_PHOTOGRAPH_MOST: f64 = 0.15;
@@ -46,14 +46,14 @@ fn reported(folder: &Path, synthetic: bool, yaw_deg: f64) -> Vec<Face> {
     faces
 }
 
-fn disturbed(face: &Face, noise: &mut Noise) -> Rough {
-    let off_px = DISTURBED_IO * face.truth.io_px();
+fn disturbed(face: &Face, noise: &mut Noise) -> RoughFace {
+    let off_px = START_SD_INTEROCULAR * face.truth.interocular_px();
     let mut near = |range| face.truth.centre(range).map(|at| at + off_px * noise.normal());
-    Rough { left_eye: near(36..42), right_eye: near(42..48), mouth: near(48..60) }
+    RoughFace { left_eye: near(36..42), right_eye: near(42..48), mouth: near(48..60) }
 }
 
 /// Mean distance of the points that iBUG-68 has, too, in distances of the outer eye corners.
-fn error_io(face: &Face, rough: &Rough) -> f64 {
+fn error_io(face: &Face, rough: &RoughFace) -> f64 {
     let found = points::find(&face.photo, rough).unwrap();
     let off = |landmark: usize| {
         let id = FeatureId::from_ibug(landmark)?;
@@ -62,7 +62,7 @@ fn error_io(face: &Face, rough: &Rough) -> f64 {
     };
     // The bridge of the nose and the outline are no single places.
     let off: Vec<f64> = (17..27).chain(31..68).filter_map(off).collect();
-    off.iter().sum::<f64>() / off.len() as f64 / face.truth.io_px()
+    off.iter().sum::<f64>() / off.len() as f64 / face.truth.interocular_px()
 }
 
 /// The smallest first.
@@ -127,7 +127,7 @@ fn heads_are_turned_as_they_are_found_to_be() {
 
 fn is_near(found: &Found, face: &Face) -> bool {
     let eyes = [face.truth.centre(36..42), face.truth.centre(42..48)];
-    let near_px = FOUND_NEAR_IO * face.truth.io_px();
+    let near_px = FOUND_NEAR_INTEROCULAR * face.truth.interocular_px();
     (0..2).all(|eye| distance(found.eyes[eye], eyes[eye]) <= near_px)
 }
 
@@ -136,7 +136,7 @@ fn nine_of_ten_faces_are_found() {
     let Some(folder) = RecordedData::Faces.folder() else { return };
     let mut faces = reported(&folder, false, SYNTHETIC_YAW_DEG);
     faces.extend(reported(&folder, true, SYNTHETIC_YAW_DEG));
-    faces.retain(|face| face.truth.io_px() >= FOUND_IO_PX);
+    faces.retain(|face| face.truth.interocular_px() >= FOUND_INTEROCULAR_PX);
     let is_found = |face: &&Face| {
         find::faces(&face.photo, find::SCORE_MIN).iter().any(|found| is_near(found, face))
     };

@@ -5,12 +5,12 @@ use std::path::Path;
 
 use image::{Rgb, RgbImage};
 use mocapd_face::Photo;
-use mocapd_face::find::{self, Found};
+use mocapd_face::find::{self, DetectedFace};
 use mocapd_face::model::FeatureId;
 use mocapd_testkit::photograph::{Extras, Scene, Truth};
 use serde_json::json;
 
-use super::{Face, judge};
+use super::{Face, score};
 
 /// 0.25 megapixels.
 const SIZE_PX: (u32, u32) = (480, 520);
@@ -45,14 +45,14 @@ struct Drawn {
 
 fn draw(seed: u64) -> Option<Drawn> {
     let mut random = Random(seed.wrapping_mul(0x0005_851f_42d4_c957));
-    let io_px = 40.0 * 5.0_f64.powf(random.uniform().powf(1.3));
+    let eyes_px = 40.0 * 5.0_f64.powf(random.uniform().powf(1.3));
     let yaw_deg = random.between(-35.0, 35.0);
-    let mut scene = Scene::portrait(seed, io_px, yaw_deg);
+    let mut scene = Scene::portrait(seed, eyes_px, yaw_deg);
     (scene.width_px, scene.height_px) = SIZE_PX;
     scene.noise = random.between(1.0, 6.0);
     let sitter = scene.faces.first_mut()?;
     let room =
-        |side: u32, before: f64, after: f64| (before * io_px, f64::from(side) - after * io_px);
+        |side: u32, before: f64, after: f64| (before * eyes_px, f64::from(side) - after * eyes_px);
     let (left, right) = room(SIZE_PX.0, 0.85, 0.85);
     let (top, bottom) = room(SIZE_PX.1, 0.9, 1.4);
     sitter.eyes_px = [random.between(left, right), random.between(top, bottom)];
@@ -94,9 +94,9 @@ fn draw(seed: u64) -> Option<Drawn> {
         } else {
             "yaw < 35"
         });
-        kinds.push(if io_px < 60.0 {
+        kinds.push(if eyes_px < 60.0 {
             "io < 60"
-        } else if io_px < 110.0 {
+        } else if eyes_px < 110.0 {
             "io < 110"
         } else {
             "io < 200"
@@ -153,8 +153,9 @@ fn known(truth: &Truth) -> Option<Face> {
     };
     let [a, b] = [36, 45].map(|i| FeatureId::from_ibug(i).map(|id| truth.at(id)));
     let (a, b) = (a?, b?);
-    let io_px = (a[0] - b[0]).hypot(a[1] - b[1]);
-    Some(Face { eyes: [mean(36, 6)?, mean(42, 6)?], mouth: mean(48, 12)?, io_px, counts: true })
+    let interocular_px = (a[0] - b[0]).hypot(a[1] - b[1]);
+    let eyes = [mean(36, 6)?, mean(42, 6)?];
+    Some(Face { eyes, mouth: mean(48, 12)?, interocular_px, counts: true })
 }
 
 trait SumPoints {
@@ -172,9 +173,9 @@ pub(crate) fn table(seeds: std::ops::Range<u64>) {
     let mut rows: Vec<(&str, [usize; 4])> = Vec::new();
     for drawn in seeds.filter_map(draw) {
         let Some(photo) = photo(&drawn.image) else { continue };
-        let found: Vec<Found> = find::faces(&photo, find::SCORE_MIN);
+        let found: Vec<DetectedFace> = find::faces(&photo, find::SCORE_MIN);
         let faces: Vec<Face> = drawn.face.into_iter().map(|(face, ..)| face).collect();
-        let (hits, wrong) = judge(&faces, &found);
+        let (hits, wrong) = score(&faces, &found);
         for kind in drawn.kinds {
             let at = rows.iter().position(|row| row.0 == kind).unwrap_or(rows.len());
             if at == rows.len() {
@@ -210,7 +211,10 @@ pub(crate) fn write(seeds: std::ops::Range<u64>, folder: &Path) {
         let faces: Vec<_> = drawn
             .face
             .iter()
-            .map(|(face, _, yaw)| json!({ "points": [face.eyes[0], face.eyes[1], face.mouth], "io": face.io_px, "yaw": yaw }))
+            .map(|(face, _, yaw)| {
+                let points = [face.eyes[0], face.eyes[1], face.mouth];
+                json!({ "points": points, "io": face.interocular_px, "yaw": yaw })
+            })
             .collect();
         let text = json!({ "faces": faces, "kinds": drawn.kinds }).to_string();
         if drawn.image.save(&at).is_err()

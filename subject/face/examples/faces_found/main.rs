@@ -1,7 +1,7 @@
 //! What is found on photographs whose faces are known, in the folder that `MOCAPD_FACES` names.
 //!
 //! `faces_found` prints the development photographs, on which weights and thresholds were chosen; `faces_found reported`
-//! the others; `faces_found looks FILE...` every hypothesis on any photographs, for
+//! the others; `faces_found print_features FILE...` every hypothesis on any photographs, for
 //! `benches/subject/find_looks.py`, `faces_found rough FILE...` the same before its eyes are aligned, and `faces_found nearer
 //! FILE...` after the first of two steps, for `find_align.py`; `faces_found again FILE...` what is looked at a second time, for
 //! `find_again.py`.
@@ -20,7 +20,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use mocapd_face::find::{self, Found, Hypothesis};
+use mocapd_face::find::{self, DetectedFace, Hypothesis};
 use mocapd_face::{Photo, paper};
 use serde_json::Value;
 
@@ -40,7 +40,7 @@ const DEVELOPMENT: [&str; 10] = [
 struct Face {
     eyes: [[f64; 2]; 2],
     mouth: [f64; 2],
-    io_px: f64,
+    interocular_px: f64,
     counts: bool,
 }
 
@@ -53,16 +53,16 @@ struct Tally {
 
 fn main() {
     let args: Vec<String> = std::env::args().skip(1).collect();
-    let told: Option<fn(&Photo) -> Vec<Hypothesis>> = match args.first().map(String::as_str) {
+    let hypotheses: Option<fn(&Photo) -> Vec<Hypothesis>> = match args.first().map(String::as_str) {
         Some("looks") => Some(find::hypotheses),
-        Some("rough") => Some(|photo| find::hypotheses_after(photo, 0)),
-        Some("nearer") => Some(|photo| find::hypotheses_after(photo, 1)),
-        Some("again") => Some(find::hypotheses_again),
+        Some("rough") => Some(|photo| find::hypotheses_after_steps(photo, 0)),
+        Some("nearer") => Some(|photo| find::hypotheses_after_steps(photo, 1)),
+        Some("again") => Some(find::second_stage_hypotheses),
         _ => None,
     };
-    if let Some(told) = told {
+    if let Some(hypotheses) = hypotheses {
         for path in args.iter().skip(1) {
-            if let Err(error) = looks(Path::new(path), told) {
+            if let Err(error) = print_features(Path::new(path), hypotheses) {
                 eprintln!("{path}: {error}");
             }
         }
@@ -113,7 +113,7 @@ fn main() {
         images += 1;
         print!("{name:24} {:>5}", truth.iter().filter(|face| face.counts).count());
         for (tally, found) in tallies.iter_mut().zip([default, plain]) {
-            let (hits, wrong) = judge(&truth, &found);
+            let (hits, wrong) = score(&truth, &found);
             tally.faces += truth.iter().filter(|face| face.counts).count();
             tally.found += hits;
             tally.wrong += wrong;
@@ -163,20 +163,20 @@ fn face(value: &Value) -> Option<Face> {
         Some([sum(0)? / (to - from) as f64, sum(1)? / (to - from) as f64])
     };
     let eyes = [mean(36, 42)?, mean(42, 48)?];
-    let io_px = (at(45, 0)? - at(36, 0)?).hypot(at(45, 1)? - at(36, 1)?);
+    let interocular_px = (at(45, 0)? - at(36, 0)?).hypot(at(45, 1)? - at(36, 1)?);
     let yaw = value["pose_deg"][1].as_f64().unwrap_or_default();
     let mouth = mean(48, 60)?;
-    Some(Face { eyes, mouth, io_px, counts: io_px >= 40.0 && yaw.abs() <= 35.01 })
+    Some(Face { eyes, mouth, interocular_px, counts: interocular_px >= 40.0 && yaw.abs() <= 35.01 })
 }
 
 /// How many counting faces are found, and how many that are found are none.
-fn judge(truth: &[Face], found: &[Found]) -> (usize, usize) {
+fn score(truth: &[Face], found: &[DetectedFace]) -> (usize, usize) {
     let mut taken = vec![false; truth.len()];
     let mut wrong = 0;
     for found in found {
         let near = |face: &Face| {
             face.eyes.iter().zip(&found.eyes).all(|(true_eye, eye)| {
-                (true_eye[0] - eye[0]).hypot(true_eye[1] - eye[1]) <= 0.25 * face.io_px
+                (true_eye[0] - eye[0]).hypot(true_eye[1] - eye[1]) <= 0.25 * face.interocular_px
             })
         };
         match truth.iter().position(near) {
@@ -190,20 +190,20 @@ fn judge(truth: &[Face], found: &[Found]) -> (usize, usize) {
 
 /// Numbers as single-precision floats: how many hypotheses, then of each eyes, mouth, distance of the outer corners, score,
 /// and the bytes of its look.
-fn looks(path: &Path, told: fn(&Photo) -> Vec<Hypothesis>) -> std::io::Result<()> {
+fn print_features(path: &Path, hypotheses: fn(&Photo) -> Vec<Hypothesis>) -> std::io::Result<()> {
     let mut out = std::io::stdout().lock();
     let Ok(photo) = Photo::from_bytes(&std::fs::read(path)?) else {
         eprintln!("{}: not read", path.display());
         return out.write_all(&0_f32.to_le_bytes());
     };
-    let all = told(&photo);
+    let all = hypotheses(&photo);
     out.write_all(&(all.len() as f32).to_le_bytes())?;
-    for Hypothesis { found, look } in all {
-        let Found { eyes: [left, right], mouth, io_px, score, .. } = found;
-        for number in [left, right, mouth].into_iter().flatten().chain([io_px, score]) {
+    for Hypothesis { found, features } in all {
+        let DetectedFace { eyes: [left, right], mouth, interocular_px, score, .. } = found;
+        for number in [left, right, mouth].into_iter().flatten().chain([interocular_px, score]) {
             out.write_all(&(number as f32).to_le_bytes())?;
         }
-        out.write_all(&look)?;
+        out.write_all(&features)?;
     }
     Ok(())
 }

@@ -12,12 +12,12 @@ use super::{detected, disturbed_by};
 
 /// Standard deviations of the starting places (shares of the distance of the outer eye corners): from those of a good
 /// detection to those of one that is half beside the face.
-const DISTURBED_IO: [f64; 6] = [0.02, 0.04, 0.08, 0.12, 0.2, 0.3];
+const START_SDS: [f64; 6] = [0.02, 0.04, 0.08, 0.12, 0.2, 0.3];
 
 pub(crate) fn print(out: &mut impl Write, faces: &[&Face]) -> Result<(), Box<dyn Error>> {
     let mut noise = Noise::new(2);
     for face in faces {
-        let disturbed = DISTURBED_IO.map(|sd| Some(disturbed_by(sd, &face.truth, &mut noise)));
+        let disturbed = START_SDS.map(|sd| Some(disturbed_by(sd, &face.truth, &mut noise)));
         for (start, rough) in disturbed.into_iter().chain([detected(face)]).enumerate() {
             let Some(rough) = rough else { continue };
             let found = points::find(&face.photo, &rough)?;

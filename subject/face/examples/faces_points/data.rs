@@ -44,7 +44,7 @@ pub(crate) struct Truth {
 
 impl Truth {
     /// Distance of the outer eye corners.
-    pub(crate) fn io_px(&self) -> f64 {
+    pub(crate) fn interocular_px(&self) -> f64 {
         distance(self.landmarks[36], self.landmarks[45])
     }
 
@@ -105,11 +105,13 @@ pub(crate) fn read(folder: &Path) -> Result<Vec<Face>, Box<dyn std::error::Error
     Ok(faces)
 }
 
-/// The development photographs' faces made smaller, to `io_px` pixels between the outer eye corners: most of the reported
+/// The development photographs' faces made smaller, to `to_px` pixels between the outer eye corners: most of the reported
 /// photographs' faces are small. Smaller ones are left out.
-pub(crate) fn reduced(faces: &[Face], io_px: f64) -> Result<Vec<Face>, Box<dyn std::error::Error>> {
-    let of = |face: &&Face| face.development && !face.synthetic && face.truth.io_px() > io_px;
-    faces.iter().filter(of).map(|face| smaller(face, io_px / face.truth.io_px())).collect()
+pub(crate) fn reduced(faces: &[Face], to_px: f64) -> Result<Vec<Face>, Box<dyn std::error::Error>> {
+    let is_photograph = |face: &&Face| face.development && !face.synthetic;
+    let is_larger = |face: &&Face| face.truth.interocular_px() > to_px;
+    let faces = faces.iter().filter(is_photograph).filter(is_larger);
+    faces.map(|face| smaller(face, to_px / face.truth.interocular_px())).collect()
 }
 
 fn smaller(face: &Face, by: f64) -> Result<Face, Box<dyn std::error::Error>> {
@@ -183,7 +185,7 @@ pub(crate) fn overlay(
         (&found.outline, [0, 0, 255]),
     ];
     let c = face.truth.centre(27..36);
-    let half = 1.5 * face.truth.io_px();
+    let half = 1.5 * face.truth.interocular_px();
     let side = 600_u32;
     let zoom = f64::from(side) / (2.0 * half);
     let (left, top) = ((c[0] - half).max(0.0), (c[1] - half).max(0.0));

@@ -24,8 +24,8 @@ pub(crate) fn worn_faces() -> Result<Vec<Face>, Box<dyn Error>> {
 fn worn(seed: u64) -> Result<Face, Box<dyn Error>> {
     let mut random = Noise::new(seed + 5001);
     let mut between = |low: f64, high: f64| low + (high - low) * random.uniform();
-    let (io_px, yaw) = (20.0 * (1.1 * between(0.0, 1.0)).exp(), between(-35.0, 35.0));
-    let mut scene = Scene::portrait(2000 + seed, io_px, yaw);
+    let (eyes_px, yaw) = (20.0 * (1.1 * between(0.0, 1.0)).exp(), between(-35.0, 35.0));
+    let mut scene = Scene::portrait(2000 + seed, eyes_px, yaw);
     scene.noise = between(1.0, 6.0);
     let mut sometimes = |share: f64, low: f64, high: f64| {
         let amount = between(low, high);
@@ -46,8 +46,8 @@ fn worn(seed: u64) -> Result<Face, Box<dyn Error>> {
 fn plain(seed: u64) -> Result<Face, Box<dyn Error>> {
     let mut random = Noise::new(seed + 1);
     let mut between = |low: f64, high: f64| low + (high - low) * random.uniform();
-    let (io_px, yaw) = (25.0 * between(0.0, 1.0).mul_add(1.48, 0.0).exp(), between(-35.0, 35.0));
-    let mut scene = Scene::portrait(1000 + seed, io_px, yaw);
+    let (eyes_px, yaw) = (25.0 * between(0.0, 1.0).mul_add(1.48, 0.0).exp(), between(-35.0, 35.0));
+    let mut scene = Scene::portrait(1000 + seed, eyes_px, yaw);
     for sitter in &mut scene.faces {
         sitter.pitch_deg = between(-15.0, 15.0);
         sitter.roll_deg = between(-10.0, 10.0);

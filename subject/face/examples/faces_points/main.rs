@@ -20,14 +20,14 @@ use std::io::Write;
 
 use data::Truth;
 use mocapd_face::find;
-use mocapd_face::points::{self, FacePoints, Rough};
+use mocapd_face::points::{self, FacePoints, RoughFace};
 use offsets::Offsets;
 use table::{Row, Table};
 
 /// Standard deviation of the starting places, as a share of the distance of the outer eye corners.
-const DISTURBED_IO: f64 = 0.04;
+const START_SD_INTEROCULAR: f64 = 0.04;
 /// What the development photographs' faces are made smaller to, once more.
-const SMALL_IO_PX: f64 = 24.0;
+const SMALL_INTEROCULAR_PX: f64 = 24.0;
 /// Disturbed starts of each face.
 const STARTS: usize = 3;
 
@@ -41,7 +41,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let mut offsets = Offsets::default();
     let photographs = data::read(folder.as_ref())?;
-    let small = data::reduced(&photographs, SMALL_IO_PX)?;
+    let small = data::reduced(&photographs, SMALL_INTEROCULAR_PX)?;
     let (drawn, worn) = (drawn::faces()?, drawn::worn_faces()?);
     if asked("warned") {
         return warned::print(&mut out, &[("drawn", &drawn), ("worn", &worn)], asked("each"));
@@ -67,7 +67,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let mut missed = 0;
         let mut noise = data::Noise::new(1);
         for face in faces.iter().filter(|f| f.development == development) {
-            let mut starts: Vec<Option<Rough>> =
+            let mut starts: Vec<Option<RoughFace>> =
                 (0..STARTS).map(|_| Some(disturbed(&face.truth, &mut noise))).collect();
             starts.push(detected(face));
             missed += usize::from(starts.last() == Some(&None));
@@ -112,26 +112,26 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 }
 
 /// The detected face that lies on this one, if there is one: its eyes within 0.35 of the true ones' distance.
-fn detected(face: &data::Face) -> Option<Rough> {
+fn detected(face: &data::Face) -> Option<RoughFace> {
     let (left, right) = (face.truth.centre(36..42), face.truth.centre(42..48));
     let near = 0.35 * data::distance(left, right);
     find::faces(&face.photo, find::SCORE_MIN)
         .iter()
         .find(|f| data::distance(f.eyes[0], left) < near && data::distance(f.eyes[1], right) < near)
-        .map(Rough::from)
+        .map(RoughFace::from)
 }
 
-fn disturbed(truth: &Truth, noise: &mut data::Noise) -> Rough {
-    disturbed_by(DISTURBED_IO, truth, noise)
+fn disturbed(truth: &Truth, noise: &mut data::Noise) -> RoughFace {
+    disturbed_by(START_SD_INTEROCULAR, truth, noise)
 }
 
-fn disturbed_by(sd_io: f64, truth: &Truth, noise: &mut data::Noise) -> Rough {
-    let io = truth.io_px();
+fn disturbed_by(sd_interocular: f64, truth: &Truth, noise: &mut data::Noise) -> RoughFace {
+    let sd_px = sd_interocular * truth.interocular_px();
     let mut near = |range: std::ops::Range<usize>| {
         let [x, y] = truth.centre(range);
-        [x + sd_io * io * noise.normal(), y + sd_io * io * noise.normal()]
+        [x + sd_px * noise.normal(), y + sd_px * noise.normal()]
     };
-    Rough { left_eye: near(36..42), right_eye: near(42..48), mouth: near(48..60) }
+    RoughFace { left_eye: near(36..42), right_eye: near(42..48), mouth: near(48..60) }
 }
 
 /// The points found, by their numbers in iBUG-68.

@@ -28,13 +28,13 @@ pub(crate) struct Row {
 
 impl Row {
     pub(crate) fn of(face: &Face, found: &FacePoints) -> Row {
-        let io = face.truth.io_px();
+        let interocular = face.truth.interocular_px();
         let mean = |points: &mut dyn Iterator<Item = usize>| {
             let errors: Vec<f64> = points
                 .filter(|i| face.truth.visible[*i])
                 .filter_map(|i| Some(distance(ibug(found, i)?, face.truth.landmarks[i])))
                 .collect();
-            100.0 * errors.iter().sum::<f64>() / errors.len() as f64 / io
+            100.0 * errors.iter().sum::<f64>() / errors.len() as f64 / interocular
         };
         let mouth = || (48..60).chain([62, 66]);
         Row {
@@ -46,7 +46,7 @@ impl Row {
             outline: 100.0
                 * (0..17).map(|i| to_polygon(face.truth.landmarks[i], &found.outline)).sum::<f64>()
                 / 17.0
-                / io,
+                / interocular,
             fitted_yaw_deg: face.truth.yaw_deg.zip(fitted_yaw(found)).map(|(t, f)| f - t),
             sure: found.confidence().is_none_or(|confidence| confidence >= FittedFace::SURE),
             yaw_deg: face.truth.yaw_deg.zip(found.yaw_deg).map(|(t, f)| f - t),

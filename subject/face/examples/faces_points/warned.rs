@@ -4,7 +4,7 @@ use std::error::Error;
 use std::io::Write;
 
 use mocapd_face::model::Model;
-use mocapd_face::plausible::Plausible;
+use mocapd_face::proportions::ProportionModel;
 use mocapd_face::points;
 
 use super::data::{Face, Noise};
@@ -32,7 +32,7 @@ pub(crate) fn print(
     kinds: &[(&str, &[Face])],
     each: bool,
 ) -> Result<(), Box<dyn Error>> {
-    let plausible = Plausible::of(Model::generic()?);
+    let proportions = ProportionModel::of(Model::generic()?);
     writeln!(
         out,
         "| faces | off by more than 10 %: n | warned of | a part of them is: n | warned of | neither: n | warned of |"
@@ -48,7 +48,7 @@ pub(crate) fn print(
             for (number, rough) in starts.into_iter().enumerate() {
                 let Some(rough) = rough else { continue };
                 let found = points::paper::find(&face.photo, &rough);
-                let said = plausible.contradictions(&found.points.map(|point| point.at));
+                let said = proportions.contradictions(&found.points.map(|point| point.at));
                 let row = Row::of(face, &found);
                 if each {
                     writeln!(out, "{:22} {number} {row} | {}", face.name, said.join("; "))?;

@@ -70,11 +70,12 @@ pub fn adapt(
     // Step 3.
     let nodes: Vec<_> = points.iter().map(|point| features[point.id.index()]).collect();
     let flat: Vec<_> = nodes.iter().map(|&[x, y, _]| [x, y]).collect();
-    let io_px = camera.scale_px_per_mm * OUTER_EYES_MM;
-    let targets: Vec<_> = points.iter().map(|point| point.xy_px.map(|v| v / io_px)).collect();
+    let interocular_px = camera.scale_px_per_mm * OUTER_EYES_MM;
+    let unit = |point: &Landmark| point.xy_px.map(|v| v / interocular_px);
+    let targets: Vec<_> = points.iter().map(unit).collect();
     // Steps 4 to 6. Another unit of r is another d, and a factor that the weights take up.
     let d = match width {
-        Width::Pixels(d) => d * (1.0 / io_px),
+        Width::Pixels(d) => d * (1.0 / interocular_px),
         Width::OuterEyes(d) => d,
     };
     let map = RadialMap::new(d, &flat, &targets)?;
@@ -82,19 +83,19 @@ pub fn adapt(
         .iter()
         .map(|&[x, y, z]| {
             let [u, v] = map.at(&[x, y]);
-            [u * io_px, v * io_px, z]
+            [u * interocular_px, v * interocular_px, z]
         })
         .collect();
     match depth {
         Depth::Model => {
-            let scale_px = io_px * spread(&targets) / spread(&flat);
+            let scale_px = interocular_px * spread(&targets) / spread(&flat);
             vertices_px.iter_mut().for_each(|v| v[2] *= scale_px);
         }
         Depth::Points(depths) => {
-            let targets: Vec<_> = depths.iter().map(|z| [z / io_px]).collect();
+            let targets: Vec<_> = depths.iter().map(|z| [z / interocular_px]).collect();
             let map = RadialMap::<3, 1>::new(d, &nodes, &targets)?;
             for (vertex, place) in vertices_px.iter_mut().zip(&seen) {
-                vertex[2] = map.at(place)[0] * io_px;
+                vertex[2] = map.at(place)[0] * interocular_px;
             }
         }
     }

@@ -119,10 +119,10 @@ fn features_of_an_adapted_face_lie_on_the_points() {
         .collect();
     for width in [Width::PAPER, Width::default(), Width::OuterEyes(1.0)] {
         let adapted = adapt(model, &model.vertices, &camera, &given, width, Depth::Model).unwrap();
-        let io_px = camera.scale_px_per_mm * OUTER_EYES_MM;
+        let interocular_px = camera.scale_px_per_mm * OUTER_EYES_MM;
         for Landmark { id, xy_px: at, .. } in &given[FeatureId::CONTOUR..] {
             let vertex = adapted.vertices_px[model.features[id.name()]];
-            let off = (vertex[0] - at[0]).hypot(vertex[1] - at[1]) / io_px;
+            let off = (vertex[0] - at[0]).hypot(vertex[1] - at[1]) / interocular_px;
             assert!(off < 1e-9, "{}: {off} io", id.name());
         }
     }
@@ -138,12 +138,12 @@ fn vertices_between_the_features_come_nearer() {
         .zip(&seen)
         .map(|(id, p)| Landmark { id, xy_px: [p[0], p[1]], confidence: 1.0 })
         .collect();
-    let io_px = camera.scale_px_per_mm * OUTER_EYES_MM;
+    let interocular_px = camera.scale_px_per_mm * OUTER_EYES_MM;
     let error = |vertices: &[[f64; 3]], axes: std::ops::Range<usize>| {
         let off = |(v, t): (&[f64; 3], &[f64; 3])| {
             axes.clone().map(|axis| (v[axis] - t[axis]).powi(2)).sum::<f64>().sqrt()
         };
-        vertices.iter().zip(&truth).map(off).sum::<f64>() / truth.len() as f64 / io_px
+        vertices.iter().zip(&truth).map(off).sum::<f64>() / truth.len() as f64 / interocular_px
     };
     let before = camera.project(&model.vertices);
     let paper = adapt(model, &model.vertices, &camera, &given, Width::PAPER, Depth::Model).unwrap();
@@ -170,10 +170,11 @@ fn a_basis_much_wider_than_features_are_apart_overshoots() {
         .zip(&seen)
         .map(|(id, p)| Landmark { id, xy_px: [p[0], p[1]], confidence: 1.0 })
         .collect();
-    let io_px = camera.scale_px_per_mm * OUTER_EYES_MM;
+    let interocular_px = camera.scale_px_per_mm * OUTER_EYES_MM;
     let error = |vertices: &[[f64; 3]]| {
         let off = |(v, t): (&[f64; 3], &[f64; 3])| (v[0] - t[0]).hypot(v[1] - t[1]);
-        100.0 * vertices.iter().zip(&truth).map(off).sum::<f64>() / truth.len() as f64 / io_px
+        let sum: f64 = vertices.iter().zip(&truth).map(off).sum();
+        100.0 * sum / truth.len() as f64 / interocular_px
     };
     let adapted = |d: f64| {
         let width = Width::OuterEyes(d);
@@ -181,7 +182,7 @@ fn a_basis_much_wider_than_features_are_apart_overshoots() {
     };
     let before = error(&camera.project(&model.vertices));
     println!("not adapted: {before:.2} % io");
-    for d in [1.0, 0.5, 0.2, 0.1, 0.05, 1.0 / io_px, 0.0] {
+    for d in [1.0, 0.5, 0.2, 0.1, 0.05, 1.0 / interocular_px, 0.0] {
         println!("d = {d:.3} io: {:.2} % io", error(&adapted(d).vertices_px));
     }
     assert!(error(&adapted(1.0).vertices_px) > 10.0 * before);

@@ -185,7 +185,7 @@ const fn weights(at: usize, columns: usize) -> Weights {
         let (row, column) = (i / columns, i % columns);
         let cell = f32s(TABLE, at + i * CELL_BYTES);
         if columns < SIDE {
-            weights[row][SIDE - 1 - column] = swapped(cell);
+            weights[row][SIDE - 1 - column] = mirrored_cell(cell);
         }
         weights[row][column] = cell;
         i += 1;
@@ -197,14 +197,14 @@ const fn mirrored(weights: Weights) -> Weights {
     let mut mirrored = weights;
     let mut i = 0;
     while i < SIDE * SIDE {
-        mirrored[i / SIDE][i % SIDE] = swapped(weights[i / SIDE][SIDE - 1 - i % SIDE]);
+        mirrored[i / SIDE][i % SIDE] = mirrored_cell(weights[i / SIDE][SIDE - 1 - i % SIDE]);
         i += 1;
     }
     mirrored
 }
 
 /// What is brighter to the right is, mirrored, brighter to the left.
-const fn swapped([right, left, down, up]: Cell) -> Cell {
+const fn mirrored_cell([right, left, down, up]: Cell) -> Cell {
     [left, right, down, up]
 }
 
@@ -216,14 +216,14 @@ pub(super) fn eyes_of(column: f32, row: f32) -> [f32; 2] {
 
 /// Which template fits, and how well.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Fit {
+pub(super) struct TemplateFit {
     pub(super) pose: usize,
     /// Logarithm of the odds.
     pub(super) odds: f32,
 }
 
 /// The best of three templates at a cell, and how well it fits; none where the eyes do not.
-pub(super) fn best_fit(cells: &Cells, column: usize, row: usize) -> Option<Fit> {
+pub(super) fn best_fit(cells: &Cells, column: usize, row: usize) -> Option<TemplateFit> {
     let [a, b, c] = &TEMPLATES;
     let add = |sums, rows: &[usize]| {
         rows.iter().fold(sums, |sums, &line| {
@@ -241,7 +241,7 @@ pub(super) fn best_fit(cells: &Cells, column: usize, row: usize) -> Option<Fit> 
     }
     let sums = whole(&add(sums, &OTHER_ROWS));
     let fits = sums.iter().zip(&TEMPLATES).map(|(sum, template)| sum + template.bias);
-    let fits = fits.enumerate().map(|(pose, odds)| Fit { pose, odds });
+    let fits = fits.enumerate().map(|(pose, odds)| TemplateFit { pose, odds });
     fits.max_by(|a, b| a.odds.total_cmp(&b.odds))
 }
 

@@ -13,7 +13,7 @@ use crate::photo::Photo;
 use crate::vector::{Point, distance, extent};
 
 /// Below this the lines would cover the face: small pictures are enlarged first.
-const LEAST_IO_PX: f64 = 160.0;
+const EYES_MIN_PX: f64 = 160.0;
 const MAX_SIDE_PX: u32 = 3000;
 const DARK: [u8; 3] = [0x10, 0x18, 0x28];
 const LIGHT: [u8; 3] = [0xff, 0xff, 0xff];
@@ -22,7 +22,7 @@ const UNSURE: [u8; 3] = [0xff, 0xa0, 0x20];
 /// Points that are less sure than this are drawn hollow.
 const SURE: f64 = 0.5;
 /// Digits that are lower cannot be read.
-const LEAST_DIGIT_PX: f64 = 12.0;
+const DIGIT_MIN_PX: f64 = 12.0;
 
 /// A photograph that faces are drawn on.
 #[derive(Debug, Clone)]
@@ -36,9 +36,9 @@ impl Overlay {
     /// faces have their numbers beside them, from 1, in the order of `faces`.
     pub fn new(photograph: &RgbImage, faces: &[FittedFace]) -> Self {
         let drawn = faces.iter().filter(|face| face.camera().is_some());
-        let least = drawn.map(FittedFace::outer_eyes_px).fold(LEAST_IO_PX, f64::min).max(1.0);
+        let least = drawn.map(FittedFace::outer_eyes_px).fold(EYES_MIN_PX, f64::min).max(1.0);
         let side = photograph.width().max(photograph.height()).max(1);
-        let factor = ((LEAST_IO_PX / least).ceil() as u32).min(MAX_SIDE_PX / side).max(1);
+        let factor = ((EYES_MIN_PX / least).ceil() as u32).min(MAX_SIDE_PX / side).max(1);
         let picture = if factor == 1 {
             photograph.clone()
         } else {
@@ -112,17 +112,17 @@ impl Overlay {
     /// How wide a line of a face is: a part of the face, and in a large picture, which is seen smaller than it is, of the
     /// picture, as far as there is room between the lines of the net.
     fn line_px(&self, face: &FittedFace) -> f64 {
-        let io_px = self.io_px(face);
+        let interocular_px = self.interocular_px(face);
         let side = f64::from(self.picture.width().max(self.picture.height()));
-        (io_px / 110.0).max((side / 1000.0).min(io_px / 70.0)).clamp(1.0, 6.0)
+        (interocular_px / 110.0).max((side / 1000.0).min(interocular_px / 70.0)).clamp(1.0, 6.0)
     }
 
-    fn io_px(&self, face: &FittedFace) -> f64 {
+    fn interocular_px(&self, face: &FittedFace) -> f64 {
         face.outer_eyes_px() * self.enlarged
     }
 
     /// The box around a face as it is drawn: left top, right bottom.
-    fn bounds(&self, face: &FittedFace) -> Bounds {
+    fn bounds(&self, face: &FittedFace) -> PixelBox {
         let vertices = face.vertices_px().into_iter().flatten().map(|[x, y, _]| [x, y]);
         let places = vertices.chain(face.points.iter().map(|point| point.xy_px));
         let none = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
@@ -136,8 +136,9 @@ impl Overlay {
         let bounds: Vec<_> = faces.iter().map(|face| self.bounds(face)).collect();
         let side = f64::from(self.picture.width().max(self.picture.height()));
         for (i, face) in faces.iter().enumerate() {
-            let io_px = self.io_px(face);
-            let height_px = (0.22 * io_px).max(side / 50.0).min(0.7 * io_px).max(LEAST_DIGIT_PX);
+            let interocular_px = self.interocular_px(face);
+            let height_px = (0.22 * interocular_px).max(side / 50.0).min(0.7 * interocular_px);
+            let height_px = height_px.max(DIGIT_MIN_PX);
             let colour = if face.is_unsure() { UNSURE } else { LIGHT };
             let number = Number::new(i + 1, height_px);
             number.draw(&mut self.picture, &bounds, i, [DARK, colour]);
@@ -146,7 +147,7 @@ impl Overlay {
 }
 
 /// Left top and right bottom.
-type Bounds = [[f64; 2]; 2];
+type PixelBox = [[f64; 2]; 2];
 
 /// A digit's strokes through points of a grid of 4 by 6, y down.
 type Strokes = &'static [&'static [[u8; 2]]];
@@ -194,14 +195,14 @@ impl Number {
 
     /// Draws it beside the box `of`, where it covers no other box and is within the picture, if there is such a place.
     /// `colours` are the plate's and the digits'.
-    fn draw(&self, picture: &mut RgbImage, boxes: &[Bounds], of: usize, colours: [[u8; 3]; 2]) {
+    fn draw(&self, picture: &mut RgbImage, boxes: &[PixelBox], of: usize, colours: [[u8; 3]; 2]) {
         let Some(&own) = boxes.get(of) else { return };
         let size = self.size();
         let sides = [f64::from(picture.width()), f64::from(picture.height())];
         let within = |at: [f64; 2]| (0..2).all(|k| at[k] >= 0.0 && at[k] + size[k] <= sides[k]);
         let free = |at: [f64; 2]| {
             let apart =
-                |k: usize, other: &Bounds| at[k] + size[k] <= other[0][k] || at[k] >= other[1][k];
+                |k: usize, other: &PixelBox| at[k] + size[k] <= other[0][k] || at[k] >= other[1][k];
             boxes.iter().all(|other| apart(0, other) || apart(1, other))
         };
         let places = beside(own, size);
@@ -243,7 +244,7 @@ impl Number {
 }
 
 /// Left tops of places beside a box: at its top left, top right, above and below its middle.
-fn beside([low, high]: Bounds, [width, height]: [f64; 2]) -> [[f64; 2]; 4] {
+fn beside([low, high]: PixelBox, [width, height]: [f64; 2]) -> [[f64; 2]; 4] {
     let gap = 0.15 * height;
     let middle = (low[0] + high[0] - width) / 2.0;
     [

@@ -20,7 +20,7 @@ const WEIGHT_MAX: f64 = 1000.0;
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct File {
+struct MappingFile {
     format: String,
     version: u64,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -34,7 +34,7 @@ impl Mapping {
     /// # Errors
     /// What is wrong with it.
     pub fn from_json(bytes: &[u8]) -> Result<Self, DocumentError> {
-        let File { markers, .. } = MAPPING.read(bytes)?;
+        let MappingFile { markers, .. } = MAPPING.read(bytes)?;
         let (count, expected) = ([markers.len()], format!("0 to {MARKERS_MAX}"));
         let place = |_| "markers.length".to_owned();
         MAPPING.expect(count, place, &expected, |count| *count <= MARKERS_MAX)?;
@@ -67,7 +67,7 @@ impl Mapping {
     pub fn to_json(&self) -> Result<String, DocumentError> {
         let (format, version, markers) =
             (MAPPING.name.to_owned(), MAPPING.version, self.markers.clone());
-        let file = File { format, version, about: None, markers };
+        let file = MappingFile { format, version, about: None, markers };
         serde_json::to_string_pretty(&file).map_err(|error| DocumentError::Shape(error.to_string()))
     }
 }

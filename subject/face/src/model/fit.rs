@@ -10,9 +10,9 @@ use super::{Anchor, Camera, FeatureId, Landmark, Model, OUTER_EYES_MM};
 pub struct FitOptions {
     /// Standard deviation of a point of weight 1, as a share of the outer eye corners' distance. Two careful annotators
     /// differ by 0.03 to 0.04.
-    pub noise_io: f64,
+    pub noise_interocular: f64,
     /// The same of a point of the outline, whose place depends on hair and chin.
-    pub contour_noise_io: f64,
+    pub contour_noise_interocular: f64,
     /// From how many standard deviations on a point pulls no harder (Huber 1964).
     pub huber: f64,
     /// Standard deviation of pitch. Without it a long face and one that looks down are hard to tell apart.
@@ -26,13 +26,20 @@ pub struct FitOptions {
 impl Default for FitOptions {
     fn default() -> Self {
         Self {
-            noise_io: 0.03,
-            contour_noise_io: 0.08,
+            noise_interocular: 0.03,
+            contour_noise_interocular: 0.08,
             huber: 1.5,
             pitch_sd_deg: 15.0,
             modes: usize::MAX,
             steps: 12,
         }
+    }
+}
+
+impl FitOptions {
+    /// Standard deviation of a point of weight 1, as a fraction of the outer interocular distance.
+    pub(crate) fn noise_of(&self, id: FeatureId) -> f64 {
+        if id.is_contour() { self.contour_noise_interocular } else { self.noise_interocular }
     }
 }
 
@@ -104,8 +111,8 @@ fn observed(points: &[Landmark], options: &FitOptions) -> Result<Vec<Observed>, 
         if !(at[0].is_finite() && at[1].is_finite() && weight.is_finite() && weight >= 0.0) {
             return Err(FitError::NotFinite { name: id.name(), x: at[0], y: at[1], weight });
         }
-        let noise_io = if id.is_contour() { options.contour_noise_io } else { options.noise_io };
-        by_id[id.index()] = (weight > 0.0).then_some(Observed { id, at, weight, noise_io });
+        let noise = options.noise_of(id);
+        by_id[id.index()] = (weight > 0.0).then_some(Observed { id, at, weight, noise });
     }
     let observed: Vec<_> = by_id.into_iter().flatten().collect();
     if observed.len() < 6 { Err(FitError::TooFew(observed.len())) } else { Ok(observed) }
@@ -118,7 +125,7 @@ struct Observed {
     at: [f64; 2],
     weight: f64,
     /// Standard deviation as a share of the outer eye corners' distance.
-    noise_io: f64,
+    noise: f64,
 }
 
 /// Rotation (3), logarithm of the scale, translation (2).
@@ -163,19 +170,19 @@ struct Solver<'a> {
     modes: usize,
     /// What a pixel is in standard deviations of a point with a noise of 1 io: fixed by the points themselves, so that no
     /// fit grows better by shrinking.
-    io_px: f64,
+    interocular_px: f64,
 }
 
 impl<'a> Solver<'a> {
     fn new(model: &'a Model, observed: &'a [Observed], options: &'a FitOptions) -> Self {
         let modes = options.modes.min(model.modes.len());
-        Self { model, observed, options, modes, io_px: 1.0 }
+        Self { model, observed, options, modes, interocular_px: 1.0 }
     }
 
     /// The best fit, or none where the points are degenerate.
     fn solve(mut self) -> Option<State> {
         let first = similarity(self.model, self.observed, 0.0)?;
-        self.io_px = first.scale * OUTER_EYES_MM;
+        self.interocular_px = first.scale * OUTER_EYES_MM;
         let mut best: Option<(f64, State)> = None;
         for yaw_deg in STARTS_DEG {
             let Some((cost, state)) = similarity(self.model, self.observed, yaw_deg)
@@ -238,7 +245,7 @@ impl<'a> Solver<'a> {
             // Which place is outline hardly depends on the shape; the average is at hand.
             let anchor = self.model.anchor(o.id, average, &state.rotation);
             let turned = state.rotation * place(&anchor) * state.scale;
-            let per_px = o.weight.sqrt() / (o.noise_io * self.io_px);
+            let per_px = o.weight.sqrt() / (o.noise * self.interocular_px);
             let off = [
                 (o.at[0] - state.origin[0] - turned.x) * per_px,
                 (o.at[1] - state.origin[1] + turned.y) * per_px,
@@ -327,7 +334,7 @@ fn similarity(model: &Model, observed: &[Observed], yaw_deg: f64) -> Option<Stat
         .iter()
         .map(|o| {
             let seen = turn * Vector3::from(places[o.id.index()]);
-            let weight = o.weight / (o.noise_io * o.noise_io);
+            let weight = o.weight / (o.noise * o.noise);
             (weight, Vector2::new(seen.x, seen.y), Vector2::new(o.at[0], -o.at[1]))
         })
         .collect();

@@ -26,7 +26,7 @@ pub const OUTER_EYES_MM: f64 = 90.0;
 /// What a mode tells apart.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Kind {
+pub enum ModeKind {
     /// One person from another.
     Identity,
     /// What one face does from what it does next.
@@ -38,7 +38,7 @@ pub enum Kind {
 #[serde(deny_unknown_fields)]
 pub struct Mode {
     /// Between people, or in one face.
-    pub kind: Kind,
+    pub kind: ModeKind,
     /// Displacement of each vertex at one standard deviation, in millimetres.
     pub displacements: Vec<[f64; 3]>,
 }

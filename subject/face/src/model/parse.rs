@@ -21,7 +21,7 @@ pub struct ModelError(String);
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct File {
+struct ModelFile {
     format: String,
     version: u32,
     #[serde(rename = "about")]
@@ -32,7 +32,7 @@ struct File {
 /// Reads what `subject/face/data/build/face_model.py` writes.
 pub(super) fn model(text: &str) -> Result<Model, ModelError> {
     let wrong = |what: String| ModelError(shortened(&what));
-    let file: File = serde_json::from_str(text).map_err(|error| wrong(error.to_string()))?;
+    let file: ModelFile = serde_json::from_str(text).map_err(|error| wrong(error.to_string()))?;
     if file.format != FORMAT || file.version != VERSION {
         let found = format!("{:?}, version {}", file.format, file.version);
         return Err(wrong(format!("{found}, where {FORMAT:?}, version {VERSION} is expected")));

@@ -183,7 +183,7 @@ fn a_few_wrong_points_are_repaired() {
     }
     let mouth = FeatureId::from_name("mouth_left").unwrap().index();
     let ([x, y, _], at) = (fit.points_px[mouth], points[mouth].xy_px);
-    let off_sd = (x - at[0]).hypot(y - at[1]) / (117.0 * FitOptions::default().noise_io);
+    let off_sd = (x - at[0]).hypot(y - at[1]) / (117.0 * FitOptions::default().noise_interocular);
     assert!(off_sd > 5.0, "{off_sd}");
 }
 

@@ -8,7 +8,7 @@
 #[cfg(test)]
 mod tests;
 
-use super::find::Found;
+use super::find::DetectedFace;
 use super::photo::Photo;
 use super::plane::{Blob, Labels, Mask, Plane};
 
@@ -28,7 +28,7 @@ const ENERGY_MIN: f32 = -0.1;
 /// What the energy's distance to the threshold is measured in, for a score of 0 to 1.
 const ENERGY_SOFT: f32 = 0.2;
 /// Distances of the outer eye corners, and of the irises' middles, in widths of the rectangle.
-const IO_OF_WIDTH: f64 = 0.64;
+const INTEROCULAR_PER_WIDTH: f64 = 0.64;
 
 /// Holes below this share of the block's area are dropped: the paper's T0, whose value it does not give. An eye has about
 /// a hundredth.
@@ -84,7 +84,7 @@ const GREY: Zone = zone([0.31, 0.74, 0.69, 0.82]);
 
 /// The faces of a photograph, surest first; none where it has no colours.
 #[must_use]
-pub fn faces(photo: &Photo) -> Vec<Found> {
+pub fn faces(photo: &Photo) -> Vec<DetectedFace> {
     let shrink = (photo.width().max(photo.height()) as f32 / SIDE_PX).max(1.0);
     let side = |px: usize| ((px as f32 / shrink).round() as usize).max(1);
     let (width, height) = (side(photo.width()), side(photo.height()));
@@ -92,11 +92,11 @@ pub fn faces(photo: &Photo) -> Vec<Found> {
     let grey = photo.grey().resized(width, height);
     let edges = grey.gradient().magnitude;
     let scale = [photo.width() as f64 / width as f64, photo.height() as f64 / height as f64];
-    let mut faces: Vec<Found> = blocks(&mask.opened(OPENING_PX))
+    let mut faces: Vec<DetectedFace> = blocks(&mask.opened(OPENING_PX))
         .iter()
         .filter_map(|Block { skin, holes }| {
             let roll_rad = direction_rad(holes);
-            let turned = Turned::around(skin, roll_rad as f32)?;
+            let turned = RotatedBox::around(skin, roll_rad as f32)?;
             let energy = energy(&grey, &edges, &turned);
             (energy > ENERGY_MIN).then(|| found(&turned, roll_rad, energy, scale))
         })
@@ -106,7 +106,7 @@ pub fn faces(photo: &Photo) -> Vec<Found> {
 }
 
 /// Where the template has eyes and mouth, the roll of the holes' axes, and a score from the template's energy.
-fn found(turned: &Turned, roll_rad: f64, energy: f32, scale: [f64; 2]) -> Found {
+fn detection(turned: &RotatedBox, roll_rad: f64, energy: f32, scale: [f64; 2]) -> DetectedFace {
     let at = |x: f32, y: f32| {
         let [x, y] = turned.at(x, y).map(f64::from);
         [(x + 0.5) * scale[0] - 0.5, (y + 0.5) * scale[1] - 0.5]
@@ -114,18 +114,18 @@ fn found(turned: &Turned, roll_rad: f64, energy: f32, scale: [f64; 2]) -> Found 
     // Irises are looked for in the lower half of their boxes.
     let eye = |eye: Zone| at((eye.left + eye.right) / 2.0, eye.top + 0.68 * (eye.bottom - eye.top));
     let (left, right) = (at(0.0, 0.0), at(1.0, 0.0));
-    Found {
+    DetectedFace {
         eyes: [eye(EYE_LEFT), eye(EYE_RIGHT)],
         mouth: at((MOUTH.left + MOUTH.right) / 2.0, (MOUTH.top + MOUTH.bottom) / 2.0),
         roll_rad,
-        io_px: IO_OF_WIDTH * (right[0] - left[0]).hypot(right[1] - left[1]),
+        interocular_px: INTEROCULAR_PER_WIDTH * (right[0] - left[0]).hypot(right[1] - left[1]),
         score: 1.0 / (1.0 + f64::from((ENERGY_MIN - energy) / ENERGY_SOFT).exp()),
     }
 }
 
 /// The bounding rectangle of a block, turned by its direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Turned {
+struct RotatedBox {
     /// Its top left corner.
     corner: [f32; 2],
     /// From it to the top right one.
@@ -134,7 +134,7 @@ struct Turned {
     down: [f32; 2],
 }
 
-impl Turned {
+impl RotatedBox {
     /// Around the skin of a block. None if the shape is no face's.
     fn around(skin: &Mask, roll_rad: f32) -> Option<Self> {
         let (sin, cos) = roll_rad.sin_cos();
@@ -167,7 +167,7 @@ impl Turned {
 
 /// E = alpha sum of edges in the black zones + beta sum of brightness in the grey one (eq. 4). Both are means, in shares
 /// of the mean over the whole rectangle, so that neither the size nor the light of a photograph changes E.
-fn energy(grey: &Plane, edges: &Plane, face: &Turned) -> f32 {
+fn energy(grey: &Plane, edges: &Plane, face: &RotatedBox) -> f32 {
     let (mut all_edges, mut all_grey, mut black, mut lips) = (0.0, 0.0, [0.0; 2], [0.0; 2]);
     for i in 0..ACROSS * DOWN {
         let x = ((i % ACROSS) as f32 + 0.5) / ACROSS as f32;

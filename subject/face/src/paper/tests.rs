@@ -1,4 +1,4 @@
-use super::{Turned, blocks, direction_rad, faces};
+use super::{RotatedBox, blocks, direction_rad, faces};
 use crate::Photo;
 use crate::plane::{Labels, Mask};
 
@@ -44,7 +44,7 @@ fn a_drawn_face_is_found_with_its_roll() {
         };
         for (eye, side) in found.eyes.iter().zip([-0.42, 0.42]) {
             let at = place(side, -0.32);
-            let off = (eye[0] - at[0]).hypot(eye[1] - at[1]) / found.io_px;
+            let off = (eye[0] - at[0]).hypot(eye[1] - at[1]) / found.interocular_px;
             assert!(off < 0.15, "{roll_rad}: {off}");
         }
         // The left eye is at the picture's left.
@@ -95,5 +95,5 @@ fn a_block_keeps_its_ten_largest_holes() {
     assert_eq!(blocks.len(), 1);
     assert_eq!(blocks[0].holes.len(), 10);
     // Square, and as high as a face may be at the least.
-    assert!(Turned::around(&blocks[0].skin, 0.0).is_some());
+    assert!(RotatedBox::around(&blocks[0].skin, 0.0).is_some());
 }

@@ -1,7 +1,7 @@
 //! The face cut out of the photograph: upright, and always of the same size, so that every length in this module's
 //! neighbours is in the crop's own pixels whatever the photograph's were; and the channels that features are looked for in.
 
-use super::Rough;
+use super::RoughFace;
 use crate::photo::Photo;
 use crate::plane::Plane;
 use crate::vector::{Point, distance, extent, middle};
@@ -15,8 +15,8 @@ pub(crate) const EYES: [f64; 2] = [112.0, 92.0];
 /// Distance of the eye centres of a frontal face in the crop (pixels).
 pub(crate) const EYE_DISTANCE: f64 = 60.0;
 /// Distance of the outer eye corners of a frontal face in the crop (pixels): `io` is 1.366 eye distances.
-pub(crate) const IO: f64 = EYE_DISTANCE * 1.366;
-/// Pixels a side that a [`Reduced`] block is the mean of, at most: larger blocks are sampled more sparsely, which the
+pub(crate) const INTEROCULAR: f64 = EYE_DISTANCE * 1.366;
+/// Pixels a side that a [`BlockMeans`] block is the mean of, at most: larger blocks are sampled more sparsely, which the
 /// smoothing that follows forgives.
 const SAMPLES_MAX: usize = 4;
 /// Added to every channel before its logarithm is taken (of 255): noise in the dark is no contrast.
@@ -39,7 +39,7 @@ pub(crate) struct Crop {
 
 impl Crop {
     /// Cuts out the face that `rough` points at. Pixels beyond the photograph repeat its border.
-    pub(crate) fn cut(photo: &Photo, rough: &Rough) -> Crop {
+    pub(crate) fn cut(photo: &Photo, rough: &RoughFace) -> Crop {
         let (l, r, m) = (rough.left_eye, rough.right_eye, rough.mouth);
         let mid = middle(l, r);
         let (eyes, down) = (distance(r, l), distance(m, mid));
@@ -52,7 +52,7 @@ impl Crop {
         let mut crop = Crop { scale, origin: mid, axis, rgb: [blank(), blank(), blank()] };
         let corner = |x: usize, y: usize| crop.to_photo([x as f64, y as f64]);
         let corners = [corner(0, 0), corner(WIDTH, 0), corner(0, HEIGHT), corner(WIDTH, HEIGHT)];
-        let source = Reduced::of(photo, corners, scale);
+        let source = BlockMeans::of(photo, corners, scale);
         let mut channels: [Vec<f32>; 3] =
             std::array::from_fn(|_| Vec::with_capacity(WIDTH * HEIGHT));
         for (y, x) in (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| (y, x))) {
@@ -94,7 +94,7 @@ impl Crop {
 
 /// The part of a photograph that the crop is cut from, in means of blocks of as many pixels as one of the crop's is large: so
 /// that a large photograph costs little more than a small one, and no pixel of it falls between two samples.
-struct Reduced {
+struct BlockMeans {
     /// Pixels of the photograph a block, each way.
     block: usize,
     left: usize,
@@ -104,7 +104,7 @@ struct Reduced {
     means: Vec<[f32; 3]>,
 }
 
-impl Reduced {
+impl BlockMeans {
     /// What lies between the four corners (pixels of the photograph), with blocks of `scale` pixels.
     fn of(photo: &Photo, corners: [[f64; 2]; 4], scale: f64) -> Self {
         let (w, h) = (photo.width(), photo.height());

@@ -3,9 +3,9 @@
 
 use super::crop::Maps;
 use super::outline::{self, Ray};
-use super::regressor::{TOLD, Told};
-use super::search::Found;
-use super::shape::{LANDMARKS, Pose, Target};
+use super::regressor::{LandmarkPoints, REGRESSED};
+use super::search::SearchResult;
+use super::shape::{LANDMARKS, PosedModel, Target};
 use super::{BROWS, EYES, MOUTH, NOSE, features};
 use crate::plane::Plane;
 use crate::pose::{EyeLine, YawRule};
@@ -27,22 +27,22 @@ pub const FAINT: f64 = 0.2;
 
 /// How much further a head is turned than the edge of what is seen says, which bulges on the far side: measured on the
 /// drawn faces of `--example faces_points drawn`.
-const OUTLINE_TURN: f64 = 1.2;
+const OUTLINE_YAW_FACTOR: f64 = 1.2;
 
 /// What was seen of all features from one pose.
 #[derive(Default)]
-pub(super) struct Seen {
+pub(super) struct LocatedFeatures {
     pub(super) targets: Vec<Target>,
     /// Of eyes, brows, nose and mouth: how clearly (0 to 1), and the score less the cost of the deviation.
     pub(super) clear: Vec<f64>,
-    pub(super) held: Vec<f64>,
+    pub(super) penalised: Vec<f64>,
 }
 
-impl Seen {
-    fn add<const N: usize>(&mut self, which: &[usize; N], found: &Found<N>, sd: f64) {
+impl LocatedFeatures {
+    fn add<const N: usize>(&mut self, which: &[usize; N], found: &SearchResult<N>, sd: f64) {
         let clear = (found.score / CLEAR).clamp(FAINT, 1.0);
         self.clear.push(clear);
-        self.held.push(found.held);
+        self.penalised.push(found.penalised);
         for (landmark, at) in which.iter().zip(&found.points) {
             self.targets.push(Target { landmark: *landmark, at: *at, sd: sd / clear });
         }
@@ -50,9 +50,9 @@ impl Seen {
 }
 
 /// Looks for every feature near where the pose has it.
-pub(super) fn look(maps: &Maps, pose: &Pose<'_>, reach: f64) -> Seen {
+pub(super) fn locate_features(maps: &Maps, pose: &PosedModel<'_>, reach: f64) -> LocatedFeatures {
     let p = pose.project();
-    let mut seen = Seen::default();
+    let mut seen = LocatedFeatures::default();
     let mut lids = Vec::new();
     for which in EYES {
         let found = features::eye(maps, &pick(&p, which), reach);
@@ -70,7 +70,7 @@ pub(super) fn look(maps: &Maps, pose: &Pose<'_>, reach: f64) -> Seen {
 }
 
 /// Mean squared distance of the targets from the pose, in units of 6 px, no target counting more than 4.
-fn misfit(pose: &Pose<'_>, targets: &[Target]) -> f64 {
+fn misfit(pose: &PosedModel<'_>, targets: &[Target]) -> f64 {
     let p = pose.project();
     let sum: f64 = targets
         .iter()
@@ -81,7 +81,7 @@ fn misfit(pose: &Pose<'_>, targets: &[Target]) -> f64 {
 }
 
 /// How unlike the skin of cheeks and nose everything is.
-pub(super) fn unlike(maps: &Maps, pose: &Pose<'_>) -> Plane {
+pub(super) fn unlike(maps: &Maps, pose: &PosedModel<'_>) -> Plane {
     let p = pose.project();
     maps.unlike_skin(&[middle(p[41], p[48]), middle(p[46], p[54]), middle(p[27], p[33])])
 }
@@ -101,10 +101,10 @@ fn trace(maps: &Maps, unlike: &Plane, p: &[Point; LANDMARKS], sd: f64) -> Vec<Ra
 }
 
 /// The outline, and where it has the landmarks of the jaw.
-pub(super) fn around(
+pub(super) fn locate_outline(
     maps: &Maps,
     unlike: &Plane,
-    pose: &Pose<'_>,
+    pose: &PosedModel<'_>,
     sd: f64,
 ) -> (Vec<Target>, Vec<Ray>) {
     let p = pose.project();
@@ -121,10 +121,10 @@ pub(super) fn around(
 }
 
 /// Where the head turns by its outline (degrees); none where the eyes are not within.
-fn turn_deg(line: &[Ray], p: &[Point; LANDMARKS]) -> Option<f64> {
+fn outline_yaw_deg(line: &[Ray], p: &[Point; LANDMARKS]) -> Option<f64> {
     let outline: Vec<_> = line.iter().map(|ray| ray.at).collect();
     let eyes = EyeLine::new(p[36], p[45], &outline).ok()?;
-    Some(OUTLINE_TURN * eyes.yaw_deg(YawRule::Arcsine))
+    Some(OUTLINE_YAW_FACTOR * eyes.yaw_deg(YawRule::Arcsine))
 }
 
 /// How clear a piece of the outline is, as a point's confidence.
@@ -156,11 +156,11 @@ pub struct Evidence {
     /// Sum of the squared coefficients of the fitted shape.
     pub strain: f64,
     /// How far the head nods either way (degrees).
-    pub nod_deg: f64,
+    pub pitch_deg: f64,
     /// How far the head's turn is from what the edge of what is seen says (degrees).
-    pub turn_off_deg: f64,
+    pub yaw_mismatch_deg: f64,
     /// Mean distance of the fitted face from what the first glance said (pixels of the crop).
-    pub glance_off: f64,
+    pub regressor_offset: f64,
 }
 
 /// A term of the evidence: its weight, and the range that it is held to.
@@ -190,8 +190,13 @@ impl Evidence {
     /// How many terms there are.
     pub const COUNT: usize = 11;
 
-    pub(super) fn of(pose: &Pose<'_>, seen: &Seen, line: &[Ray], told: &Told) -> Self {
-        let held = |i: usize| seen.held.get(i).copied().unwrap_or_default();
+    pub(super) fn of(
+        pose: &PosedModel<'_>,
+        seen: &LocatedFeatures,
+        line: &[Ray],
+        predicted: &LandmarkPoints,
+    ) -> Self {
+        let held = |i: usize| seen.penalised.get(i).copied().unwrap_or_default();
         let counts = [6.0, 6.0, 5.0, 5.0, 5.0, 14.0];
         let points: f64 = counts.iter().sum();
         Self {
@@ -203,10 +208,10 @@ impl Evidence {
             outline: line.iter().map(clearness).sum::<f64>() / line.len().max(1) as f64,
             misfit: misfit(pose, &seen.targets),
             strain: pose.strain(),
-            nod_deg: pose.nod_deg().abs(),
-            turn_off_deg: turn_deg(line, &pose.project())
+            pitch_deg: pose.pitch_deg().abs(),
+            yaw_mismatch_deg: outline_yaw_deg(line, &pose.project())
                 .map_or(0.0, |t| (t - pose.yaw_deg()).abs()),
-            glance_off: off(pose, told),
+            regressor_offset: regressor_offset(pose, predicted),
         }
     }
 
@@ -222,9 +227,9 @@ impl Evidence {
             self.outline,
             self.misfit,
             self.strain,
-            self.nod_deg,
-            self.turn_off_deg,
-            self.glance_off,
+            self.pitch_deg,
+            self.yaw_mismatch_deg,
+            self.regressor_offset,
         ]
     }
 
@@ -239,8 +244,9 @@ impl Evidence {
 }
 
 /// Mean distance of the pose's landmarks from those told.
-fn off(pose: &Pose<'_>, told: &Told) -> f64 {
+fn regressor_offset(pose: &PosedModel<'_>, landmarks: &LandmarkPoints) -> f64 {
     let p = pose.project();
-    let far = TOLD.iter().zip(told).filter_map(|(i, at)| p.get(*i).map(|p| distance(*p, *at)));
-    far.sum::<f64>() / TOLD.len() as f64
+    let pairs = REGRESSED.iter().zip(landmarks);
+    let far = pairs.filter_map(|(i, at)| p.get(*i).map(|p| distance(*p, *at)));
+    far.sum::<f64>() / REGRESSED.len() as f64
 }

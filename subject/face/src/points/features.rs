@@ -1,7 +1,7 @@
 //! Eyes, brows, nose and mouth: outlines that are moved and bent until brightness and redness agree with them.
 
 use super::crop::{Maps, at};
-use super::search::{Found, Motion, only, search, shift, stretch, turn};
+use super::search::{Motion, SearchResult, only, search, shift, stretch, turn};
 use crate::vector::{Point, along, cubic, direction, distance, middle, up};
 
 /// Places on a lid or a lip that are looked at.
@@ -9,7 +9,7 @@ const STEPS: [f64; 7] = [0.12, 0.25, 0.38, 0.5, 0.62, 0.75, 0.88];
 
 /// The eye nearest to `start`, two lids as curves between two corners: left corner of the picture, upper lid (2), right
 /// corner, lower lid (2, from the right); `reach` (pixels) is how far it may lie.
-pub(crate) fn eye(maps: &Maps, start: &[Point; 6], reach: f64) -> Found<6> {
+pub(crate) fn eye(maps: &Maps, start: &[Point; 6], reach: f64) -> SearchResult<6> {
     let middle = start.iter().fold([0.0; 2], |s, p| [s[0] + p[0] / 6.0, s[1] + p[1] / 6.0]);
     let right = direction(start[0], start[3]);
     let upwards = up(right);
@@ -60,7 +60,12 @@ fn eye_score(maps: &Maps, &[a, b, c, d, e, f]: &[Point; 6]) -> f64 {
 }
 
 /// The brow nearest to `start`, a dark band over the eye: five points from the left of the picture, and above the upper lid `lid`.
-pub(crate) fn brow(maps: &Maps, start: &[Point; 5], lid: [Point; 2], reach: f64) -> Found<5> {
+pub(crate) fn brow(
+    maps: &Maps,
+    start: &[Point; 5],
+    lid: [Point; 2],
+    reach: f64,
+) -> SearchResult<5> {
     let middle = start[2];
     let right = direction(start[0], start[4]);
     let n = up(right);
@@ -110,7 +115,7 @@ fn crowding(p: &[Point; 5], lid: [Point; 2]) -> f64 {
 }
 
 /// The base of the nose nearest to `start`: left wing, left nostril, middle, right nostril, right wing.
-pub(crate) fn nose(maps: &Maps, start: &[Point; 5], reach: f64) -> Found<5> {
+pub(crate) fn nose(maps: &Maps, start: &[Point; 5], reach: f64) -> SearchResult<5> {
     let right = direction(start[0], start[4]);
     let n = up(right);
     let motions = [
@@ -141,7 +146,7 @@ fn nose_score(maps: &Maps, &[a, b, c, d, e]: &[Point; 5]) -> f64 {
 
 /// The mouth nearest to `start`, the outlines of both lips and the line or the gap between them: outer outline clockwise
 /// from the left corner (12), middle of the upper lip's inner edge, middle of the lower lip's.
-pub(crate) fn mouth(maps: &Maps, start: &[Point; 14], reach: f64) -> Found<14> {
+pub(crate) fn mouth(maps: &Maps, start: &[Point; 14], reach: f64) -> SearchResult<14> {
     let right = direction(start[0], start[6]);
     let n = up(right);
     let middle = middle(start[0], start[6]);

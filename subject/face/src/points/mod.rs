@@ -3,7 +3,7 @@
 //!
 //! [`find`] is the default: every feature is an outline that is moved and bent until brightness and redness agree with it,
 //! all of them are held together by the generic face in its pose, and the two take turns. [`paper::find`] is the paper's
-//! way, feature by feature. Both begin from a [`Rough`] face, and work in an upright crop of fixed size, so that no length
+//! way, feature by feature. Both begin from a [`RoughFace`] face, and work in an upright crop of fixed size, so that no length
 //! depends on the photograph's.
 
 mod chain;
@@ -26,7 +26,7 @@ pub use evidence::{Evidence, FAINT};
 
 /// Where a face lies, roughly (pixels of the photograph): an error of a tenth of the eyes' distance is no harm.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Rough {
+pub struct RoughFace {
     /// Centre of the eye at the picture's left, which is the subject's right eye.
     pub left_eye: [f64; 2],
     /// Centre of the eye at the picture's right.

@@ -29,11 +29,11 @@ const STEPS_MAX: f64 = 16.0;
 
 /// The best outline, what it scored, and how much better it is than the one it started from.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Found<const N: usize> {
+pub(crate) struct SearchResult<const N: usize> {
     pub(crate) points: [Point; N],
     pub(crate) score: f64,
     /// `score` less the cost of the deviation.
-    pub(crate) held: f64,
+    pub(crate) penalised: f64,
 }
 
 /// Moves `start` where `score` is highest: a grid over the motions that have a step, then one motion at a time with
@@ -42,7 +42,7 @@ pub(crate) fn search<const N: usize, const M: usize>(
     start: &[Point; N],
     motions: &[Motion<N>; M],
     score: impl Fn(&[Point; N]) -> f64,
-) -> Found<N> {
+) -> SearchResult<N> {
     let place = |amounts: &[f64; M]| {
         let mut points = *start;
         for (amount, motion) in amounts.iter().zip(motions) {
@@ -90,7 +90,7 @@ pub(crate) fn search<const N: usize, const M: usize>(
         share /= 2.0;
     }
     let points = place(&best);
-    Found { score: score(&points), held: best_score, points }
+    SearchResult { score: score(&points), penalised: best_score, points }
 }
 
 /// The amounts at one place of the coarse search, counted through with the first motion fastest.

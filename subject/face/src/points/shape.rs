@@ -51,8 +51,8 @@ impl Landmarks {
 /// Unknowns of the pose: rotation, scale, shift.
 const POSE: usize = 6;
 /// Standard deviations of yaw and pitch over photographs (radians).
-const TURN_SD_RAD: f64 = 0.6;
-const NOD_SD_RAD: f64 = 0.25;
+const YAW_SD_RAD: f64 = 0.6;
+const PITCH_SD_RAD: f64 = 0.25;
 
 /// Where a landmark was seen.
 #[derive(Debug, Clone, Copy)]
@@ -65,7 +65,7 @@ pub(crate) struct Target {
 
 /// The model in a pose.
 #[derive(Debug, Clone)]
-pub(crate) struct Pose<'a> {
+pub(crate) struct PosedModel<'a> {
     landmarks: &'a Landmarks,
     /// Rows: the image's x and y axes in the model's frame.
     pub(crate) rotation: Matrix2x3<f64>,
@@ -75,10 +75,10 @@ pub(crate) struct Pose<'a> {
     pub(crate) coefficients: Vec<f64>,
 }
 
-impl<'a> Pose<'a> {
+impl<'a> PosedModel<'a> {
     /// A frontal mean face: io of `scale` pixels, the middle of the eyes at `eyes`.
     pub(crate) fn frontal(landmarks: &'a Landmarks, scale: f64, eyes: Point) -> Self {
-        let mut pose = Pose {
+        let mut pose = PosedModel {
             landmarks,
             rotation: Matrix2x3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0),
             scale,
@@ -116,7 +116,7 @@ impl<'a> Pose<'a> {
     }
 
     /// How far the head nods (degrees).
-    pub(crate) fn nod_deg(&self) -> f64 {
+    pub(crate) fn pitch_deg(&self) -> f64 {
         self.rotation[(1, 2)].clamp(-1.0, 1.0).asin().to_degrees()
     }
 
@@ -185,10 +185,10 @@ impl<'a> Pose<'a> {
         // A head is upright and looks at the camera, more or less.
         let yaw = self.rotation[(0, 2)].clamp(-1.0, 1.0).asin();
         let pitch = self.rotation[(1, 2)].clamp(-1.0, 1.0).asin();
-        a[(1, 1)] += TURN_SD_RAD.powi(-2);
-        b[1] -= yaw * TURN_SD_RAD.powi(-2);
-        a[(0, 0)] += NOD_SD_RAD.powi(-2);
-        b[0] += pitch * NOD_SD_RAD.powi(-2);
+        a[(1, 1)] += YAW_SD_RAD.powi(-2);
+        b[1] -= yaw * YAW_SD_RAD.powi(-2);
+        a[(0, 0)] += PITCH_SD_RAD.powi(-2);
+        b[0] += pitch * PITCH_SD_RAD.powi(-2);
         for j in 0..POSE {
             a[(j, j)] += 1e-6;
         }

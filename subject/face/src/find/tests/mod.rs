@@ -1,24 +1,24 @@
-mod again;
+mod second_stage;
 
 use mocapd_testkit::photograph::Scene;
 use mocapd_testkit::random::Random;
 
 use super::align::STEPS;
-use super::look::{look, mirrored};
-use super::{Frame, LOOK, SCORE_MIN, faces};
+use super::features::{extract, mirrored};
+use super::{FEATURE_COUNT, Frame, SCORE_MIN, faces};
 use crate::model::FeatureId;
 use crate::photo::Photo;
 use crate::plane::Pyramid;
 use crate::vector;
 
 /// Somebody before clutter, and the middles of eyes and mouth.
-fn drawn(seed: u64, io_px: f64, roll_deg: f64) -> (Photo, [[f64; 2]; 3]) {
-    turned(seed, io_px, 0.0, roll_deg)
+fn drawn(seed: u64, interocular_px: f64, roll_deg: f64) -> (Photo, [[f64; 2]; 3]) {
+    turned(seed, interocular_px, 0.0, roll_deg)
 }
 
 /// The same, turned to the right of the picture.
-fn turned(seed: u64, io_px: f64, yaw_deg: f64, roll_deg: f64) -> (Photo, [[f64; 2]; 3]) {
-    let mut scene = Scene::portrait(seed, io_px, yaw_deg);
+fn turned(seed: u64, interocular_px: f64, yaw_deg: f64, roll_deg: f64) -> (Photo, [[f64; 2]; 3]) {
+    let mut scene = Scene::portrait(seed, interocular_px, yaw_deg);
     for sitter in &mut scene.faces {
         sitter.roll_deg = roll_deg;
     }
@@ -44,20 +44,20 @@ fn with(photo: &Photo, change: impl Fn([u8; 3]) -> [u8; 3]) -> Photo {
 fn a_drawn_face_is_found_at_any_size_and_roll_once() {
     let faces_drawn =
         [(1, 44.0, 0.0), (2, 64.0, 0.0), (3, 130.0, 0.0), (4, 70.0, 26.0), (5, 70.0, -26.0)];
-    for (seed, io_px, roll_deg) in faces_drawn {
-        let (photo, [left, right, mouth]) = drawn(seed, io_px, roll_deg);
+    for (seed, interocular_px, roll_deg) in faces_drawn {
+        let (photo, [left, right, mouth]) = drawn(seed, interocular_px, roll_deg);
         for photo in [with(&photo, |[_, green, _]| [green; 3]), photo] {
             let all = faces(&photo, SCORE_MIN);
-            assert_eq!(all.len(), 1, "{seed} {io_px} {roll_deg}: {all:?}");
+            assert_eq!(all.len(), 1, "{seed} {interocular_px} {roll_deg}: {all:?}");
             let found = all[0];
             let pairs = [(found.eyes[0], left), (found.eyes[1], right), (found.mouth, mouth)];
             for (seen, truth) in pairs {
-                let off = (seen[0] - truth[0]).hypot(seen[1] - truth[1]) / io_px;
-                assert!(off < 0.12, "{seed} {io_px} {roll_deg}: {off} of {found:?}");
+                let off = (seen[0] - truth[0]).hypot(seen[1] - truth[1]) / interocular_px;
+                assert!(off < 0.12, "{seed} {interocular_px} {roll_deg}: {off} of {found:?}");
             }
             let roll_rad = (right[1] - left[1]).atan2(right[0] - left[0]);
             assert!((found.roll_rad - roll_rad).abs() < 0.12, "{found:?}");
-            assert!((found.io_px / io_px - 1.0).abs() < 0.2, "{found:?}");
+            assert!((found.interocular_px / interocular_px - 1.0).abs() < 0.2, "{found:?}");
         }
     }
 }
@@ -113,9 +113,9 @@ fn the_mirror_image_of_a_look_is_the_look_of_the_mirror_image() {
         down: [5.0, 50.0],
         turn: -0.1,
     };
-    let own = look(&Pyramid::new(photo.grey()), &frame);
-    let of_other = look(&Pyramid::new(other.grey()), &back);
-    assert_eq!(own.len(), LOOK);
+    let own = extract(&Pyramid::new(photo.grey()), &frame);
+    let of_other = extract(&Pyramid::new(other.grey()), &back);
+    assert_eq!(own.len(), FEATURE_COUNT);
     assert_eq!(mirrored(&mirrored(&own)), own);
     let off = mirrored(&own).iter().zip(&of_other).map(|(a, b)| a.abs_diff(*b)).max();
     assert!(off <= Some(2), "{off:?}");
@@ -144,7 +144,7 @@ fn eyes_and_mouth_are_nearer_once_they_are_aligned() {
         };
         before += far(&rough);
         let aligned =
-            STEPS.iter().fold(rough, |frame, step| step.aligned(&frame, &look(&pyramid, &frame)));
+            STEPS.iter().fold(rough, |at, step| step.aligned(&at, &extract(&pyramid, &at)));
         after += far(&aligned);
     }
     assert!(after < 0.7 * before, "{after} of {before}");

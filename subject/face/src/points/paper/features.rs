@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use super::{Bounds, settle, value};
+use super::{Bounds, fit_snake, value};
 use crate::plane::{Gradient, Plane};
 use crate::vector::{Point, extent};
 
@@ -206,7 +206,7 @@ pub(super) fn nose(slope: &Gradient, b: Bounds) -> Feature<5> {
     if let Some(end) = curve.last_mut() {
         *end = (right, middle);
     }
-    settle(&slope.magnitude, &mut curve, false);
+    fit_snake(&slope.magnitude, &mut curve, false);
     // The wings are the widest places of the lower half, the middle is the lowest; the nostrils lie between.
     let lower = || curve.iter().filter(|p| f64::from(p.1) > f64::from(middle) + 0.4 * deep);
     let point =

@@ -8,7 +8,7 @@ mod features;
 
 use super::crop::{Crop, EYE_DISTANCE, HEIGHT, Maps, WIDTH};
 use super::outline::{Heights, twelve};
-use super::{BROWS, EYES, FacePoints, MOUTH, NOSE, Rough};
+use super::{BROWS, EYES, FacePoints, MOUTH, NOSE, RoughFace};
 use crate::photo::Photo;
 use crate::plane::{Gradient, Plane};
 use crate::vector::{self, Point};
@@ -27,7 +27,7 @@ const OUTLINE_RADII: (i32, i32) = (35, 125);
 
 /// The 53 points of the face that `rough` points at, by the paper's methods.
 #[must_use]
-pub fn find(photo: &Photo, rough: &Rough) -> FacePoints {
+pub fn find(photo: &Photo, rough: &RoughFace) -> FacePoints {
     let crop = Crop::cut(photo, rough);
     let places = [rough.left_eye, rough.right_eye, rough.mouth].map(|p| crop.in_crop(p));
     let [left, right, mouth_at] = places;
@@ -95,7 +95,7 @@ fn outline(unlike: &Plane, slope: &Gradient, centre: Point) -> Vec<Point> {
             place(end.unwrap_or(OUTLINE_RADII.1))
         })
         .collect();
-    settle(&slope.magnitude, &mut curve, true);
+    fit_snake(&slope.magnitude, &mut curve, true);
     curve.into_iter().map(|(x, y)| [f64::from(x), f64::from(y)]).collect()
 }
 
@@ -174,7 +174,7 @@ const ACROSS: [(i32, i32); 5] = [(0, 0), (1, 1), (-1, 1), (1, -1), (-1, -1)];
 /// It is solved greedily, with energies normalised over the neighbourhood of each point (Williams and Shah 1992); of the eight
 /// neighbours the four beside and the four across are tried by turns, which halves the work and ends in the same place (Lam and
 /// Yan 1994).
-fn settle(strength: &Plane, curve: &mut [(i32, i32)], closed: bool) {
+fn fit_snake(strength: &Plane, curve: &mut [(i32, i32)], closed: bool) {
     let n = curve.len();
     if n < 3 {
         return;

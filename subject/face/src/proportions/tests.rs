@@ -16,7 +16,7 @@ fn example(random: &mut Random, yaw_deg: f64, pitch_deg: f64) -> [[f64; 2]; Feat
     let places = model.feature_points(&model.shape(&coefficients), &camera.rotation());
     let mut points = [[0.0; 2]; FeatureId::COUNT];
     for ((id, point), [x, y, _]) in FeatureId::all().zip(&mut points).zip(camera.project(&places)) {
-        let noise = if id.is_contour() { options.contour_noise_io } else { options.noise_io };
+        let noise = options.noise_of(id);
         // Half of an annotator's noise: it is the modes that are tried here.
         let mut off = || 0.5 * noise * 90.0 * 1.3 * random.normal();
         *point = [x + off(), y + off()];
@@ -45,13 +45,13 @@ const POSES: [[f64; 2]; 5] = [[0.0, 0.0], [30.0, 0.0], [-20.0, 10.0], [10.0, -12
 
 #[test]
 fn faces_of_the_model_contradict_nothing() {
-    let plausible = Plausible::of(Model::generic().unwrap());
+    let proportions = ProportionModel::of(Model::generic().unwrap());
     let mut random = Random::new(11);
     let (mut warned, mut n) = (0, 0);
     for [yaw_deg, pitch_deg] in POSES {
         for _ in 0..40 {
             let points = example(&mut random, yaw_deg, pitch_deg);
-            warned += usize::from(!plausible.contradictions(&points).is_empty());
+            warned += usize::from(!proportions.contradictions(&points).is_empty());
             n += 1;
         }
     }
@@ -61,14 +61,15 @@ fn faces_of_the_model_contradict_nothing() {
 
 #[test]
 fn what_is_out_of_place_is_named() {
-    let plausible = Plausible::of(Model::generic().unwrap());
+    let proportions = ProportionModel::of(Model::generic().unwrap());
     let mut random = Random::new(12);
     let mouth = 39..53;
     for [yaw_deg, pitch_deg] in POSES {
         let good = example(&mut random, yaw_deg, pitch_deg);
         let named = |points: &[[f64; 2]; FeatureId::COUNT], what: &str| {
-            let said = plausible.contradictions(points);
-            assert!(said.iter().any(|words| words.contains(what)), "{what}: {said:?}");
+            let contradictions = proportions.contradictions(points);
+            let is_named = contradictions.iter().any(|text| text.contains(what));
+            assert!(is_named, "{what}: {contradictions:?}");
         };
         // On the chin, on the nose, on a cheek.
         named(&moved(&good, mouth.clone(), [0.0, 0.45]), "mouth");
@@ -83,7 +84,7 @@ fn what_is_out_of_place_is_named() {
 
 #[test]
 fn eyes_in_one_place_are_no_face() {
-    let plausible = Plausible::of(Model::generic().unwrap());
-    assert_eq!(plausible.contradictions(&[[7.0; 2]; FeatureId::COUNT]).len(), 1);
-    assert_eq!(plausible.contradictions(&[[f64::NAN; 2]; FeatureId::COUNT]).len(), 1);
+    let proportions = ProportionModel::of(Model::generic().unwrap());
+    assert_eq!(proportions.contradictions(&[[7.0; 2]; FeatureId::COUNT]).len(), 1);
+    assert_eq!(proportions.contradictions(&[[f64::NAN; 2]; FeatureId::COUNT]).len(), 1);
 }

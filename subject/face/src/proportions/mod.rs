@@ -12,6 +12,7 @@ use std::ops::Range;
 
 use super::model::{Camera, FeatureId, FitOptions, Model};
 use super::vector::{mean, middle};
+use Noise::{Outline, Pair, Part};
 
 /// From so many standard deviations on a proportion is none of a face: one in 370 is, of each, by the model.
 const LIMIT_SD: f64 = 3.0;
@@ -21,19 +22,19 @@ const PITCH_DEG: (i32, i32) = (20, 5);
 
 /// What the proportions of a face are, in every pose that is tried.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Plausible {
-    poses: Vec<Pose>,
+pub struct ProportionModel {
+    poses: Vec<PoseExpectation>,
 }
 
 /// Mean and standard deviation of each proportion in one pose.
 #[derive(Debug, Clone, PartialEq)]
-struct Pose {
+struct PoseExpectation {
     /// Squared standard deviations that the pose itself is from one that looks ahead.
     cost: f64,
     expected: Vec<(f64, f64)>,
 }
 
-impl Plausible {
+impl ProportionModel {
     /// From the modes of a model.
     #[must_use]
     pub fn of(model: &Model) -> Self {
@@ -56,9 +57,9 @@ impl Plausible {
                 roll_deg: 0.0,
                 origin_px: [0.0; 2],
             };
-            let mut shapes = shapes.iter().filter_map(|shape| seen(model, shape, &camera));
+            let mut shapes = shapes.iter().filter_map(|shape| measure(model, shape, &camera));
             let mean = shapes.next()?;
-            let mut squares = PROPORTIONS.map(|proportion| proportion.noise_io(&options).powi(2));
+            let mut squares = PROPORTIONS.map(|one| one.noise_interocular(&options).powi(2));
             for shape in shapes {
                 for ((square, value), mean) in squares.iter_mut().zip(shape).zip(mean) {
                     *square += (value - mean).powi(2);
@@ -66,7 +67,7 @@ impl Plausible {
             }
             let expected = mean.into_iter().zip(squares.map(f64::sqrt)).collect();
             let cost = (camera.pitch_deg / options.pitch_sd_deg).powi(2);
-            Some(Pose { cost, expected })
+            Some(PoseExpectation { cost, expected })
         };
         let poses = steps(YAW_DEG).flat_map(|yaw| steps(PITCH_DEG).map(move |pitch| (yaw, pitch)));
         Self { poses: poses.filter_map(|(yaw, pitch)| pose(yaw, pitch)).collect() }
@@ -79,9 +80,9 @@ impl Plausible {
         let Some(values) = proportions(points) else {
             return vec!["the corners of the eyes lie in one place".to_owned()];
         };
-        let off = |pose: &Pose| -> Vec<Off> {
+        let off = |pose: &PoseExpectation| -> Vec<Deviation> {
             let each = PROPORTIONS.iter().zip(&pose.expected).zip(values);
-            each.map(|((proportion, &(mean, sd)), value)| Off {
+            each.map(|((proportion, &(mean, sd)), value)| Deviation {
                 value,
                 mean,
                 sd: proportion.deviation(value, mean, sd),
@@ -89,19 +90,19 @@ impl Plausible {
             .collect()
         };
         // What is wrong counts no more than what is just wrong: the others tell the pose.
-        let cost = |pose: &Pose| {
+        let cost = |pose: &PoseExpectation| {
             let each = off(pose).into_iter().map(|off| off.sd.abs().min(LIMIT_SD).powi(2));
             pose.cost + each.sum::<f64>()
         };
         let best = self.poses.iter().map(|pose| (cost(pose), pose));
         let Some((_, pose)) = best.min_by(|a, b| a.0.total_cmp(&b.0)) else { return Vec::new() };
         let wrong = PROPORTIONS.iter().zip(off(pose)).filter(|(_, off)| off.sd.abs() > LIMIT_SD);
-        wrong.map(|(proportion, off)| proportion.words(&off)).collect()
+        wrong.map(|(proportion, off)| proportion.message(&off)).collect()
     }
 }
 
 /// The proportions of a shape as a camera sees it.
-fn seen(model: &Model, shape: &[[f64; 3]], camera: &Camera) -> Option<[f64; PROPORTIONS.len()]> {
+fn measure(model: &Model, shape: &[[f64; 3]], camera: &Camera) -> Option<[f64; PROPORTIONS.len()]> {
     let places = camera.project(&model.feature_points(shape, &camera.rotation()));
     let mut points = [[0.0; 2]; FeatureId::COUNT];
     points.iter_mut().zip(places).for_each(|(point, [x, y, _])| *point = [x, y]);
@@ -111,14 +112,14 @@ fn seen(model: &Model, shape: &[[f64; 3]], camera: &Camera) -> Option<[f64; PROP
 /// A proportion, what it is called, and of what points it is.
 struct Proportion {
     /// `the mouth`, `lies`, `below the eyes`.
-    words: [&'static str; 3],
-    of: Of,
+    phrase: [&'static str; 3],
+    noise: Noise,
     value: fn(&Upright) -> f64,
 }
 
 /// What points a proportion is of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Of {
+enum Noise {
     /// A part as a whole, whose points err together.
     Part,
     /// Two points, each with its own error.
@@ -129,7 +130,7 @@ enum Of {
 
 /// How far a proportion is off.
 #[derive(Debug, Clone, Copy)]
-struct Off {
+struct Deviation {
     value: f64,
     mean: f64,
     /// In standard deviations.
@@ -148,58 +149,56 @@ const LIPS: [usize; 2] = [42, 48];
 
 /// Eyes are the measure of everything else, and the outline's width is told by hair.
 const PROPORTIONS: [Proportion; 11] = [
-    Proportion::new(["the mouth", "lies", "below the eyes"], Of::Part, |face| {
-        face.middle(MOUTH)[1]
-    }),
+    Proportion::new(["the mouth", "lies", "below the eyes"], Part, |face| face.middle(MOUTH)[1]),
     Proportion::new(
         ["the mouth", "lies", "beside the eyes' middle (to the picture's left where less than 0)"],
-        Of::Part,
+        Part,
         |face| face.middle(MOUTH)[0],
     ),
-    Proportion::new(["the mouth", "is", "wide"], Of::Pair, |face| face.across(MOUTH_CORNERS)),
-    Proportion::new(["the mouth", "is", "high"], Of::Pair, |face| face.down(LIPS)),
-    Proportion::new(["the nose", "ends", "below the eyes"], Of::Part, |face| face.middle(NOSE)[1]),
+    Proportion::new(["the mouth", "is", "wide"], Pair, |face| face.across(MOUTH_CORNERS)),
+    Proportion::new(["the mouth", "is", "high"], Pair, |face| face.down(LIPS)),
+    Proportion::new(["the nose", "ends", "below the eyes"], Part, |face| face.middle(NOSE)[1]),
     Proportion::new(
         ["the nose", "ends", "beside the eyes' middle (to the picture's left where less than 0)"],
-        Of::Part,
+        Part,
         |face| face.middle(NOSE)[0],
     ),
-    Proportion::new(["the nose", "is", "wide"], Of::Pair, |face| face.across(WINGS)),
-    Proportion::new(["the mouth", "lies", "below the nose"], Of::Part, |face| {
+    Proportion::new(["the nose", "is", "wide"], Pair, |face| face.across(WINGS)),
+    Proportion::new(["the mouth", "lies", "below the nose"], Part, |face| {
         face.middle(MOUTH)[1] - face.middle(NOSE)[1]
     }),
-    Proportion::new(["the right brow", "lies", "above its eye"], Of::Part, |face| face.brow(0)),
-    Proportion::new(["the left brow", "lies", "above its eye"], Of::Part, |face| face.brow(1)),
-    Proportion::new(["the chin", "lies", "below the lips"], Of::Outline, |face| {
+    Proportion::new(["the right brow", "lies", "above its eye"], Part, |face| face.brow(0)),
+    Proportion::new(["the left brow", "lies", "above its eye"], Part, |face| face.brow(1)),
+    Proportion::new(["the chin", "lies", "below the lips"], Outline, |face| {
         let [right, left] = OUTLINE_CHIN.map(|i| face.at[i][1]);
         (right + left) / 2.0 - face.at[LIPS[1]][1]
     }),
 ];
 
 impl Proportion {
-    const fn new(words: [&'static str; 3], of: Of, value: fn(&Upright) -> f64) -> Self {
-        Self { words, of, value }
+    const fn new(phrase: [&'static str; 3], noise: Noise, value: fn(&Upright) -> f64) -> Self {
+        Self { phrase, noise, value }
     }
 
     /// Standard deviation of its points where the face is known.
-    fn noise_io(&self, options: &FitOptions) -> f64 {
-        match self.of {
-            Of::Part => options.noise_io,
-            Of::Pair => std::f64::consts::SQRT_2 * options.noise_io,
-            Of::Outline => options.noise_io.hypot(options.contour_noise_io),
+    fn noise_interocular(&self, options: &FitOptions) -> f64 {
+        match self.noise {
+            Part => options.noise_interocular,
+            Pair => std::f64::consts::SQRT_2 * options.noise_interocular,
+            Outline => options.noise_interocular.hypot(options.contour_noise_interocular),
         }
     }
 
     /// How many standard deviations something is off; none where that is no matter.
     fn deviation(&self, value: f64, mean: f64, sd: f64) -> f64 {
         let off = (value - mean) / sd;
-        if self.of == Of::Outline { off.min(0.0) } else { off }
+        if self.noise == Outline { off.min(0.0) } else { off }
     }
 
     /// `the mouth lies 1.12 of the eyes' width below the eyes, where 0.83 is expected`.
-    fn words(&self, off: &Off) -> String {
-        let [subject, verb, below] = self.words;
-        let Off { value, mean, .. } = off;
+    fn message(&self, off: &Deviation) -> String {
+        let [subject, verb, below] = self.phrase;
+        let Deviation { value, mean, .. } = off;
         format!(
             "{subject} {verb} {value:.2} of the eyes' width {below}, where {mean:.2} is expected"
         )
@@ -224,13 +223,13 @@ impl Upright {
         let [right, left] = [FeatureId::RIGHT_EYE_OUTER, FeatureId::LEFT_EYE_OUTER]
             .map(|corner| points[corner.index()]);
         let across = [left[0] - right[0], left[1] - right[1]];
-        let io_px2 = across[0] * across[0] + across[1] * across[1];
+        let squared_px2 = across[0] * across[0] + across[1] * across[1];
         let middle = middle(left, right);
         let upright = |[x, y]: [f64; 2]| {
             let [x, y] = [x - middle[0], y - middle[1]];
-            [(x * across[0] + y * across[1]) / io_px2, (y * across[0] - x * across[1]) / io_px2]
+            [x * across[0] + y * across[1], y * across[0] - x * across[1]].map(|v| v / squared_px2)
         };
-        (io_px2 > 0.0).then(|| Self { at: points.map(upright) })
+        (squared_px2 > 0.0).then(|| Self { at: points.map(upright) })
     }
 
     fn middle(&self, of: Range<usize>) -> [f64; 2] {

@@ -2,7 +2,7 @@
 //! between the cells, sizes and rolls of that search.
 
 use super::frame::{Frame, length};
-use super::template::{CELL_PX, Cells, EYES_PX, Fit, SIDE, TEMPLATES, best_fit, eyes_of};
+use super::template::{CELL_PX, Cells, EYES_PX, SIDE, TEMPLATES, TemplateFit, best_fit, eyes_of};
 use crate::plane::{Plane, Pyramid};
 
 /// Rolls that are tried: 15 degrees apart, up to 30.
@@ -12,14 +12,14 @@ const STEP: f32 = 1.2;
 /// Pixels of a level that are added around it: a face may lie at the border.
 const MARGIN_PX: usize = 8;
 /// Places that are kept: two thirds of a class of thirty, all with a false place each.
-const PLACES_MAX: usize = 64;
+const CANDIDATES_MAX: usize = 64;
 /// Of two places nearer than this to each other, in distances of the eyes, the worse is the same face.
 const APART: f32 = 0.4;
 /// What differs more in size is another face: an eye with its brow may look like a small one.
 const SAME_SIZE: f32 = 1.5;
 
 /// What fits less is not looked at closer.
-const PLACE_MIN: f32 = -4.0;
+const ODDS_MIN: f32 = -4.0;
 /// What is around the template on each side, in cells: contrast is told from there too.
 const AROUND: usize = 4;
 const CROP_PX: usize = (SIDE + 2 * AROUND) * CELL_PX;
@@ -27,7 +27,7 @@ const CROP_PX: usize = (SIDE + 2 * AROUND) * CELL_PX;
 const CHANGES: [[(f32, f32); 2]; 2] = [[(1.1, 0.0), (0.91, 0.0)], [(1.0, 0.13), (1.0, -0.13)]];
 
 /// The best places of a photograph, best first. Faces are larger than `eyes_min` between the eyes.
-pub(super) fn places(pyramid: &Pyramid, eyes_min: f32) -> Vec<Place> {
+pub(super) fn candidates(pyramid: &Pyramid, eyes_min: f32) -> Vec<Candidate> {
     let [wide, high] = pyramid.size();
     let side = wide.min(high) as f32;
     let mut shrink = eyes_min / EYES_PX;
@@ -39,22 +39,22 @@ pub(super) fn places(pyramid: &Pyramid, eyes_min: f32) -> Vec<Place> {
                 plane.resized(px(plane.width()), px(plane.height())).map(|v| v.max(0.0).sqrt());
             let scale = [wide as f32 / level.width() as f32, high as f32 / level.height() as f32];
             for roll_rad in ROLLS_RAD {
-                Turned::new(&level, roll_rad).search(scale, &mut all);
+                RotatedLevel::new(&level, roll_rad).search(scale, &mut all);
             }
         }
         shrink *= STEP;
     }
     all.sort_by(|a, b| b.fit.odds.total_cmp(&a.fit.odds));
-    let mut kept: Vec<Place> = Vec::new();
-    for place in all {
-        let near = |other: &Place| {
-            let apart = [other.origin[0] - place.origin[0], other.origin[1] - place.origin[1]];
-            let (a, b) = (other.eyes_px(), place.eyes_px());
+    let mut kept: Vec<Candidate> = Vec::new();
+    for candidate in all {
+        let near = |other: &Candidate| {
+            let apart = [0, 1].map(|axis| other.origin[axis] - candidate.origin[axis]);
+            let (a, b) = (other.eyes_px(), candidate.eyes_px());
             length(apart) < APART * a.min(b) && a.max(b) < SAME_SIZE * a.min(b)
         };
         if !kept.iter().any(near) {
-            kept.push(place);
-            if kept.len() >= PLACES_MAX {
+            kept.push(candidate);
+            if kept.len() >= CANDIDATES_MAX {
                 break;
             }
         }
@@ -63,7 +63,7 @@ pub(super) fn places(pyramid: &Pyramid, eyes_min: f32) -> Vec<Place> {
 }
 
 /// A level turned upright.
-struct Turned {
+struct RotatedLevel {
     cells: Cells,
     /// From its pixels to the level's: the columns of the turn, and the middles of both.
     turn: [f32; 2],
@@ -71,7 +71,7 @@ struct Turned {
     level_middle: [f32; 2],
 }
 
-impl Turned {
+impl RotatedLevel {
     fn new(level: &Plane, roll_rad: f32) -> Self {
         let (sin, cos) = roll_rad.sin_cos();
         let (wide, high) = (level.width() as f32, level.height() as f32);
@@ -95,7 +95,7 @@ impl Turned {
     }
 
     /// Adds every place that fits better than its neighbours.
-    fn search(&self, scale: [f32; 2], out: &mut Vec<Place>) {
+    fn search(&self, scale: [f32; 2], out: &mut Vec<Candidate>) {
         let across = (self.cells.across + 1).saturating_sub(SIDE);
         let down = (self.cells.down + 1).saturating_sub(SIDE);
         if across == 0 || down == 0 {
@@ -103,10 +103,9 @@ impl Turned {
         }
         let mut fits = Plane::filled(across, down, f32::NEG_INFINITY);
         let mut poses = vec![0_usize; across * down];
-        let places = fits.values_mut().iter_mut().zip(&mut poses).enumerate();
+        let cells = fits.values_mut().iter_mut().zip(&mut poses).enumerate();
         // Every other place: what is between two of them is looked at when the better one is refined.
-        for (i, (fit, pose)) in places.filter(|(i, _)| (i % across + i / across).is_multiple_of(2))
-        {
+        for (i, (fit, pose)) in cells.filter(|(i, _)| (i % across + i / across).is_multiple_of(2)) {
             if let Some(best) = best_fit(&self.cells, i % across, i / across) {
                 (*fit, *pose) = (best.odds, best.pose);
             }
@@ -114,21 +113,21 @@ impl Turned {
         for (i, (&fit, &pose)) in fits.values().iter().zip(&poses).enumerate() {
             let (x, y) = ((i % across) as isize, (i / across) as isize);
             let near = (-1..=1).flat_map(|dy| (-1..=1).map(move |dx| (dx, dy)));
-            if fit < PLACE_MIN || near.into_iter().any(|(dx, dy)| fits.get(x + dx, y + dy) > fit) {
+            if fit < ODDS_MIN || near.into_iter().any(|(dx, dy)| fits.get(x + dx, y + dy) > fit) {
                 continue;
             }
-            out.push(self.place(x as f32, y as f32, scale, Fit { pose, odds: fit }));
+            out.push(self.candidate_at(x as f32, y as f32, scale, TemplateFit { pose, odds: fit }));
         }
     }
 
     /// A cell's place on the photograph.
-    fn place(&self, column: f32, row: f32, scale: [f32; 2], fit: Fit) -> Place {
+    fn candidate_at(&self, column: f32, row: f32, scale: [f32; 2], fit: TemplateFit) -> Candidate {
         let at = eyes_of(column, row);
         let [cos, sin] = self.turn;
         let (dx, dy) = (at[0] - self.middle[0], at[1] - self.middle[1]);
         let x = cos * dx - sin * dy + self.level_middle[0];
         let y = sin * dx + cos * dy + self.level_middle[1];
-        Place {
+        Candidate {
             origin: [(x + 0.5) * scale[0] - 0.5, (y + 0.5) * scale[1] - 0.5],
             step: [cos * scale[0], sin * scale[1]],
             fit,
@@ -138,15 +137,15 @@ impl Turned {
 
 /// Where a template fits.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Place {
+pub(super) struct Candidate {
     /// The middle of the eyes, on the photograph.
     pub(super) origin: [f32; 2],
     /// One pixel of the template to the right, on the photograph; down is square to it.
     pub(super) step: [f32; 2],
-    pub(super) fit: Fit,
+    pub(super) fit: TemplateFit,
 }
 
-impl Place {
+impl Candidate {
     /// The template's distance of the eyes, on the photograph.
     pub(super) fn eyes_px(&self) -> f32 {
         EYES_PX * length(self.step)

@@ -1,22 +1,22 @@
-use super::super::look::second;
-use super::super::{Found, SECOND, hypotheses, hypotheses_again};
+use super::super::features::second_stage;
+use super::super::{DetectedFace, SECOND_STAGE_COUNT, hypotheses, second_stage_hypotheses};
 use super::{drawn, turned};
 use crate::photo::Photo;
 use crate::plane::Pyramid;
-use crate::points::Rough;
+use crate::points::RoughFace;
 
-fn found(eyes: [[f64; 2]; 2], mouth: [f64; 2]) -> Found {
-    let io_px = 1.43 * (eyes[1][0] - eyes[0][0]);
-    Found { eyes, mouth, roll_rad: 0.0, io_px, score: 0.5 }
+fn found(eyes: [[f64; 2]; 2], mouth: [f64; 2]) -> DetectedFace {
+    let interocular_px = 1.43 * (eyes[1][0] - eyes[0][0]);
+    DetectedFace { eyes, mouth, roll_rad: 0.0, interocular_px, score: 0.5 }
 }
 
 #[test]
 fn few_are_looked_at_again_and_those_whole() {
     let photo = drawn(9, 60.0, 0.0).0;
-    let again = hypotheses_again(&photo);
+    let again = second_stage_hypotheses(&photo);
     assert!((1..hypotheses(&photo).len() / 2).contains(&again.len()), "{}", again.len());
     for hypothesis in &again {
-        assert_eq!(hypothesis.look.len(), SECOND);
+        assert_eq!(hypothesis.features.len(), SECOND_STAGE_COUNT);
         assert!((0.0..=1.0).contains(&hypothesis.found.score), "{hypothesis:?}");
     }
 }
@@ -24,18 +24,19 @@ fn few_are_looked_at_again_and_those_whole() {
 #[test]
 fn a_second_look_sees_eyes_and_mouth_and_where_the_nose_points() {
     for (seed, yaw_deg) in [(11, -25.0), (12, 25.0), (13, -18.0), (14, 18.0)] {
-        let io_px = 80.0;
-        let (photo, [left, right, mouth]) = turned(seed, io_px, yaw_deg, 0.0);
+        let interocular_px = 80.0;
+        let (photo, [left, right, mouth]) = turned(seed, interocular_px, yaw_deg, 0.0);
         // As far beside them as a first look may be.
-        let beside = |[x, y]: [f64; 2]| [x + 0.05 * io_px, y - 0.05 * io_px];
+        let beside = |[x, y]: [f64; 2]| [x + 0.05 * interocular_px, y - 0.05 * interocular_px];
         let first = found([beside(left), beside(right)], beside(mouth));
-        let (frame, look) = second(&Pyramid::new(photo.grey()), &photo, &first).unwrap();
-        assert_eq!(look.len(), SECOND);
+        let (frame, features) = second_stage(&Pyramid::new(photo.grey()), &photo, &first).unwrap();
+        assert_eq!(features.len(), SECOND_STAGE_COUNT);
         let [to_left, to_right] = frame.eyes();
         let pairs =
             [(to_left, left), (to_right, right), (frame.at(0.0, super::Frame::MOUTH), mouth)];
         for (seen, truth) in pairs {
-            let off = (f64::from(seen[0]) - truth[0]).hypot(f64::from(seen[1]) - truth[1]) / io_px;
+            let off = (f64::from(seen[0]) - truth[0]).hypot(f64::from(seen[1]) - truth[1]);
+            let off = off / interocular_px;
             assert!(off < 0.07, "{seed} {yaw_deg}: {off}");
         }
         let turn = f64::from(frame.turn);
@@ -59,8 +60,9 @@ fn what_is_nowhere_or_nothing_is_not_looked_at_or_seen_whole() {
     ];
     for place in &places {
         for (pyramid, photo) in [(&pyramid, &photo), (&of_small, &small)] {
-            let seen = second(pyramid, photo, place);
-            assert!(seen.is_none_or(|(_, look)| look.len() == SECOND), "{place:?}");
+            let seen = second_stage(pyramid, photo, place);
+            let is_whole = seen.is_none_or(|(_, features)| features.len() == SECOND_STAGE_COUNT);
+            assert!(is_whole, "{place:?}");
         }
     }
 }
@@ -68,9 +70,9 @@ fn what_is_nowhere_or_nothing_is_not_looked_at_or_seen_whole() {
 #[test]
 fn a_mouth_on_the_nose_is_begun_lower_and_one_far_aside_nearer() {
     let eyes = [[100.0, 100.0], [140.0, 100.0]];
-    let rough = Rough::from(&found(eyes, [120.0, 130.0]));
+    let rough = RoughFace::from(&found(eyes, [120.0, 130.0]));
     assert_eq!((rough.left_eye, rough.right_eye), (eyes[0], eyes[1]));
     assert_eq!(rough.mouth, [120.0, 142.0]);
-    assert_eq!(Rough::from(&found(eyes, [150.0, 150.0])).mouth, [132.0, 150.0]);
-    assert_eq!(Rough::from(&found(eyes, [124.0, 146.0])).mouth, [124.0, 146.0]);
+    assert_eq!(RoughFace::from(&found(eyes, [150.0, 150.0])).mouth, [132.0, 150.0]);
+    assert_eq!(RoughFace::from(&found(eyes, [124.0, 146.0])).mouth, [124.0, 146.0]);
 }

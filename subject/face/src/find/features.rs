@@ -1,13 +1,13 @@
 //! How a face looks once it is upright, in bytes that regressions and trees ask about: a first look at where the template
 //! has it, and a second one straight at the landmarks that a glance finds there.
 
-use super::Found;
+use super::DetectedFace;
 use super::frame::{Frame, length};
-use crate::oriented_gradients::{FLOOR, Histograms, MIDDLE, WAYS, byte};
+use crate::oriented_gradients::{DIRECTIONS, FLOOR, Histograms, MIDDLE, byte};
 use crate::photo::Photo;
 use crate::plane::{Plane, Pyramid};
-use crate::points::Rough;
-use crate::points::regressor::{Glance, PATCHES_LOOK, Told, mean};
+use crate::points::RoughFace;
+use crate::points::regressor::{LandmarkPoints, LandmarkRegressor, PATCH_FEATURES, mean};
 
 /// Cells along each side, a quarter of the distance of the eyes wide: two and a half distances in all.
 const SIDE: usize = 10;
@@ -22,15 +22,15 @@ const TOP: f32 = -0.75;
 /// Between samples, in distances of the eyes.
 const STEP: f32 = 1.0 / 16.0;
 /// What is told of a cell: its slopes, its brightness, its contrast.
-const PER_CELL: usize = WAYS + 2;
+const FEATURES_PER_CELL: usize = DIRECTIONS + 2;
 /// Numbers of one look.
-pub const LOOK: usize = SIDE * SIDE * PER_CELL;
+pub const FEATURE_COUNT: usize = SIDE * SIDE * FEATURES_PER_CELL;
 /// Bytes of twice the contrast.
 const CONTRAST_BYTES: f32 = 40.0;
 
 /// Bytes of a second look: how it looks in the frame of the landmarks, what lies around each of them, and how sure the first
 /// look was.
-pub const SECOND: usize = LOOK + PATCHES_LOOK + 1;
+pub const SECOND_STAGE_COUNT: usize = FEATURE_COUNT + PATCH_FEATURES + 1;
 /// The nasion, by its number in iBUG-68: it lies where the middle of the face crosses the line of the eyes.
 const NASION: usize = 27;
 /// The turn by how far aside the nasion is, in distances of the eyes: of 600 random heads, whose turn is known. It lies before
@@ -39,11 +39,11 @@ const TURN_BY_ASIDE: f32 = -2.4;
 /// Beyond this turn, of 54 degrees, an eye is hidden.
 const TURN_MOST: f32 = 0.6;
 
-/// [`LOOK`] bytes, and more of a second look: row by row, cell by cell, eight slopes from the right on clockwise, brightness, contrast.
-pub type Look = Vec<u8>;
+/// [`FEATURE_COUNT`] bytes, and more of a second look: row by row, cell by cell, eight slopes from the right on clockwise, brightness, contrast.
+pub type FeatureVector = Vec<u8>;
 
 /// Of the face that has this frame on the photograph.
-pub(super) fn look(pyramid: &Pyramid, frame: &Frame) -> Look {
+pub(super) fn extract(pyramid: &Pyramid, frame: &Frame) -> FeatureVector {
     let Some((plane, done)) = pyramid.at(length(frame.down) * STEP) else { return Vec::new() };
     let by = 1.0 / done;
     let mut roots = Plane::filled(SAMPLES, SAMPLES, 0.0);
@@ -64,32 +64,35 @@ pub(super) fn look(pyramid: &Pyramid, frame: &Frame) -> Look {
 }
 
 /// The look of the mirror image.
-pub(super) fn mirrored(look: &Look) -> Look {
-    let swapped = |cell: &[u8]| -> [u8; PER_CELL] {
-        let mut out = [0; PER_CELL];
+pub(super) fn mirrored(features: &FeatureVector) -> FeatureVector {
+    let swapped = |cell: &[u8]| -> [u8; FEATURES_PER_CELL] {
+        let mut out = [0; FEATURES_PER_CELL];
         for (to, from) in out.iter_mut().zip([4, 3, 2, 1, 0, 7, 6, 5, 8, 9]) {
             *to = cell.get(from).copied().unwrap_or_default();
         }
         out
     };
-    look.chunks(SIDE * PER_CELL)
-        .flat_map(|row| row.chunks(PER_CELL).rev().flat_map(swapped))
-        .collect()
+    let rows = features.chunks(SIDE * FEATURES_PER_CELL);
+    rows.flat_map(|row| row.chunks(FEATURES_PER_CELL).rev().flat_map(swapped)).collect()
 }
 
 /// Where eyes and mouth are by a glance, and how it looks there; nothing where they give no frame that could be looked at.
-pub(super) fn second(pyramid: &Pyramid, photo: &Photo, found: &Found) -> Option<(Frame, Look)> {
-    let glance = Glance::at(photo, &Rough::from(found));
-    let told = glance.told();
-    let frame = frame(&glance, &told);
-    let mut bytes = look(pyramid, &frame);
-    bytes.extend(glance.patches(&told));
+pub(super) fn second_stage(
+    pyramid: &Pyramid,
+    photo: &Photo,
+    found: &DetectedFace,
+) -> Option<(Frame, FeatureVector)> {
+    let regressor = LandmarkRegressor::new(photo, &RoughFace::from(found));
+    let landmarks = regressor.predict();
+    let frame = frame(&regressor, &landmarks);
+    let mut bytes = extract(pyramid, &frame);
+    bytes.extend(regressor.patch_features(&landmarks));
     bytes.push((255.0 * found.score).round().clamp(0.0, 255.0) as u8);
-    (bytes.len() == SECOND).then_some((frame, bytes))
+    (bytes.len() == SECOND_STAGE_COUNT).then_some((frame, bytes))
 }
 
-fn frame(glance: &Glance, told: &Told) -> Frame {
-    let at = |range| glance.to_photo(mean(told, range)).map(|v| v as f32);
+fn frame(regressor: &LandmarkRegressor, landmarks: &LandmarkPoints) -> Frame {
+    let at = |range| regressor.to_photo(mean(landmarks, range)).map(|v| v as f32);
     let (left, right, mouth) = (at(36..42), at(42..48), at(48..60));
     let nasion = at(NASION..NASION + 1);
     let origin = [(left[0] + right[0]) / 2.0, (left[1] + right[1]) / 2.0];
