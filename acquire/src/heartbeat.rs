@@ -16,12 +16,12 @@ use anyhow::bail;
 
 /// Threads that can register. A recording has a reader, a writer and at most eight workers; there is room for a second
 /// recording that is just ending, and for the service's own threads.
-const BEATS_MAX: usize = 64;
+const THREADS_MAX: usize = 64;
 
 /// How long the writer may stay at the disk. Coded stretches wait in memory while a disk stalls for 32 s; beyond that
 /// the ledger counts the loss, and a restart would not repair the disk. After twice that time the writer counts as
 /// hung.
-const DISK_PATIENCE: Duration = Duration::from_secs(64);
+const DISK_TIMEOUT: Duration = Duration::from_secs(64);
 
 /// What a registered thread does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -41,7 +41,7 @@ impl Who {
     fn of(number: u8) -> Option<Self> {
         [Self::Supervisor, Self::Reader, Self::Worker, Self::Writer]
             .into_iter()
-            .find(|&who| who as u8 == number)
+            .find(|&role| role as u8 == number)
     }
 }
 
@@ -58,7 +58,7 @@ impl fmt::Display for Who {
 
 /// What a thread is busy with, which decides how long it may stay silent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum State {
+enum Activity {
     Working = 0,
     Idle = 1,
     AtDisk = 2,
@@ -66,7 +66,7 @@ enum State {
 
 /// The heartbeat of one thread.
 #[derive(Debug, Default)]
-struct Slot {
+struct HeartbeatSlot {
     /// The thread's role as a number; 0: the slot is free.
     owner: AtomicU8,
     /// Number of heartbeats times four, plus the activity. Continues when another thread takes the slot.
@@ -76,12 +76,12 @@ struct Slot {
 /// The registry of heartbeats. Clones share it.
 #[derive(Debug, Clone)]
 pub struct Heartbeat {
-    slots: Arc<[Slot]>,
+    slots: Arc<[HeartbeatSlot]>,
 }
 
 impl Default for Heartbeat {
     fn default() -> Self {
-        Self { slots: (0..BEATS_MAX).map(|_| Slot::default()).collect() }
+        Self { slots: (0..THREADS_MAX).map(|_| HeartbeatSlot::default()).collect() }
     }
 }
 
@@ -90,60 +90,60 @@ impl Heartbeat {
     ///
     /// # Errors
     /// When more threads register than there are slots.
-    pub fn beat(&self, who: Who) -> anyhow::Result<Beat> {
+    pub fn beat(&self, role: Who) -> anyhow::Result<Beat> {
         for (index, slot) in self.slots.iter().enumerate() {
             let claim =
-                slot.owner.compare_exchange(0, who as u8, Ordering::AcqRel, Ordering::Relaxed);
+                slot.owner.compare_exchange(0, role as u8, Ordering::AcqRel, Ordering::Relaxed);
             if claim.is_ok() {
                 let beat = Beat { slots: Arc::clone(&self.slots), index };
-                beat.say(State::Working);
+                beat.set(Activity::Working);
                 return Ok(beat);
             }
         }
-        bail!("more than {BEATS_MAX} threads are to be watched: start fewer workers");
+        bail!("cannot watch more than {THREADS_MAX} threads: use fewer workers");
     }
 
     /// A watchdog over all registered threads.
     #[must_use]
     pub fn watch(&self, now: Instant) -> Watch {
-        Watch { slots: Arc::clone(&self.slots), seen: vec![(0, now); BEATS_MAX] }
+        Watch { slots: Arc::clone(&self.slots), seen: vec![(0, now); THREADS_MAX] }
     }
 }
 
 /// One thread's handle on its heartbeat.
 #[derive(Debug)]
 pub struct Beat {
-    slots: Arc<[Slot]>,
+    slots: Arc<[HeartbeatSlot]>,
     index: usize,
 }
 
 impl Beat {
     /// The thread is working and will report again soon.
     pub fn moved(&self) {
-        self.say(State::Working);
+        self.set(Activity::Working);
         #[cfg(feature = "fault-hooks")]
-        fault_hooks::hang_if_told(self.who());
+        fault_hooks::hang_if_requested(self.role());
     }
 
     /// The thread waits for work, and may do so for any time.
     pub fn idle(&self) {
-        self.say(State::Idle);
+        self.set(Activity::Idle);
     }
 
     /// The thread writes or syncs, which can take as long as a disk stalls.
     pub fn at_disk(&self) {
-        self.say(State::AtDisk);
+        self.set(Activity::AtDisk);
     }
 
-    fn say(&self, state: State) {
+    fn set(&self, activity: Activity) {
         // This thread alone stores here.
         let pulse = &self.slots[self.index].pulse;
         let count = (pulse.load(Ordering::Relaxed) >> 2).wrapping_add(1);
-        pulse.store(count << 2 | state as u64, Ordering::Relaxed);
+        pulse.store(count << 2 | activity as u64, Ordering::Relaxed);
     }
 
     #[cfg(feature = "fault-hooks")]
-    fn who(&self) -> Option<Who> {
+    fn role(&self) -> Option<Who> {
         Who::of(self.slots[self.index].owner.load(Ordering::Relaxed))
     }
 }
@@ -156,23 +156,23 @@ impl Drop for Beat {
 
 /// A thread that has been silent for too long.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Overdue {
+pub struct HungThread {
     /// The thread's role.
-    pub who: Who,
+    pub role: Who,
     /// Time since its last heartbeat.
     pub silent_for: Duration,
 }
 
-impl fmt::Display for Overdue {
+impl fmt::Display for HungThread {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "the {} has not moved for {:.1} s", self.who, self.silent_for.as_secs_f64())
+        write!(f, "the {} has not moved for {:.1} s", self.role, self.silent_for.as_secs_f64())
     }
 }
 
 /// Finds silent threads. It sees only changes between two calls, so it must be called more often than the limit.
 #[derive(Debug)]
 pub struct Watch {
-    slots: Arc<[Slot]>,
+    slots: Arc<[HeartbeatSlot]>,
     /// For each slot, the last heartbeat and the time at which it changed.
     seen: Vec<(u64, Instant)>,
 }
@@ -180,26 +180,26 @@ pub struct Watch {
 impl Watch {
     /// The thread that has been silent longest, of those that exceed their limit: `limit`, or more for a thread at the
     /// disk.
-    pub fn overdue(&mut self, now: Instant, limit: Duration) -> Option<Overdue> {
-        let mut worst: Option<Overdue> = None;
+    pub fn overdue(&mut self, now: Instant, limit: Duration) -> Option<HungThread> {
+        let mut worst: Option<HungThread> = None;
         for (slot, seen) in self.slots.iter().zip(&mut self.seen) {
             let pulse = slot.pulse.load(Ordering::Relaxed);
-            let who = Who::of(slot.owner.load(Ordering::Acquire));
+            let role = Who::of(slot.owner.load(Ordering::Acquire));
             let state = pulse & 3;
-            if who.is_none() || state == State::Idle as u64 || pulse != seen.0 {
+            if role.is_none() || state == Activity::Idle as u64 || pulse != seen.0 {
                 *seen = (pulse, now);
                 continue;
             }
-            let patience = match state == State::AtDisk as u64 {
-                true => limit.max(DISK_PATIENCE),
+            let allowed = match state == Activity::AtDisk as u64 {
+                true => limit.max(DISK_TIMEOUT),
                 false => limit,
             };
             let silent_for = now.saturating_duration_since(seen.1);
-            if let Some(who) = who
-                && silent_for > patience
+            if let Some(role) = role
+                && silent_for > allowed
                 && worst.is_none_or(|worst| worst.silent_for < silent_for)
             {
-                worst = Some(Overdue { who, silent_for });
+                worst = Some(HungThread { role, silent_for });
             }
         }
         worst
@@ -230,32 +230,32 @@ pub mod fault_hooks {
     use super::Who;
 
     /// How often a hung thread checks for SIGUSR1.
-    const LOOK_EVERY: Duration = Duration::from_millis(20);
+    const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
     static HANGS: OnceLock<Arc<AtomicUsize>> = OnceLock::new();
-    static WHOM: OnceLock<String> = OnceLock::new();
+    static TARGET: OnceLock<String> = OnceLock::new();
 
     /// Installs the handlers of both signals.
     ///
     /// # Errors
     /// When the system refuses a signal handler.
     pub fn install() -> anyhow::Result<()> {
-        WHOM.get_or_init(|| std::env::var("MOCAPD_HANG").unwrap_or_default());
+        TARGET.get_or_init(|| std::env::var("MOCAPD_HANG").unwrap_or_default());
         for (signal, hangs) in [(SIGUSR2, 1), (SIGUSR1, 0)] {
             let flag = Arc::clone(HANGS.get_or_init(Arc::default));
-            register_usize(signal, flag, hangs).context("cannot listen for signals")?;
+            register_usize(signal, flag, hangs).context("cannot install a signal handler")?;
         }
         Ok(())
     }
 
-    pub(crate) fn hang_if_told(who: Option<Who>) {
+    pub(crate) fn hang_if_requested(role: Option<Who>) {
         let hangs = || HANGS.get().is_some_and(|hangs| hangs.load(Ordering::Relaxed) != 0);
-        let is_meant = |who: Who| {
-            let whom = WHOM.get().map_or("", String::as_str);
-            who != Who::Supervisor && (whom.is_empty() || whom == who.to_string())
+        let is_targeted = |role: Who| {
+            let target = TARGET.get().map_or("", String::as_str);
+            role != Who::Supervisor && (target.is_empty() || target == role.to_string())
         };
-        while hangs() && who.is_some_and(is_meant) {
-            std::thread::sleep(LOOK_EVERY);
+        while hangs() && role.is_some_and(is_targeted) {
+            std::thread::sleep(POLL_INTERVAL);
         }
     }
 }
@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thread_that_stops_moving_is_named_and_forgiven_when_it_moves() {
+    fn a_silent_thread_is_overdue_until_it_moves_again() {
         let (heartbeat, start) = (Heartbeat::default(), Instant::now());
         let mut watch = heartbeat.watch(start);
         let reader = heartbeat.beat(Who::Reader).unwrap();
@@ -287,15 +287,15 @@ mod tests {
         }
         worker.moved();
         let overdue = watch.overdue(after(start, 18), LIMIT).unwrap();
-        assert_eq!(overdue, Overdue { who: Who::Reader, silent_for: Duration::from_secs(11) });
-        let said = overdue.to_string();
-        assert!(said.contains(&Who::Reader.to_string()) && said.contains("11.0 s"), "{said}");
+        assert_eq!(overdue, HungThread { role: Who::Reader, silent_for: Duration::from_secs(11) });
+        let text = overdue.to_string();
+        assert!(text.contains(&Who::Reader.to_string()) && text.contains("11.0 s"), "{text}");
         reader.moved();
         assert_eq!(watch.overdue(after(start, 19), LIMIT), None);
     }
 
     #[test]
-    fn who_waits_for_work_may_be_silent_and_who_is_at_the_disk_for_a_while() {
+    fn a_thread_may_be_silent_while_idle_and_for_a_while_at_the_disk() {
         let (heartbeat, start) = (Heartbeat::default(), Instant::now());
         let mut watch = heartbeat.watch(start);
         let worker = heartbeat.beat(Who::Worker).unwrap();
@@ -305,7 +305,7 @@ mod tests {
         assert_eq!(watch.overdue(start, LIMIT), None);
         assert_eq!(watch.overdue(after(start, 64), LIMIT), None);
         let hung = watch.overdue(after(start, 65), LIMIT).unwrap();
-        assert_eq!(hung.who, Who::Writer);
+        assert_eq!(hung.role, Who::Writer);
         // A thread that works again is watched from then on.
         writer.moved();
         worker.moved();
@@ -314,7 +314,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thread_that_ends_is_forgotten_and_its_place_is_used_again() {
+    fn the_slot_of_an_ended_thread_is_reused() {
         let (heartbeat, start) = (Heartbeat::default(), Instant::now());
         let mut watch = heartbeat.watch(start);
         for take in 0..1000 {
@@ -323,9 +323,9 @@ mod tests {
             drop(beats);
         }
         assert_eq!(watch.overdue(after(start, 100_000), LIMIT), None);
-        let all: Vec<_> = (0..BEATS_MAX).map(|_| heartbeat.beat(Who::Worker)).collect();
+        let all: Vec<_> = (0..THREADS_MAX).map(|_| heartbeat.beat(Who::Worker)).collect();
         assert!(all.iter().all(Result::is_ok));
         let full = heartbeat.beat(Who::Reader).unwrap_err().to_string();
-        assert!(full.contains(&BEATS_MAX.to_string()), "{full}");
+        assert!(full.contains(&THREADS_MAX.to_string()), "{full}");
     }
 }

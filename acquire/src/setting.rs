@@ -18,12 +18,12 @@ pub struct SettingRefused {
     pub(crate) why: String,
     pub(crate) setting: Setting,
     /// Another remedy, appended to the advice on the setting; may be empty.
-    pub(crate) or: &'static str,
+    pub(crate) alternative: &'static str,
 }
 
 impl SettingRefused {
-    fn words(&self, how_to_set: impl Fn(Setting) -> String) -> String {
-        format!("{}; {}{}", self.why, how_to_set(self.setting), self.or)
+    fn message_with(&self, how_to_set: impl Fn(Setting) -> String) -> String {
+        format!("{}; {}{}", self.why, how_to_set(self.setting), self.alternative)
     }
 }
 
@@ -31,7 +31,7 @@ impl SettingRefused {
 #[must_use]
 pub fn words(error: &anyhow::Error, how_to_set: impl Fn(Setting) -> String) -> String {
     let causes = error.chain().map(|cause| match cause.downcast_ref::<SettingRefused>() {
-        Some(refused) => refused.words(&how_to_set),
+        Some(refused) => refused.message_with(&how_to_set),
         None => cause.to_string(),
     });
     causes.collect::<Vec<_>>().join(": ")
@@ -39,7 +39,7 @@ pub fn words(error: &anyhow::Error, how_to_set: impl Fn(Setting) -> String) -> S
 
 impl fmt::Display for SettingRefused {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.words(|setting| match setting {
+        f.write_str(&self.message_with(|setting| match setting {
             Setting::Rate(Some(rate_hz)) => format!("run it at {rate_hz} Hz"),
             Setting::Rate(None) => "leave its rate as it is".to_owned(),
             Setting::KeepFree => "let less stay free".to_owned(),
@@ -54,8 +54,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_said_around_a_refusal_stays() {
-        let refused = SettingRefused { why: "no".to_owned(), setting: Setting::KeepFree, or: "!" };
+    fn the_context_of_a_refusal_stays() {
+        let why = "no".to_owned();
+        let refused = SettingRefused { why, setting: Setting::KeepFree, alternative: "!" };
         let error = anyhow::Error::from(refused).context("inner").context("outer");
         assert_eq!(words(&error, |_| "--keep-free".to_owned()), "outer: inner: no; --keep-free!");
     }

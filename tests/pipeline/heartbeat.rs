@@ -24,7 +24,7 @@ fn overdue_after(watch: &mut Watch, seconds: u64) -> Option<Who> {
     watch.overdue(Instant::now(), LIMIT);
     std::thread::sleep(A_WHILE);
     let later = Instant::now() + Duration::from_secs(seconds);
-    watch.overdue(later, LIMIT).map(|overdue| overdue.who)
+    watch.overdue(later, LIMIT).map(|overdue| overdue.role)
 }
 
 #[test]
@@ -86,7 +86,7 @@ fn a_disk_may_stall_for_as_long_as_memory_lasts_and_then_the_writer_has_hung() {
     let mut reader_alive = |seconds| {
         intake.tick(0);
         let later = Instant::now() + Duration::from_secs(seconds);
-        watch.overdue(later, LIMIT).map(|overdue| overdue.who)
+        watch.overdue(later, LIMIT).map(|overdue| overdue.role)
     };
     assert_eq!(reader_alive(32), None, "no frame is lost yet, and a restart would lose some");
     assert_eq!(reader_alive(80), Some(Who::Writer));

@@ -20,7 +20,7 @@ use mocapd_take::record::{
     ClockLine, EndingKind, Event, EventKind, Header, Ledger, Subject, TakeEnding,
 };
 
-use super::{DiskState, TakeOutput};
+use super::{DiskSpace, TakeOutput};
 use crate::clock::ClockStatus;
 
 /// Length of the command queues to the reader and to the writer. Callers send one command at a time.
@@ -121,7 +121,7 @@ pub struct Written {
     /// The clock line of each segment that has one, with the segment's number.
     pub clock_lines: Vec<(u32, ClockLine)>,
     /// The disk space left.
-    pub disk: DiskState,
+    pub disk: DiskSpace,
     /// Bytes of the file.
     pub file_bytes: u64,
     /// Samples in the take.
@@ -148,7 +148,7 @@ pub(super) struct Reply {
     pub(super) ended: Sender<TakeEnd>,
 }
 
-pub(super) fn reply() -> (Reply, TakeHandle) {
+pub(super) fn reply_channel() -> (Reply, TakeHandle) {
     // One message each.
     let ((first, first_out), (ended, ended_out)) = (bounded(1), bounded(1));
     (Reply { first, ended }, TakeHandle { first: first_out, ended: ended_out })
@@ -156,24 +156,24 @@ pub(super) fn reply() -> (Reply, TakeHandle) {
 
 /// A requested mark. Dropping it before the mark is placed cancels the mark.
 #[derive(Debug)]
-pub struct AskedMark {
+pub struct PendingMark {
     /// Receives the pipeline's row of the mark.
     pub row: Receiver<u64>,
-    _asked: Arc<()>,
+    _request: Arc<()>,
 }
 
 /// A request for a mark, with the channel for its row.
 #[derive(Debug)]
-pub(super) struct NewMark {
+pub(super) struct MarkRequest {
     pub(super) event: Event,
     pub(super) row: Sender<u64>,
-    asked: Weak<()>,
+    request: Weak<()>,
 }
 
-impl NewMark {
+impl MarkRequest {
     /// Whether the requester still waits: otherwise the mark is cancelled.
-    pub(super) fn is_wanted(&self) -> bool {
-        self.asked.strong_count() > 0
+    pub(super) fn is_awaited(&self) -> bool {
+        self.request.strong_count() > 0
     }
 }
 
@@ -189,20 +189,20 @@ pub(super) enum TakeCommand {
 
 /// The reader's end of the command queues.
 #[derive(Debug)]
-pub(super) struct Mailbox {
-    waiting: Arc<AtomicUsize>,
-    marks: Receiver<NewMark>,
+pub(super) struct CommandReceiver {
+    n_queued: Arc<AtomicUsize>,
+    marks: Receiver<MarkRequest>,
     commands: Receiver<TakeCommand>,
 }
 
-impl Mailbox {
+impl CommandReceiver {
     /// One load, since the reader calls it for every frame.
     pub(super) fn is_empty(&self) -> bool {
-        self.waiting.load(Ordering::Acquire) == 0
+        self.n_queued.load(Ordering::Acquire) == 0
     }
 
     /// The oldest mark.
-    pub(super) fn next_mark(&self) -> Option<NewMark> {
+    pub(super) fn next_mark(&self) -> Option<MarkRequest> {
         self.next(&self.marks)
     }
 
@@ -213,7 +213,7 @@ impl Mailbox {
 
     fn next<T>(&self, queue: &Receiver<T>) -> Option<T> {
         let next = queue.try_recv().ok()?;
-        self.waiting.fetch_sub(1, Ordering::AcqRel);
+        self.n_queued.fetch_sub(1, Ordering::AcqRel);
         Some(next)
     }
 }
@@ -221,17 +221,17 @@ impl Mailbox {
 /// Sends commands for takes. One take at a time: each is ended before the next is begun.
 #[derive(Debug)]
 pub struct Takes {
-    waiting: Arc<AtomicUsize>,
-    marks: Sender<NewMark>,
+    n_queued: Arc<AtomicUsize>,
+    marks: Sender<MarkRequest>,
     commands: Sender<TakeCommand>,
 }
 
-pub(super) fn mailbox() -> (Takes, Mailbox) {
+pub(super) fn command_channel() -> (Takes, CommandReceiver) {
     let (marks_in, marks) = bounded(MARKS_MAX);
     let (commands_in, commands) = bounded(TAKE_COMMANDS_MAX);
-    let waiting = Arc::new(AtomicUsize::new(0));
-    let takes = Takes { waiting: Arc::clone(&waiting), marks: marks_in, commands: commands_in };
-    (takes, Mailbox { waiting, marks, commands })
+    let n_queued = Arc::new(AtomicUsize::new(0));
+    let takes = Takes { n_queued: Arc::clone(&n_queued), marks: marks_in, commands: commands_in };
+    (takes, CommandReceiver { n_queued, marks, commands })
 }
 
 impl Takes {
@@ -240,7 +240,7 @@ impl Takes {
     /// # Errors
     /// When earlier commands are still waiting.
     pub fn begin(&mut self, take: NewTake) -> anyhow::Result<TakeHandle> {
-        let (reply, handle) = reply();
+        let (reply, handle) = reply_channel();
         self.send_for_take(TakeCommand::Begin(Box::new(take), reply))?;
         Ok(handle)
     }
@@ -258,7 +258,7 @@ impl Takes {
     /// # Errors
     /// When earlier commands are still waiting.
     pub fn save(&mut self, take: NewTake) -> anyhow::Result<TakeHandle> {
-        let (reply, handle) = reply();
+        let (reply, handle) = reply_channel();
         self.send_for_take(TakeCommand::Save(Box::new(take), reply))?;
         Ok(handle)
     }
@@ -267,12 +267,12 @@ impl Takes {
     ///
     /// # Errors
     /// When too many marks wait.
-    pub fn mark(&self, text: &str, host_ns: u64) -> anyhow::Result<AskedMark> {
-        let ((row, row_out), asked) = (bounded(1), Arc::new(()));
+    pub fn mark(&self, text: &str, host_ns: u64) -> anyhow::Result<PendingMark> {
+        let ((row, row_out), request) = (bounded(1), Arc::new(()));
         let event = Event::new(EventKind::Mark, host_ns, text);
-        let mark = NewMark { event, row, asked: Arc::downgrade(&asked) };
+        let mark = MarkRequest { event, row, request: Arc::downgrade(&request) };
         ensure!(self.send(&self.marks, mark), "too many marks wait: wait a moment");
-        Ok(AskedMark { row: row_out, _asked: asked })
+        Ok(PendingMark { row: row_out, _request: request })
     }
 
     fn send_for_take(&self, command: TakeCommand) -> anyhow::Result<()> {
@@ -285,10 +285,10 @@ impl Takes {
     /// channel tells the caller.
     fn send<T>(&self, queue: &Sender<T>, command: T) -> bool {
         // Counted before it is in the queue: then the reader polls again at the next frame.
-        self.waiting.fetch_add(1, Ordering::AcqRel);
+        self.n_queued.fetch_add(1, Ordering::AcqRel);
         let sent = queue.try_send(command);
         if sent.is_err() {
-            self.waiting.fetch_sub(1, Ordering::AcqRel);
+            self.n_queued.fetch_sub(1, Ordering::AcqRel);
         }
         !matches!(sent, Err(TrySendError::Full(_)))
     }

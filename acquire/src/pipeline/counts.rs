@@ -47,7 +47,7 @@ pub struct Counts {
     pub reports_from: u64,
     /// Rows missing before the first frame after an outage that the new reports include as well, because the device was
     /// already running.
-    pub told_twice: u64,
+    pub reported_twice: u64,
     /// Frames that the device dropped before it was last started, by its own account.
     pub dropped_before: u64,
     /// For a take that began while the device ran: frames missing before it that no report had mentioned by then, so
@@ -99,8 +99,8 @@ impl Counts {
         if !early {
             // What it produced beyond the frames seen was lost before the first of them, or just now: the smallest
             // excess in any report was lost before.
-            self.told_twice = self.told_twice.min(frames_produced.saturating_sub(self.seen()));
-            frames_produced -= self.told_twice;
+            self.reported_twice = self.reported_twice.min(frames_produced.saturating_sub(self.seen()));
+            frames_produced -= self.reported_twice;
         }
         self.status = Some(Status {
             frames_produced,
@@ -114,7 +114,7 @@ impl Counts {
     pub(super) fn lost_to_outage(&mut self, rows: u64) {
         self.lost_in_outages += rows;
         self.outages += u32::from(rows > 0);
-        self.told_twice = rows;
+        self.reported_twice = rows;
     }
 
     /// Counts rows that were due in a continuing silence, by the host's clock.
@@ -184,7 +184,7 @@ impl Counts {
             },
             status,
             reports_from: self.reports_from.saturating_sub(base.seen()),
-            told_twice: self.told_twice,
+            reported_twice: self.reported_twice,
             dropped_before: self.dropped_before.saturating_sub(dropped_base),
             dropped_late_max: missing_base.saturating_sub(dropped_base),
             ended: self.ended,

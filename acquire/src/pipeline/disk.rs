@@ -20,35 +20,35 @@ use crate::{
 pub const HELD_MIN_BYTES: u64 = 4 << 20;
 
 /// Seconds of data to reserve: the stretches in memory after a stall of the disk, and those until the device stops.
-const HELD_S: f64 = 60.0;
+const RESERVE_S: f64 = 60.0;
 
 /// Time between two checks of the disk.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
+const POLL_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Time constant of the mean data rate.
-const RATE_OF_S: f64 = 30.0;
+const TAU_S: f64 = 30.0;
 
 /// Disk space allocated ahead of the take's end, and the state of the disk.
 #[derive(Debug)]
-pub(super) struct Room {
+pub(super) struct DiskReserve {
     keep_free_bytes: u64,
     /// Space is allocated to the file up to this byte.
-    held_to: u64,
+    reserved_to: u64,
     /// Some file systems cannot allocate ahead.
-    can_hold: bool,
+    can_reserve: bool,
     /// The last allocation was refused although the disk reports enough free bytes: a quota.
-    is_refused: bool,
+    is_over_quota: bool,
     /// The last check: its time, the bytes of the take, and the bytes of the raw log.
-    looked: Option<(Instant, u64, u64)>,
+    last_poll: Option<(Instant, u64, u64)>,
     bytes_per_s: f64,
     /// Data rate of the raw log beside the take.
-    beside_per_s: f64,
-    state: DiskState,
+    raw_log_bytes_per_s: f64,
+    state: DiskSpace,
 }
 
 /// Free space on the take's disk.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct DiskState {
+pub struct DiskSpace {
     /// Free bytes, not counting the take's own reserve. `None` if the system does not report them.
     pub free_bytes: Option<u64>,
     /// Seconds until the disk is full, at the mean rate of the last 30 s. `None` before a rate is known.
@@ -57,62 +57,63 @@ pub struct DiskState {
     pub is_full: bool,
 }
 
-impl Room {
+impl DiskReserve {
     pub(super) fn new(keep_free_bytes: u64) -> Self {
         Self {
             keep_free_bytes,
-            held_to: 0,
-            can_hold: true,
-            is_refused: false,
-            looked: None,
+            reserved_to: 0,
+            can_reserve: true,
+            is_over_quota: false,
+            last_poll: None,
             bytes_per_s: 0.0,
-            beside_per_s: 0.0,
-            state: DiskState::default(),
+            raw_log_bytes_per_s: 0.0,
+            state: DiskSpace::default(),
         }
     }
 
     /// Checks the disk if a check is due; `written` is the length of the take in bytes.
-    pub(super) fn look(
+    pub(super) fn poll(
         &mut self,
         output: &mut dyn TakeOutput,
         written: u64,
         progress: &Progress,
         now: Instant,
     ) {
-        if self.looked.is_some_and(|(last, ..)| now.duration_since(last) < LOOK_EVERY) {
+        if self.last_poll.is_some_and(|(last, ..)| now.duration_since(last) < POLL_INTERVAL) {
             return;
         }
-        let beside = progress.beside_bytes.get().map_or(0, |bytes| bytes.load(Ordering::Relaxed));
-        if let Some((last, before, beside_before)) = self.looked {
+        let raw_log_bytes =
+            progress.beside_bytes.get().map_or(0, |bytes| bytes.load(Ordering::Relaxed));
+        if let Some((last, before, raw_log_before)) = self.last_poll {
             let passed_s = now.duration_since(last).as_secs_f64();
             // Before there is a mean, use the first second's rate.
-            let weight = if self.bytes_per_s > 0.0 { (passed_s / RATE_OF_S).min(1.0) } else { 1.0 };
+            let weight = if self.bytes_per_s > 0.0 { (passed_s / TAU_S).min(1.0) } else { 1.0 };
             for (mean, now, before) in [
                 (&mut self.bytes_per_s, written, before),
-                (&mut self.beside_per_s, beside, beside_before),
+                (&mut self.raw_log_bytes_per_s, raw_log_bytes, raw_log_before),
             ] {
                 *mean += (now.saturating_sub(before) as f64 / passed_s - *mean) * weight;
             }
         }
-        self.looked = Some((now, written, beside));
-        self.hold(output, written);
+        self.last_poll = Some((now, written, raw_log_bytes));
+        self.reserve(output, written);
         self.state.free_bytes = output.free_bytes();
-        let held = self.held_to.saturating_sub(written);
-        let others = match self.state.free_bytes {
+        let reserved = self.reserved_to.saturating_sub(written);
+        let available = match self.state.free_bytes {
             // A quota does not say how much it leaves.
-            Some(free) if !self.is_refused => free.saturating_sub(self.keep_free_bytes),
+            Some(free) if !self.is_over_quota => free.saturating_sub(self.keep_free_bytes),
             Some(_) => 0,
             None => u64::MAX,
         };
         // The last few bytes are for closing the take.
-        let left = others.saturating_add(held);
+        let left = available.saturating_add(reserved);
         self.state.is_full |= left < HELD_MIN_BYTES;
         let is_known = self.bytes_per_s > 0.0 && self.state.free_bytes.is_some();
-        let both_per_s = self.bytes_per_s + self.beside_per_s;
+        let both_per_s = self.bytes_per_s + self.raw_log_bytes_per_s;
         let left_s = left.saturating_sub(HELD_MIN_BYTES) as f64 / both_per_s;
         // The reserve belongs to the take alone, not to the raw log.
-        let beside_s = others as f64 / self.beside_per_s;
-        let left_s = if self.beside_per_s > 0.0 { left_s.min(beside_s) } else { left_s };
+        let raw_log_s = available as f64 / self.raw_log_bytes_per_s;
+        let left_s = if self.raw_log_bytes_per_s > 0.0 { left_s.min(raw_log_s) } else { left_s };
         self.state.left_s = is_known.then_some(left_s);
         progress.disk_full.store(self.state.is_full, Ordering::Relaxed);
         let left_s = self.state.left_s.map_or(u64::MAX, |left_s| left_s as u64);
@@ -120,35 +121,35 @@ impl Room {
     }
 
     /// The final state, after the take was closed and its reserve released.
-    pub(super) fn close(&mut self, output: &dyn TakeOutput) -> DiskState {
+    pub(super) fn close(&mut self, output: &dyn TakeOutput) -> DiskSpace {
         self.state.free_bytes = output.free_bytes();
         self.state
     }
 
-    fn hold(&mut self, output: &mut dyn TakeOutput, written: u64) {
-        let ahead = HELD_MIN_BYTES.max((self.bytes_per_s * HELD_S) as u64);
+    fn reserve(&mut self, output: &mut dyn TakeOutput, written: u64) {
+        let target = HELD_MIN_BYTES.max((self.bytes_per_s * RESERVE_S) as u64);
         // Topping up at half the reserve saves a system call every second.
-        if self.state.is_full || !self.can_hold || self.held_to >= written + ahead / 2 {
+        if self.state.is_full || !self.can_reserve || self.reserved_to >= written + target / 2 {
             return;
         }
-        let from = self.held_to.max(written);
+        let from = self.reserved_to.max(written);
         // Leave `keep_free_bytes` alone.
         let spare =
             output.free_bytes().map_or(u64::MAX, |free| free.saturating_sub(self.keep_free_bytes));
-        let wanted = (written + ahead).min(from.saturating_add(spare));
+        let wanted = (written + target).min(from.saturating_add(spare));
         for to in [wanted, (written + HELD_MIN_BYTES).min(wanted)] {
             if to <= from {
                 return;
             }
-            match output.hold_back(from, to - from) {
+            match output.allocate(from, to - from) {
                 Ok(()) => {
-                    (self.held_to, self.is_refused) = (to, false);
+                    (self.reserved_to, self.is_over_quota) = (to, false);
                     return;
                 }
                 // The earlier reserve remains, and a smaller one may be granted.
-                Err(error) if is_full(&error) => self.is_refused = true,
+                Err(error) if is_full(&error) => self.is_over_quota = true,
                 Err(_) => {
-                    self.can_hold = false;
+                    self.can_reserve = false;
                     return;
                 }
             }
@@ -177,8 +178,8 @@ pub fn check_room(path: &Path, keep_free_bytes: u64) -> anyhow::Result<()> {
             mb(keep_free_bytes),
             mb(HELD_MIN_BYTES)
         );
-        let or = ", delete something, or record to another disk";
-        return Err(SettingRefused { why, setting: Setting::KeepFree, or }.into());
+        let alternative = ", delete something, or record to another disk";
+        return Err(SettingRefused { why, setting: Setting::KeepFree, alternative }.into());
     }
     Ok(())
 }
@@ -217,7 +218,7 @@ mod tests {
             Ok(())
         }
 
-        fn hold_back(&mut self, _from: u64, bytes: u64) -> io::Result<()> {
+        fn allocate(&mut self, _from: u64, bytes: u64) -> io::Result<()> {
             self.holds?;
             self.free = self.free.checked_sub(bytes).ok_or(io::ErrorKind::StorageFull)?;
             Ok(())
@@ -232,14 +233,14 @@ mod tests {
 
     /// A take of 1 MiB a second on a disk of 40 MiB, 10 of which stay free: the second at which it has to end, the
     /// fewest bytes that were free, and the remaining times it estimated.
-    fn ends_after(holds: Result<(), io::ErrorKind>) -> (u64, u64, Vec<f64>) {
+    fn run_until_full(holds: Result<(), io::ErrorKind>) -> (u64, u64, Vec<f64>) {
         let mut disk = Disk { free: 40 * MIB, holds };
-        let (mut room, progress, begun) =
-            (Room::new(10 * MIB), Progress::default(), Instant::now());
+        let (mut reserve, progress, start) =
+            (DiskReserve::new(10 * MIB), Progress::default(), Instant::now());
         let (mut left, mut least) = (Vec::new(), disk.free);
         for second in 0..100 {
-            room.look(&mut disk, second * MIB, &progress, begun + Duration::from_secs(second));
-            left.extend(room.state.left_s);
+            reserve.poll(&mut disk, second * MIB, &progress, start + Duration::from_secs(second));
+            left.extend(reserve.state.left_s);
             least = least.min(disk.free);
             if progress.disk_full.load(Ordering::Relaxed) {
                 return (second, least, left);
@@ -249,13 +250,13 @@ mod tests {
                 disk.free -= MIB;
             }
         }
-        panic!("never full: {:?}", room.state);
+        panic!("never full: {:?}", reserve.state);
     }
 
     #[test]
-    fn a_take_goes_on_until_no_more_is_left_than_closes_it() {
+    fn a_take_goes_on_until_just_enough_is_left_to_close_it() {
         for holds in [Ok(()), Err(io::ErrorKind::Unsupported)] {
-            let (seconds, least, left) = ends_after(holds);
+            let (seconds, least, left) = run_until_full(holds);
             // 30 MiB less the last 4, and nothing of the 10 that stay free.
             assert_eq!(seconds, 27, "{holds:?}");
             assert!(least >= 10 * MIB, "{holds:?}: {least}");
@@ -264,52 +265,54 @@ mod tests {
     }
 
     #[test]
-    fn a_quota_that_nobody_tells_of_ends_it_when_what_is_held_is_used() {
-        let (seconds, ..) = ends_after(Err(io::ErrorKind::QuotaExceeded));
+    fn an_unreported_quota_ends_the_take_when_its_reserve_is_used() {
+        let (seconds, ..) = run_until_full(Err(io::ErrorKind::QuotaExceeded));
         assert_eq!(seconds, 0);
         // The reserve lasts half a minute after the quota is reached.
         let mut disk = Disk { free: 1000 * MIB, holds: Ok(()) };
-        let (mut room, progress, begun) = (Room::new(0), Progress::default(), Instant::now());
+        let (mut reserve, progress, start) =
+            (DiskReserve::new(0), Progress::default(), Instant::now());
         for second in 0..100 {
             if second == 5 {
                 disk.holds = Err(io::ErrorKind::QuotaExceeded);
             }
-            room.look(&mut disk, second * MIB, &progress, begun + Duration::from_secs(second));
-            if room.state.is_full {
+            reserve.poll(&mut disk, second * MIB, &progress, start + Duration::from_secs(second));
+            if reserve.state.is_full {
                 assert!((50..64).contains(&second), "{second}");
                 return;
             }
         }
-        panic!("never full: {:?}", room.state);
+        panic!("never full: {:?}", reserve.state);
     }
 
     #[test]
-    fn time_left_counts_what_grows_beside_the_take() {
+    fn the_time_left_includes_the_raw_log() {
         // 3 MiB a second of raw log beside 1 MiB of the take: 950 MiB last for a quarter of the time.
         let mut disk = Disk { free: 1000 * MIB, holds: Ok(()) };
-        let (mut room, progress, begun) =
-            (Room::new(50 * MIB), Progress::default(), Instant::now());
+        let (mut reserve, progress, start) =
+            (DiskReserve::new(50 * MIB), Progress::default(), Instant::now());
         let beside = Arc::new(AtomicU64::new(9));
         progress.beside_bytes.set(Arc::clone(&beside)).unwrap();
         for second in 0..10 {
-            room.look(&mut disk, second * MIB, &progress, begun + Duration::from_secs(second));
+            reserve.poll(&mut disk, second * MIB, &progress, start + Duration::from_secs(second));
             beside.fetch_add(3 * MIB, Ordering::Relaxed);
             disk.free -= 3 * MIB;
         }
-        let left_s = room.state.left_s.unwrap();
+        let left_s = reserve.state.left_s.unwrap();
         assert!((left_s - (950.0 - 4.0 - 4.0 * 9.0) / 4.0).abs() < 2.0, "{left_s}");
     }
 
     #[test]
-    fn time_left_counts_what_is_held_for_the_take() {
+    fn the_time_left_includes_the_reserve() {
         let mut disk = Disk { free: 1000 * MIB, holds: Ok(()) };
-        let (mut room, progress, begun) = (Room::new(0), Progress::default(), Instant::now());
+        let (mut reserve, progress, start) =
+            (DiskReserve::new(0), Progress::default(), Instant::now());
         for second in 0..10 {
-            room.look(&mut disk, second * MIB, &progress, begun + Duration::from_secs(second));
+            reserve.poll(&mut disk, second * MIB, &progress, start + Duration::from_secs(second));
         }
-        let left_s = room.state.left_s.unwrap();
+        let left_s = reserve.state.left_s.unwrap();
         assert!((left_s - 987.0).abs() < 1.0, "{left_s}");
         assert_eq!(progress.disk_left_s.load(Ordering::Relaxed), left_s as u64);
-        assert!(disk.free < 950 * MIB && !room.state.is_full);
+        assert!(disk.free < 950 * MIB && !reserve.state.is_full);
     }
 }

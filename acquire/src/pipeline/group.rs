@@ -14,9 +14,9 @@ use mocapd_take::{
 };
 
 use super::{
-    messages::{Job, Part, PartReport, StretchEnd},
+    messages::{EncodeJob, Part, PartReport, StretchEnd},
     plan::Plan,
-    ring::{RingIn, RingOut, Sample, TimelineItem, ring},
+    ring::{RingConsumer, RingProducer, Sample, TimelineItem, ring},
 };
 use crate::heartbeat::Beat;
 
@@ -24,9 +24,9 @@ use crate::heartbeat::Beat;
 #[derive(Debug)]
 pub(super) struct Group {
     index: usize,
-    content: Content,
-    pub(super) jobs: Receiver<Job>,
-    pub(super) jobs_in: Sender<Job>,
+    coder: GroupCoder,
+    pub(super) jobs: Receiver<EncodeJob>,
+    pub(super) jobs_in: Sender<EncodeJob>,
     parts: Sender<Part>,
     /// Free buffers; the writer returns them.
     pub(super) buffers: Receiver<Vec<u8>>,
@@ -34,16 +34,16 @@ pub(super) struct Group {
 }
 
 #[derive(Debug)]
-enum Content {
-    Channels(Box<Channels>),
+enum GroupCoder {
+    Channels(Box<ChannelCoder>),
     Timeline(Box<TimelineCoder>),
 }
 
 /// One stretch of the group's channels, and their block.
 #[derive(Debug)]
-struct Channels {
+struct ChannelCoder {
     first_slot: usize,
-    slots: Vec<Slot>,
+    slots: Vec<ChannelBuffer>,
     encoder: Box<dyn BlockEncoder>,
     samples: Vec<Sample>,
     block: Vec<u8>,
@@ -52,8 +52,8 @@ struct Channels {
 }
 
 #[derive(Debug)]
-struct Slot {
-    ring: RingOut<Sample>,
+struct ChannelBuffer {
+    ring: RingConsumer<Sample>,
     positions: Vec<Position>,
     present: Vec<bool>,
 }
@@ -65,7 +65,7 @@ impl Group {
         index: usize,
         seen: Option<SeenCounters>,
         parts: &Sender<Part>,
-    ) -> (Self, Vec<RingIn<Sample>>) {
+    ) -> (Self, Vec<RingProducer<Sample>>) {
         let rows = plan.stretch_rows as usize;
         let n_slots = plan.slots_of(index).len();
         let mut producers = Vec::with_capacity(n_slots);
@@ -74,12 +74,12 @@ impl Group {
                 let (producer, ring) = ring(plan.ring_rows());
                 producers.push(producer);
                 let (positions, present) = (Vec::with_capacity(rows), Vec::with_capacity(rows));
-                Slot { ring, positions, present }
+                ChannelBuffer { ring, positions, present }
             })
             .collect();
         let mut encoder = plan.codec.encoder();
         encoder.prepare(n_slots, rows);
-        let content = Content::Channels(Box::new(Channels {
+        let coder = GroupCoder::Channels(Box::new(ChannelCoder {
             first_slot: plan.slots_of(index).start,
             slots,
             encoder,
@@ -87,7 +87,7 @@ impl Group {
             block: Vec::with_capacity(plan.part_bytes_max(index)),
             seen,
         }));
-        (Self::new(plan, index, content, plan.part_bytes_max(index), parts), producers)
+        (Self::new(plan, index, coder, plan.part_bytes_max(index), parts), producers)
     }
 
     /// The timeline's group, and the reader's end of its ring.
@@ -95,17 +95,17 @@ impl Group {
         plan: &Plan,
         header: &Header,
         parts: &Sender<Part>,
-    ) -> (Self, RingIn<TimelineItem>) {
+    ) -> (Self, RingProducer<TimelineItem>) {
         let (producer, consumer) = ring(plan.timeline_items());
         let coder = TimelineCoder::new(consumer, header, plan.timeline_items());
-        let content = Content::Timeline(Box::new(coder));
-        (Self::new(plan, plan.n_groups(), content, plan.front_bytes_max(), parts), producer)
+        let coder = GroupCoder::Timeline(Box::new(coder));
+        (Self::new(plan, plan.n_groups(), coder, plan.front_bytes_max(), parts), producer)
     }
 
     fn new(
         plan: &Plan,
         index: usize,
-        content: Content,
+        coder: GroupCoder,
         part_bytes: usize,
         parts: &Sender<Part>,
     ) -> Self {
@@ -114,22 +114,22 @@ impl Group {
         for _ in 0..plan.buffers_per_group() {
             drop(buffers_back.try_send(Vec::with_capacity(part_bytes)));
         }
-        Self { index, content, jobs, jobs_in, parts: parts.clone(), buffers, buffers_back }
+        Self { index, coder, jobs, jobs_in, parts: parts.clone(), buffers, buffers_back }
     }
 
     /// Does every job for which there is a buffer.
-    pub(super) fn work_off(&mut self, beat: &Beat) {
+    pub(super) fn run_jobs(&mut self, heartbeat: &Beat) {
         while !self.jobs.is_empty() {
-            beat.moved();
+            heartbeat.moved();
             let Ok(mut bytes) = self.buffers.try_recv() else { return };
             let Ok(job) = self.jobs.try_recv() else {
                 drop(self.buffers_back.try_send(bytes));
                 return;
             };
             bytes.clear();
-            let report = match &mut self.content {
-                Content::Channels(channels) => channels.encode(&job.end, &mut bytes),
-                Content::Timeline(coder) => {
+            let report = match &mut self.coder {
+                GroupCoder::Channels(channels) => channels.encode(&job.end, &mut bytes),
+                GroupCoder::Timeline(coder) => {
                     coder.encode(&job.end, &mut bytes);
                     PartReport::default()
                 }
@@ -144,7 +144,7 @@ impl Group {
     }
 }
 
-impl Channels {
+impl ChannelCoder {
     /// Encodes the active channels as one block.
     fn encode(&mut self, end: &StretchEnd, out: &mut Vec<u8>) -> PartReport {
         let n_rows = end.span.n_rows as usize;
@@ -195,14 +195,14 @@ impl Channels {
 /// Encodes the timeline's items up to the end of a stretch.
 #[derive(Debug)]
 pub(super) struct TimelineCoder {
-    ring: RingOut<TimelineItem>,
+    ring: RingConsumer<TimelineItem>,
     timeline: Timeline,
     next_row: u64,
     front: FrontWriter,
 }
 
 impl TimelineCoder {
-    pub(super) fn new(ring: RingOut<TimelineItem>, header: &Header, items_max: usize) -> Self {
+    pub(super) fn new(ring: RingConsumer<TimelineItem>, header: &Header, items_max: usize) -> Self {
         // As for a reader, which has only the header.
         let tick_hz = header.device.as_ref().map_or(1, |device| device.tick_hz);
         let mut times = TimelineEncoder::new(tick_hz, header.rate_hz);
@@ -240,11 +240,11 @@ impl TimelineCoder {
 
 /// Visibility counters of all channels, by slot.
 #[derive(Debug, Clone, Default)]
-pub struct SeenCounters(pub(super) Arc<[ChannelSeen]>);
+pub struct SeenCounters(pub(super) Arc<[VisibilityCounts]>);
 
 /// Visibility counters of one channel, in rows of the encoded stretches.
 #[derive(Debug, Default)]
-pub(super) struct ChannelSeen {
+pub(super) struct VisibilityCounts {
     rows: AtomicU64,
     present: AtomicU64,
     gaps: AtomicU64,
@@ -255,7 +255,7 @@ pub(super) struct ChannelSeen {
 
 /// Visibility of a channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Seen {
+pub struct Visibility {
     /// Rows since the channel exists; lost frames count as not seen.
     pub rows: u64,
     /// Rows with a position.
@@ -268,15 +268,15 @@ pub struct Seen {
 
 impl SeenCounters {
     pub(super) fn new(n_slots: usize) -> Self {
-        Self((0..n_slots).map(|_| ChannelSeen::default()).collect())
+        Self((0..n_slots).map(|_| VisibilityCounts::default()).collect())
     }
 
     /// The visibility of the channel in `slot`.
     #[must_use]
-    pub fn get(&self, slot: usize) -> Option<Seen> {
+    pub fn get(&self, slot: usize) -> Option<Visibility> {
         let channel = self.0.get(slot)?;
         let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
-        Some(Seen {
+        Some(Visibility {
             rows: get(&channel.rows),
             present: get(&channel.present),
             gaps: get(&channel.gaps),
@@ -285,7 +285,7 @@ impl SeenCounters {
     }
 }
 
-impl ChannelSeen {
+impl VisibilityCounts {
     /// Adds one stretch.
     pub(super) fn count(&self, present: &[bool]) {
         let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
@@ -320,7 +320,7 @@ mod tests {
         let seen = SeenCounters::new(1);
         seen.0[0].count(&[true, false, false]);
         seen.0[0].count(&[false, true, true, false]);
-        let wanted = Seen { rows: 7, present: 3, gaps: 2, longest_gap: 3 };
+        let wanted = Visibility { rows: 7, present: 3, gaps: 2, longest_gap: 3 };
         assert_eq!(seen.get(0), Some(wanted));
         assert_eq!(seen.get(1), None);
     }

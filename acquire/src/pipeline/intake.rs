@@ -1,7 +1,7 @@
 //! The intake: the reader puts each frame into every ring, or counts it as lost.
 
-mod axis;
 mod clock;
+mod frame_counter;
 mod losses;
 mod rows;
 
@@ -14,17 +14,17 @@ use mocapd_take::{
 };
 
 use self::{
-    axis::Axis,
-    clock::Clocks,
-    losses::{Pending, Silences},
+    clock::ClockTracker,
+    frame_counter::FrameCounter,
+    losses::{PendingLoss, SilenceMonitor},
 };
 use super::{
     Counts, PipelineConfig, Progress,
-    commands::{Mailbox, TAKE_COMMANDS_MAX, TakeCommand},
-    messages::{Control, Moment, ToWriter},
+    commands::{CommandReceiver, TAKE_COMMANDS_MAX, TakeCommand},
+    messages::{Control, FrameTimes, ToWriter},
     plan::Plan,
     pool::Feed,
-    ring::{RingIn, Sample, TapHead, TapIn, TimelineItem},
+    ring::{RingProducer, Sample, TapHead, TapIn, TimelineItem},
 };
 use crate::{
     heartbeat::{Beat, Who},
@@ -37,12 +37,12 @@ const NO_SLOT: u32 = u32::MAX;
 /// Accepts frames. Belongs to the one thread that reads the device.
 #[derive(Debug)]
 pub struct Intake {
-    rings: Vec<RingIn<Sample>>,
-    timeline: RingIn<TimelineItem>,
+    rings: Vec<RingProducer<Sample>>,
+    timeline: RingProducer<TimelineItem>,
     feed: Feed,
     to_writer: ToWriter,
     progress: Arc<Progress>,
-    beat: Beat,
+    heartbeat: Beat,
     /// Slot of each marker id; `NO_SLOT` if it has none.
     slot_of_id: Vec<u32>,
     /// Label of each slot, as announced.
@@ -53,11 +53,11 @@ pub struct Intake {
     /// The samples of the current row, by slot.
     row: Vec<Sample>,
     /// Rows that are known to fit into every active ring.
-    room: usize,
+    rows_free: usize,
     rate_hz: f64,
-    axis: Axis,
-    silences: Silences,
-    pending: Pending,
+    counter: FrameCounter,
+    silence: SilenceMonitor,
+    pending: PendingLoss,
     next_row: u64,
     open_first_row: u64,
     open_rows: u32,
@@ -74,15 +74,15 @@ pub struct Intake {
     open_since_ns: u64,
     open_ns_max: u64,
     /// The open stretch's first recorded row, and the arrival of its last.
-    open_first: Moment,
+    open_first: FrameTimes,
     last_arrival_ns: u64,
     counts: Counts,
-    clocks: Clocks,
+    clocks: ClockTracker,
     is_away: bool,
     /// The device is back after an outage, and its first frame has not arrived.
     rejoining: bool,
     /// A take that begins with that frame, so that it does not contain the absence of the device before it.
-    begins_then: Option<TakeCommand>,
+    deferred_begin: Option<TakeCommand>,
     /// Rows of the present absence that ended takes already contain.
     rows_away: u64,
     /// The host's monotonic time at the last call.
@@ -90,7 +90,7 @@ pub struct Intake {
     /// When the device was asked to stop, or should have been: no frames are due afterwards.
     due_until_ns: Option<u64>,
     finished: bool,
-    mailbox: Mailbox,
+    commands: CommandReceiver,
     tap: TapIn,
 }
 
@@ -99,12 +99,12 @@ pub struct Intake {
 const UNSEEN_MAX: u64 = 1 << 30;
 
 /// The reader's ends of the queues that it shares with other threads.
-pub(super) struct ReaderEnds {
-    pub(super) rings: Vec<RingIn<Sample>>,
-    pub(super) timeline: RingIn<TimelineItem>,
+pub(super) struct ReaderEndpoints {
+    pub(super) rings: Vec<RingProducer<Sample>>,
+    pub(super) timeline: RingProducer<TimelineItem>,
     pub(super) feed: Feed,
     pub(super) to_writer: ToWriter,
-    pub(super) mailbox: Mailbox,
+    pub(super) commands: CommandReceiver,
     pub(super) tap: TapIn,
     pub(super) progress: Arc<Progress>,
 }
@@ -113,9 +113,9 @@ impl Intake {
     pub(super) fn new(
         config: &PipelineConfig,
         plan: &Plan,
-        ends: ReaderEnds,
+        ends: ReaderEndpoints,
     ) -> anyhow::Result<Self> {
-        let ReaderEnds { rings, timeline, feed, to_writer, mailbox, tap, progress } = ends;
+        let ReaderEndpoints { rings, timeline, feed, to_writer, commands, tap, progress } = ends;
         let mut slot_of_id = vec![NO_SLOT; usize::from(u16::MAX) + 1];
         for (slot, channel) in config.channels.iter().enumerate() {
             slot_of_id[usize::from(channel.marker_id)] = slot as u32;
@@ -127,17 +127,17 @@ impl Intake {
             timeline,
             feed,
             progress,
-            beat: config.heartbeat.beat(Who::Reader)?,
+            heartbeat: config.heartbeat.beat(Who::Reader)?,
             slot_of_id,
             labels,
             announced: Vec::new(),
             n_channels: config.channels.len(),
             row: vec![Sample::default(); plan.n_slots],
-            room: 0,
+            rows_free: 0,
             rate_hz: config.rate_hz,
-            axis: Axis::new(config.rate_hz, config.tick_hz),
-            silences: Silences::new(config.rate_hz),
-            pending: Pending::default(),
+            counter: FrameCounter::new(config.rate_hz, config.tick_hz),
+            silence: SilenceMonitor::new(config.rate_hz),
+            pending: PendingLoss::default(),
             next_row: 0,
             open_first_row: 0,
             open_rows: 0,
@@ -150,19 +150,19 @@ impl Intake {
             next_key_row: 0,
             open_since_ns: 0,
             open_ns_max: config.stretch.as_nanos() as u64,
-            open_first: Moment::default(),
+            open_first: FrameTimes::default(),
             last_arrival_ns: 0,
             counts: Counts::default(),
-            clocks: Clocks::new(config.tick_hz, to_writer.clock.clone()),
+            clocks: ClockTracker::new(config.tick_hz, to_writer.clock.clone()),
             to_writer,
             is_away: false,
             rejoining: false,
-            begins_then: None,
+            deferred_begin: None,
             rows_away: 0,
             now_ns: 0,
             due_until_ns: None,
             finished: false,
-            mailbox,
+            commands,
             tap,
         })
     }
@@ -176,13 +176,13 @@ impl Intake {
         self.execute_commands(arrival_ns);
         let rejoins = self.rejoining;
         // Those frames arrived before the absence was reported.
-        if !rejoins && let Some(begin) = self.begins_then.take() {
+        if !rejoins && let Some(begin) = self.deferred_begin.take() {
             self.cut(begin, arrival_ns);
         }
         if rejoins {
             self.end_outage(frame, arrival_ns);
-            self.part_from_outage(arrival_ns);
-        } else if !self.follow(frame) {
+            self.split_after_outage(arrival_ns);
+        } else if !self.count_frame(frame) {
             return;
         }
         self.end_silence(frame.device_ticks, arrival_ns, rejoins);
@@ -200,7 +200,7 @@ impl Intake {
             },
             &self.row[..self.n_channels],
         );
-        self.make_way();
+        self.make_room();
         if !self.has_room() {
             self.counts.ring_full += 1;
             self.pending.add(1, Causes::RING_FULL);
@@ -210,7 +210,7 @@ impl Intake {
         }
         if self.open_rows == 0 {
             self.open_since_ns = arrival_ns;
-            self.open_first = Moment { device_ticks: frame.device_ticks, arrival_ns };
+            self.open_first = FrameTimes { device_ticks: frame.device_ticks, arrival_ns };
         }
         self.last_arrival_ns = arrival_ns;
         self.progress.last_arrival_ns.store(arrival_ns, Ordering::Relaxed);
@@ -228,7 +228,7 @@ impl Intake {
     /// slowly, or not at all, is closed when its time is up.
     pub fn tick(&mut self, now_ns: u64) {
         self.now_ns = now_ns;
-        self.beat.moved();
+        self.heartbeat.moved();
         self.execute_commands(now_ns);
         if self.open_rows > 0 && now_ns.saturating_sub(self.open_since_ns) > self.open_ns_max {
             self.close_stretch();
@@ -236,8 +236,8 @@ impl Intake {
     }
 
     /// Sends a heartbeat while the reader waits for a device.
-    pub(crate) fn alive(&self) {
-        self.beat.moved();
+    pub(crate) fn keep_alive(&self) {
+        self.heartbeat.moved();
     }
 
     /// Records an event at the current row.
@@ -254,11 +254,11 @@ impl Intake {
 
     /// Executes the commands of other threads.
     fn execute_commands(&mut self, now_ns: u64) {
-        if self.mailbox.is_empty() {
+        if self.commands.is_empty() {
             return;
         }
-        while let Some(mark) = self.mailbox.next_mark() {
-            if mark.is_wanted() {
+        while let Some(mark) = self.commands.next_mark() {
+            if mark.is_awaited() {
                 self.event(mark.event);
                 // The requester may be gone.
                 mark.row.try_send(self.next_row).ok();
@@ -266,11 +266,11 @@ impl Intake {
         }
         // Commands stay queued here while the writer's own queue is full.
         while self.to_writer.commands.len() < TAKE_COMMANDS_MAX
-            && let Some(command) = self.mailbox.next_command()
+            && let Some(command) = self.commands.next_command()
         {
             let is_begin = matches!(command, TakeCommand::Begin(..));
-            if is_begin && self.begins_then.is_none() && (self.is_away || self.rejoining) {
-                self.begins_then = Some(command);
+            if is_begin && self.deferred_begin.is_none() && (self.is_away || self.rejoining) {
+                self.deferred_begin = Some(command);
             } else {
                 self.cut(command, now_ns);
             }
@@ -279,8 +279,8 @@ impl Intake {
 
     /// Puts the rows of an outage into a stretch of their own and makes the next one a key: a take that begins after
     /// them has none of them.
-    fn part_from_outage(&mut self, now_ns: u64) {
-        match self.begins_then.take() {
+    fn split_after_outage(&mut self, now_ns: u64) {
+        match self.deferred_begin.take() {
             Some(begin) => self.cut(begin, now_ns),
             None if self.pending.rows() > 0 => {
                 self.close_stretch();
@@ -301,7 +301,7 @@ impl Intake {
         self.close_pending();
         let boundary = self.feed.next_stretch();
         // A take that waits for its device begins before this command: an end does not wait.
-        for command in self.begins_then.take().into_iter().chain([command]) {
+        for command in self.deferred_begin.take().into_iter().chain([command]) {
             match command {
                 // While a take is written, key stretches may be rarer.
                 TakeCommand::Begin(..) => self.key_every = self.key_rows,
@@ -320,14 +320,14 @@ impl Intake {
     pub fn status(&mut self, status: Status, last: bool) {
         if last && !self.rejoining {
             // The final report settles rows that were due by the host's clock alone.
-            let told = status.frames_produced.saturating_add(self.counts.reports_from);
-            let not_produced = self.counts.seen().saturating_sub(told).min(self.rows_away);
+            let reported = status.frames_produced.saturating_add(self.counts.reports_from);
+            let not_produced = self.counts.seen().saturating_sub(reported).min(self.rows_away);
             self.rows_away -= not_produced;
             self.counts.not_produced(not_produced);
         }
         let is_accounted = self.counts.status(status, self.rejoining);
         if is_accounted && !self.rejoining {
-            self.silences.account(self.now_ns);
+            self.silence.account(self.now_ns);
         }
         self.counts.ended |= last;
     }
@@ -348,7 +348,7 @@ impl Intake {
 
     /// Frames so far, including lost ones.
     #[must_use]
-    pub fn counts_seen(&self) -> u64 {
+    pub fn frames_seen(&self) -> u64 {
         self.counts.seen()
     }
 
@@ -386,7 +386,7 @@ impl Intake {
     }
 
     /// Publishes the latency for observers.
-    pub(crate) fn tell_latency(&self, latency: &Latency) {
+    pub(crate) fn publish_latency(&self, latency: &Latency) {
         let p99_ns = latency.quantile_ns(0.99);
         self.progress.ring_latency_p99_ns.store(p99_ns, Ordering::Relaxed);
     }
@@ -397,7 +397,7 @@ impl Intake {
     }
 
     /// Sets why there will be no more frames, which becomes the ending of an open take.
-    pub fn ends(&self, ending: TakeEnding) {
+    pub fn set_ending(&self, ending: TakeEnding) {
         // The first ending counts.
         self.progress.ending.set(ending).ok();
     }

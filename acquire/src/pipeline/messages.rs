@@ -16,7 +16,7 @@ use crate::clock::ClockItem;
 
 /// The times of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(super) struct Moment {
+pub(super) struct FrameTimes {
     pub(super) device_ticks: u64,
     pub(super) arrival_ns: u64,
 }
@@ -26,7 +26,7 @@ pub(super) struct Moment {
 pub(super) struct StretchEnd {
     pub(super) span: Span,
     /// Its first recorded row, and the arrival of its last.
-    pub(super) first: Moment,
+    pub(super) first: FrameTimes,
     pub(super) last_arrival_ns: u64,
     /// Number of channels with rows in it: they have the first slots.
     pub(super) n_channels: usize,
@@ -36,7 +36,7 @@ pub(super) struct StretchEnd {
 
 /// Work for a group. The timeline's group also gets the counters at the end of the stretch.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Job {
+pub(super) struct EncodeJob {
     pub(super) stretch: u64,
     pub(super) end: StretchEnd,
     pub(super) counts: Option<Counts>,

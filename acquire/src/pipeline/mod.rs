@@ -33,16 +33,16 @@ pub use commands::{
     FirstRow, NewTake, NothingRecorded, TakeEnd, TakeFailed, TakeHandle, Takes, Written,
 };
 pub use counts::{Counts, PendingRows};
-pub use disk::{DiskState, HELD_MIN_BYTES, check_room};
-pub use group::{Seen, SeenCounters};
+pub use disk::{DiskSpace, HELD_MIN_BYTES, check_room};
+pub use group::{SeenCounters, Visibility};
 pub use intake::Intake;
 pub use plan::{PipelineConfig, PreRollConfig, STRETCH_LENGTHS, SYNC_MAX};
-pub use progress::{Progress, TakeNow, lock};
+pub use progress::{Progress, TakeProgress, lock};
 pub use ring::{TapHead, TapOut};
 
 use self::{
     group::Group,
-    intake::ReaderEnds,
+    intake::ReaderEndpoints,
     plan::Plan,
     pool::Pool,
     writer::{LiveTake, Writer},
@@ -77,7 +77,7 @@ impl Pipeline {
     /// # Errors
     /// When the header cannot be written, a thread cannot be started, or the resampler needs whole takes.
     pub fn start(config: &PipelineConfig, take: NewTake) -> anyhow::Result<(Intake, Self)> {
-        let (reply, handle) = commands::reply();
+        let (reply, handle) = commands::reply_channel();
         let header = take.header.clone();
         let take = LiveTake::begin(take, &reply, Counts::default(), 0, config.sync_every)?;
         let (intake, mut pipeline, _) = Self::run(config, &header, Some(take), None)?;
@@ -103,7 +103,7 @@ impl Pipeline {
     ) -> anyhow::Result<(Intake, Self, Armed)> {
         let plan = Plan::new(config)?;
         let progress = Arc::new(Progress::new(&config.channels));
-        let writer_beat = config.heartbeat.beat(Who::Writer)?;
+        let writer_heartbeat = config.heartbeat.beat(Who::Writer)?;
 
         let (parts_in, parts) = bounded(plan.parts_max());
         let (to_writer, from_reader) = messages::reader_to_writer();
@@ -119,14 +119,14 @@ impl Pipeline {
 
         let buffers_back = groups.iter().map(|group| group.buffers_back.clone()).collect();
         let (pool, feed) = Pool::start(&plan, groups, &progress, &config.heartbeat)?;
-        let (takes, mailbox) = commands::mailbox();
+        let (takes, commands) = commands::command_channel();
         let (tap_in, tap) = ring::tap(plan.n_slots);
-        let ends = ReaderEnds {
+        let ends = ReaderEndpoints {
             rings,
             timeline,
             feed,
             to_writer,
-            mailbox,
+            commands,
             tap: tap_in,
             progress: Arc::clone(&progress),
         };
@@ -134,11 +134,11 @@ impl Pipeline {
         let mut writer =
             Writer::new(&plan, parts, from_reader, buffers_back, pool.wakes(), &progress);
         if let Some(take) = take {
-            writer.for_take(take);
+            writer.set_single_take(take);
         }
         let guard = pool::FailOnPanic(Arc::clone(&progress));
         let writer = threads::spawn("mocapd-write", move || {
-            let written = writer.run(&writer_beat);
+            let written = writer.run(&writer_heartbeat);
             drop(guard);
             written
         })?;
@@ -159,10 +159,10 @@ impl Pipeline {
     /// has no take to return.
     pub fn finish(mut self) -> TakeEnd {
         let take = self.take.take();
-        let ran = self.join();
+        let outcome = self.join();
         // The take's own error comes first: it is the more specific one.
         take.and_then(|take| take.ended.try_recv().ok()).unwrap_or_else(|| {
-            let error = ran.err().unwrap_or_else(|| anyhow!("no take was written"));
+            let error = outcome.err().unwrap_or_else(|| anyhow!("no take was written"));
             Err(TakeFailed::without_output(error))
         })
     }
@@ -172,8 +172,8 @@ impl Pipeline {
     /// # Errors
     /// When a thread failed: a bug in mocapd.
     pub fn join(self) -> anyhow::Result<()> {
-        let ran = threads::join(self.writer);
+        let outcome = threads::join(self.writer);
         self.pool.stop();
-        ran?
+        outcome?
     }
 }

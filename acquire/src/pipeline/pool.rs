@@ -18,7 +18,7 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 use super::{
     Counts, Progress,
     group::Group,
-    messages::{Job, StretchEnd},
+    messages::{EncodeJob, StretchEnd},
     plan::Plan,
 };
 use crate::{
@@ -28,16 +28,16 @@ use crate::{
 
 /// The place where a group waits for work.
 #[derive(Debug)]
-struct Station {
+struct ParkedGroup {
     park: Sender<Group>,
     unpark: Receiver<Group>,
-    jobs: Receiver<Job>,
+    jobs: Receiver<EncodeJob>,
     buffers: Receiver<Vec<u8>>,
     /// A wake-up for this group is queued.
     woken: AtomicBool,
 }
 
-impl Station {
+impl ParkedGroup {
     fn has_work(&self) -> bool {
         !self.jobs.is_empty() && !self.buffers.is_empty()
     }
@@ -45,14 +45,14 @@ impl Station {
 
 /// Wakes groups. At most one wake-up per group is queued, so the queue needs one place per group.
 #[derive(Debug, Clone)]
-pub(super) struct Wakes {
-    stations: Arc<[Station]>,
+pub(super) struct WakeQueue {
+    parked: Arc<[ParkedGroup]>,
     queue: Sender<Option<usize>>,
 }
 
-impl Wakes {
+impl WakeQueue {
     pub(super) fn wake(&self, group: usize) {
-        if !self.stations[group].woken.swap(true, Ordering::AcqRel) {
+        if !self.parked[group].woken.swap(true, Ordering::AcqRel) {
             // Disconnected only after the workers have stopped.
             self.queue.try_send(Some(group)).ok();
         }
@@ -63,8 +63,8 @@ impl Wakes {
 #[derive(Debug)]
 pub(super) struct Feed {
     /// One sender per group; the last is the timeline's.
-    jobs: Vec<Sender<Job>>,
-    wakes: Wakes,
+    jobs: Vec<Sender<EncodeJob>>,
+    wakes: WakeQueue,
     plan: Plan,
     next_stretch: u64,
 }
@@ -85,7 +85,7 @@ impl Feed {
         let mut all_sent = true;
         for group in (0..active).chain([timeline]) {
             let counts = (group == timeline).then_some(counts);
-            all_sent &= self.jobs[group].try_send(Job { stretch, end, counts }).is_ok();
+            all_sent &= self.jobs[group].try_send(EncodeJob { stretch, end, counts }).is_ok();
             self.wakes.wake(group);
         }
         all_sent
@@ -96,7 +96,7 @@ impl Feed {
 #[derive(Debug)]
 pub(super) struct Pool {
     workers: Vec<JoinHandle<()>>,
-    wakes: Wakes,
+    wakes: WakeQueue,
 }
 
 impl Pool {
@@ -108,25 +108,25 @@ impl Pool {
     ) -> anyhow::Result<(Self, Feed)> {
         let n_groups = groups.len();
         let mut jobs = Vec::with_capacity(n_groups);
-        let mut stations = Vec::with_capacity(n_groups);
+        let mut parked = Vec::with_capacity(n_groups);
         for group in groups {
             jobs.push(group.jobs_in.clone());
             let (waiting, buffers) = (group.jobs.clone(), group.buffers.clone());
             let (park, unpark) = bounded(1);
             drop(park.send(group));
             let woken = AtomicBool::new(false);
-            stations.push(Station { park, unpark, jobs: waiting, buffers, woken });
+            parked.push(ParkedGroup { park, unpark, jobs: waiting, buffers, woken });
         }
         // One wake-up per group, and one stop per worker.
         let (queue, wakes_out) = bounded(n_groups + plan.workers);
-        let wakes = Wakes { stations: stations.into(), queue };
+        let wakes = WakeQueue { parked: parked.into(), queue };
         let mut workers = Vec::with_capacity(plan.workers);
         for index in 0..plan.workers {
-            let (stations, queue) = (Arc::clone(&wakes.stations), wakes_out.clone());
+            let (parked, queue) = (Arc::clone(&wakes.parked), wakes_out.clone());
             let guard = FailOnPanic(Arc::clone(progress));
-            let beat = heartbeat.beat(Who::Worker)?;
+            let worker_heartbeat = heartbeat.beat(Who::Worker)?;
             workers.push(threads::spawn(&format!("mocapd-work-{index}"), move || {
-                work(&stations, &queue, &beat);
+                run_worker(&parked, &queue, &worker_heartbeat);
                 drop(guard);
             })?);
         }
@@ -134,7 +134,7 @@ impl Pool {
         Ok((Self { workers, wakes }, feed))
     }
 
-    pub(super) fn wakes(&self) -> Wakes {
+    pub(super) fn wakes(&self) -> WakeQueue {
         self.wakes.clone()
     }
 
@@ -150,20 +150,20 @@ impl Pool {
     }
 }
 
-fn work(stations: &[Station], queue: &Receiver<Option<usize>>, beat: &Beat) {
+fn run_worker(parked: &[ParkedGroup], queue: &Receiver<Option<usize>>, heartbeat: &Beat) {
     let next = || {
-        beat.idle();
+        heartbeat.idle();
         queue.recv()
     };
     while let Ok(Some(index)) = next() {
-        let station = &stations[index];
+        let place = &parked[index];
         // A swap and not a store: whoever found the flag set had sent its job before, and that job must be visible
         // below. A plain store could move past the check of the jobs, and the wake-up would be lost.
-        station.woken.swap(false, Ordering::AcqRel);
-        while let Ok(mut group) = station.unpark.try_recv() {
-            group.work_off(beat);
-            drop(station.park.try_send(group));
-            if !station.has_work() {
+        place.woken.swap(false, Ordering::AcqRel);
+        while let Ok(mut group) = place.unpark.try_recv() {
+            group.run_jobs(heartbeat);
+            drop(place.park.try_send(group));
+            if !place.has_work() {
                 break;
             }
         }

@@ -7,7 +7,7 @@ use std::sync::{
 
 use mocapd_take::record::{Channel, Ledger, TakeEnding};
 
-use crate::files::{Displaced, FileState};
+use crate::files::{DisplacedFile, FileState};
 
 /// Live counters of a running pipeline. For display: the ledger is authoritative.
 #[derive(Debug, Default)]
@@ -53,12 +53,12 @@ pub struct Progress {
     pub held_cut: AtomicBool,
     /// The state of the take's file as a code, and details of it.
     file_state: AtomicU8,
-    displaced: Mutex<Option<Displaced>>,
+    displaced: Mutex<Option<DisplacedFile>>,
     file_changes: AtomicU32,
     /// Why the reading ended, once it has: the ending of a take that is open then.
     pub ending: OnceLock<TakeEnding>,
     /// The take that is being written. Only the writer and observers use this lock.
-    pub take: Mutex<Option<TakeNow>>,
+    pub take: Mutex<Option<TakeProgress>>,
 }
 
 impl Progress {
@@ -74,12 +74,12 @@ impl Progress {
 
     /// Details of that state, while the file is not in its place.
     #[must_use]
-    pub fn displaced(&self) -> Option<Displaced> {
+    pub fn displaced(&self) -> Option<DisplacedFile> {
         lock(&self.displaced).clone()
     }
 
     /// Stores the details before the counter that makes others read them.
-    pub(super) fn set_file_state(&self, state: FileState, displaced: Option<Displaced>) {
+    pub(super) fn set_file_state(&self, state: FileState, displaced: Option<DisplacedFile>) {
         *lock(&self.displaced) = displaced;
         self.file_state.store(state.code(), Ordering::Release);
         self.file_changes.fetch_add(1, Ordering::Release);
@@ -94,7 +94,7 @@ impl Progress {
 
 /// Progress of a take that is being written.
 #[derive(Debug, Clone, Default)]
-pub struct TakeNow {
+pub struct TakeProgress {
     /// Rows, including lost ones.
     pub rows: u64,
     /// Bytes of the file.

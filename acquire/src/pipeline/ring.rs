@@ -34,20 +34,20 @@ pub(super) enum TimelineItem {
 }
 
 /// The reader's end.
-pub(super) struct RingIn<T>(HeapProd<T>);
+pub(super) struct RingProducer<T>(HeapProd<T>);
 
 /// The group's end.
-pub(super) struct RingOut<T>(HeapCons<T>);
+pub(super) struct RingConsumer<T>(HeapCons<T>);
 
 /// A ring of `capacity` items.
-pub(super) fn ring<T: Copy>(capacity: usize) -> (RingIn<T>, RingOut<T>) {
+pub(super) fn ring<T: Copy>(capacity: usize) -> (RingProducer<T>, RingConsumer<T>) {
     let (producer, consumer) = HeapRb::new(capacity).split();
-    (RingIn(producer), RingOut(consumer))
+    (RingProducer(producer), RingConsumer(consumer))
 }
 
-impl<T: Copy> RingIn<T> {
+impl<T: Copy> RingProducer<T> {
     /// Number of items that certainly fit: never more than really do.
-    pub(super) fn room(&self) -> usize {
+    pub(super) fn vacant(&self) -> usize {
         self.0.vacant_len()
     }
 
@@ -56,14 +56,14 @@ impl<T: Copy> RingIn<T> {
         (self.0.occupied_len() * 1000 / self.0.capacity().get()) as u64
     }
 
-    /// Pushes an item. [`room`](Self::room) must have shown that it fits.
+    /// Pushes an item. [`vacant`](Self::vacant) must have shown that it fits.
     pub(super) fn push(&mut self, item: T) {
         let pushed = self.0.try_push(item).is_ok();
         debug_assert!(pushed, "pushed into a full ring");
     }
 }
 
-impl<T: Copy> RingOut<T> {
+impl<T: Copy> RingConsumer<T> {
     pub(super) fn pop(&mut self) -> Option<T> {
         self.0.try_pop()
     }
@@ -79,30 +79,30 @@ impl<T: Copy> RingOut<T> {
     }
 }
 
-impl<T> fmt::Debug for RingIn<T> {
+impl<T> fmt::Debug for RingProducer<T> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "RingIn({} of {})", self.0.occupied_len(), self.0.capacity())
+        write!(f, "RingProducer({} of {})", self.0.occupied_len(), self.0.capacity())
     }
 }
 
-impl<T> fmt::Debug for RingOut<T> {
+impl<T> fmt::Debug for RingConsumer<T> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "RingOut({} of {})", self.0.occupied_len(), self.0.capacity())
+        write!(f, "RingConsumer({} of {})", self.0.occupied_len(), self.0.capacity())
     }
 }
 
 /// Interval between displayed frames: 30 a second, and a little shorter, so that aliasing with the
 /// device's rate does not make it 20.
-const EVERY_NS: u64 = 32_000_000;
+const DISPLAY_INTERVAL_NS: u64 = 32_000_000;
 
 /// Consecutive frames of a burst: enough for 12 fourth differences and 10 sixth ones.
 const BURST_FRAMES: u32 = 16;
 
 /// Time between the starts of two bursts.
-const BURST_EVERY_NS: u64 = 250_000_000;
+const BURST_INTERVAL_NS: u64 = 250_000_000;
 
 /// Frames in the queue: two bursts, at least a quarter of a second. A viewer's thread polls every few milliseconds.
-const FRAMES_MAX: usize = 2 * BURST_FRAMES as usize;
+const QUEUED_FRAMES_MAX: usize = 2 * BURST_FRAMES as usize;
 
 /// The data of a previewed frame besides its positions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -122,43 +122,43 @@ pub struct TapHead {
 /// The reader's end of the preview.
 #[derive(Debug)]
 pub(super) struct TapIn {
-    heads: RingIn<TapHead>,
-    positions: RingIn<Position>,
-    last_ns: u64,
-    burst_ns: u64,
+    heads: RingProducer<TapHead>,
+    positions: RingProducer<Position>,
+    last_display_ns: u64,
+    last_burst_ns: u64,
     burst_left: u32,
 }
 
 /// The viewer's end of the preview.
 #[derive(Debug)]
 pub struct TapOut {
-    heads: RingOut<TapHead>,
-    positions: RingOut<Position>,
+    heads: RingConsumer<TapHead>,
+    positions: RingConsumer<Position>,
 }
 
 pub(super) fn tap(n_slots: usize) -> (TapIn, TapOut) {
-    let (heads, heads_out) = ring(FRAMES_MAX);
-    let (positions, positions_out) = ring(FRAMES_MAX * n_slots.max(1));
+    let (heads, heads_out) = ring(QUEUED_FRAMES_MAX);
+    let (positions, positions_out) = ring(QUEUED_FRAMES_MAX * n_slots.max(1));
     let out = TapOut { heads: heads_out, positions: positions_out };
-    (TapIn { heads, positions, last_ns: 0, burst_ns: 0, burst_left: 0 }, out)
+    (TapIn { heads, positions, last_display_ns: 0, last_burst_ns: 0, burst_left: 0 }, out)
 }
 
 impl TapIn {
     /// Offers a frame, which is queued if it is due for display or part of a burst.
     pub(super) fn offer(&mut self, head: TapHead, row: &[Sample]) {
-        let is_shown = head.arrival_ns.saturating_sub(self.last_ns) >= EVERY_NS;
+        let is_shown = head.arrival_ns.saturating_sub(self.last_display_ns) >= DISPLAY_INTERVAL_NS;
         if is_shown {
-            self.last_ns = head.arrival_ns;
+            self.last_display_ns = head.arrival_ns;
         }
-        if head.arrival_ns.saturating_sub(self.burst_ns) >= BURST_EVERY_NS {
-            self.burst_ns = head.arrival_ns;
+        if head.arrival_ns.saturating_sub(self.last_burst_ns) >= BURST_INTERVAL_NS {
+            self.last_burst_ns = head.arrival_ns;
             self.burst_left = BURST_FRAMES;
         }
         if !is_shown && self.burst_left == 0 {
             return;
         }
         self.burst_left = self.burst_left.saturating_sub(1);
-        if self.heads.room() == 0 || self.positions.room() < row.len() {
+        if self.heads.vacant() == 0 || self.positions.vacant() < row.len() {
             return;
         }
         for sample in row {
@@ -190,7 +190,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn thirty_frames_a_second_are_shown_and_bursts_follow_each_other() {
+    fn thirty_frames_a_second_are_displayed_with_bursts_of_consecutive_ones() {
         let (mut tap_in, mut tap_out) = tap(1);
         let (mut shown, mut rows, mut positions) = (0, Vec::new(), Vec::new());
         for row in 0..2000 {
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn what_nobody_takes_away_is_not_kept() {
+    fn frames_that_nobody_takes_are_left_out() {
         let (mut tap_in, mut tap_out) = tap(1);
         for row in 0..2000 {
             let head =

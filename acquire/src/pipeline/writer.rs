@@ -1,8 +1,8 @@
 //! The writer thread: assembles parts into stretches and writes them to the take, or buffers them for a pre-roll.
 
 mod clocks;
-mod held;
 mod live;
+mod pre_roll;
 
 use std::{
     collections::VecDeque,
@@ -15,26 +15,26 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use mocapd_take::record::{Channel, EndingKind, TakeEnding};
 
 pub(super) use self::live::LiveTake;
-use self::{clocks::ClockWriter, held::Held};
+use self::{clocks::ClockWriter, pre_roll::PreRollBuffer};
 use super::{
     Counts, NewTake, Progress, TakeFailed,
     commands::{Reply, TakeCommand},
     lock,
     messages::{Control, FromReader, Part, PartReport, StretchEnd},
     plan::Plan,
-    pool::Wakes,
+    pool::WakeQueue,
 };
 use crate::{files::FileState, heartbeat::Beat, threads::ResamplerFailed};
 
 /// Shortest polling interval of the writer, even if it is to sync with every stretch.
-const LOOK_AT_MOST: Duration = Duration::from_millis(50);
+const POLL_INTERVAL_MIN: Duration = Duration::from_millis(50);
 
 /// How often the writer checks the file when there is nothing to write. Together with the file's own checking interval,
 /// changes by other programs are noticed within a second.
-const LOOK_AT_FILE: Duration = Duration::from_millis(450);
+const FILE_CHECK_INTERVAL: Duration = Duration::from_millis(450);
 
 /// How long to wait for parts after a worker failed.
-const GIVE_UP_AFTER: Duration = Duration::from_secs(2);
+const PARTS_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// The writer, which owns the take file.
 #[derive(Debug)]
@@ -48,19 +48,19 @@ pub(super) struct Writer {
     /// Received from `control`; its stretch is not written yet.
     waiting: Option<(u64, Control)>,
     buffers_back: Vec<Sender<Vec<u8>>>,
-    wakes: Wakes,
+    wakes: WakeQueue,
     progress: Arc<Progress>,
-    assemblies: Assemblies,
+    assembler: StretchAssembler,
     payload: Vec<u8>,
     /// The counters at the end of the last stretch.
     counts: Counts,
     /// All channels so far, each with the number of the stretch that may be the first to contain it.
     table: Vec<(u64, Channel)>,
     sync_every: Duration,
-    held: Option<Held>,
+    pre_roll: Option<PreRollBuffer>,
     live: Option<LiveTake>,
     /// The pipeline serves a single take, and fails with it.
-    for_one_take: bool,
+    single_take: bool,
 }
 
 impl Writer {
@@ -69,7 +69,7 @@ impl Writer {
         parts: Receiver<Part>,
         from_reader: FromReader,
         buffers_back: Vec<Sender<Vec<u8>>>,
-        wakes: Wakes,
+        wakes: WakeQueue,
         progress: &Arc<Progress>,
     ) -> Self {
         let mut table = Vec::with_capacity(plan.n_slots);
@@ -84,53 +84,53 @@ impl Writer {
             buffers_back,
             wakes,
             progress: Arc::clone(progress),
-            assemblies: Assemblies::new(plan),
+            assembler: StretchAssembler::new(plan),
             payload: Vec::with_capacity(plan.stretch_bytes_max()),
             counts: Counts::default(),
             table,
             sync_every: plan.sync_every,
-            held: plan.pre_roll.map(Held::new),
+            pre_roll: plan.pre_roll.map(PreRollBuffer::new),
             live: None,
-            for_one_take: false,
+            single_take: false,
         }
     }
 
     /// Writes this take alone, from the first stretch on.
-    pub(super) fn for_take(&mut self, mut take: LiveTake) {
+    pub(super) fn set_single_take(&mut self, mut take: LiveTake) {
         take.reserve(self.payload.capacity());
         self.live = Some(take);
-        self.for_one_take = true;
+        self.single_take = true;
     }
 
     /// Runs until the last stretch. After an error it still accepts the parts, so that the reader and the workers can
     /// finish; what was written before stays.
-    pub(super) fn run(mut self, beat: &Beat) -> anyhow::Result<()> {
-        let mut silent_since = Instant::now();
+    pub(super) fn run(mut self, heartbeat: &Beat) -> anyhow::Result<()> {
+        let mut idle_since = Instant::now();
         let progress = Arc::clone(&self.progress);
-        self.on_take(|take, _| {
-            take.look_at_disk(&progress);
+        self.with_take(|take, _| {
+            take.poll_disk(&progress);
             Ok(())
         });
         loop {
-            beat.moved();
-            let sync_after = self.sync_every.clamp(LOOK_AT_MOST, GIVE_UP_AFTER);
-            match self.parts.recv_timeout(sync_after.min(LOOK_AT_FILE)) {
+            heartbeat.moved();
+            let sync_after = self.sync_every.clamp(POLL_INTERVAL_MIN, PARTS_TIMEOUT);
+            match self.parts.recv_timeout(sync_after.min(FILE_CHECK_INTERVAL)) {
                 Ok(part) => {
-                    silent_since = Instant::now();
-                    self.assemblies.add(part);
+                    idle_since = Instant::now();
+                    self.assembler.add(part);
                 }
                 Err(RecvTimeoutError::Timeout) => {
-                    beat.at_disk();
-                    let is_silent = silent_since.elapsed() >= sync_after;
-                    self.on_take(|take, _| {
-                        take.look_at_disk(&progress);
-                        take.look_at_file(&progress);
-                        if is_silent { take.sync_what_waits() } else { Ok(()) }
+                    heartbeat.at_disk();
+                    let is_idle = idle_since.elapsed() >= sync_after;
+                    self.with_take(|take, _| {
+                        take.poll_disk(&progress);
+                        take.check_file(&progress);
+                        if is_idle { take.sync_pending() } else { Ok(()) }
                     });
                     let failed = progress.failed.load(Ordering::Relaxed);
-                    let has_no_take = self.for_one_take && self.live.is_none();
-                    if failed && !has_no_take && silent_since.elapsed() > GIVE_UP_AFTER {
-                        self.on_take(|_, _| Err(ResamplerFailed.into()));
+                    let has_no_take = self.single_take && self.live.is_none();
+                    if failed && !has_no_take && idle_since.elapsed() > PARTS_TIMEOUT {
+                        self.with_take(|_, _| Err(ResamplerFailed.into()));
                         return Err(ResamplerFailed.into());
                     }
                 }
@@ -138,10 +138,10 @@ impl Writer {
                 // wake-ups.
                 Err(RecvTimeoutError::Disconnected) => bail!("the resampler threads are gone"),
             }
-            while let Some(last) = self.assemblies.front_last() {
-                beat.at_disk();
-                self.front();
-                self.give_back();
+            while let Some(last) = self.assembler.front_is_last() {
+                heartbeat.at_disk();
+                self.process_front();
+                self.return_buffers();
                 if last {
                     if let Some(take) = self.live.take() {
                         let ending = self.ending();
@@ -157,15 +157,15 @@ impl Writer {
     fn ending(&self) -> TakeEnding {
         let ending = self.progress.ending.get().cloned().unwrap_or_default();
         // In the service commands end takes, and whoever stops its reader stops the service.
-        if ending.kind == EndingKind::Stopped && !self.for_one_take {
+        if ending.kind == EndingKind::Stopped && !self.single_take {
             return EndingKind::ServiceStopped.into();
         }
         ending
     }
 
     /// Processes the oldest stretch, which is complete.
-    fn front(&mut self) {
-        let Some(front) = self.assemblies.front() else { return };
+    fn process_front(&mut self) {
+        let Some(front) = self.assembler.front() else { return };
         let Some((timeline, blocks)) = front.parts() else { return };
         let (stretch, end) = (front.stretch, front.end);
         let mut report = PartReport::default();
@@ -177,9 +177,9 @@ impl Writer {
         }
         let before = self.counts;
         self.counts = timeline.counts.unwrap_or(self.counts);
-        self.take_in_control(stretch);
+        self.apply_control(stretch);
         match self.command_at(stretch) {
-            None => self.place(stretch, &end, &report, before),
+            None => self.put_stretch(stretch, &end, &report, before),
             Some(command) => {
                 self.observe();
                 self.execute(command, &end);
@@ -188,34 +188,34 @@ impl Writer {
                 }
             }
         }
-        self.tell_clock();
+        self.publish_clock();
     }
 
-    fn place(&mut self, stretch: u64, end: &StretchEnd, report: &PartReport, before: Counts) {
+    fn put_stretch(&mut self, stretch: u64, end: &StretchEnd, report: &PartReport, before: Counts) {
         let (counts, progress) = (self.counts, Arc::clone(&self.progress));
         let payload = std::mem::take(&mut self.payload);
-        if let Some(held) = &mut self.held
+        if let Some(buffer) = &mut self.pre_roll
             && !payload.is_empty()
         {
-            held.push(stretch, end, &payload, *report, (before, counts));
+            buffer.push(stretch, end, &payload, *report, (before, counts));
         }
-        self.on_take(|take, clocks| {
+        self.with_take(|take, clocks| {
             take.stretch(end.span, end.first, &payload, report, &counts)?;
             if !end.last {
                 take.ledger_and_sync(clocks, &progress)?;
             }
-            take.tell(&progress);
+            take.publish(&progress);
             Ok(())
         });
         self.observe();
         self.payload = payload;
-        self.tell_held();
+        self.publish_pre_roll();
     }
 
     /// Writes what was observed of the clocks up to the last stretch: to the take, and to what the next take needs.
     fn observe(&mut self) {
         let status = self.counts.clock;
-        self.on_take(|take, clocks| take.observe(clocks, &status));
+        self.with_take(|take, clocks| take.observe(clocks, &status));
         if self.live.is_none() {
             // Without a take there is nothing that can fail.
             self.clocks.write::<Vec<u8>>(None, &status, false).ok();
@@ -223,7 +223,7 @@ impl Writer {
     }
 
     /// Applies the channels and events that precede stretch `stretch`.
-    fn take_in_control(&mut self, stretch: u64) {
+    fn apply_control(&mut self, stretch: u64) {
         while let Some((at, message)) = self.waiting.take().or_else(|| self.control.try_recv().ok())
         {
             if at > stretch {
@@ -233,14 +233,14 @@ impl Writer {
             match message {
                 Control::Channel(new) => {
                     let channel = new.into_channel();
-                    self.on_take(|take, _| take.channel(&channel));
+                    self.with_take(|take, _| take.channel(&channel));
                     lock(&self.progress.channels).push(channel.clone());
                     self.table.push((stretch, channel));
                 }
                 Control::Event(event) => {
-                    self.on_take(|take, _| take.event(&event));
-                    if let Some(held) = &mut self.held {
-                        held.event(at, event);
+                    self.with_take(|take, _| take.event(&event));
+                    if let Some(buffer) = &mut self.pre_roll {
+                        buffer.event(at, event);
                     }
                 }
             }
@@ -248,34 +248,34 @@ impl Writer {
     }
 
     /// Runs `work` on the open take, if there is one. An error ends the take.
-    fn on_take(
+    fn with_take(
         &mut self,
         work: impl FnOnce(&mut LiveTake, &mut ClockWriter) -> anyhow::Result<()>,
     ) {
         // A take that was cut short will be ended; until then nothing is written to it.
         let Some(take) = self.live.as_mut().filter(|take| !take.is_cut_short()) else { return };
         let Err(error) = work(take, &mut self.clocks) else { return };
-        take.look_at_file(&self.progress);
+        take.check_file(&self.progress);
         if take.is_cut_short() {
             return;
         }
-        if self.for_one_take {
+        if self.single_take {
             self.progress.failed.store(true, Ordering::Relaxed);
         }
         if let Some(take) = self.live.take() {
-            take.give_up(error);
+            take.fail(error);
         }
     }
 
-    fn tell_held(&self) {
-        let Some(held) = &self.held else { return };
+    fn publish_pre_roll(&self) {
+        let Some(buffer) = &self.pre_roll else { return };
         let progress = &self.progress;
-        progress.held_bytes.store(held.bytes() as u64, Ordering::Relaxed);
-        progress.held_ms.store((held.seconds() * 1e3) as u64, Ordering::Relaxed);
-        progress.held_cut.store(held.is_cut(), Ordering::Relaxed);
+        progress.held_bytes.store(buffer.bytes() as u64, Ordering::Relaxed);
+        progress.held_ms.store((buffer.seconds() * 1e3) as u64, Ordering::Relaxed);
+        progress.held_cut.store(buffer.is_cut(), Ordering::Relaxed);
     }
 
-    fn tell_clock(&self) {
+    fn publish_clock(&self) {
         if let Some(line) = self.counts.clock.line {
             self.progress.drift_ppb.store(line.drift_ppb, Ordering::Relaxed);
             let p99_us = self.counts.clock.jitter.p99_us;
@@ -284,9 +284,9 @@ impl Writer {
     }
 
     /// Returns the oldest stretch's buffers to their groups, which may be waiting for them.
-    fn give_back(&mut self) {
-        let Self { assemblies, buffers_back, wakes, .. } = self;
-        assemblies.pop_front(|part| {
+    fn return_buffers(&mut self) {
+        let Self { assembler, buffers_back, wakes, .. } = self;
+        assembler.pop_front(|part| {
             drop(buffers_back[part.group].try_send(part.bytes));
             wakes.wake(part.group);
         });
@@ -310,14 +310,14 @@ impl Writer {
                 let progress = Arc::clone(&self.progress);
                 let mut clocks = std::mem::replace(&mut self.clocks, ClockWriter::idle());
                 clocks.begin();
-                let asked_ns = take.asked_ns;
+                let requested_ns = take.asked_ns;
                 self.live = self.begin_take(*take, &reply, end, &mut clocks, &progress);
                 self.clocks = clocks;
-                self.on_take(|take, _| take.asked_here(end.span.first_row, asked_ns));
+                self.with_take(|take, _| take.mark_request(end.span.first_row, requested_ns));
             }
             TakeCommand::Save(take, reply) => {
                 // The open take goes on, and observers keep seeing that one.
-                let (mut clocks, progress) = (self.clocks.beside(), Progress::new(&[]));
+                let (mut clocks, progress) = (self.clocks.for_saved_take(), Progress::new(&[]));
                 let saved = self.begin_take(*take, &reply, end, &mut clocks, &progress);
                 if let Some(saved) = saved {
                     saved.end(&self.counts.in_rows(), &mut clocks, EndingKind::Saved.into());
@@ -342,16 +342,16 @@ impl Writer {
         clocks: &mut ClockWriter,
         progress: &Progress,
     ) -> Option<LiveTake> {
-        let from = self.held.as_ref().map_or(0, |held| held.of_last(new.pre_roll, new.asked_ns));
-        let first = self.held.as_ref().and_then(|held| held.from(from).next());
+        let from = self.pre_roll.as_ref().map_or(0, |p| p.start_of(new.pre_roll, new.asked_ns));
+        let first = self.pre_roll.as_ref().and_then(|buffer| buffer.from(from).next());
         let (base, rows_before, stretch) = match first {
             // The row after the preceding stretch: rows lost before the first stretch belong to the take.
-            Some(held) => (held.before.in_rows(), held.before.in_rows().seen(), held.stretch),
+            Some(kept) => (kept.before.in_rows(), kept.before.in_rows().seen(), kept.stretch),
             None => (self.counts.in_rows(), end.span.first_row, u64::MAX),
         };
         let known = |(since, _): &&(u64, Channel)| *since <= stretch;
         // The first row is older than the request.
-        let before_ns = first.map_or(0, |held| new.asked_ns.saturating_sub(held.first.arrival_ns));
+        let before_ns = first.map_or(0, |kept| new.asked_ns.saturating_sub(kept.first.arrival_ns));
         new.header.created_unix_ms -= (before_ns / 1_000_000).cast_signed();
         new.header.channels = self.table.iter().filter(known).map(|(_, c)| c.clone()).collect();
         progress.disk_full.store(false, Ordering::Relaxed);
@@ -364,16 +364,16 @@ impl Writer {
             }
         };
         take.reserve(self.payload.capacity());
-        match self.write_held(&mut take, from, stretch, clocks, progress) {
+        match self.write_pre_roll(&mut take, from, stretch, clocks, progress) {
             Ok(()) => Some(take),
             Err(error) => {
-                take.give_up(error);
+                take.fail(error);
                 None
             }
         }
     }
 
-    fn write_held(
+    fn write_pre_roll(
         &self,
         take: &mut LiveTake,
         from: usize,
@@ -381,14 +381,14 @@ impl Writer {
         clocks: &mut ClockWriter,
         progress: &Progress,
     ) -> anyhow::Result<()> {
-        take.look_at_disk(progress);
-        let Some(held) = &self.held else { return Ok(()) };
+        take.poll_disk(progress);
+        let Some(buffer) = &self.pre_roll else { return Ok(()) };
         if first == u64::MAX {
             return Ok(());
         }
         let mut channels = self.table.iter().filter(|(since, _)| *since > first).peekable();
-        let mut events = held.events().filter(|(stretch, _)| *stretch >= first).peekable();
-        for stretch in held.from(from) {
+        let mut events = buffer.events().filter(|(stretch, _)| *stretch >= first).peekable();
+        for stretch in buffer.from(from) {
             if progress.disk_full.load(Ordering::Relaxed) {
                 return Err(anyhow!("the disk is full: delete something"));
             }
@@ -405,14 +405,14 @@ impl Writer {
         channels.try_for_each(|(_, channel)| take.channel(channel))?;
         events.try_for_each(|(_, event)| take.event(event))?;
         take.ledger_and_sync(clocks, progress)?;
-        take.tell(progress);
+        take.publish(progress);
         Ok(())
     }
 }
 
 /// The parts of one stretch.
 #[derive(Debug)]
-pub(super) struct Assembly {
+pub(super) struct StretchAssembly {
     pub(super) stretch: u64,
     pub(super) end: StretchEnd,
     /// By group; the timeline's is the last.
@@ -420,7 +420,7 @@ pub(super) struct Assembly {
     missing: usize,
 }
 
-impl Assembly {
+impl StretchAssembly {
     /// Of a complete stretch, the timeline's part and the channels' parts in order.
     pub(super) fn parts(&self) -> Option<(&Part, impl Iterator<Item = &Part>)> {
         let mut present = self.slots.iter().flatten();
@@ -430,14 +430,14 @@ impl Assembly {
 
 /// Encoded stretches that are not written yet, oldest first.
 #[derive(Debug)]
-pub(super) struct Assemblies {
-    waiting: VecDeque<Assembly>,
+pub(super) struct StretchAssembler {
+    waiting: VecDeque<StretchAssembly>,
     spare: Vec<Vec<Option<Part>>>,
     next_stretch: u64,
     plan: Plan,
 }
 
-impl Assemblies {
+impl StretchAssembler {
     pub(super) fn new(plan: &Plan) -> Self {
         // No group can be further ahead than it has buffers.
         let most = plan.buffers_per_group() + 1;
@@ -455,7 +455,7 @@ impl Assemblies {
         let at = (part.stretch - self.next_stretch) as usize;
         let n_groups = self.plan.n_groups() + 1;
         while self.waiting.len() <= at {
-            self.waiting.push_back(Assembly {
+            self.waiting.push_back(StretchAssembly {
                 stretch: self.next_stretch + self.waiting.len() as u64,
                 end: part.end,
                 slots: self.spare.pop().unwrap_or_else(|| (0..n_groups).map(|_| None).collect()),
@@ -473,12 +473,12 @@ impl Assemblies {
     }
 
     /// The oldest stretch.
-    pub(super) fn front(&self) -> Option<&Assembly> {
+    pub(super) fn front(&self) -> Option<&StretchAssembly> {
         self.waiting.front()
     }
 
     /// If the oldest stretch is complete: whether it is the last of all.
-    pub(super) fn front_last(&self) -> Option<bool> {
+    pub(super) fn front_is_last(&self) -> Option<bool> {
         self.front().filter(|front| front.missing == 0).map(|front| front.end.last)
     }
 

@@ -255,7 +255,7 @@ fn out_of_range(why: &str, hello: &Hello) -> anyhow::Error {
         return anyhow!("{why}: it runs at {min_hz} to {max_hz} Hz");
     }
     let why = format!("{why}: it runs at {max_hz} Hz and no other rate");
-    SettingRefused { why, setting: Setting::Rate(None), or: "" }.into()
+    SettingRefused { why, setting: Setting::Rate(None), alternative: "" }.into()
 }
 
 /// The error for a start that the device refused because its line is too slow.
@@ -268,7 +268,7 @@ fn refusal(budget: LinkBudget, rate_hz: f64, hello: &Hello) -> anyhow::Error {
         return anyhow!("{why}; raise the baud rate on both ends, or use USB");
     }
     let setting = Setting::Rate(Some(f64::from(budget.rate_fits_mhz) / 1000.0));
-    SettingRefused { why, setting, or: ", or raise the baud rate on both ends" }.into()
+    SettingRefused { why, setting, alternative: ", or raise the baud rate on both ends" }.into()
 }
 
 impl Rig {

@@ -12,58 +12,58 @@ const EVENTS_MAX: u32 = 32;
 
 /// The clock model, and its queue to the writer.
 #[derive(Debug)]
-pub(super) struct Clocks {
+pub(super) struct ClockTracker {
     model: ClockModel,
-    outbox: Outbox,
+    queue: ClockQueue,
     events: u32,
 }
 
 /// The queue to the writer. An item that finds it full is stored in no take, and the line is not fitted to it.
 #[derive(Debug)]
-struct Outbox {
+struct ClockQueue {
     items: Sender<ClockItem>,
     sent: u64,
     /// An item was refused, and the queue has not been empty since.
-    overflows: bool,
+    is_overflowing: bool,
     /// The overflow is not reported yet.
-    overflowed: bool,
+    has_new_overflow: bool,
 }
 
-impl Outbox {
+impl ClockQueue {
     fn send(&mut self, item: ClockItem) -> bool {
-        self.overflows &= !self.items.is_empty();
+        self.is_overflowing &= !self.items.is_empty();
         let is_sent = self.items.try_send(item).is_ok();
         self.sent += u64::from(is_sent);
-        self.overflowed |= !is_sent && !self.overflows;
-        self.overflows |= !is_sent;
+        self.has_new_overflow |= !is_sent && !self.is_overflowing;
+        self.is_overflowing |= !is_sent;
         is_sent
     }
 }
 
-impl Clocks {
+impl ClockTracker {
     pub(super) fn new(tick_hz: u64, items: Sender<ClockItem>) -> Self {
-        let outbox = Outbox { items, sent: 0, overflows: false, overflowed: false };
-        Self { model: ClockModel::new(tick_hz), outbox, events: 0 }
+        let queue = ClockQueue { items, sent: 0, is_overflowing: false, has_new_overflow: false };
+        Self { model: ClockModel::new(tick_hz), queue, events: 0 }
     }
 
     pub(super) fn frame(&mut self, ticks: u64, arrival_ns: u64) -> Option<ClockEvent> {
-        self.model.frame(ticks, arrival_ns, &mut |item| self.outbox.send(item))
+        self.model.frame(ticks, arrival_ns, &mut |item| self.queue.send(item))
     }
 
     fn probe(&mut self, ticks: u64, sent_ns: u64, answered_ns: u64) -> Option<ClockEvent> {
-        self.model.probe(ticks, sent_ns, answered_ns, &mut |item| self.outbox.send(item))
+        self.model.probe(ticks, sent_ns, answered_ns, &mut |item| self.queue.send(item))
     }
 
     pub(super) fn rejoin(&mut self) {
-        self.model.rejoin(&mut |item| self.outbox.send(item));
+        self.model.rejoin(&mut |item| self.queue.send(item));
     }
 
     pub(super) fn close(&mut self) {
-        self.model.close(&mut |item| self.outbox.send(item));
+        self.model.close(&mut |item| self.queue.send(item));
     }
 
     pub(super) fn status(&self) -> ClockStatus {
-        ClockStatus { stored: self.outbox.sent, ..self.model.status() }
+        ClockStatus { stored: self.queue.sent, ..self.model.status() }
     }
 }
 
@@ -87,7 +87,7 @@ impl Intake {
         device_ticks: u64,
         host_ns: u64,
     ) {
-        if std::mem::take(&mut self.clocks.outbox.overflowed) {
+        if std::mem::take(&mut self.clocks.queue.has_new_overflow) {
             let text = "the disk stalls: observations of the clocks are left out of the take, and of its clock line";
             self.clock_event(text.to_owned(), device_ticks, host_ns);
         }

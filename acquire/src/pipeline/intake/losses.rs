@@ -6,14 +6,14 @@ use mocapd_take::{
     timeline::Causes,
 };
 
-use super::{Intake, UNSEEN_MAX, axis::Step};
+use super::{Intake, UNSEEN_MAX, frame_counter::SeqStep};
 use crate::pipeline::{counts::PendingRows, plan::RUNS_MAX};
 
 impl Intake {
     /// Counts the frames missing before this one. Returns `false` for a frame that was received before.
-    pub(super) fn follow(&mut self, frame: &Frame<'_>) -> bool {
-        match self.axis.step(frame.seq, frame.device_ticks) {
-            Step::Next { missing } => {
+    pub(super) fn count_frame(&mut self, frame: &Frame<'_>) -> bool {
+        match self.counter.step(frame.seq, frame.device_ticks) {
+            SeqStep::Next { missing } => {
                 // A take that ended in a silence has already counted what was due in it.
                 let counted = std::mem::take(&mut self.rows_away);
                 let missing = u64::from(missing);
@@ -22,11 +22,11 @@ impl Intake {
                 self.counts.not_received += new;
                 self.pending.add(new, Causes::NOT_RECEIVED);
             }
-            Step::Again => {
+            SeqStep::Again => {
                 self.counts.duplicates += 1;
                 return false;
             }
-            Step::Jump => {
+            SeqStep::Jump => {
                 self.counts.counter_jumps += 1;
                 let counted = std::mem::take(&mut self.rows_away);
                 self.counts.not_produced(counted);
@@ -46,8 +46,8 @@ impl Intake {
     /// Counts the loss at the first frame after an outage.
     pub(super) fn end_outage(&mut self, frame: &Frame<'_>, arrival_ns: u64) {
         self.rejoining = false;
-        let silent_s = self.silences.until_ns(arrival_ns) as f64 * 1e-9;
-        let (missing, causes, how, why) = match self.axis.rejoin(frame.seq, frame.device_ticks) {
+        let silent_s = self.silence.until_ns(arrival_ns) as f64 * 1e-9;
+        let (missing, causes, how, why) = match self.counter.rejoin(frame.seq, frame.device_ticks) {
             Some(missing) => {
                 let causes = Causes::NOT_RECEIVED.union(Causes::DISCONNECTED);
                 (u64::from(missing), causes, "goes on", "are missing by its counter")
@@ -68,7 +68,7 @@ impl Intake {
         self.event_at(row, event);
         self.counts.reports_from = self.counts.seen() + new;
         self.counts.lost_to_outage(new);
-        self.counts.told_twice = missing;
+        self.counts.reported_twice = missing;
         self.pending.add(new, causes);
     }
 
@@ -89,7 +89,7 @@ const EVENTS_MAX: u32 = 256;
 
 /// Arrival of the last frame, and the silences so far.
 #[derive(Debug)]
-pub(super) struct Silences {
+pub(super) struct SilenceMonitor {
     longest_ns: u64,
     last_arrival_ns: Option<u64>,
     /// When the device last reported that all its frames had arrived.
@@ -97,7 +97,7 @@ pub(super) struct Silences {
     n_events: u32,
 }
 
-impl Silences {
+impl SilenceMonitor {
     pub(super) fn new(rate_hz: f64) -> Self {
         let longest_ns = (SILENCE_S.max(SILENCE_FRAMES / rate_hz) * 1e9) as u64;
         Self { longest_ns, last_arrival_ns: None, accounted_ns: 0, n_events: 0 }
@@ -138,7 +138,7 @@ impl Silences {
 impl Intake {
     /// Ends a silence with a frame. `is_told`: another event explains the silence.
     pub(super) fn end_silence(&mut self, device_ticks: u64, arrival_ns: u64, is_told: bool) {
-        if let Some(silent_s) = self.silences.frame(arrival_ns)
+        if let Some(silent_s) = self.silence.frame(arrival_ns)
             && !is_told
         {
             self.silence_event(silent_s, device_ticks, arrival_ns);
@@ -150,10 +150,10 @@ impl Intake {
     pub(super) fn count_absence(&mut self, now_ns: u64) {
         let until_ns = self.due_until_ns.map_or(now_ns, |due_ns| due_ns.min(now_ns));
         let silent_ns = if self.is_away {
-            self.silences.until_ns(until_ns)
-        } else if let Some(silent_s) = self.silences.lasts(until_ns) {
+            self.silence.until_ns(until_ns)
+        } else if let Some(silent_s) = self.silence.lasts(until_ns) {
             self.silence_event(silent_s, 0, until_ns);
-            self.silences.unaccounted_ns(until_ns)
+            self.silence.unaccounted_ns(until_ns)
         } else {
             return;
         };
@@ -180,14 +180,14 @@ impl Intake {
 
 /// A short list of runs of lost rows, without allocation.
 #[derive(Debug, Default)]
-pub(super) struct Pending {
+pub(super) struct PendingLoss {
     runs: [(u64, Causes); RUNS_MAX],
     n_runs: usize,
     rows: u64,
     counted: PendingRows,
 }
 
-impl Pending {
+impl PendingLoss {
     pub(super) fn add(&mut self, rows: u64, causes: Causes) {
         if rows == 0 {
             return;
@@ -237,7 +237,7 @@ mod tests {
 
     #[test]
     fn runs_merge_and_nothing_is_lost() {
-        let mut pending = Pending::default();
+        let mut pending = PendingLoss::default();
         for i in 0..40 {
             let causes = if i % 2 == 0 { Causes::NOT_RECEIVED } else { Causes::RING_FULL };
             pending.add(3, causes);

@@ -15,12 +15,12 @@ use super::{Intake, NO_SLOT};
 use crate::pipeline::{
     messages::{Control, NewChannel, StretchEnd},
     plan::RUNS_MAX,
-    ring::{RingIn, Sample, TimelineItem},
+    ring::{RingProducer, Sample, TimelineItem},
 };
 
 impl Intake {
     /// Closes the open stretch when the rows lost before this frame do not fit into it.
-    pub(super) fn make_way(&mut self) {
+    pub(super) fn make_room(&mut self) {
         let left = u64::from(self.open_limit - self.open_rows);
         if self.open_rows > 0 && self.pending.rows() >= left {
             self.close_stretch();
@@ -34,12 +34,12 @@ impl Intake {
 
     /// Whether so many rows fit.
     pub(super) fn has_room_for(&mut self, rows: usize) -> bool {
-        if self.room < rows {
+        if self.rows_free < rows {
             let active = &self.rings[..self.n_channels];
-            self.room = active.iter().map(RingIn::room).min().unwrap_or(usize::MAX);
+            self.rows_free = active.iter().map(RingProducer::vacant).min().unwrap_or(usize::MAX);
         }
         // The pending runs, this row, and the runs that may be pending at the end.
-        self.room >= rows && self.timeline.room() > 2 * RUNS_MAX
+        self.rows_free >= rows && self.timeline.vacant() > 2 * RUNS_MAX
     }
 
     pub(super) fn push_row(&mut self, time: RowTime) {
@@ -71,7 +71,7 @@ impl Intake {
         for (ring, sample) in self.rings[..self.n_channels].iter_mut().zip(&mut self.row) {
             ring.push(take(sample));
         }
-        self.room = self.room.saturating_sub(1);
+        self.rows_free = self.rows_free.saturating_sub(1);
     }
 
     pub(super) fn push_pending(&mut self) {
@@ -95,7 +95,7 @@ impl Intake {
     pub(super) fn close_pending(&mut self) {
         if self.pending.rows() == 0
             || self.counts.recorded == 0
-            || self.timeline.room() <= 3 * RUNS_MAX
+            || self.timeline.vacant() <= 3 * RUNS_MAX
         {
             return;
         }
@@ -133,7 +133,7 @@ impl Intake {
     }
 
     fn send(&mut self, end: StretchEnd) {
-        let fill = |ring: &RingIn<Sample>| ring.fill_permille();
+        let fill = |ring: &RingProducer<Sample>| ring.fill_permille();
         let fullest = self.rings[..self.n_channels].iter().map(fill).max().unwrap_or(0);
         self.progress.ring_fill_permille.store(fullest, Ordering::Relaxed);
         if !self.feed.end_stretch(end, self.counts()) {
@@ -240,6 +240,6 @@ impl Intake {
         self.slot_of_id[usize::from(id)] = self.n_channels as u32;
         self.n_channels += 1;
         self.counts.markers_appeared += 1;
-        self.room = 0;
+        self.rows_free = 0;
     }
 }

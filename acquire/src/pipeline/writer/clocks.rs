@@ -18,7 +18,7 @@ use crate::clock::{ClockItem, ClockStatus};
 /// Round trips, or points, that force a record when none is due: a minute has sixteen and twelve.
 /// With all that can wait in the queue ([`CLOCK_ITEMS_MAX`](crate::pipeline::plan::CLOCK_ITEMS_MAX)) they are fewer
 /// than a record may hold.
-const HELD_MAX: usize = 256;
+const BUFFERED_MAX: usize = 256;
 
 /// Most observations of each kind that a line is fitted to: 16 bursts of 8 round trips, and 48 points. They are copied
 /// to a take that begins later.
@@ -57,7 +57,7 @@ pub(super) struct ClockWriter {
 
 impl ClockWriter {
     pub(super) fn new(items: Receiver<ClockItem>) -> Self {
-        let (probes, points) = (Vec::with_capacity(HELD_MAX), Vec::with_capacity(HELD_MAX));
+        let (probes, points) = (Vec::with_capacity(BUFFERED_MAX), Vec::with_capacity(BUFFERED_MAX));
         Self {
             items,
             taken: 0,
@@ -76,7 +76,7 @@ impl ClockWriter {
     /// Begins a take. The observations that the current line is fitted to belong to it, though they were made
     /// before.
     pub(super) fn begin(&mut self) {
-        self.enter(self.status.segment);
+        self.enter_segment(self.status.segment);
         self.begun = Instant::now();
         self.probes.clear();
         self.points.clear();
@@ -92,19 +92,19 @@ impl ClockWriter {
     }
 
     /// A writer for a take saved beside the open one, which ends with the observations taken so far.
-    pub(super) fn beside(&self) -> Self {
-        let mut beside = Self::idle();
-        (beside.taken, beside.status) = (self.taken, self.status);
-        beside.segment = self.status.segment;
+    pub(super) fn for_saved_take(&self) -> Self {
+        let mut saved = Self::idle();
+        (saved.taken, saved.status) = (self.taken, self.status);
+        saved.segment = self.status.segment;
         // Observations of the earlier segment do not belong to this one.
-        if self.segment == beside.segment {
-            beside.probes.extend(&self.recent_probes);
-            beside.points.extend(&self.recent_points);
+        if self.segment == saved.segment {
+            saved.probes.extend(&self.recent_probes);
+            saved.points.extend(&self.recent_points);
         }
-        beside
+        saved
     }
 
-    fn enter(&mut self, segment: u32) {
+    fn enter_segment(&mut self, segment: u32) {
         if segment != self.segment {
             self.segment = segment;
             self.recent_probes.clear();
@@ -132,21 +132,21 @@ impl ClockWriter {
             | ClockItem::Line(segment, _)) = item;
             if segment != self.segment {
                 self.record(take.as_deref_mut())?;
-                self.enter(segment);
+                self.enter_segment(segment);
             }
             match item {
                 ClockItem::Point(_, point) => {
                     self.points.push(point);
-                    keep(&mut self.recent_points, point);
+                    push_recent(&mut self.recent_points, point);
                 }
                 ClockItem::Probe(_, probe) => {
                     self.probes.push(probe);
-                    keep(&mut self.recent_probes, probe);
+                    push_recent(&mut self.recent_probes, probe);
                 }
                 ClockItem::Line(_, line) => self.line = Some(line),
             }
         }
-        let is_full = self.points.len().max(self.probes.len()) >= HELD_MAX;
+        let is_full = self.points.len().max(self.probes.len()) >= BUFFERED_MAX;
         if is_full || (is_due && self.begun.elapsed() >= FIRST_AFTER) {
             self.record(take)?;
         }
@@ -198,7 +198,7 @@ impl ClockWriter {
 }
 
 /// Keeps the newest items.
-fn keep<T>(recent: &mut VecDeque<T>, item: T) {
+fn push_recent<T>(recent: &mut VecDeque<T>, item: T) {
     if recent.len() == RECENT_MAX {
         recent.pop_front();
     }

@@ -18,12 +18,12 @@ use crate::{
     clock::ClockStatus,
     files::FileState,
     pipeline::{
-        Counts, FirstRow, NewTake, NothingRecorded, Progress, TakeEnd, TakeFailed, TakeNow,
+        Counts, FirstRow, NewTake, NothingRecorded, Progress, TakeEnd, TakeFailed, TakeProgress,
         TakeOutput, Written,
         commands::Reply,
-        disk::Room,
+        disk::DiskReserve,
         lock,
-        messages::{Moment, PartReport},
+        messages::{FrameTimes, PartReport},
     },
 };
 
@@ -38,18 +38,18 @@ pub(in crate::pipeline) struct LiveTake {
     next_number: u8,
     has_stretches: bool,
     first: Option<FirstRow>,
-    first_told: bool,
-    moved: Vec<u8>,
+    first_reported: bool,
+    shifted: Vec<u8>,
     report: PartReport,
     counts: Counts,
     sync_every: Duration,
     synced_bytes: u64,
     last_sync: Option<Instant>,
-    ledgers: Ledgers,
-    room: Room,
+    ledgers: LedgerSchedule,
+    disk: DiskReserve,
     /// The state of the file, and its present name if that changed.
     file_state: FileState,
-    file_at: Option<PathBuf>,
+    file_path: Option<PathBuf>,
 }
 
 impl LiveTake {
@@ -61,11 +61,11 @@ impl LiveTake {
         rows_before: u64,
         sync_every: Duration,
     ) -> anyhow::Result<Self> {
-        let begun = TakeWriter::new(new.output, &new.header).and_then(|mut take| {
+        let started = TakeWriter::new(new.output, &new.header).and_then(|mut take| {
             new.subject.map_or(Ok(()), |subject| take.subject(&subject))?;
             Ok(take)
         });
-        let take = begun.context("cannot write the take's header").context(NothingRecorded)?;
+        let take = started.context("cannot write the take's header").context(NothingRecorded)?;
         let mut take = Self {
             take,
             reply: reply.clone(),
@@ -74,17 +74,17 @@ impl LiveTake {
             next_number: 0,
             has_stretches: false,
             first: None,
-            first_told: false,
-            moved: Vec::new(),
+            first_reported: false,
+            shifted: Vec::new(),
             report: PartReport::default(),
             counts: Counts::default(),
             sync_every,
             synced_bytes: 0,
             last_sync: None,
-            ledgers: Ledgers::default(),
-            room: Room::new(new.keep_free_bytes),
+            ledgers: LedgerSchedule::default(),
+            disk: DiskReserve::new(new.keep_free_bytes),
             file_state: FileState::InPlace,
-            file_at: None,
+            file_path: None,
         };
         let noted = new.notes.map_or(Ok(()), |event| take.event(&event));
         noted.context(NothingRecorded)?;
@@ -93,7 +93,7 @@ impl LiveTake {
 
     /// Allocates the buffers.
     pub(super) fn reserve(&mut self, stretch_bytes: usize) {
-        self.moved.reserve(stretch_bytes);
+        self.shifted.reserve(stretch_bytes);
     }
 
     pub(super) fn channel(&mut self, channel: &Channel) -> anyhow::Result<()> {
@@ -107,25 +107,25 @@ impl LiveTake {
     }
 
     /// Marks the pipeline's row at the time of the request, if there are rows before it.
-    pub(super) fn asked_here(&mut self, row: u64, asked_ns: u64) -> anyhow::Result<()> {
+    pub(super) fn mark_request(&mut self, row: u64, requested_ns: u64) -> anyhow::Result<()> {
         if !self.has_stretches {
             return Ok(());
         }
         let text = "the take was asked for here: before it is pre-roll";
-        self.event(&Event { row, ..Event::new(EventKind::Host, asked_ns, text) })
+        self.event(&Event { row, ..Event::new(EventKind::Host, requested_ns, text) })
     }
 
     /// Writes a stretch of the pipeline; `counts` are the counters at its end.
     pub(super) fn stretch(
         &mut self,
         span: Span,
-        first: Moment,
+        first: FrameTimes,
         payload: &[u8],
         report: &PartReport,
         counts: &Counts,
     ) -> anyhow::Result<()> {
         if !self.has_stretches && !span.key {
-            self.begin_behind(span, counts);
+            self.skip_to_key(span, counts);
             return Ok(());
         }
         self.report.add(report);
@@ -134,16 +134,16 @@ impl LiveTake {
         if payload.is_empty() {
             return Ok(());
         }
-        let cannot = "cannot write a stretch";
+        let failure = "cannot write a stretch";
         self.has_stretches = true;
         let number = self.next_number;
         self.next_number = (number + 1) % NUMBERS;
-        self.moved.clear();
-        put_moved(payload, self.rows_before, number, &mut self.moved).context(cannot)?;
+        self.shifted.clear();
+        put_moved(payload, self.rows_before, number, &mut self.shifted).context(failure)?;
         let first_row = span.first_row.saturating_sub(self.rows_before);
-        self.take.stretch(Span { first_row, number, ..span }, &self.moved).context(cannot)?;
+        self.take.stretch(Span { first_row, number, ..span }, &self.shifted).context(failure)?;
         if span.n_rows > 0 {
-            let Moment { device_ticks, arrival_ns } = first;
+            let FrameTimes { device_ticks, arrival_ns } = first;
             let row = self.rows_before;
             self.first.get_or_insert(FirstRow { device_ticks, arrival_ns, row });
         }
@@ -153,7 +153,7 @@ impl LiveTake {
     /// Skips rows lost before the first key, which no reader could use: a take requested while nothing came begins with
     /// what came next. The absence of the device is not the take's loss, but frames that arrived and found the rings
     /// full are.
-    fn begin_behind(&mut self, span: Span, counts: &Counts) {
+    fn skip_to_key(&mut self, span: Span, counts: &Counts) {
         self.base = Counts { ring_full: self.base.ring_full, ..*counts };
         self.rows_before = span.first_row;
         self.counts = counts.since(&self.base);
@@ -173,37 +173,37 @@ impl LiveTake {
         clocks: &mut ClockWriter,
         progress: &Progress,
     ) -> anyhow::Result<()> {
-        let ledger_is_due = self.ledgers.are_due(&self.counts, Instant::now());
+        let ledger_is_due = self.ledgers.is_due(&self.counts, Instant::now());
         clocks.write(Some(&mut self.take), &self.counts.clock, ledger_is_due)?;
         if ledger_is_due {
             self.take.ledger(&self.counts.ledger(false)).context("cannot write the ledger")?;
         }
-        self.look_at_disk(progress);
-        self.look_at_file(progress);
+        self.poll_disk(progress);
+        self.check_file(progress);
         let is_due = self.last_sync.is_none_or(|last| last.elapsed() >= self.sync_every);
         // The requester waits for the first row.
-        if is_due || (self.first.is_some() && !self.first_told) {
-            self.sync_what_waits()?;
+        if is_due || (self.first.is_some() && !self.first_reported) {
+            self.sync_pending()?;
         }
         Ok(())
     }
 
-    pub(super) fn look_at_disk(&mut self, progress: &Progress) {
+    pub(super) fn poll_disk(&mut self, progress: &Progress) {
         let written = self.take.bytes();
-        self.room.look(&mut **self.take.get_mut(), written, progress, Instant::now());
+        self.disk.poll(&mut **self.take.get_mut(), written, progress, Instant::now());
     }
 
     /// Publishes the file's state when it has changed.
-    pub(super) fn look_at_file(&mut self, progress: &Progress) {
-        let state = self.take.get_mut().look();
+    pub(super) fn check_file(&mut self, progress: &Progress) {
+        let state = self.take.get_mut().poll_state();
         if state == FileState::InPlace && state == self.file_state {
             return;
         }
         let displaced = self.take.get_mut().displaced();
         let at = displaced.as_ref().and_then(|displaced| displaced.now_at.clone());
         // It may be renamed more than once.
-        if state != self.file_state || at != self.file_at {
-            (self.file_state, self.file_at) = (state, at);
+        if state != self.file_state || at != self.file_path {
+            (self.file_state, self.file_path) = (state, at);
             progress.set_file_state(state, displaced);
         }
     }
@@ -213,14 +213,14 @@ impl LiveTake {
         self.file_state == FileState::Truncated
     }
 
-    pub(super) fn sync_what_waits(&mut self) -> anyhow::Result<()> {
+    pub(super) fn sync_pending(&mut self) -> anyhow::Result<()> {
         if self.synced_bytes < self.take.bytes() {
             self.take.get_mut().sync().context("cannot sync the take to disk")?;
             self.synced_bytes = self.take.bytes();
             self.last_sync = Some(Instant::now());
         }
         if let Some(first) = self.first
-            && !std::mem::replace(&mut self.first_told, true)
+            && !std::mem::replace(&mut self.first_reported, true)
         {
             // The requester may be gone.
             self.reply.first.try_send(first).ok();
@@ -229,10 +229,10 @@ impl LiveTake {
     }
 
     /// Publishes the take's progress for observers.
-    pub(super) fn tell(&self, progress: &Progress) {
+    pub(super) fn publish(&self, progress: &Progress) {
         progress.file_bytes.store(self.take.bytes(), Ordering::Relaxed);
         progress.samples.store(self.report.samples, Ordering::Relaxed);
-        let now = TakeNow {
+        let now = TakeProgress {
             rows: self.counts.seen(),
             bytes: self.take.bytes(),
             durable_bytes: self.synced_bytes,
@@ -244,7 +244,7 @@ impl LiveTake {
     }
 
     /// Ends the take after an error: its unused reserve is released, and what was written stays.
-    pub(super) fn give_up(self, error: anyhow::Error) {
+    pub(super) fn fail(self, error: anyhow::Error) {
         let ended = self.reply.ended.clone();
         ended.try_send(Err(self.failed(error))).ok();
     }
@@ -266,7 +266,7 @@ impl LiveTake {
     }
 
     fn finish(mut self, clocks: &mut ClockWriter, mut ending: TakeEnding) -> TakeEnd {
-        self.file_state = self.take.get_mut().look_now();
+        self.file_state = self.take.get_mut().check_state();
         match self.file_state {
             FileState::Truncated => return Ok(self.finish_cut_short()),
             FileState::Removed if ending.detail.is_empty() => {
@@ -284,7 +284,7 @@ impl LiveTake {
         let file_bytes = self.take.bytes();
         let written = Written { ending, clock_lines, file_bytes, ..self.written(ledger) };
         let output = self.take.abandon();
-        Ok((Written { disk: self.room.close(&*output), ..written }, output))
+        Ok((Written { disk: self.disk.close(&*output), ..written }, output))
     }
 
     fn written(&self, ledger: Ledger) -> Written {
@@ -334,49 +334,49 @@ impl LiveTake {
         let mut output = self.take.abandon();
         // A file system that does not release the reserve now does so when the file is closed.
         output.release(found).ok();
-        (Written { disk: self.room.close(&*output), ..written }, output)
+        (Written { disk: self.disk.close(&*output), ..written }, output)
     }
 }
 
 /// Shortest time between two ledgers.
-const AT_LEAST: Duration = Duration::from_secs(5);
+const LEDGER_INTERVAL_MIN: Duration = Duration::from_secs(5);
 
 /// Longest time between two ledgers: the last ledger of a killed take can be so much older than its last
 /// frame, in the counters that change while all goes well.
-const AT_MOST: Duration = Duration::from_secs(60);
+const LEDGER_INTERVAL_MAX: Duration = Duration::from_secs(60);
 
 /// Decides when to write a ledger: with the first stretch; then, while all goes well, whenever the recording is
 /// twice as old as at the last ledger. A problem is recorded within five seconds.
 #[derive(Debug, Default)]
-pub(super) struct Ledgers {
-    begun: Option<Instant>,
-    last: Option<(Instant, Troubles)>,
+pub(super) struct LedgerSchedule {
+    started: Option<Instant>,
+    last: Option<(Instant, ProblemCounters)>,
 }
 
 /// The counters that do not change while all goes well.
-type Troubles = [u64; 13];
+type ProblemCounters = [u64; 13];
 
-impl Ledgers {
+impl LedgerSchedule {
     /// Whether a ledger is due; if so, it counts as written.
-    pub(super) fn are_due(&mut self, counts: &Counts, now: Instant) -> bool {
-        let begun = *self.begun.get_or_insert(now);
-        let troubles = troubles(counts);
+    pub(super) fn is_due(&mut self, counts: &Counts, now: Instant) -> bool {
+        let started = *self.started.get_or_insert(now);
+        let problem_counters = problem_counters(counts);
         let due = self.last.is_none_or(|(last, known)| {
-            let wait = if known == troubles {
-                last.duration_since(begun).clamp(AT_LEAST, AT_MOST)
+            let wait = if known == problem_counters {
+                last.duration_since(started).clamp(LEDGER_INTERVAL_MIN, LEDGER_INTERVAL_MAX)
             } else {
-                AT_LEAST
+                LEDGER_INTERVAL_MIN
             };
             now.duration_since(last) >= wait
         });
         if due {
-            self.last = Some((now, troubles));
+            self.last = Some((now, problem_counters));
         }
         due
     }
 }
 
-fn troubles(counts: &Counts) -> Troubles {
+fn problem_counters(counts: &Counts) -> ProblemCounters {
     [
         counts.not_received,
         counts.ring_full,
@@ -399,14 +399,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn few_while_all_goes_well_and_soon_when_not() {
-        let (mut ledgers, start) = (Ledgers::default(), Instant::now());
+    fn ledgers_are_rare_while_all_goes_well_and_soon_after_a_problem() {
+        let (mut ledgers, start) = (LedgerSchedule::default(), Instant::now());
         let mut counts = Counts::default();
         let mut written = Vec::new();
         for half_second in 0..600 {
             counts.recorded += 30;
             counts.duplicates += u64::from([250, 251, 252].contains(&half_second));
-            if ledgers.are_due(&counts, start + Duration::from_millis(500 * half_second)) {
+            if ledgers.is_due(&counts, start + Duration::from_millis(500 * half_second)) {
                 written.push(half_second / 2);
             }
         }

@@ -19,7 +19,7 @@ const CLOCK_FACTOR: f64 = 4.0;
 
 /// What a frame's counter says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Step {
+pub(super) enum SeqStep {
     /// The next frame, after `missing` frames that did not arrive.
     Next { missing: u32 },
     /// Received before, or late: its row is closed.
@@ -30,13 +30,13 @@ pub(super) enum Step {
 
 /// Follows the counter, which wraps.
 #[derive(Debug, Default)]
-pub(super) struct Axis {
+pub(super) struct FrameCounter {
     last: Option<(u32, u64)>,
     /// Ticks of the device's clock from a frame to the next; 0 when unknown.
     frame_ticks: f64,
 }
 
-impl Axis {
+impl FrameCounter {
     pub(super) fn new(rate_hz: f64, tick_hz: u64) -> Self {
         Self { last: None, frame_ticks: tick_hz as f64 / rate_hz }
     }
@@ -72,14 +72,14 @@ impl Axis {
     }
 
     /// A frame during the stream. The device's clock distinguishes a late frame from a counter that started again.
-    pub(super) fn step(&mut self, seq: u32, device_ticks: u64) -> Step {
+    pub(super) fn step(&mut self, seq: u32, device_ticks: u64) -> SeqStep {
         let step = match self.last {
-            None => Step::Next { missing: 0 },
+            None => SeqStep::Next { missing: 0 },
             Some((last, ticks)) => match seq.wrapping_sub(last).cast_signed() {
-                ahead @ 1.. if self.is_ahead_of_clock(ahead, device_ticks, ticks) => Step::Jump,
-                ahead @ 1..=MISSING_MAX => Step::Next { missing: ahead as u32 - 1 },
-                LATE_MIN..=0 if device_ticks <= ticks => return Step::Again,
-                _ => Step::Jump,
+                ahead @ 1.. if self.is_ahead_of_clock(ahead, device_ticks, ticks) => SeqStep::Jump,
+                ahead @ 1..=MISSING_MAX => SeqStep::Next { missing: ahead as u32 - 1 },
+                LATE_MIN..=0 if device_ticks <= ticks => return SeqStep::Again,
+                _ => SeqStep::Jump,
             },
         };
         self.last = Some((seq, device_ticks));
@@ -93,59 +93,59 @@ mod tests {
 
     #[test]
     fn counts_through_the_wrap() {
-        let mut axis = Axis::default();
-        assert_eq!(axis.step(u32::MAX - 1, 10), Step::Next { missing: 0 });
-        assert_eq!(axis.step(u32::MAX, 20), Step::Next { missing: 0 });
-        assert_eq!(axis.step(2, 50), Step::Next { missing: 2 });
-        assert_eq!(axis.step(2, 50), Step::Again);
-        assert_eq!(axis.step(1, 40), Step::Again);
-        assert_eq!(axis.step(3, 60), Step::Next { missing: 0 });
+        let mut counter = FrameCounter::default();
+        assert_eq!(counter.step(u32::MAX - 1, 10), SeqStep::Next { missing: 0 });
+        assert_eq!(counter.step(u32::MAX, 20), SeqStep::Next { missing: 0 });
+        assert_eq!(counter.step(2, 50), SeqStep::Next { missing: 2 });
+        assert_eq!(counter.step(2, 50), SeqStep::Again);
+        assert_eq!(counter.step(1, 40), SeqStep::Again);
+        assert_eq!(counter.step(3, 60), SeqStep::Next { missing: 0 });
     }
 
     #[test]
-    fn after_an_outage_a_device_goes_on_or_begins_anew() {
-        let mut axis = Axis::default();
-        assert_eq!(axis.rejoin(7, 10), Some(0), "nothing came before");
-        assert_eq!(axis.rejoin(20, 300), Some(12));
-        assert_eq!(axis.rejoin(0, 5), None, "counter and clock began anew");
-        assert_eq!(axis.step(1, 15), Step::Next { missing: 0 });
-        assert_eq!(axis.rejoin(1, 15), None, "as early as before, by another clock");
-        assert_eq!(axis.rejoin(9, 3), None, "a clock that went back");
-        axis.step(u32::MAX, 400);
-        assert_eq!(axis.rejoin(2, 500), Some(2), "through the wrap");
+    fn after_an_outage_a_device_goes_on_or_starts_again() {
+        let mut counter = FrameCounter::default();
+        assert_eq!(counter.rejoin(7, 10), Some(0), "nothing came before");
+        assert_eq!(counter.rejoin(20, 300), Some(12));
+        assert_eq!(counter.rejoin(0, 5), None, "counter and clock began anew");
+        assert_eq!(counter.step(1, 15), SeqStep::Next { missing: 0 });
+        assert_eq!(counter.rejoin(1, 15), None, "as early as before, by another clock");
+        assert_eq!(counter.rejoin(9, 3), None, "a clock that went back");
+        counter.step(u32::MAX, 400);
+        assert_eq!(counter.rejoin(2, 500), Some(2), "through the wrap");
     }
 
     #[test]
-    fn after_an_outage_the_clock_counts_where_the_counter_stood_still() {
-        let mut axis = Axis::new(100.0, 1000);
-        axis.step(10, 100);
-        assert_eq!(axis.rejoin(11, 5_100), Some(499), "stopped for five seconds");
-        assert_eq!(axis.rejoin(111, 6_100), Some(99), "they agree");
-        assert_eq!(axis.rejoin(112, 6_180), Some(0), "a clock that is read late says little");
+    fn after_an_outage_the_clock_counts_if_the_counter_stood_still() {
+        let mut counter = FrameCounter::new(100.0, 1000);
+        counter.step(10, 100);
+        assert_eq!(counter.rejoin(11, 5_100), Some(499), "stopped for five seconds");
+        assert_eq!(counter.rejoin(111, 6_100), Some(99), "they agree");
+        assert_eq!(counter.rejoin(112, 6_180), Some(0), "a clock that is read late says little");
     }
 
     #[test]
     fn a_counter_that_is_ahead_of_its_own_clock_is_a_jump() {
-        let mut axis = Axis::new(100.0, 1000);
-        axis.step(0, 0);
-        assert_eq!(axis.step(501, 5010), Step::Next { missing: 500 }, "five seconds passed");
-        assert_eq!(axis.step(1002, 5020), Step::Jump, "a hundredth passed");
-        assert_eq!(axis.step(1003, 5030), Step::Next { missing: 0 });
-        assert_eq!(axis.step(1010, 5040), Step::Next { missing: 6 }, "too few to doubt");
-        assert_eq!(axis.step(1111, 5300), Step::Next { missing: 100 }, "a rate that was misstated");
-        assert_eq!(axis.step(1212, 4000), Step::Next { missing: 100 }, "a clock that was set back");
-        let mut axis = Axis::default();
-        axis.step(0, 0);
-        assert_eq!(axis.step(501, 1), Step::Next { missing: 500 }, "a clock that nobody knows");
+        let mut counter = FrameCounter::new(100.0, 1000);
+        counter.step(0, 0);
+        assert_eq!(counter.step(501, 5010), SeqStep::Next { missing: 500 }, "five seconds passed");
+        assert_eq!(counter.step(1002, 5020), SeqStep::Jump, "a hundredth passed");
+        assert_eq!(counter.step(1003, 5030), SeqStep::Next { missing: 0 });
+        assert_eq!(counter.step(1010, 5040), SeqStep::Next { missing: 6 }, "too few to doubt");
+        assert_eq!(counter.step(1111, 5300), SeqStep::Next { missing: 100 }, "a misstated rate");
+        assert_eq!(counter.step(1212, 4000), SeqStep::Next { missing: 100 }, "a clock set back");
+        let mut counter = FrameCounter::default();
+        counter.step(0, 0);
+        assert_eq!(counter.step(501, 1), SeqStep::Next { missing: 500 }, "an unknown clock");
     }
 
     #[test]
-    fn a_counter_that_begins_anew_is_a_jump() {
-        let mut axis = Axis::default();
-        axis.step(500, 10);
-        assert_eq!(axis.step(480, 20), Step::Jump, "its clock went on");
-        assert_eq!(axis.step(0, 5), Step::Jump, "counter and clock began anew");
-        assert_eq!(axis.step(1, 30), Step::Next { missing: 0 });
-        assert_eq!(axis.step(1 << 30, 40), Step::Jump);
+    fn a_counter_that_starts_again_is_a_jump() {
+        let mut counter = FrameCounter::default();
+        counter.step(500, 10);
+        assert_eq!(counter.step(480, 20), SeqStep::Jump, "its clock went on");
+        assert_eq!(counter.step(0, 5), SeqStep::Jump, "counter and clock began anew");
+        assert_eq!(counter.step(1, 30), SeqStep::Next { missing: 0 });
+        assert_eq!(counter.step(1 << 30, 40), SeqStep::Jump);
     }
 }

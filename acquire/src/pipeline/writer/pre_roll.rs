@@ -6,7 +6,7 @@ use mocapd_take::{record::Event, stretch::Span};
 
 use crate::pipeline::{
     Counts, PreRollConfig,
-    messages::{Moment, PartReport, StretchEnd},
+    messages::{FrameTimes, PartReport, StretchEnd},
 };
 
 /// Events kept with the stretches: as many as may wait for the writer. Beyond this, the oldest are dropped.
@@ -14,10 +14,10 @@ const EVENTS_MAX: usize = 1024;
 
 /// An encoded stretch.
 #[derive(Debug)]
-pub(super) struct HeldStretch {
+pub(super) struct PreRollStretch {
     pub(super) stretch: u64,
     pub(super) span: Span,
-    pub(super) first: Moment,
+    pub(super) first: FrameTimes,
     pub(super) last_arrival_ns: u64,
     pub(super) payload: Box<[u8]>,
     pub(super) report: PartReport,
@@ -28,17 +28,17 @@ pub(super) struct HeldStretch {
 
 /// The newest stretches, beginning with a key stretch.
 #[derive(Debug)]
-pub(super) struct Held {
+pub(super) struct PreRollBuffer {
     time_ns: u64,
     bytes_max: usize,
-    stretches: VecDeque<HeldStretch>,
+    stretches: VecDeque<PreRollStretch>,
     events: VecDeque<(u64, Event)>,
     bytes: usize,
     /// Stretches were dropped early because of the memory limit.
     cut: bool,
 }
 
-impl Held {
+impl PreRollBuffer {
     pub(super) fn new(config: PreRollConfig) -> Self {
         // Two a second, and those up to the next key.
         let usual = 2 * config.time.as_secs().min(600) as usize + 32;
@@ -65,7 +65,7 @@ impl Held {
             return;
         }
         self.bytes += bytes_of(payload);
-        self.stretches.push_back(HeldStretch {
+        self.stretches.push_back(PreRollStretch {
             stretch,
             span: end.span,
             first: end.first,
@@ -87,7 +87,7 @@ impl Held {
 
     /// Index of the first stretch for a take with `pre_roll` before `now_ns`: the last key that is old enough, but
     /// nothing from before an outage that had begun by then.
-    pub(super) fn of_last(&self, pre_roll: Duration, now_ns: u64) -> usize {
+    pub(super) fn start_of(&self, pre_roll: Duration, now_ns: u64) -> usize {
         if pre_roll.is_zero() {
             return self.stretches.len();
         }
@@ -97,18 +97,18 @@ impl Held {
         if self.stretches.back().is_none_or(|newest| newest.last_arrival_ns < from_ns) {
             return self.stretches.len();
         }
-        let old_enough = |held: &HeldStretch| held.span.key && held.first.arrival_ns <= from_ns;
+        let old_enough = |kept: &PreRollStretch| kept.span.key && kept.first.arrival_ns <= from_ns;
         let Some(at) = self.stretches.iter().rposition(old_enough) else { return 0 };
         // All stretches of that key may be older than requested.
-        let next_key = self.stretches.iter().skip(at + 1).position(|held| held.span.key);
+        let next_key = self.stretches.iter().skip(at + 1).position(|kept| kept.span.key);
         let next_key = next_key.map(|after| at + 1 + after);
         let end = next_key.unwrap_or(self.stretches.len());
-        let reaches_in = |held: &HeldStretch| held.last_arrival_ns >= from_ns;
-        let is_wanted = self.stretches.range(at..end).any(reaches_in);
+        let reaches_into = |kept: &PreRollStretch| kept.last_arrival_ns >= from_ns;
+        let is_wanted = self.stretches.range(at..end).any(reaches_into);
         if is_wanted { at } else { end }
     }
 
-    pub(super) fn from(&self, at: usize) -> impl Iterator<Item = &HeldStretch> {
+    pub(super) fn from(&self, at: usize) -> impl Iterator<Item = &PreRollStretch> {
         self.stretches.iter().skip(at)
     }
 
@@ -149,22 +149,22 @@ impl Held {
             self.cut = true;
             self.drop_first(self.stretches.len());
         }
-        let first = self.stretches.front().map_or(u64::MAX, |held| held.stretch);
+        let first = self.stretches.front().map_or(u64::MAX, |kept| kept.stretch);
         while self.events.front().is_some_and(|(stretch, _)| *stretch < first) {
             self.events.pop_front();
         }
     }
 
     fn next_key(&self) -> Option<usize> {
-        self.stretches.iter().skip(1).position(|held| held.span.key).map(|at| at + 1)
+        self.stretches.iter().skip(1).position(|kept| kept.span.key).map(|at| at + 1)
     }
 
     fn drop_first(&mut self, n: usize) {
-        self.bytes -= self.stretches.drain(..n).map(|held| bytes_of(&held.payload)).sum::<usize>();
+        self.bytes -= self.stretches.drain(..n).map(|kept| bytes_of(&kept.payload)).sum::<usize>();
     }
 }
 
 /// Memory used by a stretch, in bytes.
 fn bytes_of(payload: &[u8]) -> usize {
-    payload.len() + size_of::<HeldStretch>()
+    payload.len() + size_of::<PreRollStretch>()
 }
