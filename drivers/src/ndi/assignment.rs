@@ -14,7 +14,7 @@ struct Column {
     row: usize,
     potential: f64,
     /// The least reduced cost at which it was reached, and from which column.
-    least: f64,
+    min_cost: f64,
     from: usize,
     visited: bool,
 }
@@ -41,7 +41,7 @@ impl Assignment {
         &mut self,
         n_rows: usize,
         n_columns: usize,
-        alone: f64,
+        unassigned_cost: f64,
         cost: impl Fn(usize, usize) -> f64,
     ) {
         self.potentials.clear();
@@ -50,11 +50,11 @@ impl Assignment {
         self.columns.clear();
         self.columns.resize(1 + n_columns + n_rows, Column::default());
         for row in 1..=n_rows {
-            self.place(row, &|row, column| {
+            self.augment(row, &|row, column| {
                 if column <= n_columns {
                     cost(row - 1, column - 1)
                 } else if column == n_columns + row {
-                    alone
+                    unassigned_cost
                 } else {
                     f64::INFINITY
                 }
@@ -70,27 +70,27 @@ impl Assignment {
     }
 
     /// The cheapest way to give this row a column, others moving on where that costs less.
-    fn place(&mut self, row: usize, cost: &dyn Fn(usize, usize) -> f64) {
+    fn augment(&mut self, row: usize, cost: &dyn Fn(usize, usize) -> f64) {
         let Self { potentials, columns } = self;
         for column in columns.iter_mut() {
-            (column.least, column.visited) = (f64::INFINITY, false);
+            (column.min_cost, column.visited) = (f64::INFINITY, false);
         }
         columns[0].row = row;
-        let mut at = 0;
+        let mut current = 0;
         loop {
-            columns[at].visited = true;
-            let row = columns[at].row;
+            columns[current].visited = true;
+            let row = columns[current].row;
             let (mut step, mut next) = (f64::INFINITY, 0);
             for (index, column) in columns.iter_mut().enumerate().skip(1) {
                 if column.visited {
                     continue;
                 }
                 let reduced = cost(row, index) - potentials[row] - column.potential;
-                if reduced < column.least {
-                    (column.least, column.from) = (reduced, at);
+                if reduced < column.min_cost {
+                    (column.min_cost, column.from) = (reduced, current);
                 }
-                if column.least < step {
-                    (step, next) = (column.least, index);
+                if column.min_cost < step {
+                    (step, next) = (column.min_cost, index);
                 }
             }
             for column in columns.iter_mut() {
@@ -98,19 +98,19 @@ impl Assignment {
                     potentials[column.row] += step;
                     column.potential -= step;
                 } else {
-                    column.least -= step;
+                    column.min_cost -= step;
                 }
             }
-            at = next;
+            current = next;
             // There is always one: the row's own.
-            if columns[at].row == 0 {
+            if columns[current].row == 0 {
                 break;
             }
         }
-        while at != 0 {
-            let from = columns[at].from;
-            columns[at].row = columns[from].row;
-            at = from;
+        while current != 0 {
+            let from = columns[current].from;
+            columns[current].row = columns[from].row;
+            current = from;
         }
     }
 }
@@ -122,13 +122,13 @@ mod tests {
     use super::*;
 
     /// The least sum there is, by trying everything.
-    fn least(row: usize, costs: &[Vec<f64>], alone: f64, taken: &mut Vec<bool>) -> f64 {
+    fn least_cost(row: usize, costs: &[Vec<f64>], alone: f64, taken: &mut Vec<bool>) -> f64 {
         let Some(of_row) = costs.get(row) else { return 0.0 };
-        let mut best = alone + least(row + 1, costs, alone, taken);
+        let mut best = alone + least_cost(row + 1, costs, alone, taken);
         for (column, cost) in of_row.iter().enumerate() {
             if !taken[column] && cost.is_finite() {
                 taken[column] = true;
-                best = best.min(cost + least(row + 1, costs, alone, taken));
+                best = best.min(cost + least_cost(row + 1, costs, alone, taken));
                 taken[column] = false;
             }
         }
@@ -150,7 +150,7 @@ mod tests {
             let pairs: Vec<_> = assignment.pairs().collect();
             let sum: f64 = pairs.iter().map(|(row, column)| costs[*row][*column]).sum();
             let sum = sum + alone * (n_rows - pairs.len()) as f64;
-            assert_eq!(sum, least(0, &costs, alone, &mut vec![false; n_columns]), "{costs:?}");
+            assert_eq!(sum, least_cost(0, &costs, alone, &mut vec![false; n_columns]), "{costs:?}");
             let mut rows: Vec<_> = pairs.iter().map(|(row, _)| *row).collect();
             rows.sort_unstable();
             rows.dedup();

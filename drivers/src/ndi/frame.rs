@@ -13,7 +13,7 @@ pub(super) const TOOLS_MAX: usize = 256;
 
 /// One frame; its memory is used again for the next.
 #[derive(Debug)]
-pub(super) struct Seen {
+pub(super) struct FrameData {
     /// The device's frame number; `None` when the answer has no frame.
     pub(super) number: Option<u32>,
     /// The device's time at exposure, nanoseconds; only `BX2` has it.
@@ -23,19 +23,19 @@ pub(super) struct Seen {
     /// Markers that belong to no tool, millimetres, in the device's order.
     pub(super) strays: Vec<[f32; 3]>,
     /// Strays beyond [`STRAYS_MAX`].
-    pub(super) strays_beyond: usize,
+    pub(super) strays_excess: usize,
     /// Positions that were no numbers.
     pub(super) not_finite: u64,
 }
 
-impl Seen {
+impl FrameData {
     pub(super) fn new() -> Self {
         Self {
             number: None,
             time_ns: None,
             tools: Vec::with_capacity(TOOLS_MAX),
             strays: Vec::with_capacity(STRAYS_MAX),
-            strays_beyond: 0,
+            strays_excess: 0,
             not_finite: 0,
         }
     }
@@ -45,12 +45,12 @@ impl Seen {
         self.time_ns = None;
         self.tools.clear();
         self.strays.clear();
-        self.strays_beyond = 0;
+        self.strays_excess = 0;
         self.not_finite = 0;
     }
 
     /// The newest number of the parts counts for the whole.
-    pub(super) fn number(&mut self, number: u32, time_ns: Option<u64>) {
+    pub(super) fn set_number(&mut self, number: u32, time_ns: Option<u64>) {
         let newer = self.number.is_none_or(|known| number.wrapping_sub(known).cast_signed() > 0);
         if newer {
             self.number = Some(number);
@@ -59,7 +59,7 @@ impl Seen {
     }
 
     /// A tool: where its origin is, and how well its markers fit it, both in millimetres.
-    pub(super) fn tool(&mut self, handle: u8, found: Option<([f32; 3], f32)>) {
+    pub(super) fn push_tool(&mut self, handle: u8, found: Option<([f32; 3], f32)>) {
         if self.tools.len() >= TOOLS_MAX {
             return;
         }
@@ -77,14 +77,14 @@ impl Seen {
         });
     }
 
-    pub(super) fn stray(&mut self, position_mm: [f32; 3]) {
+    pub(super) fn push_stray(&mut self, position_mm: [f32; 3]) {
         if !self.is_position(position_mm) {
             return;
         }
         if self.strays.len() < STRAYS_MAX {
             self.strays.push(position_mm);
         } else {
-            self.strays_beyond += 1;
+            self.strays_excess += 1;
         }
     }
 
@@ -111,8 +111,8 @@ pub(super) const fn bx_block_bytes(tools: usize, strays: usize) -> usize {
 }
 
 /// Reads the answer to [`BX_REQUEST`]; `None` when it is none.
-pub(super) fn read_bx(block: &[u8], seen: &mut Seen) -> Option<()> {
-    seen.clear();
+pub(super) fn read_bx(block: &[u8], frame: &mut FrameData) -> Option<()> {
+    frame.clear();
     let mut block = Cursor::new(block);
     for _ in 0..block.get::<u8>()? {
         let handle = block.get::<u8>()?;
@@ -130,13 +130,13 @@ pub(super) fn read_bx(block: &[u8], seen: &mut Seen) -> Option<()> {
             _ => return None,
         };
         let _port_status = block.get::<u32>()?;
-        seen.number(block.get::<u32>()?, None);
-        seen.tool(handle, found);
+        frame.set_number(block.get::<u32>()?, None);
+        frame.push_tool(handle, found);
     }
     let n_strays = usize::from(block.get::<u8>()?);
     let _out_of_volume = block.bytes(n_strays.div_ceil(8))?;
     for _ in 0..n_strays {
-        seen.stray(block.get()?);
+        frame.push_stray(block.get()?);
     }
     let _system_status = block.get::<u16>()?;
     block.end(())
@@ -172,14 +172,14 @@ pub(super) const fn bx2_block_bytes(tools: usize, strays: usize) -> usize {
 }
 
 /// Reads the answer to [`BX2_REQUEST`]; `None` when it is none.
-pub(super) fn read_bx2(block: &[u8], seen: &mut Seen) -> Option<()> {
-    seen.clear();
+pub(super) fn read_bx2(block: &[u8], frame: &mut FrameData) -> Option<()> {
+    frame.clear();
     let mut block = Cursor::new(block);
     for _ in 0..container(&mut block)? {
         let Component { kind, items, mut body } = component(&mut block)?;
         if kind == FRAME {
             for _ in 0..items {
-                frame_item(&mut body, seen)?;
+                frame_item(&mut body, frame)?;
             }
             body.end(())?;
         }
@@ -210,17 +210,17 @@ fn component<'a>(from: &mut Cursor<'a>) -> Option<Component<'a>> {
 }
 
 /// Passive, active and wireless tools have an item each, when there are such.
-fn frame_item(from: &mut Cursor<'_>, seen: &mut Seen) -> Option<()> {
+fn frame_item(from: &mut Cursor<'_>, frame: &mut FrameData) -> Option<()> {
     let _kind_and_sequence = from.get::<u16>()?;
     let _status = from.get::<u16>()?;
     let number = from.get::<u32>()?;
     let (seconds, ns) = (from.get::<u32>()?, from.get::<u32>()?);
-    seen.number(number, Some(u64::from(seconds) * SECOND_NS + u64::from(ns)));
+    frame.set_number(number, Some(u64::from(seconds) * SECOND_NS + u64::from(ns)));
     for _ in 0..container(from)? {
         let Component { kind, items, mut body } = component(from)?;
         match kind {
-            DATA_6D => data_6d(items, &mut body, seen)?,
-            DATA_3D => data_3d(items, &mut body, seen)?,
+            DATA_6D => data_6d(items, &mut body, frame)?,
+            DATA_3D => data_3d(items, &mut body, frame)?,
             // Buttons, alerts, images: not kept.
             _ => continue,
         }
@@ -229,7 +229,7 @@ fn frame_item(from: &mut Cursor<'_>, seen: &mut Seen) -> Option<()> {
     Some(())
 }
 
-fn data_6d(items: u32, body: &mut Cursor<'_>, seen: &mut Seen) -> Option<()> {
+fn data_6d(items: u32, body: &mut Cursor<'_>, frame: &mut FrameData) -> Option<()> {
     for _ in 0..items {
         let (handle, status) = (body.get::<u16>()?, body.get::<u16>()?);
         let mut found = None;
@@ -240,12 +240,12 @@ fn data_6d(items: u32, body: &mut Cursor<'_>, seen: &mut Seen) -> Option<()> {
             // Any other code says what is doubtful about the position.
             found = (status & CODE_6D == 0).then_some((position_mm, error_mm));
         }
-        seen.tool(u8::try_from(handle).ok()?, found);
+        frame.push_tool(u8::try_from(handle).ok()?, found);
     }
     Some(())
 }
 
-fn data_3d(items: u32, body: &mut Cursor<'_>, seen: &mut Seen) -> Option<()> {
+fn data_3d(items: u32, body: &mut Cursor<'_>, frame: &mut FrameData) -> Option<()> {
     for _ in 0..items {
         let (handle, n_markers) = (body.get::<u16>()?, body.get::<u16>()?);
         for _ in 0..n_markers {
@@ -258,7 +258,7 @@ fn data_3d(items: u32, body: &mut Cursor<'_>, seen: &mut Seen) -> Option<()> {
             let position_mm = body.get()?;
             // Out of volume, saturated, a possible phantom: the device does not vouch for these.
             if status == 0 && handle == STRAYS_HANDLE {
-                seen.stray(position_mm);
+                frame.push_stray(position_mm);
             }
         }
     }

@@ -1,7 +1,7 @@
-//! NDI Polaris and Vega systems over their Combined API on a serial line: `docs/ndi.md`.
+//! NDI Polaris and Vega optical trackers over their Combined API on a serial line: `docs/ndi.md`.
 //!
-//! The device answers, and never speaks unasked. [`NdiHost`] therefore leaves requests on a
-//! [desk](crate::transport::turns); who reads the line carries them out.
+//! The device only replies to requests. [`NdiHost`] therefore sends
+//! [line commands](crate::transport::turns), which the transport executes before the next read.
 
 mod assignment;
 mod bring_up;
@@ -35,12 +35,12 @@ pub(crate) const FAMILY: Family = Family {
         }
     },
     protocol: |location| {
-        let asked_for = match location {
+        let baud = match location {
             Location::Serial { baud, .. } => *baud,
             Location::Usb { .. } => None,
         };
-        // A desk for the time before there is a line: nobody takes its orders.
-        let (desk, _) = desk();
-        Box::new(NdiHost::new(desk, asked_for.unwrap_or(BAUD_MAX_DEFAULT)))
+        // A sender without a receiver, until `attach` connects the protocol to a line.
+        let (sender, _) = desk();
+        Box::new(NdiHost::new(sender, baud.unwrap_or(BAUD_MAX_DEFAULT)))
     },
 };

@@ -10,7 +10,7 @@
 
 use super::{
     assignment::Assignment,
-    frame::{STRAYS_MAX, Seen},
+    frame::{FrameData, STRAYS_MAX},
 };
 use crate::device::MarkerSample;
 
@@ -37,7 +37,7 @@ const HOLD_S: f64 = 0.5;
 
 /// Numbers that are in use before those that are held are given away: the markers that a recorder
 /// keeps room for beside those announced.
-const NUMBERS_SOON: usize = 64;
+const NUMBERS_PREFERRED: usize = 64;
 
 #[derive(Debug, Clone, Copy, Default)]
 struct Slot {
@@ -50,7 +50,7 @@ struct Slot {
 
 /// A number that a stray may have.
 #[derive(Debug, Clone, Copy)]
-struct Expected {
+struct Prediction {
     slot: usize,
     position_mm: [f32; 3],
     gate2: f32,
@@ -58,19 +58,19 @@ struct Expected {
 
 /// The numbers in use.
 #[derive(Debug)]
-pub(super) struct Strays {
+pub(super) struct StrayTracker {
     slots: [Slot; STRAYS_MAX],
-    expected: Vec<Expected>,
+    predictions: Vec<Prediction>,
     assignment: Assignment,
     gate_mm: f32,
     hold: u32,
 }
 
-impl Strays {
+impl StrayTracker {
     pub(super) fn new() -> Self {
         Self {
             slots: [Slot::default(); STRAYS_MAX],
-            expected: Vec::with_capacity(STRAYS_MAX),
+            predictions: Vec::with_capacity(STRAYS_MAX),
             assignment: Assignment::new(STRAYS_MAX, STRAYS_MAX),
             gate_mm: 0.0,
             hold: 1,
@@ -85,14 +85,14 @@ impl Strays {
     }
 
     /// Appends the strays of a frame with their ids. The frame is so many after the last one given.
-    pub(super) fn number(&mut self, seen: &Seen, elapsed: u32, out: &mut Vec<MarkerSample>) {
+    pub(super) fn assign(&mut self, frame: &FrameData, elapsed: u32, out: &mut Vec<MarkerSample>) {
         let elapsed = elapsed.max(1);
-        let strays = seen.strays.as_slice();
-        self.pair(strays, elapsed);
+        let strays = frame.strays.as_slice();
+        self.match_strays(strays, elapsed);
         let mut numbered = [false; STRAYS_MAX];
         let mut taken = [false; STRAYS_MAX];
         for (stray, index) in self.assignment.pairs() {
-            let slot = self.expected[index].slot;
+            let slot = self.predictions[index].slot;
             put(&mut self.slots[slot], slot, strays[stray], elapsed, self.hold, out);
             (numbered[stray], taken[slot]) = (true, true);
         }
@@ -103,7 +103,7 @@ impl Strays {
                     put(&mut self.slots[slot], slot, *stray, elapsed, self.hold, out);
                     taken[slot] = true;
                 }
-                None => beyond(*stray, out),
+                None => push_unnumbered(*stray, out),
             }
         }
         for (slot, taken) in self.slots.iter_mut().zip(taken) {
@@ -113,8 +113,8 @@ impl Strays {
                     Slot { held: slot.held.saturating_sub(elapsed), step_mm: [0.0; 3], ..*slot };
             }
         }
-        for _ in 0..seen.strays_beyond {
-            beyond([0.0; 3], out);
+        for _ in 0..frame.strays_excess {
+            push_unnumbered([0.0; 3], out);
         }
     }
 
@@ -122,18 +122,18 @@ impl Strays {
     /// that was held longest.
     fn free_slot(&self, taken: &[bool; STRAYS_MAX]) -> Option<usize> {
         let free = (0..STRAYS_MAX).find(|slot| !taken[*slot] && self.slots[*slot].held == 0);
-        if free.is_some_and(|slot| slot < NUMBERS_SOON) {
+        if free.is_some_and(|slot| slot < NUMBERS_PREFERRED) {
             return free;
         }
-        let held = (0..NUMBERS_SOON).filter(|slot| !taken[*slot]);
+        let held = (0..NUMBERS_PREFERRED).filter(|slot| !taken[*slot]);
         held.min_by_key(|slot| self.slots[*slot].held).or(free)
     }
 
     /// Strays with the numbers that they keep.
-    fn pair(&mut self, strays: &[[f32; 3]], elapsed: u32) {
-        let Self { slots, expected, assignment, gate_mm, hold } = self;
+    fn match_strays(&mut self, strays: &[[f32; 3]], elapsed: u32) {
+        let Self { slots, predictions, assignment, gate_mm, hold } = self;
         let far_mm = (*gate_mm * elapsed as f32).min(GATE_MAX_MM).max(*gate_mm);
-        expected.clear();
+        predictions.clear();
         for (slot, known) in slots.iter().enumerate().filter(|(_, known)| known.held > 0) {
             // One that was hidden, or not looked at for too long, is looked for where it was.
             let moves = known.held == *hold && elapsed <= *hold;
@@ -144,12 +144,12 @@ impl Strays {
             };
             let position_mm =
                 std::array::from_fn(|axis| known.position_mm[axis] + known.step_mm[axis] * ahead);
-            expected.push(Expected { slot, position_mm, gate2: gate_mm * gate_mm });
+            predictions.push(Prediction { slot, position_mm, gate2: gate_mm * gate_mm });
         }
         // Rather a new number than one from beyond the gate, and rather any in it than a new one.
-        let alone = f64::from(far_mm * far_mm);
-        assignment.solve(strays.len(), expected.len(), alone, |stray, index| {
-            let Expected { position_mm, gate2, .. } = expected[index];
+        let new_number_cost = f64::from(far_mm * far_mm);
+        assignment.solve(strays.len(), predictions.len(), new_number_cost, |stray, index| {
+            let Prediction { position_mm, gate2, .. } = predictions[index];
             let distance2: f32 =
                 position_mm.iter().zip(strays[stray]).map(|(a, b)| (a - b) * (a - b)).sum();
             if distance2 <= gate2 { f64::from(distance2) } else { f64::INFINITY }
@@ -168,16 +168,16 @@ fn put(
 ) {
     let Slot { position_mm: before, held, .. } = *slot;
     // One that was not there in the last frame has no speed that is known.
-    let there = held == hold;
+    let was_seen = held == hold;
     let step = |axis: usize| {
-        if there { (position_mm[axis] - before[axis]) / elapsed as f32 } else { 0.0 }
+        if was_seen { (position_mm[axis] - before[axis]) / elapsed as f32 } else { 0.0 }
     };
     *slot = Slot { position_mm, step_mm: std::array::from_fn(step), held: hold };
     out.push(MarkerSample { id: FIRST_ID + index as u16, position_mm, ..Default::default() });
 }
 
 /// A stray for which there is no number: under one id for all, so that it is counted as dropped.
-fn beyond(position_mm: [f32; 3], out: &mut Vec<MarkerSample>) {
+fn push_unnumbered(position_mm: [f32; 3], out: &mut Vec<MarkerSample>) {
     let id = FIRST_ID + STRAYS_MAX as u16;
     out.push(MarkerSample { id, position_mm, ..MarkerSample::default() });
 }
@@ -186,15 +186,15 @@ fn beyond(position_mm: [f32; 3], out: &mut Vec<MarkerSample>) {
 mod tests {
     use super::*;
 
-    fn ids(strays: &mut Strays, positions: &[[f32; 3]]) -> Vec<u16> {
+    fn ids(strays: &mut StrayTracker, positions: &[[f32; 3]]) -> Vec<u16> {
         ids_after(strays, 1, positions)
     }
 
-    fn ids_after(strays: &mut Strays, elapsed: u32, positions: &[[f32; 3]]) -> Vec<u16> {
-        let mut seen = Seen::new();
-        positions.iter().for_each(|position| seen.stray(*position));
+    fn ids_after(strays: &mut StrayTracker, elapsed: u32, positions: &[[f32; 3]]) -> Vec<u16> {
+        let mut frame = FrameData::new();
+        positions.iter().for_each(|position| frame.push_stray(*position));
         let mut out = Vec::new();
-        strays.number(&seen, elapsed, &mut out);
+        strays.assign(&frame, elapsed, &mut out);
         // In the order of the list.
         positions
             .iter()
@@ -204,7 +204,7 @@ mod tests {
 
     #[test]
     fn numbers_stay_with_their_strays() {
-        let mut strays = Strays::new();
+        let mut strays = StrayTracker::new();
         strays.restart(60.0);
         let (a, b, c) = ([0.0, 0.0, 0.0], [300.0, 0.0, 0.0], [0.0, 300.0, 0.0]);
         assert_eq!(ids(&mut strays, &[a, b, c]), [0, 1, 2]);
@@ -222,25 +222,25 @@ mod tests {
 
     #[test]
     fn two_that_pass_each_other_keep_apart_when_each_moves_little() {
-        let mut strays = Strays::new();
+        let mut strays = StrayTracker::new();
         strays.restart(60.0);
         for frame in 0..100_u8 {
             let x = f32::from(frame) * 10.0;
-            let there = ids(&mut strays, &[[x, 0.0, 0.0], [1000.0 - x, 40.0, 0.0]]);
-            assert_eq!(there, [0, 1], "frame {frame}");
+            let numbers = ids(&mut strays, &[[x, 0.0, 0.0], [1000.0 - x, 40.0, 0.0]]);
+            assert_eq!(numbers, [0, 1], "frame {frame}");
         }
     }
 
     #[test]
     fn more_than_can_be_numbered_are_given_all_the_same() {
-        let mut strays = Strays::new();
+        let mut strays = StrayTracker::new();
         strays.restart(60.0);
-        let mut seen = Seen::new();
+        let mut frame = FrameData::new();
         for i in 0..300_u16 {
-            seen.stray([f32::from(i) * 50.0, 0.0, 0.0]);
+            frame.push_stray([f32::from(i) * 50.0, 0.0, 0.0]);
         }
         let mut out = Vec::new();
-        strays.number(&seen, 1, &mut out);
+        strays.assign(&frame, 1, &mut out);
         assert_eq!(out.len(), 300);
         assert_eq!(out.iter().filter(|s| usize::from(s.id - FIRST_ID) == STRAYS_MAX).count(), 45);
     }
@@ -252,7 +252,7 @@ mod tests {
 
     #[test]
     fn what_all_move_by_over_skipped_frames_changes_no_number() {
-        let mut strays = Strays::new();
+        let mut strays = StrayTracker::new();
         strays.restart(60.0);
         let all: Vec<u16> = (0..6).collect();
         // 2.4 m/s: 200 mm from one fetched frame to the next, twice the distance between two markers; no
@@ -268,20 +268,20 @@ mod tests {
 
     #[test]
     fn skipped_frames_glue_no_two_strays_together() {
-        let mut strays = Strays::new();
+        let mut strays = StrayTracker::new();
         strays.restart(60.0);
         let (a, b) = ([0.0, 0.0, 0.0], [2000.0, 0.0, 0.0]);
         assert_eq!(ids(&mut strays, &[a, b]), [0, 1]);
         // However long nobody looked, one stray is gone and another is there.
         for elapsed in [5, 20, 30] {
-            let mut strays = Strays { slots: strays.slots, ..Strays::new() };
+            let mut strays = StrayTracker { slots: strays.slots, ..StrayTracker::new() };
             (strays.gate_mm, strays.hold) = (100.0, 30);
             let other = [GATE_MAX_MM + 1.0, 0.0, 0.0];
             assert_eq!(ids_after(&mut strays, elapsed, &[other, b]), [2, 1], "{elapsed}");
         }
         // Beyond half a second it is only the same where it was.
         let near = [150.0, 0.0, 0.0];
-        let mut later = Strays { slots: strays.slots, ..Strays::new() };
+        let mut later = StrayTracker { slots: strays.slots, ..StrayTracker::new() };
         (later.gate_mm, later.hold) = (100.0, 30);
         assert_eq!(ids_after(&mut later, 31, &[near, b]), [2, 1]);
         // One that was hidden in the last fetched frame is not looked for farther away than before.
@@ -291,7 +291,7 @@ mod tests {
 
     #[test]
     fn a_number_is_held_for_half_a_second_of_the_device() {
-        let mut strays = Strays::new();
+        let mut strays = StrayTracker::new();
         strays.restart(60.0);
         let (a, b, far) = ([0.0; 3], [2000.0, 0.0, 0.0], [900.0; 3]);
         assert_eq!(ids(&mut strays, &[a, b]), [0, 1]);
