@@ -40,7 +40,7 @@ pub enum FileError {
     #[error("{} is {}", .0.display(), .1)]
     NotAFile(PathBuf, NotAFile),
     /// The user has no permission to read it.
-    #[error("no permission to read {}: try ls -l on it", .0.display())]
+    #[error("no permission to read {}: check it with ls -l", .0.display())]
     NotReadable(PathBuf),
     /// Its folder does not exist.
     #[error("the folder {} does not exist: create it first", .0.display())]
@@ -73,7 +73,7 @@ pub fn read_bounded(path: &Path, len_max: usize) -> anyhow::Result<Vec<u8>> {
     file.read_to_end(&mut bytes).with_context(|| format!("cannot read {}", path.display()))?;
     ensure!(
         bytes.len() <= len_max,
-        "{} has more than {len_max} bytes, the most that is read of such a file: is it another one?",
+        "{} has more than {len_max} bytes, the limit for such a file: is it the right one?",
         path.display()
     );
     Ok(bytes)
@@ -114,7 +114,7 @@ fn cannot_create(path: &Path, error: &io::Error) -> anyhow::Error {
 
 /// A file or folder of this name exists already.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{} exists and is not overwritten: choose another name or move it", path.display())]
+#[error("{} exists already: choose another name or move it", path.display())]
 pub struct NameTaken {
     /// The name.
     pub path: PathBuf,
@@ -179,7 +179,7 @@ pub fn scratch() -> io::Result<Arc<dyn ScratchFile>> {
 
 fn failed(dir: &Path, error: &io::Error) -> io::Error {
     let message = format!(
-        "no room for a temporary file in {} with what the take keeps of its source ({error}): set TMPDIR to another folder",
+        "no space in {} for a temporary file with the original data of the take ({error}): set TMPDIR to another folder",
         dir.display()
     );
     io::Error::new(error.kind(), message)

@@ -312,13 +312,13 @@ impl Claims {
 
     fn index(&mut self, entries: &[IndexEntry], keys: &[IndexEntry]) {
         if entries != keys {
-            self.tell("the index does not tell where the key stretches are".to_owned());
+            self.tell("the index does not match the key stretches".to_owned());
         }
     }
 
     fn footer(&mut self, footer: &Footer) {
         if [footer.index_offset, footer.ledger_offset] != [self.index_offset, self.ledger_offset] {
-            self.tell("the footer does not tell where index and ledger are".to_owned());
+            self.tell("the footer does not match the index and the ledger".to_owned());
         }
     }
 
@@ -326,7 +326,7 @@ impl Claims {
     fn block(&mut self, first_row: u64, max_error_mm: f64) {
         if max_error_mm > self.tolerance_mm {
             self.tell(format!(
-                "a block of the stretch from frame {first_row} on states an error of {max_error_mm} mm, the tolerance is {} mm",
+                "a block of the stretch from frame {first_row} states an error of {max_error_mm} mm, above the tolerance of {} mm",
                 self.tolerance_mm
             ));
         }
@@ -341,13 +341,13 @@ impl Claims {
             ("announced samples", ledger.samples_announced, self.announced),
         ] {
             if told != found {
-                self.tell(format!("a ledger tells of {told} {what}, before it are {found}"));
+                self.tell(format!("a ledger states {told} {what}, but {found} precede it"));
             }
         }
         // Frames lost after the last stretch are in no timeline yet.
         let (told, found) = (ledger.frames_lost(), self.lost);
         if told < found {
-            self.tell(format!("a ledger tells of {told} lost frames, before it are {found}"));
+            self.tell(format!("a ledger states {told} lost frames, but {found} precede it"));
         }
     }
 

@@ -99,7 +99,7 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
     // A take without a frame is useless: remove it.
     let nothing_recorded = |error: anyhow::Error| match id.remove(options.take) {
         Ok(()) => error,
-        Err(e) => error.context(format!("{name} holds nothing and cannot be removed ({e})")),
+        Err(e) => error.context(format!("{name} is empty and cannot be removed ({e})")),
     };
     let is_nothing = |failed: &TakeFailed| failed.error.is::<NothingRecorded>();
     match outcome {
@@ -117,10 +117,10 @@ pub fn record(rig: Rig, options: &mut RecordOptions<'_>) -> anyhow::Result<Recor
         Ok((Ok(recording), Ok((written, mut file)))) => {
             if written.ledger.recorded == 0 {
                 let why = match recording.ending {
-                    EndingKind::DeviceGone => "the device went away before its first frame",
-                    EndingKind::DiskFull => "the disk is full: delete something",
+                    EndingKind::DeviceGone => "the device was disconnected before its first frame",
+                    EndingKind::DiskFull => "the disk is full: free some space",
                     EndingKind::Stopped | EndingKind::Length => {
-                        "it was stopped before the first frame came"
+                        "it was stopped before the first frame arrived"
                     }
                     _ => "the device sent no frame: check that it is capturing",
                 };
@@ -142,7 +142,7 @@ fn ends_early(
     let words = match settled.as_ref().and_then(Settled::words) {
         Some(words) => format!("the take {take} ends early; {words}"),
         None if settled.is_some_and(|file| file.state == FileState::InPlace) => {
-            format!("the take {take} ends early; what is in it can be read")
+            format!("the take {take} ends early; what was recorded can be read")
         }
         None => format!("the take {take} ends early"),
     };

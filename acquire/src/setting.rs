@@ -41,8 +41,8 @@ impl fmt::Display for SettingRefused {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.message_with(|setting| match setting {
             Setting::Rate(Some(rate_hz)) => format!("run it at {rate_hz} Hz"),
-            Setting::Rate(None) => "leave its rate as it is".to_owned(),
-            Setting::KeepFree => "let less stay free".to_owned(),
+            Setting::Rate(None) => "keep the rate of the device".to_owned(),
+            Setting::KeepFree => "leave less space free".to_owned(),
         }))
     }
 }

@@ -22,7 +22,7 @@ pub struct Verdict<'a> {
 pub enum Finding<'a> {
     /// A damaged part.
     Damage(&'a Problem),
-    /// The last ledger does not balance.
+    /// The last ledger does not close.
     LedgerOpen,
     /// The last ledger states another number of samples than the take holds.
     Samples {
@@ -39,7 +39,7 @@ impl fmt::Display for Finding<'_> {
             Self::Damage(problem) => problem.fmt(f),
             Self::LedgerOpen => f.write_str("the ledger does not close"),
             Self::Samples { told, found } => {
-                write!(f, "the ledger tells of {told} samples, the take holds {found}")
+                write!(f, "the ledger states {told} samples, but the take holds {found}")
             }
         }
     }
@@ -67,7 +67,7 @@ impl<'a> Verdict<'a> {
         let clock = summary.clock_apart();
         if let Some(Apart { offset_us, drift_ppm, agrees: false }) = &clock {
             contradictions.push(format!(
-                "the clocks' line lies {offset_us:.1} us and {drift_ppm:.3} ppm off the one that its observations give"
+                "the clock line differs by {offset_us:.1} us and {drift_ppm:.3} ppm from the line fitted to its observations"
             ));
         }
         Self { problems, contradictions, clock }
@@ -106,6 +106,6 @@ mod tests {
         summary.take.ledger = Some(ledger);
         assert_eq!(found(&summary), [""; 0]);
         (summary.take.finished, summary.take.damaged) = (true, true);
-        assert_eq!(found(&summary), ["the ledger tells of 3 samples, the take holds 0"]);
+        assert_eq!(found(&summary), ["the ledger states 3 samples, but the take holds 0"]);
     }
 }

@@ -64,21 +64,21 @@ impl Displaced {
         let Self { created_as, open_at, bytes: (found, written), .. } = self;
         let (take, open_at) = (created_as.display(), open_at.display());
         match self.state {
-            FileState::InPlace => format!("the take {take} is in its place again"),
+            FileState::InPlace => format!("the take {take} is back in its place"),
             FileState::Removed => format!(
-                "the take {take} was removed while it is recorded; the recording goes on in {open_at}, and a copy is saved when it ends, where its folder is still there. To save it before: cp {open_at} NEW.take"
+                "the take {take} was removed during the recording, which continues in {open_at}; a copy is saved at the end, if its folder still exists. To save one now: cp {open_at} NEW.take"
             ),
             FileState::Renamed => format!(
-                "the take {take} was renamed while it is recorded; the recording goes on in {}, which is open as {open_at}. To copy it before it ends: cp {open_at} NEW.take",
+                "the take {take} was renamed during the recording, which continues in {}, open as {open_at}. To copy it before the end: cp {open_at} NEW.take",
                 self.now_at
                     .as_ref()
-                    .map_or("a file of unknown name".into(), |p| p.to_string_lossy())
+                    .map_or("a file whose name is unknown".into(), |p| p.to_string_lossy())
             ),
             FileState::Truncated => format!(
-                "the take {take} was cut short by another program, from {written} to {found} bytes: it ends here; `mocapd recover {take} -o NEW.take` makes a take of what is left, if its header is"
+                "the take {take} was cut short by another program, from {written} to {found} bytes: it ends here; `mocapd recover {take} -o NEW.take` recovers what is left, if its header is intact"
             ),
             FileState::Unmounted => format!(
-                "the file system of the take {take} was unmounted, or another one was mounted over it: the take ends here, and is whole on that file system"
+                "the file system of the take {take} was unmounted, or another one was mounted over it: the take ends here, and is complete on that file system"
             ),
         }
     }
@@ -105,19 +105,19 @@ impl Settled {
         let take = displaced.created_as.display();
         Some(match (self.state, &self.path, &self.problem) {
             (FileState::Removed, Some(copy), _) => format!(
-                "the take {take} was removed while it was recorded; what was recorded is saved as {}",
+                "the take {take} was removed during the recording, and was saved as {}",
                 copy.display()
             ),
             (FileState::Removed, None, problem) => format!(
-                "the take {take} was removed while it was recorded, and could not be saved: {}",
-                problem.as_deref().unwrap_or("no reason is known")
+                "the take {take} was removed during the recording, and could not be saved: {}",
+                problem.as_deref().unwrap_or("the reason is unknown")
             ),
             (FileState::Renamed, Some(path), _) => format!(
-                "the take {take} was renamed while it was recorded: it is {}",
+                "the take {take} was renamed during the recording: it is now {}",
                 path.display()
             ),
             (FileState::Renamed, None, _) => format!(
-                "the take {take} was renamed while it was recorded: it has a name that is not known"
+                "the take {take} was renamed during the recording: its new name is unknown"
             ),
             _ => displaced.words(),
         })

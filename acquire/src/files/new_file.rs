@@ -40,7 +40,7 @@ impl NewFile {
             return Err(exists(path));
         }
         let name =
-            path.file_name().with_context(|| format!("{} is no file name", path.display()))?;
+            path.file_name().with_context(|| format!("{} is not a file name", path.display()))?;
         if let Some(file) = without_a_name(path)? {
             return Ok(Self::new(file, None, path));
         }
@@ -132,7 +132,7 @@ impl NewFolder {
         if path.symlink_metadata().is_ok() {
             return Err(exists(path));
         }
-        let Some(name) = path.file_name() else { bail!("{} is no folder's name", path.display()) };
+        let Some(name) = path.file_name() else { bail!("{} is not a folder name", path.display()) };
         let hidden = path.with_file_name(hidden_name(name));
         fs::create_dir(&hidden).map_err(|error| cannot_create(path, &error))?;
         Ok(Self { hidden: Some(hidden), path: path.to_owned(), files: Vec::new() })

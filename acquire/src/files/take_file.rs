@@ -212,7 +212,7 @@ impl TakeFile {
         let mut names = (1..COPIES_MAX).map(|count| self.path.with_file_name(name(count)));
         let free = names.find(|path| path.symlink_metadata().is_err());
         let path = free.context("every name for a copy is taken")?;
-        let mut input = File::open(own_link(&self.file)).context("cannot be opened again")?;
+        let mut input = File::open(own_link(&self.file)).context("cannot reopen it")?;
         let mut copy = NewFile::create(&path)?;
         io::copy(&mut input, &mut copy)
             .with_context(|| format!("cannot write {}", path.display()))?;

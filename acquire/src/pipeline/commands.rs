@@ -271,13 +271,13 @@ impl Takes {
         let ((row, row_out), request) = (bounded(1), Arc::new(()));
         let event = Event::new(EventKind::Mark, host_ns, text);
         let mark = MarkRequest { event, row, request: Arc::downgrade(&request) };
-        ensure!(self.send(&self.marks, mark), "too many marks wait: wait a moment");
+        ensure!(self.send(&self.marks, mark), "too many marks are waiting: try again in a moment");
         Ok(PendingMark { row: row_out, _request: request })
     }
 
     fn send_for_take(&self, command: TakeCommand) -> anyhow::Result<()> {
         let is_sent = self.send(&self.commands, command);
-        ensure!(is_sent, "the writer is still busy with what it was asked before");
+        ensure!(is_sent, "the writer is still busy with earlier commands: try again");
         Ok(())
     }
 

@@ -99,7 +99,8 @@ impl Counts {
         if !early {
             // What it produced beyond the frames seen was lost before the first of them, or just now: the smallest
             // excess in any report was lost before.
-            self.reported_twice = self.reported_twice.min(frames_produced.saturating_sub(self.seen()));
+            self.reported_twice =
+                self.reported_twice.min(frames_produced.saturating_sub(self.seen()));
             frames_produced -= self.reported_twice;
         }
         self.status = Some(Status {
@@ -195,7 +196,7 @@ impl Counts {
         }
     }
 
-    /// The ledger of these counters. It balances, or states why not.
+    /// The ledger of these counters. It closes, or states why not.
     #[must_use]
     pub fn ledger(&self, finished: bool) -> Ledger {
         let mut contradictions = Vec::new();
@@ -204,7 +205,7 @@ impl Counts {
         let reported = self.status.map_or(0, |status| status.frames_produced);
         if self.ended && self.status.is_some() && reported < seen {
             contradictions.push(format!(
-                "the device reports {reported} frames produced, its frame counter says {seen}"
+                "the device reports {reported} frames produced, but its frame counter shows {seen}"
             ));
         }
         if let Some(produced) = self.impossible_produced {
@@ -225,7 +226,7 @@ impl Counts {
         }
         if self.counter_jumps > 0 {
             contradictions.push(format!(
-                "the device's frame counter jumped {} as no loss explains",
+                "the device's frame counter jumped {} in a way that no loss explains",
                 times(self.counter_jumps)
             ));
         }
@@ -235,7 +236,7 @@ impl Counts {
         }
         if self.events_dropped > 0 {
             contradictions.push(format!(
-                "{} events are not in the take: the disk stalled",
+                "{} events are missing from the take: the disk stalled",
                 self.events_dropped
             ));
         }

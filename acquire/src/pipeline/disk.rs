@@ -171,14 +171,14 @@ pub fn check_room(path: &Path, keep_free_bytes: u64) -> anyhow::Result<()> {
     let free_bytes = disk.f_bavail.saturating_mul(disk.f_frsize);
     if free_bytes < keep_free_bytes.saturating_add(HELD_MIN_BYTES) {
         let why = format!(
-            "the disk is nearly full: {:.0} MB are free for {}, and {:.0} MB have to stay free beside {:.0} MB \
-             to close a take in",
+            "the disk is nearly full: {:.0} MB are free for {}, but {:.0} MB have to stay free, and closing \
+             a take needs {:.0} MB",
             mb(free_bytes),
             path.display(),
             mb(keep_free_bytes),
             mb(HELD_MIN_BYTES)
         );
-        let alternative = ", delete something, or record to another disk";
+        let alternative = ", free some space, or record to another disk";
         return Err(SettingRefused { why, setting: Setting::KeepFree, alternative }.into());
     }
     Ok(())

@@ -159,13 +159,13 @@ impl Plan {
     pub(super) fn new(config: &PipelineConfig) -> anyhow::Result<Self> {
         ensure!(
             config.codec.kind.is_live(),
-            "the resampler {} works on whole takes: record with dense, fast or lossless, \
+            "the resampler {} needs whole takes: record with dense, fast or lossless, \
              then export and import with it",
             config.codec.kind
         );
         ensure!(
             config.rate_hz.is_finite() && (0.001..=1e6).contains(&config.rate_hz),
-            "cannot record at {} Hz",
+            "cannot record at {} Hz: choose a rate from 0.001 to 1000000 Hz",
             config.rate_hz
         );
         let n_slots = config.channels.len() + config.reserve;
@@ -189,7 +189,7 @@ impl Plan {
         ensure!(
             ring_bytes <= MEMORY_BYTES
                 && (n_slots as u64).saturating_mul(u64::from(plan.stretch_rows)) <= SAMPLES_MAX,
-            "{n_slots} markers at {} Hz are more than can be recorded: use a lower rate",
+            "cannot record {n_slots} markers at {} Hz: use a lower rate",
             config.rate_hz
         );
         let coded_stretches =

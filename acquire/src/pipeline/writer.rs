@@ -390,7 +390,7 @@ impl Writer {
         let mut events = buffer.events().filter(|(stretch, _)| *stretch >= first).peekable();
         for stretch in buffer.from(from) {
             if progress.disk_full.load(Ordering::Relaxed) {
-                return Err(anyhow!("the disk is full: delete something"));
+                return Err(anyhow!("the disk is full: free some space"));
             }
             while let Some((_, channel)) = channels.next_if(|(since, _)| *since <= stretch.stretch)
             {

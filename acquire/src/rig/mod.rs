@@ -213,7 +213,7 @@ impl Rig {
             self.say(command)?;
             let asked_ns = monotonic_ns();
             while monotonic_ns() - asked_ns < ANSWER_WITHIN.as_nanos() as u64 {
-                ensure!(!give_up(), "{} was not waited for", self.uri);
+                ensure!(!give_up(), "gave up waiting for {}", self.uri);
                 let n = self.transport.read(&mut self.buffer).context("reading from the device")?;
                 let mut found = None;
                 self.protocol.push(&self.buffer[..n], &mut |event| {
@@ -234,7 +234,7 @@ impl Rig {
             );
         }
         bail!(
-            "{} does not answer: check that it is switched on, that the cable is the data one, the baud rate, \
+            "{} does not answer: check that it is switched on, that the cable carries data, the baud rate, \
              and the driver (?driver=NAME)",
             self.uri
         )
@@ -252,16 +252,16 @@ fn out_of_range(why: &str, hello: &Hello) -> anyhow::Error {
     let [min_hz, max_hz] =
         [hello.rate_min_mhz, hello.rate_max_mhz].map(|mhz| f64::from(mhz) / 1000.0);
     if min_hz < max_hz {
-        return anyhow!("{why}: it runs at {min_hz} to {max_hz} Hz");
+        return anyhow!("{why}: it supports {min_hz} to {max_hz} Hz");
     }
-    let why = format!("{why}: it runs at {max_hz} Hz and no other rate");
+    let why = format!("{why}: it supports only {max_hz} Hz");
     SettingRefused { why, setting: Setting::Rate(None), alternative: "" }.into()
 }
 
 /// The error for a start that the device refused because its line is too slow.
 fn refusal(budget: LinkBudget, rate_hz: f64, hello: &Hello) -> anyhow::Error {
     let why = format!(
-        "the line is too slow for {} Hz: the frames need {} bytes a second and it carries {}",
+        "the line is too slow for {} Hz: the frames need {} bytes per second, the line carries {}",
         rate_hz, budget.needed_bytes_per_s, budget.available_bytes_per_s
     );
     if budget.rate_fits_mhz < hello.rate_min_mhz {
@@ -331,7 +331,7 @@ impl Rig {
         }
         if self.protocol.counters().messages_damaged == damaged_before {
             bail!(
-                "{} answers, but does not get to say who it is: it may be starting up, or a tool on it does not answer; \
+                "{} answers but does not identify itself: it may be starting up, or one of its tools does not answer; \
                  wait, unplug its tools, and try again",
                 self.uri
             );

@@ -216,7 +216,7 @@ impl Rig {
                 }
                 Some(stopped_ns) if now_ns - stopped_ns > STOP_WITHIN.as_nanos() as u64 => {
                     (options.say)(
-                        "the device does not confirm the stop: what it sent last may be missing",
+                        "the device does not confirm the stop: its last frames may be missing",
                     );
                     return Ok(EndingKind::Stopped);
                 }
@@ -344,11 +344,11 @@ impl Stalls {
         self.cleared = cleared;
         self.told += 1;
         if self.told <= STALLS_TOLD_MAX {
-            intake.event(host_event("the device stalled, and was cleared"));
-            (options.say)("the device stalled, and was cleared: what it was sending may be lost");
+            intake.event(host_event("the device stalled and its endpoint was cleared"));
+            (options.say)("the device stalled and its endpoint was cleared: data may be lost");
         }
         if self.told == STALLS_TOLD_MAX {
-            (options.say)("it stalls again and again: no more is said of it");
+            (options.say)("the device keeps stalling: further stalls are not reported");
         }
     }
 }
@@ -526,7 +526,7 @@ impl Rig {
     ) -> Result<bool, TransportError> {
         if let Some(status) = reader.end_that_was_lost(now) {
             let words =
-                "the end of the stream was lost on the line: the device was asked, and had ended";
+                "the end of the stream was lost on the line: the device says that it has ended";
             reader.intake.event(host_event(words));
             (options.say)(words);
             reader.intake.status(status, true);
@@ -561,9 +561,9 @@ impl Rig {
         reader.started_again += 1;
         reader.count_anew();
         if reader.started_again <= STARTS_TOLD_MAX {
-            reader.intake.event(host_event("the device introduced itself and was started again"));
+            reader.intake.event(host_event("the device identified itself and was restarted"));
             (options.say)(
-                "the device introduced itself, as after a reset, a loss of power or a long silence: it was started again",
+                "the device identified itself, as after a reset, a power loss or a long silence: it was restarted",
             );
         }
         if now.rate_mhz != self.hello.rate_mhz {

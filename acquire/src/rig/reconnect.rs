@@ -70,7 +70,7 @@ impl Rig {
         }
         let gone_ns = monotonic_ns();
         (options.say)(&format!(
-            "{} is gone: plug it in again within {} s, and {} goes on{}",
+            "{} is gone: plug it in again within {} s to continue {}{}",
             self.uri,
             (self.patience.as_secs_f64() * 10.0).round() / 10.0,
             if options.for_one_take { "the take" } else { "recording" },
@@ -146,7 +146,7 @@ impl Rig {
         let was = &self.hello;
         ensure!(
             (&now.model, &now.serial) == (&was.model, &was.serial),
-            "another device answers, {} {}, and the take is of {} {}: plug that one in",
+            "another device answers, {} {}, but the take needs {} {}: plug that one in",
             now.model,
             now.serial,
             was.model,

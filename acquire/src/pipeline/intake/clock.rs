@@ -88,14 +88,14 @@ impl Intake {
         host_ns: u64,
     ) {
         if std::mem::take(&mut self.clocks.queue.has_new_overflow) {
-            let text = "the disk stalls: observations of the clocks are left out of the take, and of its clock line";
+            let text = "the disk stalls: some clock observations are missing from the take and from its clock line";
             self.clock_event(text.to_owned(), device_ticks, host_ns);
         }
         let Some(event) = event else { return };
         self.counts.clock_jumps += u64::from(matches!(event, ClockEvent::WentBack(_)));
         let what = match event {
             ClockEvent::WentBack(by_s) => format!("went back by {by_s:.3} s"),
-            ClockEvent::Wrapped => "counts in 32 bits and began again at 0".to_owned(),
+            ClockEvent::Wrapped => "wrapped at 32 bits".to_owned(),
             ClockEvent::Jumped(by_s) if by_s >= 0.0 => format!("jumped ahead by {by_s:.3} s"),
             ClockEvent::Jumped(by_s) => format!("fell behind by {:.3} s", -by_s),
         };

@@ -50,19 +50,19 @@ impl Intake {
         let (missing, causes, how, why) = match self.counter.rejoin(frame.seq, frame.device_ticks) {
             Some(missing) => {
                 let causes = Causes::NOT_RECEIVED.union(Causes::DISCONNECTED);
-                (u64::from(missing), causes, "goes on", "are missing by its counter")
+                (u64::from(missing), causes, "continues", "are missing by its counter")
             }
             // The counter does not cover the time between; use the host's clock, so that the take keeps time.
             None => {
                 let due = self.due(silent_s);
-                (due, Causes::DISCONNECTED, "began anew", "were due by the host's clock")
+                (due, Causes::DISCONNECTED, "started again", "were due by the host's clock")
             }
         };
         let new = missing.saturating_sub(std::mem::take(&mut self.rows_away));
         // At the first row after the outage.
         let row = self.next_row + self.pending.rows() + new;
         let text =
-            format!("the device is back after {silent_s:.3} s, and {how}: {missing} frames {why}");
+            format!("the device is back after {silent_s:.3} s and {how}: {missing} frames {why}");
         let event = Event::new(EventKind::Host, arrival_ns, text);
         let event = Event { device_ticks: frame.device_ticks, ..event };
         self.event_at(row, event);

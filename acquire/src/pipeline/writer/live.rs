@@ -111,7 +111,7 @@ impl LiveTake {
         if !self.has_stretches {
             return Ok(());
         }
-        let text = "the take was asked for here: before it is pre-roll";
+        let text = "the take was requested here: earlier rows are pre-roll";
         self.event(&Event { row, ..Event::new(EventKind::Host, requested_ns, text) })
     }
 
@@ -270,10 +270,10 @@ impl LiveTake {
         match self.file_state {
             FileState::Truncated => return Ok(self.finish_cut_short()),
             FileState::Removed if ending.detail.is_empty() => {
-                "its file was removed while it was recorded".clone_into(&mut ending.detail);
+                "its file was removed during the recording".clone_into(&mut ending.detail);
             }
             FileState::Renamed if ending.detail.is_empty() => {
-                "its file was renamed while it was recorded".clone_into(&mut ending.detail);
+                "its file was renamed during the recording".clone_into(&mut ending.detail);
             }
             _ => {}
         }

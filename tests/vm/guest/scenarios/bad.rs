@@ -44,7 +44,7 @@ pub(crate) fn stalls() -> Measured {
     let ran = record(&device.uri, "/tmp/stall.take", &["--seconds", "5s"])?;
     let ran = ran.finish(ENDS_WITHIN)?;
     ensure!(matches!(ran.code, Some(0 | 3)), "{ran:?}");
-    ran.says(&["the device stalled, and was cleared"])?;
+    ran.says(&["the device stalled and its endpoint was cleared"])?;
     let account = Account::of(&ran.json()?)?;
     account.closes()?;
     ensure!(account.ending == "stopped", "{account:?}");
